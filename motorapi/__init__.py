@@ -1,8 +1,8 @@
-"""The motor interface: what an application programs against.
+"""The motor interface: classes and errors for applications.
 
-After the CLARAty motor interface (Pivtoraiko, Nesnas, Nayar: A Reusable Software Framework for
-Rover Motion Control). Adaptations to hardware are in `motorapi.adaptations`; they alone load the
-libraries their bus needs.
+Source: the CLARAty motor interface (Pivtoraiko, Nesnas, Nayar: A Reusable Software Framework for
+Rover Motion Control). Adaptations to hardware are in `motorapi.adaptations`; only they import the
+libraries of their bus.
 """
 
 from motorapi.arguments import Argument, MotorPosition

@@ -1,4 +1,4 @@
-"""Arguments that are not time: what a trajectory may be a function of instead.
+"""Trajectory arguments other than time.
 
 Source: the paper, 3.3.1: "The argument typically is a value of time, but can be another quantity."
 """
@@ -13,22 +13,22 @@ from motorapi.state import Measurement, MotorState
 
 
 class Argument(Protocol):
-    """A quantity that something else determines, read once per set-point."""
+    """A trajectory argument that another system determines, read once per set-point."""
 
     @property
     def name(self) -> str:
-        """What messages call it."""
+        """The name of the argument in messages."""
 
     @property
     def rate_max(self) -> float | None:
-        """How fast it can change [1/s]; None: not known, then no limit can be promised."""
+        """The maximum rate of change [1/s], or None if unknown; then no limit is guaranteed."""
 
     def value(self) -> float:
-        """What it is now. Asked from callbacks: must neither wait nor send."""
+        """Return the present value. Callbacks call this: it must neither wait nor send."""
 
 
 def require_argument(motor: str, argument: object) -> None:
-    """Raises UsageError if it is neither None nor an `Argument`; `motor` is named."""
+    """Raise UsageError for `motor` if `argument` is neither None nor an `Argument`."""
     if argument is None:
         return
     if (
@@ -37,21 +37,23 @@ def require_argument(motor: str, argument: object) -> None:
         or not (hasattr(argument, "name") and hasattr(argument, "rate_max"))
     ):
         raise UsageError(
-            f"{motor}: argument {argument!r} is none; give an Argument, as MotorPosition(other), or"
-            " leave it out for time"
+            f"{motor}: {argument!r} is not an Argument; give an Argument, as "
+            "MotorPosition(other), or leave it out for time"
         )
     rate = argument.rate_max
     if rate is not None and not as_number(rate) >= 0.0:
         raise UsageError(
-            f"{motor}: rate_max of {argument!r} is {rate!r}; a number >= 0, or None if not known"
+            f"{motor}: rate_max of {argument!r} is {rate!r}; expected a number >= 0, or None "
+            "if unknown"
         )
 
 
 def value_of(argument: Argument) -> float:
-    """What the argument is now, a finite number.
+    """Return the present value of the argument, a finite number.
 
     Raises:
-        MotorError: it cannot be told; PluginError of what is no number, or another error.
+        PluginError: the value is not a finite number, or `value` raised a foreign exception.
+        MotorError: `value` raised it.
     """
     try:
         value = argument.value()
@@ -68,37 +70,37 @@ def value_of(argument: Argument) -> float:
 
 
 class Leader(Protocol):
-    """What may lead: any Motor."""
+    """The part of a Motor that `MotorPosition` needs from the leading motor."""
 
     @property
     def name(self) -> str:
-        """What messages call it."""
+        """The name of the motor in messages."""
 
     @property
     def model(self) -> MotorModel:
-        """Where its maximum velocity stands."""
+        """The motor model, which holds the maximum velocity."""
 
     def latest(self) -> Measurement | None:
-        """What was heard of it last."""
+        """Return the last measurement received from the motor, or None."""
 
 
 @final
 class MotorPosition:
-    """Another motor's measured position [rad or m], as it was heard last: an electronic gear.
+    """The last measured position of another motor [rad or m], for an electronic gear.
 
     Args:
-        motor: the leading motor. It must report its position by itself (or cost nothing to ask).
+        motor: the leading motor. It must report its position by itself, or at no cost.
     """
 
     def __init__(self, motor: Leader) -> None:
         if not callable(getattr(motor, "latest", None)):
-            raise UsageError(f"{motor!r} is no motor: its position cannot be an argument")
+            raise UsageError(f"{motor!r} is not a motor: its position cannot be an argument")
         self._motor = motor
         self._name = f"position of {motor.name}"
 
     @property
     def name(self) -> str:
-        """As in "position of left"."""
+        """The name of the argument, as in "position of left"."""
         return self._name
 
     @property
@@ -108,22 +110,26 @@ class MotorPosition:
 
     @property
     def rate_max(self) -> float | None:
-        """The leading motor's maximum velocity, as its model says."""
+        """The maximum velocity of the leading motor, from its model."""
         return self._motor.model.velocity_max
 
     def value(self) -> float:
-        """The last position heard.
+        """Return the last position received from the leading motor.
 
         Raises:
-            LinkError: the motor is not heard any more: what was is where it is not.
-            UsageError: none was heard yet.
+            LinkError: the motor is offline, so the last position is out of date.
+            UsageError: no position has been received yet.
         """
         latest = self._motor.latest()
         if latest is not None and latest.state is MotorState.OFFLINE:
-            raise LinkError(link=self._motor.name, reason=f"the {self._name} is not heard any more")
+            raise LinkError(
+                link=self._motor.name,
+                reason=f"the {self._name} is out of date: the motor is offline",
+            )
         if latest is None or latest.position is None:
             raise UsageError(
-                f"the {self._name} is not known: it has not been heard yet; ask for it once"
+                f"the {self._name} is unknown: none has been received yet; read it once before "
+                "the start"
             )
         return latest.position
 

@@ -1,13 +1,13 @@
-"""Where the wall's runtime gets frames from: python-can's buses, each in the best way it has.
+"""Frame sources of the wall runtime, one per kind of python-can bus.
 
-A source gives Linux can_frame bytes and tells own frames from those of others:
+A source yields Linux can_frame bytes and distinguishes own frames from others:
 
-- SocketCAN: the socket is read directly. The kernel gives own frames back when they were on the
-  wire (CAN_RAW_RECV_OWN_MSGS) and marks them with MSG_CONFIRM: exact, where python-can's `is_rx`
-  is False for whatever any process of this host has sent.
-- A bus that speaks frames itself (the emulated one, over a socket) is read as it speaks.
-- Any other: by `recv` and `send`. Such a bus does not tell when a frame was transmitted; it is
-  taken to be when `send` has returned.
+- SocketCAN: the socket is read directly. The kernel returns own frames once they are on the wire
+  (CAN_RAW_RECV_OWN_MSGS) and marks them with MSG_CONFIRM. This is exact; `is_rx` of python-can is
+  False for frames from any process on this host.
+- A bus that exchanges raw frames (the emulated bus, over a socket) is read as it is.
+- Any other bus: through `recv` and `send`. Such a bus does not report transmission; a frame counts
+  as transmitted when `send` returns.
 """
 
 import errno
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     import can
 
 Heard = tuple[bytes, int, bool]
-"""(can_frame, its age [ns], whether it is an own frame that was transmitted)."""
+"""(can_frame, its age [ns], True for an own frame that was transmitted)."""
 
 _FRAME: Final = struct.Struct("<IB3x8s")
 _FRAME_SIZE: Final = 16
@@ -46,35 +46,35 @@ _TIMESPEC: Final = struct.Struct("@ll")
 
 
 class FrameSource(Protocol):
-    """One bus, as frames."""
+    """One bus as a source and sink of frames."""
 
     reports_own: bool
-    """Whether `receive` gives own frames once they were transmitted."""
+    """True if `receive` returns own frames after their transmission."""
 
     def open(self) -> None:
-        """Frames can be received.
+        """Prepare the bus for `receive`.
 
         Raises:
-            UsageError: a can.Notifier reads this bus object already.
+            UsageError: a can.Notifier already reads this bus object.
             LinkError: the bus is closed.
         """
 
     def receive(self, timeout_s: float) -> Heard | None:
-        """The next frame; None after `timeout_s` [s]. Raises if the bus is gone."""
+        """Return the next frame, or None after `timeout_s` [s]. Raise if the bus is gone."""
 
     def send(self, frame: bytes) -> None:
-        """The frame is queued.
+        """Queue the frame for transmission.
 
         Raises:
-            LinkError: the bus does not take it.
+            LinkError: the bus does not accept the frame.
         """
 
     def close(self) -> None:
-        """The bus object is as it was before."""
+        """Restore the settings that the bus object had before `open`."""
 
 
 def source_of(bus: "can.BusABC") -> FrameSource:
-    """The best source this bus object has."""
+    """Return the most precise source that this bus object supports."""
     if callable(getattr(bus, "receive_frame", None)) and callable(getattr(bus, "transmit", None)):
         return _FrameBusSource(bus)
     raw = getattr(bus, "socket", None)
@@ -89,8 +89,8 @@ def _refuse_second_reader(bus: "can.BusABC") -> None:
 
     if can.Notifier.find_instances(bus):
         raise UsageError(
-            f"{bus.channel_info}: a can.Notifier reads this bus object already, and every frame"
-            " goes to one reader only; stop it, or open another bus object for this channel"
+            f"{bus.channel_info}: a can.Notifier already reads this bus object, and each frame "
+            "reaches one reader only; stop it, or open another bus object for this channel"
         )
 
 
@@ -99,10 +99,10 @@ def _cannot_send(bus: "can.BusABC", error: Exception) -> LinkError:
 
 
 class _FrameBus(Protocol):
-    """What a bus that speaks frames offers (harness.can_plugin.EmulatedBus over a socket)."""
+    """A bus that exchanges raw frames (harness.can_plugin.EmulatedBus over a socket)."""
 
     def receive_frame(self, timeout_s: float) -> tuple[bytes, int, bool] | None:
-        """(frame, time_ns of its own, transmitted)."""
+        """Return (frame, time by the clock of the bus [ns], transmitted), or None."""
 
     def transmit(self, frame: bytes) -> None: ...
 
@@ -113,14 +113,14 @@ class _FrameBusSource:
         self.reports_own = True
         self._bus = bus
         self._frames: _FrameBus = bus  # type: ignore[assignment]  # source_of has looked
-        self._lead_ns = 0  # this clock over the bus' own, by the frame that took the least time
+        self._lead_ns = 0  # offset to the bus clock, from the frame with the least delay
         self._last_ns = _NEVER_NS
 
     def open(self) -> None:
         _refuse_second_reader(self._bus)
 
     def receive(self, timeout_s: float) -> Heard | None:
-        """Its age is by the bus' own clock: how late this process gets to it does not count."""
+        """Return the next frame, with its age by the clock of the bus, not of this process."""
         heard = self._frames.receive_frame(timeout_s)
         if heard is None:
             return None
@@ -165,7 +165,7 @@ class _SocketCanSource:
             return None
         frame, ancillary, flags, _ = self._socket.recvmsg(_FD_FRAME_SIZE, 64)
         if len(frame) != _FRAME_SIZE:
-            return None  # CAN FD: the motor interface speaks classical CAN
+            return None  # CAN FD: the motor interface uses classical CAN only
         age_ns = 0
         for level, kind, data in ancillary:
             if (level, kind) == (socket.SOL_SOCKET, _SCM_TIMESTAMPNS):
@@ -179,7 +179,7 @@ class _SocketCanSource:
             try:
                 self._socket.send(frame)
             except OSError as error:
-                # ENOBUFS: the interface's queue (10 frames by default) is full for the moment.
+                # ENOBUFS: the queue of the interface (10 frames by default) is full at the moment.
                 if error.errno != errno.ENOBUFS or time.monotonic() > deadline_s:
                     raise _cannot_send(self._bus, error) from error
                 time.sleep(_QUEUE_PAUSE_S)
@@ -191,7 +191,7 @@ class _SocketCanSource:
 
 
 def _without_padding(frame: bytes) -> bytes:
-    """The frame with zeros in what is padding, and after the data: drivers leave rubbish there."""
+    """Return the frame with zeros in the padding and after the data: drivers leave garbage."""
     can_id, length, data = _FRAME.unpack(frame)
     if can_id & _RTR:
         return _FRAME.pack(can_id, length, b"")
@@ -199,9 +199,9 @@ def _without_padding(frame: bytes) -> bytes:
 
 
 def _error_of(message: "can.Message") -> bytes:
-    """The error message of a python-can error frame; one of nothing, if it is not as SocketCAN's.
+    """Return the error message of an error frame, or an empty one if its format is not SocketCAN's.
 
-    What other interfaces mean by identifier and data of an error frame, each does by itself.
+    Other interfaces define the identifier and data of an error frame in their own ways.
     """
     data, classes = bytes(message.data), message.arbitration_id
     if message.is_extended_id or len(data) != _ERROR_BYTES or classes & ~_ERROR_CLASSES:
@@ -221,7 +221,7 @@ class _MessageSource:
     def receive(self, timeout_s: float) -> Heard | None:
         message = self._bus.recv(timeout_s)
         if message is None or message.is_fd or not message.is_rx:
-            return None  # an own frame (receive_own_messages) was reported when it was sent
+            return None  # an own frame (receive_own_messages), reported when it was sent
         can_id = message.arbitration_id
         if message.is_error_frame:
             return _error_of(message), 0, False

@@ -1,14 +1,15 @@
-"""How a bus is, as its own CAN controller tells: error active, passive or off, and since when.
+"""Bus condition from the host's CAN controller: error active, passive or bus-off.
 
-Error messages are those of SocketCAN: a can_frame of 8 bytes with ERR_FLAG in its identifier, whose
-other bits are classes of errors. They come to whoever listens (`Runtime.listen`), and are no
-traffic: nobody on the bus has sent them. An adaptation has one `BusStatus` for its bus, shows it
-each of them, and asks it before it sends, and while it waits:
+Error messages have the SocketCAN format: a can_frame of 8 bytes with ERR_FLAG in its identifier,
+whose other bits are error classes. All listeners (`Runtime.listen`) receive them. They are not bus
+traffic: no node has sent them. An adaptation has one `BusStatus` per bus. The adaptation passes
+error messages to `hear`, and checks the status before it sends and while it waits:
 
-- Off the bus (256 failures to send) nothing is sent or heard: `check` raises LinkError.
-- What was waited for when the bus went off fails at once, by `failure`, though it may be on again
-  a moment later: `offs` counts.
-- A controller that stays error passive by its sending is alone: nobody acknowledges.
+- In bus-off (256 transmit errors) nothing is sent or received: `check` raises LinkError.
+- Operations that were waiting when the bus went off fail at once with `failure`, even if the bus
+  recovers a moment later: `offs` counts the transitions.
+- A controller that stays error passive because of its transmissions gets no ACK: no other node is
+  active.
 
 Source: Linux include/uapi/linux/can/error.h.
 """
@@ -38,7 +39,7 @@ _ACTIVE: Final = 0x40
 
 @final
 class BusCondition(Enum):
-    """How far a CAN controller takes part (ISO 11898-1, fault confinement)."""
+    """Fault confinement state of a CAN controller (ISO 11898-1)."""
 
     ACTIVE = "error active"
     WARNING = "at the error warning limit"
@@ -48,24 +49,24 @@ class BusCondition(Enum):
 
 @final
 class BusStatus:
-    """What is known of one bus.
+    """Known state of one bus.
 
     Attributes:
-        name: of the bus ("can0").
-        condition: told last; ACTIVE before anything was told.
-        since_ns: since when; None: nothing was told.
-        counters: transmit and receive error counter, told last; None: they were not told.
-        is_off: whether the bus is off now.
-        offs: how often it went off.
-        unacknowledged_ns: since when nobody acknowledges; None: somebody does, or nothing was told.
+        name: name of the bus ("can0").
+        condition: last reported condition; ACTIVE before the first report.
+        since_ns: time of the last change of condition [ns]; None before the first report.
+        counters: last reported transmit and receive error counters, or None.
+        is_off: True while the bus is off.
+        offs: number of transitions to bus-off.
+        unacknowledged_ns: time since which frames get no ACK [ns], or None.
     """
 
     def __init__(self, name: str, remedy: str) -> None:
-        """Nothing is known.
+        """Create the status of a bus without any report.
 
         Args:
-            name: of the bus.
-            remedy: what to do if it is off.
+            name: name of the bus.
+            remedy: advice for the user if the bus is off.
         """
         self.name: Final = name
         self.condition = BusCondition.ACTIVE
@@ -89,7 +90,7 @@ class BusStatus:
         return text
 
     def hear(self, message: bytes, time_ns: int) -> None:
-        """An error message of its CAN controller came."""
+        """Process an error message of the CAN controller, received at `time_ns` [ns]."""
         classes = int.from_bytes(message[:4], "little")
         if classes & _COUNTERS:
             self.counters = (message[14], message[15])
@@ -113,34 +114,34 @@ class BusStatus:
             self._off_ns = time_ns
 
     def sent(self) -> None:
-        """An own frame was on the wire: somebody has acknowledged it."""
+        """Record that an own frame was transmitted, and so acknowledged."""
         self.unacknowledged_ns = None
 
     def check(self) -> None:
-        """Raises LinkError while the bus is off."""
+        """Raise LinkError while the bus is off."""
         if self.is_off:
             raise self.failure()
 
     def failure(self) -> LinkError:
-        """That the bus is off, or was, to be raised."""
+        """Return the error for a bus that is, or was, off."""
         if self.is_off:
-            reason = "bus-off: nothing is sent or heard"
+            reason = "bus-off: nothing is sent or received"
             since_ns, remedy = self._off_ns, self._remedy
             return LinkError(link=self.name, reason=reason, since_ns=since_ns, remedy=remedy)
         at = "once" if self._off_ns is None else f"at {self._off_ns / 1e9:.6f} s"
-        reason = f"it went off the bus {at}, and is on again; what waited then is lost"
+        reason = f"the bus was off {at} and has recovered; operations waiting at that time failed"
         return LinkError(link=self.name, reason=reason)
 
     def trouble(self) -> str:
-        """What is wrong with the bus, for who has waited in vain; "" if nothing is known."""
+        """Return the problem of the bus for the message of a timeout; "" if none is known."""
         if self.unacknowledged_ns is not None and not self.is_off:
-            text = f"nobody acknowledges on {self.name} since {self.unacknowledged_ns / 1e9:.6f} s"
-            return f"{text}, it is {self.condition.value}"
+            text = f"{self.name}: no ACK since t = {self.unacknowledged_ns / 1e9:.6f} s"
+            return f"{text}, controller {self.condition.value}"
         return "" if self.condition is BusCondition.ACTIVE else str(self)
 
 
 def _condition_in(classes: int, status: int) -> BusCondition | None:
-    """The condition that an error message tells; None: it tells none."""
+    """Return the condition that an error message reports, or None."""
     if classes & _BUS_OFF:
         return BusCondition.OFF
     if classes & _CONTROLLER:
@@ -154,10 +155,10 @@ def _condition_in(classes: int, status: int) -> BusCondition | None:
 
 
 def status_of(bus: "can.BusABC", name: str) -> BusStatus:
-    """The status of this bus object, of which nothing is known yet; messages call it `name`.
+    """Return a new status for this bus object, called `name` in messages.
 
-    A bus that is not SocketCAN's may tell by an attribute `bus_off_remedy` what to do.
+    A bus other than SocketCAN may offer its own remedy in an attribute `bus_off_remedy`.
     """
     remedy = getattr(bus, "bus_off_remedy", "")
-    usual = f"ip link set {name} type can restart, or restart-ms 100: it does so by itself"
+    usual = f"ip link set {name} type can restart; or set restart-ms 100 for automatic restart"
     return BusStatus(name, remedy or usual)

@@ -1,20 +1,21 @@
-"""Worst-case times on a CAN bus: how long a message waits and takes, at most.
+"""Worst-case response times on a CAN bus.
 
 The analysis is that of Davis, Burns, Bril, Lukkien, "Controller Area Network (CAN) schedulability
 analysis: Refuted, revisited and revised" (Real-Time Systems 35, 2007). A frame of message m waits
-for the one lower frame that may be under way (blocking B), for all higher ones that come until it
-begins, and for earlier frames of its own. It is looked at in every instance of its busy period: the
-first one is not always the worst, which is what the older analysis had missed.
+for one lower-priority frame already on the bus (blocking B). The frame also waits for
+higher-priority frames that arrive before it begins, and for earlier frames of its own message.
+Every instance in the busy period is examined: the first is not always the worst, which the older
+analysis missed.
 
     t     = B + sum over hp(m) and m of ceil((t + J) / T) C         the busy period
     w(q)  = B + q C_m + sum over hp(m) of ceil((w(q) + J + tau) / T) C
     R     = max over q of J_m + w(q) - q T_m + C_m                  tau: one bit
 
-That is for frames that come again and again. Starting motors sends frames *once*, one after another
-(`longest_s`), which has a bound of its own; see there.
+This holds for periodic frames. A start of motors sends frames *once*, one after another;
+`longest_s` has a separate bound for them.
 
-All times are whole nanoseconds inside, rounded up; a frame's length is that with the most stuff
-bits (and the 3 bits of intermission, in which nobody may begin).
+All times are integer nanoseconds internally, rounded up. A frame has the maximum number of stuff
+bits, and the 3 bits of intermission in which no frame may begin.
 """
 
 from collections.abc import Hashable, Sequence
@@ -26,10 +27,10 @@ from typing import Final, final
 from motorapi.traffic import CanTraffic, PeriodicMessage, rank_of, worst_of
 
 INTERMISSION_BITS: Final = 3
-_STUFFED_BITS: Final = (34, 54)  # SOF to CRC without data, of 11 and 29 bits: may be stuffed
+_STUFFED_BITS: Final = (34, 54)  # SOF to CRC without data, for 11 and 29 bits: may be stuffed
 _PLAIN_BITS: Final = 10 + INTERMISSION_BITS  # CRC delimiter, ACK, ACK delimiter, EOF
-_FD_TO_BRS_BITS: Final = (17, 36)  # CAN FD, SOF to BRS, of 11 and 29 bits
-_FD_STUFF_TO_BRS: Final = (3, 8)  # at most: a run of five cannot end with FDF, res or BRS
+_FD_TO_BRS_BITS: Final = (17, 36)  # CAN FD, SOF to BRS, for 11 and 29 bits
+_FD_STUFF_TO_BRS: Final = (3, 8)  # maximum: a run of five cannot end with FDF, res or BRS
 _FD_ESI_TO_DLC_BITS: Final = 5
 _FD_CHECK_BITS: Final = (27, 32)  # stuff count, CRC-17 or CRC-21, fixed stuff bits
 _FD_SHORT_CRC_BYTES: Final = 16
@@ -39,17 +40,17 @@ _INSTANCES_MAX: Final = 1_000
 
 
 def worst_frame_bits(length: int, *, extended: bool = False) -> int:
-    """The bits of a frame with the most stuff bits there can be, intermission included."""
+    """Return the length of a frame with the maximum number of stuff bits, with intermission."""
     stuffed = _STUFFED_BITS[extended] + 8 * length
     return stuffed + (stuffed - 1) // 4 + _PLAIN_BITS
 
 
 def worst_frame_ns(message: PeriodicMessage, traffic: CanTraffic) -> int:
-    """How long a frame of a message takes at most on the bus of this traffic [ns].
+    """Return the maximum duration of a frame of `message` on the bus of `traffic` [ns].
 
-    Of CAN FD frames with a bit rate switch only SOF to BRS, and CRC delimiter to intermission, are
-    at the nominal bit rate, with the stuff bits that can be there. Source: ISO 11898-1:2015, frame
-    formats; of dynamic stuff bits after BRS as many are counted as the rest of them can be.
+    In CAN FD frames with a bit rate switch, only SOF to BRS and CRC delimiter to intermission use
+    the nominal bit rate, with the stuff bits possible there. Source: ISO 11898-1:2015, frame
+    formats. After BRS, as many dynamic stuff bits are counted as the remaining bits allow.
     """
     rate, fast = traffic.bitrate_bit_s, traffic.data_bitrate_bit_s
     if not message.fd:
@@ -66,28 +67,28 @@ def worst_frame_ns(message: PeriodicMessage, traffic: CanTraffic) -> int:
 
 
 def least_frame_bits(length: int, *, extended: bool = False) -> int:
-    """The bits of a frame without any stuff bit, up to its end (intermission comes after that)."""
+    """Return the length of a frame without stuff bits, up to its end, without intermission."""
     return _STUFFED_BITS[extended] + 8 * length + _PLAIN_BITS - INTERMISSION_BITS
 
 
 def bits_ns(bits: int, bitrate_bit_s: int) -> int:
-    """How long so many bits take [ns], rounded up."""
+    """Return the duration of `bits` bits [ns], rounded up."""
     return -(-bits * 1_000_000_000 // bitrate_bit_s)
 
 
 @final
 @dataclass(frozen=True, slots=True)
 class ResponseTime:
-    """How long a message takes at most, from when it was due to be queued.
+    """Worst-case response time of a message, from the time when it should be queued.
 
     Attributes:
-        message: of the traffic.
-        response_s: to the end of its intermission, as the theory has it [s]; None: there is no
-            bound, what is at least as urgent fills the bus.
+        message: the message of the traffic.
+        response_s: to the end of its intermission, as in the theory [s]; None: no bound, because
+            messages of the same or higher priority fill the bus.
         received_s: to its last bit, when receivers have it [s].
-        blocking_s: by one frame of lower priority [s].
-        busy_s: how long the bus may be busy with nothing less urgent, without a break [s].
-        instance: the one that is worst, from 0.
+        blocking_s: delay by one frame of lower priority [s].
+        busy_s: maximum duration of a busy period of this priority [s].
+        instance: index of the worst instance, from 0.
     """
 
     message: PeriodicMessage
@@ -99,7 +100,10 @@ class ResponseTime:
 
 
 def response_times(traffic: CanTraffic) -> tuple[ResponseTime, ...]:
-    """Of every message, the most urgent first; each sender has its most urgent frame sent first."""
+    """Return the response time of every message, in order of priority.
+
+    Each sender transmits its frame of highest priority first.
+    """
     ordered = sorted(_Timed.all_of(traffic), key=lambda one: one.rank)
     return tuple(
         _response(one, ordered[:place], ordered[place + 1 :], traffic.bitrate_bit_s)
@@ -110,7 +114,7 @@ def response_times(traffic: CanTraffic) -> tuple[ResponseTime, ...]:
 @final
 @dataclass(frozen=True, slots=True)
 class _Timed:
-    """A message in whole nanoseconds; its period rounded down, its jitter up."""
+    """A message in integer nanoseconds, its period rounded down, its jitter rounded up."""
 
     message: PeriodicMessage
     rank: int
@@ -132,7 +136,7 @@ class _Timed:
         ]
 
     def count(self, window_ns: int) -> int:
-        """How many may be queued in a window that begins at the worst time, as many as can be."""
+        """Return the maximum number of frames queued in any window of this length."""
         return -(-(window_ns + self.jitter_ns) // self.period_ns)
 
 
@@ -183,10 +187,10 @@ def _busy_period_ns(blocking_ns: int, level: Sequence[_Timed]) -> int | None:
 
 
 def overload_of(traffic: CanTraffic) -> str:
-    """Which message may never be sent, in words; "" if there is none."""
+    """Return a description of the first message that may never be sent, or ""."""
     for found in response_times(traffic):
         if found.response_s is None:
-            return f"{found.message.name} and what is more urgent may fill the bus"
+            return f"{found.message.name} and messages of higher priority may fill the bus"
     return ""
 
 
@@ -199,10 +203,10 @@ class OneFrame:
     """A frame that is sent once.
 
     Attributes:
-        can_id: its identifier, of 11 bits.
+        can_id: its identifier, 11 bits.
         length: data bytes.
-        mates: identifiers that may wait in the queue of its sender before it, where that is not
-            this program's: TPDOs and heartbeat of a node that answers an SDO.
+        mates: identifiers that may precede it in the queue of its sender, if another node sends it:
+            the TPDOs and the heartbeat of a node that answers an SDO.
     """
 
     can_id: int
@@ -213,15 +217,15 @@ class OneFrame:
 @final
 @dataclass(frozen=True, slots=True)
 class Firing:
-    """What firing one trigger takes.
+    """The frames and delays of one trigger.
 
     Attributes:
-        bus: where its frames go; None: there are none.
-        traffic: what else is sent there, with what this program and its nodes send.
-        frames: one after another, each queued when the one before it has been received.
-        idle_s: how long it waits for other things than the bus, at most [s].
-        latched_after: so many of the frames have been received when the first drive latches its
-            command; the last drive does with the last of the frames.
+        bus: the bus of its frames; None: no frames.
+        traffic: the other traffic there, including that of this program and its nodes.
+        frames: sent in turn, each queued when the one before it has been received.
+        idle_s: maximum delay other than that of the bus [s].
+        latched_after: number of frames received when the first drive latches its command; the last
+            drive latches with the last frame.
     """
 
     bus: Hashable | None = None
@@ -231,28 +235,28 @@ class Firing:
     latched_after: int = 0
 
     def rest(self) -> "Firing":
-        """What is left of it when the first drive has latched its command."""
+        """Return the rest of the trigger after the first drive has latched its command."""
         idle_s = self.idle_s if self.latched_after < len(self.frames) else 0.0
         return Firing(self.bus, self.traffic, self.frames[self.latched_after :], idle_s)
 
 
 def longest_s(firings: Sequence[Firing]) -> float | None:
-    """How long all of these take at most, one after another [s]; None: there is no bound.
+    """Return the maximum total duration of all firings in turn [s], or None without a bound.
 
-    In the time from the first frame's being queued to the last one's end each bus carries, beside
-    the frames themselves: before each of them at most one that is less urgent, for it was under
-    way; and of each more urgent message as many as can come in that time. Those that came before
-    count as if the time had begun earlier: whatever was sent meanwhile makes up for it (the
-    argument of the critical instant), but for one frame of this program that armed a drive just
-    before. What is less urgent than one of the frames, or than an SDO, has no such argument: of
-    each such message as many more may have been waiting as may come while one waits at worst.
+    The window runs from the queuing of the first frame to the end of the last one. In it each bus
+    carries, beside the frames themselves: before each frame at most one frame of lower priority,
+    already on the bus; and of each message of higher priority as many frames as can arrive in the
+    window. Frames that arrived earlier count as if the window had begun earlier (the argument of
+    the critical instant), except one frame of this program that armed a drive just before. This
+    argument does not cover messages of lower priority than one of the frames, or than an SDO. For
+    each of those messages, the frames that may arrive during its own worst-case waiting time are
+    added.
 
-    This program's own periodic frames stand in the same queue: each may be before one of ours, and
-    holds it up until it has been sent itself, which is when all are through that are more urgent.
-    Those that come once the last frame has been queued are behind it.
+    The periodic frames of this program share the same queue. Each may precede one of our frames and
+    delays it until it has been sent itself, after all messages of higher priority. Frames queued
+    after the last frame do not delay it.
 
-    The argument holds for all of the time as one, and for each part of it by itself: the better of
-    the two bounds counts.
+    The argument holds for the whole window, and for each part of it. The smaller bound counts.
     """
     parts = [list(part) for _, part in groupby(firings, key=lambda one: one.bus)]
     known = [_as_one_ns(firings)]
@@ -280,7 +284,7 @@ def _as_one_ns(firings: Sequence[Firing]) -> int | None:
 
 @final
 class _Bus:
-    """One bus of several firings."""
+    """One bus, used by several firings."""
 
     def __init__(self, traffic: CanTraffic, frames: Sequence[OneFrame], *, at_once: bool) -> None:
         rate = traffic.bitrate_bit_s
@@ -290,12 +294,14 @@ class _Bus:
         last = max(rank_of(frame.can_id) for frame in frames)
         level = max([last, *(one.rank for one in queued)])
         self._before_ns = bits_ns(worst_frame_bits(8), rate) + bits_ns(1, rate)
-        self._counted: list[tuple[_Timed, int, int]] = []  # message, what may wait, cost of each
+        self._counted: list[
+            tuple[_Timed, int, int]
+        ] = []  # (message, number that may wait, cost of each [ns])
         ahead_ns = 0
         for one, waiting in zip(messages, _waiting(traffic), strict=True):
             if one in queued:
                 cost_ns = one.takes_ns + _lower_ns(messages, one.rank)
-                if at_once:  # what is queued later is behind it
+                if at_once:  # later frames are queued behind it
                     ahead_ns += waiting * cost_ns
                 else:
                     self._counted.append((one, waiting, cost_ns))
@@ -311,7 +317,7 @@ class _Bus:
 
     @classmethod
     def of(cls, firings: Sequence[Firing], bus: Hashable | None) -> "_Bus | None":
-        """The bus of this name as all of its firings see it; None: nothing is sent."""
+        """Return the bus `bus` with the traffic of all firings there, or None without frames."""
         here = [one for one in firings if one.bus == bus and one.frames]
         known = [one.traffic for one in here if one.traffic is not None]
         if bus is None or not known:
@@ -327,7 +333,7 @@ class _Bus:
         return cls(traffic, frames, at_once=at_once)
 
     def load_ns(self, window_ns: int) -> int:
-        """What the bus carries in a window of this length, at most [ns]."""
+        """Return the maximum load of the bus in a window of this length [ns]."""
         seen_ns = window_ns + self._before_ns
         return self.fixed_ns + sum(
             (one.count(seen_ns) + waits) * cost_ns for one, waits, cost_ns in self._counted
@@ -335,7 +341,7 @@ class _Bus:
 
 
 def _waiting(traffic: CanTraffic) -> list[int]:
-    """Of each message how many may wait for the bus at any time (1, where there is no bound)."""
+    """Return for each message how many of its frames may wait at any time (1 without a bound)."""
     found = {one.message.rank: one.response_s for one in response_times(traffic)}
     return [
         max(1, ceil((found[message.rank] or 0.0) / message.period_s))
@@ -344,5 +350,5 @@ def _waiting(traffic: CanTraffic) -> list[int]:
 
 
 def _lower_ns(messages: Sequence[_Timed], rank: int) -> int:
-    """The longest of what is less urgent [ns]."""
+    """Return the longest frame of lower priority than `rank` [ns]."""
     return max((one.takes_ns for one in messages if one.rank > rank), default=0)

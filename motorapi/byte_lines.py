@@ -1,13 +1,13 @@
-"""Lines that speak Modbus, on the wall: a TCP connection, a serial line.
+"""Byte lines for Modbus on the wall clock: a TCP connection or a serial line.
 
     line = TcpLine("192.168.1.20")                    # port 502
     line = SerialLine("/dev/ttyUSB0", baud_bit_s=115_200, parity="N")
     motor = LeadshineMotor(LeadshineHwMotor(line, unit=1, runtime=line.wall), model)
 
-What comes is read by a thread of the wall's runtime, as it reads CAN buses. A serial line needs
+A thread of the wall runtime reads received bytes, as it reads CAN buses. A serial line needs
 pyserial (`pip install motorhil[serial]`).
 
-Source: of the silences MODBUS over Serial Line V1.02, section 2.5.1.1.
+Source: for the silent intervals MODBUS over Serial Line V1.02, section 2.5.1.1.
 """
 
 import select
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from motorapi.runtime import Registration
 
 DataListener = Callable[[bytes, int], None]
-"""(bytes, time [ns] when they came); b"": the other end has closed."""
+"""(bytes, time of arrival [ns]); b"": the other end has closed the connection."""
 
 _FAST_BIT_S: Final = 19_200
 _T35_NS: Final = 1_750_000
@@ -32,7 +32,7 @@ _NS: Final = 1_000_000_000
 _READ_MAX: Final = 4096
 _LOOK_S: Final = 0.001
 _SEND_S: Final = 1
-"""Nobody waits longer for an end that takes nothing: all that share the runtime would wait."""
+"""The maximum time to send [s]: a longer wait would delay all users of the runtime."""
 _SEND_TIMEOUT: Final = struct.pack("@ll", _SEND_S, 0)  # struct timeval
 
 
@@ -42,14 +42,14 @@ class TcpLine:
 
     Args:
         host: name or address.
-        port: 502 is Modbus's own.
-        runtime: where applications on it wait; None: the process's own.
-        timeout_s: how long to wait for the connection [s].
+        port: 502 is the Modbus port.
+        runtime: the runtime in which applications wait; None: that of the process.
+        timeout_s: timeout of the connection attempt [s].
 
     Attributes: name, framing ("tcp"), silence_ns (0), is_closed, address.
 
     Raises:
-        LinkError: nobody answers there.
+        LinkError: the host does not answer.
     """
 
     def __init__(
@@ -64,7 +64,7 @@ class TcpLine:
         self.framing: Final = "tcp"
         self.silence_ns: Final = 0
         self.address: Final = (host, port)
-        self.channel_info: Final = self.name  # what the runtime calls it
+        self.channel_info: Final = self.name  # its name in messages of the runtime
         self._wall: Final = process_runtime() if runtime is None else runtime
         self.is_closed = False
         try:
@@ -78,15 +78,15 @@ class TcpLine:
 
     @property
     def wall(self) -> WallRuntime:
-        """Where applications on it wait."""
+        """The runtime in which applications wait for this line."""
         return self._wall
 
     def duration_ns(self, characters: int) -> int:
-        """It means nothing here: 0."""
+        """Return 0: TCP has no character time."""
         return 0
 
     def send(self, data: bytes) -> None:
-        """These bytes go out now.
+        """Send the bytes now.
 
         Raises:
             LinkError: the connection is gone.
@@ -96,20 +96,21 @@ class TcpLine:
         self._wall.send(self, data)  # type: ignore[arg-type]  # a bus, as far as it is used there
 
     def listen(self, on_data: DataListener) -> "Registration":
-        """`on_data` hears what comes."""
+        """Call `on_data` with the bytes received from now on."""
         return _listen(self._wall, self, on_data)
 
     def close(self) -> None:
-        """Nothing is sent or heard any more; closing again does nothing."""
+        """Close the connection; closing again does nothing."""
         self.is_closed = True
         self._socket.close()
 
-    # --- the runtime's side: a source of frames ---------------------------------------------------
+    # --- the frame source for the runtime
+    # --------------------------------------------------------------
 
     def receive_frame(self, timeout_s: float) -> tuple[bytes, int, bool] | None:
-        """(bytes, 0, False) that have come, b"" at the end; None after `timeout_s` [s]."""
+        """Return (received bytes, 0, False), b"" at the end; None after `timeout_s` [s]."""
         data = b""
-        with suppress(OSError, ValueError):  # it was closed here, or is broken
+        with suppress(OSError, ValueError):  # closed here, or broken
             if not select.select([self._socket], [], [], timeout_s)[0]:
                 return None
             data = self._socket.recv(_READ_MAX)
@@ -118,24 +119,24 @@ class TcpLine:
         return data, 0, False
 
     def transmit(self, data: bytes) -> None:
-        """These bytes are with the system."""
+        """Pass the bytes to the operating system."""
         self._socket.sendall(data)
 
 
 @final
 class SerialLine:
-    """A serial line, RS-485 by an adapter that turns round by itself.
+    """A serial line, e.g. RS-485 with an adapter that switches direction by itself.
 
     Args:
-        path: of the device.
-        baud_bit_s, parity ("E", "O", "N"), stop_bits: as the drives are set.
-        runtime: where applications on it wait; None: the process's own.
+        path: path of the device.
+        baud_bit_s, parity ("E", "O", "N"), stop_bits: as set in the drives.
+        runtime: the runtime in which applications wait; None: that of the process.
 
     Attributes: name, framing ("rtu"), silence_ns (t3.5), is_closed, path.
 
     Raises:
-        LinkError: there is no such device, or it cannot be opened.
-        UsageError: a setting is wrong, or pyserial is not there.
+        LinkError: the device does not exist, or cannot be opened.
+        UsageError: a setting is invalid, or pyserial is not installed.
     """
 
     def __init__(
@@ -149,7 +150,10 @@ class SerialLine:
     ) -> None:
         if parity not in ("E", "O", "N") or stop_bits not in (1, 2) or not baud_bit_s >= 300:
             settings = f"{baud_bit_s} bit/s, parity {parity!r}, {stop_bits} stop bits"
-            raise UsageError(f"{path}: {settings}: no such line")
+            raise UsageError(
+                f"{path}: {settings}: invalid setting; expected >= 300 bit/s, "
+                "parity E, O or N, 1 or 2 stop bits"
+            )
         bits = 9 + (parity != "N") + stop_bits
         slow_ns = 35 * bits * _NS // (10 * baud_bit_s)
         self.name: Final = path
@@ -161,19 +165,19 @@ class SerialLine:
         self._wall: Final = process_runtime() if runtime is None else runtime
         self.is_closed = False
         self._reads = True
-        self._port: Any = _opened(path, baud_bit_s, parity, stop_bits)  # Any: pyserial's own
+        self._port: Any = _opened(path, baud_bit_s, parity, stop_bits)  # Any: a pyserial object
 
     @property
     def wall(self) -> WallRuntime:
-        """Where applications on it wait."""
+        """The runtime in which applications wait for this line."""
         return self._wall
 
     def duration_ns(self, characters: int) -> int:
-        """How long so many characters are on the line [ns]."""
+        """Return the duration of `characters` characters on the line [ns]."""
         return characters * self._character_ns
 
     def send(self, data: bytes) -> None:
-        """These characters go on the line now.
+        """Send the characters now.
 
         Raises:
             LinkError: the line is closed, or gone.
@@ -183,44 +187,47 @@ class SerialLine:
         self._wall.send(self, data)  # type: ignore[arg-type]  # a bus, as far as it is used there
 
     def listen(self, on_data: DataListener) -> "Registration":
-        """`on_data` hears what comes."""
+        """Call `on_data` with the bytes received from now on."""
         return _listen(self._wall, self, on_data)
 
     def set_reading(self, reads: bool) -> None:
-        """Whether what comes is read: of those who have this device open, one gets each byte."""
+        """Enable or disable reading; each byte reaches only one of several processes."""
         self._reads = reads
 
     def close(self) -> None:
-        """Nothing is sent or heard any more; closing again does nothing."""
+        """Close the line; closing again does nothing."""
         self.is_closed = self._reads = True
         self._port.close()
 
-    # --- the runtime's side: a source of frames ---------------------------------------------------
+    # --- the frame source for the runtime
+    # --------------------------------------------------------------
 
     def receive_frame(self, timeout_s: float) -> tuple[bytes, int, bool] | None:
-        """(characters, 0, False) that have come, b"" at the end; None after `timeout_s` [s]."""
+        """Return (received characters, 0, False), b"" at the end; None after `timeout_s` [s]."""
         try:
             if not self._reads:
-                select.select([], [], [], _LOOK_S)  # until it reads again
+                select.select([], [], [], _LOOK_S)  # until reading is enabled again
                 return None
             if not select.select([self._port], [], [], timeout_s)[0] or not self._reads:
                 return None  # nothing, or the answer to another process
             data = self._port.read(max(1, self._port.in_waiting))
-        except (OSError, ValueError, TypeError):  # it was closed here, or is gone
+        except (OSError, ValueError, TypeError):  # closed here, or unplugged
             self.is_closed = True
             return b"", 0, False
         return (data, 0, False) if data else None
 
     def transmit(self, data: bytes) -> None:
-        """These characters are with the system."""
+        """Pass the characters to the operating system."""
         self._port.write(data)
 
 
 def _listen(
     runtime: WallRuntime, line: TcpLine | SerialLine, on_data: DataListener
 ) -> "Registration":
-    """The end of a line is told to who listens to it, and is nobody else's error."""
-    registered: list[Registration] = []  # empty yet, if it ends that soon: then it is told again
+    """Report the end of a line to its listeners only, not as an error of the runtime."""
+    registered: list[
+        Registration
+    ] = []  # still empty if the line ends at once; then the end is reported again
 
     def on_frame(data: bytes, time_ns: int, transmitted: bool) -> None:
         if transmitted:
@@ -258,8 +265,8 @@ def _opened(path: str, baud_bit_s: int, parity: str, stop_bits: int) -> object:
         ValueError,
         OverflowError,
         termios.error,
-    ) as error:  # whatever pyserial lets by
+    ) as error:  # pyserial lets these exceptions through
         settings = f"{baud_bit_s} bit/s, parity {parity}, {stop_bits} stop bits"
-        remedy = "is it plugged in, a serial device that can do this, and yours to open?"
+        remedy = "check that it is plugged in, supports these settings, and that you may open it"
         reason = f"cannot be opened with {settings} ({error}): {remedy}"
         raise LinkError(link=path, reason=reason) from error

@@ -1,4 +1,4 @@
-"""What a group can do together, before it moves; and what it did."""
+"""Synchronization capability of a group before a motion, and quality afterwards."""
 
 # ruff: noqa: SLF001 -- it works the hooks of motors, as Motor does its own
 
@@ -23,11 +23,11 @@ if TYPE_CHECKING:
 
 
 def capability_of(motors: Sequence["Motor"], common: Common = TIME) -> SyncCapability:
-    """How well `motors` can begin and end together, with what is set now.
+    """Return how closely together `motors` can begin and end with the present settings.
 
     Args:
-        motors: all of one runtime.
-        common: what their motions are to have in common.
+        motors: motors of one runtime.
+        common: the common properties of their motions.
 
     Raises:
         MotorError: a motor does not answer.
@@ -41,7 +41,7 @@ def capability_of(motors: Sequence["Motor"], common: Common = TIME) -> SyncCapab
 def _capability(motors: Sequence["Motor"], common: Common) -> SyncCapability:
     for motor in motors:
         motor._call(motor._connect)
-    offers = [motor._call(motor._sync_offer) for motor in motors]  # once all are known
+    offers = [motor._call(motor._sync_offer) for motor in motors]  # only when all are connected
     weakest = min(range(len(offers)), key=lambda place: offers[place].level)
     level, reason = offers[weakest].level, offers[weakest].reason
     for place, offer in enumerate(offers):
@@ -70,7 +70,7 @@ def _capability(motors: Sequence["Motor"], common: Common) -> SyncCapability:
 
 
 def quality_of(started: Sequence[Started]) -> SyncQuality:
-    """How well a start began and ended together; what has not happened yet is None.
+    """Return how closely a start began and ended together; times still to come are None.
 
     Raises:
         MotorError: a motor does not answer.
@@ -95,7 +95,7 @@ def quality_of(started: Sequence[Started]) -> SyncQuality:
 
 
 def stays(one: Started) -> bool:
-    """Whether the motor is where it is to go, to the hardware's resolution: nothing ends late."""
+    """Return True if the motor is at its target within the resolution: it cannot end late."""
     motion = one.motion
     return (
         motion.trajectory is not None and motion.function is None and one.quantised.distance == 0.0
@@ -103,7 +103,7 @@ def stays(one: Started) -> bool:
 
 
 def end_skew_s(started: Sequence[Started]) -> float:
-    """Between the ends of the profiles as the hardware makes them; motors at rest do not count."""
+    """Return the time between the ends of the quantised profiles [s], without motors at rest."""
     durations_s = [
         planning.duration_of(one.quantised)
         for one in started
@@ -113,14 +113,14 @@ def end_skew_s(started: Sequence[Started]) -> float:
 
 
 def _durations_s(motors: Sequence["Motor"], common: Common) -> tuple[list[float | None], str]:
-    """How long each motor takes, as its hardware makes it (None: it does not end by itself).
+    """Return the quantised duration of each motor [s], and why no start is possible, or "".
 
-    And why nothing can be started now, "" if it can.
+    A duration is None if the motion does not end by itself.
     """
     try:
         motions = plan(motors, common)
     except UsageError as error:
-        return [None for _ in motors], f"nothing can be started now: {error}"
+        return [None for _ in motors], f"no start is possible now: {error}"
     durations: list[float | None] = []
     for motor, motion in zip(motors, motions, strict=True):
         one = Started(motor, motion, motor._call(motor._quantise, motion))

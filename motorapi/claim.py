@@ -1,4 +1,4 @@
-"""Whose a physical motor is in this process: one logical motor's, for some reasons at once."""
+"""Claims: ownership of a physical motor by one logical motor of this process."""
 
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Final, Protocol, final
@@ -12,27 +12,27 @@ if TYPE_CHECKING:
 
 
 class Owner(Protocol):
-    """A logical motor, as an owner."""
+    """A logical motor in the role of an owner."""
 
     @property
     def name(self) -> str:
-        """What messages call it."""
+        """The name of the motor in messages."""
 
     @property
     def runtime(self) -> "Runtime":
-        """Where it waits."""
+        """The runtime in which the motor waits."""
 
 
 class Losable(Protocol):
-    """The ownership of a motor, which hears when a claim is lost."""
+    """The ownership of a motor, notified when a claim is lost."""
 
     def note_loss(self, claim: "Claim") -> None:
-        """It was lost just now, or that was noticed."""
+        """Handle the loss of `claim`, at the time when it is noticed."""
 
 
 @final
 class Asked:
-    """What somebody asks for; see `Ownership.owned`."""
+    """An ownership request; see `Ownership.owned`."""
 
     __slots__ = ("asked_ns", "lease_s", "owner", "patience", "purpose", "take_over", "who")
 
@@ -56,11 +56,11 @@ class Asked:
 
 @final
 class Claim:
-    """One ownership of a logical motor. It is given back, or lost.
+    """One ownership of a motor by a logical motor, until it is released or lost.
 
-    Attributes: owner, who and purpose (in words), since_ns, hold (of the lock between processes;
-    None: there is none), of (the ownership), token (greater than that of anybody before), reasons
-    (how often it was taken).
+    Attributes: owner, who and purpose (in words), since_ns, hold (handle of the lock between
+    processes, or None), of (the ownership), token (greater than any earlier one), reasons (how
+    often it was acquired).
     """
 
     __slots__ = (
@@ -93,19 +93,19 @@ class Claim:
         self.reasons = 1
         self.of: Final = of
         self._loss: Loss | None = None
-        self._lease_ns = 0  # where there is no lock between processes that knows of it
+        self._lease_ns = 0  # used only without a lock between processes that knows the lease
         self._end_ns = 0
 
-    # ---- whose is it ----
+    # ---- ownership ----
 
     @property
     def is_held(self) -> bool:
-        """Whether it was neither lost nor given back."""
+        """True while it is neither lost nor released."""
         return self.reasons > 0 and self.loss is None
 
     @property
     def loss(self) -> Loss | None:
-        """How it was lost; None: it was not."""
+        """The reason of the loss, or None."""
         if self._loss is None and self.hold is not None and self.reasons > 0:
             loss = self.hold.loss
             if loss is not None:
@@ -114,28 +114,28 @@ class Claim:
 
     @property
     def lost_to(self) -> str | None:
-        """Who took it over, and why, in words; None: nobody did."""
+        """The new owner and its reason in words, or None."""
         loss = self.loss
         return None if loss is None else str(loss)
 
     def notice(self) -> None:
-        """If it was lost, that is told now, unless it was before."""
+        """Report a loss of the claim, unless it was reported before."""
         self.loss  # noqa: B018 -- looking is what finds it
 
     def lose(self, loss: Loss) -> None:
-        """It is somebody else's from now on; that is told once."""
+        """Mark the claim as lost, and report this once."""
         if self._loss is None:
             self._loss = loss
             self.of.note_loss(self)
 
     def require(self) -> None:
-        """Raises MotorBusyError if it was lost."""
+        """Raise MotorBusyError if the claim was lost."""
         loss = self.loss
         if loss is not None:
             raise loss.busy(self.owner.name)
 
     def busy(self, motor: str) -> MotorBusyError:
-        """What others are told."""
+        """Return the error for other requests while this claim is held."""
         return MotorBusyError(
             motor=motor, holder=self.who, since_ns=self.since_ns, purpose=self.purpose
         )
@@ -144,14 +144,14 @@ class Claim:
 
     @property
     def lease_s(self) -> float | None:
-        """The lease [s]; None: there is none."""
+        """The lease [s], or None."""
         if self.hold is not None:
             return self.hold.lease_s
         return self._lease_ns / 1e9 if self._lease_ns else None
 
     @property
     def left_s(self) -> float | None:
-        """How long the lease lasts [s]; 0: it is over; None: there is none."""
+        """The remaining time of the lease [s]; 0 if it has expired, None without a lease."""
         if self.hold is not None:
             return self.hold.left_s
         if not self._lease_ns:
@@ -159,7 +159,7 @@ class Claim:
         return max(0, self._end_ns - self.owner.runtime.now_ns()) / 1e9
 
     def set_lease(self, lease_s: float | None) -> None:
-        """It has another lease, which begins now. Raises as `require`."""
+        """Set another lease, which begins now. Raises as `require`."""
         self.require()
         self._lease_ns = 0 if lease_s is None else round(lease_s * 1e9)
         if self.hold is not None:
@@ -167,7 +167,7 @@ class Claim:
         self.renew()
 
     def renew(self) -> None:
-        """The lease begins anew. Raises as `require`."""
+        """Restart the lease. Raises as `require`."""
         self.require()
         if self.hold is not None:
             self._by_hold(Hold.renew)
@@ -175,7 +175,7 @@ class Claim:
             self._end_ns = self.owner.runtime.now_ns() + self._lease_ns
 
     def use(self) -> None:
-        """As `renew`, as often as is good for the lease."""
+        """Restart the lease if it is due. Raises as `require`."""
         self.require()
         if self.hold is not None:
             self._by_hold(Hold.use)

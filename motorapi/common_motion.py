@@ -1,14 +1,14 @@
-"""One start of a group, watched to its end: what becomes of the others when one motor fails.
+"""Supervision of one group start to its end, with the reaction to a failure.
 
-Whether or not anybody waits: it looks at every news of its motors, as `on_done` does, and what it
-does in answer is sent from there and waited for by nobody. Of a motor that must be asked it hears
-while somebody waits for that motor.
+Supervision does not depend on a waiting caller: it examines every change of its motors, as
+`on_done` does, and sends its reaction from there without waiting. A motor that must be polled
+reports only while a caller waits for it.
 
-A motor fails when its motion ends short of its target though its owner did not want that: by a
-fault, a lost link, another program, by being taken over. A stop of one motor is obeyed by that one;
-but who waits for the group finds it short of its target, and that is answered like a fault. Those
-that were stopped in answer are told as interrupted to whoever waits for one of them; who waits for
-the group is told the cause.
+A motor fails when its motion ends short of its target although its owner did not request that: by a
+fault, a lost link, another program, or a takeover. A stop of one motor affects that motor only. A
+caller that waits for the group finds it short of its target, and then the group reacts as to a
+fault. Motors stopped in reaction raise an interruption for callers that wait for one of them; a
+caller that waits for the group gets the cause.
 """
 
 # ruff: noqa: SLF001 -- it works the hooks of motors, as motorapi.execution does
@@ -34,13 +34,13 @@ _LOG: Final = logging.getLogger("motorapi")
 _TOLD: Final = {
     FaultReaction.TOGETHER: "the others of its group were stopped along the path",
     FaultReaction.EACH: "the others of its group were stopped",
-    FaultReaction.NONE: "the others of its group go on",
+    FaultReaction.NONE: "the others of its group continue",
 }
 
 
 @final
 class _Watched:
-    """A motor and the run it has in this start."""
+    """A motor with its active motion of this start."""
 
     __slots__ = ("_common", "is_over", "motor", "run")
 
@@ -51,21 +51,21 @@ class _Watched:
         self.is_over = False
 
     def look(self) -> None:
-        """News of the motor."""
+        """Examine the motor after a change."""
         self._common.look_at(self)
 
     def ended(self) -> bool:
-        """Whether it is known how its run ended."""
+        """Return True if the end of the motion is known."""
         return self.is_over
 
     def failure(self) -> MotorError | None:
-        """How the run failed; None: it goes on, is done, or a logical motor ended it."""
+        """Return the failure of the motion; None if it runs, is done, or its owner ended it."""
         run = self.run
         try:
             self.is_over = self.motor._look(run) and run.ends
         except MotorError as error:
             self.is_over = True
-            # Who takes a motor over ends its run and has not begun one of his own yet.
+            # A takeover ends the motion before the new owner has begun its own.
             taken_over = self.motor._physical.run is run
             wanted = run.interrupted_by is not None and run.error is None and not taken_over
             return None if wanted else error
@@ -74,14 +74,14 @@ class _Watched:
 
 @final
 class CommonMotion:
-    """The motions of one start. `begin` once they have begun, `end` when the group does else.
+    """The motions of one start, supervised between `begin` and `end`.
 
     Args:
-        started: of `start_together`.
-        common: what they have in common.
+        started: the result of `start_together`.
+        common: the common properties of the motions.
 
     Attributes:
-        cause: the first failure, and whose it is; None: none so far.
+        cause: the first failure and its motor, or None.
     """
 
     def __init__(self, started: "Sequence[Started]", common: Common) -> None:
@@ -93,7 +93,9 @@ class CommonMotion:
             if one.motor._run is not None:
                 self._watched.append(_Watched(self, one.motor, one.motor._run))
         self._timers: list[Registration] = []
-        self._claim: Final[list[None]] = [None]  # goes to who finds the first failure
+        self._claim: Final[list[None]] = [
+            None
+        ]  # the finder of the first failure takes the only element
         self._ended = False
         self._answers: list[tuple[Motor, Run]] = []
         self._path: PathWatch | None = None
@@ -101,7 +103,7 @@ class CommonMotion:
             self._path = PathWatch(started, self._after_look)
 
     def begin(self) -> None:
-        """Every news is looked at from now on; now, too: one may have failed already."""
+        """Examine every change from now on, and all motors now: one may have failed already."""
         if self._path is not None:
             self._path.begin()
         for one in self._watched:
@@ -113,28 +115,28 @@ class CommonMotion:
             one.look()
 
     def end(self) -> None:
-        """Nothing is looked at any more; ending again does nothing."""
+        """Stop the supervision; ending again does nothing."""
         self._fall_silent()
         if self._path is not None:
             self._path.end()
 
     @property
     def stops_together(self) -> bool:
-        """Whether its motors slow down along their path."""
+        """True if the motors slow down along their path."""
         return self._common.reaction is FaultReaction.TOGETHER
 
     def path(self) -> tuple[PathDeviation, ...]:
-        """How far each motor was from the common path; empty: there is none."""
+        """Return the deviation of each motor from the common path; empty without a path."""
         return () if self._path is None else self._path.told()
 
     def look_at(self, one: _Watched) -> None:
-        """Its failure is answered, if it has failed and is the first."""
+        """Examine one motor, and react if it is the first to fail."""
         if one.is_over or self._ended:
             return
         error = one.failure()
         physical = one.motor._physical
         if one.ended() and physical.news is None:
-            physical.bell.grow()  # nobody else tells those who want to know of its end
+            physical.bell.grow()  # no other source reports its end to the listeners
         if error is not None:
             self._fail(one.motor, error)
         elif all(other.is_over for other in self._watched):
@@ -143,16 +145,16 @@ class CommonMotion:
             self.end()
 
     def watches(self, run: Run | None) -> bool:
-        """Whether the run is one of this start's."""
+        """Return True if `run` belongs to this start."""
         return any(one.run is run for one in self._watched)
 
     def failed(self, motor: "Motor", error: Exception) -> Exception:
-        """Who waits found that a motor's run failed: what to raise, once it is answered."""
+        """React to a failure found by a waiting caller. Return the error that it should raise."""
         if not isinstance(error, MotorError):
             return error
         self._fail(motor, error)
         cause = self.cause
-        if cause is None:  # another thread is at it
+        if cause is None:  # another thread is reacting
             return error
         told = copy(cause[1])
         told.__cause__ = cause[1].__cause__
@@ -160,7 +162,7 @@ class CommonMotion:
 
     def _fail(self, motor: "Motor", error: MotorError) -> None:
         try:
-            self._claim.pop()  # two threads may come to that at once
+            self._claim.pop()  # two threads may get here at once
         except IndexError:
             return
         self._fall_silent()
@@ -174,7 +176,7 @@ class CommonMotion:
             self._path.end()
 
     def _answer(self, failed: "Motor", cause: MotorError) -> None:
-        """The others do what the group was told."""
+        """Stop the other motors according to the fault reaction."""
         reaction = self._common.reaction
         if reaction is FaultReaction.NONE:
             return
@@ -195,7 +197,7 @@ class CommonMotion:
                 self._not_stopped(motor, cause, further)
 
     def _stop(self, motor: "Motor", by: str, triggers: "list[tuple[Motor, Trigger]]") -> None:
-        """It slows down, or will by a trigger; its run is over, ended by the group."""
+        """Stop the motor, or add its trigger; its motion ends, interrupted by the group."""
         physical = motor._physical
         with physical.interrupt(motor.name):
             status = motor._status()
@@ -222,13 +224,13 @@ class CommonMotion:
                 listeners.remove(one.look)
 
     def _after_look(self) -> None:
-        """Along the path they are watched until all of them are at rest."""
+        """End the supervision of the path when all motors are at rest."""
         if self._answers and not any(motor._goes_on(run) for motor, run in self._answers):
             self.end()
 
 
 def add_trigger(triggers: "list[tuple[Motor, Trigger]]", motor: "Motor") -> None:
-    """The motor slows down, or will by one of the triggers, each of which is in the list once."""
+    """Stop the motor, or add its trigger to the list, which holds each trigger once."""
     trigger = motor._call(motor._stop_with_others)
     if trigger is not None and all(trigger != known for _, known in triggers):
         triggers.append((motor, trigger))

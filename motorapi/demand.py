@@ -1,7 +1,7 @@
-"""What a trajectory demands at each instant, whatever it was made of: one thing to be sampled.
+"""Demand of a trajectory at each instant, as one object to be sampled.
 
-Drives that make their own profile never ask; motors whose set-points come from the host (streamed,
-software servo, ideal) sample nothing else. No numpy: one value at a time, in plain floats.
+Drives that generate their own profile do not need it. Motors with set-points from the host
+(streamed, software servo, ideal) sample only this. No numpy: one value at a time, in plain floats.
 """
 
 from math import inf
@@ -15,26 +15,26 @@ if TYPE_CHECKING:
 
 
 class Demand(Protocol):
-    """The control variable over the argument, absolute; outside the interval, its nearer end."""
+    """The absolute control variable over the argument; outside the interval, the nearer end."""
 
     initial_argument: float
     final_argument: float
 
     def value(self, argument: float) -> float:
-        """The control variable [U]."""
+        """Return the control variable [U]."""
 
     def first(self, argument: float) -> float:
-        """Its first derivative by the argument; 0 outside the interval."""
+        """Return the first derivative by the argument; 0 outside the interval."""
 
     def second(self, argument: float) -> float:
-        """Its second derivative by the argument; 0 outside the interval."""
+        """Return the second derivative by the argument; 0 outside the interval."""
 
 
 def demand_of(motion: Motion) -> Demand:
-    """What `motion`, a trajectory, demands over its argument (time since the start, from 0 [s]).
+    """Return the demand of trajectory `motion` over its argument (time since the start [s]).
 
     Raises:
-        ValueError: it is a set-point, which demands one value and nothing in between.
+        ValueError: the motion is a set-point, which has a single value.
     """
     if motion.trajectory is None:
         raise ValueError("a set-point has no profile")
@@ -48,13 +48,14 @@ def demand_of(motion: Motion) -> Demand:
 def ramps(
     start: float, target: float, growing: float, shrinking: float
 ) -> list[tuple[float, float, float]]:
-    """(duration [s], value at its beginning, rate) of each ramp from one value to another.
+    """Return (duration [s], initial value, rate) of each ramp from one value to another.
 
     Args:
-        start: where it begins.
-        target: where it ends.
-        growing: how fast the size may grow, > 0; inf: at once.
-        shrinking: how fast the size may shrink, first to 0 if the sign changes, > 0; inf: at once.
+        start: initial value.
+        target: final value.
+        growing: maximum rate while the magnitude grows, > 0; inf: immediate.
+        shrinking: maximum rate while the magnitude shrinks, first to 0 if the sign changes, > 0;
+            inf: immediate.
     """
     steps = [(start, target, growing if abs(target) > abs(start) else shrinking)]
     if start * target < 0.0:
@@ -68,7 +69,7 @@ def ramps(
 
 @final
 class _TrapezoidDemand:
-    """Position: speeding up, plateau, slowing down, in closed form."""
+    """Position in closed form: acceleration, plateau, deceleration."""
 
     __slots__ = ("_distance", "_profile", "_start", "_target", "final_argument", "initial_argument")
 
@@ -105,7 +106,7 @@ class _TrapezoidDemand:
 
 @final
 class _RampDemand:
-    """Velocity, torque, current: at a constant rate from start to target."""
+    """Velocity, torque or current at a constant rate from start to target."""
 
     __slots__ = ("_rate", "_start", "_target", "final_argument", "initial_argument")
 
@@ -130,7 +131,7 @@ class _RampDemand:
 
 @final
 class _FunctionDemand:
-    """Any function, held at its ends."""
+    """Any function, constant beyond its ends."""
 
     __slots__ = ("_first", "_function", "_offset", "_second", "final_argument", "initial_argument")
 

@@ -1,10 +1,10 @@
-"""Executing commands: one motor or many, started as one operation.
+"""Execution of commands: one motor or many, started as one operation.
 
-    take all (in one global order) -> plan -> enable -> plan again -> take the triggers
+    acquire all (in one global order) -> plan -> enable -> plan again -> reserve the triggers
     -> arm all -> fire each trigger once -> confirm all
 
-Whatever fails before firing: nothing has moved, and what was armed is disarmed. Whatever fails
-after: every motor of the start is stopped. A start of one motor is a start of a group of one.
+If a step before firing fails, no motor has moved and all armed motors are disarmed. If a later step
+fails, every motor of the start is stopped. A start of one motor is the start of a group of one.
 """
 
 # ruff: noqa: SLF001 -- it works the hooks of motors, as Motor does its own
@@ -37,13 +37,13 @@ if TYPE_CHECKING:
 
 
 _RING_MAX: Final = 100
-"""Motors that lead each other, one after another: further nobody looks."""
+"""The maximum number of motors followed in a chain of leaders."""
 
 
 @final
 @dataclass(frozen=True, slots=True)
 class Started:
-    """One motor of a start: what was asked of it, and what its hardware makes of that."""
+    """One motor of a start, with its requested motion and the motion that its hardware makes."""
 
     motor: "Motor"
     motion: Motion
@@ -56,16 +56,16 @@ def start_together(
     common: Common = TIME,
     check: Callable[[], None] | None = None,
 ) -> tuple[Started, ...]:
-    """All motors have begun what was set for each; trajectories end together.
+    """Start the commands of all motors; trajectories end together.
 
     Args:
-        motors: all of one runtime.
-        timeout_s: how long to wait until all are free [s]; None: not at all.
-        common: what their motions have in common.
-        check: looks at the motors once they are taken, before any is enabled; it may refuse.
+        motors: motors of one runtime.
+        timeout_s: timeout until all are free [s]; None: do not wait.
+        common: the common properties of their motions.
+        check: called when all motors are acquired, before any is enabled; it may raise.
 
     Raises:
-        MotorError: as `Motor.start`; a note says whose it is, if there are several.
+        MotorError: as `Motor.start`; a note names the motor, if there are several.
     """
     check_timeout(timeout_s)
     common.check()
@@ -87,7 +87,7 @@ def start_together(
             for motor in disabled:
                 motor._call(motor._enable)
             _check_not_interrupted(motors, seen)
-            motions = plan(motors, common)  # switching on may have moved what they hold
+            motions = plan(motors, common)  # enabling may have changed the reference positions
         started = tuple(
             Started(motor, motion, motor._call(motor._quantise, motion))
             for motor, motion in zip(motors, motions, strict=True)
@@ -99,10 +99,10 @@ def start_together(
 
 
 def plan(motors: Sequence["Motor"], common: Common = TIME) -> list[Motion]:
-    """The motion of each motor from where it is now, with what they have in common.
+    """Return the motion of each motor from its present position, with the common properties.
 
     Raises:
-        UsageError: one cannot be made; nothing was sent but questions.
+        UsageError: a motion is impossible; only read requests were sent.
     """
     _require_no_ring(motors)
     motions = [_plan_one(motor) for motor in motors]
@@ -112,7 +112,7 @@ def plan(motors: Sequence["Motor"], common: Common = TIME) -> list[Motion]:
 
 
 def _require_no_ring(motors: Sequence["Motor"]) -> None:
-    """Nobody's position would be led by itself, directly or through others that are led."""
+    """Raise StateError if a motor would follow itself, directly or through other motors."""
     starting = {id(motor._physical): _argument(motor) for motor in motors}
     for motor in motors:
         led_by, way = starting[id(motor._physical)], [motor.name]
@@ -133,7 +133,7 @@ def _require_no_ring(motors: Sequence["Motor"]) -> None:
 
 
 def _argument(motor: "Motor") -> Argument | None:
-    """What leads the motion that is to start; None: time."""
+    """Return the argument of the motion to be started, or None for time."""
     return motor._argument if isinstance(motor._command, ComplexTrajectory) else None
 
 
@@ -159,7 +159,7 @@ def _plan_one(motor: "Motor") -> Motion:
 
 
 def _reference(motor: "Motor") -> float:
-    """Where a trajectory of the motor's control variable begins now."""
+    """Return the present initial value for a trajectory of the motor's control variable."""
     if motor.control_variable is ControlVariable.POSITION:
         return motor._call(motor._read_reference)
     run = motor._physical.run
@@ -183,7 +183,7 @@ def _require_command(motor: "Motor") -> Setpoint | Trajectory:
 
 
 def _require_startable(motor: "Motor") -> None:
-    """Nothing goes on, or what the command may replace in mid-motion."""
+    """Require rest, unless the new command may replace the active motion."""
     run = motor._physical.run
     before = None if run is None else run.motion
     replaceable = before is not None and before.variable is motor.control_variable
@@ -207,15 +207,15 @@ def _require_movable(motor: "Motor") -> MotorState:
 
 
 def require_no_fault(motor: "Motor") -> MotorState:
-    """The motor's state, which is neither FAULT nor OFFLINE.
+    """Return the state of the motor, which is neither FAULT nor OFFLINE.
 
     Raises:
         DeviceFault: the drive reports a fault.
-        LinkError: the motor is not heard.
+        LinkError: the motor does not respond.
     """
     state = motor._call(motor._read_state)
     if state is MotorState.OFFLINE:
-        reason, remedy = f"{motor.name} is not heard", "look at its power, its cable and the bus"
+        reason, remedy = f"{motor.name} does not respond", "check its power, its cable and the bus"
         raise LinkError(link=motor._physical.label, reason=reason, remedy=remedy)
     if state is MotorState.FAULT:
         fault = motor._call(motor._read_fault)
@@ -228,11 +228,11 @@ def require_no_fault(motor: "Motor") -> MotorState:
 
 
 def require_rest(motor: "Motor", operation: str) -> None:
-    """No motion goes on in a motor that was taken already.
+    """Require that an acquired motor is at rest.
 
     Raises:
-        StateError: one does.
-        MotorBusyError: another logical motor stopped it since it was taken, and it slows down.
+        StateError: a motion is active.
+        MotorBusyError: another logical motor has stopped it since, and it still slows down.
     """
     run = motor._physical.run
     if run is None or not motor._goes_on(run):
@@ -242,13 +242,13 @@ def require_rest(motor: "Motor", operation: str) -> None:
     raise StateError(
         motor=motor.name,
         operation=operation,
-        state=f"{run.name} goes on since {run.since_ns / 1e9:.6f} s",
+        state=f"{run.name} is active since {run.since_ns / 1e9:.6f} s",
         remedy="wait_until_done() or stop() first" if run.ends else "stop() first",
     )
 
 
 def _trigger_turns(motors: Sequence["Motor"]) -> list[Turns]:
-    """The triggers that several motors share: from arming to firing they are for us alone."""
+    """Return the turns for triggers of several motors, exclusive from arming to firing."""
     if len(motors) == 1:
         return []
     offers = [motor._call(motor._sync_offer) for motor in motors]
@@ -257,7 +257,7 @@ def _trigger_turns(motors: Sequence["Motor"]) -> list[Turns]:
 
 
 def _arm(started: Sequence[Started], seen: Sequence[int]) -> list[Trigger]:
-    """All are armed, confirmed; what fires them, each trigger once, in the order of motors."""
+    """Arm and confirm all motors. Return their triggers, each once, in the order of motors."""
     armed: list[Started] = []
     triggers: list[Trigger] = []
     try:
@@ -275,7 +275,7 @@ def _arm(started: Sequence[Started], seen: Sequence[int]) -> list[Trigger]:
 
 
 def _fire(started: Sequence[Started], triggers: Sequence[Trigger], seen: Sequence[int]) -> None:
-    """All have begun, and have said so."""
+    """Fire the triggers and confirm that all motors have begun."""
     runs = [one.motor._begin("start", one.motion) for one in started]
     current = started[0]
     try:
@@ -308,9 +308,9 @@ def _disarm(armed: Sequence[Started], error: BaseException) -> None:
 
 
 def _abandon(started: Sequence[Started], runs: Sequence[Run], error: BaseException) -> None:
-    """A start that failed after firing: every motor is stopped, none may start any more.
+    """Stop and disarm every motor of a start that failed after firing.
 
-    But for those that somebody has taken over meanwhile: they are his.
+    Motors that another owner has taken over meanwhile are left alone.
     """
     for one, run in zip(started, runs, strict=True):
         try:

@@ -1,20 +1,20 @@
-"""Fencing at the wire: a commanding frame goes out only while its sender owns the motor.
+"""Fencing: commanding frames are sent only while their sender owns the motor.
 
-Who owns a motor may be paused for any time between two of its steps (by SIGSTOP, a debugger, a
-long garbage collection), and lose the motor meanwhile without knowing it. So that it cannot command
-it afterwards, the look whether it still owns it and the sending of the frame are one step
-(`begin_write` to `end_write`): whoever takes a motor over waits for the end of such a step, and no
-new one begins. A hub refuses what is still on its way to it then, by the token of the ownership.
+The owner of a motor may be paused between any two steps (by SIGSTOP, a debugger, a long garbage
+collection), and lose the motor without knowing it. Then it must not command the motor.
+Therefore the ownership check and the transmission of a frame are one step (`begin_write` to
+`end_write`). A takeover waits for the end of such a step, and no new step begins. A hub refuses
+frames still under way at that time, by the token of the ownership.
 
-*Commanding* is what may start or change a motion or a setting: RPDOs, controlwords that enable or
-start, streamed set-points, each request of an SDO download, the SYNC that starts what is armed, NMT
-to the node, the outputs of a servo on the host. *Stops are not fenced*: stopping takes nobody's
-permission. Neither are questions. What goes on by itself (a stream of set-points, a servo, the
-repetition of a stop) is bound to the very ownership it began under: it does not go on under a later
-one of the same process.
+*Commanding* frames may start or change a motion or a setting: RPDOs, controlwords that enable or
+start, streamed set-points, each request of an SDO download, the SYNC that starts armed drives, NMT
+commands to the node, the outputs of a servo on the host. *Stops are not fenced*: a stop needs no
+ownership. Read requests are not fenced either. Recurring transmissions (a stream of set-points, a
+servo, a repeated stop) are bound to the ownership under which they began; they do not continue
+under a later one of the same process.
 
-Who works a hardware object by itself, without a motor, owns the motor for each frame, and for as
-long as a stream goes on.
+Code that uses a hardware object directly, without a motor, owns the motor for each frame, and for
+the duration of a stream.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -33,49 +33,49 @@ _DIRECTLY: Final = "a command by its hardware object"
 
 
 class Fence(Protocol):
-    """Lets frames out only while their sender owns what they command."""
+    """A gate that passes frames only while their sender owns the commanded motor."""
 
     def send(self, frame: bytes) -> None:
-        """The frame waits its turn on the bus.
+        """Queue the frame for transmission on the bus.
 
         Raises:
-            MotorBusyError: somebody else owns the motor; says who, and how that came.
+            MotorBusyError: another owner holds the motor; the message names it and the reason.
         """
 
     def passage(self) -> AbstractContextManager[None]:
-        """Nobody takes the motor over inside the block, which must be short. Raises as `send`."""
+        """Return a context that blocks takeovers; keep it short. Raises as `send`."""
 
 
 class Owned(Protocol):
-    """Something that one owner of this process may have for himself (an Ownership)."""
+    """A resource with at most one owner in this process (an Ownership)."""
 
     @property
     def is_here(self) -> bool:
-        """Whether somebody of this process has it, as far as that one knows."""
+        """True if this process owns the resource, to its own knowledge."""
 
     def begin_write(self, asker: str = "") -> int:
-        """The token; nobody takes it over until `end_write`. Raises MotorBusyError: it was lost."""
+        """Block takeovers until `end_write`. Return the token. Raise MotorBusyError if lost."""
 
     def end_write(self) -> None:
-        """What was begun is over."""
+        """End the step begun by `begin_write`."""
 
 
 @runtime_checkable
 class FencedBus(Protocol):
-    """A bus that looks at tokens itself (harness.can_plugin.EmulatedBus over a socket)."""
+    """A bus that checks tokens itself (harness.can_plugin.EmulatedBus over a socket)."""
 
     def transmit_fenced(self, frame: bytes, resource: int, token: int) -> None:
-        """The frame is queued; refused there if somebody has a greater token of the resource."""
+        """Queue the frame; the bus refuses it if the resource has a greater token."""
 
 
 @runtime_checkable
 class AnnouncingBus(Protocol):
-    """A bus that can be told who owns what (the same)."""
+    """A bus that accepts ownership announcements (harness.can_plugin.EmulatedBus)."""
 
     def announce_ownership(
         self, resource: int, action: int, token: int, **facts: str | int
     ) -> None:
-        """Said in the order of this and of frames; `facts` are those of an OwnershipEvent."""
+        """Announce an ownership, in order with frames; `facts` are those of an OwnershipEvent."""
 
 
 @final
@@ -83,9 +83,9 @@ class NodeFence:
     """The Fence of one node, or of one motor on a node.
 
     Args:
-        lock: whose token it is.
-        owned: who has it in this process.
-        runtime: sends on the bus, where that does not look at tokens.
+        lock: the lock that holds the token.
+        owned: the ownership in this process.
+        runtime: sends frames, if the bus does not check tokens.
         bus: the bus.
         resource: node-ID, + 256 times the channel where motors share a node.
     """
@@ -135,20 +135,20 @@ class NodeFence:
                 own.release()
 
     def let_out(self, frame: bytes, token: int) -> None:
-        """The frame waits its turn on the bus; to be called between begin_write and end_write."""
+        """Queue the frame; call this only between begin_write and end_write."""
         if self._transmit is None:
             self.runtime.send(self._bus, frame)
         else:
             self._transmit(frame, self._resource, token)
 
     def bound(self, purpose: str) -> "BoundFence":
-        """For what goes on by itself: the Fence of this very ownership, or of an own one.
+        """Return a Fence bound to the present ownership, or to a new one, for recurring frames.
 
         Args:
-            purpose: of an own one, where nobody of this process owns the motor.
+            purpose: purpose of a new ownership, if this process does not own the motor.
 
         Raises:
-            MotorBusyError: somebody else owns it.
+            MotorBusyError: another owner holds the motor.
         """
         own = self._own(purpose)
         hold = self.lock.hold if own is None else own
@@ -158,11 +158,11 @@ class NodeFence:
 
     @property
     def is_owned(self) -> bool:
-        """Whether this process owns it, as far as it knows."""
+        """True if this process owns the motor, to its own knowledge."""
         return self._owned.is_here or self.lock.hold is not None
 
     def _own(self, purpose: str = _DIRECTLY) -> "Hold | None":
-        """Where nobody of this process owns it: it is owned by whoever works the hardware."""
+        """Acquire the motor for direct hardware use, if this process does not own it."""
         if self.is_owned:
             return None
         return self.lock.acquire(self.runtime, purpose, owner=object())
@@ -170,7 +170,7 @@ class NodeFence:
 
 @final
 class BoundFence:
-    """The Fence of one ownership: it lets nothing out under a later one. `release` ends its use."""
+    """The Fence of one ownership, closed under any later one. `release` ends its use."""
 
     def __init__(self, fence: NodeFence, hold: "Hold", own: "Hold | None" = None) -> None:
         self._fence: Final = fence
@@ -196,7 +196,7 @@ class BoundFence:
             self._hold.end_write()
 
     def release(self) -> None:
-        """What was owned for it alone is owned no more; releasing again does nothing."""
+        """Release the ownership acquired for this fence only; releasing again does nothing."""
         own, self._own = self._own, None
         if own is not None:
             own.release()
@@ -204,13 +204,13 @@ class BoundFence:
 
 @final
 class JointFence:
-    """Lets out frames that command several motors, while all of them are owned."""
+    """A Fence for frames that command several motors, open while all of them are owned."""
 
     def __init__(self, fences: Sequence[Fence]) -> None:
         self._fences: Final = tuple(fences)
 
     def send(self, frame: bytes) -> None:
-        """See `Fence`. The frame passes the last one's, inside of all others'."""
+        """See `Fence`. The last fence sends the frame, inside the passages of all others."""
         with ExitStack() as passing:
             for fence in self._fences[:-1]:
                 passing.enter_context(fence.passage())
@@ -226,14 +226,14 @@ class JointFence:
 
 
 def joint_fence(fences: Sequence[Fence]) -> Fence | None:
-    """One Fence for all of these; None if there are none."""
+    """Return one Fence for all of `fences`, or None if there are none."""
     if len(fences) > 1:
         return JointFence(fences)
     return fences[0] if fences else None
 
 
 def announce(ownership: "Ownership", bus: "can.BusABC", resource: int) -> None:
-    """What happens to the ownership is told to the bus, if that is one that listens."""
+    """Report every event of the ownership to the bus, if it accepts announcements."""
     if not isinstance(bus, AnnouncingBus):
         return
 
@@ -255,7 +255,7 @@ def announce(ownership: "Ownership", bus: "can.BusABC", resource: int) -> None:
 def tell_bus(
     bus: "can.BusABC", resource: int, action: int, token: int, facts: Mapping[str, str | int]
 ) -> None:
-    """The bus is told of an ownership; if it has gone, whoever commands the motor learns that."""
+    """Announce an ownership to the bus; a lost bus is reported by the next command instead."""
     from can import CanError
 
     if isinstance(bus, AnnouncingBus):

@@ -1,16 +1,16 @@
-"""What a forked child must not do with what its parent made."""
+"""Refusal of inherited buses and motors in a forked child."""
 
 from motorapi.errors import UsageError
 
 
 def refuse_fork(is_the_parents: bool) -> None:
-    """Raises UsageError if what is about to be used is the parent's.
+    """Raise UsageError if an object to be used belongs to the parent process.
 
-    Its connection to the bus is one that both would write to, and what comes in only the parent
-    reads; locks of its threads may be locked for ever.
+    Both processes would write to its connection, and only the parent reads. Locks of the parent's
+    threads may stay locked for ever.
     """
     if is_the_parents:
         raise UsageError(
-            "buses and motors were made in the process that this one was forked from, which uses"
-            " them: make them anew here, or start this process with 'spawn'"
+            "these buses and motors were created in the parent process, which still uses them: "
+            "create new ones in this process, or start it with 'spawn'"
         )

@@ -1,7 +1,7 @@
-"""Complex trajectories held against the limits: of the value, and of what it does to the motor.
+"""Check of complex trajectories against value and derivative limits.
 
-Pure functions. The function says itself where it is extreme (exactly, if it is a polynomial), so a
-limit is not missed between two samples. U stands for the unit of the control variable.
+Pure functions. The trajectory function reports its own extrema (exact for polynomials), so that no
+violation between two samples is missed. U is the unit of the control variable.
 """
 
 from typing import TYPE_CHECKING
@@ -26,10 +26,11 @@ def check(
     trajectory: ComplexTrajectory,
     argument: "Argument | None",
 ) -> None:
-    """What can be said before it is known where the motor is.
+    """Check a complex trajectory as far as possible without the motor's position.
 
     Raises:
-        LimitError: a derivative, or an absolute value, leaves the limits or steps; says where.
+        LimitError: a derivative or an absolute value leaves the limits, or jumps; the message names
+            the place.
         UsageError: it does not begin and end at rest.
     """
     if argument is not None:
@@ -52,12 +53,12 @@ def plan(
     argument: "Argument | None",
     reference: float,
 ) -> Motion:
-    """The motion, from `reference` [U]. It begins where the argument is now.
+    """Return the motion from `reference` [U]; it begins at the present value of the argument.
 
     Raises:
         LimitError: the value leaves the limits from here.
-        StateError: it is absolute and the motor is not where it begins.
-        MotorError: the argument cannot be told.
+        StateError: the trajectory is absolute and the motor is not at its initial value.
+        MotorError: the argument has no value.
     """
     low, high = trajectory.interval
     function = trajectory.function
@@ -88,7 +89,7 @@ def plan(
 def require_at_start(
     motor: str, model: MotorModel, variable: ControlVariable, start: float, reference: float
 ) -> None:
-    """The motor is where an absolute trajectory begins.
+    """Require that the motor is at the initial value of an absolute trajectory.
 
     Raises:
         StateError: it is not.
@@ -98,7 +99,7 @@ def require_at_start(
     elif variable is ControlVariable.VELOCITY:
         tolerance = model.acceleration_max * STEP_S
     else:
-        return  # torque and current may step
+        return  # torque and current may jump
     if abs(start - reference) > tolerance:
         unit = model.unit_of(variable)
         raise StateError(
@@ -132,7 +133,7 @@ def _check_rate(
     trajectory: ComplexTrajectory,
     argument: "Argument",
 ) -> None:
-    """The first derivative by time, as fast as the argument may change; no more can be foreseen."""
+    """Check the first derivative by time at the maximum rate of the argument."""
     rate = argument.rate_max
     if rate is None:
         return
@@ -152,12 +153,12 @@ def _check_rate(
                 low=-size,
                 high=size,
                 unit=allowed.units[1],
-                reason=f"at argument {where:g}, while the {argument.name} changes fastest",
+                reason=f"at argument {where:g}, at the maximum rate of the {argument.name}",
             )
 
 
 def _check_ends(motor: str, model: MotorModel, trajectory: ComplexTrajectory) -> None:
-    """A motion from rest to rest: a step of velocity at an end is an endless acceleration too."""
+    """Require rest at both ends: a velocity step at an end is an infinite acceleration too."""
     allowed = min(model.acceleration_max, model.deceleration) * STEP_S
     derivative = trajectory.function.derivative()
     for where, what in zip(trajectory.interval, ("begins", "ends"), strict=True):

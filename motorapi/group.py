@@ -1,4 +1,4 @@
-"""Motors that move together.
+"""Motor groups: several motors that move together.
 
 Algorithm 2 of the paper runs nearly word for word::
 
@@ -41,7 +41,7 @@ from motorapi.trajectory import Trajectory
 
 
 class MotorGroup(DeviceGroup[Motor]):
-    """An arbitrary number of motors that are started, waited for and stopped as one."""
+    """Any number of motors that are started, awaited and stopped together."""
 
     def __init__(self, *motors: Motor) -> None:
         self._started: tuple[Started, ...] = ()
@@ -59,15 +59,15 @@ class MotorGroup(DeviceGroup[Motor]):
                 )
             if member.runtime is not device.runtime:
                 raise UsageError(
-                    f"{device.name} and {member.name} live in different runtimes:"
-                    " they have no common time to begin at"
+                    f"{device.name} and {member.name} live in different runtimes: they share "
+                    "no time at which to begin"
                 )
 
     def set_trajectory(self, *trajectories: Trajectory) -> None:
-        """Each motor's trajectory is set, in the order of appending; all of them or none.
+        """Set the trajectory of each motor, in the order of appending; all of them or none.
 
         Raises:
-            UsageError: there are not as many as motors, or one cannot be made.
+            UsageError: the number of trajectories is not that of motors, or one is impossible.
         """
         if len(trajectories) != len(self):
             raise UsageError(
@@ -84,11 +84,11 @@ class MotorGroup(DeviceGroup[Motor]):
 
     @property
     def synchronization(self) -> Synchronization:
-        """What the trajectories have in common, from the next start on; TIME unless set.
+        """The synchronization of the trajectories from the next start on; TIME by default.
 
-        TIME: they begin and end together, each with its own ramps. PHASE: a straight line in the
-        space of the joints, with proportional velocities and equal times of acceleration. NONE:
-        they begin together, and each is as fast as it can be.
+        TIME: they begin and end together, each with its own ramps. PHASE: a straight line in joint
+        space, with proportional velocities and equal times of acceleration. NONE: they begin
+        together, and each is as fast as possible.
         """
         return self._common.synchronization
 
@@ -100,14 +100,15 @@ class MotorGroup(DeviceGroup[Motor]):
 
     @property
     def fault_reaction(self) -> FaultReaction:
-        """What the others do when one motor fails, from the next start on; EACH unless set.
+        """The reaction of the others to a failure from the next start on; EACH by default.
 
-        TOGETHER: they slow down along the path, at the same instant and in proportion; it needs
-        PHASE. EACH: each slows down as its own limit allows. NONE: they go on. It happens whether
-        or not anybody waits. A motor fails by a fault, a lost link, another program, by being taken
-        over; a stop of one motor stops that one, and the others if the group is waited for. Who
-        waits for one that was stopped so is told `MotionInterrupted`, who waits for the group what
-        the cause was. With TOGETHER `stop` of the group goes along the path, too.
+        TOGETHER: they slow down along the path, at the same instant and in proportion; this
+        requires PHASE. EACH: each slows down as its own limit allows. NONE: they continue. The
+        reaction does not depend on a waiting caller. A motor fails by a fault, a lost link, another
+        program, or a takeover. A stop of one motor stops that motor, and the others if a caller
+        waits for the group. A caller that waits for a motor stopped in reaction gets
+        `MotionInterrupted`, a caller that waits for the group gets the cause. With TOGETHER, `stop`
+        of the group follows the path, too.
         """
         return self._common.reaction
 
@@ -124,22 +125,22 @@ class MotorGroup(DeviceGroup[Motor]):
         require: SyncLevel | None = None,
         max_skew_s: float | None = None,
     ) -> None:
-        """All motors have begun what was set for each, in common what `synchronization` says.
+        """Start the commands of all motors, synchronised as `synchronization` says.
 
-        They are as fast as the slowest of them allows, or take the duration that one of their
-        trajectories asks for. All are armed, and confirmed it, before the first is fired. If one
-        refuses, none has moved; if one fails to begin, all are stopped.
+        They are as fast as the slowest of them allows, or have the duration of one of their
+        trajectories. All are armed and confirmed before the first is fired. If one refuses, no
+        motor moves; if one fails to begin, all are stopped.
 
         Args:
-            timeout_s: how long to wait until all are free [s], as in `Motor.start`.
-            require: what starts them must be of this level at least; None: any will do.
-            max_skew_s: between the first and the last start of motion there must not be more than
-                this [s], and that must be known beforehand; None: it need not.
+            timeout_s: timeout until all are free [s], as in `Motor.start`.
+            require: the minimum level of their common start; None: any level.
+            max_skew_s: maximum time between the first and the last start of motion [s], guaranteed
+                in advance; None: no requirement.
 
         Raises:
-            SynchronizationError: `require` or `max_skew_s` cannot be met: says by whom, and why.
-                Nothing was armed.
-            MotorError: as `Motor.start`; a note on the error says whose it is.
+            SynchronizationError: `require` or `max_skew_s` cannot be met; names the motor and the
+                reason. No motor was armed.
+            MotorError: as `Motor.start`; a note on the error names the motor.
         """
         check_asked(require, max_skew_s)
         members, common = self._members(), self._common
@@ -163,13 +164,13 @@ class MotorGroup(DeviceGroup[Motor]):
         lease_s: float | None = None,
         take_over: bool = False,
     ) -> Iterator[Reservation]:
-        """`with group.reserve("survey"):` all motors are these over several motions, or none is.
+        """Reserve all motors for several motions, or none: `with group.reserve("survey"):`.
 
-        They are taken one after another in one order for all programs, so that groups that share
-        motors wait for each other, and never both. See `Motor.reserve`.
+        They are acquired one after another, in the same order in all programs. So groups that share
+        motors wait for each other without deadlock. See `Motor.reserve`.
 
         Raises:
-            MotorBusyError: somebody else holds one of them.
+            MotorBusyError: another owner holds one of them.
         """
         check_timeout(timeout_s)
         members = sorted(self._members(), key=lambda motor: motor._physical.order)
@@ -191,10 +192,10 @@ class MotorGroup(DeviceGroup[Motor]):
             yield Reservation.of_all(parts)
 
     def wait_until_done(self, timeout_s: float | None = None) -> None:
-        """What was commanded last is over in every motor. What if one fails: `fault_reaction`.
+        """Wait until the last command of every motor has ended. See `fault_reaction` for failures.
 
         Raises:
-            DeadlineExceeded: not within `timeout_s` [s]; names who is not done.
+            DeadlineExceeded: not within `timeout_s` [s]; names the motors that are not done.
             MotorError: as `Motor.wait_until_done`.
         """
         wait_for_all(self._members(), timeout_s, self._answer)
@@ -209,13 +210,13 @@ class MotorGroup(DeviceGroup[Motor]):
                 raise callback_failed(self._observer, f"observer of {names}", error) from error
 
     def observe(self, told: Callable[[SyncQuality], None]) -> None:
-        """`told` hears how well each start was synchronised, once it was waited for."""
+        """Call `told` with the quality of each start, after it was awaited."""
         self._observer = told
 
     def is_done(self) -> bool:
-        """Whether `wait_until_done` would return at once; raises as it does."""
+        """Return True if `wait_until_done` would return at once; raises as it does."""
         done: list[bool] = []
-        for motor in self:  # every member is looked at, and may raise
+        for motor in self:  # every member is examined, and may raise
             try:
                 done.append(motor.is_done())
             except MotorError as error:
@@ -224,9 +225,9 @@ class MotorGroup(DeviceGroup[Motor]):
         return all(done)
 
     def stop(self) -> None:
-        """Every motor is slowing down; all are tried, then the first error is raised.
+        """Stop every motor; all are tried, then the first error is raised.
 
-        Those that are to stop together along their path (`fault_reaction`) do.
+        Motors with a common stop along their path (`fault_reaction`) stop along it.
         """
         motion = self._motion
         self._end_motion()
@@ -243,17 +244,17 @@ class MotorGroup(DeviceGroup[Motor]):
             motor._call(trigger.fire)
 
     def quick_stop(self) -> None:
-        """Every motor makes its quick stop; all are tried, then the first error is raised."""
+        """Quick-stop every motor; all are tried, then the first error is raised."""
         self._end_motion()
         self._every(Motor.quick_stop)
 
     def halt(self) -> None:
-        """Every motor halts; all are tried, then the first error is raised."""
+        """Halt every motor; all are tried, then the first error is raised."""
         self._end_motion()
         self._every(Motor.halt)
 
     def sync_capability(self) -> SyncCapability:
-        """How well these motors can begin and end together, with what is set now.
+        """Return how closely these motors can begin and end together with the present settings.
 
         Raises:
             MotorError: a motor does not answer.
@@ -265,26 +266,26 @@ class MotorGroup(DeviceGroup[Motor]):
         try:
             return replace(capability, path=predicted_path(members, plan(members, common)))
         except UsageError:
-            return capability  # nothing can be started now
+            return capability  # no start is possible now
 
     def sync_quality(self) -> SyncQuality:
-        """How well the last start began and ended together; what has not happened yet is None.
+        """Return how closely the last start began and ended together; unknown times are None.
 
         Raises:
             UsageError: the group was never started.
         """
         if not self._started:
-            raise UsageError("the group has not been started: there is no quality to tell")
+            raise UsageError("the group has not been started: it has no synchronization quality")
         quality = quality_of(self._started)
         return quality if self._motion is None else replace(quality, path=self._motion.path())
 
     def _end_motion(self) -> None:
-        """What the motors do is looked after no more."""
+        """End the supervision of the motors."""
         if self._motion is not None:
             self._motion.end()
 
     def _answer(self, motor: Motor, run: Run | None, error: Exception) -> Exception:
-        """A member failed, of this run; the others do what was set. Returns what to raise."""
+        """React to the failure of a member in `run`. Return the error to be raised."""
         if self._motion is not None and self._motion.watches(run):
             return self._motion.failed(motor, error)
         if self.fault_reaction is not FaultReaction.NONE:

@@ -1,17 +1,18 @@
-"""What the trajectories of a group have in common: their duration, or all of their course.
+"""Planning of common trajectories: common duration, or common path.
 
-*Time*: each motor keeps its own ramps, and all take as long as the slowest. *Phase*: all are one
-profile, each scaled by its way, so that at every instant each motor has gone the same part of it:
-a straight line in the space of the joints, proportional velocities, equal times of acceleration.
-With ways D_i and limits v_i, a_i, d_i the fastest such profile over the way 1 has
+*Time*: each motor keeps its own ramps, and all take as long as the slowest. *Phase*: all share one
+profile, each scaled by its distance, so that at every instant each motor has covered the same
+fraction. This is a straight line in joint space, with proportional velocities and equal times of
+acceleration. With distances D_i and limits v_i, a_i, d_i the fastest such profile over distance 1
+has
 
     v = min v_i / |D_i|    a = min a_i / |D_i|    d = min d_i / |D_i|
 
-and motor i makes v |D_i|, a |D_i|, d |D_i|. Limits are taken as the hardware rounds them, and what
-comes of it is rounded once more by each: what that does to the line is in `motorapi.path`.
+and motor i has v |D_i|, a |D_i|, d |D_i|. Limits are used as rounded by the hardware, and each
+drive rounds the result once more; `motorapi.path` computes the effect on the line.
 
 Source: field practice (Ruckig, `Synchronization::Phase`); the closed form follows from Biagiotti &
-Melchiorri (2008), ch. 3, for one profile over the way 1.
+Melchiorri (2008), ch. 3, for one profile over distance 1.
 """
 
 # ruff: noqa: SLF001 -- it works the hooks of motors, as motorapi.execution does
@@ -38,21 +39,21 @@ _LEAST: Final = float_info.min
 @final
 @dataclass(frozen=True, slots=True)
 class Common:
-    """What the members of a group do together.
+    """The common properties of the motions of a group.
 
     Attributes:
         synchronization: of their trajectories.
-        reaction: of the others, when one fails.
+        reaction: of the others to a failure.
     """
 
     synchronization: Synchronization = Synchronization.TIME
     reaction: FaultReaction = FaultReaction.EACH
 
     def check(self) -> None:
-        """They go together.
+        """Check that both properties are compatible.
 
         Raises:
-            UsageError: to stop along a path needs a path.
+            UsageError: a stop along the path requires a common path.
         """
         together = self.reaction is FaultReaction.TOGETHER
         if together and self.synchronization is not Synchronization.PHASE:
@@ -69,10 +70,10 @@ TIME: Final = Common()
 def synchronised(
     motors: Sequence["Motor"], motions: Sequence[Motion], common: Common
 ) -> list[Motion]:
-    """The motions of one start, planned each by itself, as what they have in common asks.
+    """Return the motions of one start with the common properties.
 
     Raises:
-        UsageError: they cannot have that in common.
+        UsageError: they cannot have these properties.
     """
     if common.synchronization is Synchronization.PHASE:
         return _in_phase(motors, motions, common)
@@ -82,7 +83,7 @@ def synchronised(
 
 
 def _common_duration(motors: Sequence["Motor"], motions: Sequence[Motion]) -> list[Motion]:
-    """Every trajectory takes as long as the slowest motor's, after its hardware's rounding."""
+    """Give every trajectory the duration of the slowest motor, after hardware rounding."""
     timed = [place for place, motion in enumerate(motions) if motion.duration_s is not None]
     result = list(motions)
     if not timed:
@@ -107,7 +108,7 @@ def _common_duration(motors: Sequence["Motor"], motions: Sequence[Motion]) -> li
 
 
 def _asked(motors: Sequence["Motor"], motions: Sequence[Motion]) -> tuple[float, str] | None:
-    """The duration that trajectories ask for [s], and whose does; None: as fast as can be."""
+    """Return the duration requested by trajectories [s] and the first such motor, or None."""
     asked: dict[float, str] = {}
     for motor, motion in zip(motors, motions, strict=True):
         fixed_s = _fixed_duration_s(motion)
@@ -120,7 +121,7 @@ def _asked(motors: Sequence["Motor"], motions: Sequence[Motion]) -> tuple[float,
 
 
 def _fixed_duration_s(motion: Motion) -> float | None:
-    """How long its trajectory says that it takes [s]; None: as fast as can be."""
+    """Return the duration requested by its trajectory [s], or None for the shortest."""
     trajectory = motion.trajectory
     if isinstance(trajectory, ComplexTrajectory):
         return motion.duration_s
@@ -135,7 +136,7 @@ def _too_short(motor: "Motor", asked: tuple[float, str], shortest_s: float, why:
         low=shortest_s,
         high=None,
         unit="s",
-        reason=f"{why}asked for by the trajectory of {asked[1]}",
+        reason=f"{why}requested by the trajectory of {asked[1]}",
     )
 
 
@@ -145,7 +146,7 @@ def _too_short(motor: "Motor", asked: tuple[float, str], shortest_s: float, why:
 @final
 @dataclass(frozen=True, slots=True)
 class Move:
-    """One motor's part of a straight line: its way, > 0, and its limits, as sizes [U]."""
+    """One motor's part of a straight line: distance > 0 and limits, as magnitudes [U]."""
 
     way: float
     velocity: float
@@ -156,16 +157,16 @@ class Move:
 def proportional(
     moves: Sequence[Move], duration_s: float | None = None
 ) -> tuple[float, list[Move]]:
-    """The duration [s] of the fastest common profile, and what of it each motor makes.
+    """Return the duration [s] of the fastest common profile, and the part of each motor.
 
     Args:
-        moves: at least one; ways and limits finite, > 0. Each has its own unit of length.
-        duration_s: how long it shall take [s]; None, or less than possible: as fast as can be.
+        moves: at least one; distances and limits finite, > 0. Each has its own unit of length.
+        duration_s: requested duration [s]; None, or less than possible: the shortest.
     """
     longest = max(move.way for move in moves)
     parts = [move.way / longest for move in moves]
     pairs = list(zip(moves, parts, strict=True))
-    # A part may be so small that dividing by it gives inf: that motor limits nothing.
+    # Division by a tiny part may give inf: that motor limits nothing.
     velocity = min(_divided(move.velocity, part) for move, part in pairs)
     acceleration = min(_divided(move.acceleration, part) for move, part in pairs)
     deceleration = min(_divided(move.deceleration, part) for move, part in pairs)
@@ -190,7 +191,7 @@ def _divided(limit: float, part: float) -> float:
 
 
 def _in_phase(motors: Sequence["Motor"], motions: Sequence[Motion], common: Common) -> list[Motion]:
-    """All on one straight line, each with the same part of its way behind it at every instant."""
+    """Put all motions on one straight line, with equal fractions covered at every instant."""
     for motor, motion in zip(motors, motions, strict=True):
         _require_line(motor, motion)
     limited: list[Motion] = []
@@ -237,7 +238,7 @@ def _move_of(motion: Motion) -> Move:
 
 
 def _slowest(moves: Sequence[Move]) -> int:
-    """Whose own motion over its own way takes longest."""
+    """Return the index of the slowest motion."""
     durations_s = [
         shortest(move.way, move.velocity, move.acceleration, move.deceleration).duration_s
         for move in moves
@@ -246,7 +247,7 @@ def _slowest(moves: Sequence[Move]) -> int:
 
 
 def _require_line(motor: "Motor", motion: Motion) -> None:
-    """Phase synchronisation needs a profile that can be scaled: a simple one of position."""
+    """Require a simple position trajectory, which phase synchronisation can scale."""
     simple = motion.mode is ControlMode.TRAJECTORY and motion.variable is ControlVariable.POSITION
     if simple and motion.function is None and motion.argument is None:
         return

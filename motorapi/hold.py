@@ -1,7 +1,8 @@
-"""A lock between processes, while somebody has it; and how it was lost.
+"""Handle of a held lock between processes, and its loss.
 
-Whoever has it may lose it: it is taken over on demand, or because its lease was over. Nothing tells
-the process; it finds out when it looks, at the latest when it is about to write.
+The holder may lose the lock: another process takes it over on demand, or because its lease has
+expired. The holder is not notified; it notices the loss at its next check, at the latest before its
+next write.
 """
 
 import os
@@ -19,22 +20,22 @@ if TYPE_CHECKING:
     from motorapi.runtime import Runtime
 
 _TAKER_PATIENCE_NS: Final = 50_000_000
-"""How long somebody may be in the middle of taking it over; it takes him some 20 us."""
+"""The maximum duration of a takeover [ns]; in practice it takes about 20 us."""
 _RENEWALS_IN_USE: Final = 8
-"""A lease in use is renewed so many times in its time, not with every use."""
+"""The number of renewals per lease period during use."""
 
 
 @final
 @dataclass(frozen=True, slots=True)
 class Loss:
-    """How a motor was lost.
+    """The loss of a motor.
 
     Attributes:
-        who: has taken it over, in words.
-        purpose: what for, in words.
-        reason: why he could, in words ("its lease of 0.5 s was over", "on demand").
-        since_ns, since: when, of the runtime's time and in words.
-        pid, program: the process, if another one did.
+        who: the new owner, in words.
+        purpose: its purpose, in words.
+        reason: the reason for the takeover, in words ("its lease of 0.5 s was over", "on demand").
+        since_ns, since: time of the takeover, in the time of the runtime and in words.
+        pid, program: the process, if another one took it over.
     """
 
     who: str
@@ -50,7 +51,7 @@ class Loss:
         return f"{self.who}{purpose}, which took it over ({self.reason})"
 
     def busy(self, motor: str) -> MotorBusyError:
-        """What the loser is told who goes on as if he still had it."""
+        """Return the error for a former owner that continues to use the motor."""
         return MotorBusyError(
             motor=motor,
             holder=self.who,
@@ -65,12 +66,12 @@ class Loss:
 
 @final
 class Hold:
-    """A lock that was taken, until `release`; also a context manager.
+    """A held lock, until `release`; also a context manager.
 
-    Attributes: owner, token (greater than that of anybody before), changed_hands (whether another
-    lock object, of whatever process, had it in between, or this one has it for the first time),
-    was_abandoned (whether the one before died with it), was_taken_over (whether it was taken from
-    one who lives), taken_from (from whom, in words; "": not known).
+    Attributes: owner, token (greater than any earlier one), changed_hands (True if another lock
+    object, of any process, held it in between, or this object holds it for the first time),
+    was_abandoned (True if the previous holder died with it), was_taken_over (True if it was taken
+    from a living holder), taken_from (that holder, in words; "": unknown).
     """
 
     __slots__ = (
@@ -109,8 +110,8 @@ class Hold:
         self._counting = threading.Lock()
         self._writers = 0
         self._lease_ns = lease_ns
-        self._end_ns = time.monotonic_ns() + lease_ns  # of the lease
-        self._renew_ns = 0  # when to renew it; the first use does
+        self._end_ns = time.monotonic_ns() + lease_ns  # end of the lease
+        self._renew_ns = 0  # time of the next renewal; the first use renews
         self._loss: Loss | None = None
         self.owner: Final = owner
         self.token: Final = token
@@ -130,16 +131,16 @@ class Hold:
     ) -> None:
         self.release()
 
-    # ---- is it still ours ----
+    # ---- validity ----
 
     @property
     def is_held(self) -> bool:
-        """Whether it was neither let go nor lost. Never in a forked child: it is the parent's."""
+        """True if it was neither released nor lost. Always False in a forked child."""
         return self._depth > 0 and not self._file.is_closed and self.loss is None
 
     @property
     def loss(self) -> Loss | None:
-        """How it was lost; None: it was not, before it was let go."""
+        """The loss of the lock before its release, or None."""
         if (
             self._loss is None
             and self._depth > 0
@@ -151,7 +152,7 @@ class Hold:
 
     @property
     def lost_to(self) -> str | None:
-        """Who took it over, and why, in words; None: nobody did."""
+        """The new owner and its reason in words, or None."""
         loss = self.loss
         return None if loss is None else str(loss)
 
@@ -159,21 +160,21 @@ class Hold:
 
     @property
     def lease_s(self) -> float | None:
-        """The lease [s]; None: there is none."""
+        """The lease [s], or None."""
         return self._lease_ns / 1e9 if self._lease_ns else None
 
     @property
     def left_s(self) -> float | None:
-        """How long the lease lasts [s]; 0: it is over; None: there is none."""
+        """The remaining time of the lease [s]; 0 if it has expired, None without a lease."""
         if not self._lease_ns:
             return None
         return max(0, self._end_ns - time.monotonic_ns()) / 1e9
 
     def renew(self) -> None:
-        """The lease begins anew.
+        """Restart the lease.
 
         Raises:
-            MotorBusyError: it was taken over meanwhile; says by whom.
+            MotorBusyError: the lock was taken over meanwhile; names the new owner.
         """
         self.begin_write("")
         try:
@@ -183,12 +184,12 @@ class Hold:
             self.end_write()
 
     def use(self) -> None:
-        """As `renew`, as often as is good for the lease; without a lease nothing is done."""
+        """Restart the lease if it is due; without a lease do nothing."""
         if self._lease_ns and time.monotonic_ns() >= self._renew_ns:
             self.renew()
 
     def set_lease(self, lease_s: float | None) -> None:
-        """It has another lease, which begins now. Raises as `renew`."""
+        """Set another lease, which begins now. Raises as `renew`."""
         self._lease_ns = 0
         self.begin_write("")
         try:
@@ -206,14 +207,14 @@ class Hold:
     # ---- writing ----
 
     def begin_write(self, asker: str) -> None:
-        """Nobody can take it over until `end_write`. Raises as `ProcessLock.begin_write`."""
+        """Block takeovers until `end_write`. Raises as `ProcessLock.begin_write`."""
         with self._counting:
             if self._writers == 0:
                 self._enter(asker)
             self._writers += 1
 
     def end_write(self) -> None:
-        """What was begun is over, if it was begun as often."""
+        """End one write section; the last one permits takeovers again."""
         with self._counting:
             if self._writers:
                 self._writers -= 1
@@ -233,7 +234,7 @@ class Hold:
             self._tell_lease()
 
     def _await_taker(self, asker: str) -> None:
-        """Whoever is in the middle of taking it over is done with that; it is ours to write."""
+        """Wait until a takeover under way has ended and writing is permitted."""
         end_ns = time.monotonic_ns() + _TAKER_PATIENCE_NS
         while not self._file.try_write():
             if not self._file.is_current:
@@ -243,7 +244,7 @@ class Hold:
             os.sched_yield()
 
     def _is_replaced(self) -> bool:
-        """Somebody removed the lock's file: whether somebody has it by another one."""
+        """Return True if another process holds the lock through a new file after a removal."""
         if self._loss is None:
             self._loss = self._lock.loss_by_removal()
         return self._loss is not None
@@ -252,15 +253,15 @@ class Hold:
         loss = self.loss
         return self._lock.not_ours(asker) if loss is None else loss.busy(asker or self._lock.label)
 
-    # ---- letting go ----
+    # ---- release ----
 
     def again(self) -> None:
-        """It takes one more `release` to let go."""
+        """Require one more `release` call."""
         with self._counting:
             self._depth += 1
 
     def keep_for(self, runtime: "Runtime", time_s: float) -> None:
-        """It is kept for so long [s] after now, whoever releases it meanwhile."""
+        """Keep the lock for `time_s` [s] from now, whatever is released meanwhile."""
         self.again()
 
         def over() -> None:
@@ -274,7 +275,7 @@ class Hold:
             raise
 
     def release(self) -> None:
-        """It was taken once less; after the last time the next one has it. More do nothing."""
+        """Undo one acquisition; the last one releases the lock. Further calls do nothing."""
         with self._counting:
             self._depth -= 1
             is_last = self._depth == 0

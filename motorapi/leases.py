@@ -1,6 +1,6 @@
-"""The leases of each thread: they are renewed while it waits for anything of a motor.
+"""Leases of each thread, renewed while it waits for any motor.
 
-Whoever waits for one motor is alive, and so are his reservations of others. A thread that is
+A thread that waits for one motor is alive, and so are its reservations of others. A thread that is
 stopped, in a debugger or by a long computation, renews nothing.
 """
 
@@ -14,12 +14,12 @@ if TYPE_CHECKING:
     from motorapi.claim import Claim
 
 RENEWALS_IN_WAIT: Final = 4
-"""So many times in a lease it is renewed by one who waits."""
+"""The number of renewals per lease period during a wait."""
 
 
 @final
 class _Mine(threading.local):
-    """What this thread has reserved with a lease."""
+    """Reservations of this thread with a lease."""
 
     def __init__(self) -> None:
         self.claims: list[Claim] = []
@@ -29,16 +29,16 @@ _mine: Final = _Mine()
 
 
 def register(claim: "Claim") -> None:
-    """It is renewed from now on while this thread waits."""
+    """Renew `claim` from now on while this thread waits."""
     if claim not in _mine.claims:
         _mine.claims.append(claim)
 
 
 def use_leases(waits_for: object = None) -> float | None:
-    """All that this thread has reserved with a lease are renewed; when to do it again [s].
+    """Renew all leases of this thread. Return the time until the next renewal [s], or None.
 
-    But for the ownership it waits for itself: who has that does nothing meanwhile. None: there are
-    none. Nothing is raised: who has lost one finds out by its next use.
+    The ownership for which the thread waits is excluded, because its owner is idle meanwhile.
+    Nothing is raised: a lost claim raises at its next use.
     """
     if not _mine.claims:
         return None

@@ -1,6 +1,6 @@
-"""Whether a number of a command is within the limits: the model's, and the command's own.
+"""Check of command values against the limits of model and command.
 
-A value may exceed its limit by rounding (1e-9 of it), no more. `motor` is a name, for messages.
+A value may exceed its limit by rounding only (1e-9 of it). `motor` is a name for messages.
 """
 
 from math import inf, isfinite
@@ -19,7 +19,7 @@ _LIMITED: Final = {
     ControlVariable.TORQUE: _SLOPES,
     ControlVariable.CURRENT: _SLOPES,
 }
-"""What the derivatives of a control variable are called; the last only trajectories can limit."""
+"""Names of the derivatives of a control variable; only trajectories can limit the last one."""
 
 
 def check_target(
@@ -29,7 +29,7 @@ def check_target(
     target: float,
     limits: DerivativeLimits | None,
 ) -> None:
-    """Raises LimitError if the control variable must not have this value."""
+    """Raise LimitError if the control variable must not have this value."""
     low, high = value_range(model, variable)
     own = None if limits is None else limits.value
     for floor, ceiling, whose in (
@@ -51,7 +51,7 @@ def check_target(
 
 
 def value_range(model: MotorModel, variable: ControlVariable) -> tuple[float | None, float | None]:
-    """(lowest, highest) value that the model allows; None: no limit on that side."""
+    """Return the (lowest, highest) value that the model allows; None: no limit on that side."""
     if variable is ControlVariable.POSITION:
         return model.position_min, model.position_max
     high = {
@@ -70,18 +70,18 @@ def check_bounds(
     *,
     smooth: bool,
 ) -> None:
-    """A command's own limits may be tighter than the model's, never wider.
+    """Check that the limits of a command are not wider than those of the model.
 
     Args:
         motor: its name.
         model: its model.
-        variable: what is commanded.
-        limits: the command's own.
-        smooth: whether it is a trajectory, which may limit one derivative more: jerk.
+        variable: the control variable.
+        limits: the limits of the command.
+        smooth: True for a trajectory, which may limit one more derivative: jerk.
 
     Raises:
-        LimitError: one is wider.
-        UnsupportedError: it is of a derivative that nothing can limit.
+        LimitError: a limit is wider.
+        UnsupportedError: the limited derivative cannot be limited.
     """
     if limits is None:
         return
@@ -121,5 +121,5 @@ def _check_range(
 
 
 def slack(limit: float) -> float:
-    """By how much rounding may exceed a limit of this size."""
+    """Return the permitted rounding error for a limit of this size."""
     return ROUNDING * max(1.0, abs(limit))

@@ -1,17 +1,17 @@
-"""Where lock files are, and how one is opened so that nobody can play tricks with it.
+"""Directory of lock files, and secure opening of its files.
 
-Processes keep each other out only if they all look at the same file. So the place depends on
-nothing but the user: not on the session, its environment, or where its temporary files are (a
-service has no XDG_RUNTIME_DIR, the same user's terminal has one, and both drive the same motor).
+Processes exclude each other only if they all use the same file. So the place depends only on the
+user, not on the session, its environment, or its temporary directory. (A service has no
+XDG_RUNTIME_DIR, a terminal of the same user has one, and both drive the same motor.)
 
-- By default: `/tmp/motorhil-<uid>`, mode 0700, the user's own. Processes of other users are not
-  seen there.
-- Where several users, or containers, share a robot: a directory of a common group, mode 2770, named
-  by the environment variable MOTORHIL_LOCK_DIR in all of them. A private directory may be named
-  as well.
+- By default: `/tmp/motorhil-<uid>`, mode 0700, owned by the user. Processes of other users are not
+  visible there.
+- If several users, or containers, share a robot: a directory of a common group, mode 2770, named by
+  the environment variable MOTORHIL_LOCK_DIR in all of them. A private directory is possible as
+  well.
 
-What is found is looked at after it was opened (no link is followed), and refused if somebody else
-could have put it there, or could write to it.
+Directory and file are checked after opening (links are not followed). They are refused if another
+user could have created them, or could write to them.
 """
 
 import errno
@@ -25,7 +25,7 @@ from motorapi.errors import UsageError
 VARIABLE: Final = "MOTORHIL_LOCK_DIR"
 _DEFAULT: Final = "/tmp/motorhil-{}"
 _OPEN: Final = os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK
-"""Nonblocking, so that a FIFO in place of a file is found out, not waited for."""
+"""Nonblocking, so that a FIFO in place of a file is detected instead of awaited."""
 _PRIVATE: Final = 0o600
 _GROUP: Final = 0o660
 _NO_FAULT_OF_THE_FILE: Final = (
@@ -36,15 +36,15 @@ _NO_FAULT_OF_THE_FILE: Final = (
     errno.EDQUOT,
     errno.EROFS,
 )
-"""Nobody is told to remove a lock file for these: others may be using it."""
+"""Errors for which the message must not advise removal: other processes may use the file."""
 
 
 @final
 class LockDirectory:
-    """A directory of lock files. It is looked at anew whenever a file is opened.
+    """A directory of lock files, checked whenever a file is opened.
 
     Args:
-        path: None: as MOTORHIL_LOCK_DIR says, else `/tmp/motorhil-<uid>`.
+        path: None: from MOTORHIL_LOCK_DIR, else `/tmp/motorhil-<uid>`.
     """
 
     def __init__(self, path: str | Path | None = None) -> None:
@@ -55,10 +55,10 @@ class LockDirectory:
             raise UsageError(f"{VARIABLE}={named}: must be an absolute path")
 
     def open(self, name: str, *, to_read: bool = False) -> int | None:
-        """A descriptor of the lock file `name`, which exists now; None: to_read, and there is none.
+        """Return a descriptor of lock file `name`, created if necessary; None: no file to read.
 
         Raises:
-            UsageError: the directory or the file is not safe; says what is wrong with it.
+            UsageError: the directory or the file is not safe; names the problem.
         """
         try:
             directory, is_shared = self._open_directory(make=not to_read)
@@ -76,24 +76,24 @@ class LockDirectory:
             os.close(directory)
 
     def names(self) -> list[str]:
-        """The lock files there are, sorted.
+        """Return the names of the lock files, sorted.
 
         Raises:
-            UsageError: the directory is not safe; or it was named, and is not there.
+            UsageError: the directory is not safe, or was named and does not exist.
         """
         try:
             directory, _ = self._open_directory(make=False)
         except FileNotFoundError:
             if self._is_default:
                 return []
-            raise self._refused(self.path, "there is no such directory") from None
+            raise self._refused(self.path, "the directory does not exist") from None
         try:
             return sorted(os.listdir(directory))
         finally:
             os.close(directory)
 
     def _open_directory(self, make: bool) -> tuple[int, bool]:
-        """(descriptor, whether a group shares it)."""
+        """Return (descriptor, True if a group shares the directory)."""
         if make and self._is_default:
             try:
                 os.mkdir(self.path, 0o700)
@@ -105,7 +105,7 @@ class LockDirectory:
             directory = os.open(self.path, _OPEN | os.O_DIRECTORY)
         except FileNotFoundError:
             if make:
-                raise self._refused(self.path, "there is no such directory") from None
+                raise self._refused(self.path, "the directory does not exist") from None
             raise
         except OSError as error:
             problem = "it is a link" if self.path.is_symlink() else str(error.strerror)
@@ -124,9 +124,11 @@ class LockDirectory:
         if self._is_default:
             if found.st_uid != os.geteuid():
                 raise self._refused(self.path, f"it belongs to user {found.st_uid}")
-            raise self._refused(self.path, f"{mode} lets others in; it must be 0700")
+            raise self._refused(self.path, f"{mode} gives access to others; it must be 0700")
         if found.st_mode & 0o007:
-            raise self._refused(self.path, f"{mode} lets everybody in; it must be 2770 or 0700")
+            raise self._refused(
+                self.path, f"{mode} gives access to everybody; it must be 2770 or 0700"
+            )
         if not found.st_mode & stat.S_ISGID or found.st_mode & 0o070 != 0o070:
             whose = "" if found.st_uid == os.geteuid() else f", of user {found.st_uid}"
             raise self._refused(self.path, f"{mode}{whose}; it must be 2770, or 0700 and your own")
@@ -142,7 +144,7 @@ class LockDirectory:
                 return None
             try:
                 file = os.open(name, flags | os.O_CREAT | os.O_EXCL, mode, dir_fd=directory)
-                os.fchmod(file, mode)  # whatever the umask says
+                os.fchmod(file, mode)  # independent of the umask
             except FileExistsError:
                 file = os.open(name, flags, dir_fd=directory)
         try:
@@ -156,7 +158,7 @@ class LockDirectory:
         self, found: os.stat_result, directory: os.stat_result, path: Path, is_shared: bool
     ) -> None:
         if not stat.S_ISREG(found.st_mode):
-            raise self._refused(path, "it is no file")
+            raise self._refused(path, "it is not a file")
         if found.st_nlink > 1:
             raise self._refused(path, "it has another name elsewhere (a hard link)")
         mode = f"mode {stat.S_IMODE(found.st_mode):04o}"

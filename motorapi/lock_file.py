@@ -1,31 +1,33 @@
-"""One lock between processes, as byte ranges of a file that the kernel locks and unlocks.
+"""A lock between processes, as byte ranges of a file locked by the kernel.
 
-The locks are Linux's open file description locks (fcntl(2), F_OFD_SETLK): whatever an open file
-has locked the kernel unlocks when its last descriptor is gone, however the process died. Two open
-files exclude each other in one process too, so threads need no second lock. Which byte means what
-is in `motorapi.lock_layout`.
+The locks are Linux open file description locks (fcntl(2), F_OFD_SETLK). The kernel releases all
+locks of an open file with its last descriptor, however the process died. Two open files exclude
+each other in one process too, so threads need no second lock. `motorapi.lock_layout` defines the
+bytes.
 
-- *Who has it* is whoever has locked the byte HELD of the present *epoch*: one, by the kernel's
-  word, whatever the file says. How far the range reaches down is its token, so a reader has it from
-  the kernel.
-- *Who waits* has locked one byte, its place, behind every place there was when it came. It is its
-  turn when no place before it is locked. A waiter that dies leaves a gap, which nobody waits for.
-- Whoever finds the whole row free takes HELD and MARK in one step. Whoever has waited keeps its
-  place while it has the lock. So there is always a byte that the next one can wait for.
+- The *holder* has locked byte HELD of the present *epoch*. The kernel guarantees that there is only
+  one, whatever the file says. The length of the range below HELD is its token, so a reader gets it
+  from the kernel.
+- A *waiter* has locked one byte, its place, behind all places that existed when it arrived. Its
+  turn comes when no place before it is locked. A waiter that dies leaves a gap, which delays no
+  other waiter.
+- A process that finds the whole queue empty takes HELD and MARK in one step. A process that has
+  waited keeps its place while it holds the lock. So there is always a byte for which the next one
+  can wait.
 
-No step of this is guarded by another lock: a process that is paused in the middle of it stops
-nobody but those whom it has to precede.
+No step is guarded by another lock. A process paused in the middle of a step delays only those
+behind it.
 
-Nobody can unlock what a living process has locked. So it is not the byte that is taken over from
-it: the *epoch* moves on, and with it the byte that counts (`motorapi.lock_takeover`). Who has the
-byte of an epoch that is over has nothing. Whether the epoch is over, and what may be done only
-while it is not, are settled together: a commanding write is made with WRITING locked, shared; the
-epoch is moved with WRITING locked for oneself.
+No process can unlock the bytes of a living process. Therefore a takeover does not take the byte: it
+advances the *epoch*, and with it the byte that counts (`motorapi.lock_takeover`). The byte of an
+earlier epoch has no effect. The epoch check and actions that depend on it are atomic: a commanding
+write requires a shared lock of WRITING, an epoch change an exclusive one.
 
-Whoever lets go says so before, by its token: what was had and not let go was a dead process's.
+A release is announced with the token before it happens. A lock without this announcement was held
+by a process that died.
 
-What is written in the file says who they are. It is believed only as far as the kernel agrees: the
-record of the token that is locked, the record of a place that is locked. So it is never stale.
+The records in the file identify holder and waiters. They are used only if the kernel confirms them:
+the record of the locked token, the record of a locked place. So they are never stale.
 """
 
 import fcntl
@@ -63,12 +65,12 @@ _UNLOCK_ALL: Final = _FLOCK.pack(fcntl.F_UNLCK, os.SEEK_SET, 0, 0, 0)
 
 
 def flock(kind: int, start: int, length: int) -> bytes:
-    """What the kernel is told of a range; of length 0: to the end."""
+    """Return the kernel's struct flock of a range; length 0: to the end."""
     return _FLOCK.pack(kind, os.SEEK_SET, start, length, 0)
 
 
 def find(fd: int, kind: int, start: int, length: int) -> tuple[int, int] | None:
-    """(first, last) byte of a lock there that excludes one of `kind`; None: there is none."""
+    """Return (first, last) byte of a lock in the range that excludes one of `kind`, or None."""
     asked = flock(kind, start, length)
     found, _, first, size, _ = _FLOCK.unpack(fcntl.fcntl(fd, fcntl.F_OFD_GETLK, asked))
     if found == fcntl.F_UNLCK:
@@ -77,7 +79,7 @@ def find(fd: int, kind: int, start: int, length: int) -> tuple[int, int] | None:
 
 
 def first_places(fd: int, start: int, end: int) -> list[int]:
-    """All places locked in a range of bytes, in order; the kernel tells one at a time, in none."""
+    """Return all locked places in a range of bytes, in order; the kernel reports one at a time."""
     if start >= end:
         return []
     one = find(fd, fcntl.F_RDLCK, start, end - start)
@@ -98,26 +100,28 @@ _NOTHING: Final = (0, 0, 0)
 _LAST_SIZE: Final = HEADER.size + LAST_SIZE
 
 _forking: Final = threading.Lock()
-"""Nobody forks between the opening of a file and its being known here."""
+"""Guard against a fork between the opening of a file and its registration here."""
 _opened: Final["weakref.WeakSet[LockFile]"] = weakref.WeakSet()
 
 
 def require_lock(fd: int, name: str) -> None:
-    """Raises UsageError if what is open here is no lock file."""
+    """Raise UsageError if the open file is not a lock file."""
     magic = os.pread(fd, len(MAGIC), 0)
     if magic.strip(b"\0") and magic not in (MAGIC, MAGIC_BEFORE):
-        raise UsageError(f"{name}: this is no lock file; remove it")
+        raise UsageError(f"{name}: not a lock file; remove it")
 
 
 @final
 class LockFile:
-    """One open file of a lock: one who has it, or waits for it. Nothing here waits, but two.
+    """One open file of a lock, for a holder or a waiter. Only the two wait methods block.
 
-    It is closed, which unlocks, when it is dropped; in a forked child at once, which does not.
+    Garbage collection closes the file, which unlocks; in a forked child it is closed at once, which
+    does not unlock.
 
     Attributes:
-        epoch: as looked up last; once it is taken, the one in which it was.
-        base: the first place that counts in it: those before are of who lost the lock.
+        epoch: as read last; for a holder, the epoch of its lock.
+        base: the first valid place of the epoch: earlier ones belong to processes that lost the
+            lock.
     """
 
     __slots__ = ("__weakref__", "_epoch_bytes", "_fd", "_last", "_row", "base", "epoch", "name")
@@ -139,29 +143,29 @@ class LockFile:
         self.close()
 
     def close(self) -> None:
-        """Whatever it has locked is unlocked; closing again does nothing."""
+        """Close the file and release its locks; closing again does nothing."""
         fd, self._fd = self._fd, -1
         if fd >= 0:
             os.close(fd)
 
     @property
     def is_closed(self) -> bool:
-        """Whether it was closed, as it is in a forked child."""
+        """True if the file was closed, as in a forked child."""
         return self._fd < 0
 
     @property
     def is_gone(self) -> bool:
-        """Whether somebody has removed the file, so that others use another one."""
+        """True if the file was removed, so that other processes use another one."""
         return os.fstat(self._fd).st_nlink == 0
 
     @property
     def is_current(self) -> bool:
-        """Whether the epoch is still the one that was looked up."""
+        """True if the epoch is still the one that was read last."""
         data = os.pread(self._fd, NUMBER.size, EPOCH_AT)
         return data == self._epoch_bytes or not (data or self.epoch)
 
     def look_up(self) -> bool:
-        """The epoch is known; whether it is another one than before."""
+        """Read the epoch. Return True if it has changed."""
         data = os.pread(self._fd, EPOCH.size, EPOCH_AT)
         epoch, base = EPOCH.unpack(data) if len(data) == EPOCH.size else (0, 0)
         if epoch == self.epoch and base == self.base:
@@ -174,24 +178,24 @@ class LockFile:
         self._epoch_bytes = NUMBER.pack(epoch)
         self._row = flock(fcntl.F_WRLCK, PLACES + base, 0)
 
-    # ---- taking it ----
+    # ---- acquisition ----
 
     def take_at_once(self) -> bool:
-        """Whether it was free, nobody waited, and it is taken."""
+        """Take the lock if it is free and no process waits. Return True on success."""
         while _is_locked(fcntl.fcntl(self._fd, fcntl.F_OFD_GETLK, self._row)):
             if not self.look_up():
                 return False
         return self._take(_AT_ONCE)
 
     def take_in_front(self) -> bool:
-        """Whether it was free, whoever waited, and it is taken."""
+        """Take the lock if it is free, ahead of all waiters. Return True on success."""
         return self._take(_AT_ONCE)
 
     def queue_up(self, at_least: int = 1) -> int:
-        """The place taken in the queue: behind everybody who came before.
+        """Take and return a place in the queue, behind all earlier ones.
 
         Args:
-            at_least: a place >= 1 that it is not before.
+            at_least: the lowest acceptable place, >= 1.
         """
         place = at_least
         while True:
@@ -202,14 +206,14 @@ class LockFile:
                 self.look_up()
                 if place >= self.base:
                     return place
-            self.let_go()  # somebody came before us in the meantime
+            self.let_go()  # another waiter arrived before us in the meantime
 
     def take(self, place: int) -> bool:
-        """Whether it is the turn of this place, and it is taken."""
+        """Take the lock if it is the turn of this place. Return True on success."""
         return self.is_first(place) and self._take(_HOLD)
 
     def is_first(self, place: int) -> bool:
-        """Whether nobody waits before this place."""
+        """Return True if no process waits before this place."""
         while place > self.base:
             if find(self._fd, fcntl.F_RDLCK, PLACES + self.base, place - self.base) is None:
                 break
@@ -218,7 +222,7 @@ class LockFile:
         return True
 
     def _take(self, which: tuple[bytes, ...]) -> bool:
-        """Whether HELD of the present epoch is ours."""
+        """Lock HELD of the present epoch. Return True on success."""
         while True:
             epoch = self.epoch
             number = epoch % LINES
@@ -231,35 +235,35 @@ class LockFile:
             if now == epoch and (intent != epoch + 1 or not self._is_being_taken(number)):
                 self._last = last_of(data, HEADER.size + BLOCK * number)
                 return True
-            self._try(_DROP[number])  # it was moved on before we had it
+            self._try(_DROP[number])  # the epoch advanced before we had the lock
             if not self.look_up():
                 return False
 
     def _is_being_taken(self, number: int) -> bool:
-        """Whether somebody takes it over now; one who died at it has not locked the byte."""
+        """Return True during a takeover; a process that died in it has not locked the byte."""
         return find(self._fd, fcntl.F_RDLCK, held_at(number) + 2, 1) is not None
 
     def wait_before(self, place: int) -> None:
-        """Nobody is before the place any more. Waits without a limit, as `wait_for_mark` does."""
+        """Wait, without a timeout, until no process is before the place."""
         if place > self.base:
             whole = flock(fcntl.F_RDLCK, PLACES + self.base, place - self.base)
             fcntl.fcntl(self._fd, fcntl.F_OFD_SETLKW, whole)
             self.let_go()
 
     def wait_for_mark(self) -> None:
-        """Whoever took it at once, in the epoch looked up last, does not have it any more."""
+        """Wait until the process that took the lock of the known epoch at once has released it."""
         mark = flock(fcntl.F_RDLCK, held_at(self.epoch) + 1, 1)
         fcntl.fcntl(self._fd, fcntl.F_OFD_SETLKW, mark)
         self.let_go()
 
     def let_go(self) -> None:
-        """Nothing is taken, no place is kept."""
+        """Release the lock and the place."""
         self._last = None
         if self._fd >= 0:
             fcntl.fcntl(self._fd, fcntl.F_OFD_SETLK, _UNLOCK_ALL)
 
     def let_go_of_places(self) -> None:
-        """What is taken is kept, and no place."""
+        """Release the place, but keep the lock."""
         fcntl.fcntl(self._fd, fcntl.F_OFD_SETLK, flock(fcntl.F_UNLCK, PLACES, 0))
 
     def _first_free(self, place: int) -> int:
@@ -276,21 +280,21 @@ class LockFile:
             return False
         return True
 
-    # ---- saying who has it ----
+    # ---- records of holder and waiters ----
 
     def last(self) -> tuple[int, bytes, bool] | None:
-        """(token, identity) of who had it before it was taken now, and whether it died with it.
+        """Return (token, identity, True if it died with the lock) of the previous holder.
 
-        None: nobody ever had it, as far as is known.
+        None: no previous holder is known.
         """
         return self._last
 
     def line(self) -> Line:
-        """What the block of the epoch looked up last says."""
+        """Return the block of the epoch that was read last."""
         return Line(os.pread(self._fd, BLOCK, line_block(self.epoch)))
 
     def tell_holder(self, token: int, record: bytes, lease: bytes = _NO_LEASE) -> None:
-        """Everybody can read that we have it, and who we are."""
+        """Publish the record of this process as the holder."""
         fd, epoch = self._fd, self.epoch
         held = flock(fcntl.F_WRLCK, held_at(epoch) - token, token)
         fcntl.fcntl(fd, fcntl.F_OFD_SETLK, held)
@@ -299,30 +303,30 @@ class LockFile:
             os.pwrite(fd, MAGIC, 0)
 
     def tell_release(self, token: int) -> None:
-        """Everybody can read that it was let go."""
+        """Publish the release of the lock."""
         if self._fd >= 0:
             os.pwrite(self._fd, NUMBER.pack(token), line_block(self.epoch) + RELEASED_AT)
 
     def tell_waiter(self, place: int, record: bytes) -> None:
-        """Everybody can read that we wait, and who we are."""
+        """Publish the record of this process as a waiter."""
         os.pwrite(self._fd, record, waiter_block(place))
 
     def tell_lease(self, lease_ns: int, end_ns: int) -> None:
-        """Everybody can read how long we have it, inside of a write section."""
+        """Publish the lease, inside a write section."""
         os.pwrite(self._fd, LEASE.pack(lease_ns, end_ns), line_block(self.epoch) + LEASE_AT)
 
-    # ---- writing while it cannot be taken over ----
+    # ---- write sections, which block takeovers ----
 
     def try_write(self) -> bool:
-        """Whether nobody can take it over now, until `end_write`; False: somebody just does."""
+        """Block takeovers until `end_write`. Return False during a takeover."""
         return self._fd >= 0 and self._try(_WRITE[self.epoch % LINES])
 
     def end_write(self) -> None:
-        """It can be taken over again."""
+        """Permit takeovers again."""
         fcntl.fcntl(self._fd, fcntl.F_OFD_SETLK, _WRITTEN[self.epoch % LINES])
 
     def try_write_alone(self) -> bool:
-        """Whether nobody else writes in the epoch looked up last, nor begins to."""
+        """Exclude all other writers of the known epoch. Return True on success."""
         return self._try(_WRITE_ALONE[self.epoch % LINES])
 
     @property
@@ -337,7 +341,7 @@ def _is_locked(answer: bytes) -> bool:
 
 
 def _in_child() -> None:
-    """A forked child has none of its parent's locks, and must not keep them from being let go."""
+    """Close all lock files in a forked child, which must not keep the parent's locks alive."""
     for file in tuple(_opened):
         file.close()
     _opened.clear()

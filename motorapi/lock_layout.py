@@ -1,19 +1,19 @@
-"""What stands where in a lock's file, and which of its bytes the kernel locks for what.
+"""Layout of a lock file: locked byte ranges and written blocks.
 
-Locked bytes (nothing is ever written there):
+Locked bytes (never written):
 
-    epoch's line:  [ ... token ... HELD | MARK | WRITING ]   one line for each of `LINES` epochs
-    the row:       [ place 0 | place 1 | place 2 | ...       one for all epochs
+    line of an epoch:  [ ... token ... HELD | MARK | WRITING ]   one for each of `LINES` epochs
+    queue:             [ place 0 | place 1 | place 2 | ...       one for all epochs
 
 Written bytes, in blocks of 512:
 
-    0           header: magic, the epoch, the first place that counts, whether it is being taken
-    1 to 16     one for each line: who has it, or had it last, its lease, what was let go last
-    17 to 144   who waits, by place
-    145 to 160  who took it over from whom, by the token that was lost
+    0           header: magic, the epoch, the first valid place, the epoch being ended
+    1 to 16     one per line: present or last holder, its lease, the last released token
+    17 to 144   waiters, by place
+    145 to 160  takeovers, by the lost token
 
-A block of a line is written only by who has that line's HELD byte. So a process that has lost the
-lock, and does not know it yet, writes nothing that anybody looks at.
+The block of a line is written only by the holder of the HELD byte of that line. So a process that
+has lost the lock without knowing it writes nothing that others read.
 """
 
 import struct
@@ -23,13 +23,13 @@ from typing import Final, final
 
 MAGIC: Final = b"motorhi2"
 MAGIC_BEFORE: Final = b"motorhil"
-"""Of a layout that nobody reads any more; such a file is as good as a new one."""
+"""Magic of an obsolete layout; such a file is treated as new."""
 
 LINES: Final = 16
 SPAN: Final = 1 << 57
 PLACES: Final = 1 << 62
 WAITERS: Final = 128
-"""So many who wait are told by name."""
+"""The number of waiters recorded by name."""
 TAKEOVERS: Final = 16
 
 BLOCK: Final = 512
@@ -40,18 +40,18 @@ RECORD_SIZE: Final = _HEAD.size + _TAIL.size + _CHECK.size
 NUMBER: Final = struct.Struct("<Q")
 
 EPOCH_AT: Final = 488
-"""Of the epoch and, behind it, the first place that counts, and which epoch is being ended."""
+"""Offset of the epoch, followed by the first valid place and the epoch being ended."""
 EPOCH: Final = struct.Struct("<QQ")
 HEADER: Final = struct.Struct("<QQQ")
 INTENT_AT: Final = EPOCH_AT + 16
 
 RELEASED_AT: Final = 0
-"""In a line's block: the token that was let go last."""
+"""In the block of a line: the last released token."""
 LEASE_AT: Final = 8
-"""In a line's block: the lease [ns] (0: none), when it is over (CLOCK_MONOTONIC [ns])."""
+"""In the block of a line: the lease [ns] (0: none) and its end (CLOCK_MONOTONIC [ns])."""
 LEASE: Final = struct.Struct("<QQ")
 RECORD_AT: Final = 24
-"""In a line's block: who has the lock, or had it last."""
+"""In the block of a line: the record of the present or last holder."""
 _LINE: Final = struct.Struct("<QQQ8sQ16s")
 LAST_SIZE: Final = _LINE.size
 
@@ -60,36 +60,36 @@ _TAKEOVER: Final = struct.Struct("<QQI64s")
 
 
 def held_at(epoch: int) -> int:
-    """The byte that whoever has the lock in that epoch has locked."""
+    """Return the byte that the holder of the lock in that epoch has locked."""
     return (epoch % LINES + 1) * SPAN - 8
 
 
 def line_block(epoch: int) -> int:
-    """Where the block of an epoch's line begins."""
+    """Return the offset of the block of an epoch's line."""
     return BLOCK * (1 + epoch % LINES)
 
 
 def waiter_block(place: int) -> int:
-    """Where the block of a place begins."""
+    """Return the offset of the block of a place."""
     return BLOCK * (1 + LINES + place % WAITERS)
 
 
 def takeover_block(lost: int) -> int:
-    """Where the block of a token that was lost begins."""
+    """Return the offset of the block of a lost token."""
     return BLOCK * (1 + LINES + WAITERS + lost % TAKEOVERS)
 
 
 @final
 @dataclass(frozen=True, slots=True)
 class Record:
-    """Who has a lock, or waits for it.
+    """The record of a holder or a waiter.
 
     Attributes:
         number: the token of a holder, the place of a waiter.
-        identity: 16 bytes that nobody else ever has.
-        pid, uid, born: the process; `born` tells it from a later one of the same pid.
-        since_ns, since_utc_ns: since when, of the monotonic clock and of the calendar's.
-        program, purpose, label: in words; the label is what is locked.
+        identity: 16 unique bytes.
+        pid, uid, born: the process; `born` distinguishes it from a later one of the same pid.
+        since_ns, since_utc_ns: since when, by the monotonic and the calendar clock.
+        program, purpose, label: in words; the label names the locked object.
     """
 
     number: int
@@ -109,9 +109,9 @@ class Record:
 class Takeover:
     """One takeover of a lock.
 
-    Attributes: by (who; its label says why), epoch (that it ended: it was done if that is over),
-    token (his), lost (the token that ended), from_pid and from_program (whose that was; 0 and "":
-    not known).
+    Attributes: by (the new holder; its label is the reason), epoch (the epoch that it ended; done
+    if that is over), token (of the new holder), lost (the token that ended), from_pid and
+    from_program (the former holder; 0 and "": unknown).
     """
 
     by: Record
@@ -123,14 +123,14 @@ class Takeover:
 
     @property
     def reason(self) -> str:
-        """Why, in words."""
+        """The reason, in words."""
         return self.by.label
 
 
 def last_of(data: bytes, at: int) -> tuple[int, bytes, bool] | None:
-    """(token, identity) of who had it last, and whether it was never let go; of a line's block.
+    """Return (token, identity, True if never released) of the last holder, from a line's block.
 
-    None: nobody has ever had it.
+    None: the lock was never held.
     """
     if len(data) < at + _LINE.size:
         return None
@@ -139,7 +139,7 @@ def last_of(data: bytes, at: int) -> tuple[int, bytes, bool] | None:
 
 
 def pack_words(program: str, purpose: str, label: str) -> bytes:
-    """The words of a record, cut to the room there is."""
+    """Pack the words of a record, cut to the available space."""
     return _TAIL.pack(_cut(program, 64), _cut(purpose, 96), _cut(label, 96))
 
 
@@ -154,14 +154,14 @@ def pack_record(
     since: tuple[int, int],
     words: bytes,
 ) -> bytes:
-    """A record as it stands in the file; `process` is (pid, uid, born)."""
+    """Pack a record for the file; `process` is (pid, uid, born)."""
     pid, uid, born = process
     head = _HEAD.pack(MAGIC, number, identity, pid, uid, born, since[0], since[1])
     return b"".join((head, words, _CHECK.pack(zlib.crc32(words, zlib.crc32(head)))))
 
 
 def unpack_record(data: bytes) -> Record | None:
-    """None: there is none, or it is just being written."""
+    """Return the record, or None if there is none or it is being written."""
     data = data[:RECORD_SIZE]
     if len(data) != RECORD_SIZE or _CHECK.unpack(data[-4:])[0] != zlib.crc32(data[:-4]):
         return None
@@ -172,13 +172,13 @@ def unpack_record(data: bytes) -> Record | None:
 
 
 def pack_takeover(record: bytes, epoch: int, token: int, victim: Record | None) -> bytes:
-    """A takeover as it stands in the file; `record` is of who took it, by the token lost."""
+    """Pack a takeover for the file; `record` describes the new holder, under the lost token."""
     pid, program = (0, "") if victim is None else (victim.pid, victim.program)
     return record.ljust(_TAKEOVER_AT, b"\0") + _TAKEOVER.pack(epoch, token, pid, _cut(program, 64))
 
 
 def unpack_takeover(data: bytes) -> Takeover | None:
-    """None: there is none, or it is just being written."""
+    """Return the takeover, or None if there is none or it is being written."""
     record = unpack_record(data)
     if record is None or len(data) < _TAKEOVER_AT + _TAKEOVER.size:
         return None
@@ -187,18 +187,18 @@ def unpack_takeover(data: bytes) -> Takeover | None:
 
 
 def _text(word: bytes) -> str:
-    """What somebody wrote, fit for a terminal: on one line, without control characters."""
+    """Return foreign text fit for a terminal: on one line, without control characters."""
     text = word.rstrip(b"\0").decode("utf-8", "replace")
     return text if text.isprintable() else "".join(c if c.isprintable() else "?" for c in text)
 
 
 @final
 class Line:
-    """What a line's block says.
+    """The content of a line's block.
 
-    Attributes: is_new (nobody has ever had the lock), released (the token that was let go last),
-    lease_ns, lease_end_ns, token and identity (of who had it last), record (the same, and more;
-    None: it is just being written).
+    Attributes: is_new (the lock was never held), released (the last released token), lease_ns,
+    lease_end_ns, token and identity (of the last holder), record (its whole record; None: being
+    written).
     """
 
     __slots__ = (

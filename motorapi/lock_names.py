@@ -1,15 +1,16 @@
-"""What a physical thing is called by everybody, however a program has spelt the way to it.
+"""Unique names of buses and lines, independent of their spelling.
 
 Locks between processes are files with these names. One bus or line has one name in all processes of
 a host; two have two.
 
-- SocketCAN: the network namespace and the index of the interface; its name can be changed.
-- A hub's socket: the device and inode of the socket, whatever path leads there, and the bus.
+- SocketCAN: the network namespace and the index of the interface; its name can change.
+- A hub socket: device and inode of the socket, whatever path leads there, and the bus.
 - A serial line: the device numbers of the character device, whatever link leads there
   (/dev/serial/by-id/...).
-- A TCP server: host and port, the host as an address if it is one, and local ones as one.
-- Any other bus of python-can: its interface and channel. They are compared as text: nothing more
-  is known of them.
+- A TCP server: host and port; the host as an address if it is one, with one name for all local
+  ones.
+- Any other python-can bus: its interface and channel, compared as text, because nothing more is
+  known.
 """
 
 import os
@@ -28,13 +29,13 @@ _LOCAL: Final = ("localhost", "ip6-localhost", "")
 
 
 def bus_name(bus: "can.BusABC") -> str | None:
-    """The name of the CAN bus this bus object is on; None: it lives in this process only.
+    """Return the name of the CAN bus of this bus object; None: it exists in this process only.
 
     Raises:
-        UsageError: the interface is not there any more.
+        UsageError: the interface no longer exists.
     """
     if getattr(bus, "runtime", None) is not None:
-        return None  # a rig of this process, in a time of its own
+        return None  # a rig of this process, in virtual time
     raw = getattr(bus, "socket", None)
     channel = str(getattr(bus, "channel", ""))
     if isinstance(raw, socket.socket) and raw.family == socket.AF_CAN and channel:
@@ -45,14 +46,14 @@ def bus_name(bus: "can.BusABC") -> str | None:
         return hub_name(path, name)
     kind = type(bus).__name__.removesuffix("Bus").lower()
     if kind == "virtual":
-        return None  # python-can's own, within one process
+        return None  # python-can's virtual bus, within one process
     if channel.startswith("/dev/"):
         return f"{kind}-{serial_name(channel)}"
     return _quoted(f"{kind}-{channel or bus.channel_info}")
 
 
 def socketcan_name(interface: str) -> str:
-    """The name of the bus of a SocketCAN interface. Raises UsageError if there is none."""
+    """Return the name of the bus of a SocketCAN interface. Raise UsageError if it is missing."""
     try:
         index = socket.if_nametoindex(interface)
     except OSError as error:
@@ -61,13 +62,13 @@ def socketcan_name(interface: str) -> str:
 
 
 def hub_name(path: str, bus: str) -> str:
-    """The name of a bus of the hub that serves on the socket at `path`."""
+    """Return the name of a bus of the hub that serves on the socket at `path`."""
     found = _stat(path)
     return _quoted(f"hub-{found.st_dev}-{found.st_ino}-{bus}")
 
 
 def line_name(line: object) -> str | None:
-    """The name of the line that a byte line object is on; None: it lives in this process only."""
+    """Return the name of the line of a byte line object; None: it exists in this process only."""
     path, address = getattr(line, "path", None), getattr(line, "address", None)
     if isinstance(path, str):
         return serial_name(path)
@@ -77,19 +78,19 @@ def line_name(line: object) -> str | None:
 
 
 def serial_name(path: str) -> str:
-    """The name of the serial line of the character device at `path`.
+    """Return the name of the serial line of the character device at `path`.
 
     Raises:
-        UsageError: there is nothing at `path`, or no character device.
+        UsageError: `path` does not exist, or is not a character device.
     """
     found = _stat(path)
     if not stat.S_ISCHR(found.st_mode):
-        raise UsageError(f"{path}: this is no serial line, but {_kind(found.st_mode)}")
+        raise UsageError(f"{path}: not a serial line, but {_kind(found.st_mode)}")
     return f"serial-{os.major(found.st_rdev)}-{os.minor(found.st_rdev)}"
 
 
 def tcp_name(host: str, port: int) -> str:
-    """The name of the server at a TCP address; no name service is asked."""
+    """Return the name of the server at a TCP address, without a name service."""
     if host.lower() in _LOCAL:
         where = "127.0.0.1"
     else:

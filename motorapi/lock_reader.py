@@ -1,4 +1,4 @@
-"""Looking at a lock file without ever taking, or delaying, anything."""
+"""Read-only access to a lock file, which never takes or delays a lock."""
 
 import fcntl
 import os
@@ -34,17 +34,17 @@ class LockReader:
         self._fd = fd
 
     def close(self) -> None:
-        """Closed; closing again does nothing."""
+        """Close the file; closing again does nothing."""
         fd, self._fd = self._fd, -1
         if fd >= 0:
             os.close(fd)
 
     def require_lock(self, name: str) -> None:
-        """Raises UsageError if it is none."""
+        """Raise UsageError if the file is not a lock file."""
         require_lock(self._fd, name)
 
     def _epoch(self) -> tuple[int, int]:
-        """(epoch, the first place that counts in it)."""
+        """Return (epoch, the first valid place in it)."""
         data = os.pread(self._fd, EPOCH.size, EPOCH_AT)
         if len(data) < EPOCH.size:
             return 0, 0
@@ -52,31 +52,31 @@ class LockReader:
         return epoch, base
 
     def line(self) -> Line:
-        """Who has it, or had it last, and until when."""
+        """Return the block of the present epoch: holder and lease."""
         return Line(os.pread(self._fd, BLOCK, line_block(self._epoch()[0])))
 
     def label(self) -> str | None:
-        """What the lock is for; None if it was never taken."""
+        """Return the name of the locked object; None if the lock was never held."""
         record = self.line().record
         return None if record is None else record.label
 
     def abandoned(self) -> int:
-        """The token of who died with it, if nobody had it since; else 0."""
+        """Return the token of a holder that died with the lock, if not taken since; else 0."""
         line = self.line()
         if line.is_new or line.token == line.released or self.is_held():
             return 0
         return line.token
 
     def is_held(self) -> bool:
-        """Whether somebody has it."""
+        """Return True if the lock is held."""
         return find(self._fd, fcntl.F_RDLCK, held_at(self._epoch()[0]), 1) is not None
 
     def is_writing(self) -> bool:
-        """Whether it cannot be taken over now: in the middle of a write, or of a takeover."""
+        """Return True during a write or a takeover, when no other takeover is possible."""
         return find(self._fd, fcntl.F_WRLCK, held_at(self._epoch()[0]) + 2, 1) is not None
 
     def holder(self) -> Record | None:
-        """Who has it; None: nobody, or one who has not yet said (see `is_held`)."""
+        """Return the record of the holder; None: free, or not yet published (see `is_held`)."""
         for _ in range(_READS_MAX):
             epoch, _ = self._epoch()
             held = held_at(epoch)
@@ -91,7 +91,7 @@ class LockReader:
         return None
 
     def waiters(self) -> list[tuple[int, Record | None]]:
-        """(place, who) of those who wait, in order; None: it has not yet said who."""
+        """Return (place, record) of the waiters, in order; record None: not yet published."""
         epoch, base = self._epoch()
         found = []
         for place in first_places(self._fd, PLACES + max(1, base), (1 << 63) - 1):
@@ -99,15 +99,15 @@ class LockReader:
             found.append((place, record if record and record.number == place else None))
         marked = find(self._fd, fcntl.F_RDLCK, held_at(epoch) + 1, 1)
         if found and marked is None and self.is_held():
-            found.pop(0)  # whoever waited for it and has it now keeps its place
+            found.pop(0)  # a holder that has waited keeps its place
         return found
 
     def takeover_of(self, lost: int, *, is_done: bool = True) -> Takeover | None:
-        """How the token `lost` was lost; None: it was not, or that is long ago.
+        """Return the takeover in which token `lost` was lost; None: none, or too long ago.
 
         Args:
             lost: the token.
-            is_done: False: how it is just being lost.
+            is_done: False: accept a takeover still under way.
         """
         takeover = unpack_takeover(os.pread(self._fd, BLOCK, takeover_block(lost)))
         if takeover is None or takeover.lost != lost:
@@ -117,7 +117,7 @@ class LockReader:
         return takeover
 
     def takeover_by(self, token: int) -> Takeover | None:
-        """How the holder with this token took it over; None: it did not, or that is long ago."""
+        """Return the takeover by the holder with this token; None: none, or too long ago."""
         for slot in range(TAKEOVERS):
             takeover = unpack_takeover(os.pread(self._fd, BLOCK, takeover_block(slot)))
             if takeover is None or takeover.token != token:

@@ -1,20 +1,21 @@
-"""Taking a lock from a living process: the epoch of its file moves on.
+"""Takeover of a lock from a living process, by an advance of the epoch.
 
-    lock WRITING of this epoch, for oneself     else: its holder writes, or somebody else takes it
-    write who we are, and whom we take it from  so that he can say for whom he waits
-    write the intent                            who takes it the ordinary way looks for that
-    look again: this epoch, this token, its lease still over
-    lock HELD and MARK of the next epoch that is nobody's
-    write who we are, and whom we take it from
-    write the epoch                             this moves it; everything before changed nothing
+    lock WRITING of this epoch, exclusively     fails if the holder writes, or during a takeover
+    write the new and the former holder         so that waiters can name the new one
+    write the intent                            an ordinary acquisition looks for it
+    check again: this epoch, this token, its lease still expired
+    lock HELD and MARK of the next free epoch
+    write the new and the former holder
+    write the epoch                             this advances it; no earlier step had an effect
     unlock WRITING
 
-Whoever dies on the way leaves it as it was; or, after the epoch was written, a lock that a dead
-process has not let go of, which the next one finds as usual.
+If the process dies before the epoch is written, nothing has changed. If it dies later, it leaves a
+lock that a dead process has not released, which the next process handles as usual.
 
-The holder is not in the middle of a write, and begins none, from the first step to the last; so
-the write sections of one epoch are over before the next one begins. A holder that lets go meanwhile
-does so, and finds nothing lost: nobody else gets it the ordinary way until the epoch has moved.
+The holder is not in a write section, and begins none, from the first step to the last. So the write
+sections of one epoch end before the next epoch begins. A holder that releases the lock meanwhile
+succeeds, and finds nothing lost: no other process gets it in the ordinary way until the epoch has
+advanced.
 """
 
 import fcntl
@@ -45,28 +46,28 @@ from motorapi.lock_layout import (
 
 @final
 class Attempt(Enum):
-    """How it went."""
+    """Result of a takeover attempt."""
 
     TAKEN = "taken"
-    FREE = "nobody has it"
-    NOT_DUE = "its lease is not over"
+    FREE = "the lock is free"
+    NOT_DUE = "its lease has not expired"
     WRITING = "its holder is in the middle of a write"
-    TAKING = "somebody else takes it over"
-    FULL = "too many who lost it live on"
+    TAKING = "another takeover is under way"
+    FULL = "too many former holders are alive"
 
 
 @final
 class TakeoverAttempt:
-    """One attempt to take a lock over, by way of an open file.
+    """One attempt to take over a lock, through an open file.
 
     Args:
-        file: that has nothing, or a place in the row, which is kept.
-        now_ns: CLOCK_MONOTONIC [ns], to tell whether a lease is over; None: take it in any case.
-        describe: makes the record of the new holder, by its token; and of the takeover, by the
-            token that is lost, with the reason.
+        file: a file without the lock; it may have a place in the queue, which is kept.
+        now_ns: CLOCK_MONOTONIC [ns], to check the lease; None: take over unconditionally.
+        describe: returns the record of the new holder, for its token; and that of the takeover, for
+            the lost token and the reason.
 
-    Attributes: token (of the new holder, once it is taken), lost (that of whom it was taken
-    from), from_identity (his; b"": not known), taken_from (who that was, in words).
+    Attributes: token (of the new holder, once taken), lost (token of the former holder),
+    from_identity (its identity; b"": unknown), taken_from (its name, in words).
     """
 
     def __init__(
@@ -87,7 +88,7 @@ class TakeoverAttempt:
         self.taken_from = ""
 
     def make(self) -> Attempt:
-        """It is taken, or why not; then nothing has changed."""
+        """Take over the lock, or return the reason why not; then nothing has changed."""
         file = self._file
         file.look_up()
         seen = self._find_due()
@@ -98,7 +99,7 @@ class TakeoverAttempt:
         old = file.epoch
         try:
             if not file.is_current:
-                return Attempt.TAKING  # somebody else has just done it
+                return Attempt.TAKING  # another process has just taken it over
             self._say_who(old)
             os.pwrite(file.fd, NUMBER.pack(old + 1), INTENT_AT)
             seen = self._find_due()
@@ -111,7 +112,7 @@ class TakeoverAttempt:
             fcntl.fcntl(file.fd, fcntl.F_OFD_SETLK, flock(fcntl.F_UNLCK, held_at(old) + 2, 1))
 
     def _find_due(self) -> Attempt | None:
-        """None: somebody has it from whom it may be taken."""
+        """Return None if a takeover is permitted, else the reason against it."""
         file = self._file
         held = held_at(file.epoch)
         found = find(file.fd, fcntl.F_RDLCK, held, 1)
@@ -129,7 +130,7 @@ class TakeoverAttempt:
 
     @staticmethod
     def _next(line: Line) -> int:
-        """The token of one that has it, and has not yet said so: it is the only one that can."""
+        """Return the token of a holder that has not published it yet: only one is possible."""
         return line.token + 1
 
     def _who_writes(self) -> Attempt:
@@ -151,7 +152,7 @@ class TakeoverAttempt:
         return Attempt.TAKEN
 
     def _base_behind(self, old: int) -> int:
-        """The first place behind that of the holder, which has none if it took it at once."""
+        """Return the first place behind that of the holder, if it has one."""
         file = self._file
         if find(file.fd, fcntl.F_RDLCK, held_at(old) + 1, 1) is not None:
             return file.base
@@ -166,7 +167,7 @@ class TakeoverAttempt:
         return True
 
     def _write(self, old: int, new: int) -> None:
-        """Everything that the epoch, once it is moved, is to lead to."""
+        """Write all data of the new epoch, before the epoch advances."""
         self._say_who(old)
         fd, token, held = self._file.fd, self.token, held_at(new)
         fcntl.fcntl(fd, fcntl.F_OFD_SETLK, flock(fcntl.F_WRLCK, held - token, token))
@@ -175,7 +176,7 @@ class TakeoverAttempt:
         os.pwrite(fd, MAGIC, 0)
 
     def _say_who(self, old: int) -> None:
-        """Who takes it over, and from whom. It counts once the epoch is moved."""
+        """Write the new and the former holder; valid once the epoch advances."""
         fd = self._file.fd
         self.token = self.lost + 1
         victim: Record | None = Line(os.pread(fd, BLOCK, line_block(old))).record

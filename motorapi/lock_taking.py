@@ -1,4 +1,4 @@
-"""One who wants a lock between processes, until it has it or gives up."""
+"""Acquisition of a lock between processes: immediate, queued, or by takeover."""
 
 import threading
 import time
@@ -14,29 +14,29 @@ from motorapi.lock_watch import QueueWatcher
 from motorapi.runtime import Runtime
 
 _WRITE_PATIENCE_S: Final = 0.25
-"""How long somebody may be in the middle of a write, before a takeover on demand is given up."""
+"""The maximum wait for the end of a write before a takeover on demand is given up [s]."""
 
 Wait = Callable[[Runtime, Callable[[], bool], float | None], bool]
-"""As `Runtime.wait_until`, with the runtime in front."""
+"""As `Runtime.wait_until`, with the runtime as the first argument."""
 
 
 @runtime_checkable
 class Wakeable(Protocol):
-    """A runtime that can be woken from outside: the wall's."""
+    """A runtime that other threads can wake: the wall runtime."""
 
     def wake(self) -> None:
-        """Whoever waits looks at once."""
+        """Wake the waiting thread, which then checks its condition."""
 
 
 def plain_wait(runtime: Runtime, done: Callable[[], bool], timeout_s: float | None) -> bool:
-    """As `Runtime.wait_until`."""
+    """Wait as `Runtime.wait_until`."""
     return runtime.wait_until(done, timeout_s)
 
 
 @final
 @dataclass(frozen=True, slots=True)
 class Wish:
-    """What one wants a lock for, and how much: as `ProcessLock.acquire` says."""
+    """A lock request; see the arguments of `ProcessLock.acquire`."""
 
     runtime: Runtime
     timeout_s: float | None
@@ -45,14 +45,14 @@ class Wish:
     lease_ns: int
     on_demand: bool
     describe: Callable[[int, str | None], bytes]
-    """Its record, by its number; or that of a takeover, by the token lost and the reason."""
+    """The record for a number; or that of a takeover, for the lost token and the reason."""
 
 
 @final
 class Taking:
-    """A wish, by way of one open file.
+    """The execution of a lock request through one open file.
 
-    Attributes: takeover (how it was taken from one who lives; None: it was not).
+    Attributes: takeover (the takeover from a living holder, or None).
     """
 
     def __init__(
@@ -68,16 +68,16 @@ class Taking:
         self._file: Final = file
         self._wish: Final = wish
         self._watcher: Final = watcher
-        self._mutex: Final = mutex  # of whoever makes a place
+        self._mutex: Final = mutex  # of all that take a place
         self._look: Final = look
         self._pid: Final = pid
         self._blocked: Attempt | None = None
 
     def take(self) -> None:
-        """It is taken.
+        """Acquire the lock.
 
         Raises:
-            MotorBusyError: somebody else has it; says who.
+            MotorBusyError: another process holds it; names the process.
         """
         wish = self._wish
         if wish.on_demand:
@@ -100,14 +100,14 @@ class Taking:
         raise self._busy(mine)
 
     def _is_mine(self, place: int) -> bool:
-        """Whether it is the turn of this place, and it is taken, if need be from one who lives."""
+        """Take the lock if it is the turn of this place, by takeover if its lease has expired."""
         file = self._file
         return file.take(place) or (file.is_first(place) and self._take_lapsed())
 
-    # ---- taking it over ----
+    # ---- takeover ----
 
     def _take_lapsed(self) -> bool:
-        """Whether its holder's lease is over, and it is taken."""
+        """Take over the lock if the lease of its holder has expired. Return True on success."""
         now_ns = time.monotonic_ns()
         return 0 < self._file.line().lease_end_ns <= now_ns and self._take_over(now_ns)
 
@@ -148,7 +148,7 @@ class Taking:
             if self._is_mine(place):
                 return True
             watcher.move_on(file.epoch)
-            if watch.is_first:  # and yet it is not our turn: somebody was quicker, and before us
+            if watch.is_first:  # first, but not our turn: a quicker process got a place before us
                 watch = watcher.watch(place, wake)
             return False
 
@@ -158,7 +158,7 @@ class Taking:
             watcher.forget(watch)
 
     def _has_strangers(self, place: int) -> bool:
-        """Whether anybody before us is of another process."""
+        """Return True if the holder or an earlier waiter is of another process."""
         view = self._look()
         ahead = [one for there, one in view.waiters if there < place]
         if view.holder is not None:
@@ -174,21 +174,21 @@ class Taking:
 
 _DOING: Final[dict[Attempt | None, str]] = {
     Attempt.WRITING: ", in the middle of a write",
-    Attempt.TAKING: ", from whom somebody is just taking it over",
-    Attempt.FULL: " (too many processes live that have lost it: end those that are paused)",
+    Attempt.TAKING: ", during a takeover by another process",
+    Attempt.FULL: " (too many live processes have lost the lock: end the paused ones)",
 }
 
 
 def _remedy(who: Occupant) -> str:
-    """What to do about one who is paused, and will not let go by himself."""
+    """Return the advice against a paused holder, which cannot release the lock by itself."""
     if who.record is None or not who.is_paused:
         return ""
     pid = who.record.pid
-    return f"let it go on (kill -CONT {pid}), or end it (kill -9 {pid})"
+    return f"continue it (kill -CONT {pid}), or end it (kill -9 {pid})"
 
 
 def busy_error(runtime: Runtime | None, asker: str, who: Occupant, doing: str) -> MotorBusyError:
-    """What somebody is told who is refused; `doing` says what the holder is doing."""
+    """Return the error for a refused request; `doing` describes the activity of the holder."""
     record = who.record
     now_ns = 0 if runtime is None else runtime.now_ns()
     return MotorBusyError(

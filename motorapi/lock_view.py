@@ -1,7 +1,7 @@
-"""Who has a lock between processes, and who waits for it: for anybody to read.
+"""State of a lock between processes, readable by any process.
 
-Looking takes nothing and delays nobody. What is told of a process is what it wrote itself, as long
-as the kernel says that it has the lock, or its place in the queue.
+Reading takes no lock and delays no process. Each process publishes its own description, which
+counts only while the kernel confirms that it holds the lock, or its place in the queue.
 """
 
 import os
@@ -17,7 +17,7 @@ from motorapi.lock_reader import LockReader
 
 
 def read_process(pid: int) -> tuple[str, int] | None:
-    """(state letter, time of birth) of a process, as proc(5) tells; None: there is none."""
+    """Return (state letter, time of birth) of a process, as in proc(5), or None."""
     try:
         text = Path(f"/proc/{pid}/stat").read_bytes()
     except OSError:
@@ -28,7 +28,7 @@ def read_process(pid: int) -> tuple[str, int] | None:
 
 @final
 class ThisProcess:
-    """Who we are, as others read it. A forked child is another one."""
+    """The published identity of this process. A forked child has another one."""
 
     def __init__(self) -> None:
         self.pid: Final = os.getpid()
@@ -42,10 +42,10 @@ class ThisProcess:
 
 @final
 class Occupant:
-    """Who has a lock, or waits for it.
+    """The holder of a lock, or a waiter.
 
-    Attributes: record (what it says of itself; None: it has not yet said), is_paused (by SIGSTOP or
-    a debugger), age_s (for how long it has it, or waits).
+    Attributes: record (as published by the process; None: not yet), is_paused (by SIGSTOP or a
+    debugger), age_s (duration of holding or waiting [s]).
     """
 
     __slots__ = ("age_s", "is_paused", "record")
@@ -53,7 +53,7 @@ class Occupant:
     def __init__(self, record: Record | None) -> None:
         status = None if record is None else read_process(record.pid)
         if record is not None and status is not None and status[1] != record.born:
-            record, status = None, None  # left by a dead one whose pid somebody else has now
+            record, status = None, None  # left by a dead process whose pid was reused
         self.record: Final = record
         self.is_paused: Final = status is not None and status[0] in "Tt"
         age_ns = 0 if record is None else time.monotonic_ns() - record.since_ns
@@ -61,9 +61,9 @@ class Occupant:
 
     @property
     def who(self) -> str:
-        """The process, and whether it is well."""
+        """The process, with a note if it is paused."""
         if self.record is None:
-            return "a process that has not yet said who it is"
+            return "a process that is not yet identified"
         paused = ", paused" if self.is_paused else ""
         return f"pid {self.record.pid} ({self.record.program}{paused})"
 
@@ -72,7 +72,7 @@ class Occupant:
 
     @property
     def since(self) -> str:
-        """Since when, by the calendar and by now."""
+        """The time since when, by the calendar, and its age."""
         if self.record is None:
             return "just now"
         moment = time.gmtime(self.record.since_utc_ns // 1_000_000_000)
@@ -82,13 +82,13 @@ class Occupant:
 @final
 @dataclass(frozen=True, slots=True)
 class LockView:
-    """A lock at one moment.
+    """The state of a lock at one moment.
 
-    Attributes: name (of its file), label (what it locks), holder (None: it is free), waiters (place
-    and who, in order), abandoned (the token of who died with it, if nobody had it since; else 0),
-    token (of who has it, or had it last), lease_s (of the holder; None: it has none), lease_left_s
-    (how long it lasts; negative: it is over since), is_writing (it cannot be taken over now),
-    taken_over (how the holder took it from one who lives; None: it did not).
+    Attributes: name (of its file), label (the locked object), holder (None: free), waiters (place
+    and process, in order), abandoned (token of a holder that died with it, if not taken since; else
+    0), token (of the present or last holder), lease_s (of the holder, or None), lease_left_s
+    (remaining time [s]; negative: expired), is_writing (no takeover is possible now), taken_over
+    (the takeover by the present holder, or None).
     """
 
     name: str
@@ -104,7 +104,7 @@ class LockView:
 
 
 def look(directory: LockDirectory, name: str) -> LockView:
-    """The lock as it is now; free, if there is no such file.
+    """Return the present state of the lock; free if the file does not exist.
 
     Raises:
         UsageError: the directory or the file is not safe.
@@ -140,7 +140,7 @@ def look(directory: LockDirectory, name: str) -> LockView:
 def find_takeover(
     directory: LockDirectory, name: str, lost: int, *, is_done: bool = True
 ) -> Takeover | None:
-    """How the token `lost` was lost (not `is_done`: is just being); None: it was not."""
+    """Return the takeover in which token `lost` was lost, or None. See `LockReader.takeover_of`."""
     fd = directory.open(name, to_read=True)
     if fd is None:
         return None
@@ -152,6 +152,6 @@ def find_takeover(
 
 
 def list_locks(directory: LockDirectory | None = None) -> list[LockView]:
-    """All locks that there are, or ever were, in a directory (None: as for a new lock)."""
+    """Return all locks in a directory, present and past (None: the directory of new locks)."""
     where = LockDirectory() if directory is None else directory
     return [look(where, name) for name in where.names()]

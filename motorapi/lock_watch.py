@@ -1,11 +1,11 @@
-"""A thread that waits in the kernel until a place in a queue is the first, and says so.
+"""Watcher thread, which waits in the kernel for the turn of a place in a queue.
 
-A wait on a lock between processes cannot be given up, so it has a thread of its own, one per lock,
-which lives as long as there is something to wait for, and a little longer. It only makes waits
-prompt: whoever waits also looks by itself now and then.
+A kernel wait for a lock between processes cannot be cancelled. So each lock has a thread for it,
+which lives while there is something to wait for, and a little longer. The thread only makes waits
+prompt: waiters also check by themselves from time to time.
 
-A thread that waits for what a living process has lost, and keeps, would wait for ever: when the
-lock was taken over it is left behind, and another one waits for what counts now.
+After a takeover, a thread that waits for the bytes of the former, living holder would never return.
+This thread is abandoned, and another one waits for the bytes of the new epoch.
 """
 
 import threading
@@ -15,12 +15,12 @@ from typing import Final, final
 from motorapi.lock_file import LockFile
 
 _LINGER_S: Final = 1.0
-"""How long the thread stays when there is nothing to wait for: who waits once waits again."""
+"""The lifetime of an idle thread [s]: a process that waited once is likely to wait again."""
 
 
 @final
 class Watch:
-    """One who waits: `is_first` once nobody is before it, and then `wake` was called."""
+    """One waiter: when no process is before it, `is_first` is set and `wake` is called."""
 
     __slots__ = ("is_first", "is_over", "place", "wake")
 
@@ -33,24 +33,24 @@ class Watch:
 
 @final
 class QueueWatcher:
-    """Watches over the places that one process has in one queue."""
+    """Watcher of the places of one process in one queue."""
 
     def __init__(self, open_file: Callable[[], LockFile]) -> None:
         self._open_file = open_file
         self._changed = threading.Condition()
         self._watches: list[Watch] = []
-        self._current: Watch | None = None  # the one that is waited for in the kernel ...
+        self._current: Watch | None = None  # the watch that the thread waits for in the kernel ...
         self._epoch = 0  # ... in this epoch
         self._thread: threading.Thread | None = None
         self._busy_before = 0
 
     @property
     def busy_before(self) -> int:
-        """The place it waits for now: a new place before that is found free only later."""
+        """The place awaited now: an earlier place would be noticed later only."""
         return self._busy_before
 
     def watch(self, place: int, wake: Callable[[], None]) -> Watch:
-        """`wake` is called, in another thread, when nobody is before the place."""
+        """Call `wake`, in another thread, when no process is before the place."""
         watch = Watch(place, wake)
         with self._changed:
             self._watches.append(watch)
@@ -60,11 +60,11 @@ class QueueWatcher:
         return watch
 
     def forget(self, watch: Watch) -> None:
-        """`wake` is not called any more, or has no effect."""
+        """Cancel a watch: `wake` is not called any more, or has no effect."""
         watch.is_over = True
 
     def move_on(self, epoch: int) -> None:
-        """Nobody waits any more for what counted before this epoch."""
+        """Abandon a wait for bytes of an epoch before `epoch`."""
         with self._changed:
             current = self._current
             if current is None or self._epoch >= epoch:
@@ -90,7 +90,7 @@ class QueueWatcher:
                 if file is None or file.is_gone:
                     file = self._open_file()
                 if not self._wait(file, watch):
-                    return  # left behind
+                    return  # abandoned
                 watch.is_first = True
                 if not watch.is_over:
                     watch.wake()
@@ -103,7 +103,7 @@ class QueueWatcher:
                 file.close()
 
     def _wait(self, file: LockFile, watch: Watch) -> bool:
-        """Nobody is before it; False: another thread waits for that."""
+        """Wait until no process is before it; False: another thread has taken over the wait."""
         file.look_up()
         while True:
             with self._changed:

@@ -1,19 +1,19 @@
-"""Low-level access: the hardware object for one thread, and nothing else touching the hardware.
+"""Low-level access: exclusive use of the hardware object by one thread.
 
 The paper, Requirement 2: "The user shall be assured that no other part of the interface will have
 any effect on the hardware, while the user maintains low-level access to it."
 
-So everything of the interface that would send is refused meanwhile, by whatever logical motor, the
-holder's own too: operations and stops raise `MotorBusyError`; readings answer from what was heard
-last, or raise it; waiters do not poll; nobody brings the drive up. *A stop from elsewhere is
-refused as well*: a halt in the middle of, say, a firmware download or a hand-made sequence of
-controlwords is just the effect the paper excludes. What remains to stop the motor is the holder
-(through the hardware object), the drive's own dead-man when the host falls silent, and whatever
-stops it without the interface. Not excluded, as they are of the bus and of no one motor: SYNC, and
-the host's heartbeat.
+So every part of the interface that would send is refused meanwhile, for all logical motors
+including that of the holder. Operations and stops raise `MotorBusyError`. Readings return the last
+value received, or raise it. Waits do not poll, and the drive is not set up. *Stops from elsewhere
+are refused as well*: a halt in the middle of, say, a firmware download or a manual sequence of
+controlwords is exactly the effect that the paper excludes. The motor can still be stopped by the
+holder (through the hardware object), by the dead-man of the drive when the host falls silent, and
+by means outside the interface. SYNC and the heartbeat of the host are not excluded, as they belong
+to the bus and not to one motor.
 
-It begins with the motor at rest, and ends with nothing believed: the token grows and caches are
-dropped, so that the next start writes all it needs.
+The access begins with the motor at rest. At its end the token grows and caches are dropped, so that
+the next start writes all its settings.
 """
 
 # ruff: noqa: SLF001 -- it works the hooks of a motor, as Motor does its own
@@ -36,13 +36,13 @@ if TYPE_CHECKING:
 
 @contextmanager
 def low_level_access(motor: "Motor", timeout_s: float | None) -> Iterator[object]:
-    """The hardware object of `motor`; see `Motor.low_level`."""
+    """Yield the hardware object of `motor`; see `Motor.low_level`."""
     check_timeout(timeout_s)
     timeout_s = None if timeout_s is None else as_number(timeout_s)
     physical, runtime = motor._physical, motor.runtime
     held = motor._held_hardware
     if held is not None and held[0] is physical.access and physical.is_held_here:
-        yield held[1]  # inside a block of its own: the outer one ends it
+        yield held[1]  # nested block: the outer one ends the access
         return
     asked_ns = runtime.now_ns()
 
@@ -69,11 +69,11 @@ def low_level_access(motor: "Motor", timeout_s: float | None) -> Iterator[object
 
 
 def _is_at_rest(motor: "Motor", *, patient: bool) -> bool:
-    """Whether nothing goes on, and how it ended is known; the patient do not raise if not.
+    """Return True if no motion is active and the end of the last is known.
 
     Raises:
-        MotorBusyError: a motion of another logical motor goes on.
-        StateError: a motion of this one does.
+        MotorBusyError: a motion of another logical motor is active, and not `patient`.
+        StateError: a motion of this one is active, and not `patient`.
     """
     motor._bury_failed_run()
     try:
@@ -87,9 +87,9 @@ def _is_at_rest(motor: "Motor", *, patient: bool) -> bool:
 
 
 def _await_end(motor: "Motor", timeout_s: float) -> None:
-    """What goes on has ended, or something was heard that had to be asked for, or it took longer.
+    """Wait until the motion has ended, a polled change was received, or the time is over.
 
-    The turn is kept meanwhile: who asks for one now comes afterwards.
+    The turn is kept meanwhile: later requests queue behind it.
     """
     physical = motor._physical
     run = physical.run

@@ -1,4 +1,4 @@
-"""Waiting for motions: one motor's, or several at once, with one deadline and one way to fail."""
+"""Waiting for the motions of one or several motors, with one deadline."""
 
 # ruff: noqa: SLF001 -- it works the hooks of motors, as motorapi.execution does
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 def check_timeout(timeout_s: float | None) -> None:
-    """Raises UsageError if it is no time that anybody could wait."""
+    """Raise UsageError if `timeout_s` is not a valid timeout."""
     if timeout_s is not None and not as_number(timeout_s) >= 0.0:
         raise UsageError(f"timeout_s = {timeout_s!r}: must be a number of seconds >= 0")
 
@@ -27,16 +27,18 @@ def check_timeout(timeout_s: float | None) -> None:
 def wait_for_all(
     motors: Sequence["Motor"], timeout_s: float | None, answer: "Answer | None" = None
 ) -> None:
-    """What was commanded last is over in all motors; the first to fail is answered.
+    """Wait until the last command of all motors has ended; react to the first failure.
 
     Args:
-        motors: of one runtime.
-        timeout_s: [s]; None: as long as it takes.
-        answer: is told who failed, of which run, and how; returns what to raise. None: raise that.
+        motors: motors of one runtime.
+        timeout_s: [s]; None: no timeout.
+        answer: called with the failed motor, its motion and the error; returns the error to be
+            raised. None: raise the original error.
 
     Raises:
-        DeadlineExceeded: not within `timeout_s` [s]; names who was not done. Nothing is stopped.
-        MotorError: how a motion failed.
+        DeadlineExceeded: not within `timeout_s` [s]; names the motors that are not done. Nothing is
+            stopped.
+        MotorError: the failure of a motion.
     """
     check_timeout(timeout_s)
     members = [_Member(motor) for motor in motors]
@@ -79,7 +81,7 @@ def wait_for_all(
 
 @final
 class _Member:
-    """A motor whose run, of when the wait began, is waited for."""
+    """A motor with its motion at the beginning of the wait."""
 
     def __init__(self, motor: "Motor") -> None:
         self.motor = motor
@@ -102,7 +104,7 @@ class _MemberFailed(MotorError):  # noqa: N818 -- never leaves this module
 
 
 def stop_others(motors: Sequence["Motor"], failed: "Motor", error: Exception) -> None:
-    """All but the one that failed are slowing down; the error says so."""
+    """Stop all motors except the failed one; a note on the error reports this."""
     if len(motors) == 1:
         return
     error.add_note(f"from {failed.name}; the others of its group were stopped")

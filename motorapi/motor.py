@@ -1,4 +1,4 @@
-"""The base motor: what an application calls.
+"""The base motor: the public interface for applications.
 
 Algorithm 1 of the paper runs nearly word for word::
 
@@ -12,12 +12,13 @@ Algorithm 1 of the paper runs nearly word for word::
     motor.set_trajectory(TrapezoidalTrajectory(1.0))
     motor.start()
 
-Setting is local: nothing is sent, and other logical motors of the same physical motor see nothing
-of it. `start` takes the motor, pushes what differs, and starts, or raises and has moved nothing.
-Public methods are final: they validate, take the motor, convert errors, and report. What a vendor
-fills in is in `motorapi.hooks`; what only looks is in `motorapi.readable_motor`, what knows how
-motions end in `motorapi.shared_motor`. U stands for the
-motor's unit of position: rad, or m if linear.
+Settings are local: nothing is sent, and other logical motors of the same physical motor are not
+affected. `start` acquires the motor, transmits changed settings, and starts; or it raises and
+nothing has moved.
+
+Public methods are final: they validate, acquire the motor, convert errors, and report. The vendor
+implements the hooks of `motorapi.hooks`. Read access is in `motorapi.readable_motor`, the end of
+motions in `motorapi.shared_motor`. U is the unit of position of the motor: rad, or m if linear.
 """
 
 from collections.abc import Callable, Iterator
@@ -56,9 +57,9 @@ _HOMING_TIMEOUT_S: Final = 60.0
 
 
 class Motor(SharedMotor):
-    """A logical motor: the user's view of one physical motor. Settings are kept here until start().
+    """A logical motor: the user's view of one physical motor. Settings stay here until start().
 
-    An adaptation derives from it and fills in the hooks; it cannot override what is public.
+    An adaptation derives from it and implements the hooks; it cannot override public methods.
     """
 
     _mode: ControlMode | None = None
@@ -73,33 +74,33 @@ class Motor(SharedMotor):
                 raise PluginError(
                     plugin=cls.__qualname__,
                     where=name,
-                    problem="public methods of Motor are final; fill in a hook instead",
+                    problem="public methods of Motor are final; implement a hook instead",
                 )
 
-    # ---- what to do: kept here until start() ----
+    # ---- settings, kept here until start() ----
 
     @property
     @final
     def control_mode(self) -> ControlMode | None:
-        """How commands are given; None until `set_control_mode`."""
+        """The form of commands; None until `set_control_mode`."""
         return self._mode
 
     @property
     @final
     def control_variable(self) -> ControlVariable:
-        """The quantity being commanded."""
+        """The commanded quantity."""
         return self._variable
 
     @final
     def set_control_mode(
         self, mode: ControlMode, variable: ControlVariable = ControlVariable.POSITION
     ) -> None:
-        """Commands are given as `mode` says, for `variable`, from now on. Nothing is sent.
+        """Set the form of commands and the commanded quantity. Nothing is sent.
 
-        A command for another mode or variable is forgotten.
+        A command for another mode or variable is discarded.
 
         Raises:
-            UnsupportedError: this motor cannot be commanded so.
+            UnsupportedError: this motor does not support them.
         """
         if not isinstance(mode, ControlMode) or not isinstance(variable, ControlVariable):
             raise UsageError(
@@ -124,16 +125,16 @@ class Motor(SharedMotor):
     def set_setpoint(
         self, value: float, relative: bool = False, limits: DerivativeLimits | None = None
     ) -> None:
-        """`value` is what start() aims at. Nothing is sent.
+        """Set the target of start(). Nothing is sent.
 
         Args:
             value: the target, in the unit of the control variable (position: U).
-            relative: `value` is a distance from where the motor is when it starts.
-            limits: of the derivatives, where tighter than the model's.
+            relative: `value` is a distance from the position at the start.
+            limits: of the derivatives, if tighter than those of the model.
 
         Raises:
             StateError: the control mode is not SETPOINT.
-            LimitError: the target or a limit exceeds the model's.
+            LimitError: the target or a limit exceeds that of the model.
         """
         self._require_mode(ControlMode.SETPOINT, "set_setpoint")
         setpoint = Setpoint(value, relative, limits)
@@ -143,16 +144,16 @@ class Motor(SharedMotor):
 
     @final
     def set_trajectory(self, trajectory: Trajectory, argument: "Argument | None" = None) -> None:
-        """`trajectory` is what start() follows. Nothing is sent.
+        """Set the trajectory of start(). Nothing is sent.
 
         Args:
             trajectory: simple (TrapezoidalTrajectory) or complex (ComplexTrajectory).
-            argument: what a complex one is a function of; None: of time since the start [s].
+            argument: the argument of a complex one; None: time since the start [s].
 
         Raises:
             StateError: the control mode is not TRAJECTORY.
-            LimitError: a boundary value, a limit or the duration exceeds what the motor can do.
-            UnsupportedError: the motor cannot follow one of that kind.
+            LimitError: a boundary value, a limit or the duration exceeds the ability of the motor.
+            UnsupportedError: the motor cannot follow a trajectory of that kind.
         """
         self._require_mode(ControlMode.TRAJECTORY, "set_trajectory")
         require_argument(self.name, argument)
@@ -161,28 +162,28 @@ class Motor(SharedMotor):
         self._command = trajectory
         self._argument = argument
 
-    # ---- doing it ----
+    # ---- motion ----
 
     @final
     def start(self, timeout_s: float | None = None) -> None:
-        """The motion that was set has begun, with the settings made here.
+        """Start the commanded motion, with the settings made here.
 
-        One atomic operation: the motor is taken, connected and enabled if it is not, every setting
-        that differs is pushed, the motion is started and acknowledged; or an error is raised and
-        nothing has moved. Starting again repeats the command. In mid-motion a set-point replaces
-        a set-point of its variable, and what is said of velocity, torque or current replaces what
-        was said of the same; everything else starts from rest.
+        This is one atomic operation. The motor is acquired, and connected and enabled if necessary;
+        changed settings are transmitted; the motion is started and acknowledged. Otherwise an error
+        is raised and nothing has moved. Another start repeats the command. During a motion a
+        set-point replaces a set-point of its variable, and a command of velocity, torque or current
+        replaces one of the same variable. All other commands start from rest.
 
         Args:
-            timeout_s: how long to wait, first come first served, while another logical motor, of
-                whatever process, holds it [s]; None: not at all, but for a short operation.
+            timeout_s: timeout, first come first served, while another logical motor, of any
+                process, holds it [s]; None: wait for a short operation only.
 
         Raises:
-            StateError: nothing was set; a motion goes on; or it must be referenced first.
-            LimitError: the way leaves the limits.
-            MotorBusyError: another logical motor holds it; says who, what for, and since when.
+            StateError: no command is set, a motion is active, or homing is required first.
+            LimitError: the path leaves the limits.
+            MotorBusyError: another logical motor holds it; names holder, purpose and time.
             DeviceFault: the drive reports a fault: reset_fault() first.
-            MotionInterrupted: somebody stopped the motor meanwhile.
+            MotionInterrupted: another party stopped the motor meanwhile.
         """
         start_together((self,), timeout_s)
 
@@ -196,31 +197,29 @@ class Motor(SharedMotor):
         lease_s: float | None = None,
         take_over: bool = False,
     ) -> Iterator[Reservation]:
-        """`with motor.reserve("survey"):` the motor is this one's over several motions.
+        """Reserve the motor for several motions: `with motor.reserve("survey"):`.
 
-        Nobody else commands it inside the block, of whatever process; others read it, and may stop
-        it. A motion that goes on at the end holds the motor until it is over, and has no lease.
-
-        From whom it was taken over, his motion is interrupted, and until the end of his block he is
-        refused by the name of who did it, unless he reserves it again.
+        Inside the block no other owner, of any process, commands it; others may read it, and may
+        stop it. A motion that is active at the end holds the motor until it has ended, without a
+        lease. A takeover interrupts the motion of the former owner. Until the end of its block the
+        former owner is refused, with the name of the new one, unless it reserves the motor again.
 
         Args:
-            purpose: what for; those who are refused are told.
-            timeout_s: how long to wait for the motor [s], as in `start`; for rest, if it is taken
-                from others.
-            lease_s: whoever comes next may take it over once this motor was not used for so long
-                [s]: no operation, no wait, no `Reservation.renew`; None: nobody may.
-            take_over: take it from whoever has it, in front of all who wait, and bring it to rest.
+            purpose: reported to other requests that are refused.
+            timeout_s: timeout for the motor [s], as in `start`; with a takeover, for its rest.
+            lease_s: another owner may take it over after this time without use [s]: no operation,
+                no wait, no `Reservation.renew`; None: never.
+            take_over: take it from its owner, ahead of all waiters, and bring it to rest.
 
         Raises:
-            MotorBusyError: somebody else holds it, or moves it; or it is in the middle of a write.
-            DeadlineExceeded: what was taken over does not come to rest.
+            MotorBusyError: another owner holds or moves it, or is in the middle of a write.
+            DeadlineExceeded: a motor that was taken over does not come to rest.
         """
         check_timeout(timeout_s)
         check_lease(lease_s)
         check_take_over(take_over)
         if not isinstance(purpose, str):
-            raise UsageError(f"{self.name}: purpose {purpose!r}: say it in words")
+            raise UsageError(f"{self.name}: purpose {purpose!r} is not text; describe it in words")
         patience = None if timeout_s is None else self._patience(as_number(timeout_s))
         who, asked_ns = f"reserve() of {self.name}", self.runtime.now_ns()
         physical = self._physical
@@ -238,45 +237,45 @@ class Motor(SharedMotor):
 
     @final
     def wait_until_done(self, timeout_s: float | None = None) -> None:
-        """What was commanded last here (motion, homing or stop) is over; at once if nothing was.
+        """Wait until the last command (motion, homing or stop), if any, has ended.
 
-        A velocity, torque or current set-point is done when it is reached, and goes on.
+        A velocity, torque or current set-point is done when it is reached, and continues.
 
         Args:
-            timeout_s: [s]; None: as long as it takes.
+            timeout_s: [s]; None: no timeout.
 
         Raises:
-            DeadlineExceeded: not within `timeout_s`; the motion goes on.
-            MotionInterrupted: it was stopped or replaced by somebody else.
+            DeadlineExceeded: not within `timeout_s`; the motion continues.
+            MotionInterrupted: another party stopped or replaced the motion.
             DeviceFault: the drive has a fault.
-            LinkError: the drive is no longer heard.
+            LinkError: the drive no longer responds.
         """
         wait_for_all((self,), timeout_s)
 
     @final
     def stop(self) -> None:
-        """The motor is slowing down and its motion is over; wait_until_done() waits for rest.
+        """Slow down and end the motion; wait_until_done() waits for rest.
 
-        Stopping takes nobody's permission, and may be done from a callback. So may `quick_stop`
-        and `halt`.
+        A stop needs no ownership, and may be called from a callback, as may `quick_stop` and
+        `halt`.
         """
         self._bring_to_rest("stop", self._stop)
 
     @final
     def quick_stop(self) -> None:
-        """The motor stops as its quick stop does; it moves again only after enable()."""
+        """Stop by the quick stop of the drive; the motor moves again only after enable()."""
         self._bring_to_rest("quick_stop", self._quick_stop)
 
     @final
     def halt(self) -> None:
-        """The motor stops as the drive's halt option says; its motion is over."""
+        """Stop according to the halt option of the drive, and end the motion."""
         self._bring_to_rest("halt", self._halt)
 
     # ---- power, fault, reference ----
 
     @final
     def enable(self) -> None:
-        """The power stage is on and the motor holds its position.
+        """Switch on the power stage; the motor holds its position.
 
         Raises:
             DeviceFault: the drive reports a fault: reset_fault() first.
@@ -287,7 +286,7 @@ class Motor(SharedMotor):
 
     @final
     def disable(self) -> None:
-        """The power stage is off; a motion is over, and a motor in motion coasts."""
+        """Switch off the power stage and end the motion; a moving motor coasts."""
         with self._operation("disable"):
             status = self._status()
             self._call(self._disable)
@@ -295,10 +294,10 @@ class Motor(SharedMotor):
 
     @final
     def reset_fault(self) -> None:
-        """There is no fault any more; the power stage is off if there was one.
+        """Clear the fault, if any; the power stage is off afterwards.
 
         Raises:
-            DeviceFault: its cause is still there.
+            DeviceFault: its cause persists.
         """
         with self._operation("reset_fault"):
             fault = self._call(self._read_fault)
@@ -312,15 +311,16 @@ class Motor(SharedMotor):
     def home(
         self, method: int | None = None, *, wait: bool = True, timeout_s: float = _HOMING_TIMEOUT_S
     ) -> None:
-        """The motor knows where its position 0 is.
+        """Find position 0 of the motor.
 
         Args:
-            method: as CiA 402 numbers them (37: here is 0); None: the hardware's default.
-            wait: False: it has only begun; wait_until_done() waits for it.
-            timeout_s: how long it may take [s]; after that it is stopped.
+            method: homing method number of CiA 402 (37: present position); None: the default of the
+                hardware.
+            wait: False: only begin; wait_until_done() waits for the end.
+            timeout_s: timeout [s]; after that it is stopped.
 
         Raises:
-            UnsupportedError: the motor does not know the method.
+            UnsupportedError: the motor does not support the method.
             PeerError: homing failed.
             DeadlineExceeded: not within `timeout_s`.
         """
@@ -347,30 +347,30 @@ class Motor(SharedMotor):
                 self.stop()
             raise
 
-    # ---- the hardware itself ----
+    # ---- direct hardware access ----
 
     @final
     def low_level(self, *, timeout_s: float | None = None) -> AbstractContextManager[Any]:
-        """`with motor.low_level() as hardware:` all the hardware can do, and nobody else at it.
+        """Return a context with exclusive hardware access: `with motor.low_level() as hardware:`.
 
-        Inside the block nothing else of the interface touches the hardware, of whatever logical
-        motor, this one included: operations and stops are refused, readings answer from what was
-        heard last, or are refused; see `motorapi.low_level`. The hardware object is for this
-        thread alone. Afterwards nothing is believed of it: the next start writes all it needs. A
-        block of the same motor inside the block changes nothing.
+        Inside the block no other part of the interface accesses the hardware, for any logical motor
+        including this one. Operations and stops are refused; readings return the last value
+        received, or are refused; see `motorapi.low_level`. The hardware object is for this thread
+        only. Afterwards nothing is assumed of the hardware: the next start writes all its settings.
+        A nested block of the same motor has no effect.
 
         Args:
-            timeout_s: how long to wait, first come first served, for another's low-level access
-                and for the end of a motion [s]; None: neither is waited for.
+            timeout_s: timeout, first come first served, for other low-level access and for the end
+                of a motion [s]; None: do not wait.
 
         Raises:
-            MotorBusyError: another logical motor holds it, or moves it.
-            StateError: a motion of this one goes on.
-            UnsupportedError: the adaptation gives no hardware object away.
+            MotorBusyError: another logical motor holds or moves it.
+            StateError: a motion of this one is active.
+            UnsupportedError: the adaptation does not offer its hardware object.
         """
         return low_level_access(self, timeout_s)
 
-    # ---- inside ----
+    # ---- internal ----
 
     @final
     def _bring_to_rest(self, operation: str, hook: Callable[[], None]) -> None:

@@ -1,9 +1,10 @@
-"""How a motion ended, and telling whoever asked to be told: once, from the event that ended it.
+"""Outcome of a motion, and its single notification by callback.
 
-The event may be a frame heard, a heartbeat that failed to come, or a call of another logical motor;
-the callback runs inside it. So it may neither wait nor start anything that waits (it sets a flag
-that a party waits for), and what it raises must not break what runs it: that becomes a
-`PluginError`, which is logged and raised where that motor is waited for or looked at next.
+The event that ends a motion may be a received frame, a missing heartbeat, or a call of another
+logical motor. The callback runs inside this event. So it must not wait or start anything that
+waits; it may set a flag that another thread waits for. Its exceptions must not break the event:
+they become a `PluginError`, which is logged and raised where that motor is next awaited or
+examined.
 """
 
 import logging
@@ -24,24 +25,24 @@ _LOG: Final = logging.getLogger("motorapi")
 
 @final
 class Ending(Enum):
-    """How a motion can end."""
+    """The kinds of end of a motion."""
 
     DONE = "done"  # as commanded; a velocity, torque or current: reached
-    INTERRUPTED = "interrupted"  # stopped, replaced or switched off, short of that
+    INTERRUPTED = "interrupted"  # stopped, replaced or switched off before its end
     FAILED = "failed"  # by a fault, a lost link, a failed homing
 
 
 @final
 @dataclass(frozen=True, slots=True, repr=False)
 class Outcome:
-    """How one motion ended. It is true if that was as commanded.
+    """The outcome of one motion, true if it ended as commanded.
 
     Attributes:
         motor: the name of the logical motor that commanded it.
-        operation: what it was, as in "start() of left".
-        ending: how it ended.
-        time_ns: when that was known, of the runtime's time.
-        error: what `wait_until_done` raises; None if it was done.
+        operation: its name, as in "start() of left".
+        ending: the kind of end.
+        time_ns: time at which the end was known [ns], by the runtime.
+        error: the error that `wait_until_done` raises; None if it was done.
     """
 
     motor: str
@@ -62,19 +63,19 @@ class Outcome:
 
 
 def ending_of(error: MotorError) -> Ending:
-    """How a motion ended of which looking at it raises this."""
+    """Return the ending of a motion whose examination raises `error`."""
     return Ending.INTERRUPTED if isinstance(error, MotionInterrupted) else Ending.FAILED
 
 
 @final
 class DoneNotice:
-    """One callback that is to be told the outcome of one run. A `Registration`.
+    """One callback for the outcome of one motion. A `Registration`.
 
     Args:
-        look: the outcome, None while there is none; neither waits nor sends.
-        callback: the application's.
-        failed: is given what the callback raised.
-        where: for that error, as in "on_done of left".
+        look: returns the outcome, or None while there is none; neither waits nor sends.
+        callback: the callback of the application.
+        failed: called with the error of the callback.
+        where: place in that error, as in "on_done of left".
     """
 
     def __init__(
@@ -92,7 +93,7 @@ class DoneNotice:
         self._timer: Registration | None = None
 
     def begin(self, runtime: "Runtime", physical: "PhysicalMotor") -> None:
-        """It looks at every news from now on; now, too: it may be over already."""
+        """Examine the motion at every change from now on, and now: it may have ended already."""
         if physical.news is None:
             self._timer = runtime.every(LOOK_PERIOD_S, self.look)
         self._listeners = physical.bell.listeners
@@ -100,7 +101,7 @@ class DoneNotice:
         self.look()
 
     def look(self) -> None:
-        """The callback was called if the run is over."""
+        """Call the callback if the motion has ended."""
         outcome = self._look_at()
         if outcome is None or not self._claim():
             return
@@ -110,11 +111,11 @@ class DoneNotice:
             self._failed(callback_failed(self._callback, self._where, error))
 
     def cancel(self) -> None:
-        """It will not be called any more; cancelling again does nothing."""
+        """Cancel the notification; cancelling again does nothing."""
         self._claim()
 
     def _claim(self) -> bool:
-        """Whether the caller is the first to end it: two threads may come to that at once."""
+        """Return True for the first caller that ends it: two threads may get here at once."""
         try:
             self._listeners.remove(self.look)
         except ValueError:
@@ -125,7 +126,7 @@ class DoneNotice:
 
 
 def callback_failed(callback: object, where: str, error: Exception) -> PluginError:
-    """The error to be told of a callback that raised; it is logged as well."""
+    """Log and return the error for a callback that raised."""
     name = getattr(callback, "__qualname__", None) or repr(callback)
     failed = PluginError(plugin=str(name), where=where, problem=repr(error))
     failed.__cause__ = error

@@ -1,4 +1,4 @@
-"""Owners of one process, which wait for a motor that no other process can have; and who is told."""
+"""Wait queue of owners within one process, and notification of listeners."""
 
 from collections import deque
 from typing import TYPE_CHECKING, Final, Protocol, final
@@ -12,12 +12,12 @@ if TYPE_CHECKING:
     from motorapi.patience import Patience
 
 _LOOK_S: Final = 0.1
-"""How soon one who waits notices that a lease was given which was not there when he asked."""
+"""The maximum delay before a waiter notices a lease set after its request [s]."""
 
 
 @final
 class Teller:
-    """Tells listeners what happens to an ownership."""
+    """Notifier of listeners about the events of an ownership."""
 
     def __init__(self) -> None:
         self.listeners: Final[list[OwnershipListener]] = []
@@ -30,7 +30,7 @@ class Teller:
         *,
         since_ns: int | None = None,
     ) -> None:
-        """It has happened; since when he had it, or has waited for it, if he did."""
+        """Report an event; `since_ns` is the beginning of the ownership or of the wait."""
         if not self.listeners:
             return
         process = this_process()
@@ -54,27 +54,27 @@ class Teller:
 
 
 class ClaimKeeper(Protocol):
-    """Where the claim there is, is kept: see `motorapi.ownership.Ownership`."""
+    """The keeper of the present claim; see `motorapi.ownership.Ownership`."""
 
     @property
     def held(self) -> Claim | None:
-        """The claim there is."""
+        """The present claim."""
 
     def replace(self, held: Claim | None, asked: Asked, token: int) -> Claim | None:
-        """The new claim, in place of the one there was; None: that is there no more."""
+        """Replace claim `held` by a new one and return it; None: `held` is no longer present."""
 
     def lose(self, claim: Claim, asked: Asked) -> None:
-        """It is taken over by somebody of this process."""
+        """Mark the claim as taken over by another owner of this process."""
 
     def end_run(self, asked: Asked) -> bool:
-        """What it does for others, who own it no more, is over; whether it did anything."""
+        """End a motion of former owners. Return True if there was one."""
 
 
 @final
 class OwnerRow:
-    """Those who wait for one motor, in the order of asking.
+    """The waiters for one motor, in the order of their requests.
 
-    Attributes: token (of who had it last).
+    Attributes: token (of the last owner).
     """
 
     def __init__(self, claims: ClaimKeeper, teller: Teller) -> None:
@@ -84,10 +84,10 @@ class OwnerRow:
         self._places: deque[Asked] = deque()
 
     def take(self, asked: Asked) -> tuple[Claim, LockAction, str]:
-        """(the new claim, how it was taken, from whom).
+        """Return (the new claim, the kind of acquisition, the former owner).
 
         Raises:
-            MotorBusyError: somebody has it, or waits for it, for longer than one is patient.
+            MotorBusyError: another owner holds it, or waits for it, beyond the timeout.
         """
         patience, taken = asked.patience, _Taken()
 
@@ -98,7 +98,7 @@ class OwnerRow:
             if patience is None or asked.take_over:
                 busy = self._busy(asked.owner, None)
                 if busy is None:
-                    continue  # whoever had it, or waited for it, is through with it by now
+                    continue  # the holder or waiter has finished meanwhile
                 raise busy
             self._places.append(asked)
             try:
@@ -108,7 +108,7 @@ class OwnerRow:
                     asked.owner.runtime, is_taken, timeout_s, self._look_s, self._claims
                 ):
                     busy = self._busy(asked.owner, patience)
-                    assert busy is not None, "one's own place is in the row"
+                    assert busy is not None, "its own place must be in the queue"
                     raise busy
             finally:
                 self._places.remove(asked)
@@ -140,13 +140,13 @@ class OwnerRow:
         return True
 
     def _look_s(self) -> float | None:
-        """How soon one who waits is to look again [s]."""
+        """Return the time until a waiter should check again [s]."""
         held = self._claims.held
         left_s = None if held is None else held.left_s
         return _LOOK_S if left_s is None else min(_LOOK_S, max(left_s, 1e-9))
 
     def _busy(self, owner: Owner, patience: "Patience | None") -> MotorBusyError | None:
-        """Who has it, or is in front; None: nobody any more. Threads come and go meanwhile."""
+        """Return the error that names the owner or first waiter; None: there is none any more."""
         held = self._claims.held
         if held is not None:
             return held.busy(owner.name)
@@ -161,7 +161,7 @@ class OwnerRow:
         return MotorBusyError(motor=owner.name, holder=holder, since_ns=first.asked_ns)
 
     def _in_front(self, patience: "Patience") -> str:
-        """Whom one waits for, in words."""
+        """Return the name of the owner or waiter in front."""
         held = self._claims.held
         if held is not None:
             return held.who
@@ -171,7 +171,7 @@ class OwnerRow:
 
 @final
 class _Taken:
-    """What came of it: the claim, and the one it took the place of."""
+    """The result of an acquisition: the new claim, and the one it replaced."""
 
     __slots__ = ("before", "claim")
 

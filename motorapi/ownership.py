@@ -1,19 +1,19 @@
-"""Who may command a physical motor: one logical motor at a time, of whatever process.
+"""Ownership of a physical motor: one logical motor at a time, of any process.
 
-It is owned for an operation, for low-level access, and for a reservation; between processes also
-for as long as a run goes on (within a process the run itself says whose it is). Its owner may own
-it for several reasons at once; it is free when the last is gone.
+A motor is owned for an operation, for low-level access, and for a reservation; between processes
+also while a motion is active (within a process the motion itself names its owner). An owner may own
+it for several reasons at once; the motor is free after the last one.
 
-Where the bus belongs to this process alone (a rig in virtual time), owners queue here. On a bus
-that other processes can open they queue in a `ProcessLock`, with those of other processes, in one
-order. Whether another process has had the motor in between is counted (`absences`): what this one
-believes of the drive may then be true no more.
+If the bus belongs to this process alone (a rig in virtual time), owners queue here. On a bus that
+other processes can open they queue in a `ProcessLock`, in one order with those of other processes.
+`absences` counts how often another process had the motor in between: the knowledge of this process
+about the drive may then be out of date.
 
-From an owner who lives it can be taken over: on demand, or by whoever comes next once its lease is
-over. A lease is renewed by what the owner does, and by nothing else: a timer would go on behind a
-debugger's prompt. Who has lost it finds out with his next step at the latest; as long as his
-reservation's block lasts he is refused, by the name of who took it, unless he reserves it again.
-Both are the same with a lock and without.
+A motor can be taken over from a living owner: on demand, or by the next request once its lease has
+expired. Only actions of the owner renew the lease: a timer would continue behind a debugger prompt.
+The former owner notices the loss at its next action at the latest. Until the end of its reservation
+block it is refused, with the name of the new owner, unless it reserves the motor again. All this
+holds with and without a lock.
 """
 
 import threading
@@ -36,25 +36,25 @@ if TYPE_CHECKING:
     from motorapi.waiting import News
 
 _LOSS_LOOK_S: Final = 0.1
-"""How soon one who waits notices that another process took the motor over, if nothing tells."""
+"""The maximum delay before a waiter notices a takeover by another process [s]."""
 SET_UP_TIMEOUT_S: Final = 10.0
-"""How long an owner waits for a drive to be set up for somebody who reads it."""
+"""The timeout of an owner for the set-up of a drive by readers [s]."""
 
 
 @final
 class Ownership:
-    """Who owns one physical motor.
+    """The ownership of one physical motor.
 
     Args:
-        lock: shared with other processes; None: there are none on this bus.
-        interrupt: ends, in the name of who takes the motor over, what it does for others than the
-            new owner (None: for whom it was lost); whether it did anything.
+        lock: shared with other processes; None: no other process is on this bus.
+        interrupt: ends the present motion of others than the new owner (None: that of the former
+            owner), in the name of the new one; returns True if there was one.
 
     Attributes:
         absences: grows whenever another process had the motor since this one owned it last.
-        is_orphan: whether who had it before died with it, or lost it, so that it may be moving for
-            nobody; the next one brings it to rest first, and says so here.
-        listeners: are told what happens to the ownership; see `motorapi.ownership_events`.
+        is_orphan: True if the previous owner died with the motor, or lost it, so that it may still
+            be moving; the next owner brings it to rest first, and clears this.
+        listeners: called with each event of the ownership; see `motorapi.ownership_events`.
     """
 
     def __init__(
@@ -69,20 +69,20 @@ class Ownership:
         self.listeners: Final = self._teller.listeners
         self._interrupt: Final = interrupt
         self._held: Claim | None = None
-        self._lost: list[Claim] = []  # as long as their owners have not given them back
+        self._lost: list[Claim] = []  # until their owners have released them
         self._row: Final = OwnerRow(self, self._teller)
-        self._mutex = threading.Lock()  # never held while waiting
+        self._mutex = threading.Lock()  # never held during a wait
         self._keeper: Keeper | None = None
-        self._set_up = object()  # the owner while a drive is set up for readers
+        self._set_up = object()  # the owner during the set-up of a drive for readers
 
     @property
     def is_here(self) -> bool:
-        """Whether somebody of this process owns it, as far as that one knows."""
+        """True if this process owns the motor, to its own knowledge."""
         return self._held is not None
 
     @property
     def held(self) -> Claim | None:
-        """The claim of this process, held or lost; None: there is none."""
+        """The claim of this process, held or lost, or None."""
         return self._held
 
     @contextmanager
@@ -97,19 +97,19 @@ class Ownership:
         take_over: bool = False,
         afresh: bool = False,
     ) -> Iterator[Claim]:
-        """The motor is the owner's inside the block, for one reason more.
+        """Own the motor inside the block, for one more reason.
 
         Args:
             owner: the logical motor.
-            who: what he does, in words.
-            purpose: what for, in words.
-            patience: how to wait for others; None: not at all.
-            lease_s: others may take it over once it was not used for so long [s]; None: as before.
-            take_over: take it from whoever has it.
-            afresh: though he has lost it, and has not given it back yet.
+            who: its activity, in words.
+            purpose: its purpose, in words.
+            patience: policy for the wait for others; None: do not wait.
+            lease_s: others may take it over after this time without use [s]; None: as before.
+            take_over: take it from its owner.
+            afresh: acquire it again, although it was lost and the lost claim is not yet released.
 
         Raises:
-            MotorBusyError: somebody else's it is, or was for as long as `patience` says.
+            MotorBusyError: another owner holds it, or held it until the timeout of `patience`.
         """
         before = self._held
         asked = Asked(owner, who, purpose, patience, lease_s, take_over)
@@ -134,7 +134,7 @@ class Ownership:
     def take(
         self, owner: Owner, who: str, purpose: str = "", patience: Patience | None = None
     ) -> Claim:
-        """The motor is the owner's until `give`. As `owned`."""
+        """Own the motor until `give`. As `owned`."""
         return self._take(Asked(owner, who, purpose, patience), False)
 
     def _take(self, asked: Asked, afresh: bool) -> Claim:
@@ -152,7 +152,7 @@ class Ownership:
         return claim
 
     def _again(self, owner: Owner, afresh: bool) -> Claim | None:
-        """The claim that the owner has already, with a reason more."""
+        """Return the present claim of this owner with one more reason, or None."""
         held = self._held
         if held is not None and held.owner is owner and held.is_held:
             held.use()
@@ -165,7 +165,7 @@ class Ownership:
         return None
 
     def replace(self, held: Claim | None, asked: Asked, token: int) -> Claim | None:
-        """The new claim, in place of the one there was; None: that is there no more."""
+        """Replace claim `held` by a new one and return it; None: `held` is no longer present."""
         with self._mutex:
             if self._held is not held:
                 return None
@@ -175,9 +175,9 @@ class Ownership:
         return claim
 
     def end_run(self, asked: Asked) -> bool:
-        """What it does for others, who own it no more, is over, and it is to be brought to rest.
+        """End a motion of former owners, and mark the motor to be brought to rest.
 
-        Whether it did anything.
+        Return True if there was one.
         """
         by = f"{asked.who}, which took the motor over (on demand)"
         if not self._interrupt(by, asked.owner.runtime.now_ns(), None, asked.owner):
@@ -209,7 +209,7 @@ class Ownership:
         )
         with self._mutex:
             held = self._held
-            if held is not None and held.hold is hold:  # another thread of his was quicker
+            if held is not None and held.hold is hold:  # another thread of the owner was quicker
                 held.reasons += 1
                 hold.release()
                 return held, None, ""
@@ -224,7 +224,7 @@ class Ownership:
     def _waiting(
         self, patience: Patience, asked: Asked, lock: ProcessLock
     ) -> "Callable[[Runtime, Callable[[], bool], float | None], bool]":
-        """How to wait for the lock: the listeners are told first."""
+        """Return the wait function for the lock, which notifies the listeners first."""
 
         def wait(runtime: "Runtime", done: Callable[[], bool], timeout_s: float | None) -> bool:
             if self.listeners:
@@ -240,33 +240,33 @@ class Ownership:
         if hold.was_abandoned or hold.was_taken_over:
             self.is_orphan = True
 
-    # ---- losing it, and giving it back ----
+    # ---- loss and release ----
 
     def lose(self, claim: Claim, asked: Asked) -> None:
-        """It is taken over by somebody of this process."""
+        """Mark the claim as taken over by another owner of this process."""
         lease_s = None if asked.take_over else claim.lease_s
         reason = "on demand" if lease_s is None else f"its lease of {lease_s:g} s was over"
         self.is_orphan = True
         claim.lose(Loss(asked.who, asked.purpose, reason, asked.owner.runtime.now_ns()))
 
     def note_loss(self, claim: Claim) -> None:
-        """It was lost just now, or that was noticed."""
+        """Handle the loss of `claim`, at the time when it is noticed."""
         loss = claim.loss
         assert loss is not None
         with self._mutex:
             if claim in self._lost:
-                return  # two threads have noticed
+                return  # two threads have noticed it
             if claim.reasons:
                 self._lost.append(claim)
         self._interrupt(str(loss), claim.owner.runtime.now_ns(), claim.owner, None)
         self._teller.tell(LockAction.LOST, claim, loss.who, since_ns=claim.since_ns)
 
     def is_lost_by(self, owner: object) -> bool:
-        """Whether it was taken over from this one, who has neither given it back nor retaken it."""
+        """Return True if `owner` has lost the motor, and neither released nor retaken it."""
         return self._loser(owner) is not None
 
     def require(self, owner: object) -> None:
-        """Raises MotorBusyError if `is_lost_by`."""
+        """Raise MotorBusyError if `is_lost_by`."""
         lost = self._loser(owner)
         if lost is not None:
             lost.require()
@@ -282,15 +282,15 @@ class Ownership:
         return None
 
     def notice(self, owner: object) -> None:
-        """If this one has lost it, what he did with it is over, and that is told."""
+        """Notice a loss by `owner`: end its motion and report the loss."""
         held = self._held
         if held is not None and held.owner is owner:
             held.notice()
 
     def use(self, owner: object) -> float | None:
-        """The owner is alive: its lease begins anew, if it has one; when to say so again [s].
+        """Renew the lease of the owner. Return the time until the next renewal [s], or None.
 
-        A loss is noticed, and ends what goes on; nothing is raised.
+        A loss is noticed, and ends the active motion; nothing is raised.
         """
         held = self._held
         if held is None or held.owner is not owner:
@@ -303,7 +303,7 @@ class Ownership:
         return _LOSS_LOOK_S if pause_s is None else min(_LOSS_LOOK_S, pause_s)
 
     def give(self, claim: Claim) -> None:
-        """One reason less for which its owner has it; after the last it is the next one's."""
+        """Remove one reason of the claim; the last one releases the motor."""
         claim.notice()
         with self._mutex:
             if claim.reasons == 0:
@@ -323,12 +323,12 @@ class Ownership:
     # ---- writing ----
 
     def begin_write(self, asker: str = "") -> int:
-        """The token under which this process commands the motor; nobody takes it over meanwhile.
+        """Block takeovers until `end_write`. Return the token of this process.
 
-        Until `end_write`. Without a lock nobody could.
+        Without a lock no takeover is possible.
 
         Raises:
-            MotorBusyError: this process does not own it (any more); says who does, and why.
+            MotorBusyError: this process does not own it (any more); names the owner and the reason.
         """
         if self.lock is None:
             return self._row.token
@@ -340,51 +340,51 @@ class Ownership:
             raise
 
     def end_write(self) -> None:
-        """What was begun by `begin_write` is over."""
+        """End the write begun by `begin_write`."""
         if self.lock is not None:
             self.lock.end_write()
 
-    # ---- runs ----
+    # ---- motions ----
 
     def keep(self, owner: Owner, goes_on: Callable[[], bool], news: "News", counts: bool) -> None:
-        """While `goes_on()`, it is the owner's; no other process has it.
+        """Keep the motor owned, against other processes, while `goes_on()` is true.
 
         Args:
-            owner: who owns it now.
+            owner: the present owner.
             goes_on: neither waits nor sends.
-            news: tell when to ask that.
-            counts: whether they tell of everything.
+            news: counts the changes after which `goes_on` is evaluated.
+            counts: True if `news` counts every change.
         """
         if self.lock is None or not goes_on():
             return
         if self._keeper is not None and self._keeper.claim.owner is owner:
-            return  # it looks at whatever goes on
+            return  # the present keep-alive covers any motion
         try:
             claim = self.take(owner, f"a motion of {owner.name}")
-        except MotorError:  # it was stopped without being owned, and nothing must forbid that
+        except MotorError:  # a stop without ownership, which must always be possible
             return
         self._keeper = Keeper(claim, goes_on, news, self._end_keeping)
         self._keeper.begin(owner.runtime, counts)
 
     def look(self) -> None:
-        """If what it was kept for is over, and nobody has seen it yet, it is given back."""
+        """Release the motor if its motion has ended unnoticed."""
         keeper = self._keeper
         if keeper is not None:
             keeper.look()
 
     def _end_keeping(self, keeper: Keeper) -> None:
-        """What it was kept for is over."""
+        """Release the claim of a keep-alive that has ended."""
         if self._keeper is keeper:
             self._keeper = None
         self.give(keeper.claim)
 
-    # ---- set-up ----
+    # ---- set-up of drives for readers ----
 
     @contextmanager
     def owned_to_set_up(self, runtime: "Runtime", label: str) -> Iterator[Callable[[], None]]:
-        """What the block is given makes sure that it may write to the drive, when it has to.
+        """Yield a function that ensures the ownership needed to write to the drive.
 
-        That raises MotorBusyError if another process owns the motor.
+        The function raises MotorBusyError if another process owns the motor.
         """
         set_up = SetUp(self, self._teller, runtime, label)
 

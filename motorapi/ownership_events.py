@@ -1,7 +1,7 @@
-"""What happens to the ownership of a physical motor, told to whoever listens.
+"""Events of the ownership of a physical motor, for listeners.
 
-An owner is told of by what he does ("reserve() of pan"), as errors tell of him. Of another process
-only that is known which it wrote itself.
+An owner is described by its activity ("reserve() of pan"), as in errors. Another process is known
+only by what it has published.
 """
 
 from collections.abc import Callable
@@ -12,34 +12,35 @@ from typing import final
 
 @final
 class LockAction(IntEnum):
-    """What happened. It is taken by TAKEN, BROKEN or TAKEN_OVER: by one of them each time."""
+    """The kind of event. Each acquisition is one of TAKEN, BROKEN and TAKEN_OVER."""
 
     TAKEN = 1
     RELEASED = 2
     WAITING = 3
     REFUSED = 4
     BROKEN = 5
-    """Taken from one who had died with it."""
+    """Acquired from an owner that died with it."""
     TAKEN_OVER = 6
-    """Taken from one who lives."""
+    """Acquired from a living owner."""
     LOST = 7
-    """The one it was taken over from has noticed."""
+    """Noticed by the former owner of a takeover."""
 
 
 @final
 @dataclass(frozen=True, slots=True)
 class OwnershipEvent:
-    """One thing that happened.
+    """One event of an ownership.
 
     Attributes:
-        action: what.
-        owner: who did it, in words; of LOST: who had it.
-        holder: who has it, or had it before, if that is not the owner; "" if not known, or nobody.
-        purpose: what for, in words.
-        token: of the ownership: the owner's; of WAITING and REFUSED: 0.
-        time_ns: when, of the runtime's time.
-        waited_s: how long he had waited for it [s].
-        held_s: how long he had had it [s]: RELEASED and LOST; and TAKEN, if it is told late.
+        action: the kind of event.
+        owner: the acting owner, in words; for LOST: the former owner.
+        holder: the present or previous owner, if another one; "" if unknown or none.
+        purpose: the purpose, in words.
+        token: token of the owner; for WAITING and REFUSED: 0.
+        time_ns: time of the event, by the runtime.
+        waited_s: time for which the owner had waited [s].
+        held_s: time for which the owner had held it [s]: RELEASED and LOST; and TAKEN, if reported
+            late.
         pid, program: the process of the owner.
     """
 
@@ -56,4 +57,4 @@ class OwnershipEvent:
 
 
 OwnershipListener = Callable[[OwnershipEvent], None]
-"""Called in the thread to which it happened, while nothing is locked; it must not wait."""
+"""Called in the thread of the event, without any lock held; it must not wait."""

@@ -1,12 +1,12 @@
-"""The straight line on which phase-synchronised motors go, and how far from it they are.
+"""The straight line of phase-synchronised motors, and deviations from it.
 
-The line goes from where all began to where all shall end. At any instant the group is somewhere in
-the space of its joints, and the nearest point of the line is where it should be: what each motor is
-off from there is its deviation, whenever it got there. To be late together is none. "Nearest" needs
-a measure that turning and sliding motors share: the time that each needs at its own maximum
-velocity. With D_i the way, x_i the way made and v_i the maximum velocity of motor i
+The line leads from the common start to the common target. At any instant the group is at a point in
+joint space, and should be at the nearest point of the line. The offset of each motor from there is
+its deviation, independent of time: a common delay is not a deviation. "Nearest" needs a measure
+common to rotary and linear motors: the time that each needs at its own maximum velocity. With D_i
+the distance, x_i the distance covered and v_i the maximum velocity of motor i:
 
-    part of the line made   s = (sum D_i x_i / v_i²) / (sum D_i² / v_i²)
+    fraction of the line    s = (sum D_i x_i / v_i²) / (sum D_i² / v_i²)
     deviation of motor i    x_i - s D_i
 """
 
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from motorapi.runtime import Registration
 
 LOOK_PERIOD_S: Final = 0.005
-"""How often it is looked whether something new was heard of the motors."""
+"""The period of the check for new measurements [s]."""
 
 _KEPT: Final = 8
 
@@ -38,12 +38,12 @@ _KEPT: Final = 8
 @final
 @dataclass(frozen=True, slots=True)
 class Line:
-    """A straight line in the space of the joints, for motors that have a way to go.
+    """A straight line in joint space, for motors with a distance to cover.
 
     Attributes:
-        starts: where each begins [U].
-        ways: how far each goes, signed, not 0 [U].
-        speeds: the maximum velocity of each [U/s]: the measure of what is near.
+        starts: initial position of each motor [U].
+        ways: distance of each motor, signed, not 0 [U].
+        speeds: maximum velocity of each motor [U/s]: the measure of nearness.
     """
 
     starts: tuple[float, ...]
@@ -51,7 +51,7 @@ class Line:
     speeds: tuple[float, ...]
 
     def deviations(self, positions: Sequence[float]) -> list[float]:
-        """How far each motor is from the nearest point of the line, signed [U]."""
+        """Return the offset of each motor from the nearest point of the line, signed [U]."""
         scaled = [way / speed for way, speed in zip(self.ways, self.speeds, strict=True)]
         longest = max(abs(way) for way in scaled)
         weights = [way / longest for way in scaled]  # so that no square vanishes or overflows
@@ -62,7 +62,7 @@ class Line:
         return [way - part * whole for way, whole in zip(made, self.ways, strict=True)]
 
     def without(self, place: int) -> "Line":
-        """The line of the others."""
+        """Return the line of the other motors."""
         return Line(
             self.starts[:place] + self.starts[place + 1 :],
             self.ways[:place] + self.ways[place + 1 :],
@@ -71,7 +71,7 @@ class Line:
 
 
 def line_of(started: "Sequence[Started]") -> Line:
-    """The line of motions, as the hardware rounds its ends; all of them have a way to go."""
+    """Return the line of the quantised motions, all with a distance to cover."""
     return Line(
         tuple(one.quantised.start for one in started),
         tuple(one.quantised.distance for one in started),
@@ -80,18 +80,18 @@ def line_of(started: "Sequence[Started]") -> Line:
 
 
 def moving(started: "Sequence[Started]") -> "list[Started]":
-    """Those that have a way to go, to the hardware's resolution."""
+    """Return the motors with a distance to cover, within the resolution of the hardware."""
     return [one for one in started if one.quantised.distance != 0.0]
 
 
 def predicted(started: "Sequence[Started]") -> list[float]:
-    """How far rounding to the hardware's units takes each motor from the line, at most [U].
+    """Return the maximum deviation of each motor by rounding to hardware units [U].
 
-    Exact: between the corners of all profiles deviations are parabolas, and their highest points
-    are known. Of what servos, clocks and different instants of starting do, it tells nothing.
+    The result is exact: between the corners of all profiles the deviations are parabolas with known
+    extrema. Effects of servos, clocks and different start times are not included.
 
     Args:
-        started: phase-synchronised, all with a way to go.
+        started: phase-synchronised, all with a distance to cover.
     """
     profiles = [_profile(one) for one in started]
     line = line_of(started)
@@ -115,7 +115,7 @@ def predicted(started: "Sequence[Started]") -> list[float]:
 def predicted_path(
     motors: "Sequence[Motor]", motions: "Sequence[Motion]"
 ) -> tuple[PathDeviation, ...]:
-    """How far rounding will take each motor that has a way to go from the line."""
+    """Return the deviation by rounding of each motor with a distance to cover."""
     started = moving(
         [
             Started(motor, motion, motor._call(motor._quantise, motion))
@@ -134,7 +134,7 @@ def _profile(one: "Started") -> Trapezoid:
 
 
 def _highest(first: float, half: float, last: float) -> float:
-    """The largest size of the parabola through values at 0, 1/2 and 1, between 0 and 1."""
+    """Return the largest magnitude, on [0, 1], of the parabola through values at 0, 1/2 and 1."""
     highest = max(abs(first), abs(last))
     square = 2.0 * (first - 2.0 * half + last)
     slope = last - first - square
@@ -147,16 +147,16 @@ def _highest(first: float, half: float, last: float) -> float:
 
 @final
 class PathWatch:
-    """Looks at what is heard of the motors of one start, and keeps the largest deviations.
+    """Watch over the motors of one start, which keeps their largest deviations.
 
-    Positions of different motors are compared at one instant: that of the sample of the motor that
-    was heard of least recently. The others are interpolated between two of their samples. A sample
-    counts as of when it was heard: the time it was on its way, times the velocity, is in the
-    deviations as well (0.3 ms in the queue of a bus at 2 rad/s: 0.6 mrad between two motors).
+    Positions of different motors are compared at one instant: that of the last sample of the motor
+    with the oldest one. The others are interpolated between two of their samples. The time of a
+    sample is that of its reception: its transmission delay, times the velocity, is part of the
+    deviation (0.3 ms in the queue of a bus at 2 rad/s: 0.6 mrad between two motors).
 
     Args:
         started: phase-synchronised.
-        looked: is called after each look.
+        looked: called after each check.
     """
 
     def __init__(self, started: "Sequence[Started]", looked: Callable[[], None]) -> None:
@@ -172,19 +172,19 @@ class PathWatch:
         self._timer: Registration | None = None
 
     def begin(self) -> None:
-        """It looks from now on."""
+        """Begin the periodic checks."""
         if len(self._members) > 1:
             self._timer = self._members[0].motor.runtime.every(LOOK_PERIOD_S, self._look_again)
             self.look()
 
     def end(self) -> None:
-        """It looks no more; ending again does nothing."""
+        """End the checks; ending again does nothing."""
         if self._timer is not None:
             self._timer.cancel()
             self._timer = None
 
     def leave(self, motor: "Motor") -> None:
-        """The motor is on the line no more; the others may be."""
+        """Remove a motor that has left the line."""
         for place, one in enumerate(self._members):
             if one.motor is motor:
                 self._members = [*self._members[:place], *self._members[place + 1 :]]
@@ -199,16 +199,16 @@ class PathWatch:
         self._looked()
 
     def look(self) -> None:
-        """What was heard of the motors meanwhile is compared with the line."""
+        """Compare new measurements of the motors with the line."""
         for one, kept in zip(self._members, self._kept, strict=True):
             try:
                 latest = one.motor.latest()
-            except MotorError:  # it is gone: what it failed of is told elsewhere
+            except MotorError:  # the motor is gone: its failure is reported elsewhere
                 continue
             if latest is None or latest.position is None:
                 continue
             if latest.state is not MotorState.ENABLED:
-                continue  # it is on the line no more; that it has failed is told elsewhere
+                continue  # the motor has left the line; its failure is reported elsewhere
             if not kept or latest.time_ns > kept[-1][0]:
                 kept.append((latest.time_ns, latest.position))
         if not all(self._kept):
@@ -221,7 +221,7 @@ class PathWatch:
         found = [_interpolated(kept, at_ns) for kept in self._kept]
         positions = [sample[0] for sample in found if sample is not None]
         if len(positions) < len(found):
-            return  # of one nothing was heard before that
+            return  # one motor has no earlier sample
         self._compared_ns = at_ns
         deviations = self._line.deviations(positions)
         for one, off, sample in zip(self._members, deviations, found, strict=True):
@@ -231,7 +231,7 @@ class PathWatch:
                 self._age_ns[name] = max(self._age_ns.get(name, 0), sample[1])
 
     def told(self) -> tuple[PathDeviation, ...]:
-        """What was found of each motor, in the group's order."""
+        """Return the deviation of each motor, in the order of the group."""
         bound = {
             one.motor.name: most
             for one, most in zip(moving(self._started), self._predicted, strict=True)
@@ -253,7 +253,7 @@ class PathWatch:
 
 
 def _interpolated(kept: "deque[tuple[int, float]]", at_ns: int) -> tuple[float, int] | None:
-    """The position at an instant between two samples, and how far from it the nearer one is."""
+    """Return the position at an instant, and its distance to the nearer of two samples [ns]."""
     later: tuple[int, float] | None = None
     for sample in reversed(kept):
         if sample[0] <= at_ns:

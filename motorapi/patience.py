@@ -1,4 +1,4 @@
-"""How a patient one waits for a motor, and keeps one while a motion goes on."""
+"""Acquisition policy, and ownership keep-alive during a motion."""
 
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Final, final
@@ -16,13 +16,13 @@ if TYPE_CHECKING:
 
 @final
 class Patience:
-    """How a patient one waits for the motor.
+    """The policy of a request that waits for the motor.
 
     Args:
-        timeout_s: how long [s].
-        in_the_way: what keeps a free motor from being taken, as an error; neither waits nor sends.
-        refresh: what `in_the_way` looks at is fresh; after how long to call it again [s], if at
-            all.
+        timeout_s: timeout [s].
+        in_the_way: returns the obstacle to the acquisition of a free motor, as an error, or None;
+            neither waits nor sends.
+        refresh: refreshes the data of `in_the_way`; returns the polling interval [s], or None.
     """
 
     def __init__(
@@ -43,14 +43,14 @@ class Patience:
         soonest_s: Callable[[], float | None] = lambda: None,
         of: object = None,
     ) -> bool:
-        """As `runtime.wait_until`, with everything fresh.
+        """Wait as `runtime.wait_until`, with all data refreshed.
 
         Args:
-            runtime: where to wait.
-            done: as there.
-            timeout_s: as there.
-            soonest_s: after how long to look again though nothing has happened [s], if at all.
-            of: the ownership that is waited for.
+            runtime: the runtime of the wait.
+            done: as in `wait_until`.
+            timeout_s: as in `wait_until`.
+            soonest_s: returns the maximum time until the next check [s], or None.
+            of: the awaited ownership.
         """
         end_ns = runtime.now_ns() + round(min(timeout_s or 0.0, 1e9) * 1e9)
         while True:
@@ -65,13 +65,13 @@ class Patience:
 
 @final
 class Keeper:
-    """Keeps a claim while a run goes on; looks at every news.
+    """Keep-alive of a claim during a motion, which examines every change.
 
     Args:
-        claim: what is kept.
-        goes_on: whether the run does; neither waits nor sends.
-        news: tell when to ask that.
-        is_over: is called when nothing goes on any more.
+        claim: the claim to be kept.
+        goes_on: returns True while the motion is active; neither waits nor sends.
+        news: the counter of changes.
+        is_over: called when no motion is active any more.
     """
 
     def __init__(
@@ -88,14 +88,14 @@ class Keeper:
         self._timer: Registration | None = None
 
     def begin(self, runtime: "Runtime", counts: bool) -> None:
-        """It looks from now on."""
+        """Begin to examine changes."""
         self._listeners.append(self.look)
         if not counts:
             self._timer = runtime.every(LOOK_PERIOD_S, self.look)
         self.look()
 
     def look(self) -> None:
-        """The motor is given away if it was lost, or nothing goes on any more."""
+        """Release the motor if it was lost, or no motion is active any more."""
         if self.claim.is_held and self._goes_on():
             return
         try:

@@ -1,7 +1,7 @@
-"""From what was asked for to what shall be done: one command, one model, one resolved motion.
+"""Planning of motions: a command and a model give one resolved motion.
 
-Pure functions. Whatever a limit forbids is found here, before anything is sent; a value may exceed
-its limit by rounding (1e-9 of it), no more. `motor` is a name, for messages.
+Pure functions. Every violation of a limit is found here, before anything is sent. A value may
+exceed its limit by rounding only (1e-9 of it). `motor` is a name for messages.
 """
 
 from dataclasses import dataclass, replace
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 @final
 @dataclass(frozen=True, slots=True)
 class Bounds:
-    """Sizes that one motion in one direction must not exceed."""
+    """Maximum magnitudes of one motion in one direction."""
 
     velocity: float
     acceleration: float
@@ -41,19 +41,21 @@ class Bounds:
 def check_setpoint(
     motor: str, model: MotorModel, variable: ControlVariable, setpoint: Setpoint
 ) -> None:
-    """What can be said of a set-point before it is known where the motor is.
+    """Check a set-point as far as possible without the position of the motor.
 
     Raises:
-        LimitError: the target, or a limit that goes with it, exceeds the model's.
+        LimitError: the target, or one of its limits, exceeds that of the model.
         UsageError: it is not a finite number.
-        UnsupportedError: a relative target of something else than position.
+        UnsupportedError: a relative target of a variable other than position.
     """
     if not isfinite(as_number(setpoint.value)):
         raise UsageError(f"{motor}: set-point {setpoint.value!r} is not a finite number")
     if not isinstance(setpoint.relative, bool):
-        raise UsageError(f"{motor}: relative is {setpoint.relative!r}; it is True or False")
+        raise UsageError(f"{motor}: relative is {setpoint.relative!r}; expected True or False")
     if not isinstance(setpoint.limits, DerivativeLimits | None):
-        raise UsageError(f"{motor}: limits are DerivativeLimits, not {setpoint.limits!r}")
+        raise UsageError(
+            f"{motor}: limits is {setpoint.limits!r}; expected DerivativeLimits or None"
+        )
     if setpoint.relative and variable is not ControlVariable.POSITION:
         raise UnsupportedError(
             motor=motor,
@@ -72,7 +74,7 @@ def plan_setpoint(
     setpoint: Setpoint,
     reference: float,
 ) -> Motion:
-    """The motion that a set-point asks for, from `reference` [U], the position held now.
+    """Return the motion of a set-point, from the reference position [U].
 
     Raises:
         LimitError: the target lies outside the limits.
@@ -106,12 +108,12 @@ def check_trajectory(
     trajectory: Trajectory,
     argument: "Argument | None" = None,
 ) -> None:
-    """What can be said of a trajectory before it is known where the motor is.
+    """Check a trajectory as far as possible without the position of the motor.
 
     Raises:
-        LimitError: boundary values, limits or duration are beyond what the motor can do.
-        UsageError: it is no trajectory.
-        UnsupportedError: a motor cannot execute it, whatever its hardware.
+        LimitError: boundary values, limits or duration exceed the ability of the motor.
+        UsageError: `trajectory` is not a trajectory.
+        UnsupportedError: no motor can execute it.
     """
     if isinstance(trajectory, ComplexTrajectory):
         check_bounds(motor, model, variable, trajectory.limits, smooth=True)
@@ -119,13 +121,13 @@ def check_trajectory(
         return
     if not isinstance(trajectory, TrapezoidalTrajectory):
         raise UsageError(
-            f"{motor}: {trajectory!r} is no trajectory; give a TrapezoidalTrajectory or a"
-            " ComplexTrajectory"
+            f"{motor}: {trajectory!r} is not a trajectory; give a TrapezoidalTrajectory or a "
+            "ComplexTrajectory"
         )
     if argument is not None:
         raise UnsupportedError(
             motor=motor,
-            feature=f"a simple trajectory over the {argument.name}: it is made over time",
+            feature=f"a simple trajectory over the {argument.name}: it is a function of time",
             supported="ComplexTrajectory(function) over any argument",
         )
     _require_rest_at_ends(motor, model, variable, trajectory)
@@ -137,7 +139,7 @@ def check_trajectory(
 def _require_rest_at_ends(
     motor: str, model: MotorModel, variable: ControlVariable, trajectory: TrapezoidalTrajectory
 ) -> None:
-    """What no profile of a drive, and no ramp, does at its ends is refused, not ignored."""
+    """Refuse derivatives at the ends, which neither drive profiles nor ramps support."""
     unit = model.unit_of(variable)
     for what, derivatives in (
         ("begins", trajectory.initial_derivatives),
@@ -155,7 +157,7 @@ def _require_rest_at_ends(
 
 
 def _per(unit: str, per: str) -> str:
-    """A unit per s or s² more: that of velocity has one s already."""
+    """Return a unit divided by s or s²: that of velocity already contains one s."""
     if unit.endswith("/s"):
         return unit + {"/s": "²", "/s²": "³"}[per]
     return unit + per
@@ -171,19 +173,19 @@ def plan_trajectory(
     argument: "Argument | None" = None,
     only_shape: bool = False,
 ) -> Motion:
-    """The motion that a trajectory asks for, from `reference` [U].
+    """Return the motion of a trajectory, from `reference` [U].
 
     Args:
         motor: its name.
         model: its model.
-        variable: what it is a trajectory of.
+        variable: the control variable of the trajectory.
         trajectory: simple or complex.
-        reference: where it starts: the position held now, or the value of another variable.
+        reference: its start: the reference position, or the value of another variable.
         argument: of a complex one; None: time.
-        only_shape: a relative one is not held against limits of the value yet.
+        only_shape: do not check a relative one against limits of the value yet.
 
     Raises:
-        LimitError: it leaves the limits of the value, or cannot be made in its duration.
+        LimitError: it leaves the limits of the value, or is impossible in its duration.
         StateError: it is absolute and the motor is not at its initial value.
     """
     if isinstance(trajectory, ComplexTrajectory):
@@ -220,7 +222,7 @@ def _plan_ramp(
     trajectory: TrapezoidalTrajectory,
     ends: Range,
 ) -> Motion:
-    """Velocity, torque, current: the steepest ramp that is allowed, or as slow as was asked."""
+    """Plan a ramp of velocity, torque or current: the steepest allowed, or of a given duration."""
     start, target = ends
     rate = inf
     limits = trajectory.limits
@@ -241,15 +243,15 @@ def _plan_ramp(
     )
     if rate == inf and trajectory.duration_s is None and start != target:
         raise UsageError(
-            f"{motor}: a trajectory of {variable.value} from {start:g} to {target:g}"
-            f" {model.unit_of(variable)} takes no time: no model limits how fast it changes;"
-            " give duration_s, or limits=DerivativeLimits(first=...)"
+            f"{motor}: a trajectory of {variable.value} from {start:g} to {target:g} "
+            f"{model.unit_of(variable)} takes no time: its rate of change is unlimited; give "
+            "duration_s, or limits=DerivativeLimits(first=...)"
         )
     return _in_time(motor, motion, trajectory, target - start, model.unit_of(variable))
 
 
 def _velocity_rate(model: MotorModel, start: float, target: float) -> float:
-    """The acceleration allowed all the way from one velocity to another."""
+    """Return the acceleration allowed for the whole way between two velocities."""
     up, down = model.acceleration_max, model.deceleration
     if start * target < 0.0:
         return min(up, down)
@@ -259,12 +261,12 @@ def _velocity_rate(model: MotorModel, start: float, target: float) -> float:
 def _in_time(
     motor: str, motion: Motion, trajectory: TrapezoidalTrajectory, distance: float, unit: str
 ) -> Motion:
-    """The motion with its duration: the shortest, or the one asked for."""
+    """Return the motion with its duration: the shortest, or the requested one."""
     try:
         return _timed(motor, motion, trajectory, distance, unit)
     except ArithmeticError as error:
-        what = f"{motor}: {trajectory!r} cannot be reckoned"
-        raise UsageError(f"{what}: a number of it is too large or too small") from error
+        what = f"{motor}: {trajectory!r} cannot be computed"
+        raise UsageError(f"{what}: one of its numbers is too large or too small") from error
 
 
 def _timed(
@@ -290,7 +292,7 @@ def _timed(
 
 
 def duration_of(motion: Motion) -> float:
-    """How long a trajectory takes, as fast as the motion's limits allow [s]; by time only."""
+    """Return the shortest duration of a trajectory over time within its limits [s]."""
     if motion.function is not None:
         return motion.duration_s or 0.0
     if motion.variable is ControlVariable.POSITION:
@@ -310,9 +312,9 @@ def _rate(motion: Motion) -> float:
 
 
 def stretch(motion: Motion, duration_s: float) -> Motion:
-    """The same way with the same ramps in `duration_s` [s], which is no shorter than possible.
+    """Return the motion with the same ramps in `duration_s` [s], at least its shortest.
 
-    A motion without a way stays as it is: it is over at once, whatever the duration.
+    A motion without a distance stays unchanged: it ends at once, whatever the duration.
     """
     if motion.distance == 0.0:
         return replace(motion, duration_s=0.0)
@@ -330,13 +332,13 @@ def stretch(motion: Motion, duration_s: float) -> Motion:
 
 
 def bounds_of(model: MotorModel, motion: Motion) -> Bounds:
-    """What model and command allow a trajectory of position, which may make less of it."""
+    """Return the bounds of model and command for a trajectory of position."""
     limits = None if motion.trajectory is None else motion.trajectory.limits
     return _bounds(model, limits, motion.distance)
 
 
 def _bounds(model: MotorModel, limits: DerivativeLimits | None, direction: float) -> Bounds:
-    """What holds for a motion of position in this direction: the tighter of model and command."""
+    """Return the bounds of a position motion in this direction: tighter of model and command."""
     velocity, up, down = model.velocity_max, model.acceleration_max, model.deceleration
     if limits is not None:
         if limits.first is not None:
@@ -348,7 +350,7 @@ def _bounds(model: MotorModel, limits: DerivativeLimits | None, direction: float
 
 
 def _velocity_bounds(model: MotorModel, limits: DerivativeLimits | None, target: float) -> Bounds:
-    """What holds for a motion of velocity; slowing to 0 may be from either side."""
+    """Return the bounds of a velocity motion; a motion to 0 may begin on either side."""
     up, down = model.acceleration_max, model.deceleration
     if limits is not None and limits.first is not None:
         if target == 0.0:

@@ -1,15 +1,15 @@
-"""A lock between processes, and between the threads of each, that says who has it.
+"""A named lock between processes, and between the threads of each process.
 
-First come, first served, in the order of asking. The kernel lets go of what a process had, or of
-its place in the queue, when it dies; nothing has to be tidied up. `motorapi.lock_file` says how.
+The order is first come, first served. When a process dies, the kernel releases its lock, or its
+place in the queue; no cleanup is necessary. `motorapi.lock_file` describes the mechanism.
 
-Every ownership has a *token*, which grows; it is kept in the lock's file. Whoever takes the lock is
-told whether it has *changed hands* since this object had it last: what it remembers of the thing
-that is locked may then be true no more.
+Every ownership has a *token*, which grows and is kept in the file of the lock. An acquisition
+reports whether the lock has *changed hands* since this object held it last: its knowledge of the
+locked object may then be out of date.
 
-Waiting is the runtime's, so that a deadline, a broken bus or Ctrl-C ends it. The wall's runtime can
-be woken from outside (`wake`). One that cannot lives in a time of its own, which no other process
-shares: there, what another process has is refused, not waited for.
+Waits use the runtime, so that a deadline, a broken bus or Ctrl-C ends them. The wall runtime can be
+woken from outside (`wake`). A runtime without it has its own virtual time, which no other process
+shares: there, a lock of another process is refused without a wait.
 """
 
 import os
@@ -32,23 +32,23 @@ from motorapi.runtime import Runtime
 __all__ = ["Hold", "ProcessLock", "Wait", "can_share_time", "this_process"]
 
 _WORDS_MAX: Final = 64
-"""So many purposes of a lock are kept packed."""
+"""The maximum number of packed purposes of a lock."""
 _NO_LEASE: Final = LEASE.pack(0, 0)
 
 
 def can_share_time(runtime: Runtime) -> bool:
-    """Whether another process can end a wait in this runtime: it is the wall's."""
-    return hasattr(runtime, "wake")  # as Wakeable; isinstance would take 40 us to say so
+    """Return True if another process can end a wait in this runtime: the wall runtime."""
+    return hasattr(runtime, "wake")  # as Wakeable; isinstance would take 40 us
 
 
 @final
 class ProcessLock:
-    """A lock that all processes know by its name, in one directory.
+    """A lock known to all processes by its name, in one directory.
 
     Args:
-        name: of its file; see `motorapi.lock_names`.
-        label: what it locks, in words, for errors and lists ("can0 node 3").
-        directory: where; None: the user's own, or as MOTORHIL_LOCK_DIR says.
+        name: name of its file; see `motorapi.lock_names`.
+        label: the locked object in words, for errors and lists ("can0 node 3").
+        directory: its directory; None: that of the user, or from MOTORHIL_LOCK_DIR.
     """
 
     def __init__(self, name: str, label: str, directory: LockDirectory | None = None) -> None:
@@ -63,7 +63,7 @@ class ProcessLock:
             _all.add(self)
 
     def begin_anew(self) -> None:
-        """It has nothing, and knows of nobody: as a forked child begins."""
+        """Reset to the initial state without a lock, as in a forked child."""
         self._identity = os.urandom(16)
         self._mutex = threading.Lock()
         self._watcher = QueueWatcher(self._open)
@@ -71,7 +71,7 @@ class ProcessLock:
         self._hold: Hold | None = None
         self._writing: dict[int, list[Hold]] = {}  # by thread
 
-    # ---- taking ----
+    # ---- acquisition ----
 
     def acquire(
         self,
@@ -85,22 +85,23 @@ class ProcessLock:
         lease_s: float | None = None,
         take_over: bool = False,
     ) -> Hold:
-        """The lock is ours, until the hold was released as often as it was acquired.
+        """Acquire the lock, until as many releases as acquisitions.
 
         Args:
-            runtime: where to wait.
-            purpose: what for, in words; others can read it.
-            timeout_s: how long to wait for those before us [s]; None: as long as it takes.
-            owner: who may take it again while it has it; None: the thread.
-            asker: what the error calls the one who was refused; "": the label.
-            wait: how to wait in the runtime; None: by its `wait_until`.
-            lease_s: others may take it over once it was not renewed for so long [s]; None: never,
-                but by `take_over`.
-            take_over: take it from whoever has it, in front of all who wait.
+            runtime: the runtime of the wait.
+            purpose: in words; others can read it.
+            timeout_s: timeout for processes before us [s]; None: no timeout.
+            owner: the party that may acquire it repeatedly; None: the thread.
+            asker: name of the refused party in the error; "": the label.
+            wait: wait function of the runtime; None: its `wait_until`.
+            lease_s: others may take it over after this time without renewal [s]; None: never,
+                except with `take_over`.
+            take_over: take it from its holder, ahead of all waiters.
 
         Raises:
-            MotorBusyError: somebody else has it; says who. Our place in the queue is given up.
-            UsageError: the lock's file is not safe, or no waiting is possible here.
+            MotorBusyError: another process holds it; names the process. The place in the queue is
+                released.
+            UsageError: the file of the lock is not safe, or no wait is possible here.
         """
         if owner is None:
             owner = threading.current_thread()
@@ -135,10 +136,10 @@ class ProcessLock:
             except BaseException:
                 self.give_back(file)
                 raise
-            file.close()  # somebody has tidied up: who comes now uses a new file
+            file.close()  # the file was removed: new requests use a new file
 
     def _take(self, file: LockFile, wish: Wish) -> TakeoverAttempt | None:
-        """It is taken, not at once; how, if from one who lives. Raises MotorBusyError."""
+        """Acquire by waiting; return the takeover, if any. Raise MotorBusyError on timeout."""
         pid = this_process().pid
         taking = Taking(file, wish, self._watcher, self._mutex, self.look, pid)
         taking.take()
@@ -146,17 +147,17 @@ class ProcessLock:
 
     @property
     def hold(self) -> Hold | None:
-        """The hold that this process has now through this object, if any."""
+        """The handle of this lock object in this process, or None."""
         hold = self._hold
         return hold if hold is not None and hold.is_held else None
 
     def begin_write(self, asker: str = "") -> int:
-        """The token of this process's hold, which nobody can take over until `end_write`.
+        """Block takeovers until `end_write`. Return the token of this process.
 
-        Any thread may, and may nest it. What is written in between must be short, and not wait.
+        Any thread may call it, also nested. The code in between must be short, and not wait.
 
         Raises:
-            MotorBusyError: this process does not have it, or has lost it; says to whom, and why.
+            MotorBusyError: this process does not hold it, or has lost it; names holder and reason.
         """
         thread = threading.get_ident()
         stack = self._writing.get(thread)
@@ -170,41 +171,41 @@ class ProcessLock:
         return hold.token
 
     def end_write(self) -> None:
-        """What this thread has begun by `begin_write` is over."""
+        """End the write begun by this thread with `begin_write`."""
         self._writing[threading.get_ident()].pop().end_write()
 
     def not_ours(self, asker: str) -> MotorBusyError:
-        """What somebody is told who would write and does not have it."""
+        """Return the error for writing without holding the lock."""
         holder = self.look().holder
         if holder is not None:
             return busy_error(None, asker or self.label, holder, "")
         return MotorBusyError(
             motor=asker or self.label,
-            holder="nobody, and must be taken before it is commanded,",
+            holder="no process, and must be acquired before a command,",
             since_ns=0,
-            since="it was given back",
+            since="its release",
         )
 
     def being_taken(self, token: int, asker: str) -> MotorBusyError:
-        """What somebody is told who would write while it is just being taken over from him."""
+        """Return the error for writing during a takeover."""
         takeover = find_takeover(self._directory, self.name, token, is_done=False)
         who = Occupant(None if takeover is None else takeover.by)
-        return busy_error(None, asker or self.label, who, ", in the middle of taking it over")
+        return busy_error(None, asker or self.label, who, ", during its takeover")
 
     def loss_of(self, token: int) -> Loss:
-        """How the token was lost."""
+        """Return the loss of a token."""
         takeover = find_takeover(self._directory, self.name, token)
         if takeover is None:
-            return Loss("somebody", "", "how is not known any more")
+            return Loss("an unknown process", "", "the reason is no longer known")
         return _loss(Occupant(takeover.by), takeover.reason)
 
     def loss_by_removal(self) -> Loss | None:
-        """Who has it by a new file, after the one it was had by was removed; None: nobody."""
+        """Return the loss to a process with a new file, after the old file was removed, or None."""
         holder = self.look().holder
         return None if holder is None else _loss(holder, "its lock file had been removed")
 
     def give_back(self, file: LockFile) -> None:
-        """Nothing is locked by way of this open file; it is kept for the next time."""
+        """Release all locks of this open file; it is kept for the next acquisition."""
         file.let_go()
         with self._mutex:
             if self._spare is None and not file.is_closed:
@@ -213,7 +214,7 @@ class ProcessLock:
         file.close()
 
     def close(self) -> None:
-        """What is kept open for the next time is closed; what is held is not let go."""
+        """Close the spare file; a held lock is not released."""
         with self._mutex:
             spare, self._spare = self._spare, None
         if spare is not None:
@@ -235,12 +236,12 @@ class ProcessLock:
         takeover: TakeoverAttempt | None,
         owner: object,
     ) -> Hold | None:
-        """What was taken, as everybody can read; None: it is lost again already."""
+        """Publish an acquired lock and return its handle; None: it is lost again already."""
         if takeover is not None:
             token, identity, was_abandoned = takeover.token, takeover.from_identity, False
         else:
             last = file.last()
-            if last is None:  # greater than any there may have been in a file that was removed
+            if last is None:  # greater than any token in a removed file
                 last = time.time_ns() // 1000, b"", False
             token, identity, was_abandoned = last
             token += 1
@@ -277,7 +278,7 @@ class ProcessLock:
         return pack_record(number, self._identity, process.facts, since, words)
 
     def look(self) -> LockView:
-        """Who has it and who waits for it now. Looking takes nothing and delays nobody."""
+        """Return the present holder and waiters, without taking or delaying the lock."""
         return look(self._directory, self.name)
 
 
@@ -299,7 +300,7 @@ _process: list[ThisProcess] = []
 
 
 def this_process() -> ThisProcess:
-    """Who we are, as others read it."""
+    """Return the published identity of this process."""
     if not _process:
         _process.append(ThisProcess())
     return _process[0]

@@ -1,4 +1,4 @@
-"""How far a motion is, from what was commanded and what was heard: nothing is asked."""
+"""Progress of a motion, from the command and received data, without requests."""
 
 # ruff: noqa: SLF001 -- it reads the hooks of a motor, as Motor does its own
 
@@ -17,18 +17,18 @@ if TYPE_CHECKING:
 @final
 @dataclass(frozen=True, slots=True, repr=False)
 class Progress:
-    """How far a motion is. U is rad, or m if the motor is linear.
+    """The progress of a motion. U is rad, or m if the motor is linear.
 
     Attributes:
-        operation: what goes on, as in "start() of left".
-        elapsed_s: since it began [s], as the hardware tells where it does.
-        expected_s: what the commanded profile takes [s]; None: not known (homing, a stop, an
-            argument that is not time).
-        remaining_s: what is left of that [s], 0 when it is late.
-        fraction: 0 to 1: of the way, for a position that goes straight to its target, else of the
-            expected time; None: neither is known.
-        position: the last one heard [U].
-        target: where it goes, in the unit of its control variable; None: not known.
+        operation: the active operation, as in "start() of left".
+        elapsed_s: time since its begin [s], as reported by the hardware if it does.
+        expected_s: duration of the commanded profile [s]; None: unknown (homing, a stop, an
+            argument other than time).
+        remaining_s: remaining part of that [s], 0 if it is late.
+        fraction: 0 to 1: of the distance, for a direct position motion, else of the expected time;
+            None: both unknown.
+        position: the last position received [U].
+        target: its target, in the unit of its control variable, or None if unknown.
     """
 
     operation: str
@@ -51,7 +51,7 @@ class Progress:
 
 
 def progress_of(motor: "SharedMotor", run: "Run") -> Progress:
-    """How far `run` of `motor` is."""
+    """Return the progress of `run` of `motor`."""
     motion = run.motion
     times = None if motion is None else motor._call(motor._motion_times)
     began_ns = run.since_ns

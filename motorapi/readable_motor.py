@@ -1,8 +1,8 @@
-"""What may be asked of a motor at any time: its state, its fault, and what is measured.
+"""Read access to a motor at any time: state, fault and measurements.
 
-Reading takes nobody's permission and never disturbs whoever has the motor. While somebody has
-low-level access nothing is asked: readings tell what was heard last, else who has the motor.
-U stands for the motor's unit of position: rad, or m if linear.
+Read access needs no ownership and never disturbs the owner of the motor. During low-level access
+nothing is requested from the drive: readings return the last value received, or raise an error that
+names the holder. U is the unit of position of the motor: rad, or m if linear.
 """
 
 from collections.abc import Callable
@@ -18,17 +18,17 @@ R = TypeVar("R")
 
 
 class ReadableMotor(MotorHooks):
-    """The part of `motorapi.motor.Motor` that only looks."""
+    """The read-only part of `motorapi.motor.Motor`."""
 
     @property
     @final
     def ownership(self) -> Ownership:
-        """Who owns the physical motor; its `listeners` are told of what happens to that."""
+        """The ownership of the physical motor; its `listeners` receive its events."""
         return self._physical.ownership
 
     @final
     def state(self) -> MotorState:
-        """The state; OFFLINE if the motor is not heard."""
+        """Return the state; OFFLINE if the motor does not respond."""
         access = self._physical.access
         if access is None:
             with self._physical.passage(self.name):
@@ -40,69 +40,69 @@ class ReadableMotor(MotorHooks):
 
     @final
     def fault(self) -> Fault | None:
-        """What the drive says is wrong; None if nothing is."""
+        """Return the fault reported by the drive, or None."""
         access = self._physical.access
         if access is None:
             with self._physical.passage(self.name):
                 return self._call(self._read_fault)
         latest = self.latest()
         if latest is None or latest.state is MotorState.FAULT:
-            raise access.busy(self.name)  # which fault would have to be asked
+            raise access.busy(self.name)  # only a request could tell the fault
         return None
 
     @final
     def is_referenced(self) -> bool:
-        """Whether position 0 is where it is meant to be."""
+        """Return True if position 0 is that of the model."""
         with self._physical.passage(self.name):
             self._call(self._connect)
             return self._call(self._read_referenced)
 
     @final
     def position(self) -> float:
-        """Measured position [U]."""
+        """Return the measured position [U]."""
         return self._measured(self._read_position, lambda latest: latest.position)
 
     @final
     def velocity(self) -> float:
-        """Measured velocity [U/s]."""
+        """Return the measured velocity [U/s]."""
         return self._measured(self._read_velocity, lambda latest: latest.velocity)
 
     @final
     def torque(self) -> float:
-        """Measured torque [N·m], or force [N]."""
+        """Return the measured torque [N·m], or force [N]."""
         return self._measured(self._read_torque, lambda latest: latest.torque)
 
     @final
     def following_error(self) -> float:
-        """Demand minus actual position [U]."""
+        """Return demand minus actual position [U]."""
         return self._measured(self._read_following_error, lambda latest: latest.following_error)
 
     @final
     def latest(self) -> Measurement | None:
-        """What was heard of the motor last; nothing is sent, so callbacks may ask."""
+        """Return the last measurement received; nothing is sent, so callbacks may call this."""
         return self._call(self._latest)
 
     def __repr__(self) -> str:
         text = f"<{type(self).__name__} {self.name!r} on {self._physical.label}"
         try:
             latest = self._latest()
-        except Exception as error:  # at a prompt a repr that raises hides what is wrong
+        except Exception as error:  # at a prompt, a repr that raises hides the problem
             return f"{text}: {error!r}>"
         if latest is None:
             return f"{text}>"
         where = "" if latest.position is None else f", {latest.position:g} {self.model.unit}"
         return f"{text}: {latest.state.value}{where}>"
 
-    # ---- inside: shared with Motor, motorapi.execution and motorapi.group ----
+    # ---- internal: shared with Motor, motorapi.execution and motorapi.group ----
 
     @final
     def _measured(
         self, read: Callable[[], float], heard: Callable[[Measurement], float | None]
     ) -> float:
-        """What is read; under somebody's low-level access, what was heard last.
+        """Return a measured value; during low-level access, the last one received.
 
         Raises:
-            MotorBusyError: somebody has low-level access, and it was not heard.
+            MotorBusyError: low-level access is active, and no value was received.
         """
         access = self._physical.access
         if access is None:
@@ -117,7 +117,7 @@ class ReadableMotor(MotorHooks):
 
     @final
     def _call(self, hook: Callable[P, R], *args: P.args, **kwargs: P.kwargs) -> R:
-        """What the hook returns; its errors are of the error tree."""
+        """Call the hook and return its result; convert foreign exceptions to PluginError."""
         try:
             return hook(*args, **kwargs)
         except MotorError:

@@ -1,4 +1,4 @@
-"""What `with motor.reserve() as reservation:` gives: is it still ours; and, we are alive."""
+"""Reservation handles of `with motor.reserve() as reservation:`."""
 
 from collections.abc import Sequence
 from typing import Final, final
@@ -12,13 +12,13 @@ LEASE_MAX_S: Final = 1e6
 
 
 def check_take_over(take_over: bool) -> None:
-    """Raises UsageError if it is neither True nor False: no motor is taken over by mistake."""
+    """Raise UsageError if it is neither True nor False: no takeover happens by mistake."""
     if not isinstance(take_over, bool):
         raise UsageError(f"take_over = {take_over!r}: give True or False")
 
 
 def check_lease(lease_s: float | None) -> None:
-    """Raises UsageError if it is no time that a lease could have."""
+    """Raise UsageError if `lease_s` is not a valid lease."""
     if lease_s is None:
         return
     if isinstance(lease_s, bool) or not LEASE_MIN_S <= as_number(lease_s) <= LEASE_MAX_S:
@@ -29,9 +29,9 @@ def check_lease(lease_s: float | None) -> None:
 
 @final
 class Reservation:
-    """A motor that was reserved, or all motors of a group, until the block ends.
+    """A reserved motor, or all motors of a group, until the end of the block.
 
-    Attributes: names (of the motors, in the order in which they were taken).
+    Attributes: names (of the motors, in the order of acquisition).
     """
 
     __slots__ = ("_claims", "names")
@@ -47,29 +47,29 @@ class Reservation:
 
     @property
     def token(self) -> int:
-        """The number of this ownership, greater than anybody's before; of a group: the first's."""
+        """The token of this ownership, greater than any earlier one (group: of the first)."""
         return self._claims[0].token
 
     @property
     def tokens(self) -> tuple[int, ...]:
-        """Of each motor, as `names`."""
+        """The token of each motor, in the order of `names`."""
         return tuple(claim.token for claim in self._claims)
 
     @classmethod
     def of_all(cls, parts: "Sequence[Reservation]") -> "Reservation":
-        """Several as one."""
+        """Combine several reservations into one."""
         names = [name for part in parts for name in part.names]
         claims = [claim for part in parts for claim in part._claims]  # noqa: SLF001 -- of its kind
         return cls(names, claims)
 
     @property
     def is_held(self) -> bool:
-        """Whether it was neither lost nor given back."""
+        """True while it is neither lost nor released."""
         return all(claim.is_held for claim in self._claims)
 
     @property
     def members(self) -> "tuple[Reservation, ...]":
-        """Of each motor its own, as `names`."""
+        """The reservation of each motor, in the order of `names`."""
         return tuple(
             Reservation((name,), (claim,))
             for name, claim in zip(self.names, self._claims, strict=True)
@@ -77,14 +77,14 @@ class Reservation:
 
     @property
     def lost_to(self) -> str | None:
-        """Who took it over, and why, in words; None: nobody did."""
+        """The new owner and its reason in words, or None."""
         for claim in self._claims:
             if claim.lost_to is not None:
                 return claim.lost_to
         return None
 
     def renew(self) -> None:
-        """The lease begins anew. Every operation of the owner, and every wait of his, does it.
+        """Restart the lease, as every operation and every wait of the owner does.
 
         Raises:
             MotorBusyError: it was taken over meanwhile.

@@ -1,4 +1,4 @@
-"""Where an application waits: the only place of this package that time and threads come from."""
+"""Runtime of an application: the only source of time and threads."""
 
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Protocol
@@ -9,69 +9,69 @@ if TYPE_CHECKING:
     import can
 
 FrameListener = Callable[[bytes, int, bool], None]
-"""(frame, time_ns, transmitted): a Linux can_frame of 16 bytes, when it was complete on the bus,
-and whether this bus object sent it itself, so that it is now known to have been on the wire.
-
-Error messages of the bus's own CAN controller come here, too, as frames of nobody's: ERR_FLAG is in
-their identifier, and `motorapi.bus_status` knows what they mean. They are no traffic."""
+"""(frame, time_ns, transmitted): a Linux can_frame of 16 bytes, the time when it was complete on
+the bus, and True if this bus object sent it, so that it is known to have been on the wire. Error
+messages of the CAN controller of the bus arrive here too, as frames with ERR_FLAG in their
+identifier; `motorapi.bus_status` decodes them. They are not bus traffic.
+"""
 
 
 class Registration(Protocol):
-    """Something that goes on until it is cancelled."""
+    """An activity that continues until it is cancelled."""
 
     def cancel(self) -> None:
-        """It has ended; cancelling again does nothing."""
+        """End the activity; cancelling again does nothing."""
 
 
 class Party(Protocol):
-    """A further line of execution of the application."""
+    """A further thread of execution of the application."""
 
     name: str
     error: BaseException | None
 
     def join(self, timeout_s: float | None = None) -> bool:
-        """Whether it has ended within `timeout_s` [s] (None: as long as it takes)."""
+        """Wait for its end. Return True if it ended within `timeout_s` [s] (None: no timeout)."""
 
 
 class Runtime(Protocol):
-    """Time, waiting and the wire, for ordinary blocking code. Times are int ns, timeouts s."""
+    """Time, waiting and bus access for ordinary blocking code. Times are int ns, timeouts s."""
 
     def now_ns(self) -> int:
-        """The time [ns]."""
+        """Return the time [ns]."""
 
     def wait_until(self, done: Callable[[], bool], timeout_s: float | None = None) -> bool:
-        """Whether `done()` became true within `timeout_s` [s]; waiting is what lets time pass.
+        """Wait until `done()` is true; only waits let time pass. Return False on timeout.
 
         Raises:
-            UsageError: called from inside a callback, or in a thread the runtime does not know.
+            UsageError: called inside a callback, or in a thread unknown to the runtime.
         """
 
     def every(self, period_s: float, action: Callable[[], None]) -> Registration:
-        """`action` runs every `period_s` [s], first one period from now; it must not wait."""
+        """Run `action` every `period_s` [s], first after one period; it must not wait."""
 
     def spawn(self, name: str, function: Callable[[], None]) -> Party:
-        """`function` runs as a further party of the application, and may wait."""
+        """Run `function` as a further party of the application, which may wait."""
 
     def listen(self, bus: "can.BusABC", on_frame: FrameListener) -> Registration:
-        """`on_frame` is told every frame on `bus`, own ones when they were transmitted."""
+        """Call `on_frame` for every frame on `bus`, for own frames after their transmission."""
 
     def send(self, bus: "can.BusABC", frame: bytes) -> None:
-        """A can_frame is queued on `bus`; `listen` tells when it was transmitted."""
+        """Queue a can_frame on `bus`; `listen` reports its transmission."""
 
 
 def wait_until(runtime: Runtime, done: Callable[[], bool], timeout_s: float | None = None) -> bool:
-    """As `runtime.wait_until`; what a callback raised meanwhile is told as that, with its place.
+    """Wait as `runtime.wait_until`; convert exceptions of callbacks to PluginError.
 
     Raises:
-        MotorError: as `done` does, or the runtime.
-        PluginError: a callback raised something else.
+        MotorError: `done`, or the runtime, raised it.
+        PluginError: a callback raised another exception; names its place.
     """
     try:
         return runtime.wait_until(done, timeout_s)
     except MotorError:
         raise
     except Exception as error:
-        plugin, where = "a callback", "while something was waited for"
+        plugin, where = "a callback", "during a wait"
         place = error.__traceback__
         while place is not None and place.tb_next is not None:
             place = place.tb_next
@@ -82,10 +82,10 @@ def wait_until(runtime: Runtime, done: Callable[[], bool], timeout_s: float | No
 
 
 def runtime_of(bus: "can.BusABC") -> Runtime:
-    """Where an application on this bus waits: the bus's own runtime if it has one, else the wall.
+    """Return the runtime of the bus itself if it has one, else that of the wall clock.
 
-    An emulated bus of a rig in this process has the rig's; all other buses of the process share
-    one `WallRuntime`.
+    An emulated bus of a rig in this process has that of the rig. All other buses of the process
+    share one `WallRuntime`.
     """
     own: Runtime | None = getattr(bus, "runtime", None)
     if own is not None:

@@ -1,4 +1,4 @@
-"""A drive is set up for somebody who only reads it: for as long as that takes it is owned, too."""
+"""Set-up of a drive for readers, which own it for that time."""
 
 from typing import TYPE_CHECKING, Final, final
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 @final
 class SetUp:
-    """The owner of a drive that is set up: no logical motor, but what readers have in common.
+    """The common owner of drives that are set up for readers, without a logical motor.
 
     Attributes: name, runtime, as of any owner.
     """
@@ -28,7 +28,7 @@ class SetUp:
         self._claim: Claim | None = None
 
     def take(self, lock: ProcessLock, mark: object) -> Hold | None:
-        """The hold, under this mark in place of the owner; None: it has it already.
+        """Acquire the lock, with `mark` as the owner. Return its handle; None: already acquired.
 
         Raises:
             MotorBusyError: another process owns the motor.
@@ -44,7 +44,7 @@ class SetUp:
         return hold
 
     def give(self) -> None:
-        """It is given back, if it was taken."""
+        """Release the lock, if it was acquired."""
         claim, self._claim = self._claim, None
         if claim is not None and claim.hold is not None:
             claim.hold.release()
@@ -52,7 +52,7 @@ class SetUp:
 
 
 def action_of(hold: Hold) -> LockAction:
-    """By what the lock was taken."""
+    """Return the kind of acquisition of a lock."""
     if hold.was_abandoned:
         return LockAction.BROKEN
     return LockAction.TAKEN_OVER if hold.was_taken_over else LockAction.TAKEN

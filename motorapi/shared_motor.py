@@ -1,7 +1,6 @@
-"""A logical motor as one of several that share a physical motor: what goes on, and how it ended.
+"""A logical motor that shares a physical motor: active motion and its end.
 
-Taking turns with the others is in `motorapi.sharing`; what an application commands is in
-`motorapi.motor`.
+`motorapi.sharing` coordinates logical motors; `motorapi.motor` has the commands of applications.
 """
 
 from collections.abc import Callable, Iterator
@@ -33,11 +32,11 @@ if TYPE_CHECKING:
 
 
 _ADOPTION_S: Final = 30.0
-"""How long a motor may take to come to rest that was left moving."""
+"""The timeout for the rest of a motor that was left moving [s]."""
 
 
 class SharedMotor(ReadableMotor):
-    """The part of `motorapi.motor.Motor` that knows of runs."""
+    """The part of `motorapi.motor.Motor` that manages motions."""
 
     _run: Run | None = None
     _callback_error: PluginError | None = None
@@ -48,14 +47,14 @@ class SharedMotor(ReadableMotor):
         doing = ""
         access, run = self._physical.access, self._physical.run
         if access is not None:
-            doing = f"; {access.who} has it"
+            doing = f"; held by {access.who}"
         elif run is not None and self._goes_on(run):
-            doing = f"; {run.name} goes on"
+            doing = f"; {run.name} is active"
         return f"{text[:-1]}{doing}>"
 
     @final
     def is_done(self) -> bool:
-        """Whether `wait_until_done` would return at once; raises as it does."""
+        """Return True if `wait_until_done` would return at once; raises as it does."""
         done = self._look(self._run)
         if done:
             self._raise_callback_error()
@@ -63,27 +62,27 @@ class SharedMotor(ReadableMotor):
 
     @final
     def on_done(self, callback: Callable[[Outcome], object]) -> "Registration":
-        """`callback(outcome)` is called once, when what was commanded last here is over.
+        """Call `callback(outcome)` once, when the last command has ended.
 
-        At once if it is over already; else from the event that ends it, however it ends. Like
-        any callback it must neither wait nor start what waits. Of a motor that must be asked it
-        hears while somebody waits for that motor.
+        The call is immediate if it has ended already; else it happens in the event that ends it,
+        whatever the outcome. Like any callback it must neither wait nor start anything that waits.
+        A motor that must be polled reports only while a caller waits for it.
 
         Returns:
-            What cancels it.
+            A registration that cancels it.
 
         Raises:
-            StateError: nothing was commanded yet.
+            StateError: no command was given yet.
         """
         if not callable(callback):
-            raise UsageError(f"{self.name}: on_done({callback!r}): give what can be called")
+            raise UsageError(f"{self.name}: on_done({callback!r}): not callable; give a function")
         run = self._run
         if run is None:
             raise StateError(
                 motor=self.name,
                 operation="on_done",
                 state="nothing was commanded yet",
-                remedy="call start() first: it tells how that motion ends",
+                remedy="call start() first, then on_done() reports the end of that motion",
             )
         notice = DoneNotice(
             lambda: self._outcome(run), callback, self._callback_failed, f"on_done of {self.name}"
@@ -93,10 +92,10 @@ class SharedMotor(ReadableMotor):
 
     @final
     def progress(self) -> Progress | None:
-        """How far what was commanded last here is; None once it is over, or if nothing was.
+        """Return the progress of the last command; None after its end, or without a command.
 
-        It neither waits nor sends, so callbacks may ask. What is said of velocity, torque or
-        current goes on after it was reached, and so does this.
+        This neither waits nor sends, so callbacks may call it. A command of velocity, torque or
+        current continues after it was reached, and so does its progress.
         """
         run = self._run
         if run is None or run.is_over:
@@ -108,12 +107,12 @@ class SharedMotor(ReadableMotor):
             return None
         return progress_of(self, run)
 
-    # ---- inside: shared with motorapi.execution, motion_waits, low_level and group ----
+    # ---- internal: shared with motorapi.execution, motion_waits, low_level and group ----
 
     @final
     @contextmanager
     def _operation(self, name: str, timeout_s: float | None = None) -> Iterator[None]:
-        """The motor is ours, connected, and nobody else operates on it inside the block."""
+        """Own the connected motor inside the block, without other operations."""
         with self._commanding(f"{name}() of {self.name}", timeout_s):
             self._take_physical(self._physical.ownership.is_orphan)
             self._call(self._connect)
@@ -126,18 +125,18 @@ class SharedMotor(ReadableMotor):
 
     @final
     def _take_physical(self, take_over: bool) -> None:
-        """It does what we command; with `take_over` also if it does something for others yet."""
+        """Bind the physical motor to this one; with `take_over` also during a motion of another."""
         self._bury_failed_run()
         now_ns = self.runtime.now_ns() if take_over else None
         self._physical.take(self, self.name, self._status(), now_ns)
 
     @final
     def _adopt(self, timeout_s: float | None = None, since_ns: int = 0) -> None:
-        """What was left moving by one who died with the motor, or has lost it, is at rest.
+        """Bring to rest a motor that a former owner has left moving.
 
         Raises:
             DeadlineExceeded: it does not come to rest, within `timeout_s` [s] of `since_ns`, if
-                that is given.
+                given.
         """
         if self._call(self._read_state) is MotorState.ENABLED:
             self._call(self._stop)
@@ -147,7 +146,7 @@ class SharedMotor(ReadableMotor):
             patience = Patience(left_s, lambda: None, lambda: self._call(self._refresh))
             if not patience.until(self.runtime, lambda: self._call(self._is_done), left_s):
                 raise DeadlineExceeded(
-                    awaited=f"rest of {self.name}, left moving by one who has it no more",
+                    awaited=f"rest of {self.name}, left moving by a former owner",
                     timeout_s=_ADOPTION_S if timeout_s is None else timeout_s,
                     last_heard=f"{self._call(self._read_velocity):g} {self.model.unit}/s",
                 )
@@ -158,9 +157,9 @@ class SharedMotor(ReadableMotor):
     def _commanding(
         self, who: str, timeout_s: float | None = None, purpose: str = ""
     ) -> "Iterator[Ticket]":
-        """The motor is owned, and it is our turn. None waits for short operations only.
+        """Own the motor and its turn inside the block. None: wait for short operations only.
 
-        The patient wait without a turn, so that its owner can go on meanwhile.
+        A request with a timeout waits without a turn, so that the owner can continue meanwhile.
         """
         physical, runtime = self._physical, self.runtime
         if timeout_s is None:
@@ -178,12 +177,12 @@ class SharedMotor(ReadableMotor):
 
     @final
     def _patience(self, timeout_s: float) -> Patience:
-        """How to wait for others to end what they do with the motor."""
+        """Return the policy for the wait until others have finished with the motor."""
         return Patience(timeout_s, self._others_run, self._refresh_run)
 
     @final
     def _others_run(self) -> MotorBusyError | None:
-        """What is told of a run of another logical motor; None: none goes on."""
+        """Return the error for an active motion of another logical motor, or None."""
         run = self._physical.run
         if run is None or run.owner is self or not self._goes_on(run):
             return None
@@ -191,7 +190,7 @@ class SharedMotor(ReadableMotor):
 
     @final
     def _refresh_run(self) -> float | None:
-        """What the hardware tells of a run there is, is fresh; when to ask again [s], if at all."""
+        """Refresh the status of the active motion. Return the polling interval [s], or None."""
         run = self._physical.run
         if self._physical.access is None and (run is None or run.is_over):
             return None
@@ -199,7 +198,7 @@ class SharedMotor(ReadableMotor):
 
     @final
     def _refresh_freely(self) -> float | None:
-        """As the hook; while somebody has low-level access, nothing is asked but when to look."""
+        """Call the hook `_refresh`; during low-level access only return the check interval."""
         physical = self._physical
         if physical.access is not None:
             return LOOK_PERIOD_S
@@ -208,7 +207,7 @@ class SharedMotor(ReadableMotor):
 
     @final
     def _goes_on(self, run: Run) -> bool:
-        """Whether the run is what the motor does, and is not over."""
+        """Return True if `run` is the active motion and has not ended."""
         if self._physical.run is not run or run.is_over:
             return False
         status = self._status()
@@ -216,7 +215,7 @@ class SharedMotor(ReadableMotor):
 
     @final
     def _keep(self) -> None:
-        """No other process has the motor until what this one does with it is over."""
+        """Keep other processes from the motor until the motion of this one has ended."""
         physical = self._physical
 
         def goes_on() -> bool:
@@ -227,7 +226,7 @@ class SharedMotor(ReadableMotor):
 
     @final
     def _status(self) -> RunStatus:
-        """How far the physical motor's run is; DONE if there is none."""
+        """Return the status of the physical motor's motion; DONE without one."""
         run = self._physical.run
         if run is None or run.finished:
             return RunStatus.DONE
@@ -238,7 +237,7 @@ class SharedMotor(ReadableMotor):
 
     @final
     def _bury_failed_run(self) -> None:
-        """What the hardware says has failed is over, whatever it says once it is brought up."""
+        """End a motion that has failed, so that a later set-up of the drive cannot revive it."""
         run = self._physical.run
         if run is None or run.finished:
             return
@@ -257,14 +256,14 @@ class SharedMotor(ReadableMotor):
 
     @final
     def _look(self, run: Run | None) -> bool:
-        """Whether the run is over; an error if it was ended short of its target."""
+        """Return True if the motion has ended; raise if it ended short of its target."""
         if run is None or run.finished:
             return True
         self._raise_interruption(run)
         if not self._call(self._is_done):
             return False
         self._physical.ownership.notice(run.owner)
-        self._raise_interruption(run)  # what has come to rest may be the next one's doing
+        self._raise_interruption(run)  # rest may be the result of the next command
         if run.ends:
             run.finished = True
         return True
@@ -279,7 +278,7 @@ class SharedMotor(ReadableMotor):
 
     @final
     def _outcome(self, run: Run) -> Outcome | None:
-        """How the run ended; None while it goes on."""
+        """Return the outcome of the motion, or None while it is active."""
         error: MotorError | None = None
         ending = Ending.DONE
         try:
@@ -296,7 +295,7 @@ class SharedMotor(ReadableMotor):
 
     @final
     def _raise_callback_error(self) -> None:
-        """Raises what a callback raised since this was called last."""
+        """Raise the error of a callback since the last call, if any."""
         error, self._callback_error = self._callback_error, None
         if error is not None:
             raise error

@@ -1,22 +1,22 @@
-"""One physical motor, many logical ones: who has it, and what it is doing for whom.
+"""Sharing of one physical motor by many logical motors.
 
-A hardware object registers the physical motor it speaks for; a second one for the same motor is
-refused while the first lives. The record this yields is shared by all logical motors on that
-hardware object. It keeps four things apart:
+A hardware object registers the physical motor that it represents; a second one for the same motor
+is refused while the first exists. All logical motors on that hardware object share the resulting
+record. The record separates four things:
 
-- a *transaction*: one operation at a time (an SDO here, an SDO there would mix settings of two
-  owners). Short, first come, first served. Nobody owns anything afterwards.
-- a *run*: one motion, from the command that began it to its end. While a run goes on, the motor is
-  held by the logical motor that began it: others read, and may stop it, but not command it.
-- the *token*: it grows when the motor changes hands. What a hardware object believes it wrote is
-  true only while the token it wrote under is the current one.
-- *low-level access*: a transaction that lasts as long as its holder likes. Who asks for an ordinary
-  one meanwhile is refused at once; so is what needs no transaction (readings, stops, waiters that
-  poll): it goes through a *passage*, and access is granted only while nobody is in one.
+- A *transaction*: one operation at a time (interleaved SDOs would mix settings of two owners).
+  Transactions are short, first come, first served, and leave no ownership behind.
+- A *run*: one motion, from its command to its end. While it is active, the logical motor that began
+  it holds the motor: others read, and may stop it, but not command it.
+- The *token*: it grows when the motor changes hands. The settings written by a hardware object are
+  known only while the token of the write is the current one.
+- *Low-level access*: a transaction of any length. Requests for an ordinary transaction are refused
+  at once meanwhile. Access without a transaction (readings, stops, polling waits) is refused as
+  well: it goes through a *passage*, and low-level access is granted only without active passages.
 
-Behind them is *ownership* (`motorapi.ownership`): of one logical motor, for an operation, a
-reservation or low-level access. On a bus that other processes can open it keeps them out as well,
-then also while a run goes on, and the token grows when one of them had the motor in between.
+They build on *ownership* (`motorapi.ownership`): by one logical motor, for an operation, a
+reservation or low-level access. On a bus that other processes can open it excludes them as well,
+also while a motion is active. The token grows when one of them had the motor in between.
 """
 
 import threading
@@ -45,7 +45,7 @@ _NO_STOP: Final = (
 
 @final
 class RunStatus(Enum):
-    """How far a run is, as the hardware tells."""
+    """The status of a motion, as reported by the hardware."""
 
     GOING = "going"
     DONE = "done"
@@ -54,7 +54,7 @@ class RunStatus(Enum):
 
 @final
 class Run:
-    """One motion of a physical motor: who began it, what it is, and how it ended."""
+    """One motion of a physical motor: its owner, its command, and its end."""
 
     __slots__ = (
         "error",
@@ -78,27 +78,27 @@ class Run:
         self.interrupted_at_ns = 0
 
     def __repr__(self) -> str:
-        how = "done" if self.finished else self.interrupted_by or "not known to be over"
+        how = "done" if self.finished else self.interrupted_by or "not known to have ended"
         return f"<Run {self.name} since {self.since_ns / 1e9:.6f} s: {how}>"
 
     @property
     def ends(self) -> bool:
-        """Whether it ends by itself. What is said of velocity, torque or current goes on."""
+        """True if it ends by itself; a command of velocity, torque or current continues."""
         return self.motion is None or self.motion.variable is ControlVariable.POSITION
 
     @property
     def is_over(self) -> bool:
-        """Whether it is known how it ended."""
+        """True if its end is known."""
         return self.finished or self.interrupted_by is not None
 
     def interrupt(self, by: str, now_ns: int) -> None:
-        """It was ended by `by`, short of its target; the first one counts."""
+        """Record that `by` ended it short of its target; the first call counts."""
         if self.interrupted_by is None and not self.finished:
             self.interrupted_at_ns = now_ns
-            self.interrupted_by = by  # last: a waiter looks at this one first
+            self.interrupted_by = by  # last: a waiter examines this attribute first
 
     def fail(self, error: MotorError, now_ns: int) -> None:
-        """It was ended by `error`, if nothing else had ended it before."""
+        """Record that `error` ended it, unless it has ended before."""
         if not self.is_over:
             self.error = error
             self.interrupt(str(error), now_ns)
@@ -106,7 +106,7 @@ class Run:
 
 @final
 class _Passage:
-    """A block that uses the hardware outside of any transaction. A class: readings are many."""
+    """A block that uses the hardware outside of transactions; a class for speed."""
 
     __slots__ = ("_motor", "_of_holder", "_physical")
 
@@ -124,29 +124,30 @@ class _Passage:
 
 @final
 class PhysicalMotor:
-    """The record of one physical motor in this process. `label` is its name for people."""
+    """The record of one physical motor in this process. `label` is its name for users."""
 
     def __init__(self, label: str, serial: int, lock: ProcessLock | None = None) -> None:
         self.label: Final = label
         self.ownership: Final = Ownership(lock, self._end_run_of)
         self.order: Final = (label if lock is None else lock.name, label, serial)
-        """Transactions of several motors are taken in this order, so that none can deadlock."""
+        """The order of transactions of several motors, which prevents deadlocks."""
         self.token = 0
         self.run: Run | None = None
         self.interruptions = 0
-        """Grows with every stop, quick stop and halt, so that a start in progress notices."""
+        """The number of stops, quick stops and halts, by which a start in progress notices one."""
         self.news: News | None = None
-        """Set by a hardware object that counts in it every change of what `_is_done` looks at, by
-        `grow` where a motion may have ended with it; the hook is then asked only when it has grown.
-        None: it is asked after every event, and for callbacks every now and then."""
+        """The change counter of a hardware object that counts every change evaluated by `_is_done`.
+        It calls `grow` where a motion may have ended with the change; the hook is then called only
+        after a change. None: the hook is called after every event, and periodically for callbacks.
+        """
         self.access: Ticket | None = None
-        """Who has low-level access; None: nobody."""
+        """The ticket of low-level access, or None."""
         self._own_news = News()
         self._owner: object = None
-        self._absences = 0  # of `ownership`, when the token was looked at last
+        self._absences = 0  # of `ownership`, when the token was last updated
         self._turns = Turns(label)
         self._inside = 0
-        self._mutex = threading.Lock()  # of the few numbers here; never held while waiting
+        self._mutex = threading.Lock()  # of the few numbers here; never held during a wait
 
     def __repr__(self) -> str:
         doing = "at rest" if self.run is None or self.run.finished else self.run.name
@@ -156,7 +157,7 @@ class PhysicalMotor:
 
     @property
     def bell(self) -> News:
-        """The news that tell of every end there is to a run; of its hardware's, if it counts."""
+        """The counter that reports every end of a motion: that of the hardware, if it has one."""
         return self._own_news if self.news is None else self.news
 
     # ---- transactions, passages, low-level access ----
@@ -164,23 +165,23 @@ class PhysicalMotor:
     def transaction(
         self, runtime: Runtime, who: str, timeout_s: float | None = None
     ) -> AbstractContextManager[Ticket]:
-        """No other operation on this motor runs inside the block; see `Turns.turn`."""
+        """Exclude other operations on this motor inside the block; see `Turns.turn`."""
         return self._turns.turn(runtime, who, timeout_s)
 
     def passage(self, motor: str, *, of_holder: bool = False) -> "_Passage":
-        """Nobody is given low-level access while this block uses the hardware, in no transaction.
+        """Block grants of low-level access while the block uses the hardware without a transaction.
 
         Args:
             motor: the name for the error.
-            of_holder: the thread that has low-level access may pass: it works the hardware object.
+            of_holder: permit the thread with low-level access, which uses the hardware object.
 
         Raises:
-            MotorBusyError: somebody has low-level access; the holder itself counts too.
+            MotorBusyError: low-level access is active, also for the holder itself.
         """
         return _Passage(self, motor, of_holder)
 
     def enter(self, motor: str, of_holder: bool) -> None:
-        """A passage begins. Raises as `passage`."""
+        """Begin a passage. Raises as `passage`."""
         with self._mutex:
             access = self.access
             if access is not None and not (of_holder and access.thread == threading.get_ident()):
@@ -188,27 +189,27 @@ class PhysicalMotor:
             self._inside += 1
 
     def leave(self) -> None:
-        """A passage ends."""
+        """End a passage."""
         with self._mutex:
             self._inside -= 1
 
     @property
     def is_held_here(self) -> bool:
-        """Whether this very thread has low-level access."""
+        """True if the calling thread has low-level access."""
         access = self.access
         return access is not None and access.thread == threading.get_ident()
 
     def require_not_held_elsewhere(self) -> None:
-        """Raises MotorBusyError if another thread has low-level access."""
+        """Raise MotorBusyError if another thread has low-level access."""
         access = self.access
         if access is not None and access.thread != threading.get_ident():
             raise access.busy(self.label)
 
     def interrupt(self, motor: str) -> AbstractContextManager[None]:
-        """A start in progress notices that the motor is stopped, inside the block.
+        """Notify a start in progress of a stop inside the block.
 
         Raises:
-            MotorBusyError: somebody has low-level access.
+            MotorBusyError: low-level access is active.
         """
         access = self.access
         if access is not None:
@@ -220,10 +221,10 @@ class PhysicalMotor:
         return self.passage(motor)
 
     def grant(self, runtime: Runtime, ticket: Ticket, timeout_s: float) -> None:
-        """Who has this ticket, and so the turn, has low-level access, once nobody is in a passage.
+        """Grant low-level access to the holder of the ticket, once no passage is active.
 
         Raises:
-            MotorBusyError: somebody stayed in one for `timeout_s` [s].
+            MotorBusyError: a passage stayed active for `timeout_s` [s].
         """
 
         def is_granted() -> bool:
@@ -235,12 +236,12 @@ class PhysicalMotor:
                 return True
 
         if not wait_until(runtime, is_granted, timeout_s):
-            holder = "somebody who reads or stops it"
+            holder = "a party that reads or stops it"
             raise MotorBusyError(motor=self.label, holder=holder, since_ns=ticket.since_ns)
         self._count_news()
 
     def revoke(self, ticket: Ticket) -> None:
-        """Low-level access is over; what anybody believes of the motor is doubted."""
+        """End low-level access; all knowledge of the motor is discarded."""
         self._owner = None
         self.token += 1
         self.access = None
@@ -251,17 +252,17 @@ class PhysicalMotor:
     def take(
         self, owner: object, motor: str, status: RunStatus, taken_over_ns: int | None = None
     ) -> None:
-        """`owner` may command the motor; `status` is that of the run there is, if any.
+        """Permit commands of `owner`; `status` is that of the present motion, if any.
 
         Args:
             owner: the logical motor.
             motor: its name.
             status: see above.
-            taken_over_ns: when he took it from others: what goes on for them (a stop, that anybody
-                may command, too) is over, and leaves an orphan. None: he did not.
+            taken_over_ns: time of a takeover: active motions of others (also a stop, which needs no
+                ownership) end, and leave an orphan. None: no takeover.
 
         Raises:
-            MotorBusyError: a run of another owner goes on.
+            MotorBusyError: a motion of another owner is active.
         """
         run = self.run
         if run is not None and run.interrupted_by is None:
@@ -281,19 +282,19 @@ class PhysicalMotor:
             self.token += 1
 
     def begin(self, run: Run, status: RunStatus) -> None:
-        """`run` is what the motor does now; what it did before was interrupted, if not over."""
+        """Make `run` the active motion; an earlier one that has not ended is interrupted."""
         self._settle(run.name, run.since_ns, status)
         self.run = run
         self._count_news()
 
     def end(self, by: str, now_ns: int, status: RunStatus) -> None:
-        """Nothing goes on; what went on was interrupted by `by`, if it was not over."""
+        """End the active motion; it is interrupted by `by`, if it has not ended."""
         if self._settle(by, now_ns, status):
             self.run = None
             self._count_news()
 
     def fail(self, error: MotorError, now_ns: int) -> None:
-        """Nothing goes on; what went on was ended by `error`."""
+        """End the active motion with `error`."""
         run = self.run
         if run is not None:
             run.fail(error, now_ns)
@@ -301,16 +302,16 @@ class PhysicalMotor:
             self._count_news()
 
     def _end_run_of(self, by: str, now_ns: int, loser: object, taker: object) -> bool:
-        """Who took the motor over has ended what it did; whether it did anything.
+        """End the motion of a former owner after a takeover. Return True if there was one.
 
         Args:
-            by: who, in words.
-            now_ns: when.
-            loser: whose run; None: anybody's but the taker's.
-            taker: who takes it over; None: another process.
+            by: the new owner, in words.
+            now_ns: time of the takeover.
+            loser: the former owner; None: any except the new one.
+            taker: the new owner; None: another process.
         """
         with self._mutex:
-            self.interruptions += 1  # a start in progress notices
+            self.interruptions += 1  # a start in progress notices this
         run = self.run
         if run is None or run.is_over or run.owner is taker:
             return False
@@ -321,11 +322,11 @@ class PhysicalMotor:
         return True
 
     def stopped_elsewhere(self, by: str, now_ns: int) -> bool:
-        """Another program has told the motor to stop; whether anything went on here."""
+        """Record a stop by another program. Return True if a motion was active here."""
         return self._end_run_of(by, now_ns, None, None)
 
     def _settle(self, by: str, now_ns: int, status: RunStatus) -> bool:
-        """How the run there is ended is known; whether there was one."""
+        """Record the end of the present motion. Return True if there was one."""
         run = self.run
         if run is None:
             return False
@@ -346,16 +347,17 @@ _serial = 0
 def register_physical_motor(
     key: Hashable, label: str, hardware: object, lock: ProcessLock | None = None
 ) -> PhysicalMotor:
-    """The record of the physical motor `key`, for the one hardware object that speaks for it.
+    """Return the record of physical motor `key`, for its only hardware object.
 
     Args:
-        key: says which physical motor: for a drive on CAN `(*bus_key(bus), node_id)`.
-        label: its name for people ("can0 node 3").
-        hardware: the hardware object. It is held weakly: dropping it lets go of the motor.
-        lock: between processes; None: no other process can speak for this motor.
+        key: identifies the physical motor: for a drive on CAN `(*bus_key(bus), node_id)`.
+        label: its name for users ("can0 node 3").
+        hardware: the hardware object. The reference is weak: dropping the object releases the
+            motor.
+        lock: between processes; None: no other process can control this motor.
 
     Raises:
-        UsageError: a hardware object for this motor lives already. It is named.
+        UsageError: another hardware object for this motor exists. It is named.
     """
     global _serial
     with _registry_lock:
@@ -377,7 +379,7 @@ def register_physical_motor(
 
 
 def release_physical_motor(key: Hashable, hardware: object) -> None:
-    """`hardware` no longer speaks for the motor `key`; does nothing if it never did."""
+    """Unregister `hardware` for motor `key`; do nothing if it was not registered."""
     with _registry_lock:
         there = _registry.get(key)
         if there is not None and there() is hardware:
@@ -385,7 +387,7 @@ def release_physical_motor(key: Hashable, hardware: object) -> None:
 
 
 def bus_key(bus: "can.BusABC") -> tuple[Hashable, ...]:
-    """The same for every bus object on one physical bus, however it was opened in this process."""
+    """Return one key for all bus objects on one physical bus, however opened in this process."""
     channel = getattr(bus, "channel_info", "unknown")
     where: Hashable = bus if channel == "unknown" else (type(bus).__name__, channel)
     return ("can", getattr(bus, "runtime", None), where)

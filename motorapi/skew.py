@@ -1,16 +1,16 @@
-"""Predicted skew: bounds on how far apart motors begin and end, from what their hardware offers.
+"""Predicted skew: bounds on the time between begins and ends of motors.
 
-Three figures, each resting on the one before it:
+There are three figures, each based on the one before it:
 
-- *command skew*: between the instants at which the first and the last drive latch their commands.
-  One signal for all: 0. Several triggers, fired one after another: what the later ones take on the
-  bus, at most (`motorapi.bus_timing.longest_s`), from when the first drive has latched.
-- *start skew*: and between the latch and the start of motion each drive waits for its own profile
-  tick, at most one.
-- *end skew*: and each motion takes a little longer or shorter than the others: rounded to the
-  hardware's units, and timed by a clock that is off by some ppm; and it ends at a profile tick.
+- *Command skew*: between the instants at which the first and the last drive latch their commands.
+  One signal for all: 0. Several triggers, fired in turn: the maximum time of the later ones on the
+  bus (`motorapi.bus_timing.longest_s`), from the latch of the first drive.
+- *Start skew*: also, between the latch and the start of motion, each drive waits for its own
+  profile tick, at most one.
+- *End skew*: also, motions differ slightly in duration: they are rounded to hardware units, and
+  timed by a clock with an error of some ppm; each ends at a profile tick.
 
-Where something is not known there is no bound, and the reason is told.
+If a value is unknown there is no bound, and the reason is reported.
 """
 
 from collections.abc import Callable, Sequence
@@ -22,13 +22,13 @@ from motorapi.bus_timing import Firing, longest_s
 from motorapi.synchronization import SyncOffer
 
 _PPM: Final = 1e-6
-_FULL: Final = "what is more urgent on the bus, or waits with it, may hold the start up for ever"
+_FULL: Final = "higher priority traffic, or frames queued with it, may delay the start for ever"
 
 
 @final
 @dataclass(frozen=True, slots=True)
 class Bound:
-    """A time that is not exceeded [s]; or None, and why there is none."""
+    """An upper bound on a time [s]; or None, with the reason."""
 
     value_s: float | None
     reason: str = ""
@@ -40,9 +40,9 @@ class Member:
     """One motor of a group.
 
     Attributes:
-        name: of the motor.
-        offer: of its hardware.
-        duration_s: of its motion, as the hardware makes it [s]; None: it has no end of its own.
+        name: name of the motor.
+        offer: capability of its hardware.
+        duration_s: duration of its quantised motion [s]; None: it does not end by itself.
     """
 
     name: str
@@ -51,18 +51,18 @@ class Member:
 
 
 def command_bound(members: Sequence[Member]) -> Bound:
-    """Between the first and the last latch."""
+    """Return a bound on the time between the first and the last latch."""
     if len(members) < 2:
         return Bound(0.0)
     triggers = _triggers(members)
     straddling = _straddling(triggers)
-    if len(triggers) > 1:  # whatever latches does so before the last trigger has been fired
+    if len(triggers) > 1:  # all latches happen before the last trigger has been fired
         return _sum(_one_after_another(triggers), straddling)
     return _sum(straddling, _signals(members))
 
 
 def start_bound(members: Sequence[Member], command: Bound) -> Bound:
-    """Between the first and the last start of motion."""
+    """Return a bound on the time between the first and the last start of motion."""
     if len(members) < 2:
         return Bound(0.0)
     known = [one.offer.latency_s for one in members if one.offer.latency_s is not None]
@@ -73,7 +73,7 @@ def start_bound(members: Sequence[Member], command: Bound) -> Bound:
 
 
 def end_bound(members: Sequence[Member], start: Bound) -> Bound:
-    """Between the first and the last end, of those that come to one by themselves."""
+    """Return a bound on the time between the first and the last end of motions that end."""
     ending = [one for one in members if one.duration_s is not None]
     if len(ending) < 2:
         return Bound(0.0)
@@ -96,7 +96,7 @@ def end_bound(members: Sequence[Member], start: Bound) -> Bound:
 
 
 def _triggers(members: Sequence[Member]) -> list[list[Member]]:
-    """The members of each trigger, in the order in which triggers are fired."""
+    """Return the members of each trigger, in the order of firing."""
     triggers: dict[object, list[Member]] = {}
     for one in members:
         triggers.setdefault(one.offer.group, []).append(one)
@@ -116,13 +116,13 @@ def _one_after_another(triggers: Sequence[Sequence[Member]]) -> Bound:
     took_s = longest_s([firings[0].rest(), *firings[1:]])
     if took_s is None:
         return Bound(
-            None, "what is more urgent on the bus, or waits with it, may hold the start up for ever"
+            None, "higher priority traffic, or frames queued with it, may delay the start for ever"
         )
     return Bound(took_s)
 
 
 def _straddling(triggers: Sequence[Sequence[Member]]) -> Bound:
-    """A signal may come between the frames of a burst, unless they surely pass in a period."""
+    """Bound the delay by a signal between the frames of a burst."""
     worst_s = 0.0
     for sharing in triggers:
         burst = [one.offer for one in sharing if one.offer.burst is not None]
@@ -136,7 +136,7 @@ def _straddling(triggers: Sequence[Sequence[Member]]) -> Bound:
         waits_s = longest_s([Firing(firing.bus, firing.traffic, firing.frames[-1:])])
         if takes_s is None or waits_s is None:
             return Bound(None, _FULL)
-        waits_s += _jitter_s(firing)  # the next signal comes so much sooner after a late one
+        waits_s += _jitter_s(firing)  # the next signal may come this much sooner after a late one
         straddling = ceil((takes_s + waits_s) / period_s) - 1
         if straddling:
             worst_s = max(worst_s, straddling * period_s + waits_s)
@@ -144,14 +144,14 @@ def _straddling(triggers: Sequence[Sequence[Member]]) -> Bound:
 
 
 def _jitter_s(firing: Firing) -> float:
-    """Of the signal's producer, where it is declared [s]."""
+    """Return the declared jitter of the producer of the signal [s]."""
     known = () if firing.traffic is None else firing.traffic.messages
     signals = {frame.can_id for frame in firing.frames[-1:]}
     return max((one.jitter_s for one in known if one.can_id in signals), default=0.0)
 
 
 def _signals(members: Sequence[Member]) -> Bound:
-    """Not all latch by the first signal of their trigger."""
+    """Bound the delay between motors that latch by different signals of their trigger."""
     if len({one.offer.signals for one in members}) == 1:
         return Bound(0.0)
     known = [one.offer.signal_s for one in members if one.offer.signal_s is not None]
@@ -175,5 +175,5 @@ def _none(
     why: Callable[[SyncOffer], str],
 ) -> Bound:
     first = next(one for one in members if lacks(one.offer))
-    reason = why(first.offer) or "its hardware does not tell how long that takes"
+    reason = why(first.offer) or "its hardware does not specify that time"
     return Bound(None, f"{first.name}: {reason}")

@@ -1,10 +1,10 @@
-"""Simple trajectories that bound one derivative more than a drive's own profile does.
+"""Planning of simple trajectories with one more limited derivative.
 
 The paper, 3.3.1: "If necessary, we can use the same representation to bound the third derivative
-and represent a smoother motion." Position with a bounded jerk, velocity with one, torque with a
-bounded change of its slope: the curve is generated and becomes the motion's function, so whoever
-can follow a complex trajectory can follow these. The model's jerk_max bounds what is asked for
-here; it is no limit of motions that do not ask.
+and represent a smoother motion." This means position with limited jerk, velocity with limited jerk,
+and torque with a limited change of its slope. The curve is generated and becomes the function of
+the motion, so every motor that can follow a complex trajectory can follow it. The jerk_max of the
+model limits such requests; it does not limit motions without a request.
 """
 
 from dataclasses import replace
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 def asks_for_smoothness(variable: ControlVariable, trajectory: TrapezoidalTrajectory) -> bool:
-    """Whether its limits bound more than a trapezoid of position, or a ramp, keeps to."""
+    """Return True if its limits exceed those of a position trapezoid, or of a ramp."""
     limits = trajectory.limits
     if limits is None:
         return False
@@ -29,10 +29,10 @@ def asks_for_smoothness(variable: ControlVariable, trajectory: TrapezoidalTrajec
 
 
 def smoothed(motor: str, motion: Motion, trajectory: TrapezoidalTrajectory) -> Motion:
-    """The same motion, resolved but for its duration, as a function: as fast as all limits allow.
+    """Return the same motion as a function, as fast as all limits allow.
 
     Raises:
-        UsageError: what generates it is not installed; names the extra.
+        UsageError: the generating package is not installed; names the extra.
     """
     if motion.distance == 0.0:
         return replace(motion, duration_s=0.0)
@@ -41,7 +41,7 @@ def smoothed(motor: str, motion: Motion, trajectory: TrapezoidalTrajectory) -> M
 
 
 def slowed(motion: Motion, duration_s: float) -> Motion:
-    """The same way in a longer time: time is scaled, so every derivative becomes smaller."""
+    """Return the motion with scaled time, so that every derivative becomes smaller."""
     function = motion.function
     if function is None or not motion.duration_s:
         return motion
@@ -67,7 +67,7 @@ def _generated(
             min(-limits.third[0], limits.third[1]),
             initial=motion.start,
         )
-    except UnsupportedError as error:  # without the package that makes it
+    except UnsupportedError as error:  # without the package that generates it
         raise UnsupportedError(
             motor=motor, feature=f"a limit on the jerk of a position ({error})"
         ) from error

@@ -1,4 +1,4 @@
-"""What a group's start may be asked for: how closely together it begins, known beforehand."""
+"""Conditions for the start of a group: maximum skew, guaranteed in advance."""
 
 from motorapi.commands import as_number
 from motorapi.errors import SynchronizationError, UsageError
@@ -6,7 +6,7 @@ from motorapi.synchronization import SyncCapability, SyncLevel
 
 
 def check_asked(require: object, max_skew_s: object) -> None:
-    """Raises UsageError if this is nothing that could be asked for."""
+    """Raise UsageError if a condition is not valid."""
     if require is not None and not isinstance(require, SyncLevel):
         raise UsageError(f"require = {require!r}: give a SyncLevel, or None")
     if max_skew_s is not None and not as_number(max_skew_s) >= 0.0:
@@ -16,10 +16,10 @@ def check_asked(require: object, max_skew_s: object) -> None:
 def require_synchronised(
     capability: SyncCapability, require: SyncLevel | None, max_skew_s: float | None
 ) -> None:
-    """A start can be as close as was asked.
+    """Require that a start can meet the conditions.
 
     Raises:
-        SynchronizationError: it cannot, or nobody knows.
+        SynchronizationError: it cannot, or no bound is known.
     """
     whose = f"because of {capability.weakest}: {capability.reason}"
     if require is not None and capability.level < require:

@@ -1,9 +1,9 @@
-"""How well several motors can begin and end together: what is possible, and what it was.
+"""Synchronization of several motors: capability before, quality after a start.
 
-Starting is split in two. *Arming* brings a motor to where one more signal starts its motion, and
-is over only when the hardware has confirmed it (on CAN: seen on the wire). *Firing* is that
+A start has two steps. *Arming* prepares a motor so that one more signal starts its motion; it is
+complete only when the hardware has confirmed it (on CAN: seen on the wire). *Firing* is that
 signal. Motors whose hardware can share one signal (drives on one CAN bus: one SYNC) offer the same
-trigger group and are fired by one trigger; the others one after another.
+trigger group and are fired by one trigger; the others are fired in turn.
 """
 
 from collections.abc import Hashable, Sequence
@@ -16,36 +16,36 @@ from motorapi.bus_timing import Firing, OneFrame
 
 @final
 class SyncLevel(IntEnum):
-    """What makes motors begin together, weakest first."""
+    """The means of a common start, weakest first."""
 
-    SEQUENTIAL = 0  # a start command for each, one after another
-    TRIGGERED = 1  # one signal starts all of them
+    SEQUENTIAL = 0  # a start command for each motor, in turn
+    TRIGGERED = 1  # one signal starts all motors
     CYCLIC = 2  # set-points at a common rate, latched by one signal
 
 
 @final
 class Synchronization(Enum):
-    """What the trajectories of a group have in common."""
+    """The common property of the trajectories of a group."""
 
     TIME = "time"  # they begin and end together
-    PHASE = "phase"  # and at every instant each has gone the same part of its way
-    NONE = "none"  # they begin together; each is as fast as it can be
+    PHASE = "phase"  # also, at every instant each has covered the same fraction of its distance
+    NONE = "none"  # they begin together; each is as fast as possible
 
 
 @final
 class FaultReaction(Enum):
-    """What becomes of the others when one motor of a group fails."""
+    """The reaction of the other motors when one motor of a group fails."""
 
     TOGETHER = "together"  # they slow down along the path, and come to rest together
-    EACH = "each"  # each slows down as fast as it may
-    NONE = "none"  # they go on
+    EACH = "each"  # each slows down as fast as its limits allow
+    NONE = "none"  # they continue
 
 
 class Trigger(Protocol):
-    """Starts every motion that was armed for it. Triggers that are equal are fired once."""
+    """The start of every motion armed for it. Equal triggers are fired once."""
 
     def fire(self) -> None:
-        """The armed motions of this trigger begin; returns when the signal was transmitted."""
+        """Start the armed motions; return when the signal was transmitted."""
 
     def __eq__(self, other: object, /) -> bool: ...
 
@@ -55,27 +55,27 @@ class Trigger(Protocol):
 @final
 @dataclass(frozen=True, slots=True)
 class SyncOffer:
-    """What one motor's hardware offers for starting together with others.
+    """The capability of one motor's hardware for a common start with others.
 
     Attributes:
-        level: what it can do.
+        level: the means of a common start.
         group: motors whose offers name an equal group (a bus) are fired by one trigger.
-        latency_s: shortest and longest time from the instant at which the drive has latched its
-            command to the start of motion [s]; None if no bound is known.
-        reason: why it is not better, in words ("RPDO 1 has transmission type 255").
-        firing: what `Trigger.fire` takes; None if no bound is known.
-        signals: how many signals after the trigger's first one the command is latched by: a
-            streamed set-point's first step by the second SYNC, 1.
-        signal_s: shortest and longest time from the trigger's first signal to that one [s]; None
-            if no bound is known. Of motors with one trigger and equal `signals` it is the same.
-        burst: the frame that goes out with those of the others just after a signal, where signals
-            come every `period_s` [s] and cannot be waited with; None: it was armed before.
-        oscillator_ppm: how far the drive's clock may be off, either way [1e-6]; None: not told.
-        end_s: shortest and longest time from the end of the motion as planned, by the drive's own
-            clock, to its end [s]; None if no bound is known.
-        no_firing_bound: why there is no bound on `firing` or `signal_s`, in words; else "".
-        no_start_bound: likewise, of `latency_s`.
-        no_end_bound: likewise, of `oscillator_ppm` and `end_s`.
+        latency_s: minimum and maximum time from the latch of the command to the start of motion
+            [s]; None without a bound.
+        reason: the reason for the level, in words ("RPDO 1 has transmission type 255").
+        firing: frames and delays of `Trigger.fire`; None without a bound.
+        signals: index of the signal, after the first one of the trigger, that latches the command:
+            1 for the first step of a streamed set-point, latched by the second SYNC.
+        signal_s: minimum and maximum time from the first signal of the trigger to that one [s];
+            None without a bound. It is the same for motors with one trigger and equal `signals`.
+        burst: the frame sent with those of the others just after a signal, if signals come every
+            `period_s` [s] and cannot be delayed; None: armed earlier.
+        oscillator_ppm: maximum error of the drive's clock, either way [1e-6]; None: unknown.
+        end_s: minimum and maximum time from the planned end of the motion, by the drive's own
+            clock, to its end [s]; None without a bound.
+        no_firing_bound: reason for a missing bound of `firing` or `signal_s`, in words; else "".
+        no_start_bound: reason for a missing bound of `latency_s`; else "".
+        no_end_bound: reason for a missing bound of `oscillator_ppm` or `end_s`; else "".
     """
 
     level: SyncLevel
@@ -97,14 +97,14 @@ class SyncOffer:
 @final
 @dataclass(frozen=True, slots=True)
 class MotionTimes:
-    """When a motion began and ended, as the hardware told it.
+    """Begin and end of a motion, as reported by the hardware.
 
     Attributes:
-        started_ns: when it began [ns]; None: not (yet) told.
-        ended_ns: when it ended [ns]; None: not (yet) told.
-        source: where it was measured ("set-point acknowledge and target reached in TPDO 1").
-        latched_ns: when the signal that started it was on the wire [ns]; None: not known.
-        straddles: how many signals came between what should have gone between two of them.
+        started_ns: time of its begin [ns]; None: not (yet) reported.
+        ended_ns: time of its end [ns]; None: not (yet) reported.
+        source: origin of the times ("set-point acknowledge and target reached in TPDO 1").
+        latched_ns: time of its start signal on the wire [ns]; None: unknown.
+        straddles: number of signals that separated frames which belong between two signals.
     """
 
     started_ns: int | None
@@ -117,15 +117,15 @@ class MotionTimes:
 @final
 @dataclass(frozen=True, slots=True)
 class PathDeviation:
-    """How far one motor was from where the group's common path had it.
+    """The deviation of one motor from the common path of its group.
 
     Attributes:
         motor: its name.
-        deviation: the largest found, either way [rad or m]; None: nothing was measured.
-        source: where it was measured ("position in TPDO 1, 183h").
-        age_s: how far from the instant of comparing such a sample was at most [s]: positions in
-            between are interpolated; None: nothing was measured.
-        predicted: what rounding to the hardware's units alone makes of it, at most [rad or m].
+        deviation: largest deviation found, either way [rad or m]; None: not measured.
+        source: origin of the positions ("position in TPDO 1, 183h").
+        age_s: maximum time between the instant of comparison and the nearer sample [s], because
+            positions are interpolated; None: not measured.
+        predicted: maximum deviation by rounding to hardware units alone [rad or m].
     """
 
     motor: str
@@ -138,24 +138,25 @@ class PathDeviation:
 @final
 @dataclass(frozen=True, slots=True)
 class SyncCapability:
-    """How well a group can begin and end together, before it moves.
+    """The synchronization capability of a group, before it moves.
 
-    A bound that is None is no bound at all; the text beside it says why.
+    If a bound is None, the matching text gives the reason.
 
     Attributes:
-        level: what starts it; that of the weakest member.
-        command_skew_s: bound on the time between the instants at which the first and the last
-            motor latch their commands [s]; 0 where one signal starts all.
-        start_skew_s: bound on the time between the first and the last motor's start of motion [s].
-        end_skew_s: bound on the time between the first and the last end [s], for what is set now:
-            start skew, error of the drives' clocks in that time, rounding and profile ticks.
-        weakest: the member that keeps it from being better.
-        reason: why, in words.
-        no_command_bound: why `command_skew_s` is None; else "".
-        no_start_bound: why `start_skew_s` is None; else "".
-        no_end_bound: why `end_skew_s` is None; else "".
-        path: of phase-synchronised motors with a way to go, how far rounding takes each from the
-            straight line; else empty.
+        level: the means of the start; that of the weakest member.
+        command_skew_s: bound on the time between the instants at which the first and the last motor
+            latch their commands [s]; 0 if one signal starts all.
+        start_skew_s: bound on the time between the first and the last start of motion [s].
+        end_skew_s: bound on the time between the first and the last end [s], with the present
+            settings: start skew, error of the drives' clocks in that time, rounding and profile
+            ticks.
+        weakest: the member that limits the level.
+        reason: its reason, in words.
+        no_command_bound: reason if `command_skew_s` is None; else "".
+        no_start_bound: reason if `start_skew_s` is None; else "".
+        no_end_bound: reason if `end_skew_s` is None; else "".
+        path: for phase-synchronised motors with a distance to cover, the deviation of each from the
+            straight line by rounding; else empty.
     """
 
     level: SyncLevel
@@ -173,22 +174,20 @@ class SyncCapability:
 @final
 @dataclass(frozen=True, slots=True)
 class SyncQuality:
-    """How well a group did begin and end together.
+    """The synchronization quality of a group after a start.
 
     Attributes:
-        predicted_start_skew_s: bound on it, as `SyncCapability` has it, of those motors that have a
-            way to go [s]; None: there is none.
-        predicted_end_skew_s: from the profiles as the hardware rounded them [s].
-        start_skew_s: between the first and the last motor's start as measured [s]; None until all
-            of them told. A motor that has no way to go does not count.
-        end_skew_s: likewise for the ends.
-        times: for each motor its name, and when it began and ended and where that was measured
-            (None: it does not tell).
-        command_skew_s: between the instants at which the signals that started them were on the
-            wire [s]; None until all of them told.
-        path: for each motor how far it was from the common path; empty: only phase-synchronised
-            motors have one.
-        straddles: how many signals came between what should have gone between two of them.
+        predicted_start_skew_s: bound on the start skew, as in `SyncCapability`, for motors with a
+            distance to cover [s]; None without a bound.
+        predicted_end_skew_s: from the profiles as rounded by the hardware [s].
+        start_skew_s: measured time between the first and the last start [s]; None until all are
+            reported. Motors without a distance to cover do not count.
+        end_skew_s: measured time between the first and the last end [s], likewise.
+        times: for each motor its name, and begin and end of its motion with their origin (None: not
+            reported).
+        command_skew_s: time between the start signals on the wire [s]; None until all are reported.
+        path: for each motor its deviation from the common path; empty unless phase-synchronised.
+        straddles: number of signals that separated frames which belong between two signals.
     """
 
     predicted_start_skew_s: float | None
@@ -202,7 +201,7 @@ class SyncQuality:
 
 
 def spread_s(times_ns: Sequence[int | None]) -> float | None:
-    """Between the first and the last of these [s]; None if one is missing, or there is none."""
+    """Return the time between the first and the last [s]; None if one, or all, are missing."""
     known = [time_ns for time_ns in times_ns if time_ns is not None]
     if not known or len(known) < len(times_ns):
         return None

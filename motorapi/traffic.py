@@ -1,13 +1,13 @@
-"""What is sent on a CAN bus, as far as it is known: the ground that bounds in time stand on.
+"""Traffic on a CAN bus, declared and own: the basis of timing bounds.
 
-Nobody can hear what might be sent, so it is declared: the messages of others, each with how often
-it may come at most. What this program and its own drives send is known here and is added.
+Future frames cannot be observed, so they are declared: the messages of others, each with its
+maximum rate. The frames of this program and its own drives are known here and added.
 
     declare_traffic(bus, CanTraffic(1_000_000, (PeriodicMessage(0x123, 8, period_s=0.01),)))
 
-Without a declaration there is no bound. A declaration is a promise: whatever else is sent on the
-bus (by a further program, by an SDO transfer of another thread while motors are being fired) breaks
-it. Faults of the bus are not part of it either.
+Without a declaration there is no bound. A declaration is a promise: any other frame on the bus
+(from a further program, or an SDO transfer of another thread while motors are fired) breaks it. Bus
+faults are not covered either.
 """
 
 from collections.abc import Iterable, Sequence
@@ -39,12 +39,12 @@ class PeriodicMessage:
 
     Attributes:
         can_id: the identifier.
-        length: data bytes, at most.
-        period_s: at least so long between two of them, but for the jitter [s].
-        jitter_s: how much later than its due time one may be queued [s].
+        length: maximum number of data bytes.
+        period_s: minimum time between two frames, except for the jitter [s].
+        jitter_s: maximum delay of a frame after its due time [s].
         extended: the identifier has 29 bits.
-        fd: CAN FD frames; of `length` then one of FD_LENGTHS.
-        bit_rate_switch: their data go at the bus's data bit rate.
+        fd: CAN FD frames; `length` is then one of FD_LENGTHS.
+        bit_rate_switch: their data use the data bit rate of the bus.
     """
 
     can_id: int
@@ -56,16 +56,16 @@ class PeriodicMessage:
     bit_rate_switch: bool = False
 
     def __post_init__(self) -> None:
-        """Refuse what no bus carries.
+        """Check the values.
 
         Raises:
-            UsageError: a value is no number, or out of range.
+            UsageError: a value is not a number, or out of range.
         """
         id_max = _EFF_MAX if self.extended else _SFF_MAX
         if not _is_whole(self.can_id) or not 0 <= self.can_id <= id_max:
             raise UsageError(f"can_id = {self.can_id!r}: must be 0 to {id_max:X}h")
         if self.bit_rate_switch and not self.fd:
-            raise UsageError("bit_rate_switch = True: only a CAN FD frame has it; give fd=True")
+            raise UsageError("bit_rate_switch = True: requires a CAN FD frame; give fd=True")
         if self.fd and (not _is_whole(self.length) or self.length not in FD_LENGTHS):
             lengths = ", ".join(str(one) for one in FD_LENGTHS[_LENGTH_MAX + 1 :])
             raise UsageError(f"length = {self.length!r}: a CAN FD frame has 0 to 8, {lengths}")
@@ -78,17 +78,17 @@ class PeriodicMessage:
 
     @property
     def name(self) -> str:
-        """What messages call it."""
+        """The name of the identifier in messages."""
         return f"{self.can_id:08X}h" if self.extended else f"{self.can_id:03X}h"
 
     @property
     def rank(self) -> int:
-        """Lower wins arbitration (ISO 11898-1: of equal base identifiers the 11-bit one)."""
+        """The priority: lower wins arbitration (ISO 11898-1: with equal base, the 11-bit one)."""
         return rank_of(self.can_id, extended=self.extended)
 
 
 def rank_of(can_id: int, *, extended: bool = False) -> int:
-    """Orders identifiers by priority: the lower wins arbitration."""
+    """Return the priority of an identifier: lower wins arbitration."""
     if extended:
         base, rest = can_id >> _SHIFT_EFF, can_id & (1 << _SHIFT_EFF) - 1
         return (base << 1 | 1) << _SHIFT_EFF | rest
@@ -98,15 +98,14 @@ def rank_of(can_id: int, *, extended: bool = False) -> int:
 @final
 @dataclass(frozen=True, slots=True)
 class CanTraffic:
-    """All that may be sent on one bus.
+    """All messages that may be sent on one bus.
 
     Attributes:
-        bitrate_bit_s: the nominal bit rate [bit/s].
-        messages: no two of one identifier.
-        queued: ranks of messages that wait in the one queue of this program, first in, first out,
-            whatever their priority.
-        data_bitrate_bit_s: of CAN FD frames with a bit rate switch [bit/s]; None: they take as
-            long as without.
+        bitrate_bit_s: nominal bit rate [bit/s].
+        messages: one per identifier.
+        queued: ranks of messages in the single FIFO queue of this program, which ignores priority.
+        data_bitrate_bit_s: for CAN FD frames with a bit rate switch [bit/s]; None: their duration
+            is that without a switch.
     """
 
     bitrate_bit_s: int
@@ -115,7 +114,7 @@ class CanTraffic:
     data_bitrate_bit_s: int | None = None
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be.
+        """Check the values.
 
         Raises:
             UsageError: the bit rate is out of range, or two messages have one identifier.
@@ -129,11 +128,11 @@ class CanTraffic:
         ranks: set[int] = set()
         for message in self.messages:
             if not isinstance(message, PeriodicMessage):
-                raise UsageError(f"{message!r} is no message: give PeriodicMessage(...)")
+                raise UsageError(f"{message!r} is not a message: give PeriodicMessage(...)")
             if message.rank in ranks:
                 raise UsageError(
-                    f"{message.name} is there twice: an identifier has one sender; give the"
-                    " shorter period and the greater length"
+                    f"{message.name} is declared twice: an identifier has one sender; give the "
+                    "shorter period and the greater length"
                 )
             ranks.add(message.rank)
 
@@ -143,12 +142,12 @@ class CanTraffic:
         sync_period_s: float | None,
         streamed: Iterable[PeriodicMessage] = (),
     ) -> "CanTraffic":
-        """With what this program and its nodes send, too; of one identifier the worse counts.
+        """Return the traffic with that of this program and its nodes; the worse one per identifier.
 
         Args:
-            own: of each node.
-            sync_period_s: of a cyclic SYNC that runs or is about to; None: there is none.
-            streamed: set-points that this program sends or is about to.
+            own: traffic of each node.
+            sync_period_s: of a cyclic SYNC that is active or about to begin; None: no SYNC.
+            streamed: set-points that this program sends or is about to send.
         """
         theirs: list[PeriodicMessage] = []
         ours: list[PeriodicMessage] = list(streamed)
@@ -172,13 +171,13 @@ SYNC_ID: Final = 0x080
 
 
 def replace_period(message: PeriodicMessage, period_s: float) -> PeriodicMessage:
-    """The message once a period: its jitter stays the same part of it."""
+    """Return the message with another period, and jitter in the same proportion."""
     share = message.jitter_s / message.period_s
     return replace(message, period_s=period_s, jitter_s=share * period_s)
 
 
 def worst_of(messages: Sequence[PeriodicMessage]) -> tuple[PeriodicMessage, ...]:
-    """One message of each identifier that is at least as bad as all of that identifier.
+    """Return one message per identifier that is at least as bad as all of that identifier.
 
     A CAN FD frame without a bit rate switch is longer than a classical one.
     """
@@ -201,15 +200,14 @@ def worst_of(messages: Sequence[PeriodicMessage]) -> tuple[PeriodicMessage, ...]
 @final
 @dataclass(frozen=True, slots=True)
 class NodeTraffic:
-    """What a node that was brought up sends, and what this program sends because of it.
+    """The traffic of a configured node, and that of this program because of it.
 
     Attributes:
         sent: by the node.
         ours: by this program.
-        sent_at_sync: by the node, once for each SYNC where a cyclic one runs; likewise
-            `ours_at_sync` by this program. Their period is SYNC's, and their jitter the same part
-            of that as it is of theirs here.
-        unknown: what it sends that nobody can bound, in words; "" where there is no such thing.
+        sent_at_sync: by the node, once per cyclic SYNC; likewise `ours_at_sync` by this program.
+            Their period is that of SYNC, and their jitter the same fraction of it as here.
+        unknown: its unbounded traffic, in words, or "".
     """
 
     sent: tuple[PeriodicMessage, ...] = ()
@@ -225,41 +223,41 @@ _streams: Final["WeakKeyDictionary[can.BusABC, dict[int, PeriodicMessage]]"] = W
 
 
 def declare_traffic(bus: "can.BusABC", traffic: CanTraffic | None) -> None:
-    """Nobody sends on `bus` but what is declared, this program, and the drives it has brought up.
+    """Declare all traffic on `bus` other than that of this program and its drives.
 
     Args:
-        bus: the bus object that motors were made with.
-        traffic: of others; None: nothing is declared any more.
+        bus: the bus object of the motors.
+        traffic: that of others; None: withdraw the declaration.
 
     Raises:
-        UsageError: it is no CanTraffic.
+        UsageError: `traffic` is not a CanTraffic.
     """
     if traffic is None:
         _declared.pop(bus, None)
     elif isinstance(traffic, CanTraffic):
         _declared[bus] = traffic
     else:
-        raise UsageError(f"{traffic!r} is no CanTraffic")
+        raise UsageError(f"{traffic!r} is not a CanTraffic")
 
 
 def declared_traffic(bus: "can.BusABC") -> CanTraffic | None:
-    """What was declared for this bus object; None: nothing."""
+    """Return the declaration for this bus object, or None."""
     return _declared.get(bus)
 
 
 def note_node(bus: "can.BusABC", node_id: int, traffic: NodeTraffic) -> None:
-    """A node of this program was brought up: from now on it sends this."""
+    """Record the traffic of a node that this program has configured."""
     _own.setdefault(bus, {})[node_id] = traffic
 
 
 def own_traffic(bus: "can.BusABC") -> tuple[NodeTraffic, ...]:
-    """Of all nodes that this program has brought up on the bus, by node-ID."""
+    """Return the traffic of all nodes that this program has configured on the bus, by node-ID."""
     nodes = _own.get(bus, {})
     return tuple(nodes[node_id] for node_id in sorted(nodes))
 
 
 def note_stream(bus: "can.BusABC", can_id: int, message: PeriodicMessage | None) -> None:
-    """This program sends these set-points from now on, with this identifier; None: no more."""
+    """Record the set-points that this program sends with this identifier; None: no more."""
     if message is None:
         _streams.get(bus, {}).pop(can_id, None)
     else:
@@ -267,7 +265,7 @@ def note_stream(bus: "can.BusABC", can_id: int, message: PeriodicMessage | None)
 
 
 def streams(bus: "can.BusABC") -> tuple[PeriodicMessage, ...]:
-    """The set-points that this program sends on the bus."""
+    """Return the set-points that this program sends on the bus."""
     sent = _streams.get(bus, {})
     return tuple(sent[can_id] for can_id in sorted(sent))
 

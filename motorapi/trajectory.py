@@ -1,8 +1,8 @@
-"""Trajectories as light, immutable values: what is asked for. Generating them is another matter.
+"""Trajectories as immutable values: the request, without its generation.
 
 Source: the paper, 3.3.1. A *simple* trajectory states boundary conditions and limits only; a
-*complex* one gives the value of the control variable for every argument. U stands for the unit of
-the control variable: rad or m for position, rad/s or m/s for velocity.
+*complex* one gives the value of the control variable for every argument. U is the unit of the
+control variable: rad or m for position, rad/s or m/s for velocity.
 """
 
 from dataclasses import dataclass, field
@@ -19,23 +19,23 @@ if TYPE_CHECKING:
 @final
 @dataclass(frozen=True, slots=True, repr=False)
 class TrapezoidalTrajectory:
-    """The simplest motion that satisfies its boundary conditions, at rest at both ends if not told.
+    """The simplest motion that satisfies its boundary conditions, by default at rest at both ends.
 
-    `TrapezoidalTrajectory(1.0)` is a distance: 1.0 further than where the motor is.
+    `TrapezoidalTrajectory(1.0)` is a distance: 1.0 further than the present position.
     `TrapezoidalTrajectory(1.0, initial=0.25)` is absolute: from 0.25 to 1.0, and the motor must be
-    at 0.25 when it starts.
+    at 0.25 at the start.
 
     Args:
-        final: the final value [U]; without `initial`, counted from where the motor is.
+        final: the final value [U]; without `initial`, relative to the present one.
         initial: the initial value [U].
-        limits: of the value and its derivatives; the model's where they say nothing.
-        duration_s: how long it takes [s]; None: as short as the limits allow.
-        initial_derivatives: (first, second) at the beginning, [U/s], [U/s²]; what is left out is 0.
-        final_derivatives: likewise at the end.
-        initial_argument: the time at which it begins [s], for a piece of something longer.
+        limits: of the value and its derivatives; those of the model by default.
+        duration_s: duration [s]; None: as short as the limits allow.
+        initial_derivatives: (first, second) at the beginning, [U/s], [U/s²]; missing ones are 0.
+        final_derivatives: (first, second) at the end; missing ones are 0.
+        initial_argument: time of the beginning [s], for a part of a longer motion.
 
     Raises:
-        UsageError: a number is not finite, the duration not > 0, there are more than two
+        UsageError: a number is not finite, the duration is not > 0, there are more than two
             derivatives, or a boundary value lies outside `limits`.
     """
 
@@ -58,7 +58,7 @@ class TrapezoidalTrajectory:
             object.__setattr__(self, name, number)
         if not isinstance(self.limits, DerivativeLimits | None):
             raise UsageError(
-                f"TrapezoidalTrajectory: limits is {self.limits!r}, no DerivativeLimits"
+                f"TrapezoidalTrajectory: limits is {self.limits!r}, not DerivativeLimits"
             )
         if self.duration_s is not None and self.duration_s <= 0.0:
             raise UsageError(f"TrapezoidalTrajectory: duration_s is {self.duration_s:g}, not > 0")
@@ -85,22 +85,22 @@ class TrapezoidalTrajectory:
 
     @property
     def is_relative(self) -> bool:
-        """Whether `final` is counted from where the motor is when it starts."""
+        """True if `final` is relative to the position at the start."""
         return self.initial is None
 
     @property
     def initial_velocity(self) -> float:
-        """First derivative at the beginning [U/s]."""
+        """The first derivative at the beginning [U/s]."""
         return self.initial_derivatives[0] if self.initial_derivatives else 0.0
 
     @property
     def final_velocity(self) -> float:
-        """First derivative at the end [U/s]."""
+        """The first derivative at the end [U/s]."""
         return self.final_derivatives[0] if self.final_derivatives else 0.0
 
     @property
     def final_argument(self) -> float | None:
-        """The time at which it ends [s]; None: as soon as the limits allow."""
+        """The time of the end [s]; None: as soon as the limits allow."""
         return None if self.duration_s is None else self.initial_argument + self.duration_s
 
     def __repr__(self) -> str:
@@ -151,17 +151,17 @@ def _derivatives(name: str, given: object) -> tuple[float, ...]:
 @final
 @dataclass(frozen=True, slots=True, repr=False)
 class ComplexTrajectory:
-    """A motion whose value is prescribed for every argument, by any function of motorapi.functions.
+    """A motion with a value prescribed for every argument, by any function of motorapi.functions.
 
     `ComplexTrajectory(function)` follows `function(t)` over its domain, t in seconds since the
-    start; with an argument given to `Motor.set_trajectory`, that instead of time.
+    start; an argument given to `Motor.set_trajectory` replaces time.
 
     Args:
         function: the value of the control variable [U] over the argument.
-        initial_argument: where the motion begins; None: at the beginning of the function's domain.
-        final_argument: where it ends; None: at the end of the domain.
-        relative: only the change of the value counts, from where the motor is when it starts.
-        limits: of the value and its derivatives, by time, where tighter than the model's.
+        initial_argument: argument at the beginning; None: the lower end of the domain.
+        final_argument: argument at the end; None: the upper end of the domain.
+        relative: only the change of the value counts, from the position at the start.
+        limits: of the value and its derivatives by time, if tighter than those of the model.
 
     Raises:
         UsageError: an end is not finite or lies outside the domain, or the interval is empty.
@@ -177,14 +177,14 @@ class ComplexTrajectory:
         domain = getattr(self.function, "domain", None)
         if not isinstance(domain, tuple) or not callable(getattr(self.function, "extrema", None)):
             raise UsageError(
-                f"ComplexTrajectory: {self.function!r} is no function of motorapi.functions"
+                f"ComplexTrajectory: {self.function!r} is not a function of motorapi.functions"
             )
         if not isinstance(self.relative, bool):
             raise UsageError(
-                f"ComplexTrajectory: relative is {self.relative!r}; it is True or False"
+                f"ComplexTrajectory: relative is {self.relative!r}; expected True or False"
             )
         if not isinstance(self.limits, DerivativeLimits | None):
-            raise UsageError(f"ComplexTrajectory: limits is {self.limits!r}, no DerivativeLimits")
+            raise UsageError(f"ComplexTrajectory: limits is {self.limits!r}, not DerivativeLimits")
         for name, end in zip(("initial_argument", "final_argument"), domain, strict=True):
             given = getattr(self, name)
             number = as_number(end if given is None else given)
@@ -201,13 +201,13 @@ class ComplexTrajectory:
             object.__setattr__(self, name, number)
         if not self.interval[0] < self.interval[1]:
             raise UsageError(
-                f"ComplexTrajectory: from {self.interval[0]:g} to {self.interval[1]:g} is no"
-                " interval; the final argument must exceed the initial one"
+                f"ComplexTrajectory: the interval from {self.interval[0]:g} to "
+                f"{self.interval[1]:g} is empty; the final argument must exceed the initial one"
             )
 
     @property
     def is_relative(self) -> bool:
-        """Whether values are counted from where the motor is when it starts."""
+        """True if values are relative to the position at the start."""
         return self.relative
 
     @property
@@ -224,4 +224,4 @@ class ComplexTrajectory:
 
 
 Trajectory: TypeAlias = TrapezoidalTrajectory | ComplexTrajectory
-"""What `Motor.set_trajectory` takes."""
+"""Any trajectory that `Motor.set_trajectory` accepts."""

@@ -1,9 +1,8 @@
-"""Turns: one party at a time, first come, first served. What transactions and triggers are made of.
+"""FIFO turns of parties, the basis of transactions and triggers.
 
-A turn is short; an *exclusive* one is kept as long as its holder likes (low-level access).
-
-Of some things other processes take turns as well (the SYNC of a bus): behind those who wait here
-stands a lock between processes, which is taken when it is our turn here.
+A turn is short; an *exclusive* one may last as long as its holder likes (low-level access). Some
+objects are shared with other processes (the SYNC of a bus): then a turn also takes a lock between
+processes.
 """
 
 import threading
@@ -18,14 +17,14 @@ from motorapi.process_lock import Hold, ProcessLock
 from motorapi.runtime import Runtime, wait_until
 
 TRANSACTION_TIMEOUT_S: Final = 10.0
-"""How long an operation waits for the one before it; far longer than any drive takes."""
+"""The timeout of an operation for the one before it [s], far longer than any drive needs."""
 
 LOW_LEVEL: Final = "low-level access"
 
 
 @final
 class Ticket:
-    """A place in a queue. `exclusive`: it is kept as long as its holder likes."""
+    """A place in a queue. `exclusive`: its holder may keep it for any time."""
 
     __slots__ = ("exclusive", "since_ns", "thread", "who")
 
@@ -36,22 +35,22 @@ class Ticket:
         self.exclusive = False
 
     def busy(self, motor: str) -> MotorBusyError:
-        """The error that names it as the holder."""
+        """Return the error that names it as the holder."""
         purpose = LOW_LEVEL if self.exclusive else ""
         return MotorBusyError(motor=motor, holder=self.who, since_ns=self.since_ns, purpose=purpose)
 
 
 @final
 class Turns:
-    """Who may use something that one party at a time may use: first come, first served.
+    """The FIFO queue of an object used by one party at a time.
 
     Args:
-        label: what it is, for people.
+        label: its name for users.
         lock: between processes; None: no other process uses it.
 
     Attributes:
-        number: of the turn there is, or was last; it grows with every turn, of whatever process.
-        died: whether a process that had its turn has died in it since anybody looked.
+        number: of the present or last turn; it grows with every turn, of any process.
+        died: True if a process died during its turn; the reader of this flag clears it.
     """
 
     def __init__(self, label: str, lock: ProcessLock | None = None) -> None:
@@ -60,21 +59,21 @@ class Turns:
         self.number = 0
         self.died = False
         self._queue: deque[Ticket] = deque()
-        self._mutex = threading.Lock()  # of the queue; never held while anything is waited for
+        self._mutex = threading.Lock()  # of the queue; never held during a wait
 
     @contextmanager
     def turn(self, runtime: Runtime, who: str, timeout_s: float | None = None) -> Iterator[Ticket]:
-        """Nobody else has it inside the block; in order of asking.
+        """Take a turn inside the block, in the order of requests.
 
         Args:
-            runtime: where to wait.
-            who: what others are told of the holder.
-            timeout_s: how long to wait, also for an exclusive holder [s]; None: for short ones
-                only, and no longer than `TRANSACTION_TIMEOUT_S`.
+            runtime: the runtime of the wait.
+            who: description of the holder for others.
+            timeout_s: timeout, also for an exclusive holder [s]; None: wait for short turns only,
+                up to `TRANSACTION_TIMEOUT_S`.
 
         Raises:
-            UsageError: this thread has it already.
-            MotorBusyError: an exclusive holder has it, or somebody for longer than that.
+            UsageError: this thread already has a turn.
+            MotorBusyError: an exclusive holder has it, or the timeout is over.
         """
         ticket = Ticket(who, threading.get_ident(), runtime.now_ns())
         with self._mutex:
@@ -82,7 +81,7 @@ class Turns:
                 if other.thread == ticket.thread:
                     if other.exclusive:
                         raise other.busy(self.label)
-                    raise UsageError(f"{who}: {other.who} is still at work in this very thread")
+                    raise UsageError(f"{who}: {other.who} is still active in this thread")
             self._queue.append(ticket)
         try:
             if self._queue[0] is not ticket:
@@ -99,14 +98,14 @@ class Turns:
 
     @property
     def is_mine(self) -> bool:
-        """Whether this very thread has the turn; callbacks run in threads that others wait in."""
+        """True if the calling thread has the turn; callbacks may run in threads of others."""
         with self._mutex:
             return bool(self._queue) and self._queue[0].thread == threading.get_ident()
 
     @contextmanager
     def at_once(self, runtime: Runtime, who: str) -> Iterator[bool]:
-        """The turn without waiting, as in a callback; the block is told whether it has it."""
-        ticket = Ticket(who, 0, runtime.now_ns())  # of no thread: whose wait it is in matters not
+        """Try to take a turn without waiting, as in a callback; yield True on success."""
+        ticket = Ticket(who, 0, runtime.now_ns())  # no thread: that of a callback is irrelevant
         with self._mutex:
             is_first = not self._queue
             if is_first:
@@ -153,22 +152,22 @@ class Turns:
 
 
 _triggers: Final["weakref.WeakValueDictionary[tuple[Runtime, Hashable], Turns]"] = (
-    weakref.WeakValueDictionary()  # each as long as somebody has it or waits for it
+    weakref.WeakValueDictionary()  # each exists while a party has it or waits for it
 )
 _triggers_lock: Final = threading.Lock()
 
 
 def share_trigger(runtime: Runtime, group: Hashable, turns: Turns) -> None:
-    """Arming and firing by the trigger `group` takes these turns, as long as somebody has them."""
+    """Use `turns` for the trigger `group`, while they exist."""
     with _triggers_lock:
         _triggers[runtime, group] = turns
 
 
 def trigger_turns(runtime: Runtime, groups: Sequence[Hashable]) -> list[Turns]:
-    """Turns for arming and firing by the triggers `groups`, in the order to take them.
+    """Return the turns for the triggers `groups`, in the order of acquisition.
 
-    A signal that starts whatever is armed would start another group's motors too early. The order
-    is the same in all processes.
+    A signal that starts all armed motors would start those of another group too early. The order is
+    the same in all processes.
     """
     wanted: list[Turns] = []
     with _triggers_lock:

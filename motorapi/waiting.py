@@ -1,23 +1,25 @@
-"""Waiting for what several motors do. It is asked after every event of a rig, so it answers fast.
+"""Efficient waiting for events of several motors.
 
-A motor is looked at when there is news of it, and only then, if somebody counts its news.
+Conditions are evaluated after every event of a rig, so they must be fast. A motor whose changes are
+counted is examined only after a change.
 """
 
 from collections.abc import Callable
 from typing import Final, final
 
 LOOK_PERIOD_S: Final = 0.01
-"""How often is looked at what nobody tells of: a motor whose hardware counts no news, for a
-callback's sake; whether low-level access is over."""
+"""The check period [s] where no event reports a change: motors without a change counter, for
+callbacks; the end of low-level access.
+"""
 
 
 @final
 class News:
-    """How often what is known of a physical motor has changed. Whoever changes it counts.
+    """A counter of changes in the knowledge of a physical motor. The source of a change counts it.
 
     Attributes:
-        count: who waits compares it. Counting alone will do where a motion cannot have ended.
-        listeners: are told by `grow`; they look whether a motion has ended by that.
+        count: compared by waiters. An increment is sufficient if no motion can have ended.
+        listeners: called by `grow`; they check for the end of a motion.
     """
 
     def __init__(self) -> None:
@@ -25,7 +27,7 @@ class News:
         self.listeners: list[Callable[[], None]] = []
 
     def grow(self) -> None:
-        """It has changed, so that a motion may have ended. Called when all of the change is in."""
+        """Count a complete change that may have ended a motion, and call the listeners."""
         self.count += 1
         if self.listeners:
             for listener in self.listeners.copy():
@@ -34,16 +36,16 @@ class News:
 
 @final
 class Awaited:
-    """Something that is waited for; `is_over` looks whether it is over, and may raise."""
+    """An awaited event; `is_over` checks for it, and may raise."""
 
     def __init__(self, news: News | None, is_over: Callable[[], bool]) -> None:
         self.counts = news is not None
         self.news = News() if news is None else news
-        self.seen = -1  # of the news; stays so, if nobody counts them
+        self.seen = -1  # last count seen; unchanged without a counter
         self.is_over = is_over
 
     def looks_over(self) -> bool:
-        """Whether it is over by the latest news."""
+        """Return True if the event has happened, as of the latest change."""
         if self.counts:
             if self.news.count == self.seen:
                 return False
@@ -53,13 +55,13 @@ class Awaited:
 
 @final
 class Waiting:
-    """All that is waited for at once; `going` is what is not over yet."""
+    """Several awaited events; `going` contains those still to come."""
 
     def __init__(self, awaited: list[Awaited]) -> None:
         self.going = awaited
 
     def all_over(self) -> bool:
-        """Whether nothing goes on; what is over is not looked at again."""
+        """Return True if all events have happened; past ones are not checked again."""
         for one in self.going:
             if one.news.count != one.seen:
                 self.going = [other for other in self.going if not other.looks_over()]

@@ -1,11 +1,11 @@
-"""The wall's time: the one reader of clocks and keeper of threads in this package.
+"""Wall-clock runtime: the only reader of clocks and owner of threads here.
 
-Callbacks (frames heard, `every`) and the `done` of whoever waits run one at a time under one lock,
-which is released only while waiting. So what they share needs no lock of its own, and no callback
-may wait. Ordinary threads may use it as they like. Threads there are: one per bus somebody listens
-to, one for timers while there are any, and one per `spawn`; `close` ends them all.
+Callbacks (received frames, `every`) and the `done` conditions of waits run one at a time under one
+lock, which is released only during waits. So their shared data need no other lock, and no callback
+may wait. Any ordinary thread may use the runtime. There is one thread per bus with listeners, one
+for timers if there are any, and one per `spawn`; `close` ends them all.
 
-Time is int ns since the runtime was made, of the monotonic clock.
+Time is int ns since the runtime was created, by the monotonic clock.
 """
 
 import atexit
@@ -29,14 +29,14 @@ if TYPE_CHECKING:
 P = ParamSpec("P")
 
 _LOOK_AGAIN_S: Final = 0.01
-"""How soon a wait notices what another thread changed outside of any callback."""
+"""The delay after which a wait notices changes made by other threads outside of callbacks [s]."""
 _RECEIVE_S: Final = 0.1
-"""How soon a listening thread notices that nobody listens any more."""
+"""The delay after which a receiving thread notices that it has no listeners [s]."""
 _CLOSE_S: Final = 5.0
 
 
 class _Closed(BaseException):
-    """The runtime was closed; a party that still waits ends here."""
+    """The end of a party that still waits when the runtime is closed."""
 
 
 @final
@@ -46,7 +46,7 @@ class _Listener:
         self.on_frame = on_frame
 
     def cancel(self) -> None:
-        """It hears nothing any more; cancelling again does nothing."""
+        """Stop the calls of this listener; cancelling again does nothing."""
         self._link.remove(self)
 
 
@@ -56,7 +56,7 @@ class WallParty:
 
     Attributes:
         name: as given to `spawn`.
-        error: what the function raised, once it has ended; else None.
+        error: the exception of the function, after its end; else None.
     """
 
     def __init__(self, name: str, runtime: "WallRuntime") -> None:
@@ -68,14 +68,14 @@ class WallParty:
         self._runtime = runtime
 
     def join(self, timeout_s: float | None = None) -> bool:
-        """Whether it has ended within `timeout_s` [s]; what it raised is in `error`."""
+        """Wait for its end. Return False after `timeout_s` [s]. See `error` for its exception."""
         self.joined = True
         return self._runtime.wait_until(lambda: self.finished, timeout_s)
 
 
 @final
 class _BusLink:
-    """One bus that is listened to: its source of frames, its listeners, its thread."""
+    """One bus with listeners: its source of frames, its listeners, its thread."""
 
     def __init__(self, bus: "can.BusABC", runtime: "WallRuntime") -> None:
         self.bus = bus
@@ -106,26 +106,26 @@ class WallRuntime:
         self._pending: deque[tuple[_BusLink, bytes, int, bool]] = deque()
         self._failures: list[BaseException] = []
         self._links: list[_BusLink] = []
-        self._threads: list[threading.Thread] = []  # of links, also of those just ending
+        self._threads: list[threading.Thread] = []  # of links, also of those that are ending
         self._parties: list[WallParty] = []
         self._timers = Timers(self.now_ns, self._run_timer)
         self._waiting = 0
         self._closed = False
-        self.is_the_parents = False  # of the process that this one was forked from
+        self.is_the_parents = False  # True in a forked child
 
     # --- Runtime ---------------------------------------------------------------------------
 
     def now_ns(self) -> int:
-        """The time [ns] since the runtime was made."""
+        """Return the time [ns] since the runtime was created."""
         return time.monotonic_ns() - self._start_ns
 
     def wait_until(self, done: Callable[[], bool], timeout_s: float | None = None) -> bool:
-        """Whether `done()` became true within `timeout_s` [s]; it runs under the lock.
+        """Wait until `done()` is true; it runs under the lock. Return False after `timeout_s` [s].
 
         Raises:
             UsageError: inside a callback, or the runtime was closed.
-            LinkError: a bus that is listened to broke meanwhile.
-            Exception: whatever a callback raised meanwhile, or since anybody waited last.
+            LinkError: a bus with listeners broke meanwhile.
+            Exception: an exception of a callback, during this wait or since the last one.
         """
         if timeout_s is not None and not timeout_s >= 0.0:
             raise UsageError(f"timeout_s = {timeout_s}: must be a number of seconds >= 0")
@@ -151,19 +151,19 @@ class WallRuntime:
                 self._changed.wait(pause_s)
 
     def wake(self) -> None:
-        """Whoever waits looks at once; for what has changed outside of any callback."""
+        """Make all waits check their conditions, after a change outside of any callback."""
         with self._changed:
             self._changed.notify_all()
 
     def every(self, period_s: float, action: Callable[[], None]) -> Timer:
-        """`action` runs at start + k * `period_s` [s]; one that is late skips what it missed."""
+        """Run `action` at start + k * `period_s` [s]; a late timer skips the missed runs."""
         if not 1e-9 <= period_s <= 1e9:
             raise UsageError(f"period_s = {period_s}: must be 1e-9 to 1e9 s")
         self._check_open()
         return self._timers.add(round(period_s * 1e9), action)
 
     def spawn(self, name: str, function: Callable[[], None]) -> WallParty:
-        """`function` runs in a thread of its own, and may wait."""
+        """Run `function` in its own thread, where it may wait."""
         self._check_open()
         party = WallParty(name, self)
         party.thread = threading.Thread(
@@ -174,19 +174,19 @@ class WallRuntime:
         return party
 
     def listen(self, bus: "can.BusABC", on_frame: FrameListener) -> _Listener:
-        """`on_frame` is told every frame on `bus`, own ones when they were transmitted.
+        """Call `on_frame` for every frame on `bus`, for own frames after their transmission.
 
-        From then on the runtime reads the bus: nobody else can `recv` from this bus object.
+        From then on the runtime reads the bus: no other code can `recv` from this bus object.
 
         Raises:
-            UsageError: somebody else reads this bus object (a can.Notifier), or it has a runtime
-                of its own.
+            UsageError: other code reads this bus object (a can.Notifier), or it has its own
+                runtime.
             LinkError: the bus is closed.
         """
         with self._changed:
             self._check_open()
             if getattr(bus, "runtime", None) is not None:
-                raise UsageError(f"{bus.channel_info} has a runtime of its own: runtime_of(bus)")
+                raise UsageError(f"{bus.channel_info} has its own runtime; use runtime_of(bus)")
             link = self._link_of(bus)
             if link is None:
                 link = _BusLink(bus, self)
@@ -200,17 +200,17 @@ class WallRuntime:
             return listener
 
     def send(self, bus: "can.BusABC", frame: bytes) -> None:
-        """The can_frame (16 bytes) is queued on `bus`; `listen` tells when it was transmitted.
+        """Queue the can_frame (16 bytes) on `bus`; `listen` reports its transmission.
 
         Raises:
-            LinkError: the bus does not take it.
+            LinkError: the bus does not accept it.
         """
         refuse_fork(self.is_the_parents)
         link = self._link_of(bus)
         if link is None:
             source_of(bus).send(frame)
             return
-        with link.sending:  # frames are reported in the order in which they were sent
+        with link.sending:  # frames are reported in the order of sending
             link.source.send(frame)
             if not link.source.reports_own:
                 self._pending.append((link, frame, self.now_ns(), True))
@@ -218,11 +218,11 @@ class WallRuntime:
             self._deliver_pending()
 
     def close(self) -> None:
-        """No thread is left; parties that still wait have ended. Closing again does nothing.
+        """End all threads and waiting parties. Closing again does nothing.
 
         Raises:
             DeadlineExceeded: a thread does not end (a party that neither waits nor returns).
-            Exception: what a callback or a party raised, if nobody waited or joined for it.
+            Exception: an exception of a callback or a party that no wait or join has raised.
         """
         self._refuse_in_callback()
         with self._changed:
@@ -253,7 +253,7 @@ class WallRuntime:
     def _refuse_in_callback(self) -> None:
         if self._callback_thread == threading.get_ident():
             raise UsageError(
-                "waiting inside a callback: nothing is heard until the callback returns; "
+                "waiting inside a callback: no frame is received until the callback returns; "
                 "set a flag there and wait for it outside, or start a party with runtime.spawn"
             )
 
@@ -271,10 +271,10 @@ class WallRuntime:
         here = threading.current_thread()
         if any(party.thread is here for party in self._parties):
             raise _Closed
-        raise UsageError("this runtime was closed; make a new one")
+        raise UsageError("this runtime was closed; create a new one")
 
     def _run_alone(self, action: Callable[[], bool]) -> bool:
-        """What `action` returns, with the lock held and waiting refused; then what it sent."""
+        """Run `action` under the lock, with waits refused; then deliver the frames that it sent."""
         outer = self._callback_thread
         self._callback_thread = threading.get_ident()
         try:
@@ -286,9 +286,9 @@ class WallRuntime:
         return result
 
     def _run_callback(self, action: Callable[P, None], *args: P.args, **kwargs: P.kwargs) -> None:
-        """`action` has run; what it raised is for whoever waits next. With the lock held."""
+        """Run a callback under the lock; the next wait raises its exception."""
         if self._closed:
-            return  # nobody is there any more to be told
+            return  # no wait would raise its exception
         outer = self._callback_thread
         self._callback_thread = threading.get_ident()
         try:
@@ -299,9 +299,9 @@ class WallRuntime:
             self._callback_thread = outer
 
     def _deliver_pending(self) -> None:
-        """All frames heard or transmitted so far were told, in order; inside a callback: later."""
+        """Report all frames received or transmitted so far, in order; not inside a callback."""
         if self._callback_thread == threading.get_ident():
-            return  # whoever runs this callback does it afterwards
+            return  # the caller of this callback delivers them afterwards
         with self._changed:
             while self._pending:
                 link, frame, time_ns, transmitted = self._pending.popleft()
@@ -318,7 +318,7 @@ class WallRuntime:
         return None
 
     def run_link(self, link: _BusLink) -> None:
-        """The thread of one bus: reads until nobody listens any more."""
+        """Read one bus, in its own thread, until it has no listeners."""
         source = link.source
         while True:
             with self._changed:
@@ -334,7 +334,7 @@ class WallRuntime:
                 frame, age_ns, transmitted = heard
                 self._pending.append((link, frame, self.now_ns() - age_ns, transmitted))
                 self._deliver_pending()
-        with suppress(OSError, ValueError):  # the bus may be closed by now
+        with suppress(OSError, ValueError):  # the bus may already be closed
             source.close()
 
     def _link_broke(self, link: _BusLink, error: Exception) -> None:
@@ -363,7 +363,7 @@ class WallRuntime:
             function()
         except _Closed:
             pass
-        except BaseException as error:  # it is the joiner's, or close()'s, to raise
+        except BaseException as error:  # raised by join() or close()
             party.error = error
         finally:
             with self._changed:
@@ -376,7 +376,7 @@ _process: list[WallRuntime] = []
 
 
 def process_runtime() -> WallRuntime:
-    """The one runtime that all real buses of this process share; closed when the process ends."""
+    """Return the runtime of all real buses of this process; closed at its exit."""
     with _process_lock:
         if not _process:
             _process.append(WallRuntime())
@@ -384,7 +384,7 @@ def process_runtime() -> WallRuntime:
 
 
 def close_process_runtime() -> None:
-    """The shared runtime, if there is one, is closed; the next use makes a new one."""
+    """Close the shared runtime, if any; the next use creates a new one."""
     with _process_lock:
         runtimes, _process[:] = list(_process), []
     for runtime in runtimes:
@@ -393,7 +393,7 @@ def close_process_runtime() -> None:
 
 def _in_child() -> None:
     while _process:
-        _process.pop().is_the_parents = True  # its threads live there
+        _process.pop().is_the_parents = True  # its threads are in the parent process
 
 
 atexit.register(close_process_runtime)

@@ -1,4 +1,4 @@
-"""Actions that repeat on the wall's clock: one thread for all, none while there are none."""
+"""Periodic actions on the wall clock, in one thread while there are any."""
 
 import threading
 from collections.abc import Callable
@@ -6,7 +6,7 @@ from heapq import heappop, heappush
 from typing import Final, final
 
 _LOOK_AGAIN_S: Final = 0.1
-"""How soon the thread notices that its last timer was cancelled."""
+"""The delay after which the thread notices that its last timer was cancelled [s]."""
 
 
 @final
@@ -19,18 +19,18 @@ class Timer:
         self.cancelled = False
 
     def cancel(self) -> None:
-        """It does not run again; cancelling again does nothing."""
+        """Cancel the timer; cancelling again does nothing."""
         self.cancelled = True
 
     def run(self) -> None:
-        """The action has run, unless it was cancelled at the last moment."""
+        """Run the action, unless the timer was cancelled at the last moment."""
         if not self.cancelled:
             self.action()
 
 
 @final
 class Timers:
-    """All timers of one runtime, in a heap keyed (due time, order of asking).
+    """All timers of one runtime, in a heap with key (due time, order of creation).
 
     Args:
         now_ns: the clock.
@@ -49,7 +49,7 @@ class Timers:
         self._closed = False
 
     def add(self, period_ns: int, action: Callable[[], None]) -> Timer:
-        """`action` runs every `period_ns` [ns] from now, first after one period."""
+        """Run `action` every `period_ns` [ns] from now, first after one period."""
         timer = Timer(period_ns, action)
         with self._changed:
             self._push(self._now_ns() + period_ns, timer)
@@ -62,7 +62,7 @@ class Timers:
         return timer
 
     def close(self) -> list[threading.Thread]:
-        """Nothing runs again; the thread that is still to end, if there is one."""
+        """Stop all timers. Return the thread that is still to end, if any."""
         with self._changed:
             self._closed = True
             self._changed.notify()
@@ -79,7 +79,7 @@ class Timers:
             timer = self._next()
 
     def _next(self) -> Timer | None:
-        """The timer that is due, after waiting for it; None when there are none left."""
+        """Wait for the next timer that is due and return it; None without timers."""
         with self._changed:
             while True:
                 while self._heap and self._heap[0][2].cancelled:

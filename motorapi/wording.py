@@ -1,4 +1,4 @@
-"""How values show themselves at a prompt: what was given, and so that it can be given again."""
+"""Representation of values as the call that creates them."""
 
 from dataclasses import MISSING, fields
 from enum import Enum
@@ -6,7 +6,7 @@ from typing import Any
 
 
 def given(value: Any) -> str:
-    """The call that makes this dataclass, with the arguments that are not the default."""
+    """Return the call that creates this dataclass, without default arguments."""
     arguments = []
     for field in fields(value):
         held = getattr(value, field.name)

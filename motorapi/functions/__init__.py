@@ -1,7 +1,7 @@
 """The Math Function API: functions as values, for trajectories of any profile.
 
-Source: the paper, 3.3.1 and Figure 6. What holds for all of them: `motorapi.functions.function`.
-This package loads numpy; `motorapi` itself does not.
+Source: the paper, 3.3.1 and Figure 6. The class `Function` documents the common rules. This package
+imports numpy; `motorapi` itself does not.
 """
 
 from motorapi.errors import DomainError

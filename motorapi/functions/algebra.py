@@ -1,8 +1,8 @@
-"""What sums, products and compositions come to: the simplest function that is the same.
+"""Simplification of sums, products and compositions of functions.
 
-Of polynomials, and of functions made of them piece by piece, the result is again one. A number
-times a function goes into the function. Sums of sums and products of products are one, and in a
-sum what differs by its amplitude only is one as well.
+Polynomials and piecewise polynomials stay polynomials and piecewise polynomials. A numeric factor
+is merged into the function. Nested sums and nested products are flattened. In a sum, terms that
+differ only by their amplitudes are merged.
 """
 
 from collections.abc import Callable
@@ -22,7 +22,7 @@ from motorapi.functions.waves import Wave
 
 
 def as_function(operand: object) -> Function | None:
-    """The operand as a function; None if it is neither a function nor a number."""
+    """Return the operand as a function; None if it is neither a function nor a number."""
     if isinstance(operand, Function):
         return operand
     number = as_number(operand)
@@ -30,7 +30,7 @@ def as_function(operand: object) -> Function | None:
 
 
 def add(left: Function, right: Function) -> Function:
-    """Left + right."""
+    """Return left + right."""
     if isinstance(left, Polynomial) and isinstance(right, Polynomial):
         about = _about(left, right)
         if left.about == right.about or min(left.degree, right.degree) == 0:
@@ -50,7 +50,7 @@ def add(left: Function, right: Function) -> Function:
 
 
 def multiply(left: Function, right: Function) -> Function:
-    """Left * right."""
+    """Return left * right."""
     for one, other in ((left, right), (right, left)):
         if isinstance(one, Polynomial) and one.degree == 0:
             number = one.coefficients[0]
@@ -66,7 +66,7 @@ def multiply(left: Function, right: Function) -> Function:
 
 
 def compose(outer: Function, inner: Function) -> Function:
-    """X -> outer(inner(x))."""
+    """Return x -> outer(inner(x))."""
     if isinstance(outer, Polynomial) and isinstance(inner, Polynomial):
         local = inner.exact().plus(Exact.of([-outer.about]))
         return polynomial(outer.exact().after(local).rounded(), inner.about)
@@ -79,7 +79,7 @@ def compose(outer: Function, inner: Function) -> Function:
 
 
 def _stretched(outer: Piecewise, line: Polynomial) -> Function:
-    """outer(line(x)), piece by piece."""
+    """Return outer(line(x)), piece by piece."""
     start, slope = (Fraction(c) for c in line.coefficients)
     breaks = [
         nearest((Fraction(b) - start) / slope + Fraction(line.about)) if abs(b) < inf else b
@@ -105,7 +105,7 @@ def _merged(
     parts: list[Function],
     others: list[Function],
 ) -> list[Function]:
-    """All of them, with those made of polynomials combined to one, where the first of them was."""
+    """Return all parts, with polynomial parts combined at the position of the first one."""
     result = list(parts)
     for other in others:
         for i, part in enumerate(result):
@@ -121,7 +121,7 @@ def _merged(
 
 
 def _like_terms(left: Function, right: Function) -> Function | None:
-    """The sum of two that differ by their amplitudes only; None if they are not such."""
+    """Return the sum of two functions that differ only by their amplitudes, else None."""
     if not (isinstance(left, Wave | Exponential) and isinstance(right, type(left))):
         return None
     if left.unit_amplitude() != right.unit_amplitude():
@@ -135,14 +135,14 @@ def _is_zero(function: Function) -> bool:
 
 
 def _about(left: Polynomial, right: Polynomial) -> float:
-    """That of the one that loses more by moving."""
+    """Return the expansion point of the polynomial that loses more accuracy by a move."""
     return left.about if left.degree >= right.degree else right.about
 
 
 def _by_pieces(
     left: Function, right: Function, combine: Callable[[Function, Function], Function]
 ) -> Function | None:
-    """Piece by piece, if that makes pieces that are polynomials."""
+    """Combine piece by piece if both consist of polynomials, else return None."""
     if not (_of_polynomials(left) and _of_polynomials(right)):
         return None
     low, high = overlap(combine.__name__, (left, right))
@@ -169,7 +169,7 @@ def _piecewise(function: Function) -> Piecewise:
 
 
 def _piece(function: Function, low: float, high: float) -> Polynomial:
-    """The polynomial over an interval without breaks, about its left end if it has one."""
+    """Return the polynomial over an interval without breaks, about its finite left end."""
     if not isinstance(function, Polynomial):
         ((function, _, _),) = _piecewise(function).within(low, high)
         assert isinstance(function, Polynomial)

@@ -1,6 +1,6 @@
-"""Functions made of functions: sums, products, compositions.
+"""Composite functions: sums, products, compositions.
 
-The operators make these where nothing simpler is the same (`motorapi.functions.algebra`).
+The operators create these where `motorapi.functions.algebra` finds nothing simpler.
 """
 
 from functools import reduce
@@ -15,11 +15,11 @@ from motorapi.functions.function import LARGEST, Extrema, FloatArray, Function, 
 from motorapi.functions.integrals import Integral, anchored
 from motorapi.functions.search import extrema
 
-_SLACK: Final = 1e-15  # of the larger end of a domain: some roundings
+_SLACK: Final = 1e-15  # relative to the larger end of a domain: a few rounding errors
 
 
 class _Members(Function):
-    """What sums and products share: members, and the domain they have in common."""
+    """The common part of sums and products: the members and their common domain."""
 
     __slots__ = ("_high", "_low", "_members")
 
@@ -34,27 +34,27 @@ class _Members(Function):
     @property
     @final
     def domain(self) -> tuple[float, float]:
-        """What its members' domains have in common."""
+        """The intersection of the domains of its members."""
         return self._low, self._high
 
     @final
     def breaks_between(self, low: float, high: float) -> tuple[float, ...]:
-        """Those of all members."""
+        """Return the breaks of all members in ]low, high[."""
         return tuple(sorted({b for m in self._members for b in m.breaks_between(low, high)}))
 
     @final
     def is_smooth(self, low: float, high: float) -> bool:
-        """Whether all members are."""
+        """Return True if all members are smooth in ]low, high]."""
         return all(member.is_smooth(low, high) for member in self._members)
 
     @final
     def shifted(self, offset: float) -> Self:
-        """Member by member."""
+        """Return the function with every member shifted."""
         return type(self)(*(member.shifted(offset) for member in self._members))
 
     @final
     def scaled(self, factor: float) -> Self:
-        """Member by member."""
+        """Return the function with every member scaled."""
         return type(self)(*(member.scaled(factor) for member in self._members))
 
     @final
@@ -69,21 +69,21 @@ class _Members(Function):
 
 @final
 class Sum(_Members):
-    """The sum of one or more functions, where all of them are known.
+    """The sum of one or more functions over their common domain.
 
     Raises:
-        UsageError: there is none, one is no function, or they have no interval in common.
+        UsageError: there is no term, one is not a function, or the domains do not overlap.
     """
 
     __slots__ = ()
 
     @property
     def terms(self) -> tuple[Function, ...]:
-        """What is added, from left to right."""
+        """The terms, from left to right."""
         return self._members
 
     def value(self, argument: float) -> float:
-        """The terms added from left to right."""
+        """Return the sum of the terms, added from left to right."""
         self._check(argument)
         total = self._members[0].value(argument)
         for term in self._members[1:]:
@@ -100,7 +100,7 @@ class Sum(_Members):
         return reduce(add, [term.derivative(order) for term in self._members])
 
     def integral(self) -> Function:
-        """The sum of the integrals."""
+        """Return the sum of the integrals."""
         total = reduce(add, [term.integral() for term in self._members])
         return anchored(total, self._origin())
 
@@ -112,27 +112,27 @@ class Sum(_Members):
         return sum(part[0] for part in parts), sum(part[1] for part in parts)
 
     def times(self, number: float) -> Function:
-        """Term by term."""
+        """Return the sum with every term multiplied by `number`."""
         return Sum(*(term.times(number) for term in self._members))
 
 
 @final
 class Product(_Members):
-    """The product of one or more functions, where all of them are known.
+    """The product of one or more functions over their common domain.
 
     Raises:
-        UsageError: there is none, one is no function, or they have no interval in common.
+        UsageError: there is no factor, one is not a function, or the domains do not overlap.
     """
 
     __slots__ = ()
 
     @property
     def factors(self) -> tuple[Function, ...]:
-        """What is multiplied, from left to right."""
+        """The factors, from left to right."""
         return self._members
 
     def value(self, argument: float) -> float:
-        """The factors multiplied from left to right."""
+        """Return the product of the factors, multiplied from left to right."""
         self._check(argument)
         total = self._members[0].value(argument)
         for factor in self._members[1:]:
@@ -154,7 +154,7 @@ class Product(_Members):
         return reduce(add, terms).derivative(order - 1)
 
     def integral(self) -> Function:
-        """By quadrature: closed forms, where there are any, cancel."""
+        """Return the integral by quadrature: existing closed forms suffer from cancellation."""
         return Integral(self)
 
     def _bounds(self, low: float, high: float) -> tuple[float, float]:
@@ -166,35 +166,35 @@ class Product(_Members):
         return least, most
 
     def times(self, number: float) -> Function:
-        """With the first factor so many times as large."""
+        """Return the product with the first factor multiplied by `number`."""
         return Product(self._members[0].times(number), *self._members[1:])
 
 
 @final
 class Composition(Function):
-    """x -> outer(inner(x)), for every x that `inner` is known at.
+    """x -> outer(inner(x)), on the domain of `inner`.
 
-    A value of `inner` that rounding alone puts beyond the domain of `outer` counts as that
-    domain's end. At a break of `outer` the piece that begins there counts, from wherever `inner`
-    comes.
+    A value of `inner` that exceeds the domain of `outer` only by rounding counts as the end of that
+    domain. At a break of `outer` the piece that begins there counts, from whichever side `inner`
+    approaches it.
 
     Raises:
-        UsageError: one of them is no function.
-        DomainError: `inner` has a domain with two ends, and leaves the domain of `outer` in it.
+        UsageError: `outer` or `inner` is not a function.
+        DomainError: `inner` has a bounded domain, and leaves the domain of `outer` in it.
     """
 
     __slots__ = ("_high", "_low", "_slack", "inner", "outer")
 
     outer: Function
     inner: Function
-    _low: float  # of outer
+    _low: float  # domain of outer
     _high: float
     _slack: float
 
     def __init__(self, outer: Function, inner: Function) -> None:
         for one in (outer, inner):
             if not isinstance(one, Function):
-                raise UsageError(f"Composition: {one!r} is no function")
+                raise UsageError(f"Composition: {one!r} is not a function")
         low, high = outer.domain
         sizes = [abs(end) for end in (low, high) if abs(end) <= LARGEST]
         self._keep(
@@ -209,11 +209,11 @@ class Composition(Function):
 
     @property
     def domain(self) -> tuple[float, float]:
-        """That of `inner`."""
+        """The domain of `inner`."""
         return self.inner.domain
 
     def _require(self, low: float, high: float) -> None:
-        """`inner` stays within the domain of `outer` over [low, high]."""
+        """Require that `inner` stays within the domain of `outer` over [low, high]."""
         found = self.inner.extrema(low, high)
         self._inner_value(found.minimum, found.at_minimum)
         self._inner_value(found.maximum, found.at_maximum)
@@ -228,7 +228,7 @@ class Composition(Function):
         raise DomainError(argument=value, low=low, high=high, function=f"{within} {argument!r}")
 
     def value(self, argument: float) -> float:
-        """The outer function's at the inner one's."""
+        """Return the value of the outer function at the value of the inner one."""
         inner = self.inner.value(argument)
         if not self._low <= inner <= self._high:
             inner = self._inner_value(inner, argument)
@@ -246,7 +246,7 @@ class Composition(Function):
         return chain.derivative(order - 1)
 
     def integral(self) -> Function:
-        """By quadrature."""
+        """Return the integral by quadrature."""
         return Integral(self)
 
     def _extrema(self, low: float, high: float) -> Extrema:
@@ -257,7 +257,7 @@ class Composition(Function):
         return self.outer.bounds(*self._reach(low, high))
 
     def _reach(self, low: float, high: float) -> tuple[float, float]:
-        """What of the domain of `outer` is met, or more."""
+        """Return a range of `inner` over [low, high], clipped to the domain of `outer`."""
         least, most = self.inner.bounds(low, high)
         return (
             min(max(least, self._low), self._high),
@@ -265,23 +265,23 @@ class Composition(Function):
         )
 
     def breaks_between(self, low: float, high: float) -> tuple[float, ...]:
-        """Those of `inner`; where the breaks of `outer` are met is not known."""
+        """Return the breaks of `inner`; those caused by `outer` are unknown."""
         return self.inner.breaks_between(low, high)
 
     def is_smooth(self, low: float, high: float) -> bool:
-        """Whether `inner` is, and does not come near a break of `outer`."""
+        """Return True if `inner` is smooth and does not come near a break of `outer`."""
         return self.inner.is_smooth(low, high) and self.outer.is_smooth(*self._reach(low, high))
 
     def times(self, number: float) -> Function:
-        """With the outer function so many times as large."""
+        """Return the composition with the outer function multiplied by `number`."""
         return Composition(self.outer.times(number), self.inner)
 
     def shifted(self, offset: float) -> Function:
-        """With the inner function shifted."""
+        """Return the composition with the inner function shifted."""
         return Composition(self.outer, self.inner.shifted(offset))
 
     def scaled(self, factor: float) -> Function:
-        """With the inner function scaled."""
+        """Return the composition with the inner function scaled."""
         return Composition(self.outer, self.inner.scaled(factor))
 
     def _parameters(self) -> tuple[object, ...]:

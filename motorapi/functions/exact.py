@@ -1,9 +1,9 @@
-"""Coefficients of polynomials in exact arithmetic: every result is rounded once.
+"""Exact arithmetic for polynomial coefficients, with one final rounding.
 
-A double is a rational number; so are a polynomial's coefficients, and what is written here is done
-in whole numbers over a common denominator. Shifting a polynomial to another place by floats instead
-loses digits by cancellation, as do composing and integrating it. Coefficients ascend; they are in a
-local argument: p = c0 + c1 t + c2 t² + ..., where t is x less the place that p is about.
+A double is a rational number, and so are the coefficients of a polynomial. All operations here use
+integers over a common denominator. In floating point, a change of the expansion point, a
+composition or an integration loses digits by cancellation. Coefficients are in ascending order of a
+local argument: p = c0 + c1 t + c2 t² + ..., where t is x minus the expansion point.
 """
 
 from collections.abc import Iterable
@@ -14,7 +14,7 @@ from typing import final
 
 @final
 class Exact:
-    """A polynomial without any rounding; immutable.
+    """A polynomial without rounding; immutable.
 
     Attributes:
         numbers: the coefficients, ascending, times the denominator.
@@ -29,27 +29,27 @@ class Exact:
 
     @classmethod
     def of(cls, coefficients: Iterable[float | Fraction]) -> "Exact":
-        """Of at least one finite coefficient, taken as what it is."""
+        """Return the polynomial with these coefficients, at least one, taken exactly."""
         ratios = [c.as_integer_ratio() for c in coefficients]
         common = lcm(*(d for _, d in ratios))
         return cls([n * (common // d) for n, d in ratios], common)
 
     def rounded(self) -> tuple[float, ...]:
-        """The nearest doubles; infinite where there is none."""
+        """Return the nearest doubles; infinite on overflow."""
         return tuple(_nearest(n, self.denominator) for n in self.numbers)
 
     def coefficient(self, power: int) -> Fraction:
-        """One coefficient; 0 beyond the highest."""
+        """Return the coefficient of `power`; 0 beyond the degree."""
         if power >= len(self.numbers):
             return Fraction(0)
         return Fraction(self.numbers[power], self.denominator)
 
     def moved(self, way: float | Fraction) -> "Exact":
-        """The same polynomial about a place that lies `way` further to the right."""
+        """Return the same polynomial about a point that lies `way` further to the right."""
         p, q = way.as_integer_ratio()
         if p == 0 or len(self.numbers) == 1:
             return self
-        # In t = s / q the coefficients are whole numbers, and s moves by a whole number.
+        # In t = s / q the coefficients are integers, and s moves by an integer.
         degree = len(self.numbers) - 1
         numbers = [n * q ** (degree - k) for k, n in enumerate(self.numbers)]
         for start in range(degree):
@@ -58,7 +58,7 @@ class Exact:
         return Exact([n * q**k for k, n in enumerate(numbers)], self.denominator * q**degree)
 
     def plus(self, other: "Exact") -> "Exact":
-        """The sum of two about one place."""
+        """Return the sum of two polynomials about the same point."""
         common = lcm(self.denominator, other.denominator)
         left = [n * (common // self.denominator) for n in self.numbers]
         right = [n * (common // other.denominator) for n in other.numbers]
@@ -68,7 +68,7 @@ class Exact:
         return Exact(longer, common)
 
     def times(self, other: "Exact") -> "Exact":
-        """The product of two about one place."""
+        """Return the product of two polynomials about the same point."""
         product = [0] * (len(self.numbers) + len(other.numbers) - 1)
         for i, a in enumerate(self.numbers):
             if a:
@@ -77,20 +77,20 @@ class Exact:
         return Exact(product, self.denominator * other.denominator)
 
     def after(self, inner: "Exact") -> "Exact":
-        """This one, about 0, of the values of another."""
+        """Return the composition of this polynomial, about 0, with `inner`."""
         total = Exact(self.numbers[-1:], self.denominator)
         for n in reversed(self.numbers[:-1]):
             total = total.times(inner).plus(Exact([n], self.denominator))
         return total
 
     def integral(self) -> "Exact":
-        """The antiderivative that is 0 at 0."""
+        """Return the antiderivative that is 0 at 0."""
         common = lcm(*range(1, len(self.numbers) + 1))
         raised = [n * (common // k) for k, n in enumerate(self.numbers, 1)]
         return Exact([0, *raised], self.denominator * common)
 
     def value(self, local: Fraction) -> Fraction:
-        """The value at a local argument."""
+        """Return the value at a local argument."""
         p, q = local.as_integer_ratio()
         total, power = 0, 1
         for n in reversed(self.numbers):
@@ -100,12 +100,12 @@ class Exact:
 
 
 def nearest(number: Fraction) -> float:
-    """The nearest double; infinite if it is too large."""
+    """Return the nearest double; infinite on overflow."""
     return _nearest(number.numerator, number.denominator)
 
 
 def _nearest(numerator: int, denominator: int) -> float:
     try:
-        return numerator / denominator  # of whole numbers, this is the nearest double
+        return numerator / denominator  # for integers, Python's division gives the nearest double
     except OverflowError:
         return float("inf") if numerator > 0 else float("-inf")

@@ -1,4 +1,4 @@
-"""The exponential function: what settles, or grows, at a rate."""
+"""The exponential function, for decay or growth at a constant rate."""
 
 from math import exp, expm1, inf
 from typing import final
@@ -11,17 +11,17 @@ from motorapi.functions.function import LARGEST, Extrema, FloatArray, Function, 
 
 @final
 class Exponential(Function):
-    """amplitude * exp(rate * (x - about)); infinite where that is too large for a double.
+    """amplitude * exp(rate * (x - about)); infinite on overflow.
 
     A first-order step response of time constant T is `1.0 - Exponential(1.0, -1.0 / T)`.
 
     Args:
         amplitude: the value at `about`, in the unit of the values.
         rate: per unit of the argument; not 0.
-        about: where the value is `amplitude`.
+        about: argument at which the value is `amplitude`.
 
     Raises:
-        UsageError: one of them is not finite, or amplitude or rate is 0.
+        UsageError: an argument is not finite, or amplitude or rate is 0.
     """
 
     __slots__ = ("about", "amplitude", "rate")
@@ -33,7 +33,7 @@ class Exponential(Function):
     def __init__(self, amplitude: float = 1.0, rate: float = 1.0, about: float = 0.0) -> None:
         for name, number in (("amplitude", amplitude), ("rate", rate)):
             if finite("Exponential", name, number) == 0.0:
-                raise UsageError(f"Exponential: {name} is 0; what does not change is a Constant")
+                raise UsageError(f"Exponential: {name} is 0; use a Constant for a constant value")
         self._keep(
             amplitude=float(amplitude),
             rate=float(rate),
@@ -42,11 +42,11 @@ class Exponential(Function):
 
     @property
     def domain(self) -> tuple[float, float]:
-        """Everywhere."""
+        """The real line."""
         return -inf, inf
 
     def value(self, argument: float) -> float:
-        """By the C library."""
+        """Return the value, computed by the C library."""
         if not -LARGEST <= argument <= LARGEST:
             self._refuse(argument)
         try:
@@ -65,12 +65,12 @@ class Exponential(Function):
         return self.times(self.rate**order)
 
     def integral(self) -> Function:
-        """An exponential and a constant."""
+        """Return the integral, the sum of an exponential and a constant."""
         part = Exponential(self.amplitude / self.rate, self.rate, self.about)
         return part - part.value(0.0)
 
     def _integrate(self, low: float, high: float) -> float:
-        way = self.rate * (high - low)  # from the larger end, by expm1, nothing cancels
+        way = self.rate * (high - low)  # from the larger end, with expm1, no cancellation occurs
         if way > 0.0:
             return -self.value(high) / self.rate * expm1(-way)
         return self.value(low) / self.rate * expm1(way)
@@ -86,23 +86,23 @@ class Exponential(Function):
         return min(first, last), max(first, last)
 
     def unit_amplitude(self) -> "Exponential":
-        """The same with the amplitude 1."""
+        """Return the same function with amplitude 1."""
         return Exponential(1.0, self.rate, self.about)
 
     def times(self, number: float) -> Function:
-        """The same with another amplitude."""
+        """Return the function with its amplitude multiplied by `number`."""
         factor = finite("Exponential", "a factor", number)
         if factor == 0.0:
             return super().times(factor)
         return Exponential(self.amplitude * factor, self.rate, self.about)
 
     def shifted(self, offset: float) -> Function:
-        """Exact, but for the rounding of about + offset."""
+        """Return the shifted function, exact except for the rounding of about + offset."""
         about = self.about + finite(repr(self), "offset", offset)
         return Exponential(self.amplitude, self.rate, about)
 
     def scaled(self, factor: float) -> Function:
-        """With the rate divided by `factor`."""
+        """Return the function with its rate divided by `factor`."""
         number = finite(repr(self), "factor", factor)
         if number == 0.0:
             raise UsageError(f"{self!r}: the argument cannot be scaled by 0")

@@ -1,28 +1,28 @@
-"""What every function can do: the base class of the Math Function API, and its rules.
+"""Base class of the Math Function API, and its rules.
 
-A function is a value: immutable, hashable, comparable, printable, and it pickles. Two functions
-are equal if they are written alike (class and parameters), not if they agree everywhere.
+A function is a value: immutable, hashable, comparable, printable and picklable. Two functions are
+equal if their classes and parameters are equal, not if they agree everywhere.
 
 The rules, for every function `f`:
 
-- *Domain.* `f.domain` is closed: both ends belong to it. An argument outside, and nan and the
-  infinities always, raise `DomainError`, which names argument and domain.
-- *Jumps.* A piecewise function is continuous from the right: at a break the piece that begins
-  there counts, at the domain's highest argument the last one. Its derivative is that of its pieces,
-  by the same rule: from the right at a break, and without an impulse where the function jumps.
+- *Domain.* `f.domain` is closed: both ends belong to it. An argument outside, nan or an infinity
+  raises `DomainError`, which names argument and domain.
+- *Jumps.* A piecewise function is continuous from the right: at a break the piece that begins there
+  counts, at the highest argument of the domain the last one. Its derivative is that of its pieces,
+  by the same rule: from the right at a break, and without an impulse at a jump.
 - *Derivative* of any order: `f.derivative(2)`; order 0 is the function itself.
-- *Integral.* `f.integral()` is the antiderivative that is 0 where the domain begins, or, if it
-  begins nowhere, at 0 (at its end if it ends below 0). `f.integrate(low, high)` is the definite
-  one, and more accurate than a difference of the former; with `high < low` its sign changes.
-- *Extrema* over a closed interval, exact to rounding for polynomials (by pieces) and waves; of
-  equal ones the one at the lowest argument is told. Others are searched with bounds that can miss
-  nothing, to 1e-12 of the values' size, and any of equals is told (`motorapi.functions.search`).
-- *Arrays.* `f(x)` takes a number, or an array and gives one of the same shape. Functions made of
-  polynomials give the same bits either way; sines and exponentials agree to the last place or two
-  (they are the C library's for a number, numpy's for an array).
-- *Operators* take numbers too. What is made of polynomials stays made of polynomials.
+- *Integral.* `f.integral()` is the antiderivative that is 0 at the lower end of the domain, or at
+  min(0, upper end) without a lower end. `f.integrate(low, high)` is the definite integral, more
+  accurate than a difference of the antiderivative; with `high < low` its sign changes.
+- *Extrema* over a closed interval are exact to rounding for (piecewise) polynomials and waves; the
+  first of equal ones is returned. Other functions are searched with bounds that miss nothing, to
+  1e-12 of the size of the values; any of equal ones is returned (`motorapi.functions.search`).
+- *Arrays.* `f(x)` takes a number, or an array and returns one of the same shape. Functions made of
+  polynomials give the same bits either way; sines and exponentials agree to the last digit or two
+  (the C library computes single numbers, numpy computes arrays).
+- *Operators* accept numbers too. Combinations of polynomials remain polynomials.
 
-`value(x)` is the fast path for one number: no numpy on its way.
+`value(x)` is the fast path for one number, without numpy.
 """
 
 from abc import ABC, abstractmethod
@@ -42,15 +42,15 @@ if TYPE_CHECKING:
     from motorapi.functions.piecewise import Piecewise
 
 FloatArray: TypeAlias = NDArray[np.float64]
-LARGEST: Final = float_info.max  # the end of a domain that has none: nan and inf lie beyond
+LARGEST: Final = float_info.max  # the end of an unbounded domain: nan and inf lie beyond
 
-_TOLD: Final = 80  # characters of a function within a message
+_TOLD: Final = 80  # maximum length of a function in a message
 
 
 @final
 @dataclass(frozen=True, slots=True)
 class Extrema:
-    """The least and the greatest value over an interval, each with an argument of it."""
+    """The minimum and maximum over an interval, each with one of its arguments."""
 
     minimum: float
     at_minimum: float
@@ -59,25 +59,25 @@ class Extrema:
 
 
 class Function(ABC):
-    """A function of one real argument; see the module for what holds for all of them.
+    """A function of one real argument; see the module for the common rules.
 
-    A class of your own says what is abstract here. Its parameters are what `_parameters` tells, in
-    the order in which the class takes them: equality, hash, pickling and `repr` come from there.
+    Subclasses implement the abstract methods. `_parameters` returns the arguments of the
+    constructor in order: equality, hash, pickling and `repr` use them.
     """
 
     __slots__ = ()
-    __array_ufunc__: Final = None  # numpy's own numbers leave operators to this class
+    __array_ufunc__: Final = None  # numpy scalars leave the operators to this class
 
-    # --- what every class says
+    # --- implemented by every class
 
     @property
     @abstractmethod
     def domain(self) -> tuple[float, float]:
-        """The lowest and the highest argument; -inf and inf where there is none."""
+        """The lowest and the highest argument; -inf and inf for unbounded sides."""
 
     @abstractmethod
     def value(self, argument: float) -> float:
-        """The value at one argument, without numpy.
+        """Return the value at one argument, without numpy.
 
         Raises:
             DomainError: the argument lies outside the domain, or is not finite.
@@ -85,32 +85,32 @@ class Function(ABC):
 
     @abstractmethod
     def _values(self, arguments: FloatArray) -> FloatArray:
-        """Values at a flat array of arguments, all of them in the domain; a new array."""
+        """Return the values at a flat array of arguments in the domain, as a new array."""
 
     @abstractmethod
     def _derivative(self, order: int) -> "Function":
-        """The derivative of `order` >= 1."""
+        """Return the derivative of `order` >= 1."""
 
     @abstractmethod
     def integral(self) -> "Function":
-        """The antiderivative that is 0 where the domain begins (or at 0, if it begins nowhere)."""
+        """Return the antiderivative that is 0 at the lower end of the domain (else at 0)."""
 
     @abstractmethod
     def _bounds(self, low: float, high: float) -> tuple[float, float]:
-        """A range that holds every value over [low, high]; the tighter the smaller the interval."""
+        """Return a range of all values over [low, high], tighter for smaller intervals."""
 
     @abstractmethod
     def _parameters(self) -> tuple[object, ...]:
-        """What the class was called with, in order; hashable."""
+        """Return the arguments of the constructor, in order; hashable."""
 
-    # --- what most classes leave as it is
+    # --- overridden by a few classes
 
     def breaks_between(self, low: float, high: float) -> tuple[float, ...]:
-        """Where, inside ]low, high[, the function or a derivative of it may jump, if known."""
+        """Return the known points in ]low, high[ where the function or a derivative may jump."""
         return ()
 
     def is_smooth(self, low: float, high: float) -> bool:
-        """Whether nothing jumps in ]low, high]; False if that is not known."""
+        """Return True if nothing jumps in ]low, high]; False if that is unknown."""
         return True
 
     def _extrema(self, low: float, high: float) -> Extrema:
@@ -123,7 +123,7 @@ class Function(ABC):
 
         return integrate(self, low, high)
 
-    # --- what an application calls
+    # --- called by applications
 
     @overload
     def __call__(self, argument: float) -> float: ...
@@ -131,18 +131,18 @@ class Function(ABC):
     def __call__(self, argument: ArrayLike) -> FloatArray: ...
     @final
     def __call__(self, argument: ArrayLike) -> float | FloatArray:
-        """The value at a number, or the values at an array of numbers, in its shape.
+        """Return the value at a number, or the values at an array, in its shape.
 
         Raises:
-            DomainError: an argument lies outside the domain, or is not finite; the first such.
-            UsageError: it is no number and no array of numbers.
+            DomainError: an argument lies outside the domain, or is not finite; names the first.
+            UsageError: the argument is neither a number nor an array of numbers.
         """
         if isinstance(argument, float | int | np.integer | np.floating | np.bool_):
             return self.value(as_number(argument) if isinstance(argument, int) else float(argument))
         try:
             points = np.asarray(argument, dtype=np.float64)
         except (TypeError, ValueError, OverflowError) as error:
-            raise UsageError(f"{self!r}: {argument!r} is no array of numbers") from error
+            raise UsageError(f"{self!r}: {argument!r} is not an array of numbers") from error
         flat = np.ascontiguousarray(points).reshape(-1)
         if flat.size:
             low, high = self.domain
@@ -154,9 +154,9 @@ class Function(ABC):
 
     @final
     def derivative(self, order: int = 1) -> "Function":
-        """The derivative of that order, >= 0; UsageError if it is beyond the largest float."""
+        """Return the derivative of `order` >= 0; UsageError if it exceeds the largest float."""
         if not isinstance(order, int) or order < 0:
-            raise UsageError(f"{self!r}: {order!r} is no order of a derivative; it is 0, 1, 2, ...")
+            raise UsageError(f"{self!r}: derivative order {order!r}; expected 0, 1, 2, ...")
         try:
             return self._derivative(order) if order else self
         except (OverflowError, RecursionError) as error:
@@ -164,18 +164,18 @@ class Function(ABC):
 
     @final
     def integrate(self, low: float, high: float) -> float:
-        """The definite integral from `low` to `high`.
+        """Return the definite integral from `low` to `high`.
 
         Raises:
-            DomainError: one of them lies outside the domain, or is not finite.
-            UsageError: it, or a value on the way, is beyond the largest float.
+            DomainError: an end lies outside the domain, or is not finite.
+            UsageError: the integral, or an intermediate value, exceeds the largest float.
         """
         low, high = self._inside(low), self._inside(high)
         if low == high:
             return 0.0
         try:
             found = self._integrate(low, high) if low < high else -self._integrate(high, low)
-        except (OverflowError, ValueError):  # of inf - inf it is a ValueError
+        except (OverflowError, ValueError):  # inf - inf raises ValueError
             found = inf
         if -LARGEST <= found <= LARGEST:
             return found
@@ -183,7 +183,7 @@ class Function(ABC):
 
     @final
     def extrema(self, low: float | None = None, high: float | None = None) -> Extrema:
-        """The least and the greatest value over [low, high]; None: the domain's own end.
+        """Return minimum and maximum over [low, high]; None: the end of the domain.
 
         Raises:
             DomainError: an end lies outside the domain, or is not finite.
@@ -197,7 +197,7 @@ class Function(ABC):
 
     @final
     def bounds(self, low: float | None = None, high: float | None = None) -> tuple[float, float]:
-        """A range that holds every value over [low, high]: quicker than `extrema`, and wider.
+        """Return a range of all values over [low, high]: faster than `extrema`, and wider.
 
         Raises:
             DomainError: an end lies outside the domain, or is not finite.
@@ -210,7 +210,7 @@ class Function(ABC):
 
     @final
     def restricted(self, low: float, high: float) -> "Piecewise":
-        """The same function over [low, high] only, a part of its domain.
+        """Return the same function over [low, high] only, a part of its domain.
 
         Raises:
             DomainError: an end lies outside the domain, or is not finite.
@@ -221,22 +221,22 @@ class Function(ABC):
         return Piecewise((self._inside(low), self._inside(high)), (self,))
 
     def shifted(self, offset: float) -> "Function":
-        """X -> f(x - offset): what it was at x it is at x + offset; it begins that much later."""
+        """Return x -> f(x - offset), which begins `offset` later."""
         from motorapi.functions.moved import Shifted
 
         return Shifted(self, offset)
 
     def scaled(self, factor: float) -> "Function":
-        """X -> f(x / factor): what it was at x it is at x * factor; it takes that much longer.
+        """Return x -> f(x / factor), which takes `factor` times as long.
 
-        A factor below 0 turns it round. To scale the values, multiply: `2.0 * f`.
+        A negative factor reverses the function. To scale the values, multiply: `2.0 * f`.
         """
         from motorapi.functions.moved import Scaled
 
         return Scaled(self, factor)
 
     def times(self, number: float) -> "Function":
-        """The values multiplied by a number, finite: what `number * f` is."""
+        """Return the function multiplied by a finite number, as `number * f`."""
         from motorapi.functions.combined import Product
         from motorapi.functions.polynomial import Constant
 
@@ -244,7 +244,7 @@ class Function(ABC):
 
     @final
     def after(self, inner: "Function") -> "Function":
-        """X -> f(inner(x))."""
+        """Return x -> f(inner(x))."""
         from motorapi.functions.algebra import compose
 
         return compose(self, inner)
@@ -296,10 +296,10 @@ class Function(ABC):
     def __truediv__(self, divisor: float) -> "Function":
         number = as_number(divisor)
         if number != number or number == 0.0:
-            raise UsageError(f"{self!r} cannot be divided by {divisor!r}, but by numbers only")
+            raise UsageError(f"{self!r}: divisor {divisor!r}; expected a number other than 0")
         return self.__mul__(1.0 / number)
 
-    # --- as values
+    # --- value semantics
 
     @final
     def __eq__(self, other: object) -> bool:
@@ -328,11 +328,11 @@ class Function(ABC):
         told = ", ".join(repr(parameter) for parameter in self._parameters())
         return f"{type(self).__name__}({told})"
 
-    # --- within the package
+    # --- internal to the package
 
     @final
     def _keep(self, **attributes: object) -> None:
-        """Sets attributes while the object is made (and what it finds out about itself later)."""
+        """Set attributes in the constructor (and cached results later)."""
         for name, value in attributes.items():
             object.__setattr__(self, name, value)
 
@@ -358,21 +358,21 @@ class Function(ABC):
         first = self._inside(lowest if low is None else low)
         last = self._inside(highest if high is None else high)
         if first > last:
-            raise UsageError(f"{self!r}: there is nothing between {first!r} and {last!r}")
+            raise UsageError(f"{self!r}: the interval from {first!r} to {last!r} is empty")
         return first, last
 
     @final
     def _origin(self) -> float:
-        """Where the integral is 0."""
+        """Return the argument at which the integral is 0."""
         low, high = self.domain
         return low if low > -inf else min(0.0, high)
 
 
 def finite(owner: str, name: str, value: object) -> float:
-    """The parameter as a float.
+    """Return the parameter as a float.
 
     Raises:
-        UsageError: it is no finite number.
+        UsageError: it is not a finite number.
     """
     number = value if type(value) is float else as_number(value)
     if not -LARGEST <= number <= LARGEST:
@@ -381,16 +381,16 @@ def finite(owner: str, name: str, value: object) -> float:
 
 
 def overlap(owner: str, functions: Sequence[Function]) -> tuple[float, float]:
-    """The interval that the domains have in common.
+    """Return the intersection of the domains.
 
     Raises:
-        UsageError: there is no function, one is none, or they have no interval in common.
+        UsageError: there is no function, one is not a function, or the domains do not overlap.
     """
     if not functions:
         raise UsageError(f"{owner}: there is no function")
     for one in functions:
         if not isinstance(one, Function):
-            raise UsageError(f"{owner}: {one!r} is no function")
+            raise UsageError(f"{owner}: {one!r} is not a function")
     low = max(one.domain[0] for one in functions)
     high = min(one.domain[1] for one in functions)
     if not low < high:

@@ -1,6 +1,6 @@
-"""Functions of an argument that is shifted or scaled.
+"""Functions of a shifted or scaled argument.
 
-`f.shifted(...)` and `f.scaled(...)` make these of functions that have no simpler way.
+`f.shifted(...)` and `f.scaled(...)` create these for functions without a simpler form.
 """
 
 from abc import abstractmethod
@@ -15,7 +15,7 @@ from motorapi.functions.search import extrema
 
 
 class _Moved(Function):
-    """What both share: each argument has one of the inner function, and the other way round."""
+    """The common part of both: a bijection between outer and inner arguments."""
 
     __slots__ = ("_ends", "_inner_ends", "function")
 
@@ -25,36 +25,36 @@ class _Moved(Function):
 
     def _set(self, function: Function) -> None:
         if not isinstance(function, Function):
-            raise UsageError(f"{type(self).__name__}: {function!r} is no function")
+            raise UsageError(f"{type(self).__name__}: {function!r} is not a function")
         self._keep(function=function, _inner_ends=function.domain)
         low, high = sorted(self._out(end) + 0.0 for end in function.domain)
         self._keep(_ends=(low, high))
         if not low < high:
-            raise UsageError(f"{self!r}: nothing is left of the domain")
+            raise UsageError(f"{self!r}: the domain is empty")
 
     @abstractmethod
     def _in(self, argument: float) -> float:
-        """The inner function's argument."""
+        """Return the inner argument of an outer argument."""
 
     @abstractmethod
     def _out(self, argument: float) -> float:
-        """Where an argument of the inner function is."""
+        """Return the outer argument of an inner argument."""
 
     @property
     @final
     def domain(self) -> tuple[float, float]:
-        """That of the function, moved likewise."""
+        """The domain of the function, moved."""
         return self._ends
 
     @final
     def _inner(self, argument: float) -> float:
-        """The inner argument; rounding does not take it out of the domain."""
+        """Return the inner argument, clipped to the domain against rounding."""
         low, high = self._inner_ends
         return min(max(self._in(argument), low, -LARGEST), high, LARGEST)
 
     @final
     def value(self, argument: float) -> float:
-        """The function's at the argument that it has there."""
+        """Return the value of the function at the inner argument."""
         low, high = self._ends
         if not (low <= argument <= high and -LARGEST <= argument <= LARGEST):
             self._refuse(argument)
@@ -71,14 +71,14 @@ class _Moved(Function):
 
     @final
     def breaks_between(self, low: float, high: float) -> tuple[float, ...]:
-        """Those of the function, moved likewise."""
+        """Return the breaks of the function, moved."""
         inner = self.function.breaks_between(*self._span(low, high))
         moved = sorted(self._out(b) for b in inner)
         return tuple(b for b in moved if low < b < high)
 
     @final
     def is_smooth(self, low: float, high: float) -> bool:
-        """Whether the function is, rounding included."""
+        """Return True if the function is smooth in the interval, rounding included."""
         first, last = self._span(low, high)
         lowest, highest = self._inner_ends
         first, last = nextafter(first, -inf), nextafter(last, inf)
@@ -90,7 +90,7 @@ class Shifted(_Moved):
     """x -> function(x - offset).
 
     Raises:
-        UsageError: `offset` is not finite, or `function` no function.
+        UsageError: `offset` is not finite, or `function` is not a function.
     """
 
     __slots__ = ("offset",)
@@ -116,7 +116,7 @@ class Shifted(_Moved):
         return self.function.derivative(order).shifted(self.offset)
 
     def integral(self) -> Function:
-        """The function's, shifted; made 0 where it is to be."""
+        """Return the shifted integral of the function, set to 0 at the origin."""
         whole = self.function.integral().shifted(self.offset)
         return whole - whole.value(self._origin()) if self._ends[0] == -inf else whole
 
@@ -133,11 +133,11 @@ class Shifted(_Moved):
         )
 
     def times(self, number: float) -> Function:
-        """Of the function so many times as large."""
+        """Return the shifted function multiplied by `number`."""
         return Shifted(self.function.times(number), self.offset)
 
     def shifted(self, offset: float) -> Function:
-        """Once, by both together."""
+        """Return the function shifted once by the sum of both offsets."""
         return Shifted(self.function, self.offset + finite(repr(self), "offset", offset))
 
     def _parameters(self) -> tuple[object, ...]:
@@ -146,10 +146,10 @@ class Shifted(_Moved):
 
 @final
 class Scaled(_Moved):
-    """x -> function(x / factor); turned round if the factor is below 0.
+    """x -> function(x / factor), reversed if the factor is below 0.
 
     Raises:
-        UsageError: `factor` is 0 or not finite, or `function` no function.
+        UsageError: `factor` is 0 or not finite, or `function` is not a function.
     """
 
     __slots__ = ("factor",)
@@ -178,7 +178,7 @@ class Scaled(_Moved):
         return self.function.derivative(order).scaled(self.factor) * self.factor**-order
 
     def integral(self) -> Function:
-        """The function's, scaled; made 0 where it is to be."""
+        """Return the scaled integral of the function, set to 0 at the origin."""
         whole = self.function.integral().scaled(self.factor) * self.factor
         value = whole.value(self._origin())
         return whole - value if value else whole
@@ -190,11 +190,11 @@ class Scaled(_Moved):
         return extrema(self, low, high)
 
     def times(self, number: float) -> Function:
-        """Of the function so many times as large."""
+        """Return the scaled function multiplied by `number`."""
         return Scaled(self.function.times(number), self.factor)
 
     def scaled(self, factor: float) -> Function:
-        """Once, by both together."""
+        """Return the function scaled once by the product of both factors."""
         return Scaled(self.function, self.factor * finite(repr(self), "factor", factor))
 
     def _parameters(self) -> tuple[object, ...]:

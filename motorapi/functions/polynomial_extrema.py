@@ -1,36 +1,37 @@
-"""Where a polynomial can have an extremum, none missed; and a range that holds its values.
+"""Extrema and value ranges of polynomials, without a miss.
 
-Between two neighbouring zeros of p'' the derivative p' is monotone and has at most one zero: so
-the zeros of p' are found by signs, once those of p'' are known, those from p''' and so on, down to
-a straight line. Each is refined, by Newton's steps kept within the bracket, until the bracket's
-ends are neighbours or the step is lost in rounding. A zero of p' that touches zero only is no
-extremum; neither is one whose two neighbours rounding alone makes of one sign, or only by as much.
+Between two neighbouring zeros of p'' the derivative p' is monotone and has at most one zero. So the
+zeros of p' are found by their signs once those of p'' are known, those from p''' and so on, down to
+a straight line. Each zero is refined by Newton steps within a bracket, until the ends of the
+bracket are neighbours or the step is lost in rounding. A zero of p' without a sign change is not an
+extremum. Nor is a zero whose neighbours have one sign through rounding alone, or differ from it
+only by as much.
 
-The range is that of the Bernstein coefficients: their hull holds the curve's (G. Farin, Curves and
-Surfaces for CAGD, 4.3), and shrinks to it quadratically as the interval does.
+The range comes from the Bernstein coefficients: their hull contains the curve (G. Farin, Curves and
+Surfaces for CAGD, 4.3), and converges to it quadratically with the size of the interval.
 """
 
 from collections.abc import Sequence
 from typing import Final
 
-_STEPS: Final = 200  # a bracket of doubles halves to neighbours in far fewer
-_ROUNDING: Final = 4e-16  # of one operation, and some
+_STEPS: Final = 200  # bisection reduces a bracket of doubles to neighbours in far fewer steps
+_ROUNDING: Final = 4e-16  # rounding error of one operation, with a margin
 
 
 def candidates(coefficients: Sequence[float], low: float, high: float) -> list[float]:
-    """Local arguments in [low, high], ascending: the zeros of p' where it changes its sign.
+    """Return the arguments in [low, high], ascending, where p' changes its sign.
 
     Args:
         coefficients: ascending.
-        low: below `high`, finite.
-        high: finite.
+        low: local argument below `high`, finite.
+        high: local argument, finite.
     """
     chain: list[list[float]] = []
     current = list(coefficients)
     while len(current) > 2:
         current = [k * c for k, c in enumerate(current)][1:]
         chain.append(current)
-    found: list[float] = []  # zeros of the derivative before
+    found: list[float] = []  # zeros of the next higher derivative
     for derivative in reversed(chain):
         knots = [low, *found, high]
         values = [_horner(derivative, knot) for knot in knots]
@@ -43,10 +44,10 @@ def candidates(coefficients: Sequence[float], low: float, high: float) -> list[f
 
 
 def range_over(coefficients: Sequence[float], low: float, high: float) -> tuple[float, float]:
-    """A range that holds all values over [low, high], rounding included."""
+    """Return a range that contains all values over [low, high], rounding included."""
     degree = len(coefficients) - 1
     local = list(coefficients)
-    size = 0.0  # of the terms that may have cancelled
+    size = 0.0  # magnitude of the terms that may have cancelled
     reach = abs(low) + (high - low)
     for c in reversed(coefficients):
         size = size * reach + abs(c)
@@ -80,7 +81,7 @@ def _horner(coefficients: Sequence[float], local: float) -> float:
 
 
 def _zero(p: Sequence[float], low: float, high: float, at_low: float, at_high: float) -> float:
-    """The zero of a monotone p between two arguments where its signs differ."""
+    """Return the zero of a monotone p between two arguments with different signs."""
     if at_low == 0.0:
         return low
     if at_high == 0.0:

@@ -1,11 +1,11 @@
-"""Definite integrals of functions of any kind, by adaptive Gauss-Kronrod quadrature.
+"""Definite integrals of any function, by adaptive Gauss-Kronrod quadrature.
 
-The interval is split where the function may jump; then the part with the largest error is halved
-until the errors add up to less than 1e-14 of the integral of the function's size, or until rounding
-is all that is left of them. Values of the function are all that is asked for.
+The interval is split where the function may jump. Then the part with the largest error is halved
+until the sum of errors is below 1e-14 of the integral of the absolute value, or until only rounding
+errors remain. The method needs function values only.
 
 Source: QUADPACK (Piessens, de Doncker-Kapenga, Überhuber, Kahaner: 1983), the pair of 7 and 15
-nodes and its estimate of the error.
+nodes and its error estimate.
 """
 
 from heapq import heapify, heappop, heappush
@@ -18,7 +18,8 @@ from motorapi.functions.function import Function
 _RELATIVE: Final = 1e-14
 _PARTS: Final = 2000
 
-# (node, weight of the 15, weight of the 7), from the outside in; the middle one last
+# (node, weight of the 15-node rule, weight of the 7-node rule), from the outside in; the middle
+# node is last
 _NODES: Final = (
     (0.991455371120812639206854697526329, 0.022935322010529224963732008058970, 0.0),
     (
@@ -43,15 +44,17 @@ _NODES: Final = (
 _MIDDLE: Final = (0.209482141084727828012999174891714, 0.417959183673469387755102040816327)
 _EPSILON: Final = 2.3e-16
 
-Part = tuple[float, float, float, float, float]  # -error, low, high, integral, that of the size
+Part = tuple[
+    float, float, float, float, float
+]  # -error, low, high, integral, integral of the absolute value
 
 
 def integrate(function: Function, low: float, high: float) -> float:
-    """The integral over [low, high], `low` < `high`.
+    """Return the integral over [low, high], `low` < `high`.
 
     Returns:
-        Its error is below 1e-13 of the integral of the function's size if the function is smooth
-        between the breaks that it knows of.
+        The integral. Its error is below 1e-13 of the integral of the absolute value if the function
+        is smooth between its known breaks.
     """
     edges = [low, *function.breaks_between(low, high), high]
     parts = [_part(function, a, b) for a, b in pairwise(edges)]

@@ -1,4 +1,4 @@
-"""Functions known at samples only, and how they go on between two of them."""
+"""Functions through samples, with a choice of interpolations."""
 
 from collections.abc import Callable, Iterable, Sequence
 from enum import Enum
@@ -15,7 +15,7 @@ _SHOWN: Final = 5  # samples in a repr
 
 
 class Interpolation(Enum):
-    """What holds between two samples."""
+    """Interpolation between two samples."""
 
     NEAREST = "nearest"
     """The value of the nearer sample; half-way, of the later one."""
@@ -24,30 +24,31 @@ class Interpolation(Enum):
     """A straight line."""
 
     CUBIC = "cubic"
-    """A spline of cubics: value, first and second derivative do not jump."""
+    """A cubic spline: value, first and second derivative are continuous."""
 
     HERMITE = "Hermite"
-    """A cubic with the given first derivatives at its ends: the second may jump."""
+    """A cubic with the given first derivatives at its ends; the second derivative may jump."""
 
     QUINTIC = "quintic"
-    """A polynomial of degree 5. With both derivatives given at the samples, as given; without,
-    a spline: derivatives up to the fourth do not jump."""
+    """A polynomial of degree 5, with the given derivatives at the samples. Without given
+    derivatives, a spline with continuous derivatives up to the fourth.
+    """
 
 
 @final
 class Sampled(Function):
-    """Through samples, from the first to the last: a piecewise polynomial.
+    """A piecewise polynomial through samples, from the first to the last.
 
     Args:
-        arguments: ascending strictly, at least two.
-        values: as many; taken exactly at their arguments.
-        kind: what holds in between.
-        first: the first derivatives at the samples; for HERMITE, and QUINTIC if `second` is given.
-        second: the second derivatives; for QUINTIC.
-        ends: what closes a spline (CUBIC, and QUINTIC without derivatives) at its ends.
+        arguments: strictly ascending, at least two.
+        values: one per argument; reproduced exactly there.
+        kind: interpolation between the samples.
+        first: first derivatives at the samples; for HERMITE, and QUINTIC if `second` is given.
+        second: second derivatives; for QUINTIC.
+        ends: end conditions of a spline (CUBIC, and QUINTIC without derivatives).
 
     Raises:
-        UsageError: an argument is not as stated, or is given for a kind that has no use for it.
+        UsageError: an argument violates these conditions, or does not apply to `kind`.
     """
 
     __slots__ = ("_last", "arguments", "curve", "ends", "first", "kind", "second", "values")
@@ -71,10 +72,12 @@ class Sampled(Function):
         ends: Ends = Ends.NOT_A_KNOT,
     ) -> None:
         if not (isinstance(kind, Interpolation) and isinstance(ends, Ends)):
-            raise UsageError(f"Sampled: {kind!r} is no Interpolation, or {ends!r} no Ends")
+            raise UsageError(
+                f"Sampled: {kind!r} is not an Interpolation, or {ends!r} is not an Ends"
+            )
         x, y = _numbers("arguments", arguments), _numbers("values", values)
         if len(x) < 2:
-            raise UsageError(f"Sampled: {len(x)} samples; it takes two to have anything between")
+            raise UsageError(f"Sampled: {len(x)} samples; expected at least 2")
         for i in range(len(x) - 1):
             if not x[i] < x[i + 1]:
                 raise UsageError(
@@ -89,7 +92,9 @@ class Sampled(Function):
         try:
             curve = _MAKERS[kind](x, y, slopes, bends, ends)
         except (OverflowError, ZeroDivisionError) as error:
-            raise UsageError("Sampled: a distance of samples is too small, or too large") from error
+            raise UsageError(
+                "Sampled: the distance of two samples is too small or too large"
+            ) from error
         self._keep(
             arguments=x,
             values=y,
@@ -103,11 +108,11 @@ class Sampled(Function):
 
     @property
     def domain(self) -> tuple[float, float]:
-        """From the first sample to the last."""
+        """The interval from the first sample to the last."""
         return self.arguments[0], self.arguments[-1]
 
     def value(self, argument: float) -> float:
-        """Of the polynomial there; at a sample, the sample's."""
+        """Return the value of the polynomial there; at a sample, exactly the sample."""
         if argument == self._last[0]:
             return self._last[1]
         return self.curve.value(argument)
@@ -121,7 +126,7 @@ class Sampled(Function):
         return self.curve.derivative(order)
 
     def integral(self) -> Function:
-        """Piecewise."""
+        """Return the integral as a piecewise polynomial."""
         return self.curve.integral()
 
     def _integrate(self, low: float, high: float) -> float:
@@ -140,15 +145,15 @@ class Sampled(Function):
         return min(least, last), max(most, last)
 
     def breaks_between(self, low: float, high: float) -> tuple[float, ...]:
-        """The samples; of NEAREST, half-way between them."""
+        """Return the samples in the interval; for NEAREST, the points half-way between them."""
         return self.curve.breaks_between(low, high)
 
     def is_smooth(self, low: float, high: float) -> bool:
-        """Whether it is one polynomial there."""
+        """Return True if the interval lies in one polynomial."""
         return self.curve.is_smooth(low, high)
 
     def times(self, number: float) -> Function:
-        """Sample by sample."""
+        """Return the function with every sample multiplied by `number`."""
         factor = finite("Sampled", "a factor", number)
         first, second = (
             None if told is None else [factor * one for one in told]
@@ -158,13 +163,13 @@ class Sampled(Function):
         return Sampled(self.arguments, values, self.kind, first, second, self.ends)
 
     def shifted(self, offset: float) -> Function:
-        """Sample by sample."""
+        """Return the function with every sample shifted."""
         way = finite("Sampled", "offset", offset)
         arguments = [x + way for x in self.arguments]
         return Sampled(arguments, self.values, self.kind, self.first, self.second, self.ends)
 
     def scaled(self, factor: float) -> Function:
-        """Sample by sample; the derivatives are divided by the factor and its square."""
+        """Return the scaled function; derivatives are divided by the factor and its square."""
         number = finite("Sampled", "factor", factor)
         if number == 0.0:
             raise UsageError("Sampled: the argument cannot be scaled by 0")
@@ -214,14 +219,14 @@ def _check_use(
     )
     if kind is Interpolation.HERMITE:
         if first is None or second is not None:
-            raise UsageError("Sampled: HERMITE takes the first derivatives, and only these")
+            raise UsageError("Sampled: HERMITE takes first derivatives, and no second derivatives")
     elif kind is Interpolation.QUINTIC:
         if (first is None) is not (second is None):
             raise UsageError("Sampled: QUINTIC takes first and second derivatives, or neither")
     elif first is not None or second is not None:
         raise UsageError(f"Sampled: {kind.name} takes no derivatives")
     if ends is not Ends.NOT_A_KNOT and not is_spline:
-        raise UsageError(f"Sampled: {kind.name} as given is no spline: there are no ends to close")
+        raise UsageError(f"Sampled: {kind.name} as given is not a spline; omit ends=")
 
 
 # --- pieces of each kind
@@ -270,7 +275,7 @@ def _quintic(
     rows = []
     for i in range(len(x) - 1):
         h = x[i + 1] - x[i]
-        # What the values and derivatives at the right end have that a parabola has not.
+        # Differences of values and derivatives at the right end from those of a parabola.
         rise = (y[i + 1] - y[i]) / h - m[i] - 0.5 * a[i] * h
         slope = m[i + 1] - m[i] - a[i] * h
         bend = (a[i + 1] - a[i]) * h

@@ -1,14 +1,14 @@
-"""Extrema of functions of any kind, by bounds that can miss nothing.
+"""Extrema of any function, by branch and bound without a miss.
 
-The interval is split where the function may jump, and then wherever more has to be known: first
-where the bounds leave room for the most. A part is done with as soon as one of these is certain,
-from the bounds of the function, of its derivative and of the second one over that part:
+The interval is split where the function may jump, and then where its bounds leave the most room. A
+part is finished as soon as one of these conditions is certain:
 
-- it holds no value beyond those found so far by more than the accuracy;
-- the function is monotone there: extreme at the ends, and those are known;
-- the derivative is monotone there: then it has at most one zero, found by its sign.
+- it contains no value beyond those found so far by more than the accuracy;
+- the function is monotone there: its extrema are at the ends, which are known;
+- the derivative is monotone there: it has at most one zero, found by its sign.
 
-So an extremum can be told too small, by the accuracy, but not missed, however narrow it is.
+So an extremum may be too small by the accuracy, but is never missed, however narrow it is.
+
 Source: branch and bound with the monotonicity and the mean value test: Hansen & Walster, Global
 Optimization Using Interval Analysis, 2nd ed. (2004), ch. 12.
 """
@@ -21,17 +21,18 @@ from typing import Final, final
 from motorapi.errors import UsageError
 from motorapi.functions.function import Extrema, Function
 
-# Of the largest size of a value found; and after how many parts one settles for less. Only terms
-# that cancel almost everywhere (a sine squared and a cosine squared) get beyond the first.
+# (number of parts, accuracy relative to the largest value) at which the search settles for less.
+# Only terms that cancel almost everywhere (a sine squared and a cosine squared) get beyond the
+# first.
 ACCURACIES: Final = ((4096, 1e-12), (8192, 1e-9), (65536, 1e-6))
-_PROBES: Final = 16  # values taken first, to be done sooner with most parts
+_PROBES: Final = 16  # values taken first, to finish most parts sooner
 
 
 def extrema(function: Function, low: float, high: float) -> Extrema:
-    """The extrema over [low, high], `low` < `high`, to the first of `ACCURACIES` that is met.
+    """Return the extrema over [low, high], `low` < `high`, to the first `ACCURACIES` reached.
 
     Raises:
-        UsageError: the bounds of this function do not get tight enough to tell.
+        UsageError: the bounds of this function do not become tight enough.
     """
     search = _Search(function)
     for left, right in pairwise([low, *function.breaks_between(low, high), high]):
@@ -48,7 +49,7 @@ def extrema(function: Function, low: float, high: float) -> Extrema:
 
 @final
 class _Search:
-    """What has been found, and what is still to be looked at."""
+    """The state of a search: extrema found, and parts still to be examined."""
 
     def __init__(self, function: Function) -> None:
         self._function = function
@@ -57,7 +58,7 @@ class _Search:
         self._least = self._most = 0.0
         self._at_least: float | None = None
         self._at_most = 0.0
-        # (room left, negative; from, to; least and greatest value possible)
+        # (room left, negative; from, to; minimum and maximum possible value)
         self._parts: list[tuple[float, float, float, float, float]] = []
 
     def found(self) -> Extrema:
@@ -65,7 +66,7 @@ class _Search:
         return Extrema(self._least, self._at_least, self._most, self._at_most)
 
     def meet(self, at: float) -> float:
-        """Takes the value there into account."""
+        """Evaluate the function at `at` and update the extrema."""
         value = self._function.value(at)
         if self._at_least is None:
             self._least = self._most = value
@@ -77,7 +78,7 @@ class _Search:
         return value
 
     def run(self) -> None:
-        """Until nothing is left that matters."""
+        """Examine parts until none can change the result."""
         done = 0
         for parts, accuracy in ACCURACIES:
             while self._parts and -self._parts[0][0] > self._slack(accuracy):
@@ -92,12 +93,12 @@ class _Search:
             else:
                 return
         raise UsageError(
-            f"{self._function!r}: too little is known of its values between two arguments to find"
-            f" its extrema to {ACCURACIES[-1][1]:g}"
+            f"{self._function!r}: its bounds are too wide to find its extrema to "
+            f"{ACCURACIES[-1][1]:g}"
         )
 
     def look(self, left: float, right: float) -> None:
-        """At what is between two arguments, both met: done with, or left for later."""
+        """Examine the part between two evaluated arguments; finish it or queue it."""
         middle = left + 0.5 * (right - left)
         if not left < middle < right:
             return
@@ -124,7 +125,7 @@ class _Search:
             heappush(self._parts, (-room, left, right, least, most))
 
     def _room(self, least: float, most: float) -> float:
-        """By how much a value could be beyond those found."""
+        """Return how far a value could exceed those found."""
         return max(self._least - least, most - self._most)
 
     def _slack(self, accuracy: float) -> float:
@@ -132,7 +133,7 @@ class _Search:
 
 
 def _zero(slope: Function, left: float, right: float) -> float:
-    """Where a monotone function changes its sign (the Illinois method, bracketed)."""
+    """Return the sign change of a monotone function (bracketed Illinois method)."""
     at_left, at_right = slope.value(left), slope.value(right)
     for _ in range(200):
         if at_left == at_right:

@@ -1,8 +1,9 @@
-"""Derivatives at the samples that make a curve through them smooth: cubic and quintic splines.
+"""Derivatives at samples for cubic and quintic splines.
 
-Both are found as what is unknown of a Hermite curve: the first derivative at each sample (quintic:
-the second too), so that the next higher derivatives do not jump at the samples. That is a banded
-system of linear equations, solved by elimination with pivots, in time proportional to the samples.
+The unknowns are the first derivative of a Hermite curve at each sample (quintic: the second
+derivative too), chosen so that the next higher derivatives do not jump at the samples. They solve a
+banded system of linear equations by elimination with pivots, in time proportional to the number of
+samples.
 
 Source: C. de Boor, A Practical Guide to Splines (2001), ch. IV, and the same for degree 5.
 """
@@ -19,21 +20,22 @@ Derivatives: TypeAlias = tuple[list[float], list[float]]
 
 
 class Ends(Enum):
-    """What closes the equations of a spline at both ends."""
+    """End conditions of a spline."""
 
     NOT_A_KNOT = "not a knot"
-    """No derivative jumps at the samples next to the ends either: best for samples of a smooth
-    function. Of fewer than 4 samples (quintic: 6), the one polynomial through all of them."""
+    """No derivative jumps at the samples next to the ends: best for samples of a smooth function.
+    With fewer than 4 samples (quintic: 6), the polynomial through all of them.
+    """
 
     NATURAL = "natural"
     """The second derivative is 0 at the ends; quintic: the third and the fourth."""
 
     AT_REST = "at rest"
-    """The first derivative is 0 at the ends; quintic: the second too. As motors begin and end."""
+    """The first derivative is 0 at the ends (quintic: the second too), as for motors at rest."""
 
 
 def cubic(x: Sequence[float], y: Sequence[float], ends: Ends) -> list[float]:
-    """The first derivatives at the samples; at least two samples, x ascending."""
+    """Return the first derivatives at the samples; at least two samples, x ascending."""
     n = len(x)
     if ends is Ends.NOT_A_KNOT and n < 4:
         return _through_all(x, y)[0]
@@ -60,11 +62,11 @@ def cubic(x: Sequence[float], y: Sequence[float], ends: Ends) -> list[float]:
 
 
 def quintic(x: Sequence[float], y: Sequence[float], ends: Ends) -> Derivatives:
-    """The first and the second derivatives at the samples; at least two samples, x ascending."""
+    """Return the first and second derivatives at the samples, at least two; x ascending."""
     n = len(x)
     if n < 6 and ends is Ends.NOT_A_KNOT:
         return _through_all(x, y)
-    unit = (x[-1] - x[0]) / (n - 1)  # in which the unknowns are of one size
+    unit = (x[-1] - x[0]) / (n - 1)  # in this unit the unknowns have similar size
     h = [(x[i + 1] - x[i]) / unit for i in range(n - 1)]
     rows: list[Equation] = []
     for i in range(1, n - 1):
@@ -84,7 +86,7 @@ def quintic(x: Sequence[float], y: Sequence[float], ends: Ends) -> Derivatives:
 
 
 def _no_jump(order: int, i: int, h: Sequence[float], y: Sequence[float]) -> Equation:
-    """A derivative of a quintic Hermite curve is the same on both sides of sample i."""
+    """Return the equation for continuity of a derivative at sample i of a quintic Hermite curve."""
     left, left_constant = _at_end(order, True, h[i - 1], y[i] - y[i - 1])
     right, right_constant = _at_end(order, False, h[i], y[i + 1] - y[i])
     middle = [left[2] - right[0], left[3] - right[1]]
@@ -96,9 +98,10 @@ def _no_jump(order: int, i: int, h: Sequence[float], y: Sequence[float]) -> Equa
 
 
 def _at_end(order: int, at_right: bool, h: float, rise: float) -> tuple[list[float], float]:
-    """A derivative at one end of a quintic piece of length h, as a linear form.
+    """Return a derivative at one end of a quintic piece of length h, as a linear form.
 
-    In the first and second derivatives at its left and right end (in that order), and a constant.
+    Its variables are the first and second derivatives at the left and the right end, in that order,
+    plus a constant.
     """
     if order == 3:
         a, b, c, d = -36.0 / h**2, -9.0 / h, -24.0 / h**2, 3.0 / h
@@ -113,7 +116,7 @@ def _at_end(order: int, at_right: bool, h: float, rise: float) -> tuple[list[flo
 
 
 def _through_all(x: Sequence[float], y: Sequence[float]) -> Derivatives:
-    """The derivatives of the one polynomial through all samples (Newton's form, exactly)."""
+    """Return the derivatives of the polynomial through all samples (Newton's form, exact)."""
     knots, table = [Fraction(k) for k in x], [Fraction(value) for value in y]
     newton = [table[0]]
     for k in range(1, len(x)):
@@ -130,7 +133,7 @@ def _through_all(x: Sequence[float], y: Sequence[float]) -> Derivatives:
 
 
 def solved(rows: list[Equation], unknowns: int) -> list[float]:
-    """The solution of a banded system, by elimination with the largest pivot of each column."""
+    """Solve a banded system by elimination with the largest pivot of each column."""
     waiting = sorted(((f, _even(c, r)) for f, c, r in rows), key=lambda row: row[0], reverse=True)
     active: list[list[float]] = []  # [coefficients from this column on ..., right side]
     reduced: list[list[float]] = []
@@ -151,13 +154,13 @@ def solved(rows: list[Equation], unknowns: int) -> list[float]:
 
 
 def _even(coefficients: list[float], right: float) -> list[float]:
-    """The equation with 1 as its largest coefficient."""
+    """Return the equation scaled to 1 as its largest coefficient."""
     size = max(abs(c) for c in coefficients)
     return [c / size for c in (*coefficients, right)]
 
 
 def _without_first(row: list[float], pivot: list[float]) -> list[float]:
-    """The row less so much of the pivot's that its first unknown is gone."""
+    """Return the row with its first unknown eliminated by the pivot row."""
     share = row[0] / pivot[0]
     length = max(len(row), len(pivot)) - 1
     mine = [*row[:-1], *[0.0] * (length - len(row) + 1)]

@@ -1,4 +1,4 @@
-"""Sine and cosine."""
+"""Sine and cosine functions."""
 
 from abc import abstractmethod
 from math import ceil, cos, floor, inf, isfinite, pi, sin
@@ -13,17 +13,17 @@ _Wave = TypeVar("_Wave", bound="Wave")
 
 
 class Wave(Function):
-    """What sine and cosine share: amplitude * wave(frequency_rad_s * (x - about) + phase_rad).
+    """amplitude * wave(frequency_rad_s * (x - about) + phase_rad), for sine and cosine.
 
     Args:
         amplitude: in the unit of the values; any sign.
         frequency_rad_s: radians per unit of the argument, which need not be time; not 0.
-        phase_rad: at `about`.
-        about: where the phase is `phase_rad`. Far from it the phase is known to so many digits
-            only as the argument is.
+        phase_rad: phase at `about`.
+        about: argument at which the phase is `phase_rad`. Far from it the phase has only as many
+            digits as the argument.
 
     Raises:
-        UsageError: one of them is not finite, or the frequency is 0.
+        UsageError: an argument is not finite, or the frequency is 0.
     """
 
     __slots__ = ("about", "amplitude", "frequency_rad_s", "phase_rad")
@@ -44,7 +44,7 @@ class Wave(Function):
         name = type(self).__name__
         frequency = finite(name, "frequency_rad_s", frequency_rad_s)
         if frequency == 0.0:
-            raise UsageError(f"{name}: frequency_rad_s is 0; what does not change is a Constant")
+            raise UsageError(f"{name}: frequency_rad_s is 0; use a Constant for a constant value")
         self._keep(
             amplitude=finite(name, "amplitude", amplitude),
             frequency_rad_s=frequency,
@@ -54,12 +54,12 @@ class Wave(Function):
 
     @abstractmethod
     def _crest_rad(self) -> float:
-        """A phase at which the wave, without its amplitude, is 1."""
+        """Return a phase at which the wave, without its amplitude, is 1."""
 
     @property
     @final
     def domain(self) -> tuple[float, float]:
-        """Everywhere."""
+        """The real line."""
         return -inf, inf
 
     @final
@@ -81,7 +81,7 @@ class Wave(Function):
 
     @final
     def _like(self, kind: type[_Wave], amplitude: float) -> _Wave:
-        """A wave in step with this one."""
+        """Return a wave with the frequency and phase of this one."""
         return kind(amplitude, self.frequency_rad_s, self.phase_rad, self.about)
 
     @final
@@ -107,24 +107,24 @@ class Wave(Function):
 
     @final
     def unit_amplitude(self) -> "Wave":
-        """The same with the amplitude 1."""
+        """Return the same wave with amplitude 1."""
         return self._like(type(self), 1.0)
 
     @final
     def times(self, number: float) -> Function:
-        """The same with another amplitude."""
+        """Return the wave with its amplitude multiplied by `number`."""
         factor = finite(type(self).__name__, "a factor", number)
         return self._like(type(self), self.amplitude * factor)
 
     @final
     def shifted(self, offset: float) -> Function:
-        """Exact, but for the rounding of about + offset."""
+        """Return the shifted wave, exact except for the rounding of about + offset."""
         about = self.about + finite(repr(self), "offset", offset)
         return type(self)(self.amplitude, self.frequency_rad_s, self.phase_rad, about)
 
     @final
     def scaled(self, factor: float) -> Function:
-        """With the frequency divided by `factor`."""
+        """Return the wave with its frequency divided by `factor`."""
         number = finite(repr(self), "factor", factor)
         if number == 0.0:
             raise UsageError(f"{self!r}: the argument cannot be scaled by 0")
@@ -151,7 +151,7 @@ class Sine(Wave):
     __slots__ = ()
 
     def value(self, argument: float) -> float:
-        """By the C library."""
+        """Return the value, computed by the C library."""
         return self.amplitude * sin(self._phase(argument))
 
     def _values(self, arguments: FloatArray) -> FloatArray:
@@ -164,12 +164,12 @@ class Sine(Wave):
         return self._like(Sine, -size if order % 4 == 2 else size)
 
     def integral(self) -> Function:
-        """A cosine and a constant."""
+        """Return the integral, the sum of a cosine and a constant."""
         wave = self._like(Cosine, -self.amplitude / self.frequency_rad_s)
         return wave - wave.value(0.0)
 
     def _integrate(self, low: float, high: float) -> float:
-        # cos a - cos b = 2 sin((a + b) / 2) sin((b - a) / 2), which does not cancel
+        # cos a - cos b = 2 sin((a + b) / 2) sin((b - a) / 2), without cancellation
         turn = 0.5 * self.frequency_rad_s * (high - low)
         middle = self._phase(low) + turn
         return 2.0 * self.amplitude / self.frequency_rad_s * sin(middle) * sin(turn)
@@ -185,7 +185,7 @@ class Cosine(Wave):
     __slots__ = ()
 
     def value(self, argument: float) -> float:
-        """By the C library."""
+        """Return the value, computed by the C library."""
         return self.amplitude * cos(self._phase(argument))
 
     def _values(self, arguments: FloatArray) -> FloatArray:
@@ -198,12 +198,12 @@ class Cosine(Wave):
         return self._like(Cosine, -size if order % 4 == 2 else size)
 
     def integral(self) -> Function:
-        """A sine and a constant."""
+        """Return the integral, the sum of a sine and a constant."""
         wave = self._like(Sine, self.amplitude / self.frequency_rad_s)
         return wave - wave.value(0.0)
 
     def _integrate(self, low: float, high: float) -> float:
-        # sin b - sin a = 2 cos((a + b) / 2) sin((b - a) / 2), which does not cancel
+        # sin b - sin a = 2 cos((a + b) / 2) sin((b - a) / 2), without cancellation
         turn = 0.5 * self.frequency_rad_s * (high - low)
         middle = self._phase(low) + turn
         return 2.0 * self.amplitude / self.frequency_rad_s * cos(middle) * sin(turn)

@@ -1,4 +1,4 @@
-"""What a motor model, a command's own limits, or both together allow a motion to do."""
+"""Combined limits of a motor model and of a command."""
 
 from dataclasses import dataclass
 from math import inf
@@ -24,15 +24,15 @@ _PLAIN: Final = ("value", "first derivative", "second derivative", "third deriva
 @final
 @dataclass(frozen=True, slots=True)
 class Allowed:
-    """Ranges of a value and its derivatives, with what they are called.
+    """Ranges of a value and its derivatives, with their names.
 
     Attributes:
-        whose: the model's name, or "limits".
-        names: what the value and its derivatives are called.
-        units: their units; "" where no model tells any.
+        whose: the name of the model, or "limits".
+        names: names of the value and its derivatives.
+        units: their units; "" without a model.
         value, first, third: their ranges.
-        forward: the range of the second derivative while the first is > 0.
-        backward: likewise while it is < 0.
+        forward: range of the second derivative while the first is > 0.
+        backward: range of the second derivative while the first is < 0.
     """
 
     whose: str
@@ -53,24 +53,24 @@ class Allowed:
         *,
         sizes: Range | None = None,
     ) -> "Allowed":
-        """What `against` allows and `own`, if given, does not forbid.
+        """Return the limits of `against`, tightened by `own` if given.
 
         Args:
             against: a model, or limits alone.
-            variable: what is moved; of limits alone, it does not matter.
+            variable: the control variable; irrelevant for limits alone.
             own: tighter limits.
-            sizes: for a motion of velocity: where it begins and ends, for whether it speeds up or
-                slows down decides which limit of the model holds; None: the tighter one.
+            sizes: for a motion of velocity: its initial and final value, because acceleration and
+                deceleration have different limits in the model; None: the tighter one.
 
         Raises:
-            UsageError: `against` or `variable` is none.
+            UsageError: `against` or `variable` has the wrong type.
         """
         if not isinstance(variable, ControlVariable):
             raise UsageError(f"variable is {variable!r}; give a ControlVariable")
         if isinstance(against, MotorModel):
             made = cls._by_model(against, variable, sizes)
         elif not isinstance(against, DerivativeLimits):
-            raise UsageError(f"{against!r} limits nothing; give a MotorModel or DerivativeLimits")
+            raise UsageError(f"{against!r} has no limits; give a MotorModel or DerivativeLimits")
         else:
             made = cls("limits", _PLAIN, ("",) * 4, _ALL, _ALL, _ALL, _ALL, _ALL)
             made = made.tightened(against)
@@ -102,7 +102,7 @@ class Allowed:
         return cls(whose, _NAMES[variable], units, value, first, forward, backward, third)
 
     def tightened(self, own: DerivativeLimits) -> "Allowed":
-        """These, where `own` does not forbid more."""
+        """Return these limits, tightened by `own`."""
         return Allowed(
             self.whose,
             self.names,
@@ -115,7 +115,7 @@ class Allowed:
         )
 
     def profile_limits(self, *velocities: float) -> ProfileLimits:
-        """For a generator; wide enough for boundary velocities that exceed theirs by rounding."""
+        """Return generator limits, widened to boundary velocities that exceed them by rounding."""
         low, high = self.first
         for velocity in velocities:
             if low - slack(low) <= velocity <= high + slack(high):

@@ -1,30 +1,29 @@
-"""The trapezoidal profile in closed form: any boundary velocities, limits that differ by direction.
+"""Trapezoidal profiles in closed form, for any boundary velocities.
 
 A profile ramps from its initial velocity v0 to a peak u, holds u, and ramps to its final velocity
-v1, every ramp as steep as the limits allow. With p the size of the acceleration while rising and q
-while falling (either may differ between forward, v > 0, and backward motion):
+v1. Every ramp is as steep as the limits allow. Let p be the magnitude of the acceleration while the
+velocity rises and q while it falls; either may differ between forward (v > 0) and backward motion:
 
-    direct way   what the ramp from v0 straight to v1 covers: the sum of (v² - v'²) / (2 p or 2 q)
-    excess       the way asked for less the direct way. If it is < 0 everything is mirrored
+    direct way   distance of the ramp from v0 straight to v1: sum of (v² - v'²) / (2 p or 2 q)
+    excess       distance less the direct way. If it is < 0 everything is mirrored
     m            max(v0, v1): the ramp rises to u >= m and falls again
     k            1/p + 1/q of forward motion, k' of backward motion
-
     m >= 0       u² = m² + 2 excess / k          and u - m = (2 excess / k) / (u + m)
-    m < 0        u² = (2 excess + k' m²) / k     it has to turn round first
-    u > limit    u = limit, and it is held for (excess - k (u² - m²) / 2) / u
+    m < 0        u² = (2 excess + k' m²) / k     the motion has to reverse first
+    u > limit    u = limit, held for (excess - k (u² - m²) / 2) / u
 
-Each is shortest for its limits: at every moment no admissible motion has got further. Nothing
-cancels but the excess itself; where that loses digits it is computed exactly, in fractions. A
-direct ramp stays one although its numbers are rounded: an excess within rounding of the way and of
-what braking takes does not make a motion turn round.
+Each profile is the shortest for its limits: at no time is another admissible motion further ahead.
+Only the excess can suffer from cancellation; where it loses digits it is computed exactly, in
+fractions. A direct ramp stays direct although its numbers are rounded: a motion does not reverse
+for an excess within the rounding error of the distance and of the braking distance.
 
-The extent is as small as possible too. Any motion with these accelerations overshoots by what
-braking from its initial velocity takes, and by what reaching its final velocity takes; this one
-overshoots by no more. Where it leaves a range of values, every other motion does.
+The extent is minimal too. Any motion with these accelerations overshoots by the braking distance
+from its initial velocity, and by the distance needed to reach its final velocity. This profile does
+not overshoot further. If it leaves a range of values, so does every other motion.
 
 Source: Biagiotti & Melchiorri, Trajectory Planning for Automatic Machines and Robots (2008), 3.2,
-trapezoidal trajectories with non-null initial and final velocities; ramps that differ and motions
-that turn round follow the same way.
+trapezoidal trajectories with non-null initial and final velocities; asymmetric ramps and reversing
+motions follow in the same way.
 """
 
 from math import inf, isfinite, sqrt
@@ -34,13 +33,14 @@ from motorapi.errors import UsageError
 from motorapi.generation.limits import ProfileLimits
 from motorapi.generation.profile import Piece, Profile
 
-_LOST: Final = 64.0  # digits are lost where the excess is this much smaller than the direct way
+_LOST: Final = 64.0  # ratio of direct way to excess beyond which digits are lost
 _ROUNDING: Final = 2.0**-50
 
 Task: TypeAlias = tuple[float, float, float, float, float, float, float, float, float, float]
-"""A motion to be made, mirrored where need be so that its excess is >= 0: (sign, excess, initial
-velocity, final velocity, low, high, rise, fall, back_rise, back_fall), with sign -1 if mirrored,
-(low, high) the velocity range, then the sizes of the acceleration in forward and backward motion.
+"""A motion, mirrored if necessary so that its excess is >= 0: (sign, excess, initial velocity,
+final velocity, low, high, rise, fall, back_rise, back_fall). The sign is -1 if mirrored, (low,
+high) is the velocity range, and the magnitudes of the acceleration in forward and backward motion
+follow.
 """
 
 
@@ -54,22 +54,22 @@ def trapezoid(
     duration_s: float | None = None,
     initial_argument: float = 0.0,
 ) -> Profile:
-    """The shortest profile between two states within the limits, or the one that takes some time.
+    """Return the shortest profile between two states within the limits, or one of a duration.
 
     Args:
-        final: the final value [U]; the way, if `initial` is 0.
-        limits: of velocity and acceleration. The range of the value plays no part here: if the
-            shortest profile leaves it, so does any other; see `motorapi.generation.feasible`.
+        final: the final value [U]; the distance, if `initial` is 0.
+        limits: of velocity and acceleration. The range of the value is not used: if the shortest
+            profile leaves it, so does any other; see `motorapi.generation.feasible`.
         initial: the initial value [U].
         initial_velocity: first derivative at the beginning [U/s].
         final_velocity: first derivative at the end [U/s].
-        duration_s: how long it takes [s], >= 0: with the steepest ramps and the one peak for which
-            it does. Within 1e-9 of a possible duration it takes that one.
-        initial_argument: where it begins.
+        duration_s: duration [s], >= 0, with the steepest ramps and the only matching peak. Within
+            1e-9 of a possible duration that one is used. None: the shortest.
+        initial_argument: argument at the beginning.
 
     Raises:
-        UsageError: a number is not finite, a boundary velocity lies outside the limits, there is no
-            such motion, or none of that duration; the text says which durations there are.
+        UsageError: a number is not finite, a boundary velocity lies outside the limits, or no
+            motion (of that duration) exists; the message lists the possible durations.
     """
     task = task_of(final, limits, initial, initial_velocity, final_velocity)
     if not isfinite(initial_argument):
@@ -83,7 +83,7 @@ def trapezoid(
     peak, up, down, hold_s = peak_of(task)
     sign, _, begin, end, _, _, rise, fall, _, _ = task
     if begin >= 0.0 <= end and up > 0.0 < down and rise < inf > fall:
-        # One ramp up and one down, the common case: what `assembled` would do, without a list.
+        # One ramp up and one down, the common case: the same as `assembled`, without a list.
         t1 = up / rise
         t2 = t1 + hold_s
         t3 = t2 + down / fall
@@ -108,7 +108,7 @@ def task_of(
     initial_velocity: float,
     final_velocity: float,
 ) -> Task:
-    """What is to be made, in the direction in which the excess is >= 0.
+    """Return the motion in the direction in which its excess is >= 0.
 
     Raises:
         UsageError: a number is not finite, or a boundary velocity lies outside the limits.
@@ -132,7 +132,7 @@ def task_of(
         if abs(excess) * _LOST < abs(direct):
             excess = _exact_excess(final, initial, initial_velocity, final_velocity, *sizes)
         if initial_velocity * final_velocity > 0.0 > excess * final_velocity:
-            # It would turn round, and back again: not for what rounding makes of the way.
+            # The motion would reverse twice: not for a rounding error of the distance.
             size = sizes[0] if final_velocity > 0.0 else sizes[1]
             squares = initial_velocity * initial_velocity + final_velocity * final_velocity
             if abs(excess) <= _ROUNDING * (abs(initial) + abs(final) + squares / abs(size)):
@@ -149,10 +149,10 @@ def task_of(
 
 
 def peak_of(task: Task) -> tuple[float, float, float, float]:
-    """(peak, how much velocity rises to it, how much it falls after, how long it is held [s]).
+    """Return (peak, velocity gain to it, velocity loss after it, duration of the plateau [s]).
 
     Raises:
-        UsageError: the limits leave no such motion, or do not bound it at all.
+        UsageError: the limits allow no such motion, or do not bound it at all.
     """
     _, excess, initial, final, _, high, rise, fall, back_rise, back_fall = task
     peak = greater = initial if initial > final else final
@@ -160,7 +160,7 @@ def peak_of(task: Task) -> tuple[float, float, float, float]:
     if excess > 0.0:
         k = 1.0 / rise + 1.0 / fall
         if greater < 0.0:
-            # It turns round first: what that covers has to be made good.
+            # The motion reverses first: it must make up for the distance of the reversal.
             excess += 0.5 * (1.0 / back_rise + 1.0 / back_fall) * greater * greater
             greater = 0.0
         gained = 2.0 * excess / k if k else inf
@@ -184,14 +184,14 @@ def assembled(
     initial: float,
     final: float,
 ) -> tuple[Piece, ...]:
-    """The pieces: values up to the peak reckoned from the beginning, after it from the end.
+    """Return the pieces, computed from the beginning up to the peak and from the end after it.
 
     Args:
         task: the motion.
-        peak: the velocity that is held, or reached; in the task's direction, as what follows.
-        up: how much the velocity rises to the peak, < 0 if it falls.
-        down: how much it falls after the peak, < 0 if it rises.
-        hold_s: how long the peak is held [s].
+        peak: the velocity of the plateau; in the direction of the task, as the next arguments.
+        up: velocity gain to the peak, < 0 if it falls.
+        down: velocity loss after the peak, < 0 if it rises.
+        hold_s: duration of the plateau [s].
         initial: the value at the beginning.
         final: the value at the end.
     """
@@ -203,10 +203,10 @@ def assembled(
     if hold_s > 0.0:
         before.append((hold_s, peak, peak, 0.0))
     if not after:
-        after = before[-1:]  # the last piece is reckoned from the end, whichever it is
+        after = before[-1:]  # the last piece, whichever it is, is computed from the end
         del before[-1:]
     half = 0.5 * sign
-    kink = meeting = final  # where the last ramp turns round, and where it begins
+    kink = meeting = final  # values where the last ramp reverses, and where it begins
     for lasts_s, entry, leave, _ in reversed(after):
         kink, meeting = meeting, meeting - half * (entry + leave) * lasts_s
     pieces: list[Piece] = []
@@ -216,7 +216,7 @@ def assembled(
         since_s, since = time_s, value
         time_s += lasts_s
         left -= 1
-        # The two reckonings meet where the last ramp begins.
+        # Both computations meet where the last ramp begins.
         value = value + half * (entry + leave) * lasts_s if left else meeting
         pieces.append(
             (since_s, time_s, since, value, sign * entry, sign * leave, sign * acceleration)
@@ -236,11 +236,11 @@ def assembled(
 def _ramp(
     begin: float, end: float, change: float, forward: float, backward: float
 ) -> list[tuple[float, float, float, float]]:
-    """(duration, velocity where it begins, where it ends, acceleration) of the pieces of a ramp.
+    """Return (duration, initial velocity, final velocity, acceleration) of each piece of a ramp.
 
-    `change` is the difference of the velocities, which may be known better than from subtracting;
-    `forward` and `backward` are the accelerations, signed as it is. Without a limit of acceleration
-    a ramp takes no time and is no piece.
+    `change` is the difference of the velocities, perhaps more accurate than their subtraction.
+    `forward` and `backward` are the accelerations, with the sign of the change. Without a limit of
+    acceleration a ramp takes no time and has no piece.
     """
     if begin >= 0.0 <= end:
         lasts_s = change / forward
@@ -253,7 +253,7 @@ def _ramp(
 
 
 def _direct_way(begin: float, end: float, size: float, back_size: float) -> float:
-    """What the ramp from one velocity straight to the other covers; sizes signed as the ramp is."""
+    """Return the distance of a direct ramp; `size` and `back_size` have the sign of the ramp."""
     if begin >= 0.0 <= end:
         return 0.5 * (end - begin) * (end + begin) / size
     if begin <= 0.0 >= end:
@@ -266,11 +266,11 @@ def _direct_way(begin: float, end: float, size: float, back_size: float) -> floa
 def _exact_excess(
     final: float, initial: float, begin: float, end: float, size: float, back_size: float
 ) -> float:
-    """The excess without a rounding error but the last: slow, and seldom needed."""
+    """Return the excess with a single rounding: slow, and seldom needed."""
     from fractions import Fraction
 
     def way_to(velocity: float) -> "Fraction":
-        """From rest to `velocity`."""
+        """Return the distance from rest to `velocity`."""
         taken = size if velocity > 0.0 else back_size
         return Fraction(velocity) ** 2 / (2 * Fraction(taken)) if isfinite(taken) else Fraction(0)
 
@@ -303,5 +303,5 @@ def _refuse(
 
 def _refuse_way(high: float) -> None:
     if high <= 0.0:
-        raise UsageError("the limits of velocity allow no motion in the direction of the way")
-    raise UsageError("neither velocity nor acceleration is limited: the motion takes no time")
+        raise UsageError("the velocity limits allow no motion in this direction")
+    raise UsageError("neither velocity nor acceleration is limited: the motion would take no time")

@@ -1,4 +1,7 @@
-"""Where a function grows, and where it falls. Loads numpy with the functions it is given."""
+"""Intervals in which a function rises or falls.
+
+Numpy is imported only if a function is given.
+"""
 
 from itertools import pairwise
 from math import nextafter
@@ -11,10 +14,10 @@ if TYPE_CHECKING:
 
 
 def parts_by_direction(function: "Function", interval: Range) -> tuple[list[Range], list[Range]]:
-    """The parts of the interval where the first derivative may be > 0, and where < 0.
+    """Return the parts of the interval where the first derivative may be > 0, and < 0.
 
-    Found exactly for polynomials and what is made of them; of other functions each part, from one
-    break to the next, in which both occur is told with both.
+    The result is exact for (piecewise) polynomials. For other functions a part between two breaks
+    with both signs is listed twice.
     """
     from motorapi.functions.piecewise import Piecewise
     from motorapi.functions.polynomial import Polynomial
@@ -40,7 +43,7 @@ def parts_by_direction(function: "Function", interval: Range) -> tuple[list[Rang
                 continue
             middle = slope.value(0.5 * (begin + end))
             lowest, highest = (middle, middle) if exact else slope.bounds(begin, end)
-            # At its end, a part is not yet what it is from there on.
+            # The right end of a part belongs to the next part.
             part = (begin, end if end == high else nextafter(end, begin))
             if highest > 0.0:
                 forward.append(part)

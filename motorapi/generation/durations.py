@@ -1,21 +1,23 @@
-"""Which durations a motion can have, and the profile that has one of them.
+"""Possible durations of a motion, and the profile of a given duration.
 
-At a given duration T, with every ramp as steep as the limits allow, the way grows with the peak u:
+At a given duration T, with every ramp as steep as the limits allow, the distance grows with the
+peak u:
 
-    d(way) / du = T - (time for both ramps) = how long the peak is held >= 0
+    d(distance) / du = T - (time for both ramps) = duration of the plateau >= 0
 
-so there is one peak for every way that can be made in T at all, and no motion of another shape
-covers a way that none of these does. Counted from c = T - (time of the direct ramp), with G the
-excess that a peak makes (the words are those of `motorapi.generation.closed_form`):
+So each distance that is possible in T has one peak, and no motion of another shape reaches a
+distance that these do not. Let c = T - (time of the direct ramp), and G the excess caused by a peak
+(the terms are those of `motorapi.generation.closed_form`):
 
     between the boundary velocities   G = u c
-    above or below                    G is a square polynomial of u on each side of 0
+    above or below                    G is a quadratic polynomial of u on each side of 0
 
-which is solved on the one side or the other. Forms are chosen that do not cancel for long T.
+One of the two is solved. The formulas avoid cancellation for long T.
 
-A motion whose boundary velocities are both forward, and whose way is too short to stop on, can
-dawdle only as long as it need not stop: until Ta. Later than that it has to stop beyond, run back
-and come again, which it cannot before Tb. Between Ta and Tb there is no such motion.
+If both boundary velocities are forward, and the distance is too short for a stop, the motion can be
+slow only as long as it need not stop: until Ta. For a longer duration it must stop beyond the
+target, move back and return, which is impossible before Tb. No motion has a duration between Ta and
+Tb.
 """
 
 from math import inf, isfinite, sqrt
@@ -36,10 +38,10 @@ def possible_durations(
     initial_velocity: float = 0.0,
     final_velocity: float = 0.0,
 ) -> tuple[Range, ...]:
-    """The durations that a motion between these states can have: one or two ranges [s].
+    """Return the possible durations of a motion between these states, one or two ranges [s].
 
-    Two, if both boundary velocities point along a way that is too short to stop on; the last one
-    ends at inf, unless the limits allow no running back.
+    There are two if both boundary velocities point along a distance too short for a stop. The last
+    range ends at inf, unless the limits forbid backward motion.
 
     Raises:
         UsageError: as for `trapezoid`.
@@ -50,7 +52,7 @@ def possible_durations(
 def pieces_lasting(
     task: Task, duration_s: float, initial: float, final: float
 ) -> tuple[Piece, ...]:
-    """The pieces of the motion that takes this long; see `assembled` for the arguments.
+    """Return the pieces of the motion of this duration; see `assembled` for the arguments.
 
     Raises:
         UsageError: the duration is not finite and >= 0, or not possible.
@@ -68,7 +70,7 @@ def pieces_lasting(
 
 
 def _peak(task: Task, spare_s: float) -> float:
-    """The peak with which the motion takes `spare_s` longer than the direct ramp."""
+    """Return the peak with which the motion takes `spare_s` longer than the direct ramp."""
     _, excess, begin, end, _, _, rise, fall, back_rise, back_fall = task
     least, most = (begin, end) if begin < end else (end, begin)
     k = 1.0 / rise + 1.0 / fall
@@ -80,7 +82,7 @@ def _peak(task: Task, spare_s: float) -> float:
     if excess >= least * spare_s:
         return excess / spare_s
     stop = 0.5 * k * least * least  # the excess with a peak of 0
-    rest_s = spare_s - k * least  # how long it is held then
+    rest_s = spare_s - k * least  # the duration of that standstill
     if rest_s < 0.0:
         return least - _root(least * spare_s - excess, spare_s, -k)
     if excess >= stop:
@@ -89,7 +91,7 @@ def _peak(task: Task, spare_s: float) -> float:
 
 
 def _root(rest: float, slope: float, bend: float) -> float:
-    """The x >= 0 nearest to 0 for which slope x + bend x² / 2 = rest, for rest >= 0."""
+    """Return the smallest x >= 0 with slope x + bend x² / 2 = rest, for rest >= 0."""
     if rest <= 0.0:
         return 0.0
     square = slope * slope + 2.0 * bend * rest
@@ -101,7 +103,7 @@ def _possible(task: Task) -> tuple[Range, ...]:
     direct_s, shortest_s = _ramp_s(task, begin, end), _shortest_s(task)
     least = min(begin, end)
     k = 1.0 / rise + 1.0 / fall
-    missing = 0.5 * k * least * least - excess  # what the way is too short by to stop
+    missing = 0.5 * k * least * least - excess  # distance missing for a stop
     if least <= 0.0 or missing <= 0.0:
         return ((shortest_s, inf),)
     slowest = sqrt(max(least * least - 2.0 * excess / k, 0.0))
@@ -118,7 +120,7 @@ def _possible(task: Task) -> tuple[Range, ...]:
 
 
 def _allowed(task: Task, duration_s: float) -> float:
-    """The duration, or the possible one that is the same but for rounding."""
+    """Return the duration, or the possible one within rounding of it."""
     ranges = _possible(task)
     for low, high in ranges:
         if low <= duration_s <= high:
@@ -130,21 +132,21 @@ def _allowed(task: Task, duration_s: float) -> float:
         f"at least {low:g} s" if high == inf else f"from {low:g} to {high:g} s"
         for low, high in ranges
     )
-    why = "the limits allow none so short"
+    why = "the limits do not allow a shorter one"
     if duration_s > ranges[0][0]:
-        why = "in between it would have to stop, and the way is too short for that"
+        why = "in between the motion would have to stop, and the distance is too short for that"
     raise UsageError(f"this motion cannot take {duration_s:g} s, only {told}: {why}")
 
 
 def _shortest_s(task: Task) -> float:
     _, excess, _, _, _, high, rise, fall, _, _ = task
     if excess > 0.0 and high == rise == fall == inf:
-        return 0.0  # any duration longer than that
+        return 0.0  # all longer durations are possible
     return assembled(task, *peak_of(task), 0.0, 0.0)[-1][1]
 
 
 def _ramp_s(task: Task, begin: float, end: float) -> float:
-    """How long a ramp takes."""
+    """Return the duration of a ramp [s]."""
     _, _, _, _, _, _, rise, fall, back_rise, back_fall = task
     forward, backward = (rise, back_rise) if end > begin else (fall, back_fall)
     return (

@@ -1,4 +1,4 @@
-"""Whether a motion can be made, and if not why: which limit, when, and by how much."""
+"""Feasibility of motions: violated limits, with time and amount."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from motorapi.functions.function import Function
 
 STEP_S: Final = 0.01
-"""A derivative may step by what the next one makes in this time; samples are no smoother."""
+"""The time [s] for which the next derivative may cause a step: samples are no smoother."""
 
 
 @final
@@ -28,12 +28,12 @@ class Violation:
     """One limit that a motion would exceed.
 
     Attributes:
-        quantity: which limit, in words ("velocity", "duration").
-        value: the worst there is; inf if a lower derivative steps.
-        low, high: the range that is allowed.
-        argument: when the worst is [s]; None of a duration.
-        unit: of the value; "" if no model tells it.
-        reason: more, in words; "" if there is no more to say.
+        quantity: the limited quantity, in words ("velocity", "duration").
+        value: the worst value; inf if a lower derivative jumps.
+        low, high: the allowed range.
+        argument: argument of the worst value [s]; None for a duration.
+        unit: unit of the value; "" without a model.
+        reason: further details in words, or "".
     """
 
     quantity: str
@@ -46,11 +46,11 @@ class Violation:
 
     @property
     def by(self) -> float:
-        """How far out of the range the worst value is."""
+        """The distance of the worst value from the allowed range."""
         return max(self.low - self.value, self.value - self.high)
 
     def as_error(self, motor: str) -> LimitError:
-        """The same as an error about a motor."""
+        """Return the violation as an error of a motor."""
         when = "" if self.argument is None else f"at argument {self.argument:g}"
         return LimitError(
             motor=motor,
@@ -77,7 +77,7 @@ class Violation:
 @final
 @dataclass(frozen=True, slots=True)
 class Feasibility:
-    """True if nothing is violated; else it says what is, the first derivative's limits first."""
+    """The violations of a motion, those of the first derivative first; true if there are none."""
 
     violations: tuple[Violation, ...] = ()
 
@@ -96,22 +96,22 @@ def feasible(
     start: float = 0.0,
     interval: Range | None = None,
 ) -> Feasibility:
-    """Whether the motion stays within the limits, and else every one that it exceeds.
+    """Return all limits that the motion violates.
 
-    A simple trajectory is generated first: of all motions with its boundary conditions, that which
-    exceeds the least. Then it, as a complex one and a function over time, is looked at where it is
-    extreme. As elsewhere, 1e-9 of a limit is rounding.
+    A simple trajectory is generated first: the profile with the smallest violations for its
+    boundary conditions. Then this profile, like a complex trajectory or a function of time, is
+    examined at its extrema. As elsewhere, 1e-9 of a limit is rounding.
 
     Args:
-        motion: what is to be made; a function of the time in s.
+        motion: the motion; a function has the time [s] as argument.
         against: a model, or limits.
-        variable: what it is a motion of.
-        start: where a relative trajectory begins.
-        interval: of a function: from when to when; None: all of its domain.
+        variable: the control variable of the motion.
+        start: initial value of a relative trajectory.
+        interval: the interval of a function; None: its whole domain.
 
     Raises:
         UnsupportedError: of a simple trajectory: as for `motorapi.generation.generate`.
-        UsageError: the function is not bounded in its arguments, or it is no motion.
+        UsageError: the function has an unbounded domain, or `motion` has the wrong type.
     """
     if isinstance(motion, TrapezoidalTrajectory):
         return Feasibility(tuple(attempt(motion, against, variable, start)[1]))
@@ -125,7 +125,7 @@ def feasible(
             offset = start - motion.function.value(interval[0])
         motion = motion.function
     if not isinstance(getattr(motion, "domain", None), tuple):
-        raise UsageError(f"{motion!r} is no trajectory, no Profile and no function of the API")
+        raise UsageError(f"{motion!r} is not a trajectory, a Profile or a function of the API")
     low, high = motion.domain if interval is None else interval
     if not (-inf < low < high < inf):
         raise UsageError(f"{motion!r} has no finite beginning and end: give interval=")
@@ -139,10 +139,10 @@ def attempt(
     variable: ControlVariable,
     start: float,
 ) -> tuple[Profile | None, list[Violation]]:
-    """The profile of a trajectory, if there is one, and all limits that it exceeds.
+    """Return the profile of a trajectory, if any, and all limits that it violates.
 
     Raises:
-        UnsupportedError: no trapezoid can be what is asked for.
+        UnsupportedError: the request is impossible for a trapezoid.
     """
     _require_trapezoid(trajectory, against)
     initial = start if trajectory.initial is None else trajectory.initial
@@ -150,7 +150,7 @@ def attempt(
     begin, end = trajectory.initial_velocity, trajectory.final_velocity
     sizes = (initial, final_) if not (begin or end) else None
     if isinstance(against, MotorModel):
-        against = replace(against, jerk_max=None)  # which plays no part in a trapezoid
+        against = replace(against, jerk_max=None)  # not used by a trapezoid
     allowed = Allowed.by(against, variable, trajectory.limits, sizes=sizes)
     first_s = trajectory.initial_argument
     fast = [
@@ -183,7 +183,7 @@ def attempt(
 def _require_trapezoid(
     trajectory: TrapezoidalTrajectory, against: MotorModel | DerivativeLimits
 ) -> None:
-    """What a trapezoid does not keep to, or cannot begin or end with, is not asked for."""
+    """Raise UnsupportedError for limits or boundary derivatives that a trapezoid cannot meet."""
     feature = ""
     if trajectory.limits is not None and trajectory.limits.third is not None:
         feature = "a trapezoidal profile with a limit of the third derivative"
@@ -198,7 +198,7 @@ def _require_trapezoid(
 
 
 def _duration(asked: float, ranges: tuple[Range, ...]) -> tuple[float, Violation | None]:
-    """The duration asked for, or the possible one that rounding hides, or what is wrong with it."""
+    """Return the requested duration, or a possible one within rounding, and any violation."""
     for low, high in ranges:
         if low <= asked <= high:
             return asked, None
@@ -207,15 +207,17 @@ def _duration(asked: float, ranges: tuple[Range, ...]) -> tuple[float, Violation
         return nearest, None
     low, high = ranges[0]
     if asked < low:
-        return asked, Violation("duration", asked, low, high, None, "s", "the limits allow no less")
-    why = "later it would have to stop, and the way is too short for that"
+        return asked, Violation(
+            "duration", asked, low, high, None, "s", "the limits do not allow a shorter one"
+        )
+    why = "a longer motion would have to stop, and the distance is too short for that"
     if len(ranges) > 1:
-        why += f"; from {ranges[1][0]:g} s on it can run back and come again"
+        why += f"; from {ranges[1][0]:g} s on it can move back and return"
     return asked, Violation("duration", asked, low, high, None, "s", why)
 
 
 def _of_profile(profile: Profile, allowed: Allowed) -> Iterator[Violation]:
-    """The worst of each limit on each side, looked for where pieces meet."""
+    """Yield the worst violation of each limit on each side, found at the ends of pieces."""
     found: dict[tuple[int, bool], Violation] = {}
     since_s = profile.initial_argument
     for begins_s, ends_s, begin, end, entry, leave, acceleration in profile.pieces:
@@ -255,7 +257,7 @@ def _of_function(
 
 
 def _of_second(function: "Function", allowed: Allowed, interval: Range) -> Iterator[Violation]:
-    """The second derivative, whose range depends on the sign of the first."""
+    """Yield violations of the second derivative, whose range depends on the sign of the first."""
     if allowed.forward == allowed.backward:
         yield from _worst(function, 2, allowed, allowed.forward, [interval])
         return
@@ -274,7 +276,7 @@ def _worst(
     parts: list[Range],
     offset: float = 0.0,
 ) -> Iterator[Violation]:
-    """The lowest and the highest value over some intervals, where they lie outside the limits."""
+    """Yield the minimum and maximum over some intervals, if outside the limits."""
     if limits == (-inf, inf) or not parts:
         return
     derivative = function.derivative(order)
@@ -288,7 +290,7 @@ def _worst(
 def _steps(
     function: "Function", order: int, allowed: Allowed, limits: Range, interval: Range
 ) -> Iterator[Violation]:
-    """The largest step of a derivative that its own derivative's limits do not allow."""
+    """Yield the largest jump of a derivative that the limits of the next one do not allow."""
     low, high = limits
     derivative = function.derivative(order)
     worst, at = 0.0, 0.0
@@ -301,7 +303,7 @@ def _steps(
             worst, at = step, where
     if worst:
         unit = f" {allowed.units[order]}" if allowed.units[order] else ""
-        why = f"{allowed.names[order]} steps by {worst:g}{unit} there"
+        why = f"{allowed.names[order]} jumps by {worst:g}{unit} there"
         value = inf if worst > 0.0 else -inf
         name, per = allowed.names[order + 1], allowed.units[order + 1]
         yield Violation(name, value, low, high, at, per, why)

@@ -1,4 +1,4 @@
-"""From what a trajectory asks for, and what a motor can do, to the motion itself."""
+"""Generation of the profile of a simple trajectory."""
 
 from motorapi.commands import ControlVariable
 from motorapi.errors import UsageError
@@ -15,27 +15,27 @@ def generate(
     variable: ControlVariable = ControlVariable.POSITION,
     start: float = 0.0,
 ) -> Profile:
-    """The motion that a trajectory asks for, of a motor with this model; absolute.
+    """Return the absolute profile of a trajectory for a motor with this model.
 
-    As fast as the model and the trajectory's own limits allow, or of the trajectory's duration.
+    The profile is as fast as model and trajectory allow, or has the duration of the trajectory.
     Jerk is not limited: for that see `motorapi.generation.jerk_limited`.
 
     Args:
         trajectory: simple; its second derivatives at the ends, if any, must be 0.
-        model: for limits that the trajectory does not tighten.
-        variable: what it is a trajectory of; the function value [U] is in its unit.
-        start: where a relative trajectory begins [U].
+        model: provides the limits that the trajectory does not tighten.
+        variable: its control variable, which determines the unit U.
+        start: initial value of a relative trajectory [U].
 
     Raises:
-        LimitError: there is no such motion within the limits; says which, when and by how much.
-        UnsupportedError: it asks for a limit of the third derivative, or begins or ends with a
-            second one.
-        UsageError: nothing limits how fast it is, or an argument is of another type.
+        LimitError: no such motion exists within the limits; names limit, time and amount.
+        UnsupportedError: it limits the third derivative, or begins or ends with a second
+            derivative.
+        UsageError: no limit bounds its speed, or an argument has another type.
     """
     if not isinstance(trajectory, TrapezoidalTrajectory) or not isinstance(model, MotorModel):
         raise UsageError(
-            f"generate({trajectory!r}, {model!r}): give a TrapezoidalTrajectory and a MotorModel;"
-            " a ComplexTrajectory is generated already"
+            f"generate({trajectory!r}, {model!r}): give a TrapezoidalTrajectory and a "
+            "MotorModel; a ComplexTrajectory needs no generation"
         )
     profile, violations = attempt(trajectory, model, variable, start)
     if profile is not None and not violations:

@@ -1,4 +1,4 @@
-"""A generated motion: pieces of constant acceleration, known at every moment."""
+"""Generated profiles: pieces of constant acceleration."""
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, TypeAlias, final
@@ -10,8 +10,9 @@ if TYPE_CHECKING:
 
 
 Piece: TypeAlias = tuple[float, float, float, float, float, float, float]
-"""One piece: (begins [s], ends [s], value at its beginning, at its end [U], first derivative at its
-beginning, at its end [U/s], second derivative [U/s²]); times are since the profile's beginning."""
+"""One piece: (begin [s], end [s], initial value, final value [U], initial and final first
+derivative [U/s], second derivative [U/s²]); times are relative to the beginning of the profile.
+"""
 
 
 @final
@@ -19,16 +20,16 @@ beginning, at its end [U/s], second derivative [U/s²]); times are since the pro
 class Profile:
     """A function value over its argument, in pieces of constant second derivative; immutable.
 
-    Velocity changes its sign at the end of a piece only, so the value is monotone in each. The
-    last piece is reckoned from its end and all others from their beginning: both boundary states
-    are exact, and what rounding leaves is between two pieces. U is the unit of the value. Outside
-    its arguments a profile has the state of the nearer end.
+    Velocity changes its sign only at the end of a piece, so the value is monotone in each piece.
+    The last piece is computed from its end and all others from their beginning. So both boundary
+    states are exact, and rounding errors appear between two pieces only. U is the unit of the
+    value. Outside its arguments a profile has the state of the nearer end.
 
     Attributes:
-        initial_argument: where it begins, in most cases a time [s].
+        initial_argument: argument at the beginning, in most cases a time [s].
         initial_velocity: first derivative at the beginning [U/s].
         final_velocity: first derivative at the end [U/s].
-        pieces: at least one; of no duration only if the whole profile is.
+        pieces: at least one; a piece has no duration only if the profile has none.
     """
 
     initial_argument: float
@@ -38,17 +39,17 @@ class Profile:
 
     @property
     def duration_s(self) -> float:
-        """How long it takes [s], >= 0."""
+        """The duration [s], >= 0."""
         return self.pieces[-1][1]
 
     @property
     def final_argument(self) -> float:
-        """Where it ends."""
+        """The argument at the end."""
         return self.initial_argument + self.pieces[-1][1]
 
     @property
     def switching_times_s(self) -> tuple[float, ...]:
-        """When the second derivative changes or the motion turns round, since its beginning [s]."""
+        """Times of acceleration changes and reversals, relative to the beginning [s]."""
         return tuple([piece[1] for piece in self.pieces[:-1]])
 
     @property
@@ -63,20 +64,20 @@ class Profile:
 
     @property
     def value_range(self) -> Range:
-        """(lowest, highest) value on the way [U]."""
+        """(lowest, highest) value of the profile [U]."""
         values = [self.initial, *(piece[3] for piece in self.pieces)]
         return min(values), max(values)
 
     @property
     def velocity_range(self) -> Range:
-        """(lowest, highest) first derivative on the way, both ends included [U/s]."""
+        """(lowest, highest) first derivative, both ends included [U/s]."""
         velocities = [self.initial_velocity, self.final_velocity]
         for piece in self.pieces:
             velocities += piece[4:6]
         return min(velocities), max(velocities)
 
     def value(self, argument: float) -> float:
-        """The function value [U]."""
+        """Return the function value [U]."""
         since = argument - self.initial_argument
         pieces = self.pieces
         last = pieces[-1]
@@ -97,7 +98,7 @@ class Profile:
         return _between(begin, found, end)
 
     def first(self, argument: float) -> float:
-        """The first derivative [U/s]; outside the arguments, that of the nearer end."""
+        """Return the first derivative [U/s]; outside the arguments, that of the nearer end."""
         since = argument - self.initial_argument
         pieces = self.pieces
         last = pieces[-1]
@@ -116,7 +117,7 @@ class Profile:
         return _between(entry, found, leave)
 
     def second(self, argument: float) -> float:
-        """The second derivative [U/s²]; where two pieces meet, that of the later; outside, 0."""
+        """Return the second derivative [U/s²]: between pieces that of the later; outside 0."""
         since = argument - self.initial_argument
         if since < 0.0 or since > self.pieces[-1][1]:
             return 0.0
@@ -126,10 +127,10 @@ class Profile:
         return piece[6]
 
     def as_function(self) -> "Piecewise":
-        """The same as a piecewise polynomial of the argument; loads numpy.
+        """Return the profile as a piecewise polynomial of the argument; imports numpy.
 
         Raises:
-            UsageError: it takes no time, so there is no argument for which it has a value.
+            UsageError: the profile takes no time, so that it has no value at any argument.
         """
         from motorapi.generation.conversion import function_of
 
@@ -144,7 +145,7 @@ class Profile:
 
 
 def _between(one: float, found: float, other: float) -> float:
-    """`found`, moved into the range between two values that rounding may have let it leave."""
+    """Return `found`, clipped to the range of two values against rounding errors."""
     if one <= other:
         return one if found < one else other if found > other else found
     return other if found < other else one if found > one else found

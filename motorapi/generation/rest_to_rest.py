@@ -1,18 +1,19 @@
-"""Trapezoidal velocity profiles in closed form, rest to rest: shortest, or of a given duration.
+"""Trapezoidal velocity profiles from rest to rest, in closed form.
 
-With distance D >= 0, speed limit v, acceleration a and deceleration d (all sizes):
+The profile is the shortest, or has a given duration. With distance D >= 0, speed limit v,
+acceleration a and deceleration d (all magnitudes):
 
     shortest   peak p = min(v, sqrt(2 D a d / (a + d))), duration T = D/p + k p
     stretched  the same a and d, and the peak p for which D/p + k p = T
                p = (T - sqrt(T² - 4 k D)) / (2 k) = 2 D / (T + sqrt(T² - 4 k D))
 
-where k = (1/a + 1/d) / 2 is half the time that speeding up to 1 and slowing down from 1 take
-together. For a = d the peak is (a T - sqrt(a² T² - 4 a D)) / 2. The last form is used: it does not
-cancel when T is long. A profile of length 0 has duration 0, or whatever duration is asked for.
+Here k = (1/a + 1/d) / 2 is half the time for a ramp up to speed 1 and a ramp down from it. For a =
+d the peak is (a T - sqrt(a² T² - 4 a D)) / 2. The last form is used: it avoids cancellation for
+long T. A profile of distance 0 has duration 0, or any requested duration. Units: one unit of length
+U (rad or m) throughout, so rotary and linear motors may be mixed.
 
-Units: one unit of length U (rad or m) throughout, so turning and sliding motors may be mixed.
 Source: Biagiotti & Melchiorri, Trajectory Planning for Automatic Machines and Robots (2008), ch. 3,
-trapezoidal velocity profile; asymmetric ramps follow the same way.
+trapezoidal velocity profile; asymmetric ramps follow in the same way.
 """
 
 from dataclasses import dataclass
@@ -30,11 +31,11 @@ class Trapezoid:
     Attributes:
         distance: signed [U].
         peak: highest speed [U/s], >= 0.
-        acceleration: size while speeding up [U/s²], > 0.
-        deceleration: size while slowing down [U/s²], > 0.
-        ramp_up_s: when the plateau begins [s], the paper's t_1.
-        ramp_down_s: when the plateau ends [s], the paper's t_2.
-        duration_s: when it is at rest at `distance` [s], the paper's t_f.
+        acceleration: magnitude while speeding up [U/s²], > 0.
+        deceleration: magnitude while slowing down [U/s²], > 0.
+        ramp_up_s: beginning of the plateau [s], t_1 in the paper.
+        ramp_down_s: end of the plateau [s], t_2 in the paper.
+        duration_s: time of arrival at `distance` [s], t_f in the paper.
     """
 
     distance: float
@@ -46,7 +47,7 @@ class Trapezoid:
     duration_s: float
 
     def position(self, time_s: float) -> float:
-        """Way made [U] at `time_s` [s]; 0 before the start, `distance` after the end."""
+        """Return the position [U] at `time_s` [s]; 0 before the start, `distance` after the end."""
         if time_s <= 0.0:
             return 0.0
         if time_s >= self.duration_s:
@@ -62,7 +63,7 @@ class Trapezoid:
         return min(made, way) if self.distance > 0.0 else -min(made, way)
 
     def velocity(self, time_s: float) -> float:
-        """Signed velocity [U/s] at `time_s` [s]; 0 outside the motion."""
+        """Return the signed velocity [U/s] at `time_s` [s]; 0 outside the motion."""
         if time_s <= 0.0 or time_s >= self.duration_s:
             return 0.0
         speed = min(
@@ -76,7 +77,7 @@ class Trapezoid:
 def shortest(
     distance: float, velocity: float, acceleration: float, deceleration: float
 ) -> Trapezoid:
-    """The profile over `distance` that the limits allow to be shortest.
+    """Return the shortest profile over `distance` within the limits.
 
     Args:
         distance: signed [U], finite.
@@ -85,7 +86,7 @@ def shortest(
         deceleration: limit while slowing down [U/s²], finite, > 0.
 
     Raises:
-        UsageError: an argument is not as stated.
+        UsageError: an argument violates these conditions.
     """
     _check(distance, velocity, acceleration, deceleration)
     way = abs(distance)
@@ -102,17 +103,16 @@ def shortest(
 def stretched(
     distance: float, duration_s: float, acceleration: float, deceleration: float
 ) -> Trapezoid:
-    """The profile over `distance` that takes `duration_s` with these ramps and a lower plateau.
+    """Return the profile over `distance` of duration `duration_s`, with a lower plateau.
 
     Args:
         distance: signed [U], finite.
-        duration_s: > 0 [s], at least what `shortest` takes (a shorter one by rounding is taken
-            as that).
+        duration_s: > 0 [s], at least the duration of `shortest` (within rounding).
         acceleration: while speeding up [U/s²], finite, > 0.
         deceleration: while slowing down [U/s²], finite, > 0.
 
     Raises:
-        UsageError: an argument is not as stated, or no plateau makes it in that time.
+        UsageError: an argument violates these conditions, or the duration is too short.
     """
     _check(distance, duration_s, acceleration, deceleration)
     way = abs(distance)
@@ -122,8 +122,9 @@ def stretched(
     rest = duration_s * duration_s - 4.0 * k * way
     if rest < -1e-9 * duration_s * duration_s:
         raise UsageError(
-            f"{way:g} in {duration_s:g} s cannot be made with ramps of {acceleration:g} and"
-            f" {deceleration:g}; it takes at least {2.0 * sqrt(k * way):g} s"
+            f"distance {way:g} in {duration_s:g} s is impossible with ramps of "
+            f"{acceleration:g} and {deceleration:g}; it takes at least {2.0 * sqrt(k * way):g} "
+            "s"
         )
     peak = 2.0 * way / (duration_s + sqrt(max(rest, 0.0)))
     plateau_s = max(0.0, way / peak - k * peak)

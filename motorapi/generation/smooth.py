@@ -1,8 +1,8 @@
-"""Time-optimal motions of limited jerk, by the package ruckig (an extra of this distribution).
+"""Time-optimal jerk-limited motions by the package ruckig (optional extra).
 
 Source: L. Berscheid, T. Kröger, Jerk-limited Real-time Trajectory Generation with Arbitrary Target
-States (2021). The package's tolerances are absolute numbers, so problems are handed to it in units
-in which the jerk is 1 and the longest of the lengths in question is; the answer is told in ours.
+States (2021). The tolerances of the package are absolute. Therefore problems are scaled to units in
+which the jerk and the longest of the relevant lengths are 1; the results are scaled back.
 """
 
 from collections.abc import Sequence
@@ -30,16 +30,16 @@ Phase: TypeAlias = tuple[float, float]
 @final
 @dataclass(frozen=True, slots=True)
 class SmoothTask:
-    """Two states and the limits in between, checked.
+    """Two states and the limits between them, checked.
 
     Attributes:
         begin, end: the states.
         velocity: range of the first derivative [U/s].
         acceleration: range of the second derivative [U/s²].
-        jerk: size of the third derivative [U/s³].
+        jerk: maximum magnitude of the third derivative [U/s³].
 
     Raises:
-        UsageError: a number is not finite, or a state lies outside the limits or cannot but leave
+        UsageError: a number is not finite, or a state lies outside the limits or inevitably leaves
             them.
     """
 
@@ -51,10 +51,10 @@ class SmoothTask:
 
     def __post_init__(self) -> None:
         if not all(map(isfinite, (*self.begin, *self.end))):
-            raise UsageError(f"a number of {self.begin} or {self.end} is not finite")
+            raise UsageError(f"a number in {self.begin} or {self.end} is not finite")
         if not 0.0 < self.jerk < inf:
             raise UsageError(f"the limit of jerk is {self.jerk}, not finite and > 0")
-        # What velocity cannot but reach before its derivative is 0, or reached since it was.
+        # The velocity inevitably reached before its derivative is 0, or reached since it was 0.
         for where, (_, velocity, acceleration), sense in (
             ("initial", self.begin, 1.0),
             ("final", self.end, -1.0),
@@ -74,7 +74,7 @@ class SmoothTask:
 
     @property
     def units(self) -> tuple[float, float]:
-        """(length, time) of the units in which the problem is of size 1."""
+        """(length, time) of the units in which the problem has size 1."""
         lengths = [abs(self.end[0] - self.begin[0])]
         for _, velocity, acceleration in (self.begin, self.end):
             lengths.append(abs(velocity) ** 1.5 / self.jerk**0.5)
@@ -94,27 +94,27 @@ def jerk_limited(
     duration_s: float | None = None,
     initial_argument: float = 0.0,
 ) -> "Piecewise":
-    """The shortest motion between two states within the limits, as cubic pieces.
+    """Return the shortest motion between two states within the limits, as cubic pieces.
 
-    Value, first and second derivative have no steps but what rounding leaves (1e-9 of the way, at
-    the last break): the last piece is reckoned from the end, so both boundary states are exact.
+    Value, first and second derivative are continuous except for rounding (1e-9 of the distance, at
+    the last break): the last piece is computed from the end, so both boundary states are exact.
 
     Args:
-        final: the final value [U]; the way, if `initial` is 0.
-        limits: of velocity and acceleration. Where they differ between forward and backward motion,
-            the tighter one holds for both: the package knows one range only.
-        jerk: the size that the third derivative must not exceed [U/s³].
+        final: the final value [U]; the distance, if `initial` is 0.
+        limits: of velocity and acceleration. If they differ between forward and backward motion,
+            the tighter one applies to both: the package has one range only.
+        jerk: maximum magnitude of the third derivative [U/s³].
         initial: the initial value [U].
-        initial_derivatives: first and second at the beginning; what is left out is 0.
-        final_derivatives: likewise at the end.
-        duration_s: how long it takes [s]; None: as short as the limits allow.
-        initial_argument: where it begins.
+        initial_derivatives: first and second at the beginning; missing ones are 0.
+        final_derivatives: first and second at the end; missing ones are 0.
+        duration_s: duration [s]; None: the shortest possible.
+        initial_argument: argument at the beginning.
 
     Raises:
-        PluginError: the package finds no motion, or a wrong one; it is judged each time.
-        UnsupportedError: the package is not installed; says which extra has it.
-        UsageError: a number is not finite, a state lies outside the limits or must leave them,
-            there is no motion of that duration, or one that takes no time.
+        PluginError: the package finds no motion, or a wrong one; each result is verified.
+        UnsupportedError: the package is not installed; names the extra.
+        UsageError: a number is not finite, a state lies outside the limits or must leave them, or
+            no motion has that duration, or the motion takes no time.
     """
     task = task_of(final, limits, jerk, initial, initial_derivatives, final_derivatives)
     if not isfinite(initial_argument):
@@ -131,7 +131,7 @@ def task_of(
     initial_derivatives: Sequence[float],
     final_derivatives: Sequence[float],
 ) -> SmoothTask:
-    """The states and limits, checked."""
+    """Return the states and limits, checked."""
     if not isinstance(limits, ProfileLimits):
         raise UsageError(f"limits is {limits!r}; give ProfileLimits(velocity, acceleration)")
     forward, backward = limits.forward, limits.backward
@@ -142,12 +142,12 @@ def task_of(
 
 
 def phases_of(task: SmoothTask, duration_s: float | None = None) -> list[Phase]:
-    """The durations and jerks of the phases, one after another.
+    """Return the durations and jerks of the phases, in order.
 
     Raises:
         UnsupportedError: the package is not installed.
         PluginError: the package finds no motion, or a wrong one.
-        UsageError: there is none of that duration.
+        UsageError: no motion has that duration.
     """
     ruckig = load()
     length, time = task.units
@@ -169,16 +169,16 @@ def phases_of(task: SmoothTask, duration_s: float | None = None) -> list[Phase]:
     takes_s = sum(lasts_s for lasts_s, _ in phases)
     if duration_s is not None and abs(takes_s - duration_s) > _ROUNDING * takes_s:
         raise UsageError(
-            f"this motion cannot take {duration_s:g} s; the next that it can is {takes_s:g} s"
+            f"this motion cannot take {duration_s:g} s; the next possible duration is {takes_s:g} s"
         )
     return phases
 
 
 def judge(task: SmoothTask, phases: Sequence[Phase]) -> None:
-    """What the package answered is what it was asked for, to 1e-9.
+    """Verify the result of the package to 1e-9.
 
     Raises:
-        PluginError: it is not: seen where limits and states differ by more than three decades.
+        PluginError: it is wrong; observed if limits and states differ by more than three decades.
     """
     length, time = task.units
     pieces = pieces_of(task, phases)
@@ -193,7 +193,7 @@ def judge(task: SmoothTask, phases: Sequence[Phase]) -> None:
     ):
         velocities = [before, after]
         if jerk and 0.0 < -rate / jerk < lasts_s:
-            velocities.append(before - 0.5 * rate * rate / jerk)  # where acceleration is 0
+            velocities.append(before - 0.5 * rate * rate / jerk)  # at zero acceleration
         for name, values, (low, high), size in (
             ("velocity", velocities, task.velocity, sizes[1]),
             ("acceleration", [rate], task.acceleration, sizes[2]),
@@ -205,7 +205,7 @@ def judge(task: SmoothTask, phases: Sequence[Phase]) -> None:
 
 
 def failed(task: SmoothTask, problem: str) -> PluginError:
-    """What to raise if the package does not do what it says."""
+    """Return the error for a wrong result of the package."""
     return PluginError(
         plugin="ruckig",
         where="Ruckig.calculate",
@@ -215,23 +215,23 @@ def failed(task: SmoothTask, problem: str) -> PluginError:
 
 
 def load() -> Any:
-    """The package.
+    """Import and return the package.
 
     Raises:
-        UnsupportedError: it is not installed; says which extra has it.
+        UnsupportedError: it is not installed; names the extra.
     """
     try:
         return import_module("ruckig")
     except ImportError:
         raise UnsupportedError(
             motor="this installation",
-            feature="trajectories of limited jerk: the package ruckig is missing",
+            feature="jerk-limited trajectories without the package ruckig",
             supported="them with the extra ruckig: pip install 'motorhil[ruckig]'",
         ) from None
 
 
 def fill(given: Any, tasks: Sequence[SmoothTask], units: Sequence[tuple[float, float]]) -> None:
-    """The input parameter describes these motions, one for each degree of freedom, in units."""
+    """Fill the input parameter with these motions, one per degree of freedom, in `units`."""
     both = list(zip(tasks, units, strict=True))
     given.current_position = [0.0] * len(both)
     given.target_position = [(task.end[0] - task.begin[0]) / u for task, (u, _) in both]
@@ -247,7 +247,7 @@ def fill(given: Any, tasks: Sequence[SmoothTask], units: Sequence[tuple[float, f
 
 
 def phases_in(profile: Any, length: float, time: float) -> list[Phase]:
-    """The phases of one degree of freedom, in our units, without those of no duration."""
+    """Return the phases of one degree of freedom in our units, without those of no duration."""
     jerk = length / time**3
     found: list[Phase] = []
     for part in (profile.brake, profile):
@@ -256,7 +256,7 @@ def phases_in(profile: Any, length: float, time: float) -> list[Phase]:
 
 
 def pieces_of(task: SmoothTask, phases: Sequence[Phase]) -> list[tuple[float, float, State]]:
-    """(duration, jerk, state where it begins) of each phase, from the initial state on."""
+    """Return (duration, jerk, initial state) of each phase."""
     value, velocity, acceleration = task.begin
     found: list[tuple[float, float, State]] = []
     for lasts_s, jerk in phases:
@@ -286,12 +286,14 @@ def _function(task: SmoothTask, phases: Sequence[Phase], initial_argument: float
             rest = (velocity, acceleration / 2.0, jerk / 6.0)
             polynomials.append(Polynomial((value, *rest), about))
     if not polynomials:
-        raise UsageError(f"from {task.begin} to {task.end} takes no time: there is no function")
+        raise UsageError(
+            f"the motion from {task.begin} to {task.end} takes no time: it is not a function"
+        )
     return Piecewise(edges, polynomials)
 
 
 def _two(derivatives: Sequence[float]) -> tuple[float, float]:
     if len(derivatives) > 2:
-        raise UsageError(f"derivatives are (first,) or (first, second), not {derivatives!r}")
+        raise UsageError(f"derivatives are {derivatives!r}; expected (first,) or (first, second)")
     first, second = (*derivatives, 0.0, 0.0)[:2]
     return first, second

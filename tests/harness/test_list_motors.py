@@ -98,9 +98,9 @@ def test_refused_lock_directory_is_reported(tmp_path, monkeypatch, capsys):
 
     missing = tmp_path / "missing"
     monkeypatch.setenv(VARIABLE, str(missing))
-    assert told().startswith(f"motorhil list: {missing}: there is no such directory.")
+    assert told().startswith(f"motorhil list: {missing}: the directory does not exist.")
     missing.mkdir(mode=0o755)
-    assert told().startswith(f"motorhil list: {missing}: mode 0755 lets everybody in;")
+    assert told().startswith(f"motorhil list: {missing}: mode 0755 gives access to everybody;")
     monkeypatch.setenv(VARIABLE, "here")
     assert told() == f"motorhil list: {VARIABLE}=here: must be an absolute path\n"
 
@@ -113,7 +113,7 @@ def test_invalid_lock_file_does_not_hide_others(runtime, locks, tmp_path, capsys
         assert motorhil(["list", "motors"]) == 2
     output = capsys.readouterr()
     assert output.out.startswith("can0 node 3 ")
-    assert output.err == f"motorhil list: {file}: this is no lock file; remove it\n"
+    assert output.err == f"motorhil list: {file}: not a lock file; remove it\n"
 
 
 def test_control_characters_of_programs_are_escaped(runtime, locks, capsys):

@@ -184,7 +184,7 @@ def test_plugin_error_is_reported_with_its_line(write, old, new, told):
 def test_model_file_error_is_reported_with_its_line(write, bench):
     path = write(GOOD)
     (bench / "wheel.toml").write_text("velocity_max_rad_s = 5\nacceleration_max = 3\n")
-    assert refusal(path).startswith("wheel.toml:2: acceleration_max: a motor model has no such key")
+    assert refusal(path).startswith("wheel.toml:2: acceleration_max: unknown key of a motor model")
 
 
 def test_adaptation_error_is_reported_with_the_motors_line(write):

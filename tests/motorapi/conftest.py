@@ -24,6 +24,6 @@ def motor(hw):
 
 @pytest.fixture
 def pair(runtime):
-    """Two motors that share a trigger."""
+    """Return two motors that share a trigger."""
     bus = PlainBus()
     return [PlainMotor(PlainHwMotor(runtime, node, bus)) for node in (1, 2)]

@@ -4,7 +4,7 @@ import sys
 HEAVY = ("can", "canopen", "pymodbus", "numpy", "asyncio")
 
 
-def test_the_interface_loads_no_bus_library_and_no_numpy():
+def test_interface_imports_no_bus_library_and_no_numpy():
     script = (
         "import sys, motorapi\n"
         "motorapi.WallRuntime().close()\n"

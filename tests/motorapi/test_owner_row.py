@@ -1,4 +1,4 @@
-"""The row of those who wait for a motor, while threads come and go in between any two looks."""
+"""The wait queue for a motor, while threads come and go between any two checks."""
 
 from types import SimpleNamespace
 
@@ -11,7 +11,7 @@ SOMEBODY = SimpleNamespace(left_s=None)
 
 
 class Passing:
-    """Somebody had the motor at the first look and has given it back before the second."""
+    """An owner at the first check that has released the motor before the second."""
 
     def __init__(self):
         self.looks = [SOMEBODY]
@@ -27,7 +27,7 @@ class Passing:
         return False
 
 
-def test_who_asks_at_once_has_it_when_it_came_free_while_he_was_told_no():
+def test_request_without_timeout_takes_a_motor_just_released():
     row = OwnerRow(Passing(), Teller())
     claim, action, before = row.take(Asked(OWNER, "a", "start", None))
     assert (claim.token, action, before) == (1, LockAction.TAKEN, "")

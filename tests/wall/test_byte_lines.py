@@ -63,7 +63,9 @@ def test_device_lost_during_open_raises_with_a_remedy(call, monkeypatch):
     master, slave = pty.openpty()
     path = os.ttyname(slave)
     monkeypatch.setattr(termios, call, gone)
-    with pytest.raises(LinkError, match=rf"^{path}: .*Input/output error.*is it plugged in"):
+    with pytest.raises(
+        LinkError, match=rf"^{path}: .*Input/output error.*check that it is plugged in"
+    ):
         SerialLine(path, runtime=WallRuntime())
     os.close(slave)
     os.close(master)

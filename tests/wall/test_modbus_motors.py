@@ -54,5 +54,5 @@ def test_missing_peer_is_named(tmp_path):
         TcpLine("127.0.0.1", port)
     with pytest.raises(LinkError, match="cannot be opened"):
         SerialLine(str(tmp_path / "tty"))
-    with pytest.raises(UsageError, match="no such line"):
+    with pytest.raises(UsageError, match="invalid setting"):
         SerialLine("/dev/null", parity="X")

@@ -40,7 +40,7 @@ def test_paused_process_loses_the_lock_and_cannot_write(programs, lock, wall, ba
     assert holder.ask("write") == "wrote 1"
     pause(wall, lock, holder)
     with pytest.raises(
-        MotorBusyError, match=rf"paused.*; let it go on \(kill -CONT {holder.pid}\), or end it"
+        MotorBusyError, match=rf"paused.*; continue it \(kill -CONT {holder.pid}\), or end it"
     ):
         lock.acquire(wall, "mine", timeout_s=0.05)
     hold = lock.acquire(wall, "rescue", take_over=True)

@@ -181,7 +181,7 @@ def test_leader_velocity_limit_is_checked_before_start(geared: Rig):
     """Its model says 3 rad/s: five times that is more than the follower's 3 rad/s."""
     left, right = motor_of(geared), motor_of(geared, "right")
     steep = Polynomial((0.0, 5.0)).restricted(-10.0, 10.0)
-    with pytest.raises(LimitError, match="while the position of left changes fastest"):
+    with pytest.raises(LimitError, match="at the maximum rate of the position of left"):
         set_function(right, steep, argument=MotorPosition(left))
     assert right.state() is MotorState.OFFLINE
 
