@@ -314,7 +314,7 @@ def test_ports_have_numbers_in_order_and_names_of_their_own():
     bus = _bus("left")
     assert bus.port_names() == ["left", "ear"]
     assert bus.attach("host") == 2
-    with pytest.raises(ValueError, match="left already"):
+    with pytest.raises(ValueError, match="already a port named left"):
         bus.attach("left")
 
 

@@ -154,9 +154,12 @@ def test_a_frame_that_waits_is_checked_before_it_does():
 @pytest.mark.parametrize(
     ("rates", "told"),
     [
-        ((500_000, 250_000), "data bit rate of 250000 bit/s is below the nominal one of 500000"),
-        ((500_000, 3_000_000), "3000000 bit/s is no whole number"),
-        ((500_000, 0), "0 bit/s is no whole number"),
+        (
+            (500_000, 250_000),
+            "data bit rate of 250000 bit/s is below the nominal bit rate of 500000",
+        ),
+        ((500_000, 3_000_000), "3000000 bit/s is not a whole number"),
+        ((500_000, 0), "0 bit/s is not a whole number"),
     ],
 )
 def test_rates_that_cannot_be_are_refused(rates, told):

@@ -349,5 +349,5 @@ def test_a_flip_anywhere_loses_no_frame_unnoticed(frame, bit, ports, ratio):
 
 
 def test_a_frame_that_its_controller_cannot_send_is_refused():
-    with pytest.raises(ValueError, match="classical CAN controller sends no CAN FD"):
+    with pytest.raises(ValueError, match="classical CAN controller cannot send CAN FD"):
         run_episode([Station(0, (ONES.can_frame(),))])

@@ -173,17 +173,17 @@ def test_the_next_change_is_the_first_of_all_cuts():
         ({"from_ns": 5, "until_ns": 5}, "until_ns 5"),
         ({"skip": -1}, "skip -1"),
         ({"limit": 0}, "limit 0"),
-        ({"delay_ns": 1}, "delay_ns is 1"),
-        ({"kind": FaultKind.DELAY}, "delay_ns is 0"),
-        ({"kind": FaultKind.DELAY, "delay_ns": -1}, "delay_ns is -1"),
-        ({"flip": b"\x01"}, "flip is for corrupt"),
-        ({"kind": FaultKind.CORRUPT, "flip": b"\x00"}, "has a bit set"),
-        ({"kind": FaultKind.CUT}, "names the ports"),
-        ({"kind": FaultKind.CUT, "ports": ("a",), "identifier": 0}, "no condition but its time"),
-        ({"kind": FaultKind.CUT, "ports": ("a",), "sender": "a"}, "no condition but its time"),
-        ({"kind": FaultKind.CUT, "ports": ("a",), "skip": 1}, "no condition but its time"),
-        ({"kind": FaultKind.CUT, "ports": ("a",), "limit": 1}, "no condition but its time"),
-        ({"kind": FaultKind.CUT, "ports": ("a",), "probability": 0.5}, "no condition but its"),
+        ({"delay_ns": 1}, "delay_ns 1: invalid"),
+        ({"kind": FaultKind.DELAY}, "delay_ns 0: invalid"),
+        ({"kind": FaultKind.DELAY, "delay_ns": -1}, "delay_ns -1: invalid"),
+        ({"flip": b"\x01"}, "flip: invalid; only corrupt"),
+        ({"kind": FaultKind.CORRUPT, "flip": b"\x00"}, "at least one bit set"),
+        ({"kind": FaultKind.CUT}, "cut: no ports"),
+        ({"kind": FaultKind.CUT, "ports": ("a",), "identifier": 0}, "cut: invalid condition"),
+        ({"kind": FaultKind.CUT, "ports": ("a",), "sender": "a"}, "cut: invalid condition"),
+        ({"kind": FaultKind.CUT, "ports": ("a",), "skip": 1}, "cut: invalid condition"),
+        ({"kind": FaultKind.CUT, "ports": ("a",), "limit": 1}, "cut: invalid condition"),
+        ({"kind": FaultKind.CUT, "ports": ("a",), "probability": 0.5}, "cut: invalid condition"),
     ],
 )
 def test_a_rule_that_makes_no_sense_is_refused_by_name(settings, told):
@@ -207,5 +207,5 @@ def test_a_removed_rule_hits_no_more_and_its_count_stays():
     assert plan.verdict(pack(1), "left", 0) is None
     assert plan.is_empty()
     assert plan.fired() == {"one": 1}
-    with pytest.raises(ValueError, match="no fault rule one"):
+    with pytest.raises(ValueError, match="fault one: unknown rule"):
         plan.remove("one")
