@@ -40,15 +40,15 @@ def test_a_link_left_by_a_killed_server_is_replaced_and_a_file_is_not(tmp_path):
     link.write_text("mine")
     done = motorhil(*words, *show)
     assert done.returncode == 2
-    assert f"{link}: the link to the terminal cannot be made" in one_line(done.stderr)
+    assert f"{link}: cannot create the link to the terminal" in one_line(done.stderr)
     assert link.read_text() == "mine"
 
 
 @pytest.mark.parametrize(
     ("words", "reason"),
     [
-        (["--modbus-tcp", "0.0.0.0:0"], "0.0.0.0:0 can be reached from other machines"),
-        (["--modbus-tcp", "[::]:0"], "[::]:0 can be reached from other machines"),
+        (["--modbus-tcp", "0.0.0.0:0"], "0.0.0.0:0: other machines can reach it"),
+        (["--modbus-tcp", "[::]:0"], "[::]:0: other machines can reach it"),
         (["--modbus-tcp", "rs485=127.0.0.1:0"], "bus 'rs485': it is of kind modbus_rtu"),
         (["--modbus-tcp", "no=127.0.0.1:0"], "bus 'no': the rig has none of it"),
         (["--modbus-rtu", "plant=/tmp/x"], "bus 'plant': it is of kind modbus_tcp"),

@@ -126,7 +126,7 @@ def test_names_that_there_are_not_are_refused_with_those_there_are(tmp_path):
     with opened(tmp_path, STRUCK.format(sender="host", limit=1)) as rig:
         with pytest.raises(ValueError, match=r"no CAN bus 'can1' in this rig \(known: can0\)"):
             rig.faults.restart("can1", "host")
-        with pytest.raises(ValueError, match=r"no node lef \(known: left, host\)"):
+        with pytest.raises(ValueError, match=r"node lef not found \(known: left, host\)"):
             rig.faults.restart("can0", "lef")
         with pytest.raises(ValueError, match=r"host is not bus-off \(TEC 0, REC 0\)"):
             rig.faults.restart("can0", "host")

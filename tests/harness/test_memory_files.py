@@ -131,7 +131,7 @@ def test_a_torn_file_is_told_and_defaults_are_used(tmp_path):
     [
         (RIG.replace('"left.parameters"', '"no/such/folder"'), "there is no folder"),
         (RIG.replace('"left.parameters"', '"."'), "cannot be read"),
-        (RIG.replace('"left.parameters"', "5"), "5 is no path"),
+        (RIG.replace('"left.parameters"', "5"), "5 is not a path"),
         (RIG + 'nonvolatile_memory = "left.parameters"\n', 'memory of controller "left" already'),
     ],
 )

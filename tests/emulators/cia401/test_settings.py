@@ -43,11 +43,11 @@ def test_channels_share_what_the_rig_says_and_differ_where_it_says_so():
     ("table", "text"),
     [
         ({"node_id": 0}, "node_id: 0 is outside 1..127"),
-        ({"node_id": None}, "node_id: None is no whole number"),
+        ({"node_id": None}, "node_id: None is not a whole number"),
         ({"chanels": 2}, "chanels: is not known; did you mean channels?"),
         ({"channels": 5}, "channels: 5 is outside 1..4"),
         ({"channel": {"2": {}}}, "channel.2: is not known; known: 1"),
-        ({"channel": {"1": 3}}, "channel.1: 3 is no table; write [controller.NAME.channel.1]"),
+        ({"channel": {"1": 3}}, "channel.1: 3 is not a table; write [controller.NAME.channel.1]"),
         ({"channel": {"1": {"servo": {}}}}, "channel.1.servo: is not known"),
         (
             {"channel": {"1": {"plant": {"preset": "tank"}}}},
@@ -69,12 +69,15 @@ def test_channels_share_what_the_rig_says_and_differ_where_it_says_so():
             "channel.1.initial_position_rad: 21",
         ),
         ({"timing": {"boot_s": 3}}, "timing.boot_s: is not known; did you mean boot_up_s?"),
-        ({"eds": "none.eds"}, "eds: there is no file"),
-        ({"eds": str(DRIVE_EDS)}, "has no 6000h:1, 6200h:1, 6411h:1, 6820h:1: it is no file of"),
+        ({"eds": "none.eds"}, "eds: file "),
+        (
+            {"eds": str(DRIVE_EDS)},
+            "has no 6000h:1, 6200h:1, 6411h:1, 6820h:1: it is not the EDS",
+        ),
         ({"objects": {"6443h:2": 0}}, "objects.6443h:2: motorhil_cia401.eds has no such object"),
         ({"objects": {"6443h:1": 2}}, "objects.6443h:1: 2 is outside 0..1"),
-        ({"objects": {"6443h:1": 0.5}}, "objects.6443h:1: 0.5 is no whole number"),
-        ({"objects": {"6443h:1": "x"}}, "objects.6443h:1: 'x' is no number"),
+        ({"objects": {"6443h:1": 0.5}}, "objects.6443h:1: 0.5 is not a whole number"),
+        ({"objects": {"6443h:1": "x"}}, "objects.6443h:1: 'x' is not a number"),
     ],
 )
 def test_what_is_wrong_is_named(table, text):

@@ -186,5 +186,5 @@ def test_a_rule_that_makes_no_sense_is_refused_by_name(facts):
     ("baud", "parity", "stop_bits"), [(0, "E", 1), (9600, "M", 1), (9600, "E", 3)]
 )
 def test_a_line_that_cannot_be_is_refused(baud, parity, stop_bits):
-    with pytest.raises(ValueError, match="rs485: .*invalid"):
+    with pytest.raises(ValueError, match="serial line rs485: "):
         SerialLine("rs485", baud, parity, stop_bits)

@@ -242,5 +242,5 @@ def test_so_many_wait_for_a_unit_and_no_more():
 
 
 def test_two_controllers_of_one_unit_are_refused():
-    with pytest.raises(ValueError, match="two controllers are unit 1"):
+    with pytest.raises(ValueError, match="unit 1: already used"):
         gateway(1, 1)

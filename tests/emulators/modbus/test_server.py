@@ -328,9 +328,9 @@ def test_a_writer_is_told_in_order_and_may_refuse():
 @pytest.mark.parametrize(
     ("rows", "problem"),
     [
-        ([Register(0, "a"), Register(0, "b")], "b and a are both at 0000h"),
-        ([Register(0, "a", Kind.U32), Register(1, "b")], "b and a are both at 0001h"),
-        ([Register(0, "a"), Register(1, "a")], "two registers are called a"),
+        ([Register(0, "a"), Register(0, "b")], "b and a: both at address 0000h"),
+        ([Register(0, "a", Kind.U32), Register(1, "b")], "b and a: both at address 0001h"),
+        ([Register(0, "a"), Register(1, "a")], "register a: name already used"),
         ([Register(0xFFFF, "a", Kind.U32)], "address 10000h"),
         ([Register(0, "a", Kind.I16, default=40000)], "i16 holds -32768 to 32767"),
     ],

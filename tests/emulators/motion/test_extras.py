@@ -367,7 +367,7 @@ def test_every_drive_takes_a_plant_with_extras(kind):
     [
         ({"backlash_rad": -1}, "backlash_rad", "-1 is outside 0..6.2832"),
         ({"backlash": 0.1}, "backlash", "did you mean backlash_rad?"),
-        ({"cogging_periods_rev": 1.5}, "cogging_periods_rev", "no whole number"),
+        ({"cogging_periods_rev": 1.5}, "cogging_periods_rev", "not a whole number"),
         ({"stop_low_rad": 2.0, "stop_high_rad": 1.0}, "stop_low_rad", "not below stop_high_rad"),
         (
             {"thermal_time_constant_winding_s": 2.0},
@@ -387,5 +387,5 @@ def test_what_a_plant_cannot_have_is_refused_with_its_key(table, key, told):
 
 def test_a_motor_cannot_begin_beyond_an_end_of_its_way():
     settings = {"node_id": 1, "plant": {"preset": "mast_20w", "stop_high_rad": 1.0}}
-    with pytest.raises(SettingError, match="beyond an end"):
+    with pytest.raises(SettingError, match="beyond the plant's end"):
         cia402_drive({**settings, "initial_position_rad": 1.5}, CONTEXT)
