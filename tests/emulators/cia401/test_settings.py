@@ -1,4 +1,4 @@
-"""What a rig may say of an I/O node."""
+"""Settings of an I/O node in a rig."""
 
 from pathlib import Path
 
@@ -11,16 +11,16 @@ from emulators.controller import ControllerContext, SettingError
 from emulators.plant.presets import PRESETS
 
 
-def test_everything_but_the_node_id_has_a_default():
+def test_all_keys_except_node_id_have_defaults():
     settings = read_settings({"node_id": 5}, Path())
     (channel,) = settings.channels
     assert settings.eds == OWN_EDS
     assert channel.plant == PRESETS["wheel_60w"]
-    assert channel.current_per_volt_a_v == 0.8  # 10 V: the 8 A that the amplifier allows
+    assert channel.current_per_volt_a_v == 0.8  # 10 V: the amplifier's maximum of 8 A
     assert (channel.tick_ns, channel.current_steps, channel.enable_ns) == (250_000, 5, 5_000_000)
 
 
-def test_channels_share_what_the_rig_says_and_differ_where_it_says_so():
+def test_channels_share_common_settings_and_override_them():
     table = {
         "node_id": 5,
         "channels": 3,
@@ -80,20 +80,20 @@ def test_channels_share_what_the_rig_says_and_differ_where_it_says_so():
         ({"objects": {"6443h:1": "x"}}, "objects.6443h:1: 'x' is not a number"),
     ],
 )
-def test_what_is_wrong_is_named(table, text):
+def test_wrong_setting_is_refused_by_name(table, text):
     with pytest.raises(SettingError) as caught:
         build({"node_id": 5, **table}, ControllerContext("io", Path(), 1))
     assert text in str(caught.value)
 
 
-def test_objects_of_the_rig_are_power_on_values():
+def test_objects_of_rig_are_power_on_values():
     table = {"node_id": 5, "objects": {"6444h:1": -3277, "1008h": "mine"}}
     node = build(table, ControllerContext("io", Path(), 1))
     assert node.od.integer(0x6444, 1, 0) == -3277
     assert node.od.get(0x1008).default == b"mine"
 
 
-def test_the_file_has_no_object_without_behaviour_and_no_warning():
+def test_own_file_has_only_used_objects_and_no_warning():
     node = build({"node_id": 5, "channels": 4}, ControllerContext("io", Path(), 1))
     assert list(node.take_events()) == []
     readers = [index for index in (0x6000, 0x6820) if node.od.get(index, 1).reader is None]
