@@ -4,7 +4,7 @@ from hypothesis import strategies as st
 from emulators.event_queue import EventQueue
 
 
-def test_events_at_same_time_run_in_order_of_requests():
+def test_events_of_one_time_run_in_the_order_of_asking():
     queue = EventQueue()
     log = []
     alarms = [queue.alarm(lambda now, n=n: log.append((now, n))) for n in range(4)]

@@ -104,7 +104,7 @@ def test_long_rpdo_uses_mapped_bytes_with_emcy_8220h():
     bench = bench_with((CONTROLWORD,), 255)
     bench.tell(0x202, "0F 00 AA BB CC DD EE FF")
     assert values(bench.od, 0x6040) == [0x0F]
-    # As a Roboteq drive reports it (recording of node 12): 8220h, 1001h = 11h; ours adds the RPDO and both lengths
+    # As a Roboteq drive reports it (node 12): 8220h, 1001h = 11h; ours adds RPDO and lengths
     assert bench.frames() == ["082 20 82 11 01 08 02 00 00"]
     bench.tell(0x202, "0F")  # now too short: replaced by another error
     assert bench.frames() == ["082 10 82 11 01 01 02 00 00"]

@@ -303,7 +303,7 @@ def test_unsupported_request_is_refused(bench, pdu, code):
         bench.ask(pdu)
 
 
-def test_register_map_has_no_overlaps():
+def test_register_map_has_vendor_addresses():
     rows = {row.name: row for row in registers()}
     assert rows["path15_special"].address == 0x627F
     assert rows["path3_position"].address == 0x6219

@@ -210,9 +210,7 @@ def test_broadcasts_write_without_response():
     one = server()
     one.broadcast(bytes.fromhex("10 0001 0001 02 000A"))
     one.broadcast(bytes.fromhex("03 0001 0001"))
-    one.broadcast(
-        bytes.fromhex("17 0003 0001 0003 0001 02 0001")
-    )  # reads as well: not for broadcast
+    one.broadcast(bytes.fromhex("17 0003 0001 0003 0001 02 0001"))  # reads: not broadcast
     one.broadcast(b"")
     assert ask(one, "03 0001 0003") == "03 06 00 0A 00 00 00 00"
 
