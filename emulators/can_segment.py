@@ -1,4 +1,4 @@
-"""A CAN bus of a world: delivery by identifier, with one look-up per frame."""
+"""A CAN bus of a world: delivery of frames by identifier."""
 
 from collections.abc import Callable, Mapping
 from typing import Final, final

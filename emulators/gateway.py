@@ -1,4 +1,4 @@
-"""Gateways between a world in wall time and the outside, and their input sources."""
+"""Gateways between a world in wall time and the outside."""
 
 from collections.abc import Sequence
 from typing import Protocol

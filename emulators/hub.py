@@ -1,4 +1,4 @@
-"""The hub: a world's buses on a UNIX socket, for other processes of this machine."""
+"""The hub: a world's buses on a UNIX socket, for other processes."""
 
 import contextlib
 import errno

@@ -1,8 +1,8 @@
-"""Protocol of a hub's socket: one SEQPACKET record per message, first byte its kind.
+"""Protocol of a hub's socket: one SEQPACKET record per message.
 
-The hub is a bus that several processes share without root or kernel module. It is lossless, and
-keeps the order of the frames on the bus. The connection opens with a text exchange, so that a
-client of another version gets a readable refusal:
+The hub is a bus that several processes share without root or kernel module. The first byte of a
+record is its kind. The hub is lossless, and keeps the order of the frames on the bus. The
+connection opens with a text exchange, so that a client of another version gets a readable refusal:
 
     client: b"motorhil-hub 1 BUS NAME"     BUS may be empty: the first one
     hub:    b"welcome BUS"  or  b"refused REASON"

@@ -1,4 +1,4 @@
-"""Common base of Modbus drives: a unit on a line, registers and one axis.
+"""Base of Modbus drives: a unit on a line, registers, one axis.
 
 A drive of a certain make derives from `ModbusDrive` and attaches behaviour to its registers. The
 drive does nothing between two calls: `next_deadline_ns` returns the time of the next required call.

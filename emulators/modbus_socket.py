@@ -1,7 +1,8 @@
-"""A Gateway between a Modbus/TCP line of a world and network clients, loopback by default.
+"""A Gateway between a Modbus/TCP line of a world and network clients.
 
-Each network connection has one connection to the emulated gateway. Its data arrive there after the
-latency of the line, and responses are sent out at once.
+By default only loopback addresses are allowed. Each network connection has one connection to the
+emulated gateway. Its data arrive there after the latency of the line, and responses are sent out at
+once.
 """
 
 import ipaddress

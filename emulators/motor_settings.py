@@ -1,4 +1,4 @@
-"""Motor settings of a rig (plant, servo, clock), and the axis built from them.
+"""Motor settings of a rig, and the axis built from them.
 
 Third-party controllers may use this module like our own. They bring the protocol, and support every
 motor that a rig can describe, with the same keys:

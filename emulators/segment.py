@@ -1,4 +1,4 @@
-"""Segments and endpoints of a world, independent of the medium, and their overseer."""
+"""Segments and endpoints of a world, and their overseer."""
 
 from collections.abc import Callable, Mapping
 from typing import final

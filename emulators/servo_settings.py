@@ -1,4 +1,4 @@
-"""Servo settings of a drive in a rig, for any bus: the table `servo`."""
+"""Servo settings of a drive in a rig: the table `servo`."""
 
 from collections.abc import Mapping
 from dataclasses import fields, replace

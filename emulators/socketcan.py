@@ -1,4 +1,4 @@
-"""A Gateway between an emulated bus and a Linux SocketCAN interface (vcan0, or a real can0)."""
+"""A Gateway between an emulated bus and a Linux SocketCAN interface."""
 
 import contextlib
 import errno

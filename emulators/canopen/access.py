@@ -1,4 +1,4 @@
-"""Access of a client to the object dictionary, with abort codes for refusals.
+"""Access of a client to the object dictionary, with abort codes.
 
 The SDO server uses it. Other services that access a dictionary may use it as well.
 """

@@ -1,4 +1,4 @@
-"""Description of a device independent of the file format; source of object dictionaries."""
+"""Description of a device, independent of the file format."""
 
 from pathlib import Path
 from typing import final

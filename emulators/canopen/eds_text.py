@@ -1,4 +1,4 @@
-"""Line reader for EDS and DCF files: sections and keys with line numbers.
+"""Line reader for EDS and DCF files: sections, keys, line numbers.
 
 Files in the field are hand-edited, merged and saved by old editors. These defects are repaired with
 a warning: a text encoding other than UTF-8, an unresolved merge whose two sides mean the same, a

@@ -1,4 +1,4 @@
-"""Values in EDS and DCF files (CiA 306, 4.5): numbers, $NODEID expressions, strings.
+"""Values in EDS and DCF files (CiA 306, 4.5).
 
 Every function returns the value and a remark. A remark other than "" names a repair.
 """

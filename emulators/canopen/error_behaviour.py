@@ -1,4 +1,4 @@
-"""Error behaviour object 1029h (CiA 301): effects of errors on the NMT state."""
+"""Error behaviour (CiA 301, 1029h): effects of errors on the NMT state."""
 
 from typing import Final
 

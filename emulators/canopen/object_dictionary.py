@@ -182,8 +182,8 @@ class Variable:
         value: the present value; with a `reader` the last written value only.
         reader: returns the current value of a whole number.
         writer: called with every new value of a whole number that passed the range checks, by SDO
-            and by PDO. It returns 0, and the value is stored, or an abort code, and nothing
-            changes. It may use `value`, which still is the old one.
+            and by PDO. The writer returns 0, and the value is stored, or an abort code, and nothing
+            changes. The writer may use `value`, which still is the old one.
     """
 
     def __init__(

@@ -2,7 +2,7 @@
 
 "save" written to 1010h:n stores the present values: all (1), of communication (2: 1000h to 1FFFh),
 of the application (3: 6000h to 9FFFh), of the manufacturer (4 and above: 2000h to 5FFFh). They are
-the power-on values from then on. "load" written to 1011h:n deletes the stored values. It takes
+the power-on values from then on. "load" written to 1011h:n deletes the stored values. "load" takes
 effect after the next reset of the node, or of communication for communication parameters. Any other
 signature is refused with 0800 0020h, without any effect.
 

@@ -1,4 +1,4 @@
-"""PDO mapping (CiA 301, 7.4.7 and 7.5.2.36): variables in the eight bytes of a PDO.
+"""PDO mapping (CiA 301, 7.4.7 and 7.5.2.36): variables in a PDO.
 
 Practically all mappings can be expressed by `struct`. They are packed and unpacked by one
 precompiled call on whole frames. Others (single bits, 24-bit integers) are processed bit by bit.

@@ -1,4 +1,4 @@
-"""SDO block transfer (CiA 301, 7.2.4.3.9 to 7.2.4.3.15): data in both directions, CRC.
+"""SDO block transfer (CiA 301, 7.2.4.3.9 to 7.2.4.3.15): data and CRC.
 
 A block has up to 127 segments of 7 bytes, numbered from 1, and is confirmed as a whole. The
 receiver reports the last number that arrived in sequence, and the size of the next block. Segments

@@ -1,9 +1,9 @@
-"""A channel of an I/O node: a torque amplifier, its motor and the motor's encoder.
+"""A channel of an I/O node: torque amplifier, motor and encoder.
 
 The amplifier is a plain one for a brushed motor in current mode, with an analogue input of +-10 V,
 an enable input, and two outputs. *Ready*: it drives the current commanded by its input. *Fault*: it
-has switched itself off. It stays off until the enable input is removed and the cause is gone. It
-does not know positions and speeds, and does not monitor its host.
+has switched itself off. The amplifier stays off until the enable input is removed and the cause is
+gone. The amplifier does not know positions and speeds, and does not monitor its host.
 """
 
 from typing import Final, final

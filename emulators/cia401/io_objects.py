@@ -1,4 +1,4 @@
-"""Objects of an I/O node: outputs written by hosts, inputs and counters read by them.
+"""Objects of an I/O node: outputs, inputs and counters.
 
 | object     | what                                                                          |
 | ---------- | ----------------------------------------------------------------------------- |

@@ -1,4 +1,4 @@
-"""A CiA 401 I/O node on a CAN bus with amplifiers and encoders; sans-I/O.
+"""A CiA 401 I/O node with amplifiers and encoders; sans-I/O.
 
 Outputs change when their RPDO is processed: at once (types 254, 255) or at SYNC (0 to 240), before
 the counters are sampled for the TPDOs of the same SYNC. If the host is lost (heartbeat, NMT stop,

@@ -1,4 +1,4 @@
-"""Settings of a CiA 401 I/O node and its channels in a rig.
+"""Settings of a CiA 401 I/O node and its channels.
 
 Values under `plant` and `amplifier` apply to every channel. `channel.2.plant` has the values that
 differ for channel 2, and so on.

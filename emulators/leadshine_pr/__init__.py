@@ -1,1 +1,1 @@
-"""A drive with a path table ("PR mode") like those of Leadshine and StepperOnline."""
+"""A drive with a path table ("PR mode"), as by Leadshine."""

@@ -1,4 +1,4 @@
-"""Homing of a PR-mode drive: fast to the switch, slowly back off; zero is there.
+"""Homing of a PR-mode drive: search, back off, set zero.
 
 Bit 0 of the homing mode is the direction (1: forward). Bit 2 selects the home switch, otherwise the
 limit switch of that side. Without such a switch the search continues until it is stopped, as in the

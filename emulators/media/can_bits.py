@@ -1,4 +1,4 @@
-"""Length of CAN frames on the wire, their bit rates and arbitration keys.
+"""Length, bit rates and arbitration keys of CAN frames.
 
 From start of frame to the end of the CRC sequence, the sender inserts one inverse bit after five
 equal bits. The stuff bit begins a new run. A run that ends with the last CRC bit counts as well.

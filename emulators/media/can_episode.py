@@ -5,8 +5,8 @@ of the bit, (bit + 1) bit times after the start of frame.
 
 The simulation is causal. If two episodes differ only from some bit on (a disturbance that lasts
 longer, a node that leaves), all before that bit is equal. An episode may therefore be computed as
-if nothing more would happen, and again when something does. It is computed in sections, because
-under heavy noise nodes may not agree for hours.
+if nothing more would happen, and again when something does. An episode is computed in sections,
+because under heavy noise nodes may not agree for hours.
 
 Bus-off nodes are not stations here; `recessive_runs` and `recessive_bits` tell how many recessive
 bits they count. Propagation delays are ignored: within one bit all nodes sample one level.
@@ -175,8 +175,8 @@ def run_episode(
 ) -> Episode:
     """Simulate from a start of frame until every node could start the next one.
 
-    It ends earlier if some node hears only dominant bits for ever (`stalled`) and the others are
-    ready. Handing on the disturbances that are not over is the caller's task.
+    The episode ends earlier if some node hears only dominant bits for ever (`stalled`) and the
+    others are ready. Handing on the disturbances that are not over is the caller's task.
 
     Args:
         stations: the nodes on the bus that are not bus-off; equal ones cost as much as one.

@@ -1,4 +1,4 @@
-"""Nodes on one wire, how each takes part, and the frames of absent nodes.
+"""Nodes on one wire, and the frames of absent nodes.
 
 Nodes that may not send keep their frames: the entry of their port is CUT_OFF.
 """

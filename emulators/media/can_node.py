@@ -33,8 +33,8 @@ class CanNode:
         one_shot: a frame that fails, or loses arbitration, is not sent again.
         recovery_ns: delay after bus-off before it begins to wait for the 128 x 11 recessive bits
             [ns]; None: it waits for a command.
-        shared: its port belongs to one of several programs that share one CAN controller. Of two
-            frames with one identifier that they send, one waits for the other.
+        shared: its port belongs to one of several programs that share one CAN controller. If two of
+        them send frames with one identifier, one frame waits for the other.
         error_reporting: it reports every single error, not only changes of its state (SocketCAN:
             berr-reporting).
         clock_error_1e12: relative error of its oscillator [1e-12]. Above 0 it runs fast, and the

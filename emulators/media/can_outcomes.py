@@ -1,4 +1,4 @@
-"""The result of the frame in flight: completion, or the playback of an episode.
+"""Results of the frame in flight: completion, or an episode.
 
 A lone error passive node repeats its frame for ever without any change. This costs nothing here.
 """

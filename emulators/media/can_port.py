@@ -1,4 +1,4 @@
-"""Transmit side of a node: its candidate in the arbitration and the queue behind it."""
+"""Transmit side of a node: its candidate and its queue."""
 
 from heapq import heappop, heappush
 from typing import Final, final

@@ -1,4 +1,4 @@
-"""Participation of a node in its bus: error counters and reasons not to send or hear.
+"""Participation of a node in its bus: error counters and roles.
 
 A node that comes back after a cut listens until it has heard 11 recessive bits in a row. A bus-off
 node waits until it has counted 128 such runs. Between frames the bus does not process single bits:

@@ -2,8 +2,8 @@
 
 Interpretations taken from the standard's own tests (ISO 16845-1):
 - A classical controller that does not tolerate CAN FD takes a recessive FDF bit for a reserved bit.
-  It reads on as in a classical frame until the format is violated (7.1.4, 7.1.5). To a tolerant one
-  it is a protocol exception; a recessive res bit is one to all others (7.1.6).
+  The controller reads on as in a classical frame until the format is violated (7.1.4, 7.1.5). To a
+  tolerant one it is a protocol exception; a recessive res bit is one to all others (7.1.6).
 - In a CAN FD frame the CRC delimiter, or the ACK slot, may have a second bit (8.2.7). After a
   recessive ACK slot, or before a dominant ACK delimiter, another bit belongs to it (7.6.7, 7.6.10).
 

@@ -1,7 +1,7 @@
 """CAN signalling outside of frames: error and overload frames, intermission.
 
-An error flag begins with the bit after the error was detected. That of a CRC error begins with the
-bit after the ACK delimiter.
+An error flag begins with the bit after the error was detected. The flag of a CRC error begins with
+the bit after the ACK delimiter.
 
 Left open by the standard, decided here:
 - A bit error in an active error flag or overload flag begins a new error flag, and counts by rules

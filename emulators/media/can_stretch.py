@@ -1,9 +1,9 @@
-"""A stretch of cable with its nodes, under faults: the timing of events.
+"""A stretch of cable with its nodes, under faults.
 
 The fate of a frame is decided one bit after its start, the last moment at which another node could
 have joined it. An undisturbed frame completes at its end, and counters go down. Otherwise the time
-until all nodes agree again is an episode (`can_episode`). It is played bit by bit (`Playback`), and
-computed again if something happens meanwhile.
+until all nodes agree again is an episode (`can_episode`). The episode is played bit by bit
+(`Playback`), and computed again if something happens meanwhile.
 """
 
 from dataclasses import replace

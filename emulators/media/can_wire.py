@@ -1,4 +1,4 @@
-"""Bit sequence of a frame on the wire, and the place of each bit in the frame.
+"""Bit sequence of a CAN frame on the wire.
 
 Source: ISO 11898-1, frame formats, CRC sequence, bit stuffing.
 """

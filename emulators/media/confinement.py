@@ -1,4 +1,4 @@
-"""Fault confinement of one CAN node: its two error counters and error state.
+"""Fault confinement of a CAN node: error counters and error state.
 
 The rules are those of ISO 11898-1, fault confinement, by their letters (Bosch CAN 2.0 numbers them
 1 to 12). `CanStation` detects on the wire when a rule applies. This module implements its effect:

@@ -1,4 +1,4 @@
-"""Deliveries of a bus: the receivers of a complete frame and its sender's confirmation.
+"""Deliveries of a bus: receivers of a frame and confirmation.
 
 A delivery is (frame, port that sent it, kind). Without faults the kind is always 0. Otherwise its
 low two bits select the action. The bits above are the ports (1 << number) that do not hear this

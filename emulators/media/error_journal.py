@@ -1,4 +1,4 @@
-"""Event log of a node on the wire, and its CAN controller's error messages.
+"""Event log of a node, and its CAN controller's error messages.
 
 Error messages are those of a driver that reports each error: its type, its place, whether the node
 was sending, and the counters after it. A change of the node's error state is reported as Linux's

@@ -1,4 +1,4 @@
-"""Placement of an injected error in a frame, so that it has the wanted type."""
+"""Placement of an injected error in a frame."""
 
 from typing import Final
 

@@ -1,4 +1,4 @@
-"""Fault rules of a CAN bus: which frames are hit, how, and how often.
+"""Fault rules of a CAN bus: frames hit, effects and conditions.
 
 Faults are modelled by their effect on a receiver, in CAN's own terms where these exist:
 - DROP: the sender believes the frame sent, but the ports hit do not hear it (with some ports: CAN's
@@ -6,8 +6,8 @@ Faults are modelled by their effect on a receiver, in CAN's own terms where thes
 - DELAY: the ports hit hear it later, as behind a gateway or a slow driver. Others may overtake it.
 - DUPLICATE: a substitute for the error `last` that takes the same time but changes no counters. The
   ports hit hear the frame, and its sender sends it again once, after an error frame (15 bits) and a
-  new arbitration. Ports not hit hear it once. It may strike every frame that ends in a window of
-  time; 32 such failures in a row by ERROR would take the sender off the bus.
+  new arbitration. Ports not hit hear it once. The rule may strike every frame that ends in a window
+  of time; 32 such failures in a row by ERROR would take the sender off the bus.
 - CORRUPT: the ports hit hear other data than were sent, which no CRC detects: the change happened
   in a gateway's or a node's memory. (CAN itself repeats what the CRC detects: ERROR, NOISE.)
 - CUT: ports are off the bus for a time, each alone on its stub. Without an acknowledgement each

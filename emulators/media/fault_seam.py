@@ -1,4 +1,4 @@
-"""Seam between a fault plan and the traffic of a bus: receivers and their delays."""
+"""Seam between a fault plan and the traffic of a bus."""
 
 from collections.abc import Sequence
 from heapq import heappop, heappush

@@ -1,9 +1,9 @@
 """CAN FD frame checks: stuff bits, stuff count, CRC-17 and CRC-21.
 
 From start of frame to the end of the data, an inverse bit follows five equal bits. At the end of
-the data a fixed stuff bit follows instead. It is not counted, even after five equal bits. From
-there one fixed stuff bit precedes every four bits of stuff count and CRC. The CRC covers the stuff
-count and all bits before it, dynamic stuff bits included, but no fixed ones.
+the data a fixed stuff bit follows instead. This bit is not counted, even after five equal bits.
+From there one fixed stuff bit precedes every four bits of stuff count and CRC. The CRC covers the
+stuff count and all bits before it, dynamic stuff bits included, but no fixed ones.
 
 Source: ISO 11898-1:2015, bit stuffing, CRC sequence.
 """

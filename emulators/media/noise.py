@@ -10,7 +10,7 @@ _DOUBLINGS: Final = 48  # distances up to 2**48 bits, beyond the life of a bus
 
 @final
 class NoiseSource:
-    """A stream of inverted bits. It draws once per inverted bit.
+    """A stream of inverted bits, with one draw per inverted bit.
 
     The computation uses products alone, so that all machines get equal results.
 

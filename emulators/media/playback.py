@@ -1,4 +1,4 @@
-"""Playback of an episode in time: each event occurs at the end of its bit.
+"""Playback of an episode in time.
 
 The episode is computed some bits ahead. When these are played, the computed length is doubled. The
 total cost is therefore proportional to the length of the episode, and an endless one costs no more

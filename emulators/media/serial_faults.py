@@ -1,4 +1,4 @@
-"""Fault rules of a serial line: which frames are hit, how, and how often.
+"""Fault rules of a serial line: frames hit, effects and conditions.
 
 - LOSE: no port hears the frame; the line is busy all the same.
 - DELAY: the frame begins later, as from a busy server, or behind a converter.

@@ -1,4 +1,4 @@
-"""A wired-AND bus: any dominant bit prevails; its controllers step bit by bit.
+"""A wired-AND bus with its controllers, stepped bit by bit.
 
 While a node is in the data phase of a CAN FD frame, a step is a bit at the data rate. A node
 outside the data phase sends an error flag, waits for the bus to be idle, or takes the frame for a

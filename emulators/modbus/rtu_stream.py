@@ -1,4 +1,4 @@
-"""RTU framing for a byte stream without silences, as from a pseudo-terminal. Sans-I/O.
+"""RTU framing for a byte stream without silences. Sans-I/O.
 
 If the length of a request follows from its function code, and its CRC is correct there, it is a
 complete frame whatever follows. Everything else (an unknown function, a wrong CRC, the beginning of

@@ -1,4 +1,4 @@
-"""A Modbus server as a function from request PDU to response PDU. Sans-I/O.
+"""A Modbus server: from request PDU to response PDU. Sans-I/O.
 
 The checks have the specification's order: function supported (01), quantity and value valid (03),
 addresses exist (02). Only then the request is executed (04 and others, if the controller refuses).

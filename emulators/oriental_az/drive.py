@@ -1,4 +1,4 @@
-"""An AZ drive: direct data operation, stored operation data, driver inputs and outputs.
+"""An AZ drive: direct data operation, stored data, inputs and outputs.
 
 The block 0058h to 0065h describes an operation. Writing the trigger behind it makes it effective at
 once, in mid-motion as well. Writing the same trigger value again has no effect, unless the drive

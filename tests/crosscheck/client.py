@@ -1,4 +1,4 @@
-"""The client of canopen on a `Wire`; only its waits are replaced and play the wire."""
+"""The client of canopen on a `Wire`; its waits play the wire."""
 
 import queue
 import types

@@ -1,4 +1,4 @@
-"""ADUs as packets of a Wireshark capture, in TCP segments to or from port 502."""
+"""ADUs as packets of a Wireshark capture, on port 502."""
 
 import struct
 from collections.abc import Iterable

@@ -1,4 +1,4 @@
-"""Two Modbus units with every table, served on TCP and on a pseudo-terminal.
+"""Two Modbus units with every table, on TCP and pseudo-terminal.
 
 Tests exchange raw bytes. The waiting code steps the loop, so there is no thread. The absence of a
 response is shown by the next one.

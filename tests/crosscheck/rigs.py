@@ -1,4 +1,4 @@
-"""Rigs of two of our drives for tests of the host, and foreign nodes on their bus."""
+"""Rigs of two drives for tests of the host, and foreign nodes."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager

@@ -1,4 +1,4 @@
-"""Two lines with two drives each, served by `motorhil serve` in its own process."""
+"""Two lines with two drives each, served by another process."""
 
 import subprocess
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Several drives on one bus: priorities and load, compared with a bitwise model.
+"""Several drives on one bus, compared with a bitwise model.
 
 `on_the_wire` builds frames bit by bit from ISO 11898-1 and shares no code with the emulator.
 """

@@ -1,4 +1,4 @@
-"""The I/O node with canopen's client and the node's EDS: SDO, PDOs, SYNC, heartbeat.
+"""The I/O node with canopen's client and the node's EDS.
 
 Expected: CiA 401 and CiA 406 as in tests/emulators/cia401/test_node.py. Here canopen encodes and
 decodes: names, signs and places are its reading of the EDS and of the frames.

@@ -1,4 +1,4 @@
-"""Requirements of the specification that other servers miss, as bytes on TCP and RTU.
+"""Requirements of the Modbus specification that other servers miss.
 
 Each check is a function of a requester, so it is also run against pymodbus's own server, which
 fails it: that is its planted fault. Expected bytes: MODBUS Application Protocol V1.1b3, section 6

@@ -1,4 +1,4 @@
-"""NMT and error control on the wire: commands, services and times in every state.
+"""NMT and error control on the wire, in every state.
 
 Expected: CiA 301, 7.3.2.2 (NMT state diagram, table 38: states and communication objects) and
 7.2.8.2.2 (heartbeat, boot-up).

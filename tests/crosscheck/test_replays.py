@@ -1,4 +1,4 @@
-"""Recorded host frames to our drive with the vendor's EDS: comparison of responses.
+"""Recorded host frames to our drive with the vendor's EDS.
 
 Recordings: ../shared/data/traffic/INDEX.md. Differences are asserted, with their reason.
 """
@@ -61,7 +61,7 @@ def test_roboteq_pdos_are_as_recorded(shared):
 
 
 def test_roboteq_emcy_for_long_rpdos_is_as_recorded(shared):
-    """That drive maps less than its host sends: `20 82 11`, PDO length exceeded."""
+    """The recorded drive maps less than its host sends: `20 82 11`, PDO length exceeded."""
     frames = recorded(shared, "roboteq_mbl1660_node12_candump.txt")
     (theirs,) = {text for text in frames if text.startswith("081#")}
     assert theirs == "081#2082110000000000"

@@ -1,4 +1,4 @@
-"""SDO on the wire: canopen's client, and requests that clients do not send.
+"""SDO on the wire: canopen's client, and unusual requests.
 
 Aborts and their codes: CiA 301, 7.2.4.3.17 (table 22). Transfers: 7.2.4.3.
 """

@@ -1,4 +1,4 @@
-"""The PDS FSA over the bus: every command in every state, and whole statuswords.
+"""The PDS FSA over the bus: commands in all states, statuswords.
 
 Expected: CiA 402-2's state machine by canopen's table of transitions (p402.State402), and the state
 coding of Kollmorgen's AKD manual and canopen; bits 10, 12 and 13 per mode.

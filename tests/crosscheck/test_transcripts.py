@@ -1,4 +1,4 @@
-"""Our drive in place of recorded ones; every difference has a reason in `transcripts`."""
+"""Our drive in place of recorded ones: explained differences."""
 
 import dataclasses
 

@@ -1,4 +1,4 @@
-"""canopen as its users run it: `connect`, threads, wall clock, a served drive.
+"""canopen as its users run it, with a served drive.
 
 The client is unmodified. The test writes what BaseNode402 cannot do (bits 4 to 6 of pp).
 """

@@ -1,4 +1,4 @@
-"""Recorded hosts of real drives with our drive instead: differences and their reasons.
+"""Recorded hosts with our drive instead: differences and reasons.
 
 Recordings: ../shared/data/traffic/INDEX.md. The host of a transcript is played as by `replay --as
 host`. The messages of our drive are compared with those of the recorded drive, object by object

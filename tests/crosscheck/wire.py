@@ -1,4 +1,4 @@
-"""Drives on a physical bus, and a host's port with handmade frames; times in ns.
+"""Drives on a physical bus, and a host's port with handmade frames.
 
 Frames are written as candump writes them, "601#4041600000000000"; a remote frame ends in "#R". This
 module does not use the CANopen code under test: bytes are packed with struct.
@@ -110,7 +110,7 @@ class Wire:
         self.run_while(lambda: self.bus.pending(self.host.port), 100 * MS)
 
     def since(self, count: int = 0, sender: str | None = None) -> list[str]:
-        """Return frames from number `count` of the log on; of all but the host, or of one sender."""
+        """Return frames from number `count` of the log on; of all but the host, or of one."""
         return [
             text
             for _, who, text in self.log[count:]

@@ -1,4 +1,4 @@
-"""A Modbus drive on a line with a client's raw bytes: shared code of drive tests."""
+"""A Modbus drive on a line with a client's raw bytes."""
 
 from collections.abc import Mapping
 from pathlib import Path

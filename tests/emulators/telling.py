@@ -1,4 +1,4 @@
-"""A simulated error message of the medium to a node, without an error."""
+"""A simulated error message of the medium to a node."""
 
 
 def tell(world, bus, name, message):

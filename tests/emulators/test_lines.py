@@ -1,4 +1,4 @@
-"""Modbus controllers in a world: on a serial line, and behind a gateway.
+"""Modbus controllers in a world, on a line and behind a gateway.
 
 The expected times are computed here from the standard's numbers (MODBUS over Serial Line V1.02).
 """

@@ -1,4 +1,4 @@
-"""The true state of a drive has the values of its plant's extras, and only those."""
+"""The true state of a drive has its plant's extras only."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""A node on a bench: a small dictionary, a recording host and controlled time."""
+"""A node on a bench, with a recording host and controlled time."""
 
 from struct import Struct
 

@@ -1,4 +1,4 @@
-"""Abort codes of every wrong access, over our and vendors' files (CiA 301).
+"""Abort codes of wrong accesses, over our and vendors' files (CiA 301).
 
 The expected code is derived here from the standard. The description of an object is canopen's
 reading of the file, not ours. Only for a value within its range a device may have reasons of its

@@ -1,4 +1,4 @@
-"""EDS texts from the field: repaired with a warning and its line, or refused."""
+"""EDS texts from the field: repaired with a warning, or refused."""
 
 import pytest
 from hypothesis import given

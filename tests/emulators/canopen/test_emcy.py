@@ -1,4 +1,4 @@
-"""EMCY (CiA 301, 7.2.7): the message, the error register 1001h and the history 1003h."""
+"""EMCY (CiA 301, 7.2.7): message, error register 1001h, history 1003h."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""LSS slave (CiA 305): golden bytes of the standard, and effects of a node-ID."""
+"""LSS slave (CiA 305): golden bytes, and effects of a node-ID."""
 
 import pytest
 

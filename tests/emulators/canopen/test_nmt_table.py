@@ -1,4 +1,4 @@
-"""Services by NMT state: one complete table (CiA 301, table 38; CiA 305)."""
+"""Services by NMT state (CiA 301, table 38; CiA 305)."""
 
 import pytest
 

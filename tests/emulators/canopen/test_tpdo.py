@@ -1,4 +1,4 @@
-"""TPDOs: on SYNC, event and timer, limited by the inhibit time (CiA 301, 7.2.2)."""
+"""TPDOs (CiA 301, 7.2.2): SYNC, events, timers and inhibit time."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""Vendors' EDS and DCF files, compared with canopen and run on a node.
+"""Vendors' EDS and DCF files, compared with canopen, on a node.
 
 The files stay in ../shared (third parties' data); the index there lists their defects.
 """

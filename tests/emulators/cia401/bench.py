@@ -1,4 +1,4 @@
-"""An I/O node on the bench of the drives: simulated time, frames packed by hand."""
+"""An I/O node on the bench of the drives."""
 
 import struct
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""The I/O node: outputs, inputs and counters by PDO and SDO, and loss of the host.
+"""The I/O node: outputs, inputs, counters, and loss of the host.
 
 Expected: CiA 401 (6000h, 6200h, 6206h, 6207h, 6411h, 6443h, 6444h and the default PDOs 1 and 2),
 CiA 406 (6010h, 6020h, here 800h further), CiA 301 (multiple device modules, 1029h, PDOs).

@@ -1,4 +1,4 @@
-"""An I/O node and its amplifiers use the node's clock; its motors use true time."""
+"""An I/O node uses its own clock, its motors true time."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""Running a bus in tests: delivery times, and the deliveries to each port."""
+"""Running a bus in tests: deliveries and their times."""
 
 from collections.abc import Iterable
 

@@ -1,4 +1,7 @@
-"""A bus with modest traffic and bit errors for hours: two TPDOs per 100 ms at 500 kbit/s."""
+"""A bus with modest traffic and bit errors for hours.
+
+Two nodes send a TPDO each every 100 ms at 500 kbit/s.
+"""
 
 import random
 from dataclasses import dataclass, field

@@ -4,7 +4,7 @@
 bit, and receives the level sampled there. Its position in the code is its position in the protocol.
 Errors are exceptions. The emulator shares no code with it.
 
-It works at one bit rate; `wired_and` handles two rates.
+The node works at one bit rate; `wired_and` handles two rates.
 Source: ISO 11898-1:2015; where it leaves something open, the conformance tests of ISO 16845-1 (the
 clause is named), and then the emulator's docstrings.
 """
@@ -300,7 +300,7 @@ class ReferenceNode:
     # --- between frames
 
     def interframe(self, cause: str) -> Heard:
-        """Process flags, delimiters and intermission; return "idle", or "start" in its third bit."""
+        """Process flags, delimiters, intermission; return "idle", or "start" in its third bit."""
         while True:
             if cause != "intermission":
                 yield from self.flags(cause)

@@ -188,7 +188,8 @@ def test_equal_frames_of_two_nodes_are_sent_as_one():
 
 
 def test_different_frames_with_one_identifier_collide():
-    # Of 01h and 02h the first is dominant in the first difference: its sender reads no error there.
+    # Among 01h and 02h the first is dominant in the first difference: its sender reads no error
+    # there.
     # After 16 attempts at TEC + 8 both are error passive, and the other's error flag destroys
     # nothing.
     for order in ([0, 1], [1, 0]):

@@ -1,4 +1,4 @@
-"""The bus compared with nodes that send and read single bits on a wired AND."""
+"""The bus compared with bitwise nodes on a wired AND."""
 
 from dataclasses import dataclass, field
 

@@ -1,4 +1,4 @@
-"""Ends of frames and wires: last bits, third bit of intermission, partial shorts."""
+"""Ends of frames and wires: last bits, intermission, partial shorts."""
 
 import random
 

@@ -1,4 +1,4 @@
-"""Random sequences of faults: counters stay legal, and no frame is lost unnoticed."""
+"""Random fault sequences: legal counters, and no frame lost unnoticed."""
 
 import random
 from collections import Counter

@@ -1,4 +1,4 @@
-"""Errors on a bus: bus-off and recovery, lone nodes, noise, babble, shorts, splits."""
+"""Errors on a bus: bus-off, lone nodes, noise, babble, shorts, splits."""
 
 import random
 

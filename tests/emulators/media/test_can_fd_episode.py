@@ -281,7 +281,7 @@ def test_error_in_data_phase_is_signalled_at_nominal_rate():
 def test_each_data_phase_has_its_own_grid():
     """Twice in one episode: an error passive receiver misreads a bit of the first error delimiter.
 
-    It is therefore not ready when the frame is sent again.
+    The receiver is therefore not ready when the frame is sent again.
     """
     first, _ = wire_fd.data_phase(ONES)
     struck = SENT.index("11111", first) + 2

@@ -1,4 +1,7 @@
-"""Recessive bits counted by a bus-off or integrating node; by hand, at 1 us a bit."""
+"""Recessive bits counted by a bus-off or integrating node; by hand.
+
+A bit takes 1 us.
+"""
 
 from dataclasses import replace
 

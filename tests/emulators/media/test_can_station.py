@@ -1,4 +1,4 @@
-"""One CAN controller against transcripts of the wire, drawn by hand from the standard.
+"""One CAN controller against handmade transcripts of the wire.
 
 A transcript has the levels that the controller samples, bit by bit (0 dominant, 1 recessive), and
 the levels that it drives meanwhile. Frames come from `wire`, which shares no code with the

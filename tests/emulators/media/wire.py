@@ -1,4 +1,4 @@
-"""CAN frames built bit by bit, for comparison with the tables of the bus.
+"""CAN frames built bit by bit, to check the bus.
 
 No code is shared with the emulator: frames are given as fields, the CRC is the remainder of a long
 division of the whole bit string, and stuffing looks for five equal bits.

@@ -1,4 +1,4 @@
-"""CAN FD frames built bit by bit, as `wire` does for classical ones.
+"""CAN FD frames built bit by bit, as `wire` does.
 
 Strings of bits; the CRC is the remainder of a long division of the whole string, with the initial
 value of the register as a term of the dividend.
