@@ -72,7 +72,7 @@ class Presence:
         return ErrorState.BUS_OFF if self.role is Role.OFF else self.confinement.state()
 
     def due_ns(self, bit_ns: int) -> int:
-        """Return when it takes part again on an idle bus, or NEVER_NS if it does or never will."""
+        """Return when it takes part again on an idle bus; NEVER_NS: it does, or needs a command."""
         if self.role is Role.ON or self.since_ns == NEVER_NS:
             return NEVER_NS
         if self.role is Role.SUSPENDED:

@@ -70,7 +70,7 @@ class CanStretch(CanOutcomes):
         return self._joinable_ns
 
     def _held_due_ns(self) -> int:
-        """Return when a suspended or absent node may send again, or NEVER_NS if none can."""
+        """Return when a held node may send again, or NEVER_NS if none can before an idle bus."""
         due_ns = NEVER_NS
         for node in self._held:
             node_ns = node.due_ns(self.bit_ns)
