@@ -59,8 +59,7 @@ class CanBus(CanStretch):
     `take_fault_events` has any.
 
     Raises:
-        ValueError: a bit at one of these rates is not a whole number of nanoseconds, or the data
-            rate is below the nominal rate.
+        ValueError: a bit is not a whole number of nanoseconds, or the data rate is too low.
     """
 
     __slots__ = (
@@ -396,7 +395,6 @@ def _bit_ns(name: str, rate_bit_s: int) -> int:
     if rate_bit_s <= 0 or 1_000_000_000 % rate_bit_s:
         raise ValueError(
             f"bus {name}: a bit at {rate_bit_s} bit/s is not a whole number of nanoseconds; "
-            "use 8M, 5M, 4M, 2M, 1M, 800k, 500k, 250k, 125k, 100k, 50k, 20k or 10k, for "
-            "example"
+            "use 8M, 5M, 4M, 2M, 1M, 800k, 500k, 250k, 125k, 100k, 50k, 20k or 10k"
         )
     return 1_000_000_000 // rate_bit_s
