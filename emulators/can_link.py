@@ -1,4 +1,4 @@
-"""What kind of network interface a CAN interface is, asked of the kernel.
+"""Type of a CAN network interface, from the Linux kernel.
 
 Source: linux/rtnetlink.h, linux/if_link.h (RTM_GETLINK, IFLA_MTU, IFLA_LINKINFO, IFLA_INFO_KIND).
 """
@@ -20,19 +20,19 @@ _ANSWER_MAX: Final = 1 << 16
 
 
 def link_kind(interface: str) -> str:
-    """As `ip -details link` names it ("vcan", "can" for hardware); "" where the kernel has none.
+    """Return the kind as in `ip -details link` ("vcan", "can" for hardware), or "".
 
     Raises:
-        OSError: there is no such interface.
+        OSError: the interface does not exist.
     """
     return _part(_part(_attributes_of(interface), _LINKINFO), _KIND).rstrip(b"\0").decode()
 
 
 def link_mtu(interface: str) -> int:
-    """The largest frame it takes [bytes]: 16, or 72 and more where it takes CAN FD.
+    """Return the largest frame [bytes]: 16, or 72 and more with CAN FD.
 
     Raises:
-        OSError: there is no such interface.
+        OSError: the interface does not exist.
     """
     return int.from_bytes(_part(_attributes_of(interface), _MTU), sys.byteorder)
 
@@ -47,7 +47,7 @@ def _attributes_of(interface: str) -> bytes:
 
 
 def _part(attributes: bytes, wanted: int) -> bytes:
-    """What an attribute holds; nothing if it is not there."""
+    """Return the content of an attribute, or b"" if it is absent."""
     at = 0
     while at + _ATTRIBUTE.size <= len(attributes):
         size, kind = _ATTRIBUTE.unpack_from(attributes, at)

@@ -1,4 +1,4 @@
-"""A CAN bus of a world: who hears which identifier, at the cost of one look-up a frame."""
+"""A CAN bus of a world: delivery of frames by identifier."""
 
 from collections.abc import Callable, Mapping
 from typing import Final, final
@@ -10,54 +10,54 @@ from emulators.media.delivery import DELIVERED, HEARD, KIND_MASK, LOST, TOLD, he
 from emulators.media.faults import FaultRule
 from emulators.segment import ControllerSlot, Endpoint, Overseer, Segment, port_of
 
-HOST: Final = "host"  # what the host's interface is called on every bus
+HOST: Final = "host"  # name of the host's interface on every bus
 
 FrameTap = Callable[[str, int, str, bytes], None]
 
 
 @final
 class BusSegment(Segment):
-    """One bus with everybody on it, and who listens to which identifier."""
+    """One bus with its endpoints and their identifiers."""
 
     def __init__(self, bus: CanBus, world: Overseer, chips: Mapping[str, CanNode]) -> None:
         super().__init__(bus.name, world.queue)
         self.bus = bus
         self._chips = chips
-        self._interface: Endpoint | None = None  # the host's, while no application uses it
+        self._interface: Endpoint | None = None  # of the host, until an application uses it
         self._world = world
         self._alarm: Alarm = world.queue.alarm(self._expire)
         self._by_port: list[Endpoint] = []
         self._slots: list[ControllerSlot] = []
         self._listeners: list[Endpoint] = []  # hosts, and controllers that hear everything
         self._routes: dict[bytes, list[Endpoint]] = {}  # by the bytes of the identifier
-        self._everything: list[Endpoint] = []  # who hears an identifier that is not in there
+        self._everything: list[Endpoint] = []  # receivers of identifiers without a route
         self._routes_valid = False
         self.taps: list[FrameTap] = []
         self._settle(world.queue.now_ns)
 
     def attach(self, name: str) -> int:
-        """A controller's CAN controller is on the bus; its port."""
+        """Attach a controller's CAN controller to the bus and return its port."""
         return self.bus.attach(name, self._chips.get(name, PLAIN), self.queue.now_ns)
 
     def attach_host(self, name: str) -> int:
-        """A host's interface is on the bus; its port."""
+        """Attach a host's interface to the bus and return its port."""
         usual = FrameSupport.CLASSICAL if self.bus.data_bitrate_bit_s is None else FrameSupport.FD
         chip = self._chips.get(HOST, CanNode(frames=usual, shared=True))
         return self.bus.attach(name, chip, self.queue.now_ns)
 
     def reserve_host(self) -> None:
-        """The host's interface is on the bus, and acknowledges, before an application uses it."""
+        """Attach the host's interface, which acknowledges before an application uses it."""
         self._interface = Endpoint(HOST, self.attach_host(HOST))
         self._by_port.append(self._interface)
         self._settle(self.queue.now_ns)
 
     def add_silent(self, name: str) -> None:
-        """A node with nothing behind its CAN controller is on the bus."""
+        """Attach a node that only acknowledges."""
         self._by_port.append(Endpoint(name, self.attach(name)))
         self._settle(self.queue.now_ns)
 
     def claim_host(self, name: str) -> int:
-        """The port for an application of this name: the host's interface, or another one."""
+        """Return the port for an application of this name: the host's interface, or a new one."""
         interface = self._interface
         if interface is None or name != HOST:
             return self.attach_host(self.free_name(name))
@@ -65,7 +65,7 @@ class BusSegment(Segment):
         return interface.port
 
     def join(self, endpoint: Endpoint) -> None:
-        """The endpoint takes part; its port was attached last, or was reserved."""
+        """Add the endpoint; its port was attached last, or was reserved."""
         if endpoint.port < len(self._by_port):
             self._by_port[endpoint.port] = endpoint
         else:
@@ -78,12 +78,12 @@ class BusSegment(Segment):
         self._settle(self.queue.now_ns)
 
     def restart(self, port: int) -> None:
-        """A node that is bus-off begins to recover now."""
+        """Let a bus-off node begin to recover now."""
         self.bus.restart(port, self.queue.now_ns)
         self._settle(self.queue.now_ns)
 
     def free_name(self, wish: str) -> str:
-        """The name wished for, with a number behind it if it is taken."""
+        """Return the wanted name, with a number appended if it is taken."""
         taken = [endpoint.name for endpoint in self._by_port]
         name = wish
         number = 1
@@ -93,34 +93,34 @@ class BusSegment(Segment):
         return name
 
     def remove_listener(self, endpoint: Endpoint) -> None:
-        """The endpoint hears nothing any more."""
+        """Stop deliveries to the endpoint."""
         if endpoint in self._listeners:
             self._listeners.remove(endpoint)
         self._routes_valid = False
 
     def forget_routes(self) -> None:
-        """Somebody listens to other identifiers than before."""
+        """Rebuild the routes because a controller listens to other identifiers."""
         self._routes_valid = False
 
     def submit(self, port: int, frame: bytes, now_ns: int) -> None:
-        """The frame is queued, and the bus knows when it is next wanted."""
+        """Queue the frame and set the alarm to the bus's next deadline."""
         self.bus.submit(port, frame, now_ns)
         due_ns = self.bus.deadline_ns()
         if due_ns != self._alarm.time_ns:
             self._alarm.move(due_ns)
 
     def inject(self, rule: FaultRule) -> None:
-        """The rule holds from now on."""
+        """Add a fault rule."""
         self.bus.inject(rule, self.queue.now_ns)
         self._settle(self.queue.now_ns)
 
     def lift(self, name: str) -> None:
-        """The rule holds no longer."""
+        """Remove a fault rule."""
         self.bus.lift(name, self.queue.now_ns)
         self._settle(self.queue.now_ns)
 
     def _settle(self, now_ns: int) -> None:
-        """The bus is called when it wants to be, and what its faults did is told."""
+        """Set the alarm to the bus's deadline and report fault events."""
         if self.bus.eventful:
             for time_ns, rule, what, frame in self.bus.take_fault_events():
                 can_id = f" {int.from_bytes(frame[:4], 'little') & 0x1FFF_FFFF:X}h" if frame else ""
@@ -164,7 +164,7 @@ class BusSegment(Segment):
                 if kind == TOLD:
                     sender.told(frame, now_ns)
                 continue
-            if kind & KIND_MASK != LOST:  # what nobody hears is an event, not a frame of the record
+            if kind & KIND_MASK != LOST:  # lost frames are events, not records
                 for tap in self.taps:
                     tap(self.name, now_ns, sender.name, frame)
                 if not self._routes_valid:

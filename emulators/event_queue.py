@@ -1,7 +1,8 @@
-"""The one agenda of a simulated world: what happens next, and whose turn it is.
+"""Event queue of a simulated world: the order of all events.
 
-An event's turn is (time, order of asking): two events at the same nanosecond run in the order in
-which they were asked for. Nothing here reads a clock: whoever runs the queue decides how fast.
+The order of events is (time, order of requests): two events at the same nanosecond run in the order
+in which they were requested. This module does not read a clock; the caller that runs the queue
+decides the speed.
 """
 
 from collections.abc import Callable
@@ -17,7 +18,7 @@ UNSET: Final = -1  # in place of a time: none
 class Alarm:
     """One re-settable deadline; its action is called with the time once, when it is due.
 
-    `time_ns`, when it will ring, is for all to read; it, `action` and `turn` are this module's.
+    `time_ns` is the due time, which all may read; it, `action` and `turn` are written here only.
     """
 
     def __init__(self, queue: "EventQueue", action: Action) -> None:
@@ -27,14 +28,14 @@ class Alarm:
         self.turn = UNSET
 
     def set(self, time_ns: int | None) -> None:
-        """The action runs at `time_ns` [ns], or not at all (None); replaces what was set before.
+        """Run the action at `time_ns` [ns], or not at all (None); replaces the previous setting.
 
-        Setting the same time again keeps the turn. A time already past means now.
+        Setting the same time again keeps the turn. A time in the past means now.
         """
         self.move(UNSET if time_ns is None else time_ns)
 
     def move(self, time_ns: int) -> None:
-        """As `set`, with UNSET for None."""
+        """Set the time, with UNSET for None."""
         if time_ns == self.time_ns:
             return
         queue = self._queue
@@ -65,36 +66,36 @@ class Alarm:
         heappush(heap, (time_ns, self.turn, self))
 
     def due_ns(self) -> int | None:
-        """When the action will run [ns]; None if it will not."""
+        """Return when the action will run [ns], or None."""
         return None if self.time_ns == UNSET else self.time_ns
 
 
 @final
 class EventQueue:
-    """A heap of alarms keyed (time_ns, order of asking). Costs O(log n) per event, n = alarms set.
+    """A heap of alarms keyed (time_ns, order of requests); O(log n) per event, n = alarms set.
 
-    The alarm whose turn is next stays out of the heap once it is known: a bus sets and rings its
-    own again and again before anybody else's. All but `now_ns` belongs to this module; that is for
-    all to read, the queue writes it.
+    The next alarm stays out of the heap once it is known, because a bus sets and runs its own alarm
+    many times before any other. Other modules may only read `now_ns`; the rest belongs to this
+    module.
     """
 
     def __init__(self) -> None:
         self.now_ns = 0
         self.asked = 0
-        self.first: Alarm | None = None  # before all in the heap; None: whoever is first in there
-        self.heap: list[tuple[int, int, Alarm]] = []  # also what was set again or taken back since
+        self.first: Alarm | None = None  # before all in the heap; None: the first in the heap
+        self.heap: list[tuple[int, int, Alarm]] = []  # includes alarms that were reset since
 
     def alarm(self, action: Action) -> Alarm:
-        """A new alarm, not set yet."""
+        """Return a new alarm, not set yet."""
         return Alarm(self, action)
 
     def next_time_ns(self) -> int | None:
-        """The time of the next event [ns]; None if nothing is asked for."""
+        """Return the time of the next event [ns], or None if there is none."""
         next_ns = self.next_ns()
         return None if next_ns == UNSET else next_ns
 
     def next_ns(self) -> int:
-        """As `next_time_ns`, with UNSET for None."""
+        """Return `next_time_ns`, with UNSET for None."""
         first = self.first
         if first is not None:
             return first.time_ns
@@ -107,7 +108,7 @@ class EventQueue:
         return UNSET
 
     def run_next(self) -> bool:
-        """Time has moved to the next event and it has run; False if there is none."""
+        """Advance to the next event and run it; return False if there is none."""
         first = self.first
         if first is None:
             self.next_ns()
@@ -123,7 +124,7 @@ class EventQueue:
         return True
 
     def run_until(self, time_ns: int) -> None:
-        """All events up to and including `time_ns` have run, and it is `time_ns`."""
+        """Run all events up to and including `time_ns` and advance to it."""
         next_ns = self.next_ns()
         while next_ns != UNSET and next_ns <= time_ns:
             self.run_next()

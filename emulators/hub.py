@@ -1,4 +1,4 @@
-"""The hub: a world's buses on a UNIX socket, for other processes of this machine."""
+"""The hub: a world's buses on a UNIX socket, for other processes."""
 
 import contextlib
 import errno
@@ -37,24 +37,24 @@ from emulators.world import World
 _BACKLOG_MAX: Final = 1_000_000
 _SUBMIT_SIZE: Final = 1 + FRAME_BYTES
 _FD_SUBMIT_SIZE: Final = 1 + FD_FRAME_BYTES
-_TAKING: Final = (1, 5, 6)  # actions of a notice by which somebody owns a motor from now on
-_ENDING: Final = (2, 7)  # and by which it does not
-CLIENTS_MAX: Final = 256  # select() takes no descriptor above 1023
+_TAKING: Final = (1, 5, 6)  # actions of a notice that begin an ownership
+_ENDING: Final = (2, 7)  # and those that end it
+CLIENTS_MAX: Final = 256  # select() does not accept descriptors above 1023
 
 
 class HubError(Exception):
-    """The hub's socket cannot be had; the message says which, why and what to do."""
+    """The hub's socket cannot be used; the message has path, reason and remedy."""
 
 
 @final
 class _Fences:
-    """The greatest token seen of every resource, and whose it is."""
+    """The greatest token seen of every resource, and its owner."""
 
     def __init__(self) -> None:
         self._seen: dict[tuple[str, int], tuple[int, str]] = {}
 
     def newer(self, bus: str, resource: int, token: int, who: str) -> tuple[int, str] | None:
-        """(token, whose) of who owns the resource under a greater token; None: nobody does."""
+        """Return (token, owner) of a greater token of the resource, or None."""
         known = self._seen.get((bus, resource))
         if known is None or known[0] < token:
             self._seen[bus, resource] = token, who
@@ -70,22 +70,22 @@ def _words(resource: int) -> str:
 
 @final
 class _Client:
-    """One connected process: its port on a bus, and what it has not taken yet."""
+    """One connected process: its port on a bus, and its unread records."""
 
     def __init__(self, connection: socket.socket, world: World, fences: _Fences) -> None:
         self.connection = connection
-        self.lost = ""  # why it has to go, once it has
+        self.lost = ""  # reason for disconnecting, or ""
         self._world = world
         self._fences = fences
         self._port: HostPort | None = None
         self._bus = ""
         self._fd = False
         self._told_stale: set[tuple[int, int]] = set()
-        self._owned: dict[int, OwnershipNotice] = {}  # by resource: what it has said it owns
+        self._owned: dict[int, OwnershipNotice] = {}  # ownerships it has announced, by resource
         self._waiting: deque[bytes] = deque()
 
     def readable(self) -> bool:
-        """What it sent is done; False once it has gone."""
+        """Process its input; return False once it has disconnected."""
         while True:
             try:
                 record = self.connection.recv(RECORD_MAX)
@@ -102,7 +102,7 @@ class _Client:
                 return False
 
     def _take(self, port: HostPort, record: bytes) -> bool:
-        """What the record says is done; False if the client has to go for it."""
+        """Process a record; return False if the client must be disconnected."""
         kind = record[0]
         frame = b""
         if kind == FENCED and len(record) == FENCED_SIZE:
@@ -122,7 +122,7 @@ class _Client:
         if frame:
             try:
                 port.send(frame if len(frame) == FRAME_BYTES else padded_fd(frame))
-            except ValueError as error:  # no frame that a bus could carry
+            except ValueError as error:  # a frame that no bus can carry
                 self.refuse(f"frame {frame.hex()}: {error}")
                 return False
         return True
@@ -151,7 +151,7 @@ class _Client:
         self._world.report(self._world.queue.now_ns, "warning", self._bus, text)
 
     def leave(self) -> None:
-        """It has gone. If it owned motors then, as one that was killed does, that is told."""
+        """Handle its departure; report motors that it still owned, as after a kill."""
         if self._port is not None and self._owned:
             owned = ", ".join(
                 f"{_words(notice.resource)} (token {notice.token})"
@@ -161,7 +161,7 @@ class _Client:
         self.close()
 
     def refuse(self, reason: str) -> None:
-        """It knows why it has to go."""
+        """Send the reason for disconnecting."""
         self._send(REFUSED + reason.encode())
 
     def _greet(self, record: bytes) -> bool:
@@ -172,7 +172,7 @@ class _Client:
         if not (fd or record.startswith(GREETING)) or len(words) != 4:
             refusal = "this is motorhil's hub, protocol 1 and 2; the client speaks another"
         elif words[2] and words[2] not in names:
-            refusal = f"no bus {words[2]!r} here; there is {', '.join(names)}"
+            refusal = f"bus {words[2]!r}: not found; expected {', '.join(names)}"
         bus = "" if refusal else words[2] or names[0]
         if fd and bus and self._world.bus(bus).data_bitrate_bit_s is None:
             refusal = f"fd=True: bus {bus} is classical CAN; the rig gives it no data_bitrate_bit_s"
@@ -199,7 +199,7 @@ class _Client:
         self.flush()
 
     def flush(self) -> None:
-        """As much as the client takes has been handed over."""
+        """Send as much as the client accepts."""
         waiting = self._waiting
         try:
             while waiting:
@@ -211,11 +211,11 @@ class _Client:
             self.lost = os.strerror(error.errno or errno.EPIPE)
 
     def waits(self) -> bool:
-        """Whether it has frames to take."""
+        """Return whether records wait for the client."""
         return bool(self._waiting)
 
     def close(self) -> None:
-        """Its port has left the bus."""
+        """Close its port and its connection."""
         if self._port is not None:
             self._port.close()
         self.connection.close()
@@ -223,18 +223,18 @@ class _Client:
 
 @final
 class HubServer:
-    """A Gateway: processes connect to `path` and are on a bus of the world.
+    """A Gateway: processes connect to `path` and get a port on a bus of the world.
 
-    Nothing is lost: what a client has not read waits for it, up to a million frames; a client that
-    lags further is disconnected, never served with gaps. Frames of who has lost a motor are refused
-    (emulators.hub_protocol, fencing).
+    Delivery is lossless: unread frames wait for a client, up to a million. A client that lags
+    further is disconnected; it never sees gaps. Frames of a client that has lost its motor are
+    refused (fencing, see `hub_protocol`).
     """
 
     def __init__(self, path: str | Path, world: World) -> None:
-        """The socket exists, for this user only.
+        """Create the socket, for this user only.
 
         Raises:
-            HubError: the path is taken by a running hub, is no socket, or cannot be made.
+            HubError: the path is taken by a running hub, is not a socket, or cannot be created.
         """
         self.path = Path(path)
         self._world = world
@@ -242,7 +242,8 @@ class HubServer:
         self._clients: dict[socket.socket, _Client] = {}
         if "#" in str(self.path):
             raise HubError(
-                f"{self.path}: clients write PATH#BUS, so a path has no '#'; choose another path"
+                f"{self.path}: '#' is not allowed, because clients write PATH#BUS; choose "
+                "another path"
             )
         self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         try:
@@ -258,8 +259,8 @@ class HubServer:
         except OSError as error:
             self._listener.close()
             raise HubError(
-                f"{self.path}: the hub's socket cannot be made: {error.strerror or error}; "
-                "choose another path with --socket (at most 107 bytes, in a folder you may write)"
+                f"{self.path}: cannot create the hub's socket: {error.strerror or error}; "
+                "choose another path with --socket (at most 107 bytes, in a writable folder)"
             ) from None
         except HubError:
             self._listener.close()
@@ -271,7 +272,7 @@ class HubServer:
         except FileNotFoundError:
             return
         if not stat.S_ISSOCK(mode):
-            raise HubError(f"{self.path}: exists and is no socket; choose another path")
+            raise HubError(f"{self.path}: exists and is not a socket; choose another path")
         with contextlib.closing(socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)) as probe:
             try:
                 probe.connect(str(self.path))
@@ -279,11 +280,11 @@ class HubServer:
                 self.path.unlink()  # left behind by a hub that was killed
                 return
         raise HubError(
-            f"{self.path}: in use by a hub that is running; stop that one or choose another path"
+            f"{self.path}: in use by a running hub; stop that one or choose another path"
         )
 
     def sources(self) -> Sequence[Source]:
-        """The listening one and every client's."""
+        """Return the listening socket and those of all clients."""
         for connection, client in list(self._clients.items()):
             client.flush()
             if client.lost:
@@ -291,7 +292,7 @@ class HubServer:
         return [self._listener, *self._clients]
 
     def readable(self, source: Source) -> None:
-        """A client has come, spoken or gone."""
+        """Handle a new, active or departing client."""
         if source is self._listener:
             self._accept()
             return
@@ -302,29 +303,29 @@ class HubServer:
     def _accept(self) -> None:
         try:
             connection, _ = self._listener.accept()
-        except OSError:  # it has left again, or this process may open no more: it waits
+        except OSError:  # it has left again, or the descriptors are used up: it waits
             return
         connection.setblocking(False)
         client = _Client(connection, self._world, self._fences)
         if len(self._clients) < CLIENTS_MAX:
             self._clients[connection] = client
         else:
-            client.refuse(f"{len(self._clients)} programs are connected, and no more can be")
+            client.refuse(f"too many programs; the limit is {len(self._clients)}, all connected")
             client.close()
 
     def backlogged(self) -> bool:
-        """Whether a client has frames to take."""
+        """Return whether a client has unread records."""
         return any(client.waits() for client in self._clients.values())
 
     def _drop(self, connection: socket.socket) -> None:
         self._clients.pop(connection).leave()
 
     def close(self) -> None:
-        """Everybody is disconnected and the path is free again."""
+        """Disconnect all clients and free the path."""
         for client in self._clients.values():
             client.close()
         self._clients.clear()
         self._listener.close()
         with contextlib.suppress(FileNotFoundError):
-            if self.path.lstat().st_ino == self._inode:  # not another hub's by now
+            if self.path.lstat().st_ino == self._inode:  # not if another hub has replaced it
                 self.path.unlink()

@@ -1,30 +1,34 @@
-"""What goes over a hub's socket: one SEQPACKET record is one message, first byte its kind.
+"""Protocol of a hub's socket: one SEQPACKET record per message.
 
-The hub is a bus that several processes share without root or kernel module: lossless, and in the
-one order in which the frames were on the bus. The connection opens with a text exchange, so that a
-client of another version is told so in words:
+The hub is a bus that several processes share without root or kernel module. The first byte of a
+record is its kind. The hub is lossless, and keeps the order of the frames on the bus. The
+connection opens with a text exchange, so that a client of another version gets a readable refusal:
+
     client: b"motorhil-hub 1 BUS NAME"     BUS may be empty: the first one
     hub:    b"welcome BUS"  or  b"refused REASON"
-A client that opens with b"motorhil-hub 2 BUS NAME" may send CAN FD frames and hears them, on a bus
-that has them; to all others there are none.
-then, for as long as it lasts, binary records:
+
+A client that opens with b"motorhil-hub 2 BUS NAME" may send and receive CAN FD frames, on an FD
+bus. Other clients do not receive them.
+
+Binary records follow:
+
     client -> hub   SUBMIT  | can_frame (16) or canfd_frame (72)
                     FENCED  | resource (u16) | token (u64) | can_frame      a commanding frame
                     OWNS    | resource | token | action (u8) | pid (u32) | waited_ns (i64)
                             | held_ns (i64) | owner NUL holder NUL purpose NUL program (UTF-8)
-    hub -> client   HEARD   | time_ns (i64, little-endian) | frame          somebody else's frame
+    hub -> client   HEARD   | time_ns (i64, little-endian) | frame          another node's frame
                     SENT    | time_ns | frame                               an own one, transmitted
                     STALE   | resource | token | who (UTF-8)
                     TOLD    | time_ns | can_frame       an error message of the client's own port
-A client that sends what no bus can carry is told `refused REASON` once more, and disconnected.
-Kinds 16 and up are free for sharing one virtual clock later; a receiver ignores kinds it does not
-know.
 
-*Fencing.* Who owns a motor does so under a token, greater than that of anybody before. The hub
-keeps the greatest it has seen of each resource of a bus, in frames and in what owners say. A FENCED
-frame with a smaller one comes from somebody who has lost the motor without knowing it yet (a
-process that was paused): it does not get on the bus, and its sender is told STALE, once. A resource
-is a node-ID; motors that share a node have node-ID + 256 times their channel each.
+A client that sends a frame that no bus can carry receives `refused REASON`, and is disconnected.
+Kinds 16 and up are reserved for sharing one virtual clock later; a receiver ignores unknown kinds.
+
+*Fencing.* An owner of a motor has a token that is greater than those of all owners before. For each
+resource of a bus, the hub keeps the greatest token in frames and ownership notices. A FENCED frame
+with a smaller token comes from a process that has lost the motor without knowing it (because it was
+paused). The hub does not send it, and informs the sender once by STALE. A resource is a node-ID;
+motors that share a node have node-ID + 256 times their channel each.
 """
 
 import struct
@@ -51,21 +55,22 @@ _FENCED: Final = struct.Struct("<BHQ")
 _FENCED_HEAD: Final = _FENCED.size
 _OWNS: Final = struct.Struct("<BHQBIqq")
 _WORDS: Final = 4
-_WORD_MAX: Final = 110  # four of them, and the rest, are less than RECORD_MAX
+_WORD_MAX: Final = 110  # four of them and the rest fit RECORD_MAX
 
 
 @final
 @dataclass(frozen=True, slots=True)
 class OwnershipNotice:
-    """What a client says of the ownership of a motor; who sent it, when, and on which bus.
+    """A client's notice about the ownership of a motor.
 
     Attributes:
         resource: the node-ID, + 256 times the channel where motors share a node.
         action: as in the record's LockAction (1 taken, 2 released, 3 waiting, 4 refused, 5 taken
             from a dead one, 6 taken over from a living one, 7 lost).
         token: of the ownership.
-        owner, holder, purpose, program, pid: who, who has it if not the owner, what for; in words.
-        waited_ns, held_ns: how long.
+        owner, holder, purpose, program, pid: the sender, the present holder if another, and their
+            purpose, in words.
+        waited_ns, held_ns: durations.
     """
 
     resource: int
@@ -81,34 +86,34 @@ class OwnershipNotice:
 
 
 def pack_submit(frame: bytes) -> bytes:
-    """A client's frame for the bus."""
+    """Pack a client's frame for the bus."""
     return b"\x01" + frame
 
 
 def pack_told(kind: int, time_ns: int, frame: bytes) -> bytes:
-    """A frame that was on the bus at `time_ns`, HEARD or SENT; or TOLD of what went wrong."""
+    """Pack a frame on the bus at `time_ns` (HEARD or SENT), or an error message (TOLD)."""
     return _HEAD.pack(kind, time_ns) + frame
 
 
 def unpack_told(record: bytes) -> tuple[int, int, bytes]:
-    """(kind, time_ns, frame) of what a hub told."""
+    """Unpack (kind, time_ns, frame) of a hub's record."""
     kind, time_ns = _HEAD.unpack_from(record)
     return kind, time_ns, record[_HEAD_SIZE:]
 
 
 def pack_fenced(frame: bytes, resource: int, token: int) -> bytes:
-    """A client's frame for the bus, if nobody has a greater token of the resource."""
+    """Pack a client's frame that is refused if the resource has a greater token."""
     return _FENCED.pack(FENCED, resource, token) + frame
 
 
 def unpack_fenced(record: bytes) -> tuple[int, int, bytes]:
-    """(resource, token, frame) of a fenced frame."""
+    """Unpack (resource, token, frame) of a fenced frame."""
     _, resource, token = _FENCED.unpack_from(record)
     return resource, token, record[_FENCED_HEAD:]
 
 
 def pack_owns(notice: OwnershipNotice) -> bytes:
-    """What a client says of who owns a motor; words are cut to the room there is."""
+    """Pack an ownership notice; words are cut to the available size."""
     head = _OWNS.pack(
         *(OWNS, notice.resource, notice.token, notice.action),
         *(notice.pid, notice.waited_ns, notice.held_ns),
@@ -118,7 +123,7 @@ def pack_owns(notice: OwnershipNotice) -> bytes:
 
 
 def unpack_owns(record: bytes) -> OwnershipNotice | None:
-    """What a client said of who owns a motor; None: it is no such record."""
+    """Unpack an ownership notice; return None if the record is malformed."""
     words = record[_OWNS.size :].decode("utf-8", "replace").split("\0")
     if len(record) < _OWNS.size or len(words) != _WORDS:
         return None
@@ -130,16 +135,16 @@ def unpack_owns(record: bytes) -> OwnershipNotice | None:
 
 
 def pack_stale(resource: int, token: int, who: str) -> bytes:
-    """A frame was refused: somebody owns the motor under this greater token."""
+    """Pack the refusal of a frame: the motor is owned under this greater token."""
     return _FENCED.pack(STALE, resource, token) + _cut(who, RECORD_MAX - _FENCED_HEAD)
 
 
 def unpack_stale(record: bytes) -> tuple[int, int, str]:
-    """(resource, greater token, who) of a refusal."""
+    """Unpack (resource, greater token, who) of a refusal."""
     _, resource, token = _FENCED.unpack_from(record)
     return resource, token, record[_FENCED_HEAD:].decode("utf-8", "replace")
 
 
 def _cut(text: str, size: int) -> bytes:
-    """The text in UTF-8, no longer than this, and whole."""
+    """Return the text in UTF-8, cut to this size at a character boundary."""
     return text.encode("utf-8", "replace")[:size].decode("utf-8", "ignore").encode()

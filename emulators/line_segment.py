@@ -1,7 +1,7 @@
-"""Lines of a world: Modbus on a serial line, and on TCP through a gateway.
+"""Modbus lines of a world: serial lines, and TCP through a gateway.
 
-Controllers are the same on both: they are told RTU frames, and give RTU frames. On a serial line
-those are what is on the wires; on TCP a gateway stands between, as in a real plant.
+Controllers are the same on both: they receive and send RTU frames. On a serial line these are the
+frames on the wires. On TCP a gateway is in between, as in a real plant.
 """
 
 from abc import ABC, abstractmethod
@@ -18,11 +18,11 @@ from emulators.modbus.tcp import adu as adu_of
 from emulators.segment import ControllerSlot, Endpoint, HostListener, Overseer, Segment
 
 LineTap = Callable[[str, int, int, int, str, bytes, bool], None]
-"""(line, now, when its first bit began and its last one ended [ns], who sent it, ADU, spoiled)."""
+"""A listener: (line, now, first bit's begin and last bit's end [ns], sender, ADU, spoiled)."""
 
 
 class LineSegment(Segment, ABC):
-    """What serial lines and gateways have in common: who is there, faults, taps."""
+    """The common part of serial lines and gateways: endpoints, faults, taps."""
 
     def __init__(self, name: str, overseer: Overseer, plan: SerialFaultPlan | None) -> None:
         super().__init__(name, overseer.queue)
@@ -34,18 +34,18 @@ class LineSegment(Segment, ABC):
 
     @abstractmethod
     def attach(self, name: str) -> int:
-        """The number of a new port of a controller."""
+        """Attach a controller and return the number of its new port."""
 
     def join(self, slot: ControllerSlot, unit: int) -> None:
-        """The controller, whose port was attached last, takes part."""
+        """Add the controller whose port was attached last."""
         self.endpoints.append(slot)
 
     @abstractmethod
     def add_host(self, name: str, listener: HostListener) -> "LineHost":
-        """An application's port on the line."""
+        """Return a new port for an application on the line."""
 
     def free_name(self, wish: str) -> str:
-        """The name wished for, with a number behind it if it is taken."""
+        """Return the wanted name, with a number appended if it is taken."""
         taken = [endpoint.name for endpoint in self.endpoints]
         name, number = wish, 1
         while name in taken:
@@ -54,13 +54,13 @@ class LineSegment(Segment, ABC):
         return name
 
     def remove_listener(self, endpoint: Endpoint) -> None:
-        """The endpoint hears nothing any more."""
+        """Stop deliveries to the endpoint."""
         if isinstance(endpoint, LineHost):
             endpoint.is_closed = True
 
     @abstractmethod
     def _expire(self, now_ns: int) -> None:
-        """What is due has happened."""
+        """Process what is due."""
 
     def _settle(self, deadline_ns: int | None) -> None:
         if self.plan is not None:
@@ -74,7 +74,7 @@ class LineSegment(Segment, ABC):
 
 @final
 class LineHost(Endpoint):
-    """An application's port: bytes in, bytes out."""
+    """The port of an application: bytes in, bytes out."""
 
     def __init__(self, name: str, port: int, segment: LineSegment, listener: HostListener) -> None:
         super().__init__(name, port)
@@ -83,45 +83,45 @@ class LineHost(Endpoint):
         self._listener = listener
 
     def deliver(self, frame: bytes, now_ns: int) -> None:
-        """The application has heard these characters."""
+        """Pass received characters to the application."""
         if not self.is_closed:
             self._listener(frame, now_ns, False)
 
     def confirm(self, frame: bytes, now_ns: int) -> None:
-        """The application's last character is out."""
+        """Inform the application that its last character is sent."""
         if not self.is_closed:
             self._listener(frame, now_ns, True)
 
     def send(self, data: bytes) -> None:
-        """These characters go out."""
+        """Send these characters."""
         self._segment.submit(self.port, data, self._segment.queue.now_ns)
 
     def close(self) -> None:
-        """Nothing is heard any more."""
+        """Stop deliveries to the application."""
         self._segment.remove_listener(self)
 
 
 @final
 class SerialSegment(LineSegment):
-    """A serial line with everybody on it."""
+    """A serial line with its endpoints."""
 
     def __init__(self, line: SerialLine, overseer: Overseer, plan: SerialFaultPlan | None) -> None:
         super().__init__(line.name, overseer, plan)
         self.line: Final = line
 
     def attach(self, name: str) -> int:
-        """The number of a new port."""
+        """Attach a port and return its number."""
         return self.line.attach(name)
 
     def add_host(self, name: str, listener: HostListener) -> LineHost:
-        """An application's port on the line."""
+        """Return a new port for an application on the line."""
         name = self.free_name(name)
         host = LineHost(name, self.line.attach(name), self, listener)
         self.endpoints.append(host)
         return host
 
     def submit(self, port: int, frame: bytes, now_ns: int) -> None:
-        """The port begins to send."""
+        """Let the port begin to send."""
         self.line.submit(port, frame, now_ns)
         self._settle(self.line.next_deadline_ns())
 
@@ -166,14 +166,14 @@ class TcpSegment(LineSegment):
         self._streams: list[MbapStream] = []
 
     def attach(self, name: str) -> int:
-        """The number of a new port."""
+        """Return the number of the next port."""
         return len(self.endpoints)
 
     def join(self, slot: ControllerSlot, unit: int) -> None:
-        """The controller answers to this unit identifier.
+        """Add the controller under this unit identifier.
 
         Raises:
-            ValueError: another one does.
+            ValueError: the identifier is taken.
         """
         self.gateway.add_unit(unit)
         super().join(slot, unit)
@@ -181,7 +181,7 @@ class TcpSegment(LineSegment):
         self._units[slot.port] = unit
 
     def add_host(self, name: str, listener: HostListener) -> LineHost:
-        """A connection."""
+        """Open a connection."""
         name = self.free_name(name)
         host = LineHost(name, len(self.endpoints), self, listener)
         self.endpoints.append(host)
@@ -191,14 +191,14 @@ class TcpSegment(LineSegment):
         return host
 
     def remove_listener(self, endpoint: Endpoint) -> None:
-        """The connection is closed."""
+        """Close the connection."""
         super().remove_listener(endpoint)
         connection = self._connections[endpoint.port]
         self._pipe.close(connection)
         self.gateway.forget(connection)
 
     def submit(self, port: int, frame: bytes, now_ns: int) -> None:
-        """A client has sent bytes, or a controller its response."""
+        """Process the bytes of a client, or the response of a controller."""
         connection = self._connections.get(port)
         if connection is not None:
             self._pipe.submit(connection, True, frame, now_ns)
@@ -231,7 +231,7 @@ class TcpSegment(LineSegment):
         self._settle(self._pipe.next_deadline_ns())
 
     def _give_up(self, now_ns: int) -> None:
-        """The first unit that was asked may have taken too long by now."""
+        """Handle timed-out units and set the next timeout."""
         for unit, connection, adu in self.gateway.expired(now_ns):
             self._send_back(connection, adu, now_ns, self.name)
             self._ask_next(unit, now_ns)
@@ -247,7 +247,7 @@ class TcpSegment(LineSegment):
                 self._send_back(connection, self.gateway.refusal(request), now_ns, self.name)
                 continue
             handed_on = self.gateway.ask(connection, request, now_ns)
-            if self._timeout.time_ns == UNSET:  # else it rings before, and is set again then
+            if self._timeout.time_ns == UNSET:  # else it rings earlier, and is set again then
                 self._timeout.set(self.gateway.next_deadline_ns())
             if handed_on is not None:
                 unit, pdu = handed_on

@@ -1,7 +1,7 @@
-"""What Modbus drives have in common: a unit on a line, registers, and one axis behind them.
+"""Base of Modbus drives: a unit on a line, registers, one axis.
 
-A drive of a certain make derives from `ModbusDrive` and says what its registers do. Between two
-calls nothing happens in it: `next_deadline_ns` says when it has to be looked at again.
+A drive of a certain make derives from `ModbusDrive` and attaches behaviour to its registers. The
+drive does nothing between two calls: `next_deadline_ns` returns the time of the next required call.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -41,14 +41,14 @@ class ModbusDriveSettings:
     Attributes:
         unit: its server address, 1..247.
         plant, gains, tick_ns, current_steps: the motor, and the servo that drives it.
-        oscillator: what its own clock shows.
-        boot_up_ns: from power-on until it answers.
+        oscillator: its own clock.
+        boot_up_ns: from power-on until it responds.
         reply_ns: from the end of a request to its response.
-        registers: what the rig wants registers to hold at power-on, by what they are called in the
-            rig (a name, or an address in hex such as "6200h").
-        home_rad: where at the output its home switch closes (at this position and beyond); None:
+        registers: power-on values of registers, by their keys in the rig (a name, or an address in
+            hex such as "6200h").
+        home_rad: the position at the output where its home switch closes (there and beyond); None:
             it has none.
-        limit_forward_rad, limit_backward_rad: where its limit switches do, likewise.
+        limit_forward_rad, limit_backward_rad: those of its limit switches, likewise.
         initial_position_rad: at the output, at power-on.
     """
 
@@ -68,7 +68,7 @@ class ModbusDriveSettings:
 
 
 def read_settings(table: Mapping[str, object], context: ControllerContext) -> ModbusDriveSettings:
-    """The settings in a rig's table.
+    """Read the settings from a rig's table.
 
     Raises:
         SettingError: a key is unknown, or a value is missing or wrong.
@@ -110,17 +110,17 @@ def _switch(table: Mapping[str, object], key: str) -> float | None:
 
 
 class ModbusDrive:
-    """Implements `emulators.controller.Controller`; a make derives from it.
+    """The base of Modbus drives; implements `Controller`.
 
     Args:
         settings: of the rig.
-        bank: its holding registers, with nothing behind them yet.
-        identification: what it calls itself; None: it does not.
-        functions: the function codes that it has.
-        events: what is to be told of it at power-on.
+        bank: its holding registers, without behaviour so far.
+        identification: its identification; None: it has none.
+        functions: the supported function codes.
+        events: events to report at power-on.
 
     Raises:
-        SettingError: the rig names a register that is not there, or a value that it cannot hold.
+        SettingError: the rig names an unknown register, or a value that does not fit it.
     """
 
     def __init__(
@@ -145,7 +145,7 @@ class ModbusDrive:
         )
         self.rtu = RtuUnit(settings.unit, self.server, settings.reply_ns)
         self.is_powered = False
-        self.now_ns = 0  # of the call there is: what registers that are read or written look at
+        self.now_ns = 0  # of the current call, for readers and writers of registers
         self._ready_ns = NEVER_NS
         self._events: list[tuple[str, str]] = list(events)
         self._set_registers()
@@ -157,47 +157,48 @@ class ModbusDrive:
                 self.bank.set_default(key, value)
             except KeyError:
                 raise SettingError(
-                    path, "is no register of it", "see: motorhil list registers"
+                    path, "is not a register of this drive", "see: motorhil list registers"
                 ) from None
             except ValueError as error:
                 raise SettingError(path, str(error)) from None
 
-    # --- what a make says ----------------------------------------------------------------------
+    # --- hooks of a make
+    # ---------------------------------------------------------------------------
 
     def power_on(self) -> None:
-        """Its supply has come; registers hold what they do at power-on."""
+        """Handle power-on; registers have their power-on values."""
 
     def power_off(self) -> None:
-        """Its supply has gone; the axis has no current already."""
+        """Handle power-off; the axis has no current already."""
 
     def settle(self) -> None:
-        """The axis is at `now_ns`: what follows from where it is has happened."""
+        """Apply the consequences of the axis state at `now_ns`."""
 
     def wake_ns(self) -> int:
-        """When `settle` is wanted at the latest [ns]; NEVER_NS: not before something comes."""
+        """Return when `settle` must be called at the latest [ns]; NEVER_NS: only on input."""
         return NEVER_NS
 
     def own_stimuli(self) -> Mapping[str, Callable[[float], None]]:
-        """What else can happen to it physically; a setter raises ValueError on a wrong value."""
+        """Return further physical stimuli; a setter raises ValueError on a wrong value."""
         return {}
 
     def own_truth(self) -> Mapping[str, float]:
-        """What else is true of it."""
+        """Return further values of the true state."""
         return {}
 
     def tell(self, level: str, text: str) -> None:
-        """Something worth a line in the record happened."""
+        """Report an event for the record."""
         self._events.append((level, text))
 
     # --- switches -------------------------------------------------------------------------------
 
     def home_closed(self) -> bool:
-        """Whether its home switch is closed."""
+        """Return whether its home switch is closed."""
         home_rad = self.settings.home_rad
         return home_rad is not None and self.axis.output_position_rad() >= home_rad
 
     def limits_closed(self) -> tuple[bool, bool]:
-        """Whether its limit switches are closed: forward, backward."""
+        """Return whether its limit switches are closed: forward, backward."""
         forward_rad, backward_rad = (
             self.settings.limit_forward_rad,
             self.settings.limit_backward_rad,
@@ -209,7 +210,7 @@ class ModbusDrive:
     # --- Controller -----------------------------------------------------------------------------
 
     def start(self, now_ns: int) -> None:
-        """Power comes on."""
+        """Power on."""
         self.now_ns = now_ns
         self.is_powered = True
         self._ready_ns = now_ns + self.settings.boot_up_ns
@@ -217,7 +218,7 @@ class ModbusDrive:
         self.power_on()
 
     def receive(self, data: bytes, now_ns: int) -> None:
-        """What was on the line between two silences; b"": it was spoiled."""
+        """Process a frame between two silences on the line; b"": it was spoiled."""
         if not self.is_powered or now_ns < self._ready_ns:
             return
         self._at(now_ns)
@@ -228,15 +229,15 @@ class ModbusDrive:
             self.rtu.spoiled()
 
     def sent(self, data: bytes, now_ns: int) -> bool | None:
-        """An own frame left the line."""
+        """Ignore that an own frame left the line."""
         return False
 
     def wants_sent(self) -> bool:
-        """Nothing comes of it."""
+        """Return False: `sent` has no effect."""
         return False
 
     def next_deadline_ns(self) -> int | None:
-        """When `expire` must be called at the latest [ns]."""
+        """Return when `expire` must be called at the latest [ns], or None."""
         if not self.is_powered:
             return None
         due_ns = self.wake_ns()
@@ -248,25 +249,25 @@ class ModbusDrive:
         return None if due_ns >= NEVER_NS else due_ns
 
     def expire(self, now_ns: int) -> None:
-        """What is due is done: first the motor's, then its answer."""
+        """Process what is due: first the motor, then the response."""
         self._at(now_ns)
         self.rtu.expire(now_ns)
         self.settle()
 
     def take_output(self) -> Sequence[bytes]:
-        """The frames to send now."""
+        """Return the frames to send now."""
         return self.rtu.take_output()
 
     def take_events(self) -> Sequence[tuple[str, str]]:
-        """(level, text) of what happened since last asked."""
+        """Return (level, text) of each event since the last call."""
         events, self._events = self._events, []
         return events
 
     def stimulate(self, name: str, value: float, now_ns: int) -> None:
-        """The load at the output [N m], its supply (1 or 0), or what the make has besides.
+        """Set the load at the output [N m], the supply (1 or 0), or a stimulus of the make.
 
         Raises:
-            ValueError: there is no such stimulus, or the value is none.
+            ValueError: the stimulus is unknown, or the value is invalid.
         """
         self._at(now_ns)
         own = self.own_stimuli()
@@ -296,7 +297,7 @@ class ModbusDrive:
             self.power_off()
 
     def snapshot(self, now_ns: int) -> Mapping[str, float]:
-        """The truth at `now_ns`, behind the gear where it says rad and N m."""
+        """Return the true state at `now_ns`; rad and N m are behind the gear."""
         axis = self.axis
         axis.at(now_ns)
         return {
@@ -312,11 +313,11 @@ class ModbusDrive:
         }
 
     def identifiers(self) -> Sequence[int] | None:
-        """On a line everybody hears everything."""
+        """Return None: every unit hears the whole line."""
         return None
 
     def identifiers_revision(self) -> int:
-        """Never changes."""
+        """Return a constant."""
         return 0
 
     def _at(self, now_ns: int) -> None:
@@ -327,16 +328,16 @@ class ModbusDrive:
 
 
 def alarm_code(value: float) -> int:
-    """The code that a stimulus `alarm` carries.
+    """Return the alarm code in the value of a stimulus.
 
     Raises:
-        ValueError: it is none.
+        ValueError: the value is not a code.
     """
     if not (1 <= value <= 0xFFFF and value == int(value)):
-        raise ValueError(f"alarm takes a code 1..FFFFh, not {value}")
+        raise ValueError(f"alarm {value}: invalid; expected a code 1..FFFFh")
     return int(value)
 
 
 def revolutions_inc(plant: MotorPlant) -> int:
-    """Encoder increments of one revolution of the motor, in front of the gear."""
+    """Return the encoder increments per revolution of the motor, in front of the gear."""
     return round(plant.increments_per_rad() * 2.0 * PI)

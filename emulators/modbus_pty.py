@@ -1,10 +1,10 @@
-"""A Gateway between a serial line of a world and whoever opens a pseudo-terminal.
+"""A Gateway between a serial line of a world and a pseudo-terminal.
 
-A pseudo-terminal has no bit times: what a client writes arrives at once, and silences of
-milliseconds are lost on the way. So frames are told apart by what they say (RtuRequests), and
-otherwise by a silence that no scheduler makes; each then goes on the emulated line as one, t3.5
-after what was there before, and takes its time there. What the line carries the client is handed
-when its last character is complete. Answering too late, or two clients at once, still collide.
+A pseudo-terminal has no bit times: a client's data arrive at once, and silences of milliseconds are
+lost. Frames are therefore delimited by their content (RtuRequests), and otherwise by a silence
+longer than any scheduling delay. Each frame is then sent on the emulated line as a whole, t3.5
+after the previous one, and takes its time there. Characters on the line are passed to the client
+when the last one is complete. Late responses, or two clients at once, still collide.
 """
 
 import os
@@ -20,32 +20,32 @@ from emulators.modbus.rtu_stream import RtuRequests
 from emulators.world import World
 
 _PIECE: Final = 4096
-_SILENCE_NS: Final = 20_000_000  # a writer that was interrupted in the middle goes on before
+_SILENCE_NS: Final = 20_000_000  # longer than an interruption of a writer
 
 
 class ModbusPtyError(Exception):
-    """The link cannot be made; the message says which, why and what to do."""
+    """The link cannot be created; the message has path, reason and remedy."""
 
 
 @final
 class ModbusPty:
-    """A Gateway: who opens `link` is on a serial line of the world.
+    """A Gateway: a program that opens `link` is on a serial line of the world.
 
     Any baud rate may be set: the line keeps its own. `link` may be opened, closed and opened again;
-    it lasts until this closes. One left behind by a server that was killed is replaced.
+    it lasts until this closes. A link left behind by a killed server is replaced.
 
     Args:
-        link: where the terminal is to be found.
-        world: that has the line.
-        line: a serial one.
+        link: the path of the link to the terminal.
+        world: the world of the line.
+        line: the name of a serial line.
 
     Attributes:
         link: as given.
-        terminal: what it is linked to.
-        lost: characters that nobody took.
+        terminal: the target of the link.
+        lost: characters that were not read.
 
     Raises:
-        ModbusPtyError: `link` is taken, or cannot be made.
+        ModbusPtyError: `link` is taken, or cannot be created.
     """
 
     def __init__(self, link: Path, world: World, line: str) -> None:
@@ -59,10 +59,10 @@ class ModbusPty:
         self._sources: Final = (self,)
         self._requests = RtuRequests()
         self._frames: deque[bytes] = deque()
-        self._free_ns = 0  # when the last one is out
+        self._free_ns = 0  # when the last frame is sent
         self._pause = self._queue.alarm(self._fall_silent)
         self._turn = self._queue.alarm(self._send)
-        # The slave stays open: else a client that leaves would end the terminal for all.
+        # The slave stays open: otherwise a client that leaves would end the terminal for all.
         self._master, self._slave = os.openpty()
         try:
             tty.setraw(self._slave)
@@ -77,31 +77,31 @@ class ModbusPty:
 
     def _make_link(self) -> None:
         if self.link.is_symlink() and not self.link.exists():
-            self.link.unlink()  # what it led to has gone
+            self.link.unlink()  # its target does not exist any more
         try:
             self.link.symlink_to(self.terminal)
         except OSError as error:
             raise ModbusPtyError(
-                f"{self.link}: the link to the terminal cannot be made: {error.strerror or error}; "
-                "choose another path, in a folder you may write"
+                f"{self.link}: cannot create the link to the terminal: "
+                f"{error.strerror or error}; choose another path, in a writable folder"
             ) from None
 
     def fileno(self) -> int:
-        """Our end of the terminal."""
+        """Return the descriptor of our end of the terminal."""
         return self._master
 
     def sources(self) -> Sequence[Source]:
-        """The one terminal."""
+        """Return the terminal as the only source."""
         return self._sources
 
     def readable(self, source: Source) -> None:
-        """Somebody has written."""
+        """Process what a client has written."""
         self._read()
 
     def _read(self) -> bool:
         try:
             data = os.read(self._master, _PIECE)
-        except OSError:  # nothing there
+        except OSError:  # no data
             return False
         self._frames.extend(self._requests.feed(data))
         now_ns = self._queue.now_ns
@@ -110,12 +110,12 @@ class ModbusPty:
         return True
 
     def _fall_silent(self, now_ns: int) -> None:
-        if not self._read():  # nothing waits there that came in time, and was not read in time
+        if not self._read():  # no unread data arrived in time
             self._frames.append(self._requests.silence())
             self._send(now_ns)
 
     def _send(self, now_ns: int) -> None:
-        """The next frame goes on the line once it has been silent for t3.5."""
+        """Send the next frame after a silence of t3.5 on the line."""
         line = self._line
         while self._frames:
             quiet_ns = max(line.silent_since_ns(), self._free_ns)
@@ -131,15 +131,15 @@ class ModbusPty:
             return
         try:
             self.lost += len(data) - os.write(self._master, data)
-        except OSError:  # nobody has read for a long time
+        except OSError:  # clients have not read for a long time
             self.lost += len(data)
 
     def backlogged(self) -> bool:
-        """Never: what nobody takes is gone, as on a line."""
+        """Return False: unread characters are lost, as on a line."""
         return False
 
     def close(self) -> None:
-        """The terminal is gone, and the link to it."""
+        """Remove the link and close the terminal."""
         self._host.close()
         self._pause.set(None)
         self._turn.set(None)

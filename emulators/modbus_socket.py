@@ -1,7 +1,8 @@
-"""A Gateway between a Modbus/TCP line of a world and clients on the network, loopback by default.
+"""A Gateway between a Modbus/TCP line of a world and network clients.
 
-Each connection is one to the emulated gateway: what it sends arrives there the line's latency
-later, and what comes back goes out at once.
+By default only loopback addresses are allowed. Each network connection has one connection to the
+emulated gateway. Its data arrive there after the latency of the line, and responses are sent out at
+once.
 """
 
 import ipaddress
@@ -13,13 +14,13 @@ from typing import Final, final
 from emulators.gateway import Source
 from emulators.world import World
 
-CLIENTS_MAX: Final = 256  # select() takes no descriptor above 1023
+CLIENTS_MAX: Final = 256  # select() does not accept descriptors above 1023
 _PIECE: Final = 4096
-_UNREAD_MAX: Final = 65_536  # a client that leaves so much unread is not listened to meanwhile
+_UNREAD_MAX: Final = 65_536  # limit of unread bytes; above it the client's requests wait
 
 
 class ModbusSocketError(Exception):
-    """The address cannot be had; the message says which, why and what to do."""
+    """The address cannot be used; the message has address, reason and remedy."""
 
 
 @final
@@ -38,7 +39,7 @@ class _Connection:
         self._changed = changed
         self.is_over = False
         self._waiting = bytearray()
-        self._ends = False  # once what waits is out
+        self._ends = False  # close after sending what waits
         self._host = world.add_line_host(line, name, self._tell)
 
     def _tell(self, data: bytes, time_ns: int, transmitted: bool) -> None:
@@ -54,17 +55,17 @@ class _Connection:
             self._changed()
 
     def _send(self, data: bytes | bytearray) -> int:
-        """How much of it the client has taken."""
+        """Send data and return how much the client has accepted."""
         try:
             return self.connection.send(data)
         except BlockingIOError:
             return 0
-        except OSError:  # it has gone
+        except OSError:  # it has disconnected
             self.is_over = True
             return len(data)
 
     def flush(self) -> None:
-        """As much as the client takes has been handed over."""
+        """Send as much as the client accepts."""
         while self._waiting:
             taken = self._send(self._waiting)
             del self._waiting[:taken]
@@ -73,7 +74,7 @@ class _Connection:
         self.is_over = self.is_over or self._ends
 
     def readable(self) -> None:
-        """What it sent is on its way."""
+        """Pass its data to the line."""
         try:
             data = self.connection.recv(_PIECE)
         except BlockingIOError:
@@ -87,15 +88,15 @@ class _Connection:
             self._changed()
 
     def waits(self) -> bool:
-        """Whether there are bytes for it to take."""
+        """Return whether bytes wait for the client."""
         return bool(self._waiting)
 
     def may_send(self) -> bool:
-        """Whether it is listened to."""
+        """Return whether its input is read."""
         return len(self._waiting) < _UNREAD_MAX
 
     def close(self) -> None:
-        """It is disconnected."""
+        """Disconnect the client."""
         self._host.close()
         self.connection.close()
 
@@ -107,12 +108,12 @@ class ModbusSocket:
     Args:
         host: a name or an address.
         port: 0: any that is free.
-        world: that has the line.
-        line: of Modbus/TCP.
-        any_address: whether others than this machine may be let in.
+        world: the world of the line.
+        line: the name of a Modbus/TCP line.
+        any_address: allow addresses that other machines can reach.
 
     Attributes:
-        address: (host, port) as it is now.
+        address: (host, port) in use.
 
     Raises:
         ModbusSocketError: the address is open to others, unknown, or taken.
@@ -125,7 +126,7 @@ class ModbusSocket:
         self._line = line
         self._connections: dict[socket.socket, _Connection] = {}
         self._watched: list[Source] = []
-        self._is_settled = False  # nobody came, left, or leaves anything unread
+        self._is_settled = False  # no client came, left, or has unread bytes
         family, address = _resolved(host, port, any_address)
         self._listener = socket.socket(family, socket.SOCK_STREAM)
         try:
@@ -137,17 +138,17 @@ class ModbusSocket:
             self._listener.close()
             raise ModbusSocketError(
                 f"{_written(host, port)}: {error.strerror or error}; choose another port, or 0 "
-                "for any that is free"
+                "for any free one"
             ) from None
         bound: tuple[str, int] = self._listener.getsockname()[:2]
         self.address: Final = bound
 
     def __str__(self) -> str:
-        """The address as people write it."""
+        """Return the address as host:port."""
         return _written(*self.address)
 
     def sources(self) -> Sequence[Source]:
-        """The listening socket, and those of clients that read what they are told."""
+        """Return the listening socket, and those of clients whose input is read."""
         if not self._is_settled:
             self._settle()
         return self._watched
@@ -169,7 +170,7 @@ class ModbusSocket:
         self._is_settled = not any(client.waits() for client in self._connections.values())
 
     def readable(self, source: Source) -> None:
-        """A client has come, spoken or gone."""
+        """Handle a new, active or departing client."""
         if source is self._listener:
             self._accept()
         elif isinstance(source, socket.socket) and source in self._connections:
@@ -178,13 +179,13 @@ class ModbusSocket:
     def _accept(self) -> None:
         try:
             connection, peer = self._listener.accept()
-        except OSError:  # it has left again, or this process may open no more: it waits
+        except OSError:  # it has left again, or the descriptors are used up: it waits
             return
         if len(self._connections) >= CLIENTS_MAX:
             connection.close()
             return
         connection.setblocking(False)
-        with suppress(OSError):  # it may have gone already
+        with suppress(OSError):  # it may have left already
             connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         name = _written(*peer[:2])
         self._connections[connection] = _Connection(
@@ -193,11 +194,11 @@ class ModbusSocket:
         self._change()
 
     def backlogged(self) -> bool:
-        """Whether a client has bytes to take."""
+        """Return whether bytes wait for a client."""
         return not self._is_settled
 
     def close(self) -> None:
-        """Everybody is disconnected and the address is free again."""
+        """Disconnect all clients and free the address."""
         for client in self._connections.values():
             client.close()
         self._connections.clear()
@@ -220,10 +221,12 @@ def _resolved(
     for _, _, _, _, address in found:
         if not any_address and not ipaddress.ip_address(str(address[0])).is_loopback:
             raise ModbusSocketError(
-                f"{_written(host, port)} can be reached from other machines, and Modbus asks nobody"
-                " who he is; serve on 127.0.0.1, or say --any-address"
+                f"{_written(host, port)}: other machines can reach it, and Modbus has no "
+                "authentication; serve on 127.0.0.1, or say --any-address"
             )
     family, _, _, _, first = found[0]
     if isinstance(first[0], int):
-        raise ModbusSocketError(f"{_written(host, port)}: this Python has no such addresses")
+        raise ModbusSocketError(
+            f"{_written(host, port)}: this Python does not support such addresses"
+        )
     return family, (first[0], *first[1:])

@@ -1,7 +1,7 @@
-"""The motor behind a drive: what a rig says of plant, servo and clock, and the axis they make.
+"""Motor settings of a rig, and the axis built from them.
 
-Controllers of third parties may be built on it, as our own are. They bring the protocol; from here
-they have, by the same keys, every motor that a rig can describe:
+Third-party controllers may use this module like our own. They bring the protocol, and support every
+motor that a rig can describe, with the same keys:
 
     motor = motor_in(table, context.stream())           # of the keys MOTOR_KEYS
     axis = axis_of(motor, motor.oscillator.rate())      # emulators.firmware.axis
@@ -30,7 +30,7 @@ class MotorSettings:
     Attributes:
         plant: the motor, its gear and load, its encoder.
         gains, tick_ns, current_steps: of the servo; its period, and current loop steps in each.
-        oscillator: what the controller's own clock shows.
+        oscillator: the controller's own clock.
         initial_position_rad: at the output, at power-on.
     """
 
@@ -43,7 +43,7 @@ class MotorSettings:
 
 
 def motor_in(table: Mapping[str, object], stream: str) -> MotorSettings:
-    """The motor in a controller's table; what is drawn of its clock comes from `stream`.
+    """Read the motor in a controller's table; random clock values come from `stream`.
 
     Raises:
         SettingError: a key inside is unknown, or a value is wrong.
@@ -69,23 +69,23 @@ class Motorised(Protocol):
 
     @property
     def gains(self) -> ServoGains:
-        """Of the servo."""
+        """The gains of the servo."""
 
     @property
     def tick_ns(self) -> int:
-        """The servo's period."""
+        """The period of the servo [ns]."""
 
     @property
     def current_steps(self) -> int:
-        """Of the current loop, in each period."""
+        """The number of current loop steps in each period."""
 
     @property
     def initial_position_rad(self) -> float:
-        """At the output, at power-on."""
+        """The position at the output, at power-on [rad]."""
 
 
 def axis_of(motor: Motorised, clock_rate: float) -> Axis:
-    """The motor at rest, its power stage off; `clock_rate` as of `Oscillator.rate`.
+    """Build the axis at rest, its power stage off; `clock_rate` as of `Oscillator.rate`.
 
     Raises:
         ValueError: the gains make the current loop unstable.

@@ -1,4 +1,4 @@
-"""What a rig may say about how a drive protects itself: the table `protection`."""
+"""Protection settings of a drive in a rig: the table `protection`."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -28,14 +28,14 @@ _PATH: Final = ("protection",)
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ProtectionSettings:
-    """Thresholds and vendor's choices.
+    """Thresholds and the vendor's choices.
 
     Attributes:
-        sto_error_code: of the fault that safe torque off is; 0: it only disables.
+        sto_error_code: error code of the fault on safe torque off; 0: it only disables.
         device_temperature_warning_c, device_temperature_max_c: of the power electronics.
-        winding_temperature_warning_c, winding_temperature_max_c: of the motor's, by its model.
+        winding_temperature_warning_c, winding_temperature_max_c: of the motor, by its model.
         over_voltage_v, under_voltage_v: of the DC link.
-        i2t_warning: how full the I2t integrator is when the drive warns, 0..1; full is a fault.
+        i2t_warning: fill level of the I2t integrator for a warning, 0..1; full is a fault.
     """
 
     sto_error_code: int = 0
@@ -52,20 +52,22 @@ DEFAULT_PROTECTION: Final = ProtectionSettings()
 
 
 def protection_of(table: Mapping[str, object], plant: MotorPlant) -> ProtectionSettings:
-    """The settings in a table `protection` of a drive with this plant.
+    """Read the settings from a table `protection` of a drive with this plant.
 
     Raises:
-        SettingError: a key is unknown, or a value is wrong; or the plant lacks what it is about.
+        SettingError: a key is unknown, a value is wrong, or the plant lacks the quantity.
     """
     refuse_unknown(table, PROTECTION_KEYS, _PATH)
     reaction = table.get("sto", "disable")
     if reaction not in STO_REACTIONS:
         known = " or ".join(f'"{one}"' for one in STO_REACTIONS)
-        raise SettingError((*_PATH, "sto"), f"{reaction!r} is no reaction", f"write {known}")
+        raise SettingError((*_PATH, "sto"), f"{reaction!r} is not a reaction", f"write {known}")
     code = whole(table.get("sto_error_code", STO_ERROR), (*_PATH, "sto_error_code"), 0x1000, 0xFFFF)
     if reaction == "disable" and "sto_error_code" in table:
         raise SettingError(
-            (*_PATH, "sto_error_code"), "there is no fault to tell", 'write sto = "fault", too'
+            (*_PATH, "sto_error_code"),
+            "has no effect, because sto is not a fault",
+            'write sto = "fault", too',
         )
     _refuse_idle(table, plant)
     own = DEFAULT_PROTECTION
@@ -96,7 +98,7 @@ def protection_of(table: Mapping[str, object], plant: MotorPlant) -> ProtectionS
 
 
 def _refuse_idle(table: Mapping[str, object], plant: MotorPlant) -> None:
-    """A threshold of what the plant has not would never be reached."""
+    """Refuse a threshold of a quantity that the plant lacks; it would never be reached."""
     extras = plant.extras
     for keys, has, remedy in (
         (_WINDING_KEYS, extras.has_heat(), "thermal_resistance_winding_housing_k_w and others"),
@@ -105,14 +107,14 @@ def _refuse_idle(table: Mapping[str, object], plant: MotorPlant) -> None:
     ):
         for key in keys:
             if key in table and not has:
-                message = "the plant has nothing of the kind"
+                message = "the plant does not model this quantity"
                 raise SettingError((*_PATH, key), message, f"give the plant {remedy}")
 
 
 def _temperatures(
     table: Mapping[str, object], whose: str, warning_c: float, max_c: float
 ) -> tuple[float, float]:
-    """From where on it warns, and from where on it is a fault."""
+    """Return the temperatures for a warning and for a fault."""
     key = f"{whose}_temperature_warning_c"
     warning_c = _celsius(table, key, warning_c)
     max_c = _celsius(table, f"{whose}_temperature_max_c", max_c)

@@ -1,4 +1,4 @@
-"""What a world is made of, whatever the medium: who is on it, and whoever looks after them all."""
+"""Segments and endpoints of a world, and their overseer."""
 
 from collections.abc import Callable, Mapping
 from typing import final
@@ -11,55 +11,55 @@ HostListener = Callable[[bytes, int, bool], None]
 
 
 class Overseer:
-    """Hears of what happens in the places of a world. `emulators.world.World` is one."""
+    """A receiver of reports from the segments of a world. `World` derives from it."""
 
     def __init__(self, queue: EventQueue) -> None:
         self.queue = queue
 
     def report(self, now_ns: int, level: str, name: str, text: str) -> None:
-        """Something worth a line in the record happened."""
+        """Report an event for the record."""
 
     def touch(self, slot: "ControllerSlot") -> None:
-        """Something happened in the controller: the next sample includes it."""
+        """Mark the controller as changed: the next sample includes it."""
 
 
 class Segment:
-    """One medium with everybody on it."""
+    """One medium with its endpoints."""
 
     def __init__(self, name: str, queue: EventQueue) -> None:
         self.name = name
         self.queue = queue
 
     def submit(self, port: int, frame: bytes, now_ns: int) -> None:
-        """The port wants to send this."""
+        """Send the frame from this port."""
 
     def forget_routes(self) -> None:
-        """Somebody listens to other identifiers than before."""
+        """Rebuild the routes because a controller listens to other identifiers."""
 
     def remove_listener(self, endpoint: "Endpoint") -> None:
-        """The endpoint hears nothing any more."""
+        """Stop deliveries to the endpoint."""
 
 
 class Endpoint:
-    """Something with a port on a bus."""
+    """An object with a port on a bus."""
 
     def __init__(self, name: str, port: int) -> None:
         self.name = name
         self.port = port
 
     def deliver(self, frame: bytes, now_ns: int) -> None:
-        """A frame of somebody else's is complete."""
+        """Handle a complete frame of another endpoint."""
 
     def confirm(self, frame: bytes, now_ns: int) -> None:
-        """An own frame is complete."""
+        """Handle a complete own frame."""
 
     def told(self, message: bytes, now_ns: int) -> None:
-        """Its CAN controller tells it of an error (`emulators.media.error_message`)."""
+        """Handle an error message of its CAN controller (`error_message`)."""
 
 
 @final
 class ControllerSlot(Endpoint):
-    """A controller's place in the world: its port, its alarm, whether a sample is due."""
+    """A controller's place in the world: its port, its alarm, its sample state."""
 
     def __init__(
         self, name: str, port: int, controller: Controller, segment: Segment, world: Overseer
@@ -75,17 +75,17 @@ class ControllerSlot(Endpoint):
         self.sample: Mapping[str, float] = {}
 
     def deliver(self, frame: bytes, now_ns: int) -> None:
-        """The controller has received the frame."""
+        """Pass a frame to the controller."""
         self.controller.receive(frame, now_ns)
         self.settle(now_ns)
 
     def confirm(self, frame: bytes, now_ns: int) -> None:
-        """The controller knows that its frame went out, if it wants to."""
+        """Confirm an own frame to the controller, if it wants that."""
         if self._wants_sent and self.controller.sent(frame, now_ns) is not False:
             self.settle(now_ns)
 
     def told(self, message: bytes, now_ns: int) -> None:
-        """The controller has received the error message, if it asks for those (`identifiers`)."""
+        """Pass an error message to the controller, if `identifiers` includes those."""
         identifiers = self.controller.identifiers()
         if identifiers is not None and ERR_FLAG in identifiers:
             self.controller.receive(message, now_ns)
@@ -96,7 +96,7 @@ class ControllerSlot(Endpoint):
         self.settle(now_ns)
 
     def settle(self, now_ns: int) -> None:
-        """What the controller wants after a call is done: frames out, alarm set, events told."""
+        """Apply the results of a call: send frames, report events, set the alarm."""
         controller = self.controller
         output = controller.take_output()
         if output:
@@ -140,26 +140,26 @@ class HostPort(Endpoint):
         self._on_error = on_error
 
     def deliver(self, frame: bytes, now_ns: int) -> None:
-        """The application has heard the frame."""
+        """Pass a frame to the application."""
         self._listener(frame, now_ns, False)
 
     def confirm(self, frame: bytes, now_ns: int) -> None:
-        """The application knows that its frame was transmitted."""
+        """Confirm to the application that its frame was transmitted."""
         self._listener(frame, now_ns, True)
 
     def told(self, message: bytes, now_ns: int) -> None:
-        """The application has heard of the error."""
+        """Pass an error message to the application."""
         self._on_error(message, now_ns, False)
 
     def send(self, frame: bytes) -> None:
-        """The frame waits its turn for the bus."""
+        """Queue the frame for the bus."""
         self._segment.submit(self.port, frame, self._segment.queue.now_ns)
 
     def close(self) -> None:
-        """Nothing is heard any more; frames still queued go out."""
+        """Stop deliveries to the application; queued frames are still sent."""
         self._segment.remove_listener(self)
 
 
 def port_of(endpoint: Endpoint) -> int:
-    """The order in which those on a medium are called."""
+    """Return the port, the sort key of endpoints on a medium."""
     return endpoint.port

@@ -1,7 +1,7 @@
-"""Wall time: the same world, its events run when the wall clock says so.
+"""Wall time: run a world's events by the wall clock.
 
-The only place of this package that reads a clock. The loop waits for the next event or for input,
-whichever comes first; what came late is done in the order in which it was due.
+This is the only module of the package that reads a clock. The loop waits for the next event or for
+input, whichever comes first. Late events run in the order of their due times.
 """
 
 import select
@@ -19,10 +19,10 @@ _BACKLOGGED_S = 0.002
 
 @final
 class WallLoop:
-    """Runs a world's events in wall time and lets gateways talk to it.
+    """A loop that runs a world's events in wall time and serves gateways.
 
     Attributes:
-        late_ns_max: the most an event has been late so far [ns].
+        late_ns_max: the greatest delay of an event so far [ns].
     """
 
     def __init__(self, queue: EventQueue) -> None:
@@ -32,35 +32,35 @@ class WallLoop:
         self._watched: dict[int, tuple[Gateway, Source]] = {}
         self._woken_by: list[int] = []
         self._descriptors: list[int] = []  # both together
-        self._last: list[Sequence[Source]] = []  # what each gateway had to watch
+        self._last: list[Sequence[Source]] = []  # sources of each gateway in the last step
         self._start_ns = time.monotonic_ns() - queue.now_ns
         self.late_ns_max = 0
 
     def add(self, gateway: Gateway) -> None:
-        """The gateway takes part from now on."""
+        """Add a gateway."""
         self._gateways.append(gateway)
 
     def wake_on(self, descriptor: int) -> None:
-        """The loop also wakes when this descriptor (a process's pidfd, say) becomes readable."""
+        """Wake also when this descriptor (a process's pidfd, for example) becomes readable."""
         self._woken_by.append(descriptor)
         self._descriptors.append(descriptor)
 
     def forget(self, descriptor: int) -> None:
-        """The loop no longer wakes on this descriptor."""
+        """Stop waking on this descriptor."""
         self._woken_by.remove(descriptor)
         self._descriptors.remove(descriptor)
 
     def start(self) -> None:
-        """Wall time counts from now."""
+        """Start the wall time now."""
         self._start_ns = time.monotonic_ns() - self._queue.now_ns
 
     def run(self, done: Callable[[], bool]) -> None:
-        """Serve until `done()`; it is asked at least twice a second."""
+        """Serve until `done()` returns True; it is called at least twice a second."""
         while not done():
             self.step(_IDLE_S)
 
     def step(self, longest_s: float) -> None:
-        """Everything due now has happened, then one wait of at most `longest_s` [s] for more."""
+        """Process everything due, then wait once for more, at most `longest_s` [s]."""
         queue = self._queue
         now_ns = time.monotonic_ns() - self._start_ns
         due_ns = queue.next_time_ns()
@@ -95,6 +95,6 @@ class WallLoop:
         self._descriptors = [*self._woken_by, *self._watched]
 
     def close(self) -> None:
-        """All gateways are closed."""
+        """Close all gateways."""
         for gateway in self._gateways:
             gateway.close()

@@ -1,4 +1,4 @@
-"""What a rig may say about the servo of a drive, of whatever bus: the table `servo`."""
+"""Servo settings of a drive in a rig: the table `servo`."""
 
 from collections.abc import Mapping
 from dataclasses import fields, replace
@@ -14,9 +14,9 @@ _KEYS: Final = ("tick_s", "current_steps")
 
 
 def servo_of(table: Mapping[str, object], plant: MotorPlant) -> tuple[int, int, ServoGains]:
-    """(servo period [ns], current loop steps in each, gains) of a table `servo`.
+    """Return (servo period [ns], current loop steps in each, gains) of a table `servo`.
 
-    Gains that it does not name are those that suit the plant.
+    Missing gains are tuned for the plant.
 
     Raises:
         SettingError: a key is unknown, or a value is wrong.

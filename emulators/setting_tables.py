@@ -1,7 +1,7 @@
-"""What the settings tables of emulated controllers have in common, checked key by key.
+"""Readers for settings tables of emulated controllers, with checks of every key.
 
-A wrong key or value is a `SettingError` that names the keys down to it and what would be right;
-whoever read the file adds file and line.
+A wrong key or value is a `SettingError` with the keys down to it and the expected value. The reader
+of the file adds file and line.
 """
 
 import difflib
@@ -34,7 +34,7 @@ _OPTIONAL: Final[dict[str, float]] = {
 }
 _LINEAR: Final = tuple(f.name for f in fields(MotorPlant) if f.name != "extras")
 _DATA_SHEET: Final = tuple(name for name in _LINEAR if name not in _OPTIONAL)
-# What does nothing, unless one of these is there, too.
+# Settings without effect unless one of these is also given.
 _SUPPLY: Final = ("source_resistance_ohm",)
 _COMPANIONS: Final[dict[str, tuple[str, ...]]] = {
     "coupling_damping_n_m_s_rad": ("coupling_stiffness_n_m_rad", "backlash_rad"),
@@ -60,7 +60,7 @@ KeyPath = tuple[str, ...]
 @final
 @dataclass(frozen=True, slots=True)
 class ObjectValue:
-    """What the rig wants an object to be at power-on; `key` as the rig writes it."""
+    """The power-on value of an object in the rig; `key` as in the rig."""
 
     key: str
     index: int
@@ -69,25 +69,25 @@ class ObjectValue:
 
 
 def table_in(table: Mapping[str, object], key: str, path: KeyPath = ()) -> Mapping[str, object]:
-    """The table of that key; an empty one where there is none."""
+    """Return the table of that key, or an empty one if it is absent."""
     value = table.get(key, {})
     if not isinstance(value, Mapping):
         place = ".".join(("controller", "NAME", *path, key))
-        raise SettingError((*path, key), f"{value!r} is no table", f"write [{place}]")
+        raise SettingError((*path, key), f"{value!r} is not a table", f"write [{place}]")
     return value
 
 
 def refuse_unknown(table: Mapping[str, object], known: Sequence[str], path: KeyPath) -> None:
-    """Raises SettingError at the first key that is not `known`, suggesting the nearest."""
+    """Refuse the first key that is not `known`, with a suggestion (SettingError)."""
     for key in table:
         if key not in known:
             raise SettingError((*path, key), "is not known", nearest(key, known))
 
 
 def nearest(name: object, known: Sequence[str]) -> str:
-    """A remedy: the known name that is most like `name`, and all there are."""
+    """Return a remedy: the known name most similar to `name`, and all known names."""
     if not known:
-        return "take it out, there are none"
+        return "remove it; no keys are allowed here"
     close = [one for one in known if isinstance(name, str) and name and one.startswith(name)]
     close = close or difflib.get_close_matches(str(name), known, n=1)
     guess = f"did you mean {close[0]}? " if close else ""
@@ -95,18 +95,18 @@ def nearest(name: object, known: Sequence[str]) -> str:
 
 
 def number(value: object, path: KeyPath, low: float, high: float) -> float:
-    """The value, a number from `low` to `high`."""
+    """Return the value if it is a number from `low` to `high`."""
     if isinstance(value, bool) or not isinstance(value, int | float):
-        raise SettingError(path, f"{value!r} is no number", f"{low:g}..{high:g}, without quotes")
+        raise SettingError(path, f"{value!r} is not a number", f"{low:g}..{high:g}, without quotes")
     if not low <= value <= high:
         raise SettingError(path, f"{value} is outside {low:g}..{high:g}")
     return float(value)
 
 
 def whole(value: object, path: KeyPath, low: int, high: int) -> int:
-    """The value, a whole number from `low` to `high`."""
+    """Return the value if it is a whole number from `low` to `high`."""
     if isinstance(value, bool) or not isinstance(value, int):
-        raise SettingError(path, f"{value!r} is no whole number", f"{low}..{high}")
+        raise SettingError(path, f"{value!r} is not a whole number", f"{low}..{high}")
     if not low <= value <= high:
         raise SettingError(path, f"{value} is outside {low}..{high}")
     return value
@@ -120,20 +120,20 @@ def duration_ns(
     low_s: float = 0,
     high_s: float = 3600,
 ) -> int:
-    """The time of that key, given in seconds [ns]."""
+    """Return the time of that key, given in seconds, in [ns]."""
     value = number(table.get(key, default_s), (*path, key), low_s, high_s)
     return round(value * _NS_PER_S)
 
 
 def oscillator_in(table: Mapping[str, object], stream: str) -> Oscillator:
-    """The controller's own clock; a `_max` draws from `stream`, the seed and the name of it."""
+    """Read the controller's own clock; `_max` keys draw from `stream` (seed and name)."""
     own = table_in(table, "oscillator")
     path = ("oscillator",)
     refuse_unknown(own, OSCILLATOR_KEYS, path)
     for drawn, given in (("ppm_max", "ppm"), ("phase_max_s", "phase_s")):
         if drawn in own and given in own:
-            message = f"{given} is given already, there is nothing to draw"
-            raise SettingError((*path, drawn), message, "take one of them out")
+            message = f"has no effect, because {given} is given"
+            raise SettingError((*path, drawn), message, "remove one of them")
     ppm = number(own.get("ppm", 0.0), (*path, "ppm"), -PPM_MAX, PPM_MAX)
     ppm_max = number(own.get("ppm_max", 0.0), (*path, "ppm_max"), 0, PPM_MAX)
     phase_s = number(own.get("phase_s", 0.0), (*path, "phase_s"), 0, PHASE_MAX_S)
@@ -148,19 +148,19 @@ def oscillator_in(table: Mapping[str, object], stream: str) -> Oscillator:
 
 
 def _drawn(stream: str) -> float:
-    """The one number, 0.0 to below 1.0, of a stream by that name."""
+    """Return the number of the stream with this name, 0.0 <= x < 1.0."""
     return (int.from_bytes(hashlib.sha256(stream.encode()).digest()[:8], "big") >> 11) / 2.0**53
 
 
 def node_id_in(table: Mapping[str, object]) -> int:
-    """The node-ID, which must be there."""
+    """Return the node-ID, which is required."""
     if "node_id" not in table:
         raise SettingError(("node_id",), "is missing", "a number 1..127")
     return whole(table["node_id"], ("node_id",), 1, 127)
 
 
 def flag(table: Mapping[str, object], key: str) -> bool:
-    """The value of that key, true or false; false where there is none."""
+    """Return the boolean value of that key, or False if it is absent."""
     value = table.get(key, False)
     if not isinstance(value, bool):
         raise SettingError((key,), f"{value!r} is neither true nor false", f"{key} = true")
@@ -168,31 +168,33 @@ def flag(table: Mapping[str, object], key: str) -> bool:
 
 
 def eds_in(table: Mapping[str, object], folder: Path, own: Path) -> Path:
-    """The EDS named in the table, from `folder` on; `own` where none is."""
+    """Return the EDS named in the table, relative to `folder`, or `own` if it is absent."""
     value = table.get("eds")
     if value is None:
         return own
     if not isinstance(value, str) or not value:
-        raise SettingError(("eds",), f"{value!r} is no path", 'a file name: eds = "drive.eds"')
+        raise SettingError(("eds",), f"{value!r} is not a path", 'a file name: eds = "drive.eds"')
     path = folder / value
     if not path.is_file():
         raise SettingError(
-            ("eds",), f"there is no file {path}", "check the path; without eds our own is used"
+            ("eds",),
+            f"file {path} not found",
+            "check the path, or leave eds out to use the built-in one",
         )
     return path
 
 
 def memory_file_in(table: Mapping[str, object]) -> str | None:
-    """The file of what is kept without power, as the table names it; None: it names none."""
+    """Return the file for nonvolatile data that the table names, or None."""
     value = table.get("nonvolatile_memory")
     if value is not None and (not isinstance(value, str) or not value):
         remedy = 'a file name: nonvolatile_memory = "drive.parameters"'
-        raise SettingError(("nonvolatile_memory",), f"{value!r} is no path", remedy)
+        raise SettingError(("nonvolatile_memory",), f"{value!r} is not a path", remedy)
     return value
 
 
 def plant_of(table: Mapping[str, object], path: KeyPath = ("plant",)) -> MotorPlant:
-    """The motor a plant table describes: a preset, all its numbers, or a preset and some."""
+    """Return the motor of a plant table: a preset, all its numbers, or a preset and some."""
     refuse_unknown(table, ("preset", *_LINEAR, *EXTRAS), path)
     preset = table.get("preset")
     if preset is not None and (not isinstance(preset, str) or preset not in PRESETS):
@@ -220,18 +222,18 @@ def plant_of(table: Mapping[str, object], path: KeyPath = ("plant",)) -> MotorPl
 
 
 def _refuse_idle(more: Mapping[str, float], extras: PlantExtras, path: KeyPath) -> None:
-    """A number that nothing asks for would be taken for physics that is there."""
+    """Refuse a number without effect; users would believe that it is simulated."""
     for name, needed in _COMPANIONS.items():
         idle = all(getattr(extras, one) == getattr(NO_EXTRAS, one) for one in needed)
         if idle and more.get(name, getattr(NO_EXTRAS, name)) != getattr(NO_EXTRAS, name):
             message = f"{more[name]:g} does nothing without {' or '.join(needed)}"
-            raise SettingError((*path, name), message, "give the plant that, too")
+            raise SettingError((*path, name), message, "add it to the plant")
 
 
 def _numbers(
     table: Mapping[str, object], ranges: Mapping[str, tuple[float, float]], path: KeyPath
 ) -> dict[str, float]:
-    """What the table says of these keys."""
+    """Return the values of these keys in the table."""
     return {
         name: whole(table[name], (*path, name), int(low), int(high))
         if name in _WHOLE
@@ -244,36 +246,38 @@ def _numbers(
 def initial_position_rad(
     table: Mapping[str, object], plant: MotorPlant, path: KeyPath = ()
 ) -> float:
-    """Where the output stands at power-on; within 32 bits of increments."""
+    """Return the position of the output at power-on [rad]; within 32 bits of increments."""
     path = (*path, "initial_position_rad")
     position_rad = number(table.get("initial_position_rad", 0.0), path, -1e9, 1e9)
     low_rad, high_rad = plant.extras.stop_low_rad, plant.extras.stop_high_rad
     if not low_rad <= position_rad <= high_rad:
-        message = f"{position_rad} rad is beyond an end of the plant's way"
+        message = f"{position_rad} rad is beyond the plant's end stops"
         raise SettingError(path, message, f"{low_rad:g}..{high_rad:g} rad")
     inc_rad = plant.encoder_increments_rev * plant.gear_ratio / (2.0 * PI)
     if abs(position_rad * inc_rad) >= 1 << 31:
         message = f"{position_rad * inc_rad:.0f} increments do not fit 32 bits"
         limit_rad = (1 << 31) / inc_rad
-        raise SettingError(path, message, f"at most {limit_rad:g} rad either way")
+        raise SettingError(path, message, f"at most {limit_rad:g} rad in either direction")
     return position_rad
 
 
 def objects_of(table: Mapping[str, object]) -> tuple[ObjectValue, ...]:
-    """The power-on values of objects that a table named `objects` gives."""
+    """Return the power-on values of objects in a table named `objects`."""
     entries: dict[tuple[int, int], ObjectValue] = {}
     for key, value in table.items():
         path = ("objects", key)
         found = _OBJECT.fullmatch(key)
         if found is None:
-            raise SettingError(path, "is no object", 'like "6065h" or "1A00h:1"')
+            raise SettingError(path, "is not an object", 'like "6065h" or "1A00h:1"')
         index, decimal, hexadecimal = found.groups()
         place = (int(index, 16), int(hexadecimal, 16) if hexadecimal else int(decimal or "0"))
         if place[0] < 0x1000 or place[1] > 254:
-            raise SettingError(path, "is no object", "1000h..FFFFh, sub-index 0..254")
+            raise SettingError(path, "is not an object", "1000h..FFFFh, sub-index 0..254")
         if isinstance(value, bool) or not isinstance(value, int | float | str):
-            raise SettingError(path, f"{value!r} is no value", "a number, or a text for a string")
+            raise SettingError(
+                path, f"{value!r} is not a value", "a number, or a text for a string"
+            )
         if place in entries:
-            raise SettingError(path, "is given twice", "take one out")
+            raise SettingError(path, "is given twice", "remove one")
         entries[place] = ObjectValue(key, *place, value)
     return tuple(entries.values())

@@ -1,4 +1,4 @@
-"""A Gateway between an emulated bus and a Linux SocketCAN interface (vcan0, or a real can0)."""
+"""A Gateway between an emulated bus and a Linux SocketCAN interface."""
 
 import contextlib
 import errno
@@ -14,35 +14,35 @@ from emulators.world import World
 
 
 class SocketCanError(Exception):
-    """The interface cannot be used; the message says which, why and what to do."""
+    """The interface cannot be used; the message has interface, reason and remedy."""
 
 
 @final
 class SocketCanGateway:
-    """Frames on the interface are on the emulated bus too, and the other way round.
+    """A Gateway that copies frames between the interface and the emulated bus.
 
-    A frame that comes from outside takes its turn on the emulated bus; what controllers send
-    appears outside when it is complete on the emulated bus.
+    A frame from outside takes part in the arbitration of the emulated bus. Frames of controllers
+    appear outside when they are complete on the emulated bus.
 
-    What the gateway's own CAN controller on the emulated bus tells of errors is told on a virtual
-    interface, as the driver of a real one would. On hardware it is not: a driver would send it as a
-    frame. Error messages from outside never reach the emulated bus: the kernel gives them to
-    sockets that ask for them, and this one does not.
+    Error messages of the gateway's own CAN controller are copied to a virtual interface, as the
+    driver of a real one would report them. They are not copied to hardware, where a driver would
+    send them as frames. Error messages from outside never reach the emulated bus: the kernel gives
+    them to sockets that request them, and this one does not.
 
-    CAN FD frames pass if the emulated bus is an FD bus; then the interface has to be one too. To a
-    classical bus there are none.
+    CAN FD frames pass if the emulated bus is an FD bus; then the interface must support CAN FD as
+    well. A classical bus does not receive them.
 
     Attributes:
-        refused: frames the kernel would not take (its queue was full), given up.
-        ignored: frames the bus would not take.
+        refused: frames dropped because the kernel did not accept them (its queue was full).
+        ignored: frames that the bus did not accept.
     """
 
     def __init__(self, interface: str, world: World, bus: str) -> None:
-        """The interface is open.
+        """Open the interface.
 
         Raises:
-            SocketCanError: no such interface, it is down, or this kernel has no CAN; or the bus is
-                an FD bus and the interface is not.
+            SocketCanError: the interface does not exist or is down, or this kernel has no CAN; or
+                the bus is an FD bus and the interface is not.
         """
         self.refused = 0
         self.ignored = 0
@@ -60,7 +60,7 @@ class SocketCanGateway:
         except OSError as error:
             self._socket.close()
             remedy = (
-                f"make it with 'ip link add dev {interface} type vcan'"
+                f"create it with 'ip link add dev {interface} type vcan'"
                 if error.errno == errno.ENODEV
                 else f"bring it up with 'ip link set up {interface}'"
             )
@@ -74,15 +74,15 @@ class SocketCanGateway:
         self._port = world.add_host(bus, interface, self._tell, self._tell_error)
 
     def _open_fd(self, interface: str, bus: str) -> None:
-        """CAN FD frames come and go."""
+        """Enable CAN FD frames on the socket."""
         size = link_mtu(interface)
         if size < FD_FRAME_BYTES:
             self._socket.close()
             raise SocketCanError(
-                f"{interface}: carries no CAN FD (MTU {size}), and bus {bus} does; of a virtual "
-                f"one 'ip link set down {interface}; ip link set {interface} mtu "
-                f"{FD_FRAME_BYTES} up' makes an FD one, of hardware 'ip link set {interface} type "
-                "can ... dbitrate ... fd on'"
+                f"{interface}: does not support CAN FD (MTU {size}), but bus {bus} does; for a "
+                f"virtual one use 'ip link set down {interface}; ip link set {interface} mtu "
+                f"{FD_FRAME_BYTES} up', for hardware 'ip link set {interface} type can ... "
+                "dbitrate ... fd on'"
             )
         self._socket.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FD_FRAMES, 1)
 
@@ -97,15 +97,15 @@ class SocketCanGateway:
     def _put(self, frame: bytes) -> None:
         try:
             self._socket.send(frame)
-        except OSError:  # ENOBUFS: as on a real interface, the frame is gone; it is counted
+        except OSError:  # ENOBUFS: as on a real interface the frame is lost; it is counted
             self.refused += 1
 
     def sources(self) -> Sequence[Source]:
-        """The one CAN_RAW socket."""
+        """Return the CAN_RAW socket as the only source."""
         return [self._socket]
 
     def readable(self, source: Source) -> None:
-        """Frames from outside queue for the emulated bus."""
+        """Queue frames from outside for the emulated bus."""
         with contextlib.suppress(BlockingIOError):
             while True:
                 frame = self._socket.recv(FD_FRAME_BYTES)
@@ -121,10 +121,10 @@ class SocketCanGateway:
         self.ignored += 1
 
     def backlogged(self) -> bool:
-        """Never: what the kernel does not take is gone."""
+        """Return False: frames that the kernel does not accept are lost."""
         return False
 
     def close(self) -> None:
-        """The interface is left alone."""
+        """Close the port and the socket."""
         self._port.close()
         self._socket.close()

@@ -1,8 +1,8 @@
-"""Media and controllers wired together on one event queue: a world that is told the time.
+"""A world: media and controllers on one event queue.
 
-The world reads no clock. Whoever owns the queue runs its events, as fast as it likes (virtual time)
-or no earlier than they are due (wall time); what happens is the same. A frame costs its bus one
-event and each node that listens to its identifier one call, however many nodes there are.
+The world does not read a clock. The owner of the queue runs its events as fast as possible (virtual
+time) or no earlier than they are due (wall time), with equal results. A frame costs its bus one
+event and each node that listens to its identifier one call, independent of the number of nodes.
 """
 
 from collections.abc import Callable, Mapping
@@ -44,48 +44,48 @@ class World(Overseer):
         self._sampler = queue.alarm(self._sample)
 
     def add_bus(self, bus: CanBus, chips: Mapping[str, CanNode] | None = None) -> None:
-        """The bus exists, with nobody on it; `chips` of those to come that are not plain.
+        """Add an empty bus; `chips` has the setup of CAN controllers by node name.
 
         The chip named "host" is that of every application.
         """
         self._segments[bus.name] = BusSegment(bus, self, chips or {})
 
     def reserve_host(self, bus: str) -> None:
-        """The host's interface is on the bus, and acknowledges; the first "host" will have it."""
+        """Attach the host's interface, which acknowledges; the first "host" will use it."""
         self._segments[bus].reserve_host()
 
     def add_silent(self, bus: str, name: str) -> None:
-        """A node that acknowledges, and says nothing, hangs on the bus."""
+        """Attach a node that only acknowledges."""
         self._segments[bus].add_silent(name)
 
     def bus(self, name: str) -> CanBus:
-        """The bus's core, for its statistics and its faults."""
+        """Return the bus's core, for its statistics and its faults."""
         return self._segments[name].bus
 
     def bus_names(self) -> list[str]:
-        """In the order of adding."""
+        """Return the names of the buses in the order of adding."""
         return list(self._segments)
 
     def add_serial_line(self, line: SerialLine, plan: SerialFaultPlan | None) -> None:
-        """The line exists, with nobody on it. `plan` is the one that the line has."""
+        """Add an empty serial line. `plan` is the line's own fault plan."""
         self._lines[line.name] = SerialSegment(line, self, plan)
 
     def add_tcp(
         self, pipe: BytePipe, plan: SerialFaultPlan | None, timeout_ns: int = GATEWAY_TIMEOUT_NS
     ) -> None:
-        """The gateway exists, with nobody behind it. `plan` is the one that the pipe has."""
+        """Add a gateway without controllers. `plan` is the pipe's own fault plan."""
         self._lines[pipe.name] = TcpSegment(pipe, self, plan, timeout_ns)
 
     def line(self, name: str) -> LineSegment:
-        """A line, for its faults."""
+        """Return a line, for its faults."""
         return self._lines[name]
 
     def line_names(self) -> list[str]:
-        """In the order of adding."""
+        """Return the names of the lines in the order of adding."""
         return list(self._lines)
 
     def add_controller(self, name: str, controller: Controller, bus: str) -> None:
-        """The controller hangs on the bus, or line, and is powered on now.
+        """Attach the controller to the bus, or line, and power it on now.
 
         Raises:
             ValueError: on a line: it has no `unit`, or another one has the same.
@@ -105,10 +105,10 @@ class World(Overseer):
     def add_host(
         self, bus: str, name: str, on_frame: HostListener, on_error: HostListener | None = None
     ) -> HostPort:
-        """An application's port on the bus; it hears every frame. A second "host" is "host-2".
+        """Return an application's port on the bus; it hears every frame.
 
-        On a CAN FD bus its CAN controller is an FD one. What it tells of errors comes to
-        `on_error`, or without one among the frames.
+        A second "host" is "host-2". On a CAN FD bus its CAN controller is an FD one. Error messages
+        are passed to `on_error`, or without one among the frames.
         """
         segment = self._segments[bus]
         number = segment.claim_host(name)
@@ -118,25 +118,25 @@ class World(Overseer):
         return port
 
     def add_line_host(self, line: str, name: str, on_data: HostListener) -> LineHost:
-        """An application's port on the line; on TCP a connection.
+        """Return an application's port on the line; on TCP a connection.
 
-        It is told (characters, now, False), and (b"", now, True) when its own last character is
-        out. On TCP the characters b"" are the end of the connection.
+        Its listener gets (characters, now, False), and (b"", now, True) when its own last character
+        is sent. On TCP the characters b"" are the end of the connection.
         """
         return self._lines[line].add_host(name, on_data)
 
     def controller(self, name: str) -> Controller:
-        """The controller itself."""
+        """Return the controller itself."""
         return self._slots[name].controller
 
     def stimulate(self, name: str, stimulus: str, value: float) -> None:
-        """A physical input of the controller has this value from now on."""
+        """Set a physical input of the controller."""
         slot = self._slots[name]
         slot.controller.stimulate(stimulus, value, self.queue.now_ns)
         slot.settle(self.queue.now_ns)
 
     def inject(self, bus: str, rule: FaultRule) -> None:
-        """The fault rule holds on the bus from now on.
+        """Add the fault rule to the bus.
 
         Raises:
             ValueError: the bus was made without a fault plan, or has had a rule of that name.
@@ -144,67 +144,69 @@ class World(Overseer):
         self._segments[bus].inject(rule)
 
     def lift(self, bus: str, name: str) -> None:
-        """The fault rule of this name holds no longer.
+        """Remove the fault rule of this name.
 
         Raises:
-            ValueError: the bus has no such rule.
+            ValueError: the bus does not have such a rule.
         """
         self._segments[bus].lift(name)
 
     def restart(self, bus: str, node: str) -> None:
-        """A node that is bus-off begins now to wait for the 128 x 11 recessive bits.
+        """Let a bus-off node begin to wait for the 128 x 11 recessive bits.
 
         Raises:
-            ValueError: there is no such node on the bus, or it is not bus-off.
+            ValueError: the node is not on the bus, or not bus-off.
         """
         segment = self._segments[bus]
         names = segment.bus.port_names()
         if node not in names:
-            raise ValueError(f"bus {bus}: no node {node} (known: {', '.join(names) or 'none'})")
+            raise ValueError(
+                f"bus {bus}: node {node} not found (known: {', '.join(names) or 'none'})"
+            )
         segment.restart(names.index(node))
 
     def snapshot(self, name: str) -> Mapping[str, float]:
-        """The truth inside the controller now."""
+        """Return the true state of the controller now."""
         return self._slots[name].controller.snapshot(self.queue.now_ns)
 
     def tap_frames(self, on_frame: FrameTap) -> None:
-        """`on_frame(bus, time_ns, sender, frame)` hears every frame that somebody on a bus heard.
+        """Call `on_frame(bus, time_ns, sender, frame)` for every frame that any node received.
 
-        A frame that a fault drops is told by `tap_events` alone; one that it delays, when it comes.
+        A frame that a fault drops is reported to `tap_events` only; a delayed frame on its arrival.
         """
         for segment in self._segments.values():
             segment.taps.append(on_frame)
 
     def tap_lines(self, on_adu: LineTap) -> None:
-        """`on_adu` hears every ADU on a line when it is complete; see `LineTap`."""
+        """Call `on_adu` for every complete ADU on a line; see `LineTap`."""
         for line in self._lines.values():
             line.taps.append(on_adu)
 
     def tap_events(self, on_event: EventTap) -> None:
-        """`on_event(time_ns, level, controller, text)` hears what controllers report."""
+        """Call `on_event(time_ns, level, controller, text)` for every report of a controller."""
         self._event_taps.append(on_event)
 
     def tap_ownership(self, on_notice: OwnershipTap) -> None:
-        """`on_notice(bus, time_ns, sender, notice)` hears what hosts say of who owns what."""
+        """Call `on_notice(bus, time_ns, sender, notice)` for every ownership notice of a host."""
         self._ownership_taps.append(on_notice)
 
     def tell_ownership(self, bus: str, sender: str, notice: OwnershipNotice) -> None:
-        """A host on the bus says who owns a motor."""
+        """Pass on a host's ownership notice."""
         for tap in self._ownership_taps:
             tap(bus, self.queue.now_ns, sender, notice)
 
     def tap_samples(self, period_ns: int, on_sample: SampleTap) -> None:
-        """`on_sample(time_ns, controller, truth)` every `period_ns`, while the truth changes.
+        """Call `on_sample(time_ns, controller, truth)` every `period_ns`, while the truth changes.
 
-        A controller that nothing happens in, and whose truth stays the same, is not asked.
+        A controller without events and with an unchanged true state is not sampled.
 
         Raises:
-            ValueError: somebody samples at another period already.
+            ValueError: samples are already taken with another period.
         """
         if self._sample_taps and period_ns != self._sample_period_ns:
             raise ValueError(
-                f"a sample every {period_ns} ns: the world is sampled every "
-                f"{self._sample_period_ns} ns already, for all"
+                f"sample period {period_ns} ns: the world is already sampled every "
+                f"{self._sample_period_ns} ns, for all"
             )
         self._sample_taps.append(on_sample)
         self._sample_period_ns = period_ns
@@ -214,12 +216,12 @@ class World(Overseer):
         self._sampler.set(self.queue.now_ns)
 
     def report(self, now_ns: int, level: str, name: str, text: str) -> None:
-        """Something worth a line in the record happened."""
+        """Report an event for the record."""
         for tap in self._event_taps:
             tap(now_ns, level, name, text)
 
     def touch(self, slot: ControllerSlot) -> None:
-        """Something happened in the controller: the next sample includes it."""
+        """Mark the controller as changed: the next sample includes it."""
         if not self._sample_taps:
             return
         self._touched.append(slot)
@@ -252,5 +254,5 @@ def _port_and_name(slot: ControllerSlot) -> tuple[int, str]:
 def _unit_of(controller: Controller) -> int:
     unit: object = getattr(getattr(controller, "inner", controller), "unit", None)
     if not isinstance(unit, int):
-        raise ValueError("it has no unit: it is no Modbus controller")
+        raise ValueError("controller has no unit; expected a Modbus controller")
     return unit

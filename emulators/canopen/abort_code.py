@@ -7,9 +7,9 @@ from typing import Final, final
 @final
 @unique
 class AbortCode(IntEnum):
-    """Why an SDO transfer ends early. A device's writers answer with one of these, or `OK`."""
+    """The reason of an aborted SDO transfer. Writers of a device return one of these, or `OK`."""
 
-    OK = 0  # not on the wire: nothing is wrong
+    OK = 0  # no error; never on the wire
     TOGGLE_BIT_NOT_ALTERNATED = 0x0503_0000
     PROTOCOL_TIMED_OUT = 0x0504_0000
     COMMAND_SPECIFIER_UNKNOWN = 0x0504_0001

@@ -1,6 +1,6 @@
-"""Reading and writing the dictionary on a client's behalf, with the abort code of every refusal.
+"""Access of a client to the object dictionary, with abort codes.
 
-The SDO server uses it; so may any other service that reaches into a dictionary.
+The SDO server uses it. Other services that access a dictionary may use it as well.
 """
 
 from typing import Protocol, final
@@ -11,15 +11,15 @@ from emulators.canopen.shared import NodeHost
 
 
 class ConfigurationListener(Protocol):
-    """Who must know that a communication object was written."""
+    """A listener for writes to communication objects."""
 
     def configured(self, index: int, now_ns: int) -> None:
-        """A sub-index of 1000h..1FFFh has a new value."""
+        """Handle a new value of a sub-index of 1000h..1FFFh."""
 
 
 @final
 class DictionaryAccess:
-    """One client's view of a dictionary: what is absent, read-only or too long is refused."""
+    """One client's view of a dictionary. Absent, read-only and oversized access is refused."""
 
     def __init__(
         self, od: ObjectDictionary, host: NodeHost, listener: ConfigurationListener
@@ -29,7 +29,7 @@ class DictionaryAccess:
         self._listener = listener
 
     def upload(self, index: int, subindex: int, now_ns: int) -> bytes | int:
-        """The value as it is now, or the abort code."""
+        """Return the present value, or the abort code."""
         variable = self._od.get(index, subindex)
         if variable is None:
             return self._absent(index)
@@ -41,7 +41,7 @@ class DictionaryAccess:
         return variable.upload()
 
     def refusal(self, index: int, subindex: int, size_bytes: int | None) -> int:
-        """Why a download of so many bytes cannot even begin; 0 if it can. None: size unknown."""
+        """Return the abort code for beginning a download of this size (None: unknown), or 0."""
         variable = self._od.get(index, subindex)
         if variable is None:
             return self._absent(index)
@@ -55,12 +55,12 @@ class DictionaryAccess:
         return AbortCode.LENGTH_TOO_LOW if size_bytes < expected else 0
 
     def size_bytes(self, index: int, subindex: int) -> int:
-        """How many bytes the variable's numbers take; 0 if that varies or nothing is there."""
+        """Return the size of the variable [bytes]; 0 if it varies or the variable is absent."""
         variable = self._od.get(index, subindex)
         return 0 if variable is None else (variable.bits + 7) // 8
 
     def download(self, index: int, subindex: int, data: bytes, now_ns: int) -> int:
-        """The value is written and everybody told: 0, or the abort code and nothing happened."""
+        """Write the value and notify listeners; return 0, or the abort code without any effect."""
         code = self.refusal(index, subindex, len(data))
         if code:
             return code

@@ -1,13 +1,12 @@
-"""What a node's CAN controller says of itself, and what CiA 301 makes of that.
+"""CAN controller state of a node, and its effects by CiA 301.
 
-Error passive is an error as long as it lasts (EMCY 8120h). Bus-off is an error of communication,
-like a lost heartbeat: 1029h:1 says which NMT state it leads to, the device around the node what
-else (6007h). Off the bus nobody can be told, so that the node was is told when it is not any more
-(EMCY 8140h). The node does not boot by that: its configuration is as it was.
+Error passive is an error as long as it lasts (EMCY 8120h). Bus-off is a communication error like a
+lost heartbeat. 1029h:1 gives the NMT state that it leads to. The device around the node decides on
+other effects (6007h). A bus-off node cannot send, so it reports the bus-off after recovery (EMCY
+8140h). The node does not boot then: its configuration stays.
 
-What waited for the bus when it went off is lost. What the node would send meanwhile waits as in the
-mailboxes of a CAN controller, one for each identifier: newer data take the place of older ones.
-Emergencies each have their own.
+Frames that waited for the bus at bus-off are lost. New frames wait as in the mailboxes of a CAN
+controller, one for each identifier: newer data replace older data. Emergencies are all kept.
 
 Source: CiA 301, 7.2.7.1 (table 26) and 1029h; Linux include/uapi/linux/can/error.h.
 """
@@ -30,7 +29,7 @@ _ACTIVE: Final = e.ERROR_ACTIVE | e.RX_WARNING | e.TX_WARNING
 @final
 @unique
 class CanState(IntEnum):
-    """How far a CAN controller takes part (ISO 11898-1, error confinement)."""
+    """The participation of a CAN controller (ISO 11898-1, error confinement)."""
 
     ACTIVE = 0
     PASSIVE = 1
@@ -38,7 +37,7 @@ class CanState(IntEnum):
 
 
 def state_in(message: bytes) -> CanState | None:
-    """The state that an error message tells; None: it tells none."""
+    """Return the state in an error message, or None if it contains none."""
     classes = int.from_bytes(message[:4], "little")
     if classes & e.BUS_OFF:
         return CanState.OFF
@@ -53,7 +52,7 @@ def state_in(message: bytes) -> CanState | None:
 
 @final
 class CanWatch:
-    """The state of the CAN controller of one node, as it was told last.
+    """The last reported state of the CAN controller of a node.
 
     Attributes:
         is_off: the node is off the bus.
@@ -67,7 +66,7 @@ class CanWatch:
         self._mailboxes: dict[bytes, bytes] = {}
 
     def hear(self, message: bytes, now_ns: int) -> bool:
-        """An error message came; whether the node has just gone off the bus."""
+        """Process an error message and return whether the node has just gone off the bus."""
         state = state_in(message)
         before = self._state
         if state is None or state is before:
@@ -90,21 +89,21 @@ class CanWatch:
         return False
 
     def find(self, code: int, now_ns: int) -> None:
-        """CAN itself fails: it is told, and stands until `repair`."""
+        """Report a CAN error, which lasts until `repair`."""
         self._emcy.find(BUS_KEY, code, b"", now_ns)
 
     def repair(self, now_ns: int) -> None:
-        """CAN works."""
+        """End the CAN error."""
         self._emcy.repair(BUS_KEY, now_ns)
 
     def recover(self, now_ns: int) -> None:
-        """The node is on the bus again, and tells that it was not."""
+        """Report a past bus-off after the node is on the bus again."""
         self._outbox.events.append(("info", "recovered from bus-off"))
         self.find(BUS_OFF_RECOVERED, now_ns)
         self.repair(now_ns)
 
     def hold(self, frames: list[bytes]) -> None:
-        """These wait until the node is on the bus again."""
+        """Keep these frames until the node is on the bus again."""
         for frame in frames:
             function = int.from_bytes(frame[:2], "little") & 0x780
             self._mailboxes[frame if function == _EMCY_FUNCTION else frame[:4]] = frame

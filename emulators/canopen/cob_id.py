@@ -1,13 +1,13 @@
-"""COB-IDs (CiA 301, 7.3.5): which identifiers a communication object may be given."""
+"""COB-IDs (CiA 301, 7.3.5): the identifiers allowed for communication objects."""
 
 from typing import Final
 
-INVALID: Final = 1 << 31  # the object behind it does not exist
-UPPER_BITS: Final = 0x3FFF_F800  # the 29-bit frame flag and what only such identifiers use
+INVALID: Final = 1 << 31  # the communication object does not exist
+UPPER_BITS: Final = 0x3FFF_F800  # the 29-bit frame flag and the bits of 29-bit identifiers only
 
 
 def is_restricted(identifier: int) -> bool:
-    """Whether no PDO, SYNC, TIME or EMCY may take this identifier (CiA 301, table 40)."""
+    """Return whether PDO, SYNC, TIME and EMCY may not use this identifier (CiA 301, table 40)."""
     return (
         identifier <= 0x07F
         or 0x101 <= identifier <= 0x180

@@ -1,4 +1,4 @@
-"""What a file says of a device, free of the file's form: the seed of object dictionaries."""
+"""Description of a device, independent of the file format."""
 
 from pathlib import Path
 from typing import final
@@ -8,7 +8,7 @@ from emulators.canopen.object_dictionary import ObjectDictionary, Value, Variabl
 
 @final
 class VariableDescription:
-    """What a file says of one sub-index; `default` None: it states none. `line`: where.
+    """The description of one sub-index in a file, at `line`; `default` None: not stated.
 
     `follows_node_id`: the default is an offset to $NODEID.
     """
@@ -38,7 +38,7 @@ class VariableDescription:
         self.follows_node_id = follows_node_id
 
     def variable(self) -> Variable:
-        """A new variable as described."""
+        """Return a new variable as described."""
         variable = Variable(
             self.index,
             self.subindex,
@@ -56,13 +56,13 @@ class VariableDescription:
 
 @final
 class DeviceDescription:
-    """What an EDS or DCF says of a device, for one node-ID.
+    """The description of a device in an EDS or DCF, for one node-ID.
 
     Attributes:
         path: the file.
-        vendor_name, product_name, order_code: [DeviceInfo]; "" where it says nothing.
-        vendor_number, product_number, revision_number: [DeviceInfo]; 0 where it says nothing.
-        node_id: what $NODEID stood for.
+        vendor_name, product_name, order_code: [DeviceInfo]; "" if not stated.
+        vendor_number, product_number, revision_number: [DeviceInfo]; 0 if not stated.
+        node_id: the value of $NODEID.
         supports_lss: [DeviceInfo] LSS_Supported.
         objects: every sub-index, by index and sub-index.
         dummies: data types an RPDO may map as dummies.
@@ -84,9 +84,9 @@ class DeviceDescription:
         self.warnings: tuple[tuple[Path, int, str], ...] = ()
 
     def dictionary(self) -> ObjectDictionary:
-        """A new object dictionary: `Variable.has_default` tells where the file states a value.
+        """Return a new object dictionary; `Variable.has_default` marks values stated in the file.
 
-        Where 1018h states no identity, that of [DeviceInfo] stands.
+        If 1018h states no identity, that of [DeviceInfo] is used.
         """
         od = ObjectDictionary()
         od.dummies = self.dummies

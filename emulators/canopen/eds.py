@@ -1,9 +1,10 @@
-"""EDS and DCF files (CiA 306): read where the meaning is plain, refused in one line otherwise.
+"""Reader of EDS and DCF files (CiA 306) with repairs and warnings.
 
-`read_eds` gives a `DeviceDescription`, and that any number of object dictionaries. In a DCF a
-ParameterValue wins over the DefaultValue. Hexadecimal numbers of signed types are two's complement.
-$NODEID is the node-ID asked for. Sections decide what there is; lists and counts that say otherwise
-earn a warning. Wherever something was repaired or left out, a warning names file and line.
+`read_eds` returns a `DeviceDescription`, which makes any number of object dictionaries. In a DCF a
+ParameterValue overrides the DefaultValue. Hexadecimal numbers of signed types are two's complement.
+$NODEID is the requested node-ID. The sections define the objects; lists and counts that disagree
+cause a warning. Every repair and omission causes a warning with file and line. A file without a
+plain meaning is refused with one line.
 """
 
 import re
@@ -19,7 +20,7 @@ from emulators.canopen.object_dictionary import DataType, Value, is_integer
 
 _OBJECT: Final = re.compile(r"([0-9a-f]{4})(?:sub([0-9a-f]{1,2}))?")
 _LISTS: Final = ("mandatoryobjects", "optionalobjects", "manufacturerobjects")
-_DEFTYPE: Final = (0, 5, 6)  # NULL, DEFTYPE, DEFSTRUCT: nothing that holds a value
+_DEFTYPE: Final = (0, 5, 6)  # NULL, DEFTYPE, DEFSTRUCT: objects without a value
 _DOMAIN: Final = 2
 _VAR: Final = 7
 _ARRAY: Final = 8
@@ -45,10 +46,10 @@ _MAY_NAME_NODE_ID: Final = ("parametervalue", "defaultvalue", "lowlimit", "highl
 
 
 def read_eds(path: Path, node_id: int) -> DeviceDescription:
-    """The file is read and repaired where its meaning is plain; what it describes is shared.
+    """Read a file, repair it if its meaning is plain, and return the cached description.
 
     Raises:
-        EdsError: it cannot be read; names file, line and remedy.
+        EdsError: the file cannot be read; names file, line and remedy.
     """
     path = Path(path)
     data = read_file(path)
@@ -63,15 +64,15 @@ def read_eds(path: Path, node_id: int) -> DeviceDescription:
 
 @final
 class _File:
-    """A file that was read, for one node-ID or several: drives of a kind share most of it."""
+    """A parsed file for one or more node-IDs; drives of a kind share most of it."""
 
     def __init__(self, text: EdsText) -> None:
         self._text = text
         self._descriptions: dict[int, DeviceDescription] = {}
-        self._pattern: _Reader | None = None  # has read what is the same for any node-ID
+        self._pattern: _Reader | None = None  # holds what is the same for any node-ID
 
     def description(self, node_id: int) -> DeviceDescription:
-        """What the file says of the node."""
+        """Return the description for this node-ID."""
         description = self._descriptions.get(node_id)
         if description is None:
             pattern = self._pattern
@@ -90,7 +91,7 @@ _known: Final[dict[tuple[Path, bytes], _File]] = {}
 
 @final
 class _Reader:
-    """Turns the sections of one file into a description."""
+    """A converter from the sections of one file to a description."""
 
     def __init__(self, text: EdsText, node_id: int) -> None:
         self._text = text
@@ -98,11 +99,11 @@ class _Reader:
         self._found: dict[int, VariableDescription] = {}
         self._warnings = list(text.warnings)
         self._description = DeviceDescription(text.path, node_id)
-        self._with_node_id: list[tuple[int, int, Section, int]] = []  # what _add was called with
-        self._said_with_node_id = False  # something was odd about one of those
+        self._with_node_id: list[tuple[int, int, Section, int]] = []  # _add's arguments
+        self._said_with_node_id = False  # one caused a warning
 
     def is_pattern(self) -> bool:
-        """Whether another node-ID changes nothing but the values and limits that name it."""
+        """Return whether another node-ID changes only values and limits that name it."""
         if self._said_with_node_id or "devicecommissioning" in self._text.sections:
             return False
         if "devicecomissioning" in self._text.sections:
@@ -116,7 +117,7 @@ class _Reader:
         return True
 
     def read_again(self, node_id: int) -> DeviceDescription | None:
-        """The description for another node-ID, after `read`; None if something in it is odd."""
+        """Return the description for another node-ID, after `read`; None on a warning."""
         other = _Reader(self._text, node_id)
         other._found = dict(self._found)
         for index, subindex, section, object_type in self._with_node_id:
@@ -155,13 +156,13 @@ class _Reader:
             self._read_object(index, mains.get(index), indices.get(index, {}))
         if not self._found:
             remedy = "give an EDS or DCF file with sections such as [1000]"
-            raise EdsError(self._text.path, 0, "describes no object", remedy)
+            raise EdsError(self._text.path, 0, "no objects found", remedy)
         self._check_lists(mains, indices)
         description.objects = tuple(self._found[key] for key in sorted(self._found))
         description.warnings = tuple(sorted(self._warnings, key=lambda warning: warning[1]))
         return description
 
-    # --- what is not an object
+    # --- other sections
 
     def _read_identity(self, description: DeviceDescription) -> None:
         section = self._text.sections.get("deviceinfo")
@@ -198,7 +199,7 @@ class _Reader:
                 self._warn(field.line, f"{text}: identifiers without $NODEID stay as they are")
 
     def _check_lists(self, mains: dict[int, Section], subs: dict[int, dict[int, Section]]) -> None:
-        """Lists of objects that are too long or too short; the sections decide."""
+        """Warn about lists of objects that are too long or too short; the sections decide."""
         for name in _LISTS:
             section = self._text.sections.get(name)
             if section is None:
@@ -245,7 +246,7 @@ class _Reader:
             self._warn(stated.line, text)
 
     def _read_compact(self, index: int, main: Section) -> None:
-        """CompactSubObj: one description for sub-indices 1..n, names and values in lists."""
+        """Read CompactSubObj: one description for sub-indices 1..n, names and values in lists."""
         count = self._number(main, "compactsubobj", 0)
         if not 1 <= count <= 254:
             raise self._error(main.fields["compactsubobj"], "is not 1..254", "correct the number")
@@ -306,7 +307,7 @@ class _Reader:
             missing = f"{index:04X}h:{subindex:02X}h has no DataType"
             raise EdsError(self._text.path, section.line, missing, "add DataType=0x....")
         data_type = self._number(section, "datatype", 0)
-        own_type = self._text.sections.get(f"{data_type:x}sub1")  # as CANFestival writes ranges
+        own_type = self._text.sections.get(f"{data_type:x}sub1")  # ranges of CANFestival
         if data_type > DataType.UNSIGNED64 and own_type is not None:
             data_type = self._number(own_type, "defaultvalue", 0)
         if type_name(data_type).startswith("data type"):
@@ -327,7 +328,7 @@ class _Reader:
             access = _ACCESS_WORDS[word]
             self._warn(field.line, f"AccessType {field.text!r} read as {access}")
             return access
-        raise self._error(field, "is no AccessType", f"write one of {', '.join(_ACCESS)}")
+        raise self._error(field, "is not an AccessType", f"write one of {', '.join(_ACCESS)}")
 
     def _default(self, section: Section, data_type: int) -> Value | None:
         for key in ("parametervalue", "defaultvalue"):
@@ -347,7 +348,7 @@ class _Reader:
     def _limits(
         self, section: Section, data_type: int, default: Value | None
     ) -> tuple[int | None, int | None]:
-        """LowLimit and HighLimit; those that say nothing sensible are left out."""
+        """Return LowLimit and HighLimit; limits without a sensible meaning are left out."""
         if not is_integer(data_type):
             return None, None
         low = self._limit(section, "lowlimit", data_type)
@@ -382,7 +383,7 @@ class _Reader:
     # --- fields
 
     def _number(self, section: Section, key: str, otherwise: int) -> int:
-        """The whole number behind a key; `otherwise` if nothing is there."""
+        """Return the whole number of a key, or `otherwise` if it is absent."""
         field = section.get(key)
         if field is None:
             return otherwise

@@ -1,10 +1,10 @@
-"""The lines of an EDS or DCF file: sections and keys, each with its line, repaired where plain.
+"""Line reader for EDS and DCF files: sections, keys, line numbers.
 
-Files in the field are hand-edited, merged and saved by old editors. Repaired with a warning are:
-another text encoding than UTF-8, an unresolved merge whose two sides mean the same, a key or
-section given twice with one meaning, a missing bracket, stray lines, comments behind a value. Where
-two statements contradict each other in something that matters, nobody can know what was meant: that
-is an `EdsError`.
+Files in the field are hand-edited, merged and saved by old editors. These defects are repaired with
+a warning: a text encoding other than UTF-8, an unresolved merge whose two sides mean the same, a
+key or section given twice with one meaning, a missing bracket, stray lines, comments behind a
+value. If two relevant statements contradict each other, the intended meaning is unknown: that is an
+`EdsError`.
 """
 
 import re
@@ -19,7 +19,7 @@ _SECTION: Final = re.compile(r"\[([^\]]*)(\]?)\s*(.*)")
 _TAIL_COMMENT: Final = re.compile(r"\s+(;|//).*$")
 _OBJECT: Final = re.compile(r"[0-9a-f]{4}(sub[0-9a-f]{1,2})?")
 _VALUES: Final = re.compile(r"[0-9a-f]{4}value")
-# The keys whose values the reader uses, by their name in lower case.
+# The keys whose values the reader uses, by their lower-case name.
 _OBJECT_KEYS: Final = (
     "ObjectType",
     "DataType",
@@ -59,7 +59,7 @@ class EdsError(Exception):
 
 @final
 class Field:
-    """What stands behind a key, and in which line (1..)."""
+    """The value of a key, and its line (1..)."""
 
     def __init__(self, text: str, line: int) -> None:
         self.text = text
@@ -68,7 +68,7 @@ class Field:
 
 @final
 class Section:
-    """One [section]: `name` in lower case without spaces, keys in lower case."""
+    """One [section]; `name` in lower case without spaces, keys in lower case."""
 
     def __init__(self, name: str, line: int) -> None:
         self.name = name
@@ -76,18 +76,18 @@ class Section:
         self.fields: dict[str, Field] = {}
 
     def get(self, key: str) -> Field | None:
-        """The field with this key in lower case; None if it is not there or empty."""
+        """Return the field with this lower-case key, or None if it is absent or empty."""
         field = self.fields.get(key)
         return field if field is not None and field.text else None
 
     def text(self, key: str) -> str:
-        """What stands behind the key; "" if nothing does."""
+        """Return the text of the key, or "" if it is absent."""
         field = self.fields.get(key)
         return "" if field is None else field.text
 
 
 def matters(section: str, key: str) -> bool:
-    """Whether this key says something that the reader uses; comments, lists and counts do not."""
+    """Return whether the reader uses this key; it ignores comments, lists and counts."""
     if _OBJECT.fullmatch(section):
         return key in _OBJECT_NAMES
     if section == "deviceinfo":
@@ -96,10 +96,10 @@ def matters(section: str, key: str) -> bool:
 
 
 def read_file(path: Path) -> bytes:
-    """What is in the file.
+    """Return the content of the file.
 
     Raises:
-        EdsError: it cannot be read.
+        EdsError: the file cannot be read.
     """
     try:
         return path.read_bytes()
@@ -110,7 +110,7 @@ def read_file(path: Path) -> bytes:
 
 @final
 class EdsText:
-    """A file's sections by name, and what had to be repaired to get them."""
+    """A file's sections by name, and the warnings about repairs."""
 
     def __init__(self, path: Path, data: bytes) -> None:
         self.path = path
@@ -121,10 +121,10 @@ class EdsText:
         for number, line in self._without_conflicts(lines):
             current = self._take(number, line, current)
         if not self.sections:
-            raise EdsError(path, 0, "no [section] in it", "give an EDS or DCF file")
+            raise EdsError(path, 0, "no [section] found", "give an EDS or DCF file")
 
     def warn(self, line: int, text: str) -> None:
-        """Remember something that was repaired or left out."""
+        """Add a warning about something that was repaired or left out."""
         self.warnings.append((self.path, line, text))
 
     def _decoded(self, data: bytes) -> str:
@@ -132,7 +132,7 @@ class EdsText:
             return data.decode("utf-16", "replace")
         if b"\0" in data:
             line = data[: data.index(b"\0")].count(b"\n") + 1
-            raise EdsError(self.path, line, "holds a NUL byte", "give a text file: EDS or DCF")
+            raise EdsError(self.path, line, "contains a NUL byte", "give a text file: EDS or DCF")
         try:
             return data.decode("utf-8-sig")
         except UnicodeDecodeError as error:
@@ -143,7 +143,7 @@ class EdsText:
     # --- unresolved merges
 
     def _without_conflicts(self, lines: list[_Line]) -> list[_Line]:
-        """The lines without merge markers; of sides that mean the same the first one stays."""
+        """Return the lines without merge markers; if both sides mean the same, keep the first."""
         kept: list[_Line] = []
         section = ""
         position = 0
@@ -157,15 +157,15 @@ class EdsText:
                 continue
             if line.startswith((">>>>>>>", "=======", "|||||||")):
                 remedy = "resolve the merge, or delete the line"
-                raise EdsError(self.path, number, "a merge marker without its beginning", remedy)
+                raise EdsError(self.path, number, "merge marker without a beginning", remedy)
             kept.append((number, line))
             section = _section_name(line) or section
             position += 1
         return kept
 
     def _sides(self, lines: list[_Line], start: int) -> tuple[list[_Line], list[_Line], int]:
-        """Both sides of the conflict that starts there, and where the text goes on."""
-        sides: list[list[_Line]] = [[], [], []]  # ours, theirs, their common ancestor (diff3)
+        """Return both sides of the conflict that starts there, and the position after it."""
+        sides: list[list[_Line]] = [[], [], []]  # ours, theirs, and their common ancestor (diff3)
         side = 0
         for position in range(start + 1, len(lines)):
             line = lines[position][1]
@@ -180,7 +180,7 @@ class EdsText:
             else:
                 sides[side].append(lines[position])
         remedy = "resolve the merge: keep one side"
-        raise EdsError(self.path, lines[start][0], "a merge conflict without an end", remedy)
+        raise EdsError(self.path, lines[start][0], "merge conflict without an end", remedy)
 
     def _compare(self, line: int, section: str, first: list[_Line], second: list[_Line]) -> None:
         ours, theirs = _meaning(first, section), _meaning(second, section)
@@ -191,14 +191,14 @@ class EdsText:
         remedy = "resolve the merge: keep one side and delete the marker lines"
         for name, key in [*ours, *theirs]:
             if ours.get((name, key)) != theirs.get((name, key)):
-                text = f"unresolved merge whose sides disagree about {_spelt(key)} in [{name}]"
+                text = f"unresolved merge; the sides differ in {_spelt(key)} in [{name}]"
                 raise EdsError(self.path, line, text, remedy)
-        raise EdsError(self.path, line, "unresolved merge whose sides end apart", remedy)
+        raise EdsError(self.path, line, "unresolved merge; sides end in different sections", remedy)
 
     # --- lines
 
     def _take(self, number: int, line: str, current: Section) -> Section:
-        """The line is understood; answers with the section that goes on."""
+        """Parse the line and return the current section after it."""
         line = line.strip()
         if not line or line[0] == ";":
             return current
@@ -234,7 +234,7 @@ class EdsText:
             self.warn(number, f"left out behind the section name: {match[3][:40]}")
         name = _section_name(line)
         if not name:
-            raise EdsError(self.path, number, "a section without a name", "name it or delete it")
+            raise EdsError(self.path, number, "section without a name", "name it or delete it")
         if name in self.sections:
             self.warn(number, f"[{match[1]}] again; it began in line {self.sections[name].line}")
             return self.sections[name]
@@ -262,7 +262,7 @@ def _spelt(key: str) -> str:
 
 
 def _section_name(line: str) -> str:
-    """The section a line opens, in lower case without spaces; "" if it opens none."""
+    """Return the section that a line opens, in lower case without spaces, or ""."""
     match = _SECTION.match(line.strip())
     return "".join(match[1].lower().split()) if match else ""
 
@@ -274,7 +274,7 @@ def _last_section(lines: list[_Line], section: str) -> str:
 
 
 def _meaning(lines: list[_Line], section: str) -> dict[tuple[str, str], str]:
-    """What matters in the lines: (section, key) -> value."""
+    """Return the relevant statements in the lines: (section, key) -> value."""
     said: dict[tuple[str, str], str] = {}
     for _, line in lines:
         opened = _section_name(line)

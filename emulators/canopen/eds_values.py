@@ -1,6 +1,6 @@
-"""Values as EDS and DCF files write them (CiA 306, 4.5): numbers, $NODEID expressions, strings.
+"""Values in EDS and DCF files (CiA 306, 4.5).
 
-Every function answers with the value and a remark; a remark that is not "" names a repair.
+Every function returns the value and a remark. A remark other than "" names a repair.
 """
 
 import re
@@ -26,10 +26,10 @@ _WORDS: Final = {"true": 1, "false": 0, "yes": 1, "no": 0}
 
 
 def parse_integer(text: str, node_id: int) -> tuple[int, bool, str]:
-    """The number, whether it was written in hexadecimal, and a remark.
+    """Return the number, whether it was written in hexadecimal, and a remark.
 
     Raises:
-        ValueError: it is no number; the message says what it is instead.
+        ValueError: the text is not a number; the message quotes it.
     """
     if _NODE_ID.search(text):
         return _with_node_id(text, node_id)
@@ -52,7 +52,7 @@ def parse_integer(text: str, node_id: int) -> tuple[int, bool, str]:
 
 
 def _decimal(text: str, remark: str) -> tuple[int, bool, str]:
-    """Decimal, or octal as CiA 306 has it: with a leading 0."""
+    """Parse a decimal number, or an octal one with a leading 0 (CiA 306)."""
     digits = text.lstrip("+-")
     if len(digits) > 1 and digits[0] == "0" and digits.strip("0"):
         if set(digits) <= set("01234567"):
@@ -63,7 +63,7 @@ def _decimal(text: str, remark: str) -> tuple[int, bool, str]:
 
 
 def _with_node_id(text: str, node_id: int) -> tuple[int, bool, str]:
-    """$NODEID, $NODEID + number, number + $NODEID."""
+    """Parse $NODEID, $NODEID + number or number + $NODEID."""
     cut = _COMMENT.sub("", text.strip())
     rest = "".join(_NODE_ID.sub("", cut, count=1).split())
     if rest and not (rest[0] == "+" or rest[-1] == "+"):
@@ -78,10 +78,10 @@ def _with_node_id(text: str, node_id: int) -> tuple[int, bool, str]:
 
 
 def fit(value: int, data_type: int, is_hex: bool) -> tuple[int, str]:
-    """The number as a value of the data type: hexadecimals of signed types are two's complement.
+    """Fit the number to the data type; hexadecimals of signed types are two's complement.
 
     Raises:
-        ValueError: it has no meaning there.
+        ValueError: the number does not fit the data type.
     """
     low, high = integer_range(data_type)
     bits = length_bits(data_type)
@@ -102,10 +102,10 @@ def fit(value: int, data_type: int, is_hex: bool) -> tuple[int, str]:
 
 
 def parse_value(text: str, data_type: int, node_id: int) -> tuple[Value, str]:
-    """A DefaultValue or ParameterValue, and a remark.
+    """Return a DefaultValue or ParameterValue, and a remark.
 
     Raises:
-        ValueError: it is no value of this data type.
+        ValueError: the text is not a value of this data type.
     """
     if is_integer(data_type):
         number, is_hex, remark = parse_integer(text, node_id)
@@ -128,7 +128,7 @@ def parse_value(text: str, data_type: int, node_id: int) -> tuple[Value, str]:
 
 
 def _real(text: str, data_type: int) -> tuple[float, str]:
-    """A decimal fraction, or the bit pattern where all its hexadecimal digits are there."""
+    """Parse a decimal fraction, or a bit pattern if all its hexadecimal digits are given."""
     size = length_bits(data_type) // 8
     match = _HEX.fullmatch(text)
     if match and len(match[2]) == 2 * size:
@@ -143,7 +143,7 @@ def _real(text: str, data_type: int) -> tuple[float, str]:
 
 
 def type_name(data_type: int) -> str:
-    """The standard's name of a data type."""
+    """Return the standard's name of a data type."""
     try:
         return DataType(data_type).name
     except ValueError:

@@ -1,11 +1,12 @@
-"""EMCY producer (CiA 301, 7.2.7): emergency messages, the error register 1001h, the history 1003h.
+"""EMCY producer (CiA 301, 7.2.7): emergency messages, error register, error history.
 
-A device reports its own errors with `report`. What the node finds itself (an RPDO too short, a
-heartbeat lost) is kept by key until it is repaired, so that the error register tells the truth:
-bit 0 (generic error) and bit 4 (communication error) stand while any such error stands.
+A device reports its own errors with `report`. Errors found by the node itself (a short RPDO, a lost
+heartbeat) are kept by key until they are repaired. The error register 1001h therefore stays
+correct: bit 0 (generic error) and bit 4 (communication error) are set while any such error lasts.
+The history is 1003h.
 
-Between two EMCYs lies at least the inhibit time (1015h, in 100 us); those that must wait go out in
-their order. The last `WAITING_MAX` wait, older ones are left out and told as an event.
+Two EMCYs are separated by at least the inhibit time (1015h, in 100 us); waiting ones are sent in
+order. At most `WAITING_MAX` wait; older ones are dropped and reported as an event.
 """
 
 from collections import deque
@@ -21,12 +22,13 @@ from emulators.media.can_frame import pack
 ERROR_RESET: Final = 0x0000
 COMMUNICATION: Final = 0x8100
 HEARTBEAT_LOST: Final = 0x8130
-PDO_NOT_PROCESSED: Final = 0x8210  # due to length error
+PDO_NOT_PROCESSED: Final = 0x8210  # because of a length error
 PDO_LENGTH_EXCEEDED: Final = 0x8220
 SYNC_LENGTH: Final = 0x8240
 RPDO_TIMEOUT: Final = 0x8250
 
-# Keys of what the node finds: the number of an RPDO for its length, and above all of those
+# Keys of errors found by the node: for a length error the number of the RPDO; greater values for
+# others.
 RPDO_TIMEOUT_KEY: Final = 0x1000  # + number
 SYNC_LENGTH_KEY: Final = 0x2000
 WINDOW_KEY: Final = 0x2001
@@ -43,18 +45,18 @@ _LONG_AGO: Final = -NEVER
 
 
 class ChangeListener(Protocol):
-    """Who must know that a value has changed by itself."""
+    """A listener for changes of values by the device itself."""
 
     def object_changed(self, index: int, subindex: int, now_ns: int) -> None:
-        """The variable has another value."""
+        """Handle a new value of the variable."""
 
 
 @final
 class EmcyProducer:
-    """Keeps 1001h and 1003h and sends EMCY while `may_send` (PRE-OPERATIONAL, OPERATIONAL).
+    """The keeper of 1001h and 1003h; sends EMCY while allowed (PRE-OPERATIONAL, OPERATIONAL).
 
     Attributes:
-        deadline_ns: when the next one that waits may go out.
+        deadline_ns: when the next waiting EMCY may be sent.
     """
 
     def __init__(
@@ -65,7 +67,7 @@ class EmcyProducer:
         self._listener = listener
         self._can_id = 0  # 0: EMCY does not exist
         self._device_register = 0
-        self._register = 0  # as last told
+        self._register = 0  # as last reported
         self._standing: dict[int, int] = {}  # key -> error code
         self._history = tuple(sub for sub in od.subindices(0x1003) if sub)
         self._inhibit_ns = 0
@@ -80,7 +82,7 @@ class EmcyProducer:
             count.writer = self.check_history
 
     def configure(self) -> None:
-        """Identifier and inhibit time are what 1014h and 1015h say now."""
+        """Read identifier and inhibit time from 1014h and 1015h."""
         cob_id = self._cob_id.integer()
         self._can_id = 0 if cob_id & INVALID else cob_id & 0x7FF
         self._inhibit_ns = self._od.integer(0x1015, 0, 0) * 100_000
@@ -88,17 +90,17 @@ class EmcyProducer:
             self._move()
 
     def allow(self, may_send: bool) -> None:
-        """The NMT state lets EMCY out, or not: then what waits is forgotten."""
+        """Allow or forbid EMCY by NMT state; forbidding discards waiting messages."""
         self._may_send = may_send
         if not may_send and self._waiting:
             self._waiting.clear()
             self._move()
 
     def reset(self, whole: bool) -> None:
-        """The node's own findings are forgotten, but of CAN; the device's too after reset node."""
+        """Forget the node's own errors except CAN errors; on reset node the device's as well."""
         of_can = self._standing.get(BUS_KEY)
         self._standing.clear()
-        if of_can is not None:  # no reset of the node's repairs the bus
+        if of_can is not None:  # a reset of the node does not repair the bus
             self._standing[BUS_KEY] = of_can
         self._sent_ns = _LONG_AGO
         if whole:
@@ -106,40 +108,40 @@ class EmcyProducer:
         self._register = self._keep_register()
 
     def report(self, code: int, register: int, vendor: bytes, now_ns: int) -> None:
-        """The device has this error; `register` are its own bits of 1001h from now on."""
+        """Report an error of the device; `register` are its own bits of 1001h from now on."""
         self._device_register = register
         self._emit(code, vendor, now_ns)
 
     def stand(self, register: int, now_ns: int) -> None:
-        """The device has these errors from now on, which nobody could be told or was told."""
+        """Set the device's own bits of 1001h without sending an EMCY."""
         self._device_register = register
         self._tell_register(now_ns)
 
     def find(self, key: int, code: int, vendor: bytes, now_ns: int) -> None:
-        """The node has found a communication error; found again, it is not told again."""
+        """Record a communication error found by the node; report it only the first time."""
         if self._standing.get(key) != code:
             self._standing[key] = code
             self._emit(code, vendor, now_ns)
 
     def repair(self, key: int, now_ns: int) -> None:
-        """What was found under this key is no longer so."""
+        """End the error with this key."""
         if key in self._standing:
             del self._standing[key]
             self._emit(ERROR_RESET, b"", now_ns)
 
     def expire(self, now_ns: int) -> None:
-        """The inhibit time is over: the next one that waits goes out; without one, all do."""
+        """Send the next waiting EMCY after the inhibit time; without inhibit time send all."""
         while self._waiting and self._sent_ns + self._inhibit_ns <= now_ns:
             self._outbox.frames.append(self._waiting.popleft())
             self._sent_ns = now_ns
         self._move()
 
     def history_length(self) -> int:
-        """How many entries of 1003h hold an error."""
+        """Return the number of errors in the history 1003h."""
         return self._od.integer(0x1003, 0, 0)
 
     def check_cob_id(self, value: int) -> int:
-        """What is wrong with a new 1014h; 0 if nothing."""
+        """Return the abort code for a new value of 1014h, or 0."""
         old = self._cob_id.integer()
         if value & (UPPER_BITS | _RESERVED):
             return AbortCode.INVALID_VALUE
@@ -151,7 +153,7 @@ class EmcyProducer:
         return 0
 
     def check_history(self, value: int) -> int:
-        """1003h:0 takes a 0, which clears the history."""
+        """Accept only 0 for 1003h:0, which clears the history."""
         return AbortCode.INVALID_VALUE if value else 0
 
     def _keep_register(self) -> int:
@@ -204,7 +206,7 @@ class EmcyProducer:
         self._outbox.deadlines_moved = True
 
     def _remember(self, entry: int) -> None:
-        """Newest first, the oldest falls out."""
+        """Insert the entry as the newest of the history; the oldest is dropped."""
         count = self._od.get(0x1003)
         if count is None or not self._history:
             return

@@ -1,4 +1,4 @@
-"""The error behaviour object 1029h (CiA 301): what errors do to the NMT state."""
+"""Error behaviour (CiA 301, 1029h): effects of errors on the NMT state."""
 
 from typing import Final
 
@@ -14,7 +14,7 @@ _STOPPED: Final = 2
 
 
 def state_after(od: ObjectDictionary, kind: int, state: int) -> int:
-    """The NMT state that an error of this kind leads to from `state`."""
+    """Return the NMT state after an error of this kind in `state`."""
     if state != NmtState.OPERATIONAL:
         return state
     behaviour = od.integer(0x1029, kind, _PRE_OPERATIONAL if kind == COMMUNICATION else _NO_CHANGE)

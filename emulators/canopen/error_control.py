@@ -1,7 +1,7 @@
-"""Error control (CiA 301, 7.2.8): heartbeats sent and watched, node guarding, and who is lost.
+"""Error control (CiA 301, 7.2.8): heartbeat producer and consumer, node guarding.
 
-What a loss does to the NMT state (1029h) is the node's affair, what it does to the device its
-host's.
+The node applies the effect of a loss on the NMT state (1029h). Its host applies the effect on the
+device.
 """
 
 from typing import Final, final
@@ -12,15 +12,15 @@ from emulators.canopen.heartbeat import HeartbeatConsumer, HeartbeatProducer
 from emulators.canopen.object_dictionary import ObjectDictionary
 from emulators.canopen.shared import NEVER, Outbox
 
-NOBODY: Final = 0  # the node-ID that stands for whoever guards this one
+NOBODY: Final = 0  # stands for the unknown master that guards this node
 
 
 @final
 class ErrorControl:
-    """Heartbeat producer and consumer, and node guarding.
+    """The heartbeat producer and consumer, and node guarding.
 
     Attributes:
-        state: the NMT state that is told.
+        state: the reported NMT state.
         deadline_ns: when `expire` must be called.
     """
 
@@ -36,29 +36,29 @@ class ErrorControl:
         self.deadline_ns: int = NEVER
 
     def take_node_id(self, node_id: int) -> None:
-        """The node has another node-ID."""
+        """Use another node-ID."""
         self._producer.take_node_id(node_id)
         self._guarding.take_node_id(node_id)
 
     def stop(self) -> None:
-        """INITIALISING: nothing is sent; `reset`, which must follow, forgets who was watched."""
+        """Stop sending on INITIALISING; `reset`, which must follow, clears the watched nodes."""
         self._producer.stop()
         self._find_deadline()
 
     def reset(self, now_ns: int) -> None:
-        """All is what the dictionary says now, and nobody was ever heard."""
+        """Read all settings from the dictionary and forget the nodes heard so far."""
         self._guarding.reset()
         self._guarding.configure(now_ns)
         self._consumer.configure()
         self._find_deadline()
 
     def boot_up(self, now_ns: int) -> None:
-        """The boot-up message goes out."""
+        """Send the boot-up message."""
         self._producer.boot_up(now_ns)
         self._find_deadline()
 
     def configure(self, index: int, now_ns: int) -> None:
-        """100Ch, 100Dh, 1016h or 1017h was written."""
+        """Apply a write to 100Ch, 100Dh, 1016h or 1017h."""
         if index == 0x1016:
             for node_id in self._consumer.configure():
                 self._emcy.repair(HEARTBEAT_KEY + node_id, now_ns)
@@ -69,28 +69,28 @@ class ErrorControl:
         self._find_deadline()
 
     def guard_id(self) -> int:
-        """The identifier of the remote frames that guard this node, with their flag."""
+        """Return the identifier of the remote frames that guard this node, with their flag."""
         return self._guarding.can_id
 
     def heartbeat_ids(self) -> list[int]:
-        """The identifiers of the heartbeats watched."""
+        """Return the identifiers of the watched heartbeats."""
         return self._consumer.can_ids()
 
     def heartbeat(self, frame: bytes, now_ns: int) -> None:
-        """A heartbeat that is watched came."""
+        """Process a watched heartbeat."""
         can_id = frame[0] | frame[1] << 8
         if frame[4] and self._consumer.receive(can_id, now_ns):
             self._emcy.repair(HEARTBEAT_KEY + (can_id & 0x7F), now_ns)
         self._find_deadline()
 
     def guard(self, _frame: bytes, now_ns: int) -> None:
-        """The NMT master asks this node."""
+        """Answer a guarding request of the NMT master."""
         if self._guarding.receive(self.state, now_ns):
             self._emcy.repair(HEARTBEAT_KEY, now_ns)
         self._find_deadline()
 
     def expire(self, now_ns: int) -> list[int]:
-        """What is due is done; answers with the node-IDs lost now, or NOBODY guards this one."""
+        """Process what is due and return the node-IDs lost now (NOBODY: this node's guard)."""
         lost: list[int] = []
         if self._producer.deadline_ns <= now_ns:
             self._producer.expire(self.state, now_ns)
@@ -102,7 +102,7 @@ class ErrorControl:
         return lost
 
     def tell_lost(self, node_id: int, now_ns: int) -> None:
-        """EMCY and an event about one of those that `expire` answered with."""
+        """Report the loss of one of the nodes that `expire` returned, by EMCY and event."""
         if node_id == NOBODY:
             text = f"not guarded for {self._guarding.expire()} ms"
         else:

@@ -1,8 +1,9 @@
-"""Node guarding and life guarding (CiA 301, 7.2.8.2.1): the older way to watch one another.
+"""Node guarding and life guarding (CiA 301, 7.2.8.2.1), the older monitoring protocol.
 
-The NMT master asks each node by a remote frame, and is answered with the NMT state and a bit that
-toggles. Who is asked notices in turn when it is no longer: after 100Ch times 100Dh, from the first
-time it was asked on. A node with a heartbeat (1017h) is not guarded: it may use one of the two.
+The NMT master polls each node by a remote frame. The node answers with its NMT state and a toggle
+bit. The node in turn detects the loss of the polling: after 100Ch times 100Dh, beginning with the
+first poll. A node with a heartbeat (1017h) is not guarded, because a node may use only one of the
+two.
 """
 
 from typing import Final, final
@@ -17,12 +18,12 @@ _TOGGLE: Final = 0x80
 
 @final
 class NodeGuarding:
-    """The slave's side.
+    """The slave side of guarding.
 
     Attributes:
-        can_id: of the remote frames that ask this node, with their flag.
-        deadline_ns: when the master is lost unless it asks before.
-        is_lost: whether it is; until it asks again.
+        can_id: of the remote frames that poll this node, with their flag.
+        deadline_ns: when the master is lost unless it polls before.
+        is_lost: the master is lost, until it polls again.
     """
 
     def __init__(self, od: ObjectDictionary, node_id: int, outbox: Outbox) -> None:
@@ -37,25 +38,25 @@ class NodeGuarding:
         self.is_lost = False
 
     def take_node_id(self, node_id: int) -> None:
-        """It is this node that is guarded from now on."""
+        """Guard this node-ID from now on."""
         self._answer_id = _ERROR_CONTROL + node_id
         self.can_id = self._answer_id | RTR_FLAG
 
     def reset(self) -> None:
-        """The first answer has the toggle bit 0; nobody has asked yet."""
+        """Start with toggle bit 0 and without a poll so far."""
         self._toggle = 0
         self._is_asked = self.is_lost = False
         self._life_ns = 0
         self._move(NEVER)
 
     def configure(self, now_ns: int) -> None:
-        """100Ch and 100Dh are what the dictionary says now; 0 in one of them: no life guarding."""
+        """Read 100Ch and 100Dh from the dictionary; 0 in one of them disables life guarding."""
         guard_ns = self._od.integer(0x100C, 0, 0) * MS
         self._life_ns = guard_ns * self._od.integer(0x100D, 0, 0)
         self._wait(now_ns)
 
     def receive(self, state: int, now_ns: int) -> bool:
-        """The master asks; True if it had been lost."""
+        """Answer a poll of the master; return True if it had been lost."""
         if self._od.integer(0x1017, 0, 0):
             return False
         self._outbox.frames.append(pack(self._answer_id, bytes((state | self._toggle,))))
@@ -66,7 +67,7 @@ class NodeGuarding:
         return was_lost
 
     def expire(self) -> int:
-        """The master is lost: after how long it had not asked [ms]."""
+        """Mark the master as lost and return how long it had not polled [ms]."""
         self.is_lost = True
         self._move(NEVER)
         return self._life_ns // MS

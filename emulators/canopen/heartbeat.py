@@ -1,4 +1,4 @@
-"""Heartbeat (CiA 301, 7.2.8.2.2): what this node produces (1017h) and what it watches (1016h)."""
+"""Heartbeat (CiA 301, 7.2.8.2.2): producer (1017h) and consumer (1016h)."""
 
 from typing import Final, final
 
@@ -12,7 +12,7 @@ _ERROR_CONTROL: Final = 0x700
 
 @final
 class HeartbeatProducer:
-    """Sends the NMT state every 1017h milliseconds. The boot-up message counts as the first."""
+    """A producer that sends the NMT state every 1017h ms. The boot-up message is the first."""
 
     def __init__(self, od: ObjectDictionary, node_id: int, outbox: Outbox) -> None:
         self._od = od
@@ -22,29 +22,29 @@ class HeartbeatProducer:
         self.deadline_ns: int = NEVER
 
     def take_node_id(self, node_id: int) -> None:
-        """Heartbeats are this node's from now on."""
+        """Send heartbeats of this node-ID from now on."""
         self._can_id = _ERROR_CONTROL + node_id
 
     def stop(self) -> None:
-        """Nothing is sent any more."""
+        """Stop sending."""
         self.deadline_ns = NEVER
         self._outbox.deadlines_moved = True
 
     def boot_up(self, now_ns: int) -> None:
-        """The boot-up message is out; the first heartbeat follows one period later."""
+        """Send the boot-up message; the first heartbeat follows one period later."""
         self._send(0)
         self._period_ns = self._od.integer(0x1017, 0, 0) * MS
         self.deadline_ns = now_ns + self._period_ns if self._period_ns else NEVER
         self._outbox.deadlines_moved = True
 
     def configure(self, now_ns: int) -> None:
-        """1017h was written: the first heartbeat comes at once, 0 ends them."""
+        """Apply a write to 1017h: the first heartbeat is sent at once, 0 ends them."""
         self._period_ns = self._od.integer(0x1017, 0, 0) * MS
         self.deadline_ns = now_ns if self._period_ns else NEVER
         self._outbox.deadlines_moved = True
 
     def expire(self, state: int, now_ns: int) -> None:
-        """A heartbeat goes out; whoever was late by whole periods skips them."""
+        """Send a heartbeat; a delay of whole periods skips them."""
         self._send(state)
         self.deadline_ns += self._period_ns
         if self.deadline_ns <= now_ns:
@@ -68,7 +68,7 @@ class _Watch:
 
 @final
 class HeartbeatConsumer:
-    """Watches the nodes of 1016h; watching one begins with its first heartbeat or boot-up."""
+    """A monitor of the nodes of 1016h; it starts with their first heartbeat or boot-up."""
 
     def __init__(self, od: ObjectDictionary, outbox: Outbox) -> None:
         self._od = od
@@ -81,9 +81,10 @@ class HeartbeatConsumer:
                 variable.writer = _EntryCheck(od, subindex).check
 
     def configure(self) -> list[int]:
-        """The nodes watched are those of 1016h now, and must be heard first.
+        """Watch the nodes of 1016h, starting when they are first heard.
 
-        Answers with the nodes that were lost until now.
+        Returns:
+            The nodes that were lost until now.
         """
         lost = [watch.node_id for watch in self._watches if watch.is_lost]
         self._watches = []
@@ -96,11 +97,11 @@ class HeartbeatConsumer:
         return lost
 
     def can_ids(self) -> list[int]:
-        """The identifiers of the heartbeats watched."""
+        """Return the identifiers of the watched heartbeats."""
         return [_ERROR_CONTROL + watch.node_id for watch in self._watches]
 
     def receive(self, can_id: int, now_ns: int) -> bool:
-        """A heartbeat or boot-up came; True if that node had been lost."""
+        """Process a heartbeat or boot-up; return True if that node had been lost."""
         for watch in self._watches:
             if watch.node_id == can_id - _ERROR_CONTROL:
                 watch.deadline_ns = now_ns + watch.period_ns
@@ -111,7 +112,7 @@ class HeartbeatConsumer:
         return False
 
     def expire(self, now_ns: int) -> list[int]:
-        """The node-IDs lost now, each reported once until it is heard again."""
+        """Return the node-IDs lost now; each is reported once until it is heard again."""
         lost = []
         for watch in self._watches:
             if watch.deadline_ns <= now_ns:
@@ -132,7 +133,7 @@ class HeartbeatConsumer:
 
 @final
 class _EntryCheck:
-    """Refuses a node-ID that another entry of 1016h already watches (CiA 301: 0604 0043h)."""
+    """A check that no other entry of 1016h watches the same node-ID (CiA 301: 0604 0043h)."""
 
     def __init__(self, od: ObjectDictionary, subindex: int) -> None:
         self._od = od

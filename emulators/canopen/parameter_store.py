@@ -1,13 +1,13 @@
 """Storing and restoring parameters (CiA 301, 7.5.2.13 and 7.5.2.14: 1010h, 1011h).
 
-"save" written to 1010h:n keeps the values of now: of everything (1), of communication (2: 1000h to
-1FFFh), of the application (3: 6000h to 9FFFh), of the manufacturer (4 and above: 2000h to 5FFFh).
-They are the power-on values from then on. "load" written to 1011h:n forgets what is kept there, and
-what that changes is seen after the next reset of the node, or of communication for what belongs to
-it. Anything else than the signature is refused with 0800 0020h, and nothing happens.
+"save" written to 1010h:n stores the present values: all (1), of communication (2: 1000h to 1FFFh),
+of the application (3: 6000h to 9FFFh), of the manufacturer (4 and above: 2000h to 5FFFh). They are
+the power-on values from then on. "load" written to 1011h:n deletes the stored values. "load" takes
+effect after the next reset of the node, or of communication for communication parameters. Any other
+signature is refused with 0800 0020h, without any effect.
 
-Only what differs from the device's own defaults is kept, so that a COB-ID that nobody has changed
-still follows the node-ID. Set-points and commands are no parameters and are not kept.
+Only values that differ from the device's own defaults are stored, so an unchanged COB-ID still
+follows the node-ID. Set-points and commands are not parameters and are not stored.
 """
 
 import zlib
@@ -21,7 +21,7 @@ from emulators.controller import NonvolatileMemory
 
 SAVE: Final = 0x6576_6173  # "save", little-endian
 LOAD: Final = 0x6461_6F6C  # "load"
-ON_COMMAND: Final = 1  # what 1010h and 1011h answer: stored (restored) when asked to
+ON_COMMAND: Final = 1  # value of 1010h and 1011h: stored (restored) on command
 
 _ALL: Final = (0x1000, 0xFFFF)
 _RANGES: Final = (_ALL, (0x1000, 0x1FFF), (0x6000, 0x9FFF))  # of sub-indices 1 to 3
@@ -38,14 +38,14 @@ _NO_PARAMETERS: Final = (
 
 @final
 class ParameterStore:
-    """What a device keeps without power."""
+    """The parameters that a device keeps without power."""
 
     def __init__(self, od: ObjectDictionary, memory: NonvolatileMemory, outbox: Outbox) -> None:
         self._od = od
         self._memory = memory
         self._outbox = outbox
         self.stored = StoredParameters((0, 0))
-        self._is_foreign: bool = False  # what is there is not this device's to overwrite
+        self._is_foreign: bool = False  # the stored data belong to another device: do not overwrite
         for index, signature in ((0x1010, SAVE), (0x1011, LOAD)):
             for subindex in od.subindices(index):
                 variable = od.get(index, subindex)
@@ -56,7 +56,7 @@ class ParameterStore:
                     variable.writer = command.write
 
     def load(self) -> None:
-        """Power comes on: what is kept is known, and told; what cannot be read is left out."""
+        """Load and report the stored values at power-on; leave out unreadable ones."""
         identity = (self._od.integer(0x1018, 1, 0), self._od.integer(0x1018, 2, 0))
         self.stored = StoredParameters(identity)
         data = self._memory.load()
@@ -76,22 +76,22 @@ class ParameterStore:
         self._tell("info", f"{count} stored values, of {where} (CRC {crc:08X})")
 
     def apply(self, first: int, last: int) -> None:
-        """The indices `first`..`last` have just become defaults: what is kept stands instead."""
+        """Apply stored values to the indices `first`..`last`, which have just become defaults."""
         for place, data in self.stored.values.items():
             variable = self._od.get(place >> 8, place & 0xFF)
             if variable is not None and first <= variable.index <= last:
                 variable.value = decode(variable.data_type, data)
 
     def save(self, subindex: int) -> int:
-        """1010h: what belongs to it is kept as it is now; 0 or the abort code."""
+        """Store the present values of this sub-index of 1010h; return 0 or the abort code."""
         return self._change(subindex, keep=True)
 
     def restore(self, subindex: int) -> int:
-        """1011h: what belongs to it is kept no longer; 0 or the abort code."""
+        """Delete the stored values of this sub-index of 1011h; return 0 or the abort code."""
         return self._change(subindex, keep=False)
 
     def save_lss(self, node_id: int, bit_timing: int) -> bool:
-        """What LSS has configured is kept; False: it cannot be."""
+        """Store the LSS configuration; return False if that is impossible."""
         stored = self.stored
         before = (stored.node_id, stored.bit_timing)
         stored.node_id, stored.bit_timing = node_id, bit_timing
@@ -117,7 +117,7 @@ class ParameterStore:
         return 0
 
     def _is_written(self) -> bool:
-        """All that is stored is kept without power now."""
+        """Write all stored values to the nonvolatile memory and return whether that succeeded."""
         if not self._is_foreign and self._memory.save(self.stored.write()):
             return True
         why = "is not this device's" if self._is_foreign else "cannot be written"
@@ -162,7 +162,7 @@ class _Command:
 
 
 def _range_of(subindex: int) -> tuple[int, int]:
-    """First and last index that belong to a sub-index of 1010h and 1011h."""
+    """Return the first and last index that belong to a sub-index of 1010h and 1011h."""
     if subindex > _LAST or subindex == 0:
         return _ALL
     return _RANGES[subindex - 1] if subindex <= len(_RANGES) else _MANUFACTURER

@@ -1,13 +1,13 @@
-"""How stored parameters are written: lines that a person can read, and that cannot be mistaken.
+"""Text format of stored parameters, readable and protected by a CRC.
 
     motorhil parameters 1
     identity 00000000 00000402      vendor-ID and product code (1018h:1, 1018h:2)
-    node_id 5                       where LSS has stored one; 255: none
+    node_id 5                       if LSS has stored one; 255: none
     bit_timing 0                    its index in CiA 305's table 0
-    1017:00 6400                    a value as it goes over the wire
-    end 1 1A2B3C4D                  how many values, and the CRC-32 of all lines before
+    1017:00 6400                    a value in its wire format
+    end 1 1A2B3C4D                  number of values, and the CRC-32 of all lines before
 
-A text that ends early, was changed by hand, or is another device's is refused as a whole.
+A text that ends early, was changed by hand, or belongs to another device is refused as a whole.
 """
 
 import zlib
@@ -21,12 +21,12 @@ _BIT_TIMING_MAX: Final = 9  # CiA 305's table 0
 
 @final
 class StoredParameters:
-    """What a device has stored.
+    """The parameters that a device has stored.
 
     Attributes:
         identity: vendor-ID and product code.
         values: (index << 8 | sub-index) -> bytes as on the wire, in order of their places.
-        node_id, bit_timing: by LSS; UNSET where it has stored none.
+        node_id, bit_timing: set by LSS; UNSET if not stored.
     """
 
     def __init__(self, identity: tuple[int, int]) -> None:
@@ -36,7 +36,7 @@ class StoredParameters:
         self.bit_timing: int = UNSET
 
     def write(self) -> bytes:
-        """The text."""
+        """Return the parameters as text."""
         lines = [_FIRST, self._identity()]
         if self.node_id != UNSET:
             lines.append(f"node_id {self.node_id}")
@@ -49,7 +49,7 @@ class StoredParameters:
         return f"{text}end {len(self.values)} {zlib.crc32(text.encode()):08X}\n".encode()
 
     def read(self, data: bytes) -> str:
-        """All is what the text says: "", or why nothing is."""
+        """Read all parameters from the text; return "", or the reason of a refusal."""
         lines = data.decode("latin-1").splitlines()
         if not lines or lines[0] != _FIRST:
             return f"it does not begin with {_FIRST!r}"
@@ -70,9 +70,9 @@ class StoredParameters:
         return ""
 
     def begins(self, data: bytes) -> bool:
-        """Whether the text is one of this device's, as far as it goes: whole, torn or empty.
+        """Return whether the text is this device's, as far as it goes: whole, torn or empty.
 
-        Some file systems leave zeros where power went while they wrote.
+        Some file systems leave zeros after a power failure during a write.
         """
         first = f"{_FIRST}\n{self._identity()}\n".encode()
         return data.startswith(first) or first.startswith(data) or not data.strip(b"\0")
@@ -81,10 +81,10 @@ class StoredParameters:
         return f"identity {self.identity[0]:08X} {self.identity[1]:08X}"
 
     def _read_line(self, line: str) -> None:
-        """One of the lines between.
+        """Read one of the lines between header and end.
 
         Raises:
-            ValueError: it is none.
+            ValueError: the line is malformed.
         """
         key, _, value = line.partition(" ")
         if key == "node_id":

@@ -1,4 +1,4 @@
-"""All PDOs of a node (CiA 301, 7.2.2): who takes effect, and who is sent, at what."""
+"""All PDOs of a node (CiA 301, 7.2.2) and their triggers."""
 
 from typing import final
 
@@ -43,18 +43,18 @@ class PdoService:
                 number = index - 0x1800
                 parameters = PdoParameters(od, number, False, node_id)
                 self.tpdos.append(Tpdo(parameters, number + 1, outbox, host))
-        self._latching: list[Rpdo] = []  # RPDOs that take effect at SYNC
-        self._sampled: list[Tpdo] = []  # TPDOs that SYNC may ask for
-        self._kept: list[Tpdo] = []  # TPDOs that SYNC samples for whoever asks later
+        self._latching: list[Rpdo] = []  # RPDOs that become active at SYNC
+        self._sampled: list[Tpdo] = []  # TPDOs that SYNC may trigger
+        self._kept: list[Tpdo] = []  # TPDOs that SYNC samples for later requests
         self._timed: list[Tpdo] = []  # TPDOs that may have a deadline
-        self._is_late = False  # a TPDO has left the bus after its window, as was told
-        self._awaited: list[Rpdo] = []  # RPDOs that must come again in time
-        self._starting: list[Tpdo] = []  # TPDOs that begin at a certain counter
-        self._watchers: dict[int, list[Tpdo]] = {}  # event-driven TPDOs by what they map
+        self._is_late = False  # a late TPDO has been reported
+        self._awaited: list[Rpdo] = []  # RPDOs with an event timer
+        self._starting: list[Tpdo] = []  # TPDOs that wait for a SYNC counter
+        self._watchers: dict[int, list[Tpdo]] = {}  # event-driven TPDOs by mapped variable
         self._by_can_id: dict[bytes, list[Tpdo]] = {}
 
     def configure_all(self, now_ns: int) -> None:
-        """All PDOs are what the dictionary says now."""
+        """Configure all PDOs from the dictionary."""
         for rpdo in self.rpdos:
             self._tell(f"RPDO {rpdo.number}", rpdo.configure(self._od, now_ns))
         for tpdo in self.tpdos:
@@ -63,13 +63,13 @@ class PdoService:
         self._sort()
 
     def configure_counter(self, now_ns: int) -> None:
-        """1019h was written: whoever waits for a counter begins anew."""
+        """Restart the TPDOs that wait for a SYNC counter after a write to 1019h."""
         for tpdo in self.tpdos:
             if tpdo.parameters.sync_start():
                 self.configure(tpdo.parameters.communication, now_ns)
 
     def configure(self, index: int, now_ns: int) -> None:
-        """An object of one PDO was written."""
+        """Configure one PDO after a write to one of its objects."""
         for rpdo in self.rpdos:
             if index in (rpdo.parameters.communication, rpdo.parameters.mapping):
                 rpdo.configure(self._od, now_ns)
@@ -81,7 +81,7 @@ class PdoService:
         self._sort()
 
     def start(self, now_ns: int) -> None:
-        """OPERATIONAL is entered."""
+        """Start the PDOs on entering OPERATIONAL."""
         self._is_running = True
         for rpdo in self.rpdos:
             rpdo.forget()
@@ -89,7 +89,7 @@ class PdoService:
             tpdo.begin(now_ns)
 
     def stop(self) -> None:
-        """OPERATIONAL is left."""
+        """Stop the PDOs on leaving OPERATIONAL."""
         self._is_running = False
         for rpdo in self.rpdos:
             rpdo.forget()
@@ -97,7 +97,7 @@ class PdoService:
             tpdo.stop()
 
     def sync(self, now_ns: int) -> None:
-        """SYNC in OPERATIONAL: latched RPDOs take effect, the device acts, TPDOs are sampled."""
+        """Process SYNC in OPERATIONAL: write latched RPDOs, call the device, sample TPDOs."""
         host = self._host
         is_written = False
         for rpdo in self._latching:
@@ -123,30 +123,30 @@ class PdoService:
                 tpdo.sample()
 
     def count(self, counter: int) -> None:
-        """The SYNC that comes has this counter."""
+        """Note the counter of the SYNC that is processed next."""
         for tpdo in self._starting:
             tpdo.count(counter)
 
     def changed(self, index: int, subindex: int, now_ns: int) -> None:
-        """A variable has changed: an event for the event-driven TPDOs that map it."""
+        """Trigger the event-driven TPDOs that map this changed variable."""
         if self._is_running:
             for tpdo in self._watchers.get(index << 8 | subindex, ()):
                 tpdo.want(now_ns)
 
     def confirm(self, frame: bytes, now_ns: int) -> None:
-        """An own frame has left the bus."""
+        """Confirm that an own frame has left the bus."""
         for tpdo in self._by_can_id.get(frame[:4], ()):
             tpdo.confirm(now_ns)
             if self._window.length_ns and tpdo.transmission_type <= LAST_SYNCHRONOUS:
                 self._judge(tpdo.number, now_ns)
 
     def abandon(self, now_ns: int) -> None:
-        """The node is off the bus, whose queue has given up what was in it."""
+        """Give up the TPDOs in the queue of a bus-off node."""
         for tpdo in self.tpdos:
             tpdo.abandon(now_ns)
 
     def deadline_ns(self) -> int:
-        """The nearest event timer or end of an inhibit time [ns]."""
+        """Return the nearest event timer or end of an inhibit time [ns]."""
         deadline_ns = NEVER
         for rpdo in self._awaited:
             if rpdo.deadline_ns < deadline_ns:
@@ -157,7 +157,7 @@ class PdoService:
         return deadline_ns
 
     def expire(self, now_ns: int) -> None:
-        """TPDOs whose time has come go out; RPDOs that should have come are missed."""
+        """Send the TPDOs that are due and report the RPDOs that are overdue."""
         for rpdo in self._awaited:
             if rpdo.deadline_ns <= now_ns:
                 rpdo.expire(now_ns)
@@ -190,7 +190,7 @@ class PdoService:
             self._outbox.events.append(("warning", text))
 
     def _judge(self, number: int, now_ns: int) -> None:
-        """A synchronous TPDO has left the bus: in its window, or not."""
+        """Report whether a synchronous TPDO has left the bus within its window."""
         late_ns = now_ns - self._window.closes_ns
         if (late_ns > 0) == self._is_late:
             return

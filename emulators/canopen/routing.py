@@ -1,4 +1,4 @@
-"""Which frame is whose: handlers by the four identifier bytes, and who may be heard at all."""
+"""Dispatching of frames: handlers by identifier, and the identifiers of a node."""
 
 from collections.abc import Callable
 from typing import final
@@ -8,7 +8,7 @@ Handler = Callable[[bytes, int], None]
 
 @final
 class Routes:
-    """What a node listens to, whatever its state, and what of it its state lets through.
+    """The identifiers of a node in any state, and the handlers active in the present one.
 
     Attributes:
         handlers: by the identifier's four bytes.
@@ -19,7 +19,7 @@ class Routes:
         self._wanted: dict[int, None] = {}
 
     def add(self, can_id: int, handler: Handler, is_active: bool) -> None:
-        """Frames with this identifier are wanted; in this state or in another one."""
+        """Listen to this identifier, in this state (`is_active`) or in another one."""
         self.want(can_id)
         if is_active:
             key = can_id.to_bytes(4, "little")
@@ -27,17 +27,17 @@ class Routes:
             self.handlers[key] = handler if taken is None else _Both(taken, handler).receive
 
     def want(self, can_id: int) -> None:
-        """Frames with this identifier are wanted, whoever sees to them."""
+        """Listen to this identifier without a handler."""
         self._wanted[can_id] = None
 
     def identifiers(self) -> tuple[int, ...]:
-        """All that are wanted, ascending."""
+        """Return all identifiers listened to, ascending."""
         return tuple(sorted(self._wanted))
 
 
 @final
 class _Both:
-    """Two parts of the node listen to one identifier."""
+    """Two parts of the node that listen to one identifier."""
 
     def __init__(self, first: Handler, second: Handler) -> None:
         self._first = first

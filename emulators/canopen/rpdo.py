@@ -1,11 +1,11 @@
-"""Receive PDOs (CiA 301, 7.2.2): taking effect at once or at SYNC.
+"""Receive PDOs (CiA 301, 7.2.2): processed at once or at SYNC.
 
-An RPDO of type 0..240 takes effect at the next SYNC: its frame is kept as it came, and unpacked
-then. One that is too short is left out, of one that is too long the mapped bytes count; both are
-told (EMCY 8210h, 8220h) until one of the right length comes.
+An RPDO of type 0..240 becomes active at the next SYNC: its frame is kept and unpacked then. A short
+frame is ignored; of a long one the mapped bytes count. Both are errors (EMCY 8210h, 8220h) until a
+frame of the right length arrives.
 
-With an event timer (140Xh:5) an RPDO must come again before it runs out; it is started by the first
-one that comes. That it does not come is told (EMCY 8250h) until it does.
+With an event timer (140Xh:5) an RPDO must arrive again before the timer expires. The first RPDO
+starts the timer. A missing RPDO is an error (EMCY 8250h) until the next one.
 """
 
 from typing import Final, final
@@ -41,22 +41,22 @@ class Rpdo:
         host: NodeHost,
     ) -> None:
         self.parameters = parameters
-        self.number = number  # 1..512, as people count them
+        self.number = number  # 1..512, as in the standard's names
         self.can_id = 0  # 0: it does not exist
         self.is_synchronous = False
         self.mapping = PdoMapping([])
         self.latched = b""
-        self.event_ns = 0  # 0: it may stay away
+        self.event_ns = 0  # 0: no event timer
         self.deadline_ns: int = NEVER
         self._emcy = emcy
         self._outbox = outbox
         self._window = window
         self._host = host
-        self._is_odd = False  # the last one's length was not the mapping's
-        self._is_late = False  # the last one came after its window
+        self._is_odd = False  # the last one had a wrong length
+        self._is_late = False  # the last one arrived after its window
 
     def configure(self, od: ObjectDictionary, now_ns: int) -> list[tuple[int, int]]:
-        """It is what the dictionary says now; answers with mapping entries that cannot be."""
+        """Configure the PDO from the dictionary and return its invalid mapping entries."""
         cob_id = self.parameters.cob_id()
         self.mapping, refused = load(od, self.parameters.mapping, receive=True)
         exists = not cob_id & INVALID and self.mapping.length_bytes
@@ -70,11 +70,11 @@ class Rpdo:
         return refused
 
     def is_plain(self) -> bool:
-        """Whether neither a timer nor a window has a say in when it may come."""
+        """Return whether the RPDO has neither an event timer nor a window."""
         return not self.event_ns and not (self.is_synchronous and self._window.length_ns)
 
     def receive(self, frame: bytes, now_ns: int) -> None:
-        """A frame with its identifier came, in OPERATIONAL."""
+        """Process a frame with its identifier, in OPERATIONAL."""
         length = frame[4]
         mapped = self.mapping.length_bytes
         if length != mapped:
@@ -94,7 +94,7 @@ class Rpdo:
             self._host.on_write(now_ns)
 
     def receive_watched(self, frame: bytes, now_ns: int) -> None:
-        """As `receive`, of one with a timer or a window."""
+        """Process a frame of an RPDO with an event timer or a window."""
         if self.event_ns:
             self.deadline_ns = now_ns + self.event_ns
             self._outbox.deadlines_moved = True
@@ -110,7 +110,7 @@ class Rpdo:
         self.receive(frame, now_ns)
 
     def expire(self, now_ns: int) -> None:
-        """It did not come in time."""
+        """Report that the RPDO did not arrive in time."""
         self.deadline_ns = NEVER
         self._outbox.deadlines_moved = True
         text = f"RPDO {self.number} did not come for {self.event_ns // MS} ms"
@@ -119,7 +119,7 @@ class Rpdo:
         self._emcy.find(RPDO_TIMEOUT_KEY + self.number, RPDO_TIMEOUT, vendor, now_ns)
 
     def forget(self) -> None:
-        """Nothing is latched, no timer runs."""
+        """Discard a latched frame and stop the event timer."""
         self.latched = b""
         if self.deadline_ns != NEVER:
             self.deadline_ns = NEVER

@@ -1,11 +1,11 @@
-"""SDO block transfer (CiA 301, 7.2.4.3.9 to 7.2.4.3.15): the data on both ways, and their CRC.
+"""SDO block transfer (CiA 301, 7.2.4.3.9 to 7.2.4.3.15): data and CRC.
 
-A block is up to 127 segments of 7 bytes, numbered from 1, that are confirmed together: the receiver
-says up to which number all came in order, and how many the next block may have. What lies behind a
-gap is sent again. The last segment carries a flag; how many of its bytes count comes with the end,
-as does the CRC of all data, if both sides have one.
+A block has up to 127 segments of 7 bytes, numbered from 1, and is confirmed as a whole. The
+receiver reports the last number that arrived in sequence, and the size of the next block. Segments
+behind a gap are sent again. The last segment carries a flag. The end message has the number of its
+valid bytes, and the CRC of all data if both sides support it.
 
-Only what a transfer knows is here; requests and responses are `emulators.canopen.sdo_server`'s.
+This module has the state of a transfer only; `SdoServer` handles requests and responses.
 """
 
 from typing import Final, final
@@ -33,7 +33,7 @@ _CRC: Final = _table()
 
 
 def block_crc(data: bytes) -> int:
-    """The CRC of a block transfer's data: x^16 + x^12 + x^5 + 1, from 0 (CiA 301, 7.2.4.3.16)."""
+    """Return the CRC of a block transfer: x^16 + x^12 + x^5 + 1, from 0 (CiA 301, 7.2.4.3.16)."""
     crc = 0
     for byte in data:
         crc = (crc << 8 & 0xFF00) ^ _CRC[crc >> 8 ^ byte]
@@ -42,28 +42,28 @@ def block_crc(data: bytes) -> int:
 
 @final
 class BlockDownload:
-    """What a client sends in blocks is collected.
+    """Collects the data that a client sends in blocks.
 
     Attributes:
-        expected: how many bytes there are to be; None: not told.
-        block_size: how many segments a block has at most.
-        is_complete: whether the last segment is there: the end is expected.
+        expected: the announced number of bytes, or None.
+        block_size: the maximum number of segments in a block.
+        is_complete: the last segment has arrived; the end message is expected.
     """
 
     def __init__(self, expected: int | None, has_crc: bool, limit: int) -> None:
-        """Of so many bytes (None: not told), with a CRC at its end or not; `limit` at most."""
+        """Expect this many bytes (None: unknown), `limit` at most, with or without a CRC."""
         self.block_size = BLOCK_MAX
         self.is_complete = False
         self.expected = expected
         self._has_crc = has_crc
         self._limit = limit
         self._data = bytearray()
-        self._good = 0  # number of the last segment that came in order, in this block
+        self._good = 0  # number of the last segment in sequence, in this block
 
     def segment(self, head: int, data: bytes) -> int | None:
-        """The number to confirm, if the block is over; None: it goes on.
+        """Return the number to confirm if the block is over, else None.
 
-        What comes behind a gap is not kept; the client learns of it when the block is over.
+        Segments behind a gap are dropped; the client learns this at the end of the block.
         """
         number = head & ~_LAST
         if number == self._good + 1:
@@ -77,12 +77,12 @@ class BlockDownload:
         return good
 
     def overflows(self) -> bool:
-        """Whether more has come than can be right."""
+        """Return whether more data have arrived than allowed."""
         most = self._limit if self.expected is None else self.expected
         return len(self._data) >= most + SEGMENT_BYTES
 
     def end(self, unused: int, crc: int) -> bytes | AbortCode:
-        """All data, without the bytes of the last segment that are none; or what is wrong."""
+        """Return all data without the unused bytes of the last segment, or an abort code."""
         data = bytes(self._data[: len(self._data) - unused])
         if self._has_crc and block_crc(data) != crc:
             return AbortCode.CRC_ERROR
@@ -94,18 +94,18 @@ class BlockDownload:
 
 @final
 class BlockUpload:
-    """A value is handed out in blocks."""
+    """Sends a value in blocks."""
 
     def __init__(self, data: bytes, block_size: int, has_crc: bool) -> None:
-        """In blocks of so many segments; with a CRC at its end or not."""
+        """Send blocks of this many segments, with or without a CRC at the end."""
         self._data = data
         self._block_size = block_size
         self._has_crc = has_crc
-        self._begun = 0  # where in the data the block begins that is not confirmed
-        self._sent = 0  # segments of it
+        self._begun = 0  # start of the unconfirmed block in the data
+        self._sent = 0  # segments of this block
 
     def block(self) -> list[tuple[int, bytes]]:
-        """The segments of the next block: head and up to 7 bytes each."""
+        """Return the segments of the next block: head and up to 7 bytes each."""
         out: list[tuple[int, bytes]] = []
         at = self._begun
         while len(out) < self._block_size:
@@ -119,7 +119,7 @@ class BlockUpload:
         return out
 
     def confirm(self, good: int, block_size: int) -> AbortCode | None:
-        """So many segments of the block came; the next block has so many. None: all is right."""
+        """Confirm `good` segments and set the next block size; return an abort code or None."""
         if good > self._sent:
             return AbortCode.INVALID_SEQUENCE_NUMBER
         if not 1 <= block_size <= BLOCK_MAX:
@@ -129,11 +129,11 @@ class BlockUpload:
         return None
 
     def is_over(self) -> bool:
-        """Whether all has been confirmed."""
+        """Return whether all data are confirmed."""
         return self._begun >= len(self._data) and self._begun > 0
 
     def end(self) -> tuple[int, int]:
-        """(how many bytes of the last segment are none, CRC or 0)."""
+        """Return (number of unused bytes in the last segment, CRC or 0)."""
         return -len(self._data) % SEGMENT_BYTES if self._data else SEGMENT_BYTES, (
             block_crc(self._data) if self._has_crc else 0
         )

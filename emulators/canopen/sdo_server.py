@@ -1,12 +1,10 @@
-"""SDO server (CiA 301, 7.2.4): expedited, segmented and block transfers, and why they are aborted.
+"""SDO server (CiA 301, 7.2.4): expedited, segmented and block transfers, aborts.
 
-A transfer is one of five things: none, an upload being handed out or a download being collected, in
-segments or in blocks. A new initiate request takes the place of whatever went on before, except
-between the segments of a block download, which have no command. A client that says nothing for
-`TIMEOUT_NS` in the middle of a transfer is told that it is over (0504 0000h).
-
-Every response leaves `reply_ns`
-after its request; values are read and written when the request comes.
+The state is one of five: idle, or an upload or a download, in segments or in blocks. A new initiate
+request replaces the current transfer, except between the segments of a block download, which have
+no command. If the client is silent for `TIMEOUT_NS` during a transfer, the server aborts it (0504
+0000h). Every response is sent `reply_ns` after its request. Values are read and written at the time
+of the request.
 """
 
 from collections import deque
@@ -21,7 +19,7 @@ from emulators.canopen.sdo_block import BLOCK_MAX, BlockDownload, BlockUpload
 from emulators.canopen.shared import MS, NEVER, Outbox
 
 MAX_DOWNLOAD_BYTES: Final = 1 << 20
-TIMEOUT_NS: Final = 1_000 * MS  # as CANopenNode has it; CiA 301 names no time
+TIMEOUT_NS: Final = 1_000 * MS  # as in CANopenNode; CiA 301 does not define a time
 
 _BLOCK_RESPONSE: Final = Struct("<IB3xBBB5s")
 _RESPONSE: Final = Struct("<IB3xBHB4s")  # an SDO frame with command, index, sub-index and 4 bytes
@@ -36,10 +34,10 @@ _ABORT: Final = 4
 _BLOCK_UPLOAD: Final = 5
 _BLOCK_DOWNLOAD: Final = 6
 
-_BLOCK_SEGMENTS: Final = 8  # a state, no specifier: frames of a block download
+_BLOCK_SEGMENTS: Final = 8  # a state, not a specifier: frames of a block download
 
-# Of a block transfer's commands the client's subcommand, and what of them says what they have. The
-# one that is due in a block upload, added to _BLOCK_UPLOADS, is a state.
+# Client subcommands of block transfers, and flags of their content. The expected subcommand of a
+# block upload, added to _BLOCK_UPLOADS, is a state.
 _BLOCK_UPLOADS: Final = 16
 _END: Final = 1
 _CONFIRM: Final = 2
@@ -54,14 +52,14 @@ _ABORTED: Final = 0x80
 
 
 def sdo_can_id(od: ObjectDictionary, subindex: int, default: int) -> int:
-    """The identifier of 1200h; without a valid one there that of the default SDO channel."""
+    """Return the identifier in 1200h, or that of the default SDO channel if it is not valid."""
     cob_id = od.integer(0x1200, subindex, 0)
     return default if not cob_id & 0x7FF or cob_id & INVALID else cob_id & 0x7FF
 
 
 @final
 class SdoServer:
-    """One SDO channel. `receive` takes its requests; responses come out when they are due."""
+    """One SDO channel. `receive` takes requests; `expire` sends the responses when due."""
 
     def __init__(self, access: DictionaryAccess, reply_ns: int, outbox: Outbox) -> None:
         self._access = access
@@ -70,31 +68,31 @@ class SdoServer:
         self._response_id = 0
         self._replies: deque[tuple[int, bytes]] = deque()
         self.deadline_ns: int = NEVER
-        self._timeout_ns: int = NEVER  # when a transfer is over that its client has left
-        self._state: int = _IDLE  # or _UPLOAD_SEGMENT, _DOWNLOAD_SEGMENT: what is expected next
+        self._timeout_ns: int = NEVER  # when an abandoned transfer is aborted
+        self._state: int = _IDLE  # or the expected command, as _UPLOAD_SEGMENT
         self._index = 0
         self._subindex = 0
         self._toggle = 0
-        self._data = b""  # what is left to hand out
-        self._parts: list[bytes] = []  # what has been collected
+        self._data = b""  # rest of the upload
+        self._parts: list[bytes] = []  # parts of the download
         self._collected = 0
         self._expected: int | None = None
         self._incoming: BlockDownload | None = None
         self._outgoing: BlockUpload | None = None
 
     def configure(self, response_id: int) -> None:
-        """Responses carry this identifier from now on."""
+        """Set the identifier of the responses."""
         self._response_id = response_id
 
     def stop(self) -> None:
-        """The transfer and all pending responses are forgotten."""
+        """Drop the transfer and all pending responses."""
         self._end()
         self._replies.clear()
         self.deadline_ns = NEVER
         self._outbox.deadlines_moved = True
 
     def receive(self, frame: bytes, now_ns: int) -> None:
-        """A request came."""
+        """Process a request."""
         if frame[4] != 8:
             return  # an SDO always has 8 bytes
         command = frame[8]
@@ -119,7 +117,7 @@ class SdoServer:
             self._abort(AbortCode.COMMAND_SPECIFIER_UNKNOWN, now_ns)
 
     def expire(self, now_ns: int) -> None:
-        """The responses due by now go out."""
+        """Send the responses due by now."""
         if self._timeout_ns <= now_ns:
             self._abort(AbortCode.PROTOCOL_TIMED_OUT, now_ns)
         replies = self._replies
@@ -136,7 +134,7 @@ class SdoServer:
             return
         size = len(data)
         if 0 < size <= 4:
-            self._index = self._subindex = 0  # over already
+            self._index = self._subindex = 0  # transfer complete
             command = 0x43 | (4 - size) << 2  # expedited, size indicated
         else:
             self._state = _UPLOAD_SEGMENT
@@ -186,7 +184,7 @@ class SdoServer:
         self._accept(now_ns)
 
     def _refuses(self, index: int, subindex: int, expected: int | None, now_ns: int) -> bool:
-        """Whether a download of so many bytes (None: not told) cannot begin; then it is aborted."""
+        """Abort a download of this size (None: unknown) that cannot begin; return True then."""
         code = self._access.refusal(index, subindex, expected)
         if code == 0 and expected is not None and expected > MAX_DOWNLOAD_BYTES:
             code = AbortCode.OUT_OF_MEMORY
@@ -220,10 +218,10 @@ class SdoServer:
             self._wait(now_ns)
         self._reply(_SEGMENT.pack(self._response_id, 8, response, b""), now_ns)
 
-    # ------------------------------------------------------------------------- in blocks
+    # --- block transfers
 
     def _block_download(self, command: int, frame: bytes, now_ns: int) -> None:
-        """A block download begins, or ends."""
+        """Begin or end a block download."""
         if command & 1:
             self._end_block_download(command, frame, now_ns)
             return
@@ -271,7 +269,7 @@ class SdoServer:
         self._reply(_SEGMENT.pack(self._response_id, 8, 0xA1, b""), now_ns)
 
     def _block_upload(self, command: int, frame: bytes, now_ns: int) -> None:
-        """A block upload begins, or goes on as its client says."""
+        """Begin or continue a block upload."""
         step = command & 3
         if step == 0:
             self._begin_block_upload(command, frame, now_ns)
@@ -307,7 +305,7 @@ class SdoServer:
         if not 1 <= block_size <= BLOCK_MAX:
             self._abort(AbortCode.INVALID_BLOCK_SIZE, now_ns)
             return
-        if 0 < len(data) <= threshold:  # the client has said that a plain transfer is better then
+        if 0 < len(data) <= threshold:  # the client prefers a plain transfer for this size
             self._begin_upload(index, subindex, now_ns)
             return
         self._state = _BLOCK_UPLOADS + _START
@@ -323,7 +321,7 @@ class SdoServer:
             self._reply(_SEGMENT.pack(self._response_id, 8, head, part), now_ns)
 
     def _judge(self, is_last: bool) -> int:
-        """What is wrong with the length collected so far; 0 if nothing."""
+        """Return the abort code for the length collected so far, or 0."""
         expected = self._expected
         if expected is None:
             return AbortCode.OUT_OF_MEMORY if self._collected > MAX_DOWNLOAD_BYTES else 0
@@ -332,7 +330,7 @@ class SdoServer:
         return AbortCode.LENGTH_TOO_LOW if is_last and self._collected < expected else 0
 
     def _wait(self, now_ns: int) -> None:
-        """The client must say something within the time that follows the response."""
+        """Restart the timeout, counted from the response."""
         self._timeout_ns = now_ns + self._reply_ns + TIMEOUT_NS
         if not self._replies:
             self.deadline_ns = self._timeout_ns
@@ -342,7 +340,7 @@ class SdoServer:
         self._begin(0, 0)
 
     def _begin(self, index: int, subindex: int) -> None:
-        """What went on is forgotten; the object of the transfer is this one."""
+        """Drop the current transfer and set the object of the next one."""
         self._index = index
         self._subindex = subindex
         if self._state == _IDLE:

@@ -1,8 +1,8 @@
-"""TIME (CiA 301, 7.2.6): the time of day, as somebody on the bus tells it.
+"""TIME consumer (CiA 301, 7.2.6): the time of day from the bus.
 
 With bit 31 of 1012h the node listens. TIME carries TIME_OF_DAY: milliseconds since midnight in 28
-bits, four bits of nothing, days since 1 January 1984 in 16. A TIME of another length is left out.
-What was told last can be read where a file has an object for it (ours: 2012h). The node sends none.
+bits, four unused bits, days since 1 January 1984 in 16. A TIME of another length is ignored. The
+last time can be read if the file has an object for it (ours: 2012h). The node does not send TIME.
 """
 
 from typing import Final, final
@@ -18,34 +18,34 @@ _CONSUME: Final = 1 << 31
 _PRODUCE: Final = 1 << 30
 _LENGTH: Final = 6
 _DAY_MS: Final = 86_400_000
-_STEP_MS: Final = 100  # an own clock that is off by less is not worth an event
+_STEP_MS: Final = 100  # smaller deviations from the own clock do not cause an event
 
 
 @final
 class TimeConsumer:
-    """Keeps what TIME says.
+    """A consumer that keeps the last time.
 
     Attributes:
-        can_id: of TIME; 0: nobody listens to it.
+        can_id: of TIME; 0: the node does not listen to it.
     """
 
     def __init__(self, od: ObjectDictionary, outbox: Outbox) -> None:
         self._outbox = outbox
         self._cob_id = od.get(0x1012)
         self._shown = od.get(TIME_OF_DAY)
-        self._told_ms: int = -1  # since 1984, when it was told last; -1: never
+        self._told_ms: int = -1  # last received time since 1984; -1: none
         self._told_ns = 0
         self.can_id = 0
         if self._cob_id is not None:
             self._cob_id.writer = self.check
 
     def configure(self) -> None:
-        """1012h is what it is now."""
+        """Read 1012h from the dictionary."""
         cob_id = 0 if self._cob_id is None else self._cob_id.integer()
         self.can_id = cob_id & 0x7FF if cob_id & _CONSUME else 0
 
     def receive(self, frame: bytes, now_ns: int) -> None:
-        """TIME came."""
+        """Process a TIME message."""
         if frame[4] != _LENGTH:
             return
         since_midnight_ms = int.from_bytes(frame[8:12], "little") & 0x0FFF_FFFF
@@ -62,7 +62,7 @@ class TimeConsumer:
         self._told_ms, self._told_ns = told_ms, now_ns
 
     def check(self, value: int) -> int:
-        """What is wrong with a new 1012h; 0 if nothing."""
+        """Return the abort code for a new value of 1012h, or 0."""
         if value & UPPER_BITS or is_restricted(value & 0x7FF) or value & _PRODUCE:
             return AbortCode.INVALID_VALUE  # 29 bits, taken, or sending TIME
         if value & _CONSUME and self.can_id and value & 0x7FF != self.can_id:

@@ -1,16 +1,16 @@
-"""Transmit PDOs (CiA 301, 7.2.2): sending on SYNC, event, timer and request.
+"""Transmit PDOs (CiA 301, 7.2.2): sent on SYNC, event, timer and request.
 
-A TPDO of type 1..240 is sampled at every n-th SYNC, of type 0 at the SYNC after an event, of
-types 254 and 255 at an event, at most once per inhibit time and at least once per event timer. A
-TPDO does not go into the bus's queue twice: as long as the one before has not left, the next one
-waits (254, 255) or is left out and told (synchronous ones; the bus is too full then).
+A TPDO of type 1..240 is sampled at every n-th SYNC, of type 0 at the SYNC after an event. Types 254
+and 255 are sent at an event, at most once per inhibit time and at least once per event timer. A
+TPDO is queued for the bus only once. While the previous one has not left, the next one waits (254,
+255) or is dropped and reported (synchronous ones; the bus is too full then).
 
-Where SYNC has a counter, a TPDO with a SYNC start value (180Xh:6) goes out first at the SYNC with
-that counter, and then at every n-th: so TPDOs can be spread over the SYNCs.
+If SYNC has a counter, a TPDO with a SYNC start value (180Xh:6) is first sent at the SYNC with that
+counter, and then at every n-th. This spreads TPDOs over the SYNCs.
 
-A remote frame asks for a TPDO whose COB-ID allows it (bit 30 is 0); nothing else does for types
-252 and 253. 252 answers with what the last SYNC sampled, 253 and all others with the values of now.
-What is on its way already is the answer.
+A remote frame requests a TPDO if its COB-ID allows it (bit 30 is 0). Types 252 and 253 have no
+other trigger. Type 252 returns the sample of the last SYNC, 253 and all others the current values.
+A TPDO already in flight serves as the response.
 """
 
 from typing import Final, final
@@ -24,7 +24,7 @@ from emulators.canopen.shared import MS, NEVER, NodeHost, Outbox
 SAMPLED_ON_REQUEST: Final = 252
 
 _LONG_AGO: Final = -NEVER
-_WAITS: Final = -NEVER  # a number of SYNCs that is not reached: it waits for its start value
+_WAITS: Final = -NEVER  # an unreachable number of SYNCs: it waits for its start value
 
 
 @final
@@ -48,14 +48,14 @@ class Tpdo:
         self._event_ns = 0
         self._event_due_ns: int = NEVER
         self._sent_ns: int = _LONG_AGO
-        self._is_wanted = False  # an event has happened since it was sent last
+        self._is_wanted = False  # an event has happened since the last transmission
         self._is_in_flight = False
         self._overrun_told = False
         self._syncs = 0
-        self._sample = b""  # of the last SYNC, for whoever asks
+        self._sample = b""  # of the last SYNC, for requests
 
     def configure(self, od: ObjectDictionary, has_counter: bool) -> list[tuple[int, int]]:
-        """It is what the dictionary says now; answers with mapping entries that cannot be."""
+        """Configure the PDO from the dictionary and return its invalid mapping entries."""
         parameters = self.parameters
         cob_id = parameters.cob_id()
         self.mapping, refused = load(od, parameters.mapping, receive=False)
@@ -70,11 +70,11 @@ class Tpdo:
         return refused
 
     def is_event_driven(self) -> bool:
-        """Whether events matter to it: types 0, 254, 255."""
+        """Return whether events trigger it: types 0, 254, 255."""
         return self.transmission_type == 0 or self.transmission_type >= 254
 
     def stop(self) -> None:
-        """No event is kept, no timer runs."""
+        """Forget events and stop all timers."""
         self._is_wanted = False
         self._is_in_flight = False
         self._overrun_told = False
@@ -86,43 +86,43 @@ class Tpdo:
         self._outbox.deadlines_moved = True
 
     def begin(self, now_ns: int) -> None:
-        """OPERATIONAL is entered or the PDO changed: an event-driven one tells how things are."""
+        """Restart after entering OPERATIONAL or a change; event-driven ones report their state."""
         self.stop()
         if self.can_id and self.is_event_driven():
             self.want(now_ns)
 
     def want(self, now_ns: int) -> None:
-        """An event: it is to be sent, now if it may be."""
+        """Note an event; send the TPDO now if allowed."""
         self._is_wanted = True
         if self.transmission_type >= 254:
             self._send_if_allowed(now_ns)
 
     def confirm(self, now_ns: int) -> None:
-        """The one in flight has left the bus."""
+        """Confirm that the one in flight has left the bus."""
         self._is_in_flight = False
         if self._is_wanted and self.transmission_type >= 254:
             self._send_if_allowed(now_ns)
 
     def abandon(self, now_ns: int) -> None:
-        """The one in flight will never leave the bus: an event's is sent anew."""
+        """Give up the one in flight after bus-off; an event-driven one is sent again."""
         if self._is_in_flight:
             self._is_in_flight = False
             if self.transmission_type >= 254:
                 self.want(now_ns)
 
     def expire(self, now_ns: int) -> None:
-        """The event timer or the inhibit time has run out."""
+        """Handle the expiry of the event timer or the inhibit time."""
         if self._event_due_ns <= now_ns:
             self._is_wanted = True
         self._send_if_allowed(now_ns)
 
     def count(self, counter: int) -> None:
-        """A SYNC with this counter comes: the first one, if it is what was waited for."""
+        """Start at the SYNC with this counter if it is the start value."""
         if self._syncs < 0 and counter == self.sync_start:
-            self._syncs = self.transmission_type - 1  # so it is due
+            self._syncs = self.transmission_type - 1  # it is due now
 
     def is_due(self) -> bool:
-        """A SYNC came: whether it is to be sampled at this one."""
+        """Count a SYNC and return whether the TPDO is sampled at it."""
         if self.transmission_type == 0:
             if not self._is_wanted:
                 return False
@@ -140,7 +140,7 @@ class Tpdo:
         return False
 
     def transmit(self, now_ns: int) -> None:
-        """It goes out with the values of now, which `before_read` has made ready."""
+        """Send the current values, which `before_read` has prepared."""
         self._outbox.frames.append(self.mapping.build(self.can_id))
         self._sent_ns = now_ns
         self._is_wanted = False
@@ -151,11 +151,11 @@ class Tpdo:
             self._outbox.deadlines_moved = True
 
     def sample(self) -> None:
-        """SYNC: what it holds now is kept for whoever asks; `before_read` has made it ready."""
+        """Keep the current values, which `before_read` has prepared, for later requests."""
         self._sample = self.mapping.build(self.can_id)
 
     def requested(self, _frame: bytes, now_ns: int) -> None:
-        """A remote frame asks for it."""
+        """Answer a remote frame."""
         if self._is_in_flight:
             return
         if self.transmission_type != SAMPLED_ON_REQUEST:
@@ -168,7 +168,7 @@ class Tpdo:
     def _send_if_allowed(self, now_ns: int) -> None:
         deadline_ns = self._event_due_ns
         if self._is_in_flight:
-            deadline_ns = NEVER  # `confirm` goes on
+            deadline_ns = NEVER  # `confirm` continues
         elif self._is_wanted:
             allowed_ns = self._sent_ns + self._inhibit_ns
             if allowed_ns <= now_ns:

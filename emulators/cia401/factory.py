@@ -1,4 +1,4 @@
-"""An I/O node from its table in a rig: entry point `motorhil.controllers`, name `cia401`."""
+"""Factory of I/O nodes: entry point `motorhil.controllers`, name `cia401`."""
 
 from collections.abc import Mapping
 from typing import Final
@@ -19,11 +19,11 @@ _INVALID: Final = 1 << 31
 
 
 def build(settings: Mapping[str, object], context: ControllerContext) -> Controller:
-    """The I/O node a rig describes.
+    """Build the I/O node that a rig describes.
 
     Args:
         settings: the controller's table without `kind` and `bus`.
-        context: its name, where relative paths start, the seed.
+        context: its name, the folder of relative paths, the seed.
 
     Raises:
         SettingError: a key or value is wrong, or the EDS cannot be read; names the keys.
@@ -34,11 +34,11 @@ def build(settings: Mapping[str, object], context: ControllerContext) -> Control
 
 
 def build_node(settings: NodeSettings, memory: NonvolatileMemory | None = None) -> IoNode:
-    """The node with these settings; all it is told must be by its own clock.
+    """Build the node with these settings; all calls must use its own clock.
 
     Raises:
-        SettingError: the EDS cannot be read or lacks an object that the node is about, or an object
-            of `settings.objects` cannot be set.
+        SettingError: the EDS cannot be read or lacks an indispensable object, or an object of
+            `settings.objects` cannot be set.
     """
     try:
         description = read_eds(settings.eds, settings.node_id)
@@ -50,8 +50,8 @@ def build_node(settings: NodeSettings, memory: NonvolatileMemory | None = None) 
     if missing:
         raise SettingError(
             ("eds",),
-            f"{settings.eds} has no {', '.join(missing)}: it is no file of such an I/O node",
-            "leave eds out for ours",
+            f"{settings.eds} has no {', '.join(missing)}: it is not the EDS of an I/O node",
+            "leave eds out to use the built-in one",
         )
     for wanted in settings.objects:
         _set(od, wanted, settings.eds.name)
@@ -62,7 +62,7 @@ def build_node(settings: NodeSettings, memory: NonvolatileMemory | None = None) 
 
 
 def _dictionary(description: DeviceDescription, channels: int) -> ObjectDictionary:
-    """The file's dictionary, cut down to as many channels as there are."""
+    """Return the file's dictionary, reduced to this number of channels."""
     whole = description.dictionary()
     od = ObjectDictionary()
     od.dummies = whole.dummies
@@ -83,7 +83,7 @@ def _dictionary(description: DeviceDescription, channels: int) -> ObjectDictiona
 
 
 def _shorten(od: ObjectDictionary, mapping: int, channels: int) -> None:
-    """A PDO maps what there is; one that maps nothing any more does not exist."""
+    """Remove absent objects from a PDO mapping; a PDO that maps nothing becomes invalid."""
     count = od.get(mapping, 0)
     if count is None or not count.integer():
         return
@@ -112,12 +112,12 @@ def _set(od: ObjectDictionary, wanted: ObjectValue, file: str) -> None:
     try:
         if isinstance(value, str):
             if length_bits(variable.data_type):
-                raise TypeError(f"{value!r} is no number")
+                raise TypeError(f"{value!r} is not a number")
             variable.set_default(value.encode("utf-8"))
             return
         if is_integer(variable.data_type):
             if isinstance(value, float):
-                raise TypeError(f"{value} is no whole number")
+                raise TypeError(f"{value} is not a whole number")
             low, high = variable.low, variable.high
             if (low is not None and value < low) or (high is not None and value > high):
                 raise ValueError(f"{value} is outside {low}..{high}")

@@ -1,20 +1,20 @@
-"""The objects of an I/O node: outputs that hosts write, inputs and counters that they read.
+"""Objects of an I/O node: outputs, inputs and counters.
 
 | object     | what                                                                          |
 | ---------- | ----------------------------------------------------------------------------- |
 | 6411h:c    | analogue output of channel c, INTEGER16, +-10 V left-adjusted                   |
-| 6443h, 6444h | what it does when the host is lost: 0 nothing, 1 takes this value             |
+| 6443h, 6444h | its reaction when the host is lost: 0 nothing, 1 takes this value             |
 | 6200h:1    | digital outputs; bit c - 1 enables the amplifier of channel c                   |
-| 6206h, 6207h | what they do when the host is lost: bits that take a value, and which          |
+| 6206h, 6207h | their reaction when the host is lost: bits that take a value, and which       |
 | 6000h:1    | digital inputs; bits 2c - 2 and 2c - 1 are *ready* and *fault* of channel c      |
 | 6820h:c    | encoder counter of channel c, INTEGER32, wraps around; 6810h:c sets it           |
 
-CiA 401 has no position counter. Encoders are CiA 406, and a device of two profiles has the second
-one's objects 800h further on (CiA 301, multiple device modules: 1000h says FFFFh, 67FFh and 6FFFh
-tell the two device types). So a counter is 6020h + 800h, "position value for multi-sensor devices",
-and its preset 6010h + 800h: as field bus couplers with counter modules have it (Turck BL20 among
-them), and better than an object of our own that no other program would know. 406's speed value is
-left out: 16 bits of it say less than two counts of 32.
+CiA 401 has no position counter. Encoders are CiA 406, and a device of two profiles has the objects
+of the second one 800h further on (CiA 301, multiple device modules: 1000h is FFFFh, 67FFh and 6FFFh
+have the two device types). A counter is therefore 6020h + 800h, "position value for multi-sensor
+devices", and its preset 6010h + 800h. Field bus couplers with counter modules use the same objects
+(Turck BL20 among them), so other programs know them. The speed value of CiA 406 is left out: its 16
+bits contain less than two counts of 32.
 """
 
 from typing import Final, final
@@ -38,10 +38,10 @@ _D = DataType
 
 @final
 class IoObjects:
-    """What hosts wrote, in the node's own terms, and what they may read.
+    """The values that hosts wrote, and the values that they may read.
 
     Attributes:
-        is_written: whether something was since the node last looked; it clears this.
+        is_written: a write has happened since the node last looked; the node clears this.
         presets: counters to be set, by channel from 0; the node clears them.
     """
 
@@ -69,7 +69,7 @@ class IoObjects:
             ensure(PRESET, number, _D.INTEGER32, 0).writer = _Preset(self, place).write
 
     def inputs(self) -> int:
-        """6000h:1."""
+        """Return the digital inputs, 6000h:1."""
         value = 0
         shift = 0
         for channel in self._channels:
@@ -78,14 +78,14 @@ class IoObjects:
         return value
 
     def apply(self) -> None:
-        """The outputs are what the objects say."""
+        """Set the outputs from the objects."""
         enables = self._outputs.integer()
         for place, channel in enumerate(self._channels):
             channel.set_output(self._analogue[place].integer())
             channel.set_enabled(enables >> place & 1 != 0)
 
     def fall_back(self) -> None:
-        """Nobody minds the outputs any more: they are what 6206h, 6207h, 6443h and 6444h say."""
+        """Set the outputs to their error values (6206h, 6207h, 6443h, 6444h) without a host."""
         mode = self._error_mode_8.integer()
         self._outputs.value = self._outputs.integer() & ~mode | self._error_value_8.integer() & mode
         for place, output in enumerate(self._analogue):

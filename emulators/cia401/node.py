@@ -1,8 +1,9 @@
-"""A CiA 401 I/O node on a CAN bus, with amplifiers and encoders on its channels; sans-I/O.
+"""A CiA 401 I/O node with amplifiers and encoders; sans-I/O.
 
-Outputs act when their RPDO does: at once (types 254, 255) or at SYNC (0 to 240), before the
-counters are sampled for the TPDOs of the same SYNC. Host lost (heartbeat, NMT stop, reset of
-communication): the outputs take their error values, and keep them until they are written again.
+Outputs change when their RPDO is processed: at once (types 254, 255) or at SYNC (0 to 240), before
+the counters are sampled for the TPDOs of the same SYNC. If the host is lost (heartbeat, NMT stop,
+reset of communication), the outputs take their error values and keep them until they are written
+again.
 """
 
 from collections.abc import Mapping, Sequence
@@ -23,7 +24,7 @@ _PREFIX: Final = ("", "channel_2_", "channel_3_", "channel_4_")
 
 @final
 class IoNode:
-    """Implements `emulators.controller.Controller` and `emulators.canopen.node.NodeHost`."""
+    """An I/O node; implements `Controller` and `NodeHost`."""
 
     def __init__(
         self,
@@ -45,32 +46,32 @@ class IoNode:
             memory,
         )
         self._events: list[tuple[str, str]] = list(events)
-        self._inputs: int = 0  # as last told to the node's TPDOs
+        self._inputs: int = 0  # as last reported to the node's TPDOs
         self._touched: bool = False  # inputs may have changed
         self._has_started: bool = False
 
     # --- Controller
 
     def start(self, now_ns: int) -> None:
-        """Power comes on."""
+        """Power on."""
         self._node.start(now_ns)
 
     def receive(self, data: bytes, now_ns: int) -> None:
-        """A frame was on the bus."""
+        """Process a frame on the bus."""
         self._node.receive(data, now_ns)
         if self._touched:
             self._publish(now_ns)
 
     def sent(self, data: bytes, now_ns: int) -> None:
-        """An own frame left the bus."""
+        """Confirm that an own frame has left the bus."""
         self._node.sent(data, now_ns)
 
     def wants_sent(self) -> bool:
-        """The node waits for its TPDOs to leave."""
+        """Return True: the node waits for its TPDOs to leave."""
         return self._node.wants_sent()
 
     def next_deadline_ns(self) -> int | None:
-        """When `expire` must be called at the latest [ns]."""
+        """Return when `expire` must be called at the latest [ns], or None."""
         deadline_ns = self._node.deadline_ns()
         for channel in self.channels:
             if channel.due_ns < deadline_ns:
@@ -78,7 +79,7 @@ class IoNode:
         return None if deadline_ns == NEVER else deadline_ns
 
     def expire(self, now_ns: int) -> None:
-        """What is due is done: first the amplifiers', then the node's."""
+        """Process what is due: first the amplifiers, then the node."""
         for channel in self.channels:
             if channel.due_ns <= now_ns:
                 channel.axis.at(now_ns)
@@ -91,11 +92,11 @@ class IoNode:
             self._publish(now_ns)
 
     def take_output(self) -> Sequence[bytes]:
-        """The frames to send now."""
+        """Return the frames to send now."""
         return self._node.take_output()
 
     def take_events(self) -> Sequence[tuple[str, str]]:
-        """(level, text) of what happened since last asked."""
+        """Return (level, text) of each event since the last call."""
         events = self._node.take_events()
         if not self._events:
             return events
@@ -104,10 +105,10 @@ class IoNode:
         return [*events, *own]
 
     def stimulate(self, name: str, value: float, now_ns: int) -> None:
-        """As `Channel.stimulate`, of channel 1; of others with "channel_2_" and so on before it.
+        """Set a stimulus of channel 1; prefix it by "channel_2_" and so on for other channels.
 
         Raises:
-            ValueError: there is no such stimulus, or the value is none.
+            ValueError: the stimulus is unknown, or the value is invalid.
         """
         place = 0
         for number in range(1, len(self.channels)):
@@ -124,7 +125,10 @@ class IoNode:
         self._publish(now_ns)
 
     def snapshot(self, now_ns: int) -> Mapping[str, float]:
-        """The truth at `now_ns`; of channels after the first with "channel_2_" and so on before."""
+        """Return the true state at `now_ns`; channels after the first have a prefix.
+
+        The prefixes are "channel_2_" and so on.
+        """
         found: dict[str, float] = {}
         for place, channel in enumerate(self.channels):
             channel.axis.at(now_ns)
@@ -132,26 +136,26 @@ class IoNode:
         return found
 
     def identifiers(self) -> Sequence[int] | None:
-        """The CAN identifiers it listens to."""
+        """Return the CAN identifiers that the node listens to."""
         return self._node.identifiers()
 
     def identifiers_revision(self) -> int:
-        """Grows whenever `identifiers` would answer something new."""
+        """Return a number that increases with every change of `identifiers`."""
         return self._node.identifiers_revision()
 
     # --- NodeHost
 
     def on_nmt(self, state: int, now_ns: int) -> None:
-        """In STOPPED nobody minds the outputs."""
+        """Set the outputs to their error values in STOPPED."""
         if state == NmtState.STOPPED:
             self._fall_back("stopped", now_ns)
 
     def on_reset(self, whole: bool, now_ns: int) -> None:
-        """Reset node makes outputs and counters 0; reset communication takes the host away."""
+        """Reset outputs and counters on reset node; on reset communication use error values."""
         if whole:
             self._objects.presets.clear()
             self._take_over(now_ns)
-            if self._has_started:  # at power-on it counts from where the motor is
+            if self._has_started:  # at power-on it counts from the motor's position
                 for channel in self.channels:
                     channel.axis.set_position(0)
             self._has_started = True
@@ -159,32 +163,32 @@ class IoNode:
             self._fall_back("communication reset", now_ns)
 
     def on_write(self, now_ns: int) -> None:
-        """Objects were written."""
+        """Apply written objects."""
         objects = self._objects
         if objects.is_written:
             objects.is_written = False
             self._take_over(now_ns)
 
     def on_sync(self, now_ns: int) -> None:
-        """Outputs of synchronous RPDOs have come by `on_write`."""
+        """Do nothing: outputs of synchronous RPDOs have come by `on_write`."""
 
     def before_read(self, now_ns: int) -> None:
-        """Counters answer as of now."""
+        """Update the counters to `now_ns`."""
         for channel in self.channels:
             channel.axis.at(now_ns)
 
     def on_heartbeat_lost(self, node_id: int, now_ns: int) -> None:
-        """The host is gone."""
+        """Set the outputs to their error values because the host is lost."""
         self._fall_back(f"node {node_id} is lost" if node_id else "it is guarded no more", now_ns)
 
     def on_bus_off(self, now_ns: int) -> None:
-        """It does not hear its host."""
+        """Set the outputs to their error values because the node cannot hear its host."""
         self._fall_back("bus-off", now_ns)
 
     # --- inside
 
     def _take_over(self, now_ns: int) -> None:
-        """The amplifiers see the outputs as they are now; counters that were set count on."""
+        """Apply outputs and counter presets to the channels."""
         objects = self._objects
         objects.apply()
         for channel in self.channels:
@@ -202,7 +206,7 @@ class IoNode:
         self._events.append(("warning", f"{why}: the outputs have their error values"))
 
     def _publish(self, now_ns: int) -> None:
-        """Inputs that have changed are told to the TPDOs that map them."""
+        """Report changed inputs to the TPDOs that map them."""
         self._touched = False
         inputs = self._objects.inputs()
         if inputs == self._inputs:

@@ -1,4 +1,4 @@
-"""A PR-mode drive from its table in a rig: entry point `motorhil.controllers`, `leadshine_pr`."""
+"""Factory of PR-mode drives: entry point `motorhil.controllers`, name `leadshine_pr`."""
 
 from collections.abc import Mapping
 
@@ -11,11 +11,11 @@ from emulators.modbus_drive import read_settings
 
 
 def build(settings: Mapping[str, object], context: ControllerContext) -> Controller:
-    """The drive a rig describes.
+    """Build the drive that a rig describes.
 
     Args:
         settings: the controller's table without `kind` and `bus`.
-        context: its name, where relative paths start, the seed.
+        context: its name, the folder of relative paths, the seed.
 
     Raises:
         SettingError: a key or value is wrong; names the keys.
@@ -28,7 +28,7 @@ def build(settings: Mapping[str, object], context: ControllerContext) -> Control
 
 
 def registers() -> tuple[Register, ...]:
-    """Its register map, for people."""
+    """Return the register map, for display."""
     return ROWS
 
 

@@ -1,8 +1,8 @@
-"""Homing of a PR-mode drive: fast to the switch, slowly back off it; there its zero is.
+"""Homing of a PR-mode drive: search, back off, set zero.
 
-Bit 0 of the homing mode says which way to go (1: forward), bit 2 whether the home switch or the
-limit switch of that side is looked for. Without such a switch it goes on until it is stopped, as
-the real one does.
+Bit 0 of the homing mode is the direction (1: forward). Bit 2 selects the home switch, otherwise the
+limit switch of that side. Without such a switch the search continues until it is stopped, as in the
+real drive.
 """
 
 from enum import Enum
@@ -36,11 +36,11 @@ class Homing:
         self._phase = _Phase.IDLE
 
     def is_active(self) -> bool:
-        """Whether it goes on."""
+        """Return whether homing is in progress."""
         return self._phase is not _Phase.IDLE
 
     def begin(self) -> None:
-        """It looks for the switch."""
+        """Begin the search for the switch."""
         self._phase = _Phase.LEAVING if self._closed() else _Phase.SEARCHING
         if self._phase is _Phase.LEAVING:
             self._run(-self._way() * self._drive.bank["homing_speed_low"])
@@ -48,11 +48,11 @@ class Homing:
             self._run(self._way() * self._drive.bank["homing_speed_high"])
 
     def abandon(self) -> None:
-        """It is over, whether or not it has found anything."""
+        """End homing, successful or not."""
         self._phase = _Phase.IDLE
 
     def settle(self) -> None:
-        """What follows from where the axis is."""
+        """Advance the phases according to the position of the axis."""
         drive, phase = self._drive, self._phase
         if phase is _Phase.SEARCHING and self._closed():
             self._phase = _Phase.STOPPING

@@ -1,12 +1,12 @@
-"""What the registers of a PR-mode drive are called, where they are, and what they hold.
+"""Register map of a PR-mode drive: names, addresses and contents.
 
-Parameters are written Pr group.number in the vendor's manuals; their addresses follow from that:
-group 0 at 0001h + 2n, 4 at 0141h + 2n, 5 at 0191h + 2n, 6 at 01E1h + 2n, 8 at 6000h + n, 9 at
-6200h + n (eight for each of the sixteen paths).
+The vendor's manuals name parameters Pr group.number. Their addresses are: group 0 at 0001h + 2n, 4
+at 0141h + 2n, 5 at 0191h + 2n, 6 at 01E1h + 2n, 8 at 6000h + n, 9 at 6200h + n (eight for each of
+the sixteen paths).
 
 Source: several independent public drivers for DM556RS, iCL-RS, iSV2-RS and DM2J drives agree on
-what is not marked; what is marked "*" stands in one of them only, or follows the vendors' manuals
-as these are quoted there.
+everything without a mark. Items marked "*" are in one of them only, or follow quotations of the
+vendors' manuals there.
 """
 
 from typing import Final
@@ -77,7 +77,7 @@ def _path(number: int) -> list[Register]:
 
 
 def _input(number: int) -> Register:
-    # 25h and 26h: limit switches, 27h: home switch, 22h: emergency stop
+    # 25h and 26h: limit switches, 27h: home switch, 22h: emergency stop.
     return Register(0x0145 + 2 * number, f"input{number}_function", behaviour="25h 26h 27h 22h")
 
 
@@ -116,4 +116,4 @@ ROWS: Final = (
 SAVED: Final = tuple(
     row.name for row in ROWS if row.access is Access.READ_WRITE and row.name != "trigger"
 )
-"""What "save" keeps for the next power-on."""
+"""The registers that "save" keeps for the next power-on."""

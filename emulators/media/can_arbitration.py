@@ -1,9 +1,9 @@
-"""Who sends when on one wire: the nodes with a frame pending compete by their arbitration field.
+"""CAN arbitration on one wire: pending frames compete by their arbitration field.
 
-What it knows of ISO 11898-1: every frame takes its exact length (`can_bits`); the nodes that have a
-frame pending when the bus is free compete; after a frame come 3 bits of intermission. A frame
-submitted during the intermission, or within the first bit time of another node's start of frame,
-still takes part; nothing is scheduled for that, `submit` decides again.
+Modelled from ISO 11898-1: every frame takes its exact length (`can_bits`). Nodes with a pending
+frame compete when the bus becomes free. Each frame is followed by 3 bits of intermission. A frame
+that is submitted during the intermission, or within the first bit time of another node's start of
+frame, still takes part. This needs no timer: `submit` repeats the arbitration.
 """
 
 from heapq import heapify, heappop, heappush
@@ -23,10 +23,10 @@ from emulators.media.can_statistics import CanStatistics
 
 
 class CanArbitration:
-    """The frames of all ports, and the one in flight. `CanBus` is one, and tells what it carries.
+    """The pending frames of all ports and the frame in flight. `CanBus` derives from it.
 
-    Attributes (read only): name, bit_ns [ns], statistics; data_bit_ns, a bit at the data rate
-    [ns], 0 on a classical bus.
+    Attributes (read only): name, bit_ns [ns], statistics; data_bit_ns, the duration of a bit at the
+    data rate [ns], 0 on a classical bus.
     """
 
     __slots__ = (
@@ -60,22 +60,22 @@ class CanArbitration:
         self._competing: list[int] = []  # heap of the entries of candidates not in flight
         self._flight = 0  # entry in flight; 0: idle
         self._start_ns = 0
-        self._joinable_ns = 0  # until then (exclusive) others may still take part
+        self._joinable_ns = 0  # other nodes may join until then (exclusive)
         self._end_ns = 0  # end of EOF of the frame in flight
         self._free_ns = 0  # end of the last intermission
         self._intermission_ns = INTERMISSION_BITS * bit_ns
-        self._starts = 0  # arbitrations so far
-        self._collided = False  # the frame in flight has won over one with its own key
-        self._is_skewed = False  # a node's clock is not true
-        self._plain_max = CLASSICAL_MAX  # longer frames take what `_duration_ns` says
-        self._faulty = False  # something is wrong, or can go wrong
+        self._starts = 0  # number of arbitrations so far
+        self._collided = False  # the frame in flight has beaten one with the same key
+        self._is_skewed = False  # a node's clock has an error
+        self._plain_max = CLASSICAL_MAX  # the duration of longer frames comes from `_duration_ns`
+        self._faulty = False  # a fault is active or possible
 
     def submit(self, port: int, frame: bytes, now_ns: int) -> None:
-        """The frame (can_frame or canfd_frame) waits for its turn at this port, or is on its way.
+        """Submit a frame (can_frame or canfd_frame) for transmission by this port.
 
         Raises:
-            ValueError: it is no frame that a node can send, see `can_bits.measure`; or a CAN FD
-                frame, and the bus or the node is classical.
+            ValueError: a node cannot send this frame (see `can_bits.measure`); or it is a CAN FD
+                frame and the bus or the node is classical.
         """
         node = self._ports[port]
         entry = measure(frame) | node.tag
@@ -94,11 +94,11 @@ class CanArbitration:
             self._begin(entry, now_ns if now_ns > self._free_ns else self._free_ns)
 
     def pending(self, port: int) -> int:
-        """Frames of this port submitted and not yet sent completely."""
+        """Return the number of submitted frames of this port that are not yet sent completely."""
         return self._ports[port].pending()
 
     def withdraw(self, port: int) -> int:
-        """This port's pending frames are forgotten, except one in flight; how many they were."""
+        """Discard this port's pending frames, except one in flight, and return their number."""
         node = self._ports[port]
         count = len(node.behind)
         node.behind.clear()
@@ -109,18 +109,18 @@ class CanArbitration:
         return count
 
     def arbitration_losses(self, port: int) -> int:
-        """How often a frame of this port competed and had to wait for another node's."""
+        """Return how often a frame of this port competed and had to wait for another node's."""
         node = self._ports[port]
         if node.entry > 0 and node.entry != self._flight:
             return node.losses + self._starts - node.starts_seen
         return node.losses
 
     def port_names(self) -> list[str]:
-        """The names of the ports, by number."""
+        """Return the names of the ports, by number."""
         return [port.name for port in self._ports]
 
     def _begin(self, entry: int, start_ns: int) -> None:
-        """This entry has won (so far) and starts at `start_ns`."""
+        """Start the frame that has won so far at `start_ns`."""
         bit_ns = self.bit_ns
         self._flight = entry
         self._start_ns = start_ns
@@ -132,26 +132,26 @@ class CanArbitration:
             self._end_ns = start_ns + self._duration_ns(entry)
 
     def _duration_ns(self, entry: int) -> int:
-        """How long the frame takes, without its intermission, by its sender's clock."""
+        """Return the frame's duration without intermission, by its sender's clock [ns]."""
         lengths, number = entry & LENGTHS_MASK, entry >> PORT_SHIFT & PORT_MASK
         whole_ns = self._fd_ns(lengths) if lengths > CLASSICAL_MAX else lengths * self.bit_ns
         duration_ns = whole_ns - self._intermission_ns
-        if not self._is_skewed or number >= len(self._ports):  # or a wire that no node takes
+        if not self._is_skewed or number >= len(self._ports):  # or no node's frame
             return duration_ns
         return duration_ns * ONE // (ONE + self._ports[number].chip.clock_error_1e12)
 
     def _skew(self) -> None:
-        """A node's clock is not true: how long frames take is asked of its sender."""
+        """Compute frame durations from the sender's clock from now on."""
         self._is_skewed = True
         self._plain_max = 0
 
     def _fd_ns(self, lengths: int) -> int:
-        """How long a CAN FD frame takes [ns], intermission included."""
+        """Return the duration of a CAN FD frame, intermission included [ns]."""
         bits, data_bits = phases_of(lengths)
         return bits * self.bit_ns + data_bits * self.data_bit_ns
 
     def _require_fd(self, node: CanPort, frame: bytes) -> None:
-        """The node may send this CAN FD frame here."""
+        """Check that the node may send this CAN FD frame on this bus."""
         number = f"CAN FD frame {can_id_of(frame) & EFF_MASK:X}h"
         if not self.data_bit_ns:
             raise ValueError(
@@ -165,7 +165,7 @@ class CanArbitration:
             )
 
     def _arbitrate(self, start_ns: int) -> None:
-        """The best of those competing starts; the bus is idle if there is none."""
+        """Start the best competing frame; leave the bus idle if there is none."""
         competing = self._competing
         if not competing:
             self._flight = 0
@@ -180,7 +180,7 @@ class CanArbitration:
         self._begin(entry, start_ns)
 
     def _compete(self, node: CanPort, now_ns: int) -> None:
-        """A new candidate waits for the next arbitration, or still takes part in the last one."""
+        """Add a candidate to the current arbitration if it can still join, else to the next."""
         if now_ns < self._joinable_ns:
             node.starts_seen = self._starts - 1
             self._join(node)
@@ -189,7 +189,7 @@ class CanArbitration:
             heappush(self._competing, node.entry)
 
     def _join(self, node: CanPort) -> None:
-        """A candidate takes part in the arbitration that another node's frame has won so far."""
+        """Let a candidate join the arbitration that another node's frame has won so far."""
         entry = node.entry
         flight = self._flight
         if entry >> KEY_SHIFT == flight >> KEY_SHIFT:
@@ -206,14 +206,14 @@ class CanArbitration:
         self._begin(entry, self._start_ns)
 
     def _collide(self) -> None:
-        """Two nodes send frames of one identifier and type at once."""
+        """Record that two nodes send frames of one identifier and type at once."""
         self._collided = True
         self._faulty = True
 
     def _succeed(self, node: CanPort, entry: int, bits: int) -> None:
-        """A frame of so many bits is sent: statistics, and the node's next one competes."""
+        """Count a sent frame of this many bits and let the node's next frame compete."""
         key = entry >> KEY_SHIFT
-        statistics = self.statistics  # as its `count`; the call would cost 4 % of the frame
+        statistics = self.statistics  # inlined `count`; the call would cost 4 % of the frame
         statistics.frames += 1
         statistics.bits += bits
         counts = statistics.by_key
@@ -229,12 +229,12 @@ class CanArbitration:
             heappush(self._competing, node.entry)
 
     def _occupy(self, more_bits: int) -> None:
-        """What was in flight took its time and so many nominal bits more."""
+        """Keep the bus busy for the frame in flight and `more_bits` nominal bits."""
         self._free_ns = self._end_ns + self._intermission_ns + more_bits * self.bit_ns
         self._busy.add(self._start_ns, self._free_ns)
 
     def _submit_behind(self, node: CanPort, entry: int, frame: bytes, now_ns: int) -> None:
-        """The node has a candidate already; the frame takes its place, or waits behind it."""
+        """Queue a frame of a node that has a candidate; it may replace the candidate."""
         if self._faulty and self._submit_held(node, entry, frame, now_ns):
             return
         flying = node.entry == self._flight
@@ -260,15 +260,15 @@ class CanArbitration:
             heappush(self._competing, entry)
 
     def _submit_held(self, node: CanPort, entry: int, frame: bytes, now_ns: int) -> bool:
-        """Whether the node's frame was taken care of otherwise; where something is wrong."""
+        """Return whether faults keep the frame from the normal queue; overridden there."""
         return False
 
     def _leave_race(self, node: CanPort) -> None:
-        """The node's candidate, which is not in flight, competes no longer; its losses count."""
+        """Withdraw the node's candidate, which is not in flight, and count its losses."""
         self._drop_out(node.entry)
         node.losses += self._starts - node.starts_seen
 
     def _drop_out(self, entry: int) -> None:
-        """This entry competes no longer."""
+        """Remove this entry from the arbitration."""
         self._competing.remove(entry)
         heapify(self._competing)

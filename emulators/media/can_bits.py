@@ -1,21 +1,23 @@
-"""How many bits a CAN frame is on the wire, at which rate, and who wins arbitration with it.
+"""Length, bit rates and arbitration keys of CAN frames.
 
-From start of frame to the end of the CRC sequence, after five equal bits the sender inserts one of
-the other value, which itself begins a new run; the run that ends with the CRC's last bit counts.
+From start of frame to the end of the CRC sequence, the sender inserts one inverse bit after five
+equal bits. The stuff bit begins a new run. A run that ends with the last CRC bit counts as well.
 CRC delimiter, ACK slot, ACK delimiter, end of frame (7) and intermission (3) are never stuffed.
 
-Stuffing is a machine of eight states (last bit, length of the run 1..4), so one table look-up
-advances it by a whole byte, and another one the CRC. The header (identifier, flags, length) is
-remembered with the state it leads to: a node sends few different ones.
+The stuffing state machine has eight states (last bit, run length 1..4). One table look-up advances
+it by a whole byte, another advances the CRC. The header (identifier, flags, length) is cached with
+the state it leads to, because a node sends few different headers.
 
-CAN FD is stuffed like this up to its last data bit only, after which no such bit follows: a fixed
-stuff bit goes before the stuff count and after every fourth bit from there, so that the stuff count
-(4), CRC-17 (up to 16 bytes) or CRC-21 and their fixed stuff bits (6 or 7) are as long whatever they
-say. With a bit rate switch, the rate changes at BRS's sample point and changes back at the CRC
-delimiter's. BRS counts as a nominal bit here and the CRC delimiter as one at the data rate: what
-the one is short of after its sample point the other is over, so the sum is exact wherever the
-sample points are (BRS lasts s Tn + (1 - t) Td and the delimiter t Td + (1 - s) Tn). BRS itself is
-never at the end of a run, as FDF and res before it differ: no stuff bit lies on the border.
+CAN FD is stuffed this way up to its last data bit only, and no dynamic stuff bit follows that bit.
+A fixed stuff bit precedes the stuff count and follows every fourth bit from there. The stuff count
+(4), CRC-17 (up to 16 bytes) or CRC-21 and their fixed stuff bits (6 or 7) have therefore a constant
+length.
+
+With a bit rate switch, the rate changes at the sample point of BRS, and back at the sample point of
+the CRC delimiter. Here BRS counts as a nominal bit and the CRC delimiter as a bit at the data rate.
+The two errors cancel wherever the sample points are, so the sum is exact (BRS lasts s Tn + (1 - t)
+Td and the delimiter t Td + (1 - s) Tn). BRS never ends a run, because FDF and res before it differ:
+no stuff bit lies on the border.
 
 Source: ISO 11898-1:2015, bit stuffing, frame formats, bit rate switching; CRC-15 polynomial 4599h.
 Bounds: Davis, Burns, Bril & Lukkien, Controller Area Network schedulability analysis (2007); for
@@ -39,34 +41,35 @@ from emulators.media.can_frame import (
 )
 
 INTERMISSION_BITS: Final = 3
-KEY_SHIFT: Final = 30  # `measure` answers key << KEY_SHIFT | lengths
+KEY_SHIFT: Final = 30  # `measure` returns key << KEY_SHIFT | lengths
 
-# Lengths are bits of an FD frame from ESI to CRC delimiter << DATA_SHIFT | other bits. The former
-# are at the data rate unless NO_SWITCH is among the latter; of classical frames there are none.
+# Lengths are (bits of an FD frame from ESI to CRC delimiter) << DATA_SHIFT | other bits. The former
+# are at the data rate unless NO_SWITCH is set in the latter. Classical frames have none of the
+# former.
 LENGTHS_MASK: Final = 0x3FFFF
-CLASSICAL_MAX: Final = 0xFF  # lengths above are those of an FD frame
+CLASSICAL_MAX: Final = 0xFF  # greater lengths are those of an FD frame
 DATA_SHIFT: Final = 8
 NO_SWITCH: Final = 0x80
 _FD_NOMINAL_MASK: Final = 0x7F
 
 _POLYNOMIAL: Final = 0x4599
 _TAIL_BITS: Final = 13  # CRC delimiter, ACK slot and delimiter, end of frame, intermission
-_FD_TAIL_BITS: Final = 12  # the same, but for the CRC delimiter
+_FD_TAIL_BITS: Final = 12  # the same without the CRC delimiter
 _FD_SHORT_BYTES: Final = 16
 _FD_SHORT_BITS: Final = 28  # stuff count, CRC-17, fixed stuff bits, CRC delimiter
 _FD_LONG_BITS: Final = 33  # with CRC-21
 _FD_CONTROL_BITS: Final = 5  # ESI, DLC
-_HEADERS_KEPT: Final = 4096  # then all are forgotten; a bound on memory, 1 MB at most
-_FRAMES_KEPT: Final = 8192  # as well, 2 MB at most
+_HEADERS_KEPT: Final = 4096  # then the cache is cleared; bounds memory to 1 MB
+_FRAMES_KEPT: Final = 8192  # likewise; bounds memory to 2 MB
 
 # A stuffing state is last bit * 4 + (run - 1), kept shifted by 8 so that a byte fits below it.
-# Table entries: stuff bits inserted << 16 | next state << 8. Up to 20 of them can be added up
-# before the states reach the counts.
+# Table entries: stuff bits inserted << 16 | next state << 8. Up to 20 entries can be added before
+# the states overflow into the counts.
 _STATE: Final = 0x700
 
 
 def _stuff_table(width: int) -> list[int]:
-    """For state << width | value: what the `width` bits of value, most significant first, do."""
+    """Return the stuffing table, by state << width | value with the most significant bit first."""
     table: list[int] = []
     for state in range(8):
         for value in range(1 << width):
@@ -78,7 +81,7 @@ def _stuff_table(width: int) -> list[int]:
 
 
 def _stuff(state: int, bit: int) -> int:
-    """What one bit does, as a table entry."""
+    """Return the table entry for one bit in a stuffing state."""
     last = state >> 10
     run = (state >> 8 & 3) + 2 if bit == last else 1
     if run == 5:
@@ -87,7 +90,7 @@ def _stuff(state: int, bit: int) -> int:
 
 
 def _last_table() -> list[int]:
-    """For state << 8 | byte: 1 if its last bit is followed by a stuff bit, else 0."""
+    """Return the table, by state << 8 | byte: 1 if a stuff bit follows the byte's last bit."""
     table: list[int] = []
     for entry in range(1 << 11):
         before = _STUFF_7[entry >> 1] & _STATE
@@ -96,7 +99,7 @@ def _last_table() -> list[int]:
 
 
 def _crc_table() -> list[int]:
-    """For a byte: the CRC register after it, from an empty register."""
+    """Return the table of CRC registers after one byte, from an empty register."""
     table: list[int] = []
     for value in range(256):
         register = value << 7
@@ -111,31 +114,31 @@ _STUFF_7: Final = _stuff_table(7)
 _LAST: Final = _last_table()
 _CRC: Final = _crc_table()
 
-# The first five bytes of a frame -> (key << KEY_SHIFT | bits without stuffing, where the data end
-# in the frame, CRC register, stuffing state, stuff bits << 16).
+# The first five bytes of a frame -> (key << KEY_SHIFT | bits without stuffing, end of the data in
+# the frame, CRC register, stuffing state, stuff bits << 16).
 _headers: Final[dict[bytes, tuple[int, int, int, int, int]]] = {}
 # The first six bytes of an FD frame -> (key << KEY_SHIFT | lengths without stuff bits of the data,
-# where the data end, stuffing state).
+# end of the data, stuffing state).
 _fd_headers: Final[dict[bytes, tuple[int, int, int]]] = {}
-# What `measure` answered to whole frames: heartbeats, questions and a status at rest come again.
+# Results of `measure` by whole frame: heartbeats, requests and unchanged status repeat.
 _frames: Final[dict[bytes, int]] = {}
 
 
 def length_bits(frame: bytes) -> int:
-    """Exact bits of a frame from its first to its last, at either rate, without the intermission.
+    """Return the exact number of bits of a frame at either rate, without the intermission.
 
     Raises:
-        ValueError: as of `measure`.
+        ValueError: as for `measure`.
     """
     return frame_bits(frame) - INTERMISSION_BITS
 
 
 def measure(frame: bytes) -> int:
-    """Arbitration key << KEY_SHIFT | lengths, exact and incl. intermission.
+    """Return arbitration key << KEY_SHIFT | lengths, exact and including intermission.
 
     Raises:
-        ValueError: neither a 16-byte can_frame nor a 72-byte canfd_frame, an error message, an
-            identifier that its format has no room for, a length that it has not, or a remote
+        ValueError: the frame is neither a 16-byte can_frame nor a 72-byte canfd_frame, is an error
+            message, has an identifier or length that its format does not allow, or is a remote
             frame of CAN FD.
     """
     known = _frames.get(frame)
@@ -161,42 +164,42 @@ def measure(frame: bytes) -> int:
 
 
 def frame_bits(frame: bytes) -> int:
-    """Exact length on the wire incl. stuff bits and the 3 bits of intermission.
+    """Return the exact length on the wire, including stuff bits and the 3 bits of intermission.
 
     Raises:
-        ValueError: as `measure`.
+        ValueError: as for `measure`.
     """
     return bits_of(measure(frame) & LENGTHS_MASK)
 
 
 def bits_of(lengths: int) -> int:
-    """How many bits they are, at whatever rate."""
+    """Return the total number of bits of these lengths, at either rate."""
     if lengths > CLASSICAL_MAX:
         return (lengths >> DATA_SHIFT) + (lengths & _FD_NOMINAL_MASK)
     return lengths
 
 
 def phases_of(lengths: int) -> tuple[int, int]:
-    """(bits at the nominal rate, bits at the data rate)."""
+    """Return (bits at the nominal rate, bits at the data rate)."""
     if lengths > CLASSICAL_MAX and not lengths & NO_SWITCH:
         return lengths & _FD_NOMINAL_MASK, lengths >> DATA_SHIFT
     return bits_of(lengths), 0
 
 
 def arbitration_key(frame: bytes) -> int:
-    """The arbitration field as a number: the lower one wins the bus. 32 bits.
+    """Return the arbitration field as a 32-bit number; the lower number wins the bus.
 
-    At equal 11 bits a base data frame beats a base remote frame beats any extended frame.
+    With equal 11 bits a base data frame beats a base remote frame, which beats any extended frame.
     No two kinds of frame share a key.
 
     Raises:
-        ValueError: as `measure`.
+        ValueError: as for `measure`.
     """
     return measure(frame) >> KEY_SHIFT
 
 
 def can_id_of_key(key: int) -> int:
-    """The can_id (identifier and flags) whose arbitration key this is."""
+    """Return the can_id (identifier and flags) that has this arbitration key."""
     if key & 1 << 19:  # IDE
         can_id = key >> 21 << 18 | key >> 1 & 0x3FFFF | EFF_FLAG
         return can_id | RTR_FLAG if key & 1 else can_id
@@ -204,7 +207,7 @@ def can_id_of_key(key: int) -> int:
 
 
 def _measure_fd(frame: bytes) -> int:
-    """As `measure`, of a frame that is not classical and not remembered."""
+    """Measure a frame that is not classical and not cached, as `measure` does."""
     if len(frame) != FD_FRAME_BYTES:
         raise ValueError(
             f"a CAN frame has {FRAME_BYTES} bytes here, or {FD_FRAME_BYTES} in CAN FD, not "
@@ -230,7 +233,7 @@ def _measure_fd(frame: bytes) -> int:
 
 
 def _key_of(can_id: int) -> int:
-    """The arbitration field; checks the identifier."""
+    """Check the identifier and return the arbitration field."""
     if can_id & ERR_FLAG:
         raise ValueError("an error message (ERR_FLAG) is for a node, not for the bus")
     remote = 1 if can_id & RTR_FLAG else 0
@@ -244,7 +247,7 @@ def _key_of(can_id: int) -> int:
 
 
 def _measure_fd_header(frame: bytes) -> tuple[int, int, int]:
-    """What `_measure_fd` remembers of an identifier, a length and flags; checks them."""
+    """Check an identifier, length and flags and return the header that `_measure_fd` caches."""
     can_id = can_id_of(frame)
     length = frame[4]
     key = _key_of(can_id)
@@ -258,7 +261,7 @@ def _measure_fd_header(frame: bytes) -> tuple[int, int, int]:
     bits = arbitration << 3 | (0b101 if switch else 0b100)
     bits = bits << 5 | (0b10000 if frame[5] & ESI else 0) | FD_LENGTHS.index(length)
     width += 3
-    entry = 0b100 << 8  # "a recessive bit before": the dominant start of frame begins a run
+    entry = 0b100 << 8  # preset to a recessive bit: the dominant start of frame begins a run
     stuff_bits = [0, 0]
     for shift in range(width + _FD_CONTROL_BITS - 1, -1, -1):
         entry = _stuff(entry & _STATE, bits >> shift & 1)
@@ -275,7 +278,7 @@ def _measure_fd_header(frame: bytes) -> tuple[int, int, int]:
 
 
 def _measure_header(frame: bytes) -> tuple[int, int, int, int, int]:
-    """What `measure` remembers of an identifier, its flags and a length; checks them."""
+    """Check an identifier, flags and length and return the header that `measure` caches."""
     can_id = can_id_of(frame)
     length = frame[4]
     key = _key_of(can_id)
@@ -284,7 +287,7 @@ def _measure_header(frame: bytes) -> tuple[int, int, int, int, int]:
     # then r1, r0, DLC, or after IDE = 0: r0, DLC; SOF is a leading 0
     bits, width = (key << 6 | length, 39) if can_id & EFF_FLAG else (key >> 19 << 5 | length, 19)
     crc = 0
-    entry = 0b100 << 8  # "a recessive bit before": the dominant start of frame begins a run
+    entry = 0b100 << 8  # preset to a recessive bit: the dominant start of frame begins a run
     total = 0
     for shift in range(width - 1, -1, -1):
         bit = bits >> shift & 1

@@ -1,12 +1,12 @@
-"""A CAN bus with ports: who may send when, how long it takes, who hears it, and what goes wrong.
+"""A CAN bus with ports: arbitration, transmission time, delivery and faults.
 
-A core like a controller: told frames, told the time, asked for its next deadline. Who may send is
-said in `can_arbitration`; what becomes of a frame where something is wrong in `can_stretch` and
-what it rests on. While nothing is, and nothing can go wrong, all that costs one flag.
+The bus is a sans-I/O core like a controller: it receives frames and the time, and returns its next
+deadline. `CanArbitration` decides which node sends. `CanStretch` and its bases decide what happens
+to a frame under faults. Without an active or possible fault all of this costs one flag.
 
-Here the wire may come apart: each part is a `CanStretch` of its own (the bus is the one that all
-others have left), with its own arbitration. A node that comes from one to another listens first,
-until it has heard 11 recessive bits; what it was sending is sent again.
+Here the wire may be split. Each part is a `CanStretch` with its own arbitration (the bus itself is
+the part that all others have left). A node that moves to another part first listens until it has
+heard 11 recessive bits. The frame that it was sending is sent again.
 """
 
 from typing import final
@@ -34,32 +34,32 @@ from emulators.media.noise import NoiseSource
 
 __all__ = ["DELIVERED", "HEARD", "KIND_MASK", "LOST", "CanBus", "Delivery", "hears"]
 
-_Place = tuple[str, ...]  # names of the rules that part a node from the others; none: on the bus
+_Place = tuple[str, ...]  # rules that separate a node from the others; empty: on the bus
 
 
 @final
 class CanBus(CanStretch):
     """A CAN bus. Sans-I/O; times are int nanoseconds on one timeline that starts at 0.
 
-    Whoever drives it calls `expire` with the time of each `next_deadline_ns` as it comes, and
-    never submits at a time later than a deadline still due.
+    The caller calls `expire` at each `next_deadline_ns`, and never submits at a time later than a
+    deadline that is still due.
 
-    Memory grows as `CanStatistics` says (at most 16 bytes per frame), by what is submitted and not
-    yet sent, and by the events of faults until they are taken.
+    Memory grows with `CanStatistics` (at most 16 bytes per frame), with the frames submitted and
+    not yet sent, and with fault events until they are taken.
 
     Args:
-        name: how records call it.
+        name: the name used in records.
         bitrate_bit_s: nominal bit rate [bit/s]; a bit must be a whole number of nanoseconds.
-        faults: what goes wrong; None: nothing ever will. An empty plan costs nothing either.
-        data_bitrate_bit_s: of the data phase of CAN FD frames with a bit rate switch [bit/s]; as
-            the other one, and not below it. None: the bus is classical.
+        faults: the faults to inject; None: no faults at all. An empty plan costs nothing either.
+        data_bitrate_bit_s: bit rate of the data phase of CAN FD frames with a bit rate switch
+            [bit/s]; a bit must be a whole number of nanoseconds, and the rate not below the nominal
+            one. None: the bus is classical.
 
-    Attributes (read only): name, bitrate_bit_s, bit_ns [ns], statistics; eventful, whether
+    Attributes (read only): name, bitrate_bit_s, bit_ns [ns], statistics; eventful, True if
     `take_fault_events` has any.
 
     Raises:
-        ValueError: a bit at these rates is no whole number of nanoseconds, or the data rate is the
-            lower one.
+        ValueError: a bit is not a whole number of nanoseconds, or the data rate is too low.
     """
 
     __slots__ = (
@@ -86,14 +86,14 @@ class CanBus(CanStretch):
         if data_bit_ns > bit_ns:
             raise ValueError(
                 f"bus {name}: the data bit rate of {data_bitrate_bit_s} bit/s is below the "
-                f"nominal one of {bitrate_bit_s} bit/s"
+                f"nominal bit rate of {bitrate_bit_s} bit/s"
             )
         self._has_plan = faults is not None
         seam = FaultSeam(FaultPlan((), _no_chance) if faults is None else faults)
         super().__init__(name, bit_ns, data_bit_ns, seam, [])
         self.bitrate_bit_s = bitrate_bit_s
         self.data_bitrate_bit_s = data_bitrate_bit_s
-        self._fd_kind = DELIVERED  # of a CAN FD frame: only FD nodes hear it
+        self._fd_kind = DELIVERED  # of a CAN FD frame: only FD nodes receive it
         self.eventful = False
         self._islands: dict[_Place, CanStretch] = {}
         self._where: list[CanStretch] = []  # by port
@@ -103,16 +103,16 @@ class CanBus(CanStretch):
         self._settle()
 
     def attach(self, name: str, chip: CanNode = PLAIN, now_ns: int = 0) -> int:
-        """A new node is on the bus; its port number, counted from 0.
+        """Add a node to the bus and return its port number, counted from 0.
 
         Raises:
             ValueError: the name is taken, or 4096 ports are attached.
         """
         number = len(self._ports)
         if number > PORT_MASK:
-            raise ValueError(f"bus {self.name}: no more than {PORT_MASK + 1} ports")
+            raise ValueError(f"bus {self.name}: too many ports; the limit is {PORT_MASK + 1}")
         if name in self.port_names():
-            raise ValueError(f"bus {self.name}: a port is called {name} already")
+            raise ValueError(f"bus {self.name}: there is already a port named {name}")
         node = Presence(number, name, chip)
         self._nodes.append(node)
         self._seam.attach(name)
@@ -131,18 +131,18 @@ class CanBus(CanStretch):
         return number
 
     def next_deadline_ns(self) -> int | None:
-        """When something is complete, or a fault is due [ns]; None: only if something comes in."""
+        """Return the time of the next completion or fault [ns], or None if nothing is pending."""
         due_ns = self.deadline_ns()
         return None if due_ns == NEVER_NS else due_ns
 
     def deadline_ns(self) -> int:
-        """As `next_deadline_ns`, with NEVER_NS (-1) for None."""
+        """Return `next_deadline_ns`, with NEVER_NS (-1) for None."""
         if self._faulty:
             return self._deadline_with_faults_ns()
         return self._end_ns if self._flight else NEVER_NS
 
     def expire(self, now_ns: int) -> list[Delivery]:
-        """What became complete up to `now_ns`, in order; the next arbitration is decided."""
+        """Return the deliveries complete by `now_ns`, in order, and arbitrate the next frame."""
         deliveries: list[Delivery] = []
         if self._faulty:
             self._expire_with_faults(now_ns, deliveries)
@@ -165,35 +165,35 @@ class CanBus(CanStretch):
         return deliveries
 
     def pending(self, port: int) -> int:
-        """Frames of this port submitted and not yet sent completely."""
+        """Return the number of submitted frames of this port that are not yet sent completely."""
         where = self._where[port]
         return super().pending(port) if where is self else where.pending(port)
 
     def withdraw(self, port: int) -> int:
-        """This port's pending frames are forgotten, except one in flight; how many they were."""
+        """Discard this port's pending frames, except one in flight, and return their number."""
         where = self._where[port]
         return super().withdraw(port) if where is self else where.withdraw(port)
 
     def arbitration_losses(self, port: int) -> int:
-        """How often a frame of this port competed and had to wait for another node's."""
+        """Return how often a frame of this port competed and had to wait for another node's."""
         where = self._where[port]
         return super().arbitration_losses(port) if where is self else where.arbitration_losses(port)
 
     # --- nodes
 
     def node(self, port: int) -> Presence:
-        """How the node of this port takes part: its counters and state. To be read only."""
+        """Return the state and counters of the node at this port. Read only."""
         return self._nodes[port]
 
     def error_state(self, port: int) -> ErrorState:
-        """Error active, above the warning limit, error passive, or bus-off."""
+        """Return the error state: error active, warning, error passive or bus-off."""
         return self._nodes[port].state()
 
     def restart(self, port: int, now_ns: int) -> None:
-        """A node that is bus-off begins now to wait for the 128 runs of recessive bits.
+        """Let a bus-off node begin to wait for the 128 runs of recessive bits.
 
         Raises:
-            ValueError: it is not bus-off.
+            ValueError: the node is not bus-off.
         """
         node = self._nodes[port]
         if node.role is not Role.OFF:
@@ -205,7 +205,7 @@ class CanBus(CanStretch):
     # --- with faults
 
     def inject(self, rule: FaultRule, now_ns: int) -> None:
-        """The rule holds from now on; `next_deadline_ns` may be another.
+        """Add a fault rule, effective from now on; `next_deadline_ns` may change.
 
         Raises:
             ValueError: the bus was made without a fault plan, or has had a rule of that name.
@@ -215,33 +215,33 @@ class CanBus(CanStretch):
         self._recheck(now_ns)
 
     def lift(self, name: str, now_ns: int) -> None:
-        """The rule of this name holds no longer; what it delayed still comes.
+        """Remove the rule with this name; frames that it has delayed still arrive.
 
         Raises:
-            ValueError: the bus was made without a fault plan, or has no such rule.
+            ValueError: the bus was made without a fault plan, or does not have such a rule.
         """
         self._require_plan()
         self._seam.plan.remove(name)
         self._recheck(now_ns)
 
     def take_fault_events(self) -> list[FaultEvent]:
-        """(time [ns], rule or node, what, frame) of all that has gone wrong since last asked."""
+        """Return (time [ns], rule or node, what, frame) of each fault since the last call."""
         self.eventful = False
         return self._seam.plan.take_events()
 
     def faults_fired(self) -> dict[str, int]:
-        """How often each rule has fired, by name, in the order of adding."""
+        """Return how often each rule has fired, by name, in the order of adding."""
         return self._seam.plan.fired()
 
     def _require_plan(self) -> None:
         if not self._has_plan:
-            raise ValueError(f"bus {self.name} has no fault plan; give it one, empty if need be")
+            raise ValueError(f"bus {self.name} has no fault plan; give it one, which may be empty")
 
     def _stretches(self) -> list[CanStretch]:
         return [self, *self._islands.values()]
 
     def _recheck(self, now_ns: int) -> None:
-        """The rules have changed."""
+        """Apply changed rules to all parts of the bus."""
         for stretch in self._stretches():
             stretch.freeze(now_ns)
             stretch.resume(now_ns)
@@ -251,7 +251,7 @@ class CanBus(CanStretch):
         self._settle()
 
     def _settle(self) -> None:
-        """From now on faults cost something, or nothing."""
+        """Set the flag that selects the path with faults or the one without."""
         for island in self._islands.values():
             self.statistics.absorb(island.statistics)
         self.eventful = self._seam.plan.has_events()
@@ -269,7 +269,7 @@ class CanBus(CanStretch):
         return due_ns
 
     def _expire_with_faults(self, now_ns: int, out: list[Delivery]) -> None:
-        """As `expire`; of what is due at one time, rules come first and late frames last."""
+        """Expire with faults; of what is due at one time, rules come first and late frames last."""
         seam = self._seam
         due_ns = self._deadline_with_faults_ns()
         while 0 <= due_ns <= now_ns:
@@ -287,10 +287,10 @@ class CanBus(CanStretch):
                 return True
         return False
 
-    # --- rules that last
+    # --- lasting rules
 
     def _keep_rules(self, now_ns: int) -> None:
-        """Rules have begun or are over: who is on which wire, and what is wrong there."""
+        """Apply the beginning and end of lasting rules: membership of wires, and faults there."""
         if self._seam.keep(now_ns):
             self._part(now_ns)
             self._spread_rules(now_ns)
@@ -314,7 +314,7 @@ class CanBus(CanStretch):
         return island
 
     def _part(self, now_ns: int) -> None:
-        """Ports have left their wire for another one."""
+        """Move ports to the wire where the rules put them."""
         moved: dict[tuple[_Place, _Place], list[Presence]] = {}
         for node in self._nodes:
             before, after = self._places[node.number], self._place_of(node.name)
@@ -334,7 +334,7 @@ class CanBus(CanStretch):
     def _move(
         self, nodes: list[Presence], source: CanStretch, target: CanStretch, now_ns: int
     ) -> None:
-        """These nodes are on another wire; a frame of theirs under way goes on there."""
+        """Move these nodes to another wire; a frame of theirs in flight may continue there."""
         going_on = None if target.members else source.under_way([n.number for n in nodes], now_ns)
         for node in nodes:
             source.leave(node, now_ns)
@@ -346,7 +346,7 @@ class CanBus(CanStretch):
             target.go_on(*going_on)
 
     def _spread_rules(self, now_ns: int) -> None:
-        """Each wire has the noise, the level and the babble that are on it."""
+        """Give each wire its noise, stuck level and babbling nodes."""
         plan = self._seam.plan
         sources: dict[tuple[str, int, _Place], NoiseSource] = {}
         for place, stretch in [((), self), *self._islands.items()]:
@@ -365,7 +365,7 @@ class CanBus(CanStretch):
         self._sources = sources
 
     def _ears(self, rule: FaultRule, stretch: CanStretch) -> list[int]:
-        """Who sees the bits that a noise inverts on a wire: all at once, or each its own."""
+        """Return port masks that see the inverted bits: one for all, or one per port."""
         if not rule.ports:
             return [ALL_PORTS]
         return [1 << node.number for node in stretch.members if node.name in rule.ports]
@@ -380,21 +380,21 @@ class CanBus(CanStretch):
 
 
 def _empty_port(number: int, name: str, chip: CanNode) -> CanPort:
-    """In a part of the bus where the node is not."""
+    """Return the port of a node in a part of the bus where the node is not."""
     port = CanPort(number, name, chip)
     port.entry = CUT_OFF
     return port
 
 
 def _no_chance() -> float:
-    raise AssertionError("a bus without a fault plan draws nothing")
+    raise AssertionError("a bus without a fault plan draws no random numbers")
 
 
 def _bit_ns(name: str, rate_bit_s: int) -> int:
-    """How long a bit takes [ns]."""
+    """Return the duration of a bit [ns]."""
     if rate_bit_s <= 0 or 1_000_000_000 % rate_bit_s:
         raise ValueError(
-            f"bus {name}: a bit at {rate_bit_s} bit/s is no whole number of nanoseconds; 8M, 5M, "
-            "4M, 2M, 1M, 800k, 500k, 250k, 125k, 100k, 50k, 20k and 10k are"
+            f"bus {name}: a bit at {rate_bit_s} bit/s is not a whole number of nanoseconds; "
+            "use 8M, 5M, 4M, 2M, 1M, 800k, 500k, 250k, 125k, 100k, 50k, 20k or 10k"
         )
     return 1_000_000_000 // rate_bit_s

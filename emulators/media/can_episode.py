@@ -1,15 +1,17 @@
-"""What comes of a frame that is struck: all nodes of a bus, bit by bit, until they agree again.
+"""Bit-by-bit simulation of a disturbed frame until all nodes agree again.
 
-A pure function. Bits are counted from 0, the start of frame; what happens at a bit is known at
-its end, (bit + 1) bit times after the start of frame. It is causal: of two episodes that differ
-only in what happens from some bit on (a disturbance that lasts longer, a node that leaves), all is
-equal before. So an episode may be computed as if nothing more would happen, and again when
-something does; and only so far, for under enough noise nodes need not agree for hours.
+A pure function. Bits are counted from 0, the start of frame. An event in a bit is known at the end
+of the bit, (bit + 1) bit times after the start of frame.
 
-Nodes that are off the bus are no stations here; that they count recessive bits is told by
-`recessive_runs` and `recessive_bits`. Distances are no matter: in one bit all hear one level.
+The simulation is causal. If two episodes differ only from some bit on (a disturbance that lasts
+longer, a node that leaves), all before that bit is equal. An episode may therefore be computed as
+if nothing more would happen, and again when something does. An episode is computed in sections,
+because under heavy noise nodes may not agree for hours.
 
-Source: ISO 11898-1; `can_signalling` and `confinement` say what they decide that it leaves open.
+Bus-off nodes are not stations here; `recessive_runs` and `recessive_bits` tell how many recessive
+bits they count. Propagation delays are ignored: within one bit all nodes sample one level.
+
+Source: ISO 11898-1; `can_signalling` and `confinement` document their choices where it is open.
 """
 
 from collections.abc import Sequence
@@ -48,19 +50,19 @@ __all__ = [
 @final
 @dataclass(frozen=True, slots=True)
 class Station:
-    """A node as an episode finds it, in the bit before the start of frame.
+    """The state of a node in the bit before the start of frame.
 
     Attributes:
         port: its number on the bus.
-        frames: those it has to send, in the order in which its queue would (16-byte can_frame).
-            The first is sent from bit 0 on, unless the node is suspended, integrating or stalled.
+        frames: its pending frames, in the order of its queue (16-byte can_frame). The first is sent
+            from bit 0 on, unless the node is suspended, integrating or stalled.
         tec, rec: its error counters.
-        support: which frames it can stand.
+        support: the frame formats that it tolerates.
         one_shot: a frame that fails or loses arbitration is dropped.
-        leaves_at: the bit from which on it is not there any more (power lost, cut off).
+        leaves_at: the first bit in which it is absent (power lost, cut off).
         suspended: bits for which it may not start yet (suspend transmission).
-        integrating: recessive bits in a row that it has to hear before it takes part; 0: it does.
-        stalled: it has sent a flag, and has heard nothing but dominant bits for long.
+        integrating: consecutive recessive bits that it must hear before it takes part; 0: it does.
+        stalled: it has sent a flag, and has heard only dominant bits for long.
     """
 
     port: int
@@ -76,30 +78,30 @@ class Station:
 
 
 class EventKind(Enum):
-    """What happened to a node."""
+    """The kind of an event at a node."""
 
-    ACCEPTED = NOTE_ACCEPTED  # it received this frame: last but one bit of end of frame
-    SENT = NOTE_SENT  # it sent this frame: last bit of end of frame
+    ACCEPTED = NOTE_ACCEPTED  # frame received: last but one bit of end of frame
+    SENT = NOTE_SENT  # frame sent: last bit of end of frame
     FAILED = NOTE_FAILED  # an error destroyed the frame it was sending
     LOST = NOTE_LOST  # it lost arbitration with this frame
-    ERROR = NOTE_ERROR  # it noticed an error; the frame is an error message
+    ERROR = NOTE_ERROR  # it detected an error; the frame is an error message
     STATE = NOTE_STATE  # its error state changed; the frame is an error message
 
 
 ALL_BITS: Final = 1 << 62
-_KINDS: Final = tuple(EventKind)  # by their values, which count from 0
+_KINDS: Final = tuple(EventKind)  # by value; the values count from 0
 
 
 @final
 @dataclass(frozen=True, slots=True)
 class Event:
-    """Something that happened to a node.
+    """An event at a node.
 
     Attributes:
-        bit: in which.
-        port: of the node.
-        kind: what.
-        frame: the one concerned, or the error message for the node's host (`error_message`).
+        bit: the bit in which it happened.
+        port: the port of the node.
+        kind: the kind of event.
+        frame: the frame concerned, or the error message for the node's host (`error_message`).
     """
 
     bit: int
@@ -111,12 +113,12 @@ class Event:
 @final
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """A node as an episode leaves it. What is named as in `Station` means the same there.
+    """The state of a node after an episode. Attributes shared with `Station` mean the same.
 
     Attributes:
         off_at: the bit that made it bus-off; None: it is not.
-        recessive_runs: since then, runs of 11 recessive bits.
-        recessive_bits: since the last of them, or the last dominant bit.
+        recessive_runs: runs of 11 recessive bits since then.
+        recessive_bits: recessive bits since the last of these runs, or the last dominant bit.
     """
 
     port: int
@@ -134,15 +136,16 @@ class Outcome:
 @final
 @dataclass(frozen=True, slots=True)
 class Episode:
-    """What came of it.
+    """The result of an episode.
 
     Attributes:
-        is_over: all agree. Else it goes on after `bits`, and the outcomes are as they are then.
-        bits: it is over after so many; the bit with this number may be the next start of frame.
-        events: in the order of their bits; within a bit in that of the stations.
-        outcomes: of the stations, in their order; of one that left, as it was then.
+        is_over: all nodes agree. Otherwise it continues after `bits`, and the outcomes are as of
+            then.
+        bits: its length; the bit with this number may be the next start of frame.
+        events: in the order of their bits; within a bit in the order of the stations.
+        outcomes: of the stations, in their order; of a station that left, as of then.
         recessive_runs: runs of 11 recessive bits on the wire.
-        recessive_bits: those since the last dominant bit, or since the last of those runs.
+        recessive_bits: recessive bits since the last dominant bit, or the last of those runs.
         fast: (first, end) of each stretch of bits at the data rate, in order.
     """
 
@@ -155,7 +158,7 @@ class Episode:
     fast: tuple[tuple[int, int], ...]
 
     def end_ns(self, bit: int, bit_ns: int, data_bit_ns: int) -> int:
-        """When this bit is over, after the start of frame [ns]."""
+        """Return the end of this bit, counted from the start of frame [ns]."""
         end_ns = (bit + 1) * bit_ns
         for first, end in self.fast:
             if first <= bit:
@@ -170,18 +173,19 @@ def run_episode(
     ratio: int = 1,
     until_bit: int = ALL_BITS,
 ) -> Episode:
-    """All that happens from a start of frame until every node could start the next one.
+    """Simulate from a start of frame until every node could start the next one.
 
-    It is over before that if some node hears nothing but dominant bits for ever (`stalled`), and
-    the others are ready. The disturbances that are not over are the caller's to hand on.
+    The episode ends earlier if some node hears only dominant bits for ever (`stalled`) and the
+    others are ready. Handing on the disturbances that are not over is the caller's task.
 
     Args:
         stations: the nodes on the bus that are not bus-off; equal ones cost as much as one.
-        disturbances: what strikes them; one that begins later than all is over has no effect.
+        disturbances: those that strike the nodes; one that begins after the end has no effect.
         recessive_bits: as in `Episode`, before the start of frame.
         ratio: how many bits at the data rate (CAN FD, bit rate switch) last as long as a nominal
             one, rounded, at least 1.
-        until_bit: it is computed no further, unless nothing changes any more before a later one.
+        until_bit: the bit at which the computation stops, unless nothing changes before a later
+            one.
 
     Raises:
         ValueError: a frame that its node cannot send, or counters that no node on the bus has.
@@ -222,13 +226,13 @@ def run_episode(
 
 
 def _switches(frame: bytes) -> bool:
-    """Whether part of it is at the data rate."""
+    """Return whether part of the frame is at the data rate."""
     return len(frame) == FD_FRAME_BYTES and bool(frame[5] & BRS)
 
 
 @final
 class _Twins:
-    """Stations that nothing tells apart, as one."""
+    """Indistinguishable stations, simulated as one."""
 
     def __init__(self, station: Station, struck_by: list[Disturbance]) -> None:
         self.ports: list[int] = []
@@ -248,7 +252,7 @@ class _Twins:
 
 
 def _events(groups: list[_Twins], stations: Sequence[Station]) -> tuple[Event, ...]:
-    """All that happened to all of them, in order."""
+    """Return the events of all stations, in order."""
     events = [
         Event(bit, port, _KINDS[kind], frame)
         for twins in groups

@@ -1,6 +1,6 @@
-"""Who is on one wire, how each takes part, and what becomes of the frames of those who do not.
+"""Nodes on one wire, and the frames of absent nodes.
 
-Nodes that may not send keep their frames: their port's entry is CUT_OFF.
+Nodes that may not send keep their frames: the entry of their port is CUT_OFF.
 """
 
 from heapq import heappush
@@ -20,12 +20,12 @@ class CanMembers(CanArbitration):
     """One wire, and the nodes on it.
 
     Args:
-        name: of the bus.
-        bit_ns, data_bit_ns: how long a bit takes [ns], as of `CanArbitration`.
-        seam: what goes wrong on the bus.
-        nodes: of the whole bus, by number.
+        name: the name of the bus.
+        bit_ns, data_bit_ns: bit durations [ns], as for `CanArbitration`.
+        seam: the faults of the bus.
+        nodes: the nodes of the whole bus, by number.
 
-    Attributes (read only): members, who is on this wire, by number.
+    Attributes (read only): members, the nodes on this wire, by number.
     """
 
     __slots__ = (
@@ -54,32 +54,32 @@ class CanMembers(CanArbitration):
         self._nodes = nodes
         self.members: list[Presence] = []
         self._held: list[Presence] = []  # members that may not send now
-        self._hearing = 0  # mask of the members that hear, and acknowledge
-        self._hearing_fd = 0  # those of them that see CAN FD frames
-        self._watchful = False  # more can happen to a frame than noise
-        self._unwell = False  # a member has a counter above 0
+        self._hearing = 0  # mask of the members that hear and acknowledge
+        self._hearing_fd = 0  # those of them that receive CAN FD frames
+        self._watchful = False  # faults other than noise can strike a frame
+        self._unwell = False  # a member has an error counter above 0
         self._is_mixed = False  # a member that hears destroys CAN FD frames
-        self._is_mixed_told = False  # who it is was told
-        self._is_apart = False  # two members' clocks differ by more than both can stand
+        self._is_mixed_told = False  # these members have been reported
+        self._is_apart = False  # the clocks of two members differ by more than both tolerate
         self._noises: list[NoiseSource] = []
-        self._level: WireLevel | None = None  # at which the wire is stuck
-        self._now_ns = 0  # of the step that is made
-        self._is_alone = False  # nobody acknowledges, and that was told
+        self._level: WireLevel | None = None  # level at which the wire is stuck
+        self._now_ns = 0  # time of the current step
+        self._is_alone = False  # the missing acknowledgement has been reported
 
     def add_port(self, port: CanPort) -> None:
-        """The bus has another port; its node is not on this wire."""
+        """Add a port of the bus; its node is not on this wire yet."""
         self._ports.append(port)
 
     def take_port(self, number: int, other: "CanMembers") -> None:
-        """What waits at this port on the other wire, waits on this one."""
+        """Take over the frames that wait at this port on the other wire."""
         self._ports[number].adopt(other.port(number))
 
     def port(self, number: int) -> CanPort:
-        """The transmit side of this node, as far as this wire is concerned."""
+        """Return the transmit side of this node on this wire."""
         return self._ports[number]
 
     def _add(self, node: Presence) -> None:
-        """The node is on this wire."""
+        """Add a node to this wire."""
         if node.chip.clock_error_1e12:
             self._skew()
         self.members.append(node)
@@ -92,7 +92,7 @@ class CanMembers(CanArbitration):
             self._seam.plan.note(self._now_ns, node.name, told, b"")
 
     def _remove(self, node: Presence) -> None:
-        """The node is on this wire no longer. Its frame is in flight no longer."""
+        """Remove a node from this wire, with its frame in flight."""
         port = self._ports[node.number]
         if port.entry > 0:
             if port.entry != self._flight:
@@ -103,7 +103,7 @@ class CanMembers(CanArbitration):
         self.count_members()
 
     def _keep(self, node: Presence) -> None:
-        """The node competes with what it has, or does not, as its role is."""
+        """Let the node compete with its frames, or not, according to its role."""
         port = self._ports[node.number]
         if node.role is Role.ON:
             if port.entry == CUT_OFF and port.promote():
@@ -118,7 +118,7 @@ class CanMembers(CanArbitration):
             self._abort_all(node)
 
     def count_members(self) -> None:
-        """What follows from who is there, and how."""
+        """Recompute the flags and masks that depend on the members."""
         members = self.members
         self._held = [node for node in members if node.role is not Role.ON]
         hearing = 0
@@ -151,7 +151,7 @@ class CanMembers(CanArbitration):
         self._is_alone = self._is_alone and hearing & (hearing - 1) == 0
 
     def tell_mixed(self) -> None:
-        """Who cannot stand the CAN FD frame that is sent here is told, once."""
+        """Report, once, the nodes that destroy the CAN FD frame being sent."""
         if self._is_mixed_told:
             return
         self._is_mixed_told = True
@@ -161,11 +161,11 @@ class CanMembers(CanArbitration):
                 self._seam.plan.note(self._now_ns, node.name, told, b"")
 
     def _ears_for(self, frame: bytes) -> int:
-        """Mask of the members that hear this frame, and acknowledge it."""
+        """Return the mask of the members that hear and acknowledge this frame."""
         return self._hearing_fd if len(frame) > FRAME_BYTES else self._hearing
 
     def _put_back(self, port: CanPort) -> None:
-        """The candidate waits behind; a babble is forgotten."""
+        """Put the candidate back into the queue; discard a babbled frame."""
         if port.babbling:
             port.babbling = False
             port.entry = 0
@@ -173,20 +173,20 @@ class CanMembers(CanArbitration):
             port.put_back()
 
     def _abort_all(self, node: Presence) -> None:
-        """A bus-off node gives up what it has; `pending` frames would be stale afterwards."""
+        """Give up the frames of a bus-off node; they would be stale after recovery."""
         port = self._ports[node.number]
         for _, _, _, frame in sorted(port.behind):
             self._abort(node, frame, "bus-off")
         port.behind.clear()
 
     def _abort(self, node: Presence, frame: bytes, why: str) -> None:
-        """The frame is given up, and that is told."""
+        """Give up the frame and record it."""
         node.aborted += 1
         self._seam.plan.note(self._now_ns, node.name, f"not sent: {why}", frame)
 
 
 def clocks_are_apart(chips: list[CanNode]) -> bool:
-    """Whether two of these may misread one another's frames, because of their clocks."""
+    """Return whether two of these may misread each other's frames because of their clocks."""
     if not chips:
         return False
     errors = [chip.clock_error_1e12 for chip in chips]

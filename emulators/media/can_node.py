@@ -1,4 +1,4 @@
-"""What a node's CAN controller is made and set up for: the chip, not what is behind it."""
+"""Configuration of a node's CAN controller, independent of the device behind it."""
 
 from dataclasses import dataclass
 from enum import Enum
@@ -8,38 +8,38 @@ from emulators.media.can_sampling import ONE, USUAL_TIMING, BitTiming
 
 
 class QueueOrder(Enum):
-    """Which of a node's pending frames competes for the bus."""
+    """The pending frame of a node that competes for the bus."""
 
     FIFO = "fifo"  # the oldest: most drives, and Linux
-    PRIORITY = "priority"  # the one whose identifier wins; the oldest of several alike
+    PRIORITY = "priority"  # the one whose identifier wins; the oldest of equal ones
 
 
 class FrameSupport(Enum):
-    """Which frames a CAN controller can stand, and send (ISO 11898-1:2015)."""
+    """The frame formats that a CAN controller tolerates and sends (ISO 11898-1:2015)."""
 
-    CLASSICAL = "classical"  # it takes FD frames for classical ones, finds errors: destroys them
-    FD_TOLERANT = "fd_tolerant"  # it lets FD frames pass, and does not see them
-    FD = "fd"  # both
+    CLASSICAL = "classical"  # reads FD frames as classical ones, finds errors and destroys them
+    FD_TOLERANT = "fd_tolerant"  # lets FD frames pass and does not receive them
+    FD = "fd"  # sends and receives both
 
 
 @final
 @dataclass(frozen=True, slots=True)
 class CanNode:
-    """How a node's CAN controller is set up.
+    """The setup of a node's CAN controller.
 
     Attributes:
-        queue: which of its pending frames competes for the bus.
-        frames: which frames it can stand.
+        queue: the pending frame that competes for the bus.
+        frames: the frame formats that it tolerates.
         one_shot: a frame that fails, or loses arbitration, is not sent again.
-        recovery_ns: how long after bus-off it begins to wait for the 128 x 11 recessive bits [ns];
-            None: only when it is told to.
-        shared: its port is that of one of several programs that share one CAN controller: of two
-            frames with one identifier that they send, one waits for the other.
-        error_reporting: it is told every single error, not only when its state changes (SocketCAN:
+        recovery_ns: delay after bus-off before it begins to wait for the 128 x 11 recessive bits
+            [ns]; None: it waits for a command.
+        shared: its port belongs to one of several programs that share one CAN controller. If two of
+        them send frames with one identifier, one frame waits for the other.
+        error_reporting: it reports every single error, not only changes of its state (SocketCAN:
             berr-reporting).
-        clock_error_1e12: how much faster than true its oscillator runs [1e-12]; so much shorter
-            are the frames it sends. Below 0: slower.
-        timing: of its bits: whose frames it can read depends on it.
+        clock_error_1e12: relative error of its oscillator [1e-12]. Above 0 it runs fast, and the
+            frames that it sends are shorter by that much.
+        timing: its bit timing, which decides whose frames it can read.
     """
 
     queue: QueueOrder = QueueOrder.FIFO
@@ -52,15 +52,18 @@ class CanNode:
     timing: BitTiming = USUAL_TIMING
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be.
+        """Check the values.
 
         Raises:
             ValueError: recovery_ns is below 0, or the clock does not run.
         """
         if self.clock_error_1e12 <= -ONE:
-            raise ValueError(f"clock_error_1e12 {self.clock_error_1e12}: a clock goes on")
+            raise ValueError(
+                f"clock_error_1e12: invalid value {self.clock_error_1e12}; "
+                "expected more than -1e12, a running clock"
+            )
         if self.recovery_ns is not None and self.recovery_ns < 0:
-            raise ValueError(f"recovery_ns {self.recovery_ns} is below 0")
+            raise ValueError(f"recovery_ns: invalid value {self.recovery_ns}; expected 0 or more")
 
 
 PLAIN: Final = CanNode()

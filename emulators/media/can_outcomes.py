@@ -1,6 +1,6 @@
-"""What becomes of the frame in flight: it is complete, or all that happens instead is played.
+"""Results of the frame in flight: completion, or an episode.
 
-A lone error passive node sends its frame for ever, and nothing changes by it: that costs nothing.
+A lone error passive node repeats its frame for ever without any change. This costs nothing here.
 """
 
 from collections.abc import Sequence
@@ -20,12 +20,12 @@ from emulators.media.fault_rule import WireLevel
 from emulators.media.fault_seam import ERROR_FRAME_BITS, FaultSeam
 from emulators.media.playback import Playback
 
-NOBODY: Final = (1 << 62) - 1  # in flight, where the wire is taken by no node's frame
+NOBODY: Final = (1 << 62) - 1  # in flight while no node's frame occupies the wire
 _TAIL_BITS: Final = 8  # ACK delimiter and end of frame: recessive, before the intermission
 
 
 class CanOutcomes(CanMembers):
-    """One wire, and what comes of the frames on it; `CanMembers` says with what it is made."""
+    """One wire, and the results of the frames on it. The arguments are those of `CanMembers`."""
 
     __slots__ = (
         "_accepted",
@@ -44,21 +44,21 @@ class CanOutcomes(CanMembers):
         self, name: str, bit_ns: int, data_bit_ns: int, seam: FaultSeam, nodes: list[Presence]
     ) -> None:
         super().__init__(name, bit_ns, data_bit_ns, seam, nodes)
-        self._decided = -1  # the number of the arbitration of which is known what it suffers
+        self._decided = -1  # number of the arbitration whose frame's fate is decided
         self._playback: Playback | None = None
-        self._senders: list[int] = []  # ports whose frames take part in what is played
-        self._sent: list[int] = []  # those of them that were sent
-        self._sent_bit = -1  # in which the last of these was
-        self._accepted = 0  # mask of who has received what was sent last, and is not delivered yet
+        self._senders: list[int] = []  # ports whose frames take part in the playback
+        self._sent: list[int] = []  # those of them whose frames were sent
+        self._sent_bit = -1  # bit in which the last of these was sent
+        self._accepted = 0  # mask of the receivers of the last sent frame, until it is delivered
         self._accepted_frame = b""
         self._attempt = (0, 0, 0, 0, 0)  # of a lone node: entry, TEC, REC, bits, ns to the next
-        self._repeat_ns = 0  # from one such attempt to the next; 0: none
+        self._repeat_ns = 0  # period of these attempts; 0: none
         self._repeat_until_ns = NEVER_NS
 
-    # --- nothing happened to it
+    # --- undisturbed frames
 
     def _complete(self, merged: Sequence[int], out: list[Delivery]) -> None:
-        """The frame in flight is complete; `merged` are ports that sent the very same one."""
+        """Complete the frame in flight; `merged` are ports that sent the very same frame."""
         entry = self._flight
         number = entry >> PORT_SHIFT & PORT_MASK
         port = self._ports[number]
@@ -88,7 +88,7 @@ class CanOutcomes(CanMembers):
         self._go_on(self._free_ns)
 
     def _must_repeat(self, number: int, ears: int, out: list[Delivery]) -> bool:
-        """The frame has reached whom the rules let it; whether its sender sends it again."""
+        """Deliver the frame as the rules allow and return whether its sender sends it again."""
         port = self._ports[number]
         seam = self._seam
         if port.frame in port.repeated:
@@ -103,7 +103,7 @@ class CanOutcomes(CanMembers):
     def _count_good(
         self, number: int, merged: Sequence[int], ears: int, out: list[Delivery]
     ) -> None:
-        """A frame has come through: counters go down (ISO 11898-1, rules g and h)."""
+        """Decrement the counters after a successful frame (ISO 11898-1, rules g and h)."""
         if not self._unwell:
             return
         for node in self.members:
@@ -119,7 +119,7 @@ class CanOutcomes(CanMembers):
         self.count_members()
 
     def _withdraw_candidate(self, number: int, again: bool) -> None:
-        """The port's candidate competes no longer: it is sent, or will be sent again."""
+        """Withdraw the port's candidate: it is sent, or with `again` will be sent again."""
         port = self._ports[number]
         if port.entry <= 0:
             return
@@ -132,13 +132,13 @@ class CanOutcomes(CanMembers):
         self._keep(self._nodes[number])
 
     def _go_on(self, free_ns: int) -> None:
-        """The wire is free from then on: who competes, may."""
+        """Free the wire at `free_ns` and arbitrate the next frame."""
         self._free_ns = free_ns
         self._babble()
         self._arbitrate(free_ns)
 
     def _babble(self) -> None:
-        """Who babbles has its frame ready."""
+        """Queue the frames of babbling nodes."""
         for number, frame in self._seam.babbles():
             node = self._nodes[number]
             port = self._ports[number]
@@ -155,12 +155,12 @@ class CanOutcomes(CanMembers):
             port.starts_seen = self._starts
             heappush(self._competing, port.entry)
 
-    # --- something happens to it
+    # --- disturbed frames
 
     def _play(self, senders: list[int], strikes: list[Disturbance], past: int = 0) -> Playback:
-        """An episode begins, with the frames of these ports, at the start of frame.
+        """Begin an episode with the frames of these ports, at the start of frame.
 
-        So many of its bits are past: noise that has begun since strikes none of them.
+        The first `past` bits are over: noise that has begun since strikes none of them.
         """
         self._senders = senders
         self._sent = []
@@ -177,7 +177,7 @@ class CanOutcomes(CanMembers):
         return playback
 
     def _happen(self, event: Event, now_ns: int, out: list[Delivery]) -> None:
-        """A bit is over in which something happened to a node."""
+        """Apply an event of an episode at the end of its bit."""
         node = self._nodes[event.port]
         kind = event.kind
         if kind is EventKind.ACCEPTED:
@@ -207,7 +207,7 @@ class CanOutcomes(CanMembers):
         self._accepted = 0
         silent = port.babbling
         frame = event.frame
-        if ears and self._accepted_frame != frame:  # others see that its sender is error passive
+        if ears and self._accepted_frame != frame:  # it shows that its sender is error passive
             self._seam.complete(self._accepted_frame, event.port, now_ns, ears, True, out)
             if not silent:
                 out.append((frame, event.port, LOST))
@@ -215,13 +215,13 @@ class CanOutcomes(CanMembers):
             out.append((frame, event.port, LOST))
 
     def _deliver_in_vain(self, sender: int, out: list[Delivery]) -> None:
-        """Who has accepted the frame has it; its sender will send it again."""
+        """Deliver the frame to the nodes that accepted it; its sender will send it again."""
         if self._accepted:
             self._seam.hear(self._accepted_frame, sender, self._accepted, out)
         self._accepted = 0
 
     def _finish(self, playback: Playback, out: list[Delivery]) -> None:
-        """All agree again."""
+        """Finish an episode: all nodes agree again."""
         over_ns = playback.over_ns
         end = playback.end
         if self._accepted:
@@ -250,7 +250,7 @@ class CanOutcomes(CanMembers):
             self._go_on(over_ns)
 
     def _settle_senders(self, outcomes: Sequence[Outcome]) -> None:
-        """The frames that took part were sent, or will be sent again, or are given up."""
+        """Settle the frames that took part: sent, to be sent again, or given up."""
         kept = {outcome.port: outcome.frames for outcome in outcomes}
         for number in self._senders:
             port = self._ports[number]
@@ -266,16 +266,16 @@ class CanOutcomes(CanMembers):
             self._withdraw_candidate(number, again)
 
     def _note_noise(self, playback: Playback) -> None:
-        """What noise has inverted is told, and gone by."""
+        """Record the bits that noise has inverted and advance the noise sources."""
         frame = self._ports[self._senders[0]].frame if self._senders else b""
         for time_ns, bit, rule in playback.inverted():
             self._seam.plan.inverted(time_ns, rule, f"bit {bit}", frame)
         playback.pass_noise_by()
 
-    # --- nobody acknowledges
+    # --- missing acknowledgement
 
     def _remember_attempt(self, playback: Playback) -> None:
-        """Of a lone node whose frame has failed is known what its next attempt will come to."""
+        """Remember the failed attempt of a lone node, to predict the next one."""
         self._attempt = (0, 0, 0, 0, 0)
         outcomes = playback.end.outcomes
         if len(outcomes) != 1 or len(self._senders) != 1 or self._sent:
@@ -294,7 +294,7 @@ class CanOutcomes(CanMembers):
             self._attempt = (port.entry, after.tec, after.rec, bits, period_ns)
 
     def _repeats(self, number: int) -> bool:
-        """Whether this attempt will be as the one before, and those after it; then they are."""
+        """Return whether this attempt repeats the one before; if so, start the fast repetition."""
         counters = self._nodes[number].confinement
         entry, tec, rec, bits, period_ns = self._attempt
         if (entry, tec, rec) != (self._flight, counters.tec, counters.rec):
@@ -314,7 +314,7 @@ class CanOutcomes(CanMembers):
         return True
 
     def resume(self, now_ns: int) -> None:
-        """Something changes: of the attempts of a lone node, one is under way now."""
+        """End the fast repetition of a lone node before a change; one attempt is then under way."""
         if not self._repeat_ns:
             return
         count = (now_ns - self._start_ns) // self._repeat_ns
@@ -332,6 +332,6 @@ class CanOutcomes(CanMembers):
 
 
 def bits_in(entry: int) -> int:
-    """The bits of a frame at whatever rate, intermission included."""
+    """Return the number of bits of a frame at either rate, intermission included."""
     lengths = entry & LENGTHS_MASK
     return bits_of(lengths) if lengths > CLASSICAL_MAX else lengths

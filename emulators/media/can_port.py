@@ -1,4 +1,4 @@
-"""A node's transmit side: the frame with which it competes for the bus, and those behind it."""
+"""Transmit side of a node: its candidate and its queue."""
 
 from heapq import heappop, heappush
 from typing import Final, final
@@ -17,18 +17,18 @@ CUT_OFF: Final = -1  # in place of the candidate's entry: off the bus, all frame
 
 @final
 class CanPort:
-    """One node's frames. The bus alone reads and writes it.
+    """The frames of one node. Only the bus reads and writes it.
 
     Attributes:
-        chip: how its CAN controller is set up.
-        tag: the port's number, where an entry has it.
-        entry: of the candidate, which competes or is in flight; 0: there is none; CUT_OFF.
+        chip: the setup of its CAN controller.
+        tag: the port's number, at its place in an entry.
+        entry: of the candidate, which competes or is in flight; 0: there is none; or CUT_OFF.
         frame: the candidate.
         behind: heap of (rank, turn, entry, frame); rank is the key, or 0 in a FIFO.
         starts_seen: the bus's count of arbitrations before the candidate's first.
         losses: arbitrations lost by earlier candidates.
         repeated: frames that a fault made the node send again.
-        babbling: the candidate is none of those that were submitted.
+        babbling: the candidate is a babbled frame, not a submitted one.
     """
 
     def __init__(self, number: int, name: str, chip: CanNode) -> None:
@@ -46,22 +46,22 @@ class CanPort:
         self._turn = 0
 
     def pending(self) -> int:
-        """How many frames there are."""
+        """Return the number of pending frames."""
         return len(self.behind) + (1 if self.entry > 0 else 0)
 
     def queue(self, entry: int, frame: bytes) -> None:
-        """The frame is the last of its rank behind the candidate."""
+        """Queue the frame as the last of its rank."""
         self._turn += 1
         heappush(self.behind, (self._rank(entry), self._turn, entry, frame))
 
     def put_back(self) -> None:
-        """The candidate is the first of its rank behind, and there is none."""
+        """Put the candidate back as the first of its rank, leaving no candidate."""
         self._turn += 1
         heappush(self.behind, (self._rank(self.entry), -self._turn, self.entry, self.frame))
         self.entry = 0
 
     def promote(self) -> bool:
-        """The best of the frames behind is the candidate; False if there is none."""
+        """Make the best queued frame the candidate; return False if there is none."""
         if not self.behind:
             self.entry = 0
             return False
@@ -69,7 +69,7 @@ class CanPort:
         return True
 
     def adopt(self, other: "CanPort") -> None:
-        """The other's frames behind, and what is counted of it, are this one's."""
+        """Take over the queued frames and the counts of another port."""
         self.behind, other.behind = other.behind, []
         self.losses = other.losses
         self.repeated = other.repeated

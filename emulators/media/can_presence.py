@@ -1,8 +1,8 @@
-"""How a node takes part in its bus: error counters, and what keeps it from sending or hearing.
+"""Participation of a node in its bus: error counters and roles.
 
-A node that comes back after a cut listens until it has heard 11 recessive bits in a row; one that
-is bus-off until it has counted 128 such runs. Between frames the bus does not call for that: when
-the runs will be complete is known, unless a frame begins before.
+A node that comes back after a cut listens until it has heard 11 recessive bits in a row. A bus-off
+node waits until it has counted 128 such runs. Between frames the bus does not process single bits:
+it knows when the runs will be complete unless a frame begins before.
 """
 
 from enum import Enum
@@ -14,34 +14,35 @@ from emulators.media.can_node import CanNode
 from emulators.media.confinement import TEC_MAX, Confinement, ErrorState
 from emulators.media.error_journal import state_message
 
-RUN_BITS: Final = 11  # recessive: what a node integrates by, and what recovery counts
+RUN_BITS: Final = 11  # length of a recessive run, for integration and recovery
 RECOVERY_RUNS: Final = 128
 NEVER_NS: Final = -1
 
 
 class Role(Enum):
-    """How a node takes part."""
+    """The way in which a node takes part."""
 
     ON = "on"
-    SUSPENDED = "suspended"  # it hears, and must not start a frame yet
-    INTEGRATING = "integrating"  # it listens until the bus has been idle
+    SUSPENDED = "suspended"  # hears, but must not start a frame yet
+    INTEGRATING = "integrating"  # listens until the bus has been idle
     OFF = "off"  # bus-off
 
 
 @final
 class Presence:
-    """A node on a bus. Whoever has the bus writes it.
+    """A node on a bus. Only the bus writes it.
 
     Attributes:
         number, name, chip: of its port.
         confinement: its error counters.
-        role: how it takes part.
-        since_ns: INTEGRATING, OFF: when the run of recessive bits began that it is hearing, or
-            will begin to count [ns]; NEVER_NS: it counts none. SUSPENDED: until when.
+        role: the way in which it takes part.
+        since_ns: INTEGRATING, OFF: when the run of recessive bits began that it is hearing, or when
+            it will begin to count [ns]; NEVER_NS: it counts none. SUSPENDED: the end of the
+            suspension.
         runs_left: INTEGRATING, OFF: how many runs of 11 recessive bits it still has to hear.
-        aborted: frames of its that were given up: bus-off, or one-shot.
-        errors: errors that it has noticed.
-        stalled: it has heard nothing but dominant bits for long, and waits for a recessive one.
+        aborted: number of its frames that were given up: bus-off, or one-shot.
+        errors: number of errors that it has detected.
+        stalled: it has heard only dominant bits for long, and waits for a recessive one.
     """
 
     def __init__(self, number: int, name: str, chip: CanNode) -> None:
@@ -58,20 +59,20 @@ class Presence:
         self._told = ErrorState.ACTIVE
 
     def hears(self) -> bool:
-        """Whether frames reach it, and it acknowledges them."""
+        """Return whether the node receives frames and acknowledges them."""
         return self.role is Role.ON or self.role is Role.SUSPENDED
 
     def is_well(self) -> bool:
-        """Whether it takes part, and its counters are 0."""
+        """Return whether the node takes part and its counters are 0."""
         counters = self.confinement
         return self.role is Role.ON and not counters.tec and not counters.rec
 
     def state(self) -> ErrorState:
-        """What its counters make of it."""
+        """Return the error state."""
         return ErrorState.BUS_OFF if self.role is Role.OFF else self.confinement.state()
 
     def due_ns(self, bit_ns: int) -> int:
-        """When it takes part again, if the bus stays idle; NEVER_NS: not by itself, or it does."""
+        """Return when it takes part again on an idle bus; NEVER_NS: it does, or needs a command."""
         if self.role is Role.ON or self.since_ns == NEVER_NS:
             return NEVER_NS
         if self.role is Role.SUSPENDED:
@@ -79,12 +80,12 @@ class Presence:
         return self.since_ns + self.runs_left * RUN_BITS * bit_ns
 
     def suspend(self, until_ns: int) -> None:
-        """It must not start a frame before."""
+        """Forbid the node to start a frame before `until_ns`."""
         self.role = Role.SUSPENDED
         self.since_ns = until_ns
 
     def integrate(self, since_ns: int) -> None:
-        """It is on another wire, and has to hear 11 recessive bits there."""
+        """Let the node integrate on another wire, by hearing 11 recessive bits there."""
         self.stalled = False
         if self.role is Role.OFF:
             if self.since_ns != NEVER_NS:
@@ -95,7 +96,7 @@ class Presence:
         self.runs_left = 1
 
     def leave(self, off_ns: int) -> None:
-        """It is bus-off, and knows when it will begin to recover."""
+        """Enter bus-off and schedule the beginning of the recovery."""
         self.role = Role.OFF
         self.confinement = Confinement(TEC_MAX, self.confinement.rec)
         self.runs_left = RECOVERY_RUNS
@@ -104,7 +105,7 @@ class Presence:
         self._told = ErrorState.BUS_OFF
 
     def recover(self) -> bytes:
-        """It takes part again, with counters of 0; the message that tells it."""
+        """Take part again with counters of 0 and return the error message that reports it."""
         self.role = Role.ON
         self.since_ns = NEVER_NS
         self.confinement = Confinement()
@@ -112,19 +113,19 @@ class Presence:
         return told.pack_error(told.RESTARTED)
 
     def dominant_from(self, now_ns: int, bit_ns: int) -> None:
-        """A frame has begun: the run of recessive bits is over."""
+        """Count the recessive runs up to the frame that begins now."""
         if self.since_ns != NEVER_NS and now_ns > self.since_ns:
             self.runs_left -= (now_ns - self.since_ns) // (RUN_BITS * bit_ns)
 
     def recessive_from(self, since_ns: int, runs: int) -> None:
-        """A frame is over; it had so many runs in it, and another one has begun in it."""
+        """Count the runs within a frame that is over; the next run began at `since_ns`."""
         if self.since_ns == NEVER_NS or self.since_ns > since_ns:
             return
         self.runs_left -= runs
         self.since_ns = since_ns
 
     def station(self, frames: tuple[bytes, ...]) -> Station:
-        """It, as an episode finds it; it has these frames to send."""
+        """Return the node as a station of an episode, with these frames to send."""
         counters = self.confinement
         return Station(
             port=self.number,
@@ -138,7 +139,7 @@ class Presence:
         )
 
     def end(self, outcome: Outcome, over_ns: int, off_ns: int, bit_ns: int) -> None:
-        """It is as an episode has left it."""
+        """Take over the state in which an episode has left the node."""
         if outcome.off_at is not None:
             self.leave(off_ns)
             if self.since_ns != NEVER_NS and self.since_ns <= off_ns:
@@ -161,7 +162,7 @@ class Presence:
             self.since_ns = NEVER_NS
 
     def change(self) -> bytes:
-        """The message that tells it of its new state; no bytes if that is what it was."""
+        """Return the message that reports a changed error state, or no bytes without a change."""
         counters = self.confinement
         state = counters.state()
         if state is self._told:

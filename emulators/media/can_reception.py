@@ -1,10 +1,10 @@
-"""What a receiver makes of the levels of one frame: fields, stuff and form errors, CRC.
+"""Reception of one CAN frame: fields, stuff and form errors, CRC.
 
-What the standard's own tests (ISO 16845-1) take it to mean:
-- To a classical controller that does not tolerate CAN FD, a recessive FDF bit is a reserved bit: it
-  reads on as in a classical frame, until that cannot be one (7.1.4, 7.1.5). To one that does it is
-  a protocol exception; a recessive res bit is one to all others (7.1.6).
-- In a CAN FD frame the CRC delimiter, or the ACK slot, may have a second bit (8.2.7): after a
+Interpretations taken from the standard's own tests (ISO 16845-1):
+- A classical controller that does not tolerate CAN FD takes a recessive FDF bit for a reserved bit.
+  The controller reads on as in a classical frame until the format is violated (7.1.4, 7.1.5). To a
+  tolerant one it is a protocol exception; a recessive res bit is one to all others (7.1.6).
+- In a CAN FD frame the CRC delimiter, or the ACK slot, may have a second bit (8.2.7). After a
   recessive ACK slot, or before a dominant ACK delimiter, another bit belongs to it (7.6.7, 7.6.10).
 
 Left open, decided here: a fixed stuff bit that equals the bit before it is a form error, a wrong
@@ -33,19 +33,19 @@ from emulators.media.fd_checks import (
     stuff,
 )
 
-# What a bit may mean to a receiver.
+# Possible meanings of a bit to a receiver.
 NOTHING: Final = 0
 ACK_NEXT: Final = 1  # the next bit is the ACK slot, and the CRC was right
-ACKNOWLEDGED: Final = 2  # this one was the ACK slot
+ACKNOWLEDGED: Final = 2  # this bit was the ACK slot
 ACCEPTED: Final = 3  # the last but one bit of end of frame: the frame is valid
 COMPLETE: Final = 4  # the last bit of end of frame
 OVERLOAD: Final = 5  # the last bit of end of frame was dominant
-EXCEPTION: Final = 6  # the frame is of no format it knows: it waits for the bus to be idle
+EXCEPTION: Final = 6  # unknown frame format: the node waits for an idle bus
 STUFF: Final = 7  # from here on: errors
 FORM: Final = 8
 CRC: Final = 9
 
-_IDE: Final = 13  # numbers of bits, stuff bits not counted; the start of frame is 0
+_IDE: Final = 13  # bit numbers, stuff bits not counted; the start of frame is 0
 _FDF: Final = 14
 _EXTENDED_FDF: Final = 33
 _RES_AFTER_FDF: Final = 1
@@ -56,14 +56,14 @@ _EXTENDED_DLC_AFTER_FDF: Final = 5
 _CRC_BITS: Final = 15
 _UNKNOWN: Final = 1 << 30
 
-# of the tail
+# bit numbers of the tail
 _CRC_DELIMITER: Final = 0
 _ACK_SLOT: Final = 1
 _ACK_DELIMITER: Final = 2
 _LAST_BUT_ONE: Final = 8
 _LAST: Final = 9
 
-# where a bit belongs
+# part of the frame
 _STUFFED: Final = 0
 _FIXED: Final = 1  # stuff count and CRC of CAN FD
 _TAIL: Final = 2
@@ -88,7 +88,7 @@ class Reception:
         self._run = 0
         self._value = 0
         self._number = -1  # of the last bit heard, stuff bits not counted
-        self._stop = _IDE  # the next number at which something is decided
+        self._stop = _IDE  # the next number with a decision
         self._extended = False
         self._fdf = _FDF
         self._fd = False
@@ -98,12 +98,12 @@ class Reception:
         self._crc_end = _UNKNOWN
         self._crc_right = False
         self._checks = 0  # stuff count and CRC
-        self._position = -1  # of the last bit heard in this part, but the first
+        self._position = -1  # of the last bit heard in this part, except the first part
         self._acknowledged = False
-        self._long_ack = False  # a CAN FD frame has had the second bit of its ACK slot
+        self._long_ack = False  # the second bit of the ACK slot of a CAN FD frame has passed
 
     def hear(self, level: int) -> int:
-        """What the next bit means; after an error, nothing more may be heard."""
+        """Process the next bit and return its meaning; do not call again after an error."""
         if self._part == _TAIL:
             return self._hear_tail(level)
         if self._part == _FIXED:
@@ -128,7 +128,7 @@ class Reception:
         return NOTHING
 
     def place(self) -> int:
-        """Where the last bit heard is (`error_message`)."""
+        """Return the place of the last bit heard (`error_message`)."""
         if self._part == _TAIL and self._position >= 0:
             return tail_place(self._position)
         if self._part == _FIXED:
@@ -136,7 +136,7 @@ class Reception:
         return place_of(self._number, self._extended, self._crc_start, self._fd)
 
     def frame(self) -> bytes:
-        """The frame, once it is accepted (16-byte can_frame or 72-byte canfd_frame)."""
+        """Return the accepted frame (16-byte can_frame or 72-byte canfd_frame)."""
         header = self._value >> self._number - self._dlc_end
         after_rtr = header >> self._dlc_end - self._fdf + (1 if self._extended else 2)
         remote = after_rtr & 1
@@ -154,7 +154,7 @@ class Reception:
         return pack_fd(can_id, octets, flags)
 
     def _decide(self, level: int) -> int:
-        """A bit on which the rest of the frame depends."""
+        """Process a bit on which the rest of the frame depends."""
         number = self._number
         if number == _IDE:
             self._extended = level == RECESSIVE
@@ -179,7 +179,7 @@ class Reception:
         return NOTHING
 
     def _decide_format(self, level: int) -> int:
-        """Classical or CAN FD."""
+        """Decide between classical CAN and CAN FD."""
         if level == DOMINANT or self._support is FrameSupport.CLASSICAL:
             after = _EXTENDED_DLC_AFTER_FDF if self._extended else _DLC_AFTER_FDF
             self._dlc_end = self._stop = self._fdf + after
@@ -192,7 +192,7 @@ class Reception:
         return NOTHING
 
     def _read_dlc(self) -> None:
-        """The DLC is complete: how long the frame is."""
+        """Compute the frame's length from the complete DLC."""
         number = self._number
         dlc = self._value & 0xF
         if self._fd:
@@ -209,7 +209,7 @@ class Reception:
         self._crc_end = self._stop = number + data_bits + _CRC_BITS
 
     def _hear_fixed(self, level: int) -> int:
-        """A bit of stuff count and CRC of a CAN FD frame."""
+        """Process a bit of the stuff count or CRC of a CAN FD frame."""
         self._position += 1
         last = self._last
         self._last = level
@@ -223,7 +223,7 @@ class Reception:
         return NOTHING
 
     def _expected_checks(self) -> int:
-        """Stuff count and CRC of what was heard; all who heard the same need them once."""
+        """Return stuff count and CRC of the bits heard; equal receivers share the result."""
         key = (self._value, self._number, self._length)
         expected = _checks.get(key)
         if expected is None:

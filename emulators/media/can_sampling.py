@@ -1,13 +1,15 @@
-"""Whether a node whose clock is off still reads each bit of another's frame as it was sent.
+"""Effect of clock errors on sampling: the first misread bit.
 
-A receiver begins its bit times with the edge of the start of frame, and from then on only corrects
-them: at each edge from recessive to dominant by as much as it is off, but no more than the
-synchronisation jump width. In between it drifts by the difference of the two clocks. It reads the
-wrong bit once its sample point has left the one that it is looking for. Stuffing makes sure of an
-edge to go by every ten bits, so there is a difference that no frame is misread at: `tolerance`.
+A receiver starts its bit times with the edge of the start of frame. From then on it only corrects
+them: at each recessive to dominant edge by its phase error, at most the synchronisation jump width.
+Between edges it drifts by the difference of the two clocks. The receiver misreads a bit once its
+sample point has left that bit. Stuffing guarantees an edge every ten bits. Below some clock
+difference no frame
+is misread: `tolerance_1e12`.
 
-The reckoning is in whole numbers, a bit time being ONE; that a real controller sees edges only in
-steps of its time quantum, and cables' delays, are left out: a margin, not a figure.
+The computation uses whole numbers with a bit time of ONE. Real controllers see edges only in steps
+of a time quantum, and cables have delays. Both are left out, so take the result as a margin, not as
+an exact figure.
 
 Source: ISO 11898-1, synchronisation; Hartwich & Bassemir, The configuration of the CAN bit timing
 (1999), oscillator tolerance.
@@ -19,23 +21,23 @@ from typing import Final, final
 ONE: Final = 10**12  # a bit time; also the rate of an ideal clock (emulators.plant.oscillator)
 RECESSIVE: Final = 1
 
-_EDGES_APART: Final = 10  # bits, at most, between edges to dominant: five of each level
-_TO_ERROR_FLAG: Final = 13  # bits from such an edge to the one that tells an error flag's end
+_EDGES_APART: Final = 10  # maximum number of bits between edges to dominant: five of each level
+_TO_ERROR_FLAG: Final = 13  # bits from such an edge to the one at the end of an error flag
 
 
 @final
 @dataclass(frozen=True, slots=True)
 class BitTiming:
-    """How a bit time is divided, in time quanta.
+    """The division of a bit time in time quanta.
 
     Attributes:
         quanta: in a bit time, 8..25 on most controllers.
-        sample: after so many of them the bit is read; CiA 301 wants 87.5 %.
+        sample: the sample point, in quanta from the beginning of the bit; CiA 301 wants 87.5 %.
         jump: the synchronisation jump width.
 
     Raises:
-        ValueError: the sample point is not inside the bit, or the jump is longer than what is
-            left of the bit behind it.
+        ValueError: the sample point is not inside the bit, or the jump width exceeds the rest of
+            the bit behind it.
     """
 
     quanta: int = 16
@@ -44,18 +46,20 @@ class BitTiming:
 
     def __post_init__(self) -> None:
         if not 1 < self.sample < self.quanta:
-            raise ValueError(f"sample point {self.sample} of {self.quanta} quanta: 2 or more, less")
+            raise ValueError(
+                f"sample point {self.sample}: invalid; expected 2 to {self.quanta - 1} quanta"
+            )
         if not 1 <= self.jump <= self.quanta - self.sample:
             raise ValueError(
-                f"jump width {self.jump}: 1 to {self.quanta - self.sample}, the quanta behind the"
-                " sample point"
+                f"jump width {self.jump}: invalid; expected 1 to "
+                f"{self.quanta - self.sample}, the quanta behind the sample point"
             )
 
     def tolerance_1e12(self) -> int:
-        """Two clocks that differ by no more than this [1e-12] read one another without fail.
+        """Return the clock difference [1e-12] up to which two nodes read each other without errors.
 
-        What drifts between two edges can be made good at one of them, and the thirteenth bit after
-        an edge is still read inside itself (the bits of an error flag and behind it have none).
+        One edge can correct the drift since the edge before. The thirteenth bit after an edge is
+        still sampled within itself (an error flag and the bits behind it have no edge).
         """
         by_jump = self.jump * ONE // (_EDGES_APART * self.quanta)
         before, after = self.sample, self.quanta - self.sample
@@ -67,7 +71,7 @@ USUAL_TIMING: Final = BitTiming()
 
 
 def first_misread(levels: bytes, drift_1e12: int, timing: BitTiming) -> int | None:
-    """The first bit that the receiver reads as another level than was sent; None: it reads all.
+    """Return the first bit that the receiver misreads, or None if it reads all.
 
     Args:
         levels: of the bits as sent, 0 dominant and 1 recessive, start of frame first.
@@ -77,7 +81,7 @@ def first_misread(levels: bytes, drift_1e12: int, timing: BitTiming) -> int | No
     sample = timing.sample * ONE // timing.quanta
     jump = timing.jump * ONE // timing.quanta
     at_sample = sample + drift_1e12 * timing.sample // timing.quanta
-    late = 0  # so much later than the sender's does a bit of the receiver begin
+    late = 0  # delay of the receiver's bit against the sender's
     before = RECESSIVE
     last = len(levels) - 1
     for number, level in enumerate(levels):

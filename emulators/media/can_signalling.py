@@ -1,16 +1,16 @@
-"""What a CAN controller does outside of frames: error and overload frames, intermission.
+"""CAN signalling outside of frames: error and overload frames, intermission.
 
-An error flag begins with the bit after the error was seen, that of a CRC error with the bit after
-the ACK delimiter.
+An error flag begins with the bit after the error was detected. The flag of a CRC error begins with
+the bit after the ACK delimiter.
 
 Left open by the standard, decided here:
 - A bit error in an active error flag or overload flag begins a new error flag, and counts by rules
   d and e alone.
-- An error flag is active if the node was error active before the error that it tells (an error that
-  makes a node error passive is told by an active one).
+- An error flag is active if the node was error active before the error that it signals. (An error
+  that makes a node error passive is signalled by an active flag.)
 - A node that becomes bus-off leaves the wire with the bit that made it so.
-- Six equal dominant bits end a passive error flag as six recessive ones do; the bit after them is
-  the first after the flag to rules b and f.
+- Six equal dominant bits end a passive error flag as six recessive ones do. The bit after them is
+  the first after the flag for rules b and f.
 - A passive transmitter without an acknowledgement counts by rule c when it sees a dominant bit in
   its flag.
 
@@ -27,18 +27,18 @@ from emulators.media.error_journal import ErrorJournal
 FLAG_BITS: Final = 6
 DELIMITER_BITS: Final = 8
 INTERMISSION_BITS: Final = 3
-_TOLERATED_BITS: Final = 8  # dominant ones after a flag: rule f
+_TOLERATED_BITS: Final = 8  # dominant bits after a flag: rule f
 
-# what a bit leads to
+# results of a bit
 BUSY: Final = 0
 FREE: Final = 1  # the intermission is over
-STARTED: Final = 2  # it ended with a start of frame
+STARTED: Final = 2  # the intermission ended with a start of frame
 GONE: Final = 3  # the node is bus-off
 
 _ACTIVE_FLAG: Final = 0
 _PASSIVE_FLAG: Final = 1
 _OVERLOAD_FLAG: Final = 2
-_AFTER_FLAG: Final = 3  # its own is sent; it waits for a recessive bit
+_AFTER_FLAG: Final = 3  # its own flag is sent; it waits for a recessive bit
 _DELIMITER: Final = 4
 _INTERMISSION: Final = 5
 
@@ -49,7 +49,7 @@ class CanSignalling:
 
     Attributes (read only):
         drives: the level it puts on the wire in the next bit.
-        transmitter: it sent the frame before (whoever begins something says so).
+        transmitter: it sent the frame before (set by the caller that begins a phase).
     """
 
     def __init__(self, confinement: Confinement, journal: ErrorJournal) -> None:
@@ -61,18 +61,18 @@ class CanSignalling:
         self._count = 0  # bits of the phase so far
         self._last = RECESSIVE  # in a passive flag
         self._after_error = False  # the flag was an error flag
-        self._unacknowledged = False  # rule c, first exception: no dominant bit yet
+        self._unacknowledged = False  # rule c, first exception: no dominant bit so far
 
     def error(
         self, kind: int, place: int, *, counts: bool = True, unacknowledged: bool = False
     ) -> int:
-        """An error was seen in a frame, or where nobody sends a flag: rules a and c.
+        """Signal an error in a frame, or in a phase without a flag: rules a and c.
 
         Args:
             kind: as in `ErrorJournal.note_error`.
             place: as there.
-            counts: it is not the second exception of rule c.
-            unacknowledged: it is what the first one is about.
+            counts: False for the second exception of rule c.
+            unacknowledged: True for the first exception of rule c.
         """
         confinement = self._confinement
         passive = confinement.is_passive()
@@ -84,32 +84,32 @@ class CanSignalling:
         return self._flag(kind, place, passive, unacknowledged)
 
     def overload(self, place: int) -> None:
-        """An overload flag begins with the next bit."""
+        """Begin an overload flag with the next bit."""
         self._journal.note_error(told.OVERLOAD, place, self.transmitter)
         self._enter(_OVERLOAD_FLAG, DOMINANT)
         self._after_error = False
 
     def intermission(self) -> None:
-        """It begins with the next bit."""
+        """Begin the intermission with the next bit."""
         self._enter(_INTERMISSION, RECESSIVE)
 
     def stall(self) -> None:
-        """It has sent a flag, and has heard nothing but dominant bits for long."""
+        """Enter the phase after its own flag, having heard only dominant bits for long."""
         self._enter(_AFTER_FLAG, RECESSIVE)
         self._count = 1
 
     def is_after_flag(self) -> bool:
-        """Whether it waits for a recessive bit after its flag."""
+        """Return whether it waits for a recessive bit after its flag."""
         return self._phase == _AFTER_FLAG
 
     def is_stalled(self) -> bool:
-        """Whether nothing will change in it as long as it hears dominant bits."""
+        """Return whether dominant bits cannot change its state any more."""
         return (
             self._phase == _AFTER_FLAG and not self.transmitter and self._confinement.rec == REC_MAX
         )
 
     def hear(self, level: int) -> int:
-        """What the next bit leads to."""
+        """Process the next bit and return its result."""
         phase = self._phase
         if phase == _PASSIVE_FLAG:
             return self._hear_passive_flag(level)
@@ -127,7 +127,7 @@ class CanSignalling:
         self.drives = drives
 
     def _flag(self, kind: int, place: int, passive: bool, unacknowledged: bool = False) -> int:
-        """An error flag begins with the next bit."""
+        """Begin an error flag with the next bit."""
         self._unacknowledged = unacknowledged
         self._journal.note_error(kind, place, self.transmitter)
         self._after_error = True
@@ -138,11 +138,11 @@ class CanSignalling:
         return self._settled()
 
     def _settled(self) -> int:
-        """The counters have changed."""
+        """Record a change of the error state and return GONE or BUSY."""
         return GONE if self._journal.note_state() else BUSY
 
     def _hear_own_flag(self, level: int) -> int:
-        """A bit of its active error flag or overload flag."""
+        """Process a bit of its active error flag or overload flag."""
         if level == RECESSIVE:
             place = told.OVERLOAD_FLAG if self._phase == _OVERLOAD_FLAG else told.ACTIVE_FLAG
             passive = self._confinement.is_passive()
@@ -154,7 +154,7 @@ class CanSignalling:
         return BUSY
 
     def _hear_passive_flag(self, level: int) -> int:
-        """A bit of its passive error flag, which six equal bits end."""
+        """Process a bit of its passive error flag, which six equal bits end."""
         if level == DOMINANT and self._unacknowledged:
             self._unacknowledged = False
             self._confinement.transmitter_error()
@@ -170,7 +170,7 @@ class CanSignalling:
         return BUSY
 
     def _hear_after_flag(self, level: int) -> int:
-        """A bit after its flag: dominant ones are others' flags, unless they are too many."""
+        """Process a bit after its flag: dominant bits are other nodes' flags, unless too many."""
         if level == RECESSIVE:
             self._enter(_DELIMITER, RECESSIVE)
             self._count = 1
@@ -188,7 +188,7 @@ class CanSignalling:
         return self._settled()
 
     def _hear_delimiter(self, level: int) -> int:
-        """A bit of the delimiter after the first: recessive, or an error, the last an overload."""
+        """Process a bit of the delimiter: dominant is an error, in the last bit an overload."""
         if level == RECESSIVE:
             self._count += 1
             if self._count == DELIMITER_BITS:
@@ -200,7 +200,7 @@ class CanSignalling:
         return BUSY
 
     def _hear_intermission(self, level: int) -> int:
-        """A bit of intermission: a dominant one is an overload, the third a start of frame."""
+        """Process a bit of intermission: dominant is an overload, in the third a start of frame."""
         self._count += 1
         if self._count == INTERMISSION_BITS:
             return FREE if level == RECESSIVE else STARTED

@@ -1,8 +1,8 @@
-"""A CAN controller at the bit level: what it puts on the wire, given what was on it.
+"""A CAN controller at the bit level: levels driven and levels sampled.
 
-Once per bit time `drives` is what it sends, and `hear` tells it what it samples. It knows frames,
-arbitration and acknowledgement; what it hears of others' frames is `can_reception`'s, what follows
-an error or a frame `can_signalling`'s, what its counters do `confinement`'s.
+Once per bit time the wire reads `drives` and calls `hear` with the sampled level. The station
+implements framing, arbitration and acknowledgement. `Reception` decodes other nodes' frames,
+`CanSignalling` handles errors and the time between frames, `Confinement` has the error counters.
 
 Source: ISO 11898-1, medium access control; Bosch CAN 2.0, chapters 3 and 7.
 """
@@ -35,7 +35,7 @@ from emulators.media.error_journal import (
 )
 
 SUSPEND_BITS: Final = 8
-INTEGRATION_BITS: Final = 11  # recessive, and a node that comes back takes part
+INTEGRATION_BITS: Final = 11  # recessive bits after which a node that comes back takes part
 
 # phases
 IDLE: Final = 0
@@ -48,27 +48,27 @@ OFF: Final = 5
 
 @final
 class CanStation:
-    """A node's CAN controller, while it is on the bus. `begin` it in one way, then `hear`.
+    """A node's CAN controller, while it is on the bus. Call one `begin_...` method, then `hear`.
 
     Args:
-        frames: those it has to send, in their order.
+        frames: its pending frames, in their order.
         confinement: its counters.
         one_shot: a frame that fails or loses arbitration is dropped.
-        support: which frames it can stand, and send.
+        support: the frame formats that it tolerates and sends.
 
     Raises:
         ValueError: it has a frame that it cannot send.
 
     Attributes (read only):
         drives: the level it puts on the wire in the next bit.
-        phase: where in the protocol it is.
-        suspended: for how many more bits it may not start; counted down while the bus is idle.
-        waits_for: recessive bits it still has to hear in a row, while INTEGRATING.
-        frames: those it still has to send.
+        phase: its phase of the protocol.
+        suspended: bits for which it may not start; counted down while the bus is idle.
+        waits_for: consecutive recessive bits it still has to hear, while INTEGRATING.
+        frames: the frames it still has to send.
         off_at: the bit that made it bus-off; -1: it is not.
-        recessive_runs: since then, runs of 11 recessive bits.
-        recessive_bits: since the last of them, or the last dominant bit.
-        journal: what happened to it.
+        recessive_runs: runs of 11 recessive bits since then.
+        recessive_bits: recessive bits since the last of these runs, or the last dominant bit.
+        journal: its events.
     """
 
     def __init__(
@@ -80,7 +80,7 @@ class CanStation:
     ) -> None:
         for frame in frames:
             if len(frame) == FD_FRAME_BYTES and support is not FrameSupport.FD:
-                raise ValueError(f"a {support.value} CAN controller sends no CAN FD frames")
+                raise ValueError(f"a {support.value} CAN controller cannot send CAN FD frames")
             wire_frame(frame)
         self.frames = frames
         self.confinement = confinement
@@ -100,50 +100,50 @@ class CanStation:
         self._expected = b""
         self._levels = b""
         self._position = 0  # of the next bit to send
-        self._long_ack = False  # a CAN FD frame has had the second bit of its ACK slot
+        self._long_ack = False  # the second bit of the ACK slot of a CAN FD frame has passed
 
     def begin_idle(self, suspended: int = 0) -> None:
-        """It is ready to send, or to hear a start of frame; for so many bits it may not send."""
+        """Begin idle, ready to hear a start of frame; sending is forbidden for `suspended` bits."""
         self.suspended = suspended
         self._become_idle()
 
     def begin_integrating(self, waits_for: int = INTEGRATION_BITS) -> None:
-        """It listens only, until it has heard so many recessive bits in a row."""
+        """Begin listening only, until so many consecutive recessive bits are heard."""
         self.phase = INTEGRATING
         self.waits_for = waits_for
 
     def begin_stalled(self) -> None:
-        """It has sent a flag, and has heard nothing but dominant bits for long."""
+        """Begin after its own flag, having heard only dominant bits for long."""
         self.phase = SIGNALLING
         self._signalling.stall()
 
     def is_ready(self) -> bool:
-        """Whether the others need not wait for it: the bus is idle to it, or it is not there."""
+        """Return whether other nodes need not wait for it: idle, integrating or off the bus."""
         if self.phase == SENDING:
             return not self._position
         return self.phase in (IDLE, INTEGRATING, OFF)
 
     def is_fast(self) -> bool:
-        """Whether the next bit of the frame it sends or hears is at the data rate."""
+        """Return whether the next bit of the frame it sends or hears is at the data rate."""
         if self.phase == SENDING:
             wire = self._wire
             return wire is not None and wire.fast_from <= self._position < wire.fast_to
         return self.phase == RECEIVING and self._reception.fast
 
     def is_signalling(self) -> bool:
-        """Whether it sends an error or overload frame, or is in intermission."""
+        """Return whether it sends an error or overload frame, or is in intermission."""
         return self.phase == SIGNALLING
 
     def is_after_flag(self) -> bool:
-        """Whether it waits for a recessive bit after its flag."""
+        """Return whether it waits for a recessive bit after its flag."""
         return self.phase == SIGNALLING and self._signalling.is_after_flag()
 
     def is_stalled(self) -> bool:
-        """Whether nothing will change in it as long as it hears dominant bits."""
+        """Return whether dominant bits cannot change its state any more."""
         return self.phase == SIGNALLING and self._signalling.is_stalled()
 
     def hear(self, level: int, bit: int) -> None:
-        """This level was sampled, in the bit with this number; `drives` is for the next one."""
+        """Process the level sampled in bit number `bit` and set `drives` for the next bit."""
         phase = self.phase
         if phase == RECEIVING:
             meaning = self._reception.hear(level)
@@ -178,7 +178,7 @@ class CanStation:
     # --- its own frame
 
     def _start(self, position: int) -> None:
-        """It sends its first frame, from this bit on."""
+        """Send its first frame from this bit on."""
         frame = self.frames[0]
         if len(frame) == FD_FRAME_BYTES and self.confinement.is_passive():
             frame = frame[:5] + bytes([frame[5] | ESI]) + frame[6:]
@@ -193,7 +193,7 @@ class CanStation:
         self.drives = self._levels[position]
 
     def _differ(self, level: int) -> None:
-        """It has read back another level than it sent."""
+        """Handle a level read back that differs from the one sent."""
         wire = self._wire
         assert wire is not None
         position = self._position
@@ -215,13 +215,13 @@ class CanStation:
         self._signal(now)
 
     def _give_up(self, note: int) -> None:
-        """Its frame was not sent."""
+        """Record that its frame was not sent; drop the frame if it is one-shot."""
         self.journal.note(note, self.frames[0])
         if self._one_shot:
             self.frames.pop(0)
 
     def _lose(self, position: int) -> None:
-        """It has lost arbitration in this bit, and receives the frame of who has won."""
+        """Lose arbitration in this bit and receive the winner's frame."""
         levels = self._levels
         self._give_up(NOTE_LOST)
         self._hear_start()
@@ -230,17 +230,17 @@ class CanStation:
         self._reception.hear(DOMINANT)
 
     def _succeed(self) -> None:
-        """The last bit of its frame is sent."""
+        """Finish its frame after the last bit."""
         self.journal.note(NOTE_SENT, self.frames.pop(0))
         self.confinement.sent()
         self.journal.note_state()
         self._signalling.intermission()
         self._signal(BUSY)
 
-    # --- others' frames
+    # --- frames of other nodes
 
     def _hear_start(self) -> None:
-        """This bit is the start of somebody's frame."""
+        """Begin to receive another node's frame, with this bit as start of frame."""
         self.phase = RECEIVING
         self.drives = RECESSIVE
         self.suspended = 0
@@ -249,7 +249,7 @@ class CanStation:
         self._reception.hear(DOMINANT)
 
     def _receive(self, meaning: int, level: int) -> None:
-        """It has heard a bit that means something."""
+        """Act on the meaning of a bit of a received frame."""
         signalling = self._signalling
         if meaning == ACK_NEXT:
             self.drives = DOMINANT
@@ -273,7 +273,7 @@ class CanStation:
             self._signal(signalling.error(0, told.CRC_SEQUENCE))
 
     def _acknowledge(self, level: int) -> None:
-        """The ACK slot is over."""
+        """End the ACK slot of a received frame."""
         if self.drives == RECESSIVE:
             return
         self.drives = RECESSIVE
@@ -286,7 +286,7 @@ class CanStation:
     # --- between frames
 
     def _signal(self, now: int) -> None:
-        """It is between two frames; what the last bit led to there."""
+        """Act on the result of a bit between two frames."""
         if now == BUSY:
             self.phase = SIGNALLING
             self.drives = self._signalling.drives
@@ -301,7 +301,7 @@ class CanStation:
         if now == FREE:
             self._become_idle()
         elif self.frames and not self.suspended:
-            self._start(1)  # somebody else sent the start of frame, a bit early
+            self._start(1)  # another node sent the start of frame, one bit early
         else:
             self._hear_start()
 
@@ -319,7 +319,7 @@ class CanStation:
                 self._become_idle()
 
     def _hear_off(self, level: int) -> None:
-        """A bit that it counts, bus-off."""
+        """Count a bit while bus-off."""
         self.recessive_bits = self.recessive_bits + 1 if level else 0
         if self.recessive_bits == INTEGRATION_BITS:
             self.recessive_bits = 0

@@ -1,4 +1,4 @@
-"""What a CAN bus has carried so far."""
+"""Traffic statistics of a CAN bus."""
 
 from typing import final
 
@@ -8,13 +8,13 @@ from emulators.media.load import BusyTime
 
 @final
 class CanStatistics:
-    """Counts and load of one bus. The bus writes it; a frame counts when it is complete.
+    """The counts and load of one bus. Only the bus writes it; a frame counts when it is complete.
 
     Grows by at most 16 bytes per frame (`BusyTime`) and an entry per different identifier.
 
-    Attributes (read only): frames, and bits (incl. stuff bits and intermission), of frames sent;
-    busy, when the bus was busy with these, with frames that failed, and with intermissions;
-    errors, as often as nodes noticed one; bits_lost, to frames that failed and to error frames.
+    Attributes (read only): frames and bits (incl. stuff bits and intermission) of frames sent;
+    busy, the time occupied by these, by failed frames and by intermissions; errors, the number of
+    error detections by nodes; bits_lost, the bits of failed frames and error frames.
     """
 
     def __init__(self) -> None:
@@ -27,18 +27,18 @@ class CanStatistics:
         self._collisions: dict[int, int] = {}
 
     def count(self, key: int, bits: int) -> None:
-        """A frame was sent."""
+        """Count a sent frame."""
         self.frames += 1
         self.bits += bits
         counts = self.by_key
         counts[key] = counts.get(key, 0) + 1
 
     def count_collision(self, key: int) -> None:
-        """The frame sent had competed with one of another node with the same key."""
+        """Count a sent frame that had competed with another node's frame of the same key."""
         self._collisions[key] = self._collisions.get(key, 0) + 1
 
     def absorb(self, other: "CanStatistics") -> None:
-        """What the other has counted is counted here, and not there; when it was busy is not."""
+        """Move the counts of another bus part here; its busy time is not moved."""
         self.frames += other.frames
         self.bits += other.bits
         self.errors += other.errors
@@ -47,18 +47,18 @@ class CanStatistics:
         other.frames = other.bits = other.errors = other.bits_lost = 0
 
     def give(self, counts: dict[int, int], collisions: dict[int, int]) -> None:
-        """What was counted by key is added to these, and forgotten."""
+        """Move the counts by key into these dictionaries."""
         for own, others in ((self.by_key, counts), (self._collisions, collisions)):
             for key, count in own.items():
                 others[key] = others.get(key, 0) + count
             own.clear()
 
     def busy_ns(self) -> int:
-        """How long the bus was busy altogether [ns]."""
+        """Return the total busy time [ns]."""
         return self.busy.busy_ns()
 
     def load(self, from_ns: int, until_ns: int) -> float:
-        """The busy part of a window, 0.0 to 1.0.
+        """Return the busy part of a window, 0.0 to 1.0.
 
         Raises:
             ValueError: the window is empty.
@@ -66,7 +66,7 @@ class CanStatistics:
         return self.busy.load(from_ns, until_ns)
 
     def peak_load(self, window_ns: int) -> float:
-        """The highest load of any window of this length so far, 0.0 to 1.0.
+        """Return the highest load of any window of this length so far, 0.0 to 1.0.
 
         Raises:
             ValueError: window_ns is not above 0.
@@ -74,9 +74,9 @@ class CanStatistics:
         return self.busy.peak_load(window_ns)
 
     def counts(self) -> dict[int, int]:
-        """Frames sent, by can_id (identifier and flags), most urgent first."""
+        """Return the frames sent by can_id (identifier and flags), most urgent first."""
         return {can_id_of_key(key): count for key, count in sorted(self.by_key.items())}
 
     def collisions(self) -> dict[int, int]:
-        """Times two nodes competed with one identifier and frame type, by can_id."""
+        """Return how often two nodes competed with one identifier and frame type, by can_id."""
         return {can_id_of_key(key): count for key, count in sorted(self._collisions.items())}

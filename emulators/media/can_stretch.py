@@ -1,9 +1,9 @@
-"""A stretch of cable with the nodes on it, where something can go wrong: when what happens.
+"""A stretch of cable with its nodes, under faults.
 
-What a frame is to suffer is known one bit after its start, the last moment at which another node
-could have joined it. If it is nothing, it is complete at its end, and counters go down; otherwise
-the whole stretch of time until all nodes agree again is an episode (`can_episode`), played bit by
-bit (`playback`), and computed again if something happens meanwhile.
+The fate of a frame is decided one bit after its start, the last moment at which another node could
+have joined it. An undisturbed frame completes at its end, and counters go down. Otherwise the time
+until all nodes agree again is an episode (`can_episode`). The episode is played bit by bit
+(`Playback`), and computed again if something happens meanwhile.
 """
 
 from dataclasses import replace
@@ -25,20 +25,20 @@ from emulators.media.fault_rule import WireLevel
 from emulators.media.noise import NoiseSource
 from emulators.media.playback import Playback
 
-_LONGEST_BITS: Final = 1024  # no frame, and no other that may still join, has as many
+_LONGEST_BITS: Final = 1024  # more bits than any frame, including one that may still join
 _EFFECTS: Final = {WireLevel.DOMINANT: Effect.DOMINANT, WireLevel.RECESSIVE: Effect.RECESSIVE}
 
 
 class CanStretch(CanOutcomes):
-    """One wire, and the nodes on it. A bus in one piece is one; so is a part that is split off.
+    """One wire, and the nodes on it: a whole bus, or a part that is split off.
 
-    `CanMembers` says with what it is made.
+    The arguments are those of `CanMembers`.
     """
 
     __slots__ = ()
 
     def _is_calm(self) -> bool:
-        """Whether nothing is wrong here, and nothing can go wrong."""
+        """Return whether no fault is active or possible here."""
         return not (
             self._watchful
             or self._unwell
@@ -48,10 +48,10 @@ class CanStretch(CanOutcomes):
             or self._flight == NOBODY
         )
 
-    # --- when
+    # --- timing
 
     def due_ns(self) -> int:
-        """When something happens here; NEVER_NS if nothing does."""
+        """Return the time of the next event here, or NEVER_NS if there is none."""
         due_ns = self._flight_due_ns()
         held_ns = self._held_due_ns() if self._held else NEVER_NS
         return due_ns if held_ns < 0 or 0 <= due_ns < held_ns else held_ns
@@ -70,7 +70,7 @@ class CanStretch(CanOutcomes):
         return self._joinable_ns
 
     def _held_due_ns(self) -> int:
-        """When a node that may not send may again; NEVER_NS: none may, before the bus is idle."""
+        """Return when a held node may send again, or NEVER_NS if none can before an idle bus."""
         due_ns = NEVER_NS
         for node in self._held:
             node_ns = node.due_ns(self.bit_ns)
@@ -81,13 +81,13 @@ class CanStretch(CanOutcomes):
         return due_ns
 
     def _is_quiet(self) -> bool:
-        """Whether the frame in flight suffers nothing, whoever may still join it."""
+        """Return whether the frame in flight stays undisturbed, whatever may still join it."""
         if self._watchful or self._collided:
             return False
         return all(source.left >= _LONGEST_BITS for source in self._noises)
 
     def step(self, now_ns: int, out: list[Delivery]) -> None:
-        """What is due now happens, one thing of it."""
+        """Process one event that is due now."""
         self._now_ns = now_ns
         if self._held and 0 <= self._held_due_ns() <= now_ns:
             for node in self._held:
@@ -109,7 +109,7 @@ class CanStretch(CanOutcomes):
             self._decide(now_ns)
 
     def _release(self, node: Presence, now_ns: int, out: list[Delivery]) -> None:
-        """The node takes part again; it joins a frame that begins now."""
+        """Let the node take part again; it joins a frame that begins now."""
         if node.role is Role.OFF:
             out.append((node.recover(), node.number, TOLD))
             self._seam.plan.note(now_ns, node.name, "on the bus again", b"")
@@ -126,10 +126,10 @@ class CanStretch(CanOutcomes):
         heappush(self._competing, port.entry)
         self._arbitrate(max(now_ns, self._free_ns))
 
-    # --- a frame that suffers nothing, or something
+    # --- the fate of a frame
 
     def _decide(self, now_ns: int) -> None:
-        """Nobody can join any more: it is known what the frame in flight will suffer."""
+        """Decide the fate of the frame in flight, which no other node can join any more."""
         self._now_ns = now_ns
         self._decided = self._starts
         number = self._flight >> PORT_SHIFT & PORT_MASK
@@ -160,7 +160,7 @@ class CanStretch(CanOutcomes):
         self._let_listen()
 
     def _strikes(self, number: int, frame: bytes) -> list[Disturbance]:
-        """What rules do to this frame."""
+        """Return the disturbances of this frame by fault rules."""
         strikes: list[Disturbance] = []
         seam = self._seam
         rule = seam.plan.strike(frame, self._nodes[number].name, self._start_ns)
@@ -176,7 +176,7 @@ class CanStretch(CanOutcomes):
         return strikes
 
     def _rivals(self, number: int) -> list[CanPort]:
-        """Others that send a frame of the same identifier and type now."""
+        """Return other ports that send a frame of the same identifier and type now."""
         if not self._collided:
             return []
         rank = self._flight >> KEY_SHIFT
@@ -189,13 +189,13 @@ class CanStretch(CanOutcomes):
         return [port for port in others if not (own.shared and port.chip.shared)]
 
     def _is_struck(self, strikes: list[Disturbance], rivals: list[CanPort], port: CanPort) -> bool:
-        """Whether anything happens to the frame in flight."""
+        """Return whether anything disturbs the frame in flight."""
         if self._is_mixed and len(port.frame) > FRAME_BYTES:
             self.tell_mixed()
             return True
         number = port.tag >> PORT_SHIFT
         if len(port.frame) > FRAME_BYTES and self._nodes[number].confinement.is_passive():
-            return True  # it says so in the frame, which may have other stuff bits for that
+            return True  # the frame shows this in ESI, which may change its stuff bits
         if strikes or any(rival.frame != port.frame for rival in rivals):
             return True
         bits = bits_in(self._flight)
@@ -207,7 +207,7 @@ class CanStretch(CanOutcomes):
         return not self._ears_for(port.frame) & ~senders
 
     def _let_listen(self) -> None:
-        """A frame has begun: who was suspended hears it, and competes for the next one."""
+        """Let suspended nodes hear the frame that has begun and compete for the next one."""
         suspended = [node for node in self._held if node.role is Role.SUSPENDED]
         for node in suspended:
             node.role = Role.ON
@@ -216,7 +216,7 @@ class CanStretch(CanOutcomes):
             self.count_members()
 
     def _give_up_lost(self, now_ns: int) -> None:
-        """Who sends each frame once only, and has lost arbitration, does not send it."""
+        """Give up frames of one-shot nodes that have lost arbitration."""
         for entry in sorted(self._competing):
             port = self._ports[entry >> PORT_SHIFT & PORT_MASK]
             if port.chip.one_shot and entry >> KEY_SHIFT != self._flight >> KEY_SHIFT:
@@ -226,10 +226,10 @@ class CanStretch(CanOutcomes):
                 port.entry = CUT_OFF
                 self._keep(node)
 
-    # --- who comes and goes
+    # --- arrival and departure of nodes
 
     def enter(self, node: Presence, now_ns: int, integrated: bool) -> None:
-        """The node is on this wire from now on."""
+        """Add the node to this wire from now on."""
         self.freeze(now_ns)
         self.resume(now_ns)
         if not integrated:
@@ -237,7 +237,7 @@ class CanStretch(CanOutcomes):
         self._add(node)
 
     def leave(self, node: Presence, now_ns: int) -> None:
-        """The node is on this wire no longer; what it sent breaks off in the middle."""
+        """Remove the node from this wire, breaking off a frame that it is sending."""
         self.freeze(now_ns)
         self.resume(now_ns)
         number = node.number
@@ -259,7 +259,7 @@ class CanStretch(CanOutcomes):
         self._remove(node)
 
     def _leave_at_start(self, node: Presence) -> None:
-        """Its frame has not begun, or nobody has seen it yet: another's begins instead."""
+        """Remove a node whose frame is not visible yet, and arbitrate again without it."""
         self._put_back(self._ports[node.number])
         self._ports[node.number].entry = CUT_OFF
         self._remove(node)
@@ -267,14 +267,15 @@ class CanStretch(CanOutcomes):
         self._arbitrate(self._start_ns)
 
     def is_under_way(self, now_ns: int) -> bool:
-        """Whether a frame is on the wire that nobody can join any more."""
+        """Return whether a frame is on the wire that no node can join any more."""
         return self._flight != 0 and self._joinable_ns <= now_ns
 
     def under_way(self, numbers: list[int], now_ns: int) -> tuple[int, bytes, int, bool] | None:
-        """A frame of one of these ports that goes on on another wire, if that is where they go.
+        """Return a frame of one of these ports that continues on the wire where they go.
 
-        Its entry, itself, its start of frame [ns], and whether it has been acknowledged. None:
-        nothing goes on; a frame that has suffered already does not.
+        Returns:
+            Its entry, the frame, its start of frame [ns], and whether it has been acknowledged.
+            None if nothing continues; a disturbed frame does not.
         """
         self.resume(now_ns)
         entry = self._flight
@@ -287,11 +288,11 @@ class CanStretch(CanOutcomes):
         slot = wire_frame(frame).places.index(ACK_SLOT)
         acknowledged = self._bit_at(now_ns) > slot
         if acknowledged and not self._ears_for(frame) & ~(1 << number):
-            return None  # a lone node's: nobody did
+            return None  # a lone node's: not acknowledged
         return entry, frame, self._start_ns, acknowledged
 
     def go_on(self, entry: int, frame: bytes, start_ns: int, acknowledged: bool) -> None:
-        """A frame that began on another wire ends on this one."""
+        """Continue a frame on this wire that began on another one."""
         number = entry >> PORT_SHIFT & PORT_MASK
         port = self._ports[number]
         if port.entry not in (0, entry):
@@ -319,10 +320,10 @@ class CanStretch(CanOutcomes):
             return False
         return True
 
-    # --- while it happens
+    # --- changes during a frame
 
     def set_level(self, level: WireLevel | None, now_ns: int) -> None:
-        """The wire is stuck at this level from now on, or at none."""
+        """Set the level at which the wire is stuck from now on; None: not stuck."""
         if level is self._level:
             return
         self.resume(now_ns)
@@ -349,18 +350,18 @@ class CanStretch(CanOutcomes):
             self._play([], [lasting])
 
     def _take_wire(self, now_ns: int) -> None:
-        """The wire is taken, by no node's frame: nobody can join."""
+        """Occupy the wire without a node's frame: no node can join."""
         self._begin(NOBODY, now_ns)
         self._joinable_ns = now_ns
         self._decided = self._starts
 
     def freeze(self, now_ns: int) -> None:
-        """A frame under way that has suffered nothing so far is not asked again what it suffers."""
+        """Keep the fate of an undisturbed frame in flight although rules change."""
         if self._flight and self._joinable_ns <= now_ns and not self._repeat_ns:
             self._decided = self._starts
 
     def _play_from_start(self, strike: Disturbance | None, now_ns: int) -> Playback:
-        """What has gone well so far is struck."""
+        """Begin an episode for the frame in flight, which was undisturbed so far."""
         number = self._flight >> PORT_SHIFT & PORT_MASK
         rivals = self._rivals(number)
         senders = [number, *(rival.tag >> PORT_SHIFT for rival in rivals)]
@@ -370,21 +371,21 @@ class CanStretch(CanOutcomes):
         return (now_ns - self._start_ns + self.bit_ns - 1) // self.bit_ns
 
     def set_noises(self, noises: list[NoiseSource], now_ns: int) -> None:
-        """These invert bits, from the next frame on; others do not, from now on."""
+        """Set the noise sources; new ones act from the next frame, removed ones end now."""
         self.resume(now_ns)
         self._noises = noises
         if self._playback is not None:
             self._playback.spare(noises, now_ns)
 
     def go_on_babbling(self, now_ns: int) -> None:
-        """If the wire is free, who babbles begins."""
+        """Let babbling nodes begin if the wire is free."""
         self._babble()
         if not self._flight and self._competing:
             self._arbitrate(max(now_ns, self._free_ns))
 
 
 def misreadings(frame: bytes, sender: Presence, members: list[Presence]) -> list[Disturbance]:
-    """Which bit of a classical frame each node misreads first whose clock is too far off."""
+    """Return the first misread bit of a classical frame, for each node with a large clock error."""
     levels = bytes(wire_frame(frame).expected)
     fast = ONE + sender.chip.clock_error_1e12
     found: list[Disturbance] = []

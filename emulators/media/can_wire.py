@@ -1,4 +1,4 @@
-"""What the sender of a frame puts on the wire, bit after bit, and where in the frame each bit is.
+"""Bit sequence of a CAN frame on the wire.
 
 Source: ISO 11898-1, frame formats, CRC sequence, bit stuffing.
 """
@@ -43,9 +43,9 @@ from emulators.media.fd_checks import FIXED_EVERY, fd_check_bits, stuff
 
 DOMINANT: Final = 0
 RECESSIVE: Final = 1
-STUFF_RUN: Final = 5  # so many equal bits, then one of the other value
+STUFF_RUN: Final = 5  # so many equal bits, then an inverse stuff bit
 
-# Where the bits before the data are, by their number among those not stuffed.
+# Places of the bits before the data, by their number without stuff bits.
 _IDENTIFIER: Final[tuple[int, ...]] = (
     *(START_OF_FRAME,) * 1,
     *(ID_28_21,) * 8,
@@ -72,11 +72,11 @@ _RTR: Final = 12
 _EXTENDED_RTR: Final = 32
 _CRC_BITS: Final = 15
 _POLYNOMIAL: Final = 0x4599
-_FRAMES_KEPT: Final = 256  # then all are forgotten; a bound on memory, 0.7 MB at most
+_FRAMES_KEPT: Final = 256  # then the cache is cleared; bounds memory to 0.7 MB
 
 
 def place_of(number: int, extended: bool, crc_start: int, fd: bool = False) -> int:
-    """Where (`error_message`) the bit with this number, stuff bits not counted, is.
+    """Return the place (`error_message`) of the bit with this number, stuff bits not counted.
 
     Args:
         number: from start of frame = 0 to the end of the CRC sequence.
@@ -95,12 +95,12 @@ def place_of(number: int, extended: bool, crc_start: int, fd: bool = False) -> i
 
 
 def tail_place(number: int) -> int:
-    """Where the bit with this number after the CRC sequence is."""
+    """Return the place of the bit with this number after the CRC sequence."""
     return _TAIL_PLACES[number]
 
 
 def crc_of(value: int, bits: int) -> int:
-    """The CRC-15 of so many bits, the first one most significant."""
+    """Return the CRC-15 of so many bits, the first one most significant."""
     crc = 0
     for shift in range(bits - 1, -1, -1):
         crc = (crc << 1 ^ (_POLYNOMIAL if crc >> 14 ^ value >> shift & 1 else 0)) & 0x7FFF
@@ -108,7 +108,7 @@ def crc_of(value: int, bits: int) -> int:
 
 
 def bits_of(value: int, count: int) -> list[int]:
-    """So many bits of a number, the most significant first."""
+    """Return so many bits of a number, the most significant first."""
     return [value >> shift & 1 for shift in range(count - 1, -1, -1)]
 
 
@@ -117,9 +117,9 @@ class WireFrame:
     """A frame as its sender sends it, from start of frame to end of frame.
 
     Attributes (read only; all by the bit's number on the wire, stuff bits counted):
-        levels: what is sent.
-        expected: what is read back if all is well; they differ in the ACK slot.
-        places: where the bit is (`error_message`); a stuff bit is where the bit before it is.
+        levels: the levels sent.
+        expected: the levels read back without errors; they differ in the ACK slot.
+        places: the place of the bit (`error_message`); a stuff bit has that of the bit before it.
         stuffed: 1 for a stuff bit.
         arbitration_end: the last bit of the arbitration field, RTR.
         is_fd: it is a CAN FD frame.
@@ -128,7 +128,7 @@ class WireFrame:
             there are none.
 
     Raises:
-        ValueError: as of `can_bits.measure`, or of `pack_fd`.
+        ValueError: as for `can_bits.measure`, or for `pack_fd`.
     """
 
     def __init__(self, frame: bytes) -> None:
@@ -160,7 +160,7 @@ class WireFrame:
         self.stuffed = bytes(stuffed) + bytes(len(_TAIL_PLACES))
         self.arbitration_end = positions[rtr]
         fast = fd and frame[5] & BRS
-        # ESI is the fifth bit after RTR; a stuff bit before it is sent at the data rate already
+        # ESI is the fifth bit after RTR; a stuff bit before it is already sent at the data rate.
         self.fast_from = positions[width - 6] + 1 if fast else 0
         self.fast_to = len(levels) + 1 if fast else 0
 
@@ -169,10 +169,10 @@ _frames: Final[dict[bytes, WireFrame]] = {}
 
 
 def wire_frame(frame: bytes) -> WireFrame:
-    """The frame's bits; remembered.
+    """Return the frame's bits, cached.
 
     Raises:
-        ValueError: as of `WireFrame`.
+        ValueError: as for `WireFrame`.
     """
     known = _frames.get(frame)
     if known is None:
@@ -183,7 +183,7 @@ def wire_frame(frame: bytes) -> WireFrame:
 
 
 def _classical_header(frame: bytes) -> tuple[int, int, int]:
-    """Start of frame to DLC as a number; how many bits that are; the number of RTR."""
+    """Return start of frame to DLC as a number, its number of bits, and the number of RTR."""
     measure(frame)
     can_id = can_id_of(frame)
     if can_id & EFF_FLAG:  # r1, r0
@@ -192,12 +192,12 @@ def _classical_header(frame: bytes) -> tuple[int, int, int]:
 
 
 def _fd_header(frame: bytes) -> tuple[int, int, int]:
-    """As `_classical_header`."""
+    """Return the header of a CAN FD frame as `_classical_header` does."""
     can_id = can_id_of(frame)
     if can_id & ERR_FLAG:
         raise ValueError("an error message (ERR_FLAG) is for a node, not for the bus")
     pack_fd(can_id, data_of(frame))
-    # FDF, res, BRS, ESI, DLC; IDE before them in a base frame
+    # FDF, res, BRS, ESI, DLC; a base frame has IDE before them
     control = 0b1000 | (0b10 if frame[5] & BRS else 0) | (0b01 if frame[5] & ESI else 0)
     control = control << 4 | FD_LENGTHS.index(frame[4])
     if can_id & EFF_FLAG:
@@ -206,19 +206,19 @@ def _fd_header(frame: bytes) -> tuple[int, int, int]:
 
 
 def _base_identifier(can_id: int) -> int:
-    """From start of frame to RTR."""
+    """Return the bits from start of frame to RTR of a base frame."""
     return (can_id & EFF_MASK) << 1 | (1 if can_id & RTR_FLAG else 0)
 
 
 def _extended_identifier(can_id: int) -> int:
-    """From start of frame to RTR."""
+    """Return the bits from start of frame to RTR of an extended frame."""
     identifier = can_id & EFF_MASK
     base = identifier >> 18 << 2 | 0b11  # SRR, IDE
     return base << 19 | (identifier & 0x3FFFF) << 1 | (1 if can_id & RTR_FLAG else 0)
 
 
 def _append_fd_checks(levels: list[int], stuffed: list[int], length: int) -> None:
-    """Stuff count and CRC with their fixed stuff bits, after the data."""
+    """Append stuff count and CRC with their fixed stuff bits after the data."""
     checks, count = fd_check_bits(levels, sum(stuffed), length)
     for number, bit in enumerate(bits_of(checks, count)):
         if not number % (FIXED_EVERY - 1):

@@ -1,7 +1,7 @@
-"""One node's error confinement: its two error counters, and what they make of it.
+"""Fault confinement of a CAN node: error counters and error state.
 
 The rules are those of ISO 11898-1, fault confinement, by their letters (Bosch CAN 2.0 numbers them
-1 to 12). When one applies is seen on the wire, by `can_station`; here stands what it does:
+1 to 12). `CanStation` detects on the wire when a rule applies. This module implements its effect:
 
 a  a receiver detects an error: REC + 1, but not for a bit error in its active error flag or its
    overload flag, which is e
@@ -19,7 +19,7 @@ h  a frame was received up to its ACK slot, and acknowledged: REC - 1, not below
 i  at 128 or more in either a node is error passive, at a TEC above 255 bus-off
 
 Left open by the standard, decided here: h leads to 127. REC counts to 255 and stays there, as in an
-8-bit register; so does what is told of TEC.
+8-bit register. The reported TEC is limited in the same way.
 """
 
 from enum import IntEnum
@@ -28,24 +28,24 @@ from typing import Final, final
 WARNING: Final = 96
 PASSIVE: Final = 128
 BUS_OFF: Final = 256
-TEC_MAX: Final = 255  # that a register holds: what one that is bus-off shows
+TEC_MAX: Final = 255  # maximum of a register; shown by a bus-off node
 REC_MAX: Final = 255
 
-_ERROR: Final = 8  # what an error costs that cannot be somebody else's
+_ERROR: Final = 8  # increment for an error that is the node's own fault
 _REC_RECOVERED: Final = 127
 
 
 class ErrorState(IntEnum):
-    """What a node's counters make of it; the higher the worse."""
+    """The error state of a node; a higher value is worse."""
 
     ACTIVE = 0
-    WARNING = 1  # error active; a host would want to know
+    WARNING = 1  # error active, above the warning limit
     PASSIVE = 2
     BUS_OFF = 3
 
 
 def state_of(counter: int) -> ErrorState:
-    """What this counter alone makes of a node; REC does not reach what would be bus-off."""
+    """Return the error state for one counter alone; REC never reaches bus-off."""
     if counter >= BUS_OFF:
         return ErrorState.BUS_OFF
     if counter >= PASSIVE:
@@ -55,17 +55,17 @@ def state_of(counter: int) -> ErrorState:
 
 @final
 class Confinement:
-    """A node's TEC and REC. Rules a to h, each a method; i is what they are compared with.
+    """The TEC and REC of a node. Rules a to h are methods; `state` applies rule i.
 
-    Attributes: tec (0 to 263), rec (0 to 255). Read them; the rules alone change them.
+    Attributes: tec (0 to 263), rec (0 to 255). Read only; the rules alone change them.
 
     Raises:
-        ValueError: tec is not 0 to 255, or rec is not.
+        ValueError: tec or rec is not 0 to 255.
     """
 
     def __init__(self, tec: int = 0, rec: int = 0) -> None:
         if not 0 <= tec < BUS_OFF or not 0 <= rec <= REC_MAX:
-            raise ValueError(f"TEC {tec}, REC {rec}: a node on the bus has 0 to 255 of each")
+            raise ValueError(f"TEC {tec}, REC {rec}: invalid counters; expected 0 to 255 each")
         self.tec = tec
         self.rec = rec
 
@@ -73,44 +73,44 @@ class Confinement:
         return f"TEC {self.tec}, REC {self.rec}"
 
     def is_passive(self) -> bool:
-        """Whether its error flags are passive."""
+        """Return whether the node is error passive and its error flags are passive."""
         return self.tec >= PASSIVE or self.rec >= PASSIVE
 
     def is_off(self) -> bool:
-        """Whether it has left the bus."""
+        """Return whether the node is bus-off."""
         return self.tec >= BUS_OFF
 
     def state(self) -> ErrorState:
-        """Rule i."""
+        """Return the error state by rule i."""
         return state_of(self.tec if self.tec > self.rec else self.rec)
 
     def receiver_error(self) -> None:
-        """Rule a."""
+        """Apply rule a."""
         self._add_rec(1)
 
     def dominant_after_flag(self) -> None:
-        """Rule b."""
+        """Apply rule b."""
         self._add_rec(_ERROR)
 
     def transmitter_error(self) -> None:
-        """Rule c; whether it is an exception, the wire tells."""
+        """Apply rule c; the caller checks the exceptions."""
         self.tec += _ERROR
 
     def flag_destroyed(self, transmitter: bool) -> None:
-        """Rules d and e."""
+        """Apply rule d or e."""
         self._add(transmitter)
 
     def dominant_eight(self, transmitter: bool) -> None:
-        """Rule f."""
+        """Apply rule f."""
         self._add(transmitter)
 
     def sent(self) -> None:
-        """Rule g."""
+        """Apply rule g."""
         if self.tec:
             self.tec -= 1
 
     def received(self) -> None:
-        """Rule h."""
+        """Apply rule h."""
         if self.rec >= PASSIVE:
             self.rec = _REC_RECOVERED
         elif self.rec:

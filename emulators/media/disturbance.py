@@ -1,4 +1,4 @@
-"""What makes the nodes of a bus sample other levels than they put on the wire."""
+"""Disturbances: nodes sample other levels than those on the wire."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,7 +11,7 @@ ALL_PORTS: Final = -1  # as a mask of 1 << port
 
 
 class Effect(Enum):
-    """What a disturbance does to a level."""
+    """The effect of a disturbance on a level."""
 
     FLIP = "flip"
     DOMINANT = "dominant"
@@ -21,13 +21,13 @@ class Effect(Enum):
 @final
 @dataclass(frozen=True, slots=True)
 class Disturbance:
-    """Something that makes ports sample another level than the nodes put on the wire.
+    """A disturbance that makes ports sample another level than the nodes put on the wire.
 
     Attributes:
         first: the bit in which it begins.
-        effect: what it does; of two in one bit the one named later has the last word.
-        bits: for how many bits; None: for ever.
-        ports: who samples it (1 << port, or'ed); ALL_PORTS: it is on the wire.
+        effect: its effect; of two in one bit the one named later prevails.
+        bits: its duration in bits; None: for ever.
+        ports: the ports that sample it (1 << port, or'ed); ALL_PORTS: it is on the wire.
     """
 
     first: int
@@ -36,16 +36,16 @@ class Disturbance:
     ports: int = ALL_PORTS
 
     def strikes(self, bit: int) -> bool:
-        """Whether it lasts in this bit."""
+        """Return whether it is active in this bit."""
         return self.first <= bit and (self.bits is None or bit < self.first + self.bits)
 
 
 @final
 class Strikes:
-    """Disturbances, and which of them last in the bit looked at; bits are looked at in order.
+    """Disturbances, and those active in the current bit. Bits are visited in order.
 
     Args:
-        all_of_them: in the order in which they have their say.
+        all_of_them: in the order in which they are applied.
     """
 
     def __init__(self, all_of_them: Sequence[Disturbance]) -> None:
@@ -53,7 +53,7 @@ class Strikes:
         self._lasting: list[tuple[int, Disturbance]] = []
 
     def look_at(self, bit: int) -> bool:
-        """Whether any of them lasts in this bit."""
+        """Visit this bit and return whether any disturbance is active in it."""
         lasting = [one for one in self._lasting if one[1].strikes(bit)]
         while self._to_come and self._to_come[-1][1].first <= bit:
             begun = self._to_come.pop()
@@ -64,7 +64,7 @@ class Strikes:
         return bool(lasting)
 
     def disturbed(self, level: int) -> int:
-        """The level sampled in the bit looked at by who is struck by these."""
+        """Return the level sampled in the current bit under these disturbances."""
         for _, one in self._lasting:
             if one.effect is Effect.FLIP:
                 level = 1 - level

@@ -1,8 +1,8 @@
-"""What happens to a node on the wire, bit by bit, and what its CAN controller tells its host of it.
+"""Event log of a node, and its CAN controller's error messages.
 
-Error messages are those of a driver that tells each error: its type, its place, whether the node
-was sending, and the counters after it; and the node's error state when that changes, as Linux's
-`can_change_state` does. Of a node that is bus-off no counters are told: they would not fit.
+Error messages are those of a driver that reports each error: its type, its place, whether the node
+was sending, and the counters after it. A change of the node's error state is reported as Linux's
+`can_change_state` does. A bus-off node reports no counters: they would not fit.
 
 Source: Linux drivers/net/can/dev/dev.c; "can: do not report txerr and rxerr during bus-off" (2022)
 in its drivers.
@@ -27,10 +27,10 @@ _RX: Final = (told.ERROR_ACTIVE, told.RX_WARNING, told.RX_PASSIVE)
 
 @final
 class ErrorJournal:
-    """Notes of what happened to a node with these counters.
+    """The log of events at the node with these counters.
 
     Attributes:
-        bit: in which what is noted next happens.
+        bit: the bit of the next entry.
         notes: (bit, kind, frame or error message).
     """
 
@@ -41,11 +41,11 @@ class ErrorJournal:
         self._state = confinement.state()
 
     def note(self, kind: int, frame: bytes) -> None:
-        """This happened to this frame."""
+        """Log an event of this kind for this frame."""
         self.notes.append((self.bit, kind, frame))
 
     def note_error(self, kind: int, place: int, transmitter: bool) -> None:
-        """An error of this kind, at this place (data[2] and data[3] of the message)."""
+        """Log an error of this kind, at this place (data[2] and data[3] of the message)."""
         classes = told.PROTOCOL | told.BUS_ERROR
         if place == told.ACK_SLOT and not kind:
             classes |= told.NO_ACKNOWLEDGE
@@ -59,7 +59,7 @@ class ErrorJournal:
         self.note(NOTE_ERROR, message)
 
     def note_state(self) -> bool:
-        """The counters have changed; whether that made the node bus-off."""
+        """Log a change of the error state and return whether the node became bus-off."""
         state = self._confinement.state()
         if state == self._state:
             return False
@@ -69,7 +69,7 @@ class ErrorJournal:
 
 
 def state_message(confinement: Confinement) -> bytes:
-    """What tells a node of the state that its counters have come to."""
+    """Return the error message that reports the current error state."""
     if confinement.is_off():
         return told.pack_error(told.BUS_OFF)
     tx, rx = state_of(confinement.tec), state_of(confinement.rec)

@@ -1,9 +1,10 @@
-"""What a node learns of errors: error messages as SocketCAN has them.
+"""Error messages to a node, in the format of SocketCAN.
 
-A 16-byte can_frame with ERR_FLAG: the identifier's bits are classes of errors, 8 bytes of data say
-more. They are never on the bus; the medium makes them, for the node that noticed something, and for
-the record. Lost arbitration is not told: of common controllers few do (SJA1000, CTU CAN FD), and on
-a busy bus each frame would cost a message for each node that waits.
+An error message is a 16-byte can_frame with ERR_FLAG. The identifier's bits are classes of errors,
+8 bytes of data give details. Error messages are never on the bus. The medium makes them for the
+node that detected an error, and for the record. Lost arbitration is not reported: few common
+controllers do (SJA1000, CTU CAN FD), and on a busy bus each frame would cost a message per waiting
+node.
 
 Source: Linux include/uapi/linux/can/error.h.
 """
@@ -33,8 +34,8 @@ RX_PASSIVE: Final = 0x10
 TX_PASSIVE: Final = 0x20
 ERROR_ACTIVE: Final = 0x40
 
-# data[2]: what was wrong
-BIT_ERROR: Final = 0x01  # could not be told apart
+# data[2]: type of the error
+BIT_ERROR: Final = 0x01  # not distinguishable
 FORM_ERROR: Final = 0x02
 STUFF_ERROR: Final = 0x04
 BIT0_ERROR: Final = 0x08  # a dominant bit could not be sent
@@ -43,7 +44,7 @@ OVERLOAD: Final = 0x20
 ACTIVE_ANNOUNCED: Final = 0x40
 TRANSMITTING: Final = 0x80  # the node was sending
 
-# data[3]: where
+# data[3]: place
 UNSPECIFIED: Final = 0x00
 START_OF_FRAME: Final = 0x03
 ID_28_21: Final = 0x02
@@ -64,7 +65,7 @@ ACK_SLOT: Final = 0x19
 ACK_DELIMITER: Final = 0x1B
 END_OF_FRAME: Final = 0x1A
 INTERMISSION: Final = 0x12
-# Linux has no names for these; its driver hands on what the chip says (SJA1000, error code capture)
+# Linux has no names for these; its driver hands on the chip's value (SJA1000, error code capture).
 ACTIVE_FLAG: Final = 0x11
 TOLERATED: Final = 0x13  # dominant bits after a flag
 PASSIVE_FLAG: Final = 0x16
@@ -82,14 +83,14 @@ def pack_error(
     location: int = 0,
     counters: tuple[int, int] | None = None,
 ) -> bytes:
-    """The error message (16 bytes).
+    """Return the error message (16 bytes).
 
     Args:
         classes: of errors, or'ed.
         controller: data[1].
         protocol: data[2].
         location: data[3].
-        counters: TEC and REC, if they are to be told; above 255 they are told as 255.
+        counters: TEC and REC to report, or None; values above 255 are reported as 255.
     """
     data = bytearray(8)
     data[1] = controller

@@ -1,4 +1,4 @@
-"""Where in a frame an error is struck, so that it is the one that was asked for."""
+"""Placement of an injected error in a frame."""
 
 from typing import Final
 
@@ -12,18 +12,18 @@ STUFF_RUN: Final = 5
 
 
 def has_bit(frame: bytes, bit: int) -> bool:
-    """Whether a bit of this number is one of the frame's, or of the intermission behind it."""
+    """Return whether the frame, or the intermission behind it, has a bit of this number."""
     return bit < len(wire_frame(frame).levels) + INTERMISSION_BITS
 
 
 def struck(rule: FaultRule, frame: bytes, sender: int, ports: int) -> Disturbance | None:
-    """What an ERROR does to this frame; None: it has no place for such an error.
+    """Return the disturbance for an ERROR rule, or None if the frame has no place for it.
 
     Args:
-        rule: the ERROR.
+        rule: the ERROR rule.
         frame: as it is sent.
         sender: its port.
-        ports: who sees it, as a mask; ALL_PORTS: all that can notice it.
+        ports: mask of the ports that see it; ALL_PORTS: all that can detect it.
     """
     if rule.bit is not None:
         return Disturbance(rule.bit, ports=ports)
@@ -50,9 +50,10 @@ def struck(rule: FaultRule, frame: bytes, sender: int, ports: int) -> Disturbanc
 
 
 def _unnoticed_until_crc(wire: WireFrame) -> int | None:
-    """The last bit of the CRC or before that, inverted, leaves all stuff bits where they are.
+    """Return the last bit up to the CRC whose inversion leaves all stuff bits in place.
 
-    In CAN FD those of the CRC are fixed, and none is behind its last bit (ISO 11898-1:2015).
+    In CAN FD the stuff bits of the CRC are fixed, and none is behind its last bit (ISO
+    11898-1:2015).
     """
     end = wire.places.index(CRC_DELIMITER)
     if wire.is_fd:
@@ -67,7 +68,7 @@ def _unnoticed_until_crc(wire: WireFrame) -> int | None:
 
 
 def _stuff_bits(levels: bytes) -> list[int]:
-    """Which of these a receiver takes for stuff bits; more than it is given, if one is wrong."""
+    """Return 1 for each level that a receiver takes for a stuff bit; empty after a stuff error."""
     stuffed: list[int] = []
     run, last, due = 0, 1 - DOMINANT, False
     for level in levels:

@@ -1,4 +1,4 @@
-"""Where the faults of a plan meet the traffic of a bus: who hears what, and when."""
+"""Seam between a fault plan and the traffic of a bus."""
 
 from collections.abc import Sequence
 from heapq import heappop, heappush
@@ -9,18 +9,18 @@ from emulators.media.delivery import DELIVERED, HEARD, LOST, Delivery, kind_with
 from emulators.media.fault_rule import FaultKind
 from emulators.media.faults import NEVER_NS, FaultPlan
 
-# the sender's error flag (6), the last bit of the overload flags that answer it, a delimiter (8)
+# the sender's error flag (6), the last bit of the overload flags that follow it, a delimiter (8)
 ERROR_FRAME_BITS: Final = 15
 
 
 @final
 class FaultSeam:
-    """What a bus with a fault plan knows besides; a bus without faults never comes here.
+    """The additional state of a bus with a fault plan; not used without faults.
 
-    Memory grows by what is heard later and not yet due, and as `FaultPlan` says.
+    Memory grows with the delayed frames, and as `FaultPlan` says.
 
-    Attributes: plan; deaf_mask, the ports that are alone and hear nothing as bits 1 << number
-    (whoever has the bus writes it).
+    Attributes: plan; deaf_mask, the ports (1 << number) that are alone and hear nothing (written by
+    the bus).
     """
 
     def __init__(self, plan: FaultPlan) -> None:
@@ -32,32 +32,32 @@ class FaultSeam:
         self._next_change_ns = NEVER_NS
 
     def is_idle(self) -> bool:
-        """Whether nothing is wrong, and nothing can go wrong."""
+        """Return whether no fault is active or possible."""
         return not self._late and self.plan.is_empty()
 
     def attach(self, name: str) -> None:
-        """The next port has this name."""
+        """Add the next port, with this name."""
         self._names.append(name)
 
     def next_ns(self) -> int:
-        """When a rule begins or is over, or a frame is heard late; NEVER_NS if nothing is due."""
+        """Return when a rule changes or a late frame is heard; NEVER_NS if nothing is due."""
         if not self._late:
             return self._next_change_ns
         due_ns = self._late[0][0]
         return self._next_change_ns if 0 <= self._next_change_ns < due_ns else due_ns
 
     def is_change_due(self, now_ns: int) -> bool:
-        """Whether a rule begins or is over now, or should have before."""
+        """Return whether a rule begins or ends now, or should have before."""
         return 0 <= self._next_change_ns <= now_ns
 
     def keep(self, now_ns: int) -> bool:
-        """Whether other rules last now than when last asked."""
+        """Update the lasting rules and return whether they have changed since the last call."""
         changed = self.plan.keep(now_ns)
         self._next_change_ns = self.plan.next_change_ns(now_ns)
         return changed
 
     def babbles(self) -> list[tuple[int, bytes]]:
-        """(port, frame) of who babbles now."""
+        """Return (port, frame) of each node that babbles now."""
         return [
             (self._names.index(rule.sender), pack(rule.identifier, rule.data))
             for rule in self.plan.lasting(FaultKind.BABBLE)
@@ -65,7 +65,7 @@ class FaultSeam:
         ]
 
     def hear_late(self, now_ns: int, out: list[Delivery]) -> None:
-        """Appends the frames whose delay is over."""
+        """Append the frames whose delay is over."""
         while self._late and self._late[0][0] <= now_ns:
             _, _, frame, port, hit = heappop(self._late)
             self._tell(out, frame, port, HEARD, hit & ~self.deaf_mask)
@@ -73,18 +73,18 @@ class FaultSeam:
     def complete(
         self, frame: bytes, port: int, now_ns: int, ears: int, silent: bool, out: list[Delivery]
     ) -> bool:
-        """A frame has gone over the bus; appends to `out` what came of it.
+        """Apply the fault rules to a complete frame and append the deliveries to `out`.
 
         Args:
             frame: as it was sent.
             port: of its sender.
             now_ns: when it was complete [ns].
             ears: mask of the ports that it has reached.
-            silent: its sender is not told: nobody has submitted it.
-            out: what the bus delivers.
+            silent: do not inform the sender, because the frame was not submitted.
+            out: the deliveries of the bus.
 
         Returns:
-            Whether the sender believes it failed, and sends it again.
+            True if the sender believes that it failed, and sends it again.
         """
         rule = self.plan.verdict(frame, self._names[port], now_ns)
         if rule is None:
@@ -105,15 +105,15 @@ class FaultSeam:
     def deliver(
         self, frame: bytes, port: int, ears: int, silent: bool, out: list[Delivery]
     ) -> None:
-        """The frame reaches these ports, and its sender knows that it was sent."""
+        """Deliver the frame to these ports and confirm it to its sender."""
         self._tell(out, frame, port, HEARD if silent else DELIVERED, ears)
 
     def hear(self, frame: bytes, port: int, ears: int, out: list[Delivery]) -> None:
-        """The frame reaches these ports; its sender is told nothing."""
+        """Deliver the frame to these ports without informing its sender."""
         self._tell(out, frame, port, HEARD, ears)
 
     def mask(self, names: Sequence[str]) -> int:
-        """The ports of these names; names of no port are nobody."""
+        """Return the mask of the ports with these names; unknown names are ignored."""
         mask = 0
         for number, name in enumerate(self._names):
             if name in names:
@@ -121,7 +121,7 @@ class FaultSeam:
         return mask
 
     def _tell(self, out: list[Delivery], frame: bytes, port: int, kind: int, ears: int) -> None:
-        """Appends a delivery to the ports of a mask; nobody left to hear it makes it LOST."""
+        """Append a delivery to the ports of a mask; it is LOST if no port is left to hear it."""
         others = ((1 << len(self._names)) - 1) & ~(1 << port)
         if others & ears:
             out.append((frame, port, kind_without(kind, others & ~ears)))

@@ -1,7 +1,7 @@
-"""What has gone wrong on a CAN bus, on purpose: which frames are hit, how, and how often.
+"""Fault plan of a CAN bus: rules, their firings and recorded events.
 
-Of DROP, DELAY, DUPLICATE and CORRUPT a plan is asked once per complete frame, of ERROR once when a
-frame has begun. Its rules are tried in order; the first that fires decides.
+DROP, DELAY, DUPLICATE and CORRUPT are evaluated once per complete frame, ERROR once when a frame
+has begun. Rules are tried in order; the first that fires decides.
 """
 
 from collections.abc import Callable, Sequence
@@ -13,7 +13,7 @@ from emulators.media.fault_rule import LASTING, FaultKind, FaultRule
 
 __all__ = ["NEVER_NS", "FaultEvent", "FaultKind", "FaultPlan", "FaultRule"]
 
-# (time [ns], rule or node, what happened, the frame hit; no bytes where there is none)
+# (time [ns], rule or node, event, the frame hit; no bytes without a frame)
 FaultEvent = tuple[int, str, str, bytes]
 
 NEVER_NS: Final = -1
@@ -21,11 +21,11 @@ NEVER_NS: Final = -1
 
 @final
 class FaultPlan:
-    """The rules of one bus, with what they did so far.
+    """The rules of one bus and their effects so far.
 
-    Same rules, same frames and same draws: same faults. `random` answers 0.0 <= x < 1.0; it is the
-    bus's own stream of the run's seed, drawn from once per frame and rule whose conditions are met
-    (and once more for a bit to flip).
+    Same rules, same frames and same draws give the same faults. `random` returns 0.0 <= x < 1.0. It
+    is the bus's own stream of the run's seed, drawn from once per frame and rule whose conditions
+    are met (and once more for a bit to flip).
 
     Memory grows by one event per firing until `take_events` is called.
     """
@@ -37,19 +37,21 @@ class FaultPlan:
         self._lasting: list[FaultRule] = []
         self._met: dict[str, int] = {}
         self._fired: dict[str, int] = {}
-        self._now: dict[str, FaultRule] = {}  # by rule name: what has begun and is not over
+        self._now: dict[str, FaultRule] = {}  # active lasting rules by name
         self._events: list[FaultEvent] = []
         for rule in rules:
             self.add(rule)
 
     def add(self, rule: FaultRule) -> None:
-        """The rule holds from now on, after those before it.
+        """Add a rule behind the others, effective from now on.
 
         Raises:
-            ValueError: a rule of that name was there before.
+            ValueError: the plan has had a rule of that name.
         """
         if rule.name in self._fired:
-            raise ValueError(f"fault {rule.name}: there is a rule of that name already")
+            raise ValueError(
+                f"fault {rule.name}: name already used; expected one that is unique in the plan"
+            )
         self._met[rule.name] = 0
         self._fired[rule.name] = 0
         if rule.kind in LASTING:
@@ -60,45 +62,45 @@ class FaultPlan:
             self._rules.append(rule)
 
     def remove(self, name: str) -> None:
-        """The rule holds no longer; its count stays.
+        """Remove a rule; its count stays.
 
         Raises:
-            ValueError: there is no rule of that name.
+            ValueError: the plan does not have a rule of that name.
         """
         if name not in [rule.name for rule in self._rules + self._errors + self._lasting]:
-            raise ValueError(f"there is no fault rule {name}")
+            raise ValueError(f"fault {name}: unknown rule")
         self._rules = [rule for rule in self._rules if rule.name != name]
         self._errors = [rule for rule in self._errors if rule.name != name]
         self._lasting = [rule for rule in self._lasting if rule.name != name]
 
     def is_empty(self) -> bool:
-        """Whether no rule holds and nothing is on."""
+        """Return whether the plan has no rule and no lasting rule is active."""
         return not (self._rules or self._errors or self._lasting or self._now)
 
     def has_errors(self) -> bool:
-        """Whether an ERROR may hit a frame."""
+        """Return whether the plan has an ERROR rule."""
         return bool(self._errors)
 
     def fired(self) -> dict[str, int]:
-        """How often each rule has fired, by name, in the order of adding."""
+        """Return how often each rule has fired, by name, in the order of adding."""
         return dict(self._fired)
 
     def has_events(self) -> bool:
-        """Whether something happened since last asked."""
+        """Return whether there are events since the last `take_events`."""
         return bool(self._events)
 
     def take_events(self) -> list[FaultEvent]:
-        """What happened since last asked, in order."""
+        """Return the events since the last call, in order."""
         events = self._events
         self._events = []
         return events
 
     def verdict(self, frame: bytes, sender: str, now_ns: int) -> FaultRule | None:
-        """The rule that hits this frame, complete at `now_ns`; None: it gets through."""
+        """Return the rule that hits this frame, complete at `now_ns`, or None."""
         return self._first(self._rules, frame, sender, now_ns)
 
     def strike(self, frame: bytes, sender: str, now_ns: int) -> FaultRule | None:
-        """The ERROR that hits this frame, begun at `now_ns`; None: none does."""
+        """Return the ERROR rule that hits this frame, begun at `now_ns`, or None."""
         return self._first(self._errors, frame, sender, now_ns)
 
     def _first(
@@ -127,7 +129,7 @@ class FaultPlan:
         return self._met[name] > rule.skip
 
     def corrupted(self, rule: FaultRule, frame: bytes) -> bytes:
-        """The frame as those hit hear it; its data differ."""
+        """Return the frame as the ports hit receive it, with changed data."""
         length = frame[4]
         data = bytearray(frame)
         if rule.flip:
@@ -139,7 +141,7 @@ class FaultPlan:
         return bytes(data)
 
     def keep(self, now_ns: int) -> bool:
-        """Whether other rules than before last at `now_ns`; what has begun or ended is recorded."""
+        """Update the lasting rules, record changes, and return whether there are any."""
         on: dict[str, FaultRule] = {}
         for rule in self._lasting:
             if rule.from_ns <= now_ns and (rule.until_ns is None or now_ns < rule.until_ns):
@@ -152,17 +154,17 @@ class FaultPlan:
         for name, rule in on.items():
             if name not in self._now:
                 self.note(now_ns, name, _begun(rule), b"")
-                if rule.kind is not FaultKind.NOISE:  # which is counted by the bits it inverts
+                if rule.kind is not FaultKind.NOISE:  # noise is counted by the bits it inverts
                     self._fired[name] += 1
         self._now = on
         return True
 
     def lasting(self, *kinds: FaultKind) -> list[FaultRule]:
-        """The rules of these kinds that lasted at the last `keep`, in the order of adding."""
+        """Return the rules of these kinds active at the last `keep`, in the order of adding."""
         return [rule for rule in self._now.values() if rule.kind in kinds]
 
     def next_change_ns(self, now_ns: int) -> int:
-        """When a lasting rule begins or is over next, after `now_ns`; NEVER_NS if none does."""
+        """Return when a lasting rule begins or ends next, after `now_ns`; NEVER_NS if none does."""
         next_ns = NEVER_NS
         for rule in self._lasting:
             for time_ns in (rule.from_ns, rule.until_ns):
@@ -171,15 +173,15 @@ class FaultPlan:
         return next_ns
 
     def draw(self) -> float:
-        """A number from 0.0 on, below 1.0, from the stream of this plan."""
+        """Return the next random number of this plan's stream, 0.0 <= x < 1.0."""
         return self._random()
 
     def note(self, now_ns: int, name: str, what: str, frame: bytes) -> None:
-        """This happened at a node, or on the wire."""
+        """Record an event at a node, or on the wire."""
         self._events.append((now_ns, name, what, frame))
 
     def inverted(self, now_ns: int, rule: FaultRule, what: str, frame: bytes) -> None:
-        """A noise has inverted a bit."""
+        """Record a bit that noise has inverted."""
         self._record(now_ns, rule, what, frame)
 
     def _record(self, now_ns: int, rule: FaultRule, what: str, frame: bytes) -> None:
@@ -188,7 +190,7 @@ class FaultPlan:
 
 
 def _corruptible(rule: FaultRule, frame: bytes) -> bool:
-    """Whether the frame has data bits to flip."""
+    """Return whether the frame has data bits to flip."""
     if frame[3] & RTR_FLAG >> 24:
         return False
     return any(rule.flip[: frame[4]]) if rule.flip else frame[4] > 0

@@ -1,9 +1,9 @@
-"""What guards a CAN FD frame: dynamic and fixed stuff bits, the stuff count, CRC-17 and CRC-21.
+"""CAN FD frame checks: stuff bits, stuff count, CRC-17 and CRC-21.
 
-From start of frame to the end of the data, after five equal bits follows one of the other value.
-Where the data end a fixed stuff bit follows instead, and is not counted, even if five equal bits
-go before it; then one before every four bits of stuff count and CRC. The CRC covers the stuff count
-and all bits before it, stuff bits included, but no fixed ones.
+From start of frame to the end of the data, an inverse bit follows five equal bits. At the end of
+the data a fixed stuff bit follows instead. This bit is not counted, even after five equal bits.
+From there one fixed stuff bit precedes every four bits of stuff count and CRC. The CRC covers the
+stuff count and all bits before it, dynamic stuff bits included, but no fixed ones.
 
 Source: ISO 11898-1:2015, bit stuffing, CRC sequence.
 """
@@ -13,7 +13,7 @@ from typing import Final
 
 STUFF_COUNT_BITS: Final = 4
 FIXED_EVERY: Final = 5  # one fixed stuff bit, then four others
-FD_SHORT_BYTES: Final = 16  # up to so many data bytes the CRC has 17 bits, above 21
+FD_SHORT_BYTES: Final = 16  # up to so many data bytes the CRC has 17 bits, above that 21
 
 _SHORT: Final = (17, 0x1685B)
 _LONG: Final = (21, 0x102899)
@@ -23,18 +23,21 @@ _STUFF_COUNTS: Final = (0b0000, 0b0011, 0b0110, 0b0101, 0b1100, 0b1111, 0b1010, 
 
 
 def fd_crc_bits(length: int) -> int:
-    """How many bits the CRC has, at this many data bytes."""
+    """Return the number of CRC bits for this many data bytes."""
     return _SHORT[0] if length <= FD_SHORT_BYTES else _LONG[0]
 
 
 def fd_field_bits(length: int) -> int:
-    """How many bits there are from the first fixed stuff bit to the end of the CRC."""
+    """Return the number of bits from the first fixed stuff bit to the end of the CRC."""
     bits = STUFF_COUNT_BITS + fd_crc_bits(length)
     return bits + (bits + FIXED_EVERY - 2) // (FIXED_EVERY - 1)
 
 
 def stuff(bits: Sequence[int]) -> tuple[list[int], list[int]]:
-    """These bits with dynamic stuff bits, none after the last; and for each, 1 if it is one."""
+    """Return the bits with dynamic stuff bits, none after the last, and a mark for each.
+
+    The mark is 1 for a stuff bit, else 0.
+    """
     levels: list[int] = []
     stuffed: list[int] = []
     run = 0
@@ -53,11 +56,11 @@ def stuff(bits: Sequence[int]) -> tuple[list[int], list[int]]:
 
 
 def fd_check_bits(levels: Sequence[int], stuff_bits: int, length: int) -> tuple[int, int]:
-    """Stuff count and CRC as one number, and of how many bits.
+    """Return stuff count and CRC as one number, and its number of bits.
 
     Args:
         levels: the frame to the end of its data, with its dynamic stuff bits.
-        stuff_bits: how many of them are such.
+        stuff_bits: how many of the levels are stuff bits.
         length: data bytes.
     """
     width, polynomial = _SHORT if length <= FD_SHORT_BYTES else _LONG

@@ -1,7 +1,8 @@
-"""An episode, played in time: what happens in each bit comes at the end of that bit.
+"""Playback of an episode in time.
 
-It is computed some bits ahead, and when these are played as far again: what it costs in all is in
-proportion to its length, and one that does not end costs no more than the time that it has lasted.
+The episode is computed some bits ahead. When these are played, the computed length is doubled. The
+total cost is therefore proportional to the length of the episode, and an endless one costs no more
+than the time that it has lasted.
 """
 
 from collections.abc import Sequence
@@ -26,15 +27,16 @@ _MARGIN_BITS: Final = 512
 
 @final
 class Playback:
-    """A stretch of time on one wire, from a start of frame until all agree again.
+    """A stretch of time on one wire, from a start of frame until all nodes agree again.
 
-    It may be computed anew while it is played, because something has changed: what is past stays.
+    After a change it is computed again while it is played; the past stays as it was.
 
     Attributes (read only):
         start_ns: its start of frame [ns].
         stations: as they were then.
-        over_ns: when the next frame may start [ns]; that of what is computed, if it is not over.
-        end: the episode itself, as far as it is computed.
+        over_ns: when the next frame may start [ns], or the end of the computed part if it is not
+            over.
+        end: the episode, as far as it is computed.
     """
 
     def __init__(
@@ -50,13 +52,13 @@ class Playback:
         self._bit_ns, self._data_bit_ns = rates_ns
         self._disturbances = list(disturbances)
         self._noises = noises
-        self._quiet_from = [ALL_BITS] * len(noises)  # from this bit on each of them strikes no more
+        self._quiet_from = [ALL_BITS] * len(noises)  # bit from which on each is inactive
         self._played = 0
         self._until_bit = _MARGIN_BITS
         self._compute()
 
     def go_on(self) -> bool:
-        """All that is computed is played; whether there is more, which is computed then."""
+        """Compute the next part after all is played; return False if the episode is over."""
         if self.end.is_over:
             return False
         self._until_bit = max(2 * self._until_bit, self.end.bits + _MARGIN_BITS)
@@ -64,12 +66,12 @@ class Playback:
         return True
 
     def strike(self, disturbance: Disturbance) -> None:
-        """This happens as well, from a bit on that is not past."""
+        """Add a disturbance that begins now or later."""
         self._disturbances.append(disturbance)
         self._compute()
 
     def end_lasting(self, now_ns: int) -> None:
-        """What was to strike it for ever ends now."""
+        """End all disturbances without an end at `now_ns`."""
         end = self.bit_at(now_ns)
         self._disturbances = [
             replace(one, bits=max(end - one.first, 0)) if one.bits is None else one
@@ -78,7 +80,7 @@ class Playback:
         self._compute()
 
     def spare(self, noises: Sequence[NoiseSource], now_ns: int) -> None:
-        """No more bits are inverted, but by these."""
+        """Stop the inversion of bits by all noise sources except these."""
         gone = [number for number, source in enumerate(self._noises) if source not in noises]
         if gone:
             bit = self.bit_at(now_ns)
@@ -87,7 +89,7 @@ class Playback:
             self._compute()
 
     def leave(self, port: int, now_ns: int) -> None:
-        """The node is not there any more."""
+        """Remove a node from now on."""
         bit = self.bit_at(now_ns)
         self.stations = [
             replace(station, leaves_at=bit)
@@ -98,14 +100,14 @@ class Playback:
         self._compute()
 
     def next_ns(self) -> int:
-        """When something happens, or it is over."""
+        """Return the time of the next event, or of the end [ns]."""
         events = self.end.events
         if self._played < len(events):
             return self._at(events[self._played].bit)
         return self.over_ns
 
     def take(self, now_ns: int) -> Event | None:
-        """The next event that is due."""
+        """Return the next event that is due, or None."""
         events = self.end.events
         if self._played == len(events) or self._at(events[self._played].bit) > now_ns:
             return None
@@ -113,25 +115,25 @@ class Playback:
         return events[self._played - 1]
 
     def off_ns(self, outcome: Outcome) -> int:
-        """When this node has become bus-off; its start of frame if it has not."""
+        """Return when this node became bus-off [ns]; its start of frame if it did not."""
         return self.start_ns if outcome.off_at is None else self._at(outcome.off_at)
 
     def outcome(self, port: int) -> Outcome | None:
-        """The node as it was left; None: it was no station."""
+        """Return the final state of the node, or None if it was not a station."""
         for outcome in self.end.outcomes:
             if outcome.port == port:
                 return outcome
         return None
 
     def bit_at(self, now_ns: int) -> int:
-        """The first bit that begins now or later."""
+        """Return the first bit that begins at `now_ns` or later."""
         bit = (now_ns - self.start_ns + self._bit_ns - 1) // self._bit_ns
         while self._at(bit - 1) < now_ns:
             bit += 1
         return bit
 
     def inverted(self) -> list[tuple[int, int, FaultRule]]:
-        """(time [ns], bit, rule) of each bit that noise has inverted, in order."""
+        """Return (time [ns], bit, rule) of each bit that noise has inverted, in order."""
         hits = [
             (bit, number, source.rule)
             for number, source in enumerate(self._noises)
@@ -141,12 +143,12 @@ class Playback:
         return [(self._at(bit), bit, rule) for bit, _, rule in hits]
 
     def pass_noise_by(self) -> None:
-        """Its bits are gone by, for all that inverts bits."""
+        """Advance all noise sources by the bits of the episode."""
         for source in self._noises:
             source.pass_by(self.end.bits)
 
     def _compute(self) -> None:
-        """The episode so far, with as much noise as it is long."""
+        """Compute the episode so far, with enough noise for its length."""
         self.end = self._run()
         while self._noises and self.end.bits > self._until_bit:
             self._until_bit = self.end.bits + _MARGIN_BITS

@@ -1,11 +1,11 @@
-"""A wire on which any dominant bit wins, and the CAN controllers on it, stepped bit by bit.
+"""A wired-AND bus with its controllers, stepped bit by bit.
 
-While somebody is in the data phase of a CAN FD frame, a step is a bit at the data rate. Who is not
-(it sends an error flag, waits for the bus to be idle, or takes the frame for a classical one) takes
-`ratio` such steps for a bit of its own, sampled in the last of them, on a grid that begins with the
-first error flag; one that joins it later does so with what is left of a bit. Who waits for an idle
-bus hears a dominant level if there was one in any of them.
-Without an error the grid begins where the data phase ends.
+While a node is in the data phase of a CAN FD frame, a step is a bit at the data rate. A node
+outside the data phase sends an error flag, waits for the bus to be idle, or takes the frame for a
+classical one. For it, `ratio` such steps form one bit, sampled in the last of them. Its bit grid
+begins with the first error flag; a node that joins it later does so with the rest of a bit. A node
+that waits for an idle bus hears a dominant level if any step of its bit had one. Without an error
+the grid begins where the data phase ends.
 """
 
 from collections.abc import Sequence
@@ -31,7 +31,7 @@ class Member:
 
     Args:
         node: the controller.
-        leaves_at: the bit from which on it is not there any more.
+        leaves_at: the first bit in which it is absent.
         struck_by: the disturbances that strike it.
     """
 
@@ -42,10 +42,10 @@ class Member:
         self.leaves_at = leaves_at
         self.strikes = Strikes(struck_by)
         self.fast = False
-        self.heard_dominant = False  # in the bit of its own that has begun
+        self.heard_dominant = False  # in its own nominal bit so far
 
     def is_stuck(self, bit: int) -> bool:
-        """Whether it will hear dominant bits as long as nothing changes, and nothing but."""
+        """Return whether it hears only dominant bits until a disturbance changes."""
         if not self.node.is_stalled():
             return False
         self.strikes.look_at(bit)
@@ -54,18 +54,18 @@ class Member:
 
 @final
 class WiredAnd:
-    """The wire, and who is on it.
+    """The wire and its controllers.
 
     Args:
-        members: those on it.
+        members: the controllers on the wire.
         disturbances: all that strike any of them.
-        recessive_bits: so many go before the first bit.
+        recessive_bits: the number of recessive bits before the first bit.
         ratio: how many bits at the data rate last as long as a nominal one; 0: no frame has any.
 
     Attributes (read only):
-        bit: the number of the next one.
+        bit: the number of the next bit.
         recessive_runs: runs of 11 recessive bits so far.
-        recessive_bits: since the last of them, or the last dominant bit.
+        recessive_bits: recessive bits since the last of them, or the last dominant bit.
     """
 
     def __init__(
@@ -83,10 +83,10 @@ class WiredAnd:
         self._live = list(members)
         self._nodes = [member.node for member in members]
         self._on_wire = Strikes([one for one in disturbances if one.ports == ALL_PORTS])
-        self._struck = False  # somebody may sample another level than there is
-        self._fast_from = -1  # where the data phase began that is not over; -1: none is
+        self._struck = False  # a member may sample another level than that of the wire
+        self._fast_from = -1  # first bit of the current data phase; -1: none
         self._fast_count = 0  # members in the data phase
-        self._ticks = 0  # bits at the data rate since the last nominal bit ended
+        self._ticks = 0  # bits at the data rate since the end of the last nominal bit
         self._flagged = False  # the nominal grid is that of an error flag
         self._wire_dominant = False  # as `Member.heard_dominant`
         changes = [one.first for one in disturbances]
@@ -95,7 +95,7 @@ class WiredAnd:
         self._changes = sorted(changes, reverse=True)
 
     def step(self) -> None:
-        """One bit has passed."""
+        """Simulate one bit."""
         bit = self.bit
         if self._changes and self._changes[-1] <= bit:
             self._change(bit)
@@ -119,15 +119,15 @@ class WiredAnd:
         self.bit = bit + 1
 
     def fast_stretches(self) -> tuple[tuple[int, int], ...]:
-        """(first, end) of each stretch of bits at the data rate so far."""
+        """Return (first, end) of each stretch of bits at the data rate so far."""
         if self._fast_from < 0:
             return tuple(self._fast)
         return (*self._fast, (self._fast_from, self.bit))
 
     def is_over(self) -> bool:
-        """Whether nobody need wait for anybody.
+        """Return whether all members are ready for the next frame.
 
-        If all wait for the end of a disturbance, it is the next bit.
+        If all wait for the end of a disturbance, skip to that bit.
         """
         if not self.bit:
             return not self._live
@@ -145,12 +145,12 @@ class WiredAnd:
             return True
         self._on_wire.look_at(self.bit)
         if self._on_wire.disturbed(RECESSIVE) == RECESSIVE:
-            return True  # on the wire it is over
+            return True  # the disturbance on the wire is over
         self.bit = max(self.bit, self._changes[-1])
         return False
 
     def _change(self, bit: int) -> None:
-        """Disturbances have begun or ended, or nodes have left."""
+        """Apply disturbances that begin or end, and remove nodes that leave."""
         while self._changes and self._changes[-1] <= bit:
             self._changes.pop()
         self._live = [
@@ -165,7 +165,7 @@ class WiredAnd:
         self._end_data_phase(bit)
 
     def _count(self, level: int) -> None:
-        """A nominal bit had this level on the wire."""
+        """Count a nominal bit with this level on the wire."""
         self.recessive_bits = self.recessive_bits + 1 if level else 0
         if self.recessive_bits == INTEGRATION_BITS:
             self.recessive_bits = 0
@@ -174,7 +174,7 @@ class WiredAnd:
     # --- at the data rate
 
     def _look_for_data_phase(self) -> None:
-        """After a nominal bit: for whom the next is at the data rate."""
+        """Find, after a nominal bit, the members whose next bit is at the data rate."""
         for member in self._live:
             member.fast = member.node.is_fast()
             self._fast_count += member.fast
@@ -182,14 +182,14 @@ class WiredAnd:
             self._fast_from = self.bit + 1
 
     def _end_data_phase(self, bit: int) -> None:
-        """It was over before this bit, if nobody is in it and no bit of anybody has begun."""
+        """End the data phase before this bit if no member is in it and no bit has begun."""
         if self._fast_from >= 0 and not self._fast_count and not self._ticks:
             self._fast.append((self._fast_from, bit))
             self._fast_from = -1
             self._flagged = False
 
     def _step_fast(self, level: int, bit: int) -> None:
-        """A bit at the data rate has passed; with some of them, a nominal one."""
+        """Process a bit at the data rate; every `ratio` of them make a nominal bit."""
         self._ticks += 1
         whole = self._ticks == self._ratio
         first_flag = False
@@ -212,7 +212,7 @@ class WiredAnd:
                 node.hear(DOMINANT if waits else sampled, bit)
                 member.heard_dominant = False
                 if node.phase == SIGNALLING and not signalled:
-                    self._flagged = True  # by who takes it for a classical frame, on its own grid
+                    self._flagged = True  # by a classical node, on its own grid
         on_wire = self._on_wire.disturbed(level) if self._struck else level
         self._wire_dominant = self._wire_dominant or on_wire == DOMINANT
         if whole:

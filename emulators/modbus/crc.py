@@ -1,4 +1,4 @@
-"""The check sum of Modbus RTU: CRC-16, polynomial A001h (reflected), low byte first on the line.
+"""Checksum of Modbus RTU: CRC-16, polynomial A001h (reflected), low byte first.
 
 Source: MODBUS over Serial Line, Specification and Implementation Guide V1.02, section 2.5.1.2.
 """
@@ -22,9 +22,9 @@ def _table() -> list[int]:
 _TABLE: Final = _table()
 
 
-@lru_cache(maxsize=1024)  # who polls asks the same again and again
+@lru_cache(maxsize=1024)  # polling clients repeat the same requests
 def crc16(data: bytes) -> bytes:
-    """The two bytes that go behind these on the line."""
+    """Return the two CRC bytes that follow these bytes on the line."""
     crc = 0xFFFF
     for byte in data:
         crc = crc >> 8 ^ _TABLE[(crc ^ byte) & 0xFF]
@@ -32,5 +32,5 @@ def crc16(data: bytes) -> bytes:
 
 
 def with_crc(data: bytes) -> bytes:
-    """The characters as they go on the line."""
+    """Return the bytes with their CRC appended."""
     return data + crc16(data)

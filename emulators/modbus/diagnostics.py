@@ -1,7 +1,7 @@
-"""Function 08h: what a server on a serial line counts, and how it is tried out.
+"""Function 08h: counters and diagnostics of a server on a serial line.
 
-Counters are 16 bit and turn over. Messages and communication errors are those of the whole line:
-whoever listens to it counts them here.
+Counters have 16 bits and wrap around. Messages and communication errors are those of the whole
+line; every listener counts them.
 
 Source: MODBUS Application Protocol Specification V1.1b3, section 6.8.
 """
@@ -22,17 +22,17 @@ _CLEAR_LOG: Final = b"\xff\x00"
 
 @final
 class Diagnostics:
-    """The counters of one unit, and whether it listens only.
+    """The counters of one unit, and its listen-only state.
 
     Attributes:
-        bus_messages: on the line, with a right check sum.
-        bus_errors: with a wrong one.
+        bus_messages: messages on the line with a correct checksum.
+        bus_errors: messages with a wrong checksum.
         exceptions: exception responses of this unit.
-        server_messages: to this unit, or to all.
-        no_responses: of those, the ones it did not answer.
-        overruns: characters that came faster than they could be taken.
-        listens_only: it answers nothing until it is restarted.
-        restarts_counted: how often communication was restarted since power-on.
+        server_messages: messages to this unit, or to all.
+        no_responses: those of them without a response.
+        overruns: characters that came faster than they could be read.
+        listens_only: the unit does not respond until it is restarted.
+        restarts_counted: number of communication restarts since power-on.
     """
 
     def __init__(self) -> None:
@@ -40,12 +40,12 @@ class Diagnostics:
         self.begin()
 
     def begin(self) -> None:
-        """Communication begins anew: nothing counted, nothing forced."""
+        """Restart communication: clear the counters and leave listen-only."""
         self.clear()
         self.listens_only = False
 
     def clear(self) -> None:
-        """Nothing was counted."""
+        """Clear the counters."""
         self.bus_messages = 0
         self.bus_errors = 0
         self.exceptions = 0
@@ -54,17 +54,17 @@ class Diagnostics:
         self.overruns = 0
 
     def restarts(self, request: bytes) -> bool:
-        """Whether the request is the one that ends listening only."""
+        """Return whether the request ends the listen-only state."""
         return len(request) == 5 and request[:3] == bytes((DIAGNOSTICS, 0, _RESTART))
 
     def respond(self, request: bytes) -> bytes:
-        """The response PDU; b"": there is none."""
+        """Return the response PDU, or b"" for no response."""
         if len(request) < 3:
             return bytes((DIAGNOSTICS | ERROR, ILLEGAL_DATA_VALUE))
         what = int.from_bytes(request[1:3], "big")
         data = request[3:]
         if what == _QUERY_DATA:
-            # any number of words comes back as it is
+            # any number of words is returned unchanged
             return request if data and not len(data) % 2 else self._refused(ILLEGAL_DATA_VALUE)
         if what == _RESTART:
             if data not in (_KEEP_LOG, _CLEAR_LOG):
@@ -80,7 +80,7 @@ class Diagnostics:
             0x0D: self.exceptions,
             0x0E: self.server_messages,
             0x0F: self.no_responses,
-            0x10: 0,  # it never answers "negative acknowledge"
+            0x10: 0,  # "negative acknowledge" is never sent
             0x11: 0,  # nor "busy"
             0x12: self.overruns,
         }

@@ -1,4 +1,4 @@
-"""What a server says that it is: functions 11h (report server ID) and 2Bh/0Eh (identification).
+"""Server identification: functions 11h (report server ID) and 2Bh/0Eh.
 
 Source: MODBUS Application Protocol Specification V1.1b3, sections 6.13, 6.19 and 6.21.
 """
@@ -33,7 +33,7 @@ class Identification:
     Args:
         objects: vendor name (0), product code (1) and revision (2) at least; 3 to 7Fh are of the
             standard's regular category, 80h to FFh the vendor's own.
-        server_id: what function 11h begins with.
+        server_id: the beginning of the response to function 11h.
 
     Raises:
         ValueError: one of the three is missing, an id is out of range, or a text too long.
@@ -43,16 +43,21 @@ class Identification:
         self.server_id: Final = server_id
         self._objects = {number: objects[number].encode("ascii") for number in sorted(objects)}
         if any(number not in self._objects for number in (VENDOR_NAME, PRODUCT_CODE, REVISION)):
-            raise ValueError("objects 0, 1 and 2 (vendor, product code, revision) must be there")
+            raise ValueError(
+                "identification: objects 0, 1 and 2 (vendor, product code, revision) are required"
+            )
         for number, text in self._objects.items():
             if not 0 <= number <= 0xFF or len(text) > PDU_MAX - _HEAD - 2:
-                raise ValueError(f"object {number:X}h, {len(text)} bytes: 0 to FFh, 244 at most")
+                raise ValueError(
+                    f"object {number:X}h, {len(text)} bytes: invalid; expected 0 "
+                    "to FFh and at most 244 bytes"
+                )
         highest = max(self._objects)
         level = 1 if highest < _BASIC_END else 2 if highest < _REGULAR_END else 3
         self._conformity = 0x80 | level  # individual access as well
 
     def respond(self, request: bytes) -> bytes:
-        """The response PDU."""
+        """Return the response PDU."""
         if len(request) < 2 or request[1] != READ_DEVICE_IDENTIFICATION:
             return _refused(ILLEGAL_FUNCTION)
         if len(request) != 4:
@@ -67,7 +72,7 @@ class Identification:
         end = min(_STREAMS[code], _STREAMS[self._conformity & 0x7F])
         known = [number for number in self._objects if number < end]
         if first not in known:
-            first = 0  # the standard: begin at the beginning
+            first = 0  # the standard: start with the first object
         wanted = [number for number in known if number >= first]
         fitting: list[int] = []
         size = _HEAD

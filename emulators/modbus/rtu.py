@@ -1,8 +1,8 @@
-"""A unit on a serial line: frames in, frames out, in RTU. Sans-I/O.
+"""Modbus RTU: one unit on a serial line. Sans-I/O.
 
-The line tells frames apart by silence; here is what a unit does with one. What is not addressed to
-it, nor to all, is not its own: requests to others, and the responses of others, which begin with
-their own address.
+The line separates frames by silence; this module processes them. A frame that is addressed neither
+to the unit nor to all is ignored. This includes requests to other units, and their responses, which
+begin with their own address.
 
 Source: MODBUS over Serial Line, Specification and Implementation Guide V1.02, section 2.
 """
@@ -13,7 +13,7 @@ from emulators.modbus.codes import BROADCAST, UNITS
 from emulators.modbus.crc import crc16, with_crc
 from emulators.modbus.server import ModbusServer
 
-_SHORTEST: Final = 4  # address, function code, check sum
+_SHORTEST: Final = 4  # address, function code, checksum
 _LONGEST: Final = 256
 
 
@@ -23,19 +23,22 @@ class RtuUnit:
 
     Args:
         unit: 1..247.
-        server: what answers.
+        server: the server that responds.
         reply_ns: from the end of a request (t3.5 after its last character) to its response [ns].
 
     Attributes:
-        ignored: requests that came before it had answered the one before.
+        ignored: requests that came before the response to the previous one.
 
     Raises:
-        ValueError: no such unit.
+        ValueError: the unit or the reply time is out of range.
     """
 
     def __init__(self, unit: int, server: ModbusServer, reply_ns: int = 1_000_000) -> None:
         if unit not in UNITS or reply_ns < 0:
-            raise ValueError(f"unit {unit}, reply after {reply_ns} ns: 1 to 247, 0 or more")
+            raise ValueError(
+                f"unit {unit}, reply_ns {reply_ns}: invalid; expected unit 1 to "
+                "247, reply_ns 0 or more"
+            )
         self.unit: Final = unit
         self.server: Final = server
         self.ignored = 0
@@ -45,7 +48,7 @@ class RtuUnit:
         self._output: list[bytes] = []
 
     def receive(self, frame: bytes, now_ns: int) -> None:
-        """A frame was on the line: what was between two silences, with its check sum."""
+        """Process a frame on the line: the bytes between two silences, with their CRC."""
         diagnostics = self.server.diagnostics
         if not _SHORTEST <= len(frame) <= _LONGEST or crc16(frame[:-2]) != frame[-2:]:
             if diagnostics is not None:
@@ -63,16 +66,16 @@ class RtuUnit:
             self._due_ns = now_ns + self._reply_ns
 
     def spoiled(self) -> None:
-        """Something was on the line that is no frame: a pause in it, or a collision."""
+        """Count invalid characters on the line, after a pause in a frame or a collision."""
         if self.server.diagnostics is not None:
             self.server.diagnostics.bus_errors += 1
 
     def next_deadline_ns(self) -> int | None:
-        """When it answers [ns]; None: it was not asked."""
+        """Return when the response is due [ns], or None without a request."""
         return self._due_ns
 
     def expire(self, now_ns: int) -> None:
-        """It answers, with what is so now."""
+        """Respond with the current values if the response is due."""
         if self._due_ns is None or now_ns < self._due_ns:
             return
         self._due_ns = None
@@ -81,11 +84,11 @@ class RtuUnit:
             self._output.append(with_crc(bytes((self.unit,)) + response))
 
     def take_output(self) -> list[bytes]:
-        """Frames to send now; they are then forgotten here."""
+        """Return and clear the frames to send now."""
         output, self._output = self._output, []
         return output
 
     def power_off(self) -> None:
-        """What it was about to answer is forgotten."""
+        """Drop the pending response."""
         self._due_ns = None
         self._output.clear()

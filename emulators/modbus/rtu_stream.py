@@ -1,8 +1,8 @@
-"""Requests in characters whose silences were lost: a pseudo-terminal hands over bytes, not times.
+"""RTU framing for a byte stream without silences. Sans-I/O.
 
-A request whose length follows from its function code, and whose check sum is right there, is a
-frame at once, whatever follows it. Anything else (an unknown function, a wrong check sum, the
-beginning of a frame) is told apart by silence, which whoever has a clock tells. Sans-I/O.
+If the length of a request follows from its function code, and its CRC is correct there, it is a
+complete frame whatever follows. Everything else (an unknown function, a wrong CRC, the beginning of
+a frame) is delimited by silence, which the caller with a clock detects.
 
 Source: MODBUS Application Protocol Specification V1.1b3, section 6 (lengths); MODBUS over Serial
 Line V1.02, section 2.5.1.1 (silence).
@@ -21,27 +21,27 @@ _FIXED: Final = {
     **dict.fromkeys((0x07, 0x0B, 0x0C, 0x11), 4),
     0x16: 10,
     0x18: 6,
-    0x2B: 7,  # MEI type 0Eh; another one is told apart by silence
+    0x2B: 7,  # MEI type 0Eh; another one is delimited by silence
 }
-"""With address and check sum. Function 08h may be longer: then its check sum is wrong at 8."""
+"""The lengths with address and CRC. Function 08h may be longer: then the CRC at 8 is wrong."""
 _COUNTED: Final = {0x0F: 6, 0x10: 6, 0x14: 2, 0x15: 2, 0x17: 10}
-"""Where in the frame the number of bytes stands that follow it."""
+"""The offset of the byte count in the frame."""
 
 
 @final
 class RtuRequests:
-    """What a client writes, cut into frames."""
+    """The characters of a client, cut into frames."""
 
     def __init__(self) -> None:
         self._buffer = b""
 
     @property
     def waits(self) -> bool:
-        """Whether there are characters that silence, or more of them, must make a frame."""
+        """True if characters wait for silence, or for more characters."""
         return bool(self._buffer)
 
     def feed(self, data: bytes) -> list[bytes]:
-        """The frames that these characters have completed, in order."""
+        """Return the frames that these characters have completed, in order."""
         self._buffer += data
         frames: list[bytes] = []
         while True:
@@ -51,18 +51,18 @@ class RtuRequests:
                 break
             frames.append(frame)
             self._buffer = self._buffer[length:]
-        if len(self._buffer) > _LONGEST:  # no frame any more, whatever follows
+        if len(self._buffer) > _LONGEST:  # too long for any frame
             frames.append(self.silence())
         return frames
 
     def silence(self) -> bytes:
-        """Nothing came for a while: what was there is one frame, right or wrong."""
+        """Return the characters before a silence as one frame, valid or not."""
         rest, self._buffer = self._buffer, b""
         return rest
 
 
 def _length(buffer: bytes) -> int:
-    """How long the request is that the buffer begins with; 0: not known (yet)."""
+    """Return the length of the request at the start of the buffer, or 0 if not known (yet)."""
     if len(buffer) <= _FUNCTION:
         return 0
     function = buffer[_FUNCTION]

@@ -1,9 +1,8 @@
-"""A Modbus server as a function: a request PDU in, a response PDU out. Sans-I/O.
+"""A Modbus server: from request PDU to response PDU. Sans-I/O.
 
-The checks are made in the specification's order: is the function supported (01), are quantity and
-value right (03), are the addresses there (02), and only then is anything done (04 and others, if
-the controller refuses). A request that is longer or shorter than its function says has a wrong
-value (03).
+The checks have the specification's order: function supported (01), quantity and value valid (03),
+addresses exist (02). Only then the request is executed (04 and others, if the controller refuses).
+A request whose length does not match its function has a wrong value (03).
 
 Source: MODBUS Application Protocol Specification V1.1b3, section 6 and its state diagrams.
 """
@@ -33,22 +32,22 @@ _WRITES: Final = (
     codes.WRITE_MULTIPLE_REGISTERS,
     codes.MASK_WRITE_REGISTER,
 )
-"""What may be broadcast: functions that only write."""
+"""The functions that may be broadcast: those that only write."""
 
 
 @final
 class ModbusServer:
-    """Answers the requests to one unit.
+    """A server that responds to the requests to one unit.
 
     Args:
-        holding, inputs: registers; None: this server has none, and not their functions either.
+        holding, inputs: registers; None: neither these nor their functions are supported.
         coils, discretes: bits, likewise.
-        identification: what it calls itself; None: functions 11h and 2Bh are not supported.
+        identification: its identification; None: functions 11h and 2Bh are not supported.
         diagnostics: the counters of a serial line; None: function 08h is not supported (TCP).
-        functions: those of the function codes that this device really has; None: all it could.
+        functions: the function codes that this device supports; None: all possible ones.
 
     Attributes:
-        run_indicator: what function 11h says: whether the controller is on.
+        run_indicator: the run indicator in function 11h: whether the controller is on.
     """
 
     def __init__(
@@ -93,11 +92,11 @@ class ModbusServer:
         self._handlers: Final = handlers
 
     def functions(self) -> list[int]:
-        """The function codes it supports."""
+        """Return the supported function codes."""
         return sorted(self._handlers)
 
     def respond(self, request: bytes) -> bytes:
-        """The response PDU to a request PDU; `NO_RESPONSE` where there is none."""
+        """Return the response PDU to a request PDU; `NO_RESPONSE` if there is none."""
         diagnostics = self.diagnostics
         if diagnostics is not None:
             diagnostics.server_messages += 1
@@ -105,7 +104,7 @@ class ModbusServer:
                 diagnostics.no_responses += 1
                 return NO_RESPONSE
         if not request:
-            return NO_RESPONSE  # not even a function code to answer to
+            return NO_RESPONSE  # without a function code to respond to
         handler = self._handlers.get(request[0])
         if handler is None:
             response = bytes((request[0] | ERROR, ILLEGAL_FUNCTION))
@@ -119,7 +118,7 @@ class ModbusServer:
         return response
 
     def broadcast(self, request: bytes) -> None:
-        """A request to all units: what only writes is done; nothing is answered."""
+        """Execute a request to all units if it only writes; there is no response."""
         diagnostics = self.diagnostics
         if diagnostics is not None:
             diagnostics.server_messages += 1

@@ -1,4 +1,4 @@
-"""An AZ drive from its table in a rig: entry point `motorhil.controllers`, name `oriental_az`."""
+"""Factory of AZ drives: entry point `motorhil.controllers`, name `oriental_az`."""
 
 from collections.abc import Mapping
 
@@ -13,12 +13,12 @@ _CLEARS: str = "trigger_auto_clear"
 
 
 def build(settings: Mapping[str, object], context: ControllerContext) -> Controller:
-    """The drive a rig describes.
+    """Build the drive that a rig describes.
 
     Args:
         settings: the controller's table without `kind` and `bus`; `trigger_auto_clear` (default
-            true) says how its parameter of that name is set, whose address is not known.
-        context: its name, where relative paths start, the seed.
+            true) sets the drive parameter of that name, whose address is not known.
+        context: its name, the folder of relative paths, the seed.
 
     Raises:
         SettingError: a key or value is wrong; names the keys.
@@ -34,7 +34,7 @@ def build(settings: Mapping[str, object], context: ControllerContext) -> Control
 
 
 def registers() -> tuple[Register, ...]:
-    """Its register map, for people."""
+    """Return the register map, for display."""
     return ROWS
 
 

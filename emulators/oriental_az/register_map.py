@@ -1,20 +1,21 @@
-"""What the registers of an AZ drive are called, where they are, and what they hold.
+"""Register map of an AZ drive: names, addresses and contents.
 
-All are 32 bit, upper half first. The block from 0058h to 0067h is written in one request; its last
-row is the trigger.
+All registers have 32 bits, upper half first. The block from 0058h to 0067h is written in one
+request; its last row is the trigger.
 
-Source: an open-source master for AZD drives, and the maker's emulator's description of the trigger,
-agree on what is not marked; what is marked "*" follows the vendor's manuals as quoted elsewhere.
-Left out, because no source says more of them than that they are: the lifetime in the upper half of
-the trigger (its unit, and what ends with it), and what a drive answers that is asked for one half
-of a row, which should be asked for as a whole: here it is read, and written, as any register.
+Source: an open-source client for AZD drives, and the trigger description of the maker's emulator,
+agree on everything without a mark. Items marked "*" follow quotations of the vendor's manuals.
+
+Left out, because the sources only mention them: the lifetime in the upper half of the trigger (its
+unit, and its effect), and the response to a request for one half of a row, which clients should not
+send. Here a half is read, and written, as any register.
 """
 
 from typing import Final
 
 from emulators.modbus.registers import Access, Kind, Register
 
-TABLE: Final = 8  # operation data that the inputs M0 to M2 can choose
+TABLE: Final = 8  # operation data selected by the inputs M0 to M2
 
 # operation types
 DECELERATE: Final = 0
@@ -38,7 +39,7 @@ TRIGGERS: Final = {
     -2: "deceleration",
     -1: "current",
 }
-"""A single item of the block is made to count: *"""
+"""The trigger values that make a single item of the block effective: *"""
 
 # inputs, 007Dh
 M_MASK: Final = 0x0007

@@ -1,4 +1,4 @@
-"""What a plant has besides a motor is in its drive's truth; what it lacks is not."""
+"""The true state of a drive has its plant's extras only."""
 
 from pathlib import Path
 
@@ -31,7 +31,7 @@ def built(kind, plant):
 
 
 @pytest.mark.parametrize("kind", ["cia402", "leadshine_pr", "oriental_az"])
-def test_each_drive_tells_of_what_its_plant_has_and_of_nothing_else(kind):
+def test_truth_has_values_of_plant_extras_only(kind):
     drive = built(kind, EXTRAS)
     drive.start(0)
     truth = drive.snapshot(10 * MS)
@@ -41,7 +41,7 @@ def test_each_drive_tells_of_what_its_plant_has_and_of_nothing_else(kind):
     assert not {*NAMES, "inputs"} & set(drive.snapshot(10 * MS))
 
 
-def test_inputs_are_told_where_there_are_switches_even_of_a_motor_at_rest():
+def test_inputs_of_switches_are_in_truth_at_rest():
     bench = Bench(switches=Track().table())
     bench.run(1_000 * MS)
     assert bench.truth("inputs") == 4  # it stands on the home switch

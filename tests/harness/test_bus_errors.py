@@ -128,7 +128,7 @@ def test_unknown_bus_or_node_is_refused_with_known_names(tmp_path):
     with opened(tmp_path, STRUCK.format(sender="host", limit=1)) as rig:
         with pytest.raises(ValueError, match=r"this rig has no CAN bus 'can1' \(known: can0\)"):
             rig.faults.restart("can1", "host")
-        with pytest.raises(ValueError, match=r"no node lef \(known: left, host\)"):
+        with pytest.raises(ValueError, match=r"node lef not found \(known: left, host\)"):
             rig.faults.restart("can0", "lef")
         with pytest.raises(ValueError, match=r"host is not bus-off \(TEC 0, REC 0\)"):
             rig.faults.restart("can0", "host")

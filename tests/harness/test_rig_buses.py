@@ -238,5 +238,5 @@ def test_line_faults_can_be_injected_lifted_and_counted(tmp_path):
         line.send(b"\x01\x02")
         rig.runtime.wait_until(lambda: False, 0.1)
         assert rig.faults.fired() == {"lose": 1}
-        with pytest.raises(ValueError, match="no fault rule lose"):
+        with pytest.raises(ValueError, match="fault lose: unknown rule"):
             rig.faults.lift("rs485", "lose")

@@ -343,8 +343,13 @@ TABLES = st.one_of(
 # A schema cannot compare one number with another, or with the plant.
 BETWEEN_NUMBERS = (
     *("is not below", "is not above", "is above the maximum", "do not fit 32 bits"),
-    *("does not go with", "needs a thermal model", "does nothing without", "beyond an end"),
-    *("the plant has nothing of the kind", "too fast for steps", "nothing to draw"),
+    *(
+        "does not go with",
+        "needs a thermal model",
+        "does nothing without",
+        "beyond the plant's",
+    ),
+    *("the plant does not model this quantity", "too fast for steps", "has no effect, because"),
 )
 
 

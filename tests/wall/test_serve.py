@@ -113,7 +113,7 @@ def test_used_path_is_one_line_and_the_first_hub_continues(tmp_path):
     inner = [*MOTORHIL, "serve", RIG, "--socket", str(path)]
     done = motorhil("serve", RIG, "--socket", str(path), "--", *inner)
     assert done.returncode == 2
-    assert f"{path}: in use by a hub that is running" in one_line(done.stderr)
+    assert f"{path}: in use by a running hub" in one_line(done.stderr)
     assert not path.exists()
 
 

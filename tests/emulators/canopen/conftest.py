@@ -1,4 +1,4 @@
-"""Reading EDS texts, and being refused."""
+"""Fixtures that read EDS texts and expect refusals."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""A small EDS to break, and where a warning stands."""
+"""A small EDS to modify, and the places of warnings."""
 
 from emulators.canopen.device_description import DeviceDescription
 

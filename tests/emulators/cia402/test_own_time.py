@@ -258,7 +258,7 @@ def test_random_clocks_cover_the_allowed_range():
     ("oscillator", "told"),
     [
         ({"ppm": 100_001}, "oscillator.ppm: 100001 is outside -100000..100000"),
-        ({"ppm": "50"}, "oscillator.ppm: '50' is no number; -100000..100000"),
+        ({"ppm": "50"}, "oscillator.ppm: '50' is not a number; -100000..100000"),
         ({"ppm": float("nan")}, "oscillator.ppm: nan is outside"),
         ({"ppm_max": -1}, "oscillator.ppm_max: -1 is outside 0..100000"),
         ({"phase_s": -0.1}, "oscillator.phase_s: -0.1 is outside 0..1"),
@@ -266,10 +266,13 @@ def test_random_clocks_cover_the_allowed_range():
         ({"ppb": 50}, "oscillator.ppb: is not known; did you mean ppm? known: ppm, ppm_max"),
         (
             {"ppm": 1, "ppm_max": 1},
-            "oscillator.ppm_max: ppm is given already, there is nothing to draw; take one",
+            "oscillator.ppm_max: has no effect, because ppm is given; remove one",
         ),
-        ({"phase_s": 0, "phase_max_s": 0}, "oscillator.phase_max_s: phase_s is given already"),
-        (50, "oscillator: 50 is no table; write [controller.NAME.oscillator]"),
+        (
+            {"phase_s": 0, "phase_max_s": 0},
+            "oscillator.phase_max_s: has no effect",
+        ),
+        (50, "oscillator: 50 is not a table; write [controller.NAME.oscillator]"),
     ],
 )
 def test_invalid_clock_is_rejected_with_the_key(oscillator, told):

@@ -70,11 +70,11 @@ def test_numbers_reach_the_settings():
     [
         ({"node_id": 0}, "node_id: 0 is outside 1..127"),
         ({"node_id": 128}, "node_id: 128 is outside 1..127"),
-        ({"node_id": "5"}, "node_id: '5' is no whole number; 1..127"),
-        ({"node_id": True}, "node_id: True is no whole number"),
+        ({"node_id": "5"}, "node_id: '5' is not a whole number; 1..127"),
+        ({"node_id": True}, "node_id: True is not a whole number"),
         ({"edz": "x"}, "edz: is not known; did you mean eds? known: node_id, eds, plant"),
-        ({"eds": "none.eds"}, "eds: there is no file"),
-        ({"eds": 3}, "eds: 3 is no path"),
+        ({"eds": "none.eds"}, "eds: file "),
+        ({"eds": 3}, "eds: 3 is not a path"),
         (
             {"plant": {"preset": "tank"}},
             "plant.preset: there is no preset 'tank'; known: wheel_60w",
@@ -93,8 +93,8 @@ def test_numbers_reach_the_settings():
             {"plant": {"preset": "mast_20w", "resistance_ohm": 1e300}},
             "plant.resistance_ohm: 1e+300 is outside 0.0001..1e+06",
         ),
-        ({"plant": {"preset": "mast_20w", "encoder_increments_rev": 2.5}}, "is no whole number"),
-        ({"plant": 3}, "plant: 3 is no table; write [controller.NAME.plant]"),
+        ({"plant": {"preset": "mast_20w", "encoder_increments_rev": 2.5}}, "is not a whole number"),
+        ({"plant": 3}, "plant: 3 is not a table; write [controller.NAME.plant]"),
         ({"servo": {"kp": 3}}, "servo.kp: is not known; "),
         ({"servo": {"position_kp_1_s": -1}}, "servo.position_kp_1_s: -1 is outside 0..1e+12"),
         ({"servo": {"tick_s": 1e-9}}, "servo.tick_s: 1e-09 is outside 1e-06..1"),
@@ -107,21 +107,21 @@ def test_numbers_reach_the_settings():
         ({"timing": {"boot_s": 3}}, "timing.boot_s: is not known; did you mean boot_up_s?"),
         ({"timing": {"enable_s": -1}}, "timing.enable_s: -1 is outside 0..3600"),
         ({"timing": {"boot_up_s": 1e25}}, "timing.boot_up_s: 1e+25 is outside 0..3600"),
-        ({"timing": {"enable_s": "soon"}}, "timing.enable_s: 'soon' is no number"),
+        ({"timing": {"enable_s": "soon"}}, "timing.enable_s: 'soon' is not a number"),
         ({"timing": {"enable_s": float("nan")}}, "timing.enable_s: nan is outside 0..3600"),
         (
             {"units": {"velocity_unit_inc_s": 0}},
             "units.velocity_unit_inc_s: 0 is outside 1e-12..1e+12",
         ),
         ({"units": {"velocity": 1}}, "units.velocity: is not known; did you mean velocity_unit_"),
-        ({"objects": {"xyz": 1}}, 'objects.xyz: is no object; like "6065h" or "1A00h:1"'),
-        ({"objects": {"60650h": 1}}, 'objects.60650h: is no object; like "6065h"'),
-        ({"objects": {"0FFFh": 1}}, "objects.0FFFh: is no object; 1000h..FFFFh"),
-        ({"objects": {"60_5h": 1}}, 'objects.60_5h: is no object; like "6065h"'),
-        ({"objects": {"6065h:": 1}}, 'objects.6065h:: is no object; like "6065h"'),
-        ({"objects": {"\uff16065h": 1}}, "is no object; like"),
-        ({"objects": {"6065h": 1, "6065H:0": 2}}, "objects.6065H:0: is given twice; take one out"),
-        ({"objects": {"6065h": [1]}}, "objects.6065h: [1] is no value"),
+        ({"objects": {"xyz": 1}}, 'objects.xyz: is not an object; like "6065h" or "1A00h:1"'),
+        ({"objects": {"60650h": 1}}, 'objects.60650h: is not an object; like "6065h"'),
+        ({"objects": {"0FFFh": 1}}, "objects.0FFFh: is not an object; 1000h..FFFFh"),
+        ({"objects": {"60_5h": 1}}, 'objects.60_5h: is not an object; like "6065h"'),
+        ({"objects": {"6065h:": 1}}, 'objects.6065h:: is not an object; like "6065h"'),
+        ({"objects": {"\uff16065h": 1}}, "is not an object; like"),
+        ({"objects": {"6065h": 1, "6065H:0": 2}}, "objects.6065H:0: is given twice; remove one"),
+        ({"objects": {"6065h": [1]}}, "objects.6065h: [1] is not a value"),
         ({"objects": {"6065h": 1.5}}, "objects.6065h: 1.5 is not a whole number"),
         ({"objects": {"6065h": -1}}, "objects.6065h: -1 does not fit data type 07h"),
         ({"objects": {"60C2h:2": 3}}, "objects.60C2h:2: 3 is outside -6..0"),
@@ -135,11 +135,11 @@ def test_numbers_reach_the_settings():
         ({"protection": {"stop": 1}}, "protection.stop: is not known; "),
         (
             {"protection": {"sto": 1}},
-            'protection.sto: 1 is no reaction; write "disable" or "fault"',
+            'protection.sto: 1 is not a reaction; write "disable" or "fault"',
         ),
         (
             {"protection": {"sto_error_code": 0x5441}},
-            'protection.sto_error_code: there is no fault to tell; write sto = "fault", too',
+            "protection.sto_error_code: has no effect, because sto is not a fault; write sto",
         ),
         (
             {"protection": {"sto": "fault", "sto_error_code": 0}},
@@ -152,7 +152,7 @@ def test_numbers_reach_the_settings():
         ),
         (
             {"protection": {"winding_temperature_max_c": 100}},
-            "protection.winding_temperature_max_c: the plant has nothing of the kind; give the ",
+            "protection.winding_temperature_max_c: the plant does not model this quantity; give ",
         ),
         (
             {"protection": {"i2t_warning": 0.5}},
@@ -160,7 +160,7 @@ def test_numbers_reach_the_settings():
         ),
         (
             {"protection": {"over_voltage_v": 30.0}},
-            "protection.over_voltage_v: the plant has nothing of the kind; give the plant source_",
+            "protection.over_voltage_v: the plant does not model this quantity; give the",
         ),
         (
             {
@@ -190,7 +190,7 @@ def test_numbers_reach_the_settings():
         ),
         (
             {"quirks": {"stray_emcy": {"for_s": 1}}},
-            "quirks.stray_emcy.for_s: is not known; take it out, there are none",
+            "quirks.stray_emcy.for_s: is not known; remove it",
         ),
         ({"quirks": "stray_emcy"}, "quirks: 'stray_emcy' is not a list of names; [\"stray_emcy\"]"),
         ({"quirks": ["stray_emcy"] * 2}, "quirks: stray_emcy is listed twice; take one out"),
@@ -206,15 +206,15 @@ def test_numbers_reach_the_settings():
         ),
         (
             {"plant": {"chopper_resistance_ohm": 5.0, "chopper_threshold_v": 28.0}},
-            "plant.chopper_resistance_ohm: 5 does nothing without source_resistance_ohm; give",
+            "plant.chopper_resistance_ohm: 5 does nothing without source_resistance_ohm; add",
         ),
         (
             {"plant": {"coupling_damping_n_m_s_rad": 3.0}},
             "plant.coupling_damping_n_m_s_rad: 3 does nothing without coupling_stiffness_n_m_rad or"
-            " backlash_rad; give the plant that, too",
+            " backlash_rad; add it to the plant",
         ),
         ({"switches": {"home": 1}}, "switches.home: is not known; did you mean home_from_rad?"),
-        ({"switches": {"home_to_rad": "x"}}, "switches.home_to_rad: 'x' is no number"),
+        ({"switches": {"home_to_rad": "x"}}, "switches.home_to_rad: 'x' is not a number"),
         (
             {"switches": {"negative_limit_rad": 1.0, "positive_limit_rad": 1.0}},
             "switches.positive_limit_rad: 1.0 rad is not above the negative limit switch; ",
@@ -234,12 +234,12 @@ def test_numbers_reach_the_settings():
             {"switches": {"index_pulse": False, "index_rad": 1}},
             "switches.index_rad: the encoder has no index pulse; take one of them out",
         ),
-        ({"initial_position_rad": "x"}, "initial_position_rad: 'x' is no number"),
+        ({"initial_position_rad": "x"}, "initial_position_rad: 'x' is not a number"),
         ({"initial_position_rad": float("nan")}, "initial_position_rad: nan is outside -1e+09.."),
         (
             {"initial_position_rad": -1e6},
             "initial_position_rad: -21008452488 increments do not fit 32 bits; "
-            "at most 102220 rad either way",
+            "at most 102220 rad in either direction",
         ),
     ],
 )

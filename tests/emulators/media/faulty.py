@@ -1,4 +1,4 @@
-"""A bus of three nodes on which things go wrong, for the tests of faults."""
+"""A bus of three nodes with faults, for tests."""
 
 import random
 

@@ -1,4 +1,4 @@
-"""Whatever goes wrong, in any order: counters stay legal, and no frame is lost unnoticed."""
+"""Random fault sequences: legal counters, and no frame lost unnoticed."""
 
 import random
 from collections import Counter
@@ -23,7 +23,7 @@ GROUPS = st.lists(st.sampled_from(NAMES), min_size=1, max_size=3, unique=True).m
 
 
 class Errors(RuleBasedStateMachine):
-    """A bus of four nodes, one of which recovers by command and one of which tries once."""
+    """A bus of four nodes; one recovers by command, and one is one-shot."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -39,10 +39,8 @@ class Errors(RuleBasedStateMachine):
         self.given_up: list[list[bytes]] = [[] for _ in NAMES]
         self.lasting: list[str] = []
         self.struck = 0
-        self.failed_unseen = [0] * len(
-            NAMES
-        )  # errors of a sender after which others may have its frame
-        self.moves = 0  # nodes left a wire, or came; a frame may have been all but sent
+        self.failed_unseen = [0] * len(NAMES)  # sender errors after which others may have the frame
+        self.moves = 0  # nodes left or entered a wire; a frame may have been nearly sent
 
     def name(self) -> str:
         self.number += 1
@@ -72,7 +70,7 @@ class Errors(RuleBasedStateMachine):
                 self.given_up[NAMES.index(name)].append(frame)
 
     def hear_message(self, message: bytes, port: int) -> None:
-        passive = max(message[14], message[15]) > 127  # its flag is one that nobody sees
+        passive = max(message[14], message[15]) > 127  # its flag is invisible to the others
         if message[10] & told.TRANSMITTING and (passive or message[11] == told.END_OF_FRAME):
             self.failed_unseen[port] += 1
         if can_id_of(message) & told.RESTARTED:
@@ -145,7 +143,7 @@ class Errors(RuleBasedStateMachine):
                 assert counters.tec < 256
 
     def teardown(self) -> None:
-        """All faults end, and all that was submitted is accounted for."""
+        """End all faults and account for all submitted frames."""
         self.advance(self.now_ns + 10 * BIT)
         for name in self.lasting:
             self.bus.lift(name, self.now_ns)

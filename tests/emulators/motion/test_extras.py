@@ -369,7 +369,7 @@ def test_every_drive_accepts_nonlinear_plant(kind):
     [
         ({"backlash_rad": -1}, "backlash_rad", "-1 is outside 0..6.2832"),
         ({"backlash": 0.1}, "backlash", "did you mean backlash_rad?"),
-        ({"cogging_periods_rev": 1.5}, "cogging_periods_rev", "no whole number"),
+        ({"cogging_periods_rev": 1.5}, "cogging_periods_rev", "not a whole number"),
         ({"stop_low_rad": 2.0, "stop_high_rad": 1.0}, "stop_low_rad", "not below stop_high_rad"),
         (
             {"thermal_time_constant_winding_s": 2.0},
@@ -389,5 +389,5 @@ def test_invalid_plant_value_is_refused_with_key(table, key, told):
 
 def test_initial_position_beyond_end_stop_is_refused():
     settings = {"node_id": 1, "plant": {"preset": "mast_20w", "stop_high_rad": 1.0}}
-    with pytest.raises(SettingError, match="beyond an end"):
+    with pytest.raises(SettingError, match="beyond the plant's end"):
         cia402_drive({**settings, "initial_position_rad": 1.5}, CONTEXT)

@@ -108,7 +108,7 @@ def test_interface_without_fd_is_reported():
     change_mtu("vcan1", CAN_MTU)
     try:
         assert link_mtu("vcan1") == CAN_MTU
-        with pytest.raises(SocketCanError, match=r"vcan1: carries no CAN FD \(MTU 16\)"):
+        with pytest.raises(SocketCanError, match=r"vcan1: does not support CAN FD \(MTU 16\)"):
             SocketCanGateway("vcan1", world, "can0")
         SocketCanGateway("vcan1", world, "can1").close()
     finally:
