@@ -17,10 +17,10 @@ from collections import deque
 from typing import Final, final
 
 from emulators.canopen.object_dictionary import ObjectDictionary
-from emulators.canopen.parameter_store import ParameterStore
-from emulators.canopen.parameter_text import UNSET
-from emulators.canopen.shared import NEVER, Outbox
-from emulators.media.can_frame import pack
+from emulators.canopen.files.parameter_storage import ParameterStore
+from emulators.canopen.files.parameter_storage import UNSET
+from emulators.canopen.outbox import NEVER, Outbox
+from emulators.can.frame import pack
 
 REQUEST_ID: Final = 0x7E5
 RESPONSE_ID: Final = 0x7E4

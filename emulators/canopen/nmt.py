@@ -3,11 +3,14 @@
 INITIALISING passes into PRE-OPERATIONAL by itself, with the boot-up message. The resets lead back
 to it. Services by state (CiA 301, table 38): SDO, SYNC and EMCY in PRE-OPERATIONAL and OPERATIONAL,
 PDOs in OPERATIONAL only, NMT and error control in all but INITIALISING.
+
+Error behaviour (CiA 301, 1029h): effects of errors on the NMT state.
 """
 
 from enum import IntEnum, unique
 from typing import Final, final
-
+from typing import Final
+from emulators.canopen.object_dictionary import ObjectDictionary
 
 @final
 @unique
@@ -55,3 +58,21 @@ def commanded(frame: bytes, node_id: int) -> int:
     if frame[4] != 2 or frame[9] not in (0, node_id):
         return 0
     return frame[8]
+
+
+COMMUNICATION: Final = 1  # sub-index: bus-off, a lost heartbeat, a lost guard
+DEVICE: Final = 2
+
+_PRE_OPERATIONAL: Final = 0
+_NO_CHANGE: Final = 1
+_STOPPED: Final = 2
+
+
+def state_after(od: ObjectDictionary, kind: int, state: int) -> int:
+    """Return the NMT state after an error of this kind in `state`."""
+    if state != NmtState.OPERATIONAL:
+        return state
+    behaviour = od.integer(0x1029, kind, _PRE_OPERATIONAL if kind == COMMUNICATION else _NO_CHANGE)
+    if behaviour == _PRE_OPERATIONAL:
+        return NmtState.PRE_OPERATIONAL
+    return NmtState.STOPPED if behaviour == _STOPPED else state

@@ -11,32 +11,79 @@ again, so the dictionary is the only place of a setting.
 Frames are dispatched by one look-up in a dict, keyed by the four identifier bytes. The dict holds
 only what the present NMT state accepts, so the parts need not check the state. Remote frames and
 29-bit identifiers have no entry, except remote frames that guard this node or request its TPDOs.
+
+Dispatching of frames: handlers by identifier, and the identifiers of a node.
 """
 
+from collections.abc import Callable
+from typing import final
 from collections.abc import Sequence
 from typing import Final, final
-
-from emulators.canopen.access import DictionaryAccess
-from emulators.canopen.can_state import CanWatch
+from emulators.canopen.object_dictionary import DictionaryAccess
+from emulators.canopen.emcy import CanWatch
 from emulators.canopen.emcy import EmcyProducer
-from emulators.canopen.error_behaviour import COMMUNICATION, DEVICE, state_after
+from emulators.canopen.nmt import COMMUNICATION, DEVICE, state_after
 from emulators.canopen.error_control import ErrorControl
 from emulators.canopen.lss import REQUEST_ID as LSS_REQUEST_ID
 from emulators.canopen.lss import UNCONFIGURED, LssSlave
 from emulators.canopen.nmt import TRANSITIONS, NmtCommand, NmtState, commanded
 from emulators.canopen.object_dictionary import ObjectDictionary
-from emulators.canopen.parameter_store import ParameterStore
+from emulators.canopen.files.parameter_storage import ParameterStore
 from emulators.canopen.pdo import PdoService
-from emulators.canopen.routing import Handler, Routes
 from emulators.canopen.sdo_server import SdoServer, sdo_can_id
-from emulators.canopen.shared import MS as MS
-from emulators.canopen.shared import NEVER, Outbox
-from emulators.canopen.shared import NodeHost as NodeHost
-from emulators.canopen.shared import NodeTiming as NodeTiming
+from emulators.canopen.outbox import MS
+from emulators.canopen.outbox import NEVER, Outbox
+from emulators.canopen.outbox import NodeHost
+from emulators.canopen.outbox import NodeTiming
 from emulators.canopen.sync import SyncService
-from emulators.canopen.time_stamp import TimeConsumer
+from emulators.canopen.sync import TimeConsumer
 from emulators.controller import NonvolatileMemory, RigMemory
-from emulators.media.can_frame import ERR_FLAG, RTR_FLAG
+from emulators.can.frame import ERR_FLAG, RTR_FLAG
+
+Handler = Callable[[bytes, int], None]
+
+
+@final
+class Routes:
+    """The identifiers of a node in any state, and the handlers active in the present one.
+
+    Attributes:
+        handlers: by the identifier's four bytes.
+    """
+
+    def __init__(self) -> None:
+        self.handlers: dict[bytes, Handler] = {}
+        self._wanted: dict[int, None] = {}
+
+    def add(self, can_id: int, handler: Handler, is_active: bool) -> None:
+        """Listen to this identifier, in this state (`is_active`) or in another one."""
+        self.want(can_id)
+        if is_active:
+            key = can_id.to_bytes(4, "little")
+            taken = self.handlers.get(key)
+            self.handlers[key] = handler if taken is None else _Both(taken, handler).receive
+
+    def want(self, can_id: int) -> None:
+        """Listen to this identifier without a handler."""
+        self._wanted[can_id] = None
+
+    def identifiers(self) -> tuple[int, ...]:
+        """Return all identifiers listened to, ascending."""
+        return tuple(sorted(self._wanted))
+
+
+@final
+class _Both:
+    """Two parts of the node that listen to one identifier."""
+
+    def __init__(self, first: Handler, second: Handler) -> None:
+        self._first = first
+        self._second = second
+
+    def receive(self, frame: bytes, now_ns: int) -> None:
+        self._first(frame, now_ns)
+        self._second(frame, now_ns)
+
 
 _ERROR_BYTE: Final = ERR_FLAG >> 24
 

@@ -8,16 +8,8 @@ import struct
 from collections.abc import Callable
 from typing import Final, final
 
-from emulators.canopen.abort_code import AbortCode
-from emulators.canopen.object_dictionary import (
-    STRUCT_FORMAT,
-    ObjectDictionary,
-    Variable,
-    decode,
-    is_integer,
-    is_signed,
-    length_bits,
-)
+from emulators.canopen.codes import AbortCode
+from emulators.canopen.object_dictionary import STRUCT_FORMAT, ObjectDictionary, Variable, decode, is_integer, is_signed, length_bits
 
 MAX_ENTRIES: Final = 64
 MAX_BITS: Final = 64

@@ -7,8 +7,8 @@ with 0601 0000h, unmappable entries with 0604 0041h, too many bits with 0604 004
 
 from typing import Final, final
 
-from emulators.canopen.abort_code import AbortCode
-from emulators.canopen.cob_id import INVALID, UPPER_BITS, is_restricted
+from emulators.canopen.codes import AbortCode
+from emulators.canopen.codes import INVALID, UPPER_BITS, is_restricted
 from emulators.canopen.object_dictionary import DataType, ObjectDictionary
 from emulators.canopen.pdo_mapping import MAX_BITS, MAX_ENTRIES, entry_refusal
 from emulators.canopen.sync import COUNTER_MAX

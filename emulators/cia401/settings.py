@@ -10,26 +10,10 @@ from pathlib import Path
 from typing import Final, final
 
 from emulators.controller import SettingError
-from emulators.firmware.gains import ServoGains
+from emulators.firmware.servo_tables import ServoGains
 from emulators.plant.dc_motor import MotorPlant
 from emulators.plant.oscillator import Oscillator
-from emulators.setting_tables import (
-    KeyPath,
-    ObjectValue,
-    duration_ns,
-    eds_in,
-    flag,
-    initial_position_rad,
-    memory_file_in,
-    node_id_in,
-    number,
-    objects_of,
-    oscillator_in,
-    plant_of,
-    refuse_unknown,
-    table_in,
-    whole,
-)
+from emulators.settings.tables import KeyPath, ObjectValue, duration_ns, eds_in, flag, initial_position_rad, memory_file_in, node_id_in, number, objects_of, oscillator_in, plant_of, refuse_unknown, table_in, whole
 
 OWN_EDS: Final = Path(__file__).parents[1] / "eds" / "motorhil_cia401.eds"
 CHANNELS_MAX: Final = 4

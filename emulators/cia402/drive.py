@@ -2,30 +2,324 @@
 
 The drive updates itself on input, when the node has work to do, and at the exact tick at which the
 axis' flags change. In between, and at rest, it costs nothing.
+
+Construction of a drive from its rig table (`motorhil.controllers` entry point `cia402`).
+
+Readers of actual values, bound to the objects in the EDS.
+
+Every reader returns the value at the last `axis.at`.
+
+Protective functions of the drive: inputs that switch the torque off.
+
+The axis reports winding temperature, I2t and DC link in its flags, at the exact tick, and the power
+drive evaluates them. All other conditions are stimuli. An input keeps its value until it is
+changed, and the fault that it caused cannot be reset meanwhile. `sto` switches the torque off
+without the firmware; the vendor decides if that is a fault (table `protection`).
+
+A lost incremental encoder stops counting. The position that a host reads then stays constant,
+whatever the motor does. Once the encoder is back it counts on from there, and the drive's reference
+is lost.
 """
 
-from collections.abc import Mapping, Sequence
+from typing import final
+from emulators.canopen.object_dictionary import ObjectDictionary
+from emulators.cia402.objects.dictionary import DriveObjects
+from emulators.cia402.power_drive import PowerDrive
+from emulators.cia402.objects.units import limited
+from emulators.firmware.axis import Axis
 from typing import Final, final
-
+from emulators.canopen.node import CanopenNode
+from emulators.canopen.object_dictionary import ObjectDictionary, Reader, Variable
+from emulators.cia402.faults import COMMUNICATION_LOST, DEVICE_TEMPERATURE, ENCODER, ERROR_PASSIVE, MAINS_OVER_VOLTAGE, MAINS_UNDER_VOLTAGE, SHORT_CIRCUIT, WARNED_BY_INPUT
+from emulators.cia402.state_machine import PdsState
+from emulators.plant.dc_motor import RANGES
+from emulators.settings.protection import TEMPERATURE_RANGE_C, ProtectionSettings
+from collections.abc import Mapping, Sequence
 from emulators.canopen.lss import UNCONFIGURED
 from emulators.canopen.nmt import NmtState
-from emulators.canopen.node import CanopenNode, NodeTiming
-from emulators.canopen.object_dictionary import ObjectDictionary
-from emulators.canopen.shared import NEVER
+from emulators.canopen.outbox import NodeTiming
+from emulators.canopen.outbox import NEVER
 from emulators.cia402.faults import COMMUNICATION_LOST, HEARTBEAT_LOST, error_register, told
-from emulators.cia402.objects import DriveObjects
 from emulators.cia402.power_drive import NO_FAULT, PowerDrive
-from emulators.cia402.protection import STIMULI as PROTECTION_STIMULI
-from emulators.cia402.protection import Protection
 from emulators.cia402.quirks import deviate
-from emulators.cia402.readings import Readings
 from emulators.cia402.settings import DriveSettings
 from emulators.controller import NonvolatileMemory
-from emulators.firmware.axis import Axis
 from emulators.firmware.digital_inputs import STIMULI as INPUT_STIMULI
 from emulators.firmware.digital_inputs import DigitalInputs
-from emulators.motor_settings import axis_of
-from emulators.plant.dc_motor import RANGES
+from emulators.settings.motor import axis_of
+from collections.abc import Mapping
+from typing import Final
+from emulators.canopen.files.eds import EdsError, read_eds
+from emulators.canopen.object_dictionary import DataType, ObjectDictionary, Value, Variable, is_integer, length_bits
+from emulators.cia402.settings import told as told_of_quirk_catalogue
+from emulators.cia402.quirks import wire_quirks
+from emulators.cia402.quirks import QuirkyWire
+from emulators.cia402.settings import EMULATED_MODES, MODES, DriveSettings, read_settings
+from emulators.cia402.settings import out_of_reach
+from emulators.controller import Controller, ControllerContext, NonvolatileMemory, SettingError
+from emulators.firmware.clock import on_own_time
+
+@final
+class Readings:
+    """Actual values in the drive's units."""
+
+    def __init__(self, axis: Axis, objects: DriveObjects, power_drive: PowerDrive) -> None:
+        self._axis = axis
+        self._objects = objects
+        self._power_drive = power_drive
+
+    def bind(self, od: ObjectDictionary) -> None:
+        """Bind the readers to the visible objects."""
+        for index, reader in (
+            (0x603F, self.error_code),
+            (0x6041, self.statusword),
+            (0x6061, self.mode),
+            (0x6062, self.position_demand),
+            (0x6063, self.position_internal),
+            (0x6064, self.position),
+            (0x6069, self.velocity_sensor),
+            (0x606B, self.velocity_demand),
+            (0x606C, self.velocity),
+            (0x6074, self.torque_demand),
+            (0x6077, self.torque),
+            (0x6078, self.current),
+            (0x6079, self.supply),
+            (0x60F4, self.following_error),
+            (0x60FC, self.position_demand_internal),
+            (0x60FD, self.digital_inputs),
+        ):
+            variable = od.get(index)
+            if variable is not None:
+                variable.reader = reader
+
+    def error_code(self) -> int:
+        """Return 603Fh: the present fault; 0 after its reset."""
+        return self._power_drive.error_code
+
+    def statusword(self) -> int:
+        """Return 6041h."""
+        return self._power_drive.statusword()
+
+    def mode(self) -> int:
+        """Return 6061h."""
+        return self._power_drive.mode
+
+    def position_demand(self) -> int:
+        """Return 6062h [position unit]."""
+        return self._objects.units.position_raw(self._axis.demand_inc())
+
+    def position_internal(self) -> int:
+        """Return 6063h [increments], signed 32 bit, wrapping."""
+        return _wrapped(self._axis.position_inc())
+
+    def position(self) -> int:
+        """Return 6064h [position unit]."""
+        return self._objects.units.position_raw(self._axis.position_inc())
+
+    def velocity_sensor(self) -> int:
+        """Return 6069h [inc/s]."""
+        return limited(self._axis.velocity_inc_s(), 0x7FFF_FFFF)
+
+    def velocity_demand(self) -> int:
+        """Return 606Bh [velocity unit]."""
+        return self._objects.units.velocity_raw(self._axis.demand_velocity_inc_s())
+
+    def velocity(self) -> int:
+        """Return 606Ch [velocity unit]."""
+        return self._objects.units.velocity_raw(self._axis.velocity_inc_s())
+
+    def torque_demand(self) -> int:
+        """Return 6074h [1/1000 of 6076h]."""
+        return self._objects.torque.torque_raw(self._axis.current_demand_a())
+
+    def torque(self) -> int:
+        """Return 6077h [1/1000 of 6076h]."""
+        return self._objects.torque.torque_raw(self._axis.current_a())
+
+    def current(self) -> int:
+        """Return 6078h [1/1000 of 6075h]."""
+        return self._objects.torque.current_raw(self._axis.current_a())
+
+    def supply(self) -> int:
+        """Return 6079h [mV]."""
+        volts = self._axis.dc_link_v() if self._power_drive.voltage else 0.0
+        return int(volts * 1000.0)
+
+    def following_error(self) -> int:
+        """Return 60F4h [position unit]."""
+        return self._objects.units.length_raw(self._axis.following_error_inc())
+
+    def position_demand_internal(self) -> int:
+        """Return 60FCh [increments], signed 32 bit, wrapping."""
+        return _wrapped(self._axis.demand_inc())
+
+    def digital_inputs(self) -> int:
+        """Return 60FDh."""
+        return self._power_drive.inputs.bits
+
+
+def _wrapped(value: int) -> int:
+    return (value + 0x8000_0000 & 0xFFFF_FFFF) - 0x8000_0000
+
+
+# Inputs whose value 1 is the cause of a fault.
+CAUSES: Final[dict[str, int]] = {
+    "short_circuit": SHORT_CIRCUIT,
+    "mains_over_voltage": MAINS_OVER_VOLTAGE,
+    "mains_under_voltage": MAINS_UNDER_VOLTAGE,
+}
+_SWITCHES: Final = ("sto", "encoder", *CAUSES, "error_passive", "bus_off")
+PROTECTION_STIMULI: Final = (*_SWITCHES, "device_temperature_c", "supply_v")
+
+# Objects derived from the encoder.
+_POSITIONS: Final = (0x6063, 0x6064)
+_VELOCITIES: Final = (0x6069, 0x606C, 0x60F4)
+
+
+@final
+class Held:
+    """A reader that always returns the same value."""
+
+    def __init__(self, value: int) -> None:
+        self._value = value
+
+    def read(self) -> int:
+        """Return the value."""
+        return self._value
+
+
+@final
+class Protection:
+    """The physical inputs of one drive. Call its methods after `axis.at(now_ns)`."""
+
+    def __init__(
+        self,
+        axis: Axis,
+        od: ObjectDictionary,
+        node: CanopenNode,
+        power_drive: PowerDrive,
+        settings: ProtectionSettings,
+    ) -> None:
+        self._axis = axis
+        self._od = od
+        self._node = node
+        self._power_drive = power_drive
+        self._settings = settings
+        self._has_encoder: bool = True
+        self._position_inc: int = 0  # the position at which the encoder was lost
+        self._held: list[tuple[Variable, Reader]] = []  # with their original readers
+        self._is_passive: bool = False
+        self._is_off: bool = False
+        if power_drive.is_watched:
+            axis.set_thresholds(
+                over_voltage_v=settings.over_voltage_v,
+                under_voltage_v=settings.under_voltage_v,
+                over_temperature_c=settings.winding_temperature_max_c,
+                temperature_warning_c=settings.winding_temperature_warning_c,
+                i2t_warning=settings.i2t_warning,
+            )
+
+    def stimulate(self, name: str, value: float, now_ns: int) -> None:
+        """Set an input of STIMULI.
+
+        Raises:
+            ValueError: the value is invalid.
+        """
+        if name == "device_temperature_c":
+            self._heat(value, now_ns)
+            return
+        if name == "supply_v":
+            self._supply(value)
+            return
+        if value not in (0, 1):
+            raise ValueError(f"{name} is 0 or 1, not {value}")
+        is_set = value == 1
+        if name == "sto":
+            self._take_torque_off(is_set, now_ns)
+        elif name == "encoder":
+            self._connect(is_set, now_ns)
+        elif name == "error_passive":
+            self._be_passive(is_set, now_ns)
+        elif name == "bus_off":
+            self._be_off(is_set, now_ns)
+        else:
+            self._stand(CAUSES[name], is_set, now_ns)
+
+    def _stand(self, code: int, stands: bool, now_ns: int) -> None:
+        """Set or remove the cause of a fault; a starting drive reports it later."""
+        drive = self._power_drive
+        if not stands:
+            drive.standing.remove(code)
+        elif drive.standing.add(code) and drive.fsa.state is not PdsState.NOT_READY_TO_SWITCH_ON:
+            drive.fault(code, now_ns)
+
+    def _take_torque_off(self, off: bool, now_ns: int) -> None:
+        drive, code = self._power_drive, self._settings.sto_error_code
+        standing = drive.standing
+        if off == standing.torque_off:
+            return
+        standing.torque_off = off
+        if not off:
+            standing.remove(code)
+            return
+        drive.take_torque_off(code, now_ns)
+        if drive.error_code == code != 0:
+            standing.add(code)
+
+    def _heat(self, celsius: float, now_ns: int) -> None:
+        low, high = TEMPERATURE_RANGE_C
+        if not low <= celsius <= high:
+            raise ValueError(f"device_temperature_c is {low:g}..{high:g} C, not {celsius}")
+        settings = self._settings
+        is_warm = celsius >= settings.device_temperature_warning_c
+        self._power_drive.standing.warn(WARNED_BY_INPUT, is_warm)
+        self._stand(DEVICE_TEMPERATURE, celsius >= settings.device_temperature_max_c, now_ns)
+
+    def _supply(self, volts: float) -> None:
+        low, high = RANGES["supply_v"]
+        if not low <= volts <= high:
+            raise ValueError(f"supply_v is {low:g}..{high:g} V, not {volts}")
+        self._axis.set_supply(volts)
+
+    def _connect(self, there: bool, now_ns: int) -> None:
+        if there == self._has_encoder:
+            return
+        self._has_encoder = there
+        if there:
+            for held, reader in self._held:
+                held.reader = reader
+            self._held.clear()
+            self._axis.set_position(self._position_inc)
+            self._power_drive.lose_reference()
+            self._stand(ENCODER, False, now_ns)
+            return
+        self._position_inc = self._axis.position_inc()
+        for index in (*_POSITIONS, *_VELOCITIES):
+            variable = self._od.get(index)
+            read = None if variable is None else variable.reader
+            if variable is not None and read is not None:
+                self._held.append((variable, read))
+                variable.reader = Held(read() if index in _POSITIONS else 0).read
+        self._stand(ENCODER, True, now_ns)
+
+    def _be_passive(self, passive: bool, now_ns: int) -> None:
+        if passive != self._is_passive:
+            self._is_passive = passive
+            if passive:
+                self._node.can.find(ERROR_PASSIVE, now_ns)
+            else:
+                self._node.can.repair(now_ns)
+
+    def _be_off(self, off: bool, now_ns: int) -> None:
+        """Set bus-off; the drive reports it only after its recovery (CiA 301: 8140h)."""
+        if off == self._is_off:
+            return
+        self._is_off = off
+        if off:
+            self._power_drive.abort_connection(COMMUNICATION_LOST, now_ns)
+        else:
+            self._node.can.recover(now_ns)
+
 
 STIMULI: Final = (
     *("load_torque_n_m", "fault", "power"),
@@ -357,3 +651,130 @@ class Cia402Drive:
                 motor_ns = event_ns
         self._motor_due_ns = motor_ns
         self._deadline_ns = node_ns if node_ns < motor_ns else motor_ns
+
+
+_ABSENT: Final = -(1 << 70)
+
+# Communication objects that a rig can configure although the EDS lacks them.
+_COMMUNICATION: Final[dict[tuple[int, int], DataType]] = {
+    (0x1005, 0): DataType.UNSIGNED32,
+    (0x1006, 0): DataType.UNSIGNED32,
+    (0x1007, 0): DataType.UNSIGNED32,
+    (0x100C, 0): DataType.UNSIGNED16,
+    (0x100D, 0): DataType.UNSIGNED8,
+    (0x1014, 0): DataType.UNSIGNED32,
+    (0x1015, 0): DataType.UNSIGNED16,
+    (0x1016, 1): DataType.UNSIGNED32,
+    (0x1017, 0): DataType.UNSIGNED16,
+    (0x1019, 0): DataType.UNSIGNED8,
+    (0x1029, 1): DataType.UNSIGNED8,
+    (0x1029, 2): DataType.UNSIGNED8,
+}
+
+
+def build(settings: Mapping[str, object], context: ControllerContext) -> Controller:
+    """Build the drive that a rig describes.
+
+    Args:
+        settings: the controller's table without `kind` and `bus`.
+        context: the controller's name, the folder of relative paths, the seed.
+
+    Raises:
+        SettingError: a key or value is wrong, or the EDS cannot be read; names the keys.
+    """
+    read = read_settings(settings, context.folder, context.stream())
+    drive: Controller = build_drive(read, context.memory(read.nonvolatile_memory))
+    wire = wire_quirks(read.quirks)
+    if wire.are_any():
+        drive = QuirkyWire(drive, wire, context.stream())
+    return on_own_time(drive, read.oscillator)
+
+
+def build_drive(settings: DriveSettings, memory: NonvolatileMemory | None = None) -> Cia402Drive:
+    """Build the drive with these settings; all times passed to it must be by its own clock.
+
+    Raises:
+        SettingError: the EDS cannot be read, or an object of `settings.objects` cannot be set.
+    """
+    try:
+        description = read_eds(settings.eds, settings.node_id)
+    except EdsError as error:
+        place = f"{error.path}:{error.line}" if error.line else str(error.path)
+        raise SettingError(("eds",), f"{place}: {error.text}", error.remedy) from error
+    od = description.dictionary()
+    if od.get(0x6040) is None or od.get(0x6041) is None:
+        raise SettingError(
+            ("eds",),
+            f"{settings.eds} has no 6040h and 6041h: it is not the EDS of a CiA 402 drive",
+            "use the drive's own EDS, or omit eds for ours",
+        )
+    events = [("warning", f"{path}:{line}: {text}") for path, line, text in description.warnings]
+    if not settings.oscillator.is_ideal():
+        events.append(("info", settings.oscillator.told()))
+    events += [("info", line) for line in told_of_quirk_catalogue(settings.quirks)]
+    events += [("warning", line) for line in out_of_reach(settings.switches, settings.plant)]
+    stated = od.integer(0x6502, 0, 0)
+    _set_objects(od, settings)
+    if settings.supported_modes is None:
+        left_out = [
+            name
+            for name, mode in MODES.items()
+            if stated >> (mode - 1) & 1 and name not in EMULATED_MODES
+        ]
+        if left_out:
+            text = f"6502h of {settings.eds.name} also names {', '.join(left_out)}: not emulated"
+            events.append(("info", text))
+    try:
+        return Cia402Drive(od, settings, events, memory)
+    except ValueError as error:
+        raise SettingError(
+            ("servo",), str(error), "reduce the gains of the current loop"
+        ) from error
+
+
+def _set_objects(od: ObjectDictionary, settings: DriveSettings) -> None:
+    """Set the power-on values of the rig; absent objects can have one if the drive uses them."""
+    if not settings.objects:
+        return
+    behind = ObjectDictionary()
+    DriveObjects(behind, settings)
+    for wanted in settings.objects:
+        path = ("objects", wanted.key)
+        variable = od.get(wanted.index, wanted.subindex)
+        if variable is None:
+            variable = _hidden(od, behind, wanted.index, wanted.subindex)
+        if variable is None:
+            raise SettingError(
+                path,
+                f"{settings.eds.name} has no such object, and the drive does not use it internally",
+                "remove it, or use an EDS that has it",
+            )
+        try:
+            variable.set_default(_value(variable, wanted.value))
+        except (TypeError, ValueError) as error:
+            raise SettingError(path, str(error)) from error
+
+
+def _hidden(
+    od: ObjectDictionary, behind: ObjectDictionary, index: int, subindex: int
+) -> Variable | None:
+    data_type: int | None = _COMMUNICATION.get((index, subindex))
+    if data_type is None and behind.integer(index, subindex, _ABSENT) != _ABSENT:
+        data_type = behind.ensure(index, subindex, DataType.UNSIGNED32, 0).data_type
+    return None if data_type is None else od.ensure(index, subindex, data_type, 0)
+
+
+def _value(variable: Variable, value: int | float | str) -> Value:
+    """Return the rig's value in the Python type that the variable holds."""
+    if isinstance(value, str):
+        if length_bits(variable.data_type):
+            raise TypeError(f"{value!r} is not a number")
+        return value.encode("utf-8")
+    if not is_integer(variable.data_type):
+        return float(value)
+    if isinstance(value, float):
+        raise TypeError(f"{value} is not a whole number")
+    low, high = variable.low, variable.high
+    if (low is not None and value < low) or (high is not None and value > high):
+        raise ValueError(f"{value} is outside {low}..{high}")
+    return value

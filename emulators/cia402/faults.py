@@ -17,9 +17,10 @@ only with the next reset node.
 
 from typing import Final, final
 
-from emulators.canopen import can_state, emcy
+from emulators.canopen import emcy as can_state
+from emulators.canopen import emcy
 from emulators.firmware import flags as f
-from emulators.protection_settings import STO_ERROR
+from emulators.settings.protection import STO_ERROR
 
 GENERIC: Final = 0x01
 CURRENT: Final = 0x02

@@ -7,44 +7,25 @@ require it. 12 waits for the end of the quick stop, 14 for the end of the fault 
 
 from typing import Final, final
 
-from emulators.canopen.shared import NEVER
-from emulators.cia402.cyclic_position import CyclicPosition
-from emulators.cia402.cyclic_torque import CyclicTorque
-from emulators.cia402.cyclic_velocity import CyclicVelocity
-from emulators.cia402.faults import (
-    FOLLOWING_ERROR,
-    UNDER_VOLTAGE,
-    Standing,
-    is_at_once,
-)
-from emulators.cia402.homing import Homing
-from emulators.cia402.interpolated_position import InterpolatedPosition
-from emulators.cia402.limit_guard import LimitGuard
-from emulators.cia402.mode import Mode
-from emulators.cia402.objects import DriveObjects
-from emulators.cia402.pds_fsa import (
-    NO_TRANSITION,
-    Command,
-    PdsFsa,
-    PdsState,
-    decode_controlword,
-)
-from emulators.cia402.profile_position import ProfilePosition
-from emulators.cia402.profile_torque import ProfileTorque
-from emulators.cia402.profile_velocity import ProfileVelocity
-from emulators.cia402.servo_objects import ServoObjects
+from emulators.canopen.outbox import NEVER
+from emulators.cia402.modes.cyclic import CyclicPosition
+from emulators.cia402.modes.cyclic import CyclicTorque
+from emulators.cia402.modes.cyclic import CyclicVelocity
+from emulators.cia402.faults import FOLLOWING_ERROR, UNDER_VOLTAGE, Standing, is_at_once
+from emulators.cia402.modes.homing import Homing
+from emulators.cia402.modes.interpolated_position import InterpolatedPosition
+from emulators.cia402.limit_switches import LimitGuard
+from emulators.cia402.modes.base import Mode
+from emulators.cia402.objects.dictionary import DriveObjects
+from emulators.cia402.state_machine import NO_TRANSITION, Command, PdsFsa, PdsState, decode_controlword
+from emulators.cia402.modes.profile_position import ProfilePosition
+from emulators.cia402.modes.profile_velocity_torque import ProfileTorque
+from emulators.cia402.modes.profile_velocity_torque import ProfileVelocity
+from emulators.cia402.objects.servo import ServoObjects
 from emulators.cia402.settings import EMULATED_MODES
-from emulators.cia402.statusword import TARGET_REACHED, compose
+from emulators.cia402.state_machine import TARGET_REACHED, compose
 from emulators.cia402.touch_probe import TouchProbe
-from emulators.cia402.written import (
-    CONTROLWORD,
-    FACTORS,
-    GAINS,
-    MODE,
-    TORQUE_LIMIT,
-    TOUCH_PROBE,
-    WINDOWS,
-)
+from emulators.cia402.objects.changes import CONTROLWORD, FACTORS, GAINS, MODE, TORQUE_LIMIT, TOUCH_PROBE, WINDOWS
 from emulators.firmware import flags as f
 from emulators.firmware.axis import Axis
 from emulators.firmware.digital_inputs import DigitalInputs, Edge

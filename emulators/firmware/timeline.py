@@ -16,8 +16,9 @@ may depend on commands, but not on readers.
 
 from typing import Final, final
 
-from emulators.firmware import extras_servo, servo
-from emulators.firmware.extras_tables import Conditions, ExtrasTables
+from emulators.firmware import nonlinear_servo as extras_servo
+from emulators.firmware import servo
+from emulators.firmware.nonlinear_tables import Conditions, ExtrasTables
 from emulators.firmware.servo_tables import LoadTable, ServoTables, StepTable, TickTable
 
 _BUDGET_MAX: Final = 64  # ticks run ahead at most

@@ -5,22 +5,24 @@ once, in mid-motion as well. Writing the same trigger value again has no effect,
 clears the trigger after execution (a parameter of the drive; here a key of the rig).
 
 Its encoder is absolute: the drive knows its position from power-on, also after a loss of power.
+
+Factory of AZ drives: entry point `motorhil.controllers`, name `oriental_az`.
 """
 
 from collections.abc import Callable, Mapping
 from typing import Final, final
-
 from emulators.firmware import flags as f
-from emulators.firmware.axis_readings import NEVER_NS
-from emulators.modbus.identification import Identification
+from emulators.firmware.axis import NEVER_NS
+from emulators.modbus.server import Identification
 from emulators.modbus.registers import RegisterBank
-from emulators.modbus_drive import (
-    ModbusDrive,
-    ModbusDriveSettings,
-    alarm_code,
-    revolutions_inc,
-)
-from emulators.oriental_az import register_map as r
+from emulators.modbus.drive import ModbusDrive, ModbusDriveSettings, alarm_code, revolutions_inc
+from emulators.oriental_az import registers as r
+from collections.abc import Mapping
+from emulators.controller import Controller, ControllerContext, SettingError
+from emulators.firmware.clock import on_own_time
+from emulators.modbus.registers import Register
+from emulators.modbus.drive import read_settings
+from emulators.oriental_az.registers import ROWS
 
 FUNCTIONS: Final = (0x03, 0x06, 0x08, 0x10, 0x17)
 _AUTO_OFF_NS: Final = 4_000_000
@@ -285,3 +287,36 @@ class OrientalAz(ModbusDrive):
     def own_truth(self) -> Mapping[str, float]:
         """Return its output word and its alarm."""
         return {"outputs": float(self.outputs()), "alarm": float(self.bank["alarm"])}
+
+
+_CLEARS: str = "trigger_auto_clear"
+
+
+def build(settings: Mapping[str, object], context: ControllerContext) -> Controller:
+    """Build the drive that a rig describes.
+
+    Args:
+        settings: the controller's table without `kind` and `bus`; `trigger_auto_clear` (default
+            true) sets the drive parameter of that name, whose address is not known.
+        context: its name, the folder of relative paths, the seed.
+
+    Raises:
+        SettingError: a key or value is wrong; names the keys.
+    """
+    clears = settings.get(_CLEARS, True)
+    if not isinstance(clears, bool):
+        raise SettingError((_CLEARS,), f"{clears!r} is neither true nor false", "true, the default")
+    read = read_settings({key: settings[key] for key in settings if key != _CLEARS}, context)
+    drive = OrientalAz(read, clears)
+    if not read.oscillator.is_ideal():
+        drive.tell("info", read.oscillator.told())
+    return on_own_time(drive, read.oscillator)
+
+
+def registers() -> tuple[Register, ...]:
+    """Return the register map, for display."""
+    return ROWS
+
+
+build.bus_kinds = ("modbus_rtu", "modbus_tcp")  # type: ignore[attr-defined]  # a plugin's mark
+build.registers = registers  # type: ignore[attr-defined]  # likewise
