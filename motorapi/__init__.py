@@ -5,56 +5,23 @@ Rover Motion Control). Adaptations to hardware are in `motorapi.adaptations`; on
 libraries of their bus.
 """
 
-from motorapi.arguments import Argument, MotorPosition
-from motorapi.commands import (
-    ControlMode,
-    ControlVariable,
-    DerivativeLimits,
-    Motion,
-    Range,
-    Setpoint,
-)
+from motorapi.trajectory import Argument, MotorPosition
+from motorapi.commands import ControlMode, ControlVariable, DerivativeLimits, Motion, Range, Setpoint
 from motorapi.device import Device, DeviceGroup
-from motorapi.errors import (
-    DeadlineExceeded,
-    DeviceFault,
-    DomainError,
-    FileError,
-    LimitError,
-    LinkError,
-    MotionInterrupted,
-    MotorBusyError,
-    MotorError,
-    PeerError,
-    PluginError,
-    StateError,
-    SynchronizationError,
-    UnsupportedError,
-    UsageError,
-)
+from motorapi.errors import DeadlineExceeded, DeviceFault, DomainError, FileError, LimitError, LinkError, MotionInterrupted, MotorBusyError, MotorError, PeerError, PluginError, StateError, SynchronizationError, UnsupportedError, UsageError
 from motorapi.generation import Trapezoid
 from motorapi.group import MotorGroup
 from motorapi.model import MotionKind, MotorModel
 from motorapi.motor import Motor
-from motorapi.outcome import Ending, Outcome
-from motorapi.ownership_events import LockAction, OwnershipEvent
-from motorapi.progress import Progress
-from motorapi.reservation import Reservation
-from motorapi.runtime import Runtime, runtime_of
+from motorapi.motor import Ending, Outcome
+from motorapi.ownership.claim import LockAction, OwnershipEvent
+from motorapi.motor import Progress
+from motorapi.ownership.reservation import Reservation
+from motorapi.runtime.api import Runtime, runtime_of
 from motorapi.state import Fault, Measurement, MotorState
-from motorapi.synchronization import (
-    FaultReaction,
-    MotionTimes,
-    PathDeviation,
-    SyncCapability,
-    Synchronization,
-    SyncLevel,
-    SyncOffer,
-    SyncQuality,
-    Trigger,
-)
+from motorapi.synchronization.quality import FaultReaction, MotionTimes, PathDeviation, SyncCapability, Synchronization, SyncLevel, SyncOffer, SyncQuality, Trigger
 from motorapi.trajectory import ComplexTrajectory, Trajectory, TrapezoidalTrajectory
-from motorapi.wall_runtime import WallRuntime
+from motorapi.runtime.wall import WallRuntime
 
 __all__ = [
     "Argument",

@@ -11,11 +11,11 @@ from numbers import Real
 from typing import TYPE_CHECKING, TypeGuard, final
 
 from motorapi.errors import UsageError
-from motorapi.wording import given
+from motorapi.reprs import given
 
 if TYPE_CHECKING:
-    from motorapi.arguments import Argument
-    from motorapi.functions.function import Function
+    from motorapi.trajectory import Argument
+    from motorapi.functions.base import Function
     from motorapi.trajectory import Trajectory
 
 Range = tuple[float, float]

@@ -5,7 +5,7 @@ from types import TracebackType
 from typing import Concatenate, Generic, ParamSpec, Self, TypeVar, final
 
 from motorapi.errors import UsageError
-from motorapi.runtime import Runtime
+from motorapi.runtime.api import Runtime
 
 P = ParamSpec("P")
 R = TypeVar("R")

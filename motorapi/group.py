@@ -7,37 +7,387 @@ Algorithm 2 of the paper runs nearly word for word::
     group.set_trajectory(TrapezoidalTrajectory(1.0), TrapezoidalTrajectory(2.0))
     group.start()
     group.wait_until_done()
+
+Supervision of one group start to its end, with the reaction to a failure.
+
+Supervision does not depend on a waiting caller: it examines every change of its motors, as
+`on_done` does, and sends its reaction from there without waiting. A motor that must be polled
+reports only while a caller waits for it.
+
+A motor fails when its motion ends short of its target although its owner did not request that: by a
+fault, a lost link, another program, or a takeover. A stop of one motor affects that motor only. A
+caller that waits for the group finds it short of its target, and then the group reacts as to a
+fault. Motors stopped in reaction raise an interruption for callers that wait for one of them; a
+caller that waits for the group gets the cause.
+
+Synchronization capability of a group before a motion, and quality afterwards.
 """
 
-# ruff: noqa: SLF001 -- a group works the hooks of its members, as Motor does its own
-
+import logging
+from collections.abc import Sequence
+from copy import copy
+from typing import TYPE_CHECKING, Final, final
+from motorapi.errors import MotorError
+from motorapi.planning.groups import Common
+from motorapi.planning.path import PathWatch
+from motorapi.ownership.physical_motor import ActiveMotion
+from motorapi.synchronization.quality import FaultReaction, PathDeviation, Synchronization, Trigger
+from motorapi.runtime.api import LOOK_PERIOD_S
+from contextlib import ExitStack
+from typing import TYPE_CHECKING
+from motorapi.planning import single_axis as planning
+from motorapi.errors import UsageError
+from motorapi.execution import Started, plan
+from motorapi.planning.groups import TIME, Common
+from motorapi.synchronization.skew import Bound, Member, command_bound, end_bound, start_bound
+from motorapi.synchronization.quality import SyncCapability, SyncLevel, SyncQuality, spread_s
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
-
-from motorapi.capability import capability_of, quality_of
 from motorapi.commands import as_number
-from motorapi.common_motion import CommonMotion, add_trigger
 from motorapi.device import DeviceGroup
 from motorapi.errors import MotorError, UsageError
 from motorapi.execution import Started, plan, start_together
-from motorapi.group_planning import TIME
-from motorapi.motion_waits import check_timeout, stop_others, wait_for_all
+from motorapi.planning.groups import TIME
+from motorapi.execution import check_timeout, stop_others, wait_for_all
 from motorapi.motor import Motor
-from motorapi.outcome import callback_failed
-from motorapi.path import predicted_path
-from motorapi.reservation import Reservation
-from motorapi.sharing import Run
-from motorapi.start_conditions import check_asked, require_synchronised
-from motorapi.synchronization import (
-    FaultReaction,
-    SyncCapability,
-    Synchronization,
-    SyncLevel,
-    SyncQuality,
-    Trigger,
-)
+from motorapi.motor import callback_failed
+from motorapi.planning.path import predicted_path
+from motorapi.ownership.reservation import Reservation
+from motorapi.synchronization.conditions import check_asked, require_synchronised
+from motorapi.synchronization.quality import FaultReaction, SyncCapability, Synchronization, SyncLevel, SyncQuality, Trigger
 from motorapi.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    from motorapi.runtime.api import Registration
+
+# ruff: noqa: SLF001 -- it works the hooks of motors, as motorapi.execution does
+
+
+
+
+_LOG: Final = logging.getLogger("motorapi")
+_TOLD: Final = {
+    FaultReaction.TOGETHER: "the others of its group were stopped along the path",
+    FaultReaction.EACH: "the others of its group were stopped",
+    FaultReaction.NONE: "the others of its group continue",
+}
+
+
+@final
+class _Watched:
+    """A motor with its active motion of this start."""
+
+    __slots__ = ("_common", "is_over", "motor", "run")
+
+    def __init__(self, common: "CommonMotion", motor: "Motor", run: ActiveMotion) -> None:
+        self._common = common
+        self.motor: Final = motor
+        self.run: Final = run
+        self.is_over = False
+
+    def look(self) -> None:
+        """Examine the motor after a change."""
+        self._common.look_at(self)
+
+    def ended(self) -> bool:
+        """Return True if the end of the motion is known."""
+        return self.is_over
+
+    def failure(self) -> MotorError | None:
+        """Return the failure of the motion; None if it runs, is done, or its owner ended it."""
+        run = self.run
+        try:
+            self.is_over = self.motor._look(run) and run.ends
+        except MotorError as error:
+            self.is_over = True
+            # A takeover ends the motion before the new owner has begun its own.
+            taken_over = self.motor._physical.run is run
+            wanted = run.interrupted_by is not None and run.error is None and not taken_over
+            return None if wanted else error
+        return None
+
+
+@final
+class CommonMotion:
+    """The motions of one start, supervised between `begin` and `end`.
+
+    Args:
+        started: the result of `start_together`.
+        common: the common properties of the motions.
+
+    Attributes:
+        cause: the first failure and its motor, or None.
+    """
+
+    def __init__(self, started: "Sequence[Started]", common: Common) -> None:
+        self.cause: tuple[Motor, MotorError] | None = None
+        self._common: Final = common
+        self._runtime: Final = started[0].motor.runtime
+        self._watched: Final[list[_Watched]] = []
+        for one in started:
+            if one.motor._run is not None:
+                self._watched.append(_Watched(self, one.motor, one.motor._run))
+        self._timers: list[Registration] = []
+        self._claim: Final[list[None]] = [
+            None
+        ]  # the finder of the first failure takes the only element
+        self._ended = False
+        self._answers: list[tuple[Motor, ActiveMotion]] = []
+        self._path: PathWatch | None = None
+        if common.synchronization is Synchronization.PHASE:
+            self._path = PathWatch(started, self._after_look)
+
+    def begin(self) -> None:
+        """Examine every change from now on, and all motors now: one may have failed already."""
+        if self._path is not None:
+            self._path.begin()
+        for one in self._watched:
+            physical = one.motor._physical
+            if physical.news is None:
+                self._timers.append(self._runtime.every(LOOK_PERIOD_S, one.look))
+            physical.bell.listeners.append(one.look)
+        for one in tuple(self._watched):
+            one.look()
+
+    def end(self) -> None:
+        """Stop the supervision; ending again does nothing."""
+        self._fall_silent()
+        if self._path is not None:
+            self._path.end()
+
+    @property
+    def stops_together(self) -> bool:
+        """True if the motors slow down along their path."""
+        return self._common.reaction is FaultReaction.TOGETHER
+
+    def path(self) -> tuple[PathDeviation, ...]:
+        """Return the deviation of each motor from the common path; empty without a path."""
+        return () if self._path is None else self._path.told()
+
+    def look_at(self, one: _Watched) -> None:
+        """Examine one motor, and react if it is the first to fail."""
+        if one.is_over or self._ended:
+            return
+        error = one.failure()
+        physical = one.motor._physical
+        if one.ended() and physical.news is None:
+            physical.bell.grow()  # no other source reports its end to the listeners
+        if error is not None:
+            self._fail(one.motor, error)
+        elif all(other.is_over for other in self._watched):
+            if self._path is not None:
+                self._path.look()
+            self.end()
+
+    def watches(self, run: ActiveMotion | None) -> bool:
+        """Return True if `run` belongs to this start."""
+        return any(one.run is run for one in self._watched)
+
+    def failed(self, motor: "Motor", error: Exception) -> Exception:
+        """React to a failure found by a waiting caller. Return the error that it should raise."""
+        if not isinstance(error, MotorError):
+            return error
+        self._fail(motor, error)
+        cause = self.cause
+        if cause is None:  # another thread is reacting
+            return error
+        told = copy(cause[1])
+        told.__cause__ = cause[1].__cause__
+        return told
+
+    def _fail(self, motor: "Motor", error: MotorError) -> None:
+        try:
+            self._claim.pop()  # two threads may get here at once
+        except IndexError:
+            return
+        self._fall_silent()
+        if len(self._watched) > 1:
+            error.add_note(f"from {motor.name}; {_TOLD[self._common.reaction]}")
+        self.cause = (motor, error)
+        if self._path is not None:
+            self._path.leave(motor)
+        self._answer(motor, error)
+        if self._common.reaction is not FaultReaction.TOGETHER and self._path is not None:
+            self._path.end()
+
+    def _answer(self, failed: "Motor", cause: MotorError) -> None:
+        """Stop the other motors according to the fault reaction."""
+        reaction = self._common.reaction
+        if reaction is FaultReaction.NONE:
+            return
+        by = f"the fault reaction of its group ({cause})"
+        triggers: list[tuple[Motor, Trigger]] = []
+        for one in self._watched:
+            motor = one.motor
+            if motor is failed or not motor._goes_on(one.run):
+                continue
+            try:
+                self._stop(motor, by, triggers)
+            except Exception as further:
+                self._not_stopped(motor, cause, further)
+        for motor, trigger in triggers:
+            try:
+                motor._call(trigger.fire)
+            except Exception as further:
+                self._not_stopped(motor, cause, further)
+
+    def _stop(self, motor: "Motor", by: str, triggers: "list[tuple[Motor, Trigger]]") -> None:
+        """Stop the motor, or add its trigger; its motion ends, interrupted by the group."""
+        physical = motor._physical
+        with physical.interrupt(motor.name):
+            status = motor._status()
+            if self._common.reaction is FaultReaction.TOGETHER:
+                add_trigger(triggers, motor)
+            else:
+                motor._call(motor._stop)
+            run = ActiveMotion(by, motor, self._runtime.now_ns(), None)
+            physical.begin(run, status)
+            motor._keep()
+        self._answers.append((motor, run))
+
+    def _not_stopped(self, motor: "Motor", cause: MotorError, further: Exception) -> None:
+        cause.add_note(f"but {motor.name} could not be stopped: {further}")
+        _LOG.error("%s could not be stopped after %s: %s", motor.name, cause, further)
+
+    def _fall_silent(self) -> None:
+        self._ended = True
+        for timer in self._timers:
+            timer.cancel()
+        for one in self._watched:
+            listeners = one.motor._physical.bell.listeners
+            if one.look in listeners:
+                listeners.remove(one.look)
+
+    def _after_look(self) -> None:
+        """End the supervision of the path when all motors are at rest."""
+        if self._answers and not any(motor._goes_on(run) for motor, run in self._answers):
+            self.end()
+
+
+def add_trigger(triggers: "list[tuple[Motor, Trigger]]", motor: "Motor") -> None:
+    """Stop the motor, or add its trigger to the list, which holds each trigger once."""
+    trigger = motor._call(motor._stop_with_others)
+    if trigger is not None and all(trigger != known for _, known in triggers):
+        triggers.append((motor, trigger))
+
+
+# ruff: noqa: SLF001 -- it works the hooks of motors, as Motor does its own
+
+
+
+
+
+def capability_of(motors: Sequence["Motor"], common: Common = TIME) -> SyncCapability:
+    """Return how closely together `motors` can begin and end with the present settings.
+
+    Args:
+        motors: motors of one runtime.
+        common: the common properties of their motions.
+
+    Raises:
+        MotorError: a motor does not answer.
+    """
+    with ExitStack() as passages:
+        for motor in motors:
+            passages.enter_context(motor._physical.passage(motor.name))
+        return _capability(motors, common)
+
+
+def _capability(motors: Sequence["Motor"], common: Common) -> SyncCapability:
+    for motor in motors:
+        motor._call(motor._connect)
+    offers = [motor._call(motor._sync_offer) for motor in motors]  # only when all are connected
+    weakest = min(range(len(offers)), key=lambda place: offers[place].level)
+    level, reason = offers[weakest].level, offers[weakest].reason
+    for place, offer in enumerate(offers):
+        if offer.group != offers[0].group and level is not SyncLevel.SEQUENTIAL:
+            level, weakest = SyncLevel.SEQUENTIAL, place
+            reason = f"it has another trigger ({offer.group}) than {motors[0].name}"
+    durations, not_planned = _durations_s(motors, common)
+    members = [
+        Member(motor.name, offer, duration_s)
+        for motor, offer, duration_s in zip(motors, offers, durations, strict=True)
+    ]
+    command = command_bound(members)
+    start = start_bound(members, command)
+    end = Bound(None, not_planned) if not_planned else end_bound(members, start)
+    return SyncCapability(
+        level=level,
+        command_skew_s=command.value_s,
+        start_skew_s=start.value_s,
+        end_skew_s=end.value_s,
+        weakest=motors[weakest].name,
+        reason=reason,
+        no_command_bound=command.reason,
+        no_start_bound=start.reason,
+        no_end_bound=end.reason,
+    )
+
+
+def quality_of(started: Sequence[Started]) -> SyncQuality:
+    """Return how closely a start began and ended together; times still to come are None.
+
+    Raises:
+        MotorError: a motor does not answer.
+    """
+    times = tuple((one.motor.name, one.motor._call(one.motor._motion_times)) for one in started)
+    known = [its for one, (_, its) in zip(started, times, strict=True) if not stays(one)]
+    offers = [one.motor._call(one.motor._sync_offer) for one in started]
+    members = [
+        Member(one.motor.name, offer, None)
+        for one, offer in zip(started, offers, strict=True)
+        if not stays(one)
+    ]
+    return SyncQuality(
+        predicted_start_skew_s=start_bound(members, command_bound(members)).value_s,
+        predicted_end_skew_s=end_skew_s(started),
+        start_skew_s=spread_s([None if its is None else its.started_ns for its in known]),
+        end_skew_s=spread_s([None if its is None else its.ended_ns for its in known]),
+        times=times,
+        command_skew_s=spread_s([None if its is None else its.latched_ns for its in known]),
+        straddles=max((0 if its is None else its.straddles for its in known), default=0),
+    )
+
+
+def stays(one: Started) -> bool:
+    """Return True if the motor is at its target within the resolution: it cannot end late."""
+    motion = one.motion
+    return (
+        motion.trajectory is not None and motion.function is None and one.quantised.distance == 0.0
+    )
+
+
+def end_skew_s(started: Sequence[Started]) -> float:
+    """Return the time between the ends of the quantised profiles [s], without motors at rest."""
+    durations_s = [
+        planning.duration_of(one.quantised)
+        for one in started
+        if one.motion.duration_s is not None and not stays(one)
+    ]
+    return max(durations_s) - min(durations_s) if durations_s else 0.0
+
+
+def _durations_s(motors: Sequence["Motor"], common: Common) -> tuple[list[float | None], str]:
+    """Return the quantised duration of each motor [s], and why no start is possible, or "".
+
+    A duration is None if the motion does not end by itself.
+    """
+    try:
+        motions = plan(motors, common)
+    except UsageError as error:
+        return [None for _ in motors], f"no start is possible now: {error}"
+    durations: list[float | None] = []
+    for motor, motion in zip(motors, motions, strict=True):
+        one = Started(motor, motion, motor._call(motor._quantise, motion))
+        ends = motion.duration_s is not None and not stays(one)
+        durations.append(planning.duration_of(one.quantised) if ends else None)
+    return durations, ""
+
+
+# ruff: noqa: SLF001 -- a group works the hooks of its members, as Motor does its own
+
+
 
 
 class MotorGroup(DeviceGroup[Motor]):
@@ -284,7 +634,7 @@ class MotorGroup(DeviceGroup[Motor]):
         if self._motion is not None:
             self._motion.end()
 
-    def _answer(self, motor: Motor, run: Run | None, error: Exception) -> Exception:
+    def _answer(self, motor: Motor, run: ActiveMotion | None, error: Exception) -> Exception:
         """React to the failure of a member in `run`. Return the error to be raised."""
         if self._motion is not None and self._motion.watches(run):
             return self._motion.failed(motor, error)

@@ -11,12 +11,12 @@ that no two acting hooks run at once on one physical motor, except `_stop`, `_st
 The hardware object belongs to the adaptation. These requirements apply:
 
 - One hardware object exists per physical motor and process.
-  `motorapi.sharing.register_physical_motor` returns the record with which the motor is built
+  `motorapi.ownership.physical_motor.register_physical_motor` returns the record with which the motor is built
   (`physical`); `release_physical_motor` removes it.
-- If other programs can open the same bus (`motorapi.process_lock.can_share_time`, and a name from
-  `motorapi.lock_names`), it registers with a `ProcessLock` of that name and its node. Then every
+- If other programs can open the same bus (`motorapi.locking.process_lock.can_share_time`, and a name from
+  `motorapi.locking.directory`), it registers with a `ProcessLock` of that name and its node. Then every
   frame that may start or change a motion or a setting is sent between `begin_write` and `end_write`
-  of `physical.ownership`, as described in `motorapi.fencing`, and never after they raised. On CAN,
+  of `physical.ownership`, as described in `motorapi.ownership.fencing`, and never after they raised. On CAN,
   `NodeFence` does this, and `announce` informs a hub. Stops are sent without it. A request of
   several frames needs a lock of its own, so that the answer to another program is not mistaken for
   its own.
@@ -24,7 +24,7 @@ The hardware object belongs to the adaptation. These requirements apply:
   no other: `NodeFence.bound`.
 - If it is notified of every change that `_is_done` evaluates, `physical.news` counts the changes.
   If it must poll, `_refresh` returns the interval.
-- On CAN it declares the frames that it and its drive send, with `motorapi.traffic.note_node` and
+- On CAN it declares the frames that it and its drive send, with `motorapi.synchronization.bus_load.note_node` and
   `note_stream`. Otherwise skew bounds of others on that bus are wrong.
 
 A motor may be left moving, by a process that died or lost the motor to a takeover. Such a motor is
@@ -38,10 +38,10 @@ from motorapi.commands import ControlMode, ControlVariable, Motion, Setpoint
 from motorapi.device import Device
 from motorapi.errors import UnsupportedError
 from motorapi.model import MotorModel
-from motorapi.runtime import Runtime
-from motorapi.sharing import PhysicalMotor
+from motorapi.runtime.api import Runtime
+from motorapi.ownership.physical_motor import PhysicalMotor
 from motorapi.state import Fault, Measurement, MotorState
-from motorapi.synchronization import MotionTimes, SyncOffer, Trigger
+from motorapi.synchronization.quality import MotionTimes, SyncOffer, Trigger
 from motorapi.trajectory import ComplexTrajectory, Trajectory
 
 

@@ -37,7 +37,7 @@ from typing import Final, Self, final
 
 from motorapi.commands import ControlVariable, as_number
 from motorapi.errors import FileError, UsageError
-from motorapi.wording import given
+from motorapi.reprs import given
 
 
 @final

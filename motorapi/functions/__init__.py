@@ -5,15 +5,15 @@ imports numpy; `motorapi` itself does not.
 """
 
 from motorapi.errors import DomainError
-from motorapi.functions.combined import Composition, Product, Sum
-from motorapi.functions.exponential import Exponential
-from motorapi.functions.function import Extrema, Function
+from motorapi.functions.algebra import Composition, Product, Sum
+from motorapi.functions.waves import Exponential
+from motorapi.functions.base import Extrema, Function
 from motorapi.functions.integrals import Integral
-from motorapi.functions.moved import Scaled, Shifted
+from motorapi.functions.transforms import Scaled, Shifted
 from motorapi.functions.piecewise import Piecewise
 from motorapi.functions.polynomial import Constant, Polynomial
 from motorapi.functions.sampled import Interpolation, Sampled
-from motorapi.functions.splines import Ends
+from motorapi.functions.sampled import Ends
 from motorapi.functions.waves import Cosine, Sine
 
 __all__ = [

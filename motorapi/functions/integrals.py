@@ -7,8 +7,8 @@ from typing import Final, final
 import numpy as np
 
 from motorapi.errors import UsageError
-from motorapi.functions.exact import nearest
-from motorapi.functions.function import FloatArray, Function
+from motorapi.functions.polynomial_math import nearest
+from motorapi.functions.base import FloatArray, Function
 from motorapi.functions.polynomial import Polynomial
 
 _STEPS: Final = 64

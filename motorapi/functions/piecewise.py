@@ -10,8 +10,8 @@ import numpy as np
 
 from motorapi.commands import as_number
 from motorapi.errors import UsageError
-from motorapi.functions.exact import Exact, nearest
-from motorapi.functions.function import LARGEST, Extrema, FloatArray, Function, finite
+from motorapi.functions.polynomial_math import Exact, nearest
+from motorapi.functions.base import LARGEST, Extrema, FloatArray, Function, finite
 from motorapi.functions.piece_table import PieceFinder, PieceTable
 from motorapi.functions.polynomial import Horner, Polynomial, polynomial
 

@@ -8,9 +8,9 @@ from typing import Final, TypeAlias, final
 import numpy as np
 
 from motorapi.errors import UsageError
-from motorapi.functions.exact import Exact, nearest
-from motorapi.functions.function import LARGEST, Extrema, FloatArray, Function, finite
-from motorapi.functions.polynomial_extrema import candidates, range_over
+from motorapi.functions.polynomial_math import Exact, nearest
+from motorapi.functions.base import LARGEST, Extrema, FloatArray, Function, finite
+from motorapi.functions.polynomial_math import candidates, range_over
 
 Horner: TypeAlias = tuple[float, float, tuple[float, ...]]
 _SHOWN: Final = 8  # coefficients in a repr

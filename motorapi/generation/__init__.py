@@ -12,14 +12,14 @@ Importing this package does not import numpy. Generators that return functions i
 called. Source: the paper, 3.3.2.
 """
 
-from motorapi.generation.closed_form import trapezoid
-from motorapi.generation.durations import possible_durations
+from motorapi.generation.trapezoid import trapezoid
+from motorapi.generation.trapezoid import possible_durations
 from motorapi.generation.feasibility import Feasibility, Violation, feasible
-from motorapi.generation.generator import generate
+from motorapi.generation.feasibility import generate
 from motorapi.generation.limits import ProfileLimits
-from motorapi.generation.profile import Profile
-from motorapi.generation.rest_to_rest import Trapezoid, shortest, stretched
-from motorapi.generation.smooth import jerk_limited
+from motorapi.generation.trapezoid import Profile
+from motorapi.generation.trapezoid import Trapezoid, shortest, stretched
+from motorapi.generation.jerk_limited import jerk_limited
 from motorapi.generation.waypoints import through_waypoints
 
 __all__ = [

@@ -3,7 +3,7 @@
 from motorapi.errors import UsageError
 from motorapi.functions.piecewise import Piecewise
 from motorapi.functions.polynomial import Polynomial
-from motorapi.generation.profile import Profile
+from motorapi.generation.trapezoid import Profile
 
 
 def function_of(profile: Profile) -> Piecewise:

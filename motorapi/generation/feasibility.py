@@ -1,22 +1,160 @@
-"""Feasibility of motions: violated limits, with time and amount."""
+"""Feasibility of motions: violated limits, with time and amount.
 
+Generation of the profile of a simple trajectory.
+
+Combined limits of a motor model and of a command.
+
+Intervals in which a function rises or falls.
+
+Numpy is imported only if a function is given.
+"""
+
+from dataclasses import dataclass
+from math import inf
+from typing import Final, final
+from motorapi.commands import ControlVariable, DerivativeLimits, Range
+from motorapi.errors import UsageError
+from motorapi.generation.limits import ProfileLimits
+from motorapi.planning.limits import slack, value_range
+from motorapi.model import MotorModel
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from math import inf, nextafter
 from typing import TYPE_CHECKING, Final, final
-
-from motorapi.commands import ControlVariable, DerivativeLimits, Range
 from motorapi.errors import LimitError, UnsupportedError, UsageError
-from motorapi.generation.allowed import Allowed
-from motorapi.generation.closed_form import trapezoid
-from motorapi.generation.durations import possible_durations
-from motorapi.generation.profile import Profile
-from motorapi.limits import ROUNDING, slack
-from motorapi.model import MotorModel
+from motorapi.generation.trapezoid import trapezoid
+from motorapi.generation.trapezoid import possible_durations
+from motorapi.generation.trapezoid import Profile
+from motorapi.planning.limits import ROUNDING, slack
 from motorapi.trajectory import ComplexTrajectory, Trajectory, TrapezoidalTrajectory
+from motorapi.commands import ControlVariable
+from motorapi.trajectory import TrapezoidalTrajectory
+from itertools import pairwise
+from math import nextafter
+from typing import TYPE_CHECKING
+from motorapi.commands import Range
 
 if TYPE_CHECKING:
-    from motorapi.functions.function import Function
+    from motorapi.functions.base import Function
+
+_ALL: Final[Range] = (-inf, inf)
+_PER: Final = ("", "/s", "/s²", "/s³", "/s⁴")
+_NAMES: Final = {
+    ControlVariable.POSITION: ("position", "velocity", "acceleration", "jerk"),
+    ControlVariable.VELOCITY: ("velocity", "acceleration", "jerk", "derivative of jerk"),
+    ControlVariable.TORQUE: ("torque", "slope of torque", "bend of torque", "third derivative"),
+    ControlVariable.CURRENT: ("current", "slope of current", "bend of current", "third derivative"),
+}
+_PLAIN: Final = ("value", "first derivative", "second derivative", "third derivative")
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Allowed:
+    """Ranges of a value and its derivatives, with their names.
+
+    Attributes:
+        whose: the name of the model, or "limits".
+        names: names of the value and its derivatives.
+        units: their units; "" without a model.
+        value, first, third: their ranges.
+        forward: range of the second derivative while the first is > 0.
+        backward: range of the second derivative while the first is < 0.
+    """
+
+    whose: str
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    value: Range
+    first: Range
+    forward: Range
+    backward: Range
+    third: Range
+
+    @classmethod
+    def by(
+        cls,
+        against: MotorModel | DerivativeLimits,
+        variable: ControlVariable,
+        own: DerivativeLimits | None,
+        *,
+        sizes: Range | None = None,
+    ) -> "Allowed":
+        """Return the limits of `against`, tightened by `own` if given.
+
+        Args:
+            against: a model, or limits alone.
+            variable: the control variable; irrelevant for limits alone.
+            own: tighter limits.
+            sizes: for a motion of velocity: its initial and final value, because acceleration and
+                deceleration have different limits in the model; None: the tighter one.
+
+        Raises:
+            UsageError: `against` or `variable` has the wrong type.
+        """
+        if not isinstance(variable, ControlVariable):
+            raise UsageError(f"variable is {variable!r}; give a ControlVariable")
+        if isinstance(against, MotorModel):
+            made = cls._by_model(against, variable, sizes)
+        elif not isinstance(against, DerivativeLimits):
+            raise UsageError(f"{against!r} has no limits; give a MotorModel or DerivativeLimits")
+        else:
+            made = cls("limits", _PLAIN, ("",) * 4, _ALL, _ALL, _ALL, _ALL, _ALL)
+            made = made.tightened(against)
+        return made if own is None else made.tightened(own)
+
+    @classmethod
+    def _by_model(
+        cls, model: MotorModel, variable: ControlVariable, sizes: Range | None
+    ) -> "Allowed":
+        low, high = value_range(model, variable)
+        value = (-inf if low is None else low, inf if high is None else high)
+        first = forward = backward = third = _ALL
+        order = 0
+        jerk = _ALL if model.jerk_max is None else (-model.jerk_max, model.jerk_max)
+        up, down = model.acceleration_max, model.deceleration
+        if variable is ControlVariable.POSITION:
+            first = (-model.velocity_max, model.velocity_max)
+            forward, backward, third = (-down, up), (-up, down), jerk
+        elif variable is ControlVariable.VELOCITY:
+            order = 1
+            if sizes is None or sizes[0] * sizes[1] < 0.0:
+                up = min(up, down)
+            elif abs(sizes[1]) <= abs(sizes[0]):
+                up = down
+            first, forward, backward = (-up, up), jerk, jerk
+        base = model.unit if order else model.unit_of(variable)
+        units = tuple(base + _PER[order + k] for k in range(4))
+        whose = f"model {model.name}"
+        return cls(whose, _NAMES[variable], units, value, first, forward, backward, third)
+
+    def tightened(self, own: DerivativeLimits) -> "Allowed":
+        """Return these limits, tightened by `own`."""
+        return Allowed(
+            self.whose,
+            self.names,
+            self.units,
+            _common(self.value, own.value),
+            _common(self.first, own.first),
+            _common(self.forward, own.second),
+            _common(self.backward, own.second),
+            _common(self.third, own.third),
+        )
+
+    def profile_limits(self, *velocities: float) -> ProfileLimits:
+        """Return generator limits, widened to boundary velocities that exceed them by rounding."""
+        low, high = self.first
+        for velocity in velocities:
+            if low - slack(low) <= velocity <= high + slack(high):
+                low, high = min(low, velocity), max(high, velocity)
+        return ProfileLimits.by_direction(
+            (low, high), self.forward, self.backward, value=self.value
+        )
+
+
+def _common(one: Range, other: Range | None) -> Range:
+    return one if other is None else (max(one[0], other[0]), min(one[1], other[1]))
+
 
 STEP_S: Final = 0.01
 """The time [s] for which the next derivative may cause a step: samples are no smoother."""
@@ -261,7 +399,6 @@ def _of_second(function: "Function", allowed: Allowed, interval: Range) -> Itera
     if allowed.forward == allowed.backward:
         yield from _worst(function, 2, allowed, allowed.forward, [interval])
         return
-    from motorapi.generation.directions import parts_by_direction
 
     forward, backward = parts_by_direction(function, interval)
     yield from _worst(function, 2, allowed, allowed.forward, forward)
@@ -321,3 +458,77 @@ def _beyond(
     if value < low - slack(low) or value > high + slack(high):
         name, unit = allowed.names[order], allowed.units[order]
         yield Violation(name, value, low, high, argument, unit, reason)
+
+
+def generate(
+    trajectory: TrapezoidalTrajectory,
+    model: MotorModel,
+    *,
+    variable: ControlVariable = ControlVariable.POSITION,
+    start: float = 0.0,
+) -> Profile:
+    """Return the absolute profile of a trajectory for a motor with this model.
+
+    The profile is as fast as model and trajectory allow, or has the duration of the trajectory.
+    Jerk is not limited: for that see `motorapi.generation.jerk_limited`.
+
+    Args:
+        trajectory: simple; its second derivatives at the ends, if any, must be 0.
+        model: provides the limits that the trajectory does not tighten.
+        variable: its control variable, which determines the unit U.
+        start: initial value of a relative trajectory [U].
+
+    Raises:
+        LimitError: no such motion exists within the limits; names limit, time and amount.
+        UnsupportedError: it limits the third derivative, or begins or ends with a second
+            derivative.
+        UsageError: no limit bounds its speed, or an argument has another type.
+    """
+    if not isinstance(trajectory, TrapezoidalTrajectory) or not isinstance(model, MotorModel):
+        raise UsageError(
+            f"generate({trajectory!r}, {model!r}): give a TrapezoidalTrajectory and a "
+            "MotorModel; a ComplexTrajectory needs no generation"
+        )
+    profile, violations = attempt(trajectory, model, variable, start)
+    if profile is not None and not violations:
+        return profile
+    raise violations[0].as_error(model.name)
+
+
+def parts_by_direction(function: "Function", interval: Range) -> tuple[list[Range], list[Range]]:
+    """Return the parts of the interval where the first derivative may be > 0, and < 0.
+
+    The result is exact for (piecewise) polynomials. For other functions a part between two breaks
+    with both signs is listed twice.
+    """
+    from motorapi.functions.piecewise import Piecewise
+    from motorapi.functions.polynomial import Polynomial
+    from motorapi.functions.polynomial_math import candidates
+
+    low, high = interval
+    pieces = (
+        function.within(low, high) if isinstance(function, Piecewise) else [(function, low, high)]
+    )
+    slope = function.derivative()
+    forward: list[Range] = []
+    backward: list[Range] = []
+    for piece, first, last in pieces:
+        exact = isinstance(piece, Polynomial)
+        if isinstance(piece, Polynomial):
+            about = piece.about
+            turns = candidates(piece.coefficients, first - about, last - about)
+            inner = [about + turn for turn in turns if first < about + turn < last]
+        else:
+            inner = list(piece.breaks_between(first, last))
+        for begin, end in pairwise([first, *inner, last]):
+            if not begin < end:
+                continue
+            middle = slope.value(0.5 * (begin + end))
+            lowest, highest = (middle, middle) if exact else slope.bounds(begin, end)
+            # The right end of a part belongs to the next part.
+            part = (begin, end if end == high else nextafter(end, begin))
+            if highest > 0.0:
+                forward.append(part)
+            if lowest < 0.0:
+                backward.append(part)
+    return forward, backward

@@ -44,7 +44,7 @@ def through_waypoints(
         UsageError: there are too few values, a number is not finite, times do not ascend, no
             argument determines the duration, or no times keep given derivatives within the limits.
     """
-    from motorapi.generation.batched.waypoints import through_waypoints as many
+    from motorapi.generation.batch import through_waypoints as many
 
     if not isfinite(initial_argument):
         raise UsageError(f"the initial argument is {initial_argument}, not a finite number")

@@ -1,0 +1,1 @@
+"""Adaptation for CiA 402 drives on CANopen."""

@@ -1,0 +1,1 @@
+"""Adaptation for ideal motors, without any bus."""

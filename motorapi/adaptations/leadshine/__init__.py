@@ -1,0 +1,1 @@
+"""Adaptation for Leadshine PR drives on Modbus."""

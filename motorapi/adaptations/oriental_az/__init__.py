@@ -1,0 +1,1 @@
+"""Adaptation for Oriental Motor AZ drives on Modbus."""
