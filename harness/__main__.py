@@ -8,7 +8,7 @@ import threading
 def start() -> int:
     """Run the command line and return its exit status; handle Ctrl-C even during imports."""
     try:
-        from harness.cli import main
+        from harness.cli.main import main
     except KeyboardInterrupt:
         sys.stderr.write("motorhil: interrupted\n")
         return 130

@@ -3,18 +3,12 @@
 from dataclasses import dataclass
 from typing import Final, final
 
-from harness.analysis.clocks import Clock
-from harness.analysis.errors import NO_ERRORS, ErrorModel
-from harness.analysis.identifiers import Proposal, Reserved, propose
-from harness.analysis.margins import (
-    Tolerance,
-    queues_that_help,
-    rate_that_helps,
-    shortest_error_interval_ns,
-    tolerances,
-)
+from harness.analysis.measured import Clock
+from harness.analysis.response_time import NO_ERRORS, ErrorModel
+from harness.analysis.advice import Proposal, Reserved, propose
+from harness.analysis.advice import Tolerance, queues_that_help, rate_that_helps, shortest_error_interval_ns, tolerances
 from harness.analysis.message import BusLoad
-from harness.analysis.recorded import Measured
+from harness.analysis.measured import Measured
 from harness.analysis.response_time import Response, are_in_time, response_times
 
 

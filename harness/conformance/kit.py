@@ -1,10 +1,15 @@
-"""All clauses of the kit, in the order of their checks."""
+"""All clauses of the kit, in the order of their checks.
+
+The table of all clauses in Markdown: `python -m harness.conformance.kit`.
+"""
 
 from collections.abc import Mapping
 from importlib import import_module
 from typing import Final
-
 from harness.conformance.clause import Clause, registered
+import sys
+from collections.abc import Iterator
+from harness.conformance.clause import Clause, Level
 
 _MODULES: Final = (
     "identity",
@@ -35,3 +40,38 @@ def all_clauses() -> Mapping[str, Clause]:
     places = {name: place for place, name in enumerate(registered())}
     ordered = sorted(registered().values(), key=lambda one: (one.level, places[one.id]))
     return {one.id: one for one in ordered}
+
+
+_HEAD: Final = """\
+# What an adaptation promises
+
+Made by `make clauses` from `harness/conformance/clauses`: {count} clauses, which `motorhil conform`
+checks. A clause is applicable if the adaptation claims the capabilities under *claims*, and the
+bench has the abilities under *bench*. All other clauses apply to every motor. An id is never
+reused.
+"""
+
+
+def page() -> str:
+    """Return the page with all clauses."""
+    clauses = list(all_clauses().values())
+    lines = [_HEAD.format(count=len(clauses))]
+    for level in Level:
+        of_level = [one for one in clauses if one.level is level]
+        if of_level:
+            lines += [f"## {level.name}: {level.about}", "", *_table(of_level), ""]
+    return "\n".join(lines)
+
+
+def _table(clauses: list[Clause]) -> Iterator[str]:
+    yield "| clause | promise | source | claims | bench |"
+    yield "| --- | --- | --- | --- | --- |"
+    for one in clauses:
+        claims = ", ".join(capability.value for capability in one.needs)
+        bench = ", ".join(ability.value for ability in one.bench)
+        cells = (one.id, one.promise, one.source, claims, bench)
+        yield "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
+
+
+if __name__ == "__main__":
+    sys.stdout.write(page())

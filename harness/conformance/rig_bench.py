@@ -7,20 +7,20 @@ from functools import cached_property
 from pathlib import Path
 from typing import Final, Self, final
 
-from emulators.media.can_frame import can_id_of, data_of, pack
-from emulators.media.fault_rule import FrameError
-from emulators.media.faults import FaultKind, FaultRule
+from emulators.can.frame import can_id_of, data_of, pack
+from emulators.can.fault_rules import FrameError
+from emulators.can.fault_rules import FaultKind, FaultRule
 from emulators.media.serial_faults import SerialFaultKind, SerialFaultRule
 from harness.conformance.bench import Lost
-from harness.conformance.capability import Ability
+from harness.conformance.clause import Ability
 from harness.conformance.clause import NotApplicable
-from harness.conformance.facts import Facts
-from harness.rig import Rig
-from harness.rig_faults import HOST
-from harness.rig_file import RigDescription
-from harness.settings import RigError
-from harness.sharing.evidence import commanded_node
-from harness.virtual_time import VirtualRuntime
+from harness.conformance.clause import Facts
+from harness.rig.rig import Rig
+from harness.rig.config.faults import HOST
+from harness.rig.config.rig_file import RigDescription
+from harness.rig.config.toml import RigError
+from harness.sharing_tests.bus_evidence import commanded_node
+from harness.virtual_time.runtime import VirtualRuntime
 from motorapi import Motor
 
 SECOND_USER: Final = "another"

@@ -15,22 +15,22 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final, Never, Self, final
 
 from harness.conformance.bench import Lost
-from harness.conformance.capability import Ability
+from harness.conformance.clause import Ability
 from harness.conformance.clause import NotApplicable
-from harness.conformance.facts import Facts
+from harness.conformance.clause import Facts
 from harness.conformance.rig_bench import SECOND_USER, physical_name
-from harness.recording.places import Kind, Place, PlaceError, parse_place
-from harness.recording.python_can import open_bus
-from harness.rig_file import RigDescription
-from harness.rig_models import read_models
-from harness.rig_parts import Named
-from harness.rig_plugins import RigPlugins
-from harness.settings import RigError
+from harness.recording.sources import Kind, Place, PlaceError, parse_place
+from harness.recording.sources import open_bus
+from harness.rig.config.rig_file import RigDescription
+from harness.rig.rig import read_models
+from harness.rig.rig import Named
+from harness.rig.rig import RigPlugins
+from harness.rig.config.toml import RigError
 from motorapi import ControlMode, LinkError, Motor, MotorError
-from motorapi.byte_lines import SerialLine, TcpLine
-from motorapi.wall_runtime import WallRuntime, close_process_runtime, process_runtime
+from motorapi.runtime.byte_streams import SerialLine, TcpLine
+from motorapi.runtime.wall import WallRuntime, close_process_runtime, process_runtime
 from traces.schema import CAN_FRAME, Direction, Schema
-from traces.writer import TraceWriter
+from traces.mcap.writer import TraceWriter
 
 if TYPE_CHECKING:
     import can

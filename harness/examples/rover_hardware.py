@@ -13,7 +13,9 @@ import can
 
 from harness.examples.rover_kinematics import WHEELS
 from motorapi import Motor, MotorModel
-from motorapi.adaptations.cia402 import Cia402HwMotor, Cia402Motor, HwOptions
+from motorapi.adaptations.cia402.hardware import Cia402HwMotor
+from motorapi.adaptations.cia402.motor import Cia402Motor
+from motorapi.adaptations.cia402.bringup import HwOptions
 
 PLACES = {
     **{f"drive_{name}": ("can0", node_id, "wheel") for node_id, name in enumerate(WHEELS, 1)},

@@ -11,7 +11,8 @@ from pathlib import Path
 import can
 
 from motorapi import ControlMode, Motor, MotorGroup, MotorModel, TrapezoidalTrajectory
-from motorapi.adaptations.cia402 import Cia402HwMotor, Cia402Motor
+from motorapi.adaptations.cia402.hardware import Cia402HwMotor
+from motorapi.adaptations.cia402.motor import Cia402Motor
 
 MODEL = MotorModel.load(Path(__file__).parent / "wheel_model.toml")
 

@@ -14,27 +14,27 @@ from collections.abc import Callable, Collection, Mapping
 from typing import Final, final
 
 from harness.oracles import ownership
-from harness.oracles.bus_ear import BusEar
-from harness.oracles.confinement import Confinement
+from harness.oracles.bus import BusEar
+from harness.oracles.network import Confinement
 from harness.oracles.facts import Facts, subjects_in
-from harness.oracles.finding import Finding, Verdict
+from harness.oracles.base import Finding, Verdict
 from harness.oracles.limits import AccelerationLimit, PositionLimit, TorqueLimit, VelocityLimit
 from harness.oracles.motion import Following, TorqueOff
 from harness.oracles.network import Answers, BootUps, FaultsTold, Heartbeats, OneSender
-from harness.oracles.oracle import Oracle
-from harness.oracles.pds import StateMachine
-from harness.oracles.rest import AtRest
-from harness.oracles.scene import Scene
-from harness.oracles.sync import SyncPeriod
-from harness.report.truth import TruthReader, message_of
-from traces.formats import Source, open_source
-from traces.frame_decoder import FrameDecoder
-from traces.protobuf import decode
-from traces.reader import Trace, read_trace
-from traces.recorded_names import RecordedNames, names_of
+from harness.oracles.base import Oracle
+from harness.oracles.state_machine import StateMachine
+from harness.oracles.motion import AtRest
+from harness.oracles.base import RecordingContext
+from harness.oracles.network import SyncPeriod
+from harness.report.events import TruthReader, message_of
+from traces.formats.registry import Source, open_source
+from traces.formats.frames import FrameDecoder
+from traces.mcap.protobuf import decode
+from traces.mcap.reader import Trace, read_trace
+from traces.decoding.objects import RecordedNames, names_of
 from traces.schema import CAN_FRAME, GROUP_SYNC, JOINT_STATE, LOG, MOTOR_LOCK, LockAction
-from traces.structure import Channel
-from traces.traffic import Findings as Reading
+from traces.mcap.records import Channel
+from traces.formats.frames import Findings as Reading
 
 ORACLES: Final[tuple[type[Oracle], ...]] = (
     *(PositionLimit, VelocityLimit, AccelerationLimit, TorqueLimit),
@@ -69,7 +69,7 @@ def judge(
     A truncated recording is judged as far as it is readable.
 
     Args:
-        recording: an MCAP file, or a file in any format that `traces.formats` reads.
+        recording: an MCAP file, or a file in any format that `traces.formats.registry` reads.
         facts: facts beyond those of the recording's own rig.
         only: ids of oracles; empty: all.
         from_ns: events from this time on are judged; earlier ones are still decoded [ns].
@@ -87,7 +87,7 @@ def judge(
     if source.format == "mcap":
         with read_trace(recording) as trace:
             return _judge_trace(trace, facts, only, from_ns, to_ns, progress, note)
-    pass_ = Pass(Scene(facts, RecordedNames(), from_ns, to_ns), only)
+    pass_ = Pass(RecordingContext(facts, RecordedNames(), from_ns, to_ns), only)
     pass_.frames_of(source, progress)
     pass_.tell(note)
     return pass_.findings(None, from_ns, to_ns)
@@ -109,7 +109,7 @@ def _judge_trace(
     note: Callable[[str], None] | None,
 ) -> list[Finding]:
     facts = facts.with_more(subjects_in(trace.attachments))
-    pass_ = Pass(Scene(facts, names_of(trace.attachments), from_ns, to_ns), only)
+    pass_ = Pass(RecordingContext(facts, names_of(trace.attachments), from_ns, to_ns), only)
     pass_.messages_of(trace, to_ns, progress)
     pass_.tell(note)
     return pass_.findings(trace, from_ns, to_ns)
@@ -119,7 +119,7 @@ def _judge_trace(
 class Pass:
     """Dispatcher of messages to the oracles."""
 
-    def __init__(self, scene: Scene, only: Collection[str]) -> None:
+    def __init__(self, scene: RecordingContext, only: Collection[str]) -> None:
         self._scene = scene
         self._only = only
         self._oracles = [one(scene) for one in ORACLES if not only or one.id in only]

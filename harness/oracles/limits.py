@@ -15,9 +15,9 @@ from collections.abc import Mapping
 from typing import ClassVar, Final, final
 
 from harness.oracles.facts import Subject
-from harness.oracles.finding import Violation
-from harness.oracles.oracle import MS, Oracle
-from harness.oracles.scene import CONTROLWORD, ENABLED, Axis, Place, Scene
+from harness.oracles.base import Violation
+from harness.oracles.base import MS, Oracle
+from harness.oracles.base import CONTROLWORD, ENABLED, Axis, Place, RecordingContext
 
 MARGIN: Final = 1.25
 """A factor for the overshoot of servos and the ripple of sampled velocity."""
@@ -38,7 +38,7 @@ class _Limit(Oracle, ABC):
     truth_key: ClassVar[str] = ""
     motion_key: ClassVar[str] = ""
 
-    def __init__(self, scene: Scene) -> None:
+    def __init__(self, scene: RecordingContext) -> None:
         """Set up the oracle; see `Oracle`."""
         super().__init__(scene)
         self._by_controller = scene.controllers()
@@ -122,7 +122,7 @@ class PositionLimit(_Limit):
         **{0x6060: True, 0x6061: True, 0x607C: True, 0x6041: False},
     }
 
-    def __init__(self, scene: Scene) -> None:
+    def __init__(self, scene: RecordingContext) -> None:
         """Set up the oracle; see `Oracle`."""
         super().__init__(scene)
         self._target: dict[Place, int] = {}
@@ -275,7 +275,7 @@ class AccelerationLimit(_Limit):
     quantity = "acceleration"
     objects: ClassVar[Mapping[int, bool]] = {0x6083: False, 0x6084: False}
 
-    def __init__(self, scene: Scene) -> None:
+    def __init__(self, scene: RecordingContext) -> None:
         """Set up the oracle; see `Oracle`."""
         super().__init__(scene)
         self._before: dict[str, tuple[int, float]] = {}
@@ -334,7 +334,7 @@ class TorqueLimit(_Limit):
         0x6078: True,
     }
 
-    def __init__(self, scene: Scene) -> None:
+    def __init__(self, scene: RecordingContext) -> None:
         """Set up the oracle; see `Oracle`."""
         super().__init__(scene)
         self._lowered: dict[tuple[Place, int], tuple[int, int]] = {}  # end of validity, old limit

@@ -1,14 +1,24 @@
-"""Oracles of CANopen rules for any node: heartbeats, answers, boot-ups, identifiers."""
+"""Oracles of CANopen rules for any node: heartbeats, answers, boot-ups, identifiers.
+
+Oracle of the SYNC period: within bounds, and without missing SYNCs.
+
+Source: CiA 301, SYNC protocol, communication cycle period 1006h.
+
+Oracle of fault confinement: the reported states of CAN controllers.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import ClassVar, Final, final
-
-from harness.oracles.finding import Violation
-from harness.oracles.oracle import MS, Oracle
-from harness.oracles.scene import Axis, Scene
-from traces.decode_canopen import place_text
-from traces.said import Kind, Said
+from harness.oracles.base import Violation
+from harness.oracles.base import MS, Oracle
+from harness.oracles.base import Axis, RecordingContext
+from traces.decoding.canopen import place_text
+from traces.decoding.events import Kind, DecodedEvent
+from harness.oracles.base import Oracle
+from typing import Final, final
+from harness.oracles.base import RecordingContext
+from traces.decoding.can_errors import BusError, ControllerState
 
 _Node = tuple[str, int]
 _S: Final = 1_000_000_000
@@ -45,7 +55,7 @@ class Heartbeats(Oracle):
     needs = "no node sent enough heartbeats to determine its period, and no 1017h was heard"
     objects: ClassVar[Mapping[int, bool]] = {0x1017: False}
 
-    def __init__(self, scene: Scene) -> None:
+    def __init__(self, scene: RecordingContext) -> None:
         """Set up the oracle; see `Oracle`."""
         super().__init__(scene)
         self._beats: dict[_Node, _Beat] = {}
@@ -134,12 +144,12 @@ class Answers(Oracle):
     source = "CiA 301, SDO protocols: each service is confirmed"
     needs = "no SDO request to a node that had been heard before"
 
-    def __init__(self, scene: Scene) -> None:
+    def __init__(self, scene: RecordingContext) -> None:
         """Set up the oracle; see `Oracle`."""
         super().__init__(scene)
         self._open: dict[_Node, dict[bytes, int]] = {}  # objects with their request times
 
-    def sdo(self, time_ns: int, bus: str, said: Said, data: bytes) -> None:
+    def sdo(self, time_ns: int, bus: str, said: DecodedEvent, data: bytes) -> None:
         """Take a request, an answer, or an abort; only the start of a transfer names its object."""
         assert said.node is not None
         node = (bus, said.node)
@@ -205,7 +215,7 @@ class BootUps(Oracle):
     source = "CiA 301, boot-up protocol, NMT services reset node and reset communication"
     needs = "no CANopen node was heard"
 
-    def __init__(self, scene: Scene) -> None:
+    def __init__(self, scene: RecordingContext) -> None:
         """Set up the oracle; see `Oracle`."""
         super().__init__(scene)
         self._reset_ns: dict[tuple[str, int | None], int] = {}
@@ -239,7 +249,7 @@ class OneSender(Oracle):
     source = "CiA 301, pre-defined connection set; ISO 11898-1: an identifier has one sender"
     needs = "the recording does not name the senders of its frames"
 
-    def __init__(self, scene: Scene) -> None:
+    def __init__(self, scene: RecordingContext) -> None:
         """Set up the oracle; see `Oracle`."""
         super().__init__(scene)
         self._before: dict[tuple[str, int], dict[str, None]] = {}
@@ -269,7 +279,7 @@ class FaultsTold(Oracle):
     needs = "no drive that sends EMCYs (optional in CiA 301) entered a fault"
     objects: ClassVar[Mapping[int, bool]] = {0x6041: False, 0x1014: False}
 
-    def __init__(self, scene: Scene) -> None:
+    def __init__(self, scene: RecordingContext) -> None:
         """Set up the oracle; see `Oracle`."""
         super().__init__(scene)
         self._last_ns: dict[_Node, int] = {}
@@ -321,3 +331,193 @@ class FaultsTold(Oracle):
                 self._waiting.remove(one)
                 if node in self._ever and self.look(one.time_ns, one.bus) and late:
                     self.absent(one)
+
+
+_SYNC_SAMPLES: Final = 64
+_REGULAR: Final = 0.8
+JITTER_SHARE: Final = 0.25
+"""The allowed share of the period; nodes' synchronous window (1007h) is rarely wider."""
+_MISSED_MAX: Final = 3
+_ON_GRID: Final = 0.1
+
+
+@final
+class _Series:
+    """SYNCs of one identifier on one bus. period_ns: None: not learned yet, 0: not cyclic."""
+
+    def __init__(self) -> None:
+        self.last_ns = -1
+        self.period_ns: int | None = None
+        self.intervals: list[tuple[int, int]] = []  # time, interval; bounded
+
+
+@final
+class SyncPeriod(Oracle):
+    """The oracle `sync-period`."""
+
+    id = "sync-period"
+    promise = "Cyclic SYNCs come at their period, within a quarter of it, and none is missing"
+    source = "CiA 301, SYNC protocol, communication cycle period 1006h"
+    needs = "no cyclic SYNC was heard"
+    objects: ClassVar[Mapping[int, bool]] = {0x1006: False}
+
+    def __init__(self, scene: RecordingContext) -> None:
+        """Set up the oracle; see `Oracle`."""
+        super().__init__(scene)
+        self._series: dict[tuple[str, int], _Series] = {}
+        self._told_us: dict[str, int] = {}
+
+    def value(
+        self, time_ns: int, axis: Axis, index: int, subindex: int, value: int, told_to: bool
+    ) -> None:
+        """Take a communication cycle period [us]."""
+        if value:
+            self._told_us[axis.place[0]] = value
+
+    def sync(self, time_ns: int, bus: str, identifier: int) -> None:
+        """Examine the distance to the previous SYNC."""
+        series = self._series.get((bus, identifier))
+        if series is None:
+            series = self._series[bus, identifier] = _Series()
+        interval_ns, first = time_ns - series.last_ns, series.last_ns < 0
+        series.last_ns = time_ns
+        if first:
+            return
+        if series.period_ns is None:
+            series.intervals.append((time_ns, interval_ns))
+            if len(series.intervals) >= _SYNC_SAMPLES:
+                self._learn(bus, series)
+        elif series.period_ns:
+            self._judge(time_ns, bus, interval_ns, series.period_ns)
+
+    def end(self, time_ns: int) -> None:
+        """Examine the series that were too short so far."""
+        for (bus, _), series in self._series.items():
+            if series.period_ns is None and len(series.intervals) >= 8:
+                self._learn(bus, series)
+
+    def _learn(self, bus: str, series: _Series) -> None:
+        """Set the period if most intervals are similar, and judge the kept intervals."""
+        intervals = sorted(interval for _, interval in series.intervals)
+        median = intervals[len(intervals) // 2]
+        alike = sum(abs(one - median) <= JITTER_SHARE * median for one in intervals)
+        kept, series.intervals = series.intervals, []
+        if median <= 0 or alike < _REGULAR * len(kept):
+            series.period_ns = 0 if median > 0 else None
+            self.cannot(f"the SYNCs of {bus} are not cyclic")
+            return
+        series.period_ns = median
+        told_ns = self._told_us.get(bus, 0) * 1000
+        if told_ns and abs(told_ns - median) > _ON_GRID * told_ns:
+            text = "the SYNC period differs from 1006h"
+            numbers = (median / 1e6, told_ns / 1e6, "ms")
+            self.absent(Violation(kept[0][0], text, bus, 0, 1, "", *numbers))
+        for time_ns, interval_ns in kept:
+            self._judge(time_ns, bus, interval_ns, median)
+
+    def _judge(self, time_ns: int, bus: str, interval_ns: int, period_ns: int) -> None:
+        share = interval_ns / period_ns
+        if share > _MISSED_MAX + _ON_GRID or not self.look(time_ns, bus):
+            return  # stopped and started again
+        if abs(share - 1) <= JITTER_SHARE:
+            return
+        nearest = round(share)
+        if nearest > 1 and abs(share - nearest) > _ON_GRID:
+            return  # started again
+        text = f"{nearest - 1} SYNC missing" if nearest > 1 else "SYNC out of its time"
+        numbers = (interval_ns / 1e6, period_ns / 1e6, "ms")
+        self.absent(Violation(time_ns, text, bus, 0, 1, "", *numbers))
+
+
+_WARNING: Final = 96
+_PASSIVE: Final = 128
+_TOLD_MAX: Final = 255  # a message has 8 bits for a counter
+_ORDER: Final = (
+    *(ControllerState.ACTIVE, ControllerState.WARNING),
+    *(ControllerState.PASSIVE, ControllerState.BUS_OFF),
+)
+_RANGES: Final = {  # of the greater counter
+    ControllerState.ACTIVE: (0, _WARNING - 1),
+    ControllerState.WARNING: (_WARNING, _PASSIVE - 1),
+    ControllerState.PASSIVE: (_PASSIVE, _TOLD_MAX),
+    ControllerState.BUS_OFF: (_TOLD_MAX, _TOLD_MAX),
+    ControllerState.RESTARTED: (0, 0),
+}
+_DRIVERS: Final = "hardware drivers report counters in different ways"
+
+
+@final
+class Confinement(Oracle):
+    """The oracle `error-states`."""
+
+    id = "error-states"
+    promise = (
+        "The states of a CAN controller follow one another as its counters allow: active, "
+        "warning (96), passive (128), bus-off, restarted; in bus-off it sends nothing"
+    )
+    source = "ISO 11898-1, fault confinement; linux/can/error.h"
+    needs = "the recording has no error message (SocketCAN error frame) with a controller state"
+    needs_canopen = False
+
+    def __init__(self, scene: RecordingContext) -> None:
+        """Set up the oracle; see `Oracle`."""
+        super().__init__(scene)
+        self._states: dict[tuple[str, str], ControllerState] = {}
+
+    def error(self, time_ns: int, bus: str, sender: str, told: BusError) -> None:
+        """Compare the state with its counters and with the previous state.
+
+        Counters without a state may be ahead of the next message, which has the state.
+        """
+        if told.state is None:
+            return
+        self.look(time_ns, bus)
+        key = (bus, sender)
+        before = self._states.get(key)
+        if told.counters is not None:
+            self._counters(time_ns, key, told.text, told.state, told.counters)
+        if before is not None and not _may_follow(before, told.state):
+            text = f"{told.state.value}{told.counted}, but was {before.value}"
+            self.absent(self._violation(time_ns, key, text))
+        is_new = told.state is ControllerState.RESTARTED
+        self._states[key] = ControllerState.ACTIVE if is_new else told.state
+
+    def sent_while_off(self, time_ns: int, bus: str, sender: str, identifier: int) -> None:
+        """Report a frame sent in bus-off."""
+        text = f"sends {identifier & 0x1FFF_FFFF:X}h while it is bus-off"
+        self.broken(self._violation(time_ns, (bus, sender), text))
+
+    def _counters(
+        self,
+        time_ns: int,
+        key: tuple[str, str],
+        text: str,
+        state: ControllerState,
+        counters: tuple[int, int],
+    ) -> None:
+        low, high = _RANGES[state]
+        if low <= max(counters) <= high:
+            return
+        tec, rec = counters
+        text = f"{text} (TEC {tec}, REC {rec}): the greater counter should be {low} to {high}"
+        violation = self._violation(time_ns, key, text)
+        if key[1]:
+            self.broken(violation)
+        else:
+            self.doubt(violation, _DRIVERS)
+
+    def _violation(self, time_ns: int, key: tuple[str, str], text: str) -> Violation:
+        bus, sender = key
+        names = self.scene.names.nodes
+        node = next((n for (b, n), name in names.items() if (b, name) == key), 0)
+        whose = f"the CAN controller of {sender}" if sender else "the CAN controller"
+        return Violation(time_ns, f"{whose}: {text}", bus, node)
+
+
+def _may_follow(before: ControllerState, state: ControllerState) -> bool:
+    """Return True if no state is skipped; counters rise by 8 at most, and fall by 1 or to 127."""
+    if state is ControllerState.RESTARTED:
+        return before is ControllerState.BUS_OFF
+    if before is ControllerState.BUS_OFF:
+        return state is ControllerState.ACTIVE
+    return abs(_ORDER.index(state) - _ORDER.index(before)) <= 1

@@ -7,13 +7,13 @@ reads the recording by itself, and only if handovers are recorded.
 from collections.abc import Iterator, Mapping
 from typing import Final
 
-from harness.oracles.finding import Finding, Verdict, Violation
-from harness.ownership_record import motor_of, read_ownership
-from harness.sharing.evidence import BusFrame, commanded_node, judge_frames
-from traces.frame_decoder import FrameDecoder
-from traces.reader import Trace
+from harness.oracles.base import Finding, Verdict, Violation
+from harness.recording.ownership import motor_of, read_ownership
+from harness.sharing_tests.bus_evidence import BusFrame, commanded_node, judge_frames
+from traces.formats.frames import FrameDecoder
+from traces.mcap.reader import Trace
 from traces.schema import CAN_FRAME
-from traces.traffic import fields
+from traces.formats.frames import fields
 
 ID: Final = "owner-commands"
 PROMISE: Final = "While a motor has an owner, no other process sends a frame that commands it"

@@ -9,9 +9,9 @@ import time
 from collections.abc import Callable, Sequence
 from typing import Final, final
 
-from harness.recording.pump import Pump
-from harness.recording.taps import POLLED, BusDownError, BusEndedError, Tap
-from traces.chunk import Entry
+from harness.recording.writer import Pump
+from harness.recording.sources import POLLED, BusDownError, BusEndedError, Tap
+from traces.mcap.writer import Entry
 from traces.schema import Level
 
 _IDLE_S: Final = 0.25

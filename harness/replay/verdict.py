@@ -1,16 +1,21 @@
-"""Verdict on a replay as devices: the commands without a recorded answer."""
+"""Verdict on a replay as devices: the commands without a recorded answer.
+
+Meaning of a recording, for verbs that compare.
+"""
 
 import re
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, NamedTuple, final
-
-from harness.replay.player import Mismatch, TapePlayer
-from harness.replay.recorded_node import RecordedNode
-from harness.replay.recorded_unit import RecordedUnit
+from harness.replay.player import Mismatch, ExchangePlayer
+from harness.replay.device_node import RecordedNode
+from harness.replay.device_node import RecordedUnit
+import sys
+from os import PathLike
+from traces.semantics.model import Meaning, meaning_of
+from traces.mcap.reader import read_trace
 
 if TYPE_CHECKING:
-    from harness.rig import Rig
-
+    from harness.rig.rig import Rig
 
 @final
 class Unanswered(NamedTuple):
@@ -23,7 +28,7 @@ class Unanswered(NamedTuple):
         return f"{self.controller} at {self.mismatch.time_ns / 1e9:.6f} s: {self.mismatch}"
 
 
-def players(rig: "Rig") -> dict[str, TapePlayer]:
+def players(rig: "Rig") -> dict[str, ExchangePlayer]:
     """Return the players of the rig's recorded controllers, by name."""
     cores = {name: rig.controllers[name].core for name in rig.description.controllers}
     return {
@@ -80,3 +85,16 @@ def summary(rig: "Rig", failure: str = "") -> Iterator[str]:
 
 def _when(one: Unanswered) -> int:
     return one.mismatch.time_ns
+
+
+def meaning_in(path: str | PathLike[str], verb: str) -> Meaning:
+    """Return the recording's meaning; report a cut recording on stderr in the verb's name.
+
+    Raises:
+        TraceError: the recording cannot be read, or is damaged.
+    """
+    with read_trace(path) as trace:
+        meaning = meaning_of(trace)
+        if trace.cut is not None:
+            print(f"motorhil {verb}: {path}: {trace.cut}", file=sys.stderr)
+    return meaning

@@ -5,29 +5,20 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Final, final
 
-from harness.ownership_record import LockEvent
-from harness.report.can_bus import CanBus
-from harness.report.incidents import Incidents, Severity
-from harness.report.modbus_line import ModbusLine
-from harness.report.nodes import Nodes
-from harness.report.rig_facts import RigFacts, facts_of
-from harness.report.tracks import TIME_MAX_NS, Track
-from harness.report.traffic import Traffic
-from harness.report.truth import TruthReader, message_of
-from traces.protobuf import Value, decode
-from traces.reader import Trace
-from traces.recorded_names import RecordedNames, names_of
-from traces.schema import (
-    CAN_FRAME,
-    GROUP_SYNC,
-    JOINT_STATE,
-    LOG,
-    MODBUS_ADU,
-    MOTOR_LOCK,
-    Level,
-    LockAction,
-)
-from traces.structure import Channel
+from harness.recording.ownership import LockEvent
+from harness.report.buses import CanBus
+from harness.report.events import Incidents, Severity
+from harness.report.buses import ModbusLine
+from harness.report.buses import Nodes
+from harness.report.rig import RigFacts, facts_of
+from harness.report.series import TIME_MAX_NS, Track
+from harness.report.buses import Traffic
+from harness.report.events import TruthReader, message_of
+from traces.mcap.protobuf import Value, decode
+from traces.mcap.reader import Trace
+from traces.decoding.objects import RecordedNames, names_of
+from traces.schema import CAN_FRAME, GROUP_SYNC, JOINT_STATE, LOG, MODBUS_ADU, MOTOR_LOCK, Level, LockAction
+from traces.mcap.records import Channel
 
 _Handler = Callable[[int, bytes], None]
 _ACTIONS: Final[dict[object, LockAction]] = {action.value: action for action in LockAction}

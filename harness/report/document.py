@@ -4,20 +4,14 @@ from math import isfinite
 from typing import TYPE_CHECKING, Final
 
 from harness.report.collect import Findings
-from harness.report.incidents import Severity
+from harness.report.events import Severity
 from harness.report.motors import Line, Motor, Plot, motors_of
-from harness.report.pack import Packed, Packer
-from harness.report.reduce import FRAMES_MAX, POINTS_MAX, cells, extremes, share
-from harness.report.responses import responses_of
-from harness.report.timelines import (
-    Timeline,
-    lock_timeline,
-    mode_timeline,
-    nmt_timeline,
-    pds_timeline,
-)
-from harness.report.traffic import Traffic
-from traces.reader import Trace
+from harness.report.series import Packed, Packer
+from harness.report.series import FRAMES_MAX, POINTS_MAX, cells, extremes, share
+from harness.report.timelines import responses_of
+from harness.report.timelines import Timeline, lock_timeline, mode_timeline, nmt_timeline, pds_timeline
+from harness.report.buses import Traffic
+from traces.mcap.reader import Trace
 
 if TYPE_CHECKING:
     from numpy import int64

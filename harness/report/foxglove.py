@@ -9,9 +9,9 @@ import re
 from collections.abc import Iterable, Sequence
 from typing import Final
 
-from harness.report.rig_facts import facts_of
-from harness.report.truth import message_of
-from traces.reader import Trace
+from harness.report.rig import facts_of
+from harness.report.events import message_of
+from traces.mcap.reader import Trace
 from traces.schema import CAN_FRAME, GROUP_SYNC, JOINT_STATE, LOG, MOTOR_LOCK
 
 Json = dict[str, object]

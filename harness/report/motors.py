@@ -11,9 +11,9 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final, final
 
 from harness.report.collect import Findings
-from harness.report.nodes import Place, Told
-from harness.report.rig_facts import MotorFacts
-from harness.report.tracks import Track
+from harness.report.buses import Place, Told
+from harness.report.rig import MotorFacts
+from harness.report.series import Track
 
 if TYPE_CHECKING:
     from numpy import float64, int64

@@ -4,19 +4,9 @@ from collections.abc import Callable
 from functools import partial
 
 from harness.conformance.bench import RigProtocol
-from harness.conformance.capability import Capability
+from harness.conformance.clause import Capability
 from harness.conformance.clause import Level, Violated, clause, expect
-from harness.conformance.motions import (
-    aim,
-    expect_at,
-    expect_unmoved,
-    finish,
-    follow,
-    long_move,
-    place,
-    rest_for,
-    shortest_s,
-)
+from harness.conformance.clauses.helpers import aim, expect_at, expect_unmoved, finish, follow, long_move, place, rest_for, shortest_s
 from motorapi import (
     ControlMode,
     ControlVariable,

@@ -1,27 +1,9 @@
 """L1: set-points of all control variables."""
 
 from harness.conformance.bench import RigProtocol
-from harness.conformance.capability import Ability, Capability
+from harness.conformance.clause import Ability, Capability
 from harness.conformance.clause import Level, NotApplicable, clause, expect
-from harness.conformance.motions import (
-    aim,
-    expect_at,
-    expect_rest,
-    expect_unmoved,
-    fastest,
-    finish,
-    follow,
-    least_s,
-    long_move,
-    place,
-    rest_for,
-    shortest_s,
-    speed,
-    torque_of,
-    turn,
-    watched,
-    way_to_top_speed,
-)
+from harness.conformance.clauses.helpers import aim, expect_at, expect_rest, expect_unmoved, fastest, finish, follow, least_s, long_move, place, rest_for, shortest_s, speed, torque_of, turn, watched, way_to_top_speed
 from motorapi import (
     ControlMode,
     ControlVariable,

@@ -1,36 +1,19 @@
-"""L3: logical motors that share a physical motor: ownership and refusals."""
+"""L3: logical motors that share a physical motor: ownership and refusals.
+
+L3: several owners of one motor, in sequences chosen by Hypothesis.
+"""
 
 from collections.abc import Callable
 from contextlib import suppress
-
 from harness.conformance.bench import RigProtocol
-from harness.conformance.capability import Ability, Capability
+from harness.conformance.clause import Ability, Capability
 from harness.conformance.clause import Level, Violated, clause, expect
-from harness.conformance.motions import (
-    expect_rest,
-    expect_unmoved,
-    finish,
-    follow,
-    long_move,
-    midway_s,
-    move,
-    place,
-    reached,
-    rest_for,
-    shortest_s,
-    speed,
-    turn,
-)
-from motorapi import (
-    ControlMode,
-    MotionInterrupted,
-    Motor,
-    MotorBusyError,
-    MotorError,
-    MotorState,
-    StateError,
-    TrapezoidalTrajectory,
-)
+from harness.conformance.clauses.helpers import expect_rest, expect_unmoved, finish, follow, long_move, midway_s, move, place, reached, rest_for, shortest_s, speed, turn
+from motorapi import ControlMode, MotionInterrupted, Motor, MotorBusyError, MotorError, MotorState, StateError, TrapezoidalTrajectory
+from types import SimpleNamespace
+from typing import Any, Final
+from harness.conformance.clause import Level, NotApplicable, Violated, clause
+from harness.conformance.clauses.helpers import long_move, reached, shortest_s
 
 _SHARED = {Ability.SEVERAL_USERS}
 _MOVES = {Capability.POSITION_TRAJECTORY}
@@ -100,7 +83,7 @@ def _refusal_of(operation: Callable[[], object]) -> MotorBusyError | None:
     Level.L3,
     needs=_MOVES,
     bench={*_SHARED, Ability.TRAFFIC},
-    source="requirement 4; harness.sharing.evidence: only the owner commands a motor",
+    source="requirement 4; harness.sharing_tests.bus_evidence: only the owner commands a motor",
 )
 def who_is_refused_sends_no_command(bench: RigProtocol) -> None:
     """If a user without ownership is refused, no command of that user reaches the bus."""
@@ -378,3 +361,56 @@ def who_leaves_takes_nothing_along(bench: RigProtocol) -> None:
     move(bench, motor, 0.1 * long_move(bench))
     for _ in range(2):
         motor.close()
+
+
+_EXAMPLES: Final = 8
+_STEPS: Final = 15
+
+
+@clause(
+    "SHARE-11",
+    Level.L3,
+    needs={Capability.POSITION_TRAJECTORY},
+    bench={Ability.SEVERAL_USERS, Ability.AFRESH},
+    source="harness.sharing_tests.state_machine: the history of every motor is that of one owner at a time",
+)
+def whatever_its_users_do_one_has_it_at_a_time(bench: RigProtocol) -> None:
+    """Whatever users start, reserve, stop, take over, or die of, one has the motor at a time."""
+    from hypothesis import HealthCheck, Phase, seed, settings
+    from hypothesis.errors import HypothesisException
+
+    from harness.sharing_tests.history import SharingViolated
+    from harness.sharing_tests.state_machine import ownership_machine
+    from harness.sharing_tests.state_machine import Course
+
+    if not hasattr(bench.runtime, "end"):
+        raise NotApplicable("users cannot be killed in wall time")
+    way = 0.05 * long_move(bench)
+    quick_s = max(0.3, 2.0 * shortest_s(bench.motor, 3.0 * way))
+    facts = bench.facts
+    course = Course(way, quick_s, 2.0 * facts.window, facts.time_tolerance_s)
+    machine: Any = ownership_machine(lambda: _rig_of(bench), course)
+    machine.TestCase.settings = settings(
+        deadline=None,
+        max_examples=_EXAMPLES,
+        stateful_step_count=_STEPS,
+        phases=[Phase.generate],
+        database=None,
+        report_multiple_bugs=False,
+        suppress_health_check=list(HealthCheck),
+    )
+    seed(bench.seed)(machine)
+    try:
+        machine.TestCase().runTest()
+    except (SharingViolated, HypothesisException) as error:
+        raise Violated(f"{error}") from error
+    moved = sum(count for name, count in machine.reach.items() if name.startswith("start: done"))
+    reached(moved > 0, "a completed start of one of several users")
+
+
+def _rig_of(bench: RigProtocol) -> Any:
+    """Return the bench, switched on again, as a rig for the state machine."""
+    bench.afresh()
+    motor, other = bench.motor, bench.another_user_of(bench.motor)
+    motors = {motor.name: motor, other.name: other}
+    return SimpleNamespace(runtime=bench.runtime, motors=motors, close=lambda: None)

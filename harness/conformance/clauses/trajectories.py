@@ -3,24 +3,9 @@
 from itertools import pairwise
 
 from harness.conformance.bench import RigProtocol
-from harness.conformance.capability import Ability, Capability
+from harness.conformance.clause import Ability, Capability
 from harness.conformance.clause import Level, clause, expect
-from harness.conformance.motions import (
-    expect_at,
-    expect_tracks,
-    finish,
-    follow,
-    least_s,
-    long_move,
-    place,
-    reached,
-    shortest_s,
-    speed,
-    torque_of,
-    trapezoid,
-    watched,
-    worst_deviation,
-)
+from harness.conformance.clauses.helpers import expect_at, expect_tracks, finish, follow, least_s, long_move, place, reached, shortest_s, speed, torque_of, trapezoid, watched, worst_deviation
 from motorapi import (
     ComplexTrajectory,
     ControlMode,
