@@ -68,7 +68,7 @@ mutants: $(READY)  ## every adaptation broken on purpose against every clause; w
 	$(BIN)/python -m tests.conformance.mutants $(MUTANTS)
 
 clauses: $(READY)  ## docs/CLAUSES.md, every clause of the conformance kit
-	$(BIN)/python -m harness.conformance.clauses_page > docs/CLAUSES.md
+	$(BIN)/python -m harness.conformance.kit > docs/CLAUSES.md
 
 golden: $(READY)  ## the golden recordings again, where a rig does something else today
 	$(BIN)/python -m tests.golden

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import HealthCheck, settings
 
 import emulators
-from harness.build_info import cores_are_compiled
+from harness.version import cores_are_compiled
 from tests.dissector import collect_sent, complaints, tshark
 
 settings.register_profile(

@@ -9,7 +9,7 @@ from xml.etree import ElementTree
 import pytest
 
 import motorapi.errors
-from harness.cli import main as motorhil
+from harness.cli.main import main as motorhil
 from tests.architecture import rover_picture
 from tests.architecture.checkout import CHECKOUT
 from tests.architecture.readme import PICTURE, README, blocks_of, is_told, retold, run, steps_of

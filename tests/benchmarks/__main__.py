@@ -8,7 +8,7 @@ import pkgutil
 import sys
 
 import tests.benchmarks
-from harness.build_info import describe
+from harness.version import describe
 
 
 def main(wanted: list[str]) -> int:

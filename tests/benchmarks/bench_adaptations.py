@@ -4,9 +4,10 @@ import time
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from harness.rig import Rig
-from motorapi.adaptations.cia402 import Cia402HwMotor, Cia402Motor
-from motorapi.adaptations.motion_watch import SetpointWatch
+from harness.rig.rig import Rig
+from motorapi.adaptations.cia402.hardware import Cia402HwMotor
+from motorapi.adaptations.cia402.motor import Cia402Motor
+from motorapi.adaptations.cia402.motion_status import SetpointWatch
 from motorapi.commands import ControlMode
 from motorapi.model import MotorModel
 

@@ -9,11 +9,12 @@ from struct import pack
 import canopen
 
 import emulators
-from emulators.canopen.eds import read_eds
-from emulators.canopen.node import CanopenNode, NodeTiming
+from emulators.canopen.files.eds import read_eds
+from emulators.canopen.node import CanopenNode
+from emulators.canopen.outbox import NodeTiming
 from emulators.canopen.object_dictionary import DataType, ObjectDictionary, Variable
-from emulators.media.can_frame import data_of
-from emulators.media.can_frame import pack as frame
+from emulators.can.frame import data_of
+from emulators.can.frame import pack as frame
 
 MS = 1_000_000
 NODE_ID = 3

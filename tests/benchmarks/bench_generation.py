@@ -16,7 +16,8 @@ from motorapi.generation import (
     trapezoid,
 )
 from motorapi.generation import batched as many
-from motorapi.generation.batched import LimitArrays, trapezoids
+from motorapi.generation import batch as trapezoids
+from motorapi.generation.batched import LimitArrays
 from motorapi.model import MotorModel
 from motorapi.trajectory import TrapezoidalTrajectory
 

@@ -3,8 +3,9 @@
 from random import Random
 from time import process_time_ns
 
-from emulators.media.can_bus import CanBus
-from emulators.media.faults import FaultKind, FaultPlan, FaultRule
+from emulators.can.bus.bus import CanBus
+from emulators.can.fault_rules import FaultKind, FaultRule
+from emulators.can.bus.fault_plan import FaultPlan
 from tests.benchmarks.workloads import best_us, bus, bus_traffic, one_by_one
 from tests.emulators.media.noisy import noisy_hours
 

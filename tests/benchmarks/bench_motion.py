@@ -6,9 +6,9 @@ from time import process_time
 
 from emulators.firmware.axis import Axis
 from emulators.firmware.flags import PROFILE_ACTIVE
-from emulators.firmware.gains import ServoGains
+from emulators.firmware.servo_tables import ServoGains
 from emulators.firmware.servo_tables import tables_of
-from emulators.plant.extras import NO_EXTRAS, PlantExtras
+from emulators.plant.nonlinear import NO_EXTRAS, PlantExtras
 from emulators.plant.presets import WHEEL_60W
 
 MS = 1_000_000

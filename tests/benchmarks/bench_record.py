@@ -16,11 +16,11 @@ from pathlib import Path
 import can
 from can.interfaces.socketcan.socketcan import capture_message
 
-from harness.recording.datagrams import DatagramReader
-from harness.recording.pump import Pump, opener
-from harness.recording.series import Series
+from harness.recording.socketcan import DatagramReader
+from harness.recording.writer import Pump, opener
+from harness.recording.writer import Series
 from tests.benchmarks.bench_traces import FRAMES, by_python_can, traffic
-from traces.chunk import Entry
+from traces.mcap.writer import Entry
 
 ROUNDS = 7
 FULL_FRAMES_S = 170_000

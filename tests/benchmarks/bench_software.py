@@ -9,7 +9,7 @@ import time
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from harness.rig import Rig
+from harness.rig.rig import Rig
 from motorapi.commands import ControlMode
 from motorapi.group import MotorGroup
 from motorapi.motor import Motor

@@ -14,13 +14,13 @@ from pathlib import Path
 import can
 from mcap.writer import IndexType, Writer
 
-from harness.recorder import Recorder
-from traces.chunk import Entry
+from harness.recording.recorder import Recorder
+from traces.mcap.writer import Entry
 from traces.digest import digest
-from traces.fields import encode_can_frame
-from traces.reader import read_trace
+from traces.schema import encode_can_frame
+from traces.mcap.reader import read_trace
 from traces.schema import CAN_FRAME, Direction, Schema
-from traces.writer import TraceWriter
+from traces.mcap.writer import TraceWriter
 
 FRAMES = 100_000
 ROUNDS = 3

@@ -41,9 +41,9 @@ def best(action: Callable[[], float], rounds: int = ROUNDS) -> float:
 def demo() -> Figures:
     """Measure the rover manoeuvre: open the rig, drive, record, close."""
     imported = time.process_time()
-    from harness.demo import POINT_M, RIG
+    from harness.cli.demo import POINT_M, RIG
     from harness.examples.rover import Rover, manoeuvre
-    from harness.rig import Rig
+    from harness.rig.rig import Rig
 
     with TemporaryDirectory() as folder:
         frames = simulated_s = 0.0
@@ -89,7 +89,8 @@ def _csp_rig(folder: str, drives: int) -> str:
 
 def _enabled(rig, drives: int, **options):  # type: ignore[no-untyped-def]
     """Return the hardware objects of all enabled drives; TPDO 1 (6041h, 6064h) is of type 1."""
-    from motorapi.adaptations.cia402 import Cia402HwMotor, HwOptions
+    from motorapi.adaptations.cia402.hardware import Cia402HwMotor
+    from motorapi.adaptations.cia402.bringup import HwOptions
 
     bus = rig.bus("can0")
     hardware = []
@@ -106,7 +107,7 @@ def _enabled(rig, drives: int, **options):  # type: ignore[no-untyped-def]
 
 def _stream(drives: int) -> tuple[float, int, float, str]:
     """Stream CYCLES set-points; return (CPU [s], late set-points, bus load, message)."""
-    from harness.rig import Rig
+    from harness.rig.rig import Rig
 
     with TemporaryDirectory() as folder, Rig.open(_csp_rig(folder, drives)) as rig:
         told: list[str] = []
@@ -138,8 +139,8 @@ def _stream(drives: int) -> tuple[float, int, float, str]:
 
 def _bare(drives: int) -> float:
     """Return the CPU time [s] of CYCLES for a host that only packs and unpacks its frames."""
-    from harness.rig import Rig
-    from motorapi.adaptations.cia402_objects import Mode
+    from harness.rig.rig import Rig
+    from motorapi.adaptations.cia402.objects import Mode
 
     with TemporaryDirectory() as folder, Rig.open(_csp_rig(folder, drives)) as rig:
         hardware = _enabled(rig, drives, heartbeat_ms=0, connection_loss=None)
@@ -203,7 +204,7 @@ def csp() -> Figures:
 
 def _rest(folder: str, heartbeat_ms: int) -> float:
     """Return the CPU time [s] of an hour at rest."""
-    from harness.rig import Rig
+    from harness.rig.rig import Rig
 
     lines = ['rig = { name = "rest" }', "bus.can0.bitrate_bit_s = 1_000_000"]
     for node in range(1, 101):
@@ -236,7 +237,7 @@ def rest() -> Figures:
 
 def bus_traffic() -> list[bytes]:
     """Return different TPDOs of 14 nodes with 8 bytes of data."""
-    from emulators.media.can_frame import pack
+    from emulators.can.frame import pack
 
     draw = Random("bench_media")
     return [pack(0x181 + number % 14, draw.randbytes(8)) for number in range(BUS_FRAMES)]
@@ -286,8 +287,8 @@ def _all_gone(bus, now_ns: int) -> int:  # type: ignore[no-untyped-def]
 
 def bus() -> Figures:
     """Measure frames through the CAN bus without a world."""
-    from emulators.media.can_bits import frame_bits
-    from emulators.media.can_bus import CanBus
+    from emulators.can.frame_length import frame_bits
+    from emulators.can.bus.bus import CanBus
 
     frames = bus_traffic()
     return [
@@ -302,11 +303,11 @@ def bus() -> Figures:
 
 def kit() -> Figures:
     """Measure all clauses of the kit on the bench of cia402, without imports."""
-    from harness.conformance.claims import Claims
-    from harness.conformance.job import Job
+    from harness.conformance.run import Claims
+    from harness.conformance.worker import Job
     from harness.conformance.kit import all_clauses
     from harness.conformance.run import run_clause
-    from harness.conformance.target import Target
+    from harness.conformance.examination import Target
 
     target = Target(Job("cia402"))
     clauses = all_clauses().values()

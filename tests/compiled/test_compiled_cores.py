@@ -14,7 +14,7 @@ import venv
 
 import pytest
 
-from harness.build_info import source_digest
+from harness.version import source_digest
 from tests.architecture.checkout import CHECKOUT, PACKAGES
 from tests.compiled.building import LEVEL, clone, demo, digest_in, make, nobody_else_builds
 
@@ -31,7 +31,7 @@ FOLDERS = ("determinism", "emulators", "traces", "harness", "motorapi")
 LEFT_OUT = (
     *("motorapi/functions", "motorapi/generation", "motorapi/takeover", "motorapi/test_*lock*.py"),
     *("motorapi/test_sharing.py", "motorapi/test_wall_*.py", "motorapi/test_skew*.py"),
-    *("harness/sharing", "harness/recording", "harness/report", "harness/test_cli*.py"),
+    *("harness/sharing_tests", "harness/recording", "harness/report", "harness/test_cli*.py"),
     "harness/test_demo*.py",  # determinism/test_demo.py compares their digests
     *("harness/replay/test_replay_verb.py", "harness/replay/test_hostile_use.py"),
     *("harness/replay/test_traffic.py", "harness/replay/test_imported.py"),
@@ -73,9 +73,9 @@ def test_version_names_compiled_cores_and_their_source(built, tmp_path):
 
 def test_hot_modules_are_compiled_outside_the_sources(built, tmp_path):
     names = (
-        "emulators.event_queue emulators.world emulators.media.can_bus emulators.firmware.servo "
+        "emulators.simulation.event_queue emulators.simulation.world emulators.can.bus.bus emulators.firmware.servo "
         "emulators.plant.dc_motor emulators.canopen.node emulators.cia402.drive "
-        "harness.virtual_time traces.fields"
+        "harness.virtual_time.runtime traces.schema"
     )
     code = f"from importlib import import_module\nfor n in {names.split()}:\n"
     code += "    print(import_module(n).__file__)"

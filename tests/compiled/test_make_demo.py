@@ -2,7 +2,7 @@
 
 import pytest
 
-from harness.build_info import cores_are_compiled
+from harness.version import cores_are_compiled
 from tests.architecture.checkout import PACKAGES
 from tests.compiled.building import clone, demo
 

@@ -4,10 +4,10 @@ from functools import cache
 from pathlib import Path
 
 import harness.conformance
-from harness.conformance.claims import Claims
+from harness.conformance.run import Claims
 from harness.conformance.rig_bench import RigBench, bench_description
-from harness.rig import installed_plugins
-from harness.rig_file import read_rig
+from harness.rig.rig import installed_plugins
+from harness.rig.config.rig_file import read_rig
 
 RIGS = Path(harness.conformance.__file__).parent / "rigs"
 KINDS = tuple(sorted(path.stem for path in RIGS.glob("*.toml")))

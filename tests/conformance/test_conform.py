@@ -11,19 +11,19 @@ from xml.etree import ElementTree
 
 import pytest
 
-from harness.cli import main
+from harness.cli.main import main
 from harness.conformance.clause import Clause, Level, NotApplicable
 from harness.conformance.examination import Finding
-from harness.conformance.job import Job, Promise
+from harness.conformance.worker import Job, Promise
 from harness.conformance.kit import all_clauses
-from harness.conformance.result_files import Outcome, as_json, as_junit, as_page
+from harness.conformance.results import Outcome, as_json, as_junit, as_page
 from harness.conformance.rig_bench import RigBench, bench_description
 from harness.conformance.run import run_clause
-from harness.conformance.supervision import Loaded
-from harness.conformance.target import Target
-from harness.conformance.verdict import Result, Verdict
-from harness.rig import describe
-from harness.settings import RigError
+from harness.conformance.worker import Loaded
+from harness.conformance.examination import Target
+from harness.conformance.clause import Result, Verdict
+from harness.rig.rig import describe
+from harness.rig.config.toml import RigError
 from motorapi import ControlMode, ControlVariable
 from tests.conformance.benches import RIGS
 from tests.harness.cli_bench import beside, in_another_process

@@ -2,12 +2,13 @@
 
 import pytest
 
-from harness.conformance.claims import Claims
+from harness.conformance.run import Claims
 from harness.conformance.kit import all_clauses
 from harness.conformance.rig_bench import RigBench, bench_description
-from harness.conformance.run import Result, run_clause
-from harness.rig import installed_plugins
-from harness.rig_file import read_rig
+from harness.conformance.clause import Result
+from harness.conformance.run import run_clause
+from harness.rig.rig import installed_plugins
+from harness.rig.config.rig_file import read_rig
 from tests.conformance.benches import RIGS
 
 CLAUSES = all_clauses()

@@ -6,9 +6,10 @@ from pathlib import Path
 import pytest
 
 import harness.conformance.clauses
-from harness.conformance.capability import Ability, Capability
+from harness.conformance.clause import Ability, Capability
 from harness.conformance.kit import all_clauses
-from harness.conformance.run import Result, run_clause
+from harness.conformance.clause import Result
+from harness.conformance.run import run_clause
 from tests.conformance.benches import KINDS, claims, opener
 
 CLAUSES = all_clauses()

@@ -3,8 +3,9 @@
 import pytest
 
 from harness.conformance.kit import all_clauses
-from harness.conformance.run import Result, run_clause
-from harness.settings import BrokenPluginError, RigError
+from harness.conformance.clause import Result
+from harness.conformance.run import run_clause
+from harness.rig.config.toml import BrokenPluginError, RigError
 from tests.conformance.benches import claims, opener
 
 

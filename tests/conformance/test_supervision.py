@@ -5,18 +5,18 @@ from pathlib import Path
 
 import pytest
 
-from harness.conformance import supervision
-from harness.conformance.capability import Capability
-from harness.conformance.claims import Claims
-from harness.conformance.job import Job
+from harness.conformance import worker as supervision
+from harness.conformance.clause import Capability
+from harness.conformance.run import Claims
+from harness.conformance.worker import Job
 from harness.conformance.kit import all_clauses
 from harness.conformance.run import run_clause
-from harness.conformance.supervision import CannotTestError, Supervisor, WrongJobError
-from harness.conformance.target import Target
-from harness.conformance.verdict import Result
+from harness.conformance.worker import CannotTestError, Supervisor, WrongJobError
+from harness.conformance.examination import Target
+from harness.conformance.clause import Result
 from harness.conformance.worker import _Worker
-from harness.settings import RigError
-from motorapi.lock_directory import VARIABLE
+from harness.rig.config.toml import RigError
+from motorapi.locking.directory import VARIABLE
 from tests.conformance import misbehaving
 
 pytestmark = pytest.mark.wall

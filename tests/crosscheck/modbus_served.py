@@ -12,19 +12,19 @@ from collections.abc import Callable
 from pathlib import Path
 from select import select
 
-from emulators.event_queue import EventQueue
+from emulators.simulation.event_queue import EventQueue
 from emulators.media.byte_pipe import BytePipe
 from emulators.media.serial_line import SerialLine
-from emulators.modbus.crc import with_crc
-from emulators.modbus.diagnostics import Diagnostics
+from emulators.modbus.rtu import with_crc
+from emulators.modbus.server import Diagnostics
 from emulators.modbus.registers import Access, BitBank, Register, RegisterBank
 from emulators.modbus.rtu import RtuUnit
 from emulators.modbus.server import ModbusServer
 from emulators.modbus.tcp import adu
-from emulators.modbus_pty import ModbusPty
-from emulators.modbus_socket import ModbusSocket
-from emulators.serve import WallLoop
-from emulators.world import World
+from emulators.gateways.modbus_pty import ModbusPty
+from emulators.gateways.modbus_tcp import ModbusSocket
+from emulators.gateways.loop import WallLoop
+from emulators.simulation.world import World
 from tests.emulators.test_lines import Registers
 
 LONG_S = 20.0

@@ -5,8 +5,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from emulators.media.faults import FaultRule
-from harness.rig import Rig
+from emulators.can.fault_rules import FaultRule
+from harness.rig.rig import Rig
 from motorapi import ControlMode, Motor, TrapezoidalTrajectory
 from tests.crosscheck.wire import frame
 from tests.motorapi.adaptations.conftest import HEAD, drive

@@ -5,15 +5,9 @@ Every call ends, at the target or with the right error, and no motor moves witho
 
 import pytest
 
-from emulators.media.faults import FaultKind, FaultRule
+from emulators.can.fault_rules import FaultKind, FaultRule
 from motorapi import ControlMode, ControlVariable, Motor, MotorGroup, TrapezoidalTrajectory
-from motorapi.errors import (
-    DeadlineExceeded,
-    DeviceFault,
-    LinkError,
-    MotionInterrupted,
-    MotorError,
-)
+from motorapi.errors import DeadlineExceeded, DeviceFault, LinkError, MotionInterrupted, MotorError
 from motorapi.state import MotorState
 from tests.crosscheck.rigs import INC_PER_RAD, demand, is_at_rest, moving, stranger, two_drives
 

@@ -8,8 +8,8 @@ from random import Random
 
 import pytest
 
-from emulators.media.faults import FaultKind, FaultRule
-from motorapi.adaptations.canopen_errors import ProtocolViolation, SdoAborted
+from emulators.can.fault_rules import FaultKind, FaultRule
+from motorapi.adaptations.canopen.sdo import ProtocolViolation, SdoAborted
 from motorapi.errors import DeadlineExceeded, MotorError
 from tests.crosscheck.rigs import stranger, two_drives
 

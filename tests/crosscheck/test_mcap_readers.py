@@ -16,8 +16,8 @@ from pathlib import Path
 import pytest
 from mcap.reader import make_reader
 
-from harness.rig import Rig
-from harness.scaffold import EXAMPLES
+from harness.rig.rig import Rig
+from harness.rig.config.scaffold import EXAMPLES
 from motorapi import ControlMode
 from tests.traces.recordings import write
 from traces.digest import digest

@@ -14,7 +14,7 @@ from select import select
 
 import pytest
 
-from emulators.modbus.crc import with_crc
+from emulators.modbus.rtu import with_crc
 from emulators.modbus.tcp import adu
 from tests.crosscheck.modbus_served import Served
 

@@ -13,9 +13,9 @@ import pytest
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
-from harness.build_info import cores_are_compiled
-from harness.rig import Rig
-from harness.scaffold import EXAMPLES
+from harness.version import cores_are_compiled
+from harness.rig.rig import Rig
+from harness.rig.config.scaffold import EXAMPLES
 from motorapi import ControlMode, Motor, TrapezoidalTrajectory
 from tests.dissector import COLUMNS, capture, collect_sent, complaints, dissected
 from tests.dissector import tshark as program

@@ -9,13 +9,14 @@ from collections.abc import Callable
 from pathlib import Path
 from random import Random
 
-from emulators.cia401.factory import build as build_io_node
-from emulators.cia402.factory import build as build_drive
+from emulators.cia401.node import build as build_io_node
+from emulators.cia402.drive import build as build_drive
 from emulators.controller import ControllerContext
-from emulators.event_queue import EventQueue
-from emulators.media.can_bus import CanBus
-from emulators.media.faults import FaultPlan, FaultRule
-from emulators.world import World
+from emulators.simulation.event_queue import EventQueue
+from emulators.can.bus.bus import CanBus
+from emulators.can.bus.fault_plan import FaultPlan
+from emulators.can.fault_rules import FaultRule
+from emulators.simulation.world import World
 
 US = 1_000
 MS = 1_000_000

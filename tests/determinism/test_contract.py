@@ -2,12 +2,12 @@
 
 import pytest
 
-from emulators.media.faults import FaultKind, FaultRule
-from harness.rig import Rig
+from emulators.can.fault_rules import FaultKind, FaultRule
+from harness.rig.rig import Rig
 from motorapi import ControlMode, MotorGroup, TrapezoidalTrajectory
 from tests.determinism.processes import outputs, start
 from traces.digest import digest
-from traces.reader import read_trace
+from traces.mcap.reader import read_trace
 
 PLANT = '{ preset = "wheel_60w" }'
 BUSES, NODES = ("can0", "can1"), (1, 2)

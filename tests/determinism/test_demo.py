@@ -2,7 +2,7 @@
 
 import pytest
 
-from harness.build_info import cores_are_compiled
+from harness.version import cores_are_compiled
 from tests.determinism.processes import FROM_SOURCES, outputs, start
 from traces.digest import digest
 

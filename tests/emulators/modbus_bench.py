@@ -4,10 +4,10 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from emulators.controller import ControllerContext
-from emulators.event_queue import EventQueue
+from emulators.simulation.event_queue import EventQueue
 from emulators.media.serial_line import SerialLine
-from emulators.modbus.crc import with_crc
-from emulators.world import World
+from emulators.modbus.rtu import with_crc
+from emulators.simulation.world import World
 
 MS = 1_000_000
 

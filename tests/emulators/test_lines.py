@@ -9,17 +9,17 @@ from fractions import Fraction
 import pytest
 
 from emulators.controller import Controller
-from emulators.event_queue import EventQueue
+from emulators.simulation.event_queue import EventQueue
 from emulators.media.byte_pipe import BytePipe
 from emulators.media.serial_faults import SerialFaultKind, SerialFaultPlan, SerialFaultRule
 from emulators.media.serial_line import SerialLine
-from emulators.modbus.crc import with_crc
-from emulators.modbus.diagnostics import Diagnostics
+from emulators.modbus.rtu import with_crc
+from emulators.modbus.server import Diagnostics
 from emulators.modbus.registers import Register, RegisterBank
 from emulators.modbus.rtu import RtuUnit
 from emulators.modbus.server import ModbusServer
 from emulators.modbus.tcp import adu
-from emulators.world import World
+from emulators.simulation.world import World
 
 MS = 1_000_000
 T35_NS = 1_750_000

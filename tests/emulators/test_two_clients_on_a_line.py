@@ -8,7 +8,7 @@ from hypothesis import event, example, given
 from hypothesis import strategies as st
 
 from emulators.media.serial_faults import SerialFaultKind, SerialFaultRule
-from emulators.modbus.crc import with_crc
+from emulators.modbus.rtu import with_crc
 from tests.emulators.test_lines import MS, Heard, Registers, a_world, listener
 
 US = 1_000

@@ -2,10 +2,11 @@ import struct
 
 import pytest
 
-from emulators.event_queue import EventQueue
-from emulators.media.can_bus import CanBus
-from emulators.media.faults import FaultKind, FaultPlan, FaultRule
-from emulators.world import World
+from emulators.simulation.event_queue import EventQueue
+from emulators.can.bus.bus import CanBus
+from emulators.can.fault_rules import FaultKind, FaultRule
+from emulators.can.bus.fault_plan import FaultPlan
+from emulators.simulation.world import World
 
 MS = 1_000_000
 

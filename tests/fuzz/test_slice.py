@@ -4,7 +4,7 @@ import pytest
 
 from emulators.cia402.drive import Cia402Drive
 from emulators.cia402.power_drive import PowerDrive
-from harness.build_info import cores_are_compiled
+from harness.version import cores_are_compiled
 from tests.fuzz import __main__ as fuzz
 from tests.fuzz.frames import line_of, steps_in
 from tests.fuzz.target import EPISODE, Reached, endure, episode

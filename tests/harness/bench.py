@@ -4,7 +4,7 @@ import struct
 
 from emulators.controller import SettingError
 from motorapi.errors import UsageError
-from motorapi.ownership import Ownership
+from motorapi.ownership.ownership import Ownership
 from motorapi.state import Measurement, MotorState
 
 MS = 1_000_000

@@ -2,7 +2,7 @@ import signal
 
 import pytest
 
-from harness.cli import main
+from harness.cli.main import main
 from tests.harness.rigs import GOOD, SCRIPT, WHEEL
 
 ENTRY_POINTS = """\

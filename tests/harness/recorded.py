@@ -2,10 +2,10 @@
 
 import struct
 
-from traces.fields import JointStateEncoder, encode_log
-from traces.protobuf import encode
+from traces.schema import JointStateEncoder, encode_log
+from traces.mcap.protobuf import encode
 from traces.schema import CAN_FRAME, JOINT_STATE, LOG, MODBUS_ADU, Direction, Level, Schema
-from traces.writer import TraceWriter
+from traces.mcap.writer import TraceWriter
 
 S = 1_000_000_000
 MS = 1_000_000

@@ -11,13 +11,13 @@ import jsonschema
 import pytest
 
 import harness
-from emulators.media.can_frame import pack
-from harness.cli import main
-from traces.fields import encode_can_frame
+from emulators.can.frame import pack
+from harness.cli.main import main
+from traces.schema import encode_can_frame
 from traces.schema import CAN_FRAME, Direction, Schema
-from traces.traffic import BRS, Frame, flexible
-from traces.traffic_mcap import record_frames
-from traces.writer import TraceWriter
+from traces.formats.frames import BRS, Frame, flexible
+from traces.formats.registry import record_frames
+from traces.mcap.writer import TraceWriter
 
 SCHEMA = json.loads((Path(harness.__file__).parent / "analyse.schema.json").read_text())
 VALIDATOR = jsonschema.Draft202012Validator(SCHEMA)

@@ -14,7 +14,7 @@ from tests.harness.rigs import GOOD
 
 def test_help_imports_no_large_library():
     code = (
-        "import sys\nfrom harness.cli import main\nmain(['--help'])\n"
+        "import sys\nfrom harness.cli.main import main\nmain(['--help'])\n"
         "print([name for name in ('can', 'canopen', 'pymodbus', 'numpy', 'asyncio', 'mcap')"
         " if name in sys.modules], file=sys.stderr)"
     )

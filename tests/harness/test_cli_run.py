@@ -330,7 +330,7 @@ def test_prompt_traceback_has_only_user_lines(rig):
     assert told[2].startswith("motorapi.errors.UsageError: timeout_s = -1.0: must be a number")
     assert told[3:5] == ["Traceback (most recent call last):", where]
     assert (
-        told[5] == "harness.rig_parts.NoSuchName: this rig has no motor 'lift' (known: left, right)"
+        told[5] == "harness.rig.rig.NoSuchName: this rig has no motor 'lift' (known: left, right)"
     )
     assert told[6:10] == [
         "Traceback (most recent call last):",

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from harness.build_info import source_digest
+from harness.version import source_digest
 
 CHECKOUT = Path(os.environ.get("MOTORHIL_CHECKOUT", Path(__file__).parents[2]))
 PACKAGES = ("motorapi", "emulators", "traces", "harness")
@@ -49,7 +49,7 @@ def installed(wheel, tmp_path_factory):
     site = tmp_path_factory.mktemp("site")
     with zipfile.ZipFile(wheel) as archive:
         archive.extractall(site)
-    start = f"import sys; sys.path.insert(0, {str(site)!r}); from harness.cli import main; "
+    start = f"import sys; sys.path.insert(0, {str(site)!r}); from harness.cli.main import main; "
     start += f"import harness; assert harness.__file__.startswith({str(site)!r}); "
 
     def run(*words):

@@ -4,11 +4,11 @@ import json
 
 import pytest
 
-from traces.protobuf import encode
+from traces.mcap.protobuf import encode
 from traces.schema import CAN_FRAME, MODBUS_ADU, Direction, Schema
-from traces.traffic import Frame, classic
-from traces.traffic_mcap import record_frames
-from traces.writer import TraceWriter
+from traces.formats.frames import Frame, classic
+from traces.formats.registry import record_frames
+from traces.mcap.writer import TraceWriter
 
 TEXT = """\
 candump can0

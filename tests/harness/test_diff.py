@@ -3,7 +3,7 @@ import json
 
 import pytest
 
-from harness.verbs import diff
+from harness.cli import diff
 from tests.harness.recorded import MS, Recorded, S
 from traces.schema import GROUP_SYNC, MOTOR_LOCK
 

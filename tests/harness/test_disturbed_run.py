@@ -9,14 +9,14 @@ from pathlib import Path
 
 import pytest
 
-from harness.conversion import convert
-from harness.scaffold import write_new_rig
+from harness.recording.conversion import convert
+from harness.rig.config.scaffold import write_new_rig
 from tests.determinism.processes import outputs, start
-from traces import traffic
+from traces.formats import frames as traffic
 from traces.digest import digest
-from traces.formats import WRITABLE, Feature, open_source
+from traces.formats.registry import WRITABLE, Feature, open_source
 from traces.schema import Direction
-from traces.traffic import Findings
+from traces.formats.frames import Findings
 
 FAULTS = """
 [bus.can0.node.left]
@@ -53,7 +53,7 @@ from contextlib import closing
 import can
 
 from motorapi import ControlMode, LinkError, Motor, MotorGroup, MotorModel, TrapezoidalTrajectory
-from motorapi.adaptations.cia402 import Cia402HwMotor, Cia402Motor
+from motorapi.adaptations.cia402.motor import Cia402HwMotor, Cia402Motor
 
 MODEL = MotorModel.load("wheels/wheel_model.toml")
 with (

@@ -5,12 +5,12 @@ from types import SimpleNamespace
 import can
 import pytest
 
-from emulators.event_queue import EventQueue
-from emulators.media.can_bus import CanBus
-from emulators.world import World
-from harness.can_plugin import close_rig, open_rig
-from harness.virtual_program import in_virtual_time
-from harness.virtual_time import VirtualRuntime
+from emulators.simulation.event_queue import EventQueue
+from emulators.can.bus.bus import CanBus
+from emulators.simulation.world import World
+from harness.python_can.bus import close_rig, open_rig
+from harness.virtual_time.stdlib.install import in_virtual_time
+from harness.virtual_time.runtime import VirtualRuntime
 from tests.emulators.telling import tell
 from tests.harness.error_frames import PASSIVE, ErrorFrames
 

@@ -3,15 +3,15 @@
 import can
 import pytest
 
-from emulators.event_queue import EventQueue
-from emulators.media.can_bus import CanBus
-from emulators.media.can_frame import pack_fd
-from emulators.world import World
-from harness.bus_ears import Ears
-from harness.can_plugin import close_rig, open_rig
-from harness.rig import Rig
-from harness.settings import RigError
-from harness.virtual_time import VirtualRuntime
+from emulators.simulation.event_queue import EventQueue
+from emulators.can.bus.bus import CanBus
+from emulators.can.frame import pack_fd
+from emulators.simulation.world import World
+from harness.python_can.bus import ReceiveQueue
+from harness.python_can.bus import close_rig, open_rig
+from harness.rig.rig import Rig
+from harness.rig.config.toml import RigError
+from harness.virtual_time.runtime import VirtualRuntime
 from tests.harness.fd_frames import FdFrames, classical, fd_message
 
 RIG = """
@@ -77,7 +77,7 @@ class TestInARig(FdFrames):
 
     def test_listener_gets_classical_frames_only(self):
         heard = []
-        ears = Ears(False, 10, True)
+        ears = ReceiveQueue(False, 10, True)
         ears.listeners.append(lambda *told: heard.append(told))
         ears.hear(pack_fd(0x123), 0, False)
         assert not heard

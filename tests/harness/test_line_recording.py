@@ -3,12 +3,12 @@
 import pytest
 
 from emulators.media.serial_faults import SerialFaultKind, SerialFaultRule
-from harness.rig import Rig
+from harness.rig.rig import Rig
 from motorapi.errors import DeadlineExceeded
 from tests.traces.protobuf_classes import google_class
-from traces.modbus import paired
-from traces.modbus_records import lines_of, recorded_adus
-from traces.reader import read_trace
+from traces.decoding.modbus import paired
+from traces.decoding.modbus import lines_of, recorded_adus
+from traces.mcap.reader import read_trace
 from traces.schema import MODBUS_ADU
 
 REQUEST = bytes.fromhex("010300000001840A")

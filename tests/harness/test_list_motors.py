@@ -5,10 +5,10 @@ import os
 
 import pytest
 
-from harness.cli import main as motorhil
-from motorapi.lock_directory import VARIABLE
-from motorapi.process_lock import ProcessLock
-from motorapi.wall_runtime import WallRuntime
+from harness.cli.main import main as motorhil
+from motorapi.locking.directory import VARIABLE
+from motorapi.locking.process_lock import ProcessLock
+from motorapi.runtime.wall import WallRuntime
 
 
 @pytest.fixture

@@ -1,7 +1,7 @@
 import json
 
-from emulators.cia402.quirk_catalogue import CATALOGUE
-from harness.cli import main
+from emulators.cia402.settings import CATALOGUE
+from harness.cli.main import main
 
 
 def test_every_quirk_is_printed_with_source(capsys):

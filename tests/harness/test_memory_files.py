@@ -7,11 +7,11 @@ from pathlib import Path
 import can
 import pytest
 
-from emulators.canopen.parameter_text import StoredParameters
-from harness.replay.recorded_rig import own_rig
-from harness.rig import Rig, installed_plugins
-from harness.settings import RigError
-from traces.reader import read_trace
+from emulators.canopen.files.parameter_storage import StoredParameters
+from harness.replay.rig import own_rig
+from harness.rig.rig import Rig, installed_plugins
+from harness.rig.config.toml import RigError
+from traces.mcap.reader import read_trace
 
 RIG = """\
 [bus.can0]

@@ -4,9 +4,9 @@ from pathlib import Path
 
 import pytest
 
-from harness.rig import Rig, installed_plugins
-from harness.rig_file import parse_rig
-from harness.settings import Source
+from harness.rig.rig import Rig, installed_plugins
+from harness.rig.config.rig_file import parse_rig
+from harness.rig.config.toml import Source
 from motorapi import ControlMode, Motor, TrapezoidalTrajectory
 
 NAMES = ("left", "right")

@@ -2,11 +2,11 @@
 
 import pytest
 
-from harness.ownership_record import Ended, LockEvent, ownership_of, read_ownership
-from harness.recorder import Recorder
+from harness.recording.ownership import Ended, LockEvent, ownership_of, read_ownership
+from harness.recording.recorder import Recorder
 from traces.errors import TraceError
 from traces.schema import MOTOR_LOCK, LockAction
-from traces.writer import TraceWriter
+from traces.mcap.writer import TraceWriter
 
 SECOND = 1_000_000_000
 A = LockAction

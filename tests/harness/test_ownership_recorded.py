@@ -4,14 +4,14 @@ from itertools import pairwise
 
 import pytest
 
-from harness.ownership_record import Ended, read_ownership
-from harness.rig import Rig, installed_plugins
-from harness.rig_file import parse_rig
-from harness.scaffold import EXAMPLES
-from harness.settings import Source
+from harness.recording.ownership import Ended, read_ownership
+from harness.rig.rig import Rig, installed_plugins
+from harness.rig.config.rig_file import parse_rig
+from harness.rig.config.scaffold import EXAMPLES
+from harness.rig.config.toml import Source
 from motorapi import ControlMode, MotorBusyError
 from traces.digest import digest
-from traces.reader import read_trace
+from traces.mcap.reader import read_trace
 from traces.schema import LockAction
 
 MAST = """[motor.mast]

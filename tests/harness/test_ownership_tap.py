@@ -5,14 +5,14 @@ import os
 
 import pytest
 
-from emulators.hub_protocol import OwnershipNotice
-from harness.ownership_record import Ended, LockEvent, read_ownership
-from harness.rig import Rig
-from harness.scaffold import EXAMPLES
+from emulators.simulation.ownership_notice import OwnershipNotice
+from harness.recording.ownership import Ended, LockEvent, read_ownership
+from harness.rig.rig import Rig
+from harness.rig.config.scaffold import EXAMPLES
 from tests.harness.rigs import GOOD, WHEEL
 from traces.errors import TraceError
 from traces.schema import LockAction
-from traces.writer import TraceWriter
+from traces.mcap.writer import TraceWriter
 
 SECOND = 1_000_000_000
 TAKEN, RELEASED = LockAction.TAKEN.value, LockAction.RELEASED.value

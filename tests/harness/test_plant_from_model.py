@@ -2,9 +2,9 @@
 
 import pytest
 
-from harness.plant_from_model import plant_numbers
-from harness.rig import Rig
-from harness.settings import RigError
+from harness.rig.config.derived import plant_numbers
+from harness.rig.rig import Rig
+from harness.rig.config.toml import RigError
 from motorapi import MotionKind, MotorModel
 
 NODE = """\

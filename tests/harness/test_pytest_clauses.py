@@ -6,9 +6,9 @@ import shlex
 
 import pytest
 
-import harness.pytest_clauses  # noqa: F401 -- stays loaded between the runs below
-from harness.cli import main
-from harness.scaffold import write_new_rig
+import harness.pytest_plugin.clauses  # noqa: F401 -- stays loaded between the runs below
+from harness.cli.main import main
+from harness.rig.config.scaffold import write_new_rig
 from traces.digest import digest
 
 pytest_plugins = ["pytester"]

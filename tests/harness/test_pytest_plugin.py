@@ -8,9 +8,9 @@ import sys
 
 import pytest
 
-import harness.pytest_rigs  # noqa: F401 -- stays loaded between the runs below
-from harness.cli import main
-from harness.scaffold import write_new_rig
+import harness.pytest_plugin.rigs  # noqa: F401 -- stays loaded between the runs below
+from harness.cli.main import main
+from harness.rig.config.scaffold import write_new_rig
 from traces.digest import digest
 
 pytest_plugins = ["pytester"]
@@ -351,5 +351,5 @@ print(json.dumps([name for name in sys.modules]))
     )
     loaded = json.loads(done.stdout.splitlines()[-1])
     ours = [one for one in loaded if one.split(".")[0] in ("harness", "motorapi", "emulators")]
-    assert ours == ["harness", "harness.pytest_plugin"]
+    assert ours == ["harness", "harness.pytest_plugin.plugin"]
     assert not {"can", "numpy", "mcap", "hypothesis", "traces"} & set(loaded)

@@ -6,12 +6,12 @@ import pytest
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
-from emulators.event_queue import EventQueue
-from harness.recorder import Recorder, run_metadata
+from emulators.simulation.event_queue import EventQueue
+from harness.recording.recorder import Recorder, run_metadata
 from traces.errors import TraceError
-from traces.reader import read_trace
+from traces.mcap.reader import read_trace
 from traces.schema import GROUP_SYNC, MOTOR_LOCK
-from traces.writer import TraceWriter
+from traces.mcap.writer import TraceWriter
 
 MS = 1_000_000
 SECOND = 1_000_000_000

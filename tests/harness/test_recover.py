@@ -2,7 +2,7 @@ import json
 
 from tests.traces.recordings import write
 from traces.digest import digest
-from traces.reader import read_trace
+from traces.mcap.reader import read_trace
 
 
 def test_cut_recording_is_recovered_and_losses_are_reported(say, tmp_path):

@@ -6,10 +6,10 @@ import time
 import can
 import pytest
 
-from emulators.media.faults import FaultKind, FaultRule
-from harness.can_plugin import EmulatedBus
-from harness.rig import Rig
-from harness.settings import RigError
+from emulators.can.fault_rules import FaultKind, FaultRule
+from harness.python_can.bus import EmulatedBus
+from harness.rig.rig import Rig
+from harness.rig.config.toml import RigError
 from tests.harness.rigs import FAULT, GOOD, WHEEL
 
 MS = 1_000_000

@@ -6,9 +6,9 @@ from pathlib import Path
 import pytest
 
 from emulators.media.serial_faults import SerialFaultKind, SerialFaultRule
-from harness.rig import Rig
-from harness.rig_file import Known, parse_rig
-from harness.settings import RigError, Source
+from harness.rig.rig import Rig
+from harness.rig.config.rig_file import Known, parse_rig
+from harness.rig.config.toml import RigError, Source
 from tests.harness.test_rig_schema import VALIDATOR
 
 KNOWN = Known(controllers=("cia402", "drive"), adaptations=("drive",))

@@ -13,10 +13,10 @@ from hypothesis import event, given
 from hypothesis import strategies as st
 
 import harness
-from harness.rig import Rig, installed_plugins
-from harness.rig_file import parse_rig
-from harness.settings import RigError, Source
-from harness.wording import one_line
+from harness.rig.rig import Rig, installed_plugins
+from harness.rig.config.rig_file import parse_rig
+from harness.rig.config.toml import RigError, Source
+from harness.rig.config.toml import one_line
 
 SCHEMA = json.loads((Path(harness.__file__).parent / "rig.schema.json").read_text())
 VALIDATOR = jsonschema.Draft202012Validator(SCHEMA)

@@ -4,10 +4,10 @@ import pytest
 from hypothesis import event, given
 from hypothesis import strategies as st
 
-from emulators.media.faults import FaultKind, FaultRule
-from harness.rig_file import Known, parse_rig, read_rig
-from harness.settings import RigError, Source
-from harness.wording import one_line
+from emulators.can.fault_rules import FaultKind, FaultRule
+from harness.rig.config.rig_file import Known, parse_rig, read_rig
+from harness.rig.config.toml import RigError, Source
+from harness.rig.config.toml import one_line
 
 KNOWN = Known(
     controllers=("cia402", "io"),

@@ -1,14 +1,14 @@
 import can
 import pytest
 
-from harness.rig import Rig
-from harness.scaffold import EXAMPLES
-from harness.settings import RigError
+from harness.rig.rig import Rig
+from harness.rig.config.scaffold import EXAMPLES
+from harness.rig.config.toml import RigError
 from motorapi import ControlMode, Motor, TrapezoidalTrajectory
 from tests.harness.rigs import FAULT, GOOD, WHEEL
 from traces.digest import digest
-from traces.protobuf import decode
-from traces.reader import read_trace
+from traces.mcap.protobuf import decode
+from traces.mcap.reader import read_trace
 from traces.schema import GROUP_SYNC
 
 LOSSY = (

@@ -11,36 +11,35 @@ from hypothesis import event, example, given
 from hypothesis import strategies as st
 
 import harness
-from emulators import modbus_drive
+from emulators.modbus import drive as modbus_drive
 from emulators.cia401 import settings as node_settings
 from emulators.cia402 import settings as drive_settings
-from emulators.cia402.quirk_catalogue import CATALOGUE
-from emulators.cia402.switch_settings import SWITCH_KEYS
+from emulators.cia402.settings import CATALOGUE
+from emulators.cia402.settings import SWITCH_KEYS
 from emulators.controller import SettingError
-from emulators.media.faults import FaultKind
+from emulators.can.fault_rules import FaultKind
 from emulators.plant.dc_motor import RANGES, MotorPlant
-from emulators.plant.extras import EXTRAS, NO_EXTRAS
-from emulators.plant.extras import RANGES as EXTRAS_RANGES
+from emulators.plant.nonlinear import EXTRAS, NO_EXTRAS
+from emulators.plant.nonlinear import RANGES as EXTRAS_RANGES
 from emulators.plant.presets import PRESETS
-from emulators.protection_settings import (
-    DEFAULT_PROTECTION,
-    PROTECTION_KEYS,
-    STO_ERROR,
-    STO_REACTIONS,
-    TEMPERATURE_RANGE_C,
-    VOLTAGE_RANGE_V,
-)
-from emulators.setting_tables import JITTER_MAX_S, OSCILLATOR_KEYS, PHASE_MAX_S, PPM_MAX
-from harness import rig_buses, rig_faults, rig_file, rig_line_faults, rig_nodes, rig_stimuli
-from harness.conformance.capability import Capability
-from harness.conformance.facts import CONFORMANCE_KEYS, NOTHING_DECLARED
+from emulators.settings.protection import DEFAULT_PROTECTION, PROTECTION_KEYS, STO_ERROR, STO_REACTIONS, TEMPERATURE_RANGE_C, VOLTAGE_RANGE_V
+from emulators.settings.tables import JITTER_MAX_S, OSCILLATOR_KEYS, PHASE_MAX_S, PPM_MAX
+from harness.rig.config import buses as rig_buses
+from harness.rig.config import faults as rig_faults
+from harness.rig.config import rig_file
+from harness.rig.config import faults as rig_line_faults
+from harness.rig.config import buses as rig_nodes
+from harness.rig.config import stimuli as rig_stimuli
+from harness.conformance.clause import Capability
+from harness.conformance.clause import CONFORMANCE_KEYS, NOTHING_DECLARED
 from harness.plugins import ADAPTATIONS, installed
-from harness.rig import installed_plugins
-from harness.scaffold import EXAMPLES
-from harness.timing_from_controller import ASKED
-from motorapi.adaptations import ideal, software
-from motorapi.adaptations.drive_setup import HwOptions
-from motorapi.adaptations.software_options import IoOptions
+from harness.rig.rig import installed_plugins
+from harness.rig.config.scaffold import EXAMPLES
+from harness.rig.config.derived import ASKED
+from motorapi.adaptations.ideal import motor as ideal
+from motorapi.adaptations.host_servo import motor as software
+from motorapi.adaptations.cia402.bringup import HwOptions
+from motorapi.adaptations.host_servo.node import IoOptions
 from motorapi.model import MotorModel
 from tests.harness.test_rig_file import (
     GOOD,
@@ -93,7 +92,7 @@ def test_schema_has_the_keys_of_the_readers():
     assert list(conformance["without"]["properties"]) == [one.key for one in Capability]
     assert conformance["fault_code"]["default"] == NOTHING_DECLARED.fault_code
     kinds = [kind.value for kind in FaultKind]
-    kinds += [kind for kind in rig_line_faults.KINDS if kind not in kinds]
+    kinds += [kind for kind in rig_line_faults.LINE_FAULT_KINDS if kind not in kinds]
     assert fault["kind"]["enum"] == kinds
     assert tuple(DEFS["node"]["properties"]) == rig_nodes.NODE_KEYS
     assert DEFS["node"]["properties"]["queue"]["enum"] == list(rig_nodes.QUEUES)

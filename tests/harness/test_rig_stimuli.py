@@ -2,8 +2,8 @@
 
 import pytest
 
-from harness.rig import Rig
-from harness.settings import RigError
+from harness.rig.rig import Rig
+from harness.rig.config.toml import RigError
 from tests.harness.rigs import GOOD, WHEEL
 
 STIMULUS = '[[stimulus]]\ncontroller = "left"\nname = "load_torque_n_m"\nvalue = {}\nat_s = {}\n'

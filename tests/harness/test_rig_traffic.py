@@ -8,12 +8,12 @@ import jsonschema
 import pytest
 
 import harness
-from harness import rig_traffic
-from harness.rig import Rig
-from harness.rig_file import Known, parse_rig
-from harness.settings import RigError, Source
-from motorapi.bus_timing import worst_frame_ns
-from motorapi.traffic import PeriodicMessage, declared_traffic
+from harness.rig.config import bus_load as rig_traffic
+from harness.rig.rig import Rig
+from harness.rig.config.rig_file import Known, parse_rig
+from harness.rig.config.toml import RigError, Source
+from motorapi.synchronization.can_response_time import worst_frame_ns
+from motorapi.synchronization.bus_load import PeriodicMessage, declared_traffic
 from tests.motorapi.adaptations.conftest import HEAD, drive
 
 SCHEMA = json.loads((Path(harness.__file__).parent / "rig.schema.json").read_text())

@@ -3,11 +3,11 @@ import json
 
 import pytest
 
-from harness.cli import main
-from harness.number_options import time_ns
-from harness.verbs import show
+from harness.cli.main import main
+from harness.cli.options import time_ns
+from harness.cli import show
 from tests.harness.recorded import MS, Recorded, S
-from traces.reader import Trace
+from traces.mcap.reader import Trace
 from traces.schema import GROUP_SYNC, MOTOR_LOCK
 
 

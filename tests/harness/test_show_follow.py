@@ -1,12 +1,12 @@
 import pytest
 
-from harness.verbs import show
-from harness.verbs.show import followed, text_of
+from harness.cli import show
+from harness.cli.show import followed, text_of
 from tests.harness.recorded import MS, Recorded, S
 from tests.harness.test_show import recording, shown
 from traces.errors import TraceError
-from traces.reader import Trace, read_trace
-from traces.story import Story
+from traces.mcap.reader import Trace, read_trace
+from traces.decoding.narrative import Story
 
 __all__ = ["recording"]  # a fixture of test_show
 

@@ -2,8 +2,8 @@
 
 import pytest
 
-from harness.ownership_record import LockEvent, ownership_of
-from harness.two_processes import commands_by_tenure
+from harness.recording.ownership import LockEvent, ownership_of
+from harness.cli.demo_two_processes import commands_by_tenure
 from traces.schema import LockAction
 
 TAKEN = LockEvent("pan", 10, LockAction.TAKEN, "mast", token=1, pid=4, sender="mast[4]")

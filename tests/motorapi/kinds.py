@@ -7,9 +7,9 @@ trajectory, its deviation from the target. All kinds have the same motor model: 
 from contextlib import contextmanager
 from dataclasses import dataclass
 
-from harness.rig import Rig, installed_plugins
-from harness.rig_file import parse_rig
-from harness.settings import Source
+from harness.rig.rig import Rig, installed_plugins
+from harness.rig.config.rig_file import parse_rig
+from harness.rig.config.toml import Source
 from motorapi import ControlVariable
 
 POSITION, VELOCITY = ControlVariable.POSITION, ControlVariable.VELOCITY

@@ -11,9 +11,9 @@ from motorapi.errors import DeviceFault, LinkError, MotionInterrupted, PeerError
 from motorapi.generation import shortest
 from motorapi.model import MotorModel
 from motorapi.motor import Motor
-from motorapi.sharing import register_physical_motor, release_physical_motor
+from motorapi.ownership.physical_motor import register_physical_motor, release_physical_motor
 from motorapi.state import Fault, Measurement, MotorState
-from motorapi.synchronization import MotionTimes, SyncLevel, SyncOffer
+from motorapi.synchronization.quality import MotionTimes, SyncLevel, SyncOffer
 
 MODEL = MotorModel(name="plain", velocity_max=2.0, acceleration_max=4.0)
 ABLE = {

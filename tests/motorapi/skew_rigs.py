@@ -12,14 +12,14 @@ from pathlib import Path
 from random import Random
 
 from emulators.cia402.drive import Cia402Drive
-from emulators.firmware.own_time import OwnTime
+from emulators.firmware.clock import OwnTime
 from emulators.plant.oscillator import IDEAL
-from harness.rig import Rig
+from harness.rig.rig import Rig
 from motorapi.commands import ControlMode, ControlVariable
 from motorapi.functions import Polynomial
 from motorapi.group import MotorGroup
 from motorapi.motor import Motor
-from motorapi.synchronization import SyncCapability
+from motorapi.synchronization.quality import SyncCapability
 from motorapi.trajectory import ComplexTrajectory, TrapezoidalTrajectory
 from tests.motorapi.skew_scenarios import Member, Message, Scenario, rig_text
 

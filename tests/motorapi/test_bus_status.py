@@ -8,7 +8,7 @@ import struct
 
 import pytest
 
-from motorapi.bus_status import BusCondition, BusStatus
+from motorapi.runtime.can_sources import BusCondition, BusStatus
 from motorapi.errors import LinkError
 
 C = BusCondition

@@ -6,18 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from motorapi.bus_timing import (
-    Firing,
-    OneFrame,
-    least_frame_bits,
-    longest_s,
-    overload_of,
-    response_times,
-    worst_frame_bits,
-    worst_frame_ns,
-)
+from motorapi.synchronization.can_response_time import Firing, OneFrame, least_frame_bits, longest_s, overload_of, response_times, worst_frame_bits, worst_frame_ns
 from motorapi.errors import UsageError
-from motorapi.traffic import CanTraffic, NodeTraffic, PeriodicMessage, worst_of
+from motorapi.synchronization.bus_load import CanTraffic, NodeTraffic, PeriodicMessage, worst_of
 
 # Frame bits with intermission, minimum and maximum: can-utils canframelen.c and Linux
 # include/linux/can/length.h, which follow Davis et al. 2007, by data bytes 0 to 8.

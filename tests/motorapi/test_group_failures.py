@@ -4,8 +4,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from emulators.event_queue import EventQueue
-from harness.virtual_time import VirtualRuntime
+from emulators.simulation.event_queue import EventQueue
+from harness.virtual_time.runtime import VirtualRuntime
 from motorapi import (
     ControlMode,
     ControlVariable,

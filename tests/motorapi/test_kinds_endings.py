@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from motorapi import ControlMode, MotionInterrupted, TrapezoidalTrajectory
-from motorapi.outcome import Ending
+from motorapi.motor import Ending
 from tests.motorapi.kinds import KINDS, opened, true_position
 
 DURATION_S = 1.0

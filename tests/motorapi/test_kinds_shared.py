@@ -18,7 +18,8 @@ from motorapi import (
     TrapezoidalTrajectory,
     WallRuntime,
 )
-from motorapi.adaptations.ideal import IdealHwMotor, IdealMotor
+from motorapi.adaptations.ideal.hardware import IdealHwMotor
+from motorapi.adaptations.ideal.motor import IdealMotor
 from tests.motorapi.kinds import ACCELERATION_MAX, EVERY, VELOCITY_MAX, opened, true_position
 
 SETPOINT, TRAJECTORY = ControlMode.SETPOINT, ControlMode.TRAJECTORY

@@ -4,9 +4,9 @@ import stat
 
 import pytest
 
-from motorapi import lock_directory
+from motorapi.locking import directory as lock_directory
 from motorapi.errors import UsageError
-from motorapi.lock_directory import VARIABLE, LockDirectory
+from motorapi.locking.directory import VARIABLE, LockDirectory
 from tests.motorapi.test_process_lock import open_here
 
 ROOT = os.geteuid() == 0

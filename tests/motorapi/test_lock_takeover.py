@@ -4,14 +4,14 @@ import threading
 
 import pytest
 
-from motorapi import wall_runtime
+from motorapi.runtime import wall as wall_runtime
 from motorapi.errors import MotorBusyError
-from motorapi.lock_directory import LockDirectory
-from motorapi.lock_file import LockFile
-from motorapi.lock_layout import LINES
-from motorapi.lock_takeover import Attempt, TakeoverAttempt
-from motorapi.process_lock import ProcessLock
-from motorapi.wall_runtime import WallRuntime
+from motorapi.locking.directory import LockDirectory
+from motorapi.locking.lock_file import LockFile
+from motorapi.locking.lock_file import LINES
+from motorapi.locking.takeover import Attempt, TakeoverAttempt
+from motorapi.locking.process_lock import ProcessLock
+from motorapi.runtime.wall import WallRuntime
 
 LONG_S = 20.0
 

@@ -4,7 +4,7 @@ import pytest
 
 from motorapi import ControlMode
 from motorapi.errors import DeadlineExceeded, MotionInterrupted
-from motorapi.waiting import News
+from motorapi.runtime.api import ChangeCounter
 from tests.motorapi.plain import PlainMotor
 
 
@@ -20,7 +20,7 @@ def asked(runtime, motor, monkeypatch):
 
     monkeypatch.setattr(PlainMotor, "_is_done", counted)
     runtime.every(0.001, lambda: None)
-    motor._physical.news = News()
+    motor._physical.news = ChangeCounter()
     motor.set_control_mode(ControlMode.SETPOINT)
     motor.set_setpoint(1.0)  # takes 1 s
     motor.start()

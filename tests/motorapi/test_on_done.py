@@ -17,8 +17,8 @@ from motorapi import (
     UnsupportedError,
     UsageError,
 )
-from motorapi.outcome import Ending, Outcome
-from motorapi.waiting import News
+from motorapi.motor import Ending, Outcome
+from motorapi.runtime.api import ChangeCounter
 from tests.motorapi.plain import PlainMotor, fault_now
 
 MS = 1_000_000
@@ -66,7 +66,7 @@ def test_past_end_is_reported_at_once_and_no_motion_raises(motor):
 @pytest.mark.parametrize("counted", [False, True])
 def test_stop_from_elsewhere_is_reported_immediately(runtime, hw, motor, counted):
     if counted:
-        motor._physical.news = News()
+        motor._physical.news = ChangeCounter()
     other = PlainMotor(hw, name="other")
     follow(motor, 3.0)
     motor.start()

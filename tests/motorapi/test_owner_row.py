@@ -2,9 +2,9 @@
 
 from types import SimpleNamespace
 
-from motorapi.claim import Asked
-from motorapi.owner_row import OwnerRow, Teller
-from motorapi.ownership_events import LockAction
+from motorapi.ownership.claim import OwnershipRequest
+from motorapi.ownership.ownership import WaitQueue, OwnershipNotifier
+from motorapi.ownership.claim import LockAction
 
 OWNER = SimpleNamespace(name="a", runtime=SimpleNamespace(now_ns=lambda: 0))
 SOMEBODY = SimpleNamespace(left_s=None)
@@ -28,6 +28,6 @@ class Passing:
 
 
 def test_request_without_timeout_takes_a_motor_just_released():
-    row = OwnerRow(Passing(), Teller())
-    claim, action, before = row.take(Asked(OWNER, "a", "start", None))
+    row = WaitQueue(Passing(), OwnershipNotifier())
+    claim, action, before = row.take(OwnershipRequest(OWNER, "a", "start", None))
     assert (claim.token, action, before) == (1, LockAction.TAKEN, "")

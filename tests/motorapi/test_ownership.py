@@ -16,9 +16,9 @@ from motorapi import (
     UsageError,
     WallRuntime,
 )
-from motorapi.lock_directory import LockDirectory
-from motorapi.process_lock import ProcessLock
-from motorapi.sharing import RunStatus, register_physical_motor
+from motorapi.locking.directory import LockDirectory
+from motorapi.locking.process_lock import ProcessLock
+from motorapi.ownership.physical_motor import RunStatus, register_physical_motor
 from tests.motorapi.plain import PlainBus, PlainHwMotor, PlainMotor
 
 MS = 1_000_000

@@ -6,11 +6,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from harness.rig import Rig, installed_plugins
-from harness.rig_file import parse_rig
-from harness.settings import Source
+from harness.rig.rig import Rig, installed_plugins
+from harness.rig.config.rig_file import parse_rig
+from harness.rig.config.toml import Source
 from motorapi import ControlMode, FaultReaction, Motor, Synchronization, TrapezoidalTrajectory
-from motorapi.path import Line
+from motorapi.planning.path import Line
 from tests.motorapi.plain import PlainBus, PlainHwMotor, PlainMotor, fault_now
 from tests.motorapi.test_fault_reactions import KINDS, NAMES, WAYS, Truth
 from tests.motorapi.test_group import group_of

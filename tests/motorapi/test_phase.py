@@ -4,8 +4,8 @@ import pytest
 from hypothesis import assume, event, example, given
 from hypothesis import strategies as st
 
-from emulators.event_queue import EventQueue
-from harness.virtual_time import VirtualRuntime
+from emulators.simulation.event_queue import EventQueue
+from harness.virtual_time.runtime import VirtualRuntime
 from motorapi import (
     ControlMode,
     ControlVariable,
@@ -20,9 +20,9 @@ from motorapi import (
 )
 from motorapi.execution import Started, plan
 from motorapi.generation import shortest
-from motorapi.group_planning import Common, Move, proportional
-from motorapi.path import line_of, moving, predicted
-from motorapi.synchronization import FaultReaction, Synchronization
+from motorapi.planning.groups import Common, Move, proportional
+from motorapi.planning.path import line_of, moving, predicted
+from motorapi.synchronization.quality import FaultReaction, Synchronization
 from tests.motorapi.plain import PlainBus, PlainHwMotor, PlainMotor
 
 PHASE = Common(Synchronization.PHASE)

@@ -7,15 +7,15 @@ from contextlib import suppress
 
 import pytest
 
-from emulators.event_queue import EventQueue
-from harness.virtual_time import VirtualRuntime
-from motorapi import wall_runtime
+from emulators.simulation.event_queue import EventQueue
+from harness.virtual_time.runtime import VirtualRuntime
+from motorapi.runtime import wall as wall_runtime
 from motorapi.errors import MotorBusyError, UsageError
-from motorapi.lock_directory import LockDirectory
-from motorapi.lock_file import LockFile
-from motorapi.lock_view import list_locks
-from motorapi.process_lock import ProcessLock
-from motorapi.wall_runtime import WallRuntime
+from motorapi.locking.directory import LockDirectory
+from motorapi.locking.lock_file import LockFile
+from motorapi.locking.lock_status import list_locks
+from motorapi.locking.process_lock import ProcessLock
+from motorapi.runtime.wall import WallRuntime
 
 LONG_S = 20.0
 
@@ -207,7 +207,7 @@ def test_wall_runtime_checks_at_once_when_woken(runtime, monkeypatch):
 
 def test_reused_pid_does_not_count_as_the_holder(lock, other, runtime, monkeypatch):
     lock.acquire(runtime, "x")
-    monkeypatch.setattr("motorapi.lock_view.read_process", lambda pid: ("S", 1))
+    monkeypatch.setattr("motorapi.locking.lock_status.read_process", lambda pid: ("S", 1))
     assert lock.look().holder.record is None
 
 
@@ -273,7 +273,7 @@ def test_look_takes_nothing_and_shows_holder_and_waiters(lock, other, runtime, d
 
 
 def test_unpublished_holder_is_shown_as_unidentified(lock, other, runtime, monkeypatch):
-    monkeypatch.setattr("motorapi.lock_file.LockFile.tell_holder", lambda *told: None)
+    monkeypatch.setattr("motorapi.locking.lock_file.LockFile.tell_holder", lambda *told: None)
     lock.acquire(runtime, "x")
     with pytest.raises(MotorBusyError, match="is not yet identified since just now") as caught:
         other.acquire(runtime, "y")

@@ -4,20 +4,8 @@ import pickle
 
 import pytest
 
-from motorapi import (
-    ControlMode,
-    ControlVariable,
-    DerivativeLimits,
-    Fault,
-    Measurement,
-    Motion,
-    MotionKind,
-    MotorModel,
-    MotorState,
-    Setpoint,
-    TrapezoidalTrajectory,
-    errors,
-)
+from motorapi import errors
+from motorapi import ControlMode, ControlVariable, DerivativeLimits, Fault, Measurement, Motion, MotionKind, MotorModel, MotorState, Setpoint, TrapezoidalTrajectory
 from tests.motorapi.plain import PlainMotor, fault_now
 
 NAMES = {

@@ -3,8 +3,8 @@ import gc
 import can
 import pytest
 
-from emulators.event_queue import EventQueue
-from harness.virtual_time import VirtualRuntime
+from emulators.simulation.event_queue import EventQueue
+from harness.virtual_time.runtime import VirtualRuntime
 from motorapi import (
     ControlMode,
     ControlVariable,
@@ -15,12 +15,8 @@ from motorapi import (
     TrapezoidalTrajectory,
     UsageError,
 )
-from motorapi.sharing import (
-    bus_key,
-    register_physical_motor,
-    release_physical_motor,
-)
-from motorapi.turns import TRANSACTION_TIMEOUT_S
+from motorapi.ownership.physical_motor import bus_key, register_physical_motor, release_physical_motor
+from motorapi.ownership.queue import TRANSACTION_TIMEOUT_S
 from tests.motorapi.plain import PlainBus, PlainHwMotor, PlainMotor, fault_now
 
 

@@ -2,10 +2,10 @@
 
 import pytest
 
-from motorapi.bus_timing import Firing, OneFrame
-from motorapi.skew import Bound, Member, command_bound, end_bound, start_bound
-from motorapi.synchronization import SyncLevel, SyncOffer
-from motorapi.traffic import CanTraffic, PeriodicMessage
+from motorapi.synchronization.can_response_time import Firing, OneFrame
+from motorapi.synchronization.skew import Bound, Member, command_bound, end_bound, start_bound
+from motorapi.synchronization.quality import SyncLevel, SyncOffer
+from motorapi.synchronization.bus_load import CanTraffic, PeriodicMessage
 
 QUIET = CanTraffic(1_000_000)
 FRAME_S = 75e-6  # two data bytes, maximum number of stuff bits

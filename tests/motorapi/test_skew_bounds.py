@@ -13,17 +13,17 @@ import pytest
 from hypothesis import event, given, settings
 from hypothesis import strategies as st
 
-from harness.rig import Rig
-from motorapi.adaptations.bus_traffic import traffic_on
-from motorapi.adaptations.canopen_link import open_link, release_link
+from harness.rig.rig import Rig
+from motorapi.adaptations.canopen.bus_load import traffic_on
+from motorapi.adaptations.canopen.bus import open_link, release_link
 from motorapi.commands import ControlMode, ControlVariable
 from motorapi.errors import UsageError
 from motorapi.group import MotorGroup
 from motorapi.motor import Motor
-from motorapi.synchronization import SyncLevel
-from motorapi.traffic import CanTraffic, declare_traffic
+from motorapi.synchronization.quality import SyncLevel
+from motorapi.synchronization.bus_load import CanTraffic, declare_traffic
 from motorapi.trajectory import TrapezoidalTrajectory
-from motorapi.wall_runtime import WallRuntime
+from motorapi.runtime.wall import WallRuntime
 from tests.motorapi.adaptations.conftest import HEAD, drive
 from tests.motorapi.skew_rigs import Outcome, run
 from tests.motorapi.skew_scenarios import Choices, Member, Message, Scenario, drawn

@@ -18,7 +18,7 @@ from motorapi import (
     TrapezoidalTrajectory,
     WallRuntime,
 )
-from motorapi.outcome import Ending
+from motorapi.motor import Ending
 from tests.motorapi.plain import PlainHwMotor, PlainMotor
 
 THREADS = 8

@@ -7,24 +7,11 @@ import pytest
 from hypothesis import event, given
 from hypothesis import strategies as st
 
-from motorapi import (
-    ComplexTrajectory,
-    ControlMode,
-    ControlVariable,
-    DerivativeLimits,
-    LimitError,
-    LinkError,
-    MotorModel,
-    MotorPosition,
-    StateError,
-    TrapezoidalTrajectory,
-    UnsupportedError,
-    UsageError,
-    planning,
-)
-from motorapi.arguments import require_argument
+from motorapi.planning import single_axis as planning
+from motorapi import ComplexTrajectory, ControlMode, ControlVariable, DerivativeLimits, LimitError, LinkError, MotorModel, MotorPosition, StateError, TrapezoidalTrajectory, UnsupportedError, UsageError
+from motorapi.trajectory import require_argument
 from motorapi.commands import Setpoint
-from motorapi.demand import demand_of
+from motorapi.planning.sampling import demand_of
 from motorapi.functions import Piecewise, Polynomial
 from motorapi.state import Measurement, MotorState
 

@@ -2,13 +2,13 @@
 
 import pytest
 
-from emulators.event_queue import EventQueue
-from harness.virtual_time import VirtualRuntime
+from emulators.simulation.event_queue import EventQueue
+from harness.virtual_time.runtime import VirtualRuntime
 from motorapi.errors import MotorBusyError, UsageError
-from motorapi.lock_directory import LockDirectory
-from motorapi.process_lock import ProcessLock
-from motorapi.turns import Turns, share_trigger, trigger_turns
-from motorapi.wall_runtime import WallRuntime
+from motorapi.locking.directory import LockDirectory
+from motorapi.locking.process_lock import ProcessLock
+from motorapi.ownership.queue import FifoQueue, share_trigger, trigger_turns
+from motorapi.runtime.wall import WallRuntime
 
 
 @pytest.fixture
@@ -30,7 +30,7 @@ def directory(tmp_path):
 
 
 def test_turn_belongs_to_its_thread_and_increments_the_number(runtime):
-    turns = Turns("SYNC")
+    turns = FifoQueue("SYNC")
     assert not turns.is_mine
     for number in (1, 2):
         with turns.turn(runtime, "one"):
@@ -40,7 +40,7 @@ def test_turn_belongs_to_its_thread_and_increments_the_number(runtime):
 
 
 def test_at_once_does_not_get_a_held_turn_in_any_thread(runtime):
-    turns = Turns("SYNC")
+    turns = FifoQueue("SYNC")
     with turns.turn(runtime, "one"), turns.at_once(runtime, "two") as is_ours:
         assert not is_ours
     with turns.at_once(runtime, "two") as is_ours:
@@ -52,7 +52,7 @@ def test_at_once_does_not_get_a_held_turn_in_any_thread(runtime):
 
 
 def test_waiters_get_turns_in_the_order_of_requests(runtime):
-    turns, had = Turns("SYNC"), []
+    turns, had = FifoQueue("SYNC"), []
 
     def work(name):
         with turns.turn(runtime, name):
@@ -66,13 +66,13 @@ def test_waiters_get_turns_in_the_order_of_requests(runtime):
 
 
 def test_nested_turn_of_one_thread_raises(runtime):
-    turns = Turns("SYNC")
+    turns = FifoQueue("SYNC")
     with turns.turn(runtime, "one"), pytest.raises(UsageError, match="one is still active"):
         turns.turn(runtime, "two").__enter__()
 
 
 def test_turn_behind_a_lock_belongs_to_one_process(wall, directory):
-    ours = Turns("SYNC of can0", ProcessLock("can0-sync", "SYNC of can0", directory))
+    ours = FifoQueue("SYNC of can0", ProcessLock("can0-sync", "SYNC of can0", directory))
     theirs = ProcessLock("can0-sync", "SYNC of can0", directory)  # as if another process had it
     with theirs.acquire(wall, "start() of theirs") as hold:
         with (
@@ -91,7 +91,7 @@ def test_turn_behind_a_lock_belongs_to_one_process(wall, directory):
 
 def test_trigger_turns_have_one_order_in_all_processes(wall, directory):
     def turns(label, name):
-        return Turns(label, ProcessLock(name, label, directory))
+        return FifoQueue(label, ProcessLock(name, label, directory))
 
     first, second = turns("SYNC of b", "bus1-sync"), turns("SYNC of a", "bus2-sync")
     share_trigger(wall, "b", first)

@@ -10,7 +10,7 @@ import can
 import pytest
 
 from motorapi import LinkError, UsageError, WallRuntime, runtime_of
-from motorapi.wall_runtime import close_process_runtime, process_runtime
+from motorapi.runtime.wall import close_process_runtime, process_runtime
 
 pytestmark = pytest.mark.wall
 

@@ -6,7 +6,7 @@ import can
 import pytest
 
 from motorapi import LinkError, WallRuntime
-from motorapi.bus_sources import source_of
+from motorapi.runtime.can_sources import source_of
 from tests.emulators.test_world import Echo
 from tests.wall.test_hub import serving
 

@@ -2,8 +2,8 @@
 
 import struct
 
-from traces.pcap import Packet
-from traces.tcp_streams import Way
+from traces.formats.pcap import Packet
+from traces.formats.pcap import Way
 
 SYN = 0x02
 ACK = 0x10

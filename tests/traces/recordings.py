@@ -3,7 +3,7 @@
 import struct
 
 from traces.schema import CAN_FRAME, LOG, Direction, Schema
-from traces.writer import TraceWriter
+from traces.mcap.writer import TraceWriter
 
 MS = 1_000_000
 SECOND = 1_000_000_000

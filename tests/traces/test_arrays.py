@@ -11,16 +11,16 @@ from mcap.writer import CompressionType, IndexType, Writer
 
 from tests.traces.recordings import MS, Recording, write
 from tests.traces.test_formats_random import recordings
-from traces import records
-from traces.arrays import read_can_arrays
+from traces.mcap import records
+from traces.columns import read_can_arrays
 from traces.errors import TraceError
-from traces.fields import encode_can_frame
-from traces.formats import Feature
-from traces.reader import read_trace
+from traces.schema import encode_can_frame
+from traces.formats.registry import Feature
+from traces.mcap.reader import read_trace
 from traces.schema import CAN_FRAME, LOG, Direction, Schema
-from traces.traffic import FDF, Findings, Frame, classic, flexible
-from traces.traffic_mcap import record_frames, recorded_frames
-from traces.writer import TraceWriter
+from traces.formats.frames import FDF, Findings, Frame, classic, flexible
+from traces.formats.registry import record_frames, recorded_frames
+from traces.mcap.writer import TraceWriter
 
 ALL = ~Feature(0)
 

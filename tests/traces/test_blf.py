@@ -7,12 +7,12 @@ import subprocess
 import can
 import pytest
 
-from traces import traffic
-from traces.blf import blf_frames
-from traces.blf_writing import write_blf
-from traces.formats import open_source
+from traces.formats import frames as traffic
+from traces.formats.blf import blf_frames
+from traces.formats.blf import write_blf
+from traces.formats.registry import open_source
 from traces.schema import Direction
-from traces.traffic import Findings, Frame, classic, flexible, remote
+from traces.formats.frames import Findings, Frame, classic, flexible, remote
 
 R, T, U = Direction.RECEIVED, Direction.TRANSMITTED, Direction.UNKNOWN
 START = 1_700_000_000

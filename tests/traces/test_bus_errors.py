@@ -8,18 +8,18 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from harness.cli import main
-from harness.recorded_meaning import meaning_in
-from traces.bus_errors import bus_error
-from traces.decode_canopen import CanopenDecoder
-from traces.fidelity import told_by_nodes
-from traces.reader import read_trace
+from harness.cli.main import main
+from harness.replay.verdict import meaning_in
+from traces.decoding.can_errors import bus_error
+from traces.decoding.canopen import CanopenDecoder
+from traces.semantics.diff import told_by_nodes
+from traces.mcap.reader import read_trace
 from traces.schema import CAN_FRAME, Direction, Schema
-from traces.semantic_diff import Tolerance, differences
-from traces.socketcan_pcap import write_pcapng
-from traces.story import Story
-from traces.traffic import ERR, Frame, classic, flexible
-from traces.writer import TraceWriter
+from traces.semantics.diff import Tolerance, differences
+from traces.formats.pcap_can import write_pcapng
+from traces.decoding.narrative import Story
+from traces.formats.frames import ERR, Frame, classic, flexible
+from traces.mcap.writer import TraceWriter
 
 RIG = b'[bus.can0]\nbitrate_bit_s = 500_000\n[controller.left]\nbus = "can0"\nnode_id = 3\n'
 TOLD = [

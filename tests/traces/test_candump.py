@@ -6,10 +6,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from traces import traffic
-from traces.candump import CandumpReader, log_row, plain_row
+from traces.formats import frames as traffic
+from traces.formats.candump import CandumpReader, log_row, plain_row
 from traces.schema import Direction
-from traces.traffic import Findings, Frame, classic, flexible, read_lines, remote
+from traces.formats.frames import Findings, Frame, classic, flexible, read_lines, remote
 
 
 def read(*lines):

@@ -3,10 +3,10 @@
 import can
 import pytest
 
-from traces import traffic
-from traces.csv_traffic import COLUMNS, CsvReader
+from traces.formats import frames as traffic
+from traces.formats.csv import COLUMNS, CsvReader
 from traces.schema import Direction
-from traces.traffic import Findings, classic, flexible, read_lines, remote
+from traces.formats.frames import Findings, classic, flexible, read_lines, remote
 
 OURS = ",".join(COLUMNS)
 SAVVY = "Time Stamp,ID,Extended,Dir,Bus,LEN,D1,D2,D3,D4,D5,D6,D7,D8"

@@ -4,12 +4,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from traces.asc import AscReader
-from traces.candump import CandumpReader
-from traces.csv_traffic import COLUMNS, CsvReader
-from traces.sd_rows import SdRowReader
-from traces.traffic import Findings, read_lines
-from traces.trc import TrcReader
+from traces.formats.asc import AscReader
+from traces.formats.candump import CandumpReader
+from traces.formats.csv import COLUMNS, CsvReader
+from traces.formats.candump import SdRowReader
+from traces.formats.frames import Findings, read_lines
+from traces.formats.trc import TrcReader
 
 WHOLE = {
     CandumpReader: [

@@ -2,11 +2,11 @@
 
 import pytest
 
-from traces.decode_modbus import ModbusDecoder, adu_of, crc16
-from traces.modbus import Adu, adus
-from traces.pcap import Capture
-from traces.said import Kind
-from traces.tcp_streams import pieces
+from traces.decoding.modbus import ModbusDecoder, adu_of, crc16
+from traces.decoding.modbus import Adu, adus
+from traces.formats.pcap import Capture
+from traces.decoding.events import Kind
+from traces.formats.pcap import pieces
 
 MS = 1_000_000
 

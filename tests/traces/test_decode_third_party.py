@@ -12,10 +12,10 @@ from collections import Counter
 
 import pytest
 
-from traces.decode_canopen import CanopenDecoder
-from traces.formats import open_source
-from traces.said import Kind
-from traces.traffic import Findings
+from traces.decoding.canopen import CanopenDecoder
+from traces.formats.registry import open_source
+from traces.decoding.events import Kind
+from traces.formats.frames import Findings
 
 pytestmark = pytest.mark.data
 

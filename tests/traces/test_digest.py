@@ -6,12 +6,12 @@ import pytest
 from mcap.reader import make_reader
 
 from tests.traces.recordings import MS, Recording, can_frame, write
-from traces.compare import first_mismatch
+from traces.digest import first_mismatch
 from traces.digest import digest
 from traces.errors import TraceError
-from traces.fields import encode_can_frame
+from traces.schema import encode_can_frame
 from traces.schema import CAN_FRAME, LOG, Direction, Schema
-from traces.writer import TraceWriter
+from traces.mcap.writer import TraceWriter
 
 
 def test_digest_matches_definition(tmp_path):

@@ -2,9 +2,9 @@
 
 import pytest
 
-from traces.fidelity import ObjectFidelity, fidelity, retimed, told_by_nodes
-from traces.meaning import COMMANDS, Item, Meaning
-from traces.semantic_diff import Tolerance, differences
+from traces.semantics.diff import ObjectFidelity, fidelity, retimed, told_by_nodes
+from traces.semantics.model import COMMANDS, Item, Meaning
+from traces.semantics.diff import Tolerance, differences
 
 STATE = ("can0", 1, "6041h statusword")
 POSITION = ("can0", 1, "6064h position actual value")

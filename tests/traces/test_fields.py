@@ -6,15 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.traces.protobuf_classes import google_class
-from traces.fields import (
-    JointStateEncoder,
-    TruthEncoder,
-    decode_can_frame,
-    encode_can_frame,
-    encode_log,
-    timestamp_field,
-)
-from traces.protobuf import encode
+from traces.schema import JointStateEncoder, TruthEncoder, decode_can_frame, encode_can_frame, encode_log, timestamp_field
+from traces.mcap.protobuf import encode
 from traces.schema import CAN_FRAME, JOINT_STATE, LOG, Direction, Level, truth_message
 
 # Source: linux/can.h.

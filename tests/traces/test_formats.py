@@ -3,16 +3,16 @@
 import can
 import pytest
 
-from harness.conversion import convert
+from harness.recording.conversion import convert
 from tests.architecture.checkout import CHECKOUT
 from tests.traces.recordings import write
-from traces import traffic
+from traces.formats import frames as traffic
 from traces.digest import digest
 from traces.errors import TraceError
-from traces.formats import IN_WORDS, WRITABLE, Feature, Survey, open_source
+from traces.formats.registry import IN_WORDS, WRITABLE, Feature, Survey, open_source
 from traces.schema import Direction
-from traces.traffic import Findings, Frame, classic, flexible, remote
-from traces.traffic_mcap import record_frames
+from traces.formats.frames import Findings, Frame, classic, flexible, remote
+from traces.formats.registry import record_frames
 
 SINCE_1970_NS = 1_700_000_000_123_456_000
 R, T = Direction.RECEIVED, Direction.TRANSMITTED

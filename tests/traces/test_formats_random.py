@@ -8,13 +8,13 @@ import pytest
 from hypothesis import event, given
 from hypothesis import strategies as st
 
-from harness.conversion import convert
-from traces import traffic
+from harness.recording.conversion import convert
+from traces.formats import frames as traffic
 from traces.digest import digest
-from traces.formats import WRITABLE, Feature
+from traces.formats.registry import WRITABLE, Feature
 from traces.schema import Direction
-from traces.traffic import Frame, classic, flexible, remote
-from traces.traffic_mcap import record_frames
+from traces.formats.frames import Frame, classic, flexible, remote
+from traces.formats.registry import record_frames
 
 BLF = next(form for form in WRITABLE if form.name == "blf")
 NAMES = st.text(st.characters(categories=("L", "N", "P", "S")), min_size=1, max_size=8)

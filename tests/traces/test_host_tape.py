@@ -4,11 +4,11 @@ import struct
 
 import pytest
 
-from traces.host_tape import ANSWER, HostCutter, Listener
-from traces.modbus import Adu
-from traces.recorded_host import answer_size
+from traces.exchange.host import ANSWER, HostCutter, Listener
+from traces.decoding.modbus import Adu
+from traces.exchange.host import answer_size
 from traces.schema import Direction
-from traces.traffic import ERR, classic
+from traces.formats.frames import ERR, classic
 
 MS = 1_000_000
 LENGTH = 100_000

@@ -7,9 +7,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.traces.captures import THERE
-from traces.modbus import Adu, Malformed, adus, paired
-from traces.pcap import Capture
-from traces.tcp_streams import Piece, pieces
+from traces.decoding.modbus import Adu, Malformed, adus, paired
+from traces.formats.pcap import Capture
+from traces.formats.pcap import Piece, pieces
 
 BACK = THERE.back
 

@@ -10,17 +10,17 @@ import pytest
 from hypothesis import event, given
 from hypothesis import strategies as st
 
-from harness.conversion import MODBUS_PCAPNG, convert
+from harness.recording.conversion import MODBUS_PCAPNG, convert
 from traces.digest import digest
 from traces.errors import TraceError
-from traces.modbus_export import AduFeature
-from traces.modbus_pcap import record_adus
-from traces.modbus_records import RecordedAdu
-from traces.pcap import Capture
-from traces.protobuf import encode
+from traces.formats.pcap_modbus import AduFeature
+from traces.formats.pcap_modbus import record_adus
+from traces.decoding.modbus import RecordedAdu
+from traces.formats.pcap import Capture
+from traces.mcap.protobuf import encode
 from traces.schema import MODBUS_ADU, Direction
-from traces.traffic import Frame, classic
-from traces.traffic_mcap import record_frames
+from traces.formats.frames import Frame, classic
+from traces.formats.registry import record_frames
 
 R, T = Direction.RECEIVED, Direction.TRANSMITTED
 S = 1_000_000_000

@@ -2,11 +2,11 @@
 
 import pytest
 
-from harness.conversion import convert
+from harness.recording.conversion import convert
 from tests.traces.captures import SYN, ethernet, ip4, pcap, tcp
 from traces.errors import TraceError
-from traces.protobuf import decode
-from traces.reader import read_trace
+from traces.mcap.protobuf import decode
+from traces.mcap.reader import read_trace
 from traces.schema import MODBUS_ADU, Direction
 
 REQUEST = bytes.fromhex("0007 0000 0006 01 03 0010 0002")

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from tests.traces.captures import block, enhanced, interface, pcap, section
 from traces.errors import TraceError
-from traces.pcap import Capture
+from traces.formats.pcap import Capture
 
 TWO = [(7, 5, b"first"), (8, 999_999, b"second!")]
 

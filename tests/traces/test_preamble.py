@@ -5,13 +5,13 @@ import struct
 from hypothesis import event, given
 from hypothesis import strategies as st
 
-from traces.preamble import telling
-from traces.reader import read_trace
+from traces.mcap.reader import telling
+from traces.mcap.reader import read_trace
 from traces.schema import CAN_FRAME, Direction, Schema
-from traces.story import Story
-from traces.traffic import Frame, classic
-from traces.traffic_mcap import record_frames
-from traces.writer import TraceWriter
+from traces.decoding.narrative import Story
+from traces.formats.frames import Frame, classic
+from traces.formats.registry import record_frames
+from traces.mcap.writer import TraceWriter
 
 S = 1_000_000_000
 MS = 1_000_000

@@ -6,12 +6,12 @@ Features that they do not store are listed where they occur, as of python-can 4.
 import can
 import pytest
 
-from harness.conversion import convert
-from traces import traffic
-from traces.formats import WRITABLE, open_source
+from harness.recording.conversion import convert
+from traces.formats import frames as traffic
+from traces.formats.registry import WRITABLE, open_source
 from traces.schema import Direction
-from traces.traffic import ERR, Findings, Frame, classic, flexible
-from traces.traffic_mcap import record_frames
+from traces.formats.frames import ERR, Findings, Frame, classic, flexible
+from traces.formats.registry import record_frames
 
 R = Direction.RECEIVED
 S = 1_000_000_000

@@ -5,11 +5,11 @@ import pytest
 from mcap.writer import CompressionType, IndexType, Writer
 
 from tests.traces.recordings import MS, SECOND, Recording, counted_frame, write
-from traces import records
-from traces.chunk_places import Summary, read_summary
+from traces.mcap import records
+from traces.mcap.reader import Summary, read_summary
 from traces.errors import TraceError
-from traces.fields import encode_can_frame
-from traces.reader import Trace, read_trace
+from traces.schema import encode_can_frame
+from traces.mcap.reader import Trace, read_trace
 from traces.schema import CAN_FRAME, Direction, Schema
 
 
@@ -306,7 +306,7 @@ def test_summary_equals_scan_of_file(tmp_path, monkeypatch, options):
     path = tmp_path / "a.mcap"
     path.write_bytes(written_by_mcap(options)[0])
     told = traced(path)
-    monkeypatch.setattr("traces.reader.read_summary", lambda file: Summary({}, []))
+    monkeypatch.setattr("traces.mcap.reader.read_summary", lambda file: Summary({}, []))
     assert traced(path) == told
 
 

@@ -4,11 +4,11 @@ import re
 
 import pytest
 
-from harness.conversion import convert
+from harness.recording.conversion import convert
 from traces.digest import digest
 from traces.errors import TraceError
-from traces.formats import open_source
-from traces.traffic import Findings
+from traces.formats.registry import open_source
+from traces.formats.frames import Findings
 
 pytestmark = pytest.mark.data
 

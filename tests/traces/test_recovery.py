@@ -6,11 +6,11 @@ from mcap.reader import NonSeekingReader, make_reader
 from mcap.writer import CompressionType, IndexType, Writer
 
 from tests.traces.recordings import MS, Recording, write
-from traces import records
+from traces.mcap import records
 from traces.digest import digest
 from traces.errors import TraceError
-from traces.reader import Trace
-from traces.recovery import recover, recover_bytes
+from traces.mcap.reader import Trace
+from traces.mcap.recovery import recover, recover_bytes
 
 RIG = b"[rig]\nname = 'small'\n" * 3
 

@@ -1,18 +1,8 @@
 from google.protobuf.descriptor_pb2 import FileDescriptorSet
 
 from tests.traces.protobuf_classes import google_class
-from traces.protobuf import file_descriptor_set
-from traces.schema import (
-    CAN_FRAME,
-    JOINT_STATE,
-    LOG,
-    MOTOR_LOCK,
-    Direction,
-    Level,
-    LockAction,
-    Schema,
-    truth_message,
-)
+from traces.mcap.protobuf import file_descriptor_set
+from traces.schema import CAN_FRAME, JOINT_STATE, LOG, MOTOR_LOCK, Direction, Level, LockAction, Schema, truth_message
 
 # Source: foxglove-schemas-protobuf 0.4.0 (PyPI), `DESCRIPTOR.serialized_pb` of each file.
 FOXGLOVE_JOINT_STATE = (

@@ -7,10 +7,10 @@ import subprocess
 import pytest
 
 from tests.traces.captures import block, enhanced, interface, pcap, section
-from traces import traffic
+from traces.formats import frames as traffic
 from traces.schema import Direction
-from traces.socketcan_pcap import captured_frames, write_pcapng
-from traces.traffic import Findings, Frame, classic, flexible, remote
+from traces.formats.pcap_can import captured_frames, write_pcapng
+from traces.formats.frames import Findings, Frame, classic, flexible, remote
 
 R, T, U = Direction.RECEIVED, Direction.TRANSMITTED, Direction.UNKNOWN
 EXT = 0x1ABCDEF0 | traffic.EFF

@@ -3,11 +3,11 @@
 import pytest
 
 from tests.traces.test_tapes import MS, adu, cut, frame
-from traces.canopen_tapes import CanopenTapes, remote_key
-from traces.modbus_tapes import modbus_tapes
+from traces.exchange.canopen import CanopenTapes, remote_key
+from traces.exchange.modbus import modbus_tapes
 from traces.schema import Direction
-from traces.tape import Role, period_ns
-from traces.traffic import EFF, Frame, classic, remote
+from traces.exchange.steps import Role, period_ns
+from traces.formats.frames import EFF, Frame, classic, remote
 
 BOOT = frame(0, 0x706, b"\0")
 

@@ -5,16 +5,16 @@ from collections import Counter
 
 import pytest
 
-from harness.cli import main
-from traces.canopen_tapes import canopen_tapes
-from traces.formats import open_source
-from traces.modbus import Adu
-from traces.modbus_tapes import LineAdu, modbus_tapes
-from traces.reader import read_trace
-from traces.recorded_tapes import tapes_of
+from harness.cli.main import main
+from traces.exchange.canopen import canopen_tapes
+from traces.formats.registry import open_source
+from traces.decoding.modbus import Adu
+from traces.exchange.modbus import LineAdu, modbus_tapes
+from traces.mcap.reader import read_trace
+from traces.exchange.recording import tapes_of
 from traces.schema import Direction
-from traces.tape import START, Role
-from traces.traffic import EFF, ERR, RTR, Findings, Frame, classic
+from traces.exchange.steps import START, Role
+from traces.formats.frames import EFF, ERR, RTR, Findings, Frame, classic
 
 MS = 1_000_000
 REAL = (

@@ -5,7 +5,7 @@ from hypothesis import event, given
 from hypothesis import strategies as st
 
 from tests.traces.captures import ACK, SYN, THERE, ethernet, ip4, ip6, packet, tcp
-from traces.tcp_streams import Way, pieces
+from traces.formats.pcap import Way, pieces
 
 TEXT = bytes(range(48))
 

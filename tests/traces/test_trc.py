@@ -2,10 +2,10 @@
 
 import pytest
 
-from traces import traffic
+from traces.formats import frames as traffic
 from traces.schema import Direction
-from traces.traffic import Findings, classic, flexible, read_lines, remote
-from traces.trc import TrcReader
+from traces.formats.frames import Findings, classic, flexible, read_lines, remote
+from traces.formats.trc import TrcReader
 
 R, T, U = Direction.RECEIVED, Direction.TRANSMITTED, Direction.UNKNOWN
 EXT = 0x18FFEF00 | traffic.EFF

@@ -15,9 +15,9 @@ from mcap_protobuf.decoder import DecoderFactory
 from tests.traces.recordings import MS, SECOND, Recording, can_frame, counted_frame, write
 from traces.digest import digest
 from traces.errors import TraceError
-from traces.fields import decode_can_frame
+from traces.schema import decode_can_frame
 from traces.schema import CAN_FRAME, LOG, Direction, Schema
-from traces.writer import CHUNK_BYTES, TraceWriter
+from traces.mcap.writer import CHUNK_BYTES, TraceWriter
 
 
 def records(data, **options):

@@ -13,9 +13,9 @@ from mcap.reader import make_reader
 
 from tests.traces.recordings import MS, SECOND, Recording, can_frame
 from traces.errors import TraceError
-from traces.reader import read_trace
+from traces.mcap.reader import read_trace
 from traces.schema import LOG, Schema
-from traces.writer import TraceWriter
+from traces.mcap.writer import TraceWriter
 
 
 class SmallDisk(io.BytesIO):
@@ -255,5 +255,5 @@ def test_recording_being_written_is_not_overwritten(tmp_path):
 
 @pytest.mark.parametrize("device", ["/dev/null", "/dev/stdout"])
 def test_device_accepts_recording(device):
-    code = f"from traces.writer import TraceWriter; TraceWriter({device!r}).close()"
+    code = f"from traces.mcap.writer import TraceWriter; TraceWriter({device!r}).close()"
     subprocess.run([sys.executable, "-c", code], check=True, stdout=subprocess.DEVNULL)

@@ -3,10 +3,10 @@
 import socket
 import threading
 
-from emulators.event_queue import EventQueue
-from emulators.media.can_bus import CanBus
-from emulators.serve import WallLoop
-from emulators.world import World
+from emulators.simulation.event_queue import EventQueue
+from emulators.can.bus.bus import CanBus
+from emulators.gateways.loop import WallLoop
+from emulators.simulation.world import World
 from tests.emulators.telling import tell
 
 

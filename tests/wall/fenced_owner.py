@@ -35,9 +35,11 @@ from motorapi import (
     MotorGroup,
     MotorModel,
 )
-from motorapi.adaptations.cia402 import Cia402HwMotor, Cia402Motor, HwOptions
-from motorapi.adaptations.cia402_triggers import SyncTrigger
-from motorapi.fencing import BoundFence, NodeFence
+from motorapi.adaptations.cia402.hardware import Cia402HwMotor
+from motorapi.adaptations.cia402.motor import Cia402Motor
+from motorapi.adaptations.cia402.bringup import HwOptions
+from motorapi.adaptations.cia402.motion import SyncTrigger
+from motorapi.ownership.fencing import BoundFence, NodeFence
 from tests.motorapi.adaptations.streaming import quintic, set_function
 
 MODEL = MotorModel(name="wheel", velocity_max=3.0, acceleration_max=10.0)

@@ -12,14 +12,11 @@ import sys
 import can
 
 from motorapi import MotorModel
-from motorapi.adaptations.software import (
-    AmplifierHwMotor,
-    IoOptions,
-    PidGains,
-    ServoParameters,
-    SoftwareMotor,
-)
-from motorapi.fencing import BoundFence, NodeFence
+from motorapi.adaptations.host_servo.hardware import AmplifierHwMotor
+from motorapi.adaptations.host_servo.node import IoOptions
+from motorapi.adaptations.host_servo.servo import PidGains
+from motorapi.adaptations.host_servo.motor import ServoParameters, SoftwareMotor
+from motorapi.ownership.fencing import BoundFence, NodeFence
 
 PATIENT = IoOptions(
     cycle_ms=20,

@@ -25,12 +25,12 @@ import subprocess
 import sys
 from types import SimpleNamespace
 
-from motorapi import lock_takeover
+from motorapi.locking import takeover as lock_takeover
 from motorapi.errors import MotorBusyError
-from motorapi.lock_directory import LockDirectory
-from motorapi.lock_file import LockFile
-from motorapi.process_lock import Hold, ProcessLock
-from motorapi.wall_runtime import WallRuntime
+from motorapi.locking.directory import LockDirectory
+from motorapi.locking.lock_file import LockFile
+from motorapi.locking.process_lock import LockHandle, ProcessLock
+from motorapi.runtime.wall import WallRuntime
 
 
 def fork() -> int:
@@ -45,10 +45,10 @@ class Holder:
 
     def __init__(self, lock: ProcessLock, base: int) -> None:
         self.runtime = WallRuntime()
-        self.hold: Hold | None = None
+        self.hold: LockHandle | None = None
         self._lock, self._base = lock, base
 
-    def told(self, hold: Hold) -> str:
+    def told(self, hold: LockHandle) -> str:
         return f"has {hold.token - self._base} {hold.changed_hands}"
 
     def take(self, purpose: str, timeout_s: str = "0.0") -> str:

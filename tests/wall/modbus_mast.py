@@ -3,8 +3,9 @@
 import sys
 
 from motorapi import ControlMode, MotorModel
-from motorapi.adaptations.leadshine import LeadshineHwMotor, LeadshineMotor
-from motorapi.byte_lines import SerialLine, TcpLine
+from motorapi.adaptations.leadshine.hardware import LeadshineHwMotor
+from motorapi.adaptations.leadshine.motor import LeadshineMotor
+from motorapi.runtime.byte_streams import SerialLine, TcpLine
 
 MODEL = MotorModel(name="mast", velocity_max=2.0, acceleration_max=8.0, gear_ratio=100.0)
 

@@ -18,13 +18,10 @@ from motorapi import (
     MotorModel,
     TrapezoidalTrajectory,
 )
-from motorapi.adaptations.software import (
-    AmplifierHwMotor,
-    IoOptions,
-    PidGains,
-    ServoParameters,
-    SoftwareMotor,
-)
+from motorapi.adaptations.host_servo.hardware import AmplifierHwMotor
+from motorapi.adaptations.host_servo.node import IoOptions
+from motorapi.adaptations.host_servo.servo import PidGains
+from motorapi.adaptations.host_servo.motor import ServoParameters, SoftwareMotor
 
 PATIENT = IoOptions(
     cycle_ms=20,

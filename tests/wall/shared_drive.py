@@ -33,9 +33,11 @@ from motorapi import (
     MotorError,
     MotorModel,
 )
-from motorapi.adaptations.cia402 import Cia402HwMotor, Cia402Motor, HwOptions
-from motorapi.adaptations.cia402_parameters import Cia402Parameters
-from motorapi.adaptations.sdo_channel import SdoChannel
+from motorapi.adaptations.cia402.hardware import Cia402HwMotor
+from motorapi.adaptations.cia402.motor import Cia402Motor
+from motorapi.adaptations.cia402.bringup import HwOptions
+from motorapi.adaptations.cia402.object_access import Cia402Parameters
+from motorapi.adaptations.canopen.sdo import SdoChannel
 
 PATIENT = HwOptions(
     heartbeat_timeout_ms=10_000,

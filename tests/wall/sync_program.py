@@ -19,17 +19,12 @@ import sys
 
 import can
 
-from motorapi import (
-    ComplexTrajectory,
-    ControlMode,
-    Motor,
-    MotorError,
-    MotorGroup,
-    MotorModel,
-    turns,
-)
-from motorapi.adaptations.cia402 import Cia402HwMotor, Cia402Motor, HwOptions
-from motorapi.adaptations.cia402_triggers import SyncTrigger
+from motorapi.ownership import queue as turns
+from motorapi import ComplexTrajectory, ControlMode, Motor, MotorError, MotorGroup, MotorModel
+from motorapi.adaptations.cia402.hardware import Cia402HwMotor
+from motorapi.adaptations.cia402.motor import Cia402Motor
+from motorapi.adaptations.cia402.bringup import HwOptions
+from motorapi.adaptations.cia402.motion import SyncTrigger
 from motorapi.functions import Polynomial
 
 PATIENT_S = 60.0

@@ -30,10 +30,10 @@ import time
 from pathlib import Path
 
 from motorapi.errors import MotorBusyError
-from motorapi.lock_directory import LockDirectory
-from motorapi.lock_file import LockFile
-from motorapi.process_lock import ProcessLock
-from motorapi.wall_runtime import WallRuntime
+from motorapi.locking.directory import LockDirectory
+from motorapi.locking.lock_file import LockFile
+from motorapi.locking.process_lock import ProcessLock
+from motorapi.runtime.wall import WallRuntime
 
 PAGE = struct.Struct("<qqqqqq")  # over, last token, writing token, intruders, stale, writes
 NOTE = struct.Struct("<qq")  # token, 1 if taken over

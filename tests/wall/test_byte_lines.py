@@ -11,12 +11,12 @@ import tty
 
 import pytest
 
-from motorapi.adaptations.modbus_line import ModbusLine, UnitClient
-from motorapi.byte_lines import SerialLine, TcpLine
+from motorapi.adaptations.modbus.client import ModbusLine, UnitClient
+from motorapi.runtime.byte_streams import SerialLine, TcpLine
 from motorapi.errors import LinkError
-from motorapi.lock_directory import LockDirectory
-from motorapi.process_lock import ProcessLock
-from motorapi.wall_runtime import WallRuntime
+from motorapi.locking.directory import LockDirectory
+from motorapi.locking.process_lock import ProcessLock
+from motorapi.runtime.wall import WallRuntime
 from tests.emulators.modbus_bench import with_crc
 
 pytestmark = pytest.mark.wall

@@ -4,12 +4,12 @@ import json
 
 import pytest
 
-from harness.conformance.job import Job
-from harness.conformance.target import Target
-from harness.settings import RigError
+from harness.conformance.worker import Job
+from harness.conformance.examination import Target
+from harness.rig.config.toml import RigError
 from tests.conformance.benches import RIGS
 from tests.wall.test_serve import MOTORHIL, motorhil
-from traces.reader import read_trace
+from traces.mcap.reader import read_trace
 
 pytestmark = pytest.mark.wall
 

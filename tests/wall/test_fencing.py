@@ -15,12 +15,13 @@ from pathlib import Path
 import can
 import pytest
 
-from emulators.cia402.factory import build
+from emulators.cia402.drive import build
 from emulators.controller import ControllerContext
 from motorapi import ControlMode, MotorBusyError, WallRuntime
-from motorapi.adaptations.cia402 import Cia402HwMotor, Cia402Motor
-from motorapi.lock_directory import VARIABLE
-from motorapi.lock_view import read_process
+from motorapi.adaptations.cia402.hardware import Cia402HwMotor
+from motorapi.adaptations.cia402.motor import Cia402Motor
+from motorapi.locking.directory import VARIABLE
+from motorapi.locking.lock_status import read_process
 from tests.motorapi.adaptations.streaming import quintic, set_function
 from tests.wall.fenced_owner import MODEL, OPTIONS, open_bus
 from tests.wall.programs import LONG_S, Program

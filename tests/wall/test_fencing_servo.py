@@ -7,7 +7,7 @@ from pathlib import Path
 import can
 import pytest
 
-from emulators.cia401.factory import build
+from emulators.cia401.node import build
 from emulators.controller import ControllerContext
 from motorapi import (
     ControlMode,
@@ -16,8 +16,8 @@ from motorapi import (
     TrapezoidalTrajectory,
     WallRuntime,
 )
-from motorapi.lock_directory import VARIABLE
-from motorapi.lock_view import read_process
+from motorapi.locking.directory import VARIABLE
+from motorapi.locking.lock_status import read_process
 from tests.wall.fenced_servo import servo_on
 from tests.wall.programs import LONG_S, Program
 from tests.wall.test_fencing import Listener, Sent, not_of_the_heir

@@ -6,12 +6,12 @@ import threading
 import can
 import pytest
 
-from emulators.event_queue import EventQueue
-from emulators.hub import HubError, HubServer
-from emulators.media.can_bus import CanBus
-from emulators.serve import WallLoop
-from emulators.world import World
-from harness.hub_client import HubLink
+from emulators.simulation.event_queue import EventQueue
+from emulators.gateways.hub import HubError, HubServer
+from emulators.can.bus.bus import CanBus
+from emulators.gateways.loop import WallLoop
+from emulators.simulation.world import World
+from harness.python_can.hub_client import HubLink
 from tests.emulators.test_world import Echo
 
 pytestmark = pytest.mark.wall
@@ -184,7 +184,7 @@ def test_invalid_frame_is_refused_and_other_clients_stay(path, frame):
 
 
 def test_client_beyond_the_maximum_is_refused(path, monkeypatch):
-    monkeypatch.setattr("emulators.hub.CLIENTS_MAX", 2)
+    monkeypatch.setattr("emulators.gateways.hub.CLIENTS_MAX", 2)
     with (
         serving(path, Echo(0x180)),
         can.Bus(interface="emulated", channel=path) as bus,

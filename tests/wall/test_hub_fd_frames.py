@@ -7,13 +7,13 @@ import struct
 import can
 import pytest
 
-from emulators.hub import HubServer
-from emulators.hub_protocol import GREETING
-from emulators.media.can_frame import pack_fd
-from harness.hub_client import HubLink
-from harness.recording.places import parse_place
-from harness.recording.taps import HubClocks, HubTap
-from harness.replay.sinks import HubSink
+from emulators.gateways.hub import HubServer
+from emulators.simulation.ownership_notice import GREETING
+from emulators.can.frame import pack_fd
+from harness.python_can.hub_client import HubLink
+from harness.recording.sources import parse_place
+from harness.recording.sources import HubClocks, HubTap
+from harness.replay.real_bus import HubSink
 from tests.harness.fd_frames import FdFrames, classical, fd_message
 from tests.wall.error_bench import ErrorBench
 

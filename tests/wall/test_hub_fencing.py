@@ -3,15 +3,7 @@
 import can
 import pytest
 
-from emulators.hub_protocol import (
-    RECORD_MAX,
-    STALE,
-    OwnershipNotice,
-    pack_owns,
-    pack_stale,
-    unpack_owns,
-    unpack_stale,
-)
+from emulators.simulation.ownership_notice import RECORD_MAX, STALE, OwnershipNotice, pack_owns, pack_stale, unpack_owns, unpack_stale
 from motorapi.errors import MotorBusyError
 from tests.wall.test_hub import message, serving
 

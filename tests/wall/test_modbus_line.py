@@ -5,12 +5,12 @@ import threading
 
 import pytest
 
-from motorapi.adaptations.modbus_line import ModbusLine, UnitClient
-from motorapi.byte_lines import TcpLine
+from motorapi.adaptations.modbus.client import ModbusLine, UnitClient
+from motorapi.runtime.byte_streams import TcpLine
 from motorapi.errors import LinkError
-from motorapi.lock_directory import LockDirectory
-from motorapi.process_lock import ProcessLock
-from motorapi.wall_runtime import WallRuntime
+from motorapi.locking.directory import LockDirectory
+from motorapi.locking.process_lock import ProcessLock
+from motorapi.runtime.wall import WallRuntime
 
 pytestmark = pytest.mark.wall
 

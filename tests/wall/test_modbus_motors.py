@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from motorapi.byte_lines import SerialLine, TcpLine
+from motorapi.runtime.byte_streams import SerialLine, TcpLine
 from motorapi.errors import LinkError, UsageError
 from tests.wall.test_serve import motorhil
-from traces.reader import read_trace
+from traces.mcap.reader import read_trace
 
 pytestmark = pytest.mark.wall
 

@@ -6,13 +6,13 @@ import subprocess
 
 import pytest
 
-from harness.ownership_record import Ended, read_ownership
-from motorapi.lock_directory import VARIABLE, LockDirectory
-from motorapi.lock_view import list_locks
+from harness.recording.ownership import Ended, read_ownership
+from motorapi.locking.directory import VARIABLE, LockDirectory
+from motorapi.locking.lock_status import list_locks
 from tests.wall.programs import LONG_S, Program
 from tests.wall.test_shared_drive import MODEL, SERVE, await_boot, folder, wait_for
-from traces.protobuf import decode
-from traces.reader import read_trace
+from traces.mcap.protobuf import decode
+from traces.mcap.reader import read_trace
 from traces.schema import CAN_FRAME, LockAction
 
 __all__ = ["folder"]

@@ -7,12 +7,12 @@ from pathlib import Path
 
 import pytest
 
-from emulators.event_queue import EventQueue
-from harness.virtual_time import VirtualRuntime
+from emulators.simulation.event_queue import EventQueue
+from harness.virtual_time.runtime import VirtualRuntime
 from motorapi.errors import MotorBusyError
-from motorapi.lock_directory import LockDirectory
-from motorapi.process_lock import ProcessLock
-from motorapi.wall_runtime import WallRuntime
+from motorapi.locking.directory import LockDirectory
+from motorapi.locking.process_lock import ProcessLock
+from motorapi.runtime.wall import WallRuntime
 from tests.wall.programs import Program
 
 pytestmark = pytest.mark.wall

@@ -6,14 +6,14 @@ from uuid import uuid4
 import can
 import pytest
 
-from harness.recording.places import PlaceError, parse_place, places_of_buses
-from harness.replay.real_buses import DrivenBuses
+from harness.recording.sources import PlaceError, parse_place, places_of_buses
+from harness.replay.real_bus import DrivenBuses
 from tests.golden import golden
-from traces.reader import read_trace
-from traces.records import MAGIC
+from traces.mcap.reader import read_trace
+from traces.mcap.records import MAGIC
 from traces.schema import Direction
-from traces.traffic import Findings, classic
-from traces.traffic_mcap import recorded_frames
+from traces.formats.frames import Findings, classic
+from traces.formats.registry import recorded_frames
 
 pytestmark = pytest.mark.wall
 

@@ -9,20 +9,20 @@ from contextlib import ExitStack, contextmanager
 import can
 import pytest
 
-from harness.cli import main
+from harness.cli.main import main
 from harness.recording.loop import RecordingLoop
-from harness.recording.places import parse_place
-from harness.recording.pump import Pump, opener
-from harness.recording.python_can import PythonCanTap
-from harness.recording.series import Series
+from harness.recording.sources import parse_place
+from harness.recording.writer import Pump, opener
+from harness.recording.sources import PythonCanTap
+from harness.recording.writer import Series
 from tests.wall.test_hub import serving
-from traces.reader import read_trace
-from traces.traffic import Findings, Frame, classic
-from traces.traffic_mcap import record_frames, recorded_frames
+from traces.mcap.reader import read_trace
+from traces.formats.frames import Findings, Frame, classic
+from traces.formats.registry import record_frames, recorded_frames
 
 pytestmark = pytest.mark.wall
 
-MOTORHIL = (sys.executable, "-c", "import sys; from harness.cli import main; sys.exit(main())")
+MOTORHIL = (sys.executable, "-c", "import sys; from harness.cli.main import main; sys.exit(main())")
 COUNT = 200  # a socket buffers 278 such frames for a recorder without CPU time
 
 

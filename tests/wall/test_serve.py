@@ -9,12 +9,12 @@ from pathlib import Path
 import can
 import pytest
 
-from harness.scaffold import EXAMPLES
-from traces.reader import read_trace
+from harness.rig.config.scaffold import EXAMPLES
+from traces.mcap.reader import read_trace
 
 pytestmark = pytest.mark.wall
 
-MOTORHIL = (sys.executable, "-c", "import sys; from harness.cli import main; sys.exit(main())")
+MOTORHIL = (sys.executable, "-c", "import sys; from harness.cli.main import main; sys.exit(main())")
 RIG = str(EXAMPLES / "two_wheels.toml")
 SCRIPT = (str(Path(__file__).parent / "patient_wheels.py"), str(EXAMPLES / "wheel_model.toml"))
 GOLDEN = Path(__file__).parents[2] / "traces" / "golden"

@@ -10,15 +10,15 @@ import sys
 import can
 import pytest
 
-from harness.scaffold import EXAMPLES
-from motorapi.lock_directory import VARIABLE, LockDirectory
-from motorapi.lock_view import list_locks
-from motorapi.wall_runtime import WallRuntime
+from harness.rig.config.scaffold import EXAMPLES
+from motorapi.locking.directory import VARIABLE, LockDirectory
+from motorapi.locking.lock_status import list_locks
+from motorapi.runtime.wall import WallRuntime
 from tests.wall.programs import LONG_S, Program
 
 pytestmark = pytest.mark.wall
 
-SERVE = (sys.executable, "-c", "import sys; from harness.cli import main; sys.exit(main())")
+SERVE = (sys.executable, "-c", "import sys; from harness.cli.main import main; sys.exit(main())")
 MODEL = EXAMPLES / "wheel_model.toml"
 
 

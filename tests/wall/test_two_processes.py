@@ -13,11 +13,11 @@ from pathlib import Path
 
 import pytest
 
-from harness import two_processes
-from harness.ownership_record import Ended, read_ownership
-from motorapi.lock_view import read_process
+from harness.cli import demo_two_processes as two_processes
+from harness.recording.ownership import Ended, read_ownership
+from motorapi.locking.lock_status import read_process
 from tests.wall.programs import LONG_S
-from traces.reader import read_trace
+from traces.mcap.reader import read_trace
 from traces.schema import LockAction
 
 pytestmark = pytest.mark.wall

@@ -6,9 +6,9 @@ import signal
 
 import pytest
 
-from emulators.event_queue import EventQueue
-from emulators.serve import WallLoop
-from harness.wall_programs import Program, StopSignals
+from emulators.simulation.event_queue import EventQueue
+from emulators.gateways.loop import WallLoop
+from harness.cli.serve import Program, StopSignals
 
 pytestmark = pytest.mark.wall
 

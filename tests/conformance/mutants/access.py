@@ -1,9 +1,9 @@
 """Mistakes in homing, low-level access and closing."""
 
-from motorapi import low_level
-from motorapi.adaptations.ideal_hardware import IdealHwMotor
-from motorapi.adaptations.ideal_motor import IdealMotor
-from motorapi.adaptations.polled_motor import PolledMotor
+from motorapi import motor as low_level
+from motorapi.adaptations.ideal.hardware import IdealHwMotor
+from motorapi.adaptations.ideal.motor import IdealMotor
+from motorapi.adaptations.modbus.polled_motor import PolledMotor
 from tests.conformance.mutants import mutant, replaced
 
 

@@ -3,13 +3,15 @@
 from dataclasses import replace
 from math import ceil, inf, remainder, tau
 
-from motorapi.adaptations import drive_control, drive_motions, leadshine_hardware
-from motorapi.adaptations.cia402_motor import Cia402Motor
-from motorapi.adaptations.drive_motions import DriveMotions
-from motorapi.adaptations.ideal_motor import IdealMotor
-from motorapi.adaptations.leadshine_hardware import LeadshineHwMotor
-from motorapi.adaptations.polled_motor import PolledMotor
-from motorapi.adaptations.software_motor import SoftwareMotor
+from motorapi.adaptations.cia402 import controlword as drive_control
+from motorapi.adaptations.cia402 import motion as drive_motions
+from motorapi.adaptations.leadshine import hardware as leadshine_hardware
+from motorapi.adaptations.cia402.motor import Cia402Motor
+from motorapi.adaptations.cia402.motion import DriveMotions
+from motorapi.adaptations.ideal.motor import IdealMotor
+from motorapi.adaptations.leadshine.hardware import LeadshineHwMotor
+from motorapi.adaptations.modbus.polled_motor import PolledMotor
+from motorapi.adaptations.host_servo.motor import SoftwareMotor
 from motorapi.commands import ControlMode, ControlVariable, Setpoint
 from motorapi.trajectory import TrapezoidalTrajectory
 from tests.conformance.mutants import motions_changed, mutant, replaced

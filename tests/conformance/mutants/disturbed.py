@@ -1,11 +1,11 @@
 """Mistakes that show only with destroyed frames and error counters."""
 
-from motorapi.adaptations.canopen_link import CanopenLink
-from motorapi.adaptations.cia402_objects import error_text
-from motorapi.adaptations.drive_reader import DriveReader
-from motorapi.adaptations.sdo_client import ChannelClient
-from motorapi.adaptations.transmissions import Transmissions
-from motorapi.bus_status import BusCondition, BusStatus
+from motorapi.adaptations.canopen.bus import CanopenLink
+from motorapi.adaptations.cia402.objects import error_text
+from motorapi.adaptations.cia402.measurements import DriveReader
+from motorapi.adaptations.canopen.sdo import ChannelClient
+from motorapi.adaptations.canopen.bus import Transmissions
+from motorapi.runtime.can_sources import BusCondition, BusStatus
 from motorapi.state import Fault, MotorState
 from tests.conformance.mutants import mutant, replaced
 
@@ -42,7 +42,7 @@ def what_was_lost_with_the_bus_is_still_awaited():
 @mutant("software", "BUS-01")
 def a_failure_is_for_ever():
     """A failure of the bus is reported again after a later stop."""
-    from motorapi.adaptations.software_motor import SoftwareMotor
+    from motorapi.adaptations.host_servo.motor import SoftwareMotor
 
     def wrong(slow_down):
         def slowed(motor, deceleration, *, quickly=False):

@@ -3,10 +3,10 @@
 from dataclasses import replace
 
 from motorapi import motor as motor_module
-from motorapi.adaptations.cia402_motor import Cia402Motor
-from motorapi.adaptations.ideal_hardware import IdealHwMotor
-from motorapi.adaptations.ideal_motor import IdealMotor
-from motorapi.adaptations.polled_motor import PolledMotor
+from motorapi.adaptations.cia402.motor import Cia402Motor
+from motorapi.adaptations.ideal.hardware import IdealHwMotor
+from motorapi.adaptations.ideal.motor import IdealMotor
+from motorapi.adaptations.modbus.polled_motor import PolledMotor
 from motorapi.errors import DeadlineExceeded
 from tests.conformance.mutants import mutant, replaced
 

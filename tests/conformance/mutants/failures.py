@@ -1,9 +1,9 @@
 """Mistakes with faults, lost answers and silent drives."""
 
-from motorapi.adaptations import leadshine_hardware
-from motorapi.adaptations.leadshine_hardware import LeadshineHwMotor
-from motorapi.adaptations.modbus_unit import ModbusUnit
-from motorapi.adaptations.polled_motor import PolledMotor
+from motorapi.adaptations.leadshine import hardware as leadshine_hardware
+from motorapi.adaptations.leadshine.hardware import LeadshineHwMotor
+from motorapi.adaptations.modbus.unit import ModbusUnit
+from motorapi.adaptations.modbus.polled_motor import PolledMotor
 from motorapi.errors import DeviceFault, LinkError, MotorError
 from tests.conformance.mutants import mutant, replaced
 

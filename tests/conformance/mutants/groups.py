@@ -2,9 +2,11 @@
 
 from dataclasses import replace
 
-from motorapi import MotorGroup, Synchronization, execution, group
-from motorapi.adaptations.cia402_motor import Cia402Motor
-from motorapi.common_motion import CommonMotion
+from motorapi import execution
+from motorapi import group
+from motorapi import MotorGroup, Synchronization
+from motorapi.adaptations.cia402.motor import Cia402Motor
+from motorapi.group import CommonMotion
 from motorapi.errors import MotorError
 from tests.conformance.mutants import mutant, replaced
 from tests.harness.sharing.mutants import a_group_that_starts_before_all_are_armed

@@ -2,15 +2,15 @@
 
 from contextlib import suppress
 
-from motorapi.adaptations import drive_setup
-from motorapi.adaptations.cia402_motor import Cia402Motor
-from motorapi.adaptations.csp_stream import CspStream
-from motorapi.adaptations.drive_node import DriveNode
-from motorapi.adaptations.drive_objects import DriveObjects
-from motorapi.adaptations.drive_reader import DriveReader
-from motorapi.adaptations.leadshine_hardware import LeadshineHwMotor
-from motorapi.adaptations.motion_watch import StreamWatch
-from motorapi.adaptations.polled_motor import PolledMotor
+from motorapi.adaptations.cia402 import bringup as drive_setup
+from motorapi.adaptations.cia402.motor import Cia402Motor
+from motorapi.adaptations.cia402.csp import CspStream
+from motorapi.adaptations.cia402.node import DriveNode
+from motorapi.adaptations.cia402.object_access import DriveObjects
+from motorapi.adaptations.cia402.measurements import DriveReader
+from motorapi.adaptations.leadshine.hardware import LeadshineHwMotor
+from motorapi.adaptations.cia402.motion_status import StreamWatch
+from motorapi.adaptations.modbus.polled_motor import PolledMotor
 from motorapi.errors import DeadlineExceeded, DeviceFault, LinkError
 from tests.conformance.mutants import mutant, replaced
 

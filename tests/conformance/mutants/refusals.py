@@ -3,8 +3,8 @@
 from dataclasses import replace
 from math import isnan
 
-from motorapi import planning
-from motorapi.adaptations.cia402_motor import Cia402Motor
+from motorapi.planning import single_axis as planning
+from motorapi.adaptations.cia402.motor import Cia402Motor
 from motorapi.commands import ControlMode, ControlVariable, DerivativeLimits
 from motorapi.trajectory import TrapezoidalTrajectory
 from tests.conformance.mutants import mutant, replaced
@@ -31,7 +31,7 @@ def limits_of_position_ignored_in_trajectories():
 @mutant("ideal", "LIM-02")
 def limits_hold_upwards_only():
     """Limits are compared with the signed value: backwards nothing is too fast."""
-    from motorapi import limits
+    from motorapi.planning import limits
 
     def wrong(value_range):
         def found(model, variable):

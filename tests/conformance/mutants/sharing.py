@@ -3,13 +3,13 @@
 from contextlib import contextmanager
 
 from motorapi import Motor, MotorBusyError
-from motorapi.adaptations.cia402_motor import Cia402Motor
-from motorapi.adaptations.drive_objects import DriveObjects
-from motorapi.adaptations.ideal_motor import IdealMotor
-from motorapi.adaptations.polled_motor import PolledMotor
-from motorapi.adaptations.software_hardware import AmplifierHwMotor
-from motorapi.shared_motor import SharedMotor
-from motorapi.sharing import PhysicalMotor, RunStatus
+from motorapi.adaptations.cia402.motor import Cia402Motor
+from motorapi.adaptations.cia402.object_access import DriveObjects
+from motorapi.adaptations.ideal.motor import IdealMotor
+from motorapi.adaptations.modbus.polled_motor import PolledMotor
+from motorapi.adaptations.host_servo.hardware import AmplifierHwMotor
+from motorapi.motor import SharedMotor
+from motorapi.ownership.physical_motor import PhysicalMotor, RunStatus
 from tests.conformance.mutants import mutant, replaced
 from tests.harness.sharing.mutants import a_lock_without_fifo, no_fencing
 

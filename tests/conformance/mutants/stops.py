@@ -3,10 +3,10 @@
 from contextlib import contextmanager
 from dataclasses import replace
 
-from motorapi.adaptations.ideal_courses import Held
-from motorapi.adaptations.ideal_hardware import IdealHwMotor
-from motorapi.adaptations.ideal_motor import IdealMotor
-from motorapi.adaptations.leadshine_hardware import LeadshineHwMotor
+from motorapi.adaptations.ideal.profiles import Held
+from motorapi.adaptations.ideal.hardware import IdealHwMotor
+from motorapi.adaptations.ideal.motor import IdealMotor
+from motorapi.adaptations.leadshine.hardware import LeadshineHwMotor
 from motorapi.commands import ControlMode, ControlVariable
 from motorapi.state import MotorState
 from tests.conformance.mutants import motions_changed, mutant, replaced

@@ -3,11 +3,11 @@
 from dataclasses import replace
 from math import degrees, tau
 
-from motorapi.adaptations.cia402_motor import Cia402Motor
-from motorapi.adaptations.drive_reader import DriveReader
-from motorapi.adaptations.ideal_hardware import IdealHwMotor
-from motorapi.adaptations.leadshine_hardware import LeadshineHwMotor
-from motorapi.adaptations.polled_motor import PolledMotor
+from motorapi.adaptations.cia402.motor import Cia402Motor
+from motorapi.adaptations.cia402.measurements import DriveReader
+from motorapi.adaptations.ideal.hardware import IdealHwMotor
+from motorapi.adaptations.leadshine.hardware import LeadshineHwMotor
+from motorapi.adaptations.modbus.polled_motor import PolledMotor
 from motorapi.state import MotorState
 from tests.conformance.mutants import motions_changed, mutant, replaced
 
@@ -42,7 +42,7 @@ def sign_of_the_gear_forgotten():
         way = motion.target - motion.start
         return replace(motion, target=motion.start - way) if motor.name == "right" else motion
 
-    from motorapi.adaptations.ideal_motor import IdealMotor
+    from motorapi.adaptations.ideal.motor import IdealMotor
 
     with motions_changed(IdealMotor, turned):
         yield

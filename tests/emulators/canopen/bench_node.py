@@ -2,7 +2,8 @@
 
 from struct import Struct
 
-from emulators.canopen.node import CanopenNode, NodeTiming
+from emulators.canopen.node import CanopenNode
+from emulators.canopen.outbox import NodeTiming
 from emulators.canopen.object_dictionary import DataType, ObjectDictionary, Value, Variable
 
 MS = 1_000_000

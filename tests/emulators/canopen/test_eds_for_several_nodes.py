@@ -5,9 +5,9 @@ from pathlib import Path
 import pytest
 
 import emulators
-from emulators.canopen.device_description import DeviceDescription
-from emulators.canopen.eds import EdsError, _Reader, read_eds
-from emulators.canopen.eds_text import EdsText
+from emulators.canopen.files.device_description import DeviceDescription
+from emulators.canopen.files.eds import EdsError, _Reader, read_eds
+from emulators.canopen.files.eds import EdsText
 from tests.emulators.canopen.eds_texts import GOOD
 
 OWN = Path(emulators.__file__).parent / "eds" / "motorhil_cia402.eds"

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from emulators.canopen.eds import EdsError, read_eds
+from emulators.canopen.files.eds import EdsError, read_eds
 from emulators.canopen.object_dictionary import DataType
 from tests.emulators.canopen.eds_texts import GOOD, line_of, variable, warned
 

@@ -4,7 +4,8 @@ import pytest
 
 from emulators.canopen.lss import UNCONFIGURED
 from emulators.canopen.nmt import NmtState
-from emulators.canopen.node import CanopenNode, NodeTiming
+from emulators.canopen.node import CanopenNode
+from emulators.canopen.outbox import NodeTiming
 from emulators.canopen.object_dictionary import ObjectDictionary
 from emulators.controller import RigMemory
 from tests.emulators.canopen.bench_node import (

@@ -3,7 +3,8 @@
 import pytest
 
 from emulators.canopen.nmt import NmtState
-from emulators.canopen.node import CanopenNode, NodeTiming
+from emulators.canopen.node import CanopenNode
+from emulators.canopen.outbox import NodeTiming
 from emulators.canopen.object_dictionary import ObjectDictionary
 from tests.emulators.canopen.bench_node import MS, NODE_ID, Bench, Host, dictionary, put_pdo
 

@@ -6,7 +6,8 @@ import canopen
 import pytest
 from canopen.sdo.exceptions import SdoAbortedError
 
-from emulators.canopen.node import CanopenNode, NodeTiming
+from emulators.canopen.node import CanopenNode
+from emulators.canopen.outbox import NodeTiming
 from emulators.canopen.object_dictionary import ObjectDictionary
 from emulators.controller import RigMemory
 from tests.emulators.canopen.bench_node import (

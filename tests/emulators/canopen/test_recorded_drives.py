@@ -5,8 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from emulators.canopen.eds import read_eds
-from emulators.canopen.node import CanopenNode, NodeTiming
+from emulators.canopen.files.eds import read_eds
+from emulators.canopen.node import CanopenNode
+from emulators.canopen.outbox import NodeTiming
 from emulators.canopen.object_dictionary import ObjectDictionary
 from tests.emulators.canopen.bench_node import MS, Bench, Host, frame, shown
 

@@ -3,7 +3,7 @@
 import struct
 from pathlib import Path
 
-from emulators.cia401.factory import build
+from emulators.cia401.node import build
 from emulators.cia401.node import IoNode
 from emulators.controller import ControllerContext
 from tests.emulators.cia402.bench import MS, NODE, Bench

@@ -4,10 +4,10 @@ from pathlib import Path
 
 import pytest
 
-from emulators.cia401.factory import build
+from emulators.cia401.node import build
 from emulators.cia401.node import IoNode
 from emulators.controller import ControllerContext
-from emulators.firmware.own_time import OwnTime
+from emulators.firmware.clock import OwnTime
 from tests.emulators.cia401.bench import IoBench
 from tests.emulators.cia402.bench import BOOT_UP, MS, NODE, Bench
 

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from emulators.cia401.factory import build
+from emulators.cia401.node import build
 from emulators.cia401.settings import OWN_EDS, read_settings
 from emulators.cia402.settings import OWN_EDS as DRIVE_EDS
 from emulators.controller import ControllerContext, SettingError

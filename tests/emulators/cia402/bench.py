@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from emulators.cia402.drive import Cia402Drive
-from emulators.cia402.factory import build
+from emulators.cia402.drive import build
 from emulators.controller import ControllerContext
 
 MS = 1_000_000

@@ -9,12 +9,12 @@ from typing import Final
 import pytest
 
 from emulators.canopen.node import CanopenNode
-from emulators.cia402 import pds_fsa
-from emulators.cia402.motion_objects import MotionObjects
-from emulators.cia402.pds_fsa import Command, PdsState
+from emulators.cia402 import state_machine as pds_fsa
+from emulators.cia402.objects.motion import MotionObjects
+from emulators.cia402.state_machine import Command, PdsState
 from emulators.cia402.power_drive import PowerDrive
-from emulators.cia402.profile_position import ProfilePosition
-from emulators.cia402.profile_velocity import ProfileVelocity
+from emulators.cia402.modes.profile_position import ProfilePosition
+from emulators.cia402.modes.profile_velocity_torque import ProfileVelocity
 from emulators.firmware.axis import Axis
 
 Break = Callable[[pytest.MonkeyPatch], None]

@@ -3,7 +3,7 @@
 import pytest
 
 from emulators.controller import SettingError
-from emulators.firmware.gains import ServoGains
+from emulators.firmware.servo_tables import ServoGains
 from emulators.plant.presets import WHEEL_60W
 from tests.emulators.cia402.bench import MS, Bench, new_drive
 

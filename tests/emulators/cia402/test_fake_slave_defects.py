@@ -11,7 +11,7 @@ import pytest
 from canopen import import_od
 
 from emulators.canopen.object_dictionary import ObjectDictionary
-from emulators.cia402.objects import DriveObjects
+from emulators.cia402.objects.dictionary import DriveObjects
 from emulators.cia402.settings import OWN_EDS, read_settings
 from tests.emulators.cia402.bench import MS, NODE, Bench
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from emulators.canopen.object_dictionary import ObjectDictionary
-from emulators.cia402.objects import DriveObjects
+from emulators.cia402.objects.dictionary import DriveObjects
 from emulators.cia402.settings import read_settings
 from tests.emulators.cia402.bench import MS, NODE, Bench
 

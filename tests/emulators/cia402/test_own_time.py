@@ -13,9 +13,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from emulators.cia402.drive import Cia402Drive
-from emulators.cia402.factory import build
+from emulators.cia402.drive import build
 from emulators.controller import ControllerContext, SettingError
-from emulators.firmware.own_time import OwnTime
+from emulators.firmware.clock import OwnTime
 from tests.emulators.cia402.bench import BOOT_UP, ENABLE, MS, NODE, Bench
 
 S = 1000 * MS

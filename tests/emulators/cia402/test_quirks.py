@@ -4,11 +4,11 @@ import struct
 
 import pytest
 
-from emulators.canopen.abort_code import OK
-from emulators.cia402.factory import build
-from emulators.cia402.mode import Mode
-from emulators.cia402.quirk_catalogue import CATALOGUE
-from emulators.cia402.quirky_position import Around
+from emulators.canopen.codes import OK
+from emulators.cia402.drive import build
+from emulators.cia402.modes.base import Mode
+from emulators.cia402.settings import CATALOGUE
+from emulators.cia402.quirks import Around
 from emulators.controller import ControllerContext
 from tests.emulators.cia402.bench import BOOT_UP, MS, NODE, Bench, Path
 

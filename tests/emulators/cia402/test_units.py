@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from emulators.canopen.object_dictionary import DataType, ObjectDictionary, Variable
-from emulators.cia402.factors import fill_factors
-from emulators.cia402.units import Units, limited, units_of
+from emulators.cia402.objects.units import fill_factors
+from emulators.cia402.objects.units import Units, limited, units_of
 from emulators.plant.presets import WHEEL_60W
 
 TURN = WHEEL_60W.encoder_increments_rev

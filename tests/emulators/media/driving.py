@@ -2,8 +2,9 @@
 
 from collections.abc import Iterable
 
-from emulators.media.can_bus import CanBus, Delivery
-from emulators.media.delivery import KIND_MASK, TOLD, confirms, hears
+from emulators.can.bus.bus import CanBus
+from emulators.can.bus.port import Delivery
+from emulators.can.bus.port import KIND_MASK, TOLD, confirms, hears
 
 BIT = 1000  # [ns] at 1 Mbit/s
 Submission = tuple[int, int, bytes]  # (time [ns], port, frame)

@@ -2,9 +2,10 @@
 
 import random
 
-from emulators.media.can_bus import CanBus
-from emulators.media.can_frame import pack
-from emulators.media.faults import FaultKind, FaultPlan, FaultRule
+from emulators.can.bus.bus import CanBus
+from emulators.can.frame import pack
+from emulators.can.fault_rules import FaultKind, FaultRule
+from emulators.can.bus.fault_plan import FaultPlan
 from tests.emulators.media.driving import BIT
 
 SYNC = pack(0x080)  # 51 bits with intermission (can-utils, can-physics.md 6.2)

@@ -6,12 +6,12 @@ Two nodes send a TPDO each every 100 ms at 500 kbit/s.
 import random
 from dataclasses import dataclass, field
 
-from emulators.media import error_message as told
-from emulators.media.can_bus import CanBus
-from emulators.media.can_frame import pack
-from emulators.media.delivery import KIND_MASK, TOLD, Delivery, confirms, hears
-from emulators.media.fault_rule import FaultKind, FaultRule
-from emulators.media.faults import FaultPlan
+from emulators.can import error_confinement as told
+from emulators.can.bus.bus import CanBus
+from emulators.can.frame import pack
+from emulators.can.bus.port import KIND_MASK, TOLD, Delivery, confirms, hears
+from emulators.can.fault_rules import FaultKind, FaultRule
+from emulators.can.bus.fault_plan import FaultPlan
 
 PERIOD_NS = 100_000_000
 HOUR_NS = 3600 * 10**9

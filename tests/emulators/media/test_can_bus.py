@@ -1,9 +1,10 @@
 import pytest
 
-from emulators.media.can_bits import frame_bits
-from emulators.media.can_bus import DELIVERED, CanBus
-from emulators.media.can_frame import EFF_FLAG, RTR_FLAG, pack, pack_remote
-from emulators.media.can_node import CanNode, QueueOrder
+from emulators.can.frame_length import frame_bits
+from emulators.can.bus.port import DELIVERED
+from emulators.can.bus.bus import CanBus
+from emulators.can.frame import EFF_FLAG, RTR_FLAG, pack, pack_remote
+from emulators.can.controller_config import CanNode, QueueOrder
 from tests.emulators.media.driving import BIT, confirmed, expire_all, heard, run
 
 # Exact lengths with intermission: can-physics.md 6.2 (can-utils).

@@ -2,8 +2,9 @@
 
 import pytest
 
-from emulators.media.can_bus import CanBus
-from emulators.media.faults import FaultKind, FaultPlan, FaultRule
+from emulators.can.bus.bus import CanBus
+from emulators.can.fault_rules import FaultKind, FaultRule
+from emulators.can.bus.fault_plan import FaultPlan
 from tests.emulators.media.driving import BIT, confirmed, expire_all, heard, run, traffic
 from tests.emulators.media.faulty import (
     END,

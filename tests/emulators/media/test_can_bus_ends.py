@@ -4,9 +4,9 @@ import random
 
 import pytest
 
-from emulators.media.can_bus import CanBus
-from emulators.media.fault_rule import FaultKind, FaultRule, FrameError, WireLevel
-from emulators.media.faults import FaultPlan
+from emulators.can.bus.bus import CanBus
+from emulators.can.fault_rules import FaultKind, FaultRule, FrameError, WireLevel
+from emulators.can.bus.fault_plan import FaultPlan
 from tests.emulators.media.driving import BIT, confirmed, expire_all, heard, run, traffic
 from tests.emulators.media.faulty import HEARTBEAT, HOST, LEFT, RIGHT, STATUS, SYNC, bus_with
 

@@ -7,14 +7,14 @@ from hypothesis import event, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 
-from emulators.media import error_message as told
-from emulators.media.can_bus import CanBus
-from emulators.media.can_frame import can_id_of, pack
-from emulators.media.can_node import CanNode
-from emulators.media.confinement import ErrorState
-from emulators.media.delivery import KIND_MASK, TOLD, confirms, hears
-from emulators.media.fault_rule import PARTING, FaultKind, FaultRule, FrameError, WireLevel
-from emulators.media.faults import FaultPlan
+from emulators.can import error_confinement as told
+from emulators.can.bus.bus import CanBus
+from emulators.can.frame import can_id_of, pack
+from emulators.can.controller_config import CanNode
+from emulators.can.error_confinement import ErrorState
+from emulators.can.bus.port import KIND_MASK, TOLD, confirms, hears
+from emulators.can.fault_rules import PARTING, FaultKind, FaultRule, FrameError, WireLevel
+from emulators.can.bus.fault_plan import FaultPlan
 from tests.emulators.media.driving import BIT
 
 NAMES = ("a", "b", "c", "d")
@@ -75,7 +75,7 @@ class Errors(RuleBasedStateMachine):
             self.failed_unseen[port] += 1
         if can_id_of(message) & told.RESTARTED:
             event("a node has recovered")
-        if can_id_of(message) & told.BUS_OFF:
+        if can_id_of(message) & told.MESSAGE_BUS_OFF:
             event("a node is bus-off")
         self.struck += 1
 

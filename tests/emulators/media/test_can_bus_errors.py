@@ -4,14 +4,14 @@ import random
 
 import pytest
 
-from emulators.media import error_message as told
-from emulators.media.can_bus import CanBus
-from emulators.media.can_frame import BRS, can_id_of, pack, pack_fd
-from emulators.media.can_node import CanNode, FrameSupport
-from emulators.media.confinement import ErrorState
-from emulators.media.delivery import KIND_MASK, TOLD
-from emulators.media.fault_rule import FaultKind, FaultRule, FrameError, WireLevel
-from emulators.media.faults import FaultPlan
+from emulators.can import error_confinement as told
+from emulators.can.bus.bus import CanBus
+from emulators.can.frame import BRS, can_id_of, pack, pack_fd
+from emulators.can.controller_config import CanNode, FrameSupport
+from emulators.can.error_confinement import ErrorState
+from emulators.can.bus.port import KIND_MASK, TOLD
+from emulators.can.fault_rules import FaultKind, FaultRule, FrameError, WireLevel
+from emulators.can.bus.fault_plan import FaultPlan
 from tests.emulators.media.driving import (
     BIT,
     Timed,
@@ -61,7 +61,7 @@ def test_bus_off_and_recovery_are_exact_to_the_bit(rate):
     bit_ns = 10**9 // rate
     bus = struck_bus(rate, CanNode())
     deliveries = run(bus, [(0, 0, STATUS)])
-    assert classes(deliveries, 0, told.BUS_OFF) == [OFF_BITS * bit_ns]
+    assert classes(deliveries, 0, told.MESSAGE_BUS_OFF) == [OFF_BITS * bit_ns]
     assert classes(deliveries, 0, told.RESTARTED) == [BACK_BITS * bit_ns]
     assert bus.node(0).aborted == 1
     assert bus.node(0).confinement.tec == 0

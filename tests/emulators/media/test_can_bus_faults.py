@@ -2,11 +2,13 @@
 
 import pytest
 
-from emulators.media.can_bus import DELIVERED, CanBus
-from emulators.media.can_frame import pack
-from emulators.media.can_node import CanNode, QueueOrder
-from emulators.media.delivery import LOST
-from emulators.media.faults import FaultKind, FaultPlan, FaultRule
+from emulators.can.bus.port import DELIVERED
+from emulators.can.bus.bus import CanBus
+from emulators.can.frame import pack
+from emulators.can.controller_config import CanNode, QueueOrder
+from emulators.can.bus.port import LOST
+from emulators.can.fault_rules import FaultKind, FaultRule
+from emulators.can.bus.fault_plan import FaultPlan
 from tests.emulators.media.driving import BIT, confirmed, expire_all, heard, run
 from tests.emulators.media.faulty import HOST, LEFT, RIGHT, STATUS, SYNC, bus_with, cut, no_draw
 

@@ -4,9 +4,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from emulators.media.can_bits import frame_bits
-from emulators.media.can_bus import CanBus
-from emulators.media.can_frame import can_id_of, pack
+from emulators.can.frame_length import frame_bits
+from emulators.can.bus.bus import CanBus
+from emulators.can.frame import can_id_of, pack
 from tests.emulators.media.driving import run
 
 MS = 1_000_000

@@ -3,15 +3,8 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from emulators.media.can_episode import (
-    Disturbance,
-    Effect,
-    Episode,
-    EventKind,
-    Station,
-    run_episode,
-)
-from emulators.media.can_frame import pack
+from emulators.can.bitlevel.episode import Disturbance, Effect, Episode, EventKind, Station, run_episode
+from emulators.can.frame import pack
 from tests.emulators.media import wire
 
 FRAME = wire.Fields(0x123, False, False, 2, b"\x55\xaa")

@@ -4,14 +4,14 @@ import pytest
 from hypothesis import event, given
 from hypothesis import strategies as st
 
-from emulators.media import error_message as told
-from emulators.media.can_bits import measure, phases_of
-from emulators.media.can_episode import Disturbance, EventKind, Station, run_episode
-from emulators.media.can_node import FrameSupport
-from emulators.media.can_port import LENGTHS_MASK
-from emulators.media.can_station import CanStation
-from emulators.media.can_wire import WireFrame
-from emulators.media.confinement import Confinement
+from emulators.can import error_confinement as told
+from emulators.can.frame_length import measure, phases_of
+from emulators.can.bitlevel.episode import Disturbance, EventKind, Station, run_episode
+from emulators.can.controller_config import FrameSupport
+from emulators.can.frame_length import LENGTHS_MASK
+from emulators.can.bitlevel.controller import CanStation
+from emulators.can.bitlevel.encoder import WireFrame
+from emulators.can.error_confinement import Confinement
 from tests.emulators.media import wire, wire_fd
 from tests.emulators.media.wire_fd import FdFields, fd_fields
 

@@ -6,11 +6,11 @@ import pytest
 from hypothesis import event, given
 from hypothesis import strategies as st
 
-from emulators.media.can_bus import CanBus
-from emulators.media.can_frame import pack
-from emulators.media.can_node import CanNode
-from emulators.media.can_sampling import ONE, USUAL_TIMING, BitTiming, first_misread
-from emulators.media.faults import FaultPlan
+from emulators.can.bus.bus import CanBus
+from emulators.can.frame import pack
+from emulators.can.controller_config import CanNode
+from emulators.can.controller_config import ONE, USUAL_TIMING, BitTiming, first_misread
+from emulators.can.bus.fault_plan import FaultPlan
 from tests.emulators.media import wire
 from tests.emulators.media.driving import heard, run
 

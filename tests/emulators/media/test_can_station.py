@@ -8,17 +8,10 @@ a to i.
 
 import pytest
 
-from emulators.media import error_message as told
-from emulators.media.can_station import OFF, CanStation
-from emulators.media.confinement import Confinement
-from emulators.media.error_journal import (
-    NOTE_ACCEPTED,
-    NOTE_ERROR,
-    NOTE_FAILED,
-    NOTE_LOST,
-    NOTE_SENT,
-    NOTE_STATE,
-)
+from emulators.can import error_confinement as told
+from emulators.can.bitlevel.controller import OFF, CanStation
+from emulators.can.error_confinement import Confinement
+from emulators.can.bitlevel.controller import NOTE_ACCEPTED, NOTE_ERROR, NOTE_FAILED, NOTE_LOST, NOTE_SENT, NOTE_STATE
 from tests.emulators.media import wire
 
 FIELDS = wire.Fields(0x2AA, False, False, 1, b"\x0f")
@@ -425,7 +418,7 @@ def test_tec_above_255_is_bus_off_at_once_and_counts_runs():  # i
     assert station.off_at == 0
     assert (station.recessive_runs, station.recessive_bits) == (2, 0)
     assert station.journal.notes[-1][1:] == (NOTE_FAILED, FRAME)
-    assert station.journal.notes[-2][2][0] & told.BUS_OFF
+    assert station.journal.notes[-2][2][0] & told.MESSAGE_BUS_OFF
 
 
 def test_tec_of_255_is_not_bus_off():  # i

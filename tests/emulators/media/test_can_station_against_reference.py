@@ -4,16 +4,10 @@ from random import Random
 
 import pytest
 
-from emulators.media.can_node import FrameSupport
-from emulators.media.can_station import CanStation
-from emulators.media.confinement import Confinement
-from emulators.media.error_journal import (
-    NOTE_ACCEPTED,
-    NOTE_ERROR,
-    NOTE_FAILED,
-    NOTE_LOST,
-    NOTE_SENT,
-)
+from emulators.can.controller_config import FrameSupport
+from emulators.can.bitlevel.controller import CanStation
+from emulators.can.error_confinement import Confinement
+from emulators.can.bitlevel.controller import NOTE_ACCEPTED, NOTE_ERROR, NOTE_FAILED, NOTE_LOST, NOTE_SENT
 from tests.emulators.media import wire, wire_fd
 from tests.emulators.media.reference_node import ReferenceNode, Sent
 

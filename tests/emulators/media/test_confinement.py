@@ -2,9 +2,9 @@
 
 import pytest
 
-from emulators.media import error_message as told
-from emulators.media.confinement import Confinement, ErrorState, state_of
-from emulators.media.error_journal import NOTE_STATE, ErrorJournal
+from emulators.can import error_confinement as told
+from emulators.can.error_confinement import Confinement, ErrorState, state_of
+from emulators.can.bitlevel.controller import NOTE_STATE, ErrorJournal
 
 
 @pytest.mark.parametrize(
@@ -40,7 +40,7 @@ def test_invalid_counters_are_refused(tec, rec):
         ((128, 0), (127, 0), told.CONTROLLER, told.TX_WARNING, (127, 0)),
         ((0, 200), (0, 127), told.CONTROLLER, told.RX_WARNING, (0, 127)),
         ((96, 0), (95, 0), told.CONTROLLER, told.ERROR_ACTIVE, (95, 0)),
-        ((250, 3), (258, 3), told.BUS_OFF, 0, (0, 0)),
+        ((250, 3), (258, 3), told.MESSAGE_BUS_OFF, 0, (0, 0)),
     ],
 )
 def test_state_change_is_reported_as_by_linux(before, after, classes, controller, counters):
@@ -51,7 +51,7 @@ def test_state_change_is_reported_as_by_linux(before, after, classes, controller
     confinement = Confinement(*before)
     journal = ErrorJournal(confinement)
     confinement.tec, confinement.rec = after
-    assert journal.note_state() is (classes == told.BUS_OFF)
+    assert journal.note_state() is (classes == told.MESSAGE_BUS_OFF)
     assert not journal.note_state()  # once
     if not classes:
         assert journal.notes == []
@@ -59,7 +59,7 @@ def test_state_change_is_reported_as_by_linux(before, after, classes, controller
     ((_, kind, message),) = journal.notes
     assert kind == NOTE_STATE
     can_id = int.from_bytes(message[:4], "little")
-    counted = 0 if classes == told.BUS_OFF else told.COUNTERS
+    counted = 0 if classes == told.MESSAGE_BUS_OFF else told.COUNTERS
     assert can_id == 0x20000000 | classes | counted
     assert message[9] == controller
     assert (message[14], message[15]) == counters

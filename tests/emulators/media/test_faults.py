@@ -6,8 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from emulators.media.can_frame import EFF_FLAG, pack, pack_remote
-from emulators.media.faults import NEVER_NS, FaultKind, FaultPlan, FaultRule
+from emulators.can.frame import EFF_FLAG, pack, pack_remote
+from emulators.can.bus.fault_plan import NEVER_NS, FaultPlan
+from emulators.can.fault_rules import FaultKind, FaultRule
 
 DROP = FaultKind.DROP
 

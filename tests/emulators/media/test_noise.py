@@ -4,10 +4,10 @@ import random
 
 import pytest
 
-from emulators.media.can_episode import ALL_PORTS
-from emulators.media.delivery import KIND_MASK, TOLD
-from emulators.media.fault_rule import FaultKind, FaultRule
-from emulators.media.noise import NoiseSource
+from emulators.can.bitlevel.episode import ALL_PORTS
+from emulators.can.bus.port import KIND_MASK, TOLD
+from emulators.can.fault_rules import FaultKind, FaultRule
+from emulators.can.fault_rules import NoiseSource
 from tests.emulators.media.driving import BIT, confirmed, run
 from tests.emulators.media.faulty import LEFT, SYNC, bus_with
 

@@ -1,7 +1,7 @@
 """An episode in time, computed again while it is played."""
 
-from emulators.media.can_episode import EventKind, Station
-from emulators.media.playback import Playback
+from emulators.can.bitlevel.episode import EventKind, Station
+from emulators.can.bus.segment import Playback
 from tests.emulators.media.driving import BIT
 from tests.emulators.media.faulty import STATUS
 

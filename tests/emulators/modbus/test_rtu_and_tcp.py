@@ -9,8 +9,8 @@ from hypothesis import event, given
 from hypothesis import strategies as st
 from pymodbus.framer import FramerRTU
 
-from emulators.modbus.crc import crc16, with_crc
-from emulators.modbus.diagnostics import Diagnostics
+from emulators.modbus.rtu import crc16, with_crc
+from emulators.modbus.server import Diagnostics
 from emulators.modbus.registers import Register, RegisterBank
 from emulators.modbus.rtu import RtuUnit
 from emulators.modbus.server import ModbusServer

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import event, given
 from hypothesis import strategies as st
 
-from emulators.modbus.diagnostics import Diagnostics
-from emulators.modbus.identification import Identification
+from emulators.modbus.server import Diagnostics
+from emulators.modbus.server import Identification
 from emulators.modbus.registers import Access, BitBank, Kind, Register, RegisterBank
 from emulators.modbus.server import ModbusServer
 

@@ -1,7 +1,7 @@
 """Axes for tests, at rest or holding their position."""
 
 from emulators.firmware.axis import Axis
-from emulators.firmware.gains import ServoGains
+from emulators.firmware.servo_tables import ServoGains
 from emulators.plant.presets import WHEEL_60W
 
 MS = 1_000_000

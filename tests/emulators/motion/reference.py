@@ -7,7 +7,7 @@ lazy, and no steps are combined.
 import math
 from dataclasses import dataclass, field
 
-from emulators.firmware.gains import ServoGains
+from emulators.firmware.servo_tables import ServoGains
 from emulators.plant.dc_motor import MotorPlant
 
 

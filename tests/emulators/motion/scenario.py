@@ -6,7 +6,7 @@ The digest is the same on every machine, compiled or not.
 from hashlib import sha256
 
 from emulators.firmware.axis import Axis
-from emulators.firmware.gains import ServoGains
+from emulators.firmware.servo_tables import ServoGains
 from emulators.plant.presets import PLAUSIBLE
 
 MS = 1_000_000

@@ -7,7 +7,7 @@ import pytest
 
 from emulators.firmware import servo
 from emulators.firmware.axis import Axis
-from emulators.firmware.gains import ServoGains
+from emulators.firmware.servo_tables import ServoGains
 from emulators.firmware.servo_tables import ServoTables
 from emulators.plant.dc_motor import MotorPlant
 from emulators.plant.presets import WHEEL_60W

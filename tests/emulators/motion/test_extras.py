@@ -7,28 +7,20 @@ import pytest
 from hypothesis import event, given, settings
 from hypothesis import strategies as st
 
-from emulators.cia402.factory import build as cia402_drive
+from emulators.cia402.drive import build as cia402_drive
 from emulators.controller import ControllerContext, SettingError
-from emulators.firmware import extras_servo
+from emulators.firmware import nonlinear_servo as extras_servo
 from emulators.firmware.axis import Axis
-from emulators.firmware.extras_tables import StepNumbers, extras_tables
-from emulators.firmware.flags import (
-    I2T_LIMIT,
-    I2T_WARNING,
-    OUTSIDE_GATE,
-    OVER_TEMPERATURE,
-    SPEED_ZERO,
-    TEMPERATURE_WARNING,
-    UNDER_VOLTAGE,
-)
-from emulators.firmware.gains import ServoGains
+from emulators.firmware.nonlinear_tables import StepNumbers, extras_tables
+from emulators.firmware.flags import I2T_LIMIT, I2T_WARNING, OUTSIDE_GATE, OVER_TEMPERATURE, SPEED_ZERO, TEMPERATURE_WARNING, UNDER_VOLTAGE
+from emulators.firmware.servo_tables import ServoGains
 from emulators.firmware.servo_tables import tables_of
-from emulators.leadshine_pr.factory import build as leadshine_drive
-from emulators.oriental_az.factory import build as oriental_drive
-from emulators.plant.extras import PlantExtras
+from emulators.leadshine_pr.drive import build as leadshine_drive
+from emulators.oriental_az.drive import build as oriental_drive
+from emulators.plant.nonlinear import PlantExtras
 from emulators.plant.presets import WHEEL_60W
-from emulators.setting_tables import plant_of
-from harness.build_info import cores_are_compiled
+from emulators.settings.tables import plant_of
+from harness.version import cores_are_compiled
 
 MS = 1_000_000
 CONTEXT = ControllerContext(name="drive", folder=Path(), seed=1)

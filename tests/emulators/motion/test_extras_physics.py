@@ -11,16 +11,16 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 from emulators.controller import SettingError
-from emulators.firmware import extras_step
+from emulators.firmware import nonlinear_servo as extras_step
 from emulators.firmware.axis import Axis
-from emulators.firmware.current_loop import steps
-from emulators.firmware.extras_tables import ExtrasTables, StepNumbers
+from emulators.firmware.servo import steps
+from emulators.firmware.nonlinear_tables import ExtrasTables, StepNumbers
 from emulators.firmware.flags import AT_STOP, OVER_VOLTAGE
-from emulators.firmware.gains import ServoGains
+from emulators.firmware.servo_tables import ServoGains
 from emulators.firmware.servo_tables import ServoTables
-from emulators.plant.extras import PlantExtras
+from emulators.plant.nonlinear import PlantExtras
 from emulators.plant.presets import WHEEL_60W
-from emulators.servo_settings import servo_of
+from emulators.settings.motor import servo_of
 
 MS = 1_000_000
 STEP_S = 1e-4
@@ -54,7 +54,7 @@ def test_all_effects_off_equals_linear_motor():
     begin = (0.7, 11.0, 400.0, 1234.5)
     for wanted in (0.0, 0.7, 2.5, 8.0):
         expected = steps(plain.step, 10, 0.01, wanted, *begin)
-        found = extras_step.tick(tables, 0, True, 0.01, 24.0, wanted, *begin, 0.0, 0.0, 24.0)
+        found = extras_step.plant_tick(tables, 0, True, 0.01, 24.0, wanted, *begin, 0.0, 0.0, 24.0)
         assert found[:4] == pytest.approx(expected, rel=1e-12)
         assert found[4:6] == found[2:4]  # one body
 

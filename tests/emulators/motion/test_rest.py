@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from emulators.firmware import servo
 from emulators.firmware.axis import Axis
 from emulators.firmware.flags import PROFILE_ACTIVE, SPEED_ZERO
-from emulators.firmware.gains import ServoGains
+from emulators.firmware.servo_tables import ServoGains
 from emulators.firmware.servo_tables import ServoTables
 from emulators.plant.dc_motor import MotorPlant
 from emulators.plant.presets import PLAUSIBLE, WHEEL_60W

@@ -4,7 +4,7 @@ from hypothesis import event, given
 from hypothesis import strategies as st
 
 from emulators.firmware.axis import Axis
-from emulators.firmware.gains import ServoGains
+from emulators.firmware.servo_tables import ServoGains
 from emulators.plant.presets import WHEEL_60W
 
 MS = 1_000_000

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from emulators.firmware import servo
 from emulators.firmware.axis import Axis
 from emulators.firmware.flags import IN_TARGET_WINDOW, PROFILE_ACTIVE
-from emulators.firmware.gains import ServoGains
+from emulators.firmware.servo_tables import ServoGains
 from emulators.firmware.servo_tables import ServoTables
 from emulators.plant.presets import MAST_20W, WHEEL_60W
 

@@ -7,7 +7,7 @@ import pytest
 
 from emulators.firmware.axis import Axis
 from emulators.firmware.flags import PROFILE_ACTIVE
-from emulators.firmware.gains import ServoGains
+from emulators.firmware.servo_tables import ServoGains
 from emulators.plant.presets import PLAUSIBLE, WHEEL_60W
 
 MS = 1_000_000

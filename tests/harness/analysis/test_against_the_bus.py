@@ -12,16 +12,17 @@ import pytest
 from hypothesis import event, given
 from hypothesis import strategies as st
 
-from emulators.media.can_bits import frame_bits, measure, phases_of
-from emulators.media.can_bus import CanBus
-from emulators.media.can_frame import BRS, EFF_FLAG, FD_LENGTHS, can_id_of, pack, pack_fd
-from emulators.media.can_node import CanNode, FrameSupport, QueueOrder
-from emulators.media.can_port import LENGTHS_MASK
-from emulators.media.delivery import confirms
-from emulators.media.fault_rule import FrameError
-from emulators.media.faults import FaultKind, FaultPlan, FaultRule
-from harness.analysis.errors import ErrorModel
-from harness.analysis.frame_length import INTERMISSION_BITS, Bits, longest
+from emulators.can.frame_length import frame_bits, measure, phases_of
+from emulators.can.bus.bus import CanBus
+from emulators.can.frame import BRS, EFF_FLAG, FD_LENGTHS, can_id_of, pack, pack_fd
+from emulators.can.controller_config import CanNode, FrameSupport, QueueOrder
+from emulators.can.frame_length import LENGTHS_MASK
+from emulators.can.bus.port import confirms
+from emulators.can.fault_rules import FrameError
+from emulators.can.fault_rules import FaultKind, FaultRule
+from emulators.can.bus.fault_plan import FaultPlan
+from harness.analysis.response_time import ErrorModel
+from harness.analysis.message import INTERMISSION_BITS, Bits, longest
 from harness.analysis.message import BusLoad, Message
 from harness.analysis.response_time import response_times
 from tests.emulators.media.driving import run

@@ -7,16 +7,9 @@ import pytest
 from hypothesis import event, example, given
 from hypothesis import strategies as st
 
-from harness.analysis.errors import NO_ERRORS, ErrorModel
-from harness.analysis.identifiers import best_order, propose, with_changes
-from harness.analysis.margins import (
-    ERRORS_MAX,
-    at_rate,
-    queues_that_help,
-    rate_that_helps,
-    shortest_error_interval_ns,
-    tolerances,
-)
+from harness.analysis.response_time import NO_ERRORS, ErrorModel
+from harness.analysis.advice import best_order, propose, with_changes
+from harness.analysis.advice import ERRORS_MAX, at_rate, queues_that_help, rate_that_helps, shortest_error_interval_ns, tolerances
 from harness.analysis.message import BusLoad, Message
 from harness.analysis.response_time import are_in_time
 from harness.analysis.subject import is_canopen_reserved, reserves_nothing

@@ -4,7 +4,7 @@ from hypothesis import event, given
 from hypothesis import strategies as st
 
 from harness.analysis.message import Arrival, Message
-from harness.analysis.recorded import Heard, measured
+from harness.analysis.measured import Heard, measured
 from tests.harness.analysis.sets import MS, US
 
 

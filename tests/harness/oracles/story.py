@@ -7,10 +7,10 @@ Bytes follow CiA 301 and 402-2, and linux/can/error.h.
 
 import struct
 
-from traces.fields import encode_log
-from traces.protobuf import encode
+from traces.schema import encode_log
+from traces.mcap.protobuf import encode
 from traces.schema import CAN_FRAME, LOG, MOTOR_LOCK, Direction, Level, LockAction, Schema
-from traces.writer import TraceWriter
+from traces.mcap.writer import TraceWriter
 
 MS = 1_000_000
 RIG = b"""

@@ -5,7 +5,7 @@ import struct
 import pytest
 
 from harness.oracles.facts import Facts
-from harness.oracles.finding import Verdict
+from harness.oracles.base import Verdict
 from harness.oracles.judge import IDS, is_sound, judge
 from tests.harness.oracles.story import (
     MS,

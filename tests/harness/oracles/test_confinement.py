@@ -2,14 +2,14 @@
 
 import random
 
-from emulators.media.can_episode import Disturbance, Effect, EventKind, Station, run_episode
-from emulators.media.can_frame import pack
-from harness.oracles.finding import Verdict
+from emulators.can.bitlevel.episode import Disturbance, Effect, EventKind, Station, run_episode
+from emulators.can.frame import pack
+from harness.oracles.base import Verdict
 from harness.oracles.judge import judge
-from traces.bus_errors import ControllerState, bus_error
+from traces.decoding.can_errors import ControllerState, bus_error
 from traces.schema import Direction
-from traces.traffic import ERR, Frame, classic
-from traces.traffic_mcap import record_frames
+from traces.formats.frames import ERR, Frame, classic
+from traces.formats.registry import record_frames
 
 NODES = 3
 RESTARTED = classic(ERR | 0x300, bytes(8))

@@ -5,20 +5,20 @@ import random
 import pytest
 
 from harness.oracles.facts import Facts, read_limits, subjects_in
-from harness.oracles.finding import Verdict
+from harness.oracles.base import Verdict
 from harness.oracles.judge import Pass, is_sound, judge
-from harness.oracles.scene import Scene
-from harness.rig import Rig, installed_plugins
-from harness.rig_file import parse_rig
-from harness.settings import Source
+from harness.oracles.base import RecordingContext
+from harness.rig.rig import Rig, installed_plugins
+from harness.rig.config.rig_file import parse_rig
+from harness.rig.config.toml import Source
 from motorapi import ControlMode, MotorError
 from tests.golden import GOLDEN, golden
 from tests.harness.replay.altered import copied
 from tests.motorapi.kinds import EVERY
-from traces.reader import read_trace
-from traces.recorded_names import names_of
-from traces.traffic import Findings
-from traces.traffic_mcap import recorded_frames
+from traces.mcap.reader import read_trace
+from traces.decoding.objects import names_of
+from traces.formats.frames import Findings
+from traces.formats.registry import recorded_frames
 
 _CAN = {
     *("limit-velocity", "heartbeat-kept", "sdo-answered", "one-sender", "no-reboot"),
@@ -76,7 +76,7 @@ def test_recording_with_missing_frames_is_not_broken():
         suspected = 0
         for seed, chance in enumerate((0.01, 0.05, 0.1, 0.2) * 2):
             draw = random.Random(f"{name}:{seed}").random
-            pass_ = Pass(Scene(facts, names), ())
+            pass_ = Pass(RecordingContext(facts, names), ())
             for time_ns, bus, frame, _, _ in frames:
                 if draw() >= chance:
                     pass_.hear(time_ns, bus, frame, "")

@@ -6,8 +6,8 @@ import struct
 
 import pytest
 
-from harness.recording import datagrams
-from harness.recording.datagrams import BATCH, DatagramReader
+from harness.recording import socketcan as datagrams
+from harness.recording.socketcan import BATCH, DatagramReader
 
 NOW = 7
 

@@ -1,10 +1,10 @@
 import can
 import pytest
 
-from harness.recording.places import Kind, Place, PlaceError, parse_place, refuse_twice, topic_name
-from harness.recording.python_can import PythonCanTap, frame_of, message_of
-from harness.recording.taps import HubClocks
-from traces.traffic import classic, flexible, remote
+from harness.recording.sources import Kind, Place, PlaceError, parse_place, refuse_twice, topic_name
+from harness.recording.sources import PythonCanTap, frame_of, message_of
+from harness.recording.sources import HubClocks
+from traces.formats.frames import classic, flexible, remote
 
 NOW_S = 1_800_000_000
 

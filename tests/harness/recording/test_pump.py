@@ -2,16 +2,16 @@ import struct
 
 import pytest
 
-from harness.recording.progress import Progress
-from harness.recording.pump import FLUSH_NS, Pump, opener
-from harness.recording.series import Series
+from harness.cli.record import Progress
+from harness.recording.writer import FLUSH_NS, Pump, opener
+from harness.recording.writer import Series
 from tests.traces.recordings import MS, can_frame, counted_frame
 from traces.digest import digest
 from traces.errors import TraceError
-from traces.reader import read_trace
+from traces.mcap.reader import read_trace
 from traces.schema import Direction, Level
-from traces.traffic import Findings
-from traces.traffic_mcap import recorded_frames
+from traces.formats.frames import Findings
+from traces.formats.registry import recorded_frames
 
 S = 1_000_000_000
 

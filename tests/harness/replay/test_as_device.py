@@ -7,13 +7,13 @@ import pytest
 from hypothesis import event, given
 from hypothesis import strategies as st
 
-from harness.replay.recorded_rig import with_recorded
+from harness.replay.rig import with_recorded
 from harness.replay.verdict import players, unanswered
-from harness.rig import Rig
+from harness.rig.rig import Rig
 from motorapi import ControlMode, MotorError
 from tests.golden import described, golden, overload, record
 from tests.harness.replay.altered import copied, traffic
-from traces.reader import read_trace
+from traces.mcap.reader import read_trace
 
 
 def one_move(rig, target=1.0, pauses=(0.0, 0.0, 0.0), after_enable=None):

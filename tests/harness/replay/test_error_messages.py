@@ -3,19 +3,19 @@
 import pytest
 
 from harness.oracles.judge import judge
-from harness.replay.as_host import DrivenRig, compared, drive
-from harness.replay.recorded_rig import with_recorded
+from harness.replay.host import DrivenRig, compared, drive
+from harness.replay.rig import with_recorded
 from harness.replay.verdict import unanswered
-from harness.rig import Rig
+from harness.rig.rig import Rig
 from tests.golden import GOLDEN, described, golden
 from tests.harness.replay.altered import traffic
-from traces.fields import encode_can_frame
-from traces.reader import read_trace
-from traces.recorded_tapes import tapes_of
+from traces.schema import encode_can_frame
+from traces.mcap.reader import read_trace
+from traces.exchange.recording import tapes_of
 from traces.schema import Direction
-from traces.semantic_diff import Tolerance
-from traces.traffic import ERR, classic
-from traces.writer import TraceWriter
+from traces.semantics.diff import Tolerance
+from traces.formats.frames import ERR, classic
+from traces.mcap.writer import TraceWriter
 
 HEARD, OWN = Direction.RECEIVED, Direction.TRANSMITTED
 ERRORS = [  # some with the bits of NMT, SYNC, or an SDO of node 1, read as identifiers

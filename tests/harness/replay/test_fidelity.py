@@ -2,13 +2,13 @@
 
 import pytest
 
-from harness.cli import main
-from harness.replay.as_host import compared
-from traces.host_tape import HostCutter, Listener
-from traces.recorded_host import answer_size
+from harness.cli.main import main
+from harness.replay.host import compared
+from traces.exchange.host import HostCutter, Listener
+from traces.exchange.host import answer_size
 from traces.schema import Direction
-from traces.semantic_diff import Tolerance
-from traces.traffic import RTR, classic
+from traces.semantics.diff import Tolerance
+from traces.formats.frames import RTR, classic
 
 SAME = (
     *("701#00", "601#4041600000000000", "581#4B41600031020000", "701#7F", "1E5#0102"),

@@ -4,16 +4,16 @@ import shutil
 
 import pytest
 
-from harness.cli import main
-from harness.replay.as_host import DrivenRig, compared, drive
-from harness.replay.recorded_rig import with_recorded
+from harness.cli.main import main
+from harness.replay.host import DrivenRig, compared, drive
+from harness.replay.rig import with_recorded
 from harness.replay.verdict import players, summary, unanswered
-from harness.rig import Rig
+from harness.rig.rig import Rig
 from tests.golden import GOLDEN, INDEX, described, golden, record, rows
 from tests.harness.replay.altered import traffic
 from traces.digest import digest
-from traces.fields import decode_can_frame
-from traces.semantic_diff import Tolerance
+from traces.schema import decode_can_frame
+from traces.semantics.diff import Tolerance
 
 NAMES = list(GOLDEN)
 

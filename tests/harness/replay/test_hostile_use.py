@@ -9,9 +9,9 @@ import pytest
 from tests.golden import FOLDER
 from tests.harness.recorded import Recorded
 from traces.errors import TraceError
-from traces.reader import read_trace
+from traces.mcap.reader import read_trace
 from traces.schema import CAN_FRAME, MODBUS_ADU, Direction, Schema
-from traces.writer import TraceWriter
+from traces.mcap.writer import TraceWriter
 
 TABLES = {"/can": CAN_FRAME, "/mod": MODBUS_ADU}
 
@@ -162,9 +162,9 @@ def test_as_host_uses_recorded_eds_files(with_eds, say):
 
 
 def test_missing_attached_file_is_reported(folder):
-    from harness.replay.recorded_rig import own_rig
-    from harness.rig import installed_plugins
-    from harness.settings import RigError
+    from harness.replay.rig import own_rig
+    from harness.rig.rig import installed_plugins
+    from harness.rig.config.toml import RigError
 
     with read_trace("bench.mcap") as trace:
         rig = next(one for one in trace.attachments if one.name.endswith(".toml"))

@@ -2,9 +2,9 @@
 
 import pytest
 
-from harness.cli import main
+from harness.cli.main import main
 from harness.replay.verdict import unanswered
-from harness.rig import Rig
+from harness.rig.rig import Rig
 
 
 @pytest.fixture(scope="module")

@@ -3,8 +3,8 @@
 from hypothesis import event, given
 from hypothesis import strategies as st
 
-from harness.replay.player import LOOK_AHEAD, TapePlayer
-from traces.tape import START, Role, Sent, Step, Tape, Turn, period_ns
+from harness.replay.player import LOOK_AHEAD, ExchangePlayer
+from traces.exchange.steps import START, Role, Sent, Step, ExchangeLog, Turn, period_ns
 
 MS = 1_000_000
 
@@ -33,11 +33,11 @@ def poll(number, answer):
 
 def tape(*steps, periods_ns=None):
     first = Step(Role.COMMAND, START, 0, "")
-    return Tape("can0", 1, [first, *steps], periods_ns or {})
+    return ExchangeLog("can0", 1, [first, *steps], periods_ns or {})
 
 
 def played(*steps, periods_ns=None):
-    player = TapePlayer(tape(*steps, periods_ns=periods_ns))
+    player = ExchangePlayer(tape(*steps, periods_ns=periods_ns))
     player.start(0)
     return player
 
@@ -97,7 +97,7 @@ def test_drive_is_silent_exactly_as_long_as_recorded():
     recorded = tape(silent, there)
     recorded.steps[0].reactions.append(Sent(200 * MS, b"\1\7\0\0boot"))
     for now_ns, expected in ((200 * MS - 1, []), (200 * MS, [b"here"])):
-        player = TapePlayer(recorded)
+        player = ExchangePlayer(recorded)
         player.start(0)
         assert answers(player.poll(read, now_ns)) == expected
 

@@ -2,14 +2,14 @@
 
 import pytest
 
-from harness.replay.recorded_node import NO_DATA, RecordedNode
-from harness.replay.recorded_unit import RecordedUnit
+from harness.replay.device_node import NO_DATA, RecordedNode
+from harness.replay.device_node import RecordedUnit
 from tests.traces.test_tapes import MS, adu, cut, frame
-from traces.canopen_tapes import CanopenTapes
-from traces.decode_canopen import CanopenDecoder
-from traces.modbus_tapes import modbus_tapes
+from traces.exchange.canopen import CanopenTapes
+from traces.decoding.canopen import CanopenDecoder
+from traces.exchange.modbus import modbus_tapes
 from traces.schema import Direction
-from traces.traffic import BRS, RTR, Frame, classic, flexible, remote
+from traces.formats.frames import BRS, RTR, Frame, classic, flexible, remote
 
 BOOT = frame(0, 0x706, b"\0")
 READ, KIND = bytes.fromhex("4000100000000000"), bytes.fromhex("4300100092010200")

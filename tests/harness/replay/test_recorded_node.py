@@ -2,10 +2,10 @@
 
 import struct
 
-from harness.replay.recorded_node import RecordedNode
-from traces.canopen_tapes import CanopenTapes
+from harness.replay.device_node import RecordedNode
+from traces.exchange.canopen import CanopenTapes
 from traces.schema import Direction
-from traces.traffic import EFF, RTR, classic
+from traces.formats.frames import EFF, RTR, classic
 
 MS = 1_000_000
 BOOT_UP = (0, 0x701, b"\0")

@@ -7,19 +7,19 @@ from dataclasses import replace
 import pytest
 
 from emulators.controller import ControllerContext, SettingError
-from harness.replay.factory import build, recorded_tapes
-from harness.replay.recorded_node import RecordedNode
-from harness.replay.recorded_rig import own_rig, rig_in, with_recorded
-from harness.replay.recorded_unit import RecordedUnit
-from harness.rig import installed_plugins
+from harness.replay.device_node import build, recorded_tapes
+from harness.replay.device_node import RecordedNode
+from harness.replay.rig import own_rig, rig_in, with_recorded
+from harness.replay.device_node import RecordedUnit
+from harness.rig.rig import installed_plugins
 from tests.golden import described, golden
 from tests.harness.recorded import MS, Recorded
 from tests.traces.test_tapes import frame
-from traces.reader import read_trace
-from traces.recorded_tapes import tapes_of
+from traces.mcap.reader import read_trace
+from traces.exchange.recording import tapes_of
 from traces.schema import CAN_FRAME, MODBUS_ADU, Direction, Schema
-from traces.tape import START
-from traces.writer import TraceWriter
+from traces.exchange.steps import START
+from traces.mcap.writer import TraceWriter
 
 S = 1_000_000_000
 ASK, KIND = "40001000", "4300100092010200"

@@ -9,24 +9,17 @@ from itertools import pairwise
 import can
 import pytest
 
-from emulators.event_queue import EventQueue
-from harness.cli import main
-from harness.replay.traffic import (
-    STUCK_S,
-    Choice,
-    SendError,
-    TrafficReplay,
-    refuse_long,
-    survey,
-)
-from harness.rig import Rig
-from harness.scaffold import EXAMPLES
-from harness.virtual_time import VirtualRuntime
+from emulators.simulation.event_queue import EventQueue
+from harness.cli.main import main
+from harness.replay.frames import STUCK_S, Choice, SendError, TrafficReplay, refuse_long, survey
+from harness.rig.rig import Rig
+from harness.rig.config.scaffold import EXAMPLES
+from harness.virtual_time.runtime import VirtualRuntime
 from tests.traces.recordings import can_frame
-from traces.reader import read_trace
+from traces.mcap.reader import read_trace
 from traces.schema import Direction
-from traces.traffic import ERR, Findings, Frame, flexible
-from traces.traffic_mcap import record_frames, recorded_frames
+from traces.formats.frames import ERR, Findings, Frame, flexible
+from traces.formats.registry import record_frames, recorded_frames
 
 S = 1_000_000_000
 MS = 1_000_000

@@ -2,13 +2,13 @@
 
 import pytest
 
-from harness.replay.as_host import DrivenRig
-from harness.replay.recorded_rig import with_recorded
+from harness.replay.host import DrivenRig
+from harness.replay.rig import with_recorded
 from harness.replay.verdict import players, summary, unanswered
-from harness.rig import Rig
+from harness.rig.rig import Rig
 from tests.golden import described, golden
-from traces.tape import Role
-from traces.traffic import classic
+from traces.exchange.steps import Role
+from traces.formats.frames import classic
 
 UNKNOWN = bytes.fromhex("4018100700000000")
 

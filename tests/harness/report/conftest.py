@@ -7,10 +7,10 @@ import zlib
 
 import pytest
 
-from harness.cli import main
+from harness.cli.main import main
 from harness.report.collect import collect
 from harness.report.document import document_of
-from traces.reader import read_trace
+from traces.mcap.reader import read_trace
 
 
 @pytest.fixture(scope="session")

@@ -7,13 +7,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from harness.cli import main
-from harness.report.reduce import cells, extremes
+from harness.cli.main import main
+from harness.report.series import cells, extremes
 from tests.harness.recorded import MS, Recorded, S
-from traces.fields import encode_can_frame
+from traces.schema import encode_can_frame
 from traces.schema import CAN_FRAME, GROUP_SYNC, MODBUS_ADU, MOTOR_LOCK, Schema
-from traces.traffic import BRS, flexible
-from traces.writer import TraceWriter
+from traces.formats.frames import BRS, flexible
+from traces.mcap.writer import TraceWriter
 
 WALL_NS = 1_700_000_000 * S
 ERROR_FRAME = struct.pack("<IB3x8s", 0x2000_0040, 8, bytes(8))  # bus-off, linux/can/error.h

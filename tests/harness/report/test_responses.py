@@ -7,24 +7,25 @@ import pytest
 from hypothesis import event, given
 from hypothesis import strategies as st
 
-from emulators.media.can_bus import CanBus
-from emulators.media.can_frame import pack
-from emulators.media.delivery import confirms
-from emulators.media.faults import FaultKind, FaultPlan, FaultRule
-from harness.analysis.errors import ErrorModel
+from emulators.can.bus.bus import CanBus
+from emulators.can.frame import pack
+from emulators.can.bus.port import confirms
+from emulators.can.fault_rules import FaultKind, FaultRule
+from emulators.can.bus.fault_plan import FaultPlan
+from harness.analysis.response_time import ErrorModel
 from harness.analysis.response_time import response_times
 from harness.analysis.subject import Queues
-from harness.cli import main
-from harness.recorded_bus import RecordedBus
-from harness.report.responses import MESSAGES_MAX
-from harness.rig import Rig
+from harness.cli.main import main
+from harness.analysis.from_recording import RecordedBus
+from harness.report.timelines import MESSAGES_MAX
+from harness.rig.rig import Rig
 from tests.emulators.media.driving import run
 from tests.harness.recorded import MS, Recorded
 from tests.harness.report.conftest import document_in
-from traces.fields import encode_can_frame
+from traces.schema import encode_can_frame
 from traces.schema import CAN_FRAME, Schema
-from traces.traffic import BRS, flexible
-from traces.writer import TraceWriter
+from traces.formats.frames import BRS, flexible
+from traces.mcap.writer import TraceWriter
 
 US = 1_000
 RIG = "[bus.can0]\nbitrate_bit_s = 500_000\n"

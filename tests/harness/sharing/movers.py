@@ -7,10 +7,10 @@ from math import pi
 from pathlib import Path
 
 from emulators.cia402.settings import OWN_EDS
-from harness.rig import Rig, installed_plugins
-from harness.rig_file import parse_rig
-from harness.settings import Source
-from harness.sharing.relative_moves import Mover, mover_of
+from harness.rig.rig import Rig, installed_plugins
+from harness.rig.config.rig_file import parse_rig
+from harness.rig.config.toml import Source
+from harness.sharing_tests.relative_moves import Mover, mover_of
 from motorapi import ControlMode, Motor, TrapezoidalTrajectory
 from motorapi.trajectory import ComplexTrajectory
 from tests.motorapi.adaptations.conftest import drive

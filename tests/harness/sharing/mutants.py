@@ -1,7 +1,7 @@
 """Planted defects of motor sharing, which the shipped suites must detect.
 
 Defects for one process are context managers. Defects for several processes are functions that a
-worker of `harness.sharing.processes` calls in its own process before it begins (`Plan.plant`).
+worker of `harness.sharing_tests.processes` calls in its own process before it begins (`Plan.plant`).
 """
 
 import os
@@ -11,12 +11,12 @@ from pathlib import Path
 from unittest.mock import patch
 
 from motorapi import execution
-from motorapi.adaptations.drive_motions import DriveMotions
-from motorapi.adaptations.drive_objects import DriveObjects
-from motorapi.hold import Hold
-from motorapi.lock_file import LockFile
-from motorapi.owner_row import OwnerRow
-from motorapi.ownership import Ownership
+from motorapi.adaptations.cia402.motion import DriveMotions
+from motorapi.adaptations.cia402.object_access import DriveObjects
+from motorapi.locking.process_lock import LockHandle
+from motorapi.locking.lock_file import LockFile
+from motorapi.ownership.ownership import WaitQueue
+from motorapi.ownership.ownership import Ownership
 
 RAMPS = (0x6081, 0x6083, 0x6084)
 
@@ -31,13 +31,13 @@ def a_lock_without_fifo():
     class Pile(deque):
         append = deque.appendleft
 
-    make = OwnerRow.__init__
+    make = WaitQueue.__init__
 
     def made(row, *args):
         make(row, *args)
         row._places = Pile()
 
-    with patch.object(OwnerRow, "__init__", made):
+    with patch.object(WaitQueue, "__init__", made):
         yield
 
 
@@ -120,7 +120,7 @@ def whoever_is_quickest(folder):
 
 def no_fence(folder):
     """Let an owner that has lost the lock still write."""
-    Hold._enter = lambda hold, asker: None
+    LockHandle._enter = lambda hold, asker: None
 
 
 def no_token(folder):

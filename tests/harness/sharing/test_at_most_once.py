@@ -5,12 +5,12 @@ from dataclasses import replace
 
 import pytest
 
-from emulators.media.faults import FaultKind, FaultRule
-from harness.sharing.at_most_once import KINDS, at_most_once, judge, single_faults, traffic_of
-from harness.sharing.relative_moves import Ending, MadeMoreThanOnce, Plan, Reach, Step
+from emulators.can.fault_rules import FaultKind, FaultRule
+from harness.sharing_tests.relative_moves import KINDS, at_most_once, judge, single_faults, traffic_of
+from harness.sharing_tests.relative_moves import Ending, MadeMoreThanOnce, Plan, Reach, Step
 from motorapi import DeadlineExceeded
-from motorapi.adaptations.drive_control import DriveControl
-from motorapi.adaptations.drive_objects import DriveObjects
+from motorapi.adaptations.cia402.controlword import DriveControl
+from motorapi.adaptations.cia402.object_access import DriveObjects
 from motorapi.errors import MotorError
 from tests.harness.sharing import movers
 

@@ -2,9 +2,9 @@
 
 import pytest
 
-from harness.ownership_record import LockEvent, ownership_of
-from harness.sharing.evidence import BusFrame, commanded_node, judge_frames
-from harness.sharing.history import SharingViolated
+from harness.recording.ownership import LockEvent, ownership_of
+from harness.sharing_tests.bus_evidence import BusFrame, commanded_node, judge_frames
+from harness.sharing_tests.history import SharingViolated
 from traces.schema import LockAction
 
 MS = 1_000_000

@@ -8,8 +8,8 @@ from types import ModuleType
 
 import pytest
 
-from harness.pace import WallPace
-from harness.virtual_program import in_virtual_time
+from harness.virtual_time.runtime import WallPace
+from harness.virtual_time.stdlib.install import in_virtual_time
 
 UP_S = 100_000.0  # uptime of a machine when the rig is switched on
 US = 1e-6

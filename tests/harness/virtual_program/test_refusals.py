@@ -14,7 +14,7 @@ from types import ModuleType
 import can
 import pytest
 
-from harness.virtual_program import in_virtual_time
+from harness.virtual_time.stdlib.install import in_virtual_time
 from motorapi.errors import UsageError
 
 

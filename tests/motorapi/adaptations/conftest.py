@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from harness.rig import Rig
+from harness.rig.rig import Rig
 
 HEAD = """
 [rig]

@@ -7,8 +7,10 @@ from itertools import pairwise
 import can
 import canopen
 
-from harness.rig import Rig
-from motorapi.adaptations.cia402 import Cia402HwMotor, Cia402Motor, HwOptions
+from harness.rig.rig import Rig
+from motorapi.adaptations.cia402.hardware import Cia402HwMotor
+from motorapi.adaptations.cia402.motor import Cia402Motor
+from motorapi.adaptations.cia402.bringup import HwOptions
 from motorapi.group import MotorGroup
 from motorapi.model import MotorModel
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 
-from harness.rig import Rig
+from harness.rig.rig import Rig
 from motorapi.commands import ControlMode
 from motorapi.motor import Motor
 

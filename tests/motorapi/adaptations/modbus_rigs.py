@@ -6,9 +6,9 @@ from pathlib import Path
 from hypothesis import strategies as st
 
 from emulators.media.serial_faults import SerialFaultKind, SerialFaultRule
-from harness.rig import Rig, installed_plugins
-from harness.rig_file import parse_rig
-from harness.settings import Source
+from harness.rig.rig import Rig, installed_plugins
+from harness.rig.config.rig_file import parse_rig
+from harness.rig.config.toml import Source
 
 MS = 1_000_000
 LINES = {

@@ -3,7 +3,7 @@
 import math
 
 from emulators.plant.presets import PRESETS
-from harness.rig import Rig
+from harness.rig.rig import Rig
 from motorapi.commands import ControlMode, ControlVariable
 from motorapi.motor import Motor
 from motorapi.trajectory import TrapezoidalTrajectory

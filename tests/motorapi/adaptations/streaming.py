@@ -3,9 +3,9 @@
 from collections.abc import Callable
 from math import pi
 
-from harness.rig import Rig
-from motorapi.adaptations.cia402 import Cia402Motor
-from motorapi.arguments import MotorPosition
+from harness.rig.rig import Rig
+from motorapi.adaptations.cia402.motor import Cia402Motor
+from motorapi.trajectory import MotorPosition
 from motorapi.commands import ControlMode, ControlVariable
 from motorapi.functions import Function, Polynomial
 from motorapi.trajectory import ComplexTrajectory

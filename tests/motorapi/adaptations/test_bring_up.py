@@ -6,10 +6,11 @@ from math import inf, nan
 
 import pytest
 
-from harness.rig import Rig
-from motorapi.adaptations.canopen_errors import SdoAborted
-from motorapi.adaptations.cia402 import Cia402HwMotor, HwOptions
-from motorapi.adaptations.cia402_objects import Mode, PdsState
+from harness.rig.rig import Rig
+from motorapi.adaptations.canopen.sdo import SdoAborted
+from motorapi.adaptations.cia402.hardware import Cia402HwMotor
+from motorapi.adaptations.cia402.bringup import HwOptions
+from motorapi.adaptations.cia402.objects import Mode, PdsState
 from motorapi.commands import ControlMode
 from motorapi.errors import DeadlineExceeded, LinkError, MotionInterrupted, UsageError
 from motorapi.state import MotorState

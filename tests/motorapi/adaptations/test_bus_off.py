@@ -7,10 +7,10 @@ from collections.abc import Callable
 
 import pytest
 
-from emulators.media.faults import FaultKind, FaultRule
-from harness.rig import Rig
-from motorapi.adaptations.canopen_link import CanopenLink
-from motorapi.bus_status import BusCondition
+from emulators.can.fault_rules import FaultKind, FaultRule
+from harness.rig.rig import Rig
+from motorapi.adaptations.canopen.bus import CanopenLink
+from motorapi.runtime.can_sources import BusCondition
 from motorapi.commands import ControlMode
 from motorapi.errors import DeadlineExceeded, LinkError
 from motorapi.functions import Polynomial

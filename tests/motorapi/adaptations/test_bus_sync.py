@@ -5,10 +5,10 @@ from collections.abc import Callable
 import canopen
 import pytest
 
-from emulators.media.faults import FaultKind, FaultRule
-from harness.rig import Rig
-from motorapi.adaptations.cia402 import Cia402Motor
-from motorapi.adaptations.csp_stream import CspStream
+from emulators.can.fault_rules import FaultKind, FaultRule
+from harness.rig.rig import Rig
+from motorapi.adaptations.cia402.motor import Cia402Motor
+from motorapi.adaptations.cia402.csp import CspStream
 from motorapi.errors import LinkError, MotorError, UsageError
 from tests.motorapi.adaptations.conftest import drive
 from tests.motorapi.adaptations.hosts import BusEvidence, foreign_sync, host_with

@@ -2,7 +2,7 @@
 
 import pytest
 
-from motorapi.adaptations.canopen_link import CanopenLink, can_frame, open_link, release_link
+from motorapi.adaptations.canopen.bus import CanopenLink, can_frame, open_link, release_link
 from motorapi.errors import LinkError, UsageError
 from tests.motorapi.adaptations.scripted import FRAME_NS, MS, ScriptedBus, frame, text_of
 

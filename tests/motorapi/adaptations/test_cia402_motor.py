@@ -5,22 +5,18 @@ from contextlib import suppress
 
 import pytest
 
-from emulators.media.faults import FaultKind, FaultRule
-from harness.rig import Rig
-from motorapi.adaptations.canopen_errors import HomingFailed
-from motorapi.adaptations.cia402 import Cia402HwMotor, Cia402Motor
-from motorapi.adaptations.cia402_objects import PdsState
+from emulators.can.fault_rules import FaultKind, FaultRule
+from harness.rig.rig import Rig
+from motorapi.adaptations.canopen.sdo import HomingFailed
+from motorapi.adaptations.cia402.hardware import Cia402HwMotor
+from motorapi.adaptations.cia402.motor import Cia402Motor
+from motorapi.adaptations.cia402.objects import PdsState
 from motorapi.commands import ControlMode, ControlVariable, DerivativeLimits
-from motorapi.errors import (
-    DeadlineExceeded,
-    MotionInterrupted,
-    UnsupportedError,
-    UsageError,
-)
+from motorapi.errors import DeadlineExceeded, MotionInterrupted, UnsupportedError, UsageError
 from motorapi.group import MotorGroup
 from motorapi.motor import Motor
 from motorapi.state import MotorState
-from motorapi.synchronization import SyncLevel
+from motorapi.synchronization.quality import SyncLevel
 from motorapi.trajectory import TrapezoidalTrajectory
 from tests.motorapi.adaptations.conftest import drive
 from tests.motorapi.adaptations.wheels import (

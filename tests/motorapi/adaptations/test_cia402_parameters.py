@@ -5,8 +5,9 @@ from math import inf
 
 import pytest
 
-from harness.rig import Rig
-from motorapi.adaptations.cia402 import Cia402Motor, Cia402Parameters
+from harness.rig.rig import Rig
+from motorapi.adaptations.cia402.motor import Cia402Motor
+from motorapi.adaptations.cia402.object_access import Cia402Parameters
 from motorapi.commands import ControlMode
 from motorapi.errors import LimitError, UnsupportedError, UsageError
 from motorapi.state import MotorState

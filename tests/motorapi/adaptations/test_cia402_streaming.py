@@ -5,22 +5,19 @@ from pathlib import Path
 
 import pytest
 
-from emulators.firmware.gains import ServoGains
-from emulators.media.faults import FaultKind, FaultRule
+from emulators.firmware.servo_tables import ServoGains
+from emulators.can.fault_rules import FaultKind, FaultRule
 from emulators.plant.presets import WHEEL_60W
-from harness.rig import Rig
+from harness.rig.rig import Rig
 from motorapi import MotorGroup, TrapezoidalTrajectory
-from motorapi.adaptations.cia402 import Cia402Motor, Cia402Parameters
+from motorapi.adaptations.cia402.motor import Cia402Motor
+from motorapi.adaptations.cia402.object_access import Cia402Parameters
 from motorapi.commands import ControlMode, ControlVariable, DerivativeLimits
-from motorapi.errors import (
-    StateError,
-    UnsupportedError,
-    UsageError,
-)
+from motorapi.errors import StateError, UnsupportedError, UsageError
 from motorapi.functions import Constant
 from motorapi.state import MotorState
-from motorapi.synchronization import SyncLevel
-from motorapi.traffic import CanTraffic, declare_traffic
+from motorapi.synchronization.quality import SyncLevel
+from motorapi.synchronization.bus_load import CanTraffic, declare_traffic
 from motorapi.trajectory import ComplexTrajectory
 from tests.motorapi.adaptations.conftest import HEAD, drive
 from tests.motorapi.adaptations.streaming import (

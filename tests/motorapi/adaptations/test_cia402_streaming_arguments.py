@@ -5,15 +5,11 @@ from math import pi, sin
 
 import pytest
 
-from harness.rig import Rig
+from harness.rig.rig import Rig
 from motorapi import TrapezoidalTrajectory
-from motorapi.arguments import MotorPosition
+from motorapi.trajectory import MotorPosition
 from motorapi.commands import ControlMode, ControlVariable
-from motorapi.errors import (
-    LimitError,
-    StateError,
-    UsageError,
-)
+from motorapi.errors import LimitError, StateError, UsageError
 from motorapi.functions import Constant, Cosine, Polynomial
 from motorapi.state import MotorState
 from motorapi.trajectory import ComplexTrajectory

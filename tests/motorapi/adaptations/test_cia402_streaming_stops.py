@@ -4,15 +4,11 @@ from itertools import pairwise
 
 import pytest
 
-from emulators.media.faults import FaultKind, FaultRule
-from harness.rig import Rig
+from emulators.can.fault_rules import FaultKind, FaultRule
+from harness.rig.rig import Rig
 from motorapi import MotorGroup
-from motorapi.adaptations.cia402 import Cia402Motor
-from motorapi.errors import (
-    DeviceFault,
-    LinkError,
-    MotionInterrupted,
-)
+from motorapi.adaptations.cia402.motor import Cia402Motor
+from motorapi.errors import DeviceFault, LinkError, MotionInterrupted
 from motorapi.state import MotorState
 from tests.motorapi.adaptations.conftest import drive
 from tests.motorapi.adaptations.streaming import (

@@ -7,13 +7,13 @@ import pytest
 
 from emulators.cia402.settings import OWN_EDS
 from emulators.plant.presets import WHEEL_60W
-from harness.rig import Rig
+from harness.rig.rig import Rig
 from motorapi import MotorGroup, MotorModel, TrapezoidalTrajectory
-from motorapi.adaptations.cia402 import Cia402Motor
+from motorapi.adaptations.cia402.motor import Cia402Motor
 from motorapi.commands import ControlMode, ControlVariable, DerivativeLimits
 from motorapi.errors import LimitError, MotionInterrupted, StateError, UnsupportedError
 from motorapi.model import MotionKind
-from motorapi.synchronization import SyncLevel
+from motorapi.synchronization.quality import SyncLevel
 from tests.motorapi.adaptations.conftest import drive
 from tests.motorapi.adaptations.test_drive_control import written_to_left
 

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from motorapi.adaptations.cia402_units import DriveUnits, drive_units
+from motorapi.adaptations.cia402.units import DriveUnits, drive_units
 from motorapi.errors import LimitError, UsageError
 from motorapi.model import MotionKind, MotorModel
 

@@ -5,9 +5,9 @@ from itertools import pairwise
 
 import pytest
 
-from harness.rig import Rig
-from motorapi.adaptations.cia402 import Cia402HwMotor
-from motorapi.adaptations.csp_stream import CspStream
+from harness.rig.rig import Rig
+from motorapi.adaptations.cia402.hardware import Cia402HwMotor
+from motorapi.adaptations.cia402.csp import CspStream
 from motorapi.errors import UsageError
 from tests.motorapi.adaptations.conftest import drive
 from tests.motorapi.adaptations.test_drive_control import written_to_left

@@ -5,10 +5,10 @@ from itertools import pairwise
 
 import pytest
 
-from emulators.media.faults import FaultKind, FaultRule
-from harness.rig import Rig
-from motorapi.adaptations.cia402 import Cia402HwMotor
-from motorapi.adaptations.cia402_objects import Mode, PdsState
+from emulators.can.fault_rules import FaultKind, FaultRule
+from harness.rig.rig import Rig
+from motorapi.adaptations.cia402.hardware import Cia402HwMotor
+from motorapi.adaptations.cia402.objects import Mode, PdsState
 from motorapi.commands import ControlMode, ControlVariable
 from motorapi.errors import DeadlineExceeded, DeviceFault, UnsupportedError
 from tests.motorapi.adaptations.conftest import drive

@@ -5,8 +5,8 @@ from hypothesis import strategies as st
 
 from motorapi import ControlMode, Motor, Synchronization, TrapezoidalTrajectory
 from motorapi.execution import Started, plan
-from motorapi.group_planning import Common
-from motorapi.path import Line, moving, predicted
+from motorapi.planning.groups import Common
+from motorapi.planning.path import Line, moving, predicted
 from tests.motorapi.adaptations.test_joint_stop import opened
 from tests.motorapi.adaptations.wheels import INCREMENT_RAD
 from tests.motorapi.kinds import ACCELERATION_MAX, VELOCITY_MAX

@@ -4,15 +4,9 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from motorapi import planning
-from motorapi.adaptations.cia402_units import DriveUnits
-from motorapi.adaptations.drive_profile import (
-    DriveLimits,
-    as_motion,
-    check_limits,
-    check_target,
-    profile_of,
-)
+from motorapi.planning import single_axis as planning
+from motorapi.adaptations.cia402.units import DriveUnits
+from motorapi.adaptations.cia402.profile import DriveLimits, as_motion, check_limits, check_target, profile_of
 from motorapi.commands import ControlMode, ControlVariable, DerivativeLimits, Motion
 from motorapi.errors import LimitError
 from motorapi.model import MotorModel

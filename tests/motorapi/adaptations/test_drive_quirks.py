@@ -2,7 +2,7 @@
 
 import pytest
 
-from emulators.cia402.quirk_catalogue import CATALOGUE
+from emulators.cia402.settings import CATALOGUE
 from motorapi.errors import DeadlineExceeded
 from tests.motorapi.adaptations.conftest import drive
 from tests.motorapi.adaptations.wheels import WINDOW_RAD, go_to, motor_of, truth

@@ -7,20 +7,14 @@ from collections.abc import Callable
 
 import pytest
 
-from emulators.media.faults import FaultKind, FaultRule
-from harness.rig import Rig
-from motorapi.adaptations.canopen_errors import HomingFailed
-from motorapi.adaptations.cia402 import Cia402Motor
+from emulators.can.fault_rules import FaultKind, FaultRule
+from harness.rig.rig import Rig
+from motorapi.adaptations.canopen.sdo import HomingFailed
+from motorapi.adaptations.cia402.motor import Cia402Motor
 from motorapi.commands import ControlMode
-from motorapi.errors import (
-    DeviceFault,
-    LinkError,
-    MotionInterrupted,
-    MotorError,
-    PluginError,
-)
+from motorapi.errors import DeviceFault, LinkError, MotionInterrupted, MotorError, PluginError
 from motorapi.motor import Motor
-from motorapi.outcome import Ending, Outcome
+from motorapi.motor import Ending, Outcome
 from motorapi.trajectory import TrapezoidalTrajectory
 from tests.motorapi.adaptations.conftest import drive
 

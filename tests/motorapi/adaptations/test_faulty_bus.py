@@ -9,8 +9,8 @@ from tempfile import TemporaryDirectory
 from hypothesis import event, given, settings
 from hypothesis import strategies as st
 
-from emulators.media.faults import FaultKind, FaultRule
-from harness.rig import Rig
+from emulators.can.fault_rules import FaultKind, FaultRule
+from harness.rig.rig import Rig
 from motorapi.commands import ControlMode, ControlVariable
 from motorapi.errors import MotorError, PluginError
 from motorapi.group import MotorGroup

@@ -5,8 +5,8 @@ from math import tau
 
 import pytest
 
-from harness.rig import Rig
-from motorapi.adaptations.canopen_errors import HomingFailed
+from harness.rig.rig import Rig
+from motorapi.adaptations.canopen.sdo import HomingFailed
 from motorapi.errors import DeadlineExceeded
 from motorapi.state import MotorState
 from tests.motorapi.adaptations.conftest import drive

@@ -9,8 +9,10 @@ import pytest
 from hypothesis import event, example, given
 from hypothesis import strategies as st
 
-from motorapi.adaptations.canopen_errors import SdoAborted
-from motorapi.adaptations.cia402 import Cia402HwMotor, Cia402Motor, HwOptions
+from motorapi.adaptations.canopen.sdo import SdoAborted
+from motorapi.adaptations.cia402.hardware import Cia402HwMotor
+from motorapi.adaptations.cia402.motor import Cia402Motor
+from motorapi.adaptations.cia402.bringup import HwOptions
 from motorapi.errors import DeadlineExceeded, LinkError, MotorError, UsageError
 from motorapi.model import MotorModel
 from tests.motorapi.adaptations.scripted import MS, Answer, ScriptedBus, Transcript, frame

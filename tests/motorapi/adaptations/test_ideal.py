@@ -2,8 +2,8 @@
 
 import pytest
 
-from emulators.event_queue import EventQueue
-from harness.virtual_time import VirtualRuntime
+from emulators.simulation.event_queue import EventQueue
+from harness.virtual_time.runtime import VirtualRuntime
 from motorapi import (
     ComplexTrajectory,
     DerivativeLimits,
@@ -11,7 +11,8 @@ from motorapi import (
     MotorPosition,
     TrapezoidalTrajectory,
 )
-from motorapi.adaptations.ideal import IdealHwMotor, IdealMotor
+from motorapi.adaptations.ideal.hardware import IdealHwMotor
+from motorapi.adaptations.ideal.motor import IdealMotor
 from motorapi.functions import Polynomial
 from tests.motorapi.adaptations.ideals import (
     CURRENT,

@@ -8,8 +8,8 @@ from contextlib import contextmanager
 from hypothesis import event, example, given
 from hypothesis import strategies as st
 
-from emulators.event_queue import EventQueue
-from harness.virtual_time import VirtualRuntime
+from emulators.simulation.event_queue import EventQueue
+from harness.virtual_time.runtime import VirtualRuntime
 from motorapi import (
     ComplexTrajectory,
     ControlMode,
@@ -19,7 +19,8 @@ from motorapi import (
     TrapezoidalTrajectory,
     UsageError,
 )
-from motorapi.adaptations.ideal import IdealHwMotor, IdealMotor
+from motorapi.adaptations.ideal.hardware import IdealHwMotor
+from motorapi.adaptations.ideal.motor import IdealMotor
 from motorapi.functions import Polynomial
 
 VELOCITY_MAX, UP, DOWN = 2.0, 4.0, 8.0

@@ -2,8 +2,8 @@
 
 import pytest
 
-from emulators.event_queue import EventQueue
-from harness.virtual_time import VirtualRuntime
+from emulators.simulation.event_queue import EventQueue
+from harness.virtual_time.runtime import VirtualRuntime
 from motorapi import (
     DerivativeLimits,
     DeviceFault,
@@ -19,8 +19,9 @@ from motorapi import (
     UnsupportedError,
     UsageError,
 )
-from motorapi.adaptations.ideal import IdealHwMotor, IdealMotor, build
-from motorapi.synchronization import SyncLevel
+from motorapi.adaptations.ideal.hardware import IdealHwMotor
+from motorapi.adaptations.ideal.motor import IdealMotor, build
+from motorapi.synchronization.quality import SyncLevel
 from tests.motorapi.adaptations.ideals import (
     MODEL,
     ROUNDING,

@@ -5,8 +5,8 @@ Source: the paper, Requirement 2.
 
 import pytest
 
-from harness.rig import Rig
-from motorapi.adaptations.cia402 import Cia402Motor
+from harness.rig.rig import Rig
+from motorapi.adaptations.cia402.motor import Cia402Motor
 from motorapi.commands import ControlMode
 from motorapi.errors import DeadlineExceeded, MotorBusyError, MotorError, UsageError
 from motorapi.group import MotorGroup

@@ -7,9 +7,10 @@ from collections.abc import Callable
 
 import pytest
 
-from harness.rig import Rig
-from motorapi.adaptations.canopen_errors import SdoAborted
-from motorapi.adaptations.cia402 import Cia402HwMotor, Cia402Motor
+from harness.rig.rig import Rig
+from motorapi.adaptations.canopen.sdo import SdoAborted
+from motorapi.adaptations.cia402.hardware import Cia402HwMotor
+from motorapi.adaptations.cia402.motor import Cia402Motor
 from motorapi.commands import ControlMode, ControlVariable
 from motorapi.errors import MotorBusyError, MotorError, StateError, UsageError
 from motorapi.functions import Sine

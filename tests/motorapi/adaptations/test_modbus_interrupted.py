@@ -4,7 +4,7 @@ import pytest
 
 from emulators.media.serial_faults import SerialFaultKind, SerialFaultRule
 from motorapi import ControlMode, ControlVariable
-from motorapi.adaptations.leadshine_hardware import LeadshineHwMotor
+from motorapi.adaptations.leadshine.hardware import LeadshineHwMotor
 from motorapi.errors import MotionInterrupted, UsageError
 from tests.emulators.modbus_bench import with_crc
 from tests.motorapi.adaptations.modbus_rigs import opened, run_s, text, truth

@@ -16,16 +16,9 @@ from motorapi import (
     SyncLevel,
     TrapezoidalTrajectory,
 )
-from motorapi.adaptations.leadshine_hardware import LeadshineHwMotor
-from motorapi.adaptations.modbus_errors import ModbusExceptionResponse, ModbusProtocolViolation
-from motorapi.errors import (
-    DeadlineExceeded,
-    DeviceFault,
-    LimitError,
-    MotorError,
-    UnsupportedError,
-    UsageError,
-)
+from motorapi.adaptations.leadshine.hardware import LeadshineHwMotor
+from motorapi.adaptations.modbus.client import ModbusExceptionResponse, ModbusProtocolViolation
+from motorapi.errors import DeadlineExceeded, DeviceFault, LimitError, MotorError, UnsupportedError, UsageError
 from tests.motorapi.adaptations.modbus_rigs import (
     ADAPTATIONS,
     LINES,

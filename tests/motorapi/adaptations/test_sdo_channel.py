@@ -2,9 +2,9 @@
 
 import pytest
 
-from motorapi.adaptations.canopen_errors import ProtocolViolation, SdoAborted
-from motorapi.adaptations.canopen_link import CanopenLink
-from motorapi.adaptations.sdo_channel import SdoChannel
+from motorapi.adaptations.canopen.sdo import ProtocolViolation, SdoAborted
+from motorapi.adaptations.canopen.bus import CanopenLink
+from motorapi.adaptations.canopen.sdo import SdoChannel
 from motorapi.errors import DeadlineExceeded
 from tests.motorapi.adaptations.scripted import FRAME_NS, MS, Answer, ScriptedBus, Transcript, frame
 

@@ -6,10 +6,10 @@ from pathlib import Path
 import pytest
 
 from emulators.cia402.settings import OWN_EDS
-from emulators.media.faults import FaultKind, FaultRule
-from harness.rig import Rig
-from motorapi.adaptations.canopen_link import CanopenLink
-from motorapi.adaptations.sdo_channel import SdoChannel
+from emulators.can.fault_rules import FaultKind, FaultRule
+from harness.rig.rig import Rig
+from motorapi.adaptations.canopen.bus import CanopenLink
+from motorapi.adaptations.canopen.sdo import SdoChannel
 from motorapi.errors import DeadlineExceeded, MotionInterrupted
 from tests.harness.sharing.movers import without_pdos
 from tests.motorapi.adaptations.conftest import drive

@@ -4,8 +4,8 @@ from collections.abc import Callable
 
 import pytest
 
-from emulators.media.faults import FaultKind, FaultRule
-from harness.rig import Rig
+from emulators.can.fault_rules import FaultKind, FaultRule
+from harness.rig.rig import Rig
 from motorapi.commands import ControlMode, ControlVariable
 from motorapi.errors import MotorBusyError, StateError, UsageError
 from motorapi.trajectory import TrapezoidalTrajectory

@@ -4,15 +4,12 @@ from collections.abc import Callable
 
 import pytest
 
-from harness.rig import Rig
-from harness.settings import RigError
-from motorapi.adaptations.software import (
-    AmplifierHwMotor,
-    IoOptions,
-    PidGains,
-    ServoParameters,
-    SoftwareMotor,
-)
+from harness.rig.rig import Rig
+from harness.rig.config.toml import RigError
+from motorapi.adaptations.host_servo.hardware import AmplifierHwMotor
+from motorapi.adaptations.host_servo.node import IoOptions
+from motorapi.adaptations.host_servo.servo import PidGains
+from motorapi.adaptations.host_servo.motor import ServoParameters, SoftwareMotor
 from motorapi.errors import UsageError
 from motorapi.model import MotorModel
 from tests.motorapi.adaptations.software_rigs import motor, one

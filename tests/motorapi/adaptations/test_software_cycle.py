@@ -4,8 +4,8 @@ from collections.abc import Callable
 
 import pytest
 
-from emulators.media.faults import FaultKind, FaultRule
-from harness.rig import Rig
+from emulators.can.fault_rules import FaultKind, FaultRule
+from harness.rig.rig import Rig
 from motorapi.errors import DeadlineExceeded, DeviceFault, LinkError, UsageError
 from motorapi.state import MotorState
 from motorapi.trajectory import TrapezoidalTrajectory

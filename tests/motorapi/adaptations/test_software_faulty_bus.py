@@ -9,8 +9,8 @@ from tempfile import TemporaryDirectory
 from hypothesis import event, example, given, settings
 from hypothesis import strategies as st
 
-from emulators.media.faults import FaultKind, FaultRule
-from harness.rig import Rig
+from emulators.can.fault_rules import FaultKind, FaultRule
+from harness.rig.rig import Rig
 from motorapi.commands import ControlMode
 from motorapi.errors import MotorError, PluginError
 from motorapi.trajectory import TrapezoidalTrajectory

@@ -5,9 +5,10 @@ from itertools import pairwise
 
 import pytest
 
-from harness.rig import Rig
-from motorapi.adaptations.software import PidGains, SoftwareMotor
-from motorapi.arguments import MotorPosition
+from harness.rig.rig import Rig
+from motorapi.adaptations.host_servo.servo import PidGains
+from motorapi.adaptations.host_servo.motor import SoftwareMotor
+from motorapi.trajectory import MotorPosition
 from motorapi.commands import ControlMode, ControlVariable, DerivativeLimits
 from motorapi.errors import PluginError, UnsupportedError
 from motorapi.functions import Polynomial

@@ -8,20 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from motorapi.adaptations.software_courses import (
-    CURRENT,
-    POSITION,
-    VELOCITY,
-    Braking,
-    Course,
-    Led,
-    Rated,
-    Scales,
-    Tracked,
-    course_of,
-)
-from motorapi.adaptations.software_gains import PidGains
-from motorapi.adaptations.software_servo import Servo, ServoLimits
+from motorapi.adaptations.host_servo.demand import CURRENT, POSITION, VELOCITY, Braking, Course, Led, Rated, Scales, Tracked, course_of
+from motorapi.adaptations.host_servo.servo import PidGains
+from motorapi.adaptations.host_servo.servo import Servo, ServoLimits
 from motorapi.commands import ControlMode, ControlVariable, Motion
 from motorapi.errors import PluginError, UsageError
 

@@ -5,13 +5,13 @@ from collections.abc import Callable
 
 import pytest
 
-from harness.rig import Rig
+from harness.rig.rig import Rig
 from motorapi.commands import ControlMode, ControlVariable
 from motorapi.errors import MotionInterrupted, StateError, UnsupportedError
 from motorapi.group import MotorGroup
 from motorapi.motor import Motor
 from motorapi.state import MotorState
-from motorapi.synchronization import SyncLevel
+from motorapi.synchronization.quality import SyncLevel
 from motorapi.trajectory import TrapezoidalTrajectory
 from tests.motorapi.adaptations.software_rigs import (
     ACCELERATION_MAX,

@@ -2,8 +2,8 @@
 
 import pytest
 
-from emulators.media.faults import FaultKind, FaultRule
-from harness.rig import Rig
+from emulators.can.fault_rules import FaultKind, FaultRule
+from harness.rig.rig import Rig
 from motorapi.errors import DeadlineExceeded, LinkError
 from tests.motorapi.adaptations.software_rigs import enabled, moving, one
 from tests.motorapi.adaptations.wheels import frames_on

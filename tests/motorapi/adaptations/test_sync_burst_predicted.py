@@ -7,7 +7,7 @@ from tempfile import TemporaryDirectory
 from hypothesis import event, given, settings
 from hypothesis import strategies as st
 
-from harness.rig import Rig
+from harness.rig.rig import Rig
 from motorapi.commands import ControlMode
 from motorapi.group import MotorGroup
 from motorapi.motor import Motor

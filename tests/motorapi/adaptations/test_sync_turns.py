@@ -9,10 +9,10 @@ import pytest
 from hypothesis import event, given, settings
 from hypothesis import strategies as st
 
-from harness.rig import Rig
+from harness.rig.rig import Rig
 from motorapi import execution
-from motorapi.adaptations.bus_sync import BusSync
-from motorapi.adaptations.cia402 import Cia402Motor
+from motorapi.adaptations.canopen.sync import BusSync
+from motorapi.adaptations.cia402.motor import Cia402Motor
 from motorapi.commands import ControlMode
 from motorapi.group import MotorGroup
 from motorapi.motor import Motor

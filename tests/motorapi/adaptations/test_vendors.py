@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from harness.rig import Rig
-from motorapi.adaptations.cia402 import Cia402Motor
-from motorapi.adaptations.cia402_objects import Mode
+from harness.rig.rig import Rig
+from motorapi.adaptations.cia402.motor import Cia402Motor
+from motorapi.adaptations.cia402.objects import Mode
 from motorapi.commands import ControlMode, ControlVariable
 from motorapi.group import MotorGroup
 from motorapi.motor import Motor

@@ -2,8 +2,8 @@
 
 from math import pi
 
-from harness.rig import Rig
-from motorapi.adaptations.cia402 import Cia402Motor
+from harness.rig.rig import Rig
+from motorapi.adaptations.cia402.motor import Cia402Motor
 from motorapi.commands import ControlMode, DerivativeLimits
 from motorapi.motor import Motor
 

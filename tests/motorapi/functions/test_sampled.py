@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from motorapi.errors import UsageError
 from motorapi.functions import Constant, Ends, Interpolation, Piecewise, Sampled
-from motorapi.functions.splines import solved
+from motorapi.functions.sampled import solved
 from tests.motorapi.functions.strategies import NUMBERS, sampled
 
 NEAREST, LINEAR, CUBIC, HERMITE, QUINTIC = Interpolation

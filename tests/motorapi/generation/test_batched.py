@@ -8,7 +8,8 @@ from hypothesis import strategies as st
 
 from motorapi.errors import UsageError
 from motorapi.generation import ProfileLimits, possible_durations, trapezoid
-from motorapi.generation.batched import LimitArrays, trapezoids
+from motorapi.generation import batch as trapezoids
+from motorapi.generation.batched import LimitArrays
 from tests.motorapi.generation.problems import (
     directions_problem,
     magnitude,

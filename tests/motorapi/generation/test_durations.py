@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from motorapi.errors import UsageError
 from motorapi.generation import ProfileLimits, possible_durations, stretched, trapezoid
-from motorapi.generation.batched import trapezoids
+from motorapi.generation import batch as trapezoids
 from tests.motorapi.generation.problems import (
     assert_is_admissible,
     directions_problem,

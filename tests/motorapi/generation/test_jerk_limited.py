@@ -7,7 +7,7 @@ import pytest
 
 from motorapi.errors import PluginError, UnsupportedError, UsageError
 from motorapi.generation import ProfileLimits, batched, jerk_limited, trapezoid
-from motorapi.generation.smooth import phases_in
+from motorapi.generation.jerk_limited import phases_in
 from tests.motorapi.generation.problems import magnitude
 from tests.motorapi.generation.smooth_bounds import is_impossible, rest_to_rest_s
 

@@ -9,13 +9,13 @@ from types import SimpleNamespace
 
 import pytest
 
-from emulators.event_queue import EventQueue
-from harness.virtual_time import VirtualRuntime
+from emulators.simulation.event_queue import EventQueue
+from harness.virtual_time.runtime import VirtualRuntime
 from motorapi import (
     WallRuntime,
 )
-from motorapi.lock_directory import LockDirectory
-from motorapi.process_lock import ProcessLock
+from motorapi.locking.directory import LockDirectory
+from motorapi.locking.process_lock import ProcessLock
 from tests.motorapi.plain import PlainBus, PlainHwMotor, PlainMotor
 
 

@@ -1,13 +1,13 @@
 """The conformance kit on a real SocketCAN interface."""
 
-from harness.conformance.job import Job
+from harness.conformance.worker import Job
 from harness.conformance.kit import all_clauses
 from harness.conformance.run import run_clause
-from harness.conformance.target import Target
-from harness.conformance.verdict import Result
-from motorapi.lock_directory import VARIABLE
+from harness.conformance.examination import Target
+from harness.conformance.clause import Result
+from motorapi.locking.directory import VARIABLE
 from tests.vcan.inside.on_fencing import serving_on
-from traces.reader import read_trace
+from traces.mcap.reader import read_trace
 
 
 def test_clause_is_checked_and_its_bus_traffic_recorded(tmp_path, monkeypatch):

@@ -7,12 +7,12 @@ import struct
 import can
 import pytest
 
-from emulators.can_link import link_mtu
-from emulators.event_queue import EventQueue
-from emulators.hub import HubServer
-from emulators.media.can_bus import CanBus
-from emulators.socketcan import SocketCanError, SocketCanGateway
-from emulators.world import World
+from emulators.gateways.socketcan import link_mtu
+from emulators.simulation.event_queue import EventQueue
+from emulators.gateways.hub import HubServer
+from emulators.can.bus.bus import CanBus
+from emulators.gateways.socketcan import SocketCanError, SocketCanGateway
+from emulators.simulation.world import World
 from tests.harness.fd_frames import FdFrames, fd_message
 from tests.wall.error_bench import ErrorBench
 

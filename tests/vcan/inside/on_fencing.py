@@ -10,15 +10,15 @@ from pathlib import Path
 
 import pytest
 
-from emulators.cia402.factory import build
+from emulators.cia402.drive import build
 from emulators.controller import ControllerContext
-from emulators.event_queue import EventQueue
-from emulators.media.can_bus import CanBus
-from emulators.serve import WallLoop
-from emulators.socketcan import SocketCanGateway
-from emulators.world import World
+from emulators.simulation.event_queue import EventQueue
+from emulators.can.bus.bus import CanBus
+from emulators.gateways.loop import WallLoop
+from emulators.gateways.socketcan import SocketCanGateway
+from emulators.simulation.world import World
 from motorapi import WallRuntime
-from motorapi.lock_directory import VARIABLE
+from motorapi.locking.directory import VARIABLE
 from tests.wall.test_fencing import SET_POINTS, Stage, lose
 
 

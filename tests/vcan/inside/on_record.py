@@ -9,15 +9,15 @@ from contextlib import contextmanager
 
 import can
 
-from harness.cli import main
-from harness.recording.places import parse_place
+from harness.cli.main import main
+from harness.recording.sources import parse_place
 from harness.recording.socketcan import SocketCanTap
-from traces.reader import read_trace
+from traces.mcap.reader import read_trace
 from traces.schema import Direction
-from traces.traffic import ERR, Findings, Frame, classic, flexible
-from traces.traffic_mcap import record_frames, recorded_frames
+from traces.formats.frames import ERR, Findings, Frame, classic, flexible
+from traces.formats.registry import record_frames, recorded_frames
 
-MOTORHIL = (sys.executable, "-c", "import sys; from harness.cli import main; sys.exit(main())")
+MOTORHIL = (sys.executable, "-c", "import sys; from harness.cli.main import main; sys.exit(main())")
 
 
 @contextmanager

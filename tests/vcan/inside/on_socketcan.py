@@ -8,11 +8,11 @@ from pathlib import Path
 import can
 import pytest
 
-from harness.ownership_record import Ended, read_ownership
-from harness.scaffold import EXAMPLES
+from harness.recording.ownership import Ended, read_ownership
+from harness.rig.config.scaffold import EXAMPLES
 from motorapi import WallRuntime
 
-MOTORHIL = (sys.executable, "-c", "import sys; from harness.cli import main; sys.exit(main())")
+MOTORHIL = (sys.executable, "-c", "import sys; from harness.cli.main import main; sys.exit(main())")
 RIG = str(EXAMPLES / "two_wheels.toml")
 ROVER = str(EXAMPLES / "rover.toml")
 WALL = Path(__file__).parents[2] / "wall"

@@ -7,7 +7,7 @@ import can
 import pytest
 
 from motorapi import LinkError, WallRuntime
-from motorapi.lock_names import bus_name
+from motorapi.locking.directory import bus_name
 
 LATE_S = 20.0
 SOL_CAN_RAW, CAN_RAW_RECV_OWN_MSGS = 101, 4  # include/uapi/linux/can/raw.h

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from emulators.controller import ControllerContext
-from harness.rig import Rig
+from harness.rig.rig import Rig
 from motorhil_odrive.emulated.build import build
 
 RIG = Path(__file__).parents[1] / "src" / "motorhil_odrive" / "rig.toml"

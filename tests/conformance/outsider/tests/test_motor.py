@@ -5,10 +5,10 @@ from pathlib import Path
 import can
 import pytest
 
-from emulators.media.faults import FaultKind, FaultRule
-from harness.rig import Rig, installed_plugins
-from harness.rig_file import parse_rig
-from harness.settings import Source
+from emulators.can.fault_rules import FaultKind, FaultRule
+from harness.rig.rig import Rig, installed_plugins
+from harness.rig.config.rig_file import parse_rig
+from harness.rig.config.toml import Source
 from motorapi import (
     ControlMode,
     ControlVariable,

@@ -7,8 +7,8 @@ import pytest
 from conftest import RIG
 from hypothesis import Phase, settings
 
-from harness.sharing.machine import group_machine, ownership_machine
-from harness.sharing.stage import shared_rig
+from harness.sharing_tests.state_machine import group_machine, ownership_machine
+from harness.sharing_tests.state_machine import shared_rig
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 
 from emulators.controller import Controller, ControllerContext
-from emulators.firmware.own_time import on_own_time
+from emulators.firmware.clock import on_own_time
 from motorhil_odrive.emulated.drive import OdriveController
 from motorhil_odrive.emulated.settings import read_settings
 

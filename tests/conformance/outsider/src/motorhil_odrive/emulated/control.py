@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 from typing import Final, final
 
 from emulators.firmware import flags as f
-from emulators.motor_settings import axis_of
+from emulators.settings.motor import axis_of
 from motorhil_odrive.emulated.messages import ControlMode, InputMode
 from motorhil_odrive.emulated.settings import OdriveSettings
 

@@ -14,8 +14,8 @@ from collections.abc import Mapping, Sequence
 from math import isfinite
 from typing import Final, final
 
-from emulators.firmware.axis_readings import NEVER_NS
-from emulators.media.can_frame import EFF_FLAG, ERR_FLAG, RTR_FLAG, can_id_of, data_of, pack
+from emulators.firmware.axis import NEVER_NS
+from emulators.can.frame import EFF_FLAG, ERR_FLAG, RTR_FLAG, can_id_of, data_of, pack
 from emulators.plant.dc_motor import RANGES
 from motorhil_odrive.emulated import messages as m
 from motorhil_odrive.emulated.commands import COMMANDS

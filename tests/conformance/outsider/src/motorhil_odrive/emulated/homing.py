@@ -9,7 +9,7 @@ from enum import Enum
 from typing import Final, final
 
 from emulators.firmware import flags as f
-from emulators.firmware.axis_readings import NEVER_NS
+from emulators.firmware.axis import NEVER_NS
 from motorhil_odrive.emulated.control import Control
 
 _FAR: Final = 1e18

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from typing import Final, final
 
 from emulators.controller import ControllerContext, SettingError
-from emulators.motor_settings import MOTOR_KEYS, MotorSettings, motor_in
-from emulators.setting_tables import duration_ns, number, refuse_unknown, table_in, whole
+from emulators.settings.motor import MOTOR_KEYS, MotorSettings, motor_in
+from emulators.settings.tables import duration_ns, number, refuse_unknown, table_in, whole
 
 NODE_ID_MAX: Final = 0x3E
 _TIMING: Final = ("boot_up_s", "heartbeat_s", "encoder_s", "calibration_s")

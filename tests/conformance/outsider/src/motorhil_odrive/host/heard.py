@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple, final
 
 from motorapi.errors import LinkError
 from motorapi.state import Fault
-from motorapi.waiting import News
+from motorapi.runtime.api import ChangeCounter
 from motorhil_odrive.host import messages as m
 
 if TYPE_CHECKING:
@@ -49,7 +49,7 @@ class Heard:
     """
 
     def __init__(self, wire: "Wire", label: str, timeout_ms: float) -> None:
-        self.news: Final = News()
+        self.news: Final = ChangeCounter()
         self.heartbeat: Heartbeat | None = None
         self.estimate: Estimate | None = None
         self.version: tuple[float, ...] | None = None

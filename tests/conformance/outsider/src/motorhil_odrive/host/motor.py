@@ -19,9 +19,9 @@ from motorapi.commands import ControlMode, ControlVariable, Motion, Setpoint
 from motorapi.errors import DeviceFault, MotionInterrupted, PeerError, StateError, UnsupportedError
 from motorapi.model import MotorModel
 from motorapi.motor import Motor
-from motorapi.smooth_planning import asks_for_smoothness
+from motorapi.planning.functions import asks_for_smoothness
 from motorapi.state import Fault, Measurement, MotorState
-from motorapi.synchronization import MotionTimes, SyncLevel, SyncOffer, Trigger
+from motorapi.synchronization.quality import MotionTimes, SyncLevel, SyncOffer, Trigger
 from motorapi.trajectory import ComplexTrajectory, Trajectory
 from motorhil_odrive.host import messages as m
 from motorhil_odrive.host.braking import brake

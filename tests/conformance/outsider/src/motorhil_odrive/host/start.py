@@ -4,7 +4,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Final, final
 
 from motorapi.commands import ControlVariable, Motion
-from motorapi.demand import demand_of, ramps
+from motorapi.planning.sampling import demand_of, ramps
 from motorhil_odrive.host import messages as m
 from motorhil_odrive.host.stream import Stream
 from motorhil_odrive.host.watch import Arrival, Reached

@@ -12,8 +12,8 @@ from motorapi.errors import MotorError
 from motorhil_odrive.host.watch import Reached
 
 if TYPE_CHECKING:
-    from motorapi.fencing import BoundFence
-    from motorapi.runtime import Registration
+    from motorapi.ownership.fencing import BoundFence
+    from motorapi.runtime.api import Registration
     from motorhil_odrive.host.hardware import OdriveHwMotor
     from motorhil_odrive.host.messages import Message
     from motorhil_odrive.host.wire import Sent
