@@ -18,40 +18,26 @@ from setuptools.modified import newer_group
 # often are compiled together. Excluded are modules that use sockets or files, that applications or
 # third parties subclass, or that subclass classes of other libraries.
 HOT = (
-    "emulators/simulation/event_queue.py",
-    "emulators/simulation/can_network.py",
-    "emulators/simulation/serial_network.py",
-    "emulators/simulation/endpoints.py",
-    "emulators/simulation/world.py",
+    "emulators/simulation/[!o]*.py",
     "emulators/media/*.py",
+    "emulators/can/*.py",
+    "emulators/can/*/*.py",
     "emulators/plant/*.py",
     "emulators/firmware/*.py",
     "emulators/canopen/*.py",
+    "emulators/canopen/files/*.py",
     "emulators/cia401/*.py",
     "emulators/cia402/*.py",
-    "harness/python_can/bus.py",
-    "harness/virtual_time/runtime.py",
+    "emulators/cia402/*/*.py",
+    "harness/python_can/messages.py",
     "harness/virtual_time/runtime.py",
     "harness/recording/recorder.py",
     "harness/rig/recording.py",
-    "traces/mcap/writer.py",
-    "traces/schema.py",
     "traces/mcap/protobuf.py",
-    "motorapi/runtime/can_sources.py",
     "motorapi/runtime/api.py",
-    "motorapi/adaptations/canopen/bus.py",
-    "motorapi/adaptations/cia402/objects.py",
-    "motorapi/adaptations/cia402/units.py",
-    "motorapi/adaptations/cia402/node.py",
-    "motorapi/adaptations/cia402/measurements.py",
-    "motorapi/adaptations/canopen/emcy.py",
-    "motorapi/adaptations/cia402/motion_status.py",
-    "motorapi/adaptations/host_servo/hardware.py",
-    "motorapi/adaptations/host_servo/demand.py",
-    "motorapi/adaptations/host_servo/cycle.py",
-    "motorapi/adaptations/host_servo/servo.py",
-    "motorapi/adaptations/canopen/bus.py",
-    "motorapi/adaptations/canopen/sdo.py",
+    "motorapi/adaptations/canopen/*.py",
+    "motorapi/adaptations/cia402/*.py",
+    "motorapi/adaptations/host_servo/*.py",
 )
 INTERPRETED = ("__init__.py", "factory.py", "settings.py")
 
@@ -61,7 +47,7 @@ def hot_modules() -> list[str]:
     return [
         str(path)
         for pattern in HOT
-        for path in sorted(Path().glob(pattern))
+        for path in sorted(Path("motorhil").glob(pattern))
         if path.name not in INTERPRETED
     ]
 

@@ -2,7 +2,7 @@
 
 Their names come from package metadata. A module is loaded only when one of its kind is used.
 
-    motorhil.controllers    build(settings, context) -> emulators.controller.Controller
+    motorhil.controllers    build(settings, context) -> motorhil.emulators.controller.Controller
     motorhil.adaptations    build(bus, settings, model, runtime) -> motorapi.Motor
 
 By default both build for CAN buses. An attribute lists other kinds of buses: `build.bus_kinds =

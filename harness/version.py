@@ -8,10 +8,10 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Final
 
-import emulators
+from motorhil import emulators
 
 _PACKAGES: Final = ("motorapi", "emulators", "traces", "harness")
-_A_CORE: Final = "emulators.simulation.event_queue"  # compiled whenever any core is
+_A_CORE: Final = "motorhil.emulators.simulation.event_queue"  # compiled whenever any core is
 
 
 def version() -> str:

@@ -1,27 +1,63 @@
 """The motor interface: classes and errors for applications.
 
 Source: the CLARAty motor interface (Pivtoraiko, Nesnas, Nayar: A Reusable Software Framework for
-Rover Motion Control). Adaptations to hardware are in `motorapi.adaptations`; only they import the
+Rover Motion Control). Adaptations to hardware are in `motorhil.motorapi.adaptations`; only they import the
 libraries of their bus.
 """
 
-from motorapi.trajectory import Argument, MotorPosition
-from motorapi.commands import ControlMode, ControlVariable, DerivativeLimits, Motion, Range, Setpoint
-from motorapi.device import Device, DeviceGroup
-from motorapi.errors import DeadlineExceeded, DeviceFault, DomainError, FileError, LimitError, LinkError, MotionInterrupted, MotorBusyError, MotorError, PeerError, PluginError, StateError, SynchronizationError, UnsupportedError, UsageError
-from motorapi.generation import Trapezoid
-from motorapi.group import MotorGroup
-from motorapi.model import MotionKind, MotorModel
-from motorapi.motor import Motor
-from motorapi.motor import Ending, Outcome
-from motorapi.ownership.claim import LockAction, OwnershipEvent
-from motorapi.motor import Progress
-from motorapi.ownership.reservation import Reservation
-from motorapi.runtime.api import Runtime, runtime_of
-from motorapi.state import Fault, Measurement, MotorState
-from motorapi.synchronization.quality import FaultReaction, MotionTimes, PathDeviation, SyncCapability, Synchronization, SyncLevel, SyncOffer, SyncQuality, Trigger
-from motorapi.trajectory import ComplexTrajectory, Trajectory, TrapezoidalTrajectory
-from motorapi.runtime.wall import WallRuntime
+from motorhil.motorapi.commands import (
+    ControlMode,
+    ControlVariable,
+    DerivativeLimits,
+    Motion,
+    Range,
+    Setpoint,
+)
+from motorhil.motorapi.device import Device, DeviceGroup
+from motorhil.motorapi.errors import (
+    DeadlineExceeded,
+    DeviceFault,
+    DomainError,
+    FileError,
+    LimitError,
+    LinkError,
+    MotionInterrupted,
+    MotorBusyError,
+    MotorError,
+    PeerError,
+    PluginError,
+    StateError,
+    SynchronizationError,
+    UnsupportedError,
+    UsageError,
+)
+from motorhil.motorapi.generation import Trapezoid
+from motorhil.motorapi.group import MotorGroup
+from motorhil.motorapi.model import MotionKind, MotorModel
+from motorhil.motorapi.motor import Ending, Motor, Outcome, Progress
+from motorhil.motorapi.ownership.claim import LockAction, OwnershipEvent
+from motorhil.motorapi.ownership.reservation import Reservation
+from motorhil.motorapi.runtime.api import Runtime, runtime_of
+from motorhil.motorapi.runtime.wall import WallRuntime
+from motorhil.motorapi.state import Fault, Measurement, MotorState
+from motorhil.motorapi.synchronization.quality import (
+    FaultReaction,
+    MotionTimes,
+    PathDeviation,
+    SyncCapability,
+    Synchronization,
+    SyncLevel,
+    SyncOffer,
+    SyncQuality,
+    Trigger,
+)
+from motorhil.motorapi.trajectory import (
+    Argument,
+    ComplexTrajectory,
+    MotorPosition,
+    Trajectory,
+    TrapezoidalTrajectory,
+)
 
 __all__ = [
     "Argument",

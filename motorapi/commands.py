@@ -10,13 +10,12 @@ from math import inf, isfinite, isnan, nan
 from numbers import Real
 from typing import TYPE_CHECKING, TypeGuard, final
 
-from motorapi.errors import UsageError
-from motorapi.reprs import given
+from motorhil.motorapi.errors import UsageError
+from motorhil.motorapi.reprs import given
 
 if TYPE_CHECKING:
-    from motorapi.trajectory import Argument
-    from motorapi.functions.base import Function
-    from motorapi.trajectory import Trajectory
+    from motorhil.motorapi.functions.base import Function
+    from motorhil.motorapi.trajectory import Argument, Trajectory
 
 Range = tuple[float, float]
 """(lowest, highest) allowed value; -inf or inf for a side without a limit."""

@@ -4,8 +4,8 @@ from collections.abc import Callable, Iterator
 from types import TracebackType
 from typing import Concatenate, Generic, ParamSpec, Self, TypeVar, final
 
-from motorapi.errors import UsageError
-from motorapi.runtime.api import Runtime
+from motorhil.motorapi.errors import UsageError
+from motorhil.motorapi.runtime.api import Runtime
 
 P = ParamSpec("P")
 R = TypeVar("R")

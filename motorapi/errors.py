@@ -26,7 +26,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, final
 
 if TYPE_CHECKING:
-    from motorapi.synchronization.quality import SyncCapability
+    from motorhil.motorapi.synchronization.quality import SyncCapability
 
 
 class MotorError(Exception):

@@ -10,36 +10,40 @@ Waiting for the motions of one or several motors, with one deadline.
 """
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, final
-from motorapi.commands import as_number
-from motorapi.errors import DeadlineExceeded, MotorError, UsageError
-from motorapi.ownership.claim import use_leases
-from motorapi.runtime.api import wait_until
-from motorapi.runtime.api import Awaited, Waiting
 from contextlib import ExitStack
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, final
-from motorapi.planning import single_axis as planning
-from motorapi.trajectory import Argument, MotorPosition
-from motorapi.commands import ControlMode, ControlVariable, Motion, Setpoint, as_number
-from motorapi.errors import DeviceFault, LinkError, MotionInterrupted, MotorBusyError, StateError
-from motorapi.planning.groups import TIME, Common, synchronised
-from motorapi.ownership.physical_motor import ActiveMotion, RunStatus
-from motorapi.state import Fault, MotorState
-from motorapi.synchronization.quality import SyncLevel, Trigger
-from motorapi.trajectory import ComplexTrajectory, Trajectory
-from motorapi.ownership.queue import FifoQueue, trigger_turns
+
+from motorhil.motorapi.commands import ControlMode, ControlVariable, Motion, Setpoint, as_number
+from motorhil.motorapi.errors import (
+    DeadlineExceeded,
+    DeviceFault,
+    LinkError,
+    MotionInterrupted,
+    MotorBusyError,
+    MotorError,
+    StateError,
+    UsageError,
+)
+from motorhil.motorapi.ownership.claim import use_leases
+from motorhil.motorapi.ownership.physical_motor import ActiveMotion, RunStatus
+from motorhil.motorapi.ownership.queue import FifoQueue, trigger_turns
+from motorhil.motorapi.planning import single_axis as planning
+from motorhil.motorapi.planning.groups import TIME, Common, synchronised
+from motorhil.motorapi.runtime.api import Awaited, Waiting, wait_until
+from motorhil.motorapi.state import Fault, MotorState
+from motorhil.motorapi.synchronization.quality import SyncLevel, Trigger
+from motorhil.motorapi.trajectory import Argument, ComplexTrajectory, MotorPosition, Trajectory
 
 if TYPE_CHECKING:
-    from motorapi.motor import Motor
+    from motorhil.motorapi.motor import Motor
 
-# ruff: noqa: SLF001 -- it works the hooks of motors, as motorapi.execution does
-
+# ruff: noqa: SLF001 -- it works the hooks of motors, as motorhil.motorapi.execution does
 
 
 if TYPE_CHECKING:
-    from motorapi.motor import Motor
-    from motorapi.ownership.physical_motor import ActiveMotion
+    from motorhil.motorapi.motor import Motor
+    from motorhil.motorapi.ownership.physical_motor import ActiveMotion
 
     Answer = Callable[[Motor, ActiveMotion | None, Exception], Exception]
 
@@ -155,9 +159,6 @@ def _last_heard(motor: "Motor") -> str:
 
 
 # ruff: noqa: SLF001 -- it works the hooks of motors, as Motor does its own
-
-
-
 
 
 _RING_MAX: Final = 100
@@ -431,7 +432,9 @@ def _disarm(armed: Sequence[Started], error: BaseException) -> None:
             error.add_note(f"and {one.motor.name} could not be disarmed: {further}")
 
 
-def _abandon(started: Sequence[Started], runs: Sequence[ActiveMotion], error: BaseException) -> None:
+def _abandon(
+    started: Sequence[Started], runs: Sequence[ActiveMotion], error: BaseException
+) -> None:
     """Stop and disarm every motor of a start that failed after firing.
 
     Motors that another owner has taken over meanwhile are left alone.

@@ -24,46 +24,54 @@ Synchronization capability of a group before a motion, and quality afterwards.
 """
 
 import logging
-from collections.abc import Sequence
-from copy import copy
-from typing import TYPE_CHECKING, Final, final
-from motorapi.errors import MotorError
-from motorapi.planning.groups import Common
-from motorapi.planning.path import PathWatch
-from motorapi.ownership.physical_motor import ActiveMotion
-from motorapi.synchronization.quality import FaultReaction, PathDeviation, Synchronization, Trigger
-from motorapi.runtime.api import LOOK_PERIOD_S
-from contextlib import ExitStack
-from typing import TYPE_CHECKING
-from motorapi.planning import single_axis as planning
-from motorapi.errors import UsageError
-from motorapi.execution import Started, plan
-from motorapi.planning.groups import TIME, Common
-from motorapi.synchronization.skew import Bound, Member, command_bound, end_bound, start_bound
-from motorapi.synchronization.quality import SyncCapability, SyncLevel, SyncQuality, spread_s
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
+from copy import copy
 from dataclasses import replace
-from motorapi.commands import as_number
-from motorapi.device import DeviceGroup
-from motorapi.errors import MotorError, UsageError
-from motorapi.execution import Started, plan, start_together
-from motorapi.planning.groups import TIME
-from motorapi.execution import check_timeout, stop_others, wait_for_all
-from motorapi.motor import Motor
-from motorapi.motor import callback_failed
-from motorapi.planning.path import predicted_path
-from motorapi.ownership.reservation import Reservation
-from motorapi.synchronization.conditions import check_asked, require_synchronised
-from motorapi.synchronization.quality import FaultReaction, SyncCapability, Synchronization, SyncLevel, SyncQuality, Trigger
-from motorapi.trajectory import Trajectory
+from typing import TYPE_CHECKING, Final, final
+
+from motorhil.motorapi.commands import as_number
+from motorhil.motorapi.device import DeviceGroup
+from motorhil.motorapi.errors import MotorError, UsageError
+from motorhil.motorapi.execution import (
+    Started,
+    check_timeout,
+    plan,
+    start_together,
+    stop_others,
+    wait_for_all,
+)
+from motorhil.motorapi.motor import Motor, callback_failed
+from motorhil.motorapi.ownership.physical_motor import ActiveMotion
+from motorhil.motorapi.ownership.reservation import Reservation
+from motorhil.motorapi.planning import single_axis as planning
+from motorhil.motorapi.planning.groups import TIME, Common
+from motorhil.motorapi.planning.path import PathWatch, predicted_path
+from motorhil.motorapi.runtime.api import LOOK_PERIOD_S
+from motorhil.motorapi.synchronization.conditions import check_asked, require_synchronised
+from motorhil.motorapi.synchronization.quality import (
+    FaultReaction,
+    PathDeviation,
+    SyncCapability,
+    Synchronization,
+    SyncLevel,
+    SyncQuality,
+    Trigger,
+    spread_s,
+)
+from motorhil.motorapi.synchronization.skew import (
+    Bound,
+    Member,
+    command_bound,
+    end_bound,
+    start_bound,
+)
+from motorhil.motorapi.trajectory import Trajectory
 
 if TYPE_CHECKING:
-    from motorapi.runtime.api import Registration
+    from motorhil.motorapi.runtime.api import Registration
 
-# ruff: noqa: SLF001 -- it works the hooks of motors, as motorapi.execution does
-
-
+# ruff: noqa: SLF001 -- it works the hooks of motors, as motorhil.motorapi.execution does
 
 
 _LOG: Final = logging.getLogger("motorapi")
@@ -275,9 +283,6 @@ def add_trigger(triggers: "list[tuple[Motor, Trigger]]", motor: "Motor") -> None
 # ruff: noqa: SLF001 -- it works the hooks of motors, as Motor does its own
 
 
-
-
-
 def capability_of(motors: Sequence["Motor"], common: Common = TIME) -> SyncCapability:
     """Return how closely together `motors` can begin and end with the present settings.
 
@@ -386,8 +391,6 @@ def _durations_s(motors: Sequence["Motor"], common: Common) -> tuple[list[float 
 
 
 # ruff: noqa: SLF001 -- a group works the hooks of its members, as Motor does its own
-
-
 
 
 class MotorGroup(DeviceGroup[Motor]):

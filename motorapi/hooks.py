@@ -1,9 +1,9 @@
 """Hooks of a motor: the protected methods that a vendor implements.
 
-An adaptation derives from `motorapi.motor.Motor`, contains a hardware object, and implements these
+An adaptation derives from `motorhil.motorapi.motor.Motor`, contains a hardware object, and implements these
 hooks. All values are in SI units with the sign of the motor model; increments stay inside the
 hardware object. Unless its documentation says otherwise, a hook may wait, through `self.runtime`
-only. Hooks raise the errors of `motorapi.errors`; any other exception reaches the caller as a
+only. Hooks raise the errors of `motorhil.motorapi.errors`; any other exception reaches the caller as a
 `PluginError`. The public methods check modes, limits and state before they call a hook. They ensure
 that no two acting hooks run at once on one physical motor, except `_stop`, `_stop_with_others`,
 `_quick_stop` and `_halt`. U is the unit of position of the motor: rad, or m for a linear motor.
@@ -11,12 +11,12 @@ that no two acting hooks run at once on one physical motor, except `_stop`, `_st
 The hardware object belongs to the adaptation. These requirements apply:
 
 - One hardware object exists per physical motor and process.
-  `motorapi.ownership.physical_motor.register_physical_motor` returns the record with which the motor is built
+  `motorhil.motorapi.ownership.physical_motor.register_physical_motor` returns the record with which the motor is built
   (`physical`); `release_physical_motor` removes it.
-- If other programs can open the same bus (`motorapi.locking.process_lock.can_share_time`, and a name from
-  `motorapi.locking.directory`), it registers with a `ProcessLock` of that name and its node. Then every
+- If other programs can open the same bus (`motorhil.motorapi.locking.process_lock.can_share_time`, and a name from
+  `motorhil.motorapi.locking.directory`), it registers with a `ProcessLock` of that name and its node. Then every
   frame that may start or change a motion or a setting is sent between `begin_write` and `end_write`
-  of `physical.ownership`, as described in `motorapi.ownership.fencing`, and never after they raised. On CAN,
+  of `physical.ownership`, as described in `motorhil.motorapi.ownership.fencing`, and never after they raised. On CAN,
   `NodeFence` does this, and `announce` informs a hub. Stops are sent without it. A request of
   several frames needs a lock of its own, so that the answer to another program is not mistaken for
   its own.
@@ -24,7 +24,7 @@ The hardware object belongs to the adaptation. These requirements apply:
   no other: `NodeFence.bound`.
 - If it is notified of every change that `_is_done` evaluates, `physical.news` counts the changes.
   If it must poll, `_refresh` returns the interval.
-- On CAN it declares the frames that it and its drive send, with `motorapi.synchronization.bus_load.note_node` and
+- On CAN it declares the frames that it and its drive send, with `motorhil.motorapi.synchronization.bus_load.note_node` and
   `note_stream`. Otherwise skew bounds of others on that bus are wrong.
 
 A motor may be left moving, by a process that died or lost the motor to a takeover. Such a motor is
@@ -34,19 +34,19 @@ brought to rest by `_stop`, `_refresh` and `_is_done` before its next owner comm
 from abc import ABC, abstractmethod
 from typing import final
 
-from motorapi.commands import ControlMode, ControlVariable, Motion, Setpoint
-from motorapi.device import Device
-from motorapi.errors import UnsupportedError
-from motorapi.model import MotorModel
-from motorapi.runtime.api import Runtime
-from motorapi.ownership.physical_motor import PhysicalMotor
-from motorapi.state import Fault, Measurement, MotorState
-from motorapi.synchronization.quality import MotionTimes, SyncOffer, Trigger
-from motorapi.trajectory import ComplexTrajectory, Trajectory
+from motorhil.motorapi.commands import ControlMode, ControlVariable, Motion, Setpoint
+from motorhil.motorapi.device import Device
+from motorhil.motorapi.errors import UnsupportedError
+from motorhil.motorapi.model import MotorModel
+from motorhil.motorapi.ownership.physical_motor import PhysicalMotor
+from motorhil.motorapi.runtime.api import Runtime
+from motorhil.motorapi.state import Fault, Measurement, MotorState
+from motorhil.motorapi.synchronization.quality import MotionTimes, SyncOffer, Trigger
+from motorhil.motorapi.trajectory import ComplexTrajectory, Trajectory
 
 
 class MotorHooks(Device, ABC):
-    """The vendor's side of a motor; the application's side is `motorapi.motor.Motor`.
+    """The vendor's side of a motor; the application's side is `motorhil.motorapi.motor.Motor`.
 
     Args:
         name: name in messages and recordings.

@@ -35,9 +35,9 @@ from math import isfinite, tau
 from pathlib import Path
 from typing import Final, Self, final
 
-from motorapi.commands import ControlVariable, as_number
-from motorapi.errors import FileError, UsageError
-from motorapi.reprs import given
+from motorhil.motorapi.commands import ControlVariable, as_number
+from motorhil.motorapi.errors import FileError, UsageError
+from motorhil.motorapi.reprs import given
 
 
 @final

@@ -17,8 +17,8 @@ affected. `start` acquires the motor, transmits changed settings, and starts; or
 nothing has moved.
 
 Public methods are final: they validate, acquire the motor, convert errors, and report. The vendor
-implements the hooks of `motorapi.hooks`. Read access is in `motorapi.motor`, the end of
-motions in `motorapi.motor`. U is the unit of position of the motor: rad, or m if linear.
+implements the hooks of `motorhil.motorapi.hooks`. Read access is in `motorhil.motorapi.motor`, the end of
+motions in `motorhil.motorapi.motor`. U is the unit of position of the motor: rad, or m if linear.
 
 Read access to a motor at any time: state, fault and measurements.
 
@@ -28,7 +28,7 @@ names the holder. U is the unit of position of the motor: rad, or m if linear.
 
 A logical motor that shares a physical motor: active motion and its end.
 
-`motorapi.ownership.physical_motor` coordinates logical motors; `motorapi.motor` has the commands of applications.
+`motorhil.motorapi.ownership.physical_motor` coordinates logical motors; `motorhil.motorapi.motor` has the commands of applications.
 
 Low-level access: exclusive use of the hardware object by one thread.
 
@@ -58,62 +58,63 @@ they become a `PluginError`, which is logged and raised where that motor is next
 examined.
 """
 
-from collections.abc import Callable
-from typing import ParamSpec, TypeVar, final
-from motorapi.errors import MotorError, PluginError
-from motorapi.hooks import MotorHooks
-from motorapi.ownership.ownership import Ownership
-from motorapi.state import Fault, Measurement, MotorState
-from collections.abc import Iterator
-from contextlib import contextmanager
-from typing import TYPE_CHECKING
-from motorapi.commands import as_number
-from motorapi.errors import MotorBusyError, StateError
-from motorapi.execution import require_rest
-from motorapi.execution import check_timeout
-from motorapi.runtime.api import wait_until
-from motorapi.ownership.queue import LOW_LEVEL, TRANSACTION_TIMEOUT_S
-from motorapi.runtime.api import Awaited
-from dataclasses import dataclass
-from math import isfinite
-from typing import TYPE_CHECKING, final
-from motorapi.planning import single_axis as planning
-from motorapi.commands import ControlVariable, Motion
 import logging
-from enum import Enum
-from typing import TYPE_CHECKING, Final, final
-from motorapi.errors import MotionInterrupted, MotorError, PluginError
-from motorapi.runtime.api import LOOK_PERIOD_S
 from collections.abc import Callable, Iterator
-from copy import copy
-from typing import TYPE_CHECKING, Any, Final, final
-from motorapi.errors import DeadlineExceeded, MotionInterrupted, MotorBusyError, MotorError, PluginError, StateError, UsageError
-from motorapi.ownership.claim import AcquirePolicy
-from motorapi.ownership.physical_motor import ActiveMotion, RunStatus
-from motorapi.state import MotorState
 from contextlib import AbstractContextManager, contextmanager
-from dataclasses import replace
-from motorapi.trajectory import require_argument
-from motorapi.commands import ControlMode, ControlVariable, DerivativeLimits, Setpoint, as_number
-from motorapi.errors import PluginError, StateError, UnsupportedError, UsageError
-from motorapi.execution import require_no_fault, require_rest, start_together
-from motorapi.execution import check_timeout, wait_for_all
-from motorapi.ownership.reservation import Reservation, check_lease, check_take_over
-from motorapi.trajectory import Trajectory
+from copy import copy
+from dataclasses import dataclass, replace
+from enum import Enum
+from math import isfinite
+from typing import TYPE_CHECKING, Any, Final, ParamSpec, TypeVar, final
+
+from motorhil.motorapi.commands import (
+    ControlMode,
+    ControlVariable,
+    DerivativeLimits,
+    Motion,
+    Setpoint,
+    as_number,
+)
+from motorhil.motorapi.errors import (
+    DeadlineExceeded,
+    MotionInterrupted,
+    MotorBusyError,
+    MotorError,
+    PluginError,
+    StateError,
+    UnsupportedError,
+    UsageError,
+)
+from motorhil.motorapi.execution import (
+    check_timeout,
+    require_no_fault,
+    require_rest,
+    start_together,
+    wait_for_all,
+)
+from motorhil.motorapi.hooks import MotorHooks
+from motorhil.motorapi.ownership.claim import AcquirePolicy
+from motorhil.motorapi.ownership.ownership import Ownership
+from motorhil.motorapi.ownership.physical_motor import ActiveMotion, RunStatus
+from motorhil.motorapi.ownership.queue import LOW_LEVEL, TRANSACTION_TIMEOUT_S
+from motorhil.motorapi.ownership.reservation import Reservation, check_lease, check_take_over
+from motorhil.motorapi.planning import single_axis as planning
+from motorhil.motorapi.runtime.api import LOOK_PERIOD_S, Awaited, wait_until
+from motorhil.motorapi.state import Fault, Measurement, MotorState
+from motorhil.motorapi.trajectory import Trajectory, require_argument
 
 if TYPE_CHECKING:
-    from motorapi.runtime.api import Registration, Runtime
-    from motorapi.ownership.physical_motor import PhysicalMotor
-    from motorapi.runtime.api import Registration
-    from motorapi.ownership.queue import Ticket
-    from motorapi.trajectory import Argument
+    from motorhil.motorapi.ownership.physical_motor import PhysicalMotor
+    from motorhil.motorapi.ownership.queue import Ticket
+    from motorhil.motorapi.runtime.api import Registration, Runtime
+    from motorhil.motorapi.trajectory import Argument
 
 P = ParamSpec("P")
 R = TypeVar("R")
 
 
 class ReadableMotor(MotorHooks):
-    """The read-only part of `motorapi.motor.Motor`."""
+    """The read-only part of `motorhil.motorapi.motor.Motor`."""
 
     @property
     @final
@@ -188,7 +189,7 @@ class ReadableMotor(MotorHooks):
         where = "" if latest.position is None else f", {latest.position:g} {self.model.unit}"
         return f"{text}: {latest.state.value}{where}>"
 
-    # ---- internal: shared with Motor, motorapi.execution and motorapi.group ----
+    # ---- internal: shared with Motor, motorhil.motorapi.execution and motorhil.motorapi.group ----
 
     @final
     def _measured(
@@ -225,9 +226,6 @@ class ReadableMotor(MotorHooks):
 
 
 # ruff: noqa: SLF001 -- it works the hooks of a motor, as Motor does its own
-
-
-
 
 
 @contextmanager
@@ -300,9 +298,6 @@ def _await_end(motor: "Motor", timeout_s: float) -> None:
 
 
 # ruff: noqa: SLF001 -- it reads the hooks of a motor, as Motor does its own
-
-
-
 
 
 @final
@@ -502,7 +497,7 @@ _ADOPTION_S: Final = 30.0
 
 
 class SharedMotor(ReadableMotor):
-    """The part of `motorapi.motor.Motor` that manages motions."""
+    """The part of `motorhil.motorapi.motor.Motor` that manages motions."""
 
     _run: ActiveMotion | None = None
     _callback_error: PluginError | None = None
@@ -573,7 +568,7 @@ class SharedMotor(ReadableMotor):
             return None
         return progress_of(self, run)
 
-    # ---- internal: shared with motorapi.execution, motion_waits, low_level and group ----
+    # ---- internal: shared with motorhil.motorapi.execution, motion_waits, low_level and group ----
 
     @final
     @contextmanager
@@ -1069,7 +1064,7 @@ class Motor(SharedMotor):
 
         Inside the block no other part of the interface accesses the hardware, for any logical motor
         including this one. Operations and stops are refused; readings return the last value
-        received, or are refused; see `motorapi.motor`. The hardware object is for this thread
+        received, or are refused; see `motorhil.motorapi.motor`. The hardware object is for this thread
         only. Afterwards nothing is assumed of the hardware: the next start writes all its settings.
         A nested block of the same motor has no effect.
 

@@ -11,18 +11,16 @@ Source: the paper, 3.3.1: "The argument typically is a value of time, but can be
 
 from dataclasses import dataclass, field
 from math import inf, isfinite
-from typing import TYPE_CHECKING, TypeAlias, final
-from motorapi.commands import DerivativeLimits, Range, as_number
-from motorapi.errors import UsageError
-from math import isfinite
-from typing import Protocol, final
-from motorapi.commands import as_number
-from motorapi.errors import LinkError, MotorError, PluginError, UsageError
-from motorapi.model import MotorModel
-from motorapi.state import Measurement, MotorState
+from typing import TYPE_CHECKING, Protocol, TypeAlias, final
+
+from motorhil.motorapi.commands import DerivativeLimits, Range, as_number
+from motorhil.motorapi.errors import LinkError, MotorError, PluginError, UsageError
+from motorhil.motorapi.model import MotorModel
+from motorhil.motorapi.state import Measurement, MotorState
 
 if TYPE_CHECKING:
-    from motorapi.functions.base import Function
+    from motorhil.motorapi.functions.base import Function
+
 
 @final
 @dataclass(frozen=True, slots=True, repr=False)
@@ -159,7 +157,7 @@ def _derivatives(name: str, given: object) -> tuple[float, ...]:
 @final
 @dataclass(frozen=True, slots=True, repr=False)
 class ComplexTrajectory:
-    """A motion with a value prescribed for every argument, by any function of motorapi.functions.
+    """A motion with a value prescribed for every argument, by any function of motorhil.motorapi.functions.
 
     `ComplexTrajectory(function)` follows `function(t)` over its domain, t in seconds since the
     start; an argument given to `Motor.set_trajectory` replaces time.
@@ -185,7 +183,7 @@ class ComplexTrajectory:
         domain = getattr(self.function, "domain", None)
         if not isinstance(domain, tuple) or not callable(getattr(self.function, "extrema", None)):
             raise UsageError(
-                f"ComplexTrajectory: {self.function!r} is not a function of motorapi.functions"
+                f"ComplexTrajectory: {self.function!r} is not a function of motorhil.motorapi.functions"
             )
         if not isinstance(self.relative, bool):
             raise UsageError(

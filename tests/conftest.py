@@ -8,8 +8,8 @@ from typing import Any
 import pytest
 from hypothesis import HealthCheck, settings
 
-import emulators
-from harness.version import cores_are_compiled
+from motorhil import emulators
+from motorhil.harness.version import cores_are_compiled
 from tests.dissector import collect_sent, complaints, tshark
 
 settings.register_profile(

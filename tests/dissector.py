@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Final
 
-from emulators.canopen.node import CanopenNode
+from motorhil.emulators.canopen.node import CanopenNode
 
 LINKTYPE_CAN_SOCKETCAN: Final = 227  # identifier in network byte order, see pcap-linktype
 COLUMNS: Final = ("canopen.function_code", "_ws.malformed", "_ws.expert.message")

@@ -10,14 +10,14 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from harness.rig.rig import Rig, installed_plugins
-from harness.rig.config.rig_file import RigDescription, parse_rig
-from harness.rig.config.toml import Source
-from motorapi import ControlMode, Motor, MotorGroup, TrapezoidalTrajectory
+from motorhil.harness.rig.config.rig_file import RigDescription, parse_rig
+from motorhil.harness.rig.config.toml import Source
+from motorhil.harness.rig.rig import Rig, installed_plugins
+from motorhil.motorapi import ControlMode, Motor, MotorGroup, TrapezoidalTrajectory
+from motorhil.traces.digest import digest
+from motorhil.traces.mcap.reader import read_trace
 from tests.architecture.checkout import CHECKOUT
 from tests.motorapi.kinds import EVERY
-from traces.digest import digest
-from traces.mcap.reader import read_trace
 
 FOLDER = CHECKOUT / "traces" / "golden"
 INDEX = FOLDER / "INDEX.md"

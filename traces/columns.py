@@ -14,11 +14,10 @@ from typing import Any, Final, final
 import numpy as np
 from numpy.typing import NDArray
 
-from traces.schema import can_frame_prefix
-from traces.formats.frames import FrameDecoder
-from traces.mcap.reader import Cut, Trace, TraceMessage, read_trace
-from traces.mcap.records import MESSAGE
-from traces.schema import CAN_FRAME
+from motorhil.traces.formats.frames import FrameDecoder
+from motorhil.traces.mcap.reader import Cut, Trace, TraceMessage, read_trace
+from motorhil.traces.mcap.records import MESSAGE
+from motorhil.traces.schema import CAN_FRAME, can_frame_prefix
 
 _PREFIX: Final = "/can/"
 _CHANNEL_AT: Final = 9  # offset in a message record
@@ -52,7 +51,7 @@ class CanArrays:
         data: (n, 8) uint8, or (n, 64) if there are CAN FD frames; zero beyond the length.
         bus: index in `buses`, (n,) uint16.
         sender: index in `senders`, (n,) uint32.
-        direction: `traces.schema.Direction`, (n,) uint8.
+        direction: `motorhil.traces.schema.Direction`, (n,) uint8.
         buses, senders: their names.
         unreadable: number of messages on these buses that are not CAN frames; they are omitted.
         cut: where the recording ends prematurely; None: it is complete.

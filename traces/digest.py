@@ -6,12 +6,12 @@ First difference between two recordings, message by message.
 import hashlib
 import os
 import struct
-from traces.errors import TraceError
-from traces.mcap.reader import read_trace
 from dataclasses import dataclass
 from itertools import zip_longest
 from typing import final
-from traces.mcap.reader import TraceMessage, read_trace
+
+from motorhil.traces.errors import TraceError
+from motorhil.traces.mcap.reader import TraceMessage, read_trace
 
 _LENGTH = struct.Struct("<I")
 _TIME_AND_LENGTH = struct.Struct("<QI")

@@ -21,14 +21,24 @@ padded to 8 or 64. Source: linux/can.h.
 """
 
 import re
-from collections.abc import Sequence
+import struct
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import Final, final
-from traces.mcap.protobuf import Enumeration, Field, Kind, Message, file_descriptor_set
-import struct
-from collections.abc import Iterable
-from traces.mcap.protobuf import Kind, Message, decode, delimited, tag, varint
+
+from motorhil.traces.mcap.protobuf import (
+    Enumeration,
+    Field,
+    Kind,
+    Message,
+    decode,
+    delimited,
+    file_descriptor_set,
+    tag,
+    varint,
+)
+
 
 @final
 @dataclass(frozen=True, slots=True)

@@ -18,10 +18,12 @@ Source: ISO 11898-1, synchronisation; Hartwich & Bassemir, The configuration of 
 """
 
 from dataclasses import dataclass
-from typing import Final, final
 from enum import Enum
+from typing import Final, final
 
-ONE: Final = 10**12  # a bit time; also the rate of an ideal clock (emulators.plant.oscillator)
+ONE: Final = (
+    10**12
+)  # a bit time; also the rate of an ideal clock (motorhil.emulators.plant.oscillator)
 RECESSIVE: Final = 1
 
 _EDGES_APART: Final = 10  # maximum number of bits between edges to dominant: five of each level

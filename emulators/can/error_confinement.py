@@ -34,8 +34,8 @@ Source: Linux include/uapi/linux/can/error.h.
 
 from enum import IntEnum
 from typing import Final, final
-from typing import Final
-from emulators.can.frame import ERR_FLAG, pack
+
+from motorhil.emulators.can.frame import ERR_FLAG, pack
 
 WARNING: Final = 96
 PASSIVE: Final = 128

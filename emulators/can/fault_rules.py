@@ -26,13 +26,13 @@ Faults are modelled by their effect on a receiver, in CAN's own terms where thes
 Random inversion of bits: the distances between inverted bits.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from typing import Final, final
-from emulators.can.frame import EFF_FLAG, EFF_MASK
-from emulators.media.serial_faults import wrong_condition
-from collections.abc import Callable
+
+from motorhil.emulators.can.frame import EFF_FLAG, EFF_MASK
+from motorhil.emulators.media.serial_faults import wrong_condition
 
 DATA_MAX: Final = 8
 RATE_MAX: Final = 0.1  # above this, error frames seldom end

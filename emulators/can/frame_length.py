@@ -26,7 +26,19 @@ CAN FD Linux include/linux/can/length.h.
 
 from typing import Final
 
-from emulators.can.frame import BRS, EFF_FLAG, EFF_MASK, ERR_FLAG, ESI, FD_FRAME_BYTES, FD_LENGTHS, FRAME_BYTES, RTR_FLAG, SFF_MASK, can_id_of
+from motorhil.emulators.can.frame import (
+    BRS,
+    EFF_FLAG,
+    EFF_MASK,
+    ERR_FLAG,
+    ESI,
+    FD_FRAME_BYTES,
+    FD_LENGTHS,
+    FRAME_BYTES,
+    RTR_FLAG,
+    SFF_MASK,
+    can_id_of,
+)
 
 INTERMISSION_BITS: Final = 3
 KEY_SHIFT: Final = 30  # `measure` returns key << KEY_SHIFT | lengths

@@ -5,7 +5,7 @@ COB-IDs (CiA 301, 7.3.5): the identifiers allowed for communication objects.
 
 from enum import IntEnum, unique
 from typing import Final, final
-from typing import Final
+
 
 @final
 @unique

@@ -22,16 +22,14 @@ Source: CiA 301, 7.2.7.1 (table 26) and 1029h; Linux include/uapi/linux/can/erro
 """
 
 from collections import deque
-from typing import Final, Protocol, final
-from emulators.canopen.codes import AbortCode
-from emulators.canopen.codes import INVALID, UPPER_BITS, is_restricted
-from emulators.canopen.object_dictionary import DataType, ObjectDictionary
-from emulators.canopen.outbox import NEVER, Outbox
-from emulators.can.frame import pack
 from enum import IntEnum, unique
-from typing import Final, final
-from emulators.canopen.outbox import Outbox
-from emulators.can import error_confinement as e
+from typing import Final, Protocol, final
+
+from motorhil.emulators.can import error_confinement as e
+from motorhil.emulators.can.frame import pack
+from motorhil.emulators.canopen.codes import INVALID, UPPER_BITS, AbortCode, is_restricted
+from motorhil.emulators.canopen.object_dictionary import DataType, ObjectDictionary
+from motorhil.emulators.canopen.outbox import NEVER, Outbox
 
 # Error codes (CiA 301, table 26)
 ERROR_RESET: Final = 0x0000

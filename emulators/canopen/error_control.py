@@ -14,13 +14,12 @@ two.
 """
 
 from typing import Final, final
-from emulators.canopen.codes import AbortCode
-from emulators.canopen.object_dictionary import ObjectDictionary
-from emulators.canopen.outbox import MS, NEVER, Outbox
-from emulators.can.frame import pack
-from emulators.can.frame import RTR_FLAG, pack
-from emulators.canopen.emcy import HEARTBEAT_KEY, HEARTBEAT_LOST, EmcyProducer
-from emulators.canopen.outbox import NEVER, Outbox
+
+from motorhil.emulators.can.frame import RTR_FLAG, pack
+from motorhil.emulators.canopen.codes import AbortCode
+from motorhil.emulators.canopen.emcy import HEARTBEAT_KEY, HEARTBEAT_LOST, EmcyProducer
+from motorhil.emulators.canopen.object_dictionary import ObjectDictionary
+from motorhil.emulators.canopen.outbox import MS, NEVER, Outbox
 
 _ERROR_CONTROL: Final = 0x700
 

@@ -16,11 +16,10 @@ Source: CiA 305, LSS protocols; open points as in CANopenNode (305/CO_LSSslave.c
 from collections import deque
 from typing import Final, final
 
-from emulators.canopen.object_dictionary import ObjectDictionary
-from emulators.canopen.files.parameter_storage import ParameterStore
-from emulators.canopen.files.parameter_storage import UNSET
-from emulators.canopen.outbox import NEVER, Outbox
-from emulators.can.frame import pack
+from motorhil.emulators.can.frame import pack
+from motorhil.emulators.canopen.files.parameter_storage import UNSET, ParameterStore
+from motorhil.emulators.canopen.object_dictionary import ObjectDictionary
+from motorhil.emulators.canopen.outbox import NEVER, Outbox
 
 REQUEST_ID: Final = 0x7E5
 RESPONSE_ID: Final = 0x7E4

@@ -9,8 +9,9 @@ Error behaviour (CiA 301, 1029h): effects of errors on the NMT state.
 
 from enum import IntEnum, unique
 from typing import Final, final
-from typing import Final
-from emulators.canopen.object_dictionary import ObjectDictionary
+
+from motorhil.emulators.canopen.object_dictionary import ObjectDictionary
+
 
 @final
 @unique

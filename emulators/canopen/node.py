@@ -15,30 +15,30 @@ only what the present NMT state accepts, so the parts need not check the state. 
 Dispatching of frames: handlers by identifier, and the identifiers of a node.
 """
 
-from collections.abc import Callable
-from typing import final
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Final, final
-from emulators.canopen.object_dictionary import DictionaryAccess
-from emulators.canopen.emcy import CanWatch
-from emulators.canopen.emcy import EmcyProducer
-from emulators.canopen.nmt import COMMUNICATION, DEVICE, state_after
-from emulators.canopen.error_control import ErrorControl
-from emulators.canopen.lss import REQUEST_ID as LSS_REQUEST_ID
-from emulators.canopen.lss import UNCONFIGURED, LssSlave
-from emulators.canopen.nmt import TRANSITIONS, NmtCommand, NmtState, commanded
-from emulators.canopen.object_dictionary import ObjectDictionary
-from emulators.canopen.files.parameter_storage import ParameterStore
-from emulators.canopen.pdo import PdoService
-from emulators.canopen.sdo_server import SdoServer, sdo_can_id
-from emulators.canopen.outbox import MS
-from emulators.canopen.outbox import NEVER, Outbox
-from emulators.canopen.outbox import NodeHost
-from emulators.canopen.outbox import NodeTiming
-from emulators.canopen.sync import SyncService
-from emulators.canopen.sync import TimeConsumer
-from emulators.controller import NonvolatileMemory, RigMemory
-from emulators.can.frame import ERR_FLAG, RTR_FLAG
+
+from motorhil.emulators.can.frame import ERR_FLAG, RTR_FLAG
+from motorhil.emulators.canopen.emcy import CanWatch, EmcyProducer
+from motorhil.emulators.canopen.error_control import ErrorControl
+from motorhil.emulators.canopen.files.parameter_storage import ParameterStore
+from motorhil.emulators.canopen.lss import REQUEST_ID as LSS_REQUEST_ID
+from motorhil.emulators.canopen.lss import UNCONFIGURED, LssSlave
+from motorhil.emulators.canopen.nmt import (
+    COMMUNICATION,
+    DEVICE,
+    TRANSITIONS,
+    NmtCommand,
+    NmtState,
+    commanded,
+    state_after,
+)
+from motorhil.emulators.canopen.object_dictionary import DictionaryAccess, ObjectDictionary
+from motorhil.emulators.canopen.outbox import NEVER, NodeHost, NodeTiming, Outbox
+from motorhil.emulators.canopen.pdo import PdoService
+from motorhil.emulators.canopen.sdo_server import SdoServer, sdo_can_id
+from motorhil.emulators.canopen.sync import SyncService, TimeConsumer
+from motorhil.emulators.controller import NonvolatileMemory, RigMemory
 
 Handler = Callable[[bytes, int], None]
 

@@ -13,10 +13,10 @@ The SDO server uses it. Other services that access a dictionary may use it as we
 import struct
 from collections.abc import Callable, Iterator
 from enum import IntEnum, unique
-from typing import Final, final
-from emulators.canopen.codes import AbortCode
-from typing import Protocol, final
-from emulators.canopen.outbox import NodeHost
+from typing import Final, Protocol, final
+
+from motorhil.emulators.canopen.codes import AbortCode
+from motorhil.emulators.canopen.outbox import NodeHost
 
 Value = int | float | bytes
 Reader = Callable[[], int]

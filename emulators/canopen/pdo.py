@@ -25,18 +25,22 @@ A TPDO already in flight serves as the response.
 """
 
 from typing import Final, final
-from emulators.canopen.codes import INVALID
-from emulators.canopen.emcy import PDO_LENGTH_EXCEEDED, PDO_NOT_PROCESSED, RPDO_TIMEOUT, RPDO_TIMEOUT_KEY, EmcyProducer
-from emulators.canopen.object_dictionary import ObjectDictionary
-from emulators.canopen.pdo_mapping import PdoMapping, load
-from emulators.canopen.pdo_parameters import PdoParameters
-from emulators.canopen.outbox import MS, NEVER, NodeHost, Outbox
-from emulators.canopen.sync import SyncWindow
-from emulators.canopen.pdo_parameters import NO_REMOTE, PdoParameters
-from typing import final
-from emulators.canopen.emcy import COMMUNICATION, WINDOW_KEY, EmcyProducer
-from emulators.canopen.outbox import NEVER, NodeHost, Outbox
-from emulators.canopen.sync import SyncService
+
+from motorhil.emulators.canopen.codes import INVALID
+from motorhil.emulators.canopen.emcy import (
+    COMMUNICATION,
+    PDO_LENGTH_EXCEEDED,
+    PDO_NOT_PROCESSED,
+    RPDO_TIMEOUT,
+    RPDO_TIMEOUT_KEY,
+    WINDOW_KEY,
+    EmcyProducer,
+)
+from motorhil.emulators.canopen.object_dictionary import ObjectDictionary
+from motorhil.emulators.canopen.outbox import MS, NEVER, NodeHost, Outbox
+from motorhil.emulators.canopen.pdo_mapping import PdoMapping, load
+from motorhil.emulators.canopen.pdo_parameters import NO_REMOTE, PdoParameters
+from motorhil.emulators.canopen.sync import SyncService, SyncWindow
 
 LAST_SYNCHRONOUS: Final = 240
 

@@ -8,8 +8,16 @@ import struct
 from collections.abc import Callable
 from typing import Final, final
 
-from emulators.canopen.codes import AbortCode
-from emulators.canopen.object_dictionary import STRUCT_FORMAT, ObjectDictionary, Variable, decode, is_integer, is_signed, length_bits
+from motorhil.emulators.canopen.codes import AbortCode
+from motorhil.emulators.canopen.object_dictionary import (
+    STRUCT_FORMAT,
+    ObjectDictionary,
+    Variable,
+    decode,
+    is_integer,
+    is_signed,
+    length_bits,
+)
 
 MAX_ENTRIES: Final = 64
 MAX_BITS: Final = 64

@@ -7,11 +7,10 @@ with 0601 0000h, unmappable entries with 0604 0041h, too many bits with 0604 004
 
 from typing import Final, final
 
-from emulators.canopen.codes import AbortCode
-from emulators.canopen.codes import INVALID, UPPER_BITS, is_restricted
-from emulators.canopen.object_dictionary import DataType, ObjectDictionary
-from emulators.canopen.pdo_mapping import MAX_BITS, MAX_ENTRIES, entry_refusal
-from emulators.canopen.sync import COUNTER_MAX
+from motorhil.emulators.canopen.codes import INVALID, UPPER_BITS, AbortCode, is_restricted
+from motorhil.emulators.canopen.object_dictionary import DataType, ObjectDictionary
+from motorhil.emulators.canopen.pdo_mapping import MAX_BITS, MAX_ENTRIES, entry_refusal
+from motorhil.emulators.canopen.sync import COUNTER_MAX
 
 NO_REMOTE: Final = 1 << 30
 _PREDEFINED: Final = ((0x180, 0x280, 0x380, 0x480), (0x200, 0x300, 0x400, 0x500))

@@ -16,14 +16,13 @@ valid bytes, and the CRC of all data if both sides support it.
 This module has the state of a transfer only; `SdoServer` handles requests and responses.
 """
 
-from typing import Final, final
-from emulators.canopen.codes import AbortCode
 from collections import deque
 from struct import Struct
-from emulators.canopen.object_dictionary import DictionaryAccess
-from emulators.canopen.codes import INVALID
-from emulators.canopen.object_dictionary import ObjectDictionary
-from emulators.canopen.outbox import MS, NEVER, Outbox
+from typing import Final, final
+
+from motorhil.emulators.canopen.codes import INVALID, AbortCode
+from motorhil.emulators.canopen.object_dictionary import DictionaryAccess, ObjectDictionary
+from motorhil.emulators.canopen.outbox import MS, NEVER, Outbox
 
 SEGMENT_BYTES: Final = 7
 BLOCK_MAX: Final = 127

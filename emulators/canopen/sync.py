@@ -23,13 +23,12 @@ last time can be read if the file has an object for it (ours: 2012h). The node d
 """
 
 from typing import Final, final
-from emulators.canopen.codes import AbortCode
-from emulators.canopen.codes import UPPER_BITS, is_restricted
-from emulators.canopen.emcy import SYNC_LENGTH, SYNC_LENGTH_KEY, EmcyProducer
-from emulators.canopen.object_dictionary import DataType, ObjectDictionary
-from emulators.canopen.outbox import NEVER, US, Outbox
-from emulators.can.frame import pack
-from emulators.canopen.outbox import MS, Outbox
+
+from motorhil.emulators.can.frame import pack
+from motorhil.emulators.canopen.codes import UPPER_BITS, AbortCode, is_restricted
+from motorhil.emulators.canopen.emcy import SYNC_LENGTH, SYNC_LENGTH_KEY, EmcyProducer
+from motorhil.emulators.canopen.object_dictionary import DataType, ObjectDictionary
+from motorhil.emulators.canopen.outbox import MS, NEVER, US, Outbox
 
 COUNTER_MAX: Final = 240
 

@@ -8,11 +8,11 @@ gone. The amplifier does not know positions and speeds, and does not monitor its
 
 from typing import Final, final
 
-from emulators.canopen.outbox import NEVER
-from emulators.cia401.settings import ChannelSettings
-from emulators.firmware.axis import Axis
-from emulators.settings.motor import axis_of
-from emulators.plant.dc_motor import RANGES
+from motorhil.emulators.canopen.outbox import NEVER
+from motorhil.emulators.cia401.settings import ChannelSettings
+from motorhil.emulators.firmware.axis import Axis
+from motorhil.emulators.plant.dc_motor import RANGES
+from motorhil.emulators.settings.motor import axis_of
 
 VOLT_PER_RAW: Final = 10.0 / 32768.0  # 6411h: +-10 V, left-adjusted in 16 bits
 READY: Final = 1

@@ -26,29 +26,33 @@ bits contain less than two counts of 32.
 Factory of I/O nodes: entry point `motorhil.controllers`, name `cia401`.
 """
 
-from typing import Final, final
-from emulators.canopen.codes import OK
-from emulators.canopen.object_dictionary import DataType, ObjectDictionary, Variable
-from emulators.cia401.channel import Channel
 from collections.abc import Mapping, Sequence
-from emulators.canopen.lss import UNCONFIGURED
-from emulators.canopen.nmt import NmtState
-from emulators.canopen.node import CanopenNode
-from emulators.canopen.outbox import NodeTiming
-from emulators.canopen.object_dictionary import ObjectDictionary
-from emulators.canopen.outbox import NEVER
-from emulators.cia401.channel import FAULT, READY, STIMULI, Channel
-from emulators.cia401.settings import NodeSettings
-from emulators.controller import NonvolatileMemory
-from collections.abc import Mapping
-from typing import Final
-from emulators.canopen.files.device_description import DeviceDescription
-from emulators.canopen.files.eds import EdsError, read_eds
-from emulators.canopen.object_dictionary import ObjectDictionary, is_integer, length_bits
-from emulators.cia401.settings import CHANNELS_MAX, NodeSettings, read_settings
-from emulators.controller import Controller, ControllerContext, NonvolatileMemory, SettingError
-from emulators.firmware.clock import on_own_time
-from emulators.settings.tables import ObjectValue
+from typing import Final, final
+
+from motorhil.emulators.canopen.codes import OK
+from motorhil.emulators.canopen.files.device_description import DeviceDescription
+from motorhil.emulators.canopen.files.eds import EdsError, read_eds
+from motorhil.emulators.canopen.lss import UNCONFIGURED
+from motorhil.emulators.canopen.nmt import NmtState
+from motorhil.emulators.canopen.node import CanopenNode
+from motorhil.emulators.canopen.object_dictionary import (
+    DataType,
+    ObjectDictionary,
+    Variable,
+    is_integer,
+    length_bits,
+)
+from motorhil.emulators.canopen.outbox import NEVER, NodeTiming
+from motorhil.emulators.cia401.channel import FAULT, READY, STIMULI, Channel
+from motorhil.emulators.cia401.settings import CHANNELS_MAX, NodeSettings, read_settings
+from motorhil.emulators.controller import (
+    Controller,
+    ControllerContext,
+    NonvolatileMemory,
+    SettingError,
+)
+from motorhil.emulators.firmware.clock import on_own_time
+from motorhil.emulators.settings.tables import ObjectValue
 
 INPUTS: Final = 0x6000
 OUTPUTS: Final = 0x6200

@@ -9,11 +9,27 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final, final
 
-from emulators.controller import SettingError
-from emulators.firmware.servo_tables import ServoGains
-from emulators.plant.dc_motor import MotorPlant
-from emulators.plant.oscillator import Oscillator
-from emulators.settings.tables import KeyPath, ObjectValue, duration_ns, eds_in, flag, initial_position_rad, memory_file_in, node_id_in, number, objects_of, oscillator_in, plant_of, refuse_unknown, table_in, whole
+from motorhil.emulators.controller import SettingError
+from motorhil.emulators.firmware.servo_tables import ServoGains
+from motorhil.emulators.plant.dc_motor import MotorPlant
+from motorhil.emulators.plant.oscillator import Oscillator
+from motorhil.emulators.settings.tables import (
+    KeyPath,
+    ObjectValue,
+    duration_ns,
+    eds_in,
+    flag,
+    initial_position_rad,
+    memory_file_in,
+    node_id_in,
+    number,
+    objects_of,
+    oscillator_in,
+    plant_of,
+    refuse_unknown,
+    table_in,
+    whole,
+)
 
 OWN_EDS: Final = Path(__file__).parents[1] / "eds" / "motorhil_cia401.eds"
 CHANNELS_MAX: Final = 4

@@ -21,43 +21,63 @@ whatever the motor does. Once the encoder is back it counts on from there, and t
 is lost.
 """
 
-from typing import final
-from emulators.canopen.object_dictionary import ObjectDictionary
-from emulators.cia402.objects.dictionary import DriveObjects
-from emulators.cia402.power_drive import PowerDrive
-from emulators.cia402.objects.units import limited
-from emulators.firmware.axis import Axis
-from typing import Final, final
-from emulators.canopen.node import CanopenNode
-from emulators.canopen.object_dictionary import ObjectDictionary, Reader, Variable
-from emulators.cia402.faults import COMMUNICATION_LOST, DEVICE_TEMPERATURE, ENCODER, ERROR_PASSIVE, MAINS_OVER_VOLTAGE, MAINS_UNDER_VOLTAGE, SHORT_CIRCUIT, WARNED_BY_INPUT
-from emulators.cia402.state_machine import PdsState
-from emulators.plant.dc_motor import RANGES
-from emulators.settings.protection import TEMPERATURE_RANGE_C, ProtectionSettings
 from collections.abc import Mapping, Sequence
-from emulators.canopen.lss import UNCONFIGURED
-from emulators.canopen.nmt import NmtState
-from emulators.canopen.outbox import NodeTiming
-from emulators.canopen.outbox import NEVER
-from emulators.cia402.faults import COMMUNICATION_LOST, HEARTBEAT_LOST, error_register, told
-from emulators.cia402.power_drive import NO_FAULT, PowerDrive
-from emulators.cia402.quirks import deviate
-from emulators.cia402.settings import DriveSettings
-from emulators.controller import NonvolatileMemory
-from emulators.firmware.digital_inputs import STIMULI as INPUT_STIMULI
-from emulators.firmware.digital_inputs import DigitalInputs
-from emulators.settings.motor import axis_of
-from collections.abc import Mapping
-from typing import Final
-from emulators.canopen.files.eds import EdsError, read_eds
-from emulators.canopen.object_dictionary import DataType, ObjectDictionary, Value, Variable, is_integer, length_bits
-from emulators.cia402.settings import told as told_of_quirk_catalogue
-from emulators.cia402.quirks import wire_quirks
-from emulators.cia402.quirks import QuirkyWire
-from emulators.cia402.settings import EMULATED_MODES, MODES, DriveSettings, read_settings
-from emulators.cia402.settings import out_of_reach
-from emulators.controller import Controller, ControllerContext, NonvolatileMemory, SettingError
-from emulators.firmware.clock import on_own_time
+from typing import Final, final
+
+from motorhil.emulators.canopen.files.eds import EdsError, read_eds
+from motorhil.emulators.canopen.lss import UNCONFIGURED
+from motorhil.emulators.canopen.nmt import NmtState
+from motorhil.emulators.canopen.node import CanopenNode
+from motorhil.emulators.canopen.object_dictionary import (
+    DataType,
+    ObjectDictionary,
+    Reader,
+    Value,
+    Variable,
+    is_integer,
+    length_bits,
+)
+from motorhil.emulators.canopen.outbox import NEVER, NodeTiming
+from motorhil.emulators.cia402.faults import (
+    COMMUNICATION_LOST,
+    DEVICE_TEMPERATURE,
+    ENCODER,
+    ERROR_PASSIVE,
+    HEARTBEAT_LOST,
+    MAINS_OVER_VOLTAGE,
+    MAINS_UNDER_VOLTAGE,
+    SHORT_CIRCUIT,
+    WARNED_BY_INPUT,
+    error_register,
+    told,
+)
+from motorhil.emulators.cia402.objects.dictionary import DriveObjects
+from motorhil.emulators.cia402.objects.units import limited
+from motorhil.emulators.cia402.power_drive import NO_FAULT, PowerDrive
+from motorhil.emulators.cia402.quirks import QuirkyWire, deviate, wire_quirks
+from motorhil.emulators.cia402.settings import (
+    EMULATED_MODES,
+    MODES,
+    DriveSettings,
+    out_of_reach,
+    read_settings,
+)
+from motorhil.emulators.cia402.settings import told as told_of_quirk_catalogue
+from motorhil.emulators.cia402.state_machine import PdsState
+from motorhil.emulators.controller import (
+    Controller,
+    ControllerContext,
+    NonvolatileMemory,
+    SettingError,
+)
+from motorhil.emulators.firmware.axis import Axis
+from motorhil.emulators.firmware.clock import on_own_time
+from motorhil.emulators.firmware.digital_inputs import STIMULI as INPUT_STIMULI
+from motorhil.emulators.firmware.digital_inputs import DigitalInputs
+from motorhil.emulators.plant.dc_motor import RANGES
+from motorhil.emulators.settings.motor import axis_of
+from motorhil.emulators.settings.protection import TEMPERATURE_RANGE_C, ProtectionSettings
+
 
 @final
 class Readings:

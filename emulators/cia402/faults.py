@@ -17,10 +17,10 @@ only with the next reset node.
 
 from typing import Final, final
 
-from emulators.canopen import emcy as can_state
-from emulators.canopen import emcy
-from emulators.firmware import flags as f
-from emulators.settings.protection import STO_ERROR
+from motorhil.emulators.canopen import emcy
+from motorhil.emulators.canopen import emcy as can_state
+from motorhil.emulators.firmware import flags as f
+from motorhil.emulators.settings.protection import STO_ERROR
 
 GENERIC: Final = 0x01
 CURRENT: Final = 0x02

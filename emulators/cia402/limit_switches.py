@@ -14,11 +14,17 @@ position (607Ch). The axis' own gate monitors them. Without 607Dh they cost noth
 
 from typing import Final, final
 
-from emulators.cia402.objects.motion import MotionObjects
-from emulators.cia402.settings import EMULATED_MODES
-from emulators.cia402.objects.changes import FACTORS, POSITION_LIMITS
-from emulators.firmware.axis import Axis
-from emulators.firmware.digital_inputs import LIMITS, NEGATIVE_LIMIT, POSITIVE_LIMIT, DigitalInputs, Edge
+from motorhil.emulators.cia402.objects.changes import FACTORS, POSITION_LIMITS
+from motorhil.emulators.cia402.objects.motion import MotionObjects
+from motorhil.emulators.cia402.settings import EMULATED_MODES
+from motorhil.emulators.firmware.axis import Axis
+from motorhil.emulators.firmware.digital_inputs import (
+    LIMITS,
+    NEGATIVE_LIMIT,
+    POSITIVE_LIMIT,
+    DigitalInputs,
+    Edge,
+)
 
 _FENCED_MODES: Final = tuple(EMULATED_MODES[name] for name in ("pv", "tq", "csv", "cst"))
 

@@ -7,28 +7,40 @@ require it. 12 waits for the end of the quick stop, 14 for the end of the fault 
 
 from typing import Final, final
 
-from emulators.canopen.outbox import NEVER
-from emulators.cia402.modes.cyclic import CyclicPosition
-from emulators.cia402.modes.cyclic import CyclicTorque
-from emulators.cia402.modes.cyclic import CyclicVelocity
-from emulators.cia402.faults import FOLLOWING_ERROR, UNDER_VOLTAGE, Standing, is_at_once
-from emulators.cia402.modes.homing import Homing
-from emulators.cia402.modes.interpolated_position import InterpolatedPosition
-from emulators.cia402.limit_switches import LimitGuard
-from emulators.cia402.modes.base import Mode
-from emulators.cia402.objects.dictionary import DriveObjects
-from emulators.cia402.state_machine import NO_TRANSITION, Command, PdsFsa, PdsState, decode_controlword
-from emulators.cia402.modes.profile_position import ProfilePosition
-from emulators.cia402.modes.profile_velocity_torque import ProfileTorque
-from emulators.cia402.modes.profile_velocity_torque import ProfileVelocity
-from emulators.cia402.objects.servo import ServoObjects
-from emulators.cia402.settings import EMULATED_MODES
-from emulators.cia402.state_machine import TARGET_REACHED, compose
-from emulators.cia402.touch_probe import TouchProbe
-from emulators.cia402.objects.changes import CONTROLWORD, FACTORS, GAINS, MODE, TORQUE_LIMIT, TOUCH_PROBE, WINDOWS
-from emulators.firmware import flags as f
-from emulators.firmware.axis import Axis
-from emulators.firmware.digital_inputs import DigitalInputs, Edge
+from motorhil.emulators.canopen.outbox import NEVER
+from motorhil.emulators.cia402.faults import FOLLOWING_ERROR, UNDER_VOLTAGE, Standing, is_at_once
+from motorhil.emulators.cia402.limit_switches import LimitGuard
+from motorhil.emulators.cia402.modes.base import Mode
+from motorhil.emulators.cia402.modes.cyclic import CyclicPosition, CyclicTorque, CyclicVelocity
+from motorhil.emulators.cia402.modes.homing import Homing
+from motorhil.emulators.cia402.modes.interpolated_position import InterpolatedPosition
+from motorhil.emulators.cia402.modes.profile_position import ProfilePosition
+from motorhil.emulators.cia402.modes.profile_velocity_torque import ProfileTorque, ProfileVelocity
+from motorhil.emulators.cia402.objects.changes import (
+    CONTROLWORD,
+    FACTORS,
+    GAINS,
+    MODE,
+    TORQUE_LIMIT,
+    TOUCH_PROBE,
+    WINDOWS,
+)
+from motorhil.emulators.cia402.objects.dictionary import DriveObjects
+from motorhil.emulators.cia402.objects.servo import ServoObjects
+from motorhil.emulators.cia402.settings import EMULATED_MODES
+from motorhil.emulators.cia402.state_machine import (
+    NO_TRANSITION,
+    TARGET_REACHED,
+    Command,
+    PdsFsa,
+    PdsState,
+    compose,
+    decode_controlword,
+)
+from motorhil.emulators.cia402.touch_probe import TouchProbe
+from motorhil.emulators.firmware import flags as f
+from motorhil.emulators.firmware.axis import Axis
+from motorhil.emulators.firmware.digital_inputs import DigitalInputs, Edge
 
 NO_FAULT: Final = 0x0000
 

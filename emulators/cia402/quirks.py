@@ -12,23 +12,22 @@ whatever the node-ID from LSS. The drive does not know about it. A drive without
 no wrapper. The quirk catalogue lists the sources.
 """
 
-from typing import final
-from emulators.canopen.outbox import NEVER
-from emulators.cia402.modes.base import Mode
-from emulators.cia402.modes.profile_position import CHANGE_IMMEDIATELY, NEW_SET_POINT
-from emulators.cia402.state_machine import SET_POINT_ACKNOWLEDGE, TARGET_REACHED
-from emulators.firmware.digital_inputs import Edge
 import hashlib
 from collections.abc import Mapping, Sequence
 from typing import Final, final
-from emulators.controller import Controller
-from emulators.canopen.codes import OK
-from emulators.canopen.object_dictionary import DataType, ObjectDictionary
-from emulators.cia402.objects.dictionary import DriveObjects
-from emulators.cia402.state_machine import CW_HALT
-from emulators.cia402.power_drive import PowerDrive
-from emulators.cia402.settings import Quirks, parameter_ns
-from emulators.cia402.settings import EMULATED_MODES
+
+from motorhil.emulators.canopen.codes import OK
+from motorhil.emulators.canopen.object_dictionary import DataType, ObjectDictionary
+from motorhil.emulators.canopen.outbox import NEVER
+from motorhil.emulators.cia402.modes.base import Mode
+from motorhil.emulators.cia402.modes.profile_position import CHANGE_IMMEDIATELY, NEW_SET_POINT
+from motorhil.emulators.cia402.objects.dictionary import DriveObjects
+from motorhil.emulators.cia402.power_drive import PowerDrive
+from motorhil.emulators.cia402.settings import EMULATED_MODES, Quirks, parameter_ns
+from motorhil.emulators.cia402.state_machine import CW_HALT, SET_POINT_ACKNOWLEDGE, TARGET_REACHED
+from motorhil.emulators.controller import Controller
+from motorhil.emulators.firmware.digital_inputs import Edge
+
 
 class Around(Mode):
     """Passes everything on to the inner mode."""

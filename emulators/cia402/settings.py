@@ -16,26 +16,47 @@ All are off by default. They are added when the drive is built, around the parts
 drive without quirks is the same object as without this module.
 """
 
-from collections.abc import Mapping
-from typing import Final
-from emulators.controller import SettingError
-from emulators.firmware.digital_inputs import FAR, HOME_SWITCH, NEGATIVE_LIMIT, POSITIVE_LIMIT, STIMULI, TOUCH_PROBE_1, TOUCH_PROBE_2, Switch
-from emulators.plant.dc_motor import PI, MotorPlant
-from emulators.settings.tables import number, refuse_unknown
-from dataclasses import dataclass
-from typing import Final, final
-from emulators.settings.tables import nearest, number, refuse_unknown
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from emulators.firmware.digital_inputs import Switch
-from emulators.firmware.servo_tables import ServoGains
-from emulators.settings.motor import MOTOR_KEYS, motor_in
-from emulators.plant.dc_motor import MotorPlant
-from emulators.plant.oscillator import IDEAL, Oscillator
-from emulators.plant.presets import PRESETS
-from emulators.settings.protection import DEFAULT_PROTECTION, ProtectionSettings, protection_of
-from emulators.settings.tables import DEFAULT_PRESET, ObjectValue, duration_ns, eds_in, flag, memory_file_in, node_id_in, number, objects_of, refuse_unknown, table_in, whole
+from typing import Final, final
+
+from motorhil.emulators.controller import SettingError
+from motorhil.emulators.firmware.digital_inputs import (
+    FAR,
+    HOME_SWITCH,
+    NEGATIVE_LIMIT,
+    POSITIVE_LIMIT,
+    STIMULI,
+    TOUCH_PROBE_1,
+    TOUCH_PROBE_2,
+    Switch,
+)
+from motorhil.emulators.firmware.servo_tables import ServoGains
+from motorhil.emulators.plant.dc_motor import PI, MotorPlant
+from motorhil.emulators.plant.oscillator import IDEAL, Oscillator
+from motorhil.emulators.plant.presets import PRESETS
+from motorhil.emulators.settings.motor import MOTOR_KEYS, motor_in
+from motorhil.emulators.settings.protection import (
+    DEFAULT_PROTECTION,
+    ProtectionSettings,
+    protection_of,
+)
+from motorhil.emulators.settings.tables import (
+    DEFAULT_PRESET,
+    ObjectValue,
+    duration_ns,
+    eds_in,
+    flag,
+    memory_file_in,
+    nearest,
+    node_id_in,
+    number,
+    objects_of,
+    refuse_unknown,
+    table_in,
+    whole,
+)
 
 # Active from one output position up to another; without the key, to the end of travel.
 _RANGES: Final = (

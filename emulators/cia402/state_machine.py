@@ -32,7 +32,7 @@ The statusword (6041h): the bits of each state, and the other bits.
 
 from enum import IntEnum
 from typing import Final, final
-from typing import Final
+
 
 @final
 class PdsState(IntEnum):

@@ -19,12 +19,18 @@ reserved, as are the sources of 60D0h other than 1, 2 (the inputs), 5 and 6 (ind
 
 from typing import Final, final
 
-from emulators.canopen.codes import AbortCode
-from emulators.canopen.object_dictionary import DataType, ObjectDictionary
-from emulators.cia402.objects.units import FactorGroup
-from emulators.cia402.objects.changes import TOUCH_PROBE, Choice, Watch, Written
-from emulators.firmware.axis import Axis
-from emulators.firmware.digital_inputs import INDEX_PULSE, TOUCH_PROBE_1, TOUCH_PROBE_2, DigitalInputs, Edge
+from motorhil.emulators.canopen.codes import AbortCode
+from motorhil.emulators.canopen.object_dictionary import DataType, ObjectDictionary
+from motorhil.emulators.cia402.objects.changes import TOUCH_PROBE, Choice, Watch, Written
+from motorhil.emulators.cia402.objects.units import FactorGroup
+from motorhil.emulators.firmware.axis import Axis
+from motorhil.emulators.firmware.digital_inputs import (
+    INDEX_PULSE,
+    TOUCH_PROBE_1,
+    TOUCH_PROBE_2,
+    DigitalInputs,
+    Edge,
+)
 
 _ON: Final = 0x01
 _EVERY: Final = 0x02

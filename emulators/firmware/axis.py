@@ -13,23 +13,23 @@ Positions are encoder increments. Tick k is at k * tick_ns.
 Windows of the axis' flags, their times in servo ticks, and the gate.
 """
 
-from typing import Final
-from emulators.firmware import nonlinear_servo as extras_servo
-from emulators.firmware import profile
-from emulators.firmware import servo
-from emulators.firmware.nonlinear_tables import Conditions
-from emulators.firmware.flags import PROFILE_ACTIVE, SPEED_ZERO
-from emulators.firmware.timeline import RESTS, Timeline
-from emulators.plant.dc_motor import PI, MotorPlant
-from emulators.firmware.servo import Windows
-from emulators.firmware.nonlinear_tables import Conditions, extras_tables
-from emulators.firmware.flags import OUTSIDE_GATE
-from emulators.firmware.servo_tables import ServoGains
-from emulators.firmware.servo_tables import tables_of
-from emulators.firmware.timeline import Timeline
-from emulators.plant.dc_motor import MotorPlant
 from typing import Final, final
-from emulators.firmware.flags import CURRENT_REACHED, IN_TARGET_WINDOW, IN_VELOCITY_WINDOW, PROFILE_ACTIVE
+
+from motorhil.emulators.firmware import nonlinear_servo as extras_servo
+from motorhil.emulators.firmware import profile, servo
+from motorhil.emulators.firmware.flags import (
+    CURRENT_REACHED,
+    IN_TARGET_WINDOW,
+    IN_VELOCITY_WINDOW,
+    OUTSIDE_GATE,
+    PROFILE_ACTIVE,
+    SPEED_ZERO,
+)
+from motorhil.emulators.firmware.nonlinear_tables import Conditions, extras_tables
+from motorhil.emulators.firmware.servo import Windows
+from motorhil.emulators.firmware.servo_tables import ServoGains, tables_of
+from motorhil.emulators.firmware.timeline import RESTS, Timeline
+from motorhil.emulators.plant.dc_motor import PI, MotorPlant
 
 NEVER_NS: Final = 1 << 61  # a small int to the compiler
 

@@ -14,8 +14,9 @@ one does. Frames and stimuli arrive on time. Everything overdue is done before t
 
 from collections.abc import Mapping, Sequence
 from typing import Final, final
-from emulators.controller import Controller
-from emulators.plant.oscillator import ONE, Oscillator
+
+from motorhil.emulators.controller import Controller
+from motorhil.emulators.plant.oscillator import ONE, Oscillator
 
 _BITS_64: Final = (1 << 64) - 1
 

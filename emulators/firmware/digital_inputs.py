@@ -14,7 +14,7 @@ An edge at E lies where the count changes between E - 1 and E; in both direction
 
 from typing import Final, final
 
-from emulators.firmware.axis import Axis
+from motorhil.emulators.firmware.axis import Axis
 
 # Bits of 60FDh (CiA 402-2, digital inputs). Bits 16 to 31 are manufacturer-specific.
 NEGATIVE_LIMIT: Final = 0x01

@@ -32,11 +32,21 @@ A body at rest whose torques are within its friction stays where it is, to the l
 """
 
 from typing import Final
-from emulators.firmware import servo
-from emulators.firmware.nonlinear_tables import Conditions, ExtrasTables
-from emulators.firmware.flags import AT_STOP, I2T_LIMIT, I2T_WARNING, OF_EXTRAS, OUTSIDE_GATE, OVER_TEMPERATURE, OVER_VOLTAGE, TEMPERATURE_WARNING, UNDER_VOLTAGE
-from emulators.firmware.nonlinear_tables import ExtrasTables, StepNumbers
-from emulators.firmware.servo import whole
+
+from motorhil.emulators.firmware import servo
+from motorhil.emulators.firmware.flags import (
+    AT_STOP,
+    I2T_LIMIT,
+    I2T_WARNING,
+    OF_EXTRAS,
+    OUTSIDE_GATE,
+    OVER_TEMPERATURE,
+    OVER_VOLTAGE,
+    TEMPERATURE_WARNING,
+    UNDER_VOLTAGE,
+)
+from motorhil.emulators.firmware.nonlinear_tables import Conditions, ExtrasTables, StepNumbers
+from motorhil.emulators.firmware.servo import whole
 
 E_LOAD_SPEED: Final = 0
 E_LOAD_POSITION: Final = 1

@@ -18,11 +18,16 @@ wave's steepest slope holds the body there, so that a step never gains energy fr
 
 from typing import Final, final
 
-from emulators.firmware.servo_tables import ServoGains
-from emulators.firmware.servo_tables import LoadTable, StepTable, TickTable, powers, shrinking_norm
-from emulators.plant.dc_motor import PI, MotorPlant
-from emulators.plant.dc_motor import Matrix, exponential
-from emulators.plant.nonlinear import NEVER_RAD, REFERENCE_C
+from motorhil.emulators.firmware.servo_tables import (
+    LoadTable,
+    ServoGains,
+    StepTable,
+    TickTable,
+    powers,
+    shrinking_norm,
+)
+from motorhil.emulators.plant.dc_motor import PI, Matrix, MotorPlant, exponential
+from motorhil.emulators.plant.nonlinear import NEVER_RAD, REFERENCE_C
 
 OMEGA_H_MAX: Final = 0.5
 SUBSTEPS_MAX: Final = 16

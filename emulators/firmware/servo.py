@@ -31,11 +31,22 @@ singly. They are needed where the voltage is clipped, or where the rotor stops o
 tick.
 """
 
-from emulators.firmware.servo_tables import StepTable
 from typing import Final
-from emulators.firmware.flags import CURRENT_REACHED, CURRENT_SATURATED, FOLLOWING_ERROR, IN_TARGET_WINDOW, IN_VELOCITY_WINDOW, OUTSIDE_GATE, POWERED, PROFILE_ACTIVE, SPEED_ZERO
-from emulators.firmware.profile import UNLIMITED, Profile
-from emulators.firmware.servo_tables import LoadTable, StepTable, TickTable
+
+from motorhil.emulators.firmware.flags import (
+    CURRENT_REACHED,
+    CURRENT_SATURATED,
+    FOLLOWING_ERROR,
+    IN_TARGET_WINDOW,
+    IN_VELOCITY_WINDOW,
+    OUTSIDE_GATE,
+    POWERED,
+    PROFILE_ACTIVE,
+    SPEED_ZERO,
+)
+from motorhil.emulators.firmware.profile import UNLIMITED, Profile
+from motorhil.emulators.firmware.servo_tables import LoadTable, StepTable, TickTable
+
 
 def steps(
     table: StepTable,

@@ -19,12 +19,20 @@ Servo gains (P position, PI velocity, PI current, feedforward) and their tuning.
 """
 
 from dataclasses import dataclass, replace
-from typing import final
-from emulators.plant.dc_motor import MotorPlant
-from emulators.plant.dc_motor import exponential
 from functools import lru_cache
 from typing import Final, final
-from emulators.plant.dc_motor import Matrix, SampledMotor, dot, identity, product, sample
+
+from motorhil.emulators.plant.dc_motor import (
+    Matrix,
+    MotorPlant,
+    SampledMotor,
+    dot,
+    exponential,
+    identity,
+    product,
+    sample,
+)
+
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -16,10 +16,10 @@ may depend on commands, but not on readers.
 
 from typing import Final, final
 
-from emulators.firmware import nonlinear_servo as extras_servo
-from emulators.firmware import servo
-from emulators.firmware.nonlinear_tables import Conditions, ExtrasTables
-from emulators.firmware.servo_tables import LoadTable, ServoTables, StepTable, TickTable
+from motorhil.emulators.firmware import nonlinear_servo as extras_servo
+from motorhil.emulators.firmware import servo
+from motorhil.emulators.firmware.nonlinear_tables import Conditions, ExtrasTables
+from motorhil.emulators.firmware.servo_tables import LoadTable, ServoTables, StepTable, TickTable
 
 _BUDGET_MAX: Final = 64  # ticks run ahead at most
 _PATIENCE_MAX: Final = 64  # maximum undisturbed ticks to wait before running ahead again

@@ -10,11 +10,29 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final, final
 
-from emulators.gateways.loop import Source
-from emulators.simulation.ownership_notice import FD_GREETING, FENCED, FENCED_SIZE, GREETING, HEARD, OWNS, RECORD_MAX, REFUSED, SENT, SUBMIT, TOLD, WELCOME, OwnershipNotice, pack_stale, pack_told, unpack_fenced, unpack_owns
-from emulators.can.frame import FD_FRAME_BYTES, FRAME_BYTES, padded_fd
-from emulators.simulation.endpoints import HostPort
-from emulators.simulation.world import World
+from motorhil.emulators.can.frame import FD_FRAME_BYTES, FRAME_BYTES, padded_fd
+from motorhil.emulators.gateways.loop import Source
+from motorhil.emulators.simulation.endpoints import HostPort
+from motorhil.emulators.simulation.ownership_notice import (
+    FD_GREETING,
+    FENCED,
+    FENCED_SIZE,
+    GREETING,
+    HEARD,
+    OWNS,
+    RECORD_MAX,
+    REFUSED,
+    SENT,
+    SUBMIT,
+    TOLD,
+    WELCOME,
+    OwnershipNotice,
+    pack_stale,
+    pack_told,
+    unpack_fenced,
+    unpack_owns,
+)
+from motorhil.emulators.simulation.world import World
 
 _BACKLOG_MAX: Final = 1_000_000
 _SUBMIT_SIZE: Final = 1 + FRAME_BYTES

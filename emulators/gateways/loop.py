@@ -6,14 +6,14 @@ input, whichever comes first. Late events run in the order of their due times.
 Gateways between a world in wall time and the outside.
 """
 
-from collections.abc import Sequence
-from typing import Protocol
 import select
 import time
 from collections.abc import Callable, Sequence
 from operator import is_
-from typing import final
-from emulators.simulation.event_queue import EventQueue
+from typing import Protocol, final
+
+from motorhil.emulators.simulation.event_queue import EventQueue
+
 
 class Source(Protocol):
     """A source of input: a socket, or another object with a descriptor (a pseudo-terminal)."""

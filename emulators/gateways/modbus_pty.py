@@ -14,10 +14,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final, final
 
-from emulators.gateways.loop import Source
-from emulators.simulation.serial_network import SerialSegment
-from emulators.modbus.rtu import RtuRequests
-from emulators.simulation.world import World
+from motorhil.emulators.gateways.loop import Source
+from motorhil.emulators.modbus.rtu import RtuRequests
+from motorhil.emulators.simulation.serial_network import SerialSegment
+from motorhil.emulators.simulation.world import World
 
 _PIECE: Final = 4096
 _SILENCE_NS: Final = 20_000_000  # longer than an interruption of a writer

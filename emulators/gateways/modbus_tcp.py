@@ -11,8 +11,8 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from typing import Final, final
 
-from emulators.gateways.loop import Source
-from emulators.simulation.world import World
+from motorhil.emulators.gateways.loop import Source
+from motorhil.emulators.simulation.world import World
 
 CLIENTS_MAX: Final = 256  # select() does not accept descriptors above 1023
 _PIECE: Final = 4096

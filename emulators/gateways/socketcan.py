@@ -5,18 +5,18 @@ Type of a CAN network interface, from the Linux kernel.
 Source: linux/rtnetlink.h, linux/if_link.h (RTM_GETLINK, IFLA_MTU, IFLA_LINKINFO, IFLA_INFO_KIND).
 """
 
-import socket
-import struct
-import sys
-from typing import Final
 import contextlib
 import errno
 import os
+import socket
+import struct
+import sys
 from collections.abc import Sequence
-from typing import final
-from emulators.gateways.loop import Source
-from emulators.can.frame import FD_FRAME_BYTES, FRAME_BYTES, padded_fd
-from emulators.simulation.world import World
+from typing import Final, final
+
+from motorhil.emulators.can.frame import FD_FRAME_BYTES, FRAME_BYTES, padded_fd
+from motorhil.emulators.gateways.loop import Source
+from motorhil.emulators.simulation.world import World
 
 VIRTUAL: Final = ("vcan", "vxcan")
 _RTM_GETLINK: Final = 18

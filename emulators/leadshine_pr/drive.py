@@ -13,22 +13,25 @@ limit switch of that side. Without such a switch the search continues until it i
 real drive.
 """
 
-from enum import Enum
-from typing import final
-from emulators.firmware import flags as f
 from collections.abc import Callable, Mapping
+from enum import Enum
 from typing import Final, final
-from emulators.firmware.axis import NEVER_NS
-from emulators.leadshine_pr import registers as r
-from emulators.modbus.server import Identification
-from emulators.modbus.registers import RegisterBank
-from emulators.modbus.drive import ModbusDrive, ModbusDriveSettings, alarm_code, revolutions_inc
-from collections.abc import Mapping
-from emulators.controller import Controller, ControllerContext
-from emulators.firmware.clock import on_own_time
-from emulators.leadshine_pr.registers import ROWS
-from emulators.modbus.registers import Register
-from emulators.modbus.drive import read_settings
+
+from motorhil.emulators.controller import Controller, ControllerContext
+from motorhil.emulators.firmware import flags as f
+from motorhil.emulators.firmware.axis import NEVER_NS
+from motorhil.emulators.firmware.clock import on_own_time
+from motorhil.emulators.leadshine_pr import registers as r
+from motorhil.emulators.leadshine_pr.registers import ROWS
+from motorhil.emulators.modbus.drive import (
+    ModbusDrive,
+    ModbusDriveSettings,
+    alarm_code,
+    read_settings,
+    revolutions_inc,
+)
+from motorhil.emulators.modbus.registers import Register, RegisterBank
+from motorhil.emulators.modbus.server import Identification
 
 _FORWARD = 0x0001
 _HOME_SWITCH = 0x0004

@@ -11,7 +11,7 @@ vendors' manuals there.
 
 from typing import Final
 
-from emulators.modbus.registers import Access, Kind, Register
+from motorhil.emulators.modbus.registers import Access, Kind, Register
 
 PATHS: Final = 16
 INPUTS: Final = 7

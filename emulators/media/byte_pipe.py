@@ -11,7 +11,7 @@ not exist in TCP and have no effect.
 from heapq import heappop, heappush
 from typing import Final, final
 
-from emulators.media.serial_faults import Fate, SerialFaultPlan
+from motorhil.emulators.media.serial_faults import Fate, SerialFaultPlan
 
 _MBAP: Final = 6  # bytes of the header before the server address
 

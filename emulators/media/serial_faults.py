@@ -18,6 +18,7 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import final
 
+
 def wrong_condition(
     probability: float, from_ns: int, until_ns: int | None, skip: int, limit: int | None
 ) -> str:

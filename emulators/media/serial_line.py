@@ -12,7 +12,7 @@ Source: MODBUS over Serial Line, Specification and Implementation Guide V1.02, s
 
 from typing import Final, final
 
-from emulators.media.serial_faults import Fate, SerialFaultPlan
+from motorhil.emulators.media.serial_faults import Fate, SerialFaultPlan
 
 # (kind, characters, port that sent them, when their first bit was on the line [ns])
 LineDelivery = tuple[int, bytes, int, int]

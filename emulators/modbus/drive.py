@@ -8,19 +8,17 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
-from emulators.controller import ControllerContext, SettingError
-from emulators.firmware.axis import NEVER_NS
-from emulators.firmware.servo_tables import ServoGains
-from emulators.modbus.codes import UNITS
-from emulators.modbus.server import Diagnostics
-from emulators.modbus.server import Identification
-from emulators.modbus.registers import RegisterBank
-from emulators.modbus.rtu import RtuUnit
-from emulators.modbus.server import ModbusServer
-from emulators.settings.motor import MOTOR_KEYS, axis_of, motor_in
-from emulators.plant.dc_motor import PI, RANGES, MotorPlant
-from emulators.plant.oscillator import IDEAL, Oscillator
-from emulators.settings.tables import duration_ns, number, refuse_unknown, table_in, whole
+from motorhil.emulators.controller import ControllerContext, SettingError
+from motorhil.emulators.firmware.axis import NEVER_NS
+from motorhil.emulators.firmware.servo_tables import ServoGains
+from motorhil.emulators.modbus.codes import UNITS
+from motorhil.emulators.modbus.registers import RegisterBank
+from motorhil.emulators.modbus.rtu import RtuUnit
+from motorhil.emulators.modbus.server import Diagnostics, Identification, ModbusServer
+from motorhil.emulators.plant.dc_motor import PI, RANGES, MotorPlant
+from motorhil.emulators.plant.oscillator import IDEAL, Oscillator
+from motorhil.emulators.settings.motor import MOTOR_KEYS, axis_of, motor_in
+from motorhil.emulators.settings.tables import duration_ns, number, refuse_unknown, table_in, whole
 
 KEYS: Final = ("unit", *MOTOR_KEYS, "timing", "registers", "switches")
 TIMING_KEYS: Final = ("boot_up_s", "reply_s")

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Final, final
 
-from emulators.modbus.codes import ILLEGAL_DATA_VALUE, OK
+from motorhil.emulators.modbus.codes import ILLEGAL_DATA_VALUE, OK
 
 Reader = Callable[[], int]
 """A function that returns the current value of a register, in its own type."""

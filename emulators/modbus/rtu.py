@@ -21,10 +21,10 @@ Source: MODBUS over Serial Line, Specification and Implementation Guide V1.02, s
 """
 
 from functools import lru_cache
-from typing import Final
 from typing import Final, final
-from emulators.modbus.codes import BROADCAST, UNITS
-from emulators.modbus.server import ModbusServer
+
+from motorhil.emulators.modbus.codes import BROADCAST, UNITS
+from motorhil.emulators.modbus.server import ModbusServer
 
 _POLYNOMIAL: Final = 0xA001
 

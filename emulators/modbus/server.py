@@ -18,14 +18,21 @@ Server identification: functions 11h (report server ID) and 2Bh/0Eh.
 Source: MODBUS Application Protocol Specification V1.1b3, sections 6.13, 6.19 and 6.21.
 """
 
+from collections.abc import Callable, Mapping, Sequence
 from typing import Final, final
-from emulators.modbus.codes import DIAGNOSTICS, ERROR, ILLEGAL_DATA_VALUE, ILLEGAL_FUNCTION
-from collections.abc import Mapping
-from emulators.modbus.codes import ENCAPSULATED_INTERFACE, ERROR, ILLEGAL_DATA_ADDRESS, ILLEGAL_DATA_VALUE, ILLEGAL_FUNCTION, PDU_MAX
-from collections.abc import Callable, Sequence
-from emulators.modbus import codes
-from emulators.modbus.codes import ERROR, ILLEGAL_DATA_ADDRESS, ILLEGAL_DATA_VALUE, ILLEGAL_FUNCTION, OK
-from emulators.modbus.registers import BitBank, RegisterBank
+
+from motorhil.emulators.modbus import codes
+from motorhil.emulators.modbus.codes import (
+    DIAGNOSTICS,
+    ENCAPSULATED_INTERFACE,
+    ERROR,
+    ILLEGAL_DATA_ADDRESS,
+    ILLEGAL_DATA_VALUE,
+    ILLEGAL_FUNCTION,
+    OK,
+    PDU_MAX,
+)
+from motorhil.emulators.modbus.registers import BitBank, RegisterBank
 
 _QUERY_DATA: Final = 0x00
 _RESTART: Final = 0x01

@@ -17,7 +17,12 @@ from collections import deque
 from collections.abc import Sequence
 from typing import Final, final
 
-from emulators.modbus.codes import ERROR, GATEWAY_PATH_UNAVAILABLE, GATEWAY_TARGET_FAILED, PDU_MAX
+from motorhil.emulators.modbus.codes import (
+    ERROR,
+    GATEWAY_PATH_UNAVAILABLE,
+    GATEWAY_TARGET_FAILED,
+    PDU_MAX,
+)
 
 GATEWAY_TIMEOUT_NS: Final = 1_000_000_000
 _HEAD: Final = 7

@@ -11,18 +11,22 @@ Factory of AZ drives: entry point `motorhil.controllers`, name `oriental_az`.
 
 from collections.abc import Callable, Mapping
 from typing import Final, final
-from emulators.firmware import flags as f
-from emulators.firmware.axis import NEVER_NS
-from emulators.modbus.server import Identification
-from emulators.modbus.registers import RegisterBank
-from emulators.modbus.drive import ModbusDrive, ModbusDriveSettings, alarm_code, revolutions_inc
-from emulators.oriental_az import registers as r
-from collections.abc import Mapping
-from emulators.controller import Controller, ControllerContext, SettingError
-from emulators.firmware.clock import on_own_time
-from emulators.modbus.registers import Register
-from emulators.modbus.drive import read_settings
-from emulators.oriental_az.registers import ROWS
+
+from motorhil.emulators.controller import Controller, ControllerContext, SettingError
+from motorhil.emulators.firmware import flags as f
+from motorhil.emulators.firmware.axis import NEVER_NS
+from motorhil.emulators.firmware.clock import on_own_time
+from motorhil.emulators.modbus.drive import (
+    ModbusDrive,
+    ModbusDriveSettings,
+    alarm_code,
+    read_settings,
+    revolutions_inc,
+)
+from motorhil.emulators.modbus.registers import Register, RegisterBank
+from motorhil.emulators.modbus.server import Identification
+from motorhil.emulators.oriental_az import registers as r
+from motorhil.emulators.oriental_az.registers import ROWS
 
 FUNCTIONS: Final = (0x03, 0x06, 0x08, 0x10, 0x17)
 _AUTO_OFF_NS: Final = 4_000_000

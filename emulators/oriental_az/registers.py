@@ -13,7 +13,7 @@ send. Here a half is read, and written, as any register.
 
 from typing import Final
 
-from emulators.modbus.registers import Access, Kind, Register
+from motorhil.emulators.modbus.registers import Access, Kind, Register
 
 TABLE: Final = 8  # operation data selected by the inputs M0 to M2
 

@@ -16,10 +16,11 @@ Voltage and torque are held during the step. All matrices are computed once, whe
 Plain Python with + - * / gives bit-identical numbers on every machine.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final, final
-from emulators.plant.nonlinear import NO_EXTRAS, PlantExtras
-from collections.abc import Sequence
+
+from motorhil.emulators.plant.nonlinear import NO_EXTRAS, PlantExtras
 
 PI: Final = 3.141592653589793
 

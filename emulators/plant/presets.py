@@ -10,8 +10,9 @@ experiments (test_data_sheets).
 """
 
 from typing import Final
-from emulators.plant.dc_motor import MotorPlant
-from emulators.plant.nonlinear import PlantExtras
+
+from motorhil.emulators.plant.dc_motor import MotorPlant
+from motorhil.emulators.plant.nonlinear import PlantExtras
 
 # maxon EC 13, 13 mm, brushless, 6 W, 24 V winding: order number 305194, catalogue page "EC 13".
 # Lines 1 (voltage), 3 (no-load current; times the torque constant, this is the friction), 10 to 12,

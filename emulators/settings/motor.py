@@ -4,25 +4,32 @@ Third-party controllers may use this module like our own. They bring the protoco
 motor that a rig can describe, with the same keys:
 
     motor = motor_in(table, context.stream())           # of the keys MOTOR_KEYS
-    axis = axis_of(motor, motor.oscillator.rate())      # emulators.firmware.axis
-    return on_own_time(controller, motor.oscillator)    # emulators.firmware.clock
+    axis = axis_of(motor, motor.oscillator.rate())      # motorhil.emulators.firmware.axis
+    return on_own_time(controller, motor.oscillator)    # motorhil.emulators.firmware.clock
 
 Servo settings of a drive in a rig: the table `servo`.
 """
 
 from collections.abc import Mapping
-from dataclasses import fields, replace
-from typing import Final
-from emulators.controller import SettingError
-from emulators.firmware.nonlinear_tables import substeps_for
-from emulators.firmware.servo_tables import ServoGains
-from emulators.plant.dc_motor import MotorPlant
-from emulators.settings.tables import duration_ns, number, refuse_unknown, whole
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from typing import Final, Protocol, final
-from emulators.firmware.axis import Axis
-from emulators.plant.oscillator import Oscillator
-from emulators.settings.tables import initial_position_rad, oscillator_in, plant_of, table_in
+
+from motorhil.emulators.controller import SettingError
+from motorhil.emulators.firmware.axis import Axis
+from motorhil.emulators.firmware.nonlinear_tables import substeps_for
+from motorhil.emulators.firmware.servo_tables import ServoGains
+from motorhil.emulators.plant.dc_motor import MotorPlant
+from motorhil.emulators.plant.oscillator import Oscillator
+from motorhil.emulators.settings.tables import (
+    duration_ns,
+    initial_position_rad,
+    number,
+    oscillator_in,
+    plant_of,
+    refuse_unknown,
+    table_in,
+    whole,
+)
 
 _KEYS: Final = ("tick_s", "current_steps")
 

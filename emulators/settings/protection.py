@@ -4,9 +4,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final, final
 
-from emulators.controller import SettingError
-from emulators.plant.dc_motor import MotorPlant
-from emulators.settings.tables import number, refuse_unknown, whole
+from motorhil.emulators.controller import SettingError
+from motorhil.emulators.plant.dc_motor import MotorPlant
+from motorhil.emulators.settings.tables import number, refuse_unknown, whole
 
 STO_REACTIONS: Final = ("disable", "fault")
 STO_ERROR: Final = 0x8A88

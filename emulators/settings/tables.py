@@ -12,12 +12,12 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Final, final
 
-from emulators.controller import SettingError
-from emulators.plant.dc_motor import PI, RANGES, MotorPlant
-from emulators.plant.nonlinear import EXTRAS, NO_EXTRAS, PlantExtras
-from emulators.plant.nonlinear import RANGES as EXTRAS_RANGES
-from emulators.plant.oscillator import Oscillator
-from emulators.plant.presets import PRESETS
+from motorhil.emulators.controller import SettingError
+from motorhil.emulators.plant.dc_motor import PI, RANGES, MotorPlant
+from motorhil.emulators.plant.nonlinear import EXTRAS, NO_EXTRAS, PlantExtras
+from motorhil.emulators.plant.nonlinear import RANGES as EXTRAS_RANGES
+from motorhil.emulators.plant.oscillator import Oscillator
+from motorhil.emulators.plant.presets import PRESETS
 
 DEFAULT_PRESET: Final = "wheel_60w"
 OSCILLATOR_KEYS: Final = ("ppm", "ppm_max", "phase_s", "phase_max_s", "jitter_s")

@@ -3,12 +3,18 @@
 from collections.abc import Callable, Mapping
 from typing import Final, final
 
-from emulators.simulation.event_queue import Alarm
-from emulators.can.bus.bus import CanBus
-from emulators.can.controller_config import PLAIN, CanNode, FrameSupport
-from emulators.can.bus.port import DELIVERED, HEARD, KIND_MASK, LOST, TOLD, hears
-from emulators.can.fault_rules import FaultRule
-from emulators.simulation.endpoints import ControllerSlot, Endpoint, Overseer, Segment, port_of
+from motorhil.emulators.can.bus.bus import CanBus
+from motorhil.emulators.can.bus.port import DELIVERED, HEARD, KIND_MASK, LOST, TOLD, hears
+from motorhil.emulators.can.controller_config import PLAIN, CanNode, FrameSupport
+from motorhil.emulators.can.fault_rules import FaultRule
+from motorhil.emulators.simulation.endpoints import (
+    ControllerSlot,
+    Endpoint,
+    Overseer,
+    Segment,
+    port_of,
+)
+from motorhil.emulators.simulation.event_queue import Alarm
 
 HOST: Final = "host"  # name of the host's interface on every bus
 

@@ -3,9 +3,9 @@
 from collections.abc import Callable, Mapping
 from typing import final
 
-from emulators.controller import Controller
-from emulators.simulation.event_queue import UNSET, EventQueue
-from emulators.can.frame import ERR_FLAG
+from motorhil.emulators.can.frame import ERR_FLAG
+from motorhil.emulators.controller import Controller
+from motorhil.emulators.simulation.event_queue import UNSET, EventQueue
 
 HostListener = Callable[[bytes, int, bool], None]
 

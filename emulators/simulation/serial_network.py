@@ -8,14 +8,20 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from typing import Final, final
 
-from emulators.simulation.event_queue import UNSET
-from emulators.media.byte_pipe import BytePipe
-from emulators.media.serial_faults import SerialFaultPlan
-from emulators.media.serial_line import CHARACTERS, SENT, SPOILED, SerialLine
-from emulators.modbus.rtu import with_crc
-from emulators.modbus.tcp import GATEWAY_TIMEOUT_NS, GONE, MbapStream, TcpGateway
-from emulators.modbus.tcp import adu as adu_of
-from emulators.simulation.endpoints import ControllerSlot, Endpoint, HostListener, Overseer, Segment
+from motorhil.emulators.media.byte_pipe import BytePipe
+from motorhil.emulators.media.serial_faults import SerialFaultPlan
+from motorhil.emulators.media.serial_line import CHARACTERS, SENT, SPOILED, SerialLine
+from motorhil.emulators.modbus.rtu import with_crc
+from motorhil.emulators.modbus.tcp import GATEWAY_TIMEOUT_NS, GONE, MbapStream, TcpGateway
+from motorhil.emulators.modbus.tcp import adu as adu_of
+from motorhil.emulators.simulation.endpoints import (
+    ControllerSlot,
+    Endpoint,
+    HostListener,
+    Overseer,
+    Segment,
+)
+from motorhil.emulators.simulation.event_queue import UNSET
 
 LineTap = Callable[[str, int, int, int, str, bytes, bool], None]
 """A listener: (line, now, first bit's begin and last bit's end [ns], sender, ADU, spoiled)."""

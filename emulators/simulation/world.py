@@ -8,19 +8,25 @@ event and each node that listens to its identifier one call, independent of the 
 from collections.abc import Callable, Mapping
 from typing import final
 
-from emulators.simulation.can_network import BusSegment, FrameTap
-from emulators.controller import Controller
-from emulators.simulation.event_queue import EventQueue
-from emulators.simulation.ownership_notice import OwnershipNotice
-from emulators.simulation.serial_network import LineHost, LineSegment, LineTap, SerialSegment, TcpSegment
-from emulators.media.byte_pipe import BytePipe
-from emulators.can.bus.bus import CanBus
-from emulators.can.controller_config import CanNode
-from emulators.can.fault_rules import FaultRule
-from emulators.media.serial_faults import SerialFaultPlan
-from emulators.media.serial_line import SerialLine
-from emulators.modbus.tcp import GATEWAY_TIMEOUT_NS
-from emulators.simulation.endpoints import ControllerSlot, HostListener, HostPort, Overseer
+from motorhil.emulators.can.bus.bus import CanBus
+from motorhil.emulators.can.controller_config import CanNode
+from motorhil.emulators.can.fault_rules import FaultRule
+from motorhil.emulators.controller import Controller
+from motorhil.emulators.media.byte_pipe import BytePipe
+from motorhil.emulators.media.serial_faults import SerialFaultPlan
+from motorhil.emulators.media.serial_line import SerialLine
+from motorhil.emulators.modbus.tcp import GATEWAY_TIMEOUT_NS
+from motorhil.emulators.simulation.can_network import BusSegment, FrameTap
+from motorhil.emulators.simulation.endpoints import ControllerSlot, HostListener, HostPort, Overseer
+from motorhil.emulators.simulation.event_queue import EventQueue
+from motorhil.emulators.simulation.ownership_notice import OwnershipNotice
+from motorhil.emulators.simulation.serial_network import (
+    LineHost,
+    LineSegment,
+    LineTap,
+    SerialSegment,
+    TcpSegment,
+)
 
 EventTap = Callable[[int, str, str, str], None]
 SampleTap = Callable[[int, str, Mapping[str, float]], None]

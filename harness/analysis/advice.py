@@ -24,12 +24,16 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
 from typing import Final, final
-from harness.analysis.response_time import NO_ERRORS, ErrorModel
-from harness.analysis.message import BusLoad, Message, rank_of
-from harness.analysis.response_time import are_in_time, response_between, response_times
-from harness.analysis.response_time import NO_ERRORS, ErrorModel, more_errors_probability
-from harness.analysis.message import BusLoad, Message
-from harness.analysis.response_time import are_in_time, response_times
+
+from motorhil.harness.analysis.message import BusLoad, Message, rank_of
+from motorhil.harness.analysis.response_time import (
+    NO_ERRORS,
+    ErrorModel,
+    are_in_time,
+    more_errors_probability,
+    response_between,
+    response_times,
+)
 
 _SFF_MAX: Final = 0x7FF
 _EFF_MAX: Final = 0x1FFF_FFFF

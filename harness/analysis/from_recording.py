@@ -7,26 +7,27 @@ import struct
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from math import gcd
-from typing import Final, final
-from emulators.can.frame_length import measure, phases_of
-from emulators.can.frame import FD_FRAME_BYTES, FD_LENGTHS
-from emulators.can.frame_length import LENGTHS_MASK
-from harness.analysis.measured import clock_of
-from harness.analysis.message import Bits
-from harness.analysis.message import Arrival, BusLoad, Message
-from harness.analysis.measured import Heard, Measured, measured
-from harness.analysis.subject import Queues, Subject, Sync, is_canopen_reserved, reserves_nothing
-from harness.analysis.plot import is_sdo, usual_name
-from traces.formats.frames import BRS, EFF, EFF_MASK, ERR, RTR
-from collections.abc import Mapping
 from pathlib import Path
-from harness.analysis.subject import Queues, Subject
-from harness.report.rig import RigFacts, facts_of
-from traces.errors import TraceError
-from traces.formats.registry import Source, open_source
-from traces.mcap.reader import read_trace
-from traces.decoding.objects import RecordedNames, names_of
-from traces.formats.frames import Findings
+from typing import Final, final
+
+from motorhil.emulators.can.frame import FD_FRAME_BYTES, FD_LENGTHS
+from motorhil.emulators.can.frame_length import LENGTHS_MASK, measure, phases_of
+from motorhil.harness.analysis.measured import Heard, Measured, clock_of, measured
+from motorhil.harness.analysis.message import Arrival, Bits, BusLoad, Message
+from motorhil.harness.analysis.plot import is_sdo, usual_name
+from motorhil.harness.analysis.subject import (
+    Queues,
+    Subject,
+    Sync,
+    is_canopen_reserved,
+    reserves_nothing,
+)
+from motorhil.harness.report.rig import RigFacts, facts_of
+from motorhil.traces.decoding.objects import RecordedNames, names_of
+from motorhil.traces.errors import TraceError
+from motorhil.traces.formats.frames import BRS, EFF, EFF_MASK, ERR, RTR, Findings
+from motorhil.traces.formats.registry import Source, open_source
+from motorhil.traces.mcap.reader import read_trace
 
 _HEAD: Final = struct.Struct("<IBB")
 _NMT: Final = 0x000

@@ -10,19 +10,19 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, final
 
-from emulators.can.controller_config import QueueOrder
-from harness.analysis.advice import Reserved
-from harness.analysis.message import Arrival, BusLoad, Message
-from harness.analysis.subject import Queues, Subject, is_canopen_reserved, reserves_nothing
-from harness.analysis.plot import usual_name
-from harness.rig.rig import Rig
-from harness.rig.config.bus_load import Declared, declared, heartbeats, syncs
-from motorapi.errors import MotorError
-from motorapi.synchronization.bus_load import PeriodicMessage, own_traffic
+from motorhil.emulators.can.controller_config import QueueOrder
+from motorhil.harness.analysis.advice import Reserved
+from motorhil.harness.analysis.message import Arrival, BusLoad, Message
+from motorhil.harness.analysis.plot import usual_name
+from motorhil.harness.analysis.subject import Queues, Subject, is_canopen_reserved, reserves_nothing
+from motorhil.harness.rig.config.bus_load import Declared, declared, heartbeats, syncs
+from motorhil.harness.rig.rig import Rig
+from motorhil.motorapi.errors import MotorError
+from motorhil.motorapi.synchronization.bus_load import PeriodicMessage, own_traffic
 
 if TYPE_CHECKING:
-    from motorapi.adaptations.canopen.bus import CanopenLink
-    from motorapi.synchronization.bus_load import NodeTraffic
+    from motorhil.motorapi.adaptations.canopen.bus import CanopenLink
+    from motorhil.motorapi.synchronization.bus_load import NodeTraffic
 
 HOST: Final = "host"
 _SYNC_ID: Final = 0x080
@@ -205,7 +205,7 @@ class _Bus:
         return None
 
     def _sync_s(self, produced: list[tuple[str, PeriodicMessage]]) -> float | None:
-        from motorapi.adaptations.canopen.bus_load import sync_period
+        from motorhil.motorapi.adaptations.canopen.bus_load import sync_period
 
         if self._assumptions.sync_s is not None:
             return self._assumptions.sync_s
@@ -222,7 +222,7 @@ class _Bus:
 
     def _set_points(self) -> list[Message]:
         """Return one set-point per capable drive, as motorapi streams them."""
-        from motorapi.adaptations.cia402.hardware import Cia402HwMotor
+        from motorhil.motorapi.adaptations.cia402.hardware import Cia402HwMotor
 
         found: list[Message] = []
         for name, described in self._rig.description.motors.items():

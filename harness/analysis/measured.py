@@ -23,15 +23,13 @@ value in ppm, but not of the drift between two messages stamped by it.
 """
 
 from array import array
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import Final, final
-from harness.analysis.message import FD_LENGTHS, Bits
-from harness.analysis.message import Arrival, Message
-from collections.abc import Sequence
-from dataclasses import dataclass
 from math import floor, log10, sqrt
+from typing import Final, final
+
+from motorhil.harness.analysis.message import FD_LENGTHS, Arrival, Bits, Message
 
 SAMPLES_MIN: Final = 10
 _REGULAR_SHARE: Final = 0.9

@@ -14,8 +14,8 @@ does not exist. Source: Linux include/linux/can/length.h.
 """
 
 from dataclasses import dataclass
-from typing import Final, final
 from enum import Enum
+from typing import Final, final
 
 INTERMISSION_BITS: Final = 3
 FD_LENGTHS: Final = (*range(9), 12, 16, 20, 24, 32, 48, 64)

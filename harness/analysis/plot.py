@@ -3,12 +3,13 @@
 Names of identifiers by the CiA 301 pre-defined connection set.
 """
 
+from collections.abc import Mapping
 from math import log10
 from typing import Final
 from xml.sax.saxutils import escape
-from harness.analysis.response_time import Response
-from harness.analysis.subject import Findings
-from collections.abc import Mapping
+
+from motorhil.harness.analysis.response_time import Response
+from motorhil.harness.analysis.subject import Findings
 
 _WIDTH: Final = 900
 _NAMES: Final = 260

@@ -35,12 +35,12 @@ consecutive flags of six bits, a delimiter of eight, and an intermission of thre
 are the suspended transmission of an error passive sender.
 """
 
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from math import exp, expm1, lgamma, log, log1p
 from typing import Final, final
-from collections.abc import Iterable, Iterator, Sequence
-from harness.analysis.message import INTERMISSION_BITS, bits_ns
-from harness.analysis.message import Arrival, BusLoad, Message
+
+from motorhil.harness.analysis.message import INTERMISSION_BITS, Arrival, BusLoad, Message, bits_ns
 
 RECOVERY_BITS: Final = 31
 

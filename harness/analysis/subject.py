@@ -3,13 +3,25 @@
 from dataclasses import dataclass
 from typing import Final, final
 
-from harness.analysis.measured import Clock
-from harness.analysis.response_time import NO_ERRORS, ErrorModel
-from harness.analysis.advice import Proposal, Reserved, propose
-from harness.analysis.advice import Tolerance, queues_that_help, rate_that_helps, shortest_error_interval_ns, tolerances
-from harness.analysis.message import BusLoad
-from harness.analysis.measured import Measured
-from harness.analysis.response_time import Response, are_in_time, response_times
+from motorhil.harness.analysis.advice import (
+    Proposal,
+    Reserved,
+    Tolerance,
+    propose,
+    queues_that_help,
+    rate_that_helps,
+    shortest_error_interval_ns,
+    tolerances,
+)
+from motorhil.harness.analysis.measured import Clock, Measured
+from motorhil.harness.analysis.message import BusLoad
+from motorhil.harness.analysis.response_time import (
+    NO_ERRORS,
+    ErrorModel,
+    Response,
+    are_in_time,
+    response_times,
+)
 
 
 @final

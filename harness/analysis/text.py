@@ -3,11 +3,11 @@
 from collections.abc import Sequence
 from typing import Final
 
-from harness.analysis.advice import ERRORS_MAX, Tolerance
-from harness.analysis.message import Arrival, Message
-from harness.analysis.response_time import Response
-from harness.analysis.subject import Findings, Subject, Sync
-from harness.cli.options import print_table
+from motorhil.harness.analysis.advice import ERRORS_MAX, Tolerance
+from motorhil.harness.analysis.message import Arrival, Message
+from motorhil.harness.analysis.response_time import Response
+from motorhil.harness.analysis.subject import Findings, Subject, Sync
+from motorhil.harness.cli.options import print_table
 
 _MS = 1e-6  # ms per ns
 

@@ -6,15 +6,15 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
-from harness.analysis.response_time import ErrorModel
-from harness.analysis.advice import at_rate
-from harness.analysis.message import Message
-from harness.analysis.subject import Findings, Subject, analyse
-from harness.analysis.text import as_table, print_findings, print_notes, sync_drifts
-from harness.cli.main import FAILED, NOT_JUDGED, PASSED
-from harness.cli.options import identifier, real, whole
-from harness.rig.config.toml import RigError
-from harness.cli.report import add_bit_rates
+from motorhil.harness.analysis.advice import at_rate
+from motorhil.harness.analysis.message import Message
+from motorhil.harness.analysis.response_time import ErrorModel
+from motorhil.harness.analysis.subject import Findings, Subject, analyse
+from motorhil.harness.analysis.text import as_table, print_findings, print_notes, sync_drifts
+from motorhil.harness.cli.main import FAILED, NOT_JUDGED, PASSED
+from motorhil.harness.cli.options import identifier, real, whole
+from motorhil.harness.cli.report import add_bit_rates
+from motorhil.harness.rig.config.toml import RigError
 
 _TIME_MAX_S = 1e6
 
@@ -112,10 +112,10 @@ def run(options: argparse.Namespace) -> int:
 def _subjects(options: argparse.Namespace) -> list[Subject]:
     fifo = None if options.queue is None else options.queue == "fifo"
     if options.file.suffix == ".toml":
-        from harness.analysis.from_rig import Assumptions, subjects_of_rig
+        from motorhil.harness.analysis.from_rig import Assumptions, subjects_of_rig
 
         return subjects_of_rig(options.file, Assumptions(fifo, options.sync, options.streamed))
-    from harness.analysis.from_recording import subjects_of_recording
+    from motorhil.harness.analysis.from_recording import subjects_of_recording
 
     if options.sync is not None or options.streamed:
         raise RigError(options.file, "--sync and --streamed are for rigs", "leave them out")
@@ -175,8 +175,8 @@ def _sum(found: list[Findings]) -> tuple[str, int]:
 
 
 def _draw(found: list[Findings], target: Path) -> None:
-    from harness.analysis.plot import svg_of
-    from traces.mcap.reader import whole_file
+    from motorhil.harness.analysis.plot import svg_of
+    from motorhil.traces.mcap.reader import whole_file
 
     with whole_file(str(target)) as file:
         file.write(svg_of(found).encode())

@@ -5,8 +5,8 @@ import json
 import sys
 from pathlib import Path
 
-from harness.cli.main import PASSED, WRONG_USAGE
-from harness.rig.config.toml import RigError
+from motorhil.harness.cli.main import PASSED, WRONG_USAGE
+from motorhil.harness.rig.config.toml import RigError
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -21,7 +21,7 @@ def run(options: argparse.Namespace) -> int:
     Raises:
         RigError: the first error in the rig.
     """
-    from harness.rig.rig import Rig
+    from motorhil.harness.rig.rig import Rig
 
     try:
         with Rig.open(options.rig) as rig:

@@ -14,16 +14,14 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from harness.cli.main import FAILED, NOT_JUDGED, PASSED, WRONG_USAGE
-from harness.cli.options import add_seed
-from harness.rig.config.toml import RigError
-from harness.rig.config.toml import listed, nearest, one_line
+from motorhil.harness.cli.main import FAILED, NOT_JUDGED, PASSED, WRONG_USAGE
+from motorhil.harness.cli.options import add_seed
+from motorhil.harness.rig.config.toml import RigError, listed, nearest, one_line
 
 if TYPE_CHECKING:
-    from harness.conformance.examination import Finding
-    from harness.conformance.worker import Promise
-    from harness.conformance.results import Outcome
-    from harness.conformance.worker import Supervisor
+    from motorhil.harness.conformance.examination import Finding
+    from motorhil.harness.conformance.results import Outcome
+    from motorhil.harness.conformance.worker import Promise, Supervisor
 
 _MORE: Final = """\
 Without --rig the adaptation is checked on the rig that comes with it. Exit status: 0 all claims
@@ -69,7 +67,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def level_of(text: str) -> int:
     """Parse a level of the kit, for argparse."""
-    from harness.conformance.clause import Level
+    from motorhil.harness.conformance.clause import Level
 
     found = {one.name: one for one in Level}.get(f"L{text.upper().removeprefix('L')}")
     if found is None:
@@ -83,9 +81,8 @@ def run(options: argparse.Namespace) -> int:
     Raises:
         RigError: a file or an option cannot be used, or a result cannot be written.
     """
-    from harness.conformance.worker import Job
-    from harness.conformance.worker import CannotTestError, Supervisor, WrongJobError
-    from harness.virtual_time.interrupts import ends_by_signal
+    from motorhil.harness.conformance.worker import CannotTestError, Job, Supervisor, WrongJobError
+    from motorhil.harness.virtual_time.interrupts import ends_by_signal
 
     if options.list:
         return _list(options)
@@ -154,9 +151,9 @@ def _chosen(options: argparse.Namespace, known: "Sequence[Promise]") -> "list[Pr
 
 
 def _list(options: argparse.Namespace) -> int:
-    from harness.conformance.worker import Promise
-    from harness.conformance.kit import all_clauses
-    from harness.cli.options import print_table
+    from motorhil.harness.cli.options import print_table
+    from motorhil.harness.conformance.kit import all_clauses
+    from motorhil.harness.conformance.worker import Promise
 
     known = [Promise(one.id, one.level, one.promise, one.source) for one in all_clauses().values()]
     rows = [(one.id, f"L{one.level}", one.promise, one.source) for one in _chosen(options, known)]
@@ -166,9 +163,9 @@ def _list(options: argparse.Namespace) -> int:
 
 def _outcome(options: argparse.Namespace, supervisor: "Supervisor") -> "Outcome":
     """Check the clauses, print each result as it comes, and return the outcome."""
-    from harness.conformance.examination import Examiner
-    from harness.conformance.results import Outcome
-    from harness.conformance.worker import CannotTestError
+    from motorhil.harness.conformance.examination import Examiner
+    from motorhil.harness.conformance.results import Outcome
+    from motorhil.harness.conformance.worker import CannotTestError
 
     chosen = _chosen(options, supervisor.loaded.clauses)
     examiner = Examiner(supervisor, _command(options), options.output, is_live=bool(options.on))
@@ -217,7 +214,7 @@ def _progress(text: str) -> None:
 
 
 def _tell_one(one: "Finding") -> None:
-    from harness.conformance.results import more_of
+    from motorhil.harness.conformance.results import more_of
 
     verdict = one.verdict
     told = verdict.seen or one.promise.promise
@@ -231,7 +228,7 @@ def _tell_one(one: "Finding") -> None:
 
 
 def _tell(outcome: "Outcome") -> None:
-    from harness.conformance.clause import Result
+    from motorhil.harness.conformance.clause import Result
 
     counts = [(outcome.count(result), result) for result in Result]
     told = ", ".join(f"{count} {result.value}" for count, result in counts if count)
@@ -255,7 +252,7 @@ def _write(options: argparse.Namespace, outcome: "Outcome") -> None:
     Raises:
         RigError: a file cannot be written.
     """
-    from harness.conformance.results import as_json, as_junit, as_page
+    from motorhil.harness.conformance.results import as_json, as_junit, as_page
 
     texts: tuple[tuple[Path | None, Callable[[Outcome], str]], ...] = (
         (options.json, as_json),

@@ -5,18 +5,18 @@ import json
 import sys
 from typing import TYPE_CHECKING, Final
 
-from harness.cli.main import FAILED, PASSED, WRONG_USAGE
+from motorhil.harness.cli.main import FAILED, PASSED, WRONG_USAGE
 
 if TYPE_CHECKING:
-    from harness.recording.conversion import Conversion
+    from motorhil.harness.recording.conversion import Conversion
 
 _SHOWN: Final = 20
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of `convert`."""
-    from harness.recording.conversion import MODBUS_PCAPNG
-    from traces.formats.registry import WRITABLE
+    from motorhil.harness.recording.conversion import MODBUS_PCAPNG
+    from motorhil.traces.formats.registry import WRITABLE
 
     names = ["mcap", *(known.name for known in WRITABLE), MODBUS_PCAPNG]
     parser.add_argument("source", metavar="SOURCE", help="a recording of any format")
@@ -36,7 +36,7 @@ def run(options: argparse.Namespace) -> int:
     Raises:
         TraceError: the source cannot be read, or the target cannot be written.
     """
-    from harness.recording.conversion import convert, format_of_ending
+    from motorhil.harness.recording.conversion import convert, format_of_ending
 
     name = options.to or format_of_ending(options.output)
     if name is None:

@@ -12,35 +12,31 @@ The demo's mast on Modbus: two PR-mode drives on a serial line.
 They replace the CAN drives of pan and tilt.
 """
 
-import json
-import os
-import tomllib
-from collections.abc import Mapping, Sequence
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
-from harness.rig.config.rig_file import Known, parse_rig
-from harness.rig.config.toml import RigError, Source
-from harness.rig.config.toml import with_table
-from typing import TYPE_CHECKING, Final
 import argparse
+import json
 import math
+import os
 import shlex
 import sys
 import time
-from typing import TYPE_CHECKING, Final, final
-from emulators.simulation.serial_network import SerialSegment
-from harness.version import cores
-from harness.cli.main import FAILED, PASSED, WRONG_USAGE
-from harness.rig.config.scaffold import EXAMPLES
-from harness.cli.options import add_seed
-from harness.rig.config.toml import RigError, refuse_source
-from harness.cli.options import print_table
+import tomllib
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, final
+
+from motorhil.emulators.simulation.serial_network import SerialSegment
+from motorhil.harness.cli.main import FAILED, PASSED, WRONG_USAGE
+from motorhil.harness.cli.options import add_seed, print_table
+from motorhil.harness.rig.config.rig_file import Known, parse_rig
+from motorhil.harness.rig.config.scaffold import EXAMPLES
+from motorhil.harness.rig.config.toml import RigError, Source, refuse_source, with_table
+from motorhil.harness.version import cores
 
 if TYPE_CHECKING:
-    from harness.rig.config.rig_file import RigDescription
-    from harness.examples.rover import Move, Rover
-    from harness.rig.rig import Rig
-    from motorapi.motor import Motor
+    from motorhil.harness.examples.rover import Move, Rover
+    from motorhil.harness.rig.config.rig_file import RigDescription
+    from motorhil.harness.rig.rig import Rig
+    from motorhil.motorapi.motor import Motor
 
 INCREMENTS_PER_TURN: Final = 2000  # of the motors in the demo's rigs
 
@@ -189,10 +185,10 @@ def run(options: argparse.Namespace) -> int:
     Raises:
         RigError: an option or an EDS file cannot be used.
     """
-    from harness.rig.rig import Rig, installed_plugins
-    from harness.rig.config.rig_file import read_rig
-    from motorapi import MotorError
-    from traces.digest import digest
+    from motorhil.harness.rig.config.rig_file import read_rig
+    from motorhil.harness.rig.rig import Rig, installed_plugins
+    from motorhil.motorapi import MotorError
+    from motorhil.traces.digest import digest
 
     if options.output is None:
         options.output = Path("out/demo.mcap" if options.against is None else "out/against.mcap")
@@ -235,7 +231,7 @@ def run(options: argparse.Namespace) -> int:
 
 def _drive(rig: "Rig") -> bool:
     """Drive the manoeuvre and print its results; return True if it succeeded."""
-    from harness.examples.rover import Rover, manoeuvre
+    from motorhil.harness.examples.rover import Rover, manoeuvre
 
     for note in rig.notes:
         print(note, file=sys.stderr)
@@ -254,7 +250,7 @@ def _drive(rig: "Rig") -> bool:
 
 def _tell_failure(rig: "Rig", error: BaseException | None) -> None:
     """Print the failure, its cause first, and any part that recorded drives had in it."""
-    from motorapi import MotorError
+    from motorhil.motorapi import MotorError
 
     causes = []
     while isinstance(error, MotorError):
@@ -267,7 +263,7 @@ def _tell_failure(rig: "Rig", error: BaseException | None) -> None:
 
 def _run_two(options: argparse.Namespace) -> int:
     """Run the demo with two programs; return its exit status."""
-    from harness.cli import demo_two_processes as two_processes
+    from motorhil.harness.cli import demo_two_processes as two_processes
 
     others = options.rig != RIG.stem or options.mast != MASTS[0] or options.against is not None
     if others or options.eds or options.realtime:
@@ -279,7 +275,7 @@ def _run_two(options: argparse.Namespace) -> int:
 
 def _against(description: "RigDescription", options: argparse.Namespace) -> "RigDescription":
     """Return the rig with its drives replaced by a recording."""
-    from harness.replay.rig import with_recorded
+    from motorhil.harness.replay.rig import with_recorded
 
     if not options.against.is_file():
         raise RigError(options.against, "no such recording", "make one: motorhil demo")
@@ -289,7 +285,7 @@ def _against(description: "RigDescription", options: argparse.Namespace) -> "Rig
 
 def _stood_in(rig: "Rig", failure: str = "") -> bool:
     """Print what recorded drives could not answer; return True if they answered everything."""
-    from harness.replay.verdict import summary, unanswered
+    from motorhil.harness.replay.verdict import summary, unanswered
 
     for line in summary(rig, failure):
         print(f"motorhil demo: {line}", file=sys.stderr)

@@ -24,26 +24,26 @@ from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, final
 
-from emulators.gateways.hub import HubError, HubServer
-from emulators.gateways.loop import WallLoop
-from harness.examples.driving_program import LEGS
-from harness.examples.rover_kinematics import WHEELS
-from harness.cli.main import FAILED, PASSED
-from harness.recording.ownership import Ended, OwnershipRecord, Tenure, read_ownership
-from harness.rig.rig import Rig
-from harness.rig.config.rig_file import RigDescription
-from harness.rig.config.scaffold import EXAMPLES
-from harness.rig.config.toml import RigError
-from harness.cli.options import print_table
-from harness.cli.serve import STOPPING, Program, StopSignals
-from motorapi.locking.directory import VARIABLE
-from motorapi.locking.lock_status import read_process
-from traces.mcap.protobuf import decode
-from traces.mcap.reader import Trace, read_trace
-from traces.schema import CAN_FRAME, LockAction
+from motorhil.emulators.gateways.hub import HubError, HubServer
+from motorhil.emulators.gateways.loop import WallLoop
+from motorhil.harness.cli.main import FAILED, PASSED
+from motorhil.harness.cli.options import print_table
+from motorhil.harness.cli.serve import STOPPING, Program, StopSignals
+from motorhil.harness.examples.driving_program import LEGS
+from motorhil.harness.examples.rover_kinematics import WHEELS
+from motorhil.harness.recording.ownership import Ended, OwnershipRecord, Tenure, read_ownership
+from motorhil.harness.rig.config.rig_file import RigDescription
+from motorhil.harness.rig.config.scaffold import EXAMPLES
+from motorhil.harness.rig.config.toml import RigError
+from motorhil.harness.rig.rig import Rig
+from motorhil.motorapi.locking.directory import VARIABLE
+from motorhil.motorapi.locking.lock_status import read_process
+from motorhil.traces.mcap.protobuf import decode
+from motorhil.traces.mcap.reader import Trace, read_trace
+from motorhil.traces.schema import CAN_FRAME, LockAction
 
 if TYPE_CHECKING:
-    from emulators.simulation.ownership_notice import OwnershipNotice
+    from motorhil.emulators.simulation.ownership_notice import OwnershipNotice
 
 SHARED: Final = "pan"
 ERROR_MAX_RAD: Final = 0.002  # largest acceptable position error of a motor at the end

@@ -7,15 +7,15 @@ from collections import deque
 from collections.abc import Sequence
 from typing import Final
 
-from harness.cli.main import FAILED, PASSED
-from harness.cli.options import real, whole
-from harness.replay.verdict import meaning_in
-from harness.cli.show import text_of
-from traces.digest import first_mismatch
-from traces.semantics.model import Meaning
-from traces.mcap.reader import read_trace
-from traces.semantics.diff import Difference, Tolerance, differences
-from traces.decoding.narrative import Line, Story
+from motorhil.harness.cli.main import FAILED, PASSED
+from motorhil.harness.cli.options import real, whole
+from motorhil.harness.cli.show import text_of
+from motorhil.harness.replay.verdict import meaning_in
+from motorhil.traces.decoding.narrative import Line, Story
+from motorhil.traces.digest import first_mismatch
+from motorhil.traces.mcap.reader import read_trace
+from motorhil.traces.semantics.diff import Difference, Tolerance, differences
+from motorhil.traces.semantics.model import Meaning
 
 _NS = 1_000_000_000
 _AROUND_NS = 2 * _NS

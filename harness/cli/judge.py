@@ -8,14 +8,13 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Final
 
-from harness.cli.main import FAILED, NOT_JUDGED, PASSED, WRONG_USAGE
-from harness.cli.options import time_ns
-from harness.oracles.facts import Facts, read_limits, read_rig
-from harness.oracles.base import Finding, Verdict
-from harness.oracles.judge import CATALOGUE, IDS, is_sound, judge
-from harness.cli.options import print_table
-from traces.formats.registry import open_source
-from traces.mcap.reader import read_trace
+from motorhil.harness.cli.main import FAILED, NOT_JUDGED, PASSED, WRONG_USAGE
+from motorhil.harness.cli.options import print_table, time_ns
+from motorhil.harness.oracles.base import Finding, Verdict
+from motorhil.harness.oracles.facts import Facts, read_limits, read_rig
+from motorhil.harness.oracles.judge import CATALOGUE, IDS, is_sound, judge
+from motorhil.traces.formats.registry import open_source
+from motorhil.traces.mcap.reader import read_trace
 
 _WIDTH: Final = 100
 

@@ -5,27 +5,25 @@ The verb `list quirks`: known deviations of drives, with sources.
 The verb `list registers NAME`: the register map of a Modbus controller.
 """
 
-import json
-from emulators.cia402.settings import CATALOGUE
-from harness.cli.main import PASSED
-import sys
-from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING
-from harness.cli.main import PASSED, WRONG_USAGE
-from harness.plugins import CONTROLLERS, installed
-from harness.cli.options import print_table
 import argparse
-from collections.abc import Iterator
+import json
+import sys
+from collections.abc import Callable, Iterator, Sequence
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, Final
-from harness.plugins import ADAPTATIONS, CONTROLLERS, installed
-from motorapi.errors import UsageError
-from motorapi.locking.directory import LockDirectory
-from motorapi.locking.lock_status import LockView, Occupant, look
+from typing import TYPE_CHECKING, Any, Final
+
+from motorhil.emulators.cia402.settings import CATALOGUE
+from motorhil.harness.cli.main import PASSED, WRONG_USAGE
+from motorhil.harness.cli.options import print_table
+from motorhil.harness.plugins import ADAPTATIONS, CONTROLLERS, installed
+from motorhil.motorapi.errors import UsageError
+from motorhil.motorapi.locking.directory import LockDirectory
+from motorhil.motorapi.locking.lock_status import LockView, Occupant, look
 
 if TYPE_CHECKING:
-    from emulators.modbus.registers import Register
+    from motorhil.emulators.modbus.registers import Register
+
 
 def list_quirks(*, as_json: bool) -> int:
     """Print the catalogue; return 0."""
@@ -130,7 +128,6 @@ def run(options: argparse.Namespace) -> int:
     if options.what == "registers":
         return list_registers(options.name, as_json=options.json)
     if options.what == "quirks":
-
         return list_quirks(as_json=options.json)
     listings = {
         "controllers": lambda: _plugins(CONTROLLERS),
@@ -261,11 +258,10 @@ def own_eds(target: str) -> Path | None:
     The controller's module is not imported: the file is `package/eds/*_NAME.eds` for
     `package.NAME.module:function`.
     """
-    package, _, rest = target.partition(":")[0].partition(".")
-    spec = find_spec(package)
+    package, _, name = target.partition(":")[0].rpartition(".")[0].rpartition(".")
+    spec = find_spec(package) if package else None
     if spec is None or not spec.submodule_search_locations:
         return None
-    name = rest.split(".")[0]
     for folder in spec.submodule_search_locations:
         for path in sorted((Path(folder) / "eds").glob(f"*_{name}.eds")):
             return path
@@ -273,7 +269,7 @@ def own_eds(target: str) -> Path | None:
 
 
 def _examples() -> list[dict[str, str]]:
-    from harness.rig.config.scaffold import example_rigs, first_comment
+    from motorhil.harness.rig.config.scaffold import example_rigs, first_comment
 
     return [
         {"name": path.stem, "path": str(path), "about": first_comment(path)}

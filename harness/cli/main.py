@@ -8,7 +8,6 @@ interrupted. Results go to stdout, reasons to stderr. The module of a verb has
 Exit statuses of `motorhil`, the same for every verb.
 """
 
-from typing import Final
 import argparse
 import errno
 import os
@@ -42,35 +41,56 @@ class _Verb:
 
 
 _VERBS: Final = (
-    _Verb("demo", "a six-wheel rover drives, crabs and turns on emulated drives", "harness.cli.demo"),
-    _Verb("new", "write a working rig, and a script that drives it", "harness.cli.new"),
-    _Verb("check", "check a rig file: print its errors, or its contents", "harness.cli.check"),
-    _Verb("run", "run a script, or a prompt, with a rig around it", "harness.cli.run", True),
-    _Verb("serve", "run a rig in real time for other processes", "harness.cli.serve", True),
-    _Verb("record", "record live CAN buses", "harness.cli.record"),
-    _Verb("replay", "let a recording stand in for devices or host", "harness.cli.replay", True),
-    _Verb("recover", "repair a cut or damaged recording", "harness.cli.recover"),
-    _Verb("show", "print a recording as sentences", "harness.cli.show"),
-    _Verb("diff", "find the first difference between two recordings", "harness.cli.diff"),
+    _Verb(
+        "demo",
+        "a six-wheel rover drives, crabs and turns on emulated drives",
+        "motorhil.harness.cli.demo",
+    ),
+    _Verb("new", "write a working rig, and a script that drives it", "motorhil.harness.cli.new"),
+    _Verb(
+        "check", "check a rig file: print its errors, or its contents", "motorhil.harness.cli.check"
+    ),
+    _Verb(
+        "run", "run a script, or a prompt, with a rig around it", "motorhil.harness.cli.run", True
+    ),
+    _Verb(
+        "serve", "run a rig in real time for other processes", "motorhil.harness.cli.serve", True
+    ),
+    _Verb("record", "record live CAN buses", "motorhil.harness.cli.record"),
+    _Verb(
+        "replay",
+        "let a recording stand in for devices or host",
+        "motorhil.harness.cli.replay",
+        True,
+    ),
+    _Verb("recover", "repair a cut or damaged recording", "motorhil.harness.cli.recover"),
+    _Verb("show", "print a recording as sentences", "motorhil.harness.cli.show"),
+    _Verb("diff", "find the first difference between two recordings", "motorhil.harness.cli.diff"),
     _Verb(
         "conform",
         "check whether an adaptation fulfils the motor interface",
-        "harness.cli.conform",
+        "motorhil.harness.cli.conform",
     ),
     _Verb(
-        "judge", "judge a recording by rules that every recording must meet", "harness.cli.judge"
+        "judge",
+        "judge a recording by rules that every recording must meet",
+        "motorhil.harness.cli.judge",
     ),
     _Verb(
         "analyse",
         "check whether every message on a CAN bus meets its deadline",
-        "harness.cli.analyse",
+        "motorhil.harness.cli.analyse",
     ),
-    _Verb("report", "draw a recording on one page, on one time axis", "harness.cli.report"),
-    _Verb("convert", "turn recorded CAN traffic into another format", "harness.cli.convert"),
+    _Verb(
+        "report", "draw a recording on one page, on one time axis", "motorhil.harness.cli.report"
+    ),
+    _Verb(
+        "convert", "turn recorded CAN traffic into another format", "motorhil.harness.cli.convert"
+    ),
     _Verb(
         "list",
         "list controllers, adaptations, examples, motors",
-        "harness.cli.list",
+        "motorhil.harness.cli.list",
     ),
 )
 
@@ -139,8 +159,8 @@ def _obey(words: list[str]) -> int:
 
 
 def _run_verb(verb: _Verb, words: list[str]) -> int:
-    from harness.rig.config.toml import RigError
-    from traces.errors import TraceError
+    from motorhil.harness.rig.config.toml import RigError
+    from motorhil.traces.errors import TraceError
 
     module = import_module(verb.module)
     parser = argparse.ArgumentParser(
@@ -164,7 +184,7 @@ def _run_verb(verb: _Verb, words: list[str]) -> int:
 
 
 def _print_version() -> int:
-    from harness.version import describe
+    from motorhil.harness.version import describe
 
     print(describe())
     return PASSED

@@ -4,8 +4,8 @@ import argparse
 import sys
 from pathlib import Path
 
-from harness.cli.main import PASSED
-from harness.rig.config.scaffold import CI_FILES, write_new_rig
+from motorhil.harness.cli.main import PASSED
+from motorhil.harness.rig.config.scaffold import CI_FILES, write_new_rig
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -7,10 +7,10 @@ Text tables for terminals.
 
 import argparse
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Sequence
 from typing import Final
-from harness.rig.config.toml import SEED_MAX
-from collections.abc import Collection, Sequence
+
+from motorhil.harness.rig.config.toml import SEED_MAX
 
 _NS: Final = 1_000_000_000
 _NS_MAX: Final = 2**64 - 1  # MCAP's log time

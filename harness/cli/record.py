@@ -7,17 +7,17 @@ import argparse
 import json
 import sys
 from contextlib import ExitStack
-from typing import TYPE_CHECKING, Final
-from harness.cli.main import FAILED, PASSED, WRONG_USAGE
-from harness.cli.options import real, whole
-from typing import Final, final
+from typing import TYPE_CHECKING, Final, final
+
+from motorhil.harness.cli.main import FAILED, PASSED, WRONG_USAGE
+from motorhil.harness.cli.options import real, whole
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from harness.recording.loop import RecordingLoop
-    from harness.recording.writer import Pump
-    from harness.recording.writer import Series
-    from harness.recording.sources import Tap
+
+    from motorhil.harness.recording.loop import RecordingLoop
+    from motorhil.harness.recording.sources import Tap
+    from motorhil.harness.recording.writer import Pump, Series
 
 _NS: Final = 1_000_000_000
 _MIB: Final = 1 << 20
@@ -74,7 +74,7 @@ def run(options: argparse.Namespace) -> int:
     Raises:
         TraceError: the recording cannot be written.
     """
-    from harness.recording.sources import PlaceError
+    from motorhil.harness.recording.sources import PlaceError
 
     with ExitStack() as cleanup:
         try:
@@ -91,8 +91,14 @@ def _open(options: argparse.Namespace, cleanup: ExitStack) -> "tuple[list[Tap], 
     Raises:
         PlaceError: a bus cannot be opened, or is named twice.
     """
-    from harness.recording.sources import Kind, PlaceError, parse_place, refuse_twice
-    from harness.recording.sources import HubClocks, HubTap
+    from motorhil.harness.recording.sources import (
+        HubClocks,
+        HubTap,
+        Kind,
+        PlaceError,
+        parse_place,
+        refuse_twice,
+    )
 
     places = [parse_place(text) for text in options.on]
     clocks = HubClocks(places)
@@ -105,13 +111,13 @@ def _open(options: argparse.Namespace, cleanup: ExitStack) -> "tuple[list[Tap], 
         if any(p.kind is place.kind and p.channel == place.channel for p in places[: len(taps)]):
             raise PlaceError(f"--on {place.text}: is named twice; name each bus once")
         if place.kind is Kind.SOCKETCAN:
-            from harness.recording.socketcan import SocketCanTap
+            from motorhil.harness.recording.socketcan import SocketCanTap
 
             tap = SocketCanTap(place)
         elif place.kind is Kind.HUB:
             tap = HubTap(place, clocks)
         else:
-            from harness.recording.sources import PythonCanTap
+            from motorhil.harness.recording.sources import PythonCanTap
 
             tap = PythonCanTap(place, interface)
         cleanup.callback(tap.close)
@@ -129,10 +135,9 @@ def _record(
     own_times: bool,
     cleanup: ExitStack,
 ) -> int:
-    from harness.recording.loop import RecordingLoop
-    from harness.recording.writer import Pump, opener
-    from harness.recording.writer import Series
-    from harness.cli.serve import StopSignals
+    from motorhil.harness.cli.serve import StopSignals
+    from motorhil.harness.recording.loop import RecordingLoop
+    from motorhil.harness.recording.writer import Pump, Series, opener
 
     metadata = _metadata(options, taps, names)
     series = Series(
@@ -163,7 +168,7 @@ def _record(
 def _metadata(
     options: argparse.Namespace, taps: "list[Tap]", names: list[str]
 ) -> dict[str, dict[str, str]]:
-    from harness.version import version, version_of
+    from motorhil.harness.version import version, version_of
 
     places = {f"{name}_from": text for name, text in zip(names, options.on, strict=True)}
     clocks = {f"{name}_clock": tap.clock for name, tap in zip(names, taps, strict=True)}

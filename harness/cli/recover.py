@@ -5,7 +5,7 @@ import json
 import sys
 from typing import Final
 
-from harness.cli.main import PASSED
+from motorhil.harness.cli.main import PASSED
 
 _NS: Final = 1_000_000_000
 
@@ -24,7 +24,7 @@ def run(options: argparse.Namespace) -> int:
     Raises:
         TraceError: the file is not a recording, or the new one cannot be written.
     """
-    from traces.mcap.recovery import recover
+    from motorhil.traces.mcap.recovery import recover
 
     done = recover(options.file, options.output, options.force)
     span_ns = (done.last_ns or 0) - (done.first_ns or 0)

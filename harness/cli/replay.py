@@ -8,47 +8,33 @@
 """
 
 import argparse
-import math
-import sys
-from importlib import import_module
-from pathlib import Path
-from typing import Final
-from harness.cli.main import WRONG_USAGE
-from harness.cli.options import identifier, real, time_ns, whole
-from harness.cli.options import add_seed
-import shlex
-from typing import TYPE_CHECKING
-from harness.cli.main import PASSED
 import json
+import math
+import shlex
+import sys
 import tempfile
-from harness.cli.main import FAILED, PASSED, WRONG_USAGE
-from harness.virtual_time.interrupts import ends_by_signal
-from harness.rig.config.toml import RigError
-from harness.cli.options import print_table
-from motorapi.errors import MotorError
 from contextlib import ExitStack
 from fractions import Fraction
+from pathlib import Path
 from typing import TYPE_CHECKING, Final
-from harness.cli.main import FAILED, INTERRUPTED, PASSED, WRONG_USAGE
-from traces.formats.frames import Findings
+
+from motorhil.harness.cli.main import FAILED, INTERRUPTED, PASSED, WRONG_USAGE
+from motorhil.harness.cli.options import add_seed, identifier, print_table, real, time_ns, whole
+from motorhil.harness.rig.config.toml import RigError
+from motorhil.harness.virtual_time.interrupts import ends_by_signal
+from motorhil.motorapi.errors import MotorError
+from motorhil.traces.formats.frames import Findings
 
 if TYPE_CHECKING:
-    from harness.rig.rig import Rig
-    from harness.rig.config.rig_file import RigDescription
-    from harness.replay.host import HostPlayer
-    from traces.semantics.diff import ObjectFidelity
-    from traces.semantics.diff import Difference
     from collections.abc import Callable, Iterator
-    from harness.replay.frames import Choice, Replayed, Sink, Survey
-    from motorapi.runtime.api import Runtime
-    from traces.formats.frames import Frame
 
-_MODES: Final = {
-    "device": "harness.cli.replay",
-    "host": "harness.cli.replay",
-    "traffic": "harness.cli.replay",
-}
-
+    from motorhil.harness.replay.frames import Choice, Replayed, Sink, Survey
+    from motorhil.harness.replay.host import HostPlayer
+    from motorhil.harness.rig.config.rig_file import RigDescription
+    from motorhil.harness.rig.rig import Rig
+    from motorhil.motorapi.runtime.api import Runtime
+    from motorhil.traces.formats.frames import Frame
+    from motorhil.traces.semantics.diff import Difference, ObjectFidelity
 
 _OF_MODES: Final = {
     "SCRIPT": ("script", ("device",)),
@@ -75,7 +61,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         *("--as",),
         required=True,
-        choices=list(_MODES),
+        choices=("device", "host", "traffic"),
         dest="mode",
         help="device: its devices answer SCRIPT as recorded; host: its host drives a rig, and the "
         "answers are compared; traffic: its frames are sent again at their times",
@@ -165,7 +151,7 @@ def run(options: argparse.Namespace) -> int:
     Raises:
         RigError, TraceError: a file cannot be used.
     """
-    from harness.rig.config.toml import refuse_source
+    from motorhil.harness.rig.config.toml import refuse_source
 
     if options.mode != "traffic" and options.speed == math.inf:
         print("motorhil replay: --speed max is for --as traffic; give a number", file=sys.stderr)
@@ -181,7 +167,7 @@ def run(options: argparse.Namespace) -> int:
         return WRONG_USAGE
     if options.output is not None:
         refuse_source(options.file, options.output)
-    status: int = import_module(_MODES[options.mode]).run(options)
+    status: int = _MODES[options.mode](options)
     return status
 
 
@@ -191,8 +177,8 @@ def replay_as_device(options: argparse.Namespace) -> int:
     Raises:
         RigError: the recording, the rig or the script cannot be used.
     """
-    from harness.rig.rig import Rig
-    from harness.cli.run import read_script, run_judged
+    from motorhil.harness.cli.run import read_script, run_judged
+    from motorhil.harness.rig.rig import Rig
 
     words = [*options.args, *(options.rest or ())]
     script = None if options.script is None else read_script(options.script)
@@ -206,8 +192,8 @@ def replay_as_device(options: argparse.Namespace) -> int:
 
 
 def _described(options: argparse.Namespace) -> "RigDescription":
-    from harness.replay.rig import with_recorded
-    from harness.rig.rig import describe
+    from motorhil.harness.replay.rig import with_recorded
+    from motorhil.harness.rig.rig import describe
 
     rig = describe(options.file if options.rig is None else options.rig)
     return with_recorded(rig, options.file, options.set_points)
@@ -237,9 +223,9 @@ def replay_as_host(options: argparse.Namespace) -> int:
         RigError: the rig cannot be used.
         TraceError: the recording cannot be read, or the new one cannot be written.
     """
-    from harness.recording.sources import PlaceError
-    from harness.replay.host import compared
-    from traces.semantics.diff import Tolerance
+    from motorhil.harness.recording.sources import PlaceError
+    from motorhil.harness.replay.host import compared
+    from motorhil.traces.semantics.diff import Tolerance
 
     with ends_by_signal(), tempfile.TemporaryDirectory(prefix="motorhil-") as folder:
         live = options.output or Path(folder, "live.mcap")
@@ -266,8 +252,8 @@ def replay_as_host(options: argparse.Namespace) -> int:
 
 def _on_rig(options: argparse.Namespace, live: Path, folder: Path) -> "HostPlayer":
     """Drive emulated devices, in virtual time or in real time."""
-    from harness.replay.host import DrivenRig, drive
-    from harness.rig.rig import Rig
+    from motorhil.harness.replay.host import DrivenRig, drive
+    from motorhil.harness.rig.rig import Rig
 
     description = _described_host(options, folder)
     with Rig(description, seed=options.seed, realtime=options.realtime, record=live) as rig:
@@ -278,10 +264,10 @@ def _on_rig(options: argparse.Namespace, live: Path, folder: Path) -> "HostPlaye
 
 def _on_buses(options: argparse.Namespace, live: Path) -> "HostPlayer":
     """Drive devices on buses outside the rig, in wall time."""
-    from harness.recording.sources import PlaceError, places_of_buses
-    from harness.replay.host import drive
-    from harness.replay.real_bus import DrivenBuses
-    from traces.mcap.reader import read_trace
+    from motorhil.harness.recording.sources import PlaceError, places_of_buses
+    from motorhil.harness.replay.host import drive
+    from motorhil.harness.replay.real_bus import DrivenBuses
+    from motorhil.traces.mcap.reader import read_trace
 
     if options.rig is not None:
         raise PlaceError("--on and --rig exclude each other; give one of them")
@@ -299,8 +285,8 @@ def _pace(options: argparse.Namespace) -> tuple[float, int, bool]:
 
 def _described_host(options: argparse.Namespace, folder: Path) -> "RigDescription":
     """Return the named rig, or the rig of the recording."""
-    from harness.replay.rig import own_rig
-    from harness.rig.rig import describe, installed_plugins
+    from motorhil.harness.replay.rig import own_rig
+    from motorhil.harness.rig.rig import describe, installed_plugins
 
     if options.rig is not None:
         return describe(options.rig)
@@ -392,8 +378,8 @@ def replay_traffic(options: argparse.Namespace) -> int:
         RigError: the recording or the rig cannot be used.
         TraceError: the recording cannot be read.
     """
-    from harness.recording.sources import PlaceError
-    from harness.replay.frames import SendError, TrafficReplay, refuse_long, survey
+    from motorhil.harness.recording.sources import PlaceError
+    from motorhil.harness.replay.frames import SendError, TrafficReplay, refuse_long, survey
 
     choice = _choice(options)
     findings = Findings()
@@ -430,7 +416,7 @@ def replay_traffic(options: argparse.Namespace) -> int:
 
 
 def _choice(options: argparse.Namespace) -> "Choice":
-    from harness.replay.frames import Choice
+    from motorhil.harness.replay.frames import Choice
 
     def chosen(values: "list[str] | list[int] | None") -> "tuple[object, ...] | None":
         return None if values is None else tuple(values)
@@ -447,8 +433,8 @@ def _choice(options: argparse.Namespace) -> "Choice":
 def _frames(
     options: argparse.Namespace, choice: "Choice", findings: Findings | None = None
 ) -> "Iterator[Frame]":
-    from traces.mcap.reader import read_trace
-    from traces.formats.registry import recorded_frames
+    from motorhil.traces.formats.registry import recorded_frames
+    from motorhil.traces.mcap.reader import read_trace
 
     with read_trace(options.file) as trace:
         yield from choice.of(recorded_frames(trace, findings or Findings()))
@@ -458,8 +444,8 @@ def _open(
     options: argparse.Namespace, buses: list[str], cleanup: ExitStack
 ) -> "tuple[dict[str, Sink], Runtime]":
     """Return the sink of each recorded bus, and the runtime; raise PlaceError or RigError."""
-    from harness.recording.sources import PlaceError, places_of_buses
-    from harness.replay.real_bus import RigSink, open_sink
+    from motorhil.harness.recording.sources import PlaceError, places_of_buses
+    from motorhil.harness.replay.real_bus import RigSink, open_sink
 
     rig = _rig(options, cleanup) if options.rig is not None else None
     if rig is None and not options.on:
@@ -482,7 +468,7 @@ def _open(
                 f"the rig has no bus {buses[0]}; write --on {buses[0]}=BUS; available: {known}"
             )
         return sinks, rig.runtime
-    from motorapi.runtime.wall import WallRuntime
+    from motorhil.motorapi.runtime.wall import WallRuntime
 
     runtime = WallRuntime()
     cleanup.callback(runtime.close)
@@ -490,7 +476,7 @@ def _open(
 
 
 def _rig(options: argparse.Namespace, cleanup: ExitStack) -> "Rig":
-    from harness.rig.rig import Rig
+    from motorhil.harness.rig.rig import Rig
 
     return cleanup.enter_context(
         Rig.open(options.rig, options.seed, options.realtime, options.output)
@@ -550,3 +536,6 @@ def _tell_traffic(
     if speed is not None:
         told += "; late: " + ", ".join(f"{name} {ns / 1e6:.3f} ms" for name, ns in figures.items())
     print(told)
+
+
+_MODES: Final = {"device": replay_as_device, "host": replay_as_host, "traffic": replay_traffic}

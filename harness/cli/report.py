@@ -8,10 +8,9 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
-from harness.cli.main import PASSED
-from traces.errors import TraceError
-from traces.mcap.reader import Trace, read_trace
-from traces.mcap.reader import whole_file
+from motorhil.harness.cli.main import PASSED
+from motorhil.traces.errors import TraceError
+from motorhil.traces.mcap.reader import Trace, read_trace, whole_file
 
 _KILO: Final = {"k": 1_000, "M": 1_000_000}
 
@@ -42,9 +41,9 @@ def run(options: argparse.Namespace) -> int:
     Raises:
         TraceError: the recording cannot be read, is damaged, or the page cannot be written.
     """
-    from harness.report.collect import collect
-    from harness.report.document import document_of
-    from harness.report.page import render
+    from motorhil.harness.report.collect import collect
+    from motorhil.harness.report.document import document_of
+    from motorhil.harness.report.page import render
 
     target = options.output or Path(options.file).with_suffix(".html")
     with read_trace(options.file) as trace:
@@ -67,7 +66,7 @@ def run(options: argparse.Namespace) -> int:
 def _write_layout(trace: Trace, target: Path) -> None:
     import json
 
-    from harness.report.foxglove import layout_of
+    from motorhil.harness.report.foxglove import layout_of
 
     _write(target, json.dumps(layout_of(trace), indent=2) + "\n")
     print(f"{target}: a layout for Foxglove")

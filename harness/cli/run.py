@@ -10,39 +10,37 @@ program in virtual time never commands hardware.
 """
 
 import argparse
-import shlex
-import sys
-from pathlib import Path
-from typing import TYPE_CHECKING
-from harness.cli.main import PASSED
-from harness.cli.options import add_seed
-from harness.rig.config.toml import RigError
 import builtins
 import code
 import linecache
 import os
+import shlex
+import sys
 import threading
 import traceback
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from types import CodeType, ModuleType
-from typing import TYPE_CHECKING, Final, Self, final
-from harness.virtual_time.interrupts import exit_handlers
-from harness.rig.rig import NoSuchName
-from harness.virtual_time.stdlib.install import in_virtual_time
-from harness.virtual_time.stdlib.threads import join_executors
-from traces.errors import TraceError
-from collections.abc import Iterator
-from contextlib import contextmanager
 from functools import partial
-from typing import Any, Final
+from pathlib import Path
+from types import CodeType, ModuleType
+from typing import TYPE_CHECKING, Any, Final, Self, final
+
 import can
 from can.interfaces import BACKENDS
-from harness.python_can.bus import EmulatedBus, bus_names
+
+from motorhil.harness.cli.main import PASSED
+from motorhil.harness.cli.options import add_seed
+from motorhil.harness.python_can.bus import EmulatedBus, bus_names
+from motorhil.harness.rig.config.toml import RigError
+from motorhil.harness.rig.rig import NoSuchName
+from motorhil.harness.virtual_time.interrupts import exit_handlers
+from motorhil.harness.virtual_time.stdlib.install import in_virtual_time
+from motorhil.harness.virtual_time.stdlib.threads import join_executors
+from motorhil.traces.errors import TraceError
 
 if TYPE_CHECKING:
-    from harness.rig.rig import Rig
+    from motorhil.harness.rig.rig import Rig
 
 _MORE = """\
 SCRIPT opens its bus with can.Bus(), as on real hardware: CAN_INTERFACE and CAN_CHANNEL name a bus
@@ -82,7 +80,7 @@ def run(options: argparse.Namespace) -> int:
     Raises:
         RigError: the rig, the script or the output file cannot be used; nothing was run.
     """
-    from harness.rig.rig import Rig
+    from motorhil.harness.rig.rig import Rig
 
     words = [*options.args, *(options.rest or ())]
     script = None if options.script is None else read_script(options.script)
@@ -112,12 +110,10 @@ STDIN: Final = "-"
 _STDIN_NAME: Final = "<stdin>"
 _PATIENCE_S: Final = 1.0
 _CAN_SETTINGS: Final = ("CAN_INTERFACE", "CAN_CHANNEL", "CAN_BITRATE", "CAN_CONFIG")
-_OWN_FOLDER: Final = str(Path(__file__).parent.parent) + os.sep
-_PACKAGES: Final = ("motorapi", "emulators", "traces", "harness")
+_OWN_FOLDER: Final = str(Path(__file__).parents[3]) + os.sep
 _OWN_PACKAGES: Final = tuple(
-    folder + package + os.sep
+    folder + "motorhil" + os.sep
     for folder in (_OWN_FOLDER, "")  # compiled modules do not know their path
-    for package in _PACKAGES
 )
 
 
@@ -203,7 +199,7 @@ def run_judged(rig: "Rig", script: Script | None, words: Sequence[str], verb: st
     Raises:
         RigError, TraceError, BrokenPipeError: errors of the rig, its record or the output.
     """
-    from harness.replay.verdict import summary, unanswered
+    from motorhil.harness.replay.verdict import summary, unanswered
 
     try:
         with rig:
@@ -302,7 +298,6 @@ def bus_settings(rig: "Rig") -> Iterator[None]:
     os.environ["CAN_INTERFACE"] = "emulated"
     os.environ["CAN_CHANNEL"] = next(iter(rig.description.buses), "none")
     try:
-
         with hardware_is_the_rigs():
             yield
     finally:
@@ -359,7 +354,7 @@ def is_on_purpose(error: BaseException) -> bool:
     """Return True if the motor interface, python-can or a rig raised it for its caller."""
     kinds = [f"{kind.__module__}.{kind.__name__}" for kind in type(error).__mro__]
     return (
-        "motorapi.errors.MotorError" in kinds
+        "motorhil.motorapi.errors.MotorError" in kinds
         or "can.exceptions.CanError" in kinds
         or isinstance(error, RigError | NoSuchName)
     )

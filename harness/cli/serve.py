@@ -8,35 +8,31 @@ Child processes beside a world in wall time, and stop signals.
 """
 
 import argparse
-from collections.abc import Iterable
-from pathlib import Path
-from typing import Final
-from emulators.gateways.modbus_pty import ModbusPty, ModbusPtyError
-from emulators.gateways.modbus_tcp import ModbusSocket, ModbusSocketError
-from emulators.gateways.loop import WallLoop
-from harness.rig.rig import Rig
-from harness.rig.config.buses import MODBUS_RTU, MODBUS_TCP, BusDescription
-from harness.rig.config.toml import RigError
 import os
+import select
 import signal
 import subprocess
 import sys
-from collections.abc import Mapping, Sequence
-from contextlib import suppress
+import tempfile
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import ExitStack, suppress
+from pathlib import Path
 from types import FrameType
 from typing import Final, Protocol, Self, final
-import harness
-import select
-import tempfile
-from contextlib import ExitStack
-from typing import Final, final
-from emulators.gateways.hub import HubError, HubServer
-from emulators.gateways.socketcan import SocketCanError, SocketCanGateway
-from harness.cli.main import FAILED, PASSED, WRONG_USAGE
-from harness.recording.ownership import LockLooks
-from harness.recording.ownership import LockWriter
-from harness.replay.verdict import summary, unanswered
-from harness.cli.options import add_seed
+
+import motorhil
+from motorhil.emulators.gateways.hub import HubError, HubServer
+from motorhil.emulators.gateways.loop import WallLoop
+from motorhil.emulators.gateways.modbus_pty import ModbusPty, ModbusPtyError
+from motorhil.emulators.gateways.modbus_tcp import ModbusSocket, ModbusSocketError
+from motorhil.emulators.gateways.socketcan import SocketCanError, SocketCanGateway
+from motorhil.harness.cli.main import FAILED, PASSED, WRONG_USAGE
+from motorhil.harness.cli.options import add_seed
+from motorhil.harness.recording.ownership import LockLooks, LockWriter
+from motorhil.harness.replay.verdict import summary, unanswered
+from motorhil.harness.rig.config.buses import MODBUS_RTU, MODBUS_TCP, BusDescription
+from motorhil.harness.rig.config.toml import RigError
+from motorhil.harness.rig.rig import Rig
 
 ModbusDoorError = (ModbusPtyError, ModbusSocketError)
 _PORT_MAX: Final = 65_535
@@ -213,7 +209,7 @@ class Program:
         """Start the program; `lines` returns its output of both streams."""
         self.name: Final = path.stem.removesuffix("_program")
         self.file: Final = path.name
-        root = str(Path(harness.__file__).parent.parent)  # lets it import the same packages
+        root = str(Path(motorhil.__file__).parent.parent)  # lets it import the same packages
         others = [path for path in (environment.get("PYTHONPATH"),) if path]
         self._loop = loop
         self._process = subprocess.Popen(

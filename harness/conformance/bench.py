@@ -4,10 +4,9 @@ from collections.abc import Callable, Collection, Sequence
 from contextlib import AbstractContextManager
 from typing import Protocol
 
-from harness.conformance.clause import Ability
-from harness.conformance.clause import Facts
-from motorapi import Motor
-from motorapi.runtime.api import Runtime
+from motorhil.harness.conformance.clause import Ability, Facts
+from motorhil.motorapi import Motor
+from motorhil.motorapi.runtime.api import Runtime
 
 Lost = Callable[[], int]
 """Number of frames or answers lost so far. A fault that hit nothing has tested nothing."""

@@ -44,22 +44,18 @@ The `[conformance]` table of a rig file: its facts about the bench.
 A linear motor uses m in place of rad.
 """
 
-from enum import Enum
-from typing import final
-from collections.abc import Callable, Collection, Mapping
-from dataclasses import dataclass
-from enum import IntEnum
-from typing import TYPE_CHECKING, Final, final
 import signal
-from collections.abc import Mapping
-from typing import Any, Final, final
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
+from enum import Enum, IntEnum
 from types import MappingProxyType
-from typing import Final, final
-from harness.rig.config.toml import Table
+from typing import TYPE_CHECKING, Any, Final, final
+
+from motorhil.harness.rig.config.toml import Table
 
 if TYPE_CHECKING:
-    from harness.conformance.bench import RigProtocol
+    from motorhil.harness.conformance.bench import RigProtocol
+
 
 @final
 class Capability(Enum):

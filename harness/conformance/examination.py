@@ -5,6 +5,8 @@ On a bench in wall time the first run is recorded.
 Targets of a job: the loaded adaptation and its rig.
 """
 
+import inspect
+import os
 import shlex
 import time
 from collections.abc import Sequence
@@ -12,22 +14,16 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, final
-from harness.conformance.worker import Promise
-from harness.conformance.worker import Supervisor
-from harness.conformance.clause import Verdict
-from harness.rig.config.toml import RigError
-import inspect
-import os
-from harness.conformance.bench import Opener
-from harness.conformance.run import home_of
-from harness.conformance.clause import NOTHING_DECLARED, Facts
-from harness.conformance.worker import Job
-from harness.conformance.rig_bench import RigBench, bench_description
-from harness.plugins import ADAPTATIONS, installed, is_target, named
-from harness.rig.rig import describe, installed_plugins
-from harness.rig.config.rig_file import RigDescription, read_rig
-from harness.rig.config.toml import BrokenPluginError, RigError
-from harness.rig.config.toml import a_kind_of, listed, nearest
+
+from motorhil.harness.conformance.bench import Opener
+from motorhil.harness.conformance.clause import NOTHING_DECLARED, Facts, Verdict
+from motorhil.harness.conformance.rig_bench import RigBench, bench_description
+from motorhil.harness.conformance.run import home_of
+from motorhil.harness.conformance.worker import Job, Promise, Supervisor
+from motorhil.harness.plugins import ADAPTATIONS, installed, is_target, named
+from motorhil.harness.rig.config.rig_file import RigDescription, read_rig
+from motorhil.harness.rig.config.toml import BrokenPluginError, RigError, a_kind_of, listed, nearest
+from motorhil.harness.rig.rig import describe, installed_plugins
 
 _HANGS_SOONER: Final = 0.1
 """Share of the deadline for a check that is known to hang."""
@@ -141,8 +137,8 @@ class Examiner:
 
 
 def _digest(record: Path) -> str:
-    from traces.digest import digest
-    from traces.errors import TraceError
+    from motorhil.traces.digest import digest
+    from motorhil.traces.errors import TraceError
 
     try:
         return digest(record)
@@ -183,7 +179,7 @@ class Target:
         """Return an opener for benches of this rig, which record everything to `record`."""
         if self._places is None:
             return lambda: RigBench(self.rig, self.seed, record=record)
-        from harness.conformance.wall_bench import WallBench
+        from motorhil.harness.conformance.wall_bench import WallBench
 
         places = self._places
         return lambda: WallBench(self.rig, places, self.seed, record=record)
@@ -197,7 +193,7 @@ def _described(path: Path) -> RigDescription:
 
 
 def _places(job: Job, rig: RigDescription) -> dict[str, str]:
-    from harness.conformance.wall_bench import places_in
+    from motorhil.harness.conformance.wall_bench import places_in
 
     return places_in(job.on, rig)
 

@@ -1,42 +1,35 @@
 """All clauses of the kit, in the order of their checks.
 
-The table of all clauses in Markdown: `python -m harness.conformance.kit`.
+The table of all clauses in Markdown: `python -m motorhil.harness.conformance.kit`.
 """
 
-from collections.abc import Mapping
+import sys
+from collections.abc import Iterator, Mapping
 from importlib import import_module
 from typing import Final
-from harness.conformance.clause import Clause, registered
-import sys
-from collections.abc import Iterator
-from harness.conformance.clause import Clause, Level
+
+from motorhil.harness.conformance.clause import Clause, Level, registered
 
 _MODULES: Final = (
     "identity",
-    "measuring",
     "setpoints",
     "trajectories",
     "starting",
-    "ending",
     "limits",
     "stopping",
-    "failing",
-    "hearing",
-    "access",
+    "faults",
     "sharing",
-    "owners",
     "groups",
-    "parting",
-    "lost",
-    "disturbed",
+    "communication_loss",
+    "bus_errors",
 )
-"""The modules of `harness.conformance.clauses`, one for each topic."""
+"""The modules of `motorhil.harness.conformance.clauses`, one for each topic."""
 
 
 def all_clauses() -> Mapping[str, Clause]:
     """Return all clauses by id, ordered by level, then by module."""
     for name in _MODULES:
-        import_module(f"harness.conformance.clauses.{name}")
+        import_module(f"motorhil.harness.conformance.clauses.{name}")
     places = {name: place for place, name in enumerate(registered())}
     ordered = sorted(registered().values(), key=lambda one: (one.level, places[one.id]))
     return {one.id: one for one in ordered}

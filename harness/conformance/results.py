@@ -29,9 +29,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, final
 
-from harness.conformance.examination import Finding
-from harness.conformance.worker import Loaded
-from harness.conformance.clause import Result
+from motorhil.harness.conformance.clause import Result
+from motorhil.harness.conformance.examination import Finding
+from motorhil.harness.conformance.worker import Loaded
 
 _NS: Final = 1e9
 _ODD: Final = re.compile("[^\t\n\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")

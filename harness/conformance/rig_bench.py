@@ -7,21 +7,18 @@ from functools import cached_property
 from pathlib import Path
 from typing import Final, Self, final
 
-from emulators.can.frame import can_id_of, data_of, pack
-from emulators.can.fault_rules import FrameError
-from emulators.can.fault_rules import FaultKind, FaultRule
-from emulators.media.serial_faults import SerialFaultKind, SerialFaultRule
-from harness.conformance.bench import Lost
-from harness.conformance.clause import Ability
-from harness.conformance.clause import NotApplicable
-from harness.conformance.clause import Facts
-from harness.rig.rig import Rig
-from harness.rig.config.faults import HOST
-from harness.rig.config.rig_file import RigDescription
-from harness.rig.config.toml import RigError
-from harness.sharing_tests.bus_evidence import commanded_node
-from harness.virtual_time.runtime import VirtualRuntime
-from motorapi import Motor
+from motorhil.emulators.can.fault_rules import FaultKind, FaultRule, FrameError
+from motorhil.emulators.can.frame import can_id_of, data_of, pack
+from motorhil.emulators.media.serial_faults import SerialFaultKind, SerialFaultRule
+from motorhil.harness.conformance.bench import Lost
+from motorhil.harness.conformance.clause import Ability, Facts, NotApplicable
+from motorhil.harness.rig.config.faults import HOST
+from motorhil.harness.rig.config.rig_file import RigDescription
+from motorhil.harness.rig.config.toml import RigError
+from motorhil.harness.rig.rig import Rig
+from motorhil.harness.sharing_tests.bus_evidence import commanded_node
+from motorhil.harness.virtual_time.runtime import VirtualRuntime
+from motorhil.motorapi import Motor
 
 SECOND_USER: Final = "another"
 _FAULT_NS: Final = 50_000_000

@@ -12,46 +12,59 @@ record their callers.
 Places in the code, as "file:line", for failure reports.
 """
 
-from typing import Final, final
-from harness.conformance.bench import Opener
-from harness.conformance.clause import Capability
-from harness.conformance.clause import Facts
-from motorapi import ComplexTrajectory, ControlMode, ControlVariable, DerivativeLimits, Motor, Setpoint, SyncLevel, UnsupportedError
-from motorapi.hooks import MotorHooks
-import os
-import sys
-from collections.abc import Iterable, Sequence
-from types import FrameType, TracebackType
-from typing import Final
-from harness.conformance import clause
 import gc
 import inspect
+import os
 import signal
+import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from pathlib import Path
-from typing import Any, Final, final
-import can
-from motorapi import UsageError
-from motorapi.locking.directory import LockDirectory
-from motorapi.locking.lock_status import look
-from collections.abc import Iterable, Iterator
 from dataclasses import replace
-from typing import TYPE_CHECKING, Final, final
-from harness.conformance.clause import Clause, NotApplicable, Violated
-from harness.conformance.clause import NOTHING_DECLARED, Facts
-from harness.conformance.rig_bench import TimeIsUp
-from harness.conformance.clause import Result, Verdict
-from harness.rig.config.toml import BrokenPluginError, RigError
-from motorapi import LimitError, MotorError, MotorModel, PluginError, UnsupportedError
+from pathlib import Path
+from types import FrameType, TracebackType
+from typing import TYPE_CHECKING, Any, Final, final
+
+import can
+
+from motorhil.harness.conformance import clause
+from motorhil.harness.conformance.bench import Opener
+from motorhil.harness.conformance.clause import (
+    NOTHING_DECLARED,
+    Capability,
+    Clause,
+    Facts,
+    NotApplicable,
+    Result,
+    Verdict,
+    Violated,
+)
+from motorhil.harness.conformance.rig_bench import TimeIsUp
+from motorhil.harness.rig.config.toml import BrokenPluginError, RigError
+from motorhil.motorapi import (
+    ComplexTrajectory,
+    ControlMode,
+    ControlVariable,
+    DerivativeLimits,
+    LimitError,
+    Motor,
+    MotorError,
+    MotorModel,
+    PluginError,
+    Setpoint,
+    SyncLevel,
+    UnsupportedError,
+    UsageError,
+)
+from motorhil.motorapi.hooks import MotorHooks
+from motorhil.motorapi.locking.directory import LockDirectory
+from motorhil.motorapi.locking.lock_status import look
 
 if TYPE_CHECKING:
-    from harness.conformance.bench import RigProtocol
+    from motorhil.harness.conformance.bench import RigProtocol
 
 # ruff: noqa: SLF001 -- the kit asks whether a hook is filled in
-
 
 
 _MODES: Final = {
@@ -136,7 +149,7 @@ def _takes_functions(motor: Motor, variable: ControlVariable) -> bool:
     """Return whether the motor accepts complex trajectories; keep the motor's settings."""
     if not motor._call(motor._supports, ControlMode.TRAJECTORY, variable):
         return False
-    from motorapi.functions import Polynomial
+    from motorhil.motorapi.functions import Polynomial
 
     still = ComplexTrajectory(Polynomial((0.0,)).restricted(0.0, 1.0), relative=True)
     return _accepts(motor, variable, still)
@@ -167,7 +180,8 @@ Line = tuple[str, int]
 
 def home_of(module: str) -> str:
     """Return the top-level package folder of a loaded module, or its file if it has no package."""
-    package = sys.modules.get(module.partition(".")[0])
+    parts = module.split(".")
+    package = sys.modules.get(".".join(parts[: 2 if parts[0] == "motorhil" else 1]))
     file: str | None = getattr(package, "__file__", None)
     if file is None:
         return ""
@@ -204,8 +218,6 @@ def _lines_of(traceback: TracebackType | None) -> Iterable[Line]:
 
 
 # ruff: noqa: SLF001 -- sys._current_frames: documented, and without another name
-
-
 
 
 _PATIENCE_S: Final = 0.25

@@ -14,23 +14,18 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, Never, Self, final
 
-from harness.conformance.bench import Lost
-from harness.conformance.clause import Ability
-from harness.conformance.clause import NotApplicable
-from harness.conformance.clause import Facts
-from harness.conformance.rig_bench import SECOND_USER, physical_name
-from harness.recording.sources import Kind, Place, PlaceError, parse_place
-from harness.recording.sources import open_bus
-from harness.rig.config.rig_file import RigDescription
-from harness.rig.rig import read_models
-from harness.rig.rig import Named
-from harness.rig.rig import RigPlugins
-from harness.rig.config.toml import RigError
-from motorapi import ControlMode, LinkError, Motor, MotorError
-from motorapi.runtime.byte_streams import SerialLine, TcpLine
-from motorapi.runtime.wall import WallRuntime, close_process_runtime, process_runtime
-from traces.schema import CAN_FRAME, Direction, Schema
-from traces.mcap.writer import TraceWriter
+from motorhil.harness.conformance.bench import Lost
+from motorhil.harness.conformance.clause import Ability, Facts, NotApplicable
+from motorhil.harness.conformance.rig_bench import SECOND_USER, physical_name
+from motorhil.harness.recording.sources import Kind, Place, PlaceError, open_bus, parse_place
+from motorhil.harness.rig.config.rig_file import RigDescription
+from motorhil.harness.rig.config.toml import RigError
+from motorhil.harness.rig.rig import Named, RigPlugins, read_models
+from motorhil.motorapi import ControlMode, LinkError, Motor, MotorError
+from motorhil.motorapi.runtime.byte_streams import SerialLine, TcpLine
+from motorhil.motorapi.runtime.wall import WallRuntime, close_process_runtime, process_runtime
+from motorhil.traces.mcap.writer import TraceWriter
+from motorhil.traces.schema import CAN_FRAME, Direction, Schema
 
 if TYPE_CHECKING:
     import can

@@ -30,29 +30,30 @@ import faulthandler
 import gc
 import json
 import os
-import signal
-import sys
-from collections.abc import Callable, Mapping
-from pathlib import Path
-from types import FrameType
-from typing import Any, Final, NoReturn, TextIO, final
-from harness.conformance.clause import TELL_WHERE, TIME_IS_UP, packed
+import re
 import select
+import signal
 import subprocess
+import sys
 import tempfile
 import time
-from collections.abc import Container, Mapping
+from collections.abc import Callable, Container, Mapping
 from contextlib import suppress
-from typing import Any, Final, final
-import harness
-from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from typing import Any, Self, final
-import re
-from dataclasses import dataclass
-from typing import Any, Final, Self, final
-from harness.conformance.run import Line, place_in
-from harness.conformance.clause import TELL_WHERE, TIME_IS_UP, Result, Verdict, unpacked
+from pathlib import Path
+from types import FrameType
+from typing import Any, Final, NoReturn, Self, TextIO, final
+
+import motorhil
+from motorhil.harness.conformance.clause import (
+    TELL_WHERE,
+    TIME_IS_UP,
+    Result,
+    Verdict,
+    packed,
+    unpacked,
+)
+from motorhil.harness.conformance.run import Line, place_in
 
 _MARGIN_S: Final = 30.0
 """Time after the deadline at which a worker without a supervisor ends by itself."""
@@ -63,9 +64,9 @@ class _Worker:
     """Answers the requests for one job."""
 
     def __init__(self, job: Mapping[str, Any]) -> None:
-        from harness.conformance.run import Claims
-        from harness.conformance.kit import all_clauses
-        from harness.conformance.examination import Target
+        from motorhil.harness.conformance.examination import Target
+        from motorhil.harness.conformance.kit import all_clauses
+        from motorhil.harness.conformance.run import Claims
 
         self._target = Target(Job.unpacked(job))
         self._clauses = all_clauses()
@@ -90,9 +91,8 @@ class _Worker:
 
     def check(self, clause: str, record: str | None) -> dict[str, object]:
         """Check a clause and return its verdict."""
-        from harness.conformance.run import raised_at
-        from harness.conformance.run import run_clause
-        from harness.conformance.clause import Result, Verdict
+        from motorhil.harness.conformance.clause import Result, Verdict
+        from motorhil.harness.conformance.run import raised_at, run_clause
 
         opener = self._target.opener(Path(record) if record else None)
         try:
@@ -110,9 +110,9 @@ class _Worker:
         Raises:
             RigError: the adaptation's claims cannot be read.
         """
-        from harness.conformance.clause import Capability
-        from harness.conformance.run import raised_at
-        from harness.rig.config.toml import RigError
+        from motorhil.harness.conformance.clause import Capability
+        from motorhil.harness.conformance.run import raised_at
+        from motorhil.harness.rig.config.toml import RigError
 
         try:
             return {one.key: self._claims.why_not(one) for one in Capability}
@@ -154,7 +154,7 @@ def main(words: list[str]) -> None:
 
 
 def _answer(requests: TextIO, reply: Callable[[object], None], told: TextIO) -> None:
-    from harness.rig.config.toml import RigError
+    from motorhil.harness.rig.config.toml import RigError
 
     worker: _Worker | None = None
     for line in requests:
@@ -187,7 +187,7 @@ def _write(descriptor: int, reply: object) -> None:
 
 
 def _time_is_up(number: int, frame: FrameType | None) -> None:
-    from harness.conformance.rig_bench import TimeIsUp
+    from motorhil.harness.conformance.rig_bench import TimeIsUp
 
     raise TimeIsUp("the deadline has passed")
 
@@ -195,7 +195,9 @@ def _time_is_up(number: int, frame: FrameType | None) -> None:
 _READ_MAX: Final = 65_536
 _SAID_MAX: Final = 8_192
 _END_S: Final = 2.0
-_PROGRAM: Final = "import sys; from harness.conformance.worker import main; main(sys.argv[1:])"
+_PROGRAM: Final = (
+    "import sys; from motorhil.harness.conformance.worker import main; main(sys.argv[1:])"
+)
 
 
 class ChildEndedError(Exception):
@@ -216,7 +218,7 @@ class Child:
         self._stacks = tempfile.TemporaryFile()  # noqa: SIM115 -- closed with the child
         requests, self._requests = os.pipe()
         self._replies, replies = os.pipe()
-        root = str(Path(harness.__file__).parent.parent)
+        root = str(Path(motorhil.__file__).parent.parent)
         others = [path for path in (os.environ.get("PYTHONPATH"),) if path]
         options = [f"-W{one}" for one in sys.warnoptions] + ["-O"] * sys.flags.optimize
         told = [str(one) for one in (requests, replies, self._stacks.fileno())]
@@ -388,7 +390,7 @@ _GRACE_S: Final = 1.0
 _SAID_LINES: Final = 5
 _THREAD: Final = re.compile(r"^(?:Current thread|Thread) .*$", re.MULTILINE)
 _FRAME: Final = re.compile(r'^  File "(.*)", line (\d+) in ', re.MULTILINE)
-_WAITS: Final = os.path.join("harness", "virtual_time.py")
+_WAITS: Final = os.path.join("virtual_time", "runtime.py")
 
 
 class WrongJobError(Exception):

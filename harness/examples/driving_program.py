@@ -7,10 +7,10 @@ motor that is still moving is then brought to rest before its next command.
 
 import sys
 
-from harness.examples.rover import Rover
-from harness.examples.rover_hardware import rover_motors
-from harness.examples.rover_kinematics import WHEELS, Leg
-from motorapi import ControlMode, Motor, MotorError, MotorGroup
+from motorhil.harness.examples.rover import Rover
+from motorhil.harness.examples.rover_hardware import rover_motors
+from motorhil.harness.examples.rover_kinematics import WHEELS, Leg
+from motorhil.motorapi import ControlMode, Motor, MotorError, MotorGroup
 
 LEGS = (Leg.arc(1.5, 0.3), Leg.crab(0.3, -0.5), Leg.turn(-0.4))
 PATIENCE_S = 60.0

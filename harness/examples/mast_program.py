@@ -8,8 +8,8 @@ After each panorama, waiting programs have their turn.
 import sys
 from itertools import count
 
-from harness.examples.rover_hardware import rover_motors
-from motorapi import ControlMode, Motor, MotorError, MotorGroup, TrapezoidalTrajectory
+from motorhil.harness.examples.rover_hardware import rover_motors
+from motorhil.motorapi import ControlMode, Motor, MotorError, MotorGroup, TrapezoidalTrajectory
 
 PICTURES_RAD = (-0.8, 0.0, 0.8)
 TILT_RAD = -0.15

@@ -9,8 +9,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import final
 
-from harness.examples.rover_kinematics import WHEELS, Leg, Pose, look_at
-from motorapi import (
+from motorhil.harness.examples.rover_kinematics import WHEELS, Leg, Pose, look_at
+from motorhil.motorapi import (
     ControlMode,
     Motor,
     MotorGroup,

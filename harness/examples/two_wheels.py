@@ -10,9 +10,9 @@ from pathlib import Path
 
 import can
 
-from motorapi import ControlMode, Motor, MotorGroup, MotorModel, TrapezoidalTrajectory
-from motorapi.adaptations.cia402.hardware import Cia402HwMotor
-from motorapi.adaptations.cia402.motor import Cia402Motor
+from motorhil.motorapi import ControlMode, Motor, MotorGroup, MotorModel, TrapezoidalTrajectory
+from motorhil.motorapi.adaptations.cia402.hardware import Cia402HwMotor
+from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
 
 MODEL = MotorModel.load(Path(__file__).parent / "wheel_model.toml")
 

@@ -8,19 +8,17 @@ Findings: the results of oracles.
 Context shared by all oracles: motors, axes, gaps of the recording.
 """
 
-from dataclasses import asdict, dataclass
-from enum import Enum
-from typing import Final, final
-from collections.abc import Mapping
-from dataclasses import dataclass, field
-from harness.oracles.facts import Facts, Subject
-from traces.decoding.cia402 import state_number
-from traces.decoding.objects import RecordedNames
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from enum import Enum
 from typing import ClassVar, Final, final
-from traces.decoding.can_errors import BusError
-from traces.decoding.events import DecodedEvent
-from traces.schema import LockAction
+
+from motorhil.harness.oracles.facts import Facts, Subject
+from motorhil.traces.decoding.can_errors import BusError
+from motorhil.traces.decoding.cia402 import state_number
+from motorhil.traces.decoding.events import DecodedEvent
+from motorhil.traces.decoding.objects import RecordedNames
+from motorhil.traces.schema import LockAction
 
 _NS: Final = 1_000_000_000
 
@@ -110,7 +108,7 @@ CONTROLWORD: Final = 0x6040
 MODE: Final = 0x6060
 MODE_DISPLAY: Final = 0x6061
 
-# States of the PDS FSA, with the numbers of `traces.decoding.cia402.STATES`.
+# States of the PDS FSA, with the numbers of `motorhil.traces.decoding.cia402.STATES`.
 NOT_READY, DISABLED, READY, SWITCHED_ON, ENABLED, QUICK_STOP, REACTION, FAULT = range(8)
 TARGET_REACHED: Final = 0x0400
 BIT_12: Final = 0x1000

@@ -8,13 +8,11 @@ import struct
 from collections.abc import Callable, Sequence
 from typing import Final, final
 
-from harness.oracles.base import Oracle
-from harness.oracles.base import CONTROLWORD, Axis, RecordingContext
-from traces.decoding.can_errors import ControllerState, bus_error
-from traces.decoding.canopen import NMT_STATES
-from traces.decoding.canopen import CanopenDecoder
-from traces.decoding.objects import axis_of
-from traces.decoding.events import Kind, DecodedEvent
+from motorhil.harness.oracles.base import CONTROLWORD, Axis, Oracle, RecordingContext
+from motorhil.traces.decoding.can_errors import ControllerState, bus_error
+from motorhil.traces.decoding.canopen import NMT_STATES, CanopenDecoder
+from motorhil.traces.decoding.events import DecodedEvent, Kind
+from motorhil.traces.decoding.objects import axis_of
 
 _ERR: Final = 0x2000_0000
 _EFF_RTR: Final = 0xC000_0000

@@ -26,10 +26,10 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final, final
 
-from harness.report.rig import MotorFacts, facts_of
-from harness.rig.recording import named_files
-from harness.rig.config.toml import Table, read_source
-from traces.mcap.records import Attachment
+from motorhil.harness.report.rig import MotorFacts, facts_of
+from motorhil.harness.rig.config.toml import Table, read_source
+from motorhil.harness.rig.recording import named_files
+from motorhil.traces.mcap.records import Attachment
 
 _FREE: Final = float("inf")
 _PLACE_KEYS: Final = ("bus", "node_id", "axis", "controller")

@@ -1,6 +1,6 @@
 """Judgement of a recording by every oracle, in one pass.
 
-    from harness.oracles.judge import judge
+    from motorhil.harness.oracles.judge import judge
 
     for finding in judge("run.mcap"):
         print(finding.oracle, finding.verdict.value, finding.looked, finding.first)
@@ -13,28 +13,36 @@ import os
 from collections.abc import Callable, Collection, Mapping
 from typing import Final, final
 
-from harness.oracles import ownership
-from harness.oracles.bus import BusEar
-from harness.oracles.network import Confinement
-from harness.oracles.facts import Facts, subjects_in
-from harness.oracles.base import Finding, Verdict
-from harness.oracles.limits import AccelerationLimit, PositionLimit, TorqueLimit, VelocityLimit
-from harness.oracles.motion import Following, TorqueOff
-from harness.oracles.network import Answers, BootUps, FaultsTold, Heartbeats, OneSender
-from harness.oracles.base import Oracle
-from harness.oracles.state_machine import StateMachine
-from harness.oracles.motion import AtRest
-from harness.oracles.base import RecordingContext
-from harness.oracles.network import SyncPeriod
-from harness.report.events import TruthReader, message_of
-from traces.formats.registry import Source, open_source
-from traces.formats.frames import FrameDecoder
-from traces.mcap.protobuf import decode
-from traces.mcap.reader import Trace, read_trace
-from traces.decoding.objects import RecordedNames, names_of
-from traces.schema import CAN_FRAME, GROUP_SYNC, JOINT_STATE, LOG, MOTOR_LOCK, LockAction
-from traces.mcap.records import Channel
-from traces.formats.frames import Findings as Reading
+from motorhil.harness.oracles import ownership
+from motorhil.harness.oracles.base import Finding, Oracle, RecordingContext, Verdict
+from motorhil.harness.oracles.bus import BusEar
+from motorhil.harness.oracles.facts import Facts, subjects_in
+from motorhil.harness.oracles.limits import (
+    AccelerationLimit,
+    PositionLimit,
+    TorqueLimit,
+    VelocityLimit,
+)
+from motorhil.harness.oracles.motion import AtRest, Following, TorqueOff
+from motorhil.harness.oracles.network import (
+    Answers,
+    BootUps,
+    Confinement,
+    FaultsTold,
+    Heartbeats,
+    OneSender,
+    SyncPeriod,
+)
+from motorhil.harness.oracles.state_machine import StateMachine
+from motorhil.harness.report.events import TruthReader, message_of
+from motorhil.traces.decoding.objects import RecordedNames, names_of
+from motorhil.traces.formats.frames import Findings as Reading
+from motorhil.traces.formats.frames import FrameDecoder
+from motorhil.traces.formats.registry import Source, open_source
+from motorhil.traces.mcap.protobuf import decode
+from motorhil.traces.mcap.reader import Trace, read_trace
+from motorhil.traces.mcap.records import Channel
+from motorhil.traces.schema import CAN_FRAME, GROUP_SYNC, JOINT_STATE, LOG, MOTOR_LOCK, LockAction
 
 ORACLES: Final[tuple[type[Oracle], ...]] = (
     *(PositionLimit, VelocityLimit, AccelerationLimit, TorqueLimit),
@@ -69,7 +77,7 @@ def judge(
     A truncated recording is judged as far as it is readable.
 
     Args:
-        recording: an MCAP file, or a file in any format that `traces.formats.registry` reads.
+        recording: an MCAP file, or a file in any format that `motorhil.traces.formats.registry` reads.
         facts: facts beyond those of the recording's own rig.
         only: ids of oracles; empty: all.
         from_ns: events from this time on are judged; earlier ones are still decoded [ns].

@@ -14,10 +14,17 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from typing import ClassVar, Final, final
 
-from harness.oracles.facts import Subject
-from harness.oracles.base import Violation
-from harness.oracles.base import MS, Oracle
-from harness.oracles.base import CONTROLWORD, ENABLED, Axis, Place, RecordingContext
+from motorhil.harness.oracles.base import (
+    CONTROLWORD,
+    ENABLED,
+    MS,
+    Axis,
+    Oracle,
+    Place,
+    RecordingContext,
+    Violation,
+)
+from motorhil.harness.oracles.facts import Subject
 
 MARGIN: Final = 1.25
 """A factor for the overshoot of servos and the ripple of sampled velocity."""

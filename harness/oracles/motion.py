@@ -9,16 +9,30 @@ Source: CiA 402-2: statusword (target reached, homing attained), position window
 3.3.3 (waiting blocks until the motion is over) and Algorithm 2.
 """
 
-from collections.abc import Mapping
-from typing import ClassVar, Final, final
-from harness.oracles.base import Violation
-from harness.oracles.base import MS, SETTLE_NS, Oracle
-from harness.oracles.base import BIT_13, DISABLED, ENABLED, FAULT, NOT_READY, READY, STATUSWORD, Axis, Place, RecordingContext
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from harness.oracles.base import SETTLE_NS, Oracle
-from harness.oracles.base import BIT_12, BIT_13, CONTROLWORD, ENABLED, STATUSWORD, TARGET_REACHED, Axis, Place, RecordingContext
-from traces.schema import LockAction
+from typing import ClassVar, Final, final
+
+from motorhil.harness.oracles.base import (
+    BIT_12,
+    BIT_13,
+    CONTROLWORD,
+    DISABLED,
+    ENABLED,
+    FAULT,
+    MS,
+    NOT_READY,
+    READY,
+    SETTLE_NS,
+    STATUSWORD,
+    TARGET_REACHED,
+    Axis,
+    Oracle,
+    Place,
+    RecordingContext,
+    Violation,
+)
+from motorhil.traces.schema import LockAction
 
 _POSITION: Final = 0x6064
 _OFF: Final = 0xFFFF_FFFF

@@ -10,15 +10,11 @@ Oracle of fault confinement: the reported states of CAN controllers.
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import ClassVar, Final, final
-from harness.oracles.base import Violation
-from harness.oracles.base import MS, Oracle
-from harness.oracles.base import Axis, RecordingContext
-from traces.decoding.canopen import place_text
-from traces.decoding.events import Kind, DecodedEvent
-from harness.oracles.base import Oracle
-from typing import Final, final
-from harness.oracles.base import RecordingContext
-from traces.decoding.can_errors import BusError, ControllerState
+
+from motorhil.harness.oracles.base import MS, Axis, Oracle, RecordingContext, Violation
+from motorhil.traces.decoding.can_errors import BusError, ControllerState
+from motorhil.traces.decoding.canopen import place_text
+from motorhil.traces.decoding.events import DecodedEvent, Kind
 
 _Node = tuple[str, int]
 _S: Final = 1_000_000_000

@@ -7,13 +7,12 @@ reads the recording by itself, and only if handovers are recorded.
 from collections.abc import Iterator, Mapping
 from typing import Final
 
-from harness.oracles.base import Finding, Verdict, Violation
-from harness.recording.ownership import motor_of, read_ownership
-from harness.sharing_tests.bus_evidence import BusFrame, commanded_node, judge_frames
-from traces.formats.frames import FrameDecoder
-from traces.mcap.reader import Trace
-from traces.schema import CAN_FRAME
-from traces.formats.frames import fields
+from motorhil.harness.oracles.base import Finding, Verdict, Violation
+from motorhil.harness.recording.ownership import motor_of, read_ownership
+from motorhil.harness.sharing_tests.bus_evidence import BusFrame, commanded_node, judge_frames
+from motorhil.traces.formats.frames import FrameDecoder, fields
+from motorhil.traces.mcap.reader import Trace
+from motorhil.traces.schema import CAN_FRAME
 
 ID: Final = "owner-commands"
 PROMISE: Final = "While a motor has an owner, no other process sends a frame that commands it"

@@ -16,10 +16,25 @@ from collections.abc import Mapping
 from enum import Enum
 from typing import ClassVar, Final, final
 
-from harness.oracles.base import Violation
-from harness.oracles.base import MS, Oracle
-from harness.oracles.base import CONTROLWORD, DISABLED, ENABLED, FAULT, NOT_READY, QUICK_STOP, REACTION, READY, STATUSWORD, SWITCHED_ON, Axis, Place, RecordingContext
-from traces.decoding.cia402 import STATES, UNKNOWN_STATE, state_number
+from motorhil.harness.oracles.base import (
+    CONTROLWORD,
+    DISABLED,
+    ENABLED,
+    FAULT,
+    MS,
+    NOT_READY,
+    QUICK_STOP,
+    REACTION,
+    READY,
+    STATUSWORD,
+    SWITCHED_ON,
+    Axis,
+    Oracle,
+    Place,
+    RecordingContext,
+    Violation,
+)
+from motorhil.traces.decoding.cia402 import STATES, UNKNOWN_STATE, state_number
 
 LAG_NS: Final = 1_000 * MS
 _REMOTE: Final = 0x0200

@@ -11,13 +11,18 @@ from typing import Final, final
 
 import pytest
 
-from harness.conformance.examination import Examiner, Finding
-from harness.conformance.worker import Job, Promise
-from harness.conformance.results import more_of
-from harness.conformance.worker import CannotTestError, Supervisor, WrongJobError
-from harness.conformance.clause import Result
-from harness.pytest_plugin.plugin import option, record_folder, shortened
-from harness.rig.config.toml import RigError
+from motorhil.harness.conformance.clause import Result
+from motorhil.harness.conformance.examination import Examiner, Finding
+from motorhil.harness.conformance.results import more_of
+from motorhil.harness.conformance.worker import (
+    CannotTestError,
+    Job,
+    Promise,
+    Supervisor,
+    WrongJobError,
+)
+from motorhil.harness.pytest_plugin.plugin import option, record_folder, shortened
+from motorhil.harness.rig.config.toml import RigError
 
 _PROPERTY: Final = "motorhil clause"
 

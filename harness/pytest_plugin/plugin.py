@@ -19,10 +19,10 @@ from typing import TYPE_CHECKING, Any, Final
 import pytest
 
 if TYPE_CHECKING:
-    from harness.pytest_plugin.rigs import RecordOfTest, RigOfTest
-    from harness.rig.rig import Rig
-    from motorapi.group import MotorGroup
-    from motorapi.motor import Motor
+    from motorhil.harness.pytest_plugin.rigs import RecordOfTest, RigOfTest
+    from motorhil.harness.rig.rig import Rig
+    from motorhil.motorapi.group import MotorGroup
+    from motorhil.motorapi.motor import Motor
 
 OPENED: Final[pytest.StashKey["RigOfTest"]] = pytest.StashKey()
 """Stash key of a test: the rig that was opened for it."""
@@ -39,7 +39,7 @@ _RECORDS: Final = "out"
 
 
 def _seed(text: str) -> int:
-    from harness.cli.options import seed
+    from motorhil.harness.cli.options import seed
 
     try:
         return seed(text)
@@ -48,7 +48,7 @@ def _seed(text: str) -> int:
 
 
 def _level(text: str) -> int:
-    from harness.cli.conform import level_of
+    from motorhil.harness.cli.conform import level_of
 
     return level_of(text)
 
@@ -148,11 +148,11 @@ def pytest_configure(config: pytest.Config) -> None:
     if not record_folder(config).exists():
         config.stash[_MADE] = record_folder(config)
     if option(config, "rig") is not None:
-        from harness.pytest_plugin.rigs import require_rig
+        from motorhil.harness.pytest_plugin.rigs import require_rig
 
         require_rig(config, option(config, "rig"))
     if option(config, "adaptation") is not None:
-        from harness.pytest_plugin.clauses import collect_clauses
+        from motorhil.harness.pytest_plugin.clauses import collect_clauses
 
         collect_clauses(config)
 
@@ -204,7 +204,7 @@ def pytest_sessionfinish(session: pytest.Session) -> None:
 @pytest.fixture
 def rig(request: pytest.FixtureRequest) -> "Iterator[Rig]":
     """Yield the test's rig, open at time 0 and recorded; `can.Bus()` joins its first bus."""
-    from harness.pytest_plugin.rigs import opened_for
+    from motorhil.harness.pytest_plugin.rigs import opened_for
 
     with opened_for(request) as opened:
         yield opened.rig

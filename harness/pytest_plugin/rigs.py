@@ -11,13 +11,18 @@ from typing import Final, TypeVar, final
 
 import pytest
 
-from harness.pytest_plugin.plugin import OPENED, OWN_NAMES, option, record_folder, shortened
-from harness.replay.verdict import summary, unanswered
-from harness.rig.rig import Rig, describe
-from harness.rig.rig import NoSuchName
-from harness.cli.run import bus_settings, is_of_ours, is_on_purpose
-from harness.rig.config.toml import RigError
-from traces.errors import TraceError
+from motorhil.harness.cli.run import bus_settings, is_of_ours, is_on_purpose
+from motorhil.harness.pytest_plugin.plugin import (
+    OPENED,
+    OWN_NAMES,
+    option,
+    record_folder,
+    shortened,
+)
+from motorhil.harness.replay.verdict import summary, unanswered
+from motorhil.harness.rig.config.toml import RigError
+from motorhil.harness.rig.rig import NoSuchName, Rig, describe
+from motorhil.traces.errors import TraceError
 
 T = TypeVar("T")
 
@@ -154,7 +159,7 @@ class RigOfTest:
 
     def enter_virtual_time(self) -> None:
         """Run this thread and those it starts in the rig's time until `close`."""
-        from harness.virtual_time.stdlib.install import in_virtual_time
+        from motorhil.harness.virtual_time.stdlib.install import in_virtual_time
 
         self._stack.enter_context(in_virtual_time(self.rig))
 

@@ -25,28 +25,40 @@ Source: Linux include/uapi/linux/can/error.h; python-can 4.6.1, can/bus.py and i
 """
 
 from collections import deque
-from typing import TYPE_CHECKING, final
-from emulators.can.frame import FRAME_BYTES
-from typing import Final
-from can import BusState
-from emulators.can.frame import ERR_FLAG, can_id_of
-from emulators.can.error_confinement import MESSAGE_BUS_OFF, CONTROLLER, ERROR_ACTIVE, RESTARTED, RX_PASSIVE, RX_WARNING, TX_PASSIVE, TX_WARNING
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, Final, final
+
 import can
 from can import BusState, CanInitializationError, CanOperationError, CanProtocol, Message
-from can.broadcastmanager import CyclicSendTaskABC, LimitedDurationCyclicSendTaskABC, ModifiableCyclicTaskABC, RestartableCyclicTaskABC
-from emulators.simulation.ownership_notice import OwnershipNotice
-from harness.python_can.messages import to_frame, to_message
-from harness.python_can.hub_client import HubLink
+from can.broadcastmanager import (
+    CyclicSendTaskABC,
+    LimitedDurationCyclicSendTaskABC,
+    ModifiableCyclicTaskABC,
+    RestartableCyclicTaskABC,
+)
+
+from motorhil.emulators.can.error_confinement import (
+    CONTROLLER,
+    ERROR_ACTIVE,
+    MESSAGE_BUS_OFF,
+    RESTARTED,
+    RX_PASSIVE,
+    RX_WARNING,
+    TX_PASSIVE,
+    TX_WARNING,
+)
+from motorhil.emulators.can.frame import ERR_FLAG, FRAME_BYTES, can_id_of
+from motorhil.emulators.simulation.ownership_notice import OwnershipNotice
+from motorhil.harness.python_can.hub_client import HubLink
+from motorhil.harness.python_can.messages import to_frame, to_message
 
 if TYPE_CHECKING:
-    from motorapi.runtime.api import FrameListener
-    from emulators.simulation.endpoints import HostPort
-    from emulators.simulation.world import World
-    from harness.virtual_time.runtime import VirtualRuntime
-    from motorapi.errors import MotorBusyError
-    from motorapi.runtime.api import FrameListener, Registration
+    from motorhil.emulators.simulation.endpoints import HostPort
+    from motorhil.emulators.simulation.world import World
+    from motorhil.harness.virtual_time.runtime import VirtualRuntime
+    from motorhil.motorapi.errors import MotorBusyError
+    from motorhil.motorapi.runtime.api import FrameListener, Registration
+
 
 @final
 class ReceiveQueue:
@@ -147,14 +159,14 @@ def bus_names() -> tuple[str, ...]:
 
 
 def _overtaken(motor: str, token: int, newer: tuple[int, str]) -> "MotorBusyError":
-    from motorapi.errors import MotorBusyError  # only where motorapi is used
+    from motorhil.motorapi.errors import MotorBusyError  # only where motorapi is used
 
     since = f"it took it over (token {newer[0]}; ours was {token})"
     return MotorBusyError(motor=motor, holder=newer[1], since_ns=0, since=since)
 
 
 def _refuse_in_virtual_time(channel: str) -> None:
-    from harness.virtual_time.stdlib.threads import program_here  # only for programs
+    from motorhil.harness.virtual_time.stdlib.threads import program_here  # only for programs
 
     if program_here() is not None:
         raise CanInitializationError(

@@ -11,7 +11,23 @@ from typing import Final, final
 
 from can import CanInitializationError, CanOperationError
 
-from emulators.simulation.ownership_notice import FD_GREETING, GREETING, HEARD, RECORD_MAX, REFUSED, SENT, STALE, TOLD, WELCOME, OwnershipNotice, pack_fenced, pack_owns, pack_submit, unpack_stale, unpack_told
+from motorhil.emulators.simulation.ownership_notice import (
+    FD_GREETING,
+    GREETING,
+    HEARD,
+    RECORD_MAX,
+    REFUSED,
+    SENT,
+    STALE,
+    TOLD,
+    WELCOME,
+    OwnershipNotice,
+    pack_fenced,
+    pack_owns,
+    pack_submit,
+    unpack_stale,
+    unpack_told,
+)
 
 _GREETING_TIMEOUT_S: Final = 5.0
 

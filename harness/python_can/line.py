@@ -7,13 +7,13 @@ gateway's line (TCP), `send` and `listen` are the two directions of one connecti
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Final, final
 
-from emulators.simulation.serial_network import SerialSegment
-from motorapi.errors import LinkError
+from motorhil.emulators.simulation.serial_network import SerialSegment
+from motorhil.motorapi.errors import LinkError
 
 if TYPE_CHECKING:
-    from emulators.simulation.serial_network import LineHost
-    from emulators.simulation.world import World
-    from motorapi.runtime.api import Registration, Runtime
+    from motorhil.emulators.simulation.serial_network import LineHost
+    from motorhil.emulators.simulation.world import World
+    from motorhil.motorapi.runtime.api import Registration, Runtime
 
 DataListener = Callable[[bytes, int], None]
 """Callback for (characters, time when the last one was complete [ns]); b"" ends the connection."""
@@ -92,6 +92,6 @@ class EmulatedLine:
 
 
 if TYPE_CHECKING:  # lets mypy check that EmulatedLine is a ByteLine
-    from motorapi.adaptations.modbus.client import ByteLine
+    from motorhil.motorapi.adaptations.modbus.client import ByteLine
 
     _EMULATED: type[ByteLine] = EmulatedLine

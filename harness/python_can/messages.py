@@ -9,7 +9,7 @@ from typing import Final
 
 from can import CanOperationError, Message
 
-from emulators.can.frame import BRS, ESI, FD_FRAME_BYTES, FD_LENGTHS, pack_fd
+from motorhil.emulators.can.frame import BRS, ESI, FD_FRAME_BYTES, FD_LENGTHS, pack_fd
 
 _FRAME: Final = struct.Struct("<IB3x8s")
 _FD_FRAME: Final = struct.Struct("<IBB2x64s")

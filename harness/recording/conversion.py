@@ -8,15 +8,20 @@ from itertools import chain
 from pathlib import Path
 from typing import Final, final
 
-from traces.errors import TraceError
-from traces.formats.registry import WRITABLE, Feature, Format, Source, Survey, open_source
-from traces.formats.pcap_modbus import AduFeature, ModbusExport
-from traces.formats.pcap_modbus import captured_adus, record_adus
-from traces.decoding.modbus import RecordedAdu, all_adus
-from traces.mcap.reader import read_trace
-from traces.mcap.reader import whole_file
-from traces.formats.frames import Findings
-from traces.formats.registry import record_frames
+from motorhil.traces.decoding.modbus import RecordedAdu, all_adus
+from motorhil.traces.errors import TraceError
+from motorhil.traces.formats.frames import Findings
+from motorhil.traces.formats.pcap_modbus import AduFeature, ModbusExport, captured_adus, record_adus
+from motorhil.traces.formats.registry import (
+    WRITABLE,
+    Feature,
+    Format,
+    Source,
+    Survey,
+    open_source,
+    record_frames,
+)
+from motorhil.traces.mcap.reader import read_trace, whole_file
 
 MODBUS_PCAPNG: Final = "modbus-pcapng"
 _WITH_MODBUS: Final = ("mcap", "pcap")

@@ -9,10 +9,10 @@ import time
 from collections.abc import Callable, Sequence
 from typing import Final, final
 
-from harness.recording.writer import Pump
-from harness.recording.sources import POLLED, BusDownError, BusEndedError, Tap
-from traces.mcap.writer import Entry
-from traces.schema import Level
+from motorhil.harness.recording.sources import POLLED, BusDownError, BusEndedError, Tap
+from motorhil.harness.recording.writer import Pump
+from motorhil.traces.mcap.writer import Entry
+from motorhil.traces.schema import Level
 
 _IDLE_S: Final = 0.25
 _POLL_S: Final = 0.01

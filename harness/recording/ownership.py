@@ -45,32 +45,26 @@ event at the start of polling records all this.
 """
 
 import os
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
-from typing import Any, Final, final
-from traces.mcap.protobuf import decode
-from traces.mcap.reader import Trace, read_trace
-from traces.schema import MOTOR_LOCK, LockAction
-from collections.abc import Callable
-from typing import TYPE_CHECKING, Final, final
-from harness.recording.recorder import Recorder
-from harness.rig.config.rig_file import RigDescription
-from traces.errors import TraceError
-from traces.mcap.protobuf import Value
-from traces.schema import MOTOR_LOCK
-from collections.abc import Mapping
-from motorapi.errors import UsageError
-from motorapi.locking.directory import LockDirectory
-from motorapi.locking.directory import socketcan_name
-from motorapi.locking.lock_status import LockView, look
-from traces.schema import LockAction
+from typing import TYPE_CHECKING, Any, Final, final
+
+from motorhil.harness.recording.recorder import Recorder
+from motorhil.harness.rig.config.rig_file import RigDescription
+from motorhil.motorapi.errors import UsageError
+from motorhil.motorapi.locking.directory import LockDirectory, socketcan_name
+from motorhil.motorapi.locking.lock_status import LockView, look
+from motorhil.traces.errors import TraceError
+from motorhil.traces.mcap.protobuf import Value, decode
+from motorhil.traces.mcap.reader import Trace, read_trace
+from motorhil.traces.schema import MOTOR_LOCK, LockAction
 
 if TYPE_CHECKING:
-    from emulators.simulation.ownership_notice import OwnershipNotice
-    from emulators.simulation.world import World
-    from motorapi.ownership.claim import OwnershipEvent
-    from motorapi.locking.lock_status import Occupant
+    from motorhil.emulators.simulation.ownership_notice import OwnershipNotice
+    from motorhil.emulators.simulation.world import World
+    from motorhil.motorapi.locking.lock_status import Occupant
+    from motorhil.motorapi.ownership.claim import OwnershipEvent
 
 _ACTIONS: Final[dict[object, LockAction]] = {action.value: action for action in LockAction}
 _BEGINS: Final = (LockAction.TAKEN, LockAction.BROKEN, LockAction.TAKEN_OVER)

@@ -15,13 +15,23 @@ import sys
 from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Final, final
 
-from harness.version import source_digest, version, version_of
-from traces.mcap.writer import Entry
-from traces.errors import TraceError
-from traces.schema import JointStateEncoder, TruthEncoder, encode_log
-from traces.mcap.protobuf import Message, Value, encode
-from traces.schema import CAN_FRAME, JOINT_STATE, LOG, MODBUS_ADU, Direction, Level, Schema, truth_message
-from traces.mcap.writer import CHUNK_NS, TraceWriter
+from motorhil.harness.version import source_digest, version, version_of
+from motorhil.traces.errors import TraceError
+from motorhil.traces.mcap.protobuf import Message, Value, encode
+from motorhil.traces.mcap.writer import CHUNK_NS, Entry, TraceWriter
+from motorhil.traces.schema import (
+    CAN_FRAME,
+    JOINT_STATE,
+    LOG,
+    MODBUS_ADU,
+    Direction,
+    JointStateEncoder,
+    Level,
+    Schema,
+    TruthEncoder,
+    encode_log,
+    truth_message,
+)
 
 PERIOD_NS: Final = 20_000_000
 _HAND_OVER_NS: Final = CHUNK_NS // 4  # how long frames wait to be packed in bulk; divides a second

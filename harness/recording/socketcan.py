@@ -15,11 +15,11 @@ import errno
 import os
 import socket
 import struct
-from typing import Final, final
-from traces.mcap.writer import Entry
 from contextlib import suppress
-from harness.recording.sources import Place, PlaceError
-from harness.recording.sources import BusDownError, BusEndedError
+from typing import Final, final
+
+from motorhil.harness.recording.sources import BusDownError, BusEndedError, Place, PlaceError
+from motorhil.traces.mcap.writer import Entry
 
 FRAME_SIZES: Final = (16, 72)
 BATCH: Final = 256

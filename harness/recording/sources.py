@@ -6,18 +6,28 @@ Recording of python-can buses, and conversion of messages and frames.
 """
 
 import re
-from collections.abc import Sequence
+from collections import deque
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
-from typing import Final, final
 from typing import Final, Protocol, final
-from can import CanError
-from harness.python_can.hub_client import HubLink
-from traces.mcap.writer import Entry
-from collections import deque
-from collections.abc import Mapping
+
 import can
-from traces.formats.frames import BRS, EFF, ERR, ESI, RTR, classic, fields, flexible, remote
+from can import CanError
+
+from motorhil.harness.python_can.hub_client import HubLink
+from motorhil.traces.formats.frames import (
+    BRS,
+    EFF,
+    ERR,
+    ESI,
+    RTR,
+    classic,
+    fields,
+    flexible,
+    remote,
+)
+from motorhil.traces.mcap.writer import Entry
 
 _NAME: Final = re.compile(r"[\w.-]+")
 _INTERFACE_MAX: Final = 15  # IFNAMSIZ of linux/if.h, without the terminating zero

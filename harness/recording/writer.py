@@ -8,20 +8,16 @@ until the next round, and no longer.
 Recording to one file, or to several consecutive files, each complete.
 """
 
-from bisect import bisect_right
+import os
+from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Sequence
+from glob import escape, glob
 from operator import itemgetter
 from typing import Final, Protocol, final
-from traces.mcap.writer import Entry
-from traces.schema import encode_log
-from traces.schema import CAN_FRAME, LOG, Direction, Level, Schema
-from traces.mcap.writer import TraceWriter
-import os
-from bisect import bisect_left
-from collections.abc import Callable
-from glob import escape, glob
-from typing import Final, final
-from traces.errors import TraceError
+
+from motorhil.traces.errors import TraceError
+from motorhil.traces.mcap.writer import Entry, TraceWriter
+from motorhil.traces.schema import CAN_FRAME, LOG, Direction, Level, Schema, encode_log
 
 FLUSH_NS: Final = 1_000_000_000
 _HAND_OVER: Final = 2048  # frames; packing in bulk halves the cost per frame

@@ -29,37 +29,41 @@ data_bitrate_bit_s = 2_000_000  # of a bus where it may send CAN FD frames
 """
 
 from collections.abc import Mapping, Sequence
-from typing import Final
-from harness.replay.player import ExchangePlayer
-from collections.abc import Sequence
 from dataclasses import replace
-from itertools import pairwise
-from typing import Final, final
-from emulators.can.frame_length import INTERMISSION_BITS, measure, phases_of
-from emulators.can.frame import FRAME_BYTES
-from emulators.can.frame_length import LENGTHS_MASK
-from traces.exchange.canopen import SYNC_KEY, masked, meant, nmt_key, pdo_key, remote_key, sdo_key, sentence
-from traces.decoding.canopen import CanopenDecoder
-from traces.exchange.steps import Key, Sent, Step, ExchangeLog
-from traces.formats.frames import EFF, ERR, RTR, classic
-from emulators.modbus.rtu import crc16, with_crc
-from traces.decoding.modbus import ModbusDecoder
-from traces.decoding.modbus import Adu
-from traces.exchange.modbus import request_key, role_of
-from traces.exchange.steps import Role, Sent, ExchangeLog
-from collections.abc import Mapping
 from functools import lru_cache
+from itertools import pairwise
 from pathlib import Path
-from emulators.controller import Controller, ControllerContext, SettingError
-from emulators.settings.tables import refuse_unknown, whole
-from harness.rig.config.buses import BUS_KINDS, NODE_MAX, UNIT_MAX
-from traces.errors import TraceError
-from traces.mcap.reader import read_trace
-from traces.exchange.recording import RecordedTapes, tapes_of
-from traces.exchange.steps import ExchangeLog
+from typing import Final, final
+
+from motorhil.emulators.can.frame import FRAME_BYTES
+from motorhil.emulators.can.frame_length import INTERMISSION_BITS, LENGTHS_MASK, measure, phases_of
+from motorhil.emulators.controller import Controller, ControllerContext, SettingError
+from motorhil.emulators.modbus.rtu import crc16, with_crc
+from motorhil.emulators.settings.tables import refuse_unknown, whole
+from motorhil.harness.replay.player import ExchangePlayer
+from motorhil.harness.rig.config.buses import BUS_KINDS, NODE_MAX, UNIT_MAX
+from motorhil.traces.decoding.canopen import CanopenDecoder
+from motorhil.traces.decoding.modbus import Adu, ModbusDecoder
+from motorhil.traces.errors import TraceError
+from motorhil.traces.exchange.canopen import (
+    SYNC_KEY,
+    masked,
+    meant,
+    nmt_key,
+    pdo_key,
+    remote_key,
+    sdo_key,
+    sentence,
+)
+from motorhil.traces.exchange.modbus import request_key, role_of
+from motorhil.traces.exchange.recording import RecordedTapes, tapes_of
+from motorhil.traces.exchange.steps import ExchangeLog, Key, Role, Sent, Step
+from motorhil.traces.formats.frames import EFF, ERR, RTR, classic
+from motorhil.traces.mcap.reader import read_trace
+
 
 class RecordedController:
-    """Protocol-independent part of `emulators.controller.Controller`.
+    """Protocol-independent part of `motorhil.emulators.controller.Controller`.
 
     Args:
         player: the player of its exchange log.
@@ -131,7 +135,7 @@ NO_DATA: Final = 0x0800_0024
 
 @final
 class RecordedNode(RecordedController):
-    """Implementation of `emulators.controller.Controller` for a recorded CANopen node.
+    """Implementation of `motorhil.emulators.controller.Controller` for a recorded CANopen node.
 
     Args:
         tape: the exchange log of the node.
@@ -364,7 +368,7 @@ DEVICE_FAILURE: Final = 4
 
 @final
 class RecordedUnit(RecordedController):
-    """Implementation of `emulators.controller.Controller` for a recorded Modbus unit.
+    """Implementation of `motorhil.emulators.controller.Controller` for a recorded Modbus unit.
 
     Args:
         tape: the exchange log of the unit.

@@ -12,11 +12,11 @@ from dataclasses import dataclass, field
 from fractions import Fraction
 from typing import Final, Protocol, final
 
-from harness.replay.player import Lateness
-from motorapi.runtime.api import Runtime
-from traces.decoding.canopen import CanopenDecoder
-from traces.decoding.events import Kind
-from traces.formats.frames import EFF_MASK, ERR, NS, Frame
+from motorhil.harness.replay.player import Lateness
+from motorhil.motorapi.runtime.api import Runtime
+from motorhil.traces.decoding.canopen import CanopenDecoder
+from motorhil.traces.decoding.events import Kind
+from motorhil.traces.formats.frames import EFF_MASK, ERR, NS, Frame
 
 STUCK_S: Final = 2.0
 _CLASSIC_SIZE: Final = 16

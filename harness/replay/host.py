@@ -12,30 +12,39 @@ Replay of a recorded host against devices, and comparison of their answers.
 Bus listener of a replayed host, which ignores frames from before a reset.
 """
 
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
-from typing import Final, final
-from traces.exchange.host import ANSWER, HostStep, Listener, Subject, Told
-from collections.abc import Callable
-from typing import final
-from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, Protocol, final
-from emulators.can.frame_length import INTERMISSION_BITS, measure, phases_of
-from emulators.can.frame import FRAME_BYTES
-from emulators.can.frame_length import LENGTHS_MASK
-from harness.replay.verdict import meaning_in
-from harness.rig.config.toml import RigError
-from motorapi.runtime.api import Runtime
-from traces.semantics.diff import ObjectFidelity, fidelity, retimed, told_by_nodes
-from traces.exchange.host import Listener
-from traces.mcap.reader import read_trace
-from traces.exchange.host import answer_size, host_of
-from traces.semantics.diff import Difference, Tolerance, differences
-from traces.formats.frames import classic
+
+from motorhil.emulators.can.frame import FRAME_BYTES
+from motorhil.emulators.can.frame_length import INTERMISSION_BITS, LENGTHS_MASK, measure, phases_of
+from motorhil.harness.replay.verdict import meaning_in
+from motorhil.harness.rig.config.toml import RigError
+from motorhil.motorapi.runtime.api import Runtime
+from motorhil.traces.exchange.host import (
+    ANSWER,
+    HostStep,
+    Listener,
+    Subject,
+    Told,
+    answer_size,
+    host_of,
+)
+from motorhil.traces.formats.frames import classic
+from motorhil.traces.mcap.reader import read_trace
+from motorhil.traces.semantics.diff import (
+    Difference,
+    ObjectFidelity,
+    Tolerance,
+    differences,
+    fidelity,
+    retimed,
+    told_by_nodes,
+)
 
 if TYPE_CHECKING:
-    from harness.rig.rig import Rig
+    from motorhil.harness.rig.rig import Rig
 
 PATIENCE_NS: Final = 2_000_000_000
 _SDO_REQUEST: Final = 12  # function code of the pre-defined connection set

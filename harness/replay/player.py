@@ -15,7 +15,8 @@ from collections import deque
 from dataclasses import dataclass
 from heapq import heapify, heappop, heappush
 from typing import Final, final
-from traces.exchange.steps import Key, Role, Sent, Step, ExchangeLog
+
+from motorhil.traces.exchange.steps import ExchangeLog, Key, Role, Sent, Step
 
 LOOK_AHEAD: Final = 64
 """The number of commands that a host may skip at once; a later equal command is another one."""

@@ -3,36 +3,32 @@
 Sinks of replayed frames: buses of a rig, hubs, SocketCAN, python-can.
 """
 
-from collections.abc import Mapping, Sequence
-from contextlib import ExitStack
-from dataclasses import replace
-from pathlib import Path
-from typing import TYPE_CHECKING, Final, Self, final
-from harness.recording.sources import Kind, Place
-from harness.recording.sources import open_bus
-from harness.replay.host import ReceiveQueue
-from motorapi.runtime.api import Runtime
-from motorapi.runtime.wall import WallRuntime
-from traces.mcap.reader import read_trace
-from traces.schema import CAN_FRAME, Direction, Schema
-from traces.mcap.writer import TraceWriter
 import errno
 import os
 import time
-from collections.abc import Mapping
-from contextlib import suppress
-from typing import TYPE_CHECKING, Final, final
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack, suppress
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Final, Self, final
+
 import can
-from emulators.simulation.can_network import HOST
-from harness.python_can.hub_client import HubLink
-from harness.recording.sources import Kind, Place, PlaceError
-from harness.recording.sources import message_of, open_bus
-from harness.recording.socketcan import open_interface
-from harness.replay.frames import STUCK_S, SendError, Sink
+
+from motorhil.emulators.simulation.can_network import HOST
+from motorhil.harness.python_can.hub_client import HubLink
+from motorhil.harness.recording.socketcan import open_interface
+from motorhil.harness.recording.sources import Kind, Place, PlaceError, message_of, open_bus
+from motorhil.harness.replay.frames import STUCK_S, SendError, Sink
+from motorhil.harness.replay.host import ReceiveQueue
+from motorhil.motorapi.runtime.api import Runtime
+from motorhil.motorapi.runtime.wall import WallRuntime
+from motorhil.traces.mcap.reader import read_trace
+from motorhil.traces.mcap.writer import TraceWriter
+from motorhil.traces.schema import CAN_FRAME, Direction, Schema
 
 if TYPE_CHECKING:
-    from harness.replay.host import HostPlayer
-    from harness.rig.rig import Rig
+    from motorhil.harness.replay.host import HostPlayer
+    from motorhil.harness.rig.rig import Rig
 
 _INTERFACES: Final = {Kind.SOCKETCAN: "socketcan", Kind.HUB: "emulated"}
 _BITRATE_BIT_S: Final = 1_000_000

@@ -12,21 +12,20 @@ from dataclasses import replace
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Final
 
-from emulators.can.controller_config import PLAIN, FrameSupport
-from harness.replay.device_node import KIND, SET_POINTS, recorded_tapes
-from harness.rig.recording import named_files
-from harness.rig.config.buses import CAN, MODBUS_RTU, MODBUS_TCP, UNIT_MAX, address_key
-from harness.rig.config.rig_file import Known, parse_rig, read_rig
-from harness.rig.config.toml import RigError, Source
-from traces.errors import TraceError
-from traces.mcap.reader import read_trace
-from traces.decoding.objects import rig_in as rig_of
-from traces.exchange.recording import RecordedTapes
-from traces.mcap.records import MAGIC
-from traces.mcap.records import Attachment
+from motorhil.emulators.can.controller_config import PLAIN, FrameSupport
+from motorhil.harness.replay.device_node import KIND, SET_POINTS, recorded_tapes
+from motorhil.harness.rig.config.buses import CAN, MODBUS_RTU, MODBUS_TCP, UNIT_MAX, address_key
+from motorhil.harness.rig.config.rig_file import Known, parse_rig, read_rig
+from motorhil.harness.rig.config.toml import RigError, Source
+from motorhil.harness.rig.recording import named_files
+from motorhil.traces.decoding.objects import rig_in as rig_of
+from motorhil.traces.errors import TraceError
+from motorhil.traces.exchange.recording import RecordedTapes
+from motorhil.traces.mcap.reader import read_trace
+from motorhil.traces.mcap.records import MAGIC, Attachment
 
 if TYPE_CHECKING:
-    from harness.rig.config.rig_file import RigDescription
+    from motorhil.harness.rig.config.rig_file import RigDescription
 
 _FILES: Final = ("eds", "nonvolatile_memory")  # of a controller
 _DEPTH: Final = 64

@@ -4,18 +4,19 @@ Meaning of a recording, for verbs that compare.
 """
 
 import re
-from collections.abc import Iterator
-from typing import TYPE_CHECKING, NamedTuple, final
-from harness.replay.player import Mismatch, ExchangePlayer
-from harness.replay.device_node import RecordedNode
-from harness.replay.device_node import RecordedUnit
 import sys
+from collections.abc import Iterator
 from os import PathLike
-from traces.semantics.model import Meaning, meaning_of
-from traces.mcap.reader import read_trace
+from typing import TYPE_CHECKING, NamedTuple, final
+
+from motorhil.harness.replay.device_node import RecordedNode, RecordedUnit
+from motorhil.harness.replay.player import ExchangePlayer, Mismatch
+from motorhil.traces.mcap.reader import read_trace
+from motorhil.traces.semantics.model import Meaning, meaning_of
 
 if TYPE_CHECKING:
-    from harness.rig.rig import Rig
+    from motorhil.harness.rig.rig import Rig
+
 
 @final
 class Unanswered(NamedTuple):

@@ -11,27 +11,26 @@ Traffic of a bus or line: one entry per frame, for any medium.
 States and quantities of nodes on buses, by bus, node and axis.
 """
 
+import struct
 from array import array
 from dataclasses import dataclass, field
-from typing import final
 from typing import Final, final
-from harness.report.events import Incidents, Severity
-from traces.decoding.modbus import ModbusDecoder, adu_of
-from traces.mcap.protobuf import Value
-from traces.decoding.objects import RecordedNames
-from traces.schema import Direction
-from harness.report.series import Steps, Track
-import struct
-from harness.analysis.subject import Queues, Subject
-from harness.analysis.plot import usual_name
-from harness.analysis.from_recording import RecordedBus
-from traces.decoding.can_errors import ControllerState, bus_error
-from traces.decoding.canopen import NMT_STATES
-from traces.decoding.canopen import CanopenDecoder
-from traces.decoding.cia402 import STATES, state_number
-from traces.formats.frames import FrameDecoder
-from traces.decoding.objects import axis_of
-from traces.decoding.events import Kind, DecodedEvent
+
+from motorhil.harness.analysis.from_recording import RecordedBus
+from motorhil.harness.analysis.plot import usual_name
+from motorhil.harness.analysis.subject import Queues, Subject
+from motorhil.harness.report.events import Incidents, Severity
+from motorhil.harness.report.series import Steps, Track
+from motorhil.traces.decoding.can_errors import ControllerState, bus_error
+from motorhil.traces.decoding.canopen import NMT_STATES, CanopenDecoder
+from motorhil.traces.decoding.cia402 import STATES, state_number
+from motorhil.traces.decoding.events import DecodedEvent, Kind
+from motorhil.traces.decoding.modbus import ModbusDecoder, adu_of
+from motorhil.traces.decoding.objects import RecordedNames, axis_of
+from motorhil.traces.formats.frames import FrameDecoder
+from motorhil.traces.mcap.protobuf import Value
+from motorhil.traces.schema import Direction
+
 
 @final
 @dataclass(slots=True)
@@ -185,7 +184,7 @@ class Told:
     """The values from one axis of one node.
 
     Attributes:
-        pds: states of the PDS FSA, with the numbers of `traces.decoding.cia402.STATES`.
+        pds: states of the PDS FSA, with the numbers of `motorhil.traces.decoding.cia402.STATES`.
         mode: modes of operation.
         nmt: NMT states.
         tracks: by index of CiA 402, in the drive's own units.

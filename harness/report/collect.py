@@ -5,20 +5,25 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Final, final
 
-from harness.recording.ownership import LockEvent
-from harness.report.buses import CanBus
-from harness.report.events import Incidents, Severity
-from harness.report.buses import ModbusLine
-from harness.report.buses import Nodes
-from harness.report.rig import RigFacts, facts_of
-from harness.report.series import TIME_MAX_NS, Track
-from harness.report.buses import Traffic
-from harness.report.events import TruthReader, message_of
-from traces.mcap.protobuf import Value, decode
-from traces.mcap.reader import Trace
-from traces.decoding.objects import RecordedNames, names_of
-from traces.schema import CAN_FRAME, GROUP_SYNC, JOINT_STATE, LOG, MODBUS_ADU, MOTOR_LOCK, Level, LockAction
-from traces.mcap.records import Channel
+from motorhil.harness.recording.ownership import LockEvent
+from motorhil.harness.report.buses import CanBus, ModbusLine, Nodes, Traffic
+from motorhil.harness.report.events import Incidents, Severity, TruthReader, message_of
+from motorhil.harness.report.rig import RigFacts, facts_of
+from motorhil.harness.report.series import TIME_MAX_NS, Track
+from motorhil.traces.decoding.objects import RecordedNames, names_of
+from motorhil.traces.mcap.protobuf import Value, decode
+from motorhil.traces.mcap.reader import Trace
+from motorhil.traces.mcap.records import Channel
+from motorhil.traces.schema import (
+    CAN_FRAME,
+    GROUP_SYNC,
+    JOINT_STATE,
+    LOG,
+    MODBUS_ADU,
+    MOTOR_LOCK,
+    Level,
+    LockAction,
+)
 
 _Handler = Callable[[int, bytes], None]
 _ACTIONS: Final[dict[object, LockAction]] = {action.value: action for action in LockAction}

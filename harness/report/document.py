@@ -3,15 +3,28 @@
 from math import isfinite
 from typing import TYPE_CHECKING, Final
 
-from harness.report.collect import Findings
-from harness.report.events import Severity
-from harness.report.motors import Line, Motor, Plot, motors_of
-from harness.report.series import Packed, Packer
-from harness.report.series import FRAMES_MAX, POINTS_MAX, cells, extremes, share
-from harness.report.timelines import responses_of
-from harness.report.timelines import Timeline, lock_timeline, mode_timeline, nmt_timeline, pds_timeline
-from harness.report.buses import Traffic
-from traces.mcap.reader import Trace
+from motorhil.harness.report.buses import Traffic
+from motorhil.harness.report.collect import Findings
+from motorhil.harness.report.events import Severity
+from motorhil.harness.report.motors import Line, Motor, Plot, motors_of
+from motorhil.harness.report.series import (
+    FRAMES_MAX,
+    POINTS_MAX,
+    Packed,
+    Packer,
+    cells,
+    extremes,
+    share,
+)
+from motorhil.harness.report.timelines import (
+    Timeline,
+    lock_timeline,
+    mode_timeline,
+    nmt_timeline,
+    pds_timeline,
+    responses_of,
+)
+from motorhil.traces.mcap.reader import Trace
 
 if TYPE_CHECKING:
     from numpy import int64

@@ -7,8 +7,9 @@ from collections import Counter
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import Final, final
-from traces.mcap.protobuf import Field, Kind, Message, decode
-from traces.schema import Schema
+
+from motorhil.traces.mcap.protobuf import Field, Kind, Message, decode
+from motorhil.traces.schema import Schema
 
 KEPT: Final = 2_000
 """Limit for each kind; a longer list is not readable."""

@@ -9,10 +9,10 @@ import re
 from collections.abc import Iterable, Sequence
 from typing import Final
 
-from harness.report.rig import facts_of
-from harness.report.events import message_of
-from traces.mcap.reader import Trace
-from traces.schema import CAN_FRAME, GROUP_SYNC, JOINT_STATE, LOG, MOTOR_LOCK
+from motorhil.harness.report.events import message_of
+from motorhil.harness.report.rig import facts_of
+from motorhil.traces.mcap.reader import Trace
+from motorhil.traces.schema import CAN_FRAME, GROUP_SYNC, JOINT_STATE, LOG, MOTOR_LOCK
 
 Json = dict[str, object]
 _PLAIN_TOPIC: Final = re.compile(r"[A-Za-z0-9_/-]+")

@@ -10,10 +10,10 @@ its demand minus its actual position.
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final, final
 
-from harness.report.collect import Findings
-from harness.report.buses import Place, Told
-from harness.report.rig import MotorFacts
-from harness.report.series import Track
+from motorhil.harness.report.buses import Place, Told
+from motorhil.harness.report.collect import Findings
+from motorhil.harness.report.rig import MotorFacts
+from motorhil.harness.report.series import Track
 
 if TYPE_CHECKING:
     from numpy import float64, int64

@@ -7,7 +7,7 @@ import re
 from importlib.resources import files
 from typing import Final
 
-from harness.report.document import Json
+from motorhil.harness.report.document import Json
 
 SCRIPTS: Final = (
     "data.js",
@@ -28,7 +28,7 @@ def render(document: Json, packed: str) -> str:
         document: the document made by `document_of`.
         packed: the arrays that it refers to.
     """
-    folder = files("harness.report") / "template"
+    folder = files("motorhil.harness.report") / "template"
     style = (folder / "page.css").read_text("utf-8")
     script = '"use strict";\n' + "\n".join((folder / name).read_text("utf-8") for name in SCRIPTS)
     told = json.dumps(document, ensure_ascii=False, separators=(",", ":"), allow_nan=False)

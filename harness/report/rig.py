@@ -5,8 +5,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any, final
 
-from traces.decoding.objects import is_rig
-from traces.mcap.records import Attachment
+from motorhil.traces.decoding.objects import is_rig
+from motorhil.traces.mcap.records import Attachment
 
 # A TOML table, hence Any.
 Table = dict[str, Any]

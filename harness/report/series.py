@@ -5,17 +5,16 @@ Reduction of points without visible loss: first, last, lowest, highest of each s
 Packing of arrays into one text: base64 of deflated bytes, sorted by significance.
 """
 
-from array import array
-from typing import TYPE_CHECKING, Final, final
-from typing import TYPE_CHECKING, Final
 import base64
 import zlib
+from array import array
+from typing import TYPE_CHECKING, Final, final
 
 if TYPE_CHECKING:
-    from numpy import float64, int64
-    from numpy.typing import NDArray
     from collections.abc import Sequence
+
     from numpy import float64, int64, integer
+    from numpy.typing import NDArray
 
 TIME_MAX_NS: Final = 1 << 62
 """Limit of drawn times; a stamp that far from the beginning is invalid."""

@@ -10,17 +10,17 @@ in the theory.
 
 from dataclasses import dataclass, field
 from typing import Final, final
-from harness.recording.ownership import Ended, LockEvent, ownership_of
-from harness.report.buses import nmt_text
-from harness.report.collect import Findings
-from harness.report.motors import Motor
-from harness.report.series import Steps
-from traces.decoding.cia402 import STATES, UNKNOWN_STATE, mode_text
-from traces.schema import LockAction
-from typing import Final
-from harness.analysis.message import Arrival
-from harness.analysis.measured import Measured
-from harness.analysis.response_time import Response, response_times
+
+from motorhil.harness.analysis.measured import Measured
+from motorhil.harness.analysis.message import Arrival
+from motorhil.harness.analysis.response_time import Response, response_times
+from motorhil.harness.recording.ownership import Ended, LockEvent, ownership_of
+from motorhil.harness.report.buses import nmt_text
+from motorhil.harness.report.collect import Findings
+from motorhil.harness.report.motors import Motor
+from motorhil.harness.report.series import Steps
+from motorhil.traces.decoding.cia402 import STATES, UNKNOWN_STATE, mode_text
+from motorhil.traces.schema import LockAction
 
 BARS_MAX: Final = 20_000
 """Limit for one row; the remaining bars are counted as left out."""

@@ -5,7 +5,7 @@ import os
 from pathlib import Path
 from typing import final
 
-from emulators.controller import SettingError
+from motorhil.emulators.controller import SettingError
 
 _KEY = ("nonvolatile_memory",)
 _MAX_BYTES = 1 << 20

@@ -3,28 +3,27 @@
 Files that a rig names, which are attached to its recordings.
 """
 
+import hashlib
+import sys
 import tomllib
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
-import hashlib
-import sys
-from collections.abc import Iterable
-from typing import TYPE_CHECKING, final
-from emulators.simulation.serial_network import SerialSegment
-from harness.recording.ownership import LockWriter, MotorNames, MotorTap, OwnershipTap
-from harness.recording.recorder import PERIOD_NS, Reading, Recorder, run_metadata
-from harness.rig.config.rig_file import MotorDescription, RigDescription
-from traces.errors import TraceError
-from traces.mcap.protobuf import Value
-from traces.schema import GROUP_SYNC
-from traces.mcap.writer import TraceWriter
+from typing import TYPE_CHECKING, Final, final
+
+from motorhil.emulators.simulation.serial_network import SerialSegment
+from motorhil.harness.recording.ownership import LockWriter, MotorNames, MotorTap, OwnershipTap
+from motorhil.harness.recording.recorder import PERIOD_NS, Reading, Recorder, run_metadata
+from motorhil.harness.rig.config.rig_file import MotorDescription, RigDescription
+from motorhil.traces.errors import TraceError
+from motorhil.traces.mcap.protobuf import Value
+from motorhil.traces.mcap.writer import TraceWriter
+from motorhil.traces.schema import GROUP_SYNC
 
 if TYPE_CHECKING:
-    from emulators.simulation.world import World
-    from motorapi.group import MotorGroup
-    from motorapi.motor import Motor
-    from motorapi.synchronization.quality import SyncQuality
+    from motorhil.emulators.simulation.world import World
+    from motorhil.motorapi.group import MotorGroup
+    from motorhil.motorapi.motor import Motor
+    from motorhil.motorapi.synchronization.quality import SyncQuality
 
 _TOML: Final = "application/toml"
 _NAMING: Final = (

@@ -17,69 +17,61 @@ Motor models of a rig, from their own files or its.
 Plugins of a rig: loading, calling, and errors with line numbers.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass
-from typing import Generic, TypeVar, final
-from emulators.controller import Controller
-from emulators.can.error_confinement import ErrorState
-from emulators.can.fault_rules import FaultRule
-from emulators.media.serial_faults import SerialFaultPlan, SerialFaultRule
-from emulators.simulation.world import World
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
-from dataclasses import replace
-from typing import TYPE_CHECKING
-from emulators.controller import SettingError
-from emulators.media.byte_pipe import BytePipe
-from emulators.can.bus.bus import CanBus
-from emulators.can.controller_config import PLAIN
-from emulators.can.bus.fault_plan import FaultPlan
-from emulators.media.serial_line import SerialLine
-from emulators.settings.tables import oscillator_in
-from harness.rig.config.buses import MODBUS_RTU, BusDescription
-from pathlib import Path
-from harness.rig.config.rig_file import MotorDescription, RigDescription
-from harness.rig.config.toml import RigError
-from motorapi.errors import FileError
-from motorapi.model import MotorModel
 import traceback
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any, Final, final
-from harness.plugins import ADAPTATIONS, Plugin, named
-from harness.rig.config.buses import CAN, address_key
-from harness.rig.config.rig_file import RigDescription
-from harness.rig.config.toml import BrokenPluginError, RigError
-from harness.rig.config.derived import with_timing
-from harness.rig.config.toml import a_kind_of
-from motorapi.errors import UsageError
-from collections.abc import Mapping
-from contextlib import ExitStack
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass, replace
 from functools import partial
+from pathlib import Path
 from random import Random
 from types import TracebackType
-from typing import TYPE_CHECKING, Self, final
-from emulators.controller import Controller, ControllerContext, SettingError
-from emulators.simulation.event_queue import EventQueue
-from harness.virtual_time.interrupts import interrupts_between_events
-from harness.rig.nonvolatile import MemoryFiles
-from harness.virtual_time.runtime import WallPace
-from harness.rig.config.derived import settings_with_model
-from harness.plugins import ADAPTATIONS, CONTROLLERS, installed, named
-from harness.rig.config.rig_file import ControllerDescription, Known, RigDescription, read_rig
-from harness.rig.config.stimuli import schedule
-from harness.rig.config.bus_load import traffic_of
-from harness.rig.config.toml import SEED_MAX, RigError, refuse_source
-from harness.virtual_time.runtime import VirtualRuntime
-from motorapi.synchronization.bus_load import declare_traffic
+from typing import TYPE_CHECKING, Any, Final, Generic, Self, TypeVar, final
+
+from motorhil.emulators.can.bus.bus import CanBus
+from motorhil.emulators.can.bus.fault_plan import FaultPlan
+from motorhil.emulators.can.controller_config import PLAIN
+from motorhil.emulators.can.error_confinement import ErrorState
+from motorhil.emulators.can.fault_rules import FaultRule
+from motorhil.emulators.controller import Controller, ControllerContext, SettingError
+from motorhil.emulators.media.byte_pipe import BytePipe
+from motorhil.emulators.media.serial_faults import SerialFaultPlan, SerialFaultRule
+from motorhil.emulators.media.serial_line import SerialLine
+from motorhil.emulators.settings.tables import oscillator_in
+from motorhil.emulators.simulation.event_queue import EventQueue
+from motorhil.emulators.simulation.world import World
+from motorhil.harness.plugins import ADAPTATIONS, CONTROLLERS, Plugin, installed, named
+from motorhil.harness.rig.config.bus_load import traffic_of
+from motorhil.harness.rig.config.buses import CAN, MODBUS_RTU, BusDescription, address_key
+from motorhil.harness.rig.config.derived import settings_with_model, with_timing
+from motorhil.harness.rig.config.rig_file import (
+    ControllerDescription,
+    Known,
+    MotorDescription,
+    RigDescription,
+    read_rig,
+)
+from motorhil.harness.rig.config.stimuli import schedule
+from motorhil.harness.rig.config.toml import (
+    SEED_MAX,
+    BrokenPluginError,
+    RigError,
+    a_kind_of,
+    refuse_source,
+)
+from motorhil.harness.rig.nonvolatile import MemoryFiles
+from motorhil.harness.virtual_time.interrupts import interrupts_between_events
+from motorhil.harness.virtual_time.runtime import VirtualRuntime, WallPace
+from motorhil.motorapi.errors import FileError, UsageError
+from motorhil.motorapi.model import MotorModel
+from motorhil.motorapi.synchronization.bus_load import declare_traffic
 
 if TYPE_CHECKING:
-    from motorapi.motor import Motor
-    from motorapi.runtime.api import Runtime
-    from harness.python_can.bus import EmulatedBus
-    from harness.python_can.line import EmulatedLine
-    from harness.recording.recorder import Recorder
-    from motorapi.group import MotorGroup
+    from motorhil.harness.python_can.bus import EmulatedBus
+    from motorhil.harness.python_can.line import EmulatedLine
+    from motorhil.harness.recording.recorder import Recorder
+    from motorhil.motorapi.group import MotorGroup
+    from motorhil.motorapi.motor import Motor
+    from motorhil.motorapi.runtime.api import Runtime
 
 T = TypeVar("T")
 
@@ -647,8 +639,8 @@ class Rig:
     def _record(
         self, target: Path, started: list[tuple[int, str, str, str]], cleanup: ExitStack
     ) -> None:
-        from harness.rig.recording import end_recording, start_recording
-        from traces.errors import TraceError
+        from motorhil.harness.rig.recording import end_recording, start_recording
+        from motorhil.traces.errors import TraceError
 
         for controller in self.description.controllers.values():
             source = controller.settings.get("recording")
@@ -665,7 +657,7 @@ class Rig:
         """Make the rig's buses available by name to `can.Bus()` in this process."""
         from can import CanInitializationError
 
-        from harness.python_can.bus import close_rig, open_rig
+        from motorhil.harness.python_can.bus import close_rig, open_rig
 
         try:
             open_rig(self.world, self.runtime)
@@ -676,7 +668,7 @@ class Rig:
     # --- resources of applications -----------------------------------------------------------
 
     def _bus(self, name: str) -> "EmulatedBus":
-        from harness.python_can.bus import EmulatedBus
+        from motorhil.harness.python_can.bus import EmulatedBus
 
         bus = EmulatedBus(channel=name)
         self._in_use.callback(bus.shutdown)
@@ -684,7 +676,7 @@ class Rig:
         return bus
 
     def _line(self, name: str) -> "EmulatedLine":
-        from harness.python_can.line import EmulatedLine
+        from motorhil.harness.python_can.line import EmulatedLine
 
         line = EmulatedLine(self.world, name, self.runtime)
         self._in_use.callback(line.close)
@@ -703,7 +695,7 @@ class Rig:
         if note:
             self.notes.append(note)
         if self.recording is not None:
-            from harness.rig.recording import watch_motor
+            from motorhil.harness.rig.recording import watch_motor
 
             watch_motor(self.recording, built, motor, self.world)
         return built
@@ -725,7 +717,7 @@ class Rig:
         return self.line(bus) if self.description.buses[bus].is_line else self.bus(bus)
 
     def _group(self, name: str) -> "MotorGroup":
-        from motorapi.group import MotorGroup
+        from motorhil.motorapi.group import MotorGroup
 
         group = MotorGroup()
         for place, motor in enumerate(self.description.groups[name].motors):
@@ -735,7 +727,7 @@ class Rig:
                 path = ("group", name, "motors", place)
                 raise self.description.error(path, str(error), "remove one of them") from error
         if self.recording is not None:
-            from harness.rig.recording import watch_group
+            from motorhil.harness.rig.recording import watch_group
 
             watch_group(self.recording, group, name, self.world)
         return group
@@ -747,7 +739,7 @@ def describe(path: Path) -> RigDescription:
     Raises:
         RigError: the rig cannot be used.
     """
-    from harness.replay.rig import is_recording, rig_in
+    from motorhil.harness.replay.rig import is_recording, rig_in
 
     known = installed_plugins()
     if is_recording(path):

@@ -1,6 +1,6 @@
 """Arena: the process that runs, kills and pauses the worker processes.
 
-    python -m harness.sharing_tests.arena FOLDER PLAN
+    python -m motorhil.harness.sharing_tests.arena FOLDER PLAN
 
 The arena is a separate process without threads, and forks the workers before it has held any lock.
 """
@@ -20,10 +20,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Final, final
 
-from harness.sharing_tests.workers import INSIDE_AT, OVER_AT, PAGE, Desk
-from harness.sharing_tests.history import Action, History, Use, to_line
-from harness.sharing_tests.processes import GRACE_S, Plan
-from motorapi.locking.directory import VARIABLE
+from motorhil.harness.sharing_tests.history import Action, History, Use, to_line
+from motorhil.harness.sharing_tests.processes import GRACE_S, Plan
+from motorhil.harness.sharing_tests.workers import INSIDE_AT, OVER_AT, PAGE, Desk
+from motorhil.motorapi.locking.directory import VARIABLE
 
 _LOOK_S: Final = 0.1
 _PR_SET_PDEATHSIG: Final = 1

@@ -27,11 +27,11 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final, final
 
-from harness.recording.ownership import Ended, OwnershipRecord, Tenure, read_ownership
-from harness.sharing_tests.history import SharingViolated
-from traces.mcap.protobuf import decode
-from traces.mcap.reader import read_trace
-from traces.schema import CAN_FRAME
+from motorhil.harness.recording.ownership import Ended, OwnershipRecord, Tenure, read_ownership
+from motorhil.harness.sharing_tests.history import SharingViolated
+from motorhil.traces.mcap.protobuf import decode
+from motorhil.traces.mcap.reader import read_trace
+from motorhil.traces.schema import CAN_FRAME
 
 _NODE: Final = 0x7F
 _RPDO: Final = (0x200, 0x300, 0x400, 0x500)  # CiA 301, predefined connection set

@@ -19,7 +19,14 @@ from collections.abc import Hashable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Final, Generic, Protocol, TypeVar, final
 
-from harness.sharing_tests.history import FOREVER_NS, Action, Answer, SharingViolated, Use, per_motor
+from motorhil.harness.sharing_tests.history import (
+    FOREVER_NS,
+    Action,
+    Answer,
+    SharingViolated,
+    Use,
+    per_motor,
+)
 
 S = TypeVar("S", bound=Hashable)
 E = TypeVar("E", bound="Interval")

@@ -9,7 +9,7 @@ lock, kills and pauses them according to the plan, and starts replacements. A wo
 `work(desk: Desk)` named as "module:function", which runs until `desk.is_over` and notes all its
 uses in `desk.history`. Every use is in a file before it can have an effect. The actions of a killed
 worker are therefore known, except for the result of its last use. Available workers are
-`harness.sharing_tests.workers:work_lock`, which takes a bare lock, and those of `harness.sharing_tests.workers`,
+`motorhil.harness.sharing_tests.workers:work_lock`, which takes a bare lock, and those of `motorhil.harness.sharing_tests.workers`,
 which work motors on a hub or on SocketCAN.
 
 The following must hold. The history is that of motors with one owner at a time, first come, first
@@ -25,12 +25,22 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Final, final
 
-from harness.sharing_tests.history import Action, Answer, SharingViolated, Use, ended_by_death, from_lines, overtaken, tokens_that_did_not_grow, worst_gap_s
-from harness.sharing_tests.linearizability import require_linearizable
+from motorhil.harness.sharing_tests.history import (
+    Action,
+    Answer,
+    SharingViolated,
+    Use,
+    ended_by_death,
+    from_lines,
+    overtaken,
+    tokens_that_did_not_grow,
+    worst_gap_s,
+)
+from motorhil.harness.sharing_tests.linearizability import require_linearizable
 
 GRACE_S: Final = 2.0
 """The time that workers have to end when told to [s]."""
-_ARENA: Final = "harness.sharing_tests.arena"
+_ARENA: Final = "motorhil.harness.sharing_tests.arena"
 _ENDED_LATE_S: Final = 30.0
 
 
@@ -46,7 +56,7 @@ class Plan:
         kill_inside, pause_inside: choose workers that have the motor, by their own account.
     """
 
-    work: str = "harness.sharing_tests.workers:work_lock"
+    work: str = "motorhil.harness.sharing_tests.workers:work_lock"
     seconds: float = 1.0
     workers: int = 5
     kill_period_s: float = 0.0

@@ -1,6 +1,6 @@
 """Relative moves under faults, judged by the truth: completely, partly or not made.
 
-The rules, and how to run them on your own adaptation, are in `harness.sharing_tests.relative_moves`.
+The rules, and how to run them on your own adaptation, are in `motorhil.harness.sharing_tests.relative_moves`.
 
 Property: a relative move is never made twice, whatever happens to frames.
 
@@ -17,9 +17,9 @@ is lost, delayed or repeated on the bus during a move, in either direction, must
 The judgement uses the truth in the emulated controller, never the adaptation's reports. To run it
 on your own adaptation, write a rig with your motor, and describe how it moves:
 
-    from harness.rig.rig import Rig
-    from harness.sharing_tests.relative_moves import at_most_once
-    from harness.sharing_tests.relative_moves import mover_of
+    from motorhil.harness.rig.rig import Rig
+    from motorhil.harness.sharing_tests.relative_moves import at_most_once
+    from motorhil.harness.sharing_tests.relative_moves import mover_of
 
     def opened(seed):
         return Rig.open("wheel.toml", seed=seed)
@@ -40,20 +40,19 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum
 from typing import TYPE_CHECKING, Final, final
-from emulators.can.frame import can_id_of
-from emulators.can.fault_rules import FaultKind, FaultRule
-from harness.rig.config.faults import HOST
-from motorapi.commands import ControlMode
-from motorapi.errors import MotorError, PluginError
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Final, final
+
 from hypothesis import Phase, event, given, settings
 from hypothesis import strategies as st
 
+from motorhil.emulators.can.fault_rules import FaultKind, FaultRule
+from motorhil.emulators.can.frame import can_id_of
+from motorhil.harness.rig.config.faults import HOST
+from motorhil.motorapi.commands import ControlMode
+from motorhil.motorapi.errors import MotorError, PluginError
+
 if TYPE_CHECKING:
-    from harness.rig.rig import Rig
-    from motorapi.motor import Motor
+    from motorhil.harness.rig.rig import Rig
+    from motorhil.motorapi.motor import Motor
 
 DELAYS_NS: Final = (500_000, 5_000_000, 50_000_000, 150_000_000, 400_000_000)
 

@@ -1,7 +1,7 @@
 """Hypothesis state machines: several owners of shared motors in one deterministic run.
 
-    from harness.sharing_tests.state_machine import group_machine, ownership_machine
-    from harness.sharing_tests.state_machine import shared_rig
+    from motorhil.harness.sharing_tests.state_machine import group_machine, ownership_machine
+    from motorhil.harness.sharing_tests.state_machine import shared_rig
 
     TestMyMotor = ownership_machine(shared_rig("rig.toml")).TestCase
     TestMyGroups = group_machine(shared_rig("rig.toml")).TestCase
@@ -37,40 +37,43 @@ Owners of overlapping groups; the counterpart of `Owner` for single motors.
 """
 
 from collections import Counter
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import TYPE_CHECKING, Final, final
-from harness.rig.rig import Rig, installed_plugins
-from harness.rig.config.rig_file import RigDescription, read_rig
-from harness.sharing_tests.history import History, SharingViolated
-from motorapi import Motor
-from contextlib import ExitStack
-from harness.sharing_tests.history import Action, Answer, Note
-from motorapi import ControlMode, Motor, MotorBusyError, MotorError, TrapezoidalTrajectory, UsageError
-from motorapi.ownership.claim import LockAction, OwnershipEvent
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager
-from typing import Final, final
-from harness.sharing_tests.history import Action, Note
-from motorapi import ControlMode, LinkError, Motor, MotorBusyError, MotorError, MotorGroup, TrapezoidalTrajectory
-from motorapi.commands import Motion
-from motorapi.synchronization.quality import Trigger
-from collections.abc import Callable
+from dataclasses import dataclass, replace
 from functools import partial
-from typing import ClassVar, Final
-from harness.rig.rig import Rig
-from harness.sharing_tests.history import SharingViolated, tokens_that_did_not_grow
-from harness.sharing_tests.linearizability import require_linearizable
+from pathlib import Path
+from typing import TYPE_CHECKING, ClassVar, Final, final
+
+from motorhil.harness.rig.config.rig_file import RigDescription, read_rig
+from motorhil.harness.rig.rig import Rig, installed_plugins
+from motorhil.harness.sharing_tests.history import (
+    Action,
+    Answer,
+    History,
+    Note,
+    SharingViolated,
+    tokens_that_did_not_grow,
+)
+from motorhil.harness.sharing_tests.linearizability import require_linearizable
+from motorhil.motorapi import (
+    ControlMode,
+    LinkError,
+    Motor,
+    MotorBusyError,
+    MotorError,
+    MotorGroup,
+    TrapezoidalTrajectory,
+    UsageError,
+)
+from motorhil.motorapi.commands import Motion
+from motorhil.motorapi.ownership.claim import LockAction, OwnershipEvent
+from motorhil.motorapi.synchronization.quality import Trigger
 
 if TYPE_CHECKING:
-    from harness.virtual_time.runtime import VirtualParty
-    from harness.virtual_time.runtime import VirtualRuntime
-    from motorapi.ownership.reservation import Reservation
+    from motorhil.harness.virtual_time.runtime import VirtualParty, VirtualRuntime
+    from motorhil.motorapi.ownership.reservation import Reservation
 
 # ruff: noqa: SLF001 -- the harness looks at who has a motor
-
-
 
 
 _LONG_S: Final = 60.0
@@ -198,8 +201,6 @@ class Party:
 
 
 # ruff: noqa: SLF001 -- the harness looks at who has a motor, and lets arming fail
-
-
 
 
 _RENEWED: Final = 7 / 8
@@ -477,7 +478,6 @@ class Owner(Party):
 # ruff: noqa: SLF001 -- the harness looks at who has a motor, and lets arming fail
 
 
-
 _PATIENT_S: Final = 120.0
 
 
@@ -684,7 +684,7 @@ try:
     from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 except ImportError as missing:  # pragma: no cover -- without it nothing here can be tested
     raise ImportError(
-        "harness.sharing_tests.state_machine needs Hypothesis: pip install 'motorhil[test]'"
+        "motorhil.harness.sharing_tests.state_machine needs Hypothesis: pip install 'motorhil[test]'"
     ) from missing
 
 

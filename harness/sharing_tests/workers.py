@@ -3,7 +3,7 @@
 Workers that share real motors, on a hub or on SocketCAN.
 
     facts = {"channel": "/tmp/hub", "model": "wheel_model.toml", "node_ids": [1]}
-    outcome = run(Plan(work="harness.sharing_tests.workers:work_motor", workers=4, facts=facts))
+    outcome = run(Plan(work="motorhil.harness.sharing_tests.workers:work_motor", workers=4, facts=facts))
 
 Their motors are CiA 402 drives, unless facts["make"] names your own function as "module:function".
 The function takes the desk and returns the motors of that process. All processes must use the same
@@ -23,24 +23,31 @@ import random
 import struct
 import time
 from collections.abc import Callable
-from pathlib import Path
-from typing import Final, cast, final
-from harness.sharing_tests.history import Action, Answer, History, Use, to_line
-from harness.sharing_tests.processes import Plan
-from motorapi.errors import MotorBusyError
-from motorapi.locking.directory import LockDirectory
-from motorapi.locking.process_lock import ProcessLock
-from motorapi.runtime.api import Runtime
-from motorapi.runtime.wall import WallRuntime
 from contextlib import ExitStack
 from importlib import import_module
-from typing import TYPE_CHECKING, Final, cast
-from harness.sharing_tests.history import Action, Answer, Note
-from motorapi import ControlMode, Motor, MotorBusyError as MotorBusyError_of_motorapi, MotorError, MotorGroup, MotorModel, TrapezoidalTrajectory
-from motorapi.ownership.claim import LockAction, OwnershipEvent
+from pathlib import Path
+from typing import TYPE_CHECKING, Final, cast, final
+
+from motorhil.harness.sharing_tests.history import Action, Answer, History, Note, Use, to_line
+from motorhil.harness.sharing_tests.processes import Plan
+from motorhil.motorapi import (
+    ControlMode,
+    Motor,
+    MotorError,
+    MotorGroup,
+    MotorModel,
+    TrapezoidalTrajectory,
+)
+from motorhil.motorapi import MotorBusyError as MotorBusyError_of_motorapi
+from motorhil.motorapi.errors import MotorBusyError
+from motorhil.motorapi.locking.directory import LockDirectory
+from motorhil.motorapi.locking.process_lock import ProcessLock
+from motorhil.motorapi.ownership.claim import LockAction, OwnershipEvent
+from motorhil.motorapi.runtime.api import Runtime
+from motorhil.motorapi.runtime.wall import WallRuntime
 
 if TYPE_CHECKING:
-    from motorapi.ownership.reservation import Reservation
+    from motorhil.motorapi.ownership.reservation import Reservation
 
 PAGE: Final = struct.Struct("<q")
 OVER_AT: Final = 0
@@ -176,9 +183,9 @@ def drives(desk: Desk) -> list[Motor]:
     """Return a motor for each drive of facts["node_ids"], on the bus of facts["channel"]."""
     import can
 
-    from motorapi.adaptations.cia402.hardware import Cia402HwMotor
-    from motorapi.adaptations.cia402.motor import Cia402Motor
-    from motorapi.adaptations.cia402.bringup import HwOptions
+    from motorhil.motorapi.adaptations.cia402.bringup import HwOptions
+    from motorhil.motorapi.adaptations.cia402.hardware import Cia402HwMotor
+    from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
 
     patient = HwOptions(heartbeat_timeout_ms=10_000, sdo_timeout_s=10.0, connect_timeout_s=30.0)
     interface = str(desk.facts.get("interface", "emulated"))

@@ -7,19 +7,16 @@ Handlers that a program registers with `atexit`.
 They run when the program ends, while its rig is still open.
 """
 
-import signal
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
-from types import FrameType
-from typing import TYPE_CHECKING
 import atexit
+import signal
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from typing import Any, final
+from contextlib import contextmanager, suppress
+from types import FrameType
+from typing import TYPE_CHECKING, Any, final
 
 if TYPE_CHECKING:
-    from harness.virtual_time.runtime import VirtualRuntime
+    from motorhil.harness.virtual_time.runtime import VirtualRuntime
 
 _TERMINATED = 128 + signal.SIGTERM
 

@@ -21,20 +21,19 @@ Virtual events happen no earlier than their wall time.
 """
 
 import threading
+import time
 from _thread import allocate_lock  # the real one, never the replacement for programs
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Final, final
-from emulators.simulation.event_queue import Alarm
 from operator import attrgetter
 from typing import TYPE_CHECKING, Final, Protocol, final
-from emulators.simulation.event_queue import UNSET, EventQueue
-from motorapi.errors import UsageError
-import time
-from typing import final
+
+from motorhil.emulators.simulation.event_queue import UNSET, Alarm, EventQueue
+from motorhil.motorapi.errors import UsageError
 
 if TYPE_CHECKING:
     import can
-    from motorapi.runtime.api import FrameListener, Registration
+
+    from motorhil.motorapi.runtime.api import FrameListener, Registration
 
 UNKNOWN: Final = 0
 

@@ -8,7 +8,7 @@ from difflib import get_close_matches
 from typing import Generic, Protocol, TypeVar, final
 from weakref import WeakValueDictionary
 
-from motorapi.errors import UsageError
+from motorhil.motorapi.errors import UsageError
 
 
 class Hardware(Protocol):

@@ -6,30 +6,30 @@ differ only by their amplitudes are merged.
 
 Composite functions: sums, products, compositions.
 
-The operators create these where `motorapi.functions.algebra` finds nothing simpler.
+The operators create these where `motorhil.motorapi.functions.algebra` finds nothing simpler.
 """
 
-from functools import reduce
-from math import fsum
-from operator import add as add_of_operator, mul
-from typing import Final, Self, final
-import numpy as np
-from motorapi.errors import DomainError, UsageError
-from motorapi.functions.base import LARGEST, Extrema, FloatArray, Function, overlap
-from motorapi.functions.integrals import Integral, anchored
-from motorapi.functions.numerics import extrema
 from collections.abc import Callable
 from fractions import Fraction
+from functools import reduce
 from itertools import zip_longest
-from math import inf
-from motorapi.commands import as_number
-from motorapi.functions.polynomial_math import Exact, nearest
-from motorapi.functions.waves import Exponential
-from motorapi.functions.base import Function, overlap
-from motorapi.functions.piecewise import Piecewise
-from motorapi.functions.polynomial import Constant, Polynomial, polynomial
-from motorapi.functions.sampled import Sampled
-from motorapi.functions.waves import Wave
+from math import fsum, inf
+from operator import add as add_of_operator
+from operator import mul
+from typing import Final, Self, final
+
+import numpy as np
+
+from motorhil.motorapi.commands import as_number
+from motorhil.motorapi.errors import DomainError, UsageError
+from motorhil.motorapi.functions.base import LARGEST, Extrema, FloatArray, Function, overlap
+from motorhil.motorapi.functions.integrals import Integral, anchored
+from motorhil.motorapi.functions.numerics import extrema
+from motorhil.motorapi.functions.piecewise import Piecewise
+from motorhil.motorapi.functions.polynomial import Constant, Polynomial, polynomial
+from motorhil.motorapi.functions.polynomial_math import Exact, nearest
+from motorhil.motorapi.functions.sampled import Sampled
+from motorhil.motorapi.functions.waves import Exponential, Wave
 
 _SLACK: Final = 1e-15  # relative to the larger end of a domain: a few rounding errors
 

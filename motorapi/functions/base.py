@@ -16,7 +16,7 @@ The rules, for every function `f`:
   accurate than a difference of the antiderivative; with `high < low` its sign changes.
 - *Extrema* over a closed interval are exact to rounding for (piecewise) polynomials and waves; the
   first of equal ones is returned. Other functions are searched with bounds that miss nothing, to
-  1e-12 of the size of the values; any of equal ones is returned (`motorapi.functions.numerics`).
+  1e-12 of the size of the values; any of equal ones is returned (`motorhil.motorapi.functions.numerics`).
 - *Arrays.* `f(x)` takes a number, or an array and returns one of the same shape. Functions made of
   polynomials give the same bits either way; sines and exponentials agree to the last digit or two
   (the C library computes single numbers, numpy computes arrays).
@@ -35,11 +35,11 @@ from typing import TYPE_CHECKING, Final, NoReturn, TypeAlias, final, overload
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from motorapi.commands import as_number
-from motorapi.errors import DomainError, UsageError
+from motorhil.motorapi.commands import as_number
+from motorhil.motorapi.errors import DomainError, UsageError
 
 if TYPE_CHECKING:
-    from motorapi.functions.piecewise import Piecewise
+    from motorhil.motorapi.functions.piecewise import Piecewise
 
 FloatArray: TypeAlias = NDArray[np.float64]
 LARGEST: Final = float_info.max  # the end of an unbounded domain: nan and inf lie beyond
@@ -114,12 +114,12 @@ class Function(ABC):
         return True
 
     def _extrema(self, low: float, high: float) -> Extrema:
-        from motorapi.functions.numerics import extrema
+        from motorhil.motorapi.functions.numerics import extrema
 
         return extrema(self, low, high)
 
     def _integrate(self, low: float, high: float) -> float:
-        from motorapi.functions.numerics import integrate
+        from motorhil.motorapi.functions.numerics import integrate
 
         return integrate(self, low, high)
 
@@ -216,13 +216,13 @@ class Function(ABC):
             DomainError: an end lies outside the domain, or is not finite.
             UsageError: `low` is not below `high`.
         """
-        from motorapi.functions.piecewise import Piecewise
+        from motorhil.motorapi.functions.piecewise import Piecewise
 
         return Piecewise((self._inside(low), self._inside(high)), (self,))
 
     def shifted(self, offset: float) -> "Function":
         """Return x -> f(x - offset), which begins `offset` later."""
-        from motorapi.functions.transforms import Shifted
+        from motorhil.motorapi.functions.transforms import Shifted
 
         return Shifted(self, offset)
 
@@ -231,21 +231,21 @@ class Function(ABC):
 
         A negative factor reverses the function. To scale the values, multiply: `2.0 * f`.
         """
-        from motorapi.functions.transforms import Scaled
+        from motorhil.motorapi.functions.transforms import Scaled
 
         return Scaled(self, factor)
 
     def times(self, number: float) -> "Function":
         """Return the function multiplied by a finite number, as `number * f`."""
-        from motorapi.functions.algebra import Product
-        from motorapi.functions.polynomial import Constant
+        from motorhil.motorapi.functions.algebra import Product
+        from motorhil.motorapi.functions.polynomial import Constant
 
         return Product(Constant(number), self)
 
     @final
     def after(self, inner: "Function") -> "Function":
         """Return x -> f(inner(x))."""
-        from motorapi.functions.algebra import compose
+        from motorhil.motorapi.functions.algebra import compose
 
         return compose(self, inner)
 
@@ -253,7 +253,7 @@ class Function(ABC):
 
     @final
     def __add__(self, other: "Function | float") -> "Function":
-        from motorapi.functions.algebra import add, as_function
+        from motorhil.motorapi.functions.algebra import add, as_function
 
         right = as_function(other)
         return NotImplemented if right is None else add(self, right)
@@ -264,7 +264,7 @@ class Function(ABC):
 
     @final
     def __mul__(self, other: "Function | float") -> "Function":
-        from motorapi.functions.algebra import as_function, multiply
+        from motorhil.motorapi.functions.algebra import as_function, multiply
 
         right = as_function(other)
         return NotImplemented if right is None else multiply(self, right)
@@ -283,7 +283,7 @@ class Function(ABC):
 
     @final
     def __sub__(self, other: "Function | float") -> "Function":
-        from motorapi.functions.algebra import add, as_function
+        from motorhil.motorapi.functions.algebra import add, as_function
 
         right = as_function(other)
         return NotImplemented if right is None else add(self, -right)

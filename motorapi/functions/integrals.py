@@ -6,10 +6,10 @@ from typing import Final, final
 
 import numpy as np
 
-from motorapi.errors import UsageError
-from motorapi.functions.polynomial_math import nearest
-from motorapi.functions.base import FloatArray, Function
-from motorapi.functions.polynomial import Polynomial
+from motorhil.motorapi.errors import UsageError
+from motorhil.motorapi.functions.base import FloatArray, Function
+from motorhil.motorapi.functions.polynomial import Polynomial
+from motorhil.motorapi.functions.polynomial_math import nearest
 
 _STEPS: Final = 64
 _STEPS_MAX: Final = 4096

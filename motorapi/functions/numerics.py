@@ -22,16 +22,13 @@ Source: QUADPACK (Piessens, de Doncker-Kapenga, Überhuber, Kahaner: 1983), the 
 nodes and its error estimate.
 """
 
-from heapq import heappop, heappush
-from itertools import pairwise
-from math import inf, nextafter
-from typing import Final, final
-from motorapi.errors import UsageError
-from motorapi.functions.base import Extrema, Function
 from heapq import heapify, heappop, heappush
-from math import fsum
-from typing import Final
-from motorapi.functions.base import Function
+from itertools import pairwise
+from math import fsum, inf, nextafter
+from typing import Final, final
+
+from motorhil.motorapi.errors import UsageError
+from motorhil.motorapi.functions.base import Extrema, Function
 
 # (number of parts, accuracy relative to the largest value) at which the search settles for less.
 # Only terms that cancel almost everywhere (a sine squared and a cosine squared) get beyond the

@@ -19,7 +19,7 @@ from typing import Final, TypeAlias, final
 import numpy as np
 from numpy.typing import NDArray
 
-from motorapi.functions.base import FloatArray
+from motorhil.motorapi.functions.base import FloatArray
 
 Pieces: TypeAlias = NDArray[np.intp]
 Runs: TypeAlias = tuple[

@@ -8,12 +8,12 @@ from typing import Final, final
 
 import numpy as np
 
-from motorapi.commands import as_number
-from motorapi.errors import UsageError
-from motorapi.functions.polynomial_math import Exact, nearest
-from motorapi.functions.base import LARGEST, Extrema, FloatArray, Function, finite
-from motorapi.functions.piece_table import PieceFinder, PieceTable
-from motorapi.functions.polynomial import Horner, Polynomial, polynomial
+from motorhil.motorapi.commands import as_number
+from motorhil.motorapi.errors import UsageError
+from motorhil.motorapi.functions.base import LARGEST, Extrema, FloatArray, Function, finite
+from motorhil.motorapi.functions.piece_table import PieceFinder, PieceTable
+from motorhil.motorapi.functions.polynomial import Horner, Polynomial, polynomial
+from motorhil.motorapi.functions.polynomial_math import Exact, nearest
 
 _SHOWN: Final = 4  # pieces in a repr
 

@@ -7,10 +7,9 @@ from typing import Final, TypeAlias, final
 
 import numpy as np
 
-from motorapi.errors import UsageError
-from motorapi.functions.polynomial_math import Exact, nearest
-from motorapi.functions.base import LARGEST, Extrema, FloatArray, Function, finite
-from motorapi.functions.polynomial_math import candidates, range_over
+from motorhil.motorapi.errors import UsageError
+from motorhil.motorapi.functions.base import LARGEST, Extrema, FloatArray, Function, finite
+from motorhil.motorapi.functions.polynomial_math import Exact, candidates, nearest, range_over
 
 Horner: TypeAlias = tuple[float, float, tuple[float, ...]]
 _SHOWN: Final = 8  # coefficients in a repr

@@ -18,12 +18,10 @@ composition or an integration loses digits by cancellation. Coefficients are in 
 local argument: p = c0 + c1 t + c2 t² + ..., where t is x minus the expansion point.
 """
 
-from collections.abc import Sequence
-from typing import Final
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from fractions import Fraction
 from math import lcm
-from typing import final
+from typing import Final, final
 
 _STEPS: Final = 200  # bisection reduces a bracket of doubles to neighbours in far fewer steps
 _ROUNDING: Final = 4e-16  # rounding error of one operation, with a margin

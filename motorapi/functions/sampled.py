@@ -10,17 +10,16 @@ samples.
 Source: C. de Boor, A Practical Guide to Splines (2001), ch. IV, and the same for degree 5.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from enum import Enum
 from fractions import Fraction
-from typing import TypeAlias
-from motorapi.functions.polynomial_math import Exact, nearest
-from collections.abc import Callable, Iterable, Sequence
 from itertools import pairwise
-from typing import Final, final
-from motorapi.errors import UsageError
-from motorapi.functions.base import Extrema, FloatArray, Function, finite
-from motorapi.functions.piecewise import Piecewise
+from typing import Final, TypeAlias, final
+
+from motorhil.motorapi.errors import UsageError
+from motorhil.motorapi.functions.base import Extrema, FloatArray, Function, finite
+from motorhil.motorapi.functions.piecewise import Piecewise
+from motorhil.motorapi.functions.polynomial_math import Exact, nearest
 
 Equation: TypeAlias = tuple[int, list[float], float]  # first unknown, coefficients, right side
 Derivatives: TypeAlias = tuple[list[float], list[float]]

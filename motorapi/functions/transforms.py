@@ -9,9 +9,9 @@ from typing import final
 
 import numpy as np
 
-from motorapi.errors import UsageError
-from motorapi.functions.base import LARGEST, Extrema, FloatArray, Function, finite
-from motorapi.functions.numerics import extrema
+from motorhil.motorapi.errors import UsageError
+from motorhil.motorapi.functions.base import LARGEST, Extrema, FloatArray, Function, finite
+from motorhil.motorapi.functions.numerics import extrema
 
 
 class _Moved(Function):

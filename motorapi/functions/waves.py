@@ -4,13 +4,13 @@ The exponential function, for decay or growth at a constant rate.
 """
 
 from abc import abstractmethod
-from math import ceil, cos, floor, inf, isfinite, pi, sin
+from math import ceil, cos, exp, expm1, floor, inf, isfinite, pi, sin
 from typing import TypeVar, final
+
 import numpy as np
-from motorapi.errors import UsageError
-from motorapi.functions.base import LARGEST, Extrema, FloatArray, Function, finite
-from math import exp, expm1, inf
-from typing import final
+
+from motorhil.motorapi.errors import UsageError
+from motorhil.motorapi.functions.base import LARGEST, Extrema, FloatArray, Function, finite
 
 _Wave = TypeVar("_Wave", bound="Wave")
 

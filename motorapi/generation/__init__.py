@@ -12,15 +12,18 @@ Importing this package does not import numpy. Generators that return functions i
 called. Source: the paper, 3.3.2.
 """
 
-from motorapi.generation.trapezoid import trapezoid
-from motorapi.generation.trapezoid import possible_durations
-from motorapi.generation.feasibility import Feasibility, Violation, feasible
-from motorapi.generation.feasibility import generate
-from motorapi.generation.limits import ProfileLimits
-from motorapi.generation.trapezoid import Profile
-from motorapi.generation.trapezoid import Trapezoid, shortest, stretched
-from motorapi.generation.jerk_limited import jerk_limited
-from motorapi.generation.waypoints import through_waypoints
+from motorhil.motorapi.generation.feasibility import Feasibility, Violation, feasible, generate
+from motorhil.motorapi.generation.jerk_limited import jerk_limited
+from motorhil.motorapi.generation.limits import ProfileLimits
+from motorhil.motorapi.generation.trapezoid import (
+    Profile,
+    Trapezoid,
+    possible_durations,
+    shortest,
+    stretched,
+    trapezoid,
+)
+from motorhil.motorapi.generation.waypoints import through_waypoints
 
 __all__ = [
     "Feasibility",

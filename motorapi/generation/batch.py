@@ -1,6 +1,6 @@
 """Many piecewise polynomials with as many pieces each, evaluated at once.
 
-Many profiles of given durations. The formulas are those of `motorapi.generation.trapezoid`.
+Many profiles of given durations. The formulas are those of `motorhil.motorapi.generation.trapezoid`.
 
 Limits of many profiles at once.
 
@@ -31,32 +31,37 @@ longer and shorter, as long as that gains something, with a step that shrinks (a
 more than 32 pieces the first ratios stay). That ends near the optimum, not provably at it; the
 limits are held to rounding either way.
 
-Many trapezoidal profiles at once, by the formulas of `motorapi.generation.trapezoid`.
+Many trapezoidal profiles at once, by the formulas of `motorhil.motorapi.generation.trapezoid`.
 
 Functions through way-points, many at once.
 """
 
-from typing import TypeAlias, final
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final, TypeAlias, final
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from motorapi.errors import UsageError
-from motorapi.generation.limits import ProfileLimits
-from typing import TYPE_CHECKING, Final, final
-from numpy.typing import ArrayLike
-from typing import final
-from collections.abc import Sequence
-from typing import Final
-from motorapi.generation.jerk_limited import Phase, SmoothTask, fill, judge, load, phases_in, phases_of, pieces_of, task_of
-from dataclasses import dataclass
-from typing import Final, final
-from motorapi.generation.trapezoid import task_of as task_of_of_closed_form
-from motorapi.planning.limits import ROUNDING
-from typing import Final, TypeAlias
-from numpy.typing import NDArray
-from motorapi.commands import DerivativeLimits
+
+from motorhil.motorapi.commands import DerivativeLimits
+from motorhil.motorapi.errors import UsageError
+from motorhil.motorapi.generation.jerk_limited import (
+    Phase,
+    SmoothTask,
+    fill,
+    judge,
+    load,
+    phases_in,
+    phases_of,
+    pieces_of,
+    task_of,
+)
+from motorhil.motorapi.generation.limits import ProfileLimits
+from motorhil.motorapi.generation.trapezoid import task_of as task_of_of_closed_form
+from motorhil.motorapi.planning.limits import ROUNDING
 
 if TYPE_CHECKING:
-    from motorapi.functions.piecewise import Piecewise
+    from motorhil.motorapi.functions.piecewise import Piecewise
 
 FloatArray: TypeAlias = NDArray[np.float64]
 
@@ -200,8 +205,8 @@ class Curves:
         return found
 
     def function(self, index: int) -> "Piecewise":
-        """One of them as a function of `motorapi.functions`."""
-        from motorapi.functions.piecewise import Piecewise
+        """One of them as a function of `motorhil.motorapi.functions`."""
+        from motorhil.motorapi.functions.piecewise import Piecewise
 
         edges, rows = [float(self.breaks[index, 0])], []
         for piece, edge in enumerate(self.breaks[index, 1:]):
@@ -429,7 +434,7 @@ def jerk_limited(
     final_derivatives: Sequence[ArrayLike] = (),
     duration_s: ArrayLike | None = None,
 ) -> Curves:
-    """What `motorapi.generation.jerk_limited` makes of each, from argument 0 on.
+    """What `motorhil.motorapi.generation.jerk_limited` makes of each, from argument 0 on.
 
     Args:
         final: shape (n,), as all arrays; a number holds for all.
@@ -1081,7 +1086,7 @@ def through_waypoints(
     second: ArrayLike | None = None,
     degree: int = CUBIC,
 ) -> Curves:
-    """What `motorapi.generation.through_waypoints` makes of each row of `values`.
+    """What `motorhil.motorapi.generation.through_waypoints` makes of each row of `values`.
 
     Args:
         values: shape (n, m), m >= 2 [U].
@@ -1110,7 +1115,7 @@ def through_waypoints(
         what = "their value" if times is None else "way-points with times"
         raise UsageError(
             f"limits of {what} are not kept to: hold the function against them, by"
-            " motorapi.generation.feasible"
+            " motorhil.motorapi.generation.feasible"
         )
     if times is None:
         if limits is None:

@@ -1,9 +1,9 @@
 """Conversion of profiles to functions. Imports numpy."""
 
-from motorapi.errors import UsageError
-from motorapi.functions.piecewise import Piecewise
-from motorapi.functions.polynomial import Polynomial
-from motorapi.generation.trapezoid import Profile
+from motorhil.motorapi.errors import UsageError
+from motorhil.motorapi.functions.piecewise import Piecewise
+from motorhil.motorapi.functions.polynomial import Polynomial
+from motorhil.motorapi.generation.trapezoid import Profile
 
 
 def function_of(profile: Profile) -> Piecewise:

@@ -9,33 +9,22 @@ Intervals in which a function rises or falls.
 Numpy is imported only if a function is given.
 """
 
-from dataclasses import dataclass
-from math import inf
-from typing import Final, final
-from motorapi.commands import ControlVariable, DerivativeLimits, Range
-from motorapi.errors import UsageError
-from motorapi.generation.limits import ProfileLimits
-from motorapi.planning.limits import slack, value_range
-from motorapi.model import MotorModel
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from math import inf, nextafter
 from typing import TYPE_CHECKING, Final, final
-from motorapi.errors import LimitError, UnsupportedError, UsageError
-from motorapi.generation.trapezoid import trapezoid
-from motorapi.generation.trapezoid import possible_durations
-from motorapi.generation.trapezoid import Profile
-from motorapi.planning.limits import ROUNDING, slack
-from motorapi.trajectory import ComplexTrajectory, Trajectory, TrapezoidalTrajectory
-from motorapi.commands import ControlVariable
-from motorapi.trajectory import TrapezoidalTrajectory
-from itertools import pairwise
-from math import nextafter
-from typing import TYPE_CHECKING
-from motorapi.commands import Range
+
+from motorhil.motorapi.commands import ControlVariable, DerivativeLimits, Range
+from motorhil.motorapi.errors import LimitError, UnsupportedError, UsageError
+from motorhil.motorapi.generation.limits import ProfileLimits
+from motorhil.motorapi.generation.trapezoid import Profile, possible_durations, trapezoid
+from motorhil.motorapi.model import MotorModel
+from motorhil.motorapi.planning.limits import ROUNDING, slack, value_range
+from motorhil.motorapi.trajectory import ComplexTrajectory, Trajectory, TrapezoidalTrajectory
 
 if TYPE_CHECKING:
-    from motorapi.functions.base import Function
+    from motorhil.motorapi.functions.base import Function
 
 _ALL: Final[Range] = (-inf, inf)
 _PER: Final = ("", "/s", "/s²", "/s³", "/s⁴")
@@ -248,7 +237,7 @@ def feasible(
         interval: the interval of a function; None: its whole domain.
 
     Raises:
-        UnsupportedError: of a simple trajectory: as for `motorapi.generation.generate`.
+        UnsupportedError: of a simple trajectory: as for `motorhil.motorapi.generation.generate`.
         UsageError: the function has an unbounded domain, or `motion` has the wrong type.
     """
     if isinstance(motion, TrapezoidalTrajectory):
@@ -331,7 +320,7 @@ def _require_trapezoid(
         raise UnsupportedError(
             motor=against.name if isinstance(against, MotorModel) else "a trapezoid",
             feature=feature,
-            supported="that with a limited jerk: motorapi.generation.jerk_limited",
+            supported="that with a limited jerk: motorhil.motorapi.generation.jerk_limited",
         )
 
 
@@ -470,7 +459,7 @@ def generate(
     """Return the absolute profile of a trajectory for a motor with this model.
 
     The profile is as fast as model and trajectory allow, or has the duration of the trajectory.
-    Jerk is not limited: for that see `motorapi.generation.jerk_limited`.
+    Jerk is not limited: for that see `motorhil.motorapi.generation.jerk_limited`.
 
     Args:
         trajectory: simple; its second derivatives at the ends, if any, must be 0.
@@ -501,9 +490,9 @@ def parts_by_direction(function: "Function", interval: Range) -> tuple[list[Rang
     The result is exact for (piecewise) polynomials. For other functions a part between two breaks
     with both signs is listed twice.
     """
-    from motorapi.functions.piecewise import Piecewise
-    from motorapi.functions.polynomial import Polynomial
-    from motorapi.functions.polynomial_math import candidates
+    from motorhil.motorapi.functions.piecewise import Piecewise
+    from motorhil.motorapi.functions.polynomial import Polynomial
+    from motorhil.motorapi.functions.polynomial_math import candidates
 
     low, high = interval
     pieces = (

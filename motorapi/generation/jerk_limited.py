@@ -12,11 +12,11 @@ from itertools import pairwise
 from math import inf, isfinite
 from typing import TYPE_CHECKING, Any, Final, TypeAlias, final
 
-from motorapi.errors import PluginError, UnsupportedError, UsageError
-from motorapi.generation.limits import ProfileLimits
+from motorhil.motorapi.errors import PluginError, UnsupportedError, UsageError
+from motorhil.motorapi.generation.limits import ProfileLimits
 
 if TYPE_CHECKING:
-    from motorapi.functions.piecewise import Piecewise
+    from motorhil.motorapi.functions.piecewise import Piecewise
 
 _ROUNDING: Final = 1e-9
 _NAMES: Final = ("value", "velocity", "acceleration")
@@ -268,8 +268,8 @@ def pieces_of(task: SmoothTask, phases: Sequence[Phase]) -> list[tuple[float, fl
 
 
 def _function(task: SmoothTask, phases: Sequence[Phase], initial_argument: float) -> "Piecewise":
-    from motorapi.functions.piecewise import Piecewise
-    from motorapi.functions.polynomial import Polynomial
+    from motorhil.motorapi.functions.piecewise import Piecewise
+    from motorhil.motorapi.functions.polynomial import Polynomial
 
     edges, polynomials = [initial_argument], []
     since_s = 0.0

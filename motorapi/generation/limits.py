@@ -4,8 +4,8 @@ from dataclasses import dataclass
 from math import inf
 from typing import Final, Self, final
 
-from motorapi.commands import Range
-from motorapi.errors import UsageError
+from motorhil.motorapi.commands import Range
+from motorhil.motorapi.errors import UsageError
 
 
 @final

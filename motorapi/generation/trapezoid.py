@@ -51,7 +51,7 @@ peak u:
 
 So each distance that is possible in T has one peak, and no motion of another shape reaches a
 distance that these do not. Let c = T - (time of the direct ramp), and G the excess caused by a peak
-(the terms are those of `motorapi.generation.trapezoid`):
+(the terms are those of `motorhil.motorapi.generation.trapezoid`):
 
     between the boundary velocities   G = u c
     above or below                    G is a quadratic polynomial of u on each side of 0
@@ -67,18 +67,17 @@ Generated profiles: pieces of constant acceleration.
 """
 
 from dataclasses import dataclass
-from math import isfinite, sqrt
-from typing import final
-from motorapi.errors import UsageError
-from typing import TYPE_CHECKING, TypeAlias, final
-from motorapi.commands import Range
 from math import inf, isfinite, sqrt
-from typing import Final, TypeAlias
-from motorapi.generation.limits import ProfileLimits
-from motorapi.planning.limits import ROUNDING
+from typing import TYPE_CHECKING, Final, TypeAlias, final
+
+from motorhil.motorapi.commands import Range
+from motorhil.motorapi.errors import UsageError
+from motorhil.motorapi.generation.limits import ProfileLimits
+from motorhil.motorapi.planning.limits import ROUNDING
 
 if TYPE_CHECKING:
-    from motorapi.functions.piecewise import Piecewise
+    from motorhil.motorapi.functions.piecewise import Piecewise
+
 
 @final
 @dataclass(frozen=True, slots=True)
@@ -331,7 +330,7 @@ class Profile:
         Raises:
             UsageError: the profile takes no time, so that it has no value at any argument.
         """
-        from motorapi.generation.conversion import function_of
+        from motorhil.motorapi.generation.conversion import function_of
 
         return function_of(self)
 
@@ -376,7 +375,7 @@ def trapezoid(
     Args:
         final: the final value [U]; the distance, if `initial` is 0.
         limits: of velocity and acceleration. The range of the value is not used: if the shortest
-            profile leaves it, so does any other; see `motorapi.generation.feasible`.
+            profile leaves it, so does any other; see `motorhil.motorapi.generation.feasible`.
         initial: the initial value [U].
         initial_velocity: first derivative at the beginning [U/s].
         final_velocity: first derivative at the end [U/s].
@@ -393,7 +392,6 @@ def trapezoid(
         raise UsageError(f"the initial argument is {initial_argument}, not a finite number")
     pieces: tuple[Piece, ...]
     if duration_s is not None:
-
         pieces = pieces_lasting(task, duration_s, initial, final)
         return Profile(initial_argument, initial_velocity, final_velocity, pieces)
     peak, up, down, hold_s = peak_of(task)

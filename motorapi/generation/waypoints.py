@@ -4,11 +4,11 @@ from collections.abc import Sequence
 from math import isfinite, nan
 from typing import TYPE_CHECKING
 
-from motorapi.commands import DerivativeLimits
-from motorapi.errors import UsageError
+from motorhil.motorapi.commands import DerivativeLimits
+from motorhil.motorapi.errors import UsageError
 
 if TYPE_CHECKING:
-    from motorapi.functions.piecewise import Piecewise
+    from motorhil.motorapi.functions.piecewise import Piecewise
 
 
 def through_waypoints(
@@ -44,7 +44,7 @@ def through_waypoints(
         UsageError: there are too few values, a number is not finite, times do not ascend, no
             argument determines the duration, or no times keep given derivatives within the limits.
     """
-    from motorapi.generation.batch import through_waypoints as many
+    from motorhil.motorapi.generation.batch import through_waypoints as many
 
     if not isfinite(initial_argument):
         raise UsageError(f"the initial argument is {initial_argument}, not a finite number")

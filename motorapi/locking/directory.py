@@ -30,14 +30,14 @@ a host; two have two.
 
 import errno
 import os
-import stat
-from pathlib import Path
-from typing import Final, final
-from motorapi.errors import UsageError
 import socket
+import stat
 from ipaddress import ip_address
-from typing import TYPE_CHECKING, Final
+from pathlib import Path
+from typing import TYPE_CHECKING, Final, final
 from urllib.parse import quote
+
+from motorhil.motorapi.errors import UsageError
 
 if TYPE_CHECKING:
     import can

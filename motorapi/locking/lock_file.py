@@ -2,7 +2,7 @@
 
 The locks are Linux open file description locks (fcntl(2), F_OFD_SETLK). The kernel releases all
 locks of an open file with its last descriptor, however the process died. Two open files exclude
-each other in one process too, so threads need no second lock. `motorapi.locking.lock_file` defines the
+each other in one process too, so threads need no second lock. `motorhil.motorapi.locking.lock_file` defines the
 bytes.
 
 - The *holder* has locked byte HELD of the present *epoch*. The kernel guarantees that there is only
@@ -19,7 +19,7 @@ No step is guarded by another lock. A process paused in the middle of a step del
 behind it.
 
 No process can unlock the bytes of a living process. Therefore a takeover does not take the byte: it
-advances the *epoch*, and with it the byte that counts (`motorapi.locking.takeover`). The byte of an
+advances the *epoch*, and with it the byte that counts (`motorhil.motorapi.locking.takeover`). The byte of an
 earlier epoch has no effect. The epoch check and actions that depend on it are atomic: a commanding
 write requires a shared lock of WRITING, an epoch change an exclusive one.
 
@@ -47,16 +47,17 @@ The block of a line is written only by the holder of the HELD byte of that line.
 has lost the lock without knowing it writes nothing that others read.
 """
 
+import fcntl
+import os
 import struct
+import threading
+import weakref
 import zlib
 from dataclasses import dataclass
 from typing import Final, final
-import fcntl
-import os
-import threading
-import weakref
-from motorapi.errors import UsageError
-from motorapi.locking.directory import LockDirectory
+
+from motorhil.motorapi.errors import UsageError
+from motorhil.motorapi.locking.directory import LockDirectory
 
 MAGIC: Final = b"motorhi2"
 MAGIC_BEFORE: Final = b"motorhil"
@@ -529,7 +530,7 @@ class LockFile:
 
     @property
     def fd(self) -> int:
-        """The descriptor, for `motorapi.locking.takeover`."""
+        """The descriptor, for `motorhil.motorapi.locking.takeover`."""
         return self._fd
 
 

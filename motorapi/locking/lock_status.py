@@ -8,15 +8,33 @@ Read-only access to a lock file, which never takes or delays a lock.
 
 import fcntl
 import os
-from typing import Final, final
-from motorapi.locking.lock_file import find, first_places, require_lock
-from motorapi.locking.lock_file import BLOCK, EPOCH, EPOCH_AT, PLACES, RECORD_SIZE, TAKEOVERS, Line, Record, Takeover, held_at, line_block, takeover_block, unpack_record, unpack_takeover, waiter_block
 import sys
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from motorapi.locking.directory import LockDirectory
-from motorapi.locking.lock_file import Record, Takeover
+from typing import Final, final
+
+from motorhil.motorapi.locking.directory import LockDirectory
+from motorhil.motorapi.locking.lock_file import (
+    BLOCK,
+    EPOCH,
+    EPOCH_AT,
+    PLACES,
+    RECORD_SIZE,
+    TAKEOVERS,
+    Line,
+    Record,
+    Takeover,
+    find,
+    first_places,
+    held_at,
+    line_block,
+    require_lock,
+    takeover_block,
+    unpack_record,
+    unpack_takeover,
+    waiter_block,
+)
 
 _READS_MAX: Final = 20
 

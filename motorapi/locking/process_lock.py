@@ -1,7 +1,7 @@
 """A named lock between processes, and between the threads of each process.
 
 The order is first come, first served. When a process dies, the kernel releases its lock, or its
-place in the queue; no cleanup is necessary. `motorapi.locking.lock_file` describes the mechanism.
+place in the queue; no cleanup is necessary. `motorhil.motorapi.locking.lock_file` describes the mechanism.
 
 Every ownership has a *token*, which grows and is kept in the file of the lock. An acquisition
 reports whether the lock has *changed hands* since this object held it last: its knowledge of the
@@ -23,24 +23,25 @@ Acquisition of a lock between processes: immediate, queued, or by takeover.
 import os
 import threading
 import time
+import weakref
+from collections.abc import Callable
 from dataclasses import dataclass
 from types import TracebackType
-from typing import Final, final
-from motorapi.errors import MotorBusyError
-from collections.abc import Callable
 from typing import Final, Protocol, final, runtime_checkable
-from motorapi.locking.lock_file import LockFile
-from motorapi.locking.takeover import Attempt, TakeoverAttempt
-from motorapi.locking.lock_status import LockView, Occupant
-from motorapi.locking.waiter_thread import QueueWatcher
-from motorapi.runtime.api import Runtime
-import weakref
-from typing import Final, final
-from motorapi.errors import MotorBusyError, UsageError
-from motorapi.locking.directory import LockDirectory
-from motorapi.locking.lock_file import LEASE, pack_record, pack_words
-from motorapi.locking.takeover import TakeoverAttempt
-from motorapi.locking.lock_status import LockView, Occupant, ThisProcess, find_takeover, look
+
+from motorhil.motorapi.errors import MotorBusyError, UsageError
+from motorhil.motorapi.locking.directory import LockDirectory
+from motorhil.motorapi.locking.lock_file import LEASE, LockFile, pack_record, pack_words
+from motorhil.motorapi.locking.lock_status import (
+    LockView,
+    Occupant,
+    ThisProcess,
+    find_takeover,
+    look,
+)
+from motorhil.motorapi.locking.takeover import Attempt, TakeoverAttempt
+from motorhil.motorapi.locking.waiter_thread import QueueWatcher
+from motorhil.motorapi.runtime.api import Runtime
 
 _TAKER_PATIENCE_NS: Final = 50_000_000
 """The maximum duration of a takeover [ns]; in practice it takes about 20 us."""
@@ -512,7 +513,7 @@ class ProcessLock:
     """A lock known to all processes by its name, in one directory.
 
     Args:
-        name: name of its file; see `motorapi.locking.directory`.
+        name: name of its file; see `motorhil.motorapi.locking.directory`.
         label: the locked object in words, for errors and lists ("can0 node 3").
         directory: its directory; None: that of the user, or from MOTORHIL_LOCK_DIR.
     """

@@ -24,8 +24,27 @@ from collections.abc import Callable
 from enum import Enum
 from typing import Final, final
 
-from motorapi.locking.lock_file import LockFile, find, first_places, flock
-from motorapi.locking.lock_file import BLOCK, EPOCH, EPOCH_AT, INTENT_AT, LEASE, LINES, MAGIC, NUMBER, PLACES, Line, Record, held_at, line_block, pack_takeover, takeover_block
+from motorhil.motorapi.locking.lock_file import (
+    BLOCK,
+    EPOCH,
+    EPOCH_AT,
+    INTENT_AT,
+    LEASE,
+    LINES,
+    MAGIC,
+    NUMBER,
+    PLACES,
+    Line,
+    LockFile,
+    Record,
+    find,
+    first_places,
+    flock,
+    held_at,
+    line_block,
+    pack_takeover,
+    takeover_block,
+)
 
 
 @final

@@ -12,7 +12,7 @@ import threading
 from collections.abc import Callable
 from typing import Final, final
 
-from motorapi.locking.lock_file import LockFile
+from motorhil.motorapi.locking.lock_file import LockFile
 
 _LINGER_S: Final = 1.0
 """The lifetime of an idle thread [s]: a process that waited once is likely to wait again."""

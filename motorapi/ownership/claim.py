@@ -13,23 +13,20 @@ An owner is described by its activity ("reserve() of pan"), as in errors. Anothe
 only by what it has published.
 """
 
-from collections.abc import Callable
-from typing import TYPE_CHECKING, Final, Protocol, final
-from motorapi.errors import MotorBusyError
-from motorapi.locking.process_lock import LockHandle, Loss
 import threading
+from collections.abc import Callable
 from contextlib import suppress
-from typing import TYPE_CHECKING, Final, final
-from motorapi.runtime.api import wait_until
-from motorapi.runtime.api import LOOK_PERIOD_S
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import final
+from typing import TYPE_CHECKING, Final, Protocol, final
+
+from motorhil.motorapi.errors import MotorBusyError
+from motorhil.motorapi.locking.process_lock import LockHandle, Loss
+from motorhil.motorapi.runtime.api import LOOK_PERIOD_S, wait_until
 
 if TYPE_CHECKING:
-    from motorapi.runtime.api import Runtime
-    from motorapi.runtime.api import Registration, Runtime
-    from motorapi.runtime.api import ChangeCounter
+    from motorhil.motorapi.runtime.api import ChangeCounter, Registration, Runtime
+
 
 class Owner(Protocol):
     """A logical motor in the role of an owner."""

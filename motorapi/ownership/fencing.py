@@ -24,10 +24,10 @@ from typing import TYPE_CHECKING, Final, Protocol, final, runtime_checkable
 if TYPE_CHECKING:
     import can
 
-    from motorapi.ownership.ownership import Ownership
-    from motorapi.ownership.claim import OwnershipEvent
-    from motorapi.locking.process_lock import LockHandle, ProcessLock
-    from motorapi.runtime.api import Runtime
+    from motorhil.motorapi.locking.process_lock import LockHandle, ProcessLock
+    from motorhil.motorapi.ownership.claim import OwnershipEvent
+    from motorhil.motorapi.ownership.ownership import Ownership
+    from motorhil.motorapi.runtime.api import Runtime
 
 _DIRECTLY: Final = "a command by its hardware object"
 
@@ -62,7 +62,7 @@ class Owned(Protocol):
 
 @runtime_checkable
 class FencedBus(Protocol):
-    """A bus that checks tokens itself (harness.python_can.bus.EmulatedBus over a socket)."""
+    """A bus that checks tokens itself (motorhil.harness.python_can.bus.EmulatedBus over a socket)."""
 
     def transmit_fenced(self, frame: bytes, resource: int, token: int) -> None:
         """Queue the frame; the bus refuses it if the resource has a greater token."""
@@ -70,7 +70,7 @@ class FencedBus(Protocol):
 
 @runtime_checkable
 class AnnouncingBus(Protocol):
-    """A bus that accepts ownership announcements (harness.python_can.bus.EmulatedBus)."""
+    """A bus that accepts ownership announcements (motorhil.harness.python_can.bus.EmulatedBus)."""
 
     def announce_ownership(
         self, resource: int, action: int, token: int, **facts: str | int
@@ -172,7 +172,9 @@ class NodeFence:
 class BoundFence:
     """The Fence of one ownership, closed under any later one. `release` ends its use."""
 
-    def __init__(self, fence: NodeFence, hold: "LockHandle", own: "LockHandle | None" = None) -> None:
+    def __init__(
+        self, fence: NodeFence, hold: "LockHandle", own: "LockHandle | None" = None
+    ) -> None:
         self._fence: Final = fence
         self._hold: Final = hold
         self._own = own

@@ -20,29 +20,30 @@ Set-up of a drive for readers, which own it for that time.
 Wait queue of owners within one process, and notification of listeners.
 """
 
-from collections import deque
-from typing import TYPE_CHECKING, Final, Protocol, final
-from motorapi.ownership.claim import OwnershipRequest, Claim, Owner
-from motorapi.errors import MotorBusyError
-from motorapi.ownership.claim import LockAction, OwnershipEvent, OwnershipListener
-from motorapi.locking.process_lock import this_process
-from typing import TYPE_CHECKING, Final, final
-from motorapi.ownership.claim import OwnershipRequest, Claim, Losable
-from motorapi.locking.process_lock import LockHandle
-from motorapi.ownership.claim import LockAction
-from motorapi.locking.process_lock import ProcessLock
 import threading
+from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from motorapi.errors import MotorBusyError, MotorError
-from motorapi.locking.process_lock import Loss
-from motorapi.ownership.claim import RENEWALS_IN_WAIT, register
-from motorapi.ownership.claim import OwnershipKeepAlive, AcquirePolicy
-from motorapi.locking.process_lock import LockHandle, ProcessLock
+from typing import TYPE_CHECKING, Final, Protocol, final
+
+from motorhil.motorapi.errors import MotorBusyError, MotorError
+from motorhil.motorapi.locking.process_lock import LockHandle, Loss, ProcessLock, this_process
+from motorhil.motorapi.ownership.claim import (
+    RENEWALS_IN_WAIT,
+    AcquirePolicy,
+    Claim,
+    LockAction,
+    Losable,
+    Owner,
+    OwnershipEvent,
+    OwnershipKeepAlive,
+    OwnershipListener,
+    OwnershipRequest,
+    register,
+)
 
 if TYPE_CHECKING:
-    from motorapi.runtime.api import Runtime
-    from motorapi.runtime.api import ChangeCounter
+    from motorhil.motorapi.runtime.api import ChangeCounter, Runtime
 
 _LOOK_S: Final = 0.1
 """The maximum delay before a waiter notices a lease set after its request [s]."""
@@ -87,7 +88,7 @@ class OwnershipNotifier:
 
 
 class ClaimKeeper(Protocol):
-    """The keeper of the present claim; see `motorapi.ownership.ownership.Ownership`."""
+    """The keeper of the present claim; see `motorhil.motorapi.ownership.ownership.Ownership`."""
 
     @property
     def held(self) -> Claim | None:
@@ -220,7 +221,9 @@ class SetUp:
     Attributes: name, runtime, as of any owner.
     """
 
-    def __init__(self, of: Losable, teller: OwnershipNotifier, runtime: "Runtime", label: str) -> None:
+    def __init__(
+        self, of: Losable, teller: OwnershipNotifier, runtime: "Runtime", label: str
+    ) -> None:
         self.name: Final = label
         self.runtime: Final = runtime
         self._of: Final = of
@@ -278,7 +281,7 @@ class Ownership:
         absences: grows whenever another process had the motor since this one owned it last.
         is_orphan: True if the previous owner died with the motor, or lost it, so that it may still
             be moving; the next owner brings it to rest first, and clears this.
-        listeners: called with each event of the ownership; see `motorapi.ownership.claim`.
+        listeners: called with each event of the ownership; see `motorhil.motorapi.ownership.claim`.
     """
 
     def __init__(
@@ -411,7 +414,9 @@ class Ownership:
 
     # ---- with a lock ----
 
-    def _take_lock(self, lock: ProcessLock, asked: OwnershipRequest) -> tuple[Claim, LockAction | None, str]:
+    def _take_lock(
+        self, lock: ProcessLock, asked: OwnershipRequest
+    ) -> tuple[Claim, LockAction | None, str]:
         owner, patience, runtime = asked.owner, asked.patience, asked.owner.runtime
         held = self._held
         timeout_s = 0.0 if patience is None else patience.timeout_s
@@ -570,7 +575,9 @@ class Ownership:
 
     # ---- motions ----
 
-    def keep(self, owner: Owner, goes_on: Callable[[], bool], news: "ChangeCounter", counts: bool) -> None:
+    def keep(
+        self, owner: Owner, goes_on: Callable[[], bool], news: "ChangeCounter", counts: bool
+    ) -> None:
         """Keep the motor owned, against other processes, while `goes_on()` is true.
 
         Args:

@@ -14,7 +14,7 @@ record. The record separates four things:
   at once meanwhile. Access without a transaction (readings, stops, polling waits) is refused as
   well: it goes through a *passage*, and low-level access is granted only without active passages.
 
-They build on *ownership* (`motorapi.ownership.ownership`): by one logical motor, for an operation, a
+They build on *ownership* (`motorhil.motorapi.ownership.ownership`): by one logical motor, for an operation, a
 reservation or low-level access. On a bus that other processes can open it excludes them as well,
 also while a motion is active. The token grows when one of them had the motor in between.
 """
@@ -26,13 +26,12 @@ from contextlib import AbstractContextManager
 from enum import Enum
 from typing import TYPE_CHECKING, Final, final
 
-from motorapi.commands import ControlVariable, Motion
-from motorapi.errors import MotorBusyError, MotorError, UsageError
-from motorapi.ownership.ownership import Ownership
-from motorapi.locking.process_lock import ProcessLock
-from motorapi.runtime.api import Runtime, wait_until
-from motorapi.ownership.queue import LOW_LEVEL, Ticket, FifoQueue
-from motorapi.runtime.api import ChangeCounter
+from motorhil.motorapi.commands import ControlVariable, Motion
+from motorhil.motorapi.errors import MotorBusyError, MotorError, UsageError
+from motorhil.motorapi.locking.process_lock import ProcessLock
+from motorhil.motorapi.ownership.ownership import Ownership
+from motorhil.motorapi.ownership.queue import LOW_LEVEL, FifoQueue, Ticket
+from motorhil.motorapi.runtime.api import ChangeCounter, Runtime, wait_until
 
 if TYPE_CHECKING:
     import can

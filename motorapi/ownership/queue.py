@@ -12,9 +12,9 @@ from collections.abc import Hashable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Final, final
 
-from motorapi.errors import MotorBusyError, UsageError
-from motorapi.locking.process_lock import LockHandle, ProcessLock
-from motorapi.runtime.api import Runtime, wait_until
+from motorhil.motorapi.errors import MotorBusyError, UsageError
+from motorhil.motorapi.locking.process_lock import LockHandle, ProcessLock
+from motorhil.motorapi.runtime.api import Runtime, wait_until
 
 TRANSACTION_TIMEOUT_S: Final = 10.0
 """The timeout of an operation for the one before it [s], far longer than any drive needs."""
@@ -126,7 +126,9 @@ class FifoQueue:
             with self._mutex:
                 self._queue.remove(ticket)
 
-    def _take_lock(self, runtime: Runtime, ticket: Ticket, timeout_s: float | None) -> LockHandle | None:
+    def _take_lock(
+        self, runtime: Runtime, ticket: Ticket, timeout_s: float | None
+    ) -> LockHandle | None:
         if self.lock is None:
             self.number += 1
             return None

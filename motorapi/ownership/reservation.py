@@ -3,9 +3,9 @@
 from collections.abc import Sequence
 from typing import Final, final
 
-from motorapi.ownership.claim import Claim
-from motorapi.commands import as_number
-from motorapi.errors import UsageError
+from motorhil.motorapi.commands import as_number
+from motorhil.motorapi.errors import UsageError
+from motorhil.motorapi.ownership.claim import Claim
 
 LEASE_MIN_S: Final = 0.01
 LEASE_MAX_S: Final = 1e6

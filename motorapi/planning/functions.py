@@ -12,24 +12,21 @@ the motion, so every motor that can follow a complex trajectory can follow it. T
 model limits such requests; it does not limit motions without a request.
 """
 
-from typing import TYPE_CHECKING
-from motorapi.trajectory import value_of
-from motorapi.commands import ControlMode, ControlVariable, Motion
-from motorapi.errors import LimitError, StateError, UsageError
-from motorapi.generation.feasibility import Allowed
-from motorapi.generation.feasibility import STEP_S, feasible
-from motorapi.planning.limits import check_target, slack, value_range
-from motorapi.model import MotorModel
-from motorapi.trajectory import ComplexTrajectory
 from dataclasses import replace
-from motorapi.commands import ControlVariable, Motion
-from motorapi.errors import UnsupportedError
-from motorapi.generation import ProfileLimits, jerk_limited, trapezoid
-from motorapi.trajectory import TrapezoidalTrajectory
+from typing import TYPE_CHECKING
+
+from motorhil.motorapi.commands import ControlMode, ControlVariable, Motion
+from motorhil.motorapi.errors import LimitError, StateError, UnsupportedError, UsageError
+from motorhil.motorapi.generation import ProfileLimits, jerk_limited, trapezoid
+from motorhil.motorapi.generation.feasibility import STEP_S, Allowed, feasible
+from motorhil.motorapi.model import MotorModel
+from motorhil.motorapi.planning.limits import check_target, slack, value_range
+from motorhil.motorapi.trajectory import ComplexTrajectory, TrapezoidalTrajectory, value_of
 
 if TYPE_CHECKING:
-    from motorapi.trajectory import Argument
-    from motorapi.functions.base import Function
+    from motorhil.motorapi.functions.base import Function
+    from motorhil.motorapi.trajectory import Argument
+
 
 def check(
     motor: str,

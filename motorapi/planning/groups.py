@@ -9,29 +9,29 @@ has
     v = min v_i / |D_i|    a = min a_i / |D_i|    d = min d_i / |D_i|
 
 and motor i has v |D_i|, a |D_i|, d |D_i|. Limits are used as rounded by the hardware, and each
-drive rounds the result once more; `motorapi.planning.path` computes the effect on the line.
+drive rounds the result once more; `motorhil.motorapi.planning.path` computes the effect on the line.
 
 Source: field practice (Ruckig, `Synchronization::Phase`); the closed form follows from Biagiotti &
 Melchiorri (2008), ch. 3, for one profile over distance 1.
 """
 
-# ruff: noqa: SLF001 -- it works the hooks of motors, as motorapi.execution does
+# ruff: noqa: SLF001 -- it works the hooks of motors, as motorhil.motorapi.execution does
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from sys import float_info
 from typing import TYPE_CHECKING, Final, final
 
-from motorapi.planning import single_axis as planning
-from motorapi.commands import ControlMode, ControlVariable, Motion
-from motorapi.errors import LimitError, UnsupportedError, UsageError
-from motorapi.generation import shortest, stretched
-from motorapi.planning.limits import ROUNDING
-from motorapi.synchronization.quality import FaultReaction, Synchronization
-from motorapi.trajectory import ComplexTrajectory
+from motorhil.motorapi.commands import ControlMode, ControlVariable, Motion
+from motorhil.motorapi.errors import LimitError, UnsupportedError, UsageError
+from motorhil.motorapi.generation import shortest, stretched
+from motorhil.motorapi.planning import single_axis as planning
+from motorhil.motorapi.planning.limits import ROUNDING
+from motorhil.motorapi.synchronization.quality import FaultReaction, Synchronization
+from motorhil.motorapi.trajectory import ComplexTrajectory
 
 if TYPE_CHECKING:
-    from motorapi.motor import Motor
+    from motorhil.motorapi.motor import Motor
 
 _LEAST: Final = float_info.min
 

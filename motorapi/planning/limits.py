@@ -6,9 +6,9 @@ A value may exceed its limit by rounding only (1e-9 of it). `motor` is a name fo
 from math import inf, isfinite
 from typing import Final
 
-from motorapi.commands import ControlVariable, DerivativeLimits, Range
-from motorapi.errors import LimitError, UnsupportedError
-from motorapi.model import MotorModel
+from motorhil.motorapi.commands import ControlVariable, DerivativeLimits, Range
+from motorhil.motorapi.errors import LimitError, UnsupportedError
+from motorhil.motorapi.model import MotorModel
 
 ROUNDING: Final = 1e-9
 

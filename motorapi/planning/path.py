@@ -10,7 +10,7 @@ the distance, x_i the distance covered and v_i the maximum velocity of motor i:
     deviation of motor i    x_i - s D_i
 """
 
-# ruff: noqa: SLF001 -- it works the hooks of motors, as motorapi.execution does
+# ruff: noqa: SLF001 -- it works the hooks of motors, as motorhil.motorapi.execution does
 
 from collections import deque
 from collections.abc import Callable, Sequence
@@ -18,16 +18,16 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING, Final, final
 
-from motorapi.errors import MotorError
-from motorapi.execution import Started
-from motorapi.generation import Trapezoid, shortest
-from motorapi.state import MotorState
-from motorapi.synchronization.quality import PathDeviation
+from motorhil.motorapi.errors import MotorError
+from motorhil.motorapi.execution import Started
+from motorhil.motorapi.generation import Trapezoid, shortest
+from motorhil.motorapi.state import MotorState
+from motorhil.motorapi.synchronization.quality import PathDeviation
 
 if TYPE_CHECKING:
-    from motorapi.commands import Motion
-    from motorapi.motor import Motor
-    from motorapi.runtime.api import Registration
+    from motorhil.motorapi.commands import Motion
+    from motorhil.motorapi.motor import Motor
+    from motorhil.motorapi.runtime.api import Registration
 
 LOOK_PERIOD_S: Final = 0.005
 """The period of the check for new measurements [s]."""

@@ -7,11 +7,11 @@ Drives that generate their own profile do not need it. Motors with set-points fr
 from math import inf
 from typing import TYPE_CHECKING, Protocol, final
 
-from motorapi.commands import ControlVariable, Motion
-from motorapi.generation import Trapezoid, shortest
+from motorhil.motorapi.commands import ControlVariable, Motion
+from motorhil.motorapi.generation import Trapezoid, shortest
 
 if TYPE_CHECKING:
-    from motorapi.functions.base import Function
+    from motorhil.motorapi.functions.base import Function
 
 
 class Demand(Protocol):

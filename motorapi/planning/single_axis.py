@@ -8,17 +8,25 @@ from dataclasses import dataclass, replace
 from math import inf, isfinite
 from typing import TYPE_CHECKING, final
 
-from motorapi.planning import functions as function_planning
-from motorapi.planning import functions as smooth_planning
-from motorapi.commands import ControlMode, ControlVariable, DerivativeLimits, Motion, Range, Setpoint, as_number
-from motorapi.errors import LimitError, UnsupportedError, UsageError
-from motorapi.generation import shortest, stretched
-from motorapi.planning.limits import ROUNDING, check_bounds, check_target
-from motorapi.model import MotorModel
-from motorapi.trajectory import ComplexTrajectory, Trajectory, TrapezoidalTrajectory
+from motorhil.motorapi.commands import (
+    ControlMode,
+    ControlVariable,
+    DerivativeLimits,
+    Motion,
+    Range,
+    Setpoint,
+    as_number,
+)
+from motorhil.motorapi.errors import LimitError, UnsupportedError, UsageError
+from motorhil.motorapi.generation import shortest, stretched
+from motorhil.motorapi.model import MotorModel
+from motorhil.motorapi.planning import functions as function_planning
+from motorhil.motorapi.planning import functions as smooth_planning
+from motorhil.motorapi.planning.limits import ROUNDING, check_bounds, check_target
+from motorhil.motorapi.trajectory import ComplexTrajectory, Trajectory, TrapezoidalTrajectory
 
 if TYPE_CHECKING:
-    from motorapi.trajectory import Argument
+    from motorhil.motorapi.trajectory import Argument
 
 
 @final

@@ -7,9 +7,9 @@ counted is examined only after a change.
 """
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Protocol
-from motorapi.errors import MotorError, PluginError
-from typing import Final, final
+from typing import TYPE_CHECKING, Final, Protocol, final
+
+from motorhil.motorapi.errors import MotorError, PluginError
 
 if TYPE_CHECKING:
     import can
@@ -18,7 +18,7 @@ FrameListener = Callable[[bytes, int, bool], None]
 """(frame, time_ns, transmitted): a Linux can_frame of 16 bytes, the time when it was complete on
 the bus, and True if this bus object sent it, so that it is known to have been on the wire. Error
 messages of the CAN controller of the bus arrive here too, as frames with ERR_FLAG in their
-identifier; `motorapi.runtime.can_sources` decodes them. They are not bus traffic.
+identifier; `motorhil.motorapi.runtime.can_sources` decodes them. They are not bus traffic.
 """
 
 
@@ -96,7 +96,7 @@ def runtime_of(bus: "can.BusABC") -> Runtime:
     own: Runtime | None = getattr(bus, "runtime", None)
     if own is not None:
         return own
-    from motorapi.runtime.wall import process_runtime
+    from motorhil.motorapi.runtime.wall import process_runtime
 
     return process_runtime()
 

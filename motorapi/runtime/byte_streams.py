@@ -17,11 +17,11 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Final, final
 
-from motorapi.errors import LinkError, UsageError
-from motorapi.runtime.wall import WallRuntime, process_runtime
+from motorhil.motorapi.errors import LinkError, UsageError
+from motorhil.motorapi.runtime.wall import WallRuntime, process_runtime
 
 if TYPE_CHECKING:
-    from motorapi.runtime.api import Registration
+    from motorhil.motorapi.runtime.api import Registration
 
 DataListener = Callable[[bytes, int], None]
 """(bytes, time of arrival [ns]); b"": the other end has closed the connection."""

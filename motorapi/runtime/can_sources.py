@@ -30,11 +30,10 @@ import select
 import socket
 import struct
 import time
-from typing import TYPE_CHECKING, Final, Protocol, final
-from motorapi.errors import LinkError, UsageError
 from enum import Enum
-from typing import TYPE_CHECKING, Final, final
-from motorapi.errors import LinkError
+from typing import TYPE_CHECKING, Final, Protocol, final
+
+from motorhil.motorapi.errors import LinkError, UsageError
 
 if TYPE_CHECKING:
     import can
@@ -116,7 +115,7 @@ def _cannot_send(bus: "can.BusABC", error: Exception) -> LinkError:
 
 
 class _FrameBus(Protocol):
-    """A bus that exchanges raw frames (harness.python_can.bus.EmulatedBus over a socket)."""
+    """A bus that exchanges raw frames (motorhil.harness.python_can.bus.EmulatedBus over a socket)."""
 
     def receive_frame(self, timeout_s: float) -> tuple[bytes, int, bool] | None:
         """Return (frame, time by the clock of the bus [ns], transmitted), or None."""

@@ -12,21 +12,19 @@ Periodic actions on the wall clock, in one thread while there are any.
 Refusal of inherited buses and motors in a forked child.
 """
 
-import threading
-from collections.abc import Callable
-from heapq import heappop, heappush
-from typing import Final, final
-from motorapi.errors import UsageError
 import atexit
 import os
+import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from heapq import heappop, heappush
 from typing import TYPE_CHECKING, Final, ParamSpec, final
-from motorapi.runtime.can_sources import FrameSource, source_of
-from motorapi.errors import DeadlineExceeded, LinkError, UsageError
-from motorapi.runtime.api import FrameListener
+
+from motorhil.motorapi.errors import DeadlineExceeded, LinkError, UsageError
+from motorhil.motorapi.runtime.api import FrameListener
+from motorhil.motorapi.runtime.can_sources import FrameSource, source_of
 
 if TYPE_CHECKING:
     import can

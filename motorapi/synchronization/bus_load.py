@@ -16,7 +16,7 @@ from math import isfinite
 from typing import TYPE_CHECKING, Final, final
 from weakref import WeakKeyDictionary
 
-from motorapi.errors import UsageError
+from motorhil.motorapi.errors import UsageError
 
 if TYPE_CHECKING:
     import can

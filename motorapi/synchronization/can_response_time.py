@@ -24,7 +24,12 @@ from itertools import groupby
 from math import ceil
 from typing import Final, final
 
-from motorapi.synchronization.bus_load import CanTraffic, PeriodicMessage, rank_of, worst_of
+from motorhil.motorapi.synchronization.bus_load import (
+    CanTraffic,
+    PeriodicMessage,
+    rank_of,
+    worst_of,
+)
 
 INTERMISSION_BITS: Final = 3
 _STUFFED_BITS: Final = (34, 54)  # SOF to CRC without data, for 11 and 29 bits: may be stuffed

@@ -1,8 +1,8 @@
 """Conditions for the start of a group: maximum skew, guaranteed in advance."""
 
-from motorapi.commands import as_number
-from motorapi.errors import SynchronizationError, UsageError
-from motorapi.synchronization.quality import SyncCapability, SyncLevel
+from motorhil.motorapi.commands import as_number
+from motorhil.motorapi.errors import SynchronizationError, UsageError
+from motorhil.motorapi.synchronization.quality import SyncCapability, SyncLevel
 
 
 def check_asked(require: object, max_skew_s: object) -> None:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from enum import Enum, IntEnum
 from typing import Protocol, final
 
-from motorapi.synchronization.can_response_time import Firing, OneFrame
+from motorhil.motorapi.synchronization.can_response_time import Firing, OneFrame
 
 
 @final

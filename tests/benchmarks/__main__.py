@@ -8,7 +8,7 @@ import pkgutil
 import sys
 
 import tests.benchmarks
-from harness.version import describe
+from motorhil.harness.version import describe
 
 
 def main(wanted: list[str]) -> int:

@@ -4,12 +4,12 @@ import time
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from harness.rig.rig import Rig
-from motorapi.adaptations.cia402.hardware import Cia402HwMotor
-from motorapi.adaptations.cia402.motor import Cia402Motor
-from motorapi.adaptations.cia402.motion_status import SetpointWatch
-from motorapi.commands import ControlMode
-from motorapi.model import MotorModel
+from motorhil.harness.rig.rig import Rig
+from motorhil.motorapi.adaptations.cia402.hardware import Cia402HwMotor
+from motorhil.motorapi.adaptations.cia402.motion_status import SetpointWatch
+from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
+from motorhil.motorapi.commands import ControlMode
+from motorhil.motorapi.model import MotorModel
 
 FRAMES = 100_000
 UPLOADS = 3_000

@@ -8,13 +8,13 @@ from struct import pack
 
 import canopen
 
-import emulators
-from emulators.canopen.files.eds import read_eds
-from emulators.canopen.node import CanopenNode
-from emulators.canopen.outbox import NodeTiming
-from emulators.canopen.object_dictionary import DataType, ObjectDictionary, Variable
-from emulators.can.frame import data_of
-from emulators.can.frame import pack as frame
+from motorhil import emulators
+from motorhil.emulators.can.frame import data_of
+from motorhil.emulators.can.frame import pack as frame
+from motorhil.emulators.canopen.files.eds import read_eds
+from motorhil.emulators.canopen.node import CanopenNode
+from motorhil.emulators.canopen.object_dictionary import DataType, ObjectDictionary, Variable
+from motorhil.emulators.canopen.outbox import NodeTiming
 
 MS = 1_000_000
 NODE_ID = 3

@@ -11,7 +11,7 @@ from functools import partial
 import numpy as np
 from scipy.interpolate import CubicSpline, PPoly
 
-from motorapi.functions import Cosine, Interpolation, Piecewise, Sampled, Sine
+from motorhil.motorapi.functions import Cosine, Interpolation, Piecewise, Sampled, Sine
 
 PIECES = 1000
 POINTS = 1_000_000

@@ -5,9 +5,9 @@ from time import process_time
 
 import numpy as np
 
-from motorapi.commands import DerivativeLimits
-from motorapi.errors import UnsupportedError
-from motorapi.generation import (
+from motorhil.motorapi.commands import DerivativeLimits
+from motorhil.motorapi.errors import UnsupportedError
+from motorhil.motorapi.generation import (
     ProfileLimits,
     feasible,
     generate,
@@ -15,11 +15,11 @@ from motorapi.generation import (
     through_waypoints,
     trapezoid,
 )
-from motorapi.generation import batched as many
-from motorapi.generation import batch as trapezoids
-from motorapi.generation.batched import LimitArrays
-from motorapi.model import MotorModel
-from motorapi.trajectory import TrapezoidalTrajectory
+from motorhil.motorapi.generation import batch as trapezoids
+from motorhil.motorapi.generation import batched as many
+from motorhil.motorapi.generation.batched import LimitArrays
+from motorhil.motorapi.model import MotorModel
+from motorhil.motorapi.trajectory import TrapezoidalTrajectory
 
 MANY = 100_000
 FEW = 20_000

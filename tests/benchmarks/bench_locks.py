@@ -7,19 +7,22 @@ import tempfile
 import time
 from collections.abc import Callable
 
-from harness.sharing_tests.workers import Desk
-from harness.sharing_tests.history import Action, SharingViolated
-from harness.sharing_tests.processes import Outcome, Plan
-from harness.sharing_tests.processes import run as contested
-from motorapi.locking.directory import LockDirectory
-from motorapi.locking.process_lock import ProcessLock
-from motorapi.runtime.wall import WallRuntime
+from motorhil.harness.sharing_tests.history import Action, SharingViolated
+from motorhil.harness.sharing_tests.processes import Outcome, Plan
+from motorhil.harness.sharing_tests.processes import run as contested
+from motorhil.harness.sharing_tests.workers import Desk
+from motorhil.motorapi.locking.directory import LockDirectory
+from motorhil.motorapi.locking.process_lock import ProcessLock
+from motorhil.motorapi.runtime.wall import WallRuntime
 
 ROUNDS = 5
 SHORT_ROUNDS = 200  # shorter than a time slice, so that some rounds run undisturbed
 TIMES = 100
 CONTEST_S, INSIDE_S = 3.0, 50e-6
-OURS, FLOCK = "harness.sharing_tests.workers:work_lock", "tests.benchmarks.bench_locks:work_flock"
+OURS, FLOCK = (
+    "motorhil.harness.sharing_tests.workers:work_lock",
+    "tests.benchmarks.bench_locks:work_flock",
+)
 
 
 def _best_us(action: Callable[[], object]) -> float:

@@ -3,9 +3,9 @@
 from random import Random
 from time import process_time_ns
 
-from emulators.can.bus.bus import CanBus
-from emulators.can.fault_rules import FaultKind, FaultRule
-from emulators.can.bus.fault_plan import FaultPlan
+from motorhil.emulators.can.bus.bus import CanBus
+from motorhil.emulators.can.bus.fault_plan import FaultPlan
+from motorhil.emulators.can.fault_rules import FaultKind, FaultRule
 from tests.benchmarks.workloads import best_us, bus, bus_traffic, one_by_one
 from tests.emulators.media.noisy import noisy_hours
 

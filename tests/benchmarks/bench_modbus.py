@@ -18,11 +18,11 @@ from time import perf_counter
 
 from pymodbus.client import ModbusTcpClient
 
-from emulators.simulation.event_queue import EventQueue
-from emulators.media.serial_line import SerialLine
-from emulators.modbus.rtu import with_crc
-from emulators.modbus.tcp import adu
-from emulators.simulation.world import World
+from motorhil.emulators.media.serial_line import SerialLine
+from motorhil.emulators.modbus.rtu import with_crc
+from motorhil.emulators.modbus.tcp import adu
+from motorhil.emulators.simulation.event_queue import EventQueue
+from motorhil.emulators.simulation.world import World
 from tests.emulators.test_lines import Registers
 
 ROUNDS = 7
@@ -36,7 +36,7 @@ bus = "plant"
 unit = 1
 timing = {boot_up_s = 0, reply_s = 0}
 """
-_MOTORHIL = "import sys; from harness.cli.main import main; sys.exit(main())"
+_MOTORHIL = "import sys; from motorhil.harness.cli.main import main; sys.exit(main())"
 Work = Callable[[], float]
 
 

@@ -4,12 +4,11 @@ from collections.abc import Callable
 from dataclasses import replace
 from time import process_time
 
-from emulators.firmware.axis import Axis
-from emulators.firmware.flags import PROFILE_ACTIVE
-from emulators.firmware.servo_tables import ServoGains
-from emulators.firmware.servo_tables import tables_of
-from emulators.plant.nonlinear import NO_EXTRAS, PlantExtras
-from emulators.plant.presets import WHEEL_60W
+from motorhil.emulators.firmware.axis import Axis
+from motorhil.emulators.firmware.flags import PROFILE_ACTIVE
+from motorhil.emulators.firmware.servo_tables import ServoGains, tables_of
+from motorhil.emulators.plant.nonlinear import NO_EXTRAS, PlantExtras
+from motorhil.emulators.plant.presets import WHEEL_60W
 
 MS = 1_000_000
 TICKS = 10_000

@@ -12,15 +12,15 @@ from pathlib import Path
 import can
 from mcap.reader import make_reader
 
-from harness.cli.main import main as motorhil
-from harness.recording.conversion import convert
+from motorhil.harness.cli.main import main as motorhil
+from motorhil.harness.recording.conversion import convert
+from motorhil.traces.columns import read_can_arrays
+from motorhil.traces.decoding.narrative import Story
+from motorhil.traces.formats.blf import write_blf
+from motorhil.traces.formats.frames import Findings, Frame
+from motorhil.traces.formats.registry import open_source
+from motorhil.traces.mcap.reader import read_trace
 from tests.benchmarks.bench_traces import FRAMES, by_python_can, by_writer, cpu_us, entries, traffic
-from traces.columns import read_can_arrays
-from traces.formats.blf import write_blf
-from traces.formats.registry import open_source
-from traces.mcap.reader import read_trace
-from traces.decoding.narrative import Story
-from traces.formats.frames import Findings, Frame
 
 LAST_S = 1.0
 SPANS = 20  # repetitions of the frames in the recording whose end is shown

@@ -16,11 +16,10 @@ from pathlib import Path
 import can
 from can.interfaces.socketcan.socketcan import capture_message
 
-from harness.recording.socketcan import DatagramReader
-from harness.recording.writer import Pump, opener
-from harness.recording.writer import Series
+from motorhil.harness.recording.socketcan import DatagramReader
+from motorhil.harness.recording.writer import Pump, Series, opener
+from motorhil.traces.mcap.writer import Entry
 from tests.benchmarks.bench_traces import FRAMES, by_python_can, traffic
-from traces.mcap.writer import Entry
 
 ROUNDS = 7
 FULL_FRAMES_S = 170_000

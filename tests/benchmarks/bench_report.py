@@ -10,12 +10,11 @@ from pathlib import Path
 
 from mcap.reader import make_reader
 
-from harness.cli.main import main
+from motorhil.harness.cli.main import main
+from motorhil.traces.mcap.writer import TraceWriter
+from motorhil.traces.schema import CAN_FRAME, Direction, Schema, encode_can_frame
 from tests.benchmarks.bench_traces import traffic
 from tests.harness.report.browser import Browser, chromium
-from traces.schema import encode_can_frame
-from traces.schema import CAN_FRAME, Direction, Schema
-from traces.mcap.writer import TraceWriter
 
 FRAMES = 1_000_000
 PERIOD_NS = 125_000

@@ -9,11 +9,11 @@ import time
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from harness.rig.rig import Rig
-from motorapi.commands import ControlMode
-from motorapi.group import MotorGroup
-from motorapi.motor import Motor
-from motorapi.trajectory import TrapezoidalTrajectory
+from motorhil.harness.rig.rig import Rig
+from motorhil.motorapi.commands import ControlMode
+from motorhil.motorapi.group import MotorGroup
+from motorhil.motorapi.motor import Motor
+from motorhil.motorapi.trajectory import TrapezoidalTrajectory
 from tests.motorapi.adaptations.software_rigs import motor, node
 
 ROUNDS = 3

@@ -11,8 +11,8 @@ import time
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from harness.rig.rig import Rig
-from motorapi.adaptations.cia402.hardware import Cia402HwMotor
+from motorhil.harness.rig.rig import Rig
+from motorhil.motorapi.adaptations.cia402.hardware import Cia402HwMotor
 from tests.benchmarks.bench_adaptations import RIG
 from tests.benchmarks.bench_canopen import _peer_uploads_per_s
 

@@ -14,13 +14,11 @@ from pathlib import Path
 import can
 from mcap.writer import IndexType, Writer
 
-from harness.recording.recorder import Recorder
-from traces.mcap.writer import Entry
-from traces.digest import digest
-from traces.schema import encode_can_frame
-from traces.mcap.reader import read_trace
-from traces.schema import CAN_FRAME, Direction, Schema
-from traces.mcap.writer import TraceWriter
+from motorhil.harness.recording.recorder import Recorder
+from motorhil.traces.digest import digest
+from motorhil.traces.mcap.reader import read_trace
+from motorhil.traces.mcap.writer import Entry, TraceWriter
+from motorhil.traces.schema import CAN_FRAME, Direction, Schema, encode_can_frame
 
 FRAMES = 100_000
 ROUNDS = 3

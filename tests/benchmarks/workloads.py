@@ -41,9 +41,9 @@ def best(action: Callable[[], float], rounds: int = ROUNDS) -> float:
 def demo() -> Figures:
     """Measure the rover manoeuvre: open the rig, drive, record, close."""
     imported = time.process_time()
-    from harness.cli.demo import POINT_M, RIG
-    from harness.examples.rover import Rover, manoeuvre
-    from harness.rig.rig import Rig
+    from motorhil.harness.cli.demo import POINT_M, RIG
+    from motorhil.harness.examples.rover import Rover, manoeuvre
+    from motorhil.harness.rig.rig import Rig
 
     with TemporaryDirectory() as folder:
         frames = simulated_s = 0.0
@@ -89,8 +89,8 @@ def _csp_rig(folder: str, drives: int) -> str:
 
 def _enabled(rig, drives: int, **options):  # type: ignore[no-untyped-def]
     """Return the hardware objects of all enabled drives; TPDO 1 (6041h, 6064h) is of type 1."""
-    from motorapi.adaptations.cia402.hardware import Cia402HwMotor
-    from motorapi.adaptations.cia402.bringup import HwOptions
+    from motorhil.motorapi.adaptations.cia402.bringup import HwOptions
+    from motorhil.motorapi.adaptations.cia402.hardware import Cia402HwMotor
 
     bus = rig.bus("can0")
     hardware = []
@@ -107,7 +107,7 @@ def _enabled(rig, drives: int, **options):  # type: ignore[no-untyped-def]
 
 def _stream(drives: int) -> tuple[float, int, float, str]:
     """Stream CYCLES set-points; return (CPU [s], late set-points, bus load, message)."""
-    from harness.rig.rig import Rig
+    from motorhil.harness.rig.rig import Rig
 
     with TemporaryDirectory() as folder, Rig.open(_csp_rig(folder, drives)) as rig:
         told: list[str] = []
@@ -139,8 +139,8 @@ def _stream(drives: int) -> tuple[float, int, float, str]:
 
 def _bare(drives: int) -> float:
     """Return the CPU time [s] of CYCLES for a host that only packs and unpacks its frames."""
-    from harness.rig.rig import Rig
-    from motorapi.adaptations.cia402.objects import Mode
+    from motorhil.harness.rig.rig import Rig
+    from motorhil.motorapi.adaptations.cia402.objects import Mode
 
     with TemporaryDirectory() as folder, Rig.open(_csp_rig(folder, drives)) as rig:
         hardware = _enabled(rig, drives, heartbeat_ms=0, connection_loss=None)
@@ -204,7 +204,7 @@ def csp() -> Figures:
 
 def _rest(folder: str, heartbeat_ms: int) -> float:
     """Return the CPU time [s] of an hour at rest."""
-    from harness.rig.rig import Rig
+    from motorhil.harness.rig.rig import Rig
 
     lines = ['rig = { name = "rest" }', "bus.can0.bitrate_bit_s = 1_000_000"]
     for node in range(1, 101):
@@ -237,7 +237,7 @@ def rest() -> Figures:
 
 def bus_traffic() -> list[bytes]:
     """Return different TPDOs of 14 nodes with 8 bytes of data."""
-    from emulators.can.frame import pack
+    from motorhil.emulators.can.frame import pack
 
     draw = Random("bench_media")
     return [pack(0x181 + number % 14, draw.randbytes(8)) for number in range(BUS_FRAMES)]
@@ -287,8 +287,8 @@ def _all_gone(bus, now_ns: int) -> int:  # type: ignore[no-untyped-def]
 
 def bus() -> Figures:
     """Measure frames through the CAN bus without a world."""
-    from emulators.can.frame_length import frame_bits
-    from emulators.can.bus.bus import CanBus
+    from motorhil.emulators.can.bus.bus import CanBus
+    from motorhil.emulators.can.frame_length import frame_bits
 
     frames = bus_traffic()
     return [
@@ -303,11 +303,10 @@ def bus() -> Figures:
 
 def kit() -> Figures:
     """Measure all clauses of the kit on the bench of cia402, without imports."""
-    from harness.conformance.run import Claims
-    from harness.conformance.worker import Job
-    from harness.conformance.kit import all_clauses
-    from harness.conformance.run import run_clause
-    from harness.conformance.examination import Target
+    from motorhil.harness.conformance.examination import Target
+    from motorhil.harness.conformance.kit import all_clauses
+    from motorhil.harness.conformance.run import Claims, run_clause
+    from motorhil.harness.conformance.worker import Job
 
     target = Target(Job("cia402"))
     clauses = all_clauses().values()

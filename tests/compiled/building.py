@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from harness.version import cores_are_compiled
+from motorhil.harness.version import cores_are_compiled
 from tests.architecture.checkout import CHECKOUT
 
 LEVEL = "OPTIMISE=0"  # lowest -O level of gcc; 2, as shipped, compiles longer and rounds the same

@@ -14,7 +14,7 @@ import venv
 
 import pytest
 
-from harness.version import source_digest
+from motorhil.harness.version import source_digest
 from tests.architecture.checkout import CHECKOUT, PACKAGES
 from tests.compiled.building import LEVEL, clone, demo, digest_in, make, nobody_else_builds
 
@@ -73,9 +73,9 @@ def test_version_names_compiled_cores_and_their_source(built, tmp_path):
 
 def test_hot_modules_are_compiled_outside_the_sources(built, tmp_path):
     names = (
-        "emulators.simulation.event_queue emulators.simulation.world emulators.can.bus.bus emulators.firmware.servo "
-        "emulators.plant.dc_motor emulators.canopen.node emulators.cia402.drive "
-        "harness.virtual_time.runtime traces.schema"
+        "motorhil.emulators.simulation.event_queue motorhil.emulators.simulation.world motorhil.emulators.can.bus.bus motorhil.emulators.firmware.servo "
+        "motorhil.emulators.plant.dc_motor motorhil.emulators.canopen.node motorhil.emulators.cia402.drive "
+        "motorhil.harness.virtual_time.runtime motorhil.traces.schema"
     )
     code = f"from importlib import import_module\nfor n in {names.split()}:\n"
     code += "    print(import_module(n).__file__)"

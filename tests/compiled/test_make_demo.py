@@ -2,7 +2,7 @@
 
 import pytest
 
-from harness.version import cores_are_compiled
+from motorhil.harness.version import cores_are_compiled
 from tests.architecture.checkout import PACKAGES
 from tests.compiled.building import clone, demo
 

@@ -3,13 +3,13 @@
 from functools import cache
 from pathlib import Path
 
-import harness.conformance
-from harness.conformance.run import Claims
-from harness.conformance.rig_bench import RigBench, bench_description
-from harness.rig.rig import installed_plugins
-from harness.rig.config.rig_file import read_rig
+import motorhil.harness.conformance
+from motorhil.harness.conformance.rig_bench import RigBench, bench_description
+from motorhil.harness.conformance.run import Claims
+from motorhil.harness.rig.config.rig_file import read_rig
+from motorhil.harness.rig.rig import installed_plugins
 
-RIGS = Path(harness.conformance.__file__).parent / "rigs"
+RIGS = Path(motorhil.harness.conformance.__file__).parent / "rigs"
 KINDS = tuple(sorted(path.stem for path in RIGS.glob("*.toml")))
 
 

@@ -12,9 +12,9 @@ from pathlib import Path
 
 import can
 
-from harness.conformance import examination as target
-from motorapi.adaptations.ideal import motor as ideal
-from motorapi.locking.process_lock import ProcessLock
+from motorhil.harness.conformance import examination as target
+from motorhil.motorapi.adaptations.ideal import motor as ideal
+from motorhil.motorapi.locking.process_lock import ProcessLock
 
 RIG = Path(target.__file__).parent / "rigs" / "ideal.toml"
 KEPT = []  # referenced only here

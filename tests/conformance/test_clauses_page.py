@@ -1,6 +1,6 @@
 """docs/CLAUSES.md contains the kit's promises."""
 
-from harness.conformance.kit import page
+from motorhil.harness.conformance.kit import page
 from tests.architecture.checkout import CHECKOUT
 
 PAGE = CHECKOUT / "docs" / "CLAUSES.md"

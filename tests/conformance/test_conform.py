@@ -11,23 +11,20 @@ from xml.etree import ElementTree
 
 import pytest
 
-from harness.cli.main import main
-from harness.conformance.clause import Clause, Level, NotApplicable
-from harness.conformance.examination import Finding
-from harness.conformance.worker import Job, Promise
-from harness.conformance.kit import all_clauses
-from harness.conformance.results import Outcome, as_json, as_junit, as_page
-from harness.conformance.rig_bench import RigBench, bench_description
-from harness.conformance.run import run_clause
-from harness.conformance.worker import Loaded
-from harness.conformance.examination import Target
-from harness.conformance.clause import Result, Verdict
-from harness.rig.rig import describe
-from harness.rig.config.toml import RigError
-from motorapi import ControlMode, ControlVariable
+from motorhil.harness.cli.main import main
+from motorhil.harness.conformance.clause import Clause, Level, NotApplicable, Result, Verdict
+from motorhil.harness.conformance.examination import Finding, Target
+from motorhil.harness.conformance.kit import all_clauses
+from motorhil.harness.conformance.results import Outcome, as_json, as_junit, as_page
+from motorhil.harness.conformance.rig_bench import RigBench, bench_description
+from motorhil.harness.conformance.run import run_clause
+from motorhil.harness.conformance.worker import Job, Loaded, Promise
+from motorhil.harness.rig.config.toml import RigError
+from motorhil.harness.rig.rig import describe
+from motorhil.motorapi import ControlMode, ControlVariable
+from motorhil.traces.digest import digest
 from tests.conformance.benches import RIGS
 from tests.harness.cli_bench import beside, in_another_process
-from traces.digest import digest
 
 ROOT = Path(__file__).parents[2]
 WITHOUT = '[conformance.without]\nposition_trajectory = "it has none"\n'
@@ -37,7 +34,7 @@ MISBEHAVING = "tests.conformance.misbehaving:build"
 def conform(*words, seed):
     """Run the command in another process with this hash seed."""
     return subprocess.run(
-        [sys.executable, "-m", "harness", "conform", *words],
+        [sys.executable, "-m", "motorhil", "conform", *words],
         env={**os.environ, "PYTHONPATH": str(ROOT), "PYTHONHASHSEED": str(seed)},
         capture_output=True,
         text=True,

@@ -2,13 +2,12 @@
 
 import pytest
 
-from harness.conformance.run import Claims
-from harness.conformance.kit import all_clauses
-from harness.conformance.rig_bench import RigBench, bench_description
-from harness.conformance.clause import Result
-from harness.conformance.run import run_clause
-from harness.rig.rig import installed_plugins
-from harness.rig.config.rig_file import read_rig
+from motorhil.harness.conformance.clause import Result
+from motorhil.harness.conformance.kit import all_clauses
+from motorhil.harness.conformance.rig_bench import RigBench, bench_description
+from motorhil.harness.conformance.run import Claims, run_clause
+from motorhil.harness.rig.config.rig_file import read_rig
+from motorhil.harness.rig.rig import installed_plugins
 from tests.conformance.benches import RIGS
 
 CLAUSES = all_clauses()

@@ -2,8 +2,8 @@
 
 import pytest
 
-from harness.conformance.kit import all_clauses
-from harness.conformance.run import run_clause
+from motorhil.harness.conformance.kit import all_clauses
+from motorhil.harness.conformance.run import run_clause
 from tests.conformance.benches import opener
 from tests.conformance.mutants import MUTANTS
 from tests.conformance.mutants.everyone import MODULES

@@ -14,7 +14,7 @@ from pathlib import Path
 import can
 import pytest
 
-from tests.architecture.checkout import CHECKOUT, PACKAGES
+from tests.architecture.checkout import CHECKOUT
 from tests.conformance.outsider_source import OUTSIDER
 
 OTHERS = ("pyproject.toml", "setup.py", "README.md", "LICENSE")
@@ -45,8 +45,7 @@ def venv(tmp_path_factory):
     """An environment with both wheels and the dependencies installed here."""
     folder = tmp_path_factory.mktemp("outsider")
     sources = folder / "motorhil"
-    for package in PACKAGES:
-        shutil.copytree(CHECKOUT / package, sources / package, ignore=IGNORED)
+    shutil.copytree(CHECKOUT / "motorhil", sources / "motorhil", ignore=IGNORED)
     for name in OTHERS:
         shutil.copy(CHECKOUT / name, sources / name)
     shutil.copytree(OUTSIDER, folder / "outsider", ignore=IGNORED)
@@ -71,7 +70,7 @@ IGNORED = shutil.ignore_patterns("__pycache__", "*.egg-info", "build", "*.so")
 
 def test_environment_has_only_the_wheels(venv):
     code = (
-        "import motorapi, motorhil_odrive, sys; print(motorapi.__file__, motorhil_odrive.__file__)"
+        "import motorhil, motorhil_odrive, sys; print(motorhil.__file__, motorhil_odrive.__file__)"
     )
     for path in run(venv / "python", "-c", code, cwd=venv).split():
         assert Path(path).is_relative_to(venv.parent), path

@@ -5,11 +5,10 @@ from pathlib import Path
 
 import pytest
 
-import harness.conformance.clauses
-from harness.conformance.clause import Ability, Capability
-from harness.conformance.kit import all_clauses
-from harness.conformance.clause import Result
-from harness.conformance.run import run_clause
+import motorhil.harness.conformance.clauses
+from motorhil.harness.conformance.clause import Ability, Capability, Result
+from motorhil.harness.conformance.kit import all_clauses
+from motorhil.harness.conformance.run import run_clause
 from tests.conformance.benches import KINDS, claims, opener
 
 CLAUSES = all_clauses()
@@ -48,7 +47,7 @@ def test_built_in_adaptation_passes_clause(kind, clause):
 
 def test_every_capability_and_ability_is_used_by_a_clause():
     needed = {one for clause in CLAUSES.values() for one in (*clause.needs, *clause.bench)}
-    folder = Path(harness.conformance.clauses.__file__).parent
+    folder = Path(motorhil.harness.conformance.clauses.__file__).parent
     named = {  # where a clause itself tests each mode
         match
         for file in folder.glob("*.py")

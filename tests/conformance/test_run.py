@@ -2,10 +2,10 @@
 
 import pytest
 
-from harness.conformance.kit import all_clauses
-from harness.conformance.clause import Result
-from harness.conformance.run import run_clause
-from harness.rig.config.toml import BrokenPluginError, RigError
+from motorhil.harness.conformance.clause import Result
+from motorhil.harness.conformance.kit import all_clauses
+from motorhil.harness.conformance.run import run_clause
+from motorhil.harness.rig.config.toml import BrokenPluginError, RigError
 from tests.conformance.benches import claims, opener
 
 

@@ -5,18 +5,20 @@ from pathlib import Path
 
 import pytest
 
-from harness.conformance import worker as supervision
-from harness.conformance.clause import Capability
-from harness.conformance.run import Claims
-from harness.conformance.worker import Job
-from harness.conformance.kit import all_clauses
-from harness.conformance.run import run_clause
-from harness.conformance.worker import CannotTestError, Supervisor, WrongJobError
-from harness.conformance.examination import Target
-from harness.conformance.clause import Result
-from harness.conformance.worker import _Worker
-from harness.rig.config.toml import RigError
-from motorapi.locking.directory import VARIABLE
+from motorhil.harness.conformance import worker as supervision
+from motorhil.harness.conformance.clause import Capability, Result
+from motorhil.harness.conformance.examination import Target
+from motorhil.harness.conformance.kit import all_clauses
+from motorhil.harness.conformance.run import Claims, run_clause
+from motorhil.harness.conformance.worker import (
+    CannotTestError,
+    Job,
+    Supervisor,
+    WrongJobError,
+    _Worker,
+)
+from motorhil.harness.rig.config.toml import RigError
+from motorhil.motorapi.locking.directory import VARIABLE
 from tests.conformance import misbehaving
 
 pytestmark = pytest.mark.wall

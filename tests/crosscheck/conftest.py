@@ -1,7 +1,7 @@
 import canopen
 import pytest
 
-from emulators.cia402.settings import OWN_EDS
+from motorhil.emulators.cia402.settings import OWN_EDS
 from tests.crosscheck.client import WireNetwork, WireNode402, connect
 from tests.crosscheck.wire import Wire
 

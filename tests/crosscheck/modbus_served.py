@@ -12,19 +12,17 @@ from collections.abc import Callable
 from pathlib import Path
 from select import select
 
-from emulators.simulation.event_queue import EventQueue
-from emulators.media.byte_pipe import BytePipe
-from emulators.media.serial_line import SerialLine
-from emulators.modbus.rtu import with_crc
-from emulators.modbus.server import Diagnostics
-from emulators.modbus.registers import Access, BitBank, Register, RegisterBank
-from emulators.modbus.rtu import RtuUnit
-from emulators.modbus.server import ModbusServer
-from emulators.modbus.tcp import adu
-from emulators.gateways.modbus_pty import ModbusPty
-from emulators.gateways.modbus_tcp import ModbusSocket
-from emulators.gateways.loop import WallLoop
-from emulators.simulation.world import World
+from motorhil.emulators.gateways.loop import WallLoop
+from motorhil.emulators.gateways.modbus_pty import ModbusPty
+from motorhil.emulators.gateways.modbus_tcp import ModbusSocket
+from motorhil.emulators.media.byte_pipe import BytePipe
+from motorhil.emulators.media.serial_line import SerialLine
+from motorhil.emulators.modbus.registers import Access, BitBank, Register, RegisterBank
+from motorhil.emulators.modbus.rtu import RtuUnit, with_crc
+from motorhil.emulators.modbus.server import Diagnostics, ModbusServer
+from motorhil.emulators.modbus.tcp import adu
+from motorhil.emulators.simulation.event_queue import EventQueue
+from motorhil.emulators.simulation.world import World
 from tests.emulators.test_lines import Registers
 
 LONG_S = 20.0

@@ -5,9 +5,9 @@ from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from emulators.can.fault_rules import FaultRule
-from harness.rig.rig import Rig
-from motorapi import ControlMode, Motor, TrapezoidalTrajectory
+from motorhil.emulators.can.fault_rules import FaultRule
+from motorhil.harness.rig.rig import Rig
+from motorhil.motorapi import ControlMode, Motor, TrapezoidalTrajectory
 from tests.crosscheck.wire import frame
 from tests.motorapi.adaptations.conftest import HEAD, drive
 

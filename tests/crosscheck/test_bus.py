@@ -7,7 +7,7 @@ import itertools
 
 import pytest
 
-from emulators.can.fault_rules import FaultKind, FaultRule
+from motorhil.emulators.can.fault_rules import FaultKind, FaultRule
 from tests.crosscheck.wire import MS, US, Wire
 from tests.emulators.media.wire import INTERMISSION, Fields, on_the_wire
 

@@ -5,10 +5,16 @@ Every call ends, at the target or with the right error, and no motor moves witho
 
 import pytest
 
-from emulators.can.fault_rules import FaultKind, FaultRule
-from motorapi import ControlMode, ControlVariable, Motor, MotorGroup, TrapezoidalTrajectory
-from motorapi.errors import DeadlineExceeded, DeviceFault, LinkError, MotionInterrupted, MotorError
-from motorapi.state import MotorState
+from motorhil.emulators.can.fault_rules import FaultKind, FaultRule
+from motorhil.motorapi import ControlMode, ControlVariable, Motor, MotorGroup, TrapezoidalTrajectory
+from motorhil.motorapi.errors import (
+    DeadlineExceeded,
+    DeviceFault,
+    LinkError,
+    MotionInterrupted,
+    MotorError,
+)
+from motorhil.motorapi.state import MotorState
 from tests.crosscheck.rigs import INC_PER_RAD, demand, is_at_rest, moving, stranger, two_drives
 
 DROP = FaultKind.DROP

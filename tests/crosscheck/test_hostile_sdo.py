@@ -8,9 +8,9 @@ from random import Random
 
 import pytest
 
-from emulators.can.fault_rules import FaultKind, FaultRule
-from motorapi.adaptations.canopen.sdo import ProtocolViolation, SdoAborted
-from motorapi.errors import DeadlineExceeded, MotorError
+from motorhil.emulators.can.fault_rules import FaultKind, FaultRule
+from motorhil.motorapi.adaptations.canopen.sdo import ProtocolViolation, SdoAborted
+from motorhil.motorapi.errors import DeadlineExceeded, MotorError
 from tests.crosscheck.rigs import stranger, two_drives
 
 MS = 1_000_000

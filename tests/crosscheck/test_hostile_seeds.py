@@ -8,9 +8,15 @@ from random import Random
 
 import pytest
 
-from emulators.can.fault_rules import FaultKind, FaultRule
-from motorapi import ControlMode, ControlVariable, Motor, MotorGroup, TrapezoidalTrajectory
-from motorapi.errors import DeadlineExceeded, DeviceFault, LinkError, MotionInterrupted, MotorError
+from motorhil.emulators.can.fault_rules import FaultKind, FaultRule
+from motorhil.motorapi import ControlMode, ControlVariable, Motor, MotorGroup, TrapezoidalTrajectory
+from motorhil.motorapi.errors import (
+    DeadlineExceeded,
+    DeviceFault,
+    LinkError,
+    MotionInterrupted,
+    MotorError,
+)
 from tests.crosscheck.rigs import INC_PER_RAD, demand, is_at_rest, moving, two_drives
 from tests.crosscheck.wire import frame
 

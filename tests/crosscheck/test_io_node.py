@@ -10,7 +10,7 @@ import canopen
 import pytest
 from canopen.profiles import p402
 
-from emulators.cia401.settings import OWN_EDS
+from motorhil.emulators.cia401.settings import OWN_EDS
 from tests.crosscheck.client import WireNetwork, WireSdoClient
 from tests.crosscheck.conftest import aborted
 from tests.crosscheck.wire import MS, Wire

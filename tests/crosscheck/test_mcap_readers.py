@@ -16,11 +16,11 @@ from pathlib import Path
 import pytest
 from mcap.reader import make_reader
 
-from harness.rig.rig import Rig
-from harness.rig.config.scaffold import EXAMPLES
-from motorapi import ControlMode
+from motorhil.harness.rig.config.scaffold import EXAMPLES
+from motorhil.harness.rig.rig import Rig
+from motorhil.motorapi import ControlMode
+from motorhil.traces.digest import digest
 from tests.traces.recordings import write
-from traces.digest import digest
 
 HERE = Path(__file__).parent / "mcap_core"
 

@@ -14,8 +14,8 @@ from select import select
 
 import pytest
 
-from emulators.modbus.rtu import with_crc
-from emulators.modbus.tcp import adu
+from motorhil.emulators.modbus.rtu import with_crc
+from motorhil.emulators.modbus.tcp import adu
 from tests.crosscheck.modbus_served import Served
 
 pytestmark = pytest.mark.wall

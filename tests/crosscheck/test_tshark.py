@@ -13,10 +13,10 @@ import pytest
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
-from harness.version import cores_are_compiled
-from harness.rig.rig import Rig
-from harness.rig.config.scaffold import EXAMPLES
-from motorapi import ControlMode, Motor, TrapezoidalTrajectory
+from motorhil.harness.rig.config.scaffold import EXAMPLES
+from motorhil.harness.rig.rig import Rig
+from motorhil.harness.version import cores_are_compiled
+from motorhil.motorapi import ControlMode, Motor, TrapezoidalTrajectory
 from tests.dissector import COLUMNS, capture, collect_sent, complaints, dissected
 from tests.dissector import tshark as program
 from tests.emulators.cia402.bench import Bench

@@ -13,12 +13,16 @@ import canopen
 import pytest
 from canopen.profiles.p402 import BaseNode402, State402
 
-from emulators.cia402.settings import OWN_EDS
-from harness.rig.config.scaffold import EXAMPLES
+from motorhil.emulators.cia402.settings import OWN_EDS
+from motorhil.harness.rig.config.scaffold import EXAMPLES
 
 pytestmark = pytest.mark.wall
 
-MOTORHIL = (sys.executable, "-c", "import sys; from harness.cli.main import main; sys.exit(main())")
+MOTORHIL = (
+    sys.executable,
+    "-c",
+    "import sys; from motorhil.harness.cli.main import main; sys.exit(main())",
+)
 RIG = str(EXAMPLES / "two_wheels.toml")
 
 

@@ -2,7 +2,7 @@
 
 Recordings: ../shared/data/traffic/INDEX.md. The host of a transcript is played as by `replay --as
 host`. The messages of our drive are compared with those of the recorded drive, object by object
-(`traces.semantics.diff`). A difference without a reason in this table fails a test; so does a reason
+(`motorhil.traces.semantics.diff`). A difference without a reason in this table fails a test; so does a reason
 without a difference. The README's table is generated from this one.
 """
 
@@ -13,11 +13,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final, final
 
-from harness.recording.conversion import convert
-from harness.replay.host import DrivenRig, compared, drive
-from harness.rig.rig import Rig
+from motorhil.harness.recording.conversion import convert
+from motorhil.harness.replay.host import DrivenRig, compared, drive
+from motorhil.harness.rig.rig import Rig
+from motorhil.traces.semantics.diff import Tolerance
 from tests.crosscheck.wire import frame
-from traces.semantics.diff import Tolerance
 
 ROW: Final = re.compile(
     r"(?:can0\s+|[RT]x\s+0)([0-9A-F]{3})\s+(?:\[\d\]|\d)((?:[^\S\n]+[0-9A-F]{2}\b)*)"

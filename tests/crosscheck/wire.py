@@ -9,14 +9,14 @@ from collections.abc import Callable
 from pathlib import Path
 from random import Random
 
-from emulators.cia401.node import build as build_io_node
-from emulators.cia402.drive import build as build_drive
-from emulators.controller import ControllerContext
-from emulators.simulation.event_queue import EventQueue
-from emulators.can.bus.bus import CanBus
-from emulators.can.bus.fault_plan import FaultPlan
-from emulators.can.fault_rules import FaultRule
-from emulators.simulation.world import World
+from motorhil.emulators.can.bus.bus import CanBus
+from motorhil.emulators.can.bus.fault_plan import FaultPlan
+from motorhil.emulators.can.fault_rules import FaultRule
+from motorhil.emulators.cia401.node import build as build_io_node
+from motorhil.emulators.cia402.drive import build as build_drive
+from motorhil.emulators.controller import ControllerContext
+from motorhil.emulators.simulation.event_queue import EventQueue
+from motorhil.emulators.simulation.world import World
 
 US = 1_000
 MS = 1_000_000

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from tests.architecture.checkout import CHECKOUT
 
-INSTALLED = "import sys; from harness.cli.main import main; sys.exit(main())"
+INSTALLED = "import sys; from motorhil.harness.cli.main import main; sys.exit(main())"
 FROM_SOURCES = f"import sys; sys.path.insert(0, {str(CHECKOUT)!r}); " + INSTALLED.split("; ", 1)[1]
 
 

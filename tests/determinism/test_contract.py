@@ -2,12 +2,12 @@
 
 import pytest
 
-from emulators.can.fault_rules import FaultKind, FaultRule
-from harness.rig.rig import Rig
-from motorapi import ControlMode, MotorGroup, TrapezoidalTrajectory
+from motorhil.emulators.can.fault_rules import FaultKind, FaultRule
+from motorhil.harness.rig.rig import Rig
+from motorhil.motorapi import ControlMode, MotorGroup, TrapezoidalTrajectory
+from motorhil.traces.digest import digest
+from motorhil.traces.mcap.reader import read_trace
 from tests.determinism.processes import outputs, start
-from traces.digest import digest
-from traces.mcap.reader import read_trace
 
 PLANT = '{ preset = "wheel_60w" }'
 BUSES, NODES = ("can0", "can1"), (1, 2)
@@ -139,7 +139,7 @@ def test_fault_injected_during_the_run_is_repeatable(run):
 
 PARTIES = """\
 import can
-from motorapi import runtime_of
+from motorhil.motorapi import runtime_of
 
 with can.Bus() as bus:
     runtime = runtime_of(bus)

@@ -2,9 +2,9 @@
 
 import pytest
 
-from harness.version import cores_are_compiled
+from motorhil.harness.version import cores_are_compiled
+from motorhil.traces.digest import digest
 from tests.determinism.processes import FROM_SOURCES, outputs, start
-from traces.digest import digest
 
 
 def without_wall_time(text):

@@ -3,11 +3,11 @@
 from collections.abc import Mapping
 from pathlib import Path
 
-from emulators.controller import ControllerContext
-from emulators.simulation.event_queue import EventQueue
-from emulators.media.serial_line import SerialLine
-from emulators.modbus.rtu import with_crc
-from emulators.simulation.world import World
+from motorhil.emulators.controller import ControllerContext
+from motorhil.emulators.media.serial_line import SerialLine
+from motorhil.emulators.modbus.rtu import with_crc
+from motorhil.emulators.simulation.event_queue import EventQueue
+from motorhil.emulators.simulation.world import World
 
 MS = 1_000_000
 

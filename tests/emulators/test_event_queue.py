@@ -1,7 +1,7 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from emulators.simulation.event_queue import EventQueue
+from motorhil.emulators.simulation.event_queue import EventQueue
 
 
 def test_events_of_one_time_run_in_the_order_of_asking():

@@ -8,18 +8,16 @@ from fractions import Fraction
 
 import pytest
 
-from emulators.controller import Controller
-from emulators.simulation.event_queue import EventQueue
-from emulators.media.byte_pipe import BytePipe
-from emulators.media.serial_faults import SerialFaultKind, SerialFaultPlan, SerialFaultRule
-from emulators.media.serial_line import SerialLine
-from emulators.modbus.rtu import with_crc
-from emulators.modbus.server import Diagnostics
-from emulators.modbus.registers import Register, RegisterBank
-from emulators.modbus.rtu import RtuUnit
-from emulators.modbus.server import ModbusServer
-from emulators.modbus.tcp import adu
-from emulators.simulation.world import World
+from motorhil.emulators.controller import Controller
+from motorhil.emulators.media.byte_pipe import BytePipe
+from motorhil.emulators.media.serial_faults import SerialFaultKind, SerialFaultPlan, SerialFaultRule
+from motorhil.emulators.media.serial_line import SerialLine
+from motorhil.emulators.modbus.registers import Register, RegisterBank
+from motorhil.emulators.modbus.rtu import RtuUnit, with_crc
+from motorhil.emulators.modbus.server import Diagnostics, ModbusServer
+from motorhil.emulators.modbus.tcp import adu
+from motorhil.emulators.simulation.event_queue import EventQueue
+from motorhil.emulators.simulation.world import World
 
 MS = 1_000_000
 T35_NS = 1_750_000

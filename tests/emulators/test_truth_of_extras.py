@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from emulators.controller import ControllerContext
+from motorhil.emulators.controller import ControllerContext
 from tests.emulators.cia402.bench import MS, Bench, new_drive
 from tests.emulators.cia402.homing_bench import Track
 
@@ -25,7 +25,7 @@ NAMES = ["dc_link_v", "winding_temperature_c", "i2t_level"]
 def built(kind, plant):
     if kind == "cia402":
         return new_drive(plant=plant)
-    module = __import__(f"emulators.{kind}.factory", fromlist=["build"])
+    module = __import__(f"motorhil.emulators.{kind}.drive", fromlist=["build"])
     table = {"unit": 1, "plant": plant}
     return module.build(table, ControllerContext(name="drive", folder=Path(), seed=1))
 

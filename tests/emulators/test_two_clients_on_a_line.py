@@ -7,8 +7,8 @@ it is quiet again.
 from hypothesis import event, example, given
 from hypothesis import strategies as st
 
-from emulators.media.serial_faults import SerialFaultKind, SerialFaultRule
-from emulators.modbus.rtu import with_crc
+from motorhil.emulators.media.serial_faults import SerialFaultKind, SerialFaultRule
+from motorhil.emulators.modbus.rtu import with_crc
 from tests.emulators.test_lines import MS, Heard, Registers, a_world, listener
 
 US = 1_000

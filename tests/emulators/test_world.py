@@ -2,11 +2,11 @@ import struct
 
 import pytest
 
-from emulators.simulation.event_queue import EventQueue
-from emulators.can.bus.bus import CanBus
-from emulators.can.fault_rules import FaultKind, FaultRule
-from emulators.can.bus.fault_plan import FaultPlan
-from emulators.simulation.world import World
+from motorhil.emulators.can.bus.bus import CanBus
+from motorhil.emulators.can.bus.fault_plan import FaultPlan
+from motorhil.emulators.can.fault_rules import FaultKind, FaultRule
+from motorhil.emulators.simulation.event_queue import EventQueue
+from motorhil.emulators.simulation.world import World
 
 MS = 1_000_000
 

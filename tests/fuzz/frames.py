@@ -15,7 +15,7 @@ from typing import Final
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
-from emulators.canopen.object_dictionary import ObjectDictionary
+from motorhil.emulators.canopen.object_dictionary import ObjectDictionary
 from tests.emulators.cia402.bench import MS, NODE
 from tests.emulators.cia402.stranger import NORMAL, PHYSICS
 

@@ -9,7 +9,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Final
 
-from emulators.canopen.nmt import NmtState
+from motorhil.emulators.canopen.nmt import NmtState
 from tests.emulators.cia402.bench import MS
 from tests.emulators.cia402.stranger import LIGHT, OBJECTS
 from tests.emulators.cia402.watched import Watched

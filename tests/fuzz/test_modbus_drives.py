@@ -8,11 +8,11 @@ from random import Random
 
 import pytest
 
-from emulators.leadshine_pr.drive import build as build_leadshine
-from emulators.leadshine_pr.drive import registers as leadshine_registers
-from emulators.modbus.rtu import with_crc
-from emulators.oriental_az.drive import build as build_oriental
-from emulators.oriental_az.drive import registers as oriental_registers
+from motorhil.emulators.leadshine_pr.drive import build as build_leadshine
+from motorhil.emulators.leadshine_pr.drive import registers as leadshine_registers
+from motorhil.emulators.modbus.rtu import with_crc
+from motorhil.emulators.oriental_az.drive import build as build_oriental
+from motorhil.emulators.oriental_az.drive import registers as oriental_registers
 from tests.emulators.modbus_bench import ModbusBench
 
 ADUS = 2_000

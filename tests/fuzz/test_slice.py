@@ -2,9 +2,9 @@
 
 import pytest
 
-from emulators.cia402.drive import Cia402Drive
-from emulators.cia402.power_drive import PowerDrive
-from harness.version import cores_are_compiled
+from motorhil.emulators.cia402.drive import Cia402Drive
+from motorhil.emulators.cia402.power_drive import PowerDrive
+from motorhil.harness.version import cores_are_compiled
 from tests.fuzz import __main__ as fuzz
 from tests.fuzz.frames import line_of, steps_in
 from tests.fuzz.target import EPISODE, Reached, endure, episode

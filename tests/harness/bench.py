@@ -2,10 +2,10 @@
 
 import struct
 
-from emulators.controller import SettingError
-from motorapi.errors import UsageError
-from motorapi.ownership.ownership import Ownership
-from motorapi.state import Measurement, MotorState
+from motorhil.emulators.controller import SettingError
+from motorhil.motorapi.errors import UsageError
+from motorhil.motorapi.ownership.ownership import Ownership
+from motorhil.motorapi.state import Measurement, MotorState
 
 MS = 1_000_000
 

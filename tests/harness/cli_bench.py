@@ -16,13 +16,13 @@ def environment():
 def in_another_process(*words, **options):
     pipe = subprocess.PIPE
     usual = {"env": environment(), "stdout": pipe, "stderr": pipe, "text": True, "timeout": 120}
-    return subprocess.run([sys.executable, "-m", "harness", *words], **{**usual, **options})
+    return subprocess.run([sys.executable, "-m", "motorhil", *words], **{**usual, **options})
 
 
 INTERRUPTIBLE = (
     "import signal, sys\n"
     "signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored in the background\n"
-    "from harness.__main__ import start\n"
+    "from motorhil.__main__ import start\n"
     "sys.exit(start())\n"
 )
 

@@ -2,7 +2,7 @@ import signal
 
 import pytest
 
-from harness.cli.main import main
+from motorhil.harness.cli.main import main
 from tests.harness.rigs import GOOD, SCRIPT, WHEEL
 
 ENTRY_POINTS = """\

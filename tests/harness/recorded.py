@@ -2,10 +2,19 @@
 
 import struct
 
-from traces.schema import JointStateEncoder, encode_log
-from traces.mcap.protobuf import encode
-from traces.schema import CAN_FRAME, JOINT_STATE, LOG, MODBUS_ADU, Direction, Level, Schema
-from traces.mcap.writer import TraceWriter
+from motorhil.traces.mcap.protobuf import encode
+from motorhil.traces.mcap.writer import TraceWriter
+from motorhil.traces.schema import (
+    CAN_FRAME,
+    JOINT_STATE,
+    LOG,
+    MODBUS_ADU,
+    Direction,
+    JointStateEncoder,
+    Level,
+    Schema,
+    encode_log,
+)
 
 S = 1_000_000_000
 MS = 1_000_000

@@ -10,14 +10,13 @@ from xml.etree import ElementTree
 import jsonschema
 import pytest
 
-import harness
-from emulators.can.frame import pack
-from harness.cli.main import main
-from traces.schema import encode_can_frame
-from traces.schema import CAN_FRAME, Direction, Schema
-from traces.formats.frames import BRS, Frame, flexible
-from traces.formats.registry import record_frames
-from traces.mcap.writer import TraceWriter
+from motorhil import harness
+from motorhil.emulators.can.frame import pack
+from motorhil.harness.cli.main import main
+from motorhil.traces.formats.frames import BRS, Frame, flexible
+from motorhil.traces.formats.registry import record_frames
+from motorhil.traces.mcap.writer import TraceWriter
+from motorhil.traces.schema import CAN_FRAME, Direction, Schema, encode_can_frame
 
 SCHEMA = json.loads((Path(harness.__file__).parent / "analyse.schema.json").read_text())
 VALIDATOR = jsonschema.Draft202012Validator(SCHEMA)
@@ -367,7 +366,7 @@ def test_controller_that_sends_sync_is_counted(tmp_path, capsys):
 
 def test_closed_output_exits_silently_with_1(rig):
     """As for any verb: no output, exit status 1."""
-    command = f"{sys.executable} -m harness analyse {rig} --json; echo $? >&2"
+    command = f"{sys.executable} -m motorhil analyse {rig} --json; echo $? >&2"
     read, write = os.pipe()
     os.close(read)
     told = subprocess.run(["sh", "-c", command], stdout=write, stderr=subprocess.PIPE, text=True)

@@ -4,9 +4,9 @@ import re
 
 import pytest
 
-from harness.rig.rig import Rig
-from motorapi import ControlMode, DeadlineExceeded, LinkError, MotorState
-from traces.mcap.reader import read_trace
+from motorhil.harness.rig.rig import Rig
+from motorhil.motorapi import ControlMode, DeadlineExceeded, LinkError, MotorState
+from motorhil.traces.mcap.reader import read_trace
 
 RIG = """
 [rig]
@@ -148,7 +148,7 @@ def test_host_alone_on_its_bus_is_reported(tmp_path):
 
 SCRIPT = """
 import can
-from motorapi.adaptations.cia402.motor import Cia402HwMotor
+from motorhil.motorapi.adaptations.cia402.motor import Cia402HwMotor
 drive = Cia402HwMotor(can.Bus(), node_id=1)
 drive.connect()
 while True:

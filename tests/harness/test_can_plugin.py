@@ -1,11 +1,11 @@
 import can
 import pytest
 
-from emulators.simulation.event_queue import EventQueue
-from emulators.can.bus.bus import CanBus
-from emulators.simulation.world import World
-from harness.python_can.bus import close_rig, open_rig
-from harness.virtual_time.runtime import VirtualRuntime
+from motorhil.emulators.can.bus.bus import CanBus
+from motorhil.emulators.simulation.event_queue import EventQueue
+from motorhil.emulators.simulation.world import World
+from motorhil.harness.python_can.bus import close_rig, open_rig
+from motorhil.harness.virtual_time.runtime import VirtualRuntime
 from tests.emulators.test_world import Echo
 
 MS = 1_000_000
@@ -166,7 +166,7 @@ def test_listener_hears_own_frames_when_transmitted(rig):
 
 
 def test_unread_bus_drops_oldest_frames_and_counts_them(rig, monkeypatch):
-    monkeypatch.setattr("harness.python_can.bus._BACKLOG_MAX", 3)
+    monkeypatch.setattr("motorhil.harness.python_can.bus._BACKLOG_MAX", 3)
     with emulated() as one, emulated() as two:
         for number in range(5):
             one.send(message(0x200 + number))

@@ -14,7 +14,7 @@ from tests.harness.rigs import GOOD
 
 def test_help_imports_no_large_library():
     code = (
-        "import sys\nfrom harness.cli.main import main\nmain(['--help'])\n"
+        "import sys\nfrom motorhil.harness.cli.main import main\nmain(['--help'])\n"
         "print([name for name in ('can', 'canopen', 'pymodbus', 'numpy', 'asyncio', 'mcap')"
         " if name in sys.modules], file=sys.stderr)"
     )
@@ -235,7 +235,7 @@ def test_list_prints_plugins_and_own_eds_files(bench, say):
 
 def test_interrupt_while_loading_is_reported_in_one_line():
     code = (
-        "import sys\nfrom harness.__main__ import start\n"
+        "import sys\nfrom motorhil.__main__ import start\n"
         "class Interrupt:\n    def find_spec(self, name, *_):\n"
         "        if name == 'argparse':\n            raise KeyboardInterrupt\n"
         "sys.meta_path.insert(0, Interrupt())\nsys.exit(start())\n"
@@ -257,7 +257,7 @@ def test_full_disk_behind_stdout_is_reported_in_one_line(bench, words):
 
 def test_closed_standard_streams_do_no_harm(rig):
     for close in (">&-", "2>&-", "<&- >&- 2>&-"):
-        command = ["sh", "-c", f'exec "$@" {close}', "sh", sys.executable, "-m", "harness"]
+        command = ["sh", "-c", f'exec "$@" {close}', "sh", sys.executable, "-m", "motorhil"]
         done = subprocess.run(
             [*command, "run", "rig.toml", "script.py", "-o", "x.mcap"],
             env=environment(),

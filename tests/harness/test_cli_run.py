@@ -6,9 +6,9 @@ import time
 
 import pytest
 
+from motorhil.traces.digest import digest
 from tests.harness.cli_bench import beside, environment, in_another_process
 from tests.harness.rigs import SCRIPT
-from traces.digest import digest
 
 
 def test_script_joins_rig_with_plain_can_bus(rig, say):
@@ -64,7 +64,7 @@ def test_traceback_begins_at_script(rig, say):
 
 def test_traceback_ends_before_motor_interface(rig, say):
     (rig / "script.py").write_text(
-        "import can\nfrom motorapi import runtime_of\nbus = can.Bus()\n"
+        "import can\nfrom motorhil.motorapi import runtime_of\nbus = can.Bus()\n"
         "runtime_of(bus).wait_until(lambda: False, -1.0)\n"
     )
     status, _, err = say("run", "rig.toml", "script.py")
@@ -74,12 +74,12 @@ def test_traceback_ends_before_motor_interface(rig, say):
         '  File "script.py", line 4, in <module>',
         "    runtime_of(bus).wait_until(lambda: False, -1.0)",
     ]
-    assert err.splitlines()[3].startswith("motorapi.errors.UsageError: timeout_s = -1.0")
+    assert err.splitlines()[3].startswith("motorhil.motorapi.errors.UsageError: timeout_s = -1.0")
 
 
 def test_unhandled_error_of_party_fails_script(rig, say):
     (rig / "script.py").write_text(
-        "import can\nfrom motorapi import runtime_of\nwith can.Bus() as bus:\n"
+        "import can\nfrom motorhil.motorapi import runtime_of\nwith can.Bus() as bus:\n"
         "    runtime = runtime_of(bus)\n    runtime.spawn('second', lambda: 1 / 0)\n"
         "    runtime.wait_until(lambda: False, 1.0)\n"
     )
@@ -100,7 +100,7 @@ def test_records_of_one_seed_are_equal_for_any_hash_seed(bench, say):
     for hash_seed in ("0", "1"):
         target = f"{hash_seed}.mcap"
         done = subprocess.run(
-            [sys.executable, "-m", "harness", "run", "rig.toml", "drive.py", "-o", target],
+            [sys.executable, "-m", "motorhil", "run", "rig.toml", "drive.py", "-o", target],
             env={**environment(), "PYTHONHASHSEED": hash_seed},
             capture_output=True,
             timeout=120,
@@ -147,7 +147,7 @@ def test_prompt_without_script_has_rig(rig):
 @pytest.mark.wall
 def test_ctrl_c_ends_script_with_130_and_one_line(rig):
     (rig / "script.py").write_text(
-        "from motorapi import runtime_of\nimport can\nwith can.Bus() as bus:\n"
+        "from motorhil.motorapi import runtime_of\nimport can\nwith can.Bus() as bus:\n"
         "    print('up', flush=True)\n    runtime_of(bus).wait_until(lambda: False, 3600.0)\n"
     )
     with beside("run", "--realtime", "rig.toml", "script.py") as process:
@@ -160,7 +160,7 @@ def test_ctrl_c_ends_script_with_130_and_one_line(rig):
 
 def test_closed_output_is_not_an_error(rig):
     (rig / "script.py").write_text("for n in range(100_000): print('line', n)\n")
-    command = f"{sys.executable} -m harness run rig.toml script.py | head -n 1"
+    command = f"{sys.executable} -m motorhil run rig.toml script.py | head -n 1"
     done = subprocess.run(
         command, shell=True, env=environment(), capture_output=True, text=True, timeout=120
     )
@@ -169,11 +169,11 @@ def test_closed_output_is_not_an_error(rig):
 
 def test_unfinished_record_is_reported_in_one_line(rig):
     (rig / "script.py").write_text(
-        "from motorapi import runtime_of\nimport can\nwith can.Bus() as bus:\n"
+        "from motorhil.motorapi import runtime_of\nimport can\nwith can.Bus() as bus:\n"
         "    task = bus.send_periodic(can.Message(arbitration_id=1), 0.0005)\n"
         "    runtime_of(bus).wait_until(lambda: False, 10.0)\n"
     )
-    command = f"ulimit -f 8; {sys.executable} -m harness run rig.toml script.py -o x.mcap"
+    command = f"ulimit -f 8; {sys.executable} -m motorhil run rig.toml script.py -o x.mcap"
     done = subprocess.run(
         ["bash", "-c", command], env=environment(), capture_output=True, text=True, timeout=120
     )
@@ -185,7 +185,7 @@ def test_unfinished_record_is_reported_in_one_line(rig):
 @pytest.mark.wall
 def test_realtime_takes_wall_time(rig, say):
     (rig / "script.py").write_text(
-        "from motorapi import runtime_of\nimport can\n"
+        "from motorhil.motorapi import runtime_of\nimport can\n"
         "runtime_of(can.Bus()).wait_until(lambda: False, 0.1)\n"
     )
     start_s = time.monotonic()
@@ -295,7 +295,10 @@ finally:
 @pytest.mark.parametrize(
     ("act", "told"),
     [
-        ("bus.recv(1.0)", "motorapi.errors.UsageError: waiting inside a callback: time stands"),
+        (
+            "bus.recv(1.0)",
+            "motorhil.motorapi.errors.UsageError: waiting inside a callback: time stands",
+        ),
         ("1 / 0", "ZeroDivisionError: division by zero"),
     ],
 )
@@ -327,10 +330,13 @@ def test_prompt_traceback_has_only_user_lines(rig):
     told = done.stderr.splitlines()[1:]
     where = '  File "<console>", line 1, in <module>'
     assert told[:2] == ["Traceback (most recent call last):", where]
-    assert told[2].startswith("motorapi.errors.UsageError: timeout_s = -1.0: must be a number")
+    assert told[2].startswith(
+        "motorhil.motorapi.errors.UsageError: timeout_s = -1.0: must be a number"
+    )
     assert told[3:5] == ["Traceback (most recent call last):", where]
     assert (
-        told[5] == "harness.rig.rig.NoSuchName: this rig has no motor 'lift' (known: left, right)"
+        told[5]
+        == "motorhil.harness.rig.rig.NoSuchName: this rig has no motor 'lift' (known: left, right)"
     )
     assert told[6:10] == [
         "Traceback (most recent call last):",

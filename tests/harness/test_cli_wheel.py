@@ -9,18 +9,16 @@ from pathlib import Path
 
 import pytest
 
-from harness.version import source_digest
+from motorhil.harness.version import source_digest
 
 CHECKOUT = Path(os.environ.get("MOTORHIL_CHECKOUT", Path(__file__).parents[2]))
-PACKAGES = ("motorapi", "emulators", "traces", "harness")
 
 
 @pytest.fixture(scope="module")
 def wheel(tmp_path_factory):
     folder = tmp_path_factory.mktemp("wheel")
-    for name in PACKAGES:
-        ignored = shutil.ignore_patterns("__pycache__", "*.so")
-        shutil.copytree(CHECKOUT / name, folder / name, ignore=ignored)
+    ignored = shutil.ignore_patterns("__pycache__", "*.so")
+    shutil.copytree(CHECKOUT / "motorhil", folder / "motorhil", ignore=ignored)
     for name in ("pyproject.toml", "setup.py", "README.md", "LICENSE"):
         shutil.copy(CHECKOUT / name, folder)
     command = [sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "--no-index"]
@@ -32,13 +30,13 @@ def wheel(tmp_path_factory):
 def test_wheel_contains_every_data_file(wheel):
     wanted = {
         path.relative_to(CHECKOUT).as_posix()
-        for name in PACKAGES
-        for path in (CHECKOUT / name).rglob("*")
+        for package in (CHECKOUT / "motorhil").iterdir()
+        for path in package.rglob("*")
         if path.suffix in (".toml", ".json", ".eds", ".binpb", ".html", ".css", ".js")
         or path.name == "py.typed"
     }
-    assert "harness/rig.schema.json" in wanted
-    assert "harness/report/template/page.html" in wanted
+    assert "motorhil/harness/rig.schema.json" in wanted
+    assert "motorhil/harness/report/template/page.html" in wanted
     with zipfile.ZipFile(wheel) as archive:
         assert wanted <= set(archive.namelist())
 
@@ -49,8 +47,8 @@ def installed(wheel, tmp_path_factory):
     site = tmp_path_factory.mktemp("site")
     with zipfile.ZipFile(wheel) as archive:
         archive.extractall(site)
-    start = f"import sys; sys.path.insert(0, {str(site)!r}); from harness.cli.main import main; "
-    start += f"import harness; assert harness.__file__.startswith({str(site)!r}); "
+    start = f"import sys; sys.path.insert(0, {str(site)!r}); from motorhil.harness.cli.main import main; "
+    start += f"from motorhil import harness; assert harness.__file__.startswith({str(site)!r}); "
 
     def run(*words):
         command = [sys.executable, "-P", "-c", start + f"sys.exit(main({list(words)!r}))"]

@@ -4,11 +4,11 @@ import json
 
 import pytest
 
-from traces.mcap.protobuf import encode
-from traces.schema import CAN_FRAME, MODBUS_ADU, Direction, Schema
-from traces.formats.frames import Frame, classic
-from traces.formats.registry import record_frames
-from traces.mcap.writer import TraceWriter
+from motorhil.traces.formats.frames import Frame, classic
+from motorhil.traces.formats.registry import record_frames
+from motorhil.traces.mcap.protobuf import encode
+from motorhil.traces.mcap.writer import TraceWriter
+from motorhil.traces.schema import CAN_FRAME, MODBUS_ADU, Direction, Schema
 
 TEXT = """\
 candump can0

@@ -5,15 +5,15 @@ from functools import reduce
 
 import pytest
 
-from harness.cli.main import main
-from harness.cli.demo import POINT_M
-from harness.examples.rover import MANOEUVRE, Rover, manoeuvre
-from harness.examples.rover_kinematics import Pose, look_at
-from harness.rig.rig import Rig, installed_plugins
-from harness.rig.config.rig_file import parse_rig
-from harness.rig.config.scaffold import EXAMPLES
-from harness.rig.config.toml import Source
-from traces.mcap.reader import read_trace
+from motorhil.harness.cli.demo import POINT_M
+from motorhil.harness.cli.main import main
+from motorhil.harness.examples.rover import MANOEUVRE, Rover, manoeuvre
+from motorhil.harness.examples.rover_kinematics import Pose, look_at
+from motorhil.harness.rig.config.rig_file import parse_rig
+from motorhil.harness.rig.config.scaffold import EXAMPLES
+from motorhil.harness.rig.config.toml import Source
+from motorhil.harness.rig.rig import Rig, installed_plugins
+from motorhil.traces.mcap.reader import read_trace
 
 
 def demo(capsys, *words):
@@ -128,7 +128,7 @@ def test_eds_option_for_a_rig_without_drives_is_refused(capsys, tmp_path):
 
 
 def test_repeat_command_names_the_rig(capsys, tmp_path, monkeypatch):
-    monkeypatch.setattr("harness.cli.demo.ERROR_MAX_RAD", 0.0)
+    monkeypatch.setattr("motorhil.harness.cli.demo.ERROR_MAX_RAD", 0.0)
     status, _, err = demo(capsys, "--rig", "rocky8", "-o", tmp_path / "x.mcap")
     assert status == 1
     assert err.splitlines()[-1].endswith("--rig rocky8")
@@ -170,7 +170,7 @@ def test_invalid_seed_is_wrong_usage(capsys):
 
 
 def test_position_error_fails_the_demo_with_repeat_command(capsys, tmp_path, monkeypatch):
-    monkeypatch.setattr("harness.cli.demo.ERROR_MAX_RAD", 0.0)
+    monkeypatch.setattr("motorhil.harness.cli.demo.ERROR_MAX_RAD", 0.0)
     record = tmp_path / "a b.mcap"
     status, _, err = demo(capsys, "-o", record, "--seed", "3")
     assert status == 1

@@ -2,9 +2,9 @@
 
 import re
 
-from harness.cli.main import main
-from traces.digest import digest
-from traces.mcap.reader import read_trace
+from motorhil.harness.cli.main import main
+from motorhil.traces.digest import digest
+from motorhil.traces.mcap.reader import read_trace
 
 
 def test_same_application_drives_a_mast_on_a_serial_line(capsys, tmp_path):

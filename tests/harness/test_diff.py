@@ -3,9 +3,9 @@ import json
 
 import pytest
 
-from harness.cli import diff
+from motorhil.harness.cli import diff
+from motorhil.traces.schema import GROUP_SYNC, MOTOR_LOCK
 from tests.harness.recorded import MS, Recorded, S
-from traces.schema import GROUP_SYNC, MOTOR_LOCK
 
 SHUTDOWN = ("2B40600006", "604060")
 SWITCH_ON = ("2B40600007", "604060")

@@ -9,14 +9,14 @@ from pathlib import Path
 
 import pytest
 
-from harness.recording.conversion import convert
-from harness.rig.config.scaffold import write_new_rig
+from motorhil.harness.recording.conversion import convert
+from motorhil.harness.rig.config.scaffold import write_new_rig
+from motorhil.traces.digest import digest
+from motorhil.traces.formats import frames as traffic
+from motorhil.traces.formats.frames import Findings
+from motorhil.traces.formats.registry import WRITABLE, Feature, open_source
+from motorhil.traces.schema import Direction
 from tests.determinism.processes import outputs, start
-from traces.formats import frames as traffic
-from traces.digest import digest
-from traces.formats.registry import WRITABLE, Feature, open_source
-from traces.schema import Direction
-from traces.formats.frames import Findings
 
 FAULTS = """
 [bus.can0.node.left]
@@ -52,8 +52,8 @@ from contextlib import closing
 
 import can
 
-from motorapi import ControlMode, LinkError, Motor, MotorGroup, MotorModel, TrapezoidalTrajectory
-from motorapi.adaptations.cia402.motor import Cia402HwMotor, Cia402Motor
+from motorhil.motorapi import ControlMode, LinkError, Motor, MotorGroup, MotorModel, TrapezoidalTrajectory
+from motorhil.motorapi.adaptations.cia402.motor import Cia402HwMotor, Cia402Motor
 
 MODEL = MotorModel.load("wheels/wheel_model.toml")
 with (

@@ -5,12 +5,12 @@ from types import SimpleNamespace
 import can
 import pytest
 
-from emulators.simulation.event_queue import EventQueue
-from emulators.can.bus.bus import CanBus
-from emulators.simulation.world import World
-from harness.python_can.bus import close_rig, open_rig
-from harness.virtual_time.stdlib.install import in_virtual_time
-from harness.virtual_time.runtime import VirtualRuntime
+from motorhil.emulators.can.bus.bus import CanBus
+from motorhil.emulators.simulation.event_queue import EventQueue
+from motorhil.emulators.simulation.world import World
+from motorhil.harness.python_can.bus import close_rig, open_rig
+from motorhil.harness.virtual_time.runtime import VirtualRuntime
+from motorhil.harness.virtual_time.stdlib.install import in_virtual_time
 from tests.emulators.telling import tell
 from tests.harness.error_frames import PASSIVE, ErrorFrames
 

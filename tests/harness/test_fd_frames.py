@@ -3,15 +3,14 @@
 import can
 import pytest
 
-from emulators.simulation.event_queue import EventQueue
-from emulators.can.bus.bus import CanBus
-from emulators.can.frame import pack_fd
-from emulators.simulation.world import World
-from harness.python_can.bus import ReceiveQueue
-from harness.python_can.bus import close_rig, open_rig
-from harness.rig.rig import Rig
-from harness.rig.config.toml import RigError
-from harness.virtual_time.runtime import VirtualRuntime
+from motorhil.emulators.can.bus.bus import CanBus
+from motorhil.emulators.can.frame import pack_fd
+from motorhil.emulators.simulation.event_queue import EventQueue
+from motorhil.emulators.simulation.world import World
+from motorhil.harness.python_can.bus import ReceiveQueue, close_rig, open_rig
+from motorhil.harness.rig.config.toml import RigError
+from motorhil.harness.rig.rig import Rig
+from motorhil.harness.virtual_time.runtime import VirtualRuntime
 from tests.harness.fd_frames import FdFrames, classical, fd_message
 
 RIG = """

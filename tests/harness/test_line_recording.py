@@ -2,14 +2,13 @@
 
 import pytest
 
-from emulators.media.serial_faults import SerialFaultKind, SerialFaultRule
-from harness.rig.rig import Rig
-from motorapi.errors import DeadlineExceeded
+from motorhil.emulators.media.serial_faults import SerialFaultKind, SerialFaultRule
+from motorhil.harness.rig.rig import Rig
+from motorhil.motorapi.errors import DeadlineExceeded
+from motorhil.traces.decoding.modbus import lines_of, paired, recorded_adus
+from motorhil.traces.mcap.reader import read_trace
+from motorhil.traces.schema import MODBUS_ADU
 from tests.traces.protobuf_classes import google_class
-from traces.decoding.modbus import paired
-from traces.decoding.modbus import lines_of, recorded_adus
-from traces.mcap.reader import read_trace
-from traces.schema import MODBUS_ADU
 
 REQUEST = bytes.fromhex("010300000001840A")
 

@@ -5,10 +5,10 @@ import os
 
 import pytest
 
-from harness.cli.main import main as motorhil
-from motorapi.locking.directory import VARIABLE
-from motorapi.locking.process_lock import ProcessLock
-from motorapi.runtime.wall import WallRuntime
+from motorhil.harness.cli.main import main as motorhil
+from motorhil.motorapi.locking.directory import VARIABLE
+from motorhil.motorapi.locking.process_lock import ProcessLock
+from motorhil.motorapi.runtime.wall import WallRuntime
 
 
 @pytest.fixture

@@ -1,7 +1,7 @@
 import json
 
-from emulators.cia402.settings import CATALOGUE
-from harness.cli.main import main
+from motorhil.emulators.cia402.settings import CATALOGUE
+from motorhil.harness.cli.main import main
 
 
 def test_every_quirk_is_printed_with_source(capsys):

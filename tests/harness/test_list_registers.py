@@ -1,6 +1,6 @@
 import json
 
-from harness.cli.main import main
+from motorhil.harness.cli.main import main
 
 
 def test_register_map_is_printed_by_address(capsys):

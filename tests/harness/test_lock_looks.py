@@ -7,19 +7,23 @@ from contextlib import contextmanager
 
 import pytest
 
-from emulators.simulation.event_queue import EventQueue
-from emulators.simulation.world import World
-from harness.recording.ownership import PERIOD_NS, LockLooks
-from harness.recording.ownership import Ended, LockEvent, ownership_of
-from harness.recording.ownership import LockWriter
-from harness.rig.rig import installed_plugins
-from harness.rig.config.rig_file import read_rig
-from harness.rig.config.scaffold import EXAMPLES
-from motorapi.locking.directory import VARIABLE
-from motorapi.locking.directory import socketcan_name
-from motorapi.locking.process_lock import ProcessLock
-from motorapi.runtime.wall import WallRuntime
-from traces.schema import LockAction
+from motorhil.emulators.simulation.event_queue import EventQueue
+from motorhil.emulators.simulation.world import World
+from motorhil.harness.recording.ownership import (
+    PERIOD_NS,
+    Ended,
+    LockEvent,
+    LockLooks,
+    LockWriter,
+    ownership_of,
+)
+from motorhil.harness.rig.config.rig_file import read_rig
+from motorhil.harness.rig.config.scaffold import EXAMPLES
+from motorhil.harness.rig.rig import installed_plugins
+from motorhil.motorapi.locking.directory import VARIABLE, socketcan_name
+from motorhil.motorapi.locking.process_lock import ProcessLock
+from motorhil.motorapi.runtime.wall import WallRuntime
+from motorhil.traces.schema import LockAction
 
 NODE_2 = f"{socketcan_name('lo')}-node2"  # a network interface that every host has
 
@@ -127,8 +131,8 @@ def test_ownership_between_two_polls_shows_only_as_skipped(bench, runtime):
 def kill_one_who_has_it(bench, is_looked_at=True):
     """Yield the pid of a process that was seen with the lock, and then killed."""
     program = (
-        "import os, sys; from motorapi.locking.process_lock import ProcessLock;"
-        "from motorapi.runtime.wall import WallRuntime;"
+        "import os, sys; from motorhil.motorapi.locking.process_lock import ProcessLock;"
+        "from motorhil.motorapi.runtime.wall import WallRuntime;"
         f"hold = ProcessLock({NODE_2!r}, 'x').acquire(WallRuntime(), 'panorama');"
         "print('held', flush=True); sys.stdin.read()"
     )

@@ -8,7 +8,7 @@ import canopen.lss
 import pytest
 from canopen.lss import LssError
 
-from harness.rig.rig import Rig
+from motorhil.harness.rig.rig import Rig
 
 RIG = """\
 [bus.can0]

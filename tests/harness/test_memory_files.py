@@ -7,11 +7,11 @@ from pathlib import Path
 import can
 import pytest
 
-from emulators.canopen.files.parameter_storage import StoredParameters
-from harness.replay.rig import own_rig
-from harness.rig.rig import Rig, installed_plugins
-from harness.rig.config.toml import RigError
-from traces.mcap.reader import read_trace
+from motorhil.emulators.canopen.files.parameter_storage import StoredParameters
+from motorhil.harness.replay.rig import own_rig
+from motorhil.harness.rig.config.toml import RigError
+from motorhil.harness.rig.rig import Rig, installed_plugins
+from motorhil.traces.mcap.reader import read_trace
 
 RIG = """\
 [bus.can0]

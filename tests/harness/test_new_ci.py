@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from harness.rig.config.scaffold import CI_FILES, EXAMPLES
+from motorhil.harness.rig.config.scaffold import CI_FILES, EXAMPLES
 from tests.architecture.checkout import CHECKOUT
 
 HELPER = EXAMPLES / "ci" / "vcan-or-hub"

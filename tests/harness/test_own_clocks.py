@@ -4,10 +4,10 @@ from pathlib import Path
 
 import pytest
 
-from harness.rig.rig import Rig, installed_plugins
-from harness.rig.config.rig_file import parse_rig
-from harness.rig.config.toml import Source
-from motorapi import ControlMode, Motor, TrapezoidalTrajectory
+from motorhil.harness.rig.config.rig_file import parse_rig
+from motorhil.harness.rig.config.toml import Source
+from motorhil.harness.rig.rig import Rig, installed_plugins
+from motorhil.motorapi import ControlMode, Motor, TrapezoidalTrajectory
 
 NAMES = ("left", "right")
 DRIVE = """

@@ -4,15 +4,15 @@ from itertools import pairwise
 
 import pytest
 
-from harness.recording.ownership import Ended, read_ownership
-from harness.rig.rig import Rig, installed_plugins
-from harness.rig.config.rig_file import parse_rig
-from harness.rig.config.scaffold import EXAMPLES
-from harness.rig.config.toml import Source
-from motorapi import ControlMode, MotorBusyError
-from traces.digest import digest
-from traces.mcap.reader import read_trace
-from traces.schema import LockAction
+from motorhil.harness.recording.ownership import Ended, read_ownership
+from motorhil.harness.rig.config.rig_file import parse_rig
+from motorhil.harness.rig.config.scaffold import EXAMPLES
+from motorhil.harness.rig.config.toml import Source
+from motorhil.harness.rig.rig import Rig, installed_plugins
+from motorhil.motorapi import ControlMode, MotorBusyError
+from motorhil.traces.digest import digest
+from motorhil.traces.mcap.reader import read_trace
+from motorhil.traces.schema import LockAction
 
 MAST = """[motor.mast]
 adaptation = "cia402"

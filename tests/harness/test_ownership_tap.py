@@ -5,14 +5,14 @@ import os
 
 import pytest
 
-from emulators.simulation.ownership_notice import OwnershipNotice
-from harness.recording.ownership import Ended, LockEvent, read_ownership
-from harness.rig.rig import Rig
-from harness.rig.config.scaffold import EXAMPLES
+from motorhil.emulators.simulation.ownership_notice import OwnershipNotice
+from motorhil.harness.recording.ownership import Ended, LockEvent, read_ownership
+from motorhil.harness.rig.config.scaffold import EXAMPLES
+from motorhil.harness.rig.rig import Rig
+from motorhil.traces.errors import TraceError
+from motorhil.traces.mcap.writer import TraceWriter
+from motorhil.traces.schema import LockAction
 from tests.harness.rigs import GOOD, WHEEL
-from traces.errors import TraceError
-from traces.schema import LockAction
-from traces.mcap.writer import TraceWriter
 
 SECOND = 1_000_000_000
 TAKEN, RELEASED = LockAction.TAKEN.value, LockAction.RELEASED.value

@@ -2,10 +2,10 @@
 
 import pytest
 
-from harness.rig.config.derived import plant_numbers
-from harness.rig.rig import Rig
-from harness.rig.config.toml import RigError
-from motorapi import MotionKind, MotorModel
+from motorhil.harness.rig.config.derived import plant_numbers
+from motorhil.harness.rig.config.toml import RigError
+from motorhil.harness.rig.rig import Rig
+from motorhil.motorapi import MotionKind, MotorModel
 
 NODE = """\
 [bus.can0]

@@ -6,15 +6,15 @@ import shlex
 
 import pytest
 
-import harness.pytest_plugin.clauses  # noqa: F401 -- stays loaded between the runs below
-from harness.cli.main import main
-from harness.rig.config.scaffold import write_new_rig
-from traces.digest import digest
+import motorhil.harness.pytest_plugin.clauses  # noqa: F401 -- stays loaded between the runs below
+from motorhil.harness.cli.main import main
+from motorhil.harness.rig.config.scaffold import write_new_rig
+from motorhil.traces.digest import digest
 
 pytest_plugins = ["pytester"]
 TESTS = """
 import pytest
-from motorapi import ControlMode
+from motorhil.motorapi import ControlMode
 
 @pytest.mark.parametrize("place_rad", [0.1, 0.2, 0.3], ids=["a/b", "a:b", "c"])
 def test_it(motor, place_rad):

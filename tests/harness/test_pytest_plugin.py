@@ -8,15 +8,15 @@ import sys
 
 import pytest
 
-import harness.pytest_plugin.rigs  # noqa: F401 -- stays loaded between the runs below
-from harness.cli.main import main
-from harness.rig.config.scaffold import write_new_rig
-from traces.digest import digest
+import motorhil.harness.pytest_plugin.rigs  # noqa: F401 -- stays loaded between the runs below
+from motorhil.harness.cli.main import main
+from motorhil.harness.rig.config.scaffold import write_new_rig
+from motorhil.traces.digest import digest
 
 pytest_plugins = ["pytester"]
 TURN = """
 import pytest
-from motorapi import ControlMode
+from motorhil.motorapi import ControlMode
 
 def turn(motor, place_rad):
     motor.set_control_mode(ControlMode.SETPOINT)
@@ -302,7 +302,7 @@ def test_d(motor):
 def test_deliberate_error_traceback_ends_in_the_test(project, run):
     tests = "def test_it(motor):\n    motor.set_setpoint(1.0)\n"
     shown = run(tests, "--rig=wheels/rig.toml").stdout.str()
-    assert "motorapi.errors.StateError: left: set_setpoint refused" in shown
+    assert "motorhil.motorapi.errors.StateError: left: set_setpoint refused" in shown
     assert "motorapi/motor.py" not in shown
     shown = run(None, "--rig=wheels/rig.toml", "--full-trace").stdout.str()
     assert "motorapi/motor.py" in shown
@@ -350,6 +350,7 @@ print(json.dumps([name for name in sys.modules]))
         check=True,
     )
     loaded = json.loads(done.stdout.splitlines()[-1])
-    ours = [one for one in loaded if one.split(".")[0] in ("harness", "motorapi", "emulators")]
-    assert ours == ["harness", "harness.pytest_plugin.plugin"]
-    assert not {"can", "numpy", "mcap", "hypothesis", "traces"} & set(loaded)
+    ours = [one for one in loaded if one.split(".")[0] == "motorhil"]
+    plugin = "motorhil.harness.pytest_plugin"
+    assert ours == ["motorhil", "motorhil.harness", plugin, f"{plugin}.plugin"]
+    assert not {"can", "numpy", "mcap", "hypothesis", "motorhil.traces"} & set(loaded)

@@ -6,12 +6,12 @@ import pytest
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
-from emulators.simulation.event_queue import EventQueue
-from harness.recording.recorder import Recorder, run_metadata
-from traces.errors import TraceError
-from traces.mcap.reader import read_trace
-from traces.schema import GROUP_SYNC, MOTOR_LOCK
-from traces.mcap.writer import TraceWriter
+from motorhil.emulators.simulation.event_queue import EventQueue
+from motorhil.harness.recording.recorder import Recorder, run_metadata
+from motorhil.traces.errors import TraceError
+from motorhil.traces.mcap.reader import read_trace
+from motorhil.traces.mcap.writer import TraceWriter
+from motorhil.traces.schema import GROUP_SYNC, MOTOR_LOCK
 
 MS = 1_000_000
 SECOND = 1_000_000_000

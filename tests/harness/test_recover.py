@@ -1,8 +1,8 @@
 import json
 
+from motorhil.traces.digest import digest
+from motorhil.traces.mcap.reader import read_trace
 from tests.traces.recordings import write
-from traces.digest import digest
-from traces.mcap.reader import read_trace
 
 
 def test_cut_recording_is_recovered_and_losses_are_reported(say, tmp_path):

@@ -6,10 +6,10 @@ import time
 import can
 import pytest
 
-from emulators.can.fault_rules import FaultKind, FaultRule
-from harness.python_can.bus import EmulatedBus
-from harness.rig.rig import Rig
-from harness.rig.config.toml import RigError
+from motorhil.emulators.can.fault_rules import FaultKind, FaultRule
+from motorhil.harness.python_can.bus import EmulatedBus
+from motorhil.harness.rig.config.toml import RigError
+from motorhil.harness.rig.rig import Rig
 from tests.harness.rigs import FAULT, GOOD, WHEEL
 
 MS = 1_000_000

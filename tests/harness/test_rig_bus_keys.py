@@ -8,7 +8,7 @@ import pytest
 from hypothesis import HealthCheck, event, given, settings
 from hypothesis import strategies as st
 
-from harness.cli.main import main
+from motorhil.harness.cli.main import main
 
 RIG = """\
 [bus.can0]

@@ -5,10 +5,10 @@ from pathlib import Path
 
 import pytest
 
-from emulators.media.serial_faults import SerialFaultKind, SerialFaultRule
-from harness.rig.rig import Rig
-from harness.rig.config.rig_file import Known, parse_rig
-from harness.rig.config.toml import RigError, Source
+from motorhil.emulators.media.serial_faults import SerialFaultKind, SerialFaultRule
+from motorhil.harness.rig.config.rig_file import Known, parse_rig
+from motorhil.harness.rig.config.toml import RigError, Source
+from motorhil.harness.rig.rig import Rig
 from tests.harness.test_rig_schema import VALIDATOR
 
 KNOWN = Known(controllers=("cia402", "drive"), adaptations=("drive",))

@@ -12,11 +12,10 @@ import pytest
 from hypothesis import event, given
 from hypothesis import strategies as st
 
-import harness
-from harness.rig.rig import Rig, installed_plugins
-from harness.rig.config.rig_file import parse_rig
-from harness.rig.config.toml import RigError, Source
-from harness.rig.config.toml import one_line
+from motorhil import harness
+from motorhil.harness.rig.config.rig_file import parse_rig
+from motorhil.harness.rig.config.toml import RigError, Source, one_line
+from motorhil.harness.rig.rig import Rig, installed_plugins
 
 SCHEMA = json.loads((Path(harness.__file__).parent / "rig.schema.json").read_text())
 VALIDATOR = jsonschema.Draft202012Validator(SCHEMA)

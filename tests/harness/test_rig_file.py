@@ -4,10 +4,9 @@ import pytest
 from hypothesis import event, given
 from hypothesis import strategies as st
 
-from emulators.can.fault_rules import FaultKind, FaultRule
-from harness.rig.config.rig_file import Known, parse_rig, read_rig
-from harness.rig.config.toml import RigError, Source
-from harness.rig.config.toml import one_line
+from motorhil.emulators.can.fault_rules import FaultKind, FaultRule
+from motorhil.harness.rig.config.rig_file import Known, parse_rig, read_rig
+from motorhil.harness.rig.config.toml import RigError, Source, one_line
 
 KNOWN = Known(
     controllers=("cia402", "io"),

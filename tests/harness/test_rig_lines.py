@@ -3,7 +3,7 @@ import tomllib
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from harness.rig.config.toml import key_lines
+from motorhil.harness.rig.config.toml import key_lines
 
 
 def test_every_kind_of_key_has_its_line():

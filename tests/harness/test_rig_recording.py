@@ -1,15 +1,15 @@
 import can
 import pytest
 
-from harness.rig.rig import Rig
-from harness.rig.config.scaffold import EXAMPLES
-from harness.rig.config.toml import RigError
-from motorapi import ControlMode, Motor, TrapezoidalTrajectory
+from motorhil.harness.rig.config.scaffold import EXAMPLES
+from motorhil.harness.rig.config.toml import RigError
+from motorhil.harness.rig.rig import Rig
+from motorhil.motorapi import ControlMode, Motor, TrapezoidalTrajectory
+from motorhil.traces.digest import digest
+from motorhil.traces.mcap.protobuf import decode
+from motorhil.traces.mcap.reader import read_trace
+from motorhil.traces.schema import GROUP_SYNC
 from tests.harness.rigs import FAULT, GOOD, WHEEL
-from traces.digest import digest
-from traces.mcap.protobuf import decode
-from traces.mcap.reader import read_trace
-from traces.schema import GROUP_SYNC
 
 LOSSY = (
     GOOD.replace("node_id = 2", 'node_id = 2\neds = "drive.eds"') + FAULT + "probability = 0.5\n"

@@ -10,37 +10,42 @@ import pytest
 from hypothesis import event, example, given
 from hypothesis import strategies as st
 
-import harness
-from emulators.modbus import drive as modbus_drive
-from emulators.cia401 import settings as node_settings
-from emulators.cia402 import settings as drive_settings
-from emulators.cia402.settings import CATALOGUE
-from emulators.cia402.settings import SWITCH_KEYS
-from emulators.controller import SettingError
-from emulators.can.fault_rules import FaultKind
-from emulators.plant.dc_motor import RANGES, MotorPlant
-from emulators.plant.nonlinear import EXTRAS, NO_EXTRAS
-from emulators.plant.nonlinear import RANGES as EXTRAS_RANGES
-from emulators.plant.presets import PRESETS
-from emulators.settings.protection import DEFAULT_PROTECTION, PROTECTION_KEYS, STO_ERROR, STO_REACTIONS, TEMPERATURE_RANGE_C, VOLTAGE_RANGE_V
-from emulators.settings.tables import JITTER_MAX_S, OSCILLATOR_KEYS, PHASE_MAX_S, PPM_MAX
-from harness.rig.config import buses as rig_buses
-from harness.rig.config import faults as rig_faults
-from harness.rig.config import rig_file
-from harness.rig.config import faults as rig_line_faults
-from harness.rig.config import buses as rig_nodes
-from harness.rig.config import stimuli as rig_stimuli
-from harness.conformance.clause import Capability
-from harness.conformance.clause import CONFORMANCE_KEYS, NOTHING_DECLARED
-from harness.plugins import ADAPTATIONS, installed
-from harness.rig.rig import installed_plugins
-from harness.rig.config.scaffold import EXAMPLES
-from harness.rig.config.derived import ASKED
-from motorapi.adaptations.ideal import motor as ideal
-from motorapi.adaptations.host_servo import motor as software
-from motorapi.adaptations.cia402.bringup import HwOptions
-from motorapi.adaptations.host_servo.node import IoOptions
-from motorapi.model import MotorModel
+from motorhil import harness
+from motorhil.emulators.can.fault_rules import FaultKind
+from motorhil.emulators.cia401 import settings as node_settings
+from motorhil.emulators.cia402 import settings as drive_settings
+from motorhil.emulators.cia402.settings import CATALOGUE, SWITCH_KEYS
+from motorhil.emulators.controller import SettingError
+from motorhil.emulators.modbus import drive as modbus_drive
+from motorhil.emulators.plant.dc_motor import RANGES, MotorPlant
+from motorhil.emulators.plant.nonlinear import EXTRAS, NO_EXTRAS
+from motorhil.emulators.plant.nonlinear import RANGES as EXTRAS_RANGES
+from motorhil.emulators.plant.presets import PRESETS
+from motorhil.emulators.settings.protection import (
+    DEFAULT_PROTECTION,
+    PROTECTION_KEYS,
+    STO_ERROR,
+    STO_REACTIONS,
+    TEMPERATURE_RANGE_C,
+    VOLTAGE_RANGE_V,
+)
+from motorhil.emulators.settings.tables import JITTER_MAX_S, OSCILLATOR_KEYS, PHASE_MAX_S, PPM_MAX
+from motorhil.harness.conformance.clause import CONFORMANCE_KEYS, NOTHING_DECLARED, Capability
+from motorhil.harness.plugins import ADAPTATIONS, installed
+from motorhil.harness.rig.config import buses as rig_buses
+from motorhil.harness.rig.config import buses as rig_nodes
+from motorhil.harness.rig.config import faults as rig_faults
+from motorhil.harness.rig.config import faults as rig_line_faults
+from motorhil.harness.rig.config import rig_file
+from motorhil.harness.rig.config import stimuli as rig_stimuli
+from motorhil.harness.rig.config.derived import ASKED
+from motorhil.harness.rig.config.scaffold import EXAMPLES
+from motorhil.harness.rig.rig import installed_plugins
+from motorhil.motorapi.adaptations.cia402.bringup import HwOptions
+from motorhil.motorapi.adaptations.host_servo import motor as software
+from motorhil.motorapi.adaptations.host_servo.node import IoOptions
+from motorhil.motorapi.adaptations.ideal import motor as ideal
+from motorhil.motorapi.model import MotorModel
 from tests.harness.test_rig_file import (
     GOOD,
     LINE_EDITS,

@@ -2,8 +2,8 @@
 
 import pytest
 
-from harness.rig.rig import Rig
-from harness.rig.config.toml import RigError
+from motorhil.harness.rig.config.toml import RigError
+from motorhil.harness.rig.rig import Rig
 from tests.harness.rigs import GOOD, WHEEL
 
 STIMULUS = '[[stimulus]]\ncontroller = "left"\nname = "load_torque_n_m"\nvalue = {}\nat_s = {}\n'

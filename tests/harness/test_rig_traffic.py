@@ -7,13 +7,13 @@ from pathlib import Path
 import jsonschema
 import pytest
 
-import harness
-from harness.rig.config import bus_load as rig_traffic
-from harness.rig.rig import Rig
-from harness.rig.config.rig_file import Known, parse_rig
-from harness.rig.config.toml import RigError, Source
-from motorapi.synchronization.can_response_time import worst_frame_ns
-from motorapi.synchronization.bus_load import PeriodicMessage, declared_traffic
+from motorhil import harness
+from motorhil.harness.rig.config import bus_load as rig_traffic
+from motorhil.harness.rig.config.rig_file import Known, parse_rig
+from motorhil.harness.rig.config.toml import RigError, Source
+from motorhil.harness.rig.rig import Rig
+from motorhil.motorapi.synchronization.bus_load import PeriodicMessage, declared_traffic
+from motorhil.motorapi.synchronization.can_response_time import worst_frame_ns
 from tests.motorapi.adaptations.conftest import HEAD, drive
 
 SCHEMA = json.loads((Path(harness.__file__).parent / "rig.schema.json").read_text())

@@ -4,12 +4,12 @@ import json
 
 import pytest
 
-from harness.rig.rig import Rig
-from harness.rig.config.scaffold import EXAMPLES
-from harness.rig.config.toml import RigError
-from motorapi import ControlMode, TrapezoidalTrajectory
-from traces.digest import digest
-from traces.mcap.reader import read_trace
+from motorhil.harness.rig.config.scaffold import EXAMPLES
+from motorhil.harness.rig.config.toml import RigError
+from motorhil.harness.rig.rig import Rig
+from motorhil.motorapi import ControlMode, TrapezoidalTrajectory
+from motorhil.traces.digest import digest
+from motorhil.traces.mcap.reader import read_trace
 
 MODEL = "velocity_max_rad_s = 2.0\nacceleration_max_rad_s2 = 4.0\n"
 IDEAL = f"""\

@@ -3,12 +3,12 @@ import json
 
 import pytest
 
-from harness.cli.main import main
-from harness.cli.options import time_ns
-from harness.cli import show
+from motorhil.harness.cli import show
+from motorhil.harness.cli.main import main
+from motorhil.harness.cli.options import time_ns
+from motorhil.traces.mcap.reader import Trace
+from motorhil.traces.schema import GROUP_SYNC, MOTOR_LOCK
 from tests.harness.recorded import MS, Recorded, S
-from traces.mcap.reader import Trace
-from traces.schema import GROUP_SYNC, MOTOR_LOCK
 
 
 @pytest.fixture

@@ -1,12 +1,12 @@
 import pytest
 
-from harness.cli import show
-from harness.cli.show import followed, text_of
+from motorhil.harness.cli import show
+from motorhil.harness.cli.show import followed, text_of
+from motorhil.traces.decoding.narrative import Story
+from motorhil.traces.errors import TraceError
+from motorhil.traces.mcap.reader import Trace, read_trace
 from tests.harness.recorded import MS, Recorded, S
 from tests.harness.test_show import recording, shown
-from traces.errors import TraceError
-from traces.mcap.reader import Trace, read_trace
-from traces.decoding.narrative import Story
 
 __all__ = ["recording"]  # a fixture of test_show
 

@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from emulators.canopen.outbox import NEVER
-from emulators.simulation.event_queue import EventQueue
-from harness.virtual_time.runtime import VirtualRuntime
-from motorapi.errors import UsageError
+from motorhil.emulators.canopen.outbox import NEVER
+from motorhil.emulators.simulation.event_queue import EventQueue
+from motorhil.harness.virtual_time.runtime import VirtualRuntime
+from motorhil.motorapi.errors import UsageError
 
 MS = 1_000_000
 
@@ -284,7 +284,7 @@ def test_interrupt_ends_the_wait_for_a_party_that_never_waits(
     runtime, monkeypatch, taken_elsewhere
 ):
     """Check it also if no thread wakes: the signal came just before the wait, or elsewhere."""
-    monkeypatch.setattr("harness.virtual_time.runtime.GRACE_S", 0.05)
+    monkeypatch.setattr("motorhil.harness.virtual_time.runtime.GRACE_S", 0.05)
     told = threading.Event()
     in_time = []
 
@@ -309,7 +309,7 @@ def test_interrupt_ends_the_wait_for_a_party_that_never_waits(
 
 @pytest.mark.wall
 def test_party_that_ignores_its_end_is_reported_by_close(monkeypatch):
-    monkeypatch.setattr("harness.virtual_time.runtime.GRACE_S", 0.05)
+    monkeypatch.setattr("motorhil.harness.virtual_time.runtime.GRACE_S", 0.05)
     runtime = VirtualRuntime(EventQueue())
     over = threading.Event()
 

@@ -1,7 +1,7 @@
 import pytest
 
-from emulators.simulation.event_queue import EventQueue
-from harness.virtual_time.runtime import VirtualRuntime
+from motorhil.emulators.simulation.event_queue import EventQueue
+from motorhil.harness.virtual_time.runtime import VirtualRuntime
 from tests.motorapi.plain import PlainBus, PlainHwMotor, PlainMotor
 
 

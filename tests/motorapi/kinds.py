@@ -7,10 +7,10 @@ trajectory, its deviation from the target. All kinds have the same motor model: 
 from contextlib import contextmanager
 from dataclasses import dataclass
 
-from harness.rig.rig import Rig, installed_plugins
-from harness.rig.config.rig_file import parse_rig
-from harness.rig.config.toml import Source
-from motorapi import ControlVariable
+from motorhil.harness.rig.config.rig_file import parse_rig
+from motorhil.harness.rig.config.toml import Source
+from motorhil.harness.rig.rig import Rig, installed_plugins
+from motorhil.motorapi import ControlVariable
 
 POSITION, VELOCITY = ControlVariable.POSITION, ControlVariable.VELOCITY
 TORQUE, CURRENT = ControlVariable.TORQUE, ControlVariable.CURRENT

@@ -6,14 +6,17 @@ Nothing of motorapi is replaced: this is one more kind of hardware.
 from dataclasses import replace
 from math import floor
 
-from motorapi.commands import ControlMode, ControlVariable
-from motorapi.errors import DeviceFault, LinkError, MotionInterrupted, PeerError
-from motorapi.generation import shortest
-from motorapi.model import MotorModel
-from motorapi.motor import Motor
-from motorapi.ownership.physical_motor import register_physical_motor, release_physical_motor
-from motorapi.state import Fault, Measurement, MotorState
-from motorapi.synchronization.quality import MotionTimes, SyncLevel, SyncOffer
+from motorhil.motorapi.commands import ControlMode, ControlVariable
+from motorhil.motorapi.errors import DeviceFault, LinkError, MotionInterrupted, PeerError
+from motorhil.motorapi.generation import shortest
+from motorhil.motorapi.model import MotorModel
+from motorhil.motorapi.motor import Motor
+from motorhil.motorapi.ownership.physical_motor import (
+    register_physical_motor,
+    release_physical_motor,
+)
+from motorhil.motorapi.state import Fault, Measurement, MotorState
+from motorhil.motorapi.synchronization.quality import MotionTimes, SyncLevel, SyncOffer
 
 MODEL = MotorModel(name="plain", velocity_max=2.0, acceleration_max=4.0)
 ABLE = {

@@ -11,16 +11,16 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from random import Random
 
-from emulators.cia402.drive import Cia402Drive
-from emulators.firmware.clock import OwnTime
-from emulators.plant.oscillator import IDEAL
-from harness.rig.rig import Rig
-from motorapi.commands import ControlMode, ControlVariable
-from motorapi.functions import Polynomial
-from motorapi.group import MotorGroup
-from motorapi.motor import Motor
-from motorapi.synchronization.quality import SyncCapability
-from motorapi.trajectory import ComplexTrajectory, TrapezoidalTrajectory
+from motorhil.emulators.cia402.drive import Cia402Drive
+from motorhil.emulators.firmware.clock import OwnTime
+from motorhil.emulators.plant.oscillator import IDEAL
+from motorhil.harness.rig.rig import Rig
+from motorhil.motorapi.commands import ControlMode, ControlVariable
+from motorhil.motorapi.functions import Polynomial
+from motorhil.motorapi.group import MotorGroup
+from motorhil.motorapi.motor import Motor
+from motorhil.motorapi.synchronization.quality import SyncCapability
+from motorhil.motorapi.trajectory import ComplexTrajectory, TrapezoidalTrajectory
 from tests.motorapi.skew_scenarios import Member, Message, Scenario, rig_text
 
 _FRAME = struct.Struct("<IB3x8s")

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 from hypothesis import given
 from hypothesis import strategies as st
 
-from motorapi.runtime import can_sources as bus_sources
+from motorhil.motorapi.runtime import can_sources as bus_sources
 
 FRAME = struct.pack("<IB3x8s", 0x181, 1, b"\x07")
 CLOCK_NS = 7_000_000_000  # offset of this process's clock to the bus clock

@@ -8,8 +8,8 @@ import struct
 
 import pytest
 
-from motorapi.runtime.can_sources import BusCondition, BusStatus
-from motorapi.errors import LinkError
+from motorhil.motorapi.errors import LinkError
+from motorhil.motorapi.runtime.can_sources import BusCondition, BusStatus
 
 C = BusCondition
 MS = 1_000_000

@@ -6,9 +6,23 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from motorapi.synchronization.can_response_time import Firing, OneFrame, least_frame_bits, longest_s, overload_of, response_times, worst_frame_bits, worst_frame_ns
-from motorapi.errors import UsageError
-from motorapi.synchronization.bus_load import CanTraffic, NodeTraffic, PeriodicMessage, worst_of
+from motorhil.motorapi.errors import UsageError
+from motorhil.motorapi.synchronization.bus_load import (
+    CanTraffic,
+    NodeTraffic,
+    PeriodicMessage,
+    worst_of,
+)
+from motorhil.motorapi.synchronization.can_response_time import (
+    Firing,
+    OneFrame,
+    least_frame_bits,
+    longest_s,
+    overload_of,
+    response_times,
+    worst_frame_bits,
+    worst_frame_ns,
+)
 
 # Frame bits with intermission, minimum and maximum: can-utils canframelen.c and Linux
 # include/linux/can/length.h, which follow Davis et al. 2007, by data bytes 0 to 8.

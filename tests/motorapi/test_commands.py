@@ -3,7 +3,7 @@ from math import inf, nan
 
 import pytest
 
-from motorapi import DerivativeLimits, LimitError, TrapezoidalTrajectory, UsageError
+from motorhil.motorapi import DerivativeLimits, LimitError, TrapezoidalTrajectory, UsageError
 
 
 def test_limit_as_a_number_is_a_range_around_zero():

@@ -2,8 +2,8 @@ import pickle
 
 import pytest
 
-import motorapi
-from motorapi import errors
+from motorhil import motorapi
+from motorhil.motorapi import errors
 
 TOLD = [
     (

@@ -6,7 +6,7 @@ import can
 import pytest
 from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError
 
-from motorapi import (
+from motorhil.motorapi import (
     ControlMode,
     LinkError,
     Motor,
@@ -18,7 +18,7 @@ from motorapi import (
     UsageError,
     WallRuntime,
 )
-from motorapi.hooks import MotorHooks
+from motorhil.motorapi.hooks import MotorHooks
 from tests.motorapi.plain import PlainBus, PlainHwMotor, PlainMotor
 
 HOOKS = sorted(

@@ -1,6 +1,6 @@
 import pytest
 
-from motorapi import (
+from motorhil.motorapi import (
     ControlMode,
     LimitError,
     Motor,

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from motorapi import (
+from motorhil.motorapi import (
     ComplexTrajectory,
     ControlMode,
     ControlVariable,
@@ -23,7 +23,7 @@ from motorapi import (
     TrapezoidalTrajectory,
     UnsupportedError,
 )
-from motorapi.functions import Polynomial
+from motorhil.motorapi.functions import Polynomial
 from tests.motorapi.kinds import ACCELERATION_MAX, EVERY, KINDS, VELOCITY_MAX, opened, true_position
 
 SETPOINT, TRAJECTORY = ControlMode.SETPOINT, ControlMode.TRAJECTORY

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from motorapi import ControlMode, MotionInterrupted, TrapezoidalTrajectory
-from motorapi.motor import Ending
+from motorhil.motorapi import ControlMode, MotionInterrupted, TrapezoidalTrajectory
+from motorhil.motorapi.motor import Ending
 from tests.motorapi.kinds import KINDS, opened, true_position
 
 DURATION_S = 1.0

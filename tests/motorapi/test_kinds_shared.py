@@ -7,7 +7,7 @@ from threading import Thread
 
 import pytest
 
-from motorapi import (
+from motorhil.motorapi import (
     ControlMode,
     DeadlineExceeded,
     MotionInterrupted,
@@ -18,8 +18,8 @@ from motorapi import (
     TrapezoidalTrajectory,
     WallRuntime,
 )
-from motorapi.adaptations.ideal.hardware import IdealHwMotor
-from motorapi.adaptations.ideal.motor import IdealMotor
+from motorhil.motorapi.adaptations.ideal.hardware import IdealHwMotor
+from motorhil.motorapi.adaptations.ideal.motor import IdealMotor
 from tests.motorapi.kinds import ACCELERATION_MAX, EVERY, VELOCITY_MAX, opened, true_position
 
 SETPOINT, TRAJECTORY = ControlMode.SETPOINT, ControlMode.TRAJECTORY

@@ -4,9 +4,9 @@ import stat
 
 import pytest
 
-from motorapi.locking import directory as lock_directory
-from motorapi.errors import UsageError
-from motorapi.locking.directory import VARIABLE, LockDirectory
+from motorhil.motorapi.errors import UsageError
+from motorhil.motorapi.locking import directory as lock_directory
+from motorhil.motorapi.locking.directory import VARIABLE, LockDirectory
 from tests.motorapi.test_process_lock import open_here
 
 ROOT = os.geteuid() == 0

@@ -5,13 +5,19 @@ import socket
 import can
 import pytest
 
-from emulators.simulation.event_queue import EventQueue
-from emulators.gateways.hub import HubServer
-from emulators.can.bus.bus import CanBus
-from emulators.simulation.world import World
-from harness.virtual_time.runtime import VirtualRuntime
-from motorapi.errors import UsageError
-from motorapi.locking.directory import bus_name, hub_name, serial_name, socketcan_name, tcp_name
+from motorhil.emulators.can.bus.bus import CanBus
+from motorhil.emulators.gateways.hub import HubServer
+from motorhil.emulators.simulation.event_queue import EventQueue
+from motorhil.emulators.simulation.world import World
+from motorhil.harness.virtual_time.runtime import VirtualRuntime
+from motorhil.motorapi.errors import UsageError
+from motorhil.motorapi.locking.directory import (
+    bus_name,
+    hub_name,
+    serial_name,
+    socketcan_name,
+    tcp_name,
+)
 
 
 def test_serial_line_has_one_name_for_all_links(tmp_path):
@@ -91,7 +97,7 @@ def test_two_spellings_of_a_hub_bus_have_one_name(tmp_path):
     world.add_bus(CanBus("can0"))
     hub = HubServer(tmp_path / "hub", world)
 
-    class HubBus:  # as harness.python_can.bus.EmulatedBus; tests/wall opens real ones
+    class HubBus:  # as motorhil.harness.python_can.bus.EmulatedBus; tests/wall opens real ones
         channel_info = "emulated bus"
 
         def __init__(self, path, name):

@@ -4,14 +4,13 @@ import threading
 
 import pytest
 
-from motorapi.runtime import wall as wall_runtime
-from motorapi.errors import MotorBusyError
-from motorapi.locking.directory import LockDirectory
-from motorapi.locking.lock_file import LockFile
-from motorapi.locking.lock_file import LINES
-from motorapi.locking.takeover import Attempt, TakeoverAttempt
-from motorapi.locking.process_lock import ProcessLock
-from motorapi.runtime.wall import WallRuntime
+from motorhil.motorapi.errors import MotorBusyError
+from motorhil.motorapi.locking.directory import LockDirectory
+from motorhil.motorapi.locking.lock_file import LINES, LockFile
+from motorhil.motorapi.locking.process_lock import ProcessLock
+from motorhil.motorapi.locking.takeover import Attempt, TakeoverAttempt
+from motorhil.motorapi.runtime import wall as wall_runtime
+from motorhil.motorapi.runtime.wall import WallRuntime
 
 LONG_S = 20.0
 

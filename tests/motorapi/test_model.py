@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from motorapi import ControlVariable, FileError, MotionKind, MotorModel, UsageError
+from motorhil.motorapi import ControlVariable, FileError, MotionKind, MotorModel, UsageError
 
 WHEEL = """\
 # A comment

@@ -2,7 +2,7 @@ from dataclasses import replace
 
 import pytest
 
-from motorapi import (
+from motorhil.motorapi import (
     ControlMode,
     ControlVariable,
     DerivativeLimits,

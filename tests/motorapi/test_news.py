@@ -2,9 +2,9 @@
 
 import pytest
 
-from motorapi import ControlMode
-from motorapi.errors import DeadlineExceeded, MotionInterrupted
-from motorapi.runtime.api import ChangeCounter
+from motorhil.motorapi import ControlMode
+from motorhil.motorapi.errors import DeadlineExceeded, MotionInterrupted
+from motorhil.motorapi.runtime.api import ChangeCounter
 from tests.motorapi.plain import PlainMotor
 
 

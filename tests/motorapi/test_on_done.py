@@ -4,7 +4,7 @@ import logging
 
 import pytest
 
-from motorapi import (
+from motorhil.motorapi import (
     ControlMode,
     ControlVariable,
     DeviceFault,
@@ -17,8 +17,8 @@ from motorapi import (
     UnsupportedError,
     UsageError,
 )
-from motorapi.motor import Ending, Outcome
-from motorapi.runtime.api import ChangeCounter
+from motorhil.motorapi.motor import Ending, Outcome
+from motorhil.motorapi.runtime.api import ChangeCounter
 from tests.motorapi.plain import PlainMotor, fault_now
 
 MS = 1_000_000

@@ -2,9 +2,8 @@
 
 from types import SimpleNamespace
 
-from motorapi.ownership.claim import OwnershipRequest
-from motorapi.ownership.ownership import WaitQueue, OwnershipNotifier
-from motorapi.ownership.claim import LockAction
+from motorhil.motorapi.ownership.claim import LockAction, OwnershipRequest
+from motorhil.motorapi.ownership.ownership import OwnershipNotifier, WaitQueue
 
 OWNER = SimpleNamespace(name="a", runtime=SimpleNamespace(now_ns=lambda: 0))
 SOMEBODY = SimpleNamespace(left_s=None)

@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from motorapi import (
+from motorhil.motorapi import (
     ControlMode,
     ControlVariable,
     MotionInterrupted,
@@ -16,9 +16,9 @@ from motorapi import (
     UsageError,
     WallRuntime,
 )
-from motorapi.locking.directory import LockDirectory
-from motorapi.locking.process_lock import ProcessLock
-from motorapi.ownership.physical_motor import RunStatus, register_physical_motor
+from motorhil.motorapi.locking.directory import LockDirectory
+from motorhil.motorapi.locking.process_lock import ProcessLock
+from motorhil.motorapi.ownership.physical_motor import RunStatus, register_physical_motor
 from tests.motorapi.plain import PlainBus, PlainHwMotor, PlainMotor
 
 MS = 1_000_000

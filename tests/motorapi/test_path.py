@@ -6,11 +6,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from harness.rig.rig import Rig, installed_plugins
-from harness.rig.config.rig_file import parse_rig
-from harness.rig.config.toml import Source
-from motorapi import ControlMode, FaultReaction, Motor, Synchronization, TrapezoidalTrajectory
-from motorapi.planning.path import Line
+from motorhil.harness.rig.config.rig_file import parse_rig
+from motorhil.harness.rig.config.toml import Source
+from motorhil.harness.rig.rig import Rig, installed_plugins
+from motorhil.motorapi import (
+    ControlMode,
+    FaultReaction,
+    Motor,
+    Synchronization,
+    TrapezoidalTrajectory,
+)
+from motorhil.motorapi.planning.path import Line
 from tests.motorapi.plain import PlainBus, PlainHwMotor, PlainMotor, fault_now
 from tests.motorapi.test_fault_reactions import KINDS, NAMES, WAYS, Truth
 from tests.motorapi.test_group import group_of

@@ -4,9 +4,9 @@ import pytest
 from hypothesis import assume, event, example, given
 from hypothesis import strategies as st
 
-from emulators.simulation.event_queue import EventQueue
-from harness.virtual_time.runtime import VirtualRuntime
-from motorapi import (
+from motorhil.emulators.simulation.event_queue import EventQueue
+from motorhil.harness.virtual_time.runtime import VirtualRuntime
+from motorhil.motorapi import (
     ControlMode,
     ControlVariable,
     DerivativeLimits,
@@ -18,11 +18,11 @@ from motorapi import (
     UnsupportedError,
     UsageError,
 )
-from motorapi.execution import Started, plan
-from motorapi.generation import shortest
-from motorapi.planning.groups import Common, Move, proportional
-from motorapi.planning.path import line_of, moving, predicted
-from motorapi.synchronization.quality import FaultReaction, Synchronization
+from motorhil.motorapi.execution import Started, plan
+from motorhil.motorapi.generation import shortest
+from motorhil.motorapi.planning.groups import Common, Move, proportional
+from motorhil.motorapi.planning.path import line_of, moving, predicted
+from motorhil.motorapi.synchronization.quality import FaultReaction, Synchronization
 from tests.motorapi.plain import PlainBus, PlainHwMotor, PlainMotor
 
 PHASE = Common(Synchronization.PHASE)

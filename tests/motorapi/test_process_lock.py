@@ -7,15 +7,15 @@ from contextlib import suppress
 
 import pytest
 
-from emulators.simulation.event_queue import EventQueue
-from harness.virtual_time.runtime import VirtualRuntime
-from motorapi.runtime import wall as wall_runtime
-from motorapi.errors import MotorBusyError, UsageError
-from motorapi.locking.directory import LockDirectory
-from motorapi.locking.lock_file import LockFile
-from motorapi.locking.lock_status import list_locks
-from motorapi.locking.process_lock import ProcessLock
-from motorapi.runtime.wall import WallRuntime
+from motorhil.emulators.simulation.event_queue import EventQueue
+from motorhil.harness.virtual_time.runtime import VirtualRuntime
+from motorhil.motorapi.errors import MotorBusyError, UsageError
+from motorhil.motorapi.locking.directory import LockDirectory
+from motorhil.motorapi.locking.lock_file import LockFile
+from motorhil.motorapi.locking.lock_status import list_locks
+from motorhil.motorapi.locking.process_lock import ProcessLock
+from motorhil.motorapi.runtime import wall as wall_runtime
+from motorhil.motorapi.runtime.wall import WallRuntime
 
 LONG_S = 20.0
 
@@ -207,7 +207,7 @@ def test_wall_runtime_checks_at_once_when_woken(runtime, monkeypatch):
 
 def test_reused_pid_does_not_count_as_the_holder(lock, other, runtime, monkeypatch):
     lock.acquire(runtime, "x")
-    monkeypatch.setattr("motorapi.locking.lock_status.read_process", lambda pid: ("S", 1))
+    monkeypatch.setattr("motorhil.motorapi.locking.lock_status.read_process", lambda pid: ("S", 1))
     assert lock.look().holder.record is None
 
 
@@ -273,7 +273,9 @@ def test_look_takes_nothing_and_shows_holder_and_waiters(lock, other, runtime, d
 
 
 def test_unpublished_holder_is_shown_as_unidentified(lock, other, runtime, monkeypatch):
-    monkeypatch.setattr("motorapi.locking.lock_file.LockFile.tell_holder", lambda *told: None)
+    monkeypatch.setattr(
+        "motorhil.motorapi.locking.lock_file.LockFile.tell_holder", lambda *told: None
+    )
     lock.acquire(runtime, "x")
     with pytest.raises(MotorBusyError, match="is not yet identified since just now") as caught:
         other.acquire(runtime, "y")

@@ -4,8 +4,20 @@ import pickle
 
 import pytest
 
-from motorapi import errors
-from motorapi import ControlMode, ControlVariable, DerivativeLimits, Fault, Measurement, Motion, MotionKind, MotorModel, MotorState, Setpoint, TrapezoidalTrajectory
+from motorhil.motorapi import (
+    ControlMode,
+    ControlVariable,
+    DerivativeLimits,
+    Fault,
+    Measurement,
+    Motion,
+    MotionKind,
+    MotorModel,
+    MotorState,
+    Setpoint,
+    TrapezoidalTrajectory,
+    errors,
+)
 from tests.motorapi.plain import PlainMotor, fault_now
 
 NAMES = {

@@ -3,9 +3,9 @@ import gc
 import can
 import pytest
 
-from emulators.simulation.event_queue import EventQueue
-from harness.virtual_time.runtime import VirtualRuntime
-from motorapi import (
+from motorhil.emulators.simulation.event_queue import EventQueue
+from motorhil.harness.virtual_time.runtime import VirtualRuntime
+from motorhil.motorapi import (
     ControlMode,
     ControlVariable,
     DeviceFault,
@@ -15,8 +15,12 @@ from motorapi import (
     TrapezoidalTrajectory,
     UsageError,
 )
-from motorapi.ownership.physical_motor import bus_key, register_physical_motor, release_physical_motor
-from motorapi.ownership.queue import TRANSACTION_TIMEOUT_S
+from motorhil.motorapi.ownership.physical_motor import (
+    bus_key,
+    register_physical_motor,
+    release_physical_motor,
+)
+from motorhil.motorapi.ownership.queue import TRANSACTION_TIMEOUT_S
 from tests.motorapi.plain import PlainBus, PlainHwMotor, PlainMotor, fault_now
 
 
@@ -245,7 +249,7 @@ def test_groups_in_opposite_orders_do_not_deadlock(runtime):
     rounds = []
 
     def drive(name, order):
-        from motorapi import MotorGroup
+        from motorhil.motorapi import MotorGroup
 
         group = MotorGroup(*(PlainMotor(hardware[k], name=f"{name}{k}") for k in order))
         group.for_each(Motor.set_control_mode, ControlMode.TRAJECTORY)

@@ -2,10 +2,16 @@
 
 import pytest
 
-from motorapi.synchronization.can_response_time import Firing, OneFrame
-from motorapi.synchronization.skew import Bound, Member, command_bound, end_bound, start_bound
-from motorapi.synchronization.quality import SyncLevel, SyncOffer
-from motorapi.synchronization.bus_load import CanTraffic, PeriodicMessage
+from motorhil.motorapi.synchronization.bus_load import CanTraffic, PeriodicMessage
+from motorhil.motorapi.synchronization.can_response_time import Firing, OneFrame
+from motorhil.motorapi.synchronization.quality import SyncLevel, SyncOffer
+from motorhil.motorapi.synchronization.skew import (
+    Bound,
+    Member,
+    command_bound,
+    end_bound,
+    start_bound,
+)
 
 QUIET = CanTraffic(1_000_000)
 FRAME_S = 75e-6  # two data bytes, maximum number of stuff bits

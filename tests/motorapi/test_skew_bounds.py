@@ -13,17 +13,17 @@ import pytest
 from hypothesis import event, given, settings
 from hypothesis import strategies as st
 
-from harness.rig.rig import Rig
-from motorapi.adaptations.canopen.bus_load import traffic_on
-from motorapi.adaptations.canopen.bus import open_link, release_link
-from motorapi.commands import ControlMode, ControlVariable
-from motorapi.errors import UsageError
-from motorapi.group import MotorGroup
-from motorapi.motor import Motor
-from motorapi.synchronization.quality import SyncLevel
-from motorapi.synchronization.bus_load import CanTraffic, declare_traffic
-from motorapi.trajectory import TrapezoidalTrajectory
-from motorapi.runtime.wall import WallRuntime
+from motorhil.harness.rig.rig import Rig
+from motorhil.motorapi.adaptations.canopen.bus import open_link, release_link
+from motorhil.motorapi.adaptations.canopen.bus_load import traffic_on
+from motorhil.motorapi.commands import ControlMode, ControlVariable
+from motorhil.motorapi.errors import UsageError
+from motorhil.motorapi.group import MotorGroup
+from motorhil.motorapi.motor import Motor
+from motorhil.motorapi.runtime.wall import WallRuntime
+from motorhil.motorapi.synchronization.bus_load import CanTraffic, declare_traffic
+from motorhil.motorapi.synchronization.quality import SyncLevel
+from motorhil.motorapi.trajectory import TrapezoidalTrajectory
 from tests.motorapi.adaptations.conftest import HEAD, drive
 from tests.motorapi.skew_rigs import Outcome, run
 from tests.motorapi.skew_scenarios import Choices, Member, Message, Scenario, drawn

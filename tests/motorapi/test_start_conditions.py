@@ -4,7 +4,7 @@ import pickle
 
 import pytest
 
-from motorapi import (
+from motorhil.motorapi import (
     LinkError,
     SynchronizationError,
     SyncLevel,

@@ -10,7 +10,7 @@ from contextlib import suppress
 
 import pytest
 
-from motorapi import (
+from motorhil.motorapi import (
     ControlMode,
     MotionInterrupted,
     MotorBusyError,
@@ -18,7 +18,7 @@ from motorapi import (
     TrapezoidalTrajectory,
     WallRuntime,
 )
-from motorapi.motor import Ending
+from motorhil.motorapi.motor import Ending
 from tests.motorapi.plain import PlainHwMotor, PlainMotor
 
 THREADS = 8
@@ -219,8 +219,10 @@ def test_two_concurrent_acting_hooks_are_detected(hw, monkeypatch):
     """Check that the detection above works."""
     from contextlib import nullcontext
 
-    for way in ("sharing.PhysicalMotor.transaction", "ownership.Ownership.owned"):
-        monkeypatch.setattr(f"motorapi.{way}", lambda *args, **kwargs: nullcontext())
+    for way in ("physical_motor.PhysicalMotor.transaction", "ownership.Ownership.owned"):
+        monkeypatch.setattr(
+            f"motorhil.motorapi.ownership.{way}", lambda *args, **kwargs: nullcontext()
+        )
 
     def work(motor):
         for _ in range(10):

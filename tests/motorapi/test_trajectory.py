@@ -7,13 +7,26 @@ import pytest
 from hypothesis import event, given
 from hypothesis import strategies as st
 
-from motorapi.planning import single_axis as planning
-from motorapi import ComplexTrajectory, ControlMode, ControlVariable, DerivativeLimits, LimitError, LinkError, MotorModel, MotorPosition, StateError, TrapezoidalTrajectory, UnsupportedError, UsageError
-from motorapi.trajectory import require_argument
-from motorapi.commands import Setpoint
-from motorapi.planning.sampling import demand_of
-from motorapi.functions import Piecewise, Polynomial
-from motorapi.state import Measurement, MotorState
+from motorhil.motorapi import (
+    ComplexTrajectory,
+    ControlMode,
+    ControlVariable,
+    DerivativeLimits,
+    LimitError,
+    LinkError,
+    MotorModel,
+    MotorPosition,
+    StateError,
+    TrapezoidalTrajectory,
+    UnsupportedError,
+    UsageError,
+)
+from motorhil.motorapi.commands import Setpoint
+from motorhil.motorapi.functions import Piecewise, Polynomial
+from motorhil.motorapi.planning import single_axis as planning
+from motorhil.motorapi.planning.sampling import demand_of
+from motorhil.motorapi.state import Measurement, MotorState
+from motorhil.motorapi.trajectory import require_argument
 
 MODEL = MotorModel(
     name="wheel", velocity_max=2.0, acceleration_max=4.0, position_min=-3.0, position_max=3.0

@@ -2,13 +2,13 @@
 
 import pytest
 
-from emulators.simulation.event_queue import EventQueue
-from harness.virtual_time.runtime import VirtualRuntime
-from motorapi.errors import MotorBusyError, UsageError
-from motorapi.locking.directory import LockDirectory
-from motorapi.locking.process_lock import ProcessLock
-from motorapi.ownership.queue import FifoQueue, share_trigger, trigger_turns
-from motorapi.runtime.wall import WallRuntime
+from motorhil.emulators.simulation.event_queue import EventQueue
+from motorhil.harness.virtual_time.runtime import VirtualRuntime
+from motorhil.motorapi.errors import MotorBusyError, UsageError
+from motorhil.motorapi.locking.directory import LockDirectory
+from motorhil.motorapi.locking.process_lock import ProcessLock
+from motorhil.motorapi.ownership.queue import FifoQueue, share_trigger, trigger_turns
+from motorhil.motorapi.runtime.wall import WallRuntime
 
 
 @pytest.fixture

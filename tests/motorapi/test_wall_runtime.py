@@ -9,8 +9,8 @@ import threading
 import can
 import pytest
 
-from motorapi import LinkError, UsageError, WallRuntime, runtime_of
-from motorapi.runtime.wall import close_process_runtime, process_runtime
+from motorhil.motorapi import LinkError, UsageError, WallRuntime, runtime_of
+from motorhil.motorapi.runtime.wall import close_process_runtime, process_runtime
 
 pytestmark = pytest.mark.wall
 

@@ -6,8 +6,8 @@ import threading
 
 import pytest
 
-from motorapi import DeadlineExceeded, UsageError, WallRuntime
-from motorapi.runtime.wall import process_runtime
+from motorhil.motorapi import DeadlineExceeded, UsageError, WallRuntime
+from motorhil.motorapi.runtime.wall import process_runtime
 
 pytestmark = pytest.mark.wall
 
@@ -89,7 +89,7 @@ def test_frame_received_during_close_is_discarded():
 
 
 def test_party_that_never_ends_is_named(monkeypatch):
-    monkeypatch.setattr("motorapi.runtime.wall._CLOSE_S", 0.05)
+    monkeypatch.setattr("motorhil.motorapi.runtime.wall._CLOSE_S", 0.05)
     runtime = WallRuntime()
     go_on = threading.Event()
     runtime.spawn("stubborn", lambda: go_on.wait(LATE_S) and None)

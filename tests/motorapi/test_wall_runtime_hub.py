@@ -5,8 +5,8 @@ import struct
 import can
 import pytest
 
-from motorapi import LinkError, WallRuntime
-from motorapi.runtime.can_sources import source_of
+from motorhil.motorapi import LinkError, WallRuntime
+from motorhil.motorapi.runtime.can_sources import source_of
 from tests.emulators.test_world import Echo
 from tests.wall.test_hub import serving
 

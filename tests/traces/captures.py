@@ -2,8 +2,7 @@
 
 import struct
 
-from traces.formats.pcap import Packet
-from traces.formats.pcap import Way
+from motorhil.traces.formats.pcap import Packet, Way
 
 SYN = 0x02
 ACK = 0x10

@@ -2,8 +2,8 @@
 
 import struct
 
-from traces.schema import CAN_FRAME, LOG, Direction, Schema
-from traces.mcap.writer import TraceWriter
+from motorhil.traces.mcap.writer import TraceWriter
+from motorhil.traces.schema import CAN_FRAME, LOG, Direction, Schema
 
 MS = 1_000_000
 SECOND = 1_000_000_000

@@ -9,18 +9,16 @@ from hypothesis import event, given
 from hypothesis import strategies as st
 from mcap.writer import CompressionType, IndexType, Writer
 
+from motorhil.traces.columns import read_can_arrays
+from motorhil.traces.errors import TraceError
+from motorhil.traces.formats.frames import FDF, Findings, Frame, classic, flexible
+from motorhil.traces.formats.registry import Feature, record_frames, recorded_frames
+from motorhil.traces.mcap import records
+from motorhil.traces.mcap.reader import read_trace
+from motorhil.traces.mcap.writer import TraceWriter
+from motorhil.traces.schema import CAN_FRAME, LOG, Direction, Schema, encode_can_frame
 from tests.traces.recordings import MS, Recording, write
 from tests.traces.test_formats_random import recordings
-from traces.mcap import records
-from traces.columns import read_can_arrays
-from traces.errors import TraceError
-from traces.schema import encode_can_frame
-from traces.formats.registry import Feature
-from traces.mcap.reader import read_trace
-from traces.schema import CAN_FRAME, LOG, Direction, Schema
-from traces.formats.frames import FDF, Findings, Frame, classic, flexible
-from traces.formats.registry import record_frames, recorded_frames
-from traces.mcap.writer import TraceWriter
 
 ALL = ~Feature(0)
 

@@ -3,10 +3,10 @@
 import can
 import pytest
 
-from traces.formats import frames as traffic
-from traces.formats.asc import AscReader
-from traces.schema import Direction
-from traces.formats.frames import Findings, classic, flexible, read_lines, remote
+from motorhil.traces.formats import frames as traffic
+from motorhil.traces.formats.asc import AscReader
+from motorhil.traces.formats.frames import Findings, classic, flexible, read_lines, remote
+from motorhil.traces.schema import Direction
 
 R, T, U = Direction.RECEIVED, Direction.TRANSMITTED, Direction.UNKNOWN
 EXT = 0x18EBFF00 | traffic.EFF

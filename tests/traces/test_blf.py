@@ -7,12 +7,11 @@ import subprocess
 import can
 import pytest
 
-from traces.formats import frames as traffic
-from traces.formats.blf import blf_frames
-from traces.formats.blf import write_blf
-from traces.formats.registry import open_source
-from traces.schema import Direction
-from traces.formats.frames import Findings, Frame, classic, flexible, remote
+from motorhil.traces.formats import frames as traffic
+from motorhil.traces.formats.blf import blf_frames, write_blf
+from motorhil.traces.formats.frames import Findings, Frame, classic, flexible, remote
+from motorhil.traces.formats.registry import open_source
+from motorhil.traces.schema import Direction
 
 R, T, U = Direction.RECEIVED, Direction.TRANSMITTED, Direction.UNKNOWN
 START = 1_700_000_000

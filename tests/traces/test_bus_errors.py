@@ -8,18 +8,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from harness.cli.main import main
-from harness.replay.verdict import meaning_in
-from traces.decoding.can_errors import bus_error
-from traces.decoding.canopen import CanopenDecoder
-from traces.semantics.diff import told_by_nodes
-from traces.mcap.reader import read_trace
-from traces.schema import CAN_FRAME, Direction, Schema
-from traces.semantics.diff import Tolerance, differences
-from traces.formats.pcap_can import write_pcapng
-from traces.decoding.narrative import Story
-from traces.formats.frames import ERR, Frame, classic, flexible
-from traces.mcap.writer import TraceWriter
+from motorhil.harness.cli.main import main
+from motorhil.harness.replay.verdict import meaning_in
+from motorhil.traces.decoding.can_errors import bus_error
+from motorhil.traces.decoding.canopen import CanopenDecoder
+from motorhil.traces.decoding.narrative import Story
+from motorhil.traces.formats.frames import ERR, Frame, classic, flexible
+from motorhil.traces.formats.pcap_can import write_pcapng
+from motorhil.traces.mcap.reader import read_trace
+from motorhil.traces.mcap.writer import TraceWriter
+from motorhil.traces.schema import CAN_FRAME, Direction, Schema
+from motorhil.traces.semantics.diff import Tolerance, differences, told_by_nodes
 
 RIG = b'[bus.can0]\nbitrate_bit_s = 500_000\n[controller.left]\nbus = "can0"\nnode_id = 3\n'
 TOLD = [

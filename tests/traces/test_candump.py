@@ -6,10 +6,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from traces.formats import frames as traffic
-from traces.formats.candump import CandumpReader, log_row, plain_row
-from traces.schema import Direction
-from traces.formats.frames import Findings, Frame, classic, flexible, read_lines, remote
+from motorhil.traces.formats import frames as traffic
+from motorhil.traces.formats.candump import CandumpReader, log_row, plain_row
+from motorhil.traces.formats.frames import Findings, Frame, classic, flexible, read_lines, remote
+from motorhil.traces.schema import Direction
 
 
 def read(*lines):

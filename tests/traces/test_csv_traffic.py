@@ -3,10 +3,10 @@
 import can
 import pytest
 
-from traces.formats import frames as traffic
-from traces.formats.csv import COLUMNS, CsvReader
-from traces.schema import Direction
-from traces.formats.frames import Findings, classic, flexible, read_lines, remote
+from motorhil.traces.formats import frames as traffic
+from motorhil.traces.formats.csv import COLUMNS, CsvReader
+from motorhil.traces.formats.frames import Findings, classic, flexible, read_lines, remote
+from motorhil.traces.schema import Direction
 
 OURS = ",".join(COLUMNS)
 SAVVY = "Time Stamp,ID,Extended,Dir,Bus,LEN,D1,D2,D3,D4,D5,D6,D7,D8"

@@ -4,12 +4,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from traces.formats.asc import AscReader
-from traces.formats.candump import CandumpReader
-from traces.formats.csv import COLUMNS, CsvReader
-from traces.formats.candump import SdRowReader
-from traces.formats.frames import Findings, read_lines
-from traces.formats.trc import TrcReader
+from motorhil.traces.formats.asc import AscReader
+from motorhil.traces.formats.candump import CandumpReader, SdRowReader
+from motorhil.traces.formats.csv import COLUMNS, CsvReader
+from motorhil.traces.formats.frames import Findings, read_lines
+from motorhil.traces.formats.trc import TrcReader
 
 WHOLE = {
     CandumpReader: [

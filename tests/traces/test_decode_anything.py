@@ -5,10 +5,9 @@ import struct
 from hypothesis import given
 from hypothesis import strategies as st
 
-from traces.decoding.canopen import CanopenDecoder
-from traces.decoding.modbus import ModbusDecoder, adu_of
-from traces.decoding.modbus import Adu
-from traces.decoding.objects import ObjectNames
+from motorhil.traces.decoding.canopen import CanopenDecoder
+from motorhil.traces.decoding.modbus import Adu, ModbusDecoder, adu_of
+from motorhil.traces.decoding.objects import ObjectNames
 
 # Mostly identifiers of one node's services; bytes that begin like SDOs and PDO parameters.
 SERVICES = [0, 0x80, 0x81, 0x100, 0x181, 0x201, 0x281, 0x581, 0x601, 0x701]

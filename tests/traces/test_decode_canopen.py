@@ -4,9 +4,9 @@ import struct
 
 import pytest
 
-from traces.decoding.canopen import CanopenDecoder
-from traces.decoding.objects import ObjectNames
-from traces.decoding.events import Kind
+from motorhil.traces.decoding.canopen import CanopenDecoder
+from motorhil.traces.decoding.events import Kind
+from motorhil.traces.decoding.objects import ObjectNames
 
 
 def frame(identifier, data="", flags=0):
@@ -176,7 +176,7 @@ def test_eds_defines_vendor_objects_and_default_pdos():
     ],
 )
 def test_controlword_in_words(word, mode, text):
-    from traces.decoding.cia402 import controlword_text
+    from motorhil.traces.decoding.cia402 import controlword_text
 
     assert controlword_text(word, mode) == text
 
@@ -200,7 +200,7 @@ def test_controlword_in_words(word, mode, text):
     ],
 )
 def test_statusword_in_words(word, mode, text):
-    from traces.decoding.cia402 import statusword_text
+    from motorhil.traces.decoding.cia402 import statusword_text
 
     assert statusword_text(word, mode) == text
 

@@ -2,11 +2,9 @@
 
 import pytest
 
-from traces.decoding.modbus import ModbusDecoder, adu_of, crc16
-from traces.decoding.modbus import Adu, adus
-from traces.formats.pcap import Capture
-from traces.decoding.events import Kind
-from traces.formats.pcap import pieces
+from motorhil.traces.decoding.events import Kind
+from motorhil.traces.decoding.modbus import Adu, ModbusDecoder, adu_of, adus, crc16
+from motorhil.traces.formats.pcap import Capture, pieces
 
 MS = 1_000_000
 

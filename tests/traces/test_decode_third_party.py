@@ -12,10 +12,10 @@ from collections import Counter
 
 import pytest
 
-from traces.decoding.canopen import CanopenDecoder
-from traces.formats.registry import open_source
-from traces.decoding.events import Kind
-from traces.formats.frames import Findings
+from motorhil.traces.decoding.canopen import CanopenDecoder
+from motorhil.traces.decoding.events import Kind
+from motorhil.traces.formats.frames import Findings
+from motorhil.traces.formats.registry import open_source
 
 pytestmark = pytest.mark.data
 

@@ -5,13 +5,11 @@ import struct
 import pytest
 from mcap.reader import make_reader
 
+from motorhil.traces.digest import digest, first_mismatch
+from motorhil.traces.errors import TraceError
+from motorhil.traces.mcap.writer import TraceWriter
+from motorhil.traces.schema import CAN_FRAME, LOG, Direction, Schema, encode_can_frame
 from tests.traces.recordings import MS, Recording, can_frame, write
-from traces.digest import first_mismatch
-from traces.digest import digest
-from traces.errors import TraceError
-from traces.schema import encode_can_frame
-from traces.schema import CAN_FRAME, LOG, Direction, Schema
-from traces.mcap.writer import TraceWriter
 
 
 def test_digest_matches_definition(tmp_path):

@@ -2,9 +2,15 @@
 
 import pytest
 
-from traces.semantics.diff import ObjectFidelity, fidelity, retimed, told_by_nodes
-from traces.semantics.model import COMMANDS, Item, Meaning
-from traces.semantics.diff import Tolerance, differences
+from motorhil.traces.semantics.diff import (
+    ObjectFidelity,
+    Tolerance,
+    differences,
+    fidelity,
+    retimed,
+    told_by_nodes,
+)
+from motorhil.traces.semantics.model import COMMANDS, Item, Meaning
 
 STATE = ("can0", 1, "6041h statusword")
 POSITION = ("can0", 1, "6064h position actual value")

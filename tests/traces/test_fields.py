@@ -5,10 +5,22 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from motorhil.traces.mcap.protobuf import encode
+from motorhil.traces.schema import (
+    CAN_FRAME,
+    JOINT_STATE,
+    LOG,
+    Direction,
+    JointStateEncoder,
+    Level,
+    TruthEncoder,
+    decode_can_frame,
+    encode_can_frame,
+    encode_log,
+    timestamp_field,
+    truth_message,
+)
 from tests.traces.protobuf_classes import google_class
-from traces.schema import JointStateEncoder, TruthEncoder, decode_can_frame, encode_can_frame, encode_log, timestamp_field
-from traces.mcap.protobuf import encode
-from traces.schema import CAN_FRAME, JOINT_STATE, LOG, Direction, Level, truth_message
 
 # Source: linux/can.h.
 EFF, RTR, ERR = 0x80000000, 0x40000000, 0x20000000

@@ -3,16 +3,22 @@
 import can
 import pytest
 
-from harness.recording.conversion import convert
+from motorhil.harness.recording.conversion import convert
+from motorhil.traces.digest import digest
+from motorhil.traces.errors import TraceError
+from motorhil.traces.formats import frames as traffic
+from motorhil.traces.formats.frames import Findings, Frame, classic, flexible, remote
+from motorhil.traces.formats.registry import (
+    IN_WORDS,
+    WRITABLE,
+    Feature,
+    Survey,
+    open_source,
+    record_frames,
+)
+from motorhil.traces.schema import Direction
 from tests.architecture.checkout import CHECKOUT
 from tests.traces.recordings import write
-from traces.formats import frames as traffic
-from traces.digest import digest
-from traces.errors import TraceError
-from traces.formats.registry import IN_WORDS, WRITABLE, Feature, Survey, open_source
-from traces.schema import Direction
-from traces.formats.frames import Findings, Frame, classic, flexible, remote
-from traces.formats.registry import record_frames
 
 SINCE_1970_NS = 1_700_000_000_123_456_000
 R, T = Direction.RECEIVED, Direction.TRANSMITTED

@@ -8,13 +8,12 @@ import pytest
 from hypothesis import event, given
 from hypothesis import strategies as st
 
-from harness.recording.conversion import convert
-from traces.formats import frames as traffic
-from traces.digest import digest
-from traces.formats.registry import WRITABLE, Feature
-from traces.schema import Direction
-from traces.formats.frames import Frame, classic, flexible, remote
-from traces.formats.registry import record_frames
+from motorhil.harness.recording.conversion import convert
+from motorhil.traces.digest import digest
+from motorhil.traces.formats import frames as traffic
+from motorhil.traces.formats.frames import Frame, classic, flexible, remote
+from motorhil.traces.formats.registry import WRITABLE, Feature, record_frames
+from motorhil.traces.schema import Direction
 
 BLF = next(form for form in WRITABLE if form.name == "blf")
 NAMES = st.text(st.characters(categories=("L", "N", "P", "S")), min_size=1, max_size=8)

@@ -4,11 +4,10 @@ import struct
 
 import pytest
 
-from traces.exchange.host import ANSWER, HostCutter, Listener
-from traces.decoding.modbus import Adu
-from traces.exchange.host import answer_size
-from traces.schema import Direction
-from traces.formats.frames import ERR, classic
+from motorhil.traces.decoding.modbus import Adu
+from motorhil.traces.exchange.host import ANSWER, HostCutter, Listener, answer_size
+from motorhil.traces.formats.frames import ERR, classic
+from motorhil.traces.schema import Direction
 
 MS = 1_000_000
 LENGTH = 100_000

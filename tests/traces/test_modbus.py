@@ -6,10 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from motorhil.traces.decoding.modbus import Adu, Malformed, adus, paired
+from motorhil.traces.formats.pcap import Capture, Piece, pieces
 from tests.traces.captures import THERE
-from traces.decoding.modbus import Adu, Malformed, adus, paired
-from traces.formats.pcap import Capture
-from traces.formats.pcap import Piece, pieces
 
 BACK = THERE.back
 

@@ -10,17 +10,16 @@ import pytest
 from hypothesis import event, given
 from hypothesis import strategies as st
 
-from harness.recording.conversion import MODBUS_PCAPNG, convert
-from traces.digest import digest
-from traces.errors import TraceError
-from traces.formats.pcap_modbus import AduFeature
-from traces.formats.pcap_modbus import record_adus
-from traces.decoding.modbus import RecordedAdu
-from traces.formats.pcap import Capture
-from traces.mcap.protobuf import encode
-from traces.schema import MODBUS_ADU, Direction
-from traces.formats.frames import Frame, classic
-from traces.formats.registry import record_frames
+from motorhil.harness.recording.conversion import MODBUS_PCAPNG, convert
+from motorhil.traces.decoding.modbus import RecordedAdu
+from motorhil.traces.digest import digest
+from motorhil.traces.errors import TraceError
+from motorhil.traces.formats.frames import Frame, classic
+from motorhil.traces.formats.pcap import Capture
+from motorhil.traces.formats.pcap_modbus import AduFeature, record_adus
+from motorhil.traces.formats.registry import record_frames
+from motorhil.traces.mcap.protobuf import encode
+from motorhil.traces.schema import MODBUS_ADU, Direction
 
 R, T = Direction.RECEIVED, Direction.TRANSMITTED
 S = 1_000_000_000

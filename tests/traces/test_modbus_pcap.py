@@ -2,12 +2,12 @@
 
 import pytest
 
-from harness.recording.conversion import convert
+from motorhil.harness.recording.conversion import convert
+from motorhil.traces.errors import TraceError
+from motorhil.traces.mcap.protobuf import decode
+from motorhil.traces.mcap.reader import read_trace
+from motorhil.traces.schema import MODBUS_ADU, Direction
 from tests.traces.captures import SYN, ethernet, ip4, pcap, tcp
-from traces.errors import TraceError
-from traces.mcap.protobuf import decode
-from traces.mcap.reader import read_trace
-from traces.schema import MODBUS_ADU, Direction
 
 REQUEST = bytes.fromhex("0007 0000 0006 01 03 0010 0002")
 RESPONSE = bytes.fromhex("0007 0000 0007 01 03 04 00000001")

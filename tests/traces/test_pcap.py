@@ -6,9 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from motorhil.traces.errors import TraceError
+from motorhil.traces.formats.pcap import Capture
 from tests.traces.captures import block, enhanced, interface, pcap, section
-from traces.errors import TraceError
-from traces.formats.pcap import Capture
 
 TWO = [(7, 5, b"first"), (8, 999_999, b"second!")]
 

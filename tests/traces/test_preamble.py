@@ -5,13 +5,12 @@ import struct
 from hypothesis import event, given
 from hypothesis import strategies as st
 
-from traces.mcap.reader import telling
-from traces.mcap.reader import read_trace
-from traces.schema import CAN_FRAME, Direction, Schema
-from traces.decoding.narrative import Story
-from traces.formats.frames import Frame, classic
-from traces.formats.registry import record_frames
-from traces.mcap.writer import TraceWriter
+from motorhil.traces.decoding.narrative import Story
+from motorhil.traces.formats.frames import Frame, classic
+from motorhil.traces.formats.registry import record_frames
+from motorhil.traces.mcap.reader import read_trace, telling
+from motorhil.traces.mcap.writer import TraceWriter
+from motorhil.traces.schema import CAN_FRAME, Direction, Schema
 
 S = 1_000_000_000
 MS = 1_000_000

@@ -7,9 +7,17 @@ from google.protobuf.json_format import MessageToDict
 from hypothesis import given
 from hypothesis import strategies as st
 
+from motorhil.traces.mcap.protobuf import decode, delimited, encode, file_descriptor_set, varint
+from motorhil.traces.schema import (
+    CAN_FRAME,
+    GROUP_SYNC,
+    JOINT_STATE,
+    LOG,
+    MOTOR_LOCK,
+    TIMESTAMP,
+    truth_message,
+)
 from tests.traces.protobuf_classes import google_class
-from traces.mcap.protobuf import decode, delimited, encode, file_descriptor_set, varint
-from traces.schema import CAN_FRAME, GROUP_SYNC, JOINT_STATE, LOG, MOTOR_LOCK, TIMESTAMP, truth_message
 
 TRUTH = truth_message("cia402", ["position_rad", "state"])
 MESSAGES = [CAN_FRAME, JOINT_STATE, LOG, MOTOR_LOCK, GROUP_SYNC, TIMESTAMP, TRUTH]

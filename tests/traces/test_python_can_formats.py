@@ -6,12 +6,11 @@ Features that they do not store are listed where they occur, as of python-can 4.
 import can
 import pytest
 
-from harness.recording.conversion import convert
-from traces.formats import frames as traffic
-from traces.formats.registry import WRITABLE, open_source
-from traces.schema import Direction
-from traces.formats.frames import ERR, Findings, Frame, classic, flexible
-from traces.formats.registry import record_frames
+from motorhil.harness.recording.conversion import convert
+from motorhil.traces.formats import frames as traffic
+from motorhil.traces.formats.frames import ERR, Findings, Frame, classic, flexible
+from motorhil.traces.formats.registry import WRITABLE, open_source, record_frames
+from motorhil.traces.schema import Direction
 
 R = Direction.RECEIVED
 S = 1_000_000_000

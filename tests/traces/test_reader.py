@@ -4,13 +4,11 @@ import struct
 import pytest
 from mcap.writer import CompressionType, IndexType, Writer
 
+from motorhil.traces.errors import TraceError
+from motorhil.traces.mcap import records
+from motorhil.traces.mcap.reader import Summary, Trace, read_summary, read_trace
+from motorhil.traces.schema import CAN_FRAME, Direction, Schema, encode_can_frame
 from tests.traces.recordings import MS, SECOND, Recording, counted_frame, write
-from traces.mcap import records
-from traces.mcap.reader import Summary, read_summary
-from traces.errors import TraceError
-from traces.schema import encode_can_frame
-from traces.mcap.reader import Trace, read_trace
-from traces.schema import CAN_FRAME, Direction, Schema
 
 
 def payloads(trace, **options):

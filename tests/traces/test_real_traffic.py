@@ -4,11 +4,11 @@ import re
 
 import pytest
 
-from harness.recording.conversion import convert
-from traces.digest import digest
-from traces.errors import TraceError
-from traces.formats.registry import open_source
-from traces.formats.frames import Findings
+from motorhil.harness.recording.conversion import convert
+from motorhil.traces.digest import digest
+from motorhil.traces.errors import TraceError
+from motorhil.traces.formats.frames import Findings
+from motorhil.traces.formats.registry import open_source
 
 pytestmark = pytest.mark.data
 

@@ -5,12 +5,12 @@ import pytest
 from mcap.reader import NonSeekingReader, make_reader
 from mcap.writer import CompressionType, IndexType, Writer
 
+from motorhil.traces.digest import digest
+from motorhil.traces.errors import TraceError
+from motorhil.traces.mcap import records
+from motorhil.traces.mcap.reader import Trace
+from motorhil.traces.mcap.recovery import recover, recover_bytes
 from tests.traces.recordings import MS, Recording, write
-from traces.mcap import records
-from traces.digest import digest
-from traces.errors import TraceError
-from traces.mcap.reader import Trace
-from traces.mcap.recovery import recover, recover_bytes
 
 RIG = b"[rig]\nname = 'small'\n" * 3
 

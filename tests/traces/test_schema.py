@@ -1,8 +1,18 @@
 from google.protobuf.descriptor_pb2 import FileDescriptorSet
 
+from motorhil.traces.mcap.protobuf import file_descriptor_set
+from motorhil.traces.schema import (
+    CAN_FRAME,
+    JOINT_STATE,
+    LOG,
+    MOTOR_LOCK,
+    Direction,
+    Level,
+    LockAction,
+    Schema,
+    truth_message,
+)
 from tests.traces.protobuf_classes import google_class
-from traces.mcap.protobuf import file_descriptor_set
-from traces.schema import CAN_FRAME, JOINT_STATE, LOG, MOTOR_LOCK, Direction, Level, LockAction, Schema, truth_message
 
 # Source: foxglove-schemas-protobuf 0.4.0 (PyPI), `DESCRIPTOR.serialized_pb` of each file.
 FOXGLOVE_JOINT_STATE = (

@@ -6,11 +6,11 @@ import subprocess
 
 import pytest
 
+from motorhil.traces.formats import frames as traffic
+from motorhil.traces.formats.frames import Findings, Frame, classic, flexible, remote
+from motorhil.traces.formats.pcap_can import captured_frames, write_pcapng
+from motorhil.traces.schema import Direction
 from tests.traces.captures import block, enhanced, interface, pcap, section
-from traces.formats import frames as traffic
-from traces.schema import Direction
-from traces.formats.pcap_can import captured_frames, write_pcapng
-from traces.formats.frames import Findings, Frame, classic, flexible, remote
 
 R, T, U = Direction.RECEIVED, Direction.TRANSMITTED, Direction.UNKNOWN
 EXT = 0x1ABCDEF0 | traffic.EFF

@@ -2,12 +2,12 @@
 
 import pytest
 
+from motorhil.traces.exchange.canopen import CanopenTapes, remote_key
+from motorhil.traces.exchange.modbus import modbus_tapes
+from motorhil.traces.exchange.steps import Role, period_ns
+from motorhil.traces.formats.frames import EFF, Frame, classic, remote
+from motorhil.traces.schema import Direction
 from tests.traces.test_tapes import MS, adu, cut, frame
-from traces.exchange.canopen import CanopenTapes, remote_key
-from traces.exchange.modbus import modbus_tapes
-from traces.schema import Direction
-from traces.exchange.steps import Role, period_ns
-from traces.formats.frames import EFF, Frame, classic, remote
 
 BOOT = frame(0, 0x706, b"\0")
 

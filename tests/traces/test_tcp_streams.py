@@ -4,8 +4,8 @@ import pytest
 from hypothesis import event, given
 from hypothesis import strategies as st
 
+from motorhil.traces.formats.pcap import Way, pieces
 from tests.traces.captures import ACK, SYN, THERE, ethernet, ip4, ip6, packet, tcp
-from traces.formats.pcap import Way, pieces
 
 TEXT = bytes(range(48))
 

@@ -2,10 +2,10 @@
 
 import pytest
 
-from traces.formats import frames as traffic
-from traces.schema import Direction
-from traces.formats.frames import Findings, classic, flexible, read_lines, remote
-from traces.formats.trc import TrcReader
+from motorhil.traces.formats import frames as traffic
+from motorhil.traces.formats.frames import Findings, classic, flexible, read_lines, remote
+from motorhil.traces.formats.trc import TrcReader
+from motorhil.traces.schema import Direction
 
 R, T, U = Direction.RECEIVED, Direction.TRANSMITTED, Direction.UNKNOWN
 EXT = 0x18FFEF00 | traffic.EFF

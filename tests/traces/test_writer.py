@@ -12,12 +12,11 @@ from mcap.records import Attachment, Chunk, DataEnd, Footer, Message, MessageInd
 from mcap.stream_reader import StreamReader
 from mcap_protobuf.decoder import DecoderFactory
 
+from motorhil.traces.digest import digest
+from motorhil.traces.errors import TraceError
+from motorhil.traces.mcap.writer import CHUNK_BYTES, TraceWriter
+from motorhil.traces.schema import CAN_FRAME, LOG, Direction, Schema, decode_can_frame
 from tests.traces.recordings import MS, SECOND, Recording, can_frame, counted_frame, write
-from traces.digest import digest
-from traces.errors import TraceError
-from traces.schema import decode_can_frame
-from traces.schema import CAN_FRAME, LOG, Direction, Schema
-from traces.mcap.writer import CHUNK_BYTES, TraceWriter
 
 
 def records(data, **options):

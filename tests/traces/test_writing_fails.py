@@ -11,11 +11,11 @@ from pathlib import Path
 import pytest
 from mcap.reader import make_reader
 
+from motorhil.traces.errors import TraceError
+from motorhil.traces.mcap.reader import read_trace
+from motorhil.traces.mcap.writer import TraceWriter
+from motorhil.traces.schema import LOG, Schema
 from tests.traces.recordings import MS, SECOND, Recording, can_frame
-from traces.errors import TraceError
-from traces.mcap.reader import read_trace
-from traces.schema import LOG, Schema
-from traces.mcap.writer import TraceWriter
 
 
 class SmallDisk(io.BytesIO):
@@ -165,7 +165,7 @@ ROOT = Path(__file__).parents[2]
 CHILD = """
 import resource, sys
 from tests.traces.recordings import Recording
-from traces.errors import TraceError
+from motorhil.traces.errors import TraceError
 recording = Recording(sys.argv[1])
 limit = int(sys.argv[2])
 if limit:
@@ -255,5 +255,5 @@ def test_recording_being_written_is_not_overwritten(tmp_path):
 
 @pytest.mark.parametrize("device", ["/dev/null", "/dev/stdout"])
 def test_device_accepts_recording(device):
-    code = f"from traces.mcap.writer import TraceWriter; TraceWriter({device!r}).close()"
+    code = f"from motorhil.traces.mcap.writer import TraceWriter; TraceWriter({device!r}).close()"
     subprocess.run([sys.executable, "-c", code], check=True, stdout=subprocess.DEVNULL)

@@ -3,10 +3,10 @@
 import socket
 import threading
 
-from emulators.simulation.event_queue import EventQueue
-from emulators.can.bus.bus import CanBus
-from emulators.gateways.loop import WallLoop
-from emulators.simulation.world import World
+from motorhil.emulators.can.bus.bus import CanBus
+from motorhil.emulators.gateways.loop import WallLoop
+from motorhil.emulators.simulation.event_queue import EventQueue
+from motorhil.emulators.simulation.world import World
 from tests.emulators.telling import tell
 
 

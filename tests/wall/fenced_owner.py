@@ -26,7 +26,7 @@ from contextlib import ExitStack
 
 import can
 
-from motorapi import (
+from motorhil.motorapi import (
     ControlMode,
     ControlVariable,
     DerivativeLimits,
@@ -35,11 +35,11 @@ from motorapi import (
     MotorGroup,
     MotorModel,
 )
-from motorapi.adaptations.cia402.hardware import Cia402HwMotor
-from motorapi.adaptations.cia402.motor import Cia402Motor
-from motorapi.adaptations.cia402.bringup import HwOptions
-from motorapi.adaptations.cia402.motion import SyncTrigger
-from motorapi.ownership.fencing import BoundFence, NodeFence
+from motorhil.motorapi.adaptations.cia402.bringup import HwOptions
+from motorhil.motorapi.adaptations.cia402.hardware import Cia402HwMotor
+from motorhil.motorapi.adaptations.cia402.motion import SyncTrigger
+from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
+from motorhil.motorapi.ownership.fencing import BoundFence, NodeFence
 from tests.motorapi.adaptations.streaming import quintic, set_function
 
 MODEL = MotorModel(name="wheel", velocity_max=3.0, acceleration_max=10.0)

@@ -11,12 +11,12 @@ import sys
 
 import can
 
-from motorapi import MotorModel
-from motorapi.adaptations.host_servo.hardware import AmplifierHwMotor
-from motorapi.adaptations.host_servo.node import IoOptions
-from motorapi.adaptations.host_servo.servo import PidGains
-from motorapi.adaptations.host_servo.motor import ServoParameters, SoftwareMotor
-from motorapi.ownership.fencing import BoundFence, NodeFence
+from motorhil.motorapi import MotorModel
+from motorhil.motorapi.adaptations.host_servo.hardware import AmplifierHwMotor
+from motorhil.motorapi.adaptations.host_servo.motor import ServoParameters, SoftwareMotor
+from motorhil.motorapi.adaptations.host_servo.node import IoOptions
+from motorhil.motorapi.adaptations.host_servo.servo import PidGains
+from motorhil.motorapi.ownership.fencing import BoundFence, NodeFence
 
 PATIENT = IoOptions(
     cycle_ms=20,

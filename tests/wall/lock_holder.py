@@ -25,12 +25,12 @@ import subprocess
 import sys
 from types import SimpleNamespace
 
-from motorapi.locking import takeover as lock_takeover
-from motorapi.errors import MotorBusyError
-from motorapi.locking.directory import LockDirectory
-from motorapi.locking.lock_file import LockFile
-from motorapi.locking.process_lock import LockHandle, ProcessLock
-from motorapi.runtime.wall import WallRuntime
+from motorhil.motorapi.errors import MotorBusyError
+from motorhil.motorapi.locking import takeover as lock_takeover
+from motorhil.motorapi.locking.directory import LockDirectory
+from motorhil.motorapi.locking.lock_file import LockFile
+from motorhil.motorapi.locking.process_lock import LockHandle, ProcessLock
+from motorhil.motorapi.runtime.wall import WallRuntime
 
 
 def fork() -> int:

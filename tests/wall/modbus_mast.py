@@ -2,10 +2,10 @@
 
 import sys
 
-from motorapi import ControlMode, MotorModel
-from motorapi.adaptations.leadshine.hardware import LeadshineHwMotor
-from motorapi.adaptations.leadshine.motor import LeadshineMotor
-from motorapi.runtime.byte_streams import SerialLine, TcpLine
+from motorhil.motorapi import ControlMode, MotorModel
+from motorhil.motorapi.adaptations.leadshine.hardware import LeadshineHwMotor
+from motorhil.motorapi.adaptations.leadshine.motor import LeadshineMotor
+from motorhil.motorapi.runtime.byte_streams import SerialLine, TcpLine
 
 MODEL = MotorModel(name="mast", velocity_max=2.0, acceleration_max=8.0, gear_ratio=100.0)
 

@@ -12,16 +12,16 @@ import sys
 
 import can
 
-from motorapi import (
+from motorhil.motorapi import (
     ControlMode,
     MotorBusyError,
     MotorModel,
     TrapezoidalTrajectory,
 )
-from motorapi.adaptations.host_servo.hardware import AmplifierHwMotor
-from motorapi.adaptations.host_servo.node import IoOptions
-from motorapi.adaptations.host_servo.servo import PidGains
-from motorapi.adaptations.host_servo.motor import ServoParameters, SoftwareMotor
+from motorhil.motorapi.adaptations.host_servo.hardware import AmplifierHwMotor
+from motorhil.motorapi.adaptations.host_servo.motor import ServoParameters, SoftwareMotor
+from motorhil.motorapi.adaptations.host_servo.node import IoOptions
+from motorhil.motorapi.adaptations.host_servo.servo import PidGains
 
 PATIENT = IoOptions(
     cycle_ms=20,

@@ -26,18 +26,18 @@ from dataclasses import replace
 
 import can
 
-from motorapi import (
+from motorhil.motorapi import (
     ControlMode,
     ControlVariable,
     MotorBusyError,
     MotorError,
     MotorModel,
 )
-from motorapi.adaptations.cia402.hardware import Cia402HwMotor
-from motorapi.adaptations.cia402.motor import Cia402Motor
-from motorapi.adaptations.cia402.bringup import HwOptions
-from motorapi.adaptations.cia402.object_access import Cia402Parameters
-from motorapi.adaptations.canopen.sdo import SdoChannel
+from motorhil.motorapi.adaptations.canopen.sdo import SdoChannel
+from motorhil.motorapi.adaptations.cia402.bringup import HwOptions
+from motorhil.motorapi.adaptations.cia402.hardware import Cia402HwMotor
+from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
+from motorhil.motorapi.adaptations.cia402.object_access import Cia402Parameters
 
 PATIENT = HwOptions(
     heartbeat_timeout_ms=10_000,

@@ -19,13 +19,20 @@ import sys
 
 import can
 
-from motorapi.ownership import queue as turns
-from motorapi import ComplexTrajectory, ControlMode, Motor, MotorError, MotorGroup, MotorModel
-from motorapi.adaptations.cia402.hardware import Cia402HwMotor
-from motorapi.adaptations.cia402.motor import Cia402Motor
-from motorapi.adaptations.cia402.bringup import HwOptions
-from motorapi.adaptations.cia402.motion import SyncTrigger
-from motorapi.functions import Polynomial
+from motorhil.motorapi import (
+    ComplexTrajectory,
+    ControlMode,
+    Motor,
+    MotorError,
+    MotorGroup,
+    MotorModel,
+)
+from motorhil.motorapi.adaptations.cia402.bringup import HwOptions
+from motorhil.motorapi.adaptations.cia402.hardware import Cia402HwMotor
+from motorhil.motorapi.adaptations.cia402.motion import SyncTrigger
+from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
+from motorhil.motorapi.functions import Polynomial
+from motorhil.motorapi.ownership import queue as turns
 
 PATIENT_S = 60.0
 MODEL = MotorModel(name="wheel", velocity_max=3.0, acceleration_max=10.0)

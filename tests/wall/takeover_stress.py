@@ -29,11 +29,11 @@ import tempfile
 import time
 from pathlib import Path
 
-from motorapi.errors import MotorBusyError
-from motorapi.locking.directory import LockDirectory
-from motorapi.locking.lock_file import LockFile
-from motorapi.locking.process_lock import ProcessLock
-from motorapi.runtime.wall import WallRuntime
+from motorhil.motorapi.errors import MotorBusyError
+from motorhil.motorapi.locking.directory import LockDirectory
+from motorhil.motorapi.locking.lock_file import LockFile
+from motorhil.motorapi.locking.process_lock import ProcessLock
+from motorhil.motorapi.runtime.wall import WallRuntime
 
 PAGE = struct.Struct("<qqqqqq")  # over, last token, writing token, intruders, stale, writes
 NOTE = struct.Struct("<qq")  # token, 1 if taken over

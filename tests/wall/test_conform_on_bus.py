@@ -4,12 +4,12 @@ import json
 
 import pytest
 
-from harness.conformance.worker import Job
-from harness.conformance.examination import Target
-from harness.rig.config.toml import RigError
+from motorhil.harness.conformance.examination import Target
+from motorhil.harness.conformance.worker import Job
+from motorhil.harness.rig.config.toml import RigError
+from motorhil.traces.mcap.reader import read_trace
 from tests.conformance.benches import RIGS
 from tests.wall.test_serve import MOTORHIL, motorhil
-from traces.mcap.reader import read_trace
 
 pytestmark = pytest.mark.wall
 

@@ -15,13 +15,13 @@ from pathlib import Path
 import can
 import pytest
 
-from emulators.cia402.drive import build
-from emulators.controller import ControllerContext
-from motorapi import ControlMode, MotorBusyError, WallRuntime
-from motorapi.adaptations.cia402.hardware import Cia402HwMotor
-from motorapi.adaptations.cia402.motor import Cia402Motor
-from motorapi.locking.directory import VARIABLE
-from motorapi.locking.lock_status import read_process
+from motorhil.emulators.cia402.drive import build
+from motorhil.emulators.controller import ControllerContext
+from motorhil.motorapi import ControlMode, MotorBusyError, WallRuntime
+from motorhil.motorapi.adaptations.cia402.hardware import Cia402HwMotor
+from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
+from motorhil.motorapi.locking.directory import VARIABLE
+from motorhil.motorapi.locking.lock_status import read_process
 from tests.motorapi.adaptations.streaming import quintic, set_function
 from tests.wall.fenced_owner import MODEL, OPTIONS, open_bus
 from tests.wall.programs import LONG_S, Program

@@ -7,17 +7,17 @@ from pathlib import Path
 import can
 import pytest
 
-from emulators.cia401.node import build
-from emulators.controller import ControllerContext
-from motorapi import (
+from motorhil.emulators.cia401.node import build
+from motorhil.emulators.controller import ControllerContext
+from motorhil.motorapi import (
     ControlMode,
     MotorBusyError,
     MotorError,
     TrapezoidalTrajectory,
     WallRuntime,
 )
-from motorapi.locking.directory import VARIABLE
-from motorapi.locking.lock_status import read_process
+from motorhil.motorapi.locking.directory import VARIABLE
+from motorhil.motorapi.locking.lock_status import read_process
 from tests.wall.fenced_servo import servo_on
 from tests.wall.programs import LONG_S, Program
 from tests.wall.test_fencing import Listener, Sent, not_of_the_heir

@@ -6,12 +6,12 @@ import threading
 import can
 import pytest
 
-from emulators.simulation.event_queue import EventQueue
-from emulators.gateways.hub import HubError, HubServer
-from emulators.can.bus.bus import CanBus
-from emulators.gateways.loop import WallLoop
-from emulators.simulation.world import World
-from harness.python_can.hub_client import HubLink
+from motorhil.emulators.can.bus.bus import CanBus
+from motorhil.emulators.gateways.hub import HubError, HubServer
+from motorhil.emulators.gateways.loop import WallLoop
+from motorhil.emulators.simulation.event_queue import EventQueue
+from motorhil.emulators.simulation.world import World
+from motorhil.harness.python_can.hub_client import HubLink
 from tests.emulators.test_world import Echo
 
 pytestmark = pytest.mark.wall
@@ -184,7 +184,7 @@ def test_invalid_frame_is_refused_and_other_clients_stay(path, frame):
 
 
 def test_client_beyond_the_maximum_is_refused(path, monkeypatch):
-    monkeypatch.setattr("emulators.gateways.hub.CLIENTS_MAX", 2)
+    monkeypatch.setattr("motorhil.emulators.gateways.hub.CLIENTS_MAX", 2)
     with (
         serving(path, Echo(0x180)),
         can.Bus(interface="emulated", channel=path) as bus,

@@ -7,7 +7,7 @@ from pathlib import Path
 import can
 import pytest
 
-from emulators.gateways.hub import HubServer
+from motorhil.emulators.gateways.hub import HubServer
 from tests.harness.error_frames import PASSIVE, ErrorFrames
 from tests.wall.error_bench import ErrorBench
 
@@ -46,7 +46,9 @@ class TestOverAHub(ErrorFrames):
     def test_error_is_a_separate_record_ignored_by_old_clients(self, bench, monkeypatch):
         """An error message must not reach a client that would take it for a data frame."""
         with bench.open() as bus, bench.open() as other:
-            monkeypatch.setattr("harness.python_can.hub_client.TOLD", 255)  # as before the error
+            monkeypatch.setattr(
+                "motorhil.harness.python_can.hub_client.TOLD", 255
+            )  # as before the error
             bench.tell(bus, PASSIVE)
             other.send(can.Message(arbitration_id=0x123, is_extended_id=False))
             assert bus.recv(30.0).arbitration_id == 0x123

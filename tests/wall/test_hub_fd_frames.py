@@ -7,13 +7,12 @@ import struct
 import can
 import pytest
 
-from emulators.gateways.hub import HubServer
-from emulators.simulation.ownership_notice import GREETING
-from emulators.can.frame import pack_fd
-from harness.python_can.hub_client import HubLink
-from harness.recording.sources import parse_place
-from harness.recording.sources import HubClocks, HubTap
-from harness.replay.real_bus import HubSink
+from motorhil.emulators.can.frame import pack_fd
+from motorhil.emulators.gateways.hub import HubServer
+from motorhil.emulators.simulation.ownership_notice import GREETING
+from motorhil.harness.python_can.hub_client import HubLink
+from motorhil.harness.recording.sources import HubClocks, HubTap, parse_place
+from motorhil.harness.replay.real_bus import HubSink
 from tests.harness.fd_frames import FdFrames, classical, fd_message
 from tests.wall.error_bench import ErrorBench
 

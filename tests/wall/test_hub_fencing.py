@@ -3,8 +3,16 @@
 import can
 import pytest
 
-from emulators.simulation.ownership_notice import RECORD_MAX, STALE, OwnershipNotice, pack_owns, pack_stale, unpack_owns, unpack_stale
-from motorapi.errors import MotorBusyError
+from motorhil.emulators.simulation.ownership_notice import (
+    RECORD_MAX,
+    STALE,
+    OwnershipNotice,
+    pack_owns,
+    pack_stale,
+    unpack_owns,
+    unpack_stale,
+)
+from motorhil.motorapi.errors import MotorBusyError
 from tests.wall.test_hub import message, serving
 
 pytestmark = pytest.mark.wall

@@ -5,12 +5,12 @@ import threading
 
 import pytest
 
-from motorapi.adaptations.modbus.client import ModbusLine, UnitClient
-from motorapi.runtime.byte_streams import TcpLine
-from motorapi.errors import LinkError
-from motorapi.locking.directory import LockDirectory
-from motorapi.locking.process_lock import ProcessLock
-from motorapi.runtime.wall import WallRuntime
+from motorhil.motorapi.adaptations.modbus.client import ModbusLine, UnitClient
+from motorhil.motorapi.errors import LinkError
+from motorhil.motorapi.locking.directory import LockDirectory
+from motorhil.motorapi.locking.process_lock import ProcessLock
+from motorhil.motorapi.runtime.byte_streams import TcpLine
+from motorhil.motorapi.runtime.wall import WallRuntime
 
 pytestmark = pytest.mark.wall
 

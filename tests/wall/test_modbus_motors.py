@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from motorapi.runtime.byte_streams import SerialLine, TcpLine
-from motorapi.errors import LinkError, UsageError
+from motorhil.motorapi.errors import LinkError, UsageError
+from motorhil.motorapi.runtime.byte_streams import SerialLine, TcpLine
+from motorhil.traces.mcap.reader import read_trace
 from tests.wall.test_serve import motorhil
-from traces.mcap.reader import read_trace
 
 pytestmark = pytest.mark.wall
 

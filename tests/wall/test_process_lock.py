@@ -7,12 +7,12 @@ from pathlib import Path
 
 import pytest
 
-from emulators.simulation.event_queue import EventQueue
-from harness.virtual_time.runtime import VirtualRuntime
-from motorapi.errors import MotorBusyError
-from motorapi.locking.directory import LockDirectory
-from motorapi.locking.process_lock import ProcessLock
-from motorapi.runtime.wall import WallRuntime
+from motorhil.emulators.simulation.event_queue import EventQueue
+from motorhil.harness.virtual_time.runtime import VirtualRuntime
+from motorhil.motorapi.errors import MotorBusyError
+from motorhil.motorapi.locking.directory import LockDirectory
+from motorhil.motorapi.locking.process_lock import ProcessLock
+from motorhil.motorapi.runtime.wall import WallRuntime
 from tests.wall.programs import Program
 
 pytestmark = pytest.mark.wall

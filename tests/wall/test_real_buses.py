@@ -6,14 +6,14 @@ from uuid import uuid4
 import can
 import pytest
 
-from harness.recording.sources import PlaceError, parse_place, places_of_buses
-from harness.replay.real_bus import DrivenBuses
+from motorhil.harness.recording.sources import PlaceError, parse_place, places_of_buses
+from motorhil.harness.replay.real_bus import DrivenBuses
+from motorhil.traces.formats.frames import Findings, classic
+from motorhil.traces.formats.registry import recorded_frames
+from motorhil.traces.mcap.reader import read_trace
+from motorhil.traces.mcap.records import MAGIC
+from motorhil.traces.schema import Direction
 from tests.golden import golden
-from traces.mcap.reader import read_trace
-from traces.mcap.records import MAGIC
-from traces.schema import Direction
-from traces.formats.frames import Findings, classic
-from traces.formats.registry import recorded_frames
 
 pytestmark = pytest.mark.wall
 

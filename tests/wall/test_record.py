@@ -9,20 +9,22 @@ from contextlib import ExitStack, contextmanager
 import can
 import pytest
 
-from harness.cli.main import main
-from harness.recording.loop import RecordingLoop
-from harness.recording.sources import parse_place
-from harness.recording.writer import Pump, opener
-from harness.recording.sources import PythonCanTap
-from harness.recording.writer import Series
+from motorhil.harness.cli.main import main
+from motorhil.harness.recording.loop import RecordingLoop
+from motorhil.harness.recording.sources import PythonCanTap, parse_place
+from motorhil.harness.recording.writer import Pump, Series, opener
+from motorhil.traces.formats.frames import Findings, Frame, classic
+from motorhil.traces.formats.registry import record_frames, recorded_frames
+from motorhil.traces.mcap.reader import read_trace
 from tests.wall.test_hub import serving
-from traces.mcap.reader import read_trace
-from traces.formats.frames import Findings, Frame, classic
-from traces.formats.registry import record_frames, recorded_frames
 
 pytestmark = pytest.mark.wall
 
-MOTORHIL = (sys.executable, "-c", "import sys; from harness.cli.main import main; sys.exit(main())")
+MOTORHIL = (
+    sys.executable,
+    "-c",
+    "import sys; from motorhil.harness.cli.main import main; sys.exit(main())",
+)
 COUNT = 200  # a socket buffers 278 such frames for a recorder without CPU time
 
 

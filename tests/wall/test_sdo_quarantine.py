@@ -3,10 +3,10 @@
 import can
 import pytest
 
-from motorapi.adaptations.canopen.bus import open_link, release_link
-from motorapi.locking.directory import VARIABLE
-from motorapi.runtime.api import runtime_of
-from motorapi.runtime.wall import close_process_runtime
+from motorhil.motorapi.adaptations.canopen.bus import open_link, release_link
+from motorhil.motorapi.locking.directory import VARIABLE
+from motorhil.motorapi.runtime.api import runtime_of
+from motorhil.motorapi.runtime.wall import close_process_runtime
 from tests.wall.programs import Program
 from tests.wall.sdo_asker import channel_of
 from tests.wall.test_hub import serving

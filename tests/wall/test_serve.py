@@ -9,12 +9,16 @@ from pathlib import Path
 import can
 import pytest
 
-from harness.rig.config.scaffold import EXAMPLES
-from traces.mcap.reader import read_trace
+from motorhil.harness.rig.config.scaffold import EXAMPLES
+from motorhil.traces.mcap.reader import read_trace
 
 pytestmark = pytest.mark.wall
 
-MOTORHIL = (sys.executable, "-c", "import sys; from harness.cli.main import main; sys.exit(main())")
+MOTORHIL = (
+    sys.executable,
+    "-c",
+    "import sys; from motorhil.harness.cli.main import main; sys.exit(main())",
+)
 RIG = str(EXAMPLES / "two_wheels.toml")
 SCRIPT = (str(Path(__file__).parent / "patient_wheels.py"), str(EXAMPLES / "wheel_model.toml"))
 GOLDEN = Path(__file__).parents[2] / "traces" / "golden"

@@ -6,9 +6,9 @@ import subprocess
 
 import pytest
 
-from harness.rig.config.scaffold import EXAMPLES
-from harness.sharing_tests.bus_evidence import read_evidence
-from harness.sharing_tests.processes import Plan, run
+from motorhil.harness.rig.config.scaffold import EXAMPLES
+from motorhil.harness.sharing_tests.bus_evidence import read_evidence
+from motorhil.harness.sharing_tests.processes import Plan, run
 from tests.wall.programs import LONG_S
 from tests.wall.test_shared_drive import SERVE, await_boot
 
@@ -56,7 +56,7 @@ def shared(tmp_path):
 def test_groups_in_opposite_orders_never_deadlock(shared):
     rounds = 500 * LONGER
     outcome, evidence = shared(
-        work="harness.sharing_tests.workers:work_groups",
+        work="motorhil.harness.sharing_tests.workers:work_groups",
         workers=2,
         seconds=60.0 * LONGER,
         facts={"rounds": rounds, "move_every": 250},
@@ -70,7 +70,7 @@ def test_only_the_owner_commands_under_kills_and_takeovers(shared):
     for portion in (1, 3, 6):  # a busy machine gets more time
         outcome, evidence = shared(
             portion,
-            work="harness.sharing_tests.workers:work_motor",
+            work="motorhil.harness.sharing_tests.workers:work_motor",
             workers=4,
             seconds=8.0 * LONGER,
             kill_period_s=2.3,

@@ -10,15 +10,19 @@ import sys
 import can
 import pytest
 
-from harness.rig.config.scaffold import EXAMPLES
-from motorapi.locking.directory import VARIABLE, LockDirectory
-from motorapi.locking.lock_status import list_locks
-from motorapi.runtime.wall import WallRuntime
+from motorhil.harness.rig.config.scaffold import EXAMPLES
+from motorhil.motorapi.locking.directory import VARIABLE, LockDirectory
+from motorhil.motorapi.locking.lock_status import list_locks
+from motorhil.motorapi.runtime.wall import WallRuntime
 from tests.wall.programs import LONG_S, Program
 
 pytestmark = pytest.mark.wall
 
-SERVE = (sys.executable, "-c", "import sys; from harness.cli.main import main; sys.exit(main())")
+SERVE = (
+    sys.executable,
+    "-c",
+    "import sys; from motorhil.harness.cli.main import main; sys.exit(main())",
+)
 MODEL = EXAMPLES / "wheel_model.toml"
 
 

@@ -6,12 +6,12 @@ from time import monotonic
 import can
 import pytest
 
-from emulators.cia402.drive import build
-from emulators.controller import ControllerContext
-from motorapi import MotorModel, WallRuntime
-from motorapi.adaptations.cia402.hardware import Cia402HwMotor
-from motorapi.adaptations.cia402.motor import Cia402Motor
-from motorapi.adaptations.cia402.bringup import HwOptions
+from motorhil.emulators.cia402.drive import build
+from motorhil.emulators.controller import ControllerContext
+from motorhil.motorapi import MotorModel, WallRuntime
+from motorhil.motorapi.adaptations.cia402.bringup import HwOptions
+from motorhil.motorapi.adaptations.cia402.hardware import Cia402HwMotor
+from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
 from tests.motorapi.adaptations.streaming import quintic, set_function
 from tests.wall.test_hub import serving
 

@@ -9,8 +9,8 @@ import time
 import can
 import pytest
 
-from motorapi.locking.directory import VARIABLE, LockDirectory
-from motorapi.locking.lock_status import list_locks
+from motorhil.motorapi.locking.directory import VARIABLE, LockDirectory
+from motorhil.motorapi.locking.lock_status import list_locks
 from tests.motorapi.adaptations.conftest import HEAD, drive
 from tests.wall.programs import LONG_S, Program
 from tests.wall.test_shared_drive import SERVE, await_boot, wait_for

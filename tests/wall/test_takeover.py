@@ -9,7 +9,7 @@ from itertools import pairwise
 
 import pytest
 
-from motorapi.errors import MotorBusyError
+from motorhil.motorapi.errors import MotorBusyError
 from tests.wall.takeover_stress import ENOUGH
 from tests.wall.test_process_lock import (
     LONG_S,

@@ -13,16 +13,16 @@ from pathlib import Path
 
 import pytest
 
-from harness.cli import demo_two_processes as two_processes
-from harness.recording.ownership import Ended, read_ownership
-from motorapi.locking.lock_status import read_process
+from motorhil.harness.cli import demo_two_processes as two_processes
+from motorhil.harness.recording.ownership import Ended, read_ownership
+from motorhil.motorapi.locking.lock_status import read_process
+from motorhil.traces.mcap.reader import read_trace
+from motorhil.traces.schema import LockAction
 from tests.wall.programs import LONG_S
-from traces.mcap.reader import read_trace
-from traces.schema import LockAction
 
 pytestmark = pytest.mark.wall
 
-DEMO = (sys.executable, "-m", "harness", "demo", "--two-processes")
+DEMO = (sys.executable, "-m", "motorhil", "demo", "--two-processes")
 
 
 class Demo:

@@ -6,9 +6,9 @@ import signal
 
 import pytest
 
-from emulators.simulation.event_queue import EventQueue
-from emulators.gateways.loop import WallLoop
-from harness.cli.serve import Program, StopSignals
+from motorhil.emulators.gateways.loop import WallLoop
+from motorhil.emulators.simulation.event_queue import EventQueue
+from motorhil.harness.cli.serve import Program, StopSignals
 
 pytestmark = pytest.mark.wall
 

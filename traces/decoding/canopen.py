@@ -12,16 +12,16 @@ Source: CiA 301, network management, SDO abort transfer protocol, emergency erro
 for the emergencies of drives.
 """
 
-from typing import Final
 import struct
 from collections.abc import Mapping
 from typing import Final, final
-from traces.decoding.can_errors import bus_error
-from traces.decoding.cia402 import controlword_text, mode_text, statusword_text
-from traces.decoding.sdo import SdoReader, SdoStep, Step
-from traces.decoding.objects import ObjectName, ObjectNames, axis_of, value_of, value_text
-from traces.decoding.pdo import PdoKey, PdoMaps
-from traces.decoding.events import CONTROLLER, FOREIGN, Fact, Kind, DecodedEvent
+
+from motorhil.traces.decoding.can_errors import bus_error
+from motorhil.traces.decoding.cia402 import controlword_text, mode_text, statusword_text
+from motorhil.traces.decoding.events import CONTROLLER, FOREIGN, DecodedEvent, Fact, Kind
+from motorhil.traces.decoding.objects import ObjectName, ObjectNames, axis_of, value_of, value_text
+from motorhil.traces.decoding.pdo import PdoKey, PdoMaps
+from motorhil.traces.decoding.sdo import SdoReader, SdoStep, Step
 
 NMT_COMMANDS: Final = {
     0x01: "start",
@@ -306,7 +306,9 @@ class CanopenDecoder:
         step = node.sdo.read(data, from_server)
         kind = Kind.SDO_RESPONSE if from_server else Kind.SDO_REQUEST
         if step.step is Step.NONE:
-            return DecodedEvent(kind, number, f"{node.name} SDO, not understood: {data.hex(' ').upper()}")
+            return DecodedEvent(
+                kind, number, f"{node.name} SDO, not understood: {data.hex(' ').upper()}"
+            )
         facts: tuple[Fact, ...] = ()
         if step.whole is not None and step.index is not None and step.subindex is not None:
             facts = self._object(number, step.index, step.subindex, step.whole, not step.upload)
@@ -400,7 +402,9 @@ class CanopenDecoder:
             values = self._mapped(node, objects, data, not transmitted)
             parts.append(f"{what}: " + ", ".join(f"{f.subject} = {f.text}" for f in values))
             facts += values
-        return DecodedEvent(kind, number if len(keys) == 1 else None, "; ".join(parts), tuple(facts))
+        return DecodedEvent(
+            kind, number if len(keys) == 1 else None, "; ".join(parts), tuple(facts)
+        )
 
     def _mapped(
         self, number: int, objects: list[tuple[int, int, int]], data: bytes, told_to: bool

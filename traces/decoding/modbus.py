@@ -16,18 +16,15 @@ Source: MODBUS over Serial Line V1.02, section 2.5.1.2 for the check sum; the Me
 guide V1.0b, section 3.1.3 for the header.
 """
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Final, final
-from traces.formats.pcap import Piece, Way
-from collections.abc import Mapping
-from traces.decoding.events import Fact, Kind, DecodedEvent
-from traces.formats.pcap import Way
-from collections.abc import Iterator, Mapping
-from typing import Final, NamedTuple
-from traces.mcap.protobuf import Value, decode
-from traces.mcap.reader import Trace
-from traces.schema import MODBUS_ADU, Direction
+from typing import Final, NamedTuple, final
+
+from motorhil.traces.decoding.events import DecodedEvent, Fact, Kind
+from motorhil.traces.formats.pcap import Piece, Way
+from motorhil.traces.mcap.protobuf import Value, decode
+from motorhil.traces.mcap.reader import Trace
+from motorhil.traces.schema import MODBUS_ADU, Direction
 
 PORT: Final = 502
 _HEAD: Final = 7

@@ -4,15 +4,23 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Final, final
 
-from traces.decoding.canopen import CanopenDecoder
-from traces.decoding.modbus import ModbusDecoder, adu_of
-from traces.formats.frames import FrameDecoder
-from traces.mcap.reader import telling
-from traces.mcap.protobuf import Value, decode
-from traces.mcap.reader import Trace, TraceMessage
-from traces.decoding.objects import RecordedNames, names_of
-from traces.decoding.events import Kind, DecodedEvent
-from traces.schema import CAN_FRAME, GROUP_SYNC, LOG, MODBUS_ADU, MOTOR_LOCK, Direction, Level, LockAction
+from motorhil.traces.decoding.canopen import CanopenDecoder
+from motorhil.traces.decoding.events import DecodedEvent, Kind
+from motorhil.traces.decoding.modbus import ModbusDecoder, adu_of
+from motorhil.traces.decoding.objects import RecordedNames, names_of
+from motorhil.traces.formats.frames import FrameDecoder
+from motorhil.traces.mcap.protobuf import Value, decode
+from motorhil.traces.mcap.reader import Trace, TraceMessage, telling
+from motorhil.traces.schema import (
+    CAN_FRAME,
+    GROUP_SYNC,
+    LOG,
+    MODBUS_ADU,
+    MOTOR_LOCK,
+    Direction,
+    Level,
+    LockAction,
+)
 
 PREAMBLE_NS: Final = 5_000_000_000
 PREAMBLE_MAX: Final = 50_000

@@ -8,12 +8,12 @@ Names of nodes, units and motors from the rig and the EDS files in a recording.
 
 import configparser
 import struct
-from dataclasses import dataclass
-from typing import Final, final
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from traces.mcap.records import Attachment
+from typing import Final, final
+
+from motorhil.traces.mcap.records import Attachment
 
 # Kinds: u and i are integers with their bits, x is unsigned and shown in hex, s is text, o is
 # bytes.

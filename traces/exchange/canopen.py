@@ -13,14 +13,23 @@ from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from typing import Final, final
 
-from traces.decoding.canopen import SETPOINTS, CanopenDecoder
-from traces.decoding.sdo import SdoReader
-from traces.decoding.objects import ObjectNames, axis_of
-from traces.decoding.pdo import PdoKey
-from traces.decoding.events import DecodedEvent
-from traces.schema import Direction
-from traces.exchange.steps import START, Key, Role, Sent, Step, ExchangeLog, Turn, period_ns
-from traces.formats.frames import EFF, ERR, RTR, Frame, classic
+from motorhil.traces.decoding.canopen import SETPOINTS, CanopenDecoder
+from motorhil.traces.decoding.events import DecodedEvent
+from motorhil.traces.decoding.objects import ObjectNames, axis_of
+from motorhil.traces.decoding.pdo import PdoKey
+from motorhil.traces.decoding.sdo import SdoReader
+from motorhil.traces.exchange.steps import (
+    START,
+    ExchangeLog,
+    Key,
+    Role,
+    Sent,
+    Step,
+    Turn,
+    period_ns,
+)
+from motorhil.traces.formats.frames import EFF, ERR, RTR, Frame, classic
+from motorhil.traces.schema import Direction
 
 _CLASSIC_BYTES: Final = 16  # size of a can_frame
 _NMT: Final = 0x000

@@ -16,21 +16,16 @@ The host of a recording: all frames it sent, on all buses and lines.
 from bisect import bisect_right
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import Final, final
-from traces.decoding.canopen import CanopenDecoder
-from traces.decoding.modbus import Adu
-from traces.decoding.objects import axis_of
-from traces.decoding.events import Kind, DecodedEvent
-from traces.schema import Direction
-from traces.formats.frames import ERR, RTR
-from collections.abc import Callable
 from typing import Final, NamedTuple, final
-from traces.decoding.modbus import ModbusDecoder
-from traces.formats.frames import FrameDecoder
-from traces.decoding.modbus import adu_in
-from traces.mcap.protobuf import decode
-from traces.mcap.reader import Trace
-from traces.schema import CAN_FRAME, MODBUS_ADU
+
+from motorhil.traces.decoding.canopen import CanopenDecoder
+from motorhil.traces.decoding.events import DecodedEvent, Kind
+from motorhil.traces.decoding.modbus import Adu, ModbusDecoder, adu_in
+from motorhil.traces.decoding.objects import axis_of
+from motorhil.traces.formats.frames import ERR, RTR, FrameDecoder
+from motorhil.traces.mcap.protobuf import decode
+from motorhil.traces.mcap.reader import Trace
+from motorhil.traces.schema import CAN_FRAME, MODBUS_ADU, Direction
 
 Subject = tuple[str, int, str]
 """Bus, node, and object or state."""

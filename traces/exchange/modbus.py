@@ -11,9 +11,8 @@ from collections.abc import Iterable
 from dataclasses import replace
 from typing import Final, NamedTuple, final
 
-from traces.decoding.modbus import ModbusDecoder
-from traces.decoding.modbus import Adu
-from traces.exchange.steps import START, Key, Role, Sent, Step, ExchangeLog, Turn
+from motorhil.traces.decoding.modbus import Adu, ModbusDecoder
+from motorhil.traces.exchange.steps import START, ExchangeLog, Key, Role, Sent, Step, Turn
 
 WRITES: Final = (0x05, 0x06, 0x0F, 0x10, 0x15, 0x16, 0x17)
 _BITS_EACH: Final = {0x01: 1, 0x02: 1, 0x03: 16, 0x04: 16, 0x17: 16}

@@ -3,16 +3,16 @@
 from dataclasses import dataclass
 from typing import Final, final
 
-from traces.exchange.canopen import CanopenTapes
-from traces.decoding.canopen import CanopenDecoder
-from traces.formats.frames import FrameDecoder
-from traces.decoding.modbus import adu_in
-from traces.exchange.modbus import LineAdu, modbus_tapes
-from traces.mcap.protobuf import decode
-from traces.mcap.reader import Trace
-from traces.decoding.objects import RecordedNames, names_of
-from traces.schema import CAN_FRAME, MODBUS_ADU
-from traces.exchange.steps import ExchangeLog
+from motorhil.traces.decoding.canopen import CanopenDecoder
+from motorhil.traces.decoding.modbus import adu_in
+from motorhil.traces.decoding.objects import RecordedNames, names_of
+from motorhil.traces.exchange.canopen import CanopenTapes
+from motorhil.traces.exchange.modbus import LineAdu, modbus_tapes
+from motorhil.traces.exchange.steps import ExchangeLog
+from motorhil.traces.formats.frames import FrameDecoder
+from motorhil.traces.mcap.protobuf import decode
+from motorhil.traces.mcap.reader import Trace
+from motorhil.traces.schema import CAN_FRAME, MODBUS_ADU
 
 _RUN: Final = "run"
 """Metadata of a rig; its time begins at 0, with power-on."""

@@ -12,9 +12,9 @@ from collections.abc import Iterator, Sequence
 from io import TextIOBase
 from typing import Final, final
 
-from traces.formats import frames as traffic
-from traces.schema import Direction
-from traces.formats.frames import NS, Findings, Frame
+from motorhil.traces.formats import frames as traffic
+from motorhil.traces.formats.frames import NS, Findings, Frame
+from motorhil.traces.schema import Direction
 
 _DATE: Final = re.compile(
     r"date\s+\S+\s+(\w+)\.?\s+(\d{1,2})\s+(\d{1,2}):(\d\d):(\d\d)(\.\d+)?\s*([AaPp][Mm])?\s+(\d{4})"

@@ -14,22 +14,20 @@ python-can's writer is not used, because it keeps stamps in floats (0.24 us toda
 the full millisecond of the earliest frame. The content of an error frame is where python-can puts
 it: Linux's class in the identifier, and its data.
 
-Source: as `traces.formats.blf`; the flags of error frames, Wireshark, wiretap/blf.h.
+Source: as `motorhil.traces.formats.blf`; the flags of error frames, Wireshark, wiretap/blf.h.
 """
 
 import os
 import struct
 import zlib
-from collections.abc import Iterator
-from pathlib import Path
-from typing import Final, final
-from traces.formats import frames as traffic
-from traces.errors import TraceError
-from traces.schema import Direction
-from traces.formats.frames import Findings, Frame
 from collections.abc import Iterator, Sequence
+from pathlib import Path
 from typing import BinaryIO, Final, final
-from traces.formats.frames import Fields, Frame
+
+from motorhil.traces.errors import TraceError
+from motorhil.traces.formats import frames as traffic
+from motorhil.traces.formats.frames import Fields, Findings, Frame
+from motorhil.traces.schema import Direction
 
 MAGIC: Final = b"LOGG"
 _OBJECT: Final = b"LOBJ"
@@ -317,7 +315,9 @@ class _Writer:
         else:
             kind, body = _object(traffic.fields(data), direction, channel)
             size = _OBJECT_OUT.size + len(body)  # always a multiple of 4, so no padding
-            self._content += _OBJECT_OUT.pack(b"LOBJ", 32, 1, size, kind, _NANOSECONDS, 0, 0, since_ns)
+            self._content += _OBJECT_OUT.pack(
+                b"LOBJ", 32, 1, size, kind, _NANOSECONDS, 0, 0, since_ns
+            )
             self._content += body
             if kind == _MESSAGE_KIND and len(self._known) < _REMEMBERED:
                 self._known[key] = body[:8]

@@ -18,10 +18,10 @@ Source: recordings of UW Formula Motorsports (../shared/data/traffic/INDEX.md).
 import re
 from collections.abc import Sequence
 from typing import Final, final
-from traces.formats import frames as traffic
-from traces.schema import Direction
-from traces.formats.frames import Findings, Frame, shown
-from traces.formats.frames import Findings, Frame
+
+from motorhil.traces.formats import frames as traffic
+from motorhil.traces.formats.frames import Findings, Frame, shown
+from motorhil.traces.schema import Direction
 
 _BUS: Final = "can0"  # default without an interface
 _LOG: Final = re.compile(

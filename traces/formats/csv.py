@@ -15,9 +15,9 @@ from collections.abc import Callable, Iterator, Sequence
 from io import StringIO, TextIOBase
 from typing import Final, final
 
-from traces.formats import frames as traffic
-from traces.schema import Direction
-from traces.formats.frames import Findings, Frame
+from motorhil.traces.formats import frames as traffic
+from motorhil.traces.formats.frames import Findings, Frame
+from motorhil.traces.schema import Direction
 
 COLUMNS: Final = (
     "time_s bus id extended kind brs esi direction sender length data".split()  # noqa: SIM905

@@ -14,9 +14,8 @@ import struct
 from collections.abc import Iterable, Iterator, Sequence
 from functools import cache
 from typing import Final, NamedTuple, Protocol, final
-from traces.schema import Direction
-from typing import Final, final
-from traces.schema import can_frame_prefix, decode_can_frame
+
+from motorhil.traces.schema import Direction, can_frame_prefix, decode_can_frame
 
 NS: Final = 1_000_000_000
 EFF: Final = 0x8000_0000

@@ -23,15 +23,14 @@ Source: RFC 791, RFC 8200, RFC 9293; the link types of the IANA registry.
 
 import os
 import struct
-from collections.abc import Iterator
-from dataclasses import dataclass
-from pathlib import Path
-from typing import Final, final
-from traces.errors import TraceError
-from typing import BinaryIO, Final, NamedTuple, final
-from traces.schema import Direction
 from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
 from ipaddress import ip_address
+from pathlib import Path
+from typing import BinaryIO, Final, NamedTuple, final
+
+from motorhil.traces.errors import TraceError
+from motorhil.traces.schema import Direction
 
 _PCAP: Final = {  # by the first bytes of the file: (byte order, ns per unit of the fraction)
     b"\xd4\xc3\xb2\xa1": ("<", 1000),

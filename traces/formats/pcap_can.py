@@ -12,11 +12,10 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import BinaryIO, Final
 
-from traces.formats import frames as traffic
-from traces.formats.pcap import Capture, Packet
-from traces.formats.pcap import MAGIC, Origin, PcapngWriter, origins
-from traces.schema import Direction
-from traces.formats.frames import Findings, Frame
+from motorhil.traces.formats import frames as traffic
+from motorhil.traces.formats.frames import Findings, Frame
+from motorhil.traces.formats.pcap import MAGIC, Capture, Origin, Packet, PcapngWriter, origins
+from motorhil.traces.schema import Direction
 
 _SOCKETCAN: Final = 227
 _COOKED: Final = 113

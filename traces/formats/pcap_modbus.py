@@ -17,25 +17,19 @@ draft-ietf-opsawg-pcapng.
 """
 
 import struct
+from collections import deque
 from collections.abc import Iterator
 from enum import Flag, auto
 from ipaddress import IPv4Address, IPv6Address, ip_address
-from typing import BinaryIO, Final, NamedTuple, final
-from traces.decoding.modbus import RecordedAdu
-from traces.formats.pcap import PcapngWriter
-from traces.mcap.protobuf import decode
-from traces.schema import MODBUS_ADU, Direction
-from traces.formats.frames import Findings
-from collections import deque
 from pathlib import Path
-from typing import Final, final
-from traces.decoding.modbus import Adu, Malformed, adus
-from traces.formats.pcap import Capture, Packet
-from traces.formats.pcap import Origin, origins
-from traces.mcap.protobuf import Value, encode
-from traces.schema import MODBUS_ADU, Direction, Schema
-from traces.formats.pcap import Way, pieces
-from traces.mcap.writer import TraceWriter
+from typing import BinaryIO, Final, NamedTuple, final
+
+from motorhil.traces.decoding.modbus import Adu, Malformed, RecordedAdu, adus
+from motorhil.traces.formats.frames import Findings
+from motorhil.traces.formats.pcap import Capture, Origin, Packet, PcapngWriter, Way, origins, pieces
+from motorhil.traces.mcap.protobuf import Value, decode, encode
+from motorhil.traces.mcap.writer import TraceWriter
+from motorhil.traces.schema import MODBUS_ADU, Direction, Schema
 
 _ETHERNET: Final = 1
 RTAC_SERIAL: Final = 250

@@ -6,35 +6,35 @@ CAN traffic in our recordings: reading and writing.
 """
 
 import os
-from collections.abc import Iterable, Iterator
-from typing import Final
-from traces.mcap.writer import Entry
-from traces.formats.frames import FrameDecoder
-from traces.mcap.reader import Trace
-from traces.schema import CAN_FRAME, Direction, Schema
-from traces.formats.frames import Findings, Frame
-from traces.mcap.writer import TraceWriter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from enum import Flag, auto
 from io import TextIOBase, TextIOWrapper
 from pathlib import Path
 from typing import BinaryIO, Final, final
-from traces.formats import asc
-from traces.formats import blf
-from traces.formats import blf as blf_writing
-from traces.formats import candump
-from traces.formats import csv as csv_traffic
-from traces.formats import candump as sd_rows
-from traces.formats import pcap_can as socketcan_pcap
-from traces.formats import trc
-from traces.errors import TraceError
-from traces.mcap.reader import read_trace
-from traces.mcap.records import MAGIC
-from traces.mcap.reader import refuse_pipe
-from traces.schema import Direction
-from traces.formats.frames import ERR, RTR, Findings, Frame, LineReader, bus_number, one_word, read_lines
+
+from motorhil.traces.errors import TraceError
+from motorhil.traces.formats import asc, blf, candump, trc
+from motorhil.traces.formats import blf as blf_writing
+from motorhil.traces.formats import candump as sd_rows
+from motorhil.traces.formats import csv as csv_traffic
+from motorhil.traces.formats import pcap_can as socketcan_pcap
+from motorhil.traces.formats.frames import (
+    ERR,
+    RTR,
+    Findings,
+    Frame,
+    FrameDecoder,
+    LineReader,
+    bus_number,
+    one_word,
+    read_lines,
+)
+from motorhil.traces.mcap.reader import Trace, read_trace, refuse_pipe
+from motorhil.traces.mcap.records import MAGIC
+from motorhil.traces.mcap.writer import Entry, TraceWriter
+from motorhil.traces.schema import CAN_FRAME, Direction, Schema
 
 _PREFIX: Final = "/can/"
 _BATCH: Final = 8192

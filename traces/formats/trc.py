@@ -12,9 +12,9 @@ from functools import lru_cache
 from io import TextIOBase
 from typing import Final, NamedTuple, final
 
-from traces.formats import frames as traffic
-from traces.schema import Direction
-from traces.formats.frames import NS, Findings, Frame
+from motorhil.traces.formats import frames as traffic
+from motorhil.traces.formats.frames import NS, Findings, Frame
+from motorhil.traces.schema import Direction
 
 _DAY_1970: Final = 25_569
 _HEADER: Final = re.compile(r";\s*\$(\w+)=(.*)")

@@ -3,7 +3,7 @@
 Recording needs a dozen fixed messages and must not cost a dependency. A message is therefore a
 table (`Message`). Its descriptor is computed from the table (`file_descriptor_set`) and embedded in
 the file for any reader. `encode` and `decode` serve rare messages. Frequent messages have their own
-code in `traces.schema`.
+code in `motorhil.traces.schema`.
 
 Source: protobuf.dev, "Encoding" (wire types, varints, packed fields) and descriptor.proto (field
 numbers of the descriptors).

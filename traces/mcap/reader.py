@@ -17,24 +17,27 @@ Protection against pipes and devices as input or output files.
 """
 
 import os
+import stat
 import struct
 import zlib
-from dataclasses import dataclass
-from typing import BinaryIO, Final, NamedTuple, final
-from traces.mcap import records
-import stat
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import contextmanager, suppress
-from typing import BinaryIO, Final
-from traces.errors import TraceError
-from collections.abc import Collection, Iterator
-from typing import BinaryIO, Final, Self, final
-from traces.mcap.records import CompressionError, decompress, salvage
-from traces.schema import Schema
-from traces.mcap.records import Attachment, Channel, attachment_in, channel_in, schema_in
-from collections.abc import Iterable, Iterator
-from typing import Final
-from traces.schema import CAN_FRAME
+from dataclasses import dataclass
+from typing import BinaryIO, Final, NamedTuple, Self, final
+
+from motorhil.traces.errors import TraceError
+from motorhil.traces.mcap import records
+from motorhil.traces.mcap.records import (
+    Attachment,
+    Channel,
+    CompressionError,
+    attachment_in,
+    channel_in,
+    decompress,
+    salvage,
+    schema_in,
+)
+from motorhil.traces.schema import CAN_FRAME, Schema
 
 _FOOT: Final = records.RECORD_HEAD.size + records.FOOTER_BODY.size + len(records.MAGIC)
 _PLACE: Final = struct.Struct("<QQQQ")

@@ -11,15 +11,14 @@ Compression of chunks: zstd, and on reading also lz4 or none.
 """
 
 import struct
-from collections.abc import Mapping, Sequence
-from typing import Final
 import zlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import final
-from traces.schema import Schema
 from typing import Final, final
+
 import zstandard
+
+from motorhil.traces.schema import Schema
 
 MAGIC: Final = b"\x89MCAP0\r\n"
 

@@ -18,27 +18,25 @@ checked by their structure: their strings, maps and lists must fill them exactly
 wrong length prevents. Another record must begin where they end.
 """
 
+import os
 import re
 import struct
 import zlib
-from collections.abc import Iterator
-from mmap import mmap
-from typing import Final, NamedTuple, final
-from traces.mcap import records
-from traces.mcap.records import CompressionError, decompress
 from array import array
-from sys import byteorder
-from typing import BinaryIO, Final, final
-import zstandard
-from traces.mcap.writer import Summary, framed_chunk
-import os
+from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field
 from mmap import ACCESS_READ, mmap
-from traces.mcap.records import salvage
-from traces.errors import TraceError
-from traces.mcap.writer import create, let_go, reason
-from traces.mcap.reader import place_to_replace, refuse_pipe
+from sys import byteorder
+from typing import BinaryIO, Final, NamedTuple, final
+
+import zstandard
+
+from motorhil.traces.errors import TraceError
+from motorhil.traces.mcap import records
+from motorhil.traces.mcap.reader import place_to_replace, refuse_pipe
+from motorhil.traces.mcap.records import CompressionError, decompress, salvage
+from motorhil.traces.mcap.writer import Summary, create, framed_chunk, let_go, reason
 
 _HEAD_SIZE: Final = records.RECORD_HEAD.size
 _CHUNK_FIXED: Final = records.CHUNK_HEAD.size

@@ -23,31 +23,27 @@ Summary section of an MCAP file, collected while the rest is written.
 Creation of a recording file, without destroying other files.
 """
 
-import struct
-import sys
-from array import array
-from collections import Counter
-from collections.abc import Callable
-from operator import itemgetter
-from typing import Final, final
-from traces.schema import can_frame_prefix
-from traces.mcap.records import MESSAGE, MESSAGE_HEAD
-import zlib
-from collections.abc import Mapping, Sequence
-from typing import final
-from traces.mcap import records
 import fcntl
 import io
 import os
 import stat
-from contextlib import suppress
-from traces.errors import TraceError
-from traces.mcap.records import MAGIC
+import struct
+import sys
+import zlib
+from array import array
 from bisect import bisect_left
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from operator import itemgetter
 from typing import BinaryIO, Final, Self, final
+
 import zstandard
-from traces.schema import Direction, Schema
+
+from motorhil.traces.errors import TraceError
+from motorhil.traces.mcap import records
+from motorhil.traces.mcap.records import MAGIC, MESSAGE, MESSAGE_HEAD
+from motorhil.traces.schema import Direction, Schema, can_frame_prefix
 
 Entry = tuple[int, int, bytes]
 """(source, log time [ns], data).

@@ -14,17 +14,13 @@ currents, and others with many values in arbitrary order) are not compared, and 
 """
 
 from bisect import bisect_left, bisect_right
-from collections.abc import Iterator
-from dataclasses import dataclass
-from typing import Final, final
-from traces.semantics.model import Item, Key, Meaning
-from bisect import bisect_right
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from difflib import SequenceMatcher
-from typing import final
-from traces.semantics.model import COMMANDS, Key, Meaning
-from traces.decoding.events import CONTROLLER, FOREIGN
+from typing import Final, final
+
+from motorhil.traces.decoding.events import CONTROLLER, FOREIGN
+from motorhil.traces.semantics.model import COMMANDS, Item, Key, Meaning
 
 _MEASURED_MIN: Final = 32
 """The number of different values in both from which on a subject is a measured quantity."""

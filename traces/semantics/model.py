@@ -8,12 +8,12 @@ Commands to one node keep their order.
 from dataclasses import dataclass
 from typing import Final, final
 
-from traces.decoding.objects import axis_of
-from traces.mcap.protobuf import decode
-from traces.mcap.reader import Trace, TraceMessage
-from traces.decoding.events import PERIODIC, Fact, Kind, DecodedEvent
-from traces.schema import JOINT_STATE
-from traces.decoding.narrative import Line, Story
+from motorhil.traces.decoding.events import PERIODIC, DecodedEvent, Fact, Kind
+from motorhil.traces.decoding.narrative import Line, Story
+from motorhil.traces.decoding.objects import axis_of
+from motorhil.traces.mcap.protobuf import decode
+from motorhil.traces.mcap.reader import Trace, TraceMessage
+from motorhil.traces.schema import JOINT_STATE
 
 Key = tuple[str, int | None, str]
 """Bus, line, motor or group; node (None: none); subject."""

@@ -35,15 +35,23 @@ in its drivers.
 """
 
 from typing import Final, final
-from emulators.can import error_confinement as told
-from emulators.can.error_confinement import Confinement, ErrorState, state_of
-from emulators.can.bitlevel.encoder import DOMINANT, RECESSIVE
-from emulators.can.error_confinement import REC_MAX, Confinement
-from emulators.can.frame import ESI, FD_FRAME_BYTES
-from emulators.can.controller_config import FrameSupport
-from emulators.can.bitlevel.receiver import ACCEPTED, ACK_NEXT, ACKNOWLEDGED, COMPLETE, EXCEPTION, FORM, OVERLOAD, STUFF, Reception
-from emulators.can.bitlevel.encoder import DOMINANT, RECESSIVE, WireFrame, wire_frame
-from emulators.can.error_confinement import Confinement
+
+from motorhil.emulators.can import error_confinement as told
+from motorhil.emulators.can.bitlevel.encoder import DOMINANT, RECESSIVE, WireFrame, wire_frame
+from motorhil.emulators.can.bitlevel.receiver import (
+    ACCEPTED,
+    ACK_NEXT,
+    ACKNOWLEDGED,
+    COMPLETE,
+    EXCEPTION,
+    FORM,
+    OVERLOAD,
+    STUFF,
+    Reception,
+)
+from motorhil.emulators.can.controller_config import FrameSupport
+from motorhil.emulators.can.error_confinement import REC_MAX, Confinement, ErrorState, state_of
+from motorhil.emulators.can.frame import ESI, FD_FRAME_BYTES
 
 # kinds of notes
 NOTE_ACCEPTED: Final = 0

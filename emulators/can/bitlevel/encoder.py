@@ -13,11 +13,42 @@ Source: ISO 11898-1:2015, bit stuffing, CRC sequence.
 """
 
 from collections.abc import Sequence
-from typing import Final
 from typing import Final, final
-from emulators.can.frame_length import measure
-from emulators.can.frame import BRS, EFF_FLAG, EFF_MASK, ERR_FLAG, ESI, FD_FRAME_BYTES, FD_LENGTHS, RTR_FLAG, can_id_of, data_of, pack_fd
-from emulators.can.error_confinement import ACK_DELIMITER, ACK_SLOT, CRC_DELIMITER, CRC_SEQUENCE, DATA, DLC, END_OF_FRAME, ID_4_0, ID_12_5, ID_17_13, ID_20_18, ID_28_21, IDE, RESERVED_0, RESERVED_1, RTR, SRTR, START_OF_FRAME
+
+from motorhil.emulators.can.error_confinement import (
+    ACK_DELIMITER,
+    ACK_SLOT,
+    CRC_DELIMITER,
+    CRC_SEQUENCE,
+    DATA,
+    DLC,
+    END_OF_FRAME,
+    ID_4_0,
+    ID_12_5,
+    ID_17_13,
+    ID_20_18,
+    ID_28_21,
+    IDE,
+    RESERVED_0,
+    RESERVED_1,
+    RTR,
+    SRTR,
+    START_OF_FRAME,
+)
+from motorhil.emulators.can.frame import (
+    BRS,
+    EFF_FLAG,
+    EFF_MASK,
+    ERR_FLAG,
+    ESI,
+    FD_FRAME_BYTES,
+    FD_LENGTHS,
+    RTR_FLAG,
+    can_id_of,
+    data_of,
+    pack_fd,
+)
+from motorhil.emulators.can.frame_length import measure
 
 STUFF_COUNT_BITS: Final = 4
 FIXED_EVERY: Final = 5  # one fixed stuff bit, then four others

@@ -29,14 +29,27 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
 from typing import Final, final
-from emulators.can.bitlevel.encoder import DOMINANT, RECESSIVE
-from typing import final
-from emulators.can.bitlevel.controller import IDLE, INTEGRATING, INTEGRATION_BITS, OFF, RECEIVING, SENDING, SIGNALLING, CanStation
-from emulators.can.frame import BRS, FD_FRAME_BYTES
-from emulators.can.controller_config import FrameSupport
-from emulators.can.bitlevel.controller import CanStation
-from emulators.can.error_confinement import Confinement
-from emulators.can.bitlevel.controller import NOTE_ACCEPTED, NOTE_ERROR, NOTE_FAILED, NOTE_LOST, NOTE_SENT, NOTE_STATE
+
+from motorhil.emulators.can.bitlevel.controller import (
+    IDLE,
+    INTEGRATING,
+    INTEGRATION_BITS,
+    NOTE_ACCEPTED,
+    NOTE_ERROR,
+    NOTE_FAILED,
+    NOTE_LOST,
+    NOTE_SENT,
+    NOTE_STATE,
+    OFF,
+    RECEIVING,
+    SENDING,
+    SIGNALLING,
+    CanStation,
+)
+from motorhil.emulators.can.bitlevel.encoder import DOMINANT, RECESSIVE
+from motorhil.emulators.can.controller_config import FrameSupport
+from motorhil.emulators.can.error_confinement import Confinement
+from motorhil.emulators.can.frame import BRS, FD_FRAME_BYTES
 
 ALL_PORTS: Final = -1  # as a mask of 1 << port
 

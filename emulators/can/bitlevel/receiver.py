@@ -15,10 +15,21 @@ Source: ISO 11898-1:2015, frame formats, error detection, frame validation.
 
 from typing import Final, final
 
-from emulators.can.frame import BRS, EFF_FLAG, ESI, FD_LENGTHS, pack, pack_fd, pack_remote
-from emulators.can.controller_config import FrameSupport
-from emulators.can.bitlevel.encoder import DOMINANT, RECESSIVE, STUFF_RUN, bits_of, crc_of, place_of, tail_place
-from emulators.can.bitlevel.encoder import FIXED_EVERY, fd_check_bits, fd_field_bits, stuff
+from motorhil.emulators.can.bitlevel.encoder import (
+    DOMINANT,
+    FIXED_EVERY,
+    RECESSIVE,
+    STUFF_RUN,
+    bits_of,
+    crc_of,
+    fd_check_bits,
+    fd_field_bits,
+    place_of,
+    stuff,
+    tail_place,
+)
+from motorhil.emulators.can.controller_config import FrameSupport
+from motorhil.emulators.can.frame import BRS, EFF_FLAG, ESI, FD_LENGTHS, pack, pack_fd, pack_remote
 
 # Possible meanings of a bit to a receiver.
 NOTHING: Final = 0

@@ -8,16 +8,23 @@ frame, still takes part. This needs no timer: `submit` repeats the arbitration.
 Traffic statistics of a CAN bus.
 """
 
-from typing import final
-from emulators.can.frame_length import can_id_of_key
-from emulators.media.load import BusyTime
 from heapq import heapify, heappop, heappush
-from emulators.can.frame_length import CLASSICAL_MAX, INTERMISSION_BITS, KEY_SHIFT, measure, phases_of
-from emulators.can.frame import EFF_MASK, FRAME_BYTES, can_id_of
-from emulators.can.controller_config import FrameSupport
-from emulators.can.frame_length import LENGTHS_MASK
-from emulators.can.bus.port import PORT_MASK, PORT_SHIFT, CanPort
-from emulators.can.controller_config import ONE
+from typing import final
+
+from motorhil.emulators.can.bus.port import PORT_MASK, PORT_SHIFT, CanPort
+from motorhil.emulators.can.controller_config import ONE, FrameSupport
+from motorhil.emulators.can.frame import EFF_MASK, FRAME_BYTES, can_id_of
+from motorhil.emulators.can.frame_length import (
+    CLASSICAL_MAX,
+    INTERMISSION_BITS,
+    KEY_SHIFT,
+    LENGTHS_MASK,
+    can_id_of_key,
+    measure,
+    phases_of,
+)
+from motorhil.emulators.media.load import BusyTime
+
 
 @final
 class CanStatistics:

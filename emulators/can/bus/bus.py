@@ -11,21 +11,24 @@ heard 11 recessive bits. The frame that it was sending is sent again.
 
 from typing import final
 
-from emulators.can.frame_length import CLASSICAL_MAX, bits_of
-from emulators.can.bitlevel.episode import ALL_PORTS
-from emulators.can.controller_config import PLAIN, CanNode, FrameSupport
-from emulators.can.bus.port import CUT_OFF, PORT_MASK, PORT_SHIFT, CanPort
-from emulators.can.frame_length import LENGTHS_MASK
-from emulators.can.bus.port import Presence, Role
-from emulators.can.bus.segment import CanStretch
-from emulators.can.error_confinement import ErrorState
-from emulators.can.bus.port import DELIVERED, HEARD, KIND_MASK, LOST, Delivery, hears, kind_without
-from emulators.can.fault_rules import PARTING, FaultKind
-from emulators.can.bus.fault_plan import FaultSeam
-from emulators.can.bus.fault_plan import NEVER_NS, FaultEvent, FaultPlan
-from emulators.can.fault_rules import FaultRule
-from emulators.can.fault_rules import NoiseSource
-
+from motorhil.emulators.can.bitlevel.episode import ALL_PORTS
+from motorhil.emulators.can.bus.fault_plan import NEVER_NS, FaultEvent, FaultPlan, FaultSeam
+from motorhil.emulators.can.bus.port import (
+    CUT_OFF,
+    DELIVERED,
+    PORT_MASK,
+    PORT_SHIFT,
+    CanPort,
+    Delivery,
+    Presence,
+    Role,
+    kind_without,
+)
+from motorhil.emulators.can.bus.segment import CanStretch
+from motorhil.emulators.can.controller_config import PLAIN, CanNode, FrameSupport
+from motorhil.emulators.can.error_confinement import ErrorState
+from motorhil.emulators.can.fault_rules import PARTING, FaultKind, FaultRule, NoiseSource
+from motorhil.emulators.can.frame_length import CLASSICAL_MAX, LENGTHS_MASK, bits_of
 
 _Place = tuple[str, ...]  # rules that separate a node from the others; empty: on the bus
 

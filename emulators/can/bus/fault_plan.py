@@ -8,21 +8,17 @@ Placement of an injected error in a frame.
 Seam between a fault plan and the traffic of a bus.
 """
 
-from typing import Final
-from emulators.can.frame_length import INTERMISSION_BITS
-from emulators.can.bitlevel.episode import ALL_PORTS, Disturbance, Effect
-from emulators.can.bitlevel.encoder import DOMINANT, WireFrame, wire_frame
-from emulators.can.error_confinement import ACK_SLOT, CRC_DELIMITER, DATA, DLC
-from emulators.can.fault_rules import FaultRule, FrameError
 from collections.abc import Callable, Sequence
-from typing import Final, final
-from emulators.can.frame import RTR_FLAG, can_id_of
-from emulators.can.fault_rules import LASTING, FaultKind, FaultRule
-from collections.abc import Sequence
 from heapq import heappop, heappush
-from emulators.can.frame import pack
-from emulators.can.bus.port import DELIVERED, HEARD, LOST, Delivery, kind_without
-from emulators.can.fault_rules import FaultKind
+from typing import Final, final
+
+from motorhil.emulators.can.bitlevel.encoder import DOMINANT, WireFrame, wire_frame
+from motorhil.emulators.can.bitlevel.episode import ALL_PORTS, Disturbance, Effect
+from motorhil.emulators.can.bus.port import DELIVERED, HEARD, LOST, Delivery, kind_without
+from motorhil.emulators.can.error_confinement import ACK_SLOT, CRC_DELIMITER, DATA, DLC
+from motorhil.emulators.can.fault_rules import LASTING, FaultKind, FaultRule, FrameError
+from motorhil.emulators.can.frame import RTR_FLAG, can_id_of, pack
+from motorhil.emulators.can.frame_length import INTERMISSION_BITS
 
 STUFF_RUN: Final = 5
 

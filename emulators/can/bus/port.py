@@ -13,17 +13,16 @@ low two bits select the action. The bits above are the ports (1 << number) that 
 frame; `hears` reads them.
 """
 
+from enum import Enum
 from heapq import heappop, heappush
 from typing import Final, final
-from emulators.can.frame_length import KEY_SHIFT, LENGTHS_MASK
-from emulators.can.controller_config import CanNode, QueueOrder
-from enum import Enum
-from emulators.can import error_confinement as told
-from emulators.can.bitlevel.episode import Outcome, Station
-from emulators.can.controller_config import CanNode
-from emulators.can.error_confinement import TEC_MAX, Confinement, ErrorState
-from emulators.can.bitlevel.controller import state_message
-from typing import Final
+
+from motorhil.emulators.can import error_confinement as told
+from motorhil.emulators.can.bitlevel.controller import state_message
+from motorhil.emulators.can.bitlevel.episode import Outcome, Station
+from motorhil.emulators.can.controller_config import CanNode, QueueOrder
+from motorhil.emulators.can.error_confinement import TEC_MAX, Confinement, ErrorState
+from motorhil.emulators.can.frame_length import KEY_SHIFT
 
 # An entry in an arbitration: key << 30 | port << 18 | lengths. The lowest wins. Its 62 bits fit
 # the tagged integers of compiled code. The lengths are those of `can_bits`.

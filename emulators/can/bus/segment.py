@@ -20,40 +20,52 @@ total cost is therefore proportional to the length of the episode, and an endles
 than the time that it has lasted.
 """
 
-from heapq import heappush
-from emulators.can.bus.arbitration import CanArbitration
-from emulators.can.frame import FRAME_BYTES
-from emulators.can.controller_config import CanNode, FrameSupport
-from emulators.can.bus.port import CUT_OFF, CanPort
-from emulators.can.bus.port import Presence, Role
-from emulators.can.controller_config import ONE
-from emulators.can.fault_rules import WireLevel
-from emulators.can.bus.fault_plan import FaultSeam
-from emulators.can.fault_rules import NoiseSource
 from collections.abc import Sequence
 from dataclasses import replace
+from heapq import heappush
 from typing import Final, final
-from emulators.can.bitlevel.episode import ALL_BITS, Disturbance, Episode, Event, Outcome, Station, run_episode
-from emulators.can.fault_rules import FaultRule
-from typing import Final
-from emulators.can.frame_length import CLASSICAL_MAX, KEY_SHIFT, bits_of, measure
-from emulators.can.bitlevel.episode import Disturbance, Event, EventKind, Outcome
-from emulators.can.frame import can_id_of
-from emulators.can.bus.port import CUT_OFF, PORT_MASK, PORT_SHIFT
-from emulators.can.frame_length import LENGTHS_MASK
-from emulators.can.bus.port import NEVER_NS as NEVER_NS_of_can_presence, Presence, Role
-from emulators.can.bitlevel.controller import SUSPEND_BITS
-from emulators.can.bus.port import LOST, NOTED, TOLD, Delivery
-from emulators.can.error_confinement import MESSAGE_BUS_OFF
-from emulators.can.bus.fault_plan import ERROR_FRAME_BITS, FaultSeam
-from emulators.can.frame_length import KEY_SHIFT
-from emulators.can.bitlevel.episode import ALL_PORTS, Disturbance, Effect
-from emulators.can.bus.port import CUT_OFF, PORT_MASK, PORT_SHIFT, CanPort
-from emulators.can.controller_config import ONE, first_misread
-from emulators.can.bitlevel.encoder import wire_frame
-from emulators.can.bus.port import TOLD, Delivery
-from emulators.can.error_confinement import ACK_SLOT
-from emulators.can.bus.fault_plan import struck
+
+from motorhil.emulators.can.bitlevel.controller import SUSPEND_BITS
+from motorhil.emulators.can.bitlevel.encoder import wire_frame
+from motorhil.emulators.can.bitlevel.episode import (
+    ALL_BITS,
+    ALL_PORTS,
+    Disturbance,
+    Effect,
+    Episode,
+    Event,
+    EventKind,
+    Outcome,
+    Station,
+    run_episode,
+)
+from motorhil.emulators.can.bus.arbitration import CanArbitration
+from motorhil.emulators.can.bus.fault_plan import ERROR_FRAME_BITS, FaultSeam, struck
+from motorhil.emulators.can.bus.port import (
+    CUT_OFF,
+    LOST,
+    NOTED,
+    PORT_MASK,
+    PORT_SHIFT,
+    TOLD,
+    CanPort,
+    Delivery,
+    Presence,
+    Role,
+)
+from motorhil.emulators.can.bus.port import NEVER_NS as NEVER_NS_of_can_presence
+from motorhil.emulators.can.controller_config import ONE, CanNode, FrameSupport, first_misread
+from motorhil.emulators.can.error_confinement import ACK_SLOT, MESSAGE_BUS_OFF
+from motorhil.emulators.can.fault_rules import FaultRule, NoiseSource, WireLevel
+from motorhil.emulators.can.frame import FRAME_BYTES, can_id_of
+from motorhil.emulators.can.frame_length import (
+    CLASSICAL_MAX,
+    KEY_SHIFT,
+    LENGTHS_MASK,
+    bits_of,
+    measure,
+)
+
 
 class CanMembers(CanArbitration):
     """One wire, and the nodes on it.

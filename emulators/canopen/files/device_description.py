@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import final
 
-from emulators.canopen.object_dictionary import ObjectDictionary, Value, Variable
+from motorhil.emulators.canopen.object_dictionary import ObjectDictionary, Value, Variable
 
 
 @final

@@ -22,11 +22,20 @@ Every function returns the value and a remark. A remark other than "" names a re
 import re
 from pathlib import Path
 from typing import Final, final
-from typing import Final
-from emulators.canopen.object_dictionary import DataType, Value, decode, integer_range, is_integer, is_signed, length_bits
-from emulators.canopen.files.device_description import DeviceDescription
-from emulators.canopen.files.device_description import VariableDescription
-from emulators.canopen.object_dictionary import DataType, Value, is_integer
+
+from motorhil.emulators.canopen.files.device_description import (
+    DeviceDescription,
+    VariableDescription,
+)
+from motorhil.emulators.canopen.object_dictionary import (
+    DataType,
+    Value,
+    decode,
+    integer_range,
+    is_integer,
+    is_signed,
+    length_bits,
+)
 
 EdsWarning = tuple[Path, int, str]
 _Line = tuple[int, str]

@@ -23,10 +23,17 @@ A text that ends early, was changed by hand, or belongs to another device is ref
 
 import zlib
 from typing import Final, final
-from emulators.canopen.codes import AbortCode
-from emulators.canopen.object_dictionary import DataType, ObjectDictionary, Variable, decode, encode
-from emulators.canopen.outbox import Outbox
-from emulators.controller import NonvolatileMemory
+
+from motorhil.emulators.canopen.codes import AbortCode
+from motorhil.emulators.canopen.object_dictionary import (
+    DataType,
+    ObjectDictionary,
+    Variable,
+    decode,
+    encode,
+)
+from motorhil.emulators.canopen.outbox import Outbox
+from motorhil.emulators.controller import NonvolatileMemory
 
 _FIRST: Final = "motorhil parameters 1"
 UNSET: Final = -1

@@ -1,9 +1,9 @@
 """Base class of the modes of operation."""
 
-from emulators.canopen.outbox import NEVER
-from emulators.cia402.objects.dictionary import DriveObjects
-from emulators.firmware.axis import Axis
-from emulators.firmware.digital_inputs import Edge
+from motorhil.emulators.canopen.outbox import NEVER
+from motorhil.emulators.cia402.objects.dictionary import DriveObjects
+from motorhil.emulators.firmware.axis import Axis
+from motorhil.emulators.firmware.digital_inputs import Edge
 
 
 class Mode:

@@ -21,20 +21,22 @@ Cyclic synchronous velocity mode (csv): the host closes the position loop.
 Cyclic synchronous torque mode (cst): the drive closes only the current loop.
 """
 
-from typing import Final
-from emulators.canopen.outbox import NEVER
-from emulators.cia402.modes.base import Mode
-from emulators.cia402.objects.dictionary import DriveObjects
-from emulators.cia402.state_machine import CW_HALT
-from emulators.cia402.state_machine import FOLLOWS_COMMAND
-from emulators.firmware.axis import Axis
 from typing import Final, final
-from emulators.cia402.state_machine import FOLLOWING_ERROR, FOLLOWS_COMMAND
-from emulators.cia402.objects.changes import FACTORS, MOTION_LIMITS, OFFSETS, TARGET_POSITION
-from emulators.firmware import flags as f
-from typing import final
-from emulators.cia402.objects.changes import OFFSETS, TARGET_VELOCITY
-from emulators.cia402.objects.changes import FACTORS, MOTION_LIMITS, OFFSETS, TORQUE
+
+from motorhil.emulators.canopen.outbox import NEVER
+from motorhil.emulators.cia402.modes.base import Mode
+from motorhil.emulators.cia402.objects.changes import (
+    FACTORS,
+    MOTION_LIMITS,
+    OFFSETS,
+    TARGET_POSITION,
+    TARGET_VELOCITY,
+    TORQUE,
+)
+from motorhil.emulators.cia402.objects.dictionary import DriveObjects
+from motorhil.emulators.cia402.state_machine import CW_HALT, FOLLOWING_ERROR, FOLLOWS_COMMAND
+from motorhil.emulators.firmware import flags as f
+from motorhil.emulators.firmware.axis import Axis
 
 PERIOD_MAX_NS: Final = 1_000_000_000
 _NONE_YET: Final = -1

@@ -26,16 +26,26 @@ a following error stops it. A new start (bit 4) begins again.
 from enum import IntEnum
 from typing import Final, final
 
-from emulators.canopen.outbox import NEVER
-from emulators.cia402.objects.mode_objects import HOMING_METHODS, HomingMethod
-from emulators.cia402.limit_switches import LimitGuard
-from emulators.cia402.modes.base import Mode
-from emulators.cia402.objects.dictionary import DriveObjects
-from emulators.cia402.state_machine import CW_HALT
-from emulators.cia402.state_machine import HOMING_ATTAINED, HOMING_ERROR, TARGET_REACHED
-from emulators.firmware import flags as f
-from emulators.firmware.axis import Axis
-from emulators.firmware.digital_inputs import INDEX_PULSE, NEGATIVE_LIMIT, POSITIVE_LIMIT, DigitalInputs, Edge
+from motorhil.emulators.canopen.outbox import NEVER
+from motorhil.emulators.cia402.limit_switches import LimitGuard
+from motorhil.emulators.cia402.modes.base import Mode
+from motorhil.emulators.cia402.objects.dictionary import DriveObjects
+from motorhil.emulators.cia402.objects.mode_objects import HOMING_METHODS, HomingMethod
+from motorhil.emulators.cia402.state_machine import (
+    CW_HALT,
+    HOMING_ATTAINED,
+    HOMING_ERROR,
+    TARGET_REACHED,
+)
+from motorhil.emulators.firmware import flags as f
+from motorhil.emulators.firmware.axis import Axis
+from motorhil.emulators.firmware.digital_inputs import (
+    INDEX_PULSE,
+    NEGATIVE_LIMIT,
+    POSITIVE_LIMIT,
+    DigitalInputs,
+    Edge,
+)
 
 HOMING_START: Final = 0x0010
 _FAR_INC: Final = 1 << 44  # beyond the range of any axis

@@ -12,13 +12,17 @@ last record. An empty buffer is not a fault; the motor waits there.
 
 from typing import Final, final
 
-from emulators.canopen.outbox import NEVER
-from emulators.cia402.modes.cyclic import CyclicMode
-from emulators.cia402.objects.dictionary import DriveObjects
-from emulators.cia402.state_machine import CW_HALT
-from emulators.cia402.state_machine import FOLLOWING_ERROR, IP_ACTIVE, TARGET_REACHED
-from emulators.firmware import flags as f
-from emulators.firmware.axis import Axis
+from motorhil.emulators.canopen.outbox import NEVER
+from motorhil.emulators.cia402.modes.cyclic import CyclicMode
+from motorhil.emulators.cia402.objects.dictionary import DriveObjects
+from motorhil.emulators.cia402.state_machine import (
+    CW_HALT,
+    FOLLOWING_ERROR,
+    IP_ACTIVE,
+    TARGET_REACHED,
+)
+from motorhil.emulators.firmware import flags as f
+from motorhil.emulators.firmware.axis import Axis
 
 ENABLE_INTERPOLATION: Final = 0x0010
 

@@ -11,14 +11,18 @@ position window. Under *halt* it means standstill.
 
 from typing import Final, final
 
-from emulators.canopen.outbox import NEVER
-from emulators.cia402.modes.base import Mode
-from emulators.cia402.objects.dictionary import DriveObjects
-from emulators.cia402.state_machine import CW_HALT
-from emulators.cia402.state_machine import FOLLOWING_ERROR, SET_POINT_ACKNOWLEDGE, TARGET_REACHED
-from emulators.cia402.objects.changes import MOTION_LIMITS
-from emulators.firmware import flags as f
-from emulators.firmware.axis import Axis
+from motorhil.emulators.canopen.outbox import NEVER
+from motorhil.emulators.cia402.modes.base import Mode
+from motorhil.emulators.cia402.objects.changes import MOTION_LIMITS
+from motorhil.emulators.cia402.objects.dictionary import DriveObjects
+from motorhil.emulators.cia402.state_machine import (
+    CW_HALT,
+    FOLLOWING_ERROR,
+    SET_POINT_ACKNOWLEDGE,
+    TARGET_REACHED,
+)
+from motorhil.emulators.firmware import flags as f
+from motorhil.emulators.firmware.axis import Axis
 
 NEW_SET_POINT: Final = 0x0010
 CHANGE_IMMEDIATELY: Final = 0x0020

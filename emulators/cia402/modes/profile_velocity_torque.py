@@ -4,16 +4,26 @@ Profile torque mode (tq): 6071h on the ramp 6087h; 6080h limits the speed.
 """
 
 from typing import final
-from emulators.canopen.outbox import NEVER
-from emulators.cia402.modes.base import Mode
-from emulators.cia402.objects.dictionary import DriveObjects
-from emulators.cia402.state_machine import CW_HALT
-from emulators.cia402.state_machine import MAX_SLIPPAGE_ERROR, SPEED_IS_ZERO, TARGET_REACHED
-from emulators.cia402.objects.changes import RAMPS, TARGET_VELOCITY
-from emulators.firmware import flags as f
-from emulators.firmware.axis import Axis
-from emulators.cia402.state_machine import TARGET_REACHED
-from emulators.cia402.objects.changes import FACTORS, MOTION_LIMITS, TORQUE
+
+from motorhil.emulators.canopen.outbox import NEVER
+from motorhil.emulators.cia402.modes.base import Mode
+from motorhil.emulators.cia402.objects.changes import (
+    FACTORS,
+    MOTION_LIMITS,
+    RAMPS,
+    TARGET_VELOCITY,
+    TORQUE,
+)
+from motorhil.emulators.cia402.objects.dictionary import DriveObjects
+from motorhil.emulators.cia402.state_machine import (
+    CW_HALT,
+    MAX_SLIPPAGE_ERROR,
+    SPEED_IS_ZERO,
+    TARGET_REACHED,
+)
+from motorhil.emulators.firmware import flags as f
+from motorhil.emulators.firmware.axis import Axis
+
 
 @final
 class ProfileVelocity(Mode):

@@ -2,8 +2,8 @@
 
 from typing import Final, final
 
-from emulators.canopen.codes import OK
-from emulators.canopen.object_dictionary import ObjectDictionary
+from motorhil.emulators.canopen.codes import OK
+from motorhil.emulators.canopen.object_dictionary import ObjectDictionary
 
 CONTROLWORD: Final = 1
 MODE: Final = 2

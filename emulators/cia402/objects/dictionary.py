@@ -10,24 +10,31 @@ The bit of a mode is one less than its number in 6060h; bits 16 to 31 are manufa
 """
 
 from collections.abc import Sequence
-from typing import Final
-from emulators.canopen.object_dictionary import ObjectDictionary
-from emulators.cia402.settings import EMULATED_MODES
 from typing import Final, final
-from emulators.canopen.codes import OK, AbortCode
-from emulators.canopen.object_dictionary import DataType, ObjectDictionary
-from emulators.cia402.objects.torque import ControlParameters
-from emulators.cia402.objects.units import DriveDefaults, fill_factors
-from emulators.cia402.objects.mode_objects import HomingObjects
-from emulators.cia402.objects.mode_objects import IpObjects
-from emulators.cia402.objects.motion import MotionObjects
-from emulators.cia402.objects.torque import OffsetObjects
-from emulators.cia402.objects.motion import OptionCodes
-from emulators.cia402.settings import EMULATED_MODES, DriveSettings
-from emulators.cia402.objects.torque import TorqueObjects
-from emulators.cia402.objects.units import POSITION_POLARITY, VELOCITY_POLARITY, FactorGroup, Units
-from emulators.cia402.objects.motion import WindowObjects
-from emulators.cia402.objects.changes import CONTROLWORD, FACTORS, GAINS, MODE, Choice, Written, watch
+
+from motorhil.emulators.canopen.codes import OK, AbortCode
+from motorhil.emulators.canopen.object_dictionary import DataType, ObjectDictionary
+from motorhil.emulators.cia402.objects.changes import (
+    CONTROLWORD,
+    FACTORS,
+    GAINS,
+    MODE,
+    Choice,
+    Written,
+    watch,
+)
+from motorhil.emulators.cia402.objects.mode_objects import HomingObjects, IpObjects
+from motorhil.emulators.cia402.objects.motion import MotionObjects, OptionCodes, WindowObjects
+from motorhil.emulators.cia402.objects.torque import ControlParameters, OffsetObjects, TorqueObjects
+from motorhil.emulators.cia402.objects.units import (
+    POSITION_POLARITY,
+    VELOCITY_POLARITY,
+    DriveDefaults,
+    FactorGroup,
+    Units,
+    fill_factors,
+)
+from motorhil.emulators.cia402.settings import EMULATED_MODES, DriveSettings
 
 _STANDARD: Final = 0xFFFF
 _EMULATED: Final = sum(1 << (code - 1) for code in EMULATED_MODES.values())

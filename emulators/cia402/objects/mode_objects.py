@@ -17,15 +17,13 @@ are reserved; 36 and the negative ones are not emulated. 35 is obsolete and repl
 """
 
 from typing import Final, final
-from emulators.canopen.codes import OK, AbortCode
-from emulators.canopen.object_dictionary import DataType, ObjectDictionary
-from emulators.cia402.objects.units import FactorGroup
-from emulators.cia402.objects.changes import IP_DATA, Choice, Written
-from emulators.firmware.digital_inputs import HOME_SWITCH, NEGATIVE_LIMIT, POSITIVE_LIMIT
-from emulators.canopen.codes import AbortCode
-from emulators.cia402.objects.units import DriveDefaults
-from emulators.cia402.objects.motion import MotionObjects
-from emulators.cia402.objects.changes import Choice, Written
+
+from motorhil.emulators.canopen.codes import OK, AbortCode
+from motorhil.emulators.canopen.object_dictionary import DataType, ObjectDictionary
+from motorhil.emulators.cia402.objects.changes import IP_DATA, Choice, Written
+from motorhil.emulators.cia402.objects.motion import MotionObjects
+from motorhil.emulators.cia402.objects.units import DriveDefaults, FactorGroup
+from motorhil.emulators.firmware.digital_inputs import HOME_SWITCH, NEGATIVE_LIMIT, POSITIVE_LIMIT
 
 BUFFER_MAX: Final = 64
 _BUFFER: Final = 16

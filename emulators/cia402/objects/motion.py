@@ -20,17 +20,19 @@ Meaning of their terms in this drive:
 """
 
 from typing import Final, final
-from emulators.canopen.codes import OK, AbortCode
-from emulators.canopen.object_dictionary import DataType, ObjectDictionary, Variable
-from emulators.cia402.objects.units import DriveDefaults
-from emulators.cia402.objects.units import FactorGroup
-from emulators.cia402.objects.changes import TARGET_POSITION, TARGET_VELOCITY, Choice, Written
-from emulators.plant.dc_motor import MotorPlant
-from emulators.canopen.object_dictionary import DataType, ObjectDictionary
-from emulators.canopen.outbox import MS
-from emulators.canopen.codes import AbortCode
-from emulators.cia402.objects.changes import Choice, Written
-from emulators.firmware.axis import Axis
+
+from motorhil.emulators.canopen.codes import OK, AbortCode
+from motorhil.emulators.canopen.object_dictionary import DataType, ObjectDictionary, Variable
+from motorhil.emulators.canopen.outbox import MS
+from motorhil.emulators.cia402.objects.changes import (
+    TARGET_POSITION,
+    TARGET_VELOCITY,
+    Choice,
+    Written,
+)
+from motorhil.emulators.cia402.objects.units import DriveDefaults, FactorGroup
+from motorhil.emulators.firmware.axis import Axis
+from motorhil.emulators.plant.dc_motor import MotorPlant
 
 _UNLIMITED: Final = 0xFFFF_FFFF
 _NO_SPEED: Final = 1e300

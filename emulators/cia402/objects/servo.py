@@ -2,9 +2,9 @@
 
 from typing import final
 
-from emulators.cia402.objects.dictionary import DriveObjects
-from emulators.firmware.axis import Axis
-from emulators.firmware.servo_tables import ServoGains
+from motorhil.emulators.cia402.objects.dictionary import DriveObjects
+from motorhil.emulators.firmware.axis import Axis
+from motorhil.emulators.firmware.servo_tables import ServoGains
 
 
 @final

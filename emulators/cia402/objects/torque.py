@@ -29,15 +29,12 @@ Offsets of the cyclic modes, added to a set-point or fed forward.
 """
 
 from typing import Final, final
-from emulators.canopen.object_dictionary import DataType, ObjectDictionary, Variable
-from emulators.cia402.objects.units import DriveDefaults
-from emulators.cia402.objects.units import limited
-from emulators.plant.dc_motor import MotorPlant
-from emulators.canopen.codes import OK, AbortCode
-from emulators.firmware.servo_tables import ServoGains
-from emulators.firmware.servo_tables import tables_of
-from emulators.canopen.object_dictionary import DataType, ObjectDictionary
-from emulators.cia402.objects.units import FactorGroup
+
+from motorhil.emulators.canopen.codes import OK, AbortCode
+from motorhil.emulators.canopen.object_dictionary import DataType, ObjectDictionary, Variable
+from motorhil.emulators.cia402.objects.units import DriveDefaults, FactorGroup, limited
+from motorhil.emulators.firmware.servo_tables import ServoGains, tables_of
+from motorhil.emulators.plant.dc_motor import MotorPlant
 
 PERMILLE_MAX: Final = 0x7FFF  # INTEGER16
 SLOPE_DEFAULT: Final = 100_000  # 1/1000 of the rated torque per second: the full torque in 10 ms

@@ -19,9 +19,10 @@ Motor-dependent values for objects without a value in EDS and rig.
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Final, final
-from emulators.canopen.object_dictionary import ObjectDictionary
-from emulators.cia402.settings import DriveSettings
-from emulators.plant.dc_motor import PI, MotorPlant
+
+from motorhil.emulators.canopen.object_dictionary import ObjectDictionary
+from motorhil.emulators.cia402.settings import DriveSettings
+from motorhil.emulators.plant.dc_motor import PI, MotorPlant
 
 POSITION_POLARITY: Final = 0x80  # 607Eh
 VELOCITY_POLARITY: Final = 0x40

@@ -5,12 +5,23 @@ A CAN controller repeats a frame that a bit error has destroyed (ISO 11898-1). E
 128 times 11 recessive bits.
 """
 
-from harness.conformance.bench import RigProtocol
-from harness.conformance.clause import Ability, Capability
-from harness.conformance.clause import Level, clause, expect
-from harness.conformance.clauses.helpers import ending, expect_usable, modes_of, move_through, until_rest_s
-from harness.conformance.clauses.helpers import aim, finish, long_move, move, place, reached, rest_for
-from motorapi import LinkError, Motor, MotorState
+from motorhil.harness.conformance.bench import RigProtocol
+from motorhil.harness.conformance.clause import Ability, Capability, Level, clause, expect
+from motorhil.harness.conformance.clauses.helpers import (
+    aim,
+    ending,
+    expect_usable,
+    finish,
+    long_move,
+    modes_of,
+    move,
+    move_through,
+    place,
+    reached,
+    rest_for,
+    until_rest_s,
+)
+from motorhil.motorapi import LinkError, Motor, MotorState
 
 _TO_PASSIVE = 24  # failures; the node then stays error passive for a while
 _TO_BUS_OFF = 32
@@ -26,7 +37,7 @@ _ERRORS = {Ability.BUS_ERRORS, Ability.AFRESH}
     "BUS-01",
     Level.L5,
     bench=_ERRORS,
-    source="errors, LinkError: the bus is off; motorapi.runtime.can_sources; ISO 11898-1, fault confinement",
+    source="errors, LinkError: the bus is off; motorhil.motorapi.runtime.can_sources; ISO 11898-1, fault confinement",
 )
 def a_host_off_the_bus_is_told_at_once_and_goes_on_afterwards(bench: RigProtocol) -> None:
     """In every mode, bus-off of the host ends the wait at once; the motor is usable afterwards."""

@@ -6,12 +6,39 @@ Each loss happens in the middle of each kind of motion. The rig declares the tim
 
 from contextlib import suppress
 
-from harness.conformance.bench import RigProtocol
-from harness.conformance.clause import Ability, Capability
-from harness.conformance.clause import Level, NotApplicable, Violated, clause, expect
-from harness.conformance.clauses.helpers import Mode, ending, expect_usable, is_over_soon, modes_of, move_through, until_rest_s
-from harness.conformance.clauses.helpers import aim, expect_rest, expect_unmoved, finish, follow, long_move, move, place, reached, rest_for, shortest_s, speed, torque_of
-from motorapi import (
+from motorhil.harness.conformance.bench import RigProtocol
+from motorhil.harness.conformance.clause import (
+    Ability,
+    Capability,
+    Level,
+    NotApplicable,
+    Violated,
+    clause,
+    expect,
+)
+from motorhil.harness.conformance.clauses.helpers import (
+    Mode,
+    aim,
+    ending,
+    expect_rest,
+    expect_unmoved,
+    expect_usable,
+    finish,
+    follow,
+    is_over_soon,
+    long_move,
+    modes_of,
+    move,
+    move_through,
+    place,
+    reached,
+    rest_for,
+    shortest_s,
+    speed,
+    torque_of,
+    until_rest_s,
+)
+from motorhil.motorapi import (
     DeadlineExceeded,
     Motor,
     MotorError,

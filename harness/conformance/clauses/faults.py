@@ -6,18 +6,44 @@ L2: homing and low-level access.
 """
 
 from collections.abc import Callable
-from harness.conformance.bench import RigProtocol
-from harness.conformance.clause import Ability, Capability
-from harness.conformance.clause import Level, Violated, clause, expect
-from harness.conformance.clauses.helpers import ending, expect_usable, modes_of, until_rest_s
-from harness.conformance.clauses.helpers import expect_at, expect_rest, expect_unmoved, finish, follow, long_move, place, reached, rest_for, shortest_s
-from motorapi import ControlMode, DeviceFault, Motor, MotorState, TrapezoidalTrajectory
 from contextlib import suppress
 from typing import Final
-from harness.conformance.clauses.helpers import aim, expect_at, finish, long_move, move, reached, rest_for, shortest_s
-from motorapi import DeadlineExceeded, DeviceFault, LinkError, Motor, MotorError, MotorState, PeerError
-from harness.conformance.clauses.helpers import expect_at, expect_unmoved, finish, long_move, move, place, rest_for, turn
-from motorapi import MotorBusyError, StateError, UnsupportedError
+
+from motorhil.harness.conformance.bench import RigProtocol
+from motorhil.harness.conformance.clause import Ability, Capability, Level, Violated, clause, expect
+from motorhil.harness.conformance.clauses.helpers import (
+    aim,
+    ending,
+    expect_at,
+    expect_rest,
+    expect_unmoved,
+    expect_usable,
+    finish,
+    follow,
+    long_move,
+    modes_of,
+    move,
+    place,
+    reached,
+    rest_for,
+    shortest_s,
+    turn,
+    until_rest_s,
+)
+from motorhil.motorapi import (
+    ControlMode,
+    DeadlineExceeded,
+    DeviceFault,
+    LinkError,
+    Motor,
+    MotorBusyError,
+    MotorError,
+    MotorState,
+    PeerError,
+    StateError,
+    TrapezoidalTrajectory,
+    UnsupportedError,
+)
 
 _NOTICED_S = 0.3
 
@@ -183,7 +209,7 @@ _TOLD_BY: Final = (LinkError, PeerError, DeadlineExceeded, DeviceFault)
     Level.L2,
     needs={Capability.POSITION_SET_POINT, Capability.POSITION_TRAJECTORY},
     bench={Ability.TRUTH, Ability.LOSE, Ability.AFRESH},
-    source="paper 3.3.3: start() executes only if there were no errors; harness.sharing_tests",
+    source="paper 3.3.3: start() executes only if there were no errors; motorhil.harness.sharing_tests",
 )
 def a_relative_move_is_never_made_twice(bench: RigProtocol) -> None:
     """Whenever its answers are lost, a relative move is made once, or in part, but not twice."""

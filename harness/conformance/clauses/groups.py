@@ -4,17 +4,52 @@ L4: groups with a member that refuses, is lost, or fails.
 """
 
 from math import hypot
-from harness.conformance.bench import RigProtocol
-from harness.conformance.clause import Ability, Capability
-from harness.conformance.clause import Level, Violated, clause, expect
-from harness.conformance.clauses.helpers import expect_rest, expect_unmoved, midway_s, place, rest_for, shortest_s
-from harness.conformance.clauses.helpers import BEGUN, Course, expect_made, half, looking_error_s, pair_of, places, run_to_the_end, ways_of
-from motorapi import MotorGroup, Synchronization, SynchronizationError, SyncLevel, UsageError
-from harness.conformance.clause import Level, NotApplicable, Violated, clause, expect
-from harness.conformance.clauses.helpers import smooth_way
-from harness.conformance.clauses.helpers import expect_rest, expect_unmoved, finish, midway_s, move, place, reached, rest_for, shortest_s
-from harness.conformance.clauses.helpers import expect_made, half, pair_of, places, run_to_the_end, ways_of
-from motorapi import ControlMode, FaultReaction, Motor, MotorError, MotorGroup, MotorState, PluginError, Synchronization, SyncLevel, UnsupportedError
+
+from motorhil.harness.conformance.bench import RigProtocol
+from motorhil.harness.conformance.clause import (
+    Ability,
+    Capability,
+    Level,
+    NotApplicable,
+    Violated,
+    clause,
+    expect,
+)
+from motorhil.harness.conformance.clauses.helpers import (
+    BEGUN,
+    Course,
+    expect_made,
+    expect_rest,
+    expect_unmoved,
+    finish,
+    half,
+    looking_error_s,
+    midway_s,
+    move,
+    pair_of,
+    place,
+    places,
+    reached,
+    rest_for,
+    run_to_the_end,
+    shortest_s,
+    smooth_way,
+    ways_of,
+)
+from motorhil.motorapi import (
+    ControlMode,
+    FaultReaction,
+    Motor,
+    MotorError,
+    MotorGroup,
+    MotorState,
+    PluginError,
+    Synchronization,
+    SynchronizationError,
+    SyncLevel,
+    UnsupportedError,
+    UsageError,
+)
 
 _TWO = {Ability.TRUTH, Ability.SECOND_MOTOR}
 _MOVES = {Capability.POSITION_TRAJECTORY}

@@ -11,23 +11,26 @@ Where instants are compared, both distances have the same length. Then both moto
 profile, and reach each share of it at the same time.
 """
 
-from collections.abc import Callable, Sequence
-from math import sqrt
-from typing import Final
-from harness.conformance.bench import RigProtocol
-from harness.conformance.clause import Ability
-from harness.conformance.clause import NotApplicable, Violated, expect
-from motorapi import ControlMode, ControlVariable, DerivativeLimits, Motor, TrapezoidalTrajectory
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
+from math import sqrt
 from typing import Final, final
-from harness.conformance.bench import Lost, RigProtocol
-from harness.conformance.clause import Capability
-from harness.conformance.clause import expect
-from motorapi import ComplexTrajectory, ControlMode, ControlVariable, Motor, MotorError, PluginError, TrapezoidalTrajectory, UnsupportedError
-from collections.abc import Sequence
-from motorapi import ControlMode, Motor, MotorGroup, TrapezoidalTrajectory
+
+from motorhil.harness.conformance.bench import Lost, RigProtocol
+from motorhil.harness.conformance.clause import Ability, Capability, NotApplicable, Violated, expect
+from motorhil.motorapi import (
+    ComplexTrajectory,
+    ControlMode,
+    ControlVariable,
+    DerivativeLimits,
+    Motor,
+    MotorError,
+    MotorGroup,
+    PluginError,
+    TrapezoidalTrajectory,
+    UnsupportedError,
+)
 
 SAMPLE_S: Final = 0.005
 _REST_S: Final = 0.05
@@ -346,7 +349,7 @@ def ending(bench: RigProtocol, motor: Motor, mode: Mode, within_s: float) -> Mot
 
 def smooth_way(motor: Motor, way: float) -> ComplexTrajectory:
     """Return a cubic trajectory of this distance, from rest to rest, within the model's limits."""
-    from motorapi.functions import Polynomial
+    from motorhil.motorapi.functions import Polynomial
 
     model = motor.model
     slowest = _CALM * min(model.acceleration_max, model.deceleration)

@@ -3,14 +3,28 @@
 L0: measured values are right in sign and size.
 """
 
-from harness.conformance.bench import RigProtocol
-from harness.conformance.clause import Ability, Capability
-from harness.conformance.clause import Level, clause, expect
-from harness.conformance.clauses.helpers import expect_unmoved, finish, follow, long_move, place, reached, rest_for, shortest_s, torque_of
-from motorapi import Motor, MotorState, TrapezoidalTrajectory
-from harness.conformance.clause import Level, NotApplicable, clause, expect
-from harness.conformance.clauses.helpers import finish, follow, least_s, rest_for, torque_of
-from motorapi import DerivativeLimits, TrapezoidalTrajectory
+from motorhil.harness.conformance.bench import RigProtocol
+from motorhil.harness.conformance.clause import (
+    Ability,
+    Capability,
+    Level,
+    NotApplicable,
+    clause,
+    expect,
+)
+from motorhil.harness.conformance.clauses.helpers import (
+    expect_unmoved,
+    finish,
+    follow,
+    least_s,
+    long_move,
+    place,
+    reached,
+    rest_for,
+    shortest_s,
+    torque_of,
+)
+from motorhil.motorapi import DerivativeLimits, Motor, MotorState, TrapezoidalTrajectory
 
 _HOLDS = 0.3  # of the largest torque
 

@@ -3,11 +3,20 @@
 from collections.abc import Callable
 from functools import partial
 
-from harness.conformance.bench import RigProtocol
-from harness.conformance.clause import Capability
-from harness.conformance.clause import Level, Violated, clause, expect
-from harness.conformance.clauses.helpers import aim, expect_at, expect_unmoved, finish, follow, long_move, place, rest_for, shortest_s
-from motorapi import (
+from motorhil.harness.conformance.bench import RigProtocol
+from motorhil.harness.conformance.clause import Capability, Level, Violated, clause, expect
+from motorhil.harness.conformance.clauses.helpers import (
+    aim,
+    expect_at,
+    expect_unmoved,
+    finish,
+    follow,
+    long_move,
+    place,
+    rest_for,
+    shortest_s,
+)
+from motorhil.motorapi import (
     ControlMode,
     ControlVariable,
     DerivativeLimits,

@@ -1,10 +1,34 @@
 """L1: set-points of all control variables."""
 
-from harness.conformance.bench import RigProtocol
-from harness.conformance.clause import Ability, Capability
-from harness.conformance.clause import Level, NotApplicable, clause, expect
-from harness.conformance.clauses.helpers import aim, expect_at, expect_rest, expect_unmoved, fastest, finish, follow, least_s, long_move, place, rest_for, shortest_s, speed, torque_of, turn, watched, way_to_top_speed
-from motorapi import (
+from motorhil.harness.conformance.bench import RigProtocol
+from motorhil.harness.conformance.clause import (
+    Ability,
+    Capability,
+    Level,
+    NotApplicable,
+    clause,
+    expect,
+)
+from motorhil.harness.conformance.clauses.helpers import (
+    aim,
+    expect_at,
+    expect_rest,
+    expect_unmoved,
+    fastest,
+    finish,
+    follow,
+    least_s,
+    long_move,
+    place,
+    rest_for,
+    shortest_s,
+    speed,
+    torque_of,
+    turn,
+    watched,
+    way_to_top_speed,
+)
+from motorhil.motorapi import (
     ControlMode,
     ControlVariable,
     DerivativeLimits,

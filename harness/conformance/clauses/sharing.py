@@ -5,15 +5,44 @@ L3: several owners of one motor, in sequences chosen by Hypothesis.
 
 from collections.abc import Callable
 from contextlib import suppress
-from harness.conformance.bench import RigProtocol
-from harness.conformance.clause import Ability, Capability
-from harness.conformance.clause import Level, Violated, clause, expect
-from harness.conformance.clauses.helpers import expect_rest, expect_unmoved, finish, follow, long_move, midway_s, move, place, reached, rest_for, shortest_s, speed, turn
-from motorapi import ControlMode, MotionInterrupted, Motor, MotorBusyError, MotorError, MotorState, StateError, TrapezoidalTrajectory
 from types import SimpleNamespace
 from typing import Any, Final
-from harness.conformance.clause import Level, NotApplicable, Violated, clause
-from harness.conformance.clauses.helpers import long_move, reached, shortest_s
+
+from motorhil.harness.conformance.bench import RigProtocol
+from motorhil.harness.conformance.clause import (
+    Ability,
+    Capability,
+    Level,
+    NotApplicable,
+    Violated,
+    clause,
+    expect,
+)
+from motorhil.harness.conformance.clauses.helpers import (
+    expect_rest,
+    expect_unmoved,
+    finish,
+    follow,
+    long_move,
+    midway_s,
+    move,
+    place,
+    reached,
+    rest_for,
+    shortest_s,
+    speed,
+    turn,
+)
+from motorhil.motorapi import (
+    ControlMode,
+    MotionInterrupted,
+    Motor,
+    MotorBusyError,
+    MotorError,
+    MotorState,
+    StateError,
+    TrapezoidalTrajectory,
+)
 
 _SHARED = {Ability.SEVERAL_USERS}
 _MOVES = {Capability.POSITION_TRAJECTORY}
@@ -83,7 +112,7 @@ def _refusal_of(operation: Callable[[], object]) -> MotorBusyError | None:
     Level.L3,
     needs=_MOVES,
     bench={*_SHARED, Ability.TRAFFIC},
-    source="requirement 4; harness.sharing_tests.bus_evidence: only the owner commands a motor",
+    source="requirement 4; motorhil.harness.sharing_tests.bus_evidence: only the owner commands a motor",
 )
 def who_is_refused_sends_no_command(bench: RigProtocol) -> None:
     """If a user without ownership is refused, no command of that user reaches the bus."""
@@ -372,16 +401,15 @@ _STEPS: Final = 15
     Level.L3,
     needs={Capability.POSITION_TRAJECTORY},
     bench={Ability.SEVERAL_USERS, Ability.AFRESH},
-    source="harness.sharing_tests.state_machine: the history of every motor is that of one owner at a time",
+    source="motorhil.harness.sharing_tests.state_machine: the history of every motor is that of one owner at a time",
 )
 def whatever_its_users_do_one_has_it_at_a_time(bench: RigProtocol) -> None:
     """Whatever users start, reserve, stop, take over, or die of, one has the motor at a time."""
     from hypothesis import HealthCheck, Phase, seed, settings
     from hypothesis.errors import HypothesisException
 
-    from harness.sharing_tests.history import SharingViolated
-    from harness.sharing_tests.state_machine import ownership_machine
-    from harness.sharing_tests.state_machine import Course
+    from motorhil.harness.sharing_tests.history import SharingViolated
+    from motorhil.harness.sharing_tests.state_machine import Course, ownership_machine
 
     if not hasattr(bench.runtime, "end"):
         raise NotApplicable("users cannot be killed in wall time")

@@ -4,14 +4,33 @@ L1: the end of a motion: waiting, notification and progress.
 """
 
 from typing import TYPE_CHECKING, Final
-from harness.conformance.bench import RigProtocol
-from harness.conformance.clause import Ability, Capability
-from harness.conformance.clause import Level, Violated, clause, expect
-from harness.conformance.clauses.helpers import aim, expect_at, expect_rest, finish, follow, least_s, long_move, place, rest_for, shortest_s, turn, watched, way_of_stopping
-from motorapi import ControlMode, DerivativeLimits, StateError, TrapezoidalTrajectory
-from harness.conformance.clauses.helpers import expect_at, expect_rest, finish, follow, long_move, rest_for, shortest_s
-from motorapi import DeadlineExceeded, Motor, TrapezoidalTrajectory
-from motorapi.motor import Ending, Outcome
+
+from motorhil.harness.conformance.bench import RigProtocol
+from motorhil.harness.conformance.clause import Ability, Capability, Level, Violated, clause, expect
+from motorhil.harness.conformance.clauses.helpers import (
+    aim,
+    expect_at,
+    expect_rest,
+    finish,
+    follow,
+    least_s,
+    long_move,
+    place,
+    rest_for,
+    shortest_s,
+    turn,
+    watched,
+    way_of_stopping,
+)
+from motorhil.motorapi import (
+    ControlMode,
+    DeadlineExceeded,
+    DerivativeLimits,
+    Motor,
+    StateError,
+    TrapezoidalTrajectory,
+)
+from motorhil.motorapi.motor import Ending, Outcome
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -3,11 +3,27 @@
 from collections.abc import Callable, Sequence
 from typing import Final
 
-from harness.conformance.bench import RigProtocol
-from harness.conformance.clause import Ability, Capability
-from harness.conformance.clause import Level, Violated, clause, expect
-from harness.conformance.clauses.helpers import aim, expect_at, expect_rest, expect_unmoved, fastest, finish, follow, long_move, midway_s, place, reached, rest_for, shortest_s, turn, watched, way_of_stopping
-from motorapi import (
+from motorhil.harness.conformance.bench import RigProtocol
+from motorhil.harness.conformance.clause import Ability, Capability, Level, Violated, clause, expect
+from motorhil.harness.conformance.clauses.helpers import (
+    aim,
+    expect_at,
+    expect_rest,
+    expect_unmoved,
+    fastest,
+    finish,
+    follow,
+    long_move,
+    midway_s,
+    place,
+    reached,
+    rest_for,
+    shortest_s,
+    turn,
+    watched,
+    way_of_stopping,
+)
+from motorhil.motorapi import (
     ControlMode,
     MotionInterrupted,
     Motor,

@@ -2,11 +2,25 @@
 
 from itertools import pairwise
 
-from harness.conformance.bench import RigProtocol
-from harness.conformance.clause import Ability, Capability
-from harness.conformance.clause import Level, clause, expect
-from harness.conformance.clauses.helpers import expect_at, expect_tracks, finish, follow, least_s, long_move, place, reached, shortest_s, speed, torque_of, trapezoid, watched, worst_deviation
-from motorapi import (
+from motorhil.harness.conformance.bench import RigProtocol
+from motorhil.harness.conformance.clause import Ability, Capability, Level, clause, expect
+from motorhil.harness.conformance.clauses.helpers import (
+    expect_at,
+    expect_tracks,
+    finish,
+    follow,
+    least_s,
+    long_move,
+    place,
+    reached,
+    shortest_s,
+    speed,
+    torque_of,
+    trapezoid,
+    watched,
+    worst_deviation,
+)
+from motorhil.motorapi import (
     ComplexTrajectory,
     ControlMode,
     ControlVariable,
@@ -108,7 +122,7 @@ def a_simple_trajectory_is_as_fast_as_its_limits_allow(bench: RigProtocol) -> No
 )
 def a_complex_trajectory_is_followed_at_every_instant(bench: RigProtocol) -> None:
     """Complex position trajectories are followed at every instant, from any start position."""
-    from motorapi.functions import Polynomial
+    from motorhil.motorapi.functions import Polynomial
 
     motor, model = bench.motor, bench.motor.model
     duration_s = 2.0
@@ -220,7 +234,7 @@ def a_trajectory_of_torque_is_a_ramp(bench: RigProtocol) -> None:
 )
 def a_complex_trajectory_of_velocity_makes_its_integral(bench: RigProtocol) -> None:
     """Complex velocity trajectories are followed: the position is their integral at all times."""
-    from motorapi.functions import Polynomial
+    from motorhil.motorapi.functions import Polynomial
 
     motor, model = bench.motor, bench.motor.model
     duration_s = 2.0

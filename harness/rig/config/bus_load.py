@@ -9,12 +9,17 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, final
 
-from harness.rig.config.toml import Table
-from motorapi.synchronization.can_response_time import worst_frame_ns
-from motorapi.synchronization.bus_load import FD_LENGTHS, CanTraffic, PeriodicMessage, worst_of
+from motorhil.harness.rig.config.toml import Table
+from motorhil.motorapi.synchronization.bus_load import (
+    FD_LENGTHS,
+    CanTraffic,
+    PeriodicMessage,
+    worst_of,
+)
+from motorhil.motorapi.synchronization.can_response_time import worst_frame_ns
 
 if TYPE_CHECKING:
-    from harness.rig.config.rig_file import ControllerDescription, RigDescription
+    from motorhil.harness.rig.config.rig_file import ControllerDescription, RigDescription
 
 MESSAGE_KEYS: Final = (
     *("identifier", "length", "period_s", "jitter_s", "extended", "deadline_s", "sender"),

@@ -21,20 +21,23 @@ silent = false            true: not a controller of the rig, but a node that onl
 """
 
 from collections.abc import Mapping, Sequence
-from types import MappingProxyType
-from typing import Final
-from emulators.simulation.can_network import HOST
-from emulators.can.controller_config import CanNode, FrameSupport, QueueOrder
-from emulators.can.controller_config import USUAL_TIMING, BitTiming
-from harness.rig.config.toml import Source, Table
 from dataclasses import dataclass, field
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Final, final
-from emulators.can.controller_config import CanNode, FrameSupport
-from harness.rig.config.bus_load import read_messages
-from harness.rig.config.toml import Table
+
+from motorhil.emulators.can.controller_config import (
+    USUAL_TIMING,
+    BitTiming,
+    CanNode,
+    FrameSupport,
+    QueueOrder,
+)
+from motorhil.emulators.simulation.can_network import HOST
+from motorhil.harness.rig.config.bus_load import read_messages
+from motorhil.harness.rig.config.toml import Source, Table
 
 if TYPE_CHECKING:
-    from motorapi.synchronization.bus_load import PeriodicMessage
+    from motorhil.motorapi.synchronization.bus_load import PeriodicMessage
 
 _TIMING: Final = ("time_quanta", "sample_point", "jump_width")
 NODE_KEYS: Final = (

@@ -15,18 +15,21 @@ gives itself take precedence.
 
 from collections.abc import Mapping
 from typing import Final
-from emulators.plant.presets import PRESETS
-from harness.rig.config.rig_file import ControllerDescription, MotorDescription, RigDescription, replaced
-from harness.rig.config.toml import KeyPath
-from harness.rig.config.toml import dotted
-from motorapi.model import MotionKind, MotorModel
-from emulators.cia402.drive import Cia402Drive
-from emulators.cia402.quirks import QuirkyWire
-from emulators.cia402.settings import DriveSettings
-from emulators.controller import Controller
-from emulators.firmware.clock import LateWakes
-from emulators.firmware.clock import OwnTime
-from harness.rig.config.rig_file import MotorDescription, RigDescription
+
+from motorhil.emulators.cia402.drive import Cia402Drive
+from motorhil.emulators.cia402.quirks import QuirkyWire
+from motorhil.emulators.cia402.settings import DriveSettings
+from motorhil.emulators.controller import Controller
+from motorhil.emulators.firmware.clock import LateWakes, OwnTime
+from motorhil.emulators.plant.presets import PRESETS
+from motorhil.harness.rig.config.rig_file import (
+    ControllerDescription,
+    MotorDescription,
+    RigDescription,
+    replaced,
+)
+from motorhil.harness.rig.config.toml import KeyPath, dotted
+from motorhil.motorapi.model import MotionKind, MotorModel
 
 _TURN_RAD: Final = 6.283185307179586
 _WHOLE_TOLERANCE: Final = 1e-3  # increments per turn: models are written with a few digits

@@ -3,19 +3,24 @@
 `[[fault]]` tables for Modbus lines: faults of transmitted characters.
 """
 
-from collections.abc import Sequence
-from typing import Final
-from emulators.media.serial_faults import SerialFaultKind, SerialFaultRule
-from harness.rig.config.buses import MODBUS_TCP, BusDescription
-from harness.rig.config.toml import Table
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final, final
-from emulators.simulation.can_network import HOST as INTERFACE
-from emulators.can.frame import EFF_FLAG, EFF_MASK
-from emulators.can.fault_rules import LASTING, PARTING, RATE_MAX, FaultKind, FaultRule, FrameError, WireLevel
-from emulators.media.serial_faults import SerialFaultRule
-from harness.rig.config.buses import BusDescription
+
+from motorhil.emulators.can.fault_rules import (
+    LASTING,
+    PARTING,
+    RATE_MAX,
+    FaultKind,
+    FaultRule,
+    FrameError,
+    WireLevel,
+)
+from motorhil.emulators.can.frame import EFF_FLAG, EFF_MASK
+from motorhil.emulators.media.serial_faults import SerialFaultKind, SerialFaultRule
+from motorhil.emulators.simulation.can_network import HOST as INTERFACE
+from motorhil.harness.rig.config.buses import MODBUS_TCP, BusDescription
+from motorhil.harness.rig.config.toml import Table
 
 LINE_FAULT_KINDS: Final = tuple(kind.value for kind in SerialFaultKind)
 _ON_TCP: Final = ("lose", "delay", "truncate", "pause")

@@ -23,15 +23,29 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Final, final
 
-from harness.conformance.clause import NOTHING_DECLARED, Facts, read_facts
-from harness.plugins import is_target
-from harness.rig.config.buses import NODE_MAX, UNIT_MAX, BusDescription, address_key, read_address, read_bus
-from harness.rig.config.faults import HOST, FaultDescription, read_faults
-from harness.rig.config.buses import refuse_strangers
-from harness.rig.config.stimuli import StimulusDescription, read_stimuli
-from harness.rig.config.toml import SEED_MAX, RigError, Source, Table, read_source
-from harness.rig.config.toml import KeyPath
-from harness.rig.config.toml import listed, one_line
+from motorhil.harness.conformance.clause import NOTHING_DECLARED, Facts, read_facts
+from motorhil.harness.plugins import is_target
+from motorhil.harness.rig.config.buses import (
+    NODE_MAX,
+    UNIT_MAX,
+    BusDescription,
+    address_key,
+    read_address,
+    read_bus,
+    refuse_strangers,
+)
+from motorhil.harness.rig.config.faults import HOST, FaultDescription, read_faults
+from motorhil.harness.rig.config.stimuli import StimulusDescription, read_stimuli
+from motorhil.harness.rig.config.toml import (
+    SEED_MAX,
+    KeyPath,
+    RigError,
+    Source,
+    Table,
+    listed,
+    one_line,
+    read_source,
+)
 
 RIG_KEYS: Final = ("name", "seed")
 GROUP_KEYS: Final = ("motors",)

@@ -6,10 +6,10 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
-from harness.rig.config.toml import RigError
+from motorhil.harness.rig.config.toml import RigError
 
-EXAMPLES: Final = Path(__file__).parent / "examples"
-SCHEMA: Final = Path(__file__).parent / "rig.schema.json"
+EXAMPLES: Final = Path(__file__).resolve().parents[2] / "examples"
+SCHEMA: Final = Path(__file__).parents[2] / "rig.schema.json"
 _START: Final = "two_wheels"  # the example that a new rig starts from
 _FILES: Final = (  # (name among the examples, name in the new folder)
     (f"{_START}.toml", "rig.toml"),

@@ -4,13 +4,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, final
 
-from emulators.controller import Controller
-from emulators.simulation.world import World
-from harness.rig.config.toml import Table
-from harness.rig.config.toml import KeyPath
+from motorhil.emulators.controller import Controller
+from motorhil.emulators.simulation.world import World
+from motorhil.harness.rig.config.toml import KeyPath, Table
 
 if TYPE_CHECKING:
-    from harness.rig.config.rig_file import ControllerDescription, RigDescription
+    from motorhil.harness.rig.config.rig_file import ControllerDescription, RigDescription
 
 STIMULUS_KEYS: Final = ("controller", "name", "value", "at_s")
 _VALUE_MAX: Final = 1e12

@@ -14,15 +14,11 @@ Changes of one table in a rig's text, which recordings contain.
 Wording of keys, names and values in messages: short, one line.
 """
 
+import difflib
+import math
 import re
 import tomllib
-from collections.abc import Mapping
-from typing import Final
-from collections.abc import Collection
-import difflib
-from collections.abc import Iterable, Sequence
-import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Final, final

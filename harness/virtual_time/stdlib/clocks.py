@@ -8,11 +8,16 @@ the library's own objects, and accept them in isinstance().
 
 import time
 from collections.abc import Callable
+from datetime import UTC, date, datetime, tzinfo
 from time import struct_time
 from typing import Any, Final
-from harness.virtual_time.stdlib.threads import Program, caller_is_outside, party_here, program_here
-from datetime import UTC, date, datetime, tzinfo
-from typing import Any
+
+from motorhil.harness.virtual_time.stdlib.threads import (
+    Program,
+    caller_is_outside,
+    party_here,
+    program_here,
+)
 
 UPTIME_NS: Final = 100_000 * 10**9
 _SLEEP_NS_MIN: Final = 1_000

@@ -21,44 +21,45 @@ something that this program itself must do, or would create a second copy of the
 """
 
 import _thread
-import queue
-import sys
-import threading
-import time
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
-from queue import _PySimpleQueue  # type: ignore[attr-defined]  # typeshed does not know it
-from sched import scheduler
-from threading import Event, Thread
-from typing import Any, final
-from harness.virtual_time.stdlib import clocks
-from harness.virtual_time.stdlib import clocks as dates
-from harness.virtual_time.stdlib import threads as locks
-from harness.virtual_time.stdlib import threads
-from harness.virtual_time.stdlib.threads import Lock, RLock
-from harness.virtual_time.stdlib.threads import OUTSIDE
-import random
-from collections.abc import Iterator
-from typing import TYPE_CHECKING
-from harness.virtual_time.stdlib.threads import end_threads, join_executors
-from harness.virtual_time.stdlib.threads import program_on
-from motorapi.errors import UsageError
 import asyncio
 import multiprocessing
 import os
+import queue
+import random
 import select
 import selectors
 import signal
 import socket
-from collections.abc import Callable
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from functools import wraps
 from multiprocessing.context import BaseContext
 from multiprocessing.process import BaseProcess
-from typing import Any, Final
-from harness.virtual_time.stdlib.threads import caller_is_outside, party_here, program_here
+from queue import _PySimpleQueue  # type: ignore[attr-defined]  # typeshed does not know it
+from sched import scheduler
+from threading import Event, Thread
+from typing import TYPE_CHECKING, Any, Final, final
+
+from motorhil.harness.virtual_time.stdlib import clocks, threads
+from motorhil.harness.virtual_time.stdlib import clocks as dates
+from motorhil.harness.virtual_time.stdlib import threads as locks
+from motorhil.harness.virtual_time.stdlib.threads import (
+    OUTSIDE,
+    Lock,
+    RLock,
+    caller_is_outside,
+    end_threads,
+    party_here,
+    program_here,
+    program_on,
+)
+from motorhil.motorapi.errors import UsageError
 
 if TYPE_CHECKING:
-    from harness.rig.rig import Rig
+    from motorhil.harness.rig.rig import Rig
 
 _Names = Mapping[int, tuple[object, object]]
 _Methods = list[tuple[type, str, object]]

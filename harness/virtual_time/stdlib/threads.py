@@ -13,31 +13,30 @@ runner's, a C library's) gets the wall clocks and plain locks. So do callers fro
 """
 
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
-from threading import current_thread
-from typing import Final, final
-from harness.virtual_time.runtime import VirtualParty
-from harness.virtual_time.runtime import VirtualRuntime
-from motorapi.errors import UsageError
-from _thread import LockType, get_ident
-from _thread import allocate_lock as _allocate_lock
-from threading import TIMEOUT_MAX
-from types import TracebackType
 import threading
 import weakref
+from _thread import LockType, get_ident
+from _thread import allocate_lock as _allocate_lock
 from _thread import start_new_thread as _start_new_thread
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import thread as executors
+from contextlib import contextmanager
 from functools import partial
-from threading import Event, Thread
-from types import MappingProxyType
-from typing import Any, Final
-from harness.virtual_time.runtime import Cancelled, PartyThread, VirtualParty
+from threading import TIMEOUT_MAX, Event, Thread, current_thread
+from types import MappingProxyType, TracebackType
+from typing import Any, Final, final
+
+from motorhil.harness.virtual_time.runtime import (
+    Cancelled,
+    PartyThread,
+    VirtualParty,
+    VirtualRuntime,
+)
+from motorhil.motorapi.errors import UsageError
 
 OUTSIDE: Final = frozenset(
     {
-        *("harness", "motorapi", "emulators", "traces"),
+        "motorhil",
         *("_pytest", "pytest", "pytest_timeout", "pluggy", "xdist", "execnet", "hypothesis"),
         *("coverage", "subprocess"),
     }
@@ -305,7 +304,7 @@ class Lock:
 
     def __repr__(self) -> str:
         state = "locked" if self._lock.locked() else "unlocked"
-        return f"<{state} Lock of harness.virtual_time.stdlib at {id(self):#x}>"
+        return f"<{state} Lock of motorhil.harness.virtual_time.stdlib at {id(self):#x}>"
 
 
 def allocate_lock() -> Lock:
@@ -383,7 +382,7 @@ class RLock:
         self.release()
 
     def __repr__(self) -> str:
-        return f"<RLock of harness.virtual_time.stdlib, held {self._count} times, at {id(self):#x}>"
+        return f"<RLock of motorhil.harness.virtual_time.stdlib, held {self._count} times, at {id(self):#x}>"
 
 
 _ROUNDS: Final = 3  # attempts to end a thread that continues

@@ -10,32 +10,27 @@ Own frames that wait for transmission, and their times on the wire.
 Single CAN frames for low-level access, beside the objects of a device.
 """
 
-from collections import deque
-from collections.abc import Sequence
-from typing import Final, final
-from motorapi.errors import LinkError
 import struct
-from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Final, final
-from motorapi.adaptations.canopen.sync import BusSync, FenceNow, Lost
-from motorapi.runtime.can_sources import ERROR_BYTE, status_of
-from motorapi.errors import LinkError, UsageError
-from motorapi.ownership.fencing import joint_fence
-from motorapi.runtime.api import Registration, Runtime
-from collections.abc import Collection
+from collections import deque
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, Self, final
-from motorapi.errors import DeadlineExceeded, UsageError
-from motorapi.runtime.api import wait_until
+
+from motorhil.motorapi.adaptations.canopen.sync import BusSync, FenceNow, Lost
+from motorhil.motorapi.errors import DeadlineExceeded, LinkError, UsageError
+from motorhil.motorapi.ownership.fencing import joint_fence
+from motorhil.motorapi.runtime.api import Registration, Runtime, wait_until
+from motorhil.motorapi.runtime.can_sources import ERROR_BYTE, status_of
 
 if TYPE_CHECKING:
+    from types import TracebackType
+
     import can
     import canopen
-    from motorapi.adaptations.cia402.motion import ArmedStream
-    from motorapi.adaptations.cia402.motion import ArmedSetPoint
-    from motorapi.adaptations.canopen.sync import CyclicSync
-    from motorapi.ownership.fencing import Fence
-    from types import TracebackType
+
+    from motorhil.motorapi.adaptations.canopen.sync import CyclicSync
+    from motorhil.motorapi.adaptations.cia402.motion import ArmedSetPoint, ArmedStream
+    from motorhil.motorapi.ownership.fencing import Fence
 
 _UNCONFIRMED_MAX: Final = 1000
 
@@ -204,7 +199,7 @@ class CanopenLink:
     def network(self) -> "canopen.Network":
         """A canopen.Network on this link, never connected: for SDO clients and extra nodes."""
         if self._network is None:
-            from motorapi.adaptations.canopen.sdo import LinkNetwork
+            from motorhil.motorapi.adaptations.canopen.sdo import LinkNetwork
 
             self._network = LinkNetwork(self)
         return self._network

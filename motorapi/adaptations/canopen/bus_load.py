@@ -3,12 +3,24 @@
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Final
 
-from motorapi.synchronization.can_response_time import Firing, OneFrame, longest_s, overload_of
-from motorapi.locking.process_lock import can_share_time
-from motorapi.synchronization.bus_load import SYNC_ID, CanTraffic, PeriodicMessage, declared_traffic, own_traffic, streams
+from motorhil.motorapi.locking.process_lock import can_share_time
+from motorhil.motorapi.synchronization.bus_load import (
+    SYNC_ID,
+    CanTraffic,
+    PeriodicMessage,
+    declared_traffic,
+    own_traffic,
+    streams,
+)
+from motorhil.motorapi.synchronization.can_response_time import (
+    Firing,
+    OneFrame,
+    longest_s,
+    overload_of,
+)
 
 if TYPE_CHECKING:
-    from motorapi.adaptations.canopen.bus import CanopenLink
+    from motorhil.motorapi.adaptations.canopen.bus import CanopenLink
 
 SYNC: Final = OneFrame(SYNC_ID, 0)
 FULL: Final = "more urgent or already queued frames may delay SYNC without limit"

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Final, final
 
-from motorapi.adaptations.cia402.objects import error_text
+from motorhil.motorapi.adaptations.cia402.objects import error_text
 
 _ERROR_CLASS: Final = 0xFF00  # 00xxh: an error is reset
 _COMMUNICATION: Final = 0x8100

@@ -8,8 +8,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final, final
 
-from motorapi.adaptations.canopen.sdo import SdoAborted
-from motorapi.adaptations.cia402.node import DriveNode
+from motorhil.motorapi.adaptations.canopen.sdo import SdoAborted
+from motorhil.motorapi.adaptations.cia402.node import DriveNode
 
 SYNCHRONOUS: Final = 1  # acts at the next SYNC
 EVENT_DRIVEN: Final = 255

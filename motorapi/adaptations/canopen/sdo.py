@@ -26,30 +26,31 @@ A FIFO lock for exchanges with a device.
 Refusals and protocol violations of CANopen devices.
 """
 
+import struct
 from collections import deque
-from collections.abc import Iterator
-from contextlib import contextmanager
-from typing import final
-from motorapi.errors import DeadlineExceeded
-from motorapi.runtime.api import Runtime
-from typing import Final, final
-from motorapi.errors import PeerError
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING, Final, final
+
 import canopen
 from canopen.sdo.client import SdoClient
 from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError
-from motorapi.adaptations.canopen.bus import CanopenLink, Transmission, can_frame
-from motorapi.errors import MotorBusyError
-import struct
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
-from motorapi.adaptations.canopen.bus import CanopenLink
-from motorapi.errors import DeadlineExceeded, MotorError, UsageError
-from motorapi.locking.process_lock import LockHandle, ProcessLock
+
+from motorhil.motorapi.adaptations.canopen.bus import CanopenLink, Transmission, can_frame
+from motorhil.motorapi.errors import (
+    DeadlineExceeded,
+    MotorBusyError,
+    MotorError,
+    PeerError,
+    UsageError,
+)
+from motorhil.motorapi.locking.process_lock import LockHandle, ProcessLock
+from motorhil.motorapi.runtime.api import Runtime
 
 if TYPE_CHECKING:
-    from motorapi.ownership.fencing import Fence
-    from motorapi.ownership.physical_motor import PhysicalMotor
+    from motorhil.motorapi.ownership.fencing import Fence
+    from motorhil.motorapi.ownership.physical_motor import PhysicalMotor
+
 
 @final
 class TurnLock:
@@ -95,8 +96,7 @@ class TurnLock:
             self.give_back(ticket)
 
 
-# ruff: noqa: N818 -- the names say what happened, not that it is an error, as in motorapi.errors
-
+# ruff: noqa: N818 -- the names say what happened, not that it is an error, as in motorhil.motorapi.errors
 
 
 # CiA 301, SDO abort codes.

@@ -30,34 +30,27 @@ If another process has taken the drive since, that process cleared the drive its
 the ownership abandoned.
 """
 
-from collections.abc import Iterator
-from typing import TYPE_CHECKING, Final, final
-from motorapi.adaptations.cia402.objects import ENABLE_OPERATION, HALT
-from motorapi.locking.directory import LockDirectory
-from motorapi.locking.lock_status import list_locks, look
-from motorapi.locking.process_lock import LockHandle, ProcessLock
 import re
 import weakref
-from collections.abc import Hashable
+from collections import deque
+from collections.abc import Callable, Hashable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from itertools import pairwise
-from motorapi.errors import MotorBusyError
-from motorapi.locking.directory import bus_name
-from motorapi.locking.process_lock import LockHandle, ProcessLock, can_share_time
-from motorapi.runtime.api import Runtime
-from motorapi.ownership.physical_motor import bus_key
-from motorapi.ownership.queue import FifoQueue
-from collections import deque
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
-from motorapi.errors import LinkError, MotorBusyError, UsageError
-from motorapi.runtime.api import Registration
-from motorapi.ownership.queue import share_trigger
+from typing import TYPE_CHECKING, Final, final
+
+from motorhil.motorapi.adaptations.cia402.objects import ENABLE_OPERATION, HALT
+from motorhil.motorapi.errors import LinkError, MotorBusyError, UsageError
+from motorhil.motorapi.locking.directory import LockDirectory, bus_name
+from motorhil.motorapi.locking.lock_status import list_locks, look
+from motorhil.motorapi.locking.process_lock import LockHandle, ProcessLock, can_share_time
+from motorhil.motorapi.ownership.physical_motor import bus_key
+from motorhil.motorapi.ownership.queue import FifoQueue, share_trigger
+from motorhil.motorapi.runtime.api import Registration, Runtime
 
 if TYPE_CHECKING:
-    from motorapi.adaptations.canopen.bus import CanopenLink
-    from motorapi.adaptations.canopen.bus import CanopenLink, Transmission
-    from motorapi.ownership.fencing import Fence
+    from motorhil.motorapi.adaptations.canopen.bus import CanopenLink, Transmission
+    from motorhil.motorapi.ownership.fencing import Fence
 
 _OVERWRITTEN: Final = 2  # times: a frame may be lost
 _HALTED: Final = (ENABLE_OPERATION | HALT).to_bytes(2, "little") + bytes(4)
@@ -77,7 +70,9 @@ class ArmedMarks:
         self._name: Final = name
         self._locks: dict[tuple[int, int], ProcessLock] = {}
 
-    def mark(self, link: "CanopenLink", node_id: int, can_id: int, owner: object) -> LockHandle | None:
+    def mark(
+        self, link: "CanopenLink", node_id: int, can_id: int, owner: object
+    ) -> LockHandle | None:
         """Mark an RPDO of the drive as waiting for SYNC, until the mark is released."""
         if self._where is None:
             return None
@@ -110,7 +105,7 @@ class ArmedMarks:
         if not left:
             return
         if link.bus_sync.known() is None:  # A running cyclic SYNC has started them long ago.
-            from motorapi.adaptations.canopen.bus import can_frame
+            from motorhil.motorapi.adaptations.canopen.bus import can_frame
 
             frames = [can_frame(can_id, _HALTED) for _, can_id in left] * _OVERWRITTEN
             link.confirmed([link.send_tracked(frame) for frame in frames])

@@ -6,21 +6,31 @@ time.
 Traffic of a configured drive, and of this program for it.
 """
 
-from collections.abc import Sequence
-from typing import Final
-from motorapi.adaptations.canopen.bus import HEARTBEAT_ID
-from motorapi.adaptations.canopen.pdo_setup import PdoFound
-from motorapi.synchronization.bus_load import NodeTraffic, PeriodicMessage
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final, final
-from motorapi.adaptations.canopen.sdo import SdoAborted
-from motorapi.adaptations.canopen.bus import STOPPED
-from motorapi.adaptations.cia402.objects import Mode
-from motorapi.adaptations.cia402.node import DriveNode
-from motorapi.adaptations.canopen.pdo_setup import CONTROLWORD, EVENT_DRIVEN, POSITION, STATUSWORD, SYNCHRONOUS, TARGET_POSITION, TARGET_VELOCITY, TORQUE, VELOCITY, PdoFound, PdoSetUp, PdoWish, usable_as_it_is
-from motorapi.errors import DeadlineExceeded, UsageError
-from motorapi.synchronization.bus_load import note_node
+
+from motorhil.motorapi.adaptations.canopen.bus import HEARTBEAT_ID, STOPPED
+from motorhil.motorapi.adaptations.canopen.pdo_setup import (
+    CONTROLWORD,
+    EVENT_DRIVEN,
+    POSITION,
+    STATUSWORD,
+    SYNCHRONOUS,
+    TARGET_POSITION,
+    TARGET_VELOCITY,
+    TORQUE,
+    VELOCITY,
+    PdoFound,
+    PdoSetUp,
+    PdoWish,
+    usable_as_it_is,
+)
+from motorhil.motorapi.adaptations.canopen.sdo import SdoAborted
+from motorhil.motorapi.adaptations.cia402.node import DriveNode
+from motorhil.motorapi.adaptations.cia402.objects import Mode
+from motorhil.motorapi.errors import DeadlineExceeded, UsageError
+from motorhil.motorapi.synchronization.bus_load import NodeTraffic, PeriodicMessage, note_node
 
 _UNKNOWN_CLOCK_PPM: Final = 1000.0
 _SYNCHRONOUS_MAX: Final = 240

@@ -9,20 +9,38 @@ import struct
 from collections.abc import Callable
 from contextlib import suppress
 from typing import TYPE_CHECKING, Final, final
-from motorapi.adaptations.cia402.objects import PdsState
-from motorapi.errors import LinkError, MotorBusyError
-from motorapi.adaptations.canopen.bus import CanopenLink, Transmission, can_frame
-from motorapi.adaptations.cia402.objects import ACKNOWLEDGE, CHANGE_IMMEDIATELY, DISABLE_VOLTAGE, ENABLE_OPERATION, FAULT_BIT, FAULT_RESET, HALT, NEW_SET_POINT, QUICK_STOP, SHUTDOWN, SWITCH_ON, Mode, PdsState, encode, is_off, shows_no_acknowledge, shows_no_fault, shows_no_reaction, type_of
-from motorapi.adaptations.cia402.node import DriveNode
-from motorapi.adaptations.cia402.object_access import DriveObjects
-from motorapi.errors import DeadlineExceeded, MotorBusyError, UnsupportedError
+
+from motorhil.motorapi.adaptations.canopen.bus import CanopenLink, Transmission, can_frame
+from motorhil.motorapi.adaptations.cia402.node import DriveNode
+from motorhil.motorapi.adaptations.cia402.object_access import DriveObjects
+from motorhil.motorapi.adaptations.cia402.objects import (
+    ACKNOWLEDGE,
+    CHANGE_IMMEDIATELY,
+    DISABLE_VOLTAGE,
+    ENABLE_OPERATION,
+    FAULT_BIT,
+    FAULT_RESET,
+    HALT,
+    NEW_SET_POINT,
+    QUICK_STOP,
+    SHUTDOWN,
+    SWITCH_ON,
+    Mode,
+    PdsState,
+    encode,
+    is_off,
+    shows_no_acknowledge,
+    shows_no_fault,
+    shows_no_reaction,
+    type_of,
+)
+from motorhil.motorapi.errors import DeadlineExceeded, LinkError, MotorBusyError, UnsupportedError
 
 if TYPE_CHECKING:
-    from motorapi.adaptations.cia402.motion_status import MotionWatch
-    from motorapi.ownership.fencing import BoundFence, Fence, NodeFence
-    from motorapi.ownership.physical_motor import PhysicalMotor
-    from motorapi.adaptations.cia402.bringup import DriveFacts
-    from motorapi.ownership.fencing import Fence, NodeFence
+    from motorhil.motorapi.adaptations.cia402.bringup import DriveFacts
+    from motorhil.motorapi.adaptations.cia402.motion_status import MotionWatch
+    from motorhil.motorapi.ownership.fencing import BoundFence, Fence, NodeFence
+    from motorhil.motorapi.ownership.physical_motor import PhysicalMotor
 
 _REPEAT_S: Final = 0.1
 _REPEATS: Final = 10

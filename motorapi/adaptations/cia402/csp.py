@@ -21,29 +21,35 @@ first moves there, within the limits: `lead_in` cycles before the first one of t
 """
 
 import struct
+from collections import deque
 from collections.abc import Callable
 from contextlib import nullcontext, suppress
-from typing import TYPE_CHECKING, Final, final
-from motorapi.adaptations.canopen.sdo import SdoAborted
-from motorapi.adaptations.canopen.bus import Transmission
-from motorapi.adaptations.cia402.objects import ENABLE_OPERATION, HALT, Mode, PdsState
-from motorapi.commands import as_number
-from motorapi.errors import LinkError, MotorBusyError, MotorError, UnsupportedError, UsageError
-from motorapi.synchronization.bus_load import PeriodicMessage, note_stream
-from collections import deque
 from math import ceil
-from motorapi.adaptations.cia402.units import DriveUnits
-from motorapi.trajectory import value_of
-from motorapi.commands import ControlVariable, Motion
-from motorapi.planning.sampling import demand_of
-from motorapi.errors import LimitError
-from motorapi.generation import Trapezoid, shortest
+from typing import TYPE_CHECKING, Final, final
+
+from motorhil.motorapi.adaptations.canopen.bus import Transmission
+from motorhil.motorapi.adaptations.canopen.sdo import SdoAborted
+from motorhil.motorapi.adaptations.cia402.objects import ENABLE_OPERATION, HALT, Mode, PdsState
+from motorhil.motorapi.adaptations.cia402.units import DriveUnits
+from motorhil.motorapi.commands import ControlVariable, Motion, as_number
+from motorhil.motorapi.errors import (
+    LimitError,
+    LinkError,
+    MotorBusyError,
+    MotorError,
+    UnsupportedError,
+    UsageError,
+)
+from motorhil.motorapi.generation import Trapezoid, shortest
+from motorhil.motorapi.planning.sampling import demand_of
+from motorhil.motorapi.synchronization.bus_load import PeriodicMessage, note_stream
+from motorhil.motorapi.trajectory import value_of
 
 if TYPE_CHECKING:
-    from motorapi.adaptations.cia402.hardware import Cia402HwMotor
-    from motorapi.ownership.fencing import BoundFence, Fence
-    from motorapi.runtime.api import Registration
-    from motorapi.functions.base import Function
+    from motorhil.motorapi.adaptations.cia402.hardware import Cia402HwMotor
+    from motorhil.motorapi.functions.base import Function
+    from motorhil.motorapi.ownership.fencing import BoundFence, Fence
+    from motorhil.motorapi.runtime.api import Registration
 
 _SETPOINT: Final = struct.Struct("<IB3xHi2x")
 _DEAF_NS: Final = 250_000_000

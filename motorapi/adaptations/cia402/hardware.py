@@ -13,21 +13,33 @@ import weakref
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Final, final
 
-from motorapi.adaptations.canopen.bus import CanopenLink, Transmission, bus_label, open_link, release_link
-from motorapi.adaptations.cia402.objects import Mode, PdsState, Value
-from motorapi.adaptations.cia402.object_access import ParameterStore
-from motorapi.adaptations.cia402.csp import CspStream
-from motorapi.adaptations.cia402.controlword import DriveControl
-from motorapi.adaptations.cia402.node import DriveNode
-from motorapi.adaptations.canopen.emcy import Emergency
-from motorapi.adaptations.cia402.object_access import DriveObjects
-from motorapi.adaptations.cia402.bringup import DriveFacts, HwOptions, bring_up
-from motorapi.adaptations.canopen.bus import FrameInbox, raw_frame
-from motorapi.adaptations.cia402.node_sharing import SharedNode, guarding, node_locks
-from motorapi.adaptations.canopen.sdo import TurnLock
-from motorapi.errors import LinkError, StateError, UsageError
-from motorapi.runtime.api import runtime_of
-from motorapi.ownership.physical_motor import PhysicalMotor, RunStatus, bus_key, register_physical_motor, release_physical_motor
+from motorhil.motorapi.adaptations.canopen.bus import (
+    CanopenLink,
+    FrameInbox,
+    Transmission,
+    bus_label,
+    open_link,
+    raw_frame,
+    release_link,
+)
+from motorhil.motorapi.adaptations.canopen.emcy import Emergency
+from motorhil.motorapi.adaptations.canopen.sdo import TurnLock
+from motorhil.motorapi.adaptations.cia402.bringup import DriveFacts, HwOptions, bring_up
+from motorhil.motorapi.adaptations.cia402.controlword import DriveControl
+from motorhil.motorapi.adaptations.cia402.csp import CspStream
+from motorhil.motorapi.adaptations.cia402.node import DriveNode
+from motorhil.motorapi.adaptations.cia402.node_sharing import SharedNode, guarding, node_locks
+from motorhil.motorapi.adaptations.cia402.object_access import DriveObjects, ParameterStore
+from motorhil.motorapi.adaptations.cia402.objects import Mode, PdsState, Value
+from motorhil.motorapi.errors import LinkError, StateError, UsageError
+from motorhil.motorapi.ownership.physical_motor import (
+    PhysicalMotor,
+    RunStatus,
+    bus_key,
+    register_physical_motor,
+    release_physical_motor,
+)
+from motorhil.motorapi.runtime.api import runtime_of
 
 if TYPE_CHECKING:
     from contextlib import AbstractContextManager
@@ -35,8 +47,8 @@ if TYPE_CHECKING:
     import can
     from canopen.sdo.client import SdoClient
 
-    from motorapi.adaptations.cia402.motion_status import MotionWatch
-    from motorapi.runtime.api import Registration, Runtime
+    from motorhil.motorapi.adaptations.cia402.motion_status import MotionWatch
+    from motorhil.motorapi.runtime.api import Registration, Runtime
 
 
 _STREAM_ENDS_CYCLES: Final = 4

@@ -2,17 +2,22 @@
 
 from typing import TYPE_CHECKING, Final, final
 
-from motorapi.adaptations.cia402.hardware import Cia402HwMotor
-from motorapi.adaptations.cia402.objects import FAULT_BIT, STATE_BITS, PdsState, decode_state, error_text
-from motorapi.adaptations.cia402.units import DriveUnits, drive_units
-from motorapi.adaptations.cia402.profile import DriveLimits
-from motorapi.adaptations.cia402.bringup import DriveFacts
-from motorapi.adaptations.cia402.profile import TorqueUnit, torque_unit
-from motorapi.errors import DeadlineExceeded, UnsupportedError
-from motorapi.state import Fault, Measurement, MotorState
+from motorhil.motorapi.adaptations.cia402.bringup import DriveFacts
+from motorhil.motorapi.adaptations.cia402.hardware import Cia402HwMotor
+from motorhil.motorapi.adaptations.cia402.objects import (
+    FAULT_BIT,
+    STATE_BITS,
+    PdsState,
+    decode_state,
+    error_text,
+)
+from motorhil.motorapi.adaptations.cia402.profile import DriveLimits, TorqueUnit, torque_unit
+from motorhil.motorapi.adaptations.cia402.units import DriveUnits, drive_units
+from motorhil.motorapi.errors import DeadlineExceeded, UnsupportedError
+from motorhil.motorapi.state import Fault, Measurement, MotorState
 
 if TYPE_CHECKING:
-    from motorapi.model import MotorModel
+    from motorhil.motorapi.model import MotorModel
 
 _WINDOW_OFF: Final = 0xFFFF_FFFF
 _STATES: Final = {

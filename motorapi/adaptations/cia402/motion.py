@@ -30,46 +30,61 @@ passed begin with it, the others with a later one. This is detected and counted,
 time on the wire is known.
 """
 
-from typing import TYPE_CHECKING, Final
-from motorapi.adaptations.canopen.bus_load import FULL, SYNC, period_on_wire_s, sync_period, traffic_on
-from motorapi.adaptations.canopen.bus import HEARTBEAT_ID
-from motorapi.synchronization.can_response_time import Firing, OneFrame
-from motorapi.commands import ControlVariable
-from motorapi.synchronization.quality import SyncLevel, SyncOffer
-from motorapi.synchronization.bus_load import PeriodicMessage
-from typing import TYPE_CHECKING
-from motorapi.synchronization.quality import MotionTimes
-from motorapi.adaptations.cia402.hardware import Cia402HwMotor
-from motorapi.adaptations.cia402.object_access import HALT_OPTION, WINDOW_OFF, Cia402Parameters, Place
-from motorapi.adaptations.cia402.measurements import DriveReader
-from motorapi.adaptations.cia402.profile import STEEPEST, torque_profile_of
-from motorapi.commands import ControlVariable, Motion
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Final, final
-from motorapi.errors import LinkError
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
-from typing import Final, final
-from motorapi.adaptations.canopen.bus import CanopenLink
-from motorapi.adaptations.cia402.csp import CspStream
-from motorapi.adaptations.cia402.motion_status import SetpointWatch
-from motorapi.adaptations.cia402.csp import StreamedMotion
-from contextlib import suppress
-from motorapi.adaptations.canopen.sdo import SdoAborted
-from motorapi.adaptations.cia402.objects import FAULT_BIT, Mode
-from motorapi.adaptations.cia402.object_access import Cia402Parameters
-from motorapi.adaptations.cia402.profile import DriveProfile, as_motion, check_limits, check_target, expected_s, profile_of
-from motorapi.adaptations.cia402.profile import STEEPEST, as_torque_motion, ramp_s, torque_profile_of
-from motorapi.adaptations.cia402.motion_status import SETTLE_NS, MotionWatch, SetpointWatch, StreamWatch
-from motorapi.errors import DeadlineExceeded, StateError
-from motorapi.synchronization.quality import MotionTimes, SyncOffer, Trigger
+from typing import TYPE_CHECKING, Final, final
+
+from motorhil.motorapi.adaptations.canopen.bus import HEARTBEAT_ID, CanopenLink
+from motorhil.motorapi.adaptations.canopen.bus_load import (
+    FULL,
+    SYNC,
+    period_on_wire_s,
+    sync_period,
+    traffic_on,
+)
+from motorhil.motorapi.adaptations.canopen.sdo import SdoAborted
+from motorhil.motorapi.adaptations.cia402.csp import CspStream, StreamedMotion
+from motorhil.motorapi.adaptations.cia402.hardware import Cia402HwMotor
+from motorhil.motorapi.adaptations.cia402.measurements import DriveReader
+from motorhil.motorapi.adaptations.cia402.motion_status import (
+    SETTLE_NS,
+    MotionWatch,
+    SetpointWatch,
+    StreamWatch,
+)
+from motorhil.motorapi.adaptations.cia402.object_access import (
+    HALT_OPTION,
+    WINDOW_OFF,
+    Cia402Parameters,
+    Place,
+)
+from motorhil.motorapi.adaptations.cia402.objects import FAULT_BIT, Mode
+from motorhil.motorapi.adaptations.cia402.profile import (
+    STEEPEST,
+    DriveProfile,
+    as_motion,
+    as_torque_motion,
+    check_limits,
+    check_target,
+    expected_s,
+    profile_of,
+    ramp_s,
+    torque_profile_of,
+)
+from motorhil.motorapi.commands import ControlVariable, Motion
+from motorhil.motorapi.errors import DeadlineExceeded, LinkError, StateError
+from motorhil.motorapi.synchronization.bus_load import PeriodicMessage
+from motorhil.motorapi.synchronization.can_response_time import Firing, OneFrame
+from motorhil.motorapi.synchronization.quality import MotionTimes, SyncLevel, SyncOffer, Trigger
 
 if TYPE_CHECKING:
-    from motorapi.adaptations.cia402.bringup import DriveFacts
-    from motorapi.adaptations.canopen.bus import Transmission
-    from motorapi.adaptations.cia402.controlword import DriveControl
-    from motorapi.locking.process_lock import LockHandle
-    from motorapi.model import MotorModel
+    from motorhil.motorapi.adaptations.canopen.bus import Transmission
+    from motorhil.motorapi.adaptations.cia402.bringup import DriveFacts
+    from motorhil.motorapi.adaptations.cia402.controlword import DriveControl
+    from motorhil.motorapi.locking.process_lock import LockHandle
+    from motorhil.motorapi.model import MotorModel
 
 _LATCHED: Final = {ControlVariable.POSITION: 0x607A, ControlVariable.VELOCITY: 0x60FF}
 _SET_POINT_BYTES: Final = 6

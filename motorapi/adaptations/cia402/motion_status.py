@@ -7,7 +7,12 @@ the time before the command (an old target reached, an attained homing).
 from collections.abc import Callable
 from typing import Final, Protocol, final
 
-from motorapi.adaptations.cia402.objects import ACKNOWLEDGE, HOMING_ATTAINED, HOMING_ERROR, TARGET_REACHED
+from motorhil.motorapi.adaptations.cia402.objects import (
+    ACKNOWLEDGE,
+    HOMING_ATTAINED,
+    HOMING_ERROR,
+    TARGET_REACHED,
+)
 
 SETTLE_NS: Final = 20_000_000
 """The time for which a drive may show old bits [ns]; longer than any servo tick and TPDO latency.

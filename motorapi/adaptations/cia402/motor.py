@@ -26,42 +26,48 @@ not report own frames. Then, or if SYNC does not come in time, each drive is hal
 acts at once. The same frame also follows SYNC, as a frame may be lost.
 """
 
+from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
-from typing import Final, final
-from weakref import WeakKeyDictionary
-from motorapi.adaptations.canopen.sync import BusSync
-from motorapi.adaptations.canopen.bus import CanopenLink, Transmission
-from motorapi.adaptations.cia402.hardware import Cia402HwMotor
-from motorapi.adaptations.cia402.objects import Mode, PdsState
-from motorapi.adaptations.cia402.motion_status import RestWatch
-from motorapi.runtime.api import Registration
-from collections.abc import Callable
-from motorapi.adaptations.canopen.sdo import HomingFailed, SdoAborted
-from motorapi.adaptations.cia402.objects import DISABLE_VOLTAGE, ENABLE_OPERATION, FAULT_BIT, HALT, NEW_SET_POINT, QUICK_STOP, Mode, PdsState
-from motorapi.adaptations.cia402.object_access import Cia402Parameters
-from motorapi.adaptations.cia402.units import DriveUnits
-from motorapi.adaptations.cia402.motion import POLL_S, DriveMotions
-from motorapi.adaptations.cia402.measurements import DriveReader
-from motorapi.adaptations.cia402.motion_status import HomingWatch, RestWatch, StreamWatch
-from motorapi.commands import ControlMode, ControlVariable, Motion, Setpoint
-from motorapi.errors import UnsupportedError, UsageError
-from motorapi.model import MotorModel
-from motorapi.motor import Motor
-from motorapi.planning.functions import asks_for_smoothness
-from motorapi.state import Fault, Measurement, MotorState
-from motorapi.synchronization.quality import MotionTimes, SyncOffer, Trigger
-from motorapi.trajectory import ComplexTrajectory, Trajectory
-from collections.abc import Mapping
 from dataclasses import fields
-from typing import TYPE_CHECKING, Final
-from motorapi.adaptations.registration import Shared, as_name, number, refuse_unknown
-from motorapi.adaptations.cia402.bringup import HwOptions
-from motorapi.errors import UsageError
-from motorapi.ownership.physical_motor import bus_key
+from typing import TYPE_CHECKING, Final, final
+from weakref import WeakKeyDictionary
+
+from motorhil.motorapi.adaptations.canopen.bus import CanopenLink, Transmission
+from motorhil.motorapi.adaptations.canopen.sdo import HomingFailed, SdoAborted
+from motorhil.motorapi.adaptations.canopen.sync import BusSync
+from motorhil.motorapi.adaptations.cia402.bringup import HwOptions
+from motorhil.motorapi.adaptations.cia402.hardware import Cia402HwMotor
+from motorhil.motorapi.adaptations.cia402.measurements import DriveReader
+from motorhil.motorapi.adaptations.cia402.motion import POLL_S, DriveMotions
+from motorhil.motorapi.adaptations.cia402.motion_status import HomingWatch, RestWatch, StreamWatch
+from motorhil.motorapi.adaptations.cia402.object_access import Cia402Parameters
+from motorhil.motorapi.adaptations.cia402.objects import (
+    DISABLE_VOLTAGE,
+    ENABLE_OPERATION,
+    FAULT_BIT,
+    HALT,
+    NEW_SET_POINT,
+    QUICK_STOP,
+    Mode,
+    PdsState,
+)
+from motorhil.motorapi.adaptations.cia402.units import DriveUnits
+from motorhil.motorapi.adaptations.registration import Shared, as_name, number, refuse_unknown
+from motorhil.motorapi.commands import ControlMode, ControlVariable, Motion, Setpoint
+from motorhil.motorapi.errors import UnsupportedError, UsageError
+from motorhil.motorapi.model import MotorModel
+from motorhil.motorapi.motor import Motor
+from motorhil.motorapi.ownership.physical_motor import bus_key
+from motorhil.motorapi.planning.functions import asks_for_smoothness
+from motorhil.motorapi.runtime.api import Registration
+from motorhil.motorapi.state import Fault, Measurement, MotorState
+from motorhil.motorapi.synchronization.quality import MotionTimes, SyncOffer, Trigger
+from motorhil.motorapi.trajectory import ComplexTrajectory, Trajectory
 
 if TYPE_CHECKING:
     import can
-    from motorapi.runtime.api import Runtime
+
+    from motorhil.motorapi.runtime.api import Runtime
 
 _LOOK_S: Final = 0.0005
 _LOOKS_MAX: Final = 10

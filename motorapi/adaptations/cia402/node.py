@@ -8,17 +8,26 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Final, final
 
-from motorapi.adaptations.canopen.sdo import SdoAborted
-from motorapi.adaptations.canopen.bus import HEARTBEAT_ID, OPERATIONAL, CanopenLink
-from motorapi.adaptations.cia402.objects import ENABLED_MASK, ENABLED_VALUE, FAULT_BIT, PdsState, Value, decode, decode_state, error_text, type_of
-from motorapi.adaptations.canopen.emcy import Emergency
-from motorapi.adaptations.canopen.emcy import last_error, standing_error
-from motorapi.errors import DeadlineExceeded, DeviceFault, LinkError, MotionInterrupted
-from motorapi.runtime.api import ChangeCounter
+from motorhil.motorapi.adaptations.canopen.bus import HEARTBEAT_ID, OPERATIONAL, CanopenLink
+from motorhil.motorapi.adaptations.canopen.emcy import Emergency, last_error, standing_error
+from motorhil.motorapi.adaptations.canopen.sdo import SdoAborted
+from motorhil.motorapi.adaptations.cia402.objects import (
+    ENABLED_MASK,
+    ENABLED_VALUE,
+    FAULT_BIT,
+    PdsState,
+    Value,
+    decode,
+    decode_state,
+    error_text,
+    type_of,
+)
+from motorhil.motorapi.errors import DeadlineExceeded, DeviceFault, LinkError, MotionInterrupted
+from motorhil.motorapi.runtime.api import ChangeCounter
 
 if TYPE_CHECKING:
-    from motorapi.adaptations.cia402.motion_status import MotionWatch
-    from motorapi.runtime.api import Registration
+    from motorhil.motorapi.adaptations.cia402.motion_status import MotionWatch
+    from motorhil.motorapi.runtime.api import Registration
 
 EMCY_ID: Final = 0x080
 NMT_STATES: Final = {0x04: "STOPPED", 0x05: "OPERATIONAL", 0x7F: "PRE-OPERATIONAL"}
@@ -56,7 +65,7 @@ class DriveNode:
         quarantine_s: float,
         heartbeat_timeout_ms: int,
     ) -> None:
-        from motorapi.adaptations.canopen.sdo import SdoChannel  # loads canopen
+        from motorhil.motorapi.adaptations.canopen.sdo import SdoChannel  # loads canopen
 
         self.link: Final = link
         self.node_id: Final = node_id

@@ -17,27 +17,27 @@ controlwords that other programs put on the bus are monitored, and the owner's m
 an error. Controlwords sent by SDO are not detected.
 """
 
-from collections.abc import Callable
-from typing import TYPE_CHECKING, Final, final
-from weakref import WeakMethod
-from motorapi.adaptations.cia402.objects import ENABLE_OPERATION, HALT
-from motorapi.adaptations.cia402.motion_status import RestWatch
 import logging
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
-from motorapi.adaptations.cia402.objects import PdsState
-from motorapi.errors import MotorError
-from motorapi.ownership.fencing import NodeFence, announce
-from motorapi.locking.directory import bus_name
-from motorapi.locking.process_lock import ProcessLock, can_share_time
-from motorapi.ownership.physical_motor import PhysicalMotor
+from typing import TYPE_CHECKING, Final, final
+from weakref import WeakMethod
+
+from motorhil.motorapi.adaptations.cia402.motion_status import RestWatch
+from motorhil.motorapi.adaptations.cia402.objects import ENABLE_OPERATION, HALT, PdsState
+from motorhil.motorapi.errors import MotorError
+from motorhil.motorapi.locking.directory import bus_name
+from motorhil.motorapi.locking.process_lock import ProcessLock, can_share_time
+from motorhil.motorapi.ownership.fencing import NodeFence, announce
+from motorhil.motorapi.ownership.physical_motor import PhysicalMotor
 
 if TYPE_CHECKING:
-    from motorapi.adaptations.cia402.controlword import DriveControl
-    from motorapi.adaptations.cia402.node import DriveNode
     import can
-    from motorapi.adaptations.canopen.sdo import SdoChannel
-    from motorapi.runtime.api import Registration, Runtime
+
+    from motorhil.motorapi.adaptations.canopen.sdo import SdoChannel
+    from motorhil.motorapi.adaptations.cia402.controlword import DriveControl
+    from motorhil.motorapi.adaptations.cia402.node import DriveNode
+    from motorhil.motorapi.runtime.api import Registration, Runtime
 
 _GOES_ON: Final = ENABLE_OPERATION
 _LOOKED_AT: Final = ENABLE_OPERATION | HALT

@@ -11,19 +11,27 @@ that a logical motor leaves open are restored at its start to the drive's origin
 """
 
 import difflib
-from typing import TYPE_CHECKING, Final, final
-from motorapi.adaptations.cia402.objects import KINDS, OBJECTS, Value, decode, encode, type_of
-from motorapi.errors import UsageError
 from dataclasses import dataclass, fields
 from math import isfinite
-from motorapi.adaptations.canopen.sdo import SdoAborted
-from motorapi.adaptations.cia402.node import DriveNode
-from motorapi.commands import as_number
-from motorapi.errors import LimitError, UnsupportedError, UsageError
+from typing import TYPE_CHECKING, Final, final
+
+from motorhil.motorapi.adaptations.canopen.sdo import SdoAborted
+from motorhil.motorapi.adaptations.cia402.node import DriveNode
+from motorhil.motorapi.adaptations.cia402.objects import (
+    KINDS,
+    OBJECTS,
+    Value,
+    decode,
+    encode,
+    type_of,
+)
+from motorhil.motorapi.commands import as_number
+from motorhil.motorapi.errors import LimitError, UnsupportedError, UsageError
 
 if TYPE_CHECKING:
-    from motorapi.ownership.physical_motor import PhysicalMotor
-    from motorapi.adaptations.cia402.units import DriveUnits
+    from motorhil.motorapi.adaptations.cia402.units import DriveUnits
+    from motorhil.motorapi.ownership.physical_motor import PhysicalMotor
+
 
 @final
 class DriveObjects:

@@ -8,7 +8,7 @@ import struct
 from enum import Enum, IntEnum
 from typing import Final, final
 
-from motorapi.errors import UsageError
+from motorhil.motorapi.errors import UsageError
 
 Value = int | float | str | bytes
 

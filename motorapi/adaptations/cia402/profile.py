@@ -13,20 +13,18 @@ else from 6091h. Friction and inertia in between are not subtracted. A linear mo
 pi times the motor's turns per metre, which the drive does not report. Nothing is guessed.
 """
 
-from dataclasses import dataclass, replace
-from typing import Final, final
-from motorapi.planning import single_axis as planning
-from motorapi.adaptations.cia402.units import DriveUnits
-from motorapi.commands import ControlVariable, Motion
-from motorapi.errors import LimitError
-from motorapi.generation import shortest
-from motorapi.model import MotorModel
-from motorapi.trajectory import TrapezoidalTrajectory
 from collections.abc import Callable
+from dataclasses import dataclass, replace
 from math import floor, inf, pi
-from motorapi.commands import ControlMode, Motion
-from motorapi.errors import LimitError, UnsupportedError
-from motorapi.model import MotionKind, MotorModel
+from typing import Final, final
+
+from motorhil.motorapi.adaptations.cia402.units import DriveUnits
+from motorhil.motorapi.commands import ControlMode, ControlVariable, Motion
+from motorhil.motorapi.errors import LimitError, UnsupportedError
+from motorhil.motorapi.generation import shortest
+from motorhil.motorapi.model import MotionKind, MotorModel
+from motorhil.motorapi.planning import single_axis as planning
+from motorhil.motorapi.trajectory import TrapezoidalTrajectory
 
 _ROUNDING: Final = 1e-12
 _TOO_SHORT: Final = 0.1  # of the requested duration; integers may deviate less than that

@@ -21,8 +21,8 @@ from dataclasses import dataclass
 from math import floor, pi
 from typing import Final, final
 
-from motorapi.errors import LimitError, UsageError
-from motorapi.model import MotionKind, MotorModel
+from motorhil.motorapi.errors import LimitError, UsageError
+from motorhil.motorapi.model import MotionKind, MotorModel
 
 # CiA 303-2: unit codes of angles [rad], and of time [s]
 _ANGLES: Final = {

@@ -18,17 +18,17 @@ import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, Protocol, final
-from motorapi.adaptations.canopen.bus import CanopenLink, Transmission
-from motorapi.errors import DeadlineExceeded, LinkError, MotorBusyError, MotorError
-from motorapi.ownership.physical_motor import PhysicalMotor
-from typing import final
+
+from motorhil.motorapi.adaptations.canopen.bus import CanopenLink, Transmission
+from motorhil.motorapi.errors import DeadlineExceeded, LinkError, MotorBusyError, MotorError
+from motorhil.motorapi.ownership.physical_motor import PhysicalMotor
 
 if TYPE_CHECKING:
-    from motorapi.adaptations.cia402.node import DriveNode
-    from motorapi.adaptations.host_servo.node import NodeOccupation
-    from motorapi.ownership.fencing import Fence
-    from motorapi.locking.process_lock import LockHandle
-    from motorapi.runtime.api import Registration
+    from motorhil.motorapi.adaptations.cia402.node import DriveNode
+    from motorhil.motorapi.adaptations.host_servo.node import NodeOccupation
+    from motorhil.motorapi.locking.process_lock import LockHandle
+    from motorhil.motorapi.ownership.fencing import Fence
+    from motorhil.motorapi.runtime.api import Registration
 
 _LINGER: Final = 2  # cycles in which 0 is sent, after the last motor was switched off
 _OUTPUTS: Final = (struct.Struct("<IB3xh6x"), struct.Struct("<IB3xhh4x"))

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 from math import inf
 from typing import Final, final
 
-from motorapi.trajectory import Argument, value_of
-from motorapi.commands import ControlMode, ControlVariable, Motion
-from motorapi.planning.sampling import Demand, demand_of, ramps
+from motorhil.motorapi.commands import ControlMode, ControlVariable, Motion
+from motorhil.motorapi.planning.sampling import Demand, demand_of, ramps
+from motorhil.motorapi.trajectory import Argument, value_of
 
 POSITION: Final = 0
 VELOCITY: Final = 1

@@ -7,40 +7,57 @@ counts, and runs the servo with the gains of the logical motor that uses it.
 One motor of the servo cycle: its servo, armed course and faults.
 """
 
-from typing import TYPE_CHECKING, Final, final
-from motorapi.adaptations.host_servo.demand import POSITION, Course
-from motorapi.adaptations.host_servo.servo import Servo, ServoLimits
-from motorapi.adaptations.host_servo.node import READY
-from motorapi.adaptations.host_servo.node import SwitchOff
-from motorapi.errors import LinkError, MotorBusyError, MotorError
-from motorapi.state import Fault, MotorState
 from collections.abc import Callable
 from contextlib import suppress
-from motorapi.adaptations.canopen.bus import Transmission, bus_label
-from motorapi.adaptations.cia402.objects import Value
-from motorapi.adaptations.cia402.object_access import DriveObjects
-from motorapi.adaptations.canopen.bus import FrameInbox, raw_frame
-from motorapi.adaptations.host_servo.cycle import ServoTrigger
-from motorapi.adaptations.cia402.node_sharing import node_locks
-from motorapi.adaptations.host_servo.cycle import ChannelPair, CycleReport
-from motorapi.adaptations.host_servo.node import CHANNELS_MAX, AmplifierNode, open_node
-from motorapi.adaptations.host_servo.node import IoFacts, IoOptions
-from motorapi.commands import as_number
-from motorapi.errors import DeadlineExceeded, DeviceFault, LinkError, StateError, UsageError
-from motorapi.ownership.fencing import announce
-from motorapi.ownership.claim import LockAction
-from motorapi.locking.process_lock import ProcessLock
-from motorapi.runtime.api import runtime_of
-from motorapi.ownership.physical_motor import PhysicalMotor, RunStatus, bus_key, register_physical_motor, release_physical_motor
-from motorapi.state import MotorState
+from typing import TYPE_CHECKING, Final, final
+
+from motorhil.motorapi.adaptations.canopen.bus import FrameInbox, Transmission, bus_label, raw_frame
+from motorhil.motorapi.adaptations.cia402.node_sharing import node_locks
+from motorhil.motorapi.adaptations.cia402.object_access import DriveObjects
+from motorhil.motorapi.adaptations.cia402.objects import Value
+from motorhil.motorapi.adaptations.host_servo.cycle import ChannelPair, CycleReport, ServoTrigger
+from motorhil.motorapi.adaptations.host_servo.demand import POSITION, Course
+from motorhil.motorapi.adaptations.host_servo.node import (
+    CHANNELS_MAX,
+    READY,
+    AmplifierNode,
+    IoFacts,
+    IoOptions,
+    SwitchOff,
+    open_node,
+)
+from motorhil.motorapi.adaptations.host_servo.servo import Servo, ServoLimits
+from motorhil.motorapi.commands import as_number
+from motorhil.motorapi.errors import (
+    DeadlineExceeded,
+    DeviceFault,
+    LinkError,
+    MotorBusyError,
+    MotorError,
+    StateError,
+    UsageError,
+)
+from motorhil.motorapi.locking.process_lock import ProcessLock
+from motorhil.motorapi.ownership.claim import LockAction
+from motorhil.motorapi.ownership.fencing import announce
+from motorhil.motorapi.ownership.physical_motor import (
+    PhysicalMotor,
+    RunStatus,
+    bus_key,
+    register_physical_motor,
+    release_physical_motor,
+)
+from motorhil.motorapi.runtime.api import runtime_of
+from motorhil.motorapi.state import Fault, MotorState
 
 if TYPE_CHECKING:
-    from motorapi.adaptations.host_servo.servo import PidGains
-    from motorapi.locking.process_lock import LockHandle
     import can
-    from motorapi.ownership.claim import OwnershipEvent
-    from motorapi.runtime.api import Runtime
-    from motorapi.synchronization.quality import Trigger
+
+    from motorhil.motorapi.adaptations.host_servo.servo import PidGains
+    from motorhil.motorapi.locking.process_lock import LockHandle
+    from motorhil.motorapi.ownership.claim import OwnershipEvent
+    from motorhil.motorapi.runtime.api import Runtime
+    from motorhil.motorapi.synchronization.quality import Trigger
 
 FAULT: Final = 2
 AMPLIFIER_FAULT: Final = 0x5400  # device hardware, power section (CiA 402-2, error codes)

@@ -24,35 +24,32 @@ its derivatives cannot be guaranteed without a profile, so they are refused. Mot
 with the same SYNC.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
 from math import inf, isfinite
 from typing import TYPE_CHECKING, Final, final
-from motorapi.adaptations.canopen.bus_load import FULL, SYNC, period_on_wire_s, traffic_on
-from motorapi.adaptations.host_servo.demand import Scales, course_of
-from motorapi.adaptations.host_servo.cycle import CycleReport
-from motorapi.adaptations.host_servo.servo import PidGains
-from motorapi.adaptations.host_servo.hardware import AmplifierHwMotor
-from motorapi.adaptations.host_servo.servo import ServoLimits
-from motorapi.synchronization.can_response_time import Firing
-from motorapi.commands import ControlMode, ControlVariable, Motion, Setpoint, as_number
-from motorapi.errors import DeviceFault, UnsupportedError, UsageError
-from motorapi.motor import Motor
-from motorapi.state import Fault, Measurement, MotorState
-from motorapi.synchronization.quality import MotionTimes, SyncLevel, SyncOffer, Trigger
-from collections.abc import Mapping
-from dataclasses import fields
-from typing import TYPE_CHECKING, Final
-from motorapi.adaptations.registration import Shared, as_name, number, refuse_unknown
-from motorapi.adaptations.host_servo.node import IoOptions
-from motorapi.errors import UsageError
-from motorapi.ownership.physical_motor import bus_key
+
+from motorhil.motorapi.adaptations.canopen.bus_load import FULL, SYNC, period_on_wire_s, traffic_on
+from motorhil.motorapi.adaptations.host_servo.cycle import CycleReport
+from motorhil.motorapi.adaptations.host_servo.demand import Scales, course_of
+from motorhil.motorapi.adaptations.host_servo.hardware import AmplifierHwMotor
+from motorhil.motorapi.adaptations.host_servo.node import IoOptions
+from motorhil.motorapi.adaptations.host_servo.servo import PidGains, ServoLimits
+from motorhil.motorapi.adaptations.registration import Shared, as_name, number, refuse_unknown
+from motorhil.motorapi.commands import ControlMode, ControlVariable, Motion, Setpoint, as_number
+from motorhil.motorapi.errors import DeviceFault, UnsupportedError, UsageError
+from motorhil.motorapi.motor import Motor
+from motorhil.motorapi.ownership.physical_motor import bus_key
+from motorhil.motorapi.state import Fault, Measurement, MotorState
+from motorhil.motorapi.synchronization.can_response_time import Firing
+from motorhil.motorapi.synchronization.quality import MotionTimes, SyncLevel, SyncOffer, Trigger
 
 if TYPE_CHECKING:
-    from motorapi.model import MotorModel
-    from motorapi.trajectory import Trajectory
     import can
-    from motorapi.runtime.api import Runtime
+
+    from motorhil.motorapi.model import MotorModel
+    from motorhil.motorapi.runtime.api import Runtime
+    from motorhil.motorapi.trajectory import Trajectory
 
 _HERE_IS_ZERO: Final = (None, 35, 37)
 _VOLTS: Final = 10.0

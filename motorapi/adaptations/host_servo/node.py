@@ -23,40 +23,50 @@ while outputs are sent.
 Repeated switching-off of an amplifier, as a frame may be lost.
 """
 
-from dataclasses import dataclass
-from typing import final
-from motorapi.adaptations.cia402.bringup import HwOptions
-from motorapi.errors import UsageError
-from typing import TYPE_CHECKING, Final
-from motorapi.adaptations.canopen.bus import HEARTBEAT_ID
-from motorapi.synchronization.bus_load import NodeTraffic, PeriodicMessage
-from collections.abc import Iterator
-from contextlib import contextmanager
-from typing import TYPE_CHECKING, Final, final
-from motorapi.ownership.fencing import BoundFence, Fence, NodeFence, tell_bus
-from motorapi.ownership.claim import LockAction
-from motorapi.locking.process_lock import this_process
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
-from motorapi.adaptations.canopen.bus import can_frame, open_link, release_link
-from motorapi.adaptations.cia402.node import DriveNode
-from motorapi.adaptations.cia402.bringup import first_answer, write_if_different
-from motorapi.adaptations.canopen.pdo_setup import EVENT_DRIVEN, SYNCHRONOUS, PdoSetUp, PdoWish
-from motorapi.adaptations.cia402.node_sharing import node_locks
-from motorapi.adaptations.host_servo.cycle import Axis, ChannelPair, Cycle, cycle_of
-from motorapi.adaptations.canopen.sdo import TurnLock
-from motorapi.errors import DeadlineExceeded, LinkError, UnsupportedError, UsageError
-from motorapi.ownership.physical_motor import bus_key
-from motorapi.synchronization.bus_load import note_node
-from motorapi.errors import LinkError, MotorBusyError
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final, final
+
+from motorhil.motorapi.adaptations.canopen.bus import (
+    HEARTBEAT_ID,
+    can_frame,
+    open_link,
+    release_link,
+)
+from motorhil.motorapi.adaptations.canopen.pdo_setup import (
+    EVENT_DRIVEN,
+    SYNCHRONOUS,
+    PdoSetUp,
+    PdoWish,
+)
+from motorhil.motorapi.adaptations.canopen.sdo import TurnLock
+from motorhil.motorapi.adaptations.cia402.bringup import HwOptions, first_answer, write_if_different
+from motorhil.motorapi.adaptations.cia402.node import DriveNode
+from motorhil.motorapi.adaptations.cia402.node_sharing import node_locks
+from motorhil.motorapi.adaptations.host_servo.cycle import Axis, ChannelPair, Cycle, cycle_of
+from motorhil.motorapi.errors import (
+    DeadlineExceeded,
+    LinkError,
+    MotorBusyError,
+    UnsupportedError,
+    UsageError,
+)
+from motorhil.motorapi.locking.process_lock import this_process
+from motorhil.motorapi.ownership.claim import LockAction
+from motorhil.motorapi.ownership.fencing import BoundFence, Fence, NodeFence, tell_bus
+from motorhil.motorapi.ownership.physical_motor import bus_key
+from motorhil.motorapi.synchronization.bus_load import NodeTraffic, PeriodicMessage, note_node
 
 if TYPE_CHECKING:
-    from motorapi.adaptations.canopen.pdo_setup import PdoFound
-    import can
-    from motorapi.locking.process_lock import LockHandle, ProcessLock
     from collections.abc import Hashable
-    from motorapi.runtime.api import Runtime
-    from motorapi.locking.process_lock import LockHandle
+
+    import can
+
+    from motorhil.motorapi.adaptations.canopen.pdo_setup import PdoFound
+    from motorhil.motorapi.locking.process_lock import LockHandle, ProcessLock
+    from motorhil.motorapi.runtime.api import Runtime
+
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -18,15 +18,19 @@ output acts, one and a half cycles later. U is the motor's unit of position: rad
 """
 
 from dataclasses import dataclass, fields, replace
-from math import isfinite
-from typing import Self, final
-from motorapi.commands import as_number
-from motorapi.errors import UsageError
-from dataclasses import dataclass
 from math import inf, isfinite
-from typing import Final, final
-from motorapi.adaptations.host_servo.demand import CURRENT, POSITION, VELOCITY, Braking, Course
-from motorapi.errors import MotorError, PluginError
+from typing import Final, Self, final
+
+from motorhil.motorapi.adaptations.host_servo.demand import (
+    CURRENT,
+    POSITION,
+    VELOCITY,
+    Braking,
+    Course,
+)
+from motorhil.motorapi.commands import as_number
+from motorhil.motorapi.errors import MotorError, PluginError, UsageError
+
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)

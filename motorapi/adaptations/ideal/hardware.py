@@ -3,15 +3,20 @@
 from typing import TYPE_CHECKING, Final, final
 from weakref import WeakValueDictionary
 
-from motorapi.adaptations.ideal.profiles import Course, Held, Ramped, Reading, course_of
-from motorapi.errors import LinkError, MotorError, UsageError
-from motorapi.ownership.physical_motor import PhysicalMotor, RunStatus, register_physical_motor, release_physical_motor
-from motorapi.state import Fault, MotorState
-from motorapi.runtime.api import ChangeCounter
+from motorhil.motorapi.adaptations.ideal.profiles import Course, Held, Ramped, Reading, course_of
+from motorhil.motorapi.errors import LinkError, MotorError, UsageError
+from motorhil.motorapi.ownership.physical_motor import (
+    PhysicalMotor,
+    RunStatus,
+    register_physical_motor,
+    release_physical_motor,
+)
+from motorhil.motorapi.runtime.api import ChangeCounter
+from motorhil.motorapi.state import Fault, MotorState
 
 if TYPE_CHECKING:
-    from motorapi.commands import Motion
-    from motorapi.runtime.api import Registration, Runtime
+    from motorhil.motorapi.commands import Motion
+    from motorhil.motorapi.runtime.api import Registration, Runtime
 
 LOOK_PERIOD_S: Final = 0.001
 """The period with which a moving motor reports its status [s], as a drive does by cyclic messages.

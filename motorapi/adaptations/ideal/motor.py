@@ -23,28 +23,24 @@ which no real motor can do. This distinguishes it from a trajectory. In torque a
 the shaft is held: the motor exerts torque and stands still.
 """
 
-from collections.abc import Callable
-from typing import TYPE_CHECKING, Final, final
-from motorapi.adaptations.ideal.hardware import IdealHwMotor
-from motorapi.synchronization.can_response_time import Firing
-from motorapi.commands import ControlMode, ControlVariable, Motion, Setpoint
-from motorapi.errors import DeviceFault, LinkError, UnsupportedError
-from motorapi.motor import Motor
-from motorapi.state import Fault, Measurement, MotorState
-from motorapi.synchronization.quality import MotionTimes, SyncLevel, SyncOffer, Trigger
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from math import isfinite
-from typing import TYPE_CHECKING, Final
-from motorapi.adaptations.registration import Shared, refuse_unknown
-from motorapi.adaptations.ideal.hardware import IdealHwMotor, IdealTrigger
-from motorapi.commands import as_number
-from motorapi.errors import UsageError
-from motorapi.model import MotionKind
+from typing import TYPE_CHECKING, Final, final
+
+from motorhil.motorapi.adaptations.ideal.hardware import IdealHwMotor
+from motorhil.motorapi.adaptations.registration import Shared, refuse_unknown
+from motorhil.motorapi.commands import ControlMode, ControlVariable, Motion, Setpoint, as_number
+from motorhil.motorapi.errors import DeviceFault, LinkError, UnsupportedError, UsageError
+from motorhil.motorapi.model import MotionKind
+from motorhil.motorapi.motor import Motor
+from motorhil.motorapi.state import Fault, Measurement, MotorState
+from motorhil.motorapi.synchronization.can_response_time import Firing
+from motorhil.motorapi.synchronization.quality import MotionTimes, SyncLevel, SyncOffer, Trigger
 
 if TYPE_CHECKING:
-    from motorapi.model import MotorModel
-    from motorapi.trajectory import Trajectory
-    from motorapi.runtime.api import Runtime
+    from motorhil.motorapi.model import MotorModel
+    from motorhil.motorapi.runtime.api import Runtime
+    from motorhil.motorapi.trajectory import Trajectory
 
 _HERE_IS_ZERO: Final = (None, 35, 37)
 

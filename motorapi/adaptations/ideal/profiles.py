@@ -11,10 +11,10 @@ from collections.abc import Callable
 from math import inf
 from typing import Final, NamedTuple, Protocol, final
 
-from motorapi.trajectory import Argument, value_of
-from motorapi.commands import ControlMode, ControlVariable, Motion
-from motorapi.planning.sampling import Demand, demand_of, ramps
-from motorapi.errors import MotorError, PluginError
+from motorhil.motorapi.commands import ControlMode, ControlVariable, Motion
+from motorhil.motorapi.errors import MotorError, PluginError
+from motorhil.motorapi.planning.sampling import Demand, demand_of, ramps
+from motorhil.motorapi.trajectory import Argument, value_of
 
 _LONGEST_S: Final = 9.2e9
 """The longest duration with a known end [s], three centuries."""

@@ -25,26 +25,28 @@ fields repeated in a response, MODBUS Application Protocol V1.1b3, sections 6.3,
 Errors of Modbus servers: refusals and invalid answers, below PeerError.
 """
 
-from typing import TYPE_CHECKING, Final, final
-from pymodbus.exceptions import ModbusException
-from pymodbus.framer import FramerRTU, FramerSocket
-from pymodbus.pdu import DecodePDU, ModbusPDU
-from pymodbus.pdu.exceptionresponse import ExceptionResponse
-from pymodbus.pdu.register_message import ReadHoldingRegistersRequest, WriteMultipleRegistersRequest, WriteSingleRegisterRequest
-from typing import Final, final
-from motorapi.errors import DeadlineExceeded, PeerError
 from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
 from typing import TYPE_CHECKING, Final, Protocol, final
+
 from pymodbus.client.mixin import ModbusClientMixin
-from pymodbus.pdu import ModbusPDU
-from motorapi.errors import DeadlineExceeded, LinkError, MotorError
-from motorapi.runtime.api import Registration, Runtime
+from pymodbus.exceptions import ModbusException
+from pymodbus.framer import FramerRTU, FramerSocket
+from pymodbus.pdu import DecodePDU, ModbusPDU
+from pymodbus.pdu.exceptionresponse import ExceptionResponse
+from pymodbus.pdu.register_message import (
+    ReadHoldingRegistersRequest,
+    WriteMultipleRegistersRequest,
+    WriteSingleRegisterRequest,
+)
+
+from motorhil.motorapi.errors import DeadlineExceeded, LinkError, MotorError, PeerError
+from motorhil.motorapi.runtime.api import Registration, Runtime
 
 if TYPE_CHECKING:
-    from motorapi.ownership.fencing import Owned
-    from motorapi.locking.process_lock import LockHandle, ProcessLock
+    from motorhil.motorapi.locking.process_lock import LockHandle, ProcessLock
+    from motorhil.motorapi.ownership.fencing import Owned
 
 _HEAD: Final = 7  # of MBAP, with the unit
 _LENGTHS: Final = range(2, 255)  # in MBAP: of the unit and a PDU
@@ -173,7 +175,6 @@ def _decoded(framer: FramerRTU | FramerSocket, adu: bytes, exchange: Exchange) -
 
 
 # ruff: noqa: N818 -- the specification's names, and what happened
-
 
 
 GATEWAY_TARGET_FAILED: Final = 0x0B
@@ -432,7 +433,7 @@ class ModbusLine:
         """Take the lock between processes; return False if another process holds it."""
         if self._lock is None or self._hold is not None:
             return True
-        from motorapi.errors import MotorBusyError
+        from motorhil.motorapi.errors import MotorBusyError
 
         try:
             self._hold = self._lock.acquire(self.runtime, "a Modbus exchange", 0.0, self)
@@ -571,6 +572,6 @@ class UnitClient(ModbusClientMixin[ModbusPDU]):
 
 
 if TYPE_CHECKING:  # mypy checks that these classes implement ByteLine
-    from motorapi.runtime.byte_streams import SerialLine, TcpLine
+    from motorhil.motorapi.runtime.byte_streams import SerialLine, TcpLine
 
     _ON_THE_WALL: tuple[type[ByteLine], ...] = (SerialLine, TcpLine)

@@ -10,31 +10,34 @@ Rounding to the registers of a polled drive, without exceeding a limit.
 Shared part of the `build` functions of polled drives.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import Enum
-from typing import TYPE_CHECKING, Final, Protocol, final
-from motorapi.adaptations.modbus.client import is_silence
-from motorapi.commands import ControlMode, ControlVariable, Motion
-from motorapi.errors import DeviceFault, LinkError, MotionInterrupted, UnsupportedError
-from motorapi.motor import Motor
-from motorapi.state import Fault, Measurement, MotorState
-from motorapi.synchronization.quality import MotionTimes, SyncLevel, SyncOffer, Trigger
 from math import floor
-from typing import TYPE_CHECKING, Final
-from motorapi.errors import LimitError, UsageError
-from motorapi.model import MotionKind
-from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, Final, Protocol, TypeVar
-from motorapi.adaptations.registration import Shared, number, refuse_unknown
-from motorapi.errors import UsageError
+from typing import TYPE_CHECKING, Final, Protocol, TypeVar, final
+
+from motorhil.motorapi.adaptations.modbus.client import is_silence
+from motorhil.motorapi.adaptations.registration import Shared, number, refuse_unknown
+from motorhil.motorapi.commands import ControlMode, ControlVariable, Motion
+from motorhil.motorapi.errors import (
+    DeviceFault,
+    LimitError,
+    LinkError,
+    MotionInterrupted,
+    UnsupportedError,
+    UsageError,
+)
+from motorhil.motorapi.model import MotionKind
+from motorhil.motorapi.motor import Motor
+from motorhil.motorapi.state import Fault, Measurement, MotorState
+from motorhil.motorapi.synchronization.quality import MotionTimes, SyncLevel, SyncOffer, Trigger
 
 if TYPE_CHECKING:
-    from motorapi.model import MotorModel
-    from motorapi.runtime.api import Runtime
-    from motorapi.ownership.physical_motor import PhysicalMotor
-    from motorapi.adaptations.modbus.client import ByteLine
-    from motorapi.adaptations.modbus.unit import ModbusUnit
+    from motorhil.motorapi.adaptations.modbus.client import ByteLine
+    from motorhil.motorapi.adaptations.modbus.unit import ModbusUnit
+    from motorhil.motorapi.model import MotorModel
+    from motorhil.motorapi.ownership.physical_motor import PhysicalMotor
+    from motorhil.motorapi.runtime.api import Runtime
 
 POLL_S: Final = 0.01
 _BEGIN_NS: Final = 100_000_000

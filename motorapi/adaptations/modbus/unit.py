@@ -13,19 +13,26 @@ from pymodbus.pdu.register_message import (
     WriteSingleRegisterRequest,
 )
 
-from motorapi.adaptations.modbus.client import Exchange
-from motorapi.adaptations.modbus.client import ModbusProtocolViolation, is_silence
-from motorapi.adaptations.modbus.client import ByteLine, ModbusLine
-from motorapi.errors import DeadlineExceeded, LinkError, MotorError, PeerError, UsageError
-from motorapi.locking.directory import line_name
-from motorapi.locking.process_lock import ProcessLock, can_share_time
-from motorapi.ownership.physical_motor import register_physical_motor, release_physical_motor
+from motorhil.motorapi.adaptations.modbus.client import (
+    ByteLine,
+    Exchange,
+    ModbusLine,
+    ModbusProtocolViolation,
+    is_silence,
+)
+from motorhil.motorapi.errors import DeadlineExceeded, LinkError, MotorError, PeerError, UsageError
+from motorhil.motorapi.locking.directory import line_name
+from motorhil.motorapi.locking.process_lock import ProcessLock, can_share_time
+from motorhil.motorapi.ownership.physical_motor import (
+    register_physical_motor,
+    release_physical_motor,
+)
 
 if TYPE_CHECKING:
     from pymodbus.pdu import ModbusPDU
 
-    from motorapi.ownership.fencing import Owned
-    from motorapi.runtime.api import Runtime
+    from motorhil.motorapi.ownership.fencing import Owned
+    from motorhil.motorapi.runtime.api import Runtime
 
 _LINES: Final[dict[int, ModbusLine]] = {}  # by id(line), which stays unique while we hold the line
 

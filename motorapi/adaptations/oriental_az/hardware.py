@@ -12,20 +12,24 @@ from dataclasses import replace
 from math import floor, pi
 from typing import TYPE_CHECKING, Final, final
 
-from motorapi.adaptations.modbus.client import Exchange
-from motorapi.adaptations.modbus.client import ByteLine
-from motorapi.adaptations.modbus.unit import ModbusUnit, words
-from motorapi.adaptations.modbus.polled_motor import Poll, PolledProgress
-from motorapi.adaptations.modbus.polled_motor import check_register, gear, toward_zero
-from motorapi.commands import ControlVariable, Motion
-from motorapi.errors import DeadlineExceeded, UnsupportedError
-from motorapi.model import MotionKind
-from motorapi.state import Fault, MotorState
+from motorhil.motorapi.adaptations.modbus.client import ByteLine, Exchange
+from motorhil.motorapi.adaptations.modbus.polled_motor import (
+    Poll,
+    PolledProgress,
+    check_register,
+    gear,
+    toward_zero,
+)
+from motorhil.motorapi.adaptations.modbus.unit import ModbusUnit, words
+from motorhil.motorapi.commands import ControlVariable, Motion
+from motorhil.motorapi.errors import DeadlineExceeded, UnsupportedError
+from motorhil.motorapi.model import MotionKind
+from motorhil.motorapi.state import Fault, MotorState
 
 if TYPE_CHECKING:
-    from motorapi.model import MotorModel
-    from motorapi.runtime.api import Runtime
-    from motorapi.ownership.physical_motor import PhysicalMotor
+    from motorhil.motorapi.model import MotorModel
+    from motorhil.motorapi.ownership.physical_motor import PhysicalMotor
+    from motorhil.motorapi.runtime.api import Runtime
 
 _BLOCK: Final = 0x0058
 _TRIGGER_AT: Final = 14  # in the block

@@ -11,15 +11,18 @@
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Final, final
 
-from motorapi.adaptations.registration import Shared, as_name
-from motorapi.adaptations.oriental_az.hardware import OrientalAzHwMotor
-from motorapi.adaptations.modbus.polled_motor import BUS_KINDS, shared_hardware
-from motorapi.adaptations.modbus.polled_motor import PolledMotor
+from motorhil.motorapi.adaptations.modbus.polled_motor import (
+    BUS_KINDS,
+    PolledMotor,
+    shared_hardware,
+)
+from motorhil.motorapi.adaptations.oriental_az.hardware import OrientalAzHwMotor
+from motorhil.motorapi.adaptations.registration import Shared, as_name
 
 if TYPE_CHECKING:
-    from motorapi.adaptations.modbus.client import ByteLine
-    from motorapi.model import MotorModel
-    from motorapi.runtime.api import Runtime
+    from motorhil.motorapi.adaptations.modbus.client import ByteLine
+    from motorhil.motorapi.model import MotorModel
+    from motorhil.motorapi.runtime.api import Runtime
 
 
 _SHARED: Final[Shared[OrientalAzHwMotor]] = Shared("drive")

@@ -10,8 +10,8 @@ from collections.abc import Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
-from harness.conformance.kit import all_clauses
-from harness.conformance.run import run_clauses
+from motorhil.harness.conformance.kit import all_clauses
+from motorhil.harness.conformance.run import run_clauses
 from tests.conformance.benches import opener
 from tests.conformance.mutants import MUTANTS
 from tests.conformance.mutants.everyone import MODULES

@@ -1,9 +1,9 @@
 """Mistakes in homing, low-level access and closing."""
 
-from motorapi import motor as low_level
-from motorapi.adaptations.ideal.hardware import IdealHwMotor
-from motorapi.adaptations.ideal.motor import IdealMotor
-from motorapi.adaptations.modbus.polled_motor import PolledMotor
+from motorhil.motorapi import motor as low_level
+from motorhil.motorapi.adaptations.ideal.hardware import IdealHwMotor
+from motorhil.motorapi.adaptations.ideal.motor import IdealMotor
+from motorhil.motorapi.adaptations.modbus.polled_motor import PolledMotor
 from tests.conformance.mutants import mutant, replaced
 
 

@@ -3,17 +3,17 @@
 from dataclasses import replace
 from math import ceil, inf, remainder, tau
 
-from motorapi.adaptations.cia402 import controlword as drive_control
-from motorapi.adaptations.cia402 import motion as drive_motions
-from motorapi.adaptations.leadshine import hardware as leadshine_hardware
-from motorapi.adaptations.cia402.motor import Cia402Motor
-from motorapi.adaptations.cia402.motion import DriveMotions
-from motorapi.adaptations.ideal.motor import IdealMotor
-from motorapi.adaptations.leadshine.hardware import LeadshineHwMotor
-from motorapi.adaptations.modbus.polled_motor import PolledMotor
-from motorapi.adaptations.host_servo.motor import SoftwareMotor
-from motorapi.commands import ControlMode, ControlVariable, Setpoint
-from motorapi.trajectory import TrapezoidalTrajectory
+from motorhil.motorapi.adaptations.cia402 import controlword as drive_control
+from motorhil.motorapi.adaptations.cia402 import motion as drive_motions
+from motorhil.motorapi.adaptations.cia402.motion import DriveMotions
+from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
+from motorhil.motorapi.adaptations.host_servo.motor import SoftwareMotor
+from motorhil.motorapi.adaptations.ideal.motor import IdealMotor
+from motorhil.motorapi.adaptations.leadshine import hardware as leadshine_hardware
+from motorhil.motorapi.adaptations.leadshine.hardware import LeadshineHwMotor
+from motorhil.motorapi.adaptations.modbus.polled_motor import PolledMotor
+from motorhil.motorapi.commands import ControlMode, ControlVariable, Setpoint
+from motorhil.motorapi.trajectory import TrapezoidalTrajectory
 from tests.conformance.mutants import motions_changed, mutant, replaced
 
 POSITION, VELOCITY = ControlVariable.POSITION, ControlVariable.VELOCITY

@@ -1,12 +1,11 @@
 """Mistakes that show only with destroyed frames and error counters."""
 
-from motorapi.adaptations.canopen.bus import CanopenLink
-from motorapi.adaptations.cia402.objects import error_text
-from motorapi.adaptations.cia402.measurements import DriveReader
-from motorapi.adaptations.canopen.sdo import ChannelClient
-from motorapi.adaptations.canopen.bus import Transmissions
-from motorapi.runtime.can_sources import BusCondition, BusStatus
-from motorapi.state import Fault, MotorState
+from motorhil.motorapi.adaptations.canopen.bus import CanopenLink, Transmissions
+from motorhil.motorapi.adaptations.canopen.sdo import ChannelClient
+from motorhil.motorapi.adaptations.cia402.measurements import DriveReader
+from motorhil.motorapi.adaptations.cia402.objects import error_text
+from motorhil.motorapi.runtime.can_sources import BusCondition, BusStatus
+from motorhil.motorapi.state import Fault, MotorState
 from tests.conformance.mutants import mutant, replaced
 
 
@@ -42,7 +41,7 @@ def what_was_lost_with_the_bus_is_still_awaited():
 @mutant("software", "BUS-01")
 def a_failure_is_for_ever():
     """A failure of the bus is reported again after a later stop."""
-    from motorapi.adaptations.host_servo.motor import SoftwareMotor
+    from motorhil.motorapi.adaptations.host_servo.motor import SoftwareMotor
 
     def wrong(slow_down):
         def slowed(motor, deceleration, *, quickly=False):

@@ -2,12 +2,12 @@
 
 from dataclasses import replace
 
-from motorapi import motor as motor_module
-from motorapi.adaptations.cia402.motor import Cia402Motor
-from motorapi.adaptations.ideal.hardware import IdealHwMotor
-from motorapi.adaptations.ideal.motor import IdealMotor
-from motorapi.adaptations.modbus.polled_motor import PolledMotor
-from motorapi.errors import DeadlineExceeded
+from motorhil.motorapi import motor as motor_module
+from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
+from motorhil.motorapi.adaptations.ideal.hardware import IdealHwMotor
+from motorhil.motorapi.adaptations.ideal.motor import IdealMotor
+from motorhil.motorapi.adaptations.modbus.polled_motor import PolledMotor
+from motorhil.motorapi.errors import DeadlineExceeded
 from tests.conformance.mutants import mutant, replaced
 
 

@@ -1,10 +1,10 @@
 """Mistakes with faults, lost answers and silent drives."""
 
-from motorapi.adaptations.leadshine import hardware as leadshine_hardware
-from motorapi.adaptations.leadshine.hardware import LeadshineHwMotor
-from motorapi.adaptations.modbus.unit import ModbusUnit
-from motorapi.adaptations.modbus.polled_motor import PolledMotor
-from motorapi.errors import DeviceFault, LinkError, MotorError
+from motorhil.motorapi.adaptations.leadshine import hardware as leadshine_hardware
+from motorhil.motorapi.adaptations.leadshine.hardware import LeadshineHwMotor
+from motorhil.motorapi.adaptations.modbus.polled_motor import PolledMotor
+from motorhil.motorapi.adaptations.modbus.unit import ModbusUnit
+from motorhil.motorapi.errors import DeviceFault, LinkError, MotorError
 from tests.conformance.mutants import mutant, replaced
 
 

@@ -2,12 +2,10 @@
 
 from dataclasses import replace
 
-from motorapi import execution
-from motorapi import group
-from motorapi import MotorGroup, Synchronization
-from motorapi.adaptations.cia402.motor import Cia402Motor
-from motorapi.group import CommonMotion
-from motorapi.errors import MotorError
+from motorhil.motorapi import MotorGroup, Synchronization, execution, group
+from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
+from motorhil.motorapi.errors import MotorError
+from motorhil.motorapi.group import CommonMotion
 from tests.conformance.mutants import mutant, replaced
 from tests.harness.sharing.mutants import a_group_that_starts_before_all_are_armed
 

@@ -2,16 +2,16 @@
 
 from contextlib import suppress
 
-from motorapi.adaptations.cia402 import bringup as drive_setup
-from motorapi.adaptations.cia402.motor import Cia402Motor
-from motorapi.adaptations.cia402.csp import CspStream
-from motorapi.adaptations.cia402.node import DriveNode
-from motorapi.adaptations.cia402.object_access import DriveObjects
-from motorapi.adaptations.cia402.measurements import DriveReader
-from motorapi.adaptations.leadshine.hardware import LeadshineHwMotor
-from motorapi.adaptations.cia402.motion_status import StreamWatch
-from motorapi.adaptations.modbus.polled_motor import PolledMotor
-from motorapi.errors import DeadlineExceeded, DeviceFault, LinkError
+from motorhil.motorapi.adaptations.cia402 import bringup as drive_setup
+from motorhil.motorapi.adaptations.cia402.csp import CspStream
+from motorhil.motorapi.adaptations.cia402.measurements import DriveReader
+from motorhil.motorapi.adaptations.cia402.motion_status import StreamWatch
+from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
+from motorhil.motorapi.adaptations.cia402.node import DriveNode
+from motorhil.motorapi.adaptations.cia402.object_access import DriveObjects
+from motorhil.motorapi.adaptations.leadshine.hardware import LeadshineHwMotor
+from motorhil.motorapi.adaptations.modbus.polled_motor import PolledMotor
+from motorhil.motorapi.errors import DeadlineExceeded, DeviceFault, LinkError
 from tests.conformance.mutants import mutant, replaced
 
 PREPARATION = (0x06, 0x07, 0x0F)  # CiA 402-2: to operation enabled

@@ -3,10 +3,10 @@
 from dataclasses import replace
 from math import isnan
 
-from motorapi.planning import single_axis as planning
-from motorapi.adaptations.cia402.motor import Cia402Motor
-from motorapi.commands import ControlMode, ControlVariable, DerivativeLimits
-from motorapi.trajectory import TrapezoidalTrajectory
+from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
+from motorhil.motorapi.commands import ControlMode, ControlVariable, DerivativeLimits
+from motorhil.motorapi.planning import single_axis as planning
+from motorhil.motorapi.trajectory import TrapezoidalTrajectory
 from tests.conformance.mutants import mutant, replaced
 
 
@@ -31,7 +31,7 @@ def limits_of_position_ignored_in_trajectories():
 @mutant("ideal", "LIM-02")
 def limits_hold_upwards_only():
     """Limits are compared with the signed value: backwards nothing is too fast."""
-    from motorapi.planning import limits
+    from motorhil.motorapi.planning import limits
 
     def wrong(value_range):
         def found(model, variable):

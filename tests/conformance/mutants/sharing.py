@@ -2,14 +2,14 @@
 
 from contextlib import contextmanager
 
-from motorapi import Motor, MotorBusyError
-from motorapi.adaptations.cia402.motor import Cia402Motor
-from motorapi.adaptations.cia402.object_access import DriveObjects
-from motorapi.adaptations.ideal.motor import IdealMotor
-from motorapi.adaptations.modbus.polled_motor import PolledMotor
-from motorapi.adaptations.host_servo.hardware import AmplifierHwMotor
-from motorapi.motor import SharedMotor
-from motorapi.ownership.physical_motor import PhysicalMotor, RunStatus
+from motorhil.motorapi import Motor, MotorBusyError
+from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
+from motorhil.motorapi.adaptations.cia402.object_access import DriveObjects
+from motorhil.motorapi.adaptations.host_servo.hardware import AmplifierHwMotor
+from motorhil.motorapi.adaptations.ideal.motor import IdealMotor
+from motorhil.motorapi.adaptations.modbus.polled_motor import PolledMotor
+from motorhil.motorapi.motor import SharedMotor
+from motorhil.motorapi.ownership.physical_motor import PhysicalMotor, RunStatus
 from tests.conformance.mutants import mutant, replaced
 from tests.harness.sharing.mutants import a_lock_without_fifo, no_fencing
 

@@ -1,7 +1,7 @@
 """Clauses that kill no mutant alone, and the reasons to keep them."""
 
 WHY_IT_STAYS: dict[str, str] = {
-    "SHARE-11": "it finds mistakes of any kind; harness.sharing_tests's mutants prove it",
+    "SHARE-11": "it finds mistakes of any kind; motorhil.harness.sharing_tests's mutants prove it",
     "SYNC-01": "it is Algorithm 2 itself; members that start apart also leave the line of SYNC-08",
     "SYNC-05": "our adaptations ask each drive before they arm any, and so notice a lost one",
     "LOST-02": "a cable and a host are lost separately, with one dead-man here; elsewhere with two",

@@ -3,12 +3,12 @@
 from contextlib import contextmanager
 from dataclasses import replace
 
-from motorapi.adaptations.ideal.profiles import Held
-from motorapi.adaptations.ideal.hardware import IdealHwMotor
-from motorapi.adaptations.ideal.motor import IdealMotor
-from motorapi.adaptations.leadshine.hardware import LeadshineHwMotor
-from motorapi.commands import ControlMode, ControlVariable
-from motorapi.state import MotorState
+from motorhil.motorapi.adaptations.ideal.hardware import IdealHwMotor
+from motorhil.motorapi.adaptations.ideal.motor import IdealMotor
+from motorhil.motorapi.adaptations.ideal.profiles import Held
+from motorhil.motorapi.adaptations.leadshine.hardware import LeadshineHwMotor
+from motorhil.motorapi.commands import ControlMode, ControlVariable
+from motorhil.motorapi.state import MotorState
 from tests.conformance.mutants import motions_changed, mutant, replaced
 
 

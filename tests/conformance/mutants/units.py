@@ -3,12 +3,12 @@
 from dataclasses import replace
 from math import degrees, tau
 
-from motorapi.adaptations.cia402.motor import Cia402Motor
-from motorapi.adaptations.cia402.measurements import DriveReader
-from motorapi.adaptations.ideal.hardware import IdealHwMotor
-from motorapi.adaptations.leadshine.hardware import LeadshineHwMotor
-from motorapi.adaptations.modbus.polled_motor import PolledMotor
-from motorapi.state import MotorState
+from motorhil.motorapi.adaptations.cia402.measurements import DriveReader
+from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
+from motorhil.motorapi.adaptations.ideal.hardware import IdealHwMotor
+from motorhil.motorapi.adaptations.leadshine.hardware import LeadshineHwMotor
+from motorhil.motorapi.adaptations.modbus.polled_motor import PolledMotor
+from motorhil.motorapi.state import MotorState
 from tests.conformance.mutants import motions_changed, mutant, replaced
 
 
@@ -42,7 +42,7 @@ def sign_of_the_gear_forgotten():
         way = motion.target - motion.start
         return replace(motion, target=motion.start - way) if motor.name == "right" else motion
 
-    from motorapi.adaptations.ideal.motor import IdealMotor
+    from motorhil.motorapi.adaptations.ideal.motor import IdealMotor
 
     with motions_changed(IdealMotor, turned):
         yield

@@ -2,9 +2,9 @@
 
 from struct import Struct
 
-from emulators.canopen.node import CanopenNode
-from emulators.canopen.outbox import NodeTiming
-from emulators.canopen.object_dictionary import DataType, ObjectDictionary, Value, Variable
+from motorhil.emulators.canopen.node import CanopenNode
+from motorhil.emulators.canopen.object_dictionary import DataType, ObjectDictionary, Value, Variable
+from motorhil.emulators.canopen.outbox import NodeTiming
 
 MS = 1_000_000
 NODE_ID = 2

@@ -3,7 +3,7 @@
 import canopen
 from canopen.objectdictionary import ODRecord, ODVariable
 
-from emulators.canopen.object_dictionary import DataType, ObjectDictionary
+from motorhil.emulators.canopen.object_dictionary import DataType, ObjectDictionary
 from tests.emulators.canopen.bench_node import MS, NODE_ID, Bench
 
 

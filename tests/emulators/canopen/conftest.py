@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from emulators.canopen.files.eds import EdsError, read_eds
+from motorhil.emulators.canopen.files.eds import EdsError, read_eds
 
 
 @pytest.fixture

@@ -13,8 +13,8 @@ import pytest
 from hypothesis import event, given
 from hypothesis import strategies as st
 
-import emulators
-from emulators.canopen.files.eds import read_eds
+from motorhil import emulators
+from motorhil.emulators.canopen.files.eds import read_eds
 from tests.emulators.canopen.bench_node import NODE_ID, Bench
 
 EDS = Path(emulators.__file__).parent / "eds"

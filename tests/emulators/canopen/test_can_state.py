@@ -7,9 +7,9 @@ written here as candump shows them on SocketCAN: identifier with its classes, ei
 
 import pytest
 
-from emulators.canopen.emcy import CanState, state_in
-from emulators.canopen.nmt import NmtState
-from emulators.can.error_confinement import CONTROLLER, TX_PASSIVE, pack_error
+from motorhil.emulators.can.error_confinement import CONTROLLER, TX_PASSIVE, pack_error
+from motorhil.emulators.canopen.emcy import CanState, state_in
+from motorhil.emulators.canopen.nmt import NmtState
 from tests.emulators.canopen.bench_node import MS, Bench, dictionary, frame, put_pdo
 
 PASSIVE = (0x2000_0204, "00 20 00 00 00 00 80 00")

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import event, example, given
 from hypothesis import strategies as st
 
-from emulators.canopen.object_dictionary import DataType, integer_range, is_integer
+from motorhil.emulators.canopen.object_dictionary import DataType, integer_range, is_integer
 from tests.emulators.canopen.bench_node import MS, Bench, dictionary, put, put_pdo
 from tests.emulators.canopen.canopen_loop import Loop, raw_of
 

@@ -4,10 +4,9 @@ from pathlib import Path
 
 import pytest
 
-import emulators
-from emulators.canopen.files.device_description import DeviceDescription
-from emulators.canopen.files.eds import EdsError, _Reader, read_eds
-from emulators.canopen.files.eds import EdsText
+from motorhil import emulators
+from motorhil.emulators.canopen.files.device_description import DeviceDescription
+from motorhil.emulators.canopen.files.eds import EdsError, EdsText, _Reader, read_eds
 from tests.emulators.canopen.eds_texts import GOOD
 
 OWN = Path(emulators.__file__).parent / "eds" / "motorhil_cia402.eds"

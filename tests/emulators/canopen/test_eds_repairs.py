@@ -4,8 +4,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from emulators.canopen.files.eds import EdsError, read_eds
-from emulators.canopen.object_dictionary import DataType
+from motorhil.emulators.canopen.files.eds import EdsError, read_eds
+from motorhil.emulators.canopen.object_dictionary import DataType
 from tests.emulators.canopen.eds_texts import GOOD, line_of, variable, warned
 
 

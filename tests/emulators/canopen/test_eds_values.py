@@ -2,7 +2,7 @@
 
 import pytest
 
-from emulators.canopen.object_dictionary import DataType
+from motorhil.emulators.canopen.object_dictionary import DataType
 from tests.emulators.canopen.eds_texts import GOOD, line_of, variable, warned
 
 

@@ -3,7 +3,7 @@
 from hypothesis import event, given
 from hypothesis import strategies as st
 
-from emulators.canopen.nmt import NmtState
+from motorhil.emulators.canopen.nmt import NmtState
 from tests.emulators.canopen.bench_node import MS, NODE_ID, Bench, Host, dictionary, put_pdo
 
 INDICES = (0x1001, 0x1003, 0x1005, 0x1014, 0x1016, 0x1017, 0x1018, 0x1400, 0x1401, 0x1600, 0x1601,

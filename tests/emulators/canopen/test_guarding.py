@@ -2,7 +2,7 @@
 
 import pytest
 
-from emulators.canopen.nmt import NmtState
+from motorhil.emulators.canopen.nmt import NmtState
 from tests.emulators.canopen.bench_node import (
     MS,
     NODE_ID,

@@ -1,6 +1,6 @@
 """Heartbeat producer 1017h and consumer 1016h (CiA 301, 7.2.8.2.2), to the nanosecond."""
 
-from emulators.canopen.nmt import NmtState
+from motorhil.emulators.canopen.nmt import NmtState
 from tests.emulators.canopen.bench_node import MS, Bench, dictionary
 
 

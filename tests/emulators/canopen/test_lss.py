@@ -2,12 +2,12 @@
 
 import pytest
 
-from emulators.canopen.lss import UNCONFIGURED
-from emulators.canopen.nmt import NmtState
-from emulators.canopen.node import CanopenNode
-from emulators.canopen.outbox import NodeTiming
-from emulators.canopen.object_dictionary import ObjectDictionary
-from emulators.controller import RigMemory
+from motorhil.emulators.canopen.lss import UNCONFIGURED
+from motorhil.emulators.canopen.nmt import NmtState
+from motorhil.emulators.canopen.node import CanopenNode
+from motorhil.emulators.canopen.object_dictionary import ObjectDictionary
+from motorhil.emulators.canopen.outbox import NodeTiming
+from motorhil.emulators.controller import RigMemory
 from tests.emulators.canopen.bench_node import (
     MS,
     NODE_ID,

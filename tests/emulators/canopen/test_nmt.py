@@ -2,10 +2,10 @@
 
 import pytest
 
-from emulators.canopen.nmt import NmtState
-from emulators.canopen.node import CanopenNode
-from emulators.canopen.outbox import NodeTiming
-from emulators.canopen.object_dictionary import ObjectDictionary
+from motorhil.emulators.canopen.nmt import NmtState
+from motorhil.emulators.canopen.node import CanopenNode
+from motorhil.emulators.canopen.object_dictionary import ObjectDictionary
+from motorhil.emulators.canopen.outbox import NodeTiming
 from tests.emulators.canopen.bench_node import MS, NODE_ID, Bench, Host, dictionary, put_pdo
 
 START, STOP, PRE_OPERATIONAL, RESET_NODE, RESET_COMMUNICATION = 1, 2, 128, 129, 130

@@ -2,7 +2,7 @@
 
 import pytest
 
-from emulators.canopen.object_dictionary import DataType, ObjectDictionary
+from motorhil.emulators.canopen.object_dictionary import DataType, ObjectDictionary
 from tests.emulators.canopen.bench_node import (
     MS,
     NODE_ID,

@@ -8,7 +8,17 @@ from canopen.objectdictionary import ODVariable
 from hypothesis import given
 from hypothesis import strategies as st
 
-from emulators.canopen.object_dictionary import DataType, ObjectDictionary, Variable, decode, encode, integer_range, is_integer, length_bits, zero
+from motorhil.emulators.canopen.object_dictionary import (
+    DataType,
+    ObjectDictionary,
+    Variable,
+    decode,
+    encode,
+    integer_range,
+    is_integer,
+    length_bits,
+    zero,
+)
 
 NUMBERS = [data_type for data_type in DataType if is_integer(data_type)]
 # canopen has no number type for these two: it leaves them as bytes

@@ -6,10 +6,10 @@ import canopen
 import pytest
 from canopen.sdo.exceptions import SdoAbortedError
 
-from emulators.canopen.node import CanopenNode
-from emulators.canopen.outbox import NodeTiming
-from emulators.canopen.object_dictionary import ObjectDictionary
-from emulators.controller import RigMemory
+from motorhil.emulators.canopen.node import CanopenNode
+from motorhil.emulators.canopen.object_dictionary import ObjectDictionary
+from motorhil.emulators.canopen.outbox import NodeTiming
+from motorhil.emulators.controller import RigMemory
 from tests.emulators.canopen.bench_node import (
     INTEGER32,
     MS,
@@ -245,7 +245,7 @@ def resigned(data: bytes, old: bytes, new: bytes) -> bytes:
     return text + b"end 3 %08X\n" % zlib.crc32(text)
 
 
-@pytest.mark.parametrize("theirs", [b"import motorapi\n", bytes(range(256)), None])
+@pytest.mark.parametrize("theirs", [b"from motorhil import motorapi\n", bytes(range(256)), None])
 def test_foreign_text_is_never_overwritten(theirs):
     od = whole()
     if theirs is None:

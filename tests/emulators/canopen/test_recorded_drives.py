@@ -5,10 +5,10 @@ from pathlib import Path
 
 import pytest
 
-from emulators.canopen.files.eds import read_eds
-from emulators.canopen.node import CanopenNode
-from emulators.canopen.outbox import NodeTiming
-from emulators.canopen.object_dictionary import ObjectDictionary
+from motorhil.emulators.canopen.files.eds import read_eds
+from motorhil.emulators.canopen.node import CanopenNode
+from motorhil.emulators.canopen.object_dictionary import ObjectDictionary
+from motorhil.emulators.canopen.outbox import NodeTiming
 from tests.emulators.canopen.bench_node import MS, Bench, Host, frame, shown
 
 pytestmark = pytest.mark.data

@@ -2,7 +2,7 @@
 
 import pytest
 
-from emulators.canopen.object_dictionary import ObjectDictionary
+from motorhil.emulators.canopen.object_dictionary import ObjectDictionary
 from tests.emulators.canopen.bench_node import MS, Bench, dictionary, put_pdo
 
 CONTROLWORD, TARGET = 0x6040_0010, 0x607A_0020

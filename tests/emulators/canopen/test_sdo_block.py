@@ -4,7 +4,7 @@ import pytest
 from hypothesis import event, given
 from hypothesis import strategies as st
 
-from emulators.canopen.sdo_server import BlockDownload, BlockUpload, block_crc
+from motorhil.emulators.canopen.sdo_server import BlockDownload, BlockUpload, block_crc
 from tests.emulators.canopen.bench_node import Bench
 
 NAME = b"motorhil bench"  # 1008h of the bench

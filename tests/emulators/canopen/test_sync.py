@@ -6,7 +6,7 @@ Error codes are those of CiA 301's table of EMCY error codes. Refusal codes are 
 
 import pytest
 
-from emulators.canopen.object_dictionary import ObjectDictionary
+from motorhil.emulators.canopen.object_dictionary import ObjectDictionary
 from tests.emulators.canopen.bench_node import (
     MS,
     UNSIGNED8,

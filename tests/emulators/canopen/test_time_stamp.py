@@ -5,7 +5,7 @@ import struct
 import canopen
 import pytest
 
-from emulators.canopen.object_dictionary import DataType, ObjectDictionary
+from motorhil.emulators.canopen.object_dictionary import DataType, ObjectDictionary
 from tests.emulators.canopen.bench_node import UNSIGNED32, Bench, dictionary, put
 from tests.emulators.canopen.canopen_loop import Loop
 

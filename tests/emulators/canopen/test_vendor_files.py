@@ -8,9 +8,9 @@ from pathlib import Path
 import canopen
 import pytest
 
-from emulators.canopen.files.device_description import DeviceDescription
-from emulators.canopen.files.eds import EdsError, read_eds
-from emulators.canopen.object_dictionary import is_integer, is_signed, length_bits
+from motorhil.emulators.canopen.files.device_description import DeviceDescription
+from motorhil.emulators.canopen.files.eds import EdsError, read_eds
+from motorhil.emulators.canopen.object_dictionary import is_integer, is_signed, length_bits
 from tests.emulators.canopen.bench_node import NODE_ID, Bench
 from tests.emulators.canopen.canopen_loop import Loop, raw_of
 

@@ -3,9 +3,8 @@
 import struct
 from pathlib import Path
 
-from emulators.cia401.node import build
-from emulators.cia401.node import IoNode
-from emulators.controller import ControllerContext
+from motorhil.emulators.cia401.node import IoNode, build
+from motorhil.emulators.controller import ControllerContext
 from tests.emulators.cia402.bench import MS, NODE, Bench
 
 HOST = 127

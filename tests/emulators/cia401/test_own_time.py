@@ -4,10 +4,9 @@ from pathlib import Path
 
 import pytest
 
-from emulators.cia401.node import build
-from emulators.cia401.node import IoNode
-from emulators.controller import ControllerContext
-from emulators.firmware.clock import OwnTime
+from motorhil.emulators.cia401.node import IoNode, build
+from motorhil.emulators.controller import ControllerContext
+from motorhil.emulators.firmware.clock import OwnTime
 from tests.emulators.cia401.bench import IoBench
 from tests.emulators.cia402.bench import BOOT_UP, MS, NODE, Bench
 

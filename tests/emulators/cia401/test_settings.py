@@ -4,11 +4,11 @@ from pathlib import Path
 
 import pytest
 
-from emulators.cia401.node import build
-from emulators.cia401.settings import OWN_EDS, read_settings
-from emulators.cia402.settings import OWN_EDS as DRIVE_EDS
-from emulators.controller import ControllerContext, SettingError
-from emulators.plant.presets import PRESETS
+from motorhil.emulators.cia401.node import build
+from motorhil.emulators.cia401.settings import OWN_EDS, read_settings
+from motorhil.emulators.cia402.settings import OWN_EDS as DRIVE_EDS
+from motorhil.emulators.controller import ControllerContext, SettingError
+from motorhil.emulators.plant.presets import PRESETS
 
 
 def test_all_keys_except_node_id_have_defaults():

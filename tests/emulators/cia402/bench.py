@@ -8,9 +8,8 @@ import struct
 from collections.abc import Mapping
 from pathlib import Path
 
-from emulators.cia402.drive import Cia402Drive
-from emulators.cia402.drive import build
-from emulators.controller import ControllerContext
+from motorhil.emulators.cia402.drive import Cia402Drive, build
+from motorhil.emulators.controller import ControllerContext
 
 MS = 1_000_000
 NODE = 5

@@ -8,8 +8,8 @@ from collections.abc import Sequence
 from random import Random
 from typing import Final
 
-from emulators.cia402.drive import STIMULI
-from emulators.cia402.settings import EMULATED_MODES
+from motorhil.emulators.cia402.drive import STIMULI
+from motorhil.emulators.cia402.settings import EMULATED_MODES
 from tests.emulators.cia402.bench import MS
 from tests.emulators.cia402.standard import TABLE, State
 from tests.emulators.cia402.watched import Watched

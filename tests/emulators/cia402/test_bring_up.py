@@ -6,7 +6,7 @@ here with voltage 10h and remote 200h).
 
 import pytest
 
-from emulators.cia402.state_machine import PdsState
+from motorhil.emulators.cia402.state_machine import PdsState
 from tests.emulators.cia402.bench import BOOT_UP, ENABLE, MS, Bench
 
 

@@ -7,7 +7,7 @@ import canopen
 import pytest
 from canopen.profiles.p402 import OperationMode, State402
 
-from emulators.cia402.settings import EMULATED_MODES, OWN_EDS
+from motorhil.emulators.cia402.settings import EMULATED_MODES, OWN_EDS
 from tests.emulators.cia402.bench import MS, Bench
 from tests.emulators.cia402.canopen_client import connect, set_up
 from tests.emulators.cia402.homing_bench import Track

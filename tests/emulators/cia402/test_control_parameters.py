@@ -2,9 +2,9 @@
 
 import pytest
 
-from emulators.controller import SettingError
-from emulators.firmware.servo_tables import ServoGains
-from emulators.plant.presets import WHEEL_60W
+from motorhil.emulators.controller import SettingError
+from motorhil.emulators.firmware.servo_tables import ServoGains
+from motorhil.emulators.plant.presets import WHEEL_60W
 from tests.emulators.cia402.bench import MS, Bench, new_drive
 
 GAINS = ServoGains.tuned(WHEEL_60W, MS, 10)

@@ -4,8 +4,8 @@ import struct
 
 import pytest
 
-from emulators.cia402.faults import error_register
-from emulators.cia402.state_machine import PdsState
+from motorhil.emulators.cia402.faults import error_register
+from motorhil.emulators.cia402.state_machine import PdsState
 from tests.emulators.cia402.bench import MS, NODE, Bench
 
 V, A, QUICK = 40_000, 409_600, 819_200

@@ -11,7 +11,7 @@ from hypothesis import HealthCheck, event, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, rule, run_state_machine_as_test
 
-from harness.version import cores_are_compiled
+from motorhil.harness.version import cores_are_compiled
 from tests.emulators.cia402.power_drive_mutants import MUTANTS
 from tests.emulators.cia402.standard import TABLE, State
 from tests.emulators.cia402.stranger import DEEDS, MODES, STARTS, Stranger, walks

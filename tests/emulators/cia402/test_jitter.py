@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from emulators.cia402.drive import build
-from emulators.controller import ControllerContext, SettingError
-from emulators.firmware.clock import LateWakes, lateness_ns
+from motorhil.emulators.cia402.drive import build
+from motorhil.emulators.controller import ControllerContext, SettingError
+from motorhil.emulators.firmware.clock import LateWakes, lateness_ns
 from tests.emulators.cia402.bench import MS, NODE, Bench
 
 HEARTBEAT = 0x700 + NODE

@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from emulators.canopen.object_dictionary import ObjectDictionary
-from emulators.cia402.objects.dictionary import DriveObjects
-from emulators.cia402.settings import read_settings
+from motorhil.emulators.canopen.object_dictionary import ObjectDictionary
+from motorhil.emulators.cia402.objects.dictionary import DriveObjects
+from motorhil.emulators.cia402.settings import read_settings
 from tests.emulators.cia402.bench import MS, NODE, Bench
 
 LIGHT = {"preset": "wheel_60w", "load_inertia_kg_m2": 0.0}

@@ -7,7 +7,7 @@ Coasting: friction only.
 
 import pytest
 
-from emulators.cia402.state_machine import PdsState
+from motorhil.emulators.cia402.state_machine import PdsState
 from tests.emulators.cia402.bench import MS, Bench
 
 PLANT = {"preset": "wheel_60w"}

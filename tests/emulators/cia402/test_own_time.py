@@ -12,10 +12,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from emulators.cia402.drive import Cia402Drive
-from emulators.cia402.drive import build
-from emulators.controller import ControllerContext, SettingError
-from emulators.firmware.clock import OwnTime
+from motorhil.emulators.cia402.drive import Cia402Drive, build
+from motorhil.emulators.controller import ControllerContext, SettingError
+from motorhil.emulators.firmware.clock import OwnTime
 from tests.emulators.cia402.bench import BOOT_UP, ENABLE, MS, NODE, Bench
 
 S = 1000 * MS

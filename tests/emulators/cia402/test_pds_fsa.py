@@ -5,7 +5,15 @@ from canopen.profiles.p402 import State402
 from hypothesis import event, example, given
 from hypothesis import strategies as st
 
-from emulators.cia402.state_machine import ENDS, NO_TRANSITION, TRANSITIONS, Command, PdsFsa, PdsState, decode_controlword
+from motorhil.emulators.cia402.state_machine import (
+    ENDS,
+    NO_TRANSITION,
+    TRANSITIONS,
+    Command,
+    PdsFsa,
+    PdsState,
+    decode_controlword,
+)
 
 S = PdsState
 

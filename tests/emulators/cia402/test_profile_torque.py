@@ -5,7 +5,7 @@ from fractions import Fraction
 
 import pytest
 
-from emulators.plant.presets import WHEEL_60W
+from motorhil.emulators.plant.presets import WHEEL_60W
 from tests.emulators.cia402.bench import MS, NODE, Bench
 
 TARGET_REACHED = 0x0400

@@ -8,7 +8,7 @@ import struct
 
 import pytest
 
-from emulators.cia402.state_machine import PdsState
+from motorhil.emulators.cia402.state_machine import PdsState
 from tests.emulators.cia402.bench import BOOT_UP, MS, NODE, Bench
 
 V = 40_000

@@ -5,7 +5,7 @@ Expected values are calculated here from the motor's data; codes and bits as in 
 
 import pytest
 
-from emulators.cia402.state_machine import PdsState
+from motorhil.emulators.cia402.state_machine import PdsState
 from tests.emulators.cia402.bench import MS, Bench
 from tests.emulators.cia402.test_protection import emergencies, state, stimulate
 

@@ -4,12 +4,12 @@ import struct
 
 import pytest
 
-from emulators.canopen.codes import OK
-from emulators.cia402.drive import build
-from emulators.cia402.modes.base import Mode
-from emulators.cia402.settings import CATALOGUE
-from emulators.cia402.quirks import Around
-from emulators.controller import ControllerContext
+from motorhil.emulators.canopen.codes import OK
+from motorhil.emulators.cia402.drive import build
+from motorhil.emulators.cia402.modes.base import Mode
+from motorhil.emulators.cia402.quirks import Around
+from motorhil.emulators.cia402.settings import CATALOGUE
+from motorhil.emulators.controller import ControllerContext
 from tests.emulators.cia402.bench import BOOT_UP, MS, NODE, Bench, Path
 
 ACKNOWLEDGE, REACHED = 0x1000, 0x0400

@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from emulators.cia402.settings import OWN_EDS, read_settings
-from emulators.controller import SettingError
-from emulators.plant.presets import PRESETS
+from motorhil.emulators.cia402.settings import OWN_EDS, read_settings
+from motorhil.emulators.controller import SettingError
+from motorhil.emulators.plant.presets import PRESETS
 from tests.emulators.cia402.bench import Bench, new_drive
 
 HERE = Path(__file__).parent

@@ -4,8 +4,7 @@ from canopen.profiles.p402 import State402
 from hypothesis import given
 from hypothesis import strategies as st
 
-from emulators.cia402.state_machine import PdsState
-from emulators.cia402.state_machine import MODE_BITS, compose
+from motorhil.emulators.cia402.state_machine import MODE_BITS, PdsState, compose
 
 
 @given(st.sampled_from(list(PdsState)), st.integers(0, 7), *[st.booleans()] * 4)

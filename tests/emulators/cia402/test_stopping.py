@@ -5,7 +5,7 @@ CiA 402-2, objects 605Ah to 605Ch, and transitions 5, 8, 9, 11, 12, 16.
 
 import pytest
 
-from emulators.cia402.state_machine import PdsState
+from motorhil.emulators.cia402.state_machine import PdsState
 from tests.emulators.cia402.bench import ENABLE, MS, Bench
 
 V, A, QUICK = 40_000, 409_600, 819_200

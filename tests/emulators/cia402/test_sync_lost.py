@@ -7,7 +7,7 @@ import struct
 
 import pytest
 
-from emulators.cia402.state_machine import PdsState
+from motorhil.emulators.cia402.state_machine import PdsState
 from tests.emulators.cia402.bench import MS, NODE, Bench
 
 LIGHT = {"preset": "wheel_60w", "load_inertia_kg_m2": 0.0}

@@ -7,10 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from emulators.canopen.object_dictionary import DataType, ObjectDictionary, Variable
-from emulators.cia402.objects.units import fill_factors
-from emulators.cia402.objects.units import Units, limited, units_of
-from emulators.plant.presets import WHEEL_60W
+from motorhil.emulators.canopen.object_dictionary import DataType, ObjectDictionary, Variable
+from motorhil.emulators.cia402.objects.units import Units, fill_factors, limited, units_of
+from motorhil.emulators.plant.presets import WHEEL_60W
 
 TURN = WHEEL_60W.encoder_increments_rev
 U32 = DataType.UNSIGNED32

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from emulators.controller import SettingError
+from motorhil.emulators.controller import SettingError
 from tests.emulators.cia402.bench import ENABLE, MS, Bench
 
 pytestmark = pytest.mark.data

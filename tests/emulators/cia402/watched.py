@@ -11,7 +11,7 @@ from collections.abc import Iterable
 from contextlib import suppress
 from typing import Any
 
-from emulators.cia402.drive import Cia402Drive
+from motorhil.emulators.cia402.drive import Cia402Drive
 from tests.emulators.cia402.bench import MS, NODE, Bench, new_drive
 from tests.emulators.cia402.standard import (
     AT_ONCE,

@@ -7,8 +7,8 @@ from math import pi
 
 import pytest
 
-from emulators.controller import SettingError
-from emulators.leadshine_pr.drive import build, registers
+from motorhil.emulators.controller import SettingError
+from motorhil.emulators.leadshine_pr.drive import build, registers
 from tests.emulators.modbus_bench import ModbusBench, Refused
 
 STATUS, TRIGGER, FEEDBACK, ALARM, CONTROL = 0x1003, 0x6002, 0x1014, 0x2203, 0x1801

@@ -2,9 +2,8 @@
 
 from collections.abc import Iterable
 
-from emulators.can.bus.bus import CanBus
-from emulators.can.bus.port import Delivery
-from emulators.can.bus.port import KIND_MASK, TOLD, confirms, hears
+from motorhil.emulators.can.bus.bus import CanBus
+from motorhil.emulators.can.bus.port import KIND_MASK, TOLD, Delivery, confirms, hears
 
 BIT = 1000  # [ns] at 1 Mbit/s
 Submission = tuple[int, int, bytes]  # (time [ns], port, frame)

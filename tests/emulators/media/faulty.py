@@ -2,10 +2,10 @@
 
 import random
 
-from emulators.can.bus.bus import CanBus
-from emulators.can.frame import pack
-from emulators.can.fault_rules import FaultKind, FaultRule
-from emulators.can.bus.fault_plan import FaultPlan
+from motorhil.emulators.can.bus.bus import CanBus
+from motorhil.emulators.can.bus.fault_plan import FaultPlan
+from motorhil.emulators.can.fault_rules import FaultKind, FaultRule
+from motorhil.emulators.can.frame import pack
 from tests.emulators.media.driving import BIT
 
 SYNC = pack(0x080)  # 51 bits with intermission (can-utils, can-physics.md 6.2)

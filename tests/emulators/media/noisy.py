@@ -6,12 +6,12 @@ Two nodes send a TPDO each every 100 ms at 500 kbit/s.
 import random
 from dataclasses import dataclass, field
 
-from emulators.can import error_confinement as told
-from emulators.can.bus.bus import CanBus
-from emulators.can.frame import pack
-from emulators.can.bus.port import KIND_MASK, TOLD, Delivery, confirms, hears
-from emulators.can.fault_rules import FaultKind, FaultRule
-from emulators.can.bus.fault_plan import FaultPlan
+from motorhil.emulators.can import error_confinement as told
+from motorhil.emulators.can.bus.bus import CanBus
+from motorhil.emulators.can.bus.fault_plan import FaultPlan
+from motorhil.emulators.can.bus.port import KIND_MASK, TOLD, Delivery, confirms, hears
+from motorhil.emulators.can.fault_rules import FaultKind, FaultRule
+from motorhil.emulators.can.frame import pack
 
 PERIOD_NS = 100_000_000
 HOUR_NS = 3600 * 10**9

@@ -2,9 +2,9 @@ import pytest
 from hypothesis import event, example, given
 from hypothesis import strategies as st
 
-from emulators.can import frame_length as can_bits
-from emulators.can.frame_length import arbitration_key, can_id_of_key, frame_bits
-from emulators.can.frame import EFF_FLAG, ERR_FLAG, RTR_FLAG, can_id_of, pack, pack_remote
+from motorhil.emulators.can import frame_length as can_bits
+from motorhil.emulators.can.frame import EFF_FLAG, ERR_FLAG, RTR_FLAG, can_id_of, pack, pack_remote
+from motorhil.emulators.can.frame_length import arbitration_key, can_id_of_key, frame_bits
 from tests.emulators.media import wire
 
 # Source: can-utils canframelen.c, mode CFL_EXACT, compiled and run (can-physics.md 6.2).

@@ -1,10 +1,10 @@
 import pytest
 
-from emulators.can.frame_length import frame_bits
-from emulators.can.bus.port import DELIVERED
-from emulators.can.bus.bus import CanBus
-from emulators.can.frame import EFF_FLAG, RTR_FLAG, pack, pack_remote
-from emulators.can.controller_config import CanNode, QueueOrder
+from motorhil.emulators.can.bus.bus import CanBus
+from motorhil.emulators.can.bus.port import DELIVERED
+from motorhil.emulators.can.controller_config import CanNode, QueueOrder
+from motorhil.emulators.can.frame import EFF_FLAG, RTR_FLAG, pack, pack_remote
+from motorhil.emulators.can.frame_length import frame_bits
 from tests.emulators.media.driving import BIT, confirmed, expire_all, heard, run
 
 # Exact lengths with intermission: can-physics.md 6.2 (can-utils).

@@ -5,8 +5,8 @@ from dataclasses import dataclass, field
 from hypothesis import event, given
 from hypothesis import strategies as st
 
-from emulators.can.bus.bus import CanBus
-from emulators.can.controller_config import CanNode, QueueOrder
+from motorhil.emulators.can.bus.bus import CanBus
+from motorhil.emulators.can.controller_config import CanNode, QueueOrder
 from tests.emulators.media import wire
 from tests.emulators.media.driving import BIT, run
 

@@ -2,9 +2,9 @@
 
 import pytest
 
-from emulators.can.bus.bus import CanBus
-from emulators.can.fault_rules import FaultKind, FaultRule
-from emulators.can.bus.fault_plan import FaultPlan
+from motorhil.emulators.can.bus.bus import CanBus
+from motorhil.emulators.can.bus.fault_plan import FaultPlan
+from motorhil.emulators.can.fault_rules import FaultKind, FaultRule
 from tests.emulators.media.driving import BIT, confirmed, expire_all, heard, run, traffic
 from tests.emulators.media.faulty import (
     END,

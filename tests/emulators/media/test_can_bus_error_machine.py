@@ -7,14 +7,14 @@ from hypothesis import event, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 
-from emulators.can import error_confinement as told
-from emulators.can.bus.bus import CanBus
-from emulators.can.frame import can_id_of, pack
-from emulators.can.controller_config import CanNode
-from emulators.can.error_confinement import ErrorState
-from emulators.can.bus.port import KIND_MASK, TOLD, confirms, hears
-from emulators.can.fault_rules import PARTING, FaultKind, FaultRule, FrameError, WireLevel
-from emulators.can.bus.fault_plan import FaultPlan
+from motorhil.emulators.can import error_confinement as told
+from motorhil.emulators.can.bus.bus import CanBus
+from motorhil.emulators.can.bus.fault_plan import FaultPlan
+from motorhil.emulators.can.bus.port import KIND_MASK, TOLD, confirms, hears
+from motorhil.emulators.can.controller_config import CanNode
+from motorhil.emulators.can.error_confinement import ErrorState
+from motorhil.emulators.can.fault_rules import PARTING, FaultKind, FaultRule, FrameError, WireLevel
+from motorhil.emulators.can.frame import can_id_of, pack
 from tests.emulators.media.driving import BIT
 
 NAMES = ("a", "b", "c", "d")

@@ -4,14 +4,14 @@ import random
 
 import pytest
 
-from emulators.can import error_confinement as told
-from emulators.can.bus.bus import CanBus
-from emulators.can.frame import BRS, can_id_of, pack, pack_fd
-from emulators.can.controller_config import CanNode, FrameSupport
-from emulators.can.error_confinement import ErrorState
-from emulators.can.bus.port import KIND_MASK, TOLD
-from emulators.can.fault_rules import FaultKind, FaultRule, FrameError, WireLevel
-from emulators.can.bus.fault_plan import FaultPlan
+from motorhil.emulators.can import error_confinement as told
+from motorhil.emulators.can.bus.bus import CanBus
+from motorhil.emulators.can.bus.fault_plan import FaultPlan
+from motorhil.emulators.can.bus.port import KIND_MASK, TOLD
+from motorhil.emulators.can.controller_config import CanNode, FrameSupport
+from motorhil.emulators.can.error_confinement import ErrorState
+from motorhil.emulators.can.fault_rules import FaultKind, FaultRule, FrameError, WireLevel
+from motorhil.emulators.can.frame import BRS, can_id_of, pack, pack_fd
 from tests.emulators.media.driving import (
     BIT,
     Timed,

@@ -3,9 +3,9 @@
 from hypothesis import event, given
 from hypothesis import strategies as st
 
-from emulators.can.bus.bus import CanBus
-from emulators.can.bus.port import DELIVERED, KIND_MASK, LOST
-from emulators.can.fault_rules import PARTING, FaultKind, FaultRule
+from motorhil.emulators.can.bus.bus import CanBus
+from motorhil.emulators.can.bus.port import DELIVERED, KIND_MASK, LOST
+from motorhil.emulators.can.fault_rules import PARTING, FaultKind, FaultRule
 from tests.emulators.media import wire
 from tests.emulators.media.driving import BIT, Submission, confirmed, heard, run
 from tests.emulators.media.faulty import HOST, LEFT, NAMES, RIGHT, bus_with

@@ -2,13 +2,12 @@
 
 import pytest
 
-from emulators.can.bus.port import DELIVERED
-from emulators.can.bus.bus import CanBus
-from emulators.can.frame import pack
-from emulators.can.controller_config import CanNode, QueueOrder
-from emulators.can.bus.port import LOST
-from emulators.can.fault_rules import FaultKind, FaultRule
-from emulators.can.bus.fault_plan import FaultPlan
+from motorhil.emulators.can.bus.bus import CanBus
+from motorhil.emulators.can.bus.fault_plan import FaultPlan
+from motorhil.emulators.can.bus.port import DELIVERED, LOST
+from motorhil.emulators.can.controller_config import CanNode, QueueOrder
+from motorhil.emulators.can.fault_rules import FaultKind, FaultRule
+from motorhil.emulators.can.frame import pack
 from tests.emulators.media.driving import BIT, confirmed, expire_all, heard, run
 from tests.emulators.media.faulty import HOST, LEFT, RIGHT, STATUS, SYNC, bus_with, cut, no_draw
 

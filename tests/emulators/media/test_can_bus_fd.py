@@ -2,13 +2,13 @@
 
 import pytest
 
-from emulators.can.frame_length import frame_bits
-from emulators.can.bus.bus import CanBus
-from emulators.can.frame import BRS, EFF_FLAG, can_id_of, pack, pack_fd
-from emulators.can.controller_config import CanNode, FrameSupport
-from emulators.can.error_confinement import ErrorState
-from emulators.can.fault_rules import FaultKind, FaultRule
-from emulators.can.bus.fault_plan import FaultPlan
+from motorhil.emulators.can.bus.bus import CanBus
+from motorhil.emulators.can.bus.fault_plan import FaultPlan
+from motorhil.emulators.can.controller_config import CanNode, FrameSupport
+from motorhil.emulators.can.error_confinement import ErrorState
+from motorhil.emulators.can.fault_rules import FaultKind, FaultRule
+from motorhil.emulators.can.frame import BRS, EFF_FLAG, can_id_of, pack, pack_fd
+from motorhil.emulators.can.frame_length import frame_bits
 from tests.emulators.media.driving import confirmed, expire_all, heard, run
 from tests.emulators.media.faulty import no_draw
 from tests.emulators.media.wire_fd import FdFields, phases

@@ -4,9 +4,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from emulators.can.frame_length import frame_bits
-from emulators.can.bus.bus import CanBus
-from emulators.can.frame import can_id_of, pack
+from motorhil.emulators.can.bus.bus import CanBus
+from motorhil.emulators.can.frame import can_id_of, pack
+from motorhil.emulators.can.frame_length import frame_bits
 from tests.emulators.media.driving import run
 
 MS = 1_000_000

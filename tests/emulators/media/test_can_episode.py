@@ -3,8 +3,15 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from emulators.can.bitlevel.episode import Disturbance, Effect, Episode, EventKind, Station, run_episode
-from emulators.can.frame import pack
+from motorhil.emulators.can.bitlevel.episode import (
+    Disturbance,
+    Effect,
+    Episode,
+    EventKind,
+    Station,
+    run_episode,
+)
+from motorhil.emulators.can.frame import pack
 from tests.emulators.media import wire
 
 FRAME = wire.Fields(0x123, False, False, 2, b"\x55\xaa")

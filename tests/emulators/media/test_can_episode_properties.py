@@ -6,9 +6,15 @@ import pytest
 from hypothesis import event, given
 from hypothesis import strategies as st
 
-from emulators.can.bitlevel.episode import Disturbance, Effect, EventKind, Station, run_episode
-from emulators.can.bitlevel.controller import CanStation
-from emulators.can.error_confinement import Confinement
+from motorhil.emulators.can.bitlevel.controller import CanStation
+from motorhil.emulators.can.bitlevel.episode import (
+    Disturbance,
+    Effect,
+    EventKind,
+    Station,
+    run_episode,
+)
+from motorhil.emulators.can.error_confinement import Confinement
 from tests.emulators.media import wire
 
 SHORT = wire.Fields(0x0F0, False, False, 1, b"\x00")

@@ -4,9 +4,25 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from emulators.can import frame_length as can_bits
-from emulators.can.frame_length import LENGTHS_MASK, arbitration_key, can_id_of_key, frame_bits, measure, phases_of
-from emulators.can.frame import BRS, EFF_FLAG, ERR_FLAG, ESI, RTR_FLAG, can_id_of, pack, pack_fd
+from motorhil.emulators.can import frame_length as can_bits
+from motorhil.emulators.can.frame import (
+    BRS,
+    EFF_FLAG,
+    ERR_FLAG,
+    ESI,
+    RTR_FLAG,
+    can_id_of,
+    pack,
+    pack_fd,
+)
+from motorhil.emulators.can.frame_length import (
+    LENGTHS_MASK,
+    arbitration_key,
+    can_id_of_key,
+    frame_bits,
+    measure,
+    phases_of,
+)
 from tests.emulators.media import wire_fd
 from tests.emulators.media.wire_fd import FdFields
 

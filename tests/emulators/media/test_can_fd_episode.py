@@ -4,14 +4,13 @@ import pytest
 from hypothesis import event, given
 from hypothesis import strategies as st
 
-from emulators.can import error_confinement as told
-from emulators.can.frame_length import measure, phases_of
-from emulators.can.bitlevel.episode import Disturbance, EventKind, Station, run_episode
-from emulators.can.controller_config import FrameSupport
-from emulators.can.frame_length import LENGTHS_MASK
-from emulators.can.bitlevel.controller import CanStation
-from emulators.can.bitlevel.encoder import WireFrame
-from emulators.can.error_confinement import Confinement
+from motorhil.emulators.can import error_confinement as told
+from motorhil.emulators.can.bitlevel.controller import CanStation
+from motorhil.emulators.can.bitlevel.encoder import WireFrame
+from motorhil.emulators.can.bitlevel.episode import Disturbance, EventKind, Station, run_episode
+from motorhil.emulators.can.controller_config import FrameSupport
+from motorhil.emulators.can.error_confinement import Confinement
+from motorhil.emulators.can.frame_length import LENGTHS_MASK, measure, phases_of
 from tests.emulators.media import wire, wire_fd
 from tests.emulators.media.wire_fd import FdFields, fd_fields
 

@@ -3,7 +3,16 @@ import struct
 
 import pytest
 
-from emulators.can.frame import EFF_FLAG, ERR_FLAG, FRAME_BYTES, RTR_FLAG, can_id_of, data_of, pack, pack_remote
+from motorhil.emulators.can.frame import (
+    EFF_FLAG,
+    ERR_FLAG,
+    FRAME_BYTES,
+    RTR_FLAG,
+    can_id_of,
+    data_of,
+    pack,
+    pack_remote,
+)
 
 
 def test_frame_equals_linux_can_frame():

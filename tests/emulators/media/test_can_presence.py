@@ -7,10 +7,10 @@ from dataclasses import replace
 
 import pytest
 
-from emulators.can.bitlevel.episode import Outcome
-from emulators.can.controller_config import CanNode
-from emulators.can.bus.port import NEVER_NS, RECOVERY_RUNS, RUN_BITS, Presence, Role
-from emulators.can.fault_rules import FaultKind, FaultRule
+from motorhil.emulators.can.bitlevel.episode import Outcome
+from motorhil.emulators.can.bus.port import NEVER_NS, RECOVERY_RUNS, RUN_BITS, Presence, Role
+from motorhil.emulators.can.controller_config import CanNode
+from motorhil.emulators.can.fault_rules import FaultKind, FaultRule
 
 BIT = 1000
 ALL_RUNS_NS = 128 * 11 * BIT  # ISO 11898-1: 128 occurrences of 11 recessive bits

@@ -6,11 +6,16 @@ import pytest
 from hypothesis import event, given
 from hypothesis import strategies as st
 
-from emulators.can.bus.bus import CanBus
-from emulators.can.frame import pack
-from emulators.can.controller_config import CanNode
-from emulators.can.controller_config import ONE, USUAL_TIMING, BitTiming, first_misread
-from emulators.can.bus.fault_plan import FaultPlan
+from motorhil.emulators.can.bus.bus import CanBus
+from motorhil.emulators.can.bus.fault_plan import FaultPlan
+from motorhil.emulators.can.controller_config import (
+    ONE,
+    USUAL_TIMING,
+    BitTiming,
+    CanNode,
+    first_misread,
+)
+from motorhil.emulators.can.frame import pack
 from tests.emulators.media import wire
 from tests.emulators.media.driving import heard, run
 

@@ -8,10 +8,18 @@ a to i.
 
 import pytest
 
-from emulators.can import error_confinement as told
-from emulators.can.bitlevel.controller import OFF, CanStation
-from emulators.can.error_confinement import Confinement
-from emulators.can.bitlevel.controller import NOTE_ACCEPTED, NOTE_ERROR, NOTE_FAILED, NOTE_LOST, NOTE_SENT, NOTE_STATE
+from motorhil.emulators.can import error_confinement as told
+from motorhil.emulators.can.bitlevel.controller import (
+    NOTE_ACCEPTED,
+    NOTE_ERROR,
+    NOTE_FAILED,
+    NOTE_LOST,
+    NOTE_SENT,
+    NOTE_STATE,
+    OFF,
+    CanStation,
+)
+from motorhil.emulators.can.error_confinement import Confinement
 from tests.emulators.media import wire
 
 FIELDS = wire.Fields(0x2AA, False, False, 1, b"\x0f")

@@ -4,10 +4,16 @@ from random import Random
 
 import pytest
 
-from emulators.can.controller_config import FrameSupport
-from emulators.can.bitlevel.controller import CanStation
-from emulators.can.error_confinement import Confinement
-from emulators.can.bitlevel.controller import NOTE_ACCEPTED, NOTE_ERROR, NOTE_FAILED, NOTE_LOST, NOTE_SENT
+from motorhil.emulators.can.bitlevel.controller import (
+    NOTE_ACCEPTED,
+    NOTE_ERROR,
+    NOTE_FAILED,
+    NOTE_LOST,
+    NOTE_SENT,
+    CanStation,
+)
+from motorhil.emulators.can.controller_config import FrameSupport
+from motorhil.emulators.can.error_confinement import Confinement
 from tests.emulators.media import wire, wire_fd
 from tests.emulators.media.reference_node import ReferenceNode, Sent
 

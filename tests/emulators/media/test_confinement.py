@@ -2,9 +2,9 @@
 
 import pytest
 
-from emulators.can import error_confinement as told
-from emulators.can.error_confinement import Confinement, ErrorState, state_of
-from emulators.can.bitlevel.controller import NOTE_STATE, ErrorJournal
+from motorhil.emulators.can import error_confinement as told
+from motorhil.emulators.can.bitlevel.controller import NOTE_STATE, ErrorJournal
+from motorhil.emulators.can.error_confinement import Confinement, ErrorState, state_of
 
 
 @pytest.mark.parametrize(

@@ -6,9 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from emulators.can.frame import EFF_FLAG, pack, pack_remote
-from emulators.can.bus.fault_plan import NEVER_NS, FaultPlan
-from emulators.can.fault_rules import FaultKind, FaultRule
+from motorhil.emulators.can.bus.fault_plan import NEVER_NS, FaultPlan
+from motorhil.emulators.can.fault_rules import FaultKind, FaultRule
+from motorhil.emulators.can.frame import EFF_FLAG, pack, pack_remote
 
 DROP = FaultKind.DROP
 

@@ -2,7 +2,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from emulators.media.load import BusyTime
+from motorhil.emulators.media.load import BusyTime
 
 # Gap before and length of each busy period; gaps of 0 join periods.
 PERIODS = st.lists(st.tuples(st.integers(0, 5), st.integers(1, 6)), max_size=12)

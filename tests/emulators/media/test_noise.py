@@ -4,10 +4,9 @@ import random
 
 import pytest
 
-from emulators.can.bitlevel.episode import ALL_PORTS
-from emulators.can.bus.port import KIND_MASK, TOLD
-from emulators.can.fault_rules import FaultKind, FaultRule
-from emulators.can.fault_rules import NoiseSource
+from motorhil.emulators.can.bitlevel.episode import ALL_PORTS
+from motorhil.emulators.can.bus.port import KIND_MASK, TOLD
+from motorhil.emulators.can.fault_rules import FaultKind, FaultRule, NoiseSource
 from tests.emulators.media.driving import BIT, confirmed, run
 from tests.emulators.media.faulty import LEFT, SYNC, bus_with
 

@@ -10,8 +10,8 @@ import pytest
 from hypothesis import event, given
 from hypothesis import strategies as st
 
-from emulators.media.serial_faults import SerialFaultKind, SerialFaultPlan, SerialFaultRule
-from emulators.media.serial_line import CHARACTERS, FRAME, SENT, SPOILED, SerialLine
+from motorhil.emulators.media.serial_faults import SerialFaultKind, SerialFaultPlan, SerialFaultRule
+from motorhil.emulators.media.serial_line import CHARACTERS, FRAME, SENT, SPOILED, SerialLine
 
 MS = 1_000_000
 REQUEST = bytes.fromhex("1103006B00037687")

@@ -9,12 +9,10 @@ from hypothesis import event, given
 from hypothesis import strategies as st
 from pymodbus.framer import FramerRTU
 
-from emulators.modbus.rtu import crc16, with_crc
-from emulators.modbus.server import Diagnostics
-from emulators.modbus.registers import Register, RegisterBank
-from emulators.modbus.rtu import RtuUnit
-from emulators.modbus.server import ModbusServer
-from emulators.modbus.tcp import GONE, MbapStream, TcpGateway, adu
+from motorhil.emulators.modbus.registers import Register, RegisterBank
+from motorhil.emulators.modbus.rtu import RtuUnit, crc16, with_crc
+from motorhil.emulators.modbus.server import Diagnostics, ModbusServer
+from motorhil.emulators.modbus.tcp import GONE, MbapStream, TcpGateway, adu
 
 MS = 1_000_000
 

@@ -8,10 +8,8 @@ import pytest
 from hypothesis import event, given
 from hypothesis import strategies as st
 
-from emulators.modbus.server import Diagnostics
-from emulators.modbus.server import Identification
-from emulators.modbus.registers import Access, BitBank, Kind, Register, RegisterBank
-from emulators.modbus.server import ModbusServer
+from motorhil.emulators.modbus.registers import Access, BitBank, Kind, Register, RegisterBank
+from motorhil.emulators.modbus.server import Diagnostics, Identification, ModbusServer
 
 ILLEGAL_FUNCTION, ILLEGAL_ADDRESS, ILLEGAL_VALUE, FAILURE = 1, 2, 3, 4
 OBJECTS = {0: "Company identification", 1: "Product code XX", 2: "V2.11"}

@@ -7,8 +7,8 @@ lazy, and no steps are combined.
 import math
 from dataclasses import dataclass, field
 
-from emulators.firmware.servo_tables import ServoGains
-from emulators.plant.dc_motor import MotorPlant
+from motorhil.emulators.firmware.servo_tables import ServoGains
+from motorhil.emulators.plant.dc_motor import MotorPlant
 
 
 @dataclass

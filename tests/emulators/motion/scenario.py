@@ -5,9 +5,9 @@ The digest is the same on every machine, compiled or not.
 
 from hashlib import sha256
 
-from emulators.firmware.axis import Axis
-from emulators.firmware.servo_tables import ServoGains
-from emulators.plant.presets import PLAUSIBLE
+from motorhil.emulators.firmware.axis import Axis
+from motorhil.emulators.firmware.servo_tables import ServoGains
+from motorhil.emulators.plant.presets import PLAUSIBLE
 
 MS = 1_000_000
 

@@ -8,9 +8,16 @@ import pytest
 from hypothesis import event, given
 from hypothesis import strategies as st
 
-from emulators.firmware.axis import Axis
-from emulators.firmware.flags import CURRENT_SATURATED, FOLLOWING_ERROR, IN_TARGET_WINDOW, IN_VELOCITY_WINDOW, PROFILE_ACTIVE, SPEED_ZERO
-from emulators.plant.presets import WHEEL_60W
+from motorhil.emulators.firmware.axis import Axis
+from motorhil.emulators.firmware.flags import (
+    CURRENT_SATURATED,
+    FOLLOWING_ERROR,
+    IN_TARGET_WINDOW,
+    IN_VELOCITY_WINDOW,
+    PROFILE_ACTIVE,
+    SPEED_ZERO,
+)
+from motorhil.emulators.plant.presets import WHEEL_60W
 from tests.emulators.motion.axes import GAINS, MS, new_axis, powered_axis, tick_by_tick
 from tests.emulators.motion.test_profile import closed_form_ticks
 

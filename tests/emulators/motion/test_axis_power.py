@@ -2,8 +2,8 @@
 
 import pytest
 
-from emulators.firmware.flags import FOLLOWING_ERROR, IN_TARGET_WINDOW, POWERED
-from emulators.plant.presets import WHEEL_60W
+from motorhil.emulators.firmware.flags import FOLLOWING_ERROR, IN_TARGET_WINDOW, POWERED
+from motorhil.emulators.plant.presets import WHEEL_60W
 from tests.emulators.motion.axes import MS, new_axis, powered_axis, tick_by_tick
 
 

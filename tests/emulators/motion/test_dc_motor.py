@@ -5,12 +5,11 @@ from dataclasses import replace
 
 import pytest
 
-from emulators.firmware import servo
-from emulators.firmware.axis import Axis
-from emulators.firmware.servo_tables import ServoGains
-from emulators.firmware.servo_tables import ServoTables
-from emulators.plant.dc_motor import MotorPlant
-from emulators.plant.presets import WHEEL_60W
+from motorhil.emulators.firmware import servo
+from motorhil.emulators.firmware.axis import Axis
+from motorhil.emulators.firmware.servo_tables import ServoGains, ServoTables
+from motorhil.emulators.plant.dc_motor import MotorPlant
+from motorhil.emulators.plant.presets import WHEEL_60W
 
 MS = 1_000_000
 UNLIMITED_A = 1e6  # a current demand that saturates the power stage's voltage

@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from emulators.plant.dc_motor import exponential, product, sample
-from emulators.plant.presets import PLAUSIBLE, WHEEL_60W
+from motorhil.emulators.plant.dc_motor import exponential, product, sample
+from motorhil.emulators.plant.presets import PLAUSIBLE, WHEEL_60W
 
 # The series is cut below 1e-21 and squared at most about ten times: a few units in the last place.
 ROUNDING = 1e-13

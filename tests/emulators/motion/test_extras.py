@@ -7,20 +7,27 @@ import pytest
 from hypothesis import event, given, settings
 from hypothesis import strategies as st
 
-from emulators.cia402.drive import build as cia402_drive
-from emulators.controller import ControllerContext, SettingError
-from emulators.firmware import nonlinear_servo as extras_servo
-from emulators.firmware.axis import Axis
-from emulators.firmware.nonlinear_tables import StepNumbers, extras_tables
-from emulators.firmware.flags import I2T_LIMIT, I2T_WARNING, OUTSIDE_GATE, OVER_TEMPERATURE, SPEED_ZERO, TEMPERATURE_WARNING, UNDER_VOLTAGE
-from emulators.firmware.servo_tables import ServoGains
-from emulators.firmware.servo_tables import tables_of
-from emulators.leadshine_pr.drive import build as leadshine_drive
-from emulators.oriental_az.drive import build as oriental_drive
-from emulators.plant.nonlinear import PlantExtras
-from emulators.plant.presets import WHEEL_60W
-from emulators.settings.tables import plant_of
-from harness.version import cores_are_compiled
+from motorhil.emulators.cia402.drive import build as cia402_drive
+from motorhil.emulators.controller import ControllerContext, SettingError
+from motorhil.emulators.firmware import nonlinear_servo as extras_servo
+from motorhil.emulators.firmware.axis import Axis
+from motorhil.emulators.firmware.flags import (
+    I2T_LIMIT,
+    I2T_WARNING,
+    OUTSIDE_GATE,
+    OVER_TEMPERATURE,
+    SPEED_ZERO,
+    TEMPERATURE_WARNING,
+    UNDER_VOLTAGE,
+)
+from motorhil.emulators.firmware.nonlinear_tables import StepNumbers, extras_tables
+from motorhil.emulators.firmware.servo_tables import ServoGains, tables_of
+from motorhil.emulators.leadshine_pr.drive import build as leadshine_drive
+from motorhil.emulators.oriental_az.drive import build as oriental_drive
+from motorhil.emulators.plant.nonlinear import PlantExtras
+from motorhil.emulators.plant.presets import WHEEL_60W
+from motorhil.emulators.settings.tables import plant_of
+from motorhil.harness.version import cores_are_compiled
 
 MS = 1_000_000
 CONTEXT = ControllerContext(name="drive", folder=Path(), seed=1)

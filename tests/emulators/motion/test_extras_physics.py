@@ -10,17 +10,16 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
-from emulators.controller import SettingError
-from emulators.firmware import nonlinear_servo as extras_step
-from emulators.firmware.axis import Axis
-from emulators.firmware.servo import steps
-from emulators.firmware.nonlinear_tables import ExtrasTables, StepNumbers
-from emulators.firmware.flags import AT_STOP, OVER_VOLTAGE
-from emulators.firmware.servo_tables import ServoGains
-from emulators.firmware.servo_tables import ServoTables
-from emulators.plant.nonlinear import PlantExtras
-from emulators.plant.presets import WHEEL_60W
-from emulators.settings.motor import servo_of
+from motorhil.emulators.controller import SettingError
+from motorhil.emulators.firmware import nonlinear_servo as extras_step
+from motorhil.emulators.firmware.axis import Axis
+from motorhil.emulators.firmware.flags import AT_STOP, OVER_VOLTAGE
+from motorhil.emulators.firmware.nonlinear_tables import ExtrasTables, StepNumbers
+from motorhil.emulators.firmware.servo import steps
+from motorhil.emulators.firmware.servo_tables import ServoGains, ServoTables
+from motorhil.emulators.plant.nonlinear import PlantExtras
+from motorhil.emulators.plant.presets import WHEEL_60W
+from motorhil.emulators.settings.motor import servo_of
 
 MS = 1_000_000
 STEP_S = 1e-4

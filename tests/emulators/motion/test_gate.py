@@ -3,7 +3,7 @@
 from hypothesis import event, given
 from hypothesis import strategies as st
 
-from emulators.firmware.flags import OUTSIDE_GATE
+from motorhil.emulators.firmware.flags import OUTSIDE_GATE
 from tests.emulators.motion.axes import MS, new_axis, powered_axis
 
 FAR = 1e300

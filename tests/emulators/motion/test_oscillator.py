@@ -6,7 +6,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from emulators.plant.oscillator import IDEAL, ONE, Oscillator
+from motorhil.emulators.plant.oscillator import IDEAL, ONE, Oscillator
 
 CLOCKS = st.builds(Oscillator, st.integers(-(ONE // 10), ONE // 10), st.integers(0, 1_000_000_000))
 DAY_NS = 86_400 * 10**9

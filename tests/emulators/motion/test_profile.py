@@ -7,8 +7,8 @@ import pytest
 from hypothesis import assume, event, example, given
 from hypothesis import strategies as st
 
-from emulators.firmware import profile
-from emulators.firmware.profile import FOREVER
+from motorhil.emulators.firmware import profile
+from motorhil.emulators.firmware.profile import FOREVER
 
 # Increments, increments per tick, increments per tick^2: from a crawl to far beyond any motor.
 DISTANCES = st.integers(-(2**32), 2**32) | st.integers(-2000, 2000)

@@ -6,13 +6,12 @@ import pytest
 from hypothesis import event, given
 from hypothesis import strategies as st
 
-from emulators.firmware import servo
-from emulators.firmware.axis import Axis
-from emulators.firmware.flags import PROFILE_ACTIVE, SPEED_ZERO
-from emulators.firmware.servo_tables import ServoGains
-from emulators.firmware.servo_tables import ServoTables
-from emulators.plant.dc_motor import MotorPlant
-from emulators.plant.presets import PLAUSIBLE, WHEEL_60W
+from motorhil.emulators.firmware import servo
+from motorhil.emulators.firmware.axis import Axis
+from motorhil.emulators.firmware.flags import PROFILE_ACTIVE, SPEED_ZERO
+from motorhil.emulators.firmware.servo_tables import ServoGains, ServoTables
+from motorhil.emulators.plant.dc_motor import MotorPlant
+from motorhil.emulators.plant.presets import PLAUSIBLE, WHEEL_60W
 
 MS = 1_000_000
 

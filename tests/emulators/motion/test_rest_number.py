@@ -3,9 +3,9 @@
 from hypothesis import event, given
 from hypothesis import strategies as st
 
-from emulators.firmware.axis import Axis
-from emulators.firmware.servo_tables import ServoGains
-from emulators.plant.presets import WHEEL_60W
+from motorhil.emulators.firmware.axis import Axis
+from motorhil.emulators.firmware.servo_tables import ServoGains
+from motorhil.emulators.plant.presets import WHEEL_60W
 
 MS = 1_000_000
 GAINS = ServoGains.tuned(WHEEL_60W, MS, 10)

@@ -7,13 +7,11 @@ import pytest
 from hypothesis import event, given
 from hypothesis import strategies as st
 
-from emulators.firmware import servo as current_loop
-from emulators.firmware import profile
-from emulators.firmware import servo
-from emulators.firmware.axis import Axis
-from emulators.firmware.servo_tables import ServoGains
-from emulators.firmware.servo_tables import ServoTables
-from emulators.plant.presets import PLAUSIBLE, WHEEL_60W
+from motorhil.emulators.firmware import profile, servo
+from motorhil.emulators.firmware import servo as current_loop
+from motorhil.emulators.firmware.axis import Axis
+from motorhil.emulators.firmware.servo_tables import ServoGains, ServoTables
+from motorhil.emulators.plant.presets import PLAUSIBLE, WHEEL_60W
 from tests.emulators.motion.reference import ReferenceAxis
 
 MS = 1_000_000

@@ -5,12 +5,11 @@ from dataclasses import replace
 from hypothesis import event, given, settings
 from hypothesis import strategies as st
 
-from emulators.firmware import servo
-from emulators.firmware.axis import Axis
-from emulators.firmware.flags import IN_TARGET_WINDOW, PROFILE_ACTIVE
-from emulators.firmware.servo_tables import ServoGains
-from emulators.firmware.servo_tables import ServoTables
-from emulators.plant.presets import MAST_20W, WHEEL_60W
+from motorhil.emulators.firmware import servo
+from motorhil.emulators.firmware.axis import Axis
+from motorhil.emulators.firmware.flags import IN_TARGET_WINDOW, PROFILE_ACTIVE
+from motorhil.emulators.firmware.servo_tables import ServoGains, ServoTables
+from motorhil.emulators.plant.presets import MAST_20W, WHEEL_60W
 
 MS = 1_000_000
 TICK_NS = MS

@@ -7,10 +7,17 @@ import pytest
 from hypothesis import event, given
 from hypothesis import strategies as st
 
-from emulators.firmware.axis import Axis
-from emulators.firmware.flags import CURRENT_REACHED, CURRENT_SATURATED, IN_TARGET_WINDOW, POWERED, PROFILE_ACTIVE, SPEED_ZERO
-from emulators.firmware.servo_tables import ServoGains
-from emulators.plant.presets import PLAUSIBLE, WHEEL_60W
+from motorhil.emulators.firmware.axis import Axis
+from motorhil.emulators.firmware.flags import (
+    CURRENT_REACHED,
+    CURRENT_SATURATED,
+    IN_TARGET_WINDOW,
+    POWERED,
+    PROFILE_ACTIVE,
+    SPEED_ZERO,
+)
+from motorhil.emulators.firmware.servo_tables import ServoGains
+from motorhil.emulators.plant.presets import PLAUSIBLE, WHEEL_60W
 from tests.emulators.motion.reference import ReferenceAxis
 
 MS = 1_000_000

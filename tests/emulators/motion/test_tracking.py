@@ -5,10 +5,10 @@ from dataclasses import replace
 
 import pytest
 
-from emulators.firmware.axis import Axis
-from emulators.firmware.flags import PROFILE_ACTIVE
-from emulators.firmware.servo_tables import ServoGains
-from emulators.plant.presets import PLAUSIBLE, WHEEL_60W
+from motorhil.emulators.firmware.axis import Axis
+from motorhil.emulators.firmware.flags import PROFILE_ACTIVE
+from motorhil.emulators.firmware.servo_tables import ServoGains
+from motorhil.emulators.plant.presets import PLAUSIBLE, WHEEL_60W
 
 MS = 1_000_000
 

@@ -7,8 +7,8 @@ from math import pi
 
 import pytest
 
-from emulators.controller import SettingError
-from emulators.oriental_az.drive import build, registers
+from motorhil.emulators.controller import SettingError
+from motorhil.emulators.oriental_az.drive import build, registers
 from tests.emulators.modbus_bench import ModbusBench, Refused
 
 BLOCK, TRIGGER, INPUTS, PULSES, OUTPUTS, ALARM = 0x0058, 0x0066, 0x007C, 0x0078, 0x007E, 0x0080

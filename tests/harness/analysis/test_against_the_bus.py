@@ -12,19 +12,15 @@ import pytest
 from hypothesis import event, given
 from hypothesis import strategies as st
 
-from emulators.can.frame_length import frame_bits, measure, phases_of
-from emulators.can.bus.bus import CanBus
-from emulators.can.frame import BRS, EFF_FLAG, FD_LENGTHS, can_id_of, pack, pack_fd
-from emulators.can.controller_config import CanNode, FrameSupport, QueueOrder
-from emulators.can.frame_length import LENGTHS_MASK
-from emulators.can.bus.port import confirms
-from emulators.can.fault_rules import FrameError
-from emulators.can.fault_rules import FaultKind, FaultRule
-from emulators.can.bus.fault_plan import FaultPlan
-from harness.analysis.response_time import ErrorModel
-from harness.analysis.message import INTERMISSION_BITS, Bits, longest
-from harness.analysis.message import BusLoad, Message
-from harness.analysis.response_time import response_times
+from motorhil.emulators.can.bus.bus import CanBus
+from motorhil.emulators.can.bus.fault_plan import FaultPlan
+from motorhil.emulators.can.bus.port import confirms
+from motorhil.emulators.can.controller_config import CanNode, FrameSupport, QueueOrder
+from motorhil.emulators.can.fault_rules import FaultKind, FaultRule, FrameError
+from motorhil.emulators.can.frame import BRS, EFF_FLAG, FD_LENGTHS, can_id_of, pack, pack_fd
+from motorhil.emulators.can.frame_length import LENGTHS_MASK, frame_bits, measure, phases_of
+from motorhil.harness.analysis.message import INTERMISSION_BITS, Bits, BusLoad, Message, longest
+from motorhil.harness.analysis.response_time import ErrorModel, response_times
 from tests.emulators.media.driving import run
 from tests.harness.analysis.sets import MS, SAE_RATES, US, sae
 

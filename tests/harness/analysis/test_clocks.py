@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from harness.analysis.measured import clock_of
+from motorhil.harness.analysis.measured import clock_of
 from tests.harness.analysis.sets import MS, US
 
 

@@ -7,12 +7,20 @@ import pytest
 from hypothesis import event, example, given
 from hypothesis import strategies as st
 
-from harness.analysis.response_time import NO_ERRORS, ErrorModel
-from harness.analysis.advice import best_order, propose, with_changes
-from harness.analysis.advice import ERRORS_MAX, at_rate, queues_that_help, rate_that_helps, shortest_error_interval_ns, tolerances
-from harness.analysis.message import BusLoad, Message
-from harness.analysis.response_time import are_in_time
-from harness.analysis.subject import is_canopen_reserved, reserves_nothing
+from motorhil.harness.analysis.advice import (
+    ERRORS_MAX,
+    at_rate,
+    best_order,
+    propose,
+    queues_that_help,
+    rate_that_helps,
+    shortest_error_interval_ns,
+    tolerances,
+    with_changes,
+)
+from motorhil.harness.analysis.message import BusLoad, Message
+from motorhil.harness.analysis.response_time import NO_ERRORS, ErrorModel, are_in_time
+from motorhil.harness.analysis.subject import is_canopen_reserved, reserves_nothing
 from tests.harness.analysis.sets import MS, US, davis, sae
 
 

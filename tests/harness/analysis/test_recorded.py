@@ -3,8 +3,8 @@
 from hypothesis import event, given
 from hypothesis import strategies as st
 
-from harness.analysis.message import Arrival, Message
-from harness.analysis.measured import Heard, measured
+from motorhil.harness.analysis.measured import Heard, measured
+from motorhil.harness.analysis.message import Arrival, Message
 from tests.harness.analysis.sets import MS, US
 
 

@@ -6,12 +6,23 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from harness.analysis.response_time import ErrorModel, more_errors_probability
-from harness.analysis.message import FD_LENGTHS, longest, shortest
-from harness.analysis.message import Arrival, BusLoad, Message
-from harness.analysis.response_time import are_in_time, response_between, response_times
-from motorapi.synchronization import can_response_time as bus_timing
-from motorapi.synchronization.bus_load import CanTraffic, PeriodicMessage
+from motorhil.harness.analysis.message import (
+    FD_LENGTHS,
+    Arrival,
+    BusLoad,
+    Message,
+    longest,
+    shortest,
+)
+from motorhil.harness.analysis.response_time import (
+    ErrorModel,
+    are_in_time,
+    more_errors_probability,
+    response_between,
+    response_times,
+)
+from motorhil.motorapi.synchronization import can_response_time as bus_timing
+from motorhil.motorapi.synchronization.bus_load import CanTraffic, PeriodicMessage
 from tests.harness.analysis.sets import MS, SAE, SAE_RATES, US, davis, sae
 
 # Bits with intermission, shortest and longest, 11-bit and 29-bit identifiers, by FD_LENGTHS.

@@ -7,10 +7,18 @@ Bytes follow CiA 301 and 402-2, and linux/can/error.h.
 
 import struct
 
-from traces.schema import encode_log
-from traces.mcap.protobuf import encode
-from traces.schema import CAN_FRAME, LOG, MOTOR_LOCK, Direction, Level, LockAction, Schema
-from traces.mcap.writer import TraceWriter
+from motorhil.traces.mcap.protobuf import encode
+from motorhil.traces.mcap.writer import TraceWriter
+from motorhil.traces.schema import (
+    CAN_FRAME,
+    LOG,
+    MOTOR_LOCK,
+    Direction,
+    Level,
+    LockAction,
+    Schema,
+    encode_log,
+)
 
 MS = 1_000_000
 RIG = b"""

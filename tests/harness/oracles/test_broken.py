@@ -4,9 +4,9 @@ import struct
 
 import pytest
 
-from harness.oracles.facts import Facts
-from harness.oracles.base import Verdict
-from harness.oracles.judge import IDS, is_sound, judge
+from motorhil.harness.oracles.base import Verdict
+from motorhil.harness.oracles.facts import Facts
+from motorhil.harness.oracles.judge import IDS, is_sound, judge
 from tests.harness.oracles.story import (
     MS,
     RELEASED,

@@ -2,14 +2,20 @@
 
 import random
 
-from emulators.can.bitlevel.episode import Disturbance, Effect, EventKind, Station, run_episode
-from emulators.can.frame import pack
-from harness.oracles.base import Verdict
-from harness.oracles.judge import judge
-from traces.decoding.can_errors import ControllerState, bus_error
-from traces.schema import Direction
-from traces.formats.frames import ERR, Frame, classic
-from traces.formats.registry import record_frames
+from motorhil.emulators.can.bitlevel.episode import (
+    Disturbance,
+    Effect,
+    EventKind,
+    Station,
+    run_episode,
+)
+from motorhil.emulators.can.frame import pack
+from motorhil.harness.oracles.base import Verdict
+from motorhil.harness.oracles.judge import judge
+from motorhil.traces.decoding.can_errors import ControllerState, bus_error
+from motorhil.traces.formats.frames import ERR, Frame, classic
+from motorhil.traces.formats.registry import record_frames
+from motorhil.traces.schema import Direction
 
 NODES = 3
 RESTARTED = classic(ERR | 0x300, bytes(8))

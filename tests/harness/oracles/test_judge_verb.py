@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from harness.oracles.judge import IDS
+from motorhil.harness.oracles.judge import IDS
 from tests.golden import golden
 from tests.harness.oracles.story import RIG, record, story
 from tests.harness.oracles.test_broken import without

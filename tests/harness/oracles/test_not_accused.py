@@ -2,11 +2,11 @@
 
 import pytest
 
-from harness.cli.main import main
-from harness.oracles.facts import Facts
-from harness.oracles.base import Verdict
-from harness.oracles.judge import judge
-from harness.oracles.state_machine import Command, command_in
+from motorhil.harness.cli.main import main
+from motorhil.harness.oracles.base import Verdict
+from motorhil.harness.oracles.facts import Facts
+from motorhil.harness.oracles.judge import judge
+from motorhil.harness.oracles.state_machine import Command, command_in
 from tests.harness.oracles.story import record, sdo, story, written
 from tests.harness.oracles.test_broken import (
     LAGS,

@@ -4,21 +4,20 @@ import random
 
 import pytest
 
-from harness.oracles.facts import Facts, read_limits, subjects_in
-from harness.oracles.base import Verdict
-from harness.oracles.judge import Pass, is_sound, judge
-from harness.oracles.base import RecordingContext
-from harness.rig.rig import Rig, installed_plugins
-from harness.rig.config.rig_file import parse_rig
-from harness.rig.config.toml import Source
-from motorapi import ControlMode, MotorError
+from motorhil.harness.oracles.base import RecordingContext, Verdict
+from motorhil.harness.oracles.facts import Facts, read_limits, subjects_in
+from motorhil.harness.oracles.judge import Pass, is_sound, judge
+from motorhil.harness.rig.config.rig_file import parse_rig
+from motorhil.harness.rig.config.toml import Source
+from motorhil.harness.rig.rig import Rig, installed_plugins
+from motorhil.motorapi import ControlMode, MotorError
+from motorhil.traces.decoding.objects import names_of
+from motorhil.traces.formats.frames import Findings
+from motorhil.traces.formats.registry import recorded_frames
+from motorhil.traces.mcap.reader import read_trace
 from tests.golden import GOLDEN, golden
 from tests.harness.replay.altered import copied
 from tests.motorapi.kinds import EVERY
-from traces.mcap.reader import read_trace
-from traces.decoding.objects import names_of
-from traces.formats.frames import Findings
-from traces.formats.registry import recorded_frames
 
 _CAN = {
     *("limit-velocity", "heartbeat-kept", "sdo-answered", "one-sender", "no-reboot"),

@@ -2,13 +2,12 @@
 
 import pytest
 
-from harness.oracles.base import Verdict
-from harness.oracles.judge import judge
+from motorhil.harness.oracles.base import Verdict
+from motorhil.harness.oracles.judge import judge
+from motorhil.traces.mcap.protobuf import encode
+from motorhil.traces.mcap.writer import TraceWriter
+from motorhil.traces.schema import GROUP_SYNC, JOINT_STATE, MOTOR_LOCK, JointStateEncoder, Schema
 from tests.harness.oracles.story import MS, RELEASED, TAKEN
-from traces.schema import JointStateEncoder
-from traces.mcap.protobuf import encode
-from traces.schema import GROUP_SYNC, JOINT_STATE, MOTOR_LOCK, Schema
-from traces.mcap.writer import TraceWriter
 
 START, END = 1, 2
 MOVE = ((200, 0.0), (400, 0.4), (600, 0.8), (800, 1.0))

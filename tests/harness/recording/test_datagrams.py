@@ -6,8 +6,8 @@ import struct
 
 import pytest
 
-from harness.recording import socketcan as datagrams
-from harness.recording.socketcan import BATCH, DatagramReader
+from motorhil.harness.recording import socketcan as datagrams
+from motorhil.harness.recording.socketcan import BATCH, DatagramReader
 
 NOW = 7
 

@@ -1,10 +1,19 @@
 import can
 import pytest
 
-from harness.recording.sources import Kind, Place, PlaceError, parse_place, refuse_twice, topic_name
-from harness.recording.sources import PythonCanTap, frame_of, message_of
-from harness.recording.sources import HubClocks
-from traces.formats.frames import classic, flexible, remote
+from motorhil.harness.recording.sources import (
+    HubClocks,
+    Kind,
+    Place,
+    PlaceError,
+    PythonCanTap,
+    frame_of,
+    message_of,
+    parse_place,
+    refuse_twice,
+    topic_name,
+)
+from motorhil.traces.formats.frames import classic, flexible, remote
 
 NOW_S = 1_800_000_000
 

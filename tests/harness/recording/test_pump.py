@@ -2,16 +2,15 @@ import struct
 
 import pytest
 
-from harness.cli.record import Progress
-from harness.recording.writer import FLUSH_NS, Pump, opener
-from harness.recording.writer import Series
+from motorhil.harness.cli.record import Progress
+from motorhil.harness.recording.writer import FLUSH_NS, Pump, Series, opener
+from motorhil.traces.digest import digest
+from motorhil.traces.errors import TraceError
+from motorhil.traces.formats.frames import Findings
+from motorhil.traces.formats.registry import recorded_frames
+from motorhil.traces.mcap.reader import read_trace
+from motorhil.traces.schema import Direction, Level
 from tests.traces.recordings import MS, can_frame, counted_frame
-from traces.digest import digest
-from traces.errors import TraceError
-from traces.mcap.reader import read_trace
-from traces.schema import Direction, Level
-from traces.formats.frames import Findings
-from traces.formats.registry import recorded_frames
 
 S = 1_000_000_000
 

@@ -1,7 +1,7 @@
 """Altered copies of recordings."""
 
-from traces.mcap.reader import read_trace
-from traces.mcap.writer import TraceWriter
+from motorhil.traces.mcap.reader import read_trace
+from motorhil.traces.mcap.writer import TraceWriter
 
 
 def copied(source, target, change):

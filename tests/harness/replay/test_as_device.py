@@ -7,13 +7,13 @@ import pytest
 from hypothesis import event, given
 from hypothesis import strategies as st
 
-from harness.replay.rig import with_recorded
-from harness.replay.verdict import players, unanswered
-from harness.rig.rig import Rig
-from motorapi import ControlMode, MotorError
+from motorhil.harness.replay.rig import with_recorded
+from motorhil.harness.replay.verdict import players, unanswered
+from motorhil.harness.rig.rig import Rig
+from motorhil.motorapi import ControlMode, MotorError
+from motorhil.traces.mcap.reader import read_trace
 from tests.golden import described, golden, overload, record
 from tests.harness.replay.altered import copied, traffic
-from traces.mcap.reader import read_trace
 
 
 def one_move(rig, target=1.0, pauses=(0.0, 0.0, 0.0), after_enable=None):

@@ -5,18 +5,17 @@ import shutil
 
 import pytest
 
-from harness.replay.host import DrivenRig, compared, drive
-from harness.rig.rig import Rig
+from motorhil.harness.replay.host import DrivenRig, compared, drive
+from motorhil.harness.rig.rig import Rig
+from motorhil.traces.exchange.recording import tapes_of
+from motorhil.traces.formats.frames import classic
+from motorhil.traces.mcap.reader import read_trace
+from motorhil.traces.mcap.writer import TraceWriter
+from motorhil.traces.schema import CAN_FRAME, Direction, Schema, decode_can_frame
+from motorhil.traces.semantics.diff import Tolerance
 from tests.golden import FOLDER
 from tests.harness.recorded import MS, Recorded, S
 from tests.harness.replay.altered import copied, traffic
-from traces.schema import decode_can_frame
-from traces.mcap.reader import read_trace
-from traces.exchange.recording import tapes_of
-from traces.schema import CAN_FRAME, Direction, Schema
-from traces.semantics.diff import Tolerance
-from traces.formats.frames import classic
-from traces.mcap.writer import TraceWriter
 
 SET_POINT = classic(0x205, b"\x0f\0")
 RESET_ALL = classic(0x000, b"\x81\0")  # CiA 301, NMT: reset node, to all

@@ -2,20 +2,19 @@
 
 import pytest
 
-from harness.oracles.judge import judge
-from harness.replay.host import DrivenRig, compared, drive
-from harness.replay.rig import with_recorded
-from harness.replay.verdict import unanswered
-from harness.rig.rig import Rig
+from motorhil.harness.oracles.judge import judge
+from motorhil.harness.replay.host import DrivenRig, compared, drive
+from motorhil.harness.replay.rig import with_recorded
+from motorhil.harness.replay.verdict import unanswered
+from motorhil.harness.rig.rig import Rig
+from motorhil.traces.exchange.recording import tapes_of
+from motorhil.traces.formats.frames import ERR, classic
+from motorhil.traces.mcap.reader import read_trace
+from motorhil.traces.mcap.writer import TraceWriter
+from motorhil.traces.schema import Direction, encode_can_frame
+from motorhil.traces.semantics.diff import Tolerance
 from tests.golden import GOLDEN, described, golden
 from tests.harness.replay.altered import traffic
-from traces.schema import encode_can_frame
-from traces.mcap.reader import read_trace
-from traces.exchange.recording import tapes_of
-from traces.schema import Direction
-from traces.semantics.diff import Tolerance
-from traces.formats.frames import ERR, classic
-from traces.mcap.writer import TraceWriter
 
 HEARD, OWN = Direction.RECEIVED, Direction.TRANSMITTED
 ERRORS = [  # some with the bits of NMT, SYNC, or an SDO of node 1, read as identifiers

@@ -2,13 +2,12 @@
 
 import pytest
 
-from harness.cli.main import main
-from harness.replay.host import compared
-from traces.exchange.host import HostCutter, Listener
-from traces.exchange.host import answer_size
-from traces.schema import Direction
-from traces.semantics.diff import Tolerance
-from traces.formats.frames import RTR, classic
+from motorhil.harness.cli.main import main
+from motorhil.harness.replay.host import compared
+from motorhil.traces.exchange.host import HostCutter, Listener, answer_size
+from motorhil.traces.formats.frames import RTR, classic
+from motorhil.traces.schema import Direction
+from motorhil.traces.semantics.diff import Tolerance
 
 SAME = (
     *("701#00", "601#4041600000000000", "581#4B41600031020000", "701#7F", "1E5#0102"),

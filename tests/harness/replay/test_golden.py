@@ -4,16 +4,16 @@ import shutil
 
 import pytest
 
-from harness.cli.main import main
-from harness.replay.host import DrivenRig, compared, drive
-from harness.replay.rig import with_recorded
-from harness.replay.verdict import players, summary, unanswered
-from harness.rig.rig import Rig
+from motorhil.harness.cli.main import main
+from motorhil.harness.replay.host import DrivenRig, compared, drive
+from motorhil.harness.replay.rig import with_recorded
+from motorhil.harness.replay.verdict import players, summary, unanswered
+from motorhil.harness.rig.rig import Rig
+from motorhil.traces.digest import digest
+from motorhil.traces.schema import decode_can_frame
+from motorhil.traces.semantics.diff import Tolerance
 from tests.golden import GOLDEN, INDEX, described, golden, record, rows
 from tests.harness.replay.altered import traffic
-from traces.digest import digest
-from traces.schema import decode_can_frame
-from traces.semantics.diff import Tolerance
 
 NAMES = list(GOLDEN)
 

@@ -2,9 +2,9 @@
 
 import pytest
 
-from harness.replay.host import HostPlayer
-from traces.exchange.host import ANSWER, HostStep, Listener, Told
-from traces.formats.frames import classic
+from motorhil.harness.replay.host import HostPlayer
+from motorhil.traces.exchange.host import ANSWER, HostStep, Listener, Told
+from motorhil.traces.formats.frames import classic
 
 MS = 1_000_000
 PATIENCE = 2_000 * MS  # the default of `replay --patience`

@@ -6,12 +6,12 @@ import stat
 
 import pytest
 
+from motorhil.traces.errors import TraceError
+from motorhil.traces.mcap.reader import read_trace
+from motorhil.traces.mcap.writer import TraceWriter
+from motorhil.traces.schema import CAN_FRAME, MODBUS_ADU, Direction, Schema
 from tests.golden import FOLDER
 from tests.harness.recorded import Recorded
-from traces.errors import TraceError
-from traces.mcap.reader import read_trace
-from traces.schema import CAN_FRAME, MODBUS_ADU, Direction, Schema
-from traces.mcap.writer import TraceWriter
 
 TABLES = {"/can": CAN_FRAME, "/mod": MODBUS_ADU}
 
@@ -162,9 +162,9 @@ def test_as_host_uses_recorded_eds_files(with_eds, say):
 
 
 def test_missing_attached_file_is_reported(folder):
-    from harness.replay.rig import own_rig
-    from harness.rig.rig import installed_plugins
-    from harness.rig.config.toml import RigError
+    from motorhil.harness.replay.rig import own_rig
+    from motorhil.harness.rig.config.toml import RigError
+    from motorhil.harness.rig.rig import installed_plugins
 
     with read_trace("bench.mcap") as trace:
         rig = next(one for one in trace.attachments if one.name.endswith(".toml"))

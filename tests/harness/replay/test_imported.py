@@ -2,9 +2,9 @@
 
 import pytest
 
-from harness.cli.main import main
-from harness.replay.verdict import unanswered
-from harness.rig.rig import Rig
+from motorhil.harness.cli.main import main
+from motorhil.harness.replay.verdict import unanswered
+from motorhil.harness.rig.rig import Rig
 
 
 @pytest.fixture(scope="module")

@@ -3,8 +3,8 @@
 from hypothesis import event, given
 from hypothesis import strategies as st
 
-from harness.replay.player import LOOK_AHEAD, ExchangePlayer
-from traces.exchange.steps import START, Role, Sent, Step, ExchangeLog, Turn, period_ns
+from motorhil.harness.replay.player import LOOK_AHEAD, ExchangePlayer
+from motorhil.traces.exchange.steps import START, ExchangeLog, Role, Sent, Step, Turn, period_ns
 
 MS = 1_000_000
 

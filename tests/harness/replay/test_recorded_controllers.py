@@ -2,14 +2,13 @@
 
 import pytest
 
-from harness.replay.device_node import NO_DATA, RecordedNode
-from harness.replay.device_node import RecordedUnit
+from motorhil.harness.replay.device_node import NO_DATA, RecordedNode, RecordedUnit
+from motorhil.traces.decoding.canopen import CanopenDecoder
+from motorhil.traces.exchange.canopen import CanopenTapes
+from motorhil.traces.exchange.modbus import modbus_tapes
+from motorhil.traces.formats.frames import BRS, RTR, Frame, classic, flexible, remote
+from motorhil.traces.schema import Direction
 from tests.traces.test_tapes import MS, adu, cut, frame
-from traces.exchange.canopen import CanopenTapes
-from traces.decoding.canopen import CanopenDecoder
-from traces.exchange.modbus import modbus_tapes
-from traces.schema import Direction
-from traces.formats.frames import BRS, RTR, Frame, classic, flexible, remote
 
 BOOT = frame(0, 0x706, b"\0")
 READ, KIND = bytes.fromhex("4000100000000000"), bytes.fromhex("4300100092010200")

@@ -2,10 +2,10 @@
 
 import struct
 
-from harness.replay.device_node import RecordedNode
-from traces.exchange.canopen import CanopenTapes
-from traces.schema import Direction
-from traces.formats.frames import EFF, RTR, classic
+from motorhil.harness.replay.device_node import RecordedNode
+from motorhil.traces.exchange.canopen import CanopenTapes
+from motorhil.traces.formats.frames import EFF, RTR, classic
+from motorhil.traces.schema import Direction
 
 MS = 1_000_000
 BOOT_UP = (0, 0x701, b"\0")

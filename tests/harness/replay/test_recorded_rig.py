@@ -6,20 +6,18 @@ from dataclasses import replace
 
 import pytest
 
-from emulators.controller import ControllerContext, SettingError
-from harness.replay.device_node import build, recorded_tapes
-from harness.replay.device_node import RecordedNode
-from harness.replay.rig import own_rig, rig_in, with_recorded
-from harness.replay.device_node import RecordedUnit
-from harness.rig.rig import installed_plugins
+from motorhil.emulators.controller import ControllerContext, SettingError
+from motorhil.harness.replay.device_node import RecordedNode, RecordedUnit, build, recorded_tapes
+from motorhil.harness.replay.rig import own_rig, rig_in, with_recorded
+from motorhil.harness.rig.rig import installed_plugins
+from motorhil.traces.exchange.recording import tapes_of
+from motorhil.traces.exchange.steps import START
+from motorhil.traces.mcap.reader import read_trace
+from motorhil.traces.mcap.writer import TraceWriter
+from motorhil.traces.schema import CAN_FRAME, MODBUS_ADU, Direction, Schema
 from tests.golden import described, golden
 from tests.harness.recorded import MS, Recorded
 from tests.traces.test_tapes import frame
-from traces.mcap.reader import read_trace
-from traces.exchange.recording import tapes_of
-from traces.schema import CAN_FRAME, MODBUS_ADU, Direction, Schema
-from traces.exchange.steps import START
-from traces.mcap.writer import TraceWriter
 
 S = 1_000_000_000
 ASK, KIND = "40001000", "4300100092010200"

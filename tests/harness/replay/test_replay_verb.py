@@ -31,8 +31,8 @@ def folder(tmp_path, monkeypatch):
 CONNECT = """\
 from pathlib import Path
 import can
-from motorapi import ControlMode, MotorModel
-from motorapi.adaptations.cia402.motor import Cia402HwMotor, Cia402Motor
+from motorhil.motorapi import ControlMode, MotorModel
+from motorhil.motorapi.adaptations.cia402.motor import Cia402HwMotor, Cia402Motor
 model = MotorModel.from_table({table}, path="model", line_of=lambda key: None, default_name="left")
 with can.Bus() as bus:
     left = Cia402Motor(Cia402HwMotor(bus, node_id=1), model=model)
@@ -97,7 +97,7 @@ def test_as_host_json_has_all_facts(folder, say):
 
 def other_rig(folder, change):
     """Write the recording's own rig with one change."""
-    from traces.mcap.reader import read_trace
+    from motorhil.traces.mcap.reader import read_trace
 
     with read_trace(folder / "bench.mcap") as trace:
         text = trace.attachments[0].data.decode()

@@ -9,17 +9,24 @@ from itertools import pairwise
 import can
 import pytest
 
-from emulators.simulation.event_queue import EventQueue
-from harness.cli.main import main
-from harness.replay.frames import STUCK_S, Choice, SendError, TrafficReplay, refuse_long, survey
-from harness.rig.rig import Rig
-from harness.rig.config.scaffold import EXAMPLES
-from harness.virtual_time.runtime import VirtualRuntime
+from motorhil.emulators.simulation.event_queue import EventQueue
+from motorhil.harness.cli.main import main
+from motorhil.harness.replay.frames import (
+    STUCK_S,
+    Choice,
+    SendError,
+    TrafficReplay,
+    refuse_long,
+    survey,
+)
+from motorhil.harness.rig.config.scaffold import EXAMPLES
+from motorhil.harness.rig.rig import Rig
+from motorhil.harness.virtual_time.runtime import VirtualRuntime
+from motorhil.traces.formats.frames import ERR, Findings, Frame, flexible
+from motorhil.traces.formats.registry import record_frames, recorded_frames
+from motorhil.traces.mcap.reader import read_trace
+from motorhil.traces.schema import Direction
 from tests.traces.recordings import can_frame
-from traces.mcap.reader import read_trace
-from traces.schema import Direction
-from traces.formats.frames import ERR, Findings, Frame, flexible
-from traces.formats.registry import record_frames, recorded_frames
 
 S = 1_000_000_000
 MS = 1_000_000

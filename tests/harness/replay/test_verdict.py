@@ -2,13 +2,13 @@
 
 import pytest
 
-from harness.replay.host import DrivenRig
-from harness.replay.rig import with_recorded
-from harness.replay.verdict import players, summary, unanswered
-from harness.rig.rig import Rig
+from motorhil.harness.replay.host import DrivenRig
+from motorhil.harness.replay.rig import with_recorded
+from motorhil.harness.replay.verdict import players, summary, unanswered
+from motorhil.harness.rig.rig import Rig
+from motorhil.traces.exchange.steps import Role
+from motorhil.traces.formats.frames import classic
 from tests.golden import described, golden
-from traces.exchange.steps import Role
-from traces.formats.frames import classic
 
 UNKNOWN = bytes.fromhex("4018100700000000")
 

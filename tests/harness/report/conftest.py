@@ -7,10 +7,10 @@ import zlib
 
 import pytest
 
-from harness.cli.main import main
-from harness.report.collect import collect
-from harness.report.document import document_of
-from traces.mcap.reader import read_trace
+from motorhil.harness.cli.main import main
+from motorhil.harness.report.collect import collect
+from motorhil.harness.report.document import document_of
+from motorhil.traces.mcap.reader import read_trace
 
 
 @pytest.fixture(scope="session")

@@ -7,11 +7,11 @@ import re
 
 import pytest
 
-from harness.cli.main import main
+from motorhil.harness.cli.main import main
+from motorhil.traces.mcap.writer import TraceWriter
+from motorhil.traces.schema import GROUP_SYNC, MOTOR_LOCK
 from tests.harness.recorded import MS, Recorded
 from tests.harness.report.browser import Browser, chromium
-from traces.schema import GROUP_SYNC, MOTOR_LOCK
-from traces.mcap.writer import TraceWriter
 
 pytestmark = pytest.mark.wall
 
@@ -275,10 +275,10 @@ def test_before_print_everything_is_drawn_on_white(opened):
 
 
 def test_reduced_page_has_the_same_load(browser, demo, demo_page, tmp_path):
-    from harness.report.collect import collect
-    from harness.report.document import document_of
-    from harness.report.page import render
-    from traces.mcap.reader import read_trace
+    from motorhil.harness.report.collect import collect
+    from motorhil.harness.report.document import document_of
+    from motorhil.harness.report.page import render
+    from motorhil.traces.mcap.reader import read_trace
 
     with read_trace(demo) as trace:
         made = document_of(trace, collect(trace), "reduced", points_max=3_000, frames_max=4_000)

@@ -5,11 +5,11 @@ import re
 import pytest
 from mcap.reader import make_reader
 
-from harness.cli.main import main
-from harness.report.foxglove import layout_of, path_of
+from motorhil.harness.cli.main import main
+from motorhil.harness.report.foxglove import layout_of, path_of
+from motorhil.traces.mcap.reader import read_trace
 from tests.harness.recorded import Recorded
 from tests.harness.report.conftest import document_in
-from traces.mcap.reader import read_trace
 
 
 def test_page_has_no_external_address(demo_page):

@@ -7,13 +7,19 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from harness.cli.main import main
-from harness.report.series import cells, extremes
+from motorhil.harness.cli.main import main
+from motorhil.harness.report.series import cells, extremes
+from motorhil.traces.formats.frames import BRS, flexible
+from motorhil.traces.mcap.writer import TraceWriter
+from motorhil.traces.schema import (
+    CAN_FRAME,
+    GROUP_SYNC,
+    MODBUS_ADU,
+    MOTOR_LOCK,
+    Schema,
+    encode_can_frame,
+)
 from tests.harness.recorded import MS, Recorded, S
-from traces.schema import encode_can_frame
-from traces.schema import CAN_FRAME, GROUP_SYNC, MODBUS_ADU, MOTOR_LOCK, Schema
-from traces.formats.frames import BRS, flexible
-from traces.mcap.writer import TraceWriter
 
 WALL_NS = 1_700_000_000 * S
 ERROR_FRAME = struct.pack("<IB3x8s", 0x2000_0040, 8, bytes(8))  # bus-off, linux/can/error.h

@@ -7,25 +7,23 @@ import pytest
 from hypothesis import event, given
 from hypothesis import strategies as st
 
-from emulators.can.bus.bus import CanBus
-from emulators.can.frame import pack
-from emulators.can.bus.port import confirms
-from emulators.can.fault_rules import FaultKind, FaultRule
-from emulators.can.bus.fault_plan import FaultPlan
-from harness.analysis.response_time import ErrorModel
-from harness.analysis.response_time import response_times
-from harness.analysis.subject import Queues
-from harness.cli.main import main
-from harness.analysis.from_recording import RecordedBus
-from harness.report.timelines import MESSAGES_MAX
-from harness.rig.rig import Rig
+from motorhil.emulators.can.bus.bus import CanBus
+from motorhil.emulators.can.bus.fault_plan import FaultPlan
+from motorhil.emulators.can.bus.port import confirms
+from motorhil.emulators.can.fault_rules import FaultKind, FaultRule
+from motorhil.emulators.can.frame import pack
+from motorhil.harness.analysis.from_recording import RecordedBus
+from motorhil.harness.analysis.response_time import ErrorModel, response_times
+from motorhil.harness.analysis.subject import Queues
+from motorhil.harness.cli.main import main
+from motorhil.harness.report.timelines import MESSAGES_MAX
+from motorhil.harness.rig.rig import Rig
+from motorhil.traces.formats.frames import BRS, flexible
+from motorhil.traces.mcap.writer import TraceWriter
+from motorhil.traces.schema import CAN_FRAME, Schema, encode_can_frame
 from tests.emulators.media.driving import run
 from tests.harness.recorded import MS, Recorded
 from tests.harness.report.conftest import document_in
-from traces.schema import encode_can_frame
-from traces.schema import CAN_FRAME, Schema
-from traces.formats.frames import BRS, flexible
-from traces.mcap.writer import TraceWriter
 
 US = 1_000
 RIG = "[bus.can0]\nbitrate_bit_s = 500_000\n"

@@ -6,13 +6,13 @@ from dataclasses import replace
 from math import pi
 from pathlib import Path
 
-from emulators.cia402.settings import OWN_EDS
-from harness.rig.rig import Rig, installed_plugins
-from harness.rig.config.rig_file import parse_rig
-from harness.rig.config.toml import Source
-from harness.sharing_tests.relative_moves import Mover, mover_of
-from motorapi import ControlMode, Motor, TrapezoidalTrajectory
-from motorapi.trajectory import ComplexTrajectory
+from motorhil.emulators.cia402.settings import OWN_EDS
+from motorhil.harness.rig.config.rig_file import parse_rig
+from motorhil.harness.rig.config.toml import Source
+from motorhil.harness.rig.rig import Rig, installed_plugins
+from motorhil.harness.sharing_tests.relative_moves import Mover, mover_of
+from motorhil.motorapi import ControlMode, Motor, TrapezoidalTrajectory
+from motorhil.motorapi.trajectory import ComplexTrajectory
 from tests.motorapi.adaptations.conftest import drive
 from tests.motorapi.adaptations.software_rigs import INC_PER_RAD as SERVO_INC_RAD
 from tests.motorapi.adaptations.software_rigs import one as servo_motor

@@ -1,7 +1,7 @@
 """Planted defects of motor sharing, which the shipped suites must detect.
 
 Defects for one process are context managers. Defects for several processes are functions that a
-worker of `harness.sharing_tests.processes` calls in its own process before it begins (`Plan.plant`).
+worker of `motorhil.harness.sharing_tests.processes` calls in its own process before it begins (`Plan.plant`).
 """
 
 import os
@@ -10,13 +10,12 @@ from contextlib import contextmanager
 from pathlib import Path
 from unittest.mock import patch
 
-from motorapi import execution
-from motorapi.adaptations.cia402.motion import DriveMotions
-from motorapi.adaptations.cia402.object_access import DriveObjects
-from motorapi.locking.process_lock import LockHandle
-from motorapi.locking.lock_file import LockFile
-from motorapi.ownership.ownership import WaitQueue
-from motorapi.ownership.ownership import Ownership
+from motorhil.motorapi import execution
+from motorhil.motorapi.adaptations.cia402.motion import DriveMotions
+from motorhil.motorapi.adaptations.cia402.object_access import DriveObjects
+from motorhil.motorapi.locking.lock_file import LockFile
+from motorhil.motorapi.locking.process_lock import LockHandle
+from motorhil.motorapi.ownership.ownership import Ownership, WaitQueue
 
 RAMPS = (0x6081, 0x6083, 0x6084)
 

@@ -5,13 +5,23 @@ from dataclasses import replace
 
 import pytest
 
-from emulators.can.fault_rules import FaultKind, FaultRule
-from harness.sharing_tests.relative_moves import KINDS, at_most_once, judge, single_faults, traffic_of
-from harness.sharing_tests.relative_moves import Ending, MadeMoreThanOnce, Plan, Reach, Step
-from motorapi import DeadlineExceeded
-from motorapi.adaptations.cia402.controlword import DriveControl
-from motorapi.adaptations.cia402.object_access import DriveObjects
-from motorapi.errors import MotorError
+from motorhil.emulators.can.fault_rules import FaultKind, FaultRule
+from motorhil.harness.sharing_tests.relative_moves import (
+    KINDS,
+    Ending,
+    MadeMoreThanOnce,
+    Plan,
+    Reach,
+    Step,
+    at_most_once,
+    judge,
+    single_faults,
+    traffic_of,
+)
+from motorhil.motorapi import DeadlineExceeded
+from motorhil.motorapi.adaptations.cia402.controlword import DriveControl
+from motorhil.motorapi.adaptations.cia402.object_access import DriveObjects
+from motorhil.motorapi.errors import MotorError
 from tests.harness.sharing import movers
 
 SDO_REQUEST, SDO_ANSWER, TPDO, RPDO = 0x601, 0x581, 0x181, 0x201

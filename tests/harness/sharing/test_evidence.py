@@ -2,10 +2,10 @@
 
 import pytest
 
-from harness.recording.ownership import LockEvent, ownership_of
-from harness.sharing_tests.bus_evidence import BusFrame, commanded_node, judge_frames
-from harness.sharing_tests.history import SharingViolated
-from traces.schema import LockAction
+from motorhil.harness.recording.ownership import LockEvent, ownership_of
+from motorhil.harness.sharing_tests.bus_evidence import BusFrame, commanded_node, judge_frames
+from motorhil.harness.sharing_tests.history import SharingViolated
+from motorhil.traces.schema import LockAction
 
 MS = 1_000_000
 NODES = {"pan": ("can0", 3)}

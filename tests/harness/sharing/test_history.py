@@ -1,6 +1,18 @@
 """Histories: notes of uses, and checks of the notes alone."""
 
-from harness.sharing_tests.history import FOREVER_NS, Action, Answer, History, Use, ended_by_death, from_line, overtaken, to_line, tokens_that_did_not_grow, worst_gap_s
+from motorhil.harness.sharing_tests.history import (
+    FOREVER_NS,
+    Action,
+    Answer,
+    History,
+    Use,
+    ended_by_death,
+    from_line,
+    overtaken,
+    to_line,
+    tokens_that_did_not_grow,
+    worst_gap_s,
+)
 
 
 def taken(who, called_ns, returned_ns, token, queued_ns=None, motor="m", forced=False):

@@ -7,8 +7,21 @@ import pytest
 from hypothesis import event, given, settings
 from hypothesis import strategies as st
 
-from harness.sharing_tests.history import FOREVER_NS, Action, Answer, SharingViolated, Use, ended_by_death
-from harness.sharing_tests.linearizability import OwnedMotor, _with, events_of, require_linearizable, search
+from motorhil.harness.sharing_tests.history import (
+    FOREVER_NS,
+    Action,
+    Answer,
+    SharingViolated,
+    Use,
+    ended_by_death,
+)
+from motorhil.harness.sharing_tests.linearizability import (
+    OwnedMotor,
+    _with,
+    events_of,
+    require_linearizable,
+    search,
+)
 
 TAKE, GIVE, COMMAND, READ, DIE = Action
 DONE, REFUSED, LOST, UNKNOWN = Answer

@@ -6,12 +6,15 @@ from pathlib import Path
 import pytest
 from hypothesis import Phase, settings
 
-from harness.rig.rig import installed_plugins
-from harness.rig.config.rig_file import parse_rig
-from harness.rig.config.toml import Source
-from harness.sharing_tests.history import SharingViolated
-from harness.sharing_tests.state_machine import group_machine, ownership_machine
-from harness.sharing_tests.state_machine import shared_rig
+from motorhil.harness.rig.config.rig_file import parse_rig
+from motorhil.harness.rig.config.toml import Source
+from motorhil.harness.rig.rig import installed_plugins
+from motorhil.harness.sharing_tests.history import SharingViolated
+from motorhil.harness.sharing_tests.state_machine import (
+    group_machine,
+    ownership_machine,
+    shared_rig,
+)
 from tests.motorapi.kinds import KINDS
 
 LONGER = int(os.environ.get("MOTORHIL_SHARING", "1"))

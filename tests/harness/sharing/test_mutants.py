@@ -2,8 +2,8 @@
 
 import pytest
 
-from harness.sharing_tests.history import SharingViolated
-from harness.sharing_tests.state_machine import group_machine, ownership_machine
+from motorhil.harness.sharing_tests.history import SharingViolated
+from motorhil.harness.sharing_tests.state_machine import group_machine, ownership_machine
 from tests.harness.sharing import mutants
 from tests.harness.sharing.test_machine import rig_of, run
 

@@ -8,8 +8,8 @@ import os
 
 import pytest
 
-from harness.sharing_tests.history import SharingViolated
-from harness.sharing_tests.processes import Plan, run
+from motorhil.harness.sharing_tests.history import SharingViolated
+from motorhil.harness.sharing_tests.processes import Plan, run
 
 pytestmark = pytest.mark.wall
 

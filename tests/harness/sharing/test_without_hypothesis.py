@@ -12,13 +12,13 @@ def python(code):
 
 
 def test_machine_without_hypothesis_names_the_remedy():
-    done = python("import harness.sharing_tests.state_machine")
+    done = python("import motorhil.harness.sharing_tests.state_machine")
     assert done.stderr.splitlines()[-1] == (
-        "ImportError: harness.sharing_tests.state_machine needs Hypothesis: pip install 'motorhil[test]'"
+        "ImportError: motorhil.harness.sharing_tests.state_machine needs Hypothesis: pip install 'motorhil[test]'"
     )
 
 
 def test_other_modules_work_without_hypothesis():
-    modules = ("history", "linearizability", "processes", "arena", "desk", "drivers", "evidence")
-    done = python("; ".join(f"import harness.sharing_tests.{name}" for name in modules))
+    modules = ("history", "linearizability", "processes", "arena", "workers", "bus_evidence")
+    done = python("; ".join(f"import motorhil.harness.sharing_tests.{name}" for name in modules))
     assert (done.returncode, done.stderr) == (0, "")

@@ -3,9 +3,9 @@ from types import SimpleNamespace
 
 import pytest
 
-from emulators.simulation.event_queue import EventQueue
-from harness.virtual_time.stdlib.install import in_virtual_time
-from harness.virtual_time.runtime import VirtualRuntime
+from motorhil.emulators.simulation.event_queue import EventQueue
+from motorhil.harness.virtual_time.runtime import VirtualRuntime
+from motorhil.harness.virtual_time.stdlib.install import in_virtual_time
 
 
 @pytest.fixture(autouse=True)
@@ -18,7 +18,7 @@ def refuse_wall_sleep(monkeypatch):
         pytest.fail(f"a thread sleeps {seconds} s on the wall clock")
 
     monkeypatch.setattr("time.sleep", refuse)
-    monkeypatch.setattr("harness.virtual_time.stdlib.clocks._sleep", refuse)
+    monkeypatch.setattr("motorhil.harness.virtual_time.stdlib.clocks._sleep", refuse)
 
 
 @pytest.fixture

@@ -8,8 +8,8 @@ from types import ModuleType
 
 import pytest
 
-from harness.virtual_time.runtime import WallPace
-from harness.virtual_time.stdlib.install import in_virtual_time
+from motorhil.harness.virtual_time.runtime import WallPace
+from motorhil.harness.virtual_time.stdlib.install import in_virtual_time
 
 UP_S = 100_000.0  # uptime of a machine when the rig is switched on
 US = 1e-6
@@ -145,7 +145,7 @@ def test_scheduler_uses_rig_time(now_s):
 
 
 def test_bound_names_are_replaced_except_in_own_packages(rig, monkeypatch):
-    library, own = ModuleType("somebodys_library"), ModuleType("motorapi.somewhere")
+    library, own = ModuleType("somebodys_library"), ModuleType("motorhil.motorapi.somewhere")
     for module in (library, own):
         exec("import time\nfrom time import monotonic\n", vars(module))
         exec("def both():\n    return monotonic(), time.monotonic()\n", vars(module))

@@ -4,8 +4,8 @@ import can
 import pytest
 from can.interfaces import BACKENDS
 
-from harness.rig.rig import Rig
-from harness.cli.run import bus_settings
+from motorhil.harness.cli.run import bus_settings
+from motorhil.harness.rig.rig import Rig
 
 RIG = """
 [rig]

@@ -6,12 +6,12 @@ import sys
 from importlib.resources import files
 from pathlib import Path
 
-import emulators
-from traces.digest import digest
+from motorhil import emulators
+from motorhil.traces.digest import digest
 
 HERE = Path(__file__).parent / "programs"
 EDS = str(files(emulators) / "eds" / "motorhil_cia402.eds")
-RIG = str(files("harness") / "examples" / "two_wheels.toml")
+RIG = str(files("motorhil.harness") / "examples" / "two_wheels.toml")
 
 # Two drives with one identity answer the request for the node-ID at once. They destroy each other's
 # frames until one is error passive (ISO 11898-1), which takes a millisecond.
@@ -30,7 +30,7 @@ HEARD = """\
 
 def run_alone(hash_seed, *command):
     done = subprocess.run(
-        [sys.executable, "-m", "harness", "run", *command],
+        [sys.executable, "-m", "motorhil", "run", *command],
         env={**os.environ, "PYTHONHASHSEED": hash_seed},
         capture_output=True,
         text=True,

@@ -14,8 +14,8 @@ from types import ModuleType
 import can
 import pytest
 
-from harness.virtual_time.stdlib.install import in_virtual_time
-from motorapi.errors import UsageError
+from motorhil.harness.virtual_time.stdlib.install import in_virtual_time
+from motorhil.motorapi.errors import UsageError
 
 
 async def nothing():
@@ -98,7 +98,7 @@ def test_threads_that_are_not_parties_may_block(rig):
 
 
 def test_thread_started_by_own_package_uses_wall_time(now_s):
-    own = ModuleType("motorapi.somewhere")
+    own = ModuleType("motorhil.motorapi.somewhere")
     exec("def start(thread):\n    thread.start()\n", vars(own))
     ran = []
     thread = threading.Thread(target=lambda: ran.append(select.select([], [], [], 0.001)))

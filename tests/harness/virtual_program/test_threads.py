@@ -6,10 +6,9 @@ from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
-from harness.virtual_time.stdlib.install import in_virtual_time
-from harness.virtual_time.stdlib.threads import join_executors
-from harness.virtual_time.stdlib.threads import program_here
-from motorapi.errors import UsageError
+from motorhil.harness.virtual_time.stdlib.install import in_virtual_time
+from motorhil.harness.virtual_time.stdlib.threads import join_executors, program_here
+from motorhil.motorapi.errors import UsageError
 
 THE_WALLS = (_thread.start_new_thread, _thread.allocate_lock)  # bound here, so not replaced
 

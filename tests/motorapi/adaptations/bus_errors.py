@@ -4,8 +4,8 @@ import struct
 from collections.abc import Callable
 from typing import Final
 
-from emulators.can.fault_rules import FaultKind, FaultRule
-from harness.rig.rig import Rig
+from motorhil.emulators.can.fault_rules import FaultKind, FaultRule
+from motorhil.harness.rig.rig import Rig
 
 MS = 1_000_000
 

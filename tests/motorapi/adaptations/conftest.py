@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from harness.rig.rig import Rig
+from motorhil.harness.rig.rig import Rig
 
 HEAD = """
 [rig]

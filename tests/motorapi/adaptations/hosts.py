@@ -7,12 +7,12 @@ from itertools import pairwise
 import can
 import canopen
 
-from harness.rig.rig import Rig
-from motorapi.adaptations.cia402.hardware import Cia402HwMotor
-from motorapi.adaptations.cia402.motor import Cia402Motor
-from motorapi.adaptations.cia402.bringup import HwOptions
-from motorapi.group import MotorGroup
-from motorapi.model import MotorModel
+from motorhil.harness.rig.rig import Rig
+from motorhil.motorapi.adaptations.cia402.bringup import HwOptions
+from motorhil.motorapi.adaptations.cia402.hardware import Cia402HwMotor
+from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
+from motorhil.motorapi.group import MotorGroup
+from motorhil.motorapi.model import MotorModel
 
 SYNC = 0x080
 MODEL = MotorModel(name="wheel", velocity_max=3.0, acceleration_max=10.0)

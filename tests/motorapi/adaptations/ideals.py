@@ -2,7 +2,7 @@
 
 import pytest
 
-from motorapi import ControlMode, ControlVariable, MotorModel
+from motorhil.motorapi import ControlMode, ControlVariable, MotorModel
 
 MODEL = MotorModel(
     name="wheel",

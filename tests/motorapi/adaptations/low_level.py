@@ -2,9 +2,9 @@
 
 from collections.abc import Callable
 
-from harness.rig.rig import Rig
-from motorapi.commands import ControlMode
-from motorapi.motor import Motor
+from motorhil.harness.rig.rig import Rig
+from motorhil.motorapi.commands import ControlMode
+from motorhil.motorapi.motor import Motor
 
 OpenRig = Callable[..., Rig]
 SPARED = {0x080: "SYNC", 0x77F: "the host's heartbeat"}

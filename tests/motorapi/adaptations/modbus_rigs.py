@@ -5,10 +5,10 @@ from pathlib import Path
 
 from hypothesis import strategies as st
 
-from emulators.media.serial_faults import SerialFaultKind, SerialFaultRule
-from harness.rig.rig import Rig, installed_plugins
-from harness.rig.config.rig_file import parse_rig
-from harness.rig.config.toml import Source
+from motorhil.emulators.media.serial_faults import SerialFaultKind, SerialFaultRule
+from motorhil.harness.rig.config.rig_file import parse_rig
+from motorhil.harness.rig.config.toml import Source
+from motorhil.harness.rig.rig import Rig, installed_plugins
 
 MS = 1_000_000
 LINES = {

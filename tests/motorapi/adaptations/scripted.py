@@ -6,8 +6,8 @@ Frames are written as candump writes them: "601#4018100100000000", identifier an
 from collections.abc import Callable, Iterable, Sequence
 from typing import Final, final
 
-from emulators.simulation.event_queue import EventQueue
-from harness.virtual_time.runtime import VirtualRuntime
+from motorhil.emulators.simulation.event_queue import EventQueue
+from motorhil.harness.virtual_time.runtime import VirtualRuntime
 
 US: Final = 1_000
 MS: Final = 1_000_000

@@ -2,11 +2,11 @@
 
 import math
 
-from emulators.plant.presets import PRESETS
-from harness.rig.rig import Rig
-from motorapi.commands import ControlMode, ControlVariable
-from motorapi.motor import Motor
-from motorapi.trajectory import TrapezoidalTrajectory
+from motorhil.emulators.plant.presets import PRESETS
+from motorhil.harness.rig.rig import Rig
+from motorhil.motorapi.commands import ControlMode, ControlVariable
+from motorhil.motorapi.motor import Motor
+from motorhil.motorapi.trajectory import TrapezoidalTrajectory
 
 WHEEL = PRESETS["wheel_60w"]
 INC_PER_RAD = WHEEL.encoder_increments_rev * WHEEL.gear_ratio / (2 * math.pi)

@@ -3,12 +3,11 @@
 from collections.abc import Callable
 from math import pi
 
-from harness.rig.rig import Rig
-from motorapi.adaptations.cia402.motor import Cia402Motor
-from motorapi.trajectory import MotorPosition
-from motorapi.commands import ControlMode, ControlVariable
-from motorapi.functions import Function, Polynomial
-from motorapi.trajectory import ComplexTrajectory
+from motorhil.harness.rig.rig import Rig
+from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
+from motorhil.motorapi.commands import ControlMode, ControlVariable
+from motorhil.motorapi.functions import Function, Polynomial
+from motorhil.motorapi.trajectory import ComplexTrajectory, MotorPosition
 
 OpenRig = Callable[..., Rig]
 MS = 1_000_000

@@ -6,14 +6,14 @@ from math import inf, nan
 
 import pytest
 
-from harness.rig.rig import Rig
-from motorapi.adaptations.canopen.sdo import SdoAborted
-from motorapi.adaptations.cia402.hardware import Cia402HwMotor
-from motorapi.adaptations.cia402.bringup import HwOptions
-from motorapi.adaptations.cia402.objects import Mode, PdsState
-from motorapi.commands import ControlMode
-from motorapi.errors import DeadlineExceeded, LinkError, MotionInterrupted, UsageError
-from motorapi.state import MotorState
+from motorhil.harness.rig.rig import Rig
+from motorhil.motorapi.adaptations.canopen.sdo import SdoAborted
+from motorhil.motorapi.adaptations.cia402.bringup import HwOptions
+from motorhil.motorapi.adaptations.cia402.hardware import Cia402HwMotor
+from motorhil.motorapi.adaptations.cia402.objects import Mode, PdsState
+from motorhil.motorapi.commands import ControlMode
+from motorhil.motorapi.errors import DeadlineExceeded, LinkError, MotionInterrupted, UsageError
+from motorhil.motorapi.state import MotorState
 from tests.motorapi.adaptations.conftest import drive
 from tests.motorapi.adaptations.scripted import MS, Answer, ScriptedBus, frame
 

@@ -7,17 +7,17 @@ from collections.abc import Callable
 
 import pytest
 
-from emulators.can.fault_rules import FaultKind, FaultRule
-from harness.rig.rig import Rig
-from motorapi.adaptations.canopen.bus import CanopenLink
-from motorapi.runtime.can_sources import BusCondition
-from motorapi.commands import ControlMode
-from motorapi.errors import DeadlineExceeded, LinkError
-from motorapi.functions import Polynomial
-from motorapi.group import MotorGroup
-from motorapi.motor import Motor
-from motorapi.state import MotorState
-from motorapi.trajectory import ComplexTrajectory, TrapezoidalTrajectory
+from motorhil.emulators.can.fault_rules import FaultKind, FaultRule
+from motorhil.harness.rig.rig import Rig
+from motorhil.motorapi.adaptations.canopen.bus import CanopenLink
+from motorhil.motorapi.commands import ControlMode
+from motorhil.motorapi.errors import DeadlineExceeded, LinkError
+from motorhil.motorapi.functions import Polynomial
+from motorhil.motorapi.group import MotorGroup
+from motorhil.motorapi.motor import Motor
+from motorhil.motorapi.runtime.can_sources import BusCondition
+from motorhil.motorapi.state import MotorState
+from motorhil.motorapi.trajectory import ComplexTrajectory, TrapezoidalTrajectory
 from tests.motorapi.adaptations import software_rigs
 from tests.motorapi.adaptations.bus_errors import (
     ACTIVE,

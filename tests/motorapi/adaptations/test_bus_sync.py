@@ -5,11 +5,11 @@ from collections.abc import Callable
 import canopen
 import pytest
 
-from emulators.can.fault_rules import FaultKind, FaultRule
-from harness.rig.rig import Rig
-from motorapi.adaptations.cia402.motor import Cia402Motor
-from motorapi.adaptations.cia402.csp import CspStream
-from motorapi.errors import LinkError, MotorError, UsageError
+from motorhil.emulators.can.fault_rules import FaultKind, FaultRule
+from motorhil.harness.rig.rig import Rig
+from motorhil.motorapi.adaptations.cia402.csp import CspStream
+from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
+from motorhil.motorapi.errors import LinkError, MotorError, UsageError
 from tests.motorapi.adaptations.conftest import drive
 from tests.motorapi.adaptations.hosts import BusEvidence, foreign_sync, host_with
 from tests.motorapi.adaptations.software_rigs import INC_PER_RAD, moving, one

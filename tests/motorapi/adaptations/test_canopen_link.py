@@ -2,8 +2,13 @@
 
 import pytest
 
-from motorapi.adaptations.canopen.bus import CanopenLink, can_frame, open_link, release_link
-from motorapi.errors import LinkError, UsageError
+from motorhil.motorapi.adaptations.canopen.bus import (
+    CanopenLink,
+    can_frame,
+    open_link,
+    release_link,
+)
+from motorhil.motorapi.errors import LinkError, UsageError
 from tests.motorapi.adaptations.scripted import FRAME_NS, MS, ScriptedBus, frame, text_of
 
 

@@ -4,10 +4,10 @@ from collections.abc import Callable
 
 import pytest
 
-from emulators.can.fault_rules import FaultKind, FaultRule
-from harness.rig.rig import Rig
-from motorapi.errors import DeviceFault, LinkError, MotionInterrupted
-from motorapi.state import MotorState
+from motorhil.emulators.can.fault_rules import FaultKind, FaultRule
+from motorhil.harness.rig.rig import Rig
+from motorhil.motorapi.errors import DeviceFault, LinkError, MotionInterrupted
+from motorhil.motorapi.state import MotorState
 from tests.motorapi.adaptations.conftest import drive
 from tests.motorapi.adaptations.wheels import MS, WINDOW_RAD, frames_on, go_to, motor_of, truth
 

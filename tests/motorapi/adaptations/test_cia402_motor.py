@@ -5,19 +5,24 @@ from contextlib import suppress
 
 import pytest
 
-from emulators.can.fault_rules import FaultKind, FaultRule
-from harness.rig.rig import Rig
-from motorapi.adaptations.canopen.sdo import HomingFailed
-from motorapi.adaptations.cia402.hardware import Cia402HwMotor
-from motorapi.adaptations.cia402.motor import Cia402Motor
-from motorapi.adaptations.cia402.objects import PdsState
-from motorapi.commands import ControlMode, ControlVariable, DerivativeLimits
-from motorapi.errors import DeadlineExceeded, MotionInterrupted, UnsupportedError, UsageError
-from motorapi.group import MotorGroup
-from motorapi.motor import Motor
-from motorapi.state import MotorState
-from motorapi.synchronization.quality import SyncLevel
-from motorapi.trajectory import TrapezoidalTrajectory
+from motorhil.emulators.can.fault_rules import FaultKind, FaultRule
+from motorhil.harness.rig.rig import Rig
+from motorhil.motorapi.adaptations.canopen.sdo import HomingFailed
+from motorhil.motorapi.adaptations.cia402.hardware import Cia402HwMotor
+from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
+from motorhil.motorapi.adaptations.cia402.objects import PdsState
+from motorhil.motorapi.commands import ControlMode, ControlVariable, DerivativeLimits
+from motorhil.motorapi.errors import (
+    DeadlineExceeded,
+    MotionInterrupted,
+    UnsupportedError,
+    UsageError,
+)
+from motorhil.motorapi.group import MotorGroup
+from motorhil.motorapi.motor import Motor
+from motorhil.motorapi.state import MotorState
+from motorhil.motorapi.synchronization.quality import SyncLevel
+from motorhil.motorapi.trajectory import TrapezoidalTrajectory
 from tests.motorapi.adaptations.conftest import drive
 from tests.motorapi.adaptations.wheels import (
     INCREMENT_RAD,

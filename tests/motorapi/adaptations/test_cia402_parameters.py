@@ -5,12 +5,12 @@ from math import inf
 
 import pytest
 
-from harness.rig.rig import Rig
-from motorapi.adaptations.cia402.motor import Cia402Motor
-from motorapi.adaptations.cia402.object_access import Cia402Parameters
-from motorapi.commands import ControlMode
-from motorapi.errors import LimitError, UnsupportedError, UsageError
-from motorapi.state import MotorState
+from motorhil.harness.rig.rig import Rig
+from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
+from motorhil.motorapi.adaptations.cia402.object_access import Cia402Parameters
+from motorhil.motorapi.commands import ControlMode
+from motorhil.motorapi.errors import LimitError, UnsupportedError, UsageError
+from motorhil.motorapi.state import MotorState
 from tests.motorapi.adaptations.conftest import drive
 from tests.motorapi.adaptations.test_drive_control import written_to_left
 

@@ -5,20 +5,20 @@ from pathlib import Path
 
 import pytest
 
-from emulators.firmware.servo_tables import ServoGains
-from emulators.can.fault_rules import FaultKind, FaultRule
-from emulators.plant.presets import WHEEL_60W
-from harness.rig.rig import Rig
-from motorapi import MotorGroup, TrapezoidalTrajectory
-from motorapi.adaptations.cia402.motor import Cia402Motor
-from motorapi.adaptations.cia402.object_access import Cia402Parameters
-from motorapi.commands import ControlMode, ControlVariable, DerivativeLimits
-from motorapi.errors import StateError, UnsupportedError, UsageError
-from motorapi.functions import Constant
-from motorapi.state import MotorState
-from motorapi.synchronization.quality import SyncLevel
-from motorapi.synchronization.bus_load import CanTraffic, declare_traffic
-from motorapi.trajectory import ComplexTrajectory
+from motorhil.emulators.can.fault_rules import FaultKind, FaultRule
+from motorhil.emulators.firmware.servo_tables import ServoGains
+from motorhil.emulators.plant.presets import WHEEL_60W
+from motorhil.harness.rig.rig import Rig
+from motorhil.motorapi import MotorGroup, TrapezoidalTrajectory
+from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
+from motorhil.motorapi.adaptations.cia402.object_access import Cia402Parameters
+from motorhil.motorapi.commands import ControlMode, ControlVariable, DerivativeLimits
+from motorhil.motorapi.errors import StateError, UnsupportedError, UsageError
+from motorhil.motorapi.functions import Constant
+from motorhil.motorapi.state import MotorState
+from motorhil.motorapi.synchronization.bus_load import CanTraffic, declare_traffic
+from motorhil.motorapi.synchronization.quality import SyncLevel
+from motorhil.motorapi.trajectory import ComplexTrajectory
 from tests.motorapi.adaptations.conftest import HEAD, drive
 from tests.motorapi.adaptations.streaming import (
     EVERY_MS,

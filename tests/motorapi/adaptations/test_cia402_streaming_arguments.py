@@ -5,14 +5,13 @@ from math import pi, sin
 
 import pytest
 
-from harness.rig.rig import Rig
-from motorapi import TrapezoidalTrajectory
-from motorapi.trajectory import MotorPosition
-from motorapi.commands import ControlMode, ControlVariable
-from motorapi.errors import LimitError, StateError, UsageError
-from motorapi.functions import Constant, Cosine, Polynomial
-from motorapi.state import MotorState
-from motorapi.trajectory import ComplexTrajectory
+from motorhil.harness.rig.rig import Rig
+from motorhil.motorapi import TrapezoidalTrajectory
+from motorhil.motorapi.commands import ControlMode, ControlVariable
+from motorhil.motorapi.errors import LimitError, StateError, UsageError
+from motorhil.motorapi.functions import Constant, Cosine, Polynomial
+from motorhil.motorapi.state import MotorState
+from motorhil.motorapi.trajectory import ComplexTrajectory, MotorPosition
 from tests.motorapi.adaptations.conftest import drive
 from tests.motorapi.adaptations.streaming import (
     EVERY_MS,

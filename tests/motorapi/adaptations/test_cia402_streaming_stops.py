@@ -4,12 +4,12 @@ from itertools import pairwise
 
 import pytest
 
-from emulators.can.fault_rules import FaultKind, FaultRule
-from harness.rig.rig import Rig
-from motorapi import MotorGroup
-from motorapi.adaptations.cia402.motor import Cia402Motor
-from motorapi.errors import DeviceFault, LinkError, MotionInterrupted
-from motorapi.state import MotorState
+from motorhil.emulators.can.fault_rules import FaultKind, FaultRule
+from motorhil.harness.rig.rig import Rig
+from motorhil.motorapi import MotorGroup
+from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
+from motorhil.motorapi.errors import DeviceFault, LinkError, MotionInterrupted
+from motorhil.motorapi.state import MotorState
 from tests.motorapi.adaptations.conftest import drive
 from tests.motorapi.adaptations.streaming import (
     EVERY_MS,

@@ -5,15 +5,15 @@ from math import inf
 
 import pytest
 
-from emulators.cia402.settings import OWN_EDS
-from emulators.plant.presets import WHEEL_60W
-from harness.rig.rig import Rig
-from motorapi import MotorGroup, MotorModel, TrapezoidalTrajectory
-from motorapi.adaptations.cia402.motor import Cia402Motor
-from motorapi.commands import ControlMode, ControlVariable, DerivativeLimits
-from motorapi.errors import LimitError, MotionInterrupted, StateError, UnsupportedError
-from motorapi.model import MotionKind
-from motorapi.synchronization.quality import SyncLevel
+from motorhil.emulators.cia402.settings import OWN_EDS
+from motorhil.emulators.plant.presets import WHEEL_60W
+from motorhil.harness.rig.rig import Rig
+from motorhil.motorapi import MotorGroup, MotorModel, TrapezoidalTrajectory
+from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
+from motorhil.motorapi.commands import ControlMode, ControlVariable, DerivativeLimits
+from motorhil.motorapi.errors import LimitError, MotionInterrupted, StateError, UnsupportedError
+from motorhil.motorapi.model import MotionKind
+from motorhil.motorapi.synchronization.quality import SyncLevel
 from tests.motorapi.adaptations.conftest import drive
 from tests.motorapi.adaptations.test_drive_control import written_to_left
 

@@ -6,9 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from motorapi.adaptations.cia402.units import DriveUnits, drive_units
-from motorapi.errors import LimitError, UsageError
-from motorapi.model import MotionKind, MotorModel
+from motorhil.motorapi.adaptations.cia402.units import DriveUnits, drive_units
+from motorhil.motorapi.errors import LimitError, UsageError
+from motorhil.motorapi.model import MotionKind, MotorModel
 
 Objects = dict[tuple[int, int], int]
 

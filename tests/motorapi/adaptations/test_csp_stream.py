@@ -5,10 +5,10 @@ from itertools import pairwise
 
 import pytest
 
-from harness.rig.rig import Rig
-from motorapi.adaptations.cia402.hardware import Cia402HwMotor
-from motorapi.adaptations.cia402.csp import CspStream
-from motorapi.errors import UsageError
+from motorhil.harness.rig.rig import Rig
+from motorhil.motorapi.adaptations.cia402.csp import CspStream
+from motorhil.motorapi.adaptations.cia402.hardware import Cia402HwMotor
+from motorhil.motorapi.errors import UsageError
 from tests.motorapi.adaptations.conftest import drive
 from tests.motorapi.adaptations.test_drive_control import written_to_left
 

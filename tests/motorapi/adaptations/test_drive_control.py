@@ -5,12 +5,12 @@ from itertools import pairwise
 
 import pytest
 
-from emulators.can.fault_rules import FaultKind, FaultRule
-from harness.rig.rig import Rig
-from motorapi.adaptations.cia402.hardware import Cia402HwMotor
-from motorapi.adaptations.cia402.objects import Mode, PdsState
-from motorapi.commands import ControlMode, ControlVariable
-from motorapi.errors import DeadlineExceeded, DeviceFault, UnsupportedError
+from motorhil.emulators.can.fault_rules import FaultKind, FaultRule
+from motorhil.harness.rig.rig import Rig
+from motorhil.motorapi.adaptations.cia402.hardware import Cia402HwMotor
+from motorhil.motorapi.adaptations.cia402.objects import Mode, PdsState
+from motorhil.motorapi.commands import ControlMode, ControlVariable
+from motorhil.motorapi.errors import DeadlineExceeded, DeviceFault, UnsupportedError
 from tests.motorapi.adaptations.conftest import drive
 
 OpenRig = Callable[..., Rig]

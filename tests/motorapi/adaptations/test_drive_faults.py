@@ -2,9 +2,9 @@
 
 import pytest
 
-from motorapi.commands import ControlMode
-from motorapi.errors import DeviceFault, MotionInterrupted
-from motorapi.state import MotorState
+from motorhil.motorapi.commands import ControlMode
+from motorhil.motorapi.errors import DeviceFault, MotionInterrupted
+from motorhil.motorapi.state import MotorState
 from tests.motorapi.adaptations.conftest import drive
 from tests.motorapi.adaptations.wheels import go_to, motor_of
 

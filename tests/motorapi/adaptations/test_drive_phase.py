@@ -3,10 +3,10 @@
 from hypothesis import event, example, given, settings
 from hypothesis import strategies as st
 
-from motorapi import ControlMode, Motor, Synchronization, TrapezoidalTrajectory
-from motorapi.execution import Started, plan
-from motorapi.planning.groups import Common
-from motorapi.planning.path import Line, moving, predicted
+from motorhil.motorapi import ControlMode, Motor, Synchronization, TrapezoidalTrajectory
+from motorhil.motorapi.execution import Started, plan
+from motorhil.motorapi.planning.groups import Common
+from motorhil.motorapi.planning.path import Line, moving, predicted
 from tests.motorapi.adaptations.test_joint_stop import opened
 from tests.motorapi.adaptations.wheels import INCREMENT_RAD
 from tests.motorapi.kinds import ACCELERATION_MAX, VELOCITY_MAX

@@ -4,13 +4,19 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from motorapi.planning import single_axis as planning
-from motorapi.adaptations.cia402.units import DriveUnits
-from motorapi.adaptations.cia402.profile import DriveLimits, as_motion, check_limits, check_target, profile_of
-from motorapi.commands import ControlMode, ControlVariable, DerivativeLimits, Motion
-from motorapi.errors import LimitError
-from motorapi.model import MotorModel
-from motorapi.trajectory import TrapezoidalTrajectory
+from motorhil.motorapi.adaptations.cia402.profile import (
+    DriveLimits,
+    as_motion,
+    check_limits,
+    check_target,
+    profile_of,
+)
+from motorhil.motorapi.adaptations.cia402.units import DriveUnits
+from motorhil.motorapi.commands import ControlMode, ControlVariable, DerivativeLimits, Motion
+from motorhil.motorapi.errors import LimitError
+from motorhil.motorapi.model import MotorModel
+from motorhil.motorapi.planning import single_axis as planning
+from motorhil.motorapi.trajectory import TrapezoidalTrajectory
 
 MODEL = MotorModel(name="wheel", velocity_max=3.0, acceleration_max=9.0, deceleration_max=6.0)
 NO_LIMITS = DriveLimits(None, None, None, None, None, has_deceleration=True)

@@ -2,8 +2,8 @@
 
 import pytest
 
-from emulators.cia402.settings import CATALOGUE
-from motorapi.errors import DeadlineExceeded
+from motorhil.emulators.cia402.settings import CATALOGUE
+from motorhil.motorapi.errors import DeadlineExceeded
 from tests.motorapi.adaptations.conftest import drive
 from tests.motorapi.adaptations.wheels import WINDOW_RAD, go_to, motor_of, truth
 

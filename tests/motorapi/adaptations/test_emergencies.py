@@ -2,8 +2,8 @@
 
 import pytest
 
-from harness.rig.rig import Rig
-from motorapi.adaptations.canopen.emcy import Emergency, standing_error
+from motorhil.harness.rig.rig import Rig
+from motorhil.motorapi.adaptations.canopen.emcy import Emergency, standing_error
 from tests.motorapi.adaptations.bus_errors import ACTIVE, PASSIVE, tell
 from tests.motorapi.adaptations.conftest import drive
 from tests.motorapi.adaptations.wheels import go_to, motor_of

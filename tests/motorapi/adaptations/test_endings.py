@@ -7,15 +7,20 @@ from collections.abc import Callable
 
 import pytest
 
-from emulators.can.fault_rules import FaultKind, FaultRule
-from harness.rig.rig import Rig
-from motorapi.adaptations.canopen.sdo import HomingFailed
-from motorapi.adaptations.cia402.motor import Cia402Motor
-from motorapi.commands import ControlMode
-from motorapi.errors import DeviceFault, LinkError, MotionInterrupted, MotorError, PluginError
-from motorapi.motor import Motor
-from motorapi.motor import Ending, Outcome
-from motorapi.trajectory import TrapezoidalTrajectory
+from motorhil.emulators.can.fault_rules import FaultKind, FaultRule
+from motorhil.harness.rig.rig import Rig
+from motorhil.motorapi.adaptations.canopen.sdo import HomingFailed
+from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
+from motorhil.motorapi.commands import ControlMode
+from motorhil.motorapi.errors import (
+    DeviceFault,
+    LinkError,
+    MotionInterrupted,
+    MotorError,
+    PluginError,
+)
+from motorhil.motorapi.motor import Ending, Motor, Outcome
+from motorhil.motorapi.trajectory import TrapezoidalTrajectory
 from tests.motorapi.adaptations.conftest import drive
 
 OpenRig = Callable[..., Rig]

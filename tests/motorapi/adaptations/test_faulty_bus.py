@@ -9,13 +9,13 @@ from tempfile import TemporaryDirectory
 from hypothesis import event, given, settings
 from hypothesis import strategies as st
 
-from emulators.can.fault_rules import FaultKind, FaultRule
-from harness.rig.rig import Rig
-from motorapi.commands import ControlMode, ControlVariable
-from motorapi.errors import MotorError, PluginError
-from motorapi.group import MotorGroup
-from motorapi.motor import Motor
-from motorapi.trajectory import TrapezoidalTrajectory
+from motorhil.emulators.can.fault_rules import FaultKind, FaultRule
+from motorhil.harness.rig.rig import Rig
+from motorhil.motorapi.commands import ControlMode, ControlVariable
+from motorhil.motorapi.errors import MotorError, PluginError
+from motorhil.motorapi.group import MotorGroup
+from motorhil.motorapi.motor import Motor
+from motorhil.motorapi.trajectory import TrapezoidalTrajectory
 from tests.motorapi.adaptations.conftest import HEAD, drive
 
 TOLERANCE_RAD = 2e-3  # the drive's position window is 10 increments of 21,008 per rad

@@ -5,10 +5,10 @@ from math import tau
 
 import pytest
 
-from harness.rig.rig import Rig
-from motorapi.adaptations.canopen.sdo import HomingFailed
-from motorapi.errors import DeadlineExceeded
-from motorapi.state import MotorState
+from motorhil.harness.rig.rig import Rig
+from motorhil.motorapi.adaptations.canopen.sdo import HomingFailed
+from motorhil.motorapi.errors import DeadlineExceeded
+from motorhil.motorapi.state import MotorState
 from tests.motorapi.adaptations.conftest import drive
 from tests.motorapi.adaptations.wheels import WINDOW_RAD, go_to, motor_of, truth
 

@@ -9,12 +9,12 @@ import pytest
 from hypothesis import event, example, given
 from hypothesis import strategies as st
 
-from motorapi.adaptations.canopen.sdo import SdoAborted
-from motorapi.adaptations.cia402.hardware import Cia402HwMotor
-from motorapi.adaptations.cia402.motor import Cia402Motor
-from motorapi.adaptations.cia402.bringup import HwOptions
-from motorapi.errors import DeadlineExceeded, LinkError, MotorError, UsageError
-from motorapi.model import MotorModel
+from motorhil.motorapi.adaptations.canopen.sdo import SdoAborted
+from motorhil.motorapi.adaptations.cia402.bringup import HwOptions
+from motorhil.motorapi.adaptations.cia402.hardware import Cia402HwMotor
+from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
+from motorhil.motorapi.errors import DeadlineExceeded, LinkError, MotorError, UsageError
+from motorhil.motorapi.model import MotorModel
 from tests.motorapi.adaptations.scripted import MS, Answer, ScriptedBus, Transcript, frame
 
 MODEL = MotorModel(name="m", velocity_max=1.0, acceleration_max=1.0)

@@ -2,18 +2,18 @@
 
 import pytest
 
-from emulators.simulation.event_queue import EventQueue
-from harness.virtual_time.runtime import VirtualRuntime
-from motorapi import (
+from motorhil.emulators.simulation.event_queue import EventQueue
+from motorhil.harness.virtual_time.runtime import VirtualRuntime
+from motorhil.motorapi import (
     ComplexTrajectory,
     DerivativeLimits,
     LinkError,
     MotorPosition,
     TrapezoidalTrajectory,
 )
-from motorapi.adaptations.ideal.hardware import IdealHwMotor
-from motorapi.adaptations.ideal.motor import IdealMotor
-from motorapi.functions import Polynomial
+from motorhil.motorapi.adaptations.ideal.hardware import IdealHwMotor
+from motorhil.motorapi.adaptations.ideal.motor import IdealMotor
+from motorhil.motorapi.functions import Polynomial
 from tests.motorapi.adaptations.ideals import (
     CURRENT,
     MODEL,

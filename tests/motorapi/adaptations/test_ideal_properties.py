@@ -8,9 +8,9 @@ from contextlib import contextmanager
 from hypothesis import event, example, given
 from hypothesis import strategies as st
 
-from emulators.simulation.event_queue import EventQueue
-from harness.virtual_time.runtime import VirtualRuntime
-from motorapi import (
+from motorhil.emulators.simulation.event_queue import EventQueue
+from motorhil.harness.virtual_time.runtime import VirtualRuntime
+from motorhil.motorapi import (
     ComplexTrajectory,
     ControlMode,
     ControlVariable,
@@ -19,9 +19,9 @@ from motorapi import (
     TrapezoidalTrajectory,
     UsageError,
 )
-from motorapi.adaptations.ideal.hardware import IdealHwMotor
-from motorapi.adaptations.ideal.motor import IdealMotor
-from motorapi.functions import Polynomial
+from motorhil.motorapi.adaptations.ideal.hardware import IdealHwMotor
+from motorhil.motorapi.adaptations.ideal.motor import IdealMotor
+from motorhil.motorapi.functions import Polynomial
 
 VELOCITY_MAX, UP, DOWN = 2.0, 4.0, 8.0
 MODEL = MotorModel(

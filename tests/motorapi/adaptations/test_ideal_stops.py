@@ -2,9 +2,9 @@
 
 import pytest
 
-from emulators.simulation.event_queue import EventQueue
-from harness.virtual_time.runtime import VirtualRuntime
-from motorapi import (
+from motorhil.emulators.simulation.event_queue import EventQueue
+from motorhil.harness.virtual_time.runtime import VirtualRuntime
+from motorhil.motorapi import (
     DerivativeLimits,
     DeviceFault,
     LinkError,
@@ -19,9 +19,9 @@ from motorapi import (
     UnsupportedError,
     UsageError,
 )
-from motorapi.adaptations.ideal.hardware import IdealHwMotor
-from motorapi.adaptations.ideal.motor import IdealMotor, build
-from motorapi.synchronization.quality import SyncLevel
+from motorhil.motorapi.adaptations.ideal.hardware import IdealHwMotor
+from motorhil.motorapi.adaptations.ideal.motor import IdealMotor, build
+from motorhil.motorapi.synchronization.quality import SyncLevel
 from tests.motorapi.adaptations.ideals import (
     MODEL,
     ROUNDING,

@@ -5,11 +5,11 @@ from pathlib import Path
 
 import pytest
 
-from emulators.can.fault_rules import FaultKind, FaultRule
-from harness.rig.rig import Rig, installed_plugins
-from harness.rig.config.rig_file import parse_rig
-from harness.rig.config.toml import Source
-from motorapi import (
+from motorhil.emulators.can.fault_rules import FaultKind, FaultRule
+from motorhil.harness.rig.config.rig_file import parse_rig
+from motorhil.harness.rig.config.toml import Source
+from motorhil.harness.rig.rig import Rig, installed_plugins
+from motorhil.motorapi import (
     ControlMode,
     DeviceFault,
     FaultReaction,
@@ -18,7 +18,7 @@ from motorapi import (
     Synchronization,
     TrapezoidalTrajectory,
 )
-from motorapi.adaptations.cia402.motor import joint_stop_of
+from motorhil.motorapi.adaptations.cia402.motor import joint_stop_of
 from tests.motorapi.adaptations.wheels import INCREMENT_RAD, frames_on
 from tests.motorapi.kinds import MODEL
 from tests.motorapi.test_fault_reactions import DRIVE

@@ -5,13 +5,13 @@ Source: the paper, Requirement 2.
 
 import pytest
 
-from harness.rig.rig import Rig
-from motorapi.adaptations.cia402.motor import Cia402Motor
-from motorapi.commands import ControlMode
-from motorapi.errors import DeadlineExceeded, MotorBusyError, MotorError, UsageError
-from motorapi.group import MotorGroup
-from motorapi.motor import Motor
-from motorapi.state import MotorState
+from motorhil.harness.rig.rig import Rig
+from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
+from motorhil.motorapi.commands import ControlMode
+from motorhil.motorapi.errors import DeadlineExceeded, MotorBusyError, MotorError, UsageError
+from motorhil.motorapi.group import MotorGroup
+from motorhil.motorapi.motor import Motor
+from motorhil.motorapi.state import MotorState
 from tests.motorapi.adaptations.conftest import drive
 from tests.motorapi.adaptations.low_level import OpenRig, go_to, sent_on
 

@@ -15,14 +15,14 @@ import pytest
 from hypothesis import event, given, settings
 from hypothesis import strategies as st
 
-from harness.rig.rig import Rig
-from motorapi.adaptations.cia402.motor import Cia402Motor
-from motorapi.commands import ControlMode
-from motorapi.errors import MotorBusyError, MotorError
-from motorapi.functions import Sine
-from motorapi.group import MotorGroup
-from motorapi.ownership.physical_motor import PhysicalMotor
-from motorapi.trajectory import ComplexTrajectory, TrapezoidalTrajectory
+from motorhil.harness.rig.rig import Rig
+from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
+from motorhil.motorapi.commands import ControlMode
+from motorhil.motorapi.errors import MotorBusyError, MotorError
+from motorhil.motorapi.functions import Sine
+from motorhil.motorapi.group import MotorGroup
+from motorhil.motorapi.ownership.physical_motor import PhysicalMotor
+from motorhil.motorapi.trajectory import ComplexTrajectory, TrapezoidalTrajectory
 from tests.motorapi.adaptations.conftest import HEAD, drive
 
 NODE = 1
@@ -276,6 +276,6 @@ def test_each_removed_gate_is_detected_on_the_bus(gate: str, monkeypatch: pytest
     elif gate == "require_not_held_elsewhere":
         monkeypatch.setattr(PhysicalMotor, gate, lambda self: None)
     else:
-        monkeypatch.setattr("motorapi.motor._is_at_rest", lambda motor, patient: True)
+        monkeypatch.setattr("motorhil.motorapi.motor._is_at_rest", lambda motor, patient: True)
         monkeypatch.setattr(PhysicalMotor, "passage", open_passage)
     assert run(BUSY).intrusions() != []

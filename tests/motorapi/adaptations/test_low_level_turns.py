@@ -7,16 +7,16 @@ from collections.abc import Callable
 
 import pytest
 
-from harness.rig.rig import Rig
-from motorapi.adaptations.canopen.sdo import SdoAborted
-from motorapi.adaptations.cia402.hardware import Cia402HwMotor
-from motorapi.adaptations.cia402.motor import Cia402Motor
-from motorapi.commands import ControlMode, ControlVariable
-from motorapi.errors import MotorBusyError, MotorError, StateError, UsageError
-from motorapi.functions import Sine
-from motorapi.motor import Motor
-from motorapi.state import MotorState
-from motorapi.trajectory import ComplexTrajectory, TrapezoidalTrajectory
+from motorhil.harness.rig.rig import Rig
+from motorhil.motorapi.adaptations.canopen.sdo import SdoAborted
+from motorhil.motorapi.adaptations.cia402.hardware import Cia402HwMotor
+from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
+from motorhil.motorapi.commands import ControlMode, ControlVariable
+from motorhil.motorapi.errors import MotorBusyError, MotorError, StateError, UsageError
+from motorhil.motorapi.functions import Sine
+from motorhil.motorapi.motor import Motor
+from motorhil.motorapi.state import MotorState
+from motorhil.motorapi.trajectory import ComplexTrajectory, TrapezoidalTrajectory
 from tests.motorapi.adaptations.conftest import drive
 from tests.motorapi.adaptations.low_level import OpenRig, go_to, sent_on
 

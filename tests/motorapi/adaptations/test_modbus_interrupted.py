@@ -2,10 +2,10 @@
 
 import pytest
 
-from emulators.media.serial_faults import SerialFaultKind, SerialFaultRule
-from motorapi import ControlMode, ControlVariable
-from motorapi.adaptations.leadshine.hardware import LeadshineHwMotor
-from motorapi.errors import MotionInterrupted, UsageError
+from motorhil.emulators.media.serial_faults import SerialFaultKind, SerialFaultRule
+from motorhil.motorapi import ControlMode, ControlVariable
+from motorhil.motorapi.adaptations.leadshine.hardware import LeadshineHwMotor
+from motorhil.motorapi.errors import MotionInterrupted, UsageError
 from tests.emulators.modbus_bench import with_crc
 from tests.motorapi.adaptations.modbus_rigs import opened, run_s, text, truth
 

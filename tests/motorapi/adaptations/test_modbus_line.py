@@ -7,9 +7,8 @@ from pymodbus.pdu.register_message import (
     WriteSingleRegisterRequest,
 )
 
-from motorapi.adaptations.modbus.client import ModbusProtocolViolation
-from motorapi.adaptations.modbus.client import ModbusLine
-from motorapi.errors import DeadlineExceeded, LinkError
+from motorhil.motorapi.adaptations.modbus.client import ModbusLine, ModbusProtocolViolation
+from motorhil.motorapi.errors import DeadlineExceeded, LinkError
 from tests.emulators.modbus_bench import with_crc
 from tests.motorapi.adaptations.modbus_rigs import MS, opened
 

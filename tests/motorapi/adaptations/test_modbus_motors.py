@@ -7,8 +7,8 @@ import pytest
 from hypothesis import event, given, settings
 from hypothesis import strategies as st
 
-from emulators.media.serial_faults import SerialFaultKind, SerialFaultRule
-from motorapi import (
+from motorhil.emulators.media.serial_faults import SerialFaultKind, SerialFaultRule
+from motorhil.motorapi import (
     ControlMode,
     ControlVariable,
     MotorGroup,
@@ -16,9 +16,19 @@ from motorapi import (
     SyncLevel,
     TrapezoidalTrajectory,
 )
-from motorapi.adaptations.leadshine.hardware import LeadshineHwMotor
-from motorapi.adaptations.modbus.client import ModbusExceptionResponse, ModbusProtocolViolation
-from motorapi.errors import DeadlineExceeded, DeviceFault, LimitError, MotorError, UnsupportedError, UsageError
+from motorhil.motorapi.adaptations.leadshine.hardware import LeadshineHwMotor
+from motorhil.motorapi.adaptations.modbus.client import (
+    ModbusExceptionResponse,
+    ModbusProtocolViolation,
+)
+from motorhil.motorapi.errors import (
+    DeadlineExceeded,
+    DeviceFault,
+    LimitError,
+    MotorError,
+    UnsupportedError,
+    UsageError,
+)
 from tests.motorapi.adaptations.modbus_rigs import (
     ADAPTATIONS,
     LINES,

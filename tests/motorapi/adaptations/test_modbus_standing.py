@@ -2,9 +2,9 @@
 
 import pytest
 
-from emulators.media.serial_faults import SerialFaultKind, SerialFaultRule
-from motorapi import ControlMode, MotorState
-from motorapi.errors import DeadlineExceeded
+from motorhil.emulators.media.serial_faults import SerialFaultKind, SerialFaultRule
+from motorhil.motorapi import ControlMode, MotorState
+from motorhil.motorapi.errors import DeadlineExceeded
 from tests.motorapi.adaptations.modbus_rigs import ADAPTATIONS, opened, run_s, text, truth
 
 RESOLUTION = 0.004  # rad: two steps of the coarser drive, which counts half as many here

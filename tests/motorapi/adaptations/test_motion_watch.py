@@ -2,7 +2,13 @@
 
 import pytest
 
-from motorapi.adaptations.cia402.motion_status import SETTLE_NS, HomingWatch, RestWatch, SetpointWatch, StreamWatch
+from motorhil.motorapi.adaptations.cia402.motion_status import (
+    SETTLE_NS,
+    HomingWatch,
+    RestWatch,
+    SetpointWatch,
+    StreamWatch,
+)
 
 MS = 1_000_000
 # statuswords of a drive in operation enabled (CiA 402-2): 0237h and bits 10, 12, 13

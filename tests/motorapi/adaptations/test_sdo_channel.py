@@ -2,10 +2,9 @@
 
 import pytest
 
-from motorapi.adaptations.canopen.sdo import ProtocolViolation, SdoAborted
-from motorapi.adaptations.canopen.bus import CanopenLink
-from motorapi.adaptations.canopen.sdo import SdoChannel
-from motorapi.errors import DeadlineExceeded
+from motorhil.motorapi.adaptations.canopen.bus import CanopenLink
+from motorhil.motorapi.adaptations.canopen.sdo import ProtocolViolation, SdoAborted, SdoChannel
+from motorhil.motorapi.errors import DeadlineExceeded
 from tests.motorapi.adaptations.scripted import FRAME_NS, MS, Answer, ScriptedBus, Transcript, frame
 
 

@@ -5,12 +5,12 @@ from pathlib import Path
 
 import pytest
 
-from emulators.cia402.settings import OWN_EDS
-from emulators.can.fault_rules import FaultKind, FaultRule
-from harness.rig.rig import Rig
-from motorapi.adaptations.canopen.bus import CanopenLink
-from motorapi.adaptations.canopen.sdo import SdoChannel
-from motorapi.errors import DeadlineExceeded, MotionInterrupted
+from motorhil.emulators.can.fault_rules import FaultKind, FaultRule
+from motorhil.emulators.cia402.settings import OWN_EDS
+from motorhil.harness.rig.rig import Rig
+from motorhil.motorapi.adaptations.canopen.bus import CanopenLink
+from motorhil.motorapi.adaptations.canopen.sdo import SdoChannel
+from motorhil.motorapi.errors import DeadlineExceeded, MotionInterrupted
 from tests.harness.sharing.movers import without_pdos
 from tests.motorapi.adaptations.conftest import drive
 from tests.motorapi.adaptations.scripted import FRAME_NS, MS, Answer, ScriptedBus, frame

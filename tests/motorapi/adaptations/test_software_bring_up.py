@@ -4,11 +4,11 @@ from collections.abc import Callable
 
 import pytest
 
-from emulators.can.fault_rules import FaultKind, FaultRule
-from harness.rig.rig import Rig
-from motorapi.commands import ControlMode, ControlVariable
-from motorapi.errors import MotorBusyError, StateError, UsageError
-from motorapi.trajectory import TrapezoidalTrajectory
+from motorhil.emulators.can.fault_rules import FaultKind, FaultRule
+from motorhil.harness.rig.rig import Rig
+from motorhil.motorapi.commands import ControlMode, ControlVariable
+from motorhil.motorapi.errors import MotorBusyError, StateError, UsageError
+from motorhil.motorapi.trajectory import TrapezoidalTrajectory
 from tests.motorapi.adaptations.conftest import drive
 from tests.motorapi.adaptations.software_rigs import (
     INC_PER_RAD,

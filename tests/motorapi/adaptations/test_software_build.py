@@ -4,14 +4,14 @@ from collections.abc import Callable
 
 import pytest
 
-from harness.rig.rig import Rig
-from harness.rig.config.toml import RigError
-from motorapi.adaptations.host_servo.hardware import AmplifierHwMotor
-from motorapi.adaptations.host_servo.node import IoOptions
-from motorapi.adaptations.host_servo.servo import PidGains
-from motorapi.adaptations.host_servo.motor import ServoParameters, SoftwareMotor
-from motorapi.errors import UsageError
-from motorapi.model import MotorModel
+from motorhil.harness.rig.config.toml import RigError
+from motorhil.harness.rig.rig import Rig
+from motorhil.motorapi.adaptations.host_servo.hardware import AmplifierHwMotor
+from motorhil.motorapi.adaptations.host_servo.motor import ServoParameters, SoftwareMotor
+from motorhil.motorapi.adaptations.host_servo.node import IoOptions
+from motorhil.motorapi.adaptations.host_servo.servo import PidGains
+from motorhil.motorapi.errors import UsageError
+from motorhil.motorapi.model import MotorModel
 from tests.motorapi.adaptations.software_rigs import motor, one
 
 OpenRig = Callable[..., Rig]

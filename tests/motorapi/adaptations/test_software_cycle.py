@@ -4,11 +4,11 @@ from collections.abc import Callable
 
 import pytest
 
-from emulators.can.fault_rules import FaultKind, FaultRule
-from harness.rig.rig import Rig
-from motorapi.errors import DeadlineExceeded, DeviceFault, LinkError, UsageError
-from motorapi.state import MotorState
-from motorapi.trajectory import TrapezoidalTrajectory
+from motorhil.emulators.can.fault_rules import FaultKind, FaultRule
+from motorhil.harness.rig.rig import Rig
+from motorhil.motorapi.errors import DeadlineExceeded, DeviceFault, LinkError, UsageError
+from motorhil.motorapi.state import MotorState
+from motorhil.motorapi.trajectory import TrapezoidalTrajectory
 from tests.motorapi.adaptations.software_rigs import (
     INC_PER_RAD,
     inc,

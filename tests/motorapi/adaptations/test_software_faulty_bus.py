@@ -9,11 +9,11 @@ from tempfile import TemporaryDirectory
 from hypothesis import event, example, given, settings
 from hypothesis import strategies as st
 
-from emulators.can.fault_rules import FaultKind, FaultRule
-from harness.rig.rig import Rig
-from motorapi.commands import ControlMode
-from motorapi.errors import MotorError, PluginError
-from motorapi.trajectory import TrapezoidalTrajectory
+from motorhil.emulators.can.fault_rules import FaultKind, FaultRule
+from motorhil.harness.rig.rig import Rig
+from motorhil.motorapi.commands import ControlMode
+from motorhil.motorapi.errors import MotorError, PluginError
+from motorhil.motorapi.trajectory import TrapezoidalTrajectory
 from tests.motorapi.adaptations.conftest import HEAD
 from tests.motorapi.adaptations.software_rigs import INC_PER_RAD, inc, one
 

@@ -5,16 +5,15 @@ from itertools import pairwise
 
 import pytest
 
-from harness.rig.rig import Rig
-from motorapi.adaptations.host_servo.servo import PidGains
-from motorapi.adaptations.host_servo.motor import SoftwareMotor
-from motorapi.trajectory import MotorPosition
-from motorapi.commands import ControlMode, ControlVariable, DerivativeLimits
-from motorapi.errors import PluginError, UnsupportedError
-from motorapi.functions import Polynomial
-from motorapi.generation import shortest
-from motorapi.state import MotorState
-from motorapi.trajectory import ComplexTrajectory, TrapezoidalTrajectory
+from motorhil.harness.rig.rig import Rig
+from motorhil.motorapi.adaptations.host_servo.motor import SoftwareMotor
+from motorhil.motorapi.adaptations.host_servo.servo import PidGains
+from motorhil.motorapi.commands import ControlMode, ControlVariable, DerivativeLimits
+from motorhil.motorapi.errors import PluginError, UnsupportedError
+from motorhil.motorapi.functions import Polynomial
+from motorhil.motorapi.generation import shortest
+from motorhil.motorapi.state import MotorState
+from motorhil.motorapi.trajectory import ComplexTrajectory, MotorPosition, TrapezoidalTrajectory
 from tests.motorapi.adaptations.software_rigs import (
     ACCELERATION_MAX,
     INC_PER_RAD,

@@ -8,11 +8,21 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from motorapi.adaptations.host_servo.demand import CURRENT, POSITION, VELOCITY, Braking, Course, Led, Rated, Scales, Tracked, course_of
-from motorapi.adaptations.host_servo.servo import PidGains
-from motorapi.adaptations.host_servo.servo import Servo, ServoLimits
-from motorapi.commands import ControlMode, ControlVariable, Motion
-from motorapi.errors import PluginError, UsageError
+from motorhil.motorapi.adaptations.host_servo.demand import (
+    CURRENT,
+    POSITION,
+    VELOCITY,
+    Braking,
+    Course,
+    Led,
+    Rated,
+    Scales,
+    Tracked,
+    course_of,
+)
+from motorhil.motorapi.adaptations.host_servo.servo import PidGains, Servo, ServoLimits
+from motorhil.motorapi.commands import ControlMode, ControlVariable, Motion
+from motorhil.motorapi.errors import PluginError, UsageError
 
 T = 0.001
 GAINS = PidGains(kp=0.02, ki=0.4, kd=0.0004)

@@ -5,14 +5,14 @@ from collections.abc import Callable
 
 import pytest
 
-from harness.rig.rig import Rig
-from motorapi.commands import ControlMode, ControlVariable
-from motorapi.errors import MotionInterrupted, StateError, UnsupportedError
-from motorapi.group import MotorGroup
-from motorapi.motor import Motor
-from motorapi.state import MotorState
-from motorapi.synchronization.quality import SyncLevel
-from motorapi.trajectory import TrapezoidalTrajectory
+from motorhil.harness.rig.rig import Rig
+from motorhil.motorapi.commands import ControlMode, ControlVariable
+from motorhil.motorapi.errors import MotionInterrupted, StateError, UnsupportedError
+from motorhil.motorapi.group import MotorGroup
+from motorhil.motorapi.motor import Motor
+from motorhil.motorapi.state import MotorState
+from motorhil.motorapi.synchronization.quality import SyncLevel
+from motorhil.motorapi.trajectory import TrapezoidalTrajectory
 from tests.motorapi.adaptations.software_rigs import (
     ACCELERATION_MAX,
     INC_PER_RAD,

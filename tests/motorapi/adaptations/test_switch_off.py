@@ -2,9 +2,9 @@
 
 import pytest
 
-from emulators.can.fault_rules import FaultKind, FaultRule
-from harness.rig.rig import Rig
-from motorapi.errors import DeadlineExceeded, LinkError
+from motorhil.emulators.can.fault_rules import FaultKind, FaultRule
+from motorhil.harness.rig.rig import Rig
+from motorhil.motorapi.errors import DeadlineExceeded, LinkError
 from tests.motorapi.adaptations.software_rigs import enabled, moving, one
 from tests.motorapi.adaptations.wheels import frames_on
 

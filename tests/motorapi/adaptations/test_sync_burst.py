@@ -5,14 +5,14 @@ from collections.abc import Callable
 import can
 import pytest
 
-from emulators.can.fault_rules import FaultKind, FaultRule
-from harness.rig.rig import Rig
-from motorapi.adaptations.cia402.motor import Cia402Motor
-from motorapi.commands import ControlMode, ControlVariable
-from motorapi.errors import LinkError, MotionInterrupted, MotorError
-from motorapi.group import MotorGroup
-from motorapi.motor import Motor
-from motorapi.synchronization.quality import SyncLevel
+from motorhil.emulators.can.fault_rules import FaultKind, FaultRule
+from motorhil.harness.rig.rig import Rig
+from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
+from motorhil.motorapi.commands import ControlMode, ControlVariable
+from motorhil.motorapi.errors import LinkError, MotionInterrupted, MotorError
+from motorhil.motorapi.group import MotorGroup
+from motorhil.motorapi.motor import Motor
+from motorhil.motorapi.synchronization.quality import SyncLevel
 from tests.motorapi.adaptations.conftest import drive
 from tests.motorapi.adaptations.hosts import BusEvidence, foreign_sync, host_with
 from tests.motorapi.adaptations.streaming import MS, quintic, set_function

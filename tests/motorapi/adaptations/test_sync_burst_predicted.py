@@ -7,10 +7,10 @@ from tempfile import TemporaryDirectory
 from hypothesis import event, given, settings
 from hypothesis import strategies as st
 
-from harness.rig.rig import Rig
-from motorapi.commands import ControlMode
-from motorapi.group import MotorGroup
-from motorapi.motor import Motor
+from motorhil.harness.rig.rig import Rig
+from motorhil.motorapi.commands import ControlMode
+from motorhil.motorapi.group import MotorGroup
+from motorhil.motorapi.motor import Motor
 from tests.motorapi.adaptations.hosts import foreign_sync
 from tests.motorapi.skew_rigs import Member, Message, Scenario, Sender, rig_text
 

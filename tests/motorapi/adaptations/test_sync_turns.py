@@ -9,13 +9,13 @@ import pytest
 from hypothesis import event, given, settings
 from hypothesis import strategies as st
 
-from harness.rig.rig import Rig
-from motorapi import execution
-from motorapi.adaptations.canopen.sync import BusSync
-from motorapi.adaptations.cia402.motor import Cia402Motor
-from motorapi.commands import ControlMode
-from motorapi.group import MotorGroup
-from motorapi.motor import Motor
+from motorhil.harness.rig.rig import Rig
+from motorhil.motorapi import execution
+from motorhil.motorapi.adaptations.canopen.sync import BusSync
+from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
+from motorhil.motorapi.commands import ControlMode
+from motorhil.motorapi.group import MotorGroup
+from motorhil.motorapi.motor import Motor
 from tests.motorapi.adaptations.conftest import HEAD, drive
 from tests.motorapi.adaptations.hosts import BusEvidence, host_with
 from tests.motorapi.adaptations.streaming import quintic, set_function

@@ -6,13 +6,13 @@ from pathlib import Path
 
 import pytest
 
-from harness.rig.rig import Rig
-from motorapi.adaptations.cia402.motor import Cia402Motor
-from motorapi.adaptations.cia402.objects import Mode
-from motorapi.commands import ControlMode, ControlVariable
-from motorapi.group import MotorGroup
-from motorapi.motor import Motor
-from motorapi.trajectory import TrapezoidalTrajectory
+from motorhil.harness.rig.rig import Rig
+from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
+from motorhil.motorapi.adaptations.cia402.objects import Mode
+from motorhil.motorapi.commands import ControlMode, ControlVariable
+from motorhil.motorapi.group import MotorGroup
+from motorhil.motorapi.motor import Motor
+from motorhil.motorapi.trajectory import TrapezoidalTrajectory
 from tests.motorapi.adaptations.conftest import drive
 
 pytestmark = pytest.mark.data

@@ -2,10 +2,10 @@
 
 from math import pi
 
-from harness.rig.rig import Rig
-from motorapi.adaptations.cia402.motor import Cia402Motor
-from motorapi.commands import ControlMode, DerivativeLimits
-from motorapi.motor import Motor
+from motorhil.harness.rig.rig import Rig
+from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
+from motorhil.motorapi.commands import ControlMode, DerivativeLimits
+from motorhil.motorapi.motor import Motor
 
 MS = 1_000_000
 INCREMENT_RAD = 2 * pi / 132_000  # 2000 x 66, the emulated drive's default motor and gear

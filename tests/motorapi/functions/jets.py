@@ -8,7 +8,7 @@ terms, which bounds the digits lost by rounding.
 from fractions import Fraction
 from math import comb, cos, exp, factorial, pi, sin
 
-from motorapi.functions import (
+from motorhil.motorapi.functions import (
     Composition,
     Cosine,
     Exponential,

@@ -2,7 +2,7 @@
 
 from hypothesis import strategies as st
 
-from motorapi.functions import (
+from motorhil.motorapi.functions import (
     Composition,
     Constant,
     Cosine,

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from motorapi.errors import DomainError, UsageError
-from motorapi.functions import (
+from motorhil.motorapi.errors import DomainError, UsageError
+from motorhil.motorapi.functions import (
     Composition,
     Constant,
     Cosine,

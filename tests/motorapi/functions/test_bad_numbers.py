@@ -2,8 +2,8 @@
 
 import pytest
 
-from motorapi import UsageError
-from motorapi.functions import (
+from motorhil.motorapi import UsageError
+from motorhil.motorapi.functions import (
     DomainError,
     Exponential,
     Integral,

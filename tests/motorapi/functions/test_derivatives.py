@@ -5,7 +5,7 @@ import pytest
 from hypothesis import assume, event, given
 from hypothesis import strategies as st
 
-from motorapi.functions import (
+from motorhil.motorapi.functions import (
     Constant,
     Cosine,
     Exponential,

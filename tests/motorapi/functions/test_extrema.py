@@ -8,9 +8,21 @@ import pytest
 from hypothesis import assume, event, example, given
 from hypothesis import strategies as st
 
-from motorapi.errors import DomainError, UsageError
-from motorapi.functions import numerics as search
-from motorapi.functions import Constant, Cosine, Exponential, Extrema, Function, Integral, Interpolation, Piecewise, Polynomial, Sampled, Sine
+from motorhil.motorapi.errors import DomainError, UsageError
+from motorhil.motorapi.functions import (
+    Constant,
+    Cosine,
+    Exponential,
+    Extrema,
+    Function,
+    Integral,
+    Interpolation,
+    Piecewise,
+    Polynomial,
+    Sampled,
+    Sine,
+)
+from motorhil.motorapi.functions import numerics as search
 from tests.motorapi.functions import jets
 from tests.motorapi.functions.strategies import (
     ARGUMENTS,

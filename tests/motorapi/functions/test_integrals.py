@@ -9,8 +9,8 @@ import pytest
 from hypothesis import assume, given, reject
 from hypothesis import strategies as st
 
-from motorapi.errors import DomainError, UsageError
-from motorapi.functions import (
+from motorhil.motorapi.errors import DomainError, UsageError
+from motorhil.motorapi.functions import (
     Constant,
     Cosine,
     Exponential,

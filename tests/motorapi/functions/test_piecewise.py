@@ -7,9 +7,9 @@ import pytest
 from hypothesis import event, given
 from hypothesis import strategies as st
 
-from motorapi.errors import UsageError
-from motorapi.functions import Constant, Exponential, Piecewise, Polynomial, Sampled, Sine
-from motorapi.functions.piece_table import PieceFinder
+from motorhil.motorapi.errors import UsageError
+from motorhil.motorapi.functions import Constant, Exponential, Piecewise, Polynomial, Sampled, Sine
+from motorhil.motorapi.functions.piece_table import PieceFinder
 
 RAMP = Piecewise.of_polynomials((0.0, 1.0, 3.0), [(0.0, 0.0, 0.5), (0.5, 1.0)])
 

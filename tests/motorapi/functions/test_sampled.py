@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from motorapi.errors import UsageError
-from motorapi.functions import Constant, Ends, Interpolation, Piecewise, Sampled
-from motorapi.functions.sampled import solved
+from motorhil.motorapi.errors import UsageError
+from motorhil.motorapi.functions import Constant, Ends, Interpolation, Piecewise, Sampled
+from motorhil.motorapi.functions.sampled import solved
 from tests.motorapi.functions.strategies import NUMBERS, sampled
 
 NEAREST, LINEAR, CUBIC, HERMITE, QUINTIC = Interpolation

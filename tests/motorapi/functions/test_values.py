@@ -13,8 +13,8 @@ import pytest
 from hypothesis import assume, example, given
 from hypothesis import strategies as st
 
-from motorapi.errors import DomainError, UsageError
-from motorapi.functions import (
+from motorhil.motorapi.errors import DomainError, UsageError
+from motorhil.motorapi.functions import (
     Composition,
     Constant,
     Cosine,
@@ -76,7 +76,7 @@ def test_all_function_classes_are_listed():
         if not (isabstract(kind) or kind.__name__.startswith("_")):
             found.add(kind)
     assert {type(one) for one in ONE_OF_EACH} == {
-        kind for kind in found if kind.__module__.startswith("motorapi.")
+        kind for kind in found if kind.__module__.startswith("motorhil.motorapi.")
     }
 
 
@@ -184,7 +184,7 @@ def test_arrays_and_numbers_agree_to_the_last_digits(function, arguments):
 def test_value_of_a_number_does_not_use_numpy():
     script = """
 import sys
-from motorapi.functions import *
+from motorhil.motorapi.functions import *
 ramp = Piecewise.of_polynomials((0., 1., 3.), [(0., 0., .5), (.5, 1.)])
 some = [ramp, Sampled((0., 1., 2.), (1., 2., 0.)), (ramp * Sine() + Exponential()).shifted(-0.5),
         Sine().after(ramp)]

@@ -5,7 +5,7 @@ from itertools import pairwise
 
 from hypothesis import strategies as st
 
-from motorapi.generation import ProfileLimits
+from motorhil.motorapi.generation import ProfileLimits
 from tests.motorapi.generation.envelope import Envelope
 
 

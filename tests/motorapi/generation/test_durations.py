@@ -7,9 +7,9 @@ import pytest
 from hypothesis import event, given
 from hypothesis import strategies as st
 
-from motorapi.errors import UsageError
-from motorapi.generation import ProfileLimits, possible_durations, stretched, trapezoid
-from motorapi.generation import batch as trapezoids
+from motorhil.motorapi.errors import UsageError
+from motorhil.motorapi.generation import ProfileLimits, possible_durations, stretched, trapezoid
+from motorhil.motorapi.generation import batch as trapezoids
 from tests.motorapi.generation.problems import (
     assert_is_admissible,
     directions_problem,

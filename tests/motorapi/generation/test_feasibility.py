@@ -4,10 +4,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from motorapi.commands import ControlVariable, DerivativeLimits
-from motorapi.errors import LimitError, UsageError
-from motorapi.functions import Piecewise, Polynomial
-from motorapi.generation import (
+from motorhil.motorapi.commands import ControlVariable, DerivativeLimits
+from motorhil.motorapi.errors import LimitError, UsageError
+from motorhil.motorapi.functions import Piecewise, Polynomial
+from motorhil.motorapi.generation import (
     Feasibility,
     ProfileLimits,
     feasible,
@@ -16,8 +16,8 @@ from motorapi.generation import (
     through_waypoints,
     trapezoid,
 )
-from motorapi.model import MotorModel
-from motorapi.trajectory import ComplexTrajectory, TrapezoidalTrajectory
+from motorhil.motorapi.model import MotorModel
+from motorhil.motorapi.trajectory import ComplexTrajectory, TrapezoidalTrajectory
 from tests.motorapi.generation.problems import problems
 
 MODEL = MotorModel(

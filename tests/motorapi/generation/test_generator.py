@@ -4,11 +4,11 @@ from math import inf
 
 import pytest
 
-from motorapi.commands import ControlVariable, DerivativeLimits
-from motorapi.errors import LimitError, UnsupportedError, UsageError
-from motorapi.generation import ProfileLimits, generate, shortest, trapezoid
-from motorapi.model import MotionKind, MotorModel
-from motorapi.trajectory import TrapezoidalTrajectory
+from motorhil.motorapi.commands import ControlVariable, DerivativeLimits
+from motorhil.motorapi.errors import LimitError, UnsupportedError, UsageError
+from motorhil.motorapi.generation import ProfileLimits, generate, shortest, trapezoid
+from motorhil.motorapi.model import MotionKind, MotorModel
+from motorhil.motorapi.trajectory import TrapezoidalTrajectory
 
 MODEL = MotorModel(
     name="wheel",
@@ -162,7 +162,7 @@ def test_profile_as_function_has_the_same_values():
 def test_generation_does_not_import_numpy():
     script = (
         "import sys\n"
-        "from motorapi.generation import ProfileLimits, trapezoid\n"
+        "from motorhil.motorapi.generation import ProfileLimits, trapezoid\n"
         "trapezoid(1.0, ProfileLimits(1.0, 1.0), duration_s=3.0).value(0.5)\n"
         "print([name for name in ('numpy', 'ruckig') if name in sys.modules])"
     )

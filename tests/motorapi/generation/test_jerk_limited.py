@@ -5,9 +5,9 @@ from random import Random
 import numpy as np
 import pytest
 
-from motorapi.errors import PluginError, UnsupportedError, UsageError
-from motorapi.generation import ProfileLimits, batched, jerk_limited, trapezoid
-from motorapi.generation.jerk_limited import phases_in
+from motorhil.motorapi.errors import PluginError, UnsupportedError, UsageError
+from motorhil.motorapi.generation import ProfileLimits, batched, jerk_limited, trapezoid
+from motorhil.motorapi.generation.jerk_limited import phases_in
 from tests.motorapi.generation.problems import magnitude
 from tests.motorapi.generation.smooth_bounds import is_impossible, rest_to_rest_s
 

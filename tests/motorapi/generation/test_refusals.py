@@ -2,7 +2,7 @@
 
 import pytest
 
-from motorapi import (
+from motorhil.motorapi import (
     ComplexTrajectory,
     DerivativeLimits,
     MotorModel,
@@ -10,8 +10,8 @@ from motorapi import (
     UnsupportedError,
     UsageError,
 )
-from motorapi.functions import Polynomial
-from motorapi.generation import (
+from motorhil.motorapi.functions import Polynomial
+from motorhil.motorapi.generation import (
     ProfileLimits,
     feasible,
     generate,

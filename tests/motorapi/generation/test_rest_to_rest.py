@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from motorapi.errors import UsageError
-from motorapi.generation import shortest, stretched
+from motorhil.motorapi.errors import UsageError
+from motorhil.motorapi.generation import shortest, stretched
 
 SIZE = st.floats(1e-3, 1e3)
 WAY = st.floats(-1e4, 1e4).filter(lambda way: way == 0.0 or abs(way) > 1e-6)

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import event, given
 from hypothesis import strategies as st
 
-from motorapi.errors import UsageError
-from motorapi.generation import ProfileLimits, possible_durations, shortest, trapezoid
+from motorhil.motorapi.errors import UsageError
+from motorhil.motorapi.generation import ProfileLimits, possible_durations, shortest, trapezoid
 from tests.motorapi.generation.problems import (
     assert_is_admissible,
     envelope_of,

@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from motorapi.commands import DerivativeLimits
-from motorapi.errors import UsageError
-from motorapi.generation import batched, through_waypoints
-from motorapi.generation.batch import differentiated, ranges
+from motorhil.motorapi.commands import DerivativeLimits
+from motorhil.motorapi.errors import UsageError
+from motorhil.motorapi.generation import batched, through_waypoints
+from motorhil.motorapi.generation.batch import differentiated, ranges
 
 VALUE = st.floats(-100.0, 100.0)
 STEP = st.floats(0.1, 5.0)  # rounding of quintics grows with the fourth power of the steps' ratio

@@ -9,13 +9,13 @@ from types import SimpleNamespace
 
 import pytest
 
-from emulators.simulation.event_queue import EventQueue
-from harness.virtual_time.runtime import VirtualRuntime
-from motorapi import (
+from motorhil.emulators.simulation.event_queue import EventQueue
+from motorhil.harness.virtual_time.runtime import VirtualRuntime
+from motorhil.motorapi import (
     WallRuntime,
 )
-from motorapi.locking.directory import LockDirectory
-from motorapi.locking.process_lock import ProcessLock
+from motorhil.motorapi.locking.directory import LockDirectory
+from motorhil.motorapi.locking.process_lock import ProcessLock
 from tests.motorapi.plain import PlainBus, PlainHwMotor, PlainMotor
 
 

@@ -1,6 +1,6 @@
 """Activities of owners whose motors may be taken over."""
 
-from motorapi import (
+from motorhil.motorapi import (
     ControlMode,
     ControlVariable,
     TrapezoidalTrajectory,

@@ -2,7 +2,7 @@
 
 import pytest
 
-from motorapi import (
+from motorhil.motorapi import (
     MotorBusyError,
     MotorGroup,
     TrapezoidalTrajectory,

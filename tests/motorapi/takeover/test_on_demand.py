@@ -2,7 +2,7 @@
 
 import pytest
 
-from motorapi import (
+from motorhil.motorapi import (
     LockAction,
     MotionInterrupted,
     MotorBusyError,
@@ -75,7 +75,9 @@ def test_motion_without_reservation_is_taken_over_on_demand(world, logical):
 
 
 def test_rest_after_the_loss_does_not_count_as_done(world, logical, monkeypatch):
-    monkeypatch.setattr("motorapi.ownership.claim.LOOK_PERIOD_S", LONG_S)  # no check before
+    monkeypatch.setattr(
+        "motorhil.motorapi.ownership.claim.LOOK_PERIOD_S", LONG_S
+    )  # no check before
     a, b, *_ = logical
     follow(a, 1.0)
     a.start()

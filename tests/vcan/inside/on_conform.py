@@ -1,13 +1,13 @@
 """The conformance kit on a real SocketCAN interface."""
 
-from harness.conformance.worker import Job
-from harness.conformance.kit import all_clauses
-from harness.conformance.run import run_clause
-from harness.conformance.examination import Target
-from harness.conformance.clause import Result
-from motorapi.locking.directory import VARIABLE
+from motorhil.harness.conformance.clause import Result
+from motorhil.harness.conformance.examination import Target
+from motorhil.harness.conformance.kit import all_clauses
+from motorhil.harness.conformance.run import run_clause
+from motorhil.harness.conformance.worker import Job
+from motorhil.motorapi.locking.directory import VARIABLE
+from motorhil.traces.mcap.reader import read_trace
 from tests.vcan.inside.on_fencing import serving_on
-from traces.mcap.reader import read_trace
 
 
 def test_clause_is_checked_and_its_bus_traffic_recorded(tmp_path, monkeypatch):

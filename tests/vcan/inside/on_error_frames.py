@@ -8,8 +8,7 @@ import time
 import can
 import pytest
 
-from emulators.gateways.socketcan import link_kind
-from emulators.gateways.socketcan import SocketCanGateway
+from motorhil.emulators.gateways.socketcan import SocketCanGateway, link_kind
 from tests.harness.error_frames import NO_ACK, PASSIVE, ErrorFrames, message
 from tests.wall.error_bench import ErrorBench
 
@@ -79,7 +78,7 @@ class TestOnVcan(ErrorFrames):
 
 def test_hardware_interface_gets_no_error_message(monkeypatch):
     """Its driver would put a frame on the bus, with the class for its identifier."""
-    monkeypatch.setattr("emulators.gateways.socketcan.link_kind", lambda _: "can")
+    monkeypatch.setattr("motorhil.emulators.gateways.socketcan.link_kind", lambda _: "can")
     with contextlib.closing(VcanBench()) as bench, bench.open() as bus, bench.open() as other:
         bench.tell(bus, PASSIVE)
         other.send(message(0x123))

@@ -7,12 +7,11 @@ import struct
 import can
 import pytest
 
-from emulators.gateways.socketcan import link_mtu
-from emulators.simulation.event_queue import EventQueue
-from emulators.gateways.hub import HubServer
-from emulators.can.bus.bus import CanBus
-from emulators.gateways.socketcan import SocketCanError, SocketCanGateway
-from emulators.simulation.world import World
+from motorhil.emulators.can.bus.bus import CanBus
+from motorhil.emulators.gateways.hub import HubServer
+from motorhil.emulators.gateways.socketcan import SocketCanError, SocketCanGateway, link_mtu
+from motorhil.emulators.simulation.event_queue import EventQueue
+from motorhil.emulators.simulation.world import World
 from tests.harness.fd_frames import FdFrames, fd_message
 from tests.wall.error_bench import ErrorBench
 

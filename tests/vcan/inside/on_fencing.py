@@ -10,15 +10,15 @@ from pathlib import Path
 
 import pytest
 
-from emulators.cia402.drive import build
-from emulators.controller import ControllerContext
-from emulators.simulation.event_queue import EventQueue
-from emulators.can.bus.bus import CanBus
-from emulators.gateways.loop import WallLoop
-from emulators.gateways.socketcan import SocketCanGateway
-from emulators.simulation.world import World
-from motorapi import WallRuntime
-from motorapi.locking.directory import VARIABLE
+from motorhil.emulators.can.bus.bus import CanBus
+from motorhil.emulators.cia402.drive import build
+from motorhil.emulators.controller import ControllerContext
+from motorhil.emulators.gateways.loop import WallLoop
+from motorhil.emulators.gateways.socketcan import SocketCanGateway
+from motorhil.emulators.simulation.event_queue import EventQueue
+from motorhil.emulators.simulation.world import World
+from motorhil.motorapi import WallRuntime
+from motorhil.motorapi.locking.directory import VARIABLE
 from tests.wall.test_fencing import SET_POINTS, Stage, lose
 
 

@@ -9,15 +9,19 @@ from contextlib import contextmanager
 
 import can
 
-from harness.cli.main import main
-from harness.recording.sources import parse_place
-from harness.recording.socketcan import SocketCanTap
-from traces.mcap.reader import read_trace
-from traces.schema import Direction
-from traces.formats.frames import ERR, Findings, Frame, classic, flexible
-from traces.formats.registry import record_frames, recorded_frames
+from motorhil.harness.cli.main import main
+from motorhil.harness.recording.socketcan import SocketCanTap
+from motorhil.harness.recording.sources import parse_place
+from motorhil.traces.formats.frames import ERR, Findings, Frame, classic, flexible
+from motorhil.traces.formats.registry import record_frames, recorded_frames
+from motorhil.traces.mcap.reader import read_trace
+from motorhil.traces.schema import Direction
 
-MOTORHIL = (sys.executable, "-c", "import sys; from harness.cli.main import main; sys.exit(main())")
+MOTORHIL = (
+    sys.executable,
+    "-c",
+    "import sys; from motorhil.harness.cli.main import main; sys.exit(main())",
+)
 
 
 @contextmanager

@@ -5,8 +5,8 @@ import subprocess
 
 import can
 
-from harness.rig.config.scaffold import EXAMPLES
-from harness.sharing_tests.processes import Plan, run
+from motorhil.harness.rig.config.scaffold import EXAMPLES
+from motorhil.harness.sharing_tests.processes import Plan, run
 from tests.wall.programs import LONG_S
 from tests.wall.test_shared_drive import SERVE
 
@@ -51,7 +51,7 @@ def on_vcan(**plan):
 
 def test_motor_has_one_owner_at_a_time_despite_a_kill():
     outcome = on_vcan(
-        work="harness.sharing_tests.workers:work_motor",
+        work="motorhil.harness.sharing_tests.workers:work_motor",
         workers=2,
         seconds=10.0,  # a machine in a machine is slow: some seconds until all are connected
         kill_period_s=6.0,
@@ -63,7 +63,7 @@ def test_motor_has_one_owner_at_a_time_despite_a_kill():
 
 def test_two_groups_in_opposite_orders_end_every_round():
     outcome = on_vcan(
-        work="harness.sharing_tests.workers:work_groups",
+        work="motorhil.harness.sharing_tests.workers:work_groups",
         workers=2,
         seconds=60.0,
         facts={"rounds": 20, "move_every": 20},

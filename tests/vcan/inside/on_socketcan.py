@@ -8,11 +8,15 @@ from pathlib import Path
 import can
 import pytest
 
-from harness.recording.ownership import Ended, read_ownership
-from harness.rig.config.scaffold import EXAMPLES
-from motorapi import WallRuntime
+from motorhil.harness.recording.ownership import Ended, read_ownership
+from motorhil.harness.rig.config.scaffold import EXAMPLES
+from motorhil.motorapi import WallRuntime
 
-MOTORHIL = (sys.executable, "-c", "import sys; from harness.cli.main import main; sys.exit(main())")
+MOTORHIL = (
+    sys.executable,
+    "-c",
+    "import sys; from motorhil.harness.cli.main import main; sys.exit(main())",
+)
 RIG = str(EXAMPLES / "two_wheels.toml")
 ROVER = str(EXAMPLES / "rover.toml")
 WALL = Path(__file__).parents[2] / "wall"

@@ -6,8 +6,8 @@ import struct
 import can
 import pytest
 
-from motorapi import LinkError, WallRuntime
-from motorapi.locking.directory import bus_name
+from motorhil.motorapi import LinkError, WallRuntime
+from motorhil.motorapi.locking.directory import bus_name
 
 LATE_S = 20.0
 SOL_CAN_RAW, CAN_RAW_RECV_OWN_MSGS = 101, 4  # include/uapi/linux/can/raw.h

@@ -4,9 +4,9 @@ import os
 from pathlib import Path
 
 import pytest
+from motorhil.emulators.controller import ControllerContext
+from motorhil.harness.rig.rig import Rig
 
-from emulators.controller import ControllerContext
-from harness.rig.rig import Rig
 from motorhil_odrive.emulated.build import build
 
 RIG = Path(__file__).parents[1] / "src" / "motorhil_odrive" / "rig.toml"

@@ -6,8 +6,7 @@ import pytest
 from conftest import MS, Bench
 from hypothesis import given, settings
 from hypothesis import strategies as st
-
-from emulators.controller import SettingError
+from motorhil.emulators.controller import SettingError
 
 IDLE, CLOSED_LOOP, HOMING = 1, 8, 11
 SUCCESS, BUSY, CANCELLED, DISARMED, WITHOUT_ENDSTOP, INVALID = 0, 1, 2, 3, 12, 13

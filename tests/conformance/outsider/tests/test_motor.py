@@ -4,12 +4,11 @@ from pathlib import Path
 
 import can
 import pytest
-
-from emulators.can.fault_rules import FaultKind, FaultRule
-from harness.rig.rig import Rig, installed_plugins
-from harness.rig.config.rig_file import parse_rig
-from harness.rig.config.toml import Source
-from motorapi import (
+from motorhil.emulators.can.fault_rules import FaultKind, FaultRule
+from motorhil.harness.rig.config.rig_file import parse_rig
+from motorhil.harness.rig.config.toml import Source
+from motorhil.harness.rig.rig import Rig, installed_plugins
+from motorhil.motorapi import (
     ControlMode,
     ControlVariable,
     DerivativeLimits,
@@ -24,6 +23,7 @@ from motorapi import (
     UnsupportedError,
     UsageError,
 )
+
 from motorhil_odrive.host import messages as m
 from motorhil_odrive.host.units import single, single_below
 
@@ -454,7 +454,8 @@ def test_single_below_is_at_most_value_and_stable(value):
 
 
 def test_model_without_gear_ratio_is_refused(rig):
-    from motorapi.model import MotorModel
+    from motorhil.motorapi.model import MotorModel
+
     from motorhil_odrive.host.motor import OdriveMotor
 
     model = MotorModel(name="wheel", velocity_max=1.0, acceleration_max=1.0)

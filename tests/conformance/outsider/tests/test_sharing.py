@@ -6,9 +6,11 @@ The state machines are motorhil's own.
 import pytest
 from conftest import RIG
 from hypothesis import Phase, settings
-
-from harness.sharing_tests.state_machine import group_machine, ownership_machine
-from harness.sharing_tests.state_machine import shared_rig
+from motorhil.harness.sharing_tests.state_machine import (
+    group_machine,
+    ownership_machine,
+    shared_rig,
+)
 
 
 @pytest.mark.parametrize(

@@ -2,8 +2,9 @@
 
 from collections.abc import Mapping
 
-from emulators.controller import Controller, ControllerContext
-from emulators.firmware.clock import on_own_time
+from motorhil.emulators.controller import Controller, ControllerContext
+from motorhil.emulators.firmware.clock import on_own_time
+
 from motorhil_odrive.emulated.drive import OdriveController
 from motorhil_odrive.emulated.settings import read_settings
 

@@ -1,6 +1,6 @@
 """Set-points from inputs, as in an ODrive's controller.
 
-The motor, the servo and the profile generator are motorhil's (`emulators.firmware.axis`). This
+The motor, the servo and the profile generator are motorhil's (`motorhil.emulators.firmware.axis`). This
 module gives them ODrive's meaning. Positions are turns of the motor.
 
 | control    | input        | the axis                                            |
@@ -17,8 +17,9 @@ module gives them ODrive's meaning. Positions are turns of the motor.
 from dataclasses import dataclass, replace
 from typing import Final, final
 
-from emulators.firmware import flags as f
-from emulators.settings.motor import axis_of
+from motorhil.emulators.firmware import flags as f
+from motorhil.emulators.settings.motor import axis_of
+
 from motorhil_odrive.emulated.messages import ControlMode, InputMode
 from motorhil_odrive.emulated.settings import OdriveSettings
 

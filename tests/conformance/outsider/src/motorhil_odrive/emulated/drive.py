@@ -14,9 +14,10 @@ from collections.abc import Mapping, Sequence
 from math import isfinite
 from typing import Final, final
 
-from emulators.firmware.axis import NEVER_NS
-from emulators.can.frame import EFF_FLAG, ERR_FLAG, RTR_FLAG, can_id_of, data_of, pack
-from emulators.plant.dc_motor import RANGES
+from motorhil.emulators.can.frame import EFF_FLAG, ERR_FLAG, RTR_FLAG, can_id_of, data_of, pack
+from motorhil.emulators.firmware.axis import NEVER_NS
+from motorhil.emulators.plant.dc_motor import RANGES
+
 from motorhil_odrive.emulated import messages as m
 from motorhil_odrive.emulated.commands import COMMANDS
 from motorhil_odrive.emulated.control import Control, Parameters
@@ -41,7 +42,7 @@ _STIMULI: Final = ("load_torque_n_m", "power", "fault", "encoder")
 
 @final
 class OdriveController:
-    """Implements `emulators.controller.Controller`.
+    """Implements `motorhil.emulators.controller.Controller`.
 
     Attributes:
         control: the control of its motor.

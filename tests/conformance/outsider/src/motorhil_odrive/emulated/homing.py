@@ -8,8 +8,9 @@ How the axis leaves the switch is a choice of this emulator.
 from enum import Enum
 from typing import Final, final
 
-from emulators.firmware import flags as f
-from emulators.firmware.axis import NEVER_NS
+from motorhil.emulators.firmware import flags as f
+from motorhil.emulators.firmware.axis import NEVER_NS
+
 from motorhil_odrive.emulated.control import Control
 
 _FAR: Final = 1e18

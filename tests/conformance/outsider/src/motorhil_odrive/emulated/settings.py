@@ -4,9 +4,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final, final
 
-from emulators.controller import ControllerContext, SettingError
-from emulators.settings.motor import MOTOR_KEYS, MotorSettings, motor_in
-from emulators.settings.tables import duration_ns, number, refuse_unknown, table_in, whole
+from motorhil.emulators.controller import ControllerContext, SettingError
+from motorhil.emulators.settings.motor import MOTOR_KEYS, MotorSettings, motor_in
+from motorhil.emulators.settings.tables import duration_ns, number, refuse_unknown, table_in, whole
 
 NODE_ID_MAX: Final = 0x3E
 _TIMING: Final = ("boot_up_s", "heartbeat_s", "encoder_s", "calibration_s")

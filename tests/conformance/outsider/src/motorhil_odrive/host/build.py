@@ -4,18 +4,18 @@ from collections.abc import Mapping
 from dataclasses import fields
 from typing import TYPE_CHECKING, Final
 
-from motorapi.adaptations.registration import Shared, as_name, number, refuse_unknown
-from motorapi.errors import UsageError
-from motorapi.ownership.physical_motor import bus_key
+from motorhil.motorapi.adaptations.registration import Shared, as_name, number, refuse_unknown
+from motorhil.motorapi.errors import UsageError
+from motorhil.motorapi.ownership.physical_motor import bus_key
+
 from motorhil_odrive.host.hardware import OdriveHwMotor
 from motorhil_odrive.host.motor import OdriveMotor
 from motorhil_odrive.host.options import OdriveOptions
 
 if TYPE_CHECKING:
     import can
-
-    from motorapi.model import MotorModel
-    from motorapi.runtime.api import Runtime
+    from motorhil.motorapi.model import MotorModel
+    from motorhil.motorapi.runtime.api import Runtime
 
 _OPTIONS: Final = tuple(field.name for field in fields(OdriveOptions))
 _SHARED: Final[Shared[OdriveHwMotor]] = Shared("drive")

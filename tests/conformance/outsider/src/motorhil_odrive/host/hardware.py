@@ -2,20 +2,27 @@
 
 There is one object per physical motor and process. The class knows the drive's abilities, and
 nothing of their use in an application. All commands to the drive pass through `tell`. There they
-pass the fence (`motorapi.ownership.fencing`) and low-level access (`motorapi.motor`).
+pass the fence (`motorhil.motorapi.ownership.fencing`) and low-level access (`motorhil.motorapi.motor`).
 """
 
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Final, final
 
-from motorapi.adaptations.canopen.sdo import TurnLock
-from motorapi.errors import DeadlineExceeded, LinkError, PeerError, UsageError
-from motorapi.ownership.fencing import NodeFence, announce
-from motorapi.locking.directory import bus_name
-from motorapi.locking.process_lock import ProcessLock, can_share_time
-from motorapi.runtime.api import runtime_of, wait_until
-from motorapi.ownership.physical_motor import PhysicalMotor, RunStatus, bus_key, register_physical_motor, release_physical_motor
-from motorapi.synchronization.bus_load import NodeTraffic, PeriodicMessage, note_node
+from motorhil.motorapi.adaptations.canopen.sdo import TurnLock
+from motorhil.motorapi.errors import DeadlineExceeded, LinkError, PeerError, UsageError
+from motorhil.motorapi.locking.directory import bus_name
+from motorhil.motorapi.locking.process_lock import ProcessLock, can_share_time
+from motorhil.motorapi.ownership.fencing import NodeFence, announce
+from motorhil.motorapi.ownership.physical_motor import (
+    PhysicalMotor,
+    RunStatus,
+    bus_key,
+    register_physical_motor,
+    release_physical_motor,
+)
+from motorhil.motorapi.runtime.api import runtime_of, wait_until
+from motorhil.motorapi.synchronization.bus_load import NodeTraffic, PeriodicMessage, note_node
+
 from motorhil_odrive.host import messages as m
 from motorhil_odrive.host.heard import Heard, Heartbeat
 from motorhil_odrive.host.options import OdriveOptions
@@ -23,9 +30,9 @@ from motorhil_odrive.host.wire import Sent, Wire
 
 if TYPE_CHECKING:
     import can
+    from motorhil.motorapi.ownership.fencing import Fence
+    from motorhil.motorapi.runtime.api import Runtime
 
-    from motorapi.ownership.fencing import Fence
-    from motorapi.runtime.api import Runtime
     from motorhil_odrive.host.messages import Message
     from motorhil_odrive.host.stream import Stream
 

@@ -3,9 +3,10 @@
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Final, NamedTuple, final
 
-from motorapi.errors import LinkError
-from motorapi.state import Fault
-from motorapi.runtime.api import ChangeCounter
+from motorhil.motorapi.errors import LinkError
+from motorhil.motorapi.runtime.api import ChangeCounter
+from motorhil.motorapi.state import Fault
+
 from motorhil_odrive.host import messages as m
 
 if TYPE_CHECKING:

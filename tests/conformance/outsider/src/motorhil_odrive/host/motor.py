@@ -15,14 +15,21 @@ from collections.abc import Callable
 from math import isfinite
 from typing import Final, final
 
-from motorapi.commands import ControlMode, ControlVariable, Motion, Setpoint
-from motorapi.errors import DeviceFault, MotionInterrupted, PeerError, StateError, UnsupportedError
-from motorapi.model import MotorModel
-from motorapi.motor import Motor
-from motorapi.planning.functions import asks_for_smoothness
-from motorapi.state import Fault, Measurement, MotorState
-from motorapi.synchronization.quality import MotionTimes, SyncLevel, SyncOffer, Trigger
-from motorapi.trajectory import ComplexTrajectory, Trajectory
+from motorhil.motorapi.commands import ControlMode, ControlVariable, Motion, Setpoint
+from motorhil.motorapi.errors import (
+    DeviceFault,
+    MotionInterrupted,
+    PeerError,
+    StateError,
+    UnsupportedError,
+)
+from motorhil.motorapi.model import MotorModel
+from motorhil.motorapi.motor import Motor
+from motorhil.motorapi.planning.functions import asks_for_smoothness
+from motorhil.motorapi.state import Fault, Measurement, MotorState
+from motorhil.motorapi.synchronization.quality import MotionTimes, SyncLevel, SyncOffer, Trigger
+from motorhil.motorapi.trajectory import ComplexTrajectory, Trajectory
+
 from motorhil_odrive.host import messages as m
 from motorhil_odrive.host.braking import brake
 from motorhil_odrive.host.hardware import OdriveHwMotor

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from math import isfinite
 from typing import final
 
-from motorapi.errors import UsageError
+from motorhil.motorapi.errors import UsageError
 
 
 @final

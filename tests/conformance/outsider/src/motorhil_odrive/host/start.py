@@ -3,14 +3,16 @@
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Final, final
 
-from motorapi.commands import ControlVariable, Motion
-from motorapi.planning.sampling import demand_of, ramps
+from motorhil.motorapi.commands import ControlVariable, Motion
+from motorhil.motorapi.planning.sampling import demand_of, ramps
+
 from motorhil_odrive.host import messages as m
 from motorhil_odrive.host.stream import Stream
 from motorhil_odrive.host.watch import Arrival, Reached
 
 if TYPE_CHECKING:
-    from motorapi.model import MotorModel
+    from motorhil.motorapi.model import MotorModel
+
     from motorhil_odrive.host.hardware import OdriveHwMotor
     from motorhil_odrive.host.units import Units
 

@@ -8,12 +8,14 @@ steps. If the host dies during a ramp, the drive's watchdog ends the last step.
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Final, final
 
-from motorapi.errors import MotorError
+from motorhil.motorapi.errors import MotorError
+
 from motorhil_odrive.host.watch import Reached
 
 if TYPE_CHECKING:
-    from motorapi.ownership.fencing import BoundFence
-    from motorapi.runtime.api import Registration
+    from motorhil.motorapi.ownership.fencing import BoundFence
+    from motorhil.motorapi.runtime.api import Registration
+
     from motorhil_odrive.host.hardware import OdriveHwMotor
     from motorhil_odrive.host.messages import Message
     from motorhil_odrive.host.wire import Sent

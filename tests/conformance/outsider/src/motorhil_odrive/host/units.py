@@ -11,12 +11,12 @@ from dataclasses import replace
 from math import tau
 from typing import TYPE_CHECKING, Final, final
 
-from motorapi.commands import ControlVariable, Motion
-from motorapi.errors import UsageError
-from motorapi.model import MotionKind
+from motorhil.motorapi.commands import ControlVariable, Motion
+from motorhil.motorapi.errors import UsageError
+from motorhil.motorapi.model import MotionKind
 
 if TYPE_CHECKING:
-    from motorapi.model import MotorModel
+    from motorhil.motorapi.model import MotorModel
 
 _ROUNDING: Final = 1e-9
 

@@ -5,15 +5,15 @@ from collections import deque
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Final, final
 
-from motorapi.runtime.can_sources import ERROR_FLAG, status_of
-from motorapi.errors import LinkError
+from motorhil.motorapi.errors import LinkError
+from motorhil.motorapi.runtime.can_sources import ERROR_FLAG, status_of
+
 from motorhil_odrive.host.messages import Message, decoded, encoded
 
 if TYPE_CHECKING:
     import can
-
-    from motorapi.ownership.fencing import Fence
-    from motorapi.runtime.api import Runtime
+    from motorhil.motorapi.ownership.fencing import Fence
+    from motorhil.motorapi.runtime.api import Runtime
 
 Handler = Callable[[tuple[float, ...], int], None]
 """(values of the signals, time [ns])."""

@@ -1,4 +1,4 @@
-"""Entry point of `python -m harness`, the same as `motorhil`."""
+"""Entry point of `python -m motorhil`, the same as `motorhil`."""
 
 import os
 import sys
@@ -8,7 +8,7 @@ import threading
 def start() -> int:
     """Run the command line and return its exit status; handle Ctrl-C even during imports."""
     try:
-        from harness.cli.main import main
+        from motorhil.harness.cli.main import main
     except KeyboardInterrupt:
         sys.stderr.write("motorhil: interrupted\n")
         return 130
