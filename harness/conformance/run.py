@@ -30,17 +30,9 @@ import can
 
 from motorhil.harness.conformance import clause
 from motorhil.harness.conformance.bench import Opener
-from motorhil.harness.conformance.clause import (
-    NOTHING_DECLARED,
-    Capability,
-    Clause,
-    Facts,
-    NotApplicable,
-    Result,
-    Verdict,
-    Violated,
-)
+from motorhil.harness.conformance.clause import Clause, NotApplicable, Result, Verdict, Violated
 from motorhil.harness.conformance.rig_bench import TimeIsUp
+from motorhil.harness.rig.config.conformance import NOTHING_DECLARED, Capability, Facts
 from motorhil.harness.rig.config.toml import BrokenPluginError, RigError
 from motorhil.motorapi import (
     ComplexTrajectory,

@@ -5,8 +5,8 @@ A CAN controller repeats a frame that a bit error has destroyed (ISO 11898-1). E
 128 times 11 recessive bits.
 """
 
-from motorhil.harness.conformance.bench import RigProtocol
-from motorhil.harness.conformance.clause import Ability, Capability, Level, clause, expect
+from motorhil.harness.conformance.bench import Ability, RigProtocol
+from motorhil.harness.conformance.clause import Level, clause, expect
 from motorhil.harness.conformance.clauses.helpers import (
     aim,
     ending,
@@ -21,6 +21,7 @@ from motorhil.harness.conformance.clauses.helpers import (
     rest_for,
     until_rest_s,
 )
+from motorhil.harness.rig.config.conformance import Capability
 from motorhil.motorapi import LinkError, Motor, MotorState
 
 _TO_PASSIVE = 24  # failures; the node then stays error passive for a while

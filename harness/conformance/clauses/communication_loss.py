@@ -6,16 +6,8 @@ Each loss happens in the middle of each kind of motion. The rig declares the tim
 
 from contextlib import suppress
 
-from motorhil.harness.conformance.bench import RigProtocol
-from motorhil.harness.conformance.clause import (
-    Ability,
-    Capability,
-    Level,
-    NotApplicable,
-    Violated,
-    clause,
-    expect,
-)
+from motorhil.harness.conformance.bench import Ability, RigProtocol
+from motorhil.harness.conformance.clause import Level, NotApplicable, Violated, clause, expect
 from motorhil.harness.conformance.clauses.helpers import (
     Mode,
     aim,
@@ -38,6 +30,7 @@ from motorhil.harness.conformance.clauses.helpers import (
     torque_of,
     until_rest_s,
 )
+from motorhil.harness.rig.config.conformance import Capability
 from motorhil.motorapi import (
     DeadlineExceeded,
     Motor,

@@ -5,16 +5,8 @@ L4: groups with a member that refuses, is lost, or fails.
 
 from math import hypot
 
-from motorhil.harness.conformance.bench import RigProtocol
-from motorhil.harness.conformance.clause import (
-    Ability,
-    Capability,
-    Level,
-    NotApplicable,
-    Violated,
-    clause,
-    expect,
-)
+from motorhil.harness.conformance.bench import Ability, RigProtocol
+from motorhil.harness.conformance.clause import Level, NotApplicable, Violated, clause, expect
 from motorhil.harness.conformance.clauses.helpers import (
     BEGUN,
     Course,
@@ -36,6 +28,7 @@ from motorhil.harness.conformance.clauses.helpers import (
     smooth_way,
     ways_of,
 )
+from motorhil.harness.rig.config.conformance import Capability
 from motorhil.motorapi import (
     ControlMode,
     FaultReaction,

@@ -8,16 +8,8 @@ from contextlib import suppress
 from types import SimpleNamespace
 from typing import Any, Final
 
-from motorhil.harness.conformance.bench import RigProtocol
-from motorhil.harness.conformance.clause import (
-    Ability,
-    Capability,
-    Level,
-    NotApplicable,
-    Violated,
-    clause,
-    expect,
-)
+from motorhil.harness.conformance.bench import Ability, RigProtocol
+from motorhil.harness.conformance.clause import Level, NotApplicable, Violated, clause, expect
 from motorhil.harness.conformance.clauses.helpers import (
     expect_rest,
     expect_unmoved,
@@ -33,6 +25,7 @@ from motorhil.harness.conformance.clauses.helpers import (
     speed,
     turn,
 )
+from motorhil.harness.rig.config.conformance import Capability
 from motorhil.motorapi import (
     ControlMode,
     MotionInterrupted,
