@@ -1,7 +1,4 @@
-"""The verb `record`: records live CAN buses.
-
-Progress line of a recording, for the terminal.
-"""
+"""The verb `record`: records live CAN buses, and shows its progress."""
 
 import argparse
 import json

@@ -1,10 +1,7 @@
-"""`motorhil serve`: a rig in real time for other processes.
+"""The verb `serve`: a rig in real time for other processes.
 
 CAN buses are served on a socket or on SocketCAN, Modbus lines on TCP or on pseudo-terminals.
-
-Lines of a rig on TCP and pseudo-terminals, for `motorhil serve`.
-
-Child processes beside a world in wall time, and stop signals.
+Programs started beside the rig are child processes, and end with it.
 """
 
 import argparse

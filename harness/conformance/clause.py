@@ -10,13 +10,9 @@
 The first paragraph of the docstring is the promise. The check is an ordinary function of a bench:
 it uses no pytest, and no `assert`, which `python -O` removes.
 
-Capabilities of a motor, and abilities of a bench.
-
 A clause names the capabilities and abilities that it needs. If the motor or bench does not have
 one, the clause is not applicable, and the reason is reported. A claimed capability that does not
-work is a failure.
-
-Verdicts on clauses, and the signals from supervisors to workers.
+work is a failure. A verdict says how one check ended.
 """
 
 import signal

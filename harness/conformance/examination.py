@@ -1,8 +1,6 @@
 """Examination of clauses: a failing check is repeated and recorded.
 
 On a bench in wall time the first run is recorded.
-
-Targets of a job: the loaded adaptation and its rig.
 """
 
 import shlex

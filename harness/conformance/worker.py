@@ -1,4 +1,11 @@
-"""The worker process, which checks clauses on request of its supervisor.
+"""The worker process that checks clauses, and its supervisor.
+
+    with Supervisor(Job("my_drive", "bench.toml")) as supervisor:
+        verdict = supervisor.check("STOP-04")
+
+An adaptation cannot end the kit. One worker checks all clauses as long as it lives. A check that
+misses its deadline is interrupted, and the verdict has the line where it hangs. If the worker then
+ends or has died, a new worker checks the remaining clauses.
 
 The worker receives a job, then requests, each as a line of JSON on one pipe. Each answer is a line
 on another pipe. Output of the adaptation goes elsewhere. The supervisor's first signal makes Python
@@ -9,21 +16,6 @@ dump the stacks of all threads. The second signal ends the check, if possible.
     {"claims": true}                        -> {"claims": {"homing": "why not, or nothing"}}
 
 Each request has a number, and its answer is [number, answer].
-
-Worker process, as seen by its supervisor.
-
-A supervisor sends requests to a worker, reads its answers and ends it, whatever the worker does.
-
-Supervision of a worker process, in which the clauses are checked.
-
-    with Supervisor(Job("my_drive", "bench.toml")) as supervisor:
-        verdict = supervisor.check("STOP-04")
-
-An adaptation cannot end the kit. One worker checks all clauses as long as it lives. A check that
-misses its deadline is interrupted, and the verdict has the line where it hangs. If the worker then
-ends or has died, a new worker checks the remaining clauses.
-
-Jobs for workers, and the promises that workers report.
 """
 
 import faulthandler

@@ -1,7 +1,4 @@
-"""Recording of an open rig: attached files, and taps on all events.
-
-Files that a rig names, which are attached to its recordings.
-"""
+"""Recording of an open rig: attached files, and taps on all events."""
 
 import hashlib
 import sys
