@@ -67,8 +67,8 @@ fuzz: $(READY)  ## a million random, mutated and recorded frames at the drive; F
 mutants: $(READY)  ## every adaptation broken on purpose against every clause; writes the kill table
 	$(BIN)/python -m tests.conformance.mutants $(MUTANTS)
 
-clauses: $(READY)  ## docs/CLAUSES.md, every clause of the conformance kit
-	$(BIN)/python -m harness.conformance.clauses_page > docs/CLAUSES.md
+clauses: $(READY)  ## docs/reference/clauses.md, every clause of the conformance kit
+	$(BIN)/python -m harness.conformance.clauses_page > docs/reference/clauses.md
 
 golden: $(READY)  ## the golden recordings again, where a rig does something else today
 	$(BIN)/python -m tests.golden

@@ -1,9 +1,9 @@
-"""docs/CLAUSES.md says what the kit promises."""
+"""docs/reference/clauses.md is the page of this conformance kit."""
 
 from harness.conformance.clauses_page import page
 from tests.architecture.checkout import CHECKOUT
 
-PAGE = CHECKOUT / "docs" / "CLAUSES.md"
+PAGE = CHECKOUT / "docs" / "reference" / "clauses.md"
 
 
 def test_the_page_is_of_this_kit():

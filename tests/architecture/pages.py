@@ -1,35 +1,50 @@
-"""README as a story that runs: its fenced blocks, one after another, in a folder beside a clone.
+"""Documents whose code blocks run: README.md and every page below docs.
 
-python -m tests.architecture.readme       runs it, writes into README what really comes, and draws
-                                          its picture of the demo anew
+python -m tests.architecture.pages [PAGE ...]    run pages, write their real output into them, and
+                                                 redraw README's picture if README is among them
 
-A block of Python or shell is run; a `text` block right behind it is what it prints, errors
-included, in the order of a terminal. In between, and before a block, comments say what is special:
+Each page runs in a folder of its own, one block after another. A `text` block directly behind a
+block of Python or shell is its expected output, standard error included. Comments in front of a
+block modify it:
 
-    <!-- file: NAME -->            the block is written to NAME, not run
-    <!-- in the rig: RIG -->       the Python runs as `motorhil run RIG -`
-    <!-- exit status: N -->        it ends so (else 0)
-    <!-- not run: WHY -->          it cannot be run here
-    <!-- by machine: REGEX -->     what matches may differ in the text that follows
+    <!-- file: NAME -->            write the block to NAME; do not run it
+    <!-- in the rig: RIG -->       run the Python as `motorhil run RIG -`
+    <!-- exit status: N -->        expect this exit status (default 0)
+    <!-- not run: WHY -->          the block cannot run here
+    <!-- wall clock: yes -->       retry the block: a busy machine may delay it
+    <!-- by machine: REGEX -->     matching text may differ in the output that follows
 
-Blocks of `pycon` are one session, and a doctest: each is run behind those before it.
-A line "..." in a text stands for any lines left out, and "..." within a line for any characters.
-The first `make demo` runs what the Makefile says of PURE=1; of other targets only that they exist
-is asked.
+A comment anywhere on a page prepares its folder:
+
+    <!-- starts with: NAME ... -->     `wheels` is the rig of `motorhil new wheels`, `demo` is
+                                       out/demo.mcap, and NAME.py is the block that another page
+                                       writes to that file
+
+Blocks of `pycon` are one session per page: a block runs after those before it.
+A line "..." in an output stands for any lines, and "..." within a line for any characters.
+The first `make demo` runs the commands of PURE=1 in the Makefile. Other make targets are only
+checked for existence.
 """
 
+import atexit
 import os
 import re
+import shutil
 import subprocess
 import sys
 import tempfile
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 
 from tests.architecture import rover_picture
 from tests.architecture.checkout import CHECKOUT
 
 README = CHECKOUT / "README.md"
+PAGES = (README, *sorted((CHECKOUT / "docs").rglob("*.md")))
+STARTS = re.compile(r"^<!-- starts with: (.*) -->$", re.MULTILINE)
+PREPARED = {"wheels": ("motorhil new wheels", "wheels"), "demo": ("motorhil demo", "out")}
 PICTURE = CHECKOUT / "docs" / "rover.svg"
 FENCE = re.compile(r"^```(\w*)$")
 COMMENT = re.compile(r"^<!-- ([a-z ]+): (.*) -->$")
@@ -54,24 +69,32 @@ pip() {{ command python -m pip "$@" --quiet --disable-pip-version-check --no-ind
 
 @dataclass
 class Block:
-    """A fenced block: what language, which lines of README (from 0) it fills, what is special."""
+    """A fenced block: its page, language, first line (from 0), lines and modifying comments."""
 
+    page: str
     language: str
     first: int
     lines: list[str]
     special: dict[str, str] = field(default_factory=dict)
 
     @property
-    def text(self):
+    def text(self) -> str:
         return "".join(f"{line}\n" for line in self.lines)
 
-    def __str__(self):
-        return f"README.md:{self.first}"
+    def __str__(self) -> str:
+        return f"{self.page}:{self.first}"
 
 
-def blocks_of(text):
-    """All fenced blocks, each with the comments that stand right before it."""
-    found, special, block = [], {}, None
+def name_of(page: Path) -> str:
+    """Return the name of a page, relative to the checkout."""
+    return page.relative_to(CHECKOUT).as_posix()
+
+
+def blocks_of(text: str, page: str = "README.md") -> list[Block]:
+    """Return all fenced blocks, each with the comments directly before it."""
+    found: list[Block] = []
+    special: dict[str, str] = {}
+    block = None
     for number, line in enumerate(text.splitlines()):
         fence, comment = FENCE.match(line), COMMENT.match(line)
         if block is not None:
@@ -81,7 +104,7 @@ def blocks_of(text):
             else:
                 block.lines.append(line)
         elif fence:
-            block = Block(fence[1], number + 1, [], special)
+            block = Block(page, fence[1], number + 1, [], special)
         elif comment:
             special[comment[1]] = comment[2]
         elif line:
@@ -89,9 +112,9 @@ def blocks_of(text):
     return found
 
 
-def steps_of(text):
-    """(block, what it prints or None) for all blocks that do something, in order."""
-    blocks = blocks_of(text)
+def steps_of(text: str, page: str = "README.md") -> Iterator[tuple[Block, Block | None]]:
+    """Yield (block, its expected output or None) for every block that does something, in order."""
+    blocks = blocks_of(text, page)
     lines = text.splitlines()
     for block, after in zip(blocks, [*blocks[1:], None], strict=True):
         if block.language not in RUN and "file" not in block.special:
@@ -104,8 +127,47 @@ def steps_of(text):
         yield block, told
 
 
+@cache
+def prepared(name: str) -> Path:
+    """Return a folder with the result of a preparing command, made once per process."""
+    folder = Path(tempfile.mkdtemp(prefix=f"motorhil-{name}-"))
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    subprocess.run(
+        PREPARED[name][0].split(),
+        cwd=folder,
+        env=environment(folder),
+        capture_output=True,
+        timeout=120,
+        check=True,
+    )
+    return folder
+
+
+def prepare(text: str, folder: Path) -> None:
+    """Put into a page's folder all that the page starts with."""
+    work = folder / "work"
+    work.mkdir()
+    (work / "motorhil").symlink_to(CHECKOUT)
+    names = [name for line in STARTS.findall(text) for name in line.split()]
+    for name in names:
+        if name in PREPARED:
+            made = PREPARED[name][1]
+            shutil.copytree(prepared(name) / made, work / made)
+        else:
+            (work / name).write_text(shown_file(name).text)
+
+
+def shown_file(name: str) -> Block:
+    """Return the block that some page writes to the named file."""
+    for page in PAGES:
+        for block in blocks_of(page.read_text(encoding="utf-8"), name_of(page)):
+            if block.special.get("file") == name:
+                return block
+    raise LookupError(f"{name}: no page writes this file")
+
+
 def environment(folder):
-    """Of a user who has installed motorhil and nothing else."""
+    """Return the environment of a user who has installed motorhil and nothing else."""
     kept = {k: v for k, v in os.environ.items() if not k.startswith(("CAN_", "MOTORHIL_"))}
     return {
         **kept,
@@ -117,11 +179,8 @@ def environment(folder):
 
 
 def run(block, folder):
-    """(exit status, what it printed) of a block."""
+    """Run a block; return its exit status and its output."""
     work = folder / "work"
-    if not work.is_dir():
-        work.mkdir()
-        (work / "motorhil").symlink_to(CHECKOUT)
     if "file" in block.special:
         path = work / block.special["file"]
         path.parent.mkdir(exist_ok=True)
@@ -155,14 +214,14 @@ def run(block, folder):
 
 
 def pattern_of(line, machine):
-    """The regex for a line of a text block."""
+    """Return the regex for a line of an expected output."""
     parts = re.split(machine, line) if machine else [line]
     escaped = [r".*".join(re.escape(part) for part in piece.split("...")) for piece in parts]
     return f"(?:{machine})".join(escaped) if machine else escaped[0]
 
 
 def is_told(block, printed):
-    """Whether a text block says what was printed."""
+    """Return whether the expected output matches what was printed."""
     machine = block.special.get("by machine", "")
     patterns = [
         r"(?:.*\n)*?" if line.strip() == "..." else pattern_of(line.rstrip(), machine) + r"\n"
@@ -173,7 +232,7 @@ def is_told(block, printed):
 
 
 def retold(block, printed):
-    """The lines that the text block should have; what was left out is left out again."""
+    """Return the lines the expected output should have, with the same omissions."""
     lines = [line.rstrip() for line in printed.splitlines()]
     if not any(line.strip() == "..." for line in block.lines):
         return lines
@@ -190,33 +249,41 @@ def retold(block, printed):
 
 
 def same_row(old, new):
-    """Whether two lines begin with the same word, numbers and units aside; or both are empty."""
+    """Return whether two lines begin with the same word, numbers aside, or are both empty."""
     first, second = (re.search(r"[A-Za-z/]\S+", line) for line in (old, new))
     if first is None or second is None:
         return old.strip() == new.strip()
     return first[0] == second[0]
 
 
-def main():
-    """README says what its blocks print; one line for each that was changed."""
-    text = README.read_text(encoding="utf-8")
+def rewrite(page: Path) -> None:
+    """Write the real output of a page's blocks into the page; print each changed place."""
+    text = page.read_text(encoding="utf-8")
     lines = text.splitlines()
     changes = []
     with tempfile.TemporaryDirectory() as name:
-        for block, told in steps_of(text):
+        prepare(text, Path(name))
+        for block, told in steps_of(text, name_of(page)):
             status, printed = run(block, Path(name))
             if status != int(block.special.get("exit status", 0)):
                 sys.exit(f"{block}: exit status {status}\n{printed}")
             if told is not None and "not run" not in block.special and not is_told(told, printed):
                 changes.append((told, retold(told, printed)))
-        drawn = rover_picture.draw(Path(name) / "work" / "out" / "demo.mcap")
-    PICTURE.write_text(drawn, encoding="utf-8")
+        if page == README:
+            drawn = rover_picture.draw(Path(name) / "work" / "out" / "demo.mcap")
+            PICTURE.write_text(drawn, encoding="utf-8")
     for told, new in reversed(changes):
         lines[told.first : told.first + len(told.lines)] = new
-    README.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    page.write_text("\n".join(lines) + "\n", encoding="utf-8")
     for told, _ in changes:
-        print(f"{told}: written anew")
+        print(f"{told}: rewritten")
+
+
+def main(names: Sequence[str]) -> None:
+    """Rewrite the named pages, or all of them."""
+    for page in [CHECKOUT / name for name in names] or PAGES:
+        rewrite(page)
 
 
 if __name__ == "__main__":
-    main()
+    main(sys.argv[1:])
