@@ -116,7 +116,7 @@ def steps_of(text: str, page: str = "README.md") -> Iterator[tuple[Block, Block 
     """Yield (block, its expected output or None) for every block that does something, in order."""
     blocks = blocks_of(text, page)
     lines = text.splitlines()
-    for block, after in zip(blocks, [*blocks[1:], None], strict=True):
+    for block, after in zip(blocks, [*blocks, None][1:], strict=True):
         if block.language not in RUN and "file" not in block.special:
             continue
         told = None
