@@ -5,6 +5,7 @@ BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 
 COMPILED := .venv-compiled
+DOCS := .venv-docs
 DIST := dist
 OPTIMISE := 2
 PACKAGES := motorapi emulators traces harness
@@ -16,7 +17,7 @@ WORKERS := -n 2 --dist loadfile --no-loadscope-reorder
 test test-compiled: export PYTHONDONTWRITEBYTECODE :=
 test test-compiled: export PYTHONPYCACHEPREFIX := $(CURDIR)/build/bytecode
 
-.PHONY: demo wheel test check bench bench-against fuzz mutants clauses golden format clean compiled build-compiled test-compiled
+.PHONY: demo docs wheel quick test check bench bench-against fuzz mutants clauses golden format clean compiled build-compiled test-compiled
 
 # It takes a second, compiling a minute or more: so nobody waits for compiled cores the first time.
 # What could not be built is not tried again before something has changed.
@@ -54,6 +55,16 @@ check: $(READY)  ## style, types and who may import whom
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+	$(BIN)/python -m pytest -p no:cacheprovider tests/architecture/test_docs_links.py
+
+quick: $(READY)  ## the fast tests, while you edit: units of the interface, the emulators and the traces
+	$(BIN)/python -m pytest $(WORKERS) -m "not wall and not vcan and not compiled" \
+	    tests/motorapi/functions tests/motorapi/generation tests/emulators tests/traces tests/architecture/test_docs_links.py
+
+docs: $(READY) $(DOCS)/.ready  ## the documents as a site, which works from disk: build/docs/html/index.html
+	$(BIN)/python -m harness.documentation docs build/docs/source
+	$(DOCS)/bin/sphinx-build -q -W --keep-going build/docs/source build/docs/html
+	@echo build/docs/html/index.html
 
 bench: $(READY)  ## figures against a peer in the same run; asserts no wall time
 	$(BIN)/python -m tests.benchmarks
@@ -81,6 +92,11 @@ $(READY): requirements.lock pyproject.toml
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements.lock
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
+	touch $@
+
+$(DOCS)/.ready: docs/requirements.lock
+	$(PYTHON) -m venv $(DOCS)
+	$(DOCS)/bin/python -m pip install --quiet --disable-pip-version-check --require-hashes -r docs/requirements.lock
 	touch $@
 
 # What the cores are made of. Tests that ask for less than what ships take what ships, where it is.
@@ -121,4 +137,4 @@ test-compiled: compiled  ## the tests again, against the compiled cores
 	    MOTORHIL_SHARED=$${MOTORHIL_SHARED:-$(CURDIR)/../shared} ../../$(COMPILED)/bin/python -m pytest $(TESTS)
 
 clean:
-	rm -rf $(VENV) .venv-compiled build dist out *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis
+	rm -rf $(VENV) .venv-compiled .venv-docs build dist out *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis

@@ -29,5 +29,5 @@ def test_a_drive_that_says_something_else_is_not_explained(shared, tmp_path):
     assert set(found) - set(servo.differences) == {"1018h:4 serial number"}
 
 
-def test_the_table_in_the_readme_is_this_one():
-    assert table() in (CHECKOUT / "README.md").read_text()
+def test_the_table_in_the_documents_is_this_one():
+    assert table() in (CHECKOUT / "docs/reference/emulated-drive.md").read_text()

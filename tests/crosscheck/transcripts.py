@@ -3,7 +3,7 @@
 Recordings: ../shared/data/traffic/INDEX.md. A transcript's host plays its part as `replay --as
 host` does; what our drive tells is compared with what theirs told, object by object
 (`traces.fidelity`). Where they differ there is a reason in this table, or a test fails; a reason
-that no longer explains anything fails too. The README's table is this one's.
+that no longer explains anything fails too. docs/reference/emulated-drive.md has this table.
 """
 
 import json
@@ -42,7 +42,7 @@ class Transcript:
         first: what the host must have said before it.
         stimuli: lines of a rig file: what physics did to the recorded drive.
         differences: by what is compared: the first difference, "theirs, but ours", and its reason.
-        agrees: what ours tells alike, for the README.
+        agrees: what ours tells alike, for that table.
     """
 
     title: str
@@ -325,7 +325,7 @@ TRANSCRIPTS: Final = (
 
 
 def table() -> str:
-    """What matches, what differs and why: the README's table."""
+    """Return the table in docs/reference/emulated-drive.md: what matches, what differs and why."""
     rows = ["| recorded | alike | different, and why |", "| --- | --- | --- |"]
     for one in TRANSCRIPTS:
         reasons: dict[str, list[str]] = {}

@@ -88,7 +88,7 @@ def test_times_from_0_and_times_that_go_back_are_held_by_all(tmp_path, form, ste
     assert before == after
 
 
-def test_readme_tells_what_each_format_does_not_hold():
+def test_the_page_on_conversion_tells_what_each_format_does_not_hold():
     rows = ["| format | ending | does not hold |", "| --- | --- | --- |"]
     for form in WRITABLE:
         lacks = [feature for feature in Feature if feature not in form.holds]
@@ -96,7 +96,9 @@ def test_readme_tells_what_each_format_does_not_hold():
             lacks.remove(Feature.BLANKS)  # they go with the names
         told = ", ".join(IN_WORDS[feature] for feature in lacks) or "nothing is lost"
         rows.append(f"| {form.name} | `{form.ending}` | {told} |")
-    assert "\n".join(rows) + "\n\n" in (CHECKOUT / "README.md").read_text(), "\n".join(rows)
+    assert (
+        "\n".join(rows) + "\n\n" in (CHECKOUT / "docs/how-to/convert-a-recording.md").read_text()
+    ), "\n".join(rows)
 
 
 def test_a_survey_tells_every_feature():
