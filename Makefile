@@ -84,7 +84,7 @@ clauses: $(READY)  ## docs/reference/clauses.md, every clause of the conformance
 golden: $(READY)  ## the golden recordings again, where a rig does something else today
 	$(BIN)/python -m tests.golden
 
-format: $(READY)
+format: $(READY)  ## formats the sources
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
@@ -136,5 +136,5 @@ test-compiled: compiled  ## the tests again, against the compiled cores
 	cd build/tests && MOTORHIL_COMPILED=1 MOTORHIL_CHECKOUT=$(CURDIR) \
 	    MOTORHIL_SHARED=$${MOTORHIL_SHARED:-$(CURDIR)/../shared} ../../$(COMPILED)/bin/python -m pytest $(TESTS)
 
-clean:
+clean:  ## removes all that the other targets have made
 	rm -rf $(VENV) .venv-compiled .venv-docs build dist out *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis

@@ -42,10 +42,12 @@ def dead_links(page, text):
             continue
         path, _, anchor = link.partition("#")
         target = (page.parent / path).resolve() if path else page
-        if not target.is_file() or (
-            anchor and anchor not in anchors_of(target.read_text(encoding="utf-8"))
-        ):
+        if not target.is_file():
             dead.append(link)
+        elif anchor:
+            linked = text if target == page else target.read_text(encoding="utf-8")
+            if anchor not in anchors_of(linked):
+                dead.append(link)
     return dead
 
 

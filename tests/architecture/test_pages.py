@@ -19,6 +19,7 @@ from tests.architecture.pages import (
     is_told,
     name_of,
     prepare,
+    results_of,
     retold,
     run,
     steps_of,
@@ -31,7 +32,6 @@ CODE = re.findall(r"`([^`\n]+)`", PROSE)
 STEPS = {page: list(steps_of(text, page)) for page, text in TEXTS.items()}
 NUMBERED = [(page, number) for page, steps in STEPS.items() for number in range(len(steps))]
 NAMED_FILE = r"(?:tests|docs|harness|motorapi|emulators|traces)/[\w/.-]+\.\w+(?:::\w+)?"
-TRIES_ON_THE_WALL = 3  # a busy machine may stop a process for longer than a heartbeat's 300 ms
 
 
 @pytest.fixture(scope="module")
@@ -55,15 +55,7 @@ class Stories:
         folder = self._folder / page.replace("/", "-")
         folder.mkdir()
         prepare(TEXTS[page], folder)
-        results = []
-        for block, told in STEPS[page]:
-            result = run(block, folder)
-            for _ in range(TRIES_ON_THE_WALL - 1):
-                if "wall clock" not in block.special or told is None or is_told(told, result[1]):
-                    break
-                result = run(block, folder)
-            results.append(result)
-        return results, folder / "work"
+        return results_of(STEPS[page], folder), folder / "work"
 
 
 # --- blocks
@@ -239,3 +231,11 @@ def test_a_failing_block_fails(tmp_path):
     assert run(found, tmp_path)[0] == 1
     (found,) = blocks_of("```bash\nmake no-such-target\n```\n")
     assert run(found, tmp_path)[0] != 0
+
+
+def test_a_failing_session_fails_where_it_does(tmp_path):
+    prepare("", tmp_path)
+    text = "```pycon\n>>> a = 1\n```\n\n```pycon\n>>> a\n2\n```\n\n```pycon\n>>> a\n1\n```\n"
+    results = results_of(list(steps_of(text)), tmp_path)
+    assert [status for status, _ in results] == [0, 1, 0]
+    assert "Got:" in results[1][1]
