@@ -12,6 +12,10 @@ PACKAGES := motorapi emulators traces harness
 # A third one would save a minute, and hurry what goes by the wall (tests/conftest.py).
 WORKERS := -n 2 --dist loadfile --no-loadscope-reorder
 
+DOCUMENTS := tests/architecture/test_docs_links.py tests/architecture/test_docs_language.py
+QUICK := $(DOCUMENTS) tests/motorapi/functions tests/motorapi/generation tests/traces \
+    tests/emulators/media tests/emulators/canopen tests/emulators/motion
+
 # What was read once is not compiled or rewritten anew by each of the hundreds of programs that the
 # tests start, whatever the environment says; nor does it lie among the sources.
 test test-compiled: export PYTHONDONTWRITEBYTECODE :=
@@ -50,16 +54,15 @@ wheel: compiled  ## in dist: the sources, a wheel of pure Python, one with compi
 test: check  ## everything that must hold, on one machine, in minutes
 	$(BIN)/python -m pytest $(WORKERS)
 
-check: $(READY)  ## style, types and who may import whom
+check: $(READY)  ## style, types, import contracts, links and language of the documents
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
-	$(BIN)/python -m pytest -p no:cacheprovider tests/architecture/test_docs_links.py
+	$(BIN)/python -m pytest -p no:cacheprovider $(DOCUMENTS)
 
-quick: $(READY)  ## the fast tests, while you edit: units of the interface, the emulators and the traces
-	$(BIN)/python -m pytest $(WORKERS) -m "not wall and not vcan and not compiled" \
-	    tests/motorapi/functions tests/motorapi/generation tests/emulators tests/traces tests/architecture/test_docs_links.py
+quick: $(READY)  ## fast tests, while you edit: functions, trajectories, plants, buses, recordings, documents
+	$(BIN)/python -m pytest $(WORKERS) $(QUICK)
 
 docs: $(READY) $(DOCS)/.ready  ## the documents as a site, which works from disk: build/docs/html/index.html
 	$(BIN)/python -m harness.documentation docs build/docs/source
