@@ -8,7 +8,7 @@ COMPILED := .venv-compiled
 DOCS := .venv-docs
 DIST := dist
 OPTIMISE := 2
-PACKAGES := motorapi emulators traces harness
+PACKAGES := motorhil
 # A third one would save a minute, and hurry what goes by the wall (tests/conftest.py).
 WORKERS := -n 2 --dist loadfile --no-loadscope-reorder
 
@@ -44,7 +44,7 @@ else
 endif
 
 wheel: compiled  ## in dist: the sources, a wheel of pure Python, one with compiled cores for this Python
-	@rm -rf build/wheel && mkdir -p build/wheel/sources && cp -r $(COPIED) build/wheel/
+	@rm -rf build/wheel && mkdir -p build/wheel/sources && cp -rL $(COPIED) build/wheel/
 	@cd build/wheel && ../../$(call HOOK,build_sdist) . > ../wheel.log 2>&1
 	@tar -xzf build/wheel/*.tar.gz -C build/wheel/sources --strip-components 1  # the wheel is of what it holds
 	@cd build/wheel/sources && ../../../$(call HOOK,build_wheel) .. >> ../../wheel.log 2>&1
@@ -65,7 +65,7 @@ quick: $(READY)  ## fast tests, while you edit: functions, trajectories, plants,
 	$(BIN)/python -m pytest $(WORKERS) $(QUICK)
 
 docs: $(READY) $(DOCS)/.ready  ## the documents as a site, which works from disk: build/docs/html/index.html
-	$(BIN)/python -m harness.documentation docs build/docs/source
+	$(BIN)/python -m motorhil.harness.documentation docs build/docs/source
 	$(DOCS)/bin/sphinx-build -q -W --keep-going build/docs/source build/docs/html
 	@echo build/docs/html/index.html
 
@@ -82,7 +82,7 @@ mutants: $(READY)  ## every adaptation broken on purpose against every clause; w
 	$(BIN)/python -m tests.conformance.mutants $(MUTANTS)
 
 clauses: $(READY)  ## docs/reference/clauses.md, every clause of the conformance kit
-	$(BIN)/python -m harness.conformance.clauses_page > docs/reference/clauses.md
+	$(BIN)/python -m motorhil.harness.conformance.kit > docs/reference/clauses.md
 
 golden: $(READY)  ## the golden recordings again, where a rig does something else today
 	$(BIN)/python -m tests.golden
@@ -103,7 +103,7 @@ $(DOCS)/.ready: docs/requirements.lock
 	touch $@
 
 # What the cores are made of. Tests that ask for less than what ships take what ships, where it is.
-SOURCE = $$(find $(PACKAGES) setup.py pyproject.toml requirements.lock -type f ! -name '*.pyc' \
+SOURCE = $$(find -L $(PACKAGES) setup.py pyproject.toml requirements.lock -type f ! -name '*.pyc' \
     -exec sha256sum {} + | LC_ALL=C sort | sha256sum | cut -c1-64)
 built = case "$$(cat $(COMPILED)/.source 2>/dev/null)" in "$$source "[$(OPTIMISE)-3]) true;; *) false;; esac
 
@@ -121,11 +121,11 @@ build-compiled: SHELL := bash
 build-compiled: .SHELLFLAGS := -o pipefail -c
 build-compiled: $(READY)
 	@mkdir -p build/compiled; \
-	names=$$( (find $(PACKAGES) -name '*.py' | LC_ALL=C sort; cat setup.py; echo $(OPTIMISE)) | sha256sum); \
+	names=$$( (find -L $(PACKAGES) -name '*.py' | LC_ALL=C sort; cat setup.py; echo $(OPTIMISE)) | sha256sum); \
 	if [ "$$(cat build/compiled/.names 2>/dev/null)" != "$$names" ]; then \
 	    rm -rf build/compiled && mkdir -p build/compiled && echo "$$names" > build/compiled/.names; fi
 	@cd build/compiled && rm -rf $(COPIED) wheel && find . -path './build/*' -name '*.py' -delete
-	@cp -r $(COPIED) build/compiled/
+	@cp -rL $(COPIED) build/compiled/
 	@cd build/compiled && MOTORHIL_COMPILE=1 MOTORHIL_OPTIMISE=$(OPTIMISE) ../../$(call HOOK,build_wheel) wheel 2>&1 | \
 	    tee ../../$(LOG) | sed -un '/ C files compiled$$/p' || { grep -m1 -E 'error:|Error' ../../$(LOG) >&2; \
 	    echo "the compiled cores could not be built, all of it: $(LOG)" >&2; exit 1; }

@@ -1,8 +1,8 @@
-"""Only for the compiled build: with MOTORHIL_COMPILE=1 the hot cores become C extensions (mypyc).
+"""Compiled build: with MOTORHIL_COMPILE=1 the hot cores become C extensions (mypyc).
 
-Everything else about the distribution stands in pyproject.toml. Build it with `make compiled`, into
-an environment of its own, from a copy of the sources: an edited .py beside its .so would be ignored
-without a word.
+Everything else about the distribution is in pyproject.toml. Build with `make compiled`, into a
+separate environment, from a copy of the sources: Python would silently ignore an edited .py beside
+its .so.
 """
 
 import os
@@ -14,66 +14,53 @@ from setuptools import Extension, setup
 from setuptools.command.build_ext import build_ext
 from setuptools.modified import newer_group
 
-# All that a frame passes on its way, from plant to record and application: what calls what there
-# should be compiled together. Left out are modules that talk to the outside (sockets,
-# files), that applications or third parties inherit from, or that inherit from others' libraries.
+# The modules on a frame's way from plant to record and application; modules that call one another
+# often are compiled together. Excluded are modules that use sockets or files, that applications or
+# third parties subclass, or that subclass classes of other libraries.
 HOT = (
-    "emulators/event_queue.py",
-    "emulators/can_segment.py",
-    "emulators/line_segment.py",
-    "emulators/segment.py",
-    "emulators/world.py",
+    "emulators/simulation/[!o]*.py",
     "emulators/media/*.py",
+    "emulators/can/*.py",
+    "emulators/can/*/*.py",
     "emulators/plant/*.py",
     "emulators/firmware/*.py",
     "emulators/canopen/*.py",
+    "emulators/canopen/files/*.py",
     "emulators/cia401/*.py",
     "emulators/cia402/*.py",
-    "harness/bus_ears.py",
-    "harness/parties.py",
-    "harness/virtual_time.py",
-    "harness/recorder.py",
-    "harness/rig_recording.py",
-    "traces/chunk.py",
-    "traces/fields.py",
-    "traces/protobuf.py",
-    "motorapi/bus_status.py",
-    "motorapi/waiting.py",
-    "motorapi/adaptations/canopen_link.py",
-    "motorapi/adaptations/cia402_objects.py",
-    "motorapi/adaptations/cia402_units.py",
-    "motorapi/adaptations/drive_node.py",
-    "motorapi/adaptations/drive_reader.py",
-    "motorapi/adaptations/emergencies.py",
-    "motorapi/adaptations/motion_watch.py",
-    "motorapi/adaptations/software_axis.py",
-    "motorapi/adaptations/software_courses.py",
-    "motorapi/adaptations/software_cycle.py",
-    "motorapi/adaptations/software_servo.py",
-    "motorapi/adaptations/transmissions.py",
-    "motorapi/adaptations/turn_lock.py",
+    "emulators/cia402/*/*.py",
+    "harness/python_can/messages.py",
+    "harness/virtual_time/runtime.py",
+    "harness/recording/recorder.py",
+    "harness/rig/recording.py",
+    "traces/mcap/protobuf.py",
+    "motorapi/runtime/api.py",
+    "motorapi/adaptations/canopen/*.py",
+    "motorapi/adaptations/cia402/*.py",
+    "motorapi/adaptations/host_servo/*.py",
 )
 INTERPRETED = ("__init__.py", "factory.py", "settings.py")
 
 
 def hot_modules() -> list[str]:
-    """The files to compile, in a fixed order."""
+    """Return the files to compile, in a fixed order."""
     return [
         str(path)
         for pattern in HOT
-        for path in sorted(Path().glob(pattern))
+        for path in sorted(Path("motorhil").glob(pattern))
         if path.name not in INTERPRETED
     ]
 
 
 def extensions() -> list[Extension]:
-    """The extension modules, or none."""
+    """Return the extension modules, or none."""
     if os.environ.get("MOTORHIL_COMPILE") != "1" or "dist_info" in sys.argv or "sdist" in sys.argv:
-        return []  # neither what the distribution is called nor its sources depend on a compiler
+        return []  # name and sources of the distribution do not depend on a compiler
     from mypyc.build import mypycify
 
-    # One rounding per operation, on every machine: or the digest would depend on the processor.
-    # Modules call one another within one library: without the detour that others' symbols need.
+    # One rounding per operation on every machine; otherwise the digest would depend on the
+    # processor. Modules call one another within one library, so hidden symbols avoid the
+    # indirection that exported symbols need.
     flags = " -ffp-contract=off -fvisibility=hidden"
     os.environ["CFLAGS"] = os.environ.get("CFLAGS", "") + flags
     level = os.environ.get("MOTORHIL_OPTIMISE", "2")
@@ -82,13 +69,13 @@ def extensions() -> list[Extension]:
 
 
 class EveryCore(build_ext):
-    """C files are compiled side by side, one for each core of this machine, then linked."""
+    """A build command that compiles C files in parallel, one per core, and then links them."""
 
     def build_extensions(self) -> None:
-        """The libraries are built; who waits is told how far it is."""
+        """Build the libraries and report progress."""
         stale = [ext for ext in self.extensions if self._stale(ext)]
         works = [(ext, source) for ext in stale for source in ext.sources]
-        works.sort(key=lambda work: -Path(work[1]).stat().st_size)  # what takes longest first
+        works.sort(key=lambda work: -Path(work[1]).stat().st_size)  # longest compilation first
         objects: dict[str, list[str]] = {}
         with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as pool:
             for source, made in pool.map(self._compiled, works):
@@ -97,7 +84,7 @@ class EveryCore(build_ext):
                     print(f"{len(objects)} of {len(works)} C files compiled", flush=True)
         for ext in stale:
             ext.extra_objects = [made for source in ext.sources for made in objects[source]]
-            ext.depends, ext.sources = ext.sources, []  # made of these, and there already
+            ext.depends, ext.sources = ext.sources, []  # compiled already
         super().build_extensions()
 
     def _stale(self, ext: Extension) -> bool:

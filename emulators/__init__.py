@@ -1,1 +1,1 @@
-"""Virtual motor controllers: the other side of the wire, sans-I/O, told frames and the time."""
+"""Emulated motor controllers and media, sans-I/O: frames and time in, frames out."""

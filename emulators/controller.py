@@ -1,8 +1,8 @@
-"""What every emulated controller (drive, I/O node) is to the world around it.
+"""Interface between emulated controllers (drives, I/O nodes) and their world.
 
-A controller is told frames and told the time; it never asks for either. Between two calls nothing
-happens in it that anybody could see: `next_deadline_ns` says when it wants to be called again.
-Times are int nanoseconds on one timeline that starts at 0.
+A controller receives frames and the time; it never asks for them. Its observable state changes only
+within calls: `next_deadline_ns` returns the time of the next required call. Times are int
+nanoseconds on one timeline that starts at 0.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -12,105 +12,107 @@ from typing import Protocol, final
 
 
 class Controller(Protocol):
-    """A sans-I/O node on a medium. Third parties implement it; nothing need be inherited."""
+    """A sans-I/O node on a medium. Third parties may implement it, without inheritance."""
 
     def start(self, now_ns: int) -> None:
-        """Power comes on."""
+        """Power on."""
 
     def receive(self, data: bytes, now_ns: int) -> None:
-        """A frame was on the medium, complete at `now_ns` (CAN: Linux can_frame, 16 bytes)."""
+        """Process a frame on the medium, complete at `now_ns` (CAN: Linux can_frame, 16 bytes)."""
 
     def sent(self, data: bytes, now_ns: int) -> bool | None:
-        """An own frame left the medium at `now_ns`.
+        """Confirm that an own frame left the medium at `now_ns`.
 
         Returns:
-            False if nothing comes of it: no output, no event, no other deadline.
+            False if it has no effect: no output, no event, no other deadline.
         """
 
     def wants_sent(self) -> bool:
-        """Whether `sent` is to be called at all; constant."""
+        """Return whether `sent` must be called at all; constant."""
 
     def next_deadline_ns(self) -> int | None:
-        """When `expire` must be called at the latest [ns]; None: only when something comes in."""
+        """Return when `expire` must be called at the latest [ns], or None."""
 
     def expire(self, now_ns: int) -> None:
-        """It is `now_ns`; do what is due."""
+        """Process what is due at `now_ns`."""
 
     def take_output(self) -> Sequence[bytes]:
-        """Frames to queue on the medium now, in order; they are then forgotten here."""
+        """Return and clear the frames to queue on the medium now, in order."""
 
     def take_events(self) -> Sequence[tuple[str, str]]:
-        """(level, text) of what happened since last asked; level: "info", "warning" or "error"."""
+        """Return (level, text) of new events; level: "info", "warning" or "error"."""
 
     def stimulate(self, name: str, value: float, now_ns: int) -> None:
-        """A physical input (load, switch) has this value; ValueError names the known ones."""
+        """Set a physical input (load, switch); ValueError names the known ones."""
 
     def snapshot(self, now_ns: int) -> Mapping[str, float]:
-        """The truth inside at `now_ns`, units in the keys. Looking changes nothing."""
+        """Return the true state at `now_ns`, units in the keys, without side effects."""
 
     def identifiers(self) -> Sequence[int] | None:
-        """The CAN identifiers it listens to (as in can_frame, with flags); None: all.
+        """Return the CAN identifiers it listens to (as in can_frame, with flags); None: all.
 
-        ERR_FLAG among them: error messages (`emulators.media.error_message`) come too.
+        With ERR_FLAG among them it also receives error messages (`error_message`).
         """
 
     def identifiers_revision(self) -> int:
-        """Grows whenever `identifiers` would answer something new."""
+        """Return a number that increases with every change of `identifiers`."""
 
 
 class NonvolatileMemory(Protocol):
-    """What a controller keeps without power: bytes, as a whole."""
+    """The nonvolatile memory of a controller: bytes, as a whole."""
 
     def load(self) -> bytes:
-        """What was saved last; b"" if nothing ever was."""
+        """Return the bytes saved last, or b"" if there are none."""
 
     def save(self, data: bytes) -> bool:
-        """From now on this is kept, whole; False: it could not be, and what was kept still is."""
+        """Save the bytes as a whole; on failure keep the old ones and return False."""
 
     def where(self) -> str:
-        """What to call it to a person."""
+        """Return its name for messages."""
 
 
 @final
 class RigMemory:
-    """Keeps as long as the rig is there. Implements `NonvolatileMemory`."""
+    """A memory that lasts as long as the rig. Implements `NonvolatileMemory`."""
 
     def __init__(self) -> None:
         self._data = b""
 
     def load(self) -> bytes:
-        """What was saved last."""
+        """Return the bytes saved last."""
         return self._data
 
     def save(self, data: bytes) -> bool:
-        """It is kept."""
+        """Save the bytes."""
         self._data = data
         return True
 
     def where(self) -> str:
-        """What to call it."""
+        """Return its name."""
         return "the rig's own memory"
 
 
 def no_files(file: str) -> NonvolatileMemory:
-    """Where nobody keeps files there is none to open.
+    """Refuse the file, because this context has no files.
 
     Raises:
         SettingError: always.
     """
-    raise SettingError(("nonvolatile_memory",), f"nobody here keeps {file}", "leave it out")
+    raise SettingError(
+        ("nonvolatile_memory",), f"{file} cannot be opened; this rig has no files", "leave it out"
+    )
 
 
 @final
 @dataclass(frozen=True, slots=True)
 class ControllerContext:
-    """What a rig tells a controller's builder besides the controller's own table.
+    """The information of a rig for a controller's builder, besides the controller's table.
 
     Attributes:
         name: the controller's name in the rig.
-        folder: relative paths in the table start here.
+        folder: the start of relative paths in the table.
         seed: the run's seed; draw only from streams named after the controller.
-        memory_file: opens the file that the table names for what is kept without power.
+        memory_file: opens the file for nonvolatile data that the table names.
     """
 
     name: str
@@ -119,7 +121,7 @@ class ControllerContext:
     memory_file: Callable[[str], NonvolatileMemory] = no_files
 
     def memory(self, file: str | None) -> NonvolatileMemory:
-        """What is kept without power: in a file, or (None) as long as the rig is there.
+        """Return the nonvolatile memory: a file, or (None) one that lasts as long as the rig.
 
         Raises:
             SettingError: the file cannot be used.
@@ -127,15 +129,15 @@ class ControllerContext:
         return RigMemory() if file is None else self.memory_file(file)
 
     def stream(self) -> str:
-        """Where everything drawn for the controller starts from: the seed and its name."""
+        """Return the name of the controller's random streams: the seed and its name."""
         return f"{self.seed}:{self.name}"
 
 
 @final
 class SettingError(Exception):
-    """A value in a settings table is wrong; whoever read the table adds file and line.
+    """A value in a settings table is wrong; the reader of the table adds file and line.
 
-    Attributes: path, the keys down to the value; remedy, what to write instead.
+    Attributes: path, the keys down to the value; remedy, a correct value or action.
     """
 
     def __init__(self, path: tuple[str, ...], message: str, remedy: str = "") -> None:

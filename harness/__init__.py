@@ -1,1 +1,4 @@
-"""Rigs, virtual time, recorder, command line: the only package that sees the other three."""
+"""Rigs, virtual time, recorder and command line.
+
+This is the only package that imports the motor interface, the emulators and the traces.
+"""

@@ -1,6 +1,6 @@
 """Pages for the site of the documents: copied from docs, and generated from the code.
 
-    python -m harness.documentation docs build/docs/source
+    python -m motorhil.harness.documentation docs build/docs/source
 
 copies the folder of documents, adds the generated pages of the reference, and adds navigation. The
 navigation comes from the links in the `index.md` of each folder: a page without such a link is not
@@ -29,14 +29,14 @@ from unittest.mock import patch
 
 _LINK: Final = re.compile(r"\]\(([^)#\s]+\.md)\)")
 _MODULES: Final = (
-    "motorapi",
-    "motorapi.functions",
-    "motorapi.generation",
-    "motorapi.adaptations.cia402",
-    "motorapi.adaptations.software",
-    "motorapi.adaptations.ideal",
-    "motorapi.adaptations.leadshine",
-    "motorapi.adaptations.oriental_az",
+    "motorhil.motorapi",
+    "motorhil.motorapi.functions",
+    "motorhil.motorapi.generation",
+    "motorhil.motorapi.adaptations.cia402",
+    "motorhil.motorapi.adaptations.host_servo",
+    "motorhil.motorapi.adaptations.ideal",
+    "motorhil.motorapi.adaptations.leadshine",
+    "motorhil.motorapi.adaptations.oriental_az",
 )
 _TELLING: Final = {"type", "description", "enum", "$ref", "oneOf", "anyOf"}
 _SECTIONS: Final = ("Args", "Attributes", "Returns", "Raises", "Yields", "Source", "Shapes")
@@ -45,7 +45,7 @@ _SECTIONS: Final = ("Args", "Attributes", "Returns", "Raises", "Yields", "Source
 def main(words: Sequence[str]) -> int:
     """Build the sources of the site; return the exit status."""
     if len(words) != 2:
-        print("usage: python -m harness.documentation DOCS TARGET", file=sys.stderr)
+        print("usage: python -m motorhil.harness.documentation DOCS TARGET", file=sys.stderr)
         return 2
     build(Path(words[0]), Path(words[1]))
     return 0
@@ -98,7 +98,7 @@ def command_line_page() -> str:
 
 
 def _help_of(words: list[str]) -> str:
-    from harness.cli import main as motorhil
+    from motorhil.harness.cli.main import main as motorhil
 
     printed = io.StringIO()
     with redirect_stdout(printed), patch.dict(os.environ, COLUMNS="100"):
@@ -115,7 +115,9 @@ def _fenced(text: str) -> Iterator[str]:
 
 def rig_page() -> str:
     """Return the page of all tables and keys of the rig file."""
-    schema = json.loads(files("harness").joinpath("rig.schema.json").read_text(encoding="utf-8"))
+    schema = json.loads(
+        files("motorhil.harness").joinpath("rig.schema.json").read_text(encoding="utf-8")
+    )
     return schema_page(schema, "Keys of the rig file")
 
 
@@ -258,7 +260,7 @@ def _public_attributes(kind: type) -> Iterator[tuple[str, Any]]:
     """Yield the methods and properties of a class, those of our own base classes included."""
     found: dict[str, Any] = {}
     for base in kind.__mro__:
-        if base.__module__.split(".")[0] not in ("motorapi", "motorhil"):
+        if base.__module__.split(".")[0] != "motorhil":
             continue
         for name, value in vars(base).items():
             plain = value.__func__ if isinstance(value, classmethod | staticmethod) else value

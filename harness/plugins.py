@@ -1,24 +1,24 @@
-"""What is installed: emulated controllers and motor adaptations, by entry point.
+"""Installed emulated controllers and motor adaptations, found by entry point.
 
-Their names come from package metadata; a module is loaded only when one of its kind is used.
+Their names come from package metadata. A module is loaded only when one of its kind is used.
 
-    motorhil.controllers    build(settings, context) -> emulators.controller.Controller
+    motorhil.controllers    build(settings, context) -> motorhil.emulators.controller.Controller
     motorhil.adaptations    build(bus, settings, model, runtime) -> motorapi.Motor
 
-What either builds is for CAN buses, unless an attribute says for which kinds of buses it is:
-`build.bus_kinds = ("modbus_rtu", "modbus_tcp")`. An adaptation then gets the line in place of a bus
-(`motorapi.adaptations.modbus_line.ByteLine`), and `unit` in its settings in place of `node_id`.
+By default both build for CAN buses. An attribute lists other kinds of buses: `build.bus_kinds =
+("modbus_rtu", "modbus_tcp")`. An adaptation then gets a ByteLine in place of a bus, and `unit` in
+its settings in place of `node_id`.
 
-An adaptation whose motors are on no bus says so by an attribute, `build.needs_bus = False`; it is
-given None, and a rig's motor of its kind names neither controller nor bus.
+An adaptation whose motors are on no bus has the attribute `build.needs_bus = False`. It gets None,
+and a rig's motor of its kind names neither controller nor bus.
 
-An adaptation can bring the rig on which `motorhil conform` checks it when nobody names another,
-`build.conformance_rig`: a path, from the folder of its module on.
+An adaptation can have a rig of its own for `motorhil conform`, used if the command line names none:
+`build.conformance_rig`, a path relative to the folder of its module.
 
-What is not installed (yet) is named by its target, "package.module:function", in place of a name.
+A plugin that is not installed is named by its target, "package.module:function".
 
-A controller with a register map can show it to people, by `motorhil list registers NAME`:
-`build.registers`, called without arguments, gives the rows (`emulators.modbus.registers.Register`).
+A controller with a register map can list it for `motorhil list registers NAME`: `build.registers`,
+called without arguments, returns the rows (Register).
 """
 
 import re
@@ -40,7 +40,7 @@ class Plugin:
     """One entry point.
 
     Attributes:
-        name: what a rig calls it.
+        name: its name in rigs.
         target: "module:function".
     """
 
@@ -50,18 +50,18 @@ class Plugin:
 
     @property
     def package(self) -> str:
-        """The distribution that brings it, and its version; "" if that is not known."""
+        """The distribution that contains it, and its version; "" if unknown."""
         dist = self.entry_point.dist
         return "" if dist is None else f"{dist.name} {dist.version}"
 
     def load(self) -> Callable[..., Any]:
-        """The function that builds one; whatever importing it raises."""
+        """Import and return the build function; exceptions of the import propagate."""
         loaded: Callable[..., Any] = self.entry_point.load()
         return loaded
 
 
 def installed(group: str) -> dict[str, Plugin]:
-    """The plugins of a group by name, in alphabetical order; of two alike, the first found."""
+    """Return a group's plugins by name, in alphabetical order; the first one found counts."""
     found: dict[str, Plugin] = {}
     for entry_point in _entry_points(group, tuple(sys.path)):
         plugin = Plugin(entry_point.name, entry_point.value, entry_point)
@@ -70,15 +70,15 @@ def installed(group: str) -> dict[str, Plugin]:
 
 
 def is_target(name: str) -> bool:
-    """Whether it says where a function is, "package.module:function", and is no plugin's name."""
+    """Return True for "package.module:function", which is not the name of a plugin."""
     return _TARGET.fullmatch(name) is not None
 
 
 def named(group: str, name: str) -> Plugin:
-    """The plugin that a rig calls so: an installed one, or what the name itself points to.
+    """Return the plugin of this name: an installed one, or the target that the name gives.
 
     Raises:
-        KeyError: none is called so.
+        KeyError: no plugin has this name.
     """
     if is_target(name):
         return Plugin(name, name, metadata.EntryPoint(name, name, group))
@@ -87,5 +87,5 @@ def named(group: str, name: str) -> Plugin:
 
 @lru_cache(maxsize=2)
 def _entry_points(group: str, path: tuple[str, ...]) -> metadata.EntryPoints:
-    """Those along `path`, which is sys.path; looked for once, for it takes milliseconds."""
+    """Return the entry points along `path` (sys.path); cached, because the search takes ms."""
     return metadata.entry_points(group=group)

@@ -1,12 +1,11 @@
-"""The motor interface: what an application programs against.
+"""The motor interface: classes and errors for applications.
 
-After the CLARAty motor interface (Pivtoraiko, Nesnas, Nayar: A Reusable Software Framework for
-Rover Motion Control). Adaptations to hardware are in `motorapi.adaptations`; they alone load the
-libraries their bus needs.
+Source: the CLARAty motor interface (Pivtoraiko, Nesnas, Nayar: A Reusable Software Framework for
+Rover Motion Control). Adaptations to hardware are in `motorhil.motorapi.adaptations`; only they import the
+libraries of their bus.
 """
 
-from motorapi.arguments import Argument, MotorPosition
-from motorapi.commands import (
+from motorhil.motorapi.commands import (
     ControlMode,
     ControlVariable,
     DerivativeLimits,
@@ -14,8 +13,8 @@ from motorapi.commands import (
     Range,
     Setpoint,
 )
-from motorapi.device import Device, DeviceGroup
-from motorapi.errors import (
+from motorhil.motorapi.device import Device, DeviceGroup
+from motorhil.motorapi.errors import (
     DeadlineExceeded,
     DeviceFault,
     DomainError,
@@ -32,17 +31,16 @@ from motorapi.errors import (
     UnsupportedError,
     UsageError,
 )
-from motorapi.generation import Trapezoid
-from motorapi.group import MotorGroup
-from motorapi.model import MotionKind, MotorModel
-from motorapi.motor import Motor
-from motorapi.outcome import Ending, Outcome
-from motorapi.ownership_events import LockAction, OwnershipEvent
-from motorapi.progress import Progress
-from motorapi.reservation import Reservation
-from motorapi.runtime import Runtime, runtime_of
-from motorapi.state import Fault, Measurement, MotorState
-from motorapi.synchronization import (
+from motorhil.motorapi.generation import Trapezoid
+from motorhil.motorapi.group import MotorGroup
+from motorhil.motorapi.model import MotionKind, MotorModel
+from motorhil.motorapi.motor import Ending, Motor, Outcome, Progress
+from motorhil.motorapi.ownership.claim import LockAction, OwnershipEvent
+from motorhil.motorapi.ownership.reservation import Reservation
+from motorhil.motorapi.runtime.api import Runtime, runtime_of
+from motorhil.motorapi.runtime.wall import WallRuntime
+from motorhil.motorapi.state import Fault, Measurement, MotorState
+from motorhil.motorapi.synchronization.quality import (
     FaultReaction,
     MotionTimes,
     PathDeviation,
@@ -53,8 +51,13 @@ from motorapi.synchronization import (
     SyncQuality,
     Trigger,
 )
-from motorapi.trajectory import ComplexTrajectory, Trajectory, TrapezoidalTrajectory
-from motorapi.wall_runtime import WallRuntime
+from motorhil.motorapi.trajectory import (
+    Argument,
+    ComplexTrajectory,
+    MotorPosition,
+    Trajectory,
+    TrapezoidalTrajectory,
+)
 
 __all__ = [
     "Argument",

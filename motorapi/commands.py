@@ -1,7 +1,7 @@
-"""What a motor can be told: control mode, control variable, limits, and the resolved motion.
+"""Motor commands: control mode, control variable, limits, and the resolved motion.
 
-Source: the CLARAty motor interface (Pivtoraiko, Nesnas, Nayar), 3.3 and Figure 4. U stands for the
-motor's own unit of position throughout: rad for a rotary motor, m for a linear one.
+Source: the CLARAty motor interface (Pivtoraiko, Nesnas, Nayar), 3.3 and Figure 4. U is the unit of
+position of the motor: rad for a rotary motor, m for a linear one.
 """
 
 from dataclasses import dataclass
@@ -10,21 +10,20 @@ from math import inf, isfinite, isnan, nan
 from numbers import Real
 from typing import TYPE_CHECKING, TypeGuard, final
 
-from motorapi.errors import UsageError
-from motorapi.wording import given
+from motorhil.motorapi.errors import UsageError
+from motorhil.motorapi.reprs import given
 
 if TYPE_CHECKING:
-    from motorapi.arguments import Argument
-    from motorapi.functions.function import Function
-    from motorapi.trajectory import Trajectory
+    from motorhil.motorapi.functions.base import Function
+    from motorhil.motorapi.trajectory import Argument, Trajectory
 
 Range = tuple[float, float]
-"""(lowest, highest) allowed value; -inf and inf where one side has no limit."""
+"""(lowest, highest) allowed value; -inf or inf for a side without a limit."""
 
 
 @final
 class ControlMode(Enum):
-    """How a command is given: as a target value, or as a profile to follow."""
+    """The form of a command: a target value, or a profile to follow."""
 
     SETPOINT = "setpoint"
     TRAJECTORY = "trajectory"
@@ -32,24 +31,24 @@ class ControlMode(Enum):
 
 @final
 class ControlVariable(Enum):
-    """The quantity being commanded."""
+    """The commanded quantity."""
 
     POSITION = "position"  # [U]
     VELOCITY = "velocity"  # [U/s]
-    TORQUE = "torque"  # [N·m], of a linear motor force [N]
+    TORQUE = "torque"  # [N·m]; force [N] for a linear motor
     CURRENT = "current"  # [A]
 
 
 @final
 @dataclass(frozen=True, slots=True, init=False, repr=False)
 class DerivativeLimits:
-    """Allowed ranges of a control variable and of its derivatives; None: the model's limit holds.
+    """Allowed ranges of a control variable and its derivatives; None: the limit of the model.
 
     A single number x stands for the range (-x, x). With position as the control variable `first`
-    limits velocity [U/s], `second` acceleration [U/s²]; with velocity `first` is acceleration.
+    limits velocity [U/s], `second` acceleration [U/s²]; with velocity `first` limits acceleration.
 
     Raises:
-        UsageError: a range is empty, or leaves out 0, so that the motor could not be at rest.
+        UsageError: a range is empty, or does not contain 0, so that the motor could not rest.
     """
 
     value: Range | None
@@ -72,7 +71,7 @@ class DerivativeLimits:
     ) -> None:
         if value is not None:
             if not _is_pair(value):
-                raise UsageError(f"the range of the value, {value!r}, is no pair of numbers")
+                raise UsageError(f"the range of the value, {value!r}, is not a pair of numbers")
             value = (as_number(value[0]), as_number(value[1]))
             if not value[0] <= value[1]:
                 raise UsageError(f"the range of the value, {value}, is empty")
@@ -90,13 +89,13 @@ def _around_zero(name: str, limit: object) -> Range | None:
         limit = (-size, size)
     if not _is_pair(limit):
         raise UsageError(
-            f"the range of the {name} derivative, {limit!r}, is no number and no pair of numbers"
+            f"the range of the {name} derivative, {limit!r}, is not a number or a pair of numbers"
         )
     low, high = as_number(limit[0]), as_number(limit[1])
     if isnan(low) or isnan(high) or not low < 0 < high:
         raise UsageError(
-            f"the range of the {name} derivative, ({low:g}, {high:g}), must hold 0 inside:"
-            " a motor begins and ends at rest"
+            f"the range of the {name} derivative, ({low:g}, {high:g}), must contain 0 in its "
+            "interior: a motor begins and ends at rest"
         )
     return (float(low), float(high))
 
@@ -108,7 +107,7 @@ def _is_pair(limit: object) -> TypeGuard[Range]:
 
 
 def as_number(value: object) -> float:
-    """The number, as a float; nan if it is none, inf or -inf if it is too large."""
+    """Return `value` as a float; nan if it is not a number, inf or -inf if it is too large."""
     if not isinstance(value, Real):
         return nan
     try:
@@ -133,18 +132,18 @@ class Setpoint:
 @final
 @dataclass(frozen=True, slots=True, repr=False)
 class Motion:
-    """One resolved command, ready for an adaptation: absolute, signed, SI, within the limits.
+    """One resolved command for an adaptation: absolute, signed, SI units, within the limits.
 
-    What the hooks get. For position, `start` is the reference position the motor holds now and
-    `target` the absolute one it shall hold at the end; `velocity`, `acceleration` and
-    `deceleration` are sizes > 0 that the motion must not exceed. For velocity, `target` is the
-    velocity, acceleration counts while its size grows and deceleration while it shrinks; a
-    trajectory of velocity goes from `start` to `target` at a constant rate, which both then are.
-    For torque and current, `slope` is the steepest change [N·m/s or A/s]; of set-points of position
-    and velocity, the tighter side of what was asked for (inf, of all: none asked).
+    The hooks receive it. For position, `start` is the reference position that the motor holds now
+    and `target` the absolute position at the end; `velocity`, `acceleration` and `deceleration` are
+    magnitudes > 0 that the motion must not exceed. For velocity, `target` is the velocity;
+    acceleration applies while its magnitude grows and deceleration while it shrinks. A velocity
+    trajectory goes from `start` to `target` at a constant rate, and both fields hold this rate. For
+    torque and current, `slope` is the steepest change [N·m/s or A/s]. For set-points of position
+    and velocity, `slope` is the tighter side of the requested range (inf: no request).
 
-    A trajectory is prescribed at every instant: by the numbers above, or by `function` where there
-    is one. `motorapi.demand.demand_of` gives either as one thing to be sampled.
+    A trajectory is prescribed at every instant: by the numbers above, or by `function` if there is
+    one. `demand_of` returns either as one object to be sampled.
     """
 
     mode: ControlMode
@@ -156,19 +155,19 @@ class Motion:
     deceleration: float
     slope: float = inf
     duration_s: float | None = None
-    """What a trajectory takes; None for set-points, and where the argument is not time."""
+    """The duration of a trajectory [s]; None for set-points and for arguments other than time."""
     trajectory: "Trajectory | None" = None
-    """What was asked for, None for a set-point."""
+    """The requested trajectory, or None for a set-point."""
     function: "Function | None" = None
-    """The profile, if the closed form is not it: to be followed from `interval[0]` to [1]."""
+    """The profile, if not in closed form: to be followed from `interval[0]` to `interval[1]`."""
     offset: float = 0.0
-    """What is added to the function's values."""
+    """The offset added to the values of the function."""
     interval: Range = (0.0, 0.0)
     """(initial, final) argument of the function."""
     argument: "Argument | None" = None
-    """What the function is a function of; None: of time, `interval[0]` at the start [s]."""
+    """The argument of the function; None: time, from `interval[0]` at the start [s]."""
     stop_deceleration: float | None = None
-    """What a stop in the middle of it slows down with [U/s²]; None: `deceleration`."""
+    """The deceleration of a stop during the motion [U/s²]; None: `deceleration`."""
 
     def __repr__(self) -> str:
         text = f"<Motion {self.mode.value} of {self.variable.value}"
@@ -189,5 +188,5 @@ class Motion:
 
     @property
     def distance(self) -> float:
-        """Signed way from start to target [U], for position; the change, for other variables."""
+        """The signed change from start to target: for position [U], else in the variable's unit."""
         return self.target - self.start

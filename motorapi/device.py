@@ -1,11 +1,11 @@
-"""What all devices have in common, and groups of them."""
+"""Devices and ordered groups of devices."""
 
 from collections.abc import Callable, Iterator
 from types import TracebackType
 from typing import Concatenate, Generic, ParamSpec, Self, TypeVar, final
 
-from motorapi.errors import UsageError
-from motorapi.runtime import Runtime
+from motorhil.motorapi.errors import UsageError
+from motorhil.motorapi.runtime.api import Runtime
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -13,7 +13,7 @@ D = TypeVar("D", bound="Device")
 
 
 class Device:
-    """Something with a name that lives in a runtime. Leaving a `with` block closes it."""
+    """A named object that lives in a runtime. Leaving a `with` block closes it."""
 
     def __init__(self, name: str, runtime: Runtime) -> None:
         self._name = name
@@ -22,17 +22,17 @@ class Device:
     @property
     @final
     def name(self) -> str:
-        """What messages and records call it."""
+        """The name in messages and recordings."""
         return self._name
 
     @property
     @final
     def runtime(self) -> Runtime:
-        """Where this device waits."""
+        """The runtime in which this device waits."""
         return self._runtime
 
     def close(self) -> None:
-        """It is no longer used; closing again does nothing."""
+        """Release the device; closing again does nothing."""
 
     @final
     def __enter__(self) -> Self:
@@ -52,7 +52,7 @@ class Device:
 
 
 class DeviceGroup(Generic[D]):
-    """An ordered container of devices; the order is that of appending."""
+    """A container of devices in the order of appending."""
 
     def __init__(self, *devices: D) -> None:
         self._devices: list[D] = []
@@ -61,7 +61,7 @@ class DeviceGroup(Generic[D]):
 
     @final
     def append(self, device: D) -> None:
-        """`device` is the last of the group.
+        """Append `device` to the group.
 
         Raises:
             UsageError: it is a member already, or another member has its name.
@@ -77,7 +77,7 @@ class DeviceGroup(Generic[D]):
 
     @final
     def remove(self, device: D) -> None:
-        """`device` is no longer in the group.
+        """Remove `device` from the group.
 
         Raises:
             UsageError: it is not a member.
@@ -93,17 +93,17 @@ class DeviceGroup(Generic[D]):
     def for_each(
         self, method: Callable[Concatenate[D, P], R], *args: P.args, **kwargs: P.kwargs
     ) -> list[R]:
-        """`method(device, *args, **kwargs)` was called for every device, in order.
+        """Call `method(device, *args, **kwargs)` for every device, in order.
 
         Returns:
-            What each call returned, in the group's order. The first error ends it; a note on the
-            error says which member it was.
+            The result of each call, in the order of the group. The first error ends the calls; a
+            note on the error names the member.
 
         Raises:
-            UsageError: `method` cannot be called.
+            UsageError: `method` is not callable.
         """
         if not callable(method):
-            raise UsageError(f"for_each({method!r}): give a method, as Motor.enable")
+            raise UsageError(f"for_each({method!r}): not callable; give a method, as Motor.enable")
         results: list[R] = []
         for place, device in enumerate(self._devices):
             try:
@@ -114,7 +114,7 @@ class DeviceGroup(Generic[D]):
         return results
 
     def _check_member(self, device: D) -> None:
-        """Refuse what cannot be a member."""
+        """Raise an error if the device cannot be a member."""
 
     def __len__(self) -> int:
         return len(self._devices)
@@ -132,4 +132,4 @@ class DeviceGroup(Generic[D]):
 
 def _require_device(device: object) -> None:
     if not isinstance(device, Device):
-        raise UsageError(f"{device!r} is no device: a group holds devices")
+        raise UsageError(f"{device!r} is not a device: a group holds devices")

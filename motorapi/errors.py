@@ -1,4 +1,4 @@
-"""Every error of the motor interface, one tree on one screen.
+"""All errors of the motor interface, in one class tree.
 
     MotorError
     |-- UsageError            your mistake; nothing was sent
@@ -16,8 +16,8 @@
     |-- DeadlineExceeded      what was awaited, for how long, what was heard last
     `-- PluginError           an adaptation, or a callback, broke its contract
 
-Attributes carry the facts, so that nobody has to parse a message; messages carry value, limit,
-unit and motor. All of them pickle. Adaptations add leaves below `PeerError`, nothing elsewhere.
+Attributes carry the facts, so that callers need not parse a message. Messages carry value, limit,
+unit and motor. All errors can be pickled. Adaptations add subclasses of `PeerError` only.
 """
 
 # ruff: noqa: N818 -- the names are the design's, and say what happened, not that it is an error
@@ -26,11 +26,11 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, final
 
 if TYPE_CHECKING:
-    from motorapi.synchronization import SyncCapability
+    from motorhil.motorapi.synchronization.quality import SyncCapability
 
 
 class MotorError(Exception):
-    """Anything that goes wrong between an application and a motor."""
+    """Any error between an application and a motor."""
 
     def __reduce__(self) -> tuple[Callable[..., "MotorError"], tuple[object, ...]]:
         return _restored, (type(self), self.args, dict(self.__dict__))
@@ -39,19 +39,19 @@ class MotorError(Exception):
 def _restored(
     kind: type[MotorError], args: tuple[object, ...], facts: dict[str, object]
 ) -> MotorError:
-    error = kind.__new__(kind, *args)  # not __init__: its keywords are already facts
+    error = kind.__new__(kind, *args)  # not __init__: its keywords are already in the attributes
     error.args = args
     error.__dict__.update(facts)
     return error
 
 
 class UsageError(MotorError):
-    """The caller's mistake: nothing was sent to any device."""
+    """A mistake of the caller: nothing was sent to any device."""
 
 
 @final
 class LimitError(UsageError):
-    """A value lies outside a limit of the motor, its model, or the command's own.
+    """A value outside a limit of the motor, of its model, or of the command itself.
 
     Attributes: motor (name), quantity ("velocity"), value, low and high (None: no limit on that
     side), unit ("rad/s").
@@ -86,9 +86,9 @@ class LimitError(UsageError):
 
 @final
 class DomainError(UsageError):
-    """A function has no value there.
+    """An argument outside the domain of a function.
 
-    Attributes: argument, low and high (its domain, both included; -inf and inf: it has no end),
+    Attributes: argument, low and high (the domain, both included; -inf and inf: unbounded),
     function (in words).
     """
 
@@ -104,9 +104,9 @@ class DomainError(UsageError):
 
 @final
 class StateError(UsageError):
-    """What the motor is, or is doing, forbids the operation now.
+    """An operation that the present state of the motor forbids.
 
-    Attributes: motor (name), operation ("start"), state (what was found), remedy (what to do).
+    Attributes: motor (name), operation ("start"), state (as found), remedy.
     """
 
     def __init__(self, *, motor: str, operation: str, state: str, remedy: str) -> None:
@@ -119,9 +119,9 @@ class StateError(UsageError):
 
 @final
 class UnsupportedError(UsageError):
-    """This motor can never do what was asked.
+    """An operation that this motor never supports.
 
-    Attributes: motor (name), feature (what was asked), supported (what there is instead).
+    Attributes: motor (name), feature (the request), supported (the alternatives).
     """
 
     def __init__(self, *, motor: str, feature: str, supported: str = "") -> None:
@@ -134,22 +134,23 @@ class UnsupportedError(UsageError):
 
 @final
 class SynchronizationError(UsageError):
-    """A group cannot begin as closely together as its start was asked to.
+    """A group that cannot begin as closely together as its start requested.
 
-    Attributes: capability (`SyncCapability`: what it can do, and why not more), asked (in words).
+    Attributes: capability (`SyncCapability`: what is possible, and the reason), asked (the request,
+    in words).
     """
 
     def __init__(self, *, capability: "SyncCapability", asked: str, found: str) -> None:
         self.capability = capability
         self.asked = asked
-        super().__init__(f"start refused: {asked} was asked for, {found}")
+        super().__init__(f"start refused: {asked} was requested, {found}")
 
 
 @final
 class FileError(UsageError):
-    """A file says what it cannot mean.
+    """A file with invalid content.
 
-    Attributes: path, line (1.., None if the file as a whole), key (None likewise), remedy.
+    Attributes: path, line (from 1; None for the file as a whole), key (or None), remedy.
     """
 
     def __init__(
@@ -167,13 +168,13 @@ class FileError(UsageError):
 
 @final
 class MotorBusyError(MotorError):
-    """Somebody else holds the motor.
+    """A motor held by another owner.
 
-    Attributes: motor (name), holder (who, in words), since_ns (of the runtime's time), purpose
-    ("low-level access"; "" if the holder's name says it all). If the holder is a process, through a
+    Attributes: motor (name), holder (in words), since_ns (in the time of the runtime), purpose
+    ("low-level access"; "" if the name of the holder is sufficient). For a process that holds the
     lock between processes, also pid and program, and since (in words). taken_over ("": it was not):
-    why the holder could take it over from who is told this, as "its lease of 0.5 s was over".
-    remedy: what to do about a holder who will not let go by himself; "" if there is nothing.
+    the reason for a takeover from the caller, as "its lease of 0.5 s was over". remedy: advice for
+    a holder that does not release the motor by itself, or "".
     """
 
     def __init__(
@@ -206,7 +207,7 @@ class MotorBusyError(MotorError):
 
 @final
 class MotionInterrupted(MotorError):
-    """The motion that was started or waited for was ended by somebody else, short of its target.
+    """A motion that another party ended short of its target.
 
     Attributes: motor (name), by (who and how, in words), at_ns.
     """
@@ -219,14 +220,14 @@ class MotionInterrupted(MotorError):
 
 
 class PeerError(MotorError):
-    """The device refused a request, or broke its protocol."""
+    """A device that refused a request, or broke its protocol."""
 
 
 @final
 class DeviceFault(MotorError):
-    """The drive reports a fault; it does not move until `Motor.reset_fault`.
+    """A fault reported by the drive, which does not move until `Motor.reset_fault`.
 
-    Attributes: motor (name), code (the device's own error code), text, since_ns.
+    Attributes: motor (name), code (the error code of the device), text, since_ns.
     """
 
     def __init__(self, *, motor: str, code: int, text: str, since_ns: int) -> None:
@@ -242,10 +243,9 @@ class DeviceFault(MotorError):
 
 @final
 class LinkError(MotorError):
-    """The way to the device is gone: bus off, closed, or the device is no longer heard.
+    """A lost connection to a device: bus off, bus closed, or no response.
 
-    Attributes: link ("can0", or "can0 node 3"), reason, since_ns (None if unknown), remedy (what to
-    do about it; "" if there is nothing).
+    Attributes: link ("can0", or "can0 node 3"), reason, since_ns (None if unknown), remedy (or "").
     """
 
     def __init__(
@@ -262,9 +262,9 @@ class LinkError(MotorError):
 
 @final
 class DeadlineExceeded(MotorError):
-    """Something awaited did not happen in time.
+    """An awaited event that did not happen in time.
 
-    Attributes: awaited (in words, with the motor's name), timeout_s, last_heard (in words).
+    Attributes: awaited (in words, with the name of the motor), timeout_s, last_heard (in words).
     """
 
     def __init__(self, *, awaited: str, timeout_s: float, last_heard: str) -> None:
@@ -278,9 +278,9 @@ class DeadlineExceeded(MotorError):
 
 @final
 class PluginError(MotorError):
-    """Code plugged into the interface broke its contract; the cause is chained to it.
+    """A contract broken by code plugged into the interface; its cause is chained.
 
-    Attributes: plugin (class or function), where (which hook), problem.
+    Attributes: plugin (class or function), where (the hook), problem.
     """
 
     def __init__(self, *, plugin: str, where: str, problem: str) -> None:

@@ -1,49 +1,174 @@
-"""Executing commands: one motor or many, started as one operation.
+"""Execution of commands: one motor or many, started as one operation.
 
-    take all (in one global order) -> plan -> enable -> plan again -> take the triggers
+    acquire all (in one global order) -> plan -> enable -> plan again -> reserve the triggers
     -> arm all -> fire each trigger once -> confirm all
 
-Whatever fails before firing: nothing has moved, and what was armed is disarmed. Whatever fails
-after: every motor of the start is stopped. A start of one motor is a start of a group of one.
-"""
+If a step before firing fails, no motor has moved and all armed motors are disarmed. If a later step
+fails, every motor of the start is stopped. A start of one motor is the start of a group of one.
 
-# ruff: noqa: SLF001 -- it works the hooks of motors, as Motor does its own
+Waiting for the motions of one or several motors, with one deadline.
+"""
 
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, final
 
-from motorapi import planning
-from motorapi.arguments import Argument, MotorPosition
-from motorapi.commands import ControlMode, ControlVariable, Motion, Setpoint, as_number
-from motorapi.errors import (
+from motorhil.motorapi.commands import ControlMode, ControlVariable, Motion, Setpoint, as_number
+from motorhil.motorapi.errors import (
+    DeadlineExceeded,
     DeviceFault,
     LinkError,
     MotionInterrupted,
     MotorBusyError,
+    MotorError,
     StateError,
+    UsageError,
 )
-from motorapi.group_planning import TIME, Common, synchronised
-from motorapi.motion_waits import check_timeout
-from motorapi.sharing import Run, RunStatus
-from motorapi.state import Fault, MotorState
-from motorapi.synchronization import SyncLevel, Trigger
-from motorapi.trajectory import ComplexTrajectory, Trajectory
-from motorapi.turns import Turns, trigger_turns
+from motorhil.motorapi.ownership.claim import use_leases
+from motorhil.motorapi.ownership.physical_motor import ActiveMotion, RunStatus
+from motorhil.motorapi.ownership.queue import FifoQueue, trigger_turns
+from motorhil.motorapi.planning import single_axis as planning
+from motorhil.motorapi.planning.groups import TIME, Common, synchronised
+from motorhil.motorapi.runtime.api import Awaited, Waiting, wait_until
+from motorhil.motorapi.state import Fault, MotorState
+from motorhil.motorapi.synchronization.quality import SyncLevel, Trigger
+from motorhil.motorapi.trajectory import Argument, ComplexTrajectory, MotorPosition, Trajectory
 
 if TYPE_CHECKING:
-    from motorapi.motor import Motor
+    from motorhil.motorapi.motor import Motor
+
+# ruff: noqa: SLF001 -- it works the hooks of motors, as motorhil.motorapi.execution does
+
+
+if TYPE_CHECKING:
+    from motorhil.motorapi.motor import Motor
+    from motorhil.motorapi.ownership.physical_motor import ActiveMotion
+
+    Answer = Callable[[Motor, ActiveMotion | None, Exception], Exception]
+
+
+def check_timeout(timeout_s: float | None) -> None:
+    """Raise UsageError if `timeout_s` is not a valid timeout."""
+    if timeout_s is not None and not as_number(timeout_s) >= 0.0:
+        raise UsageError(f"timeout_s = {timeout_s!r}: must be a number of seconds >= 0")
+
+
+def wait_for_all(
+    motors: Sequence["Motor"], timeout_s: float | None, answer: "Answer | None" = None
+) -> None:
+    """Wait until the last command of all motors has ended; react to the first failure.
+
+    Args:
+        motors: motors of one runtime.
+        timeout_s: [s]; None: no timeout.
+        answer: called with the failed motor, its motion and the error; returns the error to be
+            raised. None: raise the original error.
+
+    Raises:
+        DeadlineExceeded: not within `timeout_s` [s]; names the motors that are not done. Nothing is
+            stopped.
+        MotorError: the failure of a motion.
+    """
+    check_timeout(timeout_s)
+    members = [_Member(motor) for motor in motors]
+    awaited = [Awaited(one.motor._physical.news, one.is_over) for one in members]
+    waiting = Waiting(awaited)
+
+    def going() -> list[_Member]:
+        return [m for m, one in zip(members, awaited, strict=True) if one in waiting.going]
+
+    runtime = motors[0].runtime
+    deadline_ns: int | None = None
+    if timeout_s is not None:
+        deadline_ns = runtime.now_ns() + round(min(timeout_s, 1e9) * 1e9)
+    while True:
+        again_s = [one.motor._refresh_freely() for one in going() if one.run is not None]
+        again_s += [one.motor._physical.ownership.use(one.motor) for one in going()]
+        again_s.append(use_leases())
+        pauses_s = [pause_s for pause_s in again_s if pause_s is not None]
+        if deadline_ns is not None:
+            pauses_s.append(max(0, deadline_ns - runtime.now_ns()) / 1e9)
+        try:
+            if wait_until(runtime, waiting.all_over, min(pauses_s) if pauses_s else None):
+                for motor in motors:
+                    motor._physical.ownership.look()
+                    motor._raise_callback_error()
+                return
+        except _MemberFailed as failed:
+            error = failed.error
+            if answer is not None:
+                error = answer(failed.motor, failed.run, error)
+            raise error from error.__cause__
+        if deadline_ns is not None and runtime.now_ns() >= deadline_ns:
+            break
+    raise DeadlineExceeded(
+        awaited=f"end of motion of {', '.join(one.motor.name for one in going())}",
+        timeout_s=0.0 if timeout_s is None else timeout_s,
+        last_heard="; ".join(_last_heard(one.motor) for one in going()),
+    )
+
+
+@final
+class _Member:
+    """A motor with its motion at the beginning of the wait."""
+
+    def __init__(self, motor: "Motor") -> None:
+        self.motor = motor
+        self.run = motor._run
+
+    def is_over(self) -> bool:
+        try:
+            return self.motor._look(self.run)
+        except Exception as error:
+            raise _MemberFailed(self.motor, self.run, error) from error
+
+
+@final
+class _MemberFailed(MotorError):  # noqa: N818 -- never leaves this module
+    def __init__(self, motor: "Motor", run: "ActiveMotion | None", error: Exception) -> None:
+        super().__init__()
+        self.motor = motor
+        self.run = run
+        self.error = error
+
+
+def stop_others(motors: Sequence["Motor"], failed: "Motor", error: Exception) -> None:
+    """Stop all motors except the failed one; a note on the error reports this."""
+    if len(motors) == 1:
+        return
+    error.add_note(f"from {failed.name}; the others of its group were stopped")
+    for motor in motors:
+        if motor is not failed and not motor._physical.ownership.is_lost_by(motor):
+            try:
+                motor.stop()
+            except Exception as further:
+                error.add_note(f"but {motor.name} could not be stopped: {further}")
+
+
+def _last_heard(motor: "Motor") -> str:
+    latest = motor.latest()
+    if latest is None:
+        return f"{motor.name}: nothing"
+    text = f"{motor.name}: {latest.state.value} at {latest.time_ns / 1e9:.6f} s"
+    if latest.position is not None:
+        text += f", {latest.position:g} {motor.model.unit}"
+    if latest.velocity is not None:
+        text += f", {latest.velocity:g} {motor.model.unit}/s"
+    return text
+
+
+# ruff: noqa: SLF001 -- it works the hooks of motors, as Motor does its own
 
 
 _RING_MAX: Final = 100
-"""Motors that lead each other, one after another: further nobody looks."""
+"""The maximum number of motors followed in a chain of leaders."""
 
 
 @final
 @dataclass(frozen=True, slots=True)
 class Started:
-    """One motor of a start: what was asked of it, and what its hardware makes of that."""
+    """One motor of a start, with its requested motion and the motion that its hardware makes."""
 
     motor: "Motor"
     motion: Motion
@@ -56,16 +181,16 @@ def start_together(
     common: Common = TIME,
     check: Callable[[], None] | None = None,
 ) -> tuple[Started, ...]:
-    """All motors have begun what was set for each; trajectories end together.
+    """Start the commands of all motors; trajectories end together.
 
     Args:
-        motors: all of one runtime.
-        timeout_s: how long to wait until all are free [s]; None: not at all.
-        common: what their motions have in common.
-        check: looks at the motors once they are taken, before any is enabled; it may refuse.
+        motors: motors of one runtime.
+        timeout_s: timeout until all are free [s]; None: do not wait.
+        common: the common properties of their motions.
+        check: called when all motors are acquired, before any is enabled; it may raise.
 
     Raises:
-        MotorError: as `Motor.start`; a note says whose it is, if there are several.
+        MotorError: as `Motor.start`; a note names the motor, if there are several.
     """
     check_timeout(timeout_s)
     common.check()
@@ -87,7 +212,7 @@ def start_together(
             for motor in disabled:
                 motor._call(motor._enable)
             _check_not_interrupted(motors, seen)
-            motions = plan(motors, common)  # switching on may have moved what they hold
+            motions = plan(motors, common)  # enabling may have changed the reference positions
         started = tuple(
             Started(motor, motion, motor._call(motor._quantise, motion))
             for motor, motion in zip(motors, motions, strict=True)
@@ -99,10 +224,10 @@ def start_together(
 
 
 def plan(motors: Sequence["Motor"], common: Common = TIME) -> list[Motion]:
-    """The motion of each motor from where it is now, with what they have in common.
+    """Return the motion of each motor from its present position, with the common properties.
 
     Raises:
-        UsageError: one cannot be made; nothing was sent but questions.
+        UsageError: a motion is impossible; only read requests were sent.
     """
     _require_no_ring(motors)
     motions = [_plan_one(motor) for motor in motors]
@@ -112,7 +237,7 @@ def plan(motors: Sequence["Motor"], common: Common = TIME) -> list[Motion]:
 
 
 def _require_no_ring(motors: Sequence["Motor"]) -> None:
-    """Nobody's position would be led by itself, directly or through others that are led."""
+    """Raise StateError if a motor would follow itself, directly or through other motors."""
     starting = {id(motor._physical): _argument(motor) for motor in motors}
     for motor in motors:
         led_by, way = starting[id(motor._physical)], [motor.name]
@@ -127,13 +252,13 @@ def _require_no_ring(motors: Sequence["Motor"]) -> None:
                     + ("" if way[-1] == motor.name else ", the same motor"),
                     remedy="lead it by a motor that does not follow it",
                 )
-            run: Run | None = getattr(physical, "run", None)
+            run: ActiveMotion | None = getattr(physical, "run", None)
             goes_on = None if run is None or run.finished else run.motion
             led_by = starting.get(id(physical), None if goes_on is None else goes_on.argument)
 
 
 def _argument(motor: "Motor") -> Argument | None:
-    """What leads the motion that is to start; None: time."""
+    """Return the argument of the motion to be started, or None for time."""
     return motor._argument if isinstance(motor._command, ComplexTrajectory) else None
 
 
@@ -159,7 +284,7 @@ def _plan_one(motor: "Motor") -> Motion:
 
 
 def _reference(motor: "Motor") -> float:
-    """Where a trajectory of the motor's control variable begins now."""
+    """Return the present initial value for a trajectory of the motor's control variable."""
     if motor.control_variable is ControlVariable.POSITION:
         return motor._call(motor._read_reference)
     run = motor._physical.run
@@ -183,7 +308,7 @@ def _require_command(motor: "Motor") -> Setpoint | Trajectory:
 
 
 def _require_startable(motor: "Motor") -> None:
-    """Nothing goes on, or what the command may replace in mid-motion."""
+    """Require rest, unless the new command may replace the active motion."""
     run = motor._physical.run
     before = None if run is None else run.motion
     replaceable = before is not None and before.variable is motor.control_variable
@@ -207,15 +332,15 @@ def _require_movable(motor: "Motor") -> MotorState:
 
 
 def require_no_fault(motor: "Motor") -> MotorState:
-    """The motor's state, which is neither FAULT nor OFFLINE.
+    """Return the state of the motor, which is neither FAULT nor OFFLINE.
 
     Raises:
         DeviceFault: the drive reports a fault.
-        LinkError: the motor is not heard.
+        LinkError: the motor does not respond.
     """
     state = motor._call(motor._read_state)
     if state is MotorState.OFFLINE:
-        reason, remedy = f"{motor.name} is not heard", "look at its power, its cable and the bus"
+        reason, remedy = f"{motor.name} does not respond", "check its power, its cable and the bus"
         raise LinkError(link=motor._physical.label, reason=reason, remedy=remedy)
     if state is MotorState.FAULT:
         fault = motor._call(motor._read_fault)
@@ -228,11 +353,11 @@ def require_no_fault(motor: "Motor") -> MotorState:
 
 
 def require_rest(motor: "Motor", operation: str) -> None:
-    """No motion goes on in a motor that was taken already.
+    """Require that an acquired motor is at rest.
 
     Raises:
-        StateError: one does.
-        MotorBusyError: another logical motor stopped it since it was taken, and it slows down.
+        StateError: a motion is active.
+        MotorBusyError: another logical motor has stopped it since, and it still slows down.
     """
     run = motor._physical.run
     if run is None or not motor._goes_on(run):
@@ -242,13 +367,13 @@ def require_rest(motor: "Motor", operation: str) -> None:
     raise StateError(
         motor=motor.name,
         operation=operation,
-        state=f"{run.name} goes on since {run.since_ns / 1e9:.6f} s",
+        state=f"{run.name} is active since {run.since_ns / 1e9:.6f} s",
         remedy="wait_until_done() or stop() first" if run.ends else "stop() first",
     )
 
 
-def _trigger_turns(motors: Sequence["Motor"]) -> list[Turns]:
-    """The triggers that several motors share: from arming to firing they are for us alone."""
+def _trigger_turns(motors: Sequence["Motor"]) -> list[FifoQueue]:
+    """Return the turns for triggers of several motors, exclusive from arming to firing."""
     if len(motors) == 1:
         return []
     offers = [motor._call(motor._sync_offer) for motor in motors]
@@ -257,7 +382,7 @@ def _trigger_turns(motors: Sequence["Motor"]) -> list[Turns]:
 
 
 def _arm(started: Sequence[Started], seen: Sequence[int]) -> list[Trigger]:
-    """All are armed, confirmed; what fires them, each trigger once, in the order of motors."""
+    """Arm and confirm all motors. Return their triggers, each once, in the order of motors."""
     armed: list[Started] = []
     triggers: list[Trigger] = []
     try:
@@ -275,7 +400,7 @@ def _arm(started: Sequence[Started], seen: Sequence[int]) -> list[Trigger]:
 
 
 def _fire(started: Sequence[Started], triggers: Sequence[Trigger], seen: Sequence[int]) -> None:
-    """All have begun, and have said so."""
+    """Fire the triggers and confirm that all motors have begun."""
     runs = [one.motor._begin("start", one.motion) for one in started]
     current = started[0]
     try:
@@ -307,10 +432,12 @@ def _disarm(armed: Sequence[Started], error: BaseException) -> None:
             error.add_note(f"and {one.motor.name} could not be disarmed: {further}")
 
 
-def _abandon(started: Sequence[Started], runs: Sequence[Run], error: BaseException) -> None:
-    """A start that failed after firing: every motor is stopped, none may start any more.
+def _abandon(
+    started: Sequence[Started], runs: Sequence[ActiveMotion], error: BaseException
+) -> None:
+    """Stop and disarm every motor of a start that failed after firing.
 
-    But for those that somebody has taken over meanwhile: they are his.
+    Motors that another owner has taken over meanwhile are left alone.
     """
     for one, run in zip(started, runs, strict=True):
         try:

@@ -1,56 +1,58 @@
-"""What a vendor fills in: the protected hooks of a motor, on one page.
+"""Hooks of a motor: the protected methods that a vendor implements.
 
-An adaptation derives from `motorapi.motor.Motor`, contains a hardware object, and fills these in.
-All are in SI units and signed as the motor model says; increments stay inside the hardware object.
-Unless a hook says otherwise it may wait, through `self.runtime` only, and raises the errors of
-`motorapi.errors`; anything else it raises reaches the caller as a `PluginError`. The public methods
-have checked modes, limits and state before they call a hook, and see to it that no two hooks that
-act run at once on one physical motor (`_stop`, `_stop_with_others`, `_quick_stop` and `_halt`
-excepted). U stands for the motor's unit of position: rad, or m for a linear motor.
+An adaptation derives from `motorhil.motorapi.motor.Motor`, contains a hardware object, and implements these
+hooks. All values are in SI units with the sign of the motor model; increments stay inside the
+hardware object. Unless its documentation says otherwise, a hook may wait, through `self.runtime`
+only. Hooks raise the errors of `motorhil.motorapi.errors`; any other exception reaches the caller as a
+`PluginError`. The public methods check modes, limits and state before they call a hook. They ensure
+that no two acting hooks run at once on one physical motor, except `_stop`, `_stop_with_others`,
+`_quick_stop` and `_halt`. U is the unit of position of the motor: rad, or m for a linear motor.
 
-The hardware object is the adaptation's own. What is expected of it:
+The hardware object belongs to the adaptation. These requirements apply:
 
-- There is one for a physical motor and process. `motorapi.sharing.register_physical_motor` gives it
-  the record that the motor is built with (`physical`); `release_physical_motor` ends that.
-- Where other programs can open the same bus (`motorapi.process_lock.can_share_time`, and a name by
-  `motorapi.lock_names`), it registers with a `ProcessLock` of that name and its node. Then whatever
-  may start or change a motion or a setting goes out between `begin_write` and `end_write` of
-  `physical.ownership`, as `motorapi.fencing` says, and never after they raised; on CAN `NodeFence`
-  does it, and `announce` tells a hub. Stops go out without. A question that takes several frames
-  needs a lock of its own, so that no other program's answer is taken for its own.
-- What it does by itself (a stream, a servo) goes on under the ownership it began under, and no
-  other: `NodeFence.bound`.
-- If it hears of every change of what `_is_done` looks at, `physical.news` counts them. If it must
-  ask, `_refresh` says how often.
-- On CAN it tells what it sends and its drive sends, by `motorapi.traffic.note_node` and
-  `note_stream`, or bounds on the skew of others on that bus are wrong.
+- One hardware object exists per physical motor and process.
+  `motorhil.motorapi.ownership.physical_motor.register_physical_motor` returns the record with which the motor is built
+  (`physical`); `release_physical_motor` removes it.
+- If other programs can open the same bus (`motorhil.motorapi.locking.process_lock.can_share_time`, and a name from
+  `motorhil.motorapi.locking.directory`), it registers with a `ProcessLock` of that name and its node. Then every
+  frame that may start or change a motion or a setting is sent between `begin_write` and `end_write`
+  of `physical.ownership`, as described in `motorhil.motorapi.ownership.fencing`, and never after they raised. On CAN,
+  `NodeFence` does this, and `announce` informs a hub. Stops are sent without it. A request of
+  several frames needs a lock of its own, so that the answer to another program is not mistaken for
+  its own.
+- Its recurring activity (a stream, a servo) continues under the ownership under which it began, and
+  no other: `NodeFence.bound`.
+- If it is notified of every change that `_is_done` evaluates, `physical.news` counts the changes.
+  If it must poll, `_refresh` returns the interval.
+- On CAN it declares the frames that it and its drive send, with `motorhil.motorapi.synchronization.bus_load.note_node` and
+  `note_stream`. Otherwise skew bounds of others on that bus are wrong.
 
-A motor that was left moving, by a process that died or by one it was taken over from, is brought to
-rest by `_stop`, `_refresh` and `_is_done` before its next owner commands it.
+A motor may be left moving, by a process that died or lost the motor to a takeover. Such a motor is
+brought to rest by `_stop`, `_refresh` and `_is_done` before its next owner commands it.
 """
 
 from abc import ABC, abstractmethod
 from typing import final
 
-from motorapi.commands import ControlMode, ControlVariable, Motion, Setpoint
-from motorapi.device import Device
-from motorapi.errors import UnsupportedError
-from motorapi.model import MotorModel
-from motorapi.runtime import Runtime
-from motorapi.sharing import PhysicalMotor
-from motorapi.state import Fault, Measurement, MotorState
-from motorapi.synchronization import MotionTimes, SyncOffer, Trigger
-from motorapi.trajectory import ComplexTrajectory, Trajectory
+from motorhil.motorapi.commands import ControlMode, ControlVariable, Motion, Setpoint
+from motorhil.motorapi.device import Device
+from motorhil.motorapi.errors import UnsupportedError
+from motorhil.motorapi.model import MotorModel
+from motorhil.motorapi.ownership.physical_motor import PhysicalMotor
+from motorhil.motorapi.runtime.api import Runtime
+from motorhil.motorapi.state import Fault, Measurement, MotorState
+from motorhil.motorapi.synchronization.quality import MotionTimes, SyncOffer, Trigger
+from motorhil.motorapi.trajectory import ComplexTrajectory, Trajectory
 
 
 class MotorHooks(Device, ABC):
-    """The vendor's side of a motor; the application's side is `motorapi.motor.Motor`.
+    """The vendor's side of a motor; the application's side is `motorhil.motorapi.motor.Motor`.
 
     Args:
-        name: what messages and records call it.
-        model: what is constant of the motor, shared between copies.
-        runtime: where it waits.
-        physical: the record its hardware object got from `register_physical_motor`.
+        name: name in messages and recordings.
+        model: constant properties of the motor, shared between copies.
+        runtime: the runtime in which it waits.
+        physical: the record that `register_physical_motor` returned for its hardware object.
     """
 
     def __init__(
@@ -63,17 +65,17 @@ class MotorHooks(Device, ABC):
     @property
     @final
     def model(self) -> MotorModel:
-        """What is constant of this motor."""
+        """The constant properties of this motor."""
         return self._model
 
-    # ---- what the hardware can do: answered at once, without the wire ----
+    # ---- capabilities of the hardware: answered at once, without the bus ----
 
     @abstractmethod
     def _supports(self, mode: ControlMode, variable: ControlVariable) -> bool:
-        """Whether this motor can be commanded so."""
+        """Return True if this motor supports commands of this mode and variable."""
 
     def _check_command(self, variable: ControlVariable, command: Setpoint | Trajectory) -> None:
-        """This motor can execute the command (a mode and variable it supports) where it can at all.
+        """Check that this motor can execute a command of a supported mode and variable at all.
 
         Called when the command is set; nothing may be sent.
 
@@ -89,84 +91,85 @@ class MotorHooks(Device, ABC):
 
     @abstractmethod
     def _sync_offer(self) -> SyncOffer:
-        """What it offers for starting together with others, as it is configured now.
+        """Return the capability for starts together with others, as configured now.
 
-        This and `_quantise` are called after `_connect`.
+        This hook and `_quantise` are called after `_connect`.
         """
 
     @abstractmethod
     def _quantise(self, motion: Motion) -> Motion:
-        """`motion` as the hardware will really make it, after rounding to its own units.
+        """Return `motion` as the hardware executes it, rounded to its own units.
 
-        Target, velocity, acceleration and deceleration may differ from what was asked by one step
-        of the hardware; velocities and accelerations are rounded down, so that no limit is
-        exceeded (but not to 0). What is rounded already stays as it is. The common duration of a
-        group, and its end skew, are predicted from it. A motion with a `function` keeps it.
+        Target, velocity, acceleration and deceleration may differ from the request by one step of
+        the hardware. Velocities and accelerations are rounded down, so that no limit is exceeded
+        (but not to 0). A rounded motion stays unchanged. The common duration of a group, and its
+        end skew, are predicted from the result. A motion with a `function` keeps it.
         """
 
-    # ---- connecting, state and measurements ----
+    # ---- connection, state and measurements ----
 
     def _connect(self) -> None:
-        """The hardware answers and is configured: booted, PDOs mapped, dead-man set up.
+        """Ensure that the hardware answers and is configured: booted, PDOs mapped, dead-man active.
 
-        Called at the beginning of every public operation that needs the wire (but of `state` and
-        `fault`), so it is cheap when there is nothing to do. Two parties may call it at once: the
-        second waits for the first. Also called for who only reads: what it writes it may write
-        inside `physical.ownership.owned_to_set_up` only, if other programs can be on the bus.
+        Called at the beginning of every public operation that needs the bus (except `state` and
+        `fault`), so it must be cheap if nothing is to be done. Two threads may call it at once: the
+        second waits for the first. Also called for read access: if other programs can be on the
+        bus, it may write only inside `physical.ownership.owned_to_set_up`.
         """
 
     @abstractmethod
     def _read_state(self) -> MotorState:
-        """The state; does not wait if the hardware reports it by itself. A fault is no error.
+        """Return the state, without waiting if the hardware reports it. A fault is not an error.
 
-        OFFLINE if it is not heard. This and `_read_fault` may be called before any `_connect`.
+        OFFLINE if the motor does not respond. This hook and `_read_fault` may be called before any
+        `_connect`.
         """
 
     @abstractmethod
     def _read_fault(self) -> Fault | None:
-        """The fault the drive reports, None if there is none."""
+        """Return the fault that the drive reports, or None."""
 
     @abstractmethod
     def _read_referenced(self) -> bool:
-        """Whether position 0 is where the model means it to be (homed since power-on)."""
+        """Return True if position 0 is that of the model (homed since power-on)."""
 
     @abstractmethod
     def _read_position(self) -> float:
-        """Measured position [U]."""
+        """Return the measured position [U]."""
 
     @abstractmethod
     def _read_velocity(self) -> float:
-        """Measured velocity [U/s]."""
+        """Return the measured velocity [U/s]."""
 
     @abstractmethod
     def _read_reference(self) -> float:
-        """The position the controller holds or moves through now [U]: the demand.
+        """Return the position that the controller holds or passes now [U]: the demand.
 
-        With the power stage off, the measured position. Relative motions are counted from here, so
-        that errors of the servo do not add up.
+        With the power stage off, the measured position. Relative motions start from here, so that
+        servo errors do not accumulate.
         """
 
     def _read_torque(self) -> float:
-        """Measured torque [N·m], of a linear motor force [N]."""
+        """Return the measured torque [N·m], for a linear motor the force [N]."""
         raise UnsupportedError(motor=self.name, feature="measuring torque")
 
     def _read_following_error(self) -> float:
-        """Demand minus actual position [U]."""
+        """Return demand minus actual position [U]."""
         raise UnsupportedError(motor=self.name, feature="measuring the following error")
 
     def _latest(self) -> Measurement | None:
-        """What was heard last. Must neither wait nor send: recorders ask from callbacks."""
+        """Return the last measurement, in callbacks of recorders: must neither wait nor send."""
         return None
 
     def _position_source(self) -> str:
-        """Where the position in `_latest` was measured, in words ("6064h in TPDO 1, 181h")."""
+        """Return the origin of the position in `_latest`, in words ("6064h in TPDO 1, 181h")."""
         return "position as heard"
 
     def _refresh(self) -> float | None:
-        """What `_is_done` looks at is fresh.
+        """Refresh the data that `_is_done` evaluates.
 
         Returns:
-            After how long to call again while waiting [s]; None if the hardware reports by itself.
+            The polling interval during a wait [s]; None if the hardware reports changes itself.
         """
         return None
 
@@ -174,115 +177,116 @@ class MotorHooks(Device, ABC):
 
     @abstractmethod
     def _enable(self) -> None:
-        """The power stage is on and the motor holds its position, without having moved."""
+        """Switch on the power stage; the motor holds its position and does not move."""
 
     @abstractmethod
     def _disable(self) -> None:
-        """The power stage is off."""
+        """Switch off the power stage."""
 
     @abstractmethod
     def _reset_fault(self) -> None:
-        """The fault is acknowledged and gone (else DeviceFault); the power stage is off."""
+        """Acknowledge and clear the fault (else DeviceFault); the power stage is off afterwards."""
 
     @abstractmethod
     def _home(self, method: int | None) -> None:
-        """Homing by `method` (CiA 402 numbering; None: the hardware's default) has begun.
+        """Begin homing by `method` (CiA 402 numbers; None: the default of the hardware).
 
-        `_is_done` tells when it is over. An unknown method is an `UnsupportedError`.
+        `_is_done` reports its end. An unknown method is an `UnsupportedError`.
         """
 
-    # ---- motion. Called in the order _arm, Trigger.fire, _confirm. ----
+    # ---- motion, in the order _arm, Trigger.fire, _confirm ----
 
     @abstractmethod
     def _arm(self, motion: Motion, *, together: bool) -> Trigger:
-        """All that `motion` needs is in the hardware, confirmed, and nothing has moved yet.
+        """Prepare `motion` in the hardware and confirm it, without any movement.
 
-        Every setting that differs from what the hardware holds was pushed: mode, profile, target.
-        What the hardware was told is trusted only while `self._physical.token` is unchanged.
+        Transmit every setting that differs from that of the hardware: mode, profile, target. The
+        settings transmitted earlier are valid only while `self._physical.token` is unchanged.
 
         Args:
-            motion: absolute and within the limits; the hardware's rounding is up to this hook.
-            together: whether one trigger is to start several motors, so that the shared one of
-                `SyncOffer.group` is needed; else any way of starting will do.
+            motion: absolute and within the limits; this hook applies the rounding of the hardware.
+            together: True if one trigger is to start several motors, so that the shared one of
+                `SyncOffer.group` is needed; else any kind of start is acceptable.
 
         Returns:
-            What starts the motion. The same (or an equal one) for all motors of one group.
+            The trigger of the motion, the same (or an equal one) for all motors of a group.
         """
 
     @abstractmethod
     def _disarm(self) -> None:
-        """What `_arm` prepared and nothing has started yet will not start any more.
+        """Cancel what `_arm` prepared and no trigger has started yet.
 
         Also called after an `_arm`, a `Trigger.fire` or a `_confirm` that raised.
         """
 
     @abstractmethod
     def _confirm(self, motion: Motion) -> None:
-        """The hardware has acknowledged the start (waits for it, with a deadline of its own)."""
+        """Wait, with an own deadline, until the hardware has acknowledged the start."""
 
     @abstractmethod
     def _is_done(self) -> bool:
-        """Whether what was commanded last (motion, homing, stop, halt, quick stop) is over.
+        """Return True if the last command (motion, homing, stop, halt, quick stop) has ended.
 
-        A position motion: at the target; a velocity set-point: reached; homing: attained; any way
-        of stopping: at rest. False from `_arm` (or the command) on until the hardware has shown
-        otherwise *after* it: what it said of the motion before does not count. Called from inside
-        waits and callbacks: must neither wait nor send.
+        A position motion ends at the target, a velocity set-point when reached, homing when
+        attained, and any kind of stop at rest. The result is False from `_arm` (or the command) on
+        until the hardware has reported the end *after* it: earlier reports do not count. Called
+        inside waits and callbacks: must neither wait nor send.
 
         Raises:
             DeviceFault: the drive reports a fault.
-            LinkError: the drive is no longer heard, or the bus is gone.
+            LinkError: the drive no longer responds, or the bus is gone.
             MotionInterrupted: the hardware ended the motion (power off, another master).
             PeerError: homing failed.
 
-        Also asked of a motor that nobody of this process has commanded, after a `_stop`.
+        Also called for a motor that this process has not commanded, after a `_stop`.
         """
 
     @abstractmethod
     def _stop(self) -> None:
-        """The motor slows down at the motion's deceleration, then holds; what it did is over.
+        """Slow down at the deceleration of the motion, then hold; the motion ends.
 
-        This and the two below are called without a transaction, possibly from a callback and while
-        another party is inside another hook of this motor: send, do not wait.
+        This hook and the next two are called without a transaction, possibly from a callback and
+        while another thread is inside another hook of this motor: send, do not wait.
         """
 
     def _stop_with_others(self) -> Trigger | None:
-        """As `_stop`, of several motors that are to slow down at the same instant.
+        """Do as `_stop`, for several motors that slow down at the same instant.
 
-        As it: send, do not wait. So must `fire` of the trigger.
+        Send, do not wait, as in `_stop`; the same holds for `fire` of the trigger.
 
         Returns:
-            What makes it slow down, equal for all that share one signal; None: it does already.
+            The trigger of the stop, equal for all motors that share one signal; None: already
+            stopping.
         """
         self._stop()
         return None
 
     @abstractmethod
     def _quick_stop(self) -> None:
-        """The motor stops as the drive's quick stop does; state STOPPED, until enabled again."""
+        """Stop by the quick stop of the drive; state STOPPED until enabled again."""
 
     def _halt(self) -> None:
-        """The motor stops as the drive's halt does, then holds; the next start lifts the halt."""
+        """Stop by the halt of the drive, then hold; the next start clears the halt."""
         self._stop()
 
     def _motion_times(self) -> MotionTimes | None:
-        """When the last motion began and ended, as the hardware told; None if it cannot tell."""
+        """Return begin and end of the last motion as reported by the hardware, or None."""
         return None
 
-    # ---- the hardware itself ----
+    # ---- direct hardware access ----
 
     def _open_low_level(self) -> object:
-        """The hardware object, for the application alone.
+        """Return the hardware object for exclusive use by the application.
 
-        Called in a transaction, with nothing going on and nobody reading. What the hardware object
-        does by itself (a stream, a servo, a poll) has ended when this returns, or StateError; it
-        begins nothing by itself, and refuses other threads, while `self._physical.access` is set.
-        It need not be connected.
+        Called in a transaction, at rest and without readers. The own activity of the hardware
+        object (a stream, a servo, a poll) must have ended on return, or StateError is raised. The
+        object begins nothing itself, and refuses other threads, while `self._physical.access` is
+        set. A connection is not required.
         """
         raise UnsupportedError(motor=self.name, feature="low-level access")
 
     def _close_low_level(self) -> None:
-        """Nothing is believed of the hardware any more; the next `_connect` finds out anew.
+        """Discard all knowledge of the hardware; the next `_connect` reads it again.
 
         Must neither wait nor send.
         """

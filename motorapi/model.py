@@ -1,28 +1,28 @@
-"""What is constant of a motor, whatever the application: kind, limits, resolution.
+"""Motor model: kind, limits and resolution, independent of the application.
 
-A model is a TOML file of a few lines; units are in the key names, and a linear motor has m and N
-where a rotary one has rad and N·m:
+A model is a TOML file of a few lines. Units are in the key names; a linear motor has m and N
+instead of rad and N·m:
 
-    name = "drive wheel"                 # default: the file's name
+    name = "drive wheel"                 # default: the name of the file
     kind = "rotary"                      # or "linear"
-    velocity_max_rad_s = 6.0             # the only two that must be there
+    velocity_max_rad_s = 6.0             # only this key and the next are required
     acceleration_max_rad_s2 = 20.0
     deceleration_max_rad_s2 = 20.0       # default: as acceleration
     jerk_max_rad_s3 = 500.0
     torque_max_n_m = 12.0                # linear: force_max_n
     current_max_a = 4.0
-    position_min_rad = -3.0              # of commanded positions; velocity, torque pass them
+    position_min_rad = -3.0              # for position commands; velocity, torque pass them
     position_max_rad = 3.0               # both by default: no limit
-    position_tolerance_rad = 0.01        # how far off an absolute trajectory may begin
+    position_tolerance_rad = 0.01        # permitted offset at the start of absolute trajectories
     gear_ratio = 66.0                    # motor turns per turn; < 0: reversing; motor_turns_per_m
     encoder_increments_rev = 2000        # of the encoder, per turn of the motor
-    increments_per_rad = 21008.4524881   # of the drive's position; default: what these two make
-    velocity_unit_rad_s = 0.001          # what 1 in the drive's velocity objects means
-    acceleration_unit_rad_s2 = 0.01      # and in its acceleration objects
+    increments_per_rad = 21008.4524881   # of the drive's position; default: from the last two
+    velocity_unit_rad_s = 0.001          # value of 1 in the drive's velocity objects
+    acceleration_unit_rad_s2 = 0.01      # value of 1 in its acceleration objects
     requires_referencing = false         # true: absolute targets only after homing
 
-Where the drive itself knows its units (factor objects), they are not needed here. A drive that
-counts the other way has increments < 0.
+If the drive itself knows its units (factor objects), they are not needed here. A drive with the
+opposite direction of counting has increments < 0.
 """
 
 import json
@@ -35,14 +35,14 @@ from math import isfinite, tau
 from pathlib import Path
 from typing import Final, Self, final
 
-from motorapi.commands import ControlVariable, as_number
-from motorapi.errors import FileError, UsageError
-from motorapi.wording import given
+from motorhil.motorapi.commands import ControlVariable, as_number
+from motorhil.motorapi.errors import FileError, UsageError
+from motorhil.motorapi.reprs import given
 
 
 @final
 class MotionKind(Enum):
-    """Whether the unit U of position is rad or m."""
+    """The kind of motion, which determines the unit U of position: rad or m."""
 
     ROTARY = "rotary"
     LINEAR = "linear"
@@ -74,7 +74,7 @@ _SIGNED: Final = ("position_min", "position_max", "gear_ratio", "increments_per_
 _NOT_ZERO: Final = ("gear_ratio", "increments_per_unit")
 _OF_LINEAR: Final = {"torque_max": "force_max_n", "gear_ratio": "motor_turns_per_m"}
 _SAME: Final = 1e-6
-"""How far increments may be from what gear and encoder make: models are written with few digits."""
+"""The permitted relative deviation of increments from gear and encoder, for rounded models."""
 
 
 @final
@@ -82,10 +82,11 @@ _SAME: Final = 1e-6
 class MotorModel:
     """The motor model (paper, 3.2): limits and units, immutable, shared between copies.
 
-    U is rad or m, after `kind`. None means: no limit, or not known.
+    U is rad or m, depending on `kind`. None means: no limit, or unknown.
 
     Raises:
-        UsageError: a number is not finite, a limit not > 0, a range empty, or the name no text.
+        UsageError: a number is not finite, a limit is not > 0, a range is empty, or the name is not
+            text.
     """
 
     name: str
@@ -102,8 +103,8 @@ class MotorModel:
     gear_ratio: float | None = None  # motor turns per turn of the output (linear: per m), signed
     encoder_increments_rev: float | None = None  # per turn of the motor
     increments_per_unit: float | None = None  # position increments of the drive per U, signed
-    velocity_unit: float | None = None  # what 1 in the drive's velocity objects means [U/s]
-    acceleration_unit: float | None = None  # likewise for acceleration [U/s²]
+    velocity_unit: float | None = None  # value of 1 in the drive's velocity objects [U/s]
+    acceleration_unit: float | None = None  # value of 1 in its acceleration objects [U/s²]
     requires_referencing: bool = False
 
     def __post_init__(self) -> None:
@@ -120,8 +121,9 @@ class MotorModel:
             object.__setattr__(self, "increments_per_unit", made)
         elif _differ(self.increments_per_unit, made):
             raise UsageError(
-                f"motor model {self.name}: increments_per_unit is {self.increments_per_unit:g},"
-                f" gear_ratio and encoder_increments_rev make {made:g}"
+                f"motor model {self.name}: increments_per_unit is "
+                f"{self.increments_per_unit:g}, but gear_ratio and encoder_increments_rev give "
+                f"{made:g}"
             )
 
     def __repr__(self) -> str:
@@ -133,7 +135,7 @@ class MotorModel:
         return _UNIT[self.kind]
 
     def unit_of(self, variable: ControlVariable) -> str:
-        """The unit of a control variable of this motor ("rad/s")."""
+        """Return the unit of a control variable of this motor ("rad/s")."""
         if variable is ControlVariable.POSITION:
             return self.unit
         if variable is ControlVariable.VELOCITY:
@@ -149,15 +151,15 @@ class MotorModel:
 
     @property
     def resolution(self) -> float | None:
-        """The smallest change of position that the drive can count [U]; None: not known."""
+        """The smallest change of position that the drive can count [U], or None if unknown."""
         increments = self.increments_per_unit
         return None if increments is None else 1.0 / abs(increments)
 
     @property
     def start_tolerance(self) -> float:
-        """How far from its initial value an absolute trajectory may begin [U].
+        """The permitted offset between motor and start of an absolute trajectory [U].
 
-        `position_tolerance`, or 0.01 rad (0.1 mm) where the model says nothing.
+        `position_tolerance`, or by default 0.01 rad (0.1 mm).
         """
         if self.position_tolerance is not None:
             return self.position_tolerance
@@ -165,23 +167,23 @@ class MotorModel:
 
     @classmethod
     def load(cls, path: str | Path) -> Self:
-        """The model in a TOML file.
+        """Return the model of a TOML file.
 
         Raises:
-            FileError: there is no such file, it is no TOML, or a key or value means nothing here.
+            FileError: the file does not exist or is not TOML, or a key or value is invalid.
         """
         text, line = "", None
         try:
             text = Path(path).read_text(encoding="utf-8-sig")
             table = tomllib.loads(text)
         except tomllib.TOMLDecodeError as error:
-            problem, remedy = f"no TOML: {error}", _TOML_REMEDY
+            problem, remedy = f"not TOML: {error}", _TOML_REMEDY
             line = _line_in(str(error))
         except UnicodeDecodeError:
             problem, remedy = "cannot be read: not UTF-8", _FILE_REMEDY
         except RecursionError:
-            problem, remedy = "no TOML: nested too deeply", _TOML_REMEDY
-        except (OSError, ValueError, TypeError) as error:  # no path, or an endless number
+            problem, remedy = "not TOML: nested too deeply", _TOML_REMEDY
+        except (OSError, ValueError, TypeError) as error:  # not a path, or an endless number
             problem = f"cannot be read: {getattr(error, 'strerror', None) or error}"
             remedy = _FILE_REMEDY
         else:
@@ -202,16 +204,16 @@ class MotorModel:
         line_of: Callable[[str], int | None] = lambda key: None,
         default_name: str = "motor",
     ) -> Self:
-        """The model in a table that was read from `path`, a model file or part of another file.
+        """Return the model in a table from `path`, a model file or part of another file.
 
         Args:
             table: keys as in a model file.
-            path: which file errors name.
-            line_of: in which of its lines a key stands (None: not known).
-            default_name: the model's name, if the table has none.
+            path: the file that errors name.
+            line_of: returns the line of a key (None: unknown).
+            default_name: the name of the model, if the table has none.
 
         Raises:
-            FileError: a key or value means nothing here.
+            FileError: a key or value is invalid.
         """
         reader = _Reader(table, path, line_of)
         kind = reader.kind()
@@ -221,14 +223,14 @@ class MotorModel:
         for field in _REQUIRED:
             if values[field] is None:
                 key = _key_of(field, kind)
-                raise reader.error(key, "is missing", "every motor has this limit: add it")
+                raise reader.error(key, "is missing", "every motor needs this limit: add it")
         if _is_empty(values["position_min"], values["position_max"]):
             key = _key_of("position_min", kind)
             raise reader.error(key, "is not below position_max", "exchange or correct them")
         made = _increments(kind, values["gear_ratio"], values["encoder_increments_rev"])
         if _differ(values["increments_per_unit"], made):
             key = _key_of("increments_per_unit", kind)
-            problem = f"is not {made:.10g}, which the gear and encoder_increments_rev make"
+            problem = f"is not {made:.10g}, the value from gear and encoder_increments_rev"
             raise reader.error(key, problem, "leave it out, or correct one of them")
         name = reader.text("name", default_name)
         referencing = reader.flag("requires_referencing")
@@ -245,7 +247,7 @@ class MotorModel:
         )
 
     def save(self, path: str | Path) -> None:
-        """The model is in the TOML file `path`; `load` gives an equal one."""
+        """Write the model to the TOML file `path`; `load` returns an equal one."""
         lines = [f"name = {_quoted(self.name)}", f"kind = {_quoted(self.kind.value)}"]
         for field in fields(self):
             if field.name in _NUMBER_KEYS:
@@ -259,7 +261,7 @@ class MotorModel:
 
 @final
 class _Reader:
-    """One table, read key by key; every error names file, line, key and remedy."""
+    """Reader of one table, key by key; every error names file, line, key and remedy."""
 
     def __init__(
         self, table: Mapping[str, object], path: str, line_of: Callable[[str], int | None]
@@ -278,7 +280,7 @@ class _Reader:
         for kind in MotionKind:
             if kind.value == word:
                 return kind
-        raise self.error("kind", f"{word!r} is no kind of motor", 'write "rotary" or "linear"')
+        raise self.error("kind", f"{word!r} is not a kind of motor", 'write "rotary" or "linear"')
 
     def refuse_unknown(self, number_keys: Mapping[str, str]) -> None:
         known = ("name", "kind", *number_keys, "requires_referencing")
@@ -286,7 +288,7 @@ class _Reader:
             if key not in known:
                 near = get_close_matches(key, known, n=1)
                 remedy = f"did you mean {near[0]}?" if near else f"known are {', '.join(known)}"
-                raise self.error(key, "a motor model has no such key", remedy)
+                raise self.error(key, "unknown key of a motor model", remedy)
 
     def number(self, key: str, field: str) -> float | None:
         value = self._table.get(key)
@@ -327,7 +329,7 @@ def _keys(kind: MotionKind) -> dict[str, str]:
 
 
 def _problem(field: str, value: float | None) -> str:
-    """What is wrong with a number, in words; empty if nothing is."""
+    """Return the problem of a number in words, or ""."""
     if value is None:
         return ""
     number = as_number(value)
@@ -349,7 +351,7 @@ def _is_empty(low: float | None, high: float | None) -> bool:
 
 
 def _increments(kind: MotionKind, gear: float | None, encoder: float | None) -> float | None:
-    """Position increments per U that gear and encoder make; None if one is not known."""
+    """Return the position increments per U from gear and encoder; None if one is unknown."""
     if gear is None or encoder is None:
         return None
     return gear * encoder / (tau if kind is MotionKind.ROTARY else 1.0)
@@ -362,19 +364,19 @@ def _differ(given: float | None, made: float | None) -> bool:
 
 
 def _line_of(text: str, key: str) -> int | None:
-    """The line, from 1, with which `key` first has a value: tomllib gives no lines."""
+    """Return the line, from 1, of the first value of `key`: tomllib does not report lines."""
     lines = text.splitlines()
     for count in range(1, len(lines) + 1):
         try:
             if key in tomllib.loads("\n".join(lines[:count])):
                 return count
         except tomllib.TOMLDecodeError:
-            continue  # in the middle of a value of several lines
+            continue  # within a value of several lines
     return None
 
 
 def _line_in(message: str) -> int | None:
-    """The line that a message of tomllib names: "... (at line 3, column 5)"."""
+    """Return the line in a message of tomllib: "... (at line 3, column 5)"."""
     _, found, rest = message.rpartition("at line ")
     number = rest.split(",")[0]
     return int(number) if found and number.isdigit() else None

@@ -1,4 +1,4 @@
-"""What can be known of a motor: its state, its fault, and what was measured last."""
+"""State, fault and last measurement of a motor."""
 
 from dataclasses import dataclass
 from enum import Enum
@@ -7,19 +7,19 @@ from typing import NamedTuple, final
 
 @final
 class MotorState(Enum):
-    """Whether the motor can move, in words common to all drives."""
+    """The state of a motor, in terms common to all drives."""
 
-    OFFLINE = "offline"  # not heard, or not heard any more
+    OFFLINE = "offline"  # does not respond, or no longer
     DISABLED = "disabled"  # power stage off
     ENABLED = "enabled"  # power stage on: moving, or holding its position
-    STOPPED = "stopped"  # after a quick stop: stopping or at rest, moves only after enable()
+    STOPPED = "stopped"  # after a quick stop: slowing down or at rest, moves only after enable()
     FAULT = "fault"  # moves only after reset_fault()
 
 
 @final
 @dataclass(frozen=True, slots=True, repr=False)
 class Fault:
-    """What the drive says is wrong: its own error code, in words, and since when [ns]."""
+    """A fault reported by the drive: its error code, its text, and its time [ns]."""
 
     code: int
     text: str
@@ -30,8 +30,8 @@ class Fault:
 
 
 @final
-class Measurement(NamedTuple):  # a recorder asks for one 50 times a second and motor
-    """What was heard of a motor last, without asking it: time [ns], SI values, None: not heard."""
+class Measurement(NamedTuple):  # a recorder creates 50 per second and motor
+    """The last values received from a motor: time [ns], SI values, None: not received."""
 
     time_ns: int
     state: MotorState

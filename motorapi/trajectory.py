@@ -1,41 +1,47 @@
-"""Trajectories as light, immutable values: what is asked for. Generating them is another matter.
+"""Trajectories as immutable values: the request, without its generation.
 
 Source: the paper, 3.3.1. A *simple* trajectory states boundary conditions and limits only; a
-*complex* one gives the value of the control variable for every argument. U stands for the unit of
-the control variable: rad or m for position, rad/s or m/s for velocity.
+*complex* one gives the value of the control variable for every argument. U is the unit of the
+control variable: rad or m for position, rad/s or m/s for velocity.
+
+Trajectory arguments other than time.
+
+Source: the paper, 3.3.1: "The argument typically is a value of time, but can be another quantity."
 """
 
 from dataclasses import dataclass, field
 from math import inf, isfinite
-from typing import TYPE_CHECKING, TypeAlias, final
+from typing import TYPE_CHECKING, Protocol, TypeAlias, final
 
-from motorapi.commands import DerivativeLimits, Range, as_number
-from motorapi.errors import UsageError
+from motorhil.motorapi.commands import DerivativeLimits, Range, as_number
+from motorhil.motorapi.errors import LinkError, MotorError, PluginError, UsageError
+from motorhil.motorapi.model import MotorModel
+from motorhil.motorapi.state import Measurement, MotorState
 
 if TYPE_CHECKING:
-    from motorapi.functions.function import Function
+    from motorhil.motorapi.functions.base import Function
 
 
 @final
 @dataclass(frozen=True, slots=True, repr=False)
 class TrapezoidalTrajectory:
-    """The simplest motion that satisfies its boundary conditions, at rest at both ends if not told.
+    """The simplest motion that satisfies its boundary conditions, by default at rest at both ends.
 
-    `TrapezoidalTrajectory(1.0)` is a distance: 1.0 further than where the motor is.
+    `TrapezoidalTrajectory(1.0)` is a distance: 1.0 further than the present position.
     `TrapezoidalTrajectory(1.0, initial=0.25)` is absolute: from 0.25 to 1.0, and the motor must be
-    at 0.25 when it starts.
+    at 0.25 at the start.
 
     Args:
-        final: the final value [U]; without `initial`, counted from where the motor is.
+        final: the final value [U]; without `initial`, relative to the present one.
         initial: the initial value [U].
-        limits: of the value and its derivatives; the model's where they say nothing.
-        duration_s: how long it takes [s]; None: as short as the limits allow.
-        initial_derivatives: (first, second) at the beginning, [U/s], [U/s²]; what is left out is 0.
-        final_derivatives: likewise at the end.
-        initial_argument: the time at which it begins [s], for a piece of something longer.
+        limits: of the value and its derivatives; those of the model by default.
+        duration_s: duration [s]; None: as short as the limits allow.
+        initial_derivatives: (first, second) at the beginning, [U/s], [U/s²]; missing ones are 0.
+        final_derivatives: (first, second) at the end; missing ones are 0.
+        initial_argument: time of the beginning [s], for a part of a longer motion.
 
     Raises:
-        UsageError: a number is not finite, the duration not > 0, there are more than two
+        UsageError: a number is not finite, the duration is not > 0, there are more than two
             derivatives, or a boundary value lies outside `limits`.
     """
 
@@ -58,7 +64,7 @@ class TrapezoidalTrajectory:
             object.__setattr__(self, name, number)
         if not isinstance(self.limits, DerivativeLimits | None):
             raise UsageError(
-                f"TrapezoidalTrajectory: limits is {self.limits!r}, no DerivativeLimits"
+                f"TrapezoidalTrajectory: limits is {self.limits!r}, not DerivativeLimits"
             )
         if self.duration_s is not None and self.duration_s <= 0.0:
             raise UsageError(f"TrapezoidalTrajectory: duration_s is {self.duration_s:g}, not > 0")
@@ -85,22 +91,22 @@ class TrapezoidalTrajectory:
 
     @property
     def is_relative(self) -> bool:
-        """Whether `final` is counted from where the motor is when it starts."""
+        """True if `final` is relative to the position at the start."""
         return self.initial is None
 
     @property
     def initial_velocity(self) -> float:
-        """First derivative at the beginning [U/s]."""
+        """The first derivative at the beginning [U/s]."""
         return self.initial_derivatives[0] if self.initial_derivatives else 0.0
 
     @property
     def final_velocity(self) -> float:
-        """First derivative at the end [U/s]."""
+        """The first derivative at the end [U/s]."""
         return self.final_derivatives[0] if self.final_derivatives else 0.0
 
     @property
     def final_argument(self) -> float | None:
-        """The time at which it ends [s]; None: as soon as the limits allow."""
+        """The time of the end [s]; None: as soon as the limits allow."""
         return None if self.duration_s is None else self.initial_argument + self.duration_s
 
     def __repr__(self) -> str:
@@ -151,17 +157,17 @@ def _derivatives(name: str, given: object) -> tuple[float, ...]:
 @final
 @dataclass(frozen=True, slots=True, repr=False)
 class ComplexTrajectory:
-    """A motion whose value is prescribed for every argument, by any function of motorapi.functions.
+    """A motion with a value prescribed for every argument, by any function of motorhil.motorapi.functions.
 
     `ComplexTrajectory(function)` follows `function(t)` over its domain, t in seconds since the
-    start; with an argument given to `Motor.set_trajectory`, that instead of time.
+    start; an argument given to `Motor.set_trajectory` replaces time.
 
     Args:
         function: the value of the control variable [U] over the argument.
-        initial_argument: where the motion begins; None: at the beginning of the function's domain.
-        final_argument: where it ends; None: at the end of the domain.
-        relative: only the change of the value counts, from where the motor is when it starts.
-        limits: of the value and its derivatives, by time, where tighter than the model's.
+        initial_argument: argument at the beginning; None: the lower end of the domain.
+        final_argument: argument at the end; None: the upper end of the domain.
+        relative: only the change of the value counts, from the position at the start.
+        limits: of the value and its derivatives by time, if tighter than those of the model.
 
     Raises:
         UsageError: an end is not finite or lies outside the domain, or the interval is empty.
@@ -177,14 +183,14 @@ class ComplexTrajectory:
         domain = getattr(self.function, "domain", None)
         if not isinstance(domain, tuple) or not callable(getattr(self.function, "extrema", None)):
             raise UsageError(
-                f"ComplexTrajectory: {self.function!r} is no function of motorapi.functions"
+                f"ComplexTrajectory: {self.function!r} is not a function of motorhil.motorapi.functions"
             )
         if not isinstance(self.relative, bool):
             raise UsageError(
-                f"ComplexTrajectory: relative is {self.relative!r}; it is True or False"
+                f"ComplexTrajectory: relative is {self.relative!r}; expected True or False"
             )
         if not isinstance(self.limits, DerivativeLimits | None):
-            raise UsageError(f"ComplexTrajectory: limits is {self.limits!r}, no DerivativeLimits")
+            raise UsageError(f"ComplexTrajectory: limits is {self.limits!r}, not DerivativeLimits")
         for name, end in zip(("initial_argument", "final_argument"), domain, strict=True):
             given = getattr(self, name)
             number = as_number(end if given is None else given)
@@ -201,13 +207,13 @@ class ComplexTrajectory:
             object.__setattr__(self, name, number)
         if not self.interval[0] < self.interval[1]:
             raise UsageError(
-                f"ComplexTrajectory: from {self.interval[0]:g} to {self.interval[1]:g} is no"
-                " interval; the final argument must exceed the initial one"
+                f"ComplexTrajectory: the interval from {self.interval[0]:g} to "
+                f"{self.interval[1]:g} is empty; the final argument must exceed the initial one"
             )
 
     @property
     def is_relative(self) -> bool:
-        """Whether values are counted from where the motor is when it starts."""
+        """True if values are relative to the position at the start."""
         return self.relative
 
     @property
@@ -224,4 +230,129 @@ class ComplexTrajectory:
 
 
 Trajectory: TypeAlias = TrapezoidalTrajectory | ComplexTrajectory
-"""What `Motor.set_trajectory` takes."""
+"""Any trajectory that `Motor.set_trajectory` accepts."""
+
+
+class Argument(Protocol):
+    """A trajectory argument that another system determines, read once per set-point."""
+
+    @property
+    def name(self) -> str:
+        """The name of the argument in messages."""
+
+    @property
+    def rate_max(self) -> float | None:
+        """The maximum rate of change [1/s], or None if unknown; then no limit is guaranteed."""
+
+    def value(self) -> float:
+        """Return the present value. Callbacks call this: it must neither wait nor send."""
+
+
+def require_argument(motor: str, argument: object) -> None:
+    """Raise UsageError for `motor` if `argument` is neither None nor an `Argument`."""
+    if argument is None:
+        return
+    if (
+        isinstance(argument, type)
+        or not callable(getattr(argument, "value", None))
+        or not (hasattr(argument, "name") and hasattr(argument, "rate_max"))
+    ):
+        raise UsageError(
+            f"{motor}: {argument!r} is not an Argument; give an Argument, as "
+            "MotorPosition(other), or leave it out for time"
+        )
+    rate = argument.rate_max
+    if rate is not None and not as_number(rate) >= 0.0:
+        raise UsageError(
+            f"{motor}: rate_max of {argument!r} is {rate!r}; expected a number >= 0, or None "
+            "if unknown"
+        )
+
+
+def value_of(argument: Argument) -> float:
+    """Return the present value of the argument, a finite number.
+
+    Raises:
+        PluginError: the value is not a finite number, or `value` raised a foreign exception.
+        MotorError: `value` raised it.
+    """
+    try:
+        value = argument.value()
+    except MotorError:
+        raise
+    except Exception as error:
+        what = type(argument).__qualname__
+        raise PluginError(plugin=what, where="value", problem=repr(error)) from error
+    number = as_number(value)
+    if not isfinite(number):
+        problem = f"the {argument.name} is {value!r}, not a finite number"
+        raise PluginError(plugin=type(argument).__qualname__, where="value", problem=problem)
+    return number
+
+
+class Leader(Protocol):
+    """The part of a Motor that `MotorPosition` needs from the leading motor."""
+
+    @property
+    def name(self) -> str:
+        """The name of the motor in messages."""
+
+    @property
+    def model(self) -> MotorModel:
+        """The motor model, which holds the maximum velocity."""
+
+    def latest(self) -> Measurement | None:
+        """Return the last measurement received from the motor, or None."""
+
+
+@final
+class MotorPosition:
+    """The last measured position of another motor [rad or m], for an electronic gear.
+
+    Args:
+        motor: the leading motor. It must report its position by itself, or at no cost.
+    """
+
+    def __init__(self, motor: Leader) -> None:
+        if not callable(getattr(motor, "latest", None)):
+            raise UsageError(f"{motor!r} is not a motor: its position cannot be an argument")
+        self._motor = motor
+        self._name = f"position of {motor.name}"
+
+    @property
+    def name(self) -> str:
+        """The name of the argument, as in "position of left"."""
+        return self._name
+
+    @property
+    def leader(self) -> Leader:
+        """The leading motor."""
+        return self._motor
+
+    @property
+    def rate_max(self) -> float | None:
+        """The maximum velocity of the leading motor, from its model."""
+        return self._motor.model.velocity_max
+
+    def value(self) -> float:
+        """Return the last position received from the leading motor.
+
+        Raises:
+            LinkError: the motor is offline, so the last position is out of date.
+            UsageError: no position has been received yet.
+        """
+        latest = self._motor.latest()
+        if latest is not None and latest.state is MotorState.OFFLINE:
+            raise LinkError(
+                link=self._motor.name,
+                reason=f"the {self._name} is out of date: the motor is offline",
+            )
+        if latest is None or latest.position is None:
+            raise UsageError(
+                f"the {self._name} is unknown: none has been received yet; read it once before "
+                "the start"
+            )
+        return latest.position
+
+    def __repr__(self) -> str:
+        return f"<the {self._name}>"

@@ -1,4 +1,4 @@
-"""Settings every test shares: Hypothesis is repeatable here and in CI alike."""
+"""Settings of all tests; Hypothesis is repeatable here and in CI alike."""
 
 import os
 from collections.abc import Generator
@@ -8,8 +8,8 @@ from typing import Any
 import pytest
 from hypothesis import HealthCheck, settings
 
-import emulators
-from harness.build_info import cores_are_compiled
+from motorhil import emulators
+from motorhil.harness.version import cores_are_compiled
 from tests.dissector import collect_sent, complaints, tshark
 
 settings.register_profile(
@@ -26,16 +26,16 @@ settings.load_profile(os.environ.get("MOTORHIL_HYPOTHESIS", "ci"))
 
 
 def pytest_configure() -> None:
-    """Tests that are to judge the compiled cores (make test-compiled) have not got others."""
+    """Refuse to test pure cores when compiled ones are required (make test-compiled)."""
     if os.environ.get("MOTORHIL_COMPILED") == "1" and not cores_are_compiled():
         raise pytest.UsageError(f"the cores in {emulators.__file__} are not compiled")
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """With several workers (`make test`) what takes long or waits begins first, file by file.
+    """Order tests for several workers (`make test`): long or waiting ones first, by file.
 
-    First the compiled build and what is run in it, then what goes by the wall: while it waits, the
-    other workers work.
+    The compiled build and its tests come first, then wall-time tests: while they wait, the other
+    workers work.
     """
     if not hasattr(config, "workerinput"):
         return
@@ -54,7 +54,7 @@ REQUIRED = [name for name in os.environ.get("MOTORHIL_REQUIRE", "").split(",") i
 def pytest_runtest_makereport(
     item: pytest.Item, call: pytest.CallInfo[None]
 ) -> Generator[None, pytest.TestReport, pytest.TestReport]:
-    """With MOTORHIL_REQUIRE=vcan,data,... a test with one of these marks may not be skipped."""
+    """Fail skipped tests with a mark that MOTORHIL_REQUIRE=vcan,data,... lists."""
     report = yield
     if report.skipped and any(item.get_closest_marker(name) for name in REQUIRED):
         reason = report.longrepr[2] if isinstance(report.longrepr, tuple) else report.longrepr
@@ -64,14 +64,14 @@ def pytest_runtest_makereport(
 
 
 DISSECTED: dict[str, str] = {}
-"""By worker: what came of the frames that its nodes sent."""
+"""Dissector results by worker, for the frames that its nodes sent."""
 
 
 @pytest.fixture(scope="session", autouse=True)
 def every_frame_sent_is_canopen(
     request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
 ) -> Generator[None]:
-    """Wireshark reads what emulated nodes have sent in this session (`tests/dissector.py`)."""
+    """Check with Wireshark the frames that emulated nodes sent in this session."""
     sent: set[bytes] = set()
     end = collect_sent(sent)
     yield
@@ -87,19 +87,19 @@ def every_frame_sent_is_canopen(
     else:
         DISSECTED["this process"] = told
     if wrong:
-        pytest.fail(f"{len(wrong)} frames sent are no good CANopen:\n" + "\n".join(wrong[:20]))
+        pytest.fail(f"{len(wrong)} frames sent are not valid CANopen:\n" + "\n".join(wrong[:20]))
 
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_testnodedown(node: Any) -> None:
-    """What a worker says of its frames is told at the end."""
+    """Collect a worker's dissector result for the summary."""
     output: dict[str, str] = getattr(node, "workeroutput", {})
     if "dissected" in output:
         DISSECTED[node.gateway.id] = output["dissected"]
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
-    """What a test that passed tells people: how many of its own ran, and were skipped, on vcan."""
+    """Print dissector results, and the numbers of tests run and skipped on vcan."""
     for worker, told in DISSECTED.items():
         terminalreporter.write_line(f"CANopen dissector ({worker}): {told}")
     for report in terminalreporter.getreports("passed"):
@@ -110,19 +110,19 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
 
 @pytest.fixture(scope="session", autouse=True)
 def own_locks(tmp_path_factory: pytest.TempPathFactory) -> None:
-    """Locks between processes of this run are not those of the next, nor of real motors."""
+    """Give this run its own lock folder, apart from other runs and real motors."""
     os.environ["MOTORHIL_LOCK_DIR"] = str(tmp_path_factory.mktemp("locks"))
 
 
 @pytest.fixture(scope="session", autouse=True)
 def own_width() -> None:
-    """Help and tables are as wide as where there is no terminal, whoever runs this."""
+    """Fix the width of help texts and tables, independent of the terminal."""
     os.environ["COLUMNS"] = "80"
 
 
 @pytest.fixture(scope="session")
 def shared() -> Path:
-    """The folder of third-party data beside the checkout; without it, a skip that says so."""
+    """Return the folder of third-party data beside the checkout; skip if it is missing."""
     folder = Path(os.environ.get("MOTORHIL_SHARED", Path(__file__).parents[2] / "shared"))
     if not (folder / "data").is_dir():
         pytest.skip(f"no third-party data at {folder}: set MOTORHIL_SHARED to run this")

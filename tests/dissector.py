@@ -1,12 +1,12 @@
-"""Every frame that an emulated CANopen node sends in any test, read by Wireshark's dissector.
+"""Wireshark's dissector as a check of every frame of emulated CANopen nodes.
 
-The session's tap (conftest) collects what `CanopenNode.take_output` gives, each frame once: the one
-way out of every CANopen controller, on a bus or on a bench. At the end one capture goes through one
-run of `tshark -d can.subdissector,canopen`. Where another process serves the bus (tests by the
-wall) the same cores send; what they send there is not collected, nor what compiled cores send.
+The session's tap (conftest) collects the results of `CanopenNode.take_output`, each frame once. All
+frames of CANopen controllers, on a bus or on a bench, pass through it. At the end one capture goes
+through one run of `tshark -d can.subdissector,canopen`. Other processes (wall-time tests) run the
+same cores; their frames are not collected, and neither are those of compiled cores.
 
-Nothing is left out: identifiers that are not in the predefined connection set (CiA 301, 7.3.3) are
-judged by the service that has them there, which is what a stranger's analyser would do.
+No frame is excluded. An identifier outside the predefined connection set (CiA 301, 7.3.3) is judged
+by the service that normally has it. A third party's analyser would do the same.
 """
 
 import shutil
@@ -16,25 +16,25 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Final
 
-from emulators.canopen.node import CanopenNode
+from motorhil.emulators.canopen.node import CanopenNode
 
 LINKTYPE_CAN_SOCKETCAN: Final = 227  # identifier in network byte order, see pcap-linktype
 COLUMNS: Final = ("canopen.function_code", "_ws.malformed", "_ws.expert.message")
 # Wireshark's function codes, the upper four bits of an identifier.
 _ERROR_CONTROL: Final = 14
-_NO_SERVICE: Final = 15  # but for LSS
+_NO_SERVICE: Final = 15  # except LSS
 _LSS: Final = (0x7E4, 0x7E5)
 
 
 def tshark() -> str | None:
-    """Where it is; None: it is not installed (apt-get install tshark)."""
+    """Return the path of tshark, or None if it is missing (apt-get install tshark)."""
     return shutil.which("tshark")
 
 
 def collect_sent(into: set[bytes]) -> Callable[[], None]:
-    """From now on all nodes' frames are collected; the answer, called, ends that.
+    """Collect all nodes' frames from now on; return a function that ends it.
 
-    Of compiled cores nothing is: a native class takes no tap.
+    Compiled cores are not collected, because a native class cannot be patched.
     """
     original = CanopenNode.take_output
     collect = into.update
@@ -56,7 +56,7 @@ def collect_sent(into: set[bytes]) -> Callable[[], None]:
 
 
 def capture(frames: Iterable[bytes]) -> bytes:
-    """A classic pcap of can_frames."""
+    """Return a classic pcap of can_frames."""
     rows = [struct.pack("<IHHiIII", 0xA1B23C4D, 2, 4, 0, 0, 65535, LINKTYPE_CAN_SOCKETCAN)]
     for frame in frames:
         can_id, length = struct.unpack_from("<IB", frame)
@@ -66,7 +66,7 @@ def capture(frames: Iterable[bytes]) -> bytes:
 
 
 def dissected(program: str, path: Path, columns: Sequence[str] = COLUMNS) -> list[dict[str, str]]:
-    """Each frame of a capture as Wireshark reads it, by column."""
+    """Return each frame of a capture as Wireshark reads it, by column."""
     command = [program, "-n", "-r", str(path), "-d", "can.subdissector,canopen", "-T", "fields"]
     for column in columns:
         command += ["-e", column]
@@ -75,7 +75,7 @@ def dissected(program: str, path: Path, columns: Sequence[str] = COLUMNS) -> lis
 
 
 def complaints(program: str, frames: Iterable[bytes], folder: Path) -> list[str]:
-    """What the dissector finds wrong, a line for each frame, "581#4300: malformed"."""
+    """Return the dissector's complaints, one line per frame, such as "581#4300: malformed"."""
     each = sorted(frames)
     path = folder / "sent.pcap"
     path.write_bytes(capture(each))

@@ -1,8 +1,8 @@
-"""The golden recordings: short runs of one rig of every kind of hardware, kept in traces/golden.
+"""Golden recordings: short runs of every kind of hardware, in traces/golden.
 
-    make golden     makes them again, and their index, where the digest is another
+    make golden     records them again, and updates the index, if a digest differs
 
-A test holds that they are what the rigs do today, and replays each of them in all three ways.
+A test compares them with the present rigs, and replays each of them in all three ways.
 """
 
 import sys
@@ -10,14 +10,14 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from harness.rig import Rig, installed_plugins
-from harness.rig_file import RigDescription, parse_rig
-from harness.settings import Source
-from motorapi import ControlMode, Motor, MotorGroup, TrapezoidalTrajectory
+from motorhil.harness.rig.config.rig_file import RigDescription, parse_rig
+from motorhil.harness.rig.config.toml import Source
+from motorhil.harness.rig.rig import Rig, installed_plugins
+from motorhil.motorapi import ControlMode, Motor, MotorGroup, TrapezoidalTrajectory
+from motorhil.traces.digest import digest
+from motorhil.traces.mcap.reader import read_trace
 from tests.architecture.checkout import CHECKOUT
 from tests.motorapi.kinds import EVERY
-from traces.digest import digest
-from traces.reader import read_trace
 
 FOLDER = CHECKOUT / "traces" / "golden"
 INDEX = FOLDER / "INDEX.md"
@@ -25,7 +25,7 @@ LOAD_N_M = 20.0
 
 
 def algorithms(rig: Rig) -> None:
-    """The paper's two: a set-point and a profile, then two motors together."""
+    """Run the paper's two algorithms: set-point and profile, then two motors together."""
     left = rig.motors["left"]
     left.set_control_mode(ControlMode.SETPOINT)
     left.set_setpoint(1.0)
@@ -40,7 +40,7 @@ def algorithms(rig: Rig) -> None:
 
 
 def overload(rig: Rig) -> None:
-    """A load that the motor cannot hold: following error, fault, reset, and it moves again."""
+    """Overload a motor: following error, fault, reset, and a further move."""
     left = rig.motors["left"]
     left.enable()
     load(rig, LOAD_N_M)
@@ -56,13 +56,13 @@ def overload(rig: Rig) -> None:
 
 
 def load(rig: Rig, torque_n_m: float) -> None:
-    """The load changes; a recorded drive has its own story."""
+    """Change the load; a recorded drive ignores it."""
     if rig.description.controllers["left"].kind != "recorded":
         rig.controllers["left"].stimulate("load_torque_n_m", torque_n_m)
 
 
 def on_tcp(text: str) -> str:
-    """The same drives behind a gateway."""
+    """Return the rig with the same drives behind a gateway."""
     line = 'kind = "modbus_rtu"\nbaud_bit_s = 115_200\nparity = "N"'
     assert line in text
     return text.replace(line, 'kind = "modbus_tcp"')
@@ -80,30 +80,30 @@ GOLDEN: dict[str, tuple[str, str, Callable[[Rig], None]]] = {
     "leadshine_tcp": ("the same behind a gateway", on_tcp(EVERY["leadshine"].rig()), algorithms),
     "oriental_az": ("two AZ drivers on a serial line", EVERY["oriental_az"].rig(), algorithms),
 }
-"""By name: what it is, the rig, the application."""
+"""By name: description, rig, application."""
 
 
 def described(name: str) -> RigDescription:
-    """The rig of a golden recording."""
+    """Return the rig of a golden recording."""
     return parse_rig(Source(Path(f"{name}.toml"), GOLDEN[name][1]), installed_plugins())
 
 
 def record(name: str, path: Path) -> None:
-    """What the rig does today is recorded."""
+    """Record a run of the rig as it is today."""
     with Rig(described(name), record=path) as rig:
         GOLDEN[name][2](rig)
 
 
 @contextmanager
 def golden(name: str) -> Iterator[Path]:
-    """The file, which must be there."""
+    """Yield the path of the file, which must exist."""
     path = FOLDER / f"{name}.mcap"
     assert path.is_file(), f"{path} is missing: make golden"
     yield path
 
 
 def rows() -> Iterator[str]:
-    """The index: a row a recording."""
+    """Yield the index, one row per recording."""
     yield "# Golden recordings"
     yield "Made by `make golden` (tests/golden.py), each of one run in virtual time.\n"
     yield "| file | what | s | messages | digest |"
@@ -117,9 +117,9 @@ def rows() -> Iterator[str]:
 
 
 def main() -> int:
-    """Those whose digest is another are written anew."""
+    """Rewrite the recordings whose digest differs."""
     FOLDER.mkdir(exist_ok=True)
-    sys.argv = ["make", "golden"]  # what a recording says of its command line, on any machine
+    sys.argv = ["make", "golden"]  # recorded as the command line, equal on every machine
     for name in GOLDEN:
         path, fresh = FOLDER / f"{name}.mcap", FOLDER / f"{name}.new"
         record(name, fresh)

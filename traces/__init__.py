@@ -1,1 +1,1 @@
-"""The recordings of motorhil: one MCAP file a run."""
+"""Recordings of motorhil runs, one MCAP file per run."""

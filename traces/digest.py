@@ -1,21 +1,27 @@
-"""What makes two recordings the same: their messages, and nothing else."""
+"""Digest of a recording, which depends only on its messages.
+
+First difference between two recordings, message by message.
+"""
 
 import hashlib
 import os
 import struct
+from dataclasses import dataclass
+from itertools import zip_longest
+from typing import final
 
-from traces.errors import TraceError
-from traces.reader import read_trace
+from motorhil.traces.errors import TraceError
+from motorhil.traces.mcap.reader import TraceMessage, read_trace
 
 _LENGTH = struct.Struct("<I")
 _TIME_AND_LENGTH = struct.Struct("<QI")
 
 
 def digest(path: str | os.PathLike[str]) -> str:
-    """SHA-256 (hex) over the messages in the order they were written.
+    """Return the SHA-256 (hex) over the messages in the order in which they were written.
 
-    Of each message: topic, log time and payload, each unambiguously delimited. So it does not
-    depend on chunks, compression, metadata, attachments, numbers of channels, or who wrote it.
+    It covers topic, log time and payload of each message, unambiguously delimited. It does not
+    depend on chunks, compression, metadata, attachments, channel numbers or the writer.
 
     Raises:
         TraceError: the file cannot be read, is damaged, or was cut, so that messages are missing.
@@ -41,3 +47,50 @@ def digest(path: str | os.PathLike[str]) -> str:
                 parts.clear()
         state.update(b"".join(parts))
     return state.hexdigest()
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Mismatch:
+    """The first pair of different messages; None: that recording has ended.
+
+    Attributes:
+        number: the number of the message, from 0.
+        first, second: the messages as (topic, log time [ns], payload).
+    """
+
+    number: int
+    first: tuple[str, int, bytes] | None
+    second: tuple[str, int, bytes] | None
+
+    def __str__(self) -> str:
+        return f"message {self.number}: {_text(self.first)} against {_text(self.second)}"
+
+
+def first_mismatch(
+    first: str | os.PathLike[str], second: str | os.PathLike[str]
+) -> Mismatch | None:
+    """Return the first difference; None if the messages (and so the digests) are the same.
+
+    Cut files are compared as far as they go.
+
+    Raises:
+        TraceError: one of them cannot be read, or is damaged.
+    """
+    with read_trace(first) as left, read_trace(second) as right:
+        pairs = zip_longest(left.messages(), right.messages())
+        for number, (one, other) in enumerate(pairs):
+            if _plain(one) != _plain(other):
+                return Mismatch(number, _plain(one), _plain(other))
+    return None
+
+
+def _plain(message: TraceMessage | None) -> tuple[str, int, bytes] | None:
+    return None if message is None else (message[0].topic, message[1], message[2])
+
+
+def _text(message: tuple[str, int, bytes] | None) -> str:
+    if message is None:
+        return "the end"
+    topic, time_ns, payload = message
+    return f"{topic} at {time_ns / 1e9:.9f} s, {payload.hex()}"

@@ -1,4 +1,4 @@
-"""The one error of this package."""
+"""The error class of this package."""
 
 from typing import final
 
@@ -7,8 +7,11 @@ from typing import final
 class TraceError(Exception):
     """A recording cannot be written or read.
 
-    Attributes: path, the file; what, what is wrong with it; offset, the byte it is about (None:
-    the whole file); remedy, what to do ("" if there is nothing).
+    Attributes:
+        path: the file.
+        what: the problem.
+        offset: the byte concerned; None: the whole file.
+        remedy: what to do; "" if there is nothing.
     """
 
     def __init__(self, path: str, what: str, *, remedy: str = "", offset: int | None = None):

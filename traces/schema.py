@@ -1,31 +1,49 @@
-"""What our recordings hold: one protobuf message type a kind of channel, as tables.
+"""Channels of our recordings, and the protobuf message type of each.
 
-    topic                     message                  what
-    /can/<bus>                motorhil.CanFrame        every frame, when its last bit was on the bus
-    /modbus/<line>            motorhil.ModbusAdu       every ADU, when the line knew it was complete
-    /motor/<name>/state       foxglove.JointState      what the application can know of its motor
-    /motor/<name>/lock        motorhil.MotorLock       who takes, waits for and gives back a motor
-    /group/<name>/sync        motorhil.GroupSync       how far apart a group began and ended
-    /controller/<name>/truth  motorhil.truth.<kind>    what is so inside, a field a quantity
-    /events                   foxglove.Log             what happened
+  topic                     message                contents
+  /can/<bus>                motorhil.CanFrame      every frame, at the time of its last bit
+  /modbus/<line>            motorhil.ModbusAdu     every ADU, when its end was detected
+  /motor/<name>/state       foxglove.JointState    the motor's state as the application knows it
+  /motor/<name>/lock        motorhil.MotorLock     acquisitions, waits and releases of a motor
+  /group/<name>/sync        motorhil.GroupSync     skew at the start and end of a group
+  /controller/<name>/truth  motorhil.truth.<kind>  true internal state, a field per quantity
+  /events                   foxglove.Log           events
 
-`log_time` is the rig's time [ns from 0]. Field numbers are a promise: they are never given a new
+`log_time` is the rig's time [ns from 0]. Field numbers are permanent: they never change their
 meaning.
+
+Hand-written packing of the most frequent messages.
+
+No object is created except for the resulting bytes. A CAN frame has Linux's layout: `struct
+can_frame` (16 bytes) or `struct canfd_frame` (72 bytes, with CANFD_FDF set in its flags). It
+consists of can_id with EFF, RTR and ERR bits, length, flags (FD only), two reserved bytes, and data
+padded to 8 or 64. Source: linux/can.h.
 """
 
 import re
-from collections.abc import Sequence
+import struct
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import Final, final
 
-from traces.protobuf import Enumeration, Field, Kind, Message, file_descriptor_set
+from motorhil.traces.mcap.protobuf import (
+    Enumeration,
+    Field,
+    Kind,
+    Message,
+    decode,
+    delimited,
+    file_descriptor_set,
+    tag,
+    varint,
+)
 
 
 @final
 @dataclass(frozen=True, slots=True)
 class Schema:
-    """What a channel's messages are encoded with: an MCAP schema record without its number."""
+    """The encoding of a channel's messages: an MCAP schema record without its number."""
 
     name: str
     data: bytes
@@ -33,13 +51,13 @@ class Schema:
 
     @staticmethod
     def of(message: Message) -> "Schema":
-        """The schema of this message type."""
+        """Return the schema of a message type."""
         return Schema(message.name, file_descriptor_set(message))
 
 
 @final
 class Direction(IntEnum):
-    """How a frame looks to the application: did it hear it, or send it?"""
+    """Direction of a frame, as seen by the application."""
 
     UNKNOWN = 0
     RECEIVED = 1
@@ -48,7 +66,7 @@ class Direction(IntEnum):
 
 @final
 class Level(IntEnum):
-    """How much an event matters; the values are foxglove.Log's."""
+    """Severity of an event; the values are foxglove.Log's."""
 
     UNKNOWN = 0
     DEBUG = 1
@@ -60,16 +78,16 @@ class Level(IntEnum):
 
 @final
 class LockAction(IntEnum):
-    """What happened to the ownership of a motor."""
+    """A change of the ownership of a motor."""
 
     UNKNOWN = 0
     TAKEN = 1
     RELEASED = 2
     WAITING = 3
     REFUSED = 4
-    BROKEN = 5  # taken from one who had died
-    TAKEN_OVER = 6  # taken from one who lives
-    LOST = 7  # its holder noticed that it was taken over
+    BROKEN = 5  # taken from an owner that had died
+    TAKEN_OVER = 6  # taken from a live owner
+    LOST = 7  # the owner noticed a takeover
 
 
 def _enumeration(name: str, members: type[IntEnum]) -> Enumeration:
@@ -82,15 +100,15 @@ TIMESTAMP: Final = Message(
     (Field(1, "seconds", Kind.INT64), Field(2, "nanos", Kind.INT32)),
 )
 
-# `id` has a fixed width and `data` comes last, so that whoever reads millions of frames finds both
-# at known places. A flag that is not set is not written. Numbers 11..14 are free for CAN XL.
+# `id` has a fixed width and `data` comes last, so that bulk readers find both at fixed offsets. A
+# flag that is not set is not written. Numbers 11..14 are reserved for CAN XL.
 CAN_FRAME: Final = Message(
     "motorhil.CanFrame",
     (
-        Field(1, "id", Kind.FIXED32),  # 11 or 29 bit; of an error frame, the error class
+        Field(1, "id", Kind.FIXED32),  # 11 or 29 bit; in an error frame, the error class
         Field(2, "extended", Kind.BOOL),  # 29 bit identifier
         Field(3, "remote", Kind.BOOL),
-        Field(4, "error", Kind.BOOL),  # not traffic: the state of the bus, as SocketCAN tells it
+        Field(4, "error", Kind.BOOL),  # not traffic: the state of the bus, from SocketCAN
         Field(5, "fd", Kind.BOOL),
         Field(6, "brs", Kind.BOOL),
         Field(7, "esi", Kind.BOOL),
@@ -101,23 +119,25 @@ CAN_FRAME: Final = Message(
     ),
 )
 
-# On a serial line it is complete t3.5 after its last bit; on TCP all three times are one. Bytes are
-# as they were on the wire: with CRC, or behind an MBAP header.
+# On a serial line an ADU is complete t3.5 after its last bit; on TCP all three times are equal.
+# Bytes are as on the wire: with CRC, or with an MBAP header.
 MODBUS_ADU: Final = Message(
     "motorhil.ModbusAdu",
     (
         Field(1, "direction", Kind.ENUM, of=_enumeration("Direction", Direction)),
-        Field(2, "sender", Kind.STRING),  # a controller's name, the gateway's, or the application's
-        Field(3, "start_ns", Kind.INT64),  # when its first bit began
-        Field(4, "end_ns", Kind.INT64),  # when its last bit ended
-        Field(5, "spoiled", Kind.BOOL),  # a pause in it, or a collision: it is no frame
-        Field(6, "tcp", Kind.BOOL),  # the framing is MBAP's, else RTU's
+        Field(
+            2, "sender", Kind.STRING
+        ),  # name of a controller or the gateway, or the application's
+        Field(3, "start_ns", Kind.INT64),  # start of its first bit
+        Field(4, "end_ns", Kind.INT64),  # end of its last bit
+        Field(5, "spoiled", Kind.BOOL),  # a pause in it, or a collision: not a valid frame
+        Field(6, "tcp", Kind.BOOL),  # framing: MBAP, else RTU
         Field(15, "data", Kind.BYTES),
     ),
 )
 
-# Source: foxglove-schemas-protobuf 0.4.0, foxglove/JointState.proto. SI units; what is not known is
-# absent. (Before its release the draft of that message held arrays.)
+# Source: foxglove-schemas-protobuf 0.4.0, foxglove/JointState.proto. SI units; unknown values are
+# absent. (Before its release the draft of that message had arrays.)
 JOINT_STATE: Final = Message(
     "foxglove.JointState",
     (
@@ -136,28 +156,31 @@ LOG: Final = Message(
         Field(1, "timestamp", Kind.MESSAGE, of=TIMESTAMP),
         Field(2, "level", Kind.ENUM, of=_enumeration("Level", Level)),
         Field(3, "message", Kind.STRING),
-        Field(4, "name", Kind.STRING),  # who says so
+        Field(4, "name", Kind.STRING),  # source of the event
         Field(5, "file", Kind.STRING),
         Field(6, "line", Kind.FIXED32),
     ),
 )
 
-# A motor is the owner's from TAKEN (BROKEN, TAKEN_OVER) to RELEASED, or to the next token. What was
-# looked at is older than its message: a TAKEN by `held_s`; what lay between two looks is not known.
+# A motor belongs to its owner from TAKEN (BROKEN, TAKEN_OVER) to RELEASED, or to the next token. An
+# observation is older than its message: a TAKEN by `held_s`. Changes between two observations are
+# unknown.
 MOTOR_LOCK: Final = Message(
     "motorhil.MotorLock",
     (
         Field(1, "action", Kind.ENUM, of=_enumeration("Action", LockAction)),
-        Field(2, "owner", Kind.STRING),  # who takes, waits or gives back
-        Field(3, "holder", Kind.STRING),  # who has it, or had it, if not the owner
+        Field(2, "owner", Kind.STRING),  # the one that takes, waits or releases
+        Field(3, "holder", Kind.STRING),  # the present or previous holder, if it is not the owner
         Field(4, "waited_s", Kind.DOUBLE),
         Field(5, "held_s", Kind.DOUBLE),
-        Field(6, "token", Kind.INT64),  # of the ownership; it grows from one to the next
-        Field(7, "pid", Kind.UINT32),  # of the owner's process; 0: not told
+        Field(6, "token", Kind.INT64),  # of the ownership; increases with each one
+        Field(7, "pid", Kind.UINT32),  # of the owner's process; 0: unknown
         Field(8, "program", Kind.STRING),
         Field(9, "purpose", Kind.STRING),
-        Field(10, "sender", Kind.STRING),  # what the frames of that process are recorded under
-        Field(11, "looked", Kind.BOOL),  # seen on the lock from outside, not told by the owner
+        Field(10, "sender", Kind.STRING),  # sender name of that process's recorded frames
+        Field(
+            11, "looked", Kind.BOOL
+        ),  # observed at the lock from outside, not reported by the owner
     ),
 )
 
@@ -171,22 +194,22 @@ GROUP_SYNC: Final = Message(
             of=Enumeration("Phase", (("UNKNOWN", 0), ("START", 1), ("END", 2))),
         ),
         Field(2, "motor", Kind.STRING, repeated=True),
-        Field(3, "offset_s", Kind.DOUBLE, repeated=True),  # of each motor, behind the first
+        Field(3, "offset_s", Kind.DOUBLE, repeated=True),  # delay of each motor after the first
         Field(4, "skew_s", Kind.DOUBLE),  # measured: the largest offset
-        Field(5, "predicted_skew_s", Kind.DOUBLE),  # what the group had said was possible
-        Field(6, "method", Kind.STRING),  # how they were started together
+        Field(5, "predicted_skew_s", Kind.DOUBLE),  # the group's prediction
+        Field(6, "method", Kind.STRING),  # the method of the common start
     ),
 )
 
 
 def truth_message(kind: str, keys: Sequence[str]) -> Message:
-    """The message type for a controller of `kind` whose snapshots have these keys, all doubles.
+    """Return the message type for snapshots of a controller of `kind` with these keys.
 
-    A quantity a viewer can plot is a field of its own; so the type is made from the keys, in their
-    order. What cannot be in a protobuf name becomes "_".
+    Each quantity is a double field of its own, which viewers can plot. The fields follow the order
+    of the keys. Characters that are invalid in protobuf names become "_".
     """
     fields: list[Field] = []
-    used: list[str] = []  # as protobuf's JSON names compare: without "_"; and without case
+    used: list[str] = []  # compared like protobuf's JSON names: without "_" and case
     for key in keys:
         name = stem = _identifier(key)
         number = 1
@@ -201,3 +224,177 @@ def truth_message(kind: str, keys: Sequence[str]) -> Message:
 def _identifier(text: str) -> str:
     name = re.sub(r"[^A-Za-z0-9_]", "_", text)
     return name if name[:1].isalpha() or name[:1] == "_" else f"_{name}"
+
+
+CAN_FRAME_SIZE: Final = 16
+CANFD_FRAME_SIZE: Final = 72
+_EFF: Final = 0x8000_0000
+_RTR: Final = 0x4000_0000
+_ERR: Final = 0x2000_0000
+_SFF_MASK: Final = 0x7FF
+_EFF_MASK: Final = 0x1FFF_FFFF
+_BRS: Final = 0x01
+_ESI: Final = 0x02
+_FDF: Final = 0x04
+_HEADER: Final = struct.Struct("<IBBxx")
+_DOUBLE: Final = struct.Struct("<d")
+_ID_FIELD: Final = struct.Struct("<BI")
+
+# Tags of CanFrame, field number * 8 + wire type.
+_ID: Final = 0x0D
+_EXTENDED: Final = b"\x10\x01"  # a tag and the value 1
+_REMOTE: Final = b"\x18\x01"
+_ERROR: Final = b"\x20\x01"
+_FD_SET: Final = b"\x28\x01"
+_BRS_SET: Final = b"\x30\x01"
+_ESI_SET: Final = b"\x38\x01"
+_DIRECTION: Final = b"\x40"
+_REMOTE_LENGTH: Final = b"\x50"
+_DATA: Final = b"\x7a"
+
+
+def can_frame_prefix(header: bytes, size: int, sender: bytes, direction: int) -> tuple[bytes, int]:
+    """Return a CanFrame up to its data, and the number of data bytes that follow.
+
+    The result depends only on the frame's first 8 bytes and its size. Periodic traffic needs it
+    once per identifier.
+
+    Raises:
+        ValueError: not a can_frame or canfd_frame: wrong size, length too large, or no CANFD_FDF.
+    """
+    if size not in (CAN_FRAME_SIZE, CANFD_FRAME_SIZE):
+        raise ValueError(f"a CAN frame is 16 or 72 bytes, not {size}")
+    can_id, length, flags = _HEADER.unpack(header)
+    if length > size - 8:
+        raise ValueError(f"length {length} in a CAN frame with room for {size - 8}")
+    fd = size == CANFD_FRAME_SIZE
+    if fd and not flags & _FDF:
+        raise ValueError("a canfd_frame without CANFD_FDF (04h) in its flags")
+    out = bytearray(
+        _ID_FIELD.pack(_ID, can_id & (_EFF_MASK if can_id & (_EFF | _ERR) else _SFF_MASK))
+    )
+    if can_id & _EFF:
+        out += _EXTENDED
+    if can_id & _RTR:
+        out += _REMOTE
+    if can_id & _ERR:
+        out += _ERROR
+    if fd:
+        out += _FD_SET
+        if flags & _BRS:
+            out += _BRS_SET
+        if flags & _ESI:
+            out += _ESI_SET
+    if direction:
+        out += _DIRECTION + varint(direction)
+    if sender:
+        out += delimited(9, sender)
+    if can_id & _RTR:
+        if length:
+            out += _REMOTE_LENGTH + varint(length)
+        length = 0  # a remote frame requests data and has none
+    out += _DATA + bytes((length,))
+    return bytes(out), length
+
+
+def encode_can_frame(
+    frame: bytes, sender: str = "", direction: Direction = Direction.UNKNOWN
+) -> bytes:
+    """Encode a motorhil.CanFrame. For bulk data the writer uses cached prefixes."""
+    prefix, length = can_frame_prefix(frame[:8], len(frame), sender.encode(), direction)
+    return prefix + frame[8 : 8 + length]
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class RecordedFrame:
+    """A recorded CAN frame; `frame` is a can_frame or canfd_frame."""
+
+    frame: bytes
+    sender: str
+    direction: Direction
+
+
+def decode_can_frame(payload: bytes) -> RecordedFrame:
+    """Decode a motorhil.CanFrame of any writer.
+
+    Raises:
+        ValueError: the payload is not a CanFrame.
+    """
+    fields = decode(CAN_FRAME, payload)
+    can_id, data = fields.get("id", 0), fields.get("data", b"")
+    direction, asked = fields.get("direction", 0), fields.get("remote_length", 0)
+    assert isinstance(can_id, int)  # guaranteed by the table and by decode
+    assert isinstance(data, bytes)
+    assert isinstance(direction, int)
+    assert isinstance(asked, int)
+    flags = 0
+    for bit, name in ((_FDF, "fd"), (_BRS, "brs"), (_ESI, "esi")):
+        flags |= bit if fields.get(name) else 0
+    for bit, name in ((_EFF, "extended"), (_RTR, "remote"), (_ERR, "error")):
+        can_id |= bit if fields.get(name) else 0
+    room = 64 if flags & _FDF else 8
+    length = asked if can_id & _RTR else len(data)
+    if max(length, len(data)) > room:
+        raise ValueError(f"a CanFrame of {max(length, len(data))} bytes with room for {room}")
+    return RecordedFrame(
+        _HEADER.pack(can_id, length, flags) + data.ljust(room, b"\0"),
+        str(fields.get("sender", "")),
+        Direction(direction) if direction in (1, 2) else Direction.UNKNOWN,
+    )
+
+
+def timestamp_field(time_ns: int) -> bytes:
+    """Encode field 1, a google.protobuf.Timestamp."""
+    seconds, nanos = divmod(time_ns, 1_000_000_000)
+    inner = (b"\x08" + varint(seconds) if seconds else b"") + (
+        b"\x10" + varint(nanos) if nanos else b""
+    )
+    return b"\x0a%c%b" % (len(inner), inner)
+
+
+def encode_log(time_ns: int, level: Level, text: str, name: str = "") -> bytes:
+    """Encode a foxglove.Log."""
+    out = timestamp_field(time_ns) + b"\x10%c" % level + delimited(3, text.encode())
+    return out + delimited(4, name.encode()) if name else out
+
+
+@final
+class JointStateEncoder:
+    """Encoder of foxglove.JointState messages of one joint."""
+
+    def __init__(self, name: str) -> None:
+        self._name: Final = delimited(1, name.encode())
+        self._pack: Final = struct.Struct("<BdBdBd").pack
+        self._pack_position: Final = struct.Struct("<Bd").pack
+
+    def encode(self, position: float | None, velocity: float | None, effort: float | None) -> bytes:
+        """Encode position [rad or m], velocity [1/s] and effort [N·m or N]; None is omitted."""
+        if position is not None and velocity is not None and effort is not None:
+            return self._name + self._pack(0x11, position, 0x19, velocity, 0x29, effort)
+        if position is not None and velocity is None and effort is None:  # the case of most drives
+            return self._name + self._pack_position(0x11, position)
+        out = self._name
+        for head, value in ((b"\x11", position), (b"\x19", velocity), (b"\x29", effort)):
+            if value is not None:
+                out += head + _DOUBLE.pack(value)
+        return out
+
+
+@final
+class TruthEncoder:
+    """Encoder of snapshots of one controller: doubles in the order of the message's fields."""
+
+    def __init__(self, message: Message) -> None:
+        layout = "<"
+        self._arguments: list[bytes | float] = []
+        for field in message.fields:
+            head = tag(field.number, Kind.DOUBLE)
+            layout += f"{len(head)}sd"
+            self._arguments += [head, 0.0]
+        self._pack: Final = struct.Struct(layout).pack
+
+    def encode(self, values: Iterable[float]) -> bytes:
+        """Encode the message; one value per field."""
+        self._arguments[1::2] = values
+        return self._pack(*self._arguments)

@@ -1,1 +1,1 @@
-"""A CANopen slave (CiA 301), sans-I/O: one object dictionary and the protocols that serve it."""
+"""A CANopen slave (CiA 301), sans-I/O: an object dictionary and its protocols."""

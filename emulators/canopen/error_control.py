@@ -1,26 +1,247 @@
-"""Error control (CiA 301, 7.2.8): heartbeats sent and watched, node guarding, and who is lost.
+"""Error control (CiA 301, 7.2.8): heartbeat producer and consumer, node guarding.
 
-What a loss does to the NMT state (1029h) is the node's affair, what it does to the device its
-host's.
+The node applies the effect of a loss on the NMT state (1029h). Its host applies the effect on the
+device.
+
+Heartbeat (CiA 301, 7.2.8.2.2): producer (1017h) and consumer (1016h).
+
+Node guarding and life guarding (CiA 301, 7.2.8.2.1), the older monitoring protocol.
+
+The NMT master polls each node by a remote frame. The node answers with its NMT state and a toggle
+bit. The node in turn detects the loss of the polling: after 100Ch times 100Dh, beginning with the
+first poll. A node with a heartbeat (1017h) is not guarded, because a node may use only one of the
+two.
 """
 
 from typing import Final, final
 
-from emulators.canopen.emcy import HEARTBEAT_KEY, HEARTBEAT_LOST, EmcyProducer
-from emulators.canopen.guarding import NodeGuarding
-from emulators.canopen.heartbeat import HeartbeatConsumer, HeartbeatProducer
-from emulators.canopen.object_dictionary import ObjectDictionary
-from emulators.canopen.shared import NEVER, Outbox
+from motorhil.emulators.can.frame import RTR_FLAG, pack
+from motorhil.emulators.canopen.codes import AbortCode
+from motorhil.emulators.canopen.emcy import HEARTBEAT_KEY, HEARTBEAT_LOST, EmcyProducer
+from motorhil.emulators.canopen.object_dictionary import ObjectDictionary
+from motorhil.emulators.canopen.outbox import MS, NEVER, Outbox
 
-NOBODY: Final = 0  # the node-ID that stands for whoever guards this one
+_ERROR_CONTROL: Final = 0x700
+
+
+@final
+class HeartbeatProducer:
+    """A producer that sends the NMT state every 1017h ms. The boot-up message is the first."""
+
+    def __init__(self, od: ObjectDictionary, node_id: int, outbox: Outbox) -> None:
+        self._od = od
+        self._can_id = _ERROR_CONTROL + node_id
+        self._outbox = outbox
+        self._period_ns = 0
+        self.deadline_ns: int = NEVER
+
+    def take_node_id(self, node_id: int) -> None:
+        """Send heartbeats of this node-ID from now on."""
+        self._can_id = _ERROR_CONTROL + node_id
+
+    def stop(self) -> None:
+        """Stop sending."""
+        self.deadline_ns = NEVER
+        self._outbox.deadlines_moved = True
+
+    def boot_up(self, now_ns: int) -> None:
+        """Send the boot-up message; the first heartbeat follows one period later."""
+        self._send(0)
+        self._period_ns = self._od.integer(0x1017, 0, 0) * MS
+        self.deadline_ns = now_ns + self._period_ns if self._period_ns else NEVER
+        self._outbox.deadlines_moved = True
+
+    def configure(self, now_ns: int) -> None:
+        """Apply a write to 1017h: the first heartbeat is sent at once, 0 ends them."""
+        self._period_ns = self._od.integer(0x1017, 0, 0) * MS
+        self.deadline_ns = now_ns if self._period_ns else NEVER
+        self._outbox.deadlines_moved = True
+
+    def expire(self, state: int, now_ns: int) -> None:
+        """Send a heartbeat; a delay of whole periods skips them."""
+        self._send(state)
+        self.deadline_ns += self._period_ns
+        if self.deadline_ns <= now_ns:
+            self.deadline_ns = now_ns + self._period_ns
+        self._outbox.deadlines_moved = True
+
+    def _send(self, state: int) -> None:
+        self._outbox.frames.append(pack(self._can_id, bytes((state,))))
+
+
+@final
+class _Watch:
+    """One entry of 1016h."""
+
+    def __init__(self, node_id: int, period_ns: int) -> None:
+        self.node_id = node_id
+        self.period_ns = period_ns
+        self.deadline_ns: int = NEVER  # not heard yet, or lost
+        self.is_lost = False
+
+
+@final
+class HeartbeatConsumer:
+    """A monitor of the nodes of 1016h; it starts with their first heartbeat or boot-up."""
+
+    def __init__(self, od: ObjectDictionary, outbox: Outbox) -> None:
+        self._od = od
+        self._outbox = outbox
+        self._watches: list[_Watch] = []
+        self.deadline_ns: int = NEVER
+        for subindex in od.subindices(0x1016):
+            variable = od.get(0x1016, subindex)
+            if subindex and variable is not None:
+                variable.writer = _EntryCheck(od, subindex).check
+
+    def configure(self) -> list[int]:
+        """Watch the nodes of 1016h, starting when they are first heard.
+
+        Returns:
+            The nodes that were lost until now.
+        """
+        lost = [watch.node_id for watch in self._watches if watch.is_lost]
+        self._watches = []
+        for subindex in self._od.subindices(0x1016):
+            entry = self._od.integer(0x1016, subindex, 0) if subindex else 0
+            node_id, period_ns = entry >> 16 & 0xFF, (entry & 0xFFFF) * MS
+            if 1 <= node_id <= 127 and period_ns:
+                self._watches.append(_Watch(node_id, period_ns))
+        self._find_deadline()
+        return lost
+
+    def can_ids(self) -> list[int]:
+        """Return the identifiers of the watched heartbeats."""
+        return [_ERROR_CONTROL + watch.node_id for watch in self._watches]
+
+    def receive(self, can_id: int, now_ns: int) -> bool:
+        """Process a heartbeat or boot-up; return True if that node had been lost."""
+        for watch in self._watches:
+            if watch.node_id == can_id - _ERROR_CONTROL:
+                watch.deadline_ns = now_ns + watch.period_ns
+                was_lost = watch.is_lost
+                watch.is_lost = False
+                self._find_deadline()
+                return was_lost
+        return False
+
+    def expire(self, now_ns: int) -> list[int]:
+        """Return the node-IDs lost now; each is reported once until it is heard again."""
+        lost = []
+        for watch in self._watches:
+            if watch.deadline_ns <= now_ns:
+                watch.deadline_ns = NEVER
+                watch.is_lost = True
+                lost.append(watch.node_id)
+        self._find_deadline()
+        return lost
+
+    def _find_deadline(self) -> None:
+        deadline_ns = NEVER
+        for watch in self._watches:
+            if watch.deadline_ns < deadline_ns:
+                deadline_ns = watch.deadline_ns
+        self.deadline_ns = deadline_ns
+        self._outbox.deadlines_moved = True
+
+
+@final
+class _EntryCheck:
+    """A check that no other entry of 1016h watches the same node-ID (CiA 301: 0604 0043h)."""
+
+    def __init__(self, od: ObjectDictionary, subindex: int) -> None:
+        self._od = od
+        self._subindex = subindex
+
+    def check(self, value: int) -> int:
+        node_id = value >> 16 & 0xFF
+        if not value & 0xFFFF or not 1 <= node_id <= 127:
+            return 0
+        for subindex in self._od.subindices(0x1016):
+            other = self._od.integer(0x1016, subindex, 0)
+            is_other = subindex not in (0, self._subindex)
+            if is_other and other & 0xFFFF and other >> 16 & 0xFF == node_id:
+                return AbortCode.PARAMETER_INCOMPATIBLE
+        return 0
+
+
+_TOGGLE: Final = 0x80
+
+
+@final
+class NodeGuarding:
+    """The slave side of guarding.
+
+    Attributes:
+        can_id: of the remote frames that poll this node, with their flag.
+        deadline_ns: when the master is lost unless it polls before.
+        is_lost: the master is lost, until it polls again.
+    """
+
+    def __init__(self, od: ObjectDictionary, node_id: int, outbox: Outbox) -> None:
+        self._od = od
+        self._answer_id = _ERROR_CONTROL + node_id
+        self._outbox = outbox
+        self._toggle = 0
+        self._life_ns = 0
+        self._is_asked = False
+        self.can_id = self._answer_id | RTR_FLAG
+        self.deadline_ns: int = NEVER
+        self.is_lost = False
+
+    def take_node_id(self, node_id: int) -> None:
+        """Guard this node-ID from now on."""
+        self._answer_id = _ERROR_CONTROL + node_id
+        self.can_id = self._answer_id | RTR_FLAG
+
+    def reset(self) -> None:
+        """Start with toggle bit 0 and without a poll so far."""
+        self._toggle = 0
+        self._is_asked = self.is_lost = False
+        self._life_ns = 0
+        self._move(NEVER)
+
+    def configure(self, now_ns: int) -> None:
+        """Read 100Ch and 100Dh from the dictionary; 0 in one of them disables life guarding."""
+        guard_ns = self._od.integer(0x100C, 0, 0) * MS
+        self._life_ns = guard_ns * self._od.integer(0x100D, 0, 0)
+        self._wait(now_ns)
+
+    def receive(self, state: int, now_ns: int) -> bool:
+        """Answer a poll of the master; return True if it had been lost."""
+        if self._od.integer(0x1017, 0, 0):
+            return False
+        self._outbox.frames.append(pack(self._answer_id, bytes((state | self._toggle,))))
+        self._toggle ^= _TOGGLE
+        self._is_asked = True
+        was_lost, self.is_lost = self.is_lost, False
+        self._wait(now_ns)
+        return was_lost
+
+    def expire(self) -> int:
+        """Mark the master as lost and return how long it had not polled [ms]."""
+        self.is_lost = True
+        self._move(NEVER)
+        return self._life_ns // MS
+
+    def _wait(self, now_ns: int) -> None:
+        is_watching = self._is_asked and self._life_ns and not self.is_lost
+        self._move(now_ns + self._life_ns if is_watching else NEVER)
+
+    def _move(self, deadline_ns: int) -> None:
+        self.deadline_ns = deadline_ns
+        self._outbox.deadlines_moved = True
+
+
+NOBODY: Final = 0  # stands for the unknown master that guards this node
 
 
 @final
 class ErrorControl:
-    """Heartbeat producer and consumer, and node guarding.
+    """The heartbeat producer and consumer, and node guarding.
 
     Attributes:
-        state: the NMT state that is told.
+        state: the reported NMT state.
         deadline_ns: when `expire` must be called.
     """
 
@@ -36,29 +257,29 @@ class ErrorControl:
         self.deadline_ns: int = NEVER
 
     def take_node_id(self, node_id: int) -> None:
-        """The node has another node-ID."""
+        """Use another node-ID."""
         self._producer.take_node_id(node_id)
         self._guarding.take_node_id(node_id)
 
     def stop(self) -> None:
-        """INITIALISING: nothing is sent; `reset`, which must follow, forgets who was watched."""
+        """Stop sending on INITIALISING; `reset`, which must follow, clears the watched nodes."""
         self._producer.stop()
         self._find_deadline()
 
     def reset(self, now_ns: int) -> None:
-        """All is what the dictionary says now, and nobody was ever heard."""
+        """Read all settings from the dictionary and forget the nodes heard so far."""
         self._guarding.reset()
         self._guarding.configure(now_ns)
         self._consumer.configure()
         self._find_deadline()
 
     def boot_up(self, now_ns: int) -> None:
-        """The boot-up message goes out."""
+        """Send the boot-up message."""
         self._producer.boot_up(now_ns)
         self._find_deadline()
 
     def configure(self, index: int, now_ns: int) -> None:
-        """100Ch, 100Dh, 1016h or 1017h was written."""
+        """Apply a write to 100Ch, 100Dh, 1016h or 1017h."""
         if index == 0x1016:
             for node_id in self._consumer.configure():
                 self._emcy.repair(HEARTBEAT_KEY + node_id, now_ns)
@@ -69,28 +290,28 @@ class ErrorControl:
         self._find_deadline()
 
     def guard_id(self) -> int:
-        """The identifier of the remote frames that guard this node, with their flag."""
+        """Return the identifier of the remote frames that guard this node, with their flag."""
         return self._guarding.can_id
 
     def heartbeat_ids(self) -> list[int]:
-        """The identifiers of the heartbeats watched."""
+        """Return the identifiers of the watched heartbeats."""
         return self._consumer.can_ids()
 
     def heartbeat(self, frame: bytes, now_ns: int) -> None:
-        """A heartbeat that is watched came."""
+        """Process a watched heartbeat."""
         can_id = frame[0] | frame[1] << 8
         if frame[4] and self._consumer.receive(can_id, now_ns):
             self._emcy.repair(HEARTBEAT_KEY + (can_id & 0x7F), now_ns)
         self._find_deadline()
 
     def guard(self, _frame: bytes, now_ns: int) -> None:
-        """The NMT master asks this node."""
+        """Answer a guarding request of the NMT master."""
         if self._guarding.receive(self.state, now_ns):
             self._emcy.repair(HEARTBEAT_KEY, now_ns)
         self._find_deadline()
 
     def expire(self, now_ns: int) -> list[int]:
-        """What is due is done; answers with the node-IDs lost now, or NOBODY guards this one."""
+        """Process what is due and return the node-IDs lost now (NOBODY: this node's guard)."""
         lost: list[int] = []
         if self._producer.deadline_ns <= now_ns:
             self._producer.expire(self.state, now_ns)
@@ -102,7 +323,7 @@ class ErrorControl:
         return lost
 
     def tell_lost(self, node_id: int, now_ns: int) -> None:
-        """EMCY and an event about one of those that `expire` answered with."""
+        """Report the loss of one of the nodes that `expire` returned, by EMCY and event."""
         if node_id == NOBODY:
             text = f"not guarded for {self._guarding.expire()} ms"
         else:

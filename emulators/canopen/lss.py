@@ -1,26 +1,25 @@
-"""Layer setting services (CiA 305), slave: node-ID and bit timing over the bus.
+"""LSS slave (CiA 305): setting node-ID and bit timing over the bus.
 
-A slave is known by its LSS address: vendor-ID, product code, revision and serial number (1018h). It
-is switched to *configuration*, alone by its address or with all others, takes a pending node-ID and
-bit timing, and keeps them without power when told to. The pending node-ID becomes the node's at the
-next reset of communication; a node without one (255) takes it when it is switched back to waiting,
-and boots. Fastscan finds those without one: it asks for the address bit by bit, and switches the
-one that it has found.
+The LSS address identifies a slave: vendor-ID, product code, revision and serial number (1018h). The
+master switches it to *configuration*, alone by its address or together with all others. There it
+accepts a pending node-ID and bit timing, and stores them on command. The pending node-ID becomes
+active at the next reset of communication. A node without a node-ID (255) takes it when it is
+switched back to waiting, and boots. Fastscan finds nodes without a node-ID: it queries the address
+bit by bit, and switches the node that it has found.
 
-The emulated bus has one bit rate, whatever its nodes are told: a bit timing is taken, kept and
-told, and changes nothing. A node answers in any NMT state but INITIALISING, without node-ID always.
+The emulated bus has a single bit rate. A bit timing is therefore accepted, stored and reported, but
+without effect. A node answers in any NMT state but INITIALISING, and always without a node-ID.
 
-Source: CiA 305, LSS protocols; what it leaves open as CANopenNode has it (305/CO_LSSslave.c).
+Source: CiA 305, LSS protocols; open points as in CANopenNode (305/CO_LSSslave.c).
 """
 
 from collections import deque
 from typing import Final, final
 
-from emulators.canopen.object_dictionary import ObjectDictionary
-from emulators.canopen.parameter_store import ParameterStore
-from emulators.canopen.parameter_text import UNSET
-from emulators.canopen.shared import NEVER, Outbox
-from emulators.media.can_frame import pack
+from motorhil.emulators.can.frame import pack
+from motorhil.emulators.canopen.files.parameter_storage import UNSET, ParameterStore
+from motorhil.emulators.canopen.object_dictionary import ObjectDictionary
+from motorhil.emulators.canopen.outbox import NEVER, Outbox
 
 REQUEST_ID: Final = 0x7E5
 RESPONSE_ID: Final = 0x7E4
@@ -42,21 +41,21 @@ _FASTSCAN: Final = 0x51
 _INQUIRE: Final = 0x5A  # to 5Dh: the four numbers of the address
 _INQUIRE_NODE_ID: Final = 0x5E
 
-_CONFIRM_ALL: Final = 128  # fastscan's bit check: is anybody there
-_BIT_TIMINGS: Final = (0, 1, 2, 3, 4, 6, 7, 8)  # of table 0
+_CONFIRM_ALL: Final = 128  # fastscan's bit check: any unconfigured slave answers
+_BIT_TIMINGS: Final = (0, 1, 2, 3, 4, 6, 7, 8)  # allowed indices of table 0
 _KBIT_S: Final = (1000, 800, 500, 250, 125, 0, 50, 20, 10)
 
 _OK: Final = 0
 _OUT_OF_RANGE: Final = 1
-_NO_ACCESS: Final = 2  # to the memory
+_NO_ACCESS: Final = 2  # to the nonvolatile memory
 
 
 @final
 class LssSlave:
-    """One slave.
+    """An LSS slave.
 
     Attributes:
-        pending_node_id: what the node's is from the next reset of communication on.
+        pending_node_id: the node-ID from the next reset of communication on.
         is_configuring: it is in configuration state.
         deadline_ns: when the next response is due.
     """
@@ -76,23 +75,23 @@ class LssSlave:
         self._outbox = outbox
         self._replies: deque[tuple[int, bytes]] = deque()
         self._address: list[int] = [0, 0, 0, 0]
-        self._asked: list[int] = [0, 0, 0, 0, 0, 0]  # collected, selecting or identifying
+        self._asked: list[int] = [0, 0, 0, 0, 0, 0]  # collected for selecting or identifying
         self._next = 0  # the number that must come next
-        self._scanned = 0  # fastscan: the number of the address that it is about
+        self._scanned = 0  # fastscan: the current number of the address
         self._bit_timing: int = UNSET
         self.pending_node_id: int = node_id
         self.is_configuring = False
         self.deadline_ns: int = NEVER
 
     def reset(self) -> None:
-        """Power-on or reset node: pending is what is kept, else the device's own."""
+        """Load the stored node-ID and bit timing, else the device's own (power-on, reset node)."""
         stored = self._store.stored
         self.pending_node_id = self._own_node_id if stored.node_id == UNSET else stored.node_id
         self._bit_timing = stored.bit_timing
         self._address = [self._od.integer(0x1018, subindex, 0) for subindex in (1, 2, 3, 4)]
 
     def wait(self) -> None:
-        """Any reset: nobody has been switched, selected or scanned yet, and nothing is answered."""
+        """Return to waiting at any reset: drop selections, scans and pending responses."""
         self._asked = [0, 0, 0, 0, 0, 0]
         self._next = 0
         self._scanned = 0
@@ -101,10 +100,10 @@ class LssSlave:
         self._find_deadline()
 
     def receive(self, frame: bytes, node_id: int, now_ns: int) -> bool:
-        """A request of the master, for the node with this node-ID (255: none).
+        """Process a request of the master, for the node with this node-ID (255: none).
 
         Returns:
-            True: the node takes its pending node-ID now, by a reset of communication.
+            True if the node takes its pending node-ID now, by a reset of communication.
         """
         if frame[4] != 8:
             return False
@@ -127,7 +126,7 @@ class LssSlave:
         return False
 
     def expire(self, now_ns: int) -> None:
-        """The responses due by now go out."""
+        """Send the responses due by now."""
         while self._replies and self._replies[0][0] <= now_ns:
             self._outbox.frames.append(self._replies.popleft()[1])
         self._find_deadline()
@@ -156,7 +155,7 @@ class LssSlave:
             self._reply(bytes((_IDENTIFIED,)), now_ns)
 
     def _collect(self, place: int, number: int) -> None:
-        """Numbers count in their order only, from the first one on."""
+        """Collect a number; only numbers in sequence count, from the first one on."""
         self._asked[place] = number
         if place == 0:
             self._next = 1
@@ -175,11 +174,11 @@ class LssSlave:
         else:
             self._scanned = following
             if bit == 0 and following < place:
-                self.is_configuring = True  # it is the one
+                self.is_configuring = True  # this slave is identified
         self._reply(bytes((_IDENTIFIED,)), now_ns)
 
     def _configure(self, command: int, frame: bytes, node_id: int, now_ns: int) -> None:
-        """A request that only configuration state knows."""
+        """Process a request that is valid in configuration state only."""
         if command == _NODE_ID:
             is_one = 1 <= frame[9] <= 127 or frame[9] == UNCONFIGURED
             if is_one:

@@ -1,53 +1,100 @@
-"""A CANopen node (CiA 301): NMT, and the services it is composed of, over one dictionary.
+"""A CANopen node (CiA 301): NMT and services over one dictionary.
 
 SDO server, PDOs, SYNC, TIME, EMCY, error control, parameter store and LSS have modules of their own
-and know no node. A drive is composed of a node, and answers its `NodeHost` calls.
+and do not know the node. A drive contains a node, and implements `NodeHost` for it.
 
-All communication objects must be in the dictionary before the node is made, for it attaches its
-checks to them; their power-on values count from `start` on. Each part of the node validates a write
-first (a variable's writer) and is then told to take its settings from the dictionary afresh, so the
-dictionary is the one place where a setting lives.
+All communication objects must be in the dictionary before the node is created, because the node
+attaches its checks to them. Their power-on values apply from `start` on. Each part of the node
+validates a write first (by the variable's writer). Then it reads its settings from the dictionary
+again, so the dictionary is the only place of a setting.
 
-Frames reach their part by one look into a dict keyed by the four identifier bytes. The dict holds
-what the present NMT state lets through, so no part asks for the state. Remote frames and 29-bit
-identifiers find no entry, but for the remote frames that guard this node and that ask for its
-TPDOs.
+Frames are dispatched by one look-up in a dict, keyed by the four identifier bytes. The dict holds
+only what the present NMT state accepts, so the parts need not check the state. Remote frames and
+29-bit identifiers have no entry, except remote frames that guard this node or request its TPDOs.
+
+Dispatching of frames: handlers by identifier, and the identifiers of a node.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Final, final
 
-from emulators.canopen.access import DictionaryAccess
-from emulators.canopen.can_state import CanWatch
-from emulators.canopen.emcy import EmcyProducer
-from emulators.canopen.error_behaviour import COMMUNICATION, DEVICE, state_after
-from emulators.canopen.error_control import ErrorControl
-from emulators.canopen.lss import REQUEST_ID as LSS_REQUEST_ID
-from emulators.canopen.lss import UNCONFIGURED, LssSlave
-from emulators.canopen.nmt import TRANSITIONS, NmtCommand, NmtState, commanded
-from emulators.canopen.object_dictionary import ObjectDictionary
-from emulators.canopen.parameter_store import ParameterStore
-from emulators.canopen.pdo import PdoService
-from emulators.canopen.routing import Handler, Routes
-from emulators.canopen.sdo_server import SdoServer, sdo_can_id
-from emulators.canopen.shared import MS as MS
-from emulators.canopen.shared import NEVER, Outbox
-from emulators.canopen.shared import NodeHost as NodeHost
-from emulators.canopen.shared import NodeTiming as NodeTiming
-from emulators.canopen.sync import SyncService
-from emulators.canopen.time_stamp import TimeConsumer
-from emulators.controller import NonvolatileMemory, RigMemory
-from emulators.media.can_frame import ERR_FLAG, RTR_FLAG
+from motorhil.emulators.can.frame import ERR_FLAG, RTR_FLAG
+from motorhil.emulators.canopen.emcy import CanWatch, EmcyProducer
+from motorhil.emulators.canopen.error_control import ErrorControl
+from motorhil.emulators.canopen.files.parameter_storage import ParameterStore
+from motorhil.emulators.canopen.lss import REQUEST_ID as LSS_REQUEST_ID
+from motorhil.emulators.canopen.lss import UNCONFIGURED, LssSlave
+from motorhil.emulators.canopen.nmt import (
+    COMMUNICATION,
+    DEVICE,
+    TRANSITIONS,
+    NmtCommand,
+    NmtState,
+    commanded,
+    state_after,
+)
+from motorhil.emulators.canopen.object_dictionary import DictionaryAccess, ObjectDictionary
+from motorhil.emulators.canopen.outbox import NEVER, NodeHost, NodeTiming, Outbox
+from motorhil.emulators.canopen.pdo import PdoService
+from motorhil.emulators.canopen.sdo_server import SdoServer, sdo_can_id
+from motorhil.emulators.canopen.sync import SyncService, TimeConsumer
+from motorhil.emulators.controller import NonvolatileMemory, RigMemory
+
+Handler = Callable[[bytes, int], None]
+
+
+@final
+class Routes:
+    """The identifiers of a node in any state, and the handlers active in the present one.
+
+    Attributes:
+        handlers: by the identifier's four bytes.
+    """
+
+    def __init__(self) -> None:
+        self.handlers: dict[bytes, Handler] = {}
+        self._wanted: dict[int, None] = {}
+
+    def add(self, can_id: int, handler: Handler, is_active: bool) -> None:
+        """Listen to this identifier, in this state (`is_active`) or in another one."""
+        self.want(can_id)
+        if is_active:
+            key = can_id.to_bytes(4, "little")
+            taken = self.handlers.get(key)
+            self.handlers[key] = handler if taken is None else _Both(taken, handler).receive
+
+    def want(self, can_id: int) -> None:
+        """Listen to this identifier without a handler."""
+        self._wanted[can_id] = None
+
+    def identifiers(self) -> tuple[int, ...]:
+        """Return all identifiers listened to, ascending."""
+        return tuple(sorted(self._wanted))
+
+
+@final
+class _Both:
+    """Two parts of the node that listen to one identifier."""
+
+    def __init__(self, first: Handler, second: Handler) -> None:
+        self._first = first
+        self._second = second
+
+    def receive(self, frame: bytes, now_ns: int) -> None:
+        self._first(frame, now_ns)
+        self._second(frame, now_ns)
+
 
 _ERROR_BYTE: Final = ERR_FLAG >> 24
 
 
 @final
 class CanopenNode:
-    """One CANopen slave, sans-I/O. Frames are Linux can_frame, 16 bytes; times int ns from 0.
+    """A CANopen slave, sans-I/O. Frames are Linux can_frame, 16 bytes; times int ns from 0.
 
-    `state` is the NMT state, `outbox` what `take_output` and `take_events` will answer, and whether
-    `deadline_ns` may answer something new; read them, never write them. `can` watches CAN itself.
+    `state` is the NMT state. `outbox` holds the results of `take_output` and `take_events`, and
+    whether `deadline_ns` may have changed. Both are read only for callers. `can` watches CAN
+    itself.
     """
 
     def __init__(
@@ -59,7 +106,9 @@ class CanopenNode:
         memory: NonvolatileMemory | None = None,
     ) -> None:
         if not 1 <= node_id <= 127 and node_id != UNCONFIGURED:
-            raise ValueError(f"a node-ID is 1..127, or {UNCONFIGURED} for none, not {node_id}")
+            raise ValueError(
+                f"node_id {node_id}: invalid; expected 1..127, or {UNCONFIGURED} for none"
+            )
         self.od = od
         self.node_id = node_id
         self.state: int = NmtState.INITIALISING
@@ -78,24 +127,24 @@ class CanopenNode:
         self._error_control = ErrorControl(od, defaults_of, self._emcy, self.outbox)
         self._time = TimeConsumer(od, self.outbox)
         self._lss = LssSlave(od, node_id, self._store, timing.sdo_reply_ns, self.outbox)
-        self._due_ns: int = NEVER  # boot-up; else what a device error does to the NMT state
+        self._due_ns: int = NEVER  # boot-up, or a pending NMT reaction to a device error
         self._deadline_ns: int = NEVER
         self._pdos_deadline_ns: int = NEVER
-        self._rest_deadline_ns: int = NEVER  # of all but PDOs and SDOs
+        self._rest_deadline_ns: int = NEVER  # of all parts but PDOs and SDOs
         self._handlers: dict[bytes, Handler] = {}
         self._identifiers: tuple[int, ...] = ()
         self._identifiers_revision = 0
 
-    # --- what a Controller (emulators/controller.py) hands through
+    # --- for a Controller
 
     def start(self, now_ns: int) -> None:
-        """Power comes on: all values are defaults, or as stored; boot-up after `boot_up_ns`."""
+        """Power on: set all values to defaults or as stored; boot up after `boot_up_ns`."""
         self.outbox.frames.clear()
         self._store.load()
         self._reset(True, now_ns)
 
     def receive(self, data: bytes, now_ns: int) -> None:
-        """A frame was on the bus; whatever is not for this node is ignored."""
+        """Process a frame on the bus; frames that are not for this node are ignored."""
         handler = self._handlers.get(data[:4])
         if handler is not None:
             handler(data, now_ns)
@@ -105,26 +154,26 @@ class CanopenNode:
             self._host.on_bus_off(now_ns)
 
     def sent(self, data: bytes, now_ns: int) -> None:
-        """An own frame has left the bus. Must be called: a TPDO waits for the one before it."""
+        """Confirm that an own frame has left the bus; required, because TPDOs wait for it."""
         self._pdos.confirm(data, now_ns)
 
     def wants_sent(self) -> bool:
-        """True: `sent` must be called."""
+        """Return True: `sent` must be called."""
         return True
 
     def next_deadline_ns(self) -> int | None:
-        """When `expire` must be called at the latest [ns]."""
+        """Return when `expire` must be called at the latest [ns], or None."""
         deadline_ns = self.deadline_ns()
         return None if deadline_ns == NEVER else deadline_ns
 
     def deadline_ns(self) -> int:
-        """As `next_deadline_ns`, with NEVER for None."""
+        """Return `next_deadline_ns`, with NEVER for None."""
         if self.outbox.deadlines_moved:
             self._find_deadline()
         return self._deadline_ns
 
     def expire(self, now_ns: int) -> None:
-        """What is due at `now_ns` is done."""
+        """Process everything due at `now_ns`."""
         if self.outbox.deadlines_moved:
             self._find_deadline()
         is_rare = self._rest_deadline_ns <= now_ns
@@ -155,7 +204,7 @@ class CanopenNode:
             self._lss.expire(now_ns)
 
     def take_output(self) -> Sequence[bytes]:
-        """The frames to send now, in order; () if none."""
+        """Return the frames to send now, in order; () if none."""
         frames = self.outbox.frames
         if not frames:
             return ()
@@ -166,7 +215,7 @@ class CanopenNode:
         return frames
 
     def take_events(self) -> Sequence[tuple[str, str]]:
-        """(level, text) of what happened since last asked; () if nothing."""
+        """Return (level, text) of each event since the last call; () if none."""
         events = self.outbox.events
         if not events:
             return ()
@@ -174,22 +223,22 @@ class CanopenNode:
         return events
 
     def identifiers(self) -> Sequence[int]:
-        """The CAN identifiers this node listens to, in any NMT state."""
+        """Return the CAN identifiers that this node listens to, in any NMT state."""
         return self._identifiers
 
     def identifiers_revision(self) -> int:
-        """Grows whenever `identifiers` would answer something new."""
+        """Return a number that increases with every change of `identifiers`."""
         return self._identifiers_revision
 
-    # --- what the device around it asks for
+    # --- for the device around the node
 
     def emergency(self, code: int, error_register: int, vendor: bytes, now_ns: int) -> None:
-        """EMCY is sent (PRE-OPERATIONAL, OPERATIONAL); 1001h and the history 1003h are kept.
+        """Send EMCY (PRE-OPERATIONAL, OPERATIONAL) and update 1001h and the history 1003h.
 
         Args:
-            code: the error code (603Fh); 0000h says that errors are gone.
-            error_register: the device's own bits of 1001h from now on; bit 0 (generic error) is
-                set with any other, and what the node itself has found (communication) is added.
+            code: the error code (603Fh); 0000h reports that errors are gone.
+            error_register: the device's own bits of 1001h from now on. Bit 0 (generic error) is set
+                with any other; communication errors found by the node are added.
             vendor: up to 5 manufacturer-specific bytes.
             now_ns: the time [ns].
         """
@@ -201,17 +250,17 @@ class CanopenNode:
             self.outbox.deadlines_moved = True
 
     def errors_stand(self, error_register: int, now_ns: int) -> None:
-        """The device's own bits of 1001h are these from now on; no EMCY tells so."""
+        """Set the device's own bits of 1001h without sending an EMCY."""
         self._emcy.stand(error_register, now_ns)
 
     def object_changed(self, index: int, subindex: int, now_ns: int) -> None:
-        """An event for the TPDOs that map it: types 254, 255 at once (inhibit time), 0 at SYNC."""
+        """Trigger the TPDOs that map this variable: types 254, 255 at once, type 0 at SYNC."""
         self._pdos.changed(index, subindex, now_ns)
 
-    # --- what its parts ask for
+    # --- for the parts of the node
 
     def configured(self, index: int, now_ns: int) -> None:
-        """A client has written a sub-index of 1000h..1FFFh: that part takes its settings afresh."""
+        """Let the part concerned reread its settings after a write to 1000h..1FFFh."""
         if 0x1400 <= index <= 0x1BFF:
             self._pdos.configure(index, now_ns)
         elif index in (0x1005, 0x1006, 0x1007, 0x1019):
@@ -279,7 +328,7 @@ class CanopenNode:
         self._host.on_reset(whole, now_ns)
 
     def _take_node_id(self, node_id: int) -> None:
-        """The node is this one from now on; UNCONFIGURED: none, only LSS can reach it."""
+        """Use this node-ID from now on; UNCONFIGURED: none, only LSS can reach the node."""
         self.node_id = node_id
         if node_id != UNCONFIGURED:
             self.od.follow(node_id)
@@ -299,7 +348,7 @@ class CanopenNode:
         self._listen()
 
     def _enter(self, state: int, now_ns: int) -> None:
-        """The one place that writes `state`."""
+        """Change `state`; the only place that writes it."""
         before = self.state
         if state == before:
             return
@@ -317,10 +366,10 @@ class CanopenNode:
         if state == NmtState.OPERATIONAL:
             self._pdos.start(now_ns)
 
-    # --- who listens to what
+    # --- dispatching
 
     def _listen(self) -> None:
-        """The handlers are those of the present state and settings."""
+        """Set the handlers for the present state and settings."""
         routes = Routes()
         state = self.state
         can_talk = state in (NmtState.PRE_OPERATIONAL, NmtState.OPERATIONAL)
@@ -351,13 +400,13 @@ class CanopenNode:
             self._identifiers_revision += 1
 
     def _sync_handler(self) -> Handler:
-        """What a SYNC does: the less, the less it is asked for."""
+        """Return the cheapest SYNC handler for the present state and settings."""
         if self.state != NmtState.OPERATIONAL:
             return self._on_idle_sync
         return self._on_sync if self._sync.is_plain() else self._on_watched_sync
 
     def _on_sync(self, frame: bytes, now_ns: int) -> None:
-        """OPERATIONAL, with neither counter nor window, and the last one was right."""
+        """Handle SYNC in OPERATIONAL without counter and window, after a correct one."""
         if frame[4] == 0:
             self._pdos.sync(now_ns)
         else:
@@ -365,7 +414,7 @@ class CanopenNode:
             self._listen()
 
     def _on_idle_sync(self, frame: bytes, now_ns: int) -> None:
-        self._sync.is_right(frame, now_ns)  # PRE-OPERATIONAL: there are no PDOs
+        self._sync.is_right(frame, now_ns)  # PRE-OPERATIONAL: without PDOs
 
     def _on_watched_sync(self, frame: bytes, now_ns: int) -> None:
         if self._sync.is_right(frame, now_ns):
@@ -380,17 +429,17 @@ class CanopenNode:
         self._pdos.sync(now_ns)
 
     def _send_sync(self, now_ns: int) -> None:
-        """The own SYNC goes out, and the own PDOs go by it."""
+        """Send the own SYNC and process the own PDOs with it."""
         self._sync.expire(now_ns)
         if self.state == NmtState.OPERATIONAL:
             self._sync_now(self._sync.counter, now_ns)
 
     def _lose(self, node_id: int, now_ns: int) -> None:
-        """Somebody is lost: EMCY, the reaction that 1029h asks for, then the device."""
+        """Handle the loss of a node: EMCY, the reaction of 1029h, then the device."""
         self._error_control.tell_lost(node_id, now_ns)
         self._react(COMMUNICATION, now_ns)
         self._host.on_heartbeat_lost(node_id, now_ns)
 
     def _react(self, kind: int, now_ns: int) -> None:
-        """What 1029h asks for."""
+        """Apply the reaction of 1029h."""
         self._enter(state_after(self.od, kind, self.state), now_ns)

@@ -1,17 +1,22 @@
-"""The object dictionary (CiA 301, 7.4): every value a CANopen device shows, by index and sub-index.
+"""The object dictionary (CiA 301, 7.4): variables by index and sub-index.
 
 A `Variable` is one sub-index. Values are Python ints (BOOLEAN, INTEGERn, UNSIGNEDn, times), floats
 (REAL32, REAL64) or bytes (strings, DOMAIN). On the wire all numbers are little-endian and signed
-ones are two's complement. The device behind the dictionary attaches itself by two callbacks: a
-`reader` answers with a fresh value, a `writer` is asked before a new value is taken.
+ones are two's complement. The device behind the dictionary attaches two callbacks: a `reader`
+returns a current value, a `writer` accepts or refuses a new value.
+
+Access of a client to the object dictionary, with abort codes.
+
+The SDO server uses it. Other services that access a dictionary may use it as well.
 """
 
 import struct
 from collections.abc import Callable, Iterator
 from enum import IntEnum, unique
-from typing import Final, final
+from typing import Final, Protocol, final
 
-from emulators.canopen.abort_code import AbortCode
+from motorhil.emulators.canopen.codes import AbortCode
+from motorhil.emulators.canopen.outbox import NodeHost
 
 Value = int | float | bytes
 Reader = Callable[[], int]
@@ -78,7 +83,7 @@ _REALS: Final[dict[int, tuple[int, struct.Struct]]] = {
     _D.REAL32: (32, struct.Struct("<f")),
     _D.REAL64: (64, struct.Struct("<d")),
 }
-# The format characters `struct` has for data types that fill whole, power-of-two bytes.
+# `struct` format characters of data types with a power-of-two number of whole bytes.
 STRUCT_FORMAT: Final[dict[int, str]] = {
     _D.INTEGER8: "b",
     _D.INTEGER16: "h",
@@ -95,37 +100,37 @@ _ACCESS: Final = ("ro", "wo", "rw", "rwr", "rww", "const")
 
 
 def length_bits(data_type: int) -> int:
-    """Length of a data type [bit]; 0 if it varies (strings, DOMAIN)."""
+    """Return the length of a data type [bit]; 0 if it varies (strings, DOMAIN)."""
     if data_type in _INTEGERS:
         return _INTEGERS[data_type][0]
     return _REALS[data_type][0] if data_type in _REALS else 0
 
 
 def is_integer(data_type: int) -> bool:
-    """Whether values of this data type are ints here."""
+    """Return whether values of this data type are ints here."""
     return data_type in _INTEGERS
 
 
 def is_signed(data_type: int) -> bool:
-    """Whether the data type is a two's complement INTEGERn."""
+    """Return whether the data type is a two's complement INTEGERn."""
     return data_type in _INTEGERS and _INTEGERS[data_type][1]
 
 
 def integer_range(data_type: int) -> tuple[int, int]:
-    """The smallest and the largest value of a whole-number data type."""
+    """Return the smallest and the largest value of a whole-number data type."""
     bits, signed = _INTEGERS[data_type]
     return (-(1 << (bits - 1)), (1 << (bits - 1)) - 1) if signed else (0, (1 << bits) - 1)
 
 
 def zero(data_type: int) -> Value:
-    """The value of this data type that says least: 0, 0.0 or no bytes."""
+    """Return the neutral value of this data type: 0, 0.0 or no bytes."""
     if data_type in _INTEGERS:
         return 0
     return 0.0 if data_type in _REALS else b""
 
 
 def encode(data_type: int, value: Value) -> bytes:
-    """The value as it goes over the wire.
+    """Return the value in its wire format.
 
     Raises:
         TypeError: the value is not of the Python type of `data_type`.
@@ -152,7 +157,7 @@ def encode(data_type: int, value: Value) -> bytes:
 
 
 def decode(data_type: int, data: bytes) -> Value:
-    """The value the bytes stand for.
+    """Return the value in these wire bytes.
 
     Raises:
         ValueError: the number of bytes is not the data type's.
@@ -171,19 +176,19 @@ def decode(data_type: int, data: bytes) -> Value:
 
 @final
 class Variable:
-    """One sub-index: a value, what may be done to it, and who is asked.
+    """A sub-index: a value, its access rights and its callbacks.
 
     Attributes:
-        index, subindex, name, data_type, access: as an EDS has them (access in lower case).
+        index, subindex, name, data_type, access: as in an EDS (access in lower case).
         pdo_mappable: may be mapped into PDOs; RPDOs take writable, TPDOs readable variables.
         low, high: limits of a whole number, both inclusive; None: only the data type limits.
         default: the power-on value. `has_default`: it was stated, not made up here.
         follows_node_id: another node-ID changes the default by as much ($NODEID).
-        value: the present value; of a variable with a `reader` only what was written last.
-        reader: answers with the value of a whole number as it is now.
-        writer: told every new value of a whole number that passed the range checks, by SDO and by
-            PDO alike; answers 0, and the value is stored, or an abort code, and nothing changes.
-            It may use `value`, which still is the old one.
+        value: the present value; with a `reader` the last written value only.
+        reader: returns the current value of a whole number.
+        writer: called with every new value of a whole number that passed the range checks, by SDO
+            and by PDO. The writer returns 0, and the value is stored, or an abort code, and nothing
+            changes. The writer may use `value`, which still is the old one.
     """
 
     def __init__(
@@ -199,7 +204,7 @@ class Variable:
         default: Value | None = None,
     ) -> None:
         if access not in _ACCESS:
-            raise ValueError(f"access {access!r} is none of {', '.join(_ACCESS)}")
+            raise ValueError(f"access {access!r}: invalid; expected one of {', '.join(_ACCESS)}")
         self.index = index
         self.subindex = subindex
         self.name = name
@@ -218,15 +223,15 @@ class Variable:
         self.writer: Writer | None = None
 
     def is_readable(self) -> bool:
-        """Whether SDO upload may have it (what PDOs may map is in pdo_mapping)."""
+        """Return whether SDO upload is allowed (for PDOs see `entry_refusal`)."""
         return self.access != "wo"
 
     def is_writable(self) -> bool:
-        """Whether SDO download may change it."""
+        """Return whether SDO download is allowed."""
         return self.access not in ("ro", "const")
 
     def can_hold(self, value: Value) -> bool:
-        """Whether the data type has room for this value."""
+        """Return whether the value fits the data type."""
         try:
             encode(self.data_type, value)
         except (TypeError, ValueError):
@@ -234,17 +239,17 @@ class Variable:
         return True
 
     def integer(self) -> int:
-        """The whole number stored; 0 if it is none."""
+        """Return the stored whole number, or 0 for other types."""
         value = self.value
         return value if isinstance(value, int) else 0
 
     def read(self) -> Value:
-        """The value as it is now."""
+        """Return the current value."""
         reader = self.reader
         return self.value if reader is None else reader()
 
     def write_integer(self, value: int) -> int:
-        """A new whole number is checked, announced and stored: 0, or the abort code."""
+        """Check a new whole number, call the writer and store it; return 0 or the abort code."""
         high = self.high
         if high is not None and value > high:
             return AbortCode.VALUE_TOO_HIGH
@@ -260,14 +265,14 @@ class Variable:
         return 0
 
     def write(self, value: Value) -> int:
-        """A new value of the right Python type is checked, announced and stored: 0 or abort."""
+        """Check, announce and store a value of the right Python type; return 0 or abort code."""
         if isinstance(value, int):
             return self.write_integer(value)
         self.value = value
         return 0
 
     def upload(self) -> bytes:
-        """The value as it is now, for the wire. A reader's number is cut to the data type."""
+        """Return the current value for the wire; a reader's number is cut to the data type."""
         reader = self.reader
         value = self.value if reader is None else reader()
         if isinstance(value, int) and self.data_type in _INTEGERS:
@@ -276,7 +281,7 @@ class Variable:
         return encode(self.data_type, value)
 
     def download(self, data: bytes) -> int:
-        """Bytes from the wire are checked, announced and stored: 0, or the abort code."""
+        """Check, announce and store bytes from the wire; return 0 or the abort code."""
         if self.bits:
             size = (self.bits + 7) // 8
             if len(data) > size:
@@ -286,10 +291,10 @@ class Variable:
         return self.write(decode(self.data_type, data))
 
     def set_default(self, value: Value) -> None:
-        """The power-on value, and the value, are now this one; no writer is asked.
+        """Set the power-on value and the present value, without calling the writer.
 
         Raises:
-            TypeError, ValueError: the value is none of the data type.
+            TypeError, ValueError: the value does not fit the data type.
         """
         encode(self.data_type, value)
         self.default = value
@@ -303,11 +308,11 @@ class ObjectDictionary:
     """All variables of one node.
 
     Attributes:
-        dummies: data types (their index) that an RPDO may map to skip bytes it has no use for.
-        node_id: of the defaults; 0: unknown. `supports_lss`: LSS may give another one.
+        dummies: data types (their index) that an RPDO may map to skip unused bytes.
+        node_id: of the defaults; 0: unknown. `supports_lss`: LSS may assign another one.
 
-    An object that is not there is invisible to SDO and PDO, yet the behaviour behind it keeps the
-    standard's default: `ensure` gives such behaviour a variable to work with all the same.
+    An absent object is invisible to SDO and PDO, but the behaviour behind it keeps the standard's
+    default: `ensure` provides a variable for it.
     """
 
     def __init__(self) -> None:
@@ -319,7 +324,7 @@ class ObjectDictionary:
         self.supports_lss = False
 
     def add(self, variable: Variable) -> Variable:
-        """The variable is visible from now on; one with the same place is replaced."""
+        """Add a visible variable; it replaces one with the same index and sub-index."""
         index, subindex = variable.index, variable.subindex
         self._variables[index << 8 | subindex] = variable
         subindices = self._subindices.setdefault(index, [])
@@ -329,19 +334,19 @@ class ObjectDictionary:
         return variable
 
     def get(self, index: int, subindex: int = 0) -> Variable | None:
-        """The visible variable there; None: there is none."""
+        """Return the visible variable, or None if it is absent."""
         return self._variables.get(index << 8 | subindex)
 
     def has_index(self, index: int) -> bool:
-        """Whether any sub-index of the object is visible."""
+        """Return whether any sub-index of the object is visible."""
         return index in self._subindices
 
     def subindices(self, index: int) -> tuple[int, ...]:
-        """The visible sub-indices of an object, ascending; () if it is not there."""
+        """Return the visible sub-indices of an object, ascending; () if it is absent."""
         return tuple(self._subindices.get(index, ()))
 
     def indices(self) -> tuple[int, ...]:
-        """The indices of all visible objects, ascending."""
+        """Return the indices of all visible objects, ascending."""
         return tuple(sorted(self._subindices))
 
     def __iter__(self) -> Iterator[Variable]:
@@ -356,10 +361,10 @@ class ObjectDictionary:
         default: Value,
         follows_node_id: bool = False,
     ) -> Variable:
-        """The visible variable there, else a hidden one that SDO and PDO do not see.
+        """Return the visible variable, or else a hidden one that SDO and PDO do not see.
 
-        A visible one whose default nobody stated takes `default`; the data type of a visible one
-        stays. Asked twice, it answers with the same variable.
+        A visible variable without a stated default takes `default`; its data type stays. A second
+        call returns the same variable.
         """
         key = index << 8 | subindex
         variable = self._variables.get(key)
@@ -375,7 +380,7 @@ class ObjectDictionary:
         return hidden
 
     def integer(self, index: int, subindex: int, default: int) -> int:
-        """The whole number stored there; `default` if nothing (or no number) is there."""
+        """Return the stored whole number, or `default` if it is absent or not a number."""
         variable = self._variables.get(index << 8 | subindex)
         if variable is None:
             variable = self._hidden.get(index << 8 | subindex)
@@ -385,7 +390,7 @@ class ObjectDictionary:
         return value if isinstance(value, int) else default
 
     def follow(self, node_id: int) -> None:
-        """Defaults that follow the node-ID are those of this one; values stay until a reset."""
+        """Adapt the defaults that follow the node-ID; values stay until a reset."""
         shift, self.node_id = node_id - self.node_id, node_id
         for variables in (self._variables, self._hidden):
             for variable in variables.values():
@@ -393,8 +398,78 @@ class ObjectDictionary:
                     variable.default += shift
 
     def reset(self, first: int = 0x0000, last: int = 0xFFFF) -> None:
-        """Values of the indices `first`..`last` are their power-on values; no writer is asked."""
+        """Reset the indices `first`..`last` to power-on values, without calling writers."""
         for variables in (self._variables, self._hidden):
             for key, variable in variables.items():
                 if first <= key >> 8 <= last:
                     variable.value = variable.default
+
+
+class ConfigurationListener(Protocol):
+    """A listener for writes to communication objects."""
+
+    def configured(self, index: int, now_ns: int) -> None:
+        """Handle a new value of a sub-index of 1000h..1FFFh."""
+
+
+@final
+class DictionaryAccess:
+    """One client's view of a dictionary. Absent, read-only and oversized access is refused."""
+
+    def __init__(
+        self, od: ObjectDictionary, host: NodeHost, listener: ConfigurationListener
+    ) -> None:
+        self._od = od
+        self._host = host
+        self._listener = listener
+
+    def upload(self, index: int, subindex: int, now_ns: int) -> bytes | int:
+        """Return the present value, or the abort code."""
+        variable = self._od.get(index, subindex)
+        if variable is None:
+            return self._absent(index)
+        if not variable.is_readable():
+            return AbortCode.WRITE_ONLY
+        if index == 0x1003 and subindex > self._od.integer(0x1003, 0, 0):
+            return AbortCode.NO_DATA
+        self._host.before_read(now_ns)
+        return variable.upload()
+
+    def refusal(self, index: int, subindex: int, size_bytes: int | None) -> int:
+        """Return the abort code for beginning a download of this size (None: unknown), or 0."""
+        variable = self._od.get(index, subindex)
+        if variable is None:
+            return self._absent(index)
+        if not variable.is_writable():
+            return AbortCode.READ_ONLY
+        if size_bytes is None or not variable.bits:
+            return 0
+        expected = (variable.bits + 7) // 8
+        if size_bytes > expected:
+            return AbortCode.LENGTH_TOO_HIGH
+        return AbortCode.LENGTH_TOO_LOW if size_bytes < expected else 0
+
+    def size_bytes(self, index: int, subindex: int) -> int:
+        """Return the size of the variable [bytes]; 0 if it varies or the variable is absent."""
+        variable = self._od.get(index, subindex)
+        return 0 if variable is None else (variable.bits + 7) // 8
+
+    def download(self, index: int, subindex: int, data: bytes, now_ns: int) -> int:
+        """Write the value and notify listeners; return 0, or the abort code without any effect."""
+        code = self.refusal(index, subindex, len(data))
+        if code:
+            return code
+        variable = self._od.get(index, subindex)
+        assert variable is not None
+        code = variable.download(data)
+        if code:
+            return code
+        if 0x1000 <= index <= 0x1FFF:
+            self._listener.configured(index, now_ns)
+        self._host.on_write(now_ns)
+        return 0
+
+    def _absent(self, index: int) -> int:
+        if self._od.has_index(index):
+            return AbortCode.NO_SUCH_SUBINDEX
+        return AbortCode.NO_SUCH_OBJECT

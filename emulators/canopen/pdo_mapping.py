@@ -1,15 +1,15 @@
-"""PDO mapping (CiA 301, 7.4.7 and 7.5.2.36): which variables lie where in a PDO's eight bytes.
+"""PDO mapping (CiA 301, 7.4.7 and 7.5.2.36): variables in a PDO.
 
-A mapping that `struct` can express, as practically all can, is packed and unpacked by one
-precompiled call on whole frames. The others (single bits, 24-bit integers) go bit by bit.
+Practically all mappings can be expressed by `struct`. They are packed and unpacked by one
+precompiled call on whole frames. Others (single bits, 24-bit integers) are processed bit by bit.
 """
 
 import struct
 from collections.abc import Callable
 from typing import Final, final
 
-from emulators.canopen.abort_code import AbortCode
-from emulators.canopen.object_dictionary import (
+from motorhil.emulators.canopen.codes import AbortCode
+from motorhil.emulators.canopen.object_dictionary import (
     STRUCT_FORMAT,
     ObjectDictionary,
     Variable,
@@ -23,22 +23,22 @@ MAX_ENTRIES: Final = 64
 MAX_BITS: Final = 64
 
 _INTEGER_FORMAT: Final = {8: "b", 16: "h", 32: "i", 64: "q"}
-_READABLE: Final = ("ro", "rw", "rwr", "const")  # access that a TPDO may map
-_WRITABLE: Final = ("wo", "rw", "rww")  # access that an RPDO may map
+_READABLE: Final = ("ro", "rw", "rwr", "const")  # access types that a TPDO may map
+_WRITABLE: Final = ("wo", "rw", "rww")  # access types that an RPDO may map
 
 
 def is_dummy(entry: int, od: ObjectDictionary) -> bool:
-    """Whether a mapping entry (index, sub-index, bits) only fills space in an RPDO."""
+    """Return whether a mapping entry (index, sub-index, bits) only fills space in an RPDO."""
     index, subindex = entry >> 16, entry >> 8 & 0xFF
     return index in od.dummies and subindex == 0 and entry & 0xFF == length_bits(index)
 
 
 def entry_refusal(od: ObjectDictionary, entry: int, receive: bool, any_length: bool = False) -> int:
-    """The abort code for a mapping entry that cannot be; 0 if it can.
+    """Return the abort code for an invalid mapping entry, or 0.
 
-    CiA 301, 7.5.2.36: an object that is not there or cannot be mapped is refused with 0602 0000h
-    or 0604 0041h. `any_length` lets pass what some vendors' own mappings have: an object in more
-    bits than its data type has (Roboteq: INTEGER16 in 32) or in fewer (Elmo: UNSIGNED64 in 32).
+    CiA 301, 7.5.2.36: an object that does not exist or cannot be mapped is refused with 0602 0000h
+    or 0604 0041h. `any_length` accepts the mappings of some vendors: an object in more bits than
+    its data type has (Roboteq: INTEGER16 in 32) or in fewer (Elmo: UNSIGNED64 in 32).
     """
     if receive and is_dummy(entry, od):
         return 0
@@ -58,7 +58,7 @@ def entry_refusal(od: ObjectDictionary, entry: int, receive: bool, any_length: b
 
 @final
 class PdoMapping:
-    """Mapped variables, ready for whole frames. An entry without variable fills space with zeros.
+    """Mapped variables, prepared for whole frames. Entries without a variable are zeros.
 
     An entry longer than its variable is sign-extended, a shorter one holds the lower bits.
 
@@ -72,7 +72,7 @@ class PdoMapping:
         self.keys = tuple(variable.index << 8 | variable.subindex for variable in self.variables)
         bits = sum(length for _, length in entries)
         if bits > MAX_BITS:
-            raise ValueError(f"{bits} bits do not fit a PDO; {MAX_BITS} do")
+            raise ValueError(f"PDO mapping: {bits} bits do not fit; the limit is {MAX_BITS}")
         self.length_bytes = (bits + 7) // 8
         layout = _struct_layout(entries)
         self._is_packable = layout is not None
@@ -92,7 +92,7 @@ class PdoMapping:
             offset += length
 
     def write(self, frame: bytes) -> None:
-        """The variables hold what the frame carries; a value one refuses leaves that one alone."""
+        """Write the frame's values to the variables; a refused value leaves its variable as is."""
         if not self._is_unpackable:
             self._write_bits(int.from_bytes(frame[8:16], "little"))
             return
@@ -105,16 +105,16 @@ class PdoMapping:
                 variables[position].write(value)
 
     def build(self, can_id: int) -> bytes:
-        """The frame that carries the variables as they are now."""
+        """Return a frame with the current values of the variables."""
         if self._is_packable:
             try:
-                if len(self.variables) == 2:  # as in most drives: what is so, and where
+                if len(self.variables) == 2:  # the usual case: status and position
                     first, second = self.variables
                     return self._pack(can_id, self.length_bytes, first.read(), second.read())
                 values = [variable.read() for variable in self.variables]
                 return self._pack(can_id, self.length_bytes, *values)
             except struct.error:
-                pass  # a reader's number is wider than its object: cut it below
+                pass  # a reader's number exceeds its object: cut it below
         payload = 0
         for variable, offset, length in self._fields:
             value = variable.read()
@@ -136,7 +136,7 @@ class PdoMapping:
 
 
 def _struct_layout(entries: list[tuple[Variable | None, int]]) -> str | None:
-    """The `struct` format of the entries; None if there is none."""
+    """Return the `struct` format of the entries, or None if there is none."""
     layout = ""
     for variable, length in entries:
         if variable is None and length % 8 == 0:
@@ -154,7 +154,7 @@ def _struct_layout(entries: list[tuple[Variable | None, int]]) -> str | None:
 
 
 def stored_entries(od: ObjectDictionary, index: int) -> list[int]:
-    """The entries of the mapping object that its sub-index 0 enables."""
+    """Return the entries of the mapping object that its sub-index 0 enables."""
     entries = [od.integer(index, sub, 0) for sub in od.subindices(index) if sub]
     return entries[: od.integer(index, 0, 0)]
 
@@ -162,10 +162,10 @@ def stored_entries(od: ObjectDictionary, index: int) -> list[int]:
 def load(
     od: ObjectDictionary, index: int, receive: bool
 ) -> tuple[PdoMapping, list[tuple[int, int]]]:
-    """The mapping as the dictionary has it, and (entry, abort code) of entries that cannot be.
+    """Return the mapping in the dictionary, and (entry, abort code) of invalid entries.
 
-    Those fill their space with zeros: power-on values of a vendor's file are not refused whole.
-    A mapping longer than a PDO is cut.
+    Invalid entries are filled with zeros, so that a vendor's power-on mapping is not refused as a
+    whole. A mapping longer than a PDO is cut.
     """
     entries: list[tuple[Variable | None, int]] = []
     refused: list[tuple[int, int]] = []

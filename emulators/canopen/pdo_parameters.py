@@ -1,17 +1,16 @@
-"""The rules for changing a PDO by SDO (CiA 301, 7.5.2.35 to 7.5.2.38), as checks on its objects.
+"""Rules for changing a PDO by SDO (CiA 301, 7.5.2.35 to 7.5.2.38).
 
 The standard procedure: set the PDO invalid (bit 31 of its COB-ID), set sub-index 0 of the mapping
-to 0, write the entries, set sub-index 0 to their number, set the PDO valid. Whatever leaves it is
-refused with 0601 0000h; what cannot be mapped with 0604 0041h, what does not fit with 0604 0042h.
+to 0, write the entries, set sub-index 0 to their number, set the PDO valid. Deviations are refused
+with 0601 0000h, unmappable entries with 0604 0041h, too many bits with 0604 0042h.
 """
 
 from typing import Final, final
 
-from emulators.canopen.abort_code import AbortCode
-from emulators.canopen.cob_id import INVALID, UPPER_BITS, is_restricted
-from emulators.canopen.object_dictionary import DataType, ObjectDictionary
-from emulators.canopen.pdo_mapping import MAX_BITS, MAX_ENTRIES, entry_refusal
-from emulators.canopen.sync import COUNTER_MAX
+from motorhil.emulators.canopen.codes import INVALID, UPPER_BITS, AbortCode, is_restricted
+from motorhil.emulators.canopen.object_dictionary import DataType, ObjectDictionary
+from motorhil.emulators.canopen.pdo_mapping import MAX_BITS, MAX_ENTRIES, entry_refusal
+from motorhil.emulators.canopen.sync import COUNTER_MAX
 
 NO_REMOTE: Final = 1 << 30
 _PREDEFINED: Final = ((0x180, 0x280, 0x380, 0x480), (0x200, 0x300, 0x400, 0x500))
@@ -19,7 +18,7 @@ _PREDEFINED: Final = ((0x180, 0x280, 0x380, 0x480), (0x200, 0x300, 0x400, 0x500)
 
 @final
 class PdoParameters:
-    """One PDO's communication and mapping objects: what they say, and what may be written."""
+    """The communication and mapping objects of one PDO, with checks of writes."""
 
     def __init__(self, od: ObjectDictionary, number: int, receive: bool, node_id: int) -> None:
         self._od = od
@@ -35,38 +34,38 @@ class PdoParameters:
         self._attach()
 
     def cob_id(self) -> int:
-        """COB-ID with its flags."""
+        """Return the COB-ID with its flags."""
         return self._cob_id.integer()
 
     def is_valid(self) -> bool:
-        """Whether the PDO exists, as bit 31 of its COB-ID has it."""
+        """Return whether the PDO exists, by bit 31 of its COB-ID."""
         return not self.cob_id() & INVALID
 
     def transmission_type(self) -> int:
-        """0..255."""
+        """Return the transmission type, 0..255."""
         return self._type.integer()
 
     def inhibit_100us(self) -> int:
-        """Inhibit time [100 us]."""
+        """Return the inhibit time [100 us]."""
         return self._od.integer(self.communication, 3, 0)
 
     def event_timer_ms(self) -> int:
-        """Event timer [ms]."""
+        """Return the event timer [ms]."""
         return self._od.integer(self.communication, 5, 0)
 
     def sync_start(self) -> int:
-        """SYNC start value, 1..240; 0: there is none."""
+        """Return the SYNC start value, 1..240, or 0 for none."""
         value = 0 if self._receive else self._od.integer(self.communication, 6, 0)
         return value if value <= COUNTER_MAX else 0
 
     def _stated_entries(self) -> int:
-        """How many mapping entries have values: the count where none is stated (some DCFs)."""
+        """Return the number of mapping entries with values, for files without a stated count."""
         od = self._od
         values = [od.integer(self.mapping, sub, 0) for sub in od.subindices(self.mapping) if sub]
         return values.index(0) if 0 in values else len(values)
 
     def _power_on_entries(self) -> tuple[int, ...]:
-        """The entries that the device has by itself: they may be written again, as odd as any."""
+        """Return the device's own entries, which may be written again whatever they are."""
         variables = [self._od.get(self.mapping, sub) for sub in self._od.subindices(self.mapping)]
         defaults = [variable.default for variable in variables[1:] if variable is not None]
         return tuple(default for default in defaults if isinstance(default, int))
@@ -102,7 +101,7 @@ class PdoParameters:
         return 0
 
     def _check_transmission_type(self, value: int) -> int:
-        # 241..251 are reserved, 252 and 253 (on remote request) are for TPDOs
+        # 241..251 are reserved, 252 and 253 (on remote request) are for TPDOs.
         lowest = 254 if self._receive else 252
         return AbortCode.INVALID_VALUE if 240 < value < lowest else 0
 
@@ -137,5 +136,5 @@ class PdoParameters:
         if self.is_valid() or self._count.integer() != 0:
             return AbortCode.UNSUPPORTED_ACCESS
         if value == 0:
-            return 0  # an entry not used
+            return 0  # an unused entry
         return self._refusal(value)

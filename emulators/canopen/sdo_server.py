@@ -1,27 +1,158 @@
-"""SDO server (CiA 301, 7.2.4): expedited, segmented and block transfers, and why they are aborted.
+"""SDO server (CiA 301, 7.2.4): expedited, segmented and block transfers, aborts.
 
-A transfer is one of five things: none, an upload being handed out or a download being collected, in
-segments or in blocks. A new initiate request takes the place of whatever went on before, except
-between the segments of a block download, which have no command. A client that says nothing for
-`TIMEOUT_NS` in the middle of a transfer is told that it is over (0504 0000h).
+The state is one of five: idle, or an upload or a download, in segments or in blocks. A new initiate
+request replaces the current transfer, except between the segments of a block download, which have
+no command. If the client is silent for `TIMEOUT_NS` during a transfer, the server aborts it (0504
+0000h). Every response is sent `reply_ns` after its request. Values are read and written at the time
+of the request.
 
-Every response leaves `reply_ns`
-after its request; values are read and written when the request comes.
+SDO block transfer (CiA 301, 7.2.4.3.9 to 7.2.4.3.15): data and CRC.
+
+A block has up to 127 segments of 7 bytes, numbered from 1, and is confirmed as a whole. The
+receiver reports the last number that arrived in sequence, and the size of the next block. Segments
+behind a gap are sent again. The last segment carries a flag. The end message has the number of its
+valid bytes, and the CRC of all data if both sides support it.
+
+This module has the state of a transfer only; `SdoServer` handles requests and responses.
 """
 
 from collections import deque
 from struct import Struct
 from typing import Final, final
 
-from emulators.canopen.abort_code import AbortCode
-from emulators.canopen.access import DictionaryAccess
-from emulators.canopen.cob_id import INVALID
-from emulators.canopen.object_dictionary import ObjectDictionary
-from emulators.canopen.sdo_block import BLOCK_MAX, BlockDownload, BlockUpload
-from emulators.canopen.shared import MS, NEVER, Outbox
+from motorhil.emulators.canopen.codes import INVALID, AbortCode
+from motorhil.emulators.canopen.object_dictionary import DictionaryAccess, ObjectDictionary
+from motorhil.emulators.canopen.outbox import MS, NEVER, Outbox
+
+SEGMENT_BYTES: Final = 7
+BLOCK_MAX: Final = 127
+
+_LAST: Final = 0x80
+_POLYNOMIAL: Final = 0x1021
+
+
+def _table() -> list[int]:
+    out: list[int] = []
+    for byte in range(256):
+        crc = byte << 8
+        for _ in range(8):
+            crc = crc << 1 ^ _POLYNOMIAL if crc & 0x8000 else crc << 1
+        out.append(crc & 0xFFFF)
+    return out
+
+
+_CRC: Final = _table()
+
+
+def block_crc(data: bytes) -> int:
+    """Return the CRC of a block transfer: x^16 + x^12 + x^5 + 1, from 0 (CiA 301, 7.2.4.3.16)."""
+    crc = 0
+    for byte in data:
+        crc = (crc << 8 & 0xFF00) ^ _CRC[crc >> 8 ^ byte]
+    return crc
+
+
+@final
+class BlockDownload:
+    """Collects the data that a client sends in blocks.
+
+    Attributes:
+        expected: the announced number of bytes, or None.
+        block_size: the maximum number of segments in a block.
+        is_complete: the last segment has arrived; the end message is expected.
+    """
+
+    def __init__(self, expected: int | None, has_crc: bool, limit: int) -> None:
+        """Expect this many bytes (None: unknown), `limit` at most, with or without a CRC."""
+        self.block_size = BLOCK_MAX
+        self.is_complete = False
+        self.expected = expected
+        self._has_crc = has_crc
+        self._limit = limit
+        self._data = bytearray()
+        self._good = 0  # number of the last segment in sequence, in this block
+
+    def segment(self, head: int, data: bytes) -> int | None:
+        """Return the number to confirm if the block is over, else None.
+
+        Segments behind a gap are dropped; the client learns this at the end of the block.
+        """
+        number = head & ~_LAST
+        if number == self._good + 1:
+            self._good = number
+            self._data += data
+            if head & _LAST:
+                self.is_complete = True
+        if number < self.block_size and not head & _LAST:
+            return None
+        good, self._good = self._good, 0
+        return good
+
+    def overflows(self) -> bool:
+        """Return whether more data have arrived than allowed."""
+        most = self._limit if self.expected is None else self.expected
+        return len(self._data) >= most + SEGMENT_BYTES
+
+    def end(self, unused: int, crc: int) -> bytes | AbortCode:
+        """Return all data without the unused bytes of the last segment, or an abort code."""
+        data = bytes(self._data[: len(self._data) - unused])
+        if self._has_crc and block_crc(data) != crc:
+            return AbortCode.CRC_ERROR
+        if self.expected is not None and len(data) != self.expected:
+            too_low = len(data) < self.expected
+            return AbortCode.LENGTH_TOO_LOW if too_low else AbortCode.LENGTH_TOO_HIGH
+        return data
+
+
+@final
+class BlockUpload:
+    """Sends a value in blocks."""
+
+    def __init__(self, data: bytes, block_size: int, has_crc: bool) -> None:
+        """Send blocks of this many segments, with or without a CRC at the end."""
+        self._data = data
+        self._block_size = block_size
+        self._has_crc = has_crc
+        self._begun = 0  # start of the unconfirmed block in the data
+        self._sent = 0  # segments of this block
+
+    def block(self) -> list[tuple[int, bytes]]:
+        """Return the segments of the next block: head and up to 7 bytes each."""
+        out: list[tuple[int, bytes]] = []
+        at = self._begun
+        while len(out) < self._block_size:
+            part = self._data[at : at + SEGMENT_BYTES]
+            at += SEGMENT_BYTES
+            is_last = at >= len(self._data)
+            out.append((len(out) + 1 | (_LAST if is_last else 0), part))
+            if is_last:
+                break
+        self._sent = len(out)
+        return out
+
+    def confirm(self, good: int, block_size: int) -> AbortCode | None:
+        """Confirm `good` segments and set the next block size; return an abort code or None."""
+        if good > self._sent:
+            return AbortCode.INVALID_SEQUENCE_NUMBER
+        if not 1 <= block_size <= BLOCK_MAX:
+            return AbortCode.INVALID_BLOCK_SIZE
+        self._begun += good * SEGMENT_BYTES
+        self._block_size = block_size
+        return None
+
+    def is_over(self) -> bool:
+        """Return whether all data are confirmed."""
+        return self._begun >= len(self._data) and self._begun > 0
+
+    def end(self) -> tuple[int, int]:
+        """Return (number of unused bytes in the last segment, CRC or 0)."""
+        return -len(self._data) % SEGMENT_BYTES if self._data else SEGMENT_BYTES, (
+            block_crc(self._data) if self._has_crc else 0
+        )
+
 
 MAX_DOWNLOAD_BYTES: Final = 1 << 20
-TIMEOUT_NS: Final = 1_000 * MS  # as CANopenNode has it; CiA 301 names no time
+TIMEOUT_NS: Final = 1_000 * MS  # as in CANopenNode; CiA 301 does not define a time
 
 _BLOCK_RESPONSE: Final = Struct("<IB3xBBB5s")
 _RESPONSE: Final = Struct("<IB3xBHB4s")  # an SDO frame with command, index, sub-index and 4 bytes
@@ -36,10 +167,10 @@ _ABORT: Final = 4
 _BLOCK_UPLOAD: Final = 5
 _BLOCK_DOWNLOAD: Final = 6
 
-_BLOCK_SEGMENTS: Final = 8  # a state, no specifier: frames of a block download
+_BLOCK_SEGMENTS: Final = 8  # a state, not a specifier: frames of a block download
 
-# Of a block transfer's commands the client's subcommand, and what of them says what they have. The
-# one that is due in a block upload, added to _BLOCK_UPLOADS, is a state.
+# Client subcommands of block transfers, and flags of their content. The expected subcommand of a
+# block upload, added to _BLOCK_UPLOADS, is a state.
 _BLOCK_UPLOADS: Final = 16
 _END: Final = 1
 _CONFIRM: Final = 2
@@ -54,14 +185,14 @@ _ABORTED: Final = 0x80
 
 
 def sdo_can_id(od: ObjectDictionary, subindex: int, default: int) -> int:
-    """The identifier of 1200h; without a valid one there that of the default SDO channel."""
+    """Return the identifier in 1200h, or that of the default SDO channel if it is not valid."""
     cob_id = od.integer(0x1200, subindex, 0)
     return default if not cob_id & 0x7FF or cob_id & INVALID else cob_id & 0x7FF
 
 
 @final
 class SdoServer:
-    """One SDO channel. `receive` takes its requests; responses come out when they are due."""
+    """One SDO channel. `receive` takes requests; `expire` sends the responses when due."""
 
     def __init__(self, access: DictionaryAccess, reply_ns: int, outbox: Outbox) -> None:
         self._access = access
@@ -70,31 +201,31 @@ class SdoServer:
         self._response_id = 0
         self._replies: deque[tuple[int, bytes]] = deque()
         self.deadline_ns: int = NEVER
-        self._timeout_ns: int = NEVER  # when a transfer is over that its client has left
-        self._state: int = _IDLE  # or _UPLOAD_SEGMENT, _DOWNLOAD_SEGMENT: what is expected next
+        self._timeout_ns: int = NEVER  # when an abandoned transfer is aborted
+        self._state: int = _IDLE  # or the expected command, as _UPLOAD_SEGMENT
         self._index = 0
         self._subindex = 0
         self._toggle = 0
-        self._data = b""  # what is left to hand out
-        self._parts: list[bytes] = []  # what has been collected
+        self._data = b""  # rest of the upload
+        self._parts: list[bytes] = []  # parts of the download
         self._collected = 0
         self._expected: int | None = None
         self._incoming: BlockDownload | None = None
         self._outgoing: BlockUpload | None = None
 
     def configure(self, response_id: int) -> None:
-        """Responses carry this identifier from now on."""
+        """Set the identifier of the responses."""
         self._response_id = response_id
 
     def stop(self) -> None:
-        """The transfer and all pending responses are forgotten."""
+        """Drop the transfer and all pending responses."""
         self._end()
         self._replies.clear()
         self.deadline_ns = NEVER
         self._outbox.deadlines_moved = True
 
     def receive(self, frame: bytes, now_ns: int) -> None:
-        """A request came."""
+        """Process a request."""
         if frame[4] != 8:
             return  # an SDO always has 8 bytes
         command = frame[8]
@@ -119,7 +250,7 @@ class SdoServer:
             self._abort(AbortCode.COMMAND_SPECIFIER_UNKNOWN, now_ns)
 
     def expire(self, now_ns: int) -> None:
-        """The responses due by now go out."""
+        """Send the responses due by now."""
         if self._timeout_ns <= now_ns:
             self._abort(AbortCode.PROTOCOL_TIMED_OUT, now_ns)
         replies = self._replies
@@ -136,7 +267,7 @@ class SdoServer:
             return
         size = len(data)
         if 0 < size <= 4:
-            self._index = self._subindex = 0  # over already
+            self._index = self._subindex = 0  # transfer complete
             command = 0x43 | (4 - size) << 2  # expedited, size indicated
         else:
             self._state = _UPLOAD_SEGMENT
@@ -186,7 +317,7 @@ class SdoServer:
         self._accept(now_ns)
 
     def _refuses(self, index: int, subindex: int, expected: int | None, now_ns: int) -> bool:
-        """Whether a download of so many bytes (None: not told) cannot begin; then it is aborted."""
+        """Abort a download of this size (None: unknown) that cannot begin; return True then."""
         code = self._access.refusal(index, subindex, expected)
         if code == 0 and expected is not None and expected > MAX_DOWNLOAD_BYTES:
             code = AbortCode.OUT_OF_MEMORY
@@ -220,10 +351,10 @@ class SdoServer:
             self._wait(now_ns)
         self._reply(_SEGMENT.pack(self._response_id, 8, response, b""), now_ns)
 
-    # ------------------------------------------------------------------------- in blocks
+    # --- block transfers
 
     def _block_download(self, command: int, frame: bytes, now_ns: int) -> None:
-        """A block download begins, or ends."""
+        """Begin or end a block download."""
         if command & 1:
             self._end_block_download(command, frame, now_ns)
             return
@@ -271,7 +402,7 @@ class SdoServer:
         self._reply(_SEGMENT.pack(self._response_id, 8, 0xA1, b""), now_ns)
 
     def _block_upload(self, command: int, frame: bytes, now_ns: int) -> None:
-        """A block upload begins, or goes on as its client says."""
+        """Begin or continue a block upload."""
         step = command & 3
         if step == 0:
             self._begin_block_upload(command, frame, now_ns)
@@ -307,7 +438,7 @@ class SdoServer:
         if not 1 <= block_size <= BLOCK_MAX:
             self._abort(AbortCode.INVALID_BLOCK_SIZE, now_ns)
             return
-        if 0 < len(data) <= threshold:  # the client has said that a plain transfer is better then
+        if 0 < len(data) <= threshold:  # the client prefers a plain transfer for this size
             self._begin_upload(index, subindex, now_ns)
             return
         self._state = _BLOCK_UPLOADS + _START
@@ -323,7 +454,7 @@ class SdoServer:
             self._reply(_SEGMENT.pack(self._response_id, 8, head, part), now_ns)
 
     def _judge(self, is_last: bool) -> int:
-        """What is wrong with the length collected so far; 0 if nothing."""
+        """Return the abort code for the length collected so far, or 0."""
         expected = self._expected
         if expected is None:
             return AbortCode.OUT_OF_MEMORY if self._collected > MAX_DOWNLOAD_BYTES else 0
@@ -332,7 +463,7 @@ class SdoServer:
         return AbortCode.LENGTH_TOO_LOW if is_last and self._collected < expected else 0
 
     def _wait(self, now_ns: int) -> None:
-        """The client must say something within the time that follows the response."""
+        """Restart the timeout, counted from the response."""
         self._timeout_ns = now_ns + self._reply_ns + TIMEOUT_NS
         if not self._replies:
             self.deadline_ns = self._timeout_ns
@@ -342,7 +473,7 @@ class SdoServer:
         self._begin(0, 0)
 
     def _begin(self, index: int, subindex: int) -> None:
-        """What went on is forgotten; the object of the transfer is this one."""
+        """Drop the current transfer and set the object of the next one."""
         self._index = index
         self._subindex = subindex
         if self._state == _IDLE:

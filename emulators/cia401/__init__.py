@@ -1,1 +1,1 @@
-"""An emulated CANopen I/O node with torque amplifiers, motors and encoders (CiA 401, CiA 406)."""
+"""An emulated I/O node with amplifiers and encoders (CiA 401, CiA 406)."""

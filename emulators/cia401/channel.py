@@ -1,25 +1,25 @@
-"""One channel of an I/O node: a torque amplifier, its motor, and the encoder on the motor's shaft.
+"""A channel of an I/O node: torque amplifier, motor and encoder.
 
-The amplifier is a plain one, as for a brushed motor: in current mode, with an analogue input of
-+-10 V, an enable input, and two outputs. *Ready*: it drives the current that its input asks for.
-*Fault*: it has switched off by itself and stays so until the enable input is taken away and the
-cause is gone. It knows nothing of positions, speeds, or whether anybody still minds it.
+The amplifier is a plain one for a brushed motor in current mode, with an analogue input of +-10 V,
+an enable input, and two outputs. *Ready*: it drives the current commanded by its input. *Fault*: it
+has switched itself off. The amplifier stays off until the enable input is removed and the cause is
+gone. The amplifier does not know positions and speeds, and does not monitor its host.
 """
 
 from typing import Final, final
 
-from emulators.canopen.shared import NEVER
-from emulators.cia401.settings import ChannelSettings
-from emulators.firmware.axis import Axis
-from emulators.motor_settings import axis_of
-from emulators.plant.dc_motor import RANGES
+from motorhil.emulators.canopen.outbox import NEVER
+from motorhil.emulators.cia401.settings import ChannelSettings
+from motorhil.emulators.firmware.axis import Axis
+from motorhil.emulators.plant.dc_motor import RANGES
+from motorhil.emulators.settings.motor import axis_of
 
 VOLT_PER_RAW: Final = 10.0 / 32768.0  # 6411h: +-10 V, left-adjusted in 16 bits
 READY: Final = 1
 FAULT: Final = 2
 STIMULI: Final = ("load_torque_n_m", "fault", "power")
 
-_AT_ONCE: Final = 1e300  # a slope: the amplifier's own current loop is all there is
+_AT_ONCE: Final = 1e300  # a slope: only the amplifier's own current loop limits it
 
 
 @final
@@ -44,20 +44,20 @@ class Channel:
         self._failing: bool = False
         self._is_applied: bool = True
 
-    # --- what the node's outputs do to it
+    # --- outputs of the node
 
     def set_output(self, raw: int) -> None:
-        """The analogue output has this value (6411h)."""
+        """Set the analogue output (6411h)."""
         if raw != self._output_raw:
             self._output_raw = raw
             self._is_applied = False
 
     def set_enabled(self, enabled: bool) -> None:
-        """The digital output for the enable input is on, or off."""
+        """Set the digital output for the enable input."""
         self._enabled = enabled
 
     def settle(self, now_ns: int) -> None:
-        """What follows from its inputs, and is due by now, is done."""
+        """Update the amplifier from its inputs, up to `now_ns`."""
         if not self._enabled and not self._failing:
             self.inputs &= ~FAULT
         if not self._enabled or not self._supplied or self.inputs & FAULT:
@@ -79,13 +79,13 @@ class Channel:
             self._is_applied = True
             self.axis.apply_current(self._output_raw * self._ampere_per_raw, _AT_ONCE)
 
-    # --- what happens to it physically
+    # --- physical stimuli
 
     def stimulate(self, name: str, value: float) -> None:
-        """The load at the output [N m], a cause for a fault (1, 0), or the supply (1, 0).
+        """Set the load at the output [N m], a cause for a fault (1, 0), or the supply (1, 0).
 
         Raises:
-            ValueError: there is no such stimulus, or the value is none.
+            ValueError: the stimulus is unknown, or the value is invalid.
         """
         if name == "load_torque_n_m":
             low, high = RANGES[name]
@@ -105,7 +105,7 @@ class Channel:
                 self.inputs |= FAULT
 
     def truth(self, prefix: str, found: dict[str, float]) -> None:
-        """What is so inside is in `found`, behind the gear where it says rad and N m."""
+        """Add the true state to `found`; rad and N m are behind the gear."""
         axis = self.axis
         found[prefix + "position_rad"] = axis.output_position_rad()
         found[prefix + "velocity_rad_s"] = axis.output_velocity_rad_s()

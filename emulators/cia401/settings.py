@@ -1,7 +1,7 @@
-"""What a rig may say about a CiA 401 I/O node and what hangs on it, checked key by key.
+"""Settings of a CiA 401 I/O node and its channels.
 
-Numbers under `plant` and `amplifier` hold for every channel; `channel.2.plant` says what is
-different of channel 2's, and so on.
+Values under `plant` and `amplifier` apply to every channel. `channel.2.plant` has the values that
+differ for channel 2, and so on.
 """
 
 from collections.abc import Mapping
@@ -9,11 +9,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final, final
 
-from emulators.controller import SettingError
-from emulators.firmware.gains import ServoGains
-from emulators.plant.dc_motor import MotorPlant
-from emulators.plant.oscillator import Oscillator
-from emulators.setting_tables import (
+from motorhil.emulators.controller import SettingError
+from motorhil.emulators.firmware.servo_tables import ServoGains
+from motorhil.emulators.plant.dc_motor import MotorPlant
+from motorhil.emulators.plant.oscillator import Oscillator
+from motorhil.emulators.settings.tables import (
     KeyPath,
     ObjectValue,
     duration_ns,
@@ -61,10 +61,10 @@ class ChannelSettings:
     Attributes:
         plant: the motor, with its encoder; `supply_v` and `current_max_a` are the amplifier's.
         gains: of the amplifier's current loop; the others are not used.
-        current_per_volt_a_v: current asked for per volt at the amplifier's input.
+        current_per_volt_a_v: current demanded per volt at the amplifier's input.
         enable_ns: from the enable input to *ready*.
-        tick_ns, current_steps: how often the amplifier looks at its input and the encoder is
-            counted, and steps of the current loop in between.
+        tick_ns, current_steps: period in which the amplifier samples its input and the encoder is
+            counted, and steps of the current loop in each period.
         initial_position_rad: at the output, at power-on.
     """
 
@@ -84,13 +84,13 @@ class NodeSettings:
 
     Attributes:
         node_id: 1..127.
-        node_id_by_lss: it has none until LSS gives it one.
-        eds: where its object dictionary comes from.
+        node_id_by_lss: it has no node-ID until LSS assigns one.
+        eds: the file of its object dictionary.
         channels: 1 to 4 of them.
-        oscillator: what its own clock shows; all other times here, the amplifiers' too, are by it.
-        boot_up_ns: power-on to boot-up message.
-        sdo_reply_ns: SDO request to response.
-        objects: power-on values that replace what the file says.
+        oscillator: its own clock; all other times here, the amplifiers' too, are measured by it.
+        boot_up_ns: from power-on to the boot-up message.
+        sdo_reply_ns: from an SDO request to its response.
+        objects: power-on values that replace those of the file.
     """
 
     node_id: int
@@ -105,7 +105,7 @@ class NodeSettings:
 
 
 def read_settings(table: Mapping[str, object], folder: Path, stream: str = "") -> NodeSettings:
-    """The settings in a rig's table; relative paths start at `folder`, draws from `stream`.
+    """Read the settings from a rig's table; `folder` holds relative paths, `stream` draws.
 
     Raises:
         SettingError: a key is unknown, or a value is missing or wrong.
@@ -144,7 +144,7 @@ def _channel(
         base = {} if "preset" in own_plant else common_plant
         plant = plant_of({**base, **own_plant}, (*path, "plant"))
     common = table_in(table, "amplifier")
-    _amplifier(common, ("amplifier",), plant, 0.0)  # a mistake in it is told as its own
+    _amplifier(common, ("amplifier",), plant, 0.0)  # reports errors by their own key
     amplifier: Mapping[str, object] = {**common, **table_in(own, "amplifier", path)}
     from_own = "initial_position_rad" in own
     position_rad = initial_position_rad(own if from_own else table, plant, path if from_own else ())
@@ -158,7 +158,7 @@ def _amplifier(
     tick_ns = duration_ns(table, "tick_s", 0.000_25, path, 1e-6, 1.0)
     steps = whole(table.get("current_steps", 5), (*path, "current_steps"), 1, 1000)
     if tick_ns % steps or tick_ns < steps * 1000:
-        message = f"{steps} steps do not divide {tick_ns} ns into whole ns, at least 1000 each"
+        message = f"{steps} steps do not divide {tick_ns} ns into whole ns of at least 1000 each"
         raise SettingError((*path, "current_steps"), message, "usual: 5")
     given = {key: number(table[key], (*path, key), 0, 1e12) for key in GAIN_KEYS if key in table}
     full_scale = plant.current_max_a / 10.0

@@ -1,1 +1,1 @@
-"""A CiA 402 drive: power state machine, modes and object dictionary over a node and an axis."""
+"""CiA 402 drive: power state machine, modes and objects over a CANopen node."""

@@ -1,24 +1,26 @@
-"""What a drive finds wrong: error code (603Fh), bits of 1001h, reaction, way out; one table.
+"""Table of faults: error code (603Fh), bits of 1001h, reaction and reset.
 
-The codes are those of CiA 301 (7.2.7.1) and of the list in CiA 402-1; the bits of the error
-register are CiA 301's (7.5.2.2). The standards leave the reaction to the vendor. Here:
+The codes are those of CiA 301 (7.2.7.1) and of the list in CiA 402-1. The bits of the error
+register are CiA 301's (7.5.2.2). The standards leave the reaction to the vendor. This drive knows
+two:
 
-- *By 605Eh* brakes as the fault reaction option code says, as Technosoft's iPOS does on I2t,
+- *605Eh*: brake according to the fault reaction option code, as Technosoft's iPOS does on I2t,
   under-voltage and excess temperature (manual P091.063, 5.4.9).
-- *At once* switches the power stage off in that instant, and the motor coasts: a power stage that
-  protects itself cannot brake (a short circuit; an over-voltage, which braking would raise; an
-  under-voltage), and without a sensor no loop can be closed, nor a motor commutated.
+- *At once*: switch the power stage off immediately, so that the motor coasts. A power stage that
+  protects itself cannot brake (short circuit; over-voltage, which braking would raise;
+  under-voltage). Without a sensor no loop can be closed and no motor commutated.
 
-A fault is reset by an edge of controlword bit 7 once its cause is gone; as long as it stands the
-edge does nothing (so do iPOS drives: yarp-devices issue 215). What memory has lost comes back with
-the next reset node only.
+A fault is reset by a rising edge of controlword bit 7 once its cause is gone. Before that the edge
+has no effect (iPOS drives behave the same: yarp-devices issue 215). Lost memory contents return
+only with the next reset node.
 """
 
 from typing import Final, final
 
-from emulators.canopen import can_state, emcy
-from emulators.firmware import flags as f
-from emulators.protection_settings import STO_ERROR
+from motorhil.emulators.canopen import emcy
+from motorhil.emulators.canopen import emcy as can_state
+from motorhil.emulators.firmware import flags as f
+from motorhil.emulators.settings.protection import STO_ERROR
 
 GENERIC: Final = 0x01
 CURRENT: Final = 0x02
@@ -45,7 +47,7 @@ BUS_OFF_RECOVERED: Final = can_state.BUS_OFF_RECOVERED
 FOLLOWING_ERROR: Final = 0x8611
 SAFE_TORQUE_OFF: Final = STO_ERROR
 
-# What the axis says of itself, and the fault that it is while it says so; in any state.
+# The faults that flags of the axis stand for, in any state.
 OF_FLAGS: Final = (
     (f.OVER_VOLTAGE, OVER_VOLTAGE),
     (f.OVER_TEMPERATURE, DRIVE_TEMPERATURE),
@@ -55,7 +57,7 @@ WARNING_FLAGS: Final = f.TEMPERATURE_WARNING | f.I2T_WARNING
 WARNED_BY_FLAGS: Final = 1  # bits of Standing.warnings
 WARNED_BY_INPUT: Final = 2
 
-# What the standards leave to the reader: the bits by the code's first digits.
+# Error register bits by the code's first digit; the standards do not assign them.
 _CLASSES: Final[dict[int, int]] = {
     0x2: CURRENT,
     0x3: VOLTAGE,
@@ -70,10 +72,10 @@ class Fault:
     """One row of the table.
 
     Attributes:
-        code: 603Fh, and the EMCY's.
-        text: for a person.
-        at_once: the power stage goes off in that instant; otherwise 605Eh says.
-        resettable: whether controlword bit 7 gets rid of it.
+        code: error code for 603Fh and EMCY.
+        text: description for a person.
+        at_once: True if the power stage goes off immediately; otherwise 605Eh decides.
+        resettable: True if controlword bit 7 can reset it.
     """
 
     def __init__(self, code: int, text: str, at_once: bool = False, resettable: bool = True):
@@ -103,46 +105,48 @@ _ROWS: Final = (
     Fault(BUS_OFF_RECOVERED, "recovered from bus-off"),
     Fault(0x8400, "velocity controller"),
     Fault(FOLLOWING_ERROR, "following error"),
-    Fault(SAFE_TORQUE_OFF, "safe torque off", at_once=True),  # maxon's EPOS4, INVT's joints
+    Fault(
+        SAFE_TORQUE_OFF, "safe torque off", at_once=True
+    ),  # as in maxon's EPOS4 and INVT's joints
 )
 FAULTS: Final[dict[int, Fault]] = {row.code: row for row in _ROWS}
 
 
 def error_register(code: int) -> int:
-    """The bits of 1001h that go with an error code; generic (bit 0) always does."""
+    """Return the bits of 1001h for an error code; generic (bit 0) is always set."""
     if code >> 12 == 0x8:
         return GENERIC | (COMMUNICATION if code < _COMMUNICATION_BELOW else PROFILE)
     return GENERIC | (VENDOR if code >> 8 == _OF_VENDOR else _CLASSES.get(code >> 12, 0))
 
 
 def is_at_once(code: int) -> bool:
-    """Whether the power stage goes off in the instant of the fault, whatever 605Eh says."""
+    """Return True if the fault switches the power stage off immediately, regardless of 605Eh."""
     row = FAULTS.get(code)
     return row is not None and row.at_once
 
 
 def is_resettable(code: int) -> bool:
-    """Whether an edge of controlword bit 7 resets the fault, once its cause is gone."""
+    """Return True if controlword bit 7 resets the fault once its cause is gone."""
     row = FAULTS.get(code)
     return row is None or row.resettable
 
 
 def told(code: int) -> str:
-    """The fault in words, for the record."""
+    """Describe the fault in words, for the record."""
     row = FAULTS.get(code)
     return f"fault {code:04X}h" + (f" ({row.text})" if row is not None else "")
 
 
 @final
 class Standing:
-    """What stands against the drive, whatever its state.
+    """Present faults, warnings and inhibits of the drive, in any state.
 
     Attributes:
-        causes: error codes whose cause is there; meanwhile no fault can be reset.
-        noted: the error codes since the last reset; each may stand in the way of the next one.
-        torque_off: the input "safe torque off" is demanded; meanwhile transition 2 is not taken.
-        warnings: a bit for each thing that warns; any is statusword bit 7.
-        seen: what the axis last said of a plant with extras, in its flags.
+        causes: error codes whose cause is present; no fault can be reset meanwhile.
+        noted: error codes since the last reset; each can block the next reset.
+        torque_off: True while "safe torque off" is requested; blocks transition 2.
+        warnings: one bit per source of a warning; any of them sets statusword bit 7.
+        seen: flags last reported by the axis of a nonlinear plant.
     """
 
     def __init__(self) -> None:
@@ -153,37 +157,37 @@ class Standing:
         self.seen: int = 0
 
     def note(self, code: int) -> int:
-        """A fault has this error code; the same."""
+        """Note the error code of a fault, and return it."""
         if code not in self.noted:
             self.noted.append(code)
         return code
 
     def lets_reset(self, has_supply: bool) -> bool:
-        """Whether an edge of controlword bit 7 may take transition 15."""
+        """Return True if controlword bit 7 may cause transition 15."""
         if self.causes or (UNDER_VOLTAGE in self.noted and not has_supply):
             return False
         return all(is_resettable(code) for code in self.noted)
 
     def add(self, code: int) -> bool:
-        """The cause of this fault has come; whether that is news."""
+        """Add the cause of a fault; return True if it is new."""
         if code in self.causes:
             return False
         self.causes.append(code)
         return True
 
     def remove(self, code: int) -> None:
-        """The cause is gone; the fault waits for its reset."""
+        """Remove the cause of a fault, which then waits for its reset."""
         if code in self.causes:
             self.causes.remove(code)
 
     def warn(self, bit: int, warns: bool) -> None:
-        """Whoever has this bit warns, or no longer."""
+        """Set or clear the warning bit of one source."""
         self.warnings = self.warnings | bit if warns else self.warnings & ~bit
 
     def see(self, seen: int, is_on: bool) -> list[int]:
-        """What the axis says of its plant has changed; the error codes of the faults it comes to.
+        """Handle changed flags of the axis; return the error codes of the resulting faults.
 
-        Too little voltage is one only while the motor has current (`is_on`).
+        Under-voltage is a fault only while the motor has current (`is_on`).
         """
         self.seen = seen
         self.warn(WARNED_BY_FLAGS, seen & WARNING_FLAGS != 0)

@@ -1,42 +1,22 @@
-"""The power drive: state machine, power stage, option codes, faults and the mode that has the axis.
+"""The power drive: state machine, power stage, option codes, faults and modes.
 
-`pds_fsa` says which transition a controlword asks for; here it is earned: transition 4 waits for
-the power stage, 5 and 8 for the motor to come to rest where 605Ch and 605Bh say so, 12 for the end
-of the quick stop, 14 for the end of the fault reaction.
+`pds_fsa` returns the transition that a controlword requests. This module decides when it can be
+taken. Transition 4 waits for the power stage. 5 and 8 wait for standstill if 605Ch and 605Bh
+require it. 12 waits for the end of the quick stop, 14 for the end of the fault reaction.
 """
 
 from typing import Final, final
 
-from emulators.canopen.shared import NEVER
-from emulators.cia402.cyclic_position import CyclicPosition
-from emulators.cia402.cyclic_torque import CyclicTorque
-from emulators.cia402.cyclic_velocity import CyclicVelocity
-from emulators.cia402.faults import (
-    FOLLOWING_ERROR,
-    UNDER_VOLTAGE,
-    Standing,
-    is_at_once,
-)
-from emulators.cia402.homing import Homing
-from emulators.cia402.interpolated_position import InterpolatedPosition
-from emulators.cia402.limit_guard import LimitGuard
-from emulators.cia402.mode import Mode
-from emulators.cia402.objects import DriveObjects
-from emulators.cia402.pds_fsa import (
-    NO_TRANSITION,
-    Command,
-    PdsFsa,
-    PdsState,
-    decode_controlword,
-)
-from emulators.cia402.profile_position import ProfilePosition
-from emulators.cia402.profile_torque import ProfileTorque
-from emulators.cia402.profile_velocity import ProfileVelocity
-from emulators.cia402.servo_objects import ServoObjects
-from emulators.cia402.settings import EMULATED_MODES
-from emulators.cia402.statusword import TARGET_REACHED, compose
-from emulators.cia402.touch_probe import TouchProbe
-from emulators.cia402.written import (
+from motorhil.emulators.canopen.outbox import NEVER
+from motorhil.emulators.cia402.faults import FOLLOWING_ERROR, UNDER_VOLTAGE, Standing, is_at_once
+from motorhil.emulators.cia402.limit_switches import LimitGuard
+from motorhil.emulators.cia402.modes.base import Mode
+from motorhil.emulators.cia402.modes.cyclic import CyclicPosition, CyclicTorque, CyclicVelocity
+from motorhil.emulators.cia402.modes.homing import Homing
+from motorhil.emulators.cia402.modes.interpolated_position import InterpolatedPosition
+from motorhil.emulators.cia402.modes.profile_position import ProfilePosition
+from motorhil.emulators.cia402.modes.profile_velocity_torque import ProfileTorque, ProfileVelocity
+from motorhil.emulators.cia402.objects.changes import (
     CONTROLWORD,
     FACTORS,
     GAINS,
@@ -45,13 +25,26 @@ from emulators.cia402.written import (
     TOUCH_PROBE,
     WINDOWS,
 )
-from emulators.firmware import flags as f
-from emulators.firmware.axis import Axis
-from emulators.firmware.digital_inputs import DigitalInputs, Edge
+from motorhil.emulators.cia402.objects.dictionary import DriveObjects
+from motorhil.emulators.cia402.objects.servo import ServoObjects
+from motorhil.emulators.cia402.settings import EMULATED_MODES
+from motorhil.emulators.cia402.state_machine import (
+    NO_TRANSITION,
+    TARGET_REACHED,
+    Command,
+    PdsFsa,
+    PdsState,
+    compose,
+    decode_controlword,
+)
+from motorhil.emulators.cia402.touch_probe import TouchProbe
+from motorhil.emulators.firmware import flags as f
+from motorhil.emulators.firmware.axis import Axis
+from motorhil.emulators.firmware.digital_inputs import DigitalInputs, Edge
 
 NO_FAULT: Final = 0x0000
 
-# 6007h, 605Ah
+# Values of 6007h (abort connection option code)
 ABORT_FAULT: Final = 1
 ABORT_DISABLE_VOLTAGE: Final = 2
 ABORT_QUICK_STOP: Final = 3
@@ -61,18 +54,18 @@ _POWERED_STATES: Final = (PdsState.SWITCHED_ON, *_RUNNING_STATES)
 
 @final
 class PowerDrive:
-    """One power drive system. All calls come after `axis.at(now_ns)`.
+    """One power drive system. Call its methods after `axis.at(now_ns)`.
 
     Attributes:
         error_code: 603Fh.
-        told: error codes since last cleared by the caller, in order; 0 says that a fault was reset.
-        voltage: whether the power stage has its supply.
+        told: error codes since the caller cleared the list, in order; 0 stands for a fault reset.
+        voltage: True if the power stage has its supply.
         mode: 6061h.
-        modes: by 6061h; a quirk may put another one in a place before power comes on.
-        is_watched: whether the plant may do something to a drive that is off.
-        standing: what keeps a fault from being reset, or the drive from being readied; warnings.
+        modes: the modes by 6061h; a quirk can replace one before power comes on.
+        is_watched: True if the plant can cause faults even while the drive is off.
+        standing: causes that block a fault reset or transition 2, and warnings.
         inputs: 60FDh.
-        touch_probe: 60B8h and what comes of it.
+        touch_probe: 60B8h and its results.
     """
 
     def __init__(
@@ -116,10 +109,10 @@ class PowerDrive:
         self._no_mode = Mode(axis, objects, tick_ns)
         self._active: Mode = self._no_mode
 
-    # --- from outside
+    # --- interface of the drive
 
     def power_on(self) -> None:
-        """Transition 0: the firmware starts; the motor has no current."""
+        """Take transition 0: the firmware starts; the motor has no current."""
         self._active.leave()
         self._axis.power(False)
         self._enable_due_ns = NEVER
@@ -135,7 +128,7 @@ class PowerDrive:
         self._select(self._objects.mode)
 
     def initialised(self, now_ns: int) -> None:
-        """Transition 1: the firmware has started."""
+        """Take transition 1: the firmware has started."""
         if self.fsa.state is PdsState.NOT_READY_TO_SWITCH_ON:
             self._take(1, now_ns)
             for code in self.standing.causes:
@@ -143,7 +136,7 @@ class PowerDrive:
             self._obey_level(now_ns)
 
     def written(self, what: int, now_ns: int) -> None:
-        """Objects were written: first what the numbers mean, then the mode, then the command."""
+        """Apply written objects: first units and settings, then the mode and the controlword."""
         if what & FACTORS:
             self._objects.reload_units()
         if what & (WINDOWS | FACTORS):
@@ -161,7 +154,7 @@ class PowerDrive:
             self._write_controlword(self._objects.controlword, now_ns)
 
     def settle(self, now_ns: int) -> None:
-        """Whatever has become due by now, or shows in the axis' flags, is done."""
+        """Handle everything that is due, or that the axis' flags show."""
         flags = self._axis.flags
         if self.is_watched and flags & f.OF_EXTRAS != self.standing.seen:
             is_on = self.fsa.state in _RUNNING_STATES
@@ -192,32 +185,32 @@ class PowerDrive:
                 self.fault(self._objects.settings.sync_lost_code, now_ns)
 
     def synced(self, now_ns: int) -> bool:
-        """SYNC was on the bus; True: the mode does something about it."""
+        """Pass SYNC to the mode; return True if the mode has new work or a new deadline."""
         active, state = self._active, self.fsa.state
         return active.heeds_sync and state is PdsState.OPERATION_ENABLED and active.synced(now_ns)
 
     def saw(self, edges: list[Edge]) -> None:
-        """Digital inputs have changed."""
+        """Handle edges of digital inputs."""
         self.touch_probe.sees(edges)
         if self.fsa.state is PdsState.OPERATION_ENABLED and self._at_rest == NO_TRANSITION:
             self._active.sees(edges)
         self._guard.sees(edges)
 
     def flags_matter(self) -> bool:
-        """Whether the motor has current, the plant is watched, or an input waits for the axis."""
+        """Return True if a change of the axis' flags can matter in the present state."""
         state = self.fsa.state
         is_on = state in _RUNNING_STATES or state is PdsState.FAULT_REACTION_ACTIVE
         return is_on or self.is_watched or self.inputs.is_gated
 
     def deadline_ns(self) -> int:
-        """When `settle` must be called at the latest [ns], flags aside; or NEVER."""
+        """Return when `settle` must be called at the latest [ns], or NEVER; ignores flags."""
         wake_ns = self._active.wake_ns()
         return wake_ns if wake_ns < self._enable_due_ns else self._enable_due_ns
 
     def fault(self, code: int, now_ns: int) -> None:
-        """Transition 13 with this error code (603Fh), and the reaction of the table of faults."""
+        """Take transition 13 with this error code (603Fh), with the reaction of the fault table."""
         self.told.append(code)
-        self.error_code = self.standing.note(code)  # the last one, though an earlier one has led
+        self.error_code = self.standing.note(code)  # the last, not always the reaction's cause
         state = self.fsa.state
         if state is PdsState.FAULT_REACTION_ACTIVE:
             if is_at_once(code):
@@ -226,11 +219,11 @@ class PowerDrive:
             self._react(code, now_ns)
 
     def lose_reference(self) -> None:
-        """The position no longer means what homing made it mean."""
+        """Discard the home position."""
         self._homing.forget()
 
     def take_torque_off(self, code: int, now_ns: int) -> None:
-        """Safe torque off: a fault with this code where the power stage was on; 0 disables only."""
+        """Switch torque off (STO): a fault with this code if power was on; 0: only disable."""
         state = self.fsa.state
         if state is PdsState.FAULT_REACTION_ACTIVE:
             self._take(14, now_ns)
@@ -240,7 +233,7 @@ class PowerDrive:
             self._advance(Command.DISABLE_VOLTAGE, now_ns)
 
     def set_voltage(self, present: bool, now_ns: int) -> None:
-        """The power stage's supply comes or goes; without it a motor cannot even be braked."""
+        """Connect or disconnect the power stage's supply; without it the motor cannot be braked."""
         self.voltage = present
         state = self.fsa.state
         if present:
@@ -251,9 +244,9 @@ class PowerDrive:
             self.fault(UNDER_VOLTAGE, now_ns)
 
     def abort_connection(self, code: int, now_ns: int) -> None:
-        """The host is gone: 6007h says what follows while the power stage is on.
+        """Apply 6007h after a lost connection, if the power stage is on.
 
-        A fault that follows is not told here: whoever noticed has done so, or nobody can.
+        A resulting fault is not reported here: the code that noticed it has reported it, or cannot.
         """
         state = self.fsa.state
         if state not in _POWERED_STATES:
@@ -266,10 +259,10 @@ class PowerDrive:
         elif option == ABORT_QUICK_STOP:
             self._advance(Command.QUICK_STOP, now_ns)
 
-    # --- what shows
+    # --- outputs
 
     def statusword(self) -> int:
-        """6041h as of the axis' flags."""
+        """Return 6041h according to the axis' flags."""
         state = self.fsa.state
         active = self._active
         if state is PdsState.OPERATION_ENABLED:
@@ -282,17 +275,17 @@ class PowerDrive:
         limit = active.limited or self._guard.is_active
         return compose(state, mode_bits, self.voltage, remote, limit, self.standing.warnings != 0)
 
-    # --- inside
+    # --- internals
 
     def _write_controlword(self, word: int, now_ns: int) -> None:
         fsa = self.fsa
         previous = fsa.controlword
-        if self._at_rest == NO_TRANSITION and fsa.holds(word):  # as in each cycle of a host's
+        if self._at_rest == NO_TRANSITION and fsa.holds(word):  # as in each cycle of a cyclic host
             self._active.obey(word, 0, now_ns)
             return
         command = fsa.command(word)
         if command is Command.ENABLE_OPERATION:
-            if self._at_rest in (5, 8):  # enabled again before it stood: nothing was disabled
+            if self._at_rest in (5, 8):  # enabled again before standstill: nothing was disabled
                 self._at_rest = NO_TRANSITION
                 self._active.enter(word, now_ns)
         elif command is not None:
@@ -302,19 +295,19 @@ class PowerDrive:
             self._active.obey(word, word & ~previous, now_ns)
 
     def _obey_level(self, now_ns: int) -> None:
-        """A transition happened by itself: the controlword, as it stands, may ask for the next."""
+        """Obey the present controlword again after an automatic transition."""
         word = self.fsa.controlword
         self._advance(decode_controlword(word, word), now_ns)
 
     def _advance(self, command: Command | None, now_ns: int) -> None:
-        """As far as the command leads without waiting."""
+        """Take all transitions of the command that need no waiting."""
         transition = self.fsa.asked(command)
         while transition != NO_TRANSITION and self._is_earned(transition, now_ns):
             self._take(transition, now_ns)
             transition = self.fsa.asked(command)
 
     def _is_earned(self, transition: int, now_ns: int) -> bool:
-        """Whether the transition may be taken at once; if not, what it waits for is under way."""
+        """Return True if the transition can be taken now; otherwise start what it waits for."""
         objects = self._objects
         if transition == 4:
             if self._enable_ns == 0 and self._has_supply():
@@ -340,7 +333,7 @@ class PowerDrive:
         return False
 
     def _take(self, transition: int, now_ns: int) -> None:
-        """The transition and what the standard has the drive do in it."""
+        """Take the transition, with the actions that the standard assigns to it."""
         self.fsa.take(transition)
         self._at_rest = NO_TRANSITION
         self._enable_due_ns = NEVER
@@ -375,7 +368,7 @@ class PowerDrive:
         return self.voltage and not self._axis.flags & f.UNDER_VOLTAGE
 
     def _quick_stop(self, now_ns: int) -> None:
-        """605Ah."""
+        """Start the reaction of 605Ah."""
         options = self._objects.options
         if not options.quick_stop(self._axis):
             self._take(12, now_ns)

@@ -1,4 +1,4 @@
-"""Touch probe: two latches of the position, by input or index pulse (CiA 402-2, touch probe).
+"""Touch probe: two position latches, by input or index pulse (CiA 402-2).
 
 60B8h, the function, has a byte for each probe, and so has 60B9h, the status:
 
@@ -13,18 +13,18 @@ bit   60B8h                                      60B9h
 ====  =========================================  =========================
 
 After a first event nothing is latched until bit 4 or 5, or bit 0, has been 0. The index pulse has a
-rising edge only. 60D5h to 60D8h count what was latched, and go on from FFFFh at 0. Which source 3
-names is reserved, as are the sources of 60D0h other than 1, 2 (the inputs), 5 and 6 (index pulse).
+rising edge only. 60D5h to 60D8h count the latched events and wrap from FFFFh to 0. Source 3 is
+reserved, as are the sources of 60D0h other than 1, 2 (the inputs), 5 and 6 (index pulse).
 """
 
 from typing import Final, final
 
-from emulators.canopen.abort_code import AbortCode
-from emulators.canopen.object_dictionary import DataType, ObjectDictionary
-from emulators.cia402.units import FactorGroup
-from emulators.cia402.written import TOUCH_PROBE, Choice, Watch, Written
-from emulators.firmware.axis import Axis
-from emulators.firmware.digital_inputs import (
+from motorhil.emulators.canopen.codes import AbortCode
+from motorhil.emulators.canopen.object_dictionary import DataType, ObjectDictionary
+from motorhil.emulators.cia402.objects.changes import TOUCH_PROBE, Choice, Watch, Written
+from motorhil.emulators.cia402.objects.units import FactorGroup
+from motorhil.emulators.firmware.axis import Axis
+from motorhil.emulators.firmware.digital_inputs import (
     INDEX_PULSE,
     TOUCH_PROBE_1,
     TOUCH_PROBE_2,
@@ -43,7 +43,7 @@ _D = DataType
 
 @final
 class Latch:
-    """One edge of one probe: the value, how often, and whether it waits for another."""
+    """One edge of one probe: its latched value, its count, and its armed state."""
 
     def __init__(self, enabling: int, shown: int, rising: bool) -> None:
         self.enabling = enabling  # its bit in the function
@@ -55,11 +55,11 @@ class Latch:
         self.events: int = 0
 
     def value(self) -> int:
-        """60BAh to 60BDh [position unit]."""
+        """Return 60BAh to 60BDh [position unit]."""
         return self.position_raw
 
     def count(self) -> int:
-        """60D5h to 60D8h."""
+        """Return 60D5h to 60D8h."""
         return self.events
 
 
@@ -76,7 +76,7 @@ class Probe:
         )
 
     def status(self) -> int:
-        """Its byte of the status."""
+        """Return its byte of the status."""
         bits = self.function & _ON
         for latch in self.latches:
             if latch.latched:
@@ -128,7 +128,7 @@ class TouchProbe:
                 events.reader = latch.count
 
     def configure(self) -> None:
-        """60B8h or 60D0h was written, or has become its default."""
+        """Apply 60B8h and 60D0h."""
         function = self._function.integer()
         for place, probe in enumerate(self._probes):
             self._set(probe, place, function >> 8 * place & 0xFF)
@@ -139,7 +139,7 @@ class TouchProbe:
         self._show()
 
     def sees(self, edges: list[Edge]) -> None:
-        """Digital inputs have changed."""
+        """Latch the position at edges of the probes' sources."""
         for edge in edges:
             for probe in self._probes:
                 if edge.bit == probe.source:

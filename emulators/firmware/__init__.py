@@ -1,1 +1,1 @@
-"""What runs inside a drive: profile generator, servo, and the axis joining them to a plant."""
+"""Drive firmware: profile generator, servo, and the axis that joins them to a plant."""

@@ -1,21 +1,22 @@
-"""Digital inputs: switches along the output, the encoder's index pulse, and what is wired by hand.
+"""Digital inputs: limit and home switches, index pulse and wired inputs.
 
-A switch is active over a range of the output's positions; where it changes is an edge of the plant
-and stays where it is, whatever positions are called. Nothing looks at switches while the motor is
-between two edges: the axis' gate names the first tick beyond one. `look` then tells which edges lay
-on the way, in their order, each with what the encoder counted at that place: the count latched is
-the edge's own, not that of the tick after.
+A switch is active over a range of output positions. Its edges belong to the plant and stay where
+they are, however positions are numbered. Switches are not polled while the motor is between two
+edges. The axis' gate reports the first tick beyond an edge. `look` then returns the edges passed,
+in order, each with the encoder count at its place. The latched count is therefore that of the edge,
+not of the tick after it.
 
-A fence is a range of the count that no switch has: software limits. The same gate watches it.
+A fence is a range of the count without a switch, used for software limits. The same gate watches
+it.
 
-An edge at E lies where the count changes between E - 1 and E; either way it latches E.
+An edge at E lies where the count changes between E - 1 and E; in both directions it latches E.
 """
 
 from typing import Final, final
 
-from emulators.firmware.axis import Axis
+from motorhil.emulators.firmware.axis import Axis
 
-# Bits of 60FDh (CiA 402-2, digital inputs). Bits 16 to 31 are the manufacturer's.
+# Bits of 60FDh (CiA 402-2, digital inputs). Bits 16 to 31 are manufacturer-specific.
 NEGATIVE_LIMIT: Final = 0x01
 POSITIVE_LIMIT: Final = 0x02
 HOME_SWITCH: Final = 0x04
@@ -23,9 +24,9 @@ INTERLOCK: Final = 0x08
 TOUCH_PROBE_1: Final = 1 << 16
 TOUCH_PROBE_2: Final = 1 << 17
 LIMITS: Final = NEGATIVE_LIMIT | POSITIVE_LIMIT
-INDEX_PULSE: Final = 1 << 32  # no bit of 60FDh: it is over before anybody could read it
+INDEX_PULSE: Final = 1 << 32  # not a bit of 60FDh: the pulse is too short to be read
 
-FAR: Final = 1 << 52  # no count gets there
+FAR: Final = 1 << 52  # a count that is never reached
 RELEASED: Final = -1
 _NO_GATE: Final = 1e300
 
@@ -42,7 +43,7 @@ STIMULI: Final[dict[str, int]] = {
 
 @final
 class Switch:
-    """Active for low <= output count < high; of two that share a bit, each makes it 1."""
+    """An input that is 1 for low <= output count < high; switches with the same bit are ORed."""
 
     def __init__(self, bit: int, low: int, high: int) -> None:
         self.bit = bit
@@ -52,7 +53,7 @@ class Switch:
 
 @final
 class Edge:
-    """An input changed: which, into what, at which count, moving forwards or not."""
+    """A change of an input: its bit, new state, count and direction of motion."""
 
     def __init__(self, bit: int, active: bool, count: int, forward: bool) -> None:
         self.bit = bit
@@ -63,25 +64,33 @@ class Edge:
 
 @final
 class DigitalInputs:
-    """All inputs of one drive. Calls come after `axis.at(now_ns)`.
+    """All digital inputs of one drive. Call its methods after `axis.at(now_ns)`.
 
     Attributes:
-        bits: what is active, as of the last `look`.
-        moved: something here, or that was latched here, shows anew; whoever tells it clears it.
-        beyond: the limit switch's bit at whose side of the fence the count is; 0 within it.
-        is_gated: whether the axis' flags matter because of an edge somewhere, power on or off.
+        bits: active inputs, as of the last `look`.
+        moved: True if an input or a latched value has changed; the reporting code clears it.
+        beyond: bit of the limit switch on whose side of the fence the count is; 0 within it.
+        is_gated: True if an edge exists somewhere, so that the axis' flags matter even without
+            power.
     """
 
     def __init__(
         self, axis: Axis, switches: tuple[Switch, ...], index_count: int | None, turn: int
     ) -> None:
-        """`index_count`: an index pulse is at it and every `turn` counts from it; None: nowhere."""
+        """Set up the inputs; all of them are evaluated at the axis' present position.
+
+        Args:
+            axis: the axis whose counts move the switches.
+            switches: the switches along the output.
+            index_count: count of an index pulse; None: the encoder has none.
+            turn: counts between index pulses.
+        """
         self._axis = axis
         self._switches = switches
         self._index_count = index_count
         self._turn = turn
         self._index_users: int = 0
-        self._forced: int = 0  # bits that follow no switch but `_forced_bits`
+        self._forced: int = 0  # bits that follow `_forced_bits` instead of their switches
         self._forced_bits: int = 0
         self._output_count: int = axis.output_count()
         self._count: int = axis.count()
@@ -94,13 +103,18 @@ class DigitalInputs:
         self._set_gate()
 
     def stimulate(self, name: str, value: float) -> list[Edge]:
-        """An input of STIMULI is 0 or 1 from now on, or, RELEASED (-1), follows its switch again.
+        """Force an input of STIMULI to 0 or 1, or release it (-1) to follow its switch.
+
+        Returns:
+            The edges since the last look, in order.
 
         Raises:
             ValueError: the value is none of these.
         """
         if value not in (0, 1, RELEASED):
-            raise ValueError(f"{name} is 0 or 1, or {RELEASED} for its switch's own, not {value}")
+            raise ValueError(
+                f"{name} = {value}: must be 0, 1 or {RELEASED} (released: the switch's own state)"
+            )
         seen = self.look()
         bit = STIMULI[name]
         if value == RELEASED:
@@ -111,12 +125,12 @@ class DigitalInputs:
         return seen + self._settle()
 
     def watch_index(self, on: bool) -> None:
-        """One more, or one less, wants edges of the index pulse."""
+        """Register or unregister one user of the index pulse's edges."""
         self._index_users += 1 if on else -1
         self._set_gate()
 
     def fence(self, low: float = -_NO_GATE, high: float = _NO_GATE) -> None:
-        """`beyond` is about low <= count < high from now on; without arguments, about nothing."""
+        """Set the range low <= count < high to which `beyond` refers; the default is no limit."""
         if low == self._fence_low and high == self._fence_high:
             return
         self._fence_low = low
@@ -126,13 +140,15 @@ class DigitalInputs:
         self.moved = True
 
     def look(self) -> list[Edge]:
-        """What has changed since the last look, in the order in which it did."""
+        """Return the edges since the last look, in the order in which they happened."""
         axis = self._axis
         before, now = self._output_count, axis.output_count()
         count_before, count = self._count, axis.count()
         self._output_count = now
         self._count = count
-        found: list[tuple[int, int, int, bool]] = []  # sorted by way, switches before the pulse
+        found: list[
+            tuple[int, int, int, bool]
+        ] = []  # sorted by distance, switches before the index pulse
         for switch in self._switches:
             if switch.bit & self._forced:
                 continue
@@ -155,7 +171,7 @@ class DigitalInputs:
         return edges + self._settle(edges)
 
     def _settle(self, told: list[Edge] | None = None) -> list[Edge]:
-        """Bits and gate are those of now; edges of what changed by hand."""
+        """Update bits and gate, and return the edges of inputs changed by hand."""
         self.moved = True
         before = self.bits
         for edge in told or ():
@@ -185,7 +201,7 @@ class DigitalInputs:
         return bits
 
     def _set_gate(self) -> None:
-        """The axis tells when the next edge, either way, has been passed."""
+        """Set the axis' gate to the nearest edges in both directions."""
         place = self._output_count
         below, above = -FAR, FAR
         for switch in self._switches:
@@ -213,7 +229,7 @@ class DigitalInputs:
             )
 
     def _index_after(self, count: int) -> int:
-        """The first index pulse whose place is above this count."""
+        """Return the count of the first index pulse above `count`."""
         index = self._index_count
         if index is None:
             return FAR

@@ -1,9 +1,9 @@
-"""The drive's profile generator: demands as pieces of constant acceleration, in closed form.
+"""Profile generator: demands as pieces of constant acceleration, in closed form.
 
-Time is counted in servo ticks from the moment of the command, so velocities are increments per
-tick and accelerations increments per tick^2. A profile is a tuple of pieces that follow one
-another; the last one never ends. The demand at any time comes straight from the piece that holds
-it: nothing is accumulated, so it does not matter how often, or whether, it was asked before.
+Time is counted in servo ticks from the moment of the command. Velocities are therefore increments
+per tick, and accelerations increments per tick^2. A profile is a tuple of consecutive pieces; the
+last one never ends. The demand at any time follows directly from the piece that contains it.
+Nothing is accumulated, so earlier queries have no influence.
 
 Only + - * / and sqrt are used, so the same command gives the same demands on every machine.
 
@@ -17,25 +17,25 @@ from typing import Final
 # end, start, position, slope, half acceleration, velocity, acceleration. At s = t - start:
 #   position demand = position + s * (slope + s * half acceleration)
 #   velocity demand = velocity + s * acceleration
-# (slope and velocity differ only where a cyclic demand has arrived and its velocity is still fed
+# (slope and velocity differ only after the end of a cyclic demand, where its velocity is still fed
 # forward for one tick.)
 Piece = tuple[float, float, float, float, float, float, float]
 Profile = tuple[Piece, ...]
 
 FOREVER: Final = 1e300
-UNLIMITED: Final = 1e300  # a speed that no motor passes
+UNLIMITED: Final = 1e300  # a speed above any motor's
 
 
 def hold(position: float) -> Profile:
-    """Stand at `position` for good."""
+    """Return a profile that holds `position` for ever."""
     return ((FOREVER, 0.0, position, 0.0, 0.0, 0.0, 0.0),)
 
 
 def line(start: float, end: float, ticks: float) -> Profile:
-    """Reach `end` evenly in `ticks` (cyclic demands), then stand; at once where ticks < 1.
+    """Return a linear move to `end` in `ticks` (cyclic demands), then standstill.
 
-    The velocity demand is that of the last step: it outlives the arrival by one tick, in which the
-    next cyclic demand is expected.
+    A move with ticks < 1 takes one tick. The velocity demand outlives the arrival by one tick, in
+    which the next cyclic demand is expected.
     """
     if ticks < 1.0:
         ticks = 1.0
@@ -48,7 +48,7 @@ def line(start: float, end: float, ticks: float) -> Profile:
 
 
 def fed(pieces: Profile, share: float, added: float) -> Profile:
-    """The same demands; fed forward are `share` of their velocity, and `added`."""
+    """Return the same demands, feeding forward `share` of their velocity plus `added`."""
     return tuple(
         (end, start, p, slope, half, share * v + added, share * change)
         for end, start, p, slope, half, v, change in pieces
@@ -56,7 +56,7 @@ def fed(pieces: Profile, share: float, added: float) -> Profile:
 
 
 def velocity_line(start: float, end: float, ticks: float) -> Profile:
-    """A velocity that goes evenly from `start` to `end` in `ticks`, then stays; no position."""
+    """Return a velocity that changes linearly to `end` in `ticks`, then stays; no position."""
     if ticks < 1.0:
         ticks = 1.0
     return (
@@ -66,7 +66,7 @@ def velocity_line(start: float, end: float, ticks: float) -> Profile:
 
 
 def current(start: float, target: float, slope: float, speed_max: float = UNLIMITED) -> Profile:
-    """A current from `start` to `target` by `slope` > 0 in each tick, the first one included."""
+    """Return a current ramp to `target` with `slope` > 0 per tick, from the first tick on."""
     ticks = (target - start if target > start else start - target) / slope
     if ticks <= 1.0:
         return ((FOREVER, 0.0, target, 0.0, 0.0, speed_max, 0.0),)
@@ -78,7 +78,7 @@ def current(start: float, target: float, slope: float, speed_max: float = UNLIMI
 
 
 def current_line(start: float, end: float, ticks: float, speed_max: float = UNLIMITED) -> Profile:
-    """A current that goes evenly from `start` to `end` in `ticks`, then stays."""
+    """Return a current that changes linearly to `end` in `ticks`, then stays."""
     if ticks < 1.0:
         ticks = 1.0
     return (
@@ -90,9 +90,9 @@ def current_line(start: float, end: float, ticks: float, speed_max: float = UNLI
 def ramp(
     position: float, velocity: float, wanted: float, acceleration: float, deceleration: float
 ) -> Profile:
-    """Reach the velocity `wanted` and keep it; through standstill where the sign changes.
+    """Return a ramp to the velocity `wanted`, which is then kept; it can change the sign.
 
-    A ramp to standstill ends at the increment next to where it comes to rest.
+    A ramp to standstill ends at the increment nearest to the point of rest.
     """
     pieces: list[Piece] = []
     t = 0.0
@@ -122,10 +122,10 @@ def move(
     acceleration: float,
     deceleration: float,
 ) -> Profile:
-    """Come to rest at `target` in the shortest time within the limits, from any start.
+    """Return the shortest move to rest at `target` within the limits, from any start.
 
-    Too fast a start is braked to `velocity_max` first; one that leads away, or too close to stop in
-    time, is braked to standstill and then comes back. All three limits > 0.
+    A start that is too fast is first braked to `velocity_max`. A start that leads away, or is too
+    close to stop in time, is braked to standstill and then returns. All three limits must be > 0.
     """
     pieces: list[Piece] = []
     t = 0.0
@@ -183,9 +183,10 @@ def move_through(
     deceleration: float,
     end: float,
 ) -> Profile:
-    """Pass `target` at the speed `end` > 0, no faster than `velocity_max`, and go on at it.
+    """Return a move that passes `target` at the speed `end` > 0 and continues at it.
 
-    A start too fast, or too slow, for the way that is left reaches that speed behind the target.
+    The speed is limited to `velocity_max`. A start that is too fast or too slow for the distance
+    left reaches `end` beyond the target.
     """
     pieces: list[Piece] = []
     t = 0.0
@@ -229,7 +230,7 @@ def _change(
     deceleration: float,
     forward: float,
 ) -> tuple[float, float, float]:
-    """Append the piece from one speed to the other, if they differ; when, where and how fast."""
+    """Append the piece between two speeds, if any; return its end time, position and speed."""
     if wanted == speed:
         return t, position, speed
     size = acceleration if wanted > speed else -deceleration
@@ -241,12 +242,12 @@ def _change(
 
 
 def duration_ticks(profile: Profile) -> float:
-    """When the last piece begins: from then on nothing changes any more [ticks]."""
+    """Return the start of the last piece, from which on nothing changes [ticks]."""
     return profile[-1][1]
 
 
 def demand_at(profile: Profile, t: float) -> tuple[float, float]:
-    """Position and velocity demand, unrounded, `t` ticks after the command."""
+    """Return position and velocity demand, unrounded, `t` ticks after the command."""
     index = 0
     while t >= profile[index][0]:
         index += 1
@@ -258,7 +259,7 @@ def demand_at(profile: Profile, t: float) -> tuple[float, float]:
 def _brake(
     pieces: list[Piece], position: float, velocity: float, deceleration: float
 ) -> tuple[float, float]:
-    """Append the first piece, from `velocity` != 0 to standstill; when and where that is."""
+    """Append the piece from `velocity` != 0 to standstill; return its end time and position."""
     change = -deceleration if velocity > 0.0 else deceleration
     duration = -velocity / change
     pieces.append((duration, 0.0, position, velocity, 0.5 * change, velocity, change))

@@ -1,34 +1,39 @@
-"""The servo and the motor behind it, one tick after another: a pure function of a tuple.
+"""The servo and the linear motor behind it, tick by tick.
 
-A tick of the servo (1 kHz, say), in this order:
+`run` is a pure function of a state tuple. A servo tick (for example 1 kHz) has four steps:
 
-1. The motor moves on by one tick under the current wanted at the tick before; the current loop
-   steps several times meanwhile (10 kHz). See servo_tables for how ten steps become one map.
-2. The encoder is read: whole increments. The velocity is a moving average, over two ticks for the
-   velocity loop (a longer one would come too late) and over four for everybody else (a shorter one
-   would be coarse): both are exactly zero once the shaft has stood still.
-3. Position loop (P, with the profile's velocity fed forward), velocity loop (PI, with the
-   profile's acceleration fed forward), limit of the current, conditional integration. Or, where
-   torque is controlled, none of these: the profile is one of current (position and slope of its
-   pieces are amperes, and amperes per tick; velocity is the speed that may not be passed), and the
-   velocity loop's integrator goes along, so that it takes over without a jump.
-4. Flags.
+1. The motor advances by one tick with the current demand of the previous tick. The current loop
+   runs several steps meanwhile (10 kHz). See `ServoTables` for how ten steps become one map.
+2. The encoder is read: whole increments. The velocity is a moving average. The velocity loop uses
+   two ticks, because a longer average would be too late. All other users get four ticks, because a
+   shorter average would be too coarse. Both are exactly zero once the shaft has stood still.
+3. Position loop (P, with velocity feedforward), velocity loop (PI, with acceleration feedforward),
+   current limit, conditional integration. In torque control none of these loops runs, and the
+   profile is one of current. Position and slope of its pieces are then amperes, and amperes per
+   tick. Their velocity is the speed limit. The velocity loop's integrator follows the current, so
+   that a change of mode causes no jump.
+4. The flags are set.
 
 Standstill is exact. The rotor sticks with speed 0.0 while the torque on it is within the Coulomb
-friction; with whole increments equal, velocity and following error are zero. The blocked motor's
-current loop is stepped as deviations from its steady state. There is a norm in which each tick
-shrinks them; once rounding makes one not shrink, they are gone: a norm that falls strictly among
-finitely many floats must end, so no pair of last bits can play ping-pong for ever. So an axis at
-rest reaches a state that maps onto itself bit for bit, and `run` says so.
+friction. With equal counts, velocity and following error are zero. The current loop of a blocked
+motor is stepped as deviations from its steady state. There is a norm in which each tick shrinks
+them. Once rounding prevents that, they are set to zero. A norm that falls strictly among finitely
+many floats must end, so last bits cannot oscillate for ever. An axis at rest therefore reaches a
+state that maps onto itself bit for bit, and `run` reports that.
 
-Within this module velocities are increments per tick; the position x is half an increment ahead,
-so that the encoder's count is its floor. Only + - * / are used.
+Within this module velocities are increments per tick. The position x is half an increment ahead, so
+that the encoder's count is its floor. Only + - * / are used.
+
+The current loop in single steps, for servo ticks near its limits.
+
+Most ticks take all their steps at once (see `ServoTables`). These two functions take the steps
+singly. They are needed where the voltage is clipped, or where the rotor stops or starts within the
+tick.
 """
 
 from typing import Final
 
-from emulators.firmware.current_loop import coast_steps, steps
-from emulators.firmware.flags import (
+from motorhil.emulators.firmware.flags import (
     CURRENT_REACHED,
     CURRENT_SATURATED,
     FOLLOWING_ERROR,
@@ -39,20 +44,109 @@ from emulators.firmware.flags import (
     PROFILE_ACTIVE,
     SPEED_ZERO,
 )
-from emulators.firmware.profile import UNLIMITED, Profile
-from emulators.firmware.servo_tables import LoadTable, StepTable, TickTable
+from motorhil.emulators.firmware.profile import UNLIMITED, Profile
+from motorhil.emulators.firmware.servo_tables import LoadTable, StepTable, TickTable
+
+
+def steps(
+    table: StepTable,
+    count: int,
+    load: float,
+    wanted: float,
+    i: float,
+    u: float,
+    w: float,
+    x: float,
+) -> tuple[float, float, float, float]:
+    """Return current, integrator, speed and position after `count` single steps.
+
+    The voltage is clipped to the supply. The integrator then grows only back towards the inside. A
+    rotor that passes through standstill stops for the rest of the step. It leaves again in the
+    first step at whose start or end the torque exceeds the friction.
+    """
+    # fmt: off
+    (ii, iw, iv, it, wi, ww, wv, wt, xi, xw, xv, xt, _, _, _, _,
+     decay, gain, kp, ki, resistance, k, supply, friction) = table
+    # fmt: on
+    base = resistance * wanted
+    error = wanted - i
+    s = u - base
+    for _ in range(count):
+        v = kp * error + (s + base)
+        clipped = False
+        grows = True
+        if v > supply:
+            v = supply
+            clipped = True
+            grows = error < 0.0
+        elif v < -supply:
+            v = -supply
+            clipped = True
+            grows = error > 0.0
+        i = wanted - error
+        if w == 0.0:
+            if clipped:
+                e1 = wanted - (decay * i + gain * v)
+            else:  # as a deviation from the steady current, which decays exactly to zero
+                e1 = decay * error - gain * (kp * error + s)
+            net = k * i - load
+            net1 = k * (wanted - e1) - load
+            if -friction <= net <= friction and -friction <= net1 <= friction:
+                if grows:
+                    s += ki * error
+                error = e1
+                continue
+            forward = net1 > friction or (net1 >= -friction and net > friction)
+        else:
+            forward = w > 0.0
+        torque = -load - friction if forward else -load + friction
+        i1 = ii * i + iw * w + iv * v + it * torque
+        x1 = x + (xi * i + xw * w + xv * v + xt * torque)
+        w1 = wi * i + ww * w + wv * v + wt * torque
+        if w1 < 0.0 if forward else w1 > 0.0:
+            if w == 0.0:
+                x1 = x  # it did not leave after all
+            w1 = 0.0
+        x = x1
+        w = w1
+        if grows:
+            s += ki * error
+        error = wanted - i1
+    return wanted - error, s + base, w, x
+
+
+def coast_steps(
+    table: StepTable, count: int, load: float, w: float, x: float
+) -> tuple[float, float]:
+    """Return speed and position after `count` steps without current; stops as in `steps`."""
+    # fmt: off
+    (_, _, _, _, _, _, _, _, _, _, _, _, ww, wt, xw, xt, _, _, _, _, _, _, _, friction) = table
+    # fmt: on
+    for _ in range(count):
+        forward = w > 0.0
+        if w == 0.0:
+            if -friction <= load <= friction:
+                break
+            forward = load < 0.0
+        torque = -load - friction if forward else -load + friction
+        x += xw * w + xt * torque
+        w = ww * w + wt * torque
+        if w < 0.0 if forward else w > 0.0:
+            w = 0.0
+    return w, x
+
 
 OFF: Final = 0
 POSITION: Final = 1
 VELOCITY: Final = 2
 TORQUE: Final = 3
-FED: Final = 4  # POSITION, whose pieces' velocities are fed forward as they are
+FED: Final = 4  # POSITION with the pieces' velocities fed forward unchanged
 
 # powered; current, integrator of the current loop, speed [rad/s], position; integrator of the
-# velocity loop, wanted current; counts of this tick and the three before; position and velocity
-# demand; measured velocity; flags; ticks in the target window, beyond the following window, below
-# the speed threshold, in the velocity window (each counts up to what is needed); what a plant with
-# extras has besides (see rich_servo; empty without any).
+# velocity loop, current demand; counts of this tick and the three before; position and velocity
+# demand; measured velocity; flags; ticks in the target window, beyond the following error window,
+# below the speed threshold, in the velocity window (each counts up to its limit); the additional
+# state of a nonlinear plant (see extras_servo; empty for a linear one).
 State = tuple[
     bool,
     float,
@@ -87,25 +181,25 @@ I_VELOCITY: Final = 13
 I_FLAGS: Final = 14
 I_EXTRAS: Final = 19
 
-# What was commanded: mode; the tick at which the profile starts; until which time in it
-# PROFILE_ACTIVE (below 0: never); the profile; whether there is a target, and where (or which
-# current); the velocity wanted by run_at, or how near the current must come; limits of the current,
+# The commands: mode; the tick at which the profile starts; the profile time until which
+# PROFILE_ACTIVE is set (below 0: never); the profile; True if there is a target, and its position
+# (or current); the target velocity of run_at, or the tolerance of the current; current limits,
 # forwards and backwards, both >= 0.
 Orders = tuple[int, int, float, Profile, bool, float, float, float, float]
 
-# Half widths: target and following [increments], speed threshold and velocity [increments/tick];
-# then for how many ticks in a row each must hold, this one included; the gate: the least count that
-# is inside, and the least beyond it that is not.
+# Half widths: target and following error [increments], speed threshold and velocity
+# [increments/tick]; the number of consecutive ticks each must hold, this one included; the gate:
+# the least count inside, and the least count above it that is outside.
 Windows = tuple[float, float, float, float, int, int, int, int, float, float]
 
 
-# Added to a number whose size is below _EXACT it leaves no room for a fraction, and so rounds it.
+# Adding it to a number smaller than _EXACT leaves no room for a fraction, and so rounds it.
 _ROUNDS: Final = 1.5 * 2.0**52
 _EXACT: Final = 2.0**51
 
 
 def whole(x: float) -> float:
-    """The largest whole number not above x: x // 1.0, without the division it is compiled to."""
+    """Return the largest whole number <= x, without the division that x // 1.0 compiles to."""
     if not -_EXACT < x < _EXACT:
         return x // 1.0
     rounded = x + _ROUNDS - _ROUNDS
@@ -113,7 +207,7 @@ def whole(x: float) -> float:
 
 
 def standing(count: float) -> State:
-    """A motor without power that has always stood at `count`."""
+    """Return the state of a motor without power that has always stood at `count`."""
     return (
         *(False, 0.0, 0.0, 0.0, count + 0.5, 0.0, 0.0),
         *(count, count, count, count, count, 0.0, 0.0),
@@ -133,13 +227,15 @@ def run(
     ticks: int,
     watch: bool,
 ) -> tuple[State, int, bool]:
-    """The state after `ticks` further ticks, counted from `tick` at which it is `state`.
+    """Return the state after up to `ticks` ticks, starting with `state` at `tick`.
 
-    Stops early at the first tick whose flags differ from the state's (if `watch`), and at a state
-    that the next tick would not change: then the third result is True. The second is how many
-    ticks were made.
+    The function stops early at the first tick whose flags differ from the state's (if `watch`). It
+    also stops at a state that the next tick would not change.
 
-    One function, and long, because a call or an attribute costs as much here as a row of the map.
+    The function is long on purpose: a call or an attribute costs as much here as a row of the map.
+
+    Returns:
+        The new state, the number of ticks made, and True if the axis is at rest for ever.
     """
     # fmt: off
     (ii, iu, iw, ir, ui, uu, uw, ur, wi, wu, ww, wr, xi, xu, xw, xr,
@@ -256,7 +352,7 @@ def run(
                 index += 1
                 end, start, p, slope, half, v, change = profile[index]
             wanted = p + (t - start) * slope
-            if v < UNLIMITED:  # the speed may not pass v: no more current than brings it there
+            if v < UNLIMITED:  # limit the current so that the speed does not pass v
                 most = kp_v * (v - (c0 - c2) * 0.5)
                 least = kp_v * (-v - (c0 - c2) * 0.5)
                 if wanted > most:
@@ -342,7 +438,7 @@ def run(
                 flags |= SPEED_ZERO
         else:
             still = 0
-        if c0 < gate_low or c0 >= gate_high:  # a chain is slower, compiled
+        if c0 < gate_low or c0 >= gate_high:  # a chained comparison compiles to slower code
             flags |= OUTSIDE_GATE
         if watch and flags != watched:
             break

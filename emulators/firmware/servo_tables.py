@@ -1,36 +1,104 @@
-"""The numbers the servo steps with, computed once per axis (and per load torque).
+"""Constants for stepping the servo, per axis and load torque.
 
-Ten steps of the current loop, taken together, are one linear map of the axis' state: as long as
-the voltage stays within the supply and the rotor does not pass through standstill, a servo tick
-costs one such map instead of ten steps. This module builds that map by multiplying the ten steps
-out, and with it *guards*: bounds, from the same ten matrices, that tell from the tick's first
-instant whether any of its steps could clip or stop. Where they cannot rule it out, the steps are
-taken one by one. Either way it is the same arithmetic to within rounding, and which way is taken
-depends on the state alone.
+Ten steps of the current loop together are one linear map of the axis' state. The map is valid while
+the voltage stays within the supply and the rotor does not pass through standstill. A servo tick
+then costs one map instead of ten steps. This module builds that map by multiplying the ten steps.
+It also derives *guards* from the same ten matrices. Guards are bounds, evaluated at the start of a
+tick, that show if any of its steps could clip or stop. Where they cannot exclude that, the steps
+are taken one by one. Both ways compute the same values to within rounding, and the choice depends
+on the state alone.
 
 The step, with voltage v held by the power stage for one period h of the current loop:
 
-    e = wanted current - current;  v = kp e + u;  u grows by ki h e     (u: the integrator [V])
-    current, speed, position: exact, from plant.discretisation
+  e = current demand - current;  v = kp e + u;  u grows by ki h e   (u: the integrator [V])
+  current, speed, position: exact, from plant.discretisation
 
-A tick's map acts on z = (current, u, speed, position, wanted current, torque).
+A tick's map acts on z = (current, u, speed, position, current demand, torque).
+
+Servo gains (P position, PI velocity, PI current, feedforward) and their tuning.
 """
 
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Final, final
 
-from emulators.firmware.gains import ServoGains
-from emulators.plant.dc_motor import MotorPlant
-from emulators.plant.discretisation import (
+from motorhil.emulators.plant.dc_motor import (
     Matrix,
+    MotorPlant,
     SampledMotor,
     dot,
+    exponential,
     identity,
     product,
     sample,
 )
 
-# Flat, in the order in which servo.run and servo.steps unpack them.
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ServoGains:
+    """Gains of the cascade; velocities in encoder increments per second.
+
+    Attributes:
+        position_kp_1_s: velocity demand per increment of following error.
+        velocity_kp_a_s_inc: current demand per inc/s of velocity error.
+        velocity_ki_a_inc: growth of that current per second and inc/s of velocity error.
+        current_kp_v_a: voltage per ampere of current error.
+        current_ki_v_a_s: growth of that voltage per second and ampere of current error.
+        velocity_feedforward: share of the velocity demand that is fed forward, 0..1.
+        acceleration_feedforward_a_s2_inc: current per inc/s^2 of the acceleration demand.
+    """
+
+    position_kp_1_s: float
+    velocity_kp_a_s_inc: float
+    velocity_ki_a_inc: float
+    current_kp_v_a: float
+    current_ki_v_a_s: float
+    velocity_feedforward: float = 1.0
+    acceleration_feedforward_a_s2_inc: float = 0.0
+
+    @staticmethod
+    def tuned(plant: MotorPlant, tick_ns: int, current_steps: int) -> "ServoGains":
+        """Return gains that track well and stand still, derived from the plant's parameters.
+
+        Current loop: zero on the pole of L and R, closed-loop pole at 0.6 per step. Velocity loop:
+        0.2 per tick (200 rad/s at 1 kHz) where the current loop is fast. Its integrator is at 2/7
+        of that, the position loop at 1/3. The sensitivity then peaks at 1.6. With a coarse encoder
+        the velocity loop is slower, so that one increment never demands more than 0.4 of the
+        maximum current.
+        """
+        step_s = tick_ns / (1e9 * current_steps)
+        tick_s = tick_ns / 1e9
+        decay = exponential([[-step_s / plant.electrical_time_constant_s()]])[0][0]
+        a_s2_inc = plant.inertia_kg_m2() / (
+            plant.torque_constant_n_m_a * plant.increments_per_rad()
+        )
+        per_tick = 0.2 * 1.65 / (1.5 + 1.5 / current_steps)
+        noise_a = 0.5 * a_s2_inc / (tick_s * tick_s)  # current demand per increment, at 1 per tick
+        per_tick = min(per_tick, 0.4 * plant.current_max_a / noise_a)
+        bandwidth_1_s = per_tick / tick_s
+        return ServoGains(
+            position_kp_1_s=bandwidth_1_s / 3.0,
+            velocity_kp_a_s_inc=bandwidth_1_s * a_s2_inc,
+            velocity_ki_a_inc=bandwidth_1_s * bandwidth_1_s * a_s2_inc / 3.5,
+            current_kp_v_a=0.4 * plant.resistance_ohm / (1.0 - decay),
+            current_ki_v_a_s=0.4 * plant.resistance_ohm / step_s,
+            acceleration_feedforward_a_s2_inc=a_s2_inc,
+        )
+
+    def shorted(self, plant: MotorPlant) -> "ServoGains":
+        """Return gains with which the velocity loop brakes like a short-circuited motor.
+
+        The current is the one that the back-EMF drives through the winding resistance. No energy
+        flows back into the supply, so its voltage does not rise.
+        """
+        kp = plant.torque_constant_n_m_a / (plant.resistance_ohm * plant.increments_per_rad())
+        return replace(
+            self, velocity_kp_a_s_inc=min(kp, self.velocity_kp_a_s_inc), velocity_ki_a_inc=0.0
+        )
+
+
+# Flat tuples, in the order in which servo.run and current_loop.steps unpack them.
 TickTable = tuple[float, ...]
 StepTable = tuple[float, ...]
 LoadTable = tuple[float, ...]
@@ -50,23 +118,23 @@ _SLACK: Final = 1.0 + 1e-9  # guards must hold in rounded arithmetic too
 def tables_of(
     plant: MotorPlant, gains: ServoGains, tick_ns: int, current_steps: int, clock_rate: float = 1.0
 ) -> "ServoTables":
-    """The tables of such an axis, shared by all that are alike. Raises as `ServoTables`."""
+    """Return the tables of such an axis, shared by equal axes; raises as `ServoTables`."""
     return ServoTables(plant, gains, tick_ns, current_steps, clock_rate)
 
 
 @final
 class ServoTables:
-    """Everything constant about one axis' stepping; never changes.
+    """All constants for stepping one axis; immutable.
 
     The firmware's constants (integrators, gains per tick) are in ticks of its own clock, which
-    counts `clock_rate` seconds in a true one; the motor moves in true time.
+    counts `clock_rate` seconds per true second. The motor moves in true time.
 
     Raises:
         ValueError: the gains make the current loop unstable.
 
     Attributes:
-        tick: what `servo.run` needs in every call.
-        step: what `servo.steps` needs when it goes step by step.
+        tick: the table for each call of `servo.run`.
+        step: the table for single steps (`current_loop.steps`).
         current_steps: steps of the current loop in a servo tick.
     """
 
@@ -92,7 +160,7 @@ class ServoTables:
         self.step = self._step_table()
 
     def load(self, load_torque_n_m: float) -> LoadTable:
-        """What a constant torque of the load at the output changes; see servo.run for the order."""
+        """Return the effects of a constant load torque at the output, ordered as in `servo.run`."""
         plant = self._plant
         load = load_torque_n_m / plant.gear_ratio
         friction = plant.coulomb_friction_n_m
@@ -115,7 +183,7 @@ class ServoTables:
         return tuple(table)
 
     def _closed_step(self) -> Matrix:
-        """One step of current loop and motor, not clipped, as a map of z."""
+        """Return one step of current loop and motor, not clipped, as a map of z."""
         step = identity(6)
         kp, ki = self._kp, self._ki
         rows = (_CURRENT, _SPEED, _POSITION)
@@ -134,19 +202,19 @@ class ServoTables:
         return step
 
     def _blocked_step(self) -> Matrix:
-        """The same with a rotor that stands, as a map of (e, u - R * wanted current)."""
+        """Return the step with a blocked rotor, as a map of (e, u - R * current demand)."""
         gain = self._motor.blocked_gain_a_v
         return [[self._motor.blocked_decay - gain * self._kp, -gain], [self._ki, 1.0]]
 
     def _moving_guards(self) -> tuple[tuple[float, float, float], tuple[float, float]]:
-        """Bounds of what happens within a tick.
+        """Return bounds on voltage and speed within a tick.
 
         In terms of e, d = u - R wanted - K speed (both 0 in steady motion) and the acceleration a0
         at the start, the voltage never departs from u by more than
 
-            first[0] |e| + first[1] |d| + first[2] a_max   =: m + first[2] a_max
+          first[0] |e| + first[1] |d| + first[2] a_max   =: m + first[2] a_max
 
-        and the speed never from the straight line between its two ends by more than
+        and the speed never departs from the straight line between its two ends by more than
         second[0] * m + second[1] * a_max; a_max bounds |a0| for currents within the limit.
         """
         k = self._plant.torque_constant_n_m_a
@@ -163,7 +231,7 @@ class ServoTables:
             voltages.append(max(abs(v - unit[_INTEGRATOR]) for v in volts))
             end = path[count][_SPEED]
             bends.append(max(abs(z[_SPEED] - end * j / count) for j, z in enumerate(path)))
-        per_ampere = k / inertia  # a current off by e accelerates as well
+        per_ampere = k / inertia  # a current error e accelerates as well
         first = (voltages[0] + voltages[2] * per_ampere) * _SLACK
         second = max(voltages[1], 1e-6) * _SLACK
         bend = max((bends[0] + bends[2] * per_ampere) / first, bends[1] / second) * _SLACK
@@ -230,9 +298,10 @@ class ServoTables:
 
 
 def shrinking_norm(matrix: Matrix) -> tuple[float, float, float]:
-    """a, b, c: a e^2 + b e s + c s^2 shrinks by e^2 + s^2 when (e, s) is mapped (Lyapunov).
+    """Return a, b, c of a norm that each mapping shrinks (Lyapunov).
 
-    The sum over all n of the squared size after n maps, added up by doubling n.
+    Mapping (e, s) shrinks a e^2 + b e s + c s^2 by e^2 + s^2. The result is the sum of the
+    squared sizes after n maps over all n, computed by doubling n.
     """
     total = identity(2)
     power = matrix
@@ -242,12 +311,12 @@ def shrinking_norm(matrix: Matrix) -> tuple[float, float, float]:
         total = [[total[r][c] + added[r][c] for c in range(2)] for r in range(2)]
         power = product(power, power)
         if not total[0][0] + total[1][1] < 1e15:
-            raise ValueError("with these gains the current loop is unstable, or nearly so")
+            raise ValueError("current loop: unstable, or nearly so, with these gains")
     return total[0][0], total[0][1] + total[1][0], total[1][1]
 
 
 def powers(matrix: Matrix, count: int) -> list[Matrix]:
-    """The matrix to the powers 0..count."""
+    """Return the powers 0..count of the matrix."""
     found = [identity(len(matrix))]
     for _ in range(count):
         found.append(product(matrix, found[-1]))

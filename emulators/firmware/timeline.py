@@ -1,28 +1,29 @@
-"""The servo's states along time, computed when somebody asks, and always the same ones.
+"""The servo's states along time, computed on demand with reproducible results.
 
-The state of a tick follows from the state before it and what was commanded, and from nothing else.
-So when it is computed, in how large portions, or how often, is free; this module uses that freedom:
+The state of a tick depends only on the previous state and the commands. The time of the
+computation, its portions and its repetitions are therefore free. This module uses that freedom:
 
-- `reach(tick)` computes up to a tick in one go: nobody looks, nothing is computed.
-- `next_tick(limit)` must know the next change of flags, so it runs *ahead*. What it computed is
-  kept, and is the answer when time gets there. If a command comes first, it is dropped.
-- If somebody looks in between, the few ticks up to there are run again from the last state kept.
-  (Looks tend to be periodic; states are kept where the next ones will fall.)
+- `reach(tick)` computes up to a tick in one go. Without a reader nothing is computed.
+- `next_tick(limit)` must know the next change of flags, so it runs *ahead*. The computed states are
+  kept as the answer for later. A command discards them.
+- For a reading in between, the few ticks up to it are run again from the last state kept. Readings
+  tend to be periodic, so states are kept where the next ones are expected.
 
-How far to run ahead is learned from how often commands made it useless. It must not be learned from
-looks: when a drive wakes up decides its turn among simultaneous events, so it may depend on what is
-commanded, but not on who looks.
+The distance to run ahead is learned from how often commands made it useless. Readings must not
+influence it: a drive's wake-up time decides its turn among simultaneous events. The wake-up time
+may depend on commands, but not on readers.
 """
 
 from typing import Final, final
 
-from emulators.firmware import extras_servo, servo
-from emulators.firmware.extras_tables import Conditions, ExtrasTables
-from emulators.firmware.servo_tables import LoadTable, ServoTables, StepTable, TickTable
+from motorhil.emulators.firmware import nonlinear_servo as extras_servo
+from motorhil.emulators.firmware import servo
+from motorhil.emulators.firmware.nonlinear_tables import Conditions, ExtrasTables
+from motorhil.emulators.firmware.servo_tables import LoadTable, ServoTables, StepTable, TickTable
 
 _BUDGET_MAX: Final = 64  # ticks run ahead at most
-_PATIENCE_MAX: Final = 64  # undisturbed ticks waited for, at most, before running ahead again
-# Where only heat changes hardly any tick is computed, so more are run ahead, from few to many.
+_PATIENCE_MAX: Final = 64  # maximum undisturbed ticks to wait before running ahead again
+# While only the temperature changes, few ticks are computed, so more are run ahead.
 _STILL_MIN: Final = 32
 _STILL_MAX: Final = 10_000
 
@@ -32,9 +33,13 @@ NO_CONDITIONS: Final[Conditions] = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 @final
 class Timeline:
-    """State at one tick, `tick`, which only moves forward; and what is known of the ticks after it.
+    """The state at one tick, which only moves forward, and the states computed beyond it.
 
-    `state` is to be read by all, `resting` says that it is the state of every later tick too.
+    Attributes:
+        tick: the present tick.
+        state: the state at `tick`, for all readers.
+        resting: True if `state` is also the state of every later tick.
+        commands: number of commands so far.
     """
 
     def __init__(
@@ -61,7 +66,7 @@ class Timeline:
         self.tick = 0
         self.state: servo.State = state
         self.resting = False
-        self.commands = 0  # so far
+        self.commands = 0
 
         self._ahead_tick = 0
         self._ahead: servo.State = state
@@ -69,17 +74,17 @@ class Timeline:
         self._between: list[tuple[int, servo.State]] = []
 
         self._budget = 1  # ticks to run ahead
-        self._still = 0  # the same while nothing but heat has changed since the last command
-        self._patience = 0  # ticks to wait for after the next disappointment
-        self._wait = 0  # of them still to come
-        self._commanded = False  # since `next_tick` was last asked
-        self._look_tick = 0  # the last look at a tick before `_ahead_tick`
-        self._look_period = 0  # between the last two
+        self._still = 0  # the same while only the temperature has changed since the last command
+        self._patience = 0  # ticks to wait after the next useless run ahead
+        self._wait = 0  # ticks left to wait
+        self._commanded = False  # since the last `next_tick`
+        self._look_tick = 0  # the last reading at a tick before `_ahead_tick`
+        self._look_period = 0  # between the last two readings
 
     # --- time -------------------------------------------------------------------------------------
 
     def reach(self, tick: int) -> None:
-        """`state` is that of `tick`, which must not be before the present one."""
+        """Advance `state` to `tick`, which must not be before the present one."""
         if tick < self._ahead_tick:
             if tick == self.tick:
                 return
@@ -98,9 +103,10 @@ class Timeline:
         self.tick = tick
 
     def next_tick(self, limit_tick: int) -> int:
-        """The next tick > `tick` at which the flags change, or up to which they do not.
+        """Return the next tick > `tick` at which the flags change, or before which they do not.
 
-        `RESTS` if they never will. It may be beyond the limit, but is not worked for there.
+        `RESTS` if they never change again. The result can be beyond the limit, but no tick is
+        computed there.
         """
         if self.resting:
             return RESTS
@@ -110,32 +116,32 @@ class Timeline:
             self._commanded = False
             budget = self._still if self._still > self._budget else self._budget
             self._run_ahead(min(self.tick + budget, limit_tick))
-        if self._ahead_resting:  # and it got there without a change of flags
+        if self._ahead_resting:  # without a change of flags on the way
             return RESTS
         return self._ahead_tick if self._ahead_tick > self.tick else self.tick + 1
 
-    # --- what is commanded ------------------------------------------------------------------------
+    # --- commands ---------------------------------------------------------------------------------
 
     def order(self, orders: servo.Orders, state: servo.State) -> None:
-        """From the next tick on these are the orders; `state` is what they make of the present."""
+        """Apply new orders from the next tick on; `state` is the present state under them."""
         self._drop_ahead()
         self._orders = orders
         self.state = self._ahead = state
 
     def set_load(self, torque_n_m: float) -> None:
-        """From now on this is the load's torque at the output."""
+        """Set the load torque at the output."""
         self._drop_ahead()
         self._load = self._tables.load(torque_n_m)
 
     def set_conditions(self, conditions: Conditions) -> None:
-        """From now on these hold for a plant with extras."""
+        """Set the conditions of a nonlinear plant."""
         self._drop_ahead()
         self._conditions = conditions
 
     def set_tables(
         self, tables: ServoTables, load_torque_n_m: float, extras: ExtrasTables | None = None
     ) -> None:
-        """From the next tick on the servo steps with these (other gains), the load as it was."""
+        """Set new tables (other gains) from the next tick on, with the same load."""
         self._drop_ahead()
         self._extras = extras
         self._tables = tables
@@ -144,11 +150,11 @@ class Timeline:
         self._load = tables.load(load_torque_n_m)
 
     def set_windows(self, windows: servo.Windows) -> None:
-        """From the next tick on these are the windows."""
+        """Set the windows from the next tick on."""
         self._drop_ahead()
         self._windows = windows
 
-    # --- inside -----------------------------------------------------------------------------------
+    # --- internals --------------------------------------------------------------------------------
 
     def _run(
         self, tick: int, state: servo.State, ticks: int, watch: bool
@@ -178,7 +184,7 @@ class Timeline:
         )
 
     def _look_between(self, tick: int) -> servo.State:
-        """The state of a tick before `_ahead_tick`, from the nearest one that was kept."""
+        """Return the state of a tick before `_ahead_tick`, from the nearest state kept."""
         start, state = self.tick, self.state
         while self._between and self._between[0][0] <= tick:
             start, state = self._between.pop(0)
@@ -187,7 +193,7 @@ class Timeline:
         return state
 
     def _run_ahead(self, stop: int) -> None:
-        """Go on from `_ahead_tick` until `stop`, a change of flags, or rest."""
+        """Run on from `_ahead_tick` until `stop`, a change of flags, or rest."""
         period = self._look_period
         flags = self._ahead[servo.I_FLAGS]
         while self._ahead_tick < stop and not self._ahead_resting:
@@ -203,7 +209,7 @@ class Timeline:
             self._between.append((self._ahead_tick, self._ahead))
 
     def _drop_ahead(self) -> None:
-        """Something is commanded: what was run ahead is not what will be."""
+        """Discard the states run ahead, because of a command."""
         if self._ahead_tick > self.tick and not self._ahead_resting:
             self._budget = 0
             self._patience = min(2 * self._patience + 1, _PATIENCE_MAX)
@@ -218,7 +224,7 @@ class Timeline:
         self._between.clear()
 
     def _learn(self) -> None:
-        """What was run ahead has come true: run further next time, or wait less for trying."""
+        """Run ahead further next time, or wait less, because the last run ahead was useful."""
         if self._extras is not None:
             is_still = extras_servo.is_still(self.state)
             self._still = min(_STILL_MIN + 2 * self._still, _STILL_MAX) if is_still else 0

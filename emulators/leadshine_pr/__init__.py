@@ -1,1 +1,1 @@
-"""A drive with a path table ("PR mode"), as Leadshine and StepperOnline have it."""
+"""A drive with a path table ("PR mode"), as by Leadshine."""

@@ -1,28 +1,114 @@
 """A PR-mode drive: sixteen paths, a trigger register, a status word.
 
-What a path says is taken when it is triggered. A path that does not interrupt waits for the one
-that runs (one can wait). Writing the trigger is what moves: a relative path that is triggered twice
-is made twice, whatever the registers in between say.
+A path takes effect with the register values at its trigger. A path that does not interrupt waits
+for the running one (one can wait). Writing the trigger starts a motion. A relative path that is
+triggered twice is executed twice, whatever is written to the registers in between.
+
+Factory of PR-mode drives: entry point `motorhil.controllers`, name `leadshine_pr`.
+
+Homing of a PR-mode drive: search, back off, set zero.
+
+Bit 0 of the homing mode is the direction (1: forward). Bit 2 selects the home switch, otherwise the
+limit switch of that side. Without such a switch the search continues until it is stopped, as in the
+real drive.
 """
 
 from collections.abc import Callable, Mapping
+from enum import Enum
 from typing import Final, final
 
-from emulators.firmware import flags as f
-from emulators.firmware.axis_readings import NEVER_NS
-from emulators.leadshine_pr import register_map as r
-from emulators.leadshine_pr.homing import Homing
-from emulators.modbus.identification import Identification
-from emulators.modbus.registers import RegisterBank
-from emulators.modbus_drive import (
+from motorhil.emulators.controller import Controller, ControllerContext
+from motorhil.emulators.firmware import flags as f
+from motorhil.emulators.firmware.axis import NEVER_NS
+from motorhil.emulators.firmware.clock import on_own_time
+from motorhil.emulators.leadshine_pr import registers as r
+from motorhil.emulators.leadshine_pr.registers import ROWS
+from motorhil.emulators.modbus.drive import (
     ModbusDrive,
     ModbusDriveSettings,
     alarm_code,
+    read_settings,
     revolutions_inc,
 )
+from motorhil.emulators.modbus.registers import Register, RegisterBank
+from motorhil.emulators.modbus.server import Identification
+
+_FORWARD = 0x0001
+_HOME_SWITCH = 0x0004
+
+
+@final
+class _Phase(Enum):
+    IDLE = 0
+    LEAVING = 1  # it began on the switch
+    SEARCHING = 2
+    STOPPING = 3
+    BACKING = 4
+    SETTLING = 5
+
+
+@final
+class Homing:
+    """The search for the switch, tick by tick."""
+
+    def __init__(self, drive: "LeadshinePr") -> None:
+        self._drive = drive
+        self._phase = _Phase.IDLE
+
+    def is_active(self) -> bool:
+        """Return whether homing is in progress."""
+        return self._phase is not _Phase.IDLE
+
+    def begin(self) -> None:
+        """Begin the search for the switch."""
+        self._phase = _Phase.LEAVING if self._closed() else _Phase.SEARCHING
+        if self._phase is _Phase.LEAVING:
+            self._run(-self._way() * self._drive.bank["homing_speed_low"])
+        else:
+            self._run(self._way() * self._drive.bank["homing_speed_high"])
+
+    def abandon(self) -> None:
+        """End homing, successful or not."""
+        self._phase = _Phase.IDLE
+
+    def settle(self) -> None:
+        """Advance the phases according to the position of the axis."""
+        drive, phase = self._drive, self._phase
+        if phase is _Phase.SEARCHING and self._closed():
+            self._phase = _Phase.STOPPING
+            drive.axis.ramp_to_rest(drive.inc_s2(drive.bank["homing_deceleration"]))
+        elif phase is _Phase.STOPPING and not drive.axis.flags & f.PROFILE_ACTIVE:
+            self._phase = _Phase.BACKING
+            self._run(-self._way() * drive.bank["homing_speed_low"])
+        elif phase in (_Phase.BACKING, _Phase.LEAVING) and not self._closed():
+            at_switch = drive.inc(drive.bank["zero_position"])
+            drive.axis.set_position(at_switch)
+            drive.axis.ramp_to_rest(drive.inc_s2(drive.bank["homing_deceleration"]))
+            self._phase = _Phase.SETTLING
+        elif phase is _Phase.SETTLING and not drive.axis.flags & f.PROFILE_ACTIVE:
+            drive.is_homed = True
+            self._phase = _Phase.IDLE
+
+    def _way(self) -> int:
+        return 1 if self._drive.bank["homing_mode"] & _FORWARD else -1
+
+    def _closed(self) -> bool:
+        if self._drive.bank["homing_mode"] & _HOME_SWITCH:
+            return self._drive.home_closed()
+        forward, backward = self._drive.limits_closed()
+        return forward if self._way() > 0 else backward
+
+    def _run(self, rpm: int) -> None:
+        drive = self._drive
+        drive.axis.run_at(
+            drive.inc_s(rpm),
+            drive.inc_s2(drive.bank["homing_acceleration"]),
+            drive.inc_s2(drive.bank["homing_deceleration"]),
+        )
+
 
 FUNCTIONS: Final = (0x03, 0x06, 0x08, 0x10, 0x11, 0x2B)
-_JOG_NS: Final = 50_000_000  # a jog goes on so long after the last word that asked for it: *
+_JOG_NS: Final = 50_000_000  # a jog ends so long after the last word that commands it: *
 _MS: Final = 1_000_000
 _NONE: Final = -1
 _FOLLOWING_RPM_MS: Final = 0.5  # of a revolution: following error that raises the alarm
@@ -30,7 +116,7 @@ _FOLLOWING_RPM_MS: Final = 0.5  # of a revolution: following error that raises t
 
 @final
 class LeadshinePr(ModbusDrive):
-    """The drive; see `emulators.leadshine_pr.register_map` for what its registers are.
+    """The drive; `register_map` documents its registers.
 
     Raises: as `ModbusDrive`.
     """
@@ -69,37 +155,38 @@ class LeadshinePr(ModbusDrive):
         return -1 if self.bank["direction"] else 1
 
     def pulses(self, inc: int) -> int:
-        """Increments of the encoder in pulses, rounded down."""
+        """Convert encoder increments to pulses, rounded down."""
         return self._sign() * inc * self.bank["pulses_per_revolution"] // self._revolution_inc
 
     def inc(self, pulses: int) -> int:
-        """Pulses in increments of the encoder, rounded down."""
+        """Convert pulses to encoder increments, rounded down."""
         return self._sign() * pulses * self._revolution_inc // self.bank["pulses_per_revolution"]
 
     def inc_s(self, rpm: float) -> float:
-        """Velocity."""
+        """Convert a velocity from rpm to [inc/s]."""
         return rpm * self._revolution_inc / 60.0
 
     def inc_s2(self, ms: int) -> float:
-        """Acceleration, told as the milliseconds that a change of 1000 rpm takes."""
+        """Convert an acceleration, given as [ms] for a change of 1000 rpm, to [inc/s^2]."""
         return self.inc_s(1000.0) * 1000.0 / ms
 
     def _speed_rpm(self) -> int:
         return int(self._sign() * self.axis.velocity_inc_s() * 60.0 / self._revolution_inc + 0.5)
 
-    # --- what is read ----------------------------------------------------------------------------
+    # --- values read
+    # -------------------------------------------------------------------------------
 
     def is_enabled(self) -> bool:
-        """Whether the motor has current."""
+        """Return whether the motor has current."""
         return bool(self.bank["force_enable"]) and not self.bank["alarm"]
 
     def is_running(self) -> bool:
-        """Whether something is being carried out that moves, or is to."""
+        """Return whether a motion is running or pending."""
         busy = self._homing.is_active() or self._jog_until_ns != NEVER_NS
         return busy or bool(self.axis.flags & f.PROFILE_ACTIVE) or self._path != _NONE
 
     def status(self) -> int:
-        """1003h."""
+        """Return the status word, 1003h."""
         word = r.FAULT if self.bank["alarm"] else 0
         word |= r.ENABLED if self.is_enabled() else 0
         word |= r.RUNNING if self.is_running() else 0
@@ -114,7 +201,8 @@ class LeadshinePr(ModbusDrive):
             return r.POSITIONING_DONE
         return 0
 
-    # --- what is written -------------------------------------------------------------------------
+    # --- values written
+    # ----------------------------------------------------------------------------
 
     def _enabled(self, value: int) -> int:
         if value and not self.bank["alarm"]:
@@ -129,7 +217,7 @@ class LeadshinePr(ModbusDrive):
         return 0
 
     def _special(self, value: int) -> int:
-        """The eighth register of path 0 triggers, so that one request tells and starts a motion."""
+        """Trigger by the eighth register of path 0: one request sets and starts a motion."""
         return self._triggered(value) if value & 0xFF0 == r.RUN_PATH else 0
 
     def _triggered(self, value: int) -> int:
@@ -205,10 +293,11 @@ class LeadshinePr(ModbusDrive):
         self._jog_until_ns = self.now_ns + _JOG_NS
         self.axis.run_at(way * self._sign() * self.inc_s(self.bank["jog_speed"]), ramp, ramp)
 
-    # --- what happens ----------------------------------------------------------------------------
+    # --- events
+    # ------------------------------------------------------------------------------------
 
     def power_on(self) -> None:
-        """Nothing runs; the motor has current if its register says so."""
+        """Power on without a motion; the motor has current if its register says so."""
         self._abandon()
         self.is_homed = False
         self._command_done = self._path_done = True
@@ -218,11 +307,11 @@ class LeadshinePr(ModbusDrive):
         self._enabled(self.bank["force_enable"])
 
     def power_off(self) -> None:
-        """Everything is forgotten but what was saved."""
+        """Forget everything except saved parameters."""
         self._abandon()
 
     def settle(self) -> None:
-        """A path ends, dwells, is followed by another; a jog that nobody repeats ends."""
+        """End a path, its dwell or an unrepeated jog, and start the next path."""
         if self.axis.flags & f.FOLLOWING_ERROR and self.is_enabled():
             self._alarm(r.FOLLOWING_ERROR)
         if not self.is_enabled():
@@ -273,7 +362,7 @@ class LeadshinePr(ModbusDrive):
             self._stop(self.bank["limit_deceleration"])
 
     def wake_ns(self) -> int:
-        """The end of a dwell or a jog; while switches matter, the next tick."""
+        """Return the end of a dwell or a jog; while switches matter, the next tick."""
         due_ns = self._jog_until_ns
         if self.now_ns < self._dwell_until_ns < due_ns:  # after it, the target window is awaited
             due_ns = self._dwell_until_ns
@@ -304,7 +393,7 @@ class LeadshinePr(ModbusDrive):
         self.axis.power(False)
 
     def own_stimuli(self) -> Mapping[str, Callable[[float], None]]:
-        """An alarm by its code (2203h); an emergency stop input (22h)."""
+        """Return the stimuli: an alarm by its code (2203h); an emergency stop input (22h)."""
         return {"alarm": self._stimulate_alarm, "emergency_stop": self._emergency_stop}
 
     def _stimulate_alarm(self, value: float) -> None:
@@ -317,5 +406,31 @@ class LeadshinePr(ModbusDrive):
             self._stop(self.bank["quick_stop_deceleration"])
 
     def own_truth(self) -> Mapping[str, float]:
-        """Its status word and the path that runs (-1: none)."""
+        """Return its status word and the running path (-1: none)."""
         return {"status": float(self.status()), "path": float(self._path)}
+
+
+def build(settings: Mapping[str, object], context: ControllerContext) -> Controller:
+    """Build the drive that a rig describes.
+
+    Args:
+        settings: the controller's table without `kind` and `bus`.
+        context: its name, the folder of relative paths, the seed.
+
+    Raises:
+        SettingError: a key or value is wrong; names the keys.
+    """
+    read = read_settings(settings, context)
+    drive = LeadshinePr(read)
+    if not read.oscillator.is_ideal():
+        drive.tell("info", read.oscillator.told())
+    return on_own_time(drive, read.oscillator)
+
+
+def registers() -> tuple[Register, ...]:
+    """Return the register map, for display."""
+    return ROWS
+
+
+build.bus_kinds = ("modbus_rtu", "modbus_tcp")  # type: ignore[attr-defined]  # a plugin's mark
+build.registers = registers  # type: ignore[attr-defined]  # likewise

@@ -1,1 +1,1 @@
-"""What controllers are joined by: media as sans-I/O cores with ports, told the time."""
+"""Media that join controllers: sans-I/O cores with ports, driven by virtual time."""

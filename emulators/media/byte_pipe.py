@@ -1,34 +1,35 @@
-"""A stream of bytes between a client and a server, as TCP is: in order, split and joined. Sans-I/O.
+"""An emulated TCP byte stream between a client and a server. Sans-I/O.
 
-Each connection has two directions. What is sent arrives a latency later, in one piece unless a
-fault splits it; what was sent before arrives before. Faults: a PAUSE splits what is sent (the rest
-comes later), DELAY holds it up with all that follows, LOSE and TRUNCATE lose the rest of the
-connection as a broken one does: nothing arrives in that direction any more. REPEAT and NOISE are no
-faults of TCP and do nothing here.
+Each connection has two directions. Data arrive one latency after they were sent, in order, and in
+one piece unless a fault splits them.
+
+Faults: PAUSE splits the data and delays the rest. DELAY delays the data and all that follow. LOSE
+and TRUNCATE break the connection: nothing arrives in that direction any more. REPEAT and NOISE do
+not exist in TCP and have no effect.
 """
 
 from heapq import heappop, heappush
 from typing import Final, final
 
-from emulators.media.serial_faults import Fate, SerialFaultPlan
+from motorhil.emulators.media.serial_faults import Fate, SerialFaultPlan
 
-_MBAP: Final = 6  # of its header, before the server address
+_MBAP: Final = 6  # bytes of the header before the server address
 
-# (bytes, connection, whether they go to the server)
+# (bytes, connection, True if they go to the server)
 PipeDelivery = tuple[bytes, int, bool]
 
 
 @final
 class _Direction:
-    """One way of one connection."""
+    """One direction of one connection."""
 
     __slots__ = ("free_ns", "is_broken", "is_closed", "name")
 
     def __init__(self, name: str) -> None:
         self.name = name
         self.free_ns = 0
-        self.is_broken = False  # what is sent from now on is lost
-        self.is_closed = False  # and what is on its way
+        self.is_broken = False  # data sent from now on are lost
+        self.is_closed = False  # data in transit are lost as well
 
 
 @final
@@ -36,16 +37,16 @@ class BytePipe:
     """All connections to one address.
 
     Args:
-        name: what records call it.
-        latency_ns: from sending to arriving [ns].
-        faults: what goes wrong, on purpose; None: nothing ever does.
+        name: the name used in records.
+        latency_ns: the time from sending to arrival [ns].
+        faults: the faults to inject; None: no faults.
     """
 
     def __init__(
         self, name: str, latency_ns: int = 50_000, faults: SerialFaultPlan | None = None
     ) -> None:
         if latency_ns < 0:
-            raise ValueError(f"latency {latency_ns} ns: 0 or more")
+            raise ValueError(f"latency_ns: invalid value {latency_ns}; expected 0 ns or more")
         self.name: Final = name
         self._latency_ns: Final = latency_ns
         self._plan: Final = faults
@@ -54,12 +55,12 @@ class BytePipe:
         self._turn = 0
 
     def connect(self, client: str, server: str) -> int:
-        """The number of a new connection."""
+        """Open a connection and return its number."""
         self._ways.append((_Direction(client), _Direction(server)))
         return len(self._ways) - 1
 
     def close(self, connection: int) -> None:
-        """What is still on its way is lost."""
+        """Close the connection and discard all data in transit."""
         for way in self._ways[connection]:
             way.is_broken = True
             way.is_closed = True
@@ -67,7 +68,7 @@ class BytePipe:
     def submit(
         self, connection: int, to_server: bool, data: bytes, now_ns: int, sender: str | None = None
     ) -> None:
-        """These bytes were sent; `sender`: by whom behind that end, for faults."""
+        """Send bytes; `sender` is the device behind that end, for fault rules."""
         way = self._ways[connection][0 if to_server else 1]
         if way.is_broken or not data:
             return
@@ -95,7 +96,7 @@ class BytePipe:
         heappush(self._waiting, (due_ns, self._turn, data, connection, to_server))
 
     def next_deadline_ns(self) -> int | None:
-        """When something arrives [ns]; None: nothing is on its way."""
+        """Return the time of the next arrival [ns], or None if nothing is in transit."""
         waiting = self._waiting
         while waiting:
             due_ns, _, _, connection, to_server = waiting[0]
@@ -105,7 +106,7 @@ class BytePipe:
         return None
 
     def expire(self, now_ns: int) -> list[PipeDelivery]:
-        """What has arrived by now, in order."""
+        """Return the data that have arrived by `now_ns`, in order."""
         out: list[PipeDelivery] = []
         waiting = self._waiting
         while waiting and waiting[0][0] <= now_ns:

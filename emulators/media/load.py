@@ -1,4 +1,4 @@
-"""How busy a medium was: exact over any window, and at its worst."""
+"""Load of a medium: exact over any window, and at its peak."""
 
 from array import array
 from bisect import bisect_right
@@ -7,9 +7,9 @@ from typing import final
 
 @final
 class BusyTime:
-    """When a medium was busy, as a list of periods.
+    """The busy time of a medium, as a list of periods.
 
-    Grows by 16 bytes per busy period; periods that touch are one. A CAN bus without pauses costs
+    Grows by 16 bytes per busy period; adjacent periods are merged. A CAN bus without pauses costs
     nothing per frame, one with a pause after every frame 16 bytes per frame.
     """
 
@@ -21,7 +21,7 @@ class BusyTime:
         self._before_ns = 0  # busy time before the last period
 
     def add(self, start_ns: int, end_ns: int) -> None:
-        """The medium was busy from `start_ns` to `end_ns`, not before the end of what was added."""
+        """Add a busy period from `start_ns` to `end_ns`, not before the end of the last one."""
         last_end_ns = self._end_ns
         if start_ns != last_end_ns:
             before_ns = self._before_ns + last_end_ns - self._start_ns
@@ -32,7 +32,7 @@ class BusyTime:
         self._end_ns = end_ns
 
     def busy_ns(self, until_ns: int | None = None) -> int:
-        """Busy time from 0 to `until_ns`, or altogether [ns]."""
+        """Return the busy time from 0 to `until_ns`, or in total [ns]."""
         if until_ns is None or until_ns >= self._end_ns:
             return self._before_ns + self._end_ns - self._start_ns
         if until_ns >= self._start_ns:
@@ -40,26 +40,29 @@ class BusyTime:
         return self._busy_before_last_ns(until_ns, bisect_right(self._ends_ns, until_ns))
 
     def load(self, from_ns: int, until_ns: int) -> float:
-        """The busy part of a window, 0.0 to 1.0.
+        """Return the busy part of a window, 0.0 to 1.0.
 
         Raises:
             ValueError: the window is empty.
         """
         if until_ns <= from_ns:
-            raise ValueError(f"a window from {from_ns} ns until {until_ns} ns is empty")
+            raise ValueError(
+                f"window from {from_ns} ns until {until_ns} ns is empty; expected "
+                "from_ns < until_ns"
+            )
         return (self.busy_ns(until_ns) - self.busy_ns(from_ns)) / (until_ns - from_ns)
 
     def peak_load(self, window_ns: int) -> float:
-        """The highest load of any window of this length, 0.0 to 1.0, wherever it begins.
+        """Return the highest load of any window of this length, 0.0 to 1.0, wherever it begins.
 
-        Exact: a fullest window ends where a period ends. Takes time in proportion to what was
-        added, about half a second per million periods.
+        The result is exact, because a fullest window ends where a period ends. Takes time in
+        proportion to the number of periods, about half a second per million.
 
         Raises:
             ValueError: window_ns is not above 0.
         """
         if window_ns <= 0:
-            raise ValueError(f"a window of {window_ns} ns is empty")
+            raise ValueError(f"window of {window_ns} ns is empty; expected above 0 ns")
         ends_ns = self._ends_ns
         index = 0
         most_ns = 0
@@ -73,7 +76,7 @@ class BusyTime:
         return most_ns / window_ns
 
     def _busy_before_last_ns(self, until_ns: int, index: int) -> int:
-        """Busy time from 0 to `until_ns`; period `index` is the first that ends after it."""
+        """Return the busy time from 0 to `until_ns`; period `index` is the first to end later."""
         if index == len(self._ends_ns):
             return self._before_ns
         before_ns = self._sums_ns[index - 1] if index else 0

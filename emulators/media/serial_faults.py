@@ -1,15 +1,16 @@
-"""What can go wrong on a serial line, on purpose: which frames are hit, how, and how often.
+"""Fault rules of a serial line: frames hit, effects and conditions.
 
-- LOSE: nobody hears it; the line was busy all the same.
-- DELAY: it begins later, as from a server that was busy, or behind a converter.
-- CORRUPT: bits are flipped; the check sum catches it.
-- TRUNCATE: it ends early.
-- PAUSE: there is a silence in the middle of it.
-- REPEAT: it is sent once more, later, as a late answer of somebody slow would be.
-- NOISE: characters are glued in front of it.
+- LOSE: no port hears the frame; the line is busy all the same.
+- DELAY: the frame begins later, as from a busy server, or behind a converter.
+- CORRUPT: bits are flipped; the checksum detects it.
+- TRUNCATE: the frame ends early.
+- PAUSE: there is a silence in the middle of the frame.
+- REPEAT: the frame is sent once more, later, like the late response of a slow device.
+- NOISE: characters are put in front of the frame.
 
-A plan is asked once per frame somebody sends. Its rules are tried in order; the first that fires
-decides.
+A plan is evaluated once per sent frame. Its rules are tried in order; the first that fires decides.
+
+Conditions common to fault rules of CAN buses and of serial lines.
 """
 
 from collections.abc import Callable, Sequence
@@ -17,18 +18,30 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import final
 
-from emulators.media.rule_conditions import wrong_condition
 
-# (characters, how much later they begin [ns], pause after so many, pause [ns], whether heard)
+def wrong_condition(
+    probability: float, from_ns: int, until_ns: int | None, skip: int, limit: int | None
+) -> str:
+    """Return the error in the conditions of probability, time [ns] and number, or ""."""
+    if not 0.0 <= probability <= 1.0:
+        return f"probability {probability}: invalid; expected 0.0 to 1.0"
+    if from_ns < 0 or (until_ns is not None and until_ns <= from_ns):
+        return f"from_ns {from_ns} until_ns {until_ns}: invalid; expected 0 <= from_ns < until_ns"
+    if skip < 0 or (limit is not None and limit < 1):
+        return f"skip {skip} is below 0, or limit {limit} is below 1"
+    return ""
+
+
+# (characters, delay of their beginning [ns], pause after so many, pause [ns], whether heard)
 Fate = tuple[bytes, int, int, int, bool]
 
-# (time [ns], rule, what happened, the characters hit)
+# (time [ns], rule, event, the characters hit)
 SerialFaultEvent = tuple[int, str, str, bytes]
 
 
 @final
 class SerialFaultKind(Enum):
-    """What happens to what a port sends."""
+    """The effect of a rule on the data that a port sends."""
 
     LOSE = "lose"
     DELAY = "delay"
@@ -46,25 +59,25 @@ _PLACED = (SerialFaultKind.TRUNCATE, SerialFaultKind.PAUSE)
 @final
 @dataclass(frozen=True, slots=True)
 class SerialFaultRule:
-    """Which frames are hit, and how. A rule without conditions hits every frame.
+    """A fault rule: the frames hit and the effect. A rule without conditions hits every frame.
 
     Attributes:
-        name: how records and counts call it.
-        kind: what happens.
-        sender: hit only what this port sends; None: all.
+        name: the name in records and counts.
+        kind: the effect.
+        sender: hit only frames of this port; None: of all.
         unit: hit only frames of this server address.
         function: hit only frames with this function code (without the exception bit).
-        from_ns, until_ns: hit what is sent from the one on [ns], and before the other.
+        from_ns, until_ns: hit frames sent from the first time on [ns], and before the second.
         probability: of firing; 1.0 draws nothing.
-        skip: so many frames that would be hit are spared first.
-        limit: it fires no more often than this; None: no limit.
+        skip: number of frames to spare before the first hit.
+        limit: maximum number of firings; None: no limit.
         delay_ns: DELAY, PAUSE, REPEAT: how long [ns].
         after: TRUNCATE, PAUSE: after so many characters.
-        flip: CORRUPT: what changes, from the first character on; empty: one bit, drawn.
-        noise: NOISE: what is glued in front.
+        flip: CORRUPT: the bits that change, from the first character on; empty: one bit, drawn.
+        noise: NOISE: the characters put in front.
 
     Raises:
-        ValueError: values that make no sense, by name.
+        ValueError: invalid values; the message names them.
     """
 
     name: str
@@ -89,19 +102,25 @@ class SerialFaultRule:
         if wrong:
             self._refuse(wrong)
         if (self.delay_ns > 0) is not (self.kind in _TIMED) or self.delay_ns < 0:
-            self._refuse(f"delay_ns is {self.delay_ns}; delay, pause and repeat have one above 0")
+            self._refuse(
+                f"delay_ns {self.delay_ns}: invalid; expected above 0 for delay, "
+                "pause and repeat, 0 for other kinds"
+            )
         if (self.after > 0) is not (self.kind in _PLACED) or self.after < 0:
-            self._refuse(f"after is {self.after}; truncate and pause have one above 0")
+            self._refuse(
+                f"after {self.after}: invalid; expected above 0 for truncate and "
+                "pause, 0 for other kinds"
+            )
         if self.flip and (self.kind is not SerialFaultKind.CORRUPT or not any(self.flip)):
-            self._refuse("flip is for corrupt, and has a bit set")
+            self._refuse("flip: invalid; only corrupt has it, with at least one bit set")
         if bool(self.noise) is not (self.kind is SerialFaultKind.NOISE):
-            self._refuse("noise is for noise, which needs some")
+            self._refuse("noise: invalid; kind noise requires it, other kinds do not have it")
 
     def _refuse(self, reason: str) -> None:
         raise ValueError(f"fault {self.name}: {reason}")
 
     def is_met_by(self, data: bytes, sender: str, now_ns: int, head: int = 0) -> bool:
-        """Whether all conditions but chance and number hold; the address is at `head`."""
+        """Return whether all conditions but probability, skip and limit hold."""
         return (
             now_ns >= self.from_ns
             and (self.until_ns is None or now_ns < self.until_ns)
@@ -116,9 +135,9 @@ class SerialFaultRule:
 
 @final
 class SerialFaultPlan:
-    """The rules of one line, with what they did so far.
+    """The rules of one line and their effects so far.
 
-    Same rules, same frames and same draws: same faults. `random` answers 0.0 <= x < 1.0.
+    Same rules, same frames and same draws give the same faults. `random` returns 0.0 <= x < 1.0.
     """
 
     def __init__(self, rules: Sequence[SerialFaultRule], random: Callable[[], float]) -> None:
@@ -131,39 +150,41 @@ class SerialFaultPlan:
             self.add(rule)
 
     def add(self, rule: SerialFaultRule) -> None:
-        """The rule holds from now on, after those before it.
+        """Add a rule behind the others, effective from now on.
 
         Raises:
-            ValueError: a rule of that name was there before.
+            ValueError: the plan has had a rule of that name.
         """
         if rule.name in self._fired:
-            raise ValueError(f"fault {rule.name}: there is a rule of that name already")
+            raise ValueError(
+                f"fault {rule.name}: name already used; expected one that is unique in the plan"
+            )
         self._met[rule.name] = self._fired[rule.name] = 0
         self._rules.append(rule)
 
     def remove(self, name: str) -> None:
-        """The rule holds no longer; its count stays.
+        """Remove a rule; its count stays.
 
         Raises:
-            ValueError: there is no rule of that name.
+            ValueError: the plan does not have a rule of that name.
         """
         if name not in [rule.name for rule in self._rules]:
-            raise ValueError(f"there is no fault rule {name}")
+            raise ValueError(f"fault {name}: unknown rule")
         self._rules = [rule for rule in self._rules if rule.name != name]
 
     def fired(self) -> dict[str, int]:
-        """How often each rule has fired, by name, in the order of adding."""
+        """Return how often each rule has fired, by name, in the order of adding."""
         return dict(self._fired)
 
     def take_events(self) -> list[SerialFaultEvent]:
-        """What happened since last asked, in order."""
+        """Return the events since the last call, in order."""
         events, self._events = self._events, []
         return events
 
     def fates(self, data: bytes, sender: str, now_ns: int, head: int = 0) -> list[Fate]:
-        """What becomes of these characters; as they are, if no rule fires.
+        """Return what is sent in place of these characters; unchanged if no rule fires.
 
-        `head`: so many stand before the server address (6 in Modbus/TCP).
+        `head` is the number of bytes before the server address (6 in Modbus/TCP).
         """
         for rule in self._rules:
             if rule.is_met_by(data, sender, now_ns, head) and self._fires(rule):

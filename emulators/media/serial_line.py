@@ -1,11 +1,10 @@
-"""A serial line (RS-485, half duplex) to the bit time: characters, silences, collisions. Sans-I/O.
+"""A serial line (RS-485, half duplex) to the bit time. Sans-I/O.
 
-Nobody arbitrates: whoever submits begins to send at once. What several send at the same time is
-garbled for those who listen (a 0 of anybody wins), and whoever sends hears nothing meanwhile.
-
-A character takes start bit, 8 data bits, parity bit if any, and stop bits. Receivers of Modbus RTU
-tell frames apart by silence: t3.5 ends a frame, and a pause longer than t1.5 within one spoils it.
-Above 19,200 bit/s both are fixed, 1.750 ms and 750 us.
+The line has no arbitration: a port that submits begins to send at once. Simultaneous characters are
+garbled for listeners (a 0 from any sender prevails), and a sender hears nothing meanwhile. A
+character takes start bit, 8 data bits, parity bit if any, and stop bits. Receivers of Modbus RTU
+separate frames by silence: t3.5 ends a frame, and a pause longer than t1.5 within a frame spoils
+it. Above 19,200 bit/s both are fixed, 1.750 ms and 750 us.
 
 Source: MODBUS over Serial Line, Specification and Implementation Guide V1.02, sections 2.5.1.1 and
 3.3; TIA-485 for the half duplex pair.
@@ -13,18 +12,18 @@ Source: MODBUS over Serial Line, Specification and Implementation Guide V1.02, s
 
 from typing import Final, final
 
-from emulators.media.serial_faults import Fate, SerialFaultPlan
+from motorhil.emulators.media.serial_faults import Fate, SerialFaultPlan
 
 # (kind, characters, port that sent them, when their first bit was on the line [ns])
 LineDelivery = tuple[int, bytes, int, int]
 CHARACTERS: Final = 0
-"""Everybody but the sender has heard these, complete now; hosts take them as they come."""
+"""Characters that all but the sender have heard, complete now; hosts read them as they arrive."""
 FRAME: Final = 1
-"""t3.5 has passed after the last character: what came since the silence before is a frame."""
+"""A frame: t3.5 has passed after the last of the characters since the silence before."""
 SPOILED: Final = 2
-"""As FRAME, but there was a pause in it, or a collision."""
+"""A frame with a pause or a collision in it."""
 SENT: Final = 3
-"""The sender's last character is out; silence begins."""
+"""The end of the sender's last character, where silence begins."""
 
 _FAST_BIT_S: Final = 19_200
 _T15_NS: Final = 750_000
@@ -34,7 +33,7 @@ _NS: Final = 1_000_000_000
 
 @final
 class _Burst:
-    """What one port sends without a pause."""
+    """The characters that one port sends without a pause."""
 
     __slots__ = ("data", "end_ns", "hears", "port", "start_ns")
 
@@ -43,27 +42,27 @@ class _Burst:
         self.start_ns = start_ns
         self.end_ns = end_ns
         self.data = data
-        self.hears = hears  # whether anybody does: a burst that is lost keeps the line busy
+        self.hears = hears  # False: the burst is lost, but keeps the line busy
 
 
 @final
 class SerialLine:
-    """One pair of wires with everybody on it.
+    """One pair of wires with all its ports.
 
     Args:
-        name: what records call it.
+        name: the name used in records.
         baud: bit rate [bit/s].
         parity: "E", "O" or "N".
         stop_bits: 1 or 2.
-        faults: what goes wrong, on purpose; None: nothing ever does.
+        faults: the faults to inject; None: no faults.
 
     Attributes:
         t15_ns, t35_ns: the two silences.
         characters, frames, spoiled, collisions: counted since the beginning.
-        busy_ns: for how long somebody was sending.
+        busy_ns: the total time in which any port was sending.
 
     Raises:
-        ValueError: no such line.
+        ValueError: invalid line settings.
     """
 
     def __init__(
@@ -80,7 +79,8 @@ class SerialLine:
             or stop_bits not in (1, 2)
         ):
             raise ValueError(
-                f"{baud} bit/s, parity {parity!r}, {stop_bits} stop bits: no such line"
+                f"serial line {name}: {baud} bit/s, parity {parity!r}, {stop_bits} stop bits: "
+                "invalid; expected 300 to 10000000 bit/s, parity E, O or N, 1 or 2 stop bits"
             )
         self.name: Final = name
         self.baud: Final = baud
@@ -95,8 +95,8 @@ class SerialLine:
         self.busy_ns = 0
         self._plan: Final = faults
         self._names: list[str] = []
-        self._free_ns: list[int] = []  # when each port has sent what it was given
-        self._bursts: list[_Burst] = []  # on the line now, or about to be (after a pause of theirs)
+        self._free_ns: list[int] = []  # when each port has sent all it was given
+        self._bursts: list[_Burst] = []  # on the line now, or soon (after a pause)
         self._frame = bytearray()  # heard since the last silence
         self._frame_port = 0
         self._frame_start_ns = 0
@@ -107,21 +107,21 @@ class SerialLine:
     # ---- ports ----
 
     def attach(self, name: str) -> int:
-        """The number of a new port of this name."""
+        """Add a port of this name and return its number."""
         self._names.append(name)
         self._free_ns.append(0)
         return len(self._names) - 1
 
     def duration_ns(self, characters: int) -> int:
-        """How long so many characters take without a pause [ns]."""
+        """Return how long so many characters take without a pause [ns]."""
         return characters * self._bits * _NS // self.baud
 
     def silent_since_ns(self) -> int:
-        """When the last character ended that everybody heard [ns]."""
+        """Return the end of the last character that was heard [ns]."""
         return self._quiet_ns
 
     def submit(self, port: int, data: bytes, now_ns: int) -> None:
-        """The port sends these characters, now or behind what it is still sending."""
+        """Send these characters from this port, now or after what it is still sending."""
         start_ns = max(now_ns, self._free_ns[port])
         if self._plan is None:
             if data:
@@ -133,7 +133,7 @@ class SerialLine:
 
     def _send_as(self, port: int, fate: Fate, start_ns: int) -> None:
         data, later_ns, pause_after, pause_ns, is_heard = fate
-        if later_ns:  # what is sent meanwhile does not wait for it
+        if later_ns:  # characters sent meanwhile do not wait for it
             free_ns = self._free_ns[port]
             self._put(port, data, start_ns + later_ns, is_heard)
             self._free_ns[port] = free_ns
@@ -144,7 +144,7 @@ class SerialLine:
             self._put(port, data, start_ns, is_heard)
 
     def _put(self, port: int, data: bytes, start_ns: int, hears: bool) -> int:
-        """Returns when it ends [ns]."""
+        """Put a burst on the line and return its end [ns]."""
         end_ns = start_ns + self.duration_ns(len(data))
         self._bursts.append(_Burst(port, start_ns, end_ns, data, hears))
         self._free_ns[port] = end_ns
@@ -155,11 +155,11 @@ class SerialLine:
     # ---- time ----
 
     def next_deadline_ns(self) -> int | None:
-        """When `expire` must be called [ns]; None: nothing goes on."""
+        """Return when `expire` must be called [ns], or None if the line is silent."""
         return self._due_ns
 
     def expire(self, now_ns: int) -> list[LineDelivery]:
-        """What has become complete by now, in order."""
+        """Return the deliveries complete by `now_ns`, in order."""
         out: list[LineDelivery] = []
         while self._due_ns is not None and self._due_ns <= now_ns:
             due_ns = self._due_ns
@@ -171,7 +171,7 @@ class SerialLine:
         return out
 
     def _settle(self) -> None:
-        """The next thing that will be complete: a burst nobody interferes with, or a frame."""
+        """Compute the next completion: of a burst without interference, or of a frame."""
         cluster_end_ns = self._cluster()[1]
         due_ns = cluster_end_ns
         if self._frame:
@@ -186,7 +186,7 @@ class SerialLine:
         return [burst for burst in self._bursts if burst.hears]
 
     def _cluster(self) -> tuple[list[_Burst], int | None]:
-        """The first burst with all that overlap it, and when the last of them ends."""
+        """Return the first burst with all that overlap it, and when the last of them ends."""
         if not self._bursts:
             return [], None
         ordered = sorted(self._bursts, key=_start_of)
@@ -228,7 +228,7 @@ class SerialLine:
         self._quiet_ns = end_ns
 
     def _garbled(self, bursts: list[_Burst]) -> bytes:
-        """What a listener makes of several at once: a 0 of anybody wins."""
+        """Return the characters that a listener reads from overlapping bursts: a 0 prevails."""
         char, start_ns = self._bits * _NS, bursts[0].start_ns
         slots: list[int] = []
         for burst in bursts:

@@ -1,1 +1,1 @@
-"""Modbus servers, written from the specification: what is asked, what is answered, on what line."""
+"""Modbus servers, written from the specification: PDUs, registers and framing."""

@@ -20,7 +20,7 @@ READ_WRITE_MULTIPLE_REGISTERS: Final = 0x17
 ENCAPSULATED_INTERFACE: Final = 0x2B
 
 ERROR: Final = 0x80
-"""Set in the function code of an exception response."""
+"""The flag of an exception response in the function code."""
 
 OK: Final = 0
 ILLEGAL_FUNCTION: Final = 0x01
@@ -42,4 +42,4 @@ PDU_MAX: Final = 253
 BROADCAST: Final = 0
 """The server address of a request to all."""
 UNITS: Final = range(1, 248)
-"""Server addresses on a serial line; 248 to 255 are reserved."""
+"""The server addresses on a serial line; 248 to 255 are reserved."""

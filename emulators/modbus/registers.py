@@ -1,11 +1,11 @@
-"""A controller's registers: one table that says what there is, and what stands behind each row.
+"""Registers of a controller: a table of rows, with readers and writers.
 
-The table is data (`Register` rows): it can be printed, checked and extended. What a register does
-is attached to it by name: a *reader* gives its value now, a *writer* is told a new one and may
-refuse it. A row without either keeps what is written to it.
+The table is data (`Register` rows): it can be printed, checked and extended. Behaviour is attached
+by name: a *reader* returns the current value, a *writer* receives a new value and may refuse it. A
+row without either keeps the written value.
 
-A row of 32 bit is two registers, the upper half first. In one request it is read at one instant; in
-two requests its halves are of two instants, as in any controller whose value moves meanwhile.
+A row of 32 bit is two registers, the upper half first. One request reads both halves at one
+instant. Two requests read them at two instants, as in any controller with a changing value.
 """
 
 from collections.abc import Callable, Sequence
@@ -13,17 +13,17 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Final, final
 
-from emulators.modbus.codes import ILLEGAL_DATA_VALUE, OK
+from motorhil.emulators.modbus.codes import ILLEGAL_DATA_VALUE, OK
 
 Reader = Callable[[], int]
-"""The value of a register now, in its own type."""
+"""A function that returns the current value of a register, in its own type."""
 Writer = Callable[[int], int]
-"""Told a new value within the row's limits; 0, or the exception code that refuses it."""
+"""A function that receives a value within the row's limits; returns 0 or an exception code."""
 
 
 @final
 class Kind(Enum):
-    """What the bits of a row mean: two's complement where signed, upper register first."""
+    """The type of a row: two's complement where signed, upper register first."""
 
     U16 = "u16"
     I16 = "i16"
@@ -33,7 +33,7 @@ class Kind(Enum):
 
 @final
 class Access(Enum):
-    """What a client may do with a row."""
+    """The access of a client to a row."""
 
     READ = "r"
     WRITE = "w"
@@ -51,13 +51,13 @@ class Register:
 
     Attributes:
         address: of its first register, as in the PDU: 0 to FFFFh.
-        name: what code and people call it; no two of a map are alike.
-        kind: what its bits mean.
-        unit: of the number in it ("ms", "0.1 A"; "" where it is a code).
-        access: what a client may do.
-        behaviour: what it does, in words.
-        default: at power-on.
-        low, high: limits of what may be written; None: those of the kind.
+        name: its unique name, for code and users.
+        kind: the type of its bits.
+        unit: of the number in it ("ms", "0.1 A"; "" for a code).
+        access: the access of a client.
+        behaviour: its effect, in words.
+        default: the power-on value.
+        low, high: limits of written values; None: those of the kind.
     """
 
     address: int
@@ -72,13 +72,13 @@ class Register:
 
     @property
     def words(self) -> int:
-        """How many registers it takes: 1 or 2."""
+        """The number of registers, 1 or 2."""
         return _WORDS[self.kind]
 
 
 @final
 class _Cell:
-    """A row at work."""
+    """The state of a row."""
 
     def __init__(self, row: Register) -> None:
         bits = 16 * row.words
@@ -105,12 +105,12 @@ class _Cell:
             )
 
     def raw(self) -> int:
-        """Its bits now, without sign."""
+        """Return its current bits, without sign."""
         value = self.value if self.reader is None else self.reader()
         return value & (self.span - 1)
 
     def signed(self, raw: int) -> int:
-        """The number that these bits are."""
+        """Return the number that these bits represent."""
         return raw - self.span if raw & self.sign else raw
 
 
@@ -119,10 +119,10 @@ class RegisterBank:
     """The registers of one table of a server: holding registers, or input registers.
 
     Args:
-        rows: in any order; no two may share an address or a name.
+        rows: in any order, with unique addresses and names.
 
     Raises:
-        ValueError: two do, or a row does not fit its kind.
+        ValueError: two rows share an address or a name, or a row does not fit its kind.
     """
 
     def __init__(self, rows: Sequence[Register]) -> None:
@@ -131,53 +131,58 @@ class RegisterBank:
         for row in sorted(rows, key=_address_of):
             cell = _Cell(row)
             if row.name in self._named:
-                raise ValueError(f"two registers are called {row.name}")
+                raise ValueError(f"register {row.name}: name already used; expected a unique name")
             self._named[row.name] = cell
             for address in range(row.address, row.address + row.words):
                 if not 0 <= address <= 0xFFFF:
-                    raise ValueError(f"register {row.name}: address {address:X}h, FFFFh at most")
+                    raise ValueError(
+                        f"register {row.name}: address {address:X}h is out of "
+                        "range; expected 0 to FFFFh"
+                    )
                 other = self._cells.get(address)
                 if other is not None:
-                    raise ValueError(f"{row.name} and {other.row.name} are both at {address:04X}h")
+                    raise ValueError(
+                        f"registers {row.name} and {other.row.name}: both at address {address:04X}h"
+                    )
                 self._cells[address] = cell
 
     # ---- the controller's side ----
 
     def rows(self) -> list[Register]:
-        """The table, by address."""
+        """Return the rows, by address."""
         return [cell.row for cell in self._named.values()]
 
     def on_read(self, name: str, reader: Reader) -> None:
-        """The register's value is what `reader` says."""
+        """Attach a function that returns the register's value."""
         self._named[name].reader = reader
 
     def on_write(self, name: str, writer: Writer) -> None:
-        """`writer` is told what is written to the register, and may refuse it."""
+        """Attach a function that receives written values and may refuse them."""
         self._named[name].writer = writer
 
     def __getitem__(self, name: str) -> int:
-        """What the register holds."""
+        """Return the value of the register."""
         return self._named[name].value
 
     def __setitem__(self, name: str, value: int) -> None:
-        """The register holds this; nobody is told."""
+        """Set the value of the register without calling its writer."""
         self._named[name].value = value
 
     def set_defaults(self) -> None:
-        """Every register holds what it does at power-on; nobody is told."""
+        """Set all registers to their power-on values without calling writers."""
         for cell in self._named.values():
             cell.value = cell.default
 
     def set_default(self, key: str, value: int) -> None:
-        """The register holds this at power-on, and now.
+        """Set the power-on value and the present value of a register.
 
         Args:
             key: its name, or its address in hex ("6200h").
             value: within its limits.
 
         Raises:
-            KeyError: there is no such register.
-            ValueError: it cannot hold the value.
+            KeyError: the register does not exist.
+            ValueError: the value exceeds the register's limits.
         """
         cell = self._named.get(key)
         if cell is None and key[-1:] in "hH" and len(key) == 5:
@@ -189,12 +194,12 @@ class RegisterBank:
         cell.default = cell.value = value
 
     def forget_kept(self) -> None:
-        """At power-on every register holds what its row says."""
+        """Reset the power-on values to those of the rows."""
         for cell in self._named.values():
             cell.default = cell.row.default
 
     def keep(self, names: Sequence[str]) -> None:
-        """What these hold now they hold at power-on, too."""
+        """Make the present values of these registers their power-on values."""
         for name in names:
             cell = self._named[name]
             cell.default = cell.value
@@ -202,7 +207,7 @@ class RegisterBank:
     # ---- the client's side ----
 
     def can_read(self, address: int, count: int) -> bool:
-        """Whether there are such registers, all to be read."""
+        """Return whether all these registers exist and are readable."""
         cells = self._cells
         for place in range(address, address + count):
             cell = cells.get(place)
@@ -211,7 +216,7 @@ class RegisterBank:
         return True
 
     def can_write(self, address: int, count: int) -> bool:
-        """Whether there are such registers, all to be written."""
+        """Return whether all these registers exist and are writable."""
         cells = self._cells
         for place in range(address, address + count):
             cell = cells.get(place)
@@ -220,7 +225,7 @@ class RegisterBank:
         return True
 
     def read(self, address: int, count: int) -> bytes:
-        """The registers' content now, two bytes each; `can_read` holds."""
+        """Return the current content of the registers, two bytes each; requires `can_read`."""
         cells = self._cells
         out = bytearray()
         end = address + count
@@ -239,10 +244,10 @@ class RegisterBank:
         return bytes(out)
 
     def write(self, address: int, data: bytes) -> int:
-        """The registers hold this, in the order of their addresses; `can_write` holds.
+        """Write the registers in the order of their addresses; requires `can_write`.
 
-        Every value is looked at before the first is stored. A writer may still refuse: what stands
-        before it has been written then.
+        All values are checked before the first is stored. A writer may still refuse; the values
+        before it have been written then.
 
         Returns:
             0, or the exception code.
@@ -290,22 +295,22 @@ class BitBank:
         self._writers: dict[int, Callable[[bool], int]] = {}
 
     def on_write(self, name: str, writer: Callable[[bool], int]) -> None:
-        """`writer` is told what is written to the bit: 0, or the exception code that refuses it."""
+        """Attach a function that receives written bits; it returns 0 or an exception code."""
         self._writers[self.names.index(name)] = writer
 
     def has(self, address: int, count: int) -> bool:
-        """Whether there are such bits."""
+        """Return whether these bits exist."""
         return address + count <= len(self.values)
 
     def read(self, address: int, count: int) -> bytes:
-        """The bits, the first one lowest in the first byte; what is left of the last byte is 0."""
+        """Return the bits, the first one lowest in the first byte; unused bits are 0."""
         packed = 0
         for place, value in enumerate(self.values[address : address + count]):
             packed |= value << place
         return packed.to_bytes((count + 7) // 8, "little")
 
     def write(self, address: int, count: int, data: bytes) -> int:
-        """The bits are these. Returns 0, or the exception code."""
+        """Write the bits and return 0, or the exception code."""
         packed = int.from_bytes(data, "little")
         for place in range(count):
             value = bool(packed >> place & 1)

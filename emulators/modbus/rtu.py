@@ -1,19 +1,62 @@
-"""A unit on a serial line: frames in, frames out, in RTU. Sans-I/O.
+"""Modbus RTU: one unit on a serial line. Sans-I/O.
 
-The line tells frames apart by silence; here is what a unit does with one. What is not addressed to
-it, nor to all, is not its own: requests to others, and the responses of others, which begin with
-their own address.
+The line separates frames by silence; this module processes them. A frame that is addressed neither
+to the unit nor to all is ignored. This includes requests to other units, and their responses, which
+begin with their own address.
 
 Source: MODBUS over Serial Line, Specification and Implementation Guide V1.02, section 2.
+
+RTU framing for a byte stream without silences. Sans-I/O.
+
+If the length of a request follows from its function code, and its CRC is correct there, it is a
+complete frame whatever follows. Everything else (an unknown function, a wrong CRC, the beginning of
+a frame) is delimited by silence, which the caller with a clock detects.
+
+Source: MODBUS Application Protocol Specification V1.1b3, section 6 (lengths); MODBUS over Serial
+Line V1.02, section 2.5.1.1 (silence).
+
+Checksum of Modbus RTU: CRC-16, polynomial A001h (reflected), low byte first.
+
+Source: MODBUS over Serial Line, Specification and Implementation Guide V1.02, section 2.5.1.2.
 """
 
+from functools import lru_cache
 from typing import Final, final
 
-from emulators.modbus.codes import BROADCAST, UNITS
-from emulators.modbus.crc import crc16, with_crc
-from emulators.modbus.server import ModbusServer
+from motorhil.emulators.modbus.codes import BROADCAST, UNITS
+from motorhil.emulators.modbus.server import ModbusServer
 
-_SHORTEST: Final = 4  # address, function code, check sum
+_POLYNOMIAL: Final = 0xA001
+
+
+def _table() -> list[int]:
+    table = []
+    for byte in range(256):
+        crc = byte
+        for _ in range(8):
+            crc = crc >> 1 ^ (_POLYNOMIAL if crc & 1 else 0)
+        table.append(crc)
+    return table
+
+
+_TABLE: Final = _table()
+
+
+@lru_cache(maxsize=1024)  # polling clients repeat the same requests
+def crc16(data: bytes) -> bytes:
+    """Return the two CRC bytes that follow these bytes on the line."""
+    crc = 0xFFFF
+    for byte in data:
+        crc = crc >> 8 ^ _TABLE[(crc ^ byte) & 0xFF]
+    return bytes((crc & 0xFF, crc >> 8))
+
+
+def with_crc(data: bytes) -> bytes:
+    """Return the bytes with their CRC appended."""
+    return data + crc16(data)
+
+
+_SHORTEST: Final = 4  # address, function code, checksum
 _LONGEST: Final = 256
 
 
@@ -23,19 +66,22 @@ class RtuUnit:
 
     Args:
         unit: 1..247.
-        server: what answers.
+        server: the server that responds.
         reply_ns: from the end of a request (t3.5 after its last character) to its response [ns].
 
     Attributes:
-        ignored: requests that came before it had answered the one before.
+        ignored: requests that came before the response to the previous one.
 
     Raises:
-        ValueError: no such unit.
+        ValueError: the unit or the reply time is out of range.
     """
 
     def __init__(self, unit: int, server: ModbusServer, reply_ns: int = 1_000_000) -> None:
         if unit not in UNITS or reply_ns < 0:
-            raise ValueError(f"unit {unit}, reply after {reply_ns} ns: 1 to 247, 0 or more")
+            raise ValueError(
+                f"unit {unit}, reply_ns {reply_ns}: invalid; expected unit 1 to "
+                "247, reply_ns 0 or more"
+            )
         self.unit: Final = unit
         self.server: Final = server
         self.ignored = 0
@@ -45,7 +91,7 @@ class RtuUnit:
         self._output: list[bytes] = []
 
     def receive(self, frame: bytes, now_ns: int) -> None:
-        """A frame was on the line: what was between two silences, with its check sum."""
+        """Process a frame on the line: the bytes between two silences, with their CRC."""
         diagnostics = self.server.diagnostics
         if not _SHORTEST <= len(frame) <= _LONGEST or crc16(frame[:-2]) != frame[-2:]:
             if diagnostics is not None:
@@ -63,16 +109,16 @@ class RtuUnit:
             self._due_ns = now_ns + self._reply_ns
 
     def spoiled(self) -> None:
-        """Something was on the line that is no frame: a pause in it, or a collision."""
+        """Count invalid characters on the line, after a pause in a frame or a collision."""
         if self.server.diagnostics is not None:
             self.server.diagnostics.bus_errors += 1
 
     def next_deadline_ns(self) -> int | None:
-        """When it answers [ns]; None: it was not asked."""
+        """Return when the response is due [ns], or None without a request."""
         return self._due_ns
 
     def expire(self, now_ns: int) -> None:
-        """It answers, with what is so now."""
+        """Respond with the current values if the response is due."""
         if self._due_ns is None or now_ns < self._due_ns:
             return
         self._due_ns = None
@@ -81,11 +127,70 @@ class RtuUnit:
             self._output.append(with_crc(bytes((self.unit,)) + response))
 
     def take_output(self) -> list[bytes]:
-        """Frames to send now; they are then forgotten here."""
+        """Return and clear the frames to send now."""
         output, self._output = self._output, []
         return output
 
     def power_off(self) -> None:
-        """What it was about to answer is forgotten."""
+        """Drop the pending response."""
         self._due_ns = None
         self._output.clear()
+
+
+_FUNCTION: Final = 1
+_CRC: Final = 2
+
+_FIXED: Final = {
+    **dict.fromkeys((0x01, 0x02, 0x03, 0x04, 0x05, 0x06, 0x08), 8),
+    **dict.fromkeys((0x07, 0x0B, 0x0C, 0x11), 4),
+    0x16: 10,
+    0x18: 6,
+    0x2B: 7,  # MEI type 0Eh; another one is delimited by silence
+}
+"""The lengths with address and CRC. Function 08h may be longer: then the CRC at 8 is wrong."""
+_COUNTED: Final = {0x0F: 6, 0x10: 6, 0x14: 2, 0x15: 2, 0x17: 10}
+"""The offset of the byte count in the frame."""
+
+
+@final
+class RtuRequests:
+    """The characters of a client, cut into frames."""
+
+    def __init__(self) -> None:
+        self._buffer = b""
+
+    @property
+    def waits(self) -> bool:
+        """True if characters wait for silence, or for more characters."""
+        return bool(self._buffer)
+
+    def feed(self, data: bytes) -> list[bytes]:
+        """Return the frames that these characters have completed, in order."""
+        self._buffer += data
+        frames: list[bytes] = []
+        while True:
+            length = _length(self._buffer)
+            frame = self._buffer[:length]
+            if not length or len(frame) < length or crc16(frame[:-_CRC]) != frame[-_CRC:]:
+                break
+            frames.append(frame)
+            self._buffer = self._buffer[length:]
+        if len(self._buffer) > _LONGEST:  # too long for any frame
+            frames.append(self.silence())
+        return frames
+
+    def silence(self) -> bytes:
+        """Return the characters before a silence as one frame, valid or not."""
+        rest, self._buffer = self._buffer, b""
+        return rest
+
+
+def _length(buffer: bytes) -> int:
+    """Return the length of the request at the start of the buffer, or 0 if not known (yet)."""
+    if len(buffer) <= _FUNCTION:
+        return 0
+    function = buffer[_FUNCTION]
+    place = _COUNTED.get(function)
+    if place is None:
+        return _FIXED.get(function, 0)
+    return place + 1 + buffer[place] + _CRC if len(buffer) > place else 0

@@ -1,14 +1,14 @@
-"""Modbus/TCP: a stream of bytes in, requests out, responses back into a stream. Sans-I/O.
+"""Modbus/TCP: requests and responses in a byte stream. Sans-I/O.
 
-Bytes may be split and joined anywhere; any number of requests may be under way at once, told apart
-by their transaction identifiers. A stream that is not Modbus cannot be found the way back into: its
+Bytes may be split and joined anywhere. Any number of requests may be pending at once, distinguished
+by their transaction identifiers. A stream that is not Modbus cannot be resynchronised: its
 connection is closed.
 
-Units: controllers behind one address are a gateway's, and are told apart by the unit identifier; a
-request to one that is not there, or does not answer, is answered 0Bh (gateway target device failed
-to respond), and one more than so many that wait for one unit 0Ah (gateway path unavailable:
-overloaded). What a client that has left had asked, and the unit was not told yet, it is not told.
-A controller that is alone is meant by FFh and 0 too. There is no broadcast on TCP.
+Controllers behind one address belong to a gateway and are distinguished by the unit identifier. A
+request to a unit that does not exist, or does not respond, gets 0Bh (gateway target device failed
+to respond). If too many requests wait for one unit, the next one gets 0Ah (gateway path
+unavailable: overloaded). Requests of a disconnected client that the unit has not received are
+dropped. A single controller also accepts FFh and 0. TCP has no broadcast.
 
 Source: MODBUS Messaging on TCP/IP Implementation Guide V1.0b, sections 3.1.3, 4.4.1 and 4.4.2.
 """
@@ -17,7 +17,7 @@ from collections import deque
 from collections.abc import Sequence
 from typing import Final, final
 
-from emulators.modbus.codes import (
+from motorhil.emulators.modbus.codes import (
     ERROR,
     GATEWAY_PATH_UNAVAILABLE,
     GATEWAY_TARGET_FAILED,
@@ -34,7 +34,7 @@ Request = tuple[int, int, bytes]
 
 
 def adu(transaction: int, unit: int, pdu: bytes) -> bytes:
-    """The PDU behind its MBAP header."""
+    """Return the PDU behind its MBAP header."""
     return b"".join(
         (
             transaction.to_bytes(2, "big"),
@@ -51,7 +51,7 @@ class MbapStream:
     """One direction of one connection.
 
     Attributes:
-        closed_because: why the connection is to be closed; None: it is well.
+        closed_because: the reason for closing the connection, or None.
     """
 
     def __init__(self) -> None:
@@ -59,7 +59,7 @@ class MbapStream:
         self._buffer = bytearray()
 
     def feed(self, data: bytes) -> list[Request]:
-        """What these bytes have completed, in order."""
+        """Return the requests that these bytes have completed, in order."""
         if self.closed_because is not None:
             return []
         buffer = self._buffer
@@ -84,7 +84,7 @@ class MbapStream:
 
 @final
 class _Pending:
-    """A request under way."""
+    """A pending request."""
 
     def __init__(self, connection: int, request: Request, due_ns: int) -> None:
         self.connection = connection
@@ -96,10 +96,10 @@ class _Pending:
 
 @final
 class TcpGateway:
-    """Between connections and the units behind them: one request at a time for each unit.
+    """The link between connections and units: one request at a time for each unit.
 
     Args:
-        timeout_ns: how long a unit may take to answer [ns].
+        timeout_ns: the response timeout of a unit [ns].
 
     Attributes:
         requests, timeouts: counted.
@@ -110,23 +110,25 @@ class TcpGateway:
         self.timeouts = 0
         self._timeout_ns: Final = timeout_ns
         self._queues: dict[int, deque[_Pending]] = {}
-        self._owed_until_ns: dict[int, int] = {}  # by unit that was given up, and may yet answer
+        self._owed_until_ns: dict[int, int] = {}  # by unit that timed out and may still respond
 
     def add_unit(self, unit: int) -> None:
-        """There is a controller of this address.
+        """Add a controller with this address.
 
         Raises:
-            ValueError: there is one already.
+            ValueError: the address is taken.
         """
         if unit in self._queues:
-            raise ValueError(f"two controllers are unit {unit}")
+            raise ValueError(
+                f"unit {unit}: already used by another controller; expected a unique unit"
+            )
         self._queues[unit] = deque()
 
     def ask(self, connection: int, request: Request, now_ns: int) -> tuple[int, bytes] | None:
-        """A request came.
+        """Queue a request.
 
         Returns:
-            (unit, PDU) to hand on now; None: it waits its turn, or `failed` tells what to answer.
+            (unit, PDU) to hand on now; None: it waits for its turn.
         """
         self.requests += 1
         unit = self._unit(request[1])
@@ -135,23 +137,23 @@ class TcpGateway:
         return (unit, request[2]) if len(queue) == 1 and unit not in self._owed_until_ns else None
 
     def knows(self, asked_unit: int) -> bool:
-        """Whether there is a controller for this unit identifier."""
+        """Return whether there is a controller for this unit identifier."""
         return self._unit(asked_unit) in self._queues
 
     def refusal(self, request: Request) -> bytes:
-        """What a request to nobody is answered, or to a unit that too many wait for."""
+        """Return the response to a request to an unknown or overloaded unit."""
         transaction, unit, pdu = request
         code = GATEWAY_PATH_UNAVAILABLE if self.is_full(unit) else GATEWAY_TARGET_FAILED
         return adu(transaction, unit, bytes((pdu[0] | ERROR, code)))
 
     def is_full(self, asked_unit: int) -> bool:
-        """Whether no more requests can wait for this unit."""
+        """Return whether the queue of this unit is full."""
         return len(self._queues.get(self._unit(asked_unit), ())) >= _WAITING_MAX
 
     def answered(self, unit: int, pdu: bytes) -> tuple[int, bytes] | None:
-        """The unit has answered: (connection, ADU for it); None: nobody waits for that any more."""
+        """Return (connection, ADU) for a unit's response; None if no client waits for it."""
         if self._owed_until_ns.pop(unit, None) is not None:
-            return None  # on its line nothing tells a late answer from the next one
+            return None  # its line cannot distinguish a late response from the next one
         queue = self._queues[unit]
         if not queue:
             return None
@@ -159,7 +161,7 @@ class TcpGateway:
         return pending.connection, adu(pending.transaction, pending.asked_unit, pdu)
 
     def next_for(self, unit: int, now_ns: int) -> bytes | None:
-        """The PDU that the unit is to be asked next; its time runs from now."""
+        """Return the next PDU for the unit and start its timeout, or None."""
         queue = self._queues[unit]
         if not queue or unit in self._owed_until_ns:
             return None
@@ -167,7 +169,7 @@ class TcpGateway:
         return queue[0].pdu
 
     def next_deadline_ns(self) -> int | None:
-        """When the first unit has taken too long [ns]."""
+        """Return the time of the next timeout of a unit [ns]."""
         due_ns = list(self._owed_until_ns.values())
         for unit, queue in self._queues.items():
             if queue and unit not in self._owed_until_ns:
@@ -175,7 +177,7 @@ class TcpGateway:
         return min(due_ns, default=None)
 
     def expired(self, now_ns: int) -> list[tuple[int, int, bytes]]:
-        """(unit, connection, ADU) for each unit that has taken too long; ask it the next then."""
+        """Return (unit, connection, ADU) for each timed-out unit; call `next_for` then."""
         out: list[tuple[int, int, bytes]] = []
         for unit, queue in self._queues.items():
             owed_ns = self._owed_until_ns.get(unit)
@@ -192,7 +194,7 @@ class TcpGateway:
         return out
 
     def forget(self, connection: int) -> None:
-        """Nobody waits there any more; what a unit is doing already it goes on doing."""
+        """Drop the requests of a connection; a unit still executes the one it has received."""
         for unit, queue in self._queues.items():
             for pending in tuple(queue):
                 if pending.connection != connection:
@@ -203,7 +205,7 @@ class TcpGateway:
                     queue.remove(pending)
 
     def units(self) -> Sequence[int]:
-        """The addresses there are."""
+        """Return the addresses of the units."""
         return tuple(self._queues)
 
     def _unit(self, asked: int) -> int:
@@ -213,4 +215,4 @@ class TcpGateway:
 
 
 GONE: Final = -1
-"""In place of a connection that was closed."""
+"""The value in place of a closed connection."""

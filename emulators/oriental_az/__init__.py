@@ -1,1 +1,1 @@
-"""A closed-loop stepper with an absolute encoder and "direct data operation", as Oriental's AZ."""
+"""A closed-loop stepper with absolute encoder and "direct data operation" (Oriental AZ)."""

@@ -1,26 +1,32 @@
-"""An AZ drive: direct data operation, stored operation data, driver inputs and outputs.
+"""An AZ drive: direct data operation, stored data, inputs and outputs.
 
-The block 0058h to 0065h says what to do; writing the trigger behind it makes it count, at once,
-in mid-motion as well. The same trigger value again is no new trigger, unless the drive clears the
-trigger by itself when it has obeyed (a parameter of the drive; here a key of the rig).
+The block 0058h to 0065h describes an operation. Writing the trigger behind it makes it effective at
+once, in mid-motion as well. Writing the same trigger value again has no effect, unless the drive
+clears the trigger after execution (a parameter of the drive; here a key of the rig).
 
-Its encoder is absolute: where it is it knows from power-on, and after power was gone.
+Its encoder is absolute: the drive knows its position from power-on, also after a loss of power.
+
+Factory of AZ drives: entry point `motorhil.controllers`, name `oriental_az`.
 """
 
 from collections.abc import Callable, Mapping
 from typing import Final, final
 
-from emulators.firmware import flags as f
-from emulators.firmware.axis_readings import NEVER_NS
-from emulators.modbus.identification import Identification
-from emulators.modbus.registers import RegisterBank
-from emulators.modbus_drive import (
+from motorhil.emulators.controller import Controller, ControllerContext, SettingError
+from motorhil.emulators.firmware import flags as f
+from motorhil.emulators.firmware.axis import NEVER_NS
+from motorhil.emulators.firmware.clock import on_own_time
+from motorhil.emulators.modbus.drive import (
     ModbusDrive,
     ModbusDriveSettings,
     alarm_code,
+    read_settings,
     revolutions_inc,
 )
-from emulators.oriental_az import register_map as r
+from motorhil.emulators.modbus.registers import Register, RegisterBank
+from motorhil.emulators.modbus.server import Identification
+from motorhil.emulators.oriental_az import registers as r
+from motorhil.emulators.oriental_az.registers import ROWS
 
 FUNCTIONS: Final = (0x03, 0x06, 0x08, 0x10, 0x17)
 _AUTO_OFF_NS: Final = 4_000_000
@@ -31,11 +37,11 @@ _DEVIATION_TURNS: Final = 3.0
 
 @final
 class OrientalAz(ModbusDrive):
-    """The drive; see `emulators.oriental_az.register_map` for what its registers are.
+    """The drive; `register_map` documents its registers.
 
     Args:
         settings: of the rig.
-        clears_trigger: whether it sets the trigger back to 0 when it has obeyed.
+        clears_trigger: it sets the trigger back to 0 after execution.
 
     Raises: as `ModbusDrive`.
     """
@@ -46,11 +52,11 @@ class OrientalAz(ModbusDrive):
         self._clears_trigger = clears_trigger
         self._turn_inc = revolutions_inc(settings.plant)
         self._auto_off_ns = NEVER_NS
-        self._inputs = 0  # both words, as they were
+        self._inputs = 0  # both words, previous state
         self._is_home = False
         self._goes_home = False
-        self._clear_later = False  # the trigger, once the request that wrote it is over
-        self._counts: dict[str, int] = {}  # of the block: what counts since the last trigger
+        self._clear_later = False  # clear the trigger after the request that wrote it
+        self._counts: dict[str, int] = {}  # of the block: values effective since the last trigger
         self._bind()
 
     def _bind(self) -> None:
@@ -70,22 +76,22 @@ class OrientalAz(ModbusDrive):
     # --- units ---------------------------------------------------------------------------------
 
     def _steps_turn(self) -> tuple[int, int]:
-        """Steps in a turn, as a fraction."""
+        """Return the steps per turn, as a fraction."""
         return r.STEPS_PER_TURN * self.bank["gear_b"], self.bank["gear_a"]
 
     def steps(self, inc: int) -> int:
-        """Increments of the encoder in steps, rounded to the nearest."""
+        """Convert encoder increments to steps, rounded to the nearest."""
         steps, turns = self._steps_turn()
         whole = turns * self._turn_inc
         return (2 * inc * steps + whole) // (2 * whole)
 
     def inc(self, steps: int) -> int:
-        """Steps in increments of the encoder, rounded to the nearest."""
+        """Convert steps to encoder increments, rounded to the nearest."""
         whole, turns = self._steps_turn()
         return (2 * steps * turns * self._turn_inc + whole) // (2 * whole)
 
     def inc_s(self, hz: float) -> float:
-        """Velocity, or per second acceleration."""
+        """Convert a velocity from [Hz] to [inc/s], or an acceleration from [Hz/s] to [inc/s^2]."""
         steps, turns = self._steps_turn()
         return hz * turns * self._turn_inc / steps
 
@@ -96,18 +102,19 @@ class OrientalAz(ModbusDrive):
     def _rpm(self) -> int:
         return int((self.axis.velocity_inc_s() * 60.0 / self._turn_inc + 0.5) // 1.0)
 
-    # --- what is read ----------------------------------------------------------------------------
+    # --- values read
+    # -------------------------------------------------------------------------------
 
     def is_excited(self) -> bool:
-        """Whether the motor has current."""
+        """Return whether the motor has current."""
         return not self._inputs & r.FREE and not self.bank["alarm"]
 
     def is_moving(self) -> bool:
-        """Whether an operation is going on."""
+        """Return whether an operation is in progress."""
         return bool(self.axis.flags & f.PROFILE_ACTIVE) or self.axis.demand_velocity_inc_s() != 0.0
 
     def outputs(self) -> int:
-        """007Eh, 007Fh."""
+        """Return the outputs, 007Eh and 007Fh."""
         moving = self.is_excited() and self.is_moving()
         word = r.ALARM if self.bank["alarm"] else 0
         word |= r.MOVE if moving else 0
@@ -200,7 +207,7 @@ class OrientalAz(ModbusDrive):
             self._run(word, number)
 
     def _run(self, word: int, number: int) -> None:
-        """FW-POS and RV-POS: as long as one of them is on."""
+        """Run by FW-POS or RV-POS, as long as one of them is on."""
         way = bool(word & r.FORWARD) - bool(word & r.BACKWARD)
         slower = self.inc_s(self.bank[f"data{number}_deceleration"])
         self._is_home = self._goes_home = False
@@ -213,7 +220,7 @@ class OrientalAz(ModbusDrive):
     # --- maintenance -----------------------------------------------------------------------------
 
     def _maintained(self, action: Callable[[], None]) -> Callable[[int], int]:
-        """A command that is carried out when its register is set to 1."""
+        """Return a writer that executes a command when its register is set to 1."""
 
         def write(value: int) -> int:
             if value == 1:
@@ -233,10 +240,11 @@ class OrientalAz(ModbusDrive):
             self.axis.set_position(0)
             self._is_home = True
 
-    # --- what happens ----------------------------------------------------------------------------
+    # --- events
+    # ------------------------------------------------------------------------------------
 
     def power_on(self) -> None:
-        """The motor is excited and holds; where it is it knows."""
+        """Excite the motor and hold the known position."""
         self._inputs = 0
         self._auto_off_ns = NEVER_NS
         self._is_home = self._goes_home = False
@@ -246,11 +254,11 @@ class OrientalAz(ModbusDrive):
         self.axis.power(True)
 
     def power_off(self) -> None:
-        """Everything but the position is forgotten."""
+        """Forget everything except the position."""
         self._auto_off_ns = NEVER_NS
 
     def settle(self) -> None:
-        """A trigger is cleared, pulsed inputs go off, the deviation is watched."""
+        """Clear the trigger, switch pulsed inputs off and check the deviation."""
         if self._clear_later:
             self._clear_later = False
             self.bank["trigger"] = 0
@@ -264,7 +272,7 @@ class OrientalAz(ModbusDrive):
             self._goes_home, self._is_home = False, True
 
     def wake_ns(self) -> int:
-        """When pulsed inputs go off."""
+        """Return when pulsed inputs go off."""
         return self._auto_off_ns
 
     def _alarm(self, code: int) -> None:
@@ -274,12 +282,45 @@ class OrientalAz(ModbusDrive):
         self.axis.power(False)
 
     def own_stimuli(self) -> Mapping[str, Callable[[float], None]]:
-        """An alarm by its code (0080h)."""
+        """Return the stimuli: an alarm by its code (0080h)."""
         return {"alarm": self._stimulate_alarm}
 
     def _stimulate_alarm(self, value: float) -> None:
         self._alarm(alarm_code(value))
 
     def own_truth(self) -> Mapping[str, float]:
-        """Its output word and its alarm."""
+        """Return its output word and its alarm."""
         return {"outputs": float(self.outputs()), "alarm": float(self.bank["alarm"])}
+
+
+_CLEARS: str = "trigger_auto_clear"
+
+
+def build(settings: Mapping[str, object], context: ControllerContext) -> Controller:
+    """Build the drive that a rig describes.
+
+    Args:
+        settings: the controller's table without `kind` and `bus`; `trigger_auto_clear` (default
+            true) sets the drive parameter of that name, whose address is not known.
+        context: its name, the folder of relative paths, the seed.
+
+    Raises:
+        SettingError: a key or value is wrong; names the keys.
+    """
+    clears = settings.get(_CLEARS, True)
+    if not isinstance(clears, bool):
+        raise SettingError((_CLEARS,), f"{clears!r} is neither true nor false", "true, the default")
+    read = read_settings({key: settings[key] for key in settings if key != _CLEARS}, context)
+    drive = OrientalAz(read, clears)
+    if not read.oscillator.is_ideal():
+        drive.tell("info", read.oscillator.told())
+    return on_own_time(drive, read.oscillator)
+
+
+def registers() -> tuple[Register, ...]:
+    """Return the register map, for display."""
+    return ROWS
+
+
+build.bus_kinds = ("modbus_rtu", "modbus_tcp")  # type: ignore[attr-defined]  # a plugin's mark
+build.registers = registers  # type: ignore[attr-defined]  # likewise

@@ -1,1 +1,1 @@
-"""What a drive moves: motor, gear, load and encoder as physics. No firmware, no clock."""
+"""Physics of motor, gear, load and encoder. No firmware, no clock."""

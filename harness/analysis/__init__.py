@@ -1,1 +1,1 @@
-"""Whether the messages of a CAN bus are in time, by theory: values in, values out; no clock."""
+"""Schedulability analysis of CAN messages; pure functions without a clock."""

@@ -1,39 +1,94 @@
-"""The longest response time of every message on a CAN bus, from when it was due.
+"""Worst-case response time of every message on a CAN bus.
 
 Davis, Burns, Bril & Lukkien, "Controller Area Network (CAN) schedulability analysis: Refuted,
-revisited and revised" (Real-Time Systems 35, 2007), for messages that nothing but priority orders:
+revisited and revised" (Real-Time Systems 35, 2007), for nodes that send by priority:
 
     t     = E(t) + B + sum over hp(m) and m of n(t) C               the busy period
-    w(q)  = E(w + C) + B + q C + sum over hp(m) of n(w + tau) C     instance q waits so long
+    w(q)  = E(w + C) + B + q C + sum over hp(m) of n(w + tau) C     waiting time of instance q
     R     = max over q of w(q) + C - (q T - J)
 
-B is the longest frame of lower priority, tau one bit (who becomes ready within it still takes part
-in an arbitration), n(t) = ceil((t + J) / T) how many come in a time, E what errors cost. Where a
-distance d between any two is known, n(t) is at most ceil(t / d), too.
+B is the longest frame of lower priority. tau is one bit: a frame queued within it still takes part
+in the arbitration. n(t) = ceil((t + J) / T) is the number of frames in a time t. E is the cost of
+errors. With a known minimum distance d, n(t) is also at most ceil(t / d).
 
-A node with one queue, first in, first out, is seen as Davis, Kollmann, Pollex & Slomka do
-(ECRTS 2011; Real-Time Systems 49, 2013): its messages M wait for what is more urgent than the least
-urgent of them, L. Their sufficient test has one of each of M in the queue, which is right only
-where all are in time. Here, instead, a frame queued at `a` of a busy period of level L waits for
-all of M that are queued up to then, and each such `a` is looked at:
+A node with one FIFO queue follows Davis, Kollmann, Pollex & Slomka (ECRTS 2011; Real-Time Systems
+49, 2013). Its messages M wait for everything more urgent than L, the least urgent of them. Their
+sufficient test has one frame of each of M in the queue, which is correct only if all are in time.
+Here a frame queued at `a` in a busy period of level L waits for all of M queued until then, and
+each such `a` is examined:
 
     w(a)  = E(w + C) + B(L) + sum over M of n[0, a] C - C + sum over hp(L) not in M of n(w + tau) C
     R     = max over a of w(a) + C - a + J
 
-Behind others in such a queue a frame competes up to f = max over a of w(a) - a later than it was
-queued: what competes in a time t was queued in t + f. f of one node depends on that of others: they
-grow together until nothing changes, or one is longer than any period (then no bound is told). For
-M of one message this is the theory above. What it says too much: frames of other nodes between a
-message and L do not hold it up once it is the first of its queue.
+Behind others in such a queue, a frame starts to compete up to f = max over a of w(a) - a after it
+was queued. Frames that compete in a time t were thus queued in t + f. The f of one node depends on
+that of others. They grow together until nothing changes, or one exceeds every period (then no bound
+is given). For M of one message this is the theory above. The bound is pessimistic: frames of other
+nodes between a message and L do not delay it once it is first in its queue.
+
+Error model of the bus: a burst, then a minimum distance.
+
+Each error costs the longest error frame and one retransmission, of the longest frame that can
+interfere. Source: Tindell, Burns & Wellings, Calculating Controller Area Network (CAN) message
+response times (1995), section 5: (n + ceil(t / T) - 1) (31 bits + C). The 31 bits are two
+consecutive flags of six bits, a delimiter of eight, and an intermission of three. The last eight
+are the suspended transmission of an error passive sender.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from math import exp, expm1, lgamma, log, log1p
 from typing import Final, final
 
-from harness.analysis.errors import NO_ERRORS, RECOVERY_BITS, ErrorModel
-from harness.analysis.frame_length import INTERMISSION_BITS, bits_ns
-from harness.analysis.message import Arrival, BusLoad, Message
+from motorhil.harness.analysis.message import INTERMISSION_BITS, Arrival, BusLoad, Message, bits_ns
+
+RECOVERY_BITS: Final = 31
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class ErrorModel:
+    """Bound on the number of errors.
+
+    Attributes:
+        burst: number of simultaneous errors.
+        interval_ns: minimum distance between later errors [ns]; None: no errors after the burst.
+    """
+
+    burst: int = 1
+    interval_ns: int | None = None
+
+    def count(self, window_ns: int) -> int:
+        """Return the maximum number of errors in a window of this length."""
+        if self.interval_ns is None:
+            return self.burst
+        return self.burst + max(0, -(-window_ns // self.interval_ns) - 1)
+
+
+NO_ERRORS: Final = ErrorModel(burst=0)
+
+
+def more_errors_probability(errors: int, bits: int, bit_error_rate: float) -> float:
+    """Bound the probability of more than `errors` independent bit errors in `bits` bits.
+
+    The number of errors is binomial. A Poisson variable of mean -bits ln(1 - rate) is
+    stochastically at least as large, and its tail is returned. Source: Broster, Burns &
+    Rodriguez-Navas, Probabilistic analysis of CAN with faults (2002), for the idea.
+    """
+    mean = -bits * log1p(-bit_error_rate)
+    if mean == 0.0:
+        return 0.0
+    if errors == 0:
+        return -expm1(-mean)
+    total = 0.0
+    count = errors + 1
+    while True:
+        part = exp(count * log(mean) - mean - lgamma(count + 1))
+        total += part
+        if count > mean and part <= total * 1e-12:
+            return min(1.0, total)
+        count += 1
+
 
 _ROUNDS_MAX: Final = 100_000
 _INSTANCES_MAX: Final = 20_000
@@ -42,16 +97,17 @@ _INSTANCES_MAX: Final = 20_000
 @final
 @dataclass(frozen=True, slots=True)
 class Response:
-    """How long a message takes at most.
+    """The worst case of a message.
 
     Attributes:
-        message: of the bus.
-        takes_ns: a frame of it.
-        response_ns: to the end of its intermission, as the theory has it; None: there is no bound.
-        received_ns: to its last bit, when receivers have it.
-        blocking_ns: by one frame of lower priority that had begun.
-        busy_ns: how long the bus may be busy without a break by what it waits for.
-        instance: which frame of that busy period is the worst, from 0.
+        message: the message.
+        takes_ns: duration of a frame [ns].
+        response_ns: response time to the end of the intermission, as in the theory [ns]; None:
+            unbounded.
+        received_ns: response time to the last bit, when receivers have the frame [ns].
+        blocking_ns: blocking by one frame of lower priority that has started [ns].
+        busy_ns: the longest busy period of its level [ns].
+        instance: index of the worst frame in that busy period, from 0.
     """
 
     message: Message
@@ -64,20 +120,20 @@ class Response:
 
     @property
     def is_in_time(self) -> bool | None:
-        """Whether its deadline is always met; None: it has none."""
+        """True if its deadline is always met; None if it has no deadline."""
         if self.message.deadline_ns is None:
             return None
         return self.response_ns is not None and self.response_ns <= self.message.deadline_ns
 
 
 def response_times(load: BusLoad, errors: ErrorModel = NO_ERRORS) -> tuple[Response, ...]:
-    """Of every message, the most urgent first."""
+    """Return the worst case of every message, the most urgent first."""
     levels = _levels(load, errors)
     return tuple(levels.response(flow) for flow in levels.flows)
 
 
 def are_in_time(load: BusLoad, errors: ErrorModel = NO_ERRORS) -> bool:
-    """Whether every message meets its deadline, if it has one."""
+    """Return True if every message with a deadline meets it."""
     levels = _levels(load, errors)
     timed = [flow for flow in levels.flows if flow.message.deadline_ns is not None]
     return all(levels.response(flow).is_in_time for flow in reversed(timed))
@@ -90,14 +146,14 @@ def response_between(
     lower: Iterable[Message],
     errors: ErrorModel = NO_ERRORS,
 ) -> Response:
-    """Of one message, if these were more and those less urgent; nobody has one queue for several.
+    """Return the worst case of one message between these others, without FIFO queues.
 
     Args:
-        load: bit rates are taken from it.
-        higher: more urgent.
-        message: the one.
-        lower: less urgent.
-        errors: what may strike.
+        load: provides the bit rates.
+        higher: the more urgent messages.
+        message: the message itself.
+        lower: the less urgent messages.
+        errors: the error model.
     """
     flows = [_Flow(one, 0, load.takes_ns(one), "") for one in higher]
     flows.append(own := _Flow(message, 1, load.takes_ns(message), ""))
@@ -119,7 +175,7 @@ def _levels(load: BusLoad, errors: ErrorModel) -> "_Levels":
 @final
 @dataclass(slots=True)
 class _Flow:
-    """A message as an event stream; `late_ns`: behind others in its queue, None: for ever."""
+    """A message as an event stream; `late_ns`: its delay in a shared queue, None: unbounded."""
 
     message: Message
     rank: int
@@ -133,21 +189,21 @@ class _Flow:
         return cls(message, message.rank, load.takes_ns(message), queue)
 
     def term(self) -> tuple[int, int, int, int, int]:
-        """Period, how early, how late, distance, and what one takes: of what competes."""
+        """Return period, earliness, lateness, distance and duration of a competing message."""
         message = self.message
         late_ns = self.late_ns or 0
         early_ns = message.jitter_ns + message.irregular_ns + late_ns
         return message.period_ns, early_ns, late_ns, message.distance_ns, self.takes_ns
 
     def queued_by(self, at_ns: int) -> int:
-        """How many may be queued from 0 to `at_ns`, both included."""
+        """Return the maximum number queued from 0 to `at_ns`, both inclusive."""
         message = self.message
         early_ns = message.jitter_ns + message.irregular_ns
         count = (at_ns + early_ns) // message.period_ns + 1
         return min(count, at_ns // message.distance_ns + 1) if message.distance_ns else count
 
     def queued_itself(self, at_ns: int) -> int:
-        """The same where the last one is queued then, as late as it can be after it was due."""
+        """Return the same number if the last frame is queued at `at_ns`, with its full jitter."""
         message = self.message
         if message.arrival is Arrival.SPORADIC:
             return self.queued_by(at_ns)
@@ -155,7 +211,7 @@ class _Flow:
         return min(count, at_ns // message.distance_ns + 1) if message.distance_ns else count
 
     def moments(self, until_ns: int, *, itself: bool) -> Iterator[int]:
-        """When `queued_by` (or `queued_itself`) grows, before `until_ns`."""
+        """Yield the times before `until_ns` at which `queued_by` (or `queued_itself`) grows."""
         message = self.message
         late_ns = message.jitter_ns if itself and message.arrival is Arrival.PERIODIC else 0
         early_ns = message.jitter_ns + message.irregular_ns - late_ns
@@ -168,7 +224,7 @@ class _Flow:
 
 @final
 class _Levels:
-    """All messages of a bus, and how late those in shared queues may begin to compete."""
+    """All messages of a bus, with the lateness caused by shared queues."""
 
     def __init__(
         self,
@@ -186,7 +242,7 @@ class _Levels:
         self._gap_ns = INTERMISSION_BITS * 1_000_000_000 // load.bitrate_bit_s
 
     def settle(self) -> None:
-        """Every queue's lateness is known."""
+        """Compute the lateness of every shared queue, to a fixed point."""
         waiting = [flow for flow in self._flows if id(flow) in self._shared]
         changed = bool(waiting)
         while changed:
@@ -200,7 +256,7 @@ class _Levels:
                     changed = True
 
     def response(self, flow: _Flow) -> Response:
-        """Of one message."""
+        """Return the worst case of one message."""
         level = _Level(self, flow)
         busy_ns = level.busy_ns()
         worst_ns: int | None = None
@@ -238,32 +294,32 @@ class _Levels:
         return late_ns
 
     def queue_of(self, flow: _Flow) -> list[_Flow]:
-        """The messages that wait in one queue with this one; itself alone, if nobody does."""
+        """Return the messages in the same queue as this one, or itself alone."""
         return self._shared.get(id(flow), [flow])
 
     @property
     def flows(self) -> Sequence[_Flow]:
-        """All of them, the most urgent first."""
+        """All messages, the most urgent first."""
         return self._flows
 
     @property
     def bit_ns(self) -> int:
-        """One bit."""
+        """The duration of one bit [ns]."""
         return self._bit_ns
 
     def errors_ns(self, window_ns: int, longest_ns: int) -> int:
-        """What errors cost in a window, where frames that are sent again take so long at most."""
+        """Return the cost of errors in a window, where retransmissions take `longest_ns` [ns]."""
         return self._errors.count(window_ns) * (self._recovery_ns + longest_ns)
 
     def errors_share(self, longest_ns: int) -> float:
-        """Of the bus in the long run."""
+        """Return the long-term share of the bus that errors take."""
         interval_ns = self._errors.interval_ns
         return 0.0 if interval_ns is None else (self._recovery_ns + longest_ns) / interval_ns
 
 
 @final
 class _Level:
-    """What one message waits for."""
+    """Everything that one message waits for."""
 
     def __init__(self, levels: _Levels, flow: _Flow) -> None:
         self._levels = levels
@@ -278,7 +334,7 @@ class _Level:
         self._longest_ns = max(one.takes_ns for one in (*self._queue, *self._higher))
 
     def busy_ns(self) -> int | None:
-        """How long the bus may be busy with all of it; None: for ever, as far as is known."""
+        """Return the longest busy period of this level [ns]; None: no bound is known."""
         level = (*self._queue, *self._higher)
         share = sum(one.takes_ns / one.message.period_ns for one in level)
         if share + self._levels.errors_share(self._longest_ns) >= 1.0:
@@ -296,9 +352,9 @@ class _Level:
         return None
 
     def instances(self, busy_ns: int, *, alone: bool = True) -> Iterator[tuple[int, int | None]]:
-        """(when it is queued at the latest, when it begins) of each frame that may be the worst.
+        """Yield (latest queueing time, start time) of each frame that may be the worst [ns].
 
-        `alone` False: only of frames that others of their queue are before.
+        `alone` False: only frames that have others of their queue before them.
         """
         flow = self._flow
         jitter_ns = flow.message.jitter_ns if flow.message.arrival is Arrival.PERIODIC else 0
@@ -325,7 +381,7 @@ class _Level:
                 return
 
     def _competing_ns(self, window_ns: int) -> int:
-        """What more urgent frames take that begin to compete in a window, its end not included."""
+        """Return the duration of more urgent frames that start to compete in a half-open window."""
         total_ns = 0
         for period_ns, early_ns, late_ns, distance_ns, takes_ns in self._terms:
             count = -(-(window_ns + early_ns) // period_ns)
@@ -337,7 +393,7 @@ class _Level:
         return total_ns
 
     def _waited_ns(self, before_ns: int, least_ns: int) -> int | None:
-        """When it begins, if so much of its queue is before it and it is not before `least_ns`."""
+        """Return the start time after `before_ns` of its queue, `least_ns` or later; or None."""
         fixed_ns = self.blocking_ns + before_ns
         waited_ns = max(least_ns, fixed_ns)
         for _ in range(_ROUNDS_MAX):

@@ -1,38 +1,44 @@
-"""A bus as it was found in a rig or a recording, and all that the analysis says of it."""
+"""Subject of the analysis (a bus of a rig or a recording), and its results."""
 
 from dataclasses import dataclass
 from typing import Final, final
 
-from harness.analysis.clocks import Clock
-from harness.analysis.errors import NO_ERRORS, ErrorModel
-from harness.analysis.identifiers import Proposal, Reserved, propose
-from harness.analysis.margins import (
+from motorhil.harness.analysis.advice import (
+    Proposal,
+    Reserved,
     Tolerance,
+    propose,
     queues_that_help,
     rate_that_helps,
     shortest_error_interval_ns,
     tolerances,
 )
-from harness.analysis.message import BusLoad
-from harness.analysis.recorded import Measured
-from harness.analysis.response_time import Response, are_in_time, response_times
+from motorhil.harness.analysis.measured import Clock, Measured
+from motorhil.harness.analysis.message import BusLoad
+from motorhil.harness.analysis.response_time import (
+    NO_ERRORS,
+    ErrorModel,
+    Response,
+    are_in_time,
+    response_times,
+)
 
 
 @final
 @dataclass(frozen=True, slots=True)
 class Queues:
-    """How nodes queue what they send.
+    """The queueing of messages in nodes.
 
     Attributes:
-        fifo: all of them in one queue, first in, first out, or none; None: as each is set up.
-        by_priority: those that are set up to send their most urgent frame first.
+        fifo: True: all nodes have one FIFO queue; False: none; None: as each node is configured.
+        by_priority: nodes configured to send their most urgent message first.
     """
 
     fifo: bool | None = None
     by_priority: frozenset[str] = frozenset()
 
     def one_each(self, senders: frozenset[str]) -> frozenset[str]:
-        """Which of these have one queue, first in, first out."""
+        """Return those of the senders that have one FIFO queue."""
         if self.fifo is None:
             return senders - self.by_priority
         return senders if self.fifo else frozenset()
@@ -41,7 +47,7 @@ class Queues:
 @final
 @dataclass(frozen=True, slots=True)
 class Sync:
-    """A SYNC that was recorded: its identifier, as `Message.label` has it, and its clock."""
+    """A recorded SYNC: its identifier in the form of `Message.label`, and its clock."""
 
     label: str
     clock: Clock
@@ -50,15 +56,15 @@ class Sync:
 @final
 @dataclass(frozen=True, slots=True)
 class Subject:
-    """A bus that is to be analysed.
+    """A bus to analyse.
 
     Attributes:
-        load: what is sent on it.
-        is_reserved: identifiers that nothing may be moved to.
-        recorded: what was measured of each message; a rig has none.
-        measured: the share of the bus that was used while it was recorded; None: not known.
-        notes: what whoever reads the results must know, a line each.
-        sync: what was measured of SYNC; None: it was not recorded, or is not periodic.
+        load: the messages on it.
+        is_reserved: predicate of identifiers that must not be assigned.
+        recorded: the measurements of each message; empty for a rig.
+        measured: the recorded utilisation of the bus; None: unknown.
+        notes: remarks for the reader of the results, one line each.
+        sync: the measured SYNC; None: not recorded, or not periodic.
     """
 
     load: BusLoad
@@ -72,12 +78,12 @@ class Subject:
 @final
 @dataclass(frozen=True, slots=True)
 class Remedy:
-    """What would bring every message in time.
+    """Measures that would bring every message in time.
 
     Attributes:
-        proposal: which identifiers to change.
-        queues: senders that would have to send their most urgent frame first; None: no help.
-        rate_bit_s: the lowest usual bit rate that helps; None: none does.
+        proposal: the identifiers to change.
+        queues: senders that would have to send by priority; None: no help.
+        rate_bit_s: the lowest usual bit rate that helps [bit/s]; None: none does.
     """
 
     proposal: Proposal
@@ -88,15 +94,15 @@ class Remedy:
 @final
 @dataclass(frozen=True, slots=True)
 class Findings:
-    """What was found of a bus.
+    """The results for a bus.
 
     Attributes:
         subject: the bus.
-        errors: what was let strike.
-        responses: the most urgent first.
-        remedy: None: all are in time.
-        interval_ns: errors no closer than this, after the burst, make nobody late; None: not even
-            the burst is stood.
+        errors: the error model.
+        responses: worst cases, the most urgent message first.
+        remedy: helpful measures; None: all messages are in time.
+        interval_ns: the shortest error interval after the burst that makes no message late [ns];
+            None: the burst alone makes a message late.
         tolerances: of every message with a deadline, the most urgent first.
     """
 
@@ -109,12 +115,12 @@ class Findings:
 
     @property
     def late(self) -> tuple[Response, ...]:
-        """Those that miss their deadlines."""
+        """The messages that miss their deadlines."""
         return tuple(one for one in self.responses if one.is_in_time is False)
 
 
 def analyse(subject: Subject, errors: ErrorModel = NO_ERRORS) -> Findings:
-    """All of it."""
+    """Analyse a bus: response times, remedies, and margins."""
     load = subject.load
     remedy = None
     if not are_in_time(load, errors):
@@ -140,13 +146,13 @@ _RESTRICTED: Final = (
 
 
 def is_canopen_reserved(identifier: int, extended: bool) -> bool:
-    """Whether no PDO may have it on a CANopen bus: NMT, SYNC, EMCY, SDO, heartbeat and the rest.
+    """Return True if the identifier is not available for PDOs (NMT, SYNC, EMCY, SDO, ...).
 
-    Source: CiA 301, restricted CAN-IDs; EMCY where nobody has moved it.
+    Source: CiA 301, restricted CAN-IDs; EMCY with its default COB-ID.
     """
     return not extended and any(low <= identifier <= high for low, high in _RESTRICTED)
 
 
 def reserves_nothing(identifier: int, extended: bool) -> bool:
-    """No identifier is reserved."""
+    """Return False: no identifier is reserved."""
     return False

@@ -1,6 +1,6 @@
-"""The conformance kit: whether an adaptation keeps every promise of the motor interface.
+"""The conformance kit: checks an adaptation against the motor interface.
 
-`kit` has all clauses; a `clause` is a promise and a plain function over a `bench`; `run` checks
-clauses on benches. What a motor can do (`capability`) it claims itself, or its rig does for it
-(`claims`, `facts`).
+`kit` lists all clauses. A `clause` is a promise with a plain function that checks it on a `bench`.
+`run` checks clauses on benches. A motor claims its capabilities (`capability`) itself, or its rig
+claims them (`claims`, `facts`).
 """

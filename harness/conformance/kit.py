@@ -1,37 +1,70 @@
-"""The whole kit: every clause, in the order in which they are checked."""
+"""All clauses of the kit, in the order of their checks.
 
-from collections.abc import Mapping
+The table of all clauses in Markdown: `python -m motorhil.harness.conformance.kit`.
+"""
+
+import sys
+from collections.abc import Iterator, Mapping
 from importlib import import_module
 from typing import Final
 
-from harness.conformance.clause import Clause, registered
+from motorhil.harness.conformance.clause import Clause, Level, registered
 
 _MODULES: Final = (
     "identity",
-    "measuring",
     "setpoints",
     "trajectories",
     "starting",
-    "ending",
     "limits",
     "stopping",
-    "failing",
-    "hearing",
-    "access",
+    "faults",
     "sharing",
-    "owners",
     "groups",
-    "parting",
-    "lost",
-    "disturbed",
+    "communication_loss",
+    "bus_errors",
 )
-"""The modules of `harness.conformance.clauses`, each with the clauses of one topic."""
+"""The modules of `motorhil.harness.conformance.clauses`, one for each topic."""
 
 
 def all_clauses() -> Mapping[str, Clause]:
-    """Every clause by id: level by level, in each in the order of the modules."""
+    """Return all clauses by id, ordered by level, then by module."""
     for name in _MODULES:
-        import_module(f"harness.conformance.clauses.{name}")
+        import_module(f"motorhil.harness.conformance.clauses.{name}")
     places = {name: place for place, name in enumerate(registered())}
     ordered = sorted(registered().values(), key=lambda one: (one.level, places[one.id]))
     return {one.id: one for one in ordered}
+
+
+_HEAD: Final = """\
+# What an adaptation promises
+
+Made by `make clauses` from `harness/conformance/clauses`: {count} clauses, which `motorhil conform`
+checks. A clause is applicable if the adaptation claims the capabilities under *claims*, and the
+bench has the abilities under *bench*. All other clauses apply to every motor. An id is never
+reused.
+"""
+
+
+def page() -> str:
+    """Return the page with all clauses."""
+    clauses = list(all_clauses().values())
+    lines = [_HEAD.format(count=len(clauses))]
+    for level in Level:
+        of_level = [one for one in clauses if one.level is level]
+        if of_level:
+            lines += [f"## {level.name}: {level.about}", "", *_table(of_level), ""]
+    return "\n".join(lines)
+
+
+def _table(clauses: list[Clause]) -> Iterator[str]:
+    yield "| clause | promise | source | claims | bench |"
+    yield "| --- | --- | --- | --- | --- |"
+    for one in clauses:
+        claims = ", ".join(capability.value for capability in one.needs)
+        bench = ", ".join(ability.value for ability in one.bench)
+        cells = (one.id, one.promise, one.source, claims, bench)
+        yield "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
+
+
+if __name__ == "__main__":
+    sys.stdout.write(page())

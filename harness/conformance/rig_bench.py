@@ -1,4 +1,4 @@
-"""A bench that is an emulated rig in virtual time: it can do everything, and see everything."""
+"""An emulated rig in virtual time as a bench, with all abilities."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -7,27 +7,24 @@ from functools import cached_property
 from pathlib import Path
 from typing import Final, Self, final
 
-from emulators.media.can_frame import can_id_of, data_of, pack
-from emulators.media.fault_rule import FrameError
-from emulators.media.faults import FaultKind, FaultRule
-from emulators.media.serial_faults import SerialFaultKind, SerialFaultRule
-from harness.conformance.bench import Lost
-from harness.conformance.capability import Ability
-from harness.conformance.clause import NotApplicable
-from harness.conformance.facts import Facts
-from harness.rig import Rig
-from harness.rig_faults import HOST
-from harness.rig_file import RigDescription
-from harness.settings import RigError
-from harness.sharing.evidence import commanded_node
-from harness.virtual_time import VirtualRuntime
-from motorapi import Motor
+from motorhil.emulators.can.fault_rules import FaultKind, FaultRule, FrameError
+from motorhil.emulators.can.frame import can_id_of, data_of, pack
+from motorhil.emulators.media.serial_faults import SerialFaultKind, SerialFaultRule
+from motorhil.harness.conformance.bench import Lost
+from motorhil.harness.conformance.clause import Ability, Facts, NotApplicable
+from motorhil.harness.rig.config.faults import HOST
+from motorhil.harness.rig.config.rig_file import RigDescription
+from motorhil.harness.rig.config.toml import RigError
+from motorhil.harness.rig.rig import Rig
+from motorhil.harness.sharing_tests.bus_evidence import commanded_node
+from motorhil.harness.virtual_time.runtime import VirtualRuntime
+from motorhil.motorapi import Motor
 
 SECOND_USER: Final = "another"
 _FAULT_NS: Final = 50_000_000
-"""How long the cause of a fault is there that goes by itself."""
+"""Time until the cause of a fault is gone [ns]."""
 _CANOPEN: Final = ("cia402", "cia401")
-"""Kinds of controllers that go by SYNC and NMT, and whose commands the bench can tell."""
+"""Kinds of controllers that use SYNC and NMT, and whose commands the bench recognises."""
 _SYNC: Final = 0x080
 _FOR_NOBODY: Final = 0x7FF
 _LAST_BIT: Final = 0.02
@@ -35,14 +32,16 @@ _MODBUS_WRITES: Final = (0x05, 0x06, 0x0F, 0x10, 0x16, 0x17)
 
 
 class TimeIsUp(BaseException):
-    """A clause has taken too long in the rig's time; no adaptation may catch it."""
+    """A clause has taken too long in the rig's time; an adaptation must not catch this."""
 
 
 def bench_description(rig: RigDescription, adaptation: str | None) -> RigDescription:
-    """The rig with its motors under test of that adaptation, and each a second time, for others.
+    """Return the rig with its motors under test, each of them twice for other users.
+
+    The motors under test use `adaptation`, if it is given.
 
     Raises:
-        RigError: there is nothing to test in it.
+        RigError: the rig has no motors to test.
     """
     names = rig.conformance.motors or _under_test(rig, adaptation)
     motors = dict(rig.motors)
@@ -60,9 +59,9 @@ def bench_description(rig: RigDescription, adaptation: str | None) -> RigDescrip
 
 
 def _under_test(rig: RigDescription, adaptation: str | None) -> tuple[str, ...]:
-    """Those of that adaptation, else the members of the first group, else all."""
+    """Return the motors of that adaptation, else those of the first group, else two of all."""
     if not rig.motors:
-        raise RigError(rig.source.path, "has no motor to test", "add a [motor.NAME]")
+        raise RigError(rig.source.path, "has no motors to test", "add a [motor.NAME]")
     of_kind = tuple(name for name, one in rig.motors.items() if one.adaptation == adaptation)
     if of_kind:
         return of_kind[:2]
@@ -77,9 +76,9 @@ class RigBench:
 
     Args:
         description: from `bench_description`.
-        seed: of all chance.
-        record: an MCAP file for everything that happens; after `afresh` it begins anew.
-        limit_s: after so much of the rig's time `TimeIsUp` ends whatever waits [s].
+        seed: the seed of all random numbers.
+        record: an MCAP file for all events; `afresh` begins a new record.
+        limit_s: the time limit in the rig's time, after which `TimeIsUp` ends all waits [s].
     """
 
     def __init__(
@@ -103,7 +102,7 @@ class RigBench:
         self.rig.world.queue.alarm(self._time_is_up).set(round(self._limit_s * 1e9))
 
     def _time_is_up(self, now_ns: int) -> None:
-        raise TimeIsUp(f"it still waits after {self._limit_s:g} s of the rig's time")
+        raise TimeIsUp(f"still waiting after {self._limit_s:g} s of the rig's time")
 
     def __enter__(self) -> Self:
         return self
@@ -112,20 +111,20 @@ class RigBench:
         self.rig.close()
 
     def afresh(self) -> None:
-        """Everything went off and is on again: `motors` are new ones, unused."""
+        """Switch everything off and on again: `motors` are new and unused."""
         self.rig.close()
         self._switch_on()
 
-    # --- what is under test ---------------------------------------------------------------
+    # --- motors under test ----------------------------------------------------------------
 
     @property
     def runtime(self) -> VirtualRuntime:
-        """Where a clause waits."""
+        """The runtime in which a clause waits."""
         return self.rig.runtime
 
     @cached_property
     def abilities(self) -> Sequence[Ability]:
-        """What an emulated rig can do to these motors."""
+        """The abilities of an emulated rig for these motors."""
         able = {Ability.AFRESH, Ability.SEVERAL_USERS}
         if len(self.facts.motors) > 1:
             able.add(Ability.SECOND_MOTOR)
@@ -157,22 +156,22 @@ class RigBench:
         return tuple(self.rig.motors[name] for name in self.facts.motors)
 
     def another_user_of(self, motor: Motor) -> Motor:
-        """Another logical motor on the same physical motor."""
+        """Return another logical motor on the same physical motor."""
         return self.rig.motors[f"{physical_name(motor)}-{SECOND_USER}"]
 
-    # --- what can be seen and done ----------------------------------------------------------
+    # --- observations and actions ---------------------------------------------------------
 
     def true_position(self, motor: Motor) -> float:
-        """Where its plant is now [rad]; an ideal motor is where it says."""
+        """Return the position of the motor's plant [rad], or of an ideal motor."""
         truth = self._truth(motor)
         return truth["position_rad"] if truth else motor.position()
 
     def load(self, motor: Motor, torque_n_m: float) -> None:
-        """This torque acts on it from now on."""
+        """Apply this load torque from now on."""
         self._stimulate(motor, "load_torque_n_m", torque_n_m)
 
     def fail(self, motor: Motor) -> int:
-        """Its drive has a fault of this code; its cause is gone, or will be in a moment."""
+        """Cause a short fault in the motor's drive; return its error code."""
         facts = self.facts
         if self._description.motors[physical_name(motor)].adaptation == "ideal":
             motor.hardware.inject_fault(facts.fault_code)  # type: ignore[attr-defined]
@@ -189,14 +188,14 @@ class RigBench:
 
     @contextmanager
     def cut(self, motor: Motor) -> Iterator[Lost]:
-        """Within it its drive is off the bus, with power; yields how often that took effect."""
+        """Cut the drive off the bus, with power, within the block; yield the count of effects."""
         rule = FaultRule("", FaultKind.CUT, ports=(self._controller(motor),))
         with self._rule(motor, rule) as lost:
             yield lost
 
     @contextmanager
     def silence_host(self, *, skip: int = 0, limit: int | None = None) -> Iterator[Lost]:
-        """Within it what the host sends, after so many frames and so often, reaches nobody."""
+        """Drop the host's frames within the block, after `skip` frames and up to `limit`."""
         rule = FaultRule("", FaultKind.DROP, sender=HOST, skip=skip, limit=limit)
         with self._rule(self.motor, rule) as lost:
             yield lost
@@ -205,7 +204,7 @@ class RigBench:
     def lose_answers_of(
         self, motor: Motor, *, skip: int = 0, limit: int | None = None
     ) -> Iterator[Lost]:
-        """Within it what its drive sends, after so many frames and so often, is lost."""
+        """Drop the drive's frames within the block, after `skip` frames and up to `limit`."""
         sender = self._controller(motor)
         rule = FaultRule("", FaultKind.DROP, sender=sender, skip=skip, limit=limit)
         with self._rule(motor, rule) as lost:
@@ -213,7 +212,7 @@ class RigBench:
 
     @contextmanager
     def strike(self, motor: Motor | None, times: int, *, skip: int = 0) -> Iterator[Lost]:
-        """Within it so many attempts to send, of its drive or (None) the host, are destroyed."""
+        """Destroy transmission attempts of the drive, or of the host (None), in the block."""
         sender = HOST if motor is None else self._controller(motor)
         rule = FaultRule(
             "", FaultKind.ERROR, sender=sender, error=FrameError.BIT, skip=skip, limit=times
@@ -222,16 +221,17 @@ class RigBench:
         with self._rule(struck, rule) as lost:
             if (
                 motor is None and not skip
-            ):  # it may have nothing to say just now; this is for nobody
+            ):  # the host may have nothing to send now; no node receives this
                 self.rig.bus(self._bus(struck)).transmit(pack(_FOR_NOBODY))
             yield lost
 
     @contextmanager
     def noise(self, bit_error_rate: float) -> Iterator[Lost]:
-        """Within it so many of the bits on the bus are wrong.
+        """Corrupt bits on the bus at this error rate within the block.
 
-        The last one of a frame more often: then all but the sender have heard it, and hear it again
-        (ISO 11898-1), which by that rate alone nobody would live to see.
+        The last bit of a frame is corrupted more often. Then all nodes but the sender have received
+        the frame, and receive it again (ISO 11898-1). At the given rate alone this would be too
+        rare to test.
         """
         noise = FaultRule("", FaultKind.NOISE, bit_error_rate=bit_error_rate)
         last = FaultRule("", FaultKind.DUPLICATE, probability=_LAST_BIT)
@@ -240,22 +240,22 @@ class RigBench:
 
     @contextmanager
     def stop_sync(self) -> Iterator[Lost]:
-        """Within it SYNC (CiA 301) reaches nobody."""
+        """Drop all SYNC frames (CiA 301) within the block."""
         rule = FaultRule("", FaultKind.DROP, identifier=_SYNC)
         with self._rule(self.motor, rule) as lost:
             yield lost
 
     def restart(self, motor: Motor) -> None:
-        """Its drive begins anew, as if its power had failed: NMT reset node, by somebody else."""
+        """Restart the motor's drive by an NMT reset node from another host."""
         node = self._description.controllers[self._controller(motor)].node_id
         if node is None:
-            raise NotApplicable(f"{motor.name}: its controller has no node-ID to be reset by")
+            raise NotApplicable(f"{motor.name}: its controller has no node-ID for an NMT reset")
         port = self.rig.world.add_host(self._bus(motor), "bench", lambda *_: None)
         port.send(pack(0, bytes((0x81, node))))
 
     @contextmanager
     def commands_to(self, motor: Motor) -> Iterator[list[str]]:
-        """Within it whatever a host sends to its drive that may move or change it is noted."""
+        """Record host commands to the motor's drive that may move or change it, in the block."""
         seen: list[str] = []
         bus = self._bus(motor)
         address = self._description.controllers[self._controller(motor)].node_id
@@ -283,12 +283,12 @@ class RigBench:
         finally:
             listening.clear()
 
-    # --- inside ---------------------------------------------------------------------------
+    # --- helpers --------------------------------------------------------------------------
 
     def _controller(self, motor: Motor) -> str:
         controller = self._description.motors[physical_name(motor)].controller
         if controller is None:
-            raise NotApplicable(f"{motor.name} is on no emulated controller")
+            raise NotApplicable(f"{motor.name} is not on an emulated controller")
         return controller
 
     def _bus(self, motor: Motor) -> str:
@@ -298,12 +298,12 @@ class RigBench:
         return self._description.buses[self._bus(motor)].is_line
 
     def _prefix(self, motor: Motor) -> str:
-        """What stands before the names of a channel's stimuli and of its truth."""
+        """Return the prefix of the motor's channel in names of stimuli and true values."""
         channel = self._description.motors[physical_name(motor)].settings.get("channel", 1)
         return "" if channel == 1 else f"channel_{channel}_"
 
     def _truth(self, motor: Motor) -> Mapping[str, float]:
-        """Its controller's snapshot, without the channel's prefix; empty if it has none."""
+        """Return the true values of the motor's channel, without its prefix; may be empty."""
         described = self._description.motors[physical_name(motor)]
         if described.controller is None:
             return {}
@@ -317,11 +317,13 @@ class RigBench:
                 f"{self._prefix(motor)}{name}", value
             )
         except ValueError as error:
-            raise NotApplicable(f"its controller cannot be stimulated so: {error}") from None
+            raise NotApplicable(
+                f"{motor.name}: its controller refuses this stimulus: {error}"
+            ) from None
 
     @contextmanager
     def _rule(self, motor: Motor, wanted: FaultRule) -> Iterator[Lost]:
-        """Such a fault is on the motor's bus; on a line all that it says is lost."""
+        """Inject this fault on the motor's bus; on a line, lose all messages of the sender."""
         self._rules += 1
         name, bus = f"conformance {self._rules}", self._bus(motor)
         rule: FaultRule | SerialFaultRule = replace(wanted, name=name)
@@ -343,5 +345,5 @@ class RigBench:
 
 
 def physical_name(motor: Motor) -> str:
-    """What the rig calls the physical motor."""
+    """Return the rig's name of the physical motor."""
     return motor.name.removesuffix(f"-{SECOND_USER}")

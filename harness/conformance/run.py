@@ -1,33 +1,383 @@
-"""Clauses are checked on a bench, one after another, each on a bench of its own.
+"""Checks of clauses in this process, each on a new bench.
 
-Here in this process, where nothing can be done about a check that never ends, or that takes the
-process with it: `harness.conformance.supervision` sees to those.
+A check that never ends, or that ends the process, is handled by `supervision`.
+
+Capability claims of motors, from their hooks and their rig.
+
+Leaks of a clause: threads, buses, descriptors, processes left after its end.
+
+No library records where a thread was started or a bus was opened. Inside `watched` both calls
+record their callers.
+
+Places in the code, as "file:line", for failure reports.
 """
 
-from collections.abc import Iterable, Iterator
+import gc
+import inspect
+import os
+import signal
+import sys
+import threading
+import time
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, final
+from types import FrameType, TracebackType
+from typing import TYPE_CHECKING, Any, Final, final
 
-from harness.conformance.bench import Opener
-from harness.conformance.claims import Claims
-from harness.conformance.clause import Clause, NotApplicable, Violated
-from harness.conformance.code_places import raised_at
-from harness.conformance.facts import NOTHING_DECLARED, Facts
-from harness.conformance.leaks import watched
-from harness.conformance.rig_bench import TimeIsUp
-from harness.conformance.verdict import Result, Verdict
-from harness.settings import BrokenPluginError, RigError
-from motorapi import LimitError, MotorError, MotorModel, PluginError, UnsupportedError
+import can
+
+from motorhil.harness.conformance import clause
+from motorhil.harness.conformance.bench import Opener
+from motorhil.harness.conformance.clause import (
+    NOTHING_DECLARED,
+    Capability,
+    Clause,
+    Facts,
+    NotApplicable,
+    Result,
+    Verdict,
+    Violated,
+)
+from motorhil.harness.conformance.rig_bench import TimeIsUp
+from motorhil.harness.rig.config.toml import BrokenPluginError, RigError
+from motorhil.motorapi import (
+    ComplexTrajectory,
+    ControlMode,
+    ControlVariable,
+    DerivativeLimits,
+    LimitError,
+    Motor,
+    MotorError,
+    MotorModel,
+    PluginError,
+    Setpoint,
+    SyncLevel,
+    UnsupportedError,
+    UsageError,
+)
+from motorhil.motorapi.hooks import MotorHooks
+from motorhil.motorapi.locking.directory import LockDirectory
+from motorhil.motorapi.locking.lock_status import look
 
 if TYPE_CHECKING:
-    from harness.conformance.bench import RigProtocol
+    from motorhil.harness.conformance.bench import RigProtocol
+
+# ruff: noqa: SLF001 -- the kit asks whether a hook is filled in
+
+
+_MODES: Final = {
+    Capability.POSITION_SET_POINT: (ControlMode.SETPOINT, ControlVariable.POSITION),
+    Capability.VELOCITY_SET_POINT: (ControlMode.SETPOINT, ControlVariable.VELOCITY),
+    Capability.TORQUE_SET_POINT: (ControlMode.SETPOINT, ControlVariable.TORQUE),
+    Capability.CURRENT_SET_POINT: (ControlMode.SETPOINT, ControlVariable.CURRENT),
+    Capability.POSITION_TRAJECTORY: (ControlMode.TRAJECTORY, ControlVariable.POSITION),
+    Capability.VELOCITY_TRAJECTORY: (ControlMode.TRAJECTORY, ControlVariable.VELOCITY),
+    Capability.TORQUE_TRAJECTORY: (ControlMode.TRAJECTORY, ControlVariable.TORQUE),
+}
+_SLOW: Final = (Capability.COMPLEX_POSITION, Capability.COMPLEX_VELOCITY)
+"""Capabilities whose check imports numpy, which takes longer than the first verdicts."""
+_HOOKS: Final = {
+    Capability.MEASURED_TORQUE: "_read_torque",
+    Capability.MEASURED_FOLLOWING_ERROR: "_read_following_error",
+    Capability.LOW_LEVEL: "_open_low_level",
+}
+
+
+@final
+class Claims:
+    """The capability claims of a bench's motors, read when needed on separate benches.
+
+    Connecting sends frames. Every clause must begin in the same way, whatever was asked before.
+    """
+
+    def __init__(self, open_bench: Opener) -> None:
+        self._open = open_bench
+        self._known: dict[Capability, str] = {}
+
+    def why_not(self, capability: Capability) -> str:
+        """Return the reason why a capability is not claimed; "" if it is claimed.
+
+        Raises:
+            MotorError: the motor cannot be reached.
+        """
+        if capability not in self._known:
+            found: dict[Capability, str] = {}
+            with self._open() as bench:
+                for one in Capability:
+                    if (one in _SLOW) is not (capability in _SLOW):
+                        continue
+                    try:
+                        found[one] = _why_not(bench.motor, bench.facts, one)
+                    except (Exception, SystemExit):
+                        if (
+                            one is capability
+                        ):  # clauses that need another capability report its error
+                            raise
+            self._known.update(found)
+        return self._known[capability]
+
+
+def _why_not(motor: Motor, facts: Facts, capability: Capability) -> str:
+    if capability in facts.without:
+        return f"not claimed by the rig: {facts.without[capability]}"
+    if capability not in facts.claims and not _claims(motor, capability):
+        return f"the adaptation does not claim {capability.value}"
+    return ""
+
+
+def _claims(motor: Motor, capability: Capability) -> bool:
+    if capability in _MODES:
+        return motor._call(motor._supports, *_MODES[capability])
+    if capability in _HOOKS:
+        hook = _HOOKS[capability]
+        return getattr(type(motor), hook) is not getattr(MotorHooks, hook)
+    if capability is Capability.COMMON_TRIGGER:
+        motor._call(motor._connect)
+        return motor._call(motor._sync_offer).level >= SyncLevel.TRIGGERED
+    if capability is Capability.COMPLEX_POSITION:
+        return _takes_functions(motor, ControlVariable.POSITION)
+    if capability is Capability.COMPLEX_VELOCITY:
+        return _takes_functions(motor, ControlVariable.VELOCITY)
+    if capability is Capability.LIMITED_SET_POINT:
+        return _takes_limits(motor)
+    return True  # faults, and what only the rig can know: claimed unless it is in `without`
+
+
+def _takes_functions(motor: Motor, variable: ControlVariable) -> bool:
+    """Return whether the motor accepts complex trajectories; keep the motor's settings."""
+    if not motor._call(motor._supports, ControlMode.TRAJECTORY, variable):
+        return False
+    from motorhil.motorapi.functions import Polynomial
+
+    still = ComplexTrajectory(Polynomial((0.0,)).restricted(0.0, 1.0), relative=True)
+    return _accepts(motor, variable, still)
+
+
+def _takes_limits(motor: Motor) -> bool:
+    if not motor._call(motor._supports, ControlMode.SETPOINT, ControlVariable.POSITION):
+        return False
+    slow = DerivativeLimits(first=0.5 * motor.model.velocity_max)
+    return _accepts(motor, ControlVariable.POSITION, Setpoint(0.0, True, slow))
+
+
+def _accepts(
+    motor: Motor, variable: ControlVariable, command: Setpoint | ComplexTrajectory
+) -> bool:
+    try:
+        motor._call(motor._check_command, variable, command)
+    except UnsupportedError:
+        return False
+    return True
+
+
+_KIT: Final = str(clause.__file__)  # `expect` raises here; the caller is the interesting place
+
+Line = tuple[str, int]
+"""(file, line)."""
+
+
+def home_of(module: str) -> str:
+    """Return the top-level package folder of a loaded module, or its file if it has no package."""
+    parts = module.split(".")
+    package = sys.modules.get(".".join(parts[: 2 if parts[0] == "motorhil" else 1]))
+    file: str | None = getattr(package, "__file__", None)
+    if file is None:
+        return ""
+    return os.path.dirname(file) + os.sep if hasattr(package, "__path__") else file
+
+
+def raised_at(error: BaseException, home: str = "") -> str:
+    """Return where the error or its cause was raised: the last line in `home`, or the last line."""
+    while error.__cause__ is not None:
+        error = error.__cause__
+    return place_in(list(_lines_of(error.__traceback__)), home)
+
+
+def called_at(frame: FrameType | None) -> str:
+    """Return the current place of a frame."""
+    return "" if frame is None else f"{frame.f_code.co_filename}:{frame.f_lineno}"
+
+
+def place_in(lines: Sequence[Line], home: str = "") -> str:
+    """Return the last line that is in `home`, or the last line of all; "" if there is none.
+
+    The outermost line is the first.
+    """
+    lines = [line for line in lines if line[0] != _KIT] or lines
+    own = [line for line in lines if home and line[0].startswith(home)]
+    chosen = own or lines
+    return f"{chosen[-1][0]}:{chosen[-1][1]}" if chosen else ""
+
+
+def _lines_of(traceback: TracebackType | None) -> Iterable[Line]:
+    while traceback is not None:
+        yield traceback.tb_frame.f_code.co_filename, traceback.tb_lineno
+        traceback = traceback.tb_next
+
+
+# ruff: noqa: SLF001 -- sys._current_frames: documented, and without another name
+
+
+_PATIENCE_S: Final = 0.25
+_LOOK_AGAIN_S: Final = 0.01
+_DESCRIPTORS: Final = Path("/proc/self/fd")
+_TASKS: Final = Path("/proc/self/task")
+
+
+@final
+class Watch:
+    """Compares resources before and after a clause; use it through `watched`."""
+
+    def __init__(self) -> None:
+        self._threads = set(
+            sys._current_frames()
+        )  # includes threads that the threading module has not started
+        self._descriptors = _descriptors()
+        self._children = _children()
+        self._folder = os.getcwd()
+        self.started: dict[int | None, str] = {}
+        self.opened: list[tuple[can.BusABC, str]] = []
+
+    def left(self) -> list[str]:
+        """Return descriptions of new resources; shut down new buses, kill new processes."""
+        buses = list(self._open_buses())
+        end_s = time.monotonic() + _PATIENCE_S
+        while self._is_ending() and time.monotonic() < end_s:
+            time.sleep(_LOOK_AGAIN_S)  # a thread needs a moment to end
+        self.opened.clear()
+        return [
+            *map(self._thread, self._new_threads()),
+            *buses,
+            *self._new_descriptors(),
+            *self._new_children(),
+            *self._new_folder(),
+        ]
+
+    def _is_ending(self) -> bool:
+        """Return whether new threads exist, or descriptors that a thread may still close."""
+        return bool(self._new_threads() or set(_descriptors()) - set(self._descriptors))
+
+    def _new_threads(self) -> list[int]:
+        return sorted(set(sys._current_frames()) - self._threads - {threading.get_ident()})
+
+    def _thread(self, ident: int) -> str:
+        names = {thread.ident: thread.name for thread in threading.enumerate()}
+        at = self.started.get(ident) or called_at(sys._current_frames().get(ident))
+        return f"thread {names.get(ident, 'without a name')!r}, started at {at}"
+
+    def _open_buses(self) -> Iterator[str]:
+        for bus, at in self.opened:
+            if not getattr(bus, "_is_shutdown", True):
+                yield f"a bus not shut down ({bus.channel_info}), opened at {at}"
+                with suppress(Exception):
+                    bus.shutdown()
+
+    def _new_descriptors(self) -> Iterator[str]:
+        if set(_descriptors()) - set(self._descriptors):
+            gc.collect()  # closes what is no longer referenced
+        for number, target in _descriptors().items():
+            if self._descriptors.get(number) != target:
+                yield _lock_held(target) or f"a descriptor not closed ({target})"
+
+    def _new_children(self) -> Iterator[str]:
+        for pid in sorted(_children() - self._children):
+            yield f"a process ({_program(pid)})"
+            with suppress(OSError):
+                os.kill(pid, signal.SIGKILL)
+                os.waitpid(pid, 0)
+
+    def _new_folder(self) -> Iterator[str]:
+        now = os.getcwd()
+        if now != self._folder:
+            os.chdir(self._folder)  # relative paths of others start here
+            yield f"another current folder ({now})"
+
+
+@contextmanager
+def watched() -> Iterator[Watch]:
+    """Record where threads are started and buses are opened within the block."""
+    watch = Watch()
+    thread: Any = threading.Thread
+    bus: Any = can.BusABC
+    start, open_ = thread.start, bus.__init__
+
+    def start_noted(self: threading.Thread) -> None:
+        here = inspect.currentframe()
+        at = called_at(here and here.f_back)
+        start(self)
+        watch.started[self.ident] = at
+
+    def open_noted(self: can.BusABC, *args: Any, **kwargs: Any) -> None:
+        watch.opened.append((self, _opened_at()))
+        open_(self, *args, **kwargs)
+
+    thread.start, bus.__init__ = start_noted, open_noted
+    try:
+        yield watch
+    finally:
+        thread.start, bus.__init__ = start, open_
+
+
+def _opened_at() -> str:
+    """Return where a bus was opened: the first caller outside constructors and python-can."""
+    frame = inspect.currentframe()
+    for _ in range(2):
+        frame = None if frame is None else frame.f_back
+    own = os.path.dirname(can.__file__) + os.sep
+    while frame is not None and (
+        frame.f_code.co_name == "__init__" or frame.f_code.co_filename.startswith(own)
+    ):
+        frame = frame.f_back
+    return called_at(frame)
+
+
+def _descriptors() -> dict[int, str]:
+    """Return the targets of all open descriptors of this process."""
+    found = {}
+    for entry in _DESCRIPTORS.iterdir():
+        with suppress(OSError):  # the listing's own descriptor is closed by now
+            found[int(entry.name)] = os.readlink(entry)
+    return found
+
+
+def _lock_held(target: str) -> str:
+    """Describe a lock file held by this process; "" if it is not a lock file, or free."""
+    folder, name = os.path.split(target)
+    with suppress(UsageError):
+        directory = LockDirectory()
+        holder = look(directory, name).holder if str(directory.path) == folder else None
+        if holder is not None and holder.record is not None and holder.record.pid == os.getpid():
+            return f"an inter-process lock not released ({name}, for {holder.record.purpose})"
+    return ""
+
+
+def _program(pid: int) -> str:
+    """Return the command line of a process, or its name if it has ended."""
+    words = b""
+    end_s = time.monotonic() + _LOOK_AGAIN_S
+    with suppress(OSError):
+        while not words and time.monotonic() < end_s:  # empty while the process starts
+            words = Path(f"/proc/{pid}/cmdline").read_bytes().replace(b"\0", b" ").strip()
+        words = words or Path(f"/proc/{pid}/comm").read_bytes().strip()
+    return words.decode(errors="replace")
+
+
+def _children() -> set[int]:
+    """Return the process ids of all child processes."""
+    pids: set[int] = set()
+    for task in _TASKS.iterdir():
+        with suppress(OSError):
+            pids.update(map(int, (task / "children").read_text().split()))
+    return pids
+
 
 _CLAUSES: Final = str(Path(__file__).parent / "clauses")
 
 
 def run_clauses(clauses: Iterable[Clause], open_bench: Opener) -> Iterator[Verdict]:
-    """The verdict of each clause, as soon as there is one."""
+    """Yield the verdict of each clause as soon as it is known."""
     claims = Claims(open_bench)
     for one in clauses:
         yield run_clause(one, open_bench, claims)
@@ -36,16 +386,16 @@ def run_clauses(clauses: Iterable[Clause], open_bench: Opener) -> Iterator[Verdi
 def run_clause(
     one: Clause, open_bench: Opener, claims: Claims | None = None, home: str = ""
 ) -> Verdict:
-    """The verdict of one clause.
+    """Return the verdict of one clause.
 
     Args:
-        one: which.
-        open_bench: switches a bench on for it.
-        claims: of the motors of all benches so opened.
-        home: of the adaptation, whose lines are told before others (`code_places.home_of`).
+        one: the clause.
+        open_bench: switches on a bench for it.
+        claims: the claims of the motors of such benches.
+        home: the adaptation's folder, whose lines are preferred (`code_places.home_of`).
 
     Raises:
-        RigError: the rig cannot be used as it is written.
+        RigError: the rig file cannot be used.
     """
     with watched() as watch:
         verdict = _checked(one, open_bench, claims or Claims(open_bench), _Judge(one, home))
@@ -59,7 +409,7 @@ def run_clause(
 
 
 def _checked(one: Clause, open_bench: Opener, claims: Claims, judge: "_Judge") -> Verdict:
-    """Its verdict; nothing here refers to the bench any more."""
+    """Return the verdict; keep no reference to the bench."""
     time_ns = 0
     try:
         _require_claimed(one, claims)
@@ -70,11 +420,11 @@ def _checked(one: Clause, open_bench: Opener, claims: Claims, judge: "_Judge") -
                 one.check(bench)
                 verdict = Verdict(one.id, Result.PASSED)
             except BaseException as error:
-                if isinstance(error, LimitError):  # only then: to ask for a motor is to use it
+                if isinstance(error, LimitError):  # asking for a motor connects it
                     judge.models = tuple(motor.model for motor in bench.motors)
                 verdict = judge.verdict(error)
             time_ns = bench.runtime.now_ns()
-    except BaseException as error:  # while it was switched on, or off
+    except BaseException as error:  # while the bench was switched on or off
         verdict = judge.verdict(error)
     return replace(verdict, time_ns=time_ns)
 
@@ -94,7 +444,7 @@ def _require_able(one: Clause, bench: "RigProtocol") -> None:
 
 @final
 class _Judge:
-    """Says what an error that ended a check says of the clause."""
+    """Derives a verdict from the error that ended a check."""
 
     def __init__(self, one: Clause, home: str) -> None:
         self._one = one
@@ -103,7 +453,7 @@ class _Judge:
         self.models: tuple[MotorModel, ...] = ()
 
     def verdict(self, error: BaseException) -> Verdict:
-        """The verdict.
+        """Return the verdict for this error.
 
         Raises:
             KeyboardInterrupt, RigError: the error itself.
@@ -115,29 +465,29 @@ class _Judge:
         if isinstance(error, NotApplicable):
             return Verdict(self._one.id, Result.NOT_APPLICABLE, f"{error}")
         if isinstance(error, LimitError) and self._is_no_room(error):
-            why = f"there is no room for it: {error}; a shorter long_move may fit"
+            why = f"no room for this move: {error}; a shorter long_move may fit"
             return Verdict(self._one.id, Result.NOT_APPLICABLE, why)
         place = raised_at(error, self._home)
         if isinstance(error, Violated):
-            place = raised_at(error, _CLAUSES)  # where it stands, not where all clauses meet
+            place = raised_at(error, _CLAUSES)  # in the clause, not in a shared function
             return Verdict(self._one.id, Result.FAILED, f"{error}", place)
         if isinstance(error, TimeIsUp):
             return Verdict(self._one.id, Result.HUNG, f"{error}", place)
         if isinstance(error, UnsupportedError):
             for claimed in self._one.needs:
                 if claimed in self.facts.claims:
-                    seen = f"the rig claims {claimed.value}, which the motor refuses: {error}"
+                    seen = f"{claimed.value}: claimed by the rig, refused by the motor: {error}"
                     at = self.facts.claimed_at.get(claimed, place)
                     return Verdict(self._one.id, Result.FAILED, seen, at)
         if isinstance(error, RigError) and error.__cause__ is None:
-            place = ""  # the rig's line is told; that of the kit helps nobody
+            place = ""  # the message has the rig's line; the kit's line does not help
         told = f"{error}" if isinstance(error, RigError) else f"{type(error).__name__}: {error}"
         if isinstance(error, MotorError) and not isinstance(error, PluginError):
             return Verdict(self._one.id, Result.FAILED, f"raised {told}", place)
         return Verdict(self._one.id, Result.CRASHED, told, place)
 
     def _is_no_room(self, error: LimitError) -> bool:
-        """Whether the clause has asked for a place that the motors' models do forbid."""
+        """Return whether the clause has asked for a position that the motors' models forbid."""
         return any(
             error.unit == model.unit
             and (

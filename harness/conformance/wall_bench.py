@@ -1,11 +1,11 @@
-"""A bench of the wall's world: motors on real buses, or on buses that another process serves.
+"""A bench in wall time, on buses outside this process.
 
     motorhil conform --adaptation cia402 --rig bench.toml --on can0=vcan0
 
-The rig file describes the motors and where they are; controllers in it are not emulated, they are
-there already. Nothing can be seen of such a bench but what its motors tell, and nothing be done to
-it: what needs that is not applicable. Its drives stay on between two clauses. So each motor is left
-as it should be found at first: at 0, disabled, without a fault.
+The rig file describes the motors and their controllers. The controllers exist already and are not
+emulated. Such a bench can only observe what its motors report, and cannot disturb them; clauses
+that need more are not applicable. The drives stay on between two clauses. Therefore each motor is
+left as a clause expects it: at position 0, disabled, without a fault.
 """
 
 from collections.abc import Mapping, Sequence
@@ -14,23 +14,18 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, Never, Self, final
 
-from harness.conformance.bench import Lost
-from harness.conformance.capability import Ability
-from harness.conformance.clause import NotApplicable
-from harness.conformance.facts import Facts
-from harness.conformance.rig_bench import SECOND_USER, physical_name
-from harness.recording.places import Kind, Place, PlaceError, parse_place
-from harness.recording.python_can import open_bus
-from harness.rig_file import RigDescription
-from harness.rig_models import read_models
-from harness.rig_parts import Named
-from harness.rig_plugins import RigPlugins
-from harness.settings import RigError
-from motorapi import ControlMode, LinkError, Motor, MotorError
-from motorapi.byte_lines import SerialLine, TcpLine
-from motorapi.wall_runtime import WallRuntime, close_process_runtime, process_runtime
-from traces.schema import CAN_FRAME, Direction, Schema
-from traces.writer import TraceWriter
+from motorhil.harness.conformance.bench import Lost
+from motorhil.harness.conformance.clause import Ability, Facts, NotApplicable
+from motorhil.harness.conformance.rig_bench import SECOND_USER, physical_name
+from motorhil.harness.recording.sources import Kind, Place, PlaceError, open_bus, parse_place
+from motorhil.harness.rig.config.rig_file import RigDescription
+from motorhil.harness.rig.config.toml import RigError
+from motorhil.harness.rig.rig import Named, RigPlugins, read_models
+from motorhil.motorapi import ControlMode, LinkError, Motor, MotorError
+from motorhil.motorapi.runtime.byte_streams import SerialLine, TcpLine
+from motorhil.motorapi.runtime.wall import WallRuntime, close_process_runtime, process_runtime
+from motorhil.traces.mcap.writer import TraceWriter
+from motorhil.traces.schema import CAN_FRAME, Direction, Schema
 
 if TYPE_CHECKING:
     import can
@@ -41,10 +36,10 @@ _RETURN_S: Final = 20.0
 
 
 def places_in(texts: Sequence[str], rig: RigDescription) -> dict[str, str]:
-    """Where each bus of the motors under test is, as `--on [BUS=]WHERE` says.
+    """Return the place of each bus of the motors under test, from `--on [BUS=]WHERE`.
 
     Raises:
-        RigError: one names nothing, or a bus is nowhere.
+        RigError: an option names no free bus, or a bus has no place.
     """
     under_test = [rig.motors[name].bus for name in rig.conformance.motors]
     buses = list(dict.fromkeys(bus for bus in under_test if bus is not None))
@@ -57,28 +52,30 @@ def places_in(texts: Sequence[str], rig: RigDescription) -> dict[str, str]:
             known = ", ".join(buses) or "none"
             raise RigError(
                 f"--on {text}",
-                f"names no bus of the motors under test that is still free ({known})",
+                f"is not a free bus of the motors under test ({known})",
                 f"write --on {buses[0] if buses else 'BUS'}=WHERE",
             )
         found[name] = where
     for bus in buses:
         if bus not in found:
-            raise RigError(rig.source.path, f"nobody says where {bus} is", f"add --on {bus}=WHERE")
+            raise RigError(
+                rig.source.path, f"no place is given for bus {bus}", f"add --on {bus}=WHERE"
+            )
     return found
 
 
 @final
 class WallBench:
-    """Motors of a rig on buses of the wall's world; a context manager that leaves them.
+    """Motors of a rig on real buses; a context manager that leaves the motors at rest.
 
     Args:
         description: from `rig_bench.bench_description`.
         places: from `places_in`.
-        seed: of all chance of the clauses.
-        record: an MCAP file for all frames; after `afresh` it begins anew.
+        seed: the seed of all random numbers of the clauses.
+        record: an MCAP file for all frames; `afresh` begins a new record.
 
     Raises:
-        RigError: a bus cannot be reached.
+        RigError: a bus cannot be opened.
     """
 
     def __init__(
@@ -105,7 +102,7 @@ class WallBench:
             if self._record is not None:
                 self._writer = cleanup.enter_context(TraceWriter(self._record))
             self._links = {bus: self._opened(bus, cleanup) for bus in self._places}
-            cleanup.callback(close_process_runtime)  # first: it reads the links
+            cleanup.callback(close_process_runtime)  # closed first: it reads the links
             for bus in self._places:
                 self._listen(bus)
             self._cleanup = cleanup.pop_all()
@@ -119,20 +116,20 @@ class WallBench:
             self._leave_motors()
 
     def afresh(self) -> None:
-        """The motors were left, and are taken anew."""
+        """Leave the motors, and open them again."""
         self.__exit__()
         self._switch_on()
 
-    # --- what is under test ---------------------------------------------------------------
+    # --- motors under test ----------------------------------------------------------------
 
     @property
     def runtime(self) -> WallRuntime:
-        """Where a clause waits."""
+        """The runtime in which a clause waits."""
         return process_runtime()
 
     @property
     def abilities(self) -> Sequence[Ability]:
-        """What can be done here."""
+        """The abilities of this bench."""
         able = [Ability.AFRESH, Ability.SEVERAL_USERS]
         if len(self.facts.motors) > 1:
             able.append(Ability.SECOND_MOTOR)
@@ -149,62 +146,62 @@ class WallBench:
         return tuple(self._motors[name] for name in self.facts.motors)
 
     def another_user_of(self, motor: Motor) -> Motor:
-        """Another logical motor on the same physical motor."""
+        """Return another logical motor on the same physical motor."""
         return self._motors[f"{physical_name(motor)}-{SECOND_USER}"]
 
-    # --- what cannot be done: no clause that names what it needs comes here ------------------
+    # --- abilities that this bench does not have -------------------------------------------
 
     def true_position(self, motor: Motor) -> float:
-        """Raises NotApplicable."""
+        """Raise NotApplicable."""
         _refuse(Ability.TRUTH)
 
     def load(self, motor: Motor, torque_n_m: float) -> None:
-        """Raises NotApplicable."""
+        """Raise NotApplicable."""
         _refuse(Ability.LOAD)
 
     def fail(self, motor: Motor) -> int:
-        """Raises NotApplicable."""
+        """Raise NotApplicable."""
         _refuse(Ability.FAULT)
 
     def cut(self, motor: Motor) -> AbstractContextManager[Lost]:
-        """Raises NotApplicable."""
+        """Raise NotApplicable."""
         _refuse(Ability.CUT)
 
     def silence_host(
         self, *, skip: int = 0, limit: int | None = None
     ) -> AbstractContextManager[Lost]:
-        """Raises NotApplicable."""
+        """Raise NotApplicable."""
         _refuse(Ability.SILENCE_HOST)
 
     def lose_answers_of(
         self, motor: Motor, *, skip: int = 0, limit: int | None = None
     ) -> AbstractContextManager[Lost]:
-        """Raises NotApplicable."""
+        """Raise NotApplicable."""
         _refuse(Ability.LOSE)
 
     def strike(
         self, motor: Motor | None, times: int, *, skip: int = 0
     ) -> AbstractContextManager[Lost]:
-        """Raises NotApplicable."""
+        """Raise NotApplicable."""
         _refuse(Ability.BUS_ERRORS)
 
     def noise(self, bit_error_rate: float) -> AbstractContextManager[Lost]:
-        """Raises NotApplicable."""
+        """Raise NotApplicable."""
         _refuse(Ability.BUS_ERRORS)
 
     def stop_sync(self) -> AbstractContextManager[Lost]:
-        """Raises NotApplicable."""
+        """Raise NotApplicable."""
         _refuse(Ability.STOP_SYNC)
 
     def restart(self, motor: Motor) -> None:
-        """Raises NotApplicable."""
+        """Raise NotApplicable."""
         _refuse(Ability.RESTART)
 
     def commands_to(self, motor: Motor) -> AbstractContextManager[Sequence[str]]:
-        """Raises NotApplicable."""
+        """Raise NotApplicable."""
         _refuse(Ability.TRAFFIC)
 
-    # --- inside ---------------------------------------------------------------------------
+    # --- helpers --------------------------------------------------------------------------
 
     def _motor(self, name: str) -> Motor:
         motor, close, _ = self._plugins.motor(
@@ -215,10 +212,10 @@ class WallBench:
         return motor
 
     def _leave_motors(self) -> None:
-        """Those that were used are at 0, at rest, without power, as far as they obey."""
+        """Leave the used motors at 0, at rest and without power, as far as they obey."""
         for motor in self._in_use:
             for action in (_without_fault, self._at_zero, Motor.disable):
-                with suppress(MotorError):  # it may be what the clause has just found out
+                with suppress(MotorError):  # may be the defect that the clause has found
                     action(motor)
 
     def _at_zero(self, motor: Motor) -> None:
@@ -259,7 +256,7 @@ class WallBench:
         )
 
     def _listen(self, bus: str) -> None:
-        """What is on the bus is recorded; of lines nothing is."""
+        """Record the frames of a CAN bus; lines are not recorded."""
         writer, link = self._writer, self._links[bus]
         if writer is None or isinstance(link, TcpLine | SerialLine):
             return

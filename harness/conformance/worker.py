@@ -1,49 +1,79 @@
-"""The process in which clauses are checked, one after another, as its supervisor asks for them.
+"""The worker process, which checks clauses on request of its supervisor.
 
-It is told a job, then requests, each a line of JSON on one pipe, and answers each by a line on
-another. What the adaptation prints goes elsewhere. Of the two signals of the supervisor the first
-makes Python write down where every thread is; the second ends the check, if anything can.
+The worker receives a job, then requests, each as a line of JSON on one pipe. Each answer is a line
+on another pipe. Output of the adaptation goes elsewhere. The supervisor's first signal makes Python
+dump the stacks of all threads. The second signal ends the check, if possible.
 
     {"job": {...}}                          -> {"ready": {...}}, or {"wrong": "why"}
     {"check": "STOP-04", "record": null}    -> {"verdict": {...}}, or {"wrong": "why"}
     {"claims": true}                        -> {"claims": {"homing": "why not, or nothing"}}
 
 Each request has a number, and its answer is [number, answer].
+
+Worker process, as seen by its supervisor.
+
+A supervisor sends requests to a worker, reads its answers and ends it, whatever the worker does.
+
+Supervision of a worker process, in which the clauses are checked.
+
+    with Supervisor(Job("my_drive", "bench.toml")) as supervisor:
+        verdict = supervisor.check("STOP-04")
+
+An adaptation cannot end the kit. One worker checks all clauses as long as it lives. A check that
+misses its deadline is interrupted, and the verdict has the line where it hangs. If the worker then
+ends or has died, a new worker checks the remaining clauses.
+
+Jobs for workers, and the promises that workers report.
 """
 
 import faulthandler
 import gc
 import json
 import os
+import re
+import select
 import signal
+import subprocess
 import sys
-from collections.abc import Callable, Mapping
+import tempfile
+import time
+from collections.abc import Callable, Container, Mapping
+from contextlib import suppress
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from types import FrameType
-from typing import Any, Final, NoReturn, TextIO, final
+from typing import Any, Final, NoReturn, Self, TextIO, final
 
-from harness.conformance.verdict import TELL_WHERE, TIME_IS_UP, packed
+import motorhil
+from motorhil.harness.conformance.clause import (
+    TELL_WHERE,
+    TIME_IS_UP,
+    Result,
+    Verdict,
+    packed,
+    unpacked,
+)
+from motorhil.harness.conformance.run import Line, place_in
 
 _MARGIN_S: Final = 30.0
-"""So much later than its supervisor should have, it ends by itself: there is none any more."""
+"""Time after the deadline at which a worker without a supervisor ends by itself."""
 
 
 @final
 class _Worker:
-    """Answers requests."""
+    """Answers the requests for one job."""
 
     def __init__(self, job: Mapping[str, Any]) -> None:
-        from harness.conformance.claims import Claims
-        from harness.conformance.job import Job
-        from harness.conformance.kit import all_clauses
-        from harness.conformance.target import Target
+        from motorhil.harness.conformance.examination import Target
+        from motorhil.harness.conformance.kit import all_clauses
+        from motorhil.harness.conformance.run import Claims
 
         self._target = Target(Job.unpacked(job))
         self._clauses = all_clauses()
         self._claims = Claims(self._target.opener())
 
     def ready(self) -> dict[str, object]:
-        """What the job is about."""
+        """Return the description of the job."""
         rig = self._target.rig
         return {
             "adaptation": self._target.adaptation,
@@ -60,28 +90,29 @@ class _Worker:
         }
 
     def check(self, clause: str, record: str | None) -> dict[str, object]:
-        """The verdict of a clause."""
-        from harness.conformance.code_places import raised_at
-        from harness.conformance.run import run_clause
-        from harness.conformance.verdict import Result, Verdict
+        """Check a clause and return its verdict."""
+        from motorhil.harness.conformance.clause import Result, Verdict
+        from motorhil.harness.conformance.run import raised_at, run_clause
 
         opener = self._target.opener(Path(record) if record else None)
         try:
             verdict = run_clause(self._clauses[clause], opener, self._claims, self._target.home)
-        except KeyboardInterrupt as error:  # not a person's: this process hears no Ctrl-C
+        except (
+            KeyboardInterrupt
+        ) as error:  # from the code under test: this process does not receive Ctrl-C
             place = raised_at(error, self._target.home)
             verdict = Verdict(clause, Result.CRASHED, "KeyboardInterrupt", place)
         return packed(verdict)
 
     def claims(self) -> dict[str, str]:
-        """Why each capability is not claimed; "" of those that are.
+        """Return why each capability is not claimed; "" if it is claimed.
 
         Raises:
-            RigError: the adaptation does not let itself be asked.
+            RigError: the adaptation's claims cannot be read.
         """
-        from harness.conformance.capability import Capability
-        from harness.conformance.code_places import raised_at
-        from harness.settings import RigError
+        from motorhil.harness.conformance.clause import Capability
+        from motorhil.harness.conformance.run import raised_at
+        from motorhil.harness.rig.config.toml import RigError
 
         try:
             return {one.key: self._claims.why_not(one) for one in Capability}
@@ -89,19 +120,21 @@ class _Worker:
             raise
         except (Exception, SystemExit) as error:
             place = raised_at(error, self._target.home)
-            raise RigError(place, f"{type(error).__name__}: {error}", "mend it") from error
+            raise RigError(
+                place, f"{type(error).__name__}: {error}", "correct the adaptation"
+            ) from error
 
 
 def main(words: list[str]) -> None:
-    """Requests have been answered until there were no more.
+    """Answer requests until there are no more.
 
     Args:
-        words: the descriptors to read from and to write to, and of the file for stacks.
+        words: the descriptors for requests and answers, and of the file for stack dumps.
     """
     leave = os._exit
 
     def leave_and_tell(status: int) -> NoReturn:
-        """Python's own, but that who asked for it is written down."""
+        """Dump the stacks to show the caller, then exit as `os._exit`."""
         faulthandler.dump_traceback(told)
         leave(status)
 
@@ -117,11 +150,11 @@ def main(words: list[str]) -> None:
             _answer(requests, lambda reply: _write(writer, reply), told)
     sys.stdout.flush()
     sys.stderr.flush()
-    leave(0)  # whatever the adaptation has left running
+    leave(0)  # even if the adaptation has left threads running
 
 
 def _answer(requests: TextIO, reply: Callable[[object], None], told: TextIO) -> None:
-    from harness.settings import RigError
+    from motorhil.harness.rig.config.toml import RigError
 
     worker: _Worker | None = None
     for line in requests:
@@ -130,9 +163,9 @@ def _answer(requests: TextIO, reply: Callable[[object], None], told: TextIO) -> 
         try:
             if worker is None:
                 sys.path[:] = request["path"]
-                gc.disable()  # while modules are loaded, which make no garbage
+                gc.disable()  # loading modules makes no garbage
                 worker = _Worker(request["job"])
-                gc.freeze()  # nor need each clause's collection look through them (`leaks`)
+                gc.freeze()  # the collections after each clause need not scan the modules (`leaks`)
                 gc.enable()
                 answer = {"ready": worker.ready()}
             elif "claims" in request:
@@ -154,6 +187,404 @@ def _write(descriptor: int, reply: object) -> None:
 
 
 def _time_is_up(number: int, frame: FrameType | None) -> None:
-    from harness.conformance.rig_bench import TimeIsUp
+    from motorhil.harness.conformance.rig_bench import TimeIsUp
 
-    raise TimeIsUp("its time is up")
+    raise TimeIsUp("the deadline has passed")
+
+
+_READ_MAX: Final = 65_536
+_SAID_MAX: Final = 8_192
+_END_S: Final = 2.0
+_PROGRAM: Final = (
+    "import sys; from motorhil.harness.conformance.worker import main; main(sys.argv[1:])"
+)
+
+
+class ChildEndedError(Exception):
+    """The worker is no longer usable; the text says how it ended, or why."""
+
+
+@final
+class Child:
+    """A running worker; `close` ends it and all processes that it has started.
+
+    The worker has its own process group, so that only the supervisor receives Ctrl-C.
+
+    Attributes: said, the last output of the worker since this was emptied.
+    """
+
+    def __init__(self) -> None:
+        self.said = b""
+        self._stacks = tempfile.TemporaryFile()  # noqa: SIM115 -- closed with the child
+        requests, self._requests = os.pipe()
+        self._replies, replies = os.pipe()
+        root = str(Path(motorhil.__file__).parent.parent)
+        others = [path for path in (os.environ.get("PYTHONPATH"),) if path]
+        options = [f"-W{one}" for one in sys.warnoptions] + ["-O"] * sys.flags.optimize
+        told = [str(one) for one in (requests, replies, self._stacks.fileno())]
+        self._process = subprocess.Popen(
+            [sys.executable, "-P", *options, "-c", _PROGRAM, *told],
+            env={**os.environ, "PYTHONPATH": os.pathsep.join([root, *others])},
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            pass_fds=(requests, replies, self._stacks.fileno()),
+            process_group=0,
+        )
+        os.close(requests)
+        os.close(replies)
+        assert self._process.stdout is not None
+        self._output = self._process.stdout
+        self._ended = os.pidfd_open(self._process.pid)
+        self._heard = b""
+        self._asked = 0
+        self._is_idle = True
+        self._poll = select.poll()
+        for descriptor in (self._replies, self._output.fileno()):
+            os.set_blocking(descriptor, False)
+            self._poll.register(descriptor, select.POLLIN)
+        self._poll.register(self._ended, select.POLLIN)
+
+    def ask(self, request: Mapping[str, Any]) -> None:
+        """Send a request to the worker; `answer` returns its result."""
+        self._is_idle = False
+        self._asked += 1
+        line = json.dumps({**request, "number": self._asked}).encode() + b"\n"
+        with suppress(BrokenPipeError):  # the worker has ended; `answer` reports this
+            os.write(self._requests, line)
+
+    def answer(self, timeout_s: float) -> dict[str, Any] | None:
+        """Return the next answer of the worker, or None if none comes within `timeout_s` [s].
+
+        Raises:
+            ChildEndedError: the worker has ended, or its answer cannot be decoded.
+        """
+        end_s = time.monotonic() + timeout_s
+        while b"\n" not in self._heard:
+            left_s = end_s - time.monotonic()
+            if left_s <= 0.0:
+                return None
+            ready = {descriptor for descriptor, _ in self._poll.poll(left_s * 1e3)}
+            self.said = (self.said + self._read(self._output.fileno(), ready))[-_SAID_MAX:]
+            self._heard += self._read(self._replies, ready)
+            if self._ended in ready and b"\n" not in self._heard:
+                raise ChildEndedError(self._how_it_ended())
+        line, _, self._heard = self._heard.partition(b"\n")
+        answer = self._understood(line)
+        self._is_idle = True
+        return answer
+
+    def _understood(self, line: bytes) -> dict[str, Any]:
+        """Decode an answer line.
+
+        Raises:
+            ChildEndedError: the line is not an answer to the last request; code under test wrote
+                it.
+        """
+        try:
+            number, answer = json.loads(line)
+            if number == self._asked and isinstance(answer, dict):
+                return answer
+        except (ValueError, TypeError):
+            pass
+        told = line[:40].decode(errors="replace")
+        raise ChildEndedError(f"worker: wrote {told!r} to the pipe reserved for the kit's answers")
+
+    def forget(self) -> None:
+        """Discard the output and the stack dumps received so far."""
+        self.said = b""
+        os.ftruncate(self._stacks.fileno(), 0)
+        os.lseek(
+            self._stacks.fileno(), 0, os.SEEK_SET
+        )  # the worker's position too: it inherited the file
+
+    def signal(self, number: signal.Signals) -> None:
+        """Send a signal to the worker."""
+        with suppress(ProcessLookupError):
+            self._process.send_signal(number)
+
+    def stacks(self) -> str:
+        """Return the stack dumps that the worker has written."""
+        size = os.fstat(self._stacks.fileno()).st_size
+        return os.pread(self._stacks.fileno(), min(size, _READ_MAX), 0).decode(errors="replace")
+
+    def _read(self, descriptor: int, ready: Container[int]) -> bytes:
+        """Read available data from a descriptor; unregister the descriptor at its end."""
+        data = b""
+        if descriptor in ready:
+            with suppress(BlockingIOError):
+                data = os.read(descriptor, _READ_MAX)
+                if not data:
+                    self._poll.unregister(descriptor)
+        return data
+
+    def _how_it_ended(self) -> str:
+        facts = os.waitid(os.P_PID, self._process.pid, os.WEXITED | os.WNOWAIT)
+        assert facts is not None
+        if facts.si_code == os.CLD_EXITED:
+            return f"worker process ended with exit status {facts.si_status}"
+        return f"worker process ended by {signal.Signals(facts.si_status).name}"
+
+    def close(self) -> None:
+        """Wait for an idle worker to end, or kill it, and release its resources."""
+        os.close(self._requests)
+        poll = select.poll()
+        poll.register(self._ended, select.POLLIN)
+        if self._is_idle:
+            poll.poll(_END_S * 1e3)
+        with suppress(
+            ProcessLookupError
+        ):  # its process is not reaped yet, so the group is still its own
+            os.killpg(self._process.pid, signal.SIGKILL)
+        self._process.wait()
+        self.told = self.stacks()
+        self._output.close()
+        self._stacks.close()
+        os.close(self._replies)
+        os.close(self._ended)
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Job:
+    """The adaptation and the rig to test.
+
+    Attributes:
+        adaptation: its name, or "package.module:function"; "": the adaptation of the rig's motors.
+        rig: the rig file; "": the rig that comes with the adaptation.
+        seed: the seed of all random numbers; None: the rig's seed.
+        on: the places of the rig's buses, "[BUS=]WHERE"; if empty, they are emulated in virtual
+            time.
+    """
+
+    adaptation: str = ""
+    rig: str = ""
+    seed: int | None = None
+    on: tuple[str, ...] = ()
+
+    def packed(self) -> dict[str, Any]:
+        """Return the job as JSON values."""
+        return asdict(self)
+
+    @classmethod
+    def unpacked(cls, values: Mapping[str, Any]) -> Self:
+        """Return the job from the values of `packed`."""
+        return cls(**{**values, "on": tuple(values["on"])})
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Promise:
+    """A clause without its check; see `clause.Clause`."""
+
+    id: str
+    level: int
+    promise: str
+    source: str
+
+
+START_S: Final = 30.0
+"""Time limit for loading the adaptation and reading its rig."""
+_TELLING_S: Final = 0.1
+_GRACE_S: Final = 1.0
+_SAID_LINES: Final = 5
+_THREAD: Final = re.compile(r"^(?:Current thread|Thread) .*$", re.MULTILINE)
+_FRAME: Final = re.compile(r'^  File "(.*)", line (\d+) in ', re.MULTILINE)
+_WAITS: Final = os.path.join("virtual_time", "runtime.py")
+
+
+class WrongJobError(Exception):
+    """The adaptation or the rig cannot be used as given; the text says why."""
+
+
+class CannotTestError(Exception):
+    """Loading the adaptation ends the process, or never ends; the text says where."""
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Loaded:
+    """The worker's description of its job after loading.
+
+    Attributes: adaptation, rig (its file), bench (the rig's name), motors (under test), seed,
+    deadline_s (for one clause), home (the folder of the adaptation's code), clauses (of the kit).
+    """
+
+    adaptation: str
+    rig: str
+    bench: str
+    motors: tuple[str, ...]
+    seed: int
+    deadline_s: float
+    home: str
+    clauses: tuple[Promise, ...]
+
+
+@final
+class Supervisor:
+    """Checks the clauses of one job; a context manager that ends its worker.
+
+    Attributes:
+        said: the last lines printed during the last check.
+    """
+
+    def __init__(self, job: Job) -> None:
+        self.said: tuple[str, ...] = ()
+        self._job = job
+        self._child: Child | None = None
+        self._loaded: Loaded | None = None
+        self._has_loaded = False
+
+    def __enter__(self) -> Self:
+        self._start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._retire()
+
+    @property
+    def loaded(self) -> Loaded:
+        """The description of the job.
+
+        Raises:
+            WrongJobError: the adaptation or the rig cannot be used.
+            CannotTestError: loading them ends the process, or never ends.
+        """
+        child = self._start()
+        if self._loaded is None:
+            child.said = b""
+            try:
+                answer = child.answer(START_S)
+            except ChildEndedError as ended:
+                self._note(child)
+                said = "".join(f"\n  {line}" for line in self.said)
+                raise CannotTestError(f"loading the adaptation: {ended}{said}") from None
+            if answer is None:
+                place = _where(child, "")
+                raise CannotTestError(
+                    f"loading the adaptation: not finished after {START_S:g} s, at {place}"
+                )
+            ready = _right(answer)["ready"]
+            clauses = tuple(Promise(**one) for one in ready["clauses"])
+            self._loaded = Loaded(**{**ready, "motors": tuple(ready["motors"]), "clauses": clauses})
+            self._has_loaded = True
+        return self._loaded
+
+    def check(
+        self, clause: str, *, record: Path | None = None, deadline_s: float | None = None
+    ) -> Verdict:
+        """Check a clause and return its verdict, whatever the adaptation does.
+
+        Args:
+            clause: its id.
+            record: an MCAP file for all events.
+            deadline_s: replaces the rig's deadline [s].
+
+        Raises:
+            WrongJobError, CannotTestError: as `loaded`.
+        """
+        try:
+            loaded = self.loaded
+        except CannotTestError as error:
+            if not self._has_loaded:
+                raise
+            return Verdict(clause, Result.CRASHED, f"{error}")
+        child = self._start()
+        child.forget()
+        limit_s = loaded.deadline_s if deadline_s is None else deadline_s
+        file = None if record is None else str(record)
+        child.ask({"check": clause, "record": file, "deadline_s": limit_s})
+        try:
+            answer = child.answer(limit_s)
+            if answer is not None:
+                return unpacked(_right(answer)["verdict"])
+            answer = _interrupt(child)
+            result, seen = Result.HUNG, f"not finished after {limit_s:g} s of wall time"
+            if answer is None:
+                seen += ", nor when interrupted"
+        except ChildEndedError as ended:
+            result, seen, answer = Result.CRASHED, f"{ended}", None
+        finally:
+            self._note(child)
+        self._retire()
+        time_ns = unpacked(answer["verdict"]).time_ns if answer else 0
+        return Verdict(clause, result, seen, _place(child.told, loaded.home), time_ns)
+
+    def claims(self) -> dict[str, str]:
+        """Return the reason why each capability is not claimed, by key; "" if it is claimed.
+
+        Raises:
+            WrongJobError, CannotTestError: as `loaded`; also if reading the claims ends the
+                process.
+        """
+        loaded = self.loaded
+        child = self._start()
+        child.forget()
+        child.ask({"claims": True, "deadline_s": loaded.deadline_s})
+        try:
+            answer = child.answer(loaded.deadline_s)
+        except ChildEndedError as ended:
+            raise CannotTestError(f"reading the claims: {ended}") from None
+        if answer is None:
+            place = _where(child, loaded.home)
+            limit_s = f"{loaded.deadline_s:g} s"
+            raise CannotTestError(f"reading the claims: not finished after {limit_s}, at {place}")
+        if "wrong" in answer:
+            raise CannotTestError(f"reading the claims: {answer['wrong']}")
+        claims: dict[str, str] = answer["claims"]
+        return claims
+
+    def _start(self) -> Child:
+        """Return the worker; start it if needed."""
+        if self._child is None:
+            self._child = Child()
+            self._child.ask({"job": self._job.packed(), "path": sys.path})
+            self._loaded = None
+        return self._child
+
+    def _retire(self) -> None:
+        child, self._child = self._child, None
+        if child is not None:
+            child.close()
+
+    def _note(self, child: Child) -> None:
+        lines = child.said.decode(errors="replace").splitlines()
+        self.said = tuple(lines[-_SAID_LINES:])
+
+
+def _interrupt(child: Child) -> dict[str, Any] | None:
+    """Interrupt the check; return its answer, or None if it does not end."""
+    child.signal(TELL_WHERE)
+    answer = child.answer(_TELLING_S)  # two signals at once could interrupt a wait only once
+    if answer is None:
+        child.signal(TIME_IS_UP)
+        answer = child.answer(_GRACE_S)
+    return answer
+
+
+def _where(child: Child, home: str) -> str:
+    """Interrupt the worker and return the place where it hangs."""
+    with suppress(ChildEndedError):
+        _interrupt(child)
+    return _place(child.stacks(), home)
+
+
+def _right(answer: dict[str, Any]) -> dict[str, Any]:
+    if "wrong" in answer:
+        raise WrongJobError(answer["wrong"])
+    return answer
+
+
+def _place(stacks: str, home: str) -> str:
+    """Return the place where a worker hangs or died, from faulthandler's dump of all threads.
+
+    The last thread in the dump is the main thread. In virtual time another thread may be running.
+    """
+    threads = [
+        [(file, int(number)) for file, number in reversed(_FRAME.findall(text))]
+        for text in _THREAD.split(stacks)[1:]
+    ]
+    running = [lines for lines in threads if lines and not lines[-1][0].endswith(_WAITS)]
+    own = [lines for lines in running if home and any(file.startswith(home) for file, _ in lines)]
+    chosen: list[Line] = next(reversed(own or running or threads), [])
+    return place_in(chosen, home)

@@ -1,1 +1,1 @@
-"""Rigs and scripts to learn from; `motorhil new DIR` begins with one of them."""
+"""Example rigs and scripts; `motorhil new DIR` copies one of them."""

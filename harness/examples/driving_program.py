@@ -1,24 +1,23 @@
-"""The driving program: it looks where a leg leads, drives the leg, and so on to the end.
+"""A driving program: looks along each leg, then drives it.
 
-It shares the pan motor with the mast's program (`mast_program.py`), and knows nothing of it: it
-waits for the motor until it has its turn, first come, first served. If whoever has the motor dies,
-it is this program's the next moment; what was left moving is brought to rest before it is commanded
-again, and the manoeuvre goes on.
+This program shares the pan motor with the mast's program (`mast_program.py`), and waits for its
+turn, first come, first served. If the program that has the motor dies, the motor is free at once. A
+motor that is still moving is then brought to rest before its next command.
 """
 
 import sys
 
-from harness.examples.rover import Rover
-from harness.examples.rover_hardware import rover_motors
-from harness.examples.rover_kinematics import WHEELS, Leg
-from motorapi import ControlMode, Motor, MotorError, MotorGroup
+from motorhil.harness.examples.rover import Rover
+from motorhil.harness.examples.rover_hardware import rover_motors
+from motorhil.harness.examples.rover_kinematics import WHEELS, Leg
+from motorhil.motorapi import ControlMode, Motor, MotorError, MotorGroup
 
 LEGS = (Leg.arc(1.5, 0.3), Leg.crab(0.3, -0.5), Leg.turn(-0.4))
 PATIENCE_S = 60.0
 
 
 def look_ahead(rover: Rover, leg: Leg) -> None:
-    """The camera has looked along the leg."""
+    """Look along the leg with the camera."""
     (pan,) = rover.mast
     with pan.reserve(f"a look along the {leg.name}", timeout_s=PATIENCE_S):
         print(f"looks along the {leg.name}", flush=True)
@@ -26,7 +25,7 @@ def look_ahead(rover: Rover, leg: Leg) -> None:
 
 
 def main() -> int:
-    """Exit status: 0 the manoeuvre was driven, 1 a motor failed, or was not to be had."""
+    """Drive the manoeuvre; return 0, or 1 if a motor failed or was not available."""
     names = [*(f"drive_{name}" for name in WHEELS), *(f"steer_{name}" for name in WHEELS), "pan"]
     try:
         with rover_motors(*names) as motors:

@@ -1,15 +1,15 @@
-"""The mast's program: one panorama after the other, until somebody ends it.
+"""A mast program: takes one panorama after another until it is ended.
 
-It shares the pan motor with the driving program (`driving_program.py`), and knows nothing of it. In
-a panorama the mast is reserved, so that nobody turns it between two pictures; after each panorama
-those who wait for one of its motors have their turn.
+This program shares the pan motor with the driving program (`driving_program.py`) without knowing
+it. The mast is reserved during a panorama, so that no other program turns it between two pictures.
+After each panorama, waiting programs have their turn.
 """
 
 import sys
 from itertools import count
 
-from harness.examples.rover_hardware import rover_motors
-from motorapi import ControlMode, Motor, MotorError, MotorGroup, TrapezoidalTrajectory
+from motorhil.harness.examples.rover_hardware import rover_motors
+from motorhil.motorapi import ControlMode, Motor, MotorError, MotorGroup, TrapezoidalTrajectory
 
 PICTURES_RAD = (-0.8, 0.0, 0.8)
 TILT_RAD = -0.15
@@ -18,7 +18,7 @@ PATIENCE_S = 60.0
 
 
 def take_panorama(mast: MotorGroup) -> None:
-    """The mast has looked in every direction of it, and stood still for each picture."""
+    """Point the mast in each direction, and stand still for each picture."""
     for pan_rad in PICTURES_RAD:
         mast.set_trajectory(
             *(
@@ -32,7 +32,7 @@ def take_panorama(mast: MotorGroup) -> None:
 
 
 def main() -> int:
-    """Exit status: 1 if a motor failed. By itself it does not end otherwise."""
+    """Take panoramas for ever; return 1 if a motor failed."""
     try:
         with rover_motors("pan", "tilt") as motors:
             mast = MotorGroup(*motors)

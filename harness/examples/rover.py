@@ -1,16 +1,16 @@
-"""A six-wheel rover's manoeuvre, written against the motor interface alone.
+"""A six-wheel rover's manoeuvre, based on the motor interface alone.
 
-Nothing here knows what drives there are, on which bus, real or emulated: that is the rig's, or the
-robot's, to say. The manoeuvre is the one of the paper's Figure 7: an arc, a crab and a turn on the
-spot, while the mast keeps looking at one point of the world.
+This module does not know the drives or their buses, real or emulated; the rig or the robot defines
+them. The manoeuvre is that of the paper's Figure 7: an arc, a crab and a turn on the spot, while
+the mast looks at one point of the world.
 """
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import final
 
-from harness.examples.rover_kinematics import WHEELS, Leg, Pose, look_at
-from motorapi import (
+from motorhil.harness.examples.rover_kinematics import WHEELS, Leg, Pose, look_at
+from motorhil.motorapi import (
     ControlMode,
     Motor,
     MotorGroup,
@@ -30,7 +30,7 @@ Told = Callable[[str], None]
 @final
 @dataclass(frozen=True, slots=True)
 class Move:
-    """One coordinated motion that is over: where to, how well it could and how well it did sync."""
+    """A finished coordinated motion: its targets, and its predicted and actual synchronization."""
 
     group: MotorGroup
     targets_rad: tuple[float, ...]
@@ -40,12 +40,12 @@ class Move:
 
 @final
 class Rover:
-    """Three groups of motors that make a rover; members in the order of WHEELS, and (pan, tilt).
+    """A rover of three groups of motors: wheels and steering as in WHEELS, mast (pan, tilt).
 
     Attributes:
-        pose: of the body, by what its wheels have rolled.
-        leg: what is being driven; None at rest.
-        moves: every coordinated motion so far.
+        pose: the pose of the body, from the rolling of the wheels.
+        leg: the leg being driven; None at rest.
+        moves: all coordinated motions so far.
     """
 
     def __init__(self, wheels: MotorGroup, steering: MotorGroup, mast: MotorGroup) -> None:
@@ -58,20 +58,20 @@ class Rover:
         self._leg_start: tuple[float, ...] = ()
 
     def switch_on(self) -> None:
-        """All motors are enabled and will follow trajectories."""
+        """Enable all motors, and set them to trajectories."""
         for group in (self.wheels, self.steering, self.mast):
             group.for_each(Motor.enable)
             group.for_each(Motor.set_control_mode, ControlMode.TRAJECTORY)
 
     def switch_off(self) -> None:
-        """No motor is powered."""
+        """Disable all motors."""
         for group in (self.wheels, self.steering, self.mast):
             group.for_each(Motor.disable)
 
     def drive(self, leg: Leg) -> None:
-        """The leg has been driven: first all wheels are steered together, then all roll together.
+        """Drive a leg: steer all wheels together, then roll all wheels together.
 
-        Members of a group begin and end at the same time, as fast as the slowest allows.
+        The members of a group start and end at the same time, as fast as the slowest allows.
         """
         targets = [leg.wheel(name) for name in WHEELS]
         self.turn_to(self.steering, [steering_rad for steering_rad, _ in targets])
@@ -85,7 +85,7 @@ class Rover:
         self.leg = None
 
     def pose_now(self) -> Pose:
-        """Where the body is, judged by how far the wheels have rolled in this leg."""
+        """Return the pose of the body from the rolling of the wheels in this leg."""
         leg = self.leg
         if leg is None:
             return self.pose
@@ -97,11 +97,11 @@ class Rover:
         return leg.pose_after(self.pose, sum(parts) / len(parts))
 
     def look_at(self, point_m: tuple[float, float, float]) -> None:
-        """The mast points at this point of the world, from where the rover is now."""
+        """Point the mast at a point of the world, from the rover's current pose."""
         self.turn_to(self.mast, look_at(self.pose_now(), point_m))
 
     def turn_to(self, group: MotorGroup, angles_rad: Sequence[float]) -> None:
-        """Every motor of the group is at its angle; they began and ended together."""
+        """Move all motors of the group to their angles, starting and ending together."""
         group.set_trajectory(
             *(
                 TrapezoidalTrajectory(angle_rad, initial=motor.position())
@@ -116,7 +116,7 @@ class Rover:
     def keep_looking(
         self, runtime: Runtime, point_m: tuple[float, float, float], until: Callable[[], bool]
     ) -> None:
-        """The mast has followed the point, `until()`; a party of its own while others drive."""
+        """Follow the point with the mast, `until()`; runs as a party while others drive."""
         while not until():
             self.look_at(point_m)
             runtime.wait_until(until, LOOK_PERIOD_S)
@@ -125,7 +125,7 @@ class Rover:
 def manoeuvre(
     rover: Rover, runtime: Runtime, point_m: tuple[float, float, float], told: Told
 ) -> None:
-    """The whole manoeuvre has been driven while the mast looked at the point; motors are off."""
+    """Drive the whole manoeuvre while the mast looks at the point, then switch off."""
     rover.switch_on()
     told("switched on, looking at the point")
     rover.look_at(point_m)

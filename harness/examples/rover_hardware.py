@@ -1,7 +1,7 @@
-"""The rover's drives, as a program of the robot finds them: bus, node-ID and model of each.
+"""The rover's drives for a robot's program: bus, node-ID, model.
 
-Which wires the buses are is said by the environment, as `motorhil serve RIG -- PROGRAM` sets it:
-CAN_INTERFACE for python-can's interface, MOTORHIL_CHANNEL_CAN0 and so on for the channels.
+Environment variables name the buses, as `motorhil serve RIG -- PROGRAM` sets them: CAN_INTERFACE
+for python-can's interface, MOTORHIL_CHANNEL_CAN0 and so on for the channels.
 """
 
 import os
@@ -11,9 +11,11 @@ from pathlib import Path
 
 import can
 
-from harness.examples.rover_kinematics import WHEELS
-from motorapi import Motor, MotorModel
-from motorapi.adaptations.cia402 import Cia402HwMotor, Cia402Motor, HwOptions
+from motorhil.harness.examples.rover_kinematics import WHEELS
+from motorhil.motorapi import Motor, MotorModel
+from motorhil.motorapi.adaptations.cia402.bringup import HwOptions
+from motorhil.motorapi.adaptations.cia402.hardware import Cia402HwMotor
+from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
 
 PLACES = {
     **{f"drive_{name}": ("can0", node_id, "wheel") for node_id, name in enumerate(WHEELS, 1)},
@@ -21,14 +23,14 @@ PLACES = {
     "pan": ("can0", 11, "mast"),
     "tilt": ("can0", 12, "mast"),
 }
-# Drives of a laboratory: what runs them may have other things to do for a second. Every program
-# that shares a drive treats it in the same way.
+# Drives in a laboratory: their hosts may be busy for a second. All programs that share a drive use
+# the same options.
 OPTIONS = HwOptions(heartbeat_timeout_ms=10_000, sdo_timeout_s=10.0, connect_timeout_s=30.0)
 
 
 @contextmanager
 def rover_motors(*names: str) -> Iterator[list[Motor]]:
-    """The motors of these names, until the block ends."""
+    """Open the motors with these names for the block."""
     with ExitStack() as opened:
         buses: dict[str, can.BusABC] = {}
         motors: list[Motor] = []

@@ -1,8 +1,8 @@
-"""Where a six-wheel rover's wheels must point and how far they must roll, and where its mast looks.
+"""Kinematics of a six-wheel rover: steering, rolling, and pointing of its mast.
 
-Every leg of a manoeuvre is a constant twist of the body: so much forward, so much to the left, so
-much turned, all at once. An arc is forward with a turn, a crab is forward and left without one, a
-turn on the spot is a turn alone. Lengths in metres, angles in radians; x forward, y left, z up.
+Every leg of a manoeuvre is a constant twist of the body: forward, left and turn at once. An arc is
+forward with a turn. A crab is forward and left without a turn. A turn on the spot is a turn alone.
+Lengths are in metres, angles in radians; x is forward, y left, z up.
 """
 
 from dataclasses import dataclass
@@ -25,7 +25,7 @@ MAST_PLACE_M = (0.25, 0.0, 1.10)
 @final
 @dataclass(frozen=True, slots=True)
 class Pose:
-    """Where the body is in the world."""
+    """The pose of the body in the world."""
 
     x_m: float = 0.0
     y_m: float = 0.0
@@ -35,7 +35,7 @@ class Pose:
 @final
 @dataclass(frozen=True, slots=True)
 class Leg:
-    """A constant twist of the body, from one rest to the next; in the body's own axes."""
+    """A constant twist of the body from rest to rest, in the body's own axes."""
 
     name: str
     forward_m: float
@@ -44,40 +44,40 @@ class Leg:
 
     @classmethod
     def arc(cls, radius_m: float, turn_rad: float) -> "Leg":
-        """Along a circle; a positive turn is to the left."""
+        """Return a leg along a circle; a positive turn is to the left."""
         return cls("arc", abs(radius_m * turn_rad), 0.0, turn_rad)
 
     @classmethod
     def crab(cls, distance_m: float, direction_rad: float) -> "Leg":
-        """Straight in a direction, without turning."""
+        """Return a straight leg in a direction, without turning."""
         return cls("crab", distance_m * cos(direction_rad), distance_m * sin(direction_rad), 0.0)
 
     @classmethod
     def turn(cls, turn_rad: float) -> "Leg":
-        """On the spot."""
+        """Return a turn on the spot."""
         return cls("turn", 0.0, 0.0, turn_rad)
 
     def wheel(self, name: str) -> tuple[float, float]:
-        """(steering angle [rad] in -pi/2..pi/2, rolling angle [rad]) of one wheel for this leg."""
+        """Return one wheel's steering angle [rad], in -pi/2..pi/2, and rolling angle [rad]."""
         x_m, y_m = WHEEL_PLACES_M[name]
         along_m = self.forward_m - self.turn_rad * y_m
         across_m = self.left_m + self.turn_rad * x_m
         steering_rad = atan2(across_m, along_m)
         rolling_rad = hypot(along_m, across_m) / WHEEL_RADIUS_M
-        if steering_rad > pi / 2:  # rather roll backwards than steer so far
+        if steering_rad > pi / 2:  # rolls backwards rather than steer so far
             return steering_rad - pi, -rolling_rad
         if steering_rad < -pi / 2:
             return steering_rad + pi, -rolling_rad
         return steering_rad, rolling_rad
 
     def way_ahead_rad(self) -> float:
-        """Where a camera looks that is to see what the rover will meet in this leg: pan [rad]."""
+        """Return the pan angle [rad] of a camera that looks along this leg."""
         if self.turn_rad:
             return self.turn_rad / 2
         return atan2(self.left_m, self.forward_m)
 
     def pose_after(self, start: Pose, part: float) -> Pose:
-        """The pose when `part` (0..1) of the leg has been driven."""
+        """Return the pose when `part` (0..1) of the leg has been driven."""
         turn_rad = self.turn_rad * part
         forward_m, left_m = self.forward_m * part, self.left_m * part
         if abs(turn_rad) > 1e-9:  # the chord of the circle, not its arc
@@ -94,7 +94,7 @@ class Leg:
 
 
 def look_at(pose: Pose, point_m: tuple[float, float, float]) -> tuple[float, float]:
-    """(pan, tilt) [rad] that point the mast's camera at a point of the world; pan in -pi..pi."""
+    """Return (pan, tilt) [rad] of a mast that points at a point of the world; pan in -pi..pi."""
     c, s = cos(pose.heading_rad), sin(pose.heading_rad)
     dx_m, dy_m = point_m[0] - pose.x_m, point_m[1] - pose.y_m
     ahead_m = c * dx_m + s * dy_m - MAST_PLACE_M[0]

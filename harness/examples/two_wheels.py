@@ -10,14 +10,15 @@ from pathlib import Path
 
 import can
 
-from motorapi import ControlMode, Motor, MotorGroup, MotorModel, TrapezoidalTrajectory
-from motorapi.adaptations.cia402 import Cia402HwMotor, Cia402Motor
+from motorhil.motorapi import ControlMode, Motor, MotorGroup, MotorModel, TrapezoidalTrajectory
+from motorhil.motorapi.adaptations.cia402.hardware import Cia402HwMotor
+from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
 
 MODEL = MotorModel.load(Path(__file__).parent / "wheel_model.toml")
 
 
 def main() -> None:
-    """One wheel makes a turn, then both move together and end together."""
+    """Turn one wheel, then move both so that they start and end together."""
     with (
         can.Bus() as bus,
         closing(Cia402HwMotor(bus, node_id=1)) as left_drive,
@@ -28,7 +29,7 @@ def main() -> None:
 
         left.enable()
         left.set_control_mode(ControlMode.SETPOINT)
-        left.set_setpoint(2.0 * pi)  # rad; absolute, from where the power came on
+        left.set_setpoint(2.0 * pi)  # rad; absolute, from the position at power-on
         left.start()
         left.wait_until_done(timeout_s=10.0)
         print(f"left is at {left.position():.4f} rad")

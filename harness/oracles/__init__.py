@@ -1,4 +1,1 @@
-"""Oracles: what must be so in any recording of drives on a bus, ours or a user's.
-
-from harness.oracles.judge import judge
-"""
+"""Oracles: rules for any recording of drives on a bus, emulated or real."""

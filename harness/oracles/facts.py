@@ -1,12 +1,12 @@
-"""What is known of a recording's motors beforehand: limits, units, where they are.
+"""Known facts about a recording's motors: limits, units, places.
 
-From the rig and the motor models attached to it, from `--rig RIG`, or from a file of limits:
+They come from the attached rig and its motor models, from `--rig RIG`, or from a file of limits:
 
     [motor.left]                     # its name in the recording, or any
-    bus = "can0"                     # where it is, unless the recording has a rig that says so
+    bus = "can0"                     # its place, unless the recording's rig gives it
     node_id = 1
     axis = 1
-    increments_per_rad = 21008.45    # 6064h; velocity_unit_rad_s: what 1 in 606Ch means
+    increments_per_rad = 21008.45    # 6064h; velocity_unit_rad_s: meaning of 1 in 606Ch
     position_min_rad = -1.7          # rad or m
     position_max_rad = 1.7
     velocity_max_rad_s = 2.0
@@ -18,7 +18,7 @@ From the rig and the motor models attached to it, from `--rig RIG`, or from a fi
     velocity_max_raw = 3000          # ... 606Ch, ...
     torque_max_permille = 1000       # ... 6077h
 
-What a model limits is what may be commanded; what a file of limits limits is what is measured.
+Limits of a model apply to commands. Limits of a file apply to measured values.
 """
 
 from collections.abc import Iterable, Mapping
@@ -26,10 +26,10 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final, final
 
-from harness.report.rig_facts import MotorFacts, facts_of
-from harness.rig_attachments import named_files
-from harness.settings import Table, read_source
-from traces.structure import Attachment
+from motorhil.harness.report.rig import MotorFacts, facts_of
+from motorhil.harness.rig.config.toml import Table, read_source
+from motorhil.harness.rig.recording import named_files
+from motorhil.traces.mcap.records import Attachment
 
 _FREE: Final = float("inf")
 _PLACE_KEYS: Final = ("bus", "node_id", "axis", "controller")
@@ -56,12 +56,15 @@ class Subject:
     """A motor.
 
     Attributes:
-        name; place: (bus, node, axis), None: not known; controller: whose truth is its own;
-        channel: of that controller, from 1; unit: "rad", "m" or "".
+        name: its name.
+        place: (bus, node, axis); None: unknown.
+        controller: the controller with its truth.
+        channel: channel of that controller, from 1.
+        unit: "rad", "m" or "".
         increments_per_unit, velocity_unit, acceleration_unit: of its drive, signed; None: unknown.
-        commanded: limits of what may be asked for, from its model: keys as there, without units.
-        limits: of what may be measured, as a file of limits has them, with units in the keys.
-        objects: of its drive, as the rig sets them at power-on: (index, sub-index) to value.
+        commanded: limits of commands, from its model, with the model's keys without units.
+        limits: limits of measured values, from a file of limits, with units in the keys.
+        objects: objects of its drive set by the rig at power-on: (index, sub-index) to value.
     """
 
     name: str
@@ -77,25 +80,25 @@ class Subject:
     objects: Mapping[tuple[int, int], int] = field(default_factory=dict)
 
     def truth_key(self, quantity: str) -> str:
-        """What a snapshot of its controller calls a quantity of its channel."""
+        """Return the key of a quantity of its channel in a controller snapshot."""
         return quantity if self.channel == 1 else f"channel_{self.channel}_{quantity}"
 
 
 @final
 @dataclass(frozen=True, slots=True)
 class Facts:
-    """What is known beforehand.
+    """The facts known beforehand.
 
     Attributes:
         motors: by name.
-        is_complete: somebody vouches that the recording has every frame of its buses.
+        is_complete: True if the user asserts that no frame is missing.
     """
 
     motors: Mapping[str, Subject] = field(default_factory=dict)
     is_complete: bool = False
 
     def with_more(self, motors: Mapping[str, Subject]) -> "Facts":
-        """The same and these; of one name, what is told here goes before."""
+        """Return these facts with more motors; for equal names, existing facts take precedence."""
         merged = dict(self.motors)
         for name, one in motors.items():
             known = merged.get(name)
@@ -104,7 +107,7 @@ class Facts:
 
 
 def _joined(first: Subject, second: Subject) -> Subject:
-    """What the first tells, and from the second what it leaves open."""
+    """Return the first subject, completed by the second one."""
     return Subject(
         first.name,
         first.place or second.place,
@@ -121,7 +124,7 @@ def _joined(first: Subject, second: Subject) -> Subject:
 
 
 def subjects_in(attachments: Iterable[Attachment]) -> dict[str, Subject]:
-    """The motors of an attached rig; what cannot be read tells nothing."""
+    """Return the motors of an attached rig; unreadable attachments are ignored."""
     rig = facts_of(attachments)
     return {name: _subject(motor, rig.settings) for name, motor in rig.motors.items()}
 
@@ -148,7 +151,7 @@ def _subject(motor: MotorFacts, settings: Mapping[str, Mapping[str, Any]]) -> Su
 
 
 def _objects(controller: Mapping[str, Any]) -> dict[tuple[int, int], int]:
-    """What an emulated drive has at power-on in place of what its EDS says."""
+    """Return the objects whose power-on values the rig sets instead of the EDS."""
     found: dict[tuple[int, int], int] = {}
     told = controller.get("objects")
     for key, value in told.items() if isinstance(told, dict) else ():
@@ -167,12 +170,12 @@ def _number(value: object) -> float | None:
 
 
 def read_rig(path: Path) -> dict[str, Subject]:
-    """The motors of a rig file, with the models it names.
+    """Return the motors of a rig file, with the models it names.
 
     Raises:
-        RigError: it cannot be read, or is no TOML, or names no motor.
+        RigError: it cannot be read, is not valid TOML, or has no motor.
     """
-    source = read_source(path, "name a rig: motorhil new DIR writes one")
+    source = read_source(path, "name a rig; motorhil new DIR writes one")
     root = source.root()
     files = [Attachment(path.name, "application/toml", 0, source.text.encode())]
     for named, media_type in named_files(root.values):
@@ -181,17 +184,17 @@ def read_rig(path: Path) -> dict[str, Subject]:
             files.append(Attachment(Path(named).name, media_type, 0, text.encode()))
     subjects = subjects_in(files)
     if not subjects:
-        raise root.missing("motor", "a rig has [motor.NAME]: motorhil new DIR writes one")
+        raise root.missing("motor", "a rig has [motor.NAME]; motorhil new DIR writes one")
     return subjects
 
 
 def read_limits(path: Path) -> dict[str, Subject]:
-    """The motors of a file of limits.
+    """Return the motors of a file of limits.
 
     Raises:
-        RigError: it cannot be read, or a key or value in it is wrong.
+        RigError: it cannot be read, or has a wrong key or value.
     """
-    root = read_source(path, "write one as README shows").root()
+    root = read_source(path, "write one as shown in the README").root()
     root.refuse_unknown(("motor",))
     motors = root.table("motor")
     if not motors.values:
@@ -215,7 +218,9 @@ def _limits_of(name: str, table: Table) -> Subject:
     controller = table.text("controller") if table.has("controller") else None
     scale = limits.pop(f"increments_per_{unit}", None) if unit else None
     if scale == 0:
-        raise table.error(f"increments_per_{unit}", "is 0", "write how many make one unit")
+        raise table.error(
+            f"increments_per_{unit}", "is 0", "write the number of increments per unit"
+        )
     velocity_unit = limits.pop(f"velocity_unit_{unit}_s", None) if unit else None
     if not limits:
         remedy = "write velocity_max_rad_s = 2.0, or another limit"
@@ -224,10 +229,14 @@ def _limits_of(name: str, table: Table) -> Subject:
 
 
 def _unit_of(table: Table) -> str:
-    """Raises RigError if rad and m are mixed."""
+    """Return the unit of a table; raise RigError if rad and m are mixed."""
     units = {unit: key for key in table.values for unit in ("rad", "m") if _has_unit(key, unit)}
     if len(units) > 1:
-        raise table.error(units["m"], "is in m, others are in rad", "a motor turns or slides")
+        raise table.error(
+            units["m"],
+            "is in m, but other keys are in rad",
+            "use one unit: rad for rotary, m for linear motors",
+        )
     return next(iter(units), "")
 
 

@@ -1,40 +1,48 @@
-"""A recording in one pass, judged by every oracle.
+"""Judgement of a recording by every oracle, in one pass.
 
-    from harness.oracles.judge import judge
+    from motorhil.harness.oracles.judge import judge
 
     for finding in judge("run.mcap"):
         print(finding.oracle, finding.verdict.value, finding.looked, finding.first)
 
-Memory grows with nodes, motors and identifiers, not with time; each message is looked at once (of
-who owns which motor: twice, and only where it is told).
+Memory grows with nodes, motors and identifiers, not with time. Each message is read once. For motor
+ownership the messages are read twice, and only if ownership is recorded.
 """
 
 import os
 from collections.abc import Callable, Collection, Mapping
 from typing import Final, final
 
-from harness.oracles import ownership
-from harness.oracles.bus_ear import BusEar
-from harness.oracles.confinement import Confinement
-from harness.oracles.facts import Facts, subjects_in
-from harness.oracles.finding import Finding, Verdict
-from harness.oracles.limits import AccelerationLimit, PositionLimit, TorqueLimit, VelocityLimit
-from harness.oracles.motion import Following, TorqueOff
-from harness.oracles.network import Answers, BootUps, FaultsTold, Heartbeats, OneSender
-from harness.oracles.oracle import Oracle
-from harness.oracles.pds import StateMachine
-from harness.oracles.rest import AtRest
-from harness.oracles.scene import Scene
-from harness.oracles.sync import SyncPeriod
-from harness.report.truth import TruthReader, message_of
-from traces.formats import Source, open_source
-from traces.frame_decoder import FrameDecoder
-from traces.protobuf import decode
-from traces.reader import Trace, read_trace
-from traces.recorded_names import RecordedNames, names_of
-from traces.schema import CAN_FRAME, GROUP_SYNC, JOINT_STATE, LOG, MOTOR_LOCK, LockAction
-from traces.structure import Channel
-from traces.traffic import Findings as Reading
+from motorhil.harness.oracles import ownership
+from motorhil.harness.oracles.base import Finding, Oracle, RecordingContext, Verdict
+from motorhil.harness.oracles.bus import BusEar
+from motorhil.harness.oracles.facts import Facts, subjects_in
+from motorhil.harness.oracles.limits import (
+    AccelerationLimit,
+    PositionLimit,
+    TorqueLimit,
+    VelocityLimit,
+)
+from motorhil.harness.oracles.motion import AtRest, Following, TorqueOff
+from motorhil.harness.oracles.network import (
+    Answers,
+    BootUps,
+    Confinement,
+    FaultsTold,
+    Heartbeats,
+    OneSender,
+    SyncPeriod,
+)
+from motorhil.harness.oracles.state_machine import StateMachine
+from motorhil.harness.report.events import TruthReader, message_of
+from motorhil.traces.decoding.objects import RecordedNames, names_of
+from motorhil.traces.formats.frames import Findings as Reading
+from motorhil.traces.formats.frames import FrameDecoder
+from motorhil.traces.formats.registry import Source, open_source
+from motorhil.traces.mcap.protobuf import decode
+from motorhil.traces.mcap.reader import Trace, read_trace
+from motorhil.traces.mcap.records import Channel
+from motorhil.traces.schema import CAN_FRAME, GROUP_SYNC, JOINT_STATE, LOG, MOTOR_LOCK, LockAction
 
 ORACLES: Final[tuple[type[Oracle], ...]] = (
     *(PositionLimit, VelocityLimit, AccelerationLimit, TorqueLimit),
@@ -45,9 +53,9 @@ CATALOGUE: Final = (
     *((one.id, one.promise, one.source, one.needs) for one in ORACLES),
     (ownership.ID, ownership.PROMISE, ownership.SOURCE, ownership.NEEDS),
 )
-"""Id, promise, source, why it may be unable to judge."""
+"""Id, promise, source, and the reason why it may be unable to judge."""
 IDS: Final = tuple(row[0] for row in CATALOGUE)
-_LOST: Final = "frames were lost here"  # as `motorhil record` says it
+_LOST: Final = "frames were lost here"  # as written by `motorhil record`
 _START: Final = 1  # of GROUP_SYNC's phases
 _ACTIONS: Final[dict[object, LockAction]] = {action.value: action for action in LockAction}
 _BACKWARD: Final = "its times go backwards"
@@ -64,19 +72,21 @@ def judge(
     progress: Callable[[int], None] | None = None,
     note: Callable[[str], None] | None = None,
 ) -> list[Finding]:
-    """What each oracle says of the recording, of a cut one as far as it goes, in the order of IDS.
+    """Return the findings of all oracles in the order of IDS.
+
+    A truncated recording is judged as far as it is readable.
 
     Args:
-        recording: ours, or in any format that `traces.formats` reads.
-        facts: what is known beside it; what its own rig tells is known, too.
+        recording: an MCAP file, or a file in any format that `motorhil.traces.formats.registry` reads.
+        facts: facts beyond those of the recording's own rig.
         only: ids of oracles; empty: all.
-        from_ns: what happens from then on is judged; what was before is heard all the same.
-        to_ns: what happens before is judged.
-        progress: called now and then with how many messages have been read.
-        note: called in the end with what was passed over, in words.
+        from_ns: events from this time on are judged; earlier ones are still decoded [ns].
+        to_ns: events before this time are judged [ns].
+        progress: called from time to time with the number of messages read.
+        note: called at the end with each remark about skipped data.
 
     Raises:
-        TraceError: it cannot be read, is of no known format, or is damaged.
+        TraceError: it cannot be read, has an unknown format, or is damaged.
     """
     facts = Facts() if facts is None else facts
     if isinstance(recording, Trace):
@@ -85,14 +95,14 @@ def judge(
     if source.format == "mcap":
         with read_trace(recording) as trace:
             return _judge_trace(trace, facts, only, from_ns, to_ns, progress, note)
-    pass_ = Pass(Scene(facts, RecordedNames(), from_ns, to_ns), only)
+    pass_ = Pass(RecordingContext(facts, RecordedNames(), from_ns, to_ns), only)
     pass_.frames_of(source, progress)
     pass_.tell(note)
     return pass_.findings(None, from_ns, to_ns)
 
 
 def is_sound(findings: Collection[Finding]) -> bool:
-    """Whether something was judged, and nothing was broken."""
+    """Return True if something was judged and nothing was broken."""
     verdicts = [finding.verdict for finding in findings]
     return Verdict.HELD in verdicts and Verdict.BROKEN not in verdicts
 
@@ -107,7 +117,7 @@ def _judge_trace(
     note: Callable[[str], None] | None,
 ) -> list[Finding]:
     facts = facts.with_more(subjects_in(trace.attachments))
-    pass_ = Pass(Scene(facts, names_of(trace.attachments), from_ns, to_ns), only)
+    pass_ = Pass(RecordingContext(facts, names_of(trace.attachments), from_ns, to_ns), only)
     pass_.messages_of(trace, to_ns, progress)
     pass_.tell(note)
     return pass_.findings(trace, from_ns, to_ns)
@@ -115,9 +125,9 @@ def _judge_trace(
 
 @final
 class Pass:
-    """Hands each message to whom it concerns."""
+    """Dispatcher of messages to the oracles."""
 
-    def __init__(self, scene: Scene, only: Collection[str]) -> None:
+    def __init__(self, scene: RecordingContext, only: Collection[str]) -> None:
         self._scene = scene
         self._only = only
         self._oracles = [one(scene) for one in ORACLES if not only or one.id in only]
@@ -126,12 +136,12 @@ class Pass:
         self._last_ns = 0
 
     def hear(self, time_ns: int, bus: str, frame: bytes, sender: str) -> None:
-        """A frame, out of whatever."""
+        """Take a frame from any source."""
         self._ear(bus).take(time_ns, frame, sender)
         self._last_ns = max(self._last_ns, time_ns)
 
     def frames_of(self, source: Source, progress: Callable[[int], None] | None) -> None:
-        """All frames of a file that is no recording of ours."""
+        """Take all frames of a file in a foreign format."""
         reading = Reading()
         for time_ns, bus, frame, _, sender in source.frames(reading):
             self.hear(time_ns, bus, frame, sender)
@@ -144,12 +154,12 @@ class Pass:
         if reading.backward:
             gaps[_BACKWARD] = None
         if reading.unstamped:
-            gaps["frames have no times"] = None
+            gaps["its frames have no times"] = None
 
     def messages_of(
         self, trace: Trace, to_ns: int | None, progress: Callable[[int], None] | None
     ) -> None:
-        """All messages of a recording, up to a time."""
+        """Take all messages of a recording, up to a time."""
         messages = trace.messages(None, None, to_ns)
         for count, (channel, time_ns, payload) in enumerate(messages, 1):
             if channel.number in self._handlers:
@@ -173,7 +183,7 @@ class Pass:
     def findings(
         self, trace: Trace | None, from_ns: int | None, to_ns: int | None
     ) -> list[Finding]:
-        """What all oracles say."""
+        """Return the findings of all oracles."""
         for oracle in self._oracles:
             oracle.end(self._last_ns)
         found = [oracle.finding() for oracle in self._oracles]
@@ -184,18 +194,18 @@ class Pass:
         return found
 
     def tell(self, note: Callable[[str], None] | None) -> None:
-        """What no oracle has looked at."""
+        """Report frames that no oracle has examined."""
         for bus, ear in self._buses.items():
             if note is not None and ear.fd_frames:
                 note(f"{ear.fd_frames} CAN FD frames of {bus} are not judged")
 
     def imported(self, origin: str) -> None:
-        """Of a recording that is not ours nobody knows whether it has every frame."""
+        """Note that a foreign recording may be incomplete."""
         if not self._scene.facts.is_complete:
-            what = f"nobody says that this recording ({origin or 'of another writer'}) has every"
-            self._scene.gaps[f"{what} frame: --complete says so"] = None
+            what = f"nothing shows that this recording ({origin or 'of another writer'}) has every"
+            self._scene.gaps[f"{what} frame; --complete asserts it"] = None
 
-    # --------------------------------------------------------------------------- who is told
+    # --------------------------------------------------------------------------- dispatch
 
     def _ear(self, bus: str) -> BusEar:
         ear = self._buses.get(bus)

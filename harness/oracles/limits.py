@@ -1,10 +1,10 @@
-"""Limits kept: of what is asked for, by the motor's model; of what is measured, by whoever says so.
+"""Oracles of limits: of commands by the motor's model, of measured values by others.
 
-A model's limits bind what is commanded: a motion of torque may pass its velocity, and a load may
-push a motor anywhere. So the model is held against targets, profile velocities and accelerations
-that hosts write, and, with `MARGIN`, against the velocity of a drive that is in control of it. A
-file of limits (`--limits`) is held against everything measured, and so are the drive's own: 607Dh,
-607Fh, 6072h, 6073h.
+A model's limits apply to commands. A torque-controlled motion may exceed its velocity, and a load
+may push a motor anywhere. The model is therefore compared with targets, profile velocities and
+accelerations written by hosts. With `MARGIN`, it is also compared with the velocity of a drive that
+controls it. A file of limits (`--limits`) applies to all measured values, and so do the drive's own
+limits: 607Dh, 607Fh, 6072h, 6073h.
 
 Source: CiA 402-2: software position limit 607Dh, max profile velocity 607Fh, max torque 6072h, max
 current 6073h, controlword in pp (bit 4: new set-point, bit 6: relative); the paper, 3.2.
@@ -14,13 +14,20 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from typing import ClassVar, Final, final
 
-from harness.oracles.facts import Subject
-from harness.oracles.finding import Violation
-from harness.oracles.oracle import MS, Oracle
-from harness.oracles.scene import CONTROLWORD, ENABLED, Axis, Place, Scene
+from motorhil.harness.oracles.base import (
+    CONTROLWORD,
+    ENABLED,
+    MS,
+    Axis,
+    Oracle,
+    Place,
+    RecordingContext,
+    Violation,
+)
+from motorhil.harness.oracles.facts import Subject
 
 MARGIN: Final = 1.25
-"""A servo overshoots, and a velocity measured over a tick ripples."""
+"""A factor for the overshoot of servos and the ripple of sampled velocity."""
 _EXACT: Final = 1 + 1e-6
 _OFF: Final = 0x7FFF_FFFF
 _LOWERED_NS: Final = 500 * MS
@@ -32,14 +39,14 @@ _RELATIVE: Final = 0x40
 
 
 class _Limit(Oracle, ABC):
-    """What limits have in common. quantity: of a motor's limits, as keys begin."""
+    """Common base of limits; `quantity` is the start of the keys of a motor's limits."""
 
     quantity: ClassVar[str] = ""
     truth_key: ClassVar[str] = ""
     motion_key: ClassVar[str] = ""
 
-    def __init__(self, scene: Scene) -> None:
-        """See Oracle."""
+    def __init__(self, scene: RecordingContext) -> None:
+        """Set up the oracle; see `Oracle`."""
         super().__init__(scene)
         self._by_controller = scene.controllers()
 
@@ -55,7 +62,7 @@ class _Limit(Oracle, ABC):
         unit: str,
         allowed: float = 0.0,
     ) -> None:
-        """The value is looked at; it is broken if it is out of the limits by more than allowed."""
+        """Examine a value; it breaks the promise if it exceeds a limit by more than `allowed`."""
         bus, node, number = axis.place if axis is not None else ("", 0, 1)
         if (low is None and high is None) or not self.look(time_ns, bus):
             return
@@ -67,14 +74,14 @@ class _Limit(Oracle, ABC):
         self.broken(Violation(time_ns, what, bus, node, number, name, value, limit, unit))
 
     def of(self, one: Subject, suffix: str) -> tuple[float | None, float | None]:
-        """Lowest and highest of a file of limits, in this unit; of what has a sign, both ways."""
+        """Return the limits in a file of limits: lowest and highest, symmetric except position."""
         high = one.limits.get(f"{self.quantity}_max_{suffix}")
         if self.quantity == "position":
             return one.limits.get(f"position_min_{suffix}"), high
         return None if high is None else -high, high
 
     def truth(self, time_ns: int, controller: str, values: Mapping[str, float]) -> None:
-        """A snapshot: what of it a file of limits limits."""
+        """Examine a snapshot against a file of limits."""
         for one in self._by_controller.get(controller, ()):
             value = values.get(one.truth_key(self.truth_key))
             if value is not None:
@@ -82,38 +89,38 @@ class _Limit(Oracle, ABC):
                 self.modelled(time_ns, one, value, values)
 
     def motion(self, time_ns: int, motor: str, values: Mapping[str, float]) -> None:
-        """What the application knew."""
+        """Examine the value known to the application."""
         one = self.scene.facts.motors.get(motor)
         value = values.get(self.motion_key) if self.motion_key else None
         if one is not None and value is not None:
-            self.measured(time_ns, None, one, "as the application knows it", value)
+            self.measured(time_ns, None, one, "as known to the application", value)
 
     def measured(
         self, time_ns: int, axis: Axis | None, one: Subject, what: str, value: float
     ) -> None:
-        """In SI units, held against a file of limits."""
+        """Examine a value in SI units against a file of limits."""
         suffix, unit = self.si(one)
         text = f"{self.quantity.replace('_', ' ')}, {what}"
         self.beyond(time_ns, axis, one.name, text, value, *self.of(one, suffix), unit)
 
     @abstractmethod
     def si(self, one: Subject) -> tuple[str, str]:
-        """How keys of this motor end, and the unit."""
+        """Return the suffix of this motor's keys, and the unit."""
 
     def modelled(
         self, time_ns: int, one: Subject, value: float, values: Mapping[str, float]
     ) -> None:
-        """A snapshot, held against the model; of most quantities it is not."""
+        """Examine a snapshot against the model; most quantities have no such limit."""
 
 
 @final
 class PositionLimit(_Limit):
-    """`limit-position`."""
+    """The oracle `limit-position`."""
 
     id = "limit-position"
-    promise = "No target beyond the model's limits is commanded, and none of the drive's is passed"
+    promise = "No commanded target exceeds the model's limits, and no position exceeds the drive's"
     source = "the paper, 3.2; CiA 402-2, software position limit 607Dh"
-    needs = "no limit of position is known: none in a model, none heard (607Dh), no --limits FILE"
+    needs = "no position limit is known: none in a model, none heard (607Dh), no --limits FILE"
     quantity = "position"
     truth_key = "position_rad"
     motion_key = "position"
@@ -122,20 +129,20 @@ class PositionLimit(_Limit):
         **{0x6060: True, 0x6061: True, 0x607C: True, 0x6041: False},
     }
 
-    def __init__(self, scene: Scene) -> None:
-        """See Oracle."""
+    def __init__(self, scene: RecordingContext) -> None:
+        """Set up the oracle; see `Oracle`."""
         super().__init__(scene)
         self._target: dict[Place, int] = {}
         self._word: dict[Place, int] = {}
 
     def si(self, one: Subject) -> tuple[str, str]:
-        """Rad or m."""
+        """Return "rad" or "m"."""
         return one.unit or "rad", one.unit or "rad"
 
     def value(
         self, time_ns: int, axis: Axis, index: int, subindex: int, value: int, told_to: bool
     ) -> None:
-        """A target, the word that makes it one, or a position."""
+        """Examine a target, the controlword that activates it, or a position."""
         if index == 0x607A and told_to:
             self._target[axis.place] = value
             if axis.mode == _CSP and axis.state == ENABLED:
@@ -171,10 +178,10 @@ class PositionLimit(_Limit):
                 self.measured(time_ns, axis, one, what, value / one.increments_per_unit)
         low, high = axis.objects.get((0x607D, 1)), axis.objects.get((0x607D, 2))
         if low is None or high is None or low >= high:
-            return  # CiA 402-2: then there is none
+            return  # CiA 402-2: no limit in this case
         if axis.mode not in _POSITION_MODES or axis.state != ENABLED:
             return
-        # Drives that were not referenced do not heed it, and it may count from home or from zero.
+        # A drive without a reference ignores it, and it may count from home or from zero.
         window = axis.objects.get((0x6065, 0), 0)
         slack = window if window < _OFF else 0
         slack += abs(axis.objects.get((0x607C, 0), 0)) + (high - low) // 100
@@ -184,12 +191,12 @@ class PositionLimit(_Limit):
 
 @final
 class VelocityLimit(_Limit):
-    """`limit-velocity`."""
+    """The oracle `limit-velocity`."""
 
     id = "limit-velocity"
-    promise = "No velocity beyond the model's is commanded, nor reached under the drive's control"
+    promise = "No velocity beyond the model's is commanded, or reached under the drive's control"
     source = "the paper, 3.2; CiA 402-2, max profile velocity 607Fh"
-    needs = "no limit of velocity is known: none in a model, none heard (607Fh), no --limits FILE"
+    needs = "no velocity limit is known: none in a model, none heard (607Fh), no --limits FILE"
     quantity = "velocity"
     truth_key = "velocity_rad_s"
     motion_key = "velocity"
@@ -199,14 +206,14 @@ class VelocityLimit(_Limit):
     }
 
     def si(self, one: Subject) -> tuple[str, str]:
-        """Per second."""
+        """Return the unit per second."""
         unit = one.unit or "rad"
         return f"{unit}_s", f"{unit}/s"
 
     def value(
         self, time_ns: int, axis: Axis, index: int, subindex: int, value: int, told_to: bool
     ) -> None:
-        """A velocity, asked for or measured."""
+        """Examine a commanded or measured velocity."""
         one = axis.subject
         if told_to and (index == 0x6081 or (index == 0x60FF and axis.mode == _PV)):
             if one is not None and one.velocity_unit and "velocity_max" in one.commanded:
@@ -234,14 +241,14 @@ class VelocityLimit(_Limit):
             numbers = (float(abs(value)), float(limit), "as 606Ch")
             found = Violation(time_ns, f"{what} beyond 607Fh", *axis.place, axis.name, *numbers)
             if abs(value) > 2 * limit:
-                self.doubt(found, "606Ch may count in another unit than 607Fh")
+                self.doubt(found, "606Ch may have another unit than 607Fh")
             else:
                 self.broken(found)
 
     def modelled(
         self, time_ns: int, one: Subject, value: float, values: Mapping[str, float]
     ) -> None:
-        """Of a drive that is in control, and not told a torque."""
+        """Examine the velocity of a drive that is in control without a torque command."""
         limit = one.commanded.get("velocity_max")
         if limit is None or one.place is None:
             return
@@ -257,36 +264,38 @@ class VelocityLimit(_Limit):
             *(abs(value), limit * MARGIN, f"{one.unit}/s"),
         )
         if state is None:
-            self.doubt(found, "whether it was told a torque, or is pushed, is not told")
+            self.doubt(
+                found, "the recording does not show whether it had a torque command or was pushed"
+            )
         else:
             self.broken(found)
 
 
 @final
 class AccelerationLimit(_Limit):
-    """`limit-acceleration`."""
+    """The oracle `limit-acceleration`."""
 
     id = "limit-acceleration"
-    promise = "No acceleration beyond the model's is commanded, and none of a limits file is passed"
+    promise = "No acceleration beyond the model's is commanded, and none exceeds a file of limits"
     source = "the paper, 3.2; CiA 402-2, profile acceleration 6083h, profile deceleration 6084h"
-    needs = "no profile acceleration was commanded whose unit and limit are known, no --limits FILE"
+    needs = "no profile acceleration with known unit and limit was commanded, no --limits FILE"
     quantity = "acceleration"
     objects: ClassVar[Mapping[int, bool]] = {0x6083: False, 0x6084: False}
 
-    def __init__(self, scene: Scene) -> None:
-        """See Oracle."""
+    def __init__(self, scene: RecordingContext) -> None:
+        """Set up the oracle; see `Oracle`."""
         super().__init__(scene)
         self._before: dict[str, tuple[int, float]] = {}
 
     def si(self, one: Subject) -> tuple[str, str]:
-        """Per second squared."""
+        """Return the unit per second squared."""
         unit = one.unit or "rad"
         return f"{unit}_s2", f"{unit}/s2"
 
     def value(
         self, time_ns: int, axis: Axis, index: int, subindex: int, value: int, told_to: bool
     ) -> None:
-        """What a profile is to have."""
+        """Examine a commanded profile acceleration or deceleration."""
         one = axis.subject
         if not told_to or one is None or not one.acceleration_unit:
             return
@@ -302,7 +311,7 @@ class AccelerationLimit(_Limit):
         self.beyond(time_ns, axis, one.name, what, value * unit, None, limit, name, slack)
 
     def truth(self, time_ns: int, controller: str, values: Mapping[str, float]) -> None:
-        """The mean between two snapshots: no mean is larger than the largest."""
+        """Examine the mean between two snapshots, which never exceeds the maximum."""
         for one in self._by_controller.get(controller, ()):
             velocity = values.get(one.truth_key("velocity_rad_s"))
             if velocity is None or "acceleration_max_rad_s2" not in one.limits:
@@ -316,12 +325,12 @@ class AccelerationLimit(_Limit):
 
 @final
 class TorqueLimit(_Limit):
-    """`limit-torque`."""
+    """The oracle `limit-torque`."""
 
     id = "limit-torque"
     promise = "Torque and current stay within the drive's limits 6072h, 6073h and a limits file's"
     source = "CiA 402-2, max torque 6072h, max current 6073h [0.1 % of rated]"
-    needs = "no limit of torque is known beside a torque: no 6072h with 6077h, no --limits FILE"
+    needs = "no torque is known with its limit: no 6077h with 6072h, no --limits FILE"
     quantity = "torque"
     truth_key = "torque_n_m"
     motion_key = "effort"
@@ -332,23 +341,23 @@ class TorqueLimit(_Limit):
         0x6078: True,
     }
 
-    def __init__(self, scene: Scene) -> None:
-        """See Oracle."""
+    def __init__(self, scene: RecordingContext) -> None:
+        """Set up the oracle; see `Oracle`."""
         super().__init__(scene)
-        self._lowered: dict[tuple[Place, int], tuple[int, int]] = {}  # until when what holds
+        self._lowered: dict[tuple[Place, int], tuple[int, int]] = {}  # end of validity, old limit
         self._limit: dict[tuple[Place, int], int] = {}
 
     def si(self, one: Subject) -> tuple[str, str]:
-        """N m, or N."""
+        """Return the suffix and unit of torque, or of force."""
         return ("n", "N") if one.unit == "m" else ("n_m", "N m")
 
     def of(self, one: Subject, suffix: str) -> tuple[float | None, float | None]:
-        """A force's key has its own name."""
+        """Return the limits; a force has its own key."""
         high = one.limits.get("force_max_n" if suffix == "n" else f"torque_max_{suffix}")
         return None if high is None else -high, high
 
     def truth(self, time_ns: int, controller: str, values: Mapping[str, float]) -> None:
-        """The current, too."""
+        """Examine a snapshot, including the current."""
         super().truth(time_ns, controller, values)
         for one in self._by_controller.get(controller, ()):
             current = values.get(one.truth_key("current_a"))
@@ -359,11 +368,11 @@ class TorqueLimit(_Limit):
     def value(
         self, time_ns: int, axis: Axis, index: int, subindex: int, value: int, told_to: bool
     ) -> None:
-        """A limit, or what is limited."""
+        """Take a limit, or examine a limited value."""
         key = (axis.place, index)
         if index in (0x6072, 0x6073):
             before = self._limit.get(key, 0)
-            if value < before:  # for a while the old one may still hold
+            if value < before:  # the old limit may still apply for a while
                 self._lowered[key] = time_ns + _LOWERED_NS, before
             self._limit[key] = value
             return

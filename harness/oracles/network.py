@@ -1,19 +1,25 @@
-"""Oracles of what CANopen promises of any node: heartbeats, answers, boot-ups, identifiers."""
+"""Oracles of CANopen rules for any node: heartbeats, answers, boot-ups, identifiers.
+
+Oracle of the SYNC period: within bounds, and without missing SYNCs.
+
+Source: CiA 301, SYNC protocol, communication cycle period 1006h.
+
+Oracle of fault confinement: the reported states of CAN controllers.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import ClassVar, Final, final
 
-from harness.oracles.finding import Violation
-from harness.oracles.oracle import MS, Oracle
-from harness.oracles.scene import Axis, Scene
-from traces.decode_canopen import place_text
-from traces.said import Kind, Said
+from motorhil.harness.oracles.base import MS, Axis, Oracle, RecordingContext, Violation
+from motorhil.traces.decoding.can_errors import BusError, ControllerState
+from motorhil.traces.decoding.canopen import place_text
+from motorhil.traces.decoding.events import DecodedEvent, Kind
 
 _Node = tuple[str, int]
 _S: Final = 1_000_000_000
 ANSWER_NS: Final = 1 * _S
-"""How long a server may take: hosts give up after 0.3 to 1 s (CiA 301 names no time)."""
+"""The time allowed for an answer; hosts give up after 0.3 to 1 s (CiA 301 names no time)."""
 _RESET_NS: Final = 10 * _S
 _CERTAIN: Final = 10
 _SAMPLES: Final = 8
@@ -37,16 +43,16 @@ class _Beat:
 
 @final
 class Heartbeats(Oracle):
-    """`heartbeat-kept`."""
+    """The oracle `heartbeat-kept`."""
 
     id = "heartbeat-kept"
-    promise = "A node that has begun to send heartbeats goes on at its period, until it is reset"
+    promise = "A node that has begun to send heartbeats continues with its period until it is reset"
     source = "CiA 301, heartbeat protocol, 1017h producer heartbeat time"
-    needs = "no node sent enough heartbeats to tell its period, and no 1017h was heard"
+    needs = "no node sent enough heartbeats to determine its period, and no 1017h was heard"
     objects: ClassVar[Mapping[int, bool]] = {0x1017: False}
 
-    def __init__(self, scene: Scene) -> None:
-        """See Oracle."""
+    def __init__(self, scene: RecordingContext) -> None:
+        """Set up the oracle; see `Oracle`."""
         super().__init__(scene)
         self._beats: dict[_Node, _Beat] = {}
         self._told_ms: dict[_Node, int] = {}
@@ -54,25 +60,25 @@ class Heartbeats(Oracle):
     def value(
         self, time_ns: int, axis: Axis, index: int, subindex: int, value: int, told_to: bool
     ) -> None:
-        """A period that was written holds from now on; 0 ends the heartbeats."""
+        """Take a written period; 0 ends the heartbeats."""
         node = axis.place[:2]
         if self._told_ms.get(node) != value:
             self._told_ms[node] = value
             self._beats.pop(node, None)
 
     def boot(self, time_ns: int, bus: str, node: int) -> None:
-        """It begins anew."""
+        """Forget the node's heartbeat after its boot-up."""
         self._beats.pop((bus, node), None)
         self._told_ms.pop((bus, node), None)
 
     def nmt(self, time_ns: int, bus: str, node: int | None, command: int) -> None:
-        """A node that is reset is silent for as long as it needs."""
+        """Forget the heartbeats of reset nodes, which may be silent for a while."""
         if command in _RESETS:
             for one in [one for one in self._beats if one[0] == bus and node in (None, one[1])]:
                 del self._beats[one]
 
     def heartbeat(self, time_ns: int, bus: str, node: int, state: int) -> None:
-        """One more."""
+        """Examine the distance to the previous heartbeat."""
         beat = self._beats.get((bus, node))
         if beat is None:
             self._beats[bus, node] = _Beat(time_ns)
@@ -81,10 +87,10 @@ class Heartbeats(Oracle):
         if not beat.period_ns:
             self._learn(bus, node, beat, gap_ns)
         if beat.period_ns and gap_ns > 0 and self.look(time_ns, bus):
-            self._judge(time_ns, bus, node, beat, gap_ns, "since the heartbeat before")
+            self._judge(time_ns, bus, node, beat, gap_ns, "since the previous heartbeat")
 
     def _learn(self, bus: str, node: int, beat: _Beat, gap_ns: int) -> None:
-        """The period is what 1017h says, else the median of the first few."""
+        """Set the period from 1017h, otherwise from the median of the first distances."""
         told_ms = self._told_ms.get((bus, node))
         if told_ms:
             beat.period_ns = told_ms * MS
@@ -105,19 +111,20 @@ class Heartbeats(Oracle):
             *(time_ns, f"no heartbeat {since}, {gap_ns / 1e9:.3f} s", bus, node, 1, name),
             *(gap_ns / 1e6, limit_ns / 1e6, "ms"),
         )
-        # That each of so many was lost in a recording while the bus goes on: nobody believes it.
+        # So many lost frames while other nodes were heard are not plausible as gaps of the
+        # recording.
         certain = gap_ns > _CERTAIN * beat.period_ns and self._went_on(bus, time_ns, beat)
         (self.broken if certain else self.absent)(found)
 
     def _went_on(self, bus: str, time_ns: int, beat: _Beat) -> bool:
-        """Whether others were heard meanwhile, to the end."""
+        """Return True if other nodes were heard throughout."""
         return any(
             place[0] == bus and other is not beat and other.last_ns >= time_ns - 2 * beat.period_ns
             for place, other in self._beats.items()
         )
 
     def end(self, time_ns: int) -> None:
-        """Those that have fallen silent."""
+        """Examine the nodes that have stopped sending."""
         for (bus, node), beat in self._beats.items():
             if beat.period_ns and self.scene.judges(time_ns):
                 gap_ns = time_ns - beat.last_ns
@@ -126,20 +133,20 @@ class Heartbeats(Oracle):
 
 @final
 class Answers(Oracle):
-    """`sdo-answered`."""
+    """The oracle `sdo-answered`."""
 
     id = "sdo-answered"
-    promise = "A node that is there answers each SDO request, by data, confirmation or an abort"
+    promise = "A present node answers each SDO request, with data, a confirmation or an abort"
     source = "CiA 301, SDO protocols: each service is confirmed"
-    needs = "no SDO request was heard to a node that had been heard before"
+    needs = "no SDO request to a node that had been heard before"
 
-    def __init__(self, scene: Scene) -> None:
-        """See Oracle."""
+    def __init__(self, scene: RecordingContext) -> None:
+        """Set up the oracle; see `Oracle`."""
         super().__init__(scene)
-        self._open: dict[_Node, dict[bytes, int]] = {}  # objects, since when
+        self._open: dict[_Node, dict[bytes, int]] = {}  # objects with their request times
 
-    def sdo(self, time_ns: int, bus: str, said: Said, data: bytes) -> None:
-        """A request, an answer, or an abort. Only where a transfer begins it names its object."""
+    def sdo(self, time_ns: int, bus: str, said: DecodedEvent, data: bytes) -> None:
+        """Take a request, an answer, or an abort; only the start of a transfer names its object."""
         assert said.node is not None
         node = (bus, said.node)
         if node in self._open:
@@ -157,23 +164,23 @@ class Answers(Oracle):
                 self.broken(self._violation(time_ns, node, place, begun_ns, "the client gave up"))
         elif data[0] >> 5 in (1, 2):
             if node not in self.scene.heard:
-                self.cannot(f"{bus} node {said.node} was asked and had never been there")
+                self.cannot(f"{bus} node {said.node} received a request, but was never heard")
                 return
             asked = self._open.setdefault(node, {})
             if len(asked) < _ASKED_MAX:
                 asked.setdefault(place, time_ns)
 
     def boot(self, time_ns: int, bus: str, node: int) -> None:
-        """What was asked before is forgotten."""
+        """Forget the open requests to the node."""
         self._open.pop((bus, node), None)
 
     def nmt(self, time_ns: int, bus: str, node: int | None, command: int) -> None:
-        """A node that is reset answers nothing; one that is stopped neither."""
+        """Forget open requests, since a reset or stopped node does not answer."""
         for one in [one for one in self._open if one[0] == bus and node in (None, one[1])]:
             del self._open[one]
 
     def end(self, time_ns: int) -> None:
-        """What was asked last."""
+        """Examine the last requests."""
         for node in list(self._open):
             self._expire(time_ns, node)
 
@@ -197,54 +204,54 @@ class Answers(Oracle):
 
 @final
 class BootUps(Oracle):
-    """`no-reboot`."""
+    """The oracle `no-reboot`."""
 
     id = "no-reboot"
-    promise = "A node that was there boots again only when NMT resets it"
+    promise = "A node that was present boots again only after an NMT reset"
     source = "CiA 301, boot-up protocol, NMT services reset node and reset communication"
-    needs = "no node was heard, or only such as are no CANopen"
+    needs = "no CANopen node was heard"
 
-    def __init__(self, scene: Scene) -> None:
-        """See Oracle."""
+    def __init__(self, scene: RecordingContext) -> None:
+        """Set up the oracle; see `Oracle`."""
         super().__init__(scene)
         self._reset_ns: dict[tuple[str, int | None], int] = {}
 
     def nmt(self, time_ns: int, bus: str, node: int | None, command: int) -> None:
-        """Who is reset boots."""
+        """Take the time of a reset."""
         if command in _RESETS:
             self._reset_ns[bus, node] = time_ns
 
     def boot(self, time_ns: int, bus: str, node: int) -> None:
-        """A node boots; it is not in `heard` if nothing was heard of it before."""
+        """Examine a boot-up; a node that is not in `heard` boots for the first time."""
         if not self.look(time_ns, bus) or (bus, node) not in self.scene.heard:
             return
         told = max(self._reset_ns.get((bus, one), -_RESET_NS - 1) for one in (node, None))
         if time_ns - told > _RESET_NS:
             name = self.scene.names.nodes.get((bus, node), "")
-            text = "booted again, and nobody had reset it"
+            text = "booted again without an NMT reset"
             self.absent(Violation(time_ns, text, bus, node, 1, name))
 
     def heartbeat(self, time_ns: int, bus: str, node: int, state: int) -> None:
-        """It is there, and did not boot."""
+        """Count a node that is present and did not boot."""
         self.look(time_ns, bus)
 
 
 @final
 class OneSender(Oracle):
-    """`one-sender`."""
+    """The oracle `one-sender`."""
 
     id = "one-sender"
-    promise = "What only one node may send (TPDO, EMCY, SDO answer, heartbeat) only one does send"
+    promise = "A message of one node (TPDO, EMCY, SDO answer, heartbeat) has only one sender"
     source = "CiA 301, pre-defined connection set; ISO 11898-1: an identifier has one sender"
-    needs = "the recording does not tell who sent its frames"
+    needs = "the recording does not name the senders of its frames"
 
-    def __init__(self, scene: Scene) -> None:
-        """See Oracle."""
+    def __init__(self, scene: RecordingContext) -> None:
+        """Set up the oracle; see `Oracle`."""
         super().__init__(scene)
         self._before: dict[tuple[str, int], dict[str, None]] = {}
 
     def sender(self, time_ns: int, bus: str, identifier: int, before: str, now: str) -> None:
-        """One who sends again after another one has: they are two."""
+        """Examine a change of sender; the return of an earlier sender proves two senders."""
         if identifier >> 7 not in _NODES_OWN or not identifier & 0x7F:
             return
         if not self.look(time_ns, bus) or not before:
@@ -260,16 +267,16 @@ class OneSender(Oracle):
 
 @final
 class FaultsTold(Oracle):
-    """`fault-told`."""
+    """The oracle `fault-told`."""
 
     id = "fault-told"
-    promise = "A drive that sends EMCYs sends one, with its code, when it goes into a fault"
+    promise = "A drive that sends EMCYs sends one with its error code when it enters a fault"
     source = "CiA 301, EMCY; CiA 402-2, fault reaction active and fault"
-    needs = "no drive that has ever sent an EMCY (optional in CiA 301) went into a fault"
+    needs = "no drive that sends EMCYs (optional in CiA 301) entered a fault"
     objects: ClassVar[Mapping[int, bool]] = {0x6041: False, 0x1014: False}
 
-    def __init__(self, scene: Scene) -> None:
-        """See Oracle."""
+    def __init__(self, scene: RecordingContext) -> None:
+        """Set up the oracle; see `Oracle`."""
         super().__init__(scene)
         self._last_ns: dict[_Node, int] = {}
         self._ever: dict[_Node, None] = {}
@@ -277,7 +284,7 @@ class FaultsTold(Oracle):
         self._waiting: list[Violation] = []
 
     def emergency(self, time_ns: int, bus: str, node: int, code: int) -> None:
-        """One that tells an error serves all who wait for it."""
+        """Settle all waiting faults of the node with an EMCY that has an error code."""
         self._ever[bus, node] = None
         if code:
             self._last_ns[bus, node] = time_ns
@@ -286,7 +293,7 @@ class FaultsTold(Oracle):
     def value(
         self, time_ns: int, axis: Axis, index: int, subindex: int, value: int, told_to: bool
     ) -> None:
-        """A statusword; or whether its EMCYs are switched on, and go by their usual identifier."""
+        """Examine a statusword, or take 1014h: EMCYs enabled with their default identifier."""
         bus, node, number = axis.place
         if index == 0x1014:
             if value & _INVALID or value & 0x7FF != 0x80 + node:
@@ -304,15 +311,15 @@ class FaultsTold(Oracle):
             if time_ns - self._last_ns.get((bus, node), -_S - 1) <= _S:
                 self.look(time_ns, bus)
             else:
-                text = f"a fault (statusword {value:04X}h), and no EMCY within 1 s"
+                text = f"a fault (statusword {value:04X}h) without an EMCY within 1 s"
                 self._waiting.append(Violation(time_ns, text, bus, node, number, axis.name))
 
     def end(self, time_ns: int) -> None:
-        """Those who still wait."""
+        """Settle the faults that still wait."""
         self._settle(time_ns, None)
 
     def _settle(self, time_ns: int, told: _Node | None) -> None:
-        """Those who were told, or have waited for long enough, wait no longer."""
+        """Settle the faults of node `told`, and those that have waited long enough."""
         for one in list(self._waiting):
             node = (one.bus, one.node)
             late = time_ns - one.time_ns > _S
@@ -320,3 +327,193 @@ class FaultsTold(Oracle):
                 self._waiting.remove(one)
                 if node in self._ever and self.look(one.time_ns, one.bus) and late:
                     self.absent(one)
+
+
+_SYNC_SAMPLES: Final = 64
+_REGULAR: Final = 0.8
+JITTER_SHARE: Final = 0.25
+"""The allowed share of the period; nodes' synchronous window (1007h) is rarely wider."""
+_MISSED_MAX: Final = 3
+_ON_GRID: Final = 0.1
+
+
+@final
+class _Series:
+    """SYNCs of one identifier on one bus. period_ns: None: not learned yet, 0: not cyclic."""
+
+    def __init__(self) -> None:
+        self.last_ns = -1
+        self.period_ns: int | None = None
+        self.intervals: list[tuple[int, int]] = []  # time, interval; bounded
+
+
+@final
+class SyncPeriod(Oracle):
+    """The oracle `sync-period`."""
+
+    id = "sync-period"
+    promise = "Cyclic SYNCs come at their period, within a quarter of it, and none is missing"
+    source = "CiA 301, SYNC protocol, communication cycle period 1006h"
+    needs = "no cyclic SYNC was heard"
+    objects: ClassVar[Mapping[int, bool]] = {0x1006: False}
+
+    def __init__(self, scene: RecordingContext) -> None:
+        """Set up the oracle; see `Oracle`."""
+        super().__init__(scene)
+        self._series: dict[tuple[str, int], _Series] = {}
+        self._told_us: dict[str, int] = {}
+
+    def value(
+        self, time_ns: int, axis: Axis, index: int, subindex: int, value: int, told_to: bool
+    ) -> None:
+        """Take a communication cycle period [us]."""
+        if value:
+            self._told_us[axis.place[0]] = value
+
+    def sync(self, time_ns: int, bus: str, identifier: int) -> None:
+        """Examine the distance to the previous SYNC."""
+        series = self._series.get((bus, identifier))
+        if series is None:
+            series = self._series[bus, identifier] = _Series()
+        interval_ns, first = time_ns - series.last_ns, series.last_ns < 0
+        series.last_ns = time_ns
+        if first:
+            return
+        if series.period_ns is None:
+            series.intervals.append((time_ns, interval_ns))
+            if len(series.intervals) >= _SYNC_SAMPLES:
+                self._learn(bus, series)
+        elif series.period_ns:
+            self._judge(time_ns, bus, interval_ns, series.period_ns)
+
+    def end(self, time_ns: int) -> None:
+        """Examine the series that were too short so far."""
+        for (bus, _), series in self._series.items():
+            if series.period_ns is None and len(series.intervals) >= 8:
+                self._learn(bus, series)
+
+    def _learn(self, bus: str, series: _Series) -> None:
+        """Set the period if most intervals are similar, and judge the kept intervals."""
+        intervals = sorted(interval for _, interval in series.intervals)
+        median = intervals[len(intervals) // 2]
+        alike = sum(abs(one - median) <= JITTER_SHARE * median for one in intervals)
+        kept, series.intervals = series.intervals, []
+        if median <= 0 or alike < _REGULAR * len(kept):
+            series.period_ns = 0 if median > 0 else None
+            self.cannot(f"the SYNCs of {bus} are not cyclic")
+            return
+        series.period_ns = median
+        told_ns = self._told_us.get(bus, 0) * 1000
+        if told_ns and abs(told_ns - median) > _ON_GRID * told_ns:
+            text = "the SYNC period differs from 1006h"
+            numbers = (median / 1e6, told_ns / 1e6, "ms")
+            self.absent(Violation(kept[0][0], text, bus, 0, 1, "", *numbers))
+        for time_ns, interval_ns in kept:
+            self._judge(time_ns, bus, interval_ns, median)
+
+    def _judge(self, time_ns: int, bus: str, interval_ns: int, period_ns: int) -> None:
+        share = interval_ns / period_ns
+        if share > _MISSED_MAX + _ON_GRID or not self.look(time_ns, bus):
+            return  # stopped and started again
+        if abs(share - 1) <= JITTER_SHARE:
+            return
+        nearest = round(share)
+        if nearest > 1 and abs(share - nearest) > _ON_GRID:
+            return  # started again
+        text = f"{nearest - 1} SYNC missing" if nearest > 1 else "SYNC out of its time"
+        numbers = (interval_ns / 1e6, period_ns / 1e6, "ms")
+        self.absent(Violation(time_ns, text, bus, 0, 1, "", *numbers))
+
+
+_WARNING: Final = 96
+_PASSIVE: Final = 128
+_TOLD_MAX: Final = 255  # a message has 8 bits for a counter
+_ORDER: Final = (
+    *(ControllerState.ACTIVE, ControllerState.WARNING),
+    *(ControllerState.PASSIVE, ControllerState.BUS_OFF),
+)
+_RANGES: Final = {  # of the greater counter
+    ControllerState.ACTIVE: (0, _WARNING - 1),
+    ControllerState.WARNING: (_WARNING, _PASSIVE - 1),
+    ControllerState.PASSIVE: (_PASSIVE, _TOLD_MAX),
+    ControllerState.BUS_OFF: (_TOLD_MAX, _TOLD_MAX),
+    ControllerState.RESTARTED: (0, 0),
+}
+_DRIVERS: Final = "hardware drivers report counters in different ways"
+
+
+@final
+class Confinement(Oracle):
+    """The oracle `error-states`."""
+
+    id = "error-states"
+    promise = (
+        "The states of a CAN controller follow one another as its counters allow: active, "
+        "warning (96), passive (128), bus-off, restarted; in bus-off it sends nothing"
+    )
+    source = "ISO 11898-1, fault confinement; linux/can/error.h"
+    needs = "the recording has no error message (SocketCAN error frame) with a controller state"
+    needs_canopen = False
+
+    def __init__(self, scene: RecordingContext) -> None:
+        """Set up the oracle; see `Oracle`."""
+        super().__init__(scene)
+        self._states: dict[tuple[str, str], ControllerState] = {}
+
+    def error(self, time_ns: int, bus: str, sender: str, told: BusError) -> None:
+        """Compare the state with its counters and with the previous state.
+
+        Counters without a state may be ahead of the next message, which has the state.
+        """
+        if told.state is None:
+            return
+        self.look(time_ns, bus)
+        key = (bus, sender)
+        before = self._states.get(key)
+        if told.counters is not None:
+            self._counters(time_ns, key, told.text, told.state, told.counters)
+        if before is not None and not _may_follow(before, told.state):
+            text = f"{told.state.value}{told.counted}, but was {before.value}"
+            self.absent(self._violation(time_ns, key, text))
+        is_new = told.state is ControllerState.RESTARTED
+        self._states[key] = ControllerState.ACTIVE if is_new else told.state
+
+    def sent_while_off(self, time_ns: int, bus: str, sender: str, identifier: int) -> None:
+        """Report a frame sent in bus-off."""
+        text = f"sends {identifier & 0x1FFF_FFFF:X}h while it is bus-off"
+        self.broken(self._violation(time_ns, (bus, sender), text))
+
+    def _counters(
+        self,
+        time_ns: int,
+        key: tuple[str, str],
+        text: str,
+        state: ControllerState,
+        counters: tuple[int, int],
+    ) -> None:
+        low, high = _RANGES[state]
+        if low <= max(counters) <= high:
+            return
+        tec, rec = counters
+        text = f"{text} (TEC {tec}, REC {rec}): the greater counter should be {low} to {high}"
+        violation = self._violation(time_ns, key, text)
+        if key[1]:
+            self.broken(violation)
+        else:
+            self.doubt(violation, _DRIVERS)
+
+    def _violation(self, time_ns: int, key: tuple[str, str], text: str) -> Violation:
+        bus, sender = key
+        names = self.scene.names.nodes
+        node = next((n for (b, n), name in names.items() if (b, name) == key), 0)
+        whose = f"the CAN controller of {sender}" if sender else "the CAN controller"
+        return Violation(time_ns, f"{whose}: {text}", bus, node)
+
+
+def _may_follow(before: ControllerState, state: ControllerState) -> bool:
+    """Return True if no state is skipped; counters rise by 8 at most, and fall by 1 or to 127."""
+    if state is ControllerState.RESTARTED:
+        return before is ControllerState.BUS_OFF
+    if before is ControllerState.BUS_OFF:
+        return state is ControllerState.ACTIVE
+    return abs(_ORDER.index(state) - _ORDER.index(before)) <= 1

@@ -1,26 +1,25 @@
-"""Nobody commands a motor that is another's: `harness.sharing.evidence`, as an oracle.
+"""Oracle of ownership: only the owner commands a motor.
 
-It needs to know all handovers before it can say whose a motor was, so it goes over the recording by
-itself, and only where handovers were told.
+All handovers must be known before frames can be judged (see `judge_frames`). The oracle therefore
+reads the recording by itself, and only if handovers are recorded.
 """
 
 from collections.abc import Iterator, Mapping
 from typing import Final
 
-from harness.oracles.finding import Finding, Verdict, Violation
-from harness.ownership_record import motor_of, read_ownership
-from harness.sharing.evidence import BusFrame, commanded_node, judge_frames
-from traces.frame_decoder import FrameDecoder
-from traces.reader import Trace
-from traces.schema import CAN_FRAME
-from traces.traffic import fields
+from motorhil.harness.oracles.base import Finding, Verdict, Violation
+from motorhil.harness.recording.ownership import motor_of, read_ownership
+from motorhil.harness.sharing_tests.bus_evidence import BusFrame, commanded_node, judge_frames
+from motorhil.traces.formats.frames import FrameDecoder, fields
+from motorhil.traces.mcap.reader import Trace
+from motorhil.traces.schema import CAN_FRAME
 
 ID: Final = "owner-commands"
-PROMISE: Final = "While a motor is somebody's, nobody else sends a frame that commands it"
-SOURCE: Final = "the paper, requirement 4 and 3.5: a motor is one owner's from start to end"
-NEEDS: Final = "nothing is told of who had which motor (/motor/NAME/lock), or of who sent frames"
-_ID_TAG: Final = b"\x0d"  # what a CanFrame of ours begins with; its identifier is next
-_ANY: Final = b"\x0f\0"  # commands something in each identifier that can command
+PROMISE: Final = "While a motor has an owner, no other process sends a frame that commands it"
+SOURCE: Final = "the paper, requirement 4 and 3.5: a motor has one owner from start to end"
+NEEDS: Final = "no motor ownership (/motor/NAME/lock) or no senders of frames are recorded"
+_ID_TAG: Final = b"\x0d"  # the first byte of a recorded CanFrame; its identifier follows
+_ANY: Final = b"\x0f\0"  # a command in each identifier that can command
 _NOT_DATA: Final = 0xE000_0000
 
 
@@ -30,13 +29,13 @@ def judge_ownership(
     from_ns: int | None,
     to_ns: int | None,
 ) -> Finding:
-    """The finding of `owner-commands`.
+    """Return the finding of `owner-commands`.
 
     Args:
-        trace: the recording; None: of a format that tells no handovers.
+        trace: the recording; None: a format without handovers.
         places: (bus, node) of each motor.
-        from_ns: frames from then on are judged.
-        to_ns: frames before that.
+        from_ns: frames from this time on are judged [ns].
+        to_ns: frames before this time are judged [ns].
 
     Raises:
         TraceError: the recording is damaged.
@@ -47,7 +46,7 @@ def judge_ownership(
     ownership = read_ownership(trace)
     told = {motor: place for motor, place in places.items() if motor in ownership.tenures}
     if not told:
-        reason = "where the motors are whose owners are told is not: give --rig RIG"
+        reason = "the places of the owned motors are not known; give --rig RIG"
         return Finding(*head, Verdict.NOT_JUDGED, reason=reason)
     evidence = judge_frames(_commanding(trace, from_ns, to_ns), ownership, told)
     looked = sum(evidence.counts.values())
@@ -76,13 +75,13 @@ def _violation(
 
 
 def _commanding(trace: Trace, from_ns: int | None, to_ns: int | None) -> Iterator[BusFrame]:
-    """Frames that command something and of which it is known who sent them."""
+    """Yield the commanding frames with known senders."""
     decoders: dict[int, FrameDecoder] = {}
     for channel, time_ns, payload in trace.messages(None, from_ns, to_ns):
         if channel.schema is None or channel.schema.name != CAN_FRAME.name:
             continue
         if payload[:1] == _ID_TAG and commanded_node(payload[1] | payload[2] << 8, _ANY) is None:
-            continue  # most are: whatever they say, it commands nothing
+            continue  # most frames: they command nothing, whatever their data
         decoder = decoders.get(channel.number)
         if decoder is None:
             decoder = decoders[channel.number] = FrameDecoder()

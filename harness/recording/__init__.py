@@ -1,1 +1,1 @@
-"""Recording of live buses: taps read them, the pump orders and counts, a series of files keeps."""
+"""Recording of live buses: taps, pump, and a series of files."""

@@ -1,7 +1,7 @@
-"""The loop that reads buses on the wall: waits, reads all of them, hands over, and lets be.
+"""Wall-clock loop that reads all buses and passes their frames on.
 
-After each round it pauses for a moment, so that a busy bus is read in batches; the sockets hold
-what comes meanwhile.
+After each round the loop pauses for a moment, so that a busy bus is read in batches. The sockets
+buffer the frames that arrive meanwhile.
 """
 
 import select
@@ -9,26 +9,26 @@ import time
 from collections.abc import Callable, Sequence
 from typing import Final, final
 
-from harness.recording.pump import Pump
-from harness.recording.taps import POLLED, BusDownError, BusEndedError, Tap
-from traces.chunk import Entry
-from traces.schema import Level
+from motorhil.harness.recording.sources import POLLED, BusDownError, BusEndedError, Tap
+from motorhil.harness.recording.writer import Pump
+from motorhil.traces.mcap.writer import Entry
+from motorhil.traces.schema import Level
 
 _IDLE_S: Final = 0.25
 _POLL_S: Final = 0.01
 _PAUSE_S: Final = 0.003
-_QUIET_S: Final = 0.05  # nothing for so long: nobody holds anything back for us
+_QUIET_S: Final = 0.05  # after this silence the hub holds nothing back for this connection
 _LAST_S: Final = 1.0
-_ROUND_FRAMES: Final = 8192  # of one bus; then the others have a turn
+_ROUND_FRAMES: Final = 8192  # of one bus, before the other buses have their turn
 
 
 @final
 class RecordingLoop:
-    """Reads taps until it is told to stop, or nothing is left to read.
+    """Reader of taps until it is stopped or every bus has ended.
 
     Attributes:
-        problems: what happened to buses, in words, in order.
-        ended: whether every bus has ended by itself.
+        problems: messages about bus problems, in order of occurrence.
+        ended: True if every bus has ended by itself.
     """
 
     def __init__(
@@ -38,13 +38,13 @@ class RecordingLoop:
         own_times: bool,
         report: Callable[[str], None] | None = None,
     ) -> None:
-        """Nothing has been read yet.
+        """Set up the loop without reading anything.
 
         Args:
-            taps: in the order in which the pump knows them.
-            pump: is handed what comes.
-            own_times: log times are not the wall's, so that events are stamped like frames.
-            report: told at once of each problem.
+            taps: in the order of the pump's buses.
+            pump: receives the frames.
+            own_times: the log times are not wall time, so events are stamped like frames.
+            report: called immediately with the text of each problem.
         """
         self.problems: list[str] = []
         self._taps = list(taps)
@@ -56,26 +56,26 @@ class RecordingLoop:
 
     @property
     def ended(self) -> bool:
-        """Whether every bus has ended by itself."""
+        """True if every bus has ended by itself."""
         return not self._alive
 
     def wake_on(self, descriptor: int) -> None:
-        """The loop also wakes when this descriptor becomes readable."""
+        """Wake the loop also when this descriptor becomes readable."""
         self._woken_by.append(descriptor)
 
     def forget(self, descriptor: int) -> None:
-        """It no longer does."""
+        """Stop waking the loop for this descriptor."""
         self._woken_by.remove(descriptor)
 
     def run(
         self, stopped: Callable[[], bool], duration_s: float | None, tell: Callable[[int], None]
     ) -> None:
-        """Everything has been recorded until `stopped()`, or for `duration_s` [s].
+        """Record until `stopped()` returns True, or for `duration_s` [s].
 
         Args:
-            stopped: asked at least four times a second.
-            duration_s: None: as long as there is something to read.
-            tell: called as often, with a time that never goes back [ns].
+            stopped: polled at least four times a second.
+            duration_s: None: no limit; the loop ends with the last bus.
+            tell: called equally often with a monotonic time [ns].
 
         Raises:
             TraceError: the recording cannot be written.
@@ -97,7 +97,7 @@ class RecordingLoop:
         self._catch_up()
 
     def _catch_up(self) -> None:
-        """What had come when we were told to stop, also what a hub still held back for us."""
+        """Read what arrived before the stop, including frames that a hub still held back."""
         stop_ns = time.time_ns()
         end_s = time.monotonic() + _LAST_S
         while self._round() or self._is_readable():
@@ -105,7 +105,7 @@ class RecordingLoop:
                 break
 
     def _is_readable(self) -> bool:
-        """Whether something comes within a moment; of what has to be polled nothing is known."""
+        """Return whether a tap becomes readable within a moment; polled taps are not considered."""
         descriptors = self._descriptors()
         return bool(descriptors and select.select(descriptors, (), (), _QUIET_S)[0])
 
@@ -116,7 +116,7 @@ class RecordingLoop:
         return [tap.fileno() for tap in self._alive if tap.fileno() != POLLED]
 
     def _round(self) -> int:
-        """All buses were read until empty, within bounds; how many frames that gave."""
+        """Read every bus until it is empty, within bounds, and return the number of frames."""
         now_ns = time.time_ns()
         came: list[list[Entry]] = []
         for tap in self._taps:
@@ -134,7 +134,7 @@ class RecordingLoop:
         return count
 
     def _read(self, tap: Tap, now_ns: int) -> list[Entry]:
-        """What has come on a bus; what has happened to it is told."""
+        """Read the frames of one bus; report and record its problem if there is one."""
         try:
             return tap.read(now_ns)
         except (BusDownError, BusEndedError) as problem:
@@ -148,5 +148,5 @@ class RecordingLoop:
             return []
 
     def _log_time_ns(self, now_ns: int) -> int:
-        """When it is now, by the clock of the recording."""
+        """Return the present time by the recording's clock [ns]."""
         return now_ns if not self._own_times else self._pump.last_ns or 0

@@ -1,1 +1,1 @@
-"""Recordings played again: as traffic, as the devices in them, as the host in them."""
+"""Replay of recordings as traffic, as devices, or as a host."""

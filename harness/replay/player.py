@@ -1,11 +1,14 @@
-"""Plays a tape: finds what the controller is told in the recording, and says what comes of it.
+"""Player of an exchange log: the answers of one recorded controller.
 
-Sans-I/O, of no protocol. Commands are found by key, the next one in the recording's order first;
-one that was skipped may still come. What then comes by itself keeps its recorded delay behind the
-command. When the recording has no more of it, what was periodic goes on as it was.
+The player is sans-I/O and independent of the protocol. Commands are found by key, the next one in
+recorded order first. A skipped command may still come later. Spontaneous frames keep their recorded
+delay after the command. When the recording has no more of them, periodic frames continue with their
+period.
 
-A host that is faster than the recorded one cuts short what would still have come: of each
-identifier only the last is sent then, at once.
+A host may be faster than the recorded one and cut short the remaining reactions. Then only the last
+frame of each identifier is sent, at once.
+
+Statistics of delays, in a table of bounded size.
 """
 
 from collections import deque
@@ -13,25 +16,25 @@ from dataclasses import dataclass
 from heapq import heapify, heappop, heappush
 from typing import Final, final
 
-from traces.tape import Key, Role, Sent, Step, Tape
+from motorhil.traces.exchange.steps import ExchangeLog, Key, Role, Sent, Step
 
 LOOK_AHEAD: Final = 64
-"""So many commands a host may leave out at once; further away, the same words mean another time."""
+"""The number of commands that a host may skip at once; a later equal command is another one."""
 _KEPT: Final = 8
 _NEVER_NS: Final = 1 << 62
-_OVERTIME: Final = 6  # quarters of a period after which what was periodic is missed
+_OVERTIME: Final = 6  # quarters of a period after which a periodic frame counts as overdue
 
 
 @final
 @dataclass(frozen=True, slots=True)
 class Mismatch:
-    """Something that was told, and that the recording cannot answer.
+    """A command that the recording cannot answer.
 
     Attributes:
-        time_ns: when.
-        came: what was told, as a sentence.
-        expected: what the recording has in its place; None: nothing of the kind.
-        before: what the controller had answered last, oldest first.
+        time_ns: the time of the command [ns].
+        came: the command, as a sentence.
+        expected: the recorded step in its place; None if there is no such step.
+        before: the last answers of the controller, oldest first.
     """
 
     time_ns: int
@@ -49,16 +52,16 @@ class Mismatch:
 
 
 @final
-class TapePlayer:
-    """One recorded controller.
+class ExchangePlayer:
+    """Player of one recorded controller.
 
     Attributes:
-        matched: how many commands were found in the recording.
-        repeated: commands that were told again, and answered as before.
-        mismatches: what could not be answered.
+        matched: number of commands found in the recording.
+        repeated: number of repeated commands, which are answered as before.
+        mismatches: the commands without an answer.
     """
 
-    def __init__(self, tape: Tape) -> None:
+    def __init__(self, tape: ExchangeLog) -> None:
         self.tape = tape
         self.matched = 0
         self.repeated = 0
@@ -68,34 +71,34 @@ class TapePlayer:
             number for number, step in enumerate(self._steps) if step.role is Role.COMMAND
         ]
         self._used = [number == 0 for number in range(len(self._steps))]
-        self._place = 0  # in _steps: of the command that is furthest
-        self._next = 0  # in _commands: the first behind it
-        self._values: dict[tuple[str, int], bytes] = {}  # last told, by what it was about
+        self._place = 0  # index in _steps of the furthest command
+        self._next = 0  # index in _commands of the first one after it
+        self._values: dict[tuple[str, int], bytes] = {}  # last value, by subject
         self._told: dict[Key, Step] = {}
-        self._polls: dict[Key, list[Step]] = {}  # of the epoch, those still to come
-        self._answered: dict[Key, Step] = {}  # of the epoch
-        self._latest: dict[Key, Step] = {}  # what has no dialogue: SYNC, remote frames
+        self._polls: dict[Key, list[Step]] = {}  # remaining polls of the epoch
+        self._answered: dict[Key, Step] = {}  # in the epoch
+        self._latest: dict[Key, Step] = {}  # for keys without a dialogue: SYNC, remote frames
         self._constants = _constants(self._steps)
         self._anchor_ns = 0
-        self._epoch_ns = 0  # when the command that is furthest was told
+        self._epoch_ns = 0  # when the furthest command arrived
         self._reactions: list[Sent] = []
         self._reaction = 0
         self._due: list[tuple[int, int, bytes]] = []  # answers, by time and order
         self._asked = 0
-        self._periodic: dict[int, tuple[int, bytes]] = {}  # identifier: when next, frame
+        self._periodic: dict[int, tuple[int, bytes]] = {}  # identifier: next due time, frame
         self._before: deque[str] = deque(maxlen=_KEPT)
 
     def start(self, now_ns: int) -> None:
-        """The recording begins."""
+        """Start the playback at `now_ns`."""
         self._go_to(0, now_ns)
 
-    # ------------------------------------------------------------------------- what is told
+    # ------------------------------------------------------------------------- commands and polls
 
     def command(self, key: Key, now_ns: int) -> Step | None:
-        """The step of this command; None: the recording has none that could be meant.
+        """Return the step of this command, or None if the recording has no such command.
 
-        What is not the recording's next command, and was told just before with the same data, is
-        the same again: it is answered as then, and nothing comes of it.
+        A command that is not next in the recording but equals the last one is a repetition: it gets
+        the same answer and has no other effect.
         """
         is_again = self._values.get(key[:2]) == key[2] and not self.is_next(key)
         number = None if is_again else self._find(key)
@@ -113,12 +116,12 @@ class TapePlayer:
         return step
 
     def poll(self, key: Key, now_ns: int) -> Step | None:
-        """What is answered to this now; None: the recording does not tell.
+        """Return the step that answers this poll now, or None if the recording has none.
 
-        Within an epoch, what was asked in it, in order, and then the last of it again; besides,
-        what never has another answer; to a SYNC or a remote frame, what it got last. That nothing
-        was answered (it had not booted yet) holds only until the time, behind the command, at which
-        it sent something, or was asked again.
+        Within an epoch, the recorded polls answer in order, and the last one repeats. Otherwise a
+        poll with a constant answer gets that answer. A SYNC or a remote frame gets its last answer.
+        Silence (before boot-up) lasts only until the recorded time, after the command, of the next
+        frame sent or the next poll.
         """
         waiting = self._polls.get(key)
         while waiting and len(waiting) > 1 and _is_silent(waiting[0]):
@@ -136,36 +139,36 @@ class TapePlayer:
         return step
 
     def forget(self) -> None:
-        """It has begun anew: what it was told before is nothing that it knows."""
+        """Forget all earlier values and answers, after the controller's restart."""
         self._values.clear()
         self.forget_latest()
 
     def forget_latest(self) -> None:
-        """What a SYNC or a remote frame got last is not what it would get now."""
+        """Forget the last answers to SYNC and remote frames."""
         self._latest.clear()
 
     def commands_gone(self) -> int:
-        """How many commands of the recording are not behind the last one found."""
+        """Return the number of recorded commands up to the last one found."""
         return self._next
 
     def is_next(self, key: Key) -> bool:
-        """Whether the recording's next command is this."""
+        """Return True if this is the recording's next command."""
         if self._next == len(self._commands):
             return False
         return self._steps[self._commands[self._next]].key == key
 
     def refuse(self, key: Key, came: str, now_ns: int) -> Mismatch:
-        """What came cannot be answered: that is noted, with what was expected."""
+        """Record a mismatch for a command that cannot be answered, and return it."""
         mismatch = Mismatch(now_ns, came, self._expected(key), self.answered_last())
         self.mismatches.append(mismatch)
         return mismatch
 
     def answered_last(self) -> tuple[str, ...]:
-        """What it has answered last, as sentences, oldest first."""
+        """Return the last answers as sentences, oldest first."""
         return tuple(self._before)
 
     def left(self) -> list[Step]:
-        """Commands of the recording, up to the last one found, that were never told."""
+        """Return the recorded commands before the last one found that never came."""
         return [
             self._steps[number]
             for number in self._commands
@@ -173,20 +176,20 @@ class TapePlayer:
         ]
 
     def to_come(self) -> int:
-        """How many commands of the recording are behind the last one found."""
+        """Return the number of recorded commands after the last one found."""
         return len(self._commands) - self._next
 
-    # ------------------------------------------------------------------------- what it sends
+    # ------------------------------------------------------------------------- transmission
 
     def answer(self, sent: list[Sent], now_ns: int) -> None:
-        """These are sent, each at its delay behind now."""
+        """Schedule these frames, each at its delay from now."""
         for one in sent:
             self._asked += 1
             due_ns = now_ns + max(0, one.delay_ns - one.duration_ns)
             heappush(self._due, (due_ns, self._asked, one.data))
 
     def next_deadline_ns(self) -> int | None:
-        """When something is to be sent [ns]."""
+        """Return when the next frame is due [ns], or None."""
         due_ns = self._due[0][0] if self._due else None
         own_ns = self._own_ns()
         if due_ns is None or (own_ns is not None and own_ns < due_ns):
@@ -194,7 +197,7 @@ class TapePlayer:
         return due_ns
 
     def take(self, now_ns: int) -> list[bytes]:
-        """What is to be sent by now, in order."""
+        """Return the frames to send by now, in order."""
         out: list[bytes] = []
         while True:
             own_ns = self._own_ns()
@@ -209,7 +212,7 @@ class TapePlayer:
                 out.append(self._take_own(own_ns))
 
     def forget_answers(self, identifier: int) -> None:
-        """What was to be answered by this identifier is not: the transfer has been given up."""
+        """Cancel the pending answers with this identifier after an aborted transfer."""
         can_id = identifier.to_bytes(4, "little")
         self._due = [one for one in self._due if one[2][:4] != can_id]
         heapify(self._due)
@@ -217,19 +220,19 @@ class TapePlayer:
     # -------------------------------------------------------------------------------- inside
 
     def _has_answered(self, step: Step) -> None:
-        """What it said is kept; a PDO or a SYNC, which say nothing, push nothing out."""
+        """Keep the text of the answer; a PDO or a SYNC has no text."""
         if step.answer_text:
             self._before.append(step.answer_text)
 
     def _silent_for_ns(self, step: Step, later: Step) -> int:
-        """How long behind the epoch's command what was told nothing to `step` stayed so."""
+        """Return how long `step` remained unanswered after the epoch's command [ns]."""
         command = self._steps[self._place]
         asked_ns = step.time_ns - command.time_ns
         spoke_ns = (sent.delay_ns for sent in command.reactions if sent.delay_ns > asked_ns)
         return min(next(spoke_ns, _NEVER_NS), later.time_ns - command.time_ns)
 
     def _find(self, key: Key) -> int | None:
-        """The step of a command: the first behind the last one found, else one left out."""
+        """Find the step of a command: first after the last one found, then among skipped ones."""
         ahead = self._commands[self._next : self._next + LOOK_AHEAD]
         left_out = self._commands[max(0, self._next - LOOK_AHEAD) : self._next]
         for number in (*ahead, *reversed(left_out)):
@@ -238,7 +241,7 @@ class TapePlayer:
         return None
 
     def _go_to(self, number: int, now_ns: int) -> None:
-        """The command's epoch has begun, unless it is one that had been left out."""
+        """Begin the command's epoch, unless the command is one that was skipped earlier."""
         self._cut_short(now_ns)
         step = self._steps[number]
         self._anchor_ns, self._reactions, self._reaction = now_ns, step.reactions, 0
@@ -252,12 +255,12 @@ class TapePlayer:
         end = self._commands[self._next] if self._next < len(self._commands) else None
         for poll in self._steps[number + 1 : end]:
             self._polls.setdefault(poll.key, []).append(poll)
-        if step.answers:  # asked once more, a SYNC that fired something only asks
+        if step.answers:  # repeated, a SYNC that triggered something is only a poll
             self._answered[step.key] = step
             self._latest[step.key] = step
 
     def _cut_short(self, now_ns: int) -> None:
-        """Of what was still to come by itself, the last of each identifier is sent now."""
+        """Send the last pending frame of each identifier now and drop the others."""
         last: dict[bytes, Sent] = {}
         for sent in self._reactions[self._reaction :]:
             last.pop(sent.data[:4], None)
@@ -269,7 +272,7 @@ class TapePlayer:
         self._reaction = len(self._reactions)
 
     def _own_ns(self) -> int | None:
-        """When it next sends something by itself [ns]."""
+        """Return when the next spontaneous frame is due [ns], or None."""
         if self._reaction < len(self._reactions):
             sent = self._reactions[self._reaction]
             return self._anchor_ns + max(0, sent.delay_ns - sent.duration_ns)
@@ -289,7 +292,7 @@ class TapePlayer:
         return data
 
     def _keep_period(self, data: bytes, own_ns: int, quarters: int) -> None:
-        """It is due again so many quarters of its period later; 0: not by itself."""
+        """Schedule the next periodic frame after so many quarter periods; 0: stop it."""
         identifier = int.from_bytes(data[:4], "little")
         if quarters:
             period_ns = self.tape.periods_ns[identifier]
@@ -298,7 +301,7 @@ class TapePlayer:
             self._periodic.pop(identifier, None)
 
     def _expected(self, key: Key) -> Step | None:
-        """What the recording has where this came: the same object with other data, or the next."""
+        """Return the recorded step in place of `key`: with the same object, else the next one."""
         ahead = self._commands[self._next : self._next + LOOK_AHEAD]
         for number in ahead:
             if self._steps[number].key[:2] == key[:2]:
@@ -307,7 +310,7 @@ class TapePlayer:
 
 
 def _constants(steps: list[Step]) -> dict[Key, Step]:
-    """Polls that are answered the same whenever they are asked."""
+    """Return the polls whose answers never change."""
     found: dict[Key, Step | None] = {}
     for step in steps:
         if step.role is not Role.POLL or not step.turns:
@@ -327,3 +330,41 @@ def _is_silent(step: Step) -> bool:
 
 def _answers(step: Step) -> list[list[bytes]]:
     return [[sent.data for sent in turn.answers] for turn in step.turns]
+
+
+_BITS: Final = 6  # values are kept to 1 part in 32
+
+
+@final
+class Lateness:
+    """Histogram of delays [ns]; quantiles are at most 1/32 too large.
+
+    Attributes:
+        count: the number of delays.
+        worst_ns, last_ns: the exact largest and last delay [ns]; 0 if there is none.
+    """
+
+    def __init__(self) -> None:
+        self.count = 0
+        self.worst_ns = 0
+        self.last_ns = 0
+        self._counts: dict[tuple[int, int], int] = {}
+
+    def add(self, late_ns: int) -> None:
+        """Add one delay; negative values count as 0."""
+        late_ns = max(0, late_ns)
+        self.count += 1
+        self.last_ns = late_ns
+        self.worst_ns = max(self.worst_ns, late_ns)
+        shift = max(0, late_ns.bit_length() - _BITS)
+        key = shift, late_ns >> shift
+        self._counts[key] = self._counts.get(key, 0) + 1
+
+    def quantile_ns(self, share: float) -> int:
+        """Return the delay that this share of all delays (0 to 1) does not exceed; 0 if none."""
+        left = share * self.count
+        for (shift, high), count in sorted(self._counts.items()):
+            left -= count
+            if left <= 0:
+                return min(self.worst_ns, ((high + 1) << shift) - 1)
+        return self.worst_ns

@@ -1,20 +1,26 @@
-"""Whether a recording could stand in for its devices: what it could not answer, in order."""
+"""Verdict on a replay as devices: the commands without a recorded answer.
+
+Meaning of a recording, for verbs that compare.
+"""
 
 import re
+import sys
 from collections.abc import Iterator
+from os import PathLike
 from typing import TYPE_CHECKING, NamedTuple, final
 
-from harness.replay.player import Mismatch, TapePlayer
-from harness.replay.recorded_node import RecordedNode
-from harness.replay.recorded_unit import RecordedUnit
+from motorhil.harness.replay.device_node import RecordedNode, RecordedUnit
+from motorhil.harness.replay.player import ExchangePlayer, Mismatch
+from motorhil.traces.mcap.reader import read_trace
+from motorhil.traces.semantics.model import Meaning, meaning_of
 
 if TYPE_CHECKING:
-    from harness.rig import Rig
+    from motorhil.harness.rig.rig import Rig
 
 
 @final
 class Unanswered(NamedTuple):
-    """What one recorded controller was told, and could not answer."""
+    """A command that one recorded controller could not answer."""
 
     controller: str
     mismatch: Mismatch
@@ -23,8 +29,8 @@ class Unanswered(NamedTuple):
         return f"{self.controller} at {self.mismatch.time_ns / 1e9:.6f} s: {self.mismatch}"
 
 
-def players(rig: "Rig") -> dict[str, TapePlayer]:
-    """Of the rig's controllers that are out of recordings, by name."""
+def players(rig: "Rig") -> dict[str, ExchangePlayer]:
+    """Return the players of the rig's recorded controllers, by name."""
     cores = {name: rig.controllers[name].core for name in rig.description.controllers}
     return {
         name: core.player
@@ -34,7 +40,7 @@ def players(rig: "Rig") -> dict[str, TapePlayer]:
 
 
 def unanswered(rig: "Rig") -> list[Unanswered]:
-    """What the rig's recorded controllers could not answer, by time; none: they stood in."""
+    """Return the commands that recorded controllers could not answer, by time."""
     found = [
         Unanswered(name, mismatch)
         for name, player in players(rig).items()
@@ -44,12 +50,12 @@ def unanswered(rig: "Rig") -> list[Unanswered]:
 
 
 def summary(rig: "Rig", failure: str = "") -> Iterator[str]:
-    """What came of a run against recorded controllers, in lines; none if there are none.
+    """Yield the lines of a summary; none if the rig has no recorded controllers.
 
     Args:
-        rig: open, or closed.
-        failure: what the application failed with; what the controllers named there answered last
-            is told, for it may have been that.
+        rig: open or closed.
+        failure: the application's error text. The last answers of the controllers named in it are
+            listed, since they may be the cause.
     """
     known = players(rig)
     if not known:
@@ -72,11 +78,24 @@ def summary(rig: "Rig", failure: str = "") -> Iterator[str]:
     left = {name: len(player.left()) for name, player in known.items() if player.left()}
     if left:
         told_of = ", ".join(f"{name} {count}" for name, count in left.items())
-        yield f"commands of the recording that did not come: {told_of}"
+        yield f"commands of the recording that were not sent: {told_of}"
     rest = sum(player.to_come() for player in known.values())
     if rest:
-        yield f"the recording goes on: {rest} more commands"
+        yield f"the recording has {rest} more command{'s' if rest > 1 else ''}"
 
 
 def _when(one: Unanswered) -> int:
     return one.mismatch.time_ns
+
+
+def meaning_in(path: str | PathLike[str], verb: str) -> Meaning:
+    """Return the recording's meaning; report a cut recording on stderr in the verb's name.
+
+    Raises:
+        TraceError: the recording cannot be read, or is damaged.
+    """
+    with read_trace(path) as trace:
+        meaning = meaning_of(trace)
+        if trace.cut is not None:
+            print(f"motorhil {verb}: {path}: {trace.cut}", file=sys.stderr)
+    return meaning

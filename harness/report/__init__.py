@@ -1,8 +1,10 @@
-"""A recording as one page to look at: collected in one pass, reduced, packed, drawn by a browser.
+"""Report of a recording as one HTML page.
+
+The recording is read in one pass, reduced, packed, and drawn by the browser:
 
     trace --collect--> findings --assemble--> sections --page--> one HTML file without any link
 
-`can_bus`, `modbus_line` and `motion` take what their channels hold; `rig_facts` reads what the
-attached rig tells of units and bit rates. Nothing is guessed: what a recording does not tell is
-said to be missing on the page.
+`CanBus`, `ModbusLine` and `Motor` take the contents of their channels. `RigFacts` provides units
+and bit rates from the attached rig. Nothing is guessed: the page states which data are missing in
+the recording.
 """

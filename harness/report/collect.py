@@ -1,23 +1,20 @@
-"""A recording, in one pass, as what its channels tell: traffic, quantities, states, incidents."""
+"""Collection of a recording's contents in one pass."""
 
 from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Final, final
 
-from harness.ownership_record import LockEvent
-from harness.report.can_bus import CanBus
-from harness.report.incidents import Incidents, Severity
-from harness.report.modbus_line import ModbusLine
-from harness.report.nodes import Nodes
-from harness.report.rig_facts import RigFacts, facts_of
-from harness.report.tracks import TIME_MAX_NS, Track
-from harness.report.traffic import Traffic
-from harness.report.truth import TruthReader, message_of
-from traces.protobuf import Value, decode
-from traces.reader import Trace
-from traces.recorded_names import RecordedNames, names_of
-from traces.schema import (
+from motorhil.harness.recording.ownership import LockEvent
+from motorhil.harness.report.buses import CanBus, ModbusLine, Nodes, Traffic
+from motorhil.harness.report.events import Incidents, Severity, TruthReader, message_of
+from motorhil.harness.report.rig import RigFacts, facts_of
+from motorhil.harness.report.series import TIME_MAX_NS, Track
+from motorhil.traces.decoding.objects import RecordedNames, names_of
+from motorhil.traces.mcap.protobuf import Value, decode
+from motorhil.traces.mcap.reader import Trace
+from motorhil.traces.mcap.records import Channel
+from motorhil.traces.schema import (
     CAN_FRAME,
     GROUP_SYNC,
     JOINT_STATE,
@@ -27,13 +24,12 @@ from traces.schema import (
     Level,
     LockAction,
 )
-from traces.structure import Channel
 
 _Handler = Callable[[int, bytes], None]
 _ACTIONS: Final[dict[object, LockAction]] = {action.value: action for action in LockAction}
 _BAD_ACTIONS: Final = {
     LockAction.REFUSED: "lock refused",
-    LockAction.BROKEN: "lock of one who died",
+    LockAction.BROKEN: "lock of a dead owner",
     LockAction.TAKEN_OVER: "lock taken over",
     LockAction.LOST: "lock lost",
 }
@@ -42,7 +38,7 @@ _BAD_ACTIONS: Final = {
 @final
 @dataclass(frozen=True, slots=True)
 class GroupMoment:
-    """One message of `/group/<name>/sync`: when it was told, and what."""
+    """One message of `/group/<name>/sync`, with its time from the recording's beginning [ns]."""
 
     time_ns: int
     group: str
@@ -57,14 +53,15 @@ class GroupMoment:
 @final
 @dataclass(slots=True)
 class Findings:
-    """What was found.
+    """The collected contents of a recording.
 
     Attributes:
-        begin_ns, end_ns: the first and the last log time; times elsewhere are from `begin_ns`.
-        in_order: all messages have one time, so theirs are their numbers [1 "ns" each].
-        states: by motor, by quantity ("position", "velocity", "effort").
-        truths: by controller, by its own key.
-        locks: with times from `begin_ns`.
+        begin_ns, end_ns: the first and the last log time [ns]; other times count from `begin_ns`.
+        in_order: True if all messages have the same time; message numbers then replace times [1
+            "ns" each].
+        states: tracks by motor and quantity ("position", "velocity", "effort").
+        truths: tracks by controller and the controller's own key.
+        locks: lock events, with times from `begin_ns`.
     """
 
     rig: RigFacts
@@ -86,7 +83,7 @@ class Findings:
     lines: dict[str, ModbusLine] = field(default_factory=dict)
 
     def traffics(self) -> list[Traffic]:
-        """Of all buses and lines, by name."""
+        """Return the traffic of all buses and lines, by name."""
         found = [bus.traffic for bus in self.buses.values()]
         return sorted(found + [line.traffic for line in self.lines.values()], key=lambda t: t.name)
 
@@ -97,13 +94,13 @@ def collect(
     progress: Callable[[int], None] | None = None,
     data_bitrates: Mapping[str, int] | None = None,
 ) -> Findings:
-    """What the recording tells, of a cut one as far as it goes.
+    """Collect the contents of a recording; of a truncated one, as far as it is readable.
 
     Args:
         trace: the open recording.
-        bitrates: of CAN buses [bit/s]; they go before what the recording tells.
-        progress: called now and then with how many messages have been read.
-        data_bitrates: the same as bitrates, of the data phase of CAN FD.
+        bitrates: bit rates of CAN buses [bit/s]; they override the recording.
+        progress: called from time to time with the number of messages read.
+        data_bitrates: the same for the data phase of CAN FD.
 
     Raises:
         TraceError: the recording is damaged.
@@ -135,7 +132,7 @@ def collect(
 
 @final
 class _Pass:
-    """Hands each message to whom it concerns."""
+    """Dispatcher of messages to the handlers of their channels."""
 
     def __init__(self, found: Findings) -> None:
         self._found = found
@@ -223,8 +220,8 @@ class _Pass:
         self._found.locks.append(event)
         kind = _BAD_ACTIONS.get(event.action)
         if kind is not None:
-            who = event.owner or "somebody"
-            whose = f", which was {event.holder}'s" if event.holder else ""
+            who = event.owner or "unknown owner"
+            whose = f", held by {event.holder}" if event.holder else ""
             text = f"{who}: {kind.removeprefix('lock ')}, {motor}{whose}"
             self._found.incidents.add(time_ns, Severity.WARNING, kind, motor, text)
 
@@ -260,7 +257,7 @@ class _Pass:
 
 
 def lock_event(motor: str, time_ns: int, fields: Mapping[str, Value]) -> LockEvent:
-    """One message of `/motor/<name>/lock`, at this time."""
+    """Decode one message of `/motor/<name>/lock`."""
 
     def text(name: str) -> str:
         return str(fields.get(name, ""))
@@ -282,7 +279,7 @@ def lock_event(motor: str, time_ns: int, fields: Mapping[str, Value]) -> LockEve
 
 
 def _name_in(topic: str) -> str:
-    """What stands between the first part of a topic and its last, if it has three or more."""
+    """Return the topic between its first and last part, if it has three parts or more."""
     parts = topic.strip("/").split("/")
     return "/".join(parts[1:-1] if len(parts) > 2 else parts[1:]) or topic
 

@@ -1,23 +1,30 @@
-"""What the page draws, as one JSON document beside packed arrays."""
+"""Contents of the page: one JSON document and packed arrays."""
 
 from math import isfinite
 from typing import TYPE_CHECKING, Final
 
-from harness.report.collect import Findings
-from harness.report.incidents import Severity
-from harness.report.motors import Line, Motor, Plot, motors_of
-from harness.report.pack import Packed, Packer
-from harness.report.reduce import FRAMES_MAX, POINTS_MAX, cells, extremes, share
-from harness.report.responses import responses_of
-from harness.report.timelines import (
+from motorhil.harness.report.buses import Traffic
+from motorhil.harness.report.collect import Findings
+from motorhil.harness.report.events import Severity
+from motorhil.harness.report.motors import Line, Motor, Plot, motors_of
+from motorhil.harness.report.series import (
+    FRAMES_MAX,
+    POINTS_MAX,
+    Packed,
+    Packer,
+    cells,
+    extremes,
+    share,
+)
+from motorhil.harness.report.timelines import (
     Timeline,
     lock_timeline,
     mode_timeline,
     nmt_timeline,
     pds_timeline,
+    responses_of,
 )
-from harness.report.traffic import Traffic
-from traces.reader import Trace
+from motorhil.traces.mcap.reader import Trace
 
 if TYPE_CHECKING:
     from numpy import int64
@@ -26,7 +33,7 @@ if TYPE_CHECKING:
 Json = dict[str, object]
 FORMAT: Final = 1
 WALL_NS: Final = 10**15
-"""Log times from here on are of a calendar (11 days and more), not of a rig that began at 0."""
+"""Log times from here on (11 days and more) are wall times, not times of a rig that began at 0."""
 
 
 def document_of(
@@ -36,14 +43,14 @@ def document_of(
     points_max: int = POINTS_MAX,
     frames_max: int = FRAMES_MAX,
 ) -> tuple[Json, str]:
-    """(the document, the packed arrays as text).
+    """Return the document and the packed arrays as text.
 
     Args:
-        trace: it was read from.
-        found: in it.
-        title: of the page.
-        points_max: of all quantities together.
-        frames_max: of all buses together.
+        trace: the recording.
+        found: its contents.
+        title: title of the page.
+        points_max: limit of all quantities together.
+        frames_max: limit of all buses together.
     """
     span_ns = max(1, found.end_ns - found.begin_ns)
     packer = Packer(span_ns)
@@ -52,13 +59,13 @@ def document_of(
     points = sum(len(line.times_ns) for m in motors for p in m.plots for line in p.lines)
     if points > points_max:
         notes.append(
-            f"{points:,} points of quantities are drawn by about {points_max:,} of them: of each"
-            " stretch of time the first, the last, the lowest and the highest"
+            f"{points:,} points of quantities are reduced to about {points_max:,}: the first, "
+            "the last, the lowest and the highest of each stretch of time"
         )
     frames = sum(len(one.times_ns) for one in found.traffics())
     if frames > frames_max:
         notes.append(
-            f"{frames:,} frames are drawn as sums over short stretches of time, as the panels say"
+            f"{frames:,} frames are drawn as sums over short stretches of time; see the panels"
         )
     document: Json = {
         "format": FORMAT,
@@ -102,7 +109,7 @@ def _time(found: Findings, packer: Packer, span_ns: int) -> Json:
 
 
 def _facts(trace: Trace, found: Findings, span_ns: int) -> list[list[str]]:
-    """Lines of the head: what was recorded, when, by what."""
+    """Return the lines of the page's head: what was recorded, when, by which program."""
     facts: list[list[str]] = []
     if found.rig.name:
         facts.append(["rig", found.rig.name])
@@ -121,7 +128,7 @@ def _facts(trace: Trace, found: Findings, span_ns: int) -> list[list[str]]:
 
 
 def _notes(trace: Trace, found: Findings) -> list[str]:
-    """What one should know before believing the page."""
+    """Return the remarks on missing or reduced data."""
     notes: list[str] = []
     if not sum(found.messages.values()):
         notes.append("the recording holds no messages")
@@ -129,37 +136,40 @@ def _notes(trace: Trace, found: Findings) -> list[str]:
         more = f"; {trace.salvaged} messages of its last chunk were read" if trace.salvaged else ""
         notes.append(f"the file is {trace.cut}{more}")
     if found.in_order and found.messages:
-        notes.append("all messages have one time: the axis counts messages, rates are not drawn")
+        notes.append(
+            "all messages have the same time: the axis counts messages, rates are not drawn"
+        )
     if found.backward:
         notes.append(
-            f"{found.backward:,} messages are stamped earlier than the one before: drawn by stamp"
+            f"{found.backward:,} messages have earlier stamps than the previous one; they are "
+            "drawn by stamp"
         )
     for topic, count in found.unread.items():
         notes.append(f"{count:,} messages of {topic} cannot be read")
     for topic, count in found.not_drawn.items():
-        notes.append(f"{topic} ({count:,} messages) is of a kind that is not drawn")
+        notes.append(f"{topic} ({count:,} messages) has a type that is not drawn")
     for name, bus in found.buses.items():
         if bus.unmapped:
             notes.append(
-                f"{name}: of {bus.unmapped:,} frames that may be PDOs the mapping is not in the"
-                " recording, so their objects are not drawn"
+                f"{name}: the mapping of {bus.unmapped:,} possible PDOs is not in the "
+                "recording, so their objects are not drawn"
             )
         if bus.doubtful:
             notes.append(
-                f"{name}: {len(bus.doubtful):,} frames have identifiers of emergencies (081h to"
-                " 0FFh), but nothing on this bus is CANopen for certain: not taken for any"
+                f"{name}: {len(bus.doubtful):,} frames have identifiers of emergencies (081h "
+                "to 0FFh), but the bus has no certain CANopen frame; they are ignored"
             )
         untyped = sorted({n for b, n, _ in found.nodes.told if b == name} & bus.untyped)
         if any(found.nodes.is_drive(name, node) for node in untyped):
             nodes = ", ".join(str(node) for node in untyped)
             notes.append(
-                f"{name}: the device type 1000h of node {nodes} tells no profile; its objects are"
-                " read as those of CiA 402"
+                f"{name}: the device type 1000h of node {nodes} names no profile; its objects "
+                "are read as those of CiA 402"
             )
         if bus.switched:
             notes.append(
-                f"{name}: the data bit rate of {bus.switched:,} CAN FD frames is not in the"
-                " recording (give it by --data-bitrate): counted as if all were at the nominal one"
+                f"{name}: the data bit rate of {bus.switched:,} CAN FD frames is not in the "
+                "recording; they are counted at the nominal rate; give it with --data-bitrate"
             )
     return notes + found.incidents.left_out()
 
@@ -201,7 +211,7 @@ def _line(line: Line, packer: Packer, points: int, points_max: int) -> Json:
 
 
 def _summary(motor: Motor, packer: Packer) -> Json:
-    """Travel, top speed and largest following error, by the best that is told of each."""
+    """Return travel, top speed and largest following error, each from the best source."""
     import numpy as np
 
     told: Json = {}
@@ -291,7 +301,7 @@ def _groups(found: Findings, packer: Packer) -> list[Json]:
 
 
 def _finite(value: float | None) -> float | None:
-    """None also of what is no number: JSON has none for it."""
+    """Return None for a value that is not finite, since JSON cannot represent it."""
     return value if value is not None and isfinite(value) else None
 
 
@@ -331,7 +341,7 @@ def _traffic(traffic: Traffic, packer: Packer, frames: int, frames_max: int) -> 
 
 
 def _by_rank(traffic: Traffic, keys: "NDArray[int64]") -> "NDArray[int64]":
-    """The labels' numbers, when the labels stand in order."""
+    """Return the keys renumbered by the rank of their labels."""
     import numpy as np
 
     ranked = sorted(range(len(traffic.labels)), key=lambda n: (traffic.ranks[n], n))
@@ -341,7 +351,7 @@ def _by_rank(traffic: Traffic, keys: "NDArray[int64]") -> "NDArray[int64]":
 
 
 def _cell_width_ns(times: "NDArray[int64]", keys: "NDArray[int64]", budget: int) -> int:
-    """The width of cells of which there are at most so many, a power of two of 1 ms or less."""
+    """Return a cell width with at most `budget` cells: 125 us times a power of two."""
     import numpy as np
 
     width_ns = 125_000

@@ -1,28 +1,30 @@
-"""A layout for Foxglove (and Lichtblick) made for one recording: its motors, groups, buses, events.
+"""Layouts for Foxglove and Lichtblick, made for one recording.
 
-Plots take fields of our messages by message paths, `/topic.field`; a topic with other characters
-than letters, digits, "_", "-" and "/" stands in quotes. Source: Foxglove's documentation of
-layouts, message path syntax, and the panels Plot, StateTransitions, RosOut and Tab.
+Plots refer to fields by message paths, `/topic.field`. A topic with characters other than letters,
+digits, "_", "-" and "/" is quoted. Source: Foxglove's documentation of layouts, message path
+syntax, and the panels Plot, StateTransitions, RosOut and Tab.
 """
 
 import re
 from collections.abc import Iterable, Sequence
 from typing import Final
 
-from harness.report.rig_facts import facts_of
-from harness.report.truth import message_of
-from traces.reader import Trace
-from traces.schema import CAN_FRAME, GROUP_SYNC, JOINT_STATE, LOG, MOTOR_LOCK
+from motorhil.harness.report.events import message_of
+from motorhil.harness.report.rig import facts_of
+from motorhil.traces.mcap.reader import Trace
+from motorhil.traces.schema import CAN_FRAME, GROUP_SYNC, JOINT_STATE, LOG, MOTOR_LOCK
 
 Json = dict[str, object]
 _PLAIN_TOPIC: Final = re.compile(r"[A-Za-z0-9_/-]+")
 _COLOURS: Final = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#f0e442")
 _MOTORS_MAX: Final = 7
-"""Lines that one plot can hold apart by colour; more motors get a tab more."""
+"""Lines that can be distinguished by colour in one plot; more motors get another tab."""
 
 
 def layout_of(trace: Trace) -> Json:
-    """The layout, ready for JSON. All messages are read once: channels may come late in a file.
+    """Return the layout of a recording, ready for JSON.
+
+    All messages are read once, since channels may start late in a file.
 
     Raises:
         TraceError: the recording is damaged.
@@ -81,7 +83,7 @@ def layout_of(trace: Trace) -> Json:
 
 
 class _Panels:
-    """Configurations by identifier, numbered: the same recording gives the same layout."""
+    """Panel configurations by number, so that a recording always gives the same layout."""
 
     def __init__(self) -> None:
         self.configurations: dict[str, Json] = {}
@@ -150,7 +152,7 @@ class _Panels:
 
 
 def path_of(topic: str, field: str = "") -> str:
-    """A message path: the topic, in quotes where it must be, and a field of its messages."""
+    """Return a message path: the topic, quoted if necessary, and a field of its messages."""
     if not _PLAIN_TOPIC.fullmatch(topic):
         escaped = topic.replace("\\", "\\\\").replace('"', '\\"')
         topic = f'"{escaped}"'
@@ -158,12 +160,12 @@ def path_of(topic: str, field: str = "") -> str:
 
 
 def _groups(topics: list[str]) -> Iterable[tuple[str, list[str]]]:
-    """Motors whose names begin alike together ("drive_fl", "drive_fr"), so many as fit a plot."""
+    """Yield motors grouped by the start of their names, at most a plot's capacity each."""
     found: dict[str, list[str]] = {}
     for topic in topics:
         found.setdefault(re.split(r"[_0-9-]", _name(topic))[0] or "motors", []).append(topic)
     alone = [stem for stem, own in found.items() if len(own) == 1]
-    if len(alone) > 1:  # "pan" and "tilt"
+    if len(alone) > 1:  # such as "pan" and "tilt"
         together = [found.pop(stem)[0] for stem in alone]
         found[", ".join(alone[:3]) + (" and others" if len(alone) > 3 else "")] = together
     for stem, own in found.items():
@@ -178,7 +180,7 @@ def _name(topic: str) -> str:
 
 
 def _stack(parts: Sequence[object]) -> object:
-    """Panels one above the other, all of one height."""
+    """Return the panels stacked with equal heights."""
     if len(parts) == 1:
         return parts[0]
     return {

@@ -1,19 +1,19 @@
-"""What is known of each motor, as plots: position, velocity, following error, torque.
+"""Plots of each motor: position, velocity, following error, torque.
 
-The application's state is in rad or m. A drive counts in increments of its own: they become rad or
-m where the motor's model is in the recording, or where its truth tells a position in both; else
-they are drawn as increments. What is not told is not derived from something else, with two
-exceptions that say so: the velocity demand by differences of the position demand, and the following
-error of a drive that tells demand and actual position but not their difference.
+The application's state is in rad or m. A drive counts in its own increments. The motor's model, or
+a truth with a position in both units, allows a conversion to rad or m. Otherwise increments are
+drawn. Missing quantities are not derived from others, with two exceptions, which are labelled. The
+velocity demand is the slope of the position demand. The following error of a drive without 60F4h is
+its demand minus its actual position.
 """
 
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final, final
 
-from harness.report.collect import Findings
-from harness.report.nodes import Place, Told
-from harness.report.rig_facts import MotorFacts
-from harness.report.tracks import Track
+from motorhil.harness.report.buses import Place, Told
+from motorhil.harness.report.collect import Findings
+from motorhil.harness.report.rig import MotorFacts
+from motorhil.harness.report.series import Track
 
 if TYPE_CHECKING:
     from numpy import float64, int64
@@ -29,8 +29,12 @@ _TRAVEL_INC: Final = 1_000.0
 class Line:
     """One line of a plot.
 
-    Attributes: name; role ("demand", "actual", "truth", "target"); source (topic and field, or
-    object); held; times_ns, values (by time).
+    Attributes:
+        name: its name.
+        role: "demand", "actual", "truth" or "target".
+        source: topic and field, or object.
+        held: True if a value holds until the next one.
+        times_ns, values: by time, shape (n,) each.
     """
 
     name: str
@@ -44,7 +48,7 @@ class Line:
 @final
 @dataclass(slots=True)
 class Plot:
-    """One quantity in one unit; without lines it is not told, and `missing` says why."""
+    """One quantity in one unit; without lines it is missing, and `missing` gives the reason."""
 
     quantity: str
     unit: str
@@ -55,10 +59,15 @@ class Plot:
 @final
 @dataclass(slots=True)
 class Motor:
-    """A motor, or an axis of a node that no motor is known for.
+    """A motor, or an axis of a node without a known motor.
 
-    Attributes: name; about (where it is, in words); place; told (by its drive on a bus); plots (one
-    or more for each of `QUANTITIES`); scale (where its units are from, in words).
+    Attributes:
+        name: its name.
+        about: its place as a text.
+        place: bus, node and axis.
+        told: the values from its drive on a bus.
+        plots: one or more for each of `QUANTITIES`.
+        scale: the origin of its units, as a text.
     """
 
     name: str
@@ -71,7 +80,7 @@ class Motor:
 
 
 def motors_of(found: Findings) -> list[Motor]:
-    """All of them: the rig's, in its order, then those that only the recording tells of."""
+    """Return all motors: those of the rig in its order, then those known from data only."""
     facts = dict(found.rig.motors)
     covered = {one.controller for one in facts.values()}
     for name in found.states:
@@ -115,7 +124,7 @@ def _motor(found: Findings, facts: MotorFacts, place: Place | None = None) -> Mo
 
 
 def _truth_of(found: Findings, facts: MotorFacts) -> dict[str, Track]:
-    """The truth of its controller, of its own channel."""
+    """Return the truth of the motor's controller, for its own channel."""
     if facts.controller is None:
         return {}
     truth = found.truths.get(facts.controller, {})
@@ -126,18 +135,18 @@ def _truth_of(found: Findings, facts: MotorFacts) -> dict[str, Track]:
 
 
 def _scale(facts: MotorFacts, truth: dict[str, Track], unit: str) -> tuple[float | None, str]:
-    """Increments in one rad or m as its truth counts, and who says so."""
+    """Return the increments in one rad or m according to the truth, with their origin."""
     measured = _measured(truth)
     given = facts.increments_per_unit
     if measured is not None and (given is None or abs(given / measured - 1.0) > _SAME):
-        return measured, f"1 {unit} is {measured:,.2f} increments of its truth, by its own position"
+        return measured, f"1 {unit} is {measured:,.2f} increments, from the truth's position"
     if given is not None:
         return given, f"1 {unit} is {given:,.2f} increments, by {facts.model or 'its model'}"
-    return None, "what an increment is in rad or m is not in the recording"
+    return None, "the recording does not give the increments in one rad or m"
 
 
 def _measured(truth: dict[str, Track]) -> float | None:
-    """By a truth's position in both units; None: it has not moved far enough to tell."""
+    """Return the ratio of a truth's positions in both units; None: too little travel."""
     both = truth.get("position_inc"), truth.get("position_rad")
     if both[0] is None or both[1] is None or not len(both[0]):
         return None
@@ -150,7 +159,7 @@ def _measured(truth: dict[str, Track]) -> float | None:
 
 @final
 class _Builder:
-    """The plots of one motor."""
+    """Builder of the plots of one motor."""
 
     def __init__(self, facts: MotorFacts, unit: str, scale: float | None) -> None:
         self._facts = facts
@@ -160,7 +169,7 @@ class _Builder:
         self._roles: set[tuple[str, str]] = set()
 
     def plots(self) -> list[Plot]:
-        """By quantity; one that nothing tells of has a reason instead of lines."""
+        """Return the plots by quantity; a missing quantity has a reason instead of lines."""
         found: list[Plot] = []
         for quantity in QUANTITIES:
             own = [plot for (name, _), plot in self._plots.items() if name == quantity]
@@ -168,7 +177,7 @@ class _Builder:
         return found
 
     def add_state(self, state: dict[str, Track]) -> None:
-        """What the application knows of it."""
+        """Add the state known to the application."""
         topic = f"/motor/{self._facts.name}/state"
         unit = self._unit
         force = {"rad": "N·m", "m": "N"}.get(unit, "N·m or N")
@@ -184,7 +193,7 @@ class _Builder:
                 )
 
     def add_truth(self, truth: dict[str, Track]) -> None:
-        """What is so inside its controller."""
+        """Add the true state inside the controller."""
         topic = f"/controller/{self._facts.controller}/truth"
         for key, quantity, unit in (
             ("position_rad", "position", "rad"),
@@ -214,18 +223,18 @@ class _Builder:
             self._add_demand(topic, demand, position, truth["position_rad"])
 
     def _add_demand(self, topic: str, demand: Track, position: Track, true: Track) -> None:
-        """In rad: as far from where the plant is as the drive's counts say (homing moves both)."""
+        """Add the demand in rad, relative to the plant position, since homing moves both counts."""
         assert self._scale
         times, wanted = demand.sorted()
         values = true.sorted()[1] + (wanted - position.sorted()[1]) / self._scale
         name = f"{topic}.demand_inc"
         self._line("position", "rad", "demand", "demand (drive)", name, False, times, values)
         rates = differences(times, wanted / self._scale)
-        told = f"differences of {name}"
+        told = f"slope of {name}"
         self._line("velocity", "rad/s", "demand", "demand (slope)", told, True, times, rates)
 
     def add_told(self, told: Told) -> None:
-        """What its drive says on the bus; where the application or the truth say it, not again."""
+        """Add the drive's values from the bus, where application and truth have none."""
         facts = self._facts
         inc = facts.increments_per_unit
         for index, quantity, role, name in _TOLD:
@@ -293,21 +302,21 @@ _TOLD: Final = (
     (0x6077, "torque", "actual", "actual"),
 )
 _MISSING: Final = {
-    "position": "no position in the recording: neither a state nor a truth tells it, nor 6064h in"
-    " a known PDO",
-    "velocity": "no velocity in the recording: neither a state nor a truth tells it, nor 606Ch in"
-    " a known PDO",
-    "following error": "no following error in the recording: no truth tells it, nor 60F4h or"
-    " 6062h in a known PDO",
+    "position": "no position in the recording: not in a state, not in a truth, and no 6064h in "
+    "a known PDO",
+    "velocity": "no velocity in the recording: not in a state, not in a truth, and no 606Ch in "
+    "a known PDO",
+    "following error": "no following error in the recording: not in a truth, and no 60F4h or "
+    "6062h in a known PDO",
     "torque": "no torque in the recording",
 }
 
 
 def differences(times_ns: "NDArray[int64]", values: "NDArray[float64]") -> "NDArray[float64]":
-    """Rates [1/s] from each point to the next; 0 behind the last one.
+    """Return the rate [1/s] from each point to the next; 0 after the last one.
 
-    Where two have one time, the recorder tells a step behind a silence: it took a sampling period
-    at most, and the shortest time between two points stands for it.
+    Two points at the same time are a step after a pause in the recording. The step took one
+    sampling period at most; the shortest distance between two points is used for it.
     """
     import numpy as np
 
@@ -321,7 +330,7 @@ def differences(times_ns: "NDArray[int64]", values: "NDArray[float64]") -> "NDAr
 
 
 def difference(one: Track, other: Track) -> "tuple[NDArray[int64], NDArray[float64]]":
-    """One minus the other at every time at which either is told, from when both are."""
+    """Return one minus the other at every time of either, from the first common time on."""
     import numpy as np
 
     (t1, v1), (t2, v2) = one.sorted(), other.sorted()

@@ -1,4 +1,4 @@
-"""One HTML file that needs nothing but itself: template, style, script and data in one text."""
+"""Self-contained HTML file: template, style, script and data in one text."""
 
 import base64
 import hashlib
@@ -7,7 +7,7 @@ import re
 from importlib.resources import files
 from typing import Final
 
-from harness.report.document import Json
+from motorhil.harness.report.document import Json
 
 SCRIPTS: Final = (
     "data.js",
@@ -22,13 +22,13 @@ SCRIPTS: Final = (
 
 
 def render(document: Json, packed: str) -> str:
-    """The page. Nothing in it can name another place: its own policy forbids every connection.
+    """Return the page; its content security policy forbids every connection.
 
     Args:
-        document: as `harness.report.document` makes it.
-        packed: the arrays that it points into.
+        document: the document made by `document_of`.
+        packed: the arrays that it refers to.
     """
-    folder = files("harness.report") / "template"
+    folder = files("motorhil.harness.report") / "template"
     style = (folder / "page.css").read_text("utf-8")
     script = '"use strict";\n' + "\n".join((folder / name).read_text("utf-8") for name in SCRIPTS)
     told = json.dumps(document, ensure_ascii=False, separators=(",", ":"), allow_nan=False)
@@ -45,7 +45,7 @@ def render(document: Json, packed: str) -> str:
 
 
 def _policy(script: str, style: str) -> str:
-    """A content security policy: this script and this style, and nothing from anywhere."""
+    """Return a content security policy that allows only this script and this style."""
     return (
         f"default-src 'none'; img-src data:; script-src '{_digest(script)}';"
         f" style-src '{_digest(style)}'; base-uri 'none'; form-action 'none'"

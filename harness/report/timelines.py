@@ -1,24 +1,35 @@
-"""Which state, which owner, from when to when: bars in rows, one row a motor or node."""
+"""Timelines of states and owners: bars in rows, one row per motor or node.
+
+Response times of periodic messages: recorded, by theory, and allowed.
+
+The delay of a frame is not recorded, but later frames prove a part of it (see `measured`). The
+recorded response time is that part plus the duration of the shortest frame. The theory's bound uses
+the recorded periods and jitter, without errors. All times extend to the end of the intermission, as
+in the theory.
+"""
 
 from dataclasses import dataclass, field
 from typing import Final, final
 
-from harness.ownership_record import Ended, LockEvent, ownership_of
-from harness.report.can_bus import nmt_text
-from harness.report.collect import Findings
-from harness.report.motors import Motor
-from harness.report.tracks import Steps
-from traces.decode_cia402 import STATES, UNKNOWN_STATE, mode_text
-from traces.schema import LockAction
+from motorhil.harness.analysis.measured import Measured
+from motorhil.harness.analysis.message import Arrival
+from motorhil.harness.analysis.response_time import Response, response_times
+from motorhil.harness.recording.ownership import Ended, LockEvent, ownership_of
+from motorhil.harness.report.buses import nmt_text
+from motorhil.harness.report.collect import Findings
+from motorhil.harness.report.motors import Motor
+from motorhil.harness.report.series import Steps
+from motorhil.traces.decoding.cia402 import STATES, UNKNOWN_STATE, mode_text
+from motorhil.traces.schema import LockAction
 
 BARS_MAX: Final = 20_000
-"""In one row; of a state that flickers more often the rest is told as left out."""
+"""Limit for one row; the remaining bars are counted as left out."""
 
 
 @final
 @dataclass(frozen=True, slots=True)
 class Bar:
-    """From when to when [ns from the recording's beginning], which of the words, and details."""
+    """One bar: begin and end [ns from the recording's beginning], number of its word, details."""
 
     from_ns: int
     to_ns: int
@@ -30,7 +41,7 @@ class Bar:
 @final
 @dataclass(slots=True)
 class Row:
-    """One motor or node."""
+    """The row of one motor or node."""
 
     name: str
     bars: list[Bar] = field(default_factory=list)
@@ -42,8 +53,13 @@ class Row:
 class Timeline:
     """Rows of bars.
 
-    Attributes: title, about (where it is from), words (what a bar's number means), tones (how each
-    is drawn: "off", "idle", "ready", "on", "stop", "fault", "boot", or "" for one of many), rows.
+    Attributes:
+        title: the title.
+        about: the origin of the data.
+        words: the meaning of a bar's number.
+        tones: how each word is drawn: "off", "idle", "ready", "on", "stop", "fault", "boot", or ""
+            for one of many.
+        rows: the rows.
     """
 
     title: str
@@ -58,11 +74,11 @@ _NMT_TONES: Final = {0x00: "boot", 0x04: "stop", 0x05: "on", 0x7F: "idle"}
 
 
 def pds_timeline(found: Findings, motors: list[Motor], end_ns: int) -> Timeline:
-    """States of the PDS FSA: by statuswords, else by the truth of an emulated drive."""
+    """Return the PDS FSA states, from statuswords, else from the truth of an emulated drive."""
     words = [name for _, _, name in STATES] + ["no state"]
     line = Timeline(
         "PDS FSA",
-        "CiA 402 states, by statuswords 6041h seen on the bus; else by the drive's own truth",
+        "CiA 402 states, from statuswords 6041h on the bus; otherwise from the drive's own truth",
         words,
         list(_PDS_TONES),
     )
@@ -70,7 +86,7 @@ def pds_timeline(found: Findings, motors: list[Motor], end_ns: int) -> Timeline:
         steps = motor.told.pds if motor.told is not None else Steps()
         text = ""
         if not len(steps) and motor.truth_states is not None:
-            text = "by its truth"
+            text = "from its truth"
             for time_ns, code in zip(
                 motor.truth_states.times_ns, motor.truth_states.values, strict=True
             ):
@@ -82,11 +98,11 @@ def pds_timeline(found: Findings, motors: list[Motor], end_ns: int) -> Timeline:
 
 
 def nmt_timeline(found: Findings, motors: list[Motor], end_ns: int) -> Timeline:
-    """States of the NMT slaves, by what they send; nodes in the order of buses and numbers."""
+    """Return the NMT states from the nodes' own messages, in order of buses and node-IDs."""
     codes = sorted({c for told in found.nodes.told.values() for c in told.nmt.codes})
     line = Timeline(
         "NMT",
-        "CiA 301 states, by heartbeats and boot-ups",
+        "CiA 301 states, from heartbeats and boot-ups",
         [nmt_text(code) for code in codes],
         [_NMT_TONES.get(code, "off") for code in codes],
     )
@@ -103,7 +119,7 @@ def nmt_timeline(found: Findings, motors: list[Motor], end_ns: int) -> Timeline:
 
 
 def mode_timeline(motors: list[Motor], end_ns: int) -> Timeline:
-    """Modes of operation, as the drives display them."""
+    """Return the displayed modes of operation of the drives."""
     told = [(motor.name, motor.told.mode) for motor in motors if motor.told is not None]
     told = [(name, modes) for name, modes in told if len(modes)]
     codes = sorted({code for _, modes in told for code in modes.codes})
@@ -134,9 +150,9 @@ def _row(name: str, steps: Steps, end_ns: int, text: str) -> Row:
 
 
 def lock_timeline(found: Findings, end_ns: int) -> Timeline:
-    """Who held which motor, and who waited for it, from asking to having it."""
+    """Return the owners of each motor, and the waiting processes from request to grant."""
     words: list[str] = []
-    line = Timeline("Locks", "who held which motor; hatched: who waited for it", words, [])
+    line = Timeline("Locks", "owner of each motor; hatched: waiting for it", words, [])
     tenures = ownership_of(found.locks).tenures
     by_motor: dict[str, list[LockEvent]] = {}
     for event in found.locks:
@@ -151,9 +167,9 @@ def lock_timeline(found: Findings, end_ns: int) -> Timeline:
             own = f", by {one.owner}" if one.program else ""
             ended = "" if one.ended is Ended.RELEASED else f"; it {one.ended.value}"
             if one.ended is Ended.DIED:
-                ended = "; it died with it"
+                ended = "; it died as the owner"
             elif one.ended is Ended.RELEASED:
-                ended = "; it gave it back"
+                ended = "; it released it"
             text = f"{who} has {motor}{purpose}{own}{ended}"
             row.bars.append(Bar(one.from_ns, max(to_ns, one.from_ns), _word(words, who), text))
         row.bars += _waits(motor, by_motor[motor], words, end_ns)
@@ -166,7 +182,7 @@ def lock_timeline(found: Findings, end_ns: int) -> Timeline:
 
 
 def _waits(motor: str, events: list[LockEvent], words: list[str], end_ns: int) -> list[Bar]:
-    """From asking to having it, being refused, or the end of the recording."""
+    """Return the bars from request to grant, refusal, or the end of the recording."""
     bars: list[Bar] = []
     asked: dict[tuple[int, str], LockEvent] = {}
     over = (LockAction.TAKEN, LockAction.BROKEN, LockAction.TAKEN_OVER, LockAction.REFUSED)
@@ -194,13 +210,91 @@ def _waits(motor: str, events: list[LockEvent], words: list[str], end_ns: int) -
 
 
 def _who(program: str, pid: int, owner: str) -> str:
-    """The one who has it: a program where it is told, else a call."""
+    """Return the owner's name: its program if known, else its call."""
     if program:
         return f"{program} [{pid}]" if pid else program
-    return owner.partition(" of ")[0] or "somebody"
+    return owner.partition(" of ")[0] or "unknown owner"
 
 
 def _word(words: list[str], word: str) -> int:
     if word not in words:
         words.append(word)
     return words.index(word)
+
+
+Json = dict[str, object]
+MESSAGES_MAX: Final = 500
+"""Limit of analysed messages on one bus; more would take minutes."""
+
+
+def responses_of(found: Findings) -> list[Json]:
+    """Return the response times of every CAN bus with periodic messages, or a reason for none."""
+    if found.in_order:
+        return []
+    return [told for name in sorted(found.buses) if (told := _bus(found, name)) is not None]
+
+
+def _bus(found: Findings, name: str) -> Json | None:
+    bus = found.buses[name]
+    subject = bus.subject(found.rig.by_priority.get(name, frozenset()))
+    if subject is None:
+        return _told(name, why=bus.traffic.why_no_capacity)
+    load = subject.load
+    periodic = {
+        one.message.rank: one for one in subject.recorded if one.message.arrival is Arrival.PERIODIC
+    }
+    if not periodic:
+        return None
+    if len(load.messages) > MESSAGES_MAX:
+        return _told(
+            name, why=f"it has {len(load.messages)} messages; at most {MESSAGES_MAX} are analysed"
+        )
+    rates = load.bitrate_bit_s, load.data_bitrate_bit_s
+    messages = [
+        _message(one, periodic[one.message.rank], rates)
+        for one in response_times(load)
+        if one.message.rank in periodic
+    ]
+    sporadic = len(load.messages) - len(periodic)
+    used = f"utilisation at most {load.utilisation():.1%}"
+    others = f"; including {sporadic} sporadic messages" if sporadic else ""
+    about = f"{_rate(*rates)}, {used}{others}"
+    return _told(name, about=about, messages=messages, notes=list(subject.notes))
+
+
+def _told(
+    name: str,
+    about: str = "",
+    why: str = "",
+    messages: list[Json] | None = None,
+    notes: list[str] | None = None,
+) -> Json:
+    return {
+        "bus": name,
+        "about": about,
+        "why": why,
+        "messages": messages or [],
+        "notes": notes or [],
+    }
+
+
+def _message(one: Response, seen: Measured, rates: tuple[int, int | None]) -> Json:
+    message = one.message
+    frame_ns = (seen.shortest or message.shortest).time_ns(*rates)
+    return {
+        "label": message.label,
+        "name": message.name,
+        "sender": message.sender,
+        "bytes": f"{message.length} FD" if message.fd else str(message.length),
+        "frames": seen.frames,
+        "period_s": message.period_ns / 1e9,
+        "least_s": frame_ns / 1e9,
+        "usual_s": (frame_ns + seen.usual_late_ns) / 1e9,
+        "most_s": (frame_ns + message.jitter_ns) / 1e9,
+        "bound_s": None if one.response_ns is None else one.response_ns / 1e9,
+        "deadline_s": None if message.deadline_ns is None else message.deadline_ns / 1e9,
+    }
+
+
+def _rate(rate: int, data_rate: int | None) -> str:
+    return f"{rate} bit/s" if data_rate is None else f"{rate} bit/s, data {data_rate} bit/s"

@@ -1,1 +1,1 @@
-"""Adaptations of the motor interface to hardware, and the hardware classes they contain."""
+"""Adaptations of the motor interface to hardware, with their hardware classes."""

@@ -1,20 +1,18 @@
 """The Math Function API: functions as values, for trajectories of any profile.
 
-Source: the paper, 3.3.1 and Figure 6. What holds for all of them: `motorapi.functions.function`.
-This package loads numpy; `motorapi` itself does not.
+Source: the paper, 3.3.1 and Figure 6. The class `Function` documents the common rules. This package
+imports numpy; `motorapi` itself does not.
 """
 
-from motorapi.errors import DomainError
-from motorapi.functions.combined import Composition, Product, Sum
-from motorapi.functions.exponential import Exponential
-from motorapi.functions.function import Extrema, Function
-from motorapi.functions.integrals import Integral
-from motorapi.functions.moved import Scaled, Shifted
-from motorapi.functions.piecewise import Piecewise
-from motorapi.functions.polynomial import Constant, Polynomial
-from motorapi.functions.sampled import Interpolation, Sampled
-from motorapi.functions.splines import Ends
-from motorapi.functions.waves import Cosine, Sine
+from motorhil.motorapi.errors import DomainError
+from motorhil.motorapi.functions.algebra import Composition, Product, Sum
+from motorhil.motorapi.functions.base import Extrema, Function
+from motorhil.motorapi.functions.integrals import Integral
+from motorhil.motorapi.functions.piecewise import Piecewise
+from motorhil.motorapi.functions.polynomial import Constant, Polynomial
+from motorhil.motorapi.functions.sampled import Ends, Interpolation, Sampled
+from motorhil.motorapi.functions.transforms import Scaled, Shifted
+from motorhil.motorapi.functions.waves import Cosine, Exponential, Sine
 
 __all__ = [
     "Composition",

@@ -1,4 +1,4 @@
-"""Antiderivatives that have no closed form, or none that keeps its digits."""
+"""Antiderivatives without a closed form that keeps its digits."""
 
 from fractions import Fraction
 from math import inf
@@ -6,10 +6,10 @@ from typing import Final, final
 
 import numpy as np
 
-from motorapi.errors import UsageError
-from motorapi.functions.exact import nearest
-from motorapi.functions.function import FloatArray, Function
-from motorapi.functions.polynomial import Polynomial
+from motorhil.motorapi.errors import UsageError
+from motorhil.motorapi.functions.base import FloatArray, Function
+from motorhil.motorapi.functions.polynomial import Polynomial
+from motorhil.motorapi.functions.polynomial_math import nearest
 
 _STEPS: Final = 64
 _STEPS_MAX: Final = 4096
@@ -17,30 +17,32 @@ _STEPS_MAX: Final = 4096
 
 @final
 class Integral(Function):
-    """x -> the integral of a function up to x, from where its domain begins (or from 0).
+    """x -> the integral of a function up to x, from the lower end of its domain (or from 0).
 
-    By quadrature (`motorapi.functions.quadrature`): up to the nearest of equal steps once, and from
-    there for each value. What a value is does not depend on which were asked for before. There are
-    64 steps in a domain with two ends; otherwise they are 1 long, as far as the first 4096 reach.
+    The integral up to the nearest of equal steps is computed once by quadrature, and the rest for
+    each value. A value does not depend on earlier calls. A bounded domain has 64 steps; otherwise
+    steps have length 1, up to the first 4096.
     """
 
     __slots__ = ("_sums", "function")
 
     function: Function
-    _sums: dict[int, tuple[Fraction, ...]]  # by direction, up to each step: those found so far
+    _sums: dict[
+        int, tuple[Fraction, ...]
+    ]  # by direction, the integrals up to each step computed so far
 
     def __init__(self, function: Function) -> None:
         if not isinstance(function, Function):
-            raise UsageError(f"Integral: {function!r} is no function")
+            raise UsageError(f"Integral: {function!r} is not a function")
         self._keep(function=function, _sums={1: (Fraction(0),), -1: (Fraction(0),)})
 
     @property
     def domain(self) -> tuple[float, float]:
-        """That of the function."""
+        """The domain of the function."""
         return self.function.domain
 
     def value(self, argument: float) -> float:
-        """By quadrature, from the step before."""
+        """Return the value by quadrature from the preceding step."""
         x, origin = self._inside(argument), self._origin()
         low, high = self.domain
         length = (high - low) / _STEPS if high - low < inf else 1.0
@@ -53,7 +55,7 @@ class Integral(Function):
         return nearest(self._sum(direction, step, length) + Fraction(rest))
 
     def _sum(self, direction: int, step: int, length: float) -> Fraction:
-        """The integral up to a step; all the steps before it are kept."""
+        """Return the integral up to a step; the integrals of all steps before it are cached."""
         sums, origin = self._sums[direction], self._origin()
         if step >= len(sums):
             found = list(sums)
@@ -70,7 +72,7 @@ class Integral(Function):
         return self.function.derivative(order - 1)
 
     def integral(self) -> Function:
-        """By parts: with x counted from the beginning, x times this less that of x times f."""
+        """Return the integral by parts: way * F - integral of way * f, way from the origin."""
         way = Polynomial((0.0, 1.0), self._origin())
         return way * self - Integral(way * self.function)
 
@@ -81,15 +83,15 @@ class Integral(Function):
         return start + min(0.0, least * width), start + max(0.0, most * width)
 
     def breaks_between(self, low: float, high: float) -> tuple[float, ...]:
-        """Those of the function."""
+        """Return the breaks of the function."""
         return self.function.breaks_between(low, high)
 
     def is_smooth(self, low: float, high: float) -> bool:
-        """Whether the function is."""
+        """Return True if the function is smooth in ]low, high]."""
         return self.function.is_smooth(low, high)
 
     def times(self, number: float) -> Function:
-        """The integral of so many times the function."""
+        """Return the integral of the function multiplied by `number`."""
         return Integral(self.function.times(number))
 
     def _parameters(self) -> tuple[object, ...]:
@@ -97,6 +99,6 @@ class Integral(Function):
 
 
 def anchored(antiderivative: Function, origin: float) -> Function:
-    """The antiderivative that is 0 at `origin`."""
+    """Return the antiderivative that is 0 at `origin`."""
     value = antiderivative.value(origin)
     return antiderivative - value if value else antiderivative

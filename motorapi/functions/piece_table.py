@@ -1,14 +1,15 @@
-"""The polynomials of a piecewise function as one table, for whole arrays of arguments.
+"""The polynomials of a piecewise function as a table, for arrays of arguments.
 
-Column i of the table holds piece i: where it is about, and its coefficients, the missing high ones
-0. Arguments are taken in blocks that stay in a core's cache: which piece, what local argument, and
-Horner's scheme in place; the same operations in the same order as for one number.
+Column i of the table holds piece i: its expansion point and its coefficients, with zeros for
+missing high powers. Arguments are processed in blocks that fit into a core's cache: find the piece,
+compute the local argument, apply Horner's scheme in place. The operations and their order are the
+same as for one number.
 
-Which piece: in a block in ascending order, as a sampled course has it, the few breaks are looked up
-among the arguments. In any other, the domain is cut into equal cells, and a guide tells how many
-breaks lie in the cells before an argument's; what lies in its own cell is compared. Cells are found
-by operations that never turn two arguments round, so this is exact. Where breaks crowd too much
-for that, they are searched.
+To find the piece in a block of ascending arguments, as in a sampled profile, the few breaks are
+looked up among the arguments. For any other block, the domain is divided into equal cells. A guide
+table gives the number of breaks in the cells before that of the argument; the breaks in its own
+cell are compared. Cell numbers come from operations that never reverse the order of two arguments,
+so the result is exact. If breaks are too dense for that, they are searched by bisection.
 """
 
 from collections.abc import Sequence
@@ -18,24 +19,26 @@ from typing import Final, TypeAlias, final
 import numpy as np
 from numpy.typing import NDArray
 
-from motorapi.functions.function import FloatArray
+from motorhil.motorapi.functions.base import FloatArray
 
 Pieces: TypeAlias = NDArray[np.intp]
-Runs: TypeAlias = tuple[int, int, Pieces]  # the first piece, after the last, arguments in each
+Runs: TypeAlias = tuple[
+    int, int, Pieces
+]  # first piece, piece after the last one, number of arguments in each
 
 _BLOCK: Final = 32768
-_CELLS: Final = 4  # for each piece, but no more than
+_CELLS: Final = 4  # per piece, up to the maximum
 _CELLS_MAX: Final = 1 << 20
 _CROWD: Final = 4  # breaks in a cell
 
 
 @final
 class PieceTable:
-    """Evaluates many polynomials, each over its own piece.
+    """Evaluator of many polynomials, each over its own piece.
 
     Args:
-        breaks: ascending, one more than there are pieces.
-        abouts: where each piece's local argument is 0.
+        breaks: ascending, one more than pieces.
+        abouts: expansion point of each piece.
         coefficients: of each piece, ascending.
     """
 
@@ -55,7 +58,7 @@ class PieceTable:
             self._rows[length - len(row) :, i] = row[::-1]
 
     def values(self, arguments: FloatArray) -> FloatArray:
-        """The values at a flat array of arguments, all in the domain; a new array."""
+        """Return the values at a flat array of arguments in the domain, as a new array."""
         result = np.empty_like(arguments)
         for start in range(0, len(arguments), _BLOCK):
             block = arguments[start : start + _BLOCK]
@@ -91,17 +94,17 @@ class PieceTable:
 
 @final
 class PieceFinder:
-    """Tells which piece arguments are in.
+    """Finder of the piece of an argument.
 
     Args:
-        breaks: ascending, one more than there are pieces.
+        breaks: ascending, one more than pieces.
     """
 
     __slots__ = ("_cells", "_crowd", "_guide", "_inner", "_lowest", "_next")
 
     def __init__(self, breaks: Sequence[float]) -> None:
         self._inner = np.array(breaks[1:-1], dtype=np.float64)
-        self._next = np.append(self._inner, np.inf)  # what an argument may be beyond, by piece
+        self._next = np.append(self._inner, np.inf)  # upper break of each piece
         self._lowest, self._cells, self._crowd = breaks[0], 0.0, _CROWD + 1
         self._guide = np.zeros(1, dtype=np.intp)
         count = min(_CELLS * (len(breaks) - 1), _CELLS_MAX)
@@ -119,7 +122,7 @@ class PieceFinder:
         return ways.astype(np.intp)
 
     def runs_of(self, arguments: FloatArray) -> Runs | None:
-        """Of arguments in ascending order, at least one, the pieces; None: in any other order."""
+        """Return the pieces of ascending arguments, at least one; None for any other order."""
         if not (arguments[0] <= arguments[-1] and (arguments[1:] >= arguments[:-1]).all()):
             return None
         first, last = self._inner.searchsorted(arguments[[0, -1]], side="right").tolist()
@@ -127,7 +130,7 @@ class PieceFinder:
         return first, last + 1, np.diff(ends, prepend=0, append=len(arguments))
 
     def pieces_of(self, arguments: FloatArray) -> Pieces:
-        """The number of the piece of each argument; at a break, of the one that begins there."""
+        """Return the piece index of each argument; at a break, of the one that begins there."""
         if self._crowd > _CROWD:
             return self._inner.searchsorted(arguments, side="right")
         piece = self._guide.take(self._cell(arguments), mode="clip")

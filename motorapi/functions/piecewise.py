@@ -1,4 +1,4 @@
-"""Functions put together side by side: a composite that is itself a function."""
+"""Piecewise functions: pieces side by side form one function."""
 
 from bisect import bisect_left, bisect_right
 from collections.abc import Iterable, Iterator, Sequence
@@ -8,30 +8,30 @@ from typing import Final, final
 
 import numpy as np
 
-from motorapi.commands import as_number
-from motorapi.errors import UsageError
-from motorapi.functions.exact import Exact, nearest
-from motorapi.functions.function import LARGEST, Extrema, FloatArray, Function, finite
-from motorapi.functions.piece_table import PieceFinder, PieceTable
-from motorapi.functions.polynomial import Horner, Polynomial, polynomial
+from motorhil.motorapi.commands import as_number
+from motorhil.motorapi.errors import UsageError
+from motorhil.motorapi.functions.base import LARGEST, Extrema, FloatArray, Function, finite
+from motorhil.motorapi.functions.piece_table import PieceFinder, PieceTable
+from motorhil.motorapi.functions.polynomial import Horner, Polynomial, polynomial
+from motorhil.motorapi.functions.polynomial_math import Exact, nearest
 
 _SHOWN: Final = 4  # pieces in a repr
 
 
 @final
 class Piecewise(Function):
-    """`pieces[i]` from `breaks[i]` on, up to `breaks[i + 1]`, where the next one begins.
+    """`pieces[i]` from `breaks[i]` up to `breaks[i + 1]`, where the next one begins.
 
-    The last piece holds at the last break too. A piece is called with the argument as it is: for
-    digits that do not cancel, make polynomials about their own left break, as `of_polynomials`
-    does. Pieces that are piecewise themselves are taken apart.
+    The last piece also holds at the last break. A piece is called with the unchanged argument. To
+    avoid cancellation, expand polynomials about their own left break, as `of_polynomials` does.
+    Pieces that are piecewise themselves are flattened.
 
     Args:
-        breaks: ascending strictly, one more than pieces; the first may be -inf, the last inf.
-        pieces: at least one; each has its whole interval in its domain.
+        breaks: strictly ascending, one more than pieces; the first may be -inf, the last inf.
+        pieces: at least one; the domain of each contains its whole interval.
 
     Raises:
-        UsageError: an argument is not as stated.
+        UsageError: an argument violates these conditions.
     """
 
     __slots__ = ("_high", "_inner", "_low", "_rows", "_table", "breaks", "pieces")
@@ -41,14 +41,16 @@ class Piecewise(Function):
     _low: float
     _high: float
     _inner: tuple[float, ...]
-    _rows: tuple[Horner, ...]  # () if not all are polynomials
-    _table: PieceTable | None  # made when first asked for
+    _rows: tuple[Horner, ...]  # () unless all pieces are polynomials
+    _table: PieceTable | None  # created on first use
 
     def __init__(self, breaks: Iterable[float], pieces: Iterable[Function]) -> None:
         try:
             told, parts = tuple(map(as_number, breaks)), tuple(pieces)
         except TypeError as error:
-            raise UsageError("Piecewise: breaks and pieces are sequences") from error
+            raise UsageError(
+                "Piecewise: breaks or pieces is not a sequence; give two sequences"
+            ) from error
         _check(told, parts)
         edges, flat = _taken_apart(told, parts)
         rows = tuple(p.horner for p in flat if isinstance(p, Polynomial))
@@ -66,11 +68,13 @@ class Piecewise(Function):
     def of_polynomials(
         cls, breaks: Sequence[float], coefficients: Iterable[Iterable[float]]
     ) -> "Piecewise":
-        """Polynomials in local arguments: `coefficients[i]`, ascending, in x - breaks[i]."""
+        """Return polynomials in local arguments: `coefficients[i]`, ascending, in x - breaks[i]."""
         try:
             edges, rows = tuple(breaks), list(coefficients)
         except TypeError as error:
-            raise UsageError("Piecewise: breaks and coefficients are sequences") from error
+            raise UsageError(
+                "Piecewise: breaks or coefficients is not a sequence; give two sequences"
+            ) from error
         if len(edges) != len(rows) + 1:
             raise UsageError(
                 f"Piecewise: {len(rows)} pieces need {len(rows) + 1} breaks, not {len(edges)}"
@@ -79,27 +83,29 @@ class Piecewise(Function):
 
     @classmethod
     def joined(cls, first: Function, *others: Function) -> "Piecewise":
-        """One after another: each is shifted so that it begins where the one before ends.
+        """Return the functions in sequence, each shifted to begin where the one before ends.
 
         Raises:
-            UsageError: one that has a neighbour on a side has no end there.
+            UsageError: a function is unbounded on a side that has a neighbour.
         """
         edges, pieces = [first.domain[0]], [first]
         for one in others:
             end, begin = pieces[-1].domain[1], one.domain[0]
             if not (isfinite(end) and isfinite(begin)):
-                raise UsageError("Piecewise: what is joined needs domains that end; restrict it")
+                raise UsageError(
+                    "Piecewise: cannot join a function with an unbounded domain; restrict it first"
+                )
             edges.append(end)
             pieces.append(one.shifted(end - begin))
         return cls([*edges, pieces[-1].domain[1]], pieces)
 
     @property
     def domain(self) -> tuple[float, float]:
-        """From the first break to the last."""
+        """The interval from the first break to the last."""
         return self.breaks[0], self.breaks[-1]
 
     def value(self, argument: float) -> float:
-        """Of the piece that the argument is in; at a break, of the one that begins there."""
+        """Return the value of the piece there; at a break, of the one that begins there."""
         if not self._low <= argument <= self._high:
             self._refuse(argument)
         piece = bisect_right(self._inner, argument)
@@ -135,7 +141,7 @@ class Piecewise(Function):
         return Piecewise(self.breaks, [piece.derivative(order) for piece in self.pieces])
 
     def integral(self) -> Function:
-        """Continuous, from piece to piece; about the left breaks where these are polynomials."""
+        """Return the continuous integral, with polynomial pieces about their left breaks."""
         sums = self._sums()
         pieces = list[Function]()
         for i, piece in enumerate(self.pieces):
@@ -149,14 +155,14 @@ class Piecewise(Function):
         return Piecewise(self.breaks, pieces)
 
     def _anchor(self, piece: int) -> float:
-        """Where a piece's integral is known: at its left end, if it has one."""
+        """Return the argument at which a piece's integral is known: its left end, if finite."""
         left, right = self.breaks[piece], self.breaks[piece + 1]
         if isfinite(left):
             return left
         return right if isfinite(right) else 0.0
 
     def _sums(self) -> list[Fraction]:
-        """The integral up to the anchor of each piece."""
+        """Return the integral up to the anchor of each piece."""
         origin = self._origin()
         sums = [-_exact(self, self._anchor(0), origin)]
         for i in range(1, len(self.pieces)):
@@ -168,18 +174,18 @@ class Piecewise(Function):
 
     @property
     def is_polynomial(self) -> bool:
-        """Whether all the pieces are polynomials."""
+        """True if all pieces are polynomials."""
         return bool(self._rows)
 
     def exact_integral(self, low: float, high: float) -> Fraction:
-        """The definite integral, `low` <= `high`, rounded nowhere but in pieces of other kinds."""
+        """Return the definite integral, `low` <= `high`, rounded only in non-polynomial pieces."""
         return sum(
             (_exact(piece, left, right) for piece, left, right in self.within(low, high)),
             Fraction(0),
         )
 
     def within(self, low: float, high: float) -> Iterator[tuple[Function, float, float]]:
-        """The pieces that [low, high] meets, each with its part of it."""
+        """Yield the pieces that intersect [low, high], each with its part of the interval."""
         for i in range(bisect_right(self._inner, low), bisect_left(self._inner, high) + 1):
             yield self.pieces[i], max(self.breaks[i], low), min(self.breaks[i + 1], high)
 
@@ -188,7 +194,9 @@ class Piecewise(Function):
             (piece, left, right if right == high else nextafter(right, -inf))
             for piece, left, right in self.within(low, high)
         ]
-        if bisect_right(self._inner, high) > bisect_left(self._inner, high):  # the break counts
+        if bisect_right(self._inner, high) > bisect_left(
+            self._inner, high
+        ):  # the value at the break counts
             parts[-1] = (*parts[-1][:2], nextafter(high, -inf))
             parts.append((self.pieces[bisect_right(self._inner, high)], high, high))
         ends = [(piece.value(x), x) for piece, *both in parts for x in both]
@@ -196,7 +204,7 @@ class Piecewise(Function):
         most = max(ends, key=lambda end: (end[0], -end[1]))
         for piece, left, right in parts:
             if isinstance(piece, Polynomial) and piece.degree < 2:
-                continue  # extreme at its ends
+                continue  # its extrema are at its ends
             lowest, highest = piece.bounds(left, right)
             if left < right and (lowest < least[0] or highest > most[0]):
                 found = piece.extrema(left, right)
@@ -211,14 +219,14 @@ class Piecewise(Function):
         return min(end, *(p[0] for p in parts)), max(end, *(p[1] for p in parts))
 
     def breaks_between(self, low: float, high: float) -> tuple[float, ...]:
-        """Its own, and those of its pieces."""
+        """Return its own breaks and those of its pieces."""
         found = list(self._inner[bisect_right(self._inner, low) : bisect_left(self._inner, high)])
         for piece, left, right in self.within(low, high):
             found.extend(piece.breaks_between(left, right))
         return tuple(sorted(found))
 
     def is_smooth(self, low: float, high: float) -> bool:
-        """Whether it is all in one piece, which is smooth there."""
+        """Return True if the interval lies in one piece that is smooth there."""
         first, last = bisect_right(self._inner, low), bisect_right(self._inner, high)
         return first == last and self.pieces[first].is_smooth(low, high)
 
@@ -226,16 +234,16 @@ class Piecewise(Function):
         return self.breaks, self.pieces
 
     def times(self, number: float) -> Function:
-        """Piece by piece."""
+        """Return the function with every piece multiplied by `number`."""
         return Piecewise(self.breaks, [piece.times(number) for piece in self.pieces])
 
     def shifted(self, offset: float) -> Function:
-        """Piece by piece."""
+        """Return the function with every piece shifted."""
         way = finite("Piecewise", "offset", offset)
         return Piecewise([b + way for b in self.breaks], [p.shifted(way) for p in self.pieces])
 
     def scaled(self, factor: float) -> Function:
-        """Piece by piece; turned round, the breaks count from their other side."""
+        """Return the function with every piece scaled; a negative factor reverses the order."""
         number = finite("Piecewise", "factor", factor)
         if number == 0.0:
             raise UsageError("Piecewise: the argument cannot be scaled by 0")
@@ -266,19 +274,19 @@ def _check(breaks: Sequence[float], pieces: Sequence[object]) -> None:
                 f"Piecewise: break {i + 1} is {right!r}, not above break {i}, {left!r}"
             )
         if not isinstance(piece, Function):
-            raise UsageError(f"Piecewise: piece {i} is {piece!r}, no function")
+            raise UsageError(f"Piecewise: piece {i} is {piece!r}, not a function")
         low, high = piece.domain
         if not (low <= left and right <= high):
             raise UsageError(
-                f"Piecewise: piece {i} is for {left!r} to {right!r}, but {piece!r} is known from"
-                f" {low!r} to {high!r} only"
+                f"Piecewise: piece {i} is for {left!r} to {right!r}, but the domain of "
+                f"{piece!r} is {low!r} to {high!r} only"
             )
 
 
 def _taken_apart(
     breaks: Sequence[float], pieces: Sequence[Function]
 ) -> tuple[tuple[float, ...], tuple[Function, ...]]:
-    """The same without pieces that are piecewise."""
+    """Return the same breaks and pieces with piecewise pieces flattened."""
     edges, flat = [breaks[0] + 0.0], list[Function]()
     for i, piece in enumerate(pieces):
         if isinstance(piece, Piecewise):
@@ -292,7 +300,7 @@ def _taken_apart(
 
 
 def _exact(function: Function, low: float, high: float) -> Fraction:
-    """The integral; unrounded where the function is made of polynomials."""
+    """Return the integral, unrounded for (piecewise) polynomials."""
     if low > high:
         return -_exact(function, high, low)
     if isinstance(function, Piecewise | Polynomial):

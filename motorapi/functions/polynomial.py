@@ -1,4 +1,4 @@
-"""Polynomials, and constants as the simplest of them."""
+"""Polynomials, with constants as the simplest case."""
 
 from collections.abc import Iterable
 from fractions import Fraction
@@ -7,30 +7,28 @@ from typing import Final, TypeAlias, final
 
 import numpy as np
 
-from motorapi.errors import UsageError
-from motorapi.functions.exact import Exact, nearest
-from motorapi.functions.function import LARGEST, Extrema, FloatArray, Function, finite
-from motorapi.functions.polynomial_extrema import candidates, range_over
+from motorhil.motorapi.errors import UsageError
+from motorhil.motorapi.functions.base import LARGEST, Extrema, FloatArray, Function, finite
+from motorhil.motorapi.functions.polynomial_math import Exact, candidates, nearest, range_over
 
 Horner: TypeAlias = tuple[float, float, tuple[float, ...]]
 _SHOWN: Final = 8  # coefficients in a repr
 
 
 class Polynomial(Function):
-    """c0 + c1 (x - about) + c2 (x - about)² + ...; zeros at the end are dropped.
+    """c0 + c1 (x - about) + c2 (x - about)² + ...; trailing zeros are dropped.
 
-    Sums, products, derivatives, integrals and compositions of polynomials are polynomials, with
-    every coefficient the nearest double to the true one. Of two with different places, the sum
-    and the product are about that of the higher degree (of the left one, if they are equal).
-
-    Choose `about` near the arguments it is for: at arguments far from it terms cancel.
+    Sums, products, derivatives, integrals and compositions of polynomials are polynomials. Every
+    coefficient is the nearest double to the exact one. The sum or product of two polynomials about
+    different points is about that of the higher degree (the left one if equal). Choose `about` near
+    the arguments in use: terms cancel at arguments far from it.
 
     Args:
         coefficients: ascending, at least one; finite.
-        about: where the local argument is 0; finite.
+        about: expansion point, where the local argument is 0; finite.
 
     Raises:
-        UsageError: an argument is not as stated.
+        UsageError: an argument violates these conditions.
     """
 
     __slots__ = ("_rest", "_top", "about", "coefficients")
@@ -49,7 +47,7 @@ class Polynomial(Function):
             ) from error
         numbers = [finite("Polynomial", f"coefficient {k}", c) + 0.0 for k, c in enumerate(told)]
         if not numbers:
-            raise UsageError("Polynomial: there is no coefficient; 0 is Constant(0.0)")
+            raise UsageError("Polynomial: no coefficients; use Constant(0.0) for 0")
         while len(numbers) > 1 and numbers[-1] == 0.0:
             numbers.pop()
         self._keep(
@@ -62,23 +60,23 @@ class Polynomial(Function):
     @property
     @final
     def domain(self) -> tuple[float, float]:
-        """Everywhere."""
+        """The real line."""
         return -inf, inf
 
     @property
     @final
     def degree(self) -> int:
-        """The highest power with a coefficient that is not 0; 0 for constants."""
+        """The highest power with a coefficient other than 0; 0 for constants."""
         return len(self.coefficients) - 1
 
     @property
     @final
     def horner(self) -> Horner:
-        """What Horner's scheme needs: about, the highest coefficient, the others descending."""
+        """Data for Horner's scheme: about, the highest coefficient, the others descending."""
         return self.about, self._top, self._rest
 
     def value(self, argument: float) -> float:
-        """By Horner's scheme in x - about."""
+        """Return the value by Horner's scheme in x - about."""
         if not -LARGEST <= argument <= LARGEST:
             self._refuse(argument)
         local = argument - self.about
@@ -104,7 +102,7 @@ class Polynomial(Function):
         return polynomial(scaled or [0.0], self.about)
 
     def integral(self) -> Function:
-        """The antiderivative that is 0 at 0, about the same place."""
+        """Return the antiderivative that is 0 at 0, about the same point."""
         raised = self.exact().integral()
         start = Exact.of([-raised.value(-Fraction(self.about))])
         return polynomial(raised.plus(start).rounded(), self.about)
@@ -113,7 +111,7 @@ class Polynomial(Function):
         return nearest(self.exact_integral(low, high))
 
     def exact_integral(self, low: float, high: float) -> Fraction:
-        """The definite integral, unrounded."""
+        """Return the definite integral, unrounded."""
         raised, about = self.exact().integral(), Fraction(self.about)
         return raised.value(Fraction(high) - about) - raised.value(Fraction(low) - about)
 
@@ -131,13 +129,13 @@ class Polynomial(Function):
         return self.coefficients, self.about
 
     def moved_to(self, about: float) -> "Polynomial":
-        """The same polynomial about another place, its coefficients rounded once."""
+        """Return the same polynomial about another point, its coefficients rounded once."""
         if about == self.about:
             return self
         return polynomial(self.exact(about).rounded(), about)
 
     def exact(self, about: float | None = None) -> Exact:
-        """The coefficients, unrounded; about another place, if one is given."""
+        """Return the unrounded coefficients, about another point if `about` is given."""
         coefficients = Exact.of(self.coefficients)
         if about is None or about == self.about:
             return coefficients
@@ -145,19 +143,19 @@ class Polynomial(Function):
 
     @final
     def times(self, number: float) -> Function:
-        """Coefficient by coefficient."""
+        """Return the polynomial with every coefficient multiplied by `number`."""
         factor = finite("Polynomial", "a factor", number)
         return polynomial([c * factor for c in self.coefficients], self.about)
 
     @final
     def shifted(self, offset: float) -> Function:
-        """Exact, but for the rounding of about + offset."""
+        """Return the shifted polynomial, exact except for the rounding of about + offset."""
         about = self.about + finite(repr(self), "offset", offset)
         return self if self.degree == 0 else polynomial(self.coefficients, about)
 
     @final
     def scaled(self, factor: float) -> Function:
-        """With coefficients c_k / factor^k."""
+        """Return the polynomial with coefficients c_k / factor^k."""
         number = finite(repr(self), "factor", factor)
         if number == 0.0:
             raise UsageError(f"{self!r}: the argument cannot be scaled by 0")
@@ -174,7 +172,7 @@ class Polynomial(Function):
 
 @final
 class Constant(Polynomial):
-    """The same value everywhere."""
+    """A constant function."""
 
     __slots__ = ()
 
@@ -182,7 +180,7 @@ class Constant(Polynomial):
         super().__init__((finite("Constant", "value", value),))
 
     def value(self, argument: float) -> float:
-        """Whatever the argument, if it is finite."""
+        """Return the constant for any finite argument."""
         if not -LARGEST <= argument <= LARGEST:
             self._refuse(argument)
         return self._top
@@ -195,7 +193,7 @@ class Constant(Polynomial):
 
 
 def polynomial(coefficients: Iterable[float], about: float) -> Polynomial:
-    """The polynomial; a `Constant` if it is one.
+    """Return the polynomial, as a `Constant` if its degree is 0.
 
     Raises:
         UsageError: a coefficient is too large for a double.

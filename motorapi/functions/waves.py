@@ -1,29 +1,32 @@
-"""Sine and cosine."""
+"""Sine and cosine functions.
+
+The exponential function, for decay or growth at a constant rate.
+"""
 
 from abc import abstractmethod
-from math import ceil, cos, floor, inf, isfinite, pi, sin
+from math import ceil, cos, exp, expm1, floor, inf, isfinite, pi, sin
 from typing import TypeVar, final
 
 import numpy as np
 
-from motorapi.errors import UsageError
-from motorapi.functions.function import LARGEST, Extrema, FloatArray, Function, finite
+from motorhil.motorapi.errors import UsageError
+from motorhil.motorapi.functions.base import LARGEST, Extrema, FloatArray, Function, finite
 
 _Wave = TypeVar("_Wave", bound="Wave")
 
 
 class Wave(Function):
-    """What sine and cosine share: amplitude * wave(frequency_rad_s * (x - about) + phase_rad).
+    """amplitude * wave(frequency_rad_s * (x - about) + phase_rad), for sine and cosine.
 
     Args:
         amplitude: in the unit of the values; any sign.
         frequency_rad_s: radians per unit of the argument, which need not be time; not 0.
-        phase_rad: at `about`.
-        about: where the phase is `phase_rad`. Far from it the phase is known to so many digits
-            only as the argument is.
+        phase_rad: phase at `about`.
+        about: argument at which the phase is `phase_rad`. Far from it the phase has only as many
+            digits as the argument.
 
     Raises:
-        UsageError: one of them is not finite, or the frequency is 0.
+        UsageError: an argument is not finite, or the frequency is 0.
     """
 
     __slots__ = ("about", "amplitude", "frequency_rad_s", "phase_rad")
@@ -44,7 +47,7 @@ class Wave(Function):
         name = type(self).__name__
         frequency = finite(name, "frequency_rad_s", frequency_rad_s)
         if frequency == 0.0:
-            raise UsageError(f"{name}: frequency_rad_s is 0; what does not change is a Constant")
+            raise UsageError(f"{name}: frequency_rad_s is 0; use a Constant for a constant value")
         self._keep(
             amplitude=finite(name, "amplitude", amplitude),
             frequency_rad_s=frequency,
@@ -54,12 +57,12 @@ class Wave(Function):
 
     @abstractmethod
     def _crest_rad(self) -> float:
-        """A phase at which the wave, without its amplitude, is 1."""
+        """Return a phase at which the wave, without its amplitude, is 1."""
 
     @property
     @final
     def domain(self) -> tuple[float, float]:
-        """Everywhere."""
+        """The real line."""
         return -inf, inf
 
     @final
@@ -81,7 +84,7 @@ class Wave(Function):
 
     @final
     def _like(self, kind: type[_Wave], amplitude: float) -> _Wave:
-        """A wave in step with this one."""
+        """Return a wave with the frequency and phase of this one."""
         return kind(amplitude, self.frequency_rad_s, self.phase_rad, self.about)
 
     @final
@@ -107,24 +110,24 @@ class Wave(Function):
 
     @final
     def unit_amplitude(self) -> "Wave":
-        """The same with the amplitude 1."""
+        """Return the same wave with amplitude 1."""
         return self._like(type(self), 1.0)
 
     @final
     def times(self, number: float) -> Function:
-        """The same with another amplitude."""
+        """Return the wave with its amplitude multiplied by `number`."""
         factor = finite(type(self).__name__, "a factor", number)
         return self._like(type(self), self.amplitude * factor)
 
     @final
     def shifted(self, offset: float) -> Function:
-        """Exact, but for the rounding of about + offset."""
+        """Return the shifted wave, exact except for the rounding of about + offset."""
         about = self.about + finite(repr(self), "offset", offset)
         return type(self)(self.amplitude, self.frequency_rad_s, self.phase_rad, about)
 
     @final
     def scaled(self, factor: float) -> Function:
-        """With the frequency divided by `factor`."""
+        """Return the wave with its frequency divided by `factor`."""
         number = finite(repr(self), "factor", factor)
         if number == 0.0:
             raise UsageError(f"{self!r}: the argument cannot be scaled by 0")
@@ -151,7 +154,7 @@ class Sine(Wave):
     __slots__ = ()
 
     def value(self, argument: float) -> float:
-        """By the C library."""
+        """Return the value, computed by the C library."""
         return self.amplitude * sin(self._phase(argument))
 
     def _values(self, arguments: FloatArray) -> FloatArray:
@@ -164,12 +167,12 @@ class Sine(Wave):
         return self._like(Sine, -size if order % 4 == 2 else size)
 
     def integral(self) -> Function:
-        """A cosine and a constant."""
+        """Return the integral, the sum of a cosine and a constant."""
         wave = self._like(Cosine, -self.amplitude / self.frequency_rad_s)
         return wave - wave.value(0.0)
 
     def _integrate(self, low: float, high: float) -> float:
-        # cos a - cos b = 2 sin((a + b) / 2) sin((b - a) / 2), which does not cancel
+        # cos a - cos b = 2 sin((a + b) / 2) sin((b - a) / 2), without cancellation
         turn = 0.5 * self.frequency_rad_s * (high - low)
         middle = self._phase(low) + turn
         return 2.0 * self.amplitude / self.frequency_rad_s * sin(middle) * sin(turn)
@@ -185,7 +188,7 @@ class Cosine(Wave):
     __slots__ = ()
 
     def value(self, argument: float) -> float:
-        """By the C library."""
+        """Return the value, computed by the C library."""
         return self.amplitude * cos(self._phase(argument))
 
     def _values(self, arguments: FloatArray) -> FloatArray:
@@ -198,15 +201,122 @@ class Cosine(Wave):
         return self._like(Cosine, -size if order % 4 == 2 else size)
 
     def integral(self) -> Function:
-        """A sine and a constant."""
+        """Return the integral, the sum of a sine and a constant."""
         wave = self._like(Sine, self.amplitude / self.frequency_rad_s)
         return wave - wave.value(0.0)
 
     def _integrate(self, low: float, high: float) -> float:
-        # sin b - sin a = 2 cos((a + b) / 2) sin((b - a) / 2), which does not cancel
+        # sin b - sin a = 2 cos((a + b) / 2) sin((b - a) / 2), without cancellation
         turn = 0.5 * self.frequency_rad_s * (high - low)
         middle = self._phase(low) + turn
         return 2.0 * self.amplitude / self.frequency_rad_s * cos(middle) * sin(turn)
 
     def _crest_rad(self) -> float:
         return 0.0
+
+
+@final
+class Exponential(Function):
+    """amplitude * exp(rate * (x - about)); infinite on overflow.
+
+    A first-order step response of time constant T is `1.0 - Exponential(1.0, -1.0 / T)`.
+
+    Args:
+        amplitude: the value at `about`, in the unit of the values.
+        rate: per unit of the argument; not 0.
+        about: argument at which the value is `amplitude`.
+
+    Raises:
+        UsageError: an argument is not finite, or amplitude or rate is 0.
+    """
+
+    __slots__ = ("about", "amplitude", "rate")
+
+    amplitude: float
+    rate: float
+    about: float
+
+    def __init__(self, amplitude: float = 1.0, rate: float = 1.0, about: float = 0.0) -> None:
+        for name, number in (("amplitude", amplitude), ("rate", rate)):
+            if finite("Exponential", name, number) == 0.0:
+                raise UsageError(f"Exponential: {name} is 0; use a Constant for a constant value")
+        self._keep(
+            amplitude=float(amplitude),
+            rate=float(rate),
+            about=finite("Exponential", "about", about),
+        )
+
+    @property
+    def domain(self) -> tuple[float, float]:
+        """The real line."""
+        return -inf, inf
+
+    def value(self, argument: float) -> float:
+        """Return the value, computed by the C library."""
+        if not -LARGEST <= argument <= LARGEST:
+            self._refuse(argument)
+        try:
+            return self.amplitude * exp(self.rate * (argument - self.about))
+        except OverflowError:
+            return self.amplitude * inf
+
+    def _values(self, arguments: FloatArray) -> FloatArray:
+        powers = arguments - self.about
+        powers *= self.rate
+        np.exp(powers, out=powers)
+        powers *= self.amplitude
+        return powers
+
+    def _derivative(self, order: int) -> Function:
+        return self.times(self.rate**order)
+
+    def integral(self) -> Function:
+        """Return the integral, the sum of an exponential and a constant."""
+        part = Exponential(self.amplitude / self.rate, self.rate, self.about)
+        return part - part.value(0.0)
+
+    def _integrate(self, low: float, high: float) -> float:
+        way = self.rate * (high - low)  # from the larger end, with expm1, no cancellation occurs
+        if way > 0.0:
+            return -self.value(high) / self.rate * expm1(-way)
+        return self.value(low) / self.rate * expm1(way)
+
+    def _extrema(self, low: float, high: float) -> Extrema:
+        first, last = self.value(low), self.value(high)
+        if first <= last:
+            return Extrema(first, low, last, low if first == last else high)
+        return Extrema(last, high, first, low)
+
+    def _bounds(self, low: float, high: float) -> tuple[float, float]:
+        first, last = self.value(low), self.value(high)
+        return min(first, last), max(first, last)
+
+    def unit_amplitude(self) -> "Exponential":
+        """Return the same function with amplitude 1."""
+        return Exponential(1.0, self.rate, self.about)
+
+    def times(self, number: float) -> Function:
+        """Return the function with its amplitude multiplied by `number`."""
+        factor = finite("Exponential", "a factor", number)
+        if factor == 0.0:
+            return super().times(factor)
+        return Exponential(self.amplitude * factor, self.rate, self.about)
+
+    def shifted(self, offset: float) -> Function:
+        """Return the shifted function, exact except for the rounding of about + offset."""
+        about = self.about + finite(repr(self), "offset", offset)
+        return Exponential(self.amplitude, self.rate, about)
+
+    def scaled(self, factor: float) -> Function:
+        """Return the function with its rate divided by `factor`."""
+        number = finite(repr(self), "factor", factor)
+        if number == 0.0:
+            raise UsageError(f"{self!r}: the argument cannot be scaled by 0")
+        return Exponential(self.amplitude, self.rate / number, self.about * number)
+
+    def _parameters(self) -> tuple[object, ...]:
+        return self.amplitude, self.rate, self.about
+
+    def __repr__(self) -> str:
+        place = f", about={self.about!r}" if self.about else ""
+        return f"Exponential({self.amplitude!r}, rate={self.rate!r}{place})"

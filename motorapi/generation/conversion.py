@@ -1,19 +1,19 @@
-"""Profiles as functions. Loads numpy."""
+"""Conversion of profiles to functions. Imports numpy."""
 
-from motorapi.errors import UsageError
-from motorapi.functions.piecewise import Piecewise
-from motorapi.functions.polynomial import Polynomial
-from motorapi.generation.profile import Profile
+from motorhil.motorapi.errors import UsageError
+from motorhil.motorapi.functions.piecewise import Piecewise
+from motorhil.motorapi.functions.polynomial import Polynomial
+from motorhil.motorapi.generation.trapezoid import Profile
 
 
 def function_of(profile: Profile) -> Piecewise:
-    """The profile as a piecewise polynomial of its argument.
+    """Return the profile as a piecewise polynomial of its argument.
 
-    As in the profile, the last piece is about its end and all others about their beginning.
-    Pieces shorter than the resolution of the argument (far from 0) are left out.
+    As in the profile, the last piece is expanded about its end and all others about their
+    beginning. Pieces shorter than the resolution of the argument (far from 0) are omitted.
 
     Raises:
-        UsageError: it takes no time, so there is no argument for which it has a value.
+        UsageError: the profile takes no time, so that it has no value at any argument.
     """
     begin = profile.initial_argument
     edges = [begin]
@@ -30,5 +30,5 @@ def function_of(profile: Profile) -> Piecewise:
         )
         polynomials.append(Polynomial((value, slope, 0.5 * acceleration), about))
     if not polynomials:
-        raise UsageError(f"{profile!r} takes no time: there is no function of the argument")
+        raise UsageError(f"{profile!r} takes no time: it is not a function of the argument")
     return Piecewise(edges, polynomials)

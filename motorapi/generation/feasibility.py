@@ -1,25 +1,152 @@
-"""Whether a motion can be made, and if not why: which limit, when, and by how much."""
+"""Feasibility of motions: violated limits, with time and amount.
+
+Generation of the profile of a simple trajectory.
+
+Combined limits of a motor model and of a command.
+
+Intervals in which a function rises or falls.
+
+Numpy is imported only if a function is given.
+"""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from math import inf, nextafter
 from typing import TYPE_CHECKING, Final, final
 
-from motorapi.commands import ControlVariable, DerivativeLimits, Range
-from motorapi.errors import LimitError, UnsupportedError, UsageError
-from motorapi.generation.allowed import Allowed
-from motorapi.generation.closed_form import trapezoid
-from motorapi.generation.durations import possible_durations
-from motorapi.generation.profile import Profile
-from motorapi.limits import ROUNDING, slack
-from motorapi.model import MotorModel
-from motorapi.trajectory import ComplexTrajectory, Trajectory, TrapezoidalTrajectory
+from motorhil.motorapi.commands import ControlVariable, DerivativeLimits, Range
+from motorhil.motorapi.errors import LimitError, UnsupportedError, UsageError
+from motorhil.motorapi.generation.limits import ProfileLimits
+from motorhil.motorapi.generation.trapezoid import Profile, possible_durations, trapezoid
+from motorhil.motorapi.model import MotorModel
+from motorhil.motorapi.planning.limits import ROUNDING, slack, value_range
+from motorhil.motorapi.trajectory import ComplexTrajectory, Trajectory, TrapezoidalTrajectory
 
 if TYPE_CHECKING:
-    from motorapi.functions.function import Function
+    from motorhil.motorapi.functions.base import Function
+
+_ALL: Final[Range] = (-inf, inf)
+_PER: Final = ("", "/s", "/s²", "/s³", "/s⁴")
+_NAMES: Final = {
+    ControlVariable.POSITION: ("position", "velocity", "acceleration", "jerk"),
+    ControlVariable.VELOCITY: ("velocity", "acceleration", "jerk", "derivative of jerk"),
+    ControlVariable.TORQUE: ("torque", "slope of torque", "bend of torque", "third derivative"),
+    ControlVariable.CURRENT: ("current", "slope of current", "bend of current", "third derivative"),
+}
+_PLAIN: Final = ("value", "first derivative", "second derivative", "third derivative")
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Allowed:
+    """Ranges of a value and its derivatives, with their names.
+
+    Attributes:
+        whose: the name of the model, or "limits".
+        names: names of the value and its derivatives.
+        units: their units; "" without a model.
+        value, first, third: their ranges.
+        forward: range of the second derivative while the first is > 0.
+        backward: range of the second derivative while the first is < 0.
+    """
+
+    whose: str
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    value: Range
+    first: Range
+    forward: Range
+    backward: Range
+    third: Range
+
+    @classmethod
+    def by(
+        cls,
+        against: MotorModel | DerivativeLimits,
+        variable: ControlVariable,
+        own: DerivativeLimits | None,
+        *,
+        sizes: Range | None = None,
+    ) -> "Allowed":
+        """Return the limits of `against`, tightened by `own` if given.
+
+        Args:
+            against: a model, or limits alone.
+            variable: the control variable; irrelevant for limits alone.
+            own: tighter limits.
+            sizes: for a motion of velocity: its initial and final value, because acceleration and
+                deceleration have different limits in the model; None: the tighter one.
+
+        Raises:
+            UsageError: `against` or `variable` has the wrong type.
+        """
+        if not isinstance(variable, ControlVariable):
+            raise UsageError(f"variable is {variable!r}; give a ControlVariable")
+        if isinstance(against, MotorModel):
+            made = cls._by_model(against, variable, sizes)
+        elif not isinstance(against, DerivativeLimits):
+            raise UsageError(f"{against!r} has no limits; give a MotorModel or DerivativeLimits")
+        else:
+            made = cls("limits", _PLAIN, ("",) * 4, _ALL, _ALL, _ALL, _ALL, _ALL)
+            made = made.tightened(against)
+        return made if own is None else made.tightened(own)
+
+    @classmethod
+    def _by_model(
+        cls, model: MotorModel, variable: ControlVariable, sizes: Range | None
+    ) -> "Allowed":
+        low, high = value_range(model, variable)
+        value = (-inf if low is None else low, inf if high is None else high)
+        first = forward = backward = third = _ALL
+        order = 0
+        jerk = _ALL if model.jerk_max is None else (-model.jerk_max, model.jerk_max)
+        up, down = model.acceleration_max, model.deceleration
+        if variable is ControlVariable.POSITION:
+            first = (-model.velocity_max, model.velocity_max)
+            forward, backward, third = (-down, up), (-up, down), jerk
+        elif variable is ControlVariable.VELOCITY:
+            order = 1
+            if sizes is None or sizes[0] * sizes[1] < 0.0:
+                up = min(up, down)
+            elif abs(sizes[1]) <= abs(sizes[0]):
+                up = down
+            first, forward, backward = (-up, up), jerk, jerk
+        base = model.unit if order else model.unit_of(variable)
+        units = tuple(base + _PER[order + k] for k in range(4))
+        whose = f"model {model.name}"
+        return cls(whose, _NAMES[variable], units, value, first, forward, backward, third)
+
+    def tightened(self, own: DerivativeLimits) -> "Allowed":
+        """Return these limits, tightened by `own`."""
+        return Allowed(
+            self.whose,
+            self.names,
+            self.units,
+            _common(self.value, own.value),
+            _common(self.first, own.first),
+            _common(self.forward, own.second),
+            _common(self.backward, own.second),
+            _common(self.third, own.third),
+        )
+
+    def profile_limits(self, *velocities: float) -> ProfileLimits:
+        """Return generator limits, widened to boundary velocities that exceed them by rounding."""
+        low, high = self.first
+        for velocity in velocities:
+            if low - slack(low) <= velocity <= high + slack(high):
+                low, high = min(low, velocity), max(high, velocity)
+        return ProfileLimits.by_direction(
+            (low, high), self.forward, self.backward, value=self.value
+        )
+
+
+def _common(one: Range, other: Range | None) -> Range:
+    return one if other is None else (max(one[0], other[0]), min(one[1], other[1]))
+
 
 STEP_S: Final = 0.01
-"""A derivative may step by what the next one makes in this time; samples are no smoother."""
+"""The time [s] for which the next derivative may cause a step: samples are no smoother."""
 
 
 @final
@@ -28,12 +155,12 @@ class Violation:
     """One limit that a motion would exceed.
 
     Attributes:
-        quantity: which limit, in words ("velocity", "duration").
-        value: the worst there is; inf if a lower derivative steps.
-        low, high: the range that is allowed.
-        argument: when the worst is [s]; None of a duration.
-        unit: of the value; "" if no model tells it.
-        reason: more, in words; "" if there is no more to say.
+        quantity: the limited quantity, in words ("velocity", "duration").
+        value: the worst value; inf if a lower derivative jumps.
+        low, high: the allowed range.
+        argument: argument of the worst value [s]; None for a duration.
+        unit: unit of the value; "" without a model.
+        reason: further details in words, or "".
     """
 
     quantity: str
@@ -46,11 +173,11 @@ class Violation:
 
     @property
     def by(self) -> float:
-        """How far out of the range the worst value is."""
+        """The distance of the worst value from the allowed range."""
         return max(self.low - self.value, self.value - self.high)
 
     def as_error(self, motor: str) -> LimitError:
-        """The same as an error about a motor."""
+        """Return the violation as an error of a motor."""
         when = "" if self.argument is None else f"at argument {self.argument:g}"
         return LimitError(
             motor=motor,
@@ -77,7 +204,7 @@ class Violation:
 @final
 @dataclass(frozen=True, slots=True)
 class Feasibility:
-    """True if nothing is violated; else it says what is, the first derivative's limits first."""
+    """The violations of a motion, those of the first derivative first; true if there are none."""
 
     violations: tuple[Violation, ...] = ()
 
@@ -96,22 +223,22 @@ def feasible(
     start: float = 0.0,
     interval: Range | None = None,
 ) -> Feasibility:
-    """Whether the motion stays within the limits, and else every one that it exceeds.
+    """Return all limits that the motion violates.
 
-    A simple trajectory is generated first: of all motions with its boundary conditions, that which
-    exceeds the least. Then it, as a complex one and a function over time, is looked at where it is
-    extreme. As elsewhere, 1e-9 of a limit is rounding.
+    A simple trajectory is generated first: the profile with the smallest violations for its
+    boundary conditions. Then this profile, like a complex trajectory or a function of time, is
+    examined at its extrema. As elsewhere, 1e-9 of a limit is rounding.
 
     Args:
-        motion: what is to be made; a function of the time in s.
+        motion: the motion; a function has the time [s] as argument.
         against: a model, or limits.
-        variable: what it is a motion of.
-        start: where a relative trajectory begins.
-        interval: of a function: from when to when; None: all of its domain.
+        variable: the control variable of the motion.
+        start: initial value of a relative trajectory.
+        interval: the interval of a function; None: its whole domain.
 
     Raises:
-        UnsupportedError: of a simple trajectory: as for `motorapi.generation.generate`.
-        UsageError: the function is not bounded in its arguments, or it is no motion.
+        UnsupportedError: of a simple trajectory: as for `motorhil.motorapi.generation.generate`.
+        UsageError: the function has an unbounded domain, or `motion` has the wrong type.
     """
     if isinstance(motion, TrapezoidalTrajectory):
         return Feasibility(tuple(attempt(motion, against, variable, start)[1]))
@@ -125,7 +252,7 @@ def feasible(
             offset = start - motion.function.value(interval[0])
         motion = motion.function
     if not isinstance(getattr(motion, "domain", None), tuple):
-        raise UsageError(f"{motion!r} is no trajectory, no Profile and no function of the API")
+        raise UsageError(f"{motion!r} is not a trajectory, a Profile or a function of the API")
     low, high = motion.domain if interval is None else interval
     if not (-inf < low < high < inf):
         raise UsageError(f"{motion!r} has no finite beginning and end: give interval=")
@@ -139,10 +266,10 @@ def attempt(
     variable: ControlVariable,
     start: float,
 ) -> tuple[Profile | None, list[Violation]]:
-    """The profile of a trajectory, if there is one, and all limits that it exceeds.
+    """Return the profile of a trajectory, if any, and all limits that it violates.
 
     Raises:
-        UnsupportedError: no trapezoid can be what is asked for.
+        UnsupportedError: the request is impossible for a trapezoid.
     """
     _require_trapezoid(trajectory, against)
     initial = start if trajectory.initial is None else trajectory.initial
@@ -150,7 +277,7 @@ def attempt(
     begin, end = trajectory.initial_velocity, trajectory.final_velocity
     sizes = (initial, final_) if not (begin or end) else None
     if isinstance(against, MotorModel):
-        against = replace(against, jerk_max=None)  # which plays no part in a trapezoid
+        against = replace(against, jerk_max=None)  # not used by a trapezoid
     allowed = Allowed.by(against, variable, trajectory.limits, sizes=sizes)
     first_s = trajectory.initial_argument
     fast = [
@@ -183,7 +310,7 @@ def attempt(
 def _require_trapezoid(
     trajectory: TrapezoidalTrajectory, against: MotorModel | DerivativeLimits
 ) -> None:
-    """What a trapezoid does not keep to, or cannot begin or end with, is not asked for."""
+    """Raise UnsupportedError for limits or boundary derivatives that a trapezoid cannot meet."""
     feature = ""
     if trajectory.limits is not None and trajectory.limits.third is not None:
         feature = "a trapezoidal profile with a limit of the third derivative"
@@ -193,12 +320,12 @@ def _require_trapezoid(
         raise UnsupportedError(
             motor=against.name if isinstance(against, MotorModel) else "a trapezoid",
             feature=feature,
-            supported="that with a limited jerk: motorapi.generation.jerk_limited",
+            supported="that with a limited jerk: motorhil.motorapi.generation.jerk_limited",
         )
 
 
 def _duration(asked: float, ranges: tuple[Range, ...]) -> tuple[float, Violation | None]:
-    """The duration asked for, or the possible one that rounding hides, or what is wrong with it."""
+    """Return the requested duration, or a possible one within rounding, and any violation."""
     for low, high in ranges:
         if low <= asked <= high:
             return asked, None
@@ -207,15 +334,17 @@ def _duration(asked: float, ranges: tuple[Range, ...]) -> tuple[float, Violation
         return nearest, None
     low, high = ranges[0]
     if asked < low:
-        return asked, Violation("duration", asked, low, high, None, "s", "the limits allow no less")
-    why = "later it would have to stop, and the way is too short for that"
+        return asked, Violation(
+            "duration", asked, low, high, None, "s", "the limits do not allow a shorter one"
+        )
+    why = "a longer motion would have to stop, and the distance is too short for that"
     if len(ranges) > 1:
-        why += f"; from {ranges[1][0]:g} s on it can run back and come again"
+        why += f"; from {ranges[1][0]:g} s on it can move back and return"
     return asked, Violation("duration", asked, low, high, None, "s", why)
 
 
 def _of_profile(profile: Profile, allowed: Allowed) -> Iterator[Violation]:
-    """The worst of each limit on each side, looked for where pieces meet."""
+    """Yield the worst violation of each limit on each side, found at the ends of pieces."""
     found: dict[tuple[int, bool], Violation] = {}
     since_s = profile.initial_argument
     for begins_s, ends_s, begin, end, entry, leave, acceleration in profile.pieces:
@@ -255,11 +384,10 @@ def _of_function(
 
 
 def _of_second(function: "Function", allowed: Allowed, interval: Range) -> Iterator[Violation]:
-    """The second derivative, whose range depends on the sign of the first."""
+    """Yield violations of the second derivative, whose range depends on the sign of the first."""
     if allowed.forward == allowed.backward:
         yield from _worst(function, 2, allowed, allowed.forward, [interval])
         return
-    from motorapi.generation.directions import parts_by_direction
 
     forward, backward = parts_by_direction(function, interval)
     yield from _worst(function, 2, allowed, allowed.forward, forward)
@@ -274,7 +402,7 @@ def _worst(
     parts: list[Range],
     offset: float = 0.0,
 ) -> Iterator[Violation]:
-    """The lowest and the highest value over some intervals, where they lie outside the limits."""
+    """Yield the minimum and maximum over some intervals, if outside the limits."""
     if limits == (-inf, inf) or not parts:
         return
     derivative = function.derivative(order)
@@ -288,7 +416,7 @@ def _worst(
 def _steps(
     function: "Function", order: int, allowed: Allowed, limits: Range, interval: Range
 ) -> Iterator[Violation]:
-    """The largest step of a derivative that its own derivative's limits do not allow."""
+    """Yield the largest jump of a derivative that the limits of the next one do not allow."""
     low, high = limits
     derivative = function.derivative(order)
     worst, at = 0.0, 0.0
@@ -301,7 +429,7 @@ def _steps(
             worst, at = step, where
     if worst:
         unit = f" {allowed.units[order]}" if allowed.units[order] else ""
-        why = f"{allowed.names[order]} steps by {worst:g}{unit} there"
+        why = f"{allowed.names[order]} jumps by {worst:g}{unit} there"
         value = inf if worst > 0.0 else -inf
         name, per = allowed.names[order + 1], allowed.units[order + 1]
         yield Violation(name, value, low, high, at, per, why)
@@ -319,3 +447,77 @@ def _beyond(
     if value < low - slack(low) or value > high + slack(high):
         name, unit = allowed.names[order], allowed.units[order]
         yield Violation(name, value, low, high, argument, unit, reason)
+
+
+def generate(
+    trajectory: TrapezoidalTrajectory,
+    model: MotorModel,
+    *,
+    variable: ControlVariable = ControlVariable.POSITION,
+    start: float = 0.0,
+) -> Profile:
+    """Return the absolute profile of a trajectory for a motor with this model.
+
+    The profile is as fast as model and trajectory allow, or has the duration of the trajectory.
+    Jerk is not limited: for that see `motorhil.motorapi.generation.jerk_limited`.
+
+    Args:
+        trajectory: simple; its second derivatives at the ends, if any, must be 0.
+        model: provides the limits that the trajectory does not tighten.
+        variable: its control variable, which determines the unit U.
+        start: initial value of a relative trajectory [U].
+
+    Raises:
+        LimitError: no such motion exists within the limits; names limit, time and amount.
+        UnsupportedError: it limits the third derivative, or begins or ends with a second
+            derivative.
+        UsageError: no limit bounds its speed, or an argument has another type.
+    """
+    if not isinstance(trajectory, TrapezoidalTrajectory) or not isinstance(model, MotorModel):
+        raise UsageError(
+            f"generate({trajectory!r}, {model!r}): give a TrapezoidalTrajectory and a "
+            "MotorModel; a ComplexTrajectory needs no generation"
+        )
+    profile, violations = attempt(trajectory, model, variable, start)
+    if profile is not None and not violations:
+        return profile
+    raise violations[0].as_error(model.name)
+
+
+def parts_by_direction(function: "Function", interval: Range) -> tuple[list[Range], list[Range]]:
+    """Return the parts of the interval where the first derivative may be > 0, and < 0.
+
+    The result is exact for (piecewise) polynomials. For other functions a part between two breaks
+    with both signs is listed twice.
+    """
+    from motorhil.motorapi.functions.piecewise import Piecewise
+    from motorhil.motorapi.functions.polynomial import Polynomial
+    from motorhil.motorapi.functions.polynomial_math import candidates
+
+    low, high = interval
+    pieces = (
+        function.within(low, high) if isinstance(function, Piecewise) else [(function, low, high)]
+    )
+    slope = function.derivative()
+    forward: list[Range] = []
+    backward: list[Range] = []
+    for piece, first, last in pieces:
+        exact = isinstance(piece, Polynomial)
+        if isinstance(piece, Polynomial):
+            about = piece.about
+            turns = candidates(piece.coefficients, first - about, last - about)
+            inner = [about + turn for turn in turns if first < about + turn < last]
+        else:
+            inner = list(piece.breaks_between(first, last))
+        for begin, end in pairwise([first, *inner, last]):
+            if not begin < end:
+                continue
+            middle = slope.value(0.5 * (begin + end))
+            lowest, highest = (middle, middle) if exact else slope.bounds(begin, end)
+            # The right end of a part belongs to the next part.
+            part = (begin, end if end == high else nextafter(end, begin))
+            if highest > 0.0:
+                forward.append(part)
+            if lowest < 0.0:
+                backward.append(part)
+    return forward, backward

@@ -1,36 +1,36 @@
-"""Limits of a profile in plain numbers, checked once and used for as many profiles as wanted."""
+"""Profile limits as plain numbers, checked once for many profiles."""
 
 from dataclasses import dataclass
 from math import inf
 from typing import Final, Self, final
 
-from motorapi.commands import Range
-from motorapi.errors import UsageError
+from motorhil.motorapi.commands import Range
+from motorhil.motorapi.errors import UsageError
 
 
 @final
 @dataclass(frozen=True, slots=True, init=False)
 class ProfileLimits:
-    """What a profile must not leave; immutable. U is the unit of the function value, whichever.
+    """Limits of a profile; immutable. U is the unit of the function value.
 
     Accelerations are signed ranges of the second derivative, one while the value grows and one
-    while it falls: so a motor that slows down more gently than it speeds up has its limits here as
-    well as a ramp that may rise faster than it falls.
+    while it falls. They describe a motor that decelerates more gently than it accelerates, as well
+    as a ramp that may rise faster than it falls.
 
     Attributes:
-        velocity: (lowest, highest) first derivative [U/s]; 0 lies in it.
-        forward: range of the second derivative while the first is > 0 [U/s²]; 0 lies inside.
-        backward: likewise while the first is < 0.
+        velocity: (lowest, highest) first derivative [U/s]; contains 0.
+        forward: range of the second derivative while the first is > 0 [U/s²]; 0 in its interior.
+        backward: range of the second derivative while the first is < 0 [U/s²].
         value: range of the function value [U].
 
     Args:
         velocity: a range, or x for (-x, x); inf: no limit.
-        acceleration: a range of the second derivative, or a size while speeding up, > 0.
-        deceleration: the size while slowing down; None: as `acceleration`.
+        acceleration: a range of the second derivative, or a magnitude while speeding up, > 0.
+        deceleration: the magnitude while slowing down; None: as `acceleration`.
         value: a range; None: no limit.
 
     Raises:
-        UsageError: a range is empty, does not hold 0, or is given together with `deceleration`.
+        UsageError: a range is empty, does not contain 0, or is given with `deceleration`.
     """
 
     velocity: Range
@@ -48,10 +48,12 @@ class ProfileLimits:
     ) -> None:
         low, high = velocity if isinstance(velocity, tuple) else (-velocity, velocity)
         if not low <= 0.0 <= high or low == high:
-            raise UsageError(f"velocity range ({low:g}, {high:g}) must hold 0 and more than 0")
+            raise UsageError(f"velocity range ({low:g}, {high:g}) must contain 0 and other values")
         if isinstance(acceleration, tuple):
             if deceleration is not None:
-                raise UsageError("deceleration goes with a size of acceleration, not with a range")
+                raise UsageError(
+                    "deceleration requires acceleration as a magnitude, not as a range"
+                )
             forward = backward = acceleration
         elif deceleration is None:
             forward = backward = (-acceleration, acceleration)
@@ -59,8 +61,8 @@ class ProfileLimits:
             forward, backward = (-deceleration, acceleration), (-acceleration, deceleration)
         if not (forward[0] < 0.0 < forward[1] and backward[0] < 0.0 < backward[1]):
             raise UsageError(
-                f"acceleration range ({forward[0]:g}, {forward[1]:g}) must hold 0 inside, and"
-                " deceleration be > 0"
+                f"acceleration range ({forward[0]:g}, {forward[1]:g}) must contain 0 in its "
+                "interior, and deceleration must be > 0"
             )
         if value is None:
             value = _UNLIMITED
@@ -76,10 +78,10 @@ class ProfileLimits:
     def by_direction(
         cls, velocity: Range, forward: Range, backward: Range, *, value: Range | None = None
     ) -> Self:
-        """Limits with ranges of the second derivative while the value grows and while it falls.
+        """Return limits with separate ranges of the second derivative by direction.
 
         Raises:
-            UsageError: a range is empty or does not hold 0.
+            UsageError: a range is empty or does not contain 0.
         """
         made = cls(velocity, forward, value=value)
         object.__setattr__(made, "backward", cls(velocity, backward).backward)

@@ -1,14 +1,14 @@
-"""Functions through way-points."""
+"""Smooth functions through way-points."""
 
 from collections.abc import Sequence
 from math import isfinite, nan
 from typing import TYPE_CHECKING
 
-from motorapi.commands import DerivativeLimits
-from motorapi.errors import UsageError
+from motorhil.motorapi.commands import DerivativeLimits
+from motorhil.motorapi.errors import UsageError
 
 if TYPE_CHECKING:
-    from motorapi.functions.piecewise import Piecewise
+    from motorhil.motorapi.functions.piecewise import Piecewise
 
 
 def through_waypoints(
@@ -21,30 +21,30 @@ def through_waypoints(
     degree: int = 3,
     initial_argument: float = 0.0,
 ) -> "Piecewise":
-    """A smooth function through way-points, as polynomials from each to the next; loads numpy.
+    """Return a smooth function through way-points, one polynomial per interval; imports numpy.
 
-    Pieces of degree 3 go through with a second derivative that does not step (the cubic spline),
-    those of degree 5 with a third and a fourth one. Where a derivative is given as well, it is as
-    given, and of a cubic the second may step there; of a quintic the fourth where the first is
-    given, the third where the second is.
+    Pieces of degree 3 have a continuous second derivative (the cubic spline), those of degree 5
+    continuous third and fourth ones. Given derivatives are reproduced. At a given derivative, the
+    second derivative of a cubic may jump. In a quintic the fourth may jump where the first is
+    given, the third where the second is given.
 
     Args:
         values: at least two [U].
-        times: as many, ascending [s]; None: as short as `limits` allow. Those are held to rounding,
-            and one is reached; that no other division of the time among the pieces is shorter, is
-            not proved.
-        limits: of first, second and third derivative, where there are no times; others are refused.
-        first: first derivatives at the way-points [U/s], None where one is free; left out, they
-            are 0 at both ends and free in between.
-        second: likewise second ones [U/s²], for degree 5.
+        times: one per value, ascending [s]; None: as short as `limits` allow. The limits are met to
+            rounding, and one is reached; the division of the time among the pieces is not proven to
+            be optimal.
+        limits: of first, second and third derivative, without `times`; others raise an error.
+        first: first derivatives at the way-points [U/s], None for a free one; by default 0 at both
+            ends and free in between.
+        second: second derivatives [U/s²], likewise, for degree 5.
         degree: 3 or 5.
-        initial_argument: where it begins, if there are no times.
+        initial_argument: argument at the beginning, without `times`.
 
     Raises:
-        UsageError: there are too few, a number is not finite, times do not ascend, nothing tells
-            how long it takes, or no times keep given derivatives within the limits.
+        UsageError: there are too few values, a number is not finite, times do not ascend, no
+            argument determines the duration, or no times keep given derivatives within the limits.
     """
-    from motorapi.generation.batched.waypoints import through_waypoints as many
+    from motorhil.motorapi.generation.batch import through_waypoints as many
 
     if not isfinite(initial_argument):
         raise UsageError(f"the initial argument is {initial_argument}, not a finite number")

@@ -1,4 +1,4 @@
-"""Where the sources are, also when the tests run beside an installed, compiled build."""
+"""Location of the sources, also beside an installed build."""
 
 import os
 from pathlib import Path
@@ -8,5 +8,5 @@ PACKAGES = ("motorapi", "emulators", "traces", "harness")
 
 
 def sources() -> list[Path]:
-    """Every module of the four packages, in order."""
+    """Return every module of the four packages, in order."""
     return [path for name in PACKAGES for path in sorted((CHECKOUT / name).rglob("*.py"))]

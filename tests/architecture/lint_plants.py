@@ -1,9 +1,10 @@
-"""Runs import-linter on a copy of the sources, as it is and with each planted import: JSON.
+"""import-linter on copied sources, with and without planted imports.
 
 python -m tests.architecture.lint_plants COPY < PLANTS
 
-In a process of its own: import-linter finds packages as Python does, and here they are imported.
-PLANTS is a list of [contract, module file, line]; the answer a list of [kept, what was printed].
+It runs in a process of its own, because import-linter finds packages as Python does, and the tests
+have imported them. PLANTS is JSON, a list of [contract, module file, line]. The answer is a list of
+[kept, output].
 """
 
 import contextlib
@@ -17,7 +18,7 @@ from importlinter.cli import lint_imports
 
 
 def lint(contract: str) -> tuple[bool, str]:
-    """Whether the contract is kept ("": all of them), and what import-linter prints."""
+    """Return whether the contract is kept ("": all contracts), and import-linter's output."""
     with contextlib.redirect_stdout(io.StringIO()) as out:
         limit = (contract,) if contract else ()
         status = lint_imports(limit_to_contracts=limit, no_cache=True, no_logo=True)
@@ -25,7 +26,7 @@ def lint(contract: str) -> tuple[bool, str]:
 
 
 def main() -> None:
-    """The answers are on stdout."""
+    """Print the answers on stdout."""
     plants = json.load(sys.stdin)
     os.chdir(sys.argv[1])
     answers = []

@@ -1,9 +1,9 @@
-"""Draws README's picture from a recorded demo.
+"""Drawing of README's picture from a recorded demo.
 
 motorhil demo && python -m tests.architecture.rover_picture out/demo.mcap docs/rover.svg
 
-What is drawn is the truth channel of each controller, read with mcap's and protobuf's own readers.
-Curves are thinned to what can be seen: a third of a pixel.
+The picture shows the truth channel of each controller, read with mcap's and protobuf's own readers.
+Curves are thinned to a third of a pixel, which cannot be seen.
 """
 
 import sys
@@ -19,7 +19,7 @@ WIDTH, LEFT, RIGHT, TOP = 960, 62, 112, 58
 PANEL, GAP = 118, 34
 LEGS = ("arc", "crab", "turn")
 CORNERS = ("fl", "fr", "ml", "mr", "rl", "rr")
-# Okabe and Ito's colours, which colour-blind readers tell apart; rear ones are dashed besides.
+# Okabe and Ito's colours, which colour-blind readers can distinguish; rear wheels are also dashed.
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#aa4499", "#56b4e9", "#e69f00")
 STYLE = """
 text { font: 12px system-ui, sans-serif; fill: #333 }
@@ -33,7 +33,7 @@ polyline { fill: none; stroke-width: 1.6; stroke-linejoin: round }
 
 
 def read_truth(path: Path) -> dict[str, list[tuple[float, object]]]:
-    """(time [s], truth message) of every controller."""
+    """Return (time [s], truth message) of every controller."""
     truth: dict[str, list[tuple[float, object]]] = {}
     with path.open("rb") as file:
         reader = make_reader(file, decoder_factories=[DecoderFactory()])
@@ -45,7 +45,7 @@ def read_truth(path: Path) -> dict[str, list[tuple[float, object]]]:
 
 
 def thinned(points: Curve, tolerance: float = 0.35) -> Curve:
-    """Ramer, Douglas and Peucker: no dropped point is further off than the tolerance."""
+    """Thin a curve (Ramer, Douglas, Peucker); dropped points are within the tolerance."""
     if len(points) < 3:
         return points
     (x0, y0), (x1, y1) = points[0], points[-1]
@@ -58,7 +58,7 @@ def thinned(points: Curve, tolerance: float = 0.35) -> Curve:
 
 
 def spans(curves: Sequence[Curve], threshold: float) -> list[tuple[float, float]]:
-    """When any of these exceeds the threshold [s]; a pause of half a second parts two spans."""
+    """Return spans [s] in which a curve exceeds the threshold, split at pauses of 0.5 s."""
     times = sorted(t for curve in curves for t, value in curve if abs(value) > threshold)
     found: list[tuple[float, float]] = []
     for t in times:
@@ -80,21 +80,21 @@ class Picture:
         self.top = TOP - PANEL - GAP
 
     def x(self, t: float) -> float:
-        """Where a time is."""
+        """Return the x coordinate of a time."""
         return LEFT + t / self.end_s * (WIDTH - LEFT - RIGHT)
 
     def text(self, x: float, y: float, words: str, attributes: str = "") -> None:
-        """Words at a place."""
+        """Add a text at a position."""
         self.parts.append(f'<text x="{x:.1f}" y="{y:.1f}" {attributes}>{words}</text>')
 
     def line(self, x0: float, y0: float, x1: float, y1: float, kind: str) -> None:
-        """A straight line of a kind."""
+        """Add a straight line of a style."""
         self.parts.append(
             f'<line class="{kind}" x1="{x0:.1f}" y1="{y0:.1f}" x2="{x1:.1f}" y2="{y1:.1f}"/>'
         )
 
     def panel(self, title: str, low: float, high: float, ticks: Sequence[float]) -> None:
-        """The next panel: what it shows, from where to where, with a line at each tick."""
+        """Start the next panel, with a title, a range and a line at each tick."""
         self.top += PANEL + GAP
         self.low, self.high = low, high
         self.text(LEFT, self.top - 7, title)
@@ -104,18 +104,18 @@ class Picture:
             self.text(LEFT - 8, y + 4, f"{tick:g}".replace("-", "\N{MINUS SIGN}"), END)
 
     def y(self, value: float) -> float:
-        """Where a value is in the present panel."""
+        """Return the y coordinate of a value in the present panel."""
         return self.top + PANEL * (self.high - value) / (self.high - self.low)
 
     def curve(self, curve: Curve, colour: str, dash: str = "") -> None:
-        """One curve in the present panel."""
+        """Add a curve to the present panel."""
         points = thinned([(self.x(t), self.y(value)) for t, value in curve])
         places = " ".join(f"{x:.1f},{y:.1f}" for x, y in points)
         dashed = f' stroke-dasharray="{dash}"' if dash else ""
         self.parts.append(f'<polyline stroke="{colour}"{dashed} points="{places}"/>')
 
     def legend(self, names: Sequence[str]) -> None:
-        """Names of the curves of the present panel, beside it, in their colours."""
+        """Add the names of the curves of the present panel, in their colours."""
         for number, name in enumerate(names):
             y = self.top + 14 + 18 * number
             dash = f' stroke-dasharray="{DASH}"' if name in ("rl", "rr") else ""
@@ -125,7 +125,7 @@ class Picture:
             self.text(x + 28, y, name)
 
     def svg(self) -> str:
-        """The whole picture."""
+        """Return the whole picture."""
         return "\n".join(
             [
                 f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH} {self.height}">',
@@ -143,7 +143,7 @@ DASH = "5 4"
 
 
 def draw(path: Path) -> str:
-    """The picture of a recorded demo, as SVG."""
+    """Return the picture of a recorded demo as SVG."""
     truth = read_truth(path)
 
     def curves(names: Sequence[str], value: Callable[[object], float]) -> list[Curve]:

@@ -8,8 +8,8 @@ from xml.etree import ElementTree
 
 import pytest
 
-import motorapi.errors
-from harness.cli import main as motorhil
+from motorhil.harness.cli.main import main as motorhil
+from motorhil.motorapi import errors
 from tests.architecture import rover_picture
 from tests.architecture.checkout import CHECKOUT
 from tests.architecture.pages import (
@@ -142,7 +142,7 @@ def test_verbs_and_targets_that_exist_are_named(capsys):
 def test_the_error_tree_is_the_one_there_is():
     text = TEXTS["docs/reference/errors.md"]
     tree = next(block for block in blocks_of(text) if block.lines[:1] == ["MotorError"])
-    documented = [line.strip() for line in motorapi.errors.__doc__.splitlines()]
+    documented = [line.strip() for line in errors.__doc__.splitlines()]
     assert [line.strip() for line in tree.lines] == [
         line
         for line in documented

@@ -1,6 +1,6 @@
-"""`make bench`: figures of this machine and this moment; where there is a peer, from the same run.
+"""`make bench`: performance figures of this machine, compared with peers.
 
-python -m tests.benchmarks [NAME ...]      only the benchmarks whose name holds one of these
+python -m tests.benchmarks [NAME ...]      only benchmarks whose name contains one of these
 """
 
 import importlib
@@ -8,11 +8,11 @@ import pkgutil
 import sys
 
 import tests.benchmarks
-from harness.build_info import describe
+from motorhil.harness.version import describe
 
 
 def main(wanted: list[str]) -> int:
-    """Prints one line a figure."""
+    """Print one line per figure."""
     print(describe())
     for module in sorted(m.name for m in pkgutil.iter_modules(tests.benchmarks.__path__)):
         if not module.startswith("bench_") or (wanted and not any(w in module for w in wanted)):

@@ -1,10 +1,10 @@
-"""Whether this revision is slower than another one: both are built and measured in turn.
+"""Comparison of this revision's speed with another revision's.
 
     python -m tests.benchmarks.against REV [--rounds N] [--cores pure | compiled] [WORKLOAD ...]
 
-Builds REV once, in build/against, and runs the workloads of this revision with the Python of each.
-Figures are CPU time, each the best of its process. Printed for each: what it costs here by what it
-costs there (1.05: 5 % more here), by the best of all rounds, and from and to in single rounds.
+Builds REV once, in build/against, and runs this revision's workloads with the Python of each.
+Figures are CPU times, each the best of its process. Each line has the cost here divided by the cost
+there (1.05: 5 % more here): for the best of all rounds, and as the range over single rounds.
 """
 
 import argparse
@@ -17,15 +17,15 @@ from tests.benchmarks.workloads import WORKLOADS
 
 ROOT: Final = Path(__file__).parents[2]
 SCRIPT: Final = Path(__file__).with_name("workloads.py")
-MAX: Final = 1.05  # as much more as a revision may cost
+MAX: Final = 1.05  # largest acceptable cost ratio
 _PYTHON: Final = {"pure": ".venv", "compiled": ".venv-compiled"}
-_GROWS_WITH_COST: Final = {"us": True, "s": True, "x real time": False}  # others are no costs
+_GROWS_WITH_COST: Final = {"us": True, "s": True, "x real time": False}  # other units are not costs
 
 Costs = dict[str, float]
 
 
 def built(revision: str) -> Path:
-    """The folder of the revision, its sources and both its builds."""
+    """Return the folder of the revision with its sources and both builds; build them if absent."""
     asked = ["git", "-C", str(ROOT), "rev-parse", "--short=12", f"{revision}^{{commit}}"]
     name = subprocess.run(asked, check=True, capture_output=True, text=True).stdout.strip()
     folder = ROOT / "build" / "against" / name
@@ -42,7 +42,7 @@ def built(revision: str) -> Path:
 
 
 def costs(folder: Path, cores: str, workload: str) -> Costs:
-    """What each figure of the workload says it costs there."""
+    """Return the cost of each figure of the workload in that folder."""
     python = folder / _PYTHON[cores] / "bin" / "python"
     ran = subprocess.run(
         [str(python), "-P", str(SCRIPT), workload], check=True, capture_output=True, text=True
@@ -56,7 +56,7 @@ def costs(folder: Path, cores: str, workload: str) -> Costs:
 
 
 def told(name: str, here: list[float], there: list[float]) -> str:
-    """One line: the ratio of the best, and between which those of single rounds were."""
+    """Return one line: the ratio of the best costs, and the range of single rounds."""
     ratio = min(here) / min(there)
     single = [mine / other for mine, other in zip(here, there, strict=True)]
     mark = f"  more than {MAX}" if ratio > MAX else ""
@@ -64,7 +64,7 @@ def told(name: str, here: list[float], there: list[float]) -> str:
 
 
 def main() -> None:
-    """Prints a line a figure."""
+    """Print one line per figure."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
     parser.add_argument("revision", metavar="REV")
     parser.add_argument("workloads", nargs="*", metavar="WORKLOAD", help=", ".join(WORKLOADS))

@@ -1,14 +1,15 @@
-"""The host's side: what a status frame costs it, and SDO uploads through the whole emulated bus."""
+"""Host-side costs: status frames, and SDO uploads over the emulated bus."""
 
 import time
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from harness.rig import Rig
-from motorapi.adaptations.cia402 import Cia402HwMotor, Cia402Motor
-from motorapi.adaptations.motion_watch import SetpointWatch
-from motorapi.commands import ControlMode
-from motorapi.model import MotorModel
+from motorhil.harness.rig.rig import Rig
+from motorhil.motorapi.adaptations.cia402.hardware import Cia402HwMotor
+from motorhil.motorapi.adaptations.cia402.motion_status import SetpointWatch
+from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
+from motorhil.motorapi.commands import ControlMode
+from motorhil.motorapi.model import MotorModel
 
 FRAMES = 100_000
 UPLOADS = 3_000
@@ -26,7 +27,7 @@ node_id = 3
 
 
 def run() -> list[tuple[str, float, str]]:
-    """(name, figure, unit) of each."""
+    """Return the figures as (name, figure, unit)."""
     with TemporaryDirectory() as folder:
         path = Path(folder) / "rig.toml"
         path.write_text(RIG)
@@ -45,7 +46,7 @@ def run() -> list[tuple[str, float, str]]:
 
 
 def _status_frames(hw: Cia402HwMotor) -> list[tuple[str, float, str]]:
-    """Through the link's dispatch, as they come from the runtime."""
+    """Measure status frames through the link's dispatch, as the runtime delivers them."""
     on_frame = hw.link._on_frame
     still = b"\x83\x01\0\0\x06\0\0\0\x37\x06\x10\x27\0\0\0\0"
     other = b"\x83\x01\0\0\x06\0\0\0\x37\x02\x11\x27\0\0\0\0"

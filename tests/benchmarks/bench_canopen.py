@@ -1,4 +1,4 @@
-"""CANopen figures: the slave's hot paths alone, and canopen's client against it and its peer."""
+"""CANopen figures: the slave's hot paths, and canopen as client and peer."""
 
 import time
 from collections.abc import Callable
@@ -8,12 +8,13 @@ from struct import pack
 
 import canopen
 
-import emulators
-from emulators.canopen.eds import read_eds
-from emulators.canopen.node import CanopenNode, NodeTiming
-from emulators.canopen.object_dictionary import DataType, ObjectDictionary, Variable
-from emulators.media.can_frame import data_of
-from emulators.media.can_frame import pack as frame
+from motorhil import emulators
+from motorhil.emulators.can.frame import data_of
+from motorhil.emulators.can.frame import pack as frame
+from motorhil.emulators.canopen.files.eds import read_eds
+from motorhil.emulators.canopen.node import CanopenNode
+from motorhil.emulators.canopen.object_dictionary import DataType, ObjectDictionary, Variable
+from motorhil.emulators.canopen.outbox import NodeTiming
 
 MS = 1_000_000
 NODE_ID = 3
@@ -41,7 +42,7 @@ class _Quiet:
 
 
 def _node(sdo_reply_ns: int) -> CanopenNode:
-    """OPERATIONAL, RPDO 6040h+607Ah and TPDO 6041h+6064h of type 1, as in csp."""
+    """Return an operational node: RPDO 6040h+607Ah, TPDO 6041h+6064h of type 1, as in csp."""
     od = ObjectDictionary()
     for index, data_type, access in (
         (0x6040, DataType.UNSIGNED16, "rww"),
@@ -79,7 +80,7 @@ def _node(sdo_reply_ns: int) -> CanopenNode:
 def _best_us(
     action: Callable[[], object], count: int, clock: Callable[[], float] = time.process_time
 ) -> float:
-    """The fastest of five rounds, per call [us]: other work on the machine only adds."""
+    """Return the fastest of five rounds, per call [us]; other load only adds time."""
     rounds = []
     for _ in range(5):
         start = clock()
@@ -123,7 +124,7 @@ def _sdo_upload_us() -> float:
 
 
 class _Direct(canopen.Network):
-    """canopen's client and our node without anything between."""
+    """canopen's client connected directly to our node."""
 
     def __init__(self, node: CanopenNode) -> None:
         super().__init__()
@@ -142,7 +143,7 @@ def _client_uploads_per_s() -> float:
 
 
 def _peer_uploads_per_s(clock: Callable[[], float] = time.perf_counter) -> float:
-    """canopen's LocalNode over python-can's `virtual` bus, with its threads."""
+    """Measure canopen's LocalNode over python-can's `virtual` bus, with its threads."""
     od = canopen.ObjectDictionary()
     variable = canopen.objectdictionary.ODVariable("x", 0x2000, 0)
     variable.data_type = canopen.objectdictionary.UNSIGNED32
@@ -162,7 +163,7 @@ def _peer_uploads_per_s(clock: Callable[[], float] = time.perf_counter) -> float
 
 
 def run() -> list[tuple[str, float, str]]:
-    """(name, figure, unit) of each figure."""
+    """Return the figures as (name, figure, unit)."""
     ours, peer = _client_uploads_per_s(), _peer_uploads_per_s()
     return [
         ("csp cycle (RPDO, SYNC, TPDO) of one node", _csp_cycle_us(), "us"),

@@ -1,7 +1,7 @@
-"""Math functions beside scipy's and numpy's of the same run: all figures are ratios to a peer.
+"""Math functions compared with scipy and numpy; all figures are ratios.
 
 A thousand pieces at a million points, in random and in ascending order; waves; samples; and one
-number at a time, as a motor's set-points are found. CPU time; each figure is the best of several.
+number at a time, as for a motor's set-points. CPU time; each figure is the best of several.
 """
 
 import time
@@ -11,7 +11,7 @@ from functools import partial
 import numpy as np
 from scipy.interpolate import CubicSpline, PPoly
 
-from motorapi.functions import Cosine, Interpolation, Piecewise, Sampled, Sine
+from motorhil.motorapi.functions import Cosine, Interpolation, Piecewise, Sampled, Sine
 
 PIECES = 1000
 POINTS = 1_000_000
@@ -20,7 +20,7 @@ Figure = tuple[str, float, str]
 
 
 def ratio(ours: Callable[[], object], theirs: Callable[[], object]) -> float:
-    """CPU time of ours over that of theirs; the best of each, taken in turns."""
+    """Return our CPU time divided by theirs; the best of each, measured alternately."""
     best = [float("inf"), float("inf")]
     for _ in range(ROUNDS):
         for number, work in enumerate((ours, theirs)):
@@ -31,7 +31,7 @@ def ratio(ours: Callable[[], object], theirs: Callable[[], object]) -> float:
 
 
 def by_pieces(draw: np.random.Generator) -> list[Figure]:
-    """Evaluation of whole arrays, beside scipy.interpolate.PPoly."""
+    """Compare evaluation of whole arrays with scipy.interpolate.PPoly."""
     figures: list[Figure] = []
     breaks = np.append(0.0, np.cumsum(draw.uniform(0.1, 1.0, PIECES)))
     points = draw.uniform(breaks[0], breaks[-1], POINTS)
@@ -47,7 +47,7 @@ def by_pieces(draw: np.random.Generator) -> list[Figure]:
 
 
 def made_and_differentiated(draw: np.random.Generator) -> list[Figure]:
-    """Making a spline, beside scipy.interpolate.CubicSpline."""
+    """Compare construction of a spline with scipy.interpolate.CubicSpline."""
     x = np.cumsum(draw.uniform(0.1, 1.0, 1000)).tolist()
     y = draw.normal(size=1000).tolist()
     made = ratio(lambda: Sampled(x, y, Interpolation.CUBIC), lambda: CubicSpline(x, y))
@@ -55,7 +55,7 @@ def made_and_differentiated(draw: np.random.Generator) -> list[Figure]:
 
 
 def waves(draw: np.random.Generator) -> list[Figure]:
-    """Waves and what is made of them, beside the same in numpy."""
+    """Compare waves and their combinations with the same in numpy."""
     x = draw.uniform(-10.0, 10.0, POINTS)
     one, both = Sine(2.0, 3.0, 0.5), Sine(2.0, 3.0, 0.5) * Cosine(1.0, 2.0) + 1.0
 
@@ -73,7 +73,7 @@ def waves(draw: np.random.Generator) -> list[Figure]:
 
 
 def one_by_one(draw: np.random.Generator) -> list[Figure]:
-    """One number at a time, as set-points are found; a thousand of them."""
+    """Compare evaluation of single numbers, as for set-points; a thousand of them."""
     breaks = np.append(0.0, np.cumsum(draw.uniform(0.1, 1.0, PIECES)))
     rows = draw.normal(size=(4, PIECES))
     theirs = PPoly(rows, breaks)
@@ -94,6 +94,6 @@ def one_by_one(draw: np.random.Generator) -> list[Figure]:
 
 
 def run() -> list[Figure]:
-    """Figures as (name, figure, unit)."""
+    """Return the figures as (name, figure, unit)."""
     draw = np.random.default_rng(3)
     return [*by_pieces(draw), *made_and_differentiated(draw), *waves(draw), *one_by_one(draw)]

@@ -1,13 +1,13 @@
-"""What a trajectory costs to generate, one and many; ruckig in the same run is the yardstick."""
+"""Costs of trajectory generation, single and batched, compared with ruckig."""
 
 from collections.abc import Callable
 from time import process_time
 
 import numpy as np
 
-from motorapi.commands import DerivativeLimits
-from motorapi.errors import UnsupportedError
-from motorapi.generation import (
+from motorhil.motorapi.commands import DerivativeLimits
+from motorhil.motorapi.errors import UnsupportedError
+from motorhil.motorapi.generation import (
     ProfileLimits,
     feasible,
     generate,
@@ -15,22 +15,23 @@ from motorapi.generation import (
     through_waypoints,
     trapezoid,
 )
-from motorapi.generation import batched as many
-from motorapi.generation.batched import LimitArrays, trapezoids
-from motorapi.model import MotorModel
-from motorapi.trajectory import TrapezoidalTrajectory
+from motorhil.motorapi.generation import batch as trapezoids
+from motorhil.motorapi.generation import batched as many
+from motorhil.motorapi.generation.batched import LimitArrays
+from motorhil.motorapi.model import MotorModel
+from motorhil.motorapi.trajectory import TrapezoidalTrajectory
 
 MANY = 100_000
 FEW = 20_000
 
 
 def run() -> list[tuple[str, float, str]]:
-    """(name, figure, unit)."""
+    """Return the figures as (name, figure, unit)."""
     return [*single(), *batched(), *others()]
 
 
 def best(work: Callable[[], object], times: int = 7) -> float:
-    """The least of several [s of processor], for other work on the machine only adds."""
+    """Return the least of several CPU times [s]; other load only adds time."""
     found = []
     for _ in range(times):
         start = process_time()
@@ -40,7 +41,7 @@ def best(work: Callable[[], object], times: int = 7) -> float:
 
 
 def single() -> list[tuple[str, float, str]]:
-    """One trapezoid, its limits made anew each time as ruckig's are."""
+    """Measure one trapezoid; its limits are created each time, as ruckig's are."""
 
     def at_rest() -> None:
         for _ in range(FEW):
@@ -94,7 +95,7 @@ def single() -> list[tuple[str, float, str]]:
 
 
 def batched() -> list[tuple[str, float, str]]:
-    """100,000 from rest to rest, each with limits of its own."""
+    """Measure 100,000 trapezoids from rest to rest, each with its own limits."""
     random = np.random.default_rng(1)
     ways, velocities = random.uniform(-10.0, 10.0, MANY), random.uniform(0.1, 5.0, MANY)
     ups, downs = random.uniform(0.1, 10.0, MANY), random.uniform(0.1, 10.0, MANY)
@@ -134,7 +135,7 @@ def batched() -> list[tuple[str, float, str]]:
 
 
 def others() -> list[tuple[str, float, str]]:
-    """The generators that return functions, and what asks a motor's model."""
+    """Measure generators that return functions, and functions that use a motor's model."""
     model = MotorModel(name="wheel", velocity_max=2.0, acceleration_max=4.0)
     asked = TrapezoidalTrajectory(1.0, 0.25)
     random = np.random.default_rng(2)
@@ -206,7 +207,7 @@ def ruckig_loop(
     *,
     moving: bool,
 ) -> Callable[[], object] | None:
-    """Its input and trajectory made for each, itself once; None if it is not installed."""
+    """Return a loop that creates input and trajectory for each; None if ruckig is missing."""
     try:
         import ruckig
     except ImportError:
@@ -214,7 +215,7 @@ def ruckig_loop(
     generator = ruckig.Ruckig(1)
 
     def loop() -> list[float]:
-        """Asks for the durations only: nothing that ours would not give."""
+        """Compute only the durations, which ours gives as well."""
         durations = []
         for way, velocity, up, down in zip(ways, velocities, ups, downs, strict=True):
             given = ruckig.InputParameter(1)

@@ -1,4 +1,4 @@
-"""The lock between processes, against flock in the same run."""
+"""The lock between processes, compared with flock in the same run."""
 
 import fcntl
 import os
@@ -7,19 +7,22 @@ import tempfile
 import time
 from collections.abc import Callable
 
-from harness.sharing.desk import Desk
-from harness.sharing.history import Action, SharingViolated
-from harness.sharing.processes import Outcome, Plan
-from harness.sharing.processes import run as contested
-from motorapi.lock_directory import LockDirectory
-from motorapi.process_lock import ProcessLock
-from motorapi.wall_runtime import WallRuntime
+from motorhil.harness.sharing_tests.history import Action, SharingViolated
+from motorhil.harness.sharing_tests.processes import Outcome, Plan
+from motorhil.harness.sharing_tests.processes import run as contested
+from motorhil.harness.sharing_tests.workers import Desk
+from motorhil.motorapi.locking.directory import LockDirectory
+from motorhil.motorapi.locking.process_lock import ProcessLock
+from motorhil.motorapi.runtime.wall import WallRuntime
 
 ROUNDS = 5
-SHORT_ROUNDS = 200  # each shorter than a turn on a busy processor, so that one goes undisturbed
+SHORT_ROUNDS = 200  # shorter than a time slice, so that some rounds run undisturbed
 TIMES = 100
 CONTEST_S, INSIDE_S = 3.0, 50e-6
-OURS, FLOCK = "harness.sharing.desk:work_lock", "tests.benchmarks.bench_locks:work_flock"
+OURS, FLOCK = (
+    "motorhil.harness.sharing_tests.workers:work_lock",
+    "tests.benchmarks.bench_locks:work_flock",
+)
 
 
 def _best_us(action: Callable[[], object]) -> float:
@@ -33,7 +36,7 @@ def _best_us(action: Callable[[], object]) -> float:
 
 
 def _uncontended_us() -> tuple[float, float]:
-    """(ours, flock) of taking it and letting it go, nobody else there."""
+    """Return the times (ours, flock) [us] of acquiring and releasing without contention."""
     runtime = WallRuntime()
     with tempfile.TemporaryDirectory() as folder:
         lock = ProcessLock("lock", "the lock", LockDirectory(folder))
@@ -53,7 +56,7 @@ def _uncontended_us() -> tuple[float, float]:
 
 
 def _held_us() -> tuple[float, float, float]:
-    """(a write section, renewing a lease, taking it over from one who lives), one of each."""
+    """Return the times [us] of a write section, a lease renewal and a takeover."""
     runtime = WallRuntime()
     with tempfile.TemporaryDirectory() as folder:
         locks = [ProcessLock("lock", "the lock", LockDirectory(folder)) for _ in range(2)]
@@ -64,7 +67,7 @@ def _held_us() -> tuple[float, float, float]:
             locks[1].end_write()
 
         def take_over() -> None:
-            for place in (0, 1):  # each from the other, who lives; then the loser gives it back
+            for place in (0, 1):  # each takes over from the other, which then releases
                 taken = locks[place].acquire(runtime, "bench", take_over=True)
                 holds[1 - place].release()
                 holds[place] = taken
@@ -83,7 +86,7 @@ def _held_us() -> tuple[float, float, float]:
 
 
 def work_flock(desk: Desk) -> None:
-    """The peer of `work_lock`: no order, no token."""
+    """Work as `work_lock` does, with flock: no order, no token."""
     lock = os.open(desk.folder / "flock", os.O_RDWR | os.O_CREAT)
     while not desk.is_over:
         take = desk.history.call(desk.name, "lock", Action.TAKE)
@@ -111,10 +114,10 @@ def _violations(outcome: Outcome) -> int:
 
 
 def run() -> list[tuple[str, float, str]]:
-    """(name, figure, unit) of each figure."""
+    """Return the figures as (name, figure, unit)."""
     ours_us, flock_us = _uncontended_us()
     write_us, renew_us, over_us = _held_us()
-    pairs = [  # in turn, so that both meet the same disturbances
+    pairs = [  # alternately, so that both meet the same disturbances
         (_contested(OURS), _contested(FLOCK)) for _ in range(ROUNDS)
     ]
     ours_s = statistics.median(ours.waits_s[-1] for ours, _ in pairs)

@@ -1,16 +1,17 @@
-"""What a frame costs on the emulated CAN bus, in CPU time of this process."""
+"""CPU time per frame on the emulated CAN bus."""
 
 from random import Random
 from time import process_time_ns
 
-from emulators.media.can_bus import CanBus
-from emulators.media.faults import FaultKind, FaultPlan, FaultRule
+from motorhil.emulators.can.bus.bus import CanBus
+from motorhil.emulators.can.bus.fault_plan import FaultPlan
+from motorhil.emulators.can.fault_rules import FaultKind, FaultRule
 from tests.benchmarks.workloads import best_us, bus, bus_traffic, one_by_one
 from tests.emulators.media.noisy import noisy_hours
 
 
 def run() -> list[tuple[str, float, str]]:
-    """(name, figure, unit) of each measurement."""
+    """Return the figures as (name, figure, unit)."""
     frames = bus_traffic()
     rule = FaultRule("rare", FaultKind.DROP, probability=0.01)
 

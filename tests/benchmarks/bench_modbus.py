@@ -1,7 +1,8 @@
-"""Modbus figures: the served TCP controller against pymodbus's own server, and RTU's cycle times.
+"""Modbus figures: served TCP controller compared with pymodbus, and RTU cycle times.
 
-Both servers run in processes of their own and answer the same client, in turns, the same request: 2
-registers of which one changes (ours: a drive's feedback position; theirs: an action that counts).
+Both servers run in processes of their own and answer the same request of the same client
+alternately. The request reads 2 registers, one of which changes (ours: a drive's feedback position;
+theirs: a counting action).
 """
 
 import socket
@@ -17,11 +18,11 @@ from time import perf_counter
 
 from pymodbus.client import ModbusTcpClient
 
-from emulators.event_queue import EventQueue
-from emulators.media.serial_line import SerialLine
-from emulators.modbus.crc import with_crc
-from emulators.modbus.tcp import adu
-from emulators.world import World
+from motorhil.emulators.media.serial_line import SerialLine
+from motorhil.emulators.modbus.rtu import with_crc
+from motorhil.emulators.modbus.tcp import adu
+from motorhil.emulators.simulation.event_queue import EventQueue
+from motorhil.emulators.simulation.world import World
 from tests.emulators.test_lines import Registers
 
 ROUNDS = 7
@@ -35,13 +36,13 @@ bus = "plant"
 unit = 1
 timing = {boot_up_s = 0, reply_s = 0}
 """
-_MOTORHIL = "import sys; from harness.cli import main; sys.exit(main())"
+_MOTORHIL = "import sys; from motorhil.harness.cli.main import main; sys.exit(main())"
 Work = Callable[[], float]
 
 
 @contextmanager
 def _served() -> Iterator[tuple[int, int]]:
-    """(port, address to read) of a drive served by `motorhil serve`."""
+    """Yield (port, address to read) of a drive served by `motorhil serve`."""
     with tempfile.TemporaryDirectory() as folder:
         rig = Path(folder) / "rig.toml"
         rig.write_text(RIG)
@@ -52,7 +53,7 @@ def _served() -> Iterator[tuple[int, int]]:
 
 @contextmanager
 def _peer() -> Iterator[tuple[int, int]]:
-    """The same of pymodbus's own server."""
+    """Yield (port, address to read) of pymodbus's own server."""
     with _process([sys.executable, "-m", "tests.benchmarks.pymodbus_peer", "300"]) as said:
         yield int(said), 0
 
@@ -70,7 +71,7 @@ def _process(words: list[str]) -> Iterator[str]:
 
 
 def _raw(port: int, address: int) -> Work:
-    """A client of bytes: it costs next to nothing itself."""
+    """Return a raw socket client, which costs almost nothing itself."""
     connection = socket.create_connection(("127.0.0.1", port), timeout=20)
     connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     request = adu(7, 1, b"\x03" + address.to_bytes(2, "big") + b"\x00\x02")
@@ -87,7 +88,7 @@ def _raw(port: int, address: int) -> Work:
 
 
 def _four(port: int, address: int) -> Work:
-    """Four such clients at once: what the server does when it never has to wait."""
+    """Return four such clients at once, so that the server never has to wait."""
     connections = [socket.create_connection(("127.0.0.1", port), timeout=20) for _ in range(4)]
     request = adu(7, 1, b"\x03" + address.to_bytes(2, "big") + b"\x00\x02")
     for connection in connections:
@@ -110,7 +111,7 @@ def _four(port: int, address: int) -> Work:
 
 
 def _pymodbus(port: int, address: int) -> Work:
-    """pymodbus's sync client."""
+    """Return pymodbus's sync client."""
     client = ModbusTcpClient("127.0.0.1", port=port, timeout=20, retries=0)
     assert client.connect()
 
@@ -124,7 +125,7 @@ def _pymodbus(port: int, address: int) -> Work:
 
 
 def _rates(client: Callable[[int, int], Work]) -> tuple[float, float]:
-    """Requests per second of (ours, the peer): medians of rounds in turns."""
+    """Return requests per second of (ours, the peer): medians of alternating rounds."""
     ours: list[float] = []
     theirs: list[float] = []
     with _served() as here, _peer() as there:
@@ -137,7 +138,7 @@ def _rates(client: Callable[[int, int], Work]) -> tuple[float, float]:
 
 
 def rtu_cycles(count: int = 50) -> tuple[Fraction, Fraction]:
-    """[us] of one exchange in virtual time: measured mean, and computed from character times.
+    """Return the time of an exchange in virtual time [us]: (measured mean, computed).
 
     Computed: 8 characters, t3.5, the reply delay of 1 ms, 9 characters, t3.5; 10 bits each (8N1).
     """
@@ -165,7 +166,7 @@ def rtu_cycles(count: int = 50) -> tuple[Fraction, Fraction]:
 
 
 def run() -> Iterator[tuple[str, float, str]]:
-    """(name, figure, unit) of each measurement."""
+    """Yield the figures as (name, figure, unit)."""
     for name, client in (
         ("a client of bytes", _raw),
         ("four of them", _four),

@@ -1,15 +1,14 @@
-"""What a servo tick costs, in the ways a drive asks for it; and how soon an axis rests."""
+"""Costs of servo ticks in several uses, and time to rest."""
 
 from collections.abc import Callable
 from dataclasses import replace
 from time import process_time
 
-from emulators.firmware.axis import Axis
-from emulators.firmware.flags import PROFILE_ACTIVE
-from emulators.firmware.gains import ServoGains
-from emulators.firmware.servo_tables import tables_of
-from emulators.plant.extras import NO_EXTRAS, PlantExtras
-from emulators.plant.presets import WHEEL_60W
+from motorhil.emulators.firmware.axis import Axis
+from motorhil.emulators.firmware.flags import PROFILE_ACTIVE
+from motorhil.emulators.firmware.servo_tables import ServoGains, tables_of
+from motorhil.emulators.plant.nonlinear import NO_EXTRAS, PlantExtras
+from motorhil.emulators.plant.presets import WHEEL_60W
 
 MS = 1_000_000
 TICKS = 10_000
@@ -18,7 +17,7 @@ FAR = 10**9
 
 
 def run() -> list[tuple[str, float, str]]:
-    """(name, figure, unit)."""
+    """Return the figures as (name, figure, unit)."""
     off, held = ticks_to_rest()
     return [
         ("tick of a moving axis, 10 current steps, 10,000 in one go", best(batch), "us"),
@@ -37,12 +36,12 @@ def run() -> list[tuple[str, float, str]]:
 
 
 def best(measure: Callable[[], float]) -> float:
-    """The least of several, for other work on the machine only adds."""
+    """Return the least of several measurements; other load only adds time."""
     return min(measure() for _ in range(7))
 
 
 def make(velocity_inc_s: float = 100_000.0, extras: PlantExtras = NO_EXTRAS) -> Axis:
-    """Powered and, unless the velocity is 0, at that speed, at 1 s."""
+    """Return an enabled axis at 1 s, moving at that velocity unless it is 0."""
     plant = replace(WHEEL_60W, extras=extras)
     axis = Axis(plant, ServoGains.tuned(plant, MS, STEPS), MS, STEPS)
     axis.power(True)
@@ -134,7 +133,7 @@ def cyclic() -> float:
     for k in range(1_000, 1_000 + TICKS):
         axis.at(k * MS)  # its own wake-up
         axis.next_event_ns()
-        axis.at(k * MS + 300_000)  # SYNC: status is read, a demand comes into force
+        axis.at(k * MS + 300_000)  # SYNC: status is read, a demand takes effect
         axis.position_inc()
         axis.follow(30 * (k - 1_000), MS)
         axis.next_event_ns()
@@ -159,7 +158,7 @@ def making() -> float:
 
 
 def ticks_to_rest() -> tuple[float, float]:
-    """After power off, and held at the end of a move of 100,000 increments."""
+    """Return the ticks to rest after power off, and at the end of a held move."""
     axis = make(0.0)
     axis.move_to(100_000, 100_000.0, 300_000.0, 300_000.0)
     tick = 1_000
@@ -172,7 +171,7 @@ def ticks_to_rest() -> tuple[float, float]:
 
 
 def _until_rest(axis: Axis, tick: int) -> int:
-    """Ticks until nothing is left to be done."""
+    """Return the number of ticks until no event is due."""
     ticks = 0
     wake = axis.next_event_ns()
     while wake is not None:

@@ -1,6 +1,6 @@
-"""What reading, converting and showing recordings costs a frame, beside peers in the same run.
+"""CPU time per frame of reading, converting and showing recordings, with peers.
 
-The frames are those of `bench_traces`. Times are CPU time of the process, the best of several.
+The frames are those of `bench_traces`. Times are CPU times of the process, the best of several.
 """
 
 import contextlib
@@ -12,58 +12,58 @@ from pathlib import Path
 import can
 from mcap.reader import make_reader
 
-from harness.cli import main as motorhil
-from harness.conversion import convert
+from motorhil.harness.cli.main import main as motorhil
+from motorhil.harness.recording.conversion import convert
+from motorhil.traces.columns import read_can_arrays
+from motorhil.traces.decoding.narrative import Story
+from motorhil.traces.formats.blf import write_blf
+from motorhil.traces.formats.frames import Findings, Frame
+from motorhil.traces.formats.registry import open_source
+from motorhil.traces.mcap.reader import read_trace
 from tests.benchmarks.bench_traces import FRAMES, by_python_can, by_writer, cpu_us, entries, traffic
-from traces.arrays import read_can_arrays
-from traces.blf_writing import write_blf
-from traces.formats import open_source
-from traces.reader import read_trace
-from traces.story import Story
-from traces.traffic import Findings, Frame
 
 LAST_S = 1.0
-SPANS = 20  # of the frames, one after another, in the recording of which the end is shown
+SPANS = 20  # repetitions of the frames in the recording whose end is shown
 
 
 def by_mcap_reader(path: Path, from_ns: int | None = None) -> int:
-    """Messages read by the stock reader, payloads left packed."""
+    """Count messages read by the stock reader, with payloads left packed."""
     with path.open("rb") as file:
         reader = make_reader(file)
         return sum(1 for _ in reader.iter_messages(start_time=from_ns, log_time_order=False))
 
 
 def by_can_reader(path: Path) -> int:
-    """Messages read by python-can."""
+    """Count messages read by python-can."""
     with can.LogReader(str(path)) as reader:
         return sum(1 for _ in reader)
 
 
 def by_source(path: Path) -> int:
-    """Frames read by us, one by one."""
+    """Count frames read by our reader, one by one."""
     return sum(1 for _ in open_source(path).frames(Findings()))
 
 
 def by_our_blf(frames: list[Frame], path: Path) -> None:
-    """A BLF file of ours."""
+    """Write a BLF file with our writer."""
     with path.open("wb") as file:
         write_blf(file, ["can0", "can1"], frames[0].time_ns, iter(frames))
 
 
 def show_end(path: Path) -> None:
-    """`motorhil show --last`, its lines thrown away."""
+    """Run `motorhil show --last` and discard its lines."""
     with contextlib.redirect_stdout(io.StringIO()):
         motorhil(["show", str(path), "--last", str(LAST_S)])
 
 
 def lines_of(path: Path) -> int:
-    """Every frame as a sentence."""
+    """Count the lines of all frames as sentences."""
     with read_trace(path) as trace:
         return sum(1 for _ in Story(trace).lines())
 
 
 def run() -> list[tuple[str, float, str]]:
-    """Figures as (name, figure, unit)."""
+    """Return the figures as (name, figure, unit)."""
     told = traffic()
     senders, batch = entries(told)
     span_ns = told[-1][1] + 125_000

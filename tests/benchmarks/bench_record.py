@@ -1,8 +1,8 @@
-"""What `motorhil record` costs a frame, in CPU time, beside python-can's loggers in the same run.
+"""CPU time per frame of `motorhil record`, compared with python-can's loggers.
 
-Two kinds of traffic: twelve drives that move (as in bench_traces), and eight buses of 1 Mbit/s full
-of the shortest frames there are, which is 170,000 frames/s. Rounds of all candidates take turns,
-and the best of each counts, so that what else the machine does meets all alike.
+There are two kinds of traffic: twelve moving drives (as in bench_traces), and eight buses of 1
+Mbit/s full of the shortest frames, 170,000 frames/s. Rounds of all candidates alternate, and the
+best of each counts, so that other load on the machine affects all alike.
 """
 
 import random
@@ -16,11 +16,10 @@ from pathlib import Path
 import can
 from can.interfaces.socketcan.socketcan import capture_message
 
-from harness.recording.datagrams import DatagramReader
-from harness.recording.pump import Pump, opener
-from harness.recording.series import Series
+from motorhil.harness.recording.socketcan import DatagramReader
+from motorhil.harness.recording.writer import Pump, Series, opener
+from motorhil.traces.mcap.writer import Entry
 from tests.benchmarks.bench_traces import FRAMES, by_python_can, traffic
-from traces.chunk import Entry
 
 ROUNDS = 7
 FULL_FRAMES_S = 170_000
@@ -29,12 +28,12 @@ Figures = list[tuple[str, float, str]]
 
 
 def moving_drives() -> list[Entry]:
-    """Frames of twelve drives on two buses."""
+    """Return frames of twelve drives on two buses."""
     return [(2 * (bus == "can1"), time_ns, frame) for bus, time_ns, _, frame in traffic()]
 
 
 def full_buses() -> list[Entry]:
-    """The shortest frames on eight full buses, identifiers of 40 nodes each."""
+    """Return the shortest frames on eight full buses, with identifiers of 40 nodes each."""
     draw = random.Random("bench_record")
     pack = struct.Struct("<IB3x8s").pack
     step_ns = 10**9 / FULL_FRAMES_S
@@ -45,7 +44,7 @@ def full_buses() -> list[Entry]:
 
 
 def by_us(entries: list[Entry], round_frames: int, path: Path, compact: bool) -> None:
-    """As the loop hands them over: what came in 3 ms, pump, file."""
+    """Record frames in portions as the loop delivers them: 3 ms, pump, file."""
     buses = [f"can{k}" for k in range(8)]
     series = Series(str(path), opener(buses, {}, compact), overwrite=True)
     pump = Pump(buses[:1], series)
@@ -55,7 +54,7 @@ def by_us(entries: list[Entry], round_frames: int, path: Path, compact: bool) ->
 
 
 def messages_of(entries: list[Entry]) -> list[can.Message]:
-    """The same as python-can has them."""
+    """Return the same frames as python-can messages."""
     return [
         can.Message(
             timestamp=time_ns / 1e9,
@@ -69,7 +68,7 @@ def messages_of(entries: list[Entry]) -> list[can.Message]:
 
 
 def best_us(candidates: dict[str, Callable[[], object]], frames: int) -> dict[str, float]:
-    """CPU time a frame [us] of each, the best of several rounds in turn."""
+    """Return the CPU time per frame [us] of each candidate, the best of alternating rounds."""
     best = dict.fromkeys(candidates, float("inf"))
     for _ in range(ROUNDS):
         for name, work in candidates.items():
@@ -80,7 +79,7 @@ def best_us(candidates: dict[str, Callable[[], object]], frames: int) -> dict[st
 
 
 def in_memory(kind: str, entries: list[Entry], round_frames: int, folder: Path) -> Figures:
-    """Frames that are in memory already, as each side wants them."""
+    """Measure frames that are in memory already, in the form that each side needs."""
     messages = messages_of(entries)
     files = {name: folder / f"{kind}.{name}" for name in ("mcap", "compact", *LOGGERS)}
 
@@ -106,7 +105,7 @@ def in_memory(kind: str, entries: list[Entry], round_frames: int, folder: Path) 
 
 
 def from_sockets(entries: list[Entry], folder: Path) -> Figures:
-    """Frames that a socket holds, with the kernel's stamps, into a file."""
+    """Measure frames from a socket with kernel time stamps into a file."""
     frames = [frame for _, _, frame in entries]
     cost = {name: float("inf") for name in ("mcap", "python-can csv")}
     for _ in range(ROUNDS // 2):
@@ -123,7 +122,7 @@ def from_sockets(entries: list[Entry], folder: Path) -> Figures:
 
 
 def _filled(sender: socket.socket, frames: list[bytes], start: int) -> int:
-    """The socket is full; which frame is next."""
+    """Fill the socket; return the index of the next frame."""
     try:
         while start < len(frames):
             sender.send(frames[start])
@@ -140,7 +139,7 @@ def _pair() -> tuple[socket.socket, socket.socket]:
 
 
 def _from_socket_by_us(frames: list[bytes], folder: Path) -> float:
-    """CPU time [s]; filling the socket is not counted."""
+    """Return the CPU time [s] without the filling of the socket."""
     sender, receiver = _pair()
     spent, sent = 0.0, 0
     with sender, receiver:
@@ -161,7 +160,7 @@ def _from_socket_by_us(frames: list[bytes], folder: Path) -> float:
 
 
 def _from_socket_by_python_can(frames: list[bytes], folder: Path) -> float:
-    """As above, by what python-can's SocketCAN bus and its fastest logger do with a frame."""
+    """Return the CPU time [s] of python-can's SocketCAN bus and its fastest logger."""
     sender, receiver = _pair()
     spent, sent = 0.0, 0
     with sender, receiver, can.Logger(str(folder / "socket.csv")) as logger:
@@ -182,7 +181,7 @@ def _from_socket_by_python_can(frames: list[bytes], folder: Path) -> float:
 
 
 def run() -> Figures:
-    """Figures as (name, figure, unit)."""
+    """Return the figures as (name, figure, unit)."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         drives, shortest = moving_drives(), full_buses()

@@ -1,7 +1,7 @@
-"""What a page costs: to make, a frame of the recording; to open, in a browser, where there is one.
+"""Costs of making a report page, and of opening it in Chromium.
 
-The recording is that of twelve drives on two buses whose motors move, with the PDO mappings in it,
-a million frames. The peer is mcap's own reader, which only reads them, in the same run.
+The recording has a million frames of twelve drives on two buses with moving motors, and their PDO
+mappings. The peer is mcap's own reader, which only reads them, in the same run.
 """
 
 import tempfile
@@ -10,12 +10,11 @@ from pathlib import Path
 
 from mcap.reader import make_reader
 
-from harness.cli import main
+from motorhil.harness.cli.main import main
+from motorhil.traces.mcap.writer import TraceWriter
+from motorhil.traces.schema import CAN_FRAME, Direction, Schema, encode_can_frame
 from tests.benchmarks.bench_traces import traffic
 from tests.harness.report.browser import Browser, chromium
-from traces.fields import encode_can_frame
-from traces.schema import CAN_FRAME, Direction, Schema
-from traces.writer import TraceWriter
 
 FRAMES = 1_000_000
 PERIOD_NS = 125_000
@@ -28,7 +27,7 @@ MAPPINGS = {
 
 
 def run():
-    """Figures: (name, figure, unit)."""
+    """Yield the figures as (name, figure, unit)."""
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
         recording, page = Path(folder) / "million.mcap", Path(folder) / "million.html"
         write(recording)
@@ -48,7 +47,7 @@ def run():
 
 
 def opened(folder, page):
-    """How long the page takes to be there, and to draw anew, by the page's own clock."""
+    """Measure how long the page takes to load and to redraw, by the page's own clock."""
     with Browser(folder / "profile") as browser:
         browser.open(page)
         if browser.errors:
@@ -69,7 +68,7 @@ def opened(folder, page):
 
 
 def write(path):
-    """The traffic of `bench_traces`, ten times over, behind what tells its mappings."""
+    """Write the traffic of `bench_traces` ten times, after its PDO mappings."""
     told = traffic()
     with TraceWriter(path) as writer:
         channels = {
@@ -94,7 +93,7 @@ def write(path):
 
 
 def mappings(node):
-    """SDO downloads and their answers that map the PDOs of a drive."""
+    """Yield the SDO downloads that map a drive's PDOs, and their responses."""
     for index, entries in MAPPINGS.items():
         values = [
             (0, 0),
@@ -108,12 +107,12 @@ def mappings(node):
 
 
 def can_frame(identifier, data):
-    """As Linux has it."""
+    """Return a Linux can_frame."""
     return identifier.to_bytes(4, "little") + bytes((len(data), 0, 0, 0)) + data.ljust(8, b"\0")
 
 
 def read_by_mcap(path):
-    """All messages, by the stock reader."""
+    """Read all messages with the stock reader."""
     with path.open("rb") as file:
         for _ in make_reader(file).iter_messages(log_time_order=False):
             pass

@@ -1,19 +1,19 @@
-"""Central servo: twelve motors whose loops are closed on the host, all of them moving.
+"""Central servo: twelve moving motors whose loops are closed on the host.
 
-A motor costs a count there and an output back in every cycle, exact frames on the bus, a sample of
-its trajectory, PID, and the plant. Times are CPU's: one thread does it all. Figures grow with
-motors and with the rate.
+In every cycle a motor costs two messages (count and output), exact frames on the bus, a trajectory
+sample, a PID step, and the plant. Times are CPU times of one thread. Figures grow with the number
+of motors and the rate.
 """
 
 import time
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from harness.rig import Rig
-from motorapi.commands import ControlMode
-from motorapi.group import MotorGroup
-from motorapi.motor import Motor
-from motorapi.trajectory import TrapezoidalTrajectory
+from motorhil.harness.rig.rig import Rig
+from motorhil.motorapi.commands import ControlMode
+from motorhil.motorapi.group import MotorGroup
+from motorhil.motorapi.motor import Motor
+from motorhil.motorapi.trajectory import TrapezoidalTrajectory
 from tests.motorapi.adaptations.software_rigs import motor, node
 
 ROUNDS = 3
@@ -22,7 +22,7 @@ BUS = "[bus.can{n}]\nbitrate_bit_s = 1_000_000\n"
 
 
 def _text(buses: int, cycle_ms: float) -> str:
-    """Twelve motors on three nodes of four channels, or on four of three, over the buses."""
+    """Return a rig of twelve motors: three nodes with four channels, or four with three."""
     parts = ['[rig]\nname = "central"\n', *(BUS.format(n=n) for n in range(buses))]
     nodes, channels = (3, 4) if buses == 1 else (4, 3)
     for number in range(nodes):
@@ -39,7 +39,7 @@ def _text(buses: int, cycle_ms: float) -> str:
 
 
 def _run(buses: int, cycle_ms: float) -> tuple[float, float, int]:
-    """(real-time factor, load of the first bus, cycles missed) while all of them move."""
+    """Return (real-time factor, load of the first bus, cycles missed) while all motors move."""
     with TemporaryDirectory() as folder:
         path = Path(folder) / "rig.toml"
         path.write_text(_text(buses, cycle_ms))
@@ -63,7 +63,7 @@ def _run(buses: int, cycle_ms: float) -> tuple[float, float, int]:
 
 
 def run() -> list[tuple[str, float, str]]:
-    """(name, figure, unit) of each figure."""
+    """Return the figures as (name, figure, unit)."""
     figures: list[tuple[str, float, str]] = []
     for buses, cycle_ms, what in ((1, 2.0, "500 Hz, one bus"), (2, 1.0, "1 kHz, two buses")):
         factor, load, missed = _run(buses, cycle_ms)

@@ -1,8 +1,8 @@
-"""The whole tool at work: the demo, csp at 1 kHz, a resting rig, SDO through bus and drive.
+"""System figures: demo, csp at 1 kHz, rest, and SDO uploads.
 
 Each workload runs in a process of its own, with the pure cores and, after `make compiled`, with the
-compiled ones. What a figure grows with: the demo and csp with simulated time and drives, rest with
-heartbeats alone.
+compiled ones. The demo and csp grow with simulated time and drives, the rig at rest with heartbeats
+only.
 """
 
 import subprocess
@@ -11,8 +11,8 @@ import time
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from harness.rig import Rig
-from motorapi.adaptations.cia402 import Cia402HwMotor
+from motorhil.harness.rig.rig import Rig
+from motorhil.motorapi.adaptations.cia402.hardware import Cia402HwMotor
 from tests.benchmarks.bench_adaptations import RIG
 from tests.benchmarks.bench_canopen import _peer_uploads_per_s
 
@@ -32,7 +32,7 @@ def _workload(python: str | Path, cores: str, name: str) -> Figures:
 
 
 def _uploads_per_s() -> float:
-    """SDO uploads by canopen's client from a drive, over a bus with its physics, in 1 s of CPU."""
+    """Return SDO uploads per second of CPU by canopen's client, over the emulated bus."""
     with TemporaryDirectory() as folder:
         path = Path(folder) / "rig.toml"
         path.write_text(RIG)
@@ -51,8 +51,8 @@ def _uploads_per_s() -> float:
 
 
 def run() -> Figures:
-    """(name, figure, unit) of each figure."""
-    # CPU, of all threads: other work on the machine would make the peer's wait for one another.
+    """Return the figures as (name, figure, unit)."""
+    # CPU time of all threads: other load would make the peer's threads wait for one another.
     ours, peer = _uploads_per_s(), _peer_uploads_per_s(time.process_time)
     figures = [
         ("SDO uploads by canopen's client, drive and bus physics", ours, "1/s"),

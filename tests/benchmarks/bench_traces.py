@@ -1,7 +1,7 @@
-"""What recording costs a frame, in CPU time, beside its peers in the same run.
+"""CPU time per recorded frame, compared with peers in the same run.
 
 The frames are those of twelve drives on two buses: SYNC, set-points, and two kinds of feedback of
-motors that move. Times are CPU time of the whole process; each figure is the best of several.
+moving motors. Times are CPU times of the whole process; each figure is the best of several.
 """
 
 import random
@@ -14,13 +14,11 @@ from pathlib import Path
 import can
 from mcap.writer import IndexType, Writer
 
-from harness.recorder import Recorder
-from traces.chunk import Entry
-from traces.digest import digest
-from traces.fields import encode_can_frame
-from traces.reader import read_trace
-from traces.schema import CAN_FRAME, Direction, Schema
-from traces.writer import TraceWriter
+from motorhil.harness.recording.recorder import Recorder
+from motorhil.traces.digest import digest
+from motorhil.traces.mcap.reader import read_trace
+from motorhil.traces.mcap.writer import Entry, TraceWriter
+from motorhil.traces.schema import CAN_FRAME, Direction, Schema, encode_can_frame
 
 FRAMES = 100_000
 ROUNDS = 3
@@ -28,7 +26,7 @@ Told = tuple[str, int, str, bytes]  # bus, time, sender, frame
 
 
 def traffic() -> list[Told]:
-    """The frames, 8,000 a second, in the shape in which a world tells them."""
+    """Return frames, 8,000 per second, in the form in which a world delivers them."""
     draw = random.Random("bench_traces")
     frame = struct.Struct("<IB3x8s").pack
     position, velocity = [0] * 12, [0] * 12
@@ -54,7 +52,7 @@ def traffic() -> list[Told]:
 
 
 def cpu_us(work: Callable[[], object], rounds: int = ROUNDS) -> float:
-    """CPU time a frame [us], the best of `rounds`."""
+    """Return the CPU time per frame [us], the best of `rounds`."""
     best = float("inf")
     for _ in range(rounds):
         start = time.process_time()
@@ -64,7 +62,7 @@ def cpu_us(work: Callable[[], object], rounds: int = ROUNDS) -> float:
 
 
 def by_recorder(told: list[Told], path: Path, compact: bool) -> None:
-    """All of it: the tap, packing, compression, the file."""
+    """Record with everything: tap, packing, compression, file."""
     recorder = Recorder(
         TraceWriter(path, compact=compact), {f"wheel_{i}": "cia402" for i in range(12)}
     )
@@ -75,7 +73,7 @@ def by_recorder(told: list[Told], path: Path, compact: bool) -> None:
 
 
 def entries(told: list[Told]) -> tuple[list[tuple[str, str]], list[Entry]]:
-    """(senders, entries) as the recorder hands them over."""
+    """Return (senders, entries) in the form in which the recorder passes them on."""
     senders: dict[tuple[str, str], int] = {}
     out: list[Entry] = []
     for bus, time_ns, sender, frame in told:
@@ -85,7 +83,7 @@ def entries(told: list[Told]) -> tuple[list[tuple[str, str]], list[Entry]]:
 
 
 def by_writer(senders: list[tuple[str, str]], batch: list[Entry], path: Path) -> None:
-    """The writer alone, frames handed over in batches of 4096."""
+    """Write with the writer alone, in batches of 4096 frames."""
     with TraceWriter(path) as writer:
         channels = {bus: writer.channel(f"/can/{bus}", Schema.of(CAN_FRAME)) for bus, _ in senders}
         for bus, sender in senders:
@@ -95,7 +93,7 @@ def by_writer(senders: list[tuple[str, str]], batch: list[Entry], path: Path) ->
 
 
 def by_mcap(told: list[Told], path: Path, index: IndexType, payloads: list[bytes]) -> None:
-    """The stock writer; the payloads are packed already."""
+    """Write packed payloads with the stock writer."""
     with path.open("wb") as file:
         writer = Writer(file, index_types=index)
         writer.start()
@@ -110,21 +108,21 @@ def by_mcap(told: list[Told], path: Path, index: IndexType, payloads: list[bytes
 
 
 def by_python_can(messages: list[can.Message], path: Path) -> None:
-    """python-can's loggers."""
+    """Write with python-can's loggers."""
     with can.Logger(str(path)) as logger:
         for message in messages:
             logger.on_message_received(message)
 
 
 def read(path: Path) -> None:
-    """All messages, one by one."""
+    """Read all messages, one by one."""
     with read_trace(path) as trace:
         for _ in trace.messages():
             pass
 
 
 def run() -> list[tuple[str, float, str]]:
-    """Figures as (name, figure, unit)."""
+    """Return the figures as (name, figure, unit)."""
     told = traffic()
     senders, batch = entries(told)
     payloads = [encode_can_frame(f, s, Direction.RECEIVED) for _, _, s, f in told]

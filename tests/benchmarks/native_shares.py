@@ -1,8 +1,8 @@
-"""Which layer the compiled cores spend a workload's time in, by samples that perf takes.
+"""Shares of compiled cores' time by layer, sampled by perf.
 
-Of each sample the innermost function counts that is ours, so that what it makes Python do is its
-own; names of compiled functions tell their modules. What no compiled function has asked for is the
-interpreter's: perf does not know which Python function it is in.
+The innermost function of ours counts for each sample, including the Python work that it causes.
+Names of compiled functions contain their modules. Samples without a compiled function count as the
+interpreter's, because perf does not see Python functions.
 """
 
 import re
@@ -25,11 +25,11 @@ _PACKAGES: Final = ("emulators", "harness", "motorapi", "traces")
 
 
 def native_shares(python: Path, command: list[str], layer_of: Callable[[str], str]) -> Counter[str]:
-    """Samples by layer of the command, which that Python runs.
+    """Return the number of samples by layer for a command run by that Python.
 
     Raises:
-        OSError: there is no perf.
-        subprocess.CalledProcessError: it, or the command, failed.
+        OSError: perf is not installed.
+        subprocess.CalledProcessError: perf or the command failed.
     """
     with TemporaryDirectory() as folder:
         data = str(Path(folder) / "perf.data")
@@ -44,7 +44,7 @@ def native_shares(python: Path, command: list[str], layer_of: Callable[[str], st
 
 
 def _stacks(lines: Iterable[str]) -> Iterator[list[str]]:
-    """The names of each sample's functions, the innermost first."""
+    """Yield the function names of each sample, the innermost first."""
     stack: list[str] = []
     for line in lines:
         _, _, name = line.strip().partition(" ")
@@ -73,7 +73,7 @@ def _layer(stack: list[str], modules: dict[str, str], layer_of: Callable[[str], 
 
 
 def _modules(python: Path) -> dict[str, str]:
-    """The files of compiled modules by what mypyc may call them: an end of the dotted name."""
+    """Return files of compiled modules by mypyc's possible names: ends of the dotted name."""
     found: dict[str, str] = {}
     for library in sorted((python.parents[1] / "lib").rglob("*.so")):
         parts = [*library.parts[:-1], library.name.split(".")[0]]

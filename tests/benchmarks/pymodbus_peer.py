@@ -1,7 +1,8 @@
-"""pymodbus's own TCP server in a process of its own, with registers that change: the peer.
+"""pymodbus's own TCP server with changing registers, as a peer process.
 
-python -m tests.benchmarks.pymodbus_peer COUNT      registers and bits 0 to COUNT - 1 of one device;
-prints its port, and serves until it is killed
+python -m tests.benchmarks.pymodbus_peer COUNT      registers and bits 0 to COUNT - 1 of one device
+
+Prints its port and serves until it is killed.
 """
 
 import asyncio
@@ -12,13 +13,13 @@ from pymodbus.simulator import DataType, SimData, SimDevice
 
 
 async def serve(count: int) -> None:
-    """Never returns."""
+    """Serve without end."""
     passed = 0
 
     async def live(
         function: int, start: int, address: int, number: int, registers: list[int], values: object
     ) -> None:
-        """The first register counts reads: it is as it is now, as a drive's position is."""
+        """Count reads in the first register, which changes as a drive's position does."""
         nonlocal passed
         if function == 3:
             passed += 1

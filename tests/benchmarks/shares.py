@@ -1,10 +1,11 @@
-"""Which layer a workload's time is spent in: a table.
+"""Shares of a workload's time by layer, as a table.
 
     python -m tests.benchmarks.shares [demo | csp | rest | kit] [--compiled]
 
-The pure cores by cProfile: what Python itself does (dictionaries, struct, heapq) counts for whoever
-asked for it. Calls cost more while they are counted, so layers of many short functions look dearer
-than they are. The compiled ones by perf, if it is installed, which sees no Python functions.
+The pure cores are measured by cProfile; built-in work (dictionaries, struct, heapq) counts for its
+caller. Profiling makes calls dearer, so layers of many short functions look more expensive than
+they are. The compiled cores are measured by perf, if it is installed, which sees no Python
+functions.
 """
 
 import argparse
@@ -19,7 +20,7 @@ from typing import Final
 from tests.benchmarks.native_shares import native_shares
 from tests.benchmarks.workloads import WORKLOADS
 
-_LAYERS: Final = (  # the first whose part stands in a file's path
+_LAYERS: Final = (  # the first layer whose part is in a file's path counts
     ("plant", ("/emulators/plant/",)),
     ("firmware", ("/emulators/firmware/",)),
     ("drive protocol", ("/emulators/canopen/", "/emulators/cia401/", "/emulators/cia402/")),
@@ -39,27 +40,27 @@ _WAITING: Final = "<method 'acquire' of '_thread.lock' objects>"  # while anothe
 
 
 class _Profiles:
-    """One profile of each thread, for parties are threads."""
+    """One profile per thread, because parties are threads."""
 
     def __init__(self) -> None:
         self._all: list[cProfile.Profile] = []
 
     def begin(self, *_: object) -> None:
-        """The thread that calls it is profiled from now on."""
+        """Profile the calling thread from now on."""
         profile = cProfile.Profile()
         self._all.append(profile)
         profile.enable()
 
     def stats(self) -> pstats.Stats:
-        """What all of them did."""
+        """Return the statistics of all threads."""
         self._all[0].disable()
         return pstats.Stats(*self._all)
 
 
 def shares(stats: pstats.Stats) -> Counter[str]:
-    """Seconds by layer."""
+    """Return seconds by layer."""
     out: Counter[str] = Counter()
-    # (calls that count once, calls, own time, time with callees, the same by caller)
+    # (primitive calls, calls, own time, time with callees, the same by caller)
     for (file, _, name), (_, _, own_s, _, callers) in stats.stats.items():  # type: ignore[attr-defined]  # not in typeshed
         if file != "~":
             out[layer_of(file)] += own_s
@@ -75,7 +76,7 @@ def shares(stats: pstats.Stats) -> Counter[str]:
 
 
 def layer_of(file: str) -> str:
-    """The layer that a source file belongs to."""
+    """Return the layer that a source file belongs to."""
     for layer, parts in _LAYERS:
         if any(part in file for part in parts):
             return layer
@@ -83,7 +84,7 @@ def layer_of(file: str) -> str:
 
 
 def main() -> None:
-    """Prints the shares, the largest first."""
+    """Print the shares, the largest first."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
     parser.add_argument("workload", nargs="?", default="demo", choices=sorted(WORKLOADS))
     parser.add_argument("--compiled", action="store_true", help="by perf; after make compiled")
@@ -99,7 +100,7 @@ def main() -> None:
 
 def _pure_shares(workload: Callable[[], object]) -> Counter[str]:
     profiles = _Profiles()
-    threading.setprofile(profiles.begin)  # of threads begun from now on
+    threading.setprofile(profiles.begin)  # of threads started from now on
     profiles.begin()
     workload()
     threading.setprofile(None)  # type: ignore[arg-type]  # as its documentation has it

@@ -1,10 +1,10 @@
-"""What `bench_system` runs in processes of their own, once pure and once compiled.
+"""Workloads of `bench_system`, run in processes of their own, pure and compiled.
 
     python -P tests/benchmarks/workloads.py NAME
 
-prints one line a figure: name, tab, figure, tab, unit. It imports the project alone, so that it
-measures whichever motorhil belongs to the Python that runs it. Times are CPU times, the best of
-several runs: other work on the machine only adds.
+prints one line per figure: name, tab, figure, tab, unit. It imports only the project, so that it
+measures the motorhil of the Python that runs it. Times are CPU times, the best of several runs,
+because other load only adds time.
 """
 
 import gc
@@ -31,7 +31,7 @@ Figures = list[tuple[str, float, str]]
 
 
 def best(action: Callable[[], float], rounds: int = ROUNDS) -> float:
-    """The least CPU time [s] that `action` says it took."""
+    """Return the least CPU time [s] that `action` returns."""
     return min(action() for _ in range(rounds))
 
 
@@ -39,11 +39,11 @@ def best(action: Callable[[], float], rounds: int = ROUNDS) -> float:
 
 
 def demo() -> Figures:
-    """The rover manoeuvre: rig read and opened, driven, recorded, closed."""
+    """Measure the rover manoeuvre: open the rig, drive, record, close."""
     imported = time.process_time()
-    from harness.demo import POINT_M, RIG
-    from harness.examples.rover import Rover, manoeuvre
-    from harness.rig import Rig
+    from motorhil.harness.cli.demo import POINT_M, RIG
+    from motorhil.harness.examples.rover import Rover, manoeuvre
+    from motorhil.harness.rig.rig import Rig
 
     with TemporaryDirectory() as folder:
         frames = simulated_s = 0.0
@@ -62,7 +62,7 @@ def demo() -> Figures:
         whole = time.process_time() - imported
         rounds = [
             (drive(Path(folder) / "demo.mcap"), drive(None)) for _ in range(2 * ROUNDS)
-        ]  # in turn, so that both meet the same disturbances
+        ]  # alternately, so that both meet the same disturbances
     recorded, silent = min(r for r, _ in rounds), min(s for _, s in rounds)
     return [
         ("demo, recorded", simulated_s / recorded, "x real time"),
@@ -88,8 +88,9 @@ def _csp_rig(folder: str, drives: int) -> str:
 
 
 def _enabled(rig, drives: int, **options):  # type: ignore[no-untyped-def]
-    """Hardware objects of all drives, enabled; TPDO 1 (6041h, 6064h) is of type 1."""
-    from motorapi.adaptations.cia402 import Cia402HwMotor, HwOptions
+    """Return the hardware objects of all enabled drives; TPDO 1 (6041h, 6064h) is of type 1."""
+    from motorhil.motorapi.adaptations.cia402.bringup import HwOptions
+    from motorhil.motorapi.adaptations.cia402.hardware import Cia402HwMotor
 
     bus = rig.bus("can0")
     hardware = []
@@ -105,8 +106,8 @@ def _enabled(rig, drives: int, **options):  # type: ignore[no-untyped-def]
 
 
 def _stream(drives: int) -> tuple[float, int, float, str]:
-    """(CPU [s], late set-points, bus load, what was told) of CYCLES with the interface's stream."""
-    from harness.rig import Rig
+    """Stream CYCLES set-points; return (CPU [s], late set-points, bus load, message)."""
+    from motorhil.harness.rig.rig import Rig
 
     with TemporaryDirectory() as folder, Rig.open(_csp_rig(folder, drives)) as rig:
         told: list[str] = []
@@ -137,9 +138,9 @@ def _stream(drives: int) -> tuple[float, int, float, str]:
 
 
 def _bare(drives: int) -> float:
-    """CPU [s] of CYCLES with a host that only packs its frames and unpacks what comes."""
-    from harness.rig import Rig
-    from motorapi.adaptations.cia402_objects import Mode
+    """Return the CPU time [s] of CYCLES for a host that only packs and unpacks its frames."""
+    from motorhil.harness.rig.rig import Rig
+    from motorhil.motorapi.adaptations.cia402.objects import Mode
 
     with TemporaryDirectory() as folder, Rig.open(_csp_rig(folder, drives)) as rig:
         hardware = _enabled(rig, drives, heartbeat_ms=0, connection_loss=None)
@@ -179,7 +180,7 @@ def _bare(drives: int) -> float:
 
 
 def csp() -> Figures:
-    """Drives in csp at 1 kHz on one bus of 1 Mbit/s."""
+    """Measure drives in csp at 1 kHz on one bus of 1 Mbit/s."""
     simulated_s = CYCLES * PERIOD_S
     streams = [_stream(4) for _ in range(ROUNDS)]
     stream_s = min(spent for spent, _, _, _ in streams)
@@ -202,8 +203,8 @@ def csp() -> Figures:
 
 
 def _rest(folder: str, heartbeat_ms: int) -> float:
-    """CPU [s] of an hour in which nobody does anything."""
-    from harness.rig import Rig
+    """Return the CPU time [s] of an hour at rest."""
+    from motorhil.harness.rig.rig import Rig
 
     lines = ['rig = { name = "rest" }', "bus.can0.bitrate_bit_s = 1_000_000"]
     for node in range(1, 101):
@@ -214,7 +215,7 @@ def _rest(folder: str, heartbeat_ms: int) -> float:
     path = Path(folder) / "rest.toml"
     path.write_text("\n".join(lines) + "\n")
     with Rig.open(path) as rig:
-        gc.collect()  # what building it left
+        gc.collect()  # garbage of the construction
         begun = time.process_time()
         rig.runtime.run_for(3_600.0)
         frames = rig.world.bus("can0").statistics.frames
@@ -223,7 +224,7 @@ def _rest(folder: str, heartbeat_ms: int) -> float:
 
 
 def rest() -> Figures:
-    """A rig of 100 drives for an hour: power stage off."""
+    """Measure a rig of 100 drives for an hour with the power stage off."""
     with TemporaryDirectory() as folder:
         return [
             ("100 resting drives, 1 h, no heartbeats, CPU", _rest(folder, 0), "s"),
@@ -235,15 +236,15 @@ def rest() -> Figures:
 
 
 def bus_traffic() -> list[bytes]:
-    """TPDOs of 14 nodes, 8 bytes of data, no two alike."""
-    from emulators.media.can_frame import pack
+    """Return different TPDOs of 14 nodes with 8 bytes of data."""
+    from motorhil.emulators.can.frame import pack
 
     draw = Random("bench_media")
     return [pack(0x181 + number % 14, draw.randbytes(8)) for number in range(BUS_FRAMES)]
 
 
 def best_us(work: Callable[[], None]) -> float:
-    """The fastest of some rounds over `bus_traffic`, per frame [us]."""
+    """Return the fastest of several rounds over `bus_traffic`, per frame [us]."""
 
     def once() -> float:
         begun = time.process_time()
@@ -254,7 +255,7 @@ def best_us(work: Callable[[], None]) -> float:
 
 
 def one_by_one(bus, frames: list[bytes]) -> None:  # type: ignore[no-untyped-def]
-    """Each frame is submitted when the one before has gone."""
+    """Submit each frame when the one before has been transmitted."""
     port = bus.attach("node")
     bus.attach("host")
     now_ns = 0
@@ -264,7 +265,7 @@ def one_by_one(bus, frames: list[bytes]) -> None:  # type: ignore[no-untyped-def
 
 
 def _all_at_once(bus, frames: list[bytes]) -> None:  # type: ignore[no-untyped-def]
-    """14 nodes answer at the same time, as to a SYNC."""
+    """Let 14 nodes answer at the same time, as to a SYNC."""
     for number in range(14):
         bus.attach(f"node {number}")
     now_ns = 0
@@ -275,7 +276,7 @@ def _all_at_once(bus, frames: list[bytes]) -> None:  # type: ignore[no-untyped-d
 
 
 def _all_gone(bus, now_ns: int) -> int:  # type: ignore[no-untyped-def]
-    """When the last frame had gone."""
+    """Run until all frames are transmitted; return the time [ns]."""
     due_ns = bus.next_deadline_ns()
     while due_ns is not None:
         now_ns = due_ns
@@ -285,9 +286,9 @@ def _all_gone(bus, now_ns: int) -> int:  # type: ignore[no-untyped-def]
 
 
 def bus() -> Figures:
-    """Frames through the CAN bus, no world around it."""
-    from emulators.media.can_bits import frame_bits
-    from emulators.media.can_bus import CanBus
+    """Measure frames through the CAN bus without a world."""
+    from motorhil.emulators.can.bus.bus import CanBus
+    from motorhil.emulators.can.frame_length import frame_bits
 
     frames = bus_traffic()
     return [
@@ -301,12 +302,11 @@ def bus() -> Figures:
 
 
 def kit() -> Figures:
-    """All clauses of the kit, one after another, on the bench of cia402; its imports left out."""
-    from harness.conformance.claims import Claims
-    from harness.conformance.job import Job
-    from harness.conformance.kit import all_clauses
-    from harness.conformance.run import run_clause
-    from harness.conformance.target import Target
+    """Measure all clauses of the kit on the bench of cia402, without imports."""
+    from motorhil.harness.conformance.examination import Target
+    from motorhil.harness.conformance.kit import all_clauses
+    from motorhil.harness.conformance.run import Claims, run_clause
+    from motorhil.harness.conformance.worker import Job
 
     target = Target(Job("cia402"))
     clauses = all_clauses().values()

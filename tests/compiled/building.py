@@ -1,4 +1,4 @@
-"""How tests make what is compiled: through the Makefile, one at a time."""
+"""Builds of compiled cores through the Makefile, one at a time."""
 
 import contextlib
 import fcntl
@@ -12,15 +12,15 @@ from pathlib import Path
 
 import pytest
 
-from harness.build_info import cores_are_compiled
+from motorhil.harness.version import cores_are_compiled
 from tests.architecture.checkout import CHECKOUT
 
-LEVEL = "OPTIMISE=0"  # at least, of gcc's -O; 2, as shipped, takes it longer and rounds the same
+LEVEL = "OPTIMISE=0"  # lowest -O level of gcc; 2, as shipped, compiles longer and rounds the same
 
 
 @contextlib.contextmanager
 def nobody_else_builds():
-    """Nobody rebuilds what is compiled meanwhile; a skip where nothing can be compiled."""
+    """Lock the compiled build against other builds; skip if nothing can be compiled here."""
     if cores_are_compiled():
         pytest.skip("these tests themselves run in the compiled build")
     compiler = os.environ.get("CC", "cc").split()[0]
@@ -34,8 +34,8 @@ def nobody_else_builds():
 
 
 def make(*words, folder=CHECKOUT, **environment):
-    """(exit status, what it printed); nothing of it goes on when these tests are interrupted."""
-    # The program that runs, by itself: an environment made by make would be taken for ready.
+    """Run make; return (exit status, output). Kill its processes if the tests are interrupted."""
+    # The base interpreter, because an environment made by make would count as ready.
     variables = {name: value for name, value in os.environ.items() if not name.startswith("MAKE")}
     variables.setdefault("MOTORHIL_HYPOTHESIS", "brief")
     with subprocess.Popen(
@@ -56,7 +56,7 @@ def make(*words, folder=CHECKOUT, **environment):
 
 
 def clone(folder, *packages):
-    """A folder in which make takes itself for the checkout's, with these packages' sources."""
+    """Return a folder with these packages that make treats as the checkout."""
     for name in (*packages, "setup.py", "pyproject.toml", "requirements.lock", "Makefile"):
         copy = shutil.copytree if (CHECKOUT / name).is_dir() else shutil.copy2
         copy(CHECKOUT / name, folder / name)
@@ -66,7 +66,7 @@ def clone(folder, *packages):
     for path in Path(sys.prefix).iterdir():
         (folder / ".venv" / path.name).symlink_to(path)
     (folder / ".venv" / ".ready").unlink(missing_ok=True)
-    (folder / ".venv" / ".ready").touch()  # nothing is to be installed
+    (folder / ".venv" / ".ready").touch()  # nothing has to be installed
     return folder
 
 

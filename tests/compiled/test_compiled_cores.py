@@ -1,7 +1,8 @@
-"""Issue 2, item 10; issue 9, item 5: the hot cores as machine code are the same cores; wheels, too.
+"""Compiled cores equal pure cores, in wheels too (issues 2, 9).
 
-`make compiled` builds them into .venv-compiled, unless what is there is of these very sources. What
-Hypothesis draws is drawn less often than of the pure cores, which run just these tests at length.
+Issue 2, item 10; issue 9, item 5. `make compiled` builds them into .venv-compiled, unless a build
+of these sources exists. Hypothesis draws fewer examples than for the pure cores, which run the same
+tests at length.
 """
 
 import os
@@ -13,7 +14,7 @@ import venv
 
 import pytest
 
-from harness.build_info import source_digest
+from motorhil.harness.version import source_digest
 from tests.architecture.checkout import CHECKOUT, PACKAGES
 from tests.compiled.building import LEVEL, clone, demo, digest_in, make, nobody_else_builds
 
@@ -25,13 +26,13 @@ TAGS = {"pure": "py3-none-any", "compiled": f"{INTERPRETER}-{INTERPRETER}-{PLATF
 CORES = {"pure": "pure Python cores", "compiled": "compiled cores"}
 COMPILED = CHECKOUT / ".venv-compiled" / "bin"
 FOLDERS = ("determinism", "emulators", "traces", "harness", "motorapi")
-# What is in there is interpreted in both builds, or runs long over what others cover: without it
-# every compiled function that any of these folders calls is still called (seen by sys.settrace).
+# These are interpreted in both builds, or repeat for long what other tests cover. Without them,
+# every compiled function that these folders call is still called (checked by sys.settrace).
 LEFT_OUT = (
     *("motorapi/functions", "motorapi/generation", "motorapi/takeover", "motorapi/test_*lock*.py"),
     *("motorapi/test_sharing.py", "motorapi/test_wall_*.py", "motorapi/test_skew*.py"),
-    *("harness/sharing", "harness/recording", "harness/report", "harness/test_cli*.py"),
-    "harness/test_demo*.py",  # whose digests determinism/test_demo.py compares
+    *("harness/sharing_tests", "harness/recording", "harness/report", "harness/test_cli*.py"),
+    "harness/test_demo*.py",  # determinism/test_demo.py compares their digests
     *("harness/replay/test_replay_verb.py", "harness/replay/test_hostile_use.py"),
     *("harness/replay/test_traffic.py", "harness/replay/test_imported.py"),
     *("traces/test_formats*.py", "traces/test_recovery.py", "traces/test_*tape*.py"),
@@ -45,7 +46,7 @@ LEFT_OUT = (
 
 @pytest.fixture(scope="module")
 def built():
-    """The environment is of these sources; nobody rebuilds it meanwhile."""
+    """Build these sources, and prevent other builds meanwhile."""
     with nobody_else_builds():
         status, printed = make("compiled", LEVEL)
         assert status == 0, printed[-6000:]
@@ -64,17 +65,17 @@ def run(program, folder, hash_seed, *words):
     ).stdout
 
 
-def test_the_version_says_that_it_is_compiled_and_of_which_source(built, tmp_path):
+def test_version_names_compiled_cores_and_their_source(built, tmp_path):
     said = run(COMPILED / "motorhil", tmp_path / "here", 0, "--version")
     assert "compiled cores" in said
     assert f"source {source_digest()} in {CHECKOUT / '.venv-compiled'}" in said
 
 
-def test_what_is_hot_is_machine_code_and_nothing_compiled_lies_beside_the_sources(built, tmp_path):
+def test_hot_modules_are_compiled_outside_the_sources(built, tmp_path):
     names = (
-        "emulators.event_queue emulators.world emulators.media.can_bus emulators.firmware.servo "
-        "emulators.plant.dc_motor emulators.canopen.node emulators.cia402.drive "
-        "harness.virtual_time traces.fields"
+        "motorhil.emulators.simulation.event_queue motorhil.emulators.simulation.world motorhil.emulators.can.bus.bus motorhil.emulators.firmware.servo "
+        "motorhil.emulators.plant.dc_motor motorhil.emulators.canopen.node motorhil.emulators.cia402.drive "
+        "motorhil.harness.virtual_time.runtime motorhil.traces.schema"
     )
     code = f"from importlib import import_module\nfor n in {names.split()}:\n"
     code += "    print(import_module(n).__file__)"
@@ -86,7 +87,7 @@ def test_what_is_hot_is_machine_code_and_nothing_compiled_lies_beside_the_source
     ] == []
 
 
-def test_the_demo_runs_what_is_compiled_unless_told_not_to(built, tmp_path):
+def test_demo_runs_compiled_cores_unless_pure_is_requested(built, tmp_path):
     folder = clone(tmp_path, *PACKAGES)
     (folder / ".venv-compiled").symlink_to(CHECKOUT / ".venv-compiled")
     compiled, pure = demo(folder, LEVEL), demo(folder, LEVEL, "PURE=1")
@@ -95,7 +96,7 @@ def test_the_demo_runs_what_is_compiled_unless_told_not_to(built, tmp_path):
     assert digest_in(compiled) == digest_in(pure)
 
 
-def test_the_compiled_cores_pass_the_same_tests(built):
+def test_compiled_cores_pass_the_same_tests(built):
     words = [f"tests/{folder}" for folder in FOLDERS]
     words += [f"--ignore-glob=tests/{place}" for place in LEFT_OUT]
     status, printed = make("test-compiled", LEVEL, "TESTS=" + " ".join(words))
@@ -108,7 +109,7 @@ def test_the_compiled_cores_pass_the_same_tests(built):
 
 @pytest.fixture(scope="module")
 def dist(built, tmp_path_factory):
-    """Where the wheels are."""
+    """Return the folder of the wheels."""
     folder = tmp_path_factory.mktemp("dist")
     status, printed = make("wheel", LEVEL, f"DIST={folder}")
     assert status == 0, printed[-6000:]
@@ -117,7 +118,7 @@ def dist(built, tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def installed(dist, tmp_path_factory):
-    """A fresh environment for each wheel, with the dependencies of this one."""
+    """Return a fresh environment for each wheel, with the dependencies of this one."""
     places = {}
     for kind, tag in TAGS.items():
         place = places[kind] = tmp_path_factory.mktemp(kind)
@@ -140,13 +141,13 @@ def said_by(place, *words):
     ).stdout
 
 
-def test_there_are_the_sources_and_a_wheel_of_each_kind_and_nothing_else(dist):
+def test_dist_has_the_sources_and_a_wheel_of_each_kind(dist):
     names = sorted(re.sub(r"motorhil-[\d.]+\d", "", path.name) for path in dist.iterdir())
     assert names == sorted([".tar.gz", *(f"-{tag}.whl" for tag in TAGS.values())])
 
 
 @pytest.mark.parametrize("kind", TAGS)
-def test_a_wheel_tells_its_cores_and_needs_no_checkout(installed, kind):
+def test_wheel_names_its_cores_and_needs_no_checkout(installed, kind):
     said = said_by(installed[kind], "--version")
     assert CORES[kind] in said
     assert f"source {source_digest()} in {installed[kind]}" in said
@@ -160,7 +161,7 @@ def installed_core(place):
     return site / "emulators" / f"event_queue{sysconfig.get_config_var('EXT_SUFFIX')}"
 
 
-def test_every_wheel_drives_the_same_demo(installed):
+def test_every_wheel_runs_the_same_demo(installed):
     said = {kind: said_by(installed[kind], "demo") for kind in TAGS}
     assert {kind: CORES[kind] in said[kind] for kind in TAGS} == {"pure": True, "compiled": True}
     assert digest_in(said["pure"]) == digest_in(said["compiled"])

@@ -1,8 +1,8 @@
-"""Issue 9, item 5: `make demo` where nothing can be compiled."""
+"""Issue 9, item 5: `make demo` without a working compiler."""
 
 import pytest
 
-from harness.build_info import cores_are_compiled
+from motorhil.harness.version import cores_are_compiled
 from tests.architecture.checkout import PACKAGES
 from tests.compiled.building import clone, demo
 
@@ -12,14 +12,14 @@ pytestmark = [
 ]
 
 
-def test_without_a_compiler_the_demo_is_pure_and_says_so(tmp_path):
+def test_demo_without_a_compiler_is_pure_and_says_so(tmp_path):
     printed = demo(clone(tmp_path, "traces"), CC="/no/such/cc")
     assert "seconds per second, pure Python cores" in printed
     assert "pure Python cores: no C compiler here (/no/such/cc)" in printed
 
 
-def test_what_cannot_be_compiled_is_named_and_the_demo_is_pure(tmp_path):
-    """Also where a module is new: the folders that are hot take it."""
+def test_uncompilable_module_is_named_and_the_demo_is_pure(tmp_path):
+    """Check it with a new module: the hot folders include it."""
     folder = clone(tmp_path)
     for name in PACKAGES:
         (folder / name).mkdir()
@@ -34,4 +34,4 @@ def test_what_cannot_be_compiled_is_named_and_the_demo_is_pure(tmp_path):
     assert printed.count("seconds per second, pure Python cores") == 1
     again = demo(folder)
     assert "could not be built" in again
-    assert "new.py" not in again  # and is not tried again
+    assert "new.py" not in again  # the build is not tried again

@@ -1,3 +1,3 @@
-"""The outsider's own tests run where its package is installed: see test_outsider.py."""
+"""The outsider's own tests are run by test_outsider.py, with its package."""
 
 collect_ignore = ["outsider"]

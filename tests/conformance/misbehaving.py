@@ -1,6 +1,6 @@
-"""An adaptation that does harm when its motors are disabled, and makes ideal motors else.
+"""An adaptation with ideal motors that misbehave when they are disabled.
 
-At that moment it reads which from the file that MISBEHAVE names: nothing, or a function below.
+The file named by MISBEHAVE contains the name of a function below, or nothing.
 """
 
 import contextlib
@@ -12,12 +12,12 @@ from pathlib import Path
 
 import can
 
-from harness.conformance import target
-from motorapi.adaptations import ideal
-from motorapi.process_lock import ProcessLock
+from motorhil.harness.conformance import examination as target
+from motorhil.motorapi.adaptations.ideal import motor as ideal
+from motorhil.motorapi.locking.process_lock import ProcessLock
 
 RIG = Path(target.__file__).parent / "rigs" / "ideal.toml"
-KEPT = []  # what nothing but this module refers to
+KEPT = []  # referenced only here
 
 
 def build(bus, settings, model, runtime):

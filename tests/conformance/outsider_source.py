@@ -1,4 +1,4 @@
-"""Where the outsider's package is; its sources, importable where it is not installed."""
+"""The outsider's package, importable from its sources without installation."""
 
 import sys
 
@@ -8,7 +8,7 @@ OUTSIDER = CHECKOUT / "tests" / "conformance" / "outsider"
 
 
 def importable(monkeypatch):
-    """`motorhil_odrive` can be imported while this test runs."""
+    """Make `motorhil_odrive` importable while this test runs."""
     monkeypatch.syspath_prepend(OUTSIDER / "src")
     for name in [name for name in sys.modules if name.split(".")[0] == "motorhil_odrive"]:
         monkeypatch.delitem(sys.modules, name)

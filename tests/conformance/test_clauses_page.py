@@ -1,10 +1,10 @@
-"""docs/reference/clauses.md is the page of this conformance kit."""
+"""docs/reference/clauses.md contains the kit's promises."""
 
-from harness.conformance.clauses_page import page
+from motorhil.harness.conformance.kit import page
 from tests.architecture.checkout import CHECKOUT
 
 PAGE = CHECKOUT / "docs" / "reference" / "clauses.md"
 
 
-def test_the_page_is_of_this_kit():
+def test_clauses_page_is_up_to_date():
     assert PAGE.read_text() == page(), "make clauses writes it anew"

@@ -1,4 +1,4 @@
-"""`motorhil conform`: what it prints, writes, and answers to those who get it wrong."""
+"""The verb `conform`: its output, its files, and its errors."""
 
 import json
 import os
@@ -11,23 +11,20 @@ from xml.etree import ElementTree
 
 import pytest
 
-from harness.cli import main
-from harness.conformance.clause import Clause, Level, NotApplicable
-from harness.conformance.examination import Finding
-from harness.conformance.job import Job, Promise
-from harness.conformance.kit import all_clauses
-from harness.conformance.result_files import Outcome, as_json, as_junit, as_page
-from harness.conformance.rig_bench import RigBench, bench_description
-from harness.conformance.run import run_clause
-from harness.conformance.supervision import Loaded
-from harness.conformance.target import Target
-from harness.conformance.verdict import Result, Verdict
-from harness.rig import describe
-from harness.settings import RigError
-from motorapi import ControlMode, ControlVariable
+from motorhil.harness.cli.main import main
+from motorhil.harness.conformance.clause import Clause, Level, NotApplicable, Result, Verdict
+from motorhil.harness.conformance.examination import Finding, Target
+from motorhil.harness.conformance.kit import all_clauses
+from motorhil.harness.conformance.results import Outcome, as_json, as_junit, as_page
+from motorhil.harness.conformance.rig_bench import RigBench, bench_description
+from motorhil.harness.conformance.run import run_clause
+from motorhil.harness.conformance.worker import Job, Loaded, Promise
+from motorhil.harness.rig.config.toml import RigError
+from motorhil.harness.rig.rig import describe
+from motorhil.motorapi import ControlMode, ControlVariable
+from motorhil.traces.digest import digest
 from tests.conformance.benches import RIGS
 from tests.harness.cli_bench import beside, in_another_process
-from traces.digest import digest
 
 ROOT = Path(__file__).parents[2]
 WITHOUT = '[conformance.without]\nposition_trajectory = "it has none"\n'
@@ -35,9 +32,9 @@ MISBEHAVING = "tests.conformance.misbehaving:build"
 
 
 def conform(*words, seed):
-    """The command in a process of its own, whose hashes are of this seed."""
+    """Run the command in another process with this hash seed."""
     return subprocess.run(
-        [sys.executable, "-m", "harness", "conform", *words],
+        [sys.executable, "-m", "motorhil", "conform", *words],
         env={**os.environ, "PYTHONPATH": str(ROOT), "PYTHONHASHSEED": str(seed)},
         capture_output=True,
         text=True,
@@ -47,7 +44,7 @@ def conform(*words, seed):
 
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory):
-    """Two runs of three clauses, in folders of their own, of which one fails: (what, folder)."""
+    """Two runs of two clauses, one of which fails, in folders of their own: (process, folder)."""
     done = []
     for seed in (1, 2):
         folder = tmp_path_factory.mktemp("conform")
@@ -61,7 +58,7 @@ def runs(tmp_path_factory):
 
 
 def found_in(folder):
-    """The JSON, without what is of the wall's time and of the folder."""
+    """Return the JSON without wall times and folder names."""
     document = json.loads((folder / "found.json").read_text().replace(str(folder), "."))
     del document["first_verdict_s"], document["took_s"]
     for clause in document["clauses"]:
@@ -70,7 +67,7 @@ def found_in(folder):
 
 
 @pytest.mark.wall
-def test_what_fails_is_told_with_its_record_and_how_to_repeat_it(runs):
+def test_failed_clause_is_reported_with_record_and_command(runs):
     done, folder = runs[0]
     assert done.returncode == 1, done.stderr
     found = found_in(folder)
@@ -78,7 +75,7 @@ def test_what_fails_is_told_with_its_record_and_how_to_repeat_it(runs):
     assert (failed["id"], failed["result"], passed["id"]) == ("UNIT-01", "failed", "STATE-01")
     assert found["counts"]["failed"] == 1
     assert found["passed"] is False
-    assert failed["second"] is None  # it is repeatable
+    assert failed["second"] is None  # repeatable
     assert failed["place"].rpartition(":")[0].endswith("clauses/identity.py")
     record = folder / "records" / "UNIT-01.mcap"
     assert failed["record"] == "./records/UNIT-01.mcap"
@@ -91,18 +88,18 @@ def test_what_fails_is_told_with_its_record_and_how_to_repeat_it(runs):
 
 
 @pytest.mark.wall
-def test_a_seed_gives_the_same_verdicts_and_the_same_records(runs):
+def test_runs_with_one_seed_have_equal_verdicts_and_records(runs):
     first, second = (found_in(folder) for _, folder in runs)
     assert first == second
 
 
 @pytest.mark.wall
-def test_the_files_are_for_machines_and_people(runs):
+def test_result_files_contain_the_results(runs):
     _, folder = runs[0]
     suite = ElementTree.parse(folder / "found.junit").getroot()
     assert (suite.get("tests"), suite.get("failures"), suite.get("errors")) == ("2", "1", "0")
     cases = {case.get("name").split()[0]: case for case in suite}
-    assert "told to move" in cases["UNIT-01"].find("failure").get("message")
+    assert "commanded" in cases["UNIT-01"].find("failure").get("message")
     assert list(cases["STATE-01"]) == []
     page = (folder / "found.html").read_text()
     assert '<a href="records/UNIT-01.mcap">' in page
@@ -111,7 +108,7 @@ def test_the_files_are_for_machines_and_people(runs):
     assert "default-src 'none'" in page
 
 
-def test_what_a_rig_claims_and_the_motor_refuses_is_told_with_the_line_of_the_claim(tmp_path):
+def test_refused_claim_of_rig_fails_with_line_of_claim(tmp_path):
     rig = tmp_path / "rig.toml"
     text = (RIGS / "cia402.toml").read_text()
     before, head, after = text.partition("[conformance]\n")
@@ -126,26 +123,26 @@ def test_what_a_rig_claims_and_the_motor_refuses_is_told_with_the_line_of_the_cl
     clause = Clause("X-01", Level.L0, "It is so.", "nowhere", (claimed,), (), check)
     verdict = run_clause(clause, lambda: RigBench(described, 1))
     assert verdict.result is Result.FAILED
-    assert "the rig claims set-points of current, which the motor refuses" in verdict.seen
+    assert "current set-points: claimed by the rig, refused by the motor" in verdict.seen
     assert verdict.place == f"{rig}:{before.count(chr(10)) + 4}"
 
 
 @pytest.mark.parametrize(
     ("words", "told"),
     [
-        ((), "which adaptation? Say --adaptation NAME, --rig RIG, or both"),
-        (("--rig", "no_motor.toml"), "no_motor.toml: has no motor to test; add a [motor.NAME]"),
+        ((), "no adaptation named; use --adaptation NAME, --rig RIG, or both"),
+        (("--rig", "no_motor.toml"), "no_motor.toml: has no motors to test; add a [motor.NAME]"),
         (("--adaptation", "ideal", "--clause", "STAT-01"), "no such clause; did you mean STATE-01"),
         (
             ("--list", "--level", "L0", "--clause", "STOP-01"),
             "STOP-01: is of level L2, above --lev",
         ),
-        (("--list", "--level", "L7"), "'L7' is no level; say L0 to L5"),
-        (("--adaptation", "ideal", "--json", "no/x"), "no/x: there is no folder no; make it"),
+        (("--list", "--level", "L7"), "invalid level 'L7'; use L0 to L5"),
+        (("--adaptation", "ideal", "--json", "no/x"), "no/x: folder no does not exist; create it"),
         (("--adaptation", "ideal", "--html", "."), ".: is a folder; name a file in it"),
     ],
 )
-def test_wrong_usage_is_told_in_a_line(words, told, tmp_path, monkeypatch, capfd):
+def test_wrong_usage_is_reported_in_one_line(words, told, tmp_path, monkeypatch, capfd):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "no_motor.toml").write_text("[bus.can0]\nbitrate_bit_s = 1_000_000\n")
     assert main(["conform", *words]) == 2
@@ -161,16 +158,16 @@ def test_wrong_usage_is_told_in_a_line(words, told, tmp_path, monkeypatch, capfd
         (Job("cia40"), "adaptation cia40: is not installed (known: cia402"),
         (Job("no.such:build", "x.toml"), "cannot be loaded: ModuleNotFoundError: No module name"),
         (Job("os:no_such", "x.toml"), "AttributeError: module 'os' has no attribute 'no_such'"),
-        (Job("os:getpid"), "adaptation os:getpid: brings no rig to test it on; add --rig RIG"),
+        (Job("os:getpid"), "adaptation os:getpid: has no rig of its own; add --rig RIG"),
         (Job("ideal", "none.toml"), "none.toml: no such file"),
     ],
 )
-def test_what_cannot_be_tested_is_told_why(job, told):
+def test_unusable_target_is_reported_with_reason(job, told):
     with pytest.raises(RigError, match=re.escape(told)):
         Target(job)
 
 
-def test_what_an_adaptation_refuses_of_its_settings_is_the_rigs_mistake_and_no_verdict(tmp_path):
+def test_refused_setting_raises_rig_error(tmp_path):
     rig = tmp_path / "rig.toml"
     rig.write_text((RIGS / "ideal.toml").read_text().replace('axis = "left"', "axis = 3"))
     opener = Target(Job("", str(rig))).opener()
@@ -181,11 +178,11 @@ def test_what_an_adaptation_refuses_of_its_settings_is_the_rigs_mistake_and_no_v
 @pytest.mark.parametrize(
     ("old", "new", "told"),
     [
-        ('motors = ["left", "right"]\nw', 'motors = ["left", "left"]\nw', 'left" is there already'),
+        ('motors = ["left", "right"]\nw', 'motors = ["left", "left"]\nw', 'left" is listed twice'),
         ("[conformance.without]", 'claims = ["dead_man"]\n[conformance.without]', "is claimed at "),
     ],
 )
-def test_what_a_bench_says_twice_is_its_mistake_and_no_verdict(old, new, told, tmp_path):
+def test_contradiction_in_conformance_table_raises_rig_error(old, new, told, tmp_path):
     rig = tmp_path / "rig.toml"
     text = (RIGS / "ideal.toml").read_text()
     assert text.count(old) == 1
@@ -194,7 +191,7 @@ def test_what_a_bench_says_twice_is_its_mistake_and_no_verdict(old, new, told, t
         Target(Job("", str(rig)))
 
 
-def test_what_is_odd_is_written_so_that_it_can_be_read():
+def test_result_files_escape_special_characters():
     odd = "<&\"'\x00\x1b[31m\ud800 \n]]>"
     promise = Promise("X-01", 2, odd, odd)
     finding = Finding(promise, Verdict("X-01", Result.HUNG, odd, odd), 0.5, (odd,), odd)
@@ -209,30 +206,30 @@ def test_what_is_odd_is_written_so_that_it_can_be_read():
     assert "<&" not in page
 
 
-def test_an_adaptation_can_bring_its_rig():
+def test_adaptation_with_own_rig_is_tested_on_it():
     assert Target(Job(MISBEHAVING)).rig.source.path.samefile(RIGS / "ideal.toml")
 
 
-def test_a_folder_that_cannot_be_made_for_records_is_told(tmp_path, capfd):
+def test_record_folder_that_cannot_be_created_is_reported(tmp_path, capfd):
     rig = tmp_path / "rig.toml"
     rig.write_text((RIGS / "cia402.toml").read_text().replace("66.0", "33.0", 1))
     words = ("--rig", str(rig), "--clause", "UNIT-01", "-o", str(rig / "x"))
     assert main(["conform", *words]) == 2
-    assert "rig.toml/x: cannot be made: Not a directory" in capfd.readouterr().err
+    assert "rig.toml/x: cannot be created: Not a directory" in capfd.readouterr().err
 
 
-def test_nothing_applicable_is_no_pass(tmp_path, capfd):
+def test_run_without_applicable_clause_exits_with_3(tmp_path, capfd):
     rig = tmp_path / "rig.toml"
     text = (RIGS / "ideal.toml").read_text()
     rig.write_text(text.partition("[conformance.without]")[0] + WITHOUT)
     assert main(["conform", "--rig", str(rig), "--clause", "UNIT-01"]) == 3
     out, err = capfd.readouterr()
-    assert "nothing was applicable" in err
-    assert "not applicable, for the rig does not claim it: it has none: UNIT-01" in out
+    assert "no clause was applicable" in err
+    assert "not applicable: UNIT-01: not claimed by the rig: it has none" in out
 
 
 @pytest.mark.wall
-def test_ctrl_c_ends_it_and_leaves_nothing(tmp_path, monkeypatch):
+def test_ctrl_c_ends_run_and_worker(tmp_path, monkeypatch):
     monkeypatch.setenv("MISBEHAVE", str(tmp_path / "harm"))
     monkeypatch.chdir(ROOT)
     (tmp_path / "harm").write_text("says_so_and_works_for_ever")
@@ -247,7 +244,7 @@ def test_ctrl_c_ends_it_and_leaves_nothing(tmp_path, monkeypatch):
     assert not Path(f"/proc/{worker}").exists()
 
 
-def test_what_is_promised_can_be_listed():
+def test_list_prints_clauses_of_level():
     done = in_another_process("conform", "--list", "--level", "0")
     head, *rows = done.stdout.splitlines()
     assert head.split() == ["clause", "level", "promise", "source"]
@@ -255,7 +252,7 @@ def test_what_is_promised_can_be_listed():
     assert any(row.startswith("UNIT-01") for row in rows)
 
 
-def test_a_clause_that_does_not_concern_a_bench_says_why():
+def test_not_applicable_clause_has_reason():
     def check(bench):
         raise NotApplicable("there is one motor only")
 

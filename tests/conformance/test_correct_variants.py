@@ -1,13 +1,13 @@
-"""Motors that are right, and unlike those of the kit's own rigs, are not accused."""
+"""Correct motors that differ from the kit's motors do not fail."""
 
 import pytest
 
-from harness.conformance.claims import Claims
-from harness.conformance.kit import all_clauses
-from harness.conformance.rig_bench import RigBench, bench_description
-from harness.conformance.run import Result, run_clause
-from harness.rig import installed_plugins
-from harness.rig_file import read_rig
+from motorhil.harness.conformance.clause import Result
+from motorhil.harness.conformance.kit import all_clauses
+from motorhil.harness.conformance.rig_bench import RigBench, bench_description
+from motorhil.harness.conformance.run import Claims, run_clause
+from motorhil.harness.rig.config.rig_file import read_rig
+from motorhil.harness.rig.rig import installed_plugins
 from tests.conformance.benches import RIGS
 
 CLAUSES = all_clauses()
@@ -17,7 +17,7 @@ _LONG = "long_move_rad = 1.0"
 
 
 def opener_of(folder, *changes):
-    """What switches on the kit's CiA 402 bench with these changes of its text."""
+    """Return an opener of the kit's CiA 402 bench with these changes of its text."""
     text = (RIGS / "cia402.toml").read_text()
     for before, after in changes:
         assert before in text
@@ -34,7 +34,7 @@ def verdict_of(clause, opener):
 @pytest.mark.parametrize(
     "clause", ["TRAJ-04", "TRAJ-07", "STOP-06", "SHARE-03", "SYNC-04", "SYNC-09"]
 )
-def test_a_motor_that_brakes_gently_is_not_accused(tmp_path, clause):
+def test_gently_braking_motor_passes(tmp_path, clause):
     gently = (_ACCELERATION, f"{_ACCELERATION}\ndeceleration_max_rad_s2 = 1.0")
     verdict = verdict_of(clause, opener_of(tmp_path, gently))
     assert verdict.result is Result.PASSED, verdict.seen
@@ -44,7 +44,7 @@ NARROW = (_TORQUE, f"{_TORQUE}\nposition_min_rad = -0.1\nposition_max_rad = 0.1"
 
 
 @pytest.mark.parametrize("clause", ["UNIT-01", "MEAS-01", "LOST-01"])
-def test_a_motor_without_room_for_a_clause_is_not_accused(tmp_path, clause):
+def test_clause_without_room_is_not_applicable(tmp_path, clause):
     verdict = verdict_of(clause, opener_of(tmp_path, NARROW))
     assert verdict.result is Result.NOT_APPLICABLE, verdict.seen
     assert "-0.1 to 0.1 rad" in verdict.seen
@@ -54,12 +54,12 @@ def test_a_motor_without_room_for_a_clause_is_not_accused(tmp_path, clause):
     ("clause", "result"),
     [
         ("SET-05", Result.PASSED),
-        ("SET-08", Result.NOT_APPLICABLE),  # never at its top speed
-        ("LOST-01", Result.PASSED),  # in the modes that last
+        ("SET-08", Result.NOT_APPLICABLE),  # never reaches its top speed
+        ("LOST-01", Result.PASSED),  # in long modes
         ("LOST-08", Result.NOT_APPLICABLE),
     ],
 )
-def test_a_motor_of_short_ways_is_not_accused(tmp_path, clause, result):
+def test_motor_with_short_moves_passes(tmp_path, clause, result):
     short = (_LONG, "long_move_rad = 0.04")
     verdict = verdict_of(clause, opener_of(tmp_path, NARROW, short))
     assert verdict.result is result, verdict.seen

@@ -1,9 +1,9 @@
-"""The kit finds out what is broken on purpose; the mutants are in `tests.conformance.mutants`."""
+"""Every mutant in `tests.conformance.mutants` is killed by its clauses."""
 
 import pytest
 
-from harness.conformance.kit import all_clauses
-from harness.conformance.run import run_clause
+from motorhil.harness.conformance.kit import all_clauses
+from motorhil.harness.conformance.run import run_clause
 from tests.conformance.benches import opener
 from tests.conformance.mutants import MUTANTS
 from tests.conformance.mutants.everyone import MODULES
@@ -15,7 +15,7 @@ assert MODULES
     ("name", "clause"),
     [(one.name, clause) for one in MUTANTS.values() for clause in one.killers],
 )
-def test_a_mistake_is_found_out_by_the_clause_it_breaks(name, clause):
+def test_mutant_is_killed_by_its_clause(name, clause):
     mutant = MUTANTS[name]
     with mutant.plant():
         verdict = run_clause(all_clauses()[clause], opener(mutant.kind))

@@ -1,7 +1,7 @@
-"""A stranger's package, installed beside the built wheel of motorhil, in an environment of its own.
+"""A third-party package with motorhil's wheel, in its own environment.
 
-Nothing of the checkout is on the path there: what the package uses must be in the wheel, and be
-found by entry points. The dependencies are those that are installed here.
+The checkout is not on the path there. Everything that the package uses must be in the wheel, and be
+found by entry points. The dependencies are those of this environment.
 """
 
 import os
@@ -14,7 +14,7 @@ from pathlib import Path
 import can
 import pytest
 
-from tests.architecture.checkout import CHECKOUT, PACKAGES
+from tests.architecture.checkout import CHECKOUT
 from tests.conformance.outsider_source import OUTSIDER
 
 OTHERS = ("pyproject.toml", "setup.py", "README.md", "LICENSE")
@@ -22,7 +22,7 @@ OFFLINE = ("--quiet", "--disable-pip-version-check", "--no-index", "--no-deps")
 
 
 def run(*command, **more):
-    """What a command that succeeds has printed."""
+    """Run a command that must succeed, and return its output."""
     kept = {
         k: v for k, v in os.environ.items() if not k.startswith(("PYTHON", "MOTORHIL_", "CAN_"))
     }
@@ -42,11 +42,10 @@ def run(*command, **more):
 
 @pytest.fixture(scope="module")
 def venv(tmp_path_factory):
-    """An environment with two wheels, and of what is installed here the dependencies."""
+    """An environment with both wheels and the dependencies installed here."""
     folder = tmp_path_factory.mktemp("outsider")
     sources = folder / "motorhil"
-    for package in PACKAGES:
-        shutil.copytree(CHECKOUT / package, sources / package, ignore=IGNORED)
+    shutil.copytree(CHECKOUT / "motorhil", sources / "motorhil", ignore=IGNORED)
     for name in OTHERS:
         shutil.copy(CHECKOUT / name, sources / name)
     shutil.copytree(OUTSIDER, folder / "outsider", ignore=IGNORED)
@@ -69,28 +68,28 @@ def venv(tmp_path_factory):
 IGNORED = shutil.ignore_patterns("__pycache__", "*.egg-info", "build", "*.so")
 
 
-def test_only_the_wheels_are_there(venv):
+def test_environment_has_only_the_wheels(venv):
     code = (
-        "import motorapi, motorhil_odrive, sys; print(motorapi.__file__, motorhil_odrive.__file__)"
+        "import motorhil, motorhil_odrive, sys; print(motorhil.__file__, motorhil_odrive.__file__)"
     )
     for path in run(venv / "python", "-c", code, cwd=venv).split():
         assert Path(path).is_relative_to(venv.parent), path
 
 
-def test_motorhil_finds_both_by_their_entry_points(venv):
+def test_plugins_are_found_by_entry_points(venv):
     for what in ("controllers", "adaptations"):
         rows = run(venv / "motorhil", "list", what, cwd=venv).splitlines()
         assert any(row.split()[0] == "odrive" and "motorhil-odrive 0.1.0" in row for row in rows)
 
 
-def test_its_own_tests_pass_there(venv):
+def test_outsider_tests_pass(venv):
     folder = venv.parents[1] / "outsider"
     printed = run(venv / "python", "-m", "pytest", "-p", "no:cacheprovider", cwd=folder)
     assert " passed" in printed
     assert " skipped" not in printed
 
 
-def test_it_keeps_every_promise_that_it_claims_to_keep(venv, tmp_path):
+def test_outsider_conforms(venv, tmp_path):
     printed = run(venv / "motorhil", "conform", "--adaptation", "odrive", cwd=tmp_path)
     clauses, passed = map(int, re.search(r"^(\d+) clauses: (\d+) passed", printed, re.M).groups())
     assert passed >= 0.8 * clauses, printed

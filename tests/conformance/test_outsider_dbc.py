@@ -1,7 +1,7 @@
-"""Both readings of CANSimple in the outsider's package, held against the vendor's DBC.
+"""Both implementations of CANSimple, compared with the vendor's DBC.
 
-The DBC is read here, by its grammar: BO_ and SG_ say where the bits are, SIG_VALTYPE_ which of them
-are floats, VAL_ what numbers are called.
+The DBC is parsed here: BO_ and SG_ give the places of the bits, SIG_VALTYPE_ the floats, VAL_ the
+names of numbers.
 """
 
 import random
@@ -37,7 +37,7 @@ class Message:
 
 
 def read_dbc(text):
-    """{identifier: Message}"""
+    """Return {identifier: Message}."""
     messages = {}
     for line in text.splitlines():
         if found := re.match(r"BO_ (\d+) (\w+): (\d+) (\w+)", line):
@@ -72,7 +72,7 @@ def package(monkeypatch):
 
 
 def sample(signal, rng):
-    """(a value, its raw bits)"""
+    """Return a value and its raw bits."""
     if signal.is_float:
         value = rng.choice([0.0, -1.5, 1e-3, 123456.75, rng.uniform(-1e4, 1e4)])
         data = struct.pack("<f", value)
@@ -91,7 +91,7 @@ def packed(message, raws):
 
 
 def read(message, data):
-    """{name: value} by the DBC."""
+    """Decode {name: value} as the DBC says."""
     number = int.from_bytes(data.ljust(8, b"\0"), "little")
     values = {}
     for signal in message.signals.values():
@@ -108,14 +108,14 @@ def of_axis_0(dbc):
     return {can_id: message for can_id, message in dbc.items() if can_id < 32}
 
 
-def test_every_axis_has_the_same_messages_at_its_node_id(dbc):
+def test_dbc_axes_have_equal_messages(dbc):
     for can_id, message in dbc.items():
         first = dbc[can_id & 0x1F]
         assert message.name == first.name.replace("Axis0", f"Axis{can_id >> 5}")
         assert {**message.signals}.keys() == first.signals.keys()
 
 
-def test_each_side_has_every_message_but_the_endpoints_and_none_besides(dbc):
+def test_both_sides_have_all_messages_but_endpoints(dbc):
     from motorhil_odrive.emulated import messages as drive
     from motorhil_odrive.host import messages as host
 
@@ -128,7 +128,7 @@ def test_each_side_has_every_message_but_the_endpoints_and_none_besides(dbc):
     assert {one.command for one in host.TOLD_TO_DRIVE} == heard - sdo - {drive.ADDRESS}
 
 
-def test_the_drive_reads_and_writes_each_signal_where_the_dbc_has_it(dbc):
+def test_drive_signals_match_dbc(dbc):
     from motorhil_odrive.emulated import messages as drive
 
     rng = random.Random(610)
@@ -152,7 +152,7 @@ def test_the_drive_reads_and_writes_each_signal_where_the_dbc_has_it(dbc):
                 assert layout.size <= message.length
 
 
-def test_the_host_reads_and_writes_each_signal_where_the_dbc_has_it(dbc):
+def test_host_signals_match_dbc(dbc):
     from motorhil_odrive.host import messages as host
 
     rng = random.Random(11)
@@ -170,7 +170,7 @@ def test_the_host_reads_and_writes_each_signal_where_the_dbc_has_it(dbc):
             assert read(message, written) == read(message, data), message.name
 
 
-def test_what_numbers_are_called(dbc):
+def test_value_names_match_dbc(dbc):
     from motorhil_odrive.emulated import messages as drive
     from motorhil_odrive.host import messages as host
 

@@ -1,18 +1,18 @@
-"""Our own adaptations keep every promise that they claim to keep, and claim what they can."""
+"""The built-in adaptations keep their promises, and claim all that they can."""
 
 import re
 from pathlib import Path
 
 import pytest
 
-import harness.conformance.clauses
-from harness.conformance.capability import Ability, Capability
-from harness.conformance.kit import all_clauses
-from harness.conformance.run import Result, run_clause
+import motorhil.harness.conformance.clauses
+from motorhil.harness.conformance.clause import Ability, Capability, Result
+from motorhil.harness.conformance.kit import all_clauses
+from motorhil.harness.conformance.run import run_clause
 from tests.conformance.benches import KINDS, claims, opener
 
 CLAUSES = all_clauses()
-# What is not applicable, so that a claim which is lost by mistake is missed.
+# The clauses that are not applicable, so that a claim lost by mistake is noticed.
 _OF_CAN = ("BUS-01", "BUS-02", "BUS-03", "BUS-04")
 _POLLED = frozenset(
     {
@@ -39,16 +39,16 @@ NOT_APPLICABLE = {
 
 @pytest.mark.parametrize("clause", CLAUSES)
 @pytest.mark.parametrize("kind", KINDS)
-def test_an_adaptation_of_ours_keeps_its_promise(kind, clause):
+def test_built_in_adaptation_passes_clause(kind, clause):
     verdict = run_clause(CLAUSES[clause], opener(kind), claims(kind))
     wanted = Result.NOT_APPLICABLE if clause in NOT_APPLICABLE[kind] else Result.PASSED
     assert verdict.result is wanted, f"{verdict.seen} ({verdict.place})"
 
 
-def test_nothing_can_be_claimed_or_done_that_no_clause_needs():
+def test_every_capability_and_ability_is_used_by_a_clause():
     needed = {one for clause in CLAUSES.values() for one in (*clause.needs, *clause.bench)}
-    folder = Path(harness.conformance.clauses.__file__).parent
-    named = {  # where a clause asks for itself, of each mode that there is
+    folder = Path(motorhil.harness.conformance.clauses.__file__).parent
+    named = {  # where a clause itself tests each mode
         match
         for file in folder.glob("*.py")
         for match in re.findall(r"(?:Capability|Ability)\.([A-Z_]+)", file.read_text())

@@ -1,15 +1,16 @@
-"""A clause is checked in this process: when it was over, and whose mistake an error is."""
+"""Checks of clauses in this process: times, and the causes of errors."""
 
 import pytest
 
-from harness.conformance.kit import all_clauses
-from harness.conformance.run import Result, run_clause
-from harness.settings import BrokenPluginError, RigError
+from motorhil.harness.conformance.clause import Result
+from motorhil.harness.conformance.kit import all_clauses
+from motorhil.harness.conformance.run import run_clause
+from motorhil.harness.rig.config.toml import BrokenPluginError, RigError
 from tests.conformance.benches import claims, opener
 
 
-def test_a_check_that_begins_afresh_ends_at_one_time_recorded_or_not(tmp_path):
-    """To close a record takes until the line is quiet: time of a bench that is no more."""
+def test_check_with_afresh_ends_at_same_time_if_recorded(tmp_path):
+    """Closing a record waits for a quiet line, in the time of a closed bench."""
     one = all_clauses()["HEAR-01"]
     recorded = opener("leadshine", record=tmp_path / "one.mcap")
     assert run_clause(one, opener("leadshine"), claims("leadshine")) == run_clause(
@@ -17,7 +18,7 @@ def test_a_check_that_begins_afresh_ends_at_one_time_recorded_or_not(tmp_path):
     )
 
 
-def test_a_rig_that_cannot_be_used_ends_the_run_and_a_plugin_that_breaks_its_clause_alone():
+def test_rig_error_ends_run_but_plugin_error_fails_clause():
     def raising(error):
         def open_bench():
             raise error("rig.toml", "is wrong", "mend it")

@@ -1,30 +1,32 @@
-"""Whatever an adaptation does, a clause ends in a verdict of its own, and the next is checked."""
+"""Every clause has a verdict, whatever an adaptation does."""
 
 import os
 from pathlib import Path
 
 import pytest
 
-from harness.conformance import supervision
-from harness.conformance.capability import Capability
-from harness.conformance.claims import Claims
-from harness.conformance.job import Job
-from harness.conformance.kit import all_clauses
-from harness.conformance.run import run_clause
-from harness.conformance.supervision import CannotTestError, Supervisor, WrongJobError
-from harness.conformance.target import Target
-from harness.conformance.verdict import Result
-from harness.conformance.worker import _Worker
-from harness.settings import RigError
-from motorapi.lock_directory import VARIABLE
+from motorhil.harness.conformance import worker as supervision
+from motorhil.harness.conformance.clause import Capability, Result
+from motorhil.harness.conformance.examination import Target
+from motorhil.harness.conformance.kit import all_clauses
+from motorhil.harness.conformance.run import Claims, run_clause
+from motorhil.harness.conformance.worker import (
+    CannotTestError,
+    Job,
+    Supervisor,
+    WrongJobError,
+    _Worker,
+)
+from motorhil.harness.rig.config.toml import RigError
+from motorhil.motorapi.locking.directory import VARIABLE
 from tests.conformance import misbehaving
 
 pytestmark = pytest.mark.wall
 ROOT = Path(__file__).parents[2]
 MISBEHAVING = "tests.conformance.misbehaving:build"
-CLAUSE = "STATE-01"  # it disables the motor
-DEADLINE_S = 2.0  # enough to get there on a busy machine
-PLACELESS = (  # begun nobody knows where
+CLAUSE = "STATE-01"  # this clause disables the motor
+DEADLINE_S = 2.0  # enough on a busy machine
+PLACELESS = (  # without a known start
     "leaves_a_process",
     "leaves_a_descriptor",
     "keeps_a_lock",
@@ -34,19 +36,19 @@ PLACELESS = (  # begun nobody knows where
 
 
 def line_of(name):
-    """Where the harm is done: the first line of the function that does something."""
+    """Return the place of the harm: the file, and the lines of the function."""
     code = getattr(misbehaving, name).__code__
     return code.co_filename, range(code.co_firstlineno, code.co_firstlineno + 8)
 
 
 @pytest.fixture(scope="module")
 def supervisor(tmp_path_factory):
-    """One for all tests of the module, and how to say what goes wrong next."""
+    """A supervisor for the module, with a function that selects the next misbehaviour."""
     told = tmp_path_factory.mktemp("harm") / "harm"
     before = Path.cwd()
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("MISBEHAVE", str(told))
-        patch.setattr(supervision, "_GRACE_S", 4.0)  # for a busy machine, too
+        patch.setattr(supervision, "_GRACE_S", 4.0)  # also for a busy machine
         patch.setenv(VARIABLE, str(tmp_path_factory.mktemp("locks")))
         patch.syspath_prepend(str(ROOT))
         with Supervisor(Job(MISBEHAVING)) as supervisor:
@@ -66,19 +68,17 @@ def supervisor(tmp_path_factory):
         ("leaves_a_descriptor", Result.LEFT_BEHIND, "a descriptor not closed (/dev/null)", None),
         ("moves_elsewhere", Result.LEFT_BEHIND, "another current folder (/)", None),
         ("interrupts", Result.CRASHED, "KeyboardInterrupt", None),
-        ("answers_for_the_kit", Result.CRASHED, """it wrote '{"verdict": {"result""", None),
-        ("keeps_a_lock", Result.LEFT_BEHIND, "not let go of (pan, for moving)", None),
-        ("waits_in_its_runtime", Result.HUNG, "still waits after 120 s of the rig's time", None),
-        ("exits", Result.CRASHED, "its process ended, with exit status 3", None),
-        ("segfaults", Result.CRASHED, "its process was ended by SIGSEGV", None),
-        ("waits_for_ever", Result.HUNG, "has not ended after 2 s of the wall's time", DEADLINE_S),
-        ("works_for_ever", Result.HUNG, "has not ended after 2 s of the wall's time", DEADLINE_S),
-        ("works_whatever_comes", Result.HUNG, "nor when it was interrupted", DEADLINE_S),
+        ("answers_for_the_kit", Result.CRASHED, """wrote '{"verdict": {"result""", None),
+        ("keeps_a_lock", Result.LEFT_BEHIND, "not released (pan, for moving)", None),
+        ("waits_in_its_runtime", Result.HUNG, "still waiting after 120 s of the rig's time", None),
+        ("exits", Result.CRASHED, "worker process ended with exit status 3", None),
+        ("segfaults", Result.CRASHED, "worker process ended by SIGSEGV", None),
+        ("waits_for_ever", Result.HUNG, "not finished after 2 s of wall time", DEADLINE_S),
+        ("works_for_ever", Result.HUNG, "not finished after 2 s of wall time", DEADLINE_S),
+        ("works_whatever_comes", Result.HUNG, "nor when interrupted", DEADLINE_S),
     ],
 )
-def test_a_harm_has_a_verdict_of_its_own_and_the_rest_still_runs(
-    supervisor, harm, result, seen, deadline_s
-):
+def test_misbehaviour_has_verdict_and_run_continues(supervisor, harm, result, seen, deadline_s):
     supervisor.misbehave("")
     assert supervisor.check(CLAUSE).result is Result.PASSED
     supervisor.misbehave(harm)
@@ -99,28 +99,28 @@ def test_a_harm_has_a_verdict_of_its_own_and_the_rest_still_runs(
     [("nothing", "None"), ("kind", "the class IdealMotor"), ("promised", "a 'coroutine'")],
 )
 @pytest.mark.filterwarnings("ignore:coroutine 'promised':RuntimeWarning")
-def test_what_builds_no_motor_is_told_by_the_line_of_the_rig(build, told):
+def test_builder_without_motor_is_reported_with_rig_line(build, told):
     target = Target(Job(f"tests.conformance.misbehaving:{build}", str(misbehaving.RIG)))
     verdict = run_clause(all_clauses()[CLAUSE], target.opener())
     assert (verdict.result, verdict.place) == (Result.CRASHED, "")
     line = 1 + misbehaving.RIG.read_text().splitlines().index('adaptation = "ideal"')
     assert verdict.seen.startswith(f"{misbehaving.RIG}:{line}: motor.left.adaptation: plugin ")
-    assert f" built {told}, which is no motorapi.Motor; " in verdict.seen
+    assert f" built {told}, which is not a motorapi.Motor; " in verdict.seen
 
 
-def test_what_is_no_function_is_wrong_usage():
+def test_target_that_is_not_a_function_is_wrong_usage():
     with pytest.raises(RigError, match="none_at_all: is a 'int'; name a function"):
         Target(Job("tests.conformance.misbehaving:none_at_all"))
 
 
-def test_a_motor_that_cannot_be_asked_what_it_claims_is_told_with_the_line():
+def test_error_while_reading_claims_is_reported_with_line():
     job = Job("tests.conformance.misbehaving:shy", str(misbehaving.RIG))
     with pytest.raises(RigError, match=r"misbehaving.py:\d+: PluginError: .*KeyError"):
         _Worker(job.packed()).claims()
 
 
-def test_a_question_that_raises_is_held_against_the_clauses_that_ask_it_alone():
-    """It was held against whichever came first, and against nobody the second time."""
+def test_claim_that_raises_fails_only_clauses_that_need_it():
+    """The error was once counted against the first clause only."""
     target = Target(Job("tests.conformance.misbehaving:alone", str(misbehaving.RIG)))
     claims = Claims(target.opener())
     for _ in range(2):
@@ -129,8 +129,8 @@ def test_a_question_that_raises_is_held_against_the_clauses_that_ask_it_alone():
         assert claims.why_not(Capability.POSITION_SET_POINT) == ""
 
 
-def test_nothing_is_left_of_it(supervisor):
-    """It is the last test of the module: what was started above is gone."""
+def test_worker_processes_are_gone(supervisor):
+    """This is the last test of the module: nothing is left of the processes above."""
     supervisor.misbehave("leaves_a_process")
     supervisor.check(CLAUSE)
     child = supervisor._child._process.pid
@@ -145,7 +145,7 @@ def test_nothing_is_left_of_it(supervisor):
     assert sleepers == []
 
 
-def test_what_ends_the_process_when_it_is_loaded_is_told(tmp_path, monkeypatch):
+def test_adaptation_that_exits_when_loaded_is_reported(tmp_path, monkeypatch):
     (tmp_path / "ends_it.py").write_text(
         "import os, sys\nprint('so long', file=sys.stderr, flush=True)\nos._exit(7)\n"
     )
@@ -157,7 +157,7 @@ def test_what_ends_the_process_when_it_is_loaded_is_told(tmp_path, monkeypatch):
         supervisor.check(CLAUSE)
 
 
-def test_a_rig_that_cannot_be_used_is_no_verdict():
+def test_unusable_rig_raises_wrong_job_error():
     with (
         Supervisor(Job("ideal", os.devnull)) as supervisor,
         pytest.raises(WrongJobError, match=r"/dev/null:1: the rig has no bus; add \[bus\.can0\]"),

@@ -1,4 +1,4 @@
-"""canopen's own client on a `Wire`, unmodified but for where it waits: its waits play the wire."""
+"""The client of canopen on a `Wire`; its waits play the wire."""
 
 import queue
 import types
@@ -11,7 +11,7 @@ from tests.crosscheck.wire import RTR, Wire, text_of
 
 
 class WireNetwork(canopen.Network):
-    """Never connected: frames go to the host's port, and come from it after each event."""
+    """A network without connection: frames use the host's port, and arrive after each event."""
 
     def __init__(self, wire: Wire) -> None:
         super().__init__()
@@ -28,7 +28,7 @@ class WireNetwork(canopen.Network):
         self.pump_until(lambda: False, duration_ns / 1e9)
 
     def pump_until(self, done, timeout_s: float) -> bool:
-        """Whether it was done in time; the client hears each frame when it is complete."""
+        """Play the wire and return whether `done` in time; the client hears each complete frame."""
         end = self.wire.now + round(timeout_s * 1e9)
         self._deliver()
         while not done():
@@ -63,7 +63,7 @@ class WireSdoClient(SdoClient):
 
 
 class WireCondition:
-    """Stands in for a threading.Condition: waiting plays time until somebody notifies."""
+    """A replacement of threading.Condition whose wait plays time until a notification."""
 
     def __init__(self, network: WireNetwork) -> None:
         self._network = network
@@ -90,14 +90,14 @@ class WireNode402(p402.BaseNode402):
         return client
 
     def wait_on(self, network: WireNetwork) -> None:
-        """PDO maps wait on the wire from now on; they are new after each `pdo.read()`."""
+        """Let PDO maps wait on the wire; required after each `pdo.read()`, which makes new ones."""
         for maps in (self.tpdo, self.rpdo):
             for pdo in maps.values():
                 pdo.receive_condition = WireCondition(network)
 
 
 def connect(wire: Wire, eds, monkeypatch, node_id: int = 5) -> tuple[WireNetwork, WireNode402]:
-    """A client that knows the drive's EDS, once the drive has booted."""
+    """Return a client that knows the drive's EDS, after the boot of the drive."""
     network = WireNetwork(wire)
     node = WireNode402(node_id, str(eds))
     network.add_node(node)
@@ -108,7 +108,7 @@ def connect(wire: Wire, eds, monkeypatch, node_id: int = 5) -> tuple[WireNetwork
 
 
 def set_up_402(network: WireNetwork, node: WireNode402, cyclic_tpdos=(1, 2)) -> None:
-    """Status TPDOs are cyclic, which BaseNode402 needs; the node is operational."""
+    """Make status TPDOs cyclic, as BaseNode402 requires, and the node operational."""
     for number in cyclic_tpdos:
         node.sdo[0x1800 + number - 1][5].raw = 5
     node.nmt.state = "OPERATIONAL"

@@ -1,7 +1,7 @@
 import canopen
 import pytest
 
-from emulators.cia402.settings import OWN_EDS
+from motorhil.emulators.cia402.settings import OWN_EDS
 from tests.crosscheck.client import WireNetwork, WireNode402, connect
 from tests.crosscheck.wire import Wire
 
@@ -10,20 +10,20 @@ Connected = tuple[Wire, WireNetwork, WireNode402]
 
 @pytest.fixture
 def wire() -> Wire:
-    """One drive of ours, node 5, just booted."""
+    """Return a wire with one drive of ours, node 5, just booted."""
     return Wire().boot()
 
 
 @pytest.fixture
 def connected(monkeypatch: pytest.MonkeyPatch) -> Connected:
-    """The same with canopen's client, its SDO clients pumped."""
+    """Return the same wire with canopen's client, its SDO clients pumped."""
     wire = Wire()
     network, node = connect(wire, OWN_EDS, monkeypatch)
     return wire, network, node
 
 
 def aborted(call) -> int:
-    """The code with which the server aborts this."""
+    """Return the abort code of the server for this call."""
     with pytest.raises(canopen.SdoAbortedError) as caught:
         call()
     return caught.value.code

@@ -1,4 +1,4 @@
-"""ADUs as packets of a capture that Wireshark opens: each in a TCP segment to or from port 502."""
+"""ADUs as packets of a Wireshark capture, on port 502."""
 
 import struct
 from collections.abc import Iterable
@@ -11,7 +11,7 @@ _CLIENT, _SERVER = bytes((10, 0, 0, 1)), bytes((10, 0, 0, 2))
 
 
 def to_pcap(adus: Iterable[tuple[int, str, bool, bytes]], target: Path) -> None:
-    """(ns, sender, whether to the server, ADU) of each."""
+    """Return the capture of (ns, sender, True if to the server, ADU)."""
     rows = [struct.pack("<IHHiIII", 0xA1B23C4D, 2, 4, 0, 0, 65535, _LINKTYPE_RAW)]
     sent = {True: 1, False: 1}
     for time_ns, _, to_server, adu in adus:

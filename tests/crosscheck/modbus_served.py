@@ -1,6 +1,7 @@
-"""Two Modbus units with every table, served on TCP and on a pseudo-terminal: raw bytes go in.
+"""Two Modbus units with every table, on TCP and pseudo-terminal.
 
-The loop is stepped by whoever waits, so there is no thread; a silence is shown by what comes after.
+Tests exchange raw bytes. The waiting code steps the loop, so there is no thread. The absence of a
+response is shown by the next one.
 """
 
 import os
@@ -11,19 +12,17 @@ from collections.abc import Callable
 from pathlib import Path
 from select import select
 
-from emulators.event_queue import EventQueue
-from emulators.media.byte_pipe import BytePipe
-from emulators.media.serial_line import SerialLine
-from emulators.modbus.crc import with_crc
-from emulators.modbus.diagnostics import Diagnostics
-from emulators.modbus.registers import Access, BitBank, Register, RegisterBank
-from emulators.modbus.rtu import RtuUnit
-from emulators.modbus.server import ModbusServer
-from emulators.modbus.tcp import adu
-from emulators.modbus_pty import ModbusPty
-from emulators.modbus_socket import ModbusSocket
-from emulators.serve import WallLoop
-from emulators.world import World
+from motorhil.emulators.gateways.loop import WallLoop
+from motorhil.emulators.gateways.modbus_pty import ModbusPty
+from motorhil.emulators.gateways.modbus_tcp import ModbusSocket
+from motorhil.emulators.media.byte_pipe import BytePipe
+from motorhil.emulators.media.serial_line import SerialLine
+from motorhil.emulators.modbus.registers import Access, BitBank, Register, RegisterBank
+from motorhil.emulators.modbus.rtu import RtuUnit, with_crc
+from motorhil.emulators.modbus.server import Diagnostics, ModbusServer
+from motorhil.emulators.modbus.tcp import adu
+from motorhil.emulators.simulation.event_queue import EventQueue
+from motorhil.emulators.simulation.world import World
 from tests.emulators.test_lines import Registers
 
 LONG_S = 20.0
@@ -53,7 +52,7 @@ class AllTables(Registers):
 
 
 class Served:
-    """The world, its two doors, and a client's end of each.
+    """The world, its two interfaces, and a client's end of each.
 
     Attributes: socket (ModbusSocket), pty (ModbusPty), tcp and terminal (the clients' descriptors).
     """
@@ -80,14 +79,14 @@ class Served:
         self._transaction = 0
 
     def until(self, done: Callable[[], bool]) -> None:
-        """The loop has run until it is so."""
+        """Run the loop until the condition holds."""
         end_s = time.monotonic() + LONG_S
         while not done():
             assert time.monotonic() < end_s, "it has not come"
             self.loop.step(0.05)
 
     def heard(self, descriptor: int, count: int) -> bytes:
-        """The next `count` bytes."""
+        """Return the next `count` bytes."""
         data = b""
 
         def read() -> bool:
@@ -102,29 +101,29 @@ class Served:
         return data
 
     def ask_tcp(self, unit: int, pdu: bytes) -> bytes:
-        """The response PDU."""
+        """Send a request on TCP and return the response PDU."""
         self._transaction += 1
         os.write(self.tcp.fileno(), adu(self._transaction, unit, pdu))
         return self.answer_tcp(self._transaction, unit)
 
     def answer_tcp(self, transaction: int, unit: int) -> bytes:
-        """The PDU of the next response, which is the one to this."""
+        """Return the PDU of the next response, which must match this request."""
         head = self.heard(self.tcp.fileno(), 7)
         length = int.from_bytes(head[4:6], "big")
         assert head == adu(transaction, unit, bytes(length - 1))[:7]
         return self.heard(self.tcp.fileno(), length - 1)
 
     def ask_rtu(self, unit: int, pdu: bytes) -> bytes:
-        """The response PDU; the shortest that the head says."""
+        """Send a request in RTU and return the response PDU; its length follows from its head."""
         self.write(with_crc(bytes((unit,)) + pdu))
         return self.answer_rtu(unit)
 
     def write(self, data: bytes) -> None:
-        """The client writes this to the terminal."""
+        """Write bytes to the terminal."""
         assert os.write(self.terminal, data) == len(data)
 
     def answer_rtu(self, unit: int) -> bytes:
-        """The PDU of the next response, which is this unit's."""
+        """Return the PDU of the next response, which must be this unit's."""
         frame = self.heard(self.terminal, 5)  # no response is shorter
         assert frame[0] == unit
         if not frame[1] & 0x80:
@@ -135,7 +134,7 @@ class Served:
         return frame[1:-2]
 
     def close(self) -> None:
-        """Nothing is left."""
+        """Close everything."""
         self.tcp.close()
         os.close(self.terminal)
         self.loop.close()

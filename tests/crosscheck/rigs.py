@@ -1,23 +1,23 @@
-"""Rigs of two of our drives for the host's side, and strangers on their bus."""
+"""Rigs of two drives for tests of the host, and foreign nodes."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from emulators.media.faults import FaultRule
-from harness.rig import Rig
-from motorapi import ControlMode, Motor, TrapezoidalTrajectory
+from motorhil.emulators.can.fault_rules import FaultRule
+from motorhil.harness.rig.rig import Rig
+from motorhil.motorapi import ControlMode, Motor, TrapezoidalTrajectory
 from tests.crosscheck.wire import frame
 from tests.motorapi.adaptations.conftest import HEAD, drive
 
 INC_PER_RAD = 21_008.45
-"""Of these wheels: 2000 increments a turn, 66 turns of the motor a turn of the wheel."""
+"""The increments per radian of these wheels: 2000 per motor turn, 66 motor turns per wheel turn."""
 
 
 @contextmanager
 def two_drives(*rules: FaultRule, seed: int = 1) -> Iterator[Rig]:
-    """Drives "left" (node 1) and "right" (node 2), enabled before anything goes wrong."""
+    """Yield drives "left" (node 1) and "right" (node 2), enabled without faults."""
     with TemporaryDirectory() as folder:
         path = Path(folder) / "rig.toml"
         head = HEAD.replace("seed = 1", f"seed = {seed}")
@@ -32,7 +32,7 @@ def two_drives(*rules: FaultRule, seed: int = 1) -> Iterator[Rig]:
 
 
 def stranger(rig: Rig) -> Callable[..., None]:
-    """Somebody else on the bus: says frames, one after another, and lets them pass."""
+    """Send frames of a foreign node, one after another, and let them pass."""
     port = rig.world.add_host("can0", "stranger", lambda *_: None)
 
     def say(*texts: str) -> None:
@@ -44,7 +44,7 @@ def stranger(rig: Rig) -> Callable[..., None]:
 
 
 def moving(motor: Motor, distance: float = 1.0) -> Motor:
-    """The motor is 0.2 s into a trajectory over `distance` [rad]."""
+    """Start a trajectory over `distance` [rad] and run 0.2 s of it."""
     motor.set_control_mode(ControlMode.TRAJECTORY)
     motor.set_trajectory(TrapezoidalTrajectory(distance))
     motor.start()
@@ -53,12 +53,12 @@ def moving(motor: Motor, distance: float = 1.0) -> Motor:
 
 
 def demand(rig: Rig, name: str = "left") -> float:
-    """What the drive aims at now [increments]."""
+    """Return the present demand of the drive [increments]."""
     return rig.controllers[name].snapshot()["demand_inc"]
 
 
 def is_at_rest(rig: Rig, *names: str) -> bool:
-    """Whether nothing moves in 0.2 s."""
+    """Return whether the motors stay at rest for 0.2 s."""
     before = [demand(rig, name) for name in names]
     rig.runtime.run_for(0.2)
     return before == [demand(rig, name) for name in names]

@@ -1,4 +1,4 @@
-"""Two lines with two drives each, served by `motorhil serve` in a process of its own."""
+"""Two lines with two drives each, served by another process."""
 
 import subprocess
 from pathlib import Path
@@ -33,7 +33,7 @@ timing.boot_up_s = 0
 
 
 class Server:
-    """`motorhil serve` in a process of its own."""
+    """A process with `motorhil serve`."""
 
     def __init__(self, folder: Path) -> None:
         self.rig = folder / "rig.toml"
@@ -52,7 +52,7 @@ class Server:
         self.port = int(self.said[0].split(":")[2].split(",")[0])
 
     def stop(self) -> str:
-        """What it said in the end."""
+        """Stop the process and return its last output."""
         if self.process.poll() is None:
             self.process.terminate()
         return self.process.communicate(timeout=LONG_S)[1]

@@ -1,13 +1,13 @@
-"""Several drives on one bus: who goes first, how full it is; against the slow bit-by-bit model.
+"""Several drives on one bus, compared with a bitwise model.
 
-`on_the_wire` builds frames bit by bit from ISO 11898-1 and shares nothing with the emulator.
+`on_the_wire` builds frames bit by bit from ISO 11898-1 and shares no code with the emulator.
 """
 
 import itertools
 
 import pytest
 
-from emulators.media.faults import FaultKind, FaultRule
+from motorhil.emulators.can.fault_rules import FaultKind, FaultRule
 from tests.crosscheck.wire import MS, US, Wire
 from tests.emulators.media.wire import INTERMISSION, Fields, on_the_wire
 
@@ -15,14 +15,14 @@ NODES = (1, 2, 3, 4)
 
 
 def bits_of(text: str) -> int:
-    """Start of frame to end of frame of "181#3706"."""
+    """Return start of frame to end of frame of "181#3706"."""
     head, _, tail = text.partition("#")
     data = bytes.fromhex(tail)
     return len(on_the_wire(Fields(int(head, 16), False, False, len(data), data)))
 
 
 def csp(wire: Wire) -> None:
-    """Every drive: RPDO 3 (6040h, 607Ah) and TPDO 3 (6041h, 6064h) of type 1, nothing else."""
+    """Configure every drive: RPDO 3 (6040h, 607Ah) and TPDO 3 (6041h, 6064h) of type 1 only."""
     for node in NODES:
         for number in (1, 2, 4):
             wire.set(0x1800 + number - 1, 1, 0x8000_0080 + number * 0x100 + node, 4, node)
@@ -36,14 +36,14 @@ def csp(wire: Wire) -> None:
 
 
 def cycle(wire: Wire, target: int) -> None:
-    """One millisecond: targets, then SYNC, as one host's queue has them."""
+    """Run one millisecond: targets, then SYNC, in the order of one host's queue."""
     begun = wire.now
     position = target.to_bytes(4, "little", signed=True).hex().upper()
     wire.send(*(f"{0x400 + node:03X}#0F00{position}" for node in NODES), "080#")
     wire.run_to(begun + MS)
 
 
-def test_frames_never_overlap_and_the_load_is_what_their_bits_make():
+def test_frames_never_overlap_and_load_equals_their_bits():
     wire = Wire(*({"node_id": node} for node in NODES)).boot()
     csp(wire)
     count, begun = len(wire.log), wire.now
@@ -56,10 +56,10 @@ def test_frames_never_overlap_and_the_load_is_what_their_bits_make():
         assert start >= before + INTERMISSION * US, text
     bits = sum(bits_of(text) + INTERMISSION for _, text in frames)
     assert wire.bus.statistics.load(begun, wire.now) == pytest.approx(bits / 50_000, abs=1e-12)
-    assert 0.80 < bits / 50_000 < 0.98  # the issue: 0.8 to 0.98 ms of bus in each millisecond
+    assert 0.80 < bits / 50_000 < 0.98  # required: 0.8 to 0.98 ms of bus in each ms
 
 
-def test_at_a_sync_the_tpdos_come_in_the_order_of_their_identifiers():
+def test_tpdos_of_sync_come_in_identifier_order():
     wire = Wire(*({"node_id": node} for node in NODES)).boot()
     wire.tell("000#0100")
     wire.run(10 * MS)
@@ -73,31 +73,31 @@ def test_at_a_sync_the_tpdos_come_in_the_order_of_their_identifiers():
     assert [b - a for a, b in itertools.pairwise(times)] == [bits * US for bits in lengths[1:]]
 
 
-def test_an_emergency_wins_over_pdos_and_an_sdo_answer_loses_to_them():
+def test_emergency_beats_pdos_and_sdo_response_loses():
     wire = Wire(*({"node_id": node} for node in NODES)).boot()
     wire.tell("000#0100")
     wire.run(10 * MS)
     count = len(wire.log)
     wire.send("601#4000100000000000")
-    wire.run_to(wire.now + 1 * MS + 118 * US)  # just before the answer of node 1 is due
+    wire.run_to(wire.now + 1 * MS + 118 * US)  # just before the response of node 1 is due
     wire.send("77E#05")  # keeps the bus busy meanwhile
     wire.run(20 * US)
     for node in (4, 3):
         wire.stimulate("fault", 0x2310, node)
     wire.run(3 * MS)
     order = [text[:3] for text in wire.since(count)]
-    # every node's queue is first in, first out: its TPDOs stand behind its EMCY
+    # every node has a FIFO queue: its TPDOs wait behind its EMCY
     assert order == ["083", "084", "183", "184", "283", "284", "581"]
 
 
-def test_a_sync_repeated_by_the_bus_asks_too_soon_and_a_lost_one_not_at_all():
+def test_repeated_sync_is_too_early_and_lost_one_missing():
     wire = Wire().operational()
     wire.run(10 * MS)
     wire.inject(FaultRule("twice", FaultKind.DUPLICATE, identifier=0x80, limit=1))
     count = len(wire.log)
     wire.tell("080#")
     wire.run(5 * MS)
-    # sent again at once, it wins over the TPDOs it has asked for: they go out once, which is told
+    # sent again at once, it wins over the requested TPDOs: they are sent once, with an event
     assert [text[:3] for _, _, text in wire.log[count:]] == ["080", "080", "385", "485"]
     told = [text for _, _, _, text in wire.events if "TPDO 3 had not left the bus" in text]
     assert len(told) == 1
@@ -109,7 +109,7 @@ def test_a_sync_repeated_by_the_bus_asks_too_soon_and_a_lost_one_not_at_all():
 
 
 @pytest.mark.parametrize("bitrate", [125_000, 500_000])
-def test_slower_buses_take_longer_by_as_much(bitrate):
+def test_slower_bus_takes_proportionally_longer(bitrate):
     fast, slow = Wire().boot(), Wire(bitrate=bitrate).boot()
     for wire in (fast, slow):
         wire.ask("605#4041600000000000")

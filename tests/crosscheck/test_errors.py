@@ -1,9 +1,9 @@
-"""EMCY, error register 1001h, history 1003h and error code 603Fh: do they tell one story?
+"""Consistency of EMCY, error register 1001h, history 1003h and error code 603Fh.
 
-Expected: CiA 301, 7.2.7 (EMCY, its state machine: 00xxh with the register of what remains),
-7.5.2.2 (1001h), 7.5.2.4 (1003h); CiA 402-2, 603Fh; Faulhaber's golden frame of a
-following error, `11 86 20 02 ..`: code, register with bit 5, vendor bytes. Faulhaber leaves bit 0
-of the register clear; CiA 301 has it signalled with any error, and so have we.
+Expected: CiA 301, 7.2.7 (EMCY, its state machine: 00xxh with the register of what remains), 7.5.2.2
+(1001h), 7.5.2.4 (1003h); CiA 402-2, 603Fh; Faulhaber's golden frame of a following error, `11 86 20
+02 ..`: code, register with bit 5, vendor bytes. Faulhaber leaves bit 0 of the register clear. CiA
+301 requires it with any error, and so do we.
 """
 
 import pytest
@@ -17,7 +17,7 @@ def emergencies(wire: Wire, since: int = 0) -> list[str]:
     return [text[4:] for text in wire.since(since) if text.startswith("085#")]
 
 
-def test_a_following_error_is_told_as_a_real_drive_tells_it(wire):
+def test_following_error_emcy_equals_real_drive(wire):
     wire.set(0x6065, 0, 1, 4)
     wire.enable(1)
     wire.set(0x607A, 0, 100_000, 4)
@@ -30,12 +30,12 @@ def test_a_following_error_is_told_as_a_real_drive_tells_it(wire):
     assert wire.read(0x603F) == wire.read(0x1003, 1) & 0xFFFF == 0x8611
 
 
-def test_the_register_holds_every_class_of_error_until_the_reset(wire):
+def test_register_collects_error_classes_until_reset(wire):
     wire.operational()
     for code in (0x2310, 0x4310, 0x3210):
         wire.stimulate("fault", code)
         wire.run(5 * MS)
-    # current, temperature, voltage: bits 1, 3 and 2 come one by one and stay
+    # current, temperature, voltage: bits 1, 3 and 2 appear one by one and stay
     assert emergencies(wire) == ["1023030000000000", "10430B0000000000", "10320F0000000000"]
     assert wire.read(0x1001) == 0x0F
     assert [wire.read(0x1003, sub) for sub in range(4)] == [3, 0x3210, 0x4310, 0x2310]
@@ -48,7 +48,7 @@ def test_the_register_holds_every_class_of_error_until_the_reset(wire):
     assert wire.read(0x1003) == 0
 
 
-def test_a_host_that_comes_back_does_not_undo_the_fault_of_its_absence(wire):
+def test_returning_host_keeps_fault_of_its_absence(wire):
     wire.set(0x1016, 1, HEARTBEAT, 4)
     wire.enable(1)
     wire.tell("77F#05")
@@ -58,7 +58,7 @@ def test_a_host_that_comes_back_does_not_undo_the_fault_of_its_absence(wire):
     assert wire.statusword() & 0x4F == 0x08
     wire.tell("77F#05")
     wire.run(5 * MS)
-    # the heartbeat is there again; the drive still is in fault, and the register says so
+    # the heartbeat is back; the drive still is in fault, and the register shows it
     assert emergencies(wire, count)[1:] == ["0000110000000000"]
     assert (wire.read(0x1001), wire.read(0x603F)) == (0x11, 0x8130)
     wire.tell("77F#05", "000#0105")
@@ -68,7 +68,7 @@ def test_a_host_that_comes_back_does_not_undo_the_fault_of_its_absence(wire):
     assert (wire.read(0x1001), wire.read(0x603F)) == (0, 0)
 
 
-def test_a_fault_reset_while_the_host_is_still_missing_leaves_that_in_the_register(wire):
+def test_fault_reset_without_host_keeps_communication_error(wire):
     wire.set(0x1029, 1, 1, 1)  # stay operational
     wire.set(0x1016, 1, HEARTBEAT, 4)
     wire.enable(1)
@@ -81,7 +81,7 @@ def test_a_fault_reset_while_the_host_is_still_missing_leaves_that_in_the_regist
 
 
 @pytest.mark.parametrize("command", ["0205", "8205"])
-def test_a_fault_that_could_not_be_told_is_in_the_register(wire, command):
+def test_fault_without_emcy_is_in_register(wire, command):
     wire.enable(1)
     count = len(wire.log)
     wire.tell(f"000#{command}")
@@ -93,7 +93,7 @@ def test_a_fault_that_could_not_be_told_is_in_the_register(wire, command):
     assert (wire.read(0x603F), wire.read(0x1001)) == (0x8100, 0x11)
 
 
-def test_reset_node_forgets_errors_and_their_history(wire):
+def test_reset_node_clears_errors_and_history(wire):
     wire.operational()
     wire.stimulate("fault", 0x2310)
     wire.run(5 * MS)
@@ -103,7 +103,7 @@ def test_reset_node_forgets_errors_and_their_history(wire):
     assert wire.statusword() & 0x4F == 0x40
 
 
-def test_emergencies_go_where_1014h_says_or_nowhere(wire):
+def test_emergencies_use_1014h(wire):
     wire.set(0x1014, 0, 0x8000_0085, 4)
     count = len(wire.log)
     wire.stimulate("fault", 0x2310)
@@ -115,7 +115,7 @@ def test_emergencies_go_where_1014h_says_or_nowhere(wire):
     assert wire.since(count)[-1] == "099#10430B0000000000"
 
 
-def test_canopen_s_consumer_agrees(connected):
+def test_canopen_consumer_agrees(connected):
     wire, network, node = connected
     for code in (0x2310, 0x4310):
         wire.stimulate("fault", code)

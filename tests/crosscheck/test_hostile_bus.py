@@ -1,20 +1,20 @@
-"""The host against a bus that loses frames where it hurts, and against strangers on it.
+"""The host on a bus with targeted losses, and with foreign nodes.
 
-Every call ends, at the target or with the right error; nothing moves that was not told to.
+Every call ends, at the target or with the right error, and no motor moves without a command.
 """
 
 import pytest
 
-from emulators.media.faults import FaultKind, FaultRule
-from motorapi import ControlMode, ControlVariable, Motor, MotorGroup, TrapezoidalTrajectory
-from motorapi.errors import (
+from motorhil.emulators.can.fault_rules import FaultKind, FaultRule
+from motorhil.motorapi import ControlMode, ControlVariable, Motor, MotorGroup, TrapezoidalTrajectory
+from motorhil.motorapi.errors import (
     DeadlineExceeded,
     DeviceFault,
     LinkError,
     MotionInterrupted,
     MotorError,
 )
-from motorapi.state import MotorState
+from motorhil.motorapi.state import MotorState
 from tests.crosscheck.rigs import INC_PER_RAD, demand, is_at_rest, moving, stranger, two_drives
 
 DROP = FaultKind.DROP
@@ -27,7 +27,7 @@ def both(rig) -> MotorGroup:
     return group
 
 
-def test_a_set_point_whose_sync_was_lost_does_not_start_at_the_next_one():
+def test_set_point_without_sync_does_not_start_at_next_one():
     lost = FaultRule("lost", DROP, identifier=0x80, ports=("left",), limit=1)
     with two_drives(lost) as rig:
         with pytest.raises(DeadlineExceeded, match="left: set-point acknowledge"):
@@ -35,13 +35,13 @@ def test_a_set_point_whose_sync_was_lost_does_not_start_at_the_next_one():
         rig.runtime.run_for(1.0)
         before = demand(rig, "left"), demand(rig, "right")
         assert before[0] == 0
-        assert abs(before[1]) < 0.2 * INC_PER_RAD + 1  # stopped, not far on its way
+        assert abs(before[1]) < 0.2 * INC_PER_RAD + 1  # stopped near its start
         stranger(rig)("080#", "080#")
         rig.runtime.run_for(0.5)
         assert (demand(rig, "left"), demand(rig, "right")) == before
 
 
-def test_after_a_start_that_failed_a_sync_does_not_halt_what_was_started_since():
+def test_sync_after_failed_start_keeps_later_motion():
     lost = FaultRule("lost", DROP, identifier=0x80, ports=("left",), limit=1)
     with two_drives(lost) as rig:
         with pytest.raises(DeadlineExceeded):
@@ -54,19 +54,19 @@ def test_after_a_start_that_failed_a_sync_does_not_halt_what_was_started_since()
 
 
 @pytest.mark.parametrize("identifier", [0x301, 0x302], ids=["left", "right"])
-def test_a_set_point_that_was_lost_ends_the_start_and_stops_the_other(identifier):
+def test_lost_set_point_fails_start_and_stops_other_motor(identifier):
     with two_drives(FaultRule("lost", DROP, identifier=identifier, limit=1)) as rig:
         with pytest.raises(DeadlineExceeded, match="set-point acknowledge"):
             both(rig).start()
         rig.runtime.run_for(0.5)
         assert is_at_rest(rig, "left", "right")
-        both(rig).start()  # and it can be done again
+        both(rig).start()  # and it can be repeated
         both(rig).wait_until_done(5)
 
 
 @pytest.mark.parametrize("how", ["stop", "halt", "quick_stop"])
 @pytest.mark.parametrize("lost", [1, 3])
-def test_a_stop_that_was_lost_is_sent_again(how, lost):
+def test_lost_stop_is_sent_again(how, lost):
     with two_drives() as rig:
         motor = rig.motors["left"]
         motor.set_control_mode(ControlMode.SETPOINT, ControlVariable.VELOCITY)
@@ -75,12 +75,12 @@ def test_a_stop_that_was_lost_is_sent_again(how, lost):
         motor.wait_until_done(5)
         rig.faults.inject("can0", FaultRule("lost", DROP, identifier=0x201, limit=lost))
         getattr(motor, how)()
-        rig.runtime.run_for(1.0)  # nobody waits for it
+        rig.runtime.run_for(1.0)  # no call waits for it
         assert is_at_rest(rig, "left")
         motor.wait_until_done(1)
 
 
-def test_a_stop_is_not_repeated_to_a_drive_that_was_told_something_else_since():
+def test_stop_is_not_repeated_after_other_command():
     with two_drives(FaultRule("lost", DROP, identifier=0x201, limit=1)) as rig:
         motor = moving(rig.motors["left"])
         motor.stop()
@@ -90,7 +90,7 @@ def test_a_stop_is_not_repeated_to_a_drive_that_was_told_something_else_since():
         assert rig.controllers["left"].snapshot()["state"] == 1  # switch on disabled
 
 
-# What another master may do in mid-motion, and the error it must give
+# Actions of another master in mid-motion, and the expected error.
 OTHER_MASTER = {
     "disable voltage by SDO": ("601#2B40600000000000", MotionInterrupted),
     "disable voltage by RPDO": ("201#0000", MotionInterrupted),
@@ -104,7 +104,7 @@ OTHER_MASTER = {
 
 
 @pytest.mark.parametrize("what", OTHER_MASTER)
-def test_what_another_master_ends_is_over_and_the_motor_can_be_used_again(what):
+def test_motion_ended_by_other_master_leaves_motor_usable(what):
     text, error = OTHER_MASTER[what]
     with two_drives() as rig:
         motor = moving(rig.motors["left"])
@@ -114,7 +114,7 @@ def test_what_another_master_ends_is_over_and_the_motor_can_be_used_again(what):
         rig.runtime.run_for(0.5)
         begun = demand(rig)
         motor.set_trajectory(TrapezoidalTrajectory(0.25))
-        motor.start()  # without a stop(): what was reported as ended has ended
+        motor.start()  # without a stop(): a motion reported as ended has ended
         motor.wait_until_done(5)
         assert demand(rig) - begun == pytest.approx(0.25 * INC_PER_RAD, abs=40)
 
@@ -125,11 +125,11 @@ def test_what_another_master_ends_is_over_and_the_motor_can_be_used_again(what):
         ("201#0F01",),  # halt
         ("601#237A600010270000", "201#0F00", "201#3F00"),  # another target
         ("601#2F60600003000000",),  # another mode
-        ("601#2300180181010080",),  # no status any more
+        ("601#2300180181010080",),  # status missing from now on
     ],
     ids=["halt", "target", "mode", "status"],
 )
-def test_what_another_master_changes_behind_our_back_never_is_success(texts):
+def test_changes_by_other_master_are_never_success(texts):
     with two_drives() as rig:
         motor = moving(rig.motors["left"])
         stranger(rig)(*texts)
@@ -138,7 +138,7 @@ def test_what_another_master_changes_behind_our_back_never_is_success(texts):
         motor.stop()
 
 
-def test_strangers_that_only_talk_change_nothing():
+def test_foreign_traffic_has_no_effect():
     with two_drives() as rig:
         motor = moving(rig.motors["left"])
         say = stranger(rig)
@@ -149,7 +149,7 @@ def test_strangers_that_only_talk_change_nothing():
         assert motor.hardware.node.malformed == 1  # the TPDO of two bytes
 
 
-def test_an_emcy_storm_ends_nothing_and_the_fault_is_told_by_its_own_code():
+def test_emcy_storm_keeps_motion_and_fault_code():
     with two_drives() as rig:
         motor = moving(rig.motors["left"])
         port = rig.world.add_host("can0", "storm", lambda *_: None)
@@ -166,7 +166,7 @@ def test_an_emcy_storm_ends_nothing_and_the_fault_is_told_by_its_own_code():
         storm.cancel()
 
 
-def test_a_fault_keeps_its_code_when_a_lesser_error_goes():
+def test_fault_keeps_its_code_when_lesser_error_ends():
     with two_drives() as rig:
         motor = moving(rig.motors["left"])
         rig.controllers["left"].stimulate("fault", 0x2310)
@@ -176,8 +176,8 @@ def test_a_fault_keeps_its_code_when_a_lesser_error_goes():
         assert motor.hardware.node.error_code == 0x2310
 
 
-def test_a_failed_start_of_a_motor_somebody_else_enabled_leaves_it_enabled():
-    """What overwrites the latch must not bring a controlword that nobody commanded."""
+def test_failed_start_keeps_motor_enabled_by_other_program():
+    """An overwritten latch must not cause a controlword that was not commanded."""
     with two_drives() as rig:
         group = MotorGroup(rig.motors["left"], rig.motors["right"])
         group.for_each(Motor.set_control_mode, ControlMode.SETPOINT, ControlVariable.VELOCITY)
@@ -189,7 +189,7 @@ def test_a_failed_start_of_a_motor_somebody_else_enabled_leaves_it_enabled():
         armed = []
 
         def on_frame(bus, now_ns, sender, raw):
-            if raw[:4] == b"\x01\x04\0\0" and not armed:  # RPDO 3 of the left one
+            if raw[:4] == b"\x01\x04\0\0" and not armed:  # RPDO 3 of the left drive
                 armed.append(now_ns)
                 rig.world.queue.alarm(
                     lambda _: rig.faults.inject("can0", FaultRule("lost", DROP, identifier=0x602))

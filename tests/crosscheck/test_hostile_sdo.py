@@ -1,16 +1,16 @@
-"""The host's SDO client against answers late, doubled, lost, damaged: never a wrong value.
+"""The host's SDO client with late, repeated, lost and damaged responses.
 
-The server's objects are the oracle: what is read is what stands there, what was written stands
-there, or the error says so; an abort is believed only of the transfer that it is about.
+The server's objects are the oracle: a value read equals the object, a value written is in the
+object, or there is a correct error. The client accepts an abort only for its own transfer.
 """
 
 from random import Random
 
 import pytest
 
-from emulators.media.faults import FaultKind, FaultRule
-from motorapi.adaptations.canopen_errors import ProtocolViolation, SdoAborted
-from motorapi.errors import DeadlineExceeded, MotorError
+from motorhil.emulators.can.fault_rules import FaultKind, FaultRule
+from motorhil.motorapi.adaptations.canopen.sdo import ProtocolViolation, SdoAborted
+from motorhil.motorapi.errors import DeadlineExceeded, MotorError
 from tests.crosscheck.rigs import stranger, two_drives
 
 MS = 1_000_000
@@ -32,7 +32,7 @@ HOSTILE = {
     "answers twice": (rules(FaultKind.DUPLICATE, ANSWERS), ()),
     "answers lost": (rules(FaultKind.DROP, ANSWERS), (DeadlineExceeded,)),
     "requests lost": (rules(FaultKind.DROP, REQUESTS), (DeadlineExceeded,)),
-    # a server that hears a segment's request twice finds the toggle bit wrong, and says so
+    # a server that receives a segment request twice finds a wrong toggle bit, and aborts
     "requests twice": (rules(FaultKind.DUPLICATE, REQUESTS), (SdoAborted,)),
     "toggle bits wrong": (
         rules(FaultKind.CORRUPT, ANSWERS, flip=b"\x10"),
@@ -47,7 +47,7 @@ HOSTILE = {
 
 @pytest.mark.parametrize("how", HOSTILE)
 @pytest.mark.parametrize("seed", range(3))
-def test_what_is_read_is_what_stands_there_and_errors_are_the_right_ones(how, seed):
+def test_sdo_values_equal_objects_or_right_error_is_raised(how, seed):
     rule, allowed = HOSTILE[how]
     random = Random(seed)
     with two_drives(rule, seed=seed) as rig:
@@ -75,31 +75,31 @@ def test_what_is_read_is_what_stands_there_and_errors_are_the_right_ones(how, se
                 errors.append(error)
         assert {type(error) for error in errors} <= set(allowed)
         if SdoAborted in allowed and how == "requests twice":
-            # and then, asked for the segment after, that there is no transfer (0504 0001h)
+            # and then, on the request for the next segment, that there is no transfer (0504 0001h)
             assert {one.index for one in errors} == {0x1008}
             assert {one.abort_code for one in errors} <= {0x0503_0000, 0x0504_0001}
         assert rig.runtime.now_ns() < 60_000 * MS
 
 
-def test_an_abort_without_a_place_is_not_about_a_transfer_that_has_just_begun():
-    """A server with no transfer going on names none: it cannot mean our new one."""
+def test_abort_without_object_is_not_for_new_transfer():
+    """A server without a transfer names no object: the abort cannot concern the new one."""
     with two_drives() as rig:
         hardware = rig.motors["left"].hardware
         say = rig.world.add_host("can0", "late", lambda *_: None)
         from tests.crosscheck.wire import frame
 
-        # complete while the request's answer is under way: 1 ms after the request
+        # complete while the response is pending: 1 ms after the request
         rig.world.queue.alarm(lambda now_ns: say.send(frame("581#8000000001000405"))).set(
             rig.runtime.now_ns() + 400_000
         )
         assert hardware.upload(0x1018, 2) == (0x402).to_bytes(4, "little")
 
 
-def test_another_client_on_the_channel_is_told_as_such_or_does_no_harm():
+def test_other_client_on_channel_is_reported_or_harmless():
     with two_drives() as rig:
         hardware = rig.motors["left"].hardware
         say = stranger(rig)
         say("601#4008100000000000")  # begins a segmented upload, and leaves it there
         assert hardware.upload(0x1018, 2) == (0x402).to_bytes(4, "little")
-        say("601#6000000000000000")  # goes on with it; but there is none any more
+        say("601#6000000000000000")  # continues it, but there is no transfer any more
         assert hardware.upload(0x1008) == NAME

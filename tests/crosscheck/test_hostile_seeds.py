@@ -1,6 +1,6 @@
-"""Loss, reboots and strangers at moments that a seed picks: every call ends, and ends rightly.
+"""Loss, reboots and foreign nodes at random moments: every call ends correctly.
 
-After an error nothing moves that was not told to; after success everything is where it was sent.
+After an error no motor moves without a command; after success every motor is at its target.
 """
 
 import contextlib
@@ -8,9 +8,9 @@ from random import Random
 
 import pytest
 
-from emulators.media.faults import FaultKind, FaultRule
-from motorapi import ControlMode, ControlVariable, Motor, MotorGroup, TrapezoidalTrajectory
-from motorapi.errors import (
+from motorhil.emulators.can.fault_rules import FaultKind, FaultRule
+from motorhil.motorapi import ControlMode, ControlVariable, Motor, MotorGroup, TrapezoidalTrajectory
+from motorhil.motorapi.errors import (
     DeadlineExceeded,
     DeviceFault,
     LinkError,
@@ -33,7 +33,7 @@ def group_of(rig) -> MotorGroup:
 
 
 @pytest.mark.parametrize("seed", range(8))
-def test_a_group_that_loses_every_hundredth_frame_arrives_or_stops(seed):
+def test_group_with_one_percent_loss_arrives_or_stops(seed):
     with two_drives(ONE_PERCENT, seed=seed) as rig:
         try:
             group_of(rig).start()
@@ -44,7 +44,7 @@ def test_a_group_that_loses_every_hundredth_frame_arrives_or_stops(seed):
             before = demand(rig, "left"), demand(rig, "right")
             assert 0 <= before[0] <= 0.3 * INC_PER_RAD + 1
             assert -0.2 * INC_PER_RAD - 1 <= before[1] <= 0
-            rig.motors["left"].hardware.link.sync()  # whatever is still latched would start now
+            rig.motors["left"].hardware.link.sync()  # any set-point still latched would start now
             rig.runtime.run_for(0.3)
             assert (demand(rig, "left"), demand(rig, "right")) == before
         else:
@@ -54,7 +54,7 @@ def test_a_group_that_loses_every_hundredth_frame_arrives_or_stops(seed):
 
 
 @pytest.mark.parametrize("seed", range(8))
-def test_a_wheel_that_loses_every_hundredth_frame_turns_and_stops(seed):
+def test_wheel_with_one_percent_loss_turns_and_stops(seed):
     with two_drives(ONE_PERCENT, seed=seed) as rig:
         motor = rig.motors["left"]
         motor.set_control_mode(ControlMode.SETPOINT, ControlVariable.VELOCITY)
@@ -73,7 +73,7 @@ def test_a_wheel_that_loses_every_hundredth_frame_turns_and_stops(seed):
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_every_call_ends_with_every_hundredth_frame_lost(seed):
+def test_calls_end_with_one_percent_loss(seed):
     with two_drives(ONE_PERCENT, seed=seed) as rig:
         motor = rig.motors["left"]
         for call in (
@@ -98,7 +98,7 @@ def test_every_call_ends_with_every_hundredth_frame_lost(seed):
 
 @pytest.mark.parametrize("command", ["81", "82", "02", "80"])
 @pytest.mark.parametrize("seed", range(4))
-def test_a_drive_that_is_reset_or_stopped_at_any_moment_can_be_used_again(command, seed):
+def test_drive_is_usable_after_reset_or_stop_at_any_moment(command, seed):
     with two_drives(seed=seed) as rig:
         motor = rig.motors["left"]
         port = rig.world.add_host("can0", "stranger", lambda *_: None)
@@ -121,7 +121,7 @@ def test_a_drive_that_is_reset_or_stopped_at_any_moment_can_be_used_again(comman
 
 @pytest.mark.parametrize("period_s", [0.0002, 0.0007, 0.0101])
 @pytest.mark.parametrize("variable", [ControlVariable.POSITION, ControlVariable.VELOCITY])
-def test_another_producer_of_sync_makes_nothing_move_twice(period_s, variable):
+def test_second_sync_producer_starts_no_motion_twice(period_s, variable):
     with two_drives() as rig:
         port = rig.world.add_host("can0", "stranger", lambda *_: None)
         rig.runtime.every(period_s, lambda: port.send(frame("080#")))
@@ -140,12 +140,12 @@ def test_another_producer_of_sync_makes_nothing_move_twice(period_s, variable):
 
 
 @pytest.mark.parametrize(("seconds", "lost"), [(0.1, False), (0.5, True)])
-def test_a_bus_that_is_full_ends_in_the_dead_man_s_time_and_is_used_again(seconds, lost):
+def test_full_bus_ends_in_dead_man_time_and_is_usable_again(seconds, lost):
     with two_drives() as rig:
         motor = moving(rig.motors["left"])
         port = rig.world.add_host("can0", "babbler", lambda *_: None)
         begun = rig.runtime.now_ns()
-        for _ in range(int(seconds / 126e-6)):  # 126 bits each: nobody else gets through
+        for _ in range(int(seconds / 126e-6)):  # 126 bits each: no other frame gets through
             port.send(frame("000#FFFFFFFFFFFFFFFF"))
         if lost:
             with pytest.raises(LinkError, match="no heartbeat for 300 ms"):
@@ -159,7 +159,7 @@ def test_a_bus_that_is_full_ends_in_the_dead_man_s_time_and_is_used_again(second
         motor.wait_until_done(5)
 
 
-def test_a_statusword_that_lies_once_ends_a_wait_but_not_the_motion_and_start_says_so():
+def test_single_false_statusword_ends_wait_only_with_error():
     with two_drives() as rig:
         motor = moving(rig.motors["left"])
         place = int(rig.controllers["left"].snapshot()["position_inc"])
@@ -168,7 +168,7 @@ def test_a_statusword_that_lies_once_ends_a_wait_but_not_the_motion_and_start_sa
         with pytest.raises(MotionInterrupted):
             motor.wait_until_done(5)
         rig.runtime.run_for(0.02)
-        with pytest.raises(MotorError, match="goes on"):  # it has not: nothing starts on top of it
+        with pytest.raises(MotorError, match="goes on"):  # the motion continues
             motor.start()
         motor.wait_until_done(5)
         assert demand(rig) == pytest.approx(INC_PER_RAD, abs=1)

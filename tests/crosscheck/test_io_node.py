@@ -1,4 +1,4 @@
-"""The I/O node as canopen's own client sees it, by the node's EDS: SDO, PDOs, SYNC, heartbeat.
+"""The I/O node with canopen's client and the node's EDS.
 
 Expected: CiA 401 and CiA 406 as in tests/emulators/cia401/test_node.py. Here canopen encodes and
 decodes: names, signs and places are its reading of the EDS and of the frames.
@@ -10,7 +10,7 @@ import canopen
 import pytest
 from canopen.profiles import p402
 
-from emulators.cia401.settings import OWN_EDS
+from motorhil.emulators.cia401.settings import OWN_EDS
 from tests.crosscheck.client import WireNetwork, WireSdoClient
 from tests.crosscheck.conftest import aborted
 from tests.crosscheck.wire import MS, Wire
@@ -37,7 +37,7 @@ def connected(monkeypatch) -> tuple[Wire, WireNetwork, canopen.RemoteNode]:
     return wire, network, node
 
 
-def test_every_object_of_the_eds_is_there_with_the_value_the_eds_states(connected):
+def test_eds_objects_exist_with_stated_values(connected):
     _wire, _network, node = connected
     checked = 0
     for entry in node.object_dictionary.values():
@@ -53,7 +53,7 @@ def test_every_object_of_the_eds_is_there_with_the_value_the_eds_states(connecte
     assert checked > 100
 
 
-def test_outputs_and_counters_by_canopens_pdo_maps(connected):
+def test_outputs_and_counters_work_with_canopen_pdo_maps(connected):
     wire, network, node = connected
     node.rpdo.read()
     node.tpdo.read()
@@ -78,12 +78,12 @@ def test_outputs_and_counters_by_canopens_pdo_maps(connected):
     assert counts[1] < -100
     assert counts[3] < -100
     assert abs(counts[0]) > abs(counts[2])
-    # an SDO upload is some frames later than the SYNC, and the motors go on
+    # an SDO upload is some frames later than the SYNC, and the motors keep turning
     assert 0 <= node.sdo["Position value"][1].raw - counts[0] < 5000
     assert wire.truth("channel_2_output_v") == -5.0
 
 
-def test_canopen_maps_a_channel_pair_synchronously_as_a_servo_on_the_host_wants_it(connected):
+def test_canopen_maps_channel_pair_synchronously(connected):
     wire, network, node = connected
     node.rpdo.read()
     pdo = node.rpdo[3]
@@ -105,7 +105,7 @@ def test_canopen_maps_a_channel_pair_synchronously_as_a_servo_on_the_host_wants_
     assert wire.truth("channel_4_output_v") == -4097 * 10 / 32768
 
 
-def test_refusals_have_the_standards_codes(connected):
+def test_refusals_have_standard_codes(connected):
     _wire, _network, node = connected
     assert aborted(lambda: node.sdo.download(0x6820, 1, b"\0\0\0\0")) == 0x0601_0002
     assert aborted(lambda: node.sdo.download(0x6411, 1, b"\0\0\0\0")) == 0x0607_0012
@@ -114,7 +114,7 @@ def test_refusals_have_the_standards_codes(connected):
     assert aborted(lambda: node.sdo.upload(0x6401, 1)) == 0x0602_0000
 
 
-def test_a_host_whose_heartbeat_ends_is_missed_within_its_time(connected):
+def test_missing_host_heartbeat_is_detected_in_time(connected):
     wire, network, node = connected
     node.sdo[0x1016][1].raw = 127 << 16 | 100
     node.nmt.state = "OPERATIONAL"

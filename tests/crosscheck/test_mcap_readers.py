@@ -1,7 +1,8 @@
-"""Recordings as readers of others take them: @mcap/core, which Foxglove reads with, and Rerun.
+"""Recordings in third-party readers: @mcap/core, which Foxglove uses, and Rerun.
 
-The first needs node and npm, and is installed into pytest's cache by its lock file, hashes checked;
-the second needs `rerun` of rerun-sdk (800 MB) in PATH. mcap's own for Python: tests/traces.
+The first needs node and npm, and is installed into pytest's cache by its lock file, hashes checked.
+The second needs `rerun` of rerun-sdk (800 MB) in PATH. The tests of mcap for Python are in
+tests/traces.
 """
 
 import json
@@ -15,18 +16,18 @@ from pathlib import Path
 import pytest
 from mcap.reader import make_reader
 
-from harness.rig import Rig
-from harness.scaffold import EXAMPLES
-from motorapi import ControlMode
+from motorhil.harness.rig.config.scaffold import EXAMPLES
+from motorhil.harness.rig.rig import Rig
+from motorhil.motorapi import ControlMode
+from motorhil.traces.digest import digest
 from tests.traces.recordings import write
-from traces.digest import digest
 
 HERE = Path(__file__).parent / "mcap_core"
 
 
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory):
-    """A run: frames, states, locks, truth, attachments, metadata."""
+    """Return a recorded run: frames, states, locks, truth, attachments, metadata."""
     path = tmp_path_factory.mktemp("readers") / "run.mcap"
     with Rig.open(EXAMPLES / "two_wheels.toml", record=path) as rig:
         motor = rig.motors["left"]
@@ -40,7 +41,7 @@ def recording(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def mcap_core(request):
-    """A folder with the reader, or a skip that says why there is none."""
+    """Return a folder with the reader, or skip with a reason."""
     if shutil.which("npm") is None or shutil.which("node") is None:
         pytest.skip("@mcap/core needs node and npm")
     folder = request.config.cache.mkdir("mcap-core")
@@ -69,13 +70,13 @@ def read(folder, path):
 
 
 def python_counts(path):
-    """Messages by topic, by mcap for Python."""
+    """Return the number of messages by topic, counted by mcap for Python."""
     with path.open("rb") as file:
         reader = make_reader(file, validate_crcs=True)
         return dict(Counter(channel.topic for _, channel, _ in reader.iter_messages()))
 
 
-def test_mcap_core_reads_every_message_and_all_crcs_fit(mcap_core, recording):
+def test_mcap_core_reads_every_message_with_valid_crcs(mcap_core, recording):
     done = read(mcap_core, recording)
     assert done.returncode == 0, done.stderr
     told = json.loads(done.stdout)
@@ -91,7 +92,7 @@ def test_mcap_core_reads_every_message_and_all_crcs_fit(mcap_core, recording):
     assert "two_wheels.toml" in stream["attachments"]
 
 
-def test_mcap_core_finds_a_bit_that_was_flipped(mcap_core, recording, tmp_path):
+def test_mcap_core_detects_flipped_bit(mcap_core, recording, tmp_path):
     data = bytearray(recording.read_bytes())
     data[len(data) // 2] ^= 0x10
     (tmp_path / "hurt.mcap").write_bytes(data)
@@ -100,7 +101,7 @@ def test_mcap_core_finds_a_bit_that_was_flipped(mcap_core, recording, tmp_path):
     assert done.stdout == ""
 
 
-def test_mcap_core_reads_what_was_written_in_small_pieces(mcap_core, tmp_path):
+def test_mcap_core_reads_file_written_in_small_pieces(mcap_core, tmp_path):
     write(tmp_path / "a.mcap", 500)
     done = read(mcap_core, tmp_path / "a.mcap")
     assert done.returncode == 0, done.stderr
@@ -111,7 +112,7 @@ def test_mcap_core_reads_what_was_written_in_small_pieces(mcap_core, tmp_path):
 
 @pytest.fixture
 def rerun(tmp_path):
-    """Runs `rerun`, which is told to tell nobody."""
+    """Run `rerun` with its telemetry off."""
     if shutil.which("rerun") is None:
         pytest.skip("Rerun is not installed: pip install rerun-sdk (800 MB)")
 
@@ -125,7 +126,7 @@ def rerun(tmp_path):
     return run
 
 
-def test_rerun_finds_nothing_wrong_and_converts_it(rerun, recording, tmp_path):
+def test_rerun_verifies_and_converts_recording(rerun, recording, tmp_path):
     counts = python_counts(recording)
     info = rerun("mcap", "info", str(recording))
     assert info.returncode == 0, info.stderr
@@ -139,6 +140,6 @@ def test_rerun_finds_nothing_wrong_and_converts_it(rerun, recording, tmp_path):
     assert (tmp_path / "run.rrd").stat().st_size > 10_000
 
 
-def test_rerun_finds_what_is_wrong(rerun, recording, tmp_path):
+def test_rerun_detects_damage(rerun, recording, tmp_path):
     (tmp_path / "cut.mcap").write_bytes(recording.read_bytes()[:-100])
     assert rerun("mcap", "check", str(tmp_path / "cut.mcap")).returncode != 0

@@ -1,8 +1,8 @@
-"""Clients that are not ours work with served units, on TCP and on a pseudo-terminal.
+"""Third-party clients with served units, on TCP and on a pseudo-terminal.
 
 pymodbus (for RTU it needs pyserial), mbpoll (Debian package), libmodbus (Debian libmodbus-dev and a
-C compiler); what they exchanged is then shown to Wireshark (Debian tshark). Each is skipped aloud
-where it is missing.
+C compiler); Wireshark (Debian tshark) then reads their exchanges. Each missing program is skipped
+with a message.
 """
 
 import asyncio
@@ -52,8 +52,8 @@ def registers(response) -> list[int]:
 
 
 def moves_a_motor(client: ModbusClientMixin, target: int) -> None:
-    """A PR drive is told a path, started, and watched until it is there."""
-    # Ramps of a second to 1000 rpm: half a second to look in, on a busy machine, too.
+    """Set a path of a PR drive, start it, and wait for the target."""
+    # Ramps of a second per 1000 rpm: half a second for observation, also on a busy machine.
     path = [1, target >> 16 & 0xFFFF, target & 0xFFFF, 600, 1000, 1000, 0]
     assert not client.write_register(0x000F, 1, device_id=1).isError()
     assert not client.write_registers(0x6200, path, device_id=1).isError()
@@ -74,7 +74,7 @@ def moves_a_motor(client: ModbusClientMixin, target: int) -> None:
 def says_what_it_has_not(client: ModbusClientMixin) -> None:
     assert client.read_holding_registers(0xF000, device_id=1).exception_code == 2
     assert client.read_coils(0, device_id=1).exception_code == 1
-    assert client.write_register(0x1003, 0, device_id=1).exception_code == 2  # to be read
+    assert client.write_register(0x1003, 0, device_id=1).exception_code == 2  # for the reader
     assert client.diag_query_data(b"\x12\x34", device_id=1).message == b"\x12\x34"
     said = client.read_device_information(read_code=1, object_id=0, device_id=1)
     assert len(said.information) == 3
@@ -91,26 +91,26 @@ def serial_client(server: Server) -> ModbusSerialClient:
     )
 
 
-def test_pymodbus_sync_over_tcp(server):
+def test_pymodbus_sync_works_over_tcp(server):
     with ModbusTcpClient("127.0.0.1", port=server.port, timeout=LONG_S, retries=0) as client:
         moves_a_motor(client, 12_345)
         says_what_it_has_not(client)
 
 
-def test_pymodbus_sync_over_the_pseudo_terminal(server):
+def test_pymodbus_sync_works_over_pseudo_terminal(server):
     with serial_client(server) as client:
         moves_a_motor(client, -12_345)
         says_what_it_has_not(client)
 
 
-def test_the_terminal_may_be_closed_and_opened_again(server):
+def test_terminal_may_be_closed_and_opened_again(server):
     for _ in range(3):
         with serial_client(server) as client:
             assert registers(client.read_holding_registers(0x1003, device_id=1))
 
 
 async def asks_two_at_once(client) -> None:
-    """Both units, at the same time as far as the client can."""
+    """Query both units, as simultaneously as the client can."""
     assert await client.connect()
     try:
         for _ in range(20):
@@ -123,7 +123,7 @@ async def asks_two_at_once(client) -> None:
         client.close()
 
 
-def test_pymodbus_async_over_tcp(server):
+def test_pymodbus_async_works_over_tcp(server):
     async def run() -> None:
         client = AsyncModbusTcpClient("127.0.0.1", port=server.port, timeout=LONG_S, retries=0)
         await asks_two_at_once(client)
@@ -131,7 +131,7 @@ def test_pymodbus_async_over_tcp(server):
     asyncio.run(run())
 
 
-def test_pymodbus_async_over_the_pseudo_terminal(server):
+def test_pymodbus_async_works_over_pseudo_terminal(server):
     pytest.importorskip("serial", reason="pyserial is not installed")
 
     async def run() -> None:
@@ -231,13 +231,13 @@ def tshark() -> str:
     return found
 
 
-# libmodbus asks so for the server ID, on the serial line: Wireshark 4.0 takes no RTU frame that is
-# shorter than 5 bytes for one (nor 0107E222, read exception status).
+# The request of libmodbus for the server ID on the serial line: Wireshark 4.0 does not accept RTU
+# frames shorter than 5 bytes (nor 0107E222, read exception status).
 REPORT_SERVER_ID = bytes.fromhex("0111C02C")
 
 
 def exchanged(record: Path, topic: str) -> list[tuple[int, str, bool, bytes]]:
-    """(ns, sender, whether to the server, ADU), read by mcap's own reader."""
+    """Return (ns, sender, True if to the server, ADU), read by mcap's own reader."""
     with record.open("rb") as file:
         reader = make_reader(file, decoder_factories=[DecoderFactory()])
         return [
@@ -256,9 +256,9 @@ def dissected(tshark: str, path: Path, protocol: str) -> list[list[str]]:
     return [line.split("\t") for line in done.stdout.splitlines()]
 
 
-def test_wireshark_reads_every_exchange_without_an_error(tshark, server, tmp_path):
+def test_wireshark_reads_every_exchange_without_error(tshark, server, tmp_path):
     with ModbusTcpClient("127.0.0.1", port=server.port, timeout=LONG_S, retries=0) as client:
-        says_what_it_has_not(client)  # so that there is one, if this test runs alone
+        says_what_it_has_not(client)  # to have an exchange if this test runs alone
     server.stop()
     for topic, protocol in (("/modbus/plant", "mbtcp"), ("/modbus/rs485", "mbrtu")):
         adus = exchanged(server.record, topic)
@@ -276,7 +276,7 @@ def test_wireshark_reads_every_exchange_without_an_error(tshark, server, tmp_pat
     assert len(exchanged(server.record, "/modbus/plant")) > 10
 
 
-def test_the_planted_fault_a_wrong_check_sum_is_seen_by_wireshark(tshark, tmp_path):
+def test_wireshark_detects_planted_wrong_crc(tshark, tmp_path):
     to_pcap([(0, "host", True, bytes.fromhex("010300000001840B"))], tmp_path / "crc.pcap")
     ((_, malformed, message, _),) = dissected(tshark, tmp_path / "crc.pcap", "mbrtu")
     assert malformed or "CRC" in message

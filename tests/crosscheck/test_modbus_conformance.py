@@ -1,8 +1,8 @@
-"""What the specification wants of a server and others do not do, as bytes on TCP and on a terminal.
+"""Requirements of the Modbus specification that other servers miss.
 
-Each check is a function of something to ask, so that it is also put to pymodbus's own server, which
-fails it: that is the fault planted for it. Expected bytes: MODBUS Application Protocol V1.1b3,
-section 6 and its state diagrams; Messaging on TCP/IP V1.0b, section 4.4; Serial Line V1.02, 2.
+Each check is a function of a requester, so it is also run against pymodbus's own server, which
+fails it: that is its planted fault. Expected bytes: MODBUS Application Protocol V1.1b3, section 6
+and its state diagrams; Messaging on TCP/IP V1.0b, section 4.4; Serial Line V1.02, 2.
 """
 
 import os
@@ -14,8 +14,8 @@ from select import select
 
 import pytest
 
-from emulators.modbus.crc import with_crc
-from emulators.modbus.tcp import adu
+from motorhil.emulators.modbus.rtu import with_crc
+from motorhil.emulators.modbus.tcp import adu
 from tests.crosscheck.modbus_served import Served
 
 pytestmark = pytest.mark.wall
@@ -42,7 +42,7 @@ def pdu(text: str) -> bytes:
     return bytes.fromhex(text)
 
 
-# ---- checks, put to any server ----
+# ---- checks for any server ----
 
 
 def quantity_0_and_one_too_many_are_illegal_values(ask: Ask) -> None:
@@ -83,7 +83,7 @@ def a_foreign_unit_is_not_answered_as_if_it_were_there(ask: Ask) -> None:
 
 def nobody_answers_as_all_units(ask: Ask) -> None:
     before = ask(1, READ_5)
-    assert ask(0, pdu("06 0005 BEEF")) == pdu("86 0B")  # there is no broadcast on TCP
+    assert ask(0, pdu("06 0005 BEEF")) == pdu("86 0B")  # TCP has no broadcast
     assert ask(1, READ_5) == before
 
 
@@ -96,32 +96,32 @@ UNITS_ON_TCP = [a_foreign_unit_is_not_answered_as_if_it_were_there, nobody_answe
 
 
 @pytest.mark.parametrize("check", [*CHECKS, the_greatest_quantity_is_right])
-def test_the_served_units_do_as_specified(ask, check):
+def test_served_units_pass_check(ask, check):
     check(ask)
 
 
 @pytest.mark.parametrize("check", UNITS_ON_TCP)
-def test_a_gateway_answers_for_units_that_are_not_there(served, check):
+def test_gateway_responds_for_missing_units(served, check):
     check(served.ask_tcp)
 
 
-# ---- what needs more than one answer ----
+# ---- checks with several responses ----
 
 
 def pipelined(unit: int, count: int) -> tuple[bytes, list[int]]:
-    """So many requests in one piece, and their transaction identifiers."""
+    """Return this many requests in one piece, and their transaction identifiers."""
     transactions = [0x7000 + 3 * number for number in range(count)]
     return b"".join(adu(one, unit, READ_5) for one in transactions), transactions
 
 
-def test_each_of_fifty_pipelined_requests_is_answered_in_order(served):
+def test_fifty_pipelined_requests_are_answered_in_order(served):
     data, transactions = pipelined(2, 50)
     os.write(served.tcp.fileno(), data)
     for one in transactions:
         assert served.answer_tcp(one, 2) == pdu("03 02 07D5")
 
 
-def test_requests_may_be_cut_at_any_byte(served):
+def test_request_may_be_split_at_any_byte(served):
     data, transactions = pipelined(1, 3)
     for cut in range(1, len(data)):
         os.write(served.tcp.fileno(), data[:cut])
@@ -132,7 +132,7 @@ def test_requests_may_be_cut_at_any_byte(served):
             assert served.answer_tcp(one, 1) == pdu("03 02 03ED")
 
 
-def test_a_client_that_reads_late_loses_nothing_and_holds_nobody_up(served):
+def test_slow_reader_loses_nothing_and_blocks_no_other(served):
     gateway = served.world.line("plant").gateway
     sent = 0
     with socket.socket() as late:
@@ -140,7 +140,7 @@ def test_a_client_that_reads_late_loses_nothing_and_holds_nobody_up(served):
         late.connect(served.socket.address)
         late.setblocking(False)
         assert served.ask_tcp(2, READ_5) == pdu("03 02 07D5")
-        for connection in served.socket._connections:  # the kernel would take megabytes
+        for connection in served.socket._connections:  # the kernel would buffer megabytes
             connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 16_384)
         asked = gateway.requests
         while not served.socket.backlogged():
@@ -156,7 +156,7 @@ def test_a_client_that_reads_late_loses_nothing_and_holds_nobody_up(served):
     assert answers == answers[:size] * sent
 
 
-def test_what_is_no_modbus_ends_its_connection_and_no_other(served):
+def test_foreign_protocol_ends_its_connection_only(served):
     with socket.create_connection(served.socket.address) as other:
         other.sendall(b"GET / HTTP/1.1\r\n\r\n")
         served.until(lambda: bool(select([other], [], [], 0)[0]))
@@ -164,24 +164,24 @@ def test_what_is_no_modbus_ends_its_connection_and_no_other(served):
     assert served.ask_tcp(1, READ_5) == pdu("03 02 03ED")
 
 
-def test_on_a_line_a_foreign_unit_is_silence(served):
+def test_foreign_unit_on_line_is_silent(served):
     served.write(with_crc(bytes((9,)) + pdu("06 0005 BEEF")))
     assert served.ask_rtu(1, READ_5) == pdu("03 02 03ED")
     assert served.ask_rtu(2, READ_5) == pdu("03 02 07D5")
 
 
-def test_on_a_line_a_broadcast_is_done_by_all_and_answered_by_none(served):
+def test_broadcast_on_line_is_executed_without_response(served):
     served.write(with_crc(pdu("00 06 0005 BEEF")))
     assert served.ask_rtu(1, READ_5) == pdu("03 02 BEEF")
     assert served.ask_rtu(2, READ_5) == pdu("03 02 BEEF")
 
 
-def test_a_broadcast_read_is_nothing(served):
+def test_broadcast_read_is_ignored(served):
     served.write(with_crc(b"\x00" + READ_5))
     assert served.ask_rtu(2, READ_5) == pdu("03 02 07D5")
 
 
-def test_units_on_a_line_are_not_confused_by_the_responses_of_others(served):
+def test_units_on_line_ignore_responses_of_others(served):
     for _ in range(10):
         assert served.ask_rtu(1, READ_5) == pdu("03 02 03ED")
         assert served.ask_rtu(2, READ_5) == pdu("03 02 07D5")
@@ -191,27 +191,27 @@ def test_units_on_a_line_are_not_confused_by_the_responses_of_others(served):
     "noise",
     ["00", "FF FF FF", "01 03 00 05 00 01 00 00", "01 03 00", "01 41 22", "01 10 0005 0001 02 BE"],
 )
-def test_what_is_no_frame_is_silence_and_the_next_request_is_answered(served, noise):
+def test_invalid_frame_is_ignored_and_next_request_answered(served, noise):
     served.write(pdu(noise))
     served.until(lambda: served.world.line("rs485").line.frames == 1)
     assert served.ask_rtu(1, READ_5) == pdu("03 02 03ED")
 
 
-def test_a_function_that_is_not_there_is_told_apart_by_silence(served):
+def test_unknown_function_is_delimited_by_silence(served):
     assert served.ask_rtu(1, pdu("41 1234 5678")) == pdu("C1 01")
 
 
-def test_a_frame_longer_than_its_function_usually_is_is_one_frame(served):
+def test_frame_longer_than_usual_is_one_frame(served):
     echo = with_crc(pdu("01 08 0000 A537 1234 5678"))
     served.write(echo)
     assert served.heard(served.terminal, len(echo)) == echo
 
 
-def test_frames_written_in_one_go_keep_the_lines_silence_between_them(served):
+def test_frames_written_at_once_keep_silence_on_line(served):
     served.write(with_crc(pdu("00 06 0005 BEEF")) + with_crc(pdu("00 06 0006 CAFE")))
     assert served.ask_rtu(1, pdu("03 0005 0002")) == pdu("03 04 BEEF CAFE")
     line = served.world.line("rs485").line
-    served.until(lambda: line.frames >= 4)  # the answer's t3.5 is over, too
+    served.until(lambda: line.frames >= 4)  # the t3.5 of the response is over as well
     assert line.frames == 4
 
 
@@ -239,10 +239,10 @@ def peer() -> Iterator[Ask]:
 
 
 @pytest.mark.parametrize("check", [*CHECKS, *UNITS_ON_TCP])
-def test_each_check_finds_what_another_server_does(peer, check):
+def test_check_detects_fault_of_other_server(peer, check):
     with pytest.raises(AssertionError):
         check(peer)
 
 
-def test_the_other_server_does_answer(peer):
+def test_other_server_responds(peer):
     the_greatest_quantity_is_right(peer)

@@ -1,4 +1,4 @@
-"""`motorhil serve` on Modbus: where it says it serves, what it leaves, what it refuses."""
+"""`motorhil serve` on Modbus: reported addresses, cleanup, refusals."""
 
 import os
 import socket
@@ -12,7 +12,7 @@ from tests.wall.test_serve import motorhil, one_line
 pytestmark = pytest.mark.wall
 
 
-def test_it_says_where_and_leaves_nothing_behind(tmp_path):
+def test_serve_reports_addresses_and_cleans_up(tmp_path):
     there = Server(tmp_path)
     assert there.said == [
         f"plant: Modbus/TCP at 127.0.0.1:{there.port}, units 1, 2\n",
@@ -27,7 +27,7 @@ def test_it_says_where_and_leaves_nothing_behind(tmp_path):
         socket.create_connection(("127.0.0.1", there.port))
 
 
-def test_a_link_left_by_a_killed_server_is_replaced_and_a_file_is_not(tmp_path):
+def test_stale_link_is_replaced_and_file_is_kept(tmp_path):
     link = tmp_path / "line"
     link.symlink_to("/dev/pts/no-such-terminal")
     (tmp_path / "rig.toml").write_text(RIG)
@@ -40,33 +40,33 @@ def test_a_link_left_by_a_killed_server_is_replaced_and_a_file_is_not(tmp_path):
     link.write_text("mine")
     done = motorhil(*words, *show)
     assert done.returncode == 2
-    assert f"{link}: the link to the terminal cannot be made" in one_line(done.stderr)
+    assert f"{link}: cannot create the link to the terminal" in one_line(done.stderr)
     assert link.read_text() == "mine"
 
 
 @pytest.mark.parametrize(
     ("words", "reason"),
     [
-        (["--modbus-tcp", "0.0.0.0:0"], "0.0.0.0:0 can be reached from other machines"),
-        (["--modbus-tcp", "[::]:0"], "[::]:0 can be reached from other machines"),
+        (["--modbus-tcp", "0.0.0.0:0"], "0.0.0.0:0: other machines can reach it"),
+        (["--modbus-tcp", "[::]:0"], "[::]:0: other machines can reach it"),
         (["--modbus-tcp", "rs485=127.0.0.1:0"], "bus 'rs485': it is of kind modbus_rtu"),
-        (["--modbus-tcp", "no=127.0.0.1:0"], "bus 'no': the rig has none of it"),
+        (["--modbus-tcp", "no=127.0.0.1:0"], "bus 'no': the rig has no such bus"),
         (["--modbus-rtu", "plant=/tmp/x"], "bus 'plant': it is of kind modbus_tcp"),
         (["--modbus-rtu", "rs485="], "names no place"),
         (["--modbus-tcp", "5020"], "no HOST:PORT"),
         (["--modbus-tcp", "127.0.0.1:65536"], "no HOST:PORT"),
-        ([], "no place is named where to serve them"),
+        ([], "no address to serve them is given"),
         (["--socket", "/tmp/x", "--modbus-tcp", "127.0.0.1:0"], "no CAN bus for --on and --socket"),
     ],
 )
-def test_what_cannot_be_served_is_one_line(tmp_path, words, reason):
+def test_invalid_address_is_one_line_error(tmp_path, words, reason):
     (tmp_path / "rig.toml").write_text(RIG)
     done = motorhil("serve", str(tmp_path / "rig.toml"), *words, "--", "true")
     assert done.returncode == 2
     assert reason in one_line(done.stderr)
 
 
-def test_other_machines_are_let_in_if_that_is_said(tmp_path):
+def test_any_address_option_admits_other_machines(tmp_path):
     (tmp_path / "rig.toml").write_text(RIG)
     done = motorhil(
         *("serve", str(tmp_path / "rig.toml"), "--modbus-tcp", "0.0.0.0:0", "--any-address"),
@@ -76,7 +76,7 @@ def test_other_machines_are_let_in_if_that_is_said(tmp_path):
     assert done.stdout.startswith("0.0.0.0:")
 
 
-def test_a_port_in_use_is_one_line(tmp_path):
+def test_port_in_use_is_one_line_error(tmp_path):
     (tmp_path / "rig.toml").write_text(RIG)
     with socket.create_server(("127.0.0.1", 0)) as taken:
         place = f"127.0.0.1:{taken.getsockname()[1]}"

@@ -1,4 +1,4 @@
-"""NMT and error control on the wire: every command in every state, what works where, when.
+"""NMT and error control on the wire, in every state.
 
 Expected: CiA 301, 7.3.2.2 (NMT state diagram, table 38: states and communication objects) and
 7.2.8.2.2 (heartbeat, boot-up).
@@ -25,9 +25,7 @@ def in_state(state: int) -> Wire:
 @pytest.mark.parametrize("state", [PRE, OP, STOP])
 @pytest.mark.parametrize("addressee", ["05", "00"])
 @pytest.mark.parametrize(("command", "after"), [("01", OP), ("02", STOP), ("80", PRE)])
-def test_every_command_leads_from_every_state_where_the_standard_says(
-    state, addressee, command, after
-):
+def test_command_leads_to_standard_state(state, addressee, command, after):
     wire = in_state(state)
     count = len(wire.log)
     wire.tell(f"000#{command}{addressee}")
@@ -39,7 +37,7 @@ def test_every_command_leads_from_every_state_where_the_standard_says(
 
 @pytest.mark.parametrize("state", [PRE, OP, STOP])
 @pytest.mark.parametrize(("command", "delay"), [("81", 300 * MS), ("82", 20 * MS)])
-def test_a_reset_is_silence_then_one_boot_up_in_every_state(state, command, delay):
+def test_reset_is_silence_and_one_boot_up(state, command, delay):
     wire = in_state(state)
     count = len(wire.log)
     wire.tell(f"000#{command}05")
@@ -53,7 +51,7 @@ def test_a_reset_is_silence_then_one_boot_up_in_every_state(state, command, dela
 @pytest.mark.parametrize(
     "text", ["000#0104", "000#01", "000#010500", "000#0005", "000#0305", "000#8305", "001#0105"]
 )
-def test_what_is_no_command_for_it_changes_nothing(text):
+def test_foreign_command_is_ignored(text):
     wire = in_state(PRE)
     count = len(wire.log)
     wire.tell(text)
@@ -61,7 +59,7 @@ def test_what_is_no_command_for_it_changes_nothing(text):
     assert wire.since(count) == ["705#7F"] * len(wire.since(count))
 
 
-def test_boot_up_comes_once_at_its_time_and_before_it_nothing_is_answered():
+def test_boot_up_is_on_time_and_first():
     wire = Wire()
     wire.run_to(200 * MS)
     wire.send("605#4000100000000000", "000#0105", "705#R1")
@@ -71,7 +69,7 @@ def test_boot_up_comes_once_at_its_time_and_before_it_nothing_is_answered():
     assert wire.statusword() == 0x0250  # pre-operational, switch on disabled
 
 
-def test_the_first_heartbeat_comes_one_period_after_the_boot_up():
+def test_first_heartbeat_is_one_period_after_boot_up():
     wire = Wire({"node_id": 5, "objects": {"1017h": 100}})
     wire.run_to(BOOT_UP + 250 * MS)
     assert wire.since() == ["705#00", "705#7F", "705#7F"]
@@ -80,7 +78,7 @@ def test_the_first_heartbeat_comes_one_period_after_the_boot_up():
 
 
 SERVICES = {
-    # what is sent, and what must be heard if (and only if) the state has that service
+    # a request, and the response expected if (and only if) the state has that service
     "SDO": ("605#4000100000000000", "585#", {PRE, OP}),
     "SYNC": ("080#", "385#", {OP}),
     "RPDO": ("205#8000", "", set()),
@@ -89,7 +87,7 @@ SERVICES = {
 
 @pytest.mark.parametrize("state", [PRE, OP, STOP])
 @pytest.mark.parametrize("service", ["SDO", "SYNC"])
-def test_services_work_in_the_states_that_have_them(state, service):
+def test_service_works_in_its_states_only(state, service):
     wire = in_state(state)
     request, answer, states = SERVICES[service]
     count = len(wire.log)
@@ -100,7 +98,7 @@ def test_services_work_in_the_states_that_have_them(state, service):
 
 
 @pytest.mark.parametrize(("state", "counts"), [(PRE, False), (OP, True), (STOP, False)])
-def test_rpdos_count_in_operational_alone(state, counts):
+def test_rpdos_work_in_operational_only(state, counts):
     wire = in_state(state)
     wire.tell("205#0600")
     wire.tell("000#8005")
@@ -108,7 +106,7 @@ def test_rpdos_count_in_operational_alone(state, counts):
 
 
 @pytest.mark.parametrize(("state", "told"), [(PRE, True), (OP, True), (STOP, False)])
-def test_emergencies_are_sent_outside_stopped(state, told):
+def test_emergencies_are_sent_except_in_stopped(state, told):
     wire = in_state(state)
     count = len(wire.log)
     wire.stimulate("fault", 0x2310)
@@ -117,7 +115,7 @@ def test_emergencies_are_sent_outside_stopped(state, told):
     assert heard == (["085#1023030000000000"] if told else [])
 
 
-def test_a_stop_ends_what_was_on_its_way():
+def test_stop_drops_pending_output():
     wire = in_state(OP)
     count = len(wire.log)
     wire.tell("605#4000100000000000", "000#0205")
@@ -127,7 +125,7 @@ def test_a_stop_ends_what_was_on_its_way():
     assert wire.ask("605#4000100000000000") == "585#4300100092010200"
 
 
-def test_reset_communication_restores_the_communication_objects_and_no_others():
+def test_reset_communication_restores_its_objects_only():
     wire = in_state(PRE)
     wire.set(0x1800, 5, 50, 2)
     wire.set(0x6081, 0, 1234, 4)
@@ -136,17 +134,17 @@ def test_reset_communication_restores_the_communication_objects_and_no_others():
     assert (wire.read(0x1800, 5), wire.read(0x1017), wire.read(0x6081)) == (0, 0, 1234)
     wire.tell("000#8105")
     wire.run(305 * MS)
-    assert wire.read(0x6081) == 40960  # the file's
+    assert wire.read(0x6081) == 40960  # from the file
 
 
-def test_one_command_to_all_reaches_every_node_at_once():
+def test_broadcast_command_reaches_every_node():
     wire = Wire(*({"node_id": node, "objects": {"1017h": 10}} for node in (1, 2, 127))).boot()
     wire.tell("000#0100")
     wire.run(20 * MS)
     assert set(wire.since()[-3:]) == {"701#05", "702#05", "77F#05"}
 
 
-def test_a_drive_is_guarded_over_its_bus_and_stops_when_it_is_no_longer():
+def test_guarded_drive_stops_when_guarding_ends():
     """7.2.8.2.1: the toggle bit; 100Ch x 100Dh = 100 ms; 6007h = 1: a fault signal."""
     wire = Wire().boot()
     wire.enable()

@@ -20,14 +20,14 @@ def tpdo(wire: Wire, number: int, type_: int, inhibit_100us: int = 0, event_ms: 
 
 
 def only(wire: Wire, number: int) -> None:
-    """All TPDOs but this one do not exist."""
+    """Make all TPDOs except this one invalid."""
     for other in (1, 2, 3, 4):
         if other != number:
             wire.set(0x1800 + other - 1, 1, 0x8000_0000 | 0x80 + other * 0x100 + 5, 4)
 
 
 def syncs(wire: Wire, count: int) -> list[str]:
-    """What the drive says to each SYNC, 10 ms apart."""
+    """Return the drive's frames after each SYNC, 10 ms apart."""
     said = []
     for _ in range(count):
         seen = len(wire.log)
@@ -46,7 +46,7 @@ def test_type_n_is_sent_at_every_nth_sync(wire, every):
     assert syncs(wire, 2 * every + 1) == expected
 
 
-def test_type_0_is_sent_at_the_sync_after_an_event_and_only_then(wire):
+def test_type_0_is_sent_at_sync_after_event_only(wire):
     only(wire, 1)
     tpdo(wire, 1, 0)
     wire.operational()
@@ -59,7 +59,7 @@ def test_type_0_is_sent_at_the_sync_after_an_event_and_only_then(wire):
 
 
 @pytest.mark.parametrize("type_", [254, 255])
-def test_event_driven_ones_come_at_the_event_and_no_sync_matters(wire, type_):
+def test_event_driven_tpdo_is_sent_at_event_without_sync(wire, type_):
     only(wire, 1)
     tpdo(wire, 1, type_)
     wire.operational()
@@ -71,13 +71,13 @@ def test_event_driven_ones_come_at_the_event_and_no_sync_matters(wire, type_):
     assert wire.since(count) == ["185#3102"]
 
 
-def test_the_event_timer_repeats_and_an_event_restarts_it(wire):
+def test_event_timer_repeats_and_is_restarted_by_event(wire):
     only(wire, 1)
     tpdo(wire, 1, 255, event_ms=10)
     wire.operational()
     wire.run(35 * MS)
     times = wire.times(0x185)
-    # the first, asked for at the end of the NMT frame, waits for the intermission of 3 bits
+    # the first one, triggered at the end of the NMT frame, waits for the intermission of 3 bits
     assert [b - a for a, b in itertools.pairwise(times)] == [9_997 * US, 10 * MS, 10 * MS]
     wire.run(4 * MS)
     wire.controlword(0x06)
@@ -88,7 +88,7 @@ def test_the_event_timer_repeats_and_an_event_restarts_it(wire):
     assert [b - a for a, b in itertools.pairwise(after)] == [9_997 * US, 10 * MS]
 
 
-def test_the_inhibit_time_keeps_events_apart_and_none_is_lost(wire):
+def test_inhibit_time_separates_events_without_loss(wire):
     only(wire, 1)
     tpdo(wire, 1, 255, inhibit_100us=100)
     wire.operational()
@@ -103,7 +103,7 @@ def test_the_inhibit_time_keeps_events_apart_and_none_is_lost(wire):
     assert wire.since()[-1] == "185#3302"  # the last state: switched on
 
 
-def test_canopen_maps_a_tpdo_anew_and_reads_it_at_sync(connected):
+def test_canopen_remaps_tpdo_and_reads_it_at_sync(connected):
     wire, network, node = connected
     node.tpdo.read()
     node.tpdo[4].clear()
@@ -120,7 +120,7 @@ def test_canopen_maps_a_tpdo_anew_and_reads_it_at_sync(connected):
     assert wire.read(0x1A03, 3) == 0x603F_0010
 
 
-def test_canopen_maps_an_rpdo_with_a_dummy_and_it_counts_at_sync(connected):
+def test_canopen_maps_rpdo_with_dummy_for_sync(connected):
     wire, _network, node = connected
     node.rpdo.read()
     pdo = node.rpdo[3]
@@ -136,11 +136,11 @@ def test_canopen_maps_an_rpdo_with_a_dummy_and_it_counts_at_sync(connected):
     wire.tell("080#")
     assert wire.read(0x607A) == 10_000
     wire.tell("405#FF00000000", "405#FF2A000000", "080#", "080#")
-    assert wire.read(0x607A) == 42  # of two before one SYNC the last
+    assert wire.read(0x607A) == 42  # the last of two before one SYNC
 
 
 @pytest.mark.parametrize("type_", [0, 1, 240])
-def test_a_synchronous_rpdo_counts_at_the_next_sync_whatever_its_number(wire, type_):
+def test_synchronous_rpdo_is_written_at_next_sync(wire, type_):
     wire.set(0x1400, 2, type_, 1)
     wire.operational()
     wire.tell("205#0600")
@@ -150,7 +150,7 @@ def test_a_synchronous_rpdo_counts_at_the_next_sync_whatever_its_number(wire, ty
     assert wire.statusword() & 0x6F == 0x21
 
 
-def test_a_short_rpdo_counts_for_nothing_and_is_told_once(wire):
+def test_short_rpdo_is_ignored_and_reported_once(wire):
     wire.operational()
     wire.run(1 * MS)
     count = len(wire.log)
@@ -172,7 +172,7 @@ def test_a_short_rpdo_counts_for_nothing_and_is_told_once(wire):
     assert wire.statusword() & 0x6F == 0x21
 
 
-def test_a_long_rpdo_counts_with_its_first_bytes_and_is_told_once(wire):
+def test_long_rpdo_uses_first_bytes_and_is_reported_once(wire):
     wire.operational()
     wire.run(1 * MS)
     count = len(wire.log)
@@ -182,7 +182,7 @@ def test_a_long_rpdo_counts_with_its_first_bytes_and_is_told_once(wire):
     assert wire.statusword() & 0x6F == 0x21
 
 
-def test_remote_and_29_bit_frames_are_no_pdo(wire):
+def test_remote_and_29_bit_frames_are_not_pdos(wire):
     wire.operational()
     wire.run(6 * MS)
     count = len(wire.log)
@@ -192,7 +192,7 @@ def test_remote_and_29_bit_frames_are_no_pdo(wire):
     assert wire.statusword() & 0x6F == 0x40
 
 
-def test_sync_with_a_counter_is_a_sync_where_1019h_asks_for_one_and_told_elsewhere(wire):
+def test_sync_counter_is_required_or_reported_by_1019h(wire):
     wire.operational()
     wire.run(6 * MS)
     count = len(wire.log)
@@ -206,7 +206,7 @@ def test_sync_with_a_counter_is_a_sync_where_1019h_asks_for_one_and_told_elsewhe
     assert [text[:3] for text in wire.since(count)] == ["085", "385", "485"]
 
 
-def test_a_tpdo_of_eight_objects_fills_a_frame_exactly_and_no_more_fits(wire):
+def test_tpdo_of_eight_objects_is_full(wire):
     only(wire, 4)
     wire.set(0x1803, 1, 0x8000_0485, 4)
     wire.set(0x1A03, 0, 0, 1)
@@ -222,13 +222,13 @@ def test_a_tpdo_of_eight_objects_fills_a_frame_exactly_and_no_more_fits(wire):
     wire.set(0x1A03, 0, 0, 1)
     wire.set(0x1A03, 8, 0x6041_0010, 4)
     assert wire.write(0x1A03, 0, 8, 1) == 0x0604_0042
-    assert wire.write(0x1A03, 0, 9, 1) in (0x0604_0042, 0x0609_0031)  # there are eight places
+    assert wire.write(0x1A03, 0, 9, 1) in (0x0604_0042, 0x0609_0031)  # eight entries are possible
     assert wire.write(0x1A03, 8, 0x6041_0008, 4) == 0x0604_0041  # 16 bits, not 8
     assert wire.write(0x1A03, 8, 0x6008_0008, 4) == 0x0602_0000
     assert wire.write(0x1A03, 8, 0x1018_0120, 4) == 0x0604_0041  # not mappable
 
 
-def test_a_changed_identifier_is_used_at_once_and_the_old_one_is_free(wire):
+def test_changed_identifier_is_used_at_once(wire):
     wire.operational()
     wire.set(0x1400, 1, 0x8000_0205, 4)
     wire.set(0x1400, 1, 0x222, 4)
@@ -239,12 +239,12 @@ def test_a_changed_identifier_is_used_at_once_and_the_old_one_is_free(wire):
 
 
 @pytest.mark.parametrize("can_id", [0x000, 0x07F, 0x101, 0x180, 0x581, 0x5FF, 0x601, 0x701, 0x7FF])
-def test_restricted_identifiers_are_refused(wire, can_id):
+def test_restricted_identifier_is_refused(wire, can_id):
     wire.set(0x1400, 1, 0x8000_0205, 4)
     assert wire.write(0x1400, 1, can_id, 4) == 0x0609_0030
 
 
-def test_tpdos_are_not_to_be_had_by_remote_frames_and_say_so(connected):
+def test_tpdos_refuse_remote_frames_by_bit_30(connected):
     """CiA 301, 7.5.2.37: bit 30 of the COB-ID is set where no RTR is allowed."""
     wire, network, node = connected
     node.tpdo.read()

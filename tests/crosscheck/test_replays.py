@@ -1,6 +1,6 @@
-"""Hosts' frames as recorded, to our drive with the vendor's EDS: does it say what theirs said?
+"""Recorded host frames to our drive with the vendor's EDS.
 
-Recordings: ../shared/data/traffic/INDEX.md. What differs is asserted, with the reason.
+Recordings: ../shared/data/traffic/INDEX.md. Differences are asserted, with their reason.
 """
 
 import re
@@ -17,16 +17,16 @@ ROW = re.compile(r"can0\s+([0-9A-F]{3})\s+\[\d\]((?:\s+[0-9A-F]{2})*)")
 
 
 def recorded(shared: Path, name: str) -> list[str]:
-    """The frames, as "601#4000...", in their order."""
+    """Return the frames, as "601#4000...", in their order."""
     found = ROW.findall((shared / "data/traffic" / name).read_text())
     return [f"{can_id}#{data.replace(' ', '')}" for can_id, data in found]
 
 
-# --- Roboteq MBL1660, node 12: SYNC, four RPDOs of zeros, two TPDOs, EMCY 8220h again and again
+# --- Roboteq MBL1660, node 12: SYNC, four RPDOs of zeros, two TPDOs, repeated EMCY 8220h
 
 
 def roboteq(shared: Path, entries: int) -> Wire:
-    """Our drive with Roboteq's file; its RPDOs map `entries` objects of 32 bits."""
+    """Return our drive with Roboteq's file; its RPDOs map `entries` objects of 32 bits."""
     mapped = {f"{0x1600 + number:04X}h:0": entries for number in range(4)}
     unused = {f"{0x1802 + number:04X}h:1": 0xC000_0000 for number in range(2)}
     types = {f"{0x1400 + number:04X}h:2": 255 for number in range(4)}
@@ -40,7 +40,7 @@ def roboteq(shared: Path, entries: int) -> Wire:
     ).boot()
 
 
-def test_a_roboteq_s_pdos_are_as_recorded(shared):
+def test_roboteq_pdos_are_as_recorded(shared):
     frames = recorded(shared, "roboteq_mbl1660_node12_candump.txt")
     host = [text for text in frames if text[:3] in ("080", "20C", "30C", "40C", "50C")]
     theirs = {text for text in frames if text[:3] in ("18C", "28C", "70C")}
@@ -52,7 +52,7 @@ def test_a_roboteq_s_pdos_are_as_recorded(shared):
             wire.run(10 * MS)
         wire.tell(text)
     wire.run(10 * MS)
-    # theirs answered one SYNC in five (its firmware's cycle), ours does as the file's type 1 says
+    # the recorded drive answered one SYNC in five (its firmware's cycle), ours each one by type 1
     ours = [text for text in wire.since(count) if text[:3] != "70C"]
     syncs = sum(text.startswith("080") for text in host)
     assert [ours.count(f"{can_id}#0000000000000000") for can_id in ("18C", "28C")] == [syncs] * 2
@@ -60,8 +60,8 @@ def test_a_roboteq_s_pdos_are_as_recorded(shared):
     assert set(wire.since(count)) == theirs  # and the same heartbeat, 05
 
 
-def test_a_roboteq_s_complaint_of_rpdos_too_long_is_ours(shared):
-    """That drive maps less than its host sends: `20 82 11`, PDO length exceeded."""
+def test_roboteq_emcy_for_long_rpdos_is_as_recorded(shared):
+    """The recorded drive maps less than its host sends: `20 82 11`, PDO length exceeded."""
     frames = recorded(shared, "roboteq_mbl1660_node12_candump.txt")
     (theirs,) = {text for text in frames if text.startswith("081#")}
     assert theirs == "081#2082110000000000"
@@ -71,7 +71,7 @@ def test_a_roboteq_s_complaint_of_rpdos_too_long_is_ours(shared):
         if text[:3] in ("20C", "30C"):
             wire.tell(text)
     ours = [text for text in wire.since() if text.startswith("081#")]
-    # theirs repeats it for ever, ours tells it once for each RPDO, and which, and the lengths
+    # theirs repeats it for ever, ours sends it once for each RPDO, with its number and lengths
     assert ours == ["081#2082110108040000", "081#2082110208040000"]
 
 
@@ -81,7 +81,7 @@ IDENTITY = {"1018h:1": 0x331, "1018h:2": 0x4A, "1018h:3": 0x100, "1018h:4": 1}
 
 
 def servo() -> Wire:
-    """Our file with that drive's identity, and the PDOs its frames tell of."""
+    """Return our file with that drive's identity, and the PDOs of its frames."""
     words = {1: (0x6040_0010, 0x607A_0020, 0x6060_0008), 3: (0x6040_0010, 0x60FF_0020, 0x5_0008)}
     objects = dict(IDENTITY)
     for number, entries in words.items():
@@ -92,7 +92,7 @@ def servo() -> Wire:
     return Wire({"node_id": 1, "objects": objects})
 
 
-def test_a_servo_is_scanned_at_boot_as_recorded(shared):
+def test_servo_boot_scan_is_as_recorded(shared):
     frames = recorded(shared, "ros2canopen_issue298_fault_recovery.candump.txt")
     start = frames.index("000#8200")
     end = frames.index("201#07010000000000") - 1  # the SYNC before it
@@ -107,7 +107,7 @@ def test_a_servo_is_scanned_at_boot_as_recorded(shared):
     assert ours == scan  # byte for byte: reset, boot-up, identity, three downloads
 
 
-def test_a_servo_faults_and_recovers_by_the_words_recorded(shared):
+def test_servo_faults_and_recovers_as_recorded(shared):
     frames = recorded(shared, "ros2canopen_issue298_fault_recovery.candump.txt")
     begin = frames.index("201#07010000000000") - 1
     wire = servo().boot()
@@ -120,7 +120,7 @@ def test_a_servo_faults_and_recovers_by_the_words_recorded(shared):
             wire.run(30 * MS)  # it needs 20 ms to enable
         elif text.startswith("181#"):
             theirs.append(word_of(text))
-            wire.tell("080#")  # a synchronous RPDO of theirs acts here already
+            wire.tell("080#")  # a synchronous RPDO of the recording is effective here already
             wire.run(30 * MS)
             ours.append(wire.statusword(1))
         elif text.startswith("081#0152"):
@@ -139,8 +139,8 @@ def test_a_servo_faults_and_recovers_by_the_words_recorded(shared):
         "READY TO SWITCH ON",
         "SWITCHED ON",
     ]
-    # Bits the state coding leaves open: theirs shows bit 10 and, in SWITCH ON DISABLED and FAULT,
-    # bit 5; ours shows bit 10 only while a mode has the axis.
+    # Bits left open by the state coding: theirs shows bit 10 and, in SWITCH ON DISABLED and FAULT,
+    # bit 5; ours shows bit 10 only while a mode controls the axis.
     assert {a ^ b for a, b in zip(ours, theirs, strict=True)} <= {0x0000, 0x0400, 0x0420}
 
 
@@ -156,7 +156,7 @@ def state_of(word: int) -> str:
 # --- ros2_canopen issue 356: a Nanotec N5 boots; the heartbeat's state after "start"
 
 
-def test_a_nanotec_s_identity_start_and_pdo_lengths_are_as_recorded(shared):
+def test_nanotec_identity_start_and_pdos_are_as_recorded(shared):
     frames = recorded(shared, "ros2canopen_issue356_nanotec_n5_boot.candump.txt")
     wire = Wire(
         {

@@ -1,7 +1,7 @@
-"""The power state machine over the bus: every command in every state, and whole statuswords.
+"""The PDS FSA over the bus: commands in all states, statuswords.
 
-Expected: CiA 402-2's state machine as canopen's own table of transitions has it (p402.State402),
-and the state coding as Kollmorgen's AKD manual and canopen decode it; bits 10, 12 and 13 per mode.
+Expected: CiA 402-2's state machine by canopen's table of transitions (p402.State402), and the state
+coding of Kollmorgen's AKD manual and canopen; bits 10, 12 and 13 per mode.
 """
 
 import itertools
@@ -21,8 +21,8 @@ SOD, RTSO, SO, OE, QSA = (
 FAULT = "FAULT"
 PATH = {SOD: (), RTSO: (0x06,), SO: (0x06, 0x07), OE: (0x06, 0x07, 0x0F)}
 COMMANDS = {"shutdown": 0x06, "switch on": 0x07, "enable": 0x0F, "quick stop": 0x02, "off": 0x00}
-# By command; switch on in OPERATION ENABLED is "disable operation", enable from READY TO SWITCH ON
-# passes SWITCHED ON by itself (CiA 402-2: drives may).
+# By command; switch on in OPERATION ENABLED is "disable operation"; enable from READY TO SWITCH ON
+# passes SWITCHED ON automatically (CiA 402-2 allows this).
 AFTER = {
     SOD: {"shutdown": RTSO},
     RTSO: {"switch on": SO, "enable": OE, "quick stop": SOD, "off": SOD},
@@ -56,21 +56,21 @@ def in_state(state: str) -> Wire:
 @pytest.mark.parametrize("state", AFTER)
 @pytest.mark.parametrize("command", COMMANDS)
 @pytest.mark.parametrize("extra", [0x0000, 0xF810], ids=["plain", "other bits"])
-def test_every_command_leads_from_every_state_where_the_standard_says(state, command, extra):
+def test_command_leads_to_standard_state(state, command, extra):
     wire = in_state(state)
     wire.controlword(COMMANDS[command] | extra)
     wire.run(200 * MS)
     after = AFTER[state].get(command, state)
     assert state_of(wire.statusword()) == after
-    names_it = command != "quick stop" or state == OE  # to SOD canopen names disable voltage alone
+    names_it = command != "quick stop" or state == OE  # canopen only names disable voltage to SOD
     if after != state and names_it and (state, after) in State402.TRANSITIONTABLE:
         assert State402.TRANSITIONTABLE[(state, after)] & 0x8F == COMMANDS[command] & 0x8F
 
 
 @pytest.mark.parametrize("state", AFTER)
-def test_a_fault_is_entered_from_every_state_and_left_by_an_edge_alone(state):
+def test_fault_is_entered_from_any_state_and_left_by_edge(state):
     wire = in_state(state)
-    wire.controlword(0x80)  # no fault yet, but for FAULT itself: this is an edge
+    wire.controlword(0x80)  # no fault yet, except FAULT itself: this is an edge
     wire.stimulate("fault", 0x2310)
     wire.run(100 * MS)
     assert state_of(wire.statusword()) == FAULT
@@ -91,18 +91,18 @@ def test_a_fault_is_entered_from_every_state_and_left_by_an_edge_alone(state):
     ("state", "word"),
     [(SOD, 0x0250), (RTSO, 0x0231), (SO, 0x0233), (OE, 0x0637), (QSA, 0x0617), (FAULT, 0x0218)],
 )
-def test_whole_statuswords(state, word):
+def test_whole_statusword_matches_state_and_mode(state, word):
     assert in_state(state).statusword() == word
 
 
-def test_without_supply_bit_4_is_low_and_everything_else_stays():
+def test_missing_supply_clears_only_bit_4():
     wire = in_state(SO)
     wire.stimulate("power", 0)
     assert wire.statusword() == 0x0223
 
 
 def words(wire: Wire, count: int) -> list[int]:
-    """The statuswords TPDO 1 brought."""
+    """Return the statuswords of TPDO 1."""
     return [
         int.from_bytes(bytes.fromhex(text[4:]), "little")
         for text in wire.since(count)
@@ -111,13 +111,13 @@ def words(wire: Wire, count: int) -> list[int]:
 
 
 def tell_all(wire: Wire) -> None:
-    """No inhibit time holds a statusword back."""
+    """Set the inhibit time to 0, so that no statusword is held back."""
     wire.set(0x1800, 1, 0x8000_0185, 4)
     wire.set(0x1800, 3, 0, 2)
     wire.set(0x1800, 1, 0x185, 4)
 
 
-def test_the_set_point_handshake_bit_by_bit(wire):
+def test_set_point_handshake_is_exact_bit_by_bit(wire):
     tell_all(wire)
     wire.enable(1)
     wire.set(0x607A, 0, 10_000, 4)
@@ -133,7 +133,7 @@ def test_the_set_point_handshake_bit_by_bit(wire):
     assert wire.read(0x6062, signed=True) == 10_000
 
 
-def test_a_buffered_set_point_keeps_bit_10_low_between_the_two(wire):
+def test_buffered_set_point_keeps_bit_10_low_in_between(wire):
     """Danfoss VLT: target reached stays 0 until all set-points are processed."""
     wire.enable(1)
     count = len(wire.log)
@@ -141,34 +141,34 @@ def test_a_buffered_set_point_keeps_bit_10_low_between_the_two(wire):
         wire.set(0x607A, 0, target, 4)
         wire.controlword(0x1F)
         wire.controlword(0x0F)
-    assert wire.statusword() & 0x1400 == 0x1000  # one runs, one waits: no room
+    assert wire.statusword() & 0x1400 == 0x1000  # one runs, one waits: the buffer is full
     wire.run(2000 * MS)
     assert [word & 0x0400 for word in words(wire, count)].count(0x0400) == 1
     assert wire.read(0x6062, signed=True) == 9_000
 
 
-def test_velocity_mode_bit_by_bit(wire):
+def test_velocity_mode_is_exact_bit_by_bit(wire):
     tell_all(wire)
     wire.enable(3)
     wire.run(20 * MS)
-    assert wire.statusword() & 0x3400 == 0x1400  # 60FFh is 0, and so is the speed
+    assert wire.statusword() & 0x3400 == 0x1400  # 60FFh and the velocity are 0
     count = len(wire.log)
     wire.set(0x60FF, 0, 20_000, 4)
     wire.run(500 * MS)
     wire.controlword(0x010F)  # halt
     wire.run(500 * MS)
     seen = [word & 0x3400 for word in words(wire, count)]
-    # under way; no longer at zero speed; reached; halt: slowing down; at rest, which is its target
+    # moving; above zero speed; reached; halt: slowing down; at rest, which is its target
     assert [bits for bits, _ in itertools.groupby(seen)] == [0x1000, 0, 0x0400, 0, 0x1400]
 
 
-def test_torque_mode_bit_by_bit(wire):
-    """CiA 402-2: bit 10 is "target torque reached", and "at rest" under halt; 12, 13 are none."""
+def test_torque_mode_is_exact_bit_by_bit(wire):
+    """CiA 402-2: bit 10 is "target torque reached", and "at rest" under halt; 12, 13 are unused."""
     tell_all(wire)
     wire.set(0x6087, 0, 10_000, 4)  # 200 in 20 ms
     wire.enable(4)
     wire.run(20 * MS)
-    assert wire.statusword() & 0x3C00 == 0x0400  # 6071h is 0, and so is the torque
+    assert wire.statusword() & 0x3C00 == 0x0400  # 6071h and the torque are 0
     count = len(wire.log)
     wire.set(0x6071, 0, -200, 2)
     wire.run(100 * MS)
@@ -179,12 +179,12 @@ def test_torque_mode_bit_by_bit(wire):
     wire.controlword(0x000F)
     wire.run(50 * MS)
     seen = [word & 0x3C00 for word in words(wire, count)]
-    # the ramp; reached; halt: slowing down; at rest; go on: 6072h cuts it at 50
+    # the ramp; reached; halt: slowing down; at rest; continued: 6072h limits it to 50
     changes = [bits for bits, _ in itertools.groupby(seen)]
     assert changes == [0, 0x0400, 0, 0x0400, 0, 0x0800]
 
 
-def test_homing_bit_by_bit(wire):
+def test_homing_is_exact_bit_by_bit(wire):
     wire.enable(6)
     wire.set(0x607C, 0, -777, 4)
     count = len(wire.log)
@@ -199,7 +199,7 @@ def test_homing_bit_by_bit(wire):
 
 
 @pytest.mark.parametrize(("option", "ramp"), [(1, 0x6084), (2, 0x6085), (5, 0x6084), (6, 0x6085)])
-def test_a_quick_stop_takes_the_time_of_its_ramp(wire, option, ramp):
+def test_quick_stop_takes_time_of_its_ramp(wire, option, ramp):
     wire.set(0x605A, 0, option, 2)
     wire.enable(3)
     wire.set(0x60FF, 0, 40_000, 4)
@@ -214,7 +214,7 @@ def test_a_quick_stop_takes_the_time_of_its_ramp(wire, option, ramp):
 
 
 @pytest.mark.parametrize(("option", "brakes"), [(0, False), (1, True), (2, True)])
-def test_a_fault_reaction_is_shown_as_long_as_it_takes(wire, option, brakes):
+def test_fault_reaction_is_shown_for_its_duration(wire, option, brakes):
     wire.set(0x605E, 0, option, 2)
     wire.enable(3)
     wire.set(0x60FF, 0, 40_000, 4)

@@ -1,7 +1,7 @@
-"""A recorded run as Wireshark's CANopen dissector reads it: nothing malformed, and the same story.
+"""A recorded run in Wireshark's CANopen dissector: nothing malformed, and equal content.
 
-Needs `tshark` (Debian package of that name) in PATH. Record, mcap's own reader, pcap, tshark: no
-code of ours touches the frames between the bus and the dissector but the recorder.
+Needs `tshark` (Debian package of that name) in PATH. Record, mcap's own reader, pcap, tshark:
+between the bus and the dissector, only the recorder is our code.
 """
 
 import struct
@@ -13,10 +13,10 @@ import pytest
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
-from harness.build_info import cores_are_compiled
-from harness.rig import Rig
-from harness.scaffold import EXAMPLES
-from motorapi import ControlMode, Motor, TrapezoidalTrajectory
+from motorhil.harness.rig.config.scaffold import EXAMPLES
+from motorhil.harness.rig.rig import Rig
+from motorhil.harness.version import cores_are_compiled
+from motorhil.motorapi import ControlMode, Motor, TrapezoidalTrajectory
 from tests.dissector import COLUMNS, capture, collect_sent, complaints, dissected
 from tests.dissector import tshark as program
 from tests.emulators.cia402.bench import Bench
@@ -42,7 +42,7 @@ def tshark() -> str:
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory, tshark: str) -> list[dict[str, str]]:
-    """Bring-up, a move together, homing, fault, reset, an abort, a reboot: row by row."""
+    """Run bring-up, a joint motion, homing, fault, reset, an abort and a reboot: row by row."""
     folder = tmp_path_factory.mktemp("tshark")
     with Rig.open(EXAMPLES / "two_wheels.toml", record=folder / "run.mcap") as rig:
         group = rig.groups["both"]
@@ -72,7 +72,7 @@ def frames_of(record: Path) -> Iterator[bytes]:
             yield struct.pack("<IB3x8s", can.id, len(can.data), can.data)
 
 
-def test_every_frame_is_canopen_and_none_is_malformed(run):
+def test_every_frame_is_well_formed_canopen(run):
     assert len(run) > 400
     assert all(row["canopen.function_code"] for row in run)
     assert [row for row in run if row["_ws.malformed"] or row["_ws.expert.message"]] == []
@@ -87,9 +87,7 @@ def test_every_frame_is_canopen_and_none_is_malformed(run):
         ((0x7A1, bytes(8)), "not CANopen"),
     ],
 )
-def test_a_planted_frame_that_is_none_of_canopen_s_is_found_among_good_ones(
-    tshark, tmp_path, frame, fault
-):
+def test_planted_foreign_frame_is_detected(tshark, tmp_path, frame, fault):
     good = [(0x581, bytes.fromhex("4300100092010200")), (0x181, b"\x50\x02"), (0x701, b"\x00")]
     sent = [struct.pack("<IB3x8s", can_id, len(data), data) for can_id, data in (*good, frame)]
     (told,) = complaints(tshark, sent, tmp_path)
@@ -98,7 +96,7 @@ def test_a_planted_frame_that_is_none_of_canopen_s_is_found_among_good_ones(
 
 
 @pytest.mark.skipif(cores_are_compiled(), reason="compiled cores cannot be tapped")
-def test_whatever_a_node_sends_is_collected():
+def test_every_kind_of_node_frame_is_collected():
     sent: set[bytes] = set()
     end = collect_sent(sent)
     bench = Bench()
@@ -118,7 +116,7 @@ def values(run: list[dict[str, str]], field: str, node: int) -> list[int]:
     return [int(r[field], 16) for r in run if r[field] and r["canopen.node_id"] == wanted]
 
 
-def test_wireshark_tells_the_same_story(run):
+def test_wireshark_content_equals_recording(run):
     emergencies = [values(run, field, 1) for field in ("canopen.em.err_code", "canopen.em.err_reg")]
     assert emergencies == [[0x2310, 0x0000], [0x03, 0x00]]
     assert values(run, "canopen.em.err_code", 2) == []
@@ -129,7 +127,7 @@ def test_wireshark_tells_the_same_story(run):
     commands = [int(r["canopen.nmt_ctrl.cd"], 16) for r in run if r["canopen.nmt_ctrl.cd"]]
     assert commands.count(0x81) == 1
     assert set(commands) == {0x80, 0x01, 0x81}
-    # the host's first questions met a drive that still booted; it has every object asked for
+    # the host's first requests met a booting drive; it has every requested object
     assert set(values(run, "canopen.sdo.abort_code", 1)) == {0x0504_0000}
     read = values(run, "canopen.sdo.main_idx", 1)
     assert {0x1000, 0x1018, 0x1017, 0x6040, 0x6502} <= set(read)

@@ -1,6 +1,6 @@
-"""canopen as its users run it: `connect`, its threads, the wall clock, a drive served by motorhil.
+"""canopen as its users run it, with a served drive.
 
-Nothing is replaced in the client. What BaseNode402 cannot do (bits 4 to 6 of pp) the test writes.
+The client is unmodified. The test writes what BaseNode402 cannot do (bits 4 to 6 of pp).
 """
 
 import contextlib
@@ -13,17 +13,21 @@ import canopen
 import pytest
 from canopen.profiles.p402 import BaseNode402, State402
 
-from emulators.cia402.settings import OWN_EDS
-from harness.scaffold import EXAMPLES
+from motorhil.emulators.cia402.settings import OWN_EDS
+from motorhil.harness.rig.config.scaffold import EXAMPLES
 
 pytestmark = pytest.mark.wall
 
-MOTORHIL = (sys.executable, "-c", "import sys; from harness.cli import main; sys.exit(main())")
+MOTORHIL = (
+    sys.executable,
+    "-c",
+    "import sys; from motorhil.harness.cli.main import main; sys.exit(main())",
+)
 RIG = str(EXAMPLES / "two_wheels.toml")
 
 
 class PatientNode402(BaseNode402):
-    """For a slow machine."""
+    """A BaseNode402 with long timeouts, for a slow machine."""
 
     TIMEOUT_SWITCH_STATE_FINAL = 20.0
     TIMEOUT_SWITCH_STATE_SINGLE = 10.0
@@ -33,15 +37,15 @@ class PatientNode402(BaseNode402):
 
 @contextlib.contextmanager
 def connected(path: Path) -> Iterator[tuple[canopen.Network, PatientNode402]]:
-    """A client of node 1 of the rig that a process of its own serves at `path`."""
+    """Yield a client of node 1 of the rig that another process serves at `path`."""
     with subprocess.Popen(
         [*MOTORHIL, "serve", RIG, "--socket", str(path)], stdout=subprocess.PIPE, text=True
     ) as server:
         network = canopen.Network()
-        network.NOTIFIER_CYCLE = 0.1  # how long disconnecting takes
+        network.NOTIFIER_CYCLE = 0.1  # duration of disconnecting
         try:
             assert server.stdout is not None
-            server.stdout.readline()  # it says where, once it is there
+            server.stdout.readline()  # printed when it is ready
             network.connect(interface="emulated", channel=str(path))
             node = network.add_node(PatientNode402(1, str(OWN_EDS)))
             node.sdo.RESPONSE_TIMEOUT = 10.0
@@ -54,7 +58,7 @@ def connected(path: Path) -> Iterator[tuple[canopen.Network, PatientNode402]]:
 
 
 def wait_for(node: BaseNode402, done: Callable[[], object]) -> None:
-    """TPDO after TPDO, each of them every 5 ms, until it is done."""
+    """Wait for TPDOs, each of them every 5 ms, until the condition holds."""
     for _ in range(4000):
         if done():
             return
@@ -63,16 +67,16 @@ def wait_for(node: BaseNode402, done: Callable[[], object]) -> None:
 
 
 def booted(node: BaseNode402) -> None:
-    """It was reset and has said so: what it said at power-on may have been too early to hear."""
+    """Reset the node and wait for its boot-up; the one at power-on may have been too early."""
     for _ in range(10):
         node.nmt.state = "RESET"
-        with contextlib.suppress(canopen.nmt.NmtError):  # too slow to listen: again
+        with contextlib.suppress(canopen.nmt.NmtError):  # too slow to receive it: again
             node.nmt.wait_for_bootup(2)
             return
     raise AssertionError("no boot-up after ten resets")
 
 
-def test_bring_up_pp_pv_homing_fault_and_nmt(tmp_path):
+def test_bring_up_pp_pv_homing_fault_and_nmt_work(tmp_path):
     with connected(tmp_path / "hub") as (network, node):
         booted(node)
         for number in (1, 2):
@@ -91,7 +95,7 @@ def test_bring_up_pp_pv_homing_fault_and_nmt(tmp_path):
             wait_for(node, lambda: node.statusword & 0x1400 == 0x0400)
             assert node.sdo[0x6062].raw == demand
 
-        node.op_mode = "PROFILED VELOCITY"  # its RPDO 2 brings controlword 0 along
+        node.op_mode = "PROFILED VELOCITY"  # its RPDO 2 also sets controlword 0
         node.state = "OPERATION ENABLED"
         node.sdo[0x60FF].raw = -25_000
         wait_for(node, lambda: node.statusword & 0x1400 == 0x0400)
@@ -105,11 +109,11 @@ def test_bring_up_pp_pv_homing_fault_and_nmt(tmp_path):
             assert node.sdo[0x6064].raw == 0
             node.controlword = State402.CW_OPERATION_ENABLED  # BaseNode402 leaves bit 4 set
 
-        # BaseNode402 may have taken a statusword for new that was older than its RPDO 2.
+        # BaseNode402 may have used a statusword older than its RPDO 2.
         for _ in range(2):
             assert node.tpdo[1].wait_for_reception(10.0) is not None
         node.state = "OPERATION ENABLED"
-        node.sdo[0x1016][1].raw = 0x7E_0032  # it watches node 126, 50 ms; we speak but once
+        node.sdo[0x1016][1].raw = 0x7E_0032  # it watches node 126, 50 ms; we send only one
         node.sdo[0x1029][1].raw = 1
         network.send_message(0x77E, b"\x05")
         wait_for(node, node.is_faulted)

@@ -1,9 +1,9 @@
-"""Recorded hosts of real drives, and our drive in the place of each: what differs, and why.
+"""Recorded hosts with our drive instead: differences and reasons.
 
-Recordings: ../shared/data/traffic/INDEX.md. A transcript's host plays its part as `replay --as
-host` does; what our drive tells is compared with what theirs told, object by object
-(`traces.fidelity`). Where they differ there is a reason in this table, or a test fails; a reason
-that no longer explains anything fails too. docs/reference/emulated-drive.md has this table.
+Recordings: ../shared/data/traffic/INDEX.md. The host of a transcript is played as by `replay --as
+host`. The messages of our drive are compared with those of the recorded drive, object by object
+(`motorhil.traces.semantics.diff`). A difference without a reason in this table fails a test; so does a reason
+without a difference. docs/reference/emulated-drive.md has this table.
 """
 
 import json
@@ -13,11 +13,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final, final
 
-from harness.conversion import convert
-from harness.replay.as_host import DrivenRig, compared, drive
-from harness.rig import Rig
+from motorhil.harness.recording.conversion import convert
+from motorhil.harness.replay.host import DrivenRig, compared, drive
+from motorhil.harness.rig.rig import Rig
+from motorhil.traces.semantics.diff import Tolerance
 from tests.crosscheck.wire import frame
-from traces.semantic_diff import Tolerance
 
 ROW: Final = re.compile(
     r"(?:can0\s+|[RT]x\s+0)([0-9A-F]{3})\s+(?:\[\d\]|\d)((?:[^\S\n]+[0-9A-F]{2}\b)*)"
@@ -25,24 +25,24 @@ ROW: Final = re.compile(
 STAMPED: Final = re.compile(r"\((\d+\.\d+)\) \w+ ([0-9A-F]{3}#[0-9A-F]*)")
 BOOTED_S: Final = 0.8
 PITCH_S: Final = 0.01
-"""Between frames of a recording without time stamps: no faster than drives answer."""
+"""The time between frames of a recording without time stamps: no faster than drives respond."""
 
 
 @final
 @dataclass(frozen=True, slots=True)
 class Transcript:
-    """One recording, or a part of one, and the drive that takes its drive's place.
+    """One recording, or a part of one, and the drive that replaces its drive.
 
     Attributes:
-        title, file: what was recorded, and in which file.
+        title, file: the name of the recording, and its file.
         part: cuts the file's text; None: all of it.
         node: the drive's node-ID.
         eds: the vendor's file; "": ours, with that drive's identity in `objects`.
-        objects: what the recorded drive had been told before the recording.
-        first: what the host must have said before it.
-        stimuli: lines of a rig file: what physics did to the recorded drive.
-        differences: by what is compared: the first difference, "theirs, but ours", and its reason.
-        agrees: what ours tells alike, for that table.
+        objects: settings of the recorded drive before the recording.
+        first: required host messages before it.
+        stimuli: lines of a rig file: physical stimuli of the recorded drive.
+        differences: by subject: the first difference, "theirs, but ours", and its reason.
+        agrees: equal results, for that page.
     """
 
     title: str
@@ -58,7 +58,7 @@ class Transcript:
 
 
 def frames_of(text: str) -> list[tuple[float, str]]:
-    """(time [s], "601#40...") of each frame."""
+    """Return (time [s], "601#40...") of each frame."""
     stamped = STAMPED.findall(text)
     if stamped:
         return [(float(at), row) for at, row in stamped]
@@ -70,9 +70,9 @@ def frames_of(text: str) -> list[tuple[float, str]]:
 
 
 def played(transcript: Transcript, shared: Path, folder: Path) -> tuple[dict[str, str], int]:
-    """What differs, by what it is about, and how many things agree in all.
+    """Return the differences by subject, and the total number of agreements.
 
-    Things a host waited for in vain count as "waited in vain: ...".
+    Messages that a host awaited in vain count as "waited in vain: ...".
     """
     text = (shared / "data/traffic" / transcript.file).read_text()
     frames = frames_of(transcript.part(text) if transcript.part else text)
@@ -100,14 +100,14 @@ def played(transcript: Transcript, shared: Path, folder: Path) -> tuple[dict[str
 
 
 def _untimed(text: str) -> str:
-    """Without the label and the times: "what they told, but what we told"."""
+    """Remove the label and the times: "what they told, but what we told"."""
     return re.sub(r" at \d+\.\d+ s", "", text.partition(": ")[2])
 
 
 def _without_rig(ours: Path, folder: Path) -> Path:
-    """The same frames, of which a reader knows as little as of the recorded ones.
+    """Return the same frames with as little context as recorded ones.
 
-    What was before the host's first frame is left out: drives that were recorded booted long ago.
+    Frames before the host's first one are left out: recorded drives booted long before.
     """
     source, target = folder / "ours.log", folder / "plain.mcap"
     convert(str(ours), str(source), "candump")
@@ -135,7 +135,7 @@ def _rig(transcript: Transcript, shared: Path) -> str:
 
 
 def _between(begin: str, end: str = "") -> Callable[[str], str]:
-    """The lines from the first that has `begin` to the first behind it that has `end`."""
+    """Return the lines from the first that has `begin` to the first behind it that has `end`."""
 
     def part(text: str) -> str:
         rest = text[text.index(begin) :] if begin else text
@@ -145,7 +145,7 @@ def _between(begin: str, end: str = "") -> Callable[[str], str]:
 
 
 def _pdos(*mappings: tuple[int, int, tuple[int, ...]]) -> dict[str, int]:
-    """(mapping object, transmission type, entries) as the power-on values of their objects."""
+    """Return (mapping object, transmission type, entries) as power-on values of their objects."""
     objects: dict[str, int] = {}
     for index, kind, entries in mappings:
         objects[f"{index - 0x200:04X}h:2"] = kind
@@ -325,7 +325,7 @@ TRANSCRIPTS: Final = (
 
 
 def table() -> str:
-    """Return the table in docs/reference/emulated-drive.md: what matches, what differs and why."""
+    """Return agreements, differences and reasons: the table of docs/reference/emulated-drive.md."""
     rows = ["| recorded | alike | different, and why |", "| --- | --- | --- |"]
     for one in TRANSCRIPTS:
         reasons: dict[str, list[str]] = {}

@@ -1,7 +1,7 @@
-"""Drives on a bus with its physics, and a host's port: frames by hand, times to the nanosecond.
+"""Drives on a physical bus, and a host's port with handmade frames.
 
-Frames are written as candump writes them, "601#4041600000000000"; a remote frame ends in "#R".
-Nothing here knows CANopen from the code under test: bytes are packed with struct.
+Frames are written as candump writes them, "601#4041600000000000"; a remote frame ends in "#R". This
+module does not use the CANopen code under test: bytes are packed with struct.
 """
 
 import struct
@@ -9,13 +9,14 @@ from collections.abc import Callable
 from pathlib import Path
 from random import Random
 
-from emulators.cia401.factory import build as build_io_node
-from emulators.cia402.factory import build as build_drive
-from emulators.controller import ControllerContext
-from emulators.event_queue import EventQueue
-from emulators.media.can_bus import CanBus
-from emulators.media.faults import FaultPlan, FaultRule
-from emulators.world import World
+from motorhil.emulators.can.bus.bus import CanBus
+from motorhil.emulators.can.bus.fault_plan import FaultPlan
+from motorhil.emulators.can.fault_rules import FaultRule
+from motorhil.emulators.cia401.node import build as build_io_node
+from motorhil.emulators.cia402.drive import build as build_drive
+from motorhil.emulators.controller import ControllerContext
+from motorhil.emulators.simulation.event_queue import EventQueue
+from motorhil.emulators.simulation.world import World
 
 US = 1_000
 MS = 1_000_000
@@ -23,11 +24,11 @@ BOOT_UP = 300 * MS
 RTR = 0x4000_0000
 
 Heard = tuple[int, str, str]
-"""(end of frame [ns], who sent it, frame)"""
+"""A frame on the bus: (end of frame [ns], sender, frame)."""
 
 
 def frame(text: str) -> bytes:
-    """The can_frame of "id#data"."""
+    """Return the can_frame of "id#data"."""
     head, _, tail = text.partition("#")
     can_id = int(head, 16) | (0x8000_0000 if len(head) > 3 else 0)
     if tail.startswith("R"):
@@ -37,7 +38,7 @@ def frame(text: str) -> bytes:
 
 
 def text_of(raw: bytes) -> str:
-    """A can_frame as `frame` reads it."""
+    """Return a can_frame in the notation of `frame`."""
     can_id, length, data = struct.unpack("<IB3x8s", raw)
     if can_id & RTR:
         return f"{can_id & 0x7FF:03X}#R{length}"
@@ -45,9 +46,9 @@ def text_of(raw: bytes) -> str:
 
 
 class Wire:
-    """One bus: drives by node-ID, a host, and everything that was on it, in `log`.
+    """One bus with drives by node-ID, a host, and a log of all frames.
 
-    A table with `kind` "cia401" is an I/O node's.
+    A table with `kind` "cia401" describes an I/O node.
     """
 
     def __init__(self, *drives: dict, bitrate: int = 1_000_000, seed: int = 1) -> None:
@@ -88,7 +89,7 @@ class Wire:
         self.queue.run_until(time_ns)
 
     def run_while(self, condition: Callable[[], object], timeout_ns: int = 20_000 * MS) -> bool:
-        """Event by event; whether it ended before `timeout_ns`."""
+        """Run event by event; return whether the condition ended before `timeout_ns`."""
         end = self.now + timeout_ns
         while condition():
             due = self.queue.next_time_ns()
@@ -105,12 +106,12 @@ class Wire:
             self.host.send(frame(text))
 
     def tell(self, *texts: str) -> None:
-        """Sent, and on the wire."""
+        """Send a frame and wait until it is on the wire."""
         self.send(*texts)
         self.run_while(lambda: self.bus.pending(self.host.port), 100 * MS)
 
     def since(self, count: int = 0, sender: str | None = None) -> list[str]:
-        """Frames from number `count` of the log on; of everybody but the host, or of one."""
+        """Return frames from number `count` of the log on; of all but the host, or of one."""
         return [
             text
             for _, who, text in self.log[count:]
@@ -118,11 +119,11 @@ class Wire:
         ]
 
     def times(self, can_id: int, since: int = 0) -> list[int]:
-        """When frames with this identifier ended."""
+        """Return the end times of frames with this identifier."""
         return [time for time, _, text in self.log[since:] if text.startswith(f"{can_id:03X}#")]
 
     def ask(self, text: str, within_ns: int = 20 * MS) -> str:
-        """An SDO request's answer, "" if none came."""
+        """Return the response to an SDO request, or "" without one."""
         answer = f"{int(text[:3], 16) - 0x80:03X}#"
         count = len(self.log)
         self.send(text)
@@ -133,7 +134,7 @@ class Wire:
         self.run_while(lambda: not found(), within_ns)
         return found()[0] if found() else ""
 
-    # --- CANopen by hand
+    # --- handmade CANopen
 
     def boot(self) -> "Wire":
         self.run_to(BOOT_UP + MS)
@@ -153,7 +154,7 @@ class Wire:
         return int.from_bytes(data[4 : 8 - (data[0] >> 2 & 3)], "little", signed=signed)
 
     def write(self, index: int, subindex: int, value: int, size: int, node: int = 5) -> int:
-        """0, or the abort code."""
+        """Write an object and return 0, or the abort code."""
         head = struct.pack("<BHB", 0x23 | (4 - size) << 2, index, subindex)
         data = (value & ((1 << 8 * size) - 1)).to_bytes(4, "little")
         answer = bytes.fromhex(self.ask(f"{0x600 + node:03X}#{(head + data).hex()}")[4:])

@@ -1,4 +1,4 @@
-"""motorhil in processes of their own, several at once, each with its own hash seed."""
+"""Processes that run motorhil in parallel, each with its own hash seed."""
 
 import os
 import subprocess
@@ -7,12 +7,12 @@ from pathlib import Path
 
 from tests.architecture.checkout import CHECKOUT
 
-INSTALLED = "import sys; from harness.cli import main; sys.exit(main())"
+INSTALLED = "import sys; from motorhil.harness.cli.main import main; sys.exit(main())"
 FROM_SOURCES = f"import sys; sys.path.insert(0, {str(CHECKOUT)!r}); " + INSTALLED.split("; ", 1)[1]
 
 
 def start(folder: Path, hash_seed: int, *words, program=INSTALLED, text=None):
-    """A motorhil that has begun to run in `folder`, which is made; `text` is its standard input."""
+    """Start motorhil in `folder`, which is created; `text` is its standard input."""
     folder.mkdir(parents=True, exist_ok=True)
     process = subprocess.Popen(
         [sys.executable, "-P", "-c", program, *words],
@@ -30,7 +30,7 @@ def start(folder: Path, hash_seed: int, *words, program=INSTALLED, text=None):
 
 
 def outputs(processes):
-    """What each of them printed; all have passed, and none is left running."""
+    """Wait for all processes, check that they passed, and return their outputs."""
     done = [(*process.communicate(timeout=250), process.returncode) for process in processes]
     for _, err, status in done:
         assert status == 0, err

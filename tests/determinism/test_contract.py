@@ -2,12 +2,12 @@
 
 import pytest
 
-from emulators.media.faults import FaultKind, FaultRule
-from harness.rig import Rig
-from motorapi import ControlMode, MotorGroup, TrapezoidalTrajectory
+from motorhil.emulators.can.fault_rules import FaultKind, FaultRule
+from motorhil.harness.rig.rig import Rig
+from motorhil.motorapi import ControlMode, MotorGroup, TrapezoidalTrajectory
+from motorhil.traces.digest import digest
+from motorhil.traces.mcap.reader import read_trace
 from tests.determinism.processes import outputs, start
-from traces.digest import digest
-from traces.reader import read_trace
 
 PLANT = '{ preset = "wheel_60w" }'
 BUSES, NODES = ("can0", "can1"), (1, 2)
@@ -22,7 +22,7 @@ UNSTEADY = '[[fault]]\nbus = "{bus}"\nkind = "duplicate"\nprobability = 0.1\n'
 
 
 def rig_text(faulty=()):
-    """Four drives on two buses; frames on the `faulty` buses come twice now and then."""
+    """Return a rig of four drives on two buses; `faulty` buses duplicate frames at random."""
     lines = ['rig = { name = "four", seed = 11 }']
     lines += [f"bus.{bus}.bitrate_bit_s = 1_000_000" for bus in BUSES]
     for bus in BUSES:
@@ -37,7 +37,7 @@ def rig_text(faulty=()):
 
 @pytest.fixture
 def run(tmp_path):
-    """Runs an application with a rig around it; the path of its record."""
+    """Return a function that runs an application in a rig and returns the record's path."""
     (tmp_path / "wheel.toml").write_text(MODEL)
     count = 0
 
@@ -54,7 +54,7 @@ def run(tmp_path):
 
 
 def turn_together(rig):
-    """All four make a turn's quarter, two and two started by a SYNC."""
+    """Move all four drives, two by two, each pair started by a SYNC."""
     for bus in BUSES:
         group = MotorGroup(*(rig.motors[f"{bus}_{node}"] for node in NODES))
         for motor in group:
@@ -69,15 +69,15 @@ def frames(record, bus):
         return [(t, p) for channel, t, p in trace.messages() if channel.topic == f"/can/{bus}"]
 
 
-def test_one_seed_is_one_digest_wherever_the_record_goes_and_another_seed_another(run):
+def test_one_seed_gives_one_digest_and_another_seed_another(run):
     first = digest(run(turn_together, faulty=["can0"]))
     assert digest(run(turn_together, faulty=["can0"])) == first
     assert digest(run(turn_together, faulty=["can0"], seed=11)) == first
     assert digest(run(turn_together, faulty=["can0"], seed=12)) != first
 
 
-def test_where_chance_has_no_part_the_seed_has_none(run):
-    """Reachability of the test above: its other digest came from chance, and from nothing else."""
+def test_digest_without_randomness_ignores_the_seed(run):
+    """Show that the other digest of the test above came only from randomness."""
     assert digest(run(turn_together, seed=11)) == digest(run(turn_together, seed=12))
 
 
@@ -86,7 +86,7 @@ def test_a_components_chance_does_not_hang_on_what_others_draw(run):
     beside = run(turn_together, faulty=["can0", "can1"])
     quiet = run(turn_together)
     assert frames(beside, "can1") != frames(alone, "can1")
-    # The two buses share one application: what is on can1 counts on can0 only after can0's motion.
+    # The two buses share one application, so can1 affects can0 only after can0's motion.
     until_ns = next(time_ns for time_ns, frame in frames(alone, "can1") if b"host" in frame)
     early = [[f for f in frames(r, "can0") if f[0] < until_ns] for r in (alone, beside, quiet)]
     assert early[0] == early[1]
@@ -109,7 +109,7 @@ def test_times_are_whole_nanoseconds_from_0_in_order_and_what_is_told_is_immutab
     assert 0 < times_ns[0] < 1_000_000_000
 
 
-def test_looking_changes_nothing(run):
+def test_reading_state_changes_nothing(run):
     def looked_at(rig):
         def look():
             for name in reversed(list(rig.controllers)):
@@ -125,7 +125,7 @@ def test_looking_changes_nothing(run):
         assert frames(seen, bus) == frames(unseen, bus)
 
 
-def test_a_fault_that_comes_while_it_runs_is_as_repeatable(run):
+def test_fault_injected_during_the_run_is_repeatable(run):
     def disturbed(rig):
         rule = FaultRule("late", FaultKind.DUPLICATE, sender="can0_1", probability=0.2)
         rig.runtime.spawn(
@@ -139,7 +139,7 @@ def test_a_fault_that_comes_while_it_runs_is_as_repeatable(run):
 
 PARTIES = """\
 import can
-from motorapi import runtime_of
+from motorhil.motorapi import runtime_of
 
 with can.Bus() as bus:
     runtime = runtime_of(bus)

@@ -1,14 +1,14 @@
-"""D7 on the main job: one seed and one source, one digest, whoever runs it and where."""
+"""Rule D7 for the demo: one seed, one source, one digest."""
 
 import pytest
 
-from harness.build_info import cores_are_compiled
+from motorhil.harness.version import cores_are_compiled
+from motorhil.traces.digest import digest
 from tests.determinism.processes import FROM_SOURCES, outputs, start
-from traces.digest import digest
 
 
 def without_wall_time(text):
-    """What the demo prints, without how long it took and where the record is."""
+    """Return the demo's output without its duration and the record's path."""
     lines = [line for line in text.splitlines() if "simulated seconds per second" not in line]
     return [line.partition(", ")[2] if line.startswith("record ") else line for line in lines]
 
@@ -37,7 +37,7 @@ def test_compiled_cores_and_their_sources_make_one_demo(tmp_path):
     assert without_wall_time(compiled) == without_wall_time(pure)
 
 
-def test_compiled_and_pure_are_told_apart(tmp_path):
-    """Or the test above would compare one with itself."""
+def test_compiled_and_pure_cores_can_be_told_apart(tmp_path):
+    """Otherwise the test above would compare one build with itself."""
     (said,) = outputs([start(tmp_path / "pure", 0, "--version", program=FROM_SOURCES)])
     assert "pure Python cores" in said

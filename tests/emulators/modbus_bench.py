@@ -1,13 +1,13 @@
-"""A Modbus drive on a line with nothing but a master's bytes: what the tests of drives share."""
+"""A Modbus drive on a line with a client's raw bytes."""
 
 from collections.abc import Mapping
 from pathlib import Path
 
-from emulators.controller import ControllerContext
-from emulators.event_queue import EventQueue
-from emulators.media.serial_line import SerialLine
-from emulators.modbus.crc import with_crc
-from emulators.world import World
+from motorhil.emulators.controller import ControllerContext
+from motorhil.emulators.media.serial_line import SerialLine
+from motorhil.emulators.modbus.rtu import with_crc
+from motorhil.emulators.simulation.event_queue import EventQueue
+from motorhil.emulators.simulation.world import World
 
 MS = 1_000_000
 
@@ -17,7 +17,7 @@ class Refused(Exception):  # noqa: N818 -- it says what happened
 
 
 class ModbusBench:
-    """One drive of unit 1, booted, and a master that asks it one thing after another."""
+    """One booted drive of unit 1, and a client that sends one request after another."""
 
     def __init__(self, build, table: Mapping[str, object] | None = None, boot: bool = True) -> None:
         self.world = World(EventQueue())
@@ -40,7 +40,7 @@ class ModbusBench:
         self.world.queue.run_until(self.world.queue.now_ns + round(time_ms * MS))
 
     def ask(self, pdu: str) -> bytes:
-        """The response PDU."""
+        """Return the response PDU."""
         self._heard.clear()
         self._host.send(with_crc(b"\x01" + bytes.fromhex(pdu)))
         self.run_ms(20)

@@ -1,8 +1,8 @@
-"""A medium that tells a node of an error, without one having happened."""
+"""A simulated error message of the medium to a node."""
 
 
 def tell(world, bus, name, message):
-    """As the bus does with a delivery that is TOLD: the record has it, then the node named."""
+    """Deliver an error message as the bus does with TOLD: first to the record, then to the node."""
     segment = world._segments[bus]
     (endpoint,) = (one for one in segment._by_port if one.name == name)
     now_ns = world.queue.now_ns

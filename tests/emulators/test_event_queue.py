@@ -1,7 +1,7 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from emulators.event_queue import EventQueue
+from motorhil.emulators.simulation.event_queue import EventQueue
 
 
 def test_events_of_one_time_run_in_the_order_of_asking():
@@ -14,7 +14,7 @@ def test_events_of_one_time_run_in_the_order_of_asking():
     assert log == [(10, 2), (10, 0), (10, 3), (10, 1)]
 
 
-def test_setting_the_same_time_again_keeps_the_turn_and_another_time_loses_it():
+def test_resetting_same_time_keeps_turn():
     queue = EventQueue()
     log = []
     first = queue.alarm(lambda now: log.append("first"))
@@ -32,7 +32,7 @@ def test_setting_the_same_time_again_keeps_the_turn_and_another_time_loses_it():
     assert log == ["first", "second", "second", "first"]
 
 
-def test_a_time_in_the_past_means_now():
+def test_time_in_past_means_now():
     queue = EventQueue()
     times = []
     queue.run_until(100)
@@ -43,8 +43,8 @@ def test_a_time_in_the_past_means_now():
 
 
 @given(st.lists(st.tuples(st.integers(0, 3), st.none() | st.integers(0, 20)), max_size=40))
-def test_only_what_was_asked_for_last_happens(settings):
-    """Against the plainest model there is: a dict of the last setting of each alarm."""
+def test_only_last_setting_of_alarm_runs(settings):
+    """Compare with the simplest model: a dict of the last setting of each alarm."""
     queue = EventQueue()
     log = []
     alarms = [queue.alarm(lambda now, n=n: log.append((now, n))) for n in range(4)]
@@ -69,8 +69,8 @@ STEPS = st.lists(
 
 
 @given(STEPS)
-def test_asking_between_events_is_asking_like_any_other(steps):
-    """The same model, with time running in between and alarms set to the past."""
+def test_setting_between_events_keeps_order(steps):
+    """Compare with the same model, with time passing in between and alarms in the past."""
     queue = EventQueue()
     log, expected = [], []
     alarms = [queue.alarm(lambda now, n=n: log.append((now, n))) for n in range(4)]

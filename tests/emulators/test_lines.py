@@ -1,4 +1,4 @@
-"""Modbus controllers in a world: on a serial line to the microsecond, and behind a gateway.
+"""Modbus controllers in a world, on a line and behind a gateway.
 
 The expected times are computed here from the standard's numbers (MODBUS over Serial Line V1.02).
 """
@@ -8,25 +8,23 @@ from fractions import Fraction
 
 import pytest
 
-from emulators.controller import Controller
-from emulators.event_queue import EventQueue
-from emulators.media.byte_pipe import BytePipe
-from emulators.media.serial_faults import SerialFaultKind, SerialFaultPlan, SerialFaultRule
-from emulators.media.serial_line import SerialLine
-from emulators.modbus.crc import with_crc
-from emulators.modbus.diagnostics import Diagnostics
-from emulators.modbus.registers import Register, RegisterBank
-from emulators.modbus.rtu import RtuUnit
-from emulators.modbus.server import ModbusServer
-from emulators.modbus.tcp import adu
-from emulators.world import World
+from motorhil.emulators.controller import Controller
+from motorhil.emulators.media.byte_pipe import BytePipe
+from motorhil.emulators.media.serial_faults import SerialFaultKind, SerialFaultPlan, SerialFaultRule
+from motorhil.emulators.media.serial_line import SerialLine
+from motorhil.emulators.modbus.registers import Register, RegisterBank
+from motorhil.emulators.modbus.rtu import RtuUnit, with_crc
+from motorhil.emulators.modbus.server import Diagnostics, ModbusServer
+from motorhil.emulators.modbus.tcp import adu
+from motorhil.emulators.simulation.event_queue import EventQueue
+from motorhil.emulators.simulation.world import World
 
 MS = 1_000_000
 T35_NS = 1_750_000
 
 
 class Registers(Controller):
-    """A unit with a few registers and nothing behind them."""
+    """A unit with a few registers without behaviour."""
 
     def __init__(self, unit: int, reply_ns: int = 2 * MS) -> None:
         bank = RegisterBank([Register(n, f"r{n}", default=100 * unit + n) for n in range(8)])
@@ -93,7 +91,7 @@ def characters_ns(count: int) -> Fraction:
     return Fraction(count * 10 * 10**9, 115_200)
 
 
-def test_a_cycle_on_a_line_takes_what_its_characters_and_silences_take():
+def test_cycle_takes_time_of_characters_and_silences():
     world, _ = a_world()
     heard: Heard = []
     host = world.add_line_host("line", "host", listener(heard))
@@ -107,7 +105,7 @@ def test_a_cycle_on_a_line_takes_what_its_characters_and_silences_take():
     assert len(heard) == 2
 
 
-def test_others_on_the_line_ignore_what_is_not_theirs_and_count_it():
+def test_other_units_ignore_and_count_foreign_frames():
     world, _ = a_world()
     host = world.add_line_host("line", "host", lambda *_: None)
     host.send(with_crc(bytes.fromhex("020300010002")))
@@ -119,7 +117,7 @@ def test_others_on_the_line_ignore_what_is_not_theirs_and_count_it():
     assert other.rtu.server.diagnostics.server_messages == 0
 
 
-def test_what_a_pause_or_a_collision_spoils_is_a_bus_error_for_all():
+def test_pause_or_collision_is_bus_error_for_all():
     pause = SerialFaultRule("pause", SerialFaultKind.PAUSE, after=2, delay_ns=1 * MS)
     world, _ = a_world(pause)
     host = world.add_line_host("line", "host", lambda *_: None)
@@ -132,7 +130,7 @@ def test_what_a_pause_or_a_collision_spoils_is_a_bus_error_for_all():
         assert unit.rtu.server.diagnostics.bus_errors == 1
 
 
-def test_taps_hear_every_adu_with_its_first_and_last_bit_and_who_sent_it():
+def test_taps_hear_every_adu_with_times_and_sender():
     world, _ = a_world()
     told: list[tuple[str, int, int, int, str, bytes, bool]] = []
     world.tap_lines(lambda *facts: told.append(facts))
@@ -166,7 +164,7 @@ def test_faults_are_reported_by_name():
     assert [transmitted for _, _, transmitted in heard] == [True]
 
 
-def test_behind_a_gateway_the_same_units_answer_and_pipelined_requests_all_do():
+def test_units_behind_gateway_answer_pipelined_requests():
     world, _ = a_world(tcp=True)
     heard: Heard = []
     host = world.add_line_host("line", "host", listener(heard))
@@ -179,7 +177,7 @@ def test_behind_a_gateway_the_same_units_answer_and_pipelined_requests_all_do():
     assert [now_ns for now_ns, _, _ in heard] == [2_100_000, 2_100_000, 4_100_000]
 
 
-def test_a_unit_that_is_not_there_is_told_by_the_gateway_at_once():
+def test_gateway_reports_missing_unit_at_once():
     world, _ = a_world(tcp=True)
     heard: Heard = []
     host = world.add_line_host("line", "host", listener(heard))
@@ -188,7 +186,7 @@ def test_a_unit_that_is_not_there_is_told_by_the_gateway_at_once():
     assert heard == [(100_000, adu(1, 5, b"\x83\x0b"), False)]
 
 
-def test_more_requests_than_can_wait_for_a_unit_are_refused_and_the_others_answered():
+def test_requests_beyond_queue_limit_are_refused():
     world, _ = a_world(tcp=True)
     heard: Heard = []
     host = world.add_line_host("line", "host", listener(heard))
@@ -199,7 +197,7 @@ def test_more_requests_than_can_wait_for_a_unit_are_refused_and_the_others_answe
     assert (answered, refused) == ({*range(64)}, {64, 65, 66, 67})
 
 
-def test_two_connections_each_hear_their_own():
+def test_two_connections_get_their_own_responses():
     world, _ = a_world(tcp=True)
     first: Heard = []
     second: Heard = []
@@ -213,7 +211,7 @@ def test_two_connections_each_hear_their_own():
     assert [data for _, data, _ in second] == [adu(1, 1, bytes.fromhex("03020065"))]
 
 
-def test_who_talks_no_modbus_is_disconnected_and_the_record_says_why():
+def test_foreign_protocol_is_disconnected_with_reason():
     world, _ = a_world(tcp=True)
     events: list[tuple[int, str, str, str]] = []
     world.tap_events(lambda *event: events.append(event))
@@ -236,7 +234,7 @@ def test_who_talks_no_modbus_is_disconnected_and_the_record_says_why():
         ({"sender": "line"}, [1, 2]),
     ],
 )
-def test_faults_on_tcp_know_units_functions_and_senders(conditions, answered):
+def test_tcp_faults_match_units_functions_and_senders(conditions, answered):
     late = SerialFaultRule("late", SerialFaultKind.DELAY, delay_ns=900 * MS, **conditions)
     world, _ = a_world(late, tcp=True)
     first: Heard = []
@@ -253,7 +251,7 @@ def test_faults_on_tcp_know_units_functions_and_senders(conditions, answered):
 
 
 @pytest.mark.parametrize("after", range(1, 12))
-def test_a_request_may_come_in_two_pieces_split_anywhere(after):
+def test_request_may_be_split_anywhere(after):
     split = SerialFaultRule("split", SerialFaultKind.PAUSE, after=after, delay_ns=5 * MS)
     world, plan = a_world(split, tcp=True)
     heard: Heard = []
@@ -265,7 +263,7 @@ def test_a_request_may_come_in_two_pieces_split_anywhere(after):
 
 
 @pytest.mark.parametrize("kind", ["lose", "truncate"])
-def test_what_breaks_a_connection_is_the_end_of_that_direction(kind):
+def test_breaking_fault_ends_its_direction(kind):
     rule = SerialFaultRule(
         "broken",
         SerialFaultKind(kind),
@@ -286,7 +284,7 @@ def test_what_breaks_a_connection_is_the_end_of_that_direction(kind):
     assert [data for _, data, _ in heard] == [adu(2, 1, bytes.fromhex("03020064"))]
 
 
-def test_a_controller_without_a_unit_has_no_place_on_a_line():
+def test_controller_without_unit_is_refused_on_line():
     world, _ = a_world()
 
     class Nobody(Registers):

@@ -1,10 +1,10 @@
-"""What a plant has besides a motor is in its drive's truth; what it lacks is not."""
+"""The true state of a drive has its plant's extras only."""
 
 from pathlib import Path
 
 import pytest
 
-from emulators.controller import ControllerContext
+from motorhil.emulators.controller import ControllerContext
 from tests.emulators.cia402.bench import MS, Bench, new_drive
 from tests.emulators.cia402.homing_bench import Track
 
@@ -25,13 +25,13 @@ NAMES = ["dc_link_v", "winding_temperature_c", "i2t_level"]
 def built(kind, plant):
     if kind == "cia402":
         return new_drive(plant=plant)
-    module = __import__(f"emulators.{kind}.factory", fromlist=["build"])
+    module = __import__(f"motorhil.emulators.{kind}.drive", fromlist=["build"])
     table = {"unit": 1, "plant": plant}
     return module.build(table, ControllerContext(name="drive", folder=Path(), seed=1))
 
 
 @pytest.mark.parametrize("kind", ["cia402", "leadshine_pr", "oriental_az"])
-def test_each_drive_tells_of_what_its_plant_has_and_of_nothing_else(kind):
+def test_truth_has_values_of_plant_extras_only(kind):
     drive = built(kind, EXTRAS)
     drive.start(0)
     truth = drive.snapshot(10 * MS)
@@ -41,7 +41,7 @@ def test_each_drive_tells_of_what_its_plant_has_and_of_nothing_else(kind):
     assert not {*NAMES, "inputs"} & set(drive.snapshot(10 * MS))
 
 
-def test_inputs_are_told_where_there_are_switches_even_of_a_motor_at_rest():
+def test_inputs_of_switches_are_in_truth_at_rest():
     bench = Bench(switches=Track().table())
     bench.run(1_000 * MS)
     assert bench.truth("inputs") == 4  # it stands on the home switch

@@ -1,24 +1,24 @@
-"""Two clients on one serial line know nothing of each other: Hypothesis draws when they speak.
+"""Two independent clients on one serial line, at times drawn by Hypothesis.
 
-Whatever collides, nothing hangs, nothing is written that nobody sent, nor twice, and the line works
-when it is quiet again.
+Whatever collides, nothing hangs, only sent values are written, and only once. The line works when
+it is quiet again.
 """
 
 from hypothesis import event, example, given
 from hypothesis import strategies as st
 
-from emulators.media.serial_faults import SerialFaultKind, SerialFaultRule
-from emulators.modbus.crc import with_crc
+from motorhil.emulators.media.serial_faults import SerialFaultKind, SerialFaultRule
+from motorhil.emulators.modbus.rtu import with_crc
 from tests.emulators.test_lines import MS, Heard, Registers, a_world, listener
 
 US = 1_000
 QUIET_NS = 1000 * MS
-# A frame takes 0.7 ms, t3.5 is 1.75 ms, the answer comes 2 ms later: gaps of that size meet all.
+# A frame takes 0.7 ms, t3.5 is 1.75 ms, the response comes 2 ms later: gaps of that size hit all.
 GAPS_US = st.sampled_from([0, 1, 80, 690, 700, 1700, 2400, 2500, 4400, 5300]) | st.integers(0, 9000)
 SAID = st.sampled_from(["write 1", "write 2", "write 0", "read 1", "read 2", "rubbish"])
 SPEECHES = st.lists(st.tuples(GAPS_US, st.integers(0, 1), SAID), min_size=2, max_size=12)
 K = SerialFaultKind
-FAULTS = [  # what each changes of a rule that fires once
+FAULTS = [  # changes of a rule that fires once
     {"kind": K.LOSE},
     {"kind": K.CORRUPT},
     {"kind": K.DELAY, "delay_ns": 3 * MS},
@@ -34,7 +34,7 @@ RULES = st.none() | st.builds(
 
 
 class Line:
-    """The world, two clients, and what was written to register 0 of each unit."""
+    """The world, two clients, and the values written to register 0 of each unit."""
 
     def __init__(self, *rules: SerialFaultRule) -> None:
         self.world, _ = a_world(*rules)
@@ -56,7 +56,7 @@ class Line:
         return note
 
     def say(self, client: int, what: str, number: int) -> None:
-        """The client sends it now, whoever else speaks."""
+        """Let the client send now, whatever else is sent."""
         verb, _, unit = what.partition(" ")
         if verb == "write":
             for one in [int(unit)] if int(unit) else [1, 2]:
@@ -69,7 +69,7 @@ class Line:
         self.clients[client].send(data)
 
     def until_quiet(self) -> None:
-        """Nothing is under way; it has come to that by itself."""
+        """Run until the line is quiet."""
         queue = self.world.queue
         end_ns = queue.now_ns + QUIET_NS
         while (due_ns := queue.next_time_ns()) is not None:
@@ -77,7 +77,7 @@ class Line:
             queue.run_next()
 
     def answered(self, client: int, unit: int) -> bool:
-        """The client asks the unit, on a line that is quiet."""
+        """Let the client make a request on a quiet line."""
         self.until_quiet()
         self.world.queue.run_until(self.world.queue.now_ns + 10 * MS)
         self.heard[client].clear()
@@ -89,13 +89,13 @@ class Line:
 
 @given(SPEECHES, RULES)
 @example([(0, 0, "write 1"), (0, 1, "write 1")], None)
-@example([(0, 0, "read 1"), (4400, 1, "read 1")], None)  # into the answer
+@example([(0, 0, "read 1"), (4400, 1, "read 1")], None)  # into the response
 @example([(0, 0, "write 0"), (1700, 1, "write 0")], None)  # within its t3.5
-@example(  # what a server made of it, had it not looked at the check sum
+@example(  # server input without a check of the CRC
     [(0, 0, "write 1"), (9000, 1, "read 1")],
     SerialFaultRule("drawn", K.CORRUPT, sender="host", limit=1, flip=b"\0\0\0\0\0\x01"),
 )
-def test_whatever_collides_ends_and_the_next_request_is_answered(speeches, rule):
+def test_line_works_after_collisions(speeches, rule):
     line = Line(*([] if rule is None else [rule]))
     line.world.queue.run_until(10 * MS)
     for number, (gap_us, client, what) in enumerate(speeches):
@@ -109,11 +109,11 @@ def test_whatever_collides_ends_and_the_next_request_is_answered(speeches, rule)
         assert len(set(line.written[unit])) == len(line.written[unit])
         assert set(line.written[unit]) <= set(line.sent[unit])
     for client in (0, 1):
-        for unit in (1, 2):  # what was drawn may spoil one exchange yet, and no more
+        for unit in (1, 2):  # the drawn fault may still spoil one exchange
             assert line.answered(client, unit) or line.answered(client, unit)
 
 
-def test_two_who_speak_at_once_are_not_heard_and_after_that_they_are():
+def test_simultaneous_requests_collide_and_later_ones_work():
     line = Line()
     line.say(0, "write 1", 4711)
     line.say(1, "write 2", 4712)
@@ -127,10 +127,10 @@ def test_two_who_speak_at_once_are_not_heard_and_after_that_they_are():
     assert line.written == {1: [4711], 2: [4712]}
 
 
-def test_a_request_into_another_ones_answer_spoils_the_answer_and_is_lost_itself():
+def test_request_during_response_spoils_both():
     line = Line()
     line.say(0, "write 1", 4711)
-    line.world.queue.run_until(4_900 * US)  # it is being answered, since 4.44 ms
+    line.world.queue.run_until(4_900 * US)  # the response began at 4.44 ms
     line.say(1, "write 2", 4712)
     line.until_quiet()
     assert line.written == {1: [4711], 2: []}

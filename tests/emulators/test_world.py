@@ -2,10 +2,11 @@ import struct
 
 import pytest
 
-from emulators.event_queue import EventQueue
-from emulators.media.can_bus import CanBus
-from emulators.media.faults import FaultKind, FaultPlan, FaultRule
-from emulators.world import World
+from motorhil.emulators.can.bus.bus import CanBus
+from motorhil.emulators.can.bus.fault_plan import FaultPlan
+from motorhil.emulators.can.fault_rules import FaultKind, FaultRule
+from motorhil.emulators.simulation.event_queue import EventQueue
+from motorhil.emulators.simulation.world import World
 
 MS = 1_000_000
 
@@ -15,7 +16,7 @@ def frame(can_id, data=b""):
 
 
 class Echo:
-    """A controller by the book: answers each 100h frame with its own, a fixed delay later."""
+    """A simple controller: it answers each 100h frame with its own, a fixed delay later."""
 
     def __init__(self, answer_id, delay_ns=MS):
         self.answer_id = answer_id
@@ -81,15 +82,15 @@ def world_with(*controllers):
     return queue, world
 
 
-def test_a_frame_is_heard_when_complete_and_answered_after_the_controllers_delay():
+def test_frame_is_delivered_complete_and_answered_after_delay():
     echo = Echo(0x180)
     queue, world = world_with(echo)
     heard = []
     host = world.add_host("can0", "host", lambda *what: heard.append(what))
     host.send(frame(0x100, b"\x05"))
     queue.run_until(10 * MS)
-    # Lengths from the independent construction of can-physics.md's rules are the media tests'
-    # business; here: the request's confirmation, the receiver's time and the answer agree.
+    # The media tests check lengths against an independent construction (can-physics.md). Here the
+    # request's confirmation, the receiver's time and the response must agree.
     (request, t1, own), (answer, t2, foreign) = heard
     assert (request, own) == (frame(0x100, b"\x05"), True)
     assert echo.heard == [(t1, request)]
@@ -98,7 +99,7 @@ def test_a_frame_is_heard_when_complete_and_answered_after_the_controllers_delay
     assert 0 < t2 - t1 - MS < 65_000  # one frame of 1 data byte: at most 65 bits of 1 us
 
 
-def test_nobody_hears_what_it_does_not_listen_to_and_a_change_of_mind_counts_at_once():
+def test_controller_hears_only_its_current_identifiers():
     echo = Echo(0x180)
     queue, world = world_with(echo)
     host = world.add_host("can0", "host", lambda *what: None)
@@ -113,7 +114,7 @@ def test_nobody_hears_what_it_does_not_listen_to_and_a_change_of_mind_counts_at_
     assert [data for _, data in echo.heard] == [frame(0x200)]
 
 
-def test_answers_at_one_time_go_out_by_identifier_not_by_order_of_attachment():
+def test_simultaneous_answers_are_sent_by_identifier():
     queue, world = world_with(Echo(0x190), Echo(0x180))
     heard = []
     host = world.add_host("can0", "host", lambda data, t, own: own or heard.append(data[0]))
@@ -122,7 +123,7 @@ def test_answers_at_one_time_go_out_by_identifier_not_by_order_of_attachment():
     assert heard == [0x80, 0x90]
 
 
-def test_the_tap_hears_every_frame_with_its_sender():
+def test_tap_hears_every_frame_with_sender():
     queue, world = world_with(Echo(0x180))
     taken = []
     world.tap_frames(lambda bus, t, sender, data: taken.append((bus, sender, data)))
@@ -140,7 +141,7 @@ def test_the_tap_hears_every_frame_with_its_sender():
     ("kind", "heard_ns"),
     [(FaultKind.DROP, []), (FaultKind.DELAY, [5]), (FaultKind.DUPLICATE, [0, 0])],
 )
-def test_the_tap_hears_what_somebody_hears_and_when(kind, heard_ns):
+def test_tap_hears_faulty_frames_as_listener_does(kind, heard_ns):
     queue = EventQueue()
     world = World(queue)
     rule = FaultRule(name="rule", kind=kind, delay_ns=5 * MS if kind is FaultKind.DELAY else 0)
@@ -154,7 +155,7 @@ def test_the_tap_hears_what_somebody_hears_and_when(kind, heard_ns):
     assert [t // MS for t, _ in taken] == heard_ns
 
 
-def test_a_closed_host_hears_nothing_more():
+def test_closed_host_hears_nothing():
     queue, world = world_with(Echo(0x180))
     heard = []
     first = world.add_host("can0", "first", lambda *what: heard.append(what))
@@ -165,14 +166,14 @@ def test_a_closed_host_hears_nothing_more():
     assert heard == []
 
 
-def test_samples_are_taken_while_the_truth_changes_and_then_cost_nothing():
+def test_samples_are_taken_only_while_truth_changes():
     echo = Echo(0x180)
     queue, world = world_with(echo)
     samples = []
     world.tap_samples(20 * MS, lambda t, name, truth: samples.append((t, truth["answers"])))
     queue.run_until(1000 * MS)
     assert samples == [(0, 0.0)]
-    assert echo.snapshots == 2  # once to tell, once to see that nothing changed
+    assert echo.snapshots == 2  # one report, and one check without a change
     assert queue.next_time_ns() is None
     host = world.add_host("can0", "host", lambda *what: None)
     host.send(frame(0x100))

@@ -1,7 +1,7 @@
-"""Frames by the million at emulated drives: `make fuzz`, or by hand
+"""Fuzzing of emulated drives with millions of frames: `make fuzz`.
 
-python -m tests.fuzz [--seed N] [--frames N]     new ones, the same for the same seed
-python -m tests.fuzz --again FILE                those that failed, as kept in FILE
+python -m tests.fuzz [--seed N] [--frames N]     new frames, the same for the same seed
+python -m tests.fuzz --again FILE                failed ones, as kept in FILE
 """
 
 import argparse
@@ -16,17 +16,17 @@ from tests.fuzz.target import EPISODE, Reached, endure, episode, fails, shrunk
 OUT: Final = Path("out")
 MAX_GROWTH_MB: Final = 64
 WARM_UP: Final = 20
-"""Episodes after which memory should be what it will be."""
+"""Number of episodes after which memory should no longer grow."""
 
 
 def resident_mb() -> float:
-    """Of this process."""
+    """Return the resident memory of this process [MB]."""
     pages = int(Path("/proc/self/statm").read_text().split()[1])
     return pages * 4096 / 1e6
 
 
 def main() -> int:
-    """Exit status: 0 all is well, 1 something is not, 2 wrong usage."""
+    """Run the command; return 0 (passed), 1 (failed) or 2 (wrong usage)."""
     parser = argparse.ArgumentParser(prog="python -m tests.fuzz")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--frames", type=int, default=1_000_000)
@@ -38,19 +38,19 @@ def main() -> int:
 
 
 def again(file: Path) -> int:
-    """The steps in the file, once more."""
+    """Repeat the steps in the file; return the exit status."""
     from tests.fuzz.frames import steps_in
 
     error = fails(steps_in(file.read_text().splitlines()))
     if error is None:
-        print(f"{file}: all is well")
+        print(f"{file}: passed")
         return 0
     traceback.print_exception(error)
     return 1
 
 
 def fuzz(seed: int, frames: int) -> int:
-    """So many frames of this seed, at one drive after another."""
+    """Send this many frames of the seed, to one drive after another; return the exit status."""
     reached = Reached()
     begun = time.perf_counter()
     warm_mb = 0.0
@@ -77,7 +77,7 @@ def fuzz(seed: int, frames: int) -> int:
 
 
 def keep(seed: int, number: int, error: Exception) -> int:
-    """As few steps as do it go to a file, and the command that repeats them is told."""
+    """Write a minimal failing sequence to a file, print the command that repeats it, return 1."""
     from tests.fuzz.frames import line_of
 
     traceback.print_exception(error)

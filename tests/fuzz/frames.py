@@ -1,8 +1,8 @@
-"""What is thrown at a drive: frames that look right, frames that do not, and recorded ones.
+"""Frames for fuzzing a drive: valid-looking ones, invalid ones and recorded ones.
 
-A step is a line of text, so that a run can be kept, cut down and run again: "PAUSE_NS ID#DATA" as
-candump writes frames (a remote frame "#R8", a 29-bit identifier in eight digits), or "PAUSE_NS
-!INPUT VALUE" for what physics does to the drive.
+A step is a line of text, so that a run can be kept, reduced and repeated. Frames are "PAUSE_NS
+ID#DATA" as candump writes them (a remote frame "#R8", a 29-bit identifier in eight digits).
+Physical inputs of the drive are "PAUSE_NS !INPUT VALUE".
 """
 
 import struct
@@ -15,12 +15,12 @@ from typing import Final
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
-from emulators.canopen.object_dictionary import ObjectDictionary
+from motorhil.emulators.canopen.object_dictionary import ObjectDictionary
 from tests.emulators.cia402.bench import MS, NODE
 from tests.emulators.cia402.stranger import NORMAL, PHYSICS
 
 Step = tuple[int, int, bytes | float | str]
-"""Pause [ns]; identifier with its flags and the data; or -1 and "name value"."""
+"""Pause [ns]; identifier with its flags, and data; or -1 and "name value"."""
 
 EXTENDED: Final = 0x8000_0000
 REMOTE: Final = 0x4000_0000
@@ -31,22 +31,22 @@ INTERESTING: Final = (
     *(0, 1, 2, 3, 4, 6, 7, 8, 9, 10, 0x7F, 0x80, 0xFF, 0x7FFF, 0x8000, 0xFFFF),
     *(0x7FFF_FFFF, 0x8000_0000, 0xFFFF_FFFF),
     *(0x6576_6173, 0x6461_6F6C),  # "save", "load"
-    *(0x6041_0010, 0x6064_0020, 0x607A_0020, 0x6040_0010),  # to map
+    *(0x6041_0010, 0x6064_0020, 0x607A_0020, 0x6040_0010),  # PDO mapping entries
     *(0x4000_0185, 0x8000_0185, 0x205),  # COB-IDs
 )
 INPUTS: Final = tuple(dict.fromkeys(name for name, _ in PHYSICS if name != "fault"))
-# Block and segmented transfers begin, go on and end by these; the rest are what nobody sends.
+# Commands of block and segmented transfers; the last ones are invalid.
 COMMANDS: Final = (0x40, 0x40, 0x2F, 0x2B, 0x27, 0x23, 0x22, 0x20, 0x21, 0x60, 0x70, 0x00, 0x10,
                    0x01, 0x1F, 0xA0, 0xA4, 0xA3, 0xA2, 0xC2, 0xC6, 0xC1, 0xD5, 0x80)  # fmt: skip
 NMT: Final = (0x01, 0x01, 0x01, 0x01, 0x80, 0x02, 0x81, 0x82)
 LSS: Final = (0x04, 0x11, 0x13, 0x15, 0x17, 0x40, 0x41, 0x42, 0x43, 0x46, 0x47, 0x48, 0x49, 0x4A,
               0x4B, 0x4C, 0x51, 0x5A, 0x5B, 0x5C, 0x5D, 0x5E)  # fmt: skip
-_CONFIGURE_NODE_ID: Final = 0x11  # 255 would leave a drive without an identifier to answer by
+_CONFIGURE_NODE_ID: Final = 0x11  # 255 would leave a drive without an identifier for its answers
 
 
 @cache
 def recorded() -> tuple[tuple[int, bytes], ...]:
-    """The host's frames to one drive in the golden recording, as frames to this node."""
+    """Return the host's frames to one drive in the golden recording, addressed to this node."""
     found: dict[tuple[int, bytes], None] = {}
     with GOLDEN.open("rb") as file:
         reader = make_reader(file, decoder_factories=[DecoderFactory()])
@@ -58,7 +58,7 @@ def recorded() -> tuple[tuple[int, bytes], ...]:
 
 
 class Frames:
-    """An endless supply from one seed."""
+    """An endless supply of steps from one seed."""
 
     def __init__(self, seed: str, od: ObjectDictionary) -> None:
         self._dice = Random(seed)
@@ -73,7 +73,7 @@ class Frames:
         )
 
     def take(self, count: int) -> Iterator[Step]:
-        """So many steps."""
+        """Yield this many steps."""
         dice = self._dice
         for _ in range(count):
             if self._script:
@@ -95,7 +95,7 @@ class Frames:
             yield pause, can_id, bytes(len(data)) if can_id & REMOTE else data
 
     def _enable(self) -> None:
-        """All is well, and the way to OPERATION ENABLED: else few would ever get there."""
+        """Script the way to OPERATION ENABLED without faults, which few random runs would reach."""
         dice = self._dice
         steps: list[Step] = [(0, 0x000, bytes((0x01, NODE)))]
         steps.extend((0, -1, f"{name} {NORMAL.get(name, 0)}") for name in INPUTS)
@@ -141,7 +141,7 @@ class Frames:
         return 0x200 + 0x100 * number + NODE, data[:length]
 
     def _service(self) -> tuple[int, bytes]:
-        """NMT, SYNC, TIME, guarding, others' heartbeats and EMCYs."""
+        """Return an NMT, SYNC, TIME or guarding frame, or another node's heartbeat or EMCY."""
         dice = self._dice
         which = dice.randrange(8)
         if which == 0:
@@ -170,11 +170,11 @@ class Frames:
     def _recorded(self) -> tuple[int, bytes]:
         can_id, data = self._dice.choice(recorded())
         if can_id == 0x000 and data[:1] in (b"\x81", b"\x82") and self._dice.random() < 0.8:
-            return 0x000, b"\x01\x00"  # a drive that boots all the time hears nothing
+            return 0x000, b"\x01\x00"  # a drive that reboots all the time receives nothing
         return can_id, data
 
     def _mutated(self, can_id: int, data: bytes) -> tuple[int, bytes]:
-        """Another length, a bit turned, another identifier, remote, 29 bits, NMT to another."""
+        """Return the frame with another length, bit or identifier, remote, or with 29 bits."""
         dice = self._dice
         which = dice.randrange(7)
         if which == 0:
@@ -193,12 +193,12 @@ class Frames:
 
 
 def frame(can_id: int, data: bytes) -> bytes:
-    """A can_frame."""
+    """Return a can_frame."""
     return struct.pack("<IB3x8s", can_id, len(data), b"" if can_id & REMOTE else data)
 
 
 def line_of(step: Step) -> str:
-    """The step as it is kept."""
+    """Return the step as a line of text."""
     pause, can_id, what = step
     if not isinstance(what, bytes):
         return f"{pause} !{what}"
@@ -208,7 +208,7 @@ def line_of(step: Step) -> str:
 
 
 def steps_in(lines: Sequence[str]) -> list[Step]:
-    """The steps of a kept run; empty lines and those with "//" say nothing."""
+    """Return the steps of a kept run; empty lines and lines with "//" are ignored."""
     steps: list[Step] = []
     for line in lines:
         pause, _, rest = line.strip().partition(" ")

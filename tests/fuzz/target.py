@@ -1,7 +1,7 @@
-"""One drive that is fuzzed: what is done to it, what must hold, and what it came to.
+"""A fuzzed drive: its steps, its invariants and the states it reached.
 
-Nothing may be raised, no state entered that CiA 402 forbids (`watched`), no current be where there
-is no power; and afterwards a reset node brings it back: it boots, and answers an SDO upload.
+The drive must not raise, enter a state that CiA 402 forbids (`Watched`), or have current without
+power. Afterwards an NMT reset node must bring it back: it boots and answers an SDO upload.
 """
 
 import struct
@@ -9,19 +9,19 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Final
 
-from emulators.canopen.nmt import NmtState
+from motorhil.emulators.canopen.nmt import NmtState
 from tests.emulators.cia402.bench import MS
 from tests.emulators.cia402.stranger import LIGHT, OBJECTS
 from tests.emulators.cia402.watched import Watched
 from tests.fuzz.frames import Frames, Step, frame
 
 EPISODE: Final = 2_000
-"""Frames to one drive; the next one is new."""
+"""Number of frames to one drive; then a new drive follows."""
 DEVICE_TYPE: Final = bytes.fromhex("4300100092010200")  # CiA 402, servo drive
 
 
 class Reached:
-    """What drives came to, in all."""
+    """Counts of what the drives reached."""
 
     def __init__(self) -> None:
         self.frames = 0
@@ -33,7 +33,7 @@ class Reached:
         self.emergencies: Counter[int] = Counter()
 
     def add(self, drive: Watched, frames: int) -> None:
-        """A drive's episode is over."""
+        """Add the counts of a drive after its episode."""
         self.frames += frames
         self.transitions.update(drive.taken)
         self.states.update(state.name for state in drive.visited)
@@ -42,7 +42,7 @@ class Reached:
         self.answers += drive.answers
 
     def table(self) -> str:
-        """For a person."""
+        """Return the counts as a table for people."""
         rows = ["transition, how often"]
         rows.extend(f"{number:>6}{self.transitions[number]:>10}" for number in range(17))
         for title, counts in (
@@ -61,7 +61,7 @@ class Reached:
 
 
 def new_drive() -> Watched:
-    """Light, quick to boot, and with a heartbeat to lose."""
+    """Return a light drive that boots quickly and monitors a heartbeat."""
     objects = {key: value for key, value in OBJECTS.items() if key != "1029h:1"}
     drive = Watched(strict=False, objects=objects, timing={"boot_up_s": 0.01}, plant=LIGHT)
     drive.run(10 * MS)
@@ -69,15 +69,15 @@ def new_drive() -> Watched:
 
 
 def episode(seed: int, number: int, count: int = EPISODE) -> Iterator[Step]:
-    """The steps of one drive's life."""
+    """Return the steps of one drive's episode."""
     return Frames(f"fuzz {seed}:{number}", new_drive().drive.od).take(count)
 
 
 def endure(steps: Iterable[Step], reached: Reached | None = None) -> None:
-    """All steps are done to a new drive, and it is still one.
+    """Apply all steps to a new drive and check that it still works.
 
     Raises:
-        Exception: whatever the drive raised, or a rule it broke.
+        Exception: an exception of the drive, or a violated invariant.
     """
     drive = new_drive()
     drive.tell(frame(0x000, b"\x01\x00"))
@@ -102,7 +102,7 @@ def endure(steps: Iterable[Step], reached: Reached | None = None) -> None:
 
 
 def still_answers(drive: Watched) -> None:
-    """NMT reset node, boot-up, device type by the default SDO of whatever node-ID it has."""
+    """Check boot-up after NMT reset node, and the device type by SDO at its present node-ID."""
     drive.run(1_000 * MS)
     drive.forget()
     drive.tell(frame(0x000, b"\x81\x00"))
@@ -116,7 +116,7 @@ def still_answers(drive: Watched) -> None:
 
 
 def shrunk(steps: Sequence[Step], tries: int = 300) -> list[Step]:
-    """Fewer steps that still fail, by leaving out ever smaller parts."""
+    """Return fewer steps that still fail, by removing ever smaller parts."""
     kept = list(steps)
     size = len(kept) // 2
     while size and tries:
@@ -133,7 +133,7 @@ def shrunk(steps: Sequence[Step], tries: int = 300) -> list[Step]:
 
 
 def fails(steps: Iterable[Step]) -> Exception | None:
-    """What comes of these steps, if it is not well."""
+    """Return the exception that these steps cause, or None."""
     try:
         endure(steps)
     except Exception as error:

@@ -1,18 +1,18 @@
-"""ADUs at the Modbus drives: nothing is raised, and a register is read afterwards as ever.
+"""Fuzzing of Modbus drives: nothing is raised, and registers remain readable.
 
-Random functions, addresses around the drive's own registers, counts and values; a tenth of them
-cut, lengthened or with a bit turned, most with a CRC that is right (Modbus over Serial Line, 6.2).
+Random functions, addresses around the drive's own registers, counts and values. A tenth of the ADUs
+are cut, extended or have a flipped bit; most have a valid CRC (Modbus over Serial Line, 6.2).
 """
 
 from random import Random
 
 import pytest
 
-from emulators.leadshine_pr.factory import build as build_leadshine
-from emulators.leadshine_pr.factory import registers as leadshine_registers
-from emulators.modbus.crc import with_crc
-from emulators.oriental_az.factory import build as build_oriental
-from emulators.oriental_az.factory import registers as oriental_registers
+from motorhil.emulators.leadshine_pr.drive import build as build_leadshine
+from motorhil.emulators.leadshine_pr.drive import registers as leadshine_registers
+from motorhil.emulators.modbus.rtu import with_crc
+from motorhil.emulators.oriental_az.drive import build as build_oriental
+from motorhil.emulators.oriental_az.drive import registers as oriental_registers
 from tests.emulators.modbus_bench import ModbusBench
 
 ADUS = 2_000
@@ -25,7 +25,7 @@ KINDS = {
 
 
 def adu(dice, addresses):
-    """One that a client might send, or nobody would."""
+    """Return a valid-looking or invalid ADU."""
     function, address = dice.choice(FUNCTIONS), dice.choice(addresses) + dice.choice((0, 0, 0, 1))
     count = dice.choice((1, 1, 2, 4, 125))
     values = b"".join(dice.choice(VALUES).to_bytes(2, "big") for _ in range(count))
@@ -50,7 +50,7 @@ def adu(dice, addresses):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_modbus_drive_endures_any_adu_and_answers_afterwards(kind):
+def test_modbus_drive_survives_any_adu_and_still_answers(kind):
     build, registers = KINDS[kind]
     dice = Random(f"fuzz {kind}")
     addresses = [row.address for row in registers()]

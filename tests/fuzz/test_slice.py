@@ -1,10 +1,10 @@
-"""A small part of `make fuzz`; and that what it finds is kept, cut down and can be repeated."""
+"""A small part of `make fuzz`, and its handling of failures."""
 
 import pytest
 
-from emulators.cia402.drive import Cia402Drive
-from emulators.cia402.power_drive import PowerDrive
-from harness.build_info import cores_are_compiled
+from motorhil.emulators.cia402.drive import Cia402Drive
+from motorhil.emulators.cia402.power_drive import PowerDrive
+from motorhil.harness.version import cores_are_compiled
 from tests.fuzz import __main__ as fuzz
 from tests.fuzz.frames import line_of, steps_in
 from tests.fuzz.target import EPISODE, Reached, endure, episode
@@ -12,7 +12,7 @@ from tests.fuzz.target import EPISODE, Reached, endure, episode
 SEED = 7
 
 
-def test_five_thousand_frames_are_endured_and_get_about():
+def test_drive_survives_frames_that_reach_many_states():
     reached = Reached()
     for number in range(3):
         endure(episode(SEED, number, EPISODE), reached)
@@ -23,7 +23,7 @@ def test_five_thousand_frames_are_endured_and_get_about():
     assert len(reached.aborts) >= 8
 
 
-def test_the_same_seed_is_the_same_run_and_its_lines_read_back():
+def test_same_seed_gives_the_same_steps_which_read_back():
     steps = list(episode(SEED, 0, 500))
     assert steps == list(episode(SEED, 0, 500))
     assert steps_in([line_of(step) for step in steps]) == steps
@@ -70,7 +70,9 @@ def _enables_by_a_reset_word(patch):
         (_enables_by_a_reset_word, "forbidden"),
     ],
 )
-def test_a_planted_fault_is_found_and_kept_as_few_steps(plant, told, monkeypatch, tmp_path, capsys):
+def test_planted_fault_is_found_and_reduced_to_few_steps(
+    plant, told, monkeypatch, tmp_path, capsys
+):
     plant(monkeypatch)
     monkeypatch.setattr(fuzz, "OUT", tmp_path)
     monkeypatch.setattr(fuzz, "EPISODE", 300)

@@ -1,11 +1,11 @@
-"""What a third party would install: an emulated controller and an adaptation, by entry point."""
+"""A third-party plugin: an emulated controller and an adaptation, by entry point."""
 
 import struct
 
-from emulators.controller import SettingError
-from motorapi.errors import UsageError
-from motorapi.ownership import Ownership
-from motorapi.state import Measurement, MotorState
+from motorhil.emulators.controller import SettingError
+from motorhil.motorapi.errors import UsageError
+from motorhil.motorapi.ownership.ownership import Ownership
+from motorhil.motorapi.state import Measurement, MotorState
 
 MS = 1_000_000
 
@@ -15,7 +15,7 @@ def frame(can_id, data=b""):
 
 
 class Echo:
-    """Answers each frame 100h + node with 180h + node, `delay_s` later; sends 700h at power-on."""
+    """A controller that boots with 700h, and answers 100h + node with 180h + node."""
 
     def __init__(self, settings, context):
         for key in settings:

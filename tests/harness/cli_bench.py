@@ -1,4 +1,4 @@
-"""Running the command line in tests: in this process, or in another one."""
+"""Command lines run by tests, in this process or in another one."""
 
 import os
 import subprocess
@@ -8,7 +8,7 @@ from pathlib import Path
 
 
 def environment():
-    """For another process: it finds the plugins of bench.py, and bench.py itself."""
+    """Return an environment in which another process finds bench.py and its plugins."""
     folders = [str(Path.cwd().parent / "site"), str(Path(__file__).parents[2])]
     return {**os.environ, "PYTHONPATH": os.pathsep.join(folders)}
 
@@ -16,20 +16,20 @@ def environment():
 def in_another_process(*words, **options):
     pipe = subprocess.PIPE
     usual = {"env": environment(), "stdout": pipe, "stderr": pipe, "text": True, "timeout": 120}
-    return subprocess.run([sys.executable, "-m", "harness", *words], **{**usual, **options})
+    return subprocess.run([sys.executable, "-m", "motorhil", *words], **{**usual, **options})
 
 
 INTERRUPTIBLE = (
     "import signal, sys\n"
     "signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored in the background\n"
-    "from harness.__main__ import start\n"
+    "from motorhil.__main__ import start\n"
     "sys.exit(start())\n"
 )
 
 
 @contextmanager
 def beside(*words):
-    """The command, running; it has ended afterwards, whatever happens."""
+    """Run the command in the background; kill it at the end of the context."""
     pipe = subprocess.PIPE
     command = [sys.executable, "-c", INTERRUPTIBLE, *words]
     with subprocess.Popen(

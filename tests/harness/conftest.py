@@ -2,7 +2,7 @@ import signal
 
 import pytest
 
-from harness.cli import main
+from motorhil.harness.cli.main import main
 from tests.harness.rigs import GOOD, SCRIPT, WHEEL
 
 ENTRY_POINTS = """\
@@ -16,7 +16,7 @@ bare = tests.harness.bench:adaptation
 
 @pytest.fixture(scope="session")
 def demo(tmp_path_factory):
-    """The demo's recording, made once."""
+    """Return the demo's recording, made once."""
     path = tmp_path_factory.mktemp("demo") / "demo.mcap"
     assert main(["demo", "-o", str(path)]) == 0
     return path
@@ -24,7 +24,7 @@ def demo(tmp_path_factory):
 
 @pytest.fixture
 def bench(tmp_path, monkeypatch):
-    """A folder to write rigs in, with the plugins of bench.py installed."""
+    """Return a folder for rigs, with the plugins of bench.py installed."""
     info = tmp_path / "site" / "bench-1.0.dist-info"
     info.mkdir(parents=True)
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: bench\nVersion: 1.0\n")
@@ -46,7 +46,7 @@ def rig(bench):
 
 @pytest.fixture
 def say(capsys):
-    """Runs a command line; (exit status, stdout, stderr)."""
+    """Return a function that runs a command line and returns (exit status, stdout, stderr)."""
 
     def run(*words):
         status = main(words)
@@ -58,7 +58,7 @@ def say(capsys):
 
 @pytest.fixture
 def interruptible():
-    """Ctrl-C is heard, also where the tests run in the background and ignore it."""
+    """Enable Ctrl-C even if the tests run in the background and ignore it."""
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     yield
     signal.signal(signal.SIGINT, before)

@@ -1,11 +1,20 @@
-"""Small recordings made by hand, for what looks at recordings."""
+"""Small hand-made recordings for tests of programs that read recordings."""
 
 import struct
 
-from traces.fields import JointStateEncoder, encode_log
-from traces.protobuf import encode
-from traces.schema import CAN_FRAME, JOINT_STATE, LOG, MODBUS_ADU, Direction, Level, Schema
-from traces.writer import TraceWriter
+from motorhil.traces.mcap.protobuf import encode
+from motorhil.traces.mcap.writer import TraceWriter
+from motorhil.traces.schema import (
+    CAN_FRAME,
+    JOINT_STATE,
+    LOG,
+    MODBUS_ADU,
+    Direction,
+    JointStateEncoder,
+    Level,
+    Schema,
+    encode_log,
+)
 
 S = 1_000_000_000
 MS = 1_000_000
@@ -32,7 +41,7 @@ EDS = b"[2020]\nParameterName=Winding temperature\nDataType=0x4\n"
 
 
 class Recorded:
-    """A small recording by hand."""
+    """A small hand-made recording."""
 
     def __init__(self, path):
         self.path = str(path)
@@ -44,7 +53,7 @@ class Recorded:
         self.source = self.writer.source(self.can0, "host", Direction.TRANSMITTED)
 
     def channel(self, topic, table):
-        """The one of this topic."""
+        """Return the channel of this topic."""
         if topic not in self.channels:
             self.channels[topic] = self.writer.channel(topic, Schema.of(table))
         return self.channels[topic]
@@ -75,7 +84,7 @@ class Recorded:
         return self
 
     def sdo(self, time_ns, node, request, response):
-        """A request and, 1 ms later, its response."""
+        """Write a request and, 1 ms later, its response."""
         self.frame(time_ns, 0x600 + node, request.ljust(16, "0"))
         return self.frame(time_ns + MS, 0x580 + node, response.ljust(16, "0"))
 

@@ -1,4 +1,4 @@
-"""`motorhil analyse`: rigs and recordings, tables and JSON, exit status and refusals."""
+"""The verb `analyse`: rigs and recordings, tables and JSON, exit status and errors."""
 
 import json
 import os
@@ -10,14 +10,13 @@ from xml.etree import ElementTree
 import jsonschema
 import pytest
 
-import harness
-from emulators.media.can_frame import pack
-from harness.cli import main
-from traces.fields import encode_can_frame
-from traces.schema import CAN_FRAME, Direction, Schema
-from traces.traffic import BRS, Frame, flexible
-from traces.traffic_mcap import record_frames
-from traces.writer import TraceWriter
+from motorhil import harness
+from motorhil.emulators.can.frame import pack
+from motorhil.harness.cli.main import main
+from motorhil.traces.formats.frames import BRS, Frame, flexible
+from motorhil.traces.formats.registry import record_frames
+from motorhil.traces.mcap.writer import TraceWriter
+from motorhil.traces.schema import CAN_FRAME, Direction, Schema, encode_can_frame
 
 SCHEMA = json.loads((Path(harness.__file__).parent / "analyse.schema.json").read_text())
 VALIDATOR = jsonschema.Draft202012Validator(SCHEMA)
@@ -38,7 +37,7 @@ DAVIS = "[bus.can0]\nbitrate_bit_s = 125_000\n" + "".join(
 
 @pytest.fixture
 def rig(tmp_path: Path) -> Path:
-    """A rig with nothing but declared messages."""
+    """A rig with declared messages only."""
     path = tmp_path / "rig.toml"
     path.write_text(DAVIS)
     return path
@@ -52,7 +51,7 @@ def as_json(capsys, *words: str) -> tuple[int, dict]:
 
 
 def recorded(path: Path, periods: dict[int, int], until_ns: int = 400 * MS) -> Path:
-    """A recording of strictly periodic messages of 4 bytes: [ns] by identifier."""
+    """Write a recording of periodic 4-byte messages; periods [ns] by identifier."""
     frames = sorted(
         Frame(time_ns, "can0", pack(identifier, bytes(4)), Direction.UNKNOWN, "")
         for identifier, period_ns in periods.items()
@@ -62,19 +61,19 @@ def recorded(path: Path, periods: dict[int, int], until_ns: int = 400 * MS) -> P
     return path
 
 
-def test_a_message_that_may_be_late_is_told_with_what_would_help(rig, capsys):
+def test_late_message_is_reported_with_remedies(rig, capsys):
     assert main(["analyse", str(rig)]) == 1
     told = capsys.readouterr().out.splitlines()
     (row,) = [line.split() for line in told if line.startswith("003h")]
     assert row == ["003h", "declared", "7", "3.500", "0.000", "3.250", "3.500", "NO", "-"]
     assert "can0: may be late: 003h" in told
     assert "can0: no order of identifiers helps (proved level by level)" in told
-    assert not any("errors" in one for one in told[2:])  # it may be late without any
+    assert not any("errors" in one for one in told[2:])  # it may be late even without errors
     assert "can0: all are in time at 250000 bit/s" in told
     assert told[-1] == f"{rig}: 1 message may be late"
 
 
-def test_json_has_what_the_schema_says(rig, capsys):
+def test_json_conforms_to_schema(rig, capsys):
     status, told = as_json(capsys, str(rig), "--bit-error-rate", "1e-6")
     assert status == 1
     (bus,) = told["buses"]
@@ -86,13 +85,13 @@ def test_json_has_what_the_schema_says(rig, capsys):
     assert bus["late"] == ["003h"]
 
 
-def test_what_if_another_bit_rate(rig, capsys):
+def test_bitrate_option_replaces_bit_rate(rig, capsys):
     status, told = as_json(capsys, str(rig), "--bitrate", "can0=250k")
     assert (status, told["verdict"]) == (0, "all messages are in time")
     assert told["buses"][0]["remedy"] is None
 
 
-def test_errors_can_make_late_what_was_in_time(rig, capsys):
+def test_errors_can_make_messages_late(rig, capsys):
     rate = ("--bitrate", "can0=250k")
     status, told = as_json(capsys, str(rig), *rate, "--errors", "1", "--error-interval", "1")
     assert status == 0
@@ -106,7 +105,7 @@ def test_errors_can_make_late_what_was_in_time(rig, capsys):
     )
 
 
-def test_messages_of_one_sender_wait_in_one_queue_unless_told_otherwise(tmp_path, capsys):
+def test_messages_of_sender_share_fifo_queue_by_default(tmp_path, capsys):
     path = tmp_path / "rig.toml"
     path.write_text(
         "[bus.can0]\nbitrate_bit_s = 1_000_000\n"
@@ -122,8 +121,8 @@ def test_messages_of_one_sender_wait_in_one_queue_unless_told_otherwise(tmp_path
     assert [one["response_s"] for one in sorted_queue["messages"]] == [270e-6, 405e-6, 405e-6]
 
 
-def test_how_a_nodes_queue_is_set_up_needs_no_telling_twice(tmp_path, capsys):
-    """left sends its most urgent frame first; the other is as emulated nodes are by default."""
+def test_queue_order_is_read_from_rig(tmp_path, capsys):
+    """Node left sends its most urgent frame first; the other has the default of emulated nodes."""
     path = tmp_path / "rig.toml"
     path.write_text(
         "[bus.can0]\nbitrate_bit_s = 1_000_000\n"
@@ -151,7 +150,7 @@ def test_how_a_nodes_queue_is_set_up_needs_no_telling_twice(tmp_path, capsys):
     assert as_json(capsys, str(recording))[1]["buses"][0]["fifo"] == ["other"]
 
 
-def test_declared_can_fd_messages_take_both_rates(tmp_path, capsys):
+def test_can_fd_message_uses_both_bit_rates(tmp_path, capsys):
     """64 bytes: 33 bits at 500 kbit/s and 679 at 2 Mbit/s, 712 without a switch (can-physics)."""
     path = tmp_path / "rig.toml"
     fd = "length = 64\nperiod_s = 0.01\nfd = true\n"
@@ -167,7 +166,7 @@ def test_declared_can_fd_messages_take_both_rates(tmp_path, capsys):
     assert [one["bit_rate_switch"] for one in (first, second)] == [True, False]
 
 
-def test_what_motors_have_their_drives_send_is_known(capsys):
+def test_traffic_of_motors_is_included(capsys):
     status, told = as_json(capsys, str(EXAMPLES / "two_wheels.toml"))
     assert status == 0
     messages = {one["label"]: one for one in told["buses"][0]["messages"]}
@@ -175,7 +174,7 @@ def test_what_motors_have_their_drives_send_is_known(capsys):
     assert messages["181h"]["sender"] == "left"
     assert messages["77Fh"]["sender"] == "host"
     assert messages["181h"]["arrival"] == "sporadic"
-    assert messages["181h"]["deadline_s"] == 0.02  # the drive repeats it then
+    assert messages["181h"]["deadline_s"] == 0.02  # the drive then repeats it
     notes = " ".join(told["buses"][0]["notes"])
     assert "not declared" in notes
     assert "SDO" in notes
@@ -184,7 +183,7 @@ def test_what_motors_have_their_drives_send_is_known(capsys):
     assert (sent["080h"], sent["301h"], sent["302h"]) == (0.005, 0.005, 0.005)
 
 
-def test_a_recording_tells_periods_and_jitter(tmp_path, capsys):
+def test_recording_gives_periods_and_jitter(tmp_path, capsys):
     path = recorded(tmp_path / "some.mcap", {0x101: 5 * MS, 0x102: 20 * MS})
     status, told = as_json(capsys, str(path), "--bitrate", "can0=500k")
     assert status == 0
@@ -196,7 +195,7 @@ def test_a_recording_tells_periods_and_jitter(tmp_path, capsys):
     assert "NO" in capsys.readouterr().out
 
 
-def test_a_picture_has_a_bar_for_each_message(rig, capsys, tmp_path):
+def test_plot_has_a_bar_for_each_message(rig, capsys, tmp_path):
     target = tmp_path / "times.svg"
     assert main(["analyse", str(rig), "--plot", str(target)]) == 1
     root = ElementTree.fromstring(target.read_text())
@@ -212,7 +211,7 @@ def test_a_picture_has_a_bar_for_each_message(rig, capsys, tmp_path):
         (["--bitrate", "can9=500k"], "there is no CAN bus can9"),
         (["--bitrate", "500k"], "'500k' is not BUS=RATE"),
         (["--data-bitrate", "can0=1k"], "--data-bitrate can0=1000 is below 125000 bit/s"),
-        (["--deadline", "7FF=1"], "no message 7FFh is counted in it"),
+        (["--deadline", "7FF=1"], "message 7FFh: not in the analysis"),
         (["--deadline", "1"], "'1' is not ID=S, as 181=0.005"),
         (["--deadline", "1=0"], "'0' is not a number from 1e-06 to 1e+06 s"),
         (["--errors", "-1"], "'-1' is not a whole number from 0 to 4096"),
@@ -220,12 +219,12 @@ def test_a_picture_has_a_bar_for_each_message(rig, capsys, tmp_path):
         (["--bit-error-rate", "2"], "'2' is not a number from 0 to 0.5"),
     ],
 )
-def test_wrong_usage_is_told(rig, capsys, words, told):
+def test_wrong_usage_is_reported(rig, capsys, words, told):
     assert main(["analyse", str(rig), *words]) == 2
     assert told in capsys.readouterr().err
 
 
-def test_a_wrong_rig_is_told_with_its_line(tmp_path, capsys):
+def test_wrong_rig_is_reported_with_line(tmp_path, capsys):
     path = tmp_path / "rig.toml"
     path.write_text(DAVIS.replace("deadline_s = 0.0025", "deadline_s = -1"))
     assert main(["analyse", str(path)]) == 2
@@ -233,17 +232,19 @@ def test_a_wrong_rig_is_told_with_its_line(tmp_path, capsys):
     assert "rig.toml:7: bus.can0.message[0].deadline_s: -1 s is out of range" in told
 
 
-def test_a_recording_without_a_bit_rate_is_refused(tmp_path, capsys):
+def test_recording_without_bit_rate_is_refused(tmp_path, capsys):
     path = recorded(tmp_path / "some.mcap", {0x101: 5 * MS})
     assert main(["analyse", str(path)]) == 2
-    assert "does not tell the bit rate of can0; say --bitrate can0=500k" in capsys.readouterr().err
+    assert (
+        "does not contain the bit rate of can0; say --bitrate can0=500k" in capsys.readouterr().err
+    )
     assert main(["analyse", str(path), "--bitrate", "can0=500k", "--streamed"]) == 2
-    assert "--sync and --streamed are of rigs" in capsys.readouterr().err
+    assert "--sync and --streamed are for rigs" in capsys.readouterr().err
     assert main(["analyse", str(path), "--bitrate", "nosuch=500k"]) == 2
     assert "has no CAN bus nosuch; its buses: can0" in capsys.readouterr().err
 
 
-def test_a_recording_of_can_fd_is_measured_at_both_rates(tmp_path, capsys):
+def test_can_fd_recording_is_measured_at_both_bit_rates(tmp_path, capsys):
     path = tmp_path / "fd.log"
     rows = [f"({n * 0.005:.6f}) can0 123##1{'55' * 64}\n" for n in range(40)]
     path.write_text("".join([*rows, f"(0.200000) can0 124##1{'55' * 9}\n"]))
@@ -251,11 +252,11 @@ def test_a_recording_of_can_fd_is_measured_at_both_rates(tmp_path, capsys):
     (bus,) = as_json(capsys, str(path), *rates)[1]["buses"]
     (message,) = [one for one in bus["messages"] if one["label"] == "123h"]
     assert (message["length"], message["fd"], message["bit_rate_switch"]) == (64, True, True)
-    # 712 bits at most (can-physics, 6.3), 33 of them before and behind the data phase
+    # 712 bits at most (can-physics, 6.3), 33 of them before and after the data phase
     assert message["takes_s"] == pytest.approx(33 / 500_000 + 679 / 2_000_000, abs=1e-12)
 
 
-def test_the_data_bit_rate_stands_in_the_rig_or_in_the_rig_that_was_recorded(tmp_path, capsys):
+def test_data_bit_rate_comes_from_rig_or_recorded_rig(tmp_path, capsys):
     rig = "[bus.can0]\nbitrate_bit_s = 500_000\ndata_bitrate_bit_s = 2_000_000\n"
     path = tmp_path / "rig.toml"
     path.write_text(rig + "[[bus.can0.message]]\nidentifier = 1\nlength = 8\nperiod_s = 0.01\n")
@@ -273,14 +274,14 @@ def test_the_data_bit_rate_stands_in_the_rig_or_in_the_rig_that_was_recorded(tmp
     assert bus["messages"][0]["takes_s"] == pytest.approx(33 / 5e5 + 679 / 2e6, abs=1e-12)
 
 
-def test_frames_without_a_time_are_refused(tmp_path, capsys):
+def test_frames_without_time_are_refused(tmp_path, capsys):
     path = tmp_path / "plain.txt"
     path.write_text("  can0  181   [2]  37 06\n  can0  181   [2]  37 06\n")
     assert main(["analyse", str(path), "--bitrate", "can0=500k"]) == 2
     assert "has 2 frames without a time" in capsys.readouterr().err
 
 
-def test_where_nothing_is_periodic_nothing_is_judged(tmp_path, capsys):
+def test_recording_without_periods_is_not_judged(tmp_path, capsys):
     path = tmp_path / "rig.toml"
     path.write_text("[bus.can0]\nbitrate_bit_s = 125_000\nmessage = []\n")
     assert main(["analyse", str(path)]) == 3
@@ -289,8 +290,8 @@ def test_where_nothing_is_periodic_nothing_is_judged(tmp_path, capsys):
     capsys.readouterr()
 
 
-def test_the_demo_and_its_recording_agree_but_for_what_is_explained(demo, capsys):
-    """Only commands are new in the recording; nothing came more often than the rig allows."""
+def test_demo_rig_and_its_recording_agree(demo, capsys):
+    """Only commands are new in the recording; no message is more frequent than in the rig."""
     status, rig = as_json(capsys, str(EXAMPLES / "rover.toml"))
     again, record = as_json(capsys, str(demo))
     assert (status, again) == (0, 0)
@@ -307,12 +308,12 @@ def test_the_demo_and_its_recording_agree_but_for_what_is_explained(demo, capsys
             assert (other["length"], other["sender"]) == (one["length"], one["sender"])
             assert other["arrival"] == "periodic"
             assert other["period_s"] >= one["period_s"] * 0.999
-            if one["arrival"] == "sporadic":  # stamps are of ends of frames: they waited
+            if one["arrival"] == "sporadic":  # stamped at the frames' ends, after waiting
                 assert other["distance_s"] >= one["period_s"] - one["response_s"]
 
 
-def test_recorded_syncs_tell_their_clocks_and_how_they_drift(tmp_path, capsys):
-    """40 ppm fast on can0, where 1006h says 10 ms; 30 ppm slow on can1, where nothing is said."""
+def test_recorded_sync_gives_clock_deviation_and_drift(tmp_path, capsys):
+    """SYNC is 40 ppm fast on can0 (1006h: 10 ms), and 30 ppm slow on can1 (without 1006h)."""
     path = tmp_path / "two.log"
     rows = [(5 * MS, "can0 601#2306100010270000")]
     for n in range(200):
@@ -330,11 +331,11 @@ def test_recorded_syncs_tell_their_clocks_and_how_they_drift(tmp_path, capsys):
     assert main(["analyse", str(path), *rates]) == 0
     lines = capsys.readouterr().out.splitlines()
     (line,) = [one for one in lines if one.startswith("can0: SYNC every")]
-    assert "its clock +40.0 ppm off 10 ms (told by 1006h); jitter 0.000 us peak to peak" in line
+    assert "its clock +40.0 ppm off 10 ms (from 1006h); jitter 0.000 us peak to peak" in line
     assert "can1: SYNC drifts by -70.0 ppm from that of can0" in lines
 
 
-def test_a_sync_with_another_identifier_is_measured_as_one(tmp_path, capsys):
+def test_sync_with_other_identifier_is_measured(tmp_path, capsys):
     """1005h of node 1 is read, that of node 2 written: SYNC is 090h, an EMCY by default."""
     path = tmp_path / "moved.log"
     rows = [(1 * MS, "581#4305100090000000"), (2 * MS, "602#2305100090000000")]
@@ -350,7 +351,7 @@ def test_a_sync_with_another_identifier_is_measured_as_one(tmp_path, capsys):
     assert "can0: SYNC 090h every 10.000000 ms" in capsys.readouterr().out
 
 
-def test_a_controller_that_sends_sync_is_counted(tmp_path, capsys):
+def test_controller_that_sends_sync_is_counted(tmp_path, capsys):
     path = tmp_path / "rig.toml"
     path.write_text(
         "[bus.can0]\nbitrate_bit_s = 500_000\nmessage = []\n[controller.left]\nkind = 'cia402'\n"
@@ -363,9 +364,9 @@ def test_a_controller_that_sends_sync_is_counted(tmp_path, capsys):
     assert facts == ["SYNC", "left", 0.004, "periodic"]
 
 
-def test_a_reader_that_has_left_is_no_error(rig):
-    """As of any verb: silent, exit status 1."""
-    command = f"{sys.executable} -m harness analyse {rig} --json; echo $? >&2"
+def test_closed_output_exits_silently_with_1(rig):
+    """As for any verb: no output, exit status 1."""
+    command = f"{sys.executable} -m motorhil analyse {rig} --json; echo $? >&2"
     read, write = os.pipe()
     os.close(read)
     told = subprocess.run(["sh", "-c", command], stdout=write, stderr=subprocess.PIPE, text=True)
@@ -373,18 +374,18 @@ def test_a_reader_that_has_left_is_no_error(rig):
     assert told.stderr == "1\n"
 
 
-def test_a_message_that_is_late_by_itself_is_told_so(tmp_path, capsys):
+def test_message_late_without_interference_is_reported(tmp_path, capsys):
     path = tmp_path / "rig.toml"
     text = "[bus.can0]\nbitrate_bit_s = 500_000\n[[bus.can0.message]]\nidentifier = 1\nlength = 8\n"
     path.write_text(f"{text}period_s = 0.01\ndeadline_s = 0.0001\n")
     assert main(["analyse", str(path)]) == 1
     told = capsys.readouterr().out
     assert "can0: 001h: its jitter and its own frame take longer than its deadline" in told
-    assert "SDO" not in told  # nobody there is of CANopen
+    assert "SDO" not in told  # no CANopen node is there
 
 
-def test_on_a_bus_without_canopen_every_identifier_may_be_changed(tmp_path, capsys):
-    """300h is late behind 10h and 20h; below 081h CANopen would have none to give."""
+def test_any_identifier_is_proposed_without_canopen(tmp_path, capsys):
+    """300h is late behind 10h and 20h; with CANopen no identifier below 081h would be free."""
     path = tmp_path / "rig.toml"
     path.write_text(
         "[bus.can0]\nbitrate_bit_s = 125_000\n"
@@ -399,17 +400,17 @@ def test_on_a_bus_without_canopen_every_identifier_may_be_changed(tmp_path, caps
     assert change["to"] < "020h"
 
 
-def test_a_car_is_not_taken_for_canopen_and_coarse_stamps_are_told(tmp_path, capsys):
+def test_car_bus_is_not_canopen_and_coarse_stamps_are_noted(tmp_path, capsys):
     path = tmp_path / "car.log"
     path.write_text("".join(f"({n // 20}.0) can0 7A8#0102\n" for n in range(200)))
     _, told = as_json(capsys, str(path), "--bitrate", "can0=500k")
     (bus,) = told["buses"]
     assert [one["name"] for one in bus["messages"]] == [""]
-    assert "stamps are in steps of 1000 ms: nothing finer can be seen" in bus["notes"]
+    assert "time stamps have a resolution of 1000 ms" in bus["notes"]
 
 
-def test_where_no_can_bus_is_it_says_so(tmp_path, capsys):
+def test_rig_without_can_bus_is_reported(tmp_path, capsys):
     path = tmp_path / "rig.toml"
     path.write_text('[bus.line]\nkind = "modbus_rtu"\n')
     assert main(["analyse", str(path)]) == 3
-    assert capsys.readouterr().out == f"{path}: it has no CAN bus\n"
+    assert capsys.readouterr().out == f"{path}: no CAN bus\n"

@@ -1,12 +1,12 @@
-"""From a struck frame to who reacts: drive, application, record, and what a user is told."""
+"""Effects of bus errors on drive, application, record and user messages."""
 
 import re
 
 import pytest
 
-from harness.rig import Rig
-from motorapi import ControlMode, DeadlineExceeded, LinkError, MotorState
-from traces.reader import read_trace
+from motorhil.harness.rig.rig import Rig
+from motorhil.motorapi import ControlMode, DeadlineExceeded, LinkError, MotorState
+from motorhil.traces.mcap.reader import read_trace
 
 RIG = """
 [rig]
@@ -51,15 +51,17 @@ def start(rig, target=3.0):
     return motor
 
 
-def test_a_host_off_the_bus_by_command_is_told_until_it_is_restarted(tmp_path):
+def test_host_off_the_bus_by_command_reports_until_restart(tmp_path):
     chip = '[bus.can0.node.host]\nrecovery_s = "command"'
     with opened(tmp_path, STRUCK.format(sender="host", limit=32), chip) as rig:
         motor = start(rig)
-        with pytest.raises(LinkError, match=r"can0: bus-off: nothing is sent or heard since 1\."):
+        with pytest.raises(
+            LinkError, match=r"can0: bus-off: nothing is sent or received since 1\."
+        ):
             motor.wait_until_done(timeout_s=5)
         at_ns = rig.runtime.now_ns()
         assert at_ns < 1_200_000_000
-        rig.runtime.run_for(0.05)  # the drive's dead-man is more patient
+        rig.runtime.run_for(0.05)  # shorter than the drive's heartbeat timeout
         assert motor.state() is MotorState.OFFLINE
         rig.faults.restart("can0", "host")
         rig.runtime.run_for(0.05)
@@ -68,7 +70,7 @@ def test_a_host_off_the_bus_by_command_is_told_until_it_is_restarted(tmp_path):
         assert motor.position() == pytest.approx(0.5, abs=0.001)
 
 
-def test_a_drive_off_the_bus_tells_it_when_it_is_on_again(tmp_path):
+def test_drive_reports_recovery_from_bus_off(tmp_path):
     record = tmp_path / "run.mcap"
     with opened(tmp_path, STRUCK.format(sender="left", limit=32), record=record) as rig:
         motor = start(rig)
@@ -87,7 +89,7 @@ def test_a_drive_off_the_bus_tells_it_when_it_is_on_again(tmp_path):
         assert sum(text in one for one in told) == 1
 
 
-def test_a_drive_made_passive_says_so_and_works_on(tmp_path):
+def test_error_passive_drive_reports_it_and_continues(tmp_path):
     with opened(tmp_path, STRUCK.format(sender="left", limit=24)) as rig:
         motor = start(rig)
         motor.wait_until_done(timeout_s=5)
@@ -103,50 +105,50 @@ def test_a_drive_made_passive_says_so_and_works_on(tmp_path):
             'kind = "short"\nlevel = "dominant"',
             r"can0 is error passive since 1\.\d+ s \(TEC 0, REC",
         ),
-        ('kind = "split"\nnodes = ["host"]', r"nobody acknowledges on can0 since 1\.\d+ s"),
+        ('kind = "split"\nnodes = ["host"]', r"can0: no ACK since t = 1\.\d+ s"),
     ],
 )
-def test_who_loses_a_drive_reads_what_is_wrong_with_the_bus(tmp_path, fault, told):
-    """A cable of the host's, and none of the drive's."""
+def test_lost_drive_error_names_the_bus_problem(tmp_path, fault, told):
+    """The host's cable is faulty, not the drive's."""
     with opened(tmp_path, fault + "\nfrom_s = 1.0") as rig:
         motor = start(rig)
-        lost = rf"no heartbeat for 300 ms since 1\.\d+ s; look at the bus first: {told}"
+        lost = rf"no heartbeat for 300 ms since 1\.\d+ s; check the bus first: {told}"
         with pytest.raises(LinkError, match=lost):
             motor.wait_until_done(timeout_s=5)
 
 
-def test_who_never_hears_a_drive_reads_what_is_wrong_with_the_bus(tmp_path):
-    told = "last heard: nothing; nobody acknowledges on can0"
+def test_silent_drive_error_names_the_bus_problem(tmp_path):
+    told = "last heard: nothing; can0: no ACK"
     alone = 'kind = "split"\nnodes = ["host"]'
     with opened(tmp_path, alone) as rig, pytest.raises(DeadlineExceeded, match=told):
         start(rig)
 
 
-def test_names_that_there_are_not_are_refused_with_those_there_are(tmp_path):
+def test_unknown_bus_or_node_is_refused_with_known_names(tmp_path):
     with opened(tmp_path, STRUCK.format(sender="host", limit=1)) as rig:
-        with pytest.raises(ValueError, match=r"no CAN bus 'can1' in this rig \(known: can0\)"):
+        with pytest.raises(ValueError, match=r"this rig has no CAN bus 'can1' \(known: can0\)"):
             rig.faults.restart("can1", "host")
-        with pytest.raises(ValueError, match=r"no node lef \(known: left, host\)"):
+        with pytest.raises(ValueError, match=r"node lef not found \(known: left, host\)"):
             rig.faults.restart("can0", "lef")
         with pytest.raises(ValueError, match=r"host is not bus-off \(TEC 0, REC 0\)"):
             rig.faults.restart("can0", "host")
-        with pytest.raises(ValueError, match="no CAN bus 'can1'"):
+        with pytest.raises(ValueError, match="has no CAN bus 'can1'"):
             rig.faults.lift("can1", "fault 1")
 
 
-def test_a_host_alone_on_its_bus_is_told_so(tmp_path):
+def test_host_alone_on_its_bus_is_reported(tmp_path):
     fault = 'kind = "cut"\nnodes = ["left"]\nfrom_s = 1.0'
     with opened(tmp_path, fault) as rig:
         motor = start(rig, 0.1)
         motor.wait_until_done(timeout_s=5)
         rig.runtime.run_for(1.2 - rig.runtime.now_ns() / 1e9)
-        with pytest.raises(DeadlineExceeded, match=r"nobody acknowledges on can0 since 1\.\d+ s"):
+        with pytest.raises(DeadlineExceeded, match=r"can0: no ACK since t = 1\.\d+ s"):
             motor.hardware.read(0x6064)
 
 
 SCRIPT = """
 import can
-from motorapi.adaptations.cia402 import Cia402HwMotor
+from motorhil.motorapi.adaptations.cia402.motor import Cia402HwMotor
 drive = Cia402HwMotor(can.Bus(), node_id=1)
 drive.connect()
 while True:
@@ -154,7 +156,7 @@ while True:
 """
 
 
-def test_who_runs_a_script_reads_since_when_the_bus_is_off_and_what_to_do(tmp_path, say):
+def test_script_error_names_start_and_remedy_of_bus_off(tmp_path, say):
     opened(tmp_path, STRUCK.format(sender="host", limit=32)).close()
     (tmp_path / "script.py").write_text(SCRIPT)
     status, out, err = say("run", str(tmp_path / "rig.toml"), str(tmp_path / "script.py"))

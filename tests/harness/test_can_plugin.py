@@ -1,11 +1,11 @@
 import can
 import pytest
 
-from emulators.event_queue import EventQueue
-from emulators.media.can_bus import CanBus
-from emulators.world import World
-from harness.can_plugin import close_rig, open_rig
-from harness.virtual_time import VirtualRuntime
+from motorhil.emulators.can.bus.bus import CanBus
+from motorhil.emulators.simulation.event_queue import EventQueue
+from motorhil.emulators.simulation.world import World
+from motorhil.harness.python_can.bus import close_rig, open_rig
+from motorhil.harness.virtual_time.runtime import VirtualRuntime
 from tests.emulators.test_world import Echo
 
 MS = 1_000_000
@@ -33,11 +33,11 @@ def message(can_id, data=b"", **options):
     return can.Message(arbitration_id=can_id, data=data, **{"is_extended_id": False, **options})
 
 
-def test_python_can_knows_the_interface_by_its_entry_point():
+def test_python_can_finds_the_interface_by_entry_point():
     assert "emulated" in can.VALID_INTERFACES
 
 
-def test_an_answer_comes_in_the_rigs_time(rig):
+def test_answer_arrives_in_the_rigs_time(rig):
     with emulated() as bus:
         bus.send(message(0x100, b"\x05"))
         answer = bus.recv(1.0)
@@ -46,7 +46,7 @@ def test_an_answer_comes_in_the_rigs_time(rig):
     assert 1 * MS < rig.now_ns() < 2 * MS
 
 
-def test_a_timeout_of_recv_is_the_rigs_time_to_the_nanosecond(rig):
+def test_recv_timeout_is_exact_in_the_rigs_time(rig):
     with emulated() as bus:
         assert bus.recv(0.1) is None
         assert rig.now_ns() == 100 * MS
@@ -54,14 +54,14 @@ def test_a_timeout_of_recv_is_the_rigs_time_to_the_nanosecond(rig):
         assert rig.now_ns() == 100 * MS
 
 
-def test_frames_that_filters_refuse_do_not_prolong_the_timeout(rig):
+def test_filtered_frames_do_not_prolong_recv_timeout(rig):
     with emulated(can_filters=[{"can_id": 0x180, "can_mask": 0x7FF}]) as bus, emulated() as other:
         other.send_periodic(message(0x123), 0.001)
         assert bus.recv(0.0105) is None
         assert rig.now_ns() == 10_500_000
 
 
-def test_two_programs_hear_one_another_and_not_themselves(rig):
+def test_two_programs_hear_each_other_but_not_themselves(rig):
     with emulated() as one, emulated() as two, emulated("can1") as elsewhere:
         one.send(message(0x321, b"\x01\x02"))
         assert two.recv(0.01).arbitration_id == 0x321
@@ -69,7 +69,7 @@ def test_two_programs_hear_one_another_and_not_themselves(rig):
         assert elsewhere.recv(0.01) is None
 
 
-def test_own_frames_are_heard_when_transmitted_if_asked_for(rig):
+def test_own_frames_on_request_arrive_when_transmitted(rig):
     with emulated(receive_own_messages=True) as bus:
         bus.send(message(0x321))
         echo = bus.recv(0.01)
@@ -88,7 +88,7 @@ def test_own_frames_are_heard_when_transmitted_if_asked_for(rig):
     ],
     ids=str,
 )
-def test_every_kind_of_classical_frame_comes_through_unchanged(rig, sent):
+def test_classical_frame_of_every_kind_arrives_unchanged(rig, sent):
     with emulated() as one, emulated() as two:
         one.send(sent)
         heard = two.recv(0.01)
@@ -100,14 +100,14 @@ def test_every_kind_of_classical_frame_comes_through_unchanged(rig, sent):
     [
         (message(0x123, bytes(12), is_fd=True), "CAN FD"),
         (message(0x800), "11 bits"),
-        (message(0x123, bytes(9), dlc=9), "holds 8"),
-        (message(0x123, is_remote_frame=True, dlc=9), "asks for 8"),
+        (message(0x123, bytes(9), dlc=9), "holds at most 8"),
+        (message(0x123, is_remote_frame=True, dlc=9), "requests at most 8"),
         (message(1 << 29, is_extended_id=True), "29 bits"),
         (message(-1), "29 bits"),
         (message(0x20, bytes(8), is_error_frame=True), "error frame"),
     ],
 )
-def test_what_is_no_classical_frame_is_refused_with_the_reason(rig, sent, reason):
+def test_invalid_classical_frame_is_refused_with_reason(rig, sent, reason):
     with emulated() as bus, pytest.raises(can.CanOperationError, match=reason):
         bus.send(sent)
 
@@ -125,19 +125,19 @@ def test_periodic_messages_keep_the_rigs_time_and_stop(rig):
         assert two.recv(0.02) is None
 
 
-def test_a_bus_that_is_not_open_names_those_that_are(rig):
+def test_unknown_bus_is_refused_with_known_names(rig):
     with pytest.raises(can.CanInitializationError, match=r"'can7'.*open: can0, can1"):
         emulated("can7")
 
 
-def test_two_rigs_with_one_bus_name_are_not_open_together(rig):
+def test_two_rigs_with_one_bus_name_cannot_both_be_open(rig):
     world = World(EventQueue())
     world.add_bus(CanBus("can0"))
     with pytest.raises(can.CanInitializationError, match="close that rig first"):
         open_rig(world, rig)
 
 
-def test_a_bus_object_that_was_shut_down_is_told_so_not_passed_over(rig):
+def test_closed_bus_object_refuses_every_use(rig):
     bus = emulated()
     bus.shutdown()
     bus.shutdown()
@@ -153,7 +153,7 @@ def test_a_bus_object_that_was_shut_down_is_told_so_not_passed_over(rig):
     assert rig.now_ns() == 0
 
 
-def test_a_listener_hears_own_frames_when_they_were_transmitted(rig):
+def test_listener_hears_own_frames_when_transmitted(rig):
     heard = []
     with emulated() as bus:
         registration = rig.listen(bus, lambda frame, t, own: heard.append((frame[:2], own)))
@@ -165,8 +165,8 @@ def test_a_listener_hears_own_frames_when_they_were_transmitted(rig):
     assert heard == [(b"\x00\x01", True), (b"\x80\x01", False)]
 
 
-def test_a_bus_nobody_reads_gives_up_the_oldest_and_counts_them(rig, monkeypatch):
-    monkeypatch.setattr("harness.can_plugin._BACKLOG_MAX", 3)
+def test_unread_bus_drops_oldest_frames_and_counts_them(rig, monkeypatch):
+    monkeypatch.setattr("motorhil.harness.python_can.bus._BACKLOG_MAX", 3)
     with emulated() as one, emulated() as two:
         for number in range(5):
             one.send(message(0x200 + number))

@@ -12,9 +12,9 @@ from tests.harness.rigs import GOOD
 # --- help and version
 
 
-def test_help_loads_none_of_the_big_libraries():
+def test_help_imports_no_large_library():
     code = (
-        "import sys\nfrom harness.cli import main\nmain(['--help'])\n"
+        "import sys\nfrom motorhil.harness.cli.main import main\nmain(['--help'])\n"
         "print([name for name in ('can', 'canopen', 'pymodbus', 'numpy', 'asyncio', 'mcap')"
         " if name in sys.modules], file=sys.stderr)"
     )
@@ -23,7 +23,7 @@ def test_help_loads_none_of_the_big_libraries():
     assert "run a script, or a prompt, with a rig around it" in done.stdout
 
 
-def test_help_names_only_verbs_that_exist_and_each_has_help_of_its_own(say):
+def test_help_lists_verbs_and_each_verb_has_help(say):
     status, out, _ = say("--help")
     assert status == 0
     verbs = [line.split()[0] for line in out.splitlines() if line.startswith("    ")]
@@ -34,7 +34,7 @@ def test_help_names_only_verbs_that_exist_and_each_has_help_of_its_own(say):
         assert out.startswith(f"usage: motorhil {verb}")
 
 
-def test_version_says_which_cores_run_and_of_which_source(say):
+def test_version_names_cores_and_source(say):
     status, out, _ = say("--version")
     assert status == 0
     assert out.startswith("motorhil ")
@@ -42,7 +42,7 @@ def test_version_says_which_cores_run_and_of_which_source(say):
 
 
 @pytest.mark.parametrize("words", [(), ("no-such-verb",), ("-x",), ("run",), ("list", "nonsense")])
-def test_wrong_usage_is_told_on_stderr_with_status_2(say, words):
+def test_wrong_usage_is_reported_on_stderr_with_status_2(say, words):
     status, out, err = say(*words)
     assert (status, out) == (2, "")
     assert "usage: motorhil" in err
@@ -51,13 +51,13 @@ def test_wrong_usage_is_told_on_stderr_with_status_2(say, words):
 # --- check
 
 
-def test_check_tells_what_a_rig_holds(rig, say):
+def test_check_prints_contents_of_rig(rig, say):
     status, out, err = say("check", "rig.toml")
     assert (status, err) == (0, "")
     assert out == "rig.toml: rig: 1 bus, 2 controllers, 2 motors\n"
 
 
-def test_check_answers_a_machine(rig, say):
+def test_check_prints_json(rig, say):
     status, out, _ = say("check", "rig.toml", "--json")
     assert (status, out.startswith('{"right": true, "name": "rig", "buses": 1')) == (0, True)
     (rig / "rig.toml").write_text(GOOD.replace("seed", "sede"))
@@ -94,7 +94,7 @@ BAD_INPUT = {
 
 @pytest.mark.parametrize("verb", ["check", "run"])
 @pytest.mark.parametrize("what", BAD_INPUT)
-def test_bad_input_is_one_line_with_file_line_key_and_remedy(rig, say, verb, what):
+def test_bad_input_is_reported_with_line_key_and_remedy(rig, say, verb, what):
     old, new, told = BAD_INPUT[what]
     assert old in GOOD
     (rig / "rig.toml").write_text(GOOD.replace(old, new, 1))
@@ -114,28 +114,31 @@ def test_bad_input_is_one_line_with_file_line_key_and_remedy(rig, say, verb, wha
         (("run", "rig.toml", "."), ".: cannot be read: Is a directory; name a Python program"),
         (("run", "rig.toml", "--", "x"), "rig.toml: arguments, but no script to take them; name"),
         (("run", "rig.toml", "script.py", "-o", "no/x.mcap"), "no/x.mcap: "),
-        (("run", "rig.toml", "-o", "script.py"), "script.py: is no recording, and would be lost;"),
+        (
+            ("run", "rig.toml", "-o", "script.py"),
+            "script.py: is not a recording, and would be overwritten;",
+        ),
     ],
 )
-def test_missing_files_are_one_line_too(rig, say, words, told):
+def test_missing_file_is_reported_in_one_line(rig, say, words, told):
     status, out, err = say(*words)
     assert (status, out) == (2, "")
     assert err.startswith(told)
     assert err.count("\n") == 1
 
 
-def test_what_is_missing_on_the_command_line_is_named_and_nothing_else(say):
+def test_missing_argument_is_named_alone(say):
     assert say("run")[2].endswith("error: the following arguments are required: RIG\n")
 
 
-def test_check_finds_what_only_a_motor_that_is_made_can_refuse(rig, say):
+def test_check_reports_errors_of_motor_builders(rig, say):
     (rig / "rig.toml").write_text(GOOD.replace('"left"\n[', '"left"\nheartbeat = 1\n[', 1))
     status, out, err = say("check", "rig.toml")
     assert (status, out) == (2, "")
     assert err.startswith("rig.toml:17: motor.left.heartbeat: ")
 
 
-def test_bad_input_leaves_nothing_running_and_no_traceback(rig):
+def test_bad_input_leaves_no_threads_and_no_traceback(rig):
     (rig / "rig.toml").write_text(GOOD.replace("seed", "sede"))
     done = in_another_process("run", "rig.toml", "script.py")
     assert done.returncode == 2
@@ -146,7 +149,7 @@ def test_bad_input_leaves_nothing_running_and_no_traceback(rig):
 # --- new, and the examples
 
 
-def test_new_writes_a_rig_that_is_right_and_a_script_that_runs(bench, say):
+def test_new_writes_valid_rig_and_running_script(bench, say):
     status, out, err = say("new", "wheels")
     assert (status, err) == (0, "next: motorhil run wheels/rig.toml wheels/drive.py\n")
     assert out.splitlines() == [
@@ -164,19 +167,19 @@ def test_new_writes_a_rig_that_is_right_and_a_script_that_runs(bench, say):
     assert "#:schema ./rig.schema.json" in (bench / "wheels/rig.toml").read_text()
 
 
-def test_the_new_script_names_the_files_beside_it(bench, say):
+def test_new_script_names_files_beside_it(bench, say):
     assert say("new", "wheels")[0] == 0
     script = (bench / "wheels" / "drive.py").read_text()
     assert "motorhil run rig.toml drive.py" in script
     assert "two_wheels" not in script
 
 
-def test_new_writes_over_nothing(bench, say):
+def test_new_overwrites_no_file(bench, say):
     (bench / "drive.py").write_text("mine")
     assert say("new", ".") == (
         2,
         "",
-        "drive.py: is there already; name another folder: motorhil new DIR\n",
+        "drive.py: already exists; name another folder: motorhil new DIR\n",
     )
     assert [path.name for path in bench.iterdir()] == ["drive.py"]
     status, _, err = say("new", "drive.py/below")
@@ -184,9 +187,9 @@ def test_new_writes_over_nothing(bench, say):
     assert err.startswith("drive.py/below: cannot be written: ")
 
 
-def test_new_leaves_nothing_half_written(bench, say, monkeypatch):
+def test_new_leaves_no_partial_files(bench, say, monkeypatch):
     limit = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (3000, limit[1]))  # the schema is longer
+    resource.setrlimit(resource.RLIMIT_FSIZE, (3000, limit[1]))  # the schema is larger
     try:
         status, out, err = say("new", "wheels")
     finally:
@@ -197,7 +200,7 @@ def test_new_leaves_nothing_half_written(bench, say, monkeypatch):
     assert say("new", "wheels")[0] == 0
 
 
-def test_every_example_is_listed_and_right(bench, say):
+def test_every_example_is_listed_and_valid(bench, say):
     status, out, _ = say("list", "examples", "--json")
     examples = json.loads(out)
     assert [example["name"] for example in examples] == [
@@ -212,7 +215,7 @@ def test_every_example_is_listed_and_right(bench, say):
 # --- list
 
 
-def test_list_shows_what_is_installed_and_where_our_own_eds_is(bench, say):
+def test_list_prints_plugins_and_own_eds_files(bench, say):
     status, out, _ = say("list", "controllers")
     assert status == 0
     lines = {line.split()[0]: line for line in out.splitlines()}
@@ -227,12 +230,12 @@ def test_list_shows_what_is_installed_and_where_our_own_eds_is(bench, say):
     )
 
 
-# --- interrupted, and output that finds no place
+# --- interrupts, and output that cannot be written
 
 
-def test_an_interrupt_while_the_command_is_still_loading_is_one_line():
+def test_interrupt_while_loading_is_reported_in_one_line():
     code = (
-        "import sys\nfrom harness.__main__ import start\n"
+        "import sys\nfrom motorhil.__main__ import start\n"
         "class Interrupt:\n    def find_spec(self, name, *_):\n"
         "        if name == 'argparse':\n            raise KeyboardInterrupt\n"
         "sys.meta_path.insert(0, Interrupt())\nsys.exit(start())\n"
@@ -242,7 +245,7 @@ def test_an_interrupt_while_the_command_is_still_loading_is_one_line():
 
 
 @pytest.mark.parametrize("words", [("--version",), ("list", "examples")])
-def test_a_full_disk_behind_stdout_is_one_line(bench, words):
+def test_full_disk_behind_stdout_is_reported_in_one_line(bench, words):
     with open("/dev/full", "w") as full:
         done = in_another_process(*words, stdout=full)
     assert done.returncode == 2
@@ -252,9 +255,9 @@ def test_a_full_disk_behind_stdout_is_one_line(bench, words):
     )
 
 
-def test_closed_standard_streams_are_no_matter(rig):
+def test_closed_standard_streams_do_no_harm(rig):
     for close in (">&-", "2>&-", "<&- >&- 2>&-"):
-        command = ["sh", "-c", f'exec "$@" {close}', "sh", sys.executable, "-m", "harness"]
+        command = ["sh", "-c", f'exec "$@" {close}', "sh", sys.executable, "-m", "motorhil"]
         done = subprocess.run(
             [*command, "run", "rig.toml", "script.py", "-o", "x.mcap"],
             env=environment(),
@@ -269,7 +272,7 @@ def test_closed_standard_streams_are_no_matter(rig):
 
 @pytest.fixture
 def plugin(rig, monkeypatch):
-    """Writes a plugin `broken` for the left controller; its module is the caller's to name."""
+    """A function that writes a plug-in `broken` for the left controller, in this module."""
 
     def write(module, text):
         (rig / f"{module}.py").write_text(text)
@@ -285,7 +288,7 @@ def plugin(rig, monkeypatch):
 LEFT_KIND = 'rig.toml:6: controller.left.kind: plugin "broken" '
 
 
-def test_a_plugin_that_leaves_when_it_is_imported_is_told_not_obeyed(plugin, say):
+def test_plugin_that_exits_when_imported_is_reported(plugin, say):
     plugin("leaving_plugin", "import sys\nsys.exit(0)\n")
     assert say("check", "rig.toml") == (
         2,
@@ -323,16 +326,16 @@ FAILING_PLUGINS = {
 
 
 @pytest.mark.parametrize("name", FAILING_PLUGINS)
-def test_a_plugin_that_fails_is_named_with_its_line(plugin, say, name):
+def test_failing_plugin_is_reported_with_line(plugin, say, name):
     text, told = FAILING_PLUGINS[name]
     path = plugin(f"{name}_plugin", text)
     status, out, err = say("check", "rig.toml")
     assert (status, out, err.count("\n")) == (2, "", 1)
     assert err.startswith(f"{LEFT_KIND}failed: {told.format(path=path)}")
-    assert err.endswith("; mend it, or tell who made bench 1.0\n")
+    assert err.endswith("; fix it, or report it to the author of bench 1.0\n")
 
 
-def test_a_group_of_two_motors_on_one_drive_is_told_with_the_line(bench, say):
+def test_group_of_two_motors_on_one_drive_is_reported(bench, say):
     say("new", ".")
     text = (bench / "rig.toml").read_text().replace('controller = "right"', 'controller = "left"')
     (bench / "rig.toml").write_text(text)
@@ -341,5 +344,5 @@ def test_a_group_of_two_motors_on_one_drive_is_told_with_the_line(bench, say):
     assert (status, out) == (2, "")
     assert err == (
         f"rig.toml:{line}: group.both.motors[1]: right and left are the same physical motor, "
-        "can0 node 1: a group can move it only once; take one out\n"
+        "can0 node 1: a group can move it only once; remove one of them\n"
     )

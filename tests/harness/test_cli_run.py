@@ -6,16 +6,16 @@ import time
 
 import pytest
 
+from motorhil.traces.digest import digest
 from tests.harness.cli_bench import beside, environment, in_another_process
 from tests.harness.rigs import SCRIPT
-from traces.digest import digest
 
 
-def test_a_script_joins_the_rig_with_a_plain_can_bus(rig, say):
+def test_script_joins_rig_with_plain_can_bus(rig, say):
     assert say("run", "rig.toml", "script.py") == (0, "[] __main__ 2a\n", "")
 
 
-def test_a_script_leaves_no_trace_in_the_process(rig, say, monkeypatch):
+def test_script_leaves_no_trace_in_process(rig, say, monkeypatch):
     monkeypatch.setenv("CAN_INTERFACE", "socketcan")
     monkeypatch.setenv("CAN_CONFIG", '{"fd": true}')
     before = (dict(os.environ), sys.argv, sys.path.copy(), sys.modules["__main__"])
@@ -23,7 +23,7 @@ def test_a_script_leaves_no_trace_in_the_process(rig, say, monkeypatch):
     assert (dict(os.environ), sys.argv, sys.path, sys.modules["__main__"]) == before
 
 
-def test_options_may_stand_anywhere_and_the_scripts_own_come_behind_two_dashes(rig, say):
+def test_options_stand_anywhere_before_two_dashes(rig, say):
     expected = (0, "['a', '--seed', '--', 'b'] __main__ 2a\n", "")
     words = ("--seed", "3", "rig.toml", "script.py", "a", "--", "--seed", "--", "b")
     assert say("run", *words) == expected
@@ -39,13 +39,13 @@ def test_options_may_stand_anywhere_and_the_scripts_own_come_behind_two_dashes(r
         ("sys.exit('enough')", 1, "enough\n"),
     ],
 )
-def test_a_scripts_exit_status_is_ours(rig, say, line, status, told):
+def test_exit_status_is_that_of_script(rig, say, line, status, told):
     (rig / "script.py").write_text(f"import sys\n{line}\n")
     again = "again: motorhil run rig.toml script.py --seed 7\n" if status else ""
     assert say("run", "rig.toml", "script.py") == (status, "", told + again)
 
 
-def test_a_scripts_exception_is_told_from_the_scripts_first_line_on(rig, say):
+def test_traceback_begins_at_script(rig, say):
     (rig / "helper.py").write_text("def divide(a, b):\n    return a / b\n")
     (rig / "script.py").write_text("import helper\n\nhelper.divide(1, 0)\n")
     status, out, err = say("run", "rig.toml", "script.py", "-o", "x.mcap", "--", "a b")
@@ -62,9 +62,9 @@ def test_a_scripts_exception_is_told_from_the_scripts_first_line_on(rig, say):
     )
 
 
-def test_what_the_motor_interface_refuses_is_told_without_its_insides(rig, say):
+def test_traceback_ends_before_motor_interface(rig, say):
     (rig / "script.py").write_text(
-        "import can\nfrom motorapi import runtime_of\nbus = can.Bus()\n"
+        "import can\nfrom motorhil.motorapi import runtime_of\nbus = can.Bus()\n"
         "runtime_of(bus).wait_until(lambda: False, -1.0)\n"
     )
     status, _, err = say("run", "rig.toml", "script.py")
@@ -74,12 +74,12 @@ def test_what_the_motor_interface_refuses_is_told_without_its_insides(rig, say):
         '  File "script.py", line 4, in <module>',
         "    runtime_of(bus).wait_until(lambda: False, -1.0)",
     ]
-    assert err.splitlines()[3].startswith("motorapi.errors.UsageError: timeout_s = -1.0")
+    assert err.splitlines()[3].startswith("motorhil.motorapi.errors.UsageError: timeout_s = -1.0")
 
 
-def test_what_a_party_raised_and_nobody_asked_for_is_the_scripts_failure(rig, say):
+def test_unhandled_error_of_party_fails_script(rig, say):
     (rig / "script.py").write_text(
-        "import can\nfrom motorapi import runtime_of\nwith can.Bus() as bus:\n"
+        "import can\nfrom motorhil.motorapi import runtime_of\nwith can.Bus() as bus:\n"
         "    runtime = runtime_of(bus)\n    runtime.spawn('second', lambda: 1 / 0)\n"
         "    runtime.wait_until(lambda: False, 1.0)\n"
     )
@@ -94,13 +94,13 @@ def test_what_a_party_raised_and_nobody_asked_for_is_the_scripts_failure(rig, sa
     assert lines[-1].startswith("again: motorhil run")
 
 
-def test_one_seed_is_one_record_whatever_the_hash_seed(bench, say):
+def test_records_of_one_seed_are_equal_for_any_hash_seed(bench, say):
     say("new", ".")
     digests = []
     for hash_seed in ("0", "1"):
         target = f"{hash_seed}.mcap"
         done = subprocess.run(
-            [sys.executable, "-m", "harness", "run", "rig.toml", "drive.py", "-o", target],
+            [sys.executable, "-m", "motorhil", "run", "rig.toml", "drive.py", "-o", target],
             env={**environment(), "PYTHONHASHSEED": hash_seed},
             capture_output=True,
             timeout=120,
@@ -111,7 +111,7 @@ def test_one_seed_is_one_record_whatever_the_hash_seed(bench, say):
     assert digests[0] == digests[1]
 
 
-def test_a_script_that_is_no_python_is_told_like_python_does(rig, say):
+def test_syntax_error_of_script_is_reported_as_by_python(rig, say):
     (rig / "script.py").write_text("a = = 1\n")
     status, _, err = say("run", "rig.toml", "script.py")
     assert status == 1
@@ -119,14 +119,14 @@ def test_a_script_that_is_no_python_is_told_like_python_does(rig, say):
     assert "SyntaxError: invalid syntax" in err
 
 
-def test_errors_a_script_chains_are_all_told(rig, say):
+def test_chained_errors_of_script_are_all_reported(rig, say):
     (rig / "script.py").write_text("try:\n    1/0\nexcept Exception as e:\n    raise KeyError(1)\n")
     _, _, err = say("run", "rig.toml", "script.py")
     assert err.index("ZeroDivisionError") < err.index("During handling") < err.index("KeyError: 1")
     assert "harness" not in err
 
 
-def test_a_script_can_come_from_standard_input(rig):
+def test_script_is_read_from_standard_input(rig):
     done = in_another_process("run", "rig.toml", "-", "a", input=SCRIPT)
     assert (done.returncode, done.stdout) == (0, "['a'] __main__ 2a\n")
     done = in_another_process("run", "rig.toml", "-", input="x = 1\nx / 0\n")
@@ -134,7 +134,7 @@ def test_a_script_can_come_from_standard_input(rig):
     assert '  File "<stdin>", line 2, in <module>\n    x / 0\n' in done.stderr
 
 
-def test_without_a_script_there_is_a_prompt_with_the_rig(rig):
+def test_prompt_without_script_has_rig(rig):
     lines = "rig.seed + 35\nrig.runtime.run_for(2.5); rig.runtime.now_ns()\nexit(3)\n"
     done = in_another_process("run", "rig.toml", input=lines)
     assert done.returncode == 3
@@ -145,9 +145,9 @@ def test_without_a_script_there_is_a_prompt_with_the_rig(rig):
 
 
 @pytest.mark.wall
-def test_ctrl_c_ends_a_script_with_130_and_one_line(rig):
+def test_ctrl_c_ends_script_with_130_and_one_line(rig):
     (rig / "script.py").write_text(
-        "from motorapi import runtime_of\nimport can\nwith can.Bus() as bus:\n"
+        "from motorhil.motorapi import runtime_of\nimport can\nwith can.Bus() as bus:\n"
         "    print('up', flush=True)\n    runtime_of(bus).wait_until(lambda: False, 3600.0)\n"
     )
     with beside("run", "--realtime", "rig.toml", "script.py") as process:
@@ -158,22 +158,22 @@ def test_ctrl_c_ends_a_script_with_130_and_one_line(rig):
     assert err == "motorhil: interrupted\n"
 
 
-def test_output_that_nobody_reads_is_no_error(rig):
+def test_closed_output_is_not_an_error(rig):
     (rig / "script.py").write_text("for n in range(100_000): print('line', n)\n")
-    command = f"{sys.executable} -m harness run rig.toml script.py | head -n 1"
+    command = f"{sys.executable} -m motorhil run rig.toml script.py | head -n 1"
     done = subprocess.run(
         command, shell=True, env=environment(), capture_output=True, text=True, timeout=120
     )
     assert (done.stdout, done.stderr) == ("line 0\n", "")
 
 
-def test_a_record_that_cannot_be_finished_is_one_line_and_not_the_scripts_fault(rig):
+def test_unfinished_record_is_reported_in_one_line(rig):
     (rig / "script.py").write_text(
-        "from motorapi import runtime_of\nimport can\nwith can.Bus() as bus:\n"
+        "from motorhil.motorapi import runtime_of\nimport can\nwith can.Bus() as bus:\n"
         "    task = bus.send_periodic(can.Message(arbitration_id=1), 0.0005)\n"
         "    runtime_of(bus).wait_until(lambda: False, 10.0)\n"
     )
-    command = f"ulimit -f 8; {sys.executable} -m harness run rig.toml script.py -o x.mcap"
+    command = f"ulimit -f 8; {sys.executable} -m motorhil run rig.toml script.py -o x.mcap"
     done = subprocess.run(
         ["bash", "-c", command], env=environment(), capture_output=True, text=True, timeout=120
     )
@@ -183,9 +183,9 @@ def test_a_record_that_cannot_be_finished_is_one_line_and_not_the_scripts_fault(
 
 
 @pytest.mark.wall
-def test_realtime_takes_its_time(rig, say):
+def test_realtime_takes_wall_time(rig, say):
     (rig / "script.py").write_text(
-        "from motorapi import runtime_of\nimport can\n"
+        "from motorhil.motorapi import runtime_of\nimport can\n"
         "runtime_of(can.Bus()).wait_until(lambda: False, 0.1)\n"
     )
     start_s = time.monotonic()
@@ -193,7 +193,7 @@ def test_realtime_takes_its_time(rig, say):
     assert time.monotonic() - start_s >= 0.1
 
 
-# --- threads of a script's own
+# --- threads of a script
 
 PLAIN_THREAD = """\
 import threading
@@ -215,12 +215,12 @@ bus.shutdown()
 """
 
 
-def test_a_thread_of_a_script_waits_in_virtual_time(rig, say):
+def test_thread_of_script_waits_in_virtual_time(rig, say):
     (rig / "script.py").write_text(PLAIN_THREAD + "print(bus.runtime.now_ns())\n")
-    assert say("run", "rig.toml", "script.py") == (0, "56000\n", "")  # a boot-up
+    assert say("run", "rig.toml", "script.py") == (0, "56000\n", "")  # a boot-up message
 
 
-def test_the_rig_stays_open_until_the_scripts_threads_have_ended(rig, say):
+def test_rig_stays_open_until_script_threads_end(rig, say):
     (rig / "script.py").write_text(
         "import sys, threading\nimport can\nbus = can.Bus()\nmain_ended = threading.Event()\n"
         "sys.modules['__main__'].ended = main_ended\n"
@@ -230,23 +230,23 @@ def test_the_rig_stays_open_until_the_scripts_threads_have_ended(rig, say):
     )
     status, out, err = say("run", "rig.toml", "script.py")
     assert status == 1
-    assert 200_000_000 <= int(out) < 200_010_000  # what waits has looked before
+    assert 200_000_000 <= int(out) < 200_010_000  # a waiting thread has looked at the clock before
     assert "ZeroDivisionError" in err
 
 
-def test_threads_that_wait_for_one_another_are_told_by_name_and_line(rig, say):
+def test_deadlocked_threads_are_reported_with_name_and_line(rig, say):
     (rig / "script.py").write_text(
         "import threading\nthreading.Thread(target=threading.Event().wait, name='idle').start()\n"
     )
     status, out, err = say("run", "rig.toml", "script.py")
     assert (status, out) == (1, "")
-    told = "script.py has ended, its thread 'idle' has not; Ctrl-C ends it"
+    told = "script.py has ended, but its thread 'idle' still runs; Ctrl-C ends it"
     assert err.splitlines()[0] == told
-    assert "party 'idle' waits without a timeout for what can never happen" in err
+    assert "party 'idle' waits without a timeout, but nothing can end the wait" in err
     assert "(waiting: idle" in err
 
 
-def test_what_a_script_registers_for_its_end_runs_there_with_the_rig_still_open(rig, say):
+def test_atexit_functions_run_while_rig_is_open(rig, say):
     (rig / "script.py").write_text(
         "import atexit, threading, time\nimport can\nbus = can.Bus()\n"
         "atexit.register(bus.shutdown)\n\n"
@@ -261,7 +261,7 @@ def test_what_a_script_registers_for_its_end_runs_there_with_the_rig_still_open(
 
 
 @pytest.mark.wall
-def test_ctrl_c_ends_a_script_whose_thread_does_not_end(rig):
+def test_ctrl_c_ends_script_with_endless_thread(rig):
     (rig / "script.py").write_text(
         "import threading, time\n\ndef idle():\n    while True:\n        time.sleep(1)\n\n"
         "threading.Thread(target=idle, name='idle').start()\n"
@@ -270,7 +270,7 @@ def test_ctrl_c_ends_a_script_whose_thread_does_not_end(rig):
         told = process.stderr.readline()
         process.send_signal(signal.SIGINT)
         _, err = process.communicate(timeout=60)
-    assert told == "script.py has ended, its thread 'idle' has not; Ctrl-C ends it\n"
+    assert told == "script.py has ended, but its thread 'idle' still runs; Ctrl-C ends it\n"
     assert (process.returncode, err) == (130, "motorhil: interrupted\n")
 
 
@@ -295,11 +295,14 @@ finally:
 @pytest.mark.parametrize(
     ("act", "told"),
     [
-        ("bus.recv(1.0)", "motorapi.errors.UsageError: waiting inside a callback: time stands"),
+        (
+            "bus.recv(1.0)",
+            "motorhil.motorapi.errors.UsageError: waiting inside a callback: time stands",
+        ),
         ("1 / 0", "ZeroDivisionError: division by zero"),
     ],
 )
-def test_what_goes_wrong_in_a_callback_is_told_in_the_scripts_own_lines(rig, say, act, told):
+def test_callback_error_is_reported_with_script_lines(rig, say, act, told):
     (rig / "script.py").write_text(CALLBACK.format(act=act))
     status, _, err = say("run", "rig.toml", "script.py")
     assert status == 1
@@ -314,7 +317,7 @@ def test_what_goes_wrong_in_a_callback_is_told_in_the_scripts_own_lines(rig, say
     assert lines[5].startswith(told)
 
 
-def test_at_the_prompt_too_only_the_users_own_lines_are_told(rig):
+def test_prompt_traceback_has_only_user_lines(rig):
     lines = (
         "rig.runtime.wait_until(lambda: False, -1.0)\n"
         "rig.motors['lift']\n"
@@ -327,10 +330,13 @@ def test_at_the_prompt_too_only_the_users_own_lines_are_told(rig):
     told = done.stderr.splitlines()[1:]
     where = '  File "<console>", line 1, in <module>'
     assert told[:2] == ["Traceback (most recent call last):", where]
-    assert told[2].startswith("motorapi.errors.UsageError: timeout_s = -1.0: must be a number")
+    assert told[2].startswith(
+        "motorhil.motorapi.errors.UsageError: timeout_s = -1.0: must be a number"
+    )
     assert told[3:5] == ["Traceback (most recent call last):", where]
     assert (
-        told[5] == "harness.rig_parts.NoSuchName: no motor 'lift' in this rig (known: left, right)"
+        told[5]
+        == "motorhil.harness.rig.rig.NoSuchName: this rig has no motor 'lift' (known: left, right)"
     )
     assert told[6:10] == [
         "Traceback (most recent call last):",

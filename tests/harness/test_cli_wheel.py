@@ -1,4 +1,4 @@
-"""What a user installs carries everything the commands need."""
+"""Contents of the wheel that users install."""
 
 import os
 import shutil
@@ -9,18 +9,16 @@ from pathlib import Path
 
 import pytest
 
-from harness.build_info import source_digest
+from motorhil.harness.version import source_digest
 
 CHECKOUT = Path(os.environ.get("MOTORHIL_CHECKOUT", Path(__file__).parents[2]))
-PACKAGES = ("motorapi", "emulators", "traces", "harness")
 
 
 @pytest.fixture(scope="module")
 def wheel(tmp_path_factory):
     folder = tmp_path_factory.mktemp("wheel")
-    for name in PACKAGES:
-        ignored = shutil.ignore_patterns("__pycache__", "*.so")
-        shutil.copytree(CHECKOUT / name, folder / name, ignore=ignored)
+    ignored = shutil.ignore_patterns("__pycache__", "*.so")
+    shutil.copytree(CHECKOUT / "motorhil", folder / "motorhil", ignore=ignored)
     for name in ("pyproject.toml", "setup.py", "README.md", "LICENSE"):
         shutil.copy(CHECKOUT / name, folder)
     command = [sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "--no-index"]
@@ -29,28 +27,28 @@ def wheel(tmp_path_factory):
     return next(folder.glob("*.whl"))
 
 
-def test_the_wheel_carries_every_file_that_is_no_program(wheel):
+def test_wheel_contains_every_data_file(wheel):
     wanted = {
         path.relative_to(CHECKOUT).as_posix()
-        for name in PACKAGES
-        for path in (CHECKOUT / name).rglob("*")
+        for package in (CHECKOUT / "motorhil").iterdir()
+        for path in package.rglob("*")
         if path.suffix in (".toml", ".json", ".eds", ".binpb", ".html", ".css", ".js")
         or path.name == "py.typed"
     }
-    assert "harness/rig.schema.json" in wanted
-    assert "harness/report/template/page.html" in wanted
+    assert "motorhil/harness/rig.schema.json" in wanted
+    assert "motorhil/harness/report/template/page.html" in wanted
     with zipfile.ZipFile(wheel) as archive:
         assert wanted <= set(archive.namelist())
 
 
 @pytest.fixture(scope="module")
 def installed(wheel, tmp_path_factory):
-    """Runs a command line with what the wheel holds, and nothing of the checkout."""
+    """Return a function that runs a command line from the wheel alone, without the checkout."""
     site = tmp_path_factory.mktemp("site")
     with zipfile.ZipFile(wheel) as archive:
         archive.extractall(site)
-    start = f"import sys; sys.path.insert(0, {str(site)!r}); from harness.cli import main; "
-    start += f"import harness; assert harness.__file__.startswith({str(site)!r}); "
+    start = f"import sys; sys.path.insert(0, {str(site)!r}); from motorhil.harness.cli.main import main; "
+    start += f"from motorhil import harness; assert harness.__file__.startswith({str(site)!r}); "
 
     def run(*words):
         command = [sys.executable, "-P", "-c", start + f"sys.exit(main({list(words)!r}))"]
@@ -59,7 +57,7 @@ def installed(wheel, tmp_path_factory):
     return run
 
 
-def test_from_the_wheel_alone_a_new_rig_is_made_and_runs(installed, tmp_path):
+def test_new_rig_is_made_and_runs_from_the_wheel_alone(installed, tmp_path):
     bench = tmp_path / "bench"
     for words in (["new", bench], ["run", bench / "rig.toml", bench / "drive.py"]):
         done = installed(*map(str, words))
@@ -67,7 +65,7 @@ def test_from_the_wheel_alone_a_new_rig_is_made_and_runs(installed, tmp_path):
     assert "right is at 3.1416 rad" in done.stdout
 
 
-def test_from_the_wheel_alone_a_recording_is_drawn(installed, tmp_path):
+def test_report_works_from_the_wheel_alone(installed, tmp_path):
     bench = tmp_path / "bench"
     installed("new", str(bench))
     recording = str(tmp_path / "run.mcap")
@@ -77,5 +75,5 @@ def test_from_the_wheel_alone_a_recording_is_drawn(installed, tmp_path):
     assert '"name":"left"' in (tmp_path / "run.html").read_text("utf-8")
 
 
-def test_the_same_source_has_the_same_digest_wherever_it_is(installed):
+def test_source_digest_does_not_depend_on_the_place(installed):
     assert f"source {source_digest()} in " in installed("--version").stdout

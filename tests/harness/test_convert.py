@@ -1,14 +1,14 @@
-"""`motorhil convert`: what was read, what was not, what was lost; never a traceback, no silence."""
+"""The verb `convert`: reports of unreadable and lost records, and of errors."""
 
 import json
 
 import pytest
 
-from traces.protobuf import encode
-from traces.schema import CAN_FRAME, MODBUS_ADU, Direction, Schema
-from traces.traffic import Frame, classic
-from traces.traffic_mcap import record_frames
-from traces.writer import TraceWriter
+from motorhil.traces.formats.frames import Frame, classic
+from motorhil.traces.formats.registry import record_frames
+from motorhil.traces.mcap.protobuf import encode
+from motorhil.traces.mcap.writer import TraceWriter
+from motorhil.traces.schema import CAN_FRAME, MODBUS_ADU, Direction, Schema
 
 TEXT = """\
 candump can0
@@ -25,18 +25,18 @@ def folder(tmp_path, monkeypatch):
     return tmp_path
 
 
-def test_what_could_not_be_read_is_told_with_its_line(folder, say):
+def test_unreadable_records_are_reported_with_line(folder, say):
     status, out, err = say("convert", "in.txt", "-o", "out.mcap")
     assert status == 0
     assert out == "out.mcap: 2 frames of can0, from candump to mcap, 2 not readable\n"
     assert err.splitlines() == [
-        "in.txt:1: no frame: 'candump can0'",
+        "in.txt:1: not a frame: 'candump can0'",
         "in.txt:3: 4 of 8 bytes: 'can0  181   [8]  01 02 03 04'",
         "in.txt: 2 frames have no time stamp: their time is 0",
     ]
 
 
-def test_strict_fails_where_anything_was_not_read_or_is_lost(folder, say):
+def test_strict_fails_if_anything_is_unreadable_or_lost(folder, say):
     assert say("convert", "in.txt", "-o", "out.mcap", "--strict")[0] == 1
     assert say("convert", "out.mcap", "-o", "out.log", "--strict")[0] == 0
     record_frames("sent.mcap", [Frame(0, "can0", classic(1, b""), Direction.RECEIVED, "left")], {})
@@ -45,36 +45,36 @@ def test_strict_fails_where_anything_was_not_read_or_is_lost(folder, say):
     assert "lost, candump cannot hold it: sender of 1 frames" in err
 
 
-def test_a_machine_is_told_all(folder, say):
+def test_json_has_all_problems(folder, say):
     (folder / "in.txt").write_text(TEXT + "nonsense\n" * 30)
     facts = json.loads(say("convert", "in.txt", "-o", "x", "--to", "candump", "--json")[1])
     assert (facts["frames"], facts["buses"], facts["unstamped"]) == (2, ["can0"], 2)
     assert [problem["line"] for problem in facts["problems"]] == [1, 3, *range(5, 35)]
 
 
-def test_people_are_told_twenty_problems_and_how_many_more(folder, say):
+def test_text_has_twenty_problems_and_count_of_others(folder, say):
     (folder / "in.txt").write_text(TEXT + "nonsense\n" * 30)
     err = say("convert", "in.txt", "-o", "x", "--to", "mcap")[2]
     assert "in.txt: 12 more problems: --all" in err
     err = say("convert", "in.txt", "-o", "x", "--to", "mcap", "--force", "--all")[2]
-    assert "in.txt:34: no frame: 'nonsense'" in err
+    assert "in.txt:34: not a frame: 'nonsense'" in err
 
 
 @pytest.mark.parametrize(
     ("words", "why"),
     [
         (("no-such.txt", "-o", "x.mcap"), "cannot be read: no such file"),
-        (("in.txt", "-o", "x.doc"), "say --to FORMAT"),
+        (("in.txt", "-o", "x.doc"), "use --to FORMAT"),
         (("in.txt", "-o", "in.txt", "--to", "candump"), "is the source itself"),
         (("in.txt", "-o", "there.log"), "exists; name another file, or say --force"),
         (("in.txt", "-o", "no/such/x.log"), "cannot be written: no such file"),
-        (("in.txt", "-o", "there.log", "--to", "mcap", "--force"), "is no recording"),
+        (("in.txt", "-o", "there.log", "--to", "mcap", "--force"), "is not a recording"),
         (("in.txt", "-o", "folder.log", "--force"), "cannot be written: is a directory"),
         (("cut.txt", "-o", "x.mcap"), "no frame can be read as candump"),
         ((".", "-o", "x.mcap"), "is a directory"),
     ],
 )
-def test_wrong_usage_is_refused_in_a_sentence(folder, say, words, why):
+def test_wrong_usage_is_reported(folder, say, words, why):
     (folder / "there.log").write_text("mine\n")
     (folder / "folder.log").mkdir()
     (folder / "cut.txt").write_text("  can0  181   [8]  01 02 03")
@@ -85,7 +85,7 @@ def test_wrong_usage_is_refused_in_a_sentence(folder, say, words, why):
     assert not list(folder.glob("**/*.part"))
 
 
-def test_modbus_lines_are_told_as_adus_and_can_be_taken_out_of_a_mixed_recording(folder, say):
+def test_modbus_adus_are_extracted_from_mixed_recording(folder, say):
     request = bytes.fromhex("01 03 0010 0002 C5CE")
     with TraceWriter("mixed.mcap") as writer:
         can = writer.channel("/can/can0", Schema.of(CAN_FRAME))
@@ -96,7 +96,7 @@ def test_modbus_lines_are_told_as_adus_and_can_be_taken_out_of_a_mixed_recording
         writer.write(line, 4, encode(MODBUS_ADU, values | {"direction": 0}))
     assert say("convert", "mixed.mcap", "-o", "can.pcapng")[1:] == (
         "can.pcapng: 1 frames of can0, from mcap to pcapng\n",
-        "mixed.mcap: /modbus/rs485: 2 messages are no CAN frames, and left out\n",
+        "mixed.mcap: /modbus/rs485: 2 messages are not CAN frames, and are omitted\n",
     )
     status, out, err = say(
         "convert", "mixed.mcap", "-o", "line.pcapng", "--to", "modbus-pcapng", "--strict"
@@ -104,7 +104,7 @@ def test_modbus_lines_are_told_as_adus_and_can_be_taken_out_of_a_mixed_recording
     assert status == 1
     assert out == ("line.pcapng: 2 ADUs of rs485, from mcap to modbus-pcapng, 1 not readable\n")
     assert err.splitlines() == [
-        "mixed.mcap:2: rs485: an ADU of which nobody said which way it went",
+        "mixed.mcap:2: rs485: an ADU without a direction",
         "mixed.mcap: lost, modbus-pcapng cannot hold it: bit times of 1 ADUs",
     ]
     assert say("convert", "line.pcapng", "-o", "again.mcap")[1:] == (

@@ -1,19 +1,19 @@
-"""The demo: the whole tool on the paper's manoeuvre, as `motorhil demo` runs it."""
+"""Tests of `motorhil demo`: the whole tool on the paper's manoeuvre."""
 
 import re
 from functools import reduce
 
 import pytest
 
-from harness.cli import main
-from harness.demo import POINT_M
-from harness.examples.rover import MANOEUVRE, Rover, manoeuvre
-from harness.examples.rover_kinematics import Pose, look_at
-from harness.rig import Rig, installed_plugins
-from harness.rig_file import parse_rig
-from harness.scaffold import EXAMPLES
-from harness.settings import Source
-from traces.reader import read_trace
+from motorhil.harness.cli.demo import POINT_M
+from motorhil.harness.cli.main import main
+from motorhil.harness.examples.rover import MANOEUVRE, Rover, manoeuvre
+from motorhil.harness.examples.rover_kinematics import Pose, look_at
+from motorhil.harness.rig.config.rig_file import parse_rig
+from motorhil.harness.rig.config.scaffold import EXAMPLES
+from motorhil.harness.rig.config.toml import Source
+from motorhil.harness.rig.rig import Rig, installed_plugins
+from motorhil.traces.mcap.reader import read_trace
 
 
 def demo(capsys, *words):
@@ -23,7 +23,7 @@ def demo(capsys, *words):
 
 
 def rows_after(out, head):
-    """The rows of the table that begins with this word, as lists of words."""
+    """Return the rows of the table that begins with this word, as lists of words."""
     lines = out.splitlines()
     first = next(n for n, line in enumerate(lines) if line.startswith(head + " "))
     rows = []
@@ -34,7 +34,7 @@ def rows_after(out, head):
     return rows
 
 
-def test_fourteen_motors_on_two_buses_arrive_together_and_one_record_tells_it(capsys, tmp_path):
+def test_fourteen_motors_arrive_together_in_one_record(capsys, tmp_path):
     record = tmp_path / "out" / "demo.mcap"
     status, out, err = demo(capsys, "-o", record)
     assert status == 0
@@ -44,7 +44,7 @@ def test_fourteen_motors_on_two_buses_arrive_together_and_one_record_tells_it(ca
     motors = rows_after(out, "motor")
     assert len(motors) == 14
     for _, target, reached, error_mrad, moved_s, peak_inc in motors:
-        assert float(target) == pytest.approx(float(reached), abs=1e-4)  # printed to 4 decimals
+        assert float(target) == pytest.approx(float(reached), abs=1e-4)  # printed with 4 decimals
         assert abs(float(error_mrad)) < 0.1  # an increment is 0.05 mrad
         assert float(moved_s) > 0.0
         assert float(peak_inc) < 200
@@ -54,17 +54,17 @@ def test_fourteen_motors_on_two_buses_arrive_together_and_one_record_tells_it(ca
     for _, moves, level, bound, start, _, end in rows_after(out, "group"):
         assert int(moves) >= 3
         assert level == "TRIGGERED"
-        assert float(start) <= float(bound)  # measured within what was promised
-        assert float(end) < 25.0  # statuswords come every 20 ms, or when they change
-    # Twice the same: tests/determinism/test_demo.py, in two processes.
+        assert float(start) <= float(bound)  # within the promised bound
+        assert float(end) < 25.0  # statuswords arrive every 20 ms, or on change
+    # tests/determinism/test_demo.py compares two runs in two processes.
     assert re.search(r"digest [0-9a-f]{64} \(seed 7\)", out)
     with read_trace(record) as trace:
         topics = {channel.topic for channel, _, _ in trace.messages()}
     assert {"/can/can0", "/can/can1", "/motor/pan/state", "/controller/drive_fl/truth"} <= topics
 
 
-# Largest error at the end [mrad], and while following [increments]: of drives the position window
-# and their fast loops; of the host's servo ten increments of 0.05 mrad, and poles at 50 rad/s.
+# Largest error at the end [mrad], and while following [increments]. For drives: position window and
+# fast loops. For the host's servo: ten increments of 0.05 mrad, and poles at 50 rad/s.
 KINDS = {"rocky8": (0.1, 200, "TRIGGERED"), "fido": (0.5, 100, "CYCLIC")}
 
 
@@ -77,7 +77,7 @@ def test_the_same_application_drives_a_distributed_and_a_central_rover(capsys, t
     motors = {row[0]: row for row in rows_after(out, "motor")}
     assert list(motors) == list(MOTORS)
     for motor, (_, target, _, error_mrad, _, peak_inc) in motors.items():
-        assert float(target) == pytest.approx(MOTORS[motor], abs=2e-3)  # from where it really was
+        assert float(target) == pytest.approx(MOTORS[motor], abs=2e-3)  # from its true position
         assert abs(float(error_mrad)) < error_max_mrad
         assert 0 < float(peak_inc) < peak_max_inc
     for _, _, how, bound, start, *_ in rows_after(out, "group"):
@@ -88,8 +88,8 @@ def test_the_same_application_drives_a_distributed_and_a_central_rover(capsys, t
     assert re.search(r"digest ([0-9a-f]{64})", again)[1] == digest
 
 
-# Where the manoeuvre ends, by the geometry of the rover alone [rad]: what each wheel has rolled and
-# how it is steered for the last leg; and the mast's view of the point, which needs no hardware.
+# End of the manoeuvre by the rover's geometry alone [rad]: rolled distance and final steering of
+# each wheel, and the mast's view of the point, which needs no hardware.
 _KINEMATICS = {
     name: [leg.wheel(name) for leg in MANOEUVRE] for name in ("fl", "fr", "ml", "mr", "rl", "rr")
 }
@@ -101,7 +101,7 @@ MOTORS = {
 }
 
 
-def test_on_ideal_motors_the_application_ends_exactly_where_geometry_says():
+def test_ideal_motors_end_exactly_where_geometry_says():
     models = {"drive": "rover_wheel", "steer": "rover_steering", "pan": "rover_mast"}
     text = "".join(
         f'[motor.{name}]\nadaptation = "ideal"\n'
@@ -116,19 +116,19 @@ def test_on_ideal_motors_the_application_ends_exactly_where_geometry_says():
         for name, motor in rig.motors.items():
             assert motor.position() == pytest.approx(MOTORS[name], abs=1e-12), name
         for move in rover.moves:
-            assert move.quality.start_skew_s in (0.0, None)  # None: nobody had a way to go
+            assert move.quality.start_skew_s in (0.0, None)  # None: no motor had to move
             assert move.quality.end_skew_s in (0.0, None)
 
 
-def test_vendors_files_are_for_rigs_with_drives(capsys, tmp_path):
+def test_eds_option_for_a_rig_without_drives_is_refused(capsys, tmp_path):
     words = ("--rig", "fido", "--eds", EXAMPLES / "fido.toml", "-o", tmp_path / "x.mcap")
     status, out, err = demo(capsys, *words)
     assert (status, out) == (2, "")
     assert "fido.toml: has no drives; use --eds with another --rig" in err
 
 
-def test_a_demo_on_another_rig_is_repeated_on_that(capsys, tmp_path, monkeypatch):
-    monkeypatch.setattr("harness.demo.ERROR_MAX_RAD", 0.0)
+def test_repeat_command_names_the_rig(capsys, tmp_path, monkeypatch):
+    monkeypatch.setattr("motorhil.harness.cli.demo.ERROR_MAX_RAD", 0.0)
     status, _, err = demo(capsys, "--rig", "rocky8", "-o", tmp_path / "x.mcap")
     assert status == 1
     assert err.splitlines()[-1].endswith("--rig rocky8")
@@ -155,7 +155,7 @@ def test_two_vendors_drives_do_the_same_manoeuvre(capsys, tmp_path, shared):
         (("-o", "/proc/no/such/folder/demo.mcap"), "/proc/no/such/folder"),
     ],
 )
-def test_what_cannot_be_used_is_one_line(capsys, tmp_path, words, reason):
+def test_unusable_option_is_reported_in_one_line(capsys, tmp_path, words, reason):
     output = () if "-o" in words else ("-o", tmp_path / "x.mcap")
     status, out, err = demo(capsys, *words, *output)
     assert (status, out) == (2, "")
@@ -163,16 +163,14 @@ def test_what_cannot_be_used_is_one_line(capsys, tmp_path, words, reason):
     assert err.count("\n") == 1
 
 
-def test_a_seed_no_rig_can_have_is_wrong_usage(capsys):
+def test_invalid_seed_is_wrong_usage(capsys):
     status, out, err = demo(capsys, "--seed", "-1")
     assert (status, out) == (2, "")
     assert "argument --seed: invalid seed (0 to 4294967295) value: '-1'" in err
 
 
-def test_a_motor_that_is_off_fails_the_demo_and_the_command_that_repeats_it_is_told(
-    capsys, tmp_path, monkeypatch
-):
-    monkeypatch.setattr("harness.demo.ERROR_MAX_RAD", 0.0)
+def test_position_error_fails_the_demo_with_repeat_command(capsys, tmp_path, monkeypatch):
+    monkeypatch.setattr("motorhil.harness.cli.demo.ERROR_MAX_RAD", 0.0)
     record = tmp_path / "a b.mcap"
     status, _, err = demo(capsys, "-o", record, "--seed", "3")
     assert status == 1

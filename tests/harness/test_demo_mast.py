@@ -1,13 +1,13 @@
-"""The rover's mast on Modbus: the same application, other hardware."""
+"""The rover's mast on Modbus: the same application on other hardware."""
 
 import re
 
-from harness.cli import main
-from traces.digest import digest
-from traces.reader import read_trace
+from motorhil.harness.cli.main import main
+from motorhil.traces.digest import digest
+from motorhil.traces.mcap.reader import read_trace
 
 
-def test_the_same_application_drives_a_mast_on_a_serial_line(capsys, tmp_path):
+def test_same_application_drives_a_mast_on_a_serial_line(capsys, tmp_path):
     record = tmp_path / "demo.mcap"
     assert main(["demo", "--mast", "modbus", "-o", str(record)]) == 0
     out = capsys.readouterr().out
@@ -24,7 +24,7 @@ def test_the_same_application_drives_a_mast_on_a_serial_line(capsys, tmp_path):
     assert digest(again) == digest(record)
 
 
-def test_a_rover_without_drives_has_no_mast_to_exchange(capsys, tmp_path):
+def test_mast_option_for_a_rover_without_drives_is_refused(capsys, tmp_path):
     record = str(tmp_path / "demo.mcap")
     assert main(["demo", "--rig", "fido", "--mast", "modbus", "-o", record]) == 2
     assert "use --mast with --rig rover" in capsys.readouterr().err

@@ -3,9 +3,9 @@ import json
 
 import pytest
 
-from harness.verbs import diff
+from motorhil.harness.cli import diff
+from motorhil.traces.schema import GROUP_SYNC, MOTOR_LOCK
 from tests.harness.recorded import MS, Recorded, S
-from traces.schema import GROUP_SYNC, MOTOR_LOCK
 
 SHUTDOWN = ("2B40600006", "604060")
 SWITCH_ON = ("2B40600007", "604060")
@@ -13,7 +13,7 @@ PP = ("2F60600001", "606060")
 
 
 def moved(one, motor="left_wheel", late_ns=0, speed=1.0, stop=1.0):
-    """A motor's way, sampled while it moves."""
+    """Write samples of a motor's motion."""
     for number in range(41):
         at_s = number * 0.05
         one.position(int(at_s * S) + late_ns, motor, min(speed * at_s, stop))
@@ -33,7 +33,7 @@ def ordinary(one):
 
 @pytest.fixture
 def compare(tmp_path, capsys):
-    """Exit status and what was printed, of two recordings made by these functions."""
+    """A function that compares two written recordings: (exit status, output)."""
 
     def compared(first, second, *words):
         paths = []
@@ -49,16 +49,16 @@ def compare(tmp_path, capsys):
     return compared
 
 
-def test_a_recording_means_the_same_as_itself(compare):
+def test_recording_equals_itself(compare):
     status, out = compare(ordinary, ordinary)
     assert status == 0
     assert out.startswith("the same: 7 orders of events and 1 motions compared")
     assert compare(ordinary, ordinary, "--exact") == (0, "every message is the same\n")
 
 
-def test_order_of_unrelated_nodes_times_and_repetition_are_no_difference(compare):
+def test_unrelated_order_times_and_repetition_are_equal(compare):
     def other(one):
-        one.frame(1 * MS, 0x702, "00").frame(2 * MS, 0x701, "00")  # the other way round
+        one.frame(1 * MS, 0x702, "00").frame(2 * MS, 0x701, "00")  # in reverse order
         one.frame(2 * MS, 0x080, "").frame(3 * MS, 0x080, "")  # SYNC
         one.sdo(8 * MS, 2, "40416000", "4B4160003702").sdo(9 * MS, 2, "40416000", "4B4160003702")
         one.sdo(12 * MS, 1, *PP).sdo(24 * MS, 1, *SHUTDOWN).sdo(36 * MS, 1, *SWITCH_ON)
@@ -77,7 +77,7 @@ def test_order_of_unrelated_nodes_times_and_repetition_are_no_difference(compare
 
 
 def changed(**changes):
-    """The ordinary recording, with some of its steps made otherwise."""
+    """Return a function that writes the ordinary recording with some changed steps."""
 
     def make(one):
         for step, usual in (
@@ -147,14 +147,14 @@ DIFFERENCES = [
 
 
 @pytest.mark.parametrize(("step", "how", "text"), DIFFERENCES)
-def test_what_differs_is_named(compare, step, how, text):
+def test_difference_is_named(compare, step, how, text):
     status, out = compare(changed(), changed(**{step: how}))
     assert status == 1
     assert out.startswith("first difference, ")
     assert text in out
 
 
-def test_the_earliest_difference_is_told_first_and_all_are_summarised(compare):
+def test_earliest_difference_is_first_and_all_are_summarised(compare):
     other = changed(
         read=lambda one: one.sdo(9 * MS, 1, "40416000", "4B4160001802"),
         mode=lambda one: one.sdo(2 * MS, 1, "2F60600003", "606060"),
@@ -171,7 +171,7 @@ def test_the_earliest_difference_is_told_first_and_all_are_summarised(compare):
     ]
 
 
-def test_context_of_the_same_node_is_shown_on_both_sides(compare):
+def test_context_of_same_node_is_shown_for_both(compare):
     def other(one):
         one.sdo(6 * MS, 1, "2B4060000F", "604060")
 
@@ -188,7 +188,7 @@ def test_context_of_the_same_node_is_shown_on_both_sides(compare):
     assert "write 6040h controlword = 000Fh enable operation" in second
 
 
-def test_motion_within_the_tolerances_is_no_difference(compare):
+def test_motion_within_tolerances_is_equal(compare):
     near = changed(motion=lambda one: moved(one, stop=1.009))
     assert compare(changed(), near)[0] == 0
     assert compare(changed(), near, "--tolerance", "0.008")[0] == 1
@@ -196,14 +196,14 @@ def test_motion_within_the_tolerances_is_no_difference(compare):
     assert compare(changed(), late, "--tolerance-s", "0.1")[0] == 0
 
 
-def test_motion_that_is_missing_is_a_difference_both_ways(compare):
+def test_missing_motion_differs_both_ways(compare):
     for pair in ((changed(), changed(motion=None)), (changed(motion=None), changed())):
         status, out = compare(*pair)
         assert status == 1
         assert "nothing" in out.splitlines()[0]
 
 
-def test_a_periodic_pdo_differs_by_what_it_tells_not_by_how_often(compare):
+def test_periodic_pdo_differs_by_value_not_by_count(compare):
     def pdos(words, times=1):
         def make(one):
             one.sdo(1 * MS, 1, "2F001A0000", "60001A00").sdo(
@@ -221,7 +221,7 @@ def test_a_periodic_pdo_differs_by_what_it_tells_not_by_how_often(compare):
     assert "0233h switched on at 0.011000 s, but 6041h statusword = 0237h" in out
 
 
-def test_a_quantity_measured_is_not_compared_value_by_value(compare):
+def test_measured_quantity_is_not_compared_by_value(compare):
     def measured(step):
         def make(one):
             for number in range(40):
@@ -232,14 +232,14 @@ def test_a_quantity_measured_is_not_compared_value_by_value(compare):
     assert compare(measured(1), measured(2))[0] == 0
 
 
-def test_an_object_of_few_values_is_compared_value_by_value(compare):
+def test_object_of_few_values_is_compared_by_value(compare):
     def told(value):
         return lambda one: one.sdo(0, 1, "40022000", f"4B022000{value}00")
 
     assert compare(told("01"), told("02"))[0] == 1
 
 
-def test_a_machine_gets_every_difference(compare):
+def test_json_has_every_difference(compare):
     status, out = compare(changed(), changed(event=None), "--json")
     told = json.loads(out)
     assert (status, told["same"], len(told["differences"])) == (1, False, 1)
@@ -261,7 +261,7 @@ def test_a_machine_gets_every_difference(compare):
         lambda one, at: one.sdo(at, 1, "40026000", "8002600000000206"),
     ],
 )
-def test_commands_boots_emergencies_and_aborts_count_each_time(compare, once):
+def test_commands_boots_emcy_and_aborts_are_counted(compare, once):
     def twice(one):
         once(one, 1 * MS)
         once(one, 5 * MS)
@@ -271,7 +271,7 @@ def test_commands_boots_emergencies_and_aborts_count_each_time(compare, once):
     assert "but " in out
 
 
-def test_a_peak_between_the_samples_of_the_other_is_found_both_ways(compare):
+def test_peak_between_samples_is_found_both_ways(compare):
     def flat(one):
         one.position(0, "left_wheel", 0.0).position(2 * S, "left_wheel", 0.0)
 
@@ -286,7 +286,7 @@ def test_a_peak_between_the_samples_of_the_other_is_found_both_ways(compare):
         assert "0.5 at 1.000000 s" in out.splitlines()[0]
 
 
-def test_context_leaves_other_nodes_out(compare):
+def test_context_omits_other_nodes(compare):
     def with_neighbour(word):
         def make(one):
             one.sdo(2 * MS, 2, "40416000", "4B4160003702")
@@ -299,7 +299,7 @@ def test_context_leaves_other_nodes_out(compare):
 
 
 @pytest.mark.parametrize("index", ["6460", "6468"])
-def test_positions_that_drives_tell_are_motion_on_every_axis(compare, index):
+def test_reported_positions_are_motion_on_every_axis(compare, index):
     def told(last):
         def make(one):
             for at, value in enumerate((0, 500, last)):
@@ -309,7 +309,7 @@ def test_positions_that_drives_tell_are_motion_on_every_axis(compare, index):
 
         return make
 
-    assert compare(told(1000), told(1009))[0] == 0  # 1 % of the way
+    assert compare(told(1000), told(1009))[0] == 0  # 1 % of the distance
     status, out = compare(told(1000), told(1020))
     assert status == 1
     assert "position actual value" in out.splitlines()[0]

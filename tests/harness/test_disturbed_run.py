@@ -1,5 +1,6 @@
-"""A run on a bus with noise, broken frames, CAN FD and a drive that goes bus-off, and every verb
-that reads its recording. Run twice, by processes with different hash seeds.
+"""A disturbed run (noise, errors, CAN FD, bus-off), read by every verb.
+
+The run is made twice, by processes with different hash seeds.
 """
 
 import re
@@ -8,14 +9,14 @@ from pathlib import Path
 
 import pytest
 
-from harness.conversion import convert
-from harness.scaffold import write_new_rig
+from motorhil.harness.recording.conversion import convert
+from motorhil.harness.rig.config.scaffold import write_new_rig
+from motorhil.traces.digest import digest
+from motorhil.traces.formats import frames as traffic
+from motorhil.traces.formats.frames import Findings
+from motorhil.traces.formats.registry import WRITABLE, Feature, open_source
+from motorhil.traces.schema import Direction
 from tests.determinism.processes import outputs, start
-from traces import traffic
-from traces.digest import digest
-from traces.formats import WRITABLE, Feature, open_source
-from traces.schema import Direction
-from traces.traffic import Findings
 
 FAULTS = """
 [bus.can0.node.left]
@@ -51,8 +52,8 @@ from contextlib import closing
 
 import can
 
-from motorapi import ControlMode, LinkError, Motor, MotorGroup, MotorModel, TrapezoidalTrajectory
-from motorapi.adaptations.cia402 import Cia402HwMotor, Cia402Motor
+from motorhil.motorapi import ControlMode, LinkError, Motor, MotorGroup, MotorModel, TrapezoidalTrajectory
+from motorhil.motorapi.adaptations.cia402.motor import Cia402HwMotor, Cia402Motor
 
 MODEL = MotorModel.load("wheels/wheel_model.toml")
 with (
@@ -93,7 +94,7 @@ class Runs:
 
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory):
-    """One run, twice; the folder of each, and what it printed."""
+    """Run the rig twice; return both folders and the outputs."""
     folders = [tmp_path_factory.mktemp("disturbed") / name for name in ("run", "again")]
     started = []
     for number, folder in enumerate(folders):
@@ -117,12 +118,12 @@ def frames_of(path):
 
 
 def kinds_of(frames):
-    """How many error messages, how many CAN FD frames, how many of both and all others."""
+    """Return the numbers of error messages, CAN FD frames, and all frames."""
     errors = sum(bool(one.frame[3] & 0x20) for one in frames)
     return errors, sum(len(one.frame) == 72 for one in frames), len(frames)
 
 
-def test_one_seed_is_one_digest_with_hundreds_of_errors_in_it(runs):
+def test_one_seed_with_many_errors_gives_one_digest(runs):
     errors, sized, count = kinds_of(frames_of("run.mcap"))
     assert errors > 300
     assert sized > 50
@@ -131,7 +132,7 @@ def test_one_seed_is_one_digest_with_hundreds_of_errors_in_it(runs):
     assert runs.said[0] == runs.said[1]
 
 
-def test_show_tells_each_step_into_bus_off_and_out_of_it(say):
+def test_show_prints_each_step_into_and_out_of_bus_off(say):
     status, out, _ = say("show", "run.mcap")
     assert status == 0
     at = 0
@@ -152,7 +153,7 @@ def test_show_tells_each_step_into_bus_off_and_out_of_it(say):
     assert out.count("CAN FD BRS, 64 bytes") == kinds_of(frames_of("run.mcap"))[1]
 
 
-def test_the_host_is_told_why_its_motion_ended_and_goes_on(runs):
+def test_host_learns_why_its_motion_ended_and_continues(runs):
     reason, attempts = runs.said[0].splitlines()
     assert re.fullmatch(
         r"can0 node 2: its NMT state is 7Fh \(PRE-OPERATIONAL\), not OPERATIONAL any more, after "
@@ -162,33 +163,33 @@ def test_the_host_is_told_why_its_motion_ended_and_goes_on(runs):
     assert attempts == "attempt 2: ['EMCY 8140h', 'EMCY 0000h']"
 
 
-def test_judge_looks_at_every_change_of_state(say):
+def test_judge_checks_every_error_state_change(say):
     status, out, _ = say("judge", "run.mcap")
     assert status == 0
     assert re.search(r"^error-states +held +[4-9]$", out, re.MULTILINE)
 
 
-def test_report_and_analyse_tell_of_the_errors(say):
+def test_report_and_analyse_mention_the_errors(say):
     assert say("report", "run.mcap", "-o", "run.html")[0] == 0
     assert "bus-off" in Path("run.html").read_text()
     errors = kinds_of(frames_of("run.mcap"))[0]
     assert f"{errors} error messages were recorded" in say("analyse", "run.mcap")[1]
 
 
-def test_the_recorded_drives_answer_the_same_program_as_they_did(runs, say):
+def test_recorded_drives_answer_the_program_as_before(runs, say):
     status, out, err = say("run", "run.mcap", "drive.py")
     assert (status, out.splitlines()[1]) == (0, runs.said[0].splitlines()[1])
     assert "all answered as recorded" in err
 
 
-def test_the_recorded_host_drives_its_rig_into_bus_off_again(say):
+def test_recorded_host_drives_its_rig_into_bus_off_again(say):
     status, out, _ = say("replay", "run.mcap", "--as", "host")
     assert status == 0
     assert re.search(r"node 2 \(right\), emergency +2 +2 +100\.0 %", out)
     assert "0 differences, 0 times waited in vain" in out
 
 
-def test_its_traffic_is_sent_again_where_there_is_can_fd_and_else_nothing(say):
+def test_traffic_replay_needs_a_can_fd_bus(say):
     errors, sized, count = kinds_of(frames_of("run.mcap"))
     words = ("replay", "run.mcap", "--as", "traffic", "--speed", "max", "--rig")
     status, out, err = say(*words, "wheels/rig.toml")
@@ -202,11 +203,11 @@ def test_its_traffic_is_sent_again_where_there_is_can_fd_and_else_nothing(say):
     assert f"{sized} frames of can0 are CAN FD, which this bus does not carry" in err
 
 
-NO_WORDS = traffic.classic(traffic.ERR | 0x80, bytes(8))  # a bus error, of which nothing is told
+NO_WORDS = traffic.classic(traffic.ERR | 0x80, bytes(8))  # a bus error without details
 
 
 def without(feature, form, one):
-    """The frame as a format keeps it that does not hold this; None: not at all."""
+    """Return the frame as kept by a format without this feature, or None if it is lost."""
     if feature is Feature.NANOSECONDS:
         return one._replace(time_ns=one.time_ns // 1000 * 1000)
     if feature is Feature.SENDER:
@@ -218,7 +219,7 @@ def without(feature, form, one):
 
 
 @pytest.mark.parametrize("form", WRITABLE, ids=lambda form: form.name)
-def test_all_that_a_format_can_hold_comes_back_and_the_rest_is_told(form):
+def test_conversion_keeps_or_reports_every_feature(form):
     there = convert("run.mcap", f"run{form.ending}", form.name)
     back = f"{form.name}.mcap"
     convert(f"run{form.ending}", back, "mcap")

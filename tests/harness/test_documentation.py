@@ -1,7 +1,13 @@
 """The sources of the site: generated pages are complete, and navigation follows the indexes."""
 
-import motorapi
-from harness.documentation import api_page, build, command_line_page, rig_page, schema_page
+from motorhil import motorapi
+from motorhil.harness.documentation import (
+    api_page,
+    build,
+    command_line_page,
+    rig_page,
+    schema_page,
+)
 
 
 def test_command_line_page_has_a_section_for_every_verb():

@@ -5,12 +5,12 @@ from types import SimpleNamespace
 import can
 import pytest
 
-from emulators.event_queue import EventQueue
-from emulators.media.can_bus import CanBus
-from emulators.world import World
-from harness.can_plugin import close_rig, open_rig
-from harness.virtual_program import in_virtual_time
-from harness.virtual_time import VirtualRuntime
+from motorhil.emulators.can.bus.bus import CanBus
+from motorhil.emulators.simulation.event_queue import EventQueue
+from motorhil.emulators.simulation.world import World
+from motorhil.harness.python_can.bus import close_rig, open_rig
+from motorhil.harness.virtual_time.runtime import VirtualRuntime
+from motorhil.harness.virtual_time.stdlib.install import in_virtual_time
 from tests.emulators.telling import tell
 from tests.harness.error_frames import PASSIVE, ErrorFrames
 
@@ -50,7 +50,7 @@ def bench():
 
 
 class TestInARig(ErrorFrames):
-    def hand_out(self, bus, listeners, count):  # a Notifier is a thread: of a program, see below
+    def hand_out(self, bus, listeners, count):  # a Notifier is a thread of a program, see below
         for _ in range(count):
             heard = bus.recv(0.0)
             for listener in listeners:
@@ -58,20 +58,20 @@ class TestInARig(ErrorFrames):
         for listener in listeners:
             listener.stop()
 
-    def test_it_is_told_to_one_program_alone_and_at_its_time(self, bench):
+    def test_error_is_reported_to_one_program_at_its_time(self, bench):
         with bench.open() as bus, bench.open() as other:
             bench.runtime.run_for(0.25)
             bench.tell(bus, PASSIVE)
             assert bus.recv(0.0).timestamp == 0.25
             assert other.recv(0.1) is None
 
-    def test_the_state_is_known_to_who_reads_nothing(self, bench):
+    def test_bus_state_is_known_without_reading(self, bench):
         with bench.open() as bus:
             bench.tell(bus, PASSIVE)
             assert bus.state is can.BusState.PASSIVE
 
 
-def test_a_program_that_knows_nothing_of_us_hears_them_in_its_notifiers_thread(bench):
+def test_notifier_thread_of_a_plain_program_hears_errors(bench):
     with in_virtual_time(SimpleNamespace(runtime=bench.runtime, seed=1)), bench.open() as bus:
         bench.world.queue.alarm(lambda _: bench.tell(bus, PASSIVE)).set(100_000_000)
         mails = can.BufferedReader()

@@ -3,15 +3,14 @@
 import can
 import pytest
 
-from emulators.event_queue import EventQueue
-from emulators.media.can_bus import CanBus
-from emulators.media.can_frame import pack_fd
-from emulators.world import World
-from harness.bus_ears import Ears
-from harness.can_plugin import close_rig, open_rig
-from harness.rig import Rig
-from harness.settings import RigError
-from harness.virtual_time import VirtualRuntime
+from motorhil.emulators.can.bus.bus import CanBus
+from motorhil.emulators.can.frame import pack_fd
+from motorhil.emulators.simulation.event_queue import EventQueue
+from motorhil.emulators.simulation.world import World
+from motorhil.harness.python_can.bus import ReceiveQueue, close_rig, open_rig
+from motorhil.harness.rig.config.toml import RigError
+from motorhil.harness.rig.rig import Rig
+from motorhil.harness.virtual_time.runtime import VirtualRuntime
 from tests.harness.fd_frames import FdFrames, classical, fd_message
 
 RIG = """
@@ -56,14 +55,14 @@ def bench():
 
 
 class TestInARig(FdFrames):
-    def test_it_comes_when_its_bits_at_both_rates_have_passed(self, bench):
+    def test_fd_frame_arrives_after_its_bits_at_both_rates(self, bench):
         # 17 nominal bits to BRS, 9 after the CRC delimiter, 99 at the data rate (test_can_bus_fd)
         data = bytes.fromhex("0011223344556677")
         with bench.open(fd=True) as bus, bench.open(fd=True) as other:
             bus.send(fd_message(0x123, data, bitrate_switch=True))
             assert other.recv(1.0).timestamp == 26 * 2e-6 + 99 * 0.5e-6
 
-    def test_what_cannot_be_sent_is_refused_in_words(self, bench):
+    def test_invalid_fd_message_is_refused_with_reason(self, bench):
         with bench.open(fd=True) as bus:
             remote = fd_message(0x123)
             remote.is_remote_frame = True
@@ -75,16 +74,16 @@ class TestInARig(FdFrames):
         with bench.open() as bus, pytest.raises(can.CanOperationError, match="with fd=True"):
             bus.send(fd_message(0x123))
 
-    def test_who_reads_classical_frames_only_is_not_given_others(self):
+    def test_listener_gets_classical_frames_only(self):
         heard = []
-        ears = Ears(False, 10, True)
+        ears = ReceiveQueue(False, 10, True)
         ears.listeners.append(lambda *told: heard.append(told))
         ears.hear(pack_fd(0x123), 0, False)
         assert not heard
         assert len(ears.backlog) == 1
 
 
-def test_a_rig_has_fd_buses_and_its_record_the_frames(tmp_path):
+def test_rig_with_fd_bus_counts_fd_frames(tmp_path):
     path = tmp_path / "fd.toml"
     path.write_text(MIXED.format(frames='frames = "fd"'))
     with Rig.open(path) as rig:
@@ -94,7 +93,7 @@ def test_a_rig_has_fd_buses_and_its_record_the_frames(tmp_path):
         assert rig.world.bus("can0").statistics.counts() == {0x123: 1}
 
 
-def test_a_classical_bus_is_told_so_before_anything_is_sent(tmp_path):
+def test_fd_option_on_a_classical_bus_is_refused(tmp_path):
     path = tmp_path / "fd.toml"
     path.write_text(RIG.format(data=""))
     with Rig.open(path):
@@ -113,7 +112,7 @@ def test_a_classical_bus_is_told_so_before_anything_is_sent(tmp_path):
         ('frames = "fd"', [], 1),
     ],
 )
-def test_what_a_node_makes_of_an_fd_frame_is_as_its_controller_is(tmp_path, frames, told, heard):
+def test_node_reacts_to_fd_frame_by_its_controller_type(tmp_path, frames, told, heard):
     path = tmp_path / "fd.toml"
     path.write_text(MIXED.format(frames=frames))
     events = []
@@ -126,7 +125,7 @@ def test_what_a_node_makes_of_an_fd_frame_is_as_its_controller_is(tmp_path, fram
         assert rig.world.bus("can0").statistics.frames == heard
 
 
-def test_a_kind_of_can_controller_that_there_is_not_is_refused(tmp_path):
+def test_unknown_can_controller_type_is_refused(tmp_path):
     path = tmp_path / "fd.toml"
     path.write_text(MIXED.format(frames='frames = "xl"'))
     with pytest.raises(RigError, match=r'fd.toml:10: .*"xl".*classical, fd_tolerant, fd'):

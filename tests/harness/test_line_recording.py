@@ -1,15 +1,14 @@
-"""What goes over a line is in the record, byte for byte, with the line's own times."""
+"""Recorded Modbus lines: bytes and times as on the line."""
 
 import pytest
 
-from emulators.media.serial_faults import SerialFaultKind, SerialFaultRule
-from harness.rig import Rig
-from motorapi.errors import DeadlineExceeded
+from motorhil.emulators.media.serial_faults import SerialFaultKind, SerialFaultRule
+from motorhil.harness.rig.rig import Rig
+from motorhil.motorapi.errors import DeadlineExceeded
+from motorhil.traces.decoding.modbus import lines_of, paired, recorded_adus
+from motorhil.traces.mcap.reader import read_trace
+from motorhil.traces.schema import MODBUS_ADU
 from tests.traces.protobuf_classes import google_class
-from traces.modbus import paired
-from traces.modbus_records import lines_of, recorded_adus
-from traces.reader import read_trace
-from traces.schema import MODBUS_ADU
 
 REQUEST = bytes.fromhex("010300000001840A")
 
@@ -44,7 +43,7 @@ def test_adus_are_recorded_as_they_were_on_the_wire(tmp_path, kind):
     else:
         assert message.start_ns == message.end_ns == log_time_ns == 50_000
         assert message.tcp
-        # nobody is behind this gateway, and it says so
+        # no unit is behind this gateway, so it answers itself
         assert recorded(trace)[1][1].data == bytes.fromhex("00050000000301830B")
         assert recorded(trace)[1][1].sender == "line"
 
@@ -87,13 +86,13 @@ def test_requests_and_responses_of_a_record_are_paired(tmp_path, kind):
     assert pairing.strays == ()
     assert len(answered) >= 6
     if kind == "modbus_rtu":
-        # while it started it said nothing; and one answer of later ones was lost
+        # no answers during boot-up, and one later answer was lost
         assert len(pairing.exchanges) == len(answered) + len(booting) + 1
         assert all(one.delay_s > 0.002 + 0.002 for one in answered)
     assert {one.request.unit for one in pairing.exchanges} == {1}
 
 
-def test_what_was_spoiled_on_a_line_is_told_as_that(tmp_path):
+def test_corrupted_adus_are_reported_as_such(tmp_path):
     rig_file, record = tmp_path / "rig.toml", tmp_path / "out.mcap"
     rig_file.write_text('[bus.line]\nkind = "modbus_rtu"\n')
     pause = SerialFaultRule("pause", SerialFaultKind.PAUSE, after=3, delay_ns=1_200_000, limit=1)

@@ -1,14 +1,14 @@
-"""`motorhil list motors` without other processes; tests/wall has those."""
+"""The verb `list motors`, without other processes; for those see tests/wall."""
 
 import json
 import os
 
 import pytest
 
-from harness.cli import main as motorhil
-from motorapi.lock_directory import VARIABLE
-from motorapi.process_lock import ProcessLock
-from motorapi.wall_runtime import WallRuntime
+from motorhil.harness.cli.main import main as motorhil
+from motorhil.motorapi.locking.directory import VARIABLE
+from motorhil.motorapi.locking.process_lock import ProcessLock
+from motorhil.motorapi.runtime.wall import WallRuntime
 
 
 @pytest.fixture
@@ -20,16 +20,14 @@ def runtime():
 
 @pytest.fixture
 def locks(tmp_path, monkeypatch):
-    """Makes what programs would have; theirs alone are listed."""
+    """A function that creates locks as programs do; no other locks are listed."""
     folder = tmp_path / "locks"
     folder.mkdir(mode=0o700)
     monkeypatch.setenv(VARIABLE, str(folder))
     return ProcessLock
 
 
-def test_whose_lease_lasts_how_long_and_who_took_it_over_from_whom_is_listed(
-    runtime, locks, capsys
-):
+def test_leases_and_takeovers_are_listed(runtime, locks, capsys):
     def listed():
         assert motorhil(["list", "motors", "--json"]) == 0
         (entry,) = json.loads(capsys.readouterr().out)
@@ -43,7 +41,7 @@ def test_whose_lease_lasts_how_long_and_who_took_it_over_from_whom_is_listed(
     runtime.wait_until(lambda: False, 0.02)
     told = listed()
     assert told["lease_left_s"] < 0.0
-    assert "; lease of 0.01 s, over since " in told["text"]
+    assert "; lease of 0.01 s, expired " in told["text"]
     assert "taken_over" not in told
     second = locks("can0-node3", "can0 node 3").acquire(runtime, "rescue")
     told = listed()
@@ -57,9 +55,7 @@ def test_whose_lease_lasts_how_long_and_who_took_it_over_from_whom_is_listed(
     )
 
 
-def test_motors_of_a_hub_that_is_gone_are_left_out_unless_somebody_has_one(
-    runtime, tmp_path, monkeypatch, capsys
-):
+def test_motors_of_gone_hub_are_listed_only_while_held(runtime, tmp_path, monkeypatch, capsys):
     locks = tmp_path / "locks"
     locks.mkdir(mode=0o700)
     monkeypatch.setenv(VARIABLE, str(locks))
@@ -82,7 +78,7 @@ def test_motors_of_a_hub_that_is_gone_are_left_out_unless_somebody_has_one(
         assert any("for survey" in line for line in listed())
 
 
-def test_what_is_had_for_moments_only_is_listed_while_it_is_had(runtime, locks, capsys):
+def test_brief_locks_are_listed_only_while_held(runtime, locks, capsys):
     names = ["can0-node3-sdo", "can0-sync", "can0-sync-producer", "can0-armed-3-200"]
     for name in names:
         with locks(name, name).acquire(runtime, "x"):
@@ -92,9 +88,7 @@ def test_what_is_had_for_moments_only_is_listed_while_it_is_had(runtime, locks, 
         assert capsys.readouterr().out == ""
 
 
-def test_lock_directories_that_are_refused_are_told_and_not_taken_for_empty_ones(
-    tmp_path, monkeypatch, capsys
-):
+def test_refused_lock_directory_is_reported(tmp_path, monkeypatch, capsys):
     def told():
         assert motorhil(["list", "motors"]) == 2
         output = capsys.readouterr()
@@ -104,14 +98,14 @@ def test_lock_directories_that_are_refused_are_told_and_not_taken_for_empty_ones
 
     missing = tmp_path / "missing"
     monkeypatch.setenv(VARIABLE, str(missing))
-    assert told().startswith(f"motorhil list: {missing}: there is no such directory.")
+    assert told().startswith(f"motorhil list: {missing}: the directory does not exist.")
     missing.mkdir(mode=0o755)
-    assert told().startswith(f"motorhil list: {missing}: mode 0755 lets everybody in;")
+    assert told().startswith(f"motorhil list: {missing}: mode 0755 gives access to everybody;")
     monkeypatch.setenv(VARIABLE, "here")
     assert told() == f"motorhil list: {VARIABLE}=here: must be an absolute path\n"
 
 
-def test_one_file_that_is_no_lock_does_not_hide_the_others(runtime, locks, tmp_path, capsys):
+def test_invalid_lock_file_does_not_hide_others(runtime, locks, tmp_path, capsys):
     file = tmp_path / "locks" / "can0-node4"
     with locks("can0-node3", "can0 node 3").acquire(runtime, "survey"):
         file.write_bytes(b"a letter")
@@ -119,10 +113,10 @@ def test_one_file_that_is_no_lock_does_not_hide_the_others(runtime, locks, tmp_p
         assert motorhil(["list", "motors"]) == 2
     output = capsys.readouterr()
     assert output.out.startswith("can0 node 3 ")
-    assert output.err == f"motorhil list: {file}: this is no lock file; remove it\n"
+    assert output.err == f"motorhil list: {file}: not a lock file; remove it\n"
 
 
-def test_what_a_program_says_of_itself_cannot_work_the_terminal(runtime, locks, capsys):
+def test_control_characters_of_programs_are_escaped(runtime, locks, capsys):
     with locks("can0-node3", "can0 node 3").acquire(runtime, "a\nline \x1b[31mred"):
         assert motorhil(["list", "motors"]) == 0
     output = capsys.readouterr().out

@@ -1,10 +1,10 @@
 import json
 
-from emulators.cia402.quirk_catalogue import CATALOGUE
-from harness.cli import main
+from motorhil.emulators.cia402.settings import CATALOGUE
+from motorhil.harness.cli.main import main
 
 
-def test_every_quirk_is_told_with_where_it_was_seen(capsys):
+def test_every_quirk_is_printed_with_source(capsys):
     assert main(["list", "quirks"]) == 0
     out = capsys.readouterr().out
     for quirk in CATALOGUE:
@@ -13,7 +13,7 @@ def test_every_quirk_is_told_with_where_it_was_seen(capsys):
     assert "slow_sdo (mean_s = 0.02, spread_s = 0.01)\n" in out
 
 
-def test_for_a_machine(capsys):
+def test_quirks_are_printed_as_json(capsys):
     assert main(["list", "quirks", "--json"]) == 0
     rows = {row["name"]: row for row in json.loads(capsys.readouterr().out)}
     assert list(rows) == [quirk.name for quirk in CATALOGUE]

@@ -1,9 +1,9 @@
 import json
 
-from harness.cli import main
+from motorhil.harness.cli.main import main
 
 
-def test_the_register_map_of_a_controller_is_printed_by_address(capsys):
+def test_register_map_is_printed_by_address(capsys):
     assert main(["list", "registers", "leadshine_pr"]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert lines[0].split() == [
@@ -14,14 +14,14 @@ def test_the_register_map_of_a_controller_is_printed_by_address(capsys):
     assert addresses == sorted(addresses)
 
 
-def test_for_a_machine(capsys):
+def test_register_map_is_printed_as_json(capsys):
     assert main(["list", "registers", "oriental_az", "--json"]) == 0
     rows = {row["name"]: row for row in json.loads(capsys.readouterr().out)}
     assert rows["trigger"]["address"] == 0x66
     assert (rows["current"]["low"], rows["current"]["high"]) == (None, 1000)
 
 
-def test_what_has_no_registers_is_told_with_what_has(capsys):
+def test_controller_without_registers_is_reported(capsys):
     for words in (["registers", "cia402"], ["registers", "nobody"], ["registers"]):
         assert main(["list", *words]) == 2
         assert "leadshine_pr, oriental_az" in capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""Who owns the motors of a bus on SocketCAN, as whoever serves it has it from their locks."""
+"""Ownership of motors on SocketCAN, polled from lock files."""
 
 import os
 import subprocess
@@ -7,25 +7,29 @@ from contextlib import contextmanager
 
 import pytest
 
-from emulators.event_queue import EventQueue
-from emulators.world import World
-from harness.lock_looks import PERIOD_NS, LockLooks
-from harness.ownership_record import Ended, LockEvent, ownership_of
-from harness.ownership_tap import LockWriter
-from harness.rig import installed_plugins
-from harness.rig_file import read_rig
-from harness.scaffold import EXAMPLES
-from motorapi.lock_directory import VARIABLE
-from motorapi.lock_names import socketcan_name
-from motorapi.process_lock import ProcessLock
-from motorapi.wall_runtime import WallRuntime
-from traces.schema import LockAction
+from motorhil.emulators.simulation.event_queue import EventQueue
+from motorhil.emulators.simulation.world import World
+from motorhil.harness.recording.ownership import (
+    PERIOD_NS,
+    Ended,
+    LockEvent,
+    LockLooks,
+    LockWriter,
+    ownership_of,
+)
+from motorhil.harness.rig.config.rig_file import read_rig
+from motorhil.harness.rig.config.scaffold import EXAMPLES
+from motorhil.harness.rig.rig import installed_plugins
+from motorhil.motorapi.locking.directory import VARIABLE, socketcan_name
+from motorhil.motorapi.locking.process_lock import ProcessLock
+from motorhil.motorapi.runtime.wall import WallRuntime
+from motorhil.traces.schema import LockAction
 
 NODE_2 = f"{socketcan_name('lo')}-node2"  # a network interface that every host has
 
 
 class Recorder:
-    """Lock events as they would be recorded."""
+    """A recorder that keeps lock events."""
 
     def __init__(self):
         self.events = []
@@ -38,7 +42,7 @@ class Recorder:
 
 @pytest.fixture
 def bench(tmp_path, monkeypatch):
-    """Looks at the locks of two wheels, in wall time that is told."""
+    """Return a poller for the locks of two wheels, in simulated wall time."""
     folder = tmp_path / "locks"
     folder.mkdir(mode=0o700)
     monkeypatch.setenv(VARIABLE, str(folder))
@@ -59,7 +63,7 @@ class Bench:
         self.look()
 
     def look(self):
-        """The next look is done; what was recorded then."""
+        """Run the next poll; return the events that it recorded."""
         before = len(self.recorder.events)
         self.queue.run_until(self.queue.now_ns + PERIOD_NS)
         return self.recorder.events[before:]
@@ -72,7 +76,7 @@ def runtime():
     runtime.close()
 
 
-def test_taking_and_giving_back_are_recorded_with_who_and_since_when(bench, runtime):
+def test_taking_and_releasing_are_recorded_with_owner(bench, runtime):
     lock = ProcessLock(NODE_2, "lo node 2")
     hold = lock.acquire(runtime, "survey (reserve() of mast)")
     (taken,) = bench.look()
@@ -93,7 +97,7 @@ def test_taking_and_giving_back_are_recorded_with_who_and_since_when(bench, runt
     lock.close()
 
 
-def test_what_was_given_back_after_the_last_look_is_seen_at_the_end(bench, runtime):
+def test_release_after_the_last_poll_is_seen_at_the_end(bench, runtime):
     lock = ProcessLock(NODE_2, "lo node 2")
     hold = lock.acquire(runtime, "survey")
     bench.look()
@@ -104,7 +108,7 @@ def test_what_was_given_back_after_the_last_look_is_seen_at_the_end(bench, runti
     assert (tenure.owner, tenure.ended) == ("survey", Ended.RELEASED)
 
 
-def test_what_lies_between_two_looks_is_missing_and_the_token_shows_it(bench, runtime):
+def test_ownership_between_two_polls_shows_only_as_skipped(bench, runtime):
     lock = ProcessLock(NODE_2, "lo node 2")
     first = lock.acquire(runtime, "first")
     bench.look()
@@ -125,10 +129,10 @@ def test_what_lies_between_two_looks_is_missing_and_the_token_shows_it(bench, ru
 
 @contextmanager
 def kill_one_who_has_it(bench, is_looked_at=True):
-    """The pid of one who was seen with it, and then killed."""
+    """Yield the pid of a process that was seen with the lock, and then killed."""
     program = (
-        "import os, sys; from motorapi.process_lock import ProcessLock;"
-        "from motorapi.wall_runtime import WallRuntime;"
+        "import os, sys; from motorhil.motorapi.locking.process_lock import ProcessLock;"
+        "from motorhil.motorapi.runtime.wall import WallRuntime;"
         f"hold = ProcessLock({NODE_2!r}, 'x').acquire(WallRuntime(), 'panorama');"
         "print('held', flush=True); sys.stdin.read()"
     )
@@ -145,7 +149,7 @@ def kill_one_who_has_it(bench, is_looked_at=True):
 
 
 @pytest.mark.parametrize("seen_free", [True, False])
-def test_one_who_died_with_it_is_told_if_it_was_seen(bench, runtime, seen_free):
+def test_owner_that_died_is_reported_if_it_was_seen(bench, runtime, seen_free):
     with kill_one_who_has_it(bench, seen_free) as dead:
         if seen_free:
             assert bench.told[-1][1:3] == ("warning", "can0")
@@ -160,13 +164,13 @@ def test_one_who_died_with_it_is_told_if_it_was_seen(bench, runtime, seen_free):
     lock.close()
 
 
-def test_who_came_between_is_not_said_to_have_died(bench, runtime):
+def test_owner_in_between_is_not_reported_as_dead(bench, runtime):
     lock = ProcessLock(NODE_2, "lo node 2")
     lock.acquire(runtime, "unseen").release()
     bench.look()
     with kill_one_who_has_it(bench) as dead:
         assert f"pid {dead} (python -c) has died with right" in bench.told[-1][3]
-        lock.acquire(runtime, "unseen").release()  # it knew
+        lock.acquire(runtime, "unseen").release()  # takes over from the dead owner
         hold = lock.acquire(runtime, "next")
         (taken,) = bench.look()
         assert taken.action is LockAction.TAKEN
@@ -174,7 +178,7 @@ def test_who_came_between_is_not_said_to_have_died(bench, runtime):
     lock.close()
 
 
-def test_a_channel_of_a_node_is_a_motor_of_its_own(bench, runtime):
+def test_channel_of_a_node_is_a_separate_motor(bench, runtime):
     fido = Bench(bench.folder, "fido")
     lock = ProcessLock(f"{socketcan_name('lo')}-node1-channel2", "lo node 1 channel 2")
     hold = lock.acquire(runtime, "survey")
@@ -186,7 +190,7 @@ def test_a_channel_of_a_node_is_a_motor_of_its_own(bench, runtime):
     lock.close()
 
 
-def test_the_record_says_how_it_knows_and_what_it_does_not(bench):
+def test_record_explains_polling_and_its_limits(bench):
     _, level, bus, text = bench.told[0]
     assert (level, bus) == ("info", "can0")
     assert text == (
@@ -195,7 +199,7 @@ def test_the_record_says_how_it_knows_and_what_it_does_not(bench):
     )
 
 
-def test_a_directory_that_is_not_safe_is_told_once_and_looking_ends(bench):
+def test_unsafe_lock_directory_ends_polling_with_one_warning(bench):
     bench.folder.chmod(0o777)
     bench.look()
     bench.look()

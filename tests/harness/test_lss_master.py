@@ -1,4 +1,4 @@
-"""canopen's LSS master, an independent implementation, on the bus of a virtual rig."""
+"""canopen's LSS master, an independent implementation, on a virtual rig's bus."""
 
 from pathlib import Path
 
@@ -8,7 +8,7 @@ import canopen.lss
 import pytest
 from canopen.lss import LssError
 
-from harness.rig import Rig
+from motorhil.harness.rig.rig import Rig
 
 RIG = """\
 [bus.can0]
@@ -29,7 +29,7 @@ objects = { "1018h:4" = 7 }
 
 
 class RigNetwork(canopen.Network):
-    """canopen's network on a rig's bus: whatever comes within 5 ms of a frame is its answer."""
+    """canopen's network on a rig's bus; an answer arrives within 5 ms of its frame."""
 
     def __init__(self, rig: Rig) -> None:
         super().__init__()
@@ -56,10 +56,10 @@ def rig(tmp_path: Path, monkeypatch):
         yield rig
 
 
-def test_fastscan_finds_each_slave_once_and_gives_it_its_node_id(rig):
+def test_fastscan_finds_each_slave_and_assigns_node_ids(rig):
     network = RigNetwork(rig)
     network.pump(1.0)
-    assert network.heard == []  # nobody has a number: nobody says anything
+    assert network.heard == []  # no node-ID, no messages
     found = []
     for node_id in (6, 5):
         is_there, address = network.lss.fast_scan()
@@ -80,7 +80,7 @@ def test_fastscan_finds_each_slave_once_and_gives_it_its_node_id(rig):
     assert remote.sdo.upload(0x1014, 0) == bytes.fromhex("85000000")
 
 
-def test_a_slave_is_selected_by_its_address_and_asked_for_it(rig):
+def test_slave_is_selected_by_address_and_queried(rig):
     network = RigNetwork(rig)
     lss = network.lss
     product = 0x402

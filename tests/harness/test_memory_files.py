@@ -1,4 +1,4 @@
-"""What a drive stores goes into the file that the rig names, and its record says what was in it."""
+"""Nonvolatile memory files of drives, and their contents in the record."""
 
 import os
 import struct
@@ -7,11 +7,11 @@ from pathlib import Path
 import can
 import pytest
 
-from emulators.canopen.parameter_text import StoredParameters
-from harness.replay.recorded_rig import own_rig
-from harness.rig import Rig, installed_plugins
-from harness.settings import RigError
-from traces.reader import read_trace
+from motorhil.emulators.canopen.files.parameter_storage import StoredParameters
+from motorhil.harness.replay.rig import own_rig
+from motorhil.harness.rig.config.toml import RigError
+from motorhil.harness.rig.rig import Rig, installed_plugins
+from motorhil.traces.mcap.reader import read_trace
 
 RIG = """\
 [bus.can0]
@@ -36,7 +36,7 @@ def written(folder: Path, text: str = RIG) -> Path:
 
 
 def sdo(rig: Rig, node_id: int, request: bytes) -> bytes:
-    """One SDO request and the four bytes of its answer; an abort as its code."""
+    """Send an SDO request and return its response."""
     bus = rig.bus("can0")
     bus.send(can.Message(arbitration_id=0x600 + node_id, data=request, is_extended_id=False))
     while True:
@@ -47,7 +47,7 @@ def sdo(rig: Rig, node_id: int, request: bytes) -> bytes:
 
 
 def write(rig: Rig, index: int, subindex: int, data: bytes, node_id: int = 5) -> int:
-    """The abort code; 0 if there is none."""
+    """Write an object; return the abort code, or 0."""
     command = 0x23 | (4 - len(data)) << 2
     answer = sdo(rig, node_id, struct.pack("<BHB4s", command, index, subindex, data))
     return int.from_bytes(answer[4:], "little") if answer[0] == 0x80 else 0
@@ -72,7 +72,7 @@ def store(folder: Path) -> Path:
     return path
 
 
-def test_the_next_run_begins_with_what_the_last_one_saved(tmp_path):
+def test_next_run_starts_with_the_saved_values(tmp_path):
     path = store(tmp_path)
     assert [file.name for file in sorted(tmp_path.iterdir())] == ["left.parameters", "rig.toml"]
     with booted(path) as rig:
@@ -83,20 +83,20 @@ def test_the_next_run_begins_with_what_the_last_one_saved(tmp_path):
         assert read(rig, 0x6083) != 4321
 
 
-def test_without_a_file_it_is_kept_as_long_as_the_rig_is_there(tmp_path):
+def test_memory_without_a_file_lasts_as_long_as_the_rig(tmp_path):
     path = written(tmp_path)
     for _ in range(2):
         with booted(path) as rig:
             assert read(rig, 0x1017, node_id=6) == 0
             assert write(rig, 0x1017, 0, struct.pack("<H", 900), node_id=6) == 0
             assert write(rig, 0x1010, 1, SAVE, node_id=6) == 0
-            rig.bus("can0").send(can.Message(data=[129, 6], is_extended_id=False))  # reset node
+            rig.bus("can0").send(can.Message(data=[129, 6], is_extended_id=False))  # NMT reset node
             rig.runtime.wait_until(lambda: False, 0.5)
             assert read(rig, 0x1017, node_id=6) == 900
     assert [file.name for file in tmp_path.iterdir()] == ["rig.toml"]
 
 
-def test_a_recording_holds_what_was_loaded_and_its_rig_begins_with_it(tmp_path):
+def test_recording_contains_the_loaded_values(tmp_path):
     path = store(tmp_path)
     loaded = (tmp_path / "left.parameters").read_bytes()
     record = tmp_path / "run.mcap"
@@ -113,10 +113,12 @@ def test_a_recording_holds_what_was_loaded_and_its_rig_begins_with_it(tmp_path):
     with Rig(again) as rig:
         rig.runtime.wait_until(lambda: False, 0.5)
         assert read(rig, 0x6083) == 4321
-    assert (tmp_path / "left.parameters").read_bytes() != loaded  # the run's own file, untouched
+    assert (
+        tmp_path / "left.parameters"
+    ).read_bytes() != loaded  # the file of this run is not attached
 
 
-def test_a_torn_file_is_told_and_defaults_are_used(tmp_path):
+def test_truncated_file_is_reported_and_defaults_are_used(tmp_path):
     path = store(tmp_path)
     file = tmp_path / "left.parameters"
     file.write_bytes(file.read_bytes()[:-9])
@@ -129,13 +131,13 @@ def test_a_torn_file_is_told_and_defaults_are_used(tmp_path):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        (RIG.replace('"left.parameters"', '"no/such/folder"'), "there is no folder"),
+        (RIG.replace('"left.parameters"', '"no/such/folder"'), "does not exist; create the folder"),
         (RIG.replace('"left.parameters"', '"."'), "cannot be read"),
-        (RIG.replace('"left.parameters"', "5"), "5 is no path"),
+        (RIG.replace('"left.parameters"', "5"), "5 is not a path"),
         (RIG + 'nonvolatile_memory = "left.parameters"\n', 'memory of controller "left" already'),
     ],
 )
-def test_a_file_that_cannot_be_used_is_refused_with_its_line(tmp_path, text, message):
+def test_unusable_file_is_refused_with_its_line(tmp_path, text, message):
     path = written(tmp_path, text)
     with pytest.raises(RigError) as refused:
         Rig.open(path)
@@ -143,7 +145,7 @@ def test_a_file_that_cannot_be_used_is_refused_with_its_line(tmp_path, text, mes
     assert refused.value.line == (7 if text.count("nonvolatile") == 1 else 12)
 
 
-def test_what_cannot_be_saved_is_aborted_and_leaves_the_file_as_it_was(tmp_path, monkeypatch):
+def test_failed_save_aborts_and_leaves_the_file_unchanged(tmp_path, monkeypatch):
     path = store(tmp_path)
     file = tmp_path / "left.parameters"
     before = file.read_bytes()
@@ -155,8 +157,8 @@ def test_what_cannot_be_saved_is_aborted_and_leaves_the_file_as_it_was(tmp_path,
 
 
 @pytest.mark.parametrize("theirs", ["rig.toml", "drive.py"])
-def test_a_file_that_is_something_else_is_told_and_not_overwritten(tmp_path, theirs):
-    """A rig that names itself, or a script, would be gone by the first save."""
+def test_foreign_file_is_reported_and_not_overwritten(tmp_path, theirs):
+    """A rig that names itself, or a script, would lose it on the first save."""
     (tmp_path / "drive.py").write_text("print('mine')\n")
     path = written(tmp_path, RIG.replace("left.parameters", theirs))
     before = (tmp_path / theirs).read_bytes()
@@ -166,13 +168,13 @@ def test_a_file_that_is_something_else_is_told_and_not_overwritten(tmp_path, the
     assert (tmp_path / theirs).read_bytes() == before
 
 
-def test_a_pipe_is_not_waited_for_and_a_device_not_replaced(tmp_path):
+def test_pipe_as_memory_file_is_refused(tmp_path):
     os.mkfifo(tmp_path / "left.parameters")
     with pytest.raises(RigError, match="cannot be read: it is a folder or a device"):
         Rig.open(written(tmp_path))
 
 
-def test_a_link_stays_a_link_and_what_it_leads_to_is_written(tmp_path):
+def test_link_stays_a_link_and_its_target_is_written(tmp_path):
     (tmp_path / "kept").mkdir()
     (tmp_path / "left.parameters").symlink_to("kept/of_left")
     store(tmp_path)
@@ -180,13 +182,14 @@ def test_a_link_stays_a_link_and_what_it_leads_to_is_written(tmp_path):
     assert (tmp_path / "kept/of_left").read_bytes().startswith(b"motorhil parameters 1")
 
 
-def test_a_name_that_no_file_can_have_is_refused(tmp_path):
+def test_impossible_file_name_is_refused(tmp_path):
     path = written(tmp_path, RIG.replace("left.parameters", "a\\u0000b"))
-    with pytest.raises(RigError, match=r":7: controller.left.nonvolatile_memory: .* is no path"):
+    told = r":7: controller.left.nonvolatile_memory: .* is not a path"
+    with pytest.raises(RigError, match=told):
         Rig.open(path)
 
 
-def test_ctrl_c_while_it_saves_leaves_the_old_file_and_nothing_beside_it(tmp_path, monkeypatch):
+def test_ctrl_c_during_a_save_keeps_the_old_file(tmp_path, monkeypatch):
     path = store(tmp_path)
     before = (tmp_path / "left.parameters").read_bytes()
     monkeypatch.setattr(os, "replace", _interrupted)
@@ -200,7 +203,7 @@ def _interrupted(source: object, target: object) -> None:
     raise KeyboardInterrupt
 
 
-def test_the_text_of_a_file_is_what_readme_says():
+def test_text_of_a_memory_file_matches_readme():
     parameters = StoredParameters((0, 0x402))
     parameters.values[0x6083_00] = struct.pack("<I", 4321)
     assert parameters.write().decode().splitlines()[:3] == [

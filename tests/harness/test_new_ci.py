@@ -1,4 +1,4 @@
-"""`motorhil new --ci`: the jobs it writes do what they say, and their helper chooses the bus."""
+"""The option `new --ci`: its jobs run, and their helper chooses the bus."""
 
 import re
 import shutil
@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from harness.scaffold import CI_FILES, EXAMPLES
+from motorhil.harness.rig.config.scaffold import CI_FILES, EXAMPLES
 from tests.architecture.checkout import CHECKOUT
 
 HELPER = EXAMPLES / "ci" / "vcan-or-hub"
@@ -23,13 +23,13 @@ FAILING_TEST = "def test_it(motor):\n    motor.enable()\n    raise ValueError\n"
 
 
 def commands_in(job):
-    """What a job runs, line by line, without comments."""
+    """Return the commands of a job, line by line, without comments."""
     lines = re.findall(r"^ +(?:- )?(?:run: |- )((?:pytest|bash|for|python|if) .*)$", job, re.M)
     return [line.partition(" # ")[0] for line in lines]
 
 
 def programs(folder, **texts):
-    """A folder that has these programs, and what the helper needs of all others."""
+    """Return a folder with these programs and those that the helper needs."""
     folder.mkdir(exist_ok=True)
     for name in ("bash", "cat", "env", "grep", "id", "mktemp", "rm", "tail", "uname", "timeout"):
         if name not in texts:
@@ -40,10 +40,10 @@ def programs(folder, **texts):
     return folder
 
 
-# --- what is written
+# --- written jobs
 
 
-def test_a_job_is_for_the_rig_that_is_new_or_there(bench, say):
+def test_job_is_written_for_new_or_existing_rig(bench, say):
     status, out, _ = say("new", "my wheels", "--ci", "github")
     assert status == 0
     assert out.splitlines()[-2:] == list(CI)
@@ -56,16 +56,17 @@ def test_a_job_is_for_the_rig_that_is_new_or_there(bench, say):
     Path("my wheels/rig.toml").write_text("mine")
     assert say("new", "my wheels", "--ci", "gitlab") == (
         *(2, ""),
-        f".ci/vcan-or-hub: is there already; take what you need from {HELPER.parent}\n",
+        f".ci/vcan-or-hub: already exists; take what you need from {HELPER.parent}\n",
     )
     Path(CI[1]).unlink()
     assert say("new", "my wheels", "--ci", "gitlab")[:2] == (0, f"{CI_FILES['gitlab']}\n{CI[1]}\n")
     assert Path("my wheels/rig.toml").read_text() == "mine"
 
 
-def test_a_job_that_cannot_be_written_leaves_nothing(bench, say):
+def test_job_that_cannot_be_written_leaves_no_files(bench, say):
     assert say("new", "../elsewhere", "--ci", "github")[2] == (
-        "../elsewhere: is not in the current folder, where the CI job will be; go there first\n"
+        "../elsewhere: is not in the current folder, where the CI job is written; "
+        "change to its parent folder first\n"
     )
     Path(".github").write_text("")
     status, _, err = say("new", "wheels", "--ci", "github")
@@ -73,7 +74,7 @@ def test_a_job_that_cannot_be_written_leaves_nothing(bench, say):
     assert [path.name for path in bench.iterdir()] == [".github"]
 
 
-def test_both_jobs_run_the_same():
+def test_both_jobs_run_the_same_commands():
     github, gitlab = ((EXAMPLES / "ci" / f"{kind}.yml").read_text() for kind in CI_FILES)
     loop = 'for record in out/*.mcap; do motorhil report "$record"; done'
     assert len(commands_in(github)) == 4
@@ -83,7 +84,7 @@ def test_both_jobs_run_the_same():
 
 
 @pytest.mark.wall
-def test_the_job_runs(bench, say, tmp_path):
+def test_job_runs(bench, say, tmp_path):
     say("new", "wheels", "--ci", "github")
     Path("test_wheels.py").write_text(FAILING_TEST)
     Path("wheels/drive.py").write_text(PROGRAM)
@@ -147,7 +148,7 @@ DO = 'echo "{0} $*" >> "$DID"; '
 
 
 @pytest.mark.parametrize("needs", ["nothing", "modprobe", "apt-get"])
-def test_interfaces_are_made_with_as_little_as_it_takes(tmp_path, needs):
+def test_interfaces_are_created_with_least_privilege(tmp_path, needs):
     done = helped(
         tmp_path,
         *OPTIONS,
@@ -170,7 +171,7 @@ def test_interfaces_are_made_with_as_little_as_it_takes(tmp_path, needs):
     assert any(line.startswith("apt-get ") for line in did) is (needs == "apt-get")
 
 
-def test_without_interfaces_it_is_the_hub_and_the_reason_is_told(tmp_path):
+def test_helper_falls_back_to_hub_with_reason(tmp_path):
     refuse = "echo {0} is refused >&2; exit 1"
     names = ("ip", "modprobe", "sudo")
     texts = {name: refuse.format(name) for name in names}
@@ -184,17 +185,17 @@ def test_without_interfaces_it_is_the_hub_and_the_reason_is_told(tmp_path):
 
 
 @pytest.mark.parametrize("options", [(), ("rig.toml", "--", "a"), ("rig.toml", "--on")])
-def test_wrong_usage_of_the_helper_is_told(tmp_path, options):
+def test_wrong_usage_of_helper_is_reported(tmp_path, options):
     done = helped(tmp_path, *options)
     assert (done.returncode, done.stdout) == (2, "")
     assert "--on" in done.stderr
 
 
-# --- our own jobs
+# --- jobs of this project
 
 
 @pytest.mark.parametrize("job", [".github/workflows/ci.yml", ".gitlab-ci.yml"])
-def test_our_own_jobs_run_what_is_there(job):
+def test_own_jobs_run_existing_targets(job):
     text = (CHECKOUT / job).read_text()
     scripts = re.findall(r"\.ci/[\w-]+", text)
     assert set(scripts) == {".ci/run", ".ci/on-bus"}

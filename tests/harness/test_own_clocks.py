@@ -1,13 +1,13 @@
-"""Drives whose clocks disagree, in a rig: a group starts together and ends apart by that much."""
+"""A rig whose drives' clocks disagree: a group's common moves end apart."""
 
 from pathlib import Path
 
 import pytest
 
-from harness.rig import Rig, installed_plugins
-from harness.rig_file import parse_rig
-from harness.settings import Source
-from motorapi import ControlMode, Motor, TrapezoidalTrajectory
+from motorhil.harness.rig.config.rig_file import parse_rig
+from motorhil.harness.rig.config.toml import Source
+from motorhil.harness.rig.rig import Rig, installed_plugins
+from motorhil.motorapi import ControlMode, Motor, TrapezoidalTrajectory
 
 NAMES = ("left", "right")
 DRIVE = """
@@ -37,11 +37,11 @@ def rig_with(left, right, seed=0):
 
 
 def first_and_last_s(rig, duration_s):
-    """Of a group's common move: when each drive's own demand left and arrived, to 0.1 ms."""
+    """Return when each drive's demand of a common move started and arrived [s], to 0.1 ms."""
     group = rig.groups["both"]
     group.for_each(Motor.enable)
     group.for_each(Motor.set_control_mode, ControlMode.TRAJECTORY)
-    distance_rad = 2.0 * (duration_s - 0.2)  # 0.2 s to 2 rad/s, and as much back
+    distance_rad = 2.0 * (duration_s - 0.2)  # 0.2 s to reach 2 rad/s, and 0.2 s to stop
     group.set_trajectory(*(TrapezoidalTrajectory(distance_rad) for _ in group))
     group.start()
     demands = {name: [] for name in NAMES}
@@ -61,16 +61,16 @@ def first_and_last_s(rig, duration_s):
 
 
 @pytest.mark.parametrize("ppm", [0.0, 500.0, -2000.0])
-def test_the_end_of_a_common_move_is_apart_by_the_error_times_the_time(ppm):
+def test_common_move_ends_apart_by_clock_error_times_duration(ppm):
     with rig_with(f"ppm = {ppm}", f"ppm = {-ppm}") as rig:
         left, arrived = first_and_last_s(rig, 10.0)
-    assert abs(left[0] - left[1]) <= 0.0011  # to a servo tick of each
-    # 10 s by each one's own clock; the profile's numbers are rounded to the drive's units
+    assert abs(left[0] - left[1]) <= 0.0011  # within a servo tick of each drive
+    # 10 s by each drive's clock; the profile's values are rounded to the drive's units
     assert arrived[1] - arrived[0] == pytest.approx(2 * ppm * 1e-6 * 10.0, abs=0.0021)
     assert sum(arrived) / 2 - sum(left) / 2 == pytest.approx(10.0, abs=0.005)
 
 
-def test_drawn_clocks_are_those_of_the_runs_seed():
+def test_random_clocks_follow_the_runs_seed():
     drawn = "ppm_max = 100, phase_max_s = 0.001"
     clocks = []
     for seed in (1, 1, 2):

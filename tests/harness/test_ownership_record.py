@@ -1,12 +1,12 @@
-"""Who had a motor when, told from messages alone."""
+"""Ownership of motors reconstructed from messages alone."""
 
 import pytest
 
-from harness.ownership_record import Ended, LockEvent, ownership_of, read_ownership
-from harness.recorder import Recorder
-from traces.errors import TraceError
-from traces.schema import MOTOR_LOCK, LockAction
-from traces.writer import TraceWriter
+from motorhil.harness.recording.ownership import Ended, LockEvent, ownership_of, read_ownership
+from motorhil.harness.recording.recorder import Recorder
+from motorhil.traces.errors import TraceError
+from motorhil.traces.mcap.writer import TraceWriter
+from motorhil.traces.schema import MOTOR_LOCK, LockAction
 
 SECOND = 1_000_000_000
 A = LockAction
@@ -17,7 +17,7 @@ def told(time_s, action, owner="", token=0, motor="pan", **facts):
 
 
 def spans(events, motor="pan"):
-    """(owner, from [s], to [s], how it ended) of each tenure."""
+    """Return (owner, from [s], to [s], end) of each tenure."""
     record = ownership_of(events)
     assert record.contradictions == ()
     return [
@@ -31,7 +31,7 @@ def spans(events, motor="pan"):
     ]
 
 
-def test_a_tenure_lasts_from_taking_to_giving_back():
+def test_tenure_lasts_from_taken_to_released():
     events = [
         told(1.0, A.TAKEN, "mast", 5, waited_s=0.25),
         told(2.0, A.RELEASED, "mast", 5),
@@ -44,7 +44,7 @@ def test_a_tenure_lasts_from_taking_to_giving_back():
     assert ownership_of(events).tenures["pan"][0].waited_s == 0.25
 
 
-def test_whose_the_motor_is_at_a_handover_is_told_to_the_nanosecond():
+def test_owner_at_a_handover_is_exact_to_the_nanosecond():
     record = ownership_of(
         [
             told(1.0, A.TAKEN, "mast", 5),
@@ -66,16 +66,16 @@ def test_whose_the_motor_is_at_a_handover_is_told_to_the_nanosecond():
     ("action", "ended"), [(A.BROKEN, Ended.DIED), (A.TAKEN_OVER, Ended.TAKEN_OVER)]
 )
 @pytest.mark.parametrize("twice", [False, True])
-def test_how_the_one_before_ended_is_told_by_the_next_one(action, ended, twice):
+def test_end_of_a_tenure_follows_from_the_next_taking(action, ended, twice):
     events = [told(1.0, A.TAKEN, "mast", 5), told(4.0, action, "drive", 6)]
-    if twice:  # in whichever order it is told in two messages
+    if twice:  # two messages, in either order
         events = [*events, told(4.0, A.TAKEN, "drive", 6)]
         other = [events[0], events[2], events[1]]
         assert spans(other) == spans(events)
     assert spans(events) == [("mast", 1.0, 4.0, ended), ("drive", 4.0, None, Ended.NOT_YET)]
 
 
-def test_one_who_lost_it_had_it_until_the_next_one_took_it_however_late_he_noticed():
+def test_lost_tenure_ends_at_the_takeover_not_at_its_notice():
     events = [
         told(1.0, A.TAKEN, "mast", 5),
         told(2.0, A.TAKEN_OVER, "drive", 6),
@@ -87,7 +87,7 @@ def test_one_who_lost_it_had_it_until_the_next_one_took_it_however_late_he_notic
     assert spans(events[:1] + events[2:]) == [("mast", 1.0, 9.0, Ended.TAKEN_OVER)]
 
 
-def test_messages_that_crossed_are_put_in_order_by_their_tokens():
+def test_crossed_messages_are_ordered_by_token():
     events = [
         told(1.0, A.TAKEN, "mast", 5),
         told(2.0, A.TAKEN, "drive", 6),
@@ -101,8 +101,8 @@ def test_messages_that_crossed_are_put_in_order_by_their_tokens():
     assert ownership_of(events).tenures["pan"][0].crossed_ns == 1_000_000
 
 
-def test_messages_that_crossed_by_several_handovers_are_no_contradiction():
-    """As heard on a hub with five busy programs: each of them tells in its own order."""
+def test_messages_crossed_over_handovers_do_not_contradict():
+    """Each of several busy programs on a hub sends in its own order."""
     events = [
         told(1.0, A.TAKEN, "mast", 5, pid=1),
         told(2.0, A.TAKEN, "arm", 7, pid=3),
@@ -121,18 +121,18 @@ def test_messages_that_crossed_by_several_handovers_are_no_contradiction():
     assert record.events == tuple(events)
 
 
-def test_one_who_never_told_that_he_gave_it_back_is_told_apart():
+def test_missing_release_ends_the_tenure_as_untold():
     events = [told(1.0, A.TAKEN, "mast", 5), told(2.0, A.TAKEN, "drive", 6)]
     assert spans(events)[0] == ("mast", 1.0, 2.0, Ended.UNTOLD)
 
 
-def test_tokens_of_owners_who_told_nothing_are_counted():
+def test_tokens_of_silent_owners_are_counted():
     tokens = (5, 6, 9)
     record = ownership_of([told(float(token), A.TAKEN, "mast", token) for token in tokens])
     assert [one.skipped for one in record.tenures["pan"]] == [0, 0, 2]
 
 
-def test_waiting_and_being_refused_are_no_tenures_and_motors_are_kept_apart():
+def test_waiting_and_refusal_are_not_tenures():
     events = [
         told(1.0, A.TAKEN, "mast", 5),
         told(1.1, A.WAITING, "drive", holder="mast"),
@@ -147,7 +147,7 @@ def test_waiting_and_being_refused_are_no_tenures_and_motors_are_kept_apart():
 
 
 @pytest.mark.parametrize("token", [4, 5])
-def test_two_owners_under_one_token_or_a_token_that_falls_contradict(token):
+def test_repeated_or_decreasing_token_is_a_contradiction(token):
     events = [told(1.0, A.TAKEN, "mast", 5), told(2.0, A.TAKEN, "drive", token)]
     (line,) = ownership_of(events).contradictions
     assert line == (
@@ -155,17 +155,17 @@ def test_two_owners_under_one_token_or_a_token_that_falls_contradict(token):
     )
 
 
-def test_nobody_gives_back_what_another_process_has():
+def test_release_by_another_process_is_ignored():
     events = [told(1.0, A.TAKEN, "mast", 5, pid=1), told(2.0, A.RELEASED, "mast", 5, pid=2)]
     assert spans(events) == [("mast", 1.0, None, Ended.NOT_YET)]
 
 
-def test_one_program_of_two_processes_is_two_owners():
+def test_one_program_in_two_processes_is_two_owners():
     events = [told(1.0, A.TAKEN, "mast", 5, pid=1), told(2.0, A.TAKEN, "mast", 5, pid=2)]
     assert len(ownership_of(events).contradictions) == 1
 
 
-def test_what_was_seen_from_outside_began_earlier_but_not_before_what_was_seen_before():
+def test_polled_tenure_starts_earlier_but_never_overlaps():
     events = [
         told(1.0, A.TAKEN, "mast", 5, held_s=0.25, looked=True),
         told(2.0, A.RELEASED, "mast", 5, looked=True),
@@ -179,7 +179,7 @@ def test_what_was_seen_from_outside_began_earlier_but_not_before_what_was_seen_b
     ]
 
 
-def test_motors_without_tokens_are_had_in_the_order_told():
+def test_motors_without_tokens_follow_message_order():
     events = [
         told(1.0, A.TAKEN, "mast"),
         told(1.0, A.RELEASED, "mast"),
@@ -189,7 +189,7 @@ def test_motors_without_tokens_are_had_in_the_order_told():
     assert [span[0] for span in spans(events)] == ["mast", "drive"]
 
 
-def test_a_tenure_reads_as_a_sentence():
+def test_tenure_as_text_is_a_sentence():
     record = ownership_of(
         [
             told(1.0, A.TAKEN, "mast", 5, pid=7, program="mast.py", purpose="panorama"),
@@ -202,7 +202,7 @@ def test_a_tenure_reads_as_a_sentence():
     ]
 
 
-def test_all_of_it_is_read_back_from_a_recording(tmp_path):
+def test_events_are_read_back_from_a_recording(tmp_path):
     path = tmp_path / "run.mcap"
     recorder = Recorder(TraceWriter(path), {})
     values = {
@@ -225,7 +225,7 @@ def test_all_of_it_is_read_back_from_a_recording(tmp_path):
     assert later == LockEvent("pan", SECOND, A.UNKNOWN, token=1)
 
 
-def test_what_is_no_recording_is_told(tmp_path):
+def test_invalid_recording_raises_trace_error(tmp_path):
     (tmp_path / "x.mcap").write_bytes(b"no")
     with pytest.raises(TraceError):
         read_ownership(tmp_path / "x.mcap")

@@ -1,18 +1,18 @@
-"""Logical motors that take turns with one motor: who commanded when, by the record alone."""
+"""Logical motors sharing one motor, according to the record alone."""
 
 from itertools import pairwise
 
 import pytest
 
-from harness.ownership_record import Ended, read_ownership
-from harness.rig import Rig, installed_plugins
-from harness.rig_file import parse_rig
-from harness.scaffold import EXAMPLES
-from harness.settings import Source
-from motorapi import ControlMode, MotorBusyError
-from traces.digest import digest
-from traces.reader import read_trace
-from traces.schema import LockAction
+from motorhil.harness.recording.ownership import Ended, read_ownership
+from motorhil.harness.rig.config.rig_file import parse_rig
+from motorhil.harness.rig.config.scaffold import EXAMPLES
+from motorhil.harness.rig.config.toml import Source
+from motorhil.harness.rig.rig import Rig, installed_plugins
+from motorhil.motorapi import ControlMode, MotorBusyError
+from motorhil.traces.digest import digest
+from motorhil.traces.mcap.reader import read_trace
+from motorhil.traces.schema import LockAction
 
 MAST = """[motor.mast]
 adaptation = "cia402"
@@ -32,7 +32,7 @@ def move(motor, way):
 
 
 def take_turns(target, rig_file="two_wheels", more=MAST):
-    """Two programs have each had the left wheel twice, for two motions; when the middle was."""
+    """Let two programs use the left wheel twice each, in turns; return the middle times [ns]."""
     path = EXAMPLES / f"{rig_file}.toml"
     known = installed_plugins()
     middle_ns = []
@@ -56,7 +56,7 @@ def take_turns(target, rig_file="two_wheels", more=MAST):
     return middle_ns
 
 
-def test_the_record_alone_tells_who_commanded_when(tmp_path):
+def test_record_alone_shows_who_commanded_when(tmp_path):
     middle_ns = take_turns(tmp_path / "run.mcap")
     record = read_ownership(tmp_path / "run.mcap")
     assert record.contradictions == ()
@@ -71,7 +71,7 @@ def test_the_record_alone_tells_who_commanded_when(tmp_path):
         assert record.owner_at("left", time_ns).purpose == purpose
 
 
-def test_all_that_commands_the_drive_lies_within_somebodys_tenure(tmp_path):
+def test_every_command_of_the_drive_is_within_a_tenure(tmp_path):
     take_turns(tmp_path / "run.mcap")
     record = read_ownership(tmp_path / "run.mcap")
     first_ns = record.tenures["left"][0].from_ns
@@ -85,7 +85,7 @@ def test_all_that_commands_the_drive_lies_within_somebodys_tenure(tmp_path):
     assert all(record.owner_at("left", time_ns) for time_ns in targets_ns)
 
 
-def test_one_seed_is_one_record_and_no_process_is_in_it(tmp_path):
+def test_one_seed_gives_one_record_without_process_ids(tmp_path):
     take_turns(tmp_path / "1.mcap")
     take_turns(tmp_path / "2.mcap")
     assert digest(tmp_path / "1.mcap") == digest(tmp_path / "2.mcap")
@@ -93,7 +93,7 @@ def test_one_seed_is_one_record_and_no_process_is_in_it(tmp_path):
         assert (event.pid, event.program) == (0, "")
 
 
-def test_a_lease_that_ends_is_a_takeover_and_the_loser_notices_later(tmp_path):
+def test_expired_lease_is_a_takeover_noticed_later(tmp_path):
     path = EXAMPLES / "two_wheels.toml"
     rig_file = parse_rig(Source(path, path.read_text() + MAST), installed_plugins())
     with Rig(rig_file, record=tmp_path / "run.mcap") as rig:
@@ -105,7 +105,7 @@ def test_a_lease_that_ends_is_a_takeover_and_the_loser_notices_later(tmp_path):
 
         with drive.reserve("slow", lease_s=0.5):
             party = rig.runtime.spawn("mast", rescue)
-            rig.runtime.run_for(1.0)  # and does nothing with it
+            rig.runtime.run_for(1.0)  # without using it
             with pytest.raises(MotorBusyError):
                 drive.enable()
         assert party.join(timeout_s=10.0)
@@ -119,7 +119,7 @@ def test_a_lease_that_ends_is_a_takeover_and_the_loser_notices_later(tmp_path):
     assert record.contradictions == ()
 
 
-def test_a_motor_on_no_bus_tells_it_too(tmp_path):
+def test_motor_without_a_bus_records_its_ownership(tmp_path):
     path = EXAMPLES / "ideal_wheels.toml"
     with Rig.open(path, record=tmp_path / "run.mcap") as rig, rig.motors["left"].reserve("survey"):
         rig.runtime.run_for(1.5)

@@ -1,18 +1,18 @@
-"""What programs say of who owns a motor, in the record of the rig."""
+"""Ownership announcements of programs, in the record of a rig."""
 
 import errno
 import os
 
 import pytest
 
-from emulators.hub_protocol import OwnershipNotice
-from harness.ownership_record import Ended, LockEvent, read_ownership
-from harness.rig import Rig
-from harness.scaffold import EXAMPLES
+from motorhil.emulators.simulation.ownership_notice import OwnershipNotice
+from motorhil.harness.recording.ownership import Ended, LockEvent, read_ownership
+from motorhil.harness.rig.config.scaffold import EXAMPLES
+from motorhil.harness.rig.rig import Rig
+from motorhil.traces.errors import TraceError
+from motorhil.traces.mcap.writer import TraceWriter
+from motorhil.traces.schema import LockAction
 from tests.harness.rigs import GOOD, WHEEL
-from traces.errors import TraceError
-from traces.schema import LockAction
-from traces.writer import TraceWriter
 
 SECOND = 1_000_000_000
 TAKEN, RELEASED = LockAction.TAKEN.value, LockAction.RELEASED.value
@@ -27,7 +27,7 @@ def rig(bench):
     return bench / "rig.toml"
 
 
-def test_what_a_program_says_is_recorded_under_the_rigs_name_of_the_motor(rig, tmp_path):
+def test_announcement_is_recorded_under_the_motors_name(rig, tmp_path):
     notice = OwnershipNotice(
         *(2, TAKEN, 7, "reserve() of wheel", "", "survey", "mast.py", 4711, 250_000_000, 0)
     )
@@ -59,20 +59,20 @@ def test_what_a_program_says_is_recorded_under_the_rigs_name_of_the_motor(rig, t
         (0x103, "can0-node3-channel1"),
     ],
 )
-def test_what_the_rig_has_no_motor_on_is_told_apart(rig, tmp_path, resource, name):
+def test_announcement_without_a_motor_is_recorded_by_place(rig, tmp_path, resource, name):
     with Rig.open(rig, record=tmp_path / "run.mcap") as opened:
         opened.world.tell_ownership("can0", "x", OwnershipNotice(resource, TAKEN, 1))
     assert list(read_ownership(tmp_path / "run.mcap").tenures) == [name]
 
 
-def test_a_motor_is_called_by_its_own_name_not_its_controllers(rig, tmp_path):
+def test_motor_is_recorded_by_its_name_not_its_controllers(rig, tmp_path):
     rig.write_text(GOOD.replace("motor.right", "motor.pan"))
     with Rig.open(rig, record=tmp_path / "run.mcap") as opened:
         opened.world.tell_ownership("can0", "x", OwnershipNotice(2, TAKEN, 1))
     assert list(read_ownership(tmp_path / "run.mcap").tenures) == ["pan"]
 
 
-def test_channels_of_one_node_are_motors_of_their_own(tmp_path):
+def test_channels_of_one_node_are_separate_motors(tmp_path):
     with Rig.open(EXAMPLES / "fido.toml", record=tmp_path / "run.mcap") as opened:
         motors = [
             motor
@@ -87,7 +87,7 @@ def test_channels_of_one_node_are_motors_of_their_own(tmp_path):
     assert len(set(names)) > 1
 
 
-def test_of_a_program_in_the_rigs_process_no_pid_is_recorded(rig, tmp_path):
+def test_program_in_the_rigs_process_has_no_recorded_pid(rig, tmp_path):
     notice = OwnershipNotice(1, TAKEN, 1, "start() of left", program="x", pid=os.getpid())
     with Rig.open(rig, record=tmp_path / "run.mcap") as opened:
         opened.world.tell_ownership("can0", "host", notice)
@@ -95,7 +95,7 @@ def test_of_a_program_in_the_rigs_process_no_pid_is_recorded(rig, tmp_path):
     assert (event.pid, event.program, event.owner) == (0, "", "start() of left")
 
 
-def test_a_full_disk_is_told_by_the_run_not_to_the_program(rig, tmp_path, monkeypatch):
+def test_full_disk_is_raised_by_the_run_not_in_the_program(rig, tmp_path, monkeypatch):
     def full(writer, entries):
         raise TraceError(str(tmp_path), os.strerror(errno.ENOSPC))
 

@@ -1,11 +1,11 @@
-"""Plants that take numbers from motor models: of one motor, of a node's channels, gear and all."""
+"""Plants with parameters from motor models, also for channels."""
 
 import pytest
 
-from harness.plant_from_model import plant_numbers
-from harness.rig import Rig
-from harness.settings import RigError
-from motorapi import MotionKind, MotorModel
+from motorhil.harness.rig.config.derived import plant_numbers
+from motorhil.harness.rig.config.toml import RigError
+from motorhil.harness.rig.rig import Rig
+from motorhil.motorapi import MotionKind, MotorModel
 
 NODE = """\
 [bus.can0]
@@ -63,30 +63,30 @@ def refusal(bench, text):
     return str(caught.value)
 
 
-def test_gear_and_encoder_of_the_model_are_the_plants():
+def test_plant_takes_gear_and_encoder_from_the_model():
     numbers = plant_numbers(model(gear_ratio=-66.0, encoder_increments_rev=2000.0), {})
     assert numbers == {"gear_ratio": 66.0, "encoder_increments_rev": 2000}
     increments = model(gear_ratio=50.0, increments_per_unit=50.0 * 1000 / 6.283185307179586)
     assert plant_numbers(increments, {}) == {"gear_ratio": 50.0, "encoder_increments_rev": 1000}
 
 
-def test_of_a_linear_motor_only_what_is_its_motors_own_is_taken():
+def test_plant_of_a_linear_motor_takes_only_the_encoder():
     slide = model(MotionKind.LINEAR, gear_ratio=200.0, encoder_increments_rev=500.0)
     assert plant_numbers(slide, {}) == {"encoder_increments_rev": 500}
 
 
-def test_what_the_rig_says_counts_more():
+def test_values_of_the_rig_take_precedence():
     known = model(gear_ratio=66.0, encoder_increments_rev=2000.0, current_max=4.0)
     said = {"gear_ratio": 33.0, "encoder_increments_rev": 500, "current_max_a": 2.0}
     assert plant_numbers(known, said) == {}
 
 
-def test_an_encoder_of_half_an_increment_is_refused():
+def test_fractional_encoder_increments_are_refused():
     with pytest.raises(ValueError, match=r"increments, 1000\.5, are 1000\.5 per motor turn: no"):
         plant_numbers(model(encoder_increments_rev=1000.5), {})
 
 
-def test_channels_whose_models_agree_are_asked_together(bench):
+def test_channels_with_equal_models_may_ask_together(bench):
     plants, notes = opened(bench, NODE)
     for plant in plants:
         facts = (plant.gear_ratio, plant.encoder_increments_rev, plant.current_max_a)
@@ -97,11 +97,11 @@ def test_channels_whose_models_agree_are_asked_together(bench):
     )
 
 
-def test_channels_whose_models_differ_are_asked_each_for_itself(bench):
+def test_channels_with_different_models_must_ask_separately(bench):
     text = NODE.replace("gear_ratio = 50.0", "gear_ratio = 60.0")
     assert refusal(bench, text) == (
-        'rig.toml:10: controller.node.plant.from_motor_model: motors "a" and "b" have models that '
-        "differ in it; ask in [controller.node.channel.1.plant] and so on"
+        'rig.toml:10: controller.node.plant.from_motor_model: the models of motors "a" '
+        'and "b" differ; write it in [controller.node.channel.1.plant] and so on'
     )
     text = text.replace("from_motor_model = true\n", "", 1) + OF_CHANNEL_2
     plants, notes = opened(bench, text)
@@ -114,12 +114,12 @@ def test_channels_whose_models_differ_are_asked_each_for_itself(bench):
 @pytest.mark.parametrize(
     ("old", "new", "told"),
     [
-        ("channel = 2\n", "channel = 1\n", "no motor of this rig has this controller; take it out"),
+        ("channel = 2\n", "channel = 1\n", "no motor of this rig uses this controller; "),
         ("true\nload", "1\nload", "must be true or false, but is an integer (1)"),
         ("1000\ncurrent_max_a = 3.0\n[con", "0.2\n[con", "the motor model's increments, 0.2, are"),
     ],
 )
-def test_what_a_channel_cannot_take_is_told_at_its_line(bench, old, new, told):
+def test_unusable_channel_setting_is_reported_at_its_line(bench, old, new, told):
     text = NODE.replace("from_motor_model = true\n", "") + OF_CHANNEL_2
     assert old in text
     text = text.replace(old, new, 1)
@@ -128,7 +128,7 @@ def test_what_a_channel_cannot_take_is_told_at_its_line(bench, old, new, told):
     assert refusal(bench, text).startswith(where + told)
 
 
-def test_a_channel_with_a_preset_of_its_own_inherits_no_number_of_the_common_plant(bench):
+def test_channel_with_own_preset_ignores_the_common_plant(bench):
     text = NODE.replace("current_max_a = 3.0", "current_max_a = 2.25")
     text = text.replace("from_motor_model = true\n", "current_max_a = 9.0\n")
     for preset, current_max_a in (("", 9.0), ('preset = "mast_20w"\n', 2.25)):

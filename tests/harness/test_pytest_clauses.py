@@ -1,4 +1,4 @@
-"""`pytest --adaptation NAME --rig RIG`: each clause of the conformance kit is a test."""
+"""`pytest --adaptation NAME --rig RIG`: every clause as a test."""
 
 import json
 import re
@@ -6,15 +6,15 @@ import shlex
 
 import pytest
 
-import harness.pytest_clauses  # noqa: F401 -- stays loaded between the runs below
-from harness.cli import main
-from harness.scaffold import write_new_rig
-from traces.digest import digest
+import motorhil.harness.pytest_plugin.clauses  # noqa: F401 -- stays loaded between the runs below
+from motorhil.harness.cli.main import main
+from motorhil.harness.rig.config.scaffold import write_new_rig
+from motorhil.traces.digest import digest
 
 pytest_plugins = ["pytester"]
 TESTS = """
 import pytest
-from motorapi import ControlMode
+from motorhil.motorapi import ControlMode
 
 @pytest.mark.parametrize("place_rad", [0.1, 0.2, 0.3], ids=["a/b", "a:b", "c"])
 def test_it(motor, place_rad):
@@ -30,7 +30,7 @@ ONE = ["--adaptation=cia402", "--rig=wheels/rig.toml"]
 
 @pytest.fixture
 def project(pytester, monkeypatch):
-    """A project with two wheels, and a test that is not asked for."""
+    """Return a project with two wheels and an unrelated test."""
     monkeypatch.delenv("PYTEST_ADDOPTS", raising=False)
     write_new_rig(pytester.path / "wheels")
     pytester.makeini("[pytest]\naddopts = -W error -p no:hypothesispytest\n")
@@ -40,7 +40,7 @@ def project(pytester, monkeypatch):
 
 @pytest.fixture
 def wrong_gear(project):
-    """The motor model says more increments than there are."""
+    """Give the motor model a wrong number of increments."""
     model = project.path / "wheels/wheel_model.toml"
     text, count = re.subn(
         r"^increments_per_rad = .*$", "increments_per_rad = 20000.0", model.read_text(), flags=re.M
@@ -50,18 +50,18 @@ def wrong_gear(project):
 
 
 def results_of(document):
-    """How each clause ended, as pytest calls it, by what `motorhil conform` wrote."""
+    """Return pytest's outcome of each clause from the output of `motorhil conform`."""
     words = {"passed": "PASSED", "failed": "FAILED", "not applicable": "SKIPPED"}
     return {one["id"]: words[one["result"]] for one in json.loads(document)["clauses"]}
 
 
 @pytest.mark.usefixtures("wrong_gear")
-def test_several_workers_find_what_one_process_finds(project):
-    """In clauses, and in tests that have rigs; each leaves a record of its own."""
+def test_several_workers_find_the_same_as_one_process(project):
+    """Compare clauses and tests with rigs; each failure leaves its own record."""
     words = ["--adaptation", "cia402", "--rig", "wheels/rig.toml"]
     file = project.makepyfile(test_own=TESTS).name
     result = project.runpytest_inprocess(*words, *LEVEL, file, "-v", "-n", "2", "-rs")
-    result.stdout.fnmatch_lines(["SKIPPED * wheels/rig.toml:1: its model has no torque_max"])
+    result.stdout.fnmatch_lines(["SKIPPED * wheels/rig.toml:1: *model has no torque_max"])
     told = re.findall(r"^\[gw\d\].* (\w+) (\S+?)::(\S+) *$", result.stdout.str(), re.MULTILINE)
     clauses = {clause: outcome for outcome, place, clause in told if place == "wheels/rig.toml"}
     assert sorted(outcome for outcome, place, _ in told if place == file) == ["FAILED"] * 3
@@ -79,22 +79,20 @@ def test_several_workers_find_what_one_process_finds(project):
     assert len(set(records[0].values())) == 4
 
 
-@pytest.mark.parametrize("ci", ["", "true"])  # where it is set, pytest's summary is whole
+@pytest.mark.parametrize("ci", ["", "true"])  # if set, pytest does not shorten its summary
 @pytest.mark.usefixtures("wrong_gear")
-def test_a_clause_that_fails_says_what_was_promised_and_seen_and_what_repeats_it(
-    project, capsys, monkeypatch, ci
-):
+def test_failed_clause_reports_promise_result_and_command(project, capsys, monkeypatch, ci):
     monkeypatch.setenv("CI", ci)
     result = project.runpytest_inprocess(*ONE, "wheels/rig.toml::UNIT-01", "--seed=5")
     result.assert_outcomes(failed=1)
     result.stdout.fnmatch_lines(
         [
-            "failed: left was told to move * rad, it moved * rad, *",
-            "promise: A move of so many units is *",
+            "failed: left: commanded * rad, moved * rad; *",
+            "promise: Each motor moves, and reports, *",
             "source: paper 3.2, *",
             "record: out/UNIT-01.mcap",
             "again: motorhil conform * --clause UNIT-01 --seed 5",
-            "FAILED wheels/rig.toml::UNIT-01 - failed: left was told *",
+            "FAILED wheels/rig.toml::UNIT-01 - failed: left: commanded *",
         ]
     )
     record = project.path / "out/UNIT-01.mcap"
@@ -107,22 +105,22 @@ def test_a_clause_that_fails_says_what_was_promised_and_seen_and_what_repeats_it
     assert main(["show", str(record), "--last", "1"]) == 0
 
 
-def test_where_nothing_is_applicable_nothing_was_shown(project):
+def test_session_without_applicable_clause_fails(project):
     result = project.runpytest_inprocess(*ONE, *LEVEL, "-k", "MEAS-03 or test_of_its_own")
     result.assert_outcomes(skipped=1)  # the project's own tests were not named
     assert result.ret == 1
-    result.stdout.fnmatch_lines(["motorhil: nothing was applicable, so nothing was shown"])
+    result.stdout.fnmatch_lines(["motorhil: no clause was applicable, so nothing was shown"])
 
 
 @pytest.mark.parametrize(
     ("words", "told"),
     [
         (["--adaptation=cia40", "--rig=wheels/rig.toml"], "*cia40: is not installed *did you mean"),
-        (["--adaptation=cia402"], "*--adaptation cia402: on which rig? Say --rig=FILE; *"),
-        ([*ONE, "--level=L9"], "*'L9' is no level; say L0 to L5"),
+        (["--adaptation=cia402"], "*--adaptation cia402: no rig given; say --rig=FILE, *"),
+        ([*ONE, "--level=L9"], "*invalid level 'L9'; use L0 to L5"),
     ],
 )
-def test_wrong_usage_is_told_in_a_line(project, words, told):
+def test_wrong_usage_is_reported_in_one_line(project, words, told):
     result = project.runpytest_inprocess(*words)
     assert result.ret == pytest.ExitCode.USAGE_ERROR
     result.stderr.fnmatch_lines([f"{told}*"])

@@ -1,4 +1,4 @@
-"""The pytest plugin, as a project meets it that has motorhil installed."""
+"""The pytest plugin in a project that has motorhil installed."""
 
 import json
 import re
@@ -8,15 +8,15 @@ import sys
 
 import pytest
 
-import harness.pytest_rigs  # noqa: F401 -- stays loaded between the runs below
-from harness.cli import main
-from harness.scaffold import write_new_rig
-from traces.digest import digest
+import motorhil.harness.pytest_plugin.rigs  # noqa: F401 -- stays loaded between the runs below
+from motorhil.harness.cli.main import main
+from motorhil.harness.rig.config.scaffold import write_new_rig
+from motorhil.traces.digest import digest
 
 pytest_plugins = ["pytester"]
 TURN = """
 import pytest
-from motorapi import ControlMode
+from motorhil.motorapi import ControlMode
 
 def turn(motor, place_rad):
     motor.set_control_mode(ControlMode.SETPOINT)
@@ -34,7 +34,7 @@ def test_short(motor):
 
 @pytest.fixture
 def project(pytester, monkeypatch):
-    """A project with two wheels; its settings for pytest are its own."""
+    """Return a project with two wheels and pytest settings of its own."""
     monkeypatch.delenv("PYTEST_ADDOPTS", raising=False)
     write_new_rig(pytester.path / "wheels")
     pytester.makeini("[pytest]\naddopts = -W error -p no:cacheprovider -p no:hypothesispytest\n")
@@ -43,7 +43,7 @@ def project(pytester, monkeypatch):
 
 @pytest.fixture
 def run(project):
-    """Writes the tests, if any, and runs pytest in this process: its result."""
+    """Return a function that writes tests, if any, and returns the result of pytest."""
 
     def write_and_run(tests, *words):
         if tests:
@@ -58,7 +58,7 @@ def records(project, folder="out"):
 
 
 def again(result):
-    """The words of the one command that is told behind "again:", without pytest."""
+    """Return the words of the only command after "again:", without pytest."""
     (command,) = re.findall(r"^again:  (.*)$", result.stdout.str(), re.MULTILINE)
     program, *words = shlex.split(command)
     assert program == "pytest"
@@ -68,7 +68,7 @@ def again(result):
 # --- records
 
 
-def test_what_passes_leaves_nothing_and_what_fails_its_record(project, run):
+def test_failed_test_leaves_a_record_and_passed_one_does_not(project, run):
     result = run(
         """
 def test_passes(motor, rig):
@@ -113,12 +113,12 @@ def test_ends_badly(breaks):
     assert sorted(told) == [f"out/{name}" for name in records(project) if "kept" not in name]
 
 
-def test_where_nothing_failed_there_is_no_folder_for_records(project, run):
+def test_session_without_failures_leaves_no_record_folder(project, run):
     run("def test_it(rig):\n    pass\n", "--rig=wheels/rig.toml").assert_outcomes(passed=1)
     assert not (project.path / "out").exists()
 
 
-def test_the_command_that_is_told_repeats_it_byte_for_byte(project, run, capsys):
+def test_repeat_command_gives_an_identical_record(project, run, capsys):
     tests = (
         "class TestWheel:\n    def test_it(self, motor):\n        assert turn(motor, 0.2) > 0.3\n"
     )
@@ -135,12 +135,12 @@ def test_the_command_that_is_told_repeats_it_byte_for_byte(project, run, capsys)
     assert digests[0] == digests[1]
 
     capsys.readouterr()
-    assert main(["show", str(record), "--last", "1"]) == 0  # as is told
+    assert main(["show", str(record), "--last", "1"]) == 0  # the command that the report suggests
     assert "left" in capsys.readouterr().out
     assert f"look:   motorhil show '{record.relative_to(project.path)}'" in first.stdout.str()
 
 
-def test_the_command_is_for_the_folder_it_was_called_in(project, run, monkeypatch):
+def test_repeat_command_works_in_the_folder_of_the_call(project, run, monkeypatch):
     project.makepyfile(TURN + SHORT)
     (project.path / "elsewhere").mkdir()
     monkeypatch.chdir(project.path / "elsewhere")
@@ -149,13 +149,13 @@ def test_the_command_is_for_the_folder_it_was_called_in(project, run, monkeypatc
     result = project.runpytest_inprocess(*words)
     result.assert_outcomes(failed=1)
     told = again(result)
-    assert told[-1] == "../test_the_command_is_for_the_folder_it_was_called_in.py::test_short"
+    assert told[-1] == "../test_repeat_command_works_in_the_folder_of_the_call.py::test_short"
     assert told[:4] == ["-c", "../tox.ini", "-o", "console_output_style=count"]
     project.runpytest_inprocess(*told).assert_outcomes(failed=1)
     assert len(records(project)) == 1  # beside the ini file
 
 
-def test_the_record_of_a_test_that_was_interrupted_stays(project):
+def test_record_of_an_interrupted_test_is_kept(project):
     project.makepyfile("def test_it(motor):\n    motor.enable()\n    raise KeyboardInterrupt\n")
     result = project.runpytest_inprocess("--rig=wheels/rig.toml", no_reraise_ctrlc=True)
     result.stdout.re_match_lines([r"motorhil: interrupted: record: out/\S+\.mcap, seed 1, .*"])
@@ -163,7 +163,7 @@ def test_the_record_of_a_test_that_was_interrupted_stays(project):
     assert main(["show", str(project.path / "out" / name), "--last", "1"]) == 0
 
 
-def test_a_recording_that_could_not_answer_fails_the_test(project, run):
+def test_recording_that_cannot_answer_fails_the_test(project, run):
     run(
         "def test_it(motor, recording):\n    turn(motor, 0.2)\n    recording.keep()\n",
         "--rig=wheels/rig.toml",
@@ -176,10 +176,10 @@ def test_a_recording_that_could_not_answer_fails_the_test(project, run):
     other.stdout.fnmatch_lines(["*commands not in the recording; first:"])
 
 
-# --- which rig, motor, group, seed
+# --- choice of rig, motor, group, seed
 
 
-def test_the_innermost_mark_says_it_then_the_command_line_then_the_ini_file(project, run):
+def test_innermost_mark_precedes_command_line_and_ini_file(project, run):
     project.makeini("[pytest]\nmotorhil_rig = wheels/rig.toml\n")
     text = (project.path / "wheels/rig.toml").read_text()
     for name in ("marked", "told"):
@@ -222,7 +222,7 @@ def said(rig, motor):
     assert {seed for _, _, seed in on_line} == {"16"}
 
 
-def test_can_bus_joins_the_rig_and_code_for_hardware_runs_in_its_time(project):
+def test_code_for_hardware_runs_in_the_rigs_time(project):
     project.makepyfile(
         """
 import threading, time
@@ -248,10 +248,10 @@ def test_a_drive_boots(bus):
     project.runpytest_inprocess(*words).assert_outcomes(passed=1)
 
 
-# --- what is wrong is told, without a traceback of ours
+# --- errors, without a traceback of ours
 
 
-def test_a_wrong_rig_on_the_command_line_is_wrong_usage(project, run):
+def test_wrong_rig_on_the_command_line_is_wrong_usage(project, run):
     with (project.path / "wheels/rig.toml").open("a") as file:
         file.write("\n[moter.left]\n")
     result = run("def test_it():\n    pass\n", "--rig=wheels/rig.toml")
@@ -260,10 +260,10 @@ def test_a_wrong_rig_on_the_command_line_is_wrong_usage(project, run):
     assert re.match(r"ERROR: wheels/rig\.toml:\d+: moter: .*did you mean motor", told)
     result = run(None, "--seed=-1")
     assert result.ret == pytest.ExitCode.USAGE_ERROR
-    assert "is no seed (0 to 4294967295)" in result.stderr.str()
+    assert "is not a seed (0 to 4294967295)" in result.stderr.str()
 
 
-def test_what_a_test_names_wrongly_is_one_line(project, run):
+def test_wrong_name_in_a_test_is_reported_in_one_line(project, run):
     (project.path / "file").write_text("")
     result = run(
         """
@@ -287,31 +287,31 @@ def test_d(motor):
     result.assert_outcomes(errors=4)
     result.stdout.fnmatch_lines(
         [
-            "*::test_a: no rig is named: say --rig=FILE, *",
+            "*::test_a: no rig given; say --rig=FILE, *",
             "wheels/none.toml: no such file; *",
             "*::test_c: @pytest.mark.rig takes one file, and seed, motor, group; not sed; *",
-            "no motor 'middle' in this rig (known: left, right)",
+            "this rig has no motor 'middle' (known: left, right)",
         ]
     )
     assert "harness" not in result.stdout.str()
     assert "Traceback" not in result.stdout.str()
     result = run(None, "--record-dir=file", "--rig=wheels/rig.toml", "-k", "test_a")
-    result.stdout.fnmatch_lines(["file: cannot be made: *; name another with --record-dir"])
+    result.stdout.fnmatch_lines(["file: cannot be created: *; name another with --record-dir"])
 
 
-def test_of_an_error_that_tells_the_test_something_its_own_line_is_the_last(project, run):
+def test_deliberate_error_traceback_ends_in_the_test(project, run):
     tests = "def test_it(motor):\n    motor.set_setpoint(1.0)\n"
     shown = run(tests, "--rig=wheels/rig.toml").stdout.str()
-    assert "motorapi.errors.StateError: left: set_setpoint refused" in shown
+    assert "motorhil.motorapi.errors.StateError: left: set_setpoint refused" in shown
     assert "motorapi/motor.py" not in shown
     shown = run(None, "--rig=wheels/rig.toml", "--full-trace").stdout.str()
     assert "motorapi/motor.py" in shown
 
 
-# --- beside others
+# --- with other plugins
 
 
-def test_an_option_that_somebody_else_has_stays_theirs(project, run):
+def test_option_of_another_plugin_stays_theirs(project, run):
     project.makeconftest(
         """
 def pytest_addoption(parser):
@@ -328,7 +328,7 @@ def pytest_report_header(config):
     result.assert_outcomes(failed=1)
     result.stdout.fnmatch_lines(
         [
-            "motorhil: --seed is not ours here; --motorhil-seed is",
+            "motorhil: --seed belongs to another plugin; use --motorhil-seed",
             "seed of theirs: x",
             "record: *, seed 9, failed at * s",
         ]
@@ -336,7 +336,7 @@ def pytest_report_header(config):
     assert again(result)[:2] == ["--rig=wheels/rig.toml", "--motorhil-seed=9"]
 
 
-def test_where_nobody_asks_for_a_rig_nothing_is_loaded(project):
+def test_session_without_a_rig_imports_only_the_plugin(project):
     program = """
 import json, sys, pytest
 pytest.main(["-q", "--collect-only", "-p", "no:hypothesispytest"])
@@ -350,6 +350,7 @@ print(json.dumps([name for name in sys.modules]))
         check=True,
     )
     loaded = json.loads(done.stdout.splitlines()[-1])
-    ours = [one for one in loaded if one.split(".")[0] in ("harness", "motorapi", "emulators")]
-    assert ours == ["harness", "harness.pytest_plugin"]
-    assert not {"can", "numpy", "mcap", "hypothesis", "traces"} & set(loaded)
+    ours = [one for one in loaded if one.split(".")[0] == "motorhil"]
+    plugin = "motorhil.harness.pytest_plugin"
+    assert ours == ["motorhil", "motorhil.harness", plugin, f"{plugin}.plugin"]
+    assert not {"can", "numpy", "mcap", "hypothesis", "motorhil.traces"} & set(loaded)

@@ -6,12 +6,12 @@ import pytest
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
-from emulators.event_queue import EventQueue
-from harness.recorder import Recorder, run_metadata
-from traces.errors import TraceError
-from traces.reader import read_trace
-from traces.schema import GROUP_SYNC, MOTOR_LOCK
-from traces.writer import TraceWriter
+from motorhil.emulators.simulation.event_queue import EventQueue
+from motorhil.harness.recording.recorder import Recorder, run_metadata
+from motorhil.traces.errors import TraceError
+from motorhil.traces.mcap.reader import read_trace
+from motorhil.traces.mcap.writer import TraceWriter
+from motorhil.traces.schema import GROUP_SYNC, MOTOR_LOCK
 
 MS = 1_000_000
 SECOND = 1_000_000_000
@@ -23,7 +23,7 @@ def can_frame(can_id, data=b""):
 
 
 class Bench:
-    """A recorder on an event queue, and what mcap's own reader finds in its file."""
+    """A recorder on an event queue; its file is read back by mcap's own reader."""
 
     def __init__(self, kinds=None):
         self.file = io.BytesIO()
@@ -37,13 +37,13 @@ class Bench:
         self.recorder.poll(now_ns)
 
     def frame_at(self, time_ns, sender="left", data=None):
-        """Each frame tells something new, unless its data are given."""
+        """Record a frame; without `data`, each frame has new contents."""
         self.queue.run_until(time_ns)
         data = struct.pack("<Q", time_ns) if data is None else data
         self.recorder.frame("can0", time_ns, sender, can_frame(0x181, data))
 
     def messages(self, topic=None):
-        """(log time, message) by mcap's own reader, in the order in the file."""
+        """Return (log time, message) from mcap's own reader, in the order in the file."""
         self.recorder.close()
         self.file.seek(0)
         reader = make_reader(self.file, validate_crcs=True, decoder_factories=[DecoderFactory()])
@@ -51,7 +51,7 @@ class Bench:
         return [(one.message.log_time, one.decoded_message) for one in decoded]
 
 
-def test_frames_of_all_buses_are_recorded_with_who_sent_them_and_which_way():
+def test_frames_of_all_buses_have_sender_and_direction():
     bench = Bench({"left": "cia402"})
     bench.recorder.frame("can0", 5, "host", can_frame(0x601, b"\x40"))
     bench.recorder.frame("can1", 6, "left", can_frame(0x581, b"\x43"))
@@ -65,7 +65,7 @@ def test_frames_of_all_buses_are_recorded_with_who_sent_them_and_which_way():
     assert [m.sender for _, m in bench.messages("/can/can1")] == ["left"]
 
 
-def test_everything_is_in_the_order_in_which_it_was_told():
+def test_messages_are_in_the_order_of_arrival():
     bench = Bench()
     recorder = bench.recorder
     recorder.frame("can0", 1, "left", can_frame(1))
@@ -78,7 +78,7 @@ def test_everything_is_in_the_order_in_which_it_was_told():
     assert names == ["CanFrame", "Log", "cia402", "CanFrame", "MotorLock", "GroupSync"]
 
 
-def test_ten_thousand_frames_keep_their_order_through_all_batches():
+def test_ten_thousand_frames_keep_their_order_in_batches():
     bench = Bench()
     for number in range(10_000):
         bench.recorder.frame("can0", number * 1000, "left", can_frame(number % 0x800))
@@ -87,7 +87,7 @@ def test_ten_thousand_frames_keep_their_order_through_all_batches():
     ]
 
 
-def test_events_have_a_level_a_source_and_words():
+def test_events_have_level_source_and_text():
     bench = Bench()
     for level in ("debug", "info", "warning", "error", "fatal", "odd"):
         bench.recorder.event(7, level, "left", f"an {level}")
@@ -97,10 +97,10 @@ def test_events_have_a_level_a_source_and_words():
     assert events[0].timestamp.nanos == 7
 
 
-# ------------------------------------------------------------------------ the controllers' truth
+# ----------------------------------------------------------------------- snapshots of controllers
 
 
-def test_truth_is_recorded_with_a_field_a_quantity_and_only_when_it_changes():
+def test_truth_is_recorded_only_on_change():
     bench = Bench()
     for number, position in enumerate([0.0, 0.0, 0.5, 0.5, 0.25]):
         bench.recorder.truth(number * PERIOD, "left", {"position_rad": position, "state": 3})
@@ -108,7 +108,7 @@ def test_truth_is_recorded_with_a_field_a_quantity_and_only_when_it_changes():
     assert found == [(0, 0.0), (2, 0.0), (2, 0.5), (4, 0.5), (4, 0.25)]
 
 
-def test_after_a_pause_the_old_value_is_told_once_more_so_that_a_plot_shows_a_step():
+def test_truth_after_a_pause_is_recorded_as_a_step():
     bench = Bench()
     samples = [(0, 1.0), (1, 2.0), (2, 3.0), (50, 4.0), (51, 5.0)]
     for number, value in samples:
@@ -117,7 +117,7 @@ def test_after_a_pause_the_old_value_is_told_once_more_so_that_a_plot_shows_a_st
     assert found == [(0, 1.0), (1, 2.0), (2, 3.0), (50, 3.0), (50, 4.0), (51, 5.0)]
 
 
-def test_a_truth_that_is_no_number_does_not_make_a_rig_busy_for_ever():
+def test_constant_nan_truth_is_recorded_once():
     bench = Bench()
     for number in range(5):
         bench.recorder.truth(number * PERIOD, "left", {"x": float("nan")})
@@ -126,7 +126,7 @@ def test_a_truth_that_is_no_number_does_not_make_a_rig_busy_for_ever():
     assert math.isnan(found[0][1].x)
 
 
-def test_controllers_of_one_kind_share_a_schema_and_other_quantities_have_their_own():
+def test_controllers_of_one_kind_share_a_schema():
     bench = Bench({"a": "cia402", "b": "cia402", "c": "cia402", "d": "my-io"})
     for name, keys in (("a", "xy"), ("b", "xy"), ("c", "xyz"), ("d", "q"), ("c", "xyz")):
         bench.recorder.truth(1, name, dict.fromkeys(keys, 1.0))
@@ -143,7 +143,7 @@ def test_controllers_of_one_kind_share_a_schema_and_other_quantities_have_their_
     assert len(summary.schemas) == 3
 
 
-def test_a_controller_whose_quantities_come_and_go_keeps_its_topic():
+def test_controller_with_changing_quantities_keeps_its_topic():
     bench = Bench()
     for number in range(6):
         values = {"x": float(number)} if number % 2 else {"x": float(number), "y": 0.5}
@@ -155,7 +155,7 @@ def test_a_controller_whose_quantities_come_and_go_keeps_its_topic():
     assert len(make_reader(bench.file).get_summary().channels) == 2
 
 
-# -------------------------------------------------------------------------- the motors' state
+# -------------------------------------------------------------------------- states of motors
 
 
 class Motor:
@@ -178,7 +178,7 @@ def states(bench):
     return [(t, m.position) for t, m in bench.messages("/motor/m/state")]
 
 
-def test_a_motor_is_sampled_at_once_and_then_every_period_while_it_changes():
+def test_motor_is_sampled_every_period_while_it_changes():
     bench, motor = motor_bench()
     bench.queue.run_until(5 * MS)
     for number in range(1, 4):
@@ -192,29 +192,29 @@ def test_a_motor_is_sampled_at_once_and_then_every_period_while_it_changes():
     assert values == ("m", 0.375, 0.5, -0.25)
 
 
-def test_a_motor_at_rest_is_not_looked_at_until_a_frame_of_its_drive_passes():
+def test_motor_at_rest_is_sampled_only_after_its_frames():
     bench, motor = motor_bench()
     bench.queue.run_until(PERIOD)
     reads = motor.reads
     bench.queue.run_until(3600 * SECOND)
     assert motor.reads == reads
-    bench.frame_at(3600 * SECOND + 1, sender="right")  # somebody else's
+    bench.frame_at(3600 * SECOND + 1, sender="right")  # a frame of another drive
     bench.queue.run_until(3601 * SECOND)
     assert motor.reads == reads
     bench.frame_at(3601 * SECOND + 1)
     bench.queue.run_until(3602 * SECOND)
-    assert motor.reads == reads + 1  # looked at once, found unchanged
+    assert motor.reads == reads + 1  # sampled once, unchanged
     assert states(bench) == [(0, 0.0)]
 
 
-def test_a_frame_told_twice_in_a_row_wakes_nobody_once_the_position_is_known():
+def test_repeated_frame_does_not_wake_a_known_motor():
     bench, motor = motor_bench()
     motor.reading = (None, 0.0, 0.0)
     bench.queue.run_until(SECOND)
     woken = []
     for second, data in enumerate([b"1", b"1", b"1", b"1", b"2", b"1", b"1"], start=1):
         if second == 3:
-            motor.reading = (0.0, 0.0, 0.0)  # its units have become known meanwhile
+            motor.reading = (0.0, 0.0, 0.0)  # its units are known by now
         reads = motor.reads
         bench.frame_at(second * SECOND + 1, data=data)
         bench.queue.run_until((second + 1) * SECOND)
@@ -222,7 +222,7 @@ def test_a_frame_told_twice_in_a_row_wakes_nobody_once_the_position_is_known():
     assert woken == [True, True, True, False, True, True, False]
 
 
-def test_a_motor_that_moves_after_a_pause_shows_a_step():
+def test_motor_moving_after_a_pause_shows_a_step():
     bench, motor = motor_bench()
     bench.queue.run_until(10 * SECOND)
     motor.reading = (1.0, 0.0, 0.0)
@@ -232,7 +232,7 @@ def test_a_motor_that_moves_after_a_pause_shows_a_step():
     assert states(bench) == [(0, 0.0), (at, 0.0), (at, 1.0)]
 
 
-def test_what_is_not_known_of_a_motor_is_not_recorded():
+def test_unknown_quantities_of_a_motor_are_not_recorded():
     bench, motor = motor_bench()
     motor.reading = None
     bench.queue.run_until(MS)
@@ -245,7 +245,7 @@ def test_what_is_not_known_of_a_motor_is_not_recorded():
     ]
 
 
-def test_a_motor_without_known_frames_is_looked_at_every_period():
+def test_motor_without_known_frames_is_sampled_every_period():
     bench, motor = Bench(), Motor()
     bench.recorder.watch_motor("m", motor.read)
     bench.queue.run_until(SECOND)
@@ -253,7 +253,7 @@ def test_a_motor_without_known_frames_is_looked_at_every_period():
     assert states(bench) == [(0, 0.0)]
 
 
-def test_motors_are_sampled_in_the_rigs_order_whichever_woke_first():
+def test_motors_are_sampled_in_the_rigs_order():
     bench = Bench({"a": "x", "b": "x"})
     motors = {name: Motor() for name in "ab"}
     for name, motor in motors.items():
@@ -267,7 +267,7 @@ def test_motors_are_sampled_in_the_rigs_order_whichever_woke_first():
     assert [m.name for m in joints] == ["a", "b"]
 
 
-def test_the_last_state_is_recorded_when_the_run_ends_between_two_periods():
+def test_last_state_is_recorded_at_the_end_of_the_run():
     bench, motor = motor_bench()
     bench.queue.run_until(PERIOD)
     motor.reading = (1.0, 0.0, 0.0)
@@ -279,7 +279,7 @@ def test_the_last_state_is_recorded_when_the_run_ends_between_two_periods():
 # ----------------------------------------------------------------------------- time and faults
 
 
-def test_a_second_is_in_the_file_when_it_is_over_although_nothing_more_happens():
+def test_second_is_written_when_it_is_over():
     bench = Bench()
     bench.frame_at(10 * MS)
     before = len(bench.file.getvalue())
@@ -289,14 +289,14 @@ def test_a_second_is_in_the_file_when_it_is_over_although_nothing_more_happens()
     assert len(bench.file.getvalue()) > before
 
 
-def test_a_rig_at_rest_asks_for_nothing():
+def test_rig_at_rest_causes_no_polls():
     bench, _ = motor_bench()
     for time_ns in (MS, 2 * MS):
         bench.frame_at(time_ns)
     bench.queue.run_until(2 * SECOND)
     assert bench.queue.next_time_ns() is None
     polls = len(bench.polls)
-    assert polls <= 4  # first sample, the sample after the frames, the second that ended
+    assert polls <= 4  # first sample, sample after the frames, end of the second
     bench.queue.run_until(3600 * SECOND)
     assert len(bench.polls) == polls
     bench.frame_at(3600 * SECOND + 5 * MS)
@@ -304,7 +304,7 @@ def test_a_rig_at_rest_asks_for_nothing():
     assert bench.polls[polls:] == [3600 * SECOND + PERIOD, 3601 * SECOND]
 
 
-def test_recording_asks_for_at_most_one_call_a_second_for_its_chunks():
+def test_chunks_need_at_most_one_poll_per_second():
     bench = Bench()
     for number in range(1000):
         bench.frame_at(number * 10 * MS)
@@ -324,7 +324,7 @@ class FullDisk(io.BytesIO):
         return super().write(data)
 
 
-def test_a_full_disk_is_told_once_and_the_rest_of_the_run_is_not_disturbed(tmp_path):
+def test_full_disk_is_raised_once_and_the_run_continues(tmp_path):
     disk, motor, queue = FullDisk(60_000), Motor(), EventQueue()
     recorder = Recorder(TraceWriter(disk))
     recorder.connect(queue.alarm(recorder.poll).set)
@@ -353,7 +353,7 @@ def test_a_full_disk_is_told_once_and_the_rest_of_the_run_is_not_disturbed(tmp_p
     assert times
 
 
-def test_closing_twice_is_closing_once():
+def test_closing_twice_has_no_further_effect():
     bench = Bench()
     bench.frame_at(1)
     bench.recorder.close()
@@ -362,7 +362,7 @@ def test_closing_twice_is_closing_once():
     assert len(bench.file.getvalue()) == size
 
 
-def test_metadata_of_a_run_tells_seed_rig_command_and_versions():
+def test_run_metadata_has_seed_rig_command_and_versions():
     tables = run_metadata(seed=7, rig_digest="abc", command_line=["motorhil", "run", "r.toml"])
     assert tables["run"] == {
         "seed": "7",
@@ -373,7 +373,7 @@ def test_metadata_of_a_run_tells_seed_rig_command_and_versions():
 
 
 @pytest.mark.parametrize("step_ns", [700_000, 333_333])
-def test_two_recorders_told_the_same_write_the_same_messages(step_ns):
+def test_two_recorders_with_the_same_input_write_the_same(step_ns):
     def run():
         bench, motor = motor_bench()
         for number in range(3000):

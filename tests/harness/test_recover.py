@@ -1,11 +1,11 @@
 import json
 
+from motorhil.traces.digest import digest
+from motorhil.traces.mcap.reader import read_trace
 from tests.traces.recordings import write
-from traces.digest import digest
-from traces.reader import read_trace
 
 
-def test_a_cut_recording_is_whole_again_and_what_is_lost_is_told(say, tmp_path):
+def test_cut_recording_is_recovered_and_losses_are_reported(say, tmp_path):
     source, target = tmp_path / "cut.mcap", tmp_path / "whole.mcap"
     write(source)
     data = source.read_bytes()
@@ -20,13 +20,13 @@ def test_a_cut_recording_is_whole_again_and_what_is_lost_is_told(say, tmp_path):
     with read_trace(target) as trace:
         assert trace.cut is None
         assert len(list(trace.messages())) == 80
-    assert say("recover", str(source), "-o", str(target))[0] == 2  # it exists
+    assert say("recover", str(source), "-o", str(target))[0] == 2  # the target exists
     status, out, err = say("recover", str(source), "-o", str(target), "--force", "--json")
     assert json.loads(out)["losses"][0]["bytes"] == 100
     assert err == ""
 
 
-def test_a_whole_recording_loses_nothing(say, tmp_path):
+def test_complete_recording_loses_nothing(say, tmp_path):
     source, target = tmp_path / "a.mcap", tmp_path / "b.mcap"
     write(source)
     status, out, err = say("recover", str(source), "-o", str(target))
@@ -35,10 +35,10 @@ def test_a_whole_recording_loses_nothing(say, tmp_path):
     assert digest(source) == digest(target)
 
 
-def test_what_is_no_recording_is_one_line(say, tmp_path):
+def test_file_that_is_not_a_recording_is_reported(say, tmp_path):
     file = tmp_path / "a.log"
     file.write_text("(0.0) can0 123#00")
     status, out, err = say("recover", str(file), "-o", str(tmp_path / "b.mcap"))
     assert (status, out) == (2, "")
     assert err.count("\n") == 1
-    assert "is no MCAP file" in err
+    assert "is not an MCAP file" in err

@@ -6,10 +6,10 @@ import time
 import can
 import pytest
 
-from emulators.media.faults import FaultKind, FaultRule
-from harness.can_plugin import EmulatedBus
-from harness.rig import Rig
-from harness.settings import RigError
+from motorhil.emulators.can.fault_rules import FaultKind, FaultRule
+from motorhil.harness.python_can.bus import EmulatedBus
+from motorhil.harness.rig.config.toml import RigError
+from motorhil.harness.rig.rig import Rig
 from tests.harness.rigs import FAULT, GOOD, WHEEL
 
 MS = 1_000_000
@@ -32,7 +32,7 @@ def refusal(path):
 
 
 def answers(rig, count=20):
-    """Which of `count` requests to node 1 were answered within 10 ms each."""
+    """Send `count` requests to node 1, every 10 ms; return those that were answered."""
     bus = rig.bus("can0")
     heard = []
     for number in range(count):
@@ -44,19 +44,21 @@ def answers(rig, count=20):
     return heard
 
 
-def test_frames_reach_controllers_of_third_parties_and_come_back_in_virtual_time(write):
+def test_third_party_controllers_answer_in_virtual_time(write):
     with Rig.open(write(GOOD)) as rig:
         bus = rig.bus("can0")
         bus.send(can.Message(arbitration_id=0x101, data=[42], is_extended_id=False))
         heard = [bus.recv(0.1) for _ in range(3)]
         assert [message.arbitration_id for message in heard] == [0x701, 0x702, 0x181]
         assert heard[2].data == b"\x2a"
-        assert 0.001 < heard[2].timestamp < 0.002  # the controller's delay, and the frames' length
+        assert (
+            0.001 < heard[2].timestamp < 0.002
+        )  # the controller's delay plus the frames' duration
         assert bus.recv(3600.0) is None
         assert rig.runtime.now_ns() > 3600 * 10**9
 
 
-def test_a_program_for_python_can_joins_the_rig_by_channel(write):
+def test_python_can_program_joins_the_rig_by_channel(write):
     with Rig.open(write(GOOD)), can.Bus(interface="emulated", channel="can0") as bus:
         bus.send(can.Message(arbitration_id=0x102, data=[1], is_extended_id=False))
         assert bus.recv(0.1) is not None
@@ -75,11 +77,11 @@ def test_controllers_motors_and_groups_are_found_by_name(write):
         assert left.runtime is rig.runtime
         assert left.model.velocity_max == 6.0
         assert rig.motors["right"].model.name == "wheel"
-        with pytest.raises(KeyError, match=r"no motor 'lefft' in this rig \(known: left, right\)"):
+        with pytest.raises(KeyError, match=r"this rig has no motor 'lefft' \(known: left, right\)"):
             rig.motors["lefft"]
 
 
-def test_a_controller_is_stimulated_and_looked_into(write):
+def test_controller_can_be_stimulated_and_inspected(write):
     with Rig.open(write(GOOD)) as rig:
         left = rig.controllers["left"]
         left.stimulate("load_torque_n_m", 0.5)
@@ -89,7 +91,7 @@ def test_a_controller_is_stimulated_and_looked_into(write):
             left.stimulate("load", 1.0)
 
 
-def test_a_controller_is_told_its_name_folder_and_seed(write):
+def test_controller_gets_its_name_folder_and_seed(write):
     path = write(GOOD)
     with Rig.open(path) as rig:
         context = rig.controllers["right"].core.context
@@ -99,7 +101,7 @@ def test_a_controller_is_told_its_name_folder_and_seed(write):
         assert rig.controllers["right"].core.context.seed == 9
 
 
-def test_everything_is_closed_whatever_happened(write):
+def test_everything_is_closed_after_an_exception(write):
     path = write(GOOD)
     threads = threading.active_count()
     motors = []
@@ -116,28 +118,28 @@ def test_everything_is_closed_whatever_happened(write):
         fail_in_the_middle()
     assert motors[0].closed
     assert threading.active_count() == threads
-    with pytest.raises(can.CanInitializationError, match="no rig open"):
+    with pytest.raises(can.CanInitializationError, match="neither a bus of a rig open"):
         EmulatedBus("can0")
-    with Rig.open(path):  # the names are free again
+    with Rig.open(path):  # the names are available again
         pass
 
 
-def test_a_rig_that_fails_half_way_leaves_nothing_open(write):
+def test_rig_that_fails_to_open_leaves_nothing_open(write):
     path = write(GOOD + "[controller.third]\nkind='echo'\nbus='can0'\nnode_id=3\nspeed=1\n")
     assert refusal(path) == (
         "rig.toml:28: controller.third.speed: unknown key; known: node_id, delay_s"
     )
-    with pytest.raises(can.CanInitializationError, match="no rig open"):
+    with pytest.raises(can.CanInitializationError, match="neither a bus of a rig open"):
         EmulatedBus("can0")
 
 
-def test_a_second_rig_with_the_same_bus_is_refused(write):
+def test_second_rig_with_the_same_bus_is_refused(write):
     path = write(GOOD)
     with Rig.open(path):
-        assert "a rig that is open in this process has a bus of that name" in refusal(path)
+        assert "another rig that is open in this process has a bus of that name" in refusal(path)
 
 
-# (what is replaced, by what, the line told); the line is that of the value, in whatever file
+# (old text, new text, message); the message names the line of the value, in any file
 @pytest.mark.parametrize(
     ("old", "new", "told"),
     [
@@ -174,18 +176,18 @@ def test_a_second_rig_with_the_same_bus_is_refused(write):
         ),
     ],
 )
-def test_what_a_plugin_refuses_is_told_with_its_line(write, old, new, told):
+def test_plugin_error_is_reported_with_its_line(write, old, new, told):
     assert old in GOOD
     assert refusal(write(GOOD.replace(old, new, 1))) == told
 
 
-def test_a_mistake_in_a_model_file_is_told_with_that_files_line(write, bench):
+def test_model_file_error_is_reported_with_its_line(write, bench):
     path = write(GOOD)
     (bench / "wheel.toml").write_text("velocity_max_rad_s = 5\nacceleration_max = 3\n")
-    assert refusal(path).startswith("wheel.toml:2: acceleration_max: a motor model has no such key")
+    assert refusal(path).startswith("wheel.toml:2: acceleration_max: unknown key of a motor model")
 
 
-def test_what_an_adaptation_refuses_is_told_with_the_motors_line(write):
+def test_adaptation_error_is_reported_with_the_motors_line(write):
     path = write(GOOD.replace('controller = "left"', 'controller = "left"\nheartbeat = 1'))
     with Rig.open(path) as rig, pytest.raises(RigError) as caught:
         rig.build_motors()
@@ -195,7 +197,7 @@ def test_what_an_adaptation_refuses_is_told_with_the_motors_line(write):
     )
 
 
-def test_warnings_at_power_on_are_notes(write):
+def test_warnings_at_power_on_become_notes(write):
     with Rig.open(write(GOOD.replace("node_id = 2", 'node_id = 2\neds = "a.eds"'))) as rig:
         assert rig.notes == ["right: warning: a.eds:3: mended"]
 
@@ -209,7 +211,7 @@ def test_warnings_at_power_on_are_notes(write):
         ('[bus.can0.node.host]\nframes = "classical"\n', "left, right, host"),
     ],
 )
-def test_a_bus_of_two_rates_is_told_who_destroys_its_frames(write, nodes, destroyers):
+def test_can_fd_bus_note_names_nodes_that_destroy_frames(write, nodes, destroyers):
     fd = "bitrate_bit_s = 1_000_000\ndata_bitrate_bit_s = 2_000_000\n"
     assert "bitrate_bit_s = 1_000_000\n" in GOOD
     with Rig.open(write(GOOD.replace("bitrate_bit_s = 1_000_000\n", fd + nodes))) as rig:
@@ -220,7 +222,7 @@ def test_a_bus_of_two_rates_is_told_who_destroys_its_frames(write, nodes, destro
     )
 
 
-def test_nobody_is_told_of_where_all_stand_can_fd_or_there_is_none(write):
+def test_can_fd_note_is_absent_if_all_nodes_tolerate_it(write):
     tolerant = "".join(
         f'[bus.can0.node.{name}]\nframes = "fd_tolerant"\n' for name in ("left", "right")
     )
@@ -230,7 +232,7 @@ def test_nobody_is_told_of_where_all_stand_can_fd_or_there_is_none(write):
             assert rig.notes == []
 
 
-def test_a_plant_takes_numbers_from_the_motor_model_only_if_asked_and_tells(write):
+def test_plant_takes_model_parameters_on_request_with_note(write):
     path = write(GOOD)
     with Rig.open(path) as rig:
         assert rig.notes == []
@@ -249,23 +251,24 @@ def test_a_plant_takes_numbers_from_the_motor_model_only_if_asked_and_tells(writ
         ]
 
 
-def test_what_the_rig_says_of_a_plant_counts_more_than_the_motor_model(write):
+def test_plant_values_of_the_rig_override_the_motor_model(write):
     asked = "node_id = 2\n[controller.right.plant]\nfrom_motor_model = true\ncurrent_max_a = 9\n"
     text = GOOD.replace("node_id = 2\n", asked + "gear_ratio = 16\n")
     with Rig.open(write(text)) as rig:
         assert rig.controllers["right"].core.settings["plant"]["current_max_a"] == 9
 
 
-def test_a_model_that_fits_no_whole_encoder_is_refused(write):
+def test_model_without_whole_encoder_increments_is_refused(write):
     asked = "node_id = 2\nplant.from_motor_model = true\nplant.gear_ratio = 16.5\n"
     assert refusal(write(GOOD.replace("node_id = 2\n", asked))) == (
         "rig.toml:14: controller.right.plant.from_motor_model: the motor model's increments, "
-        "10185.9163 per rad with gear_ratio = 16.5, are 3878.79 per motor turn: no whole number; "
+        "10185.9163 per rad with gear_ratio = 16.5, are 3878.79 per motor turn: not a whole "
+        "number; "
         "correct one of them"
     )
 
 
-def test_chance_is_the_seeds_and_only_the_seeds(write):
+def test_random_faults_depend_only_on_the_seed(write):
     path = write(GOOD + FAULT + "probability = 0.5\n")
 
     def heard(seed):
@@ -279,15 +282,15 @@ def test_chance_is_the_seeds_and_only_the_seeds(write):
 
 
 @pytest.mark.parametrize(("until_s", "first"), [(0.149989, 15), (0.14999, 16)])
-def test_a_cut_bus_is_silent_for_exactly_its_time(write, until_s, first):
-    """And for 11 recessive bits, 11 us at 1 Mbit/s, that who comes back has to hear first."""
+def test_cut_node_is_silent_for_exactly_its_time(write, until_s, first):
+    """The node also waits for 11 recessive bits after the cut, 11 us at 1 Mbit/s."""
     cut = f'[[fault]]\nbus="can0"\nkind="cut"\nnodes=["left"]\nfrom_s=0.05\nuntil_s={until_s}\n'
     with Rig.open(write(GOOD + cut)) as rig:
         assert answers(rig) == [0, 1, 2, 3, 4, *range(first, 20)]
         assert rig.faults.fired() == {"fault 1": 1}
 
 
-def test_faults_come_and_go_while_the_rig_is_open(write):
+def test_faults_can_be_injected_and_lifted_while_open(write):
     with Rig.open(write(GOOD)) as rig:
         told = []
         rig.world.tap_events(lambda *event: told.append(event))
@@ -300,7 +303,7 @@ def test_faults_come_and_go_while_the_rig_is_open(write):
 
 
 @pytest.mark.wall
-def test_in_real_time_nothing_happens_before_its_wall_time(write):
+def test_realtime_rig_never_runs_ahead_of_wall_time(write):
     with Rig.open(write(GOOD), realtime=True) as rig:
         start_s = time.monotonic()
         rig.runtime.run_for(0.05)
@@ -310,7 +313,7 @@ def test_in_real_time_nothing_happens_before_its_wall_time(write):
 
 
 @pytest.mark.usefixtures("interruptible")
-def test_ctrl_c_does_not_break_an_event_in_two(rig):
+def test_ctrl_c_does_not_interrupt_an_event(rig):
     before = signal.getsignal(signal.SIGINT)
     with Rig.open("rig.toml") as opened:
         whole = []
@@ -324,12 +327,12 @@ def test_ctrl_c_does_not_break_an_event_in_two(rig):
             with pytest.raises(KeyboardInterrupt):
                 opened.runtime.run_for(1.0)
         assert whole == [100 * MS, 200 * MS]
-        with pytest.raises(KeyboardInterrupt):  # where no event runs it counts at once
+        with pytest.raises(KeyboardInterrupt):  # takes effect at once between events
             os.kill(os.getpid(), signal.SIGINT)
     assert signal.getsignal(signal.SIGINT) is before
 
 
-def test_a_seed_no_rig_can_have_is_refused(bench):
+def test_invalid_seed_is_refused(bench):
     (bench / "rig.toml").write_text(GOOD)
     (bench / "wheel.toml").write_text(WHEEL)
     with pytest.raises(RigError, match="seed -3 is not within 0 to"):

@@ -1,4 +1,4 @@
-"""What a rig says of CAN controllers and of what goes wrong on a bus, and what it may not say."""
+"""Rig keys of CAN controllers and bus faults, valid and invalid."""
 
 import contextlib
 import io
@@ -8,7 +8,7 @@ import pytest
 from hypothesis import HealthCheck, event, given, settings
 from hypothesis import strategies as st
 
-from harness.cli import main
+from motorhil.harness.cli.main import main
 
 RIG = """\
 [bus.can0]
@@ -84,7 +84,7 @@ def check(path, text):
     return Answer(status, out.getvalue(), err.getvalue())
 
 
-def test_every_key_is_taken(tmp_path):
+def test_every_key_is_accepted(tmp_path):
     answer = check(tmp_path / "rig.toml", RIG)
     warning = "can0: warning: classical CAN controllers destroy its CAN FD frames: ear; give them "
     assert (answer.status, answer.err.splitlines()) == (
@@ -93,7 +93,7 @@ def test_every_key_is_taken(tmp_path):
     )
 
 
-# What is written instead of what, and what is told: its line, key, value, limit and remedy.
+# (old text, new text, message), with line, key, value, limit and remedy.
 REFUSALS = [
     ("2_000_000", "400_000", "3: bus.can0.data_bitrate_bit_s: 400000 bit/s is out of range; "
      "allowed: 500000 to 20000000 bit/s"),
@@ -115,7 +115,7 @@ REFUSALS = [
     ("oscillator_ppm = 50.0", "oscillator_ppm = 1e6", "10: bus.can0.node.left.oscillator_ppm: "
      "1000000.0 ppm is out of range; allowed: -100000.0 to 100000.0 ppm"),
     ("time_quanta = 20\nsample_point = 16\n", "time_quanta = 10\n", "11: bus.can0.node.left."
-     "time_quanta: 10 quanta have no place for the usual sample point, 14; write sample_point = 8"),
+     "time_quanta: 10 quanta leave no room for the usual sample point, 14; write sample_point = 8"),
     ("sample_point = 16", "sample_point = 0", "12: bus.can0.node.left.sample_point: 0 quanta is "
      "out of range; allowed: 2 to 19 quanta"),
     ("sample_point = 16", "sample_point = 20", "12: bus.can0.node.left.sample_point: 20 quanta is "
@@ -126,8 +126,8 @@ REFUSALS = [
      "sample point is out of range; allowed: 1 to 4 quanta behind the sample point"),
     ("[bus.can0.node.ear]", '[bus.can0.node."an ear"]', "16: bus.can0.node.'an ear': is not a "
      "name; use a letter, then letters, digits, - and _ only"),
-    ("[bus.can0.node.ear]", "[bus.can0.node.host-2]", "16: bus.can0.node.host-2: is what "
-     "applications' ports are called; rename it"),
+    ("[bus.can0.node.ear]", "[bus.can0.node.host-2]", "16: bus.can0.node.host-2: is reserved "
+     "for ports of applications; rename it"),
     ("bit = 20\n", "", "23: fault[0].bit: is missing; write bit = 20, or error = \"crc\""),
     ("bit = 20\n", 'bit = 20\nerror = "crc"\n', "27: fault[0].error: an error has a bit or an "
      "error, not both; take one out"),
@@ -140,13 +140,13 @@ REFUSALS = [
      "identifier_mask: a babble sends one identifier; take it out"),
     ('"dominant"', '"low"', '48: fault[4].level: unknown level "low" (known: dominant, recessive); '
      "take it out, or use one of these"),
-    ('nodes = ["left"]\n', "", "51: fault[5].nodes: a split names who loses the bus; write nodes "
-     '= ["left"]'),
+    ('nodes = ["left"]\n', "", "51: fault[5].nodes: a split must name the nodes that lose the "
+     'bus; write nodes = ["left"]'),
 ]  # fmt: skip
 
 
 @pytest.mark.parametrize(("old", "new", "told"), REFUSALS)
-def test_a_mistake_is_told_in_one_line_with_line_value_limit_and_remedy(tmp_path, old, new, told):
+def test_mistake_is_one_line_with_line_value_limit_and_remedy(tmp_path, old, new, told):
     path = tmp_path / "rig.toml"
     assert old in RIG
     answer = check(path, RIG.replace(old, new, 1))
@@ -183,9 +183,11 @@ OWN = [
 ]
 
 
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])  # a folder, written anew
+@settings(
+    suppress_health_check=[HealthCheck.function_scoped_fixture]
+)  # the folder is rewritten each time
 @given(st.lists(st.tuples(st.sampled_from(OWN), VALUES), min_size=1, max_size=2))
-def test_whatever_the_values_it_is_a_rig_or_one_line_says_why_not(tmp_path, edits):
+def test_any_value_gives_a_rig_or_one_line_of_error(tmp_path, edits):
     lines = LINES.copy()
     for number, value in edits:
         lines[number] = f"{lines[number].split(' = ')[0]} = {value}"

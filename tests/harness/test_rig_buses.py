@@ -1,14 +1,14 @@
-"""Lines that speak Modbus in a rig file: what they say, and what a person may get wrong."""
+"""Modbus lines in a rig file: valid tables and mistakes."""
 
 import tomllib
 from pathlib import Path
 
 import pytest
 
-from emulators.media.serial_faults import SerialFaultKind, SerialFaultRule
-from harness.rig import Rig
-from harness.rig_file import Known, parse_rig
-from harness.settings import RigError, Source
+from motorhil.emulators.media.serial_faults import SerialFaultKind, SerialFaultRule
+from motorhil.harness.rig.config.rig_file import Known, parse_rig
+from motorhil.harness.rig.config.toml import RigError, Source
+from motorhil.harness.rig.rig import Rig
 from tests.harness.test_rig_schema import VALIDATOR
 
 KNOWN = Known(controllers=("cia402", "drive"), adaptations=("drive",))
@@ -59,7 +59,7 @@ def parse(text):
     return parse_rig(Source(Path("rig.toml"), text), KNOWN)
 
 
-def test_a_rig_with_lines():
+def test_rig_with_lines_is_read_as_written():
     rig = parse(GOOD)
     line, gateway = rig.buses["rs485"], rig.buses["gateway"]
     assert (line.kind, line.bitrate_bit_s, line.parity, line.stop_bits) == (
@@ -113,13 +113,13 @@ REFUSALS = [
     (
         'bus = "gateway"',
         'bus = "rs485"',
-        '20: controller.arm.unit: 7 on bus "rs485" is controller "mast" already (line 15);'
+        '20: controller.arm.unit: 7 on bus "rs485" is already used by controller "mast" (line 15);'
         " the first free unit is 1",
     ),
     (
         'controller = "mast"',
         'controller = "mast"\nunit = 7',
-        "25: motor.mast.unit: is the controller's to say; take out unit",
+        "25: motor.mast.unit: follows from the controller; take out unit",
     ),
     (
         'bus = "rs485"\nunit = 247',
@@ -141,7 +141,7 @@ REFUSALS = [
     (
         'bus = "rs485"\nkind = "pause"',
         'bus = "can0"\nkind = "delay"',
-        '36: fault[0].unit: bus "can0" is no line; take it out: it is for Modbus',
+        '36: fault[0].unit: bus "can0" is not a line; remove it: it is for Modbus',
     ),
     ("after = 2\n", "", "33: fault[0].after: is missing; write after = 3"),
     (
@@ -158,7 +158,7 @@ REFUSALS = [
 
 
 @pytest.mark.parametrize(("old", "new", "told"), REFUSALS)
-def test_a_mistake_is_told_in_one_line_with_file_line_key_and_remedy(old, new, told):
+def test_mistake_is_one_line_with_file_line_key_and_remedy(old, new, told):
     assert old in GOOD
     text = GOOD.replace(old, new, 1)
     with pytest.raises(RigError) as caught:
@@ -178,18 +178,18 @@ unit = 1
 """
 
 
-def test_a_controller_of_another_kind_of_bus_is_refused_at_its_line(tmp_path):
+def test_controller_of_another_bus_kind_is_refused(tmp_path):
     path = tmp_path / "rig.toml"
     path.write_text(LINES_ONLY)
     with pytest.raises(RigError) as caught:
         Rig.open(path)
     assert str(caught.value) == (
-        f'{path}:7: controller.drive.bus: controller kind "cia402" is for buses of kind can, and'
-        ' "rs485" is modbus_rtu; put it on another bus, or take another kind'
+        f'{path}:7: controller.drive.bus: controller kind "cia402" is for buses of kind can, but'
+        ' "rs485" is modbus_rtu; put it on another bus, or use another kind'
     )
 
 
-def test_a_motor_of_another_kind_of_bus_is_refused_at_its_line(tmp_path):
+def test_motor_of_another_bus_kind_is_refused(tmp_path):
     path = tmp_path / "rig.toml"
     path.write_text(
         '[bus.rs485]\nkind = "modbus_rtu"\n[motor.m]\nadaptation = "cia402"\nbus = "rs485"\n'
@@ -200,18 +200,18 @@ def test_a_motor_of_another_kind_of_bus_is_refused_at_its_line(tmp_path):
     assert f"{path}:5: motor.m.bus: adaptation" in str(caught.value)
 
 
-def test_lines_and_buses_are_asked_for_by_their_own_names(tmp_path):
+def test_lines_and_buses_are_found_by_their_own_names(tmp_path):
     path = tmp_path / "rig.toml"
     path.write_text('[bus.rs485]\nkind = "modbus_rtu"\n[bus.can0]\nbitrate_bit_s = 500_000\n')
     with Rig.open(path) as rig:
         assert (rig.line("rs485").framing, rig.bus("can0").channel) == ("rtu", "can0")
-        with pytest.raises(KeyError, match=r"no bus 'rs485' in this rig \(known: can0\)"):
+        with pytest.raises(KeyError, match=r"this rig has no bus 'rs485' \(known: can0\)"):
             rig.bus("rs485")
-        with pytest.raises(KeyError, match=r"no line 'can0' in this rig \(known: rs485\)"):
+        with pytest.raises(KeyError, match=r"this rig has no line 'can0' \(known: rs485\)"):
             rig.line("can0")
 
 
-def test_an_applications_port_on_a_line_hears_what_others_send_with_its_time(tmp_path):
+def test_port_on_a_line_hears_others_with_their_times(tmp_path):
     path = tmp_path / "rig.toml"
     path.write_text('[bus.rs485]\nkind = "modbus_rtu"\nbaud_bit_s = 19200\n')
     heard = []
@@ -225,7 +225,7 @@ def test_an_applications_port_on_a_line_hears_what_others_send_with_its_time(tmp
         assert line.duration_ns(2) == 22 * 10**9 // 19200
 
 
-def test_faults_come_and_go_while_a_rig_runs_and_are_counted(tmp_path):
+def test_line_faults_can_be_injected_lifted_and_counted(tmp_path):
     path = tmp_path / "rig.toml"
     path.write_text('[bus.rs485]\nkind = "modbus_rtu"\n')
     lose = SerialFaultRule("lose", SerialFaultKind.LOSE)
@@ -238,5 +238,5 @@ def test_faults_come_and_go_while_a_rig_runs_and_are_counted(tmp_path):
         line.send(b"\x01\x02")
         rig.runtime.wait_until(lambda: False, 0.1)
         assert rig.faults.fired() == {"lose": 1}
-        with pytest.raises(ValueError, match="no fault rule lose"):
+        with pytest.raises(ValueError, match="fault lose: unknown rule"):
             rig.faults.lift("rs485", "lose")

@@ -1,4 +1,4 @@
-"""The shipped CiA 402 drive in a rig file: whatever is written there, it is told in one line."""
+"""The CiA 402 drive in a rig file; mistakes give one line."""
 
 import json
 import os
@@ -12,11 +12,10 @@ import pytest
 from hypothesis import event, given
 from hypothesis import strategies as st
 
-import harness
-from harness.rig import Rig, installed_plugins
-from harness.rig_file import parse_rig
-from harness.settings import RigError, Source
-from harness.wording import one_line
+from motorhil import harness
+from motorhil.harness.rig.config.rig_file import parse_rig
+from motorhil.harness.rig.config.toml import RigError, Source, one_line
+from motorhil.harness.rig.rig import Rig, installed_plugins
 
 SCHEMA = json.loads((Path(harness.__file__).parent / "rig.schema.json").read_text())
 VALIDATOR = jsonschema.Draft202012Validator(SCHEMA)
@@ -77,22 +76,22 @@ def mistake_in(text):
     return None
 
 
-def test_the_rig_reaches_the_drive():
+def test_settings_of_the_rig_reach_the_drive():
     VALIDATOR.validate(tomllib.loads(GOOD))
     with opened(GOOD) as rig:
         truth = rig.controllers["left"].snapshot()
-        assert truth["position_rad"] == pytest.approx(0.25, abs=1e-3)  # to an increment
+        assert truth["position_rad"] == pytest.approx(0.25, abs=1e-3)  # within an increment
         bus = rig.bus("can0")
         boot_up = bus.recv(1.0)
         assert boot_up.arbitration_id == 0x705
-        # 300 ms would be the default; on top, the frame's own 57 bits or so at 500 kbit/s.
+        # The default would be 300 ms; the frame itself takes about 57 bits at 500 kbit/s.
         assert 0.1 < boot_up.timestamp < 0.1002
         sent = can.Message(
             arbitration_id=0x605, data=bytes.fromhex("4065600000000000"), is_extended_id=False
         )
         bus.send(sent)
         reply = bus.recv(1.0)
-        while reply.arbitration_id != 0x585:  # heartbeats, every 100 ms
+        while reply.arbitration_id != 0x585:  # heartbeats every 100 ms
             reply = bus.recv(1.0)
         assert int.from_bytes(reply.data[4:], "little") == 2000
 
@@ -117,7 +116,7 @@ def test_the_rig_reaches_the_drive():
         ("node_id = 5", 'node_id = 5\neds = "no.eds"', "7: controller.left.eds: "),
     ],
 )
-def test_a_drives_settings_are_told_with_their_line(old, new, told):
+def test_wrong_drive_setting_is_reported_with_its_line(old, new, told):
     assert old in GOOD
     message = str(mistake_in(GOOD.replace(old, new, 1)))
     assert message.startswith(f"rig.toml:{told}")
@@ -142,7 +141,7 @@ EDITS = st.lists(st.tuples(st.sampled_from(ASSIGNMENTS), st.none() | KEYS, VALUE
 
 
 @given(EDITS)
-def test_whatever_a_drives_settings_are_it_is_a_rig_or_a_rig_error(edits):
+def test_any_drive_setting_gives_a_rig_or_a_rig_error(edits):
     lines = LINES.copy()
     for number, key, value in edits:
         lines[number] = f"{key or LINES[number].split(' = ')[0]} = {value}"
@@ -155,12 +154,12 @@ def test_whatever_a_drives_settings_are_it_is_a_rig_or_a_rig_error(edits):
 
 @pytest.mark.wall
 @pytest.mark.usefixtures("interruptible")
-def test_ctrl_c_is_heard_while_nothing_runs_but_the_cores(tmp_path):
-    """Compiled code hears no signal by itself (make test-compiled)."""
+def test_ctrl_c_works_while_only_the_cores_run(tmp_path):
+    """Compiled code does not check for signals by itself (make test-compiled)."""
     (tmp_path / "rig.toml").write_text(
         "[bus.can0]\nbitrate_bit_s = 1_000_000\n"
         '[controller.left]\nkind = "cia402"\nbus = "can0"\nnode_id = 1\n'
-        'objects = { "1017h" = 1 }\n'  # a heartbeat each millisecond
+        'objects = { "1017h" = 1 }\n'  # a heartbeat every millisecond
     )
     before = signal.signal(signal.SIGALRM, lambda *_: os.kill(os.getpid(), signal.SIGINT))
     try:

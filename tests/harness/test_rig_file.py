@@ -4,10 +4,9 @@ import pytest
 from hypothesis import event, given
 from hypothesis import strategies as st
 
-from emulators.media.faults import FaultKind, FaultRule
-from harness.rig_file import Known, parse_rig, read_rig
-from harness.settings import RigError, Source
-from harness.wording import one_line
+from motorhil.emulators.can.fault_rules import FaultKind, FaultRule
+from motorhil.harness.rig.config.rig_file import Known, parse_rig, read_rig
+from motorhil.harness.rig.config.toml import RigError, Source, one_line
 
 KNOWN = Known(
     controllers=("cia402", "io"),
@@ -83,7 +82,7 @@ def mistake_in(text):
     return None
 
 
-def test_a_rig_is_read_as_it_is_written():
+def test_rig_is_read_as_written():
     rig = parse(GOOD)
     assert (rig.name, rig.seed) == ("two wheels", 7)
     assert rig.buses["can0"].bitrate_bit_s == 1_000_000
@@ -104,7 +103,7 @@ def test_a_rig_is_read_as_it_is_written():
     assert (cut.rule.name, cut.rule.ports, cut.rule.probability) == ("fault 2", ("right",), 1.0)
 
 
-def test_every_condition_of_a_fault_reaches_its_rule():
+def test_every_fault_condition_reaches_its_rule():
     conditions = """
 [[fault]]
 name = "bad gateway"
@@ -144,7 +143,7 @@ delay_s = 0.02
     assert delay == FaultRule(name="fault 4", kind=FaultKind.DELAY, delay_ns=20_000_000)
 
 
-def test_a_rig_without_a_name_is_called_after_its_file():
+def test_rig_without_a_name_is_named_after_its_file():
     assert parse("[bus.can0]\nbitrate_bit_s = 500_000\n", "bench.toml").name == "bench"
 
 
@@ -158,7 +157,7 @@ motors = ["left"]
 """
 
 
-def test_a_rig_of_motors_that_need_no_bus_needs_none():
+def test_rig_whose_motors_need_no_bus_may_have_none():
     rig = parse(WITHOUT_BUS)
     left = rig.motors["left"]
     assert (left.bus, left.node_id, left.controller) == (None, None, None)
@@ -179,18 +178,18 @@ def test_a_rig_of_motors_that_need_no_bus_needs_none():
         (WITHOUT_BUS + '[controller.c]\nkind = "io"\nbus = "can0"\n', "1: the rig has no bus"),
     ],
 )
-def test_a_rig_without_a_bus_is_told_what_is_missing(text, told):
+def test_rig_without_a_bus_is_refused_with_the_reason(text, told):
     assert refusal(text).startswith(f"rig.toml:{told}")
 
 
-def test_where_a_motor_is_stays_open_if_its_adaptation_cannot_be_asked():
+def test_motor_place_stays_open_for_a_broken_adaptation():
     known = Known((), ("broken",), needs_bus=lambda adaptation: None)
     text = WITHOUT_BUS.replace("ideal", "broken")
     motor = parse_rig(Source(Path("rig.toml"), text), known).motors["left"]
     assert (motor.bus, motor.controller) == (None, None)
 
 
-# What a person may get wrong, and the one line told.
+# Mistakes in a rig, and the one line of error.
 REFUSALS = [
     tuple(line[2:] for line in block.splitlines())
     for block in (Path(__file__).parent / "rig_refusals.txt").read_text().split("\n\n")[1:]
@@ -202,7 +201,7 @@ def unescaped(text):
 
 
 @pytest.mark.parametrize(("old", "new", "told"), REFUSALS)
-def test_a_mistake_is_told_in_one_line_with_file_line_key_and_remedy(old, new, told):
+def test_mistake_is_one_line_with_file_line_key_and_remedy(old, new, told):
     old, new = unescaped(old), unescaped(new)
     assert old in GOOD
     message = refusal(GOOD.replace(old, new, 1))
@@ -210,7 +209,7 @@ def test_a_mistake_is_told_in_one_line_with_file_line_key_and_remedy(old, new, t
     assert message == f"rig.toml:{told}"
 
 
-def test_the_attributes_hold_the_facts():
+def test_rig_error_attributes_hold_the_facts():
     with pytest.raises(RigError) as caught:
         parse(GOOD.replace("seed = 7", "sede = 7"))
     error = caught.value
@@ -218,7 +217,7 @@ def test_the_attributes_hold_the_facts():
     assert error.remedy == "did you mean seed?"
 
 
-def test_a_missing_rig_is_told_with_the_way_to_a_new_one(tmp_path):
+def test_missing_rig_is_reported_with_the_new_command(tmp_path):
     path = tmp_path / "nope.toml"
     with pytest.raises(RigError) as caught:
         read_rig(path, KNOWN)
@@ -229,7 +228,7 @@ def test_a_missing_rig_is_told_with_the_way_to_a_new_one(tmp_path):
         read_rig(tmp_path, KNOWN)
 
 
-def test_a_rig_that_is_not_text_is_told_with_the_line_of_the_byte(tmp_path):
+def test_rig_that_is_not_utf_8_is_reported_with_its_line(tmp_path):
     path = tmp_path / "rig.toml"
     path.write_bytes(b'[rig]\nname = "Stra\xdfe"\n')
     with pytest.raises(RigError) as caught:
@@ -237,13 +236,13 @@ def test_a_rig_that_is_not_text_is_told_with_the_line_of_the_byte(tmp_path):
     assert str(caught.value) == f"{path}:2: not UTF-8 (byte DFh); save it as UTF-8"
 
 
-def test_a_byte_order_mark_does_no_harm(tmp_path):
+def test_byte_order_mark_is_ignored(tmp_path):
     path = tmp_path / "rig.toml"
     path.write_bytes(b"\xef\xbb\xbf[bus.can0]\r\nbitrate_bit_s = 500_000\r\n")
     assert read_rig(path, KNOWN).buses["can0"].bitrate_bit_s == 500_000
 
 
-def test_depth_without_end_is_refused_not_suffered():
+def test_deep_nesting_is_refused():
     message = refusal("[rig]\nname = " + "[" * 100_000 + "]" * 100_000)
     assert "nested too deeply" in message
 
@@ -264,7 +263,7 @@ EDITS = st.lists(
 
 
 @given(EDITS)
-def test_whatever_the_text_it_is_a_rig_or_a_rig_error_of_one_line(edits):
+def test_any_text_gives_a_rig_or_one_line_of_error(edits):
     text = GOOD
     for at, length, token in edits:
         text = text[:at] + token + text[at + length :]
@@ -282,7 +281,7 @@ LINE_EDITS = st.tuples(
 
 
 def edited(edits, text=GOOD):
-    """The text with some of its lines left out, and perhaps one moved."""
+    """Return the text without some of its lines, perhaps with one moved."""
     dropped, moves, random = edits
     lines = [line for number, line in enumerate(text.splitlines()) if number not in dropped]
     if moves:
@@ -292,13 +291,13 @@ def edited(edits, text=GOOD):
 
 
 @given(LINE_EDITS)
-def test_lines_left_out_or_moved_give_a_rig_or_a_rig_error_of_one_line(edits):
+def test_missing_or_moved_lines_give_a_rig_or_one_line_of_error(edits):
     error = mistake_in(edited(edits))
     event(error.message.split("(")[0][:30] if error else "accepted")
     assert error is None or len(str(error).splitlines()) == 1
 
 
-def test_a_table_where_an_array_of_tables_belongs_is_refused():
+def test_table_instead_of_an_array_of_tables_is_refused():
     message = refusal('[bus.can0]\nbitrate_bit_s = 500_000\n[fault]\nkind = "cut"\n')
     assert message == (
         "rig.toml:3: fault: must be an array of tables, but is a table (1 entry); write [[fault]]"
@@ -322,12 +321,12 @@ ASSIGNMENTS = [number for number, line in enumerate(GOOD_LINES) if " = " in line
 
 
 @given(st.sampled_from(ASSIGNMENTS), VALUES)
-def test_whatever_the_value_it_is_accepted_or_told_at_its_own_line(number, value):
+def test_any_value_is_accepted_or_reported_at_its_line(number, value):
     lines = GOOD_LINES.copy()
     lines[number] = lines[number].split(" = ")[0] + " = " + value
     error = mistake_in("\n".join(lines))
     event("refused" if error else "accepted")
     if error:
         assert len(str(error).splitlines()) == 1
-        # A node of the same number is told at the second one, a name at whoever refers to it.
+        # A repeated node number is reported at the second node, a name where it is used.
         assert error.line >= number + 1

@@ -3,7 +3,7 @@ import tomllib
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from harness.toml_lines import key_lines
+from motorhil.harness.rig.config.toml import key_lines
 
 
 def test_every_kind_of_key_has_its_line():
@@ -126,7 +126,7 @@ def leaves_of(value, path=()):
 
 
 # Documents are built line by line from pieces, keeping what tomllib accepts. Each value carries a
-# marker that stands nowhere else, so where it must be found is known without parsing anything.
+# unique marker, so its expected line is known without a parser.
 KEYS = st.sampled_from(["a", "b", '"c.d"', "'e]'", "f-1", "7"])
 DOTTED = st.lists(KEYS, min_size=1, max_size=3).map(".".join)
 VALUES = st.recursive(
@@ -158,7 +158,7 @@ LINES = st.one_of(
 @settings(max_examples=150, deadline=None)
 @given(st.lists(LINES, max_size=12))
 @example(["[[a]]", "[a.b]", 'c = "@"', "[[a]]", "[a.b]", 'c = "@"'])
-def test_in_any_valid_text_every_path_is_found_and_every_value_at_its_line(pieces):
+def test_every_path_of_any_valid_text_is_found_at_its_line(pieces):
     text = ""
     markers = 0
     for piece in pieces:

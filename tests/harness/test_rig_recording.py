@@ -1,15 +1,15 @@
 import can
 import pytest
 
-from harness.rig import Rig
-from harness.scaffold import EXAMPLES
-from harness.settings import RigError
-from motorapi import ControlMode, Motor, TrapezoidalTrajectory
+from motorhil.harness.rig.config.scaffold import EXAMPLES
+from motorhil.harness.rig.config.toml import RigError
+from motorhil.harness.rig.rig import Rig
+from motorhil.motorapi import ControlMode, Motor, TrapezoidalTrajectory
+from motorhil.traces.digest import digest
+from motorhil.traces.mcap.protobuf import decode
+from motorhil.traces.mcap.reader import read_trace
+from motorhil.traces.schema import GROUP_SYNC
 from tests.harness.rigs import FAULT, GOOD, WHEEL
-from traces.digest import digest
-from traces.protobuf import decode
-from traces.reader import read_trace
-from traces.schema import GROUP_SYNC
 
 LOSSY = (
     GOOD.replace("node_id = 2", 'node_id = 2\neds = "drive.eds"') + FAULT + "probability = 0.5\n"
@@ -35,16 +35,16 @@ def recorded(rig, target, seed=None):
     return target
 
 
-def test_a_record_holds_frames_truth_and_events_each_at_its_time(rig, tmp_path):
+def test_record_holds_frames_truth_and_events_with_times(rig, tmp_path):
     with read_trace(recorded(rig, tmp_path / "run.mcap")) as trace:
         messages = list(trace.messages())
     topics = [channel.topic for channel, _, _ in messages]
-    # A boot-up of each controller, 20 requests and 20 answers: a frame that somebody heard, or an
+    # A boot-up of each controller, 20 requests and 20 answers: a frame that was received, or an
     # event that it was dropped.
     dropped = sum(b"drop" in data for c, _, data in messages if c.topic == "/events")
     assert topics.count("/can/can0") + dropped == 2 + 20 + 20
     assert 0 < dropped < 20
-    assert topics.count("/controller/left/truth") == 3  # at first, held, and after the stimulus
+    assert topics.count("/controller/left/truth") == 3  # at the start, held, and after the stimulus
     assert topics.count("/controller/right/truth") == 1
     assert 2 < topics.count("/events") < 18
     assert b"drive.eds:3: mended" in next(data for c, _, data in messages if c.topic == "/events")
@@ -53,7 +53,7 @@ def test_a_record_holds_frames_truth_and_events_each_at_its_time(rig, tmp_path):
     assert max(times) == 2_000_000_000 + 20_000_000
 
 
-def test_a_record_says_what_was_run(rig, tmp_path):
+def test_record_contains_seed_and_files_of_the_run(rig, tmp_path):
     with read_trace(recorded(rig, tmp_path / "run.mcap", seed=5)) as trace:
         assert trace.metadata["run"]["seed"] == "5"
         assert len(trace.metadata["run"]["rig_digest"]) == 64
@@ -62,13 +62,13 @@ def test_a_record_says_what_was_run(rig, tmp_path):
     assert attached["rig.toml"] == LOSSY.encode()
 
 
-def test_one_seed_is_one_record(rig, tmp_path):
+def test_one_seed_gives_one_record(rig, tmp_path):
     first = digest(recorded(rig, tmp_path / "1.mcap"))
     assert digest(recorded(rig, tmp_path / "2.mcap")) == first
     assert digest(recorded(rig, tmp_path / "3.mcap", seed=8)) != first
 
 
-def test_a_motor_that_is_used_is_recorded_under_its_name(rig, tmp_path):
+def test_used_motor_is_recorded_under_its_name(rig, tmp_path):
     with Rig.open(rig, record=tmp_path / "run.mcap") as opened:
         assert opened.motors["left"].name == "left"
         opened.runtime.run_for(0.1)
@@ -76,7 +76,7 @@ def test_a_motor_that_is_used_is_recorded_under_its_name(rig, tmp_path):
         assert "/motor/left/state" in {channel.topic for channel in trace.channels.values()}
 
 
-def test_a_record_is_complete_when_the_run_fails(rig, tmp_path):
+def test_record_is_complete_when_the_run_fails(rig, tmp_path):
     def fail_in_the_middle():
         with Rig.open(rig, record=tmp_path / "run.mcap") as opened:
             opened.runtime.run_for(0.5)
@@ -89,7 +89,7 @@ def test_a_record_is_complete_when_the_run_fails(rig, tmp_path):
         assert [channel.topic for channel, _, _ in trace.messages()].count("/can/can0") == 2
 
 
-def test_a_file_that_cannot_be_written_is_told_and_nothing_stays_open(rig, tmp_path):
+def test_unwritable_record_is_refused_and_nothing_stays_open(rig, tmp_path):
     target = tmp_path / "no" / "run.mcap"
     with pytest.raises(RigError) as caught, Rig.open(rig, record=target):
         pass
@@ -98,7 +98,7 @@ def test_a_file_that_cannot_be_written_is_told_and_nothing_stays_open(rig, tmp_p
         pass
 
 
-def test_a_groups_skew_is_recorded_as_it_told_it(tmp_path):
+def test_skew_of_a_group_is_recorded_as_reported(tmp_path):
     record = tmp_path / "run.mcap"
     with Rig.open(EXAMPLES / "two_wheels.toml", record=record) as rig:
         both = rig.groups["both"]

@@ -1,4 +1,4 @@
-"""The JSON Schema for editors says what the rig file's reader says, as far as structure goes."""
+"""The editors' JSON Schema agrees with the reader of rig files."""
 
 import json
 import tomllib
@@ -10,19 +10,18 @@ import pytest
 from hypothesis import event, example, given
 from hypothesis import strategies as st
 
-import harness
-from emulators import modbus_drive
-from emulators.cia401 import settings as node_settings
-from emulators.cia402 import settings as drive_settings
-from emulators.cia402.quirk_catalogue import CATALOGUE
-from emulators.cia402.switch_settings import SWITCH_KEYS
-from emulators.controller import SettingError
-from emulators.media.faults import FaultKind
-from emulators.plant.dc_motor import RANGES, MotorPlant
-from emulators.plant.extras import EXTRAS, NO_EXTRAS
-from emulators.plant.extras import RANGES as EXTRAS_RANGES
-from emulators.plant.presets import PRESETS
-from emulators.protection_settings import (
+from motorhil import harness
+from motorhil.emulators.can.fault_rules import FaultKind
+from motorhil.emulators.cia401 import settings as node_settings
+from motorhil.emulators.cia402 import settings as drive_settings
+from motorhil.emulators.cia402.settings import CATALOGUE, SWITCH_KEYS
+from motorhil.emulators.controller import SettingError
+from motorhil.emulators.modbus import drive as modbus_drive
+from motorhil.emulators.plant.dc_motor import RANGES, MotorPlant
+from motorhil.emulators.plant.nonlinear import EXTRAS, NO_EXTRAS
+from motorhil.emulators.plant.nonlinear import RANGES as EXTRAS_RANGES
+from motorhil.emulators.plant.presets import PRESETS
+from motorhil.emulators.settings.protection import (
     DEFAULT_PROTECTION,
     PROTECTION_KEYS,
     STO_ERROR,
@@ -30,18 +29,23 @@ from emulators.protection_settings import (
     TEMPERATURE_RANGE_C,
     VOLTAGE_RANGE_V,
 )
-from emulators.setting_tables import JITTER_MAX_S, OSCILLATOR_KEYS, PHASE_MAX_S, PPM_MAX
-from harness import rig_buses, rig_faults, rig_file, rig_line_faults, rig_nodes, rig_stimuli
-from harness.conformance.capability import Capability
-from harness.conformance.facts import CONFORMANCE_KEYS, NOTHING_DECLARED
-from harness.plugins import ADAPTATIONS, installed
-from harness.rig import installed_plugins
-from harness.scaffold import EXAMPLES
-from harness.timing_from_controller import ASKED
-from motorapi.adaptations import ideal, software
-from motorapi.adaptations.drive_setup import HwOptions
-from motorapi.adaptations.software_options import IoOptions
-from motorapi.model import MotorModel
+from motorhil.emulators.settings.tables import JITTER_MAX_S, OSCILLATOR_KEYS, PHASE_MAX_S, PPM_MAX
+from motorhil.harness.conformance.clause import CONFORMANCE_KEYS, NOTHING_DECLARED, Capability
+from motorhil.harness.plugins import ADAPTATIONS, installed
+from motorhil.harness.rig.config import buses as rig_buses
+from motorhil.harness.rig.config import buses as rig_nodes
+from motorhil.harness.rig.config import faults as rig_faults
+from motorhil.harness.rig.config import faults as rig_line_faults
+from motorhil.harness.rig.config import rig_file
+from motorhil.harness.rig.config import stimuli as rig_stimuli
+from motorhil.harness.rig.config.derived import ASKED
+from motorhil.harness.rig.config.scaffold import EXAMPLES
+from motorhil.harness.rig.rig import installed_plugins
+from motorhil.motorapi.adaptations.cia402.bringup import HwOptions
+from motorhil.motorapi.adaptations.host_servo import motor as software
+from motorhil.motorapi.adaptations.host_servo.node import IoOptions
+from motorhil.motorapi.adaptations.ideal import motor as ideal
+from motorhil.motorapi.model import MotorModel
 from tests.harness.test_rig_file import (
     GOOD,
     LINE_EDITS,
@@ -58,7 +62,7 @@ VALIDATOR = jsonschema.Draft202012Validator(SCHEMA)
 DEFS = SCHEMA["$defs"]
 CONTROLLER = jsonschema.Draft202012Validator({"$defs": DEFS, "$ref": "#/$defs/controller"})
 
-# What only a reader of the whole file, and of what is installed, can know.
+# Errors that need the whole file, or the installed plugins, and not only a schema.
 BEYOND_STRUCTURE = (
     "there is no ",
     "already",
@@ -75,11 +79,11 @@ def is_accepted(text):
     return VALIDATOR.is_valid(tomllib.loads(text))
 
 
-def test_the_schema_is_a_schema():
+def test_schema_is_a_valid_json_schema():
     jsonschema.Draft202012Validator.check_schema(SCHEMA)
 
 
-def test_the_schema_knows_the_keys_that_the_readers_know():
+def test_schema_has_the_keys_of_the_readers():
     assert tuple(SCHEMA["properties"]) == rig_file.TOP_KEYS
     assert tuple(DEFS["rig"]["properties"]) == rig_file.RIG_KEYS
     assert tuple(DEFS["bus"]["properties"]) == rig_buses.BUS_KEYS
@@ -93,7 +97,7 @@ def test_the_schema_knows_the_keys_that_the_readers_know():
     assert list(conformance["without"]["properties"]) == [one.key for one in Capability]
     assert conformance["fault_code"]["default"] == NOTHING_DECLARED.fault_code
     kinds = [kind.value for kind in FaultKind]
-    kinds += [kind for kind in rig_line_faults.KINDS if kind not in kinds]
+    kinds += [kind for kind in rig_line_faults.LINE_FAULT_KINDS if kind not in kinds]
     assert fault["kind"]["enum"] == kinds
     assert tuple(DEFS["node"]["properties"]) == rig_nodes.NODE_KEYS
     assert DEFS["node"]["properties"]["queue"]["enum"] == list(rig_nodes.QUEUES)
@@ -104,7 +108,7 @@ def test_the_schema_knows_the_keys_that_the_readers_know():
     assert bus["parity"]["enum"] == list(rig_buses.PARITIES)
 
 
-def test_the_schema_knows_the_drives_own_keys():
+def test_schema_has_the_keys_of_a_cia402_drive():
     drive = DEFS["cia402"]["properties"]
     assert set(drive) == {"kind", "bus", *drive_settings._KEYS}
     assert set(drive["timing"]["properties"]) == set(drive_settings._TIMING_KEYS)
@@ -131,7 +135,7 @@ def test_the_schema_knows_the_drives_own_keys():
     assert drive["supported_modes"]["items"]["enum"] == list(drive_settings.EMULATED_MODES)
 
 
-def test_the_schema_knows_the_plants_own_keys():
+def test_schema_has_the_keys_of_a_plant():
     plant = DEFS["plant"]["properties"]
     linear = [field.name for field in fields(MotorPlant) if field.name != "extras"]
     assert set(plant) == {"preset", "from_motor_model", *linear, *EXTRAS}
@@ -142,7 +146,7 @@ def test_the_schema_knows_the_plants_own_keys():
     assert plant["preset"]["examples"] == list(PRESETS)
 
 
-def test_the_schema_knows_the_keys_of_a_controllers_own_clock():
+def test_schema_has_the_keys_of_an_oscillator():
     clock = DEFS["oscillator"]["properties"]
     assert tuple(clock) == OSCILLATOR_KEYS
     assert (clock["ppm"]["minimum"], clock["ppm"]["maximum"]) == (-PPM_MAX, PPM_MAX)
@@ -167,12 +171,12 @@ def test_the_schema_knows_the_keys_of_a_controllers_own_clock():
         ("jitter_s = -0.001", False),
     ],
 )
-def test_the_schema_accepts_the_clocks_that_a_drive_does(keys, accepted):
+def test_schema_accepts_the_same_oscillators_as_a_drive(keys, accepted):
     text = GOOD.replace("node_id = 1", f"node_id = 1\n[controller.left.oscillator]\n{keys}", 1)
     assert is_accepted(text) is accepted
 
 
-def test_the_schema_knows_an_io_nodes_own_keys():
+def test_schema_has_the_keys_of_an_io_node():
     node = DEFS["cia401"]["properties"]
     assert set(node) == {"kind", "bus", *node_settings.KEYS}
     assert set(node["timing"]["properties"]) == set(node_settings.TIMING_KEYS)
@@ -185,7 +189,7 @@ def test_the_schema_knows_an_io_nodes_own_keys():
     assert node["channels"]["maximum"] == node_settings.CHANNELS_MAX
 
 
-def test_the_schema_knows_a_software_motors_own_keys():
+def test_schema_has_the_keys_of_a_software_motor():
     motor = DEFS["software_motor"]["properties"]
     own = {"channel", "current_per_volt_a_v", "gains", *software._TORQUE.values()}
     in_units = {key.format(u=u) for key in software._SETTINGS.values() for u in ("rad", "m")}
@@ -211,26 +215,26 @@ def test_the_schema_knows_a_software_motors_own_keys():
         ("friction_feedforward_a", "friction"),
     ],
 )
-def test_the_schema_knows_central_servo_as_its_readers_do(old, new):
+def test_schema_checks_a_central_servo_as_its_readers_do(old, new):
     text = f"[rig]\n[bus.can0]\nbitrate_bit_s = 500_000\n{two()}"
     assert is_accepted(text.replace(old, new, 1) if old else text) is not bool(old)
 
 
-def test_the_schema_knows_the_motors_own_keys():
+def test_schema_has_the_keys_of_a_cia402_motor():
     common = {"adaptation", "controller", "bus", "node_id", "model"}
-    own = {field.name for field in fields(HwOptions)} | {ASKED}  # which the rig takes out
+    own = {field.name for field in fields(HwOptions)} | {ASKED}  # which the rig removes
     assert set(DEFS["cia402_motor"]["properties"]) == common | own
     for field in fields(HwOptions):
         assert DEFS["cia402_motor"]["properties"][field.name].get("default") == field.default
 
 
-def test_the_schema_knows_an_ideal_motors_keys():
+def test_schema_has_the_keys_of_an_ideal_motor():
     own = {"axis", *(key for keys in ideal._KEYS.values() for key in keys)}
     assert set(DEFS["ideal_motor"]["properties"]) == {"adaptation", "model", *own}
 
 
 @pytest.mark.parametrize("adaptation", sorted(installed(ADAPTATIONS)))
-def test_the_schema_wants_a_bus_for_the_adaptations_that_need_one(adaptation):
+def test_schema_requires_a_bus_if_the_adaptation_needs_one(adaptation):
     motor = {"adaptation": adaptation, "model": "wheel.toml"}
     needs_bus = installed_plugins().needs_bus(adaptation)
     assert VALIDATOR.is_valid({"motor": {"m": motor}}) is not needs_bus
@@ -246,7 +250,7 @@ def test_the_schema_wants_a_bus_for_the_adaptations_that_need_one(adaptation):
 
 
 @pytest.mark.parametrize("kind", ["leadshine_pr", "oriental_az"])
-def test_the_schema_knows_the_modbus_drives_own_keys(kind):
+def test_schema_has_the_keys_of_the_modbus_drives(kind):
     drive = DEFS[kind]["properties"]
     own = {"trigger_auto_clear"} if kind == "oriental_az" else set()
     assert set(drive) == {"kind", "bus", *modbus_drive.KEYS, *own}
@@ -255,16 +259,16 @@ def test_the_schema_knows_the_modbus_drives_own_keys(kind):
     assert drive["plant"] == {"$ref": "#/$defs/plant"}
 
 
-def test_the_schema_accepts_and_refuses_rigs_without_a_bus_as_the_reader_does():
+def test_schema_checks_rigs_without_a_bus_as_the_reader_does():
     assert is_accepted(WITHOUT_BUS)
     assert not is_accepted("")
     assert not is_accepted(WITHOUT_BUS + '[controller.c]\nkind = "io"\nbus = "can0"\n')
 
 
-def test_the_schema_knows_the_motor_models_keys(tmp_path):
+def test_schema_has_the_keys_of_a_motor_model(tmp_path):
     limits = dict.fromkeys((field.name for field in fields(MotorModel)), 1.0)
     limits.update(name="wheel", position_min=-1.0, requires_referencing=True)
-    limits["increments_per_unit"] = None  # what gear and encoder make
+    limits["increments_per_unit"] = None  # follows from gear and encoder
     for kind in ("rotary", "linear"):
         limits["kind"] = next(k for k in type(MotorModel.__dataclass_fields__["kind"].default))
         limits["kind"] = type(limits["kind"])(kind)
@@ -274,7 +278,7 @@ def test_the_schema_knows_the_motor_models_keys(tmp_path):
 
 
 @pytest.mark.parametrize("path", sorted(EXAMPLES.glob("*.toml")), ids=lambda path: path.stem)
-def test_the_schema_accepts_every_example(path):
+def test_schema_accepts_every_example(path):
     table = tomllib.loads(path.read_text())
     if "motor" in table:  # a rig; the others are motor models
         VALIDATOR.validate(table)
@@ -282,19 +286,19 @@ def test_the_schema_accepts_every_example(path):
         VALIDATOR.evolve(schema={**DEFS["model"], "$defs": DEFS}).validate(table)
 
 
-def test_the_schema_accepts_what_the_reader_accepts():
+def test_schema_accepts_a_rig_that_the_reader_accepts():
     assert is_accepted(GOOD)
 
 
 @pytest.mark.parametrize(("old", "new", "told"), REFUSALS)
-def test_the_schema_refuses_what_the_reader_refuses(old, new, told):
+def test_schema_refuses_what_the_reader_refuses(old, new, told):
     if "not TOML" in told:
         return
     beyond = any(words in told for words in BEYOND_STRUCTURE)
     assert is_accepted(GOOD.replace(unescaped(old), unescaped(new), 1)) is beyond
 
 
-# Kinds the schema does not know, and no model's keys: there only a builder could refuse.
+# Kinds unknown to the schema, and no model's keys: only a builder could refuse them.
 FOREIGN = (
     GOOD.replace('kind = "cia402"', 'kind = "io"')
     .replace('adaptation = "cia402"', 'adaptation = "servo"')
@@ -303,7 +307,7 @@ FOREIGN = (
 
 
 @given(LINE_EDITS)
-def test_whatever_the_reader_accepts_the_schema_accepts(edits):
+def test_schema_accepts_any_rig_that_the_reader_accepts(edits):
     text = edited(edits, FOREIGN)
     if mistake_in(text) is None:
         VALIDATOR.validate(tomllib.loads(text))
@@ -340,11 +344,16 @@ TABLES = st.one_of(
         ODD,
     ),
 )
-# One number against another, or against the plant, is nothing that a schema can say.
+# A schema cannot compare one number with another, or with the plant.
 BETWEEN_NUMBERS = (
     *("is not below", "is not above", "is above the maximum", "do not fit 32 bits"),
-    *("does not go with", "needs a thermal model", "does nothing without", "beyond an end"),
-    *("the plant has nothing of the kind", "too fast for steps", "nothing to draw"),
+    *(
+        "does not go with",
+        "needs a thermal model",
+        "does nothing without",
+        "beyond the plant's",
+    ),
+    *("the plant does not model this quantity", "too fast for steps", "has no effect, because"),
 )
 
 
@@ -355,7 +364,7 @@ BETWEEN_NUMBERS = (
 @example(("protection", {"sto_error_code": 35464}))
 @example(("switches", {"index_rad": 1, "index_pulse": False}))
 @given(TABLES)
-def test_the_schema_and_the_drive_accept_and_refuse_the_same_tables(table):
+def test_schema_and_drive_accept_the_same_tables(table):
     key, value = table
     drive = {"node_id": 3, key: value}
     accepted = CONTROLLER.is_valid({"kind": "cia402", "bus": "can0", **drive})

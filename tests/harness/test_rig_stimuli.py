@@ -1,9 +1,9 @@
-"""`[[stimulus]]`: what a rig file says will happen to a controller, and when."""
+"""`[[stimulus]]`: timed physical inputs of controllers in a rig file."""
 
 import pytest
 
-from harness.rig import Rig
-from harness.settings import RigError
+from motorhil.harness.rig.config.toml import RigError
+from motorhil.harness.rig.rig import Rig
 from tests.harness.rigs import GOOD, WHEEL
 
 STIMULUS = '[[stimulus]]\ncontroller = "left"\nname = "load_torque_n_m"\nvalue = {}\nat_s = {}\n'
@@ -11,7 +11,7 @@ STIMULUS = '[[stimulus]]\ncontroller = "left"\nname = "load_torque_n_m"\nvalue =
 
 @pytest.fixture
 def opened(bench):
-    """Opens the rig GOOD with more at its end."""
+    """Return a function that opens the rig GOOD with more text at its end."""
 
     def open_rig(more):
         (bench / "rig.toml").write_text(GOOD + more)
@@ -21,7 +21,7 @@ def opened(bench):
     return open_rig
 
 
-def test_a_stimulus_comes_at_its_time_in_the_order_of_the_file_and_is_told(opened):
+def test_stimuli_are_applied_and_reported_at_their_times(opened):
     stimuli = ((0.5, 0.1), (1.5, 0.1), (0.25, 0.05), (2.0, 0))
     with opened("".join(STIMULUS.format(*one) for one in stimuli)) as rig:
         left, told = rig.controllers["left"], []
@@ -37,7 +37,7 @@ def test_a_stimulus_comes_at_its_time_in_the_order_of_the_file_and_is_told(opene
         ]
 
 
-def test_what_the_controller_would_refuse_is_refused_before_anything_runs(opened):
+def test_invalid_stimulus_is_refused_before_the_run(opened):
     wrong = STIMULUS.format(1, 2).replace("load_torque_n_m", "lead")
     with pytest.raises(RigError, match=r"rig.toml:24: stimulus\[0\]: .*known: load_torque_n_m"):
         opened(wrong)

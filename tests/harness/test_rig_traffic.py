@@ -1,4 +1,4 @@
-"""What a rig's file says of the traffic on its buses, and what becomes of it."""
+"""Declared bus traffic of a rig, and its use."""
 
 import json
 import tomllib
@@ -7,13 +7,13 @@ from pathlib import Path
 import jsonschema
 import pytest
 
-import harness
-from harness import rig_traffic
-from harness.rig import Rig
-from harness.rig_file import Known, parse_rig
-from harness.settings import RigError, Source
-from motorapi.bus_timing import worst_frame_ns
-from motorapi.traffic import PeriodicMessage, declared_traffic
+from motorhil import harness
+from motorhil.harness.rig.config import bus_load as rig_traffic
+from motorhil.harness.rig.config.rig_file import Known, parse_rig
+from motorhil.harness.rig.config.toml import RigError, Source
+from motorhil.harness.rig.rig import Rig
+from motorhil.motorapi.synchronization.bus_load import PeriodicMessage, declared_traffic
+from motorhil.motorapi.synchronization.can_response_time import worst_frame_ns
 from tests.motorapi.adaptations.conftest import HEAD, drive
 
 SCHEMA = json.loads((Path(harness.__file__).parent / "rig.schema.json").read_text())
@@ -30,7 +30,7 @@ def parsed(messages: str):
     return parse_rig(Source(Path("rig.toml"), text_of(messages)), KNOWN).buses["can0"]
 
 
-def test_messages_are_read_as_they_stand():
+def test_messages_are_read_as_written():
     extended = "[[bus.can0.message]]\nidentifier = 0x12345678\nextended = true\nlength = 0\n"
     extended += "period_s = 1\njitter_s = 0.5\n"
     assert parsed(MESSAGE + extended).messages == (
@@ -40,7 +40,7 @@ def test_messages_are_read_as_they_stand():
     assert VALIDATOR.is_valid(tomllib.loads(text_of(MESSAGE + extended)))
 
 
-def test_no_message_is_no_declaration_and_none_of_them_is_one():
+def test_empty_message_list_is_a_declaration():
     assert parsed("").messages is None
     assert parsed("message = []\n").messages == ()
 
@@ -52,7 +52,7 @@ def test_no_message_is_no_declaration_and_none_of_them_is_one():
             "length = 8",
             "length = 9",
             "5: bus.can0.message[0].length: 9 bytes is out of range; allowed: 0 to 8 bytes;"
-            " of CAN FD, with fd = true, up to 64",
+            " with fd = true (CAN FD) up to 64 bytes",
         ),
         (
             "0x181",
@@ -88,7 +88,7 @@ def test_no_message_is_no_declaration_and_none_of_them_is_one():
         ),
     ],
 )
-def test_a_mistake_is_told_with_its_line_and_refused_by_the_schema(old: str, new: str, told: str):
+def test_mistake_is_refused_by_reader_and_schema(old: str, new: str, told: str):
     text = MESSAGE.replace(old, new, 1)
     with pytest.raises(RigError) as caught:
         parsed(text)
@@ -101,17 +101,17 @@ def test_a_mistake_is_told_with_its_line_and_refused_by_the_schema(old: str, new
     [
         (
             MESSAGE,
-            "8: bus.can0.message[1].identifier: 181h is declared already (line 3); one sender"
-            " each: give the shorter period and the greater length once",
+            "8: bus.can0.message[1].identifier: 181h is already declared (line 3); declare"
+            " it once, with the shorter period and the greater length",
         ),
         (
             MESSAGE.replace("181", "182").replace("0.01", "0.0001"),
             "10: bus.can0.message[1].period_s: the messages up to this one take 136% of the bus;"
-            " a longer period, or a higher bit rate",
+            " use a longer period, or a higher bit rate",
         ),
     ],
 )
-def test_messages_that_cannot_be_together_are_told_at_the_later_one(second: str, told: str):
+def test_incompatible_messages_are_reported_at_the_later_one(second: str, told: str):
     with pytest.raises(RigError) as caught:
         parsed(MESSAGE + second)
     assert str(caught.value) == f"rig.toml:{told}"
@@ -121,14 +121,14 @@ FD = MESSAGE.replace("length = 8", "length = 64\nfd = true\nbit_rate_switch = tr
 FD_BUS = "data_bitrate_bit_s = 5_000_000\n"
 
 
-def test_can_fd_messages_are_read_and_take_both_rates():
+def test_can_fd_messages_are_read_and_use_both_bit_rates():
     text = FD_BUS + FD.replace("bit_rate_switch = true\n", "") + FD.replace("0x181", "0x182")
     assert parsed(text).messages == (
         PeriodicMessage(0x181, 64, 0.01, fd=True),
         PeriodicMessage(0x182, 64, 0.01, fd=True, bit_rate_switch=True),
     )
     assert VALIDATOR.is_valid(tomllib.loads(text_of(text)))
-    # 712 bits at most, of them 33 at 1 Mbit/s and 679 at 5 Mbit/s: 168.8 us, (can-physics, 6.3)
+    # 712 bits at most, of them 33 at 1 Mbit/s and 679 at 5 Mbit/s: 168.8 us (can-physics, 6.3)
     assert parsed(FD_BUS + FD.replace("0.01", "169e-6")).messages is not None
     with pytest.raises(RigError, match="take 101% of the bus"):
         parsed(FD_BUS + FD.replace("0.01", "167e-6"))
@@ -138,26 +138,26 @@ def test_can_fd_messages_are_read_and_take_both_rates():
     ("text", "told"),
     [
         (FD, '6: bus.can0.message[0].fd: bus "can0" is classical CAN; give it a'
-         " data_bitrate_bit_s, or take fd out"),
-        (FD_BUS + FD.replace("64", "9"), "6: bus.can0.message[0].length: no CAN FD frame has 9"
-         " bytes; it is padded: write length = 12"),
+         " data_bitrate_bit_s, or remove fd"),
+        (FD_BUS + FD.replace("64", "9"), "6: bus.can0.message[0].length: CAN FD frames"
+         " cannot have 9 bytes; the frame is padded: write length = 12"),
         (FD_BUS + FD.replace("64", "65"), "6: bus.can0.message[0].length: 65 bytes is out of"
          " range; allowed: 0 to 64 bytes"),
         (FD_BUS + FD.replace("fd = true\n", ""), "7: bus.can0.message[0].bit_rate_switch: only CAN"
-         " FD frames switch the bit rate; write fd = true, or take it out"),
+         " FD frames can switch the bit rate; write fd = true, or remove it"),
         (FD_BUS + FD.replace("fd = true\nbit_rate_switch = true\n", ""), "6:"
-         " bus.can0.message[0].length: 64 bytes is out of range; allowed: 0 to 8 bytes; of CAN FD,"
-         " with fd = true, up to 64"),
+         " bus.can0.message[0].length: 64 bytes is out of range; allowed: 0 to 8 bytes; with"
+         " fd = true (CAN FD) up to 64 bytes"),
     ],
 )  # fmt: skip
-def test_what_can_fd_has_not_is_told_and_refused_by_the_schema(text: str, told: str):
+def test_invalid_can_fd_message_is_refused_also_by_the_schema(text: str, told: str):
     with pytest.raises(RigError) as caught:
         parsed(text)
     assert str(caught.value) == f"rig.toml:{told}"
     assert not VALIDATOR.is_valid(tomllib.loads(text_of(text)))
 
 
-def test_motorapi_is_told_of_can_fd_and_of_the_data_bit_rate(tmp_path: Path):
+def test_motorapi_gets_can_fd_messages_and_data_bit_rate(tmp_path: Path):
     with opened(tmp_path, f"{HEAD}{FD_BUS}{FD}{drive('left', 1)}") as rig:
         traffic = declared_traffic(rig.bus("can0"))
     assert traffic is not None
@@ -165,7 +165,7 @@ def test_motorapi_is_told_of_can_fd_and_of_the_data_bit_rate(tmp_path: Path):
     assert worst_frame_ns(traffic.messages[0], traffic) == 33_000 + 679 * 200
 
 
-def test_the_schema_knows_a_messages_keys():
+def test_schema_has_the_keys_of_a_message():
     assert tuple(SCHEMA["$defs"]["message"]["properties"]) == rig_traffic.MESSAGE_KEYS
 
 
@@ -175,7 +175,7 @@ def opened(tmp_path: Path, text: str) -> Rig:
     return Rig.open(path)
 
 
-def test_an_open_rig_declares_what_stands_there_and_what_its_nodes_say_by_themselves(
+def test_open_rig_declares_its_messages_and_its_nodes_own(
     tmp_path: Path,
 ):
     silent = drive("left", 1)
@@ -200,7 +200,7 @@ def options_of(rig: Rig, name: str):
     return rig.motors[name].hardware.options
 
 
-def test_a_motor_takes_its_drives_timing_where_the_rig_asks_for_it(tmp_path: Path):
+def test_motor_takes_its_drives_timing_on_request(tmp_path: Path):
     controller = "servo = { tick_s = 0.0005 }\ntiming = { sdo_reply_s = 0.002 }\n"
     given = drive("left", 1, f"{controller}oscillator = {{ ppm = -40 }}")
     asking = "timing_from_controller = true"
@@ -218,7 +218,7 @@ def test_a_motor_takes_its_drives_timing_where_the_rig_asks_for_it(tmp_path: Pat
         assert "servo_period_ms" not in told[1]
 
 
-def test_asking_for_a_timing_that_is_not_there_is_told_with_its_line(tmp_path: Path):
+def test_unavailable_timing_is_reported_with_its_line(tmp_path: Path):
     text = f"{HEAD}{drive('left', 1, motor='timing_from_controller = 1')}"
     line = text.splitlines().index("timing_from_controller = 1") + 1
     with opened(tmp_path, text) as rig, pytest.raises(RigError) as caught:
@@ -227,5 +227,6 @@ def test_asking_for_a_timing_that_is_not_there_is_told_with_its_line(tmp_path: P
     other = text.replace("= 1\n[motor.left.model]", "= true\n[motor.left.model]").replace(
         'controller = "left"', 'bus = "can0"\nnode_id = 7'
     )
-    with opened(tmp_path, other) as rig, pytest.raises(RigError, match="no emulated CiA 402 drive"):
+    refused = pytest.raises(RigError, match="not an emulated CiA 402 drive")
+    with opened(tmp_path, other) as rig, refused:
         rig.build_motors()

@@ -1,15 +1,15 @@
-"""Rigs of motors that need no bus, and of some that do and some that do not."""
+"""Rigs of motors that need no bus, and mixed rigs."""
 
 import json
 
 import pytest
 
-from harness.rig import Rig
-from harness.scaffold import EXAMPLES
-from harness.settings import RigError
-from motorapi import ControlMode, TrapezoidalTrajectory
-from traces.digest import digest
-from traces.reader import read_trace
+from motorhil.harness.rig.config.scaffold import EXAMPLES
+from motorhil.harness.rig.config.toml import RigError
+from motorhil.harness.rig.rig import Rig
+from motorhil.motorapi import ControlMode, TrapezoidalTrajectory
+from motorhil.traces.digest import digest
+from motorhil.traces.mcap.reader import read_trace
 
 MODEL = "velocity_max_rad_s = 2.0\nacceleration_max_rad_s2 = 4.0\n"
 IDEAL = f"""\
@@ -67,15 +67,15 @@ def move(rig):
     motor.wait_until_done()
 
 
-def test_a_rig_without_a_bus_moves_its_motors_in_virtual_time(folder):
+def test_rig_without_a_bus_moves_its_motors_in_virtual_time(folder):
     with Rig.open(folder / "ideal.toml") as rig:
         move(rig)
-        assert rig.runtime.now_ns() == 1_000_000_000  # 1 rad up and down at 4 rad/s^2
+        assert rig.runtime.now_ns() == 1_000_000_000  # 1 rad, accelerating and braking at 4 rad/s^2
         assert rig.motors["left"].position() == rig.motors["also_left"].position() == 1.25
         assert rig.motors["left"].hardware is rig.motors["also_left"].hardware
 
 
-def test_its_record_tells_the_motion_and_has_one_digest(folder):
+def test_record_of_a_rig_without_a_bus_has_one_digest(folder):
     digests = []
     for name in ("a.mcap", "b.mcap"):
         with Rig.open(folder / "ideal.toml", record=folder / name) as rig:
@@ -105,19 +105,19 @@ def test_ideal_motors_and_drives_share_a_rig_and_a_group(folder):
 @pytest.mark.parametrize(
     ("old", "new", "told"),
     [
-        ("position_rad = 0.25", "position_m = 0.25", "6: motor.left.position_m: position_m is no"),
+        ("position_rad = 0.25", "position_m = 0.25", "6: motor.left.position_m: position_m is"),
         ("position_rad = 0.25", 'bus = "can0"', "6: motor.left.bus: a motor of adaptation"),
-        ("position_rad = 0.25", "axes = 1", "6: motor.left.axes: axes is no setting of an ideal"),
+        ("position_rad = 0.25", "axes = 1", "6: motor.left.axes: axes is not a setting of an"),
     ],
 )
-def test_what_is_wrong_is_told_with_its_line(folder, old, new, told):
+def test_wrong_ideal_motor_setting_is_reported_with_its_line(folder, old, new, told):
     (folder / "ideal.toml").write_text(IDEAL.replace(old, new, 1))
     with pytest.raises(RigError) as caught, Rig.open(folder / "ideal.toml") as rig:
         rig.build_motors()
     assert str(caught.value).startswith(f"{folder / 'ideal.toml'}:{told}")
 
 
-def test_motors_of_one_axis_that_disagree_are_told_at_the_second(folder):
+def test_conflicting_motors_of_one_axis_are_reported_at_second(folder):
     first, axis, second = IDEAL.rpartition('axis = "shaft"\n')
     (folder / "ideal.toml").write_text(f"{first}{axis}position_rad = 1.0\n{second}")
     with pytest.raises(RigError) as caught, Rig.open(folder / "ideal.toml") as rig:
@@ -126,7 +126,7 @@ def test_motors_of_one_axis_that_disagree_are_told_at_the_second(folder):
     assert str(caught.value).startswith(f"{folder / 'ideal.toml'}:{told}")
 
 
-def test_check_and_list_know_rigs_without_a_bus(folder, say):
+def test_check_and_list_support_rigs_without_a_bus(folder, say):
     status, out, err = say("check", str(folder / "ideal.toml"))
     assert (status, err) == (0, "")
     assert out.endswith("ideal.toml: ideal: 2 motors\n")
@@ -136,7 +136,7 @@ def test_check_and_list_know_rigs_without_a_bus(folder, say):
     assert "ideal_wheels" in [entry["name"] for entry in examples]
 
 
-def test_an_adaptation_that_cannot_be_loaded_is_told_as_that(rig, say):
+def test_adaptation_that_cannot_be_loaded_is_reported(rig, say):
     points = rig.parent / "site" / "bench-1.0.dist-info" / "entry_points.txt"
     with points.open("a") as file:
         file.write("gone = tests.harness.no_such_module:adaptation\n")
@@ -146,7 +146,7 @@ def test_an_adaptation_that_cannot_be_loaded_is_told_as_that(rig, say):
     assert err.startswith('ideal.toml:4: motor.left.adaptation: plugin "gone" cannot be loaded')
 
 
-def test_the_same_words_move_the_examples_with_and_without_drives():
+def test_same_program_moves_examples_with_and_without_drives():
     ends = []
     for name in ("two_wheels", "ideal_wheels"):
         with Rig.open(EXAMPLES / f"{name}.toml") as rig:
@@ -155,15 +155,15 @@ def test_the_same_words_move_the_examples_with_and_without_drives():
     assert ends == pytest.approx([1.0, 1.0], abs=1e-3)  # a drive's position window
 
 
-def test_a_script_that_asks_a_rig_without_a_bus_for_one_is_told(folder, say, monkeypatch):
+def test_can_bus_in_a_rig_without_a_bus_is_refused(folder, say, monkeypatch):
     monkeypatch.chdir(folder)
     (folder / "script.py").write_text("print(1)\nimport can\ncan.Bus()\n")
     status, out, err = say("run", "ideal.toml", "script.py")
     assert (status, out) == (1, "1\n")
-    assert "channel 'none': no rig open in this process has that bus (open: none)" in err
+    assert "channel 'none': neither a bus of a rig open in this process (open: none)" in err
 
 
-def test_there_is_nothing_to_serve_in_a_rig_without_a_bus(folder, say):
+def test_serve_of_a_rig_without_a_bus_is_refused(folder, say):
     status, out, err = say("serve", str(folder / "ideal.toml"))
     assert (status, out) == (2, "")
     assert "ideal.toml: the rig has no bus, so there is nothing to serve; motorhil run" in err

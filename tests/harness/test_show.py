@@ -3,12 +3,12 @@ import json
 
 import pytest
 
-from harness.cli import main
-from harness.number_options import time_ns
-from harness.verbs import show
+from motorhil.harness.cli import show
+from motorhil.harness.cli.main import main
+from motorhil.harness.cli.options import time_ns
+from motorhil.traces.mcap.reader import Trace
+from motorhil.traces.schema import GROUP_SYNC, MOTOR_LOCK
 from tests.harness.recorded import MS, Recorded, S
-from traces.reader import Trace
-from traces.schema import GROUP_SYNC, MOTOR_LOCK
 
 
 @pytest.fixture
@@ -41,11 +41,11 @@ def shown(capsys, *words):
 
 
 def told(capsys, *words):
-    """The lines without their times."""
+    """Return the lines without their times."""
     return [line[17:] for line in shown(capsys, *words).out.splitlines()]
 
 
-def test_everything_is_told_in_order_with_names_from_the_rig_and_the_eds(capsys, recording):
+def test_lines_are_in_order_with_names_from_rig_and_eds(capsys, recording):
     lines = shown(capsys, recording).out.splitlines()
     assert lines[0] == "    0.001000000  can0      left (1) has booted"
     for text in (
@@ -62,7 +62,7 @@ def test_everything_is_told_in_order_with_names_from_the_rig_and_the_eds(capsys,
     assert [line[:15] for line in lines] == sorted(line[:15] for line in lines)
 
 
-def test_a_motor_is_told_with_its_locks_groups_events_and_what_concerns_all(capsys, recording):
+def test_motor_filter_keeps_locks_groups_and_broadcasts(capsys, recording):
     lines = told(capsys, recording, "--motor", "right_wheel", "--to", "1")
     assert lines == [
         "can0      right (2) has booted",
@@ -73,7 +73,7 @@ def test_a_motor_is_told_with_its_locks_groups_events_and_what_concerns_all(caps
     ]
 
 
-def test_identifiers_nodes_buses_and_times_are_filters(capsys, recording):
+def test_filters_by_identifier_node_bus_and_time(capsys, recording):
     hot = "events    warning, right_wheel: it is hot"
     assert told(capsys, recording, "--id", "702h", "--id", "182") == [
         "can0      right (2) has booted",
@@ -90,22 +90,21 @@ def test_identifiers_nodes_buses_and_times_are_filters(capsys, recording):
     assert told(capsys, recording, "--from", "0.012000001", "--to", "0.013") == []
 
 
-def test_briefly_what_repeats_is_left_out(capsys, recording):
+def test_brief_omits_repetitions(capsys, recording):
     lines = told(capsys, recording, "--brief", "--node", "1", "--to", "0.012")
     assert sum("is operational" in line for line in lines) == 1
     assert sum("statusword = 0237h" in line for line in lines) == 1
 
 
-def test_the_last_second_knows_the_mappings_of_the_beginning_and_no_old_transfer(capsys, recording):
+def test_last_second_uses_mappings_but_no_old_transfer(capsys, recording):
     assert told(capsys, recording, "--last", "1") == [
         "can0      left (1) TPDO 1: 6041h statusword = 0218h fault",
-        "can0      SDO left (1): tells a segment of an object (the beginning was not recorded): 61",
+        "can0      SDO left (1): uploads a segment of an object "
+        "(the beginning was not recorded): 61",
     ]
 
 
-def test_the_last_second_of_a_long_recording_is_found_without_reading_the_rest(
-    capsys, tmp_path, monkeypatch
-):
+def test_last_second_is_found_without_reading_the_rest(capsys, tmp_path, monkeypatch):
     long = Recorded(tmp_path / "long.mcap")
     for second in range(60):
         long.frame(second * S, 0x701, "05")
@@ -116,11 +115,11 @@ def test_the_last_second_of_a_long_recording_is_found_without_reading_the_rest(
         Trace, "_content", lambda self, chunk: read.append(chunk.first_ns) or content(self, chunk)
     )
     assert len(told(capsys, path, "--last", "1.5")) == 2
-    assert len(read) <= 9  # the beginning, of which mappings are learned, and the end
+    assert len(read) <= 9  # the beginning, with the mappings, and the end
     assert not [time for time in read if 6 * S < time < 57 * S]
 
 
-def test_a_machine_gets_an_object_a_line(capsys, recording):
+def test_json_has_one_object_per_line(capsys, recording):
     lines = [json.loads(line) for line in shown(capsys, recording, "--json").out.splitlines()]
     boot = lines[0]
     assert (boot["time_ns"], boot["id"], boot["kind"], boot["node"]) == (MS, 0x701, "boot-up", 1)
@@ -130,35 +129,35 @@ def test_a_machine_gets_an_object_a_line(capsys, recording):
     assert read[0]["facts"][0]["value"] == 25
 
 
-def test_who_was_not_met_and_what_is_cut_is_told(capsys, recording, tmp_path):
+def test_unknown_motor_and_cut_file_are_reported(capsys, recording, tmp_path):
     cut = tmp_path / "cut.mcap"
     with open(recording, "rb") as file:
         cut.write_bytes(file.read()[:-400])
     told_of = shown(capsys, str(cut), "--motor", "nobody").err
-    assert "nothing was told of a motor nobody" in told_of
+    assert "no events of motor nobody" in told_of
     assert "cut at byte" in told_of
     assert shown(capsys, recording).err == ""
 
 
 @pytest.mark.parametrize("text", ["x", "1.x", "-1", "", ".", "1.0000000001"])
-def test_times_are_seconds_or_refused(text, capsys, recording):
+def test_times_must_be_seconds(text, capsys, recording):
     assert time_ns("1.000000001") == S + 1
     with pytest.raises(SystemExit):
         shown(capsys, recording, f"--from={text}")
-    assert f"{text!r} is no time; say 0 to 18446744074 s" in capsys.readouterr().err
+    assert f"{text!r} is not a time; say 0 to 18446744074 s" in capsys.readouterr().err
 
 
-def test_the_command_line_knows_it(capsys, recording, tmp_path):
+def test_command_line_has_verb_show(capsys, recording, tmp_path):
     assert main(["show", recording, "--id", "701"]) == 0
     assert "left (1) has booted" in capsys.readouterr().out
     assert main(["diff", recording, recording]) == 0
     (tmp_path / "none.mcap").write_bytes(b"candump?")
     assert main(["show", str(tmp_path / "none.mcap")]) == 2
-    assert "no MCAP file" in capsys.readouterr().err
+    assert "not an MCAP file" in capsys.readouterr().err
 
 
-def test_that_there_is_nothing_to_tell_is_told_and_why(capsys, recording, tmp_path):
+def test_empty_result_is_reported_with_reason(capsys, recording, tmp_path):
     assert main(["show", str(recording), "--motor", "nobody", "--id", "7FF", "--bus", "can9"]) == 0
     out, err = capsys.readouterr()
     assert out == ""
-    assert "lines is what was asked for" in err
+    assert "lines matches the options" in err

@@ -1,14 +1,14 @@
 import pytest
 
-from harness.verbs import show
-from harness.verbs.show import followed, text_of
+from motorhil.harness.cli import show
+from motorhil.harness.cli.show import followed, text_of
+from motorhil.traces.decoding.narrative import Story
+from motorhil.traces.errors import TraceError
+from motorhil.traces.mcap.reader import Trace, read_trace
 from tests.harness.recorded import MS, Recorded, S
 from tests.harness.test_show import recording, shown
-from traces.errors import TraceError
-from traces.reader import Trace, read_trace
-from traces.story import Story
 
-__all__ = ["recording"]  # a fixture of the tests beside
+__all__ = ["recording"]  # a fixture of test_show
 
 
 def told(lines):
@@ -16,7 +16,7 @@ def told(lines):
 
 
 def growing(tmp_path, recording, steps, first=200):
-    """(a file with the recording's beginning, what writes on: `steps` bytes at a time)."""
+    """Return a file with the recording's beginning, and a function that appends `steps` bytes."""
     with open(recording, "rb") as file:
         data = file.read()
     path = tmp_path / "growing.mcap"
@@ -34,9 +34,7 @@ def growing(tmp_path, recording, steps, first=200):
 
 
 @pytest.mark.parametrize("steps", [1, 7, 500, 100_000])
-def test_however_the_file_grows_every_line_is_told_once_and_it_ends_with_the_file(
-    tmp_path, recording, steps
-):
+def test_growing_file_gives_every_line_once(tmp_path, recording, steps):
     with read_trace(recording) as trace:
         expected = told(Story(trace).lines())
     path, write_on = growing(tmp_path, recording, steps, first=3000)
@@ -47,7 +45,7 @@ def test_however_the_file_grows_every_line_is_told_once_and_it_ends_with_the_fil
     assert len(expected) > 15
 
 
-def test_lines_come_as_soon_as_their_chunk_is_there(tmp_path):
+def test_lines_come_with_their_chunk(tmp_path):
     path = tmp_path / "live.mcap"
     live = Recorded(path)
     seconds = iter(range(1, 4))
@@ -70,7 +68,7 @@ def test_lines_come_as_soon_as_their_chunk_is_there(tmp_path):
     assert told_before == [0, 1, 2, 3]
 
 
-def test_the_file_is_never_read_again(tmp_path, recording, monkeypatch):
+def test_file_is_read_only_once(tmp_path, recording, monkeypatch):
     path, write_on = growing(tmp_path, recording, 400)
     read = []
     content = Trace._content
@@ -82,7 +80,7 @@ def test_the_file_is_never_read_again(tmp_path, recording, monkeypatch):
     assert len(read) == len(set(read)) > 1
 
 
-def test_the_span_and_what_mappings_mean_hold_while_following(tmp_path, recording):
+def test_time_span_and_mappings_hold_while_following(tmp_path, recording):
     with read_trace(recording) as trace:
         expected = told(Story(trace).lines(19 * S, None))
     path, write_on = growing(tmp_path, recording, 100_000, first=5000)
@@ -96,12 +94,12 @@ def test_the_span_and_what_mappings_mean_hold_while_following(tmp_path, recordin
     assert len(within) == 2
 
 
-def test_a_complete_recording_is_told_as_without(capsys, recording):
+def test_complete_recording_is_shown_as_without_follow(capsys, recording):
     words = (recording, "--node", "1", "--brief")
     assert shown(capsys, *words, "--follow") == shown(capsys, *words)
 
 
-def test_ctrl_c_ends_it_quietly(capsys, tmp_path, monkeypatch):
+def test_ctrl_c_ends_follow_quietly(capsys, tmp_path, monkeypatch):
     live = Recorded(tmp_path / "live.mcap").frame(S, 0x701, "05")
     live.writer.flush()
 
@@ -114,7 +112,7 @@ def test_ctrl_c_ends_it_quietly(capsys, tmp_path, monkeypatch):
     live.close()
 
 
-def test_a_file_that_is_written_over_is_told(tmp_path, recording):
+def test_overwritten_file_is_reported(tmp_path, recording):
     path, _ = growing(tmp_path, recording, 1, first=3000)
     with read_trace(path) as trace, pytest.raises(TraceError, match="has become shorter"):
         list(followed(trace, Story(trace), None, None, lambda: path.write_bytes(b"")))

@@ -1,10 +1,10 @@
-"""Whose commands a shared motor got, by what a record tells."""
+"""Attribution of a shared motor's commands to owners, from a record."""
 
 import pytest
 
-from harness.ownership_record import LockEvent, ownership_of
-from harness.two_processes import commands_by_tenure
-from traces.schema import LockAction
+from motorhil.harness.cli.demo_two_processes import commands_by_tenure
+from motorhil.harness.recording.ownership import LockEvent, ownership_of
+from motorhil.traces.schema import LockAction
 
 TAKEN = LockEvent("pan", 10, LockAction.TAKEN, "mast", token=1, pid=4, sender="mast[4]")
 BROKEN = LockEvent("pan", 20, LockAction.BROKEN, "driving", token=2, pid=5, sender="driving[5]")
@@ -43,5 +43,5 @@ def table(events, sent):
     ],
     ids=["in its controller yet", "after its heir's", "a stranger's", "given back", "nobody's"],
 )
-def test_what_the_dead_one_had_sent_is_its_own_until_its_heir_commands(events, sent, counted):
+def test_dead_owners_frames_are_its_own_until_the_next_commands(events, sent, counted):
     assert table(events, sent) == counted

@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from emulators.canopen.shared import NEVER
-from emulators.event_queue import EventQueue
-from harness.virtual_time import VirtualRuntime
-from motorapi.errors import UsageError
+from motorhil.emulators.canopen.outbox import NEVER
+from motorhil.emulators.simulation.event_queue import EventQueue
+from motorhil.harness.virtual_time.runtime import VirtualRuntime
+from motorhil.motorapi.errors import UsageError
 
 MS = 1_000_000
 
@@ -22,14 +22,17 @@ def runtime():
     runtime.close()
 
 
-def test_a_wait_takes_exactly_its_timeout_and_no_wall_time_matters(runtime):
+def test_wait_takes_exactly_its_timeout_without_wall_time(runtime):
     assert runtime.wait_until(lambda: False, timeout_s=3600.0) is False
     assert runtime.now_ns() == 3600 * 10**9
 
 
-def test_virtual_time_ends_before_what_controllers_take_for_never(runtime):
-    """A drive waits for nothing until NEVER; a replay 1e30 times slower once took it there, where
-    it enabled itself out of SWITCH ON DISABLED."""
+def test_virtual_time_ends_before_never_of_controllers(runtime):
+    """Check the end of virtual time, because a drive treats NEVER as the end of no wait.
+
+    A replay 1e30 times slower once reached NEVER, and the drive enabled itself out of SWITCH ON
+    DISABLED.
+    """
     for _ in range(2):
         runtime.run_for(1e9)
     assert runtime.now_ns() < NEVER
@@ -37,7 +40,7 @@ def test_virtual_time_ends_before_what_controllers_take_for_never(runtime):
         runtime.run_for(1e-9)
 
 
-def test_a_wait_ends_at_the_event_that_fulfils_it(runtime):
+def test_wait_ends_at_the_event_that_fulfils_it(runtime):
     happened = []
     runtime.queue.alarm(lambda now: happened.append(now)).set(7 * MS)
     assert runtime.wait_until(lambda: bool(happened), timeout_s=1.0) is True
@@ -45,14 +48,14 @@ def test_a_wait_ends_at_the_event_that_fulfils_it(runtime):
 
 
 @pytest.mark.parametrize(("event_ns", "result"), [(MS - 1, True), (MS, True), (MS + 1, False)])
-def test_what_happens_at_the_very_end_of_a_timeout_still_counts(runtime, event_ns, result):
+def test_event_at_the_very_end_of_a_timeout_still_counts(runtime, event_ns, result):
     happened = []
     runtime.queue.alarm(lambda now: happened.append(now)).set(event_ns)
     assert runtime.wait_until(lambda: bool(happened), timeout_s=0.001) is result
     assert runtime.now_ns() == min(event_ns, MS)
 
 
-def test_a_periodic_action_runs_at_start_plus_k_periods_until_cancelled(runtime):
+def test_periodic_action_runs_at_start_plus_k_periods(runtime):
     times = []
     runtime.run_for(0.0005)
     registration = runtime.every(0.001, lambda: times.append(runtime.now_ns()))
@@ -62,7 +65,7 @@ def test_a_periodic_action_runs_at_start_plus_k_periods_until_cancelled(runtime)
     assert times == [1_500_000, 2_500_000, 3_500_000]
 
 
-def test_waiting_inside_a_callback_is_refused_and_says_what_to_do(runtime):
+def test_wait_inside_a_callback_is_refused_with_remedy(runtime):
     def callback():
         runtime.wait_until(lambda: True)
 
@@ -71,7 +74,7 @@ def test_waiting_inside_a_callback_is_refused_and_says_what_to_do(runtime):
         runtime.run_for(0.01)
 
 
-def test_waiting_inside_a_condition_is_refused(runtime):
+def test_wait_inside_a_condition_is_refused(runtime):
     with pytest.raises(UsageError, match="inside a callback"):
         runtime.wait_until(lambda: len([0]) == 2 or runtime.wait_until(lambda: True), 0.1)
 
@@ -92,12 +95,12 @@ def test_a_foreign_thread_is_refused_and_told_of_spawn(runtime):
     assert "spawn" in refusals[0]
 
 
-def test_waiting_for_what_can_never_happen_is_an_error_not_a_hang(runtime):
-    with pytest.raises(UsageError, match="can never happen"):
+def test_wait_that_cannot_end_is_an_error(runtime):
+    with pytest.raises(UsageError, match="nothing can end the wait"):
         runtime.wait_until(lambda: False)
 
 
-def test_polling_for_ever_without_waiting_is_an_error_not_a_hang(runtime):
+def test_endless_polling_without_waiting_is_an_error(runtime):
     def poll():
         while not runtime.wait_until(lambda: False, timeout_s=0.0):
             pass
@@ -106,7 +109,7 @@ def test_polling_for_ever_without_waiting_is_an_error_not_a_hang(runtime):
         poll()
 
 
-def test_a_failing_event_reaches_the_party_that_waited_and_time_can_go_on(runtime):
+def test_failed_event_reaches_the_waiting_party(runtime):
     def fail(now_ns):
         raise ValueError("planted")
 
@@ -117,7 +120,7 @@ def test_a_failing_event_reaches_the_party_that_waited_and_time_can_go_on(runtim
     assert runtime.now_ns() == 1_001 * MS
 
 
-def test_a_failed_condition_reaches_its_own_party_only(runtime):
+def test_failed_condition_reaches_only_its_own_party(runtime):
     ended = []
 
     def bystander():
@@ -136,7 +139,7 @@ def test_a_failed_condition_reaches_its_own_party_only(runtime):
 
 
 def run_parties(plans):
-    """Each party waits its own delays; the log of who went on when."""
+    """Run parties that wait their delays; return the log of (time [ns], name)."""
     runtime = VirtualRuntime(EventQueue())
     log = []
 
@@ -169,13 +172,13 @@ def test_parties_due_at_one_time_go_in_the_order_of_asking():
     assert run_parties([[3], [2, 1], [1, 2]]) == [
         (1000, "2"),
         (2000, "1"),
-        (3000, "0"),  # asked at 0
-        (3000, "2"),  # asked at 1000
-        (3000, "1"),  # asked at 2000
+        (3000, "0"),  # waits since 0
+        (3000, "2"),  # waits since 1000
+        (3000, "1"),  # waits since 2000
     ]
 
 
-def test_what_a_party_raised_is_there_when_it_is_joined(runtime):
+def test_error_of_a_party_is_available_after_join(runtime):
     def fails():
         runtime.run_for(0.001)
         raise KeyError("planted")
@@ -185,7 +188,7 @@ def test_what_a_party_raised_is_there_when_it_is_joined(runtime):
     assert isinstance(party.error, KeyError)
 
 
-def test_what_a_party_raised_and_nobody_joined_comes_out_at_the_end():
+def test_error_of_an_unjoined_party_is_raised_by_close():
     runtime = VirtualRuntime(EventQueue())
 
     def fails():
@@ -197,7 +200,7 @@ def test_what_a_party_raised_and_nobody_joined_comes_out_at_the_end():
         runtime.close()
 
 
-def test_closing_ends_parties_that_wait_and_leaves_no_thread():
+def test_close_ends_waiting_parties_and_leaves_no_thread():
     before = threading.active_count()
     runtime = VirtualRuntime(EventQueue())
     ended = []
@@ -217,7 +220,7 @@ def test_closing_ends_parties_that_wait_and_leaves_no_thread():
     assert threading.active_count() == before
 
 
-def test_pace_is_asked_before_time_moves():
+def test_pace_is_called_before_time_moves():
     paced = []
     runtime = VirtualRuntime(EventQueue(), pace=paced.append)
     runtime.queue.alarm(lambda now: None).set(2 * MS)
@@ -225,15 +228,15 @@ def test_pace_is_asked_before_time_moves():
     assert paced == [2 * MS, 3 * MS]
 
 
-# --- interrupted from the keyboard
+# --- keyboard interrupts
 
 
-def test_an_interrupt_is_taken_between_two_events_and_the_rig_can_go_on(runtime):
+def test_interrupt_is_taken_between_events_and_rig_continues(runtime):
     times = []
 
     def act():
         times.append(runtime.interrupt())
-        times.append(runtime.interrupt())  # the second one is for now, whatever it breaks
+        times.append(runtime.interrupt())  # the second one takes effect at once
         times.append(runtime.now_ns())
 
     registration = runtime.every(0.001, act)
@@ -246,7 +249,7 @@ def test_an_interrupt_is_taken_between_two_events_and_the_rig_can_go_on(runtime)
     assert runtime.interrupt() is False
 
 
-def test_an_interrupt_while_another_party_has_the_turn_reaches_the_first_one(runtime):
+def test_interrupt_during_another_partys_turn_reaches_first(runtime):
     ended = []
 
     def second():
@@ -263,7 +266,7 @@ def test_an_interrupt_while_another_party_has_the_turn_reaches_the_first_one(run
     runtime.run_for(0.001)
 
 
-def test_an_interrupt_while_a_party_is_started_leaves_nobody_to_wait_for(runtime, monkeypatch):
+def test_interrupt_during_spawn_leaves_no_waiting_party(runtime, monkeypatch):
     def interrupted(thread):
         raise KeyboardInterrupt
 
@@ -277,11 +280,11 @@ def test_an_interrupt_while_a_party_is_started_leaves_nobody_to_wait_for(runtime
 @pytest.mark.wall
 @pytest.mark.usefixtures("interruptible")
 @pytest.mark.parametrize("taken_elsewhere", [False, True])
-def test_an_interrupt_ends_the_wait_for_a_party_that_never_waits(
+def test_interrupt_ends_the_wait_for_a_party_that_never_waits(
     runtime, monkeypatch, taken_elsewhere
 ):
-    """Also when it wakes nobody: it came just before the wait, or the other thread took it."""
-    monkeypatch.setattr("harness.virtual_time.GRACE_S", 0.05)
+    """Check it also if no thread wakes: the signal came just before the wait, or elsewhere."""
+    monkeypatch.setattr("motorhil.harness.virtual_time.runtime.GRACE_S", 0.05)
     told = threading.Event()
     in_time = []
 
@@ -305,8 +308,8 @@ def test_an_interrupt_ends_the_wait_for_a_party_that_never_waits(
 
 
 @pytest.mark.wall
-def test_a_party_that_does_not_let_itself_be_ended_is_told_at_the_end(monkeypatch):
-    monkeypatch.setattr("harness.virtual_time.GRACE_S", 0.05)
+def test_party_that_ignores_its_end_is_reported_by_close(monkeypatch):
+    monkeypatch.setattr("motorhil.harness.virtual_time.runtime.GRACE_S", 0.05)
     runtime = VirtualRuntime(EventQueue())
     over = threading.Event()
 
@@ -324,6 +327,6 @@ def test_a_party_that_does_not_let_itself_be_ended_is_told_at_the_end(monkeypatc
 
 
 @pytest.mark.parametrize("period_s", [float("nan"), float("inf"), 0.0, -1.0, 1e-12, 1e300])
-def test_a_period_that_is_none_is_refused(runtime, period_s):
+def test_invalid_period_is_refused(runtime, period_s):
     with pytest.raises(UsageError, match=r"period_s = .*: must be 1e-9 to 1e9 s"):
         runtime.every(period_s, lambda: None)

@@ -1,7 +1,7 @@
 import pytest
 
-from emulators.event_queue import EventQueue
-from harness.virtual_time import VirtualRuntime
+from motorhil.emulators.simulation.event_queue import EventQueue
+from motorhil.harness.virtual_time.runtime import VirtualRuntime
 from tests.motorapi.plain import PlainBus, PlainHwMotor, PlainMotor
 
 
@@ -24,6 +24,6 @@ def motor(hw):
 
 @pytest.fixture
 def pair(runtime):
-    """Two motors that share a trigger."""
+    """Return two motors that share a trigger."""
     bus = PlainBus()
     return [PlainMotor(PlainHwMotor(runtime, node, bus)) for node in (1, 2)]

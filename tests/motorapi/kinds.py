@@ -1,17 +1,16 @@
-"""The kinds of hardware there are, each as a rig of two motors, `left` and `right`, in a group.
+"""Kinds of hardware, each as a rig of two motors, `left` and `right`, in a group.
 
-What a test may hold against a kind are the facts stated here, and nothing else: what it can be
-told, how closely it follows a trajectory, how near it ends. The same model of a motor is in all of
-them: 2 rad/s, 4 rad/s^2.
+Tests may rely only on the facts of a kind stated here: its commands, its deviation from a
+trajectory, its deviation from the target. All kinds have the same motor model: 2 rad/s, 4 rad/s^2.
 """
 
 from contextlib import contextmanager
 from dataclasses import dataclass
 
-from harness.rig import Rig, installed_plugins
-from harness.rig_file import parse_rig
-from harness.settings import Source
-from motorapi import ControlVariable
+from motorhil.harness.rig.config.rig_file import parse_rig
+from motorhil.harness.rig.config.toml import Source
+from motorhil.harness.rig.rig import Rig, installed_plugins
+from motorhil.motorapi import ControlVariable
 
 POSITION, VELOCITY = ControlVariable.POSITION, ControlVariable.VELOCITY
 TORQUE, CURRENT = ControlVariable.TORQUE, ControlVariable.CURRENT
@@ -46,7 +45,7 @@ node_id = 1
 channels = 2
 plant = { preset = "wheel_60w" }
 """
-# The motor in each, to be formatted with its name, and place ("left", 1) or ("right", 2).
+# The motor of each kind, to be formatted with its name and place ("left", 1) or ("right", 2).
 _IDEAL = 'adaptation = "ideal"\naxis = "{place}"\n'
 _CIA402 = 'adaptation = "cia402"\ncontroller = "{place}"\nservo_period_ms = 1.0\n'
 _SOFTWARE = """\
@@ -75,16 +74,16 @@ _PLACES = (("left", 1), ("right", 2))
 
 @dataclass(frozen=True)
 class Kind:
-    """One kind of hardware, and what it promises.
+    """One kind of hardware with its guarantees.
 
-    hardware: what is on its bus, in a rig file.
-    motor: a motor of its, likewise.
-    following: how far the motor may be from what a trajectory demands, at any instant [rad].
-    window: how far from its target it may end [rad].
-    latency_s: from the start that is told to the start of motion, shortest and longest.
-    heard_s: how old what is heard of another motor's position may be when it acts.
-    variables: what of it can be commanded, as set-point and as trajectory.
-    complex: the variables of which it follows any function.
+    hardware: the devices on its bus, in a rig file.
+    motor: one of its motors, in a rig file.
+    following: maximum deviation of the motor from the demand, at any instant [rad].
+    window: maximum deviation from its target at the end [rad].
+    latency_s: minimum and maximum time from the reported start to the start of motion.
+    heard_s: maximum age of another motor's position when it is used.
+    variables: its control variables, for set-points and for trajectories.
+    complex: the variables for which it follows any function.
     """
 
     name: str
@@ -98,7 +97,7 @@ class Kind:
     complex: tuple
 
     def rig(self, users=()):
-        """The rig of a left and a right motor, and of logical motors of this name on the left."""
+        """Return the rig of a left and a right motor, with these logical motors of the left one."""
         places = [*((name, name, number) for name, number in _PLACES)]
         places += [(user, "left", 1) for user in users]
         return (
@@ -118,7 +117,7 @@ DRIVES = "".join(_CIA402_DRIVE.format(name=name, number=number) for name, number
 
 
 def modbus_kind(adaptation, controller):
-    """Register drives: profiles in whole rpm or steps, asked every 10 ms, one after another."""
+    """Return register drives: profiles in whole rpm or steps, polled in turn every 10 ms."""
     drives = (
         _MODBUS_DRIVE.format(name=name, number=number, kind=controller) for name, number in _PLACES
     )
@@ -126,7 +125,7 @@ def modbus_kind(adaptation, controller):
         adaptation,
         _LINE + "".join(drives),
         _MODBUS.format(kind=adaptation),
-        0.06,  # it began up to an exchange before or after that was told
+        0.06,  # it began up to one exchange before or after the report
         0.003,
         (-0.02, 0.02),
         0.1,
@@ -143,10 +142,10 @@ KINDS = {
             "cia402",
             BUS + DRIVES,
             _CIA402,
-            0.0005,  # ten increments: a tick of delay in the drive's loops
+            0.0005,  # ten increments: one tick of delay in the control loops of the drive
             0.001,
             (0.0, 0.001),
-            0.04,  # status every 20 ms, and answered as a step
+            0.04,  # status every 20 ms, applied as a step
             (POSITION, VELOCITY, TORQUE),
             (POSITION, VELOCITY),
         ),
@@ -154,7 +153,7 @@ KINDS = {
             "software",
             BUS + _IO_NODE,
             _SOFTWARE,
-            0.0002,  # four increments: the demand is fed forward to when the output is out
+            0.0002,  # four increments: the demand is predicted to the time of the output
             0.001,
             (0.0, 0.0),
             0.004,
@@ -172,20 +171,21 @@ ASKED = {
         ("oriental_az", "oriental_az"),
     )
 }
-"""Kinds that must be asked, and follow no function: they keep what all keep, each in its time."""
+"""Kinds that must be polled, and follow no function: they meet the common rules in their own time.
+"""
 EVERY = {**KINDS, **ASKED}
 
 
 @contextmanager
 def opened(kind, path, users=()):
-    """The kind's rig; `path` is what it is called, and not read."""
+    """Open the rig of the kind; `path` is its name, and not read."""
     description = parse_rig(Source(path, kind.rig(users)), installed_plugins())
     with Rig(description) as rig:
         yield rig
 
 
 def true_position(rig, name):
-    """Where the motor really is now [rad]: asked of the plant, not of the wire."""
+    """Return the true position of the motor [rad], from the plant and not from the bus."""
     motor = rig.description.motors[name]
     if motor.controller is None:
         return rig.motors[name].position()

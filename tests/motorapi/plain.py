@@ -1,19 +1,22 @@
-"""An adaptation to hardware that follows its profile exactly, with knobs to make it fail.
+"""An adaptation to ideal hardware in memory, with switches to make it fail.
 
-Nothing of motorapi is replaced: this is one more kind of hardware, which lives in memory.
+Nothing of motorapi is replaced: this is one more kind of hardware.
 """
 
 from dataclasses import replace
 from math import floor
 
-from motorapi.commands import ControlMode, ControlVariable
-from motorapi.errors import DeviceFault, LinkError, MotionInterrupted, PeerError
-from motorapi.generation import shortest
-from motorapi.model import MotorModel
-from motorapi.motor import Motor
-from motorapi.sharing import register_physical_motor, release_physical_motor
-from motorapi.state import Fault, Measurement, MotorState
-from motorapi.synchronization import MotionTimes, SyncLevel, SyncOffer
+from motorhil.motorapi.commands import ControlMode, ControlVariable
+from motorhil.motorapi.errors import DeviceFault, LinkError, MotionInterrupted, PeerError
+from motorhil.motorapi.generation import shortest
+from motorhil.motorapi.model import MotorModel
+from motorhil.motorapi.motor import Motor
+from motorhil.motorapi.ownership.physical_motor import (
+    register_physical_motor,
+    release_physical_motor,
+)
+from motorhil.motorapi.state import Fault, Measurement, MotorState
+from motorhil.motorapi.synchronization.quality import MotionTimes, SyncLevel, SyncOffer
 
 MODEL = MotorModel(name="plain", velocity_max=2.0, acceleration_max=4.0)
 ABLE = {
@@ -25,7 +28,7 @@ ABLE = {
 
 
 class PlainBus:
-    """What motors are fired by together."""
+    """The common trigger of some motors."""
 
     def __init__(self, name="bus0"):
         self.name = name
@@ -42,10 +45,10 @@ class PlainBus:
 
 
 class PlainHwMotor:
-    """One motor in memory. `log` is what was asked of it, in order; `fail[hook]` is raised there.
+    """One motor in memory. `log` lists its calls in order; `fail[hook]` is raised there.
 
-    position_step, velocity_step, acceleration_step: the units it rounds to (0: not at all).
-    latency_s: from trigger to motion.  acts_s: how long an action on the wire takes.
+    position_step, velocity_step, acceleration_step: its rounding units (0: none).
+    latency_s: from trigger to motion.  acts_s: duration of an action on the bus.
     lock: shared with other processes.
     """
 
@@ -88,7 +91,7 @@ class PlainHwMotor:
         self.speed = 0.0
         self.after_fire = None
         self.connecting_s = 0.0
-        self.sag = 0.0  # how far it drops when its brake is released
+        self.sag = 0.0  # its drop when the brake is released
 
     def __repr__(self):
         return f"PlainHwMotor({self.bus.name!r}, node={self.node})"
@@ -97,7 +100,7 @@ class PlainHwMotor:
         release_physical_motor(self.key, self)
 
     def act(self, name, *facts):
-        """One exchange on the wire: it takes time, and may fail."""
+        """Perform one exchange on the bus, which takes time and may fail."""
         self.log.append((name, *facts))
         if self.acts_s:
             self.runtime.wait_until(lambda: False, self.acts_s)
@@ -146,7 +149,7 @@ class PlainHwMotor:
             return False
         if self.motion is None or self.motion.variable is not ControlVariable.POSITION:
             return True
-        # Half a nanosecond: time is a whole number of them, the profile's end is not.
+        # Half a nanosecond: time is an integer number of them, the end of the profile is not.
         return self.elapsed_s() >= self.profile().duration_s - 0.5e-9
 
 

@@ -1,7 +1,8 @@
-"""Random groups under declared traffic that is really sent: what was predicted, what happened.
+"""Random groups under declared and real traffic: predicted and measured skew.
 
-Measured on the outside only: the frames of the bus record say when a drive latched its command,
-the plants' truth says when its motor began to move, and its profile when that was over.
+All measurements are external. The frames in the bus record tell when a drive latched its command.
+The true states of the plants tell when its motor began to move, and its profile tells when it
+ended.
 """
 
 import struct
@@ -10,16 +11,16 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from random import Random
 
-from emulators.cia402.drive import Cia402Drive
-from emulators.firmware.own_time import OwnTime
-from emulators.plant.oscillator import IDEAL
-from harness.rig import Rig
-from motorapi.commands import ControlMode, ControlVariable
-from motorapi.functions import Polynomial
-from motorapi.group import MotorGroup
-from motorapi.motor import Motor
-from motorapi.synchronization import SyncCapability
-from motorapi.trajectory import ComplexTrajectory, TrapezoidalTrajectory
+from motorhil.emulators.cia402.drive import Cia402Drive
+from motorhil.emulators.firmware.clock import OwnTime
+from motorhil.emulators.plant.oscillator import IDEAL
+from motorhil.harness.rig.rig import Rig
+from motorhil.motorapi.commands import ControlMode, ControlVariable
+from motorhil.motorapi.functions import Polynomial
+from motorhil.motorapi.group import MotorGroup
+from motorhil.motorapi.motor import Motor
+from motorhil.motorapi.synchronization.quality import SyncCapability
+from motorhil.motorapi.trajectory import ComplexTrajectory, TrapezoidalTrajectory
 from tests.motorapi.skew_scenarios import Member, Message, Scenario, rig_text
 
 _FRAME = struct.Struct("<IB3x8s")
@@ -32,7 +33,7 @@ _STUFFED = (bytes((0x3C,)) * 8, bytes(8), bytes((0xFF,)) * 8)  # 131, 127, 126 b
 
 @dataclass(frozen=True)
 class Outcome:
-    """What was predicted, and what was measured [ns]; None: not all of them could be measured."""
+    """Predicted and measured skew [ns]; None: not all could be measured."""
 
     predicted: SyncCapability
     command_ns: int | None
@@ -44,11 +45,11 @@ class Outcome:
 
 @dataclass
 class Sender:
-    """A node that sends one message, never sooner than was declared.
+    """A node that sends one message, never sooner than declared.
 
-    eager: it waits for the first frame with one of `hosts` identifiers, and sends from then on as
-    often as it may, what jitter allows at once; else it sends from `offset_ns` on, each frame late
-    by a random part of the jitter.
+    eager: it waits for the first frame with one of `hosts` identifiers, and then sends as often as
+    permitted, with the burst that jitter allows; else it sends from `offset_ns` on, each frame
+    delayed by a random part of the jitter.
     """
 
     message: Message
@@ -126,7 +127,7 @@ def _set(motor: Motor, member: Member) -> None:
 
 
 class Record:
-    """When each drive latched its command, from the frames of all buses."""
+    """Times at which each drive latched its command, from the frames of all buses."""
 
     def __init__(self, rig: Rig, scenario: Scenario) -> None:
         self._ours: dict[tuple[str, int], int] = {}
@@ -155,23 +156,23 @@ class Record:
         self.seen[number].append(time_ns)
 
     def latched_ns(self, number: int, member: Member, told_ns: int | None) -> int | None:
-        """The instant of motor `number`; `told_ns`: what its adaptation says, where it must."""
+        """Return the latch time of motor `number`; `told_ns`: as reported, if necessary."""
         syncs = self.syncs.get(f"can{member.bus}", [])
         if member.kind == "ideal" or told_ns is None:
             return told_ns
-        if member.kind == "software":  # outputs of the first count act at the SYNC after
+        if member.kind == "software":  # outputs of the first count act at the next SYNC
             return next((one for one in syncs if one > told_ns), None)
         seen = self.seen[number]
         if member.kind in ("alone", "live"):
             return seen[0] if seen else None
-        place = 1 if member.kind == "streamed" else 0  # after where it is, the first step
+        place = 1 if member.kind == "streamed" else 0  # after the initial position, the first step
         if len(seen) <= place:
             return None
         return next((one for one in syncs if one > seen[place]), None)
 
 
 class Truth:
-    """When the plants began to move, and when the drives' profiles were over."""
+    """Times at which the plants began to move, and at which the profiles ended."""
 
     def __init__(self, rig: Rig, scenario: Scenario) -> None:
         self._rig = rig
@@ -197,7 +198,7 @@ class Truth:
             self._names[number] = name
 
     def look(self) -> None:
-        """One look between any two ticks; the tick itself is reckoned."""
+        """Sample the plants between any two ticks; the tick itself is computed."""
         now_ns = self._rig.runtime.now_ns()
         for number, name in self._names.items():
             drive = self._drives.get(number)
@@ -208,7 +209,8 @@ class Truth:
             tick = clock.own_ns(now_ns) // tick_ns
             if number not in self.began_ns:
                 if where != self._at[number]:
-                    # The loops act on a demand one tick, the plant on the current the next.
+                    # The loops act on a demand one tick later, the plant on the current in the next
+                    # tick.
                     self.began_ns[number] = clock.true_ns((tick - 1) * tick_ns)
             elif drive is not None and drive.axis.demand_velocity_inc_s() == 0.0:
                 self.ended_ns[number] = clock.true_ns(tick * tick_ns)
@@ -220,7 +222,7 @@ def _spread(times: Sequence[int | None]) -> int | None:
 
 
 def run(scenario: Scenario, path: Path) -> Outcome:
-    """The group is started once, and looked at until all is over."""
+    """Start the group once, and sample it until the end."""
     path.write_text(rig_text(scenario))
     numbers = range(1, len(scenario.members) + 1)
     with Rig.open(path) as rig:
@@ -260,7 +262,7 @@ def run(scenario: Scenario, path: Path) -> Outcome:
 
 
 def _add_senders(rig: Rig, scenario: Scenario) -> list[Sender]:
-    """Each on a port of its own: a declared message has a sender that sends nothing else."""
+    """Add each sender on its own port: the sender of a declared message sends nothing else."""
     nodes = range(1, len(scenario.members) + 1)
     hosts = (0x080, *(0x200 + node for node in nodes))
     senders = []

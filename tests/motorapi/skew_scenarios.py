@@ -29,7 +29,7 @@ name = "wheel"
 velocity_max_rad_s = 3.0
 acceleration_max_rad_s2 = 10.0
 """
-OTHER_SYNC = 'objects = { "1005h" = 0x81 }'  # it does not hear ours: nothing of it can be latched
+OTHER_SYNC = 'objects = { "1005h" = 0x81 }'  # it does not receive our commands, so it has no latch
 MIXES = (
     ("latched",),
     ("alone",),
@@ -40,15 +40,15 @@ MIXES = (
     ("software", "ideal", "latched"),
     ("software", "latched", "alone"),
 )
-# Bit timing by which nodes understand one another whose clocks are nearly 2 % apart.
+# Bit timing for nodes whose clocks differ by nearly 2 %.
 WIDE_TIMING = "time_quanta = 8\nsample_point = 6\njump_width = 2\n"
-_PPM_USUAL = 3000.0  # more than twice that apart, nodes with the usual bit timing do not
+_PPM_USUAL = 3000.0  # beyond twice that, nodes with the usual bit timing fail
 _TPDO_SHARE = 0.3  # of a bus
 
 
 @dataclass(frozen=True)
 class Member:
-    """One motor of a scenario. `kind`: see MIXES; `live`: a velocity that counts as it is written.
+    """One motor of a scenario. `kind`: see MIXES; `live`: a velocity that acts as it is written.
 
     `distance` also scales a velocity.
     """
@@ -64,7 +64,7 @@ class Member:
 
 @dataclass(frozen=True)
 class Message:
-    """One declared message, and how it is sent: see Sender."""
+    """One declared message, and its transmission: see Sender."""
 
     bus: int
     can_id: int
@@ -91,26 +91,26 @@ class Scenario:
 
 
 class Choices:
-    """Where a scenario's choices come from: Hypothesis, or a seeded generator."""
+    """The source of a scenario's choices: Hypothesis, or a seeded generator."""
 
     def __init__(self, whole: Callable[[int, int], int]) -> None:
         self.whole = whole
 
     def of(self, options):
-        """One of them; Hypothesis shrinks towards the first."""
+        """Return one of the values; Hypothesis shrinks towards the first."""
         return options[self.whole(0, len(options) - 1)]
 
     def flag(self) -> bool:
-        """True or false."""
+        """Return True or False."""
         return self.whole(0, 1) == 1
 
 
 def drawn(choices: Choices) -> Scenario:
-    """A group of 2 to 14 motors on 1 or 2 buses, with traffic that leaves its buses some room."""
+    """Return a group of 2 to 14 motors on 1 or 2 buses, with traffic that leaves some capacity."""
     buses = choices.whole(1, 2)
     kinds = choices.of(MIXES)
     bitrates = tuple(choices.of((1_000_000, 500_000)) for _ in range(buses))
-    if "software" in kinds:  # whose cycle of 1 ms is half of a bus
+    if "software" in kinds:  # its cycle of 1 ms uses half of a bus
         bitrates = (1_000_000,) * buses
     members = tuple(_member(choices, kinds, buses) for _ in range(choices.whole(2, 14)))
     members = tuple(
@@ -159,7 +159,7 @@ def _member(choices: Choices, kinds: Sequence[str], buses: int) -> Member:
     )
 
 
-_FREE_IDS = (  # nobody's PDO or SDO
+_FREE_IDS = (  # not used by any PDO or SDO
     *(*range(0x001, 0x07F), *range(0x100, 0x17F), *range(0x4A0, 0x4FF)),
     *(*range(0x520, 0x57F), *range(0x680, 0x6FF)),
 )
@@ -184,7 +184,7 @@ def _message(choices: Choices, buses: int, taken: Sequence[tuple[int, int, bool]
 
 
 def rig_text(scenario: Scenario) -> str:
-    """The rig of a scenario; motors are m1, m2 ..., node-IDs alike."""
+    """Return the rig of a scenario; motors are m1, m2 ..., with these node-IDs."""
     parts = [HEAD]
     for bus, rate in enumerate(scenario.bitrates):
         parts.append(f"[bus.can{bus}]\nbitrate_bit_s = {rate}\n")

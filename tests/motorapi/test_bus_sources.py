@@ -1,4 +1,4 @@
-"""Sources of frames: what a frame's age is, where the bus tells its own time."""
+"""Frame sources: the age of a frame on a bus with its own time."""
 
 import socket
 import struct
@@ -7,10 +7,10 @@ from types import SimpleNamespace
 from hypothesis import given
 from hypothesis import strategies as st
 
-from motorapi import bus_sources
+from motorhil.motorapi.runtime import can_sources as bus_sources
 
 FRAME = struct.pack("<IB3x8s", 0x181, 1, b"\x07")
-CLOCK_NS = 7_000_000_000  # this process's clock over the bus' own
+CLOCK_NS = 7_000_000_000  # offset of this process's clock to the bus clock
 
 delays = st.lists(
     st.tuples(st.integers(0, 50_000_000), st.integers(0, 50_000_000)), min_size=1, max_size=20
@@ -18,7 +18,7 @@ delays = st.lists(
 
 
 class TimedBus:
-    """Frames that were on it at their own times, and are got to later."""
+    """A bus whose frames have their own times, and are read later."""
 
     channel_info = "timed"
 
@@ -33,7 +33,7 @@ class TimedBus:
 
 
 @given(delays)
-def test_a_frame_is_as_old_as_the_bus_says_however_late_it_is_got_to(gaps_and_delays):
+def test_frame_age_is_by_the_bus_clock_however_late_it_is_read(gaps_and_delays):
     bus_ns, now_ns, rows, arrivals = 0, 0, [], []
     for gap_ns, delay_ns in gaps_and_delays:
         bus_ns += gap_ns
@@ -55,7 +55,7 @@ def test_a_frame_is_as_old_as_the_bus_says_however_late_it_is_got_to(gaps_and_de
     least_ns = [
         min(a - b for a, b in zip(arrivals[: k + 1], rows, strict=False)) for k in range(len(rows))
     ]
-    place = least_ns.index(least_ns[-1])  # from here on nothing came with less delay
+    place = least_ns.index(least_ns[-1])  # no smaller delay from here on
     settled = next(
         (k for k in range(place, len(rows)) if rows[k] + least_ns[-1] >= max(told[: k + 1])), None
     )
@@ -63,8 +63,8 @@ def test_a_frame_is_as_old_as_the_bus_says_however_late_it_is_got_to(gaps_and_de
         assert told[settled:] == [row + least_ns[-1] for row in rows[settled:]]
 
 
-def test_error_messages_of_a_socket_are_heard_as_the_kernel_sends_them():
-    """linux/can/error.h: classes in the identifier, CAN_ERR_DLC (8) bytes; here error passive."""
+def test_error_messages_of_a_socket_are_passed_unchanged():
+    """Read an error message (linux/can/error.h: CAN_ERR_DLC is 8 bytes), here error passive."""
     message = struct.pack("<IB3x8s", 0x2000_0204, 8, bytes.fromhex("0020000000008000"))
     ours, kernels = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     with ours, kernels:

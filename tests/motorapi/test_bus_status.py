@@ -1,15 +1,15 @@
-"""What is known of a bus by error messages, spelled out as candump shows them on SocketCAN.
+"""Bus status from error messages, in the notation of candump on SocketCAN.
 
-Layout: linux/can/error.h: classes in the identifier; data[1] state of the controller, data[6] TEC,
-data[7] REC.
+Layout: linux/can/error.h: classes in the identifier; data[1] controller state, data[6] TEC, data[7]
+REC.
 """
 
 import struct
 
 import pytest
 
-from motorapi.bus_status import BusCondition, BusStatus
-from motorapi.errors import LinkError
+from motorhil.motorapi.errors import LinkError
+from motorhil.motorapi.runtime.can_sources import BusCondition, BusStatus
 
 C = BusCondition
 MS = 1_000_000
@@ -52,35 +52,36 @@ def told(*texts: str) -> BusStatus:
         ((BIT_ERROR, OVERFLOW, NO_ACKNOWLEDGE), C.ACTIVE, None),
     ],
 )
-def test_the_condition_is_the_one_told_last(texts, condition, counters):
+def test_condition_is_the_last_reported_one(texts, condition, counters):
     status = told(*texts)
     assert (status.condition, status.counters) == (condition, counters)
     assert status.is_off is (condition is C.OFF)
 
 
-def test_it_tells_since_when_and_the_counters_as_they_change():
+def test_status_shows_time_and_present_counters():
     status = told(WARNING, PASSIVE, PASSIVE, "20000204#0020000000008800")
     assert str(status) == "can0 is error passive since 0.002000 s (TEC 136, REC 0)"
 
 
-def test_off_the_bus_everything_fails_by_name_with_the_remedy():
+def test_bus_off_fails_operations_with_the_remedy():
     status = told(OFF)
     with pytest.raises(LinkError) as failed:
         status.check()
     assert str(failed.value) == (
-        "can0: bus-off: nothing is sent or heard since 0.001000 s; restart it"
+        "can0: bus-off: nothing is sent or received since 0.001000 s; restart it"
     )
     assert (failed.value.since_ns, failed.value.remedy) == (1 * MS, "restart it")
     status.hear(message(OFF), 2 * MS)
     assert status.offs == 1
 
 
-def test_once_it_is_on_again_who_waited_is_told_that_too():
+def test_recovered_bus_reports_the_outage_to_waiters():
     status = told(OFF, RESTARTED)
     status.check()
     assert status.offs == 1
     assert str(status.failure()) == (
-        "can0: it went off the bus at 0.001000 s, and is on again; what waited then is lost"
+        "can0: the bus was off at 0.001000 s and has recovered; operations waiting at that time"
+        " failed"
     )
 
 
@@ -91,20 +92,20 @@ def test_once_it_is_on_again_who_waited_is_told_that_too():
         ((BIT_ERROR,), ""),
         ((WARNING,), "can0 is at the error warning limit since 0.001000 s (TEC 96, REC 0)"),
         ((PASSIVE_BY_HEARING,), "can0 is error passive since 0.001000 s (TEC 0, REC 135)"),
-        ((NO_ACKNOWLEDGE,), "nobody acknowledges on can0 since 0.001000 s, it is error active"),
+        ((NO_ACKNOWLEDGE,), "can0: no ACK since t = 0.001000 s, controller error active"),
         (
             (NO_ACKNOWLEDGE, WARNING, PASSIVE),
-            "nobody acknowledges on can0 since 0.001000 s, it is error passive",
+            "can0: no ACK since t = 0.001000 s, controller error passive",
         ),
-        ((PASSIVE,), "nobody acknowledges on can0 since 0.001000 s, it is error passive"),
+        ((PASSIVE,), "can0: no ACK since t = 0.001000 s, controller error passive"),
         ((PASSIVE, ACTIVE), ""),
     ],
 )
-def test_who_waits_in_vain_is_told_what_is_wrong_with_the_bus(texts, trouble):
+def test_timeout_reports_the_trouble_of_the_bus(texts, trouble):
     assert told(*texts).trouble() == trouble
 
 
-def test_a_frame_that_was_on_the_wire_was_acknowledged():
+def test_transmitted_frame_clears_missing_ack():
     status = told(NO_ACKNOWLEDGE)
     status.sent()
     assert status.trouble() == ""

@@ -1,4 +1,4 @@
-"""Worst-case times on a CAN bus, against published figures and against a bus that is simulated."""
+"""Worst-case times on a CAN bus, against published figures and a simulation."""
 
 from dataclasses import replace
 
@@ -6,7 +6,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from motorapi.bus_timing import (
+from motorhil.motorapi.errors import UsageError
+from motorhil.motorapi.synchronization.bus_load import (
+    CanTraffic,
+    NodeTraffic,
+    PeriodicMessage,
+    worst_of,
+)
+from motorhil.motorapi.synchronization.can_response_time import (
     Firing,
     OneFrame,
     least_frame_bits,
@@ -16,10 +23,8 @@ from motorapi.bus_timing import (
     worst_frame_bits,
     worst_frame_ns,
 )
-from motorapi.errors import UsageError
-from motorapi.traffic import CanTraffic, NodeTraffic, PeriodicMessage, worst_of
 
-# Frame bits with intermission, shortest and longest: can-utils canframelen.c and Linux
+# Frame bits with intermission, minimum and maximum: can-utils canframelen.c and Linux
 # include/linux/can/length.h, which follow Davis et al. 2007, by data bytes 0 to 8.
 LENGTHS = {
     False: (
@@ -33,8 +38,8 @@ LENGTHS = {
 }
 
 # The SAE benchmark of Tindell & Burns 1994 (17 messages after piggybacking): period [ms], bytes,
-# and the response at 125, 250, 500 and 1000 kbit/s to the last bit of the frame [us], most urgent
-# first. The column of 125 kbit/s is quoted from memory of the papers and was recomputed by hand
+# and the response at 125, 250, 500 and 1000 kbit/s to the last bit of the frame [us], in order of
+# priority. The column of 125 kbit/s is quoted from memory of the papers and was recomputed by hand
 # from the frame lengths above, without jitter; the others follow from it.
 SAE = (
     (1000, 1, 1416, 708, 354, 177),
@@ -58,15 +63,15 @@ SAE = (
 
 
 @pytest.mark.parametrize("extended", [False, True])
-def test_frames_are_as_long_as_the_kernel_and_can_utils_say(extended: bool):
+def test_frame_lengths_equal_those_of_kernel_and_can_utils(extended: bool):
     least, worst = LENGTHS[extended]
     for length in range(9):
         assert worst_frame_bits(length, extended=extended) == worst[length]
         assert least_frame_bits(length, extended=extended) + 3 == least[length]
 
 
-def test_the_counter_example_of_davis_and_others_is_found():
-    """Their table: C misses its deadline of 3.25 ms in its second instance, not in its first."""
+def test_counter_example_of_davis_et_al_is_found():
+    """Check their table: C misses its deadline of 3.25 ms in its second instance only."""
     messages = tuple(
         PeriodicMessage(can_id, 7, period_s)
         for can_id, period_s in ((1, 0.0025), (2, 0.0035), (3, 0.0035))
@@ -79,7 +84,7 @@ def test_the_counter_example_of_davis_and_others_is_found():
 
 
 @pytest.mark.parametrize("column", range(4))
-def test_the_sae_benchmark_comes_out_to_the_microsecond(column: int):
+def test_sae_benchmark_is_exact_to_the_microsecond(column: int):
     rate = (125_000, 250_000, 500_000, 1_000_000)[column]
     messages = tuple(
         PeriodicMessage(place + 1, row[1], row[0] / 1e3) for place, row in enumerate(SAE)
@@ -93,8 +98,8 @@ def test_the_sae_benchmark_comes_out_to_the_microsecond(column: int):
     ("length", "bits"),
     [(0, (67, 91)), (8, (147, 171)), (16, (227, 251)), (20, (272, 296)), (64, (712, 736))],
 )
-def test_can_fd_frames_are_as_long_as_the_kernel_says(length: int, bits: tuple[int, int]):
-    """Source: Linux include/linux/can/length.h, longest frames (can-physics, 6.3)."""
+def test_can_fd_frame_lengths_equal_those_of_the_kernel(length: int, bits: tuple[int, int]):
+    """Check the longest frames. Source: Linux include/linux/can/length.h (can-physics, 6.3)."""
     slow, fast = (CanTraffic(1_000_000, data_bitrate_bit_s=rate) for rate in (1_000_000, 5_000_000))
     for extended, worst, nominal in zip((False, True), bits, (33, 57), strict=True):
         plain = PeriodicMessage(1, length, 1.0, extended=extended, fd=True)
@@ -105,31 +110,31 @@ def test_can_fd_frames_are_as_long_as_the_kernel_says(length: int, bits: tuple[i
         assert worst_frame_ns(switched, fast) == nominal * 1000 + (worst - nominal) * 200
 
 
-def test_of_one_identifier_a_can_fd_frame_without_a_switch_is_the_worst():
+def test_can_fd_frame_without_switch_is_the_worst():
     classical = PeriodicMessage(1, 8, 0.01)
     switched = PeriodicMessage(1, 8, 0.02, fd=True, bit_rate_switch=True)
     assert worst_of([classical, switched]) == (PeriodicMessage(1, 8, 0.01, fd=True),)
 
 
-def test_of_equal_base_identifiers_the_shorter_one_wins():
+def test_equal_base_identifiers_let_the_11_bit_one_win():
     short = PeriodicMessage(0x123, 0, 1.0)
     long = PeriodicMessage(0x123 << 18, 0, 1.0, extended=True)
     before = PeriodicMessage(0x122 << 18 | 0x3FFFF, 0, 1.0, extended=True)
     assert before.rank < short.rank < long.rank < PeriodicMessage(0x124, 0, 1.0).rank
 
 
-def test_a_bus_that_is_full_has_no_bound_and_says_for_whom():
+def test_full_bus_has_no_bound_and_names_the_message():
     traffic = CanTraffic(
         125_000, (PeriodicMessage(1, 8, 0.0012), PeriodicMessage(2, 8, 0.01))
     )  # 1.08 ms in 1.2 ms
     urgent, starving = response_times(traffic)
     assert urgent.response_s is not None
     assert starving.response_s is None
-    assert overload_of(traffic) == "002h and what is more urgent may fill the bus"
+    assert overload_of(traffic) == "002h and messages of higher priority may fill the bus"
     assert overload_of(CanTraffic(1_000_000, traffic.messages)) == ""
 
 
-def test_jitter_lets_several_come_at_once():
+def test_jitter_permits_several_frames_at_once():
     one = PeriodicMessage(1, 8, 0.001)
     plain = CanTraffic(1_000_000, (one, PeriodicMessage(2, 8, 0.1)))
     shaken = CanTraffic(1_000_000, (replace(one, jitter_s=0.002), PeriodicMessage(2, 8, 0.1)))
@@ -149,7 +154,7 @@ def test_jitter_lets_several_come_at_once():
         ),
         (
             lambda: PeriodicMessage(1, 8, 1.0, bit_rate_switch=True),
-            "bit_rate_switch = True: only a CAN FD frame has it",
+            "bit_rate_switch = True: requires a CAN FD frame",
         ),
         (
             lambda: CanTraffic(500_000, data_bitrate_bit_s=250_000),
@@ -161,16 +166,16 @@ def test_jitter_lets_several_come_at_once():
         (lambda: CanTraffic(0), "bitrate_bit_s = 0"),
         (
             lambda: CanTraffic(1000, (PeriodicMessage(1, 8, 1.0), PeriodicMessage(1, 0, 2.0))),
-            "001h is there twice",
+            "001h is declared twice",
         ),
     ],
 )
-def test_what_no_bus_carries_is_refused(message, said: str):
+def test_invalid_messages_raise(message, said: str):
     with pytest.raises(UsageError, match=said):
         message()
 
 
-def test_of_what_is_declared_twice_the_worse_counts():
+def test_message_declared_twice_counts_as_the_worse_one():
     own = NodeTraffic(sent=(PeriodicMessage(0x181, 6, 0.002),))
     declared = CanTraffic(1_000_000, (PeriodicMessage(0x181, 8, 0.01, 0.001),))
     assert declared.with_own([own], None).messages == (PeriodicMessage(0x181, 8, 0.002, 0.001),)
@@ -183,27 +188,27 @@ def _firing(can_id: int, traffic: CanTraffic, bus: str = "can0") -> Firing:
     return Firing(bus, traffic, (OneFrame(can_id, 2),))
 
 
-def test_alone_on_the_bus_frames_take_what_they_take():
+def test_frames_alone_on_the_bus_take_their_length():
     quiet = CanTraffic(1_000_000)
     assert longest_s([_firing(0x201, quiet)]) == pytest.approx(75e-6, abs=1e-12)
     assert longest_s([_firing(0x201, quiet), _firing(0x202, quiet)]) == pytest.approx(150e-6)
     assert longest_s([]) == 0.0
 
 
-def test_before_each_frame_one_that_is_less_urgent_may_be_under_way():
+def test_each_frame_waits_for_one_of_lower_priority():
     busy = CanTraffic(1_000_000, (PeriodicMessage(0x400, 8, 1.0),))
     assert longest_s([_firing(0x201, busy)]) == pytest.approx((75 + 135) * 1e-6)
     assert longest_s([_firing(0x201, busy)] * 3) == pytest.approx(3 * (75 + 135) * 1e-6)
 
 
-def test_a_heartbeat_in_the_same_queue_lets_less_urgent_ones_pass():
-    """The frame waits for the heartbeat before it, which waits for whatever is more urgent."""
+def test_heartbeat_in_the_queue_lets_lower_priority_pass():
+    """Queue the frame behind a heartbeat, which waits for all messages of higher priority."""
     others = (PeriodicMessage(0x400, 8, 1.0), PeriodicMessage(0x401, 8, 1.0))
     heartbeat = PeriodicMessage(0x77F, 1, 1.0)
     plain = CanTraffic(1_000_000, (*others, heartbeat))
     queued = replace(plain, queued=frozenset((heartbeat.rank,)))
     assert longest_s([_firing(0x201, plain)]) == pytest.approx((75 + 135) * 1e-6)
-    # One heartbeat may be ahead; of each of the others one may have waited, and one more come.
+    # One heartbeat may be ahead; of each other message one may have waited, and one more come.
     expected = 75 + 135 + 65 + 2 * 2 * 135
     assert longest_s([_firing(0x201, queued)]) == pytest.approx(expected * 1e-6)
     # Before the second frame one more heartbeat may have come.
@@ -211,13 +216,13 @@ def test_a_heartbeat_in_the_same_queue_lets_less_urgent_ones_pass():
     assert longest_s([_firing(0x201, queued)] * 2) == pytest.approx(expected * 1e-6)
 
 
-def test_there_is_no_bound_where_more_urgent_frames_fill_the_bus():
+def test_bus_full_of_higher_priority_has_no_bound():
     full = CanTraffic(1_000_000, (PeriodicMessage(1, 8, 0.000135),))
     assert longest_s([_firing(0x201, full)]) is None
 
 
-def test_buses_that_are_half_full_each_have_a_bound_in_turn():
-    """Together the two of them ask for more than all of the time."""
+def test_half_full_buses_in_turn_have_a_bound():
+    """Use two buses that together need more than all of the time."""
     half = CanTraffic(1_000_000, (PeriodicMessage(1, 8, 0.000_2),))
     one, other = _firing(0x201, half, "a"), _firing(0x201, half, "b")
     alone_s = longest_s([one])
@@ -225,7 +230,7 @@ def test_buses_that_are_half_full_each_have_a_bound_in_turn():
     assert longest_s([one, other]) == pytest.approx(2 * alone_s, abs=1e-12)
 
 
-def test_idle_time_counts_in_full_and_lets_more_come():
+def test_idle_time_counts_fully_and_admits_more_frames():
     busy = CanTraffic(1_000_000, (PeriodicMessage(1, 8, 0.001),))
     waiting = replace(_firing(0x201, busy), idle_s=0.01)
     found = longest_s([waiting])
@@ -239,7 +244,7 @@ def test_idle_time_counts_in_full_and_lets_more_come():
 def _simulated(
     traffic: CanTraffic, offsets_ns: list[int], frames: list[tuple[int, int]], begin_ns: int
 ) -> int:
-    """How long `frames`, one after another from `begin_ns` on, take [ns]; all of worst length."""
+    """Return the duration of `frames`, in turn from `begin_ns` on [ns]; all of worst length."""
     bit_ns = 1_000_000_000 // traffic.bitrate_bit_s
     due = [
         [offset, round(message.period_s * 1e9), message.rank, worst_frame_bits(message.length)]
@@ -257,7 +262,7 @@ def _simulated(
         _, place = min(ready)
         if place < 0:
             now_ns += left.pop(0)[1] * bit_ns
-            queued_ns = now_ns + 1  # whoever waited has won the bus by then
+            queued_ns = now_ns + 1  # all waiting frames have won the bus by then
         else:
             now_ns += due[place][3] * bit_ns
             due[place][0] += due[place][1]
@@ -278,7 +283,7 @@ MESSAGES = st.lists(
     st.lists(st.tuples(st.integers(0x201, 0x27F), st.integers(0, 8)), min_size=1, max_size=6),
     st.integers(0, 20_000_000),
 )
-def test_frames_sent_once_never_take_longer_than_predicted(messages, frames, begin_ns):
+def test_frames_sent_once_never_exceed_the_prediction(messages, frames, begin_ns):
     traffic = CanTraffic(
         500_000,
         tuple(
@@ -298,4 +303,4 @@ def test_frames_sent_once_never_take_longer_than_predicted(messages, frames, beg
     bound_s = longest_s(firings)
     assert bound_s is not None
     took_ns = _simulated(traffic, offsets_ns, frames, begin_ns)
-    assert took_ns <= bound_s * 1e9 + len(frames)  # the nanosecond each was queued late
+    assert took_ns <= bound_s * 1e9 + len(frames)  # the nanosecond of delay of each queued frame

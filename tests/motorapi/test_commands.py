@@ -3,10 +3,10 @@ from math import inf, nan
 
 import pytest
 
-from motorapi import DerivativeLimits, LimitError, TrapezoidalTrajectory, UsageError
+from motorhil.motorapi import DerivativeLimits, LimitError, TrapezoidalTrajectory, UsageError
 
 
-def test_one_number_is_a_range_around_zero():
+def test_limit_as_a_number_is_a_range_around_zero():
     limits = DerivativeLimits(first=2, second=(-1, 3))
     assert limits.first == (-2.0, 2.0)
     assert limits.second == (-1.0, 3.0)
@@ -15,24 +15,24 @@ def test_one_number_is_a_range_around_zero():
 
 
 @pytest.mark.parametrize("bad", [0, -1.0, (0.0, 1.0), (-1.0, 0.0), (1.0, -1.0), nan, (-1.0, nan)])
-def test_a_derivative_that_may_not_be_zero_is_refused(bad):
-    with pytest.raises(UsageError, match="must hold 0 inside"):
+def test_derivative_range_without_zero_raises(bad):
+    with pytest.raises(UsageError, match="must contain 0 in its interior"):
         DerivativeLimits(first=bad)
 
 
-def test_the_value_itself_need_not_be_around_zero():
+def test_value_range_need_not_contain_zero():
     assert DerivativeLimits(value=(1, 2)).value == (1, 2)
     with pytest.raises(UsageError, match="empty"):
         DerivativeLimits(value=(2.0, 1.0))
 
 
-def test_a_number_beyond_all_floats_is_no_traceback():
+def test_number_beyond_all_floats_raises_usage_error():
     assert DerivativeLimits(value=(-(10**400), 10**400)).value == (-inf, inf)
     with pytest.raises(UsageError, match="outside its own limits of the value, 2 to inf"):
         TrapezoidalTrajectory(1.0, 0.0, limits=DerivativeLimits(value=(2, 10**400)))
 
 
-def test_trajectories_are_values():
+def test_trajectories_have_value_semantics():
     one = TrapezoidalTrajectory(1, limits=DerivativeLimits(first=0.5), duration_s=3)
     same = TrapezoidalTrajectory(1.0, limits=DerivativeLimits(first=0.5), duration_s=3.0)
     assert one == same
@@ -43,7 +43,7 @@ def test_trajectories_are_values():
         one.final = 2.0  # type: ignore[misc]
 
 
-def test_a_trajectory_is_a_distance_unless_it_says_where_it_begins():
+def test_trajectory_without_initial_is_a_distance():
     assert TrapezoidalTrajectory(1.0).is_relative
     assert not TrapezoidalTrajectory(1.0, 0.0).is_relative
 
@@ -65,7 +65,7 @@ def test_a_trajectory_is_a_distance_unless_it_says_where_it_begins():
         ),
     ],
 )
-def test_a_trajectory_shows_itself(trajectory, shown):
+def test_trajectory_repr_is_readable(trajectory, shown):
     assert repr(trajectory) == shown
 
 
@@ -81,23 +81,23 @@ def test_a_trajectory_shows_itself(trajectory, shown):
         {"final": 1.0, "initial": 0.0, "limits": DerivativeLimits(value=(0.0, 0.5))},
     ],
 )
-def test_a_trajectory_that_cannot_be_is_refused(arguments):
+def test_invalid_trajectory_raises(arguments):
     with pytest.raises(UsageError) as caught:
         TrapezoidalTrajectory(**arguments)
-    assert not isinstance(caught.value, LimitError)  # no motor yet, so none of its limits
+    assert not isinstance(caught.value, LimitError)  # without a motor, none of its limits apply
 
 
 @pytest.mark.parametrize(
     ("limits", "told"),
     [
-        ({"first": "fast"}, "first derivative, 'fast', is no number and no pair"),
-        ({"second": (1.0,)}, r"second derivative, \(1.0,\), is no number and no pair"),
+        ({"first": "fast"}, "first derivative, 'fast', is not a number or a pair"),
+        ({"second": (1.0,)}, r"second derivative, \(1.0,\), is not a number or a pair"),
         ({"third": ("a", "b")}, "third derivative, "),
-        ({"value": 5}, "the value, 5, is no pair of numbers"),
+        ({"value": 5}, "the value, 5, is not a pair of numbers"),
         ({"value": (nan, 1.0)}, "is empty"),
     ],
 )
-def test_what_is_no_range_is_told(limits, told):
+def test_invalid_range_raises(limits, told):
     with pytest.raises(UsageError, match=told):
         DerivativeLimits(**limits)
 
@@ -109,9 +109,9 @@ def test_what_is_no_range_is_told(limits, told):
         ({"final": "1.0"}, "final is '1.0', not a finite number"),
         ({"final": 1.0, "initial": []}, r"initial is \[\], not a finite number"),
         ({"final": 1.0, "duration_s": inf}, "duration_s is inf, not a finite number"),
-        ({"final": 1.0, "limits": 3.0}, "limits is 3.0, no DerivativeLimits"),
+        ({"final": 1.0, "limits": 3.0}, "limits is 3.0, not DerivativeLimits"),
     ],
 )
-def test_what_is_no_trajectory_is_told(arguments, told):
+def test_invalid_trajectory_arguments_raise(arguments, told):
     with pytest.raises(UsageError, match=told):
         TrapezoidalTrajectory(**arguments)

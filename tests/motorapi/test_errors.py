@@ -2,8 +2,8 @@ import pickle
 
 import pytest
 
-import motorapi
-from motorapi import errors
+from motorhil import motorapi
+from motorhil.motorapi import errors
 
 TOLD = [
     (
@@ -62,7 +62,7 @@ EXAMPLES = [kind(**facts) for kind, facts in TOLD]
 
 
 @pytest.mark.parametrize("error", EXAMPLES, ids=lambda error: type(error).__name__)
-def test_every_error_is_in_the_tree_and_crosses_processes_with_its_facts(error):
+def test_every_error_is_in_the_tree_and_pickles(error):
     assert isinstance(error, errors.MotorError)
     copy = pickle.loads(pickle.dumps(error))
     assert type(copy) is type(error)
@@ -71,12 +71,12 @@ def test_every_error_is_in_the_tree_and_crosses_processes_with_its_facts(error):
 
 
 @pytest.mark.parametrize(("kind", "facts"), TOLD, ids=lambda one: getattr(one, "__name__", ""))
-def test_what_an_error_was_told_is_in_its_attributes(kind, facts):
+def test_error_attributes_hold_the_arguments(kind, facts):
     error = kind(**facts)
     assert {name: getattr(error, name) for name in facts} == facts
 
 
-def test_usage_errors_are_the_callers_and_the_others_are_not():
+def test_usage_errors_are_a_separate_branch():
     usage = {
         errors.LimitError,
         errors.DomainError,
@@ -99,7 +99,7 @@ def test_messages_hold_value_limit_unit_and_motor():
     assert "reset_fault()" in str(EXAMPLES[6])
 
 
-def test_the_screen_with_the_tree_shows_every_error():
+def test_module_docstring_lists_every_error():
     shown = errors.__doc__ or ""
     for name, thing in vars(errors).items():
         if isinstance(thing, type) and issubclass(thing, errors.MotorError):

@@ -1,4 +1,4 @@
-"""Every failure of every call is of the error tree, whatever an adaptation or a callback raises."""
+"""Every failure of every call is in the error tree, whatever a hook or callback raises."""
 
 import struct
 
@@ -6,7 +6,7 @@ import can
 import pytest
 from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError
 
-from motorapi import (
+from motorhil.motorapi import (
     ControlMode,
     LinkError,
     Motor,
@@ -18,7 +18,7 @@ from motorapi import (
     UsageError,
     WallRuntime,
 )
-from motorapi.hooks import MotorHooks
+from motorhil.motorapi.hooks import MotorHooks
 from tests.motorapi.plain import PlainBus, PlainHwMotor, PlainMotor
 
 HOOKS = sorted(
@@ -92,12 +92,13 @@ GROUP_CALLS = {
 
 
 NOT_ASKED = ("_close_low_level", "_disarm", "_reset_fault", "_stop_with_others")
-"""This adaptation gives no hardware away, and none of these starts fails. What stops others fails
-inside a callback: it is a note on the error of the motor that failed first."""
+"""This adaptation does not offer its hardware object, and none of these starts fails. A stop of
+other motors fails inside a callback: it becomes a note on the error of the first failed motor.
+"""
 
 
 def failures_of(calls, thing):
-    """What each call raised, of what is no error of the tree too."""
+    """Return the exception of each call, also those outside of the error tree."""
     raised = {}
     for name, call in calls.items():
         try:
@@ -112,7 +113,7 @@ CASES += [(hook, planted) for hook in ("_arm", "_is_done", "_stop") for planted 
 
 
 @pytest.mark.parametrize(("hook", "planted"), CASES)
-def test_whatever_a_hook_raises_is_told_as_the_adaptations(runtime, hook, planted):
+def test_hook_exception_becomes_a_plugin_error(runtime, hook, planted):
     def fail(self, *args, **kwargs):
         raise planted
 
@@ -132,7 +133,7 @@ def test_whatever_a_hook_raises_is_told_as_the_adaptations(runtime, hook, plante
     assert "repr" not in raised
 
 
-def test_what_a_callback_of_the_runtime_raises_is_told_with_its_place(runtime, motor):
+def test_callback_exception_names_its_place(runtime, motor):
     def clumsy():
         raise ZeroDivisionError("planted")
 
@@ -146,10 +147,10 @@ def test_what_a_callback_of_the_runtime_raises_is_told_with_its_place(runtime, m
     assert caught.value.plugin.endswith("clumsy")
     assert "test_every_failure.py" in caught.value.where
     assert isinstance(caught.value.__cause__, ZeroDivisionError)
-    motor.wait_until_done(timeout_s=5.0)  # the motion is none the worse
+    motor.wait_until_done(timeout_s=5.0)  # the motion is not affected
 
 
-def test_what_an_observer_of_a_group_raises_is_told_as_that(pair):
+def test_group_observer_exception_becomes_a_plugin_error(pair):
     group = MotorGroup(*pair)
     for motor in pair:
         motor.set_control_mode(ControlMode.TRAJECTORY)
@@ -162,16 +163,16 @@ def test_what_an_observer_of_a_group_raises_is_told_as_that(pair):
 
 
 @pytest.mark.parametrize("junk", [None, "left", 7, object(), []])
-def test_what_is_no_device_is_no_member(pair, junk):
+def test_group_rejects_members_that_are_not_devices(pair, junk):
     group = MotorGroup(*pair)
     for call in (group.append, group.remove):
-        with pytest.raises(UsageError, match="is no device"):
+        with pytest.raises(UsageError, match="is not a device"):
             call(junk)
     assert len(group) == 2
 
 
 @pytest.mark.parametrize("error", [OSError(100, "Network is down"), can.CanOperationError("off")])
-def test_a_real_bus_that_cannot_send_is_a_lost_link(error):
+def test_real_bus_that_cannot_send_is_a_lost_link(error):
     class Broken:
         channel_info = "broken bus"
 

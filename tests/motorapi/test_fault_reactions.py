@@ -1,6 +1,6 @@
-"""A fault is planted in one motor of three; what the others do is measured on the plants' truth.
+"""A fault in one motor of three; the reaction is measured on the plants' true states.
 
-Nobody waits for any motor while it happens: time only passes.
+No caller waits for any motor meanwhile: time only passes.
 """
 
 from contextlib import contextmanager
@@ -11,11 +11,11 @@ import pytest
 from hypothesis import event, given, settings
 from hypothesis import strategies as st
 
-from emulators.media.faults import FaultKind, FaultRule
-from harness.rig import Rig, installed_plugins
-from harness.rig_file import parse_rig
-from harness.settings import Source
-from motorapi import (
+from motorhil.emulators.can.fault_rules import FaultKind, FaultRule
+from motorhil.harness.rig.config.rig_file import parse_rig
+from motorhil.harness.rig.config.toml import Source
+from motorhil.harness.rig.rig import Rig, installed_plugins
+from motorhil.motorapi import (
     ControlMode,
     DeviceFault,
     FaultReaction,
@@ -30,7 +30,7 @@ from tests.motorapi.kinds import MODEL
 
 MS = 1_000_000
 NAMES = ("m1", "m2", "m3")
-WAYS = (1.0, -2.0, 0.5)  # proportional: at 2 rad/s of the second the others make 1 and 0.5
+WAYS = (1.0, -2.0, 0.5)  # proportional: at 2 rad/s of the second motor the others have 1 and 0.5
 FAULT_S = 0.6  # since the start: all are at their plateaus, which begin at 0.5 s
 VELOCITY, ACCELERATION = 2.0, 4.0
 DRIVE = """\
@@ -57,7 +57,7 @@ def drives(*buses):
 
 
 def servos():
-    """The first motor has a node of its own, as its cable is cut."""
+    """Return a rig whose first motor has its own node, as its cable is cut."""
     limits = {"velocity": VELOCITY, "acceleration": ACCELERATION}
     return (
         "[bus.can0]\nbitrate_bit_s = 1_000_000\n"
@@ -76,9 +76,11 @@ def ideals():
 
 @dataclass(frozen=True)
 class Kind:
-    """rig: its file. line: how far from the line it may be [rad]. end_s: how far apart motors that
-    are told to stop at one instant may come to rest. line_s, of the drives: a profile tick, and
-    what a servo lags."""
+    """One kind of hardware.
+
+    rig: its file. line: maximum deviation from the line [rad]. end_s: maximum time between the
+    rests of motors stopped at one instant, for drives a profile tick and the lag of a servo.
+    """
 
     name: str
     rig: str
@@ -101,7 +103,7 @@ IDS = [f"{kind.name}-{fault}" for kind, fault in CASES]
 
 
 def plant(rig, fault):
-    """Something is wrong with the first motor."""
+    """Cause a fault of the first motor."""
     if fault == "cut":
         rig.faults.inject("can0", FaultRule("cut", FaultKind.CUT, ports=("m1",)))
     elif "m1" not in rig.controllers:
@@ -122,7 +124,7 @@ def true_position(rig, name):
 
 
 class Truth:
-    """Where the motors really were, every millisecond since it was made."""
+    """The true positions of the motors, every millisecond from its creation."""
 
     def __init__(self, rig, ways=WAYS):
         self.rig = rig
@@ -137,7 +139,7 @@ class Truth:
         self.seen.append((since_s, [true_position(self.rig, name) for name in NAMES]))
 
     def off_the_line(self):
-        """How far the second and the third motor were from their common line, at most [rad]."""
+        """Return the maximum deviation of the second and third motor from their line [rad]."""
         _, (_, two, three) = self.seen[0]
         ways = self.ways[1:]
         square = sum(way * way for way in ways)
@@ -150,7 +152,7 @@ class Truth:
         return worst
 
     def rest_s(self, place):
-        """When the motor was last seen faster than 2 % of its plateau, since the start [s]."""
+        """Return the last time of the motor above 2 % of its plateau, since the start [s]."""
         least = 0.02 * abs(WAYS[place]) * 1e-3
         last_s = 0.0
         for (_, before), (at_s, now) in zip(self.seen, self.seen[1:], strict=False):
@@ -159,7 +161,7 @@ class Truth:
         return last_s
 
     def slowing_s(self, place):
-        """When it was first slower than 95 % of its plateau after the fault, since the start."""
+        """Return its first time below 95 % of its plateau after the fault, since the start [s]."""
         least = 0.95 * abs(WAYS[place]) * 1e-3
         for (_, before), (at_s, now) in zip(self.seen, self.seen[1:], strict=False):
             if at_s > FAULT_S and abs(now[place] - before[place]) < least:
@@ -168,7 +170,7 @@ class Truth:
 
 
 def under_way(rig, reaction, ways=WAYS):
-    """The group of the rig, on its line."""
+    """Return the moving group of the rig."""
     group = rig.groups["all"]
     group.for_each(Motor.enable)
     group.for_each(Motor.set_control_mode, ControlMode.TRAJECTORY)
@@ -181,7 +183,7 @@ def under_way(rig, reaction, ways=WAYS):
 
 @contextmanager
 def scene(kind, fault, reaction):
-    """The group is under way, the fault happens, and time goes on; nobody waits for a motor."""
+    """Cause the fault in the moving group and let time pass, without waiting for a motor."""
     description = parse_rig(Source(Path("reactions.toml"), kind.rig), installed_plugins())
     with Rig(description) as rig:
         group = under_way(rig, reaction)
@@ -193,21 +195,21 @@ def scene(kind, fault, reaction):
 
 
 @pytest.mark.parametrize(("kind", "fault"), CASES, ids=IDS)
-def test_together_the_others_stop_on_the_line_at_the_same_time(kind, fault):
+def test_reaction_together_stops_the_others_on_the_line(kind, fault):
     with scene(kind, fault, FaultReaction.TOGETHER) as (_, _, truth):
         assert truth.off_the_line() <= kind.line
         rests = [truth.rest_s(place) for place in (1, 2)]
         assert abs(rests[0] - rests[1]) <= kind.end_s
         assert abs(truth.seen[-1][1][1] - truth.seen[0][1][1]) < 1.9  # short of its target
-        # From 2 rad/s at 4 rad/s^2: half a second after it was noticed.
+        # From 2 rad/s at 4 rad/s^2: half a second after the fault was noticed.
         slowing_s = truth.slowing_s(1)
         assert rests[0] - slowing_s == pytest.approx(0.5, abs=0.05)
 
 
 @pytest.mark.parametrize(("kind", "fault"), CASES, ids=IDS)
-def test_each_stops_at_its_own_limit(kind, fault):
+def test_reaction_each_stops_each_at_its_own_limit(kind, fault):
     with scene(kind, fault, FaultReaction.EACH) as (_, _, truth):
-        # 2 and 0.5 rad/s, both at 4 rad/s^2, which on the line only the second motor makes.
+        # 2 and 0.5 rad/s, both at 4 rad/s^2, which only the second motor uses on the line.
         for place, expected_s in ((1, 0.5), (2, 0.125)):
             assert truth.rest_s(place) - truth.slowing_s(place) == pytest.approx(
                 expected_s, abs=0.05
@@ -215,7 +217,7 @@ def test_each_stops_at_its_own_limit(kind, fault):
 
 
 @pytest.mark.parametrize(("kind", "fault"), CASES, ids=IDS)
-def test_with_no_reaction_the_others_go_on_to_their_targets(kind, fault):
+def test_reaction_none_lets_the_others_reach_their_targets(kind, fault):
     with scene(kind, fault, FaultReaction.NONE) as (_, group, truth):
         assert truth.off_the_line() <= kind.line
         for place in (1, 2):
@@ -224,11 +226,11 @@ def test_with_no_reaction_the_others_go_on_to_their_targets(kind, fault):
         assert [motor.is_done() for motor in list(group)[1:]] == [True, True]
         with pytest.raises((DeviceFault, LinkError)) as caught:
             group.wait_until_done()
-        assert caught.value.__notes__[-1] == "from m1; the others of its group go on"
+        assert caught.value.__notes__[-1] == "from m1; the others of its group continue"
 
 
 @pytest.mark.parametrize("kind", KINDS.values(), ids=KINDS)
-def test_who_waits_for_one_is_told_why_and_who_waits_for_the_group_whose_fault_it_was(kind):
+def test_waiters_for_a_motor_and_the_group_get_their_causes(kind):
     with scene(kind, "stimulus", FaultReaction.EACH) as (rig, group, _):
         with pytest.raises(MotionInterrupted, match=r"fault reaction of its group \(m1: fault"):
             rig.motors["m3"].wait_until_done()
@@ -236,7 +238,7 @@ def test_who_waits_for_one_is_told_why_and_who_waits_for_the_group_whose_fault_i
             with pytest.raises(DeviceFault, match="m1: fault") as caught:
                 ask()
             assert caught.value.__notes__[-1] == "from m1; the others of its group were stopped"
-        # It is over: the others start again alone, and the fault of the first one is its own.
+        # After the end, the others start again alone, and the fault of the first motor is its own.
         other = rig.motors["m2"]
         other.set_trajectory(TrapezoidalTrajectory(0.25))
         other.start()
@@ -250,8 +252,8 @@ def test_who_waits_for_one_is_told_why_and_who_waits_for_the_group_whose_fault_i
     st.sampled_from([drives(0, 0, 0), drives(0, 1, 0), drives(0, 1, 1)]),
     st.sampled_from(["stimulus", "load"]),
 )
-def test_whenever_it_happens_the_others_stay_on_their_line(fault_s, ways, rig_file, fault):
-    """At any instant, on ramps and plateaus, of any straight line; on one bus or two."""
+def test_fault_at_any_instant_keeps_the_others_on_the_line(fault_s, ways, rig_file, fault):
+    """Cause the fault at any instant of any straight line; on one bus or two."""
     description = parse_rig(Source(Path("any.toml"), rig_file), installed_plugins())
     with Rig(description) as rig:
         group = under_way(rig, FaultReaction.TOGETHER, ways)

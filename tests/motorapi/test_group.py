@@ -1,6 +1,6 @@
 import pytest
 
-from motorapi import (
+from motorhil.motorapi import (
     ControlMode,
     LimitError,
     Motor,
@@ -24,8 +24,10 @@ def hooks(motor):
     return [entry[0] for entry in motor.hw.log]
 
 
-def test_what_is_done_for_each_is_called(pair):
-    with pytest.raises(UsageError, match=r"^for_each\('enable'\): give a method, as Motor.enable"):
+def test_for_each_requires_a_callable(pair):
+    with pytest.raises(
+        UsageError, match=r"^for_each\('enable'\): not callable; give a method, as Motor.enable"
+    ):
         MotorGroup(*pair).for_each("enable")
 
 
@@ -43,7 +45,7 @@ def test_algorithm_2_begins_and_ends_together(pair):
     assert quality.predicted_end_skew_s < 1e-12
 
 
-def test_a_group_is_as_fast_as_its_slowest_motor_allows(runtime, pair):
+def test_group_is_as_fast_as_its_slowest_motor(runtime, pair):
     group = group_of(pair, 1.0, 3.0)
     group.start()
     began_ns = runtime.now_ns()
@@ -55,7 +57,7 @@ def test_a_group_is_as_fast_as_its_slowest_motor_allows(runtime, pair):
     assert pair[1].hw.motion.velocity == 2.0
 
 
-def test_a_duration_asked_for_one_holds_for_all(runtime, pair):
+def test_duration_of_one_motor_holds_for_all(runtime, pair):
     group = MotorGroup(*pair)
     group.for_each(Motor.set_control_mode, TRAJECTORY)
     group.set_trajectory(TrapezoidalTrajectory(1.0, duration_s=4.0), TrapezoidalTrajectory(2.0))
@@ -71,11 +73,11 @@ def test_a_duration_asked_for_one_holds_for_all(runtime, pair):
     assert 3.0e9 <= runtime.now_ns() - began_ns <= 3.001e9
 
 
-def test_the_common_duration_is_the_slowest_motors_after_its_rounding(runtime):
+def test_common_duration_is_that_of_the_slowest_rounded_motor(runtime):
     bus = PlainBus()
     fine = PlainMotor(PlainHwMotor(runtime, 1, bus))
     coarse = PlainMotor(PlainHwMotor(runtime, 2, bus, velocity_step=0.75))
-    # By hand: coarse makes 1.5 of 2 rad/s: 3 rad in 3 / 1.5 + 1.5 / 4 = 2.375 s, not in 2 s.
+    # By hand: coarse has 1.5 of 2 rad/s: 3 rad in 3 / 1.5 + 1.5 / 4 = 2.375 s, not in 2 s.
     group = group_of([fine, coarse], 1.0, 3.0)
     group.start()
     assert coarse.hw.motion.velocity == 1.5
@@ -85,8 +87,8 @@ def test_the_common_duration_is_the_slowest_motors_after_its_rounding(runtime):
 
 
 @pytest.mark.parametrize("excess", [k * 1e-12 for k in range(20)])
-def test_the_slowest_motor_is_not_slowed_once_more_by_rounding(runtime, excess):
-    # A way that is all but a triangle: there the peak for a duration is ill-conditioned.
+def test_slowest_motor_is_not_slowed_again_by_rounding(runtime, excess):
+    # Nearly a triangle: there the peak for a duration is ill-conditioned.
     bus = PlainBus()
     fine = PlainMotor(PlainHwMotor(runtime, 1, bus))
     coarse = PlainMotor(PlainHwMotor(runtime, 2, bus, velocity_step=0.75))
@@ -94,7 +96,7 @@ def test_the_slowest_motor_is_not_slowed_once_more_by_rounding(runtime, excess):
     assert coarse.hw.motion.velocity == 1.5
 
 
-def test_durations_that_contradict_are_refused(pair):
+def test_contradictory_durations_raise(pair):
     group = MotorGroup(*pair)
     group.for_each(Motor.set_control_mode, TRAJECTORY)
     group.set_trajectory(
@@ -108,7 +110,7 @@ def test_durations_that_contradict_are_refused(pair):
     assert all(motor.hw.motion is None for motor in pair)
 
 
-def test_a_motor_that_stays_does_not_hold_the_others_up(runtime, pair):
+def test_motor_at_its_target_does_not_delay_the_others(runtime, pair):
     group = group_of(pair, 0.0, 3.0)
     group.start()
     group.wait_until_done()
@@ -116,7 +118,7 @@ def test_a_motor_that_stays_does_not_hold_the_others_up(runtime, pair):
     assert group.sync_quality().predicted_end_skew_s == 0.0
 
 
-def test_all_are_armed_before_any_is_fired_and_the_trigger_is_fired_once(pair):
+def test_all_are_armed_before_the_trigger_is_fired_once(pair):
     bus = pair[0].hw.bus
     order = []
     for motor in pair:
@@ -137,7 +139,7 @@ def test_all_are_armed_before_any_is_fired_and_the_trigger_is_fired_once(pair):
     ]
 
 
-def test_each_trigger_is_fired_once_in_the_order_of_the_motors(runtime):
+def test_each_trigger_is_fired_once_in_the_order_of_motors(runtime):
     buses = [PlainBus("bus0"), PlainBus("bus1")]
     fired = []
     for bus in buses:

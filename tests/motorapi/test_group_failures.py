@@ -4,9 +4,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from emulators.event_queue import EventQueue
-from harness.virtual_time import VirtualRuntime
-from motorapi import (
+from motorhil.emulators.simulation.event_queue import EventQueue
+from motorhil.harness.virtual_time.runtime import VirtualRuntime
+from motorhil.motorapi import (
     ControlMode,
     ControlVariable,
     DeadlineExceeded,
@@ -32,7 +32,7 @@ TRAJECTORY = ControlMode.TRAJECTORY
 
 @pytest.mark.parametrize("hook", ["_enable", "_arm"])
 @pytest.mark.parametrize("place", [0, 1])
-def test_if_one_refuses_none_moves(pair, hook, place):
+def test_refusal_of_one_motor_keeps_all_at_rest(pair, hook, place):
     pair[place].hw.fail[hook] = PeerError("refused")
     group = group_of(pair, 1.0, 2.0)
     with pytest.raises(PeerError) as caught:
@@ -47,7 +47,7 @@ def test_if_one_refuses_none_moves(pair, hook, place):
     group.wait_until_done()
 
 
-def test_a_limit_of_one_keeps_all_at_rest(runtime, pair):
+def test_limit_of_one_motor_keeps_all_at_rest(runtime, pair):
     tight = PlainMotor(PlainHwMotor(runtime, 3), replace(MODEL, position_max=1.0), name="tight")
     with pytest.raises(LimitError, match="tight"):
         group_of([*pair, tight], 1.0, 1.0, 1.1).start()
@@ -55,7 +55,7 @@ def test_a_limit_of_one_keeps_all_at_rest(runtime, pair):
 
 
 @pytest.mark.parametrize("place", [0, 1])
-def test_if_one_does_not_begin_all_are_stopped(pair, place):
+def test_failed_begin_of_one_motor_stops_all(pair, place):
     pair[place].hw.fail["_confirm"] = PeerError("no acknowledge")
     with pytest.raises(PeerError) as caught:
         group_of(pair, 1.0, 2.0).start()
@@ -67,14 +67,14 @@ def test_if_one_does_not_begin_all_are_stopped(pair, place):
             motor.wait_until_done()
 
 
-def test_if_a_trigger_fails_all_are_stopped(pair):
+def test_failed_trigger_stops_all(pair):
     pair[0].hw.bus.fire_error = LinkError(link="bus0", reason="bus off")
     with pytest.raises(LinkError):
         group_of(pair, 1.0, 2.0).start()
     assert all(hooks(motor)[-2:] == ["_stop", "_disarm"] for motor in pair)
 
 
-def test_a_motor_that_cannot_even_be_stopped_is_told_and_the_others_are(pair):
+def test_failed_stop_is_noted_and_the_others_are_stopped(pair):
     pair[1].hw.fail["_confirm"] = PeerError("no acknowledge")
     pair[0].hw.fail["_stop"] = LinkError(link="bus0", reason="gone")
     with pytest.raises(PeerError) as caught:
@@ -83,7 +83,7 @@ def test_a_motor_that_cannot_even_be_stopped_is_told_and_the_others_are(pair):
     assert "_stop" in hooks(pair[1])
 
 
-def test_a_fault_in_one_stops_the_others_and_is_raised(runtime, pair):
+def test_fault_in_one_motor_stops_the_others_and_is_raised(runtime, pair):
     group = group_of(pair, 1.0, 3.0)
     group.start()
     runtime.spawn("trouble", lambda: (runtime.run_for(0.5), fault_now(pair[0].hw)))
@@ -95,7 +95,7 @@ def test_a_fault_in_one_stops_the_others_and_is_raised(runtime, pair):
     assert pair[1].velocity() == 0.0
 
 
-def test_a_group_that_is_late_names_who_is_not_done(pair):
+def test_group_timeout_names_motors_that_are_not_done(pair):
     motor1, motor2 = pair
     group = MotorGroup(motor1, motor2)
     motor1.set_control_mode(ControlMode.SETPOINT)
@@ -137,7 +137,7 @@ def test_trajectories_are_set_for_all_or_none(pair):
     assert [motor.position() for motor in pair] == [1.0, 2.0]
 
 
-def test_members_are_devices_of_one_time_each_once(runtime, pair):
+def test_members_are_unique_devices_of_one_runtime(runtime, pair):
     motor1, motor2 = pair
     group = MotorGroup(motor1)
     with pytest.raises(UsageError, match="in the group already"):
@@ -163,7 +163,7 @@ def test_members_are_devices_of_one_time_each_once(runtime, pair):
             refused()
 
 
-def test_for_each_returns_all_answers_and_names_who_refused(pair):
+def test_for_each_returns_all_results_and_names_the_failure(pair):
     group = MotorGroup(*pair)
     assert group.for_each(Motor.position) == [0.0, 0.0]
     with pytest.raises(UnsupportedError) as caught:
@@ -171,7 +171,7 @@ def test_for_each_returns_all_answers_and_names_who_refused(pair):
     assert caught.value.__notes__ == ["from m1, member 1 of 2"]
 
 
-def test_capability_of_one_trigger_is_bounded_by_the_latencies(runtime):
+def test_capability_of_one_trigger_is_bounded_by_latencies(runtime):
     bus = PlainBus()
     motors = [
         PlainMotor(PlainHwMotor(runtime, node, bus, latency_s=latency_s))
@@ -184,15 +184,15 @@ def test_capability_of_one_trigger_is_bounded_by_the_latencies(runtime):
     assert capability.end_skew_s is None  # nothing is set yet
     group.for_each(Motor.set_control_mode, TRAJECTORY)
     group.set_trajectory(TrapezoidalTrajectory(1.0), TrapezoidalTrajectory(2.0))
-    # Both take as long, so who begins later ends later.
+    # Equal durations: the later begin causes the later end.
     assert group.sync_capability().end_skew_s == pytest.approx(0.002, abs=1e-12)
     group.start()
     group.wait_until_done()
     assert group.sync_quality().start_skew_s == 0.002
-    assert all(motor.hw.log[0][0] == "_enable" for motor in motors)  # telling moved nothing
+    assert all(motor.hw.log[0][0] == "_enable" for motor in motors)  # the query moved nothing
 
 
-def test_capability_over_two_triggers_is_sequential_and_says_who_is_the_reason(runtime, pair):
+def test_capability_of_two_triggers_is_sequential_with_reason(runtime, pair):
     other = PlainMotor(PlainHwMotor(runtime, 3, PlainBus("bus1")))
     capability = MotorGroup(*pair, other).sync_capability()
     assert capability.level is SyncLevel.SEQUENTIAL
@@ -201,8 +201,8 @@ def test_capability_over_two_triggers_is_sequential_and_says_who_is_the_reason(r
     assert "bus1" in capability.reason
 
 
-def test_quality_before_any_start_is_refused_and_unknown_until_the_end(runtime, pair):
-    """A group looks after its motors by itself: nobody has waited for them, or asked."""
+def test_quality_before_a_start_raises_and_until_end_unknown(runtime, pair):
+    """Query the quality without a wait: a group supervises its motors by itself."""
     group = group_of(pair, 1.0, 2.0)
     with pytest.raises(UsageError, match="not been started"):
         group.sync_quality()
@@ -213,13 +213,13 @@ def test_quality_before_any_start_is_refused_and_unknown_until_the_end(runtime, 
     assert [name for name, _ in group.sync_quality().times] == ["m1", "m2"]
 
 
-def test_two_groups_of_one_trigger_do_not_start_each_others_motors(runtime):
+def test_two_groups_of_one_trigger_do_not_start_each_other(runtime):
     bus = PlainBus()
     motors = [PlainMotor(PlainHwMotor(runtime, node, bus, acts_s=0.01)) for node in range(5)]
     groups = [group_of(motors[:2], 1.0, 1.0), group_of(motors[2:], 1.0, 1.0, 1.0)]
 
     for motor in motors:
-        motor.enable()  # so that arming is what happens at the same time
+        motor.enable()  # so that arming happens at the same time
 
     def run(group):
         for _ in range(5):
@@ -235,7 +235,7 @@ def test_two_groups_of_one_trigger_do_not_start_each_others_motors(runtime):
 
 
 @pytest.mark.parametrize("timeout_s", [-1.0, float("nan")])
-def test_a_timeout_is_a_number_of_seconds(pair, timeout_s):
+def test_timeout_must_be_a_number_of_seconds(pair, timeout_s):
     motor = pair[0]
     with pytest.raises(UsageError, match="timeout_s"):
         motor.wait_until_done(timeout_s)
@@ -244,10 +244,10 @@ def test_a_timeout_is_a_number_of_seconds(pair, timeout_s):
     motor.wait_until_done(float("inf"))
 
 
-def test_a_replaceable_set_point_is_not_a_rest_for_the_other_member(pair):
+def test_replaceable_set_point_is_not_rest_for_other_members(pair):
     group = group_of(pair, 1.0, 2.0)
     group.start()
-    with pytest.raises(StateError, match="goes on"):
+    with pytest.raises(StateError, match="is active"):
         group.start()
 
 
@@ -256,8 +256,8 @@ STEPS = st.tuples(*[st.sampled_from([0.0, 0.001, 0.01])] * 3)
 
 
 @given(WAYS, st.lists(STEPS, min_size=5, max_size=5))
-def test_rounding_ends_as_far_apart_as_predicted(ways, steps):
-    """Each hardware rounds to its own units; the ends are measured on the hardware's profiles."""
+def test_rounding_separates_ends_as_predicted(ways, steps):
+    """Round each motion to hardware units, and measure the ends on the rounded profiles."""
     runtime = VirtualRuntime(EventQueue())
     bus = PlainBus()
     motors = []
@@ -279,20 +279,18 @@ def test_rounding_ends_as_far_apart_as_predicted(ways, steps):
     assert quality.predicted_end_skew_s == pytest.approx(measured_s, abs=1e-9)
     for profile in profiles:
         assert profile.peak <= 2.0
-    # No motor is faster than it can be, and the group no slower than its slowest member rounded.
+    # No motor exceeds its limit, and the group is not slower than its slowest rounded member.
     if ends_s and all(step == (0.0, 0.0, 0.0) for step in steps[: len(ways)]):
         assert measured_s <= 1e-9
 
 
-def test_a_stop_of_one_motor_stops_that_one_and_the_others_once_the_group_is_waited_for(
-    runtime, pair
-):
+def test_stop_of_one_motor_stops_others_only_in_a_group_wait(runtime, pair):
     group = group_of(pair, 1.0, 3.0)
     group.start()
     runtime.run_for(0.5)
     pair[0].stop()
     runtime.run_for(0.5)
-    assert hooks(pair[1])[-1] == "_confirm"  # it goes on
+    assert hooks(pair[1])[-1] == "_confirm"  # still active
     assert group.sync_quality().end_skew_s is None
     runtime.run_for(2.0)
     assert pair[1].position() == 3.0
@@ -308,13 +306,13 @@ def test_a_stop_of_one_motor_stops_that_one_and_the_others_once_the_group_is_wai
         pair[1].wait_until_done()
 
 
-def test_without_anybody_waiting_a_fault_in_one_stops_the_others_once(runtime, pair):
+def test_fault_without_a_waiter_stops_the_others_once(runtime, pair):
     group = group_of(pair, 1.0, 3.0)
     group.start()
     runtime.run_for(0.5)
     fault_now(pair[0].hw)
     assert hooks(pair[1])[-1] == "_confirm"
-    runtime.run_for(0.02)  # it counts no news: it is looked at every 10 ms
+    runtime.run_for(0.02)  # without a change counter, it is examined every 10 ms
     assert hooks(pair[1])[-1] == "_stop"
     for ask in (group.wait_until_done, group.is_done, group.is_done):
         with pytest.raises(DeviceFault) as caught:
@@ -323,7 +321,7 @@ def test_without_anybody_waiting_a_fault_in_one_stops_the_others_once(runtime, p
     assert hooks(pair[1]).count("_stop") == 1
 
 
-def test_who_cannot_be_stopped_is_told_to_whoever_asks(runtime, pair, caplog):
+def test_failed_stop_is_reported_to_every_caller(runtime, pair, caplog):
     group = group_of(pair, 1.0, 3.0)
     group.start()
     pair[1].hw.fail["_stop"] = LinkError(link="bus0", reason="gone")
@@ -336,20 +334,20 @@ def test_who_cannot_be_stopped_is_told_to_whoever_asks(runtime, pair, caplog):
     assert "but m2 could not be stopped: bus0: gone" in caught.value.__notes__
 
 
-def test_after_a_new_start_or_a_stop_the_failures_of_before_are_over(runtime, pair):
+def test_new_start_or_stop_clears_earlier_failures(runtime, pair):
     group = group_of(pair, 1.0, 3.0)
     group.start()
     runtime.run_for(0.5)
     group.stop()
     fault_now(pair[0].hw)
     runtime.run_for(0.1)
-    assert hooks(pair[1]).count("_stop") == 1  # the group's own
+    assert hooks(pair[1]).count("_stop") == 1  # by the group itself
     pair[0].reset_fault()
     group.start()
     group.wait_until_done()
 
 
-def test_without_synchronisation_each_is_as_fast_as_it_can_be(runtime, pair):
+def test_start_without_synchronisation_is_fastest_for_each(runtime, pair):
     group = group_of(pair, 1.0, 3.0)
     group.synchronization = Synchronization.NONE
     group.start()
@@ -366,7 +364,7 @@ def test_without_synchronisation_each_is_as_fast_as_it_can_be(runtime, pair):
             setattr(group, name, "phase")
 
 
-def test_a_motor_that_is_taken_over_has_failed_its_group(runtime, pair):
+def test_takeover_of_one_motor_fails_its_group(runtime, pair):
     group = group_of(pair, 1.0, 3.0)
     group.start()
     runtime.run_for(0.5)

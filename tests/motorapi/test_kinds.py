@@ -1,7 +1,7 @@
-"""One application on every kind of hardware: the paper's algorithms, and the modes told apart.
+"""One application on every kind of hardware: the paper's algorithms and modes.
 
-Where a motor is, is asked of the plant, not of the wire: what the application reads may be 20 ms
-old. The expected profiles are written here once more, from the textbook.
+Positions come from the plant, not from the bus: the values read by the application may be 20 ms
+old. The expected profiles are computed here once more, from the textbook.
 """
 
 from math import inf, nan, sqrt
@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from motorapi import (
+from motorhil.motorapi import (
     ComplexTrajectory,
     ControlMode,
     ControlVariable,
@@ -23,7 +23,7 @@ from motorapi import (
     TrapezoidalTrajectory,
     UnsupportedError,
 )
-from motorapi.functions import Polynomial
+from motorhil.motorapi.functions import Polynomial
 from tests.motorapi.kinds import ACCELERATION_MAX, EVERY, KINDS, VELOCITY_MAX, opened, true_position
 
 SETPOINT, TRAJECTORY = ControlMode.SETPOINT, ControlMode.TRAJECTORY
@@ -41,7 +41,7 @@ def rig(kind):
         yield rig
 
 
-# --- the paper's algorithms, line by line; lines 1 and 2, hardware and motor, are the rig's
+# --- the paper's algorithms, line by line; lines 1 and 2, hardware and motor, are in the rig
 
 
 def algorithm_1(motor):
@@ -83,14 +83,12 @@ def test_algorithm_1_ends_at_1_then_at_2(any_kind, any_rig):
     assert abs(motor.position() - 2.0) <= kind.window
 
 
-def test_algorithm_2_begins_and_ends_at_the_same_time_as_fast_as_the_motors_allow(
-    any_kind, any_rig
-):
+def test_algorithm_2_is_synchronous_and_as_fast_as_allowed(any_kind, any_rig):
     kind, rig = any_kind, any_rig
     left, right = rig.motors["left"], rig.motors["right"]
     group = algorithm_2(left, right)
     capability = group.sync_capability()
-    shortest_s = 2.0 / VELOCITY_MAX + VELOCITY_MAX / ACCELERATION_MAX  # the slower one's
+    shortest_s = 2.0 / VELOCITY_MAX + VELOCITY_MAX / ACCELERATION_MAX  # of the slower one
     taken = sampled(rig, group, shortest_s)
     group.wait_until_done(timeout_s=5)
     for name, goal in (("left", 1.0), ("right", 2.0)):
@@ -99,19 +97,19 @@ def test_algorithm_2_begins_and_ends_at_the_same_time_as_fast_as_the_motors_allo
     if kind.name in KINDS:
         assert quality.start_skew_s <= capability.start_skew_s
         assert capability.start_skew_s <= 0.001
-    else:  # one request after another, and nobody says how long one takes
+    else:  # one request after another, with unknown durations
         assert capability.start_skew_s is None
         assert 0.0 < quality.start_skew_s < 0.05
-    # The slower one as fast as it can, the other for as long.
+    # The slower one is as fast as possible, the other takes as long.
     assert worst_deviation(kind, taken, "left", trapezoid(1.0, shortest_s)) <= kind.following
     assert worst_deviation(kind, taken, "right", trapezoid(2.0, shortest_s)) <= kind.following
 
 
-# --- the modes told apart
+# --- differences between the modes
 
 
 def sampled(rig, group, duration_s, period_s=0.0025):
-    """[(time since the start that was measured [s], {motor: true position [rad]})]."""
+    """Return [(time since the measured start [s], {motor: true position [rad]})]."""
     times = group.sync_quality().times
     began_ns = max(its.started_ns for _, its in times)
     taken = []
@@ -134,7 +132,7 @@ def started(rig, *trajectories):
 
 
 def trapezoid(way, duration_s, acceleration=ACCELERATION_MAX):
-    """Position over time, rest to rest (Biagiotti & Melchiorri, 2008, 3.2.3)."""
+    """Return the position over time, rest to rest (Biagiotti & Melchiorri, 2008, 3.2.3)."""
     least = acceleration * duration_s
     peak = 0.5 * (least - sqrt(least**2 - 4.0 * acceleration * way))
     ramp_s = peak / acceleration
@@ -151,7 +149,7 @@ def trapezoid(way, duration_s, acceleration=ACCELERATION_MAX):
 
 
 def worst_deviation(kind, taken, name, wanted):
-    """How far the motor was from `wanted` at worst, whenever in the promised latency it began."""
+    """Return the maximum deviation from `wanted`, with the begin anywhere in the latency range."""
     early_s, late_s = kind.latency_s
     worst = 0.0
     for at_s, where in taken:
@@ -161,7 +159,7 @@ def worst_deviation(kind, taken, name, wanted):
     return worst
 
 
-def test_a_trajectory_tracks_its_function_at_every_sample(kind, rig):
+def test_trajectory_tracks_its_function_at_every_sample(kind, rig):
     group = started(
         rig, TrapezoidalTrajectory(1.0, duration_s=2.0), TrapezoidalTrajectory(-0.5, duration_s=2.0)
     )
@@ -170,12 +168,12 @@ def test_a_trajectory_tracks_its_function_at_every_sample(kind, rig):
     left, right = trapezoid(1.0, 2.0), trapezoid(0.5, 2.0)
     assert worst_deviation(kind, taken, "left", left) <= kind.following
     assert worst_deviation(kind, taken, "right", lambda at_s: -right(at_s)) <= kind.following
-    # Not a vacuous bound: of a function that is a twentieth slower it is far off.
+    # The bound is not vacuous: a function slower by a twentieth deviates far more.
     slower = trapezoid(1.0, 2.1)
     assert worst_deviation(kind, taken, "left", slower) > 10 * kind.following
 
 
-def test_a_complex_trajectory_tracks_its_function_at_every_sample(kind, rig):
+def test_complex_trajectory_tracks_its_function(kind, rig):
     function = SHAPE.scaled(2.0)
     group = started(
         rig,
@@ -195,13 +193,13 @@ def test_a_complex_trajectory_tracks_its_function_at_every_sample(kind, rig):
     assert abs(true_position(rig, "left") - 1.0) <= kind.window
 
 
-def test_a_motor_led_by_another_is_where_the_function_of_its_position_says(kind, rig):
+def test_motor_led_by_another_follows_its_position(kind, rig):
     left, right = rig.motors["left"], rig.motors["right"]
     for motor in (left, right):
         motor.enable()
         motor.set_control_mode(TRAJECTORY)
-    gear = Polynomial((0.0, -0.5)).restricted(-0.1, 1.0)  # half as fast, the other way
-    assert right.position() == 0.0  # it has been heard
+    gear = Polynomial((0.0, -0.5)).restricted(-0.1, 1.0)  # half as fast, in the opposite direction
+    assert right.position() == 0.0  # a position was received
     left.set_trajectory(ComplexTrajectory(gear), MotorPosition(right))
     right.set_trajectory(TrapezoidalTrajectory(1.001, duration_s=2.0))
     left.start()
@@ -218,7 +216,7 @@ def test_a_motor_led_by_another_is_where_the_function_of_its_position_says(kind,
 
 
 class Told:
-    """An argument that is whatever was told last; raises it, if it is an error."""
+    """An argument with a settable value; an error is raised."""
 
     name = "level"
     rate_max = None
@@ -233,7 +231,7 @@ class Told:
 
 
 @pytest.mark.parametrize("bad", [nan, inf, "1", None, ZeroDivisionError("broken")])
-def test_an_argument_that_is_no_number_ends_the_motion_and_the_motor_can_be_stopped(kind, rig, bad):
+def test_invalid_argument_value_ends_the_motion(kind, rig, bad):
     left = rig.motors["left"]
     left.enable()
     left.set_control_mode(TRAJECTORY)
@@ -245,7 +243,7 @@ def test_an_argument_that_is_no_number_ends_the_motion_and_the_motor_can_be_stop
     left.start()
     rig.runtime.run_for(0.1)
     level.level = bad
-    left.stop()  # at once, before anything has looked
+    left.stop()  # at once, before any check
     left.wait_until_done(1)
     level.level = 0.0
     left.start()
@@ -262,12 +260,12 @@ def test_an_argument_that_is_no_number_ends_the_motion_and_the_motor_can_be_stop
     assert abs(true_position(rig, "left") - 0.1) <= 2 * kind.window
 
 
-def test_a_position_that_would_lead_itself_is_refused_before_anything_moves(kind, rig):
+def test_position_that_would_lead_itself_raises_at_start(kind, rig):
     left, right = rig.motors["left"], rig.motors["right"]
     gear = ComplexTrajectory(Polynomial((0.0, 0.5)).restricted(-1.0, 1.0), relative=True)
     for motor in (left, right):
         motor.enable()
-        assert motor.position() == 0.0  # it has been heard
+        assert motor.position() == 0.0  # a position was received
         motor.set_control_mode(TRAJECTORY)
     left.set_trajectory(gear, MotorPosition(left))
     with pytest.raises(StateError, match=r"would lead itself: left follows left; lead it by"):
@@ -283,7 +281,7 @@ def test_a_position_that_would_lead_itself_is_refused_before_anything_moves(kind
     assert true_position(rig, "left") == true_position(rig, "right") == 0.0
 
 
-def test_a_set_point_does_not_track_and_goes_as_fast_as_its_limits_let_it(kind, rig):
+def test_set_point_is_as_fast_as_its_limits_allow(kind, rig):
     group = rig.groups["both"]
     group.for_each(Motor.enable)
     group.for_each(Motor.set_control_mode, SETPOINT)
@@ -293,13 +291,13 @@ def test_a_set_point_does_not_track_and_goes_as_fast_as_its_limits_let_it(kind, 
     taken = sampled(rig, group, 2.2)
     group.wait_until_done(5)
     assert abs(true_position(rig, "left") - 1.0) <= kind.window
-    # There is no duration to keep: it is there long before the trajectory would be.
+    # Without a given duration it arrives long before the trajectory would.
     assert worst_deviation(kind, taken, "left", trapezoid(1.0, 2.0)) > 50 * kind.following
     there_s = next(at_s for at_s, where in taken if abs(where["left"] - 1.0) <= kind.window)
     assert 1.0 / VELOCITY_MAX - 0.01 <= there_s <= 1.1
 
 
-def test_a_set_points_limit_of_velocity_is_kept_or_refused_before_anything_moves(kind, rig):
+def test_set_point_velocity_limit_is_met_or_refused(kind, rig):
     motor = rig.motors["left"]
     motor.enable()
     motor.set_control_mode(SETPOINT)
@@ -309,7 +307,7 @@ def test_a_set_points_limit_of_velocity_is_kept_or_refused_before_anything_moves
     try:
         motor.set_setpoint(1.0, limits=slow)
     except UnsupportedError:
-        assert kind.name == "software"  # a step has no profile whose derivative could be limited
+        assert kind.name == "software"  # a step has no profile with a derivative to limit
         return
     motor.start()
     began_ns = rig.runtime.now_ns()
@@ -317,14 +315,12 @@ def test_a_set_points_limit_of_velocity_is_kept_or_refused_before_anything_moves
     assert rig.runtime.now_ns() - began_ns >= 1.99e9
 
 
-# --- what each kind can be told
+# --- supported commands of each kind
 
 
 @pytest.mark.parametrize("variable", ControlVariable, ids=lambda variable: variable.value)
 @pytest.mark.parametrize("mode", ControlMode, ids=lambda mode: mode.value)
-def test_a_motor_says_what_it_supports_and_refuses_the_rest_before_anything_moves(
-    kind, rig, mode, variable
-):
+def test_motor_names_supported_modes_and_refuses_others(kind, rig, mode, variable):
     motor = rig.motors["left"]
     motor.enable()
     if variable not in kind.variables:
@@ -351,7 +347,7 @@ def test_a_motor_says_what_it_supports_and_refuses_the_rest_before_anything_move
 
 
 @pytest.mark.parametrize("mode", ControlMode, ids=lambda mode: mode.value)
-def test_velocity_is_reached_and_goes_on(kind, rig, mode):
+def test_velocity_is_reached_and_continues(kind, rig, mode):
     motor = rig.motors["left"]
     motor.set_control_mode(mode, ControlVariable.VELOCITY)
     if mode is SETPOINT:

@@ -1,14 +1,14 @@
-"""On every kind of hardware: how a motion ends is told once and when it does, how far it is, asked.
+"""End of motion and progress on every kind of hardware.
 
-What a kind promises is in `tests.motorapi.kinds`.
+`tests.motorapi.kinds` lists the guarantees of each kind.
 """
 
 from pathlib import Path
 
 import pytest
 
-from motorapi import ControlMode, MotionInterrupted, TrapezoidalTrajectory
-from motorapi.outcome import Ending
+from motorhil.motorapi import ControlMode, MotionInterrupted, TrapezoidalTrajectory
+from motorhil.motorapi.motor import Ending
 from tests.motorapi.kinds import KINDS, opened, true_position
 
 DURATION_S = 1.0
@@ -27,7 +27,7 @@ def rig(kind):
 
 @pytest.fixture
 def moving(rig):
-    """A motor on its way from 0 to 1 rad in `DURATION_S`."""
+    """Return a motor on its way from 0 to 1 rad in `DURATION_S`."""
     motor = rig.motors["left"]
     motor.enable()
     motor.set_control_mode(ControlMode.TRAJECTORY)
@@ -36,7 +36,7 @@ def moving(rig):
     return motor
 
 
-def test_the_end_is_told_in_the_event_that_ends_the_wait(rig, kind, moving):
+def test_end_is_reported_in_the_event_that_ends_the_wait(rig, kind, moving):
     told = []
     moving.on_done(lambda outcome: told.append((rig.runtime.now_ns(), outcome)))
     waited = []
@@ -48,12 +48,13 @@ def test_the_end_is_told_in_the_event_that_ends_the_wait(rig, kind, moving):
     ((told_ns, outcome),) = told
     assert outcome.ending is Ending.DONE
     assert outcome.time_ns == told_ns
-    # An ideal motor's waiter knows when it will end; who is told hears of it every millisecond.
+    # A waiter for an ideal motor knows the end in advance; a callback learns of it every
+    # millisecond.
     assert 0 <= told_ns - waited[0] <= (1_000_000 if kind.name == "ideal" else 0)
     assert abs(true_position(rig, "left") - 1.0) <= kind.window
 
 
-def test_without_anybody_waiting_it_is_told_as_well(rig, moving):
+def test_end_is_reported_without_a_waiter(rig, moving):
     told = []
     moving.on_done(told.append)
     rig.runtime.run_for(DURATION_S + 0.5)
@@ -61,7 +62,7 @@ def test_without_anybody_waiting_it_is_told_as_well(rig, moving):
     assert moving.is_done()
 
 
-def test_a_stop_is_told_before_it_has_returned(rig, moving):
+def test_stop_is_reported_before_it_returns(rig, moving):
     told = []
     moving.on_done(told.append)
     rig.runtime.run_for(0.3)
@@ -72,7 +73,7 @@ def test_a_stop_is_told_before_it_has_returned(rig, moving):
     moving.wait_until_done(timeout_s=5)
 
 
-def test_progress_goes_from_nothing_to_none(rig, kind, moving):
+def test_progress_runs_from_zero_to_none(rig, kind, moving):
     seen = []
     timer = rig.runtime.every(0.05, lambda: seen.append(moving.progress()))
     moving.wait_until_done(timeout_s=5)
@@ -86,7 +87,7 @@ def test_progress_goes_from_nothing_to_none(rig, kind, moving):
     assert fractions[-1] > 0.9
     for progress in going:
         assert progress.target == 1.0
-        assert progress.expected_s == pytest.approx(DURATION_S)  # a drive's steps are coarser
+        assert progress.expected_s == pytest.approx(DURATION_S)  # steps of a drive are coarser
         assert progress.elapsed_s + progress.remaining_s == pytest.approx(
             max(progress.elapsed_s, DURATION_S)
         )

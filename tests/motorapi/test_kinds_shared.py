@@ -7,7 +7,7 @@ from threading import Thread
 
 import pytest
 
-from motorapi import (
+from motorhil.motorapi import (
     ControlMode,
     DeadlineExceeded,
     MotionInterrupted,
@@ -18,7 +18,8 @@ from motorapi import (
     TrapezoidalTrajectory,
     WallRuntime,
 )
-from motorapi.adaptations.ideal import IdealHwMotor, IdealMotor
+from motorhil.motorapi.adaptations.ideal.hardware import IdealHwMotor
+from motorhil.motorapi.adaptations.ideal.motor import IdealMotor
 from tests.motorapi.kinds import ACCELERATION_MAX, EVERY, VELOCITY_MAX, opened, true_position
 
 SETPOINT, TRAJECTORY = ControlMode.SETPOINT, ControlMode.TRAJECTORY
@@ -34,7 +35,7 @@ TIMES = 3
 
 
 def one_move(motor, way, duration_s):
-    """Code for one thread, as anybody would write it."""
+    """Make one move, in code for a single thread."""
     motor.set_control_mode(ControlMode.TRAJECTORY)
     motor.set_trajectory(TrapezoidalTrajectory(way, duration_s=duration_s))
     motor.start()
@@ -42,9 +43,9 @@ def one_move(motor, way, duration_s):
 
 
 def use(motor, place, log):
-    """A user of the motor: moves it `TIMES` times in a way of their own, when it is free.
+    """Move the motor `TIMES` times with own parameters, whenever it is free.
 
-    Whoever is refused was moved nothing and asks again; the code that moves knows of nobody.
+    A refused user has moved nothing and tries again; the code that moves knows no other users.
     """
     way, duration_s = 0.01 * (place + 1), 0.1 + 0.05 * place
     for _ in range(TIMES):
@@ -58,7 +59,7 @@ def use(motor, place, log):
 
 
 def check_log(log):
-    """Everybody moved as often as wanted, one after another, each for as long as they asked."""
+    """Check that each user moved as often as wanted, in turn, for the requested durations."""
     assert sorted(user for *_, user, _ in log) == sorted(USERS * TIMES)
     log.sort()
     for since_ns, waited_ns, user, duration_s in log:
@@ -67,7 +68,7 @@ def check_log(log):
         assert since_ns >= before_ns + round(duration_s * 1e9)
 
 
-def test_code_for_one_thread_is_right_in_many_parties_that_share_a_motor(kind):
+def test_single_threaded_code_works_in_many_parties(kind):
     log = []
     with opened(kind, Path("shared.toml"), USERS) as rig:
         motors = [rig.motors[name] for name in USERS]
@@ -84,7 +85,7 @@ def test_code_for_one_thread_is_right_in_many_parties_that_share_a_motor(kind):
     check_log(log)
 
 
-def test_low_level_access_gives_the_hardware_and_keeps_everybody_else_away(kind):
+def test_low_level_access_excludes_all_others(kind):
     with opened(kind, Path("shared.toml"), USERS[:2]) as rig:
         holder, other = (rig.motors[name] for name in USERS[:2])
         other.set_control_mode(SETPOINT)
@@ -100,7 +101,7 @@ def test_low_level_access_gives_the_hardware_and_keeps_everybody_else_away(kind)
 
 
 def stopped_for_others(rig):
-    """Ann has it and moves it at full speed; Ben has just stopped it."""
+    """Return a motor that Ann owns and moves at full speed, and that Ben has just stopped."""
     ann, ben, cem = (rig.motors[name] for name in USERS[:3])
     ann.set_control_mode(TRAJECTORY)
     ann.set_trajectory(TrapezoidalTrajectory(2.0))
@@ -113,14 +114,14 @@ def stopped_for_others(rig):
 
 
 def speed_of(rig, motor):
-    """What its position says [rad/s]."""
+    """Return the speed from its positions [rad/s]."""
     before = true_position(rig, motor.name)
     rig.runtime.run_for(0.05)
     return abs(true_position(rig, motor.name) - before) / 0.05
 
 
 @pytest.mark.parametrize("timeout_s", [None, 5.0])
-def test_what_another_one_has_stopped_is_taken_over_and_at_rest(kind, timeout_s):
+def test_motor_stopped_by_another_is_taken_over_at_rest(kind, timeout_s):
     with (
         opened(kind, Path("shared.toml"), USERS[:3]) as rig,
         rig.motors[USERS[0]].reserve("survey") as survey,
@@ -135,7 +136,7 @@ def test_what_another_one_has_stopped_is_taken_over_and_at_rest(kind, timeout_s)
         assert not cem._physical.ownership.is_orphan
 
 
-def test_rest_after_a_takeover_is_waited_for_within_the_timeout_and_by_whoever_comes_next(kind):
+def test_rest_after_takeover_is_awaited_within_the_timeout(kind):
     with opened(kind, Path("shared.toml"), USERS[:3]) as rig, rig.motors[USERS[0]].reserve():
         ben, cem = stopped_for_others(rig)
         begun_ns = rig.runtime.now_ns()
@@ -144,13 +145,13 @@ def test_rest_after_a_takeover_is_waited_for_within_the_timeout_and_by_whoever_c
             cem.reserve("rescue", take_over=True, timeout_s=0.05),
         ):
             pass
-        assert rig.runtime.now_ns() - begun_ns < 200_000_000  # and what was asked last is answered
+        assert rig.runtime.now_ns() - begun_ns < 200_000_000  # and the last request is answered
         with ben.reserve("rescue"):
             assert speed_of(rig, ben) < 0.02
 
 
 @pytest.mark.wall
-def test_code_for_one_thread_is_right_in_many_threads_that_share_a_motor():
+def test_single_threaded_code_works_in_many_threads():
     runtime = WallRuntime()
     hardware = IdealHwMotor(runtime, "shared")
     model = MotorModel(name="m", velocity_max=VELOCITY_MAX, acceleration_max=ACCELERATION_MAX)
@@ -167,7 +168,7 @@ def test_code_for_one_thread_is_right_in_many_threads_that_share_a_motor():
         thread.start()
     onlooker = IdealMotor(hardware, model, name="onlooker")
     while any(thread.is_alive() for thread in threads):
-        seen.append(onlooker.position())  # reading disturbs nobody
+        seen.append(onlooker.position())  # reading disturbs no other user
         runtime.wait_until(lambda: False, 0.005)
     runtime.close()
     assert errors == []
@@ -177,7 +178,7 @@ def test_code_for_one_thread_is_right_in_many_threads_that_share_a_motor():
 
 
 @pytest.mark.wall
-def test_on_the_wall_ideal_motors_of_a_group_begin_at_the_same_nanosecond():
+def test_ideal_motors_on_the_wall_clock_begin_simultaneously():
     runtime = WallRuntime()
     model = MotorModel(name="m", velocity_max=VELOCITY_MAX, acceleration_max=ACCELERATION_MAX)
     hardware = [IdealHwMotor(runtime, f"axis {n}") for n in range(8)]

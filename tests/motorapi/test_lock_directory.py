@@ -4,9 +4,9 @@ import stat
 
 import pytest
 
-from motorapi import lock_directory
-from motorapi.errors import UsageError
-from motorapi.lock_directory import VARIABLE, LockDirectory
+from motorhil.motorapi.errors import UsageError
+from motorhil.motorapi.locking import directory as lock_directory
+from motorhil.motorapi.locking.directory import VARIABLE, LockDirectory
 from tests.motorapi.test_process_lock import open_here
 
 ROOT = os.geteuid() == 0
@@ -19,7 +19,7 @@ def mode_of(path):
 
 @pytest.fixture
 def default(tmp_path, monkeypatch):
-    """Where locks are by default."""
+    """Return the default directory of locks."""
     monkeypatch.delenv(VARIABLE, raising=False)
     monkeypatch.setattr(lock_directory, "_DEFAULT", str(tmp_path / "motorhil-{}"))
     return tmp_path / f"motorhil-{os.geteuid()}"
@@ -27,14 +27,14 @@ def default(tmp_path, monkeypatch):
 
 @pytest.fixture
 def group(tmp_path):
-    """A directory that a group shares."""
+    """Return a directory shared by a group."""
     folder = tmp_path / "robot"
     folder.mkdir()
     folder.chmod(0o2770)
     return folder
 
 
-def test_by_default_it_is_the_users_own_and_is_made(default):
+def test_default_directory_is_private_and_created(default):
     os.close(LockDirectory().open("pan"))
     assert mode_of(default) == 0o700
     assert mode_of(default / "pan") == 0o600
@@ -42,19 +42,19 @@ def test_by_default_it_is_the_users_own_and_is_made(default):
     assert LockDirectory().names() == ["pan"]
 
 
-def test_it_is_the_same_wherever_a_session_keeps_its_files(default, tmp_path, monkeypatch):
+def test_default_directory_does_not_depend_on_the_session(default, tmp_path, monkeypatch):
     for name in ("XDG_RUNTIME_DIR", "TMPDIR", "HOME"):
         monkeypatch.setenv(name, str(tmp_path))
     assert LockDirectory().path == default
 
 
-def test_reading_makes_nothing(default):
+def test_reading_creates_nothing(default):
     assert LockDirectory().open("pan", to_read=True) is None
     assert LockDirectory().names() == []
     assert not default.exists()
 
 
-def test_the_environment_names_another(default, group, monkeypatch):
+def test_environment_variable_names_another_directory(default, group, monkeypatch):
     monkeypatch.setenv(VARIABLE, str(group))
     assert LockDirectory().path == group
     monkeypatch.setenv(VARIABLE, "here")
@@ -62,7 +62,7 @@ def test_the_environment_names_another(default, group, monkeypatch):
         LockDirectory()
 
 
-def test_in_a_groups_directory_the_group_can_use_what_any_of_them_made(group):
+def test_group_directory_gives_the_group_access_to_all_files(group):
     before = os.umask(0o077)
     try:
         os.close(LockDirectory(group).open("pan"))
@@ -72,13 +72,13 @@ def test_in_a_groups_directory_the_group_can_use_what_any_of_them_made(group):
     assert (group / "pan").stat().st_gid == group.stat().st_gid
 
 
-def test_a_directory_that_is_named_is_not_made(tmp_path):
-    with pytest.raises(UsageError, match="no such directory"):
+def test_named_directory_is_not_created(tmp_path):
+    with pytest.raises(UsageError, match="the directory does not exist"):
         LockDirectory(tmp_path / "none").open("pan")
 
 
 @pytest.mark.parametrize("mode", [0o770, 0o777, 0o1777, 0o2777, 0o2775, 0o755, 0o2750])
-def test_a_directory_that_lets_in_whom_it_should_not_is_refused(tmp_path, mode):
+def test_directory_with_excessive_access_raises(tmp_path, mode):
     folder = tmp_path / "locks"
     folder.mkdir()
     folder.chmod(mode)
@@ -86,15 +86,15 @@ def test_a_directory_that_lets_in_whom_it_should_not_is_refused(tmp_path, mode):
         LockDirectory(folder).open("pan")
 
 
-def test_the_default_directory_is_nobody_elses(default):
+def test_default_directory_is_not_accessible_to_others(default):
     default.mkdir()
     default.chmod(0o2770)
-    with pytest.raises(UsageError, match="mode 2770 lets others in; it must be 0700"):
+    with pytest.raises(UsageError, match="mode 2770 gives access to others; it must be 0700"):
         LockDirectory().open("pan")
 
 
 @pytest.mark.skipif(not ROOT, reason="only root can give a directory away")
-def test_a_default_directory_that_somebody_made_first_is_refused(default):
+def test_default_directory_of_another_user_raises(default):
     default.mkdir(mode=0o700)
     os.chown(default, SOMEBODY, -1)
     with pytest.raises(UsageError, match=f"belongs to user {SOMEBODY}"):
@@ -104,7 +104,7 @@ def test_a_default_directory_that_somebody_made_first_is_refused(default):
 
 
 @pytest.mark.skipif(not ROOT, reason="only root can give a directory away")
-def test_a_private_directory_of_somebody_else_is_refused_when_named(tmp_path):
+def test_named_private_directory_of_another_user_raises(tmp_path):
     folder = tmp_path / "theirs"
     folder.mkdir(mode=0o700)
     os.chown(folder, SOMEBODY, -1)
@@ -114,7 +114,7 @@ def test_a_private_directory_of_somebody_else_is_refused_when_named(tmp_path):
         LockDirectory(folder).open("pan")
 
 
-def test_a_link_in_place_of_the_directory_is_refused(default, tmp_path):
+def test_link_in_place_of_the_directory_raises(default, tmp_path):
     elsewhere = tmp_path / "elsewhere"
     elsewhere.mkdir(mode=0o700)
     default.symlink_to(elsewhere)
@@ -124,7 +124,7 @@ def test_a_link_in_place_of_the_directory_is_refused(default, tmp_path):
 
 
 @pytest.mark.parametrize("number", [errno.EMFILE, errno.ENOSPC, errno.EROFS])
-def test_nobody_is_told_to_remove_a_lock_that_may_be_in_use(group, monkeypatch, number):
+def test_error_does_not_advise_removal_of_a_lock_in_use(group, monkeypatch, number):
     really = os.open
 
     def full(path, flags, mode=0o777, *, dir_fd=None):
@@ -139,7 +139,7 @@ def test_nobody_is_told_to_remove_a_lock_that_may_be_in_use(group, monkeypatch, 
     assert str(refused.value) == f"{group}/pan: {reason}"
 
 
-def test_a_link_in_place_of_a_file_is_refused_and_what_it_leads_to_stays(group, tmp_path):
+def test_link_in_place_of_a_file_raises_and_target_stays(group, tmp_path):
     precious = tmp_path / "precious"
     precious.write_text("keep")
     (group / "pan").symlink_to(precious)
@@ -152,7 +152,7 @@ def test_a_link_in_place_of_a_file_is_refused_and_what_it_leads_to_stays(group, 
     assert not (tmp_path / "to be made").exists()
 
 
-def test_a_file_that_has_another_name_elsewhere_is_refused(group, tmp_path):
+def test_file_with_a_hard_link_raises(group, tmp_path):
     precious = tmp_path / "precious"
     precious.write_text("keep")
     precious.chmod(0o660)
@@ -161,14 +161,14 @@ def test_a_file_that_has_another_name_elsewhere_is_refused(group, tmp_path):
         LockDirectory(group).open("pan")
 
 
-def test_a_fifo_in_place_of_a_file_is_refused_at_once(group):
+def test_fifo_in_place_of_a_file_raises_at_once(group):
     os.mkfifo(group / "pan", 0o660)
     for to_read in (False, True):
-        with pytest.raises(UsageError, match="it is no file"):
+        with pytest.raises(UsageError, match="it is not a file"):
             LockDirectory(group).open("pan", to_read=to_read)
 
 
-def test_a_file_that_others_can_write_is_refused(default, group):
+def test_file_writable_by_others_raises(default, group):
     default.mkdir(mode=0o700)
     (default / "pan").touch(0o600)
     (default / "pan").chmod(0o620)
@@ -181,7 +181,7 @@ def test_a_file_that_others_can_write_is_refused(default, group):
 
 
 @pytest.mark.skipif(not ROOT, reason="only root can give a file away")
-def test_a_file_of_somebody_else_is_refused_in_a_private_directory(default):
+def test_file_of_another_user_in_private_directory_raises(default):
     default.mkdir(mode=0o700)
     (default / "pan").touch(0o600)
     os.chown(default / "pan", SOMEBODY, -1)
@@ -190,7 +190,7 @@ def test_a_file_of_somebody_else_is_refused_in_a_private_directory(default):
 
 
 @pytest.mark.skipif(not ROOT, reason="only root can give a file away")
-def test_a_file_of_another_group_is_refused_in_a_groups_directory(group):
+def test_file_of_another_group_in_group_directory_raises(group):
     (group / "pan").touch()
     (group / "pan").chmod(0o660)
     os.chown(group / "pan", -1, SOMEBODY)
@@ -198,7 +198,7 @@ def test_a_file_of_another_group_is_refused_in_a_groups_directory(group):
         LockDirectory(group).open("pan")
 
 
-def test_refusals_leave_no_descriptor_open(default, group, tmp_path):
+def test_errors_leave_no_descriptor_open(default, group, tmp_path):
     assert open_here(tmp_path) == 0
     default.mkdir(mode=0o755)
     (group / "pan").touch(0o666)

@@ -5,16 +5,22 @@ import socket
 import can
 import pytest
 
-from emulators.event_queue import EventQueue
-from emulators.hub import HubServer
-from emulators.media.can_bus import CanBus
-from emulators.world import World
-from harness.virtual_time import VirtualRuntime
-from motorapi.errors import UsageError
-from motorapi.lock_names import bus_name, hub_name, serial_name, socketcan_name, tcp_name
+from motorhil.emulators.can.bus.bus import CanBus
+from motorhil.emulators.gateways.hub import HubServer
+from motorhil.emulators.simulation.event_queue import EventQueue
+from motorhil.emulators.simulation.world import World
+from motorhil.harness.virtual_time.runtime import VirtualRuntime
+from motorhil.motorapi.errors import UsageError
+from motorhil.motorapi.locking.directory import (
+    bus_name,
+    hub_name,
+    serial_name,
+    socketcan_name,
+    tcp_name,
+)
 
 
-def test_a_serial_line_has_one_name_whatever_link_leads_to_it(tmp_path):
+def test_serial_line_has_one_name_for_all_links(tmp_path):
     ours, theirs = pty.openpty()
     try:
         line = os.ttyname(theirs)
@@ -32,15 +38,15 @@ def test_a_serial_line_has_one_name_whatever_link_leads_to_it(tmp_path):
     assert names == {f"serial-136-{number}"}  # devices.txt of Linux: 136 is UNIX98 PTY slaves
 
 
-def test_what_is_no_serial_line_is_refused(tmp_path):
+def test_path_that_is_not_a_serial_line_raises(tmp_path):
     (tmp_path / "file").touch()
-    with pytest.raises(UsageError, match="no serial line, but a file"):
+    with pytest.raises(UsageError, match="not a serial line, but a file"):
         serial_name(str(tmp_path / "file"))
     with pytest.raises(UsageError, match="No such file"):
         serial_name(str(tmp_path / "none"))
 
 
-def test_a_hubs_bus_has_one_name_whatever_path_leads_to_it_and_another_hub_has_another(tmp_path):
+def test_hub_bus_has_one_name_for_all_paths(tmp_path):
     (tmp_path / "here").mkdir()
     with socket.socket(socket.AF_UNIX) as one, socket.socket(socket.AF_UNIX) as two:
         one.bind(str(tmp_path / "here" / "hub"))
@@ -53,7 +59,7 @@ def test_a_hubs_bus_has_one_name_whatever_path_leads_to_it_and_another_hub_has_a
         assert hub_name(str(tmp_path / "other"), "can0") != straight
 
 
-def test_a_network_interface_is_known_by_its_index_and_namespace():
+def test_network_interface_name_is_index_and_namespace():
     name, index = "lo", socket.if_nametoindex("lo")
     namespace = os.stat("/proc/self/ns/net").st_ino
     assert socketcan_name(name) == f"can-if{index}-net{namespace}"
@@ -73,11 +79,11 @@ def test_a_network_interface_is_known_by_its_index_and_namespace():
         ("fe80::1", "tcp-fe80::1-502"),
     ],
 )
-def test_a_tcp_server_is_known_by_its_address(host, name):
+def test_tcp_server_name_is_its_address(host, name):
     assert tcp_name(host, 502) == name
 
 
-def test_a_bus_of_a_rig_in_this_process_needs_no_name():
+def test_bus_of_a_rig_in_this_process_has_no_name():
     class RigBus:
         runtime = VirtualRuntime(EventQueue())
 
@@ -86,12 +92,12 @@ def test_a_bus_of_a_rig_in_this_process_needs_no_name():
         assert bus_name(bus) is None
 
 
-def test_two_spellings_of_a_hubs_bus_are_one(tmp_path):
+def test_two_spellings_of_a_hub_bus_have_one_name(tmp_path):
     world = World(EventQueue())
     world.add_bus(CanBus("can0"))
     hub = HubServer(tmp_path / "hub", world)
 
-    class HubBus:  # as harness.can_plugin.EmulatedBus; tests/wall opens real ones
+    class HubBus:  # as motorhil.harness.python_can.bus.EmulatedBus; tests/wall opens real ones
         channel_info = "emulated bus"
 
         def __init__(self, path, name):
@@ -107,7 +113,7 @@ def test_two_spellings_of_a_hubs_bus_are_one(tmp_path):
         hub.close()
 
 
-def test_any_other_bus_is_known_by_its_interface_and_channel():
+def test_other_bus_name_is_interface_and_channel():
     class PcanBus:
         channel = "PCAN_USBBUS1"
         channel_info = "PCAN"

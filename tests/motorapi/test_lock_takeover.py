@@ -1,17 +1,16 @@
-"""Takeovers of a lock, with something happening in the middle of them."""
+"""Takeovers of a lock, with other events in the middle of them."""
 
 import threading
 
 import pytest
 
-from motorapi import wall_runtime
-from motorapi.errors import MotorBusyError
-from motorapi.lock_directory import LockDirectory
-from motorapi.lock_file import LockFile
-from motorapi.lock_layout import LINES
-from motorapi.lock_takeover import Attempt, TakeoverAttempt
-from motorapi.process_lock import ProcessLock
-from motorapi.wall_runtime import WallRuntime
+from motorhil.motorapi.errors import MotorBusyError
+from motorhil.motorapi.locking.directory import LockDirectory
+from motorhil.motorapi.locking.lock_file import LINES, LockFile
+from motorhil.motorapi.locking.process_lock import ProcessLock
+from motorhil.motorapi.locking.takeover import Attempt, TakeoverAttempt
+from motorhil.motorapi.runtime import wall as wall_runtime
+from motorhil.motorapi.runtime.wall import WallRuntime
 
 LONG_S = 20.0
 
@@ -25,7 +24,7 @@ def runtime():
 
 @pytest.fixture
 def locks(tmp_path):
-    """What four programs would have."""
+    """Return the lock objects of four programs."""
     return [ProcessLock("pan", "the pan", LockDirectory(tmp_path)) for _ in range(4)]
 
 
@@ -34,7 +33,7 @@ def wait(runtime, time_s):
 
 
 def in_the_middle(monkeypatch, kind, name, action):
-    """It is done once, just before this method's first call."""
+    """Run an action once, just before the first call of a method."""
     original = getattr(kind, name)
     todo = [action]
 
@@ -46,9 +45,7 @@ def in_the_middle(monkeypatch, kind, name, action):
     monkeypatch.setattr(kind, name, first)
 
 
-def test_who_lets_go_in_the_middle_of_a_takeover_has_lost_nothing_and_nobody_slips_in(
-    locks, runtime, monkeypatch
-):
+def test_release_during_a_takeover_loses_nothing(locks, runtime, monkeypatch):
     a, b, c, _ = locks
     hold = a.acquire(runtime, "a")
     told = []
@@ -70,7 +67,7 @@ def test_who_lets_go_in_the_middle_of_a_takeover_has_lost_nothing_and_nobody_sli
     assert not c.acquire(runtime, "c").was_abandoned
 
 
-def test_who_lets_go_before_a_takeover_begins_is_not_taken_over(locks, runtime, monkeypatch):
+def test_release_before_a_takeover_prevents_it(locks, runtime, monkeypatch):
     a, b, *_ = locks
     hold = a.acquire(runtime, "a")
     in_the_middle(monkeypatch, LockFile, "try_write_alone", hold.release)
@@ -78,7 +75,7 @@ def test_who_lets_go_before_a_takeover_begins_is_not_taken_over(locks, runtime, 
     assert (taken.was_taken_over, taken.token) == (False, hold.token + 1)
 
 
-def test_a_lease_that_is_renewed_before_the_takeover_begins_goes_on(locks, runtime, monkeypatch):
+def test_lease_renewed_before_a_takeover_continues(locks, runtime, monkeypatch):
     a, b, *_ = locks
     hold = a.acquire(runtime, "a", lease_s=0.5)
     wait(runtime, 0.51)
@@ -90,9 +87,7 @@ def test_a_lease_that_is_renewed_before_the_takeover_begins_goes_on(locks, runti
     a.end_write()
 
 
-def test_a_lease_that_would_be_renewed_in_the_middle_of_a_takeover_is_lost(
-    locks, runtime, monkeypatch
-):
+def test_lease_renewal_during_a_takeover_is_lost(locks, runtime, monkeypatch):
     a, b, *_ = locks
     hold = a.acquire(runtime, "a", lease_s=0.01)
     wait(runtime, 0.02)
@@ -119,7 +114,7 @@ def test_a_lease_that_would_be_renewed_in_the_middle_of_a_takeover_is_lost(
     b.end_write()
 
 
-def test_who_is_in_the_middle_of_a_write_is_not_taken_over_until_it_is_done(locks, runtime):
+def test_takeover_waits_for_the_end_of_a_write(locks, runtime):
     a, b, *_ = locks
     a.acquire(runtime, "a")
     a.begin_write()
@@ -133,9 +128,7 @@ def test_who_is_in_the_middle_of_a_write_is_not_taken_over_until_it_is_done(lock
         a.begin_write()
 
 
-def test_one_who_would_write_while_a_taker_is_paused_in_the_middle_is_told_who_that_is(
-    locks, runtime, monkeypatch
-):
+def test_write_during_a_paused_takeover_names_the_new_holder(locks, runtime, monkeypatch):
     a, b, *_ = locks
     hold = a.acquire(runtime, "a")
     errors = []
@@ -147,11 +140,11 @@ def test_one_who_would_write_while_a_taker_is_paused_in_the_middle_is_told_who_t
 
     in_the_middle(monkeypatch, TakeoverAttempt, "_move_on", write)
     b.acquire(runtime, "b", take_over=True)
-    assert ", in the middle of taking it over for b since 2" in errors[0]
+    assert ", during its takeover for b since 2" in errors[0]
     assert not hold.is_held
 
 
-def test_a_write_of_one_thread_is_closed_against_takeovers_whatever_others_do(locks, runtime):
+def test_write_of_one_thread_blocks_takeovers(locks, runtime):
     a, b, *_ = locks
     hold = a.acquire(runtime, "a")
     a.begin_write()
@@ -172,7 +165,7 @@ def test_a_write_of_one_thread_is_closed_against_takeovers_whatever_others_do(lo
     a.end_write()
 
 
-def test_of_two_takeovers_at_once_one_waits_for_the_other(locks, runtime, monkeypatch):
+def test_second_of_two_takeovers_waits_for_the_first(locks, runtime, monkeypatch):
     a, b, c, _ = locks
     a.acquire(runtime, "a")
     seen = []
@@ -189,7 +182,7 @@ def test_of_two_takeovers_at_once_one_waits_for_the_other(locks, runtime, monkey
     assert "for c" in first.lost_to
 
 
-def test_who_finds_a_lease_over_and_is_too_late_changes_nothing(locks, runtime, monkeypatch):
+def test_late_takeover_of_a_lease_changes_nothing(locks, runtime, monkeypatch):
     a, b, c, _ = locks
     a.acquire(runtime, "a", lease_s=0.01)
     wait(runtime, 0.02)
@@ -204,7 +197,7 @@ def test_who_finds_a_lease_over_and_is_too_late_changes_nothing(locks, runtime, 
     assert taken[0].is_held
 
 
-def test_behind_one_who_has_waited_for_it_and_lost_it_nobody_waits(locks, runtime):
+def test_place_of_a_former_holder_blocks_no_waiter(locks, runtime):
     a, b, c, d = locks
     first = a.acquire(runtime, "a")
     holds = {}
@@ -228,19 +221,17 @@ def test_behind_one_who_has_waited_for_it_and_lost_it_nobody_waits(locks, runtim
     assert parties[1].join(LONG_S)
     assert holds["c"].is_held
     holds["c"].release()
-    assert a.acquire(runtime, "a").token == over.token + 2  # as if b, who lives, were not there
+    assert a.acquire(runtime, "a").token == over.token + 2  # as if b, which is alive, did not exist
 
 
-def test_one_who_has_waited_behind_the_loser_is_woken_when_the_taker_lets_go(
-    locks, runtime, monkeypatch
-):
+def test_waiter_behind_the_loser_wakes_at_the_next_release(locks, runtime, monkeypatch):
     a, b, c, _ = locks
     hold = a.acquire(runtime, "a")
     party = runtime.spawn("b", lambda: b.acquire(runtime, "b", LONG_S).release())
     assert runtime.wait_until(lambda: b._watcher._current is not None, LONG_S)
     over = c.acquire(runtime, "c", take_over=True)
     assert runtime.wait_until(lambda: b._watcher._epoch == c._hold._file.epoch, LONG_S)
-    monkeypatch.setattr(wall_runtime, "_LOOK_AGAIN_S", LONG_S)  # it must be told
+    monkeypatch.setattr(wall_runtime, "_LOOK_AGAIN_S", LONG_S)  # it must be notified
     runtime.wake()
     over.release()
     party.thread.join(LONG_S / 2)
@@ -248,9 +239,7 @@ def test_one_who_has_waited_behind_the_loser_is_woken_when_the_taker_lets_go(
     assert not hold.is_held
 
 
-def test_who_has_not_yet_said_who_it_is_can_be_taken_over_and_its_token_is_the_smaller(
-    locks, runtime, monkeypatch
-):
+def test_takeover_of_an_unpublished_holder_has_larger_token(locks, runtime, monkeypatch):
     a, b, *_ = locks
     a.acquire(runtime, "first").release()
     taken = []
@@ -267,7 +256,7 @@ def test_who_has_not_yet_said_who_it_is_can_be_taken_over_and_its_token_is_the_s
     assert b.look().holder.record.purpose == "b"
 
 
-def test_in_a_new_file_as_well_tokens_grow_through_such_a_takeover(locks, runtime, monkeypatch):
+def test_tokens_grow_through_such_a_takeover_in_a_new_file(locks, runtime, monkeypatch):
     a, b, *_ = locks
     taken = []
     in_the_middle(
@@ -277,14 +266,14 @@ def test_in_a_new_file_as_well_tokens_grow_through_such_a_takeover(locks, runtim
         lambda: taken.append(b.acquire(runtime, "b", take_over=True)),
     )
     with pytest.raises(MotorBusyError, match="for b since"):
-        a.acquire(runtime, "a")  # its token might be the greater one: it has never had it
+        a.acquire(runtime, "a")  # its token might be greater: it was never the holder
     assert taken[0].is_held
 
 
-def test_as_many_who_lost_it_may_live_as_there_are_lines_and_then_it_is_told(tmp_path, runtime):
+def test_number_of_live_former_holders_is_limited(tmp_path, runtime):
     locks = [ProcessLock("pan", "the pan", LockDirectory(tmp_path)) for _ in range(LINES + 1)]
     holds = [lock.acquire(runtime, f"p{n}", take_over=True) for n, lock in enumerate(locks[:-1])]
-    with pytest.raises(MotorBusyError, match="too many processes live that have lost it"):
+    with pytest.raises(MotorBusyError, match="too many live processes have lost the lock"):
         locks[-1].acquire(runtime, "one more", take_over=True)
     assert [hold.is_held for hold in holds] == [False] * (LINES - 1) + [True]
     holds[3].release()
@@ -299,7 +288,7 @@ def test_as_many_who_lost_it_may_live_as_there_are_lines_and_then_it_is_told(tmp
     assert tokens == sorted(set(tokens))
 
 
-def test_who_had_it_long_ago_and_was_idle_finds_the_present_epoch(locks, runtime):
+def test_idle_former_holder_finds_the_present_epoch(locks, runtime):
     a, b, c, d = locks
     a.acquire(runtime, "a").release()
     for _ in range(2 * LINES + 3):
@@ -312,7 +301,7 @@ def test_who_had_it_long_ago_and_was_idle_finds_the_present_epoch(locks, runtime
     assert a.acquire(runtime, "a").token == second.token + 2
 
 
-def test_a_takeover_is_told_to_whoever_looks(locks, runtime):
+def test_takeover_is_visible_to_readers(locks, runtime):
     a, b, *_ = locks
     a.acquire(runtime, "a", lease_s=30.0)
     view = a.look()
@@ -329,7 +318,7 @@ def test_a_takeover_is_told_to_whoever_looks(locks, runtime):
         assert b.look().taken_over is None
 
 
-def test_a_takeover_that_was_begun_and_not_done_is_told_to_nobody(locks, runtime, monkeypatch):
+def test_unfinished_takeover_is_not_visible(locks, runtime, monkeypatch):
     a, b, c, _ = locks
     hold = a.acquire(runtime, "a")
 
@@ -351,7 +340,7 @@ def test_a_takeover_that_was_begun_and_not_done_is_told_to_nobody(locks, runtime
         over.release()
 
 
-def test_of_a_takeover_long_ago_only_that_is_told(locks, runtime):
+def test_loss_of_an_old_token_has_no_details(locks, runtime):
     a, b, c, _ = locks
     hold = a.acquire(runtime, "a")
     for _ in range(20):
@@ -361,4 +350,4 @@ def test_of_a_takeover_long_ago_only_that_is_told(locks, runtime):
         second.release()
         c.acquire(runtime, "c").release()
     assert not hold.is_held
-    assert hold.lost_to.startswith("somebody")
+    assert hold.lost_to.startswith("an unknown process")

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from motorapi import ControlVariable, FileError, MotionKind, MotorModel, UsageError
+from motorhil.motorapi import ControlVariable, FileError, MotionKind, MotorModel, UsageError
 
 WHEEL = """\
 # A comment
@@ -29,7 +29,7 @@ def refused(tmp_path, text):
     return caught.value
 
 
-def test_a_model_is_read_with_its_units(tmp_path):
+def test_model_is_read_with_its_units(tmp_path):
     path = tmp_path / "wheel.toml"
     path.write_text(WHEEL)
     model = MotorModel.load(path)
@@ -45,7 +45,7 @@ def test_a_model_is_read_with_its_units(tmp_path):
     assert model.position_max is None
 
 
-def test_a_linear_model_speaks_metres_and_newtons(tmp_path):
+def test_linear_model_uses_metres_and_newtons(tmp_path):
     path = tmp_path / "slide.toml"
     path.write_text(
         'kind = "linear"\nvelocity_max_m_s = 0.5\nacceleration_max_m_s2 = 2.0\n'
@@ -81,7 +81,7 @@ def test_a_linear_model_speaks_metres_and_newtons(tmp_path):
         ("requires_referencing = 1", "requires_referencing", "true or false"),
     ],
 )
-def test_bad_key_is_refused_with_file_line_key_and_remedy(tmp_path, line, key, remedy):
+def test_invalid_key_error_names_file_line_key_and_remedy(tmp_path, line, key, remedy):
     good = "velocity_max_rad_s = 6.0 # [1]\n\nacceleration_max_rad_s2 = 20.0\n"
     error = refused(tmp_path, good + line + "\n")
     lines = 2 if "\n" in line else 1
@@ -96,12 +96,12 @@ def test_missing_limit_is_named(tmp_path):
     assert (error.line, error.key) == (None, "acceleration_max_rad_s2")
 
 
-def test_empty_position_range_is_refused(tmp_path):
+def test_empty_position_range_raises(tmp_path):
     error = refused(tmp_path, WHEEL + "position_max_rad = -3.0\n")
     assert (error.line, error.key) == (5, "position_min_rad")
 
 
-def test_what_is_no_toml_is_refused_with_its_line(tmp_path):
+def test_invalid_toml_error_names_its_line(tmp_path):
     error = refused(tmp_path, "velocity_max_rad_s = 6.0\nspeed: 3\n")
     assert error.line == 2
 
@@ -111,21 +111,21 @@ def test_what_is_no_toml_is_refused_with_its_line(tmp_path):
     [
         ("a = " + 100_000 * "[", "nested too deeply"),
         ("a = 1" + 5000 * "0", "4300 digits"),
-        (r'"a\nb" = 1', r"'a\nb': a motor model has no such key"),
+        (r'"a\nb" = 1', r"'a\nb': unknown key of a motor model"),
     ],
 )
-def test_what_toml_itself_cannot_take_is_one_line_too(tmp_path, line, problem):
+def test_toml_limits_of_the_parser_raise_one_line(tmp_path, line, problem):
     error = refused(tmp_path, WHEEL + line)
     assert problem in str(error)
     assert "\n" not in str(error)
 
 
-def test_a_byte_order_mark_is_no_matter(tmp_path):
+def test_byte_order_mark_is_accepted(tmp_path):
     (tmp_path / "m.toml").write_text(WHEEL, encoding="utf-8-sig")
     assert MotorModel.load(tmp_path / "m.toml").name == "drive wheel"
 
 
-def test_missing_file_and_binary_file_are_refused(tmp_path):
+def test_missing_or_binary_file_raises(tmp_path):
     with pytest.raises(FileError, match="No such file"):
         MotorModel.load(tmp_path / "none.toml")
     with pytest.raises(FileError, match="null byte"):
@@ -135,7 +135,7 @@ def test_missing_file_and_binary_file_are_refused(tmp_path):
         MotorModel.load(tmp_path / "binary.toml")
 
 
-def test_a_table_of_another_file_is_refused_with_that_files_line():
+def test_table_of_another_file_error_names_its_line():
     table = {"velocity_max_rad_s": 1.0, "acceleration_max_rad_s2": 1.0, "speed": 2}
     with pytest.raises(FileError, match=r"rig\.toml:17: speed"):
         MotorModel.from_table(table, path="rig.toml", line_of={"speed": 17}.get)
@@ -143,7 +143,7 @@ def test_a_table_of_another_file_is_refused_with_that_files_line():
     assert MotorModel.from_table(table, path="rig.toml", default_name="left").name == "left"
 
 
-def test_a_model_made_in_code_is_checked_too():
+def test_model_created_in_code_is_checked():
     for bad in (0.0, -1.0, nan, inf):
         with pytest.raises(UsageError, match="velocity_max"):
             MotorModel(name="x", velocity_max=bad, acceleration_max=1.0)
@@ -179,7 +179,7 @@ POSITIVE = st.floats(1e-300, 1e300)
         requires_referencing=st.booleans(),
     )
 )
-def test_what_was_saved_is_loaded_equal(tmp_path_factory, model):
+def test_saved_model_is_loaded_equal(tmp_path_factory, model):
     path = tmp_path_factory.getbasetemp() / "saved.toml"
     model.save(path)
     assert MotorModel.load(path) == model
@@ -189,7 +189,7 @@ def model_of(**numbers):
     return MotorModel(name="m", velocity_max=1.0, acceleration_max=1.0, **numbers)
 
 
-def test_gear_and_encoder_make_the_resolution():
+def test_gear_and_encoder_determine_the_resolution():
     wheel = model_of(gear_ratio=66.0, encoder_increments_rev=2000.0)
     assert wheel.increments_per_unit == 66.0 * 2000.0 / (2.0 * pi)
     assert wheel.resolution == 1.0 / wheel.increments_per_unit
@@ -197,26 +197,26 @@ def test_gear_and_encoder_make_the_resolution():
     assert reversing.increments_per_unit == -wheel.increments_per_unit
     assert reversing.resolution == wheel.resolution
     slide = model_of(kind=MotionKind.LINEAR, gear_ratio=200.0, encoder_increments_rev=2000.0)
-    assert slide.increments_per_unit == 400_000.0  # 5 mm of way per turn of the motor
+    assert slide.increments_per_unit == 400_000.0  # 5 mm of travel per turn of the motor
     assert model_of(gear_ratio=66.0).increments_per_unit is None
     assert model_of().resolution is None
 
 
 @pytest.mark.parametrize("factor", [1.0 - 2e-6, 1.0 + 2e-6, -1.0])
-def test_increments_that_gear_and_encoder_do_not_make_are_refused(tmp_path, factor):
+def test_increments_that_contradict_gear_and_encoder_raise(tmp_path, factor):
     numbers = {"gear_ratio": 66.0, "encoder_increments_rev": 2000.0}
     right = model_of(**numbers).increments_per_unit
     assert model_of(**numbers, increments_per_unit=right * (1.0 + 5e-7))  # written with few digits
-    with pytest.raises(UsageError, match=r"make 21008\.5"):
+    with pytest.raises(UsageError, match=r"give 21008\.5"):
         model_of(**numbers, increments_per_unit=right * factor)
     lines = [f"{key} = {value}" for key, value in numbers.items()]
     lines += ["velocity_max_rad_s = 1", "acceleration_max_rad_s2 = 1"]
     error = refused(tmp_path, "\n".join([f"increments_per_rad = {right * factor!r}", *lines]))
     assert (error.line, error.key) == (1, "increments_per_rad")
-    assert "is not 21008.45249, which the gear" in str(error)
+    assert "is not 21008.45249, the value from gear" in str(error)
 
 
-def test_a_linear_models_gear_is_in_turns_per_metre(tmp_path):
+def test_gear_of_a_linear_model_is_in_turns_per_metre(tmp_path):
     path = tmp_path / "slide.toml"
     slide = model_of(kind=MotionKind.LINEAR, gear_ratio=200.0, encoder_increments_rev=2000.0)
     slide.save(path)
@@ -226,14 +226,14 @@ def test_a_linear_models_gear_is_in_turns_per_metre(tmp_path):
     assert reason in refused(tmp_path, path.read_text().replace("motor_turns", "turns")).remedy
 
 
-def test_a_gear_is_not_0_and_an_encoder_counts():
+def test_gear_must_not_be_0_and_encoder_must_be_positive():
     with pytest.raises(UsageError, match="gear_ratio is 0"):
         model_of(gear_ratio=0.0)
     with pytest.raises(UsageError, match="encoder_increments_rev is -1, not > 0"):
         model_of(encoder_increments_rev=-1.0)
 
 
-def test_a_model_is_shared_because_nobody_can_change_it():
+def test_model_is_immutable_and_shared():
     wheel = model_of(gear_ratio=66.0)
     for change in ({"gear_ratio": 1.0}, {"colour": "red"}):
         with pytest.raises((AttributeError, TypeError)):

@@ -2,7 +2,7 @@ from dataclasses import replace
 
 import pytest
 
-from motorapi import (
+from motorhil.motorapi import (
     ControlMode,
     ControlVariable,
     DerivativeLimits,
@@ -47,7 +47,7 @@ def test_algorithm_1_ends_at_1_then_at_2(runtime):
     assert motor.position() == 2.0
 
 
-def test_a_trajectory_lasts_what_the_closed_form_says(runtime, motor):
+def test_trajectory_duration_is_that_of_the_closed_form(runtime, motor):
     follow(motor, 3.0)
     motor.start()
     began_ns = runtime.now_ns()
@@ -62,7 +62,7 @@ def test_nothing_is_sent_before_start(motor, hw):
     assert hw.log == []
 
 
-def test_start_enables_arms_fires_and_confirms_in_this_order(motor, hw):
+def test_start_enables_arms_fires_and_confirms_in_order(motor, hw):
     aim(motor, 1.0)
     motor.start()
     assert asked(hw) == ["_enable", "_arm", "_confirm"]
@@ -71,7 +71,7 @@ def test_start_enables_arms_fires_and_confirms_in_this_order(motor, hw):
     assert asked(hw) == ["_enable", "_arm", "_confirm", "_arm", "_confirm"]
 
 
-def test_starting_again_repeats_a_distance(motor):
+def test_second_start_repeats_a_distance(motor):
     follow(motor, 1.0)
     for _ in range(3):
         motor.start()
@@ -79,7 +79,7 @@ def test_starting_again_repeats_a_distance(motor):
     assert motor.position() == 3.0
 
 
-def test_a_relative_set_point_counts_from_where_it_is(motor):
+def test_relative_set_point_counts_from_the_reference(motor):
     aim(motor, 1.0)
     motor.start()
     motor.wait_until_done()
@@ -89,19 +89,19 @@ def test_a_relative_set_point_counts_from_where_it_is(motor):
     assert motor.position() == 0.75
 
 
-def test_a_set_point_is_as_fast_as_the_model_allows_unless_limited(motor, hw):
+def test_set_point_is_as_fast_as_the_model_unless_limited(motor, hw):
     aim(motor, 1.0)
     motor.start()
     assert (hw.motion.velocity, hw.motion.acceleration, hw.motion.duration_s) == (2.0, 4.0, None)
     motor.wait_until_done()
     aim(motor, 0.0, limits=DerivativeLimits(first=(-0.5, 1.0), second=(-3.0, 1.0)))
     motor.start()
-    # Downwards: the lower end of each range, and braking is acceleration upwards.
+    # Downwards: the lower end of each range; deceleration is upward acceleration.
     motion = hw.motion
     assert (motion.velocity, motion.acceleration, motion.deceleration) == (0.5, 3.0, 1.0)
 
 
-def test_nothing_to_start_is_told_without_touching_the_motor(motor, hw):
+def test_start_without_a_command_raises_and_sends_nothing(motor, hw):
     hw.fail["_connect"] = AssertionError("touched")
     with pytest.raises(StateError, match="set_control_mode"):
         motor.start()
@@ -110,13 +110,13 @@ def test_nothing_to_start_is_told_without_touching_the_motor(motor, hw):
         motor.start()
 
 
-def test_commands_of_the_other_mode_are_refused_and_forgotten(motor):
+def test_command_of_another_mode_is_refused_and_discarded(motor):
     with pytest.raises(StateError, match=r"ControlMode\.SETPOINT"):
         motor.set_setpoint(1.0)
     aim(motor, 1.0)
     with pytest.raises(StateError, match=r"its control mode is SETPOINT"):
         motor.set_trajectory(TrapezoidalTrajectory(1.0))
-    motor.set_control_mode(SETPOINT)  # the same again changes nothing
+    motor.set_control_mode(SETPOINT)  # the same mode again changes nothing
     motor.start()
     motor.wait_until_done()
     motor.set_control_mode(SETPOINT, VELOCITY)
@@ -124,7 +124,7 @@ def test_commands_of_the_other_mode_are_refused_and_forgotten(motor):
         motor.start()
 
 
-def test_what_a_motor_cannot_do_is_refused_when_set(motor):
+def test_unsupported_command_raises_when_set(motor):
     with pytest.raises(UnsupportedError, match="setpoint of position, setpoint of velocity"):
         motor.set_control_mode(TRAJECTORY, ControlVariable.CURRENT)
     motor.set_control_mode(SETPOINT, VELOCITY)
@@ -141,7 +141,7 @@ def test_what_a_motor_cannot_do_is_refused_when_set(motor):
 
 @pytest.fixture
 def bounded(runtime):
-    """A model with limits on everything: -1..3 rad, 2 rad/s, 4 rad/s², 5 N·m."""
+    """Return a model with limits on everything: -1..3 rad, 2 rad/s, 4 rad/s², 5 N·m."""
     model = replace(MODEL, position_min=-1.0, position_max=3.0, torque_max=5.0)
     return PlainMotor(PlainHwMotor(runtime, node=9), model=model, name="joint")
 
@@ -154,7 +154,7 @@ def bounded(runtime):
         (ControlVariable.TORQUE, (-5.0, 5.0), (-5.001, 5.001), "N·m"),
     ],
 )
-def test_set_points_stay_inside_the_model(bounded, variable, inside, outside, unit):
+def test_set_point_outside_the_model_raises(bounded, variable, inside, outside, unit):
     bounded.set_control_mode(SETPOINT, variable)
     for value in inside:
         bounded.set_setpoint(value)
@@ -170,7 +170,7 @@ def test_set_points_stay_inside_the_model(bounded, variable, inside, outside, un
             bounded.set_setpoint(value)
 
 
-def test_a_distance_that_leaves_the_range_is_found_at_start(bounded):
+def test_distance_that_leaves_the_range_raises_at_start(bounded):
     aim(bounded, 2.0)
     bounded.start()
     bounded.wait_until_done()
@@ -180,10 +180,10 @@ def test_a_distance_that_leaves_the_range_is_found_at_start(bounded):
     follow(bounded, 0.001)
     with pytest.raises(LimitError, match=r"3\.001 rad"):
         bounded.start()
-    assert asked(bounded.hw).count("_arm") == 2  # the third one never got so far
+    assert asked(bounded.hw).count("_arm") == 2  # the third one was not reached
 
 
-def test_a_commands_own_range_of_the_value_counts_too(motor):
+def test_value_range_of_a_command_is_checked(motor):
     motor.set_control_mode(SETPOINT)
     with pytest.raises(LimitError, match="own limits"):
         motor.set_setpoint(2.0, limits=DerivativeLimits(value=(0.0, 1.0)))
@@ -192,7 +192,7 @@ def test_a_commands_own_range_of_the_value_counts_too(motor):
         motor.start()
 
 
-def test_a_commands_limits_may_not_be_wider_than_the_models(motor):
+def test_command_limits_wider_than_the_model_raise(motor):
     motor.set_control_mode(SETPOINT)
     motor.set_setpoint(1.0, limits=DerivativeLimits(first=2.0, second=4.0))
     with pytest.raises(LimitError, match=r"velocity limit -2\.1 rad/s"):
@@ -204,13 +204,13 @@ def test_a_commands_limits_may_not_be_wider_than_the_models(motor):
         motor.set_setpoint(1.0, limits=DerivativeLimits(first=4.1))
 
 
-def test_a_duration_too_short_is_refused_when_set_and_told(motor):
+def test_duration_too_short_raises_when_set(motor):
     motor.set_control_mode(TRAJECTORY)
     with pytest.raises(LimitError, match=r"duration 1\.9 s, allowed is at least 2 s \(for 3 rad"):
         motor.set_trajectory(TrapezoidalTrajectory(3.0, duration_s=1.9))
 
 
-def test_a_given_duration_is_kept_by_a_lower_plateau(runtime, motor, hw):
+def test_given_duration_lowers_the_plateau(runtime, motor, hw):
     follow(motor, 3.0, duration_s=4.0)
     motor.start()
     assert hw.motion.velocity < 2.0
@@ -219,17 +219,17 @@ def test_a_given_duration_is_kept_by_a_lower_plateau(runtime, motor, hw):
     assert 4.0e9 <= runtime.now_ns() - began_ns <= 4.001e9
 
 
-def test_an_absolute_trajectory_begins_where_it_says(motor):
+def test_absolute_trajectory_requires_its_initial_value(motor):
     follow(motor, 1.0, 0.02)
     with pytest.raises(StateError, match=r"begins at 0\.02 rad, the motor is at 0 rad"):
         motor.start()
-    follow(motor, 1.0, 0.009)  # within the model's tolerance
+    follow(motor, 1.0, 0.009)  # within the tolerance of the model
     motor.start()
     motor.wait_until_done()
     assert motor.position() == 1.0
 
 
-def test_an_absolute_trajectory_is_as_long_as_its_way(motor, hw):
+def test_absolute_trajectory_duration_depends_on_its_distance(motor, hw):
     aim(motor, 1.0)
     motor.start()
     motor.wait_until_done()
@@ -238,7 +238,7 @@ def test_an_absolute_trajectory_is_as_long_as_its_way(motor, hw):
     assert hw.motion.duration_s == 2.0
 
 
-def test_limits_by_direction_hold_for_absolute_trajectories_too(motor, hw):
+def test_limits_by_direction_apply_to_absolute_trajectories(motor, hw):
     aim(motor, 4.0)
     motor.start()
     motor.wait_until_done()
@@ -247,7 +247,7 @@ def test_limits_by_direction_hold_for_absolute_trajectories_too(motor, hw):
     assert hw.motion.velocity == 0.5
 
 
-def test_a_distance_counts_from_where_the_motor_is_once_its_brake_is_open(motor, hw):
+def test_distance_counts_from_the_position_after_enabling(motor, hw):
     hw.sag = 0.5
     follow(motor, 1.0)
     motor.start()
@@ -255,7 +255,7 @@ def test_a_distance_counts_from_where_the_motor_is_once_its_brake_is_open(motor,
     assert motor.position() == 0.5
 
 
-def test_what_was_done_stays_done(motor, hw):
+def test_finished_motion_stays_done(motor, hw):
     follow(motor, 1.0)
     motor.start()
     motor.wait_until_done()
@@ -264,7 +264,7 @@ def test_what_was_done_stays_done(motor, hw):
     motor.wait_until_done()
 
 
-def test_an_unreferenced_motor_makes_distances_only_if_its_model_says_so(runtime):
+def test_unreferenced_motor_refuses_absolute_targets(runtime):
     model = replace(MODEL, requires_referencing=True)
     motor = PlainMotor(PlainHwMotor(runtime), model=model)
     for command in (lambda: aim(motor, 1.0), lambda: follow(motor, 1.0, 0.0)):
@@ -284,11 +284,11 @@ def test_an_unreferenced_motor_makes_distances_only_if_its_model_says_so(runtime
     motor.start()
 
 
-# --- what a prompt may be told
+# --- invalid calls at a prompt
 
 
 @pytest.mark.parametrize("asked_for", [("setpoint",), (1,), (SETPOINT, "velocity"), (None,)])
-def test_what_is_no_control_mode_is_refused_not_kept(motor, asked_for):
+def test_invalid_control_mode_raises_and_is_not_kept(motor, asked_for):
     motor.set_control_mode(TRAJECTORY)
     with pytest.raises(UsageError, match=r"give a ControlMode and a ControlVariable"):
         motor.set_control_mode(*asked_for)
@@ -301,19 +301,19 @@ def test_what_is_no_control_mode_is_refused_not_kept(motor, asked_for):
         ("1.0", {}, "set-point '1.0' is not a finite number"),
         (None, {}, "set-point None is not a finite number"),
         (float("nan"), {}, "set-point nan is not a finite number"),
-        (1.0, {"limits": (1.0, 2.0)}, "limits are DerivativeLimits, not (1.0, 2.0)"),
+        (1.0, {"limits": (1.0, 2.0)}, "limits is (1.0, 2.0); expected DerivativeLimits or None"),
     ],
 )
-def test_what_is_no_set_point_is_told_with_the_motor(motor, value, options, told):
+def test_invalid_set_point_error_names_the_motor(motor, value, options, told):
     motor.set_control_mode(SETPOINT)
     with pytest.raises(UsageError) as caught:
         motor.set_setpoint(value, **options)
     assert str(caught.value) == f"{motor.name}: {told}"
 
 
-def test_what_is_no_trajectory_is_told_with_the_motor(motor):
+def test_invalid_trajectory_error_names_the_motor(motor):
     motor.set_control_mode(TRAJECTORY)
-    with pytest.raises(UsageError, match=r"m1: 1\.0 is no trajectory; give a Trapezoidal"):
+    with pytest.raises(UsageError, match=r"m1: 1\.0 is not a trajectory; give a Trapezoidal"):
         motor.set_trajectory(1.0)
 
 
@@ -328,25 +328,25 @@ def test_what_is_no_trajectory_is_told_with_the_motor(motor):
         ({"timeout_s": "x"}, "timeout_s = 'x': must be a number of seconds >= 0"),
     ],
 )
-def test_a_homing_that_cannot_be_meant_sends_nothing(motor, hw, arguments, told):
+def test_invalid_homing_method_sends_nothing(motor, hw, arguments, told):
     with pytest.raises(UsageError, match=told):
         motor.home(**arguments)
     assert asked(hw) == []
     assert motor.is_done()
 
 
-def test_a_velocity_goes_on_until_it_is_stopped_and_the_remedy_says_so(motor):
+def test_velocity_continues_until_stop_as_the_remedy_says(motor):
     motor.set_control_mode(SETPOINT, VELOCITY)
     motor.set_setpoint(1.0)
     motor.start()
     motor.wait_until_done(5)
     with pytest.raises(
-        StateError, match=r"home refused, start\(\) of m1 goes on .*; stop\(\) first"
+        StateError, match=r"home refused, start\(\) of m1 is active .*; stop\(\) first"
     ):
         motor.home()
     motor.stop()
     motor.wait_until_done(5)
     aim(motor, 5.0)
     motor.start()
-    with pytest.raises(StateError, match=r"goes on .*; wait_until_done\(\) or stop\(\) first"):
+    with pytest.raises(StateError, match=r"is active .*; wait_until_done\(\) or stop\(\) first"):
         motor.home()

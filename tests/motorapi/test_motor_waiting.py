@@ -1,6 +1,6 @@
 import pytest
 
-from motorapi import (
+from motorhil.motorapi import (
     ControlVariable,
     DeadlineExceeded,
     DerivativeLimits,
@@ -19,7 +19,7 @@ from tests.motorapi.test_motor import SETPOINT, aim, asked, follow
 VELOCITY = ControlVariable.VELOCITY
 
 
-def test_waiting_ends_at_its_deadline_and_says_what_was_heard(runtime, motor):
+def test_wait_timeout_reports_the_last_values(runtime, motor):
     follow(motor, 3.0)
     motor.start()
     began_ns = runtime.now_ns()
@@ -35,13 +35,13 @@ def test_waiting_ends_at_its_deadline_and_says_what_was_heard(runtime, motor):
     assert motor.is_done()
 
 
-def test_waiting_for_nothing_is_over_at_once(runtime, motor):
+def test_wait_without_a_command_returns_at_once(runtime, motor):
     motor.wait_until_done()
     assert motor.is_done()
     assert runtime.now_ns() == 0
 
 
-def test_a_fault_in_mid_motion_ends_the_wait_with_its_facts(runtime, motor, hw):
+def test_fault_during_a_motion_ends_the_wait(runtime, motor, hw):
     follow(motor, 3.0)
     motor.start()
     runtime.spawn("trouble", lambda: (runtime.run_for(0.5), fault_now(hw, 0x8611, "lagging")))
@@ -56,18 +56,18 @@ def test_a_fault_in_mid_motion_ends_the_wait_with_its_facts(runtime, motor, hw):
     motor.reset_fault()
     assert motor.fault() is None
     assert motor.state() is MotorState.DISABLED
-    with pytest.raises(DeviceFault, match="fault 8611h"):  # that is still how that motion ended
+    with pytest.raises(DeviceFault, match="fault 8611h"):  # that motion still ended in this way
         motor.wait_until_done()
     motor.start()
     motor.wait_until_done()
 
 
-def test_resetting_no_fault_does_nothing(motor, hw):
+def test_reset_fault_without_a_fault_does_nothing(motor, hw):
     motor.reset_fault()
     assert hw.log == []
 
 
-def test_a_motor_that_is_not_heard_is_told(runtime, motor, hw):
+def test_motor_that_does_not_respond_raises_link_error(runtime, motor, hw):
     hw.state = MotorState.OFFLINE
     assert motor.state() is MotorState.OFFLINE
     aim(motor, 1.0)
@@ -80,7 +80,7 @@ def test_a_motor_that_is_not_heard_is_told(runtime, motor, hw):
         motor.wait_until_done()
 
 
-def test_own_stop_is_waited_for_and_the_motion_is_over(runtime, motor, hw):
+def test_own_stop_ends_the_motion_and_is_awaited(runtime, motor, hw):
     follow(motor, 3.0)
     motor.start()
     runtime.run_for(1.0)
@@ -93,7 +93,7 @@ def test_own_stop_is_waited_for_and_the_motion_is_over(runtime, motor, hw):
 
 
 @pytest.mark.parametrize("how", [Motor.stop, Motor.quick_stop, Motor.halt])
-def test_a_stop_from_elsewhere_ends_the_wait_and_names_who(runtime, motor, hw, how):
+def test_stop_from_elsewhere_ends_the_wait_with_its_name(runtime, motor, hw, how):
     other = PlainMotor(hw, name="other")
     follow(motor, 3.0)
     motor.start()
@@ -103,7 +103,7 @@ def test_a_stop_from_elsewhere_ends_the_wait_and_names_who(runtime, motor, hw, h
     assert caught.value.at_ns == 500_000_000
 
 
-def test_stopping_is_allowed_in_a_callback(runtime, motor, hw):
+def test_stop_is_permitted_in_a_callback(runtime, motor, hw):
     follow(motor, 3.0)
     motor.start()
     runtime.every(0.75, motor.stop)
@@ -113,7 +113,7 @@ def test_stopping_is_allowed_in_a_callback(runtime, motor, hw):
     assert asked(hw)[-1] == "_stop"
 
 
-def test_after_a_quick_stop_it_moves_only_when_enabled(motor, hw):
+def test_motor_after_quick_stop_moves_only_when_enabled(motor, hw):
     follow(motor, 3.0)
     motor.start()
     motor.quick_stop()
@@ -125,7 +125,7 @@ def test_after_a_quick_stop_it_moves_only_when_enabled(motor, hw):
     motor.start()
 
 
-def test_disabling_ends_the_motion(motor):
+def test_disable_ends_the_motion(motor):
     follow(motor, 3.0)
     motor.start()
     motor.disable()
@@ -134,11 +134,11 @@ def test_disabling_ends_the_motion(motor):
         motor.wait_until_done()
 
 
-def test_a_trajectory_starts_from_rest_only(runtime, motor):
+def test_trajectory_starts_from_rest_only(runtime, motor):
     follow(motor, 3.0)
     motor.start()
     for refused in (motor.start, motor.home):
-        with pytest.raises(StateError, match=r"start\(\) of m1 goes on"):
+        with pytest.raises(StateError, match=r"start\(\) of m1 is active"):
             refused()
     aim(motor, 0.0)
     with pytest.raises(StateError, match="stop"):
@@ -147,7 +147,7 @@ def test_a_trajectory_starts_from_rest_only(runtime, motor):
     motor.start()
 
 
-def test_a_set_point_may_replace_one_of_its_kind_in_mid_motion(runtime, motor, hw):
+def test_set_point_replaces_one_of_its_kind_during_motion(runtime, motor, hw):
     aim(motor, 3.0)
     motor.start()
     runtime.run_for(0.5)
@@ -163,7 +163,7 @@ def test_a_set_point_may_replace_one_of_its_kind_in_mid_motion(runtime, motor, h
         motor.start()
 
 
-def test_a_velocity_set_point_is_done_when_reached_and_goes_on(runtime, motor, hw):
+def test_velocity_set_point_is_done_when_reached_and_continues(runtime, motor, hw):
     motor.set_control_mode(SETPOINT, VELOCITY)
     motor.set_setpoint(1.5)
     motor.start()
@@ -173,14 +173,14 @@ def test_a_velocity_set_point_is_done_when_reached_and_goes_on(runtime, motor, h
     motor.set_setpoint(-1.0)
     motor.start()
     follow(motor, 1.0)
-    with pytest.raises(StateError, match="goes on"):
+    with pytest.raises(StateError, match="is active"):
         motor.start()
     motor.stop()
     motor.wait_until_done()
     motor.start()
 
 
-def test_torque_keeps_the_slope_that_was_asked(motor, hw):
+def test_torque_has_the_requested_slope(motor, hw):
     motor.set_control_mode(SETPOINT, ControlVariable.TORQUE)
     motor.set_setpoint(0.5, limits=DerivativeLimits(first=(-3.0, 2.0)))
     motor.start()
@@ -188,7 +188,7 @@ def test_torque_keeps_the_slope_that_was_asked(motor, hw):
 
 
 @pytest.mark.parametrize("hook", ["_enable", "_arm"])
-def test_a_start_that_fails_before_firing_has_moved_nothing(motor, hw, hook):
+def test_start_that_fails_before_firing_moves_nothing(motor, hw, hook):
     hw.fail[hook] = LinkError(link="bus0", reason="gone")
     aim(motor, 1.0)
     with pytest.raises(LinkError):
@@ -204,7 +204,7 @@ def test_a_start_that_fails_before_firing_has_moved_nothing(motor, hw, hook):
     assert motor.position() == 1.0
 
 
-def test_a_start_that_is_not_acknowledged_is_stopped(motor, hw):
+def test_start_without_acknowledge_is_stopped(motor, hw):
     hw.fail["_confirm"] = DeadlineExceeded(awaited="bit 12", timeout_s=0.1, last_heard="")
     aim(motor, 1.0)
     with pytest.raises(DeadlineExceeded, match="bit 12"):
@@ -215,7 +215,7 @@ def test_a_start_that_is_not_acknowledged_is_stopped(motor, hw):
 
 
 @pytest.mark.parametrize("moment", ["_enable", "_arm", "_confirm"])
-def test_a_stop_during_start_wins(runtime, moment):
+def test_stop_during_start_wins(runtime, moment):
     hw = PlainHwMotor(runtime, acts_s=0.1)
     motor, other = PlainMotor(hw), PlainMotor(hw, name="other")
     order = ["_enable", "_arm", "_confirm"]
@@ -234,21 +234,21 @@ def test_a_stop_during_start_wins(runtime, moment):
         motor.wait_until_done()  # nothing was begun
 
 
-def test_a_stop_between_taking_and_planning_is_told_as_the_holder(runtime, hw, motor, monkeypatch):
+def test_stop_between_acquisition_and_planning_is_the_holder(runtime, hw, motor, monkeypatch):
     other = PlainMotor(hw, name="other")
-    monkeypatch.setattr(hw, "done", lambda: False)  # it slows down for a long time
+    monkeypatch.setattr(hw, "done", lambda: False)  # its deceleration takes long
     hw.connecting_s = 0.01
-    stopping = runtime.spawn("stop", other.stop)  # once it is connected, at 10 ms
+    stopping = runtime.spawn("stop", other.stop)  # once connected, at 10 ms
     runtime.run_for(0.005)
     aim(motor, 1.0)
     with pytest.raises(MotorBusyError, match=r"held by stop\(\) of other"):
-        motor.start()  # took the motor at 5 ms, is connected at 15 ms
+        motor.start()  # acquired at 5 ms, connected at 15 ms
     assert runtime.now_ns() == 15_000_000
     assert stopping.finished
     assert ("_arm", False) not in hw.log
 
 
-def test_errors_of_an_adaptation_are_told_as_such_with_their_cause(motor, hw):
+def test_adaptation_errors_are_plugin_errors_with_cause(motor, hw):
     hw.fail["_arm"] = KeyError("6081h")
     aim(motor, 1.0)
     with pytest.raises(PluginError) as caught:
@@ -269,7 +269,7 @@ def test_public_methods_cannot_be_overridden():
                 pass
 
 
-def test_homing_waits_or_not(runtime, motor, hw):
+def test_homing_waits_if_requested(runtime, motor, hw):
     motor.home(35, wait=False)
     motor.wait_until_done()
     hw.fail["_is_done"] = DeadlineExceeded(awaited="homing", timeout_s=1.0, last_heard="")
@@ -278,7 +278,7 @@ def test_homing_waits_or_not(runtime, motor, hw):
     assert asked(hw)[-1] == "_stop"
 
 
-def test_a_motor_tells_what_it_is(motor, hw):
+def test_motor_repr_shows_its_identity(motor, hw):
     assert repr(motor) == "<PlainMotor 'm1' on bus0 node 1: disabled, 0 rad>"
     aim(motor, 1.0)
     motor.start()

@@ -1,16 +1,16 @@
-"""A hardware object that counts its news is asked when there are some, and only then."""
+"""Change counters: hardware with a counter is examined after changes only."""
 
 import pytest
 
-from motorapi import ControlMode
-from motorapi.errors import DeadlineExceeded, MotionInterrupted
-from motorapi.waiting import News
+from motorhil.motorapi import ControlMode
+from motorhil.motorapi.errors import DeadlineExceeded, MotionInterrupted
+from motorhil.motorapi.runtime.api import ChangeCounter
 from tests.motorapi.plain import PlainMotor
 
 
 @pytest.fixture
 def asked(runtime, motor, monkeypatch):
-    """When the motor's `_is_done` was asked [ns]; time stops every 1 ms."""
+    """Return the times of the motor's `_is_done` calls [ns]; time stops every 1 ms."""
     times_ns = []
     is_done = PlainMotor._is_done
 
@@ -20,7 +20,7 @@ def asked(runtime, motor, monkeypatch):
 
     monkeypatch.setattr(PlainMotor, "_is_done", counted)
     runtime.every(0.001, lambda: None)
-    motor._physical.news = News()
+    motor._physical.news = ChangeCounter()
     motor.set_control_mode(ControlMode.SETPOINT)
     motor.set_setpoint(1.0)  # takes 1 s
     motor.start()
@@ -32,27 +32,27 @@ def tell(runtime, motor):
     motor._physical.news.count += 1
 
 
-def test_news_are_looked_at_in_the_event_that_brings_them(runtime, motor, asked):
+def test_change_is_examined_in_its_own_event(runtime, motor, asked):
     runtime.every(0.3, lambda: tell(runtime, motor))
     motor.wait_until_done(timeout_s=2.0)
     assert runtime.now_ns() == 1_200_000_000
     assert sorted(set(asked)) == [0, 300_000_000, 600_000_000, 900_000_000, 1_200_000_000]
 
 
-def test_who_never_tells_is_not_asked(motor, asked):
+def test_motor_without_changes_is_not_examined(motor, asked):
     with pytest.raises(DeadlineExceeded):
         motor.wait_until_done(timeout_s=2.0)
     assert set(asked) == {0}
 
 
-def test_who_does_not_count_is_asked_at_every_event(runtime, motor, asked):
+def test_motor_without_a_counter_is_examined_at_every_event(runtime, motor, asked):
     motor._physical.news = None
     motor.wait_until_done(timeout_s=2.0)
     assert runtime.now_ns() == 1_000_000_000
     assert len(asked) > 900
 
 
-def test_a_stop_by_somebody_else_is_news(runtime, hw, motor, asked):
+def test_stop_by_another_motor_is_a_change(runtime, hw, motor, asked):
     other = PlainMotor(hw, name="other")
     party = runtime.spawn("stop", lambda: (runtime.run_for(0.5), other.stop()))
     with pytest.raises(MotionInterrupted, match="other"):

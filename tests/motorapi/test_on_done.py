@@ -1,10 +1,10 @@
-"""Being told how a motion ended, and asking how far it is: on hardware in memory."""
+"""End-of-motion callbacks and progress, on hardware in memory."""
 
 import logging
 
 import pytest
 
-from motorapi import (
+from motorhil.motorapi import (
     ControlMode,
     ControlVariable,
     DeviceFault,
@@ -17,8 +17,8 @@ from motorapi import (
     UnsupportedError,
     UsageError,
 )
-from motorapi.outcome import Ending, Outcome
-from motorapi.waiting import News
+from motorhil.motorapi.motor import Ending, Outcome
+from motorhil.motorapi.runtime.api import ChangeCounter
 from tests.motorapi.plain import PlainMotor, fault_now
 
 MS = 1_000_000
@@ -31,7 +31,7 @@ def follow(motor, way):
 
 @pytest.fixture
 def told(motor):
-    """The outcomes told of a motion of 3.0 (2 s: at 2.0, by 4.0) that has begun."""
+    """Return the outcomes of an active motion of 3.0 (2 s: at 2.0, by 4.0)."""
     outcomes = []
     follow(motor, 3.0)
     motor.start()
@@ -39,7 +39,7 @@ def told(motor):
     return outcomes
 
 
-def test_the_end_is_told_once(runtime, motor, told):
+def test_end_is_reported_once(runtime, motor, told):
     runtime.run_for(1.0)
     assert told == []
     runtime.run_for(2.0)
@@ -47,10 +47,10 @@ def test_the_end_is_told_once(runtime, motor, told):
     assert told[0]
     motor.start()
     motor.wait_until_done()
-    assert len(told) == 1  # that was another motion
+    assert len(told) == 1  # another motion
 
 
-def test_one_that_is_over_is_told_at_once_and_none_at_all_is_refused(motor):
+def test_past_end_is_reported_at_once_and_no_motion_raises(motor):
     with pytest.raises(StateError, match=r"on_done refused.*start\(\) first"):
         motor.on_done(print)
     follow(motor, 1.0)
@@ -59,14 +59,14 @@ def test_one_that_is_over_is_told_at_once_and_none_at_all_is_refused(motor):
     told = []
     motor.on_done(told.append)
     assert [outcome.ending for outcome in told] == [Ending.DONE]
-    with pytest.raises(UsageError, match="what can be called"):
+    with pytest.raises(UsageError, match="not callable; give a function"):
         motor.on_done(None)
 
 
 @pytest.mark.parametrize("counted", [False, True])
-def test_a_stop_from_elsewhere_tells_at_that_very_time(runtime, hw, motor, counted):
+def test_stop_from_elsewhere_is_reported_immediately(runtime, hw, motor, counted):
     if counted:
-        motor._physical.news = News()
+        motor._physical.news = ChangeCounter()
     other = PlainMotor(hw, name="other")
     follow(motor, 3.0)
     motor.start()
@@ -81,7 +81,7 @@ def test_a_stop_from_elsewhere_tells_at_that_very_time(runtime, hw, motor, count
     assert str(told[0]).startswith("start() of m1: interrupted at 0.500000 s: m1: the motion was")
 
 
-def test_a_replaced_motion_is_interrupted(runtime, motor):
+def test_replaced_motion_is_interrupted(runtime, motor):
     motor.set_control_mode(ControlMode.SETPOINT)
     motor.set_setpoint(2.0)
     motor.start()
@@ -93,23 +93,23 @@ def test_a_replaced_motion_is_interrupted(runtime, motor):
     assert [one.ending for one in told] == [Ending.INTERRUPTED]
 
 
-def test_a_fault_tells_with_its_facts(runtime, hw, told):
+def test_fault_is_reported_with_its_details(runtime, hw, told):
     runtime.run_for(0.5)
     fault_now(hw, 0x8611, "lagging")
-    runtime.run_for(0.02)  # this hardware counts no news: it is looked at every 10 ms
+    runtime.run_for(0.02)  # without a change counter, this hardware is examined every 10 ms
     assert [one.ending for one in told] == [Ending.FAILED]
     assert isinstance(told[0].error, DeviceFault)
     assert told[0].error.code == 0x8611
 
 
-def test_a_lost_motor_tells(runtime, hw, told):
+def test_lost_motor_is_reported(runtime, hw, told):
     hw.heard = False
     runtime.run_for(0.02)
     assert isinstance(told[0].error, LinkError)
     assert told[0].ending is Ending.FAILED
 
 
-def test_a_velocity_is_done_when_it_is_reached(runtime, motor):
+def test_velocity_is_done_when_it_is_reached(runtime, motor):
     motor.set_control_mode(ControlMode.SETPOINT, ControlVariable.VELOCITY)
     motor.set_setpoint(1.0)
     motor.start()
@@ -118,7 +118,7 @@ def test_a_velocity_is_done_when_it_is_reached(runtime, motor):
     assert [one.ending for one in told] == [Ending.DONE]
 
 
-def test_a_stop_and_a_homing_have_an_end_too(runtime, motor):
+def test_stop_and_homing_report_their_end(runtime, motor):
     for command, name in ((motor.stop, "stop"), (lambda: motor.home(wait=False), "home")):
         command()
         told = []
@@ -127,7 +127,7 @@ def test_a_stop_and_a_homing_have_an_end_too(runtime, motor):
         assert [(one.operation, one.ending) for one in told] == [(f"{name}() of m1", Ending.DONE)]
 
 
-def test_a_cancelled_callback_is_not_called(runtime, motor, told):
+def test_cancelled_callback_is_not_called(runtime, motor, told):
     also = []
     registration = motor.on_done(also.append)
     registration.cancel()
@@ -138,7 +138,7 @@ def test_a_cancelled_callback_is_not_called(runtime, motor, told):
     assert motor._physical.bell.listeners == []
 
 
-def test_two_that_see_the_end_at_once_tell_it_once(runtime, motor):
+def test_end_seen_by_two_threads_is_reported_once(runtime, motor):
     follow(motor, 1.0)
     motor.start()
     told = []
@@ -148,7 +148,7 @@ def test_two_that_see_the_end_at_once_tell_it_once(runtime, motor):
     assert len(told) == 1
 
 
-def test_who_is_told_is_told_in_the_order_of_asking(runtime, motor, told):
+def test_callbacks_are_called_in_order_of_registration(runtime, motor, told):
     order = []
     for name in "abc":
         motor.on_done(lambda outcome, name=name: order.append(name))
@@ -156,7 +156,7 @@ def test_who_is_told_is_told_in_the_order_of_asking(runtime, motor, told):
     assert order == ["a", "b", "c"]
 
 
-def test_what_a_callback_raises_is_told_where_the_motor_is_waited_for(runtime, motor, caplog):
+def test_callback_exception_is_raised_by_the_next_wait(runtime, motor, caplog):
     def clumsy(outcome):
         raise KeyError("planted")
 
@@ -166,7 +166,7 @@ def test_what_a_callback_raises_is_told_where_the_motor_is_waited_for(runtime, m
     motor.on_done(clumsy)
     motor.on_done(told.append)
     with caplog.at_level(logging.ERROR, "motorapi"):
-        runtime.run_for(2.0)  # nobody else is troubled
+        runtime.run_for(2.0)  # others are not affected
     assert len(told) == 1  # nor is the next callback
     assert "clumsy: on_done of m1: KeyError('planted')" in caplog.text
     with pytest.raises(PluginError) as caught:
@@ -174,11 +174,11 @@ def test_what_a_callback_raises_is_told_where_the_motor_is_waited_for(runtime, m
     assert caught.value.where == "on_done of m1"
     assert caught.value.plugin.endswith("clumsy")
     assert isinstance(caught.value.__cause__, KeyError)
-    motor.wait_until_done()  # told once
+    motor.wait_until_done()  # reported once
     assert motor.is_done()
 
 
-def test_a_clumsy_callback_stops_no_group(runtime, pair):
+def test_callback_exception_does_not_stop_a_group(runtime, pair):
     group = MotorGroup(*pair)
     for motor, way in zip(pair, (0.5, 1.0), strict=True):
         follow(motor, way)
@@ -190,7 +190,7 @@ def test_a_clumsy_callback_stops_no_group(runtime, pair):
     group.wait_until_done()
 
 
-def test_a_callback_may_not_wait(runtime, hw, motor, told):
+def test_callback_must_not_wait(runtime, hw, motor, told):
     hw.acts_s = 0.01
     motor.on_done(lambda outcome: motor.start())
     runtime.run_for(3.0)
@@ -198,7 +198,7 @@ def test_a_callback_may_not_wait(runtime, hw, motor, told):
         motor.wait_until_done()
 
 
-def test_a_party_that_waits_for_a_flag_goes_on_where_the_callback_may_not(runtime, motor, told):
+def test_party_continues_on_a_flag_set_by_the_callback(runtime, motor, told):
     def again():
         runtime.wait_until(lambda: bool(told))
         motor.start()
@@ -213,11 +213,11 @@ def test_a_party_that_waits_for_a_flag_goes_on_where_the_callback_may_not(runtim
 # --- progress ----------------------------------------------------------------------------------
 
 
-def test_progress_counts_the_way_the_time_and_what_is_left(runtime, motor):
+def test_progress_reports_distance_time_and_remainder(runtime, motor):
     assert motor.progress() is None
     follow(motor, 3.0)
     motor.start()
-    runtime.run_for(0.5)  # speeds up for 0.5 s, by 0.5
+    runtime.run_for(0.5)  # accelerates for 0.5 s, by 0.5
     progress = motor.progress()
     assert progress.operation == "start() of m1"
     assert (progress.elapsed_s, progress.expected_s, progress.remaining_s) == (0.5, 2.0, 1.5)
@@ -238,7 +238,7 @@ def test_progress_neither_waits_nor_sends(runtime, hw, motor, told):
     assert hw.log == log
 
 
-def test_there_is_no_progress_after_a_fault_or_a_stop(runtime, hw, motor, told):
+def test_progress_after_a_fault_or_a_stop_is_none(runtime, hw, motor, told):
     fault_now(hw)
     assert motor.progress() is None
     motor.reset_fault()
@@ -249,7 +249,7 @@ def test_there_is_no_progress_after_a_fault_or_a_stop(runtime, hw, motor, told):
     assert motor.progress() is None
 
 
-def test_a_velocity_that_was_reached_goes_on(runtime, motor):
+def test_progress_of_a_reached_velocity_continues(runtime, motor):
     motor.set_control_mode(ControlMode.SETPOINT, ControlVariable.VELOCITY)
     motor.set_setpoint(1.0)
     motor.start()
@@ -260,7 +260,7 @@ def test_a_velocity_that_was_reached_goes_on(runtime, motor):
     assert motor.progress() is None
 
 
-def test_what_gives_no_hardware_away_says_so(motor):
+def test_low_level_without_a_hardware_object_raises(motor):
     with pytest.raises(UnsupportedError, match="low-level access"), motor.low_level():
         pass
     follow(motor, 1.0)

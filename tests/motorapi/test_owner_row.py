@@ -1,17 +1,16 @@
-"""The row of those who wait for a motor, while threads come and go in between any two looks."""
+"""The wait queue for a motor, while threads come and go between any two checks."""
 
 from types import SimpleNamespace
 
-from motorapi.claim import Asked
-from motorapi.owner_row import OwnerRow, Teller
-from motorapi.ownership_events import LockAction
+from motorhil.motorapi.ownership.claim import LockAction, OwnershipRequest
+from motorhil.motorapi.ownership.ownership import OwnershipNotifier, WaitQueue
 
 OWNER = SimpleNamespace(name="a", runtime=SimpleNamespace(now_ns=lambda: 0))
 SOMEBODY = SimpleNamespace(left_s=None)
 
 
 class Passing:
-    """Somebody had the motor at the first look and has given it back before the second."""
+    """An owner at the first check that has released the motor before the second."""
 
     def __init__(self):
         self.looks = [SOMEBODY]
@@ -27,7 +26,7 @@ class Passing:
         return False
 
 
-def test_who_asks_at_once_has_it_when_it_came_free_while_he_was_told_no():
-    row = OwnerRow(Passing(), Teller())
-    claim, action, before = row.take(Asked(OWNER, "a", "start", None))
+def test_request_without_timeout_takes_a_motor_just_released():
+    row = WaitQueue(Passing(), OwnershipNotifier())
+    claim, action, before = row.take(OwnershipRequest(OWNER, "a", "start", None))
     assert (claim.token, action, before) == (1, LockAction.TAKEN, "")

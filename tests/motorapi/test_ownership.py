@@ -1,10 +1,10 @@
-"""Logical motors of one process that wait for one another, in virtual time."""
+"""Logical motors of one process that wait for each other, in virtual time."""
 
 from types import SimpleNamespace
 
 import pytest
 
-from motorapi import (
+from motorhil.motorapi import (
     ControlMode,
     ControlVariable,
     MotionInterrupted,
@@ -16,9 +16,9 @@ from motorapi import (
     UsageError,
     WallRuntime,
 )
-from motorapi.lock_directory import LockDirectory
-from motorapi.process_lock import ProcessLock
-from motorapi.sharing import RunStatus, register_physical_motor
+from motorhil.motorapi.locking.directory import LockDirectory
+from motorhil.motorapi.locking.process_lock import ProcessLock
+from motorhil.motorapi.ownership.physical_motor import RunStatus, register_physical_motor
 from tests.motorapi.plain import PlainBus, PlainHwMotor, PlainMotor
 
 MS = 1_000_000
@@ -31,7 +31,7 @@ def follow(motor, way):
 
 @pytest.fixture
 def logical(hw):
-    """Logical motors of one physical one, each with 0.1 rad to go."""
+    """Return logical motors of one physical motor, each with a distance of 0.1 rad."""
     motors = [PlainMotor(hw, name=name) for name in "abcd"]
     for motor in motors:
         follow(motor, 0.1)
@@ -39,7 +39,7 @@ def logical(hw):
 
 
 def spawn_moves(runtime, motors, order, timeout_s=60.0):
-    """Each moves in a party of its own, in this order of asking."""
+    """Spawn one party per move, in this order of requests."""
 
     def move(motor):
         motor.start(timeout_s)
@@ -56,18 +56,18 @@ def join(parties):
             raise party.error
 
 
-def test_who_waits_starts_when_the_motion_before_it_is_over(runtime, logical):
+def test_waiter_starts_at_the_end_of_the_motion_before_it(runtime, logical):
     a, b, *_ = logical
     a.start()
     a_takes_s = a.progress().expected_s
     b.start(timeout_s=10)
-    assert 0 <= runtime.now_ns() - a_takes_s * 1e9 <= 2 * MS  # the double is polled every ms
+    assert 0 <= runtime.now_ns() - a_takes_s * 1e9 <= 2 * MS  # the motor is polled every ms
     assert a.is_done()
     b.wait_until_done()
     assert b.position() == pytest.approx(0.2)  # a sum of two 0.1
 
 
-def test_who_waits_too_long_is_refused_with_the_name_of_who_has_it(runtime, logical):
+def test_waiter_at_its_timeout_is_refused_with_the_holder(runtime, logical):
     a, b, *_ = logical
     a.set_control_mode(ControlMode.SETPOINT, ControlVariable.VELOCITY)
     a.set_setpoint(1.0)
@@ -78,10 +78,10 @@ def test_who_waits_too_long_is_refused_with_the_name_of_who_has_it(runtime, logi
             b.start(timeout_s=timeout_s)
         assert runtime.now_ns() - begun_ns == round(timeout_s * 1e9)
     a.stop()
-    b.start(timeout_s=0.0)  # nothing is left behind of those who gave up
+    b.start(timeout_s=0.0)  # no traces of the waiters that gave up
 
 
-def test_those_who_wait_start_in_the_order_of_asking(runtime, logical):
+def test_waiters_start_in_the_order_of_requests(runtime, logical):
     order = []
     join(spawn_moves(runtime, logical, order))
     assert [name for name, _ in order] == ["a", "b", "c", "d"]
@@ -89,18 +89,18 @@ def test_those_who_wait_start_in_the_order_of_asking(runtime, logical):
     assert times == sorted(set(times))
 
 
-def test_who_does_not_wait_does_not_overtake_those_who_do(runtime, logical):
+def test_request_without_timeout_does_not_overtake_waiters(runtime, logical):
     a, b, c, _ = logical
     with a.reserve():
         parties = spawn_moves(runtime, [b], [])
         runtime.run_for(0.01)
     with pytest.raises(MotorBusyError, match=r"c is held by start\(\) of b, which waits for it,"):
-        c.start()  # free, but b was before
+        c.start()  # free, but b came before
     join(parties)
     c.start()
 
 
-def test_a_reservation_holds_it_over_several_motions(runtime, logical, hw):
+def test_reservation_holds_over_several_motions(runtime, logical, hw):
     a, b, *_ = logical
     with a.reserve("survey"):
         runtime.run_for(1.0)
@@ -121,7 +121,7 @@ def test_a_reservation_holds_it_over_several_motions(runtime, logical, hw):
     assert hw.physical.token == 2
 
 
-def test_anybody_may_stop_what_is_reserved(logical):
+def test_reserved_motor_may_be_stopped_by_anyone(logical):
     a, b, *_ = logical
     with a.reserve():
         a.start()
@@ -132,7 +132,7 @@ def test_anybody_may_stop_what_is_reserved(logical):
             b.start()
 
 
-def test_a_motion_that_goes_on_after_its_reservation_still_holds_the_motor(logical):
+def test_motion_active_after_its_reservation_holds_the_motor(logical):
     a, b, *_ = logical
     with a.reserve():
         a.start()
@@ -142,7 +142,7 @@ def test_a_motion_that_goes_on_after_its_reservation_still_holds_the_motor(logic
     b.start()
 
 
-def test_a_reservation_ends_with_its_block_however_that_ends(logical):
+def test_reservation_ends_with_its_block_in_any_case(logical):
     a, b, *_ = logical
     with pytest.raises(RuntimeError), a.reserve():
         raise RuntimeError
@@ -159,7 +159,7 @@ def test_reservations_of_one_motor_may_be_nested(logical):
     b.start()
 
 
-def test_what_moves_for_somebody_else_is_reserved_once_it_has_ended(runtime, logical):
+def test_reservation_waits_for_the_motion_of_another(runtime, logical):
     a, b, *_ = logical
     a.start()
     with pytest.raises(MotorBusyError, match=r"start\(\) of a"), b.reserve():
@@ -169,7 +169,7 @@ def test_what_moves_for_somebody_else_is_reserved_once_it_has_ended(runtime, log
         b.start()
 
 
-def test_its_owner_goes_on_while_somebody_waits(runtime, logical):
+def test_owner_continues_while_another_waits(runtime, logical):
     a, b, *_ = logical
     with a.reserve():
         order = []
@@ -184,7 +184,7 @@ def test_its_owner_goes_on_while_somebody_waits(runtime, logical):
     assert order[0][1] - asked_ns <= 2 * MS
 
 
-def test_ones_own_motion_is_not_waited_for(runtime, logical):
+def test_own_motion_is_not_awaited(runtime, logical):
     a, *_ = logical
     a.start()
     with pytest.raises(StateError):
@@ -192,7 +192,7 @@ def test_ones_own_motion_is_not_waited_for(runtime, logical):
     assert runtime.now_ns() == 0
 
 
-def test_low_level_access_waits_for_a_reservation_and_keeps_one_out(runtime, logical):
+def test_low_level_access_and_reservation_exclude_each_other(runtime, logical):
     a, b, *_ = logical
     with a.reserve("survey"):
         with pytest.raises(MotorBusyError, match="survey"), b.low_level():
@@ -203,18 +203,18 @@ def test_low_level_access_waits_for_a_reservation_and_keeps_one_out(runtime, log
 
 
 @pytest.mark.parametrize("timeout_s", [-1.0, float("nan"), "soon"])
-def test_a_time_nobody_can_wait_is_refused(logical, timeout_s):
+def test_invalid_timeout_raises(logical, timeout_s):
     a, *_ = logical
     with pytest.raises(UsageError, match="timeout_s"):
         a.start(timeout_s)
     with pytest.raises(UsageError, match="timeout_s"), a.reserve(timeout_s=timeout_s):
         pass
-    with pytest.raises(UsageError, match="say it in words"), a.reserve(1):
+    with pytest.raises(UsageError, match="describe it in words"), a.reserve(1):
         pass
     a.start()
 
 
-def test_groups_that_wait_for_shared_motors_in_opposite_orders_all_have_their_turn(runtime):
+def test_groups_in_opposite_orders_all_get_their_turn(runtime):
     bus = PlainBus()
     hardware = [PlainHwMotor(runtime, node, bus, acts_s=0.001) for node in (1, 2, 3)]
 
@@ -235,7 +235,7 @@ def test_groups_that_wait_for_shared_motors_in_opposite_orders_all_have_their_tu
     assert [hw.position() for hw in hardware] == pytest.approx([0.4] * 3)  # sums of 0.01
 
 
-def test_a_group_reserves_all_its_motors_or_none(runtime):
+def test_group_reserves_all_its_motors_or_none(runtime):
     bus = PlainBus()
     hardware = [PlainHwMotor(runtime, node, bus) for node in (1, 2)]
     group = MotorGroup(*(PlainMotor(one, name=f"g{one.node}") for one in hardware))
@@ -258,7 +258,7 @@ def test_a_group_reserves_all_its_motors_or_none(runtime):
     second.enable()
 
 
-def test_a_group_that_cannot_have_all_has_none(runtime):
+def test_group_without_one_motor_holds_none(runtime):
     bus = PlainBus()
     hardware = [PlainHwMotor(runtime, node, bus) for node in (1, 2)]
     group = MotorGroup(*(PlainMotor(one, name=f"g{one.node}") for one in hardware))
@@ -274,9 +274,9 @@ def test_a_group_that_cannot_have_all_has_none(runtime):
     assert hardware[1].position() == 0.0
 
 
-def test_the_token_grows_too_when_another_process_had_the_motor_in_between(tmp_path):
+def test_token_grows_when_another_process_had_the_motor(tmp_path):
     directory = LockDirectory(tmp_path)
-    stranger = ProcessLock("m1", "motor 1", directory)  # in what would be another process
+    stranger = ProcessLock("m1", "motor 1", directory)  # as in another process
     hardware = object.__new__(type("Hardware", (), {}))
     lock = ProcessLock("m1", "motor 1", directory)
     physical = register_physical_motor(("m1", tmp_path), "motor 1", hardware, lock)

@@ -1,4 +1,4 @@
-"""How far motors are from their line: the measure by hand, and what is heard against the truth."""
+"""Deviations of motors from their line: by hand, and measured against the truth."""
 
 from pathlib import Path
 
@@ -6,11 +6,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from harness.rig import Rig, installed_plugins
-from harness.rig_file import parse_rig
-from harness.settings import Source
-from motorapi import ControlMode, FaultReaction, Motor, Synchronization, TrapezoidalTrajectory
-from motorapi.path import Line
+from motorhil.harness.rig.config.rig_file import parse_rig
+from motorhil.harness.rig.config.toml import Source
+from motorhil.harness.rig.rig import Rig, installed_plugins
+from motorhil.motorapi import (
+    ControlMode,
+    FaultReaction,
+    Motor,
+    Synchronization,
+    TrapezoidalTrajectory,
+)
+from motorhil.motorapi.planning.path import Line
 from tests.motorapi.plain import PlainBus, PlainHwMotor, PlainMotor, fault_now
 from tests.motorapi.test_fault_reactions import KINDS, NAMES, WAYS, Truth
 from tests.motorapi.test_group import group_of
@@ -19,17 +25,17 @@ SIZE = st.floats(0.1, 10.0)
 WAY = st.floats(-100.0, 100.0).filter(lambda way: abs(way) > 1e-6)
 
 
-def test_the_nearest_point_is_found_as_by_hand():
-    # (4, 3) beside the line from 0 to (3, 4): part 24/25 of it, (2.88, 3.84).
+def test_nearest_point_equals_the_hand_result():
+    # (4, 3) beside the line from 0 to (3, 4): at 24/25 of it, (2.88, 3.84).
     line = Line(starts=(0.0, 0.0), ways=(3.0, 4.0), speeds=(2.0, 2.0))
     assert line.deviations([4.0, 3.0]) == pytest.approx([1.12, -0.84], rel=1e-14)
-    # A motor that is a thousand times as fast is as much nearer: the other one says how far it is.
+    # A motor a thousand times as fast is so much nearer: the other one determines the point.
     line = Line(starts=(1.0, 0.0), ways=(1.0, 1.0), speeds=(1.0, 1000.0))
     assert line.deviations([1.5, 0.6]) == pytest.approx([0.0, 0.1], abs=1e-6)
 
 
 @given(st.lists(st.tuples(WAY, SIZE, st.floats(-10.0, 10.0)), min_size=2, max_size=6), WAY)
-def test_what_is_on_the_line_is_off_by_nothing_and_the_way_along_it_does_not_count(parts, along):
+def test_point_on_the_line_has_no_deviation(parts, along):
     line = Line(
         starts=tuple(start for _, _, start in parts),
         ways=tuple(way for way, _, _ in parts),
@@ -40,7 +46,7 @@ def test_what_is_on_the_line_is_off_by_nothing_and_the_way_along_it_does_not_cou
     assert line.deviations(on) == pytest.approx([0.0] * len(parts), abs=rounding)
     off = [one + 0.25 * place for place, one in enumerate(on)]
     found = line.deviations(off)
-    # Nearest: what is left stands at right angles to the line, in the measure of speeds.
+    # Nearest: the remainder is at right angles to the line, in the measure of speeds.
     right = sum(
         dev * way / speed / speed for dev, (way, speed, _) in zip(found, parts, strict=True)
     )
@@ -55,7 +61,7 @@ def test_only_motors_in_phase_have_a_path(pair):
     assert group.sync_capability().path == ()
 
 
-def test_a_motor_that_stays_is_on_the_line_and_a_line_of_one_is_not_measured(pair):
+def test_resting_motor_and_line_of_one_are_not_measured(pair):
     group = group_of(pair, 0.0, 2.0)
     group.synchronization = Synchronization.PHASE
     assert [one.motor for one in group.sync_capability().path] == ["m2"]
@@ -66,21 +72,21 @@ def test_a_motor_that_stays_is_on_the_line_and_a_line_of_one_is_not_measured(pai
     assert (goes.motor, goes.deviation, goes.predicted) == ("m2", None, 0.0)
 
 
-def test_a_motor_that_leaves_the_line_is_found(runtime, pair):
+def test_motor_that_leaves_the_line_is_found(runtime, pair):
     group = group_of(pair, 1.0, 2.0)
     group.synchronization = Synchronization.PHASE
     group.fault_reaction = FaultReaction.NONE
-    pair[1].hw.latency_s = 0.1  # begins later, unheard of: 0.1 s of the line behind
+    pair[1].hw.latency_s = 0.1  # begins later than reported: 0.1 s of the line behind
     group.start()
     runtime.run_for(3.0)
     first, second = group.sync_quality().path
-    # On the plateau, 1 and 2 rad/s, the second one is 0.2 rad behind; of the nearest point of the
-    # line (1, 2)/sqrt 5 the first one is then 0.08 rad ahead, the second 0.04 behind.
+    # On the plateau, 1 and 2 rad/s, the second motor is 0.2 rad behind. From the nearest point of
+    # the line (1, 2)/sqrt 5 the first one is then 0.08 rad ahead, the second 0.04 behind.
     assert first.deviation == pytest.approx(0.08, abs=1e-9)
     assert second.deviation == pytest.approx(0.04, abs=1e-9)
 
 
-def test_who_has_failed_is_on_the_line_no_more(runtime, pair):
+def test_failed_motor_has_left_the_line(runtime, pair):
     group = group_of(pair, 1.0, 2.0)
     group.synchronization = Synchronization.PHASE
     group.start()
@@ -91,7 +97,7 @@ def test_who_has_failed_is_on_the_line_no_more(runtime, pair):
 
 
 class Seldom(PlainMotor):
-    """Heard every 20 ms, `after_ns` after each full 20 ms."""
+    """A motor that reports every 20 ms, `after_ns` after each full 20 ms."""
 
     after_ns = 0
     heard = None
@@ -105,7 +111,7 @@ class Seldom(PlainMotor):
         return self.heard
 
 
-def test_motors_that_are_heard_at_different_times_are_compared_at_one(runtime):
+def test_motors_reporting_at_different_times_are_compared(runtime):
     bus = PlainBus()
     motors = [Seldom(PlainHwMotor(runtime, node, bus)) for node in (1, 2)]
     motors[1].after_ns = 10_000_000
@@ -114,14 +120,14 @@ def test_motors_that_are_heard_at_different_times_are_compared_at_one(runtime):
     group.start()
     runtime.run_for(3.0)
     for one in group.sync_quality().path:
-        # A chord of 20 ms under 4 rad/s^2 is off by a h^2 / 8 = 0.2 mrad at most, by its part of
+        # A chord of 20 ms under 4 rad/s^2 deviates by a h^2 / 8 = 0.2 mrad at most, by its part of
         # the line; 10 ms of 2 rad/s would be 20 mrad.
         assert 0.0 < one.deviation <= 0.0002
         assert 0.0 < one.age_s <= 0.01
 
 
 def moved(kind, disturb):
-    """The group's path as told, how far each was from it in truth, and what was predicted."""
+    """Return the reported path of the group, the true deviations, and the predicted ones."""
     description = parse_rig(Source(Path("path.toml"), kind.rig), installed_plugins())
     with Rig(description) as rig:
         group = rig.groups["all"]
@@ -144,11 +150,13 @@ def moved(kind, disturb):
 
 @pytest.mark.parametrize("disturb", [False, True], ids=["free", "disturbed"])
 @pytest.mark.parametrize("kind", KINDS.values(), ids=KINDS)
-def test_what_is_heard_of_the_path_is_what_the_plants_did(kind, disturb):
-    """Within four increments, which is what rounding to them and the time of a frame come to; the
-    highest point may lie between two samples, 20 ms apart at most."""
+def test_reported_path_equals_that_of_the_plants(kind, disturb):
+    """Compare within four increments, for rounding and the time of a frame.
+
+    The maximum may lie between two samples, at most 20 ms apart.
+    """
     if disturb and kind.name == "ideal":
-        return  # nothing disturbs it
+        return  # without disturbance
     path, worst, predicted = moved(kind, disturb)
     for one, most in zip(path, worst, strict=True):
         assert 0.85 * most - 0.0002 <= one.deviation <= most + 0.0002

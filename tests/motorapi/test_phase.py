@@ -1,12 +1,12 @@
-"""Phase synchronisation: the common profile, against its definition and against Ruckig's."""
+"""Phase synchronisation: the common profile, against its definition and ruckig."""
 
 import pytest
 from hypothesis import assume, event, example, given
 from hypothesis import strategies as st
 
-from emulators.event_queue import EventQueue
-from harness.virtual_time import VirtualRuntime
-from motorapi import (
+from motorhil.emulators.simulation.event_queue import EventQueue
+from motorhil.harness.virtual_time.runtime import VirtualRuntime
+from motorhil.motorapi import (
     ControlMode,
     ControlVariable,
     DerivativeLimits,
@@ -18,17 +18,17 @@ from motorapi import (
     UnsupportedError,
     UsageError,
 )
-from motorapi.execution import Started, plan
-from motorapi.generation import shortest
-from motorapi.group_planning import Common, Move, proportional
-from motorapi.path import line_of, moving, predicted
-from motorapi.synchronization import FaultReaction, Synchronization
+from motorhil.motorapi.execution import Started, plan
+from motorhil.motorapi.generation import shortest
+from motorhil.motorapi.planning.groups import Common, Move, proportional
+from motorhil.motorapi.planning.path import line_of, moving, predicted
+from motorhil.motorapi.synchronization.quality import FaultReaction, Synchronization
 from tests.motorapi.plain import PlainBus, PlainHwMotor, PlainMotor
 
 PHASE = Common(Synchronization.PHASE)
 POSITIVE = st.floats(0.01, 100.0)
 LIMITS = st.tuples(POSITIVE, POSITIVE, POSITIVE)
-# A way below 1e-100 is none: its square, which any profile is made of, vanishes.
+# A distance below 1e-100 counts as none: its square, used by every profile, vanishes.
 WAY = st.floats(-50.0, 50.0).map(lambda way: way if abs(way) > 1e-100 else 0.0)
 WAY |= st.sampled_from([0.0, 1e-12, -1e-100, 1e-9])
 MEMBERS = st.lists(st.tuples(WAY, LIMITS), min_size=2, max_size=6)
@@ -74,7 +74,7 @@ def profile(one):
 
 @given(MEMBERS)
 @example([(1.0, (2.0, 4.0, 4.0)), (-0.25, (0.1, 9.0, 1.0))])
-def test_every_motor_has_made_the_same_part_of_its_way_at_every_instant(members):
+def test_motors_cover_equal_fractions_at_every_instant(members):
     ways = [way for way, _ in members]
     found = planned(motors_of([limits for _, limits in members]), ways)
     going = moving(found)
@@ -86,7 +86,7 @@ def test_every_motor_has_made_the_same_part_of_its_way_at_every_instant(members)
         return
     duration_s = max(profile(one).duration_s for one in going)
     for one in going:
-        assert one.motion.duration_s == pytest.approx(duration_s, rel=1e-9)  # one floating sum each
+        assert one.motion.duration_s == pytest.approx(duration_s, rel=1e-9)  # one sum each
     for place in range(21):
         time_s = duration_s * place / 20
         parts = [profile(one).position(time_s) / one.motion.distance for one in going]
@@ -96,13 +96,13 @@ def test_every_motor_has_made_the_same_part_of_its_way_at_every_instant(members)
 
 
 @given(MEMBERS, st.lists(STEPS, min_size=6, max_size=6))
-def test_no_limit_is_exceeded_after_the_hardware_has_rounded(members, steps):
+def test_rounded_profiles_exceed_no_limit(members, steps):
     found = planned(motors_of([limits for _, limits in members], steps), [w for w, _ in members])
     for one in found:
         model = one.motor.model
         made = one.quantised
-        # A step of the hardware that is larger than the limit cannot be told it: refused elsewhere.
-        # 1e-11: the hardware takes what is a whole step but for floating point as that.
+        # A hardware step larger than the limit cannot be transmitted: refused elsewhere. 1e-11: the
+        # hardware accepts values within floating-point error of a whole step.
         velocity_step, ramp_step = one.motor.hw.steps[1:]
         for value, limit, step in (
             (made.velocity, model.velocity_max, velocity_step),
@@ -114,8 +114,8 @@ def test_no_limit_is_exceeded_after_the_hardware_has_rounded(members, steps):
 
 
 @given(MEMBERS)
-def test_it_is_as_fast_as_one_motor_allows(members):
-    """Whatever is faster exceeds a limit: of each bound of the profile one motor is at its own."""
+def test_common_profile_is_as_fast_as_one_motor_allows(members):
+    """Check that any faster profile exceeds a limit: each bound is the limit of one motor."""
     moves = [Move(abs(way), *limits) for way, limits in members if way != 0.0]
     assume(moves)
     _, made = proportional(moves)
@@ -136,11 +136,14 @@ SYMMETRIC = st.tuples(POSITIVE, POSITIVE).map(lambda limits: (*limits, limits[1]
 
 
 @given(WAYS_TO_GO, st.lists(SYMMETRIC, min_size=6, max_size=6), st.booleans())
-def test_it_takes_as_long_as_ruckigs_phase_synchronisation(ways, limits, alike):
-    """Ruckig 0.19.4, third derivative unlimited. It takes the profile of the slowest motor for all
-    where that is within the limits, which then is a line that none can be faster on; else it only
-    has all end together, and then a line takes no less. (With limits of the second derivative that
-    differ by sign it finds none for many; so they do not here.)"""
+def test_common_duration_equals_that_of_ruckig(ways, limits, alike):
+    """Compare with Ruckig 0.19.4, third derivative unlimited.
+
+    If the profile of the slowest motor is within the limits of all, Ruckig uses it for all; no line
+    is then faster. Otherwise its motors only end together, and a line is not faster. (For limits of
+    the second derivative that differ by sign, it often finds no solution; so they do not differ
+    here.)
+    """
     ruckig = pytest.importorskip("ruckig")
     limits = [limits[0] if alike else one for one in limits[: len(ways)]]
     asked = ruckig.InputParameter(len(ways))
@@ -154,7 +157,7 @@ def test_it_takes_as_long_as_ruckigs_phase_synchronisation(ways, limits, alike):
     try:
         assert ruckig.Ruckig(len(ways)).calculate(asked, theirs) == ruckig.Result.Working
     except ruckig.RuckigError:
-        event("Ruckig finds no motion")  # its second step, where it has all end together
+        event("Ruckig finds no motion")  # its second step, in which all end together
         return
     ours_s, made = proportional([Move(abs(w), *one) for w, one in zip(ways, limits, strict=True)])
     instants = [part * theirs.duration for part in (0.1, 0.25, 0.6, 0.9)]
@@ -163,7 +166,7 @@ def test_it_takes_as_long_as_ruckigs_phase_synchronisation(ways, limits, alike):
     ]
     is_line = all(max(part) - min(part) < 1e-7 for part in parts)
     event(f"Ruckig's is a line: {is_line}")
-    assert ours_s >= theirs.duration * (1.0 - 1e-7)  # 1e-7: Ruckig's own accuracy is 1e-8 of a way
+    assert ours_s >= theirs.duration * (1.0 - 1e-7)  # accuracy of Ruckig: 1e-8 of a distance
     if not is_line:
         return
     assert ours_s <= theirs.duration * (1.0 + 1e-7)
@@ -174,8 +177,8 @@ def test_it_takes_as_long_as_ruckigs_phase_synchronisation(ways, limits, alike):
 
 
 @given(MEMBERS, st.lists(STEPS, min_size=6, max_size=6))
-def test_what_rounding_does_to_the_line_is_predicted(members, steps):
-    """Measured on the profiles that the hardware makes, at 400 instants."""
+def test_deviation_by_rounding_is_predicted(members, steps):
+    """Measure the rounded profiles at 400 instants."""
     found = moving(
         planned(motors_of([limits for _, limits in members], steps), [w for w, _ in members])
     )
@@ -194,13 +197,13 @@ def test_what_rounding_does_to_the_line_is_predicted(members, steps):
         event("met within 1 %" if measured >= 0.99 * most - rounding else "not met")
 
 
-def test_zero_moves_alone_take_no_time():
+def test_zero_distances_alone_take_no_time():
     found = planned(motors_of([(1.0, 1.0, 1.0)] * 2), [0.0, 0.0])
     assert [one.motion.duration_s for one in found] == [0.0, 0.0]
     assert moving(found) == []
 
 
-def test_a_duration_that_is_asked_for_holds_for_the_line():
+def test_requested_duration_holds_for_the_line():
     # By hand: 1 and 2 with 2 rad/s, 4 rad/s^2: as fast as the longer one: 2/2 + 2/4 = 1.5 s.
     motors = motors_of([(2.0, 4.0, 4.0)] * 2)
     found = planned(motors, [1.0, 2.0])
@@ -224,7 +227,7 @@ def test_a_duration_that_is_asked_for_holds_for_the_line():
         plan(motors, PHASE)
 
 
-def test_limits_of_the_command_bound_the_line_too():
+def test_command_limits_apply_to_the_line():
     motors = motors_of([(2.0, 4.0, 4.0)] * 2)
     for motor in motors:
         motor.set_control_mode(ControlMode.TRAJECTORY)
@@ -234,7 +237,7 @@ def test_limits_of_the_command_bound_the_line_too():
     assert (first.velocity, second.velocity) == (0.25, 0.5)
 
 
-def test_what_has_no_profile_to_scale_is_refused():
+def test_motion_without_a_scalable_profile_raises():
     motors = motors_of([(2.0, 4.0, 4.0)] * 2)
     motors[0].set_control_mode(ControlMode.TRAJECTORY)
     motors[0].set_trajectory(TrapezoidalTrajectory(1.0))
@@ -244,7 +247,7 @@ def test_what_has_no_profile_to_scale_is_refused():
         plan(motors, PHASE)
 
 
-def test_a_stop_together_needs_a_path():
+def test_reaction_together_without_a_path_raises():
     motors = motors_of([(2.0, 4.0, 4.0)] * 2)
     group = MotorGroup(*motors)
     group.for_each(Motor.set_control_mode, ControlMode.TRAJECTORY)
@@ -257,9 +260,9 @@ def test_a_stop_together_needs_a_path():
     group.wait_until_done()
 
 
-def test_a_limit_that_the_hardware_rounds_slows_the_whole_line():
+def test_rounded_limit_slows_the_whole_line():
     motors = motors_of([(2.0, 4.0, 4.0)] * 2, [(0.0, 0.0, 0.0), (0.0, 0.75, 0.0)])
     fine, coarse = planned(motors, [1.0, 3.0])
-    # By hand: coarse makes 1.5 of 2 rad/s, and fine a third of that, not of 2.
+    # By hand: coarse has 1.5 of 2 rad/s, and fine a third of that, not of 2.
     assert (fine.motion.velocity, coarse.motion.velocity) == (0.5, 1.5)
     assert predicted([fine, coarse]) == pytest.approx([0.0, 0.0], abs=1e-12)  # floating point

@@ -1,4 +1,4 @@
-"""The lock between processes, seen from one; tests/wall has several."""
+"""The lock between processes, seen from one process; tests/wall uses several."""
 
 import gc
 import os
@@ -7,15 +7,15 @@ from contextlib import suppress
 
 import pytest
 
-from emulators.event_queue import EventQueue
-from harness.virtual_time import VirtualRuntime
-from motorapi import wall_runtime
-from motorapi.errors import MotorBusyError, UsageError
-from motorapi.lock_directory import LockDirectory
-from motorapi.lock_file import LockFile
-from motorapi.lock_view import list_locks
-from motorapi.process_lock import ProcessLock
-from motorapi.wall_runtime import WallRuntime
+from motorhil.emulators.simulation.event_queue import EventQueue
+from motorhil.harness.virtual_time.runtime import VirtualRuntime
+from motorhil.motorapi.errors import MotorBusyError, UsageError
+from motorhil.motorapi.locking.directory import LockDirectory
+from motorhil.motorapi.locking.lock_file import LockFile
+from motorhil.motorapi.locking.lock_status import list_locks
+from motorhil.motorapi.locking.process_lock import ProcessLock
+from motorhil.motorapi.runtime import wall as wall_runtime
+from motorhil.motorapi.runtime.wall import WallRuntime
 
 LONG_S = 20.0
 
@@ -39,7 +39,7 @@ def lock(directory):
 
 @pytest.fixture
 def other(directory):
-    """What another program would have."""
+    """Return the lock object of another program."""
     return ProcessLock("pan", "the pan", directory)
 
 
@@ -47,9 +47,7 @@ def purposes(view):
     return [one.record and one.record.purpose for _, one in view.waiters]
 
 
-def test_every_ownership_has_a_greater_token_and_knows_whether_it_changed_hands(
-    lock, other, runtime
-):
+def test_ownership_has_a_greater_token_and_knows_a_change(lock, other, runtime):
     told = []
     for one in (lock, lock, other, other, lock):
         with one.acquire(runtime, "x") as hold:
@@ -64,7 +62,7 @@ def test_every_ownership_has_a_greater_token_and_knows_whether_it_changed_hands(
     ]
 
 
-def test_the_token_outlives_everybody(directory, lock, runtime):
+def test_token_survives_all_processes(directory, lock, runtime):
     with lock.acquire(runtime, "x") as hold:
         token = hold.token
     lock.close()
@@ -74,7 +72,7 @@ def test_the_token_outlives_everybody(directory, lock, runtime):
     assert (hold.token, hold.changed_hands) == (token + 1, True)
 
 
-def test_its_owner_takes_it_again_and_lets_go_as_often(lock, other, runtime):
+def test_owner_acquires_repeatedly_and_releases_as_often(lock, other, runtime):
     hold = lock.acquire(runtime, "x")
     assert lock.acquire(runtime, "y") is hold
     hold.release()
@@ -83,13 +81,13 @@ def test_its_owner_takes_it_again_and_lets_go_as_often(lock, other, runtime):
     hold.release()
     assert not hold.is_held
     again = other.acquire(runtime, "z")
-    hold.release()  # once too often: of no effect
+    hold.release()  # once too often: without effect
     assert again.is_held
     with pytest.raises(MotorBusyError):
         lock.acquire(runtime, "x")
 
 
-def test_owners_are_threads_unless_they_are_named(lock, runtime):
+def test_owner_is_the_thread_unless_named(lock, runtime):
     me, you = object(), object()
     hold = lock.acquire(runtime, "x", owner=me)
     assert lock.acquire(runtime, "x", owner=me) is hold
@@ -98,7 +96,7 @@ def test_owners_are_threads_unless_they_are_named(lock, runtime):
             lock.acquire(runtime, "y", owner=owner)
 
 
-def test_threads_have_it_in_the_order_of_asking(lock, runtime):
+def test_threads_acquire_in_the_order_of_requests(lock, runtime):
     order = []
     hold = lock.acquire(runtime, "x")
 
@@ -119,7 +117,7 @@ def test_threads_have_it_in_the_order_of_asking(lock, runtime):
     assert order == ["a", "b", "c"]
 
 
-def test_a_wait_ends_with_its_timeout_and_its_place_is_given_up(lock, other, runtime):
+def test_wait_ends_at_its_timeout_without_its_place(lock, other, runtime):
     hold = lock.acquire(runtime, "x")
     begun_ns = runtime.now_ns()
     for timeout_s in (0.0, 0.03):
@@ -132,7 +130,7 @@ def test_a_wait_ends_with_its_timeout_and_its_place_is_given_up(lock, other, run
 
 
 class WokenRuntime:
-    """A runtime that looks only when it is woken: who waits in it is not polling."""
+    """A runtime that checks only when woken: waiters do not poll."""
 
     def __init__(self):
         self._woken = threading.Semaphore(0)
@@ -150,7 +148,7 @@ class WokenRuntime:
         return True
 
 
-def test_whoever_waits_is_woken_and_need_not_look(lock, other, runtime):
+def test_waiter_is_woken_without_polling(lock, other, runtime):
     order = []
 
     def take(name):
@@ -167,7 +165,7 @@ def test_whoever_waits_is_woken_and_need_not_look(lock, other, runtime):
     assert order == ["0", "1", "2"]
 
 
-def test_a_wait_that_was_given_up_is_in_nobodys_way(lock, other, runtime, directory):
+def test_abandoned_wait_blocks_no_other_waiter(lock, other, runtime, directory):
     hold = lock.acquire(runtime, "x")
     with pytest.raises(MotorBusyError):
         other.acquire(runtime, "gives up", 0.01)
@@ -184,7 +182,7 @@ def test_a_wait_that_was_given_up_is_in_nobodys_way(lock, other, runtime, direct
     assert (party.error, order) == (None, ["late"])
 
 
-def test_after_a_wait_the_row_is_free_for_whoever_finds_it_so(lock, other, runtime, tmp_path):
+def test_queue_is_free_after_a_wait(lock, other, runtime, tmp_path):
     hold = lock.acquire(runtime, "x")
     party = runtime.spawn("waits", lambda: other.acquire(runtime, "y", LONG_S).release())
     assert runtime.wait_until(lambda: purposes(lock.look()) == ["y"], LONG_S)
@@ -193,7 +191,7 @@ def test_after_a_wait_the_row_is_free_for_whoever_finds_it_so(lock, other, runti
     assert LockFile(LockDirectory(tmp_path), "pan").take_at_once()
 
 
-def test_the_walls_runtime_looks_at_once_when_it_is_woken(runtime, monkeypatch):
+def test_wall_runtime_checks_at_once_when_woken(runtime, monkeypatch):
     monkeypatch.setattr(wall_runtime, "_LOOK_AGAIN_S", LONG_S)
     looked = []
     party = runtime.spawn(
@@ -207,13 +205,13 @@ def test_the_walls_runtime_looks_at_once_when_it_is_woken(runtime, monkeypatch):
     assert party.finished
 
 
-def test_who_had_the_pid_before_is_not_taken_for_its_holder(lock, other, runtime, monkeypatch):
+def test_reused_pid_does_not_count_as_the_holder(lock, other, runtime, monkeypatch):
     lock.acquire(runtime, "x")
-    monkeypatch.setattr("motorapi.lock_view.read_process", lambda pid: ("S", 1))
+    monkeypatch.setattr("motorhil.motorapi.locking.lock_status.read_process", lambda pid: ("S", 1))
     assert lock.look().holder.record is None
 
 
-def test_in_a_callback_nobody_waits_for_it(lock, other, runtime):
+def test_acquisition_in_a_callback_does_not_wait(lock, other, runtime):
     lock.acquire(runtime, "x")
     told = []
 
@@ -230,7 +228,7 @@ def test_in_a_callback_nobody_waits_for_it(lock, other, runtime):
     assert lock.look().waiters == ()
 
 
-def test_a_runtime_that_is_closed_ends_the_wait_and_the_place(lock, other):
+def test_closed_runtime_ends_the_wait_and_its_place(lock, other):
     runtime = WallRuntime()
     lock.acquire(runtime, "x")
     party = runtime.spawn("waits", lambda: other.acquire(runtime, "y", LONG_S))
@@ -240,7 +238,7 @@ def test_a_runtime_that_is_closed_ends_the_wait_and_the_place(lock, other):
     assert lock.look().waiters == ()
 
 
-def test_in_virtual_time_parties_of_this_process_wait_for_each_other(lock):
+def test_parties_in_virtual_time_wait_for_each_other(lock):
     virtual = VirtualRuntime(EventQueue())
     order = []
 
@@ -256,9 +254,9 @@ def test_in_virtual_time_parties_of_this_process_wait_for_each_other(lock):
     assert order == [("a", 0), ("b", 100_000_000), ("c", 200_000_000)]
 
 
-def test_looking_takes_nothing_and_tells_who_has_it_and_who_waits(lock, other, runtime, directory):
+def test_look_takes_nothing_and_shows_holder_and_waiters(lock, other, runtime, directory):
     assert lock.look().holder is None
-    assert list_locks(directory) == []  # looking makes no file
+    assert list_locks(directory) == []  # reading creates no file
     hold = lock.acquire(runtime, "drive ü" + "!" * 200)
     party = runtime.spawn("waits", lambda: other.acquire(runtime, "b", LONG_S).release())
     assert runtime.wait_until(lambda: purposes(lock.look()) == ["b"], LONG_S)
@@ -274,17 +272,17 @@ def test_looking_takes_nothing_and_tells_who_has_it_and_who_waits(lock, other, r
     assert (view.label, view.holder, view.waiters) == ("the pan", None, ())
 
 
-def test_of_a_process_that_has_not_yet_said_who_it_is_only_that_is_told(
-    lock, other, runtime, monkeypatch
-):
-    monkeypatch.setattr("motorapi.lock_file.LockFile.tell_holder", lambda *told: None)
+def test_unpublished_holder_is_shown_as_unidentified(lock, other, runtime, monkeypatch):
+    monkeypatch.setattr(
+        "motorhil.motorapi.locking.lock_file.LockFile.tell_holder", lambda *told: None
+    )
     lock.acquire(runtime, "x")
-    with pytest.raises(MotorBusyError, match="has not yet said who it is since just now") as caught:
+    with pytest.raises(MotorBusyError, match="is not yet identified since just now") as caught:
         other.acquire(runtime, "y")
     assert caught.value.pid is None
 
 
-def test_who_has_it_is_not_told_from_a_file_that_somebody_has_restored(lock, runtime, tmp_path):
+def test_restored_file_does_not_change_the_holder(lock, runtime, tmp_path):
     with lock.acquire(runtime, "long ago"):
         old = (tmp_path / "pan").read_bytes()
     hold = lock.acquire(runtime, "now")
@@ -295,7 +293,7 @@ def test_who_has_it_is_not_told_from_a_file_that_somebody_has_restored(lock, run
     hold.release()
 
 
-def test_it_is_told_whether_the_one_before_let_go_of_it(lock, other, runtime):
+def test_acquisition_reports_an_abandoned_lock(lock, other, runtime):
     hold = lock.acquire(runtime, "x")
     hold.release()
     assert not lock.look().abandoned
@@ -311,9 +309,7 @@ def test_it_is_told_whether_the_one_before_let_go_of_it(lock, other, runtime):
     assert not lock.acquire(runtime, "x").was_abandoned
 
 
-def test_after_somebody_has_tidied_up_all_use_the_new_file_and_tokens_still_grow(
-    lock, other, runtime, tmp_path
-):
+def test_removed_file_is_replaced_and_tokens_still_grow(lock, other, runtime, tmp_path):
     with lock.acquire(runtime, "x") as hold:
         token = hold.token
     (tmp_path / "pan").unlink()
@@ -323,30 +319,30 @@ def test_after_somebody_has_tidied_up_all_use_the_new_file_and_tokens_still_grow
         lock.acquire(runtime, "x")
 
 
-def test_what_is_no_lock_file_is_left_alone(lock, runtime, tmp_path):
+def test_file_that_is_not_a_lock_is_left_alone(lock, runtime, tmp_path):
     (tmp_path / "pan").touch(0o600)
     (tmp_path / "pan").write_text("my precious notes")
-    with pytest.raises(UsageError, match=f"{tmp_path}/pan: this is no lock file"):
+    with pytest.raises(UsageError, match=f"{tmp_path}/pan: not a lock file"):
         lock.acquire(runtime, "x")
     assert (tmp_path / "pan").read_text() == "my precious notes"
 
 
 @pytest.mark.parametrize("name", ["", "a/b", ".hidden", "..", "x" * 201])
-def test_a_name_that_is_no_files_is_refused(name, directory):
+def test_invalid_lock_name_raises(name, directory):
     with pytest.raises(UsageError, match="lock '"):
         ProcessLock(name, "x", directory)
 
 
 def open_here(folder):
-    """How many descriptors of this process are of files in the folder."""
+    """Return the number of open descriptors of files in the folder."""
     count = 0
     for name in os.listdir("/proc/self/fd"):
-        with suppress(FileNotFoundError):  # the list's own
+        with suppress(FileNotFoundError):  # of the listing itself
             count += os.readlink(f"/proc/self/fd/{name}").startswith(str(folder))
     return count
 
 
-def test_a_lock_that_nobody_uses_any_more_keeps_nothing_open(directory, runtime, tmp_path):
+def test_unused_lock_keeps_no_file_open(directory, runtime, tmp_path):
     lock = ProcessLock("pan", "the pan", directory)
     lock.acquire(runtime, "x").release()
     assert open_here(tmp_path) == 1  # kept for the next time

@@ -1,10 +1,10 @@
-"""What one sees at a prompt."""
+"""Representations at a prompt."""
 
 import pickle
 
 import pytest
 
-from motorapi import (
+from motorhil.motorapi import (
     ControlMode,
     ControlVariable,
     DerivativeLimits,
@@ -45,20 +45,20 @@ VALUES = [
 
 
 @pytest.mark.parametrize(("value", "shown"), VALUES, ids=lambda value: type(value).__name__)
-def test_a_value_shows_what_was_given_and_makes_itself_again(value, shown):
+def test_value_repr_is_the_call_that_creates_it(value, shown):
     assert repr(value) == shown
     assert eval(shown, NAMES) == value
     assert pickle.loads(pickle.dumps(value)) == value
 
 
-def test_what_was_heard_shows_its_time_and_what_there_is():
+def test_measurement_repr_shows_time_and_known_values():
     heard = Measurement(1_500_000_000, MotorState.ENABLED, 0.25, None, -1.5)
     assert repr(heard) == "<Measurement at 1.500000 s: enabled, position 0.25, torque -1.5>"
     fault = Fault(0x8611, "following error", 2_000_000)
     assert repr(fault) == "<Fault 8611h (following error) since 0.002000 s>"
 
 
-def test_a_motion_shows_what_it_is_and_no_more():
+def test_motion_repr_shows_its_relevant_fields():
     motion = Motion(ControlMode.TRAJECTORY, ControlVariable.POSITION, 0.0, 1.0, 2.0, 4.0, 3.0)
     assert repr(motion) == (
         "<Motion trajectory of position: 0 to 1, velocity up to 2, acceleration 4, deceleration 3>"
@@ -69,17 +69,17 @@ def test_a_motion_shows_what_it_is_and_no_more():
     assert repr(torque) == "<Motion setpoint of torque: 0 to 0.5, 2 per s>"
 
 
-def test_a_motor_shows_its_state_and_what_goes_on(runtime, hw, motor):
+def test_motor_repr_shows_its_state_and_activity(runtime, hw, motor):
     other = PlainMotor(hw, name="other")
     motor.set_control_mode(ControlMode.TRAJECTORY)
     motor.set_trajectory(TrapezoidalTrajectory(3.0))
     assert repr(motor) == "<PlainMotor 'm1' on bus0 node 1: disabled, 0 rad>"
     motor.start()
     runtime.run_for(0.5)
-    told = "on bus0 node 1: enabled, 0.5 rad; start() of m1 goes on>"
+    told = "on bus0 node 1: enabled, 0.5 rad; start() of m1 is active>"
     assert (repr(motor), repr(other)) == (f"<PlainMotor 'm1' {told}", f"<PlainMotor 'other' {told}")
     assert repr(motor._physical) == "<PhysicalMotor bus0 node 1: start() of m1>"
-    assert repr(motor._run) == "<Run start() of m1 since 0.000000 s: not known to be over>"
+    assert repr(motor._run) == "<Run start() of m1 since 0.000000 s: not known to have ended>"
     assert repr(motor.progress()) == (
         "<Progress of start() of m1: 0.500 s of 2.000 s, 16.7%, at 0.5 on the way to 3>"
     )
@@ -94,11 +94,11 @@ def test_a_motor_shows_its_state_and_what_goes_on(runtime, hw, motor):
     motor.set_control_mode(ControlMode.SETPOINT, ControlVariable.VELOCITY)
     motor.set_setpoint(1.0)
     motor.start()
-    assert repr(other).endswith("; start() of m1 goes on>")
+    assert repr(other).endswith("; start() of m1 is active>")
     fault_now(hw)
     assert repr(other).endswith("on bus0 node 1: fault, 0.5 rad>")
 
 
-def test_an_error_shows_its_kind_and_its_words():
+def test_error_repr_shows_class_and_message():
     error = errors.StateError(motor="left", operation="start", state="x", remedy="y")
     assert repr(error) == "StateError('left: start refused, x; y')"

@@ -3,9 +3,9 @@ import gc
 import can
 import pytest
 
-from emulators.event_queue import EventQueue
-from harness.virtual_time import VirtualRuntime
-from motorapi import (
+from motorhil.emulators.simulation.event_queue import EventQueue
+from motorhil.harness.virtual_time.runtime import VirtualRuntime
+from motorhil.motorapi import (
     ControlMode,
     ControlVariable,
     DeviceFault,
@@ -15,12 +15,12 @@ from motorapi import (
     TrapezoidalTrajectory,
     UsageError,
 )
-from motorapi.sharing import (
+from motorhil.motorapi.ownership.physical_motor import (
     bus_key,
     register_physical_motor,
     release_physical_motor,
 )
-from motorapi.turns import TRANSACTION_TIMEOUT_S
+from motorhil.motorapi.ownership.queue import TRANSACTION_TIMEOUT_S
 from tests.motorapi.plain import PlainBus, PlainHwMotor, PlainMotor, fault_now
 
 
@@ -31,23 +31,23 @@ def follow(motor, way):
 
 @pytest.fixture
 def logical(hw):
-    """Two logical motors of one physical one."""
+    """Return two logical motors of one physical motor."""
     return [PlainMotor(hw, name=name) for name in ("drive", "other")]
 
 
-def test_a_second_hardware_object_is_refused_and_the_first_is_named(runtime, hw):
+def test_second_hardware_object_raises_and_names_the_first(runtime, hw):
     with pytest.raises(UsageError, match=r"bus0 node 1 .*PlainHwMotor\('bus0', node=1\).*close"):
         PlainHwMotor(runtime, node=1)
     PlainHwMotor(runtime, node=2)
     PlainHwMotor(runtime, node=1, bus=PlainBus("bus1"))
-    PlainHwMotor(VirtualRuntime(EventQueue()), node=1)  # another world
+    PlainHwMotor(VirtualRuntime(EventQueue()), node=1)  # in another runtime
 
 
-def test_a_closed_or_forgotten_hardware_object_makes_room(runtime, hw):
+def test_closed_or_dropped_hardware_object_is_replaceable(runtime, hw):
     hw.close()
     hw.close()
     second = PlainHwMotor(runtime, node=1)
-    hw.close()  # not its motor any more
+    hw.close()  # no longer its motor
     with pytest.raises(UsageError):
         PlainHwMotor(runtime, node=1)
     second.bus.hardware.clear()
@@ -56,7 +56,7 @@ def test_a_closed_or_forgotten_hardware_object_makes_room(runtime, hw):
     PlainHwMotor(runtime, node=1)
 
 
-def test_one_bus_is_one_key_however_often_it_is_opened():
+def test_one_bus_has_one_key_however_often_opened():
     buses = [
         can.Bus(interface="virtual", channel=channel)
         for channel in ("sharing-a", "sharing-a", "sharing-b")
@@ -75,16 +75,16 @@ def test_one_bus_is_one_key_however_often_it_is_opened():
     assert bus_key(first) == bus_key(first) != bus_key(second)
 
 
-def test_releasing_a_motor_nobody_has_does_nothing():
+def test_release_of_an_unregistered_motor_does_nothing():
     release_physical_motor(("nobody", 1), object())
     mine = register_physical_motor(
-        "a key", "a label", test_releasing_a_motor_nobody_has_does_nothing
+        "a key", "a label", test_release_of_an_unregistered_motor_does_nothing
     )
-    release_physical_motor("a key", test_releasing_a_motor_nobody_has_does_nothing)
+    release_physical_motor("a key", test_release_of_an_unregistered_motor_does_nothing)
     assert mine.label == "a label"
 
 
-def test_settings_of_one_logical_motor_do_not_reach_another(logical):
+def test_settings_of_a_logical_motor_do_not_reach_another(logical):
     drive, other = logical
     follow(drive, 1.0)
     assert other.control_mode is None
@@ -94,7 +94,7 @@ def test_settings_of_one_logical_motor_do_not_reach_another(logical):
     assert drive.position() == other.position() == 1.0
 
 
-def test_while_it_moves_for_one_another_cannot_command_it(runtime, logical, hw):
+def test_moving_motor_cannot_be_commanded_by_another(runtime, logical, hw):
     drive, other = logical
     follow(drive, 3.0)
     follow(other, 1.0)
@@ -113,19 +113,19 @@ def test_while_it_moves_for_one_another_cannot_command_it(runtime, logical, hw):
         drive.start()
 
 
-def test_a_motion_that_ended_unseen_frees_the_motor_and_stays_done(runtime, logical):
+def test_motion_that_ended_unseen_frees_the_motor(runtime, logical):
     drive, other = logical
     follow(drive, 1.0)
     drive.start()
     runtime.run_for(5.0)
     follow(other, 1.0)
     other.start()
-    drive.wait_until_done()  # it did end at its target
+    drive.wait_until_done()  # it ended at its target
     assert not other.is_done()
     assert drive.is_done()
 
 
-def test_a_velocity_set_point_holds_the_motor_until_it_is_stopped(logical):
+def test_velocity_set_point_holds_the_motor_until_stop(logical):
     drive, other = logical
     drive.set_control_mode(ControlMode.SETPOINT, ControlVariable.VELOCITY)
     drive.set_setpoint(1.0)
@@ -134,13 +134,13 @@ def test_a_velocity_set_point_holds_the_motor_until_it_is_stopped(logical):
     follow(other, 1.0)
     with pytest.raises(MotorBusyError):
         other.start()
-    other.stop()  # anybody may
+    other.stop()  # no ownership needed
     other.start()
     with pytest.raises(MotionInterrupted, match=r"stop\(\) of other"):
         drive.wait_until_done()
 
 
-def test_a_fault_frees_the_motor(logical, hw):
+def test_fault_frees_the_motor(logical, hw):
     drive, other = logical
     follow(drive, 3.0)
     drive.start()
@@ -152,7 +152,7 @@ def test_a_fault_frees_the_motor(logical, hw):
     other.start()
 
 
-def test_the_token_grows_when_the_motor_changes_hands(logical, hw):
+def test_token_grows_when_the_motor_changes_hands(logical, hw):
     drive, other = logical
     tokens = []
     for motor in (drive, drive, other, drive):
@@ -163,7 +163,7 @@ def test_the_token_grows_when_the_motor_changes_hands(logical, hw):
     assert tokens == [1, 1, 2, 3]
 
 
-def test_operations_of_parties_take_turns_in_order_of_asking(runtime):
+def test_operations_of_parties_take_turns_in_order(runtime):
     hw = PlainHwMotor(runtime, acts_s=0.1)
     order = []
 
@@ -178,7 +178,7 @@ def test_operations_of_parties_take_turns_in_order_of_asking(runtime):
     for party in parties:
         assert party.join(timeout_s=10)
         assert party.error is None
-    # a enables; b and c find it enabled when their turn comes; then each disables in turn.
+    # a enables; b and c find it enabled in their turns; then each disables in turn.
     assert [entry[:2] for entry in order] == [
         *[("a", "enabled"), ("b", "enabled"), ("c", "enabled")],
         *[("a", "disabled"), ("b", "disabled"), ("c", "disabled")],
@@ -186,7 +186,7 @@ def test_operations_of_parties_take_turns_in_order_of_asking(runtime):
     assert [entry[2] for entry in order] == [k * 100_000_000 for k in (1, 1, 1, 2, 3, 4)]
 
 
-def test_two_starts_at_once_are_one_after_the_other(runtime):
+def test_two_simultaneous_starts_run_in_turn(runtime):
     hw = PlainHwMotor(runtime, acts_s=0.01)
     outcomes = []
 
@@ -211,7 +211,7 @@ def test_two_starts_at_once_are_one_after_the_other(runtime):
     assert outcomes == [("b", "start() of a"), ("a", 1.0)]
 
 
-def test_waiting_for_a_turn_ends_with_the_name_of_who_has_it(runtime, hw):
+def test_turn_timeout_names_the_holder(runtime, hw):
     motor, late = PlainMotor(hw, name="slow"), PlainMotor(hw, name="late")
     hw.acts_s = TRANSACTION_TIMEOUT_S + 1.0
     runtime.spawn("slow", motor.enable)
@@ -220,10 +220,10 @@ def test_waiting_for_a_turn_ends_with_the_name_of_who_has_it(runtime, hw):
         late.enable()
     runtime.run_for(1.0)
     hw.acts_s = 0.0
-    late.enable()  # nothing is left behind of the turn that was given up
+    late.enable()  # no trace of the abandoned turn
 
 
-def test_a_callback_cannot_begin_an_operation_in_the_middle_of_another(runtime):
+def test_callback_cannot_begin_an_operation_within_another(runtime):
     hw = PlainHwMotor(runtime, acts_s=0.1)
     motor = PlainMotor(hw)
     refused = []
@@ -238,10 +238,10 @@ def test_a_callback_cannot_begin_an_operation_in_the_middle_of_another(runtime):
     motor.enable()
     timer.cancel()
     assert len(refused) >= 1
-    assert "enable() of m1 is still at work in this very thread" in refused[0]
+    assert "enable() of m1 is still active in this thread" in refused[0]
 
 
-def test_groups_that_share_motors_in_opposite_orders_do_not_lock_each_other(runtime):
+def test_groups_in_opposite_orders_do_not_deadlock(runtime):
     bus = PlainBus()
     hardware = [PlainHwMotor(runtime, node, bus, acts_s=0.001) for node in (1, 2, 3)]
     for one in hardware:
@@ -249,7 +249,7 @@ def test_groups_that_share_motors_in_opposite_orders_do_not_lock_each_other(runt
     rounds = []
 
     def drive(name, order):
-        from motorapi import MotorGroup
+        from motorhil.motorapi import MotorGroup
 
         group = MotorGroup(*(PlainMotor(hardware[k], name=f"{name}{k}") for k in order))
         group.for_each(Motor.set_control_mode, ControlMode.TRAJECTORY)

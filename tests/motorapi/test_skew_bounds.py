@@ -1,7 +1,7 @@
-"""Measured skew never exceeds what was predicted: for random groups, and near the bounds.
+"""Measured skew within its prediction: random groups, and cases near the bounds.
 
-What is predicted rests on declared traffic, which a test node really sends; what is measured comes
-from the bus record and from the plants' truth (tests/motorapi/skew_rigs.py).
+Predictions use declared traffic, which a test node really sends. Measurements use the bus record
+and the plants' true states (tests/motorapi/skew_rigs.py).
 """
 
 from dataclasses import replace
@@ -13,17 +13,17 @@ import pytest
 from hypothesis import event, given, settings
 from hypothesis import strategies as st
 
-from harness.rig import Rig
-from motorapi.adaptations.bus_traffic import traffic_on
-from motorapi.adaptations.canopen_link import open_link, release_link
-from motorapi.commands import ControlMode, ControlVariable
-from motorapi.errors import UsageError
-from motorapi.group import MotorGroup
-from motorapi.motor import Motor
-from motorapi.synchronization import SyncLevel
-from motorapi.traffic import CanTraffic, declare_traffic
-from motorapi.trajectory import TrapezoidalTrajectory
-from motorapi.wall_runtime import WallRuntime
+from motorhil.harness.rig.rig import Rig
+from motorhil.motorapi.adaptations.canopen.bus import open_link, release_link
+from motorhil.motorapi.adaptations.canopen.bus_load import traffic_on
+from motorhil.motorapi.commands import ControlMode, ControlVariable
+from motorhil.motorapi.errors import UsageError
+from motorhil.motorapi.group import MotorGroup
+from motorhil.motorapi.motor import Motor
+from motorhil.motorapi.runtime.wall import WallRuntime
+from motorhil.motorapi.synchronization.bus_load import CanTraffic, declare_traffic
+from motorhil.motorapi.synchronization.quality import SyncLevel
+from motorhil.motorapi.trajectory import TrapezoidalTrajectory
 from tests.motorapi.adaptations.conftest import HEAD, drive
 from tests.motorapi.skew_rigs import Outcome, run
 from tests.motorapi.skew_scenarios import Choices, Member, Message, Scenario, drawn
@@ -32,7 +32,7 @@ ROUNDING_NS = 2  # two times, each rounded to a whole nanosecond
 
 
 def ratios(outcome: Outcome) -> dict[str, float | None]:
-    """Measured over predicted; None: no bound, or nothing that could be measured."""
+    """Return measured over predicted; None: no bound, or no measurement."""
     told = outcome.predicted
     pairs = {
         "command": (told.command_skew_s, outcome.command_ns, told.no_command_bound),
@@ -60,7 +60,7 @@ def _reached(ratio: float | None) -> str:
 
 @settings(max_examples=25, deadline=None)
 @given(st.data())
-def test_no_random_group_is_further_apart_than_predicted(
+def test_random_groups_do_not_exceed_the_prediction(
     tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
 ):
     scenario = drawn(Choices(lambda low, high: data.draw(st.integers(low, high))))
@@ -71,8 +71,8 @@ def test_no_random_group_is_further_apart_than_predicted(
         assert outcome.told_command_s <= outcome.predicted.command_skew_s + 2e-9
 
 
-def test_the_random_groups_have_bounds_and_reach_half_of_them(tmp_path: Path):
-    """What the property above rests on: its scenarios are not all without bound, or far from it."""
+def test_random_groups_have_bounds_and_reach_half_of_them(tmp_path: Path):
+    """Check the premise of the property above: most scenarios have bounds, and come near them."""
     found: list[dict[str, float | None]] = []
     for seed in (0, 2, 4, 9, 11):
         scenario = drawn(Choices(Random(seed).randint))
@@ -90,7 +90,7 @@ LATCHED = Member("latched", 0, 0.1)
 
 
 def eager(*can_ids: int, period_us: int = 20_000) -> tuple[Message, ...]:
-    """Messages that come all at once when the first motor is started."""
+    """Return messages that are all sent at once when the first motor is started."""
     return tuple(Message(0, can_id, False, 8, period_us, 0, 0, True) for can_id in can_ids)
 
 
@@ -112,20 +112,20 @@ def test_one_sync_latches_all_and_the_next_tick_starts_all(tmp_path: Path):
     assert outcome.start_ns in (50_000, 950_000)
 
 
-def test_more_urgent_traffic_holds_the_second_start_up_as_long_as_predicted(tmp_path: Path):
+def test_higher_priority_traffic_delays_the_second_start(tmp_path: Path):
     found = ratios(ran(tmp_path, ALONE, ALONE, messages=eager(*range(0x100, 0x118))))
     assert found["command"] is not None
     assert found["command"] > 0.8
 
 
-def test_a_drive_that_answers_late_holds_up_the_next_as_long_as_predicted(tmp_path: Path):
+def test_drive_that_answers_late_delays_the_next_one(tmp_path: Path):
     live = Member("live", 0, 0.1, reply_s=0.02)
     found = ratios(ran(tmp_path, *[live] * 4))
     assert found["command"] is not None
-    assert found["command"] > 0.6  # three answers are waited for; the bound has the last one, too
+    assert found["command"] > 0.6  # three answers are awaited; the bound includes the last one, too
 
 
-def test_the_second_bus_begins_a_sync_later(tmp_path: Path):
+def test_second_bus_begins_a_sync_later(tmp_path: Path):
     there = replace(LATCHED, bus=1)
     messages = [replace(one, bus=1) for one in eager(*range(0x010, 0x016))]
     outcome = ran(tmp_path, LATCHED, there, messages=messages, bitrates=(1_000_000, 125_000))
@@ -134,20 +134,20 @@ def test_the_second_bus_begins_a_sync_later(tmp_path: Path):
     assert found["command"] is not None
 
 
-def test_clocks_that_differ_part_the_ends_as_predicted(tmp_path: Path):
+def test_different_clocks_separate_the_ends_as_predicted(tmp_path: Path):
     fast, slow = replace(LATCHED, ppm=9_500.0), replace(LATCHED, ppm=-9_500.0)
     found = ratios(ran(tmp_path, fast, slow))
     assert found["end"] is not None
     assert found["end"] > 0.7
 
 
-def test_a_stream_and_a_set_point_are_a_period_apart_as_predicted(tmp_path: Path):
+def test_stream_and_set_point_are_a_period_apart(tmp_path: Path):
     outcome = ran(tmp_path, Member("streamed", 0, 0.1), LATCHED)
     found = ratios(outcome)
     assert outcome.command_ns == 5_000_000
     assert found["command"] is not None
     assert found["command"] > 0.7
-    assert "a stream of set-points" in outcome.predicted.no_end_bound
+    assert "streamed set-points is not predicted" in outcome.predicted.no_end_bound
 
 
 # --- where there is no bound ---------------------------------------------------------------------
@@ -171,12 +171,12 @@ ALL_TOLD = "servo_period_ms = 1\noscillator_ppm = 50\nsdo_reply_ms = 1.1"
 SEQUENTIAL = 'objects = { "1005h" = 0x81 }'
 
 
-def test_undeclared_traffic_is_told_as_no_bound_and_a_declaration_mends_it(tmp_path: Path):
+def test_undeclared_traffic_has_no_bound_until_declared(tmp_path: Path):
     with rig_of(tmp_path, ALL_TOLD, SEQUENTIAL) as rig:
         group = group_of(rig)
         told = group.sync_capability()
         assert told.command_skew_s is told.start_skew_s is told.end_skew_s is None
-        reason = "a: what else is sent on can0 is not declared (declare_traffic)"
+        reason = "a: the other traffic on can0 is not declared (declare_traffic)"
         assert told.no_command_bound == told.no_start_bound == told.no_end_bound == reason
         with pytest.raises(UsageError):
             group.start(max_skew_s=1.0)
@@ -193,53 +193,51 @@ def test_undeclared_traffic_is_told_as_no_bound_and_a_declaration_mends_it(tmp_p
     [
         (
             "oscillator_ppm = 50",
-            "a: its profile tick is not told (servo_period_ms)",
-            "a: its profile tick is not told (servo_period_ms)",
+            "a: its profile tick is not known (servo_period_ms)",
+            "a: its profile tick is not known (servo_period_ms)",
         ),
-        ("servo_period_ms = 1", "", "a: the accuracy of its clock is not told (oscillator_ppm)"),
+        ("servo_period_ms = 1", "", "a: the accuracy of its clock is not known (oscillator_ppm)"),
     ],
 )
-def test_what_is_not_told_of_a_drive_leaves_no_bound(
-    tmp_path: Path, motor: str, start: str, end: str
-):
+def test_unspecified_drive_has_no_bound(tmp_path: Path, motor: str, start: str, end: str):
     with rig_of(tmp_path, motor) as rig:
         told = group_of(rig).sync_capability()
-        assert told.command_skew_s == 0.0  # one SYNC, whatever else there is
+        assert told.command_skew_s == 0.0  # one SYNC, independent of other traffic
         assert (told.no_start_bound, told.no_end_bound) == (start, end)
 
 
-def test_a_handshake_needs_the_time_in_which_the_drive_answers(tmp_path: Path):
+def test_handshake_requires_the_answer_time_of_the_drive(tmp_path: Path):
     motor = "servo_period_ms = 1\noscillator_ppm = 50"
     head = f"{HEAD}message = []\n"
     with rig_of(tmp_path, motor, SEQUENTIAL, head) as rig:
         told = group_of(rig, ControlVariable.VELOCITY).sync_capability()
         assert told.no_command_bound == (
-            "a: how long the drive takes to answer an SDO is not told (sdo_reply_ms)"
+            "a: the drive's SDO response time is not known (sdo_reply_ms)"
         )
 
 
-def test_what_is_sent_on_change_without_an_inhibit_time_has_no_bound(tmp_path: Path):
+def test_event_driven_pdo_without_inhibit_time_has_no_bound(tmp_path: Path):
     motor = f"{ALL_TOLD}\nstatus_inhibit_ms = 0"
     with rig_of(tmp_path, motor, SEQUENTIAL, f"{HEAD}message = []\n") as rig:
         told = group_of(rig).sync_capability()
         assert told.no_command_bound == (
-            "a: what is sent on can0 has no bound: TPDO 181h of node 1 has no inhibit time"
+            "a: the traffic on can0 has no bound: TPDO 181h of node 1 has no inhibit time"
         )
 
 
-def test_the_walls_time_has_no_bound_whatever_is_declared():
+def test_wall_time_has_no_bound_despite_a_declaration():
     with can.Bus(interface="virtual", channel="skew", receive_own_messages=True) as bus:
         declare_traffic(bus, CanTraffic(1_000_000))
         link = open_link(bus, WallRuntime())
         traffic, why = traffic_on(link)
         release_link(link)
     assert traffic is None
-    assert why == "on the wall clock nothing promises when this program goes on"
+    assert why == "on the wall clock the delays of this program have no bound"
 
 
-def test_what_is_no_traffic_is_not_declared():
+def test_declare_traffic_with_invalid_values_raises():
     with (
         can.Bus(interface="virtual", channel="skew") as bus,
-        pytest.raises(UsageError, match="is no CanTraffic"),
+        pytest.raises(UsageError, match="is not a CanTraffic"),
     ):
         declare_traffic(bus, "nothing")  # type: ignore[arg-type]

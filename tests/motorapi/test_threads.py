@@ -1,7 +1,7 @@
-"""Real threads: many logical motors of one physical motor, each used as if it were alone.
+"""Real threads: many logical motors of one physical motor, each with its own code.
 
 The paper, 3.5: "the code written for single-threaded operation will operate correctly if the motor
-resource is shared between multiple threads". Here it is made hard: threads switch every 20 us.
+resource is shared between multiple threads". To make it hard, threads switch every 20 us here.
 """
 
 import sys
@@ -10,7 +10,7 @@ from contextlib import suppress
 
 import pytest
 
-from motorapi import (
+from motorhil.motorapi import (
     ControlMode,
     MotionInterrupted,
     MotorBusyError,
@@ -18,18 +18,18 @@ from motorapi import (
     TrapezoidalTrajectory,
     WallRuntime,
 )
-from motorapi.outcome import Ending
+from motorhil.motorapi.motor import Ending
 from tests.motorapi.plain import PlainHwMotor, PlainMotor
 
 THREADS = 8
 LONG_S = 30.0
-"""For a machine under load; nothing below waits for it when all is well."""
+"""For a machine under load; without load, no step takes that long."""
 
 
 class OneAtATime(PlainHwMotor):
-    """Notices two acting hooks at once, and what happens under somebody's low-level access.
+    """A motor that detects two acting hooks at once, and accesses during low-level access.
 
-    A stop may come while another hook is at work, so what both change has a lock: the paper's "as
+    A stop may come while another hook runs, so data changed by both have a lock: the paper's "as
     long as the motor adaptation is implemented in a thread safe manner".
     """
 
@@ -45,7 +45,7 @@ class OneAtATime(PlainHwMotor):
         self.check(name)
         self.inside += 1
         self.overlaps += self.inside > 1
-        self.runtime.wait_until(lambda: False, 0.0003)  # others have a chance here
+        self.runtime.wait_until(lambda: False, 0.0003)  # gives other threads a chance
         self.overlaps += self.inside > 1
         self.inside -= 1
 
@@ -112,7 +112,7 @@ def hw(runtime):
 
 
 def run_in_threads(hw, work):
-    """`work(motor)` ran in `THREADS` threads at once, with a logical motor each."""
+    """Run `work(motor)` in `THREADS` threads at once, with a logical motor each."""
     failures = []
     together = threading.Barrier(THREADS)
 
@@ -135,7 +135,7 @@ def run_in_threads(hw, work):
 
 
 def start(motor, way):
-    """Single-threaded code, but for one thing: whoever has the motor is waited for."""
+    """Start in single-threaded code, except for the wait for other owners."""
     motor.set_control_mode(ControlMode.TRAJECTORY)
     motor.set_trajectory(TrapezoidalTrajectory(way))
     while True:
@@ -145,7 +145,7 @@ def start(motor, way):
             motor.runtime.wait_until(lambda: False, 0.0005)
 
 
-def test_every_motion_of_every_thread_ends_at_its_own_target(hw):
+def test_motions_of_all_threads_end_at_their_own_targets(hw):
     rounds = 5
     ways = []
 
@@ -161,7 +161,7 @@ def test_every_motion_of_every_thread_ends_at_its_own_target(hw):
     assert hw.position() == pytest.approx(sum(ways))  # sums of floats
 
 
-def test_every_motion_has_one_outcome_whoever_stops_it(hw):
+def test_every_motion_has_one_outcome_with_concurrent_stops(hw):
     told = {}
 
     def work(motor):
@@ -187,7 +187,7 @@ def test_every_motion_has_one_outcome_whoever_stops_it(hw):
     assert hw.physical.bell.listeners == []
 
 
-def test_low_level_access_is_one_threads_alone(hw):
+def test_low_level_access_belongs_to_one_thread(hw):
     held = []
 
     def work(motor):
@@ -215,12 +215,14 @@ def test_low_level_access_is_one_threads_alone(hw):
     assert len(held) == 4 * THREADS
 
 
-def test_two_acting_at_once_would_be_noticed(hw, monkeypatch):
-    """So that the tests above say something."""
+def test_two_concurrent_acting_hooks_are_detected(hw, monkeypatch):
+    """Check that the detection above works."""
     from contextlib import nullcontext
 
-    for way in ("sharing.PhysicalMotor.transaction", "ownership.Ownership.owned"):
-        monkeypatch.setattr(f"motorapi.{way}", lambda *args, **kwargs: nullcontext())
+    for way in ("physical_motor.PhysicalMotor.transaction", "ownership.Ownership.owned"):
+        monkeypatch.setattr(
+            f"motorhil.motorapi.ownership.{way}", lambda *args, **kwargs: nullcontext()
+        )
 
     def work(motor):
         for _ in range(10):

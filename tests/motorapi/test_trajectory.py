@@ -1,4 +1,4 @@
-"""Complex trajectories as values, what of them is refused, and what trajectories demand."""
+"""Complex trajectories: values, errors, and demands."""
 
 import pickle
 from math import inf, nan, pi
@@ -7,7 +7,7 @@ import pytest
 from hypothesis import event, given
 from hypothesis import strategies as st
 
-from motorapi import (
+from motorhil.motorapi import (
     ComplexTrajectory,
     ControlMode,
     ControlVariable,
@@ -20,13 +20,13 @@ from motorapi import (
     TrapezoidalTrajectory,
     UnsupportedError,
     UsageError,
-    planning,
 )
-from motorapi.arguments import require_argument
-from motorapi.commands import Setpoint
-from motorapi.demand import demand_of
-from motorapi.functions import Piecewise, Polynomial
-from motorapi.state import Measurement, MotorState
+from motorhil.motorapi.commands import Setpoint
+from motorhil.motorapi.functions import Piecewise, Polynomial
+from motorhil.motorapi.planning import single_axis as planning
+from motorhil.motorapi.planning.sampling import demand_of
+from motorhil.motorapi.state import Measurement, MotorState
+from motorhil.motorapi.trajectory import require_argument
 
 MODEL = MotorModel(
     name="wheel", velocity_max=2.0, acceleration_max=4.0, position_min=-3.0, position_max=3.0
@@ -35,12 +35,12 @@ P, V, T = ControlVariable.POSITION, ControlVariable.VELOCITY, ControlVariable.TO
 
 
 def rest_to_rest(distance, duration_s):
-    """3 s² - 2 s³: from rest to rest."""
+    """Return 3 s² - 2 s³: from rest to rest."""
     d, t = distance, duration_s
     return Polynomial((0.0, 0.0, 3.0 * d / t**2, -2.0 * d / t**3)).restricted(0.0, t)
 
 
-def test_a_complex_trajectory_is_a_value():
+def test_complex_trajectory_has_value_semantics():
     one = ComplexTrajectory(rest_to_rest(1.0, 2.0), relative=True)
     same = ComplexTrajectory(rest_to_rest(1.0, 2.0), 0, 2, relative=True)
     assert one == same
@@ -54,16 +54,16 @@ def test_a_complex_trajectory_is_a_value():
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        (("sine",), "no function"),
+        (("sine",), "is not a function"),
         ((Polynomial((0.0, 1.0)),), "finite beginning and end"),
         ((rest_to_rest(1.0, 2.0), 0.0, 2.5), "final_argument 2.5 lies outside .* 0 to 2"),
         ((rest_to_rest(1.0, 2.0), -1.0), "initial_argument -1 lies outside"),
-        ((rest_to_rest(1.0, 2.0), 1.0, 1.0), "no interval"),
+        ((rest_to_rest(1.0, 2.0), 1.0, 1.0), "is empty"),
         ((rest_to_rest(1.0, 2.0), nan), "initial_argument is nan"),
         ((rest_to_rest(1.0, 2.0), "0"), "initial_argument is '0'"),
     ],
 )
-def test_what_is_no_complex_trajectory_is_told(arguments, says):
+def test_invalid_complex_trajectory_raises(arguments, says):
     with pytest.raises(UsageError, match=says):
         ComplexTrajectory(*arguments)
 
@@ -101,26 +101,26 @@ def check(trajectory, variable=P, argument=None):
         (rest_to_rest(1.9, 0.5), V, "acceleration of the trajectory"),
     ],
 )
-def test_a_function_that_leaves_a_limit_is_refused_and_says_where(function, variable, quantity):
+def test_function_beyond_a_limit_raises_with_its_place(function, variable, quantity):
     with pytest.raises(LimitError, match=quantity):
         check(ComplexTrajectory(function), variable)
 
 
-def test_a_function_with_a_kink_or_a_jump_is_refused():
+def test_function_with_a_kink_or_a_jump_raises():
     ramp = Polynomial((0.0, 1.0)).restricted(0.0, 1.0)
     with pytest.raises(
         UsageError, match=r"begins at 1 rad/s, at argument 0, where the motor is at rest"
     ):
         check(ComplexTrajectory(ramp))
     kink = Piecewise((0.0, 1.0, 2.0), (Polynomial((0.0, 0.0, 0.5)), Polynomial((0.5,))))
-    with pytest.raises(LimitError, match="at argument 1, velocity steps by -1 rad/s there"):
+    with pytest.raises(LimitError, match="at argument 1, velocity jumps by -1 rad/s there"):
         check(ComplexTrajectory(kink))
     jump = Piecewise((0.0, 1.0, 2.0), (Polynomial((0.0,)), Polynomial((0.5,))))
-    with pytest.raises(LimitError, match=r"at argument 1, position steps by 0\.5 rad there"):
+    with pytest.raises(LimitError, match=r"at argument 1, position jumps by 0\.5 rad there"):
         check(ComplexTrajectory(jump))
-    with pytest.raises(LimitError, match=r"at argument 1, velocity steps by 0\.5 rad/s there"):
+    with pytest.raises(LimitError, match=r"at argument 1, velocity jumps by 0\.5 rad/s there"):
         check(ComplexTrajectory(jump), V)
-    check(ComplexTrajectory(jump), T)  # torque may step
+    check(ComplexTrajectory(jump), T)  # torque may jump
 
 
 @pytest.mark.parametrize(
@@ -133,18 +133,20 @@ def test_a_function_with_a_kink_or_a_jump_is_refused():
         (T, (0.5,), r"with a first derivative of 0\.5 N·m/s;"),
     ],
 )
-def test_a_derivative_at_an_end_is_refused_and_not_ignored(variable, derivatives, told):
+def test_derivative_at_an_end_raises(variable, derivatives, told):
     with pytest.raises(UnsupportedError, match=f"{variable.value} that ends {told}"):
         check(TrapezoidalTrajectory(1.0, duration_s=9, final_derivatives=derivatives), variable)
     with pytest.raises(UnsupportedError, match=f"{variable.value} that begins {told}"):
         check(TrapezoidalTrajectory(1.0, duration_s=9, initial_derivatives=derivatives), variable)
 
 
-def test_limits_are_not_taken_for_relative():
+def test_limits_in_place_of_relative_raise():
     limits = DerivativeLimits(first=0.5)
-    with pytest.raises(UsageError, match=r"relative is DerivativeLimits\(.*; it is True or False"):
+    with pytest.raises(
+        UsageError, match=r"relative is DerivativeLimits\(.*; expected True or False"
+    ):
         planning.check_setpoint("left", MODEL, P, Setpoint(1.0, limits))
-    with pytest.raises(UsageError, match=r"relative is 1; it is True or False"):
+    with pytest.raises(UsageError, match=r"relative is 1; expected True or False"):
         ComplexTrajectory(rest_to_rest(1.0, 2.0), relative=1)
 
 
@@ -156,8 +158,10 @@ def test_limits_are_not_taken_for_relative():
         TrapezoidalTrajectory(0.1, limits=DerivativeLimits(third=1e300)),
     ],
 )
-def test_what_floats_cannot_reckon_is_refused(trajectory):
-    with pytest.raises(UsageError, match=r"^wheel: <Trap.*> cannot be reckoned: a number of it is"):
+def test_trajectory_beyond_float_arithmetic_raises(trajectory):
+    with pytest.raises(
+        UsageError, match=r"^wheel: <Trap.*> cannot be computed: one of its numbers is"
+    ):
         check(trajectory)
 
 
@@ -170,36 +174,36 @@ class Leading:
         return self.heard
 
 
-def test_over_another_motors_position_its_speed_counts():
+def test_argument_position_uses_the_speed_of_its_motor():
     argument = MotorPosition(Leading())
     assert argument.value() == 0.5
     gear = Polynomial((0.0, 1.0)).restricted(-1.0, 1.0)
-    check(ComplexTrajectory(gear), argument=argument)  # it moves as fast as the leader, no faster
+    check(ComplexTrajectory(gear), argument=argument)  # it moves as fast as the leader, not faster
     with pytest.raises(LimitError, match=r"velocity of the trajectory 2.2 .* position of leader"):
         check(ComplexTrajectory(gear * 1.1), argument=argument)
     with pytest.raises(UnsupportedError, match="over the position of leader"):
         check(TrapezoidalTrajectory(1.0), argument=argument)
 
 
-def test_the_position_of_a_motor_that_is_not_heard_leads_nobody():
+def test_position_of_an_offline_motor_raises():
     leader = Leading()
     argument = MotorPosition(leader)
     leader.heard = None
-    with pytest.raises(UsageError, match="has not been heard"):
+    with pytest.raises(UsageError, match="none has been received yet"):
         argument.value()
     leader.heard = Measurement(0, MotorState.OFFLINE, 0.5)
-    with pytest.raises(LinkError, match=r"^leader: the position of leader is not heard any more"):
+    with pytest.raises(LinkError, match=r"^leader: the position of leader is out of date"):
         argument.value()
 
 
 @pytest.mark.parametrize("wrong", [nan, -1.0, "fast"])
-def test_an_argument_says_how_fast_it_changes_in_a_number(wrong):
+def test_invalid_rate_max_of_an_argument_raises(wrong):
     argument = Leading()
     argument.value, argument.rate_max = float, wrong
-    with pytest.raises(UsageError, match=r"^left: rate_max of .*; a number >= 0, or None"):
+    with pytest.raises(UsageError, match=r"^left: rate_max of .*; expected a number >= 0, or None"):
         require_argument("left", argument)
     for argument in (MotorPosition, object(), Leading()):
-        with pytest.raises(UsageError, match=r"^left: argument .* is none; give an Argument"):
+        with pytest.raises(UsageError, match=r"^left: .* is not an Argument; give an Argument"):
             require_argument("left", argument)
 
 
@@ -208,7 +212,7 @@ def planned(trajectory, variable=P, reference=0.0):
     return planning.plan_trajectory("wheel", MODEL, variable, trajectory, reference)
 
 
-def test_a_relative_function_begins_where_the_motor_is_and_an_absolute_one_must():
+def test_relative_function_begins_at_the_position():
     function = rest_to_rest(1.0, 2.0) + 0.25
     motion = planned(ComplexTrajectory(function, relative=True), reference=1.5)
     assert (motion.start, motion.target, motion.duration_s) == (1.5, 2.5, 2.0)
@@ -220,7 +224,7 @@ def test_a_relative_function_begins_where_the_motor_is_and_an_absolute_one_must(
         planned(ComplexTrajectory(function, relative=True), reference=2.5)
 
 
-def test_over_an_argument_a_motion_begins_where_the_argument_is_now():
+def test_motion_over_an_argument_begins_at_its_present_value():
     class Leader:
         name, rate_max = "leader", 1.0
         now = 0.5
@@ -252,7 +256,7 @@ def test_over_an_argument_a_motion_begins_where_the_argument_is_now():
         (TrapezoidalTrajectory(-2.0, initial=0.0), 0.5),
     ],
 )
-def test_a_trajectory_of_velocity_is_a_ramp(trajectory, takes_s):
+def test_velocity_trajectory_is_a_ramp(trajectory, takes_s):
     motion = planned(trajectory, V)
     assert motion.duration_s == pytest.approx(takes_s, rel=1e-12)  # a division
     demand = demand_of(motion)
@@ -262,7 +266,7 @@ def test_a_trajectory_of_velocity_is_a_ramp(trajectory, takes_s):
     assert demand.value(takes_s + 1.0) == trajectory.final
 
 
-def test_a_trajectory_of_torque_needs_a_slope_or_a_duration():
+def test_torque_trajectory_requires_a_slope_or_a_duration():
     torque_model = MotorModel(name="m", velocity_max=1.0, acceleration_max=1.0, torque_max=5.0)
     with pytest.raises(UsageError, match="duration_s"):
         planning.check_trajectory("m", torque_model, T, TrapezoidalTrajectory(2.0))
@@ -279,7 +283,7 @@ distances = st.floats(-3.0, 3.0)
 
 
 @given(distances, durations, st.floats(-1.0, 1.0))
-def test_what_is_let_pass_never_exceeds_a_limit(distance, duration_s, reference):
+def test_accepted_function_never_exceeds_a_limit(distance, duration_s, reference):
     trajectory = ComplexTrajectory(rest_to_rest(distance, duration_s), relative=True)
     try:
         motion = planned(trajectory, reference=reference)
@@ -307,7 +311,7 @@ def test_what_is_let_pass_never_exceeds_a_limit(distance, duration_s, reference)
     st.floats(0.1, 2.0),
     st.none() | st.floats(1.0, 3.0),
 )
-def test_a_demand_is_the_integral_of_its_derivatives(distance, speed, longer):
+def test_demand_is_the_integral_of_its_derivatives(distance, speed, longer):
     limits = DerivativeLimits(first=speed, second=(-3.0, 1.5))
     model = MotorModel(name="m", velocity_max=2.0, acceleration_max=4.0)
     trajectory = TrapezoidalTrajectory(distance, limits=limits)
@@ -330,15 +334,15 @@ def test_a_demand_is_the_integral_of_its_derivatives(distance, speed, longer):
     assert abs(demand.first(pi * demand.final_argument)) == 0.0
 
 
-def test_a_set_point_demands_nothing_in_between():
+def test_demand_of_a_set_point_raises():
     motion = planning.plan_setpoint("m", MODEL, P, planning.Setpoint(1.0), 0.0)
     assert motion.mode is ControlMode.SETPOINT
     with pytest.raises(ValueError, match="no profile"):
         demand_of(motion)
 
 
-def test_a_velocity_may_rise_smoothly():
-    """Trapezoid of acceleration: 2 rad/s at 4 rad/s², 16 rad/s³: 0.25 s, 0.25 s, 0.25 s."""
+def test_velocity_with_limited_jerk_rises_smoothly():
+    """Follow a trapezoid of acceleration: 2 rad/s, 4 rad/s², 16 rad/s³: 0.25 s each phase."""
     limits = DerivativeLimits(second=16.0)
     motion = planned(TrapezoidalTrajectory(2.0, limits=limits), V)
     assert motion.function is not None
@@ -355,7 +359,7 @@ def test_a_velocity_may_rise_smoothly():
     assert slow.value(1.5) == demand.value(0.75) == 2.0
 
 
-def test_a_derivative_that_nothing_bounds_is_refused():
+def test_limit_on_an_unsupported_derivative_raises():
     with pytest.raises(UnsupportedError, match="a limit on derivative 3 of velocity"):
         check(TrapezoidalTrajectory(1.0, limits=DerivativeLimits(third=1.0)), V)
     setpoint = planning.Setpoint(1.0, limits=DerivativeLimits(third=1.0))
@@ -367,8 +371,8 @@ def test_a_derivative_that_nothing_bounds_is_refused():
         planning.check_trajectory("m", jerky, V, smooth)
 
 
-def test_a_position_may_bound_its_jerk():
-    """Seven phases; at 2 rad/s, 4 rad/s² and 16 rad/s³ a ramp takes 0.5 + 0.25 s, 5 rad 3.25 s.
+def test_position_with_limited_jerk_takes_seven_phases():
+    """Follow seven phases: 2 rad/s, 4 rad/s², 16 rad/s³: ramps of 0.5 + 0.25 s, 5 rad in 3.25 s.
 
     Source: Biagiotti & Melchiorri (2008), 3.4: D/v + v/a + a/j.
     """

@@ -1,14 +1,14 @@
-"""Turns of one process, and of several behind a lock."""
+"""Turns within one process, and of several processes behind a lock."""
 
 import pytest
 
-from emulators.event_queue import EventQueue
-from harness.virtual_time import VirtualRuntime
-from motorapi.errors import MotorBusyError, UsageError
-from motorapi.lock_directory import LockDirectory
-from motorapi.process_lock import ProcessLock
-from motorapi.turns import Turns, share_trigger, trigger_turns
-from motorapi.wall_runtime import WallRuntime
+from motorhil.emulators.simulation.event_queue import EventQueue
+from motorhil.harness.virtual_time.runtime import VirtualRuntime
+from motorhil.motorapi.errors import MotorBusyError, UsageError
+from motorhil.motorapi.locking.directory import LockDirectory
+from motorhil.motorapi.locking.process_lock import ProcessLock
+from motorhil.motorapi.ownership.queue import FifoQueue, share_trigger, trigger_turns
+from motorhil.motorapi.runtime.wall import WallRuntime
 
 
 @pytest.fixture
@@ -29,8 +29,8 @@ def directory(tmp_path):
     return LockDirectory(tmp_path)
 
 
-def test_a_turn_is_its_threads_and_grows_a_number(runtime):
-    turns = Turns("SYNC")
+def test_turn_belongs_to_its_thread_and_increments_the_number(runtime):
+    turns = FifoQueue("SYNC")
     assert not turns.is_mine
     for number in (1, 2):
         with turns.turn(runtime, "one"):
@@ -39,20 +39,20 @@ def test_a_turn_is_its_threads_and_grows_a_number(runtime):
     assert not turns.is_mine
 
 
-def test_who_wants_it_at_once_does_not_get_what_somebody_has_not_even_in_his_thread(runtime):
-    turns = Turns("SYNC")
+def test_at_once_does_not_get_a_held_turn_in_any_thread(runtime):
+    turns = FifoQueue("SYNC")
     with turns.turn(runtime, "one"), turns.at_once(runtime, "two") as is_ours:
         assert not is_ours
     with turns.at_once(runtime, "two") as is_ours:
         assert is_ours
-        assert not turns.is_mine  # a callback's: whoever waits in this thread has nothing of it
+        assert not turns.is_mine  # that of a callback: the waiter in this thread does not have it
         with pytest.raises(MotorBusyError, match="is held by two"):
             turns.turn(runtime, "three", 0.0).__enter__()
     assert turns.number == 2
 
 
-def test_those_who_wait_have_it_in_the_order_of_asking(runtime):
-    turns, had = Turns("SYNC"), []
+def test_waiters_get_turns_in_the_order_of_requests(runtime):
+    turns, had = FifoQueue("SYNC"), []
 
     def work(name):
         with turns.turn(runtime, name):
@@ -65,15 +65,15 @@ def test_those_who_wait_have_it_in_the_order_of_asking(runtime):
     assert had == ["a", "b", "c"]
 
 
-def test_a_turn_within_a_turn_of_the_same_thread_is_a_mistake(runtime):
-    turns = Turns("SYNC")
-    with turns.turn(runtime, "one"), pytest.raises(UsageError, match="one is still at work"):
+def test_nested_turn_of_one_thread_raises(runtime):
+    turns = FifoQueue("SYNC")
+    with turns.turn(runtime, "one"), pytest.raises(UsageError, match="one is still active"):
         turns.turn(runtime, "two").__enter__()
 
 
-def test_behind_a_lock_the_turn_is_that_of_one_process(wall, directory):
-    ours = Turns("SYNC of can0", ProcessLock("can0-sync", "SYNC of can0", directory))
-    theirs = ProcessLock("can0-sync", "SYNC of can0", directory)  # as another process has it
+def test_turn_behind_a_lock_belongs_to_one_process(wall, directory):
+    ours = FifoQueue("SYNC of can0", ProcessLock("can0-sync", "SYNC of can0", directory))
+    theirs = ProcessLock("can0-sync", "SYNC of can0", directory)  # as if another process had it
     with theirs.acquire(wall, "start() of theirs") as hold:
         with (
             pytest.raises(MotorBusyError, match=r"SYNC of can0 is held by pid .* for start\(\) of"),
@@ -89,19 +89,19 @@ def test_behind_a_lock_the_turn_is_that_of_one_process(wall, directory):
     assert not ours.died
 
 
-def test_turns_of_several_triggers_are_taken_in_one_order_for_all_processes(wall, directory):
+def test_trigger_turns_have_one_order_in_all_processes(wall, directory):
     def turns(label, name):
-        return Turns(label, ProcessLock(name, label, directory))
+        return FifoQueue(label, ProcessLock(name, label, directory))
 
     first, second = turns("SYNC of b", "bus1-sync"), turns("SYNC of a", "bus2-sync")
     share_trigger(wall, "b", first)
     share_trigger(wall, "a", second)
     share_trigger(wall, "the same bus by another path", first)
     groups = ["a", "b", "the same bus by another path"]
-    assert trigger_turns(wall, groups) == [first, second]  # by what all processes call them
+    assert trigger_turns(wall, groups) == [first, second]  # by the name in all processes
     assert trigger_turns(wall, groups[::-1]) == [first, second]
 
 
-def test_a_trigger_that_nobody_shares_has_turns_as_long_as_somebody_takes_them(runtime):
+def test_unshared_trigger_has_turns_while_they_are_used(runtime):
     (one,) = trigger_turns(runtime, ["ideal"])
     assert trigger_turns(runtime, ["ideal"]) == [one]

@@ -1,5 +1,7 @@
-"""On the wall's clock. Nothing here waits for time to pass except by `wait_until`; bounds on how
-late something may be are generous (seconds), bounds on how early are exact."""
+"""The wall runtime, without waits for time except by `wait_until`.
+
+Upper bounds on delays are generous (seconds), lower bounds are exact.
+"""
 
 import struct
 import threading
@@ -7,8 +9,8 @@ import threading
 import can
 import pytest
 
-from motorapi import LinkError, UsageError, WallRuntime, runtime_of
-from motorapi.wall_runtime import close_process_runtime, process_runtime
+from motorhil.motorapi import LinkError, UsageError, WallRuntime, runtime_of
+from motorhil.motorapi.runtime.wall import close_process_runtime, process_runtime
 
 pytestmark = pytest.mark.wall
 
@@ -41,7 +43,7 @@ def peer(bus):
 
 
 def work(runtime, duration_s):
-    """A callback that takes its time."""
+    """Run a callback that takes some time."""
     end_ns = runtime.now_ns() + round(duration_s * 1e9)
     while runtime.now_ns() < end_ns:
         pass
@@ -53,7 +55,7 @@ def test_time_begins_at_zero_and_only_grows(runtime):
     assert runtime.now_ns() >= first_ns
 
 
-def test_a_wait_ends_at_once_or_at_its_deadline_never_before(runtime):
+def test_wait_ends_at_once_or_at_its_deadline_never_before(runtime):
     assert runtime.wait_until(lambda: True)
     assert runtime.wait_until(lambda: True, 0.0)
     assert not runtime.wait_until(lambda: False, 0.0)
@@ -64,7 +66,7 @@ def test_a_wait_ends_at_once_or_at_its_deadline_never_before(runtime):
         runtime.wait_until(lambda: True, -1.0)
 
 
-def test_what_another_thread_changes_is_noticed(runtime):
+def test_change_by_another_thread_is_noticed(runtime):
     flag = threading.Event()
     party = runtime.spawn("setter", flag.set)
     assert runtime.wait_until(flag.is_set, LATE_S)
@@ -74,7 +76,7 @@ def test_what_another_thread_changes_is_noticed(runtime):
     results = []
     foreign.start()
     foreign.join()
-    assert results == [True]  # on the wall, any thread may wait
+    assert results == [True]  # on the wall clock, any thread may wait
 
 
 def test_timers_keep_their_grid_and_end(runtime):
@@ -94,7 +96,7 @@ def test_timers_keep_their_grid_and_end(runtime):
             runtime.every(period_s, lambda: None)
 
 
-def test_a_late_timer_skips_what_it_missed(runtime):
+def test_late_timer_skips_missed_runs(runtime):
     runs_ns = []
 
     def slow_once():
@@ -108,10 +110,10 @@ def test_a_late_timer_skips_what_it_missed(runtime):
     assert runs_ns[4] - runs_ns[1] >= 20_000_000
 
 
-def test_a_timer_cancelled_in_a_callback_does_not_run_once_more(runtime):
+def test_timer_cancelled_in_a_callback_does_not_run_again(runtime):
     runs = []
 
-    def cancel_when_it_is_due():  # made where no other callback runs: it cannot be earlier
+    def cancel_when_it_is_due():  # created without other callbacks: it cannot be earlier
         timer = runtime.every(0.01, lambda: runs.append(1))
         work(runtime, 0.03)
         timer.cancel()
@@ -122,7 +124,7 @@ def test_a_timer_cancelled_in_a_callback_does_not_run_once_more(runtime):
     assert runs == []
 
 
-def test_frames_are_heard_as_can_frames(runtime, bus, peer):
+def test_frames_are_received_as_can_frames(runtime, bus, peer):
     heard = []
     runtime.listen(bus, lambda frame, time_ns, own: heard.append((frame, own)))
     peer.send(can.Message(arbitration_id=0x123, data=[1, 2, 3], is_extended_id=False))
@@ -132,7 +134,7 @@ def test_frames_are_heard_as_can_frames(runtime, bus, peer):
     assert heard == [(FRAME, False), (EXTENDED, False), (REMOTE, False)]
 
 
-def test_frames_are_sent_and_reported_as_transmitted_in_order(runtime, bus, peer):
+def test_frames_are_sent_and_reported_in_order(runtime, bus, peer):
     heard = []
     runtime.listen(bus, lambda frame, time_ns, own: heard.append((frame, own)))
     for frame in (FRAME, EXTENDED, REMOTE):
@@ -145,7 +147,7 @@ def test_frames_are_sent_and_reported_as_transmitted_in_order(runtime, bus, peer
     assert got[2].dlc == 4
 
 
-def test_own_frames_are_reported_once_even_if_the_bus_gives_them_back(runtime):
+def test_own_frames_are_reported_once_even_if_echoed(runtime):
     with can.Bus(interface="virtual", channel="wall-own", receive_own_messages=True) as bus:
         heard = []
         runtime.listen(bus, lambda frame, time_ns, own: heard.append((frame, own)))
@@ -156,7 +158,7 @@ def test_own_frames_are_reported_once_even_if_the_bus_gives_them_back(runtime):
         assert heard == [(FRAME, True), (EXTENDED, False)]
 
 
-def test_frames_of_another_protocol_are_not_mistaken_for_classical_ones(runtime):
+def test_frames_of_other_protocols_are_ignored(runtime):
     options = {"interface": "virtual", "channel": "wall-fd", "protocol": can.CanProtocol.CAN_FD}
     with can.Bus(**options) as bus, can.Bus(**options) as peer:
         heard = []
@@ -167,7 +169,7 @@ def test_frames_of_another_protocol_are_not_mistaken_for_classical_ones(runtime)
         assert heard == [EXTENDED]
 
 
-def test_error_frames_are_messages_of_the_controller_as_socketcan_has_them(runtime, bus, peer):
+def test_error_frames_become_controller_messages(runtime, bus, peer):
     heard = []
     runtime.listen(bus, lambda frame, time_ns, own: heard.append((frame, own)))
     for arbitration_id, data, extended in (
@@ -192,12 +194,12 @@ def test_error_frames_are_messages_of_the_controller_as_socketcan_has_them(runti
     assert heard[1:] == [(struct.pack("<IB3x8s", 0x2000_0000, 8, b""), False)] * 3
 
 
-def test_sending_without_listening_works(runtime, bus, peer):
+def test_send_without_listeners_works(runtime, bus, peer):
     runtime.send(bus, FRAME)
     assert peer.recv(LATE_S).arbitration_id == 0x123
 
 
-def test_listeners_are_told_in_order_until_cancelled(runtime, bus, peer):
+def test_listeners_are_called_in_order_until_cancelled(runtime, bus, peer):
     heard = []
     first = runtime.listen(bus, lambda frame, time_ns, own: heard.append("first"))
     runtime.listen(bus, lambda frame, time_ns, own: heard.append("second"))
@@ -210,7 +212,7 @@ def test_listeners_are_told_in_order_until_cancelled(runtime, bus, peer):
     assert heard == ["first", "second", "second"]
 
 
-def test_an_answer_sent_from_a_callback_is_reported_after_it(runtime, bus, peer):
+def test_frame_sent_from_a_callback_is_reported_after_it(runtime, bus, peer):
     order = []
 
     def answer(frame, time_ns, own):
@@ -254,7 +256,7 @@ def test_callbacks_and_conditions_run_one_at_a_time(runtime, bus, peer):
 
 
 @pytest.mark.parametrize("kind", ["timer", "listener", "done"])
-def test_waiting_inside_a_callback_is_refused_and_says_what_to_do(runtime, bus, peer, kind):
+def test_wait_inside_a_callback_raises_with_advice(runtime, bus, peer, kind):
     errors = []
 
     def wait_here(*_):
@@ -276,7 +278,7 @@ def test_waiting_inside_a_callback_is_refused_and_says_what_to_do(runtime, bus, 
     assert "runtime.spawn" in errors[0]
 
 
-def test_what_a_callback_raises_reaches_whoever_waits(runtime, bus, peer):
+def test_callback_exception_reaches_a_waiter(runtime, bus, peer):
     def broken(*_):
         raise ZeroDivisionError("in a callback")
 
@@ -285,10 +287,10 @@ def test_what_a_callback_raises_reaches_whoever_waits(runtime, bus, peer):
     with pytest.raises(ZeroDivisionError, match="in a callback"):
         runtime.wait_until(lambda: False, LATE_S)
     listener.cancel()
-    assert not runtime.wait_until(lambda: False, 0.0)  # told once
+    assert not runtime.wait_until(lambda: False, 0.0)  # reported once
 
 
-def test_what_nobody_waited_for_is_raised_at_close(bus, peer):
+def test_unseen_exception_is_raised_at_close(bus, peer):
     runtime = WallRuntime()
     seen = threading.Event()
 
@@ -304,7 +306,7 @@ def test_what_nobody_waited_for_is_raised_at_close(bus, peer):
     runtime.close()
 
 
-def test_a_bus_that_breaks_is_told_to_whoever_waits_and_to_senders(runtime):
+def test_broken_bus_is_reported_to_waiters_and_senders(runtime):
     bus = can.Bus(interface="virtual", channel="wall-broken")
     runtime.listen(bus, lambda *_: None)
     closer = iter([False, False, True])
@@ -320,7 +322,7 @@ def test_a_bus_that_breaks_is_told_to_whoever_waits_and_to_senders(runtime):
         runtime.send(bus, FRAME)
 
 
-def test_a_bus_that_its_user_closed_troubles_nobody_afterwards(runtime):
+def test_bus_closed_by_its_user_reports_nothing_later(runtime):
     bus = can.Bus(interface="virtual", channel="wall-closed")
     runtime.listen(bus, lambda *_: None)
     bus.shutdown()
@@ -330,13 +332,13 @@ def test_a_bus_that_its_user_closed_troubles_nobody_afterwards(runtime):
     assert not runtime.wait_until(lambda: False, 0.0)
 
 
-def test_a_bus_object_has_one_reader(runtime, bus):
+def test_bus_object_has_one_reader(runtime, bus):
     with can.Notifier(bus, []), pytest.raises(UsageError, match="Notifier"):
         runtime.listen(bus, lambda *_: None)
     runtime.listen(bus, lambda *_: None)
 
 
-def test_a_bus_with_its_own_time_is_refused(runtime, bus):
+def test_bus_with_its_own_runtime_raises(runtime, bus):
     bus.runtime = runtime
     with pytest.raises(UsageError, match="runtime_of"):
         WallRuntime().listen(bus, lambda *_: None)

@@ -1,4 +1,4 @@
-"""How the wall clock's runtime ends: its parties, their errors, and what comes in meanwhile."""
+"""End of the wall runtime: parties, their exceptions, and late frames."""
 
 import os
 import struct
@@ -6,8 +6,8 @@ import threading
 
 import pytest
 
-from motorapi import DeadlineExceeded, UsageError, WallRuntime
-from motorapi.wall_runtime import process_runtime
+from motorhil.motorapi import DeadlineExceeded, UsageError, WallRuntime
+from motorhil.motorapi.runtime.wall import process_runtime
 
 pytestmark = pytest.mark.wall
 
@@ -18,7 +18,7 @@ REMOTE = struct.pack("<IB3x8s", 0x4000_0000 | 0x701, 4, b"")
 LATE_S = 10.0
 
 
-def test_errors_of_parties_are_kept_for_who_joins_else_raised_at_close():
+def test_party_exception_is_kept_for_join_or_raised_at_close():
     runtime = WallRuntime()
 
     def fail():
@@ -35,7 +35,7 @@ def test_errors_of_parties_are_kept_for_who_joins_else_raised_at_close():
         runtime.close()
 
 
-def test_closing_ends_parties_that_wait_and_refuses_further_use():
+def test_close_ends_waiting_parties_and_refuses_further_use():
     before = set(threading.enumerate())
     runtime = WallRuntime()
     ends = []
@@ -62,7 +62,7 @@ def test_closing_ends_parties_that_wait_and_refuses_further_use():
             refused()
 
 
-def test_what_comes_in_while_it_is_closing_goes_to_nobody():
+def test_frame_received_during_close_is_discarded():
     runtime = WallRuntime()
 
     class LateBus:
@@ -88,8 +88,8 @@ def test_what_comes_in_while_it_is_closing_goes_to_nobody():
     assert heard == []
 
 
-def test_a_party_that_never_ends_is_named(monkeypatch):
-    monkeypatch.setattr("motorapi.wall_runtime._CLOSE_S", 0.05)
+def test_party_that_never_ends_is_named(monkeypatch):
+    monkeypatch.setattr("motorhil.motorapi.runtime.wall._CLOSE_S", 0.05)
     runtime = WallRuntime()
     go_on = threading.Event()
     runtime.spawn("stubborn", lambda: go_on.wait(LATE_S) and None)
@@ -99,7 +99,7 @@ def test_a_party_that_never_ends_is_named(monkeypatch):
     runtime.close()
 
 
-def test_a_forked_child_is_refused_what_its_parent_made():
+def test_forked_child_cannot_use_the_parent_runtime():
     parents = process_runtime()
     ours, theirs = os.pipe()
     child = os.fork()
@@ -118,6 +118,6 @@ def test_a_forked_child_is_refused_what_its_parent_made():
     os.close(ours)
     os.close(theirs)
     assert len(refused) == 2
-    assert all("was forked from" in told and "'spawn'" in told for told in refused)
+    assert all("created in the parent process" in told and "'spawn'" in told for told in refused)
     assert own == "True"
     assert parents.wait_until(lambda: True)

@@ -1,12 +1,12 @@
-"""The wall's runtime on an emulated bus over a socket: own frames are told once transmitted."""
+"""The wall runtime on an emulated bus over a socket: own frames after transmission."""
 
 import struct
 
 import can
 import pytest
 
-from motorapi import LinkError, WallRuntime
-from motorapi.bus_sources import source_of
+from motorhil.motorapi import LinkError, WallRuntime
+from motorhil.motorapi.runtime.can_sources import source_of
 from tests.emulators.test_world import Echo
 from tests.wall.test_hub import serving
 
@@ -24,20 +24,20 @@ def runtime():
     runtime.close()
 
 
-def test_own_frames_are_told_when_the_bus_has_carried_them(tmp_path, runtime):
+def test_own_frames_are_reported_after_transmission(tmp_path, runtime):
     path = str(tmp_path / "hub.sock")
     with serving(path, Echo(0x200)), can.Bus(interface="emulated", channel=path) as bus:
         heard = []
         listening = runtime.listen(bus, lambda frame, t, own: heard.append((frame, own)))
-        assert source_of(bus).reports_own  # so it is the hub that tells, not `send` that returned
+        assert source_of(bus).reports_own  # so the hub reports it, not the return of `send`
         runtime.send(bus, ASK)
         assert runtime.wait_until(lambda: len(heard) == 2, LATE_S)
         assert heard == [(ASK, True), (ANSWER, False)]
         listening.cancel()
-        runtime.close()  # before the bus: nobody reads a bus that is closed
+        runtime.close()  # before the bus: a closed bus must not be read
 
 
-def test_a_hub_that_goes_away_is_told(tmp_path, runtime):
+def test_lost_hub_is_reported(tmp_path, runtime):
     path = str(tmp_path / "hub.sock")
     with serving(path):
         bus = can.Bus(interface="emulated", channel=path)

@@ -1,10 +1,10 @@
-"""Google's own implementation of our message types, made from the descriptors we embed."""
+"""Google's own implementation of our message types, built from our embedded descriptors."""
 
 from google.protobuf.descriptor_pb2 import FileDescriptorSet
 from google.protobuf.descriptor_pool import DescriptorPool
 from google.protobuf.message_factory import GetMessageClass
 
-from traces.protobuf import file_descriptor_set
+from motorhil.traces.mcap.protobuf import file_descriptor_set
 
 
 def google_class(message):

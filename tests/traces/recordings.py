@@ -1,9 +1,9 @@
-"""Recordings for the tests of this room."""
+"""Recordings for the tests of this package."""
 
 import struct
 
-from traces.schema import CAN_FRAME, LOG, Direction, Schema
-from traces.writer import TraceWriter
+from motorhil.traces.mcap.writer import TraceWriter
+from motorhil.traces.schema import CAN_FRAME, LOG, Direction, Schema
 
 MS = 1_000_000
 SECOND = 1_000_000_000
@@ -14,12 +14,12 @@ def can_frame(can_id, data=b""):
 
 
 def counted_frame(number):
-    """A frame nothing else looks like."""
+    """Return a unique frame."""
     return can_frame(0x181 + number % 3, struct.pack("<Q", number * 0x9E3779B97F4A7C15 % 2**64))
 
 
 class Recording:
-    """A writer with two CAN channels and events, and what was written so far."""
+    """A writer with two CAN channels and events, and the entries written so far."""
 
     def __init__(self, target, metadata=None, compact=False):
         self.writer = TraceWriter(target, metadata, compact)
@@ -33,7 +33,7 @@ class Recording:
         self.entries = []
 
     def fill(self, count, step_ns, first=0):
-        """Frames of all sources, and an event now and then, `step_ns` apart."""
+        """Write frames of all sources, and some events, `step_ns` apart."""
         entries = []
         for number in range(first, first + count):
             time_ns = number * step_ns

@@ -1,4 +1,4 @@
-"""Arrays hold what reading frame by frame gives, whoever wrote the recording."""
+"""Arrays contain the same frames as single reading, for recordings of any writer."""
 
 import io
 import struct
@@ -9,24 +9,22 @@ from hypothesis import event, given
 from hypothesis import strategies as st
 from mcap.writer import CompressionType, IndexType, Writer
 
+from motorhil.traces.columns import read_can_arrays
+from motorhil.traces.errors import TraceError
+from motorhil.traces.formats.frames import FDF, Findings, Frame, classic, flexible
+from motorhil.traces.formats.registry import Feature, record_frames, recorded_frames
+from motorhil.traces.mcap import records
+from motorhil.traces.mcap.reader import read_trace
+from motorhil.traces.mcap.writer import TraceWriter
+from motorhil.traces.schema import CAN_FRAME, LOG, Direction, Schema, encode_can_frame
 from tests.traces.recordings import MS, Recording, write
 from tests.traces.test_formats_random import recordings
-from traces import records
-from traces.arrays import read_can_arrays
-from traces.errors import TraceError
-from traces.fields import encode_can_frame
-from traces.formats import Feature
-from traces.reader import read_trace
-from traces.schema import CAN_FRAME, LOG, Direction, Schema
-from traces.traffic import FDF, Findings, Frame, classic, flexible
-from traces.traffic_mcap import record_frames, recorded_frames
-from traces.writer import TraceWriter
 
 ALL = ~Feature(0)
 
 
 def frames_of(arrays):
-    """The frames in arrays, as reading one by one gives them."""
+    """Return the frames in arrays in the form of single reading."""
     out = []
     for n in range(len(arrays)):
         fd = arrays.flags[n] & FDF
@@ -53,7 +51,7 @@ def one_by_one(path):
 
 
 def check(path):
-    """How many frames there are; those in the arrays are the same."""
+    """Check that arrays contain the same frames as single reading; return their number."""
     frames, unreadable = one_by_one(path)
     arrays = read_can_arrays(path)
     assert frames_of(arrays) == frames
@@ -68,7 +66,7 @@ def check(path):
 
 
 @given(st.lists(recordings(ALL), min_size=1, max_size=4), st.booleans())
-def test_of_any_recording(tmp_path_factory, parts, repeated):
+def test_arrays_any_recording_equal_single_reading(tmp_path_factory, parts, repeated):
     path = tmp_path_factory.mktemp("arrays") / "a.mcap"
     frames = [frame for part in parts for frame in part] * (20 if repeated else 1)
     record_frames(path, frames, {})
@@ -77,7 +75,7 @@ def test_of_any_recording(tmp_path_factory, parts, repeated):
 
 
 @pytest.mark.parametrize("compact", [False, True])
-def test_with_messages_of_other_kinds_between(tmp_path, compact):
+def test_arrays_with_other_messages_between(tmp_path, compact):
     write(tmp_path / "a.mcap", 3000, 5 * MS, compact)
     assert check(tmp_path / "a.mcap") == 2700
     arrays = read_can_arrays(tmp_path / "a.mcap")
@@ -85,7 +83,7 @@ def test_with_messages_of_other_kinds_between(tmp_path, compact):
     assert set(arrays.senders) == {"left", "host", "right"}
 
 
-def test_many_senders_of_one_identifier_are_told_apart(tmp_path):
+def test_arrays_many_senders_of_one_identifier(tmp_path):
     frames = [
         Frame(n, "can0", classic(0x80, bytes(n % 3)), Direction.RECEIVED, f"node{n % 40:02d}")
         for n in range(2000)
@@ -105,7 +103,7 @@ def test_many_senders_of_one_identifier_are_told_apart(tmp_path):
     ],
     ids=str,
 )
-def test_of_files_of_another_writer(tmp_path, options):
+def test_arrays_of_another_writers_file(tmp_path, options):
     file = io.BytesIO()
     writer = Writer(file, **options)
     writer.start(profile="p", library="theirs")
@@ -115,11 +113,11 @@ def test_of_files_of_another_writer(tmp_path, options):
     for n in range(300):
         frame = classic(n, b"\1\2\3") if n % 3 else flexible(n, 1, bytes(range(12)))
         payload = encode_can_frame(frame, "me", Direction.RECEIVED)
-        if n % 5 == 0:  # its fields in another order
+        if n % 5 == 0:  # its fields in a different order
             payload = payload[5:] + payload[:5]
         if n % 7 == 0:
             payload = (b"", b"\x0d", b"\x0d\1\0\0\0\x7a\5", b"\xff\xff")[n % 4]
-        if n % 11 == 0:  # a field of the future
+        if n % 11 == 0:  # a future field
             payload += b"\x78\x01" if n % 2 else b"\xa2\x06\x01x"
         writer.add_message(plain if n % 13 == 0 else can, n, payload, n)
     writer.finish()
@@ -127,7 +125,7 @@ def test_of_files_of_another_writer(tmp_path, options):
     assert check(tmp_path / "a.mcap") > 200
 
 
-def test_of_a_file_cut_anywhere(tmp_path):
+def test_arrays_of_file_cut_anywhere(tmp_path):
     write(tmp_path / "whole.mcap", 200, 50 * MS)
     whole = (tmp_path / "whole.mcap").read_bytes()
     path = tmp_path / "cut.mcap"
@@ -151,26 +149,26 @@ def test_of_a_file_cut_anywhere(tmp_path):
         ({"bus": "can0", "from_ns": 2**70}, lambda f: False),
     ],
 )
-def test_of_a_bus_or_a_span(tmp_path, options, is_wanted):
+def test_arrays_of_bus_or_span(tmp_path, options, is_wanted):
     write(tmp_path / "a.mcap", 300, 25 * MS)
     frames = [frame for frame in one_by_one(tmp_path / "a.mcap")[0] if is_wanted(frame)]
     assert frames_of(read_can_arrays(tmp_path / "a.mcap", **options)) == frames
 
 
-def test_a_recording_without_frames_gives_empty_arrays(tmp_path):
+def test_arrays_without_frames_are_empty(tmp_path):
     with TraceWriter(tmp_path / "a.mcap") as writer:
         writer.write(writer.channel("/events", Schema.of(LOG)), 1, b"")
     assert check(tmp_path / "a.mcap") == 0
 
 
-def test_a_message_of_an_unknown_channel_is_told(tmp_path):
+def test_arrays_unknown_channel_is_reported(tmp_path):
     message = records.MESSAGE_HEAD.pack(5, 22, 9, 0, 7, 7)
     (tmp_path / "a.mcap").write_bytes(records.MAGIC + records.header("", "x") + message)
-    with pytest.raises(TraceError, match="channel 9, of which nothing"):
+    with pytest.raises(TraceError, match="of unknown channel 9"):
         read_can_arrays(tmp_path / "a.mcap")
 
 
-def test_a_damaged_chunk_is_told(tmp_path):
+def test_arrays_damaged_chunk_is_reported(tmp_path):
     path = tmp_path / "a.mcap"
     recording = Recording(path)
     recording.fill(20, 50 * MS).writer.flush()

@@ -1,12 +1,12 @@
-"""ASC rows, classic and CAN FD. Forms: Vector's format description; python-can; real files."""
+"""ASC rows, classic and CAN FD. Sources: Vector's format description; python-can; real files."""
 
 import can
 import pytest
 
-from traces import traffic
-from traces.asc import AscReader
-from traces.schema import Direction
-from traces.traffic import Findings, classic, flexible, read_lines, remote
+from motorhil.traces.formats import frames as traffic
+from motorhil.traces.formats.asc import AscReader
+from motorhil.traces.formats.frames import Findings, classic, flexible, read_lines, remote
+from motorhil.traces.schema import Direction
 
 R, T, U = Direction.RECEIVED, Direction.TRANSMITTED, Direction.UNKNOWN
 EXT = 0x18EBFF00 | traffic.EFF
@@ -35,18 +35,18 @@ def read(*lines):
         ("0.5 CANFD   1 Tx 4EE  0 0 2  2 01 02  130 4 0 0 0", "can0", classic(0x4EE, b"\1\2"), T),
     ],
 )  # fmt: skip
-def test_a_row_is_read(row, bus, frame, way):
+def test_row_is_read(row, bus, frame, way):
     frames, findings = read("base hex  timestamps absolute", row)
     assert findings.problems == []
     assert [tuple(found)[:4] for found in frames] == [(500_000_000, bus, frame, way)]
 
 
-def test_decimal_identifiers_and_data():
+def test_decimal_identifiers_and_data_are_read():
     frames, _ = read("base dec  timestamps absolute", "0.5 1  200  Rx   d 2 10 255")
     assert frames[0].frame == classic(200, b"\x0a\xff")
 
 
-def test_relative_times_count_from_the_row_before():
+def test_relative_times_count_from_previous_row():
     frames, _ = read("base hex timestamps relative", *["0.250001 1 64 Rx d 0"] * 3)
     assert [frame.time_ns for frame in frames] == [250_001_000, 500_002_000, 750_003_000]
 
@@ -62,7 +62,7 @@ def test_relative_times_count_from_the_row_before():
         ("date 9.9.2018", 0),
     ],
 )
-def test_the_date_is_the_beginning(date, start_s):
+def test_date_is_start_time(date, start_s):
     frames, findings = read(date, "0.0 1 64 Rx d 0")
     assert frames[0].time_ns == round(start_s * 1000) * 1_000_000
     assert bool(findings.notes) is (start_s == 0)
@@ -75,16 +75,16 @@ def test_the_date_is_the_beginning(date, start_s):
         ("0.5 1  C8  Tx   d", "ends in the middle"),
         ("0.5 1  C8", "ends in the middle"),
         ("0.5", "ends in the middle"),
-        ("0.5 1  C8  Tx   d 2 09 GG", "no bytes"),
+        ("0.5 1  C8  Tx   d 2 09 GG", "not a sequence of bytes"),
         ("0.5 1  FFF  Tx   d 0", "too large"),
-        ("0.5 1  xyz  Tx   d 0", "no identifier"),
+        ("0.5 1  xyz  Tx   d 0", "not an identifier"),
         ("0.5 CANFD 1 Rx 4EE 1 0 f 64 a1", "1 of 64 bytes"),
         ("0.5 CANFD 1 Rx", "ends in the middle"),
         ("0.5 J1939TP FEE3p 6 0 0 - Rx d 23", "another event"),
-        ("nonsense", "no row"),
+        ("nonsense", "not a row"),
     ],
 )
-def test_what_cannot_be_read_is_told_with_its_line(row, why):
+def test_unreadable_row_is_reported_with_line(row, why):
     frames, findings = read("base hex timestamps absolute", row)
     assert frames == []
     ((line, text),) = findings.problems
@@ -92,7 +92,7 @@ def test_what_cannot_be_read_is_told_with_its_line(row, why):
     assert why in text
 
 
-def test_what_another_writer_wrote_is_read(tmp_path):
+def test_file_of_python_can_is_read(tmp_path):
     told = [
         can.Message(1.5, 0x123, False, data=b"\1\2", channel=0),
         can.Message(1.75, 0x1ABCDEF, True, data=bytes(8), channel=1, is_rx=False),

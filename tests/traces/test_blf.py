@@ -1,4 +1,4 @@
-"""BLF files that another wrote are read to the nanosecond, damaged ones as far as they go."""
+"""Foreign BLF files are read to the nanosecond, damaged ones as far as possible."""
 
 import shutil
 import struct
@@ -7,12 +7,11 @@ import subprocess
 import can
 import pytest
 
-from traces import traffic
-from traces.blf import blf_frames
-from traces.blf_writing import write_blf
-from traces.formats import open_source
-from traces.schema import Direction
-from traces.traffic import Findings, Frame, classic, flexible, remote
+from motorhil.traces.formats import frames as traffic
+from motorhil.traces.formats.blf import blf_frames, write_blf
+from motorhil.traces.formats.frames import Findings, Frame, classic, flexible, remote
+from motorhil.traces.formats.registry import open_source
+from motorhil.traces.schema import Direction
 
 R, T, U = Direction.RECEIVED, Direction.TRANSMITTED, Direction.UNKNOWN
 START = 1_700_000_000
@@ -49,7 +48,7 @@ def read(path):
 
 
 @pytest.mark.parametrize("compression", [0, 6])
-def test_what_python_can_wrote_is_read(path, compression):
+def test_file_of_python_can_is_read(path, compression):
     write(path, MESSAGES, compression)
     frames, findings = read(path)
     assert findings.problems == []
@@ -57,14 +56,14 @@ def test_what_python_can_wrote_is_read(path, compression):
     assert open_source(path).format == "blf"
 
 
-def test_objects_that_go_on_in_the_next_container_are_whole(path):
+def test_object_spanning_containers_is_complete(path):
     write(path, MESSAGES[:1] * 5000, 1)
     frames, findings = read(path)
     assert findings.problems == []
     assert frames == FRAMES[:1] * 5000
 
 
-def test_stamps_are_held_to_the_nanosecond(path):
+def test_stamps_keep_nanoseconds(path):
     write(path, MESSAGES[:1], 0)
     data = bytearray(path.read_bytes())
     at = data.rindex(b"LOBJ")
@@ -76,10 +75,10 @@ def test_stamps_are_held_to_the_nanosecond(path):
     assert read(path)[0][0][0] == START * 10**9 + 123_456_789 * 10_000
 
 
-def test_a_file_cut_anywhere_gives_what_is_before_and_tells(path):
+def test_file_cut_anywhere_is_read_up_to_cut(path):
     write(path, MESSAGES, 0)
     whole = path.read_bytes()
-    between = (144, len(whole))  # where whole objects end: no reader can tell
+    between = (144, len(whole))  # where complete objects end, a cut cannot be detected
     for end in range(4, len(whole)):
         path.write_bytes(whole[:end])
         frames, findings = read(path)
@@ -88,7 +87,7 @@ def test_a_file_cut_anywhere_gives_what_is_before_and_tells(path):
     assert len(frames) >= 4
 
 
-def test_damage_in_the_middle_costs_what_is_damaged(path):
+def test_damaged_container_loses_only_its_frames(path):
     many = [
         can.Message(START, 0x123, False, data=struct.pack("<Q", n * 0x9E3779B97F4A7C15 % 2**64))
         for n in range(5000)
@@ -100,13 +99,13 @@ def test_damage_in_the_middle_costs_what_is_damaged(path):
     data[damaged : damaged + 20] = bytes(20)
     path.write_bytes(data)
     frames, findings = read(path)
-    in_first = 128 * 1024 // 48  # python-can's container, an object of its own
+    in_first = 128 * 1024 // 48  # python-can's container, an object itself
     assert len({frame[2] for frame in frames}) > 4900 - in_first + in_first // 2
     assert findings.notes == ["frames of a damaged container may be wrong"]
     assert any("damaged" in problem.text for problem in findings.problems)
 
 
-def test_what_is_written_has_nanoseconds_and_a_head_that_counts(path):
+def test_written_file_has_nanoseconds_and_counts(path):
     frames = [
         Frame(START * 10**9 + 1_999_999 + n, "can3", classic(n % 2048, bytes(n % 9)), T)
         for n in range(20_000)
@@ -124,7 +123,7 @@ def test_what_is_written_has_nanoseconds_and_a_head_that_counts(path):
 
 
 @pytest.mark.skipif(shutil.which("tshark") is None, reason="tshark is not installed")
-def test_tshark_reads_what_is_written(path):
+def test_tshark_reads_written_file(path):
     sent = flexible(0x77, 3, bytes(range(12)))
     frames = [
         *(Frame(*frame) for frame in FRAMES[:3]),
@@ -141,7 +140,7 @@ def test_tshark_reads_what_is_written(path):
     assert done.returncode == 0, done.stderr
     rows = [line.split(";") for line in done.stdout.splitlines()]
     stamps = [traffic.decimal(frame.time_ns) for frame in frames]
-    assert [row[0] for row in rows] in (stamps, stamps[:4])  # 4.0 passes over error frames
+    assert [row[0] for row in rows] in (stamps, stamps[:4])  # version 4.0 skips error frames
     assert [row[1] for row in rows[:4]] == ["CAN-1", "CAN-2", "CAN-1", "CAN-3"]
     assert [int(row[2], 0) for row in rows[:4]] == [0x123, 0x1ABCDEF, 0x7, 0x77]
     assert [row[3] for row in rows[:3]] == ["0", "0", "1"]

@@ -1,4 +1,4 @@
-"""Error messages in words. Bytes and meanings: linux/can/error.h; Wireshark reads the same."""
+"""SocketCAN error messages in words, compared with linux/can/error.h and Wireshark."""
 
 import shutil
 import struct
@@ -8,18 +8,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from harness.cli import main
-from harness.recorded_meaning import meaning_in
-from traces.bus_errors import bus_error
-from traces.decode_canopen import CanopenDecoder
-from traces.fidelity import told_by_nodes
-from traces.reader import read_trace
-from traces.schema import CAN_FRAME, Direction, Schema
-from traces.semantic_diff import Tolerance, differences
-from traces.socketcan_pcap import write_pcapng
-from traces.story import Story
-from traces.traffic import ERR, Frame, classic, flexible
-from traces.writer import TraceWriter
+from motorhil.harness.cli.main import main
+from motorhil.harness.replay.verdict import meaning_in
+from motorhil.traces.decoding.can_errors import bus_error
+from motorhil.traces.decoding.canopen import CanopenDecoder
+from motorhil.traces.decoding.narrative import Story
+from motorhil.traces.formats.frames import ERR, Frame, classic, flexible
+from motorhil.traces.formats.pcap_can import write_pcapng
+from motorhil.traces.mcap.reader import read_trace
+from motorhil.traces.mcap.writer import TraceWriter
+from motorhil.traces.schema import CAN_FRAME, Direction, Schema
+from motorhil.traces.semantics.diff import Tolerance, differences, told_by_nodes
 
 RIG = b'[bus.can0]\nbitrate_bit_s = 500_000\n[controller.left]\nbus = "can0"\nnode_id = 3\n'
 TOLD = [
@@ -35,7 +34,7 @@ TOLD = [
     (0x240, "000000000000FF00", "bus-off (TEC 255, REC 0)"),
     (0x040, "0000000000000000", "bus-off"),
     (0x100, "0000000000000000", "restarted"),
-    (0x0A8, "0000801900000000", "bus error while sending, in the ACK slot, nobody acknowledged"),
+    (0x0A8, "0000801900000000", "bus error while sending, in the ACK slot, no acknowledgement"),
     (0x088, "0000021800000000", "form error while receiving, in the CRC delimiter"),
     (0x088, "0000040A00000000", "stuff error while receiving, in the data"),
     (0x088, "0000880F00000000", "no dominant bit could be sent while sending, in the ident"),
@@ -55,14 +54,14 @@ def frame(classes, data):
 
 
 @pytest.mark.parametrize(("classes", "data", "words"), TOLD)
-def test_an_error_message_in_words(classes, data, words):
+def test_error_message_in_words(classes, data, words):
     told = bus_error(frame(classes, data))
     assert (told.text + told.counted).startswith(words)
     said = CanopenDecoder().decode(frame(classes, data))
     assert said.text.startswith(f"error frame: {words}")
 
 
-def test_whose_it_is_is_told_by_number_and_name():
+def test_error_message_names_node_and_sender():
     decoder = CanopenDecoder({3: "left"})
     said = decoder.decode(frame(0x204, "0020000000008000"), "left")
     assert said.node == 3
@@ -72,7 +71,7 @@ def test_whose_it_is_is_told_by_number_and_name():
 
 
 @given(st.integers(0, 0x1FFF_FFFF), st.binary(max_size=8), st.sampled_from([16, 72]))
-def test_whatever_an_error_message_or_a_long_frame_holds_it_is_told(can_id, data, size):
+def test_any_error_message_or_long_frame_is_decoded(can_id, data, size):
     whole = struct.pack("<IB3x", can_id | ERR, len(data)) + data
     said = CanopenDecoder().decode(whole.ljust(size, b"\0"), "left")
     assert said.text != "error frame of left: "
@@ -80,10 +79,10 @@ def test_whatever_an_error_message_or_a_long_frame_holds_it_is_told(can_id, data
     assert CanopenDecoder().decode(whole[:3] + b"\0" + whole[4:].ljust(68, b"\0")).text
 
 
-_WIRESHARK = {  # Wireshark's field, what of ours says the same
+_WIRESHARK = {  # Wireshark's field, and our words for the same
     "can.err.busoff": "bus-off",
     "can.err.restarted": "restarted",
-    "can.err.ack": "nobody acknowledged",
+    "can.err.ack": "no acknowledgement",
     "can.err.lostarb": "arbitration lost",
     "can.err.tx_timeout": "timed out",
     "can.err.ctrl.rx_overflow": "receive buffer overflow",
@@ -100,8 +99,8 @@ _WIRESHARK = {  # Wireshark's field, what of ours says the same
 
 
 @pytest.mark.skipif(shutil.which("tshark") is None, reason="needs tshark")
-def test_wireshark_reads_the_same_in_each_bit(tmp_path):
-    """All bits of each byte, one by one; it knows no counters, a class since Linux 5.19."""
+def test_wireshark_decodes_each_bit_the_same(tmp_path):
+    """All bits of each byte, one by one; without counters, a class since Linux 5.19."""
     ones = [frame(classes & 0x1FF, data) for classes, data, _ in TOLD if classes & 0x1FF]
     ones += [frame(0x004, f"00{1 << bit:02x}" + "00" * 6) for bit in range(7)]
     ones += [frame(0x088, f"0000{1 << bit:02x}" + "00" * 5) for bit in range(8)]
@@ -128,7 +127,7 @@ def test_wireshark_reads_the_same_in_each_bit(tmp_path):
 
 
 def recorded(path, *told):
-    """(error message or frame, sender) at 1 s, 2 s, ... on a bus with a drive called left."""
+    """Record (error message or frame, sender) at 1 s, 2 s, ... on a bus with a drive "left"."""
     with TraceWriter(path, {"run": {}}) as writer:
         writer.attach("one.toml", RIG, "application/toml")
         bus = writer.channel("/can/can0", Schema.of(CAN_FRAME))
@@ -143,7 +142,7 @@ PASSIVE_132 = frame(0x204, "0020000000008400")
 OFF = frame(0x240, "000000000000FF00")
 
 
-def test_the_story_names_the_node_and_takes_no_class_for_an_identifier(tmp_path, capsys):
+def test_story_error_message_names_node_without_identifier(tmp_path, capsys):
     path = str(recorded(tmp_path / "a.mcap", (PASSIVE, "left"), (classic(0x204, b""), "left")))
     with read_trace(path) as trace:
         error, plain = Story(trace).lines()
@@ -158,7 +157,7 @@ def test_the_story_names_the_node_and_takes_no_class_for_an_identifier(tmp_path,
     assert capsys.readouterr().out.count("\n") == 1
 
 
-def test_a_difference_is_one_of_states_not_of_counters(tmp_path):
+def test_semantic_diff_compares_states_not_counters(tmp_path):
     one = meaning_in(recorded(tmp_path / "a.mcap", (PASSIVE, "left"), (PASSIVE, "host")), "diff")
     same = meaning_in(
         recorded(tmp_path / "b.mcap", (PASSIVE_132, "left"), (PASSIVE, "host")), "diff"
@@ -174,7 +173,7 @@ def test_a_difference_is_one_of_states_not_of_counters(tmp_path):
     assert told_by_nodes(other).items == {}
 
 
-def test_a_fd_frame_is_told_whole():
+def test_fd_frame_is_decoded_completely():
     data = bytes(range(64))
     said = CanopenDecoder().decode(flexible(0x181, 3, data))
     assert said.text == f"id 181h CAN FD BRS ESI, 64 bytes: {data.hex(' ').upper()}"

@@ -1,4 +1,4 @@
-"""Rows of candump are read as people keep them. Forms: can-utils, candump.c and lib.c."""
+"""Rows of candump as people keep them. Source of the forms: can-utils, candump.c and lib.c."""
 
 from calendar import timegm
 
@@ -6,10 +6,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from traces import traffic
-from traces.candump import CandumpReader, log_row, plain_row
-from traces.schema import Direction
-from traces.traffic import Findings, Frame, classic, flexible, read_lines, remote
+from motorhil.traces.formats import frames as traffic
+from motorhil.traces.formats.candump import CandumpReader, log_row, plain_row
+from motorhil.traces.formats.frames import Findings, Frame, classic, flexible, read_lines, remote
+from motorhil.traces.schema import Direction
 
 
 def read(*lines):
@@ -56,7 +56,7 @@ R, T = Direction.RECEIVED, Direction.TRANSMITTED
         ("  can0  TX B E  123  [01]  FF", 0, flexible(0x123, 3, b"\xff")),
     ],
 )  # fmt: skip
-def test_a_row_is_read(line, time_ns, frame):
+def test_row_is_read(line, time_ns, frame):
     found = one(line)
     assert (found.time_ns, found.bus, found.frame) == (time_ns, "can0", frame)
 
@@ -71,30 +71,30 @@ def test_a_row_is_read(line, time_ns, frame):
         ("  can0  TX - -  123   [1]  01", Direction.TRANSMITTED),
     ],
 )
-def test_the_direction_is_read_where_it_is_told(line, direction):
+def test_direction_is_read(line, direction):
     assert one(line).direction is direction
 
 
 @pytest.mark.parametrize(
     ("line", "why"),
     [
-        ("candump can0", "no frame"),
+        ("candump can0", "not a frame"),
         ("  can0  123   [8]  01 02 03", "3 of 8 bytes"),
         ("  can0  123   [1]  01 02", "more than 1 bytes"),
         ("  can0  123   [8]  01 02 0", "2 of 8 bytes"),
-        ("(0.0) can0 123#012", "no whole bytes"),
+        ("(0.0) can0 123#012", "an incomplete byte"),
         ("(0.0) can0 123#010203040506070809", "9 bytes in a classic frame"),
         ("(0.0) can0 1234#01", "4 digits"),
         ("(0.0) can0 FFF#01", "29 bits|FFF"),
         ("(0.0) can0 123##", "without flags"),
         ("(0.0) can0 123#45:00:00#11", "CAN XL"),
         ("(99999999999999.0) can0 123#01", "2554"),
-        ("\x00\x00\x00", "no frame"),
+        ("\x00\x00\x00", "not a frame"),
     ],
 )
-def test_what_cannot_be_read_is_told_with_its_line_and_the_rest_is_read(line, why):
+def test_unreadable_row_is_reported_and_rest_is_read(line, why):
     frames, findings = read("(0.0) can0 001#01", line, "(0.1) can0 002#02")
-    if line.startswith("(0.0) can0 FFF"):  # three digits beyond 11 bits: it can only be 29 bit
+    if line.startswith("(0.0) can0 FFF"):  # three digits beyond 11 bits can only be 29 bit
         assert len(frames) == 3
         return
     assert [frame.time_ns for frame in frames] == [0, 100_000_000]
@@ -110,13 +110,13 @@ def test_two_rows_in_one_line_are_two_frames():
     assert "more than one row" in findings.notes[0]
 
 
-def test_a_second_row_that_is_cut_is_a_problem_of_its_line():
+def test_cut_second_row_is_problem_of_its_line():
     frames, findings = read("(0.0) can0 080#01(0.1) can0 481#5", "(0.2) can0 081# (0.3) can0 48")
     assert [frame.time_ns for frame in frames] == [0, 200_000_000]
     assert [problem.line for problem in findings.problems] == [1, 2]
 
 
-def test_comments_are_counted_and_are_no_problem():
+def test_comments_are_counted_without_problem():
     frames, findings = read(
         "# boot",
         "// said",
@@ -127,7 +127,7 @@ def test_comments_are_counted_and_are_no_problem():
     assert (len(frames), findings.comments, findings.problems) == (2, 4, [])
 
 
-def test_what_an_error_frame_means_is_told_behind_it_and_is_no_row():
+def test_words_after_error_frame_are_not_a_row():
     _, findings = read(
         "  can0  20000004   [8]  00 01 00 00 00 00 00 00   ERRORFRAME",
         "\tcontroller-problem{rx-overflow}",
@@ -137,7 +137,7 @@ def test_what_an_error_frame_means_is_told_behind_it_and_is_no_row():
     assert [problem.line for problem in findings.problems] == [4]
 
 
-def test_stamps_that_are_missing_or_go_back_are_counted_and_kept():
+def test_missing_or_backward_stamps_are_counted():
     frames, findings = read("(5.0) a 1FF#", "(4.5) a 1FF#", "(7.0) a 1FF#", "  a  1FF   [0] ")
     assert [frame.time_ns for frame in frames] == [5 * 10**9, 45 * 10**8, 7 * 10**9, 0]
     assert (findings.unstamped, findings.backward) == (1, 2)
@@ -158,26 +158,26 @@ FRAMES = (
 
 
 @given(st.integers(0, traffic.TIME_MAX), FRAMES, st.sampled_from(Direction))
-def test_what_is_written_is_read_again(time_ns, frame, direction):
+def test_written_log_row_is_read_again(time_ns, frame, direction):
     told = Frame(time_ns, "vcan-7", frame, direction)
     assert one(log_row(told, places=9)) == told
 
 
 @pytest.mark.parametrize("bus", ["[", "[8]", "(1)", "123", "RX"])
-def test_an_interface_may_have_any_name_without_a_blank(bus):
+def test_interface_can_have_any_name_without_blank(bus):
     told = Frame(1, bus, classic(0x123, bytes(8)), R)
     for row in (plain_row(told, places=9), log_row(told, places=9)):
         assert one(row) == told
 
 
 @given(st.text(alphabet=" ()#[]0189AFRT.:_can'-\t", max_size=60))
-def test_no_line_is_passed_over_in_silence_and_none_ends_the_reading(line):
+def test_any_line_is_read_or_reported(line):
     frames, findings = read(line)
     assert frames or findings.problems or findings.comments or not line.strip()
 
 
 @given(st.integers(0, traffic.TIME_MAX))
-def test_dates_are_those_of_the_standard_library(time_ns):
+def test_dates_match_standard_library(time_ns):
     day_s = time_ns // 10**9 // 86400 * 86400
     assert timegm((*traffic.date_of(time_ns), 0, 0, 0)) == day_s
     assert traffic.date_ns(*traffic.date_of(time_ns)) == day_s * 10**9
@@ -185,7 +185,7 @@ def test_dates_are_those_of_the_standard_library(time_ns):
 
 @pytest.mark.parametrize(
     ("frame", "row"),
-    [  # columns as `candump -t a -x` has them
+    [  # columns as in `candump -t a -x`
         (Frame(1, "can0", classic(0x123, b"\1\2"), R),
          " (0000000000.000000)  can0  RX - -  123   [2]  01 02\n"),
         (Frame(10**18, "vcan1", classic(EXT, b""), T),
@@ -199,5 +199,5 @@ def test_dates_are_those_of_the_standard_library(time_ns):
          "  00 00 00 00 00 00 00 00   ERRORFRAME\n"),
     ],
 )  # fmt: skip
-def test_a_plain_row_is_written(frame, row):
+def test_plain_row_is_written(frame, row):
     assert plain_row(frame) == row

@@ -1,15 +1,14 @@
-"""No line of any text format, damaged or invented, ends the reading with a traceback."""
+"""Damaged or invented lines of any text format do not raise exceptions."""
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from traces.asc import AscReader
-from traces.candump import CandumpReader
-from traces.csv_traffic import COLUMNS, CsvReader
-from traces.sd_rows import SdRowReader
-from traces.traffic import Findings, read_lines
-from traces.trc import TrcReader
+from motorhil.traces.formats.asc import AscReader
+from motorhil.traces.formats.candump import CandumpReader, SdRowReader
+from motorhil.traces.formats.csv import COLUMNS, CsvReader
+from motorhil.traces.formats.frames import Findings, read_lines
+from motorhil.traces.formats.trc import TrcReader
 
 WHOLE = {
     CandumpReader: [
@@ -39,7 +38,7 @@ PIECES = st.text(alphabet="0123456789ABCDEFx#[]().,:;$=- \t\0Rrdé²\"'", max_si
 @pytest.mark.parametrize("reader", WHOLE, ids=lambda reader: reader.name)
 @settings(max_examples=150)
 @given(data=st.data())
-def test_a_damaged_line_is_read_or_told(reader, data):
+def test_damaged_line_is_read_or_reported(reader, data):
     lines = list(WHOLE[reader])
     which = data.draw(st.integers(0, len(lines) - 1))
     line = lines[which]

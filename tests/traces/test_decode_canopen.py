@@ -1,12 +1,12 @@
-"""Frames and their words; the bytes are those of CiA 301 and 402-2, or of a recording."""
+"""Frames in words; the bytes are those of CiA 301 and 402-2, or of a recording."""
 
 import struct
 
 import pytest
 
-from traces.decode_canopen import CanopenDecoder
-from traces.object_names import ObjectNames
-from traces.said import Kind
+from motorhil.traces.decoding.canopen import CanopenDecoder
+from motorhil.traces.decoding.events import Kind
+from motorhil.traces.decoding.objects import ObjectNames
 
 
 def frame(identifier, data="", flags=0):
@@ -52,11 +52,11 @@ def told(*frames, decoder=None):
         ((0x1ABCDEF0, "01 02", 0x8000_0000), "id 1ABCDEF0h: 01 02"),
     ],
 )
-def test_a_frame_is_a_sentence(one, text):
+def test_frame_in_words(one, text):
     assert told(one) == [text]
 
 
-def test_a_segmented_upload_is_told_whole_when_it_is_complete():
+def test_segmented_upload_shows_whole_value_at_end():
     frames = [  # CiA 301, SDO upload of 1008h "motorhil!" in two segments
         (0x605, "4008100000000000"),
         (0x585, "4108100009000000"),
@@ -67,16 +67,16 @@ def test_a_segmented_upload_is_told_whole_when_it_is_complete():
     ]
     assert told(*frames) == [
         "SDO to pan (5): read 1008h manufacturer device name",
-        "SDO pan (5): begins to tell 1008h manufacturer device name, 9 bytes",
-        "SDO to pan (5): asks for the next segment of 1008h manufacturer device name",
-        "SDO pan (5): tells a segment of 1008h manufacturer device name: 6D 6F 74 6F 72 68 69",
-        "SDO to pan (5): asks for the next segment of 1008h manufacturer device name",
-        "SDO pan (5): tells a segment of 1008h manufacturer device name: 6C 21; "
+        "SDO pan (5): begins upload of 1008h manufacturer device name, 9 bytes",
+        "SDO to pan (5): requests the next segment of 1008h manufacturer device name",
+        "SDO pan (5): uploads a segment of 1008h manufacturer device name: 6D 6F 74 6F 72 68 69",
+        "SDO to pan (5): requests the next segment of 1008h manufacturer device name",
+        "SDO pan (5): uploads a segment of 1008h manufacturer device name: 6C 21; "
         'whole = "motorhil!"',
     ]
 
 
-def test_a_segmented_download_is_a_fact_when_its_last_segment_was_taken():
+def test_segmented_download_is_fact_when_confirmed():
     decoder = CanopenDecoder()
     facts = [
         decoder.decode(frame(*one)).facts
@@ -93,7 +93,7 @@ def test_a_segmented_download_is_a_fact_when_its_last_segment_was_taken():
     assert (facts[5][0].value, facts[5][0].told_to) == (b"123456789", True)
 
 
-def test_segments_of_a_block_are_not_taken_for_commands():
+def test_block_segments_are_not_commands():
     frames = [  # CiA 301, SDO block download of 2001h, one block of two segments
         (0x605, "C20120000C000000"),
         (0x585, "A001200007000000"),
@@ -119,17 +119,18 @@ MAPPING = [  # as the demo's host reads and writes it: TPDO 1 of node 5 is 6041h
 ]
 
 
-def test_a_pdo_is_read_by_the_mapping_that_the_recording_has_shown():
+def test_pdo_is_decoded_by_recorded_mapping():
     decoder = CanopenDecoder({5: "pan"})
     told(*MAPPING, decoder=decoder)
     assert told((0x185, "3706FFFFFFFF"), decoder=decoder) == [
         "pan (5) TPDO 1: 6041h statusword = 0637h operation enabled, target reached, "
         "6064h position actual value = -1"
     ]
-    assert told((0x185, "3706"), decoder=decoder)[0].endswith("6064h = missing, the PDO is short")
+    text = told((0x185, "3706"), decoder=decoder)[0]
+    assert text.endswith("6064h = missing: the PDO is too short")
 
 
-def test_a_pdo_put_elsewhere_is_found_there_and_only_there():
+def test_moved_pdo_is_found_only_at_new_identifier():
     decoder = CanopenDecoder({5: "pan"})
     told(*MAPPING, (0x605, "23001801BB010000"), (0x585, "6000180100000000"), decoder=decoder)
     assert told((0x1BB, "31020A000000"), decoder=decoder) == [
@@ -139,13 +140,13 @@ def test_a_pdo_put_elsewhere_is_found_there_and_only_there():
     assert decoder.decode(frame(0x185, "3102")).kind is Kind.OTHER
 
 
-def test_a_write_that_was_refused_changes_no_mapping():
+def test_refused_write_does_not_change_mapping():
     decoder = CanopenDecoder({5: "pan"})
     told(*MAPPING, (0x605, "2F001A0001000000"), (0x585, "80001A0022000008"), decoder=decoder)
     assert "6064h" in told((0x185, "3706FFFFFFFF"), decoder=decoder)[0]
 
 
-def test_an_eds_names_objects_of_the_manufacturer_and_pdos_never_configured():
+def test_eds_defines_vendor_objects_and_default_pdos():
     names = ObjectNames(
         "[1A00]\nParameterName=x\n[1A00sub0]\nDefaultValue=1\nDataType=0x5\n"
         "[1A00sub1]\nDefaultValue=0x20200020\nDataType=0x7\n"
@@ -174,8 +175,8 @@ def test_an_eds_names_objects_of_the_manufacturer_and_pdos_never_configured():
         (0x001F, 0, "enable operation, bit 4"),
     ],
 )
-def test_a_controlword_is_told_in_words(word, mode, text):
-    from traces.decode_cia402 import controlword_text
+def test_controlword_in_words(word, mode, text):
+    from motorhil.traces.decoding.cia402 import controlword_text
 
     assert controlword_text(word, mode) == text
 
@@ -198,13 +199,13 @@ def test_a_controlword_is_told_in_words(word, mode, text):
         (0x0027, 0, "operation enabled, no voltage, not remote"),
     ],
 )
-def test_a_statusword_is_told_in_words(word, mode, text):
-    from traces.decode_cia402 import statusword_text
+def test_statusword_in_words(word, mode, text):
+    from motorhil.traces.decoding.cia402 import statusword_text
 
     assert statusword_text(word, mode) == text
 
 
-def test_a_fault_reset_is_an_edge():
+def test_fault_reset_is_an_edge():
     decoder = CanopenDecoder({5: "pan"})
     write = [(0x605, "2B40600080000000"), (0x585, "6040600000000000")]
     texts = told(*write, *write, decoder=decoder)
@@ -215,18 +216,18 @@ def test_a_fault_reset_is_an_edge():
 @pytest.mark.parametrize(
     "reset", [(0x000, "8105"), (0x000, "8100"), (0x000, "8200"), (0x705, "00")]
 )
-def test_a_node_that_was_reset_has_no_longer_what_was_written_to_it(reset):
+def test_reset_node_loses_written_mapping(reset):
     decoder = CanopenDecoder({5: "pan"})
     told(*MAPPING, reset, decoder=decoder)
     assert told((0x185, "3706FFFFFFFF"), decoder=decoder) == [
         "pan (5) TPDO 1: 37 06 FF FF FF FF (its mapping is not in the recording)"
     ]
-    told(*MAPPING, (0x000, "8106"), (0x706, "00"), decoder=decoder)  # somebody else's
+    told(*MAPPING, (0x000, "8106"), (0x706, "00"), decoder=decoder)  # a reset of another node
     assert "6064h" in told((0x185, "3706FFFFFFFF"), decoder=decoder)[0]
 
 
-def test_each_axis_of_a_device_has_its_own_objects_and_mode():
-    frames = [  # CiA 402-2: the second axis is 800h behind the first
+def test_each_axis_has_its_own_objects_and_mode():
+    frames = [  # CiA 402-2: the second axis is 800h after the first
         (0x605, "2F60600003000000"),  # 6060h: pv
         (0x585, "6060600000000000"),
         (0x605, "2F60680001000000"),  # 6860h: pp
@@ -242,7 +243,7 @@ def test_each_axis_of_a_device_has_its_own_objects_and_mode():
     ]
 
 
-def test_what_is_no_drive_has_no_objects_of_a_drive():
+def test_non_drive_has_no_drive_objects():
     decoder = CanopenDecoder({5: "pan"})
     texts = told(
         (0x605, "4000100000000000"),

@@ -1,12 +1,10 @@
-"""ADUs and their words; the bytes are the examples of MODBUS Application Protocol V1.1b3."""
+"""ADUs in words; the bytes are the examples of MODBUS Application Protocol V1.1b3."""
 
 import pytest
 
-from traces.decode_modbus import ModbusDecoder, adu_of, crc16
-from traces.modbus import Adu, adus
-from traces.pcap import Capture
-from traces.said import Kind
-from traces.tcp_streams import pieces
+from motorhil.traces.decoding.events import Kind
+from motorhil.traces.decoding.modbus import Adu, ModbusDecoder, adu_of, adus, crc16
+from motorhil.traces.formats.pcap import Capture, pieces
 
 MS = 1_000_000
 
@@ -59,47 +57,47 @@ def exchange(request, response, unit=1, decoder=None):
         ),
     ],
 )
-def test_a_request_and_its_response_are_sentences(request_pdu, response_pdu, asked, told):
+def test_request_and_response_in_words(request_pdu, response_pdu, asked, told):
     first, second = exchange(request_pdu, response_pdu)
     assert first.text == f"Modbus to pan (unit 1): {asked}"
     assert second.text == f"Modbus pan (unit 1): {told} (after 4.000 ms)"
 
 
-def test_what_was_read_and_written_are_facts():
+def test_read_and_written_values_are_facts():
     _, read = exchange("0300100002", "030400010002")
     assert [(fact.subject, fact.value, fact.told_to) for fact in read.facts] == [
         ("register 0010h", 1, False),
         ("register 0011h", 2, False),
     ]
     asked, written = exchange("0600010003", "0600010003")
-    assert asked.facts == ()  # not before it was taken
+    assert asked.facts == ()  # not before it is confirmed
     assert [(fact.subject, fact.value, fact.told_to) for fact in written.facts] == [
         ("register 0001h", 3, True)
     ]
 
 
-def test_a_broadcast_is_a_fact_at_once():
+def test_broadcast_is_fact_at_once():
     decoder = ModbusDecoder()
     said = decoder.decode(Adu(0, None, True, 0, 0, bytes.fromhex("0600010003")))
     assert [fact.value for fact in said.facts] == [3]
 
 
 @pytest.mark.parametrize("response", ["0400080001", "0604", "03060001"])
-def test_a_response_that_does_not_fit_gives_no_facts(response):
+def test_response_of_wrong_format_gives_no_facts(response):
     _, said = exchange("0300100002", response)
     assert said.kind is Kind.MODBUS_RESPONSE
     assert said.facts == ()
 
 
-def test_a_response_of_another_unit_answers_nothing():
+def test_response_of_another_unit_is_unexpected():
     decoder = ModbusDecoder()
     decoder.decode(Adu(0, None, True, 0, 1, bytes.fromhex("0300100001")))
     said = decoder.decode(Adu(MS, None, False, 0, 2, bytes.fromhex("03020001")))
-    assert "answers nothing that was asked" in said.text
+    assert "response without a request" in said.text
     assert said.facts == ()
 
 
-def test_the_bytes_of_a_line_are_an_adu_if_their_check_sum_fits():
+def test_serial_bytes_with_correct_crc_are_adu():
     # MODBUS over Serial Line V1.02, 6.2.2: the CRC of 02 07 is 1241h, low byte first on the wire
     assert crc16(bytes((2, 7))) == 0x1241
     adu, problem = adu_of(5, bytes.fromhex("02074112"), tcp=False, to_server=True)
@@ -108,7 +106,7 @@ def test_the_bytes_of_a_line_are_an_adu_if_their_check_sum_fits():
     assert adu_of(5, bytes.fromhex("0207"), tcp=False, to_server=True)[0] is None
 
 
-def test_the_bytes_of_a_connection_are_an_adu_if_their_length_fits():
+def test_tcp_bytes_with_correct_length_are_adu():
     data = bytes.fromhex("1234 0000 0006 11 03006B0003")
     adu, _ = adu_of(5, data, tcp=True, to_server=True)
     assert (adu.transaction, adu.unit, adu.pdu.hex()) == (0x1234, 0x11, "03006b0003")
@@ -116,7 +114,7 @@ def test_the_bytes_of_a_connection_are_an_adu_if_their_length_fits():
 
 
 @pytest.mark.data
-def test_a_gateway_answers_as_often_as_its_index_says(shared):
+def test_real_gateway_answers_match_index(shared):
     path = shared / "data/traffic/modbus_gateway_units1237_pipelined.pcap"
     decoder = ModbusDecoder()
     texts = [

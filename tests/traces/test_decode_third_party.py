@@ -1,8 +1,8 @@
-"""A real machine's traffic, decoded by us and by somebody else: they agree on all both tell.
+"""A real machine's traffic, decoded by us and by another decoder, with equal results.
 
-The other decode is the CSV beside the recording (see INDEX.md there). What is compared of each row:
-the service, the node, the object, and what is in it (NMT command and state, abort text, data, and
-the toggle and the end of segments).
+The other decoder's output is the CSV next to the recording (see INDEX.md there). The comparison of
+each row covers the service, the node, the object, and the content (NMT command and state, abort
+text, data, and the toggle and the end of segments).
 """
 
 import csv
@@ -12,10 +12,10 @@ from collections import Counter
 
 import pytest
 
-from traces.decode_canopen import CanopenDecoder
-from traces.formats import open_source
-from traces.said import Kind
-from traces.traffic import Findings
+from motorhil.traces.decoding.canopen import CanopenDecoder
+from motorhil.traces.decoding.events import Kind
+from motorhil.traces.formats.frames import Findings
+from motorhil.traces.formats.registry import open_source
 
 pytestmark = pytest.mark.data
 
@@ -28,20 +28,20 @@ SERVICES = {
     "NONE": {Kind.OTHER},
 }
 DISAGREEMENTS = {
-    # 05000000h is in no standard: they print the number, we say that it is not in CiA 301.
+    # 05000000h is not standardised: they print the number, we print that it is not in CiA 301.
     "abort:  abort code:0x5000000": 1,
 }
-STEPS = (  # of the CSV, what our sentence has
+STEPS = (  # words in the CSV, and in our sentence
     ("client: initiate upload request", ": read "),
-    ("client: upload segment request", "asks for the next segment of"),
+    ("client: upload segment request", "requests the next segment of"),
     ("client: download request", ": write "),
     ("client: initiate download request", "begins to write"),
     ("client: download segment request", "writes a segment of"),
     ("server: upload response", " = "),
-    ("server: initiate upload response", "begins to tell"),
-    ("server: upload segment response", "tells a segment of"),
+    ("server: initiate upload response", "begins upload of"),
+    ("server: upload segment response", "uploads a segment of"),
     ("server: initiate download response", ": takes "),
-    ("server: download segment response", "takes a segment of"),
+    ("server: download segment response", "confirms a segment of"),
     ("server: abort", ": abort of "),
     ("client: abort", ": abort of "),
 )
@@ -53,7 +53,7 @@ def rows(path):
 
 
 def joined(path):
-    """The CSV's rows; text with a line end in it goes over several lines."""
+    """Return the CSV's rows; text with a line end spans several lines."""
     out = []
     for row in rows(path):
         if len(row) >= 10 and row[0].lstrip("'").isdigit():
@@ -69,7 +69,7 @@ def frame_of(row):
 
 
 def disagreement(row, said):
-    """What differs between the row and what we say; an empty text if nothing does."""
+    """Return the difference between the row and our decoding; empty if none."""
     service, node, index, sub, text = row[5], row[6], row[7], row[8], row[9]
     pdo = re.fullmatch(r"PDO(\d)_([TR])", service)
     kinds = {Kind.TPDO if pdo[2] == "T" else Kind.RPDO} if pdo else SERVICES[service]
@@ -104,14 +104,14 @@ def content(service, text, said):
     return segments(text, said)
 
 
-def test_another_reader_of_a_real_file_is_agreed_with(shared):
-    """Number, time, identifier, length and data of all its rows."""
+def test_frames_of_real_file_match_other_reader(shared):
+    """Number, time, identifier, length and data of all rows."""
     source = open_source(shared / "data/traffic/canopen_machine_pcan1.trc")
     frames = list(source.frames(Findings()))
     found = joined(shared / "data/traffic/canopen_machine_pcan1.trc.csv")
     assert len(frames) == len(found) == 11283
-    start_ns = frames[0].time_ns - 144_500_000  # they count from $STARTTIME
-    assert start_ns == 1675777465161000000  # "Start time: 07.02.2023 13:44:25.161.0", for UTC
+    start_ns = frames[0].time_ns - 144_500_000  # their times count from $STARTTIME
+    assert start_ns == 1675777465161000000  # "Start time: 07.02.2023 13:44:25.161.0", as UTC
     for number, (frame, row) in enumerate(zip(frames, found, strict=True), 1):
         milliseconds, _, rest = row[1].partition(",")
         time_ns = int(milliseconds) * 1_000_000 + int(rest.ljust(6, "0"))
@@ -142,7 +142,7 @@ def segments(text, said):
     return ""
 
 
-def test_another_decoder_of_a_real_machine_is_agreed_with(shared):
+def test_decoding_of_real_machine_matches_other_decoder(shared):
     decoder = CanopenDecoder()
     differs = Counter()
     compared = Counter()

@@ -5,16 +5,14 @@ import struct
 import pytest
 from mcap.reader import make_reader
 
+from motorhil.traces.digest import digest, first_mismatch
+from motorhil.traces.errors import TraceError
+from motorhil.traces.mcap.writer import TraceWriter
+from motorhil.traces.schema import CAN_FRAME, LOG, Direction, Schema, encode_can_frame
 from tests.traces.recordings import MS, Recording, can_frame, write
-from traces.compare import first_mismatch
-from traces.digest import digest
-from traces.errors import TraceError
-from traces.fields import encode_can_frame
-from traces.schema import CAN_FRAME, LOG, Direction, Schema
-from traces.writer import TraceWriter
 
 
-def test_the_digest_is_what_its_definition_says(tmp_path):
+def test_digest_matches_definition(tmp_path):
     path = tmp_path / "a.mcap"
     writer = TraceWriter(path)
     channel = writer.channel("/can/a", Schema.of(CAN_FRAME))
@@ -25,7 +23,7 @@ def test_the_digest_is_what_its_definition_says(tmp_path):
     assert digest(path) == hashlib.sha256(by_hand).hexdigest()
 
 
-def test_the_digest_of_many_messages_is_by_the_same_definition(tmp_path):
+def test_digest_of_many_messages_matches_definition(tmp_path):
     path = tmp_path / "a.mcap"
     write(path, 25_000, MS)
     by_hand = hashlib.sha256()
@@ -37,7 +35,7 @@ def test_the_digest_of_many_messages_is_by_the_same_definition(tmp_path):
     assert digest(path) == by_hand.hexdigest()
 
 
-def test_the_digest_knows_nothing_of_chunks_metadata_or_numbers_of_channels(tmp_path):
+def test_digest_ignores_chunks_metadata_and_numbers(tmp_path):
     one, other = tmp_path / "a.mcap", tmp_path / "b.mcap"
     recording = write(one)
     second = TraceWriter(other, {"run": {"seed": "2", "versions": "others"}})
@@ -74,7 +72,7 @@ def changed(path, entries, at, entry):
     ],
     ids=["time", "sender", "one bit of data"],
 )
-def test_any_change_of_a_message_changes_the_digest_and_is_found(tmp_path, entry):
+def test_any_change_of_message_changes_digest(tmp_path, entry):
     one, other = tmp_path / "a.mcap", tmp_path / "b.mcap"
     changed(other, write(one, 30).entries, 12, entry)
     assert digest(one) != digest(other)
@@ -85,7 +83,7 @@ def test_any_change_of_a_message_changes_the_digest_and_is_found(tmp_path, entry
     assert str(found).startswith("message 12: /can/can0 at 0.600000000 s")
 
 
-def test_order_and_end_count(tmp_path):
+def test_digest_depends_on_order_and_end(tmp_path):
     paths = [tmp_path / name for name in ("a", "b", "c")]
     frames = [(0, 7, can_frame(1)), (0, 7, can_frame(2))]
     for path, entries in zip(paths, (frames, frames[::-1], frames[:1]), strict=True):
@@ -99,7 +97,7 @@ def test_order_and_end_count(tmp_path):
     assert str(found).endswith("against the end")
 
 
-def test_bytes_that_move_from_a_payload_to_the_next_topic_are_no_collision(tmp_path):
+def test_digest_delimits_topic_and_payload(tmp_path):
     one, other = tmp_path / "a", tmp_path / "b"
     for path, topic, payload in ((one, "/a", b"bc"), (other, "/ab", b"c")):
         with TraceWriter(path) as writer:
@@ -107,7 +105,7 @@ def test_bytes_that_move_from_a_payload_to_the_next_topic_are_no_collision(tmp_p
     assert digest(one) != digest(other)
 
 
-def test_a_file_without_its_end_has_no_digest_unless_no_message_is_missing(tmp_path):
+def test_digest_of_cut_file_needs_all_messages(tmp_path):
     path = tmp_path / "a.mcap"
     recording = Recording(path).fill(30, 50 * MS)
     recording.writer.flush()
@@ -121,7 +119,7 @@ def test_a_file_without_its_end_has_no_digest_unless_no_message_is_missing(tmp_p
     assert digest(path) == whole
 
 
-def test_a_file_object_serves_as_well_as_a_path(tmp_path):
+def test_file_object_works_like_path(tmp_path):
     path = tmp_path / "a.mcap"
     write(path)
     file = io.BytesIO()

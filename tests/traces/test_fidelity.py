@@ -1,10 +1,16 @@
-"""How alike two recordings' devices are, in figures worked out by hand."""
+"""Similarity of two recordings' devices, with figures computed by hand."""
 
 import pytest
 
-from traces.fidelity import ObjectFidelity, fidelity, retimed, told_by_nodes
-from traces.meaning import COMMANDS, Item, Meaning
-from traces.semantic_diff import Tolerance, differences
+from motorhil.traces.semantics.diff import (
+    ObjectFidelity,
+    Tolerance,
+    differences,
+    fidelity,
+    retimed,
+    told_by_nodes,
+)
+from motorhil.traces.semantics.model import COMMANDS, Item, Meaning
 
 STATE = ("can0", 1, "6041h statusword")
 POSITION = ("can0", 1, "6064h position actual value")
@@ -31,18 +37,18 @@ def states(*values):
     [
         ("abcd", "abcd", 4, 1.0),
         ("abcd", "abd", 3, 0.75),
-        ("ab", "abcd", 2, 0.5),  # what is told besides counts as well
+        ("ab", "abcd", 2, 0.5),  # additional reports count as well
         ("abcd", "", 0, 0.0),
     ],
 )
-def test_states_agree_where_both_tell_the_same_in_the_same_order(first, second, agreeing, share):
+def test_states_agree_in_same_order(first, second, agreeing, share):
     (found,) = fidelity(states(*first), states(*second), Tolerance())
     assert (found.first, found.second, found.agreeing) == (len(first), len(second), agreeing)
     assert (found.share, found.worst) == (share, None)
 
 
-def test_of_a_quantity_each_sample_counts_that_is_within_the_tolerance():
-    """In increments, at least 2 of them are allowed; the worst is told where it first is."""
+def test_quantity_samples_within_tolerance_agree():
+    """In increments, at least 2 of them are allowed; the worst is reported at its first time."""
     first = meaning(None, {POSITION: [(0, 0), (1000 * MS, 2), (2000 * MS, 9), (3000 * MS, 9)]})
     second = meaning(None, {POSITION: [(0, 0), (3000 * MS, 0)]})
     (found,) = fidelity(first, second, Tolerance())
@@ -50,13 +56,13 @@ def test_of_a_quantity_each_sample_counts_that_is_within_the_tolerance():
     assert found.share == 0.5
 
 
-def test_a_quantity_that_the_other_never_tells_agrees_nowhere():
+def test_quantity_missing_in_other_recording_disagrees():
     first = meaning(None, {POSITION: [(5, 0), (6, 0)]})
     (found,) = fidelity(first, meaning(), Tolerance())
     assert (found.share, found.second, found.worst, found.worst_ns) == (0.0, 0, float("inf"), 5)
 
 
-def test_what_is_measured_on_both_sides_has_no_order_of_values():
+def test_measured_quantity_is_not_compared():
     one, other = states(*range(40)), states(*range(100, 140))
     (found,) = fidelity(one, other, Tolerance())
     assert not found.is_compared
@@ -64,7 +70,7 @@ def test_what_is_measured_on_both_sides_has_no_order_of_values():
     assert fidelity(one, states(1), Tolerance()) != []
 
 
-def test_only_what_nodes_tell_is_kept():
+def test_only_reports_of_nodes_are_kept():
     command, event = ("can0", 1, COMMANDS), ("events", None, "left")
     axis = ("left", None, "position")
     kept = told_by_nodes(
@@ -80,8 +86,8 @@ def test_only_what_nodes_tell_is_kept():
     ("at", "becomes"),
     [(0, 90), (10, 100), (15, 110), (20, 120), (40, 420), (60, 720), (61, 721), (100, 760)],
 )
-def test_times_between_two_pairs_are_in_proportion_and_outside_at_the_same_distance(at, becomes):
-    """10 is 100, 20 is 120, 60 is 720; whatever the order in which that is told."""
+def test_retimed_interpolates_and_extrapolates(at, becomes):
+    """10 becomes 100, 20 becomes 120, 60 becomes 720; the order of pairs does not matter."""
     pairs = [(20, 120), (60, 720), (10, 100)]
     moved = retimed(meaning({STATE: [(at, "a")]}, {POSITION: [(at, 1)]}), pairs)
     assert [item.time_ns for item in moved.items[STATE]] == [becomes]
@@ -89,7 +95,7 @@ def test_times_between_two_pairs_are_in_proportion_and_outside_at_the_same_dista
     assert moved.labels == {STATE: STATE[2], POSITION: POSITION[2]}
 
 
-def test_exactly_the_tolerance_is_no_difference_and_more_is():
+def test_difference_equal_to_tolerance_is_none():
     flat = meaning(None, {POSITION: [(0, 0), (1000 * MS, 0)]})
     for value, count in ((2, 0), (2.001, 1)):
         there = meaning(None, {POSITION: [(0, 0), (1000 * MS, value)]})
@@ -101,7 +107,7 @@ def test_exactly_the_tolerance_is_no_difference_and_more_is():
         assert len(differences(flat, there, Tolerance())) == count
 
 
-def test_a_quantity_may_be_where_the_other_is_a_moment_earlier_or_later():
+def test_quantity_can_be_shifted_within_time_tolerance():
     """At 1 per second, 0.04 ahead is 40 ms early."""
     motor = ("left", None, "position")
     line = meaning(None, {motor: [(0, 0), (1000 * MS, 1)]})
@@ -110,14 +116,14 @@ def test_a_quantity_may_be_where_the_other_is_a_moment_earlier_or_later():
         assert len(differences(line, there, Tolerance())) == count
 
 
-def test_differences_are_told_by_time():
+def test_differences_are_sorted_by_time():
     later = ("can0", 1, "error register")
     one = meaning({STATE: [(5, "a")], later: [(3, "x")]}, {POSITION: [(0, 0), (1, 0)]})
     other = meaning({STATE: [(5, "b")], later: [(3, "y")]}, {POSITION: [(0, 9), (1, 9)]})
     assert [one.time_ns for one in differences(one, other, Tolerance())] == [0, 3, 5]
 
 
-def test_many_values_of_several_objects_keep_their_order():
+def test_many_values_of_several_objects_keep_order():
     commands = meaning({("can0", 1, COMMANDS): []})
     others = meaning({("can0", 1, COMMANDS): []})
     for number in range(40):

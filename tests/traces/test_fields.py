@@ -5,17 +5,22 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.traces.protobuf_classes import google_class
-from traces.fields import (
+from motorhil.traces.mcap.protobuf import encode
+from motorhil.traces.schema import (
+    CAN_FRAME,
+    JOINT_STATE,
+    LOG,
+    Direction,
     JointStateEncoder,
+    Level,
     TruthEncoder,
     decode_can_frame,
     encode_can_frame,
     encode_log,
     timestamp_field,
+    truth_message,
 )
-from traces.protobuf import encode
-from traces.schema import CAN_FRAME, JOINT_STATE, LOG, Direction, Level, truth_message
+from tests.traces.protobuf_classes import google_class
 
 # Source: linux/can.h.
 EFF, RTR, ERR = 0x80000000, 0x40000000, 0x20000000
@@ -32,7 +37,7 @@ def canfd_frame(can_id, data=b"", flags=FDF):
     return struct.pack("<IBB2x64s", can_id, len(data), flags, data)
 
 
-def test_a_frame_on_the_wire_is_laid_out_as_the_schema_promises():
+def test_encoded_frame_has_promised_layout():
     payload = encode_can_frame(can_frame(0x181, b"\x37\x16"), "left", Direction.RECEIVED)
     # By hand: fixed32 1, varint 8 = 1, string 9 = "left", bytes 15 = 37 16.
     assert payload.hex() == "0d81010000" + "4001" + "4a04" + b"left".hex() + "7a02" + "3716"
@@ -59,14 +64,14 @@ FRAMES = [
 
 
 @pytest.mark.parametrize(("frame", "values"), FRAMES)
-def test_google_finds_in_every_kind_of_frame_what_linux_says_is_in_it(frame, values):
+def test_google_decodes_every_kind_of_frame(frame, values):
     parsed = GOOGLE_CAN_FRAME.FromString(encode_can_frame(frame, "s", Direction.TRANSMITTED))
     expected = GOOGLE_CAN_FRAME(sender="s", direction=2, **values)
     assert parsed == expected
 
 
 @pytest.mark.parametrize(("frame", "values"), FRAMES)
-def test_a_recorded_frame_is_the_same_frame_again(frame, values):
+def test_recorded_frame_is_unchanged(frame, values):
     recorded = decode_can_frame(encode_can_frame(frame, "wheel_ä", Direction.RECEIVED))
     assert recorded.frame == frame
     assert (recorded.sender, recorded.direction) == ("wheel_ä", Direction.RECEIVED)
@@ -77,13 +82,13 @@ def test_a_recorded_frame_is_the_same_frame_again(frame, values):
     st.sampled_from([0, EFF, RTR, ERR, EFF | RTR]),
     st.binary(max_size=8),
 )
-def test_any_classical_frame_comes_back(can_id, flags, data):
+def test_any_classical_frame_is_unchanged(can_id, flags, data):
     can_id &= 0x1FFFFFFF if flags & (EFF | ERR) else 0x7FF
     frame = can_frame(can_id | flags, b"" if flags & RTR else data, len(data))
     assert decode_can_frame(encode_can_frame(frame)).frame == frame
 
 
-def test_a_frame_that_another_writer_encoded_in_its_own_order_is_read():
+def test_frame_of_another_writer_is_decoded():
     theirs = encode(CAN_FRAME, {"data": b"\1\2", "id": 0x181, "extended": True})
     assert decode_can_frame(theirs).frame == can_frame(0x181 | EFF, b"\1\2")
 
@@ -96,12 +101,12 @@ def test_a_frame_that_another_writer_encoded_in_its_own_order_is_read():
         (canfd_frame(1, flags=0), "without CANFD_FDF"),
     ],
 )
-def test_what_is_no_frame_is_refused(frame, complaint):
+def test_invalid_frame_is_refused(frame, complaint):
     with pytest.raises(ValueError, match=complaint):
         encode_can_frame(frame)
 
 
-def test_a_recorded_frame_with_more_data_than_can_has_is_refused():
+def test_recorded_frame_with_too_much_data_is_refused():
     with pytest.raises(ValueError, match="9 bytes with room for 8"):
         decode_can_frame(encode(CAN_FRAME, {"id": 1, "data": bytes(9)}))
 
@@ -115,7 +120,7 @@ def test_a_recorded_frame_with_more_data_than_can_has_is_refused():
         (4 * 10**18 + 5, 4 * 10**9, 5),
     ],
 )
-def test_google_reads_our_times(time_ns, seconds, nanos):
+def test_google_decodes_times(time_ns, seconds, nanos):
     parsed = google_class(LOG).FromString(timestamp_field(time_ns))
     assert parsed.SerializeToString() == timestamp_field(time_ns)
     assert (parsed.timestamp.seconds, parsed.timestamp.nanos) == (seconds, nanos)
@@ -125,7 +130,7 @@ def test_google_reads_our_times(time_ns, seconds, nanos):
 @pytest.mark.parametrize(
     "reading", [(0.25, -1.0, 0.0), (None, -1.0, None), (1.0, None, None), (None, None, None)]
 )
-def test_google_reads_a_joint_state_and_what_is_unknown_is_absent(reading):
+def test_google_decodes_joint_state_without_unknowns(reading):
     payload = JointStateEncoder("left").encode(*reading)
     parsed = GOOGLE_JOINT_STATE.FromString(payload)
     assert parsed.name == "left"
@@ -135,11 +140,11 @@ def test_google_reads_a_joint_state_and_what_is_unknown_is_absent(reading):
         if value is not None
     }
     assert {f.name: v for f, v in parsed.ListFields() if f.name != "name"} == known
-    # The table's own encoder, which google agrees with, writes the same bytes.
+    # The generic encoder, which agrees with Google's, writes the same bytes.
     assert payload == encode(JOINT_STATE, {"name": "left", **known})
 
 
-def test_google_reads_an_event():
+def test_google_decodes_event():
     parsed = google_class(LOG).FromString(
         encode_log(7, Level.WARNING, "bus übervoll " * 20, "can0")
     )
@@ -148,7 +153,7 @@ def test_google_reads_an_event():
 
 
 @pytest.mark.parametrize("count", [1, 9, 15, 16, 40])  # field 16 is the first with a tag of 2 bytes
-def test_google_reads_a_snapshot_of_any_width(count):
+def test_google_decodes_snapshot_of_any_width(count):
     message = truth_message("x", [f"k{i}" for i in range(count)])
     encoder = TruthEncoder(message)
     for start in (0.5, -1e300):
@@ -163,7 +168,7 @@ def test_snapshots_keep_every_bit():
     assert struct.pack("<3d", parsed.a, parsed.b, parsed.c) == struct.pack("<3d", *values)
 
 
-def test_a_snapshot_of_the_wrong_width_is_refused():
+def test_snapshot_of_wrong_width_is_refused():
     encoder = TruthEncoder(truth_message("x", ["a", "b"]))
     with pytest.raises(ValueError, match="sequence of size 1"):
         encoder.encode([1.0])

@@ -1,18 +1,24 @@
-"""What each format holds is held: what it can hold comes back, what it cannot is told as lost."""
+"""Each format keeps the features it can store, and reports the others as lost."""
 
 import can
 import pytest
 
-from harness.conversion import convert
+from motorhil.harness.recording.conversion import convert
+from motorhil.traces.digest import digest
+from motorhil.traces.errors import TraceError
+from motorhil.traces.formats import frames as traffic
+from motorhil.traces.formats.frames import Findings, Frame, classic, flexible, remote
+from motorhil.traces.formats.registry import (
+    IN_WORDS,
+    WRITABLE,
+    Feature,
+    Survey,
+    open_source,
+    record_frames,
+)
+from motorhil.traces.schema import Direction
 from tests.architecture.checkout import CHECKOUT
 from tests.traces.recordings import write
-from traces import traffic
-from traces.digest import digest
-from traces.errors import TraceError
-from traces.formats import IN_WORDS, WRITABLE, Feature, Survey, open_source
-from traces.schema import Direction
-from traces.traffic import Findings, Frame, classic, flexible, remote
-from traces.traffic_mcap import record_frames
 
 SINCE_1970_NS = 1_700_000_000_123_456_000
 R, T = Direction.RECEIVED, Direction.TRANSMITTED
@@ -50,7 +56,7 @@ WITH = {
 
 
 def there_and_back(tmp_path, frames, form):
-    """(digest before, digest after, what was said to be lost)."""
+    """Return the digests before and after, and the losses reported."""
     paths = [tmp_path / name for name in ("a.mcap", "b" + form.ending, "c.mcap")]
     record_frames(paths[0], frames, {})
     there = convert(paths[0], paths[1], form.name)
@@ -61,7 +67,7 @@ def there_and_back(tmp_path, frames, form):
 
 
 @pytest.mark.parametrize("form", WRITABLE, ids=lambda form: form.name)
-def test_every_format_holds_the_common_frame(tmp_path, form):
+def test_every_format_stores_common_frame(tmp_path, form):
     before, after, lost = there_and_back(tmp_path, BASE, form)
     assert before == after
     assert set(lost) <= {Feature.DIRECTION}
@@ -69,7 +75,7 @@ def test_every_format_holds_the_common_frame(tmp_path, form):
 
 @pytest.mark.parametrize("form", WRITABLE, ids=lambda form: form.name)
 @pytest.mark.parametrize("feature", list(Feature), ids=lambda feature: feature.name)
-def test_the_digest_stays_just_where_the_table_says_so(tmp_path, form, feature):
+def test_digest_is_kept_only_for_stored_features(tmp_path, form, feature):
     before, after, lost = there_and_back(tmp_path, BASE + WITH[feature] + BASE, form)
     assert (before == after) is (feature in form.holds)
     assert (feature in lost) is (feature not in form.holds)
@@ -78,7 +84,7 @@ def test_the_digest_stays_just_where_the_table_says_so(tmp_path, form, feature):
 
 @pytest.mark.parametrize("form", WRITABLE, ids=lambda form: form.name)
 @pytest.mark.parametrize("step_ns", [1000, -5_000_000_000])
-def test_times_from_0_and_times_that_go_back_are_held_by_all(tmp_path, form, step_ns):
+def test_zero_and_backward_times_are_stored(tmp_path, form, step_ns):
     frames = [
         Frame(10_000_000_000 + n * step_ns, "can0", classic(n, bytes([n])), R) for n in range(3)
     ]
@@ -88,12 +94,12 @@ def test_times_from_0_and_times_that_go_back_are_held_by_all(tmp_path, form, ste
     assert before == after
 
 
-def test_the_page_on_conversion_tells_what_each_format_does_not_hold():
+def test_documents_list_features_not_stored():
     rows = ["| format | ending | does not hold |", "| --- | --- | --- |"]
     for form in WRITABLE:
         lacks = [feature for feature in Feature if feature not in form.holds]
         if Feature.BUS_NAMES in lacks:
-            lacks.remove(Feature.BLANKS)  # they go with the names
+            lacks.remove(Feature.BLANKS)  # included in the names
         told = ", ".join(IN_WORDS[feature] for feature in lacks) or "nothing is lost"
         rows.append(f"| {form.name} | `{form.ending}` | {told} |")
     assert (
@@ -101,7 +107,7 @@ def test_the_page_on_conversion_tells_what_each_format_does_not_hold():
     ), "\n".join(rows)
 
 
-def test_a_survey_tells_every_feature():
+def test_survey_finds_every_feature():
     survey = Survey()
     for frames in WITH.values():
         for frame in frames:
@@ -109,25 +115,25 @@ def test_a_survey_tells_every_feature():
     assert set(survey.counts) == set(Feature)
 
 
-def test_what_is_no_frame_is_left_out_of_an_export_and_told(tmp_path):
+def test_messages_other_than_frames_are_noted(tmp_path):
     write(tmp_path / "run.mcap")
     findings = Findings()
     frames = list(open_source(tmp_path / "run.mcap").frames(findings))
     assert len(frames) == 90
-    assert findings.notes == ["/events: 10 messages are no CAN frames, and left out"]
+    assert findings.notes == ["/events: 10 messages are not CAN frames, and are omitted"]
 
 
 @pytest.mark.parametrize(
     "content", [b"", b"# nothing\n", b"time,angle\n0.1,0.2\n", b"\x00\xff" * 50]
 )
-def test_what_holds_no_traffic_is_refused(tmp_path, content):
+def test_file_without_traffic_is_refused(tmp_path, content):
     (tmp_path / "some.txt").write_bytes(content)
     with pytest.raises(TraceError, match=r"some\.txt: (is empty|holds no CAN traffic)"):
         open_source(tmp_path / "some.txt")
 
 
 @pytest.mark.parametrize("ending", [".log", ".trc", ".asc", ".blf"])
-def test_python_can_reads_what_is_written(tmp_path, ending):
+def test_python_can_reads_written_file(tmp_path, ending):
     frames = BASE + WITH[Feature.DIRECTION] + WITH[Feature.REMOTE]
     record_frames(tmp_path / "a.mcap", frames, {})
     convert(tmp_path / "a.mcap", tmp_path / f"b{ending}", FORMAT_OF[ending])
@@ -142,7 +148,7 @@ def test_python_can_reads_what_is_written(tmp_path, ending):
         one.can_id & traffic.RTR != 0 for one in told
     ]
     assert [message.dlc for message in found] == [one.length for one in told]
-    # its stamps are floats, and it takes the date in an ASC file for local time
+    # its stamps are floats, and it treats the date in an ASC file as local time
     since = [m.timestamp - found[0].timestamp for m in found]
     want = [(frame.time_ns - frames[0].time_ns) / 1e9 for frame in frames]
     assert since == pytest.approx(want, abs=1e-6)

@@ -1,4 +1,4 @@
-"""Random traffic of what a format holds comes back from it as it was, to the digest."""
+"""Random traffic survives conversion to a format and back, with the same digest."""
 
 import tempfile
 from pathlib import Path
@@ -8,13 +8,12 @@ import pytest
 from hypothesis import event, given
 from hypothesis import strategies as st
 
-from harness.conversion import convert
-from traces import traffic
-from traces.digest import digest
-from traces.formats import WRITABLE, Feature
-from traces.schema import Direction
-from traces.traffic import Frame, classic, flexible, remote
-from traces.traffic_mcap import record_frames
+from motorhil.harness.recording.conversion import convert
+from motorhil.traces.digest import digest
+from motorhil.traces.formats import frames as traffic
+from motorhil.traces.formats.frames import Frame, classic, flexible, remote
+from motorhil.traces.formats.registry import WRITABLE, Feature, record_frames
+from motorhil.traces.schema import Direction
 
 BLF = next(form for form in WRITABLE if form.name == "blf")
 NAMES = st.text(st.characters(categories=("L", "N", "P", "S")), min_size=1, max_size=8)
@@ -73,7 +72,7 @@ def recordings(draw, holds):
 
 @pytest.mark.parametrize("form", WRITABLE, ids=lambda form: form.name)
 @given(st.data())
-def test_what_a_format_holds_comes_back(form, data):
+def test_conversion_and_back_keeps_digest(form, data):
     frames = data.draw(recordings(form.holds))
     with tempfile.TemporaryDirectory() as name:
         paths = [Path(name) / file for file in ("a.mcap", "b" + form.ending, "c.mcap")]
@@ -86,7 +85,7 @@ def test_what_a_format_holds_comes_back(form, data):
 
 
 @given(recordings(BLF.holds))
-def test_python_can_reads_the_same_frames_out_of_a_blf(frames):
+def test_python_can_reads_same_frames_from_blf(frames):
     with tempfile.TemporaryDirectory() as name:
         paths = [Path(name) / file for file in ("a.mcap", "b.blf")]
         record_frames(paths[0], frames, {})

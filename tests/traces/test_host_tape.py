@@ -1,14 +1,13 @@
-"""What of a recording is its host's, and what the host may have waited for."""
+"""The host's part of a recording, and the reports that the host can have waited for."""
 
 import struct
 
 import pytest
 
-from traces.host_tape import ANSWER, HostCutter, Listener
-from traces.modbus import Adu
-from traces.recorded_host import answer_size
-from traces.schema import Direction
-from traces.traffic import ERR, classic
+from motorhil.traces.decoding.modbus import Adu
+from motorhil.traces.exchange.host import ANSWER, HostCutter, Listener, answer_size
+from motorhil.traces.formats.frames import ERR, classic
+from motorhil.traces.schema import Direction
 
 MS = 1_000_000
 LENGTH = 100_000
@@ -18,7 +17,7 @@ TAKEN = (NODE, 0x585, "6040600000000000")
 
 
 def cut(*told):
-    """The host's steps in (time [ms], (direction, identifier, data)) on one bus."""
+    """Return the host's steps in (time [ms], (direction, identifier, data)) on one bus."""
     cutter = HostCutter(Listener({}), lambda bus, frame: LENGTH)
     for time_ms, (direction, identifier, data) in told:
         frame = classic(identifier, bytes.fromhex(data))
@@ -27,7 +26,7 @@ def cut(*told):
 
 
 def mapped(entry):
-    """TPDO 1 of node 5 holds that one object: 1A00h is written, and taken."""
+    """Return the SDO traffic that maps one object to TPDO 1 of node 5 (1A00h)."""
     told = []
     for number, head in enumerate(("2f001a0000000000", f"23001a01{entry}", "2f001a0001000000")):
         told.append((2 * number, (HOST, 0x605, head)))
@@ -39,14 +38,14 @@ def waits(step):
     return [told.time_ns // MS for told in step.waits]
 
 
-def test_a_step_waits_for_what_was_told_since_the_one_before_and_begins_with_its_first_bit():
+def test_step_waits_for_reports_since_previous_step():
     first, second, third = cut((10, WRITE), (12, TAKEN), (20, WRITE), (22, TAKEN), (30, WRITE))
     assert [waits(one) for one in (first, second, third)] == [[], [12], [22]]
     assert second.waits[0].subject == ("can0", 5, ANSWER)
     assert (first.start_ns, first.end_ns) == (10 * MS - LENGTH, 10 * MS)
 
 
-def test_what_was_told_while_a_frame_was_on_the_bus_is_the_next_ones():
+def test_report_during_a_frame_belongs_to_next_step():
     first, second = cut((10, TAKEN), (10, WRITE), (20, WRITE))
     assert [waits(first), waits(second)] == [[], [10]]
 
@@ -66,27 +65,25 @@ def test_what_was_told_while_a_frame_was_on_the_bus_is_the_next_ones():
         (0x705, "00", False),  # boot-up
     ],
 )
-def test_where_no_direction_is_known_what_a_frame_is_for_tells_whose_it_is(
-    identifier, data, is_hosts
-):
+def test_unknown_direction_is_decided_by_purpose(identifier, data, is_hosts):
     """CiA 301, pre-defined connection set."""
     assert len(cut((1, (NOBODY, identifier, data)))) == is_hosts
     assert len(cut((1, (HOST, identifier, data)))) == 1
     assert cut((1, (NODE, identifier, data))) == []
 
 
-def test_an_error_frame_is_nobodys():
+def test_error_frame_belongs_to_neither_side():
     assert cut((1, (HOST, ERR | 0x04, "0000000000000000"))) == []
 
 
-def test_the_hosts_own_heartbeat_is_free_and_takes_no_waiting_from_others():
+def test_host_heartbeat_is_free_and_takes_no_waits():
     beat = (HOST, 0x77F, "05")
     steps = cut((10, WRITE), (12, TAKEN), (15, beat), (20, WRITE))
     assert [one.is_free for one in steps] == [False, True, False]
     assert [waits(one) for one in steps] == [[], [], [12]]
 
 
-def test_states_are_told_when_they_change_and_events_each_time():
+def test_states_are_reported_on_change_events_each_time():
     told = [
         *[(ms, (NODE, 0x705, "05")) for ms in (1, 2, 3)],
         (4, (NODE, 0x705, "7f")),
@@ -98,10 +95,11 @@ def test_states_are_told_when_they_change_and_events_each_time():
 
 
 # CiA 402, statusword: 0 ready to switch on, 1 switched on, 2 operation enabled, 3 fault, 5 quick
-# stop, 6 switch on disabled, 10 target reached, 12 and 13 of the mode. The others are not waited
-# for: 4 voltage enabled, 7 warning, 8 and 14, 15 the maker's, 9 remote, 11 internal limit active.
+# stop, 6 switch on disabled, 10 target reached, 12 and 13 mode-specific. A host does not wait for
+# the others: 4 voltage enabled, 7 warning, 8 and 14, 15 manufacturer-specific, 9 remote, 11
+# internal limit active.
 @pytest.mark.parametrize("bit", range(16))
-def test_of_the_statusword_those_bits_count_that_a_host_waits_for(bit):
+def test_statusword_bits_relevant_to_host_count(bit):
     word = 1 << bit
     steps = cut(
         *mapped("10004160"),
@@ -122,7 +120,7 @@ def test_measured_quantities_are_not_waited_for():
     assert waits(steps[-1]) == [5]  # the answer to the last write
 
 
-def test_on_a_line_a_request_is_the_hosts_and_an_answer_is_waited_for():
+def test_modbus_request_is_hosts_and_answer_is_awaited():
     cutter = HostCutter(Listener({}), lambda bus, frame: LENGTH)
     for time_ms, to_server in ((5, True), (9, False), (20, True)):
         adu = Adu(time_ms * MS, None, to_server, 0, 7, bytes.fromhex("0600010003"))
@@ -132,7 +130,7 @@ def test_on_a_line_a_request_is_the_hosts_and_an_answer_is_waited_for():
     assert [(one.time_ns, one.subject) for one in second.waits] == [(9 * MS, ("rs485", 7, ANSWER))]
 
 
-# The examples of MODBUS Application Protocol V1.1b3, section 6, each behind its unit.
+# The examples of MODBUS Application Protocol V1.1b3, section 6, each after its unit.
 RESPONSES = {
     "01": "0103CD6B05",
     "02": "0203ACDB35",
@@ -155,8 +153,8 @@ RESPONSES = {
 
 
 @pytest.mark.parametrize("function", RESPONSES)
-def test_how_long_an_answer_is_its_beginning_tells(function):
-    """On a serial line with two bytes of check sum; on TCP the header tells."""
+def test_answer_size_follows_from_its_beginning(function):
+    """On a serial line with two bytes of check sum; on TCP from the header."""
     pdu = bytes.fromhex(RESPONSES[function])
     assert pdu[0] == int(function, 16)
     on_line = b"\x05" + pdu + b"\xc5\xc5"
@@ -169,5 +167,5 @@ def test_how_long_an_answer_is_its_beginning_tells(function):
     assert answer_size(on_tcp[:5], True) is None
 
 
-def test_of_an_answer_of_unknown_kind_the_length_is_not_told():
+def test_answer_size_of_unknown_function_is_none():
     assert answer_size(bytes.fromhex("052b0e0101"), False) is None

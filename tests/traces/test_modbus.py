@@ -1,4 +1,4 @@
-"""Modbus out of captures: ADUs, what is malformed, requests with their responses."""
+"""Modbus from captures: ADUs, malformed data, requests with their responses."""
 
 from pathlib import Path
 
@@ -6,10 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from motorhil.traces.decoding.modbus import Adu, Malformed, adus, paired
+from motorhil.traces.formats.pcap import Capture, Piece, pieces
 from tests.traces.captures import THERE
-from traces.modbus import Adu, Malformed, adus, paired
-from traces.pcap import Capture
-from traces.tcp_streams import Piece, pieces
 
 BACK = THERE.back
 
@@ -22,7 +21,7 @@ def mbap(transaction, unit, pdu, protocol=0, length=None):
 
 
 def sent(*parts, way=THERE):
-    """Pieces of one direction, a millisecond apart."""
+    """Return pieces of one direction, a millisecond apart."""
     return [Piece(way, n * 1_000_000, data, n, 0) for n, data in enumerate(parts, 1)]
 
 
@@ -30,7 +29,7 @@ READ = mbap(1, 2, "03 0000 0001")
 
 
 @given(st.sets(st.integers(1, 2 * len(READ) - 1), max_size=5))
-def test_an_adu_may_come_in_pieces_and_several_in_one(cuts):
+def test_adu_in_pieces_and_several_in_one_are_found(cuts):
     stream, at = READ + READ, sorted(cuts)
     parts = [stream[low:high] for low, high in zip([0, *at], [*at, len(stream)], strict=True)]
     found = list(adus(sent(*parts)))
@@ -40,7 +39,7 @@ def test_an_adu_may_come_in_pieces_and_several_in_one(cuts):
     assert found[-1].time_ns == len(parts) * 1_000_000
 
 
-def test_direction_is_told_by_the_port():
+def test_direction_follows_from_port():
     (request,), (response,) = adus(sent(READ)), adus(sent(mbap(1, 2, "83 02"), way=BACK))
     assert request.to_server
     assert not request.is_exception
@@ -51,18 +50,18 @@ def test_direction_is_told_by_the_port():
 @pytest.mark.parametrize(
     "bad", [mbap(1, 2, "03", protocol=16), mbap(1, 2, "03", length=0), mbap(1, 2, "03", length=255)]
 )
-def test_a_header_that_cannot_be_is_told_and_the_next_segment_is_read(bad):
+def test_invalid_header_is_reported_next_segment_read(bad):
     found = list(adus(sent(bad + READ, READ)))
     assert [type(one) for one in found] == [Malformed, Adu]
     assert found[0].data == bad + READ
 
 
-def test_what_is_left_over_behind_an_adu_does_not_spoil_the_next():
+def test_bytes_after_an_adu_do_not_affect_the_next():
     found = list(adus(sent(READ + b"\x01\x02", READ)))
     assert [type(one) for one in found] == [Adu, Malformed, Adu]
 
 
-def test_bytes_missing_in_the_middle_of_an_adu_are_told():
+def test_missing_bytes_within_adu_are_reported():
     first, second = sent(READ[:8], READ)
     gap = Piece(second.way, second.time_ns, second.data, second.packet, 4)
     assert [type(one) for one in adus([first, gap])] == [Malformed, Adu]
@@ -74,7 +73,7 @@ def adu(transaction, pdu, to_server=True, unit=1, time_ns=0):
     return Adu(time_ns, way, to_server, transaction, unit, bytes.fromhex(pdu))
 
 
-def test_responses_may_come_in_any_order():
+def test_responses_can_come_in_any_order():
     asked = [adu(n, f"03 {n:04X} 0001") for n in (1, 2, 3)]
     answers = [adu(n, "03 02 0000", False, time_ns=n * 1000) for n in (3, 1)]
     found = paired([*asked, *answers])
@@ -82,7 +81,7 @@ def test_responses_may_come_in_any_order():
     assert (found.answered, found.reused, found.strays) == (2, 0, ())
 
 
-def test_a_transaction_used_again_before_its_response_is_told():
+def test_reused_transaction_is_reported():
     found = paired([adu(1, "03 0000 0001"), adu(1, "03 0005 0001"), adu(1, "03 02 0000", False)])
     assert [(e.response is not None, e.reused) for e in found.exchanges] == [
         (False, True),
@@ -94,13 +93,13 @@ def test_a_transaction_used_again_before_its_response_is_told():
     "answer",
     [adu(2, "03 02 0000", False), adu(1, "04 02 0000", False), adu(1, "03 02 0000", False, 7)],
 )
-def test_a_response_to_something_else_is_a_stray(answer):
+def test_response_to_another_request_is_stray(answer):
     found = paired([adu(1, "03 0000 0001"), answer])
     assert found.strays == (answer,)
     assert found.answered == 0
 
 
-# --- real captures: ../shared/data/traffic/INDEX.md says what is in them
+# --- real captures, described in ../shared/data/traffic/INDEX.md
 
 
 def read(shared: Path, name: str):
@@ -112,7 +111,7 @@ def read(shared: Path, name: str):
 
 
 @pytest.mark.data
-def test_the_gateway_with_requests_in_flight(shared):
+def test_real_gateway_with_requests_in_flight(shared):
     packets, found = read(shared, "modbus_gateway_units1237_pipelined")
     pairing = paired(found)
     assert len(packets) == 4901
@@ -122,13 +121,13 @@ def test_the_gateway_with_requests_in_flight(shared):
     assert {exchange.request.pdu[0] for exchange in pairing.exchanges} == {3, 4}
     delays = sorted(e.delay_s for e in pairing.exchanges if e.delay_s is not None)
     assert f"{delays[len(delays) // 2]:.2f} {delays[-1]:.1f}" == "0.45 5.1"
-    # INDEX takes all connections of two addresses for one: 120 identifiers used again
+    # INDEX treats all connections between two addresses as one: 120 identifiers reused while
     # unanswered there, and 670 never answered
     assert len(pairing.exchanges) - pairing.answered == 120 + 670
 
 
 @pytest.mark.data
-def test_the_plant(shared):
+def test_real_plant(shared):
     packets, found = read(shared, "modbus_plant1_tcp")
     pairing = paired(found)
     assert len(packets) == 15387
@@ -141,7 +140,7 @@ def test_the_plant(shared):
 
 
 @pytest.mark.data
-def test_what_somebody_crafted_to_be_wrong(shared):
+def test_real_capture_with_crafted_errors(shared):
     packets, found = read(shared, "modbus_quickdraw_part1")
     assert len(packets) == 118
     assert sum(_has_payload(p.data) for p in packets) == 50
@@ -153,7 +152,7 @@ def test_what_somebody_crafted_to_be_wrong(shared):
 
 
 def _has_payload(frame: bytes) -> bool:
-    """Whether an Ethernet frame with IPv4 and TCP carries bytes; as simply as can be."""
+    """Return True if an Ethernet frame with IPv4 and TCP carries payload."""
     ip = frame[14:]
     head = (ip[0] & 15) * 4
     return int.from_bytes(ip[2:4], "big") - head - (ip[head + 12] >> 4) * 4 > 0

@@ -1,4 +1,4 @@
-"""Modbus lines as pcapng: Wireshark reads Modbus in them, and we read what was recorded."""
+"""Modbus lines as pcapng, readable by Wireshark and by our reader."""
 
 import shutil
 import struct
@@ -10,17 +10,16 @@ import pytest
 from hypothesis import event, given
 from hypothesis import strategies as st
 
-from harness.conversion import MODBUS_PCAPNG, convert
-from traces.digest import digest
-from traces.errors import TraceError
-from traces.modbus_export import AduFeature
-from traces.modbus_pcap import record_adus
-from traces.modbus_records import RecordedAdu
-from traces.pcap import Capture
-from traces.protobuf import encode
-from traces.schema import MODBUS_ADU, Direction
-from traces.traffic import Frame, classic
-from traces.traffic_mcap import record_frames
+from motorhil.harness.recording.conversion import MODBUS_PCAPNG, convert
+from motorhil.traces.decoding.modbus import RecordedAdu
+from motorhil.traces.digest import digest
+from motorhil.traces.errors import TraceError
+from motorhil.traces.formats.frames import Frame, classic
+from motorhil.traces.formats.pcap import Capture
+from motorhil.traces.formats.pcap_modbus import AduFeature, record_adus
+from motorhil.traces.formats.registry import record_frames
+from motorhil.traces.mcap.protobuf import encode
+from motorhil.traces.schema import MODBUS_ADU, Direction
 
 R, T = Direction.RECEIVED, Direction.TRANSMITTED
 S = 1_000_000_000
@@ -38,7 +37,7 @@ def adu(time_ns, line, direction, sender, data, *, tcp=True, **more):
 
 
 def there_and_back(folder, adus):
-    """What came of writing them, and whether the digest is the same when they are read again."""
+    """Return the conversion's result, and True if the digest is the same after reading it again."""
     paths = [Path(folder) / name for name in ("a.mcap", "b.pcapng", "c.mcap")]
     record_adus(paths[0], iter(adus), {})
     there = convert(paths[0], paths[1], "pcapng")
@@ -81,7 +80,7 @@ def on_a_serial_line(draw):
 
 
 @given(st.lists(ON_TCP | on_a_serial_line(), min_size=1, max_size=12))
-def test_what_was_recorded_comes_back(adus):
+def test_recorded_adus_survive_export(adus):
     with tempfile.TemporaryDirectory() as folder:
         there, same = there_and_back(folder, adus)
     event(f"{len(there.buses)} lines")
@@ -90,7 +89,7 @@ def test_what_was_recorded_comes_back(adus):
     assert same
 
 
-def test_what_a_capture_does_not_hold_is_told(tmp_path):
+def test_features_not_stored_are_reported(tmp_path):
     late = adu(9 * S, "rs485", T, "host", RTU_REQUEST, tcp=False, start_ns=1)
     spoiled = adu(10 * S, "rs485", R, "", RTU_RESPONSE, tcp=False, spoiled=True)
     there, same = there_and_back(tmp_path, [late, spoiled])
@@ -102,12 +101,12 @@ def test_what_a_capture_does_not_hold_is_told(tmp_path):
     ("spoilt", "why"),
     [
         (adu(0, "g", T, "host", REQUEST[:-1]), "5 bytes of an ADU of 6"),
-        (adu(0, "g", T, "host", b"\0\1\0\1\0\2\1\3"), "no Modbus/TCP: 00 01 00 01 00 02 01"),
-        (adu(0, "g", T, "host", b""), "no Modbus/TCP: "),
-        (adu(0, "g", Direction.UNKNOWN, "host", REQUEST), "nobody said which way it went"),
+        (adu(0, "g", T, "host", b"\0\1\0\1\0\2\1\3"), "not Modbus/TCP: 00 01 00 01 00 02 01"),
+        (adu(0, "g", T, "host", b""), "not Modbus/TCP: "),
+        (adu(0, "g", Direction.UNKNOWN, "host", REQUEST), "an ADU without a direction"),
     ],
 )
-def test_what_would_be_taken_for_something_else_is_left_out_and_told(tmp_path, spoilt, why):
+def test_ambiguous_adu_is_omitted_and_reported(tmp_path, spoilt, why):
     there, same = there_and_back(tmp_path, [spoilt, adu(1, "g", T, "host", REQUEST)])
     ((number, text),) = there.findings.problems
     assert number == 1
@@ -115,14 +114,14 @@ def test_what_would_be_taken_for_something_else_is_left_out_and_told(tmp_path, s
     assert not same
 
 
-def test_frames_and_adus_of_one_recording_go_into_files_of_their_own(tmp_path):
+def test_frames_and_adus_need_separate_files(tmp_path):
     record_frames(tmp_path / "can.mcap", [Frame(0, "can0", classic(1, b""))], {})
     with pytest.raises(TraceError, match="holds no Modbus"):
         convert(tmp_path / "can.mcap", tmp_path / "x.pcapng", MODBUS_PCAPNG)
 
 
 @pytest.mark.data
-def test_a_real_capture_written_anew_is_the_same(shared, tmp_path):
+def test_real_capture_survives_export(shared, tmp_path):
     name = "data/traffic/modbus_gateway_units1237_pipelined.pcap"
     convert(shared / name, tmp_path / "a.mcap", "mcap")
     there = convert(tmp_path / "a.mcap", tmp_path / "b.pcapng", "pcapng")
@@ -132,18 +131,18 @@ def test_a_real_capture_written_anew_is_the_same(shared, tmp_path):
     assert digest(tmp_path / "a.mcap") == digest(tmp_path / "c.mcap")
 
 
-# ------------------------------------------------------------------- as Wireshark reads it
+# ------------------------------------------------------------------- as read by Wireshark
 
 
 def internet_sum(data):
-    """0 where the check sum in it fits: RFC 1071, by its definition."""
+    """Return 0 if the check sum in the data is correct (RFC 1071, by its definition)."""
     total = sum(
         int.from_bytes(data[n : n + 2].ljust(2, b"\0"), "big") for n in range(0, len(data), 2)
     )
     return 0xFFFF - total % 0xFFFF if total % 0xFFFF else 0
 
 
-def test_check_sums_and_sequence_numbers_fit(tmp_path):
+def test_check_sums_and_sequence_numbers_are_correct(tmp_path):
     adus = [adu(n, "gate", (T, R)[n % 2], "host", (REQUEST, RESPONSE)[n % 2]) for n in range(4)]
     there_and_back(tmp_path, adus)
     packets = [packet.data for packet in Capture(tmp_path / "b.pcapng").packets()]
@@ -182,14 +181,16 @@ def test_wireshark_reads_modbus_on_tcp(tshark, tmp_path, line):
         "frame.time_epoch mbtcp.trans_id modbus.func_code modbus.response_time frame.interface_name"
     )
     rows = dissected(tshark, tmp_path / "b.pcapng", *names.split())
-    assert {(row[0], row[1]) for row in rows} == {("", "host")}  # comments are "expert", too
+    assert {(row[0], row[1]) for row in rows} == {
+        ("", "host")
+    }  # comments are "expert" messages, too
     assert [row[2] for row in rows] == [f"1.00000000{n}" for n in range(4)]
     assert [row[3:5] for row in rows] == [["7", "3"]] * 4
     assert [bool(row[5]) for row in rows] == [False, True, False, True]  # paired with requests
     assert [row[6] for row in rows] == [line] * 4
 
 
-def test_wireshark_reads_a_serial_line(tshark, tmp_path):
+def test_wireshark_reads_serial_line(tshark, tmp_path):
     adus = [
         adu(n, "rs485", way, "", data, tcp=False)
         for n, (way, data) in enumerate(
@@ -200,4 +201,4 @@ def test_wireshark_reads_a_serial_line(tshark, tmp_path):
     names = "rtacser.eventtype mbrtu.unit_id modbus.func_code mbrtu.crc16.status"
     rows = dissected(tshark, tmp_path / "b.pcapng", *names.split())
     assert [row[2:] for row in rows[:2]] == [["0x03", "1", "3", "1"], ["0x04", "1", "3", "1"]]
-    assert rows[2][5] != "1"  # the planted fault
+    assert rows[2][5] != "1"  # the deliberate error

@@ -1,13 +1,13 @@
-"""Modbus/TCP of captures becomes a recording. Bytes: MODBUS Messaging on TCP/IP V1.0b."""
+"""Conversion of captured Modbus/TCP. Bytes: MODBUS Messaging on TCP/IP V1.0b."""
 
 import pytest
 
-from harness.conversion import convert
+from motorhil.harness.recording.conversion import convert
+from motorhil.traces.errors import TraceError
+from motorhil.traces.mcap.protobuf import decode
+from motorhil.traces.mcap.reader import read_trace
+from motorhil.traces.schema import MODBUS_ADU, Direction
 from tests.traces.captures import SYN, ethernet, ip4, pcap, tcp
-from traces.errors import TraceError
-from traces.protobuf import decode
-from traces.reader import read_trace
-from traces.schema import MODBUS_ADU, Direction
 
 REQUEST = bytes.fromhex("0007 0000 0006 01 03 0010 0002")
 RESPONSE = bytes.fromhex("0007 0000 0007 01 03 04 00000001")
@@ -31,7 +31,7 @@ def capture(tmp_path):
     return path
 
 
-def test_every_adu_is_recorded_as_it_was_on_the_wire(tmp_path, capture):
+def test_every_adu_is_recorded_as_on_the_wire(tmp_path, capture):
     done = convert(capture, tmp_path / "a.mcap", "mcap")
     assert done.buses == ("10.0.0.2",)
     assert done.findings.frames == 2
@@ -50,12 +50,12 @@ def test_every_adu_is_recorded_as_it_was_on_the_wire(tmp_path, capture):
     assert all(adu["tcp"] for _, _, adu in found)
 
 
-def test_a_format_of_can_frames_cannot_hold_it(tmp_path, capture):
+def test_can_format_cannot_store_modbus(tmp_path, capture):
     with pytest.raises(TraceError, match=r"holds Modbus, which asc cannot; .* mcap or pcapng"):
         convert(capture, tmp_path / "a.asc", "asc")
 
 
-def test_a_capture_of_something_else_is_refused(tmp_path):
+def test_capture_without_can_or_modbus_is_refused(tmp_path):
     (tmp_path / "other.pcap").write_bytes(pcap([(0, 0, ethernet(b"?", kind=0x88CC))]))
     with pytest.raises(TraceError, match="neither CAN frames nor Modbus"):
         convert(tmp_path / "other.pcap", tmp_path / "a.mcap", "mcap")
@@ -64,13 +64,13 @@ def test_a_capture_of_something_else_is_refused(tmp_path):
 @pytest.mark.data
 @pytest.mark.parametrize(
     ("name", "adus", "problems"),
-    [  # of the gateway: 2382 requests, 1592 responses (INDEX), and one nobody asked for
+    [  # of the gateway: 2382 requests, 1592 responses (INDEX), and one unsolicited response
         ("modbus_gateway_units1237_pipelined", 2382 + 1592 + 1, 0),
         ("modbus_quickdraw_part1", 46, 6),
-        # INDEX counts packets with data: 11889; many hold several ADUs, and tshark counts 15976
+        # INDEX counts packets with data: 11889; many contain several ADUs, and tshark counts 15976
         ("modbus_plant1_tcp", 15976, 0),
     ],
 )
-def test_a_real_capture(shared, tmp_path, name, adus, problems):
+def test_real_capture_has_expected_adus(shared, tmp_path, name, adus, problems):
     done = convert(shared / f"data/traffic/{name}.pcap", tmp_path / "a.mcap", "mcap")
     assert (done.findings.frames, len(done.findings.problems)) == (adus, problems)

@@ -1,4 +1,4 @@
-"""Packet captures are read whichever way they were written, as far as they go."""
+"""Packet captures of all kinds are read as far as they are intact."""
 
 import struct
 
@@ -6,9 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from motorhil.traces.errors import TraceError
+from motorhil.traces.formats.pcap import Capture
 from tests.traces.captures import block, enhanced, interface, pcap, section
-from traces.errors import TraceError
-from traces.pcap import Capture
 
 TWO = [(7, 5, b"first"), (8, 999_999, b"second!")]
 
@@ -25,7 +25,7 @@ def facts(capture):
 
 @pytest.mark.parametrize("order", ["<", ">"])
 @pytest.mark.parametrize(("magic", "fraction_ns"), [(0xA1B2C3D4, 1000), (0xA1B23C4D, 1)])
-def test_pcap_of_either_byte_order_and_resolution(tmp_path, order, magic, fraction_ns):
+def test_pcap_either_byte_order_and_resolution(tmp_path, order, magic, fraction_ns):
     capture = Capture(written(tmp_path, pcap(TWO, order, magic, link_type=101)))
     assert facts(capture) == [
         (1, 7_000_000_000 + 5 * fraction_ns, b"first"),
@@ -35,18 +35,18 @@ def test_pcap_of_either_byte_order_and_resolution(tmp_path, order, magic, fracti
     assert capture.problems == []
 
 
-def test_what_else_stands_beside_the_link_type_is_left_out(tmp_path):
+def test_bits_beside_link_type_are_ignored(tmp_path):
     capture = Capture(written(tmp_path, pcap(TWO, link_type=0x5000_0001)))  # length of the FCS
     assert {packet.link_type for packet in capture.packets()} == {1}
 
 
-def test_what_was_not_captured_of_a_packet_is_told(tmp_path):
+def test_uncaptured_part_of_packet_is_reported(tmp_path):
     capture = Capture(written(tmp_path, pcap([(0, 0, b"head", 1500)])))
     assert [packet.missing for packet in capture.packets()] == [1496]
 
 
 @pytest.mark.parametrize("order", ["<", ">"])
-def test_pcapng(tmp_path, order):
+def test_pcapng_is_read(tmp_path, order):
     microseconds = enhanced(7_000_005, b"first", order=order)
     data = section(order) + interface(order=order) + microseconds
     data += block(0x0BAD, b"of another kind", order)
@@ -65,13 +65,13 @@ def test_pcapng(tmp_path, order):
     assert capture.problems == []
 
 
-def test_time_units_of_pcapng_may_be_powers_of_two(tmp_path):
+def test_pcapng_time_units_can_be_powers_of_two(tmp_path):
     options = struct.pack("<HHB3x", 9, 1, 0x80 | 10)  # 1/1024 s
     data = section() + interface(1, options) + enhanced(1536, b"x")
     assert facts(Capture(written(tmp_path, data))) == [(1, 1_500_000_000, b"x")]
 
 
-def test_a_new_section_has_its_own_byte_order_and_interfaces(tmp_path):
+def test_pcapng_section_has_own_order_and_interfaces(tmp_path):
     data = section() + interface() + enhanced(1, b"a")
     data += section(">") + interface(101, order=">") + enhanced(2, b"b", order=">")
     capture = Capture(written(tmp_path, data))
@@ -79,7 +79,7 @@ def test_a_new_section_has_its_own_byte_order_and_interfaces(tmp_path):
 
 
 @pytest.mark.parametrize("kind", ["pcap", "pcapng"])
-def test_a_capture_cut_anywhere_gives_what_is_whole_and_tells_where_it_ends(tmp_path, kind):
+def test_capture_cut_anywhere_is_read_up_to_cut(tmp_path, kind):
     if kind == "pcap":
         head, parts = pcap([]), [pcap([one])[24:] for one in TWO]
     else:
@@ -94,7 +94,7 @@ def test_a_capture_cut_anywhere_gives_what_is_whole_and_tells_where_it_ends(tmp_
         assert (capture.problems == []) is at_a_seam, size
 
 
-def test_a_packet_of_an_interface_that_is_not_there_is_told_and_passed_over(tmp_path):
+def test_packet_of_missing_interface_is_skipped(tmp_path):
     data = section() + interface() + enhanced(1, b"a", which=3) + enhanced(2, b"b")
     capture = Capture(written(tmp_path, data))
     assert [packet.data for packet in capture.packets()] == [b"b"]
@@ -102,8 +102,8 @@ def test_a_packet_of_an_interface_that_is_not_there_is_told_and_passed_over(tmp_
 
 
 @pytest.mark.parametrize("data", [b"", b"GIF89a", b"\x0a\x0d"])
-def test_what_is_no_capture_is_refused_by_name(tmp_path, data):
-    with pytest.raises(TraceError, match=r"some\.pcap: no pcap and no pcapng"):
+def test_file_other_than_capture_is_refused(tmp_path, data):
+    with pytest.raises(TraceError, match=r"some\.pcap: is neither pcap nor pcapng"):
         Capture(written(tmp_path, data))
     with pytest.raises(TraceError, match="No such file"):
         Capture(tmp_path / "missing.pcap")

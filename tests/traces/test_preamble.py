@@ -1,24 +1,23 @@
-"""What a recording's beginning tells is learned from few of its messages as from all of them."""
+"""The selected messages of a recording's beginning teach as much as all of them."""
 
 import struct
 
 from hypothesis import event, given
 from hypothesis import strategies as st
 
-from traces.preamble import telling
-from traces.reader import read_trace
-from traces.schema import CAN_FRAME, Direction, Schema
-from traces.story import Story
-from traces.traffic import Frame, classic
-from traces.traffic_mcap import record_frames
-from traces.writer import TraceWriter
+from motorhil.traces.decoding.narrative import Story
+from motorhil.traces.formats.frames import Frame, classic
+from motorhil.traces.formats.registry import record_frames
+from motorhil.traces.mcap.reader import read_trace, telling
+from motorhil.traces.mcap.writer import TraceWriter
+from motorhil.traces.schema import CAN_FRAME, Direction, Schema
 
 S = 1_000_000_000
 MS = 1_000_000
 
 
 def sdo(node, index, subindex, value, size=4):
-    """A download that the node takes."""
+    """Return a download and its confirmation."""
     command = 0x23 | (4 - size) << 2
     head = struct.pack("<BHB", command, index, subindex)
     ask = classic(0x600 + node, head + struct.pack("<I", value))
@@ -30,7 +29,7 @@ COMMANDS = st.sampled_from([1, 0x80, 0x81, 0x82])
 DATA = st.lists(st.integers(1, 255), min_size=1, max_size=8)
 CAN_IDS = st.sampled_from([0x80, 0x85, 0x100, 0x181, 0x182, 0x201, 0x281, 0x3FF, 0x701, 0x702])
 ENTRIES = st.sampled_from([0x60400010, 0x60410010, 0x60600008, 0x60610008, 0x60640020])
-# one place each: a PDO's mapping, its COB-ID, the mode by SDO, resets, boot-ups, and PDOs
+# one value each: a PDO's mapping, its COB-ID, the mode by SDO, resets, boot-ups, and PDOs
 STEPS = st.one_of(
     st.builds(lambda n, i, e: sdo(n, i, 1, e), NODES, st.sampled_from([0x1600, 0x1A00]), ENTRIES),
     st.builds(lambda n, i, k: sdo(n, i, 0, k, 1), NODES, st.sampled_from([0x1600, 0x1A00]), NODES),
@@ -45,7 +44,7 @@ STEPS = st.one_of(
 
 
 def lines_after(trace, from_ns, learn):
-    """The story from there on; `learn` is shown what comes before."""
+    """Return the story from `from_ns` on; `learn` processes the messages before it."""
     story = Story(trace)
     learn(story)
     for bus in story._buses.values():
@@ -55,7 +54,7 @@ def lines_after(trace, from_ns, learn):
 
 
 @given(st.lists(STEPS, max_size=30), st.lists(STEPS, min_size=1, max_size=8))
-def test_it_is_learned_as_if_all_had_been_looked_at(tmp_path_factory, before, after):
+def test_preamble_teaches_as_much_as_all_messages(tmp_path_factory, before, after):
     path = tmp_path_factory.mktemp("story") / "a.mcap"
     frames = [Frame(n * MS, "can0", f) for n, f in enumerate(f for step in before for f in step)]
     frames += [Frame(9 * S + n, "can0", f) for n, f in enumerate(f for step in after for f in step)]
@@ -69,7 +68,7 @@ def test_it_is_learned_as_if_all_had_been_looked_at(tmp_path_factory, before, af
     assert found == wanted
 
 
-def test_a_pdo_is_read_as_it_was_mapped_then(tmp_path):
+def test_pdo_is_decoded_by_mapping_of_its_time(tmp_path):
     frames = [*sdo(1, 0x1A00, 1, 0x60610008), classic(0x181, b"\3")]
     frames += [*sdo(1, 0x1A00, 1, 0x60410010), classic(0x701, b"\5")]
     frames.append(classic(0x181, b"\x37\x12"))
@@ -79,7 +78,7 @@ def test_a_pdo_is_read_as_it_was_mapped_then(tmp_path):
     assert told == ["node 1 TPDO 1: 6041h statusword = 1237h operation enabled, speed is 0"]
 
 
-def test_of_much_traffic_few_messages_are_shown(tmp_path):
+def test_few_messages_of_much_traffic_are_selected(tmp_path):
     frames = [Frame(n, "can0", f) for n, f in enumerate(sdo(1, 0x1A00, 1, 0x60410010))]
     frames += [Frame(9 + n, "can0", classic(0x181, bytes([n % 200, 2]))) for n in range(1000)]
     frames += [Frame(2000 + n, "can0", classic(0x701, b"\5")) for n in range(100)]
@@ -89,10 +88,10 @@ def test_of_much_traffic_few_messages_are_shown(tmp_path):
         assert len(list(telling(trace.messages(), 2))) == 2
 
 
-def test_frames_that_another_writer_laid_out_are_all_shown(tmp_path):
+def test_all_frames_of_other_layout_are_selected(tmp_path):
     with TraceWriter(tmp_path / "a.mcap") as writer:
         channel = writer.channel("/can/can0", Schema.of(CAN_FRAME))
-        for n in range(3):  # its direction first: the order of fields is the writer's to choose
+        for n in range(3):  # its direction first: a writer can choose the order of fields
             payload = bytes([0x40, Direction.RECEIVED, 0x0D]) + struct.pack("<I", 0x181) + b"\x7a\0"
             writer.write(channel, n, payload)
     with read_trace(tmp_path / "a.mcap") as trace:

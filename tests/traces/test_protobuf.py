@@ -7,9 +7,8 @@ from google.protobuf.json_format import MessageToDict
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.traces.protobuf_classes import google_class
-from traces.protobuf import decode, delimited, encode, file_descriptor_set, varint
-from traces.schema import (
+from motorhil.traces.mcap.protobuf import decode, delimited, encode, file_descriptor_set, varint
+from motorhil.traces.schema import (
     CAN_FRAME,
     GROUP_SYNC,
     JOINT_STATE,
@@ -18,6 +17,7 @@ from traces.schema import (
     TIMESTAMP,
     truth_message,
 )
+from tests.traces.protobuf_classes import google_class
 
 TRUTH = truth_message("cia402", ["position_rad", "state"])
 MESSAGES = [CAN_FRAME, JOINT_STATE, LOG, MOTOR_LOCK, GROUP_SYNC, TIMESTAMP, TRUTH]
@@ -93,19 +93,19 @@ def by_name(message):
         (-2, "feffffffffffffffff01"),
     ],
 )
-def test_varints_are_as_in_the_encoding_guide(value, wire):
+def test_varints_match_encoding_guide(value, wire):
     assert varint(value).hex() == wire
 
 
 @pytest.mark.parametrize("message", MESSAGES, ids=by_name)
-def test_google_reads_our_descriptors_and_would_write_the_same_bytes(message):
+def test_google_parses_descriptors_to_same_bytes(message):
     data = file_descriptor_set(message)
     parsed = FileDescriptorSet.FromString(data)
     assert parsed.SerializeToString(deterministic=True) == data
     assert parsed.file[-1].message_type[0].name == message.name.rpartition(".")[2]
 
 
-def test_our_timestamp_is_the_well_known_one():
+def test_timestamp_equals_well_known_type():
     theirs = FileDescriptorProto.FromString(timestamp_pb2.DESCRIPTOR.serialized_pb)
     ours = FileDescriptorSet.FromString(file_descriptor_set(TIMESTAMP)).file[0]
     assert (ours.name, ours.package, ours.syntax) == (theirs.name, theirs.package, theirs.syntax)
@@ -115,9 +115,9 @@ def test_our_timestamp_is_the_well_known_one():
 
 
 @pytest.mark.parametrize("message", MESSAGES, ids=by_name)
-def test_google_reads_every_field_we_write_and_writes_the_same_bytes(message):
+def test_google_decodes_every_field_to_same_bytes(message):
     values = FULL[message.name]
-    assert list(values) == [field.name for field in message.fields]  # none is forgotten here
+    assert list(values) == [field.name for field in message.fields]  # all fields are covered
     payload = encode(message, values)
     parsed = google_class(message).FromString(payload)
     assert parsed.SerializeToString(deterministic=True) == payload
@@ -129,18 +129,18 @@ def test_google_reads_every_field_we_write_and_writes_the_same_bytes(message):
 
 
 @pytest.mark.parametrize("message", MESSAGES, ids=by_name)
-def test_what_was_encoded_is_decoded(message):
+def test_encoded_message_is_decoded(message):
     values = FULL[message.name]
     assert decode(message, encode(message, values)) == values
 
 
-def test_numbers_that_are_not_packed_are_read_as_well():
+def test_unpacked_numbers_are_decoded():
     # Source: protobuf.dev, "Packed repeated fields": parsers must accept both forms.
     one_by_one = b"\x19" + bytes(7) + b"\x40" + b"\x19" + bytes(6) + b"\xf0\x3f"
     assert decode(GROUP_SYNC, one_by_one) == {"offset_s": [2.0, 1.0]}
 
 
-def test_fields_of_a_later_version_are_skipped():
+def test_unknown_fields_are_skipped():
     later = delimited(100, b"new") + b"\xa5\x06abcd" + b"\xa1\x06abcdefgh" + b"\xa0\x06\x05"
     assert decode(LOG, later + b"\x10\x02") == {"level": 2}
 
@@ -154,18 +154,18 @@ def test_fields_of_a_later_version_are_skipped():
         (LOG, b"\x13", "wire type 3"),
     ],
 )
-def test_a_broken_message_is_told(message, payload, complaint):
+def test_broken_message_is_reported(message, payload, complaint):
     with pytest.raises(ValueError, match=complaint):
         decode(message, payload)
 
 
 @given(st.binary(max_size=60), st.sampled_from(MESSAGES))
-def test_garbage_is_a_value_error_or_a_message_and_nothing_else(payload, message):
+def test_garbage_is_decoded_or_value_error(payload, message):
     with suppress(ValueError):
         decode(message, payload)
 
 
-def test_an_unknown_field_is_refused_and_the_known_ones_are_named():
+def test_unknown_field_is_refused_with_known_names():
     with pytest.raises(ValueError, match="has no field 'speed'; it has action, owner"):
         encode(MOTOR_LOCK, {"speed": 1.0})
 
@@ -180,6 +180,6 @@ def test_an_unknown_field_is_refused_and_the_known_ones_are_named():
         (LOG, {"timestamp": 5}),
     ],
 )
-def test_a_value_of_the_wrong_kind_is_refused(message, values):
+def test_value_of_wrong_type_is_refused(message, values):
     with pytest.raises(ValueError, match=r"is .* not"):
         encode(message, values)

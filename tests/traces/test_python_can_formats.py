@@ -1,17 +1,16 @@
-"""python-can's own readers and writers on CAN FD and error frames, against ours, both ways.
+"""python-can's readers and writers for CAN FD and error frames, against ours.
 
-What they do not hold is listed where it is, as of python-can 4.6.1.
+Features that they do not store are listed where they occur, as of python-can 4.6.1.
 """
 
 import can
 import pytest
 
-from harness.conversion import convert
-from traces import traffic
-from traces.formats import WRITABLE, open_source
-from traces.schema import Direction
-from traces.traffic import ERR, Findings, Frame, classic, flexible
-from traces.traffic_mcap import record_frames
+from motorhil.harness.recording.conversion import convert
+from motorhil.traces.formats import frames as traffic
+from motorhil.traces.formats.frames import ERR, Findings, Frame, classic, flexible
+from motorhil.traces.formats.registry import WRITABLE, open_source, record_frames
+from motorhil.traces.schema import Direction
 
 R = Direction.RECEIVED
 S = 1_000_000_000
@@ -68,8 +67,8 @@ def test_python_can_reads_our_fd_frames(tmp_path, ending):
 
 
 @pytest.mark.parametrize("ending", [".log", ".asc", ".blf", ".csv"])
-def test_we_read_its_fd_frames(tmp_path, ending):
-    """Its CSV says of no frame that it is CAN FD; its TRC writer writes none at all."""
+def test_fd_frames_of_python_can_are_read(tmp_path, ending):
+    """Its CSV does not mark CAN FD frames; its TRC writer omits them."""
     with can.Logger(tmp_path / f"a{ending}") as writer:
         for frame in FD:
             writer(message_of(frame))
@@ -83,7 +82,7 @@ def test_we_read_its_fd_frames(tmp_path, ending):
         assert [facts_of(frame) for frame in found] == [facts_of(frame) for frame in FD]
 
 
-WRITTEN = {  # what python-can's writer leaves of what an error frame tells: class, data
+WRITTEN = {  # class and data that python-can's writer keeps of an error frame
     ".log": lambda told, data: (0x80, data),
     ".asc": lambda told, data: (0x80, bytes(8)),
     ".blf": lambda told, data: (told, data),
@@ -92,7 +91,7 @@ WRITTEN = {  # what python-can's writer leaves of what an error frame tells: cla
 
 
 @pytest.mark.parametrize("ending", WRITTEN)
-def test_we_read_its_error_frames(tmp_path, ending):
+def test_error_frames_of_python_can_are_read(tmp_path, ending):
     with can.Logger(tmp_path / f"a{ending}") as writer:
         for frame in ERRORS:
             writer(message_of(frame))
@@ -116,5 +115,5 @@ def test_python_can_reads_our_error_frames(tmp_path, ending):
         assert [facts(message) for message in found] == [facts_of(frame) for frame in ERRORS]
     elif ending == ".asc":
         assert [message.is_error_frame for message in found] == [True, True]
-    else:  # it takes candump's rows of other classes than "bus error" for frames of 29 bits
+    else:  # it reads candump's rows of classes other than "bus error" as frames of 29 bits
         assert [message.is_error_frame for message in found] == [False, True]

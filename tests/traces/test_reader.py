@@ -4,13 +4,11 @@ import struct
 import pytest
 from mcap.writer import CompressionType, IndexType, Writer
 
+from motorhil.traces.errors import TraceError
+from motorhil.traces.mcap import records
+from motorhil.traces.mcap.reader import Summary, Trace, read_summary, read_trace
+from motorhil.traces.schema import CAN_FRAME, Direction, Schema, encode_can_frame
 from tests.traces.recordings import MS, SECOND, Recording, counted_frame, write
-from traces import records
-from traces.chunk_places import Summary, read_summary
-from traces.errors import TraceError
-from traces.fields import encode_can_frame
-from traces.reader import Trace, read_trace
-from traces.schema import CAN_FRAME, Direction, Schema
 
 
 def payloads(trace, **options):
@@ -18,7 +16,7 @@ def payloads(trace, **options):
 
 
 def expected(recording):
-    """What the recording must hold, made without the writer's bulk packing."""
+    """Return the expected messages, made without the writer's bulk packing."""
     out = []
     for source, time_ns, data in recording.entries:
         if source < 0:
@@ -31,7 +29,7 @@ def expected(recording):
     return out
 
 
-def test_a_recording_comes_back_as_it_was_written(tmp_path):
+def test_recording_is_read_as_written(tmp_path):
     path = tmp_path / "a.mcap"
     recording = Recording(path, {"run": {"seed": "7"}})
     recording.writer.attach("rig.toml", b"x = 1\n", "application/toml", 3)
@@ -48,7 +46,7 @@ def test_a_recording_comes_back_as_it_was_written(tmp_path):
         assert trace.library == "motorhil"
 
 
-def test_messages_can_be_chosen_by_topic_and_time(tmp_path):
+def test_messages_are_selected_by_topic_and_time(tmp_path):
     recording = write(tmp_path / "a.mcap")
     with read_trace(tmp_path / "a.mcap") as trace:
         everything = payloads(trace)
@@ -63,7 +61,7 @@ def test_messages_can_be_chosen_by_topic_and_time(tmp_path):
     assert len(everything) == len(recording.entries)
 
 
-def test_a_file_cut_anywhere_gives_every_message_of_its_whole_chunks(tmp_path):
+def test_cut_file_has_all_messages_of_whole_chunks(tmp_path):
     whole = tmp_path / "whole.mcap"
     recording = Recording(whole, {"run": {"seed": "1"}})
     recording.writer.attach("rig.toml", b"x")
@@ -79,7 +77,7 @@ def test_a_file_cut_anywhere_gives_every_message_of_its_whole_chunks(tmp_path):
     data_end = next(offset for offset, kind in walk(data) if kind == 0x0F)
     for size in range(len(data)):
         if size < 8:
-            with pytest.raises(TraceError, match="is empty" if not size else "is no MCAP file"):
+            with pytest.raises(TraceError, match="is empty" if not size else "is not an MCAP file"):
                 Trace("cut", io.BytesIO(data[:size]))
             continue
         with Trace("cut", io.BytesIO(data[:size])) as trace:
@@ -93,7 +91,7 @@ def test_a_file_cut_anywhere_gives_every_message_of_its_whole_chunks(tmp_path):
             assert trace.cut.messages_missing == (trace.cut.offset <= data_end), size
 
 
-def test_the_end_of_a_cut_chunk_is_salvaged_as_far_as_its_blocks_go(tmp_path):
+def test_cut_chunk_is_salvaged(tmp_path):
     path = tmp_path / "a.mcap"
     recording = Recording(path)
     start = path.stat().st_size
@@ -112,8 +110,8 @@ def test_the_end_of_a_cut_chunk_is_salvaged_as_far_as_its_blocks_go(tmp_path):
         assert f"cut at byte {start}" in str(trace.cut)
 
 
-def test_an_end_overwritten_with_zeros_is_a_cut(tmp_path):
-    # What a file system may leave behind when the power fails.
+def test_end_overwritten_with_zeros_is_a_cut(tmp_path):
+    # A file system can leave this behind after a power failure.
     path = tmp_path / "a.mcap"
     recording = Recording(path).fill(40, 50 * MS)
     recording.writer.flush()
@@ -127,7 +125,7 @@ def test_an_end_overwritten_with_zeros_is_a_cut(tmp_path):
         assert "no record begins there" in str(trace.cut)
 
 
-def test_a_damaged_chunk_is_told_with_its_place_and_what_is_before_it_is_good(tmp_path):
+def test_damaged_chunk_is_reported_after_good_messages(tmp_path):
     path = tmp_path / "a.mcap"
     recording = Recording(path)
     recording.fill(20, 50 * MS).writer.flush()
@@ -148,7 +146,7 @@ def test_a_damaged_chunk_is_told_with_its_place_and_what_is_before_it_is_good(tm
         assert caught.value.path == str(path)
 
 
-def test_a_record_that_does_not_end_with_its_chunk_is_told(tmp_path):
+def test_record_exceeding_chunk_is_reported(tmp_path):
     path = tmp_path / "a.mcap"
     recording = Recording(path)
     offset = path.stat().st_size
@@ -164,16 +162,16 @@ def test_a_record_that_does_not_end_with_its_chunk_is_told(tmp_path):
             next(messages)
 
 
-def test_a_message_of_an_unknown_channel_is_told(tmp_path):
+def test_message_of_unknown_channel_is_reported(tmp_path):
     path = tmp_path / "a.mcap"
     message = records.MESSAGE_HEAD.pack(5, 22, 9, 0, 7, 7)
     path.write_bytes(records.MAGIC + records.header("", "x") + message)
-    with read_trace(path) as trace, pytest.raises(TraceError, match="channel 9, of which nothing"):
+    with read_trace(path) as trace, pytest.raises(TraceError, match="of unknown channel 9"):
         list(trace.messages())
 
 
 @pytest.mark.parametrize("place", ["schema", "channel", "attachment"])
-def test_a_damaged_record_is_told_with_its_place(tmp_path, place):
+def test_damaged_record_is_reported_with_offset(tmp_path, place):
     path = tmp_path / "a.mcap"
     recording = Recording(path)
     recording.writer.attach("rig", b"0123456789")
@@ -195,7 +193,7 @@ def walk(data):
         offset += 9 + int.from_bytes(data[offset + 1 : offset + 9], "little")
 
 
-def test_damage_anywhere_is_a_trace_error_or_harmless_and_never_anything_else():
+def test_damage_anywhere_is_trace_error_or_harmless():
     file = io.BytesIO()
     recording = Recording(file, {"run": {"seed": "1"}})
     recording.writer.attach("rig.toml", b"x")
@@ -216,9 +214,13 @@ def test_damage_anywhere_is_a_trace_error_or_harmless_and_never_anything_else():
 
 @pytest.mark.parametrize(
     ("content", "complaint"),
-    [(b"", "is empty"), (b"\x89MCAP1\r\n" + bytes(50), "no MCAP file"), (b"(0.0) can0", "no MCAP")],
+    [
+        (b"", "is empty"),
+        (b"\x89MCAP1\r\n" + bytes(50), "not an MCAP file"),
+        (b"(0.0) can0", "not an MCAP"),
+    ],
 )
-def test_what_is_no_recording_is_refused_by_name(tmp_path, content, complaint):
+def test_file_other_than_recording_is_refused(tmp_path, content, complaint):
     path = tmp_path / "x.mcap"
     path.write_bytes(content)
     with pytest.raises(TraceError, match=complaint) as caught:
@@ -226,7 +228,7 @@ def test_what_is_no_recording_is_refused_by_name(tmp_path, content, complaint):
     assert str(caught.value).startswith(str(path))
 
 
-def test_a_file_that_is_not_there_is_told_in_the_systems_words(tmp_path):
+def test_missing_file_is_reported_in_os_words(tmp_path):
     with pytest.raises(TraceError, match="cannot be read: no such file or directory"):
         read_trace(tmp_path / "x.mcap")
     with pytest.raises(TraceError, match="cannot be read: is a directory"):
@@ -271,7 +273,7 @@ def written_by_mcap(options, count=300):
 
 
 @pytest.mark.parametrize("options", OTHER_WRITERS.values(), ids=OTHER_WRITERS)
-def test_files_of_another_writer_are_read_as_well(tmp_path, options):
+def test_file_of_another_writer_is_read(tmp_path, options):
     path = tmp_path / "a.mcap"
     data, wanted = written_by_mcap(options)
     path.write_bytes(data)
@@ -286,7 +288,7 @@ def test_files_of_another_writer_are_read_as_well(tmp_path, options):
 
 
 @pytest.mark.parametrize("options", OTHER_WRITERS.values(), ids=OTHER_WRITERS)
-def test_files_of_another_writer_may_be_cut_too(tmp_path, options):
+def test_cut_file_of_another_writer_is_read(tmp_path, options):
     path = tmp_path / "a.mcap"
     data, wanted = written_by_mcap(options)
     for size in range(8, len(data), 97):
@@ -298,15 +300,15 @@ def test_files_of_another_writer_may_be_cut_too(tmp_path, options):
 
 
 @pytest.mark.parametrize("options", OTHER_WRITERS.values(), ids=OTHER_WRITERS)
-def test_a_summary_tells_what_going_through_the_file_does(tmp_path, monkeypatch, options):
+def test_summary_equals_scan_of_file(tmp_path, monkeypatch, options):
     path = tmp_path / "a.mcap"
     path.write_bytes(written_by_mcap(options)[0])
     told = traced(path)
-    monkeypatch.setattr("traces.reader.read_summary", lambda file: Summary({}, []))
+    monkeypatch.setattr("traces.mcap.reader.read_summary", lambda file: Summary({}, []))
     assert traced(path) == told
 
 
-def test_our_own_summary_tells_all_chunks_and_other_ways_lead_to_the_same(tmp_path, monkeypatch):
+def test_our_summary_has_all_chunks(tmp_path, monkeypatch):
     path = tmp_path / "a.mcap"
     write(path, 100)
     with path.open("rb") as file, read_trace(path) as trace:
@@ -315,7 +317,7 @@ def test_our_own_summary_tells_all_chunks_and_other_ways_lead_to_the_same(tmp_pa
         assert len(places) == 5
     told = traced(path)
     data = bytearray(path.read_bytes())
-    data[-50] ^= 1  # the summary's CRC does not fit: it is not believed
+    data[-50] ^= 1  # the summary's CRC is wrong: it is ignored
     path.write_bytes(data)
     with path.open("rb") as file:
         assert read_summary(file) == ({}, [])
@@ -329,7 +331,7 @@ def traced(path):
         return found, span, trace.metadata, trace.attachments, trace.channels, trace.cut
 
 
-def test_channels_that_stand_in_a_chunk_are_known_to_who_skips_it(tmp_path):
+def test_channels_inside_skipped_chunks_are_known(tmp_path):
     path = tmp_path / "a.mcap"
     data, wanted = written_by_mcap(OTHER_WRITERS["small-chunks"])
     path.write_bytes(data)
@@ -337,7 +339,7 @@ def test_channels_that_stand_in_a_chunk_are_known_to_who_skips_it(tmp_path):
         assert payloads(trace, from_ns=1400) == [m for m in wanted if m[1] >= 1400]
 
 
-def test_records_of_the_future_are_skipped(tmp_path):
+def test_unknown_records_are_skipped(tmp_path):
     path = tmp_path / "a.mcap"
     recording = write(path)
     data = path.read_bytes()

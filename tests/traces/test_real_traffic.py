@@ -1,18 +1,18 @@
-"""Files as users have them: as many frames as ../shared/data/traffic/INDEX.md says, or refused."""
+"""Users' files have the frames listed in ../shared/data/traffic/INDEX.md, or are refused."""
 
 import re
 
 import pytest
 
-from harness.conversion import convert
-from traces.digest import digest
-from traces.errors import TraceError
-from traces.formats import open_source
-from traces.traffic import Findings
+from motorhil.harness.recording.conversion import convert
+from motorhil.traces.digest import digest
+from motorhil.traces.errors import TraceError
+from motorhil.traces.formats.frames import Findings
+from motorhil.traces.formats.registry import open_source
 
 pytestmark = pytest.mark.data
 
-# name: (format, frames, lines that cannot be read, stamped backward)
+# name: (format, frames, unreadable lines, backward stamps)
 FILES = {
     "roboteq_mbl1660_node12_candump.txt": ("candump", 596, 1, 0),  # the command line
     "ros2canopen_issue298_fault_recovery.candump.txt": ("candump", 64, 0, 0),
@@ -32,7 +32,7 @@ FILES = {
 REFUSED = (
     "tmotor_ak80_current_chirp.csv",
     "vfd_omron_cimr_v7az_modbus.ini",
-    "canopen_machine_pcan1.trc.csv",  # somebody's decode, no recording
+    "canopen_machine_pcan1.trc.csv",  # another program's decoding, not a recording
 )
 ELSEWHERE = {
     "modbus_gateway_units1237_pipelined.pcap": "test_modbus_pcap",
@@ -42,7 +42,7 @@ ELSEWHERE = {
 
 
 @pytest.mark.parametrize("name", FILES)
-def test_a_real_file_is_read_as_its_index_says(shared, tmp_path, name):
+def test_real_file_matches_index(shared, tmp_path, name):
     path = shared / "data/traffic" / name
     form, frames, problems, backward = FILES[name]
     index = (shared / "data/traffic/INDEX.md").read_text()
@@ -62,12 +62,12 @@ def test_a_real_file_is_read_as_its_index_says(shared, tmp_path, name):
 
 
 @pytest.mark.parametrize("name", REFUSED)
-def test_what_holds_no_frames_is_refused(shared, name):
+def test_real_file_without_frames_is_refused(shared, name):
     with pytest.raises(TraceError, match="holds no CAN traffic"):
         list(open_source(shared / "data/traffic" / name).frames(Findings()))
 
 
-def test_no_file_of_the_index_is_left_out(shared):
+def test_every_file_of_index_is_tested(shared):
     index = (shared / "data/traffic/INDEX.md").read_text()
     named = set(re.findall(r"^\| (\S+\.\w+) \|", index, re.MULTILINE))
     assert named == {*FILES, *REFUSED, *ELSEWHERE}

@@ -5,18 +5,18 @@ import pytest
 from mcap.reader import NonSeekingReader, make_reader
 from mcap.writer import CompressionType, IndexType, Writer
 
+from motorhil.traces.digest import digest
+from motorhil.traces.errors import TraceError
+from motorhil.traces.mcap import records
+from motorhil.traces.mcap.reader import Trace
+from motorhil.traces.mcap.recovery import recover, recover_bytes
 from tests.traces.recordings import MS, Recording, write
-from traces import records
-from traces.digest import digest
-from traces.errors import TraceError
-from traces.reader import Trace
-from traces.recovery import recover, recover_bytes
 
 RIG = b"[rig]\nname = 'small'\n" * 3
 
 
 def small(compact=False, chunks=4):
-    """(bytes of a recording, its messages by chunk, the chunks' (begin, end))."""
+    """Return a recording's bytes, its messages by chunk, and the chunks' (begin, end)."""
     file = io.BytesIO()
     recording = Recording(file, {"run": {"seed": "1"}}, compact)
     recording.writer.attach("rig.toml", RIG)
@@ -47,7 +47,7 @@ def recovered(data):
 
 
 def by_mcap(data):
-    """What mcap's own reader finds, check sums checked, by the summary and without it."""
+    """Return the contents found by mcap's own reader, with check sums, by summary and scan."""
     seeking = make_reader(io.BytesIO(data), validate_crcs=True)
     messages = seeking.iter_messages(log_time_order=False)
     listed = [(c.topic, m.log_time, m.data) for _, c, m in messages]
@@ -66,7 +66,7 @@ def flat(by_chunk):
 
 
 @pytest.mark.parametrize("compact", [False, True])
-def test_a_whole_recording_stays_what_it_is(tmp_path, compact):
+def test_recover_complete_recording_is_unchanged(tmp_path, compact):
     source, target = str(tmp_path / "a.mcap"), str(tmp_path / "b.mcap")
     write(source, compact=compact)
     done = recover(source, target)
@@ -77,7 +77,7 @@ def test_a_whole_recording_stays_what_it_is(tmp_path, compact):
         assert one.read() == other.read()
 
 
-def test_the_file_that_other_writers_make_keeps_its_digest_and_its_publish_times(tmp_path):
+def test_recover_foreign_file_keeps_digest_and_times(tmp_path):
     source, target = tmp_path / "a.mcap", tmp_path / "b.mcap"
     for chunking in (True, False):
         with source.open("wb") as file:
@@ -100,7 +100,7 @@ def test_the_file_that_other_writers_make_keeps_its_digest_and_its_publish_times
             assert same.get_header().library == told.get_header().library
 
 
-def test_cut_at_every_byte_nothing_is_lost_that_was_there():
+def test_recover_file_cut_anywhere_loses_nothing_present():
     data, by_chunk, spans = small()
     saved = Counter()
     told = Counter()
@@ -117,7 +117,7 @@ def test_cut_at_every_byte_nothing_is_lost_that_was_there():
         assert len(listed) - done.salvaged == len(sure), size
         assert done.losses, size
         assert done.losses[-1].offset + done.losses[-1].size == size
-        assert listed == read(data[:size])  # what the reader salvages, too
+        assert listed == read(data[:size])  # including the salvaged messages
         saved[done.salvaged > 0] += 1
         told[done.losses[-1].what.split(",")[0]] += 1
     assert saved[False] > 100
@@ -130,7 +130,7 @@ def test_cut_at_every_byte_nothing_is_lost_that_was_there():
     assert told["an index of messages whose end is missing"] == lengths[records.MESSAGE_INDEX]
 
 
-def test_of_a_large_chunk_that_is_cut_the_first_messages_are_saved():
+def test_recover_large_cut_chunk_saves_first_messages():
     file = io.BytesIO()
     recording = Recording(file)
     start = len(file.getvalue())
@@ -141,13 +141,13 @@ def test_of_a_large_chunk_that_is_cut_the_first_messages_are_saved():
     listed, _, _ = by_mcap(whole)
     assert 5_000 < len(listed) == done.salvaged == done.messages < 12_000
     (loss,) = done.losses
-    assert loss.first_ns == listed[-1][1]  # lost is what came behind the last one saved
+    assert loss.first_ns == listed[-1][1]  # the messages after the last one saved are lost
     assert loss.last_ns == 14_999 * 50_000
     assert "messages were saved" in str(loss)
 
 
 @pytest.mark.parametrize(("compact", "mask"), [(False, 0x01), (True, 0xFF)])
-def test_with_any_byte_wrong_never_more_is_lost_than_the_chunk_it_is_in(compact, mask):
+def test_recover_wrong_byte_loses_at_most_its_chunk(compact, mask):
     data, by_chunk, spans = small(compact, chunks=3)
     harmless = lost = 0
     for place in range(8, len(data)):
@@ -174,10 +174,10 @@ def test_with_any_byte_wrong_never_more_is_lost_than_the_chunk_it_is_in(compact,
     assert harmless > 3 * 40
 
 
-def test_a_wrong_length_that_another_one_contradicts_costs_nothing():
+def test_recover_contradicted_wrong_length_loses_nothing():
     data, by_chunk, spans = small()
     for begin, _ in spans:
-        stored = begin + 9 + 28 + 4 + 4  # behind the name of the compression
+        stored = begin + 9 + 28 + 4 + 4  # after the name of the compression
         for place in (*range(begin, begin + 9), *range(stored, stored + 8)):
             for mask in (1 << bit for bit in range(8)):
                 hurt = data[:place] + bytes((data[place] ^ mask,)) + data[place + 1 :]
@@ -185,7 +185,7 @@ def test_a_wrong_length_that_another_one_contradicts_costs_nothing():
                 assert (read(whole), done.losses) == (flat(by_chunk), []), (place - begin, mask)
 
 
-def test_a_flip_costs_no_more_where_the_summary_is_missing():
+def test_recover_bit_flip_without_summary_loses_one_chunk():
     data, by_chunk, spans = small()
     cut = data[: spans[-1][1]]
     for place in range(spans[1][0], spans[1][1]):
@@ -194,7 +194,7 @@ def test_a_flip_costs_no_more_where_the_summary_is_missing():
         assert listed in (flat(by_chunk), flat(by_chunk[:1] + by_chunk[2:])), place
 
 
-def test_several_damages_are_told_each_with_its_place():
+def test_recover_reports_each_damage_with_offset():
     data, by_chunk, spans = small(chunks=6)
     hurt = bytearray(data)
     for number in (1, 4):
@@ -209,7 +209,7 @@ def test_several_damages_are_told_each_with_its_place():
     assert done.lost_bytes == sum(loss.size for loss in done.losses)
 
 
-def test_an_attached_recording_is_not_taken_for_the_recording_itself():
+def test_recover_ignores_attached_recording():
     inner, _, _ = small()
     file = io.BytesIO()
     recording = Recording(file)
@@ -223,9 +223,9 @@ def test_an_attached_recording_is_not_taken_for_the_recording_itself():
     assert len(done.losses) == 1
 
 
-def test_messages_whose_channel_is_lost_are_kept_without_a_name():
+def test_recover_messages_of_lost_channel_are_kept():
     data, by_chunk, spans = small()
-    cut = bytearray(data[: spans[-1][1]])  # no summary to ask
+    cut = bytearray(data[: spans[-1][1]])  # no summary to use
     place = cut.index(records.string("/can/can1"))
     cut[place + 1] ^= 0xFF  # the length of its topic
     done, whole = recovered(bytes(cut))
@@ -235,10 +235,10 @@ def test_messages_whose_channel_is_lost_are_kept_without_a_name():
     assert done.nameless == [2]
 
 
-def test_what_cannot_be_recovered_is_refused_by_name(tmp_path):
+def test_recover_impossible_request_is_refused(tmp_path):
     source, target = tmp_path / "a.mcap", tmp_path / "b.mcap"
     write(source)
-    for content, complaint in [(b"", "is empty"), (b"(0.0) can0 123#", "is no MCAP file")]:
+    for content, complaint in [(b"", "is empty"), (b"(0.0) can0 123#", "is not an MCAP file")]:
         (tmp_path / "x").write_bytes(content)
         with pytest.raises(TraceError, match=complaint):
             recover(str(tmp_path / "x"), str(target))

@@ -1,8 +1,7 @@
 from google.protobuf.descriptor_pb2 import FileDescriptorSet
 
-from tests.traces.protobuf_classes import google_class
-from traces.protobuf import file_descriptor_set
-from traces.schema import (
+from motorhil.traces.mcap.protobuf import file_descriptor_set
+from motorhil.traces.schema import (
     CAN_FRAME,
     JOINT_STATE,
     LOG,
@@ -13,6 +12,7 @@ from traces.schema import (
     Schema,
     truth_message,
 )
+from tests.traces.protobuf_classes import google_class
 
 # Source: foxglove-schemas-protobuf 0.4.0 (PyPI), `DESCRIPTOR.serialized_pb` of each file.
 FOXGLOVE_JOINT_STATE = (
@@ -33,20 +33,20 @@ FOXGLOVE_LOG = (
 )
 
 
-def test_joint_state_and_log_are_foxgloves_own_byte_for_byte():
+def test_foxglove_schemas_are_byte_identical():
     for message, theirs in ((JOINT_STATE, FOXGLOVE_JOINT_STATE), (LOG, FOXGLOVE_LOG)):
         ours = FileDescriptorSet.FromString(file_descriptor_set(message)).file[-1]
         assert ours.SerializeToString().hex() == theirs
 
 
-def test_levels_of_events_are_foxgloves():
+def test_event_levels_are_foxgloves():
     levels = google_class(LOG).DESCRIPTOR.fields_by_name["level"].enum_type.values_by_name
     assert {name: value.number for name, value in levels.items()} == {
         level.name: level.value for level in Level
     }
 
 
-def test_field_numbers_of_a_can_frame_are_kept_forever():
+def test_field_numbers_of_can_frame_are_permanent():
     assert {field.name: field.number for field in CAN_FRAME.fields} == {
         "id": 1,
         "extended": 2,
@@ -64,7 +64,7 @@ def test_field_numbers_of_a_can_frame_are_kept_forever():
     assert {v.name: v.number for v in values} == {d.name: d.value for d in Direction}
 
 
-def test_numbers_of_lock_events_are_kept_forever():
+def test_numbers_of_lock_events_are_permanent():
     assert {field.name: field.number for field in MOTOR_LOCK.fields} == {
         "action": 1,
         "owner": 2,
@@ -90,7 +90,7 @@ def test_numbers_of_lock_events_are_kept_forever():
     }
 
 
-def test_a_controllers_truth_has_one_field_a_quantity_in_the_order_of_the_keys():
+def test_truth_message_has_one_field_per_key_in_order():
     message = truth_message("cia402", ["position_rad", "current_a", "state"])
     fields = google_class(message).DESCRIPTOR.fields
     assert [(f.number, f.name) for f in fields] == [
@@ -101,7 +101,7 @@ def test_a_controllers_truth_has_one_field_a_quantity_in_the_order_of_the_keys()
     assert message.name == "motorhil.truth.cia402"
 
 
-def test_keys_that_protobuf_cannot_name_are_altered_and_stay_apart():
+def test_truth_message_renames_invalid_keys_uniquely():
     message = truth_message("my-drive", ["2nd load", "_2nd_load_", "2nd-load"])
     assert message.name == "motorhil.truth.my_drive"
     names = [field.name for field in google_class(message).DESCRIPTOR.fields]
@@ -109,6 +109,6 @@ def test_keys_that_protobuf_cannot_name_are_altered_and_stay_apart():
     assert names[0] == "_2nd_load"
 
 
-def test_a_schema_says_what_it_is_encoded_with():
+def test_schema_names_its_encoding():
     schema = Schema.of(LOG)
     assert (schema.name, schema.encoding) == ("foxglove.Log", "protobuf")

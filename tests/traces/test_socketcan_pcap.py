@@ -1,4 +1,4 @@
-"""CAN frames in captures. Forms: tcpdump.org's link types; judged by tshark where it is there."""
+"""CAN frames in captures. Source: tcpdump.org's link types; verified with tshark if installed."""
 
 import shutil
 import struct
@@ -6,11 +6,11 @@ import subprocess
 
 import pytest
 
+from motorhil.traces.formats import frames as traffic
+from motorhil.traces.formats.frames import Findings, Frame, classic, flexible, remote
+from motorhil.traces.formats.pcap_can import captured_frames, write_pcapng
+from motorhil.traces.schema import Direction
 from tests.traces.captures import block, enhanced, interface, pcap, section
-from traces import traffic
-from traces.schema import Direction
-from traces.socketcan_pcap import captured_frames, write_pcapng
-from traces.traffic import Findings, Frame, classic, flexible, remote
 
 R, T, U = Direction.RECEIVED, Direction.TRANSMITTED, Direction.UNKNOWN
 EXT = 0x1ABCDEF0 | traffic.EFF
@@ -26,7 +26,7 @@ def read(tmp_path, data):
     return [tuple(frame)[:4] for frame in captured_frames(str(path), findings)], findings
 
 
-def test_a_pcap_of_socketcan(tmp_path):
+def test_pcap_of_socketcan_is_read(tmp_path):
     packets = [(7, 5, CLASSIC), (7, 6, FD), (7, 7, RTR)]
     frames, findings = read(tmp_path, pcap(packets, magic=0xA1B23C4D, link_type=227))
     assert findings.problems == []
@@ -37,18 +37,18 @@ def test_a_pcap_of_socketcan(tmp_path):
     ]
 
 
-def test_a_cooked_capture_tells_the_direction_and_holds_other_packets(tmp_path):
+def test_cooked_capture_has_directions(tmp_path):
     def cooked(kind, protocol):
         return struct.pack(">HHH8sH", kind, 280, 0, b"", protocol) + CLASSIC
 
     packets = [(1, 0, cooked(1, 0x0C)), (2, 0, cooked(4, 0x0C)), (3, 0, cooked(0, 0x0800))]
     frames, findings = read(tmp_path, pcap(packets, link_type=113))
     assert [frame[3] for frame in frames] == [R, T]
-    assert findings.notes == ["1 packets are no CAN frames, and left out"]
+    assert findings.notes == ["1 packets are not CAN frames, and are omitted"]
 
 
 @pytest.mark.parametrize("order", ["<", ">"])
-def test_pcapng_tells_names_and_directions(tmp_path, order):
+def test_pcapng_has_names_and_directions(tmp_path, order):
     name = struct.pack(order + "HH", 2, 5) + b"drive" + bytes(3) + struct.pack(order + "HH", 0, 0)
     data = section(order) + interface(227, order=order) + interface(227, name, order)
     data += enhanced(5, CLASSIC, 1, order) + enhanced(6, CLASSIC, 0, order)
@@ -64,7 +64,7 @@ def test_pcapng_tells_names_and_directions(tmp_path, order):
     ]
 
 
-def test_what_is_cut_is_told_and_the_rest_is_read(tmp_path):
+def test_cut_packets_are_reported_and_rest_is_read(tmp_path):
     packets = [(1, 0, CLASSIC), (2, 0, CLASSIC[:9], 16), (3, 0, b"abc"), (4, 0, CLASSIC)]
     frames, findings = read(tmp_path, pcap(packets, link_type=227)[:-3])
     assert len(frames) == 1
@@ -74,7 +74,7 @@ def test_what_is_cut_is_told_and_the_rest_is_read(tmp_path):
 
 
 @pytest.mark.skipif(shutil.which("tshark") is None, reason="needs tshark")
-def test_tshark_reads_what_is_written(tmp_path):
+def test_tshark_reads_written_file(tmp_path):
     path = tmp_path / "out.pcapng"
     told = [
         Frame(1_700_000_000_123_456_789, "can0", classic(0x123, b"\1\2"), R),

@@ -1,19 +1,19 @@
-"""Of each frame its cause: the cases in which a tape could be cut in another place."""
+"""The cause of each frame, in cases where it is not obvious."""
 
 import pytest
 
+from motorhil.traces.exchange.canopen import CanopenTapes, remote_key
+from motorhil.traces.exchange.modbus import modbus_tapes
+from motorhil.traces.exchange.steps import Role, period_ns
+from motorhil.traces.formats.frames import EFF, Frame, classic, remote
+from motorhil.traces.schema import Direction
 from tests.traces.test_tapes import MS, adu, cut, frame
-from traces.canopen_tapes import CanopenTapes, remote_key
-from traces.modbus_tapes import modbus_tapes
-from traces.schema import Direction
-from traces.tape import Role, period_ns
-from traces.traffic import EFF, Frame, classic, remote
 
 BOOT = frame(0, 0x706, b"\0")
 
 
 def set_points(*frames):
-    """What node 6 is told in PDOs, byte by byte."""
+    """Return the set-points sent to node 6 in PDOs."""
     return [step.key[2][1] for step in cut(BOOT, *frames)[6].steps if step.key[0] == "pdo"]
 
 
@@ -28,26 +28,26 @@ def set_points(*frames):
         (frame(20, 0x706, b"\x05"), False),  # heartbeat
     ],
 )
-def test_after_a_reset_the_same_set_point_tells_something_again(between, forgets):
+def test_set_point_after_reset_counts_again(between, forgets):
     told = set_points(frame(10, 0x206, b"\x0f"), between, frame(30, 0x206, b"\x0f"))
     assert told == ([0x0F, 0x0F] if forgets else [0x0F])
 
 
-def test_extended_identifiers_are_no_canopen():
+def test_extended_identifiers_are_not_canopen():
     assert cut(frame(0, EFF | 0x701, b"\0"), frame(1, EFF | 0x581, bytes(8))) == {}
 
 
-def test_a_node_that_has_sent_nothing_has_no_tape():
+def test_node_without_frames_has_no_log():
     assert cut(frame(0, 0x607, bytes.fromhex("4041600000000000")), frame(1, 0x207, b"\1")) == {}
 
 
-def test_a_hosts_frame_under_a_nodes_identifier_is_not_the_nodes():
+def test_host_frame_with_node_identifier_is_not_nodes():
     assert cut(frame(0, 0x185, b"\1", direction=Direction.TRANSMITTED)) == {}
     assert cut(frame(0, 0x705, b"\5", direction=Direction.TRANSMITTED)) == {}
     assert list(cut(frame(0, 0x185, b"\1", direction=Direction.RECEIVED))) == [5]
 
 
-def test_a_node_that_produces_sync_sends_it_and_the_others_are_told():
+def test_sync_producer_sends_sync_others_receive_it():
     tapes = cut(
         frame(0, 0x705, b"\0", "left"),
         frame(0, 0x706, b"\0", "right"),
@@ -62,8 +62,8 @@ def test_a_node_that_produces_sync_sends_it_and_the_others_are_told():
     assert all(step.key[0] != "sync" for step in tapes[5].steps)
 
 
-def test_what_came_of_a_command_is_in_the_order_in_which_it_came():
-    """Of the TPDO nothing tells that SYNC does not ask for it: that is clear in the end only."""
+def test_reactions_are_in_order_of_arrival():
+    """The relation of the TPDO to SYNC is unknown until the end."""
     (first,) = cut(BOOT, frame(5, 0x286, b"\1"), frame(10, 0x706, b"\5"))[6].steps
     assert [one.delay_ns for one in first.reactions] == [0, 5 * MS, 10 * MS]
 
@@ -71,7 +71,7 @@ def test_what_came_of_a_command_is_in_the_order_in_which_it_came():
 @pytest.mark.parametrize(
     ("delay_ms", "every", "by_sync"), [(2, 1, True), (3, 1, False), (1, 2, False)]
 )
-def test_a_pdo_is_asked_for_by_sync_if_it_comes_within_2_ms_of_nearly_all(delay_ms, every, by_sync):
+def test_pdo_within_2_ms_of_most_syncs_is_synchronous(delay_ms, every, by_sync):
     traffic = [BOOT]
     for number in range(1, 21):
         traffic.append(frame(10 * number, 0x080))
@@ -82,7 +82,7 @@ def test_a_pdo_is_asked_for_by_sync_if_it_comes_within_2_ms_of_nearly_all(delay_
     assert len(steps[0].reactions) == (1 if by_sync else 1 + 20 // every)
 
 
-def test_a_remote_frame_is_a_poll_and_the_next_of_its_identifier_the_answer():
+def test_remote_frame_is_poll_answered_by_next_frame():
     asked = Frame(10 * MS, "can0", remote(0x186, 1))
     tapes = cut(BOOT, asked, frame(12, 0x186, b"\1"), frame(20, 0x186, b"\2"))
     poll = tapes[6].steps[1]
@@ -91,7 +91,7 @@ def test_a_remote_frame_is_a_poll_and_the_next_of_its_identifier_the_answer():
     assert [one.data[8] for one in tapes[6].steps[0].reactions] == [0, 2]
 
 
-def test_of_a_pdo_the_bits_of_set_points_can_be_left_out():
+def test_set_point_bits_of_pdo_can_be_masked():
     """RPDO 1 of node 6: controlword (16 bits), modes of operation (8), target position (32)."""
     tapes = CanopenTapes("can0", 0, any_set_point=True)
     written = ("2f001600 00", "23001601 10004060", "23001602 08006060", "23001603 20007a60")
@@ -115,14 +115,14 @@ def test_of_a_pdo_the_bits_of_set_points_can_be_left_out():
     assert told == [30, 50, 60]
 
 
-def test_five_frames_can_have_a_period_and_most_intervals_are_within_a_tenth_of_it():
+def test_period_needs_five_frames_and_similar_intervals():
     assert period_ns([0, 100, 200, 300, 400]) == 100
     assert period_ns([0, 100, 200, 300]) is None
     assert period_ns([0, 90, 180, 280, 390, 500]) == 100  # 90, 90, 100, 110, 110
     assert period_ns([0, 89, 178, 278, 389, 500]) is None
 
 
-# MODBUS Application Protocol V1.1b3, section 6: what writes, 15h to 17h included.
+# MODBUS Application Protocol V1.1b3, section 6: functions that write, 15h to 17h included.
 @pytest.mark.parametrize("function", range(1, 0x2C))
 def test_requests_that_write_are_commands(function):
     pdu = bytes([function, 0, 1, 0, 3])
@@ -138,7 +138,7 @@ ANSWER = bytes.fromhex("0302022B")
 
 
 def answers(adus):
-    """(delay [ns], last byte) of the answer to each request of unit 1; None: there is none."""
+    """Return (delay [ns], last byte) of each answer of unit 1; None if there is none."""
     found = []
     for step in modbus_tapes("line", adus, 0)[1].steps[1:]:
         told = step.turns[0].answers
@@ -146,13 +146,13 @@ def answers(adus):
     return found
 
 
-def test_on_a_serial_line_what_was_not_answered_before_the_next_request_never_is():
+def test_serial_request_unanswered_before_next_stays_so():
     told = [adu(1, READ), adu(500, READ), adu(503, ANSWER, to_server=False)]
     assert answers(told) == [None, (3 * MS - MS // 4, 0x2B)]
 
 
-def test_on_tcp_the_transaction_tells_what_is_answered():
-    """Two on their way, answered the other way round."""
+def test_tcp_answer_is_matched_by_transaction():
+    """Two requests in flight, answered in reverse order."""
     told = [
         adu(1, READ, transaction=1),
         adu(2, READ, transaction=2),
@@ -162,8 +162,8 @@ def test_on_tcp_the_transaction_tells_what_is_answered():
     assert [one and one[1] for one in answers(told)] == [1, 2]
 
 
-def test_behind_a_gateways_exception_a_unit_takes_its_usual_time():
-    """It is held up, and asked later than it was told; that it took longer is not in the record."""
+def test_unit_after_gateway_exception_has_usual_delay():
+    """The gateway delays the request, so the unit's own response time is not in the recording."""
     told = [
         adu(0, READ, transaction=1),
         adu(5, ANSWER, to_server=False, transaction=1),
@@ -178,4 +178,4 @@ def test_behind_a_gateways_exception_a_unit_takes_its_usual_time():
     told_again = answers(told)
     assert told_again[1] is None
     assert [one[0] for one in (told_again[0], told_again[3])] == [usual, longer]
-    assert told_again[2][0] in (usual, longer)  # the middle of the two that are known
+    assert told_again[2][0] in (usual, longer)  # the median of the two known ones

@@ -1,20 +1,20 @@
-"""Tapes: nothing a node sent is lost or told twice, and each frame stands behind its cause."""
+"""Exchange logs contain each frame of a node exactly once, after its cause."""
 
 import struct
 from collections import Counter
 
 import pytest
 
-from harness.cli import main
-from traces.canopen_tapes import canopen_tapes
-from traces.formats import open_source
-from traces.modbus import Adu
-from traces.modbus_tapes import LineAdu, modbus_tapes
-from traces.reader import read_trace
-from traces.recorded_tapes import tapes_of
-from traces.schema import Direction
-from traces.tape import START, Role
-from traces.traffic import EFF, ERR, RTR, Findings, Frame, classic
+from motorhil.harness.cli.main import main
+from motorhil.traces.decoding.modbus import Adu
+from motorhil.traces.exchange.canopen import canopen_tapes
+from motorhil.traces.exchange.modbus import LineAdu, modbus_tapes
+from motorhil.traces.exchange.recording import tapes_of
+from motorhil.traces.exchange.steps import START, Role
+from motorhil.traces.formats.frames import EFF, ERR, RTR, Findings, Frame, classic
+from motorhil.traces.formats.registry import open_source
+from motorhil.traces.mcap.reader import read_trace
+from motorhil.traces.schema import Direction
 
 MS = 1_000_000
 REAL = (
@@ -35,7 +35,7 @@ def cut(*frames, names=None):
 
 
 def sent(tape):
-    """All that it sent: (time, frame)."""
+    """Yield all frames that the node sent, as (time, frame)."""
     for step in tape.steps:
         for one in (*step.answers, *step.reactions):
             yield step.time_ns + one.delay_ns, one.data
@@ -45,8 +45,8 @@ def sent(tape):
 
 
 @pytest.mark.parametrize("name", REAL)
-def test_what_a_node_of_a_real_machine_sent_is_in_its_tape_once(name, shared):
-    """Counted here by identifier alone: 580h, 700h, and TPDOs as the pre-defined set has them."""
+def test_real_machine_frame_is_in_log_once(name, shared):
+    """Counted here by identifier alone: 580h, 700h, and TPDOs of the pre-defined set."""
     findings = Findings()
     path = shared / "data" / "traffic" / name
     frames = list(open_source(path).frames(findings))
@@ -70,7 +70,7 @@ def test_what_a_node_of_a_real_machine_sent_is_in_its_tape_once(name, shared):
 
 
 @pytest.mark.parametrize("name", REAL)
-def test_times_in_a_tape_are_those_of_the_recording(name, shared):
+def test_times_in_log_are_those_of_recording(name, shared):
     path = shared / "data" / "traffic" / name
     frames = list(open_source(path).frames(Findings()))
     tapes = canopen_tapes(frames[0].bus, frames, frames[0].time_ns)
@@ -80,7 +80,7 @@ def test_times_in_a_tape_are_those_of_the_recording(name, shared):
             assert time_ns is None or (time_ns, data) in there
 
 
-def test_a_write_and_what_came_of_it():
+def test_write_and_its_reactions():
     tapes = cut(
         frame(0, 0x701, b"\0"),
         frame(5, 0x601, bytes.fromhex("2b40600006000000")),
@@ -94,13 +94,13 @@ def test_a_write_and_what_came_of_it():
     assert (first.key, first.role) == (START, Role.COMMAND)
     assert [(one.delay_ns, one.data[8:9]) for one in first.reactions] == [(0, b"\0")]
     assert (write.role, read.role) == (Role.COMMAND, Role.POLL)
-    assert [one.delay_ns for one in write.reactions] == [4 * MS, 24 * MS]  # behind the write, both
+    assert [one.delay_ns for one in write.reactions] == [4 * MS, 24 * MS]  # both after the write
     assert [one.delay_ns for one in read.turns[0].answers] == [1 * MS]
     assert "6041h statusword = 0231h" in read.answer_text
 
 
-def test_what_was_followed_by_the_next_of_its_kind_in_time_goes_on():
-    """Every 20 ms, and one more on a change; a pause; a boot-up is no heartbeat."""
+def test_periodic_frames_are_marked():
+    """Every 20 ms, and one more on a change; a pause; a boot-up is not a heartbeat."""
     times = [0, 20, 40, 42, 62, 82, 102, 500, 520, 540]
     beats = [frame(t, 0x701, b"\5") for t in range(100, 600, 100)]
     tpdos = [frame(t, 0x181, b"\1") for t in times]
@@ -114,7 +114,7 @@ def test_what_was_followed_by_the_next_of_its_kind_in_time_goes_on():
     assert told[b"\1\7"] == [False, True, True, True, True, True]
 
 
-def test_a_segmented_upload_is_one_step_of_several_turns():
+def test_segmented_upload_is_one_step_with_turns():
     """CiA 301: initiate upload with the size 9, two segments."""
     tapes = cut(
         frame(1, 0x602, bytes.fromhex("4008100000000000")),
@@ -133,7 +133,7 @@ def test_a_segmented_upload_is_one_step_of_several_turns():
 
 
 def set_up_tpdo(node, transmission_type):
-    """1800h:2 is written by SDO."""
+    """Return a write of 1800h:2 by SDO, and its confirmation."""
     request = bytes.fromhex("2f001802") + bytes([transmission_type, 0, 0, 0])
     return (
         frame(1, 0x600 + node, request),
@@ -142,7 +142,7 @@ def set_up_tpdo(node, transmission_type):
 
 
 @pytest.mark.parametrize(("kind", "by_sync"), [(1, True), (240, True), (254, False), (255, False)])
-def test_a_synchronous_pdo_answers_sync_and_another_does_not(kind, by_sync):
+def test_only_synchronous_pdo_answers_sync(kind, by_sync):
     """CiA 301: transmission types 0 to 240 are synchronous."""
     tapes = cut(
         *set_up_tpdo(3, kind),
@@ -156,7 +156,7 @@ def test_a_synchronous_pdo_answers_sync_and_another_does_not(kind, by_sync):
     assert (answers, reactions) == (([b"\1", b"\2"], []) if by_sync else ([], [b"\1", b"\2"]))
 
 
-def test_where_nothing_tells_the_type_a_pdo_behind_every_sync_is_synchronous():
+def test_unknown_pdo_after_every_sync_is_synchronous():
     traffic = []
     for number in range(20):
         traffic += [frame(10 * number, 0x80), frame(10 * number + 1, 0x184, b"\1")]
@@ -170,7 +170,7 @@ def test_where_nothing_tells_the_type_a_pdo_behind_every_sync_is_synchronous():
     }
 
 
-def test_a_sync_that_fires_a_set_point_is_a_command_and_what_follows_is_its():
+def test_sync_that_activates_set_point_is_command():
     tapes = cut(
         frame(0, 0x705, b"\0"),
         frame(10, 0x205, b"\x3f\x00"),
@@ -185,7 +185,7 @@ def test_a_sync_that_fires_a_set_point_is_a_command_and_what_follows_is_its():
     assert [one.delay_ns for one in tapes[5].steps[-1].reactions] == [2 * MS, 12 * MS]
 
 
-def test_a_set_point_told_again_is_no_command():
+def test_repeated_set_point_is_not_a_command():
     tapes = cut(
         frame(0, 0x706, b"\0"),
         *[frame(10 * n, 0x206, b"\x0f\0") for n in (1, 2, 3)],
@@ -194,7 +194,7 @@ def test_a_set_point_told_again_is_no_command():
     assert [step.key[2][1:3] for step in tapes[6].steps[1:]] == [b"\x0f\0", b"\x1f\0"]
 
 
-def test_whose_a_frame_is_tells_its_sender_before_its_identifier():
+def test_sender_decides_owner_before_identifier():
     """An emergency under another node's identifier, as a real controller sends it."""
     frames = (
         frame(0, 0x70C, b"\0", "left", Direction.RECEIVED),
@@ -216,7 +216,7 @@ def adu(time_ms, pdu, unit=1, to_server=True, transaction=0):
     )
 
 
-def test_a_write_to_a_register_is_a_command_and_a_read_a_poll():
+def test_modbus_write_is_command_and_read_is_poll():
     """FC 06h and 03h, from the specification's own examples (sections 6.6 and 6.3)."""
     tapes = modbus_tapes(
         "rs485",
@@ -235,7 +235,7 @@ def test_a_write_to_a_register_is_a_command_and_a_read_a_poll():
     assert (answer.delay_ns, answer.duration_ns) == (3 * MS - MS // 4, MS // 4)
 
 
-def test_a_broadcast_is_told_to_all_and_a_gateways_exception_is_nobodys_answer():
+def test_broadcast_reaches_all_gateway_exception_none():
     """Exception 0Bh: gateway target device failed to respond."""
     tapes = modbus_tapes(
         "plant",
@@ -254,7 +254,7 @@ def test_a_broadcast_is_told_to_all_and_a_gateways_exception_is_nobodys_answer()
 
 
 def on_tcp(*told):
-    """(ms, PDU in hex, whether it is a request, transaction) of unit 2."""
+    """Return ADUs of unit 2 from (ms, PDU in hex, True for a request, transaction)."""
     return [
         adu(time_ms, bytes.fromhex(pdu), 2, to_server, transaction)._replace(is_tcp=True)
         for time_ms, pdu, to_server, transaction in told
@@ -268,8 +268,8 @@ def answered(tape):
     ]
 
 
-def test_a_transaction_used_again_leaves_the_request_before_it_unanswered():
-    """As of the gateway whose client begins with transaction 0 each time it connects."""
+def test_reused_transaction_leaves_request_unanswered():
+    """As with the gateway whose client begins with transaction 0 on each connection."""
     tapes = modbus_tapes(
         "plant",
         on_tcp(
@@ -287,7 +287,7 @@ def test_a_transaction_used_again_leaves_the_request_before_it_unanswered():
     ]
 
 
-def test_answers_of_a_real_gateway_are_those_of_its_requests(shared, tmp_path):
+def test_real_gateway_answers_match_requests(shared, tmp_path):
     """1592 of its answers have a request, none later than 5.1 s: traffic/INDEX.md."""
     source = shared / "data" / "traffic" / "modbus_gateway_units1237_pipelined.pcap"
     assert main(["convert", str(source), "-o", str(tmp_path / "plant.mcap")]) == 0
@@ -298,7 +298,7 @@ def test_answers_of_a_real_gateway_are_those_of_its_requests(shared, tmp_path):
     assert max(one.delay_ns for turn in turns for one in turn.answers) < 5_100 * MS
 
 
-def test_a_broadcast_was_told_to_who_had_not_been_asked_before():
+def test_broadcast_counts_for_units_addressed_later():
     tapes = modbus_tapes(
         "rs485",
         [

@@ -1,11 +1,11 @@
-"""TCP connections are put together again, whatever the network made of them."""
+"""Reassembly of TCP connections under any network behaviour."""
 
 import pytest
 from hypothesis import event, given
 from hypothesis import strategies as st
 
+from motorhil.traces.formats.pcap import Way, pieces
 from tests.traces.captures import ACK, SYN, THERE, ethernet, ip4, ip6, packet, tcp
-from traces.tcp_streams import Way, pieces
 
 TEXT = bytes(range(48))
 
@@ -19,7 +19,7 @@ def joined(found):
 
 
 @given(st.data(), st.sampled_from([0, 1000, 2**32 - 20]))
-def test_what_was_sent_is_there_once_and_in_order(data, first):
+def test_sent_bytes_are_there_once_in_order(data, first):
     cuts = sorted(data.draw(st.sets(st.integers(1, len(TEXT) - 1), max_size=6)))
     parts = [
         (low, TEXT[low:high]) for low, high in zip([0, *cuts], [*cuts, len(TEXT)], strict=True)
@@ -38,26 +38,26 @@ def test_what_was_sent_is_there_once_and_in_order(data, first):
     assert [piece.gap for piece in found] == [-1] + [0] * (len(found) - 1)
 
 
-def test_of_two_that_are_cut_to_begin_at_one_place_the_longer_goes_on():
+def test_longer_of_two_trimmed_segments_is_used():
     parts = (4, b"456"), (5, b"567"), (3, b"345"), (0, b"012")
     segments = [tcp(7 + at, part) for at, part in parts]
     found = list(pieces(captured(tcp(6, b"", SYN), *segments)))
     assert joined(found) == b"01234567"
 
 
-def test_a_capture_that_begins_in_the_middle_of_a_connection_begins_there():
+def test_capture_starting_in_connection_begins_there():
     found = list(pieces(captured(tcp(500, b"abc"), tcp(503, b"def"))))
     assert joined(found) == b"abcdef"
     assert [piece.way for piece in found] == [THERE, THERE]
     assert [piece.time_ns for piece in found] == [1_000_000, 2_000_000]
 
 
-def test_a_segment_that_is_missing_is_told_at_the_end():
+def test_missing_segment_is_reported_at_end():
     found = list(pieces(captured(tcp(0, b"abc"), tcp(5, b"fgh"))))
     assert [(piece.data, piece.gap) for piece in found] == [(b"abc", 0), (b"fgh", 2)]
 
 
-def test_a_segment_that_is_missing_is_not_waited_for_for_ever():
+def test_missing_segment_is_not_awaited_for_ever():
     def endless():
         yield tcp(0, b"abc")
         for n in range(1000):
@@ -70,7 +70,7 @@ def test_a_segment_that_is_missing_is_not_waited_for_for_ever():
     assert next(stream).gap == 2
 
 
-def test_a_connection_that_begins_anew_at_the_same_ports_is_another():
+def test_new_connection_on_same_ports_is_separate():
     found = list(pieces(captured(tcp(0, b"abc"), tcp(7000, b"", SYN), tcp(7001, b"new"))))
     assert [(piece.data, piece.gap) for piece in found] == [(b"abc", 0), (b"", -1), (b"new", 0)]
 
@@ -88,11 +88,11 @@ def test_a_connection_that_begins_anew_at_the_same_ports_is_another():
         (ip4(tcp(0, b"abc")), 101),
     ],
 )
-def test_ways_a_packet_may_be_wrapped(data, link_type):
+def test_all_encapsulations_are_read(data, link_type):
     assert joined(pieces([packet(1, data, link_type)])) == b"abc"
 
 
-def test_ipv6():
+def test_ipv6_is_read():
     found = list(pieces([packet(1, ethernet(ip6(tcp(0, b"abc")), 0x86DD))]))
     assert [(piece.way, piece.data) for piece in found] == [(Way("::1", 40000, "::2", 502), b"abc")]
     assert str(found[0].way.back) == "::2:502 > ::1:40000"
@@ -106,10 +106,10 @@ def test_ipv6():
         (ethernet(b"", 0x0806), 1),
         (ethernet(ip4(tcp(0, b"", ACK)[:12])), 1),
         (b"", 1),
-        (ip4(tcp(0, b"abc")), 147),  # no link type that anybody knows
+        (ip4(tcp(0, b"abc")), 147),  # unknown link type
     ],
 )
-def test_what_is_no_tcp_segment_is_passed_over(data, link_type):
+def test_packet_without_tcp_segment_is_skipped(data, link_type):
     assert list(pieces([packet(1, data, link_type)])) == []
 
 
@@ -118,6 +118,6 @@ def test_damage_never_raises(packets, link_type):
     list(pieces(packet(n, data, link_type) for n, data in enumerate(packets, 1)))
 
 
-def test_of_two_segments_that_wait_at_one_place_the_longer_counts():
+def test_longer_of_two_waiting_segments_is_used():
     found = pieces(captured(tcp(0, b"", SYN), tcp(4, b"d"), tcp(4, b"def"), tcp(1, b"abc")))
     assert joined(found) == b"abcdef"

@@ -1,11 +1,11 @@
-"""TRC rows of all versions. Forms: PEAK CAN TRC File Format 2.1.1; real files."""
+"""TRC rows of all versions. Sources: PEAK CAN TRC File Format 2.1.1; real files."""
 
 import pytest
 
-from traces import traffic
-from traces.schema import Direction
-from traces.traffic import Findings, classic, flexible, read_lines, remote
-from traces.trc import TrcReader
+from motorhil.traces.formats import frames as traffic
+from motorhil.traces.formats.frames import Findings, classic, flexible, read_lines, remote
+from motorhil.traces.formats.trc import TrcReader
+from motorhil.traces.schema import Direction
 
 R, T, U = Direction.RECEIVED, Direction.TRANSMITTED, Direction.UNKNOWN
 EXT = 0x18FFEF00 | traffic.EFF
@@ -36,7 +36,7 @@ def read(*lines):
          classic(0x300, b"\xff"), R),
     ],
 )  # fmt: skip
-def test_a_row_of_1_x(row, time_ns, bus, frame, way):
+def test_row_of_version_1_is_read(row, time_ns, bus, frame, way):
     frames, findings = read(row)
     assert findings.problems == []
     assert [tuple(found)[:4] for found in frames] == [(time_ns, bus, frame, way)]
@@ -53,16 +53,16 @@ def test_a_row_of_1_x(row, time_ns, bus, frame, way):
         ("1 1059.900 FD 1 0300 Rx - 1 55", "can0", flexible(0x300, 0, b"\x55"), R),
     ],
 )
-def test_a_row_of_2_x(row, bus, frame, way):
+def test_row_of_version_2_is_read(row, bus, frame, way):
     frames, findings = read(*HEAD_2, row)
     assert findings.problems == []
     time_ns = DAY_AND_HALF_NS + 1_059_900_000
     assert [tuple(found)[:4] for found in frames] == [(time_ns, bus, frame, way)]
 
 
-def test_a_start_is_rounded_to_what_its_digits_are_worth():
+def test_start_time_is_rounded_to_its_resolution():
     frames, _ = read(";$STARTTIME=45364.369224537", "  1)  0.0  Rx  0001  0")
-    assert frames[0].time_ns == 1710319901 * 10**9  # 13.03.2024 08:51:41, as that file says
+    assert frames[0].time_ns == 1710319901 * 10**9  # 13.03.2024 08:51:41, as stated in that file
 
 
 @pytest.mark.parametrize(
@@ -71,18 +71,18 @@ def test_a_start_is_rounded_to_what_its_digits_are_worth():
         (("   3)  5.0  Warng  FFFFFFFF  4  00 00 00 08  BUSHEAVY",), "state of the interface"),
         (("   3)  5  FFFFFFFF  4  00 00 00 08  BUSHEAVY",), "state of the interface"),
         (("   3)  5.0  Rx  0300  3  01 02",), "2 of 3 bytes"),
-        (("   3)  5.0  Rx  0300  3  01 02 0",), "no bytes"),
-        (("   3)  5.0  Rx",), "no frame"),
-        (("   3)  -5.0  Rx  0300  0",), "no time stamp"),
+        (("   3)  5.0  Rx  0300  3  01 02 0",), "not a sequence of bytes"),
+        (("   3)  5.0  Rx",), "not a frame"),
+        (("   3)  -5.0  Rx  0300  0",), "not a time stamp"),
         ((*HEAD_2, "1 1059.900 ST 1 - Rx - 4 00 00 00 00"), "state of the interface"),
         ((*HEAD_2, "1 1059.900 ER 1 - Rx - 5 04 00 02 00 00"), "error frame"),
         ((*HEAD_2, "1 1059.900 DT 1"), "ends in the middle"),
         ((*HEAD_2, "1 1059.900 DT 1 0300 Rx - 8 00 01"), "2 of 8 bytes"),
-        ((*HEAD_2, "1 x DT 1 0300 Rx - 0"), "no time stamp"),
+        ((*HEAD_2, "1 x DT 1 0300 Rx - 0"), "not a time stamp"),
         ((";$COLUMNS=N,O",), "columns without"),
     ],
 )
-def test_what_cannot_be_read_is_told_with_its_line(lines, why):
+def test_unreadable_row_is_reported_with_line(lines, why):
     frames, findings = read(*lines)
     assert frames == []
     ((line, text),) = findings.problems
@@ -90,7 +90,7 @@ def test_what_cannot_be_read_is_told_with_its_line(lines, why):
     assert why in text
 
 
-def test_what_stands_behind_8_bytes_is_told_and_the_frame_is_kept():
+def test_bytes_beyond_8_are_reported_frame_is_kept():
     frames, findings = read(*HEAD_2, "1 0.0 DT 1 0000 Rx - 10 " + "00 " * 8 + "77 E4")
     assert frames[0].frame == classic(0, bytes(8))
-    assert findings.problems == [(4, "behind 8 bytes of data there are '77 E4'")]
+    assert findings.problems == [(4, "after 8 bytes of data there are '77 E4'")]

@@ -1,4 +1,4 @@
-"""The judge of what we write is mcap's own reader, with all its CRC checks."""
+"""Our files, verified by mcap's own reader with all CRC checks."""
 
 import io
 import struct
@@ -12,12 +12,11 @@ from mcap.records import Attachment, Chunk, DataEnd, Footer, Message, MessageInd
 from mcap.stream_reader import StreamReader
 from mcap_protobuf.decoder import DecoderFactory
 
+from motorhil.traces.digest import digest
+from motorhil.traces.errors import TraceError
+from motorhil.traces.mcap.writer import CHUNK_BYTES, TraceWriter
+from motorhil.traces.schema import CAN_FRAME, LOG, Direction, Schema, decode_can_frame
 from tests.traces.recordings import MS, SECOND, Recording, can_frame, counted_frame, write
-from traces.digest import digest
-from traces.errors import TraceError
-from traces.fields import decode_can_frame
-from traces.schema import CAN_FRAME, LOG, Direction, Schema
-from traces.writer import CHUNK_BYTES, TraceWriter
 
 
 def records(data, **options):
@@ -32,7 +31,7 @@ def times(data):
     return [one.log_time for one in records(data) if isinstance(one, Message)]
 
 
-def test_mcaps_own_readers_find_every_frame_as_it_was(tmp_path):
+def test_mcap_reader_finds_every_frame_unchanged(tmp_path):
     path = tmp_path / "a.mcap"
     written = write(path)
     with path.open("rb") as file:
@@ -53,7 +52,7 @@ def test_mcaps_own_readers_find_every_frame_as_it_was(tmp_path):
         assert decoded.direction == [1, 2, 1][source]
 
 
-def test_the_summary_says_what_is_in_the_file(tmp_path):
+def test_summary_describes_file(tmp_path):
     path = tmp_path / "a.mcap"
     written = Recording(path, {"run": {"seed": "1"}, "versions": {"python": "3"}})
     written.writer.attach("rig.toml", b"[rig]\n", "application/toml", 5)
@@ -102,7 +101,7 @@ def test_every_index_points_at_its_record(tmp_path):
     assert recording.writer.error is None
 
 
-def test_all_crcs_are_there_and_right(tmp_path):
+def test_all_crcs_are_present_and_correct(tmp_path):
     path = tmp_path / "a.mcap"
     recording = Recording(path)
     recording.writer.attach("a", b"data")
@@ -120,7 +119,7 @@ def test_all_crcs_are_there_and_right(tmp_path):
     assert any(isinstance(r, Attachment) for r in found)
 
 
-def test_the_message_index_of_a_chunk_leads_to_every_message_of_every_channel(tmp_path):
+def test_message_index_finds_every_message(tmp_path):
     path = tmp_path / "a.mcap"
     written = write(path, 1000, 5 * MS)
     data = path.read_bytes()
@@ -130,7 +129,7 @@ def test_the_message_index_of_a_chunk_leads_to_every_message_of_every_channel(tm
         if not isinstance(chunk, Chunk):
             continue
         content = zstandard.decompress(chunk.data)
-        heads = found[number + 1 : number + 4]  # one of each channel, at once behind the chunk
+        heads = found[number + 1 : number + 4]  # one for each channel, directly after the chunk
         assert [type(head) for head in heads] == [MessageIndex] * 3
         assert sorted(head.channel_id for head in heads) == [1, 2, 3]
         for head in heads:
@@ -150,7 +149,7 @@ def test_the_message_index_of_a_chunk_leads_to_every_message_of_every_channel(tm
             assert (data[offset], data[offset + 9]) == (7, channel)
 
 
-def test_a_compact_recording_has_the_same_messages_and_no_message_index(tmp_path):
+def test_compact_recording_has_no_message_index(tmp_path):
     paths = tmp_path / "a.mcap", tmp_path / "b.mcap"
     for path in paths:
         write(path, 5000, MS, compact=path is paths[1])
@@ -161,7 +160,7 @@ def test_a_compact_recording_has_the_same_messages_and_no_message_index(tmp_path
         assert len(list(make_reader(file, validate_crcs=True).iter_messages())) == 5000
 
 
-def test_a_chunk_ends_with_its_second_and_not_before():
+def test_chunk_ends_with_its_second():
     file = io.BytesIO()
     recording = Recording(file)
     for time_ns in (SECOND - 1, SECOND, 2 * SECOND - 1, 2 * SECOND, 7 * SECOND + 5):
@@ -177,7 +176,7 @@ def test_a_chunk_ends_with_its_second_and_not_before():
 
 
 @pytest.mark.parametrize("batch", [1, 7, 4095, 4096, 4097, 30_000])
-def test_chunks_end_at_the_same_seconds_however_frames_are_handed_over(batch):
+def test_chunks_end_at_same_seconds_for_any_batch(batch):
     file = io.BytesIO()
     recording = Recording(file)
     entries = [(0, number * 100_000, counted_frame(number)) for number in range(0, 30_000)]
@@ -189,7 +188,7 @@ def test_chunks_end_at_the_same_seconds_however_frames_are_handed_over(batch):
     assert times(file.getvalue()) == [time for _, time, _ in entries]
 
 
-def test_a_chunk_ends_at_a_mebibyte_within_its_second():
+def test_chunk_ends_at_one_mebibyte():
     file = io.BytesIO()
     recording = Recording(file).fill(40_000, 1_000)
     recording.writer.close()
@@ -199,7 +198,7 @@ def test_a_chunk_ends_at_a_mebibyte_within_its_second():
     assert len(times(file.getvalue())) == 40_000
 
 
-def test_a_message_larger_than_any_chunk_is_written():
+def test_message_larger_than_chunk_is_written():
     file = io.BytesIO()
     recording = Recording(file)
     large = b"\x1a" + bytes(5 * CHUNK_BYTES)
@@ -210,7 +209,7 @@ def test_a_message_larger_than_any_chunk_is_written():
     assert [len(one) for one in data] == [len(large), len(data[1]), len(large)]
 
 
-def test_times_that_go_back_are_kept_and_chunks_and_statistics_say_so():
+def test_backward_times_are_kept():
     file = io.BytesIO()
     recording = Recording(file)
     wanted = [5 * SECOND, 4 * SECOND, 4 * SECOND + 7, 9 * SECOND, 2 * SECOND]
@@ -240,7 +239,7 @@ def test_senders_with_long_names_fit():
     assert len(times(file.getvalue())) == 4096
 
 
-def test_a_second_that_is_over_is_in_the_file_without_any_further_frame(tmp_path):
+def test_finished_second_is_written_without_more_frames(tmp_path):
     path = tmp_path / "a.mcap"
     recording = Recording(path)
     before = path.stat().st_size
@@ -252,8 +251,8 @@ def test_a_second_that_is_over_is_in_the_file_without_any_further_frame(tmp_path
     recording.writer.close()
 
 
-def test_frames_with_and_without_fd_share_a_channel_and_stay_apart():
-    # The same first 8 bytes: only the size tells a canfd_frame from a can_frame.
+def test_classic_and_fd_frames_share_a_channel():
+    # The same first 8 bytes: only the size distinguishes a canfd_frame from a can_frame.
     header = b"\x23\x01\x00\x00\x08\x04\x00\x00"
     classical, fd = header + b"12345678", header + b"abcdefgh".ljust(64, b"\0")
     file = io.BytesIO()
@@ -266,7 +265,7 @@ def test_frames_with_and_without_fd_share_a_channel_and_stay_apart():
     assert [len(decode_can_frame(one).frame) for one in data] == [72, 16, 72, 16]
 
 
-def test_more_identifiers_than_are_remembered_are_all_recorded():
+def test_more_identifiers_than_cached_are_recorded():
     file = io.BytesIO()
     writer = TraceWriter(file)
     source = writer.source(writer.channel("/can/a", Schema.of(CAN_FRAME)), "x", Direction.UNKNOWN)
@@ -278,7 +277,7 @@ def test_more_identifiers_than_are_remembered_are_all_recorded():
     assert [int.from_bytes(one[1:5], "little") for one in data] == list(ids)
 
 
-def test_a_bad_frame_is_refused_and_the_batch_with_it_and_nothing_else():
+def test_bad_frame_refuses_only_its_batch():
     file = io.BytesIO()
     recording = Recording(file)
     recording.writer.can_frame(0, 1, can_frame(1))
@@ -311,7 +310,7 @@ def test_one_schema_serves_many_channels():
     assert summary.channels[3].metadata == {"bitrate": "1"}
 
 
-def test_a_recording_without_messages_is_a_file_all_the_same(tmp_path):
+def test_recording_without_messages_is_a_valid_file(tmp_path):
     path = tmp_path / "empty.mcap"
     TraceWriter(path).close()
     with path.open("rb") as file:
@@ -319,7 +318,7 @@ def test_a_recording_without_messages_is_a_file_all_the_same(tmp_path):
     assert len(records(path.read_bytes())) == 5  # header, data end, statistics, its offset, footer
 
 
-def test_after_close_nothing_more_is_written_and_closing_again_is_nothing():
+def test_writing_after_close_is_refused_close_is_idempotent():
     writer = TraceWriter(io.BytesIO())
     channel = writer.channel("/events", Schema.of(LOG))
     writer.close()
@@ -328,7 +327,7 @@ def test_after_close_nothing_more_is_written_and_closing_again_is_nothing():
         writer.write(channel, 1, b"")
 
 
-def test_a_channel_that_does_not_exist_is_refused():
+def test_unknown_channel_is_refused():
     writer = TraceWriter(io.BytesIO())
     for number in (0, 1, -1):
         with pytest.raises(ValueError, match="has no channel"):

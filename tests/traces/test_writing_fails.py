@@ -1,4 +1,4 @@
-"""Full disks, forbidden places and programs killed: what was written stays, and stays readable."""
+"""Full disks, forbidden places and killed programs: recordings stay readable."""
 
 import errno
 import io
@@ -11,15 +11,15 @@ from pathlib import Path
 import pytest
 from mcap.reader import make_reader
 
+from motorhil.traces.errors import TraceError
+from motorhil.traces.mcap.reader import read_trace
+from motorhil.traces.mcap.writer import TraceWriter
+from motorhil.traces.schema import LOG, Schema
 from tests.traces.recordings import MS, SECOND, Recording, can_frame
-from traces.errors import TraceError
-from traces.reader import read_trace
-from traces.schema import LOG, Schema
-from traces.writer import TraceWriter
 
 
 class SmallDisk(io.BytesIO):
-    """A file on a disk with room for so many bytes; the last write before it is full is short."""
+    """A file on a disk of limited size; the last write before it is full is short."""
 
     name = "/media/stick/a.mcap"
 
@@ -35,7 +35,7 @@ class SmallDisk(io.BytesIO):
 
 
 def seconds_until_full(disk, a_second=100):
-    """(recording, error) after as many seconds of so many messages as there is room for."""
+    """Fill the disk with `a_second` messages per second; return recording and error."""
     recording = Recording(disk, compact=True)
     with pytest.raises(TraceError) as caught:  # noqa: PT012  # the loop is what is tried
         for second in range(1000):
@@ -52,7 +52,7 @@ def frames_in(data, path):
         ]
 
 
-def test_a_full_disk_is_one_error_that_names_the_file_how_far_it_goes_and_the_remedy():
+def test_full_disk_error_names_file_extent_and_remedy():
     _, error = seconds_until_full(SmallDisk(20_000))
     assert error.path == "/media/stick/a.mcap"
     assert str(error) == (
@@ -62,14 +62,14 @@ def test_a_full_disk_is_one_error_that_names_the_file_how_far_it_goes_and_the_re
 
 
 @pytest.mark.parametrize("room", range(20_000, 20_900, 50))
-def test_what_was_written_before_the_disk_was_full_is_all_there(tmp_path, room):
+def test_full_disk_keeps_everything_written_before(tmp_path, room):
     disk = SmallDisk(room)
     recording, _ = seconds_until_full(disk)
     cut, found = frames_in(disk.getvalue(), tmp_path / "a.mcap")
     wanted = [(time, data[8:]) for source, time, data in recording.entries if source >= 0]
     assert found == wanted[: len(found)]
     assert len(found) >= 7 * 90
-    assert len(found) % 90 == 0  # whole seconds, nothing of the one that did not fit
+    assert len(found) % 90 == 0  # complete seconds, and no part of the one that did not fit
     assert cut is None or not cut.size or cut.messages_missing
 
 
@@ -77,9 +77,7 @@ def test_what_was_written_before_the_disk_was_full_is_all_there(tmp_path, room):
     ("room_left", "ending"),
     [(0, "none"), (49, "none"), (50, "short"), (1000, "short"), (4000, "whole")],
 )
-def test_where_there_is_room_for_an_end_any_reader_can_open_what_there_is(
-    tmp_path, room_left, ending
-):
+def test_full_disk_with_space_for_ending_is_valid_file(tmp_path, room_left, ending):
     endless = io.BytesIO()
     recording = Recording(endless, compact=True)
     for second in range(3):
@@ -90,7 +88,7 @@ def test_where_there_is_room_for_an_end_any_reader_can_open_what_there_is(
     assert len(found) == 2700
     if ending == "none":
         assert cut is not None
-        assert disk.getvalue() == endless.getvalue()  # the piece that did not fit was taken back
+        assert disk.getvalue() == endless.getvalue()  # the part that did not fit was removed
         return
     assert cut is None
     disk.seek(0)
@@ -101,7 +99,7 @@ def test_where_there_is_room_for_an_end_any_reader_can_open_what_there_is(
     assert summary is None or summary.statistics.message_count == 3000
 
 
-def test_after_the_disk_was_full_every_call_says_so_and_close_is_quiet():
+def test_calls_after_full_disk_raise_and_close_does_not():
     disk = SmallDisk(3_000)
     recording, error = seconds_until_full(disk)
     size = len(disk.getvalue())
@@ -119,7 +117,7 @@ def test_after_the_disk_was_full_every_call_says_so_and_close_is_quiet():
     assert recording.writer.error is error
 
 
-def test_a_disk_full_when_the_recording_ends_is_told_by_close():
+def test_full_disk_at_close_is_reported():
     disk = SmallDisk(1_400)
     recording = Recording(disk).fill(100, 10 * MS)
     with pytest.raises(TraceError, match="no space left"):
@@ -127,12 +125,12 @@ def test_a_disk_full_when_the_recording_ends_is_told_by_close():
     recording.writer.close()
 
 
-def test_a_disk_without_any_room_is_told_at_once():
+def test_disk_without_space_is_reported_at_once():
     with pytest.raises(TraceError, match="the recording holds nothing yet"):
         TraceWriter(SmallDisk(10))
 
 
-def test_a_device_that_takes_one_byte_at_a_time_gets_the_whole_file(tmp_path):
+def test_device_writing_single_bytes_gets_whole_file(tmp_path):
     class Slow(io.BytesIO):
         def write(self, data):
             return super().write(bytes(data)[:1])
@@ -143,7 +141,7 @@ def test_a_device_that_takes_one_byte_at_a_time_gets_the_whole_file(tmp_path):
     assert slow.getvalue() == quick.getvalue()
 
 
-def test_a_folder_that_does_not_exist_is_told_with_the_command_that_makes_it(tmp_path):
+def test_missing_folder_is_reported_with_mkdir_command(tmp_path):
     with pytest.raises(TraceError) as caught:
         TraceWriter(tmp_path / "no" / "such" / "a.mcap")
     folder = tmp_path / "no" / "such"
@@ -154,7 +152,7 @@ def test_a_folder_that_does_not_exist_is_told_with_the_command_that_makes_it(tmp
 
 
 @pytest.mark.parametrize("place", ["", "/proc/a.mcap"])
-def test_a_place_where_no_file_can_be_is_refused_by_name(tmp_path, place):
+def test_invalid_place_is_refused_by_name(tmp_path, place):
     path = place or str(tmp_path)
     with pytest.raises(
         TraceError, match=r"cannot be written: .*; name a file in a folder"
@@ -167,7 +165,7 @@ ROOT = Path(__file__).parents[2]
 CHILD = """
 import resource, sys
 from tests.traces.recordings import Recording
-from traces.errors import TraceError
+from motorhil.traces.errors import TraceError
 recording = Recording(sys.argv[1])
 limit = int(sys.argv[2])
 if limit:
@@ -183,7 +181,7 @@ except TraceError as error:
 """
 
 
-def test_the_systems_own_limit_of_a_files_size_is_told_and_keeps_what_there_is(tmp_path):
+def test_file_size_limit_is_reported_and_keeps_messages(tmp_path):
     path = tmp_path / "a.mcap"
     command = [sys.executable, "-c", CHILD, path, "60000"]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
@@ -199,7 +197,7 @@ def test_the_systems_own_limit_of_a_files_size_is_told_and_keeps_what_there_is(t
 
 
 @pytest.mark.wall
-def test_a_program_killed_in_the_middle_leaves_a_file_readable_up_to_its_last_second(tmp_path):
+def test_killed_program_leaves_file_up_to_last_second(tmp_path):
     path = tmp_path / "a.mcap"
     command = [sys.executable, "-c", CHILD, path, "0"]
     with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True) as child:
@@ -216,20 +214,21 @@ def test_a_program_killed_in_the_middle_leaves_a_file_readable_up_to_its_last_se
     assert times[-1] >= recorded_ns - SECOND
 
 
-# --- files of somebody else's
+# --- files that are not ours
 
 
 @pytest.mark.parametrize("content", [b"[rig]\nname = 'mine'\n", b"x", b"\x89MCAP1\r\n"])
-def test_a_file_that_is_no_recording_is_not_written_over(tmp_path, content):
+def test_file_other_than_recording_is_not_overwritten(tmp_path, content):
     path = tmp_path / "rig.toml"
     path.write_bytes(content)
     with pytest.raises(TraceError) as caught:
         TraceWriter(path)
-    assert str(caught.value) == f"{path}: is no recording, and would be lost; name another file"
+    told = f"{path}: is not a recording, and would be overwritten; name another file"
+    assert str(caught.value) == told
     assert path.read_bytes() == content
 
 
-def test_an_older_recording_and_an_empty_file_are_written_over(tmp_path):
+def test_old_recording_and_empty_file_are_overwritten(tmp_path):
     path = tmp_path / "a.mcap"
     path.touch()
     for count in (100, 1):
@@ -241,7 +240,7 @@ def test_an_older_recording_and_an_empty_file_are_written_over(tmp_path):
         assert len([1 for c, _, _ in trace.messages() if "can" in c.topic]) == 1
 
 
-def test_a_recording_that_is_being_written_is_left_to_its_writer(tmp_path):
+def test_recording_being_written_is_not_overwritten(tmp_path):
     path = tmp_path / "a.mcap"
     recording = Recording(path)
     recording.fill(10, MS)
@@ -255,6 +254,6 @@ def test_a_recording_that_is_being_written_is_left_to_its_writer(tmp_path):
 
 
 @pytest.mark.parametrize("device", ["/dev/null", "/dev/stdout"])
-def test_what_is_no_file_takes_a_recording_too(device):
-    code = f"from traces.writer import TraceWriter; TraceWriter({device!r}).close()"
+def test_device_accepts_recording(device):
+    code = f"from motorhil.traces.mcap.writer import TraceWriter; TraceWriter({device!r}).close()"
     subprocess.run([sys.executable, "-c", code], check=True, stdout=subprocess.DEVNULL)

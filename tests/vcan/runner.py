@@ -1,11 +1,12 @@
-"""Runs a command where real SocketCAN interfaces exist, on any Linux machine it can.
+"""Runs a command with real SocketCAN interfaces, on most Linux machines.
 
     python -m tests.vcan.runner [-n 2] -- COMMAND...
 
-Two ways, tried in this order: `native`, a network namespace of this kernel if it has vcan; `uml`, a
-User Mode Linux kernel (Debian's package user-mode-linux, unpacked into a cache, never installed),
-which runs as an ordinary process on this machine's files, without root and without KVM. The exit
-status is the command's; 125 where there is no way, and a line on stderr says why.
+There are two ways, tried in this order: `native`, a network namespace of this kernel if it has
+vcan; `uml`, a User Mode Linux kernel (Debian's package user-mode-linux, unpacked into a cache,
+never installed). The latter runs as an ordinary process on this machine's files, without root and
+without KVM. The exit status is the command's; 125 if neither way works, and a line on stderr gives
+the reason.
 """
 
 import argparse
@@ -24,11 +25,11 @@ NAMESPACES = (["unshare", "--net"], ["unshare", "--map-root-user", "--net"])
 
 
 class NoWayError(Exception):
-    """This machine cannot do it; the message says why."""
+    """This machine cannot provide vcan; the message gives the reason."""
 
 
 def interfaces_up(ip: str, count: int) -> str:
-    """The shell lines that bring lo and vcan0.. up."""
+    """Return the shell lines that bring lo and vcan0.. up."""
     lines = [f"{ip} link set up dev lo"]
     for number in range(count):
         lines.append(f"{ip} link add dev vcan{number} type vcan")
@@ -37,7 +38,7 @@ def interfaces_up(ip: str, count: int) -> str:
 
 
 def native_prefix() -> list[str] | None:
-    """How to get a network namespace in which this kernel makes a vcan interface, if it can."""
+    """Return the command prefix of a network namespace with vcan, if this kernel has it."""
     if shutil.which("unshare") is None or shutil.which("ip") is None:
         return None
     for prefix in NAMESPACES:
@@ -52,13 +53,13 @@ def native_prefix() -> list[str] | None:
 
 
 def cache_folder() -> Path:
-    """Where unpacked packages are kept between runs."""
+    """Return the cache of unpacked packages between runs."""
     base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
     return Path(base) / "motorhil-vcan"
 
 
 def unpacked(package: str) -> Path:
-    """The folder with the Debian package's files; fetched once."""
+    """Return the folder with the Debian package's files; fetch them once."""
     folder = cache_folder() / package
     if folder.is_dir():
         return folder
@@ -89,7 +90,7 @@ def unpacked(package: str) -> Path:
 
 
 def guest_script(run: Path, busybox: Path, modules: list[Path], count: int) -> str:
-    """What PID 1 of the guest does: mount, load CAN, bring interfaces up, run, power off."""
+    """Return the guest's PID 1 script: mount, load CAN, bring interfaces up, run, power off."""
     quoted = shlex.quote(str(run))
     load = "\n".join(f"$bb insmod {shlex.quote(str(m))}" for m in modules)
     return f"""#!/bin/bash
@@ -120,7 +121,7 @@ while :; do $bb sleep 1; done
 
 
 def run_in_guest(command: list[str], count: int, memory_mib: int) -> int:
-    """The command's exit status from a User Mode Linux guest on this machine's files."""
+    """Return the command's exit status from a User Mode Linux guest on this machine's files."""
     uml = unpacked("user-mode-linux")
     busybox = unpacked("busybox-static") / "bin" / "busybox"
     kernel = uml / "usr" / "bin" / "linux.uml"
@@ -175,10 +176,10 @@ def run_in_guest(command: list[str], count: int, memory_mib: int) -> int:
 
 
 def run(command: list[str], count: int = 2, memory_mib: int = 1024) -> int:
-    """The command's exit status, run where vcan0 .. vcan(count-1) are up.
+    """Return the command's exit status, run where vcan0 .. vcan(count-1) are up.
 
     Raises:
-        NoWayError: this machine has no vcan and cannot get one; says why.
+        NoWayError: this machine has no vcan and cannot get one; gives the reason.
     """
     prefix = native_prefix()
     if prefix is not None:
@@ -190,7 +191,7 @@ def run(command: list[str], count: int = 2, memory_mib: int = 1024) -> int:
 
 
 def main() -> int:
-    """Exit status: the command's, or 125."""
+    """Run the command; return its exit status, or 125."""
     parser = argparse.ArgumentParser(prog="python -m tests.vcan.runner", description=__doc__)
     parser.add_argument("-n", type=int, default=2, metavar="N", help="interfaces (default 2)")
     parser.add_argument("command", nargs=argparse.REMAINDER)

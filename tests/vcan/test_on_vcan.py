@@ -1,4 +1,4 @@
-"""Runs `tests/vcan/inside` where real vcan interfaces are; skipped aloud where there is no way."""
+"""Runs `tests/vcan/inside` on real vcan interfaces, or skips with the reason."""
 
 import subprocess
 import sys

@@ -1,17 +1,17 @@
-"""A world in a thread of its own whose bus can be made to tell a node of an error."""
+"""An emulated bus in its own thread, with injectable error messages."""
 
 import socket
 import threading
 
-from emulators.event_queue import EventQueue
-from emulators.media.can_bus import CanBus
-from emulators.serve import WallLoop
-from emulators.world import World
+from motorhil.emulators.can.bus.bus import CanBus
+from motorhil.emulators.gateways.loop import WallLoop
+from motorhil.emulators.simulation.event_queue import EventQueue
+from motorhil.emulators.simulation.world import World
 from tests.emulators.telling import tell
 
 
 class Order:
-    """A Gateway by which the loop's own thread is told: NAME NUL message; it answers."""
+    """A gateway that receives orders "NAME NUL message" for the loop's thread, and answers them."""
 
     def __init__(self, world):
         self._world = world
@@ -34,7 +34,7 @@ class Order:
 
 
 class ErrorBench:
-    """The world is served by `gateways(world)`."""
+    """A world that `gateways(world)` serve."""
 
     channel = ""
 
@@ -42,11 +42,11 @@ class ErrorBench:
         queue = EventQueue()
         self.world = World(queue)
         self.world.add_bus(CanBus("can0", 1_000_000, data_bitrate_bit_s=data_bitrate_bit_s))
-        self.world.add_host("can0", "ear", lambda *_: None)  # somebody acknowledges
+        self.world.add_host("can0", "ear", lambda *_: None)  # for the ACK
         self._loop = WallLoop(queue)
         self._order = Order(self.world)
-        self.heard = []  # what was on the emulated bus: sender, frame
-        self.came = threading.Event()  # something was
+        self.heard = []  # frames on the emulated bus: sender, frame
+        self.came = threading.Event()  # set when there is one
         self.world.tap_frames(self._hear)
         for one in (*gateways(self.world), self._order):
             self._loop.add(one)

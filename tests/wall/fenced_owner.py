@@ -1,18 +1,18 @@
-"""A program that streams set-points to node 1 of a bus, and loses the drive while it is paused.
+"""A program that loses its drive while it is paused.
 
 python -m tests.wall.fenced_owner CHANNEL HOW
 
-HOW is "fenced"; or what the tests of this must find: "unfenced" (its frames go out whoever owns the
-drive), "careless" (they go out with the token it once had, which it does not look at).
+HOW is "fenced", or a defect that the tests must detect: "unfenced" (its frames are sent without
+regard to the owner of the drive), "careless" (they are sent with its former token, unchecked).
 
     stream LEASE_S  "streaming": a motion of a minute, in a reservation (LEASE_S 0: without a lease)
     run             the same by the drive's own profile, with a low acceleration
     stop            "stopped": it slows down, for seconds
-    group           arms nodes 1 and 2, says "armed", and sends SYNC when it was paused and goes on;
+    group           arms nodes 1 and 2, says "armed", and sends SYNC after a pause and its end;
                     then "started", or "busy WHY"
     spoil           "spoilt": the function of the stream fails once the program was paused
-    told            what on_done was told without any wait for the motor, and the error of the
-                    stream, once both have ended
+    told            the error that on_done reported without any wait for the motor, and the error of
+                    the stream, once both have ended
     write           "wrote" a setting, by SDO; or "busy WHY"
     wait            "done", or "interrupted WHY"
     renew           "renewed", or "busy WHY"
@@ -26,7 +26,7 @@ from contextlib import ExitStack
 
 import can
 
-from motorapi import (
+from motorhil.motorapi import (
     ControlMode,
     ControlVariable,
     DerivativeLimits,
@@ -35,9 +35,11 @@ from motorapi import (
     MotorGroup,
     MotorModel,
 )
-from motorapi.adaptations.cia402 import Cia402HwMotor, Cia402Motor, HwOptions
-from motorapi.adaptations.cia402_triggers import SyncTrigger
-from motorapi.fencing import BoundFence, NodeFence
+from motorhil.motorapi.adaptations.cia402.bringup import HwOptions
+from motorhil.motorapi.adaptations.cia402.hardware import Cia402HwMotor
+from motorhil.motorapi.adaptations.cia402.motion import SyncTrigger
+from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
+from motorhil.motorapi.ownership.fencing import BoundFence, NodeFence
 from tests.motorapi.adaptations.streaming import quintic, set_function
 
 MODEL = MotorModel(name="wheel", velocity_max=3.0, acceleration_max=10.0)
@@ -47,7 +49,7 @@ OPTIONS = HwOptions(
 
 
 def open_bus(channel):
-    """A bus of a hub, by the path of its socket; or a SocketCAN interface."""
+    """Open a bus of a hub, by the path of its socket, or a SocketCAN interface."""
     interface = "emulated" if "/" in channel else "socketcan"
     return can.Bus(interface=interface, channel=channel)
 
@@ -103,7 +105,7 @@ class Program:
                 motor.stop()
                 return "stopped"
             case "told":
-                stream = self.hardware.stream  # either may hear of it first
+                stream = self.hardware.stream  # either may be notified first
                 motor.runtime.wait_until(lambda: bool(self.outcomes) and stream.ended, 60.0)
                 return f"{self.outcomes[0].error}; the stream: {stream.error}"
             case "write":

@@ -1,24 +1,22 @@
-"""A program whose servo holds the motor on channel 1 of node 1 of a hub, until it has lost it.
+"""A program with a servo that loses its motor.
 
 python -m tests.wall.fenced_servo CHANNEL HOW
 
-It says "holding"; then, for each line it reads, how its servo is: "holds", or "ended: WHY". HOW is
-"fenced", or "unfenced": then its frames go out whoever owns the node.
+The motor is on channel 1 of node 1. The program prints "holding"; then, for each line it reads, the
+state of its servo: "holds", or "ended: WHY". HOW is "fenced", or "unfenced": then its frames are
+sent without regard to the owner of the node.
 """
 
 import sys
 
 import can
 
-from motorapi import MotorModel
-from motorapi.adaptations.software import (
-    AmplifierHwMotor,
-    IoOptions,
-    PidGains,
-    ServoParameters,
-    SoftwareMotor,
-)
-from motorapi.fencing import BoundFence, NodeFence
+from motorhil.motorapi import MotorModel
+from motorhil.motorapi.adaptations.host_servo.hardware import AmplifierHwMotor
+from motorhil.motorapi.adaptations.host_servo.motor import ServoParameters, SoftwareMotor
+from motorhil.motorapi.adaptations.host_servo.node import IoOptions
+from motorhil.motorapi.adaptations.host_servo.servo import PidGains
+from motorhil.motorapi.ownership.fencing import BoundFence, NodeFence
 
 PATIENT = IoOptions(
     cycle_ms=20,

@@ -1,10 +1,10 @@
-"""A program of its own that takes a lock: it does what it reads line by line, and prints an answer.
+"""A program that takes a lock, commanded line by line.
 
 python -m tests.wall.lock_holder FOLDER NAME [BASE]
 
     take PURPOSE [TIMEOUT_S]    "has TOKEN-BASE CHANGED_HANDS", or "busy WHY"
     lease PURPOSE LEASE_S [TIMEOUT_S]    the same, with a lease
-    over PURPOSE                the same, taken over from whoever has it
+    over PURPOSE                the same, taken over from its holder
     release                     "released"
     write                       "wrote TOKEN-BASE", or "busy WHY"
     begin                       "began", in the middle of a write until "end"
@@ -12,9 +12,9 @@ python -m tests.wall.lock_holder FOLDER NAME [BASE]
     held                        "held True", or "held False, lost to WHOM"
     fork                        "forked PID": a child that lives until it is killed
     child                       "child PID": a program that inherits all it can, likewise
-    dies N                      "died", or "survived": a child that takes it over from this process,
-                                and is killed just before the N-th thing it tells the kernel
-    fork_take PURPOSE           "forked PID ANSWER": what `take PURPOSE` answers the child
+    dies N                      "died", or "survived": a child that takes the lock over from this
+                                process, and is killed just before its N-th system call for it
+    fork_take PURPOSE           "forked PID ANSWER": the child's answer to `take PURPOSE`
 """
 
 import contextlib
@@ -25,12 +25,12 @@ import subprocess
 import sys
 from types import SimpleNamespace
 
-from motorapi import lock_takeover
-from motorapi.errors import MotorBusyError
-from motorapi.lock_directory import LockDirectory
-from motorapi.lock_file import LockFile
-from motorapi.process_lock import Hold, ProcessLock
-from motorapi.wall_runtime import WallRuntime
+from motorhil.motorapi.errors import MotorBusyError
+from motorhil.motorapi.locking import takeover as lock_takeover
+from motorhil.motorapi.locking.directory import LockDirectory
+from motorhil.motorapi.locking.lock_file import LockFile
+from motorhil.motorapi.locking.process_lock import LockHandle, ProcessLock
+from motorhil.motorapi.runtime.wall import WallRuntime
 
 
 def fork() -> int:
@@ -41,14 +41,14 @@ def fork() -> int:
 
 
 class Holder:
-    """What it is asked to do with the lock."""
+    """The commands for the lock."""
 
     def __init__(self, lock: ProcessLock, base: int) -> None:
         self.runtime = WallRuntime()
-        self.hold: Hold | None = None
+        self.hold: LockHandle | None = None
         self._lock, self._base = lock, base
 
-    def told(self, hold: Hold) -> str:
+    def told(self, hold: LockHandle) -> str:
         return f"has {hold.token - self._base} {hold.changed_hands}"
 
     def take(self, purpose: str, timeout_s: str = "0.0") -> str:
@@ -102,7 +102,7 @@ class Holder:
 
 
 def die_before(number: int) -> None:
-    """This process is killed before the number-th step of its next takeover."""
+    """Kill this process before the number-th step of its next takeover."""
     left = [number]
 
     def counted(action):

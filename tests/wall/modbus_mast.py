@@ -1,10 +1,11 @@
-"""A program on the wall: moves a PR-mode drive over `tcp HOST:PORT` or `rtu LINK`."""
+"""A program that moves a PR-mode drive over `tcp HOST:PORT` or `rtu LINK`."""
 
 import sys
 
-from motorapi import ControlMode, MotorModel
-from motorapi.adaptations.leadshine import LeadshineHwMotor, LeadshineMotor
-from motorapi.byte_lines import SerialLine, TcpLine
+from motorhil.motorapi import ControlMode, MotorModel
+from motorhil.motorapi.adaptations.leadshine.hardware import LeadshineHwMotor
+from motorhil.motorapi.adaptations.leadshine.motor import LeadshineMotor
+from motorhil.motorapi.runtime.byte_streams import SerialLine, TcpLine
 
 MODEL = MotorModel(name="mast", velocity_max=2.0, acceleration_max=8.0, gear_ratio=100.0)
 

@@ -1,9 +1,9 @@
-"""Central servo on the wall clock, as a user's program, and what becomes of it when it is killed.
+"""A user's program with a central servo, and its death.
 
 With "victim" as its argument it holds a motor until it is killed. Without, it starts such a victim,
-finds the node taken, kills it, sees the node switch its amplifier off, and moves the motor itself.
-Then it lets go of it, for the next one. It is slow on purpose (50 cycles a second), and allows
-misses: the machine may be busy.
+finds the node taken, kills the victim, sees the node switch its amplifier off, and moves the motor
+itself. Then it releases the node for the next run. The servo is slow on purpose (50 cycles a
+second), and allows misses: the machine may be busy.
 """
 
 import signal
@@ -12,19 +12,16 @@ import sys
 
 import can
 
-from motorapi import (
+from motorhil.motorapi import (
     ControlMode,
     MotorBusyError,
     MotorModel,
     TrapezoidalTrajectory,
 )
-from motorapi.adaptations.software import (
-    AmplifierHwMotor,
-    IoOptions,
-    PidGains,
-    ServoParameters,
-    SoftwareMotor,
-)
+from motorhil.motorapi.adaptations.host_servo.hardware import AmplifierHwMotor
+from motorhil.motorapi.adaptations.host_servo.motor import ServoParameters, SoftwareMotor
+from motorhil.motorapi.adaptations.host_servo.node import IoOptions
+from motorhil.motorapi.adaptations.host_servo.servo import PidGains
 
 PATIENT = IoOptions(
     cycle_ms=20,
@@ -34,7 +31,7 @@ PATIENT = IoOptions(
     connect_timeout_s=30.0,
 )
 GAINS = PidGains.tuned(3.0, 0.038, friction_a=0.154)
-COARSE = ServoParameters(position_window=0.005)  # so slow an integral takes minutes to be finer
+COARSE = ServoParameters(position_window=0.005)  # such a slow integral needs minutes to be finer
 MODEL = MotorModel(
     name="wheel",
     velocity_max=2.0,

@@ -1,15 +1,18 @@
-"""Algorithms 1 and 2 of the paper on nodes 1 and 2, as a user's program, for a slow machine.
+"""Algorithms 1 and 2 of the paper, for a slow machine.
 
-Its deadlines are longer than the defaults: it runs on the wall clock, perhaps on a busy machine
-inside an emulated one. What it prints does not depend on how slow that is.
+The program uses nodes 1 and 2. Its deadlines are longer than the defaults: it runs on the wall
+clock, perhaps on a busy machine inside an emulated one. Its output does not depend on the machine's
+speed.
 """
 
 import sys
 
 import can
 
-from motorapi import ControlMode, Motor, MotorGroup, MotorModel, TrapezoidalTrajectory
-from motorapi.adaptations.cia402 import Cia402HwMotor, Cia402Motor, HwOptions
+from motorhil.motorapi import ControlMode, Motor, MotorGroup, MotorModel, TrapezoidalTrajectory
+from motorhil.motorapi.adaptations.cia402.bringup import HwOptions
+from motorhil.motorapi.adaptations.cia402.hardware import Cia402HwMotor
+from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
 
 PATIENT = HwOptions(heartbeat_timeout_ms=10_000, sdo_timeout_s=10.0, connect_timeout_s=30.0)
 

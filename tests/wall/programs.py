@@ -1,4 +1,4 @@
-"""Programs in processes of their own that do what they are told, line by line."""
+"""Programs in separate processes that execute commands line by line."""
 
 import os
 import select
@@ -9,7 +9,7 @@ LONG_S = 60.0
 
 
 class Program:
-    """python -m tests.wall.NAME WORDS, running."""
+    """A running `python -m tests.wall.NAME WORDS`."""
 
     def __init__(self, name, *words, env=None):
         self.process = subprocess.Popen(
@@ -41,7 +41,7 @@ class Program:
         self.process.wait()
 
     def end(self):
-        """It has ended, and nothing of it is open."""
+        """End the program, and close all its pipes."""
         self.kill()
         self.process.stdin.close()
         self.process.stdout.close()

@@ -1,4 +1,4 @@
-"""A program that asks node 1 of a hub for 1018h:01h, and waits for the answer; it is killed then.
+"""A program that uploads 1018h:01h of node 1 of a hub.
 
 python -m tests.wall.sdo_asker CHANNEL
 """
@@ -7,14 +7,14 @@ import sys
 
 import can
 
-from motorapi.adaptations.canopen_link import open_link
-from motorapi.adaptations.sdo_channel import SdoChannel
-from motorapi.adaptations.shared_node import node_locks
-from motorapi.runtime import runtime_of
+from motorhil.motorapi.adaptations.canopen.bus import open_link
+from motorhil.motorapi.adaptations.canopen.sdo import SdoChannel
+from motorhil.motorapi.adaptations.cia402.node_sharing import node_locks
+from motorhil.motorapi.runtime.api import runtime_of
 
 
 def channel_of(bus, *, quarantine_s):
-    """The SDO channel of node 1, as hardware objects have it."""
+    """Return the SDO channel of node 1, as hardware objects have it."""
     runtime = runtime_of(bus)
     channel = SdoChannel(open_link(bus, runtime), 1, timeout_s=30.0, quarantine_s=quarantine_s)
     channel.process_lock = node_locks(bus, runtime, 1, "node 1")[1]

@@ -1,4 +1,4 @@
-"""A program of its own that commands node 1 of a hub: does what it reads, line by line.
+"""A program that commands node 1 of a hub, line by line.
 
 python -m tests.wall.shared_drive CHANNEL MODEL NAME[:STATUS_PERIOD_MS]
 
@@ -8,16 +8,16 @@ python -m tests.wall.shared_drive CHANNEL MODEL NAME[:STATUS_PERIOD_MS]
     home                            "begun"
     stop                            "stopped"
     reserve PURPOSE [TIMEOUT_S]     "reserved", or "busy WHY"
-    seize PURPOSE                   the same, from whoever has it
+    seize PURPOSE                   the same, taken over from its holder
     release                         "released"
     low_level                       "alone", or "busy WHY"
     gain P                          of the position loop, from the next motion on: "set"
     read INDEX SUBINDEX             "read VALUE"
-    read_many COUNT                 a text, in segments: "same" if it always was
+    read_many COUNT                 a text, in segments: "same" if it never changed
     impatient                       a read that waits 1 us for its answer: "failed WHY"
     position                        "at POSITION"
     began                           "began at rest", or the velocity at which it was armed
-    downloads                       "wrote COUNT": how often this process has written an object
+    downloads                       "wrote COUNT": the number of objects this process has written
 """
 
 import sys
@@ -26,16 +26,18 @@ from dataclasses import replace
 
 import can
 
-from motorapi import (
+from motorhil.motorapi import (
     ControlMode,
     ControlVariable,
     MotorBusyError,
     MotorError,
     MotorModel,
 )
-from motorapi.adaptations.cia402 import Cia402HwMotor, Cia402Motor, HwOptions
-from motorapi.adaptations.cia402_parameters import Cia402Parameters
-from motorapi.adaptations.sdo_channel import SdoChannel
+from motorhil.motorapi.adaptations.canopen.sdo import SdoChannel
+from motorhil.motorapi.adaptations.cia402.bringup import HwOptions
+from motorhil.motorapi.adaptations.cia402.hardware import Cia402HwMotor
+from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
+from motorhil.motorapi.adaptations.cia402.object_access import Cia402Parameters
 
 PATIENT = HwOptions(
     heartbeat_timeout_ms=10_000,

@@ -1,36 +1,38 @@
-"""A program of its own that starts some drives of a hub, alone or as one group; by lines.
+"""A program that starts drives of a hub, commanded line by line.
 
 python -m tests.wall.sync_program CHANNEL NODE_ID...
 
-    group TARGET        all of them go there [rad]: "started"
-    hold TARGET         the same, but "armed" comes between arming and SYNC; it fires by any line
-    stream TARGET       the first one goes there by set-points, in 0.5 s: "started"
+    group TARGET        all of them move to TARGET [rad]: "started"
+    hold TARGET         the same, but "armed" comes between arming and SYNC; any line fires it
+    stream TARGET       the first one moves there by set-points, in 0.5 s: "started"
     period MS           of set-points, before anything else: "set"
-    patience SECONDS    for others who arm: "set"
+    patience SECONDS    the longest wait for other programs that arm: "set"
     wait                "done"
     positions           "AT AT"
     straddles           of the last start of the group: "COUNT SKEW_S"
-    rounds COUNT        so many short motions there and back: "COUNT rounds"
+    rounds COUNT        as many short motions there and back: "COUNT rounds"
 
-What fails: "failed KIND WHY".
+A failure prints "failed KIND WHY".
 """
 
 import sys
 
 import can
 
-from motorapi import (
+from motorhil.motorapi import (
     ComplexTrajectory,
     ControlMode,
     Motor,
     MotorError,
     MotorGroup,
     MotorModel,
-    turns,
 )
-from motorapi.adaptations.cia402 import Cia402HwMotor, Cia402Motor, HwOptions
-from motorapi.adaptations.cia402_triggers import SyncTrigger
-from motorapi.functions import Polynomial
+from motorhil.motorapi.adaptations.cia402.bringup import HwOptions
+from motorhil.motorapi.adaptations.cia402.hardware import Cia402HwMotor
+from motorhil.motorapi.adaptations.cia402.motion import SyncTrigger
+from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
+from motorhil.motorapi.functions import Polynomial
+from motorhil.motorapi.ownership import queue as turns
 
 PATIENT_S = 60.0
 MODEL = MotorModel(name="wheel", velocity_max=3.0, acceleration_max=10.0)

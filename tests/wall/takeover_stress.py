@@ -1,20 +1,20 @@
-"""Processes that take one lock from each other while they live, and what came of it: JSON.
+"""Processes that take one lock from each other; prints JSON.
 
     python -m tests.wall.takeover_stress SECONDS SEED [FAULT]
 
-It lasts so long; then until there was enough of everything (ENOUGH, or what FAULT leads to), but
-SPARE_S at most: what a busy machine makes of a second is nobody's merit or fault.
+The test lasts that long; then until there were enough events of each kind (ENOUGH, or the effect of
+FAULT), but SPARE_S at most, as a busy machine may be slow.
 
-Each worker takes the lock, mostly with a short lease, sometimes on demand, and writes while it has
-it, and a little longer; some are paused anywhere, some killed. A write is made as a commanding one
-is: between begin_write and end_write it notes its token in a page of memory that all share.
+Each worker takes the lock, mostly with a short lease, sometimes on demand, and writes while it
+holds it, and a little longer; some are paused anywhere, some killed. A write is made like a
+commanding one: between begin_write and end_write it stores its token in a page of shared memory.
 
-- *intruders*: writes during which somebody else wrote as well.
-- *stale*: writes under a token that is smaller than that of a write before.
-- *repeated*: tokens that two have had.
+- *intruders*: writes during which another worker wrote as well.
+- *stale*: writes under a token that is smaller than that of an earlier write.
+- *repeated*: tokens that two workers have had.
 
-FAULT breaks the lock on purpose: "no fence" (a write is not closed against takeovers), "no look"
-(nobody looks whether the epoch is still his).
+FAULT breaks the lock on purpose: "no fence" (a write does not exclude takeovers), "no look" (the
+epoch is not checked before a write).
 """
 
 import json
@@ -29,11 +29,11 @@ import tempfile
 import time
 from pathlib import Path
 
-from motorapi.errors import MotorBusyError
-from motorapi.lock_directory import LockDirectory
-from motorapi.lock_file import LockFile
-from motorapi.process_lock import ProcessLock
-from motorapi.wall_runtime import WallRuntime
+from motorhil.motorapi.errors import MotorBusyError
+from motorhil.motorapi.locking.directory import LockDirectory
+from motorhil.motorapi.locking.lock_file import LockFile
+from motorhil.motorapi.locking.process_lock import ProcessLock
+from motorhil.motorapi.runtime.wall import WallRuntime
 
 PAGE = struct.Struct("<qqqqqq")  # over, last token, writing token, intruders, stale, writes
 NOTE = struct.Struct("<qq")  # token, 1 if taken over
@@ -68,7 +68,7 @@ def write(lock, page, chance):
         if token < last:
             add(page, 4)
         put(page, 1, max(token, last))
-        if chance.random() < 0.05:  # as long as on a slow bus: found out, not only by luck
+        if chance.random() < 0.05:  # as on a slow bus: detects a defect reliably
             select.select([], [], [], 0.005)
         else:
             until_ns = time.monotonic_ns() + 50_000
@@ -106,7 +106,7 @@ def work(folder, page, notes, chance, fault):
 
 
 def told(page, notes, counts):
-    """What has come of it so far."""
+    """Return the results so far."""
     data = Path(notes).read_bytes()
     taken = [NOTE.unpack_from(data, at) for at in range(0, len(data), NOTE.size)]
     _, _, _, intruders, stale, writes = PAGE.unpack_from(page)

@@ -1,4 +1,4 @@
-"""Lines on the wall whose other end takes nothing: who sends is told, and nobody waits for ever."""
+"""Wall-time lines whose peer accepts nothing: errors instead of endless waits."""
 
 import errno
 import os
@@ -11,19 +11,19 @@ import tty
 
 import pytest
 
-from motorapi.adaptations.modbus_line import ModbusLine, UnitClient
-from motorapi.byte_lines import SerialLine, TcpLine
-from motorapi.errors import LinkError
-from motorapi.lock_directory import LockDirectory
-from motorapi.process_lock import ProcessLock
-from motorapi.wall_runtime import WallRuntime
+from motorhil.motorapi.adaptations.modbus.client import ModbusLine, UnitClient
+from motorhil.motorapi.errors import LinkError
+from motorhil.motorapi.locking.directory import LockDirectory
+from motorhil.motorapi.locking.process_lock import ProcessLock
+from motorhil.motorapi.runtime.byte_streams import SerialLine, TcpLine
+from motorhil.motorapi.runtime.wall import WallRuntime
 from tests.emulators.modbus_bench import with_crc
 
 pytestmark = pytest.mark.wall
 
-MUCH = bytes(60_000)  # bytes; sent again and again, it fills whatever buffers there are
+MUCH = bytes(60_000)  # bytes; sent repeatedly, it fills all buffers
 TIMES = 400
-LONG_S = 60.0  # for a busy machine; nothing waits for it when all is well
+LONG_S = 60.0  # for a busy machine; without a failure nothing waits for it
 
 
 def fill(line):
@@ -31,7 +31,7 @@ def fill(line):
         line.send(MUCH)
 
 
-def test_a_connection_whose_other_end_reads_nothing_is_a_broken_link():
+def test_connection_with_an_unread_end_raises_link_error():
     with socket.create_server(("127.0.0.1", 0)) as server:
         line = TcpLine("127.0.0.1", server.getsockname()[1], runtime=WallRuntime())
         began_s = time.monotonic()
@@ -41,7 +41,7 @@ def test_a_connection_whose_other_end_reads_nothing_is_a_broken_link():
         line.close()
 
 
-def test_a_serial_line_that_takes_nothing_is_a_broken_link():
+def test_blocked_serial_line_raises_link_error():
     master, slave = pty.openpty()
     try:
         line = SerialLine(os.ttyname(slave), runtime=WallRuntime())
@@ -56,20 +56,22 @@ def test_a_serial_line_that_takes_nothing_is_a_broken_link():
 
 
 @pytest.mark.parametrize("call", ["tcgetattr", "tcsetattr", "tcflush"])
-def test_a_device_that_goes_while_it_is_opened_is_a_broken_link_with_the_remedy(call, monkeypatch):
+def test_device_lost_during_open_raises_with_a_remedy(call, monkeypatch):
     def gone(*args):
         raise termios.error(errno.EIO, "Input/output error")
 
     master, slave = pty.openpty()
     path = os.ttyname(slave)
     monkeypatch.setattr(termios, call, gone)
-    with pytest.raises(LinkError, match=rf"^{path}: .*Input/output error.*is it plugged in"):
+    with pytest.raises(
+        LinkError, match=rf"^{path}: .*Input/output error.*check that it is plugged in"
+    ):
         SerialLine(path, runtime=WallRuntime())
     os.close(slave)
     os.close(master)
 
 
-def test_a_speed_that_no_device_has_is_a_broken_link_with_the_settings():
+def test_unsupported_speed_raises_with_the_settings():
     master, slave = pty.openpty()
     with pytest.raises(LinkError, match=r"with 1099511627776 bit/s, parity E, 1 stop bits \("):
         SerialLine(os.ttyname(slave), baud_bit_s=1 << 40, runtime=WallRuntime())
@@ -78,7 +80,7 @@ def test_a_speed_that_no_device_has_is_a_broken_link_with_the_settings():
 
 
 def serve(master):
-    """Each request for a register is answered by its unit."""
+    """Answer each request for a register by its unit."""
     try:
         while request := os.read(master, 300):
             os.write(master, with_crc(request[:2] + b"\x02\x00" + request[:1]))
@@ -86,12 +88,13 @@ def serve(master):
         return
 
 
-def test_of_two_that_have_a_serial_device_open_nobody_reads_the_others_answers(tmp_path):
+def test_two_openers_of_a_device_read_only_their_answers(tmp_path):
     master, slave = pty.openpty()
     tty.setraw(slave)
     threading.Thread(target=serve, args=(master,), daemon=True).start()
     runtime, heard = WallRuntime(), {1: [], 2: []}
-    # Both are open before anybody asks: pyserial's open drops what has come, another's answer too.
+    # Both are opened before any request: pyserial's open drops received bytes, also another's
+    # answer.
     where = {"path": os.ttyname(slave), "baud_bit_s": 115_200, "parity": "N", "runtime": runtime}
     ports = {unit: SerialLine(**where) for unit in heard}
 

@@ -1,4 +1,4 @@
-"""Central servo on the wall clock, between processes: one at a time, and a dead one is missed."""
+"""Central servo on the wall clock between processes: exclusion, supervision."""
 
 import sys
 from pathlib import Path
@@ -21,7 +21,7 @@ node_id = 1
 """
 
 
-def test_a_killed_servo_is_missed_by_its_node_and_another_process_takes_over(tmp_path):
+def test_killed_servo_is_detected_and_another_takes_over(tmp_path):
     rig = tmp_path / "rig.toml"
     rig.write_text(RIG)
     done = motorhil("serve", str(rig), "--", sys.executable, SCRIPT)

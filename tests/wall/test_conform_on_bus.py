@@ -1,31 +1,29 @@
-"""`motorhil conform --on`: the clauses on drives of another process, on the wall clock."""
+"""`motorhil conform --on`: the clauses on drives of another process."""
 
 import json
 
 import pytest
 
-from harness.conformance.job import Job
-from harness.conformance.target import Target
-from harness.settings import RigError
+from motorhil.harness.conformance.examination import Target
+from motorhil.harness.conformance.worker import Job
+from motorhil.harness.rig.config.toml import RigError
+from motorhil.traces.mcap.reader import read_trace
 from tests.conformance.benches import RIGS
 from tests.wall.test_serve import MOTORHIL, motorhil
-from traces.reader import read_trace
 
 pytestmark = pytest.mark.wall
 
 
 @pytest.fixture
 def strict_rig(tmp_path):
-    """On it no motor can come to rest near enough to where it was."""
+    """Return a drive that no motor can bring to rest near enough to its start."""
     rig = tmp_path / "strict.toml"
     text = (RIGS / "cia402.toml").read_text()
     rig.write_text(text.replace("window_rad = 0.001", "window_rad = 1e-12"))
     return str(rig)
 
 
-def test_drives_of_another_process_are_checked_and_what_fails_leaves_its_record(
-    tmp_path, strict_rig
-):
+def test_conform_checks_foreign_drives_and_records_failures(tmp_path, strict_rig):
     hub, found = tmp_path / "hub", tmp_path / "found.json"
     clauses = [word for one in ("STATE-01", "MOVE-02", "UNIT-01") for word in ("--clause", one)]
     words = ("--rig", strict_rig, "--on", f"can0={hub}", "--json", str(found), *clauses)
@@ -53,22 +51,22 @@ def test_drives_of_another_process_are_checked_and_what_fails_leaves_its_record(
     [
         ("can0=/nowhere/hub", "--on can0=/nowhere/hub: "),
         ("can0=nosuch:1", "python-can has no interface 'nosuch'"),
-        ("can1=vcan0", "names no bus of the motors under test that is still free (can0)"),
-        ("=vcan0", "names no bus of the motors under test"),
+        ("can1=vcan0", "is not a free bus of the motors under test (can0)"),
+        ("=vcan0", "is not a free bus of the motors under test"),
     ],
 )
-def test_a_bus_that_cannot_be_reached_is_one_line(on, told):
+def test_unreachable_bus_is_a_one_line_error(on, told):
     with pytest.raises(RigError) as refused:
         Target(Job("cia402", on=(on,))).opener()()
     assert told in str(refused.value)
 
 
-def test_every_bus_of_the_motors_has_to_be_said(tmp_path):
+def test_missing_bus_of_a_motor_is_refused(tmp_path):
     rig = tmp_path / "rig.toml"
     text = (RIGS / "cia402.toml").read_text()
     second = '[bus.can1]\nbitrate_bit_s = 1_000_000\n\n[controller.right]\nkind = "cia402"\n'
     rig.write_text(
         text.replace('[controller.right]\nkind = "cia402"\nbus = "can0"', f'{second}bus = "can1"')
     )
-    with pytest.raises(RigError, match="nobody says where can1 is; add --on can1=WHERE"):
+    with pytest.raises(RigError, match="no place is given for bus can1; add --on can1=WHERE"):
         Target(Job("cia402", str(rig), on=("can0=vcan0",)))

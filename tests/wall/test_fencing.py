@@ -1,7 +1,7 @@
-"""A process that lost its drive while it was paused commands it no more when it goes on.
+"""Fencing of a process that lost its drive while paused.
 
-The evidence is the bus: what a further program on the hub heard after the takeover, but what the
-new owner and the drive have sent.
+The evidence is the bus: all frames that another program on the hub received after the takeover,
+except those of the new owner and of the drive.
 """
 
 import re
@@ -15,12 +15,13 @@ from pathlib import Path
 import can
 import pytest
 
-from emulators.cia402.factory import build
-from emulators.controller import ControllerContext
-from motorapi import ControlMode, MotorBusyError, WallRuntime
-from motorapi.adaptations.cia402 import Cia402HwMotor, Cia402Motor
-from motorapi.lock_directory import VARIABLE
-from motorapi.lock_view import read_process
+from motorhil.emulators.cia402.drive import build
+from motorhil.emulators.controller import ControllerContext
+from motorhil.motorapi import ControlMode, MotorBusyError, WallRuntime
+from motorhil.motorapi.adaptations.cia402.hardware import Cia402HwMotor
+from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
+from motorhil.motorapi.locking.directory import VARIABLE
+from motorhil.motorapi.locking.lock_status import read_process
 from tests.motorapi.adaptations.streaming import quintic, set_function
 from tests.wall.fenced_owner import MODEL, OPTIONS, open_bus
 from tests.wall.programs import LONG_S, Program
@@ -30,19 +31,19 @@ pytestmark = pytest.mark.wall
 
 SYNC, NMT, REQUEST = 0x080, 0x000, 0x601
 SET_POINTS = 0x301
-MARK = 0x7FF  # nobody's, and whatever else is to be sent goes first
+MARK = 0x7FF  # no node's identifier, and lowest priority
 RPDOS = tuple(base + node for base in (0x200, 0x300, 0x400, 0x500) for node in (1, 2))
 
 
 def is_commanding(can_id, data):
-    """Whether a frame may start or change a motion, or a setting: no upload, no abort."""
+    """Return whether a frame may start or change a motion, or a setting: no upload, no abort."""
     if can_id == REQUEST:
         return data[0] >> 5 not in (2, 3, 4, 5)
     return can_id in RPDOS or can_id in (SYNC, NMT, MARK)
 
 
 class Listener:
-    """Commanding frames on the bus, as a further program hears them."""
+    """The commanding frames on the bus, as another program receives them."""
 
     def __init__(self, path):
         self.frames = []
@@ -64,7 +65,7 @@ class Listener:
 
 
 class Sent:
-    """Commanding frames that the runtime has sent on the bus, once it has carried them."""
+    """The commanding frames that the runtime has sent, once they were on the bus."""
 
     def __init__(self, bus, runtime):
         self.frames = []
@@ -78,10 +79,10 @@ class Sent:
             self.frames.append((can_id, data))
 
     def mark(self, listener):
-        """All that anybody has sent so far is on the bus: how much of it is known there and here.
+        """Wait until all frames sent so far are on the bus; return the two numbers of them.
 
-        Where several have sent the hub reads one after another: what it read only after the first
-        mark is on the bus before the second.
+        With several senders, the hub reads one after another: all frames read after the first mark
+        are on the bus before the second.
         """
         for _ in range(2):
             self._marks += 1
@@ -96,7 +97,7 @@ class Sent:
 
 
 def not_of_the_heir(listener, sent, since):
-    """What was on the bus from one mark to another, which is made now, but what the heir sent."""
+    """Return the frames on the bus since a mark, except the heir's; makes a new mark."""
     heard_to, sent_to = sent.mark(listener)
     heard_from, sent_from = since
     heard = Counter(listener.frames[heard_from:heard_to])
@@ -104,7 +105,7 @@ def not_of_the_heir(listener, sent, since):
 
 
 class Heir:
-    """Another owner of the same drive; it knows what it has sent itself."""
+    """Another owner of the same drive, which records its own frames."""
 
     def __init__(self, path, runtime):
         self.bus = open_bus(path)
@@ -128,7 +129,7 @@ class Heir:
 
 
 class Stage:
-    """A hub with one drive; an owner in a process of its own, an heir here, and a listener."""
+    """A hub with one drive; an owner in a separate process, an heir here, and a listener."""
 
     def __init__(self, path, runtime, world):
         self.path = path
@@ -159,14 +160,14 @@ class Stage:
         self.wait_for(lambda: read_process(self.owner.pid)[0] in "Tt")
 
     def settle(self):
-        """What was sent so far is on the bus, and heard: a mark, for `others`."""
+        """Wait until all frames sent so far are on the bus; return a mark for `others`."""
         return self.heir.sent.mark(self.listener)
 
     def take_over(self, **how):
-        """The heir has reserved it; the owner is paused, and not in the middle of a write."""
+        """Let the heir reserve the drive while the owner is paused, but not within a write."""
         while True:
             self.pause()
-            self.settle()  # what it had handed over before is the hub's to carry, not to refuse
+            self.settle()  # frames handed over earlier are carried by the hub, not refused
             try:
                 self.reserved.enter_context(self.heir.motor.reserve("rescue", **how))
             except MotorBusyError as error:
@@ -177,11 +178,11 @@ class Stage:
                 return
 
     def others(self, since):
-        """Commanding frames on the bus that the heir has not sent, since then."""
+        """Return the commanding frames on the bus since then, except the heir's."""
         return not_of_the_heir(self.listener, self.heir.sent, since)
 
     def heard(self, since):
-        """As `others`, but only as far as they were heard by now."""
+        """Return the frames of `others`, as far as they were received by now."""
         heard, sent = since
         return Counter(self.listener.frames[heard:]) - Counter(self.heir.sent.frames[sent:])
 
@@ -214,7 +215,7 @@ def stage(tmp_path, monkeypatch):
 
 
 def lose(stage, how, word="stream 0", *, streams=False, **taking):
-    """The heir has the drive and has moved it; since when, for `others`."""
+    """Take the drive over and move it; return the mark of the takeover for `others`."""
     stage.begin(how, word)
     stage.wait_for(lambda: stage.set_points() > 20 or word == "run")
     stage.take_over(**taking)
@@ -227,7 +228,7 @@ def lose(stage, how, word="stream 0", *, streams=False, **taking):
     return since
 
 
-def test_not_one_frame_of_a_resumed_stream_reaches_the_bus(stage):
+def test_resumed_stream_sends_no_frame_on_the_bus(stage):
     since = lose(stage, "fenced", take_over=True)
     ended = r"owner: the motion was ended by pid \d+ \(.*, which took it over \(on demand\)"
     lost = r"hub node 1 was taken over \(on demand\) by pid \d+ .* for rescue"
@@ -251,7 +252,7 @@ def test_not_one_frame_of_a_resumed_stream_reaches_the_bus(stage):
     assert stage.owner.ask("wait") == "done"
 
 
-def test_the_next_owner_streams_with_a_sync_of_his_own_and_is_not_disturbed(stage):
+def test_next_owner_streams_undisturbed_with_its_own_sync(stage):
     since = lose(stage, "fenced", take_over=True, streams=True)
     assert stage.owner.ask("wait").startswith("interrupted ")
     stage.heir.motor.wait_until_done(LONG_S)
@@ -260,20 +261,20 @@ def test_the_next_owner_streams_with_a_sync_of_his_own_and_is_not_disturbed(stag
     assert Counter(stage.heir.sent.frames)[SYNC, b""] >= 200
 
 
-def test_a_lease_that_is_over_is_as_good_as_a_takeover(stage):
+def test_expired_lease_fences_like_a_takeover(stage):
     since = lose(stage, "fenced", "stream 0.3", timeout_s=LONG_S)
     assert stage.owner.ask("wait").startswith("interrupted ")
     assert stage.others(since) == Counter()
 
 
-def test_a_drive_that_moves_by_itself_is_brought_to_rest_and_then_left_alone(stage):
+def test_orphaned_motion_is_stopped_and_then_left_alone(stage):
     since = lose(stage, "fenced", "run", take_over=True)
     assert stage.owner.ask("write").startswith("busy ")
     assert stage.owner.ask("wait").startswith("interrupted ")
     assert stage.others(since) == Counter()
 
 
-def test_a_stream_that_fails_when_it_goes_on_does_not_halt_the_next_owner(stage):
+def test_failing_resumed_stream_does_not_halt_next_owner(stage):
     stage.begin("fenced")
     assert stage.owner.ask("spoil") == "spoilt"
     stage.take_over(take_over=True)
@@ -285,10 +286,10 @@ def test_a_stream_that_fails_when_it_goes_on_does_not_halt_the_next_owner(stage)
     assert stage.others(since) == Counter()
 
 
-def test_a_stop_that_was_under_way_does_not_stop_the_next_owner(stage):
+def test_repeated_stop_does_not_stop_the_next_owner(stage):
     stage.begin("fenced", "run")
     assert stage.owner.ask("wait") == "done"  # its velocity is reached
-    assert stage.owner.ask("stop") == "stopped"  # and said again every 0.1 s, until it stands
+    assert stage.owner.ask("stop") == "stopped"  # and repeated until standstill
     stage.take_over(take_over=True)
     since = stage.settle()
     stage.owner.signal(signal.SIGCONT)
@@ -298,7 +299,7 @@ def test_a_stop_that_was_under_way_does_not_stop_the_next_owner(stage):
     assert stage.owner.ask("write").startswith("busy ")
 
 
-def test_what_a_paused_process_has_armed_is_started_by_no_sync_after_a_takeover(stage):
+def test_sync_after_takeover_starts_no_armed_target(stage):
     stage.owner = Program("fenced_owner", stage.path, "fenced")
     assert stage.owner.hear() == "ready"
     stage.owner.say("group")
@@ -318,20 +319,20 @@ def test_what_a_paused_process_has_armed_is_started_by_no_sync_after_a_takeover(
     assert stage.heir.motor.position() == pytest.approx(begin, abs=1e-3)
 
 
-def test_the_hub_refuses_what_a_program_sends_that_does_not_look(stage):
+def test_hub_refuses_frames_of_a_careless_program(stage):
     since = lose(stage, "careless", take_over=True)
     stage.wait_for(lambda: any("are refused: token" in event for event in stage.events))
     sent = stage.others(since)
     assert not [can_id for can_id, _ in sent if can_id in RPDOS or can_id == REQUEST]
 
 
-def test_without_a_fence_its_set_points_do_reach_the_bus(stage):
+def test_unfenced_set_points_do_reach_the_bus(stage):
     since = lose(stage, "unfenced", take_over=True)
-    # Nobody waits for the motor there: who waits is told first, now and then, and ends the stream.
+    # No wait for the motor there: a waiting program might be notified first, and end the stream.
     stage.wait_for(lambda: any(SET_POINTS in frame for frame in stage.heard(since)))
 
 
-def test_the_hub_hears_who_owns_the_drive(stage):
+def test_hub_is_notified_of_the_owner(stage):
     lose(stage, "fenced", take_over=True)
     stage.owner.ask("wait")
     stage.settle()

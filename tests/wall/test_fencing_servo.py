@@ -1,4 +1,4 @@
-"""A servo of a process that lost its motor while it was paused: no output of it gets on the bus."""
+"""Fencing of a servo that lost its motor while paused."""
 
 import signal
 from contextlib import suppress
@@ -7,17 +7,17 @@ from pathlib import Path
 import can
 import pytest
 
-from emulators.cia401.factory import build
-from emulators.controller import ControllerContext
-from motorapi import (
+from motorhil.emulators.cia401.node import build
+from motorhil.emulators.controller import ControllerContext
+from motorhil.motorapi import (
     ControlMode,
     MotorBusyError,
     MotorError,
     TrapezoidalTrajectory,
     WallRuntime,
 )
-from motorapi.lock_directory import VARIABLE
-from motorapi.lock_view import read_process
+from motorhil.motorapi.locking.directory import VARIABLE
+from motorhil.motorapi.locking.lock_status import read_process
 from tests.wall.fenced_servo import servo_on
 from tests.wall.programs import LONG_S, Program
 from tests.wall.test_fencing import Listener, Sent, not_of_the_heir
@@ -29,7 +29,7 @@ OUTPUTS, ENABLE = 0x301, 0x201
 
 
 class Servos:
-    """A hub with one I/O node; an owner in a process of its own, and an heir here."""
+    """A hub with one I/O node; an owner in a separate process, and an heir here."""
 
     def __init__(self, path, how):
         self.path = path
@@ -55,12 +55,12 @@ class Servos:
         motor.wait_until_done(LONG_S)
 
     def others(self, since):
-        """Outputs and enable bits on the bus that the heir has not sent, since then."""
+        """Return the outputs and enable bits on the bus since then, except the heir's."""
         difference = not_of_the_heir(self.listener, self.sent, since)
         return [can_id for can_id, _ in difference if can_id in (OUTPUTS, ENABLE)]
 
     def other(self, since):
-        """There is one of them."""
+        """Return whether there is such a frame."""
         for _ in range(round(LONG_S / 0.02)):
             if self.others(since):
                 return
@@ -90,7 +90,7 @@ def servos(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("how", ["fenced", "unfenced"])
-def test_no_output_of_a_resumed_servo_reaches_the_bus(servos, how):
+def test_resumed_servo_sends_no_output_on_the_bus(servos, how):
     stage = servos(how)
     assert stage.owner.ask("look") == "holds"
     with pytest.raises(MotorBusyError, match="for survey"):

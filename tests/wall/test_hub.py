@@ -6,12 +6,12 @@ import threading
 import can
 import pytest
 
-from emulators.event_queue import EventQueue
-from emulators.hub import HubError, HubServer
-from emulators.media.can_bus import CanBus
-from emulators.serve import WallLoop
-from emulators.world import World
-from harness.hub_client import HubLink
+from motorhil.emulators.can.bus.bus import CanBus
+from motorhil.emulators.gateways.hub import HubError, HubServer
+from motorhil.emulators.gateways.loop import WallLoop
+from motorhil.emulators.simulation.event_queue import EventQueue
+from motorhil.emulators.simulation.world import World
+from motorhil.harness.python_can.hub_client import HubLink
 from tests.emulators.test_world import Echo
 
 pytestmark = pytest.mark.wall
@@ -48,14 +48,14 @@ def message(can_id, data=b""):
     return can.Message(arbitration_id=can_id, data=data, is_extended_id=False)
 
 
-def test_a_program_talks_to_a_controller_in_another_loop(path):
+def test_program_talks_to_a_controller_in_another_loop(path):
     with serving(path, Echo(0x180)), can.Bus(interface="emulated", channel=path) as bus:
         bus.send(message(0x100, b"\x2a"))
         answer = bus.recv(30.0)
     assert (answer.arbitration_id, bytes(answer.data), answer.is_rx) == (0x180, b"\x2a", True)
 
 
-def test_nothing_is_lost_and_everybody_hears_one_order(path):
+def test_all_clients_receive_all_frames_in_one_order(path):
     count = 3000
     with (
         serving(path),
@@ -76,7 +76,7 @@ def test_nothing_is_lost_and_everybody_hears_one_order(path):
     ]
 
 
-def test_own_frames_come_back_when_transmitted_if_asked_for(path):
+def test_own_frames_return_when_transmitted_if_requested(path):
     with (
         serving(path),
         can.Bus(interface="emulated", channel=path, receive_own_messages=True) as own,
@@ -88,7 +88,7 @@ def test_own_frames_come_back_when_transmitted_if_asked_for(path):
     assert echo.timestamp == heard.timestamp > 0.0
 
 
-def test_the_other_bus_is_another_bus(path):
+def test_two_buses_of_a_hub_are_separate(path):
     with (
         serving(path),
         can.Bus(interface="emulated", channel=path) as first,
@@ -98,34 +98,34 @@ def test_the_other_bus_is_another_bus(path):
         assert second.recv(0.2) is None
 
 
-def test_an_unknown_bus_is_refused_with_the_known_ones(path):
+def test_unknown_bus_is_refused_naming_the_known_ones(path):
     with (
         serving(path),
-        pytest.raises(can.CanInitializationError, match=r"no bus 'can9' here.*can1"),
+        pytest.raises(can.CanInitializationError, match=r"bus 'can9': not found.*can1"),
     ):
         can.Bus(interface="emulated", channel=path + "#can9")
 
 
-def test_a_stranger_is_told_so_in_words(path):
+def test_client_of_another_protocol_is_refused_in_words(path):
     with serving(path), socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as stranger:
         stranger.connect(path)
         stranger.send(b"\x01hello")
         assert stranger.recv(500).startswith(b"refused this is motorhil's hub")
 
 
-def test_nobody_there_says_how_to_start_one(path):
+def test_missing_hub_error_says_how_to_start_one(path):
     with pytest.raises(can.CanInitializationError, match="motorhil serve"):
         can.Bus(interface="emulated", channel=path)
 
 
-def test_a_hub_that_goes_away_is_an_error_not_silence(path):
+def test_lost_hub_raises_an_error(path):
     with serving(path):
         bus = can.Bus(interface="emulated", channel=path)
     with bus, pytest.raises(can.CanOperationError, match="closed the connection"):
         bus.recv(30.0)
 
 
-def test_a_bus_is_known_to_be_shut_down_before_its_connection_ends(path, monkeypatch):
+def test_bus_is_marked_shut_down_before_its_connection_ends(path, monkeypatch):
     known = []
     with serving(path):
         bus = can.Bus(interface="emulated", channel=path)
@@ -137,28 +137,28 @@ def test_a_bus_is_known_to_be_shut_down_before_its_connection_ends(path, monkeyp
     assert known == [True]
 
 
-def test_a_path_in_use_is_refused_and_a_dead_hubs_path_is_taken_over(path):
+def test_used_path_is_refused_and_a_dead_hubs_path_reused(path):
     queue = EventQueue()
     world = World(queue)
     world.add_bus(CanBus("can0"))
-    with serving(path), pytest.raises(HubError, match="in use by a hub"):
+    with serving(path), pytest.raises(HubError, match="in use by a running hub"):
         HubServer(path, world)
     with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as killed:
         killed.bind(path)
     HubServer(path, world).close()
 
 
-def test_a_file_in_the_way_is_left_alone(tmp_path):
+def test_regular_file_at_the_path_is_kept(tmp_path):
     world = World(EventQueue())
     world.add_bus(CanBus("can0"))
     file = tmp_path / "precious"
     file.write_text("keep")
-    with pytest.raises(HubError, match="no socket"):
+    with pytest.raises(HubError, match="not a socket"):
         HubServer(file, world)
     assert file.read_text() == "keep"
 
 
-def test_a_path_too_long_is_told_with_the_limit(tmp_path):
+def test_path_too_long_is_refused_with_the_limit(tmp_path):
     world = World(EventQueue())
     world.add_bus(CanBus("can0"))
     with pytest.raises(HubError, match="107 bytes"):
@@ -173,7 +173,7 @@ NO_FRAMES = {
 
 
 @pytest.mark.parametrize("frame", NO_FRAMES.values(), ids=NO_FRAMES)
-def test_who_sends_what_no_bus_carries_is_told_so_and_the_others_stay(path, frame):
+def test_invalid_frame_is_refused_and_other_clients_stay(path, frame):
     with serving(path, Echo(0x180)), can.Bus(interface="emulated", channel=path) as bus:
         with can.Bus(interface="emulated", channel=path) as broken:
             broken.transmit(frame)
@@ -183,20 +183,20 @@ def test_who_sends_what_no_bus_carries_is_told_so_and_the_others_stay(path, fram
         assert bytes(bus.recv(30.0).data) == b"\x2a"
 
 
-def test_there_is_room_for_many_and_the_next_is_told_so(path, monkeypatch):
-    monkeypatch.setattr("emulators.hub.CLIENTS_MAX", 2)
+def test_client_beyond_the_maximum_is_refused(path, monkeypatch):
+    monkeypatch.setattr("motorhil.emulators.gateways.hub.CLIENTS_MAX", 2)
     with (
         serving(path, Echo(0x180)),
         can.Bus(interface="emulated", channel=path) as bus,
         can.Bus(interface="emulated", channel=path),
     ):
-        with pytest.raises(can.CanInitializationError, match="2 programs are connected"):
+        with pytest.raises(can.CanInitializationError, match="too many programs; the limit is 2"):
             can.Bus(interface="emulated", channel=path)
         bus.send(message(0x100, b"\x2a"))
         assert bytes(bus.recv(30.0).data) == b"\x2a"
 
 
-def test_a_path_that_would_read_as_path_and_bus_is_refused(tmp_path):
+def test_path_that_looks_like_path_and_bus_is_refused(tmp_path):
     world = World(EventQueue())
     world.add_bus(CanBus("can0"))
     with pytest.raises(HubError, match=r"a#b.*'#'"):
@@ -204,12 +204,12 @@ def test_a_path_that_would_read_as_path_and_bus_is_refused(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-def test_a_hub_takes_only_its_own_socket_away(path):
+def test_hub_removes_only_its_own_socket(path):
     queue = EventQueue()
     world = World(queue)
     world.add_bus(CanBus("can0"))
     first = HubServer(path, world)
-    os.unlink(path)  # somebody tidied up
+    os.unlink(path)  # removed from outside
     second = HubServer(path, world)
     first.close()
     assert os.path.exists(path)

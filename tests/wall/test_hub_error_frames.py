@@ -1,4 +1,4 @@
-"""Error frames of the `emulated` interface over a hub's socket; who does not know them."""
+"""Error frames of the `emulated` interface over a hub, and older clients."""
 
 import os
 import sys
@@ -7,7 +7,7 @@ from pathlib import Path
 import can
 import pytest
 
-from emulators.hub import HubServer
+from motorhil.emulators.gateways.hub import HubServer
 from tests.harness.error_frames import PASSIVE, ErrorFrames
 from tests.wall.error_bench import ErrorBench
 
@@ -43,10 +43,12 @@ def bench(tmp_path):
 
 
 class TestOverAHub(ErrorFrames):
-    def test_an_error_is_a_record_of_its_own_that_older_clients_ignore(self, bench, monkeypatch):
-        """What is no traffic may not reach who would take it for some."""
+    def test_error_is_a_separate_record_ignored_by_old_clients(self, bench, monkeypatch):
+        """An error message must not reach a client that would take it for a data frame."""
         with bench.open() as bus, bench.open() as other:
-            monkeypatch.setattr("harness.hub_client.TOLD", 255)  # as before there was one
+            monkeypatch.setattr(
+                "motorhil.harness.python_can.hub_client.TOLD", 255
+            )  # as before the error
             bench.tell(bus, PASSIVE)
             other.send(can.Message(arbitration_id=0x123, is_extended_id=False))
             assert bus.recv(30.0).arbitration_id == 0x123

@@ -1,4 +1,4 @@
-"""CAN FD of the `emulated` interface over a hub's socket; clients that do not know it."""
+"""CAN FD over a hub, with clients that lack it."""
 
 import contextlib
 import select
@@ -7,13 +7,12 @@ import struct
 import can
 import pytest
 
-from emulators.hub import HubServer
-from emulators.hub_protocol import GREETING
-from emulators.media.can_frame import pack_fd
-from harness.hub_client import HubLink
-from harness.recording.places import parse_place
-from harness.recording.taps import HubClocks, HubTap
-from harness.replay.sinks import HubSink
+from motorhil.emulators.can.frame import pack_fd
+from motorhil.emulators.gateways.hub import HubServer
+from motorhil.emulators.simulation.ownership_notice import GREETING
+from motorhil.harness.python_can.hub_client import HubLink
+from motorhil.harness.recording.sources import HubClocks, HubTap, parse_place
+from motorhil.harness.replay.real_bus import HubSink
 from tests.harness.fd_frames import FdFrames, classical, fd_message
 from tests.wall.error_bench import ErrorBench
 
@@ -37,8 +36,8 @@ def bench(tmp_path_factory):
 
 
 class TestOverAHub(FdFrames):
-    def test_an_older_client_hears_no_frame_that_it_could_not_take(self, bench):
-        older = HubLink(bench.channel)  # its greeting is protocol 1's, as ever
+    def test_older_client_receives_no_fd_frame(self, bench):
+        older = HubLink(bench.channel)  # its greeting is protocol 1's
         with bench.open(fd=True) as bus:
             bus.send(fd_message(0x123, bytes(64)))
             bus.send(classical(0x124))
@@ -47,20 +46,20 @@ class TestOverAHub(FdFrames):
         assert (len(frame), frame[:2]) == (16, b"\x24\x01")
         assert GREETING == b"motorhil-hub 1 "
 
-    def test_a_frame_is_sent_as_a_driver_would_whatever_its_client_left_out(self, bench):
-        """Else what records the bus is handed a canfd_frame that is none (seen in `serve`)."""
+    def test_incomplete_frame_is_completed_as_a_driver_would(self, bench):
+        """Otherwise a recorder of the bus receives an invalid canfd_frame (seen in `serve`)."""
         raw = HubLink(bench.channel, True)
         with bench.open(fd=True) as bus:
-            flags_unknown, length = 0xF8, 9  # no FDF; and no length of CAN FD
+            flags_unknown, length = 0xF8, 9  # no FDF, and not a CAN FD length
             raw.send(struct.pack("<IBB2x64s", 0x123, length, flags_unknown, b"123456789"))
             raw.send(struct.pack("<IBB2x64s", 0x124, 65, 0x04, b""))
             heard = bus.recv(30.0)
             assert (heard.is_fd, bytes(heard.data)) == (True, b"123456789\0\0\0")
             with pytest.raises(can.CanOperationError, match="65 bytes of data"):
-                raw.receive(30.0)  # its own client is told, and has to go
+                raw.receive(30.0)  # its own client gets the error, and is disconnected
         raw.close()
 
-    def test_what_records_a_hub_and_sends_a_recording_to_it_has_all_its_frames(self, bench):
+    def test_recording_and_replaying_a_hub_keeps_all_fd_frames(self, bench):
         place = parse_place(bench.channel)
         tap, sink = HubTap(place, HubClocks([place])), HubSink(place)
         sent = pack_fd(0x123, bytes(64))
@@ -71,7 +70,7 @@ class TestOverAHub(FdFrames):
             assert [frame for _, _, frame in tap.read(0)] == [sent]
 
 
-def test_a_classical_bus_is_told_so_before_anything_is_sent(tmp_path):
+def test_fd_recording_for_a_classical_bus_is_refused(tmp_path):
     bench = HubBench(str(tmp_path / "hub"), None)
     try:
         with pytest.raises(can.CanInitializationError, match="bus can0 is classical CAN"):

@@ -1,9 +1,9 @@
-"""A hub keeps the frames of who has lost a motor off the bus, by the token of the ownership."""
+"""Fencing by a hub, by the token of each frame."""
 
 import can
 import pytest
 
-from emulators.hub_protocol import (
+from motorhil.emulators.simulation.ownership_notice import (
     RECORD_MAX,
     STALE,
     OwnershipNotice,
@@ -12,7 +12,7 @@ from emulators.hub_protocol import (
     unpack_owns,
     unpack_stale,
 )
-from motorapi.errors import MotorBusyError
+from motorhil.motorapi.errors import MotorBusyError
 from tests.wall.test_hub import message, serving
 
 pytestmark = pytest.mark.wall
@@ -35,7 +35,7 @@ def frame(value):
 
 
 def heard_until(witness, can_id):
-    """The first bytes of what was heard, before the frame that ends it."""
+    """Return the first bytes of the frames received before the frame that ends them."""
     values = []
     while True:
         one = witness.recv(30.0)
@@ -46,18 +46,18 @@ def heard_until(witness, can_id):
 
 
 def settled(bus, witness, can_id=0x700):
-    """What `bus` has sent so far is done."""
+    """Wait until all frames of `bus` so far are processed."""
     bus.send(message(can_id))
     return heard_until(witness, can_id)
 
 
 def refusal(bus):
-    """The hub's word has come to `bus`."""
+    """Wait until the hub's reply has come to `bus`."""
     while not bus._hub.stale:
         bus.recv(0.1)
 
 
-def test_a_frame_with_an_older_token_does_not_get_on_the_bus(path):
+def test_frame_with_an_older_token_is_not_sent_on_the_bus(path):
     with serving(path), opened(path) as old, opened(path) as new, opened(path) as witness:
         old.transmit_fenced(frame(1), NODE, 7)
         assert settled(old, witness) == [1]
@@ -70,7 +70,7 @@ def test_a_frame_with_an_older_token_does_not_get_on_the_bus(path):
         assert settled(new, witness, 0x703) == [5]
 
 
-def test_who_says_that_it_has_taken_a_motor_over_ends_the_other_ones_frames(path):
+def test_takeover_notice_ends_the_other_ones_frames(path):
     with serving(path), opened(path) as old, opened(path) as new, opened(path) as witness:
         old.transmit_fenced(frame(1), NODE, 7)
         assert settled(old, witness) == [1]
@@ -80,7 +80,7 @@ def test_who_says_that_it_has_taken_a_motor_over_ends_the_other_ones_frames(path
         assert settled(old, witness, 0x702) == []
 
 
-def test_who_only_waits_or_lets_go_takes_nothing(path):
+def test_waiting_or_releasing_takes_nothing(path):
     with serving(path), opened(path) as owner, opened(path) as other, opened(path) as witness:
         for action in (WAITING, RELEASED, LOST):
             other.announce_ownership(NODE, action, 1_000)
@@ -89,7 +89,7 @@ def test_who_only_waits_or_lets_go_takes_nothing(path):
         assert settled(owner, witness, 0x701) == [1]
 
 
-def test_who_was_refused_is_told_by_whom_and_its_next_command_raises(path):
+def test_refused_client_is_told_the_owner_and_raises_next(path):
     with serving(path), opened(path) as old, opened(path) as new, opened(path) as witness:
         new.announce_ownership(NODE, TAKEN_OVER, 8, purpose="rescue")
         assert settled(new, witness) == []
@@ -104,7 +104,7 @@ def test_who_was_refused_is_told_by_whom_and_its_next_command_raises(path):
         assert settled(old, witness, 0x701) == [3]
 
 
-def test_the_world_hears_of_a_refusal_once_and_of_every_word_about_ownership(path):
+def test_world_is_notified_of_refusals_once_and_ownership(path):
     events, notices = [], []
     with serving(path) as world, opened(path) as old, opened(path) as new, opened(path) as witness:
         world.tap_events(lambda time_ns, *event: events.append(event))
@@ -129,7 +129,7 @@ def test_the_world_hears_of_a_refusal_once_and_of_every_word_about_ownership(pat
     assert "refused: token 7, and node 3 is owned under token 8 by " in event[2]
 
 
-def test_one_that_leaves_with_motors_is_told_of_and_nobody_else(path):
+def test_leaving_client_with_motors_is_reported(path):
     events = []
     with serving(path) as world, opened(path) as witness:
         world.tap_events(lambda time_ns, *event: events.append(event))
@@ -167,7 +167,7 @@ def test_each_bus_has_motors_of_its_own(path):
         assert settled(bus, witness) == [1]
 
 
-def test_words_are_cut_so_that_a_record_holds_them():
+def test_long_texts_are_cut_to_fit_a_record():
     long = "\N{GREEK SMALL LETTER MU}" * 300
     record = pack_owns(OwnershipNotice(0xFFFF, 255, 2**64 - 1, long, long, "a\0b", long))
     assert len(record) <= RECORD_MAX
@@ -181,7 +181,7 @@ def test_words_are_cut_so_that_a_record_holds_them():
     assert unpack_stale(stale)[:2] == (NODE, 2**64 - 1)
 
 
-def test_what_is_no_word_about_ownership_is_ignored(path):
+def test_invalid_ownership_message_is_ignored(path):
     with serving(path), opened(path) as bus, opened(path) as witness:
         for rubbish in (b"\x04", b"\x05", b"\x05" * 32, b"\x04" * 26, b"\x0f", b"\x06rest"):
             bus._hub._send(rubbish)

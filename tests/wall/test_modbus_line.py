@@ -1,25 +1,25 @@
-"""Threads of one process that share a Modbus line, on the wall: one exchange at a time."""
+"""Threads of one process on a shared Modbus line."""
 
 import socket
 import threading
 
 import pytest
 
-from motorapi.adaptations.modbus_line import ModbusLine, UnitClient
-from motorapi.byte_lines import TcpLine
-from motorapi.errors import LinkError
-from motorapi.lock_directory import LockDirectory
-from motorapi.process_lock import ProcessLock
-from motorapi.wall_runtime import WallRuntime
+from motorhil.motorapi.adaptations.modbus.client import ModbusLine, UnitClient
+from motorhil.motorapi.errors import LinkError
+from motorhil.motorapi.locking.directory import LockDirectory
+from motorhil.motorapi.locking.process_lock import ProcessLock
+from motorhil.motorapi.runtime.byte_streams import TcpLine
+from motorhil.motorapi.runtime.wall import WallRuntime
 
 pytestmark = pytest.mark.wall
 
 THREADS, EXCHANGES = 3, 5
-LONG_S = 60.0  # for a busy machine; nothing waits for it when all is well
+LONG_S = 60.0  # for a busy machine; without a failure nothing waits for it
 
 
 def serve(server):
-    """Each request for one register is answered by its address (MODBUS TCP, MBAP header)."""
+    """Answer each request for one register by its address (MODBUS TCP, MBAP header)."""
     client = server.accept()[0]
     with client:
         heard = b""
@@ -32,7 +32,7 @@ def serve(server):
 
 
 class SlowLock:
-    """A lock between processes that takes its time, as one with system calls in it may."""
+    """A lock between processes that takes some time, as one with system calls may."""
 
     def __init__(self, lock):
         self.lock = lock
@@ -43,12 +43,12 @@ class SlowLock:
         self.inside += 1
         if self.inside > 1:
             self.met.set()
-        self.met.wait(0.01)  # for another thread that would come in as well
+        self.met.wait(0.01)  # for another thread that would enter as well
         self.inside -= 1
         return self.lock.acquire(*args)
 
 
-def test_threads_that_share_a_line_ask_one_after_another(tmp_path):
+def test_threads_on_a_shared_line_exchange_in_turn(tmp_path):
     runtime = WallRuntime()
     with socket.create_server(("127.0.0.1", 0)) as server:
         threading.Thread(target=serve, args=(server,), daemon=True).start()
@@ -80,7 +80,7 @@ def test_threads_that_share_a_line_ask_one_after_another(tmp_path):
 
 
 @pytest.mark.parametrize("end", ["ours", "theirs"])
-def test_a_connection_that_ends_fails_what_is_asked_on_it_and_no_other_wait(end):
+def test_ended_connection_fails_its_requests_only(end):
     runtime = WallRuntime()
     with socket.create_server(("127.0.0.1", 0)) as server:
         connection = TcpLine("127.0.0.1", server.getsockname()[1], runtime=runtime)
@@ -91,7 +91,7 @@ def test_a_connection_that_ends_fails_what_is_asked_on_it_and_no_other_wait(end)
         )
         assert len(other.recv(12)) == 12
         (connection if end == "ours" else other).close()
-        assert asked.join(LONG_S / 2)  # would raise what is not the asker's alone
+        assert asked.join(LONG_S / 2)  # would raise an error of another request
         assert isinstance(asked.error, LinkError)
         assert runtime.wait_until(lambda: False, 0.2) is False
         with pytest.raises(LinkError, match="has ended"):

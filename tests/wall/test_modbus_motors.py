@@ -1,4 +1,4 @@
-"""Motors on Modbus, on the wall: over TCP and over a serial line, served and recorded."""
+"""Modbus motors on the wall clock, served and recorded."""
 
 import socket
 import sys
@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from motorapi.byte_lines import SerialLine, TcpLine
-from motorapi.errors import LinkError, UsageError
+from motorhil.motorapi.errors import LinkError, UsageError
+from motorhil.motorapi.runtime.byte_streams import SerialLine, TcpLine
+from motorhil.traces.mcap.reader import read_trace
 from tests.wall.test_serve import motorhil
-from traces.reader import read_trace
 
 pytestmark = pytest.mark.wall
 
@@ -34,7 +34,7 @@ def free_port():
 
 
 @pytest.mark.parametrize("kind", ["tcp", "rtu"])
-def test_a_program_moves_a_served_drive_and_the_record_has_every_adu(tmp_path, kind):
+def test_program_moves_a_served_drive_and_all_adus_are_recorded(tmp_path, kind):
     rig, record = tmp_path / "rig.toml", tmp_path / "out.mcap"
     rig.write_text(RIG.format(kind=kind, settings=SETTINGS[kind]))
     where = f"127.0.0.1:{free_port()}" if kind == "tcp" else str(tmp_path / "tty")
@@ -48,11 +48,11 @@ def test_a_program_moves_a_served_drive_and_the_record_has_every_adu(tmp_path, k
     assert not Path(where).exists()
 
 
-def test_what_is_not_there_is_told_with_its_name(tmp_path):
+def test_missing_peer_is_named(tmp_path):
     port = free_port()
     with pytest.raises(LinkError, match=f"127.0.0.1:{port}: no connection"):
         TcpLine("127.0.0.1", port)
     with pytest.raises(LinkError, match="cannot be opened"):
         SerialLine(str(tmp_path / "tty"))
-    with pytest.raises(UsageError, match="no such line"):
+    with pytest.raises(UsageError, match="invalid setting"):
         SerialLine("/dev/null", parity="X")

@@ -1,4 +1,4 @@
-"""Processes that share a drive of a hub: who commanded it when, by the hub's record alone."""
+"""Ownership of a shared drive, reconstructed from the hub's record alone."""
 
 import os
 import signal
@@ -6,14 +6,14 @@ import subprocess
 
 import pytest
 
-from harness.ownership_record import Ended, read_ownership
-from motorapi.lock_directory import VARIABLE, LockDirectory
-from motorapi.lock_view import list_locks
+from motorhil.harness.recording.ownership import Ended, read_ownership
+from motorhil.motorapi.locking.directory import VARIABLE, LockDirectory
+from motorhil.motorapi.locking.lock_status import list_locks
+from motorhil.traces.mcap.protobuf import decode
+from motorhil.traces.mcap.reader import read_trace
+from motorhil.traces.schema import CAN_FRAME, LockAction
 from tests.wall.programs import LONG_S, Program
 from tests.wall.test_shared_drive import MODEL, SERVE, await_boot, folder, wait_for
-from traces.protobuf import decode
-from traces.reader import read_trace
-from traces.schema import CAN_FRAME, LockAction
 
 __all__ = ["folder"]
 
@@ -24,7 +24,7 @@ RIG = MODEL.parent / "two_wheels.toml"
 
 @pytest.fixture
 def recorded(tmp_path, folder):
-    """Calls what it is given with a way to start programs; the record of that, and their pids."""
+    """Call a function with a starter of programs; return their record and pids."""
 
     def run(story):
         path, record = tmp_path / "hub", tmp_path / "run.mcap"
@@ -53,7 +53,7 @@ def recorded(tmp_path, folder):
 
 
 def commands(record):
-    """(when, sender) of every RPDO of node 1, and of every request of an SDO download to it."""
+    """Return (time, sender) of every RPDO, and of every SDO download request, to node 1."""
     with read_trace(record) as trace:
         for _, time_ns, data in trace.messages(["/can/can0"]):
             frame = decode(CAN_FRAME, data)
@@ -65,12 +65,12 @@ def commands(record):
 
 
 def told(record, pids):
-    """(which process, what for, how it ended) of each tenure of the left wheel."""
+    """Return (process, purpose, end) of each tenure of the left wheel."""
     tenures = record.tenures["left"]
     return [(pids.index(one.pid), one.purpose or one.owner, one.ended) for one in tenures]
 
 
-def test_death_and_takeover_are_in_the_record_and_every_command_has_its_owner(recorded, folder):
+def test_record_has_death_takeover_and_owner_of_commands(recorded, folder):
     def story(start):
         dies, loses, takes = start(), start(), start()
         assert dies.ask("position") == "at 0.000"  # it sets the drive up
@@ -101,7 +101,7 @@ def test_death_and_takeover_are_in_the_record_and_every_command_has_its_owner(re
         (1, "slow", Ended.TAKEN_OVER),
         (2, "rescue", Ended.RELEASED),
     ]
-    assert [one.skipped for one in tenures] == [0] * 5  # nobody had it who did not tell
+    assert [one.skipped for one in tenures] == [0] * 5  # every owner has sent a notice
     assert tenures[3].noticed_ns > tenures[3].to_ns
     others = [
         (pids.index(one.pid), one.action, one.holder.partition(" (")[0])
@@ -111,7 +111,7 @@ def test_death_and_takeover_are_in_the_record_and_every_command_has_its_owner(re
     assert others == [
         (1, LockAction.REFUSED, f"pid {pids[0]}"),
         (1, LockAction.WAITING, f"pid {pids[0]}" if others[1][2] else ""),  # killed just then
-        (1, LockAction.BROKEN, ""),  # the dead do not say who they were
+        (1, LockAction.BROKEN, ""),  # a dead process does not say its name
         (2, LockAction.TAKEN_OVER, f"pid {pids[1]}"),
         (1, LockAction.LOST, f"pid {pids[2]}"),
         (1, LockAction.REFUSED, f"pid {pids[2]}"),

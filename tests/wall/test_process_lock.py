@@ -1,4 +1,4 @@
-"""The lock between processes, with processes that are nobody's relatives."""
+"""The lock between processes, with unrelated processes."""
 
 import contextlib
 import os
@@ -7,12 +7,12 @@ from pathlib import Path
 
 import pytest
 
-from emulators.event_queue import EventQueue
-from harness.virtual_time import VirtualRuntime
-from motorapi.errors import MotorBusyError
-from motorapi.lock_directory import LockDirectory
-from motorapi.process_lock import ProcessLock
-from motorapi.wall_runtime import WallRuntime
+from motorhil.emulators.simulation.event_queue import EventQueue
+from motorhil.harness.virtual_time.runtime import VirtualRuntime
+from motorhil.motorapi.errors import MotorBusyError
+from motorhil.motorapi.locking.directory import LockDirectory
+from motorhil.motorapi.locking.process_lock import ProcessLock
+from motorhil.motorapi.runtime.wall import WallRuntime
 from tests.wall.programs import Program
 
 pytestmark = pytest.mark.wall
@@ -22,7 +22,7 @@ LONG_S = 20.0
 
 @pytest.fixture
 def base(tmp_path, wall):
-    """The token before the first; programs tell theirs from there."""
+    """Return the token before the first; programs count their tokens from it."""
     lock = ProcessLock("pan", "the pan", LockDirectory(tmp_path))
     with lock.acquire(wall, "before everything") as hold:
         return hold.token
@@ -30,7 +30,7 @@ def base(tmp_path, wall):
 
 @pytest.fixture
 def programs(tmp_path, base):
-    """Starts programs; none is left."""
+    """Start programs; end all of them afterwards."""
     started = []
 
     def start(count=1):
@@ -56,7 +56,7 @@ def lock(tmp_path):
 
 
 def until_waiting(wall, lock, pids):
-    """These wait in the queue, in this order, and have said so."""
+    """Let these programs wait in the queue, in this order, until they have confirmed it."""
 
     def waiting():
         records = [one.record for _, one in lock.look().waiters]
@@ -70,7 +70,7 @@ def holder_pid(lock):
     return holder and holder.record and holder.record.pid
 
 
-def test_another_process_is_refused_and_told_who_has_it(programs, lock, wall, base):
+def test_second_process_is_refused_naming_the_holder(programs, lock, wall, base):
     drive = programs()
     assert drive.ask("take driving") == "has 1 True"
     with pytest.raises(MotorBusyError) as caught:
@@ -89,10 +89,10 @@ def test_another_process_is_refused_and_told_who_has_it(programs, lock, wall, ba
     assert refused.startswith(f"busy the pan is held by pid {os.getpid()} (")
     assert ") for looking around since 2" in refused
     hold.release()
-    assert not lock.acquire(wall, "again").changed_hands  # but for one who was refused, nobody
+    assert not lock.acquire(wall, "again").changed_hands  # only one was refused meanwhile
 
 
-def test_those_who_wait_have_it_in_the_order_of_asking(programs, lock, wall):
+def test_waiting_processes_are_served_in_order(programs, lock, wall):
     waiting = programs(8)
     hold = lock.acquire(wall, "first")
     for number, one in enumerate(waiting):
@@ -107,9 +107,7 @@ def test_those_who_wait_have_it_in_the_order_of_asking(programs, lock, wall):
     assert lock.look().holder is None
 
 
-def test_the_next_has_it_when_its_holder_is_killed_and_those_killed_waiting_are_passed_over(
-    programs, lock, wall, base
-):
+def test_killed_holder_and_killed_waiters_are_passed_over(programs, lock, wall, base):
     holder, dies, lives, last = waiting = programs(4)
     assert holder.ask("take holding") == "has 1 True"
     for number, one in enumerate(waiting[1:]):
@@ -127,7 +125,7 @@ def test_the_next_has_it_when_its_holder_is_killed_and_those_killed_waiting_are_
     assert lock.acquire(wall, "mine").token == base + 4
 
 
-def test_a_paused_holder_is_named_as_such_and_keeps_it(programs, lock, wall):
+def test_paused_holder_is_named_and_keeps_the_lock(programs, lock, wall):
     holder = programs()
     holder.ask("take thinking")
     holder.signal(signal.SIGSTOP)
@@ -139,7 +137,7 @@ def test_a_paused_holder_is_named_as_such_and_keeps_it(programs, lock, wall):
     lock.acquire(wall, "mine").release()
 
 
-def test_one_who_is_paused_while_it_waits_is_named_when_its_turn_has_come(programs, lock, wall):
+def test_waiter_paused_when_its_turn_comes_is_named(programs, lock, wall):
     waits, behind = programs(2)
     hold = lock.acquire(wall, "first")
     waits.say(f"take dozing {LONG_S}")
@@ -153,7 +151,7 @@ def test_one_who_is_paused_while_it_waits_is_named_when_its_turn_has_come(progra
     assert waits.hear() == "has 2 True"
 
 
-def test_who_gives_up_waiting_leaves_no_place_behind(programs, lock, wall):
+def test_abandoned_wait_leaves_no_place_behind(programs, lock, wall):
     gives_up, stays = programs(2)
     hold = lock.acquire(wall, "first")
     assert gives_up.ask("take a 0.05").startswith("busy the pan is held by pid ")
@@ -169,7 +167,7 @@ def test_who_gives_up_waiting_leaves_no_place_behind(programs, lock, wall):
 
 
 @pytest.mark.parametrize("how", ["fork", "child"])
-def test_a_child_of_a_dead_holder_does_not_keep_it(programs, lock, wall, how):
+def test_child_of_a_dead_holder_does_not_keep_the_lock(programs, lock, wall, how):
     holder = programs()
     holder.ask("take a")
     child = int(holder.ask(how).split()[1])
@@ -184,7 +182,7 @@ def test_a_child_of_a_dead_holder_does_not_keep_it(programs, lock, wall, how):
 
 
 @pytest.mark.parametrize("held", [True, False])
-def test_a_forked_child_is_another_process_and_has_nothing(programs, lock, held):
+def test_forked_child_is_another_process_without_the_lock(programs, lock, held):
     parent = programs()
     parent.ask("take a")
     if not held:
@@ -201,7 +199,7 @@ def test_a_forked_child_is_another_process_and_has_nothing(programs, lock, held)
         os.kill(child, signal.SIGKILL)
 
 
-def test_a_runtime_of_its_own_time_refuses_what_another_process_has(programs, lock, wall):
+def test_virtual_runtime_refuses_a_lock_of_another_process(programs, lock, wall):
     holder = programs()
     holder.ask("take a")
     virtual = VirtualRuntime(EventQueue())

@@ -1,4 +1,4 @@
-"""The buses of the wall's world that a recorded host drives, and the record of what is there."""
+"""Wall-time buses of a replayed host, and the record of their frames."""
 
 from threading import Event
 from uuid import uuid4
@@ -6,20 +6,20 @@ from uuid import uuid4
 import can
 import pytest
 
-from harness.recording.places import PlaceError, parse_place, places_of_buses
-from harness.replay.real_buses import DrivenBuses
+from motorhil.harness.recording.sources import PlaceError, parse_place, places_of_buses
+from motorhil.harness.replay.real_bus import DrivenBuses
+from motorhil.traces.formats.frames import Findings, classic
+from motorhil.traces.formats.registry import recorded_frames
+from motorhil.traces.mcap.reader import read_trace
+from motorhil.traces.mcap.records import MAGIC
+from motorhil.traces.schema import Direction
 from tests.golden import golden
-from traces.reader import read_trace
-from traces.records import MAGIC
-from traces.schema import Direction
-from traces.traffic import Findings, classic
-from traces.traffic_mcap import recorded_frames
 
 pytestmark = pytest.mark.wall
 
 
 class Hearing:
-    """Stands where the player does; `then` is what it does with a frame."""
+    """A stand-in for the player; `then` handles a frame."""
 
     def __init__(self, then=lambda: None):
         self.frames = []
@@ -51,7 +51,7 @@ def told(data):
     return can.Message(arbitration_id=0x185, data=data, is_extended_id=False)
 
 
-def test_what_is_sent_and_heard_is_recorded_with_whose_it_is(channel, peer, tmp_path):
+def test_sent_and_received_frames_are_recorded_with_sender(channel, peer, tmp_path):
     live = tmp_path / "live.mcap"
     with golden("cia402") as path, opened(channel, live, path) as driven:
         hearing = Hearing()
@@ -73,15 +73,15 @@ def test_what_is_sent_and_heard_is_recorded_with_whose_it_is(channel, peer, tmp_
         assert before.attachments
 
 
-def test_the_record_is_complete_only_when_nobody_hears_any_more(channel, peer, tmp_path):
-    """What comes while all is closed would else be told as a recording that is closed."""
+def test_record_is_complete_after_listening_has_ended(channel, peer, tmp_path):
+    """Frames that come during closing would be written to a closed recording."""
     live = tmp_path / "live.mcap"
     is_leaving = Event()
     completed = []
 
     def stay():
         is_leaving.wait(10.0)
-        Event().wait(0.2)  # in good order nothing comes of it
+        Event().wait(0.2)  # in the right order it has no effect
         completed.append(live.read_bytes().endswith(MAGIC) and live.stat().st_size > len(MAGIC))
 
     with golden("cia402") as path, opened(channel, live, path) as driven:
@@ -97,7 +97,7 @@ def test_the_record_is_complete_only_when_nobody_hears_any_more(channel, peer, t
 @pytest.mark.parametrize(
     ("bitrate_bit_s", "bit_ns"), [(None, 1_000), (125_000, 8_000), (500_000, 2_000)]
 )
-def test_how_long_a_bit_is_the_bit_rate_tells(channel, tmp_path, bitrate_bit_s, bit_ns):
+def test_bit_duration_follows_from_the_bit_rate(channel, tmp_path, bitrate_bit_s, bit_ns):
     with (
         golden("cia402") as path,
         opened(channel, tmp_path / "live.mcap", path, bitrate_bit_s) as driven,
@@ -105,7 +105,7 @@ def test_how_long_a_bit_is_the_bit_rate_tells(channel, tmp_path, bitrate_bit_s, 
         assert driven.bit_times_ns("can0") == (bit_ns, bit_ns)
 
 
-def test_places_are_for_the_bus_that_they_name_and_the_only_bus_needs_no_name():
+def test_place_applies_to_its_bus_or_to_the_only_one():
     two = places_of_buses(["can1=vcan3", "can0=./hub"], ["can0", "can1"])
     assert {bus: place.channel for bus, place in two.items()} == {"can1": "vcan3", "can0": "./hub"}
     assert places_of_buses(["vcan3"], ["can0"])["can0"].channel == "vcan3"
@@ -114,11 +114,11 @@ def test_places_are_for_the_bus_that_they_name_and_the_only_bus_needs_no_name():
 @pytest.mark.parametrize(
     ("texts", "why"),
     [
-        (["vcan3"], "there are frames of can0, can1; write --on can0=WHERE"),
-        (["can7=vcan3"], "there are frames of can0, can1; write --on can0=WHERE"),
-        (["can0=vcan3", "can0=vcan4"], "--on can0=vcan4: can0 is sent elsewhere already"),
+        (["vcan3"], "the recording has frames of can0, can1; write --on can0=WHERE"),
+        (["can7=vcan3"], "the recording has frames of can0, can1; write --on can0=WHERE"),
+        (["can0=vcan3", "can0=vcan4"], "--on can0=vcan4: can0 has a destination already"),
     ],
 )
-def test_a_place_for_no_bus_or_a_second_one_is_refused(texts, why):
+def test_place_for_an_unknown_bus_or_twice_is_refused(texts, why):
     with pytest.raises(PlaceError, match=why):
         places_of_buses(texts, ["can0", "can1"])

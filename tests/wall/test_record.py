@@ -1,4 +1,4 @@
-"""`motorhil record` as a user runs it: in a process of its own, ended in every way there is."""
+"""`motorhil record` in a separate process, with all kinds of ends."""
 
 import json
 import signal
@@ -9,21 +9,23 @@ from contextlib import ExitStack, contextmanager
 import can
 import pytest
 
-from harness.cli import main
-from harness.recording.loop import RecordingLoop
-from harness.recording.places import parse_place
-from harness.recording.pump import Pump, opener
-from harness.recording.python_can import PythonCanTap
-from harness.recording.series import Series
+from motorhil.harness.cli.main import main
+from motorhil.harness.recording.loop import RecordingLoop
+from motorhil.harness.recording.sources import PythonCanTap, parse_place
+from motorhil.harness.recording.writer import Pump, Series, opener
+from motorhil.traces.formats.frames import Findings, Frame, classic
+from motorhil.traces.formats.registry import record_frames, recorded_frames
+from motorhil.traces.mcap.reader import read_trace
 from tests.wall.test_hub import serving
-from traces.reader import read_trace
-from traces.traffic import Findings, Frame, classic
-from traces.traffic_mcap import record_frames, recorded_frames
 
 pytestmark = pytest.mark.wall
 
-MOTORHIL = (sys.executable, "-c", "import sys; from harness.cli import main; sys.exit(main())")
-COUNT = 200  # a socket holds 278 such frames for a recorder that has no turn meanwhile
+MOTORHIL = (
+    sys.executable,
+    "-c",
+    "import sys; from motorhil.harness.cli.main import main; sys.exit(main())",
+)
+COUNT = 200  # a socket buffers 278 such frames for a recorder without CPU time
 
 
 @pytest.fixture
@@ -35,7 +37,7 @@ def hub(tmp_path):
 
 @contextmanager
 def recording(*words):
-    """The command, which has begun to record; killed in the end if it still runs."""
+    """Start the command, wait until it records, and kill it at the end if it still runs."""
     pipe = subprocess.PIPE
     command = [*MOTORHIL, "record", *words]
     with subprocess.Popen(command, stdout=pipe, stderr=pipe, text=True) as process:
@@ -47,7 +49,7 @@ def recording(*words):
 
 
 def send(channel, count=COUNT, first=0):
-    """`count` frames have been on the bus."""
+    """Wait until `count` frames have been on the bus."""
     with can.Bus(interface="emulated", channel=channel, receive_own_messages=True) as bus:
         for number in range(first, first + count):
             data = number.to_bytes(2, "big")
@@ -66,7 +68,7 @@ def numbers(path, bus="can0"):
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_completes_the_file_with_everything_sent_before_it(hub, tmp_path, number):
+def test_signal_completes_the_file_with_all_frames(hub, tmp_path, number):
     file = tmp_path / "run.mcap"
     with recording("--on", hub, "--on", f"arm={hub}#can1", "-o", str(file)) as process:
         send(hub)
@@ -85,9 +87,7 @@ def test_a_signal_completes_the_file_with_everything_sent_before_it(hub, tmp_pat
         assert trace.span_ns()[1] < 1e11  # the hub's time, not the world's
 
 
-def test_what_a_hub_held_back_for_a_recorder_without_a_turn_is_recorded_before_it_ends(
-    hub, tmp_path
-):
+def test_frames_held_back_by_a_hub_are_recorded_at_the_end(hub, tmp_path):
     file = tmp_path / "run.mcap"
     with recording("--on", hub, "-o", str(file)) as process:
         process.send_signal(signal.SIGSTOP)
@@ -100,12 +100,12 @@ def test_what_a_hub_held_back_for_a_recorder_without_a_turn_is_recorded_before_i
     assert numbers(file) == list(range(4 * COUNT))
 
 
-def test_killed_it_leaves_what_was_there_a_second_ago(hub, tmp_path):
+def test_killed_recorder_leaves_all_but_the_last_second(hub, tmp_path):
     file = tmp_path / "run.mcap"
     with recording("--on", hub, "-o", str(file)) as process:
         send(hub)
         first = 0
-        while len(numbers(file)) < COUNT:  # as soon as the second is over in which they came
+        while len(numbers(file)) < COUNT:  # once the second of their arrival is over
             first += 1
             send(hub, 1, COUNT + first)
         process.kill()
@@ -117,7 +117,7 @@ def test_killed_it_leaves_what_was_there_a_second_ago(hub, tmp_path):
     assert found[:COUNT] == list(range(COUNT))
 
 
-def test_a_hub_that_goes_ends_the_recording_and_that_is_told(tmp_path):
+def test_lost_hub_ends_the_recording_with_a_message(tmp_path):
     path, file = str(tmp_path / "hub"), tmp_path / "run.mcap"
     with ExitStack() as hub:
         hub.enter_context(serving(path))
@@ -133,7 +133,7 @@ def test_a_hub_that_goes_ends_the_recording_and_that_is_told(tmp_path):
         assert trace.cut is None
 
 
-def test_rotation_and_the_summary_for_a_machine(hub, tmp_path):
+def test_rotation_and_machine_readable_summary(hub, tmp_path):
     file = tmp_path / "run.mcap"
     words = ("--on", hub, "-o", str(file), "--rotate-s", "0.01", "--json")
     with recording(*words) as process:
@@ -147,7 +147,7 @@ def test_rotation_and_the_summary_for_a_machine(hub, tmp_path):
     assert [n for path in told["files"] for n in numbers(path)] == list(range(COUNT))
 
 
-def test_any_interface_of_python_can_is_recorded_with_its_own_stamps(tmp_path):
+def test_any_python_can_interface_keeps_its_own_stamps(tmp_path):
     tap = PythonCanTap(parse_place("virtual:record"), {})
     file = str(tmp_path / "run.mcap")
     pump = Pump(["bench"], Series(file, opener(["bench"], {}, compact=False)))
@@ -176,13 +176,13 @@ def test_any_interface_of_python_can_is_recorded_with_its_own_stamps(tmp_path):
     ("words", "told"),
     [
         (("--on", "/nowhere/hub"), "no hub answers here"),
-        (("--on", "nonsense:1"), "has no interface 'nonsense'; it has"),
+        (("--on", "nonsense:1"), "has no interface 'nonsense'; available:"),
         (("--on", "a b"), "names no bus"),
         (("--on", "virtual:1", "--on", "virtual:1"), "is recorded already"),
-        (("--on", "a=virtual:1", "--on", "a=virtual:2"), "is called a already"),
+        (("--on", "a=virtual:1", "--on", "a=virtual:2"), "the name a is used already, by a="),
     ],
 )
-def test_what_cannot_be_recorded_is_one_line_and_no_file(capsys, tmp_path, words, told):
+def test_unrecordable_bus_is_one_line_and_no_file(capsys, tmp_path, words, told):
     file = tmp_path / "run.mcap"
     assert main(["record", *words, "-o", str(file)]) == 2
     err = capsys.readouterr().err
@@ -191,7 +191,7 @@ def test_what_cannot_be_recorded_is_one_line_and_no_file(capsys, tmp_path, words
     assert not file.exists()
 
 
-def test_a_file_that_would_be_lost_is_refused(capsys, tmp_path):
+def test_file_that_would_be_overwritten_is_refused(capsys, tmp_path):
     file = tmp_path / "precious.mcap"
     file.write_text("dear diary")
     for force in ((), ("--force",)):
@@ -202,7 +202,7 @@ def test_a_file_that_would_be_lost_is_refused(capsys, tmp_path):
     assert "mkdir -p" in capsys.readouterr().err
 
 
-def test_a_full_disk_is_one_line_and_the_summary(capsys):
+def test_full_disk_is_one_line_and_the_summary(capsys):
     assert main(["record", "--on", "virtual:1", "-o", "/dev/full", "--duration", "0.1"]) == 2
     said = capsys.readouterr()
     assert "cannot be written: no space left on device" in said.err
@@ -210,7 +210,7 @@ def test_a_full_disk_is_one_line_and_the_summary(capsys):
 
 
 @pytest.mark.parametrize("speed", ["1", "max"])
-def test_a_recording_sent_to_a_hub_is_on_its_bus_in_order(hub, tmp_path, capsys, speed):
+def test_recording_sent_to_a_hub_is_on_its_bus_in_order(hub, tmp_path, capsys, speed):
     sent = [Frame(k * 100_000, "can0", classic(0x123, k.to_bytes(2, "big"))) for k in range(COUNT)]
     path, file = str(tmp_path / "sent.mcap"), tmp_path / "run.mcap"
     record_frames(path, sent, {})

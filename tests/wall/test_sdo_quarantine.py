@@ -1,12 +1,12 @@
-"""An SDO channel whose last user was killed while it waited for an answer."""
+"""SDO quarantine after a process was killed during a transfer."""
 
 import can
 import pytest
 
-from motorapi.adaptations.canopen_link import open_link, release_link
-from motorapi.lock_directory import VARIABLE
-from motorapi.runtime import runtime_of
-from motorapi.wall_runtime import close_process_runtime
+from motorhil.motorapi.adaptations.canopen.bus import open_link, release_link
+from motorhil.motorapi.locking.directory import VARIABLE
+from motorhil.motorapi.runtime.api import runtime_of
+from motorhil.motorapi.runtime.wall import close_process_runtime
 from tests.wall.programs import Program
 from tests.wall.sdo_asker import channel_of
 from tests.wall.test_hub import serving
@@ -17,7 +17,7 @@ MS = 1_000_000
 
 
 class SlowServer:
-    """Answers an upload, the first one `late_ns` later, by how often it was asked before that."""
+    """A device that answers uploads with their number, the first one `late_ns` later."""
 
     def __init__(self, late_ns):
         self._late_ns = late_ns
@@ -68,14 +68,12 @@ class SlowServer:
         return False
 
 
-def test_the_answer_to_one_who_was_killed_is_not_taken_for_an_answer_to_the_next(
-    tmp_path, monkeypatch
-):
+def test_answer_to_a_killed_process_is_not_given_to_the_next(tmp_path, monkeypatch):
     locks = tmp_path / "locks"
     locks.mkdir(mode=0o700)
     monkeypatch.setenv(VARIABLE, str(locks))
     path = str(tmp_path / "hub")
-    server = SlowServer(3000 * MS)  # long enough to kill somebody and to ask again
+    server = SlowServer(3000 * MS)  # long enough for a kill and another request
     with serving(path, server), can.Bus(interface="emulated", channel=path) as bus:
         runtime = runtime_of(bus)
         link = open_link(bus, runtime)
@@ -86,7 +84,7 @@ def test_the_answer_to_one_who_was_killed_is_not_taken_for_an_answer_to_the_next
             assert runtime.wait_until(lambda: server.asked == 1, 20.0)
             dies.kill()
             assert channel.upload(0x1018, 1) == (2).to_bytes(4, "little")
-            assert channel.strays == 1  # it came, and was dropped; nothing was waited for longer
+            assert channel.strays == 1  # it came, and was dropped; there was no longer wait
             assert channel.upload(0x1018, 1) == (3).to_bytes(4, "little")
         finally:
             dies.end()

@@ -1,4 +1,4 @@
-"""`motorhil serve` as a user runs it: in a process of its own, on the wall clock."""
+"""`motorhil serve` in a separate process, on the wall clock."""
 
 import os
 import signal
@@ -9,16 +9,20 @@ from pathlib import Path
 import can
 import pytest
 
-from harness.scaffold import EXAMPLES
-from traces.reader import read_trace
+from motorhil.harness.rig.config.scaffold import EXAMPLES
+from motorhil.traces.mcap.reader import read_trace
 
 pytestmark = pytest.mark.wall
 
-MOTORHIL = (sys.executable, "-c", "import sys; from harness.cli import main; sys.exit(main())")
+MOTORHIL = (
+    sys.executable,
+    "-c",
+    "import sys; from motorhil.harness.cli.main import main; sys.exit(main())",
+)
 RIG = str(EXAMPLES / "two_wheels.toml")
 SCRIPT = (str(Path(__file__).parent / "patient_wheels.py"), str(EXAMPLES / "wheel_model.toml"))
 GOLDEN = Path(__file__).parents[2] / "traces" / "golden"
-REACHED = "1.000\n2.000 2.000\n"  # what the paper says of Algorithms 1 and 2
+REACHED = "1.000\n2.000 2.000\n"  # the paper on Algorithms 1 and 2
 
 
 def motorhil(*words, **options):
@@ -35,7 +39,7 @@ def one_line(text):
     return lines[0]
 
 
-def test_a_script_for_real_hardware_runs_unchanged_in_a_process_of_its_own(tmp_path):
+def test_real_hardware_script_runs_unchanged_beside_serve(tmp_path):
     record = tmp_path / "run.mcap"
     done = motorhil("serve", RIG, "-o", str(record), "--", sys.executable, *SCRIPT)
     assert (done.returncode, done.stderr, done.stdout) == (0, "", REACHED)
@@ -45,8 +49,8 @@ def test_a_script_for_real_hardware_runs_unchanged_in_a_process_of_its_own(tmp_p
     assert {"/can/can0", "/controller/left/truth"} <= topics
 
 
-def test_a_recording_stands_in_for_the_drives_in_real_time(tmp_path):
-    """Recorded in virtual time, served to a process of its own on the wall's."""
+def test_recording_replaces_the_drives_in_real_time(tmp_path):
+    """Recorded in virtual time, served to a separate process in wall time."""
     record = tmp_path / "bench.mcap"
     assert motorhil("run", RIG, "-o", str(record), *SCRIPT).stdout == REACHED
     done = motorhil("serve", str(record), "--", sys.executable, *SCRIPT)
@@ -55,8 +59,8 @@ def test_a_recording_stands_in_for_the_drives_in_real_time(tmp_path):
     assert "commands, all answered as recorded" in done.stderr
 
 
-def test_a_recorded_host_drives_drives_of_another_process_to_the_same(tmp_path):
-    """They have long booted: it resets them first. Two names for a bus, and the record of it."""
+def test_replayed_host_moves_served_drives_equally(tmp_path):
+    """The drives have booted long before, so it resets them first. One bus has two names here."""
     record, again = tmp_path / "bench.mcap", tmp_path / "again.mcap"
     assert motorhil("run", RIG, "-o", str(record), *SCRIPT).stdout == REACHED
     hub = tmp_path / "hub"
@@ -73,7 +77,7 @@ def test_a_recorded_host_drives_drives_of_another_process_to_the_same(tmp_path):
 @pytest.mark.parametrize(
     "words", [("--on", "/nowhere/hub"), ("--on", "can7=vcan7"), ("--on", "vcan77"), ("--on", "=x")]
 )
-def test_a_bus_that_the_recorded_host_cannot_reach_is_one_line(tmp_path, words):
+def test_unreachable_bus_of_a_replayed_host_is_one_line(tmp_path, words):
     record = str(GOLDEN / "cia402.mcap")
     done = motorhil("replay", record, "--as", "host", *words)
     assert (done.returncode, done.stdout) == (2, "")
@@ -83,12 +87,12 @@ def test_a_bus_that_the_recorded_host_cannot_reach_is_one_line(tmp_path, words):
 @pytest.mark.parametrize(
     ("ending", "status"), [("sys.exit(3)", 3), ("os.kill(os.getpid(), 9)", 137)]
 )
-def test_the_commands_status_is_ours(ending, status):
+def test_exit_status_of_the_command_is_passed_on(ending, status):
     done = motorhil("serve", RIG, "--", sys.executable, "-c", f"import os, sys; {ending}")
     assert (done.returncode, done.stderr) == (status, "")
 
 
-def test_a_command_is_told_where_each_bus_is(tmp_path):
+def test_command_gets_the_place_of_each_bus(tmp_path):
     rig = tmp_path / "rig.toml"
     rig.write_text("bus.can0.bitrate_bit_s = 1_000_000\nbus.arm-1.bitrate_bit_s = 500_000\n")
     script = tmp_path / "script.py"
@@ -102,18 +106,18 @@ def test_a_command_is_told_where_each_bus_is(tmp_path):
     assert (done.returncode, done.stderr, done.stdout) == (0, "", "can0\narm-1\ncan0\n")
 
 
-def test_a_command_that_is_not_there_is_one_line():
+def test_missing_command_is_one_line():
     done = motorhil("serve", RIG, "--", "no-such-command-at-all")
     assert done.returncode == 127
     assert "no-such-command-at-all: No such file" in one_line(done.stderr)
 
 
-def test_a_path_in_use_is_one_line_and_the_first_hub_serves_on(tmp_path):
+def test_used_path_is_one_line_and_the_first_hub_continues(tmp_path):
     path = tmp_path / "hub"
     inner = [*MOTORHIL, "serve", RIG, "--socket", str(path)]
     done = motorhil("serve", RIG, "--socket", str(path), "--", *inner)
     assert done.returncode == 2
-    assert f"{path}: in use by a hub that is running" in one_line(done.stderr)
+    assert f"{path}: in use by a running hub" in one_line(done.stderr)
     assert not path.exists()
 
 
@@ -125,27 +129,25 @@ def test_a_path_in_use_is_one_line_and_the_first_hub_serves_on(tmp_path):
         ("can0=", "--on can0=: names no interface; write --on can0=vcan0"),
     ],
 )
-def test_an_absent_bus_or_interface_is_one_line_with_a_remedy(on, reason):
+def test_absent_bus_or_interface_is_one_line_with_a_remedy(on, reason):
     done = motorhil("serve", RIG, "--on", on)
     assert done.returncode == 2
     assert reason in one_line(done.stderr)
 
 
-def test_two_dashes_without_a_command_are_one_line_not_a_server_without_end():
+def test_two_dashes_without_a_command_are_one_line():
     done = motorhil("serve", RIG, "--")
     assert done.returncode == 2
-    assert one_line(done.stderr) == (
-        "motorhil serve: no command after --; name one, or leave -- out"
-    )
+    assert one_line(done.stderr) == ("motorhil serve: no command after --; name one, or omit --")
 
 
-def test_a_seed_no_rig_can_have_is_wrong_usage():
+def test_invalid_seed_is_wrong_usage():
     done = motorhil("serve", RIG, "--seed", "-1", "--", "true")
     assert done.returncode == 2
     assert "argument --seed: invalid seed (0 to 4294967295) value: '-1'" in done.stderr
 
 
-def test_a_signal_stops_it_cleanly_and_leaves_no_socket(tmp_path):
+def test_signal_stops_serve_and_leaves_no_socket(tmp_path):
     path = tmp_path / "hub"
     record = tmp_path / "run.mcap"
     with subprocess.Popen(
@@ -154,7 +156,7 @@ def test_a_signal_stops_it_cleanly_and_leaves_no_socket(tmp_path):
         stderr=subprocess.PIPE,
         text=True,
     ) as server:
-        assert str(path) in server.stdout.readline()  # it says where, once it is there
+        assert str(path) in server.stdout.readline()  # it prints the place, once it exists
         with can.Bus(interface="emulated", channel=str(path)) as client:
             assert client.recv(20.0)  # a drive has booted
             server.send_signal(signal.SIGTERM)
@@ -177,7 +179,7 @@ def test_stopping_the_server_ends_the_command_too(tmp_path):
         assert server.wait(60) == 128 + signal.SIGTERM
 
 
-def test_a_hub_killed_without_mercy_leaves_a_readable_record(tmp_path):
+def test_killed_hub_leaves_a_readable_record(tmp_path):
     path = tmp_path / "hub"
     record = tmp_path / "run.mcap"
     command = [*MOTORHIL, "serve", RIG, "--socket", str(path), "-o", str(record)]
@@ -199,14 +201,14 @@ def test_a_hub_killed_without_mercy_leaves_a_readable_record(tmp_path):
     assert (again.returncode, again.stderr) == (0, "")
 
 
-def test_threads_that_share_a_drive_are_each_as_if_alone():
+def test_threads_that_share_a_drive_do_not_interfere():
     script = str(Path(__file__).parent / "threaded_wheels.py")
     done = motorhil("serve", RIG, "--", sys.executable, script, SCRIPT[1])
     assert (done.returncode, done.stderr) == (0, "")
     assert done.stdout == "0.24 12 ['done']\n"  # 4 threads, 3 moves of 0.02 rad
 
 
-def test_replay_that_is_terminated_leaves_no_folder(tmp_path):
+def test_terminated_replay_leaves_no_folder(tmp_path):
     record = str(GOLDEN / "cia402.mcap")
     left = tmp_path / "left"
     left.mkdir()

@@ -1,4 +1,4 @@
-"""Drives on a hub, shared by several programs: judged by their history, and by the bus alone."""
+"""Drives on a hub, shared by several programs."""
 
 import os
 import signal
@@ -6,9 +6,9 @@ import subprocess
 
 import pytest
 
-from harness.scaffold import EXAMPLES
-from harness.sharing.evidence import read_evidence
-from harness.sharing.processes import Plan, run
+from motorhil.harness.rig.config.scaffold import EXAMPLES
+from motorhil.harness.sharing_tests.bus_evidence import read_evidence
+from motorhil.harness.sharing_tests.processes import Plan, run
 from tests.wall.programs import LONG_S
 from tests.wall.test_shared_drive import SERVE, await_boot
 
@@ -20,7 +20,7 @@ NODES = {"left": ("can0", 1), "right": ("can0", 2)}
 
 @pytest.fixture
 def shared(tmp_path):
-    """Runs a plan on a hub of two wheels, and gives what came of it and what the bus proves."""
+    """Run a plan on a hub of two wheels; return its result and the evidence of the bus."""
 
     def on_hub(portion=1, **plan):
         path, record = tmp_path / f"hub{portion}", tmp_path / f"run{portion}.mcap"
@@ -53,10 +53,10 @@ def shared(tmp_path):
     return on_hub
 
 
-def test_two_groups_with_motors_in_opposite_orders_never_wait_for_each_other_for_ever(shared):
+def test_groups_in_opposite_orders_never_deadlock(shared):
     rounds = 500 * LONGER
     outcome, evidence = shared(
-        work="harness.sharing.drivers:work_groups",
+        work="motorhil.harness.sharing_tests.workers:work_groups",
         workers=2,
         seconds=60.0 * LONGER,
         facts={"rounds": rounds, "move_every": 250},
@@ -66,11 +66,11 @@ def test_two_groups_with_motors_in_opposite_orders_never_wait_for_each_other_for
     assert evidence.counts["left: own"] >= 4
 
 
-def test_with_kills_pauses_leases_and_takeovers_only_who_has_the_motor_commands_it(shared):
+def test_only_the_owner_commands_under_kills_and_takeovers(shared):
     for portion in (1, 3, 6):  # a busy machine gets more time
         outcome, evidence = shared(
             portion,
-            work="harness.sharing.drivers:work_motor",
+            work="motorhil.harness.sharing_tests.workers:work_motor",
             workers=4,
             seconds=8.0 * LONGER,
             kill_period_s=2.3,

@@ -1,4 +1,4 @@
-"""One drive on a hub, commanded from several processes that are nobody's relatives."""
+"""One drive on a hub, commanded by several unrelated processes."""
 
 import json
 import os
@@ -10,28 +10,32 @@ import sys
 import can
 import pytest
 
-from harness.scaffold import EXAMPLES
-from motorapi.lock_directory import VARIABLE, LockDirectory
-from motorapi.lock_view import list_locks
-from motorapi.wall_runtime import WallRuntime
+from motorhil.harness.rig.config.scaffold import EXAMPLES
+from motorhil.motorapi.locking.directory import VARIABLE, LockDirectory
+from motorhil.motorapi.locking.lock_status import list_locks
+from motorhil.motorapi.runtime.wall import WallRuntime
 from tests.wall.programs import LONG_S, Program
 
 pytestmark = pytest.mark.wall
 
-SERVE = (sys.executable, "-c", "import sys; from harness.cli import main; sys.exit(main())")
+SERVE = (
+    sys.executable,
+    "-c",
+    "import sys; from motorhil.harness.cli.main import main; sys.exit(main())",
+)
 MODEL = EXAMPLES / "wheel_model.toml"
 
 
 @pytest.fixture
 def folder(tmp_path):
-    """Where the locks are."""
+    """Use a separate folder for the locks."""
     path = tmp_path / "locks"
     path.mkdir(mode=0o700)
     return path
 
 
 def await_boot(path):
-    """Node 1 answers: what is asked of a drive before its boot-up (300 ms) is lost."""
+    """Wait until node 1 answers: requests before its boot-up (300 ms) are lost."""
     ask = can.Message(
         arbitration_id=0x601, data=bytes.fromhex("4000100000000000"), is_extended_id=False
     )
@@ -48,7 +52,7 @@ def await_boot(path):
 
 @pytest.fixture
 def hub(tmp_path):
-    """The path of a hub that serves two wheels."""
+    """Return the path of a hub that serves two wheels."""
     path = tmp_path / "hub"
     command = [*SERVE, "serve", str(EXAMPLES / "two_wheels.toml"), "--socket", str(path)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL) as server:
@@ -61,7 +65,7 @@ def hub(tmp_path):
 
 @pytest.fixture
 def programs(hub, folder):
-    """Starts programs on the hub; none is left."""
+    """Start programs on the hub; end all of them afterwards."""
     started = []
 
     def start(*names, channel=None):
@@ -81,7 +85,7 @@ def programs(hub, folder):
 
 @pytest.fixture
 def views(folder):
-    """The lock of the drive and that of its SDO channel, as anybody sees them."""
+    """Return the locks of the drive and of its SDO channel, as any process sees them."""
     return lambda: list_locks(LockDirectory(folder))
 
 
@@ -97,7 +101,7 @@ def waiters(views):
     return [one.record.pid for _, one in views()[0].waiters if one.record is not None]
 
 
-def test_who_has_a_motion_going_on_keeps_others_out_until_it_is_over(programs, views):
+def test_motion_excludes_others_until_it_is_over(programs, views):
     mast, drive = programs("mast", "drive")
     assert mast.ask("move 3") == "started"
     refused = drive.ask("move -1")
@@ -106,15 +110,15 @@ def test_who_has_a_motion_going_on_keeps_others_out_until_it_is_over(programs, v
         r" for start\(\) of mast since 20..-.*UTC \(\d+\.\d s ago\)",
         refused,
     )
-    assert drive.ask("position").startswith("at ")  # reading is free
+    assert drive.ask("position").startswith("at ")  # reading needs no ownership
     assert mast.ask("wait") == "done"
-    assert views()[0].holder is None  # let go by the event that ended it
+    assert views()[0].holder is None  # released by the event that ended it
     assert drive.ask("move -1") == "started"
     assert drive.ask("wait") == "done"
     assert drive.ask("position") == "at 2.000"
 
 
-def test_homing_that_nobody_waits_for_is_let_go_when_it_is_over(programs, views):
+def test_unawaited_homing_is_released_at_its_end(programs, views):
     mast, drive = programs("mast", "drive")
     assert mast.ask("move 0.2") == "started"
     assert mast.ask("wait") == "done"
@@ -124,14 +128,14 @@ def test_homing_that_nobody_waits_for_is_let_go_when_it_is_over(programs, views)
     assert drive.ask("move 0.1") == "started"
 
 
-def test_a_motion_that_nobody_waits_for_is_let_go_when_it_is_over(programs, views):
+def test_unawaited_motion_is_released_at_its_end(programs, views):
     mast = programs("mast")
     assert mast.ask("move 0.2") == "started"
     wait_for(lambda: views()[0].holder is None)
     assert mast.ask("position") == "at 0.200"
 
 
-def test_those_who_wait_have_their_turn_in_the_order_of_asking(programs, views):
+def test_waiting_programs_are_served_in_order(programs, views):
     first, second, third = programs("first", "second", "third")
     assert first.ask("reserve survey") == "reserved"
     second.say("move 0.1 60")
@@ -150,7 +154,7 @@ def test_those_who_wait_have_their_turn_in_the_order_of_asking(programs, views):
     assert third.ask("position") == "at 1.200"
 
 
-def test_list_motors_shows_who_has_each_and_who_waits(programs, hub, folder, views):
+def test_list_motors_shows_owners_and_waiting_programs(programs, hub, folder, views):
     mast, drive = programs("mast", "drive")
     assert mast.ask("reserve survey") == "reserved"
     drive.say("move 0.5 60")
@@ -173,10 +177,10 @@ def test_list_motors_shows_who_has_each_and_who_waits(programs, hub, folder, vie
     assert [one["pid"] for one in motor["waiters"]] == [drive.pid]
     mast.kill()
     drive.kill()
-    assert listed().split(None, 3)[3].strip() == "free; whoever had it last died with it"
+    assert listed().split(None, 3)[3].strip() == "free; its last owner died while it had it"
 
 
-def test_a_reservation_tells_what_for_and_ends_with_its_process(programs, views):
+def test_reservation_shows_its_purpose_and_ends_with_process(programs, views):
     mast, drive = programs("mast", "drive")
     assert mast.ask("reserve survey") == "reserved"
     assert "for survey (reserve() of mast) since" in drive.ask("move 1")
@@ -190,14 +194,14 @@ def test_a_reservation_tells_what_for_and_ends_with_its_process(programs, views)
     assert drive.ask("wait") == "done"
 
 
-def test_a_velocity_is_kept_until_it_is_stopped_and_anybody_may_stop_it(programs, views):
+def test_velocity_is_kept_until_stopped_by_any_program(programs, views):
     mast, drive = programs("mast", "drive")
     assert mast.ask("run 1.0") == "started"
     assert mast.ask("wait") == "done"  # reached
     assert drive.ask("move 1").startswith("busy drive is held by pid ")
     assert drive.ask("stop") == "stopped"
     assert drive.ask("wait") == "done"
-    mast.ask("stop")  # its own: it has learnt by now that it was stopped, or does so here
+    mast.ask("stop")  # its own: it has noticed the stop by now, or does so here
     mast.ask("wait")
     wait_for(lambda: views()[0].holder is None)
     assert drive.ask("move 0.1") == "started"
@@ -205,7 +209,7 @@ def test_a_velocity_is_kept_until_it_is_stopped_and_anybody_may_stop_it(programs
 
 
 @pytest.mark.parametrize("motion", ["move 20", "run 3"])
-def test_whose_motion_another_program_stops_is_told_and_can_go_on(programs, views, motion):
+def test_motion_stopped_by_another_is_reported_and_resumable(programs, views, motion):
     mast, drive = programs("mast", "drive")
     assert drive.ask("position").startswith("at ")
     assert mast.ask(motion) == "started"
@@ -213,12 +217,12 @@ def test_whose_motion_another_program_stops_is_told_and_can_go_on(programs, view
     told = "failed mast: the motion was ended by another program, which told the drive to stop"
     assert mast.ask("wait").startswith(f"{told} (controlword 010Fh) at ")
     assert drive.ask("wait") == "done"
-    wait_for(lambda: views()[0].holder is None)  # nobody moves it
+    wait_for(lambda: views()[0].holder is None)  # it does not move
     assert mast.ask("move 0.1") == "started"
     assert mast.ask("wait") == "done"
 
 
-def test_who_stops_it_while_another_program_does_hears_of_no_interruption(programs):
+def test_own_stop_beside_a_foreign_one_is_no_interruption(programs):
     mast, drive = programs("mast", "drive")
     assert drive.ask("position").startswith("at ")
     assert mast.ask("run 3") == "started"
@@ -228,9 +232,7 @@ def test_who_stops_it_while_another_program_does_hears_of_no_interruption(progra
     assert (mast.ask("wait"), drive.ask("wait")) == ("done", "done")
 
 
-def test_a_drive_that_moves_for_a_process_that_was_killed_is_halted_by_those_who_are_left(
-    programs, views
-):
+def test_drive_moving_for_a_killed_process_is_halted(programs, views):
     mast, drive = programs("mast", "drive")
     assert drive.ask("position") == "at 0.000"
     assert mast.ask("run 1.0") == "started"
@@ -238,7 +240,7 @@ def test_a_drive_that_moves_for_a_process_that_was_killed_is_halted_by_those_who
     mast.kill()
     positions = []
 
-    def stands():  # looked at every 10 ms, or less often
+    def stands():  # checked every 10 ms, or less often
         positions.append(drive.ask("position"))
         return len(positions) > 50 and len(set(positions[-50:])) == 1
 
@@ -252,7 +254,7 @@ def test_a_drive_that_moves_for_a_process_that_was_killed_is_halted_by_those_who
     assert not views()[0].abandoned
 
 
-def test_what_was_left_moving_is_brought_to_rest_before_it_is_commanded(programs):
+def test_drive_left_moving_is_stopped_before_its_next_command(programs):
     mast, drive = programs("mast", "drive")
     assert mast.ask("run 2.0") == "started"
     assert mast.ask("wait") == "done"
@@ -272,7 +274,7 @@ def test_low_level_access_keeps_other_processes_out(programs):
     assert drive.ask("wait") == "done"
 
 
-def test_what_one_process_has_written_another_does_not_believe_to_be_its_own(programs):
+def test_written_values_of_another_process_are_not_believed(programs):
     soft, hard = programs("soft", "hard")
     assert soft.ask("gain 60000") == "set"
     assert hard.ask("gain 50000") == "set"
@@ -283,7 +285,7 @@ def test_what_one_process_has_written_another_does_not_believe_to_be_its_own(pro
             assert program.ask("wait") == "done"
 
 
-def test_what_it_has_written_it_believes_as_long_as_nobody_else_had_the_motor(programs):
+def test_own_written_values_are_believed_while_owned(programs):
     alone = programs("alone")
     alone.ask("gain 60000")
     for _ in range(2):
@@ -293,18 +295,18 @@ def test_what_it_has_written_it_believes_as_long_as_nobody_else_had_the_motor(pr
     assert alone.ask("move 0.1") == "started"
     assert alone.ask("wait") == "done"
     after = alone.ask("downloads")
-    # the target and the edge of its controlword: nothing of profile, mode or gains
+    # the target and the edge of its controlword: no profile, mode or gains
     assert int(after.split()[1]) - int(before.split()[1]) <= 3
 
 
-def test_their_sdo_transfers_do_not_mix(programs):
+def test_sdo_transfers_of_processes_do_not_mix(programs):
     both = programs("one", "two")
     for program in both:
         program.say("read_many 300")
     assert [program.hear() for program in both] == ["same"] * 2
 
 
-def test_while_a_late_answer_may_come_no_other_process_asks(programs, views):
+def test_late_sdo_answer_blocks_requests_of_others(programs, views):
     mast, drive = programs("mast", "drive")
     assert mast.ask("read 1018 1").startswith("read ")
     assert mast.ask("impatient").startswith("failed node 1 on ")
@@ -314,7 +316,7 @@ def test_while_a_late_answer_may_come_no_other_process_asks(programs, views):
     wait_for(lambda: all(view.holder is None for view in views()))
 
 
-def test_one_who_is_killed_in_the_middle_of_a_transfer_blocks_nobody(programs, views):
+def test_process_killed_within_a_transfer_blocks_no_other(programs, views):
     dies, lives = programs("dies", "lives")
     dies.say("read_many 1000000")
     wait_for(lambda: any(view.holder for view in views() if view.name.endswith("-sdo")))
@@ -323,7 +325,7 @@ def test_one_who_is_killed_in_the_middle_of_a_transfer_blocks_nobody(programs, v
     assert lives.ask("move 0.1") == "started"
 
 
-def test_the_drive_is_the_same_whatever_path_leads_to_the_hub(programs, hub, tmp_path):
+def test_drive_is_the_same_by_any_path_to_the_hub(programs, hub, tmp_path):
     (tmp_path / "link").symlink_to(hub)
     mast = programs("mast")
     drive = programs("drive", channel=f"{tmp_path}/link#can0")
@@ -331,10 +333,10 @@ def test_the_drive_is_the_same_whatever_path_leads_to_the_hub(programs, hub, tmp
     assert drive.ask("move 1").startswith(f"busy drive is held by pid {mast.pid} ")
 
 
-def test_reading_disturbs_nobody_not_even_while_the_drive_moves(programs, views, tmp_path):
+def test_reading_does_not_disturb_a_moving_drive(programs, views, tmp_path):
     mast = programs("mast")
     assert mast.ask("run 0.5") == "started"
-    other = programs("other:50")  # it would have the drive tell its status less often
+    other = programs("other:50")  # it would make the drive send its status less often
     refused = other.ask("position")
     assert refused.startswith(f"busy {tmp_path}/hub node 1 is held by pid {mast.pid} "), refused
     late = programs("late")  # it joins while the other moves
@@ -348,5 +350,5 @@ def test_reading_disturbs_nobody_not_even_while_the_drive_moves(programs, views,
     wait_for(lambda: views()[0].holder is None)
     assert other.ask("position").startswith("at ")  # now it may set the drive up
     assert mast.ask("read 1800 5") == "read 50"
-    assert mast.ask("move 0.1") == "started"  # and so may this one, which looks what is there
+    assert mast.ask("move 0.1") == "started"  # and so may this one, which reads them
     assert mast.ask("read 1800 5") == "read 20"

@@ -1,4 +1,4 @@
-"""Set-points on the wall's clock, over a hub: all of them in order, and lateness is counted."""
+"""Streamed set-points on the wall clock, over a hub."""
 
 from pathlib import Path
 from time import monotonic
@@ -6,10 +6,12 @@ from time import monotonic
 import can
 import pytest
 
-from emulators.cia402.factory import build
-from emulators.controller import ControllerContext
-from motorapi import MotorModel, WallRuntime
-from motorapi.adaptations.cia402 import Cia402HwMotor, Cia402Motor, HwOptions
+from motorhil.emulators.cia402.drive import build
+from motorhil.emulators.controller import ControllerContext
+from motorhil.motorapi import MotorModel, WallRuntime
+from motorhil.motorapi.adaptations.cia402.bringup import HwOptions
+from motorhil.motorapi.adaptations.cia402.hardware import Cia402HwMotor
+from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
 from tests.motorapi.adaptations.streaming import quintic, set_function
 from tests.wall.test_hub import serving
 
@@ -18,7 +20,7 @@ pytestmark = pytest.mark.wall
 MODEL = MotorModel(name="wheel", velocity_max=3.0, acceleration_max=10.0)
 
 
-def test_a_host_that_is_late_takes_longer_and_says_so(tmp_path):
+def test_late_host_takes_longer_and_reports_it(tmp_path):
     path = str(tmp_path / "hub.sock")
     core = build({"node_id": 1}, ControllerContext(name="drive", folder=Path(), seed=1))
     runtime = WallRuntime()
@@ -52,7 +54,7 @@ def test_a_host_that_is_late_takes_longer_and_says_so(tmp_path):
         assert f"the host missed {stream.missed} periods" in times.source
         assert times.ended_ns is not None
         assert times.started_ns is not None
-        late = 1  # the first may be late by less than a period, which is none missed
+        late = 1  # the first may be late by less than a period, which misses none
         periods = 99 + stream.missed - late
         assert times.ended_ns - times.started_ns >= periods * 0.01 * 1e9
         assert abs(motor.position() - 0.5) < 0.001

@@ -1,4 +1,4 @@
-"""SYNC on a hub that several processes share: nobody fires what another has armed."""
+"""SYNC on a hub shared by processes: no process fires another's targets."""
 
 import os
 import signal
@@ -9,8 +9,8 @@ import time
 import can
 import pytest
 
-from motorapi.lock_directory import VARIABLE, LockDirectory
-from motorapi.lock_view import list_locks
+from motorhil.motorapi.locking.directory import VARIABLE, LockDirectory
+from motorhil.motorapi.locking.lock_status import list_locks
 from tests.motorapi.adaptations.conftest import HEAD, drive
 from tests.wall.programs import LONG_S, Program
 from tests.wall.test_shared_drive import SERVE, await_boot, wait_for
@@ -30,7 +30,7 @@ def folder(tmp_path):
 
 @pytest.fixture
 def hub(tmp_path):
-    """The path of a hub that serves five wheels."""
+    """Return the path of a hub that serves five wheels."""
     rig = tmp_path / "rig.toml"
     rig.write_text(HEAD + "".join(drive(f"wheel{one}", one) for one in range(1, DRIVES + 1)))
     path = tmp_path / "hub"
@@ -45,7 +45,7 @@ def hub(tmp_path):
 
 @pytest.fixture
 def programs(hub, folder):
-    """Starts programs on nodes of the hub; none is left."""
+    """Start programs on nodes of the hub; end all of them afterwards."""
     started = []
 
     def start(*node_ids, period_ms=20):
@@ -62,7 +62,7 @@ def programs(hub, folder):
 
 
 class Evidence:
-    """SYNCs and set-points on the hub's bus, in their order, as a further program hears them."""
+    """The SYNCs and set-points on the hub's bus, in order, as another program receives them."""
 
     def __init__(self, path):
         self.frames = []
@@ -80,7 +80,7 @@ class Evidence:
                 self.frames.append((message.arbitration_id, bytes(message.data)))
 
     def armed(self):
-        """Drives that have a new set-point, which no SYNC has fired yet."""
+        """Return the drives with a new set-point that no SYNC has fired yet."""
         waiting = set()
         for can_id, data in tuple(self.frames):
             if can_id == SYNC:
@@ -92,7 +92,7 @@ class Evidence:
         return waiting
 
     def fired(self):
-        """Which drives each SYNC has started, where it did."""
+        """Return the drives that each SYNC has started, if any."""
         result, waiting = [], {}
         for can_id, data in tuple(self.frames):
             if can_id == SYNC:
@@ -104,7 +104,7 @@ class Evidence:
         return result
 
     def hears(self, count):
-        """As `fired`, once it has heard of so many: what was told to others may come here later."""
+        """Return `fired` once it has this length; frames may arrive here later than elsewhere."""
         wait_for(lambda: len(self.fired()) >= count)
         return self.fired()
 
@@ -135,9 +135,7 @@ def waiters(folder, end):
 
 
 @pytest.mark.parametrize("other", ["group 0.01", "stream 0.01"])
-def test_a_start_of_another_process_never_fires_what_is_half_armed(
-    programs, evidence, folder, other
-):
+def test_start_of_another_process_fires_no_partial_group(programs, evidence, folder, other):
     first, second = programs(1, 2), programs(3, 4)
     first.say("hold 0.01")
     assert first.hear() == "armed"
@@ -157,9 +155,7 @@ def test_a_start_of_another_process_never_fires_what_is_half_armed(
         assert evidence.syncs() == 2
 
 
-def test_one_process_produces_sync_and_another_of_the_same_period_follows_it(
-    programs, evidence, folder
-):
+def test_second_process_of_equal_period_follows_the_sync(programs, evidence, folder):
     first, second, third = programs(1), programs(2), programs(3, 4)
     assert first.ask("stream 0.5 3") == "started"
     assert second.ask("stream 0.2 0.5") == "started"
@@ -179,7 +175,7 @@ def test_one_process_produces_sync_and_another_of_the_same_period_follows_it(
     assert first.ask("wait") == "done"
 
 
-def test_another_period_is_refused_and_the_process_named_that_produces_sync(programs):
+def test_other_period_is_refused_naming_the_process(programs):
     first, second = programs(1), programs(2, period_ms=10)
     assert first.ask("stream 0.2 2") == "started"
     refused = second.ask("stream 0.1")
@@ -190,9 +186,7 @@ def test_another_period_is_refused_and_the_process_named_that_produces_sync(prog
     assert second.ask("wait") == "done"
 
 
-def test_when_the_process_that_produces_sync_is_killed_another_goes_on_with_it(
-    programs, evidence, folder
-):
+def test_follower_takes_over_when_the_producer_is_killed(programs, evidence, folder):
     first, second = programs(1), programs(2)
     assert first.ask("stream 0.5 30") == "started"
     assert second.ask("stream 0.2 1.5") == "started"
@@ -205,7 +199,7 @@ def test_when_the_process_that_produces_sync_is_killed_another_goes_on_with_it(
     ] == [None]
 
 
-def test_what_a_killed_process_has_armed_never_begins_whoever_sends_sync(programs, evidence):
+def test_target_armed_by_a_killed_process_never_begins(programs, evidence):
     first, second = programs(1, 2), programs(3, 4)
     first.say("hold 0.3")
     assert first.hear() == "armed"
@@ -214,7 +208,7 @@ def test_what_a_killed_process_has_armed_never_begins_whoever_sends_sync(program
     assert second.ask("group 0.01") == "started"
     assert second.ask("wait") == "done"
     assert evidence.hears(1) == [{3, 4}]
-    assert evidence.syncs() == 2  # one takes out what was armed
+    assert evidence.syncs() == 2  # one clears the armed target
     third = programs(1, 2)
     assert third.ask("positions") == "0.000 0.000"
     assert third.ask("group 0.01") == "started"
@@ -222,9 +216,7 @@ def test_what_a_killed_process_has_armed_never_begins_whoever_sends_sync(program
     assert third.ask("positions") == "0.010 0.010"
 
 
-def test_who_takes_the_drives_that_a_killed_process_has_armed_starts_them_for_himself(
-    programs, evidence
-):
+def test_drives_armed_by_a_killed_process_can_be_started(programs, evidence):
     first, second, other = programs(1, 2), programs(1), programs(3, 4)
     first.say("hold 0.3")
     assert first.hear() == "armed"
@@ -238,9 +230,7 @@ def test_who_takes_the_drives_that_a_killed_process_has_armed_starts_them_for_hi
     assert evidence.hears(1) == [{3, 4}]
 
 
-def test_a_process_that_is_paused_in_its_turn_is_named_and_starts_all_of_its_group_later(
-    programs, evidence
-):
+def test_process_paused_in_its_turn_is_named_and_starts_later(programs, evidence):
     first, second = programs(1, 2), programs(3, 4)
     first.say("hold 0.01")
     assert first.hear() == "armed"
@@ -258,7 +248,7 @@ def test_a_process_that_is_paused_in_its_turn_is_named_and_starts_all_of_its_gro
     assert evidence.hears(2) == [{1, 2}, {3, 4}]
 
 
-def test_list_motors_shows_who_produces_sync_and_no_lock_that_is_had_for_a_moment(programs, folder):
+def test_list_motors_shows_sync_producer_not_brief_locks(programs, folder):
     def listed():
         env = {**os.environ, VARIABLE: str(folder)}
         command = [*SERVE, "list", "motors"]
@@ -276,12 +266,12 @@ def test_list_motors_shows_who_produces_sync_and_no_lock_that_is_had_for_a_momen
 
 
 ROUNDS_VARIABLE = "MOTORHIL_ROUNDS"
-"""How many rounds each of two processes makes; issue 4 asks for 1000, which takes ten minutes."""
+"""The rounds of each of two processes; issue 4 requires 1000, which takes ten minutes."""
 
 PORTION = 10
 
 
-def test_groups_that_share_motors_in_opposite_orders_finish_every_round(programs):
+def test_groups_in_opposite_orders_finish_every_round(programs):
     begun_s = time.monotonic()
     both = programs(1, 2), programs(2, 1)
     rounds = int(os.environ.get(ROUNDS_VARIABLE, "10"))

@@ -1,4 +1,4 @@
-"""A lock is taken from processes that live: paused, stalled, or just in the way."""
+"""Takeover of a lock from living processes: paused, stalled, or holding it."""
 
 import json
 import os
@@ -9,7 +9,7 @@ from itertools import pairwise
 
 import pytest
 
-from motorapi.errors import MotorBusyError
+from motorhil.motorapi.errors import MotorBusyError
 from tests.wall.takeover_stress import ENOUGH
 from tests.wall.test_process_lock import (
     LONG_S,
@@ -34,15 +34,13 @@ def pause(wall, lock, program):
     assert wall.wait_until(lambda: lock.look().holder.is_paused, LONG_S)
 
 
-def test_from_a_paused_process_it_is_taken_on_demand_and_that_one_cannot_write_any_more(
-    programs, lock, wall, base
-):
+def test_paused_process_loses_the_lock_and_cannot_write(programs, lock, wall, base):
     holder = programs()
     assert holder.ask("take thinking") == "has 1 True"
     assert holder.ask("write") == "wrote 1"
     pause(wall, lock, holder)
     with pytest.raises(
-        MotorBusyError, match=rf"paused.*; let it go on \(kill -CONT {holder.pid}\), or end it"
+        MotorBusyError, match=rf"paused.*; continue it \(kill -CONT {holder.pid}\), or end it"
     ):
         lock.acquire(wall, "mine", timeout_s=0.05)
     hold = lock.acquire(wall, "rescue", take_over=True)
@@ -58,7 +56,7 @@ def test_from_a_paused_process_it_is_taken_on_demand_and_that_one_cannot_write_a
     assert holder.ask("renew") == told.replace("write", "renew") or "taken over" in told
     assert holder.ask("held").startswith(f"held False, lost to pid {os.getpid()} (")
     assert holder.ask("release") == "released"
-    assert lock.look().holder.record.number == hold.token  # what the loser did touched nothing
+    assert lock.look().holder.record.number == hold.token  # the loser's actions touched nothing
     assert lock.begin_write() == hold.token
     lock.end_write()
     assert holder.ask("take again").startswith(f"busy the pan is held by pid {os.getpid()} (")
@@ -66,12 +64,10 @@ def test_from_a_paused_process_it_is_taken_on_demand_and_that_one_cannot_write_a
     assert holder.ask("take again") == "has 3 True"
 
 
-def test_while_he_uses_it_a_lease_lasts_and_when_he_is_paused_the_first_who_waits_has_it(
-    programs, lock, wall
-):
+def test_lease_lasts_while_used_and_passes_on_when_paused(programs, lock, wall):
     holder, first, second = programs(3)
     for one in (first, second):
-        assert one.ask("write").startswith("busy")  # it is there
+        assert one.ask("write").startswith("busy")  # it exists
     assert holder.ask(f"lease driving {LONG_LEASE_S}") == "has 1 True"
     first.say(f"take first {LONG_S}")
     until_waiting(wall, lock, [first.pid])
@@ -94,9 +90,7 @@ def test_while_he_uses_it_a_lease_lasts_and_when_he_is_paused_the_first_who_wait
     assert second.hear() == "has 3 True"
 
 
-def test_one_who_is_paused_in_the_middle_of_a_write_is_named_and_keeps_it_so_long(
-    programs, lock, wall, base
-):
+def test_holder_paused_within_a_write_is_named_and_keeps_it(programs, lock, wall, base):
     holder = programs()
     holder.ask(f"lease driving {LEASE_S}")
     assert holder.ask("begin") == "began"
@@ -114,7 +108,7 @@ def test_one_who_is_paused_in_the_middle_of_a_write_is_named_and_keeps_it_so_lon
     assert holder.ask("begin").startswith("busy")
 
 
-def test_it_is_taken_from_one_after_the_other_and_each_loser_knows_to_whom(programs, lock, wall):
+def test_repeated_takeover_names_the_taker_to_each_loser(programs, lock, wall):
     several = programs(5)
     assert several[0].ask("take p0") == "has 1 True"
     for number, one in enumerate(several[1:], 1):
@@ -129,7 +123,7 @@ def test_it_is_taken_from_one_after_the_other_and_each_loser_knows_to_whom(progr
     assert not hold.was_taken_over
 
 
-def test_a_taker_that_is_killed_leaves_it_to_the_next(programs, lock, wall, base):
+def test_killed_taker_leaves_the_lock_to_the_next(programs, lock, wall, base):
     holder, taker = programs(2)
     holder.ask("take a")
     pause(wall, lock, holder)
@@ -143,9 +137,7 @@ def test_a_taker_that_is_killed_leaves_it_to_the_next(programs, lock, wall, base
     assert holder.ask("take a").startswith("has 4 ")
 
 
-def test_those_who_wait_in_the_kernel_behind_a_paused_holder_are_prompt_after_a_takeover(
-    programs, lock, wall
-):
+def test_waiters_behind_a_paused_holder_are_prompt_after_it(programs, lock, wall):
     holder, waits = programs(2)
     holder.ask("take a")
     pause(wall, lock, holder)
@@ -160,13 +152,11 @@ def test_those_who_wait_in_the_kernel_behind_a_paused_holder_are_prompt_after_a_
     assert holder.ask("held").startswith("held False")
 
 
-def test_one_who_holds_it_by_a_file_that_was_removed_cannot_write_once_somebody_has_the_new_one(
-    programs, lock, wall, base, tmp_path
-):
+def test_holder_of_a_removed_file_cannot_write_after_another(programs, lock, wall, base, tmp_path):
     holder = programs()
     holder.ask("take a")
     (tmp_path / "pan").unlink()
-    assert holder.ask("write") == "wrote 1"  # nobody else has it
+    assert holder.ask("write") == "wrote 1"  # no other process has it
     with lock.acquire(wall, "mine") as hold:
         assert hold.token > base + 1
         told = holder.ask("write")
@@ -174,7 +164,7 @@ def test_one_who_holds_it_by_a_file_that_was_removed_cannot_write_once_somebody_
     assert holder.ask("release") == "released"
 
 
-def test_a_taker_that_dies_at_any_step_leaves_it_as_it_was_or_abandoned(programs, lock, wall):
+def test_taker_killed_at_any_step_leaves_it_held_or_abandoned(programs, lock, wall):
     holder = programs()
     outcomes = []
     for step in range(1, 40):
@@ -203,7 +193,7 @@ def test_a_taker_that_dies_at_any_step_leaves_it_as_it_was_or_abandoned(programs
             break
     assert not died
     assert outcomes[0] == "as it was"
-    assert outcomes == sorted(outcomes, reverse=True)  # one step settles it
+    assert outcomes == sorted(outcomes, reverse=True)  # one step decides
     assert outcomes.count("as it was") >= 5
     assert outcomes.count("abandoned") >= 2
 
@@ -215,15 +205,15 @@ def stress(seconds, seed, fault=""):
     return json.loads(done.stdout)
 
 
-def test_of_many_who_take_it_from_each_other_paused_and_killed_anywhere_one_writes_at_a_time():
+def test_one_writes_at_a_time_under_pauses_kills_takeovers():
     told = stress(2.0, 1)
     assert (told["intruders"], told["stale"], told["repeated"]) == (0, 0, 0)
     assert all(told[one] >= enough for one, enough in ENOUGH.items()), told
 
 
-def test_a_write_that_is_not_closed_against_takeovers_is_found_out():
+def test_stress_detects_a_write_open_to_takeovers():
     assert stress(0.0, 1, "no fence")["intruders"] > 0
 
 
-def test_a_write_without_a_look_whether_it_is_still_his_is_found_out():
+def test_stress_detects_a_write_without_epoch_check():
     assert stress(0.0, 3, "no look")["stale"] > 0

@@ -1,4 +1,4 @@
-"""Two programs that share a motor, one of which is killed: and nothing is ever left behind."""
+"""Two programs that share a motor, one of them killed: no remains."""
 
 import os
 import re
@@ -13,20 +13,20 @@ from pathlib import Path
 
 import pytest
 
-from harness import two_processes
-from harness.ownership_record import Ended, read_ownership
-from motorapi.lock_view import read_process
+from motorhil.harness.cli import demo_two_processes as two_processes
+from motorhil.harness.recording.ownership import Ended, read_ownership
+from motorhil.motorapi.locking.lock_status import read_process
+from motorhil.traces.mcap.reader import read_trace
+from motorhil.traces.schema import LockAction
 from tests.wall.programs import LONG_S
-from traces.reader import read_trace
-from traces.schema import LockAction
 
 pytestmark = pytest.mark.wall
 
-DEMO = (sys.executable, "-m", "harness", "demo", "--two-processes")
+DEMO = (sys.executable, "-m", "motorhil", "demo", "--two-processes")
 
 
 class Demo:
-    """The demo, running, with its temporary files in a folder of its own."""
+    """The running demo, with its temporary files in a separate folder."""
 
     def __init__(self, folder, **options):
         self.temporary = folder / "tmp"
@@ -43,7 +43,7 @@ class Demo:
         self.told = []
 
     def hear(self, text):
-        """It has told something with this in it."""
+        """Wait until it has printed a line with this text."""
         while True:
             assert select.select([self.process.stderr], [], [], LONG_S)[0], self.told
             line = self.process.stderr.readline()
@@ -53,7 +53,7 @@ class Demo:
                 return
 
     def programs(self):
-        """What tells of each of its two programs when it has ended."""
+        """Return the pipes that show the end of each of its two programs."""
         pid = self.process.pid
         with open(f"/proc/{pid}/task/{pid}/children") as children:
             pids = [int(word) for word in children.read().split()]
@@ -61,7 +61,7 @@ class Demo:
         return [os.pidfd_open(pid) for pid in pids]
 
     def end(self):
-        """(standard output, standard error) to its end."""
+        """Return (standard output, standard error) to its end."""
         out, err = self.process.communicate(timeout=2 * LONG_S)
         return out, "".join(self.told) + err
 
@@ -82,7 +82,7 @@ def demo():
 
 
 def left_behind(demo):
-    """The processes that the demo has started and that still run, itself included."""
+    """Return the running processes that the demo has started, itself included."""
     mark = f"TMPDIR={demo.temporary}".encode()
     left = []
     for folder in Path("/proc").glob("[0-9]*"):
@@ -93,7 +93,7 @@ def left_behind(demo):
 
 
 def ended(programs):
-    """Whether all of them end soon, however they do."""
+    """Return whether all of them end soon, in any way."""
     try:
         return all(select.select([program], [], [], LONG_S)[0] for program in programs)
     finally:
@@ -101,7 +101,7 @@ def ended(programs):
             os.close(program)
 
 
-def test_the_one_that_is_left_finishes_and_the_record_shows_why(demo):
+def test_surviving_program_finishes_and_the_record_says_why(demo):
     running = demo()
     out, err = running.end()
     assert running.process.returncode == 0, err
@@ -114,16 +114,16 @@ def test_the_one_that_is_left_finishes_and_the_record_shows_why(demo):
     (killed_ns,) = events(running.record, "kills mast_program.py")
     (left_ns,) = events(running.record, f"mast_program.py[{died.pid}] has left, and has not given")
     assert died.from_ns <= killed_ns <= died.to_ns
-    assert killed_ns <= left_ns  # and the two may be heard of in either order
+    assert killed_ns <= left_ns  # and the two notices may come in either order
     assert (died.program, died.purpose.split()[0]) == ("mast_program.py", "panorama")
     after = tenures[tenures.index(died) + 1 :]
     looks = ["a look along the crab", "a look along the turn"]
-    assert [one.purpose for one in after] in (looks, looks[1:])  # it may have had to wait but once
+    assert [one.purpose for one in after] in (looks, looks[1:])  # it may have had to wait only once
     assert {one.program for one in after} == {"driving_program.py"}
     assert {one.pid for one in after} != {died.pid}
     waiting = [event for event in record.events if event.action is LockAction.WAITING]
     assert any(event.time_ns <= killed_ns and event.pid == after[0].pid for event in waiting)
-    for one in tenures:  # all of it was told, from the record alone
+    for one in tenures:  # all of it is told, from the record alone
         row = rf"^ *{one.from_ns / 1e9:.3f} .*{one.program} +{one.pid} +{one.purpose} +(\d+)  "
         found = re.search(row + one.ended.value, out, re.M)
         assert int(found[1]) > 0, one
@@ -131,7 +131,7 @@ def test_the_one_that_is_left_finishes_and_the_record_shows_why(demo):
 
 
 def events(path, text):
-    """When what is told with this text in it happened."""
+    """Return the time of the event whose text contains this."""
     with read_trace(path) as trace:
         return [
             time_ns for _, time_ns, data in trace.messages(["/events"]) if text.encode() in data
@@ -141,8 +141,8 @@ def events(path, text):
 @pytest.mark.parametrize(
     ("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143), (signal.SIGHUP, 129)]
 )
-def test_a_signal_ends_its_programs_and_leaves_nothing(demo, number, status):
-    before = signal.signal(number, signal.SIG_DFL)  # whoever runs the tests may ignore it (nohup)
+def test_signal_ends_its_programs_and_leaves_nothing(demo, number, status):
+    before = signal.signal(number, signal.SIG_DFL)  # the caller of the tests may ignore it (nohup)
     running = demo()
     signal.signal(number, before)
     running.hear("panorama 1")
@@ -157,7 +157,7 @@ def test_a_signal_ends_its_programs_and_leaves_nothing(demo, number, status):
         assert trace.cut is None
 
 
-def test_killed_itself_its_programs_end_and_the_next_one_tidies_up(demo, monkeypatch):
+def test_killed_demo_ends_its_programs_and_is_cleaned_up_next(demo, monkeypatch):
     running = demo()
     running.hear("panorama 1")
     programs = running.programs()
@@ -175,7 +175,7 @@ def test_killed_itself_its_programs_end_and_the_next_one_tidies_up(demo, monkeyp
     assert list(running.temporary.iterdir()) == [living]
 
 
-def test_a_full_disk_is_one_line_and_leaves_nothing(demo):
+def test_full_disk_is_one_line_and_leaves_nothing(demo):
     size = 60_000  # of 30 kB a second
 
     def small_disk():
@@ -190,7 +190,7 @@ def test_a_full_disk_is_one_line_and_leaves_nothing(demo):
     assert list(running.temporary.iterdir()) == []
 
 
-def test_a_folder_that_can_hold_no_socket_is_one_line(tmp_path):
+def test_folder_unusable_for_sockets_is_one_line(tmp_path):
     far = tmp_path / ("x" * 100)
     far.mkdir()
     done = subprocess.run(
@@ -202,11 +202,11 @@ def test_a_folder_that_can_hold_no_socket_is_one_line(tmp_path):
     )
     assert (done.returncode, done.stdout) == (2, "")
     (line,) = done.stderr.splitlines()
-    assert line.endswith("path too long; set TMPDIR to another folder, of a short name")
+    assert line.endswith("path too long; set TMPDIR to a folder with a shorter name")
     assert list(far.iterdir()) == []
 
 
-def test_what_is_for_one_process_is_refused_with_two(tmp_path):
+def test_single_process_option_is_refused_with_two(tmp_path):
     done = subprocess.run([*DEMO, "--realtime"], capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout) == (2, "")
-    assert done.stderr == "motorhil demo: --two-processes takes --seed and -o alone\n"
+    assert done.stderr == "motorhil demo: --two-processes takes only --seed and -o\n"

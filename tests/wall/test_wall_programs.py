@@ -1,4 +1,4 @@
-"""Programs beside a world in wall time, and the signals that stop it."""
+"""Programs beside a world in wall time, and signals."""
 
 import gc
 import os
@@ -6,9 +6,9 @@ import signal
 
 import pytest
 
-from emulators.event_queue import EventQueue
-from emulators.serve import WallLoop
-from harness.wall_programs import Program, StopSignals
+from motorhil.emulators.gateways.loop import WallLoop
+from motorhil.emulators.simulation.event_queue import EventQueue
+from motorhil.harness.cli.serve import Program, StopSignals
 
 pytestmark = pytest.mark.wall
 
@@ -16,7 +16,7 @@ pytestmark = pytest.mark.wall
 @pytest.fixture
 def loop():
     loop = WallLoop(EventQueue())
-    gc.collect()  # what tests before this one have left is not ours
+    gc.collect()  # remains of earlier tests do not count
     before = set(os.listdir("/proc/self/fd"))
     yield loop
     assert set(os.listdir("/proc/self/fd")) - before == set()  # nothing was left open
@@ -25,7 +25,7 @@ def loop():
 
 @pytest.fixture
 def start(loop, tmp_path):
-    """Starts a program of these lines."""
+    """Start a program of these lines."""
 
     def start_it(*lines):
         path = tmp_path / "waiting_program.py"
@@ -46,10 +46,10 @@ def heard_until(loop, program, done):
     return heard
 
 
-def test_one_that_would_never_end_has_ended_with_the_block(loop, start):
+def test_endless_program_ends_with_the_block(loop, start):
     with start("print('up', flush=True)", "while True: signal.pause()") as program:
         assert program.name == "waiting"
-        assert os.getpgid(program.pid) == program.pid  # Ctrl-C is ours alone
+        assert os.getpgid(program.pid) == program.pid  # Ctrl-C is for us only
         assert heard_until(loop, program, bool) == ["up"]
         assert program.status is None
     assert program.status == -signal.SIGKILL
@@ -57,7 +57,7 @@ def test_one_that_would_never_end_has_ended_with_the_block(loop, start):
         os.kill(program.pid, 0)
 
 
-def test_all_that_it_said_is_heard_and_its_end_wakes_the_loop(loop, start):
+def test_output_is_read_and_program_end_wakes_the_loop(loop, start):
     lines = (
         "print('one')",
         "print('two', file=sys.stderr)",
@@ -74,18 +74,18 @@ def test_all_that_it_said_is_heard_and_its_end_wakes_the_loop(loop, start):
     assert program.status == 3
 
 
-def test_a_signal_is_kept_and_means_what_it_did_afterwards(loop):
+def test_signal_is_kept_and_its_handler_restored(loop):
     before = signal.getsignal(signal.SIGTERM)
     with StopSignals(loop) as signals:
         signal.raise_signal(signal.SIGTERM)
         signal.raise_signal(signal.SIGINT)
         loop.run(lambda: signals.number is not None)
         assert signals.number == signal.SIGTERM
-    loop.step(0.0)  # it goes on without
+    loop.step(0.0)  # it continues without
     assert signal.getsignal(signal.SIGTERM) is before
 
 
-def test_a_hang_up_that_is_ignored_stays_so(loop):
+def test_ignored_hang_up_stays_ignored(loop):
     before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
     try:
         with StopSignals(loop, (signal.SIGHUP,)) as signals:

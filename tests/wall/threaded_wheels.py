@@ -1,7 +1,7 @@
-"""Four threads, each with a logical motor of its own on node 1, as a user's program.
+"""Four threads with a logical motor each on node 1.
 
-Each moves, looks, is told how its motion ended, and now and then has the hardware for itself. All
-that is not as if it were alone: whoever has the motor is waited for.
+Each thread moves, reads, gets the end of its motion, and sometimes has low-level access. Each works
+as if it were alone: each operation waits for the present owner of the motor.
 """
 
 import sys
@@ -10,8 +10,10 @@ from contextlib import suppress
 
 import can
 
-from motorapi import ControlMode, MotorBusyError, MotorModel, TrapezoidalTrajectory
-from motorapi.adaptations.cia402 import Cia402HwMotor, Cia402Motor, HwOptions
+from motorhil.motorapi import ControlMode, MotorBusyError, MotorModel, TrapezoidalTrajectory
+from motorhil.motorapi.adaptations.cia402.bringup import HwOptions
+from motorhil.motorapi.adaptations.cia402.hardware import Cia402HwMotor
+from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
 
 PATIENT = HwOptions(heartbeat_timeout_ms=10_000, sdo_timeout_s=10.0, connect_timeout_s=30.0)
 WAIT_S = 120.0
@@ -40,7 +42,7 @@ def use(motor: Cia402Motor) -> None:
         motor.wait_until_done(timeout_s=WAIT_S)
         with motor.low_level(timeout_s=WAIT_S) as hardware:
             inside.append(motor.name)
-            hardware.write("profile_velocity", 1)  # nobody's next start may believe in another
+            hardware.write("profile_velocity", 1)  # no later start may rely on another
             hardware.read("statusword")
             assert inside == [motor.name], inside
             inside.clear()

@@ -1,5 +1,5 @@
-"""The promises of the motor interface, a module for each topic; `harness.conformance.kit` has all.
+"""The clauses of the kit, one module for each topic.
 
-Clauses are written for any motor: what they know of it are `bench.facts` and its model, and nothing
-else. A safety property ("never") says with `reached` that its cause did happen.
+Clauses are written for any motor. They know only `bench.facts` and the motor's model. A safety
+property ("never") calls `reached` to show that its cause did happen.
 """

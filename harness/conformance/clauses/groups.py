@@ -1,34 +1,53 @@
-"""L4: motors that begin, go and end together, and what is told of how well they do."""
+"""L4: synchronised groups, and the reported quality of synchronization.
+
+L4: groups with a member that refuses, is lost, or fails.
+"""
 
 from math import hypot
 
-from harness.conformance.bench import RigProtocol
-from harness.conformance.capability import Ability, Capability
-from harness.conformance.clause import Level, Violated, clause, expect
-from harness.conformance.motions import (
-    expect_rest,
-    expect_unmoved,
-    midway_s,
-    place,
-    rest_for,
-    shortest_s,
+from motorhil.harness.conformance.bench import RigProtocol
+from motorhil.harness.conformance.clause import (
+    Ability,
+    Capability,
+    Level,
+    NotApplicable,
+    Violated,
+    clause,
+    expect,
 )
-from harness.conformance.pairs import (
+from motorhil.harness.conformance.clauses.helpers import (
     BEGUN,
     Course,
     expect_made,
+    expect_rest,
+    expect_unmoved,
+    finish,
     half,
     looking_error_s,
+    midway_s,
+    move,
     pair_of,
+    place,
     places,
+    reached,
+    rest_for,
     run_to_the_end,
+    shortest_s,
+    smooth_way,
     ways_of,
 )
-from motorapi import (
+from motorhil.motorapi import (
+    ControlMode,
+    FaultReaction,
+    Motor,
+    MotorError,
     MotorGroup,
+    MotorState,
+    PluginError,
     Synchronization,
     SynchronizationError,
     SyncLevel,
+    UnsupportedError,
     UsageError,
 )
 
@@ -36,7 +55,7 @@ _TWO = {Ability.TRUTH, Ability.SECOND_MOTOR}
 _MOVES = {Capability.POSITION_TRAJECTORY}
 _ENDED = 1.0 - BEGUN
 _FRAMES = 16  # of the host, in the start of a pair
-_FAR = 1e-6  # U: two that were never told to differ
+_FAR = 1e-6  # U: two skews that are not meant to differ
 
 
 @clause(
@@ -47,7 +66,7 @@ _FAR = 1e-6  # U: two that were never told to differ
     source="requirement 5 of the paper; 3.4, Algorithm 2",
 )
 def a_group_begins_and_ends_together(bench: RigProtocol) -> None:
-    """The members of a group begin within the bound that was told, and end together, at targets."""
+    """All members begin within the reported bound, and end together, at their targets."""
     way = half(bench)
     ways = (way, -way)
     group = pair_of(bench, *ways)
@@ -64,11 +83,11 @@ def a_group_begins_and_ends_together(bench: RigProtocol) -> None:
     error_s = looking_error_s(bench, way, BEGUN)
     for share, bound_s, what in ((BEGUN, begun_s, "began"), (_ENDED, ended_s, "ended")):
         skew_s = course.skew_s(share, ways)
-        expect(skew_s is not None, f"not all of them {what}")
+        expect(skew_s is not None, f"not all members {what}")
         expect(
             (skew_s or 0.0) <= bound_s + error_s,
-            f"they {what} {skew_s} s apart; told beforehand were {bound_s:g} s,"
-            f" and {error_s:.6f} s is how well it can be seen",
+            f"members {what} {skew_s} s apart; predicted at most {bound_s:g} s,"
+            f" measurement error {error_s:.6f} s",
         )
 
 
@@ -80,7 +99,7 @@ def a_group_begins_and_ends_together(bench: RigProtocol) -> None:
     source="requirement 5 of the paper: feedback on the quality of synchronization",
 )
 def the_quality_that_is_told_is_what_it_was(bench: RigProtocol) -> None:
-    """When each member began and ended, and how far apart, is told as it was, or not at all."""
+    """Each member's start and end, and the skew, are reported as they were, or not at all."""
     way = half(bench)
     ways = (way, -way)
     group = pair_of(bench, *ways)
@@ -89,7 +108,7 @@ def the_quality_that_is_told_is_what_it_was(bench: RigProtocol) -> None:
     except UsageError:
         pass
     else:
-        raise Violated("a quality was told before anything had been started")
+        raise Violated("sync_quality() returned a value before the first start")
     course = Course(bench, group)
     group.start()
     run_to_the_end(bench, group)
@@ -99,9 +118,9 @@ def the_quality_that_is_told_is_what_it_was(bench: RigProtocol) -> None:
     error_s = looking_error_s(bench, way, BEGUN) + bench.facts.latency_s[1]
     expect(
         quality.start_skew_s is None or abs(quality.start_skew_s - seen_s) <= error_s,
-        f"a start skew of {quality.start_skew_s} s was told, and {seen_s:.6f} s were seen",
+        f"start skew: {quality.start_skew_s} s reported; {seen_s:.6f} s measured",
     )
-    expect(len(quality.times) == len(ways), f"times of {len(quality.times)} motors were told")
+    expect(len(quality.times) == len(ways), f"times of {len(quality.times)} motors reported")
     for member, (name, times) in enumerate(quality.times):
         if times is None or times.started_ns is None or times.ended_ns is None:
             continue
@@ -109,12 +128,12 @@ def the_quality_that_is_told_is_what_it_was(bench: RigProtocol) -> None:
         least_s = shortest_s(bench.motors[member], way)
         expect(
             abs(took_s - least_s) <= tolerance_s + error_s,
-            f"{name}: its motion is told to have taken {took_s:.6f} s, it takes {least_s:.6f} s",
+            f"{name}: duration of {took_s:.6f} s reported; the motion takes {least_s:.6f} s",
         )
         begun_ns = course.when(member, BEGUN, ways[member]) or 0.0
         expect(
             times.started_ns <= begun_ns + error_s * 1e9,
-            f"{name}: told to have begun {(times.started_ns - begun_ns) / 1e9:.6f} s after it did",
+            f"{name}: start reported {(times.started_ns - begun_ns) / 1e9:.6f} s late",
         )
 
 
@@ -126,7 +145,7 @@ def the_quality_that_is_told_is_what_it_was(bench: RigProtocol) -> None:
     source="paper 3.4: as fast as motors allow, at the same time; MotorGroup.start",
 )
 def a_group_takes_the_time_of_its_slowest(bench: RigProtocol) -> None:
-    """A group takes as long as its slowest member needs; done is told when all are, not before."""
+    """Each group takes the time of its slowest member; it is done only when all members are."""
     way = half(bench)
     ways = (0.25 * way, way)
     group = pair_of(bench, *ways)
@@ -135,17 +154,17 @@ def a_group_takes_the_time_of_its_slowest(bench: RigProtocol) -> None:
     group.start()
     begun_ns = bench.runtime.now_ns()
     rest_for(bench, 0.6 * least_s)
-    expect(not group.is_done(), f"done was told after {0.6 * least_s:.3f} of {least_s:.3f} s")
+    expect(not group.is_done(), f"done was reported after {0.6 * least_s:.3f} of {least_s:.3f} s")
     short = abs(place(bench, bench.motor) - before[0])
     expect(
         short < 0.95 * abs(ways[0]),
-        f"{bench.motor.name} was at its end after 60 % of the common time",
+        f"{bench.motor.name} was at its target after 60 % of the common time",
     )
     group.wait_until_done(10.0)
     took_s = (bench.runtime.now_ns() - begun_ns) / 1e9
-    expect_made(bench, group, before, ways, "when done was told")
+    expect_made(bench, group, before, ways, "when done was reported")
     most_s = least_s + bench.facts.time_tolerance_s + 0.1 * least_s
-    expect(took_s <= most_s, f"it took {took_s:.3f} s, the slowest needs {least_s:.3f} s")
+    expect(took_s <= most_s, f"the group took {took_s:.3f} s; limit {most_s:.3f} s")
 
 
 @clause(
@@ -156,7 +175,7 @@ def a_group_takes_the_time_of_its_slowest(bench: RigProtocol) -> None:
     source="MotorGroup.synchronization NONE; MotorGroup.append, remove (paper 3.4)",
 )
 def a_group_forgets_no_member(bench: RigProtocol) -> None:
-    """What is done with a group is done with each member, and with no one that was taken out."""
+    """Group operations act on every member, and on no motor that was removed."""
     first, second = bench.motors[:2]
     way = half(bench)
     ways = (way, 0.25 * way)
@@ -165,9 +184,9 @@ def a_group_forgets_no_member(bench: RigProtocol) -> None:
     before = places(bench, group)
     group.start()
     second.wait_until_done(10.0)
-    expect(not group.is_done(), f"done was told while {first.name} moves")
+    expect(not group.is_done(), f"done was reported while {first.name} moves")
     group.wait_until_done(10.0)
-    expect_made(bench, group, before, ways, "each by itself, when done was told")
+    expect_made(bench, group, before, ways, "without synchronization, when done was reported")
     way = 2.0 * half(bench)
     group.set_trajectory(*ways_of(-way, -way))
     for stop in (MotorGroup.stop, MotorGroup.halt):
@@ -192,7 +211,7 @@ def _expect_one_alone(bench: RigProtocol, group: MotorGroup) -> None:
     was = place(bench, second)
     group.start()
     group.wait_until_done(10.0)
-    expect_unmoved(bench, first, before, f"{first.name}, which was taken out of the group")
+    expect_unmoved(bench, first, before, f"{first.name}, removed from the group")
     moved = place(bench, second) - was
     expect(abs(moved - way) <= bench.facts.window, f"a group of one moved {moved:g} of {way:g}")
 
@@ -202,10 +221,10 @@ def _expect_one_alone(bench: RigProtocol, group: MotorGroup) -> None:
     Level.L4,
     needs=_MOVES,
     bench=_TWO,
-    source="requirement 5 of the paper: feedback on the capability that is possible",
+    source="requirement 5 of the paper: feedback on the possible capability",
 )
 def what_is_asked_of_a_start_is_met_or_refused(bench: RigProtocol) -> None:
-    """A bound is told, or why there is none; a start that cannot keep what was asked is refused."""
+    """Every skew has a bound or a reason; a start that cannot meet a requirement is refused."""
     way = half(bench)
     group = pair_of(bench, way, -way)
     can = group.sync_capability()
@@ -214,22 +233,20 @@ def what_is_asked_of_a_start_is_met_or_refused(bench: RigProtocol) -> None:
         (can.start_skew_s, can.no_start_bound, "of the starts"),
         (can.end_skew_s, can.no_end_bound, "of the ends"),
     ):
-        expect(
-            value is not None or bool(why), f"there is no bound on the skew {what}, and no reason"
-        )
+        expect(value is not None or bool(why), f"no bound on the skew {what}, and no reason")
         expect(value is None or value >= 0.0, f"a skew {what} of {value} s")
-    expect(bool(can.reason), "no reason is told for its level")
+    expect(bool(can.reason), "sync_capability() has no reason for its level")
     before = places(bench, group)
     _expect_refused(group, SyncLevel(max(SyncLevel)) if can.level < max(SyncLevel) else None, None)
     if can.start_skew_s is None or can.start_skew_s > 0.0:
         too_little = 3600.0 if can.start_skew_s is None else 0.5 * can.start_skew_s
         _expect_refused(group, None, too_little)
     for motor, was in zip(group, before, strict=True):
-        expect_unmoved(bench, motor, was, f"{motor.name}, whose group was refused")
+        expect_unmoved(bench, motor, was, f"{motor.name}, after its group was refused")
     enough = None if can.start_skew_s is None else 1.01 * can.start_skew_s + _FAR
     group.start(require=can.level, max_skew_s=enough)
     run_to_the_end(bench, group)
-    expect_made(bench, group, before, (way, -way), "with what it says that it can do")
+    expect_made(bench, group, before, (way, -way), "with the reported capability as requirement")
 
 
 def _expect_refused(group: MotorGroup, level: SyncLevel | None, skew_s: float | None) -> None:
@@ -240,7 +257,7 @@ def _expect_refused(group: MotorGroup, level: SyncLevel | None, skew_s: float | 
         group.start(require=level, max_skew_s=skew_s)
     except SynchronizationError:
         return
-    raise Violated(f"start({asked}) was not refused, and {group.sync_capability()} was told")
+    raise Violated(f"start({asked}) was not refused; the capability is {group.sync_capability()}")
 
 
 @clause(
@@ -248,10 +265,10 @@ def _expect_refused(group: MotorGroup, level: SyncLevel | None, skew_s: float | 
     Level.L4,
     needs=_MOVES,
     bench=_TWO,
-    source="Synchronization.PHASE: at every instant each has gone the same part of its way",
+    source="Synchronization.PHASE: at every instant all have the same share of their distance",
 )
 def a_line_is_a_line(bench: RigProtocol) -> None:
-    """Phase-synchronised motors stay on a straight line, as far as was predicted and is told."""
+    """Phase-synchronised motors stay on a straight line, within the predicted deviation."""
     way = half(bench)
     ways = (way, -0.4 * way)
     group = pair_of(bench, *ways)
@@ -266,23 +283,168 @@ def a_line_is_a_line(bench: RigProtocol) -> None:
     predicted = max(one.predicted or 0.0 for one in can.path)
     expect(
         predicted <= 2.0 * bench.facts.following,
-        f"rounding alone is predicted to take it {predicted:.6g} off the line",
+        f"predicted deviation by rounding: {predicted:.6g}; too large",
     )
     late_s = bench.facts.latency_s[1] - bench.facts.latency_s[0]
     allowed = 2.0 * bench.facts.following + predicted
     allowed += (can.start_skew_s or late_s) * bench.motor.model.velocity_max
     expect(
         worst <= allowed,
-        f"it was {worst:.6g} off the line; predicted, with what was declared, is {allowed:.6g}",
+        f"deviation from the line: {worst:.6g}; allowed are {allowed:.6g}",
     )
     told = max(one.deviation or 0.0 for one in group.sync_quality().path)
-    expect(told <= 2.0 * allowed, f"told is a deviation of {told:.6g}, seen {worst:.6g}")
+    expect(told <= 2.0 * allowed, f"deviation: {told:.6g} reported; {worst:.6g} measured")
 
 
 def _off_the_line(course: Course, ways: tuple[float, float]) -> float:
-    """How far they were from the line between begin and end at worst, seen along it [U]."""
+    """Return the largest distance of the motors from the line between start and end [U]."""
     first, second = course.seen[0][1]
     length = hypot(*ways)
     return max(
         abs((a - first) * ways[1] - (b - second) * ways[0]) / length for _, (a, b) in course.seen
     )
+
+
+@clause(
+    "SYNC-05",
+    Level.L4,
+    needs=_MOVES,
+    bench={*_TWO, Ability.CUT, Ability.AFRESH},
+    source="MotorGroup.start: if one refuses, none moves",
+)
+def if_one_cannot_be_armed_none_moves(bench: RigProtocol) -> None:
+    """If one member does not answer when it is armed, no member moves, then or later."""
+    _require_cables_of_their_own(bench)
+    for lost in (1, 0):
+        bench.afresh()
+        way = 0.5 * half(bench)
+        group = pair_of(bench, way, -way)
+        group.start()
+        group.wait_until_done(10.0)  # both motors are now fully set up
+        refusing, other = bench.motors[lost], bench.motors[1 - lost]
+        before = place(bench, other)
+        is_one_signal = group.sync_capability().level >= SyncLevel.TRIGGERED
+        with bench.cut(refusing):
+            if not is_one_signal:  # else the others begin before its loss is known
+                rest_for(bench, bench.facts.lost_s)
+            told = _failure_of(group)
+            rest_for(bench, bench.facts.lost_s)
+        expect(told is not None, f"{refusing.name} does not answer, but start() returned")
+        rest_for(bench, 1.0)
+        expect_unmoved(bench, other, before, f"{refusing.name} refused: {other.name}")
+        _fire_once_more(bench, refusing)
+        expect_unmoved(bench, other, before, f"{refusing.name} refused: later {other.name}")
+
+
+def _require_cables_of_their_own(bench: RigProtocol) -> None:
+    first, second = bench.motors[:2]
+    second.enable()
+    with bench.cut(first):
+        rest_for(bench, bench.facts.lost_s)
+        if second.state() is not MotorState.ENABLED:
+            raise NotApplicable(f"{second.name} and {first.name} share a cable")
+
+
+def _failure_of(group: MotorGroup) -> MotorError | None:
+    try:
+        group.start()
+    except PluginError:
+        raise
+    except MotorError as error:
+        return error
+    return None
+
+
+def _fire_once_more(bench: RigProtocol, motor: Motor) -> None:
+    """Start a motion of this motor alone, so that any common start signal is sent again."""
+    motor.reset_fault()
+    motor.enable()
+    way = 0.25 * half(bench)
+    try:
+        motor.set_control_mode(ControlMode.TRAJECTORY)
+        motor.set_trajectory(smooth_way(motor, way))
+        motor.start()
+    except UnsupportedError:
+        move(bench, motor, way)
+        return
+    finish(bench, motor, 10.0)
+
+
+@clause(
+    "SYNC-06",
+    Level.L4,
+    needs={*_MOVES, Capability.COMMON_TRIGGER},
+    bench={*_TWO, Ability.SILENCE_HOST, Ability.AFRESH},
+    source="MotorHooks._arm: in the hardware, confirmed; README, 'arm, then fire'",
+)
+def no_part_of_a_group_moves_on_alone(bench: RigProtocol) -> None:
+    """Whichever frame of a common start is lost, all members move, or none and start() fails."""
+    hit = 0
+    for skip in range(_FRAMES):
+        bench.afresh()
+        way = half(bench)
+        group = pair_of(bench, 0.1 * way, -0.1 * way)
+        group.start()
+        run_to_the_end(bench, group)  # both motors are now fully set up
+        group.set_trajectory(*ways_of(way, -way))
+        before = places(bench, group)
+        with bench.silence_host(skip=skip, limit=1) as lost:
+            told = _failure_of(group)
+            hit += lost()
+        which = f"frame {skip + 1} of the host was lost"
+        if told is None:
+            run_to_the_end(bench, group)
+            expect_made(bench, group, before, (way, -way), which)
+            continue
+        rest_for(bench, 1.0)
+        for motor in group:
+            expect_rest(bench, motor, f"{which}, start() failed: {motor.name}")
+        first, second = bench.motors[:2]
+        rested = place(bench, first)
+        _fire_once_more(bench, second)
+        expect_unmoved(bench, first, rested, f"{which}, start() failed; later, {first.name}")
+    reached(hit > 0, "the loss of a frame")
+
+
+@clause(
+    "SYNC-09",
+    Level.L4,
+    needs={*_MOVES, Capability.FAULTS},
+    bench={*_TWO, Ability.FAULT, Ability.AFRESH},
+    source="FaultReaction; requirement 5, synchronised motions",
+)
+def a_fault_of_one_is_answered_as_was_set(bench: RigProtocol) -> None:
+    """If one member fails, the group fails, and the others react as set: stop or continue."""
+    for reaction in FaultReaction:
+        bench.afresh()
+        way = 3.0 * half(bench)
+        group = pair_of(bench, way, -way)
+        if reaction is FaultReaction.TOGETHER:
+            group.synchronization = Synchronization.PHASE
+        group.fault_reaction = reaction
+        failing, other = bench.motors[:2]
+        before = place(bench, other)
+        group.start()
+        rest_for(bench, midway_s(other, way, 0.4))
+        bench.fail(failing)
+        _expect_group_told(group, reaction)
+        rest_for(bench, shortest_s(other, way))
+        expect_rest(
+            bench, other, f"{failing.name} failed with reaction {reaction.name}: {other.name}"
+        )
+        made = abs(place(bench, other) - before) / abs(way)
+        goes_on = reaction is FaultReaction.NONE
+        expect(
+            goes_on is (made > 0.98),
+            f"{failing.name} failed, {reaction.name}: {other.name} made {made:.0%}",
+        )
+
+
+def _expect_group_told(group: MotorGroup, reaction: FaultReaction) -> None:
+    try:
+        group.wait_until_done(10.0)
+    except PluginError:
+        raise
+    except MotorError:
+        return
+    raise Violated(f"a member failed with reaction {reaction.name}, but its group reported done")

@@ -1,12 +1,11 @@
-"""L2: what a limit forbids, or a motor can never do, is refused before anything moves."""
+"""L2: commands beyond a limit or capability are refused before any motion."""
 
 from collections.abc import Callable
 from functools import partial
 
-from harness.conformance.bench import RigProtocol
-from harness.conformance.capability import Capability
-from harness.conformance.clause import Level, Violated, clause, expect
-from harness.conformance.motions import (
+from motorhil.harness.conformance.bench import RigProtocol
+from motorhil.harness.conformance.clause import Capability, Level, Violated, clause, expect
+from motorhil.harness.conformance.clauses.helpers import (
     aim,
     expect_at,
     expect_unmoved,
@@ -17,7 +16,7 @@ from harness.conformance.motions import (
     rest_for,
     shortest_s,
 )
-from motorapi import (
+from motorhil.motorapi import (
     ControlMode,
     ControlVariable,
     DerivativeLimits,
@@ -34,7 +33,7 @@ _LOOK_S = 0.2
 def _refused(
     bench: RigProtocol, motor: Motor, what: str, command: Callable[[], None], *, quantity: str
 ) -> None:
-    """It is a LimitError that tells everything, and the motor has not moved."""
+    """Check that the command raises a complete LimitError, and that the motor does not move."""
     before = place(bench, motor)
     try:
         command()
@@ -42,12 +41,12 @@ def _refused(
         facts = (error.motor, quantity in error.quantity, (error.low, error.high) != (None, None))
         expect(
             facts == (motor.name, True, True) and f"{error.value:g}" in f"{error}",
-            f"{what}: the error does not tell motor, {quantity}, value and limit: {error}",
+            f"{what}: the error lacks motor, {quantity}, value or limit: {error}",
         )
     else:
         raise Violated(f"{what} was not refused")
     rest_for(bench, _LOOK_S)
-    expect_unmoved(bench, motor, before, f"{what} was refused, and")
+    expect_unmoved(bench, motor, before, f"{what} was refused")
 
 
 @clause(
@@ -57,7 +56,7 @@ def _refused(
     source="paper 3.2, limits on position; 3.3.1, derivative limits: ranges of the value",
 )
 def limits_of_position_are_kept_in_every_mode(bench: RigProtocol) -> None:
-    """A target beyond a limit of position is refused in every mode; one on the limit is reached."""
+    """In every mode, targets beyond a position limit are refused; the limit itself is reached."""
     motor, limit = bench.motor, 0.3 * long_move(bench)
     expected_s = shortest_s(motor, 2.0 * limit)
     limits = DerivativeLimits(value=(-limit, limit))
@@ -93,7 +92,7 @@ def limits_of_position_are_kept_in_every_mode(bench: RigProtocol) -> None:
     source="paper 3.2, limits on velocity and acceleration are the model's, and constant",
 )
 def no_command_may_exceed_the_model(bench: RigProtocol) -> None:
-    """Nothing may be set that exceeds the model's limits, in any mode that the motor has."""
+    """In every supported mode, settings that exceed the model's limits are refused."""
     motor, model = bench.motor, bench.motor.model
     tops = {
         ControlVariable.VELOCITY: model.velocity_max,
@@ -110,7 +109,7 @@ def no_command_may_exceed_the_model(bench: RigProtocol) -> None:
                 what = f"a {mode.value} of {variable.value} of {value:g}"
                 _refused(bench, motor, what, partial(_set, motor, value), quantity=variable.value)
     if not _can(motor, ControlMode.TRAJECTORY, ControlVariable.POSITION):
-        expect(found > 0, "no mode of this motor has a limit")
+        expect(found > 0, "no mode of this motor has a limit to test")
         return
     way = 0.2 * long_move(bench)
     for quantity, limits in (
@@ -131,7 +130,7 @@ def _steepest(motor: Motor) -> float:
 
 
 def _can(motor: Motor, mode: ControlMode, variable: ControlVariable) -> bool:
-    """It takes commands of that kind, and is set to them."""
+    """Set this control mode; return whether the motor supports it."""
     try:
         motor.set_control_mode(mode, variable)
     except UnsupportedError:
@@ -150,10 +149,10 @@ def _set(motor: Motor, value: float) -> None:
 @clause(
     "LIM-03",
     Level.L2,
-    source="paper 3.3: any control variable supported by the motor; UnsupportedError: it never can",
+    source="paper 3.3: any control variable supported by the motor; UnsupportedError",
 )
 def what_it_cannot_do_is_refused(bench: RigProtocol) -> None:
-    """Every mode is either refused by the name of what there is instead, or goes when started."""
+    """Every mode either works, or is refused with the list of supported modes."""
     motor = bench.motor
     motor.enable()
     for variable in ControlVariable:
@@ -164,7 +163,7 @@ def what_it_cannot_do_is_refused(bench: RigProtocol) -> None:
             except UnsupportedError as error:
                 expect(
                     error.motor == motor.name and bool(error.supported),
-                    f"the refusal of {asked} does not say what there is instead: {error}",
+                    f"the refusal of {asked} does not list supported modes: {error}",
                 )
                 continue
             value = 0.05 * (long_move(bench) if variable is ControlVariable.POSITION else 1.0)
@@ -185,7 +184,7 @@ def what_it_cannot_do_is_refused(bench: RigProtocol) -> None:
     source="errors: UsageError is the caller's mistake, and nothing was sent",
 )
 def nonsense_is_refused(bench: RigProtocol) -> None:
-    """What is no command is refused as the caller's mistake, and neither moves nor breaks it."""
+    """Invalid commands raise UsageError; the motor does not move, and is usable afterwards."""
     motor, way = bench.motor, 0.2 * long_move(bench)
     before = place(bench, motor)
     motor.set_control_mode(ControlMode.SETPOINT)
@@ -201,12 +200,12 @@ def nonsense_is_refused(bench: RigProtocol) -> None:
             command()
         except UsageError:
             continue
-        raise Violated(f"nonsense number {number + 1} was not refused")
+        raise Violated(f"invalid command {number + 1} was not refused")
     rest_for(bench, _LOOK_S)
-    expect_unmoved(bench, motor, before, "after nothing but nonsense")
+    expect_unmoved(bench, motor, before, "after invalid commands")
     aim(motor, way)
     finish(bench, motor, shortest_s(motor, way))
-    expect_at(bench, motor, way, "after nonsense")
+    expect_at(bench, motor, way, "after invalid commands")
 
 
 _NO_NUMBERS = (float("nan"), float("inf"), float("-inf"))

@@ -1,9 +1,15 @@
-"""L1: set-points of every variable."""
+"""L1: set-points of all control variables."""
 
-from harness.conformance.bench import RigProtocol
-from harness.conformance.capability import Ability, Capability
-from harness.conformance.clause import Level, NotApplicable, clause, expect
-from harness.conformance.motions import (
+from motorhil.harness.conformance.bench import RigProtocol
+from motorhil.harness.conformance.clause import (
+    Ability,
+    Capability,
+    Level,
+    NotApplicable,
+    clause,
+    expect,
+)
+from motorhil.harness.conformance.clauses.helpers import (
     aim,
     expect_at,
     expect_rest,
@@ -22,7 +28,7 @@ from harness.conformance.motions import (
     watched,
     way_to_top_speed,
 )
-from motorapi import (
+from motorhil.motorapi import (
     ControlMode,
     ControlVariable,
     DerivativeLimits,
@@ -60,7 +66,7 @@ def algorithm_1(bench: RigProtocol) -> None:
     source="paper 3.3, control variables; Motor.set_setpoint: relative",
 )
 def a_relative_set_point_is_a_distance(bench: RigProtocol) -> None:
-    """A relative set-point is a distance from where the motor is held, forth and back."""
+    """Relative set-points are distances from the held position, in both directions."""
     motor, way = bench.motor, 0.2 * long_move(bench)
     begin = motor.position()
     wanted = begin
@@ -75,21 +81,21 @@ def a_relative_set_point_is_a_distance(bench: RigProtocol) -> None:
     "SET-03",
     Level.L1,
     needs={Capability.VELOCITY_SET_POINT},
-    source="paper 3.3, Figure 4; Motor.wait_until_done: is done when it is reached, and goes on",
+    source="paper 3.3, Figure 4; Motor.wait_until_done: done when reached, and continues",
 )
 def a_velocity_is_reached_and_goes_on(bench: RigProtocol) -> None:
-    """A set-point of velocity is done when it is reached, and goes on, to either side."""
+    """Velocity set-points are done when reached, and keep the velocity, in both directions."""
     motor, unit = bench.motor, bench.motor.model.unit
     for share in (0.4, -0.3):
         asked = share * motor.model.velocity_max
         turn(motor, asked)
         finish(bench, motor, 2.0 * motor.model.velocity_max / motor.model.acceleration_max)
-        for when in ("once it was reached", "later"):
+        for when in ("when reached", "later"):
             rest_for(bench, 0.3)
             found = speed(bench, motor, 0.3)
             expect(
                 abs(found - asked) <= _SPEED_SHARE * abs(asked),
-                f"told to go at {asked:g} {unit}/s, {when} it went at {found:g} {unit}/s",
+                f"velocity {when}: {found:g} {unit}/s; expected {asked:g} {unit}/s",
             )
         motor.stop()
         finish(bench, motor)
@@ -103,7 +109,7 @@ def a_velocity_is_reached_and_goes_on(bench: RigProtocol) -> None:
     source="paper 3.3, Figure 4",
 )
 def a_torque_is_made(bench: RigProtocol) -> None:
-    """A set-point of torque overcomes a load that is less, and gives way to one that is more."""
+    """Torque set-points overcome a smaller load, and give way to a larger one."""
     _balance(bench, ControlVariable.TORQUE)
 
 
@@ -121,7 +127,7 @@ def _balance(bench: RigProtocol, variable: ControlVariable) -> None:
             overcame = moved * asked > 0.0
             expect(
                 overcame is (share < 1.0),
-                f"{asked:g} N·m against a load of {share * asked:g} N·m moved it"
+                f"{asked:g} N·m against a load of {share * asked:g} N·m moved the motor"
                 f" at {moved:g} {motor.model.unit}/s",
             )
             bench.load(motor, 0.0)
@@ -136,7 +142,7 @@ def _balance(bench: RigProtocol, variable: ControlVariable) -> None:
     source="paper 3.3: limits on the first derivative make a velocity-bounded motion",
 )
 def a_set_points_limit_of_velocity_is_kept(bench: RigProtocol) -> None:
-    """A set-point's own limit of velocity is kept, be it no whole step of the hardware's, too."""
+    """Each set-point's own velocity limit is kept, even between two steps of the hardware."""
     motor, model = bench.motor, bench.motor.model
     for share in (0.5, 0.0017, 0.0023):
         limit = share * model.velocity_max
@@ -149,34 +155,36 @@ def a_set_points_limit_of_velocity_is_kept(bench: RigProtocol) -> None:
         spare = 2.0 * (model.resolution or 0.0) / over_s + 0.03 * limit
         expect(
             found <= limit + spare,
-            f"limited to {limit:.6g} {model.unit}/s it went at {found:.6g} {model.unit}/s",
+            f"velocity {found:.6g} {model.unit}/s exceeds {limit:.6g} {model.unit}/s",
         )
         least = way / max(over_s, least_s(way, limit, model.acceleration_max, model.deceleration))
-        expect(found > 0.3 * least, f"limited to {limit:.6g} {model.unit}/s it hardly moved")
+        expect(
+            found > 0.3 * least, f"limited to {limit:.6g} {model.unit}/s, the motor hardly moved"
+        )
 
 
 @clause(
     "SET-06",
     Level.L1,
     needs={Capability.POSITION_SET_POINT},
-    source="paper 3.3.3, setting up is apart from enacting; 3.5, settings are cached locally",
+    source="paper 3.3.3, setting up is separate from enacting; 3.5, settings are cached locally",
 )
 def setting_does_nothing_before_start(bench: RigProtocol) -> None:
-    """What is set is kept and does nothing: no motor moves or is switched on before start()."""
+    """Before start(), new settings do nothing: the motor does not move and is not enabled."""
     motor = bench.motor
     before, state = place(bench, motor), motor.state()
     motor.set_control_mode(ControlMode.SETPOINT)
     motor.set_setpoint(0.25 * long_move(bench))
     rest_for(bench, 0.3)
-    expect_unmoved(bench, motor, before, "when a set-point was set")
+    expect_unmoved(bench, motor, before, "after set_setpoint()")
     found = motor.state()
-    told = f"it was {state.value}; a set-point that was set has made it {found.value}"
+    told = f"set_setpoint() changed the state from {state.value} to {found.value}"
     expect(found is state or found is not MotorState.ENABLED, told)
     motor.start()
     finish(bench, motor, shortest_s(motor, 0.25 * long_move(bench)))
     motor.set_setpoint(0.0)
     rest_for(bench, 0.3)
-    expect_at(bench, motor, 0.25 * long_move(bench), "with a new set-point, set and not started")
+    expect_at(bench, motor, 0.25 * long_move(bench), "with a new set-point, not started")
 
 
 @clause(
@@ -187,9 +195,9 @@ def setting_does_nothing_before_start(bench: RigProtocol) -> None:
     source="paper 3.3, Figure 4",
 )
 def a_current_pushes_to_its_side(bench: RigProtocol) -> None:
-    """A set-point of current pushes to the side of its sign, and more the more it is."""
+    """Positive current set-points push to the positive side, and a larger one pushes more."""
     motor, most = bench.motor, bench.motor.model.current_max
-    expect(most is not None, "it takes set-points of current, and its model has no current_max")
+    expect(most is not None, "current set-points are supported, but the model has no current_max")
     made = []
     for share in (0.3, 0.6, -0.3):
         motor.set_control_mode(ControlMode.SETPOINT, ControlVariable.CURRENT)
@@ -202,7 +210,7 @@ def a_current_pushes_to_its_side(bench: RigProtocol) -> None:
     little, more, other = made
     expect(
         0.0 < little < more and other < 0.0,
-        "30 %, 60 % and -30 % of its current moved it at"
+        "30 %, 60 % and -30 % of the largest current moved the motor at"
         f" {little:g}, {more:g} and {other:g} {motor.model.unit}/s",
     )
 
@@ -215,17 +223,17 @@ def a_current_pushes_to_its_side(bench: RigProtocol) -> None:
     source="paper 3.2: the model's limits of velocity; 3.3.1, never exceeds a certain range",
 )
 def a_set_point_goes_no_faster_than_the_model_allows(bench: RigProtocol) -> None:
-    """A set-point without limits of its own goes as fast as the model allows, and no faster."""
+    """Without limits of their own, set-points use the model's velocity, and do not exceed it."""
     motor, model = bench.motor, bench.motor.model
     way, least_way = 2.0 * long_move(bench), way_to_top_speed(motor)
     if way < least_way:
-        raise NotApplicable(f"it needs {least_way:g} {model.unit} to be at its top speed for long")
+        raise NotApplicable(f"top speed needs a distance of {least_way:g} {model.unit}")
     aim(motor, way, relative=True)
     taken = watched(bench, motor, shortest_s(motor, way))
     finish(bench, motor)
     found = fastest(taken)
     expect(
         0.8 * model.velocity_max <= found <= 1.1 * model.velocity_max,
-        f"it went at {found:g} {model.unit}/s, its model allows {model.velocity_max:g}",
+        f"top speed {found:g} {model.unit}/s; the model's is {model.velocity_max:g}",
     )
     expect_rest(bench, motor, "after its set-point")

@@ -1,12 +1,24 @@
-"""L3: logical motors that share a physical one; who has it, who is refused, and until when."""
+"""L3: logical motors that share a physical motor: ownership and refusals.
+
+L3: several owners of one motor, in sequences chosen by Hypothesis.
+"""
 
 from collections.abc import Callable
 from contextlib import suppress
+from types import SimpleNamespace
+from typing import Any, Final
 
-from harness.conformance.bench import RigProtocol
-from harness.conformance.capability import Ability, Capability
-from harness.conformance.clause import Level, Violated, clause, expect
-from harness.conformance.motions import (
+from motorhil.harness.conformance.bench import RigProtocol
+from motorhil.harness.conformance.clause import (
+    Ability,
+    Capability,
+    Level,
+    NotApplicable,
+    Violated,
+    clause,
+    expect,
+)
+from motorhil.harness.conformance.clauses.helpers import (
     expect_rest,
     expect_unmoved,
     finish,
@@ -21,7 +33,7 @@ from harness.conformance.motions import (
     speed,
     turn,
 )
-from motorapi import (
+from motorhil.motorapi import (
     ControlMode,
     MotionInterrupted,
     Motor,
@@ -47,10 +59,10 @@ def _both(bench: RigProtocol) -> tuple[Motor, Motor]:
     Level.L3,
     needs=_MOVES,
     bench={*_SHARED, Ability.TRUTH},
-    source="requirement 4 of the paper: who cannot have the motor is told; MotorBusyError",
+    source="requirement 4 of the paper: inform the users; MotorBusyError",
 )
 def while_one_moves_it_another_is_refused(bench: RigProtocol) -> None:
-    """While a motor moves for one, what another commands is refused, naming who has it."""
+    """While a motor moves for one user, commands of another are refused, naming the owner."""
     motor, other = _both(bench)
     before, way = place(bench, motor), long_move(bench)
     follow(motor, TrapezoidalTrajectory(way))
@@ -64,19 +76,25 @@ def while_one_moves_it_another_is_refused(bench: RigProtocol) -> None:
             f"{operation.__name__}() of {other.name} while {motor.name} moves: {error}",
         )
         since_ns = begun_ns if error is None else error.since_ns
-        expect(since_ns <= begun_ns, f"it is told to be held since {since_ns} ns, not {begun_ns}")
+        expect(
+            since_ns <= begun_ns,
+            f"held since {since_ns} ns; expected <= {begun_ns} ns",
+        )
     finish(bench, motor, shortest_s(motor, way))
     moved = place(bench, motor) - before
-    expect(abs(moved - way) <= bench.facts.window, f"it moved {moved:g} of {way:g}")
+    expect(abs(moved - way) <= bench.facts.window, f"{motor.name} moved {moved:g} of {way:g}")
     was = place(bench, motor)
-    other.start()  # it is free at once
+    other.start()  # the motor is free at once
     finish(bench, other, shortest_s(motor, way))
     moved = place(bench, motor) - was
-    expect(abs(moved + 0.5 * way) <= bench.facts.window, f"{other.name} moved it {moved:g}")
+    expect(
+        abs(moved + 0.5 * way) <= bench.facts.window,
+        f"{other.name} moved {moved:g}",
+    )
 
 
 def _prepare(motor: Motor, way: float, duration_s: float | None = None) -> None:
-    """That is what its next start does."""
+    """Set up the trajectory of the next start."""
     motor.set_control_mode(ControlMode.TRAJECTORY)
     motor.set_trajectory(TrapezoidalTrajectory(way, duration_s=duration_s))
 
@@ -94,10 +112,10 @@ def _refusal_of(operation: Callable[[], object]) -> MotorBusyError | None:
     Level.L3,
     needs=_MOVES,
     bench={*_SHARED, Ability.TRAFFIC},
-    source="requirement 4; harness.sharing.evidence: nobody commands who does not have it",
+    source="requirement 4; motorhil.harness.sharing_tests.bus_evidence: only the owner commands a motor",
 )
 def who_is_refused_sends_no_command(bench: RigProtocol) -> None:
-    """What is refused to one who does not have the motor has sent nothing that commands it."""
+    """If a user without ownership is refused, no command of that user reaches the bus."""
     motor, other = _both(bench)
     with bench.commands_to(motor) as sent, motor.reserve("a clause"):
         move(bench, motor, 0.1 * long_move(bench))
@@ -108,10 +126,10 @@ def who_is_refused_sends_no_command(bench: RigProtocol) -> None:
         _prepare(other, long_move(bench))
         with bench.commands_to(motor) as new:
             for operation in (other.start, other.enable, other.disable, other.home):
-                expect(_refusal_of(operation) is not None, f"{operation.__name__}() was done")
+                expect(_refusal_of(operation) is not None, f"{operation.__name__}() was accepted")
                 rest_for(bench, 0.025)
         strange = sorted(set(new) - set(usual))
-        expect(not strange, f"{other.name} was refused, and the bus had {', '.join(strange)}")
+        expect(not strange, f"{other.name} was refused, but sent {', '.join(strange)}")
 
 
 @clause(
@@ -119,10 +137,10 @@ def who_is_refused_sends_no_command(bench: RigProtocol) -> None:
     Level.L3,
     needs=_MOVES,
     bench=_SHARED,
-    source="README, Sharing: reading is free, stops are free; MotionInterrupted",
+    source="README, Sharing: reading and stops are free; MotionInterrupted",
 )
 def anybody_may_look_and_stop(bench: RigProtocol) -> None:
-    """Others read a motor that moves, and may stop it: who moved it is told who stopped it."""
+    """Other users may read and stop a moving motor; its user learns which one stopped it."""
     motor, other = _both(bench)
     begin, way = place(bench, motor), 2.0 * long_move(bench)
     follow(motor, TrapezoidalTrajectory(way))
@@ -130,20 +148,23 @@ def anybody_may_look_and_stop(bench: RigProtocol) -> None:
     differs = abs(other.position() - motor.position())
     expect(
         differs <= 0.1 * motor.model.velocity_max,
-        f"{other.name} and {motor.name} tell places {differs:g} apart",
+        f"positions of {other.name} and {motor.name} differ by {differs:g}",
     )
-    expect(other.state() is motor.state(), "they tell two states of one motor")
+    expect(other.state() is motor.state(), "the states of one motor differ")
     other.stop()
     try:
         motor.wait_until_done(_PATIENCE_S)
     except MotionInterrupted as error:
-        expect(other.name in error.by, f"it was stopped by {other.name}, and is told {error.by}")
+        expect(
+            other.name in error.by,
+            f"stopped by {other.name}; reported is {error.by}",
+        )
     else:
-        raise Violated(f"{other.name} stopped it, and {motor.name} is told that it is done")
+        raise Violated(f"{other.name} stopped the motor, but {motor.name} reported done")
     finish(bench, other)
     expect_rest(bench, motor, f"stopped by {other.name}")
     made = abs(place(bench, motor) - begin)
-    expect(made < 0.95 * way, f"stopped by {other.name} it went on for {made:g} of {way:g}")
+    expect(made < 0.95 * way, f"stopped by {other.name}, the motor moved {made:g} of {way:g}")
 
 
 @clause(
@@ -154,7 +175,7 @@ def anybody_may_look_and_stop(bench: RigProtocol) -> None:
     source="paper 3.5: settings are local; start sets and starts in one atomic operation",
 )
 def each_moves_with_its_own_settings(bench: RigProtocol) -> None:
-    """Of users who take turns each moves with what it has set itself, whatever others set."""
+    """Each user's motions use that user's own settings, whatever other users set."""
     motor, other = _both(bench)
     way = 0.25 * long_move(bench)
     least_s = shortest_s(motor, way)
@@ -162,18 +183,18 @@ def each_moves_with_its_own_settings(bench: RigProtocol) -> None:
     for user, side in ((motor, 1.0), (other, -1.0), (motor, 1.0), (other, -1.0)):
         before = place(bench, motor)
         _prepare(user, side * way, durations[user])
-        _prepare(motor if user is other else other, 0.5 * way)  # and is not started
+        _prepare(motor if user is other else other, 0.5 * way)  # never started
         user.start()
         begun_ns = bench.runtime.now_ns()
         finish(bench, user, durations[user])
         took_s, moved = (bench.runtime.now_ns() - begun_ns) / 1e9, place(bench, motor) - before
         expect(
             abs(took_s - durations[user]) <= bench.facts.time_tolerance_s + 0.1 * durations[user],
-            f"{user.name} asked for {durations[user]:.3f} s, and it took {took_s:.3f} s",
+            f"{user.name}: the move took {took_s:.3f} s; expected {durations[user]:.3f} s",
         )
         expect(
             abs(moved - side * way) <= bench.facts.window,
-            f"{user.name} asked for {side * way:g}, and it moved {moved:g}",
+            f"{user.name}: moved {moved:g}; expected {side * way:g}",
         )
 
 
@@ -182,10 +203,10 @@ def each_moves_with_its_own_settings(bench: RigProtocol) -> None:
     Level.L3,
     needs=_MOVES,
     bench=_SHARED,
-    source="requirement 4; Motor.reserve: nobody else commands it inside the block",
+    source="requirement 4; Motor.reserve: only its user commands the motor inside the block",
 )
 def a_reservation_holds_and_lets_go(bench: RigProtocol) -> None:
-    """A reservation holds over several motions, and no longer than its block, however left."""
+    """During its block, and no longer, a reservation keeps other users away."""
     motor, other = _both(bench)
     way = 0.1 * long_move(bench)
     _prepare(other, way)
@@ -193,21 +214,22 @@ def a_reservation_holds_and_lets_go(bench: RigProtocol) -> None:
         for _ in range(2):
             move(bench, motor, way)
             error = _refusal_of(other.start)
-            expect(error is not None, f"{other.name} moved it between two motions of a reservation")
+            expect(error is not None, f"{other.name} moved between two motions of a reservation")
             expect(
-                error is not None and "survey" in str(error), f"its purpose is not told: {error}"
+                error is not None and "survey" in str(error),
+                f"purpose not in the error: {error}",
             )
-        expect(reservation.is_held, "it is told that it is not held")
+        expect(reservation.is_held, "is_held is False inside the block")
     _expect_free(bench, other, "after a reservation")
     with suppress(ZeroDivisionError), motor.reserve("survey"):
         raise ZeroDivisionError
-    _expect_free(bench, other, "after a block that was left by an error")
+    _expect_free(bench, other, "after a block left by an error")
     _prepare(motor, 0.0)
     with suppress(MotorError):
         motor.wait_until_done(0.0)
     with suppress(MotorError), motor.reserve("survey"):
-        motor.home(-128)  # no motor knows it
-    _expect_free(bench, other, "after what was refused in a reservation")
+        motor.home(-128)  # not a homing method of any motor
+    _expect_free(bench, other, "after an error in a reservation")
 
 
 def _expect_free(bench: RigProtocol, user: Motor, when: str) -> None:
@@ -224,15 +246,15 @@ def _expect_free(bench: RigProtocol, user: Motor, when: str) -> None:
     source="README, Sharing; Motor.start(timeout_s): waits its turn",
 )
 def who_comes_next_finds_it_at_rest(bench: RigProtocol) -> None:
-    """A motor that is being stopped is had by the next one only when it has come to rest."""
+    """While a motor slows down, no other user gets it; the next one gets it at rest."""
     motor, other = _both(bench)
     way = 3.0 * long_move(bench)
     follow(motor, TrapezoidalTrajectory(way))
     rest_for(bench, 0.4 * shortest_s(motor, way))
-    reached(abs(speed(bench, motor, 0.02)) > 0.3 * motor.model.velocity_max, "its full speed")
+    reached(abs(speed(bench, motor, 0.02)) > 0.3 * motor.model.velocity_max, "motion at full speed")
     motor.stop()
     with other.reserve("next", timeout_s=_PATIENCE_S):
-        expect_rest(bench, motor, f"{other.name} was given it while it slowed down, and")
+        expect_rest(bench, motor, f"granted to {other.name} while slowing down")
 
 
 @clause(
@@ -243,7 +265,7 @@ def who_comes_next_finds_it_at_rest(bench: RigProtocol) -> None:
     source="Motor.start(timeout_s): first come, first served",
 )
 def who_asked_first_is_served_first(bench: RigProtocol) -> None:
-    """Of those who wait for a motor who asked first has it first; nobody is passed over."""
+    """First come, first served: waiting users get the motor in the order of their requests."""
     motor, other = _both(bench)
     served: list[str] = []
     way = 0.2 * long_move(bench)
@@ -257,7 +279,7 @@ def who_asked_first_is_served_first(bench: RigProtocol) -> None:
 
     party = bench.runtime.spawn("next", next_one)
     rest_for(bench, 0.2 * shortest_s(motor, way))
-    expect(not served, f"{other.name} had it while it moved for {motor.name}")
+    expect(not served, f"{other.name} got the motor while it moved for {motor.name}")
     finish(bench, motor, shortest_s(motor, way))
     motor.start(timeout_s=_PATIENCE_S)
     served.append(motor.name)
@@ -265,7 +287,7 @@ def who_asked_first_is_served_first(bench: RigProtocol) -> None:
     expect(party.join(_PATIENCE_S), f"{other.name} was never served")
     if party.error is not None:
         raise party.error
-    expect(served == [other.name, motor.name], f"served were {', '.join(served)}, in this order")
+    expect(served == [other.name, motor.name], f"served in the order {', '.join(served)}")
 
 
 @clause(
@@ -273,28 +295,28 @@ def who_asked_first_is_served_first(bench: RigProtocol) -> None:
     Level.L3,
     needs={*_MOVES, Capability.VELOCITY_SET_POINT},
     bench=_SHARED,
-    source="README, Sharing: leases, take_over; the next owner brings to rest what was left moving",
+    source="README, Sharing: leases, take_over; the next owner brings a moving motor to rest",
 )
 def what_is_taken_over_is_brought_to_rest(bench: RigProtocol) -> None:
-    """Who takes a motor over has it at rest; who lost it is told, and commands it no more."""
+    """On a takeover, the motor is brought to rest, and its former user loses the ownership."""
     motor, other = _both(bench)
     with motor.reserve("survey") as survey:
         turn(motor, 0.5 * motor.model.velocity_max)
         finish(bench, motor)
         with other.reserve("rescue", take_over=True, timeout_s=_PATIENCE_S):
             expect_rest(bench, motor, f"taken over by {other.name}")
-            expect(not survey.is_held, "who lost it is told that it is held")
+            expect(not survey.is_held, "is_held is True after a takeover")
             _prepare(motor, long_move(bench))
             before = place(bench, motor)
             error = _refusal_of(motor.start)
-            expect(error is not None, f"{motor.name} has lost it, and commanded it")
-            expect_unmoved(bench, motor, before, "when who had lost it commanded it")
+            expect(error is not None, f"{motor.name} was started after a takeover")
+            expect_unmoved(bench, motor, before, "after a start() of the former user")
             move(bench, other, 0.1 * long_move(bench))
     with motor.reserve("lease", lease_s=_LEASE_S) as lease:
-        expect(_refusal_of(lambda: _reserved(other)) is not None, "a lease that goes on was taken")
+        expect(_refusal_of(lambda: _reserved(other)) is not None, "a valid lease was taken")
         rest_for(bench, 2.0 * _LEASE_S)
         _reserved(other)
-        expect(not lease.is_held, "a lease that was over and taken is told to be held")
+        expect(not lease.is_held, "is_held is True after the lease expired and was taken")
 
 
 def _reserved(motor: Motor) -> None:
@@ -310,7 +332,7 @@ def _reserved(motor: Motor) -> None:
     source="requirement 2 of the paper: no other part of the interface will have any effect",
 )
 def low_level_access_keeps_everybody_away(bench: RigProtocol) -> None:
-    """With low-level access one is alone with the hardware; afterwards the motor is as before."""
+    """During low-level access, all other users are refused; afterwards the motor is as before."""
     motor, other = _both(bench)
     way = 0.1 * long_move(bench)
     move(bench, motor, way)
@@ -318,10 +340,10 @@ def low_level_access_keeps_everybody_away(bench: RigProtocol) -> None:
     try:
         with motor.low_level():
             pass
-    except StateError:  # what holds it by itself must end first, and says so
+    except StateError:  # a motion that holds the motor must end first
         motor.disable()
     with motor.low_level() as hardware:
-        expect(hardware is not None, "there is no hardware object")
+        expect(hardware is not None, "the hardware object is None")
         rest_for(bench, 0.02)
         sent: list[str] = []
         if Ability.TRAFFIC in bench.abilities:
@@ -330,18 +352,22 @@ def low_level_access_keeps_everybody_away(bench: RigProtocol) -> None:
             sent = sorted(set(seen))
         else:
             _expect_all_refused(bench, other)
-        expect(not sent, f"nobody used the hardware, and the bus had {', '.join(sent)}")
+        expect(not sent, f"unused low-level access, but the bus had {', '.join(sent)}")
     before = place(bench, motor)
     other.start()
     finish(bench, other, shortest_s(motor, way))
     moved = place(bench, motor) - before
-    expect(abs(moved - way) <= bench.facts.window, f"after it {other.name} moved {moved:g}")
+    expect(
+        abs(moved - way) <= bench.facts.window,
+        f"then {other.name} moved {moved:g} of {way:g}",
+    )
 
 
 def _expect_all_refused(bench: RigProtocol, other: Motor) -> None:
     for operation in (other.start, other.stop, other.enable, other.disable, other.home):
         expect(
-            _refusal_of(operation) is not None, f"{operation.__name__}() of {other.name} was done"
+            _refusal_of(operation) is not None,
+            f"{operation.__name__}() of {other.name} accepted",
         )
         rest_for(bench, 0.02)
 
@@ -354,13 +380,65 @@ def _expect_all_refused(bench: RigProtocol, other: Motor) -> None:
     source="paper 3.5: one hardware object, shared by all; Device.close",
 )
 def who_leaves_takes_nothing_along(bench: RigProtocol) -> None:
-    """A logical motor that is closed, closed again even, leaves the others as they were."""
+    """After a logical motor is closed, even twice, the others work as before."""
     motor, other = _both(bench)
     move(bench, other, 0.1 * long_move(bench))
     for _ in range(2):
         other.close()
     state = motor.state()
-    expect(state is MotorState.ENABLED, f"when another user was closed it is {state.value}")
+    expect(state is MotorState.ENABLED, f"after another user was closed: state is {state.value}")
     move(bench, motor, 0.1 * long_move(bench))
     for _ in range(2):
         motor.close()
+
+
+_EXAMPLES: Final = 8
+_STEPS: Final = 15
+
+
+@clause(
+    "SHARE-11",
+    Level.L3,
+    needs={Capability.POSITION_TRAJECTORY},
+    bench={Ability.SEVERAL_USERS, Ability.AFRESH},
+    source="motorhil.harness.sharing_tests.state_machine: the history of every motor is that of one owner at a time",
+)
+def whatever_its_users_do_one_has_it_at_a_time(bench: RigProtocol) -> None:
+    """Whatever users start, reserve, stop, take over, or die of, one has the motor at a time."""
+    from hypothesis import HealthCheck, Phase, seed, settings
+    from hypothesis.errors import HypothesisException
+
+    from motorhil.harness.sharing_tests.history import SharingViolated
+    from motorhil.harness.sharing_tests.state_machine import Course, ownership_machine
+
+    if not hasattr(bench.runtime, "end"):
+        raise NotApplicable("users cannot be killed in wall time")
+    way = 0.05 * long_move(bench)
+    quick_s = max(0.3, 2.0 * shortest_s(bench.motor, 3.0 * way))
+    facts = bench.facts
+    course = Course(way, quick_s, 2.0 * facts.window, facts.time_tolerance_s)
+    machine: Any = ownership_machine(lambda: _rig_of(bench), course)
+    machine.TestCase.settings = settings(
+        deadline=None,
+        max_examples=_EXAMPLES,
+        stateful_step_count=_STEPS,
+        phases=[Phase.generate],
+        database=None,
+        report_multiple_bugs=False,
+        suppress_health_check=list(HealthCheck),
+    )
+    seed(bench.seed)(machine)
+    try:
+        machine.TestCase().runTest()
+    except (SharingViolated, HypothesisException) as error:
+        raise Violated(f"{error}") from error
+    moved = sum(count for name, count in machine.reach.items() if name.startswith("start: done"))
+    reached(moved > 0, "a completed start of one of several users")
+
+
+def _rig_of(bench: RigProtocol) -> Any:
+    """Return the bench, switched on again, as a rig for the state machine."""
+    bench.afresh()
+    motor, other = bench.motor, bench.another_user_of(bench.motor)
+    motors = {motor.name: motor, other.name: other}
+    return SimpleNamespace(runtime=bench.runtime, motors=motors, close=lambda: None)

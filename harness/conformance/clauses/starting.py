@@ -1,11 +1,13 @@
-"""L1: what start() does, and what it begins from."""
+"""L1: effects of start(), and its starting conditions.
+
+L1: the end of a motion: waiting, notification and progress.
+"""
 
 from typing import TYPE_CHECKING, Final
 
-from harness.conformance.bench import RigProtocol
-from harness.conformance.capability import Ability, Capability
-from harness.conformance.clause import Level, Violated, clause, expect
-from harness.conformance.motions import (
+from motorhil.harness.conformance.bench import RigProtocol
+from motorhil.harness.conformance.clause import Ability, Capability, Level, Violated, clause, expect
+from motorhil.harness.conformance.clauses.helpers import (
     aim,
     expect_at,
     expect_rest,
@@ -20,12 +22,15 @@ from harness.conformance.motions import (
     watched,
     way_of_stopping,
 )
-from motorapi import (
+from motorhil.motorapi import (
     ControlMode,
+    DeadlineExceeded,
     DerivativeLimits,
+    Motor,
     StateError,
     TrapezoidalTrajectory,
 )
+from motorhil.motorapi.motor import Ending, Outcome
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -42,7 +47,7 @@ _TURN_RAD: Final = 6.3
     source="Motor.start: starting again repeats the command",
 )
 def starting_again_repeats_the_command(bench: RigProtocol) -> None:
-    """Starting again repeats the command: what was a distance is one once more."""
+    """On a second start, the command is repeated: a distance is moved once more."""
     motor, way = bench.motor, 0.2 * long_move(bench)
     follow(motor, TrapezoidalTrajectory(way))
     finish(bench, motor, shortest_s(motor, way))
@@ -58,7 +63,7 @@ def starting_again_repeats_the_command(bench: RigProtocol) -> None:
     source="paper 3.5: start both sets the parameters to match the user's view and executes",
 )
 def each_start_has_the_settings_made_before_it(bench: RigProtocol) -> None:
-    """Each motion goes by the settings made last before its own start, not by earlier ones."""
+    """Each motion uses the settings made before its own start, not earlier ones."""
     motor, model = bench.motor, bench.motor.model
     way, tolerance_s = 0.3 * long_move(bench), bench.facts.time_tolerance_s
     motor.enable()
@@ -79,7 +84,7 @@ def each_start_has_the_settings_made_before_it(bench: RigProtocol) -> None:
         expect(
             early_s - tolerance_s <= taken_s - expected_s <= late_s + tolerance_s,
             f"with limits of {share:.0%} of the model's {way:g} {model.unit} take"
-            f" {expected_s:.3f} s, it took {taken_s:.3f} s",
+            f" {expected_s:.3f} s; took {taken_s:.3f} s",
         )
 
 
@@ -87,10 +92,10 @@ def each_start_has_the_settings_made_before_it(bench: RigProtocol) -> None:
     "START-03",
     Level.L1,
     needs={Capability.POSITION_SET_POINT},
-    source="Motor.start: in mid-motion a set-point replaces a set-point of its variable",
+    source="Motor.start: during a motion, a set-point replaces one of its variable",
 )
 def a_set_point_replaces_another_in_mid_motion(bench: RigProtocol) -> None:
-    """A set-point of position that is started in mid-motion replaces the one before, at once."""
+    """During a motion, a new position set-point replaces the previous one at once."""
     motor, way = bench.motor, 2.0 * long_move(bench)
     aim(motor, way)
     rest_for(bench, 0.3 * shortest_s(motor, way))
@@ -103,13 +108,13 @@ def a_set_point_replaces_another_in_mid_motion(bench: RigProtocol) -> None:
     brakes = way_of_stopping(motor, motor.model.velocity_max)
     expect(
         farthest <= max(target, left_at + brakes) + 0.15 * way,
-        f"it went on to {farthest:.4g} {motor.model.unit}, and then back to {target:.4g}",
+        f"overshot to {farthest:.4g} {motor.model.unit} on the way to {target:.4g}",
     )
     aim(motor, 0.0)
     rest_for(bench, 0.05)
     aim(motor, target)
     finish(bench, motor, shortest_s(motor, way))
-    expect_at(bench, motor, target, "after it was called back on its way to 0")
+    expect_at(bench, motor, target, "replaced on the way to 0")
 
 
 @clause(
@@ -117,10 +122,10 @@ def a_set_point_replaces_another_in_mid_motion(bench: RigProtocol) -> None:
     Level.L1,
     needs={Capability.VELOCITY_SET_POINT},
     bench={Ability.TRUTH},
-    source="Motor.start: what is said of velocity replaces what was said of the same",
+    source="Motor.start: a velocity set-point replaces another one",
 )
 def a_velocity_replaces_another(bench: RigProtocol) -> None:
-    """A set-point of velocity that is started in mid-motion replaces the one before."""
+    """During a motion, a new velocity set-point replaces the previous one."""
     motor, unit = bench.motor, bench.motor.model.unit
     ramp_s = motor.model.velocity_max / motor.model.acceleration_max
     for share in (0.2, 0.5, -0.3):
@@ -133,11 +138,11 @@ def a_velocity_replaces_another(bench: RigProtocol) -> None:
         found = (place(bench, motor) - before) / ((bench.runtime.now_ns() - begun_ns) / 1e9)
         expect(
             abs(found - asked) <= 0.05 * abs(asked),
-            f"told {asked:g} {unit}/s in mid-motion, it goes at {found:g} {unit}/s",
+            f"velocity {found:g} {unit}/s; expected the new set-point, {asked:g} {unit}/s",
         )
     motor.stop()
     finish(bench, motor)
-    expect_rest(bench, motor, "after it was stopped")
+    expect_rest(bench, motor, "after stop()")
 
 
 @clause(
@@ -147,7 +152,7 @@ def a_velocity_replaces_another(bench: RigProtocol) -> None:
     source="Motor.start: everything else starts from rest; paper 3.3.3, only without errors",
 )
 def what_cannot_be_replaced_is_not_disturbed(bench: RigProtocol) -> None:
-    """A trajectory is refused while another one goes on, which ends as if nothing had happened."""
+    """During a trajectory, another one is refused, and the first one is not disturbed."""
     motor, way = bench.motor, 0.5 * long_move(bench)
     begin = motor.position()
     follow(motor, TrapezoidalTrajectory(way, duration_s=1.5 * shortest_s(motor, way)))
@@ -158,9 +163,9 @@ def what_cannot_be_replaced_is_not_disturbed(bench: RigProtocol) -> None:
     except StateError:
         pass
     else:
-        raise Violated("a second trajectory was started while the first one went on")
+        raise Violated("a second trajectory was started during the first one")
     finish(bench, motor, 1.5 * shortest_s(motor, way))
-    expect_at(bench, motor, begin + way, "after another trajectory was refused")
+    expect_at(bench, motor, begin + way, "after the refusal of another trajectory")
 
 
 @clause(
@@ -171,7 +176,7 @@ def what_cannot_be_replaced_is_not_disturbed(bench: RigProtocol) -> None:
     source="requirement 1: to achieve a motion target; paper 3.3, Figure 4",
 )
 def any_target_is_reached(bench: RigProtocol) -> None:
-    """Whatever places within its limits a motor is told to go to, it goes to each in turn."""
+    """Every target within the limits is reached, in sequence."""
     from hypothesis import Phase, given, seed, settings
     from hypothesis import strategies as st
 
@@ -200,7 +205,7 @@ def any_target_is_reached(bench: RigProtocol) -> None:
 
 
 def _room(bench: RigProtocol) -> tuple[float, float]:
-    """Between which positions it may be sent: more than a turn to either side, if there is room."""
+    """Return the range of targets: more than a turn in both directions, within the limits."""
     model, far = bench.motor.model, _LONG * long_move(bench)
     if model.unit == "rad":
         far = max(far, 1.2 * _TURN_RAD)
@@ -213,10 +218,10 @@ def _room(bench: RigProtocol) -> tuple[float, float]:
     "MOVE-02",
     Level.L1,
     needs={Capability.POSITION_SET_POINT, Capability.POSITION_TRAJECTORY},
-    source="requirement 1; Motor.wait_until_done: what was commanded last is over",
+    source="requirement 1; Motor.wait_until_done: the last command",
 )
 def moves_of_no_way_are_moves(bench: RigProtocol) -> None:
-    """A move of nothing, or of less than can be counted, is done at once, and the next is made."""
+    """Zero or sub-resolution moves are done at once, and the next move is exact."""
     motor = bench.motor
     least = motor.model.resolution or 1e-6 * long_move(bench)
     way = 0.2 * long_move(bench)
@@ -233,8 +238,154 @@ def moves_of_no_way_are_moves(bench: RigProtocol) -> None:
             late_s = bench.facts.latency_s[1] + bench.facts.time_tolerance_s
             expect(
                 taken_s <= late_s,
-                f"a move of {tiny:g} {motor.model.unit} was over after {taken_s:.3f} s only",
+                f"a move of {tiny:g} {motor.model.unit} took {taken_s:.3f} s; limit {late_s:.3f} s",
             )
         follow(motor, TrapezoidalTrajectory(way))
         finish(bench, motor, shortest_s(motor, way))
         expect_at(bench, motor, begin + way + 2.0 * tiny, f"after moves of {tiny:g}, by {way:g}")
+
+
+@clause(
+    "DONE-01",
+    Level.L1,
+    needs={Capability.POSITION_TRAJECTORY},
+    bench={Ability.TRUTH},
+    source="paper 3.3.3: blocks until the motor finished; MotorHooks._is_done",
+)
+def done_is_neither_early_nor_late(bench: RigProtocol) -> None:
+    """Every wait ends soon after the motor is at rest at its target, and not before."""
+    motor, tolerance_s = bench.motor, bench.facts.time_tolerance_s
+    motor.enable()
+    early_s, late_s = bench.facts.latency_s
+    for share in (0.4, 0.4, -0.8, 0.1):
+        way = share * long_move(bench)
+        begin, expected_s = motor.position(), shortest_s(motor, way)
+        follow(motor, TrapezoidalTrajectory(way))
+        begun_ns = bench.runtime.now_ns()
+        expect(not motor.is_done(), f"done was reported at the start of a move of {way:g}")
+        finish(bench, motor, expected_s)
+        left = begin + way - motor.position()
+        taken_s = (bench.runtime.now_ns() - begun_ns) / 1e9
+        unit = motor.model.unit
+        expect(
+            abs(left) <= bench.facts.window,
+            f"done was reported {left:.5g} {unit} before the end of a move of {way:g} {unit}",
+        )
+        expect_rest(bench, motor, "done was reported")
+        expect(
+            expected_s + early_s - tolerance_s <= taken_s <= expected_s + late_s + tolerance_s,
+            f"done was reported after {taken_s:.3f} s; the move takes {expected_s:.3f} s",
+        )
+
+
+@clause(
+    "DONE-02",
+    Level.L1,
+    needs={Capability.POSITION_TRAJECTORY},
+    source="Motor.wait_until_done: DeadlineExceeded, the motion continues",
+)
+def a_motion_goes_on_unwatched(bench: RigProtocol) -> None:
+    """Every motion continues when a wait for it times out, and while no caller waits."""
+    motor, way = bench.motor, long_move(bench)
+    begin, expected_s = motor.position(), shortest_s(motor, way)
+    follow(motor, TrapezoidalTrajectory(way))
+    begun_ns = bench.runtime.now_ns()
+    try:
+        motor.wait_until_done(0.2 * expected_s)
+    except DeadlineExceeded as error:
+        expect(motor.name in error.awaited, f"the error does not name the motor: {error}")
+        waited_s = (bench.runtime.now_ns() - begun_ns) / 1e9
+        expect(
+            waited_s <= 0.2 * expected_s + bench.facts.time_tolerance_s,
+            f"a wait of {0.2 * expected_s:.3f} s ended after {waited_s:.3f} s",
+        )
+    else:
+        raise Violated("a wait for a fifth of the motion ended without DeadlineExceeded")
+    rest_for(bench, 2.0 * expected_s)
+    finish(bench, motor)
+    expect_at(bench, motor, begin + way, "after a motion without a wait")
+
+
+@clause(
+    "DONE-03",
+    Level.L1,
+    needs={Capability.POSITION_TRAJECTORY},
+    source="Motor.on_done: called once, at the end of the last commanded motion",
+)
+def the_end_is_told_once(bench: RigProtocol) -> None:
+    """Callbacks of on_done() are called once, at the end of the motion, with its outcome."""
+    motor, way = bench.motor, 0.4 * long_move(bench)
+    told: list[tuple[int, Outcome]] = []
+    follow(motor, TrapezoidalTrajectory(way))
+    motor.on_done(lambda outcome: told.append((bench.runtime.now_ns(), outcome)))
+    expect(not told, "the end was notified at the start")
+    finish(bench, motor, shortest_s(motor, way))
+    done_ns = bench.runtime.now_ns()
+    rest_for(bench, bench.facts.time_tolerance_s)
+    _expect_told(told, Ending.DONE, done_ns, bench.facts.time_tolerance_s)
+    told.clear()
+    follow(motor, TrapezoidalTrajectory(way))
+    motor.on_done(lambda outcome: told.append((bench.runtime.now_ns(), outcome)))
+    rest_for(bench, 0.5 * shortest_s(motor, way))
+    stopped_ns = bench.runtime.now_ns()
+    motor.stop()
+    finish(bench, motor)
+    rest_for(bench, bench.facts.time_tolerance_s)
+    _expect_told(told, Ending.INTERRUPTED, stopped_ns, bench.facts.time_tolerance_s)
+
+
+def _expect_told(
+    told: list[tuple[int, Outcome]], ending: Ending, at_ns: int, tolerance_s: float
+) -> None:
+    endings = ", ".join(outcome.ending.value for _, outcome in told) or "nothing"
+    expect([outcome.ending for _, outcome in told] == [ending], f"notified: {endings}")
+    off_s = (told[0][0] - at_ns) / 1e9
+    expect(abs(off_s) <= tolerance_s, f"the end was notified {off_s:.3f} s late")
+
+
+@clause(
+    "DONE-04",
+    Level.L1,
+    needs={Capability.POSITION_TRAJECTORY},
+    source="Motor.progress: of the last commanded motion; None once it is over",
+)
+def progress_goes_from_nothing_to_all(bench: RigProtocol) -> None:
+    """Progress grows from 0 to 1 along the distance, agrees with the time left, and then ends."""
+    motor, way = bench.motor, 0.5 * long_move(bench)
+    expect(motor.progress() is None, "progress() before the first command; expected None")
+    for signed in (way, -way):
+        _expect_progress(bench, motor, signed)
+
+
+def _expect_progress(bench: RigProtocol, motor: Motor, way: float) -> None:
+    expected_s = shortest_s(motor, way)
+    follow(motor, TrapezoidalTrajectory(way))
+    begun_ns = bench.runtime.now_ns()
+    seen = []
+    while not motor.is_done():
+        progress = motor.progress()
+        if progress is not None:
+            since_s = (bench.runtime.now_ns() - begun_ns) / 1e9
+            seen.append((since_s, progress))
+        motor.position()  # some motors report only when they are asked
+        rest_for(bench, 0.1 * expected_s)
+        expect(len(seen) < 30, "the motion does not end")
+    expect(motor.progress() is None, "progress() after the end of the motion; expected None")
+    fractions = [one.fraction for _, one in seen if one.fraction is not None]
+    shown = ", ".join(f"{fraction:.2f}" for fraction in fractions)
+    expect(
+        len(fractions) >= 5 and fractions == sorted(fractions) and fractions[-1] > 0.7,
+        f"progress, sampled every tenth of the time: {shown}; expected 0 to 1, rising",
+    )
+    expect(fractions[0] < 0.3, f"the first progress was {fractions[0]:.0%} of the distance")
+    tolerance_s = bench.facts.time_tolerance_s + max(map(abs, bench.facts.latency_s))
+    for since_s, one in seen:
+        expect(
+            abs(one.elapsed_s - since_s) <= tolerance_s,
+            f"elapsed time: {one.elapsed_s:.3f} s reported; expected {since_s:.3f} s",
+        )
+        left_s, wanted_s = one.remaining_s, max(0.0, expected_s - since_s)
+        expect(
+            left_s is None or abs(left_s - wanted_s) <= tolerance_s,
+            f"remaining time: {left_s} s reported; expected {wanted_s:.3f} s",
+        )

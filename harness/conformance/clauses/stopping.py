@@ -1,12 +1,11 @@
-"""L2: stopping, in every way, from every motion."""
+"""L2: stops of every kind, from every motion."""
 
 from collections.abc import Callable, Sequence
 from typing import Final
 
-from harness.conformance.bench import RigProtocol
-from harness.conformance.capability import Ability, Capability
-from harness.conformance.clause import Level, Violated, clause, expect
-from harness.conformance.motions import (
+from motorhil.harness.conformance.bench import RigProtocol
+from motorhil.harness.conformance.clause import Ability, Capability, Level, Violated, clause, expect
+from motorhil.harness.conformance.clauses.helpers import (
     aim,
     expect_at,
     expect_rest,
@@ -24,7 +23,7 @@ from harness.conformance.motions import (
     watched,
     way_of_stopping,
 )
-from motorapi import (
+from motorhil.motorapi import (
     ControlMode,
     MotionInterrupted,
     Motor,
@@ -40,26 +39,26 @@ _SHARE: Final = 0.5
 def _stopped_half_way(
     bench: RigProtocol, stop: Callable[[Motor], None], name: str
 ) -> tuple[float, float]:
-    """It has stopped short of where it went; from where to where."""
+    """Stop a motion half-way, check the stop, and return the start and end positions."""
     motor, way = bench.motor, 1.5 * long_move(bench)
     motor.enable()
     begin = place(bench, motor)
     follow(motor, TrapezoidalTrajectory(way))
     rest_for(bench, 0.4 * shortest_s(motor, way))
     told_at = place(bench, motor)
-    reached(abs(told_at - begin) > 0.1 * way, "a motion to be stopped")
+    reached(abs(told_at - begin) > 0.1 * way, "a motion before the stop")
     stop(motor)
     braking_s = motor.model.velocity_max / motor.model.deceleration
     finish(bench, motor, braking_s)
-    expect_rest(bench, motor, f"{name} said that it was done")
+    expect_rest(bench, motor, f"{name} was reported done")
     found = place(bench, motor)
     room = way_of_stopping(motor, motor.model.velocity_max)
     spare = 0.15 * way
     unit = motor.model.unit
     expect(
         told_at - begin - spare <= found - begin <= told_at - begin + room + spare,
-        f"{name}, {told_at - begin:.4g} {unit} along a way of {way:g} {unit}, ended"
-        f" at {found - begin:.4g} {unit}; it takes {room:.3g} {unit} to stop",
+        f"{name}, {told_at - begin:.4g} {unit} into a move of {way:g} {unit}, ended"
+        f" at {found - begin:.4g} {unit}; the braking distance is {room:.3g} {unit}",
     )
     fault = motor.fault()
     expect(fault is None, f"{name} left a fault: {fault}")
@@ -70,10 +69,10 @@ def _stopped_half_way(
     "STOP-01",
     Level.L2,
     needs={Capability.POSITION_TRAJECTORY},
-    source="Motor.stop: slowing down, and its motion is over; CiA 402-2, halt",
+    source="Motor.stop: slows down, and the motion is over; CiA 402-2, halt",
 )
 def a_stop_ends_at_rest_short_of_the_target(bench: RigProtocol) -> None:
-    """A stop in mid-motion ends at rest, short of the target, enabled; the next start moves on."""
+    """During a motion, a stop ends at rest, short of the target, enabled; the next start works."""
     _, found = _stopped_half_way(bench, Motor.stop, "stop()")
     _expect_goes_on(bench, found, "stop()")
 
@@ -81,13 +80,13 @@ def a_stop_ends_at_rest_short_of_the_target(bench: RigProtocol) -> None:
 def _expect_goes_on(bench: RigProtocol, found: float, name: str) -> None:
     motor, way = bench.motor, 0.2 * long_move(bench)
     state = motor.state()
-    expect(state is MotorState.ENABLED, f"after {name} it is {state.value}")
+    expect(state is MotorState.ENABLED, f"after {name}: state is {state.value}")
     rest_for(bench, 0.3)
     expect_unmoved(bench, motor, found, f"after {name}")
     before = motor.position()
     follow(motor, TrapezoidalTrajectory(way))
     finish(bench, motor, shortest_s(motor, way))
-    expect_at(bench, motor, before + way, f"told to move {way:g} after {name}")
+    expect_at(bench, motor, before + way, f"moved {way:g} after {name}")
 
 
 @clause(
@@ -97,7 +96,7 @@ def _expect_goes_on(bench: RigProtocol, found: float, name: str) -> None:
     source="Motor.halt: stops as the drive's halt option says; CiA 402-2, 605Dh",
 )
 def a_halt_ends_at_rest_and_the_next_start_lifts_it(bench: RigProtocol) -> None:
-    """A halt in mid-motion ends at rest, short of the target; the next start lifts it."""
+    """During a motion, a halt ends at rest, short of the target; the next start lifts it."""
     _, found = _stopped_half_way(bench, Motor.halt, "halt()")
     _expect_goes_on(bench, found, "halt()")
 
@@ -109,11 +108,11 @@ def a_halt_ends_at_rest_and_the_next_start_lifts_it(bench: RigProtocol) -> None:
     source="Motor.quick_stop: moves again only after enable(); CiA 402-2, 605Ah",
 )
 def after_a_quick_stop_it_moves_only_when_enabled(bench: RigProtocol) -> None:
-    """A quick stop ends at rest, short of the target; it is stopped, and moves after enable()."""
+    """After a quick stop, the motor is at rest, short of the target, until the next enable()."""
     motor = bench.motor
     _stopped_half_way(bench, Motor.quick_stop, "quick_stop()")
     state = motor.state()
-    expect(state is MotorState.STOPPED, f"after quick_stop() it is {state.value}")
+    expect(state is MotorState.STOPPED, f"after quick_stop(): state is {state.value}")
     before = place(bench, motor)
     motor.set_trajectory(TrapezoidalTrajectory(0.2 * long_move(bench)))
     try:
@@ -121,9 +120,9 @@ def after_a_quick_stop_it_moves_only_when_enabled(bench: RigProtocol) -> None:
     except StateError:
         pass
     else:
-        raise Violated("it was started after a quick stop, and nobody had enabled it")
+        raise Violated("start() after quick_stop() was accepted without enable()")
     rest_for(bench, 0.3)
-    expect_unmoved(bench, motor, before, "a start after quick_stop() was refused, and")
+    expect_unmoved(bench, motor, before, "start() refused after quick_stop()")
     motor.enable()
     rest_for(bench, 0.3)
     expect_unmoved(bench, motor, before, "enabled after quick_stop()")
@@ -138,7 +137,7 @@ def after_a_quick_stop_it_moves_only_when_enabled(bench: RigProtocol) -> None:
     source="MotorHooks._stop: slows down at the motion's deceleration; paper 3.2, the model",
 )
 def a_stop_slows_down_as_the_model_allows(bench: RigProtocol) -> None:
-    """A stop takes the way that the motion's deceleration takes: no shorter, no longer."""
+    """On a stop, the braking distance is that of the motion's deceleration."""
     motor, model = bench.motor, bench.motor.model
     motor.enable()
     velocity = model.velocity_max
@@ -156,8 +155,8 @@ def a_stop_slows_down_as_the_model_allows(bench: RigProtocol) -> None:
         late = velocity * (bench.facts.latency_s[1] + 0.02)
         expect(
             0.8 * wanted <= made <= 1.2 * wanted + late,
-            f"from {velocity:g} {model.unit}/s it stopped in {made:.4g} {model.unit}; at"
-            f" {model.deceleration:g} {model.unit}/s² that takes {wanted:.4g} {model.unit}",
+            f"stopped from {velocity:g} {model.unit}/s in {made:.4g} {model.unit};"
+            f" expected {wanted:.4g} {model.unit} at {model.deceleration:g} {model.unit}/s²",
         )
 
 
@@ -168,7 +167,7 @@ def a_stop_slows_down_as_the_model_allows(bench: RigProtocol) -> None:
     source="Motor.stop; paper 3.3, Figure 4: every control variable",
 )
 def a_stop_ends_a_velocity(bench: RigProtocol) -> None:
-    """A stop, a halt and a quick stop of a set-point of velocity end at rest."""
+    """During a velocity set-point, a stop, halt or quick stop ends at rest."""
     motor = bench.motor
     ramp_s = motor.model.velocity_max / motor.model.acceleration_max
     for stop, sign in ((Motor.stop, 1.0), (Motor.halt, -1.0), (Motor.quick_stop, 1.0)):
@@ -176,10 +175,10 @@ def a_stop_ends_a_velocity(bench: RigProtocol) -> None:
         finish(bench, motor, 2.0 * ramp_s)
         stop(motor)
         finish(bench, motor, ramp_s)
-        expect_rest(bench, motor, f"after {stop.__name__}() of a velocity")
+        expect_rest(bench, motor, f"after {stop.__name__}() of a velocity set-point")
         held = place(bench, motor)
         rest_for(bench, 0.3)
-        expect_unmoved(bench, motor, held, f"after {stop.__name__}() of a velocity")
+        expect_unmoved(bench, motor, held, f"after {stop.__name__}() of a velocity set-point")
         motor.enable()
 
 
@@ -187,13 +186,13 @@ def a_stop_ends_a_velocity(bench: RigProtocol) -> None:
     "STOP-06",
     Level.L2,
     needs={Capability.POSITION_TRAJECTORY},
-    source="Motor.stop takes nobody's permission; wait_until_done, at once if nothing was",
+    source="Motor.stop needs no ownership; wait_until_done returns at once",
 )
 def stopping_what_stands_is_right(bench: RigProtocol) -> None:
-    """What stands, is off, or was stopped may be stopped: that is done, and it moves after it."""
+    """If the motor is at rest, off or stopped, a stop is done at once; the next move works."""
     motor, way = bench.motor, 0.2 * long_move(bench)
     begin = motor.position()
-    motor.stop()  # it is not even enabled
+    motor.stop()  # not even enabled
     finish(bench, motor)
     motor.enable()
     for stop in (Motor.stop, Motor.halt, Motor.stop):
@@ -203,13 +202,13 @@ def stopping_what_stands_is_right(bench: RigProtocol) -> None:
         taken_s = (bench.runtime.now_ns() - begun_ns) / 1e9
         expect(
             taken_s <= 0.2 + bench.facts.time_tolerance_s,
-            f"{stop.__name__}() of a motor that stands was over after {taken_s:.3f} s only",
+            f"{stop.__name__}() of a motor at rest took {taken_s:.3f} s",
         )
-        expect_at(bench, motor, begin, f"stopped by {stop.__name__}() where it stood")
+        expect_at(bench, motor, begin, f"stopped at rest by {stop.__name__}()")
         follow(motor, TrapezoidalTrajectory(way))
         finish(bench, motor, shortest_s(motor, way))
         begin += way
-        expect_at(bench, motor, begin, f"told to move {way:g} after {stop.__name__}()")
+        expect_at(bench, motor, begin, f"moved {way:g} after {stop.__name__}()")
     long_way = 1.5 * long_move(bench)
     follow(motor, TrapezoidalTrajectory(long_way))
     rest_for(bench, midway_s(motor, long_way, 0.3))
@@ -217,12 +216,12 @@ def stopping_what_stands_is_right(bench: RigProtocol) -> None:
     rest_for(bench, 0.05)
     motor.stop()
     finish(bench, motor)
-    expect_rest(bench, motor, "stopped twice in mid-motion")
+    expect_rest(bench, motor, "stopped twice during a motion")
     stopped = motor.position()
     rest_for(bench, shortest_s(motor, long_way))
-    expect_at(bench, motor, stopped, "stopped twice in mid-motion")
+    expect_at(bench, motor, stopped, "stopped twice during a motion")
     made = abs(stopped - begin)
-    expect(made < 0.9 * long_way, "stopped twice in mid-motion, it went on to the target")
+    expect(made < 0.9 * long_way, "stopped twice during a motion, but moved to the target")
 
 
 @clause(
@@ -230,10 +229,10 @@ def stopping_what_stands_is_right(bench: RigProtocol) -> None:
     Level.L2,
     needs={Capability.POSITION_SET_POINT},
     bench={Ability.AFRESH},
-    source="requirement 1; Motor.start, Motor.stop: the last one says",
+    source="requirement 1; Motor.start, Motor.stop: the last command counts",
 )
 def any_sequence_ends_where_its_last_command_says(bench: RigProtocol) -> None:
-    """Whatever was set, started and stopped in whatever order, the last command is what is done."""
+    """After any sequence of settings, starts and stops, the last command is carried out."""
     from hypothesis import Phase, example, given, seed, settings
     from hypothesis import strategies as st
 
@@ -289,10 +288,10 @@ def _do(bench: RigProtocol, steps: Sequence[tuple[str, float, float]], longest_s
     Level.L2,
     needs={Capability.POSITION_TRAJECTORY},
     bench={Ability.TRUTH},
-    source="Motor.disable: a motion is over, a motor in motion coasts; Motor.enable: not moved",
+    source="Motor.disable: the motion is over, a moving motor coasts; Motor.enable: not moved",
 )
 def what_was_switched_off_is_over(bench: RigProtocol) -> None:
-    """A motion that was switched off is over: enabled again, the motor stays where it is."""
+    """After disable() the motion is over: when enabled again, the motor stays at its position."""
     motor, way = bench.motor, 2.0 * long_move(bench)
     motor.enable()
     begin = place(bench, motor)
@@ -300,22 +299,22 @@ def what_was_switched_off_is_over(bench: RigProtocol) -> None:
     rest_for(bench, 0.3 * shortest_s(motor, way))
     motor.disable()
     state = motor.state()
-    expect(state is MotorState.DISABLED, f"switched off in mid-motion it is {state.value}")
+    expect(state is MotorState.DISABLED, f"after disable() during a motion: state is {state.value}")
     try:
         finish(bench, motor)
     except MotionInterrupted:
         pass
     else:
-        raise Violated("a wait for a motion that was switched off ended as if it was done")
+        raise Violated("after disable() during a motion, done was reported")
     for _ in range(100):
         if fastest(watched(bench, motor, 0.1), 0.08) < 1e-3 * motor.model.velocity_max:
             break
     held = place(bench, motor)
-    reached(held - begin > 0.05 * way, "a motion to be switched off")
+    reached(held - begin > 0.05 * way, "a motion before disable()")
     motor.enable()
     rest_for(bench, 0.5)
-    expect_unmoved(bench, motor, held, "enabled again after it was switched off in mid-motion")
+    expect_unmoved(bench, motor, held, "enabled again after disable() during a motion")
     before = motor.position()
     follow(motor, TrapezoidalTrajectory(0.1 * way))
     finish(bench, motor, shortest_s(motor, 0.1 * way))
-    expect_at(bench, motor, before + 0.1 * way, "moved on after it was switched off")
+    expect_at(bench, motor, before + 0.1 * way, "moved after disable() and enable()")

@@ -1,11 +1,10 @@
-"""L1: trajectories are followed as they are prescribed, at every instant."""
+"""L1: trajectories are followed at every instant."""
 
 from itertools import pairwise
 
-from harness.conformance.bench import RigProtocol
-from harness.conformance.capability import Ability, Capability
-from harness.conformance.clause import Level, clause, expect
-from harness.conformance.motions import (
+from motorhil.harness.conformance.bench import RigProtocol
+from motorhil.harness.conformance.clause import Ability, Capability, Level, clause, expect
+from motorhil.harness.conformance.clauses.helpers import (
     expect_at,
     expect_tracks,
     finish,
@@ -21,7 +20,7 @@ from harness.conformance.motions import (
     watched,
     worst_deviation,
 )
-from motorapi import (
+from motorhil.motorapi import (
     ComplexTrajectory,
     ControlMode,
     ControlVariable,
@@ -40,7 +39,7 @@ def _expect_profile(
     duration_s: float,
     ramps: tuple[float, float],
 ) -> None:
-    """The relative trajectory is followed all the way, as one of these ramps [U/s²]."""
+    """Check that a relative trajectory is followed as a profile with these ramps [U/s²]."""
     motor = bench.motor
     motor.enable()
     before = place(bench, motor)
@@ -52,7 +51,7 @@ def _expect_profile(
     other = trapezoid(trajectory.final, 1.3 * duration_s, *ramps)
     reached(
         worst_deviation(bench, taken, other) > bench.facts.following,
-        "a way on which one profile can be told from another",
+        "a move long enough to distinguish two profiles",
     )
 
 
@@ -63,7 +62,7 @@ def _expect_profile(
     source="paper 3.3.1, boundary conditions; Figure 5",
 )
 def an_absolute_trajectory_ends_at_its_final_value(bench: RigProtocol) -> None:
-    """A trajectory with an initial value is absolute, and begins nowhere else."""
+    """With an initial value, a trajectory is absolute, and is refused from another position."""
     motor, one = bench.motor, 0.4 * long_move(bench)
     follow(motor, TrapezoidalTrajectory(one))
     finish(bench, motor, shortest_s(motor, one))
@@ -75,9 +74,9 @@ def an_absolute_trajectory_ends_at_its_final_value(bench: RigProtocol) -> None:
     try:
         motor.start()
     except StateError:
-        expect_at(bench, motor, 0.5 * one, "after a trajectory that begins elsewhere was refused")
+        expect_at(bench, motor, 0.5 * one, "after a refused trajectory")
         return
-    expect(False, "a trajectory was started that begins where the motor is not")
+    expect(False, "a trajectory from another position was started")
 
 
 @clause(
@@ -88,7 +87,7 @@ def an_absolute_trajectory_ends_at_its_final_value(bench: RigProtocol) -> None:
     source="paper 3.3.1, simple trajectories, Figure 5; 3.3: follows a prescribed profile",
 )
 def a_simple_trajectory_takes_the_time_it_was_given(bench: RigProtocol) -> None:
-    """A simple trajectory of a given duration is followed at every instant, to either side."""
+    """In both directions, a simple trajectory of given duration is followed at every instant."""
     model, way = bench.motor.model, 0.7 * long_move(bench)
     ramps = model.acceleration_max, model.deceleration
     duration_s = 1.8 * shortest_s(bench.motor, way)
@@ -105,7 +104,7 @@ def a_simple_trajectory_takes_the_time_it_was_given(bench: RigProtocol) -> None:
     source="paper 3.3.1, derivative limits: the allowed ranges; 3.2, the model's by default",
 )
 def a_simple_trajectory_is_as_fast_as_its_limits_allow(bench: RigProtocol) -> None:
-    """A simple trajectory makes use of its limits of velocity and acceleration, and keeps them."""
+    """Within its velocity and acceleration limits, a simple trajectory is as fast as possible."""
     model, way = bench.motor.model, 0.7 * long_move(bench)
     up, down = 0.6 * model.acceleration_max, 0.15 * model.deceleration
     velocity = 0.5 * model.velocity_max
@@ -122,8 +121,8 @@ def a_simple_trajectory_is_as_fast_as_its_limits_allow(bench: RigProtocol) -> No
     source="paper 3.3.1, complex trajectories, Figure 6",
 )
 def a_complex_trajectory_is_followed_at_every_instant(bench: RigProtocol) -> None:
-    """A complex trajectory of position is followed at every instant, from where it begins."""
-    from motorapi.functions import Polynomial
+    """Complex position trajectories are followed at every instant, from any start position."""
+    from motorhil.motorapi.functions import Polynomial
 
     motor, model = bench.motor, bench.motor.model
     duration_s = 2.0
@@ -148,7 +147,7 @@ def a_complex_trajectory_is_followed_at_every_instant(bench: RigProtocol) -> Non
 
     expect_tracks(bench, taken, wanted, "a complex trajectory")
     straight = trapezoid(wanted(duration_s), duration_s, model.acceleration_max, model.deceleration)
-    reached(worst_deviation(bench, taken, straight) > bench.facts.following, "a way that is curved")
+    reached(worst_deviation(bench, taken, straight) > bench.facts.following, "a curved motion")
 
 
 @clause(
@@ -159,7 +158,7 @@ def a_complex_trajectory_is_followed_at_every_instant(bench: RigProtocol) -> Non
     source="paper 3.3.1: the function value can be of any control variable; Figure 5",
 )
 def a_trajectory_of_velocity_is_a_ramp(bench: RigProtocol) -> None:
-    """A trajectory of velocity takes the time that it was given, and then goes on."""
+    """Velocity trajectories reach their velocity in the given time, and keep it."""
     motor = bench.motor
     motor.enable()
     asked, duration_s = 0.5 * motor.model.velocity_max, 1.0
@@ -180,11 +179,14 @@ def a_trajectory_of_velocity_is_a_ramp(bench: RigProtocol) -> None:
         spare = bench.facts.following
         expect(
             late - spare <= position - before <= early + spare,
-            f"{at_s:.3f} s after it began to go to {asked:g} {unit}/s in {duration_s:g} s"
-            f" it had moved {position - before:.5g} {unit},"
-            f" and not {late:.5g} to {early:.5g} {unit}",
+            f"{at_s:.3f} s into a ramp to {asked:g} {unit}/s in {duration_s:g} s,"
+            f" moved {position - before:.5g} {unit};"
+            f" expected {late:.5g} to {early:.5g} {unit}",
         )
-    expect(abs(found - asked) <= 0.05 * asked, f"after its ramp it went at {found:g} {unit}/s")
+    expect(
+        abs(found - asked) <= 0.05 * asked,
+        f"after the ramp: {found:g} {unit}/s",
+    )
 
 
 def _ramp(motor: Motor, variable: ControlVariable, final: float, duration_s: float) -> None:
@@ -201,7 +203,7 @@ def _ramp(motor: Motor, variable: ControlVariable, final: float, duration_s: flo
     source="paper 3.3.1: the function value can be of any control variable",
 )
 def a_trajectory_of_torque_is_a_ramp(bench: RigProtocol) -> None:
-    """A trajectory of torque takes the time that it was given: half-way it makes half of it."""
+    """Torque trajectories reach their torque in the given time: half of it at half-time."""
     motor = bench.motor
     motor.enable()
     asked, duration_s = torque_of(motor, 0.8), 0.6
@@ -211,16 +213,15 @@ def a_trajectory_of_torque_is_a_ramp(bench: RigProtocol) -> None:
     bench.load(motor, 0.0)
     motor.stop()
     finish(bench, motor)
-    # It falls back from the beginning, and faster until the torque is as much as the load; friction
-    # helps to hold what falls, and does so earlier.
+    # The load pushes the motor back from the beginning, ever faster, until the torque equals the
+    # load. Friction supports the motor, so the turn comes earlier.
     steps = pairwise(taken)
     falls = [(b[1] - a[1]) / (b[0] - a[0]) for a, b in steps]
     at_s = taken[falls.index(min(falls))][0]
-    reached(falls[-1] > min(falls), "a torque that is more than the load")
+    reached(falls[-1] > min(falls), "a torque larger than the load")
     expect(
         min(falls) < 0.0 and 0.25 * duration_s <= at_s <= 0.65 * duration_s,
-        f"a torque that grows for {duration_s:g} s was as much as a load of half of it"
-        f" after {at_s:.3f} s",
+        f"a torque ramp of {duration_s:g} s reached half of its torque after {at_s:.3f} s",
     )
 
 
@@ -232,13 +233,13 @@ def a_trajectory_of_torque_is_a_ramp(bench: RigProtocol) -> None:
     source="paper 3.3.1, complex trajectories: any control variable; Figure 6, integrals",
 )
 def a_complex_trajectory_of_velocity_makes_its_integral(bench: RigProtocol) -> None:
-    """A complex trajectory of velocity makes a way that is its integral, at every instant."""
-    from motorapi.functions import Polynomial
+    """Complex velocity trajectories are followed: the position is their integral at all times."""
+    from motorhil.motorapi.functions import Polynomial
 
     motor, model = bench.motor, bench.motor.model
     duration_s = 2.0
     gentle = min(model.acceleration_max, model.deceleration)
-    peak = min(0.4 * model.velocity_max, 0.2 * gentle * duration_s)  # four times as steep, at most
+    peak = min(0.4 * model.velocity_max, 0.2 * gentle * duration_s)  # slope <= 4
     motor.enable()
     before = place(bench, motor)
     motor.set_control_mode(ControlMode.TRAJECTORY, ControlVariable.VELOCITY)
@@ -254,9 +255,9 @@ def a_complex_trajectory_of_velocity_makes_its_integral(bench: RigProtocol) -> N
         return peak * duration_s * (2.0 * s**2 - 4.0 / 3.0 * s**3)
 
     worst, unit = worst_deviation(bench, taken, wanted), model.unit
-    bound = bench.facts.following + 0.02 * wanted(duration_s)  # nobody holds its place
+    bound = bench.facts.following + 0.02 * wanted(duration_s)  # no position control corrects this
     expect(
         worst <= bound,
-        f"a complex trajectory of velocity: it was {worst:.5g} {unit} off its integral,"
-        f" more than {bound:.5g} {unit}",
+        f"complex velocity trajectory: {worst:.5g} {unit} off its integral;"
+        f" limit {bound:.5g} {unit}",
     )

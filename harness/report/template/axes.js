@@ -1,4 +1,4 @@
-// Ticks, numbers with prefixes, the theme, and the one range of time that all panels show.
+// Ticks, numbers with prefixes, the theme, and the common time range of all panels.
 const view = { from: 0, to: SPAN };
 const SHORTEST = time.kind === "order" ? 2 : Math.max(1e-6, SPAN * 1e-9);
 const theme = {};
@@ -31,7 +31,7 @@ function ticks(low, high, count) {
 
 function digits(by) { return Math.max(0, Math.min(12, Math.ceil(-Math.log10(by) - 1e-9))); }
 
-// What an axis of this size is labelled with: [factor, prefix].
+// Returns the scale of an axis of this size: [factor, prefix].
 function prefix(size, unit) {
   if (!/^(rad|m|N|s|rad\/s|m\/s|N·m|bit\/s)$/.test(unit) || !(size > 0)) return [1, ""];
   if (size >= 1e6) return [1e-6, "M"];
@@ -56,7 +56,7 @@ function withUnit(value, unit, figures = 5) {
   return `${short(value * factor, figures)} ${sign}${unit}`;
 }
 
-// A time as it is written everywhere: the rig's own, as `motorhil show` prints it.
+// Formats a time as everywhere on the page: rig time, as printed by `motorhil show`.
 function timeText(at, by = 1e-6) {
   if (time.kind === "order") return `message ${Math.round(at)}`;
   return `${(at + time.begin_s).toFixed(digits(by))} s`;
@@ -111,7 +111,7 @@ function inkOn(colour) {
   return light > 140 ? "#111111" : "#ffffff";
 }
 
-// Text shortened to a width; "" where not even two letters have room.
+// Shortens text to a width; "" if two letters do not fit.
 function fitted(ctx, text, width) {
   if (ctx.measureText(text).width <= width) return text;
   let n = Math.floor(text.length * width / Math.max(1, ctx.measureText(text).width));

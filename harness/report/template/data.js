@@ -1,4 +1,4 @@
-// The document and its packed arrays. Times are seconds from the recording's beginning.
+// The document and its packed arrays. Times are in seconds from the recording's beginning.
 const report = JSON.parse(document.getElementById("document").textContent);
 const time = report.time;
 const SPAN = time.span * time.tick_s;
@@ -25,7 +25,7 @@ async function unpack() {
 
 const SIZES = { u8: 1, u16: 2, u32: 4, f32: 4 };
 
-// The bytes of one significance stand together: first all lowest ones, then the next.
+// Bytes of equal significance are adjacent: first all lowest ones, then the next.
 function whole(told) {
   const size = SIZES[told.type], count = told.count, at = told.offset;
   if (size === 1) return bytes.subarray(at, at + count);
@@ -54,7 +54,7 @@ function numbers(told) {
   return out;
 }
 
-// The first place whose value is not below / is above.
+// Returns the first index whose value is not below / is above.
 function lower(sorted, value) {
   let from = 0, to = sorted.length;
   while (from < to) {

@@ -20,12 +20,12 @@ function placeCursor() {
   const by = Math.max(1e-9, step(view.to - view.from, 4000));
   let text = cursor === null ? "" : `cursor ${timeText(cursor, by)}`;
   if (cursor !== null && time.kind === "wall") text += ` ${wall(cursor).toISOString().slice(11, 23)} UTC`;
-  if (mark !== null && cursor !== null) text += `, ${cursor < mark ? "−" : "+"}${spanText(Math.abs(cursor - mark))} of the mark`;
+  if (mark !== null && cursor !== null) text += `, ${cursor < mark ? "−" : "+"}${spanText(Math.abs(cursor - mark))} from the mark`;
   $("cursor-time").textContent = text;
   for (const panel of panels) if (panel.visible(0)) panel.read(cursor, 0, null);
 }
 
-// A log time of the calendar; one beyond it stands for its end.
+// Formats a log time as wall time; a time out of range becomes the last possible one.
 function wall(at) {
   const ns = BigInt(time.begin_ns) + BigInt(Math.round(at * 1e9));
   return new Date(Math.min(Number(ns / 1000000n), 8.64e15));
@@ -67,7 +67,7 @@ function jump(direction) {
   if (next !== undefined) show(next);
 }
 
-// The cursor is there and it is in view.
+// Moves the cursor to a time and brings it into view.
 function show(at) {
   cursor = at;
   const span = view.to - view.from;
@@ -123,7 +123,7 @@ function listen() {
   dark.addEventListener("change", () => { readTheme(); redrawn.forEach((draw) => draw()); redraw(); });
 }
 
-// For paper everything is drawn, in the colours of light; then those of the screen come back.
+// Draws everything in light colours for printing, then restores the colours of the screen.
 function dress(printing) {
   document.documentElement.classList.toggle("printing", printing);
   readTheme();
@@ -148,7 +148,7 @@ function listenPointer() {
     if (at === null) return;
     pointers.set(event.pointerId, event.clientX);
     drag = { at, x: event.clientX, pan: event.shiftKey || event.button === 1 || event.pointerType === "touch", range: [view.from, view.to] };
-    try { event.target.setPointerCapture(event.pointerId); } catch { /* it has gone already */ }
+    try { event.target.setPointerCapture(event.pointerId); } catch { /* the pointer is gone already */ }
   });
   charts.addEventListener("pointermove", (event) => {
     const at = timeOf(event);

@@ -1,4 +1,4 @@
-// The page: its sections, and when they are drawn.
+// The page: its sections, and their drawing.
 let traffics = [], asked = false;
 
 function section(id, title, about, open = true) {
@@ -49,10 +49,10 @@ function build() {
   }
   addTimeline("states", states, true);
   if (traffics.length && time.kind !== "order") {
-    const holder = section("load", "Bus load", "each frame counts while its bits are on the bus");
+    const holder = section("load", "Bus load", "each frame counts for the duration of its bits on the bus");
     for (const traffic of traffics) {
       new LoadPanel(holder, traffic);
-      if (traffic.cell_s) make("div", holder, `${traffic.name}: ${traffic.frames.toLocaleString("en")} frames, summed up over ${spanText(traffic.cell_s)}`, "missing");
+      if (traffic.cell_s) make("div", holder, `${traffic.name}: ${traffic.frames.toLocaleString("en")} frames, summed over ${spanText(traffic.cell_s)}`, "missing");
     }
     for (const why of new Set(traffics.map((traffic) => traffic.why).filter(Boolean))) {
       const names = traffics.filter((traffic) => traffic.why === why).map((traffic) => traffic.name);
@@ -60,13 +60,13 @@ function build() {
     }
   }
   if (report.groups.length) {
-    const holder = section("groups", "Group skew", "● start measured, ○ at most; ■ end measured, ◇ predicted; at the time at which the group was told");
+    const holder = section("groups", "Group skew", "● start measured, ○ at most; ■ end measured, ◇ predicted; at the time of the report");
     for (const group of report.groups) new GroupPanel(holder, group);
   }
   addTimeline("locks", locks, true);
   if (report.motors.length) motorSections();
   if (traffics.length) {
-    const holder = section("identifiers", "Bus load by identifier", "stronger is more; in the order of priority");
+    const holder = section("identifiers", "Bus load by identifier", "stronger colours are higher loads; in order of priority");
     for (const traffic of traffics) {
       make("h3", holder, traffic.name);
       make("span", holder, ` ${traffic.kind}, ${traffic.frames.toLocaleString("en")} frames`, "about");
@@ -83,7 +83,7 @@ function addTimeline(id, told, open) {
   legend(holder, told);
   new TimelinePanel(holder, told);
   for (const row of told.rows) {
-    if (row.left_out) make("div", holder, `${row.name}: ${row.left_out} bars more are not shown`, "missing");
+    if (row.left_out) make("div", holder, `${row.name}: ${row.left_out} more bars are not shown`, "missing");
   }
 }
 
@@ -143,12 +143,12 @@ function layout() {
   const canvas = panels.find((panel) => panel.row.offsetParent);
   const room = canvas ? canvas.row.clientWidth - (innerWidth > 800 ? 250 : 0) : charts.clientWidth - 32;
   plotWidth = Math.max(120, Math.floor(room - gutter));
-  // On a narrow window only the axis stays in sight.
+  // In a narrow window only the axis stays visible.
   const above = $("overview").getBoundingClientRect().top - $("bar").getBoundingClientRect().top;
   $("bar").style.top = innerWidth < 800 ? -above + "px" : "0";
 }
 
-// All that can be seen, or everything: at first, and before it is printed.
+// Draws the visible panels, or all panels: at the start and before printing.
 function redraw(everything = false) {
   for (const panel of panels) panel.stale = true;
   if (everything) paint(true);
@@ -216,7 +216,7 @@ function drawAxis() {
   }
 }
 
-// The whole recording in a strip: how busy the busiest bus is, what went wrong, and the range.
+// The overview strip: load of the busiest bus, incidents, and the shown range.
 function drawOverview() {
   const height = 26, ctx = sized($("overview"), gutter + plotWidth, height);
   const whole_ = (at) => gutter + at / SPAN * plotWidth;
@@ -268,7 +268,7 @@ function list() {
   make("h2", make("summary", holder), `Faults and events, as a list (${told.list.length})`);
   const body = make("tbody", make("table", holder));
   const head_ = make("tr", body);
-  for (const name of ["time", "how bad", "kind", "where", "what"]) make("th", head_, name).scope = "col";
+  for (const name of ["time", "severity", "kind", "place", "description"]) make("th", head_, name).scope = "col";
   for (const [ticks_, severity, kind, place, text] of told.list.slice(0, 1000)) {
     const row = make("tr", body), at = ticks_ * time.tick_s;
     const button = make("button", make("td", row), timeText(at));
@@ -303,7 +303,7 @@ async function start() {
   whole_range();
   fromHash();
   past.length = 0;
-  layout(); // a scroll bar may have come
+  layout(); // a scroll bar may have appeared
   paint(true);
   const root = document.documentElement;
   root.dataset.panels = panels.length;

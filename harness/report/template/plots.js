@@ -10,7 +10,7 @@ function make(tag, parent, text, className) {
   return element;
 }
 
-// A canvas with its reading beside it. `draw(ctx, width, height, x)` answers how much it drew.
+// A canvas with its reading beside it. `draw(ctx, width, height, x)` returns how much it drew.
 class Panel {
   constructor(parent, name, height) {
     this.row = make("div", parent, "", "panel");
@@ -48,8 +48,8 @@ class Panel {
     this.ranged();
   }
   draw() { return 0; }
-  ranged() {}          // the range has changed: what is told of it
-  read(at, x, y) {}    // the cursor is there (y: null if on another panel); at null: nowhere
+  ranged() {}          // called after a change of the range
+  read(at, x, y) {}    // called with the cursor (y: null if on another panel; at: null if hidden)
 }
 
 const toX = (at) => gutter + (at - view.from) / (view.to - view.from) * plotWidth;
@@ -81,7 +81,7 @@ function clipPlot(ctx, height) {
 
 const NARROW = { position: "pos.", velocity: "vel.", "following error": "f. error", torque: "torque" };
 
-// y ticks with their labels in the gutter, and what the axis is.
+// Draws y ticks with their labels in the gutter, and the name of the axis.
 function yAxis(ctx, height, low, high, title, unit) {
   const [factor, sign] = prefix(Math.max(Math.abs(low), Math.abs(high)), unit);
   const marks = ticks(low * factor, high * factor, Math.max(2, height / 22));
@@ -122,7 +122,7 @@ class Line {
     this.t = seconds(told.t);
     this.v = numbers(told.v);
   }
-  // The places that are in the range, and one more on both sides.
+  // The indices in the range, and one more on both sides.
   inView() {
     return [Math.max(0, upper(this.t, view.from) - 1), Math.min(this.t.length, lower(this.t, view.to) + 1)];
   }
@@ -135,7 +135,7 @@ class Line {
     }
     return [low, high];
   }
-  // Its value at a time: the last one told; of a smooth one, between the two.
+  // Returns the value at a time: the last one; for a smooth quantity interpolated.
   at(moment) {
     const place = upper(this.t, moment) - 1;
     if (place < 0) return null;
@@ -167,7 +167,7 @@ class Line {
       if (begun) ctx.lineTo(x, y); else ctx.moveTo(x, y);
       begun = true;
     }
-    if (begun && to === this.t.length) ctx.lineTo(toX(Math.min(view.to, SPAN)), y); // nothing new: it stands
+    if (begun && to === this.t.length) ctx.lineTo(toX(Math.min(view.to, SPAN)), y); // held to the end
   }
   columns(ctx, toY, from, to) {
     const scale = plotWidth / (view.to - view.from);
@@ -244,13 +244,13 @@ class QuantityPanel extends Panel {
   read(at) {
     for (const [line, element] of this.values) {
       const value = at === null ? null : line.at(at);
-      const unit = this.plot.unit === "drive units" ? "" : this.plot.unit; // it stands at the axis
+      const unit = this.plot.unit === "drive units" ? "" : this.plot.unit; // shown at the axis
       element.textContent = value === null ? "" : withUnit(value, unit, 6);
     }
   }
 }
 
-// A line of the legend: colour, dashes and, where points are seen, their shape.
+// Draws a line of the legend: colour, dashes and, if points are visible, their shape.
 function sample(role) {
   const space = "http://www.w3.org/2000/svg", svg = document.createElementNS(space, "svg");
   svg.setAttribute("width", "26");

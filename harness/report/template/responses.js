@@ -1,4 +1,4 @@
-// How long periodic messages took and can take: on an axis of their own, so not among the panels.
+// Response times of periodic messages, on their own axis and therefore not among the panels.
 function shape(parent, kind, attributes, text) {
   const element = document.createElementNS("http://www.w3.org/2000/svg", kind);
   for (const [name, value] of Object.entries(attributes)) element.setAttribute(name, value);
@@ -7,7 +7,7 @@ function shape(parent, kind, attributes, text) {
   return element;
 }
 
-// A logarithmic axis over whole powers of ten: where a time is, in per cent.
+// A logarithmic axis over whole powers of ten; gives the place of a time in per cent.
 class TimeScale {
   constructor(times) {
     this.low = Math.floor(Math.log10(Math.min(...times)) + 1e-9);
@@ -25,9 +25,9 @@ function responses() {
   holder.open = told.reduce((sum, bus) => sum + bus.messages.length, 0) <= 60;
   make("h2", make("summary", holder), "Response times of periodic messages");
   linkTo("Response times", holder, holder);
-  make("p", holder, "From when a message is due to the end of its intermission. Bar: as recorded, from the shortest frame"
-    + " to the latest that those after it prove, its notch at the middle one; upright line: the longest by theory, with the"
-    + " periods and jitter recorded and without errors; diamond: its deadline, which is its period.", "about");
+  make("p", holder, "From the due time of a message to the end of its intermission. Bar: recorded, from the shortest frame"
+    + " to the largest delay proved by later frames, with a notch at the median; upright line: the bound by theory, with the"
+    + " recorded periods and jitter and without errors; diamond: its deadline, which is its period.", "about");
   for (const bus of told) responsesOf(holder, bus);
 }
 

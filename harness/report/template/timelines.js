@@ -20,7 +20,7 @@ class TimelinePanel extends Panel {
       waits: whole(row.waits), text: whole(row.text), texts: row.texts,
     }));
     this.height = 4;
-    this.lines = this.rows.map((row) => { // those who wait stand below who has it
+    this.lines = this.rows.map((row) => { // waiting processes are below the owner
       row.y = this.height - 2;
       const long = row.waits.some((waits, i) => waits && row.to[i] - row.from[i] > SPAN / 500);
       row.high = long ? ROW + 7 : ROW;
@@ -53,7 +53,7 @@ class TimelinePanel extends Panel {
       drawn++;
       const from = Math.max(gutter - 3, toX(row.from[i])), to = Math.min(gutter + plotWidth + 3, toX(row.to[i]));
       const waits = row.waits[i] === 1, tone = this.told.tones[row.word[i]];
-      if (to - from < 0.5 && Math.floor(from) === painted && tone !== "fault") continue; // hidden by the one before
+      if (to - from < 0.5 && Math.floor(from) === painted && tone !== "fault") continue; // hidden by the previous one
       painted = Math.floor(from);
       ctx.fillStyle = fillOf(ctx, tone, row.word[i], waits);
       const high = waits ? 6 : ROW - 3, top = waits ? y + row.high - 9 : y;
@@ -94,7 +94,7 @@ class TimelinePanel extends Panel {
   }
 }
 
-// What each word looks like; of states, where a bar is too narrow for its word.
+// The legend of the words; for states, used if a bar is too narrow for its word.
 function legend(parent, told) {
   const used = new Set();
   for (const row of told.rows) for (const word of whole(row.word)) used.add(word);
@@ -112,7 +112,7 @@ function legend(parent, told) {
     make("span", item, told.words[word]);
   }
 }
-const redrawn = []; // what is drawn anew when the theme changes
+const redrawn = []; // redrawn when the theme changes
 
 class GroupPanel extends Panel {
   constructor(parent, group) {
@@ -177,7 +177,7 @@ class GroupPanel extends Panel {
       let best = Infinity;
       for (const one of this.group.moments) best = Math.min(best, Math.abs(one.at * time.tick_s - at));
       const near = this.group.moments.filter((one) => Math.abs(one.at * time.tick_s - at) <= best + 1e-9);
-      if (near.length) rows.push(["told at", timeText(near[0].at * time.tick_s, 1e-3)]);
+      if (near.length) rows.push(["reported at", timeText(near[0].at * time.tick_s, 1e-3)]);
       for (const one of near) {
         const name = one.start ? "start, measured" : "end, measured";
         rows.push([name, one.skew_s === null ? "not known" : withUnit(one.skew_s, "s", 4), one]);
@@ -227,7 +227,7 @@ class IncidentPanel extends Panel {
     });
     clipPlot(ctx, height);
     let drawn = 0;
-    for (const worst of [0, 1, 2]) { // the worst on top
+    for (const worst of [0, 1, 2]) { // the most severe on top
       for (const [ticks_, severity, kind] of this.told.list) {
         if (severity !== worst) continue;
         const x = toX(ticks_ * time.tick_s);

@@ -1,4 +1,4 @@
-// How busy buses and lines are: in sum, exactly, and by identifier.
+// Load of buses and lines: in total and by identifier.
 const ROWS_MAX = 64;
 
 class Traffic {
@@ -13,12 +13,12 @@ class Traffic {
     for (let i = 0; i < n; i++) this.sums[i + 1] = this.sums[i] + this.amounts[i];
     this.isShare = this.capacity_s !== null && time.kind !== "order";
   }
-  // How long an entry took: on a bus as long as its bits; a cell is as wide as all cells.
+  // Returns the duration of an entry: of its bits on a bus; of a cell, the common cell width.
   lasted(i) {
     if (this.cell_s) return this.cell_s;
     return this.isShare ? this.amounts[i] / this.capacity_s : 0;
   }
-  // How much there was until then; what is under way counts in part.
+  // Returns the amount until a time; an entry in progress counts in part.
   until(at) {
     const place = lower(this.ends, at);
     if (place >= this.ends.length) return this.sums[place];
@@ -26,14 +26,14 @@ class Traffic {
     const part = lasted > 0 ? Math.max(0, 1 - left / lasted) : 0;
     return this.sums[place] + part * this.amounts[place];
   }
-  // In a stretch of time: a share, or a rate where nothing says of what.
+  // Returns the load in a stretch of time: a share, or a rate if the capacity is unknown.
   load(from, to) {
     const rate = (this.until(to) - this.until(from)) / Math.max(1e-12, to - from);
     return this.isShare ? rate / this.capacity_s : rate;
   }
   get shortest() { return Math.max(this.isShare ? 0 : 1e-3, this.cell_s); }
   say(load) { return this.isShare ? `${short(load * 100, 3)} %` : withUnit(load, "bit/s", 3); }
-  // By label, in the range: [amount, count].
+  // Returns [amount, count] by label in the range.
   byLabel(from, to) {
     const amounts = new Float64Array(this.labels.length), counts = new Float64Array(this.labels.length);
     const last = upper(this.ends, to);
@@ -149,7 +149,7 @@ class IdentifierPanel extends Panel {
       ctx.fillRect(gutter, n * 13 + 14, width, 0.5);
     });
   }
-  // Stronger is more; the least there is can still be seen.
+  // Stronger colours are higher loads; the lowest load is still visible.
   heat(ctx, cells, rows, width) {
     let most = 0;
     for (let i = 0; i < cells.length; i++) if (cells[i] > most) most = cells[i];
@@ -185,7 +185,7 @@ class IdentifierPanel extends Panel {
   }
 }
 
-// Which labels have a row of their own, in the order of priority; the rest shares the last one.
+// Returns the labels with their own row, in order of priority; the rest shares the last row.
 function rowsOf(traffic) {
   const count = traffic.labels.length, rowOf = new Uint16Array(Math.max(1, count));
   const rows = [];

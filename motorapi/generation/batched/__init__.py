@@ -4,12 +4,14 @@ Every array is of shape (n,), or a number that holds for all n motions. A motion
 is an error that names its index; what the limits allow, `possible_durations` tells beforehand.
 """
 
-from motorapi.generation.batched.curves import Curves
-from motorapi.generation.batched.limits import LimitArrays
-from motorapi.generation.batched.profiles import Profiles
-from motorapi.generation.batched.smooth import jerk_limited
-from motorapi.generation.batched.trapezoids import trapezoids
-from motorapi.generation.batched.waypoints import through_waypoints
+from motorhil.motorapi.generation.batch import (
+    Curves,
+    LimitArrays,
+    Profiles,
+    jerk_limited,
+    through_waypoints,
+    trapezoids,
+)
 
 __all__ = [
     "Curves",

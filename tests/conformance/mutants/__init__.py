@@ -1,8 +1,8 @@
-"""Adaptations and drives broken on purpose: each is one plausible mistake, planted in ours.
+"""Mutants: adaptations and drives with one plausible mistake each.
 
-The kit is as good as what it finds out. Each mutant names the clauses that must kill it; `make
-mutants` runs every mutant against every clause and writes the kill table (`tests/conformance/
-mutants/KILLS.md`), from which it can be seen which clause kills something that no other kills.
+The kit is as good as the mistakes that it finds. Each mutant names the clauses that must kill it.
+`make mutants` runs every mutant against every clause and writes the kill table (`KILLS.md`).
+The table shows which clause kills a mutant that no other clause kills.
 """
 
 from collections.abc import Callable
@@ -16,10 +16,10 @@ class Mutant:
     """One mistake.
 
     name: in snake_case, what is wrong.
-    mistake: one sentence, as its author would tell it afterwards.
-    kind: of hardware it is planted in.
-    plant: within its block the mistake is there.
-    killers: the clauses that must kill it, at least.
+    mistake: a sentence that describes the mistake.
+    kind: the kind of hardware with the mistake.
+    plant: a context manager that plants the mistake.
+    killers: clauses that must kill it.
     """
 
     name: str
@@ -33,7 +33,7 @@ MUTANTS: dict[str, Mutant] = {}
 
 
 def mutant(kind, *killers):
-    """The generator function below plants a mistake; its docstring says which."""
+    """Register a generator function that plants a mistake; its docstring describes it."""
 
     def register(function):
         assert function.__name__ not in MUTANTS, function.__name__
@@ -50,12 +50,12 @@ def mutant(kind, *killers):
 
 
 def replaced(owner, name, make):
-    """`owner.name` is `make(the original)` inside the block."""
+    """Replace `owner.name` by `make(the original)` within the block."""
     return patch.object(owner, name, make(getattr(owner, name)))
 
 
 def motions_changed(motor_class, change):
-    """Inside the block `_arm` of this class gets `change(motor, motion)`."""
+    """Make `_arm` of this class use `change(motor, motion)` within the block."""
 
     def wrong(arm):
         def armed(motor, motion, *, together):

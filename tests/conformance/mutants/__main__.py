@@ -1,7 +1,7 @@
-"""`make mutants`: every mutant against every clause; prints and writes the kill table.
+"""`make mutants`: runs all mutants against all clauses, and writes the table.
 
-Exit status 1 if a mutant survives or is not killed by a clause it names; or if a clause kills none
-that no other clause kills, and `stays` does not say why it is there.
+The exit status is 1 if a mutant survives, or is not killed by a clause it names. The exit status is
+also 1 if a clause kills no mutant alone, and `stays` gives no reason for it.
 """
 
 import os
@@ -10,8 +10,8 @@ from collections.abc import Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
-from harness.conformance.kit import all_clauses
-from harness.conformance.run import run_clauses
+from motorhil.harness.conformance.kit import all_clauses
+from motorhil.harness.conformance.run import run_clauses
 from tests.conformance.benches import opener
 from tests.conformance.mutants import MUTANTS
 from tests.conformance.mutants.everyone import MODULES
@@ -23,7 +23,7 @@ Kills = dict[str, tuple[str, ...]]
 
 
 def killers_of(name: str) -> tuple[str, tuple[str, ...]]:
-    """(mutant, the clauses that kill it)."""
+    """Return a mutant and the clauses that kill it."""
     mutant = MUTANTS[name]
     with mutant.plant():
         verdicts = list(run_clauses(all_clauses().values(), opener(mutant.kind)))
@@ -31,7 +31,7 @@ def killers_of(name: str) -> tuple[str, tuple[str, ...]]:
 
 
 def killed_alone(kills: Kills) -> dict[str, list[str]]:
-    """By clause, the mutants that it kills and no other clause does."""
+    """Return the mutants that only one clause kills, by clause."""
     alone: dict[str, list[str]] = {}
     for name, clauses in kills.items():
         if len(clauses) == 1:
@@ -40,7 +40,7 @@ def killed_alone(kills: Kills) -> dict[str, list[str]]:
 
 
 def page(kills: Kills) -> Iterator[str]:
-    """The lines of the kill table."""
+    """Yield the lines of the kill table."""
     killed = sum(1 for clauses in kills.values() if clauses)
     alone = killed_alone(kills)
     yield "# What the kit finds out"
@@ -65,7 +65,7 @@ def page(kills: Kills) -> Iterator[str]:
 
 
 def complaints(kills: Kills) -> Iterator[str]:
-    """What is not as the mutants say."""
+    """Yield the differences from the expectations of the mutants."""
     for name, clauses in kills.items():
         missing = [one for one in MUTANTS[name].killers if one not in clauses]
         if missing:
@@ -81,7 +81,7 @@ def complaints(kills: Kills) -> Iterator[str]:
 
 
 def main(names: Iterable[str]) -> int:
-    """The table has been made; of the mutants named only, it is printed and not written."""
+    """Run the mutants and print the table; write it if all mutants were run."""
     chosen = list(names) or list(MUTANTS)
     kills: Kills = {}
     with ProcessPoolExecutor(os.cpu_count()) as pool:

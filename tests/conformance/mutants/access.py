@@ -1,15 +1,15 @@
-"""Mistakes about homing, low-level access and closing."""
+"""Mistakes in homing, low-level access and closing."""
 
-from motorapi import low_level
-from motorapi.adaptations.ideal_hardware import IdealHwMotor
-from motorapi.adaptations.ideal_motor import IdealMotor
-from motorapi.adaptations.polled_motor import PolledMotor
+from motorhil.motorapi import motor as low_level
+from motorhil.motorapi.adaptations.ideal.hardware import IdealHwMotor
+from motorhil.motorapi.adaptations.ideal.motor import IdealMotor
+from motorhil.motorapi.adaptations.modbus.polled_motor import PolledMotor
 from tests.conformance.mutants import mutant, replaced
 
 
 @mutant("ideal", "HOME-01")
 def homed_and_not_renamed():
-    """Homing on the spot is noted, and the position stays what it was."""
+    """Homing on the spot is recorded, but the position is not changed."""
 
     def wrong(call_here):
         def called(self, position):
@@ -23,14 +23,14 @@ def homed_and_not_renamed():
 
 @mutant("ideal", "HOME-02")
 def any_homing_will_do():
-    """A homing method that is not known is taken for the usual one."""
+    """An unknown homing method is replaced by the usual one."""
     with replaced(IdealMotor, "_home", lambda home: lambda self, method: home(self, None)):
         yield
 
 
 @mutant("leadshine", "LOW-01")
 def low_level_access_closes():
-    """What was given away for low-level access is closed when it comes back."""
+    """The end of low-level access closes the hardware."""
 
     def wrong(close_low_level):
         def closed(self):
@@ -45,14 +45,14 @@ def low_level_access_closes():
 
 @mutant("ideal", "LOW-02")
 def low_level_access_in_mid_motion():
-    """A velocity that was reached is done, so low-level access is given while the motor moves."""
+    """A reached velocity counts as done, so low-level access is granted while the motor moves."""
     with replaced(low_level, "_is_at_rest", lambda at_rest: lambda motor, *, patient: True):
         yield
 
 
 @mutant("ideal", "SHARE-10")
 def each_close_counts():
-    """Closing twice counts as two users who went: the hardware is closed under the others."""
+    """Closing twice counts as two users: the hardware is closed while others use it."""
 
     def wrong(close):
         def closed(self):

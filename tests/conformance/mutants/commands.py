@@ -1,17 +1,19 @@
-"""Mistakes in what becomes of a command: set-points, trajectories, starts."""
+"""Mistakes in commands: set-points, trajectories, starts."""
 
 from dataclasses import replace
 from math import ceil, inf, remainder, tau
 
-from motorapi.adaptations import drive_control, drive_motions, leadshine_hardware
-from motorapi.adaptations.cia402_motor import Cia402Motor
-from motorapi.adaptations.drive_motions import DriveMotions
-from motorapi.adaptations.ideal_motor import IdealMotor
-from motorapi.adaptations.leadshine_hardware import LeadshineHwMotor
-from motorapi.adaptations.polled_motor import PolledMotor
-from motorapi.adaptations.software_motor import SoftwareMotor
-from motorapi.commands import ControlMode, ControlVariable, Setpoint
-from motorapi.trajectory import TrapezoidalTrajectory
+from motorhil.motorapi.adaptations.cia402 import controlword as drive_control
+from motorhil.motorapi.adaptations.cia402 import motion as drive_motions
+from motorhil.motorapi.adaptations.cia402.motion import DriveMotions
+from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
+from motorhil.motorapi.adaptations.host_servo.motor import SoftwareMotor
+from motorhil.motorapi.adaptations.ideal.motor import IdealMotor
+from motorhil.motorapi.adaptations.leadshine import hardware as leadshine_hardware
+from motorhil.motorapi.adaptations.leadshine.hardware import LeadshineHwMotor
+from motorhil.motorapi.adaptations.modbus.polled_motor import PolledMotor
+from motorhil.motorapi.commands import ControlMode, ControlVariable, Setpoint
+from motorhil.motorapi.trajectory import TrapezoidalTrajectory
 from tests.conformance.mutants import motions_changed, mutant, replaced
 
 POSITION, VELOCITY = ControlVariable.POSITION, ControlVariable.VELOCITY
@@ -28,7 +30,7 @@ def is_trajectory(motion, variable):
 
 @mutant("ideal", "SET-01")
 def set_point_taken_as_distance():
-    """A place to go to is taken as a distance."""
+    """An absolute position is taken as a distance."""
 
     def wrong(motor, motion):
         absolute = is_setpoint(motion, POSITION) and not motor._command.relative
@@ -40,7 +42,7 @@ def set_point_taken_as_distance():
 
 @mutant("ideal", "SET-02")
 def same_distance_is_not_sent_again():
-    """A distance equal to the one before is not sent: nothing differs."""
+    """A distance equal to the previous one is not sent."""
     before = {}
 
     def wrong(motor, motion):
@@ -56,7 +58,7 @@ def same_distance_is_not_sent_again():
 
 @mutant("leadshine", "SET-03")
 def a_velocity_ends_by_itself():
-    """A set-point of velocity has to be told again within a second, or the drive stops."""
+    """A velocity set-point must be repeated within a second, or the drive stops."""
 
     def watched(fire):
         def fired(self):
@@ -84,7 +86,7 @@ def a_velocity_ends_by_itself():
 
 @mutant("cia402", "SET-04")
 def half_the_torque():
-    """A torque is told in thousandths of the peak torque, which is twice the rated one."""
+    """A torque is sent in thousandths of the peak torque, which is twice the rated torque."""
 
     def halved(profile_of):
         def of(motion, unit):
@@ -100,14 +102,14 @@ def half_the_torque():
 
 @mutant("leadshine", "SET-05")
 def speeds_are_rounded_up():
-    """A speed between two steps of the drive's is rounded to the faster one."""
+    """A speed between two steps of the drive is rounded up."""
     with replaced(leadshine_hardware, "floor", lambda floor: ceil):
         yield
 
 
 @mutant("cia402", "SET-05")
 def limit_of_velocity_ignored_in_set_points():
-    """The limit of velocity that a set-point brings is not looked at."""
+    """A set-point's own velocity limit is ignored."""
 
     def wrong(motor, motion):
         limited = is_setpoint(motion, POSITION)
@@ -119,7 +121,7 @@ def limit_of_velocity_ignored_in_set_points():
 
 @mutant("cia402", "SET-06")
 def setting_switches_on():
-    """The drive is brought up and switched on when a set-point is set, to be quick at the start."""
+    """The drive is enabled when a set-point is set, for a quick start."""
 
     def eager(check):
         def checked(self, variable, command):
@@ -136,7 +138,7 @@ def setting_switches_on():
 
 @mutant("software", "SET-07")
 def currents_have_no_sign():
-    """A current is told by its size."""
+    """A current is sent without its sign."""
 
     def wrong(motor, motion):
         return replace(motion, target=abs(motion.target)) if motion.variable is CURRENT else motion
@@ -147,7 +149,7 @@ def currents_have_no_sign():
 
 @mutant("ideal", "SET-08")
 def as_fast_as_it_can():
-    """A set-point without limits goes as fast as the hardware can, whatever the model says."""
+    """A set-point without limits uses the speed of the hardware, not of the model."""
 
     def wrong(motor, motion):
         free = is_setpoint(motion, POSITION) and motor._command.limits is None
@@ -187,7 +189,7 @@ def duration_ignored():
 
 @mutant("cia402", "TRAJ-03")
 def slows_down_as_it_speeds_up():
-    """Deceleration is not told: the drive slows down as it speeds up."""
+    """The deceleration is not sent: the drive uses the acceleration."""
 
     def wrong(push):
         def pushed(self, acceleration, deceleration):
@@ -208,7 +210,7 @@ def functions_begin_at_zero():
 
 @mutant("cia402", "TRAJ-05")
 def a_ramp_as_steep_as_can_be():
-    """A trajectory of velocity is made with the ramps of the model, not in its time."""
+    """A velocity trajectory uses the ramps of the model, not its duration."""
 
     def wrong(motor, motion):
         if not is_trajectory(motion, VELOCITY):
@@ -222,7 +224,7 @@ def a_ramp_as_steep_as_can_be():
 
 @mutant("cia402", "TRAJ-06")
 def a_step_of_torque():
-    """A trajectory of torque is a step to its final value."""
+    """A torque trajectory is a step to its final value."""
 
     def stepped(profile_of):
         def of(motion, unit):
@@ -238,7 +240,7 @@ def a_step_of_torque():
 
 @mutant("ideal", "TRAJ-07")
 def integrated_by_the_nominal_period():
-    """A profile of velocity is integrated by a period that is 5 % too long."""
+    """A velocity profile is integrated with a period that is 5 % too long."""
 
     def wrong(motor, motion):
         if motion.function is None or motion.variable is not VELOCITY:
@@ -251,7 +253,7 @@ def integrated_by_the_nominal_period():
 
 @mutant("ideal", "START-01")
 def an_equal_trajectory_is_not_sent_again():
-    """A trajectory that is the one before is not sent again: nothing differs."""
+    """A trajectory equal to the previous one is not sent."""
     before = {}
 
     def wrong(motor, motion):
@@ -265,7 +267,7 @@ def an_equal_trajectory_is_not_sent_again():
 
 @mutant("cia402", "START-02")
 def ramps_only_grow():
-    """Ramps that are steeper than those in the drive are told, gentler ones are taken to do."""
+    """Ramps are sent only if they are steeper than those in the drive."""
     told = {}
 
     def steeper(push):
@@ -281,7 +283,7 @@ def ramps_only_grow():
 
 @mutant("cia402", "START-02")
 def start_before_settings():
-    """Ramps are written when the motion has begun: each has those of the one before."""
+    """Ramps are written after the start: each motion uses those of the previous one."""
     late = {}
 
     def kept(push):
@@ -298,14 +300,14 @@ def start_before_settings():
 
 @mutant("cia402", "START-03")
 def set_points_wait_for_one_another():
-    """A new set-point waits in the drive until the one before is reached (bit 5 forgotten)."""
+    """A new set-point waits in the drive until the previous one is reached (bit 5 forgotten)."""
     with replaced(drive_control, "CHANGE_IMMEDIATELY", lambda bit: 0):
         yield
 
 
 @mutant("ideal", "START-04")
 def a_velocity_is_not_replaced():
-    """While it goes at a velocity, another one is taken for the same mode, and not sent."""
+    """During a velocity set-point, another velocity is not sent."""
 
     def wrong(motor, motion):
         velocity = motor._read_velocity()
@@ -318,7 +320,7 @@ def a_velocity_is_not_replaced():
 
 @mutant("ideal", "START-05")
 def setting_ends_what_goes_on():
-    """A trajectory that is set in mid-motion ends the one that goes on, before any start."""
+    """Setting a trajectory during a motion ends the motion before any start."""
 
     def eager(check):
         def checked(self, variable, command):
@@ -334,7 +336,7 @@ def setting_ends_what_goes_on():
 
 @mutant("ideal", "MOVE-01")
 def angles_within_a_turn():
-    """Angles are brought to within half a turn of 0, as for a compass."""
+    """Angles are reduced to half a turn on each side of 0, as for a compass."""
 
     def wrong(motor, motion):
         if not is_setpoint(motion, POSITION):
@@ -347,7 +349,7 @@ def angles_within_a_turn():
 
 @mutant("ideal", "MOVE-02")
 def an_end_without_a_beginning_is_none():
-    """A trajectory is over when the motor was seen to move: one that is too short never is."""
+    """A trajectory is over when a movement was seen: one that is too short never ends."""
 
     def wrong(is_done):
         def done(self):
@@ -364,7 +366,7 @@ def an_end_without_a_beginning_is_none():
 
 @mutant("leadshine", "START-03")
 def replaced_set_points_are_lost():
-    """A set-point that is started in mid-motion is not told to the drive."""
+    """A set-point started during a motion is not sent to the drive."""
 
     def deaf(trigger):
         def triggered(self):

@@ -1,25 +1,24 @@
-"""Mistakes that show only when frames are destroyed, and CAN controllers count."""
+"""Mistakes that show only with destroyed frames and error counters."""
 
-from motorapi.adaptations.canopen_link import CanopenLink
-from motorapi.adaptations.cia402_objects import error_text
-from motorapi.adaptations.drive_reader import DriveReader
-from motorapi.adaptations.sdo_client import ChannelClient
-from motorapi.adaptations.transmissions import Transmissions
-from motorapi.bus_status import BusCondition, BusStatus
-from motorapi.state import Fault, MotorState
+from motorhil.motorapi.adaptations.canopen.bus import CanopenLink, Transmissions
+from motorhil.motorapi.adaptations.canopen.sdo import ChannelClient
+from motorhil.motorapi.adaptations.cia402.measurements import DriveReader
+from motorhil.motorapi.adaptations.cia402.objects import error_text
+from motorhil.motorapi.runtime.can_sources import BusCondition, BusStatus
+from motorhil.motorapi.state import Fault, MotorState
 from tests.conformance.mutants import mutant, replaced
 
 
 @mutant("cia402", "BUS-01")
 def error_messages_are_of_no_interest():
-    """What the CAN controller tells of itself is dropped: who waits, waits for the drive."""
+    """Error messages of the CAN controller are ignored: a wait continues for the drive."""
     with replaced(BusStatus, "hear", lambda _: lambda status, message, time_ns: None):
         yield
 
 
 @mutant("cia402", "BUS-01")
 def once_off_always_off():
-    """That the bus is off is noted, and that it is on again is not."""
+    """Bus-off is recorded, but its end is not."""
 
     def wrong(hear):
         def heard(status, message, time_ns):
@@ -34,15 +33,15 @@ def once_off_always_off():
 
 @mutant("cia402", "BUS-04")
 def what_was_lost_with_the_bus_is_still_awaited():
-    """An own frame confirms the oldest equal one, though that was lost when the bus went off."""
+    """An own frame confirms the oldest equal one, though bus-off has discarded that one."""
     with replaced(Transmissions, "forget", lambda _: lambda transmissions: None):
         yield
 
 
 @mutant("software", "BUS-01")
 def a_failure_is_for_ever():
-    """What the bus has ended is told again by whatever comes to rest afterwards."""
-    from motorapi.adaptations.software_motor import SoftwareMotor
+    """A failure of the bus is reported again after a later stop."""
+    from motorhil.motorapi.adaptations.host_servo.motor import SoftwareMotor
 
     def wrong(slow_down):
         def slowed(motor, deceleration, *, quickly=False):
@@ -60,7 +59,7 @@ def a_failure_is_for_ever():
 
 @mutant("cia402", "BUS-02")
 def whatever_comes_is_the_answer():
-    """An SDO response is taken for the answer to what is asked next, also one that came twice."""
+    """An SDO response counts as the answer to the next request, even if it came twice."""
 
     def believing(_heard):
         return lambda client, frame, time_ns: client._answers.append(frame[8:16])
@@ -82,7 +81,7 @@ def whatever_comes_is_the_answer():
 
 @mutant("cia402", "BUS-03")
 def passive_is_off():
-    """A CAN controller that is error passive is taken for one that is off the bus."""
+    """An error passive CAN controller counts as bus-off."""
 
     def wrong(hear):
         def heard(status, message, time_ns):
@@ -97,7 +96,7 @@ def passive_is_off():
 
 @mutant("cia402", "BUS-03")
 def every_emcy_is_a_fault():
-    """A drive that has sent an EMCY is told to have a fault, whatever its statusword says."""
+    """A drive that has sent an EMCY is reported with a fault, whatever its statusword."""
 
     def wrong(fault):
         def told(reader):
@@ -114,7 +113,7 @@ def every_emcy_is_a_fault():
 
 @mutant("cia402", "BUS-03")
 def any_error_message_is_the_end():
-    """Whatever the CAN controller tells of errors: the motor counts as lost until it is set up."""
+    """After any error message of the CAN controller, the motor counts as lost until set up."""
 
     def wrong(on_error):
         def heard(link, message, time_ns):

@@ -1,19 +1,19 @@
-"""Mistakes about the end of motions: when it is, and who is told."""
+"""Mistakes in the end of motions, and in its notification."""
 
 from dataclasses import replace
 
-from motorapi import motor as motor_module
-from motorapi.adaptations.cia402_motor import Cia402Motor
-from motorapi.adaptations.ideal_hardware import IdealHwMotor
-from motorapi.adaptations.ideal_motor import IdealMotor
-from motorapi.adaptations.polled_motor import PolledMotor
-from motorapi.errors import DeadlineExceeded
+from motorhil.motorapi import motor as motor_module
+from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
+from motorhil.motorapi.adaptations.ideal.hardware import IdealHwMotor
+from motorhil.motorapi.adaptations.ideal.motor import IdealMotor
+from motorhil.motorapi.adaptations.modbus.polled_motor import PolledMotor
+from motorhil.motorapi.errors import DeadlineExceeded
 from tests.conformance.mutants import mutant, replaced
 
 
 @mutant("ideal", "DONE-01")
 def late_from_above():
-    """Whether it has arrived is looked at with a window to one side: backwards it takes longer."""
+    """Arrival is checked with a one-sided window: backwards it takes longer."""
 
     def wrong(is_done):
         def done(self):
@@ -42,7 +42,7 @@ def late_from_above():
 
 @mutant("cia402", "DONE-01", "SET-01")
 def stale_done():
-    """The bit that says that the target is reached is believed to be that of the new motion."""
+    """The bit "target reached" of the previous motion is taken for that of the new one."""
     ended = {}
 
     def wrong(is_done):
@@ -59,7 +59,7 @@ def stale_done():
 
 @mutant("ideal", "DONE-02")
 def a_wait_that_runs_out_stops_the_motor():
-    """Who waited for too long has the motor stopped."""
+    """A wait that times out stops the motor."""
 
     def wrong(wait):
         def waited(motors, timeout_s, answer=None):
@@ -78,7 +78,7 @@ def a_wait_that_runs_out_stops_the_motor():
 
 @mutant("ideal", "DONE-03")
 def nobody_is_told_of_the_end():
-    """The end of a motion is known and told to nobody who asked to be told."""
+    """The end of a motion is known, but callbacks are not called."""
 
     def quiet(look):
         def looked(self, course):
@@ -94,7 +94,7 @@ def nobody_is_told_of_the_end():
 
 @mutant("ideal", "DONE-04")
 def it_has_always_just_begun():
-    """The hardware tells the time of now as that of the start, as long as it moves."""
+    """The hardware reports the present time as the start while the motor moves."""
 
     def wrong(times):
         def told(self):
@@ -111,7 +111,7 @@ def it_has_always_just_begun():
 
 @mutant("oriental_az", "DONE-02", "MEAS-01")
 def it_moves_only_while_asked():
-    """The drive stops when it was not asked for a fifth of a second, and nobody else asks it."""
+    """The drive stops if it was not polled for 0.2 s, and nothing else polls it."""
 
     def watched(fire):
         def fired(self):

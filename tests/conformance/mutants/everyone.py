@@ -1,4 +1,4 @@
-"""All modules of mutants, loaded."""
+"""Imports all modules of mutants."""
 
 from tests.conformance.mutants import (
     access,

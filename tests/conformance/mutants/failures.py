@@ -1,16 +1,16 @@
-"""Mistakes about faults, lost answers and drives that are not heard."""
+"""Mistakes with faults, lost answers and silent drives."""
 
-from motorapi.adaptations import leadshine_hardware
-from motorapi.adaptations.leadshine_hardware import LeadshineHwMotor
-from motorapi.adaptations.modbus_unit import ModbusUnit
-from motorapi.adaptations.polled_motor import PolledMotor
-from motorapi.errors import DeviceFault, LinkError, MotorError
+from motorhil.motorapi.adaptations.leadshine import hardware as leadshine_hardware
+from motorhil.motorapi.adaptations.leadshine.hardware import LeadshineHwMotor
+from motorhil.motorapi.adaptations.modbus.polled_motor import PolledMotor
+from motorhil.motorapi.adaptations.modbus.unit import ModbusUnit
+from motorhil.motorapi.errors import DeviceFault, LinkError, MotorError
 from tests.conformance.mutants import mutant, replaced
 
 
 @mutant("leadshine", "FAULT-01")
 def a_fault_ends_a_motion_as_any_other_end():
-    """A drive with a fault does not move: so its motion is over."""
+    """A drive with a fault does not move, so its motion counts as done."""
 
     def wrong(is_done):
         def done(self):
@@ -25,7 +25,7 @@ def a_fault_ends_a_motion_as_any_other_end():
 
 @mutant("leadshine", "FAULT-01")
 def a_fault_without_its_code():
-    """That there is a fault is told to who waits, and which one is not."""
+    """A wait reports a fault without its code."""
 
     def blind(raise_fault):
         def told(self, poll):
@@ -40,7 +40,7 @@ def a_fault_without_its_code():
 
 @mutant("leadshine", "FAULT-02")
 def bringing_up_resets_faults():
-    """Whoever commands the motor has its fault reset without being told."""
+    """Every command resets a fault without reporting it."""
 
     def eager(connect):
         def connected(self):
@@ -56,7 +56,7 @@ def bringing_up_resets_faults():
 
 @mutant("leadshine", "FAULT-03")
 def a_reset_switches_on():
-    """reset_fault() leaves the motor as it was before the fault: on."""
+    """reset_fault() restores the state before the fault: enabled."""
 
     def eager(reset):
         def done(self):
@@ -72,7 +72,7 @@ def a_reset_switches_on():
 
 @mutant("leadshine", "FAULT-04")
 def a_fault_is_told_from_memory():
-    """Which fault there is, is told as of when the motor was last waited for."""
+    """The reported fault is that of the last wait."""
 
     def forgetful(read_fault):
         def told(self):
@@ -86,7 +86,7 @@ def a_fault_is_told_from_memory():
 
 @mutant("leadshine", "HEAR-01")
 def a_lost_start_is_made_again():
-    """A start that was not answered is made again, by as far from where the motor is by then."""
+    """A start without an answer is repeated, relative to the position at that time."""
 
     def again(trigger):
         def triggered(self):
@@ -117,7 +117,7 @@ def a_lost_start_is_made_again():
 
 @mutant("leadshine", "HEAR-02")
 def silence_is_no_error():
-    """What is not answered is taken to be as it was when it was answered last."""
+    """A missing answer is replaced by the last one."""
     known = {}
 
     def deaf(ask):
@@ -137,7 +137,7 @@ def silence_is_no_error():
 
 @mutant("leadshine", "HEAR-03")
 def once_lost_is_lost_for_good():
-    """A drive that did not answer once is not asked any more."""
+    """A drive that once did not answer is not asked again."""
     heard, lost = set(), set()
 
     def given_up(read):

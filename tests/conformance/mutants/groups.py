@@ -1,11 +1,11 @@
-"""Mistakes with motors that should move together."""
+"""Mistakes with synchronised motors."""
 
 from dataclasses import replace
 
-from motorapi import MotorGroup, Synchronization, execution, group
-from motorapi.adaptations.cia402_motor import Cia402Motor
-from motorapi.common_motion import CommonMotion
-from motorapi.errors import MotorError
+from motorhil.motorapi import MotorGroup, Synchronization, execution, group
+from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
+from motorhil.motorapi.errors import MotorError
+from motorhil.motorapi.group import CommonMotion
 from tests.conformance.mutants import mutant, replaced
 from tests.harness.sharing.mutants import a_group_that_starts_before_all_are_armed
 
@@ -19,7 +19,7 @@ def started_before_all_are_armed():
 
 @mutant("cia402", "SYNC-02")
 def times_in_microseconds():
-    """When a motion began and ended is told in microseconds."""
+    """Start and end times are reported in microseconds."""
 
     def wrong(times):
         def told(motor):
@@ -50,14 +50,14 @@ def _unsynchronised(which, instead):
 
 @mutant("cia402", "SYNC-03")
 def each_as_fast_as_it_can():
-    """The members begin together, and nobody makes them take the same time."""
+    """The members start together, but do not take the same time."""
     with _unsynchronised(Synchronization.TIME, lambda _, motors, motions, common: motions):
         yield
 
 
 @mutant("cia402", "SYNC-08")
 def a_line_that_is_none():
-    """Motors that should go along a line begin and end together, each with ramps of its own."""
+    """Motors in phase synchronization start and end together, each with its own ramps."""
 
     def timed(synchronised, motors, motions, common):
         return synchronised(motors, motions, replace(common, synchronization=Synchronization.TIME))
@@ -79,7 +79,7 @@ def done_when_the_first_is():
 
 @mutant("software", "SYNC-04")
 def a_stop_forgets_all_but_the_first():
-    """What is done for every member ends with the first one."""
+    """Operations on all members end after the first one."""
 
     def wrong(_):
         return lambda motors, method: method(next(iter(motors)))
@@ -90,35 +90,35 @@ def a_stop_forgets_all_but_the_first():
 
 @mutant("cia402", "SYNC-06")
 def armed_for_ever():
-    """A start that failed leaves armed what was armed: the next SYNC, whosever, starts it."""
+    """A failed start leaves members armed: the next SYNC starts them."""
     with replaced(Cia402Motor, "_disarm", lambda _: lambda motor: None):
         yield
 
 
 @mutant("cia402", "SYNC-06")
 def not_confirmed():
-    """Whether the drives have acknowledged their start is not looked at."""
+    """The drives' acknowledgement of their start is not checked."""
     with replaced(Cia402Motor, "_confirm", lambda _: lambda motor, motion: None):
         yield
 
 
 @mutant("leadshine", "SYNC-07")
 def starts_whatever_was_asked():
-    """What was asked of a start is not compared with what its motors can do."""
+    """The requirements of a start are not compared with the motors' capability."""
     with replaced(group, "require_synchronised", lambda _: lambda *_args: None):
         yield
 
 
 @mutant("ideal", "SYNC-09")
 def the_others_go_on():
-    """If one of a group fails, nobody tells the others."""
+    """The failure of one member does not stop the others."""
     with replaced(CommonMotion, "_answer", lambda _: lambda motion, motor, cause: None):
         yield
 
 
 @mutant("software", "SYNC-09")
 def a_fault_of_one_is_swallowed():
-    """Who waits for a group looks at those that have not failed."""
+    """A wait for a group ignores the members that have failed."""
 
     def wrong(wait):
         def waited(motors, timeout_s=None):

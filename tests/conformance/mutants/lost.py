@@ -1,17 +1,17 @@
-"""Mistakes that show only when frames, drives or hosts are lost."""
+"""Mistakes that show only with lost frames, drives or hosts."""
 
 from contextlib import suppress
 
-from motorapi.adaptations import drive_setup
-from motorapi.adaptations.cia402_motor import Cia402Motor
-from motorapi.adaptations.csp_stream import CspStream
-from motorapi.adaptations.drive_node import DriveNode
-from motorapi.adaptations.drive_objects import DriveObjects
-from motorapi.adaptations.drive_reader import DriveReader
-from motorapi.adaptations.leadshine_hardware import LeadshineHwMotor
-from motorapi.adaptations.motion_watch import StreamWatch
-from motorapi.adaptations.polled_motor import PolledMotor
-from motorapi.errors import DeadlineExceeded, DeviceFault, LinkError
+from motorhil.motorapi.adaptations.cia402 import bringup as drive_setup
+from motorhil.motorapi.adaptations.cia402.csp import CspStream
+from motorhil.motorapi.adaptations.cia402.measurements import DriveReader
+from motorhil.motorapi.adaptations.cia402.motion_status import StreamWatch
+from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
+from motorhil.motorapi.adaptations.cia402.node import DriveNode
+from motorhil.motorapi.adaptations.cia402.object_access import DriveObjects
+from motorhil.motorapi.adaptations.leadshine.hardware import LeadshineHwMotor
+from motorhil.motorapi.adaptations.modbus.polled_motor import PolledMotor
+from motorhil.motorapi.errors import DeadlineExceeded, DeviceFault, LinkError
 from tests.conformance.mutants import mutant, replaced
 
 PREPARATION = (0x06, 0x07, 0x0F)  # CiA 402-2: to operation enabled
@@ -21,14 +21,14 @@ RELATIVE = 0x0041
 
 @mutant("cia402", "LOST-01")
 def heartbeat_not_watched():
-    """The drive sends its heartbeat, and nobody misses it."""
+    """The drive sends its heartbeat, but its loss is not noticed."""
     with replaced(DriveNode, "expect_heartbeat", lambda _: lambda node: None):
         yield
 
 
 @mutant("cia402", "LOST-01")
 def done_after_the_cable_was_cut():
-    """What is not heard of any more does not move any more: the motion is taken for done."""
+    """A drive that is not heard counts as at rest: its motion is done."""
 
     def wrong(is_done):
         def told(motor):
@@ -45,7 +45,7 @@ def done_after_the_cable_was_cut():
 
 @mutant("oriental_az", "LOST-01")
 def last_state_for_ever():
-    """Where no answer comes, the state that was heard last is told."""
+    """Without an answer, the last known state is reported."""
 
     def wrong(read):
         def told(motor):
@@ -73,27 +73,27 @@ def last_state_for_ever():
 
 @mutant("cia402", "LOST-02")
 def dead_man_never_set_up():
-    """The drive is not told whom to watch."""
+    """The drive's heartbeat consumer is not configured."""
     with _instead(0x1016, lambda value: 0):
         yield
 
 
 @mutant("cia402", "LOST-03")
 def dead_man_watches_the_neighbour():
-    """The drive is told to watch node 2, which is a drive, too, and not the host."""
+    """The drive monitors node 2, which is another drive, and not the host."""
     with _instead(0x1016, lambda value: 2 << 16 | value & 0xFFFF):
         yield
 
 
 @mutant("cia402", "LOST-02")
 def dead_man_does_nothing():
-    """6007h is 0: the drive notices that its host is gone, and goes on."""
+    """6007h is 0: the drive notices the loss of its host, and continues."""
     with _instead(0x6007, lambda value: 0):
         yield
 
 
 def _instead(index, change):
-    """Another value is set up in an object."""
+    """Write another value into an object during set-up."""
 
     def wrong(write):
         def written(node, at, subindex, value, *args):
@@ -117,7 +117,7 @@ def _target_frame(can_id, word, target):
 
 @mutant("cia402", "LOST-04")
 def goes_on_by_itself_when_it_is_heard_again():
-    """Who was lost and is heard again is enabled, and told its last target, for convenience."""
+    """A drive that is heard again is enabled and continues to its last target, for convenience."""
 
     def wrong(start):
         def armed(motor, motion, *, together):
@@ -147,7 +147,7 @@ def goes_on_by_itself_when_it_is_heard_again():
 
 @mutant("cia402", "LOST-05")
 def state_of_before_the_loss():
-    """A drive that stopped by itself sends no status any more, and is told as it was before."""
+    """A drive that stopped by itself sends no status, and is reported as before."""
 
     def wrong(_):
         def told(reader):
@@ -163,7 +163,7 @@ def state_of_before_the_loss():
 
 @mutant("cia402", "LOST-09")
 def a_start_that_failed_is_tried_again_in_the_background():
-    """A start that failed for a lost drive is made as soon as the drive is heard again."""
+    """A start that failed because of a lost drive is repeated when the drive is heard again."""
 
     def wrong(read):
         def told(motor):
@@ -195,7 +195,7 @@ def a_start_that_failed_is_tried_again_in_the_background():
 
 @mutant("cia402", "LOST-07")
 def believes_what_it_wrote_before_a_restart():
-    """What was written to a drive is believed to be there after it has booted."""
+    """Values written to a drive are assumed to be there after it has booted."""
 
     def wrong(doubt):
         return lambda objects, index=None, subindex=0: (
@@ -208,14 +208,14 @@ def believes_what_it_wrote_before_a_restart():
 
 @mutant("cia402", "LOST-08")
 def stream_into_the_void():
-    """Set-points are streamed to the end, whether or not the drive follows."""
+    """Set-points are streamed to the end, even if the drive does not follow."""
     with replaced(CspStream, "_is_followed", lambda _: lambda stream, now_ns: True):
         yield
 
 
 @mutant("leadshine", "LOST-09")
 def a_retry_moves_twice():
-    """Distances are sent as such, and a request that was not answered is sent again."""
+    """Distances are sent as such, and a request without an answer is repeated."""
 
     def wrong(trigger):
         def told(hardware):
@@ -237,7 +237,7 @@ def a_retry_moves_twice():
 
 @mutant("cia402", "FAULT-05")
 def faults_of_streams_swallowed():
-    """A streamed motion that a fault ended is over, and so it is done."""
+    """A streamed motion that a fault has ended counts as done."""
 
     def wrong(is_done):
         def told(motor):

@@ -1,18 +1,18 @@
-"""Mistakes about what must be refused: limits, modes, nonsense."""
+"""Mistakes in refusals: limits, modes, invalid values."""
 
 from dataclasses import replace
 from math import isnan
 
-from motorapi import planning
-from motorapi.adaptations.cia402_motor import Cia402Motor
-from motorapi.commands import ControlMode, ControlVariable, DerivativeLimits
-from motorapi.trajectory import TrapezoidalTrajectory
+from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
+from motorhil.motorapi.commands import ControlMode, ControlVariable, DerivativeLimits
+from motorhil.motorapi.planning import single_axis as planning
+from motorhil.motorapi.trajectory import TrapezoidalTrajectory
 from tests.conformance.mutants import mutant, replaced
 
 
 @mutant("ideal", "LIM-01")
 def limits_of_position_ignored_in_trajectories():
-    """The limits of position hold for set-points, and are forgotten for trajectories."""
+    """Position limits apply to set-points, but not to trajectories."""
 
     def wrong(plan):
         def planned(motor, model, variable, trajectory, reference, **options):
@@ -30,8 +30,8 @@ def limits_of_position_ignored_in_trajectories():
 
 @mutant("ideal", "LIM-02")
 def limits_hold_upwards_only():
-    """What is held against a limit is the value, not its size: backwards nothing is too fast."""
-    from motorapi import limits
+    """Limits are compared with the signed value: backwards nothing is too fast."""
+    from motorhil.motorapi.planning import limits
 
     def wrong(value_range):
         def found(model, variable):
@@ -45,7 +45,7 @@ def limits_hold_upwards_only():
 
 @mutant("cia402", "LIM-03")
 def says_that_it_can_and_cannot():
-    """Trajectories of current are accepted, and nothing of the adaptation knows how to make one."""
+    """Current trajectories are accepted, but the adaptation cannot make them."""
 
     def wrong(supports):
         def supported(self, mode, variable):
@@ -60,6 +60,6 @@ def says_that_it_can_and_cannot():
 
 @mutant("ideal", "LIM-04")
 def endless_set_points():
-    """What is no number is refused, what is no finite one is not."""
+    """NaN is refused, but infinity is not."""
     with replaced(planning, "isfinite", lambda isfinite: lambda value: not isnan(value)):
         yield

@@ -2,21 +2,21 @@
 
 from contextlib import contextmanager
 
-from motorapi import Motor, MotorBusyError
-from motorapi.adaptations.cia402_motor import Cia402Motor
-from motorapi.adaptations.drive_objects import DriveObjects
-from motorapi.adaptations.ideal_motor import IdealMotor
-from motorapi.adaptations.polled_motor import PolledMotor
-from motorapi.adaptations.software_hardware import AmplifierHwMotor
-from motorapi.shared_motor import SharedMotor
-from motorapi.sharing import PhysicalMotor, RunStatus
+from motorhil.motorapi import Motor, MotorBusyError
+from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
+from motorhil.motorapi.adaptations.cia402.object_access import DriveObjects
+from motorhil.motorapi.adaptations.host_servo.hardware import AmplifierHwMotor
+from motorhil.motorapi.adaptations.ideal.motor import IdealMotor
+from motorhil.motorapi.adaptations.modbus.polled_motor import PolledMotor
+from motorhil.motorapi.motor import SharedMotor
+from motorhil.motorapi.ownership.physical_motor import PhysicalMotor, RunStatus
 from tests.conformance.mutants import mutant, replaced
 from tests.harness.sharing.mutants import a_lock_without_fifo, no_fencing
 
 
 @mutant("ideal", "SHARE-01")
 def a_record_for_each_user():
-    """Every logical motor has its own record of the physical one: nobody knows of the others."""
+    """Every logical motor has its own record of the physical motor, and ignores other users."""
 
     def wrong(make):
         def made(motor, hardware, *args, **kwargs):
@@ -32,7 +32,7 @@ def a_record_for_each_user():
 
 @mutant("cia402", "SHARE-02")
 def prepared_before_it_is_asked_for():
-    """Before it asks whether it may have the motor, a start already sends its controlword."""
+    """A start sends its controlword before it has acquired the motor."""
 
     def wrong(operation):
         def begun(motor, name, *args):
@@ -50,7 +50,7 @@ def prepared_before_it_is_asked_for():
 
 @mutant("leadshine", "SHARE-03")
 def a_stop_needs_the_lock():
-    """A stop is obeyed of the one who moves the motor only."""
+    """A stop is obeyed only from the owner."""
 
     def wrong(bring):
         def brought(motor, operation, hook):
@@ -66,7 +66,7 @@ def a_stop_needs_the_lock():
 
 @mutant("oriental_az", "SHARE-01")
 def told_to_be_held_by_oneself():
-    """Who is refused is told his own name, for that is at hand."""
+    """A refused user is named as the owner."""
 
     def wrong(make):
         def made(error, *, motor, holder, **facts):
@@ -80,11 +80,11 @@ def told_to_be_held_by_oneself():
 
 @mutant("cia402", "SHARE-04")
 def each_believes_what_it_wrote_itself():
-    """What a user wrote is believed to be in the drive, though another has moved it since."""
+    """Values written by one user are assumed valid, though another user has changed them."""
 
     def wrong(believes):
         def believed(objects, index, subindex, data):
-            if index != 0x6081:  # of what is pushed for a profile: its velocity
+            if index != 0x6081:  # the velocity of a profile
                 return believes(objects, index, subindex, data)
             caches = objects.physical.__dict__.setdefault("caches", {})
             mine = caches.setdefault(id(objects.physical._owner), {})
@@ -101,7 +101,7 @@ def each_believes_what_it_wrote_itself():
 
 @mutant("ideal", "SHARE-05")
 def not_given_back_after_an_error():
-    """A reservation that is left by an error is not given back."""
+    """A reservation that is left by an error is not released."""
     kept = []
 
     def wrong(reserve):
@@ -124,7 +124,7 @@ def not_given_back_after_an_error():
 
 @mutant("cia402", "SHARE-06")
 def let_go_while_it_slows_down():
-    """A motor that was stopped is free, at rest or not."""
+    """A stopped motor is released at once, at rest or not."""
 
     def wrong(take):
         def taken(physical, owner, motor, status, taken_over_ns=None):
@@ -143,35 +143,35 @@ def let_go_while_it_slows_down():
 
 @mutant("software", "SHARE-07")
 def who_comes_last_is_served_first():
-    """Who waits is put on a pile."""
+    """Waiting users are served last in, first out."""
     with a_lock_without_fifo():
         yield
 
 
 @mutant("cia402", "SHARE-08")
 def an_orphan_goes_on():
-    """Who takes a motor over does not bring to rest what it was doing."""
+    """A takeover does not bring the motor to rest."""
     with replaced(SharedMotor, "_adopt", lambda _: lambda motor, timeout_s, asked_ns: None):
         yield
 
 
 @mutant("ideal", "SHARE-08")
 def who_has_lost_it_goes_on():
-    """Who has lost a motor commands it as if he had it."""
+    """A user that has lost a motor can still command it."""
     with no_fencing():
         yield
 
 
 @mutant("software", "SHARE-09")
 def a_servo_that_goes_on_under_low_level_access():
-    """The servo goes on while somebody works the hardware by hand."""
+    """The servo loop continues during low-level access."""
     with replaced(AmplifierHwMotor, "fall_silent", lambda _: lambda hardware: None):
         yield
 
 
 @mutant("oriental_az", "SHARE-10")
 def the_last_one_shuts_the_door_every_time():
-    """Whoever is closed closes the hardware object that all share."""
+    """Every close() closes the shared hardware object."""
 
     def wrong(close):
         def closed(motor):

@@ -1,19 +1,19 @@
-"""Mistakes about stopping, and about what a stop leaves behind."""
+"""Mistakes in stops, and in the state that they leave."""
 
 from contextlib import contextmanager
 from dataclasses import replace
 
-from motorapi.adaptations.ideal_courses import Held
-from motorapi.adaptations.ideal_hardware import IdealHwMotor
-from motorapi.adaptations.ideal_motor import IdealMotor
-from motorapi.adaptations.leadshine_hardware import LeadshineHwMotor
-from motorapi.commands import ControlMode, ControlVariable
-from motorapi.state import MotorState
+from motorhil.motorapi.adaptations.ideal.hardware import IdealHwMotor
+from motorhil.motorapi.adaptations.ideal.motor import IdealMotor
+from motorhil.motorapi.adaptations.ideal.profiles import Held
+from motorhil.motorapi.adaptations.leadshine.hardware import LeadshineHwMotor
+from motorhil.motorapi.commands import ControlMode, ControlVariable
+from motorhil.motorapi.state import MotorState
 from tests.conformance.mutants import motions_changed, mutant, replaced
 
 
 def power_off_at_rest(self):
-    """It slows down, and its power goes when it stands."""
+    """Switch the power off when the motor has slowed down to rest."""
     hardware = self._hardware
     hardware.slow_down(self.model.deceleration)
     course = hardware._course
@@ -34,7 +34,7 @@ def plain_stop(self):
 
 @contextmanager
 def only(name, wrong):
-    """One way to stop is wrong; the others are as they were."""
+    """Return a change of one kind of stop; the others are unchanged."""
     with (
         replaced(IdealMotor, "_stop", lambda stop: wrong if name == "_stop" else stop),
         replaced(IdealMotor, "_halt", lambda halt: wrong if name == "_halt" else plain_stop),
@@ -44,21 +44,21 @@ def only(name, wrong):
 
 @mutant("ideal", "STOP-01")
 def a_stop_lets_go():
-    """A motor that was stopped is switched off once it stands, to save current."""
+    """A stopped motor is disabled at rest, to save current."""
     with only("_stop", power_off_at_rest):
         yield
 
 
 @mutant("ideal", "STOP-02")
 def a_halt_lets_go():
-    """A motor that was halted is switched off once it stands, to save current."""
+    """A halted motor is disabled at rest, to save current."""
     with only("_halt", power_off_at_rest):
         yield
 
 
 @mutant("leadshine", "STOP-03")
 def a_quick_stop_is_a_stop():
-    """A quick stop is made as any other stop: the next start moves the motor."""
+    """A quick stop is made as a normal stop: the next start moves the motor."""
     with replaced(
         LeadshineHwMotor, "post_stop", lambda post: lambda self, quick: post(self, quick=False)
     ):
@@ -67,7 +67,7 @@ def a_quick_stop_is_a_stop():
 
 @mutant("ideal", "STOP-04")
 def a_stop_as_hard_as_can_be():
-    """A stop slows down ten times as fast as the model allows."""
+    """A stop decelerates ten times as fast as the model allows."""
 
     def hard(self):
         self._hardware._motion = None
@@ -79,7 +79,7 @@ def a_stop_as_hard_as_can_be():
 
 @mutant("ideal", "STOP-05")
 def a_halt_ends_profiles_only():
-    """A halt ends the profile of a position; where there is none it does nothing."""
+    """A halt ends position profiles only, and otherwise does nothing."""
 
     def wrong(self):
         motion = self._hardware._motion
@@ -92,7 +92,7 @@ def a_halt_ends_profiles_only():
 
 @mutant("ideal", "STOP-06")
 def a_second_stop_lifts_the_first():
-    """The bit that stops is turned over: a second stop before rest lets the motor go on."""
+    """The stop bit is toggled: a second stop before rest lets the motor continue."""
 
     def wrong(self):
         hardware = self._hardware
@@ -111,7 +111,7 @@ def a_second_stop_lifts_the_first():
 
 @mutant("ideal", "STOP-07")
 def a_stopped_target_is_not_sent_again():
-    """A target that is the one before is not sent: that it was stopped since is not thought of."""
+    """A target equal to the previous one is not sent, even after a stop."""
     before = {}
 
     def wrong(motor, motion):
@@ -126,7 +126,7 @@ def a_stopped_target_is_not_sent_again():
 
 @mutant("ideal", "STOP-08")
 def enabling_resumes():
-    """A motion that was switched off is still in the drive: enabled, it goes where it was to go."""
+    """A disabled motion remains in the drive: when enabled, the motor continues to its target."""
 
     def off(disable):
         def disabled(self):
@@ -151,6 +151,6 @@ def enabling_resumes():
 
 @mutant("ideal", "STOP-01", "STOP-02", "STOP-04", "STOP-06")
 def a_stop_does_nothing():
-    """A stop is said to be made, and the motion goes on."""
+    """A stop is reported as done, but the motion continues."""
     with replaced(IdealMotor, "_stop", lambda stop: lambda self: None):
         yield

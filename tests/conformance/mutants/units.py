@@ -1,14 +1,14 @@
-"""Mistakes of sign, unit and place, in commands and in what is measured."""
+"""Mistakes of sign, unit and position, in commands and in measured values."""
 
 from dataclasses import replace
 from math import degrees, tau
 
-from motorapi.adaptations.cia402_motor import Cia402Motor
-from motorapi.adaptations.drive_reader import DriveReader
-from motorapi.adaptations.ideal_hardware import IdealHwMotor
-from motorapi.adaptations.leadshine_hardware import LeadshineHwMotor
-from motorapi.adaptations.polled_motor import PolledMotor
-from motorapi.state import MotorState
+from motorhil.motorapi.adaptations.cia402.measurements import DriveReader
+from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
+from motorhil.motorapi.adaptations.ideal.hardware import IdealHwMotor
+from motorhil.motorapi.adaptations.leadshine.hardware import LeadshineHwMotor
+from motorhil.motorapi.adaptations.modbus.polled_motor import PolledMotor
+from motorhil.motorapi.state import MotorState
 from tests.conformance.mutants import motions_changed, mutant, replaced
 
 
@@ -25,7 +25,7 @@ def degrees_for_radians():
 
 @mutant("leadshine", "UNIT-01")
 def encoder_of_2048_lines():
-    """The encoder is taken to have 2048 lines where it has 2000, in commands and in answers."""
+    """The encoder is assumed to have 2048 lines instead of 2000, in commands and answers."""
     with replaced(
         LeadshineHwMotor,
         "_per_unit",
@@ -36,13 +36,13 @@ def encoder_of_2048_lines():
 
 @mutant("ideal", "UNIT-01")
 def sign_of_the_gear_forgotten():
-    """A motor that its gear turns round goes the wrong way."""
+    """The sign of the gear ratio is ignored."""
 
     def turned(motor, motion):
         way = motion.target - motion.start
         return replace(motion, target=motion.start - way) if motor.name == "right" else motion
 
-    from motorapi.adaptations.ideal_motor import IdealMotor
+    from motorhil.motorapi.adaptations.ideal.motor import IdealMotor
 
     with motions_changed(IdealMotor, turned):
         yield
@@ -50,7 +50,7 @@ def sign_of_the_gear_forgotten():
 
 @mutant("ideal", "ID-01")
 def all_motors_share_one_course():
-    """What a motor does is kept by its class: all of them do it."""
+    """All motors of a class share one motion."""
     everyone = []
 
     def kept(take):
@@ -76,7 +76,7 @@ def all_motors_share_one_course():
 
 @mutant("leadshine", "ID-02")
 def latest_asks_the_drive():
-    """What was heard last is asked for anew."""
+    """latest() asks the drive."""
 
     def asking(latest):
         def asked(self):
@@ -91,7 +91,7 @@ def latest_asks_the_drive():
 
 @mutant("cia402", "STATE-01")
 def enabled_before_anything_was_heard():
-    """As long as nothing was heard of it, a drive is said to be ready."""
+    """Before its first message, a drive is reported as ready."""
 
     def hopeful(state):
         def told(self):
@@ -105,7 +105,7 @@ def enabled_before_anything_was_heard():
 
 @mutant("leadshine", "STATE-02")
 def disable_keeps_the_power_on():
-    """disable() stops the motor and says that it is off, but its power stage stays on."""
+    """disable() stops the motor and reports it as disabled, but its power stage stays on."""
     off = set()
 
     def lazy(disable):
@@ -139,7 +139,7 @@ def disable_keeps_the_power_on():
 
 @mutant("cia402", "MEAS-01")
 def velocity_in_rpm():
-    """The measured velocity is in revolutions a minute."""
+    """The measured velocity is in revolutions per minute."""
     with replaced(
         DriveReader, "velocity", lambda velocity: lambda self: velocity(self) * 60.0 / tau
     ):
@@ -148,7 +148,7 @@ def velocity_in_rpm():
 
 @mutant("cia402", "MEAS-02")
 def torque_of_the_motors_shaft():
-    """The measured torque is that of the motor, and not that of the output behind its gear."""
+    """The measured torque is that of the motor, not of the output behind its gear."""
     with replaced(
         DriveReader, "torque", lambda torque: lambda self: torque(self) / self._model.gear_ratio
     ):

@@ -1,9 +1,10 @@
-"""A node on a bench: a small dictionary, a host that notes what it is told, time in hand."""
+"""A node on a bench, with a recording host and controlled time."""
 
 from struct import Struct
 
-from emulators.canopen.node import CanopenNode, NodeTiming
-from emulators.canopen.object_dictionary import DataType, ObjectDictionary, Value, Variable
+from motorhil.emulators.canopen.node import CanopenNode
+from motorhil.emulators.canopen.object_dictionary import DataType, ObjectDictionary, Value, Variable
+from motorhil.emulators.canopen.outbox import NodeTiming
 
 MS = 1_000_000
 NODE_ID = 2
@@ -19,19 +20,19 @@ UNSIGNED8, UNSIGNED16, UNSIGNED32 = DataType.UNSIGNED8, DataType.UNSIGNED16, Dat
 
 
 def frame(can_id: int, data: str | bytes = b"") -> bytes:
-    """A can_frame; data as bytes or as "43 18 10"."""
+    """Return a can_frame; data as bytes or as "43 18 10"."""
     raw = bytes.fromhex(data) if isinstance(data, str) else data
     return _FRAME.pack(can_id, len(raw), raw)
 
 
 def shown(raw: bytes) -> str:
-    """A can_frame as "582 43 18 10 01 04 00 00 00"."""
+    """Return a can_frame as text: "582 43 18 10 01 04 00 00 00"."""
     can_id, length, data = _FRAME.unpack(raw)
     return f"{can_id:03X} {data[:length].hex(' ').upper()}".rstrip()
 
 
 class Host:
-    """Notes every call of the node, with its time."""
+    """A host that notes every call of the node, with its time."""
 
     def __init__(self) -> None:
         self.calls: list[tuple[object, ...]] = []
@@ -82,7 +83,7 @@ def put_pdo(
     transmission_type: int = 255,
     cob_id: int | None = None,
 ) -> None:
-    """PDO `index` (1400h.., 1800h..) with eight places for entries, timers and all."""
+    """Add PDO `index` (1400h.., 1800h..) with eight mapping entries and all parameters."""
     put(od, index, 0, UNSIGNED8, 5, "ro")
     put(od, index, 1, UNSIGNED32, cob_id)
     put(od, index, 2, UNSIGNED8, transmission_type)
@@ -95,7 +96,7 @@ def put_pdo(
 
 
 def dictionary() -> ObjectDictionary:
-    """Communication objects, some drive objects, and one variable of many a type."""
+    """Return a dictionary of communication objects, drive objects and many data types."""
     od = ObjectDictionary()
     put(od, 0x1000, 0, UNSIGNED32, 0x0002_0192, "ro")
     put(od, 0x1001, 0, UNSIGNED8, 0, "ro", mappable=True)
@@ -147,12 +148,12 @@ class Bench:
         self.node.start(0)
 
     def tell(self, can_id: int, data: str | bytes = b"") -> None:
-        """The node hears a frame now."""
+        """Pass a frame to the node now."""
         self.node.receive(frame(can_id, data), self.now_ns)
         self.drain()
 
     def drain(self) -> None:
-        """Frames of the node are noted, and leave the bus."""
+        """Note the frames of the node and confirm them."""
         frames = self.node.take_output()
         while frames:
             for raw in frames:
@@ -162,7 +163,7 @@ class Bench:
             frames = self.node.take_output()
 
     def run(self, until_ns: int) -> None:
-        """Time passes, deadline by deadline."""
+        """Let time pass, deadline by deadline."""
         deadline_ns = self.node.next_deadline_ns()
         while deadline_ns is not None and deadline_ns <= until_ns:
             self.now_ns = max(deadline_ns, self.now_ns)
@@ -175,23 +176,23 @@ class Bench:
         self.run(self.now_ns + duration_ns)
 
     def heard(self) -> list[tuple[int, str]]:
-        """(time, frame) of what came out since last asked."""
+        """Return (time, frame) of the output since the last call."""
         log, self.log = self.log, []
         return log
 
     def frames(self) -> list[str]:
-        """What came out since last asked."""
+        """Return the frames since the last call."""
         return [text for _, text in self.heard()]
 
     def boot(self) -> "Bench":
-        """Up to PRE-OPERATIONAL."""
+        """Boot the node to PRE-OPERATIONAL."""
         self.run(300 * MS)
         self.frames()
         self.host.calls.clear()
         return self
 
     def operate(self) -> "Bench":
-        """Up to OPERATIONAL."""
+        """Bring the node to OPERATIONAL."""
         self.boot()
         self.tell(0x000, bytes((1, NODE_ID)))
         self.frames()
@@ -199,12 +200,12 @@ class Bench:
         return self
 
     def ask(self, request: str) -> str:
-        """An SDO request and its response, "" if none comes within the reply time."""
+        """Send an SDO request and return its response, or "" after the reply time."""
         responses = self.ask_all(request)
         return responses[0] if responses else ""
 
     def ask_all(self, request: str) -> list[str]:
-        """An SDO request and all frames that answer it within the reply time."""
+        """Send an SDO request and return all responses within the reply time."""
         before = len(self.log)
         self.tell(0x600 + NODE_ID, request)
         self.wait(1 * MS)
@@ -213,7 +214,7 @@ class Bench:
         return responses
 
     def download(self, index: int, subindex: int, value: int, size: int) -> str:
-        """An expedited download; "" if it was accepted, else the abort code "0601 0002"."""
+        """Download expedited; return "" on success, else the abort code "0601 0002"."""
         command = 0x23 | (4 - size) << 2
         mux = bytes((command, index & 0xFF, index >> 8, subindex))
         response = self.ask((mux + (value & 0xFFFF_FFFF).to_bytes(4, "little")).hex(" "))
@@ -221,7 +222,7 @@ class Bench:
 
 
 def abort_code(response: str) -> str:
-    """The abort code of an SDO abort as "0601 0002"; else the response itself."""
+    """Return the code of an SDO abort as "0601 0002", or another response itself."""
     raw = bytes.fromhex(response)
     if len(raw) != 8 or raw[0] != 0x80:
         return response
@@ -230,7 +231,7 @@ def abort_code(response: str) -> str:
 
 
 def transcript(bench: Bench, text: str) -> None:
-    """Plays `>` lines (client to server) and compares the `<` lines; `--` comments."""
+    """Play `>` lines (client to server) and compare the `<` lines; `--` comments."""
     for line in text.strip().splitlines():
         line = line.split("--")[0].strip()
         if line.startswith(">"):

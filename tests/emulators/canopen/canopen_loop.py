@@ -1,14 +1,14 @@
-"""canopen's client, an independent implementation, talking to a bench's node in one thread."""
+"""The client of canopen, an independent implementation, connected to a bench node."""
 
 import canopen
 from canopen.objectdictionary import ODRecord, ODVariable
 
-from emulators.canopen.object_dictionary import DataType, ObjectDictionary
+from motorhil.emulators.canopen.object_dictionary import DataType, ObjectDictionary
 from tests.emulators.canopen.bench_node import MS, NODE_ID, Bench
 
 
 class Loop(canopen.Network):
-    """A network without a bus: what the client sends, the node hears; 2 ms pass; and back."""
+    """A network without a bus: client frames go to the node, 2 ms pass, responses go back."""
 
     def __init__(self, bench: Bench) -> None:
         super().__init__()
@@ -23,14 +23,14 @@ class Loop(canopen.Network):
         self.deliver()
 
     def deliver(self) -> None:
-        """The client hears all that the node has said."""
+        """Pass all output of the node to the client."""
         for time_ns, text in self.bench.heard():
             can_id, _, data = text.partition(" ")
             self.notify(int(can_id, 16), bytearray.fromhex(data), time_ns / 1e9)
 
 
 def client_dictionary(od: ObjectDictionary) -> canopen.ObjectDictionary:
-    """The same objects in canopen's classes."""
+    """Return the same objects in canopen's classes."""
     theirs = canopen.ObjectDictionary()
     for ours in od:
         variable = ODVariable(f"{ours.index:04X}:{ours.subindex:02X}", ours.index, ours.subindex)
@@ -47,7 +47,7 @@ def client_dictionary(od: ObjectDictionary) -> canopen.ObjectDictionary:
 
 
 def raw_of(value: object, data_type: int) -> object:
-    """Our value as canopen's `raw` shows it."""
+    """Return our value in the form of canopen's `raw`."""
     if isinstance(value, bytes) and data_type == DataType.VISIBLE_STRING:
         return value.decode()
     return bool(value) if data_type == DataType.BOOLEAN else value

@@ -1,10 +1,10 @@
-"""Reading EDS texts, and being refused."""
+"""Fixtures that read EDS texts and expect refusals."""
 
 from pathlib import Path
 
 import pytest
 
-from emulators.canopen.eds import EdsError, read_eds
+from motorhil.emulators.canopen.files.eds import EdsError, read_eds
 
 
 @pytest.fixture

@@ -1,6 +1,6 @@
-"""A small EDS to break, and where a warning stands."""
+"""A small EDS to modify, and the places of warnings."""
 
-from emulators.canopen.device_description import DeviceDescription
+from motorhil.emulators.canopen.files.device_description import DeviceDescription
 
 GOOD = """\
 [DeviceInfo]

@@ -1,7 +1,8 @@
-"""The abort code of every wrong access, over our and vendors' files (CiA 301, SDO abort codes).
+"""Abort codes of wrong accesses, over our and vendors' files (CiA 301).
 
-What must come is written here from the standard; what an object is, is canopen's reading of the
-file, not ours. Only for a value within its range may a device have reasons of its own.
+The expected code is derived here from the standard. The description of an object is canopen's
+reading of the file, not ours. Only for a value within its range a device may have reasons of its
+own.
 """
 
 import functools
@@ -12,8 +13,8 @@ import pytest
 from hypothesis import event, given
 from hypothesis import strategies as st
 
-import emulators
-from emulators.canopen.eds import read_eds
+from motorhil import emulators
+from motorhil.emulators.canopen.files.eds import read_eds
 from tests.emulators.canopen.bench_node import NODE_ID, Bench
 
 EDS = Path(emulators.__file__).parent / "eds"
@@ -25,8 +26,8 @@ WRITE_ONLY, READ_ONLY = 0x0601_0001, 0x0601_0002
 TOO_LONG, TOO_SHORT = 0x0607_0012, 0x0607_0013
 TOO_HIGH, TOO_LOW = 0x0609_0031, 0x0609_0032
 NO_DATA = 0x0800_0024
-# Values that are in range and may not be: invalid, not to be mapped, too long a PDO, incompatible,
-# PDO procedure left, signature, device state.
+# Reasons to refuse a value in its range: invalid, not mappable, PDO too long, incompatible, PDO
+# procedure violated, signature, device state.
 OWN_REASONS = {
     *(0x0609_0030, 0x0604_0041, 0x0604_0042, 0x0604_0043, 0x0601_0000, 0x0800_0020),
     *(0x0800_0022, NO_OBJECT, NO_SUBINDEX, TOO_HIGH, TOO_LOW),
@@ -47,7 +48,7 @@ def described(path: Path) -> tuple[Bench, canopen.ObjectDictionary, list[tuple[i
 
 
 def variable_at(theirs: canopen.ObjectDictionary, index: int, subindex: int):
-    """canopen's variable there; None, None: no such object; else (has_object, None)."""
+    """Return canopen's variable, or (None, None) without the object, or (has_object, None)."""
     entry = theirs.get(index)
     if entry is None or index < 0x1000:  # canopen lists the dummies too
         return False, None
@@ -57,13 +58,13 @@ def variable_at(theirs: canopen.ObjectDictionary, index: int, subindex: int):
 
 
 def answer(bench: Bench, request: bytes) -> int:
-    """The abort code of the answer; 0: none."""
+    """Return the abort code of the response, or 0."""
     raw = bytes.fromhex(bench.ask(request.hex(" ")))
     return int.from_bytes(raw[4:8], "little") if raw[0] == 0x80 else 0
 
 
 def expected(variable, is_upload: bool, size: int, value: int) -> set[int]:
-    """What the standard has for an access to an object that is there."""
+    """Return the standard's result of an access to an existing object."""
     if is_upload:
         return {WRITE_ONLY} if variable.access_type == "wo" else {0, NO_DATA}
     if variable.access_type in ("ro", "const"):
@@ -106,13 +107,13 @@ WHERE = st.none() | st.none() | PLACE
 
 @pytest.mark.parametrize("name", OWN)
 @given(pick=PICK, place=WHERE, access=ACCESS)
-def test_every_access_to_our_objects_is_answered_as_the_standard_has_it(name, pick, place, access):
+def test_access_to_own_objects_gets_standard_abort_code(name, pick, place, access):
     check(EDS / name, pick, place, access)
 
 
 @pytest.mark.parametrize("name", VENDORS)
 @given(pick=PICK, place=WHERE, access=ACCESS)
-def test_every_access_to_vendors_objects_is_answered_so_too(name, shared, pick, place, access):
+def test_access_to_vendor_objects_gets_standard_abort_code(name, shared, pick, place, access):
     check(shared / "data" / "eds" / name, pick, place, access)
 
 
@@ -125,15 +126,15 @@ def test_every_access_to_vendors_objects_is_answered_so_too(name, shared, pick, 
         ("2F 40 60 00", TOO_SHORT),
         ("23 40 60 00", TOO_LONG),
         ("40 03 10 01", NO_DATA),
-        ("E0 00 10 00", 0x0504_0001),  # no such command
+        ("E0 00 10 00", 0x0504_0001),  # unknown command
     ],
 )
-def test_each_of_these_codes_does_come(request_, code):
+def test_abort_code_occurs(request_, code):
     bench = Bench(read_eds(EDS / OWN[1], NODE_ID).dictionary()).boot()
     assert answer(bench, bytes.fromhex(request_).ljust(8, b"\0")) == code
 
 
-def test_a_number_out_of_its_limits_is_too_high_or_too_low():
+def test_number_out_of_limits_is_too_high_or_too_low():
     od = read_eds(EDS / OWN[1], NODE_ID).dictionary()
     bench = Bench(od).boot()
     limited = 0
@@ -152,7 +153,7 @@ def test_a_number_out_of_its_limits_is_too_high_or_too_low():
     assert limited >= 2
 
 
-# --- a client that leaves in the middle of a transfer (0504 0000h)
+# --- client that abandons a transfer (0504 0000h)
 
 
 def parted() -> Bench:
@@ -175,7 +176,7 @@ LEAVING = {
 
 
 @pytest.mark.parametrize("requests", LEAVING.values(), ids=LEAVING)
-def test_a_transfer_that_its_client_has_left_is_over_after_a_second(requests):
+def test_abandoned_transfer_times_out_after_one_second(requests):
     bench = parted()
     for request in requests:
         bench.ask_all(request)
@@ -185,18 +186,18 @@ def test_a_transfer_that_its_client_has_left_is_over_after_a_second(requests):
     (told,) = bench.heard()
     assert told == (asked_at + SECOND + 2_000_000, "582 80 00 20 00 00 00 04 05")
     assert bench.node.next_deadline_ns() is None
-    assert bench.ask("60 00 00 00 00 00 00 00")[-11:] == "01 00 04 05"  # there is none any more
+    assert bench.ask("60 00 00 00 00 00 00 00")[-11:] == "01 00 04 05"  # the transfer is over
 
 
 @pytest.mark.parametrize("size", [1, 4])
-def test_expedited_transfers_leave_nothing_behind(size):
+def test_expedited_transfer_leaves_no_timeout(size):
     bench = parted()
     bench.download(0x2002 if size == 1 else 0x607A, 0, 1, size)
     bench.ask("40 18 10 01 00 00 00 00")
     assert bench.node.next_deadline_ns() is None
 
 
-def test_a_whole_segmented_transfer_leaves_nothing_behind():
+def test_complete_segmented_transfer_leaves_no_timeout():
     bench = parted()
     bench.ask("40 00 20 00 00 00 00 00")
     for toggle in ("60", "70", "60", "70"):

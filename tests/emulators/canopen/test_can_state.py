@@ -1,15 +1,15 @@
-"""Error messages of the CAN controller: EMCY 8120h and 8140h, 1029h, silence off the bus.
+"""Error messages of the CAN controller: EMCY 8120h and 8140h, 1029h, bus-off.
 
 EMCY: CiA 301, 7.2.7 (code, 1001h, five bytes of the vendor), codes of table 26. Error messages are
-spelled out here as candump shows them on SocketCAN: identifier with its classes, eight bytes, of
-which [1] is the controller's state, [6] TEC, [7] REC (linux/can/error.h).
+written here as candump shows them on SocketCAN: identifier with its classes, eight bytes, of which
+[1] is the controller's state, [6] TEC, [7] REC (linux/can/error.h).
 """
 
 import pytest
 
-from emulators.canopen.can_state import CanState, state_in
-from emulators.canopen.nmt import NmtState
-from emulators.media.error_message import CONTROLLER, TX_PASSIVE, pack_error
+from motorhil.emulators.can.error_confinement import CONTROLLER, TX_PASSIVE, pack_error
+from motorhil.emulators.canopen.emcy import CanState, state_in
+from motorhil.emulators.canopen.nmt import NmtState
 from tests.emulators.canopen.bench_node import MS, Bench, dictionary, frame, put_pdo
 
 PASSIVE = (0x2000_0204, "00 20 00 00 00 00 80 00")
@@ -28,23 +28,23 @@ WAS_OFF = "082 40 81 11 00 00 00 00 00"
 
 
 def history(bench: Bench) -> list[int]:
-    """1003h, newest first."""
+    """Return 1003h, newest first."""
     count = bench.od.integer(0x1003, 0, 0)
     return [bench.od.integer(0x1003, sub, 0) for sub in range(1, count + 1)]
 
 
 @pytest.mark.parametrize("message", [PASSIVE, PASSIVE_BY_HEARING])
 @pytest.mark.parametrize("back", [ACTIVE, WARNING, RESTARTED])
-def test_error_passive_is_told_and_stands_until_it_is_over(message, back):
+def test_error_passive_is_reported_until_repaired(message, back):
     bench = Bench().operate()
     bench.tell(*message)
     assert bench.frames() == [IS_PASSIVE]
     assert bench.od.integer(0x1001, 0, 0) == 0x11
     assert history(bench) == [0x8120]
-    assert bench.node.state == NmtState.OPERATIONAL  # 1029h is about worse
+    assert bench.node.state == NmtState.OPERATIONAL  # 1029h concerns worse errors
     bench.tell(*message)
     bench.tell(*PASSIVE_BY_HEARING)
-    assert bench.frames() == []  # told once
+    assert bench.frames() == []  # reported once
     bench.tell(*back)
     assert bench.frames() == [IS_OVER]
     assert bench.od.integer(0x1001, 0, 0) == 0
@@ -52,7 +52,7 @@ def test_error_passive_is_told_and_stands_until_it_is_over(message, back):
 
 
 @pytest.mark.parametrize("message", [ACTIVE, WARNING, RESTARTED, NO_ACKNOWLEDGE, BIT_ERROR])
-def test_what_changes_no_state_is_not_told(message):
+def test_message_without_state_change_is_not_reported(message):
     bench = Bench().operate()
     bench.tell(*message)
     bench.tell(*OVERFLOW)
@@ -60,7 +60,7 @@ def test_what_changes_no_state_is_not_told(message):
     assert history(bench) == []
 
 
-def test_single_errors_and_overflows_change_nothing_while_it_is_passive():
+def test_single_errors_and_overflows_keep_error_passive():
     bench = Bench().operate()
     for message in (PASSIVE, NO_ACKNOWLEDGE, BIT_ERROR, OVERFLOW):
         bench.tell(*message)
@@ -75,7 +75,7 @@ def test_single_errors_and_overflows_change_nothing_while_it_is_passive():
         (2, NmtState.STOPPED),
     ],
 )
-def test_bus_off_is_an_error_of_communication_to_1029h(behaviour, state):
+def test_bus_off_is_communication_error_to_1029h(behaviour, state):
     od = dictionary()
     od.get(0x1029, 1).set_default(behaviour)
     bench = Bench(od).operate()
@@ -83,25 +83,25 @@ def test_bus_off_is_an_error_of_communication_to_1029h(behaviour, state):
     assert bench.node.state == state
     assert ("bus-off", 300 * MS) in bench.host.calls
     assert bench.frames() == []
-    assert history(bench) == []  # nothing was told, nothing is kept
+    assert history(bench) == []  # no EMCY, no history
     bench.host.calls.clear()
     bench.tell(*OFF)
-    assert bench.host.calls == []  # it is told once
+    assert bench.host.calls == []  # reported once
     bench.tell(*RESTARTED)
     assert bench.frames() == ([WAS_OFF, IS_OVER] if state != NmtState.STOPPED else [])
     assert history(bench) == [0x8140]
     assert bench.od.integer(0x1001, 0, 0) == 0
-    assert bench.node.state == state  # it comes back as it was, and boots not
+    assert bench.node.state == state  # it recovers its state without booting
 
 
-def test_in_stopped_and_pre_operational_1029h_changes_nothing():
+def test_1029h_in_stopped_and_pre_operational_has_no_effect():
     bench = Bench().boot()
     bench.tell(*OFF)
     assert bench.node.state == NmtState.PRE_OPERATIONAL
     assert bench.host.names() == ["bus-off"]
 
 
-def test_off_the_bus_it_is_silent_and_what_is_newest_waits():
+def test_bus_off_node_is_silent_and_keeps_newest_frames():
     od = dictionary()
     od.get(0x1029, 1).set_default(1)
     od.get(0x1017).set_default(100)
@@ -116,7 +116,7 @@ def test_off_the_bus_it_is_silent_and_what_is_newest_waits():
     assert bench.frames() == []
     bench.tell(*RESTARTED)
     assert bench.frames() == [
-        "702 05",  # one, of eleven
+        "702 05",  # one of eleven
         "082 10 23 03 00 00 00 00 00",
         IS_OVER,
         WAS_OFF,
@@ -127,12 +127,12 @@ def test_off_the_bus_it_is_silent_and_what_is_newest_waits():
 
 
 @pytest.mark.parametrize(("transmission_type", "after"), [(255, ["182 40 02"]), (1, [])])
-def test_a_tpdo_that_was_lost_with_the_bus_is_none_that_is_waited_for(transmission_type, after):
+def test_tpdo_lost_at_bus_off_is_not_awaited(transmission_type, after):
     od = dictionary()
     od.get(0x1029, 1).set_default(1)
     put_pdo(od, 0x1800, (0x6041_0010,), transmission_type)
     bench = Bench(od).boot()
-    bench.is_bus_stuck = True  # what it hands to the bus never leaves it
+    bench.is_bus_stuck = True  # its frames never leave the bus queue
     bench.tell(0x000, b"\x01\x02")
     bench.tell(0x080)
     assert bench.frames() == ["182 40 02"]
@@ -147,7 +147,7 @@ def test_a_tpdo_that_was_lost_with_the_bus_is_none_that_is_waited_for(transmissi
     assert list(bench.node.take_events())[-1] == ("info", "recovered from bus-off")
 
 
-def test_the_boot_up_of_a_node_that_was_off_waits_too():
+def test_boot_up_of_bus_off_node_waits_for_recovery():
     bench = Bench()
     bench.tell(*OFF)
     bench.run(400 * MS)
@@ -156,7 +156,7 @@ def test_the_boot_up_of_a_node_that_was_off_waits_too():
     assert bench.frames() == ["702 00", WAS_OFF, IS_OVER]
 
 
-def test_passive_off_and_back_to_passive():
+def test_passive_then_bus_off_recovers_to_passive():
     bench = Bench().operate()
     for message in (PASSIVE, OFF, PASSIVE, ACTIVE):
         bench.tell(*message)
@@ -165,7 +165,7 @@ def test_passive_off_and_back_to_passive():
 
 
 @pytest.mark.parametrize("command", [0x81, 0x82])
-def test_a_reset_of_the_node_repairs_no_bus(command):
+def test_node_reset_keeps_bus_off(command):
     bench = Bench().operate()
     bench.tell(*PASSIVE)
     bench.tell(0x000, bytes((command, 2)))
@@ -176,7 +176,7 @@ def test_a_reset_of_the_node_repairs_no_bus(command):
     assert bench.frames() == [IS_OVER]
 
 
-def test_the_record_tells_of_it():
+def test_can_state_changes_are_events():
     bench = Bench().operate()
     for message in (PASSIVE, ACTIVE, (0x2000_0240, "00 00 00 00 00 00 FF 00"), RESTARTED):
         bench.tell(*message)
@@ -188,13 +188,13 @@ def test_the_record_tells_of_it():
     ]
 
 
-def test_error_messages_are_asked_for_in_every_state():
+def test_error_messages_are_requested_in_every_state():
     bench = Bench()
     assert 0x2000_0000 in bench.node.identifiers()
     assert 0x2000_0000 in bench.operate().node.identifiers()
 
 
-def test_the_medium_packs_what_is_read_here():
+def test_messages_of_medium_are_understood():
     assert pack_error(CONTROLLER, controller=TX_PASSIVE, counters=(128, 0)) == frame(*PASSIVE)
     assert state_in(frame(*PASSIVE)) is CanState.PASSIVE
     assert state_in(frame(*BIT_ERROR)) is None

@@ -1,15 +1,15 @@
-"""canopen's client against our node: SDO, PDO configuration and exchange, NMT, EMCY."""
+"""The client of canopen against our node: SDO, PDO, NMT, EMCY."""
 
 import canopen
 import pytest
 from hypothesis import event, example, given
 from hypothesis import strategies as st
 
-from emulators.canopen.object_dictionary import DataType, integer_range, is_integer
+from motorhil.emulators.canopen.object_dictionary import DataType, integer_range, is_integer
 from tests.emulators.canopen.bench_node import MS, Bench, dictionary, put, put_pdo
 from tests.emulators.canopen.canopen_loop import Loop, raw_of
 
-# canopen has no number for the two times
+# canopen has no number type for the two times
 NUMBERS = [t for t in DataType if is_integer(t) and "TIME" not in t.name]
 STATUSWORD, POSITION, CONTROLWORD, TARGET = 0x6041_0010, 0x6064_0020, 0x6040_0010, 0x607A_0020
 
@@ -28,7 +28,7 @@ def abort_of(action) -> int:
     return caught.value.code
 
 
-def test_the_client_reads_every_readable_object_as_it_is(loop):
+def test_client_reads_every_readable_object(loop):
     for ours in loop.bench.od:
         sdo = loop.remote.sdo
         if ours.access == "wo" or (ours.index == 0x1003 and ours.subindex):
@@ -40,7 +40,7 @@ def test_the_client_reads_every_readable_object_as_it_is(loop):
 
 
 @pytest.mark.parametrize("data_type", NUMBERS, ids=lambda data_type: data_type.name)
-def test_numbers_of_every_type_arrive_and_come_back(data_type):
+def test_numbers_of_every_type_make_round_trip(data_type):
     od = dictionary()
     put(od, 0x3000, 0, data_type)
     loop = Loop(Bench(od).boot())
@@ -51,7 +51,7 @@ def test_numbers_of_every_type_arrive_and_come_back(data_type):
 
 
 @given(st.binary(max_size=300))
-def test_a_domain_of_any_length_arrives_and_comes_back(data):
+def test_domain_of_any_length_makes_round_trip(data):
     loop = Loop(Bench().boot())
     loop.remote.sdo.download(0x2001, 0, data, force_segment=True)
     assert loop.bench.od.get(0x2001).value == data
@@ -59,13 +59,13 @@ def test_a_domain_of_any_length_arrives_and_comes_back(data):
 
 
 @pytest.mark.parametrize("text", ["", "a", "abcd", "A long string"])
-def test_strings_arrive_and_come_back(loop, text):
+def test_strings_make_round_trip(loop, text):
     loop.remote.sdo[0x2000].raw = text
     assert loop.bench.od.get(0x2000).value == text.encode()
     assert loop.remote.sdo[0x2000].raw == text
 
 
-def test_the_client_understands_our_aborts(loop):
+def test_client_understands_aborts(loop):
     sdo = loop.remote.sdo
     assert abort_of(lambda: sdo.upload(0x1234, 0)) == 0x0602_0000
     assert abort_of(lambda: sdo.upload(0x1018, 9)) == 0x0609_0011
@@ -80,7 +80,7 @@ def test_the_client_understands_our_aborts(loop):
 @example(bytes(7 * 127))
 @example(bytes(7 * 127 + 1))
 @example(b"1234567")
-def test_blocks_arrive_and_come_back_and_both_sides_check_the_crc(data):
+def test_block_transfers_make_round_trip_with_crc(data):
     loop = Loop(Bench().boot())
     sdo = loop.remote.sdo
     with sdo.open(0x2001, 0, "wb", size=len(data), block_transfer=True) as stream:
@@ -92,7 +92,7 @@ def test_blocks_arrive_and_come_back_and_both_sides_check_the_crc(data):
     event(f"{min(len(data) // 889, 2)} full blocks")
 
 
-def test_the_client_maps_a_tpdo_and_receives_it_at_sync(loop):
+def test_client_maps_tpdo_and_receives_it_at_sync(loop):
     tpdo = loop.remote.tpdo
     tpdo.read()
     assert [variable.index for variable in tpdo[1].map] == [0x6041]
@@ -115,7 +115,7 @@ def test_the_client_maps_a_tpdo_and_receives_it_at_sync(loop):
     assert (tpdo[1].trans_type, tpdo[1].inhibit_time, tpdo[1].enabled) == (1, 50, True)
 
 
-def test_the_client_maps_an_rpdo_and_its_values_take_effect_at_sync(loop):
+def test_client_maps_rpdo_with_effect_at_sync(loop):
     rpdo = loop.remote.rpdo
     rpdo.read()
     rpdo[1].clear()
@@ -134,7 +134,7 @@ def test_the_client_maps_an_rpdo_and_its_values_take_effect_at_sync(loop):
     assert loop.bench.od.integer(0x6040, 0, 0) == 0x1F
 
 
-def test_the_client_follows_our_nmt_state(loop):
+def test_client_follows_nmt_state(loop):
     loop.remote.sdo[0x1017].raw = 10
     for state in ("PRE-OPERATIONAL", "OPERATIONAL", "STOPPED", "PRE-OPERATIONAL"):
         if state != "PRE-OPERATIONAL" or loop.remote.nmt.state != state:
@@ -144,7 +144,7 @@ def test_the_client_follows_our_nmt_state(loop):
         assert loop.remote.nmt.state == state
 
 
-def test_the_client_understands_our_emergencies(loop):
+def test_client_understands_emergencies(loop):
     bench = loop.bench
     bench.node.emergency(0x8611, 0x20, b"\x02", bench.now_ns)
     bench.drain()

@@ -1,13 +1,12 @@
-"""One file for several drives: what is shared between them is what each would have read."""
+"""One file for several drives: the shared result equals separate reads."""
 
 from pathlib import Path
 
 import pytest
 
-import emulators
-from emulators.canopen.device_description import DeviceDescription
-from emulators.canopen.eds import EdsError, _Reader, read_eds
-from emulators.canopen.eds_text import EdsText
+from motorhil import emulators
+from motorhil.emulators.canopen.files.device_description import DeviceDescription
+from motorhil.emulators.canopen.files.eds import EdsError, EdsText, _Reader, read_eds
 from tests.emulators.canopen.eds_texts import GOOD
 
 OWN = Path(emulators.__file__).parent / "eds" / "motorhil_cia402.eds"
@@ -57,14 +56,14 @@ def check(path: Path) -> None:
         assert facts(read_eds(path, node_id)) == facts(alone(path, node_id))
 
 
-def test_our_own_file_says_for_each_node_what_it_says_to_one():
+def test_own_file_shared_by_nodes_equals_single_read():
     check(OWN)
     assert facts(alone(OWN, 5)) != facts(alone(OWN, 6))
 
 
 @pytest.mark.data
 @pytest.mark.parametrize("name", VENDORS)
-def test_vendors_files_say_for_each_node_what_they_say_to_one(name: str, shared: Path):
+def test_vendor_files_shared_by_nodes_equal_single_reads(name: str, shared: Path):
     check(shared / "data" / "eds" / name)
 
 
@@ -73,7 +72,7 @@ def test_vendors_files_say_for_each_node_what_they_say_to_one(name: str, shared:
     [
         RPDO,
         RPDO + "HighLimit=$NODEID+0x200\nLowLimit=$NODEID+0x200\n",
-        RPDO + "HighLimit=0x240\n",  # too low for some nodes: a warning for those alone
+        RPDO + "HighLimit=0x240\n",  # too low for some nodes: a warning for those only
         RPDO + "PDOMapping=$NODEID\n",
         RPDO.replace("SubNumber=2", "SubNumber=$NODEID"),
         RPDO.replace("DefaultValue=1", "DefaultValue=1 ; one"),
@@ -82,13 +81,13 @@ def test_vendors_files_say_for_each_node_what_they_say_to_one(name: str, shared:
         RPDO.replace("ParameterName=RPDO", "ParameterName=$NODEID"),
     ],
 )
-def test_whatever_names_the_node_id_is_read_for_each_node(more: str, tmp_path: Path):
+def test_fields_with_node_id_are_read_for_each_node(more: str, tmp_path: Path):
     path = tmp_path / "some.eds"
     path.write_text(GOOD + more)
     check(path)
 
 
-def test_a_value_that_is_too_large_for_one_node_is_refused_for_that_one(tmp_path: Path):
+def test_value_too_large_for_one_node_is_refused_for_it_only(tmp_path: Path):
     path = tmp_path / "some.eds"
     path.write_text(GOOD + RPDO.replace("0x0007", "0x0005").replace("0x200", "0xE0"))
     assert read_eds(path, 5).objects[-1].default == 0xE5
@@ -97,7 +96,7 @@ def test_a_value_that_is_too_large_for_one_node_is_refused_for_that_one(tmp_path
     assert read_eds(path, 6).objects[-1].default == 0xE6
 
 
-def test_a_file_that_has_changed_is_read_again(tmp_path: Path):
+def test_changed_file_is_read_again(tmp_path: Path):
     path = tmp_path / "some.eds"
     path.write_text(GOOD)
     before = read_eds(path, 5)

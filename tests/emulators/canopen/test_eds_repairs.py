@@ -1,15 +1,15 @@
-"""EDS texts that people really have: repaired with a warning that names the line, or refused."""
+"""EDS texts from the field: repaired with a warning, or refused."""
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from emulators.canopen.eds import EdsError, read_eds
-from emulators.canopen.object_dictionary import DataType
+from motorhil.emulators.canopen.files.eds import EdsError, read_eds
+from motorhil.emulators.canopen.object_dictionary import DataType
 from tests.emulators.canopen.eds_texts import GOOD, line_of, variable, warned
 
 
-def test_a_good_file_gives_objects_identity_and_no_warning(read):
+def test_good_file_gives_objects_and_identity_without_warning(read):
     device = read(GOOD)
     assert warned(device) == []
     assert (device.vendor_name, device.product_name) == ("Somebody", "A drive")
@@ -17,12 +17,12 @@ def test_a_good_file_gives_objects_identity_and_no_warning(read):
     od = device.dictionary()
     assert od.integer(0x1000, 0, 0) == 0x20192
     assert od.dummies == (5,)
-    assert od.integer(0x1018, 1, 0) == 0x123  # 1018h states none: [DeviceInfo] does
+    assert od.integer(0x1018, 1, 0) == 0x123  # 1018h does not state it: [DeviceInfo] does
     assert od.get(0x1018, 1).name == "Vendor-ID"
     assert device.dictionary().get(0x1000) is not od.get(0x1000)
 
 
-def test_a_dcf_written_for_another_node_is_told(read):
+def test_dcf_for_other_node_gives_warning(read):
     whole = GOOD + "\n[DeviceComissioning]\nNodeID=3\n"
     ((line, text),) = warned(read(whole))
     assert line == line_of(whole, "NodeID=3")
@@ -30,7 +30,7 @@ def test_a_dcf_written_for_another_node_is_told(read):
     assert warned(read(whole, node_id=3)) == []
 
 
-def test_windows_1252_text_is_read_and_told(read):
+def test_windows_1252_text_gives_warning(read):
     whole = GOOD.replace("A drive", "M\x94ller\xb0").encode("latin-1")
     device = read(whole)
     assert device.product_name == "M\u201dller°"
@@ -39,27 +39,27 @@ def test_windows_1252_text_is_read_and_told(read):
     assert "94h" in text
 
 
-def test_utf_16_and_a_byte_order_mark_are_read(read):
+def test_utf_16_and_byte_order_mark_are_read(read):
     assert read(GOOD.encode("utf-16")).product_name == "A drive"
     assert read(b"\xef\xbb\xbf" + GOOD.encode()).product_name == "A drive"
 
 
 @pytest.mark.parametrize("ends", ["\r\n", "\r"])
-def test_any_line_ends_do(read, ends):
+def test_line_ends_of_any_kind_are_read(read, ends):
     whole = (GOOD + variable("DefaultValue=5 ; x")).replace("\n", ends)
     device = read(whole)
     assert device.dictionary().get(0x6060).value == 5
     assert warned(device)[0][0] == line_of(GOOD + variable("DefaultValue=5 ; x"), "DefaultValue=5")
 
 
-def test_case_and_spaces_of_sections_and_keys_do_not_matter(read):
+def test_case_and_spaces_of_names_are_ignored(read):
     text = "\n[ 6060 Sub 0A ]\nPARAMETERNAME=x\ndatatype = 0x2\naccessTYPE = RWW\n"
     device = read(GOOD + "\n[6060]\nobjecttype=9\n[6060SUB0]\nDataType=5\nAccessType=RO\n" + text)
     assert device.dictionary().get(0x6060, 0x0A).access == "rww"
     assert warned(device) == []
 
 
-def test_comments_on_their_own_lines_are_silent(read):
+def test_comment_lines_give_no_warning(read):
     assert warned(read("; first\n;\n" + GOOD + "\n   ; last")) == []
 
 
@@ -73,14 +73,14 @@ def test_comments_on_their_own_lines_are_silent(read):
         ("[6061] DataType", "behind the section name"),
     ],
 )
-def test_stray_lines_are_told(read, line, words):
+def test_stray_lines_give_warning(read, line, words):
     whole = GOOD + variable(line) + "DataType=0x0002\nAccessType=rww\n"
     warnings = warned(read(whole))
     assert warnings[0][0] == line_of(whole, line)
     assert words in warnings[0][1]
 
 
-def test_a_key_twice_with_one_meaning_is_told_with_two_it_is_refused(read, refused):
+def test_repeated_key_warns_if_equal_and_is_refused_otherwise(read, refused):
     whole = GOOD + variable("DefaultValue=5\nDefaultValue=5")
     ((line, text),) = warned(read(whole))
     assert line == line_of(whole, "DefaultValue=5") + 1
@@ -92,13 +92,13 @@ def test_a_key_twice_with_one_meaning_is_told_with_two_it_is_refused(read, refus
     assert str(line_of(whole, "DefaultValue=5")) in text
 
 
-def test_a_key_twice_that_nobody_uses_is_told(read):
+def test_repeated_unused_key_gives_warning(read):
     whole = GOOD.replace("VendorName=Somebody", "NrOfRXPDO=4\nNrOfRXPDO=3\nVendorName=Somebody")
     ((line, _),) = warned(read(whole))
     assert line == 3
 
 
-def test_a_section_twice_is_one_section(read, refused):
+def test_repeated_section_is_joined(read, refused):
     again = "\n[6060]\nDefaultValue=5\n"
     device = read(GOOD + variable("") + again)
     assert device.dictionary().get(0x6060).value == 5
@@ -110,7 +110,7 @@ def test_a_section_twice_is_one_section(read, refused):
 MERGE = "<<<<<<< HEAD\n{}\n=======\n{}\n>>>>>>> 1234567\n"
 
 
-def test_an_unresolved_merge_whose_sides_mean_the_same_is_read(read):
+def test_merge_with_equal_sides_is_read(read):
     sides = MERGE.format("; mine\nDefaultValue=5", "ParameterName=New name\ndefaultvalue = 5 ;x")
     whole = GOOD + variable(sides)
     device = read(whole)
@@ -120,7 +120,7 @@ def test_an_unresolved_merge_whose_sides_mean_the_same_is_read(read):
     assert "merge" in text
 
 
-def test_an_unresolved_merge_about_counts_and_lists_keeps_the_first_side(read):
+def test_merge_of_counts_and_lists_keeps_first_side(read):
     whole = GOOD.replace("2=0x1018\n", MERGE.format("2=0x1018", "2=0x1018\n3=0x1019"))
     assert [line for line, _ in warned(read(whole))] == [line_of(whole, "<<<<<<<")]
 
@@ -134,14 +134,14 @@ def test_an_unresolved_merge_about_counts_and_lists_keeps_the_first_side(read):
         ("", "[6061]"),
     ],
 )
-def test_an_unresolved_merge_whose_sides_differ_is_refused(refused, first, second):
+def test_merge_with_different_sides_is_refused(refused, first, second):
     whole = GOOD + variable(MERGE.format(first, second))
     line, text = refused(whole)
     assert line == line_of(whole, "<<<<<<<")
     assert "merge" in text
 
 
-def test_a_merge_with_the_common_ancestor_shown_is_understood(read):
+def test_merge_with_common_ancestor_is_read(read):
     sides = (
         "<<<<<<< a\nDefaultValue=5\n||||||| b\nDefaultValue=4\n=======\nDefaultValue=5\n>>>>>>> c"
     )
@@ -149,7 +149,7 @@ def test_a_merge_with_the_common_ancestor_shown_is_understood(read):
 
 
 @pytest.mark.parametrize("marker", ["<<<<<<< HEAD", "=======", ">>>>>>> 1234567"])
-def test_half_a_merge_is_refused(refused, marker):
+def test_incomplete_merge_is_refused(refused, marker):
     whole = GOOD + variable(marker)
     assert refused(whole)[0] == line_of(whole, marker)
 
@@ -162,21 +162,21 @@ def test_half_a_merge_is_refused(refused, marker):
         ("SubNumber=2", "SubNumber=4", "SubNumber=4"),
     ],
 )
-def test_wrong_counts_and_lists_are_told_and_the_sections_count(read, old, new, where):
+def test_wrong_counts_and_lists_give_warning(read, old, new, where):
     whole = GOOD.replace(old, new)
     device = read(whole)
     assert len(device.objects) == 3
     assert [line for line, _ in warned(device)] == [line_of(whole, where)]
 
 
-def test_sub_index_0_is_made_up_where_it_lacks(read):
+def test_missing_sub_index_0_is_added(read):
     whole = GOOD + "\n[60C2]\nObjectType=8\n[60C2sub2]\nDataType=2\nAccessType=rw\n"
     device = read(whole)
     assert device.dictionary().integer(0x60C2, 0, 0) == 2
     assert [line for line, _ in warned(device)] == [line_of(whole, "[60C2]")]
 
 
-def test_sub_indices_without_their_object_are_read(read):
+def test_sub_indices_without_object_section_are_read(read):
     whole = GOOD + "\n[60C2sub0]\nDataType=5\nAccessType=ro\nDefaultValue=0\n"
     device = read(whole)
     assert device.dictionary().get(0x60C2, 0).data_type == DataType.UNSIGNED8
@@ -186,11 +186,11 @@ def test_sub_indices_without_their_object_are_read(read):
 @pytest.mark.parametrize(
     "content", [b"", b"\n\n", b"just words\n", b"[FileInfo]\nx=1\n", b"\x7fELF\x02\x01\x00\x00"]
 )
-def test_what_is_no_eds_is_refused(refused, content):
+def test_other_file_is_refused_as_eds(refused, content):
     refused(content)
 
 
-def test_a_missing_file_or_a_folder_is_refused(tmp_path):
+def test_missing_file_or_folder_is_refused(tmp_path):
     for path in (tmp_path / "none.eds", tmp_path):
         with pytest.raises(EdsError, match="cannot be read") as caught:
             read_eds(path, 1)
@@ -218,7 +218,7 @@ LINES = st.sampled_from(
 
 
 @given(st.lists(LINES | st.text(max_size=12), max_size=40))
-def test_any_lines_are_read_or_refused_in_one_line(tmp_path_factory, lines):
+def test_random_lines_are_read_or_refused_in_one_line(tmp_path_factory, lines):
     path = tmp_path_factory.getbasetemp() / "any.eds"
     path.write_bytes("\n".join(lines).encode("utf-8", "surrogatepass"))
     message = ""

@@ -1,8 +1,8 @@
-"""Values, types, limits and access in EDS files, plain or after a repair that is told."""
+"""Values, types, limits and access in EDS files, with and without repair."""
 
 import pytest
 
-from emulators.canopen.object_dictionary import DataType
+from motorhil.emulators.canopen.object_dictionary import DataType
 from tests.emulators.canopen.eds_texts import GOOD, line_of, variable, warned
 
 
@@ -23,7 +23,7 @@ from tests.emulators.canopen.eds_texts import GOOD, line_of, variable, warned
         ("", None),
     ],
 )
-def test_values_that_need_no_remark(read, text, value):
+def test_plain_value_gives_no_remark(read, text, value):
     device = read(GOOD + variable(f"DefaultValue={text}"))
     assert warned(device) == []
     entry = device.dictionary().get(0x6060)
@@ -38,7 +38,7 @@ def test_values_that_need_no_remark(read, text, value):
         ("5;five", 5),
         ("5 // five", 5),
         ("5 # five", 5),
-        ("253", -3),  # decimal, yet plainly meant as two's complement
+        ("253", -3),  # decimal, but clearly meant as two's complement
         ("0xFFFFFFFD", -3),  # written for 32 bits
         ("010", 8),  # CiA 306: octal
         ("08", 8),
@@ -49,7 +49,7 @@ def test_values_that_need_no_remark(read, text, value):
         ("$NODEID+1 ; mine", 6),
     ],
 )
-def test_values_that_are_plain_after_a_repair(read, text, value):
+def test_repaired_value_gives_remark(read, text, value):
     whole = GOOD + variable(f"DefaultValue={text}")
     device = read(whole)
     assert device.dictionary().get(0x6060).value == value
@@ -57,13 +57,13 @@ def test_values_that_are_plain_after_a_repair(read, text, value):
 
 
 @pytest.mark.parametrize("text", ["five", "0xZ", "300", "0x1FF", "-129", "$NODEID*2", "1 2", "5.5"])
-def test_a_value_that_nobody_can_read_is_refused_with_its_line(refused, text):
+def test_unreadable_value_is_refused_with_line(refused, text):
     whole = GOOD + variable(f"DefaultValue={text}")
     line, _ = refused(whole)
     assert line == line_of(whole, f"DefaultValue={text}")
 
 
-def test_limits_are_two_s_complement_too(read):
+def test_limits_are_twos_complement(read):
     device = read(GOOD + variable("LowLimit=0x80\nHighLimit=0x7F\nDefaultValue=-128"))
     entry = device.dictionary().get(0x6060)
     assert (entry.low, entry.high) == (-128, 127)
@@ -80,7 +80,7 @@ def test_limits_are_two_s_complement_too(read):
         ("LowLimit=-1000\nHighLimit=9", (None, 9), "left out"),
     ],
 )
-def test_limits_that_make_no_sense_are_left_out_with_a_warning(read, limits, expected, words):
+def test_senseless_limits_are_left_out_with_warning(read, limits, expected, words):
     whole = GOOD + variable(limits)
     device = read(whole)
     entry = device.dictionary().get(0x6060)
@@ -90,14 +90,14 @@ def test_limits_that_make_no_sense_are_left_out_with_a_warning(read, limits, exp
     assert words in text
 
 
-def test_in_a_dcf_the_parameter_value_wins_over_the_default_value(read):
+def test_parameter_value_in_dcf_overrides_default_value(read):
     device = read(GOOD + variable("DefaultValue=8\nParameterValue=50"))
     assert device.dictionary().get(0x6060).default == 50
     device = read(GOOD + variable("ParameterValue=\nDefaultValue=8"))
     assert device.dictionary().get(0x6060).default == 8
 
 
-def test_compact_sub_objects_are_written_out(read):
+def test_compact_sub_objects_are_expanded(read):
     text = """
 [1016]
 ParameterName=Consumer heartbeat time
@@ -130,7 +130,7 @@ NrOfEntries=1
         ("DataType=0x0002", "DataType=seven"),
     ],
 )
-def test_an_object_that_cannot_be_made_is_refused(refused, old, new):
+def test_invalid_object_is_refused(refused, old, new):
     whole = GOOD + variable("").replace(old, new)
     line, _ = refused(whole)
     assert line == line_of(whole, new or "[6060]")
@@ -144,13 +144,13 @@ def test_an_object_that_cannot_be_made_is_refused(refused, old, new):
         ("AccessType=rww", "AccessType=R/W", "rw"),
     ],
 )
-def test_access_in_other_words_is_told(read, old, new, access):
+def test_access_synonym_gives_warning(read, old, new, access):
     device = read(GOOD + variable("").replace(old, new))
     assert device.dictionary().get(0x6060).access == access
     assert len(warned(device)) == 1
 
 
-def test_an_unknown_data_type_is_a_domain(read):
+def test_unknown_data_type_is_domain(read):
     device = read(GOOD + variable("").replace("DataType=0x0002", "DataType=0x0040"))
     assert device.dictionary().get(0x6060).data_type == DataType.DOMAIN
     assert len(warned(device)) == 1
@@ -168,7 +168,7 @@ def test_an_unknown_data_type_is_a_domain(read):
         (0x15, "0xFFFFFFFFFFFFFFFF", -1),
     ],
 )
-def test_values_of_other_types(read, data_type, text, value):
+def test_values_of_other_types_are_read(read, data_type, text, value):
     whole = variable(f"DefaultValue={text}").replace("0x0002", f"0x{data_type:04X}")
     device = read(GOOD + whole)
     assert device.dictionary().get(0x6060).value == value
@@ -179,7 +179,7 @@ def test_values_of_other_types(read, data_type, text, value):
     ("data_type", "text", "value"),
     [(0x08, "1,5", 1.5), (0x08, "0x3FC00000", 1.5), (0x05, "-1", 255), (0x0F, "xy", b"xy")],
 )
-def test_values_of_other_types_after_a_repair(read, data_type, text, value):
+def test_values_of_other_types_are_repaired(read, data_type, text, value):
     whole = variable(f"DefaultValue={text}").replace("0x0002", f"0x{data_type:04X}")
     device = read(GOOD + whole)
     assert device.dictionary().get(0x6060).value == value

@@ -1,8 +1,8 @@
-"""EMCY (CiA 301, 7.2.7): the message, the error register 1001h and the history 1003h."""
+"""EMCY (CiA 301, 7.2.7): message, error register 1001h, history 1003h."""
 
 import pytest
 
-from emulators.canopen.nmt import NmtState
+from motorhil.emulators.canopen.nmt import NmtState
 from tests.emulators.canopen.bench_node import (
     MS,
     UNSIGNED8,
@@ -20,16 +20,17 @@ def report(bench: Bench, code: int, register: int, vendor: bytes = b"") -> list[
     return bench.frames()
 
 
-def test_an_emergency_carries_code_register_and_vendor_bytes():
-    # CiA 301, 7.2.7.3: bytes 0-1 code, 2 error register (1001h), 3-7 manufacturer-specific.
-    # A Faulhaber drive sends 11 86 20 02 .. for a following error; the standard asks for bit 0 too.
+def test_emergency_carries_code_register_and_vendor_bytes():
+    # CiA 301, 7.2.7.3: bytes 0-1 code, 2 error register (1001h), 3-7 manufacturer-specific. A
+    # Faulhaber drive sends 11 86 20 02 .. for a following error; the standard requires bit 0 as
+    # well.
     bench = Bench().boot()
     assert report(bench, 0x8611, 0x20, b"\x02") == ["082 11 86 21 02 00 00 00 00"]
     assert bench.od.integer(0x1001, 0, 0) == 0x21
     assert bench.ask("40 01 10 00 00 00 00 00") == "4F 01 10 00 21 00 00 00"
 
 
-def test_an_error_reset_clears_the_register():
+def test_error_reset_clears_register():
     bench = Bench().boot()
     report(bench, 0x8611, 0x20)
     assert report(bench, 0x0000, 0x00) == ["082 00 00 00 00 00 00 00 00"]
@@ -41,7 +42,7 @@ def test_vendor_bytes_beyond_five_are_cut():
     assert report(bench, 0xFF01, 0x80, bytes(range(1, 9))) == ["082 01 FF 81 01 02 03 04 05"]
 
 
-def test_the_history_holds_the_newest_first_and_forgets_the_oldest():
+def test_history_is_newest_first_and_drops_oldest():
     bench = Bench().boot()
     for code in (0x2310, 0x3210, 0x4310, 0x8611):
         report(bench, code, 0x01, b"\x34\x12")
@@ -49,14 +50,14 @@ def test_the_history_holds_the_newest_first_and_forgets_the_oldest():
     assert history == [3, 0x1234_8611, 0x1234_4310, 0x1234_3210]
 
 
-def test_an_error_reset_is_no_entry_of_the_history():
+def test_error_reset_is_not_in_history():
     bench = Bench().boot()
     report(bench, 0x2310, 0x02)
     report(bench, 0x0000, 0x00)
     assert bench.od.integer(0x1003, 0, 0) == 1
 
 
-def test_an_empty_place_of_the_history_is_no_data():
+def test_empty_history_entry_is_no_data():
     bench = Bench().boot()
     assert bench.ask("40 03 10 01 00 00 00 00") == "80 03 10 01 24 00 00 08"
     report(bench, 0x2310, 0x02)
@@ -64,7 +65,7 @@ def test_an_empty_place_of_the_history_is_no_data():
     assert bench.ask("40 03 10 02 00 00 00 00") == "80 03 10 02 24 00 00 08"
 
 
-def test_writing_zero_clears_the_history_and_nothing_else_may_be_written():
+def test_history_count_accepts_only_zero_which_clears_it():
     bench = Bench().boot()
     report(bench, 0x2310, 0x02)
     assert bench.download(0x1003, 0, 1, 1) == "0609 0030"
@@ -73,18 +74,18 @@ def test_writing_zero_clears_the_history_and_nothing_else_may_be_written():
     assert bench.ask("40 03 10 01 00 00 00 00") == "80 03 10 01 24 00 00 08"
 
 
-def test_an_emcy_identifier_is_changed_only_by_way_of_invalid():
+def test_emcy_cob_id_changes_only_when_invalid():
     bench = Bench().boot()
     assert bench.download(0x1014, 0, 0x0000_0099, 4) == "0609 0030"  # exists: bit 31 first
     assert bench.download(0x1014, 0, 0x8000_0082, 4) == ""
     assert report(bench, 0x2310, 0x02) == []  # it does not exist now
-    assert bench.download(0x1014, 0, 0x0000_0601, 4) == "0609 0030"  # SDO's own
+    assert bench.download(0x1014, 0, 0x0000_0601, 4) == "0609 0030"  # the identifier of an SDO
     assert bench.download(0x1014, 0, 0x2000_0099, 4) == "0609 0030"  # 29-bit
     assert bench.download(0x1014, 0, 0x0000_0099, 4) == ""
     assert report(bench, 0x2310, 0x02) == ["099 10 23 03 00 00 00 00 00"]
 
 
-def test_an_error_while_stopped_is_not_sent_but_kept():
+def test_error_while_stopped_is_kept_not_sent():
     bench = Bench().boot()
     bench.tell(0x000, b"\x02\x00")
     assert report(bench, 0x2310, 0x02) == []
@@ -94,7 +95,7 @@ def test_an_error_while_stopped_is_not_sent_but_kept():
     assert bench.od.integer(0x1003, 1, 0) == 0x2310
 
 
-def test_reset_node_forgets_errors_reset_communication_keeps_the_device_s():
+def test_reset_node_forgets_device_errors_unlike_communication():
     bench = Bench().boot()
     report(bench, 0x2310, 0x02)
     bench.tell(0x000, b"\x82\x00")
@@ -119,7 +120,7 @@ def errors(bench: Bench, *codes: int) -> None:
     bench.drain()
 
 
-def test_between_two_emcys_lies_the_inhibit_time_and_none_is_lost():
+def test_inhibit_time_separates_emcys_without_loss():
     bench = inhibited(100)  # 10 ms
     errors(bench, 0x8611, 0x7300, 0x3210)
     began_at = bench.now_ns
@@ -129,10 +130,10 @@ def test_between_two_emcys_lies_the_inhibit_time_and_none_is_lost():
         (10 * MS, "082 00 73"),
         (20 * MS, "082 10 32"),
     ]
-    errors(bench, 0x8611)  # long after: at once
+    errors(bench, 0x8611)  # long after: sent at once
     assert bench.frames() == ["082 11 86 21 00 00 00 00 00"]
     bench.wait(10 * MS)
-    errors(bench, 0x8611)  # at the exact end of it: at once too
+    errors(bench, 0x8611)  # exactly at its end: sent at once
     assert len(bench.frames()) == 1
     errors(bench, 0x8611)
     bench.wait(10 * MS - 1)
@@ -141,7 +142,7 @@ def test_between_two_emcys_lies_the_inhibit_time_and_none_is_lost():
     assert len(bench.frames()) == 1
 
 
-def test_emcys_that_wait_are_forgotten_when_the_node_is_stopped():
+def test_waiting_emcys_are_discarded_on_stop():
     bench = inhibited(100)
     errors(bench, 0x8611, 0x7300)
     bench.tell(0x000, b"\x02\x00")
@@ -151,19 +152,19 @@ def test_emcys_that_wait_are_forgotten_when_the_node_is_stopped():
     assert bench.node.next_deadline_ns() is None
 
 
-def test_emcys_that_wait_go_out_in_their_order_when_the_inhibit_time_is_taken_away():
+def test_waiting_emcys_are_sent_when_inhibit_time_is_cleared():
     bench = inhibited(100)
     errors(bench, 0x8611, 0x7300, 0x3210)
     bench.frames()
     bench.tell(0x602, "2B 15 10 00 00 00 00 00")
-    errors(bench, 0x1001)  # in that instant
+    errors(bench, 0x1001)  # at the same instant
     bench.wait(2 * MS)
     told = [text[4:9] for text in bench.frames() if text.startswith("082")]
     assert told == ["00 73", "10 32", "01 10"]
     assert bench.node.next_deadline_ns() is None
 
 
-def test_those_that_wait_go_by_a_new_inhibit_time():
+def test_waiting_emcys_use_new_inhibit_time():
     bench = inhibited(1000)  # 100 ms
     errors(bench, 0x8611, 0x7300)
     bench.frames()
@@ -172,7 +173,7 @@ def test_those_that_wait_go_by_a_new_inhibit_time():
     assert [text[:9] for text in bench.frames() if text.startswith("082")] == ["082 00 73"]
 
 
-def test_of_too_many_that_wait_the_oldest_are_left_out_and_that_is_told():
+def test_too_many_waiting_emcys_drop_oldest_with_event():
     bench = inhibited(10)
     errors(bench, *range(0x1001, 0x1023))  # 34: one leaves, 33 would wait
     bench.wait(100 * MS)
@@ -181,7 +182,7 @@ def test_of_too_many_that_wait_the_oldest_are_left_out_and_that_is_told():
     assert [level for level, _ in bench.node.take_events()] == ["warning"]
 
 
-# --- what an error does to the NMT state (1029h)
+# --- effect of an error on the NMT state (1029h)
 
 
 @pytest.mark.parametrize(
@@ -193,18 +194,18 @@ def test_of_too_many_that_wait_the_oldest_are_left_out_and_that_is_told():
         (2, NmtState.STOPPED),
     ],
 )
-def test_1029h_2_says_what_a_device_error_does_to_the_nmt_state(reaction, state):
+def test_1029h_2_sets_nmt_state_after_device_error(reaction, state):
     od = dictionary()
     if reaction is not None:
         put(od, 0x1029, 2, UNSIGNED8, reaction)
     bench = Bench(od).operate()
     errors(bench, 0x8611)
     bench.wait(0)
-    assert bench.frames() == ["082 11 86 21 00 00 00 00 00"]  # told before it is left
+    assert bench.frames() == ["082 11 86 21 00 00 00 00 00"]  # sent before the state changes
     assert bench.node.state == state
 
 
-def test_communication_errors_and_repairs_are_not_1029h_2_s_affair():
+def test_1029h_2_ignores_communication_errors_and_repairs():
     od = dictionary()
     put(od, 0x1029, 2, UNSIGNED8, 2)
     bench = Bench(od).operate()
@@ -213,7 +214,7 @@ def test_communication_errors_and_repairs_are_not_1029h_2_s_affair():
     assert bench.node.state == NmtState.OPERATIONAL
 
 
-def test_1001h_is_an_event_for_the_tpdo_that_maps_it_whoever_found_the_error():
+def test_1001h_change_triggers_mapping_tpdo():
     od = dictionary()
     put_pdo(od, 0x1400, (0x6040_0010,), 255)
     put_pdo(od, 0x1800, (0x1001_0008,), 255)

@@ -1,9 +1,9 @@
-"""Whatever is on the bus: nothing raises, and the node answers afterwards."""
+"""Random bus traffic: no exception, and the node still responds."""
 
 from hypothesis import event, given
 from hypothesis import strategies as st
 
-from emulators.canopen.nmt import NmtState
+from motorhil.emulators.canopen.nmt import NmtState
 from tests.emulators.canopen.bench_node import MS, NODE_ID, Bench, Host, dictionary, put_pdo
 
 INDICES = (0x1001, 0x1003, 0x1005, 0x1014, 0x1016, 0x1017, 0x1018, 0x1400, 0x1401, 0x1600, 0x1601,
@@ -46,7 +46,7 @@ STEPS = st.lists(
 
 
 class Talkative(Host):
-    """A device that reports an error and changes an object whenever it is written."""
+    """A device that reports an error and changes an object on every write."""
 
     bench: Bench | None = None
 
@@ -69,7 +69,7 @@ def fuzz_bench() -> Bench:
 
 
 @given(STEPS)
-def test_nothing_on_the_bus_raises_and_the_node_answers_afterwards(steps):
+def test_random_frames_raise_nothing_and_node_responds(steps):
     bench = fuzz_bench()
     for (can_id, data), pause_ns in steps:
         bench.tell(can_id, data)
@@ -79,7 +79,7 @@ def test_nothing_on_the_bus_raises_and_the_node_answers_afterwards(steps):
     event(f"ended in {NmtState(bench.node.state).name}")
     event(f"accepted a download: {any(text.startswith('582 60') for text in bench.frames())}")
     bench.wait(400 * MS)
-    bench.tell(0x2000_0100, bytes(8))  # whatever error messages there were: restarted
+    bench.tell(0x2000_0100, bytes(8))  # restarted, whatever error messages came before
     bench.tell(0x000, b"\x81\x00")
     bench.wait(300 * MS)
     assert "702 00" in bench.frames()
@@ -93,7 +93,7 @@ def test_nothing_on_the_bus_raises_and_the_node_answers_afterwards(steps):
 
 
 @given(STEPS)
-def test_the_same_frames_give_the_same_answers(steps):
+def test_same_frames_give_same_responses(steps):
     logs = []
     for _ in range(2):
         bench = fuzz_bench()
@@ -104,7 +104,7 @@ def test_the_same_frames_give_the_same_answers(steps):
     assert logs[0] == logs[1]
 
 
-def test_the_fuzz_reaches_remapping_at_all():  # else the property above would say little
+def test_fuzz_reaches_remapping():  # otherwise the property above would prove little
     bench = fuzz_bench()
     for index, subindex, value, size in (
         (0x1800, 1, 0x8000_0182, 4),

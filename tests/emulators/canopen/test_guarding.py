@@ -1,8 +1,8 @@
-"""Node guarding and life guarding (CiA 301, 7.2.8.2.1): the toggle bit, and who misses whom."""
+"""Node guarding and life guarding (CiA 301, 7.2.8.2.1): toggle bit and losses."""
 
 import pytest
 
-from emulators.canopen.nmt import NmtState
+from motorhil.emulators.canopen.nmt import NmtState
 from tests.emulators.canopen.bench_node import (
     MS,
     NODE_ID,
@@ -30,7 +30,7 @@ def ask(bench):
     return [text for text in bench.frames() if text.startswith("702")]
 
 
-def test_each_answer_has_the_state_and_the_toggle_bit_turns():
+def test_guard_response_has_state_and_alternating_toggle_bit():
     bench = guarded()
     assert [ask(bench) for _ in range(3)] == [["702 05"], ["702 85"], ["702 05"]]
     bench.tell(0x000, b"\x02\x00")  # stopped
@@ -40,25 +40,25 @@ def test_each_answer_has_the_state_and_the_toggle_bit_turns():
 
 
 @pytest.mark.parametrize("command", [0x81, 0x82])
-def test_after_a_reset_the_first_answer_has_the_bit_0(command):
+def test_first_response_after_reset_has_toggle_bit_0(command):
     bench = guarded()
     assert ask(bench) == ["702 05"]
     bench.tell(0x000, bytes((command, 0)))
-    assert ask(bench) == []  # it initialises
+    assert ask(bench) == []  # initialising
     bench.wait(300 * MS)
     assert "702 00" in bench.frames()
     assert ask(bench) == ["702 7F"]
 
 
-def test_a_node_with_a_heartbeat_is_not_guarded():
-    """It is not allowed to use both at the same time."""
+def test_node_with_heartbeat_is_not_guarded():
+    """A node may not use both at the same time."""
     bench = guarded(heartbeat_ms=1000)
     assert ask(bench) == []
     assert bench.download(0x1017, 0, 0, 2) == ""
     assert ask(bench) == ["702 05"]
 
 
-def test_nobody_is_missed_before_they_have_asked():
+def test_master_is_not_missed_before_first_request():
     bench = guarded(guard_ms=100, factor=3)
     assert bench.node.next_deadline_ns() is None
     ask(bench)
@@ -66,13 +66,13 @@ def test_nobody_is_missed_before_they_have_asked():
 
 
 @pytest.mark.parametrize(("guard_ms", "factor"), [(0, 3), (100, 0)])
-def test_without_time_or_factor_there_is_no_life_guarding(guard_ms, factor):
+def test_life_guarding_needs_time_and_factor(guard_ms, factor):
     bench = guarded(guard_ms, factor)
     ask(bench)
     assert bench.node.next_deadline_ns() is None
 
 
-def test_who_asks_in_time_is_not_missed_and_a_nanosecond_later_is():
+def test_life_guarding_expires_one_nanosecond_late():
     """EMCY 8130h "life guard error or heartbeat error", once; 1029h:1 = 0: pre-operational."""
     bench = guarded(guard_ms=100, factor=3)
     begun_ns = bench.now_ns
@@ -89,7 +89,7 @@ def test_who_asks_in_time_is_not_missed_and_a_nanosecond_later_is():
     bench.wait(5_000 * MS)
     assert bench.frames() == []
     bench.tell(GUARD)
-    assert bench.frames() == ["702 7F", "082 00 00 00 00 00 00 00 00"]  # it is there again
+    assert bench.frames() == ["702 7F", "082 00 00 00 00 00 00 00 00"]  # the master is back
     assert bench.node.next_deadline_ns() == bench.now_ns + 300 * MS
 
 
@@ -97,14 +97,14 @@ def test_who_asks_in_time_is_not_missed_and_a_nanosecond_later_is():
     ("reaction", "state"),
     [(0, NmtState.PRE_OPERATIONAL), (1, NmtState.OPERATIONAL), (2, NmtState.STOPPED)],
 )
-def test_what_the_loss_does_is_for_1029h_to_say(reaction, state):
+def test_guarding_loss_follows_1029h(reaction, state):
     bench = guarded(guard_ms=10, factor=1, reaction=reaction)
     ask(bench)
     bench.wait(10 * MS)
     assert bench.node.state == state
 
 
-def test_the_times_may_be_written_while_it_is_guarded():
+def test_guarding_times_may_be_written_while_active():
     bench = guarded(guard_ms=100, factor=3)
     ask(bench)
     assert bench.download(0x100D, 0, 1, 1) == ""

@@ -1,10 +1,10 @@
 """Heartbeat producer 1017h and consumer 1016h (CiA 301, 7.2.8.2.2), to the nanosecond."""
 
-from emulators.canopen.nmt import NmtState
+from motorhil.emulators.canopen.nmt import NmtState
 from tests.emulators.canopen.bench_node import MS, Bench, dictionary
 
 
-def test_heartbeats_follow_the_boot_up_by_whole_periods_and_tell_the_state():
+def test_heartbeats_follow_boot_up_with_state():
     od = dictionary()
     od.get(0x1017).set_default(100)
     bench = Bench(od)
@@ -21,7 +21,7 @@ def test_heartbeats_follow_the_boot_up_by_whole_periods_and_tell_the_state():
     ]
 
 
-def test_a_thousand_heartbeats_do_not_drift():
+def test_thousand_heartbeats_do_not_drift():
     od = dictionary()
     od.get(0x1017).set_default(7)
     bench = Bench(od)
@@ -30,7 +30,7 @@ def test_a_thousand_heartbeats_do_not_drift():
     assert times == [300 * MS + 7 * MS * n for n in range(1001)]
 
 
-def test_writing_1017h_starts_heartbeats_at_once_and_0_ends_them():
+def test_1017h_write_starts_heartbeats_and_0_ends_them():
     bench = Bench().boot()
     bench.tell(0x602, "2B 17 10 00 0A 00 00 00")
     bench.run(320 * MS)
@@ -44,7 +44,7 @@ def test_writing_1017h_starts_heartbeats_at_once_and_0_ends_them():
     assert bench.node.next_deadline_ns() is None
 
 
-def test_a_late_caller_gets_one_heartbeat_not_a_burst():
+def test_late_caller_gets_one_heartbeat():
     od = dictionary()
     od.get(0x1017).set_default(10)
     bench = Bench(od).boot()
@@ -55,7 +55,7 @@ def test_a_late_caller_gets_one_heartbeat_not_a_burst():
     assert bench.node.next_deadline_ns() == 365 * MS
 
 
-def test_watching_begins_with_the_first_heartbeat():
+def test_consumer_starts_with_first_heartbeat():
     bench = Bench().boot()
     assert bench.download(0x1016, 1, 0x0005_0064, 4) == ""  # node 5, 100 ms
     bench.wait(1000 * MS)
@@ -64,7 +64,7 @@ def test_watching_begins_with_the_first_heartbeat():
     assert bench.node.next_deadline_ns() == bench.now_ns + 100 * MS
 
 
-def test_a_lost_heartbeat_is_reported_once_on_time_and_ends_operational():
+def test_lost_heartbeat_is_reported_once_and_ends_operational():
     bench = Bench().operate()
     assert bench.download(0x1016, 2, 0x0005_0064, 4) == ""
     bench.run(400 * MS)
@@ -81,7 +81,7 @@ def test_a_lost_heartbeat_is_reported_once_on_time_and_ends_operational():
     assert bench.od.integer(0x1001, 0, 0) == 0x11
 
 
-def test_a_heartbeat_that_comes_back_repairs_the_error_and_is_watched_again():
+def test_returning_heartbeat_repairs_error_and_is_watched():
     bench = Bench().operate()
     assert bench.download(0x1016, 1, 0x0005_0064, 4) == ""
     bench.tell(0x705, b"\x05")
@@ -94,7 +94,7 @@ def test_a_heartbeat_that_comes_back_repairs_the_error_and_is_watched_again():
     assert bench.frames() == ["082 30 81 11 05 00 00 00 00"]
 
 
-def test_1029h_says_what_a_lost_heartbeat_does():
+def test_lost_heartbeat_follows_1029h():
     for behaviour, state in ((1, NmtState.OPERATIONAL), (2, NmtState.STOPPED)):
         bench = Bench().operate()
         assert bench.download(0x1029, 1, behaviour, 1) == ""
@@ -104,20 +104,20 @@ def test_1029h_says_what_a_lost_heartbeat_does():
         assert bench.node.state == state
 
 
-def test_several_nodes_are_watched_each_by_its_own_time():
+def test_nodes_are_watched_by_their_own_times():
     bench = Bench().boot()
     assert bench.download(0x1016, 1, 0x0005_0064, 4) == ""
     assert bench.download(0x1016, 2, 0x0006_0032, 4) == ""
     start = bench.now_ns
     bench.tell(0x705, b"\x05")
     bench.tell(0x706, b"\x05")
-    bench.tell(0x707, b"\x05")  # nobody's business
+    bench.tell(0x707, b"\x05")  # not watched
     bench.wait(200 * MS)
     lost = [call for call in bench.host.calls if call[0] == "lost"]
     assert lost == [("lost", 6, start + 50 * MS), ("lost", 5, start + 100 * MS)]
 
 
-def test_a_node_watched_twice_is_refused_and_an_entry_may_be_rewritten():
+def test_duplicate_node_is_refused_and_rewrite_accepted():
     bench = Bench().boot()
     assert bench.download(0x1016, 1, 0x0005_0064, 4) == ""
     assert bench.download(0x1016, 2, 0x0005_0032, 4) == "0604 0043"
@@ -125,7 +125,7 @@ def test_a_node_watched_twice_is_refused_and_an_entry_may_be_rewritten():
     assert bench.download(0x1016, 2, 0x0005_0000, 4) == ""  # no time: not watched
 
 
-def test_a_lost_node_that_is_no_longer_to_be_watched_is_no_error_any_more():
+def test_lost_node_removed_from_1016h_is_repaired():
     bench = Bench().boot()
     assert bench.download(0x1016, 1, 0x0005_0064, 4) == ""
     bench.tell(0x705, b"\x05")
@@ -135,7 +135,7 @@ def test_a_lost_node_that_is_no_longer_to_be_watched_is_no_error_any_more():
     assert bench.od.integer(0x1001, 0, 1) == 0
 
 
-def test_reset_forgets_whom_it_watched():
+def test_reset_clears_watched_nodes():
     bench = Bench().boot()
     assert bench.download(0x1016, 1, 0x0005_0064, 4) == ""
     bench.tell(0x705, b"\x05")

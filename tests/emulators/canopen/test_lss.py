@@ -1,12 +1,13 @@
-"""LSS slave (CiA 305): golden bytes of the standard, and what becomes of a node-ID."""
+"""LSS slave (CiA 305): golden bytes, and effects of a node-ID."""
 
 import pytest
 
-from emulators.canopen.lss import UNCONFIGURED
-from emulators.canopen.nmt import NmtState
-from emulators.canopen.node import CanopenNode, NodeTiming
-from emulators.canopen.object_dictionary import ObjectDictionary
-from emulators.controller import RigMemory
+from motorhil.emulators.canopen.lss import UNCONFIGURED
+from motorhil.emulators.canopen.nmt import NmtState
+from motorhil.emulators.canopen.node import CanopenNode
+from motorhil.emulators.canopen.object_dictionary import ObjectDictionary
+from motorhil.emulators.canopen.outbox import NodeTiming
+from motorhil.emulators.controller import RigMemory
 from tests.emulators.canopen.bench_node import (
     MS,
     NODE_ID,
@@ -19,7 +20,7 @@ from tests.emulators.canopen.bench_node import (
 )
 
 MASTER, SLAVE = 0x7E5, 0x7E4
-# 1018h:1 to :4; the last byte of each tells them apart
+# 1018h:1 to :4, with different last bytes
 ADDRESS = (0x0102_0304, 0x1122_3344, 0x0001_0000, 0x0000_00C5)
 
 
@@ -51,7 +52,7 @@ class LssBench(Bench):
         self.frames()
 
     def lss(self, request: str) -> str:
-        """One request, filled up with zeros; what comes back within the reply time."""
+        """Send one request, padded with zeros, and return the responses in the reply time."""
         self.tell(MASTER, bytes.fromhex(request).ljust(8, b"\0"))
         self.wait(1 * MS)
         answers = [text[4:] for text in self.frames() if text.startswith("7E4 ")]
@@ -73,24 +74,24 @@ def select(bench: LssBench, address: tuple[int, ...]) -> str:
     return answers[3]
 
 
-def test_a_slave_is_selected_by_its_whole_address_and_by_no_other():
+def test_slave_is_selected_by_its_whole_address_only():
     for place in range(4):
         bench = LssBench()
         wrong = [part + (at == place) for at, part in enumerate(ADDRESS)]
         assert select(bench, tuple(wrong)) == ""
-        assert bench.lss("5E") == ""  # it still waits
+        assert bench.lss("5E") == ""  # still waiting
     assert select(bench, ADDRESS) == "44 00"
     assert bench.lss("5E") == "5E 02"
 
 
-def test_an_address_out_of_order_selects_nobody():
+def test_address_out_of_order_selects_no_slave():
     bench = LssBench()
     for place in (1, 0, 2, 3):
         assert bench.lss(f"4{place} {number(ADDRESS[place])}") == ""
     assert bench.lss("43 " + number(ADDRESS[3])) == ""
 
 
-def test_the_address_is_told_in_configuration_only():
+def test_address_is_reported_in_configuration_only():
     bench = LssBench()
     requests = ["5A", "5B", "5C", "5D"]
     assert [bench.lss(request) for request in requests] == [""] * 4
@@ -106,7 +107,7 @@ def test_the_address_is_told_in_configuration_only():
     ("node_id", "answer"),
     [("01", "11 00"), ("7F", "11 00"), ("FF", "11 00"), ("00", "11 01"), ("80", "11 01")],
 )
-def test_a_node_id_is_1_to_127_or_255(node_id, answer):
+def test_node_id_is_1_to_127_or_255(node_id, answer):
     assert LssBench().configure().lss(f"11 {node_id}") == answer
 
 
@@ -117,11 +118,11 @@ def test_a_node_id_is_1_to_127_or_255(node_id, answer):
         *(("00 05", "13 01"), ("00 09", "13 01"), ("01 00", "13 01")),
     ],
 )
-def test_a_bit_timing_is_one_of_table_0(table, answer):
+def test_bit_timing_is_index_of_table_0(table, answer):
     assert LssBench().configure().lss(f"13 {table}") == answer
 
 
-def test_the_bit_timing_that_was_set_is_the_one_told_and_stored():
+def test_bit_timing_is_reported_and_stored():
     bench = LssBench().configure()
     assert bench.lss("13 00 03") == "13 00"
     bench.node.take_events()
@@ -132,7 +133,7 @@ def test_the_bit_timing_that_was_set_is_the_one_told_and_stored():
     assert b"bit_timing 3\n" in bench.memory.load()
 
 
-def test_a_new_node_id_counts_from_the_next_reset_of_communication_with_all_that_follows_it():
+def test_new_node_id_is_active_after_reset_communication():
     bench = LssBench().configure()
     assert bench.lss("11 21") == "11 00"
     assert bench.lss("5E") == "5E 02"
@@ -152,7 +153,7 @@ def test_a_new_node_id_counts_from_the_next_reset_of_communication_with_all_that
     bench.node.emergency(0x8611, 0x20, b"", bench.now_ns)
     bench.drain()
     assert bench.frames() == ["0A1 11 86 21 00 00 00 00 00"]
-    bench.tell(0x4000_0721)  # guarded under its new number
+    bench.tell(0x4000_0721)  # guarded by its new node-ID
     assert bench.frames() == ["721 05"]
     bench.tell(0x602, "40 14 10 00 00 00 00 00")
     bench.tell(0x000, b"\x02\x02")
@@ -161,12 +162,12 @@ def test_a_new_node_id_counts_from_the_next_reset_of_communication_with_all_that
     assert bench.node.state == NmtState.OPERATIONAL
     assert list(bench.node.identifiers()) == [
         *(0x000, 0x080, 0x221, 0x621, 0x7E5),
-        0x2000_0000,  # what its CAN controller says
+        0x2000_0000,  # error messages
         *(0x4000_01A1, 0x4000_0721),  # remote frames
     ]
 
 
-def test_a_cob_id_that_somebody_has_stored_does_not_follow_the_node_id():
+def test_stored_cob_id_does_not_follow_node_id():
     memory = RigMemory()
     bench = LssBench(memory=memory)
     bench.node._store.stored.values[0x1400_01] = bytes.fromhex("33 03 00 00")
@@ -178,7 +179,7 @@ def test_a_cob_id_that_somebody_has_stored_does_not_follow_the_node_id():
     assert bench.od.integer(0x6040, 0, 0) == 0x0F
 
 
-def test_what_is_stored_is_the_node_id_after_power_on():
+def test_stored_node_id_is_active_after_power_on():
     bench = LssBench().configure()
     bench.lss("11 21")
     bench.lss("13 00 04")
@@ -190,7 +191,7 @@ def test_what_is_stored_is_the_node_id_after_power_on():
     assert bench.node.node_id == 0x21
 
 
-def test_a_memory_that_fails_is_told():
+def test_failing_memory_is_reported():
     class Failing:
         def load(self) -> bytes:
             return b""
@@ -204,7 +205,7 @@ def test_a_memory_that_fails_is_told():
     assert LssBench(memory=Failing()).configure().lss("17") == "17 02"
 
 
-def test_a_slave_identifies_itself_within_ranges_of_revision_and_serial_number():
+def test_slave_identifies_within_revision_and_serial_ranges():
     bench = LssBench()
     vendor, product, revision, serial = ADDRESS
 
@@ -221,14 +222,14 @@ def test_a_slave_identifies_itself_within_ranges_of_revision_and_serial_number()
     assert identify(vendor, product, 0, 0xFFFF_FFFF, serial + 1, 0xFFFF_FFFF) == ""
 
 
-def test_only_a_slave_without_node_id_answers_who_asks_for_such():
+def test_identify_unconfigured_needs_missing_node_id():
     assert LssBench().lss("4C") == ""
     assert LssBench().lss("51 00 00 00 00 80") == ""
     assert LssBench(UNCONFIGURED).lss("4C") == "50 00"
     assert LssBench(UNCONFIGURED).lss("51 00 00 00 00 80") == "4F 00"
 
 
-def test_without_node_id_nothing_is_heard_of_a_node_but_lss_until_it_has_one():
+def test_node_without_node_id_supports_lss_only():
     bench = LssBench(UNCONFIGURED)
     bench.wait(1000 * MS)
     bench.tell(0x000, b"\x01\x00")
@@ -239,7 +240,7 @@ def test_without_node_id_nothing_is_heard_of_a_node_but_lss_until_it_has_one():
     assert bench.host.calls == [("reset", True, bench.host.calls[0][2])]
     assert bench.configure().lss("5E") == "5E FF"
     assert bench.lss("11 05") == "11 00"
-    assert bench.lss("4C") == ""  # it has a pending one
+    assert bench.lss("4C") == ""  # it has a pending node-ID
     assert bench.lss("04 00") == ""
     bench.wait(20 * MS)
     assert bench.frames() == ["705 00"]
@@ -248,7 +249,7 @@ def test_without_node_id_nothing_is_heard_of_a_node_but_lss_until_it_has_one():
     assert bench.frames() == ["585 43 14 10 00 85 00 00 00"]
 
 
-def test_a_slave_of_another_bit_is_silent_in_fastscan():
+def test_slave_with_different_bit_is_silent_in_fastscan():
     bench = LssBench(UNCONFIGURED)
     bench.lss("51 00 00 00 00 80")
     vendor = ADDRESS[0]
@@ -256,7 +257,7 @@ def test_a_slave_of_another_bit_is_silent_in_fastscan():
         asked = vendor >> bit << bit
         assert bench.lss(f"51 {number(asked)} {bit:02X} 00 00") == "4F 00"
         assert bench.lss(f"51 {number(asked ^ 1 << bit)} {bit:02X} 00 00") == ""
-    assert bench.lss(f"51 {number(ADDRESS[1])} 00 01 02") == ""  # not yet: number 1 is not at hand
+    assert bench.lss(f"51 {number(ADDRESS[1])} 00 01 02") == ""  # too early: another number is due
     for wrong in ("20 00 00", "00 04 00", "00 00 04"):
         assert bench.lss(f"51 {number(vendor)} {wrong}") == ""
 
@@ -269,13 +270,13 @@ def test_lss_works_in_any_nmt_state(specifier):
     assert bench.configure().lss("5E") == "5E 02"
 
 
-def test_a_frame_that_has_not_8_bytes_is_no_lss():
+def test_lss_frame_needs_8_bytes():
     bench = LssBench()
     bench.tell(MASTER, "04 01")
     assert bench.lss("5E") == ""
 
 
-def test_a_device_whose_file_knows_no_lss_does_not_hear_it():
+def test_device_without_lss_in_file_ignores_it():
     bench = Bench().boot()
     assert MASTER not in bench.node.identifiers()
     bench.tell(MASTER, "04 01 00 00 00 00 00 00")
@@ -285,8 +286,8 @@ def test_a_device_whose_file_knows_no_lss_does_not_hear_it():
 
 
 @pytest.mark.parametrize("command", [0x81, 0x82])
-def test_after_any_reset_a_slave_waits(command):
-    """CiA 305: the LSS state machine begins anew with LSS waiting; so does CANopenNode's slave."""
+def test_slave_waits_after_any_reset(command):
+    """CiA 305: the LSS state machine restarts in LSS waiting, as in CANopenNode's slave."""
     bench = LssBench().configure()
     assert bench.lss("5E") == "5E 02"
     assert bench.lss("11 21") == "11 00"
@@ -297,7 +298,7 @@ def test_after_any_reset_a_slave_waits(command):
     assert bench.lss("5A") == ""
 
 
-def test_half_a_selection_does_not_outlive_a_reset():
+def test_incomplete_selection_ends_at_reset():
     bench = LssBench()
     for command, number in zip((0x40, 0x41, 0x42), ADDRESS, strict=False):
         assert bench.lss((bytes((command,)) + number.to_bytes(4, "little")).hex()) == ""

@@ -1,15 +1,16 @@
-"""NMT (CiA 301, 7.3.2): boot-up, the four states, and what works in each."""
+"""NMT (CiA 301, 7.3.2): boot-up, the four states, and their services."""
 
 import pytest
 
-from emulators.canopen.nmt import NmtState
-from emulators.canopen.node import CanopenNode, NodeTiming
-from emulators.canopen.object_dictionary import ObjectDictionary
+from motorhil.emulators.canopen.nmt import NmtState
+from motorhil.emulators.canopen.node import CanopenNode
+from motorhil.emulators.canopen.object_dictionary import ObjectDictionary
+from motorhil.emulators.canopen.outbox import NodeTiming
 from tests.emulators.canopen.bench_node import MS, NODE_ID, Bench, Host, dictionary, put_pdo
 
 START, STOP, PRE_OPERATIONAL, RESET_NODE, RESET_COMMUNICATION = 1, 2, 128, 129, 130
 GUARD = 0x4000_0700 + NODE_ID  # the remote frame that guards the node
-ERROR = 0x2000_0000  # what its CAN controller says
+ERROR = 0x2000_0000  # error messages
 UPLOAD = "40 18 10 01 00 00 00 00"
 
 
@@ -17,7 +18,7 @@ def command(bench: Bench, specifier: int, node_id: int = NODE_ID) -> None:
     bench.tell(0x000, bytes((specifier, node_id)))
 
 
-def test_boot_up_comes_after_the_boot_time_and_leads_to_pre_operational():
+def test_boot_up_comes_after_boot_time_into_pre_operational():
     bench = Bench()
     assert bench.node.next_deadline_ns() == 300 * MS
     bench.run(300 * MS - 1)
@@ -30,7 +31,7 @@ def test_boot_up_comes_after_the_boot_time_and_leads_to_pre_operational():
     assert bench.host.calls == [("reset", True, 0), ("nmt", 0x7F, 300 * MS)]
 
 
-def test_nothing_is_heard_before_boot_up():
+def test_frames_before_boot_up_are_ignored():
     bench = Bench()
     bench.run(100 * MS)
     command(bench, START)
@@ -53,11 +54,11 @@ def test_nothing_is_heard_before_boot_up():
         ([START, RESET_NODE], NmtState.INITIALISING),
         ([STOP, RESET_COMMUNICATION], NmtState.INITIALISING),
         ([START, RESET_COMMUNICATION], NmtState.INITIALISING),
-        ([3], NmtState.PRE_OPERATIONAL),  # no such command
+        ([3], NmtState.PRE_OPERATIONAL),  # unknown command
         ([START, START], NmtState.OPERATIONAL),
     ],
 )
-def test_commands_lead_where_the_standard_says(path, state):
+def test_command_leads_to_standard_state(path, state):
     bench = Bench().boot()
     for specifier in path:
         command(bench, specifier)
@@ -66,13 +67,13 @@ def test_commands_lead_where_the_standard_says(path, state):
     assert len(changes) == len([s for i, s in enumerate(path) if s != 3 and s not in path[:i]])
 
 
-def test_a_command_for_another_node_or_of_another_length_is_not_for_us():
+def test_command_for_other_node_or_length_is_ignored():
     bench = Bench().boot()
     command(bench, START, NODE_ID + 1)
     bench.tell(0x000, bytes((START,)))
     bench.tell(0x000, bytes((START, NODE_ID, 0)))
     assert bench.node.state == NmtState.PRE_OPERATIONAL
-    command(bench, START, 0)  # everybody
+    command(bench, START, 0)  # all nodes
     assert bench.node.state == NmtState.OPERATIONAL
 
 
@@ -85,7 +86,7 @@ def test_a_command_for_another_node_or_of_another_length_is_not_for_us():
         ([RESET_NODE], False, False, False),
     ],
 )
-def test_what_works_in_which_state(path, sdo, pdo, emcy):  # CiA 301, table 38
+def test_service_works_in_standard_states(path, sdo, pdo, emcy):  # CiA 301, table 38
     od = dictionary()
     put_pdo(od, 0x1400, (0x6040_0010,), 255)
     put_pdo(od, 0x1800, (0x6041_0010,), 1)
@@ -104,7 +105,7 @@ def test_what_works_in_which_state(path, sdo, pdo, emcy):  # CiA 301, table 38
     assert (bench.frames() == ["082 11 86 21 00 00 00 00 00"]) == emcy
 
 
-def test_a_pending_response_is_dropped_when_sdo_ends():
+def test_pending_response_is_dropped_when_sdo_ends():
     bench = Bench().boot()
     bench.tell(0x602, UPLOAD)
     command(bench, STOP)
@@ -113,7 +114,7 @@ def test_a_pending_response_is_dropped_when_sdo_ends():
     assert bench.node.next_deadline_ns() is None
 
 
-def test_reset_communication_restores_1000h_to_1fffh_only_and_boots_sooner():
+def test_reset_communication_restores_1000h_to_1fffh_only():
     bench = Bench().boot()
     assert bench.download(0x607A, 0, 1234, 4) == ""
     assert bench.download(0x1017, 0, 50, 2) == ""
@@ -129,7 +130,7 @@ def test_reset_communication_restores_1000h_to_1fffh_only_and_boots_sooner():
     assert bench.od.integer(0x1017, 0, 1) == 0
 
 
-def test_reset_node_restores_everything_without_asking_writers():
+def test_reset_node_restores_all_without_writers():
     bench = Bench().boot()
     assert bench.download(0x607A, 0, 1234, 4) == ""
     bench.od.get(0x607A).writer = lambda value: pytest.fail("a reset asks no writer")
@@ -140,7 +141,7 @@ def test_reset_node_restores_everything_without_asking_writers():
     assert bench.heard() == [(reset_at + 300 * MS, "702 00")]
 
 
-def test_remote_and_extended_frames_with_our_identifiers_are_not_for_us():
+def test_remote_and_extended_frames_are_ignored():
     bench = Bench().boot()
     for flag in (0x4000_0000, 0x8000_0000):
         bench.tell(0x000 | flag, bytes((START, 0)))
@@ -150,7 +151,7 @@ def test_remote_and_extended_frames_with_our_identifiers_are_not_for_us():
     assert bench.node.state == NmtState.PRE_OPERATIONAL
 
 
-def test_identifiers_are_those_of_every_state_and_grow_a_revision_when_they_change():
+def test_identifiers_change_increments_revision():
     od = dictionary()
     put_pdo(od, 0x1400, (0x6040_0010,))
     bench = Bench(od)
@@ -167,17 +168,17 @@ def test_identifiers_are_those_of_every_state_and_grow_a_revision_when_they_chan
 
 
 @pytest.mark.parametrize("node_id", [0, 128])
-def test_a_node_id_outside_1_to_127_is_refused(node_id):
+def test_node_id_outside_1_to_127_is_refused(node_id):
     with pytest.raises(ValueError, match=r"1\.\.127"):
         CanopenNode(dictionary(), node_id, NodeTiming(), Host())
 
 
-def test_an_empty_dictionary_still_makes_a_node_with_the_standard_s_defaults():
+def test_empty_dictionary_gives_node_with_standard_defaults():
     bench = Bench(ObjectDictionary()).operate()
     bench.tell(0x080)
     assert ("sync", bench.now_ns) in bench.host.calls
     bench.node.emergency(0x8611, 0x20, b"", bench.now_ns)
     bench.drain()
     assert bench.frames() == ["082 11 86 21 00 00 00 00 00"]
-    assert bench.ask("40 05 10 00 00 00 00 00") == "80 05 10 00 00 00 02 06"  # yet not to be seen
+    assert bench.ask("40 05 10 00 00 00 00 00") == "80 05 10 00 00 00 02 06"  # but invisible
     assert bench.ask("40 14 10 00 00 00 00 00") == "80 14 10 00 00 00 02 06"

@@ -1,8 +1,8 @@
-"""What works in which NMT state: one table (CiA 301, table 38; CiA 305), all of it asked."""
+"""Services by NMT state (CiA 301, table 38; CiA 305)."""
 
 import pytest
 
-from emulators.canopen.object_dictionary import DataType, ObjectDictionary
+from motorhil.emulators.canopen.object_dictionary import DataType, ObjectDictionary
 from tests.emulators.canopen.bench_node import (
     MS,
     NODE_ID,
@@ -14,7 +14,7 @@ from tests.emulators.canopen.bench_node import (
     put_pdo,
 )
 
-# state: how it is entered
+# state: commands that lead to it
 STATES = {"initialising": 129, "pre-operational": 128, "operational": 1, "stopped": 2}
 TABLE = """
 service            initialising  pre-operational  operational  stopped
@@ -57,7 +57,7 @@ def sdo(bench: Bench) -> bool:
 
 
 def sync(bench: Bench) -> bool:
-    bench.tell(0x080, "01")  # it carries no counter here: that is told by whoever listens
+    bench.tell(0x080, "01")  # SYNC without a counter: its consumer reports the length
     return "082 40 82 11 01 00 00 00 00" in bench.frames()
 
 
@@ -109,7 +109,7 @@ ASK = {
 
 
 @pytest.mark.parametrize(("service", "state", "works"), CASES)
-def test_a_service_works_in_the_states_of_the_table_and_in_no_other(service, state, works):
+def test_service_works_in_its_table_states_only(service, state, works):
     bench = Bench(whole()).boot()
     bench.od.get(0x1017).default = 10
     bench.od.get(0x1016, 1).default = 9 << 16 | 10

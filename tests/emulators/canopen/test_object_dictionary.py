@@ -1,4 +1,4 @@
-"""Types, ranges and access; bytes are checked against canopen's own encoding of the same types."""
+"""Types, ranges and access; bytes are checked against canopen's encoding."""
 
 import math
 import struct
@@ -8,7 +8,7 @@ from canopen.objectdictionary import ODVariable
 from hypothesis import given
 from hypothesis import strategies as st
 
-from emulators.canopen.object_dictionary import (
+from motorhil.emulators.canopen.object_dictionary import (
     DataType,
     ObjectDictionary,
     Variable,
@@ -21,7 +21,7 @@ from emulators.canopen.object_dictionary import (
 )
 
 NUMBERS = [data_type for data_type in DataType if is_integer(data_type)]
-# canopen has no number for these two: it leaves them as bytes
+# canopen has no number type for these two: it leaves them as bytes
 CANOPEN_NUMBERS = [t for t in NUMBERS if "TIME" not in t.name]
 
 
@@ -32,7 +32,7 @@ def canopens(data_type: int) -> ODVariable:
 
 
 @pytest.mark.parametrize("data_type", CANOPEN_NUMBERS, ids=lambda t: t.name)
-def test_the_ends_of_every_range_are_canopen_s_bytes(data_type):
+def test_range_ends_encode_as_in_canopen(data_type):
     low, high = integer_range(data_type)
     for value in (low, 0, high):
         raw = encode(data_type, value)
@@ -44,7 +44,7 @@ def test_the_ends_of_every_range_are_canopen_s_bytes(data_type):
 
 
 @given(st.sampled_from(NUMBERS), st.data())
-def test_every_number_comes_back(data_type, data):
+def test_every_number_makes_round_trip(data_type, data):
     value = data.draw(st.integers(*integer_range(data_type)))
     raw = encode(data_type, value)
     assert len(raw) == (length_bits(data_type) + 7) // 8
@@ -64,13 +64,13 @@ def test_every_number_comes_back(data_type, data):
         (DataType.DOMAIN, b"", ""),
     ],
 )
-def test_values_are_the_standard_s_bytes(data_type, value, raw):
+def test_values_encode_as_in_standard(data_type, value, raw):
     assert encode(data_type, value) == bytes.fromhex(raw)
     assert decode(data_type, bytes.fromhex(raw)) == value
 
 
 @given(st.floats(width=32) | st.floats())
-def test_reals_are_ieee_754_and_too_large_ones_do_not_fit(value):
+def test_reals_are_ieee_754_and_large_ones_are_refused(value):
     assert encode(DataType.REAL64, value) == struct.pack("<d", value)
     try:
         expected = struct.pack("<f", value)
@@ -88,44 +88,44 @@ def test_reals_are_ieee_754_and_too_large_ones_do_not_fit(value):
     ("data_type", "value"),
     [(DataType.UNSIGNED8, b"\x01"), (DataType.UNSIGNED8, 1.5), (DataType.VISIBLE_STRING, 5)],
 )
-def test_a_value_of_another_kind_is_a_type_error(data_type, value):
+def test_value_of_wrong_kind_is_type_error(data_type, value):
     with pytest.raises(TypeError):
         encode(data_type, value)
     assert not Variable(0x2000, 0, data_type).can_hold(value)
 
 
-def test_another_number_of_bytes_is_refused():
+def test_wrong_number_of_bytes_is_refused():
     with pytest.raises(ValueError, match="takes 2 bytes"):
         decode(DataType.UNSIGNED16, b"\x01")
 
 
 @pytest.mark.parametrize("data_type", DataType, ids=lambda t: t.name)
-def test_without_a_stated_value_a_variable_holds_the_zero_of_its_type(data_type):
+def test_variable_without_value_is_zero(data_type):
     variable = Variable(0x2000, 0, data_type)
     assert variable.value == zero(data_type)
     assert not variable.has_default
     assert variable.upload() == bytes((length_bits(data_type) + 7) // 8)
 
 
-def test_a_boolean_takes_its_lowest_bit():
+def test_boolean_takes_lowest_bit():
     variable = Variable(0x2000, 0, DataType.BOOLEAN)
     assert variable.download(b"\x03") == 0
     assert variable.value == 1
 
 
-def test_access_that_the_standard_does_not_know_is_refused():
+def test_unknown_access_is_refused():
     with pytest.raises(ValueError, match="rwx"):
         Variable(0x2000, 0, DataType.UNSIGNED8, access="rwx")
 
 
-def test_a_default_that_does_not_fit_is_refused():
+def test_oversized_default_is_refused():
     with pytest.raises(ValueError, match="does not fit"):
         Variable(0x2000, 0, DataType.UNSIGNED8, default=256)
     with pytest.raises(ValueError, match="does not fit"):
         Variable(0x2000, 0, DataType.INTEGER8).set_default(200)
 
 
-def test_an_absent_object_works_without_being_seen():
+def test_absent_object_works_invisibly():
     od = ObjectDictionary()
     hidden = od.ensure(0x605A, 0, DataType.INTEGER16, 2)
     assert hidden.value == 2
@@ -138,7 +138,7 @@ def test_an_absent_object_works_without_being_seen():
     assert hidden.value == 2
 
 
-def test_a_visible_object_keeps_what_its_file_states_and_takes_a_default_where_it_states_none():
+def test_visible_object_keeps_stated_default():
     od = ObjectDictionary()
     stated = od.add(Variable(0x605A, 0, DataType.INTEGER16, default=6))
     silent = od.add(Variable(0x605D, 0, DataType.INTEGER16))
@@ -147,7 +147,7 @@ def test_a_visible_object_keeps_what_its_file_states_and_takes_a_default_where_i
     assert (stated.value, silent.value) == (6, 1)
 
 
-def test_reset_takes_a_range_of_indices():
+def test_reset_takes_range_of_indices():
     od = ObjectDictionary()
     for index in (0x0FFF, 0x1000, 0x1FFF, 0x2000):
         od.add(Variable(index, 0, DataType.UNSIGNED8, default=1)).value = 9
@@ -155,7 +155,7 @@ def test_reset_takes_a_range_of_indices():
     assert [variable.value for variable in od] == [9, 1, 1, 9]
 
 
-def test_variables_come_in_the_order_of_their_place():
+def test_variables_are_iterated_by_index_and_sub_index():
     od = ObjectDictionary()
     for index, subindex in ((0x6040, 0), (0x1018, 2), (0x1018, 0), (0x1018, 1)):
         od.add(Variable(index, subindex, DataType.UNSIGNED8))

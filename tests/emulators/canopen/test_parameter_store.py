@@ -1,4 +1,4 @@
-"""Store and restore (CiA 301, 1010h and 1011h): signatures, what belongs to what, and when."""
+"""Storing and restoring (CiA 301, 1010h and 1011h): signatures, ranges, timing."""
 
 import zlib
 
@@ -6,9 +6,10 @@ import canopen
 import pytest
 from canopen.sdo.exceptions import SdoAbortedError
 
-from emulators.canopen.node import CanopenNode, NodeTiming
-from emulators.canopen.object_dictionary import ObjectDictionary
-from emulators.controller import RigMemory
+from motorhil.emulators.canopen.node import CanopenNode
+from motorhil.emulators.canopen.object_dictionary import ObjectDictionary
+from motorhil.emulators.canopen.outbox import NodeTiming
+from motorhil.emulators.controller import RigMemory
 from tests.emulators.canopen.bench_node import (
     INTEGER32,
     MS,
@@ -29,7 +30,7 @@ ACCEPTED, NOT_STORED, HARDWARE = "", "0800 0020", "0606 0000"
 
 
 def whole() -> ObjectDictionary:
-    """1010h and 1011h with four sub-indices; a parameter of each range."""
+    """Return 1010h and 1011h with four sub-indices, and a parameter of each range."""
     od = dictionary()
     for index in (0x1010, 0x1011):
         put(od, index, 0, UNSIGNED8, 4, "ro")
@@ -42,7 +43,7 @@ def whole() -> ObjectDictionary:
 
 
 class Powered(Bench):
-    """A bench whose node can lose its power; what it has stored stays."""
+    """A bench whose node can lose its power; stored values stay."""
 
     def __init__(self, memory: RigMemory | None = None, od: ObjectDictionary | None = None) -> None:
         self.memory = RigMemory() if memory is None else memory
@@ -84,7 +85,7 @@ BEFORE, CHANGED = [0, 10, 20], [500, 11, 21]
         (4, [0, 11, 20]),  # manufacturer
     ],
 )
-def test_what_is_saved_are_the_power_on_values_from_then_on(subindex, kept):
+def test_saved_values_are_power_on_values(subindex, kept):
     bench = Powered()
     bench.change()
     assert bench.command(0x1010, subindex, SAVE) == ACCEPTED
@@ -94,14 +95,14 @@ def test_what_is_saved_are_the_power_on_values_from_then_on(subindex, kept):
     assert bench.values() == kept
 
 
-def test_what_was_never_saved_is_gone_after_a_reset():
+def test_unsaved_values_are_lost_at_reset():
     bench = Powered()
     bench.change()
     bench.nmt(129)
     assert bench.values() == BEFORE
 
 
-def test_reset_communication_brings_back_what_is_saved_of_communication_only():
+def test_reset_communication_restores_saved_communication_only():
     bench = Powered()
     bench.change()
     assert bench.command(0x1010, 1, SAVE) == ACCEPTED
@@ -115,7 +116,7 @@ def test_reset_communication_brings_back_what_is_saved_of_communication_only():
     ("subindex", "left"),
     [(1, BEFORE), (2, [0, 11, 21]), (3, [500, 11, 20]), (4, [500, 10, 21])],
 )
-def test_restoring_shows_after_the_next_reset_not_before(subindex, left):
+def test_restore_takes_effect_at_next_reset(subindex, left):
     bench = Powered()
     bench.change()
     assert bench.command(0x1010, 1, SAVE) == ACCEPTED
@@ -129,7 +130,7 @@ def test_restoring_shows_after_the_next_reset_not_before(subindex, left):
 
 @pytest.mark.parametrize("index", [0x1010, 0x1011])
 @pytest.mark.parametrize("signature", ["73 61 76 66", "65 76 61 73", "00 00 00 00", "01 00 00 00"])
-def test_another_signature_is_refused_and_does_nothing(index, signature):
+def test_wrong_signature_is_refused_without_effect(index, signature):
     bench = Powered()
     bench.change()
     assert bench.command(0x1010, 1, SAVE) == ACCEPTED
@@ -138,21 +139,21 @@ def test_another_signature_is_refused_and_does_nothing(index, signature):
     assert bench.memory.load() == kept
 
 
-def test_the_one_signature_is_not_the_other_s():
+def test_signatures_of_save_and_load_are_not_exchangeable():
     bench = Powered()
     assert bench.command(0x1010, 1, LOAD) == NOT_STORED
     assert bench.command(0x1011, 1, SAVE) == NOT_STORED
 
 
 @pytest.mark.parametrize("index", [0x1010, 0x1011])
-def test_reading_says_that_it_is_done_on_command(index):
+def test_read_returns_on_command(index):
     bench = Powered()
     assert bench.command(index, 1, SAVE if index == 0x1010 else LOAD) == ACCEPTED
     mux = f"{index & 0xFF:02X} 10 01"
     assert bench.ask(f"40 {mux} 00 00 00 00") == f"43 {mux} 01 00 00 00"  # bit 0: on command
 
 
-def test_a_memory_that_fails_is_a_hardware_error():
+def test_failing_memory_is_hardware_error():
     bench = Powered()
     bench.memory = Failing()
     bench.plug_in()
@@ -162,7 +163,7 @@ def test_a_memory_that_fails_is_a_hardware_error():
     assert bench.values() == BEFORE
 
 
-def test_set_points_commands_and_errors_are_no_parameters():
+def test_set_points_commands_and_errors_are_not_stored():
     bench = Powered()
     for index, value, size in ((0x6040, 0x0F, 2), (0x607A, 5, 4), (0x60FF, 6, 4)):
         assert bench.download(index, 0, value, size) == ""
@@ -173,8 +174,8 @@ def test_set_points_commands_and_errors_are_no_parameters():
     assert bench.od.integer(0x1003, 0, -1) == 0
 
 
-def test_canopen_s_client_stores_and_restores():
-    """Its own idea of the signatures (`BaseNode402`, `RemoteNode.store`, `.restore`)."""
+def test_canopen_client_stores_and_restores():
+    """The client uses its own signatures (`BaseNode402`, `RemoteNode.store`, `.restore`)."""
     bench = Powered()
     remote = Loop(bench).remote
     remote.sdo[0x6083].raw = 21
@@ -190,7 +191,7 @@ def test_canopen_s_client_stores_and_restores():
     assert isinstance(remote, canopen.RemoteNode)
 
 
-# --- what another rig has stored
+# --- values stored by another rig
 
 
 def stored() -> bytes:
@@ -206,7 +207,7 @@ def with_memory(data: bytes, od: ObjectDictionary | None = None) -> Powered:
     return Powered(memory, od)
 
 
-def test_what_was_loaded_is_told_with_its_checksum():
+def test_loaded_values_are_reported_with_checksum():
     bench = with_memory(stored())
     assert bench.values() == CHANGED
     ((level, text),) = bench.node.take_events()
@@ -228,7 +229,7 @@ def test_what_was_loaded_is_told_with_its_checksum():
         (lambda data: resigned(data, b"1017:00", b"bit_timing 9\n1017:00"), "is no stored value"),
     ],
 )
-def test_what_is_torn_or_no_such_text_is_told_and_left_out(spoil, reason):
+def test_damaged_text_is_reported_and_left_out(spoil, reason):
     bench = with_memory(spoil(stored()))
     assert bench.values() == BEFORE
     ((level, text),) = bench.node.take_events()
@@ -238,14 +239,14 @@ def test_what_is_torn_or_no_such_text_is_told_and_left_out(spoil, reason):
 
 
 def resigned(data: bytes, old: bytes, new: bytes) -> bytes:
-    """With a check sum that is right all the same, as somebody with patience makes it."""
+    """Return the text with a valid checksum, as a deliberate edit would produce it."""
     assert old in data
     text = data[: data.rfind(b"end ")].replace(old, new)
     return text + b"end 3 %08X\n" % zlib.crc32(text)
 
 
-@pytest.mark.parametrize("theirs", [b"import motorapi\n", bytes(range(256)), None])
-def test_what_somebody_else_has_written_is_never_overwritten(theirs):
+@pytest.mark.parametrize("theirs", [b"from motorhil import motorapi\n", bytes(range(256)), None])
+def test_foreign_text_is_never_overwritten(theirs):
     od = whole()
     if theirs is None:
         theirs = stored()
@@ -260,13 +261,13 @@ def test_what_somebody_else_has_written_is_never_overwritten(theirs):
     assert bench.node.take_events() == [told, told]
 
 
-def test_no_prefix_of_a_text_is_taken_for_a_whole_one():
+def test_prefix_of_text_is_refused():
     data = stored()
     for length in range(1, len(data)):
         assert with_memory(data[:length]).values() == BEFORE
 
 
-def test_another_device_s_parameters_are_left_out():
+def test_parameters_of_other_device_are_left_out():
     od = whole()
     od.get(0x1018, 1).default = 5
     bench = with_memory(stored(), od)
@@ -275,7 +276,7 @@ def test_another_device_s_parameters_are_left_out():
     assert (level, "another device's" in text) == ("warning", True)
 
 
-def test_a_value_at_its_limit_fits():
+def test_value_at_its_limit_fits():
     od = whole()
     od.get(0x6083).low = od.get(0x6083).high = 21
     bench = with_memory(stored(), od)
@@ -283,7 +284,7 @@ def test_a_value_at_its_limit_fits():
     assert [level for level, _ in bench.node.take_events()] == ["info"]
 
 
-def test_commands_to_store_and_restore_are_not_stored_themselves():
+def test_store_and_restore_commands_are_not_stored():
     bench = Powered()
     bench.change()
     assert bench.command(0x1011, 1, LOAD) == ACCEPTED
@@ -292,7 +293,7 @@ def test_commands_to_store_and_restore_are_not_stored_themselves():
     assert places == ["1017", "2100", "6083"]
 
 
-def test_a_value_that_no_longer_fits_is_told_and_the_others_count():
+def test_unfitting_value_is_reported_and_others_are_used():
     od = whole()
     od.get(0x6083).high = 20
     put(od, 0x2100, 0, UNSIGNED8, 10)

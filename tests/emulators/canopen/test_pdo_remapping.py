@@ -1,8 +1,8 @@
-"""Changing PDOs by SDO: the standard's procedure, and what it refuses (CiA 301, 7.5.2.35-38).
+"""Changing PDOs by SDO: the standard's procedure and refusals (CiA 301, 7.5.2.35-38).
 
-Refusals: 0604 0041h and 0604 0042h are named by the standard. Leaving the procedure is answered
-with 0601 0000h, a COB-ID or type that cannot be with 0609 0030h, as CANopenNode does
-(301/CO_PDO.c), a slave that passes the CiA conformance test.
+The standard names 0604 0041h and 0604 0042h. Deviations from the procedure are refused with 0601
+0000h, an invalid COB-ID or type with 0609 0030h, as in CANopenNode (301/CO_PDO.c), a slave that
+passes the CiA conformance test.
 """
 
 import pytest
@@ -20,7 +20,7 @@ def bench_with_both() -> Bench:
     return Bench(od).operate()
 
 
-def test_the_standard_procedure_maps_anew():
+def test_standard_procedure_remaps_tpdo():
     bench = bench_with_both()
     for index, subindex, value, size in (
         (0x1800, 1, INVALID | 0x182, 4),
@@ -36,7 +36,7 @@ def test_the_standard_procedure_maps_anew():
     assert bench.frames() == ["182 05 00 00 00 40 02"]
 
 
-def test_an_rpdo_is_mapped_anew_to_another_identifier_and_type():
+def test_rpdo_is_remapped_with_new_identifier_and_type():
     bench = bench_with_both()
     for index, subindex, value, size in (
         (0x1400, 1, INVALID | 0x202, 4),
@@ -56,7 +56,7 @@ def test_an_rpdo_is_mapped_anew_to_another_identifier_and_type():
 
 
 @pytest.mark.parametrize(("subindex", "value", "size"), [(0, 0, 1), (1, POSITION, 4)])
-def test_a_mapping_is_not_touched_while_the_pdo_is_valid(subindex, value, size):
+def test_mapping_of_valid_pdo_is_locked(subindex, value, size):
     bench = bench_with_both()
     assert bench.download(0x1A00, subindex, value, size) == "0601 0000"
     assert bench.download(0x1600, subindex, value, size) == "0601 0000"
@@ -64,7 +64,7 @@ def test_a_mapping_is_not_touched_while_the_pdo_is_valid(subindex, value, size):
     assert bench.frames() == ["182 40 02"]
 
 
-def test_entries_are_not_touched_while_the_mapping_is_enabled():
+def test_entries_of_enabled_mapping_are_locked():
     bench = bench_with_both()
     assert bench.download(0x1800, 1, INVALID | 0x182, 4) == ""
     assert bench.download(0x1A00, 1, POSITION, 4) == "0601 0000"
@@ -75,18 +75,18 @@ def test_entries_are_not_touched_while_the_mapping_is_enabled():
     [
         (0x1234_0010, "0602 0000"),  # no such object
         (0x1018_0720, "0609 0011"),  # no such sub-index
-        (0x1018_0120, "0604 0041"),  # not to be mapped
-        (0x6040_0008, "0604 0041"),  # another length than the object's
+        (0x1018_0120, "0604 0041"),  # not mappable
+        (0x6040_0008, "0604 0041"),  # not the length of the object
         (0x6041_0010, "0604 0041"),  # read-only, into an RPDO
-        (0x0006_0008, "0602 0000"),  # a dummy of another length is none
+        (0x0006_0008, "0602 0000"),  # dummy of a wrong length
         (0x0006_0010, ""),  # a dummy
         (0x2002_0008, ""),  # write-only
         (0x2004_0018, ""),  # 24 bits
         (0x2003_0001, ""),  # one bit
-        (0, ""),  # an entry not used
+        (0, ""),  # an unused entry
     ],
 )
-def test_what_an_rpdo_may_map(entry, code):
+def test_rpdo_mapping_accepts_writable_objects_only(entry, code):
     bench = bench_with_both()
     assert bench.download(0x1400, 1, INVALID | 0x202, 4) == ""
     assert bench.download(0x1600, 0, 0, 1) == ""
@@ -97,20 +97,20 @@ def test_what_an_rpdo_may_map(entry, code):
     ("entry", "code"),
     [
         (0x2002_0008, "0604 0041"),  # write-only
-        (0x6040_0010, "0604 0041"),  # rww: to be written by RPDO, not read by TPDO (CiA 306)
+        (0x6040_0010, "0604 0041"),  # rww: written by RPDO, not read by TPDO (CiA 306)
         (0x0006_0010, "0602 0000"),  # dummies are for RPDOs
         (0x1001_0008, ""),
         (0x6064_0020, ""),
     ],
 )
-def test_what_a_tpdo_may_map(entry, code):
+def test_tpdo_mapping_accepts_readable_objects_only(entry, code):
     bench = bench_with_both()
     assert bench.download(0x1800, 1, INVALID | 0x182, 4) == ""
     assert bench.download(0x1A00, 0, 0, 1) == ""
     assert bench.download(0x1A00, 1, entry, 4) == code
 
 
-def test_nine_bytes_and_nine_entries_do_not_fit():
+def test_nine_bytes_and_nine_entries_are_refused():
     bench = bench_with_both()
     assert bench.download(0x1400, 1, INVALID | 0x202, 4) == ""
     assert bench.download(0x1600, 0, 0, 1) == ""
@@ -122,7 +122,7 @@ def test_nine_bytes_and_nine_entries_do_not_fit():
     assert bench.download(0x1600, 9, 0, 4) == "0609 0011"
 
 
-def test_enabling_more_entries_than_were_written_is_refused():
+def test_enabling_unwritten_entries_is_refused():
     bench = bench_with_both()
     assert bench.download(0x1400, 1, INVALID | 0x202, 4) == ""
     assert bench.download(0x1600, 0, 0, 1) == ""
@@ -130,7 +130,7 @@ def test_enabling_more_entries_than_were_written_is_refused():
     assert bench.download(0x1600, 0, 2, 1) == "0602 0000"  # entry 2 maps nothing
 
 
-def test_a_fixed_mapping_is_read_only():
+def test_fixed_mapping_is_read_only():
     od = dictionary()
     put_pdo(od, 0x1400, (CONTROLWORD,), 255)
     od.get(0x1600, 1).access = "const"
@@ -147,11 +147,11 @@ def test_a_fixed_mapping_is_read_only():
         0x0000_0183,  # another identifier while the PDO exists
         0x2000_0182,  # 29-bit
         0x0000_0000,  # NMT
-        0x0000_0601,  # an SDO's
+        0x0000_0601,  # SDO
         0x0000_0701,  # error control
     ],
 )
-def test_a_cob_id_that_cannot_be_is_refused(cob_id):
+def test_invalid_cob_id_is_refused(cob_id):
     bench = bench_with_both()
     assert bench.download(0x1800, 1, cob_id, 4) == "0609 0030"
     if cob_id != 0x183:
@@ -159,9 +159,9 @@ def test_a_cob_id_that_cannot_be_is_refused(cob_id):
         assert bench.download(0x1800, 1, cob_id, 4) == "0609 0030"
 
 
-def test_the_same_cob_id_again_is_accepted():
+def test_same_cob_id_is_accepted():
     bench = bench_with_both()
-    assert bench.download(0x1800, 1, 0x4000_0182, 4) == ""  # no remote requests: as it is
+    assert bench.download(0x1800, 1, 0x4000_0182, 4) == ""  # no remote requests: unchanged
 
 
 @pytest.mark.parametrize(
@@ -169,24 +169,24 @@ def test_the_same_cob_id_again_is_accepted():
     [
         *((kind, "", "") for kind in (0, 1, 240, 254, 255)),
         *((kind, "0609 0030", "0609 0030") for kind in (241, 251)),  # reserved
-        *((kind, "", "0609 0030") for kind in (252, 253)),  # on request: nobody asks for an RPDO
+        *((kind, "", "0609 0030") for kind in (252, 253)),  # on request: only for TPDOs
     ],
 )
-def test_transmission_types_that_are_reserved_are_refused(transmission_type, tpdo, rpdo):
+def test_reserved_transmission_type_is_refused(transmission_type, tpdo, rpdo):
     bench = bench_with_both()
     assert bench.download(0x1800, 2, transmission_type, 1) == tpdo
     assert bench.download(0x1400, 2, transmission_type, 1) == rpdo
 
 
-def test_the_inhibit_time_is_not_changed_while_the_tpdo_exists():
+def test_inhibit_time_of_valid_tpdo_is_locked():
     bench = bench_with_both()
     assert bench.download(0x1800, 3, 50, 2) == "0609 0030"
-    assert bench.download(0x1800, 3, 0, 2) == ""  # what it is
+    assert bench.download(0x1800, 3, 0, 2) == ""  # unchanged
     assert bench.download(0x1800, 1, INVALID | 0x182, 4) == ""
     assert bench.download(0x1800, 3, 50, 2) == ""
 
 
-def test_a_tpdo_made_valid_in_operational_tells_how_things_are():
+def test_tpdo_made_valid_in_operational_is_sent():
     od = dictionary()
     put_pdo(od, 0x1800, (STATUSWORD,), 255, cob_id=INVALID | 0x182)
     bench = Bench(od).operate()
@@ -194,7 +194,7 @@ def test_a_tpdo_made_valid_in_operational_tells_how_things_are():
     assert bench.frames() == ["182 40 02"]
 
 
-def test_reset_communication_brings_the_power_on_mapping_back():
+def test_reset_communication_restores_power_on_mapping():
     bench = bench_with_both()
     assert bench.download(0x1800, 1, INVALID | 0x182, 4) == ""
     bench.tell(0x000, b"\x82\x00")
@@ -205,8 +205,8 @@ def test_reset_communication_brings_the_power_on_mapping_back():
     assert bench.frames() == ["182 40 02"]
 
 
-def test_entries_of_a_mapping_without_a_stated_count_count_themselves():
-    # as Elmo's DCF has 1601h: an entry with a DefaultValue, sub-index 0 without
+def test_mapping_without_stated_count_counts_its_entries():
+    # As 1601h in Elmo's DCF: an entry with a DefaultValue, sub-index 0 without.
     od = dictionary()
     put_pdo(od, 0x1400, (CONTROLWORD,), 255)
     od.get(0x1600, 0).has_default = False

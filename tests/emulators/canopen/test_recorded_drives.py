@@ -1,13 +1,14 @@
-"""Recordings of real drives: their host's frames to our node, their answers against ours."""
+"""Recordings of real drives: host frames to our node, responses compared."""
 
 import re
 from pathlib import Path
 
 import pytest
 
-from emulators.canopen.eds import read_eds
-from emulators.canopen.node import CanopenNode, NodeTiming
-from emulators.canopen.object_dictionary import ObjectDictionary
+from motorhil.emulators.canopen.files.eds import read_eds
+from motorhil.emulators.canopen.node import CanopenNode
+from motorhil.emulators.canopen.object_dictionary import ObjectDictionary
+from motorhil.emulators.canopen.outbox import NodeTiming
 from tests.emulators.canopen.bench_node import MS, Bench, Host, frame, shown
 
 pytestmark = pytest.mark.data
@@ -33,7 +34,7 @@ class Recorded(Bench):
 
 
 def rows(path: Path) -> list[tuple[int, str]]:
-    """(identifier, data in hexadecimal) of every frame in the text."""
+    """Return (identifier, data in hexadecimal) of every frame in the text."""
     found = []
     for line in path.read_text().splitlines():
         match = ROW.search(line)
@@ -50,17 +51,17 @@ def text_of(row: tuple[int, str]) -> str:
     return shown(frame(*row))
 
 
-def test_a_technosoft_ipos_is_mapped_anew_as_recorded(shared):
+def test_technosoft_ipos_is_remapped_as_recorded(shared):
     recorded = recorded_of(shared, 0x604, 0x584)
     assert len(recorded) == 24
     od = read_eds(shared / "data/eds/technosoft_ipos.eds", 4).dictionary()
-    od.get(0x1002).set_default(0x021F_0250)  # what that drive's status was
+    od.get(0x1002).set_default(0x021F_0250)  # status of that drive
     bench = Recorded(od, 4)
     for request, response in zip(recorded[::2], recorded[1::2], strict=True):
         assert bench.answers(request) == [text_of(response)]
 
 
-def test_a_technosoft_ipos_s_segmented_uploads_are_answered_as_recorded(shared):
+def test_technosoft_ipos_segmented_uploads_are_as_recorded(shared):
     recorded = recorded_of(shared, 0x601, 0x581)
     assert len(recorded) == 48
     od = read_eds(shared / "data/eds/technosoft_ipos.eds", 1).dictionary()
@@ -77,13 +78,13 @@ def test_a_technosoft_ipos_s_segmented_uploads_are_answered_as_recorded(shared):
         (ours,) = bench.answers(request)
         if ours != text_of(response):
             different.append((ours, text_of(response)[:4] + text_of(response)[-12:]))
-    # After an abort, or with no transfer going on, the drive still finds the toggle bit wrong;
-    # CiA 301 has no transfer there any more: command specifier not valid.
+    # After an abort, or without a transfer, the drive still reports a wrong toggle bit. In CiA 301
+    # there is no transfer any more: command specifier not valid.
     assert set(different) == {("581 80 00 00 00 01 00 04 05", "581  00 00 03 05")}
     assert len(different) == 7
 
 
-def test_a_nanotec_s_event_driven_tpdos_come_at_start_as_recorded(shared):
+def test_nanotec_event_driven_tpdos_start_as_recorded(shared):
     recorded = rows(shared / "data/traffic/ros2canopen_issue356_nanotec_n5_boot.candump.txt")
     start = recorded.index((0x000, "01 01"))
     theirs = [(can_id, len(data.split())) for can_id, data in recorded[start + 2 : start + 6]]

@@ -1,8 +1,8 @@
-"""RPDOs: what is written when, and what a short one does (CiA 301, 7.2.2)."""
+"""RPDOs: time of the writes, and wrong lengths (CiA 301, 7.2.2)."""
 
 import pytest
 
-from emulators.canopen.object_dictionary import ObjectDictionary
+from motorhil.emulators.canopen.object_dictionary import ObjectDictionary
 from tests.emulators.canopen.bench_node import MS, Bench, dictionary, put_pdo
 
 CONTROLWORD, TARGET = 0x6040_0010, 0x607A_0020
@@ -19,7 +19,7 @@ def values(od: ObjectDictionary, *places: int) -> list[int]:
 
 
 @pytest.mark.parametrize("transmission_type", [254, 255])
-def test_an_event_driven_rpdo_takes_effect_at_once(transmission_type):
+def test_event_driven_rpdo_is_written_at_once(transmission_type):
     bench = bench_with((CONTROLWORD, TARGET), transmission_type)
     bench.tell(0x202, "1F 00 FE FF FF FF")
     assert values(bench.od, 0x6040, 0x607A) == [0x1F, -2]
@@ -27,7 +27,7 @@ def test_an_event_driven_rpdo_takes_effect_at_once(transmission_type):
 
 
 @pytest.mark.parametrize("transmission_type", [0, 1, 240])
-def test_a_synchronous_rpdo_waits_for_the_next_sync(transmission_type):
+def test_synchronous_rpdo_is_written_at_next_sync(transmission_type):
     bench = bench_with((CONTROLWORD, TARGET), transmission_type)
     bench.tell(0x202, "1F 00 E8 03 00 00")
     assert values(bench.od, 0x6040, 0x607A) == [0, 0]
@@ -36,11 +36,11 @@ def test_a_synchronous_rpdo_waits_for_the_next_sync(transmission_type):
     bench.tell(0x080)
     assert values(bench.od, 0x6040, 0x607A) == [0x1F, 1000]
     assert bench.host.calls == [("write", bench.now_ns), ("sync", bench.now_ns)]
-    bench.tell(0x080)  # it takes effect once
+    bench.tell(0x080)  # written once only
     assert bench.host.names() == ["write", "sync", "sync"]
 
 
-def test_of_two_rpdos_before_a_sync_the_later_one_counts():
+def test_last_rpdo_before_sync_is_written():
     bench = bench_with((TARGET,), 1)
     bench.tell(0x202, "01 00 00 00")
     bench.tell(0x202, "02 00 00 00")
@@ -48,7 +48,7 @@ def test_of_two_rpdos_before_a_sync_the_later_one_counts():
     assert values(bench.od, 0x607A) == [2]
 
 
-def test_all_rpdos_of_a_sync_are_written_before_the_device_hears_of_any():
+def test_rpdos_of_sync_are_written_before_device_call():
     od = dictionary()
     put_pdo(od, 0x1400, (CONTROLWORD,), 1)
     put_pdo(od, 0x1401, (TARGET,), 1)
@@ -63,7 +63,7 @@ def test_all_rpdos_of_a_sync_are_written_before_the_device_hears_of_any():
     assert bench.host.names() == ["write", "sync"]
 
 
-def test_a_latched_rpdo_is_forgotten_when_operational_is_left():
+def test_latched_rpdo_is_dropped_on_leaving_operational():
     bench = bench_with((TARGET,), 1)
     bench.tell(0x202, "01 00 00 00")
     bench.tell(0x000, b"\x80\x00")
@@ -72,7 +72,7 @@ def test_a_latched_rpdo_is_forgotten_when_operational_is_left():
     assert values(bench.od, 0x607A) == [0]
 
 
-def test_a_value_out_of_range_leaves_that_object_alone_and_writes_the_others():
+def test_value_out_of_range_skips_only_its_object():
     bench = bench_with((0x6060_0008, CONTROLWORD), 255)
     bench.tell(0x202, "0B 0F 00")
     assert values(bench.od, 0x6060, 0x6040) == [0, 0x0F]
@@ -80,19 +80,19 @@ def test_a_value_out_of_range_leaves_that_object_alone_and_writes_the_others():
     assert values(bench.od, 0x6060, 0x6040) == [-4, 0x0E]
 
 
-def test_a_short_rpdo_is_not_processed_and_told_once_by_emcy_8210h():
+def test_short_rpdo_is_ignored_with_one_emcy_8210h():
     bench = bench_with((CONTROLWORD, TARGET), 255)
     for _ in range(3):
         bench.tell(0x202, "1F 00 E8 03 00")
     assert values(bench.od, 0x6040, 0x607A) == [0, 0]
-    # 8210h, register generic + communication; RPDO 1, 5 bytes came, 6 are mapped
+    # 8210h, register generic + communication; RPDO 1, 5 bytes received, 6 mapped
     assert bench.frames() == ["082 10 82 11 01 05 06 00 00"]
     bench.tell(0x202, "1F 00 E8 03 00 00")
     assert bench.frames() == ["082 00 00 00 00 00 00 00 00"]
     assert values(bench.od, 0x6040, 0x607A) == [0x1F, 1000]
 
 
-def test_a_short_rpdo_does_not_replace_the_one_latched_before():
+def test_short_rpdo_keeps_latched_one():
     bench = bench_with((TARGET,), 1)
     bench.tell(0x202, "07 00 00 00")
     bench.tell(0x202, "08 00 00")
@@ -100,25 +100,25 @@ def test_a_short_rpdo_does_not_replace_the_one_latched_before():
     assert values(bench.od, 0x607A) == [7]
 
 
-def test_of_a_longer_rpdo_the_mapped_bytes_count_and_its_length_is_told():
+def test_long_rpdo_uses_mapped_bytes_with_emcy_8220h():
     bench = bench_with((CONTROLWORD,), 255)
     bench.tell(0x202, "0F 00 AA BB CC DD EE FF")
     assert values(bench.od, 0x6040) == [0x0F]
-    # as a Roboteq drive tells it (recording of node 12): 8220h, 1001h = 11h; ours adds what was
+    # As a Roboteq drive reports it (node 12): 8220h, 1001h = 11h; ours adds RPDO and lengths
     assert bench.frames() == ["082 20 82 11 01 08 02 00 00"]
-    bench.tell(0x202, "0F")  # now too short: another error in its place
+    bench.tell(0x202, "0F")  # now too short: replaced by another error
     assert bench.frames() == ["082 10 82 11 01 01 02 00 00"]
     bench.tell(0x202, "0F 00")
     assert bench.frames() == ["082 00 00 00 00 00 00 00 00"]
 
 
-def test_a_dummy_skips_its_bytes():
+def test_dummy_skips_its_bytes():
     bench = bench_with((0x0006_0010, TARGET), 255)  # CiA 301: 0006h is UNSIGNED16
     bench.tell(0x202, "AA BB 05 00 00 00")
     assert values(bench.od, 0x607A) == [5]
 
 
-def test_single_bits_24_bit_integers_and_reals_are_unpacked():
+def test_bits_24_bit_integers_and_reals_are_unpacked():
     entries = (0x2003_0001, 0x2004_0018, 0x2005_0020)
     bench = bench_with(entries, 255)
     # by hand: bit 0 = 1; bits 1..24 = -2 (FFFFFEh); bits 25..56 = 1.5 (3FC00000h)
@@ -128,7 +128,7 @@ def test_single_bits_24_bit_integers_and_reals_are_unpacked():
     assert bench.od.get(0x2005).value == 1.5
 
 
-def test_an_rpdo_whose_cob_id_is_invalid_does_not_exist():
+def test_rpdo_with_invalid_cob_id_does_not_exist():
     od = dictionary()
     put_pdo(od, 0x1400, (CONTROLWORD,), 255, cob_id=0x8000_0202)
     bench = Bench(od).operate()
@@ -137,7 +137,7 @@ def test_an_rpdo_whose_cob_id_is_invalid_does_not_exist():
     assert values(od, 0x6040) == [0]
 
 
-def test_two_rpdos_may_share_an_identifier():
+def test_two_rpdos_may_share_identifier():
     od = dictionary()
     put_pdo(od, 0x1400, (CONTROLWORD,), 255, cob_id=0x333)
     put_pdo(od, 0x1401, (0x0006_0010, TARGET), 255, cob_id=0x333)
@@ -146,7 +146,7 @@ def test_two_rpdos_may_share_an_identifier():
     assert values(od, 0x6040, 0x607A) == [0x0F, 5]
 
 
-def test_the_predefined_identifiers_stand_where_the_file_states_none():
+def test_missing_cob_id_uses_predefined_identifier():
     od = dictionary()
     for number in range(5):
         put_pdo(od, 0x1400 + number, (CONTROLWORD,))
@@ -157,7 +157,7 @@ def test_the_predefined_identifiers_stand_where_the_file_states_none():
     assert bench.ask("40 04 14 01 00 00 00 00") == "43 04 14 01 00 00 00 80"
 
 
-def test_a_mapping_that_cannot_be_is_told_and_filled_with_zeros():
+def test_invalid_mapping_entry_is_reported_and_skipped():
     od = dictionary()
     put_pdo(od, 0x1400, (0x5555_0010, CONTROLWORD))
     bench = Bench(od)
@@ -169,7 +169,7 @@ def test_a_mapping_that_cannot_be_is_told_and_filled_with_zeros():
     assert values(od, 0x6040) == [0x0F]
 
 
-def test_a_vendor_s_mapping_of_another_length_holds_the_lower_bits():
+def test_vendor_mapping_of_other_length_holds_lower_bits():
     # as Elmo maps UNSIGNED64 2012h in 32 bits, and Roboteq INTEGER16 2100h in 32 bits
     bench = bench_with((0x2006_0020, 0x6060_0010), 255)
     bench.tell(0x202, "FF FF FF FF FC FF")
@@ -182,4 +182,4 @@ def test_a_vendor_s_mapping_of_another_length_holds_the_lower_bits():
     ):
         assert bench.download(index, subindex, value, size) == ""
     assert bench.download(0x1600, 0, 0, 1) == ""
-    assert bench.download(0x1600, 1, 0x2006_0010, 4) == "0604 0041"  # none of its own
+    assert bench.download(0x1600, 1, 0x2006_0010, 4) == "0604 0041"  # not its own entry

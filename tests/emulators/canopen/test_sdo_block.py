@@ -1,27 +1,27 @@
-"""SDO block transfer, byte by byte, as CiA 301, 7.2.4.3.9 to 7.2.4.3.16 has it."""
+"""SDO block transfer, byte by byte (CiA 301, 7.2.4.3.9 to 7.2.4.3.16)."""
 
 import pytest
 from hypothesis import event, given
 from hypothesis import strategies as st
 
-from emulators.canopen.sdo_block import BlockDownload, BlockUpload, block_crc
+from motorhil.emulators.canopen.sdo_server import BlockDownload, BlockUpload, block_crc
 from tests.emulators.canopen.bench_node import Bench
 
 NAME = b"motorhil bench"  # 1008h of the bench
 
 
 def ask(bench, text):
-    """All that is answered."""
+    """Return all responses."""
     return bench.ask_all(text)
 
 
-def test_the_crc_is_the_catalogues():
+def test_crc_equals_catalogue_check_value():
     """CRC-16/XMODEM (polynomial 1021h, initial 0): its check value."""
     assert block_crc(b"123456789") == 0x31C3
     assert block_crc(b"") == 0
 
 
-def test_a_name_in_blocks_of_two_segments():
+def test_name_is_uploaded_in_blocks_of_two_segments():
     bench = Bench().boot()
     name = bytes(bench.od.get(0x1008).upload())
     size = len(name)
@@ -33,7 +33,7 @@ def test_a_name_in_blocks_of_two_segments():
 
 
 def upload(bench, block_size, lose=()):
-    """1008h in blocks, as a client that has lost these frames (counted over the transfer)."""
+    """Upload 1008h in blocks as a client that loses these frames (counted over the transfer)."""
     said = ask(bench, f"A4 08 10 00 {block_size:02X} 00 00 00")
     size = int.from_bytes(bytes.fromhex(said[0])[4:8], "little")
     frames = ask(bench, "A3 00 00 00 00 00 00 00")
@@ -68,7 +68,7 @@ def test_lost_segments_are_sent_again(block_size, lose):
     assert bench.ask("40 18 10 01 00 00 00 00") == "43 18 10 01 04 00 00 00"
 
 
-def test_a_short_value_is_told_plainly_where_the_client_prefers_that():
+def test_short_value_below_threshold_is_uploaded_plainly():
     """Protocol switch threshold 4 bytes."""
     bench = Bench().boot()
     assert ask(bench, "A4 18 10 01 7F 04 00 00") == ["43 18 10 01 04 00 00 00"]
@@ -76,7 +76,7 @@ def test_a_short_value_is_told_plainly_where_the_client_prefers_that():
 
 
 def download(bench, data, *, unused=None, crc=None, sized=True):
-    """To 2001h; the answer to its end."""
+    """Download to 2001h and return the last response."""
     size = len(data) if sized else 0
     head = "C6" if sized else "C4"
     begun = ask(bench, f"{head} 01 20 00 {size.to_bytes(4, 'little').hex(' ')}")
@@ -95,7 +95,7 @@ def download(bench, data, *, unused=None, crc=None, sized=True):
 
 @pytest.mark.parametrize("sized", [True, False])
 @pytest.mark.parametrize("data", [b"1", b"1234567", b"12345678", bytes(range(100))])
-def test_a_block_download_is_taken(data, sized):
+def test_block_download_is_accepted(data, sized):
     bench = Bench().boot()
     assert download(bench, data, sized=sized) == "A1 00 00 00 00 00 00 00"
     assert bench.od.get(0x2001).value == data
@@ -109,7 +109,7 @@ def test_a_block_download_is_taken(data, sized):
         ({"unused": 2, "crc": block_crc(b"12345678901\0")}, "0607 0012"),
     ],
 )
-def test_a_block_download_that_is_not_what_was_told_is_aborted(wrong, code):
+def test_block_download_with_wrong_data_is_aborted(wrong, code):
     bench = Bench().boot()
     before = bench.od.get(0x2001).value
     answer = bytes.fromhex(download(bench, b"12345678901", **wrong))
@@ -119,8 +119,8 @@ def test_a_block_download_that_is_not_what_was_told_is_aborted(wrong, code):
 
 
 @pytest.mark.parametrize("number", [0x00, 0x80])
-def test_a_segment_without_number_ends_it(number):
-    """80h is an abort of the client; 0 is no number: 0504 0003h."""
+def test_segment_number_0_aborts_and_80h_ends_transfer(number):
+    """80h is an abort of the client; number 0 is invalid: 0504 0003h."""
     bench = Bench().boot()
     ask(bench, "C6 01 20 00 0A 00 00 00")
     said = ask(bench, f"{number:02X} 00 00 00 00 00 00 00")
@@ -128,7 +128,7 @@ def test_a_segment_without_number_ends_it(number):
     assert bench.ask("40 18 10 01 00 00 00 00") == "43 18 10 01 04 00 00 00"
 
 
-def test_more_than_was_told_is_refused_when_it_comes():
+def test_excess_data_are_refused_on_arrival():
     bench = Bench().boot()
     ask(bench, "C6 01 20 00 03 00 00 00")
     assert ask(bench, "01 31 32 33 34 35 36 37") == []
@@ -136,8 +136,8 @@ def test_more_than_was_told_is_refused_when_it_comes():
 
 
 @given(st.binary(max_size=3000), st.lists(st.integers(0, 600), max_size=20), st.integers(1, 127))
-def test_whatever_is_lost_on_the_way_all_data_arrive_in_order(data, lost, block_size):
-    """A sender and a receiver of ours, and a line that loses frames."""
+def test_lost_frames_keep_data_complete_and_ordered(data, lost, block_size):
+    """Our sender and receiver, and a line that loses frames."""
     incoming = BlockDownload(len(data), True, 1 << 20)
     incoming.block_size = block_size
     outgoing = BlockUpload(data, block_size, True)
@@ -147,7 +147,7 @@ def test_whatever_is_lost_on_the_way_all_data_arrive_in_order(data, lost, block_
         for head, part in outgoing.block():
             count += 1
             is_end = head & 0x80 or head == block_size
-            if count in lost and not is_end:  # the last of a block is what the other waits for
+            if count in lost and not is_end:  # the other side waits for the last frame of a block
                 repeated += 1
                 continue
             good = incoming.segment(head, part.ljust(7, b"\0"))
@@ -167,10 +167,10 @@ START, CONFIRM, END = (
 @pytest.mark.parametrize(
     "steps", ["C", "E", "SS", "SE", "SCC", "SCS"], ids=lambda steps: f"initiate-{steps}"
 )
-def test_a_block_upload_goes_step_by_step(steps):
-    """Initiate, start, confirm, end: in another order they are no commands (0504 0001h).
+def test_block_upload_steps_must_be_in_order(steps):
+    """Initiate, start, confirm, end: in another order they are invalid commands (0504 0001h).
 
-    CANopenNode's server (301/CO_SDOserver.c), compiled and asked the same, aborts there too.
+    CANopenNode's server (301/CO_SDOserver.c), compiled and given the same requests, aborts as well.
     """
     bench = Bench().boot()
     assert ask(bench, "A4 18 10 01 7F 00 00 00") == ["C6 18 10 01 04 00 00 00"]
@@ -179,11 +179,11 @@ def test_a_block_upload_goes_step_by_step(steps):
         (answer,) = ask(bench, request)
         assert not answer.startswith("80")
     assert ask(bench, wrong) == ["80 18 10 01 01 00 04 05"]
-    assert ask(bench, START) == ["80 00 00 00 01 00 04 05"]  # nothing goes on
+    assert ask(bench, START) == ["80 00 00 00 01 00 04 05"]  # no transfer in progress
 
 
-def test_what_is_not_there_is_told_before_a_block_size_that_cannot_be():
-    """As CANopenNode's server does: the object first, then how it is asked for."""
+def test_missing_object_precedes_invalid_block_size():
+    """As in CANopenNode's server: the object is checked before the block size."""
     bench = Bench().boot()
     assert ask(bench, "A0 00 5F 00 00 00 00 00") == ["80 00 5F 00 00 00 02 06"]
     assert ask(bench, "A0 18 10 09 80 00 00 00") == ["80 18 10 09 11 00 09 06"]

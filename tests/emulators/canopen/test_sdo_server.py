@@ -1,7 +1,7 @@
 """SDO transcripts: '>' is the client, '<' this server.
 
-Where a transcript says "canopen", its bytes are those of canopen's own test/test_sdo.py (commit
-03cee341), which took most of them from canopensolutions.com. The others follow CiA 301, 7.2.4.3.
+Transcripts marked "canopen" have the bytes of canopen's own test/test_sdo.py (commit 03cee341),
+which took most of them from canopensolutions.com. The others follow CiA 301, 7.2.4.3.
 """
 
 import pytest
@@ -19,7 +19,7 @@ def test_expedited_upload():  # canopen
     )
 
 
-def test_expedited_upload_of_one_and_two_bytes_says_how_many_are_empty():
+def test_expedited_upload_of_1_and_2_bytes_has_size():
     transcript(
         Bench().boot(),
         """
@@ -43,7 +43,7 @@ def test_expedited_download():  # canopen
     assert bench.od.integer(0x1017, 0, 0) == 4000
 
 
-def test_expedited_download_without_size_takes_the_length_of_the_object():
+def test_expedited_download_without_size_uses_object_length():
     bench = Bench().boot()
     transcript(
         bench,
@@ -89,7 +89,7 @@ def test_segmented_download():  # canopen, but the reserved bytes of a response 
     assert bench.od.get(0x2000).value == b"A long string"
 
 
-def test_segmented_download_of_nothing():  # canopen
+def test_empty_segmented_download():  # canopen
     bench = Bench().boot()
     bench.od.get(0x2000).value = b"before"
     transcript(
@@ -104,7 +104,7 @@ def test_segmented_download_of_nothing():  # canopen
     assert bench.od.get(0x2000).value == b""
 
 
-def test_segmented_upload_of_nothing_is_one_empty_last_segment():
+def test_empty_segmented_upload_is_one_last_segment():
     transcript(
         Bench().boot(),
         """
@@ -119,7 +119,7 @@ def test_segmented_upload_of_nothing_is_one_empty_last_segment():
 
 
 @pytest.mark.parametrize("length", [1, 4])
-def test_a_short_string_goes_expedited(length):
+def test_short_string_is_uploaded_expedited(length):
     bench = Bench().boot()
     bench.od.get(0x2000).value = b"abcd"[:length]
     response = bytes.fromhex(bench.ask("40 00 20 00 00 00 00 00"))
@@ -128,7 +128,7 @@ def test_a_short_string_goes_expedited(length):
 
 
 @pytest.mark.parametrize("length", [5, 6, 7, 8, 13, 14, 15, 889])
-def test_segments_carry_every_length_up_and_down(length):
+def test_segments_carry_every_length(length):
     bench = Bench().boot()
     data = bytes(position & 0xFF for position in range(length))
     bench.ask("21 01 20 00" + length.to_bytes(4, "little").hex())
@@ -170,40 +170,40 @@ def test_segments_carry_every_length_up_and_down(length):
         ("23 17 10 00 00 00 00 00", "0607 0012"),  # four bytes for an UNSIGNED16
         ("21 17 10 00 03 00 00 00", "0607 0012"),
         ("21 17 10 00 01 00 00 00", "0607 0013"),
-        ("21 01 20 00 01 00 10 00", "0504 0005"),  # one byte more than there is memory
+        ("21 01 20 00 01 00 10 00", "0504 0005"),  # one byte more than the memory limit
         ("2F 60 60 00 0B 00 00 00", "0609 0031"),  # 6060h is -4..10
         ("2F 60 60 00 FB 00 00 00", "0609 0032"),
         ("C6 08 10 00 1E 00 00 00", "0601 0002"),  # block download to const
         ("C6 17 10 00 03 00 00 00", "0607 0012"),
         ("C6 01 20 00 01 00 10 00", "0504 0005"),
-        ("C1 00 00 00 00 00 00 00", "0504 0001"),  # the end of a block download out of nowhere
+        ("C1 00 00 00 00 00 00 00", "0504 0001"),  # the end of a block download without a transfer
         ("A4 34 12 00 7F 00 00 00", "0602 0000"),  # block upload: no such object
         ("A4 08 10 00 00 00 00 00", "0504 0002"),  # in blocks of 0
         ("A4 08 10 00 80 00 00 00", "0504 0002"),  # in blocks of 128
-        ("A3 00 00 00 00 00 00 00", "0504 0001"),  # the start of one that has not begun
+        ("A3 00 00 00 00 00 00 00", "0504 0001"),  # the start without an initiate
         ("A2 00 00 00 00 00 00 00", "0504 0001"),
         ("E0 08 10 00 00 00 00 00", "0504 0001"),  # no command specifier at all
-        ("60 00 00 00 00 00 00 00", "0504 0001"),  # a segment out of nowhere
+        ("60 00 00 00 00 00 00 00", "0504 0001"),  # a segment without a transfer
         ("00 41 20 6C 6F 6E 67 20", "0504 0001"),
     ],
 )
-def test_a_wrong_access_is_aborted_with_its_code(request_bytes, code):
+def test_wrong_access_is_aborted_with_code(request_bytes, code):
     bench = Bench().boot()
     response = bench.ask(request_bytes)
     assert abort_code(response) == code
     specifier = int(request_bytes[:2], 16) >> 5
     mux = "00 00 00" if specifier in (0, 3, 7) else request_bytes[3:11]
     assert response[3:11] == mux
-    assert bench.ask("40 18 10 01 00 00 00 00") == "43 18 10 01 04 00 00 00"  # and goes on
+    assert bench.ask("40 18 10 01 00 00 00 00") == "43 18 10 01 04 00 00 00"  # and still works
 
 
-def test_range_limits_themselves_are_accepted():
+def test_range_limits_are_accepted():
     bench = Bench().boot()
     assert bench.download(0x6060, 0, -4, 1) == ""
     assert bench.download(0x6060, 0, 10, 1) == ""
 
 
-def test_a_writer_may_refuse_and_then_nothing_has_changed():
+def test_writer_refusal_keeps_value():
     bench = Bench().boot()
     asked = []
     variable = bench.od.get(0x607A)
@@ -219,7 +219,7 @@ def test_a_writer_may_refuse_and_then_nothing_has_changed():
     assert "write" not in bench.host.names()
 
 
-def test_a_toggle_bit_that_stands_still_aborts_and_ends_the_transfer():
+def test_repeated_toggle_bit_aborts_transfer():
     transcript(
         Bench().boot(),
         """
@@ -239,7 +239,7 @@ def test_a_toggle_bit_that_stands_still_aborts_and_ends_the_transfer():
     )
 
 
-def test_an_abort_by_the_client_ends_the_transfer_without_an_answer():
+def test_client_abort_ends_transfer_without_response():
     bench = Bench().boot()
     assert bench.ask("21 00 20 00 0D 00 00 00") == "60 00 20 00 00 00 00 00"
     assert bench.ask("80 00 20 00 00 00 00 08") == ""
@@ -247,7 +247,7 @@ def test_an_abort_by_the_client_ends_the_transfer_without_an_answer():
     assert bench.od.get(0x2000).value == b""
 
 
-def test_a_new_request_takes_the_place_of_an_unfinished_transfer():
+def test_new_request_replaces_unfinished_transfer():
     transcript(
         Bench().boot(),
         """
@@ -265,14 +265,14 @@ def test_a_new_request_takes_the_place_of_an_unfinished_transfer():
     ("announced", "command", "code"),
     [(8, "07", "0607 0013"), (3, "07", "0607 0012")],  # one segment with 4 bytes
 )
-def test_a_download_of_another_length_than_announced_is_aborted(announced, command, code):
+def test_download_of_unannounced_length_is_aborted(announced, command, code):
     bench = Bench().boot()
     bench.ask(f"21 00 20 00 {announced:02X} 00 00 00")
     assert abort_code(bench.ask(f"{command} 61 62 63 64 00 00 00")) == code
     assert bench.od.get(0x2000).value == b""
 
 
-def test_a_number_may_come_in_segments_too():
+def test_number_may_be_downloaded_in_segments():
     bench = Bench().boot()
     transcript(
         bench,
@@ -288,7 +288,7 @@ def test_a_number_may_come_in_segments_too():
     assert abort_code(bench.ask("09 E8 03 00 00 00 00 00")) == "0607 0012"  # three bytes
 
 
-def test_every_response_leaves_one_reply_time_after_its_request():
+def test_response_leaves_one_reply_time_after_request():
     bench = Bench().boot()
     bench.tell(0x602, "40 18 10 01 00 00 00 00")
     assert bench.node.next_deadline_ns() == 301 * MS
@@ -304,28 +304,28 @@ def test_every_response_leaves_one_reply_time_after_its_request():
     assert bench.node.next_deadline_ns() is None
 
 
-def test_without_a_reply_time_the_response_is_there_at_once():
+def test_zero_reply_time_responds_at_once():
     bench = Bench(sdo_reply_ns=0).boot()
     bench.tell(0x602, "40 18 10 01 00 00 00 00")
     assert bench.frames() == ["582 43 18 10 01 04 00 00 00"]
 
 
 @pytest.mark.parametrize("length", [0, 4, 7])
-def test_a_request_shorter_than_eight_bytes_is_no_request(length):
+def test_request_shorter_than_8_bytes_is_ignored(length):
     bench = Bench().boot()
     bench.tell(0x602, bytes.fromhex("4018100100000000")[:length])
     bench.wait(10 * MS)
     assert bench.frames() == []
 
 
-def test_a_reader_answers_as_of_the_request():
+def test_reader_value_is_of_request_time():
     bench = Bench().boot()
     bench.od.get(0x6064).reader = lambda: -2
     assert bench.ask("40 64 60 00 00 00 00 00") == "43 64 60 00 FE FF FF FF"
     assert bench.host.calls == [("read", 300 * MS)]
 
 
-def test_a_reader_wider_than_its_object_is_cut_not_raised():
+def test_reader_value_wider_than_object_is_cut():
     bench = Bench().boot()
     bench.od.get(0x6064).reader = lambda: (1 << 31) + 5  # a position that has wrapped
     assert bench.ask("40 64 60 00 00 00 00 00") == "43 64 60 00 05 00 00 80"

@@ -1,12 +1,12 @@
-"""SYNC: counter, window, sending it, refusals (CiA 301, 7.2.5 and 1005h to 1007h, 1019h).
+"""SYNC: counter, window, producer, refusals (CiA 301, 7.2.5; 1005h to 1007h, 1019h).
 
-Error codes are those of CiA 301's table of EMCY error codes; which write is refused with which code
-is as CANopenNode has it (301/CO_SYNC.c, CO_PDO.c).
+Error codes are those of CiA 301's table of EMCY error codes. Refusal codes are as in CANopenNode
+(301/CO_SYNC.c, CO_PDO.c).
 """
 
 import pytest
 
-from emulators.canopen.object_dictionary import ObjectDictionary
+from motorhil.emulators.canopen.object_dictionary import ObjectDictionary
 from tests.emulators.canopen.bench_node import (
     MS,
     UNSIGNED8,
@@ -23,7 +23,7 @@ GENERATE, INVALID = 0x4000_0000, 0x8000_0000
 
 
 def whole(period_us: int = 0, window_us: int = 0, overflow: int = 0) -> ObjectDictionary:
-    """A dictionary with all objects of SYNC, one synchronous RPDO and TPDO."""
+    """Return a dictionary with all objects of SYNC, one synchronous RPDO and TPDO."""
     od = dictionary()
     put(od, 0x1006, 0, UNSIGNED32, period_us)
     put(od, 0x1007, 0, UNSIGNED32, window_us)
@@ -34,18 +34,18 @@ def whole(period_us: int = 0, window_us: int = 0, overflow: int = 0) -> ObjectDi
     return od
 
 
-def test_a_sync_of_the_wrong_length_is_left_out_and_told_once_by_emcy_8240h():
+def test_sync_of_wrong_length_is_ignored_with_one_emcy_8240h():
     bench = Bench(whole()).operate()
     bench.tell(0x080, "01")
     bench.tell(0x080, "02")
-    # 8240h, register generic + communication; ours adds how many bytes came
+    # 8240h, register generic + communication; ours adds the number of bytes received
     assert bench.frames() == ["082 40 82 11 01 00 00 00 00"]
     assert ("sync", bench.now_ns) not in bench.host.calls
     bench.tell(0x080)
     assert bench.frames() == ["082 00 00 00 00 00 00 00 00", "182 40 02"]
 
 
-def test_with_a_counter_a_sync_without_one_is_wrong():
+def test_sync_without_counter_is_wrong_if_1019h_is_set():
     bench = Bench(whole(overflow=4)).operate()
     bench.tell(0x080)
     assert bench.frames() == ["082 40 82 11 00 00 00 00 00"]
@@ -53,7 +53,7 @@ def test_with_a_counter_a_sync_without_one_is_wrong():
     assert bench.frames() == ["082 00 00 00 00 00 00 00 00", "182 40 02"]
 
 
-def test_the_length_of_sync_matters_in_pre_operational_too():
+def test_sync_length_matters_in_pre_operational():
     bench = Bench(whole()).boot()
     bench.tell(0x080, "01")
     assert bench.frames() == ["082 40 82 11 01 00 00 00 00"]
@@ -71,7 +71,7 @@ def test_the_length_of_sync_matters_in_pre_operational_too():
         (1, 4, [4, 5, 6, 7, 8]),
     ],
 )
-def test_a_tpdo_begins_at_its_sync_start_value(kind, start, sent_at):
+def test_tpdo_starts_at_sync_start_value(kind, start, sent_at):
     od = whole(overflow=8)
     od.get(0x1800, 2).default = kind
     od.get(0x1800, 6).default = start
@@ -84,7 +84,7 @@ def test_a_tpdo_begins_at_its_sync_start_value(kind, start, sent_at):
     assert found == sent_at
 
 
-def test_a_sync_start_value_does_nothing_while_sync_has_no_counter():
+def test_sync_start_value_without_counter_has_no_effect():
     od = whole()
     od.get(0x1800, 6).default = 200
     bench = Bench(od).operate()
@@ -92,7 +92,7 @@ def test_a_sync_start_value_does_nothing_while_sync_has_no_counter():
     assert bench.frames() == ["182 40 02"]
 
 
-def test_an_rpdo_after_the_window_is_left_out_until_the_next_sync():
+def test_rpdo_after_window_is_ignored_until_next_sync():
     bench = Bench(whole(window_us=1000)).operate()
     bench.tell(0x202, "01 00 00 00")  # no SYNC yet: no window
     bench.tell(0x080)
@@ -112,7 +112,7 @@ def test_an_rpdo_after_the_window_is_left_out_until_the_next_sync():
     assert len(bench.node.take_events()) == 1
 
 
-def test_a_window_of_0_never_closes():
+def test_window_of_0_never_closes():
     bench = Bench(whole()).operate()
     bench.tell(0x080)
     bench.wait(500 * MS)
@@ -121,7 +121,7 @@ def test_a_window_of_0_never_closes():
     assert bench.od.integer(0x607A, 0, 0) == 5
 
 
-def test_an_event_driven_rpdo_knows_no_window():
+def test_event_driven_rpdo_ignores_window():
     od = whole(window_us=1000)
     od.get(0x1400, 2).default = 255
     bench = Bench(od).operate()
@@ -131,7 +131,7 @@ def test_an_event_driven_rpdo_knows_no_window():
     assert bench.od.integer(0x607A, 0, 0) == 7
 
 
-def test_a_tpdo_that_leaves_the_bus_after_its_window_is_told():
+def test_tpdo_leaving_bus_after_window_is_reported():
     bench = Bench(whole(window_us=1000)).operate()
     bench.is_bus_stuck = True
     bench.tell(0x080)
@@ -145,7 +145,7 @@ def test_a_tpdo_that_leaves_the_bus_after_its_window_is_told():
     assert bench.frames() == ["182 40 02", "082 00 00 00 00 00 00 00 00"]
 
 
-def test_a_producer_sends_sync_from_pre_operational_on_with_the_counter_from_1():
+def test_producer_sends_sync_from_pre_operational_on():
     od = whole(period_us=10_000, overflow=3)
     od.get(0x1005).default = GENERATE | 0x80
     bench = Bench(od)
@@ -163,7 +163,7 @@ def test_a_producer_sends_sync_from_pre_operational_on_with_the_counter_from_1()
     assert bench.frames() == ["080 01"]
 
 
-def test_the_producer_s_own_pdos_go_by_its_sync():
+def test_producer_processes_own_pdos_with_its_sync():
     od = whole(period_us=10_000)
     od.get(0x1005).default = GENERATE | 0x80
     bench = Bench(od).operate()
@@ -174,7 +174,7 @@ def test_the_producer_s_own_pdos_go_by_its_sync():
     assert bench.od.integer(0x607A, 0, 0) == 9
 
 
-def test_a_new_period_counts_from_when_it_is_written_and_0_ends_it():
+def test_new_period_starts_at_write_and_0_ends_it():
     bench = Bench(whole()).boot()
     assert bench.download(0x1005, 0, GENERATE | 0x80, 4) == ""
     bench.wait(100 * MS)
@@ -192,19 +192,19 @@ def test_a_new_period_counts_from_when_it_is_written_and_0_ends_it():
     ("value", "code"),
     [(0, ""), (1, "0609 0030"), (2, ""), (240, ""), (241, "0609 0030"), (255, "0609 0030")],
 )
-def test_1019h_takes_0_and_2_to_240(value, code):
+def test_1019h_accepts_0_and_2_to_240(value, code):
     bench = Bench(whole()).boot()
     assert bench.download(0x1019, 0, value, 1) == code
 
 
-def test_1019h_stands_still_while_there_is_a_communication_cycle():
+def test_1019h_is_locked_while_1006h_is_set():
     bench = Bench(whole(period_us=1000)).boot()
     assert bench.download(0x1019, 0, 4, 1) == "0800 0022"
     assert bench.download(0x1006, 0, 0, 4) == ""
     assert bench.download(0x1019, 0, 4, 1) == ""
 
 
-def test_a_producer_s_identifier_stands_still():
+def test_producer_identifier_is_locked():
     bench = Bench(whole()).boot()
     assert bench.download(0x1005, 0, GENERATE | 0x81, 4) == ""
     assert bench.download(0x1005, 0, GENERATE | 0x82, 4) == "0609 0030"
@@ -213,18 +213,18 @@ def test_a_producer_s_identifier_stands_still():
 
 
 @pytest.mark.parametrize("cob_id", [GENERATE | 0x80, 0x2000_0080, 0x0000_0601])
-def test_1005h_of_a_node_that_cannot_send_sync(cob_id):
+def test_1005h_of_node_without_producer_refuses_bit_30(cob_id):
     bench = Bench().boot()  # without 1006h
     assert bench.download(0x1005, 0, cob_id, 4) == "0609 0030"
 
 
-def test_a_period_below_100_us_would_fill_the_bus_and_is_refused():
+def test_period_below_100_us_is_refused():
     bench = Bench(whole()).boot()
     assert bench.download(0x1006, 0, 99, 4) == "0609 0032"
     assert bench.download(0x1006, 0, 100, 4) == ""
 
 
-def test_the_sync_start_value_is_0_to_240_and_stands_still_while_the_tpdo_exists():
+def test_sync_start_value_is_0_to_240_and_locked_when_valid():
     bench = Bench(whole()).boot()
     assert bench.download(0x1800, 6, 2, 1) == "0609 0030"
     assert bench.download(0x1800, 1, INVALID | 0x182, 4) == ""
@@ -243,7 +243,7 @@ def awaited(kind: int) -> Bench:
 
 
 @pytest.mark.parametrize("kind", [1, 254, 255])
-def test_an_rpdo_that_stays_away_is_told_once_by_emcy_8250h_until_it_comes(kind):
+def test_missing_rpdo_is_reported_once_by_emcy_8250h(kind):
     bench = awaited(kind)
     bench.wait(100 * MS)
     assert bench.frames() == []  # the first one starts it
@@ -256,12 +256,12 @@ def test_an_rpdo_that_stays_away_is_told_once_by_emcy_8250h_until_it_comes(kind)
     assert bench.node.take_events() == [("warning", "RPDO 1 did not come for 20 ms")]
     bench.tell(0x202, "02 00 00 00")
     assert bench.frames() == ["082 00 00 00 00 00 00 00 00"]
-    bench.tell(0x000, b"\x80\x00")  # without PDOs nobody waits
+    bench.tell(0x000, b"\x80\x00")  # no RPDO is awaited without PDOs
     bench.wait(50 * MS)
     assert bench.frames() == []
 
 
-def test_an_rpdo_that_comes_in_time_is_never_missed():
+def test_rpdo_in_time_is_never_missed():
     bench = awaited(255)
     for value in range(10):
         bench.tell(0x202, bytes((value, 0, 0, 0)))

@@ -1,11 +1,11 @@
-"""TIME (CiA 301, 7.2.6 and 1012h): who listens, and what is kept."""
+"""TIME consumer (CiA 301, 7.2.6 and 1012h): reception and stored value."""
 
 import struct
 
 import canopen
 import pytest
 
-from emulators.canopen.object_dictionary import DataType, ObjectDictionary
+from motorhil.emulators.canopen.object_dictionary import DataType, ObjectDictionary
 from tests.emulators.canopen.bench_node import UNSIGNED32, Bench, dictionary, put
 from tests.emulators.canopen.canopen_loop import Loop
 
@@ -19,7 +19,7 @@ def with_time(cob_id: int = CONSUME | 0x100) -> ObjectDictionary:
     return od
 
 
-def test_a_node_keeps_what_canopen_s_producer_tells():
+def test_node_keeps_time_of_canopen_producer():
     bench = Bench(with_time()).boot()
     Loop(bench).time.transmit(1_795_361_400.25)  # 22 November 2026, 15:30:00.25 UTC
     # 1 January 1984 is day 0: 42 years with 11 leap days, and 325 days
@@ -33,7 +33,7 @@ def test_a_node_keeps_what_canopen_s_producer_tells():
     assert issubclass(Loop, canopen.Network)
 
 
-def test_the_four_bits_of_nothing_are_nothing_and_a_clock_that_runs_is_no_news():
+def test_unused_bits_and_running_clock_give_no_event():
     bench = Bench(with_time()).boot()
     bench.tell(0x100, "E8 03 00 F0 02 00")
     assert bench.od.integer(0x2012, 0, 0) == 2 << 32 | 1000
@@ -47,13 +47,13 @@ def test_the_four_bits_of_nothing_are_nothing_and_a_clock_that_runs_is_no_news()
 @pytest.mark.parametrize(
     ("cob_id", "frame"),
     [
-        (0x100, "E8 03 00 00 02 00"),  # bit 31: it does not listen
+        (0x100, "E8 03 00 00 02 00"),  # bit 31 clear: it does not listen
         (CONSUME | 0x100, "E8 03 00 00 02"),
         (CONSUME | 0x100, "E8 03 00 00 02 00 00"),
         (CONSUME | 0x0FF, "E8 03 00 00 02 00"),
     ],
 )
-def test_what_is_no_time_for_this_node_changes_nothing(cob_id, frame):
+def test_foreign_time_message_is_ignored(cob_id, frame):
     bench = Bench(with_time(cob_id)).boot()
     bench.tell(0x100, frame)
     assert bench.od.integer(0x2012, 0, -1) == 0
@@ -71,11 +71,11 @@ def test_what_is_no_time_for_this_node_changes_nothing(cob_id, frame):
         (0x0000_0701, "0609 0030"),  # taken
     ],
 )
-def test_1012h_refuses_what_cannot_be(cob_id, code):
+def test_1012h_refuses_invalid_values(cob_id, code):
     bench = Bench(with_time()).boot()
     assert bench.download(0x1012, 0, cob_id, 4) == code
 
 
-def test_a_node_without_1012h_does_not_listen():
+def test_node_without_1012h_does_not_listen():
     bench = Bench().boot()
     assert 0x100 not in bench.node.identifiers()

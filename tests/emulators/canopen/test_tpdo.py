@@ -1,4 +1,4 @@
-"""TPDOs: on SYNC, on event, on timer, never faster than the inhibit time (CiA 301, 7.2.2)."""
+"""TPDOs (CiA 301, 7.2.2): SYNC, events, timers and inhibit time."""
 
 import pytest
 
@@ -30,13 +30,13 @@ def change(bench: Bench) -> None:
     bench.drain()
 
 
-def test_type_1_is_sampled_at_every_sync_after_the_device_has_acted():
+def test_type_1_is_sampled_at_every_sync_after_device_call():
     bench = bench_with(1)
     assert start(bench) == []
     bench.od.get(0x6064).reader = lambda: 1000 + len(bench.host.calls)
     bench.host.calls.clear()
     bench.tell(0x080)
-    # statusword 0240h, position 1002 = 3EAh: asked after on_sync and before_read
+    # statusword 0240h, position 1002 = 3EAh: read after on_sync and before_read
     assert bench.frames() == ["182 40 02 EA 03 00 00"]
     assert bench.host.names() == ["sync", "read"]
 
@@ -53,10 +53,10 @@ def test_type_n_is_sampled_at_every_nth_sync(every):
     assert sampled == [every, 2 * every, 3 * every]
 
 
-def test_type_0_is_sampled_at_the_sync_after_an_event():
+def test_type_0_is_sampled_at_sync_after_event():
     bench = bench_with(0)
     assert start(bench) == []
-    bench.tell(0x080)  # how things are, once
+    bench.tell(0x080)  # initial state, once
     assert len(bench.frames()) == 1
     bench.tell(0x080)
     assert bench.frames() == []
@@ -68,7 +68,7 @@ def test_type_0_is_sampled_at_the_sync_after_an_event():
 
 
 @pytest.mark.parametrize("transmission_type", [254, 255])
-def test_an_event_driven_tpdo_tells_how_things_are_and_then_every_event(transmission_type):
+def test_event_driven_tpdo_sends_initial_state_and_events(transmission_type):
     bench = bench_with(transmission_type)
     assert start(bench) == ["182 40 02 00 00 00 00"]
     bench.tell(0x080)
@@ -82,7 +82,7 @@ def test_an_event_driven_tpdo_tells_how_things_are_and_then_every_event(transmis
     assert bench.node.next_deadline_ns() is None
 
 
-def test_events_within_the_inhibit_time_become_one_tpdo_at_its_end():
+def test_events_in_inhibit_time_become_one_tpdo():
     bench = bench_with(255, inhibit_100us=50)  # 5 ms
     start(bench)
     begin = bench.now_ns
@@ -94,11 +94,11 @@ def test_events_within_the_inhibit_time_become_one_tpdo_at_its_end():
     assert bench.heard() == []
     bench.wait(20 * MS)
     assert bench.heard() == [(begin + 5 * MS, "182 37 06 00 00 00 00")]
-    change(bench)  # the inhibit time is over long since
+    change(bench)  # long after the inhibit time
     assert bench.heard() == [(begin + 22 * MS, "182 37 06 00 00 00 00")]
 
 
-def test_an_event_exactly_at_the_end_of_the_inhibit_time_goes_at_once():
+def test_event_at_end_of_inhibit_time_is_sent_at_once():
     bench = bench_with(255, inhibit_100us=50)
     start(bench)
     begin = bench.now_ns
@@ -112,7 +112,7 @@ def test_an_event_exactly_at_the_end_of_the_inhibit_time_goes_at_once():
     assert bench.heard() == [(begin + 10 * MS, "182 40 02 00 00 00 00")]
 
 
-def test_the_event_timer_repeats_exactly_and_an_event_restarts_it():
+def test_event_timer_is_exact_and_restarted_by_event():
     bench = bench_with(255, event_ms=20)
     start(bench)
     begin = bench.now_ns
@@ -124,7 +124,7 @@ def test_the_event_timer_repeats_exactly_and_an_event_restarts_it():
     assert bench.node.next_deadline_ns() == begin + 110 * MS
 
 
-def test_an_event_timer_shorter_than_the_inhibit_time_gives_way():
+def test_event_timer_shorter_than_inhibit_time_yields():
     bench = bench_with(255, inhibit_100us=100, event_ms=4)
     start(bench)
     begin = bench.now_ns
@@ -132,13 +132,13 @@ def test_an_event_timer_shorter_than_the_inhibit_time_gives_way():
     assert [(time_ns - begin) // MS for time_ns, _ in bench.heard()] == [10, 20, 30]
 
 
-def test_the_event_timer_is_no_matter_of_synchronous_tpdos():
+def test_synchronous_tpdo_ignores_event_timer():
     bench = bench_with(1, event_ms=20)
     start(bench)
     assert bench.node.next_deadline_ns() is None
 
 
-def test_nothing_is_sent_outside_operational_and_timers_stop():
+def test_leaving_operational_stops_tpdos_and_timers():
     bench = bench_with(255, event_ms=20)
     change(bench)
     assert bench.heard() == []
@@ -147,11 +147,11 @@ def test_nothing_is_sent_outside_operational_and_timers_stop():
     assert bench.node.next_deadline_ns() is None
     change(bench)
     assert bench.heard() == []
-    assert start(bench) == ["182 40 02 00 00 00 00"]  # how things are, again
+    assert start(bench) == ["182 40 02 00 00 00 00"]  # initial state again
 
 
 @pytest.mark.parametrize("transmission_type", [254, 255])
-def test_an_event_driven_tpdo_waits_until_the_one_before_has_left_the_bus(transmission_type):
+def test_event_driven_tpdo_waits_for_previous_one(transmission_type):
     bench = bench_with(transmission_type)
     bench.is_bus_stuck = True
     assert len(start(bench)) == 1
@@ -166,7 +166,7 @@ def test_an_event_driven_tpdo_waits_until_the_one_before_has_left_the_bus(transm
     assert bench.frames() == ["182 03 00 00 00 00 00"]  # the latest, not all of them
 
 
-def test_a_stuck_event_timer_goes_on_when_the_bus_does():
+def test_event_timer_resumes_with_stuck_bus():
     bench = bench_with(255, event_ms=10)
     bench.is_bus_stuck = True
     start(bench)
@@ -180,7 +180,7 @@ def test_a_stuck_event_timer_goes_on_when_the_bus_does():
     assert [time_ns - freed for time_ns, _ in bench.heard()] == [0, 10 * MS, 20 * MS]
 
 
-def test_a_synchronous_tpdo_that_the_bus_has_no_room_for_is_left_out_and_told_once():
+def test_synchronous_tpdo_on_full_bus_is_dropped_once_reported():
     bench = bench_with(1)
     start(bench)
     bench.node.take_events()
@@ -209,7 +209,7 @@ def test_bits_24_bit_integers_and_reals_are_packed():
     assert bench.frames() == ["182 " + payload.to_bytes(8, "little").hex(" ").upper()]
 
 
-def test_a_reader_s_number_is_cut_to_its_object():
+def test_reader_value_is_cut_to_object():
     bench = bench_with(1)
     start(bench)
     bench.od.get(0x6064).reader = lambda: (1 << 31) + 5
@@ -225,7 +225,7 @@ def test_eight_bytes_fit():
     assert bench.frames() == ["182 11 22 33 44 55 66 77 88"]
 
 
-def test_another_sync_identifier_is_listened_to_at_once():
+def test_new_sync_identifier_is_used_at_once():
     bench = bench_with(1)
     start(bench)
     assert bench.download(0x1005, 0, 0x0000_0085, 4) == ""
@@ -233,10 +233,10 @@ def test_another_sync_identifier_is_listened_to_at_once():
     assert bench.frames() == []
     bench.tell(0x085)
     assert len(bench.frames()) == 1
-    assert bench.download(0x1005, 0, 0x4000_0085, 4) == "0609 0030"  # producing is not built
+    assert bench.download(0x1005, 0, 0x4000_0085, 4) == "0609 0030"  # without 1006h
 
 
-def test_several_tpdos_of_one_sync_come_in_their_order_and_the_device_is_asked_once():
+def test_tpdos_of_sync_are_ordered_with_one_device_call():
     od = dictionary()
     put_pdo(od, 0x1800, (STATUSWORD,), 1)
     put_pdo(od, 0x1801, (POSITION,), 1)
@@ -246,7 +246,7 @@ def test_several_tpdos_of_one_sync_come_in_their_order_and_the_device_is_asked_o
     assert bench.host.names() == ["sync", "read"]
 
 
-def test_a_vendor_s_mapping_of_another_length_is_sign_extended_or_cut():
+def test_vendor_mapping_is_sign_extended_or_cut():
     bench = bench_with(1, entries=(0x2006_0020, 0x2004_0020))  # UNSIGNED64, INTEGER24
     start(bench)
     bench.od.get(0x2006).value = 0x1_0000_0005
@@ -263,7 +263,7 @@ def test_a_vendor_s_mapping_of_another_length_is_sign_extended_or_cut():
 ASK = 0x4000_0182  # the remote frame, as Linux has it
 
 
-def test_type_252_answers_with_what_the_last_sync_sampled():
+def test_type_252_answers_with_sample_of_last_sync():
     bench = bench_with(252)
     assert start(bench) == []
     bench.tell(ASK)
@@ -281,7 +281,7 @@ def test_type_252_answers_with_what_the_last_sync_sampled():
     assert bench.frames() == ["182 40 02 D0 07 00 00"]
 
 
-def test_type_253_answers_with_the_values_of_now_and_is_not_sent_otherwise():
+def test_type_253_answers_with_current_values_only():
     bench = bench_with(253, event_ms=5)
     assert start(bench) == []
     change(bench)
@@ -293,7 +293,7 @@ def test_type_253_answers_with_the_values_of_now_and_is_not_sent_otherwise():
     assert bench.frames() == ["182 40 02 03 00 00 00"]
 
 
-def test_any_tpdo_answers_unless_its_cob_id_says_that_it_does_not():
+def test_tpdo_answers_unless_cob_id_forbids_it():
     bench = bench_with(255)
     start(bench)
     bench.tell(ASK)
@@ -305,7 +305,7 @@ def test_any_tpdo_answers_unless_its_cob_id_says_that_it_does_not():
     assert ASK not in bench.node.identifiers()
 
 
-def test_what_is_on_its_way_is_the_answer():
+def test_tpdo_in_flight_is_the_answer():
     bench = bench_with(253)
     start(bench)
     bench.is_bus_stuck = True
@@ -315,7 +315,7 @@ def test_what_is_on_its_way_is_the_answer():
 
 
 @pytest.mark.parametrize("command", [0x80, 0x02])
-def test_outside_operational_nobody_answers(command):
+def test_request_outside_operational_is_ignored(command):
     bench = bench_with(253)
     start(bench)
     bench.tell(0x000, bytes((command, 0)))
@@ -323,7 +323,7 @@ def test_outside_operational_nobody_answers(command):
     assert bench.frames() == []
 
 
-def test_a_sample_does_not_outlive_operational():
+def test_sample_is_dropped_on_leaving_operational():
     bench = bench_with(252)
     start(bench)
     bench.tell(0x080)

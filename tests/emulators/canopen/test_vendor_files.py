@@ -1,6 +1,6 @@
-"""Vendors' EDS and DCF files: read as canopen reads them, and alive on a node.
+"""Vendors' EDS and DCF files, compared with canopen, on a node.
 
-The files stay in ../shared (third parties' data); their index there says what each lacks.
+The files stay in ../shared (third parties' data); the index there lists their defects.
 """
 
 from pathlib import Path
@@ -8,15 +8,15 @@ from pathlib import Path
 import canopen
 import pytest
 
-from emulators.canopen.device_description import DeviceDescription
-from emulators.canopen.eds import EdsError, read_eds
-from emulators.canopen.object_dictionary import is_integer, is_signed, length_bits
+from motorhil.emulators.canopen.files.device_description import DeviceDescription
+from motorhil.emulators.canopen.files.eds import EdsError, read_eds
+from motorhil.emulators.canopen.object_dictionary import is_integer, is_signed, length_bits
 from tests.emulators.canopen.bench_node import NODE_ID, Bench
 from tests.emulators.canopen.canopen_loop import Loop, raw_of
 
 pytestmark = pytest.mark.data
 
-OBJECTS = {  # as the data's INDEX.md counts them with canopen, which counts dummies too
+OBJECTS = {  # as counted with canopen in INDEX.md of the data, dummies included
     "maxon_epos2_50_5.eds": 157,
     "nanotec_C5-E-2-09.eds": 233,
     "technosoft_ipos.eds": 189,
@@ -58,14 +58,14 @@ def two_s_complement(value: object, data_type: int) -> object:
     return value
 
 
-def test_there_are_the_objects_that_canopen_finds(path, device):
+def test_objects_equal_those_of_canopen(path, device):
     od = device.dictionary()
     assert len(od.indices()) + len(device.dummies) == OBJECTS[path.name]
     assert [(v.index, v.subindex) for v in od] == sorted(canopens(path))
     assert device.warnings == ()
 
 
-def test_types_access_mapping_and_limits_are_canopen_s(path, device):
+def test_types_access_mapping_and_limits_equal_canopen(path, device):
     theirs = canopens(path)
     for ours in device.objects:
         other = theirs[ours.index, ours.subindex]
@@ -78,7 +78,7 @@ def test_types_access_mapping_and_limits_are_canopen_s(path, device):
             assert (ours.low, ours.high) == (other.min, other.max), place
 
 
-def test_values_are_canopen_s_but_for_two_s_complement(path, device):
+def test_values_equal_canopen_except_twos_complement(path, device):
     theirs = canopens(path)
     for ours in device.objects:
         other = theirs[ours.index, ours.subindex]
@@ -90,7 +90,7 @@ def test_values_are_canopen_s_but_for_two_s_complement(path, device):
         assert shown == two_s_complement(expected, ours.data_type), place
 
 
-def test_a_node_of_it_boots_and_canopen_s_client_reads_all_of_it(device):
+def test_node_boots_and_canopen_client_reads_all(device):
     bench = Bench(device.dictionary()).boot()
     loop = Loop(bench)
     for variable in bench.od:
@@ -100,7 +100,7 @@ def test_a_node_of_it_boots_and_canopen_s_client_reads_all_of_it(device):
         assert raw == variable.upload()
 
 
-def test_its_pdos_are_what_canopen_s_client_reads_and_work(device):
+def test_pdos_work_as_canopen_client_reads_them(device):
     bench = Bench(device.dictionary()).boot()
     assert [text for level, text in bench.node.take_events() if level == "warning"] == []
     loop = Loop(bench)
@@ -120,7 +120,7 @@ def test_its_pdos_are_what_canopen_s_client_reads_and_work(device):
             assert ours.value == 1 or not in_range, f"RPDO {number}, {variable.index:04X}h"
 
 
-def test_two_s_complement_and_parameter_values_that_canopen_reads_otherwise(shared):
+def test_values_that_canopen_reads_differently(shared):
     maxon = read_eds(shared / "data/eds/maxon_epos2_50_5.eds", NODE_ID).dictionary()
     assert maxon.integer(0x60C2, 2, 0) == -3  # 0xFD
     assert maxon.integer(0x60C0, 0, 0) == -1  # 0xFFFF
@@ -130,13 +130,13 @@ def test_two_s_complement_and_parameter_values_that_canopen_reads_otherwise(shar
     assert elmo.integer(0x1017, 0, 0) == 100
 
 
-def test_the_identity_of_a_file_is_the_node_s(shared):
+def test_identity_of_file_is_the_node_identity(shared):
     device = read_eds(shared / "data/eds/maxon_epos2_50_5.eds", NODE_ID)
     assert (device.vendor_name, device.product_name) == ("maxon motor ag", "EPOS2 50/5")
     assert device.dictionary().integer(0x1018, 1, 0) == 0xFB
 
 
-def test_a_windows_1252_file_is_read_and_its_line_told(shared):
+def test_windows_1252_file_is_read_with_line_in_warning(shared):
     path = shared / "data/eds/BAD_faulhaber_mcbl_51V.eds"
     device = read_eds(path, NODE_ID)
     assert len(device.objects) == 156
@@ -144,7 +144,7 @@ def test_a_windows_1252_file_is_read_and_its_line_told(shared):
     assert places == [(path, 52), (path, 833)]  # a byte 94h; limits 0..-1
 
 
-def test_an_unresolved_merge_that_says_two_things_is_refused_with_its_line(shared):
+def test_contradictory_merge_is_refused_with_line(shared):
     path = shared / "data/eds/BAD_epos2_master.dcf"
     with pytest.raises(EdsError) as caught:
         read_eds(path, NODE_ID)

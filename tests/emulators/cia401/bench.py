@@ -1,11 +1,10 @@
-"""An I/O node on the bench of the drives: time is played, frames are packed by hand."""
+"""An I/O node on the bench of the drives."""
 
 import struct
 from pathlib import Path
 
-from emulators.cia401.factory import build
-from emulators.cia401.node import IoNode
-from emulators.controller import ControllerContext
+from motorhil.emulators.cia401.node import IoNode, build
+from motorhil.emulators.controller import ControllerContext
 from tests.emulators.cia402.bench import MS, NODE, Bench
 
 HOST = 127
@@ -19,21 +18,21 @@ def new_node(folder: Path = Path(), **settings: object) -> IoNode:
 
 
 class IoBench(Bench):
-    """`Bench` with the words of an I/O node."""
+    """A `Bench` with the operations of an I/O node."""
 
     def __init__(self, **settings: object) -> None:
         super().__init__(drive=new_node(**settings))
 
     def outputs(self, *raw: int) -> None:
-        """RPDO 2 as the node has it by default: analogue outputs, at once."""
+        """Send RPDO 2 with its default mapping: analogue outputs, at once."""
         self.send(0x300 + NODE, struct.pack(f"<{len(raw)}h", *raw))
 
     def enables(self, bits: int) -> None:
-        """RPDO 1: digital outputs."""
+        """Send RPDO 1: digital outputs."""
         self.send(0x200 + NODE, bytes((bits,)))
 
     def ready(self) -> "IoBench":
-        """Operational, all amplifiers enabled and ready."""
+        """Bring the node to OPERATIONAL with all amplifiers enabled and ready."""
         self.operational()
         self.enables(0xFF)
         self.run(6 * MS)
@@ -47,6 +46,6 @@ class IoBench(Bench):
         self.heartbeat()
 
     def counts(self) -> tuple[int, int]:
-        """TPDO 2 of a SYNC now: two counters."""
+        """Return the two counters in TPDO 2 of a SYNC now."""
         self.sync()
         return struct.unpack("<ii", self.last(0x280 + NODE))

@@ -1,4 +1,4 @@
-"""The I/O node: outputs, inputs and counters by PDO and SDO, and what it does without its host.
+"""The I/O node: outputs, inputs, counters, and loss of the host.
 
 Expected: CiA 401 (6000h, 6200h, 6206h, 6207h, 6411h, 6443h, 6444h and the default PDOs 1 and 2),
 CiA 406 (6010h, 6020h, here 800h further), CiA 301 (multiple device modules, 1029h, PDOs).
@@ -20,7 +20,7 @@ def io() -> IoBench:
     return IoBench(channels=2)
 
 
-def test_it_says_what_it_is(io):
+def test_device_type_and_identity_are_standard(io):
     io.boot()
     # CiA 301, device type: of a multiple device module FFFFh and the first profile
     assert io.read(0x1000, signed=False) == 0xFFFF_0191
@@ -32,7 +32,7 @@ def test_it_says_what_it_is(io):
 
 
 @pytest.mark.parametrize("channels", [1, 2, 3, 4])
-def test_default_pdos_map_the_channels_there_are(channels):
+def test_default_pdos_map_existing_channels(channels):
     io = IoBench(channels=channels)
     io.boot()
     outputs = [0x6411_0010 + (channel << 8) for channel in range(1, channels + 1)]
@@ -56,7 +56,7 @@ def test_default_pdos_map_the_channels_there_are(channels):
     assert sizes == {can_id: size for can_id, size in expected.items() if size > 0}
 
 
-def test_an_amplifier_is_ready_when_enabled_for_long_enough_and_tells_by_tpdo(io):
+def test_amplifier_is_ready_after_enable_time_with_tpdo(io):
     io.operational()
     assert io.last(0x180 + NODE) == b"\x00"
     io.enables(0b10)
@@ -71,7 +71,7 @@ def test_an_amplifier_is_ready_when_enabled_for_long_enough_and_tells_by_tpdo(io
     assert io.times(0x180 + NODE)[-1] == io.now
 
 
-def test_an_enable_shorter_than_the_delay_makes_nothing_ready(io):
+def test_enable_shorter_than_delay_has_no_effect(io):
     io.operational()
     io.enables(1)
     io.run(4 * MS)
@@ -86,17 +86,17 @@ def test_an_enable_shorter_than_the_delay_makes_nothing_ready(io):
     ("raw", "ampere"),
     [(HALF, FULL_A / 2), (-HALF, -FULL_A / 2), (-32768, -FULL_A), (1, FULL_A / 32768)],
 )
-def test_the_analogue_output_is_the_motors_current(raw, ampere):
-    """Against a load that holds the motor, so that no back-EMF limits the current."""
+def test_analogue_output_sets_motor_current(raw, ampere):
+    """A load holds the motor, so that no back-EMF limits the current."""
     io = IoBench(channels=1, plant={"preset": "wheel_60w", "coulomb_friction_n_m": 100.0})
     io.ready()
     io.outputs(raw)
     io.run(50 * MS)
-    assert io.truth("current_a") == pytest.approx(ampere, rel=1e-9)  # its loop's last bits
+    assert io.truth("current_a") == pytest.approx(ampere, rel=1e-9)  # last bits of the current loop
     assert io.truth("output_v") == raw * 10 / 32768
 
 
-def test_the_scale_is_the_rigs():
+def test_output_scale_comes_from_rig():
     plant = {"preset": "wheel_60w", "coulomb_friction_n_m": 100.0}
     amplifier = {"current_per_volt_a_v": 0.25}
     io = IoBench(plant=plant, amplifier=amplifier).ready()
@@ -106,16 +106,16 @@ def test_the_scale_is_the_rigs():
     io = IoBench(plant=plant, amplifier={"current_per_volt_a_v": 2.0}).ready()
     io.outputs(HALF)
     io.run(50 * MS)
-    assert io.truth("current_a") == pytest.approx(FULL_A, rel=1e-9)  # its own limit
+    assert io.truth("current_a") == pytest.approx(FULL_A, rel=1e-9)  # limit of the amplifier
 
 
-def test_without_enable_no_current_flows_whatever_the_output(io):
+def test_disabled_amplifier_has_no_current(io):
     io.operational()
     io.outputs(HALF, HALF)
     io.run(50 * MS)
     assert (io.truth("current_a"), io.truth("channel_2_current_a")) == (0.0, 0.0)
     for _ in range(2):
-        io.enables(0b01)  # the output that stands there counts from ready on
+        io.enables(0b01)  # the present output is effective from ready on
         io.run(10 * MS)
         assert io.truth("current_a") > 1.0
         assert io.truth("channel_2_current_a") == 0.0
@@ -126,7 +126,7 @@ def test_without_enable_no_current_flows_whatever_the_output(io):
     assert io.truth("channel_2_current_a") == 0.0
 
 
-def test_each_output_moves_its_own_motor_and_the_counters_tell(io):
+def test_each_output_moves_its_motor_and_counter(io):
     io.ready()
     io.outputs(1000, -1000)
     io.run(100 * MS)
@@ -139,7 +139,7 @@ def test_each_output_moves_its_own_motor_and_the_counters_tell(io):
     assert abs(first - io.truth("position_rad") * radian) <= 1
 
 
-def test_a_rotor_driven_by_a_constant_current_speeds_up_as_its_inertia_says():
+def test_constant_current_accelerates_rotor_by_inertia():
     """a = (K i - friction) / J of the motor's data sheet, to within the current's rise time."""
     io = IoBench().ready()
     io.outputs(3277)  # 1 V, 0.8 A
@@ -153,7 +153,7 @@ def test_a_rotor_driven_by_a_constant_current_speeds_up_as_its_inertia_says():
     assert io.truth("velocity_rad_s") - before == pytest.approx(expected, rel=0.02)
 
 
-def test_outputs_of_a_synchronous_rpdo_act_at_sync_and_counters_are_of_that_moment(io):
+def test_synchronous_outputs_and_counters_act_at_sync(io):
     io.boot()
     io.set(0x1401, 2, 1, 1)
     io.nmt(0x01)
@@ -170,7 +170,7 @@ def test_outputs_of_a_synchronous_rpdo_act_at_sync_and_counters_are_of_that_mome
     assert io.truth("current_a") > 1.0
 
 
-def test_nothing_is_sent_for_a_counter_without_sync(io):
+def test_counter_change_without_sync_sends_nothing(io):
     io.ready()
     io.outputs(HALF, HALF)
     count = len(io.sent)
@@ -178,7 +178,7 @@ def test_nothing_is_sent_for_a_counter_without_sync(io):
     assert io.sent[count:] == []
 
 
-def test_a_preset_sets_the_counter_and_moves_nothing(io):
+def test_preset_sets_counter_without_motion(io):
     io.ready()
     io.outputs(HALF, HALF)
     io.run(100 * MS)
@@ -190,7 +190,7 @@ def test_a_preset_sets_the_counter_and_moves_nothing(io):
     assert io.truth("position_rad") >= before
 
 
-def test_the_counter_wraps_around_at_32_bits():
+def test_counter_wraps_around_at_32_bits():
     io = IoBench().ready()
     io.set(0x6810, 1, 0x7FFF_FFFF, 4)
     io.outputs(HALF)
@@ -201,10 +201,10 @@ def test_the_counter_wraps_around_at_32_bits():
     assert io.read(0x6820, 1) < -0x7FFF_0000
 
 
-# --- without its host
+# --- loss of the host
 
 
-def test_a_lost_host_makes_the_outputs_take_their_error_values(io):
+def test_lost_host_sets_outputs_to_error_values(io):
     io.ready()
     io.watch_host(100)
     io.outputs(HALF, -HALF)
@@ -224,7 +224,7 @@ def test_a_lost_host_makes_the_outputs_take_their_error_values(io):
     assert io.read(0x6200, 1) == 0
 
 
-def test_off_the_bus_the_outputs_take_their_error_values(io):
+def test_bus_off_sets_outputs_to_error_values(io):
     io.ready()
     io.outputs(HALF, -HALF)
     io.send(0x2000_0040, bytes(8))  # linux/can/error.h: bus-off
@@ -236,7 +236,7 @@ def test_off_the_bus_the_outputs_take_their_error_values(io):
     assert [data[:3] for data in told] == [b"\x40\x81\x11", b"\x00\x00\x00"]  # CiA 301: 8140h
 
 
-def test_error_values_and_modes_are_the_hosts_to_choose(io):
+def test_error_values_and_modes_are_writable(io):
     io.ready()
     io.set(0x6444, 1, -3277, 4)
     io.set(0x6443, 2, 0, 1)
@@ -252,7 +252,7 @@ def test_error_values_and_modes_are_the_hosts_to_choose(io):
     assert io.truth("output_v") == -3277 * 10 / 32768
 
 
-def test_after_a_loss_the_outputs_stay_until_they_are_written(io):
+def test_outputs_after_loss_stay_until_written(io):
     io.ready()
     io.watch_host(100)
     io.outputs(HALF, HALF)
@@ -270,14 +270,14 @@ def test_after_a_loss_the_outputs_stay_until_they_are_written(io):
 
 
 @pytest.mark.parametrize("command", [0x02, 0x82])
-def test_stopping_the_node_or_its_communication_is_a_loss_too(io, command):
+def test_stop_or_reset_communication_is_a_loss(io, command):
     io.ready()
     io.outputs(HALF, HALF)
     io.nmt(command)
     assert (io.truth("output_v"), io.truth("ready")) == (0.0, 0.0)
 
 
-def test_pre_operational_leaves_the_outputs_alone(io):
+def test_pre_operational_keeps_outputs(io):
     io.ready()
     io.outputs(HALF, HALF)
     io.nmt(0x80)
@@ -286,7 +286,7 @@ def test_pre_operational_leaves_the_outputs_alone(io):
     assert io.truth("ready") == 1.0
 
 
-def test_reset_node_makes_every_output_zero_whatever_its_error_value(io):
+def test_reset_node_sets_outputs_to_zero(io):
     io.ready()
     io.set(0x6444, 1, HALF, 4)
     io.outputs(HALF, HALF)
@@ -296,14 +296,14 @@ def test_reset_node_makes_every_output_zero_whatever_its_error_value(io):
     io.nmt(0x81)
     assert io.truth("output_v") == 0.0
     assert io.truth("ready") == 0.0
-    assert io.truth("position_inc") == 0.0  # an incremental encoder's counter starts anew
+    assert io.truth("position_inc") == 0.0  # an incremental encoder's counter restarts
     assert io.truth("position_rad") > 0.0
 
 
 # --- the amplifier
 
 
-def test_a_faulty_amplifier_stays_off_until_enable_is_taken_away_and_the_cause_is_gone(io):
+def test_faulty_amplifier_stays_off_until_reset_without_cause(io):
     io.ready()
     io.outputs(HALF, HALF)
     io.run(10 * MS)
@@ -317,7 +317,7 @@ def test_a_faulty_amplifier_stays_off_until_enable_is_taken_away_and_the_cause_i
     io.enables(0b11)
     io.drive.stimulate("fault", 0, io.now)
     io.run(20 * MS)
-    assert io.last(0x180 + NODE) == b"\x06"  # enable was not taken away since
+    assert io.last(0x180 + NODE) == b"\x06"  # the enable input was not removed since
     io.enables(0b10)
     assert io.last(0x180 + NODE) == b"\x04"
     io.enables(0b11)
@@ -326,7 +326,7 @@ def test_a_faulty_amplifier_stays_off_until_enable_is_taken_away_and_the_cause_i
     assert ("error", "amplifier 1: fault") in io.events
 
 
-def test_an_amplifier_without_supply_is_not_ready_and_comes_back_by_itself(io):
+def test_amplifier_without_supply_recovers_by_itself(io):
     io.ready()
     io.drive.stimulate("channel_2_power", 0, io.now)
     assert io.read(0x6000, 1) == 0b0001
@@ -345,12 +345,12 @@ def test_an_amplifier_without_supply_is_not_ready_and_comes_back_by_itself(io):
         ("load_torque_n_m", math.inf, "load_torque_n_m is -1e"),
     ],
 )
-def test_what_is_no_stimulus_is_refused(io, name, value, told):
+def test_unknown_stimulus_is_refused(io, name, value, told):
     with pytest.raises(ValueError, match=told):
         io.drive.stimulate(name, value, 0)
 
 
-def test_a_load_drives_a_motor_without_current(io):
+def test_load_moves_motor_without_current(io):
     io.boot()
     io.drive.stimulate("channel_2_load_torque_n_m", -2.0, io.now)
     io.run(100 * MS)
@@ -358,7 +358,7 @@ def test_a_load_drives_a_motor_without_current(io):
     assert io.truth("position_rad") == 0.0
 
 
-def test_looking_changes_nothing(io):
+def test_snapshot_has_no_side_effects(io):
     other = IoBench(channels=2)
     for bench in (io, other):
         bench.ready()
@@ -371,7 +371,7 @@ def test_looking_changes_nothing(io):
     assert io.drive.snapshot(io.now) == other.drive.snapshot(other.now)
 
 
-def test_at_rest_it_has_no_deadline(io):
+def test_node_at_rest_has_no_deadline(io):
     io.boot()
     assert io.drive.next_deadline_ns() is None
     io.ready()

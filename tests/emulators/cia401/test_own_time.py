@@ -1,13 +1,12 @@
-"""An I/O node times by its own clock; its amplifiers do, its motors do not."""
+"""An I/O node uses its own clock, its motors true time."""
 
 from pathlib import Path
 
 import pytest
 
-from emulators.cia401.factory import build
-from emulators.cia401.node import IoNode
-from emulators.controller import ControllerContext
-from emulators.firmware.own_time import OwnTime
+from motorhil.emulators.cia401.node import IoNode, build
+from motorhil.emulators.controller import ControllerContext
+from motorhil.emulators.firmware.clock import OwnTime
 from tests.emulators.cia401.bench import IoBench
 from tests.emulators.cia402.bench import BOOT_UP, MS, NODE, Bench
 
@@ -25,13 +24,13 @@ def bench_with(ppm):
     return bench
 
 
-def test_without_an_error_there_is_nothing_around_it():
+def test_ideal_clock_needs_no_wrapper():
     assert isinstance(new(), IoNode)
     assert isinstance(new(ppm_max=50), OwnTime)
 
 
 @pytest.mark.parametrize("ppm", [-250, 250])
-def test_heartbeats_come_at_its_own_period(ppm):
+def test_heartbeats_use_own_clock(ppm):
     bench = bench_with(ppm)
     bench.run(100 * S)
     times = bench.times(0x700 + NODE)
@@ -40,7 +39,7 @@ def test_heartbeats_come_at_its_own_period(ppm):
 
 
 @pytest.mark.parametrize("ppm", [-100_000, 100_000])
-def test_its_amplifier_becomes_ready_by_its_own_clock(ppm):
+def test_amplifier_enable_time_uses_own_clock(ppm):
     bench = bench_with(ppm)
     bench.run(2 * BOOT_UP)
     bench.nmt(0x01)
@@ -51,7 +50,7 @@ def test_its_amplifier_becomes_ready_by_its_own_clock(ppm):
 
 
 @pytest.mark.parametrize("ppm", [-100_000, 100_000])
-def test_its_motors_move_in_true_time(ppm):
+def test_motors_move_in_true_time(ppm):
     """A load turns the motor: 36, 40 and 44 ticks of the three clocks are 10 ms each."""
     own, true = bench_with(ppm), bench_with(0)
     for bench in (own, true):

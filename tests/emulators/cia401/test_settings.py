@@ -1,26 +1,26 @@
-"""What a rig may say of an I/O node."""
+"""Settings of an I/O node in a rig."""
 
 from pathlib import Path
 
 import pytest
 
-from emulators.cia401.factory import build
-from emulators.cia401.settings import OWN_EDS, read_settings
-from emulators.cia402.settings import OWN_EDS as DRIVE_EDS
-from emulators.controller import ControllerContext, SettingError
-from emulators.plant.presets import PRESETS
+from motorhil.emulators.cia401.node import build
+from motorhil.emulators.cia401.settings import OWN_EDS, read_settings
+from motorhil.emulators.cia402.settings import OWN_EDS as DRIVE_EDS
+from motorhil.emulators.controller import ControllerContext, SettingError
+from motorhil.emulators.plant.presets import PRESETS
 
 
-def test_everything_but_the_node_id_has_a_default():
+def test_all_keys_except_node_id_have_defaults():
     settings = read_settings({"node_id": 5}, Path())
     (channel,) = settings.channels
     assert settings.eds == OWN_EDS
     assert channel.plant == PRESETS["wheel_60w"]
-    assert channel.current_per_volt_a_v == 0.8  # 10 V: the 8 A that the amplifier allows
+    assert channel.current_per_volt_a_v == 0.8  # 10 V: the amplifier's maximum of 8 A
     assert (channel.tick_ns, channel.current_steps, channel.enable_ns) == (250_000, 5, 5_000_000)
 
 
-def test_channels_share_what_the_rig_says_and_differ_where_it_says_so():
+def test_channels_share_common_settings_and_override_them():
     table = {
         "node_id": 5,
         "channels": 3,
@@ -43,11 +43,11 @@ def test_channels_share_what_the_rig_says_and_differ_where_it_says_so():
     ("table", "text"),
     [
         ({"node_id": 0}, "node_id: 0 is outside 1..127"),
-        ({"node_id": None}, "node_id: None is no whole number"),
+        ({"node_id": None}, "node_id: None is not a whole number"),
         ({"chanels": 2}, "chanels: is not known; did you mean channels?"),
         ({"channels": 5}, "channels: 5 is outside 1..4"),
         ({"channel": {"2": {}}}, "channel.2: is not known; known: 1"),
-        ({"channel": {"1": 3}}, "channel.1: 3 is no table; write [controller.NAME.channel.1]"),
+        ({"channel": {"1": 3}}, "channel.1: 3 is not a table; write [controller.NAME.channel.1]"),
         ({"channel": {"1": {"servo": {}}}}, "channel.1.servo: is not known"),
         (
             {"channel": {"1": {"plant": {"preset": "tank"}}}},
@@ -69,28 +69,31 @@ def test_channels_share_what_the_rig_says_and_differ_where_it_says_so():
             "channel.1.initial_position_rad: 21",
         ),
         ({"timing": {"boot_s": 3}}, "timing.boot_s: is not known; did you mean boot_up_s?"),
-        ({"eds": "none.eds"}, "eds: there is no file"),
-        ({"eds": str(DRIVE_EDS)}, "has no 6000h:1, 6200h:1, 6411h:1, 6820h:1: it is no file of"),
+        ({"eds": "none.eds"}, "eds: file "),
+        (
+            {"eds": str(DRIVE_EDS)},
+            "has no 6000h:1, 6200h:1, 6411h:1, 6820h:1: it is not the EDS",
+        ),
         ({"objects": {"6443h:2": 0}}, "objects.6443h:2: motorhil_cia401.eds has no such object"),
         ({"objects": {"6443h:1": 2}}, "objects.6443h:1: 2 is outside 0..1"),
-        ({"objects": {"6443h:1": 0.5}}, "objects.6443h:1: 0.5 is no whole number"),
-        ({"objects": {"6443h:1": "x"}}, "objects.6443h:1: 'x' is no number"),
+        ({"objects": {"6443h:1": 0.5}}, "objects.6443h:1: 0.5 is not a whole number"),
+        ({"objects": {"6443h:1": "x"}}, "objects.6443h:1: 'x' is not a number"),
     ],
 )
-def test_what_is_wrong_is_named(table, text):
+def test_wrong_setting_is_refused_by_name(table, text):
     with pytest.raises(SettingError) as caught:
         build({"node_id": 5, **table}, ControllerContext("io", Path(), 1))
     assert text in str(caught.value)
 
 
-def test_objects_of_the_rig_are_power_on_values():
+def test_objects_of_rig_are_power_on_values():
     table = {"node_id": 5, "objects": {"6444h:1": -3277, "1008h": "mine"}}
     node = build(table, ControllerContext("io", Path(), 1))
     assert node.od.integer(0x6444, 1, 0) == -3277
     assert node.od.get(0x1008).default == b"mine"
 
 
-def test_the_file_has_no_object_without_behaviour_and_no_warning():
+def test_own_file_has_only_used_objects_and_no_warning():
     node = build({"node_id": 5, "channels": 4}, ControllerContext("io", Path(), 1))
     assert list(node.take_events()) == []
     readers = [index for index in (0x6000, 0x6820) if node.od.get(index, 1).reader is None]

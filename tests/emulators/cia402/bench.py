@@ -1,16 +1,15 @@
-"""A bench for one drive: plays time for it, keeps what it sends, and speaks plain CANopen to it.
+"""A bench for one drive: it advances time, keeps sent frames, and speaks plain CANopen.
 
-Frames are packed and unpacked here with struct and nothing else, so that a test's bytes are the
-standard's and not those of the code under test.
+Frames are packed and unpacked here with struct only. A test's bytes are thus those of the
+standard, not those of the code under test.
 """
 
 import struct
 from collections.abc import Mapping
 from pathlib import Path
 
-from emulators.cia402.drive import Cia402Drive
-from emulators.cia402.factory import build
-from emulators.controller import ControllerContext
+from motorhil.emulators.cia402.drive import Cia402Drive, build
+from motorhil.emulators.controller import ControllerContext
 
 MS = 1_000_000
 NODE = 5
@@ -30,7 +29,7 @@ def new_drive(folder: Path = Path(), **settings: object) -> Cia402Drive:
 
 
 class Bench:
-    """`now` [ns]; `sent`: (time, identifier, data) of every frame of the drive."""
+    """A drive, the time `now` [ns], and `sent`: (time, identifier, data) of every sent frame."""
 
     def __init__(self, drive: Cia402Drive | None = None, **settings: object) -> None:
         self.drive = new_drive(**settings) if drive is None else drive
@@ -48,19 +47,19 @@ class Bench:
     def run_until(self, time_ns: int) -> None:
         due = self.drive.next_deadline_ns()
         while due is not None and due <= time_ns:
-            self.now = max(due, self.now)  # one already past means now, as in the event queue
+            self.now = max(due, self.now)  # a deadline in the past means now, as in the event queue
             self.drive.expire(self.now)
             self._drain()
             due = self.drive.next_deadline_ns()
-            assert due is None or due > self.now, "expire left its deadline where it was"
+            assert due is None or due > self.now, "expire did not advance its deadline"
         self.now = time_ns
 
     def run_while(self, condition, timeout_ns: int = 20_000 * MS) -> None:
-        """From one deadline to the next, until `condition` is false."""
+        """Advance from one deadline to the next, until `condition` is false."""
         end = self.now + timeout_ns
         while condition():
             due = self.drive.next_deadline_ns()
-            assert due is not None, "nothing will ever happen"
+            assert due is not None, "no deadline to wait for"
             assert due <= end, "timeout"
             self.run_until(due)
 
@@ -116,7 +115,7 @@ class Bench:
         return self.read(0x6041, signed=False)
 
     def write(self, index: int, subindex: int, value: int, size: int) -> int:
-        """0, or the abort code."""
+        """Write an object; return 0, or the abort code."""
         data = (value & (1 << 8 * size) - 1).to_bytes(4, "little")
         command = 0x23 | (4 - size) << 2
         reply = self._sdo(struct.pack("<BHB", command, index, subindex) + data)
@@ -134,7 +133,7 @@ class Bench:
         self.nmt(0x01)
 
     def enable(self, mode: int | None = None) -> None:
-        """Operational, in a mode, operation enabled; through RPDO 1."""
+        """Make the drive operational, select a mode and enable operation through RPDO 1."""
         if self.now < BOOT_UP:
             self.operational()
         if mode is not None:

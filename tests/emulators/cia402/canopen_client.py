@@ -1,7 +1,7 @@
-"""canopen's client, unmodified, against a bench: its waits play the bench's time.
+"""canopen's client, unmodified, against a bench: its waits advance the bench's time.
 
-Recipe: no `connect()`; frames of the drive are handed to `Network.notify`; the SDO client's queue,
-the PDO maps' conditions and p402's clock are replaced by ones that let virtual time pass.
+The recipe: no `connect()`, and the drive's frames are passed to `Network.notify`. The SDO client's
+queue, the PDO maps' conditions and p402's clock are replaced by versions that advance virtual time.
 """
 
 import queue
@@ -13,11 +13,11 @@ from canopen.sdo import SdoClient
 
 from tests.emulators.cia402.bench import MS, NODE, Bench
 
-FRAME_NS = 120_000  # a frame of 8 bytes at 1 Mbit/s, about
+FRAME_NS = 120_000  # approximately one 8-byte frame at 1 Mbit/s
 
 
 class BenchNetwork(canopen.Network):
-    """Frames take a while in both directions; delivery never happens inside `send`."""
+    """A network where frames take time both ways; delivery never happens inside `send`."""
 
     def __init__(self, bench: Bench) -> None:
         super().__init__()
@@ -30,7 +30,7 @@ class BenchNetwork(canopen.Network):
         self.bench.send(can_id, bytes(data))
 
     def pump(self, duration_ns: int) -> None:
-        """Time passes; the client hears every frame at its time."""
+        """Advance time; the client receives every frame at its time."""
         end = self.bench.now + duration_ns
         while True:
             while self._heard < len(self.bench.sent):
@@ -64,7 +64,7 @@ class PumpedSdoClient(SdoClient):
 
 
 class PumpedCondition:
-    """Stands in for a threading.Condition: waiting plays time until somebody notifies."""
+    """A replacement for threading.Condition: waiting advances time until a notification."""
 
     def __init__(self, network: BenchNetwork) -> None:
         self._network = network
@@ -94,7 +94,7 @@ class PumpedNode402(p402.BaseNode402):
 
 
 def connect(bench: Bench, eds: str, monkeypatch) -> tuple[BenchNetwork, PumpedNode402]:
-    """The drive is operational, its status TPDOs are cyclic, p402 is set up."""
+    """Return a network and a node whose drive is pre-operational, with p402's clock replaced."""
     network = BenchNetwork(bench)
     node = PumpedNode402(NODE, eds)
     network.add_node(node)

@@ -1,11 +1,11 @@
-"""A drive between limit switches, with a home switch: places in counts of its encoder."""
+"""A drive between limit switches, with a home switch; positions in encoder counts."""
 
 from dataclasses import dataclass
 from math import pi
 
 from tests.emulators.cia402.bench import MS, Bench
 
-TURN = 2_000  # increments of a motor turn
+TURN = 2_000  # increments per motor turn
 GEAR = 66.0
 RAD = 2.0 * pi / (TURN * GEAR)  # one increment, at the output
 IN_PROGRESS, INTERRUPTED, ATTAINED, DONE = 0x0000, 0x0400, 0x1000, 0x1400
@@ -14,7 +14,7 @@ ERROR_MOVING, ERROR_AT_REST = 0x2000, 0x2400
 
 @dataclass(frozen=True, kw_only=True)
 class Track:
-    """Where the switches are; None: there is none, or it reaches to the end."""
+    """Positions of the switches; None: no switch, or it extends to the end of travel."""
 
     negative: int | None = -6_000
     positive: int | None = 6_000
@@ -39,7 +39,7 @@ class Track:
 
 
 def bench_on(track: Track, start: int = 0, *, tick_s: float = 0.001, **objects: int) -> Bench:
-    """Enabled in hm; objects by name, like o6098=17 or o6099_1=5000."""
+    """Return an enabled drive in hm; objects are given by name, like o6098=17 or o6099_1=5000."""
     values = {
         "6099h:1": 20_000,
         "6099h:2": 2_000,
@@ -62,7 +62,7 @@ def status(bench: Bench) -> int:
 
 
 def home(bench: Bench, within_s: float = 20.0) -> int:
-    """Starts, and waits for the end: statusword & 3400h."""
+    """Start homing and wait for its end; return statusword & 3400h."""
     bench.controlword(0x0F)
     bench.controlword(0x1F)
     return finish(bench, within_s)
@@ -77,5 +77,5 @@ def finish(bench: Bench, within_s: float = 20.0) -> int:
 
 
 def home_count(bench: Bench) -> int:
-    """The count that is called 0 now."""
+    """Return the count that now has position 0."""
     return bench.drive.axis.count() - bench.drive.axis.position_inc()

@@ -1,6 +1,6 @@
-"""Drives with one thing wrong each, to see that it is found: name, and what to break.
+"""Drives with one defect each, to check that the tests find it: name, and what to break.
 
-Each breaks a class of the emulator for the time of one test (pytest's monkeypatch).
+Each breaks a class of the emulator for the duration of one test (pytest's monkeypatch).
 """
 
 from collections.abc import Callable
@@ -8,14 +8,14 @@ from typing import Final
 
 import pytest
 
-from emulators.canopen.node import CanopenNode
-from emulators.cia402 import pds_fsa
-from emulators.cia402.motion_objects import MotionObjects
-from emulators.cia402.pds_fsa import Command, PdsState
-from emulators.cia402.power_drive import PowerDrive
-from emulators.cia402.profile_position import ProfilePosition
-from emulators.cia402.profile_velocity import ProfileVelocity
-from emulators.firmware.axis import Axis
+from motorhil.emulators.canopen.node import CanopenNode
+from motorhil.emulators.cia402 import state_machine as pds_fsa
+from motorhil.emulators.cia402.modes.profile_position import ProfilePosition
+from motorhil.emulators.cia402.modes.profile_velocity_torque import ProfileVelocity
+from motorhil.emulators.cia402.objects.motion import MotionObjects
+from motorhil.emulators.cia402.power_drive import PowerDrive
+from motorhil.emulators.cia402.state_machine import Command, PdsState
+from motorhil.emulators.firmware.axis import Axis
 
 Break = Callable[[pytest.MonkeyPatch], None]
 

@@ -1,8 +1,8 @@
-"""CiA 402-2's power drive system as its state table reads: what a stranger with a bus can hold.
+"""CiA 402-2's power drive system as its state table defines it, checkable over a bus.
 
-Written from the standard (statusword coding, controlword coding, the table of transitions, the
-option codes), as Kollmorgen's, Maxon's and Nanotec's manuals print it too; nothing here is taken
-from the emulator, or it would only agree with itself.
+Written from the standard (statusword coding, controlword coding, transition table, option codes),
+as also printed in Kollmorgen's, Maxon's and Nanotec's manuals. Nothing is taken from the emulator,
+so that the check is independent.
 """
 
 from collections.abc import Iterable
@@ -24,7 +24,7 @@ class State(Enum):
 
 
 class By(Enum):
-    """What makes a transition happen: a command of the controlword, or something else."""
+    """The cause of a transition: a command of the controlword, or another event."""
 
     RESET = "power-on or reset"
     ITSELF = "by itself"
@@ -41,9 +41,9 @@ S = State
 FAULTY: Final = (S.FAULT_REACTION_ACTIVE, S.FAULT)
 HEALTHY: Final = tuple(state for state in S if state not in FAULTY)
 POWERED: Final = (S.OPERATION_ENABLED, S.QUICK_STOP_ACTIVE, S.FAULT_REACTION_ACTIVE)
-"""Where the motor may have current: "drive function enabled" in the standard's table."""
+"""States in which the motor may have current: "drive function enabled" in the standard's table."""
 
-# number: (from, to, by which of these). 3 by "enable operation" goes on with 4.
+# number: (from, to, by any of these). 3 by "enable operation" continues with 4.
 TABLE: Final[dict[int, tuple[tuple[State, ...], State, tuple[By, ...]]]] = {
     0: (tuple(S), S.NOT_READY_TO_SWITCH_ON, (By.RESET,)),
     1: ((S.NOT_READY_TO_SWITCH_ON,), S.SWITCH_ON_DISABLED, (By.ITSELF,)),
@@ -64,8 +64,8 @@ TABLE: Final[dict[int, tuple[tuple[State, ...], State, tuple[By, ...]]]] = {
     16: ((S.QUICK_STOP_ACTIVE,), S.OPERATION_ENABLED, (By.ENABLE,)),
 }
 
-# What a drive does at once when it is told so; the rest may take time (power stage, ramps) or
-# wait for something (a fault's cause, the supply).
+# Commands that a drive obeys immediately. The others may take time (power stage, ramps) or
+# wait for a condition (a fault's cause, the supply).
 AT_ONCE: Final = {
     (S.SWITCH_ON_DISABLED, By.SHUTDOWN),
     (S.READY_TO_SWITCH_ON, By.DISABLE_VOLTAGE),
@@ -80,10 +80,10 @@ AT_ONCE: Final = {
 
 
 def state_of(statusword: int) -> State:
-    """The one state that the word shows.
+    """Return the one state that the word shows.
 
     Raises:
-        AssertionError: it shows none of the eight.
+      AssertionError: it shows none of the eight.
     """
     found = [state for state in S if statusword & state.value[0] == state.value[1]]
     assert len(found) == 1, f"statusword {statusword:04X}h shows {found or 'no state'}"
@@ -91,7 +91,7 @@ def state_of(statusword: int) -> State:
 
 
 def command_in(word: int) -> By | None:
-    """The command in a controlword, but fault reset, which is no level but an edge of bit 7."""
+    """Return the command in a controlword, except fault reset, which is an edge of bit 7."""
     if word & 0x80:
         return None
     if not word & 0x02:
@@ -104,7 +104,7 @@ def command_in(word: int) -> By | None:
 
 
 def commands_of(before: int, words: Iterable[int]) -> list[By]:
-    """The commands in controlwords that came one after another, after the word `before`."""
+    """Return the commands in consecutive controlwords that follow the word `before`."""
     found: list[By] = []
     for word in words:
         command = By.FAULT_RESET if word & ~before & 0x80 else command_in(word)
@@ -115,10 +115,10 @@ def commands_of(before: int, words: Iterable[int]) -> list[By]:
 
 
 def path(start: State, end: State, causes: Iterable[By], quick_stop_option: int) -> list[int]:
-    """The fewest transitions from one state to the other that these causes allow.
+    """Return the shortest sequence of transitions between the states that these causes allow.
 
     Raises:
-        AssertionError: the standard has no such way.
+      AssertionError: the standard has no such sequence.
     """
     allowed = set(causes)
     ways: dict[State, list[int]] = {start: []}

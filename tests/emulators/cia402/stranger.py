@@ -1,15 +1,15 @@
-"""Somebody who may do everything to a drive that a host or the world can: one table of deeds.
+"""A random user who may do all that a host or the environment can do: one table of actions.
 
-Hypothesis draws from it (test_fsa_machine), and so does a seeded walk, which costs no more than the
-drive. New modes and physical inputs of the emulator come into the table by themselves.
+Hypothesis draws from it (test_fsa_machine), and so does a seeded walk, which is as fast as the
+drive itself. The emulator's new modes and physical inputs enter the table automatically.
 """
 
 from collections.abc import Sequence
 from random import Random
 from typing import Final
 
-from emulators.cia402.drive import STIMULI
-from emulators.cia402.settings import EMULATED_MODES
+from motorhil.emulators.cia402.drive import STIMULI
+from motorhil.emulators.cia402.settings import EMULATED_MODES
 from tests.emulators.cia402.bench import MS
 from tests.emulators.cia402.standard import TABLE, State
 from tests.emulators.cia402.watched import Watched
@@ -22,7 +22,7 @@ OBJECTS: Final = {
     "6066h": 3,
 }
 LIMITS: Final = {"607Dh:1": -1_000, "607Dh:2": 1_000}
-# The controlword that takes a transition where it starts, and those that lead towards it.
+# The controlword that triggers each transition from its start state; then those that lead there.
 WORDS: Final = {2: 0x06, 3: 0x07, 4: 0x0F, 5: 0x07, 6: 0x06, 7: 0x00, 8: 0x06, 9: 0x00, 10: 0x02,
                 11: 0x02, 12: 0x00, 15: 0x80, 16: 0x0F}  # fmt: skip
 FORWARD: Final = {
@@ -37,17 +37,17 @@ VALUES: Final = {
     "fault": (0x2310, 0x8611, 0xFF01),
     "power": (0, 1, 1, 1),
     "device_temperature_c": (25.0, 80.0, 95.0),
-    "supply_v": (),  # this plant's is as it is
+    "supply_v": (),  # the supply of this plant is fixed
 }
-"""What physical inputs may be; those not named here are off or on."""
+"""Possible values of physical inputs; inputs not named here are off or on."""
 PHYSICS: Final = tuple(
     (name, value)
     for name in STIMULI
-    if not name.startswith("digital_input_")  # they are read, and mean something to the host alone
+    if not name.startswith("digital_input_")  # they have a meaning to the host only
     for value in VALUES.get(name, (0, 1))
 )
 NORMAL: Final = {"power": 1, "encoder": 1, "device_temperature_c": 25.0}
-"""What they are when all is well, where that is not 0."""
+"""Normal values of inputs, where they are not 0."""
 
 PHYSICS: Final = tuple((name, value) for name in STIMULI for value in VALUES.get(name, (0, 1)))
 
@@ -59,7 +59,7 @@ DISTANCES: Final = tuple(range(-20_000, 20_001, 1_250))
 SPEEDS: Final = tuple(range(-60_000, 60_001, 7_500))
 TORQUES: Final = tuple(range(-1_200, 1_201, 100))
 
-# What is done, and with which values: one of each.
+# The actions and their values: one value of each kind is chosen.
 DEEDS: Final[tuple[tuple[str, tuple[Sequence[object], ...]], ...]] = (
     ("word", (("RPDO", "SDO"), USUAL)),
     ("word", (("RPDO", "SDO"), USUAL + ANY_WORD)),
@@ -87,10 +87,10 @@ Deed = tuple[str, tuple[object, ...]]
 
 
 class Stranger:
-    """What he has a drive go through; `drive` checks everything itself."""
+    """A sequence of random actions on a drive; `drive` checks everything itself."""
 
     def __init__(self, start: str, limited: bool, mode: int) -> None:
-        """At every depth of the table: a run that began at the top would seldom see the end."""
+        """Start at any depth of the table; runs from the first state would rarely reach the end."""
         self.drive = drive = Watched(
             objects={**OBJECTS, **(LIMITS if limited else {})},
             timing={"boot_up_s": 0.01},
@@ -110,7 +110,7 @@ class Stranger:
             drive.wait(30 * MS)
 
     def reach(self, states: tuple[State, ...]) -> None:
-        """On the way to one of these states, by the words that lead there."""
+        """Go towards one of these states, with the words that lead there."""
         drive = self.drive
         if drive.nmt_state not in ("initialising", "operational"):
             drive.nmt(0x01)
@@ -125,7 +125,7 @@ class Stranger:
             drive.wait(21 * MS)
 
     def go_for(self, number: int, option: int) -> None:
-        """A transition's own word where it starts, and before it the way there."""
+        """Reach a transition's start state, then send the transition's own word."""
         drive = self.drive
         if number in (11, 12, 16):
             drive.sdo(0x605A, 0, option, 2)
@@ -140,7 +140,7 @@ class Stranger:
             drive.wait(5 * MS)
 
     def dare(self, mode: int) -> None:
-        """Enabled, a target that nobody started (pp), or beyond a limit of speed (pv)."""
+        """Enable with a target that was not started (pp), or above a speed limit (pv)."""
         drive = self.drive
         drive.sdo(0x6060, 0, mode, 1)
         drive.sdo(0x607F, 0, 1_000 if mode == 3 else 30_000, 4)
@@ -151,7 +151,7 @@ class Stranger:
         drive.wait(21 * MS)
 
     def does(self, deed: Deed) -> None:
-        """One of DEEDS, with one value of each kind."""
+        """Do one of DEEDS, with one value of each kind."""
         what, values = deed
         numbers = [value for value in values if isinstance(value, (int, float))]
         drive, word = self.drive, self.drive.controlword_now
@@ -183,7 +183,7 @@ class Stranger:
             drive.nmt(int(numbers[0]))
         elif what == "sync":
             drive.speak(0x080, b"")
-        elif what == "heartbeat":  # once heard, lost 50 ms later
+        elif what == "heartbeat":  # once received, lost 50 ms later
             drive.speak(0x77F, b"\x05")
         elif what == "stale reset":
             drive.rpdo(1, 0x80)
@@ -207,7 +207,7 @@ class Stranger:
 
 
 def walk(seed: int, deeds: int = 40) -> Watched:
-    """A stranger of this seed has done so many things; the same ones each time."""
+    """Return a drive after this many random actions; the same actions for the same seed."""
     dice = Random(f"stranger {seed}")
     stranger = Stranger(dice.choice(STARTS), dice.random() < 0.5, dice.choice(MODES))
     for _ in range(deeds):
@@ -217,12 +217,12 @@ def walk(seed: int, deeds: int = 40) -> Watched:
 
 
 def walks(count: int) -> list[Watched]:
-    """So many seeds; what fails says at which."""
+    """Walk with this many seeds; a failure names its seed."""
     runs: list[Watched] = []
     for seed in range(count):
         try:
             runs.append(walk(seed))
         except Exception as error:
-            error.add_note(f"again: tests.emulators.cia402.stranger.walk({seed})")
+            error.add_note(f"repeat with: tests.emulators.cia402.stranger.walk({seed})")
             raise
     return runs

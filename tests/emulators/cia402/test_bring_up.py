@@ -1,14 +1,16 @@
-"""Bring-up on the wire: bytes and times. Expected bytes: CiA 301 for the frames, CiA 402-2 for the
-words (drives.md: statuswords 4F/40, 6F/21, 6F/23, 6F/27; here with voltage 10h and remote 200h).
+"""Bring-up on the wire: bytes and times, expected from CiA 301 and CiA 402-2.
+
+CiA 301 defines the frames, CiA 402-2 the words (drives.md: statuswords 4F/40, 6F/21, 6F/23, 6F/27;
+here with voltage 10h and remote 200h).
 """
 
 import pytest
 
-from emulators.cia402.pds_fsa import PdsState
+from motorhil.emulators.cia402.state_machine import PdsState
 from tests.emulators.cia402.bench import BOOT_UP, ENABLE, MS, Bench
 
 
-def test_bring_up_transcript():
+def test_bring_up_sequence_matches_the_transcript():
     bench = Bench()
     bench.boot()
     assert bench.hex_since(0) == ["705#00"]  # boot-up
@@ -23,14 +25,17 @@ def test_bring_up_transcript():
     bench.run(10 * MS)
     count = len(bench.sent)
     bench.controlword(0x0F)
-    assert bench.hex_since(count) == []  # the power stage needs its time
+    assert bench.hex_since(count) == []  # the power stage needs time
     bench.run(ENABLE)
     assert bench.hex_since(count) == ["185#3702", "285#370201"]
     bench.run(10 * MS)
-    assert bench.hex_since(count + 2) == ["185#3706", "285#370601"]  # it stands where it should
+    assert bench.hex_since(count + 2) == [
+        "185#3706",
+        "285#370601",
+    ]  # the motor stands at its target
 
 
-def test_boot_up_takes_its_time():
+def test_boot_up_takes_the_configured_time():
     bench = Bench(timing={"boot_up_s": 0.25})
     bench.run_until(250 * MS - 1)
     assert bench.sent == []
@@ -40,7 +45,7 @@ def test_boot_up_takes_its_time():
     assert bench.truth("state") == PdsState.SWITCH_ON_DISABLED
 
 
-def test_enabling_takes_its_time_to_the_nanosecond():
+def test_enabling_takes_exactly_the_configured_time():
     bench = Bench()
     bench.operational()
     bench.controlword(0x06)
@@ -56,7 +61,7 @@ def test_enabling_takes_its_time_to_the_nanosecond():
     assert bench.times(0x185)[-1] == asked + ENABLE
 
 
-def test_enabling_again_meanwhile_does_not_prolong_it():
+def test_repeated_enable_command_does_not_extend_enabling():
     bench = Bench()
     bench.operational()
     for word in (0x06, 0x07, 0x0F):
@@ -76,7 +81,7 @@ def test_enabling_again_meanwhile_does_not_prolong_it():
         (0x02, PdsState.SWITCH_ON_DISABLED),
     ],
 )
-def test_another_command_meanwhile_calls_it_off(word, state):
+def test_another_command_during_enabling_cancels_it(word, state):
     bench = Bench()
     bench.operational()
     for before in (0x06, 0x07, 0x0F):
@@ -88,7 +93,7 @@ def test_another_command_meanwhile_calls_it_off(word, state):
     assert bench.truth("state") == state
 
 
-def test_one_word_runs_transitions_3_and_4():
+def test_enable_word_runs_transitions_3_and_4():
     bench = Bench()
     bench.operational()
     bench.controlword(0x06)
@@ -98,7 +103,7 @@ def test_one_word_runs_transitions_3_and_4():
     assert bench.truth("state") == PdsState.OPERATION_ENABLED
 
 
-def test_the_controlword_works_by_sdo_in_pre_operational_too():
+def test_controlword_by_sdo_works_in_pre_operational():
     bench = Bench()
     bench.boot()
     for word in (0x06, 0x07, 0x0F):
@@ -108,7 +113,7 @@ def test_the_controlword_works_by_sdo_in_pre_operational_too():
     assert bench.read(0x6040) == 0x0F
 
 
-def test_reset_node_switches_the_power_stage_off_and_boots_again():
+def test_reset_node_switches_power_off_and_boots_again():
     bench = Bench()
     bench.enable()
     bench.set(0x6081, 0, 1234, 4)
@@ -120,7 +125,7 @@ def test_reset_node_switches_the_power_stage_off_and_boots_again():
     bench.run(BOOT_UP)
     assert bench.sent[-1] == (reset_at + BOOT_UP, 0x705, b"\x00")
     assert bench.truth("state") == PdsState.SWITCH_ON_DISABLED
-    assert bench.read(0x6081) == 40960  # 60xxh are at their power-on values again
+    assert bench.read(0x6081) == 40960  # 60xxh have their power-on values again
     assert bench.read(0x6061) == 1
     bench.nmt(0x01)
     bench.enable(mode=3)
@@ -128,8 +133,8 @@ def test_reset_node_switches_the_power_stage_off_and_boots_again():
     assert bench.read(0x606B) == 0
 
 
-def test_a_controlword_the_drive_finds_after_a_transition_of_its_own_counts():
-    """The word is a level: who waits in shutdown for the end of a quick stop is let on."""
+def test_pending_controlword_takes_effect_after_quick_stop():
+    """Check that the word is a level: a shutdown sent during a quick stop applies at its end."""
     bench = Bench()
     bench.enable(mode=3)
     bench.set(0x60FF, 0, 50_000, 4)
@@ -142,7 +147,7 @@ def test_a_controlword_the_drive_finds_after_a_transition_of_its_own_counts():
     assert bench.truth("state") == PdsState.READY_TO_SWITCH_ON
 
 
-def test_reads_what_the_standard_names():
+def test_objects_read_as_the_standard_names_them():
     bench = Bench()
     bench.boot()
     assert bench.read(0x1000) == 0x00020192
@@ -155,7 +160,7 @@ def test_reads_what_the_standard_names():
     assert (bench.read(0x6092, 1), bench.read(0x6092, 2)) == (132_000, 1)
 
 
-def test_modes_that_are_not_named_are_refused():
+def test_modes_not_supported_are_rejected():
     bench = Bench()
     bench.boot()
     for mode in (2, 11, -1, 5, 127):
@@ -163,7 +168,7 @@ def test_modes_that_are_not_named_are_refused():
     assert bench.read(0x6061) == 1
 
 
-def test_supported_modes_are_the_rigs():
+def test_supported_modes_are_those_of_the_rig():
     bench = Bench(supported_modes=["pp", "hm"])
     bench.boot()
     assert bench.read(0x6502) == 0x21

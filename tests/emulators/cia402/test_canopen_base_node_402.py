@@ -1,13 +1,13 @@
-"""canopen's BaseNode402 brings the drive up and works it: somebody else's reading of CiA 402.
+"""canopen's BaseNode402 brings up and operates the drive: an independent reading of CiA 402.
 
-What it cannot do itself (bits 4, 5 and 6 of the pp handshake) the test writes.
+The test writes what BaseNode402 cannot do itself (bits 4, 5 and 6 of the pp handshake).
 """
 
 import canopen
 import pytest
 from canopen.profiles.p402 import OperationMode, State402
 
-from emulators.cia402.settings import EMULATED_MODES, OWN_EDS
+from motorhil.emulators.cia402.settings import EMULATED_MODES, OWN_EDS
 from tests.emulators.cia402.bench import MS, Bench
 from tests.emulators.cia402.canopen_client import connect, set_up
 from tests.emulators.cia402.homing_bench import Track
@@ -25,7 +25,7 @@ def client(bench, monkeypatch):
     return network, node
 
 
-def test_it_enables_step_by_step_and_back(client):
+def test_client_enables_and_disables_step_by_step(client):
     _, node = client
     assert node.state == "SWITCH ON DISABLED"
     for state in (
@@ -40,14 +40,14 @@ def test_it_enables_step_by_step_and_back(client):
         assert node.state == state
 
 
-def test_it_enables_in_one_go(client, bench):
+def test_client_enables_in_one_step(client, bench):
     _, node = client
     node.state = "OPERATION ENABLED"
     assert node.state == "OPERATION ENABLED"
     assert bench.truth("state") == 4
 
 
-def test_it_completes_a_pp_move(client, bench):
+def test_client_completes_pp_moves(client, bench):
     network, node = client
     node.op_mode = "PROFILED POSITION"
     assert node.op_mode == "PROFILED POSITION"
@@ -60,11 +60,11 @@ def test_it_completes_a_pp_move(client, bench):
         node.controlword = State402.CW_OPERATION_ENABLED
         assert network.pump_until(lambda: not node.statusword & 0x1000, 0.1)
         assert network.pump_until(lambda: node.statusword & 0x0400, 3.0)
-    assert node.sdo[0x6062].raw == -4_000  # relative to the set-point before
+    assert node.sdo[0x6062].raw == -4_000  # relative to the previous set-point
     assert abs(node.sdo[0x6064].raw + 4_000) <= 10
 
 
-def test_it_runs_at_a_velocity(client):
+def test_client_runs_at_a_velocity(client):
     network, node = client
     node.op_mode = "PROFILED VELOCITY"
     node.state = "OPERATION ENABLED"
@@ -75,7 +75,7 @@ def test_it_runs_at_a_velocity(client):
     assert network.pump_until(lambda: node.check_statusword() & 0x1000, 1.0)
 
 
-def test_it_gives_a_torque_and_changes_modes_on_the_fly(client, bench):
+def test_client_sets_torque_and_changes_mode_in_motion(client, bench):
     network, node = client
     node.op_mode = "PROFILED TORQUE"
     assert node.op_mode == "PROFILED TORQUE"
@@ -84,10 +84,10 @@ def test_it_gives_a_torque_and_changes_modes_on_the_fly(client, bench):
     node.sdo[0x6071].raw = -80
     assert network.pump_until(lambda: node.check_statusword() & 0x0400, 1.0)
     assert node.sdo[0x6074].raw == -80
-    assert node.sdo[0x6077].raw == pytest.approx(-80, abs=50)  # bit 10's window: 5 % of 8 A
+    assert node.sdo[0x6077].raw == pytest.approx(-80, abs=50)  # tolerance of bit 10: 5 % of 8 A
     network.pump(50 * MS)
     assert bench.truth("velocity_rad_s") < 0
-    node.sdo[0x6060].raw = 3  # its own setter sends RPDO 2, with a controlword of 0 in it
+    node.sdo[0x6060].raw = 3  # BaseNode402's setter sends RPDO 2, with a controlword of 0
     assert node.op_mode == "PROFILED VELOCITY"
     assert network.pump_until(lambda: node.check_statusword() & 0x1000, 2.0)  # 60FFh is 0
 
@@ -96,7 +96,7 @@ def test_it_gives_a_torque_and_changes_modes_on_the_fly(client, bench):
     ("index", "subindex"),
     [(0x60F6, 1), (0x60F6, 2), (0x60F9, 1), (0x60F9, 2), (0x60FB, 1), (0x60FB, 2), (0x60FB, 3)],
 )
-def test_it_reads_and_writes_the_gains(client, index, subindex):
+def test_client_reads_and_writes_the_gains(client, index, subindex):
     _, node = client
     gain = node.sdo[index][subindex]
     before = gain.raw
@@ -117,7 +117,7 @@ def test_it_reads_and_writes_the_gains(client, index, subindex):
         "CYCLIC SYNCHRONOUS TORQUE",
     ],
 )
-def test_each_mode_it_knows_moves_the_motor(client, bench, mode):
+def test_each_client_mode_moves_the_motor(client, bench, mode):
     network, node = client
     assert node.is_op_mode_supported(mode)
     node.op_mode = mode
@@ -131,7 +131,7 @@ def test_each_mode_it_knows_moves_the_motor(client, bench, mode):
     node.controlword = State402.CW_OPERATION_ENABLED | 0x10
     network.pump(300 * MS)
     assert node.sdo[0x6064].raw > 1_000
-    bits = node.check_statusword()  # bit 12: the command is followed, or ip is active
+    bits = node.check_statusword()  # bit 12: the drive follows the command, or ip is active
     assert bits & 0x1000 or mode.startswith("PROFILED")
     if "POSITION" in mode:
         assert node.sdo[0x6064].raw == pytest.approx(2_000, abs=10)
@@ -141,7 +141,7 @@ def test_each_mode_it_knows_moves_the_motor(client, bench, mode):
         assert node.sdo[0x6077].raw > 10
 
 
-def test_it_homes(client, bench):
+def test_client_homes_the_drive(client, bench):
     network, node = client
     node.op_mode = "PROFILED POSITION"
     node.state = "OPERATION ENABLED"
@@ -156,7 +156,7 @@ def test_it_homes(client, bench):
     assert node.is_homed()
 
 
-def test_it_homes_over_the_switches_of_the_plant_and_hears_of_failure(monkeypatch):
+def test_client_homes_over_switches_and_detects_failure(monkeypatch):
     bench = Bench(switches=Track().table())
     network, node = connect(bench, str(OWN_EDS), monkeypatch)
     set_up(network, node)
@@ -175,7 +175,7 @@ def test_it_homes_over_the_switches_of_the_plant_and_hears_of_failure(monkeypatc
     assert not node.is_homed()
 
 
-def test_it_resets_a_fault(client, bench):
+def test_client_resets_a_fault(client, bench):
     network, node = client
     node.state = "OPERATION ENABLED"
     bench.drive.stimulate("fault", 0x2310, bench.now)
@@ -188,7 +188,7 @@ def test_it_resets_a_fault(client, bench):
     assert node.emcy.active == []
 
 
-def test_it_is_refused_a_mode_the_drive_does_not_name(client):
+def test_client_mode_not_supported_is_rejected(client):
     _, node = client
     assert not node.is_op_mode_supported("VELOCITY")
     with pytest.raises(canopen.SdoAbortedError) as refused:
@@ -196,7 +196,7 @@ def test_it_is_refused_a_mode_the_drive_does_not_name(client):
     assert refused.value.code == 0x0609_0030
 
 
-def test_quick_stop_from_operation_enabled(client):
+def test_client_quick_stop_from_operation_enabled(client):
     _, node = client
     node.sdo[0x605A].raw = 6
     node.state = "OPERATION ENABLED"
@@ -206,7 +206,7 @@ def test_quick_stop_from_operation_enabled(client):
     assert node.state == "OPERATION ENABLED"
 
 
-def test_it_sees_the_boot_up_and_every_change_of_the_nmt_state(client, bench):
+def test_client_sees_boot_up_and_every_nmt_state_change(client, bench):
     network, node = client
     heard = []
     node.nmt.add_heartbeat_callback(heard.append)
@@ -221,11 +221,11 @@ def test_it_sees_the_boot_up_and_every_change_of_the_nmt_state(client, bench):
         node.nmt.state = command
         network.pump(25 * MS)
         assert set(heard) == {state}
-    assert node.nmt.state == "PRE-OPERATIONAL"  # where a boot-up leads
+    assert node.nmt.state == "PRE-OPERATIONAL"  # the state after a boot-up
 
 
-def test_the_modes_that_it_finds_are_those_that_the_drive_moves_in(client):
-    """canopen's own names and codes of modes (p402.OperationMode), against 6502h and 6060h."""
+def test_modes_the_client_finds_are_those_of_the_drive(client):
+    """Compare canopen's names and codes of modes (p402.OperationMode) with 6502h and 6060h."""
     _, node = client
     names = [name for name in OperationMode.SUPPORTED if name != "NO MODE"]
     found = [name for name in names if node.is_op_mode_supported(name)]
@@ -238,8 +238,8 @@ def test_the_modes_that_it_finds_are_those_that_the_drive_moves_in(client):
         assert node.sdo[0x6061].raw == OperationMode.NAME2CODE[name]
 
 
-def test_it_maps_the_drive_s_pdos_anew_and_works_with_them(client):
-    """tpdo.read(), clear(), add_variable(), save(): 1800h and 1A00h by the standard's procedure."""
+def test_client_remaps_the_pdos_and_uses_them(client):
+    """Use read(), clear(), add_variable(), save(): 1800h and 1A00h by the standard's procedure."""
     network, node = client
     node.nmt.state = "PRE-OPERATIONAL"
     node.tpdo.read()

@@ -2,13 +2,13 @@
 
 import pytest
 
-from emulators.controller import SettingError
-from emulators.firmware.gains import ServoGains
-from emulators.plant.presets import WHEEL_60W
+from motorhil.emulators.controller import SettingError
+from motorhil.emulators.firmware.servo_tables import ServoGains
+from motorhil.emulators.plant.presets import WHEEL_60W
 from tests.emulators.cia402.bench import MS, Bench, new_drive
 
 GAINS = ServoGains.tuned(WHEEL_60W, MS, 10)
-# object, sub-index, what 1 is (as the EDS says), the servo's gain
+# object, sub-index, value of 1 (as in the EDS), the servo's gain
 SETS = [
     (0x60F6, 1, 1e-6, "current_kp_v_a"),
     (0x60F6, 2, 1e-3, "current_ki_v_a_s"),
@@ -25,13 +25,13 @@ def applied(bench: Bench) -> ServoGains:
 
 
 @pytest.mark.parametrize(("index", "subindex", "unit", "name"), SETS)
-def test_each_shows_the_servo_s_gain_and_sets_it(index, subindex, unit, name):
+def test_each_gain_object_shows_and_sets_the_servo_gain(index, subindex, unit, name):
     bench = Bench()
     bench.boot()
     exact = getattr(GAINS, name)
     shown = bench.read(index, subindex, signed=False)
     assert shown == pytest.approx(exact / unit, abs=0.5 + 1e-6)
-    assert applied(bench) == GAINS  # to the last bit, not as rounded
+    assert applied(bench) == GAINS  # exact to the last bit, not rounded
     changed = shown * 3 // 4
     bench.set(index, subindex, changed, 4)
     assert bench.read(index, subindex, signed=False) == changed
@@ -42,7 +42,7 @@ def test_each_shows_the_servo_s_gain_and_sets_it(index, subindex, unit, name):
     assert applied(bench) == GAINS
 
 
-def test_an_unstable_gain_is_refused_and_nothing_changes():
+def test_unstable_gain_is_rejected_and_changes_nothing():
     bench = Bench()
     bench.enable()
     before = bench.read(0x60F6, 1, signed=False)
@@ -52,7 +52,7 @@ def test_an_unstable_gain_is_refused_and_nothing_changes():
     assert bench.write(0x60FB, 2, 2001, 4) == 0x0609_0031  # feed-forward: value too high
 
 
-def test_reset_node_brings_the_first_gains_back():
+def test_reset_node_restores_the_initial_gains():
     bench = Bench()
     bench.boot()
     bench.set(0x60FB, 1, 20_000, 4)
@@ -62,8 +62,8 @@ def test_reset_node_brings_the_first_gains_back():
     assert applied(bench) == GAINS
 
 
-def test_a_softer_position_loop_lags_by_velocity_over_gain():
-    """Without feed-forward the following error of P control is v / kp (a type 1 loop)."""
+def test_softer_position_loop_lags_by_velocity_over_gain():
+    """Check that P control without feed-forward has the error v / kp (a type 1 loop)."""
     bench = Bench(plant={"preset": "wheel_60w", "load_inertia_kg_m2": 0.0})
     bench.enable(mode=1)
     bench.set(0x6081, 0, 40_000, 4)
@@ -80,7 +80,7 @@ def test_a_softer_position_loop_lags_by_velocity_over_gain():
         bench.run(2_500 * MS)
 
 
-def test_the_rig_may_give_gains_as_objects():
+def test_rig_may_give_gains_as_objects():
     bench = Bench(objects={"60FBh:1": 30_000})
     bench.boot()
     assert applied(bench).position_kp_1_s == pytest.approx(30.0, rel=1e-12)
@@ -91,8 +91,8 @@ def test_the_rig_may_give_gains_as_objects():
 
 
 @pytest.mark.data
-def test_a_vendor_s_sets_are_kept_but_mean_nothing_here(shared):
-    """maxon's 60FBh:1 is a regulator gain of its own unit: 150 by its file."""
+def test_vendor_gains_are_stored_without_effect(shared):
+    """Check maxon's 60FBh:1, a regulator gain with its own unit: 150 in its file."""
     bench = Bench(folder=shared / "data" / "eds", eds="maxon_epos2_50_5.eds")
     bench.boot()
     assert bench.read(0x60FB, 1) == 150

@@ -1,4 +1,4 @@
-"""Cyclic synchronous position: targets at SYNC, evenly in between. CiA 402-2, csp."""
+"""Cyclic synchronous position: targets at SYNC, linear in between. CiA 402-2, csp."""
 
 import struct
 from itertools import pairwise
@@ -12,13 +12,13 @@ FOLLOWING_ERROR = 0x2000
 
 
 def target(bench: Bench, position: int, word: int = 0x0F) -> None:
-    """607Ah in RPDO 3 (6040h, 607Ah)."""
+    """Send 607Ah in RPDO 3 (6040h, 607Ah)."""
     bench.send(0x400 + NODE, struct.pack("<Hi", word, position))
 
 
 @pytest.fixture
 def bench() -> Bench:
-    """RPDO 3 synchronous (type 1), csp, enabled."""
+    """Return a bench with RPDO 3 synchronous (type 1), in csp, enabled."""
     bench = Bench(
         objects={"1402h:2": 1, "6065h": 0xFFFF_FFFF},
         plant={"preset": "wheel_60w", "load_inertia_kg_m2": 0.0},
@@ -28,7 +28,7 @@ def bench() -> Bench:
     return bench
 
 
-def test_a_target_counts_at_sync_and_not_before(bench):
+def test_target_takes_effect_at_sync_and_not_before(bench):
     target(bench, 100)
     bench.run(5 * MS)
     assert bench.truth("demand_inc") == 0
@@ -37,7 +37,7 @@ def test_a_target_counts_at_sync_and_not_before(bench):
     assert bench.truth("demand_inc") == 100
 
 
-def test_demand_goes_evenly_over_the_sync_period(bench):
+def test_demand_is_linear_over_the_sync_period(bench):
     for cycle in range(5):
         target(bench, 40 * cycle)
         bench.sync()
@@ -45,13 +45,13 @@ def test_demand_goes_evenly_over_the_sync_period(bench):
         for _ in range(4):
             bench.run(1 * MS)
             demands.append(bench.truth("demand_inc"))
-        if cycle >= 2:  # the period is known from the second on
+        if cycle >= 2:  # the period is known from the second SYNC on
             start = 40 * (cycle - 1)
-            # a profile begins at the tick after the command, and ends where the next one begins
+            # a profile begins at the tick after the command, and ends where the next begins
             assert demands == [start, start + 10, start + 20, start + 30]
 
 
-def test_demand_goes_evenly_over_60c2h(bench):
+def test_demand_is_linear_over_60c2h(bench):
     bench.set(0x60C2, 1, 8, 1)
     target(bench, 80)
     bench.sync()
@@ -77,7 +77,7 @@ def test_60c2h_is_value_times_a_power_of_ten(bench, value, exponent, ns):
     assert bench.truth("demand_inc") == 200
 
 
-def test_arbitration_jitter_of_sync_does_not_shake_the_period(bench):
+def test_sync_jitter_does_not_change_the_period(bench):
     times = [0, 4.1, 8.0, 12.2, 16.1, 20.0]  # intervals of 4.1, 3.9, 4.2, 3.9, 3.9 ms
     start = bench.now
     for cycle, offset in enumerate(times):
@@ -88,7 +88,7 @@ def test_arbitration_jitter_of_sync_does_not_shake_the_period(bench):
     assert bench.truth("demand_inc") == 180  # half way after 2 of 4 ticks
 
 
-def test_status_follows_command(bench):
+def test_statusword_shows_command_following(bench):
     assert bench.statusword() & FOLLOWS
     target(bench, 0, word=0x010F)
     bench.sync()
@@ -106,7 +106,7 @@ def test_status_follows_command(bench):
     assert bench.truth("demand_inc") == 500
 
 
-def test_target_reached_is_not_used(bench):
+def test_target_reached_bit_is_not_used(bench):
     target(bench, 10)
     bench.sync()
     bench.run(100 * MS)
@@ -120,7 +120,7 @@ def test_enabling_does_not_jump_to_an_old_target():
     assert bench.truth("position_inc") == 0
 
 
-def test_software_limits_hold_the_demand_back(bench):
+def test_software_limits_limit_the_demand(bench):
     bench.set(0x607D, 1, -100, 4)
     bench.set(0x607D, 2, 100, 4)
     target(bench, 150)
@@ -129,10 +129,10 @@ def test_software_limits_hold_the_demand_back(bench):
     assert bench.truth("demand_inc") == 100
     word = bench.statusword()
     assert word & 0x0800  # internal limit active
-    assert not word & FOLLOWS  # the target is not what it follows
+    assert not word & FOLLOWS  # the drive does not follow the target
 
 
-def test_a_jump_it_cannot_follow_is_a_following_error():
+def test_jump_too_large_to_follow_is_a_following_error():
     bench = Bench(objects={"1402h:2": 1, "6065h": 500, "6066h": 5})
     bench.enable(mode=8)
     target(bench, 30_000)
@@ -142,11 +142,11 @@ def test_a_jump_it_cannot_follow_is_a_following_error():
 
 
 @pytest.mark.parametrize("by", [0x607F, 0x6080])
-def test_what_is_too_fast_is_gone_to_at_607fh_or_6080h_and_told(bench, by):
-    """The demand catches up, as ABB's ACSM1 does in synchron control."""
+def test_target_too_fast_is_limited_by_607fh_and_6080h(bench, by):
+    """Check that the demand catches up later, as in ABB's ACSM1 in synchron control."""
     rpm_inc_s = bench.drive.settings.plant.encoder_increments_rev / 60
     bench.set(by, 0, 20_000 if by == 0x607F else round(20_000 / rpm_inc_s), 4)
-    most = 20.5  # inc in a tick, a whole rpm allowed for
+    most = 20.5  # inc in a tick, with a tolerance of one rpm
     target(bench, 300)  # within a tick
     bench.sync()
     demands = [0.0]
@@ -166,7 +166,7 @@ def test_what_is_too_fast_is_gone_to_at_607fh_or_6080h_and_told(bench, by):
     assert bench.statusword() & (0x0800 | FOLLOWS) == FOLLOWS
 
 
-def test_a_set_point_at_the_speed_limit_is_none_too_fast(bench):
+def test_set_point_at_the_speed_limit_is_not_limited(bench):
     bench.set(0x607F, 0, 20_000, 4)
     for cycle in range(20):
         target(bench, 80 * cycle)
@@ -179,7 +179,7 @@ def test_a_set_point_at_the_speed_limit_is_none_too_fast(bench):
 @pytest.mark.parametrize("way", [-1, 1])
 @pytest.mark.parametrize("option", [1, 2])
 @pytest.mark.parametrize("ticks", [1, 7, 14, 15, 40])
-def test_a_halt_behind_a_jump_ends_within_the_software_limits(bench, way, option, ticks):
+def test_halt_after_a_jump_ends_within_software_limits(bench, way, option, ticks):
     bench.set(0x605D, 0, option, 2)
     bench.set(0x607D, 1, -4_000, 4)
     bench.set(0x607D, 2, 4_000, 4)

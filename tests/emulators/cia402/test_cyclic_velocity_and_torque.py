@@ -1,4 +1,4 @@
-"""csv and cst: set-points at SYNC, evenly in between, with their offsets. CiA 402-2."""
+"""csv and cst: set-points at SYNC, linear in between, with their offsets. CiA 402-2."""
 
 import struct
 
@@ -14,7 +14,7 @@ LIGHT = {"preset": "wheel_60w", "load_inertia_kg_m2": 0.0}
 
 
 def cyclic(mode: int, **objects: int) -> Bench:
-    """RPDO 4 (6040h and the mode's target) synchronous, 60C2h 4 ms; in the mode, enabled."""
+    """Return an enabled bench in the mode: RPDO 4 (6040h, target) synchronous, 60C2h 4 ms."""
     values = {"1403h:2": 1, "60C2h:1": PERIOD, "6065h": 0xFFFF_FFFF, "1602h:2": 0x60B0_0020}
     values["1603h:2"] = {CSP: 0x607A_0020, CSV: 0x60FF_0020, CST: 0x6071_0010}[mode]
     bench = Bench(objects={**values, **objects}, plant=LIGHT)
@@ -36,7 +36,7 @@ def after_each_tick(bench: Bench, key: str, ticks: int) -> list[float]:
 
 
 def demands(bench: Bench, index: int, ticks: int) -> list[int]:
-    """The object as it is at each tick from the next one on."""
+    """Return the object's value at each of the next ticks."""
     reader = bench.drive.od.get(index).reader
     values = []
     for _ in range(ticks):
@@ -46,7 +46,7 @@ def demands(bench: Bench, index: int, ticks: int) -> list[int]:
     return values
 
 
-def test_csv_velocity_goes_evenly_from_set_point_to_set_point():
+def test_csv_velocity_is_linear_between_set_points():
     bench = cyclic(CSV)
     set_point(bench, 8_000)
     assert demands(bench, 0x606B, 6) == [0, 2_000, 4_000, 6_000, 8_000, 8_000]
@@ -55,7 +55,7 @@ def test_csv_velocity_goes_evenly_from_set_point_to_set_point():
 
 
 @pytest.mark.parametrize(("mode", "index", "value"), [(CSV, 0x60FF, 10_000), (CST, 0x6071, 100)])
-def test_a_motor_enabled_under_halt_stands_until_halt_is_over(mode, index, value):
+def test_motor_enabled_under_halt_waits_for_its_end(mode, index, value):
     bench = Bench(plant=LIGHT)
     bench.operational()
     bench.set(index, 0, value, 4 if mode == CSV else 2)
@@ -71,7 +71,7 @@ def test_a_motor_enabled_under_halt_stands_until_halt_is_over(mode, index, value
     assert bench.truth("velocity_rad_s") > 0.0
 
 
-def test_csv_takes_60ffh_as_it_stands_when_it_gets_the_axis():
+def test_csv_uses_the_present_60ffh_when_it_starts():
     bench = Bench(plant=LIGHT)
     bench.operational()
     bench.set(0x60FF, 0, 10_000, 4)
@@ -80,7 +80,7 @@ def test_csv_takes_60ffh_as_it_stands_when_it_gets_the_axis():
     assert bench.read(0x606C) == pytest.approx(10_000, abs=300)
 
 
-def test_csv_adds_60b1h_and_the_motor_gets_there():
+def test_csv_adds_60b1h_and_reaches_the_velocity():
     bench = cyclic(CSV)
     bench.set(0x60B1, 0, 5_000, 4)
     set_point(bench, 20_000)
@@ -93,8 +93,8 @@ def test_csv_adds_60b1h_and_the_motor_gets_there():
     assert turns_s * plant.encoder_increments_rev == pytest.approx(25_000, rel=0.01)
 
 
-def test_csv_beyond_6080h_is_cut_and_says_so():
-    bench = cyclic(CSV, **{"6080h": 300})  # rpm: 5 turns of the motor a second
+def test_csv_above_6080h_is_limited_and_reported():
+    bench = cyclic(CSV, **{"6080h": 300})  # rpm: 5 motor turns per second
     most = 5 * bench.drive.settings.plant.encoder_increments_rev
     set_point(bench, most + 1)
     bench.run(6 * MS)
@@ -104,17 +104,17 @@ def test_csv_beyond_6080h_is_cut_and_says_so():
     assert bench.statusword() & (LIMIT | FOLLOWS) == FOLLOWS
 
 
-def test_cst_torque_goes_evenly_and_adds_60b2h():
+def test_cst_torque_is_linear_and_adds_60b2h():
     bench = cyclic(CST)
     bench.set(0x60B2, 0, 20, 2)
     bench.run(10 * MS)
     set_point(bench, 100, code="<Hh")
     assert demands(bench, 0x6074, 6) == [20, 45, 70, 95, 120, 120]
-    assert bench.read(0x6077) == pytest.approx(120, abs=15)  # the motor's own voltage
+    assert bench.read(0x6077) == pytest.approx(120, abs=15)  # limited by the motor's back-EMF
     assert bench.statusword() & 0x3C00 == FOLLOWS
 
 
-def test_cst_within_6072h_and_within_6080h():
+def test_cst_is_limited_by_6072h_and_6080h():
     bench = cyclic(CST, **{"6072h": 50, "6080h": 300})
     set_point(bench, 100, code="<Hh")
     bench.run(10 * MS)
@@ -124,7 +124,7 @@ def test_cst_within_6072h_and_within_6080h():
         bench.run(4 * MS)
         bench.sync()
     turns_s = bench.truth("velocity_rad_s") * bench.drive.settings.plant.gear_ratio / 6.283185307
-    assert 3.5 < turns_s < 5.0  # 300 rpm is not passed, though the torque would take it to 4000
+    assert 3.5 < turns_s < 5.0  # 300 rpm is not exceeded, though the torque would reach 4000
 
 
 def test_csp_60b0h_is_added_to_the_target():
@@ -135,16 +135,16 @@ def test_csp_60b0h_is_added_to_the_target():
     assert bench.truth("demand_inc") == 130
 
 
-def test_csp_60b0h_counts_at_sync_with_its_target():
+def test_csp_60b0h_takes_effect_at_sync_with_its_target():
     bench = cyclic(CSP, **{"1402h:2": 1})
     bench.send(0x400 + NODE, struct.pack("<Hi", 0x0F, 30))  # RPDO 3: 6040h, 60B0h
     set_point(bench, 100)
     trace = after_each_tick(bench, "demand_inc", 6)
-    assert trace == [0, 33, 65, 98, 130, 130]  # one way over one period, not two
+    assert trace == [0, 33, 65, 98, 130, 130]  # one line over one period, not two
 
 
 def lag(bench: Bench, speed: int, fed: int) -> float:
-    """The mean following error along a line at `speed`, after the start has died out."""
+    """Return the mean following error along a line at `speed`, after the start transient."""
     bench.set(0x60B1, 0, fed, 4)
     errors = []
     for cycle in range(150):
@@ -155,8 +155,8 @@ def lag(bench: Bench, speed: int, fed: int) -> float:
     return sum(errors) / len(errors)
 
 
-def test_csp_60b1h_is_what_the_velocity_loop_is_fed():
-    """Without any feed-forward a P loop lags by v / kp; with 60B1h = v it does not."""
+def test_csp_60b1h_is_the_velocity_loop_feed_forward():
+    """Check that a P loop lags by v / kp without feed-forward, and not with 60B1h = v."""
     speed = 20_000
     kp = Bench().drive.settings.gains.position_kp_1_s
     off = {"60FBh:2": 0}
@@ -165,8 +165,8 @@ def test_csp_60b1h_is_what_the_velocity_loop_is_fed():
     assert lag(cyclic(CSP), speed, 0) == pytest.approx(0, abs=0.05 * speed / kp)
 
 
-def test_csp_60b2h_is_a_current_that_counts_at_once():
-    """Held against a load, the loop's integrator has found the torque; fed, it need not."""
+def test_csp_60b2h_is_a_current_that_applies_immediately():
+    """Check against a load: fed forward, the integrator need not supply the torque."""
     dip = {}
     for fed in (0, 200):
         bench = cyclic(CSP)
@@ -184,8 +184,8 @@ def test_csp_60b2h_is_a_current_that_counts_at_once():
 
 
 @pytest.mark.parametrize("mode", [CSP, CSV])
-def test_an_offset_does_not_outlive_its_mode(mode):
-    """The loops had found it superfluous: taken away, it leaves the motor short of as much."""
+def test_offset_ends_with_its_mode(mode):
+    """Check that removing an offset the loops compensated leaves the motor short of torque."""
     bench = cyclic(mode)
     bench.set(0x60B2, 0, 300, 2)
     bench.run(500 * MS)
@@ -200,7 +200,7 @@ def test_an_offset_does_not_outlive_its_mode(mode):
 
 
 @pytest.mark.parametrize("mode", [CSP, CSV, CST])
-def test_halt_stands_and_says_that_nothing_is_followed(mode):
+def test_halt_stops_and_reports_that_nothing_is_followed(mode):
     bench = cyclic(mode)
     code = "<Hh" if mode == CST else "<Hi"
     set_point(bench, 50, code=code)

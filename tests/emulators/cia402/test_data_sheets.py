@@ -1,18 +1,19 @@
-"""Motors of data sheets behind the emulated drive: experiments as on a bench, against what is
-printed. Nothing is taken from the plant's parameters.
+"""Data sheet motors behind the emulated drive: bench experiments compared with printed values.
 
-The printed: maxon catalogue page "EC 13 13 mm, brushless, 6 Watt", order number 305194, lines 2, 7
-and 15; Faulhaber data sheets "DC-Micromotors 3,2 mNm, Series 1331 ... SR" and "Brushless
+Nothing is taken from the plant's parameters.
+
+Printed values: maxon catalogue page "EC 13 13 mm, brushless, 6 Watt", order number 305194, lines 2,
+7 and 15; Faulhaber data sheets "DC-Micromotors 3,2 mNm, Series 1331 ... SR" and "Brushless
 DC-Servomotors 47,1 mNm, Series 3564 ... B", no-load speed, stall torque, mechanical time constant.
 
-In all three the drive is in profile torque mode and asked for more than the motor can give (6071h
-at its largest, 6087h too): so its stage puts the whole supply on the winding, as sheets assume.
+In all three experiments the drive is in profile torque mode, with a command above the motor's
+capability (6071h at its maximum, 6087h too). Its stage thus applies the whole supply to the
+winding, as data sheets assume.
 
 - No-load speed: the shaft is free; 606Ch [increments/s] after a second.
-- Stall torque: the shaft is held by an end of its way; 6077h by 6076h when the current stands.
-- Mechanical time constant: the step response of the free shaft, from the instant at which the
-  voltage comes (the last one without current) until a tachometer on the shaft shows 63.2 % of the
-  speed at which it ends.
+- Stall torque: a stop holds the shaft; 6077h by 6076h when the current is steady.
+- Mechanical time constant: the step response of the free shaft. It starts at the voltage step (the
+  last instant without current) and ends when a tachometer shows 63.2 % of the final speed.
 """
 
 from itertools import pairwise
@@ -33,7 +34,7 @@ PRINTED = {
 
 
 def all_voltage(preset, **plant):
-    """The drive has been told so in this instant, and has not answered yet."""
+    """Return a bench that has just received the command, and has not answered yet."""
     bench = Bench(plant={"preset": preset, **plant}, servo=SERVO)
     bench.enable(mode=4)
     bench.set(0x6072, 0, 0xFFFF, 2)
@@ -71,7 +72,7 @@ def mechanical_time_constant_ms(preset):
 
 
 @pytest.mark.parametrize("preset", PRINTED)
-def test_experiments_give_what_the_data_sheet_says(preset):
+def test_experiments_give_the_data_sheet_values(preset):
     measured = (
         no_load_speed_rpm(preset),
         stall_torque_mn_m(preset),

@@ -1,8 +1,8 @@
-"""60FDh, hardware limit switches in every mode, and touch probe: edges where the plant has them.
+"""60FDh, hardware limit switches in every mode, and touch probe: edges at the plant's positions.
 
 Sources: CiA 402-2 for the bits of 60FDh, 60B8h and 60B9h; Novanta's stop manager and SMC's LECSN-T
-for what an active limit switch does: the way into it is barred, the way out is free, statusword bit
-11 is set.
+for the effect of an active limit switch: motion into it is blocked, motion away from it is free,
+statusword bit 11 is set.
 """
 
 import struct
@@ -35,7 +35,7 @@ def bench_in(mode: int, track: Track, start: int = 0) -> Bench:
 
 
 def command(bench: Bench, mode: int, way: int) -> None:
-    """A motion in that way that goes on well beyond the switches."""
+    """Command a motion in that direction, well beyond the switches."""
     if mode == PP:
         bench.set(0x6081, 0, 40_000, 4)
         bench.set(0x607A, 0, way * 100_000, 4)
@@ -56,7 +56,7 @@ def command(bench: Bench, mode: int, way: int) -> None:
 
 @pytest.mark.parametrize("way", [-1, 1])
 @pytest.mark.parametrize("mode", [PP, PV, TQ, CSP])
-def test_a_limit_switch_stops_what_leads_into_it_and_lets_out_what_leads_away(mode, way):
+def test_limit_switch_blocks_motion_into_it_and_not_away(mode, way):
     bench = bench_in(mode, Track(negative=-4_000, positive=4_000))
     errors = bench.times(0x080 + NODE)
     assert not bench.statusword() & LIMIT
@@ -70,26 +70,26 @@ def test_a_limit_switch_stops_what_leads_into_it_and_lets_out_what_leads_away(mo
     assert word & 0x006F == 0x0027  # operation enabled
     assert word & LIMIT
     assert not (mode != CSP and word & 0x0400)  # the target is not reached
-    command(bench, mode, way)  # once more, into it
+    command(bench, mode, way)  # again, towards the switch
     bench.run(500 * MS)
     assert count(bench) == pytest.approx(stood, abs=20)
     command(bench, mode, -way)
     bench.run(250 * MS)
     assert way * (count(bench) - stood) < -1_000
-    assert bench.times(0x080 + NODE) == errors  # it is no fault
+    assert bench.times(0x080 + NODE) == errors  # this is not a fault
 
 
-def test_the_stop_begins_at_the_tick_and_takes_the_quick_stop_ramp():
+def test_stop_begins_at_the_tick_with_the_quick_stop_ramp():
     bench = bench_in(PV, Track())
     bench.set(0x6084, 0, 10_000, 4)
     bench.set(0x60FF, 0, 40_000, 4)
     bench.run_while(lambda: not bench.drive._power_drive.inputs.bits & 2)
-    assert 0 <= count(bench) - 6_000 < 50  # a tick of 40 increments at most
+    assert 0 <= count(bench) - 6_000 < 50  # within one tick of 40 increments
     bench.run(500 * MS)
     assert count(bench) - 6_000 == pytest.approx(40_000**2 / 2 / 1_000_000, abs=80)
 
 
-def test_a_set_point_away_from_the_switch_that_is_active_at_power_on_is_reached():
+def test_set_point_away_from_an_active_switch_is_reached():
     bench = bench_in(PP, Track(), start=6_500)
     assert bench.statusword() & LIMIT
     bench.set(0x607A, 0, 5_000, 4)
@@ -99,7 +99,7 @@ def test_a_set_point_away_from_the_switch_that_is_active_at_power_on_is_reached(
     assert count(bench) == pytest.approx(5_000, abs=10)
 
 
-def test_inputs_can_be_forced_and_let_go_and_their_tpdo_goes_by_itself():
+def test_inputs_can_be_forced_and_trigger_their_tpdo():
     bench = Bench(switches=Track().table())
     bench.boot()
     for index, subindex, value, size in (
@@ -114,7 +114,7 @@ def test_inputs_can_be_forced_and_let_go_and_their_tpdo_goes_by_itself():
     bench.run(10 * MS)
     told = []
     for name, value, bits in (
-        ("interlock", 1, 0x0C),  # it stands on the home switch
+        ("interlock", 1, 0x0C),  # the axis stands on the home switch
         ("positive_limit", 1, 0x0E),
         ("negative_limit", 1, 0x0F),
         ("home", 0, 0x0B),
@@ -129,11 +129,11 @@ def test_inputs_can_be_forced_and_let_go_and_their_tpdo_goes_by_itself():
         bench.run(10 * MS)  # TPDO 1 has an inhibit time of 5 ms
         told.append((bench.last(0x185), struct.pack("<I", bits)))
     assert [got for got, _ in told] == [expected for _, expected in told]
-    with pytest.raises(ValueError, match="home is 0 or 1, or -1 for its switch's own, not 2"):
+    with pytest.raises(ValueError, match="home = 2: must be 0, 1 or -1"):
         bench.drive.stimulate("home", 2, bench.now)
 
 
-def test_a_motor_without_power_that_is_turned_tells_its_switches_too():
+def test_motor_turned_without_power_reports_its_switches():
     bench = Bench(switches=Track().table())
     bench.operational()
     bench.drive.stimulate("load_torque_n_m", 5.0, bench.now)
@@ -145,7 +145,7 @@ def test_a_motor_without_power_that_is_turned_tells_its_switches_too():
     assert bench.read(0x60FD) == 1
 
 
-def test_a_drive_between_its_switches_waits_for_nothing():
+def test_drive_at_rest_between_switches_has_no_deadline():
     bench = Bench(switches=Track().table())
     bench.operational()
     bench.run(100 * MS)
@@ -154,7 +154,7 @@ def test_a_drive_between_its_switches_waits_for_nothing():
 
 # --- touch probe
 
-# 60B8h, of the first probe; 60B9h; then value and counter objects.
+# 60B8h, for the first probe; 60B9h; then value and counter objects.
 ON, EVERY, PULSE, BY_SOURCE, RISING, FALLING = 0x01, 0x02, 0x04, 0x08, 0x10, 0x20
 PROBE = (1_000, 1_500)  # counts between which the input of probe 1 is active
 
@@ -180,12 +180,12 @@ def shown(bench: Bench) -> list[int]:
     return [bench.read(index, signed=True) for index in (0x60B9, 0x60BA, 0x60BB, 0x60D5, 0x60D6)]
 
 
-def test_a_first_event_is_latched_once_at_the_edge_and_again_after_it_was_asked_anew():
+def test_first_event_is_latched_once_per_request():
     bench = probing(ON | RISING | FALLING)
     assert shown(bench) == [1, 0, 0, 0, 0]
     go(bench, 3_000)
     assert shown(bench) == [7, 1_000, 1_500, 1, 1]
-    go(bench, 0)  # backwards the edges are rising at 1500, falling at 1000
+    go(bench, 0)  # backwards, the rising edge is at 1500, the falling edge at 1000
     assert shown(bench) == [7, 1_000, 1_500, 1, 1]
     bench.set(0x60B8, 0, ON | FALLING, 2)
     assert shown(bench) == [5, 1_000, 1_500, 1, 1]
@@ -196,15 +196,15 @@ def test_a_first_event_is_latched_once_at_the_edge_and_again_after_it_was_asked_
     assert shown(bench)[0] == 0
 
 
-def test_a_switch_that_is_forced_has_no_edges():
+def test_forced_switch_has_no_edges():
     bench = probing(ON | EVERY | RISING | FALLING)
     bench.drive.stimulate("touch_probe_1", 0, bench.now)
     go(bench, 3_000)
-    bench.drive.stimulate("home", 1, bench.now)  # which looks at all inputs
+    bench.drive.stimulate("home", 1, bench.now)  # this evaluates all inputs
     assert shown(bench) == [1, 0, 0, 0, 0]
 
 
-def test_every_event_is_latched_and_counted_where_that_was_asked():
+def test_every_event_is_latched_and_counted_when_requested():
     bench = probing(ON | EVERY | RISING)
     go(bench, 3_000)
     go(bench, 0)
@@ -214,7 +214,7 @@ def test_every_event_is_latched_and_counted_where_that_was_asked():
     assert shown(bench)[3] == 2
 
 
-def test_the_index_pulse_is_a_source_either_way_it_is_named():
+def test_index_pulse_is_a_source_by_either_setting():
     for function in (ON | EVERY | PULSE | RISING, ON | EVERY | BY_SOURCE | RISING):
         bench = probing(function, initial_position_rad=0.0)
         bench.set(0x60D0, 1, 5, 2)
@@ -223,7 +223,7 @@ def test_the_index_pulse_is_a_source_either_way_it_is_named():
         assert bench.write(0x60D0, 1, 3, 2) == 0x0609_0030
 
 
-def test_the_second_probe_has_the_upper_byte_and_inputs_of_its_own():
+def test_second_probe_has_the_upper_byte_and_own_inputs():
     bench = probing((ON | RISING | FALLING) << 8)
     bench.drive.stimulate("touch_probe_2", 1, bench.now)
     assert bench.read(0x60B9) == 0x0300
@@ -234,7 +234,7 @@ def test_the_second_probe_has_the_upper_byte_and_inputs_of_its_own():
     assert bench.read(0x60BD) == bench.read(0x6064)
 
 
-def test_latched_positions_are_in_the_hosts_coordinates():
+def test_latched_positions_are_in_host_coordinates():
     bench = probing(ON | RISING)
     bench.set(0x6060, 0, 6, 1)
     bench.set(0x607C, 0, -50_000, 4)
@@ -247,7 +247,7 @@ def test_latched_positions_are_in_the_hosts_coordinates():
 
 
 @given(st.integers(1, 4_000), st.integers(1, 900), st.sampled_from([700, 30_000, 100_000]))
-def test_what_is_latched_is_the_edge_whatever_the_speed(low, width, velocity):
+def test_latched_position_is_the_edge_at_any_speed(low, width, velocity):
     table = {"touch_probe_1_from_rad": low * RAD, "touch_probe_1_to_rad": (low + width) * RAD}
     bench = Bench(switches=table, objects={"6081h": velocity, "6083h": 3_000_000})
     bench.enable(mode=PP)

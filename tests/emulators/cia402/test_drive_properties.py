@@ -1,4 +1,4 @@
-"""Looking at a drive changes nothing; at rest it costs nothing (its states: test_fsa_machine)."""
+"""Observing a drive changes nothing; at rest it uses no time (its states: test_fsa_machine)."""
 
 import struct
 
@@ -26,7 +26,7 @@ ACTIONS = st.one_of(
     st.tuples(st.just("load"), st.sampled_from([0.0, 5.0, 40.0])),
     st.tuples(st.just("nmt"), st.sampled_from([0x01, 0x01, 0x02, 0x80, 0x81, 0x82])),
     st.tuples(st.just("abort code"), st.sampled_from([0, 1, 2, 3])),
-    st.tuples(st.just("heartbeat"), st.just(0)),  # once heard, lost 50 ms later
+    st.tuples(st.just("heartbeat"), st.just(0)),  # once received, lost 50 ms later
 )
 ENABLED = [("word", 0x06), ("word", 0x0F), ("wait", 20)]
 STARTS = st.sampled_from(
@@ -92,7 +92,7 @@ def act(bench: Bench, what: str, value: float) -> None:
     RUNS, st.lists(st.integers(0, 30), min_size=1, max_size=40), st.randoms(use_true_random=False)
 )
 @settings(max_examples=40)
-def test_looking_changes_nothing(run, looks, dice):
+def test_observing_changes_nothing(run, looks, dice):
     plain, watched = new_bench(), new_bench()
     for number, (what, value) in enumerate(run):
         act(plain, what, value)
@@ -111,7 +111,7 @@ def test_looking_changes_nothing(run, looks, dice):
     assert plain.drive.snapshot(plain.now) == watched.drive.snapshot(watched.now)
 
 
-def test_a_drive_at_rest_waits_for_nothing():
+def test_drive_at_rest_has_no_deadline():
     bench = new_bench()
     assert bench.drive.next_deadline_ns() is None
     bench.enable(mode=1)
@@ -122,10 +122,10 @@ def test_a_drive_at_rest_waits_for_nothing():
     assert first is not None
     count = len(bench.sent)
     bench.run(1000 * MS)
-    assert bench.hex_since(count) == ["705#05"] * 10  # heartbeats and nothing else
+    assert bench.hex_since(count) == ["705#05"] * 10  # heartbeats only
 
 
-def test_a_coasting_motor_costs_nothing_until_somebody_looks():
+def test_coasting_motor_costs_nothing_until_observed():
     bench = new_bench()
     bench.enable(mode=3)
     bench.send(0x505, struct.pack("<Hi", 0x0F, 50_000))
@@ -137,12 +137,12 @@ def test_a_coasting_motor_costs_nothing_until_somebody_looks():
 
 
 @pytest.mark.parametrize("heartbeat_ms", [0, 1000])
-def test_the_statusword_is_told_at_the_very_tick(heartbeat_ms):
-    """Target reached is due at a tick, not at the next poll, nor when the node wakes up anyway."""
+def test_statusword_is_sent_at_the_exact_tick(heartbeat_ms):
+    """Check that target reached is due at a tick, not at a poll or another wake-up of the node."""
     bench = new_bench()
     bench.set(0x1017, 0, heartbeat_ms, 2)
     bench.enable(mode=1)
-    bench.run(50 * MS + 300_000)  # off the grid
+    bench.run(50 * MS + 300_000)  # off the tick grid
     offered_at = bench.now
     bench.send(0x405, struct.pack("<Hi", 0x1F, 5_000))
     bench.sync()

@@ -1,4 +1,4 @@
-"""The ten defects read in the best-known open CiA 402 emulator (field.md 3.1): none is here.
+"""The ten defects found in the best-known open CiA 402 emulator (field.md 3.1): none is here.
 
 Source of the list: ros2_canopen `canopen_fake_slaves`, cia402_slave.hpp and motion_generator.cpp.
 """
@@ -10,9 +10,9 @@ from itertools import pairwise
 import pytest
 from canopen import import_od
 
-from emulators.canopen.object_dictionary import ObjectDictionary
-from emulators.cia402.objects import DriveObjects
-from emulators.cia402.settings import OWN_EDS, read_settings
+from motorhil.emulators.canopen.object_dictionary import ObjectDictionary
+from motorhil.emulators.cia402.objects.dictionary import DriveObjects
+from motorhil.emulators.cia402.settings import OWN_EDS, read_settings
 from tests.emulators.cia402.bench import MS, NODE, Bench
 
 LIGHT = {"preset": "wheel_60w", "load_inertia_kg_m2": 0.0}
@@ -43,19 +43,19 @@ def go(bench: Bench, target: int, word: int = 0x1F) -> None:
 
 def test_1_velocity_and_acceleration_are_not_swapped():
     bench = moving()
-    bench.set(0x6081, 0, 20_000, 4)  # 20 increments a tick
-    bench.set(0x6083, 0, 500_000, 4)  # half an increment a tick more in each tick
+    bench.set(0x6081, 0, 20_000, 4)  # 20 increments per tick
+    bench.set(0x6083, 0, 500_000, 4)  # half an increment per tick more in each tick
     bench.set(0x6084, 0, 250_000, 4)
     go(bench, 10_000)
     speeds = differences(demands(bench, 700))
     assert max(speeds) == 20
     changes = differences(speeds)
-    assert max(changes) <= 2  # 0.5, of rounded positions
+    assert max(changes) <= 2  # 0.5, from rounded positions
     assert speeds.index(20) in range(38, 43)  # 20,000 / 500,000 = 40 ms
     assert speeds[-100:] == [0] * 100
 
 
-def test_2_pp_needs_an_edge_acknowledges_and_knows_its_bits():
+def test_2_pp_needs_an_edge_and_implements_its_bits():
     bench = moving()
     bench.set(0x607A, 0, 3_000, 4)
     assert max(demands(bench, 200)) == 0  # no edge, no motion
@@ -77,7 +77,7 @@ def test_2_pp_needs_an_edge_acknowledges_and_knows_its_bits():
 
 
 @pytest.mark.parametrize(("word", "state"), [(0x06, 2), (0x00, 1), (0x02, 1)])
-def test_3_a_move_ends_when_the_drive_is_disabled_or_stopped(word, state):
+def test_3_motion_ends_when_the_drive_is_disabled(word, state):
     bench = moving()
     go(bench, 50_000)
     bench.run(200 * MS)
@@ -89,7 +89,7 @@ def test_3_a_move_ends_when_the_drive_is_disabled_or_stopped(word, state):
     assert bench.truth("current_a") == pytest.approx(0.0, abs=1e-9)
 
 
-def test_4_faults_are_reached_told_and_reset():
+def test_4_faults_occur_are_reported_and_can_be_reset():
     bench = moving(objects={"6065h": 300, "6066h": 5})
     bench.drive.stimulate("load_torque_n_m", 40.0, bench.now)
     bench.run(300 * MS)
@@ -102,7 +102,7 @@ def test_4_faults_are_reached_told_and_reset():
     bench.enable()
 
 
-def test_5_a_quick_stop_changes_the_velocity():
+def test_5_quick_stop_changes_the_velocity():
     bench = moving(mode=3)
     bench.send(0x500 + NODE, struct.pack("<Hi", 0x0F, 40_000))
     bench.run(300 * MS)
@@ -114,14 +114,14 @@ def test_5_a_quick_stop_changes_the_velocity():
     assert bench.truth("velocity_rad_s") == pytest.approx(0.0, abs=0.01)
 
 
-def test_6_profile_velocity_ramps():
+def test_6_profile_velocity_uses_ramps():
     bench = moving(mode=3)
     bench.set(0x6083, 0, 100_000, 4)
     bench.send(0x500 + NODE, struct.pack("<Hi", 0x0F, 20_000))
     velocities = []
     for _ in range(20):
         bench.run(10 * MS)
-        velocities.append(bench.read(0x606B))  # takes 1 ms by itself
+        velocities.append(bench.read(0x606B))  # the read itself takes 1 ms
     assert velocities[0] < 2_000
     assert all(step <= 1_100 + 1 for step in differences([0, *velocities]))  # 11 ms at 100,000
     assert velocities[-1] == 20_000
@@ -144,11 +144,11 @@ def test_7_csp_waits_for_sync_and_keeps_every_increment():
         bench.sync()
         bench.run(50 * MS)
         assert bench.truth("demand_inc") == reached
-        assert bool(bench.statusword() & 0x0800) is limited  # told, not silently ignored
+        assert bool(bench.statusword() & 0x0800) is limited  # reported, not silently ignored
 
 
 @pytest.mark.parametrize("period_ms", [2, 5, 20])
-def test_8_interpolation_takes_the_time_60c2h_says(period_ms):
+def test_8_interpolation_takes_the_time_in_60c2h(period_ms):
     bench = moving(mode=8)
     bench.set(0x60C2, 1, period_ms, 1)
     go(bench, 500, word=0x0F)
@@ -157,7 +157,7 @@ def test_8_interpolation_takes_the_time_60c2h_says(period_ms):
     assert values[1 + period_ms // 2 - 1] == pytest.approx(500 * (period_ms // 2) / period_ms)
 
 
-def test_9_homing_takes_place_in_the_drives_time_and_can_fail():
+def test_9_homing_takes_drive_time_and_can_fail():
     bench = moving()
     go(bench, 2_000)
     bench.run(600 * MS)
@@ -187,23 +187,23 @@ def scenario() -> list[tuple[int, int, bytes]]:
     return bench.sent
 
 
-def test_10_nothing_polls_and_nothing_is_left_to_chance():
+def test_10_drive_does_not_poll_and_is_deterministic():
     assert scenario() == scenario()
     bench = Bench()
     bench.operational()
     bench.run(100 * MS)
-    assert bench.drive.next_deadline_ns() is None  # at rest nothing is waited for
+    assert bench.drive.next_deadline_ns() is None  # at rest there is no deadline
     bench.enable(mode=1)
     bench.run(1000 * MS)
     assert bench.drive.next_deadline_ns() is None  # standing in position: the same
 
 
-# Facts about the drive: they are read, and mean something to the host alone.
+# Facts about the drive: they are only read, and have a meaning to the host only.
 CONSTANTS = {0x60E3, 0x6402, 0x67FF, 0x6086}
 
 
-def test_11_every_object_of_our_file_has_a_behaviour():
-    """What the drive works with when the file has nothing is what has behaviour; the rest reads."""
+def test_11_every_object_of_our_file_has_an_effect():
+    """Check that an object without reader or writer is one the drive itself uses."""
     behind = ObjectDictionary()
     DriveObjects(behind, read_settings({"node_id": 1}, OWN_EDS.parent))
     missing = -(1 << 70)
@@ -220,7 +220,7 @@ def test_11_every_object_of_our_file_has_a_behaviour():
         ), f"{variable.index:04X}h:{variable.subindex} does nothing"
 
 
-def test_our_file_reads_the_same_in_canopens_parser():
+def test_our_file_reads_the_same_in_the_canopen_parser():
     theirs = import_od(str(OWN_EDS), node_id=NODE)
     ours = Bench().drive.od
     assert [index for index in sorted(theirs) if index >= 0x1000] == list(ours.indices())

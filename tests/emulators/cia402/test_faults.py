@@ -4,8 +4,8 @@ import struct
 
 import pytest
 
-from emulators.cia402.faults import error_register
-from emulators.cia402.pds_fsa import PdsState
+from motorhil.emulators.cia402.faults import error_register
+from motorhil.emulators.cia402.state_machine import PdsState
 from tests.emulators.cia402.bench import MS, NODE, Bench
 
 V, A, QUICK = 40_000, 409_600, 819_200
@@ -28,12 +28,16 @@ def fault(bench: Bench, code: int) -> None:
     bench._drain()
 
 
-def test_emcy_of_a_following_error_is_the_golden_frame():
-    """drives.md (Faulhaber MC5010): 080h + node, 11 86 20 02 00 00 00 00; code and profile bit are
-    the standard's (bit 0, generic, goes with every error in CiA 301), the rest is the vendor's."""
+def test_following_error_emcy_is_the_golden_frame():
+    """Check against drives.md (Faulhaber MC5010): 080h + node, 11 86 20 02 00 00 00 00.
+
+    Code and profile bit are the standard's. In CiA 301, bit 0, generic, is set with every error.
+    The
+    rest is the vendor's.
+    """
     bench = Bench(objects={"6065h": 500, "6066h": 10}, plant={"preset": "wheel_60w"})
     bench.enable(mode=1)
-    bench.drive.stimulate("load_torque_n_m", 30.0, bench.now)  # stalls: 8 A make 13.7 N m
+    bench.drive.stimulate("load_torque_n_m", 30.0, bench.now)  # stalls: 8 A give 13.7 N m
     bench.run(200 * MS)
     frames = [(time, data) for time, can_id, data in bench.sent if can_id == 0x080 + NODE]
     assert [data for _, data in frames] == [bytes.fromhex("1186210000000000")]
@@ -43,7 +47,7 @@ def test_emcy_of_a_following_error_is_the_golden_frame():
     assert ("error", "fault 8611h (following error)") in bench.events
 
 
-def test_following_error_needs_its_time():
+def test_following_error_fault_needs_its_time():
     bench = Bench(objects={"6065h": 100, "6066h": 50})
     bench.enable(mode=1)
     bench.run(10 * MS)
@@ -66,7 +70,7 @@ def test_following_error_can_be_switched_off(window):
 
 
 @pytest.mark.parametrize(("option", "deceleration"), [(1, A), (2, QUICK)])
-def test_fault_reaction_brakes_then_faults(option, deceleration):
+def test_fault_reaction_brakes_then_enters_fault(option, deceleration):
     bench = running()
     bench.set(0x605E, 0, option, 2)
     at = bench.now
@@ -75,7 +79,7 @@ def test_fault_reaction_brakes_then_faults(option, deceleration):
     assert bench.last(0x185) == bytes.fromhex("1F02")
     assert state(bench) == PdsState.FAULT_REACTION_ACTIVE
     bench.controlword(0x00)
-    bench.controlword(0x80)  # nothing leaves this state but its end
+    bench.controlword(0x80)  # only the end of the reaction leaves this state
     stopping = round(1e9 * V / deceleration)
     bench.run_until(at + stopping - 1 * MS)
     assert state(bench) == PdsState.FAULT_REACTION_ACTIVE
@@ -96,7 +100,7 @@ def test_fault_reaction_0_coasts():
     assert bench.truth("current_a") == pytest.approx(0.0, abs=1e-6)
 
 
-def test_a_fault_is_reset_by_an_edge_and_only_by_it():
+def test_fault_is_reset_by_an_edge_only():
     bench = running()
     fault(bench, 0x2310)
     bench.run(500 * MS)
@@ -120,7 +124,7 @@ def test_a_fault_is_reset_by_an_edge_and_only_by_it():
     bench.enable()
 
 
-def test_a_fault_is_entered_with_the_power_stage_off_too():
+def test_fault_is_entered_with_the_power_stage_off():
     bench = Bench()
     bench.operational()
     fault(bench, 0x5530)
@@ -128,7 +132,7 @@ def test_a_fault_is_entered_with_the_power_stage_off_too():
     assert bench.last(0x085) == bytes.fromhex("3055010000000000")
 
 
-def test_a_fault_while_the_power_stage_comes_up_keeps_it_down():
+def test_fault_during_power_up_keeps_the_power_stage_off():
     bench = Bench()
     bench.operational()
     for word in (0x06, 0x07, 0x0F):
@@ -140,7 +144,7 @@ def test_a_fault_while_the_power_stage_comes_up_keeps_it_down():
     assert state(bench) == PdsState.FAULT
 
 
-def test_a_second_fault_is_told_and_changes_nothing_but_603fh():
+def test_second_fault_is_reported_and_changes_only_603fh():
     bench = Bench()
     bench.operational()
     fault(bench, 0x5530)
@@ -149,7 +153,7 @@ def test_a_second_fault_is_told_and_changes_nothing_but_603fh():
     assert bench.read(0x603F, signed=False) == 0x4310
 
 
-def test_without_supply_it_cannot_be_enabled_nor_braked():
+def test_without_supply_drive_cannot_enable_or_brake():
     bench = running()
     bench.drive.stimulate("power", 0, bench.now)
     bench._drain()
@@ -157,7 +161,7 @@ def test_without_supply_it_cannot_be_enabled_nor_braked():
     assert bench.last(0x085)[:3] == bytes.fromhex("203205")
     assert not bench.statusword() & 0x10  # voltage enabled
     bench.controlword(0x80)
-    assert state(bench) == PdsState.FAULT  # its cause is still there
+    assert state(bench) == PdsState.FAULT  # its cause is still present
     bench.drive.stimulate("power", 1, bench.now)
     bench.controlword(0x00)
     bench.controlword(0x80)
@@ -172,12 +176,12 @@ def test_without_supply_it_cannot_be_enabled_nor_braked():
 
 
 @pytest.mark.parametrize("code", [0, -1, 0x10000, 1.5])
-def test_only_error_codes_are_faults(code):
+def test_stimulus_not_an_error_code_is_rejected(code):
     with pytest.raises(ValueError, match="error code"):
         Bench().drive.stimulate("fault", code, 0)
 
 
-def test_unknown_stimuli_are_refused_with_the_known_ones():
+def test_unknown_stimulus_is_rejected_with_the_known_ones():
     with pytest.raises(ValueError, match="known: load_torque_n_m, fault, power"):
         Bench().drive.stimulate("lamp", 1, 0)
 
@@ -194,24 +198,24 @@ def test_unknown_stimuli_are_refused_with_the_known_ones():
         (0x8130, 0x11),
         (0x8210, 0x11),
         (0x8611, 0x21),
-        (0xF004, 0x01),  # additional functions: CiA 402's, and no manufacturer's
+        (0xF004, 0x01),  # additional functions: CiA 402's, not a manufacturer's
         (0xFF01, 0x81),
     ],
 )
-def test_error_register_goes_with_the_code(code, register):
+def test_error_register_matches_the_code(code, register):
     assert error_register(code) == register
 
 
-# --- the host falls silent: 1016h and 6007h
+# --- the host becomes silent: 1016h and 6007h
 
 
 def heartbeat_bench(option: int | None = None) -> Bench:
-    """Runs in pv; expects a heartbeat of node 127 every 200 ms."""
+    """Return a bench running in pv that expects a heartbeat of node 127 every 200 ms."""
     bench = running()
     if option is not None:
         bench.set(0x6007, 0, option, 2)
     bench.set(0x1016, 1, 127 << 16 | 200, 4)
-    bench.set(0x1029, 1, 1, 1)  # stay operational, so that the statusword tells
+    bench.set(0x1029, 1, 1, 1)  # stay operational, so that the statusword is sent
     for _ in range(5):
         bench.send(0x77F, b"\x05")
         bench.run(100 * MS)
@@ -229,7 +233,7 @@ def heartbeat_bench(option: int | None = None) -> Bench:
         (0, PdsState.OPERATION_ENABLED, "3706", 0),
     ],
 )
-def test_heartbeat_loss_does_what_6007h_says(option, after, state_bits, error):
+def test_heartbeat_loss_has_the_effect_set_in_6007h(option, after, state_bits, error):
     bench = heartbeat_bench(option)
     lost = bench.now + 200 * MS
     bench.run_until(lost - 1)
@@ -245,7 +249,7 @@ def test_heartbeat_loss_does_what_6007h_says(option, after, state_bits, error):
 
 
 @pytest.mark.parametrize("option", [1, 2, 3])
-def test_heartbeat_loss_while_the_power_stage_comes_up_keeps_it_down(option):
+def test_heartbeat_loss_during_power_up_keeps_it_off(option):
     bench = Bench()
     bench.operational()
     bench.set(0x6007, 0, option, 2)
@@ -258,7 +262,7 @@ def test_heartbeat_loss_while_the_power_stage_comes_up_keeps_it_down(option):
     assert state(bench) == (PdsState.FAULT if option == 1 else PdsState.SWITCH_ON_DISABLED)
 
 
-def test_heartbeat_loss_leaves_an_idle_drive_alone():
+def test_heartbeat_loss_does_not_affect_an_idle_drive():
     bench = Bench()
     bench.operational()
     bench.set(0x1016, 1, 127 << 16 | 200, 4)
@@ -268,7 +272,7 @@ def test_heartbeat_loss_leaves_an_idle_drive_alone():
     assert state(bench) == PdsState.SWITCH_ON_DISABLED
 
 
-def test_after_heartbeat_loss_the_drive_is_usable_again():
+def test_drive_is_usable_again_after_heartbeat_loss():
     bench = heartbeat_bench()
     bench.run(1000 * MS)
     assert state(bench) == PdsState.FAULT
@@ -293,7 +297,7 @@ def test_after_heartbeat_loss_the_drive_is_usable_again():
         ("load", 1.0, "there is no stimulus 'load'; known: load_torque_n_m, fault, power"),
     ],
 )
-def test_what_is_no_stimulus_is_refused_and_changes_nothing(name, value, text):
+def test_invalid_stimulus_is_rejected_and_changes_nothing(name, value, text):
     bench = Bench()
     bench.enable(mode=1)
     with pytest.raises(ValueError, match=text):

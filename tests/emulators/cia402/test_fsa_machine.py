@@ -1,7 +1,7 @@
-"""A stranger does what he likes; the drive never does what the standard forbids.
+"""Random actions on a drive: it never does what the standard forbids.
 
-The reading of the standard is `standard`'s, the rules of motion are `watched`'s, what may be done
-is `stranger`'s. That the runs get everywhere is counted: state by state, transition by transition.
+`standard` has the reading of the standard, `watched` the rules of motion, `stranger` the possible
+actions. The runs' coverage is counted: state by state, transition by transition.
 """
 
 from collections import Counter
@@ -11,7 +11,7 @@ from hypothesis import HealthCheck, event, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, rule, run_state_machine_as_test
 
-from harness.build_info import cores_are_compiled
+from motorhil.harness.version import cores_are_compiled
 from tests.emulators.cia402.power_drive_mutants import MUTANTS
 from tests.emulators.cia402.standard import TABLE, State
 from tests.emulators.cia402.stranger import DEEDS, MODES, STARTS, Stranger, walks
@@ -27,7 +27,7 @@ ANY_DEED = st.one_of(
 
 
 class Machine(RuleBasedStateMachine):
-    """Hypothesis as the stranger: what it finds it makes as short as it can be."""
+    """Hypothesis chooses the actions, and shortens each failure as far as possible."""
 
     @initialize(start=st.sampled_from(STARTS), limited=st.booleans(), mode=st.sampled_from(MODES))
     def switch_on(self, start, limited, mode):
@@ -48,7 +48,7 @@ machine_seen: list[Watched] = []
 
 
 def coverage_table(runs: list[Watched]) -> tuple[str, list[str]]:
-    """Transitions and states, how often; and the names of what nobody has come to."""
+    """Return a table of transitions and states with counts, and the names never reached."""
     taken: Counter[int] = sum((run.taken for run in runs), Counter())
     visits = Counter(state for run in runs for state in run.visited)
     rows = [f"{len(runs)} runs; transition, how often"]
@@ -61,7 +61,7 @@ def coverage_table(runs: list[Watched]) -> tuple[str, list[str]]:
     return "\n".join(rows), missing + [state.name for state in State if not visits[state]]
 
 
-def test_whatever_is_done_to_a_drive_it_does_nothing_that_the_standard_forbids():
+def test_random_actions_never_cause_what_is_forbidden():
     machine_seen.clear()
     run_state_machine_as_test(
         Machine,
@@ -76,7 +76,7 @@ def test_whatever_is_done_to_a_drive_it_does_nothing_that_the_standard_forbids()
     assert sum(len(run.visited) > 4 for run in machine_seen) > len(machine_seen) / 3
 
 
-def test_strangers_of_many_seeds_get_everywhere_and_see_nothing_forbidden(capsys):
+def test_seeded_walks_reach_every_state_and_transition(capsys):
     table, missing = coverage_table(walks(WALKS))
     with capsys.disabled():
         print("\n" + table)
@@ -85,7 +85,7 @@ def test_strangers_of_many_seeds_get_everywhere_and_see_nothing_forbidden(capsys
 
 @pytest.mark.skipif(cores_are_compiled(), reason="compiled cores cannot be broken on purpose")
 @pytest.mark.parametrize("name", MUTANTS)
-def test_a_drive_broken_on_purpose_is_found_out(name, monkeypatch):
+def test_drive_with_a_deliberate_defect_is_detected(name, monkeypatch):
     MUTANTS[name](monkeypatch)
     with pytest.raises(AssertionError):
-        walks(4 * WALKS)  # it ends with the first that finds it
+        walks(4 * WALKS)  # the first walk that finds the defect ends it

@@ -1,6 +1,6 @@
 """Homing on the present position (35, 37). Statusword & 3400h: p402.py's Homing.STATES.
 
-Over switches and index pulse: test_homing_methods.
+For homing over switches and index pulse see test_homing_methods.
 """
 
 import pytest
@@ -18,7 +18,7 @@ def homing(bench: Bench) -> int:
 
 @pytest.fixture
 def bench() -> Bench:
-    """Stands at 5000 increments, in hm."""
+    """Return a bench standing at 5000 increments, in hm."""
     bench = Bench()
     bench.enable(mode=1)
     bench.set(0x607A, 0, 5_000, 4)
@@ -30,7 +30,7 @@ def bench() -> Bench:
     return bench
 
 
-def test_the_words_are_those_of_canopens_table():
+def test_status_bits_match_the_canopen_table():
     table = {name: bits for name, (_, bits) in Homing.STATES.items()}
     assert table["IN PROGRESS"] == IN_PROGRESS
     assert table["INTERRUPTED"] == INTERRUPTED
@@ -40,7 +40,7 @@ def test_the_words_are_those_of_canopens_table():
 
 
 @pytest.mark.parametrize("method", [35, 37])
-def test_the_present_position_becomes_zero_a_tick_later(bench, method):
+def test_present_position_becomes_zero_a_tick_later(bench, method):
     bench.set(0x6098, 0, method, 1)
     assert homing(bench) == INTERRUPTED  # not started
     assert bench.truth("position_inc") == pytest.approx(5_000, abs=10)
@@ -56,15 +56,15 @@ def test_the_present_position_becomes_zero_a_tick_later(bench, method):
     assert bench.truth("position_inc") == 0
     assert homing(bench) == DONE
     bench.run(500 * MS)
-    assert bench.truth("position_rad") == pytest.approx(where, abs=1e-3)  # nothing moved
+    assert bench.truth("position_rad") == pytest.approx(where, abs=1e-3)  # the motor has not moved
     bench.controlword(0x0F)
     assert homing(bench) == DONE
 
 
-def test_zero_lies_the_home_offset_beyond_home(bench):
-    """CiA 402-2, 607Ch: zero is home plus the offset, so home is called minus the offset.
+def test_zero_is_home_plus_the_home_offset(bench):
+    """Check CiA 402-2, 607Ch: zero is home plus the offset; home's position is minus the offset.
 
-    Mitsubishi's MR-J5 says it in numbers: what home is called (Pr. PT08) is -607Ch.
+    Mitsubishi's MR-J5 gives it in numbers: the position of home (Pr. PT08) is -607Ch.
     """
     bench.set(0x607C, 0, -1234, 4)
     bench.controlword(0x1F)
@@ -72,7 +72,7 @@ def test_zero_lies_the_home_offset_beyond_home(bench):
     assert bench.read(0x6064) == 1234
 
 
-def test_moves_after_homing_count_from_there(bench):
+def test_moves_after_homing_count_from_the_new_zero(bench):
     bench.controlword(0x1F)
     bench.run(5 * MS)
     bench.controlword(0x0F)
@@ -86,11 +86,11 @@ def test_moves_after_homing_count_from_there(bench):
     assert turned == pytest.approx(1_000, abs=15)
 
 
-def test_homing_again_needs_an_edge(bench):
+def test_second_homing_needs_an_edge(bench):
     bench.controlword(0x1F)
     bench.run(5 * MS)
     bench.set(0x607C, 0, 77, 4)
-    bench.controlword(0x1F)  # a level
+    bench.controlword(0x1F)  # a level, not an edge
     bench.run(5 * MS)
     assert bench.read(0x6064) == 0
     bench.controlword(0x0F)
@@ -99,7 +99,7 @@ def test_homing_again_needs_an_edge(bench):
     assert bench.read(0x6064) == -77
 
 
-def test_taking_bit_4_back_interrupts(bench):
+def test_clearing_bit_4_interrupts_homing(bench):
     bench.controlword(0x1F)
     bench.controlword(0x0F)
     assert homing(bench) == INTERRUPTED
@@ -108,20 +108,20 @@ def test_taking_bit_4_back_interrupts(bench):
     assert bench.read(0x6064) != 0
 
 
-def test_halt_interrupts(bench):
+def test_halt_interrupts_homing(bench):
     bench.controlword(0x1F)
     bench.controlword(0x011F)
     bench.run(100 * MS)
     assert homing(bench) == INTERRUPTED
 
 
-def test_methods_that_have_no_behaviour_are_refused(bench):
+def test_methods_without_behaviour_are_rejected(bench):
     for method in (0, 15, 16, 31, 32, 36, -1):
         assert bench.write(0x6098, 0, method, 1) == 0x0609_0030
     assert bench.read(0x6098) == 37
 
 
-def test_a_method_the_file_brings_fails_as_a_homing_error():
+def test_method_from_the_file_fails_as_a_homing_error():
     bench = Bench(objects={"6098h": 36})
     bench.enable(mode=6)
     bench.run(10 * MS)
@@ -134,7 +134,7 @@ def test_a_method_the_file_brings_fails_as_a_homing_error():
     assert homing(bench) == DONE
 
 
-def test_homing_while_it_moves_fails():
+def test_homing_of_a_moving_axis_fails():
     bench = Bench()
     bench.enable(mode=3)
     bench.set(0x60FF, 0, 30_000, 4)
@@ -146,7 +146,7 @@ def test_homing_while_it_moves_fails():
     assert homing(bench) == ERROR_AT_REST
 
 
-def test_mode_and_start_in_one_pdo(bench):
+def test_mode_and_start_in_one_pdo_start_homing(bench):
     bench.set(0x6060, 0, 1, 1)
     bench.run(50 * MS)
     bench.send(0x305, bytes.fromhex("1F0006"))  # RPDO 2: 6040h, 6060h
@@ -154,7 +154,7 @@ def test_mode_and_start_in_one_pdo(bench):
     assert homing(bench) == DONE
 
 
-def test_what_was_attained_is_still_known_after_another_mode_and_power_off(bench):
+def test_homing_attained_survives_mode_change_and_power_off(bench):
     bench.controlword(0x1F)
     bench.run(5 * MS)
     bench.set(0x6060, 0, 1, 1)

@@ -1,7 +1,7 @@
-"""Homing over switches and index pulse: home is where the standard's drawings have it.
+"""Homing over switches and index pulse: home is where the standard's drawings place it.
 
-`PICTURES` is read off the drawings of CiA 402-2, homing methods: which edge, and on which side of
-it the index pulse lies. How the drive gets there is its own affair.
+`PICTURES` is read from the drawings of CiA 402-2, homing methods: the edge, and the side of it on
+which the index pulse lies. The drive may choose its path.
 """
 
 import pytest
@@ -26,7 +26,7 @@ from tests.emulators.cia402.homing_bench import (
     status,
 )
 
-# Method: the edge of home, then where the index pulse is that counts: left or right of the edge.
+# Method: the edge of home, then the side of it with the relevant index pulse: left or right.
 PICTURES = {
     1: ("negative limit", "right"),
     2: ("positive limit", "left"),
@@ -73,7 +73,7 @@ def prescribed(method: int, track: Track, start: int) -> int:
 
 
 def track_for(method: int, left: int, width: int, index: int) -> Track:
-    """3, 4: the home switch reaches to the right end; 5, 6: to the left one."""
+    """Return a track; 3, 4: the home switch extends to the right end; 5, 6: to the left end."""
     row = method if method < 15 else method - 16
     home_switch = (left, None) if row in (3, 4) else (None, left) if row in (5, 6) else None
     return Track(home=home_switch or (left, left + width), index=index)
@@ -89,13 +89,13 @@ def track_for(method: int, left: int, width: int, index: int) -> Track:
     SLOW,
     st.sampled_from([0.001, 0.0025, 0.0006]),
 )
-def test_home_is_where_the_drawings_have_it(method, start, left, width, index, fast, slow, tick_s):
+def test_home_is_where_the_drawings_place_it(method, start, left, width, index, fast, slow, tick_s):
     track = track_for(method, left, width, index)
     bench = bench_on(
         track, start, tick_s=tick_s, o6098=method, o6099_1=fast, o6099_2=slow, o609A=2_000_000
     )
     where = prescribed(method, track, bench.drive.axis.count())
-    if method > 30 and not track.negative < where < track.positive:  # they do not turn round
+    if method > 30 and not track.negative < where < track.positive:  # these methods do not reverse
         event("beyond the end of travel")
         assert home(bench, within_s=90.0) == ERROR_AT_REST
         return
@@ -106,7 +106,7 @@ def test_home_is_where_the_drawings_have_it(method, start, left, width, index, f
 
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("start", [-4_000, 0, 4_000])
-def test_every_method_finds_home_from_left_right_and_on_the_switch(method, start):
+def test_every_method_finds_home_from_any_side(method, start):
     track = track_for(method, -300, 700, 123)
     bench = bench_on(track, start, o6098=method)
     count = bench.drive.axis.count()
@@ -116,7 +116,7 @@ def test_every_method_finds_home_from_left_right_and_on_the_switch(method, start
 
 @pytest.mark.parametrize("tick_s", [0.001, 0.0006, 0.004])
 @pytest.mark.parametrize("speed", [3_000, 10_000, 100_000])
-def test_the_zero_is_the_same_whatever_the_tick_and_the_speed(tick_s, speed):
+def test_zero_is_the_same_for_any_tick_and_speed(tick_s, speed):
     for method, where in ((17, -6_000), (26, 400), (30, -300), (11, 700), (33, -1_300)):
         track = Track()
         bench = bench_on(
@@ -126,13 +126,13 @@ def test_the_zero_is_the_same_whatever_the_tick_and_the_speed(tick_s, speed):
         assert home_count(bench) == where
 
 
-def test_a_cam_that_is_passed_within_a_tick_is_seen():
+def test_cam_passed_within_a_tick_is_detected():
     bench = bench_on(Track(home=(2_000, 2_003)), o6098=24, o6099_1=150_000, o609A=5_000_000)
     assert home(bench) == DONE
     assert home_count(bench) == 2_000
 
 
-def test_zero_lies_the_home_offset_beyond_home_and_the_motor_brakes_beyond_it():
+def test_zero_is_home_plus_offset_though_motor_overruns():
     bench = bench_on(Track(), 0, o6098=18, o607C=1_234, o6099_2=8_000, o609A=100_000)
     assert home(bench) == DONE
     stood = bench.drive.axis.count()
@@ -140,7 +140,7 @@ def test_zero_lies_the_home_offset_beyond_home_and_the_motor_brakes_beyond_it():
     assert bench.read(0x6064) == stood - 6_000 - 1_234
 
 
-def test_the_switch_is_searched_fast_and_its_edge_slowly():
+def test_switch_search_is_fast_and_edge_search_slow():
     bench = bench_on(Track(), 3_000, o6098=17, o6099_1=20_000, o6099_2=1_000)
     bench.controlword(0x1F)
     bench.run(200 * MS)
@@ -150,7 +150,7 @@ def test_the_switch_is_searched_fast_and_its_edge_slowly():
     assert finish(bench) == DONE
 
 
-def test_the_word_tells_attained_before_it_tells_rest():
+def test_statusword_shows_attained_before_standstill():
     bench = bench_on(Track(), 0, o6098=24, o609A=50_000)
     seen = []
     bench.controlword(0x1F)
@@ -179,12 +179,12 @@ FAILURES = {
 
 
 @pytest.mark.parametrize("name", FAILURES)
-def test_a_homing_that_cannot_succeed_says_so_and_the_next_start_is_a_new_one(name):
+def test_homing_that_cannot_succeed_reports_an_error(name):
     track, start, objects = FAILURES[name]
     bench = bench_on(track, start, **objects)
     count = len(bench.sent)
     assert home(bench) == ERROR_AT_REST
-    assert bench.read(0x603F) == 0  # a homing error is no fault
+    assert bench.read(0x603F) == 0  # a homing error is not a fault
     assert all(can_id != 0x085 for _, can_id, _ in bench.sent[count:])
     bench.controlword(0x0F)
     assert status(bench) == ERROR_AT_REST  # until a new start
@@ -192,13 +192,13 @@ def test_a_homing_that_cannot_succeed_says_so_and_the_next_start_is_a_new_one(na
     assert home(bench) == DONE
 
 
-def test_no_pulse_within_a_turn_ends_soon_after_that_turn():
+def test_search_without_pulse_ends_soon_after_one_turn():
     bench = bench_on(Track(index=None, negative=None, positive=None), 0, o6098=34)
     assert home(bench) == ERROR_AT_REST
     assert TURN < bench.drive.axis.count() < 1.1 * TURN
 
 
-def test_both_limit_switches_at_once_are_refused():
+def test_both_limit_switches_active_make_homing_fail():
     bench = bench_on(Track(), 0, o6098=23)
     bench.drive.stimulate("negative_limit", 1, bench.now)
     bench.drive.stimulate("positive_limit", 1, bench.now)
@@ -206,7 +206,7 @@ def test_both_limit_switches_at_once_are_refused():
     assert bench.drive.axis.count() == pytest.approx(0, abs=1)
 
 
-def test_an_error_is_told_while_it_still_moves():
+def test_error_is_reported_while_still_moving():
     bench = bench_on(Track(home=None, positive=1_000), 0, o6098=19, o6099_1=30_000)
     bench.controlword(0x1F)
     bench.run_while(lambda: status(bench) == IN_PROGRESS)
@@ -222,7 +222,7 @@ def moving(bench) -> bool:
 
 
 @pytest.mark.parametrize("how", ["bit 4", "halt", "quick stop", "mode", "off"])
-def test_whatever_interrupts_it_leaves_the_zero_where_it_was_and_the_limits_guarded(how):
+def test_interrupted_homing_keeps_zero_and_limits(how):
     bench = bench_on(Track(), 0, o6098=17, o605A=6)
     bench.controlword(0x1F)
     bench.run(100 * MS)
@@ -243,11 +243,11 @@ def test_whatever_interrupts_it_leaves_the_zero_where_it_was_and_the_limits_guar
     for word in (0x06, 0x07, 0x0F):
         bench.controlword(word)
     bench.run(1_000 * MS)
-    assert not moving(bench)  # the limit switch is minded again
+    assert not moving(bench)  # the limit switch is active again
     assert bench.read(0x60FD) == 1
 
 
-def test_after_a_halt_only_a_new_start_goes_on():
+def test_after_a_halt_only_a_new_start_continues():
     bench = bench_on(Track(), 0, o6098=17)
     bench.controlword(0x1F)
     bench.run(50 * MS)
@@ -260,7 +260,7 @@ def test_after_a_halt_only_a_new_start_goes_on():
     assert home_count(bench) == -6_000
 
 
-def test_a_drive_homes_again_and_finds_the_same_place():
+def test_repeated_homing_finds_the_same_position():
     bench = bench_on(Track(), 2_500, o6098=11)
     for _ in range(3):
         before = bench.drive.axis.position_inc() - bench.drive.axis.count()
@@ -269,7 +269,7 @@ def test_a_drive_homes_again_and_finds_the_same_place():
         assert before in (0, -700)
 
 
-def test_supported_methods_are_those_that_have_a_behaviour():
+def test_supported_methods_are_those_with_behaviour():
     bench = bench_on(Track())
     number = bench.read(0x60E3, 0)
     methods = [bench.read(0x60E3, place) for place in range(1, number + 1)]
@@ -280,8 +280,8 @@ def test_supported_methods_are_those_that_have_a_behaviour():
         assert bench.write(0x6098, 0, method, 1) == 0x0609_0030
 
 
-def test_a_switch_at_the_load_is_felt_there_behind_play_and_a_soft_shaft():
-    """The encoder sits at the motor: home is what it counts when the load is at the edge."""
+def test_switch_at_the_load_acts_behind_play_and_soft_shaft():
+    """Check with an encoder at the motor: home is its count when the load is at the edge."""
     plant = {"preset": "wheel_60w", "backlash_rad": 200 * RAD, "coupling_stiffness_n_m_rad": 400.0}
     bench = Bench(
         plant=plant,
@@ -290,15 +290,15 @@ def test_a_switch_at_the_load_is_felt_there_behind_play_and_a_soft_shaft():
     )
     bench.enable(mode=6)
     assert home(bench) == DONE
-    assert home_count(bench) == pytest.approx(400, abs=110)  # half the play ahead, or behind
+    assert home_count(bench) == pytest.approx(400, abs=110)  # half the play before, or after
     assert home_count(bench) != 400
 
 
 @pytest.mark.parametrize(("option", "ramp"), [(1, 100_000), (2, 200_000)])
-def test_a_halt_of_homing_slows_down_on_the_homings_own_ramp(option, ramp):
-    """Bit 8 in hm: the axis stops with the homing acceleration 609Ah, where 605Dh says slow-down.
+def test_halt_of_homing_slows_down_on_the_homing_ramp(option, ramp):
+    """Check bit 8 in hm: the axis stops with 609Ah, where 605Dh says slow-down ramp.
 
-    So Technosoft's iPOS, and the controlword of hm in DSP 402; 605Dh = 2 is 6085h in any mode.
+    Technosoft's iPOS and the controlword of hm in DSP 402 do so; 605Dh = 2 is 6085h in any mode.
     """
     ramps = {"o6084": 400_000, "o6085": 200_000, "o609A": 100_000}
     bench = bench_on(Track(negative=-200_000), 0, o6098=17, o605D=option, **ramps)

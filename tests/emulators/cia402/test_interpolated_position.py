@@ -1,10 +1,10 @@
-"""Interpolated position: records from a buffer, one for each period, linear. CiA 402-2, ip."""
+"""Interpolated position: records from a buffer, one per period, linear. CiA 402-2, ip."""
 
 import struct
 
 import pytest
 
-from emulators.cia402.pds_fsa import PdsState
+from motorhil.emulators.cia402.state_machine import PdsState
 from tests.emulators.cia402.bench import MS, NODE, Bench
 
 LIGHT = {"preset": "wheel_60w", "load_inertia_kg_m2": 0.0}
@@ -13,7 +13,7 @@ FULL = 0x0800_0022  # cannot be stored because of the device's state (CiA 301)
 
 
 def interpolating(word: int = 0x1F, **settings: object) -> Bench:
-    """60C2h 10 ms; enabled in ip with this controlword."""
+    """Return a bench with 60C2h 10 ms, enabled in ip with this controlword."""
     settings.setdefault("objects", {})
     objects = {"60C2h:1": 10, "6065h": 0xFFFF_FFFF, **settings.pop("objects")}
     bench = Bench(objects=objects, plant=LIGHT, **settings)
@@ -34,7 +34,7 @@ def every(bench: Bench, step_ms: int, count: int) -> list[float]:
     return values
 
 
-def test_without_bit_4_the_motor_brakes_where_it_is_and_not_at_the_record():
+def test_clearing_bit_4_brakes_before_the_record():
     bench = interpolating(word=0x0F, objects={"60C2h:1": 200, "6084h": 1_000_000})
     assert record(bench, 20_000) == 0
     bench.controlword(0x1F)
@@ -46,7 +46,7 @@ def test_without_bit_4_the_motor_brakes_where_it_is_and_not_at_the_record():
     assert ended - begun == pytest.approx(speed * speed / 2e6 + speed * 1e-3, abs=speed * 1e-3)
 
 
-def test_at_sync_one_record_counts_and_the_demand_goes_there_evenly():
+def test_each_sync_takes_one_record_linearly():
     bench = interpolating(word=0x0F)
     for position in (100, 300, 200):
         assert record(bench, position) == 0
@@ -61,7 +61,7 @@ def test_at_sync_one_record_counts_and_the_demand_goes_there_evenly():
     assert seen[3] == [200] * 10
 
 
-def test_a_record_by_a_synchronous_rpdo_is_taken_at_its_own_sync():
+def test_record_by_synchronous_rpdo_is_taken_at_its_sync():
     bench = interpolating(objects={"1402h:2": 1, "1602h:2": 0x60C1_0120})
     for cycle, position in enumerate((50, 120, 90)):
         bench.send(0x400 + NODE, struct.pack("<Hi", 0x1F, position))
@@ -80,12 +80,12 @@ def test_without_sync_the_drive_keeps_time_itself():
     assert every(bench, 1, 32)[::8] == [0, 80, 160, 240]
     bench.run(50 * MS)
     assert bench.truth("demand_inc") == 300
-    record(bench, 400)  # a drive that waits goes on with the next one
+    record(bench, 400)  # a waiting drive continues with the next record
     bench.run(20 * MS)
     assert bench.truth("demand_inc") == 400
 
 
-def test_bit_12_is_bit_4_and_bit_10_the_end_of_the_buffer():
+def test_bit_12_follows_bit_4_and_bit_10_the_buffer_end():
     bench = interpolating(word=0x0F)
     assert bench.statusword() & (ACTIVE | REACHED) == 0
     record(bench, 500)
@@ -99,7 +99,7 @@ def test_bit_12_is_bit_4_and_bit_10_the_end_of_the_buffer():
     assert bench.statusword() & ACTIVE == 0
 
 
-def test_without_bit_4_nothing_leaves_the_buffer_and_halt_keeps_it():
+def test_buffer_is_kept_without_bit_4_and_under_halt():
     bench = interpolating(word=0x0F)
     record(bench, 100)
     record(bench, 400)
@@ -120,7 +120,7 @@ def test_without_bit_4_nothing_leaves_the_buffer_and_halt_keeps_it():
     assert bench.truth("demand_inc") == 400
 
 
-def test_a_full_buffer_refuses_and_a_ring_forgets_the_oldest():
+def test_full_buffer_rejects_and_ring_drops_the_oldest():
     bench = interpolating(word=0x0F)
     bench.set(0x60C4, 2, 2, 4)
     assert [record(bench, p) for p in (10, 20, 30)] == [0, 0, FULL]
@@ -132,7 +132,7 @@ def test_a_full_buffer_refuses_and_a_ring_forgets_the_oldest():
     assert 20 < bench.truth("demand_inc") < 30  # from 20 to 30: 10 was the oldest
 
 
-def test_60c4h_6_clears_the_buffer_and_bars_it():
+def test_60c4h_6_clears_and_disables_the_buffer():
     bench = interpolating(word=0x0F)
     record(bench, 10)
     bench.set(0x60C4, 6, 0, 1)
@@ -143,12 +143,12 @@ def test_60c4h_6_clears_the_buffer_and_bars_it():
 
 
 @pytest.mark.parametrize(("index", "value", "size"), [(0x60C0, -1, 2), (0x60C0, 1, 2)])
-def test_what_has_no_behaviour_is_refused(index, value, size):
+def test_values_without_behaviour_are_rejected(index, value, size):
     bench = interpolating()
     assert bench.write(index, 0, value, size) == 0x0609_0030
 
 
-def test_sync_that_stays_away_is_a_fault_here_too():
+def test_missing_sync_is_a_fault_in_ip():
     bench = interpolating(cyclic={"sync_lost_periods": 3})
     bench.sync()
     bench.run(30 * MS - 1)

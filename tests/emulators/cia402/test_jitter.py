@@ -1,4 +1,4 @@
-"""A drive whose timers fire late by a little: bounded, from the seed, whoever looks."""
+"""A drive whose timers fire slightly late: bounded, determined by the seed, however observed."""
 
 from itertools import pairwise
 from pathlib import Path
@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from emulators.cia402.factory import build
-from emulators.controller import ControllerContext, SettingError
-from emulators.firmware.late_wakes import LateWakes, lateness_ns
+from motorhil.emulators.cia402.drive import build
+from motorhil.emulators.controller import ControllerContext, SettingError
+from motorhil.emulators.firmware.clock import LateWakes, lateness_ns
 from tests.emulators.cia402.bench import MS, NODE, Bench
 
 HEARTBEAT = 0x700 + NODE
@@ -29,10 +29,10 @@ def heartbeats(seed=1, **oscillator):
     return bench.times(HEARTBEAT)[1:]
 
 
-def test_heartbeats_are_late_by_no_more_than_the_jitter_and_all_alike_seldom():
+def test_heartbeats_are_late_within_the_jitter_and_vary():
     exact = heartbeats()
     late = [at - due for at, due in zip(heartbeats(jitter_s=0.001), exact, strict=False)]
-    # The next one is counted from the one before.
+    # Each heartbeat is timed from the one before.
     gaps = [b - a for a, b in pairwise(heartbeats(jitter_s=0.001))]
     assert len(gaps) > 400
     assert all(9 * MS <= gap <= 11 * MS for gap in gaps)
@@ -41,7 +41,7 @@ def test_heartbeats_are_late_by_no_more_than_the_jitter_and_all_alike_seldom():
     assert max(gaps) - min(gaps) > 0.7 * MS
 
 
-def test_it_is_the_seed_s_and_off_unless_asked_for():
+def test_jitter_depends_on_the_seed_and_is_off_by_default():
     assert heartbeats(seed=3, jitter_s=0.001) == heartbeats(seed=3, jitter_s=0.001)
     assert heartbeats(seed=3, jitter_s=0.001) != heartbeats(seed=4, jitter_s=0.001)
     assert {b - a for a, b in pairwise(heartbeats(ppm=0.0))} == {10 * MS}
@@ -54,7 +54,7 @@ def test_lateness_is_within_its_bound(seed, due_ns, jitter_ns):
 
 
 def day(looks):
-    """All that a jittering drive sends in a move, with looks at the truth in between."""
+    """Return the frames of a jittering drive in a move, with the truth observed in between."""
     bench = bench_with(jitter_s=0.003, ppm=200.0)
     bench.run(400 * MS)
     bench.nmt(0x01)
@@ -76,14 +76,14 @@ def day(looks):
 
 @settings(max_examples=12)
 @given(st.lists(st.integers(460 * MS, 1_100 * MS), max_size=60))
-def test_who_looks_changes_nothing(looks):
+def test_observing_changes_nothing(looks):
     sent, position = day(())
     assert day(sorted(looks)) == (sent, position)
     assert position == 3_000
 
 
 @pytest.mark.parametrize("value", [-1e-9, 0.11, "a"])
-def test_a_jitter_that_cannot_be_is_refused(value):
+def test_impossible_jitter_is_rejected(value):
     with pytest.raises(SettingError) as caught:
         bench_with(jitter_s=value)
     assert caught.value.path == ("oscillator", "jitter_s")

@@ -1,13 +1,13 @@
-"""What a host may choose about a motion: way, end, unit, direction, limits. CiA 402-2."""
+"""A host's choices about a motion: direction, end, unit, polarity, limits. CiA 402-2."""
 
 import struct
 from pathlib import Path
 
 import pytest
 
-from emulators.canopen.object_dictionary import ObjectDictionary
-from emulators.cia402.objects import DriveObjects
-from emulators.cia402.settings import read_settings
+from motorhil.emulators.canopen.object_dictionary import ObjectDictionary
+from motorhil.emulators.cia402.objects.dictionary import DriveObjects
+from motorhil.emulators.cia402.settings import read_settings
 from tests.emulators.cia402.bench import MS, NODE, Bench
 
 LIGHT = {"preset": "wheel_60w", "load_inertia_kg_m2": 0.0}
@@ -32,7 +32,7 @@ def go(bench: Bench, target: int, word: int = 0x1F, wait_ms: int = 2_000) -> Non
 # --- 6082h, 6086h, 60F2h
 
 
-def test_6082h_the_target_is_passed_at_that_speed():
+def test_6082h_target_is_passed_at_the_end_velocity():
     bench = standing(**{"6081h": 40_000, "6082h": 10_000})
     go(bench, 20_000, wait_ms=0)
     before, demand = 0.0, 0.0
@@ -45,7 +45,7 @@ def test_6082h_the_target_is_passed_at_that_speed():
     bench.run(20 * MS)
     at = bench.truth("demand_inc")
     bench.run(100 * MS)
-    assert bench.truth("demand_inc") - at == pytest.approx(1_000, abs=1)  # and it goes on
+    assert bench.truth("demand_inc") - at == pytest.approx(1_000, abs=1)  # the motion continues
     assert bench.statusword() & REACHED
     bench.set(0x6082, 0, 0, 4)
     go(bench, 0)
@@ -56,7 +56,7 @@ def test_6082h_the_target_is_passed_at_that_speed():
 @pytest.mark.parametrize(
     ("end", "target"), [(40_000, 100), (100, 50), (1, 30_000), (90_000, 9_000)]
 )
-def test_6082h_any_end_is_kept_in_the_end(end, target):
+def test_6082h_any_end_velocity_is_held_afterwards(end, target):
     bench = standing(**{"6081h": 40_000, "6082h": end})
     go(bench, target)
     at = bench.truth("demand_inc")
@@ -64,7 +64,7 @@ def test_6082h_any_end_is_kept_in_the_end(end, target):
     assert bench.truth("demand_inc") - at == pytest.approx(min(end, 40_000), abs=1)
 
 
-def test_6082h_within_software_limits_stops_at_the_target():
+def test_6082h_with_software_limits_stops_at_the_target():
     bench = standing(**{"6082h": 10_000, "607Dh:1": -5_000, "607Dh:2": 5_000})
     go(bench, 3_000)
     assert bench.truth("demand_inc") == 3_000
@@ -84,7 +84,7 @@ def test_6082h_within_software_limits_stops_at_the_target():
         (0x607E, 0x01, 1),
     ],
 )
-def test_what_has_no_behaviour_is_refused(index, value, size):
+def test_values_without_behaviour_are_rejected(index, value, size):
     bench = Bench()
     bench.boot()
     assert bench.write(index, 0, value, size) == INVALID
@@ -93,7 +93,7 @@ def test_what_has_no_behaviour_is_refused(index, value, size):
 # --- limits and statusword bit 11
 
 
-def test_a_velocity_beyond_607fh_is_cut_and_told():
+def test_velocity_above_607fh_is_limited_and_reported():
     bench = standing(**{"607Fh": 20_000, "6081h": 50_000})
     go(bench, 50_000, wait_ms=500)
     assert bench.read(0x606B) == pytest.approx(20_000, abs=1)
@@ -103,7 +103,7 @@ def test_a_velocity_beyond_607fh_is_cut_and_told():
     assert not bench.statusword() & LIMIT
 
 
-def test_a_new_607fh_counts_for_the_move_under_way():
+def test_new_607fh_applies_to_the_present_move():
     bench = standing(**{"6081h": 40_000})
     go(bench, 60_000, wait_ms=500)
     assert bench.read(0x606B) == pytest.approx(40_000, rel=0.01)
@@ -112,7 +112,7 @@ def test_a_new_607fh_counts_for_the_move_under_way():
     assert bench.read(0x606B) == pytest.approx(10_000, rel=0.01)
 
 
-def test_pv_tells_of_a_velocity_beyond_607fh():
+def test_pv_reports_a_velocity_above_607fh():
     bench = standing(3, **{"607Fh": 20_000})
     for velocity, told in ((20_000, False), (20_001, True), (-20_001, True), (-20_000, False)):
         bench.set(0x60FF, 0, velocity, 4)
@@ -121,18 +121,18 @@ def test_pv_tells_of_a_velocity_beyond_607fh():
         assert bool(bench.statusword() & LIMIT) is told
 
 
-def test_60c5h_and_60c6h_cap_the_ramps():
+def test_60c5h_and_60c6h_limit_the_ramps():
     bench = standing(**{"6083h": 400_000, "6084h": 400_000, "60C5h": 100_000, "60C6h": 50_000})
     bench.set(0x6081, 0, 20_000, 4)
     start = bench.now
     go(bench, 20_000, wait_ms=100)
     assert bench.read(0x606B) == pytest.approx(10_000, rel=0.03)
     bench.run_while(lambda: not bench.statusword() & REACHED)
-    # 0.2 s up, 0.4 s down: 6000 increments; 14,000 at 20,000 a second
+    # 0.2 s up, 0.4 s down: 6000 increments; 14,000 at 20,000 per second
     assert (bench.now - start) / 1e9 == pytest.approx(0.2 + 0.4 + 0.7, abs=0.05)
 
 
-def test_6073h_is_a_current_that_no_loop_passes():
+def test_6073h_limits_the_current_of_every_loop():
     bench = standing(3, **{"6073h": 50, "6083h": 4_000_000})
     bench.set(0x60FF, 0, 100_000, 4)
     most = 0.0
@@ -142,7 +142,7 @@ def test_6073h_is_a_current_that_no_loop_passes():
     assert most == pytest.approx(0.05 * bench.drive.settings.plant.current_max_a, rel=0.06)
 
 
-def test_tq_heeds_6080h_and_a_new_one_at_once():
+def test_tq_obeys_6080h_and_its_changes_immediately():
     bench = standing(4, **{"6080h": 600})
     bench.set(0x6071, 0, 100, 2)
     turn = bench.drive.settings.plant.encoder_increments_rev
@@ -154,7 +154,7 @@ def test_tq_heeds_6080h_and_a_new_one_at_once():
         assert bench.statusword() & LIMIT
 
 
-def test_pv_slippage_beyond_60f8h_is_told_while_it_lasts():
+def test_pv_slippage_above_60f8h_is_reported_while_it_lasts():
     bench = standing(3, **{"60F8h": 3_000})
     bench.set(0x60FF, 0, 20_000, 4)
     bench.run(500 * MS)
@@ -173,21 +173,21 @@ def test_pv_slippage_beyond_60f8h_is_told_while_it_lasts():
 
 
 @pytest.mark.parametrize(("polarity", "sign"), [(0x00, 1), (0x80, -1), (0x40, 1), (0xC0, -1)])
-def test_607eh_bit_7_turns_positions_round(polarity, sign):
+def test_607eh_bit_7_inverts_positions(polarity, sign):
     bench = standing(**{"607Eh": polarity, "607Dh:1": -4_000, "607Dh:2": 9_000})
     go(bench, 3_000)
     assert bench.truth("demand_inc") == 3_000 * sign
     assert bench.read(0x6062) == 3_000
     assert bench.read(0x6064) == pytest.approx(3_000, abs=10)
     go(bench, -5_000)
-    assert bench.read(0x6062) == -4_000  # the limits are the host's, too
+    assert bench.read(0x6062) == -4_000  # the limits are in host coordinates too
     assert bench.truth("demand_inc") == -4_000 * sign
     assert bench.statusword() & (LIMIT | REACHED) == LIMIT | REACHED
 
 
 @pytest.mark.parametrize("mode", [3, 9])
 @pytest.mark.parametrize(("polarity", "sign"), [(0x80, 1), (0x40, -1)])
-def test_607eh_bit_6_turns_velocities_round(polarity, sign, mode):
+def test_607eh_bit_6_inverts_velocities(polarity, sign, mode):
     bench = standing(mode, **{"607Eh": polarity})
     bench.set(0x60FF, 0, 15_000, 4)
     bench.run(300 * MS)
@@ -203,7 +203,7 @@ def around(**objects: int) -> Bench:
     return standing(**{"607Bh:1": 0, "607Bh:2": TURN - 1, **objects})
 
 
-def test_607bh_positions_repeat():
+def test_607bh_positions_wrap_around():
     bench = around(**{"60F2h": 1})
     for move, shown in ((700, 700), (700, 400), (-900, 500)):
         go(bench, move, word=0x5F)  # relative to the demand
@@ -222,7 +222,7 @@ def test_607bh_positions_repeat():
         (3, (-100, 100, -400)),  # the shortest
     ],
 )
-def test_60f2h_says_which_way_round(way, ends):
+def test_60f2h_selects_the_direction_of_rotation(way, ends):
     bench = around(**{"60F2h": way << 6})
     for target, end in zip((900, 100, 600), ends, strict=True):
         go(bench, target)
@@ -230,7 +230,7 @@ def test_60f2h_says_which_way_round(way, ends):
         assert bench.read(0x6062) == target
 
 
-def test_csp_drives_over_the_seam_of_607bh():
+def test_csp_moves_across_the_wrap_of_607bh():
     bench = standing(8, **{"607Bh:1": 0, "607Bh:2": TURN - 1, "60C2h:1": 10})
     for cycle in range(1, 31):
         bench.set(0x607A, 0, 90 * cycle % TURN, 4)
@@ -240,7 +240,7 @@ def test_csp_drives_over_the_seam_of_607bh():
     assert bench.read(0x6062) == 700
 
 
-def test_the_following_error_has_no_seam():
+def test_following_error_does_not_wrap():
     for load, sign in ((3.0, 1), (-3.0, -1)):
         bench = around()
         bench.drive.stimulate("load_torque_n_m", load, bench.now)
@@ -249,8 +249,8 @@ def test_the_following_error_has_no_seam():
         assert (bench.read(0x6064) > TURN // 2) is (sign > 0)  # pushed below 0, or above
 
 
-def test_what_a_file_has_none_of_limits_nothing():
-    """No 607Dh, no 6084h, no 6099h: behind the scenes stand defaults that hold nobody up."""
+def test_objects_missing_in_a_file_limit_nothing():
+    """Check that without 607Dh, 6084h and 6099h there are defaults that prevent no motion."""
     objects = DriveObjects(ObjectDictionary(), read_settings({"node_id": 1}, Path()))
     motion, homing = objects.motion, objects.homing
     assert motion.within_limits_inc(10**9) == 10**9

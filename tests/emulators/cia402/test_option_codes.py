@@ -1,18 +1,18 @@
 """Each option code has its own motion, measured at the shaft: 605Ah to 605Eh, 6007h (CiA 402-2).
 
-What is expected follows from the plant's data by mechanics: a ramp's slope; at the current limit
-(k i + friction) / J; shorted, the current k w / R and no energy back into the supply; coasting, the
-friction alone.
+Expected values follow from the plant's data by mechanics. Ramp: its slope. Current limit:
+(k i + friction) / J. Short circuit: the current k w / R and no energy back into the supply.
+Coasting: friction only.
 """
 
 import pytest
 
-from emulators.cia402.pds_fsa import PdsState
+from motorhil.emulators.cia402.state_machine import PdsState
 from tests.emulators.cia402.bench import MS, Bench
 
 PLANT = {"preset": "wheel_60w"}
 V, SLOW, QUICK = 20_000, 100_000, 250_000
-LIMIT = 400  # 6072h: well above what the ramps need, well below the power stage
+LIMIT = 400  # 6072h: well above the ramps' need, well below the power stage
 RAMP, QUICK_RAMP, CURRENT, VOLTAGE, COAST = "ramp", "quick ramp", "current", "voltage", "coast"
 
 
@@ -26,14 +26,14 @@ def running() -> Bench:
 
 
 class Stop:
-    """What the shaft does from now on: speed at every ms, greatest current, power regained."""
+    """Motion of the shaft from now on: speed at every ms, peak current, regenerated power."""
 
     def __init__(self, bench: Bench) -> None:
         plant = bench.drive.settings.plant
         self.inc_s: list[float] = []
         self.most_a = self.regained_w = 0.0
         per_rad = plant.gear_ratio * plant.encoder_increments_rev / 6.283185307179586
-        bench.run(2 * MS)  # what was ordered counts from the next tick
+        bench.run(2 * MS)  # the command takes effect at the next tick
         while not self.inc_s or (self.inc_s[-1] > 0.2 * V and len(self.inc_s) < 400):
             bench.run(1 * MS)
             truth = bench.drive.snapshot(bench.now)
@@ -86,7 +86,7 @@ STAYS = PdsState.QUICK_STOP_ACTIVE
         (8, VOLTAGE, STAYS),
     ],
 )
-def test_605ah_quick_stop(option, kind, end):
+def test_605ah_quick_stop_has_its_motion_and_end_state(option, kind, end):
     bench = running()
     bench.set(0x605A, 0, option, 2)
     bench.controlword(0x0B)
@@ -99,7 +99,7 @@ def test_605ah_quick_stop(option, kind, end):
         at = bench.truth("position_inc")
         bench.drive.stimulate("load_torque_n_m", 1.0, bench.now)
         bench.run(1000 * MS)
-        assert abs(bench.truth("position_inc") - at) <= 2  # it holds where it stands
+        assert abs(bench.truth("position_inc") - at) <= 2  # the motor holds its position
         bench.drive.stimulate("load_torque_n_m", 0.0, bench.now)
         bench.controlword(0x0F)  # transition 16
         bench.run(300 * MS)
@@ -110,7 +110,7 @@ def test_605ah_quick_stop(option, kind, end):
     ("option", "kind"), [(1, RAMP), (2, QUICK_RAMP), (3, CURRENT), (4, VOLTAGE)]
 )
 @pytest.mark.parametrize("mode", [3, 9])
-def test_605dh_halt(option, kind, mode):
+def test_605dh_halt_has_its_motion(option, kind, mode):
     bench = running()
     bench.set(0x6060, 0, mode, 1)
     bench.set(0x605D, 0, option, 2)
@@ -129,7 +129,7 @@ def test_605dh_halt(option, kind, mode):
 @pytest.mark.parametrize(
     ("option", "kind"), [(0, COAST), (1, RAMP), (2, QUICK_RAMP), (3, CURRENT), (4, VOLTAGE)]
 )
-def test_605eh_fault_reaction(option, kind):
+def test_605eh_fault_reaction_has_its_motion(option, kind):
     bench = running()
     bench.set(0x605E, 0, option, 2)
     bench.drive.stimulate("fault", 0x2310, bench.now)
@@ -149,7 +149,7 @@ def test_605eh_fault_reaction(option, kind):
         (0x605C, 0x07, 1, RAMP, PdsState.SWITCHED_ON),
     ],
 )
-def test_605bh_shutdown_and_605ch_disable(index, word, option, kind, end):
+def test_605bh_and_605ch_have_their_motion_and_end_state(index, word, option, kind, end):
     bench = running()
     bench.set(index, 0, option, 2)
     bench.controlword(word)
@@ -167,10 +167,10 @@ def test_605bh_shutdown_and_605ch_disable(index, word, option, kind, end):
         (3, QUICK_RAMP, PdsState.SWITCH_ON_DISABLED),  # by 605Ah
     ],
 )
-def test_6007h_abort_connection(option, kind, end):
+def test_6007h_abort_connection_has_its_motion(option, kind, end):
     bench = running()
     bench.set(0x6007, 0, option, 2)
-    bench.nmt(0x02)  # stop remote node: nobody controls it any more
+    bench.nmt(0x02)  # stop remote node: no host controls it any more
     stop = Stop(bench)
     if kind is not None:
         assert stop.kind(bench) == kind
@@ -191,7 +191,7 @@ def test_6007h_abort_connection(option, kind, end):
         (0x605E, (-1, 5)),
     ],
 )
-def test_a_code_without_a_motion_is_refused(index, refused):
+def test_option_code_without_a_motion_is_rejected(index, refused):
     bench = Bench()
     bench.boot()
     before = bench.read(index)

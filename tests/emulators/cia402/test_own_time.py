@@ -1,7 +1,7 @@
-"""A drive times by its own clock, and its motor moves in true time: measured on the truth.
+"""A drive has its own clock, and its motor moves in true time: measured on the truth.
 
-What is expected is reckoned here with fractions, from the error alone: a clock that runs e fast
-lets a span s of its own pass in s / (1 + e).
+Expected times are calculated here with fractions, from the clock error alone. With a clock that is
+fast by e, a span s of its own time passes in s / (1 + e).
 """
 
 import struct
@@ -12,10 +12,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from emulators.cia402.drive import Cia402Drive
-from emulators.cia402.factory import build
-from emulators.controller import ControllerContext, SettingError
-from emulators.firmware.own_time import OwnTime
+from motorhil.emulators.cia402.drive import Cia402Drive, build
+from motorhil.emulators.controller import ControllerContext, SettingError
+from motorhil.emulators.firmware.clock import OwnTime
 from tests.emulators.cia402.bench import BOOT_UP, ENABLE, MS, NODE, Bench
 
 S = 1000 * MS
@@ -39,7 +38,7 @@ def true_ns(own_ns, ppm):
 
 
 def enabled(bench, mode):
-    """As `Bench.enable`, which counts on the true time."""
+    """Enable the drive as `Bench.enable` does, but allow for its clock error."""
     bench.run(2 * BOOT_UP)
     bench.nmt(0x01)
     bench.set(0x6060, 0, mode, 1)
@@ -54,18 +53,18 @@ def enabled(bench, mode):
 
 
 @pytest.mark.parametrize("ppm", ERRORS_PPM)
-def test_heartbeats_come_at_its_own_period(ppm):
+def test_heartbeats_follow_the_drives_own_period(ppm):
     bench = bench_with(ppm, objects={"1017h": 100})
     bench.run(100 * S)
     times = bench.times(0x700 + NODE)
     assert len(times) > 850
     for count, time_ns in enumerate(times):
         exact_ns = true_ns(BOOT_UP + count * 100 * MS, ppm)
-        assert 0 <= time_ns - exact_ns < 1  # the first whole nanosecond that is late enough
+        assert 0 <= time_ns - exact_ns < 1  # the first whole nanosecond not before the exact time
 
 
 @pytest.mark.parametrize("ppm", ERRORS_PPM)
-def test_an_event_timer_runs_by_its_own_clock(ppm):
+def test_event_timer_follows_the_drives_own_clock(ppm):
     bench = bench_with(ppm, objects={"1800h:2": 255, "1800h:5": 10})
     bench.run(2 * BOOT_UP)
     bench.nmt(0x01)
@@ -74,10 +73,10 @@ def test_an_event_timer_runs_by_its_own_clock(ppm):
     count = len(times) - 1
     assert count >= 1800
     mean_ns = Fraction(times[-1] - times[0], count)
-    assert abs(mean_ns - true_ns(10 * MS, ppm)) <= 2  # each is read off a clock of whole ns
+    assert abs(mean_ns - true_ns(10 * MS, ppm)) <= 2  # each is read from a clock with whole ns
 
 
-def test_a_watched_heartbeat_is_missed_by_its_own_clock():
+def test_consumed_heartbeat_times_out_by_the_own_clock():
     bench = bench_with(100_000)
     bench.run(2 * BOOT_UP)
     bench.set(0x1016, 1, 127 << 16 | 110, 4)
@@ -88,7 +87,7 @@ def test_a_watched_heartbeat_is_missed_by_its_own_clock():
     assert time_ns - heard in (100 * MS, 100 * MS + 1)
 
 
-def test_the_answer_to_an_sdo_takes_its_own_time():
+def test_sdo_reply_delay_follows_the_own_clock():
     bench = bench_with(-100_000, timing={"sdo_reply_s": 0.009})
     bench.run(2 * BOOT_UP)
     asked = bench.now
@@ -100,8 +99,8 @@ def test_the_answer_to_an_sdo_takes_its_own_time():
 
 
 @pytest.mark.parametrize("ppm", ERRORS_PPM)
-def test_a_profile_lasts_as_long_as_its_own_clock_says(ppm):
-    """Accelerate 0.5 s, cruise, brake 0.5 s: 20 s by its own clock; seen to a servo tick."""
+def test_profile_duration_follows_the_own_clock(ppm):
+    """Accelerate 0.5 s, cruise, brake 0.5 s: 20 s by its own clock, to one servo tick."""
     bench = enabled(bench_with(ppm), 1)
     speed, distance = 50_000, 50_000 * 39 // 2
     for index, value in ((0x6081, speed), (0x6083, 2 * speed), (0x6084, 2 * speed)):
@@ -119,7 +118,7 @@ def test_a_profile_lasts_as_long_as_its_own_clock_says(ppm):
 
 
 @pytest.mark.parametrize("ppm", ERRORS_PPM)
-def test_at_a_speed_that_it_holds_the_motor_is_ahead_by_the_error_times_the_time(ppm):
+def test_motor_at_constant_speed_gains_the_clock_error(ppm):
     bench = enabled(bench_with(ppm), 3)
     speed = 50_000
     bench.send(0x500 + NODE, struct.pack("<Hi", 0x0F, speed))
@@ -129,20 +128,20 @@ def test_at_a_speed_that_it_holds_the_motor_is_ahead_by_the_error_times_the_time
     gone = bench.truth("position_inc") - start
     exact = speed * 100 * (1 + ppm / 1e6)
     tick = speed / 1000
-    assert gone == pytest.approx(exact, abs=2 * tick)  # a look is up to a tick old
+    assert gone == pytest.approx(exact, abs=2 * tick)  # the observed value is up to one tick old
     assert bench.truth("velocity_rad_s") == pytest.approx(
         exact / 100 * 6.283185307179586 / (66 * 2000),
-        rel=5e-3,  # it ripples
+        rel=5e-3,  # the velocity has ripple
     )
 
 
 @pytest.mark.parametrize("ppm", [-100_000, 100_000])
-def test_the_motor_itself_moves_in_true_time(ppm):
-    """Nobody drives it: a load turns it. 9, 10 and 11 ticks of the three clocks are 10 ms each."""
+def test_motor_itself_moves_in_true_time(ppm):
+    """Turn an unpowered motor by a load; 9, 10 and 11 ticks of the three clocks are 10 ms each."""
     own, true = bench_with(ppm), bench_with(0)
     for bench in (own, true):
         bench.run(S // 2)
-        bench.set(*POSITION_GAIN, bench.read(*POSITION_GAIN[:2]) // 2, 4)  # another servo
+        bench.set(*POSITION_GAIN, bench.read(*POSITION_GAIN[:2]) // 2, 4)  # a new servo
         bench.run_until(S)
         bench.drive.stimulate("load_torque_n_m", 5.0, bench.now)
         assert bench.truth("position_rad") == 0.0
@@ -155,7 +154,7 @@ def test_the_motor_itself_moves_in_true_time(ppm):
 
 
 @pytest.mark.parametrize("ppm", [-100_000, 100_000])
-def test_a_torque_accelerates_in_true_time(ppm):
+def test_torque_accelerates_in_true_time(ppm):
     gained = []
     for error in (ppm, 0):
         bench = enabled(bench_with(error), 4)
@@ -168,8 +167,8 @@ def test_a_torque_accelerates_in_true_time(ppm):
     assert gained[0] == pytest.approx(gained[1], rel=2e-2)  # the current loop is the firmware's
 
 
-def test_cyclic_targets_of_a_host_that_keeps_the_time_are_followed_without_falling_behind():
-    """1000 ppm in 5 s are five ticks: the drive's grid slides through the host's SYNCs."""
+def test_cyclic_targets_are_followed_without_falling_behind():
+    """Check 1000 ppm, five ticks in 5 s: the drive's tick grid drifts across the host's SYNCs."""
     objects = {"1402h:2": 1, "6065h": 0xFFFF_FFFF, "60C2h:1": 10}
     for ppm in (-1000, 1000):
         bench = enabled(bench_with(ppm, objects=objects), 8)
@@ -181,11 +180,11 @@ def test_cyclic_targets_of_a_host_that_keeps_the_time_are_followed_without_falli
             bench.run(10 * MS)
 
 
-# --- when
+# --- phase
 
 
 @pytest.mark.parametrize("phase_s", [0.0, 0.000_25, 0.000_999])
-def test_its_servo_periods_begin_where_its_phase_says(phase_s):
+def test_servo_periods_begin_at_the_configured_phase(phase_s):
     bench = enabled(bench_with(0, phase_s), 3)
     bench.send(0x500 + NODE, struct.pack("<Hi", 0x0F, 50_000))
     bench.run(S)
@@ -201,8 +200,8 @@ def test_its_servo_periods_begin_where_its_phase_says(phase_s):
 
 
 @pytest.mark.parametrize("ppm", [-50, 1234.567891])
-def test_looking_changes_nothing(ppm):
-    """Every look and every deadline falls where it falls: the frames are the same, to the ns."""
+def test_observing_changes_nothing(ppm):
+    """Check that the frames are the same, to the ns, however often the drive is observed."""
     sent = []
     for look_ns in (S, 370_001):
         bench = enabled(bench_with(ppm, 0.000_4, objects={"1017h": 7}), 1)
@@ -216,23 +215,23 @@ def test_looking_changes_nothing(ppm):
     assert sent[0] == sent[1]
 
 
-# --- how a rig says so
+# --- settings in a rig
 
 
-def test_a_clock_that_shows_the_true_time_costs_nothing():
+def test_clock_that_shows_true_time_adds_no_layer():
     for oscillator in ({}, {"ppm": 0, "phase_s": 0.0}, {"ppm_max": 0}):
         assert isinstance(new(oscillator=oscillator), Cia402Drive)
     assert isinstance(new(oscillator={"ppm": 1e-6}), OwnTime)
 
 
-def test_the_record_is_told_what_a_clock_is_like():
+def test_clock_properties_are_reported_to_the_recording():
     told = [("info", "its own clock runs 12.5 ppm slow and began at 0.3 ms")]
     assert bench_with(-12.5, 0.0003).events == told
     assert bench_with(0).events == []
 
 
 @given(st.integers(0, 2**32 - 1), st.sampled_from(["left", "right"]))
-def test_drawn_clocks_are_the_seeds_and_the_names_own(seed, name):
+def test_random_clock_depends_on_seed_and_name(seed, name):
     oscillator = {"ppm_max": 100, "phase_max_s": 0.001}
     clock = new(seed, name, oscillator=oscillator).oscillator
     assert -100e6 <= clock.error_1e12 <= 100e6
@@ -242,7 +241,7 @@ def test_drawn_clocks_are_the_seeds_and_the_names_own(seed, name):
         assert clock != new(*other, oscillator=oscillator).oscillator
 
 
-def test_drawn_clocks_lie_all_over_what_was_allowed():
+def test_random_clocks_cover_the_allowed_range():
     clocks = [
         new(7, f"drive-{k}", oscillator={"ppm_max": 100, "phase_max_s": 0.001}).oscillator
         for k in range(200)
@@ -258,7 +257,7 @@ def test_drawn_clocks_lie_all_over_what_was_allowed():
     ("oscillator", "told"),
     [
         ({"ppm": 100_001}, "oscillator.ppm: 100001 is outside -100000..100000"),
-        ({"ppm": "50"}, "oscillator.ppm: '50' is no number; -100000..100000"),
+        ({"ppm": "50"}, "oscillator.ppm: '50' is not a number; -100000..100000"),
         ({"ppm": float("nan")}, "oscillator.ppm: nan is outside"),
         ({"ppm_max": -1}, "oscillator.ppm_max: -1 is outside 0..100000"),
         ({"phase_s": -0.1}, "oscillator.phase_s: -0.1 is outside 0..1"),
@@ -266,13 +265,16 @@ def test_drawn_clocks_lie_all_over_what_was_allowed():
         ({"ppb": 50}, "oscillator.ppb: is not known; did you mean ppm? known: ppm, ppm_max"),
         (
             {"ppm": 1, "ppm_max": 1},
-            "oscillator.ppm_max: ppm is given already, there is nothing to draw; take one",
+            "oscillator.ppm_max: has no effect, because ppm is given; remove one",
         ),
-        ({"phase_s": 0, "phase_max_s": 0}, "oscillator.phase_max_s: phase_s is given already"),
-        (50, "oscillator: 50 is no table; write [controller.NAME.oscillator]"),
+        (
+            {"phase_s": 0, "phase_max_s": 0},
+            "oscillator.phase_max_s: has no effect",
+        ),
+        (50, "oscillator: 50 is not a table; write [controller.NAME.oscillator]"),
     ],
 )
-def test_a_wrong_clock_is_refused_with_the_key(oscillator, told):
+def test_invalid_clock_is_rejected_with_the_key(oscillator, told):
     with pytest.raises(SettingError) as caught:
         new(oscillator=oscillator)
     assert str(caught.value).startswith(told)

@@ -5,7 +5,7 @@ from canopen.profiles.p402 import State402
 from hypothesis import event, example, given
 from hypothesis import strategies as st
 
-from emulators.cia402.pds_fsa import (
+from motorhil.emulators.cia402.state_machine import (
     ENDS,
     NO_TRANSITION,
     TRANSITIONS,
@@ -17,7 +17,7 @@ from emulators.cia402.pds_fsa import (
 
 S = PdsState
 
-# Start at every depth of the table; then commands, or any 16 bits to keep it honest.
+# Start at any depth of the table; then commands, or any 16 bits for generality.
 START = st.sampled_from([[], [0x06], [0x06, 0x07], [0x06, 0x07, 0x0F], [0x06, 0x07, 0x0F, 0x02]])
 COMMANDS = st.sampled_from([0x0000, 0x0002, 0x0006, 0x0007, 0x000F, 0x0080])
 REST = st.lists(COMMANDS | st.integers(0, 0xFFFF), max_size=40)
@@ -28,8 +28,8 @@ def name_in_canopen(state: PdsState) -> str:
     return state.name.replace("_", " ")
 
 
-def test_transitions_are_those_of_canopens_table():
-    """canopen.profiles.p402 is somebody else's reading of the standard, (from, to) -> word."""
+def test_transitions_are_those_of_the_canopen_table():
+    """Compare with canopen.profiles.p402, an independent reading: (from, to) -> word."""
     theirs = {
         (start, end): word
         for (start, end), word in State402.TRANSITIONTABLE.items()
@@ -74,10 +74,10 @@ def test_every_table_entry_starts_where_its_number_does():
         (0x000B, Command.QUICK_STOP),
         (0x0080, Command.FAULT_RESET),  # rising edge of 7
         (0x008F, Command.FAULT_RESET),
-        (0xFF7F, Command.ENABLE_OPERATION),  # the other bits do not matter
+        (0xFF7F, Command.ENABLE_OPERATION),  # the other bits have no effect
     ],
 )
-def test_commands_are_coded_as_the_standard_says(word, command):
+def test_commands_are_coded_as_in_the_standard(word, command):
     assert decode_controlword(word, previous=0) is command
 
 
@@ -93,14 +93,14 @@ def test_fault_reset_is_an_edge_and_not_a_level():
     assert fsa.write_controlword(0x80) == [15]
 
 
-def test_a_word_with_bit_7_set_commands_nothing_else():
+def test_word_with_bit_7_set_gives_no_other_command():
     fsa = PdsFsa(S.OPERATION_ENABLED)
     fsa.write_controlword(0x8F)
-    assert fsa.write_controlword(0x80) == []  # a drive that runs is not stopped by it either
+    assert fsa.write_controlword(0x80) == []  # a running drive is not stopped by it either
     assert fsa.state is S.OPERATION_ENABLED
 
 
-def test_every_transition_by_name():
+def test_every_transition_occurs_by_its_command():
     fsa = PdsFsa()
     fsa.take(0)
     fsa.take(1)
@@ -118,7 +118,7 @@ def test_every_transition_by_name():
     assert all(count > 0 for count in fsa.taken)
 
 
-def test_a_fault_is_entered_from_every_state_but_the_fault_states():
+def test_fault_is_entered_from_all_except_the_fault_states():
     for state in S:
         fsa = PdsFsa(state)
         if state in {S.FAULT, S.FAULT_REACTION_ACTIVE}:
@@ -130,7 +130,7 @@ def test_a_fault_is_entered_from_every_state_but_the_fault_states():
 
 
 @pytest.mark.parametrize("state", [S.NOT_READY_TO_SWITCH_ON, S.FAULT_REACTION_ACTIVE])
-def test_no_command_leaves_the_states_that_end_by_themselves(state):
+def test_no_command_leaves_the_transient_states(state):
     for word in range(0x100):
         assert PdsFsa(state).write_controlword(word) == []
 
@@ -139,7 +139,7 @@ def test_no_command_leaves_the_states_that_end_by_themselves(state):
 @example([0x06, 0x07, 0x0F, 0x02, 0x0F])  # 2, 3, 4, 11, 16
 @example([0x06, 0x0F])  # 2, then 3 and 4 by one word
 def test_power_comes_on_only_step_by_step(words):
-    """Whatever a client writes, operation is enabled only by 4 or 16 (CiA 402-2)."""
+    """Check for any client: only 4 or 16 enables operation (CiA 402-2)."""
     fsa = PdsFsa()
     for word in words:
         before = fsa.state
@@ -154,7 +154,7 @@ def test_power_comes_on_only_step_by_step(words):
         assert len(taken) <= 2
 
 
-def test_power_can_come_on_at_all():  # a drive that never moves would pass the property above
+def test_power_can_come_on():  # a drive that never moves would satisfy the property above
     fsa = PdsFsa()
     for word in (0x06, 0x07, 0x0F):
         fsa.write_controlword(word)
@@ -162,7 +162,7 @@ def test_power_can_come_on_at_all():  # a drive that never moves would pass the 
 
 
 @given(st.sampled_from(list(S)), st.integers(0, 0xFFFF), st.integers(0, 0xFFFF))
-def test_every_step_is_one_the_standard_draws(state, previous, word):
+def test_every_step_is_one_in_the_standard(state, previous, word):
     fsa = PdsFsa(state)
     fsa.controlword = previous
     at = state

@@ -1,4 +1,4 @@
-"""Profile position: the set-point handshake and what moves. CiA 402-2, profile position mode."""
+"""Profile position: the set-point handshake and the motion. CiA 402-2, profile position mode."""
 
 import struct
 from math import sqrt
@@ -14,14 +14,14 @@ V, A = 40_960, 409_600  # 6081h and 6083h, 6084h of our file [inc/s, inc/s^2]
 
 
 def duration_ns(distance: float, velocity: float = V, acceleration: float = A) -> int:
-    """Rest to rest, in closed form."""
+    """Return the duration of a move from rest to rest, in closed form."""
     if distance >= velocity * velocity / acceleration:
         return round(1e9 * (distance / velocity + velocity / acceleration))
     return round(1e9 * 2 * sqrt(distance / acceleration))
 
 
 def offer(bench: Bench, target: int, extra: int = 0) -> None:
-    """607Ah and the edge in one RPDO 3 (6040h, 607Ah)."""
+    """Send 607Ah and the edge in one RPDO 3 (6040h, 607Ah)."""
     bench.send(0x400 + NODE, struct.pack("<Hi", 0x1F | extra, target))
 
 
@@ -43,8 +43,8 @@ def bench() -> Bench:
     return bench
 
 
-def test_handshake_transcript(bench):
-    """Statuswords by hand: 37h enabled | 200h remote | 400h reached | 1000h acknowledge."""
+def test_handshake_matches_the_transcript(bench):
+    """Check statuswords: 37h enabled | 200h remote | 400h reached | 1000h acknowledge."""
     assert bench.last(0x185) == bytes.fromhex("3706")
     count = len(bench.sent)
     offered_at = bench.now
@@ -62,7 +62,7 @@ def test_handshake_transcript(bench):
     assert abs(bench.read(0x6064) - 10_000) <= 10
 
 
-def test_the_demand_arrives_when_the_closed_form_says(bench):
+def test_demand_arrives_at_the_closed_form_time(bench):
     at = bench.now
     move(bench, 10_000)
     end = at + duration_ns(10_000)
@@ -81,7 +81,7 @@ def test_nothing_moves_without_an_edge(bench):
     assert bench.truth("position_inc") == 0
 
 
-def test_a_level_is_no_edge(bench):
+def test_level_is_not_an_edge(bench):
     offer(bench, 1000)
     bench.run(500 * MS)
     assert bench.truth("demand_inc") == 1000
@@ -97,22 +97,22 @@ def test_a_level_is_no_edge(bench):
 
 
 def test_target_reached_is_never_stale(bench):
-    """From the very edge, also for a move of no length."""
+    """Check from the edge on, also for a move of zero length."""
     move(bench, 2000)
     bench.run(1000 * MS)
     assert bench.statusword() & TARGET_REACHED
     count = len(bench.sent)
-    offer(bench, 2000)  # it is there already
+    offer(bench, 2000)  # the motor is already there
     assert bench.hex_since(count)[0] == "185#3712"
     bench.run(100 * MS)
     assert bench.statusword() & (TARGET_REACHED | ACKNOWLEDGE) == TARGET_REACHED | ACKNOWLEDGE
 
 
-def test_a_second_set_point_waits_for_the_first(bench):
+def test_second_set_point_waits_for_the_first(bench):
     at = bench.now
     move(bench, 10_000)
     move(bench, 4_000)
-    assert bench.statusword() & ACKNOWLEDGE  # the one place to wait in is taken
+    assert bench.statusword() & ACKNOWLEDGE  # the only buffer place is occupied
     bench.run_until(at + duration_ns(10_000) + 1 * MS)
     assert bench.truth("demand_inc") == 10_000
     bench.run(3 * MS)
@@ -126,14 +126,14 @@ def test_a_second_set_point_waits_for_the_first(bench):
     assert bench.statusword() & TARGET_REACHED
 
 
-def test_a_third_set_point_finds_no_room(bench):
+def test_third_set_point_is_not_accepted(bench):
     for target in (10_000, 4_000, 7_000):
         move(bench, target)
     bench.run(3000 * MS)
     assert bench.truth("demand_inc") == 4_000
 
 
-def test_change_immediately_drops_what_runs_and_what_waits(bench):
+def test_change_immediately_discards_all_earlier_targets(bench):
     move(bench, 20_000)
     move(bench, 30_000)
     bench.run(200 * MS)
@@ -146,7 +146,7 @@ def test_change_immediately_drops_what_runs_and_what_waits(bench):
     assert bench.statusword() & TARGET_REACHED
 
 
-def test_relative_counts_from_the_set_point_before(bench):
+def test_relative_target_counts_from_the_last_set_point(bench):
     move(bench, 3_000)
     move(bench, 500, extra=0x40)
     bench.run(1000 * MS)
@@ -156,7 +156,7 @@ def test_relative_counts_from_the_set_point_before(bench):
     assert bench.truth("demand_inc") == 2_000
 
 
-def test_relative_right_after_enabling_counts_from_where_it_stands(bench):
+def test_relative_target_after_enabling_counts_from_actual(bench):
     move(bench, 3_000)
     bench.run(1000 * MS)
     bench.controlword(0x06)
@@ -166,14 +166,14 @@ def test_relative_right_after_enabling_counts_from_where_it_stands(bench):
     assert abs(bench.truth("demand_inc") - 3_100) <= 10
 
 
-def test_change_on_set_point_drives_through_at_speed(bench):
+def test_change_on_set_point_passes_at_speed(bench):
     at = bench.now
     move(bench, 20_000)
-    bench.set(0x6081, 0, 20_480, 4)  # the second leg at half the speed
+    bench.set(0x6081, 0, 20_480, 4)  # the second part at half the speed
     move(bench, 40_000, extra=0x200)
     through = 20_000
     bench.run_while(lambda: bench.truth("demand_inc") < through)
-    assert bench.now - at < duration_ns(20_000)  # it has not slowed down for the first target
+    assert bench.now - at < duration_ns(20_000)  # no deceleration for the first target
     bench.run(200 * MS)
     before = bench.truth("demand_inc")
     bench.run(100 * MS)
@@ -183,7 +183,7 @@ def test_change_on_set_point_drives_through_at_speed(bench):
     assert bench.statusword() & TARGET_REACHED
 
 
-def test_change_on_set_point_stops_where_it_must_turn(bench):
+def test_change_on_set_point_stops_where_it_reverses(bench):
     move(bench, 10_000)
     move(bench, 5_000, extra=0x200)
     highest = 0.0
@@ -195,19 +195,19 @@ def test_change_on_set_point_stops_where_it_must_turn(bench):
 
 
 @pytest.mark.parametrize(("word", "state"), [(0x00, 1), (0x02, 1), (0x06, 2), (0x07, 3)])
-def test_a_drive_stopped_just_before_it_drives_through_goes_no_further(bench, word, state):
+def test_drive_stopped_before_passing_continues_no_further(bench, word, state):
     move(bench, 10_000)
     move(bench, 20_000, extra=0x200)
     bench.run_while(lambda: bench.truth("demand_inc") < 9_000)
     bench.controlword(word)
-    bench.run(10_000 * MS)  # the bench refuses deadlines that stay where they are
+    bench.run(10_000 * MS)  # the bench fails for a deadline that does not advance
     assert bench.drive.next_deadline_ns() is None
     assert bench.truth("state") == state
-    assert bench.truth("position_inc") < 15_000  # coasting, at most
+    assert bench.truth("position_inc") < 15_000  # at most coasting
     assert not bench.statusword() & 0x1000
 
 
-def test_halt_stops_and_goes_on(bench):
+def test_halt_stops_and_motion_continues_afterwards(bench):
     at = bench.now
     move(bench, 20_000)
     bench.run(200 * MS)
@@ -227,7 +227,7 @@ def test_halt_stops_and_goes_on(bench):
     assert bench.now > at + duration_ns(20_000)
 
 
-def test_a_set_point_taken_under_halt_waits_for_its_end(bench):
+def test_set_point_taken_under_halt_waits_for_its_end(bench):
     bench.controlword(0x010F)
     offer(bench, 2_000, extra=0x100)
     assert bench.statusword() & ACKNOWLEDGE
@@ -239,7 +239,7 @@ def test_a_set_point_taken_under_halt_waits_for_its_end(bench):
 
 
 @pytest.mark.parametrize(("option", "deceleration"), [(1, A), (2, 819_200)])
-def test_halt_option_code_picks_the_ramp(bench, option, deceleration):
+def test_halt_option_code_selects_the_ramp(bench, option, deceleration):
     bench.set(0x605D, 0, option, 2)
     move(bench, 40_000)
     bench.run(300 * MS)
@@ -247,12 +247,12 @@ def test_halt_option_code_picks_the_ramp(bench, option, deceleration):
     at = bench.now
     start = bench.truth("demand_inc")
     bench.run_while(lambda: not bench.last(0x185)[1] & 0x04)
-    braked = bench.truth("demand_inc") - start  # a tick at speed before it begins
+    braked = bench.truth("demand_inc") - start  # one tick at speed before braking starts
     assert braked == pytest.approx(V * V / 2 / deceleration + V / 1000, abs=2)
     assert bench.now - at == pytest.approx(1e9 * V / deceleration, abs=20e6)
 
 
-def test_software_limits_hold_a_target_back(bench):
+def test_software_limits_limit_the_target(bench):
     bench.set(0x607D, 1, -1_000, 4)
     bench.set(0x607D, 2, 5_000, 4)
     move(bench, 5_000)
@@ -270,7 +270,7 @@ def test_software_limits_hold_a_target_back(bench):
     assert not bench.statusword() & LIMIT
 
 
-def test_limits_of_zero_are_none(bench):
+def test_limits_of_zero_limit_nothing(bench):
     move(bench, -30_000)
     bench.run(2000 * MS)
     assert bench.truth("demand_inc") == -30_000
@@ -289,7 +289,7 @@ def test_max_velocity_limits_the_profile(bench, index, value, limit):
     assert bench.truth("demand_inc") == 10_000
 
 
-def test_the_profile_is_that_of_the_moment_of_the_edge(bench):
+def test_profile_is_fixed_at_the_edge(bench):
     at = bench.now
     offer(bench, 10_000)
     bench.set(0x6081, 0, 1_000, 4)
@@ -307,7 +307,7 @@ def test_window_time_delays_target_reached(bench):
     assert bench.statusword() & TARGET_REACHED
 
 
-def test_a_mode_change_forgets_set_points(bench):
+def test_mode_change_discards_set_points(bench):
     move(bench, 20_000)
     bench.run(100 * MS)
     bench.set(0x6060, 0, 6, 1)
@@ -320,19 +320,19 @@ def test_a_mode_change_forgets_set_points(bench):
 
 
 def test_units_come_from_the_factor_objects():
-    """6092h = 3600 units per turn at the output: 10 units are a hundredth of a turn less a bit."""
+    """Check 6092h = 3600 units per output turn: 36 units are a hundredth of a turn."""
     bench = Bench(objects={"6092h:1": 3600, "6092h:2": 1})
     bench.enable(mode=1)
     move(bench, 36)
     bench.run(1000 * MS)
     assert bench.truth("demand_inc") == 1320  # 36 / 3600 * 66 * 2000
     assert bench.read(0x6062) == 36
-    assert bench.read(0x6063) == pytest.approx(1320, abs=10)  # the servo's standing error
+    assert bench.read(0x6063) == pytest.approx(1320, abs=10)  # the servo's steady-state error
 
 
-def test_factors_written_later_count_for_targets_and_windows(bench):
+def test_later_factors_apply_to_targets_and_windows(bench):
     bench.set(0x6065, 0, 20, 4)
-    bench.set(0x6092, 1, 3600, 4)  # 36.7 increments: the window is 733 now
+    bench.set(0x6092, 1, 3600, 4)  # 36.7 increments: the window is now 733
     move(bench, 36)
     bench.run(1000 * MS)
     assert bench.truth("demand_inc") == 1320
@@ -343,8 +343,8 @@ def test_factors_written_later_count_for_targets_and_windows(bench):
     assert error > 733
 
 
-def test_a_halt_with_a_slow_ramp_still_ends_within_the_software_limits():
-    """Danfoss VLT servo drive ISD, 607Dh: under position control no limit is passed."""
+def test_halt_with_a_slow_ramp_ends_within_software_limits():
+    """Check Danfoss VLT servo drive ISD, 607Dh: position control never passes a limit."""
     bench = Bench()
     bench.enable(mode=1)
     for index, value in ((0x6081, 60_000), (0x6083, 600_000), (0x6084, 600_000)):

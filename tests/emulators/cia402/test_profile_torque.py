@@ -1,11 +1,11 @@
-"""Profile torque: 6071h is live, by the slope 6087h, in 1/1000 of 6076h. CiA 402-2, tq."""
+"""Profile torque: 6071h applies live, with slope 6087h, in 1/1000 of 6076h. CiA 402-2, tq."""
 
 import struct
 from fractions import Fraction
 
 import pytest
 
-from emulators.plant.presets import WHEEL_60W
+from motorhil.emulators.plant.presets import WHEEL_60W
 from tests.emulators.cia402.bench import MS, NODE, Bench
 
 TARGET_REACHED = 0x0400
@@ -25,24 +25,24 @@ def new_bench(**settings) -> Bench:
 
 @pytest.fixture
 def bench() -> Bench:
-    """A flywheel: it takes its time to reach the speed at which the supply gives no more."""
+    """Return a bench with a flywheel: it needs time to reach the supply's speed limit."""
     bench = Bench(plant={"preset": "wheel_60w", "load_inertia_kg_m2": 0.5})
     bench.enable(mode=4)
     bench.run(50 * MS)
     return bench
 
 
-def test_the_standard_s_objects_are_there_and_6502h_names_tq():
+def test_standard_objects_exist_and_6502h_names_tq():
     bench = new_bench()
     bench.boot()
     assert bench.read(0x6502) >> 3 & 1
-    assert bench.read(0x6075) == 8_000  # mA: what the power stage can
+    assert bench.read(0x6075) == 8_000  # mA: the limit of the power stage
     assert bench.read(0x6076) == 207  # mN m
     assert bench.read(0x6071) == bench.read(0x6074) == bench.read(0x6077) == 0
-    assert bench.read(0x6072) == 1_001  # rounded up: by itself it limits nothing
+    assert bench.read(0x6072) == 1_001  # rounded up: limits nothing by default
     assert bench.read(0x6087) == 100_000
     assert bench.read(0x6088) == 0
-    assert bench.write(0x6088, 0, 1, 2) == 0x0609_0030  # sin^2 ramps: there are none
+    assert bench.write(0x6088, 0, 1, 2) == 0x0609_0030  # sin^2 ramps: not implemented
     assert bench.write(0x6071, 0, 0, 4) == 0x0607_0012  # INTEGER16: length too high
 
 
@@ -52,7 +52,7 @@ def test_torque_follows_the_slope_and_is_reached(bench):
     at = bench.now
     assert not bench.statusword() & TARGET_REACHED
     bench.run_until(at + 50 * MS)
-    assert bench.read(0x6074) == pytest.approx(250, abs=5 + 1)  # one tick, and the answer's
+    assert bench.read(0x6074) == pytest.approx(250, abs=5 + 1)  # one tick, plus that of the reply
     bench.run_until(at + 95 * MS)
     assert not bench.statusword() & TARGET_REACHED
     bench.run_until(at + 105 * MS)
@@ -61,8 +61,8 @@ def test_torque_follows_the_slope_and_is_reached(bench):
     assert bench.truth("current_a") == pytest.approx(current_a(500), rel=0.05)
 
 
-def test_what_is_read_is_the_torque_there_is(bench):
-    """6077h in 1/1000 of 6076h, 6078h in 1/1000 of 6075h, from the truth behind them."""
+def test_torque_read_is_the_actual_torque(bench):
+    """Check 6077h in 1/1000 of 6076h, 6078h in 1/1000 of 6075h, against the truth."""
     bench.set(0x6071, 0, 700, 2)
     bench.run(20 * MS)
     current = Fraction(bench.truth("current_a"))
@@ -71,7 +71,7 @@ def test_what_is_read_is_the_torque_there_is(bench):
 
 
 @pytest.mark.parametrize("rated_mn_m", [100, 207, 1_000])
-def test_the_unit_is_the_rated_torque_as_it_stands(bench, rated_mn_m):
+def test_unit_is_the_present_rated_torque(bench, rated_mn_m):
     bench.set(0x6071, 0, 100, 2)
     bench.run(20 * MS)
     bench.set(0x6076, 0, rated_mn_m, 4)
@@ -80,7 +80,7 @@ def test_the_unit_is_the_rated_torque_as_it_stands(bench, rated_mn_m):
     assert bench.read(0x6074) == 100
 
 
-def test_an_unloaded_motor_accelerates_by_its_torque():
+def test_unloaded_motor_accelerates_by_its_torque():
     bench = new_bench()
     bench.enable(mode=4)
     bench.set(0x6071, 0, 400, 2)
@@ -90,23 +90,23 @@ def test_an_unloaded_motor_accelerates_by_its_torque():
     gained = bench.truth("velocity_rad_s") * WHEEL_60W.gear_ratio - before
     torque = K * bench.truth("current_a") - WHEEL_60W.coulomb_friction_n_m
     rotor = WHEEL_60W.rotor_inertia_kg_m2
-    assert gained / 0.010 == pytest.approx(torque / rotor, rel=0.05)  # viscous friction: a little
+    assert gained / 0.010 == pytest.approx(torque / rotor, rel=0.05)  # a little viscous friction
 
 
-def test_max_torque_cuts_it_and_bit_11_says_so(bench):
+def test_max_torque_limits_and_bit_11_reports_it(bench):
     bench.set(0x6072, 0, 300, 2)
     bench.set(0x6071, 0, -800, 2)
     bench.run(50 * MS)
     assert bench.read(0x6074) == -300
     assert bench.statusword() & (TARGET_REACHED | LIMIT_ACTIVE) == LIMIT_ACTIVE
-    bench.set(0x6072, 0, 900, 2)  # live as well
+    bench.set(0x6072, 0, 900, 2)  # live too
     bench.run(50 * MS)
     assert bench.read(0x6074) == -800
     assert not bench.statusword() & LIMIT_ACTIVE
 
 
-def test_each_direction_has_a_limit_of_its_own(bench):
-    """60E0h and 60E1h, each within 6072h."""
+def test_each_direction_has_its_own_limit(bench):
+    """Check 60E0h and 60E1h, each within 6072h."""
     bench.set(0x60E0, 0, 400, 2)
     bench.set(0x60E1, 0, 250, 2)
     for asked, given, limited in ((800, 400, True), (-800, -250, True), (-200, -200, False)):
@@ -119,7 +119,7 @@ def test_each_direction_has_a_limit_of_its_own(bench):
     assert bench.read(0x6074) == -100
 
 
-def test_max_torque_holds_in_position_control_too():
+def test_max_torque_limits_position_control_too():
     bench = new_bench()
     bench.enable(mode=1)
     bench.set(0x6072, 0, 100, 2)
@@ -133,7 +133,7 @@ def test_max_torque_holds_in_position_control_too():
     assert most == pytest.approx(current_a(100), rel=1e-12)
 
 
-def test_max_torque_0_is_no_torque_at_all(bench):
+def test_max_torque_0_gives_no_torque(bench):
     bench.set(0x6072, 0, 0, 2)
     bench.set(0x6071, 0, 500, 2)
     bench.run(50 * MS)
@@ -141,7 +141,7 @@ def test_max_torque_0_is_no_torque_at_all(bench):
     assert bench.read(0x6077) == 0
 
 
-def test_halt_stops_the_motor_and_then_it_goes_on(bench):
+def test_halt_stops_the_motor_and_torque_continues_after(bench):
     bench.set(0x6071, 0, 200, 2)
     bench.run(50 * MS)
     assert bench.truth("velocity_rad_s") > 0.05
@@ -158,7 +158,7 @@ def test_halt_stops_the_motor_and_then_it_goes_on(bench):
 
 
 @pytest.mark.parametrize(("option", "deceleration"), [(1, 0x6084), (2, 0x6085)])
-def test_halt_brakes_on_the_ramp_605dh_names(bench, option, deceleration):
+def test_halt_brakes_on_the_ramp_named_by_605dh(bench, option, deceleration):
     bench.set(0x605D, 0, option, 2)
     bench.set(0x6084, 0, 100_000, 4)
     bench.set(0x6085, 0, 200_000, 4)
@@ -169,11 +169,11 @@ def test_halt_brakes_on_the_ramp_605dh_names(bench, option, deceleration):
     ns = round(1e9 * speed / bench.read(deceleration))
     at = bench.now
     bench.run_while(lambda: not bench.statusword() & TARGET_REACHED)
-    # The speed at the halt is measured, over 4 ms; speed zero (6070h) is seen 10 ms late.
+    # The speed at the halt is measured over 4 ms; speed zero (6070h) is detected 10 ms late.
     assert bench.now - at == pytest.approx(ns, abs=ns * 0.1 + 25 * MS)
 
 
-def test_a_quick_stop_brakes_the_motor(bench):
+def test_quick_stop_brakes_the_motor(bench):
     bench.set(0x6071, 0, 200, 2)
     bench.run(50 * MS)
     bench.controlword(0x02)
@@ -182,7 +182,7 @@ def test_a_quick_stop_brakes_the_motor(bench):
     assert bench.truth("velocity_rad_s") == 0.0
 
 
-def test_enabling_gives_the_torque_that_stands_there():
+def test_enabling_applies_the_present_target_torque():
     bench = new_bench()
     bench.operational()
     bench.set(0x6060, 0, 4, 1)
@@ -194,7 +194,7 @@ def test_enabling_gives_the_torque_that_stands_there():
     assert bench.read(0x6074) == 150
 
 
-def test_changing_the_mode_on_the_fly_and_back(bench):
+def test_mode_can_change_in_motion_and_back(bench):
     bench.set(0x6071, 0, 200, 2)
     bench.run(50 * MS)
     bench.set(0x60FF, 0, 10_000, 4)
@@ -204,7 +204,7 @@ def test_changing_the_mode_on_the_fly_and_back(bench):
     assert bench.read(0x606C) == pytest.approx(10_000, abs=2_000)
     assert bench.statusword() & TARGET_REACHED
     bench.set(0x6071, 0, -50, 2)
-    assert bench.read(0x606B) == 10_000  # 6071h is nobody's in pv
+    assert bench.read(0x606B) == 10_000  # 6071h has no effect in pv
     bench.set(0x6060, 0, 4, 1)
     bench.run(20 * MS)
     assert bench.read(0x6074) == -50
@@ -213,8 +213,8 @@ def test_changing_the_mode_on_the_fly_and_back(bench):
     assert bench.truth("velocity_rad_s") == pytest.approx(0.0, abs=1e-3)
 
 
-def test_target_torque_is_taken_at_sync_from_an_rpdo(bench):
-    """RPDO 4 remapped to 6040h, 6071h with transmission type 1, as a group's start needs it."""
+def test_target_torque_from_an_rpdo_applies_at_sync(bench):
+    """Remap RPDO 4 to 6040h, 6071h with transmission type 1, as a group's start needs it."""
     bench.set(0x1403, 1, 0x8000_0500 + NODE, 4)
     bench.set(0x1603, 0, 0, 1)
     bench.set(0x1603, 1, 0x6040_0010, 4)
@@ -230,8 +230,8 @@ def test_target_torque_is_taken_at_sync_from_an_rpdo(bench):
     assert bench.read(0x6074) == -120
 
 
-def test_nobody_who_looks_changes_when_the_target_is_reached():
-    """The drive wakes for the flag by itself: TPDO 1 tells the statusword at the exact tick."""
+def test_observing_does_not_change_target_reached_time():
+    """Check that the drive wakes for the flag: TPDO 1 sends the statusword at the exact tick."""
     bench = Bench(
         objects={"1800h:3": 0, "6087h": 50_000},
         plant={"preset": "wheel_60w", "load_inertia_kg_m2": 0.5},
@@ -247,6 +247,6 @@ def test_nobody_who_looks_changes_when_the_target_is_reached():
         if can_id == 0x180 + NODE and time > at - 2 * MS
     ]
     assert [word & TARGET_REACHED for _, word in told] == [0, TARGET_REACHED]
-    # asked at or before `at` and obeyed from the next tick on: 10 ticks of 50 each, then the
-    # current has a tick to be where it is wanted.
+    # commanded at or before `at` and obeyed from the next tick on: 10 ticks of 50 each, then the
+    # current needs one tick to reach its demand.
     assert 9 * MS <= told[1][0] - told[0][0] <= 12 * MS

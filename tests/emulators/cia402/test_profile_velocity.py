@@ -1,4 +1,4 @@
-"""Profile velocity: 60FFh is live, ramps are ramps. CiA 402-2, profile velocity mode."""
+"""Profile velocity: 60FFh applies live, with ramps. CiA 402-2, profile velocity mode."""
 
 import struct
 
@@ -12,7 +12,7 @@ A = 409_600
 
 
 def ask(bench: Bench, velocity: int, word: int = 0x0F) -> None:
-    """60FFh in RPDO 4 (6040h, 60FFh)."""
+    """Send 60FFh in RPDO 4 (6040h, 60FFh)."""
     bench.send(0x500 + NODE, struct.pack("<Hi", word, velocity))
 
 
@@ -30,7 +30,7 @@ def test_velocity_follows_the_ramp_and_is_reached(bench):
     at = bench.now
     assert not bench.statusword() & TARGET_REACHED
     bench.run_until(at + 50 * MS)
-    assert bench.read(0x606B) == pytest.approx(A * 0.05, abs=A / 1000 + 1)  # one tick late at most
+    assert bench.read(0x606B) == pytest.approx(A * 0.05, abs=A / 1000 + 1)  # at most one tick late
     assert not bench.statusword() & (SPEED_IS_ZERO | TARGET_REACHED)
     bench.run_until(at + 40_000 * 1000 // A * MS + 50 * MS)
     assert bench.read(0x606B) == 40_000
@@ -42,7 +42,7 @@ def test_velocity_follows_the_ramp_and_is_reached(bench):
     assert turned == pytest.approx(40_000, rel=1e-3)
 
 
-def test_a_new_velocity_counts_at_once_and_through_standstill(bench):
+def test_new_velocity_applies_immediately_across_zero(bench):
     ask(bench, 20_000)
     bench.run(200 * MS)
     at = bench.now
@@ -54,13 +54,13 @@ def test_a_new_velocity_counts_at_once_and_through_standstill(bench):
     assert bench.statusword() & TARGET_REACHED
 
 
-def test_velocity_by_sdo_counts_too(bench):
+def test_velocity_by_sdo_applies_too(bench):
     bench.set(0x60FF, 0, 10_000, 4)
     bench.run(200 * MS)
     assert bench.read(0x606C) == pytest.approx(10_000, abs=2_000)
 
 
-def test_a_new_ramp_counts_at_once(bench):
+def test_new_ramp_applies_immediately(bench):
     ask(bench, 40_960)
     bench.run(50 * MS)
     bench.set(0x6083, 0, 4_096_000, 4)
@@ -68,7 +68,7 @@ def test_a_new_ramp_counts_at_once(bench):
     assert bench.read(0x606B) == 40_960
 
 
-def test_halt_ramps_down_and_goes_on(bench):
+def test_halt_ramps_down_and_motion_continues_afterwards(bench):
     ask(bench, 30_000)
     bench.run(200 * MS)
     ask(bench, 30_000, word=0x010F)
@@ -82,7 +82,7 @@ def test_halt_ramps_down_and_goes_on(bench):
     assert bench.read(0x606B) == 30_000
 
 
-def test_enabling_goes_to_the_velocity_that_stands_there():
+def test_enabling_ramps_to_the_present_target_velocity():
     bench = Bench()
     bench.operational()
     bench.set(0x6060, 0, 3, 1)
@@ -94,7 +94,7 @@ def test_enabling_goes_to_the_velocity_that_stands_there():
     assert bench.read(0x606B) == 10_000
 
 
-def test_max_velocity_limits_it(bench):
+def test_max_velocity_limits_the_demand(bench):
     bench.set(0x607F, 0, 15_000, 4)
     ask(bench, -40_000)
     bench.run(300 * MS)
@@ -104,7 +104,7 @@ def test_max_velocity_limits_it(bench):
     assert bench.read(0x606B) == -20_000
 
 
-def test_velocity_unit_is_the_rigs():
+def test_velocity_unit_is_that_of_the_rig():
     bench = Bench(units={"velocity_unit_inc_s": 2000 / 60, "acceleration_unit_inc_s2": 2000 / 60})
     bench.enable(mode=3)
     ask(bench, 300)  # rpm
@@ -117,7 +117,7 @@ def test_velocity_unit_is_the_rigs():
     assert turned == pytest.approx(10.0, rel=2e-3)  # 300 rpm for 2 s
 
 
-def test_from_pv_to_pp_it_comes_to_rest(bench):
+def test_change_from_pv_to_pp_stops_the_motor(bench):
     ask(bench, 30_000)
     bench.run(200 * MS)
     bench.set(0x6060, 0, 1, 1)

@@ -1,4 +1,4 @@
-"""Every fault that protects: EMCY, error objects, reaction, torque, and the way out of it.
+"""Every protective fault: EMCY, error objects, reaction, torque, and recovery.
 
 Codes: CiA 301 (7.2.7.1) and the list of CiA 402-1 (also marel-keytech/openCANopen,
 cia402-error-codes.h); bits of 1001h: CiA 301, 7.5.2.2. Statuswords: CiA 402-2, table of states.
@@ -8,13 +8,13 @@ import struct
 
 import pytest
 
-from emulators.cia402.pds_fsa import PdsState
+from motorhil.emulators.cia402.state_machine import PdsState
 from tests.emulators.cia402.bench import BOOT_UP, MS, NODE, Bench
 
 V = 40_000
 S = PdsState
 
-# stimulus, its bad value, its good one, EMCY code, 1001h, whether the motor is braked (605Eh = 2)
+# stimulus, its bad value, its good one, EMCY code, 1001h, whether the motor brakes (605Eh = 2)
 FAULTS = [
     ("short_circuit", 1, 0, 0x2320, 0x03, False),
     ("mains_over_voltage", 1, 0, 0x3110, 0x05, False),
@@ -49,9 +49,7 @@ def emergencies(bench: Bench) -> list[str]:
 
 
 @pytest.mark.parametrize(("name", "bad", "good", "code", "register", "braked"), FAULTS)
-def test_a_fault_is_told_takes_the_torque_and_is_reset_when_its_cause_is_gone(
-    name, bad, good, code, register, braked
-):
+def test_fault_is_reported_cuts_torque_and_can_be_reset(name, bad, good, code, register, braked):
     bench = running(protection=STO_FAULTS)
     speed = bench.truth("velocity_rad_s")
     stimulate(bench, name, bad)
@@ -61,7 +59,7 @@ def test_a_fault_is_told_takes_the_torque_and_is_reset_when_its_cause_is_gone(
     assert bench.read(0x1003, 0) == 1
     assert bench.read(0x1003, 1) == code
     assert state(bench) == (S.FAULT_REACTION_ACTIVE if braked else S.FAULT)
-    if not braked:  # it coasts, from the next tick on without current
+    if not braked:  # coasts without current from the next tick on
         assert bench.truth("current_a") == 0.0
         assert bench.truth("velocity_rad_s") > 0.9 * speed
     bench.run(100 * MS)
@@ -74,27 +72,25 @@ def test_a_fault_is_told_takes_the_torque_and_is_reset_when_its_cause_is_gone(
     assert state(bench) == S.FAULT
     assert len(emergencies(bench)) == 1
     stimulate(bench, name, good)
-    assert state(bench) == S.FAULT  # nothing resets itself
+    assert state(bench) == S.FAULT  # no fault resets itself
     bench.controlword(0x00)
     bench.controlword(0x80)
     assert state(bench) == S.SWITCH_ON_DISABLED
     assert emergencies(bench)[1:] == ["0000000000000000"]
     assert bench.read(0x603F) == 0
     assert bench.read(0x1001) == 0
-    assert bench.read(0x1003, 1) == code  # history stays
+    assert bench.read(0x1003, 1) == code  # the history is kept
     bench.run(20_000 * MS)  # comes to rest
-    assert bench.truth("current_a") == 0.0  # no torque without a new enabling
+    assert bench.truth("current_a") == 0.0  # no torque until enabled again
     bench.enable()
 
 
 @pytest.mark.parametrize(("name", "bad", "good", "code", "register", "braked"), FAULTS)
-def test_a_cause_that_stands_at_power_on_is_told_after_the_boot_up_message(
-    name, bad, good, code, register, braked
-):
+def test_cause_at_power_on_is_reported_after_boot_up(name, bad, good, code, register, braked):
     bench = Bench()
     stimulate(bench, name, bad)
     bench.run(BOOT_UP)
-    if name in ("sto", "power"):  # no fault while nobody wants torque
+    if name in ("sto", "power"):  # no fault while no torque is wanted
         assert emergencies(bench) == []
         assert state(bench) == S.SWITCH_ON_DISABLED
         return
@@ -110,7 +106,7 @@ def test_a_cause_that_stands_at_power_on_is_told_after_the_boot_up_message(
     assert state(bench) == S.SWITCH_ON_DISABLED
 
 
-def test_a_fault_that_cannot_be_braked_ends_a_fault_reaction():
+def test_fault_without_braking_ends_a_fault_reaction():
     bench = running()
     stimulate(bench, "device_temperature_c", 90.0)
     assert state(bench) == S.FAULT_REACTION_ACTIVE
@@ -119,18 +115,18 @@ def test_a_fault_that_cannot_be_braked_ends_a_fault_reaction():
     assert emergencies(bench) == ["1042090000000000", "20230b0000000000"]  # 1001h: both classes
     stimulate(bench, "short_circuit", 0)
     bench.controlword(0x80)
-    assert state(bench) == S.FAULT  # it is still hot
-    assert bench.read(0x603F) == 0x2320  # the last one, as 1003h:1 has it
+    assert state(bench) == S.FAULT  # the device is still hot
+    assert bench.read(0x603F) == 0x2320  # the last one, as in 1003h:1
 
 
 @pytest.mark.parametrize("code", [0x2320, 0x3110, 0x3210, 0x3220, 0x7122, 0x7305, 0x8A88])
-def test_what_braking_would_make_worse_or_cannot_do_is_no_fault_reaction(code):
+def test_fault_where_braking_is_harmful_has_no_reaction(code):
     bench = running()
     stimulate(bench, "fault", code)
     assert state(bench) == S.FAULT
 
 
-def test_what_memory_lost_comes_back_with_reset_node_only():
+def test_memory_fault_ends_with_reset_node_only():
     bench = running()
     stimulate(bench, "fault", 0x5530)
     bench.run(200 * MS)
@@ -145,7 +141,7 @@ def test_what_memory_lost_comes_back_with_reset_node_only():
 
 
 @pytest.mark.parametrize("words", [(), (0x06,), (0x06, 0x07), (0x06, 0x07, 0x0F)])
-def test_safe_torque_off_disables_without_a_fault_and_lets_nobody_ready_the_drive(words):
+def test_safe_torque_off_disables_and_prevents_readiness(words):
     bench = Bench()
     bench.operational()
     for word in words:
@@ -169,7 +165,7 @@ def test_safe_torque_off_disables_without_a_fault_and_lets_nobody_ready_the_driv
     bench.enable()
 
 
-def test_safe_torque_off_takes_the_torque_of_a_fault_reaction_and_of_a_quick_stop():
+def test_safe_torque_off_cuts_torque_while_braking():
     bench = running()
     stimulate(bench, "fault", 0x4310)
     assert state(bench) == S.FAULT_REACTION_ACTIVE
@@ -185,14 +181,14 @@ def test_safe_torque_off_takes_the_torque_of_a_fault_reaction_and_of_a_quick_sto
     assert bench.truth("velocity_rad_s") > 1.0  # coasts
 
 
-def test_safe_torque_off_is_the_fault_that_the_vendor_says_it_is():
+def test_safe_torque_off_as_a_fault_has_the_vendors_code():
     bench = running(protection={"sto": "fault", "sto_error_code": 0x5441})
     stimulate(bench, "sto", 1)
     assert emergencies(bench) == ["4154010000000000"]
     bench = Bench(protection=STO_FAULTS)
     bench.operational()
     bench.controlword(0x06)
-    stimulate(bench, "sto", 1)  # without power nobody loses torque
+    stimulate(bench, "sto", 1)  # without power there is no torque to lose
     assert state(bench) == S.SWITCH_ON_DISABLED
     assert emergencies(bench) == []
 
@@ -200,7 +196,7 @@ def test_safe_torque_off_is_the_fault_that_the_vendor_says_it_is():
 # --- the encoder
 
 
-def test_a_lost_encoder_counts_no_more_and_has_no_reference_when_it_is_back():
+def test_lost_encoder_stops_counting_and_loses_reference():
     bench = running()
     bench.set(0x6060, 0, 6, 1)
     bench.run(500 * MS)
@@ -215,14 +211,14 @@ def test_a_lost_encoder_counts_no_more_and_has_no_reference_when_it_is_back():
     position = bench.read(0x6064)
     assert bench.read(0x606C) == 0
     bench.run(50 * MS)
-    assert bench.truth("position_rad") > before + 0.05  # it coasts, and nobody sees it
+    assert bench.truth("position_rad") > before + 0.05  # the motor coasts unobserved
     assert bench.read(0x6064) == position
     bench.run(20_000 * MS)
     stimulate(bench, "encoder", 1)
-    assert bench.read(0x6064) == position  # counts on from there
+    assert bench.read(0x6064) == position  # counting continues from there
     bench.controlword(0x80)
     bench.set(0x6060, 0, 6, 1)
-    assert bench.statusword() & 0x1400 == 0  # homing is attained no more
+    assert bench.statusword() & 0x1400 == 0  # homing is no longer attained
     bench.enable(mode=1)
     bench.set(0x607A, 0, position + 1000, 4)
     bench.controlword(0x1F)
@@ -233,7 +229,7 @@ def test_a_lost_encoder_counts_no_more_and_has_no_reference_when_it_is_back():
 # --- warnings, and the bus
 
 
-def test_a_warning_is_statusword_bit_7_and_nothing_else():
+def test_warning_is_statusword_bit_7_only():
     bench = running(protection={"device_temperature_warning_c": 60.0})
     for celsius, warns in ((59.9, False), (60.0, True), (84.9, True), (20.0, False)):
         stimulate(bench, "device_temperature_c", celsius)
@@ -243,7 +239,7 @@ def test_a_warning_is_statusword_bit_7_and_nothing_else():
     assert emergencies(bench) == []
 
 
-def test_error_passive_stands_in_1001h_and_stops_nothing():
+def test_error_passive_is_in_1001h_and_stops_nothing():
     bench = running()
     stimulate(bench, "error_passive", 1)
     assert emergencies(bench) == ["2081110000000000"]
@@ -258,11 +254,11 @@ def test_error_passive_stands_in_1001h_and_stops_nothing():
     ("option", "after"),
     [(0, S.OPERATION_ENABLED), (1, S.FAULT), (2, S.SWITCH_ON_DISABLED), (3, S.SWITCH_ON_DISABLED)],
 )
-def test_bus_off_does_what_6007h_says_and_is_told_afterwards(option, after):
+def test_bus_off_acts_as_in_6007h_and_is_reported_after(option, after):
     bench = running()
     bench.set(0x6007, 0, option, 2)
     stimulate(bench, "bus_off", 1)
-    assert emergencies(bench) == []  # off the bus nobody hears it
+    assert emergencies(bench) == []  # bus off, nothing is sent
     bench.run(500 * MS)
     assert state(bench) == after
     stimulate(bench, "bus_off", 0)
@@ -272,18 +268,18 @@ def test_bus_off_does_what_6007h_says_and_is_told_afterwards(option, after):
 
 @pytest.mark.parametrize("name", ["sto", "encoder", "short_circuit", "error_passive", "bus_off"])
 @pytest.mark.parametrize("value", [-1, 0.5, 2, float("nan")])
-def test_a_switch_is_0_or_1(name, value):
+def test_switch_stimulus_other_than_0_or_1_is_rejected(name, value):
     with pytest.raises(ValueError, match=f"{name} is 0 or 1"):
         Bench().drive.stimulate(name, value, 0)
 
 
 @pytest.mark.parametrize("value", [-274, 1001, float("nan")])
-def test_no_device_is_so_hot_or_so_cold(value):
+def test_impossible_device_temperature_is_rejected(value):
     with pytest.raises(ValueError, match=r"-273\.15\.\.1000 C"):
         Bench().drive.stimulate("device_temperature_c", value, 0)
 
 
-def test_a_switch_that_is_moved_to_where_it_is_does_nothing():
+def test_switch_set_to_its_present_state_does_nothing():
     bench = running()
     for name, value in (("sto", 0), ("encoder", 1), ("error_passive", 0), ("bus_off", 0)):
         stimulate(bench, name, value)
@@ -294,8 +290,8 @@ def test_a_switch_that_is_moved_to_where_it_is_does_nothing():
     assert len(emergencies(bench)) == 1
 
 
-def test_603fh_is_the_last_error_and_what_came_before_still_bars_the_reset():
-    """603Fh corresponds to the lower 16 bits of 1003h:1 (Kollmorgen's AKD manual, 603Fh)."""
+def test_603fh_is_the_last_error_and_all_bar_the_reset():
+    """Check that 603Fh is the lower 16 bits of 1003h:1 (Kollmorgen's AKD manual, 603Fh)."""
     bench = running()
     stimulate(bench, "power", 0)
     stimulate(bench, "device_temperature_c", 90)
@@ -314,8 +310,8 @@ def test_603fh_is_the_last_error_and_what_came_before_still_bars_the_reset():
     assert bench.read(0x603F, signed=False) == 0
 
 
-def test_a_fault_that_no_reset_ends_is_not_hidden_by_the_next_one():
-    """What memory has lost comes back with reset node only, whatever fails after it."""
+def test_fault_without_reset_is_not_hidden_by_the_next():
+    """Check that a memory fault ends with reset node only, whatever fails later."""
     bench = running()
     stimulate(bench, "fault", 0x5530)
     stimulate(bench, "fault", 0x8611)
@@ -335,7 +331,7 @@ OFF = (0x2000_0040, bytes(8))
 RESTARTED = (0x2000_0100, bytes(8))
 
 
-def test_a_drive_whose_can_controller_is_error_passive_goes_on_and_says_so():
+def test_error_passive_controller_continues_and_reports_it():
     bench = running()
     bench.send(*PASSIVE)
     assert emergencies(bench) == ["2081110000000000"]
@@ -350,7 +346,7 @@ def test_a_drive_whose_can_controller_is_error_passive_goes_on_and_says_so():
     ("option", "after"),
     [(0, S.OPERATION_ENABLED), (1, S.FAULT), (2, S.SWITCH_ON_DISABLED), (3, S.SWITCH_ON_DISABLED)],
 )
-def test_a_drive_off_the_bus_does_what_6007h_says_and_tells_it_afterwards(option, after, behaviour):
+def test_bus_off_controller_acts_as_in_6007h_and_reports(option, after, behaviour):
     bench = running()
     bench.set(0x6007, 0, option, 2)
     bench.set(0x1029, 1, behaviour, 1)
@@ -364,7 +360,7 @@ def test_a_drive_off_the_bus_does_what_6007h_says_and_tells_it_afterwards(option
     if behaviour == 2:
         assert told == []  # STOPPED: no EMCY (CiA 301, 7.3.2.2.4)
         return
-    register = 0x11  # generic and communication, of the bus or of the fault that 6007h made of it
+    register = 0x11  # generic and communication, of the bus or of the fault caused by 6007h
     assert told[0] == struct.pack("<HB5x", 0x8140, register).hex()
     assert told[1] == struct.pack("<HB5x", 0, register if after is S.FAULT else 0).hex()
     assert bench.read(0x603F, signed=False) == (0x8100 if after is S.FAULT else 0)

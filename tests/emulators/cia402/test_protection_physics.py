@@ -1,11 +1,11 @@
-"""Faults that physics brings about: I2t, a hot winding, a DC link pumped up or run dry.
+"""Faults with physical causes: I2t, a hot winding, DC link over-voltage and under-voltage.
 
-What the motor must do is reckoned here from its data; codes and bits as in test_protection.
+Expected values are calculated here from the motor's data; codes and bits as in test_protection.
 """
 
 import pytest
 
-from emulators.cia402.pds_fsa import PdsState
+from motorhil.emulators.cia402.state_machine import PdsState
 from tests.emulators.cia402.bench import MS, Bench
 from tests.emulators.cia402.test_protection import emergencies, state, stimulate
 
@@ -28,7 +28,7 @@ def plant(**extras: float) -> dict[str, object]:
 
 
 def pushing(bench: Bench) -> int:
-    """It pushes against the end of its way with all it has, 8 A, from now on [ns]."""
+    """Push against the stop with the full 8 A; return the start time [ns]."""
     bench.enable(mode=1)
     bench.set(0x607A, 0, 50_000, 4)
     bench.controlword(0x1F)
@@ -37,15 +37,16 @@ def pushing(bench: Bench) -> int:
 
 
 def warned_at(bench: Bench) -> int:
-    """When statusword bit 7 was told first [ns]."""
+    """Return when statusword bit 7 was first sent [ns]."""
     return next(time for time, can_id, data in bench.sent if can_id == 0x185 and data[0] & 0x80)
 
 
-def test_i2t_warns_and_then_is_a_fault_after_the_time_that_the_peak_may_flow():
+def test_i2t_warns_and_faults_after_the_peak_time():
     bench = Bench(plant=plant(**I2T, **WALL), objects=NO_WINDOW)
     began = pushing(bench)
     bench.run_while(lambda: state(bench) == S.OPERATION_ENABLED)
-    # from rest to full in 0.5 s at 8 A, reckoned every 20 ms; it began while the current still rose
+    # from rest to full in 0.5 s at 8 A, evaluated every 20 ms; it began while the current still
+    # rose
     assert 450 * MS < bench.now - began <= 520 * MS
     assert 350 * MS < warned_at(bench) - began <= 420 * MS  # 80 % full
     assert emergencies(bench) == ["1023030000000000"]
@@ -59,7 +60,7 @@ def test_i2t_warns_and_then_is_a_fault_after_the_time_that_the_peak_may_flow():
     bench.enable()
 
 
-def test_a_hot_winding_warns_is_a_fault_and_lets_nobody_reset_it_before_it_is_cooler():
+def test_hot_winding_warns_faults_and_bars_reset_until_cool():
     bench = Bench(plant=plant(**HEAT, **WALL), objects=NO_WINDOW)
     began = pushing(bench)
     bench.run_while(lambda: state(bench) == S.OPERATION_ENABLED)
@@ -76,13 +77,13 @@ def test_a_hot_winding_warns_is_a_fault_and_lets_nobody_reset_it_before_it_is_co
     bench.controlword(0x00)
     bench.controlword(0x80)
     assert state(bench) == S.SWITCH_ON_DISABLED
-    assert bench.last(0x185)[0] & 0x80  # it still warns
+    assert bench.last(0x185)[0] & 0x80  # the warning remains
     bench.run(60_000 * MS)
-    assert not bench.last(0x185)[0] & 0x80  # told without anybody asking
+    assert not bench.last(0x185)[0] & 0x80  # sent without a request
     assert emergencies(bench)[1:] == ["0000000000000000"]
 
 
-def test_braking_hard_pumps_the_dc_link_up_until_the_drive_lets_go():
+def test_hard_braking_raises_the_dc_link_to_over_voltage():
     bench = Bench(plant=plant(**LINK, load_inertia_kg_m2=0.5))
     bench.enable(mode=3)
     bench.set(0x60FF, 0, FAST, 4)
@@ -93,7 +94,7 @@ def test_braking_hard_pumps_the_dc_link_up_until_the_drive_lets_go():
     bench.set(0x60FF, 0, 0, 4)
     bench.run_while(lambda: state(bench) == S.OPERATION_ENABLED)
     assert emergencies(bench) == ["1032050000000000"]
-    assert state(bench) == S.FAULT  # no reaction: braking is what raised it
+    assert state(bench) == S.FAULT  # no reaction: braking caused it
     assert bench.drive.axis.dc_link_v() > 30.0
     bench.run(2 * MS)
     assert bench.truth("current_a") == 0.0
@@ -106,12 +107,12 @@ def test_braking_hard_pumps_the_dc_link_up_until_the_drive_lets_go():
     assert state(bench) == S.SWITCH_ON_DISABLED
 
 
-def test_a_supply_that_sags_is_an_under_voltage_while_the_motor_has_current():
+def test_supply_sag_is_under_voltage_only_under_current():
     bench = Bench(plant=plant(**LINK))
     bench.operational()
     stimulate(bench, "supply_v", 12.0)
     bench.run(1000 * MS)
-    assert state(bench) == S.SWITCH_ON_DISABLED  # nobody wants torque
+    assert state(bench) == S.SWITCH_ON_DISABLED  # no torque is wanted
     assert bench.drive.axis.dc_link_v() < 12.1
     for word in (0x06, 0x07, 0x0F):
         bench.controlword(word)
@@ -132,7 +133,7 @@ def test_a_supply_that_sags_is_an_under_voltage_while_the_motor_has_current():
     assert bench.truth("current_a") == 0.0
 
 
-def test_thresholds_are_the_rigs():
+def test_thresholds_are_those_of_the_rig():
     bench = Bench(
         plant=plant(**LINK, **HEAT),
         protection={"under_voltage_v": 23.99, "winding_temperature_max_c": 200.0},
@@ -145,14 +146,14 @@ def test_thresholds_are_the_rigs():
     assert emergencies(bench) == ["2032050000000000"]
 
 
-def test_a_plant_without_such_a_supply_has_no_other():
+def test_supply_stimulus_needs_a_plant_with_a_dc_link():
     with pytest.raises(ValueError, match="source_resistance_ohm"):
         Bench().drive.stimulate("supply_v", 20.0, 0)
     with pytest.raises(ValueError, match=r"supply_v is 0.001\.\.1e\+06 V, not 0"):
         Bench(plant=plant(**LINK)).drive.stimulate("supply_v", 0, 0)
 
 
-def test_a_watched_plant_at_rest_costs_nothing():
+def test_plant_with_protection_at_rest_has_no_deadline():
     bench = Bench(plant=plant(**LINK, **HEAT, **I2T))
     bench.operational()
     bench.run(120_000 * MS)

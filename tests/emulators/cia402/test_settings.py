@@ -1,13 +1,13 @@
-"""A rig's table: every mistake is told with the keys down to it and the way out."""
+"""A rig's table: every mistake is reported with the path of its key and a remedy."""
 
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from emulators.cia402.settings import OWN_EDS, read_settings
-from emulators.controller import SettingError
-from emulators.plant.presets import PRESETS
+from motorhil.emulators.cia402.settings import OWN_EDS, read_settings
+from motorhil.emulators.controller import SettingError
+from motorhil.emulators.plant.presets import PRESETS
 from tests.emulators.cia402.bench import Bench, new_drive
 
 HERE = Path(__file__).parent
@@ -19,7 +19,7 @@ def refused(**table: object) -> str:
     return str(caught.value)
 
 
-def test_a_node_id_is_all_it_takes():
+def test_node_id_alone_is_sufficient():
     settings = read_settings({"node_id": 7}, HERE)
     assert settings.node_id == 7
     assert settings.eds == OWN_EDS
@@ -32,7 +32,7 @@ def test_a_node_id_is_all_it_takes():
     )
 
 
-def test_numbers_arrive():
+def test_numbers_reach_the_settings():
     settings = read_settings(
         {
             "node_id": 1,
@@ -70,11 +70,11 @@ def test_numbers_arrive():
     [
         ({"node_id": 0}, "node_id: 0 is outside 1..127"),
         ({"node_id": 128}, "node_id: 128 is outside 1..127"),
-        ({"node_id": "5"}, "node_id: '5' is no whole number; 1..127"),
-        ({"node_id": True}, "node_id: True is no whole number"),
+        ({"node_id": "5"}, "node_id: '5' is not a whole number; 1..127"),
+        ({"node_id": True}, "node_id: True is not a whole number"),
         ({"edz": "x"}, "edz: is not known; did you mean eds? known: node_id, eds, plant"),
-        ({"eds": "none.eds"}, "eds: there is no file"),
-        ({"eds": 3}, "eds: 3 is no path"),
+        ({"eds": "none.eds"}, "eds: file "),
+        ({"eds": 3}, "eds: 3 is not a path"),
         (
             {"plant": {"preset": "tank"}},
             "plant.preset: there is no preset 'tank'; known: wheel_60w",
@@ -93,8 +93,8 @@ def test_numbers_arrive():
             {"plant": {"preset": "mast_20w", "resistance_ohm": 1e300}},
             "plant.resistance_ohm: 1e+300 is outside 0.0001..1e+06",
         ),
-        ({"plant": {"preset": "mast_20w", "encoder_increments_rev": 2.5}}, "is no whole number"),
-        ({"plant": 3}, "plant: 3 is no table; write [controller.NAME.plant]"),
+        ({"plant": {"preset": "mast_20w", "encoder_increments_rev": 2.5}}, "is not a whole number"),
+        ({"plant": 3}, "plant: 3 is not a table; write [controller.NAME.plant]"),
         ({"servo": {"kp": 3}}, "servo.kp: is not known; "),
         ({"servo": {"position_kp_1_s": -1}}, "servo.position_kp_1_s: -1 is outside 0..1e+12"),
         ({"servo": {"tick_s": 1e-9}}, "servo.tick_s: 1e-09 is outside 1e-06..1"),
@@ -107,39 +107,39 @@ def test_numbers_arrive():
         ({"timing": {"boot_s": 3}}, "timing.boot_s: is not known; did you mean boot_up_s?"),
         ({"timing": {"enable_s": -1}}, "timing.enable_s: -1 is outside 0..3600"),
         ({"timing": {"boot_up_s": 1e25}}, "timing.boot_up_s: 1e+25 is outside 0..3600"),
-        ({"timing": {"enable_s": "soon"}}, "timing.enable_s: 'soon' is no number"),
+        ({"timing": {"enable_s": "soon"}}, "timing.enable_s: 'soon' is not a number"),
         ({"timing": {"enable_s": float("nan")}}, "timing.enable_s: nan is outside 0..3600"),
         (
             {"units": {"velocity_unit_inc_s": 0}},
             "units.velocity_unit_inc_s: 0 is outside 1e-12..1e+12",
         ),
         ({"units": {"velocity": 1}}, "units.velocity: is not known; did you mean velocity_unit_"),
-        ({"objects": {"xyz": 1}}, 'objects.xyz: is no object; like "6065h" or "1A00h:1"'),
-        ({"objects": {"60650h": 1}}, 'objects.60650h: is no object; like "6065h"'),
-        ({"objects": {"0FFFh": 1}}, "objects.0FFFh: is no object; 1000h..FFFFh"),
-        ({"objects": {"60_5h": 1}}, 'objects.60_5h: is no object; like "6065h"'),
-        ({"objects": {"6065h:": 1}}, 'objects.6065h:: is no object; like "6065h"'),
-        ({"objects": {"\uff16065h": 1}}, "is no object; like"),
-        ({"objects": {"6065h": 1, "6065H:0": 2}}, "objects.6065H:0: is given twice; take one out"),
-        ({"objects": {"6065h": [1]}}, "objects.6065h: [1] is no value"),
-        ({"objects": {"6065h": 1.5}}, "objects.6065h: 1.5 is no whole number"),
+        ({"objects": {"xyz": 1}}, 'objects.xyz: is not an object; like "6065h" or "1A00h:1"'),
+        ({"objects": {"60650h": 1}}, 'objects.60650h: is not an object; like "6065h"'),
+        ({"objects": {"0FFFh": 1}}, "objects.0FFFh: is not an object; 1000h..FFFFh"),
+        ({"objects": {"60_5h": 1}}, 'objects.60_5h: is not an object; like "6065h"'),
+        ({"objects": {"6065h:": 1}}, 'objects.6065h:: is not an object; like "6065h"'),
+        ({"objects": {"\uff16065h": 1}}, "is not an object; like"),
+        ({"objects": {"6065h": 1, "6065H:0": 2}}, "objects.6065H:0: is given twice; remove one"),
+        ({"objects": {"6065h": [1]}}, "objects.6065h: [1] is not a value"),
+        ({"objects": {"6065h": 1.5}}, "objects.6065h: 1.5 is not a whole number"),
         ({"objects": {"6065h": -1}}, "objects.6065h: -1 does not fit data type 07h"),
         ({"objects": {"60C2h:2": 3}}, "objects.60C2h:2: 3 is outside -6..0"),
-        ({"objects": {"6065h": "a"}}, "objects.6065h: 'a' is no number"),
+        ({"objects": {"6065h": "a"}}, "objects.6065h: 'a' is not a number"),
         ({"objects": {"2000h": 1}}, "objects.2000h: motorhil_cia402.eds has no such object"),
         ({"objects": {"60c2h:3": 1}}, "objects.60c2h:3: motorhil_cia402.eds has no such object"),
-        ({"supported_modes": "pp"}, "supported_modes: 'pp' is no list of modes"),
-        ({"supported_modes": []}, "supported_modes: [] is no list of modes"),
+        ({"supported_modes": "pp"}, "supported_modes: 'pp' is not a list of modes"),
+        ({"supported_modes": []}, "supported_modes: [] is not a list of modes"),
         ({"supported_modes": ["vl"]}, "supported_modes: mode vl is not emulated; known: pp, pv"),
         ({"supported_modes": ["p"]}, "supported_modes: there is no mode 'p'; known: pp, pv"),
         ({"protection": {"stop": 1}}, "protection.stop: is not known; "),
         (
             {"protection": {"sto": 1}},
-            'protection.sto: 1 is no reaction; write "disable" or "fault"',
+            'protection.sto: 1 is not a reaction; write "disable" or "fault"',
         ),
         (
             {"protection": {"sto_error_code": 0x5441}},
-            'protection.sto_error_code: there is no fault to tell; write sto = "fault", too',
+            "protection.sto_error_code: has no effect, because sto is not a fault; write sto",
         ),
         (
             {"protection": {"sto": "fault", "sto_error_code": 0}},
@@ -152,7 +152,7 @@ def test_numbers_arrive():
         ),
         (
             {"protection": {"winding_temperature_max_c": 100}},
-            "protection.winding_temperature_max_c: the plant has nothing of the kind; give the ",
+            "protection.winding_temperature_max_c: the plant does not model this quantity; give ",
         ),
         (
             {"protection": {"i2t_warning": 0.5}},
@@ -160,7 +160,7 @@ def test_numbers_arrive():
         ),
         (
             {"protection": {"over_voltage_v": 30.0}},
-            "protection.over_voltage_v: the plant has nothing of the kind; give the plant source_",
+            "protection.over_voltage_v: the plant does not model this quantity; give the",
         ),
         (
             {
@@ -170,13 +170,16 @@ def test_numbers_arrive():
             "protection.under_voltage_v: under-voltage at 40 V is not below over-voltage at 30 V; "
             "the supply's own is 24 V",
         ),
-        ({"quirks": "slow_sdo"}, "quirks: 'slow_sdo' is no list of names"),
+        ({"quirks": "slow_sdo"}, "quirks: 'slow_sdo' is not a list of names"),
         (
             {"quirks": ["slow"]},
             "quirks: there is no quirk 'slow'; did you mean slow_sdo? known: inverted_set_point_",
         ),
         ({"quirks": [["a"]]}, "quirks: there is no quirk \"['a']\"; known: "),
-        ({"quirks": {"slow_sdo": 3}}, "quirks.slow_sdo: 3 says nothing; true, or a table of: mean"),
+        (
+            {"quirks": {"slow_sdo": 3}},
+            "quirks.slow_sdo: 3 is not a valid value; true, or a table of: mean",
+        ),
         (
             {"quirks": {"slow_sdo": {"mean": 1}}},
             "quirks.slow_sdo.mean: is not known; did you mean mean_s?",
@@ -187,14 +190,15 @@ def test_numbers_arrive():
         ),
         (
             {"quirks": {"stray_emcy": {"for_s": 1}}},
-            "quirks.stray_emcy.for_s: is not known; take it out, there are none",
+            "quirks.stray_emcy.for_s: is not known; remove it",
         ),
-        ({"quirks": "stray_emcy"}, "quirks: 'stray_emcy' is no list of names; [\"stray_emcy\"]"),
-        ({"quirks": ["stray_emcy"] * 2}, "quirks: stray_emcy is there twice; take one out"),
-        ({"supported_modes": ["pp", "pp"]}, "supported_modes: mode pp is there twice"),
+        ({"quirks": "stray_emcy"}, "quirks: 'stray_emcy' is not a list of names; [\"stray_emcy\"]"),
+        ({"quirks": ["stray_emcy"] * 2}, "quirks: stray_emcy is listed twice; take one out"),
+        ({"supported_modes": ["pp", "pp"]}, "supported_modes: mode pp is listed twice"),
         (
             {"cyclic": {"sync_lost_code": 0x8700}},
-            "cyclic.sync_lost_code: there is no fault to tell; write sync_lost_periods = 5, too",
+            "cyclic.sync_lost_code: has no effect without sync_lost_periods; "
+            "add sync_lost_periods = 5",
         ),
         (
             {"plant": {"preset": "wheel_6w"}},
@@ -202,15 +206,15 @@ def test_numbers_arrive():
         ),
         (
             {"plant": {"chopper_resistance_ohm": 5.0, "chopper_threshold_v": 28.0}},
-            "plant.chopper_resistance_ohm: 5 does nothing without source_resistance_ohm; give",
+            "plant.chopper_resistance_ohm: 5 does nothing without source_resistance_ohm; add",
         ),
         (
             {"plant": {"coupling_damping_n_m_s_rad": 3.0}},
             "plant.coupling_damping_n_m_s_rad: 3 does nothing without coupling_stiffness_n_m_rad or"
-            " backlash_rad; give the plant that, too",
+            " backlash_rad; add it to the plant",
         ),
         ({"switches": {"home": 1}}, "switches.home: is not known; did you mean home_from_rad?"),
-        ({"switches": {"home_to_rad": "x"}}, "switches.home_to_rad: 'x' is no number"),
+        ({"switches": {"home_to_rad": "x"}}, "switches.home_to_rad: 'x' is not a number"),
         (
             {"switches": {"negative_limit_rad": 1.0, "positive_limit_rad": 1.0}},
             "switches.positive_limit_rad: 1.0 rad is not above the negative limit switch; ",
@@ -230,25 +234,25 @@ def test_numbers_arrive():
             {"switches": {"index_pulse": False, "index_rad": 1}},
             "switches.index_rad: the encoder has no index pulse; take one of them out",
         ),
-        ({"initial_position_rad": "x"}, "initial_position_rad: 'x' is no number"),
+        ({"initial_position_rad": "x"}, "initial_position_rad: 'x' is not a number"),
         ({"initial_position_rad": float("nan")}, "initial_position_rad: nan is outside -1e+09.."),
         (
             {"initial_position_rad": -1e6},
             "initial_position_rad: -21008452488 increments do not fit 32 bits; "
-            "at most 102220 rad either way",
+            "at most 102220 rad in either direction",
         ),
     ],
 )
-def test_mistakes_are_told(table, text):
+def test_mistake_is_reported_with_key_and_remedy(table, text):
     assert text in refused(**table)
 
 
-def test_what_is_written_as_it_is_by_default_does_no_harm():
+def test_explicit_default_values_change_nothing():
     told = {"coupling_damping_n_m_s_rad": 0.0, "ambient_c": 25.0}
     assert read_settings({"node_id": 3, "plant": told}, HERE).plant == PRESETS["wheel_60w"]
 
 
-def test_a_switch_beyond_the_ends_of_the_way_is_told():
+def test_switch_beyond_the_end_of_travel_is_reported():
     plant = {"preset": "wheel_60w", "stop_low_rad": -1.0, "stop_high_rad": 1.0}
     there = {"negative_limit_rad": -0.9, "positive_limit_rad": 1.1, "home_from_rad": -3.0}
     drive = new_drive(plant=plant, switches={**there, "home_to_rad": -2.0})
@@ -261,32 +265,32 @@ def test_a_switch_beyond_the_ends_of_the_way_is_told():
     assert not new_drive(switches=there).take_events()
 
 
-def test_a_missing_node_id_is_told():
+def test_missing_node_id_is_reported():
     with pytest.raises(SettingError, match="node_id: is missing"):
         read_settings({}, HERE)
 
 
-def test_a_file_that_is_no_drives_is_refused(tmp_path):
+def test_file_not_of_a_cia402_drive_is_rejected(tmp_path):
     text = OWN_EDS.read_text()
     (tmp_path / "other.eds").write_text(text.replace("6041", "6042"))
-    assert "no CiA 402 drive's file" in refused(folder=tmp_path, eds="other.eds")
+    assert "not the EDS of a CiA 402 drive" in refused(folder=tmp_path, eds="other.eds")
 
 
-def test_a_broken_file_is_refused_with_its_line(tmp_path):
+def test_broken_file_is_rejected_with_its_line(tmp_path):
     (tmp_path / "broken.eds").write_text("[1000]\nParameterName=x\nthis is no eds\n")
     message = refused(folder=tmp_path, eds="broken.eds")
     assert message.startswith("eds: ")
     assert "broken.eds" in message
 
 
-def test_initial_position_is_where_the_output_stands():
+def test_initial_position_is_that_of_the_output():
     bench = Bench(initial_position_rad=0.25)
     bench.boot()
     assert bench.truth("position_rad") == pytest.approx(0.25, abs=1e-4)
     assert bench.read(0x6064) == 0.25 / 6.283185307179586 * 132_000 // 1
 
 
-def test_an_object_the_file_lacks_may_have_a_value_behind_the_scenes(tmp_path):
+def test_object_missing_in_the_file_may_have_a_hidden_value(tmp_path):
     eds = tmp_path / "without.eds"
     eds.write_text(OWN_EDS.read_text().replace("60F2", "60EF").replace("60C5", "60EE"))
     bench = Bench(eds=str(eds), objects={"60F2h": 1})  # relative moves count from the demand

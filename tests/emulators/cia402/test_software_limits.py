@@ -1,7 +1,7 @@
-"""Software limits 607Dh where no position is controlled: pv, tq, csv, cst.
+"""Software limits 607Dh in modes without position control: pv, tq, csv, cst.
 
-Source: Danfoss, VLT servo drive ISD, programming guide MG36D1, object 607Dh: in these modes the
-drive ramps down by the quick stop deceleration when it passes the limit, and so stops behind it.
+Source: Danfoss, VLT servo drive ISD, programming guide MG36D1, object 607Dh. In these modes the
+drive brakes with the quick stop deceleration when it passes the limit, and thus stops beyond it.
 Yaskawa, Sigma-7 manual, 607Dh: a minimum not below the maximum means no limits.
 """
 
@@ -41,7 +41,7 @@ def command(bench: Bench, mode: int, way: int) -> None:
 
 @pytest.mark.parametrize("way", [-1, 1])
 @pytest.mark.parametrize("mode", [PV, TQ, CSV, CST])
-def test_who_passes_a_limit_is_braked_and_let_out_again(mode, way):
+def test_axis_passing_a_limit_is_braked_and_may_return(mode, way):
     bench = bench_in(mode)
     errors = bench.times(0x080 + NODE)
     command(bench, mode, way)
@@ -57,19 +57,19 @@ def test_who_passes_a_limit_is_braked_and_let_out_again(mode, way):
     assert 4_000 < way * stood < 4_000 + 1.3 * braking + 2 * speed / 1_000
     assert bench.drive.axis.velocity_inc_s() == pytest.approx(0, abs=600)
     assert bench.statusword() & LIMIT
-    command(bench, mode, way)  # once more, into it
+    command(bench, mode, way)  # again, towards the limit
     bench.run(300 * MS)
     assert count(bench) == pytest.approx(stood, abs=20)
     command(bench, mode, -way)
     bench.run_while(lambda: bench.statusword() & LIMIT)
-    assert way * count(bench) <= 4_000  # it is gone at the tick at which it is inside again
+    assert way * count(bench) <= 4_000  # cleared at the tick at which the axis is inside again
     bench.run(100 * MS)
     assert bench.truth("state") == 4
     assert way * count(bench) < 3_900
-    assert bench.times(0x080 + NODE) == errors  # it is no fault
+    assert bench.times(0x080 + NODE) == errors  # this is not a fault
 
 
-def test_the_limit_itself_is_still_allowed_and_one_increment_more_is_not():
+def test_limit_itself_is_allowed_and_one_increment_is_not():
     bench = bench_in(PV, -4_000, 40)
     bench.set(0x60FF, 0, 500, 4)
     seen = []
@@ -81,7 +81,7 @@ def test_the_limit_itself_is_still_allowed_and_one_increment_more_is_not():
     assert all(limited == (place > 40) for place, limited in seen)
 
 
-def test_a_load_that_drags_the_motor_beyond_is_held_although_the_torque_leads_away():
+def test_load_dragging_the_motor_beyond_a_limit_is_held():
     bench = bench_in(TQ)
     bench.set(0x6071, 0, 5, 2)
     bench.drive.stimulate("load_torque_n_m", 3.0, bench.now)
@@ -93,7 +93,7 @@ def test_a_load_that_drags_the_motor_beyond_is_held_although_the_torque_leads_aw
 
 
 @pytest.mark.parametrize(("low", "high"), [(0, 0), (4_000, -4_000), (500, 500)])
-def test_a_minimum_not_below_the_maximum_is_no_limit_and_asks_for_no_gate(low, high):
+def test_minimum_not_below_maximum_is_no_limit(low, high):
     bench = bench_in(PV, low, high)
     assert not bench.drive._power_drive.inputs.is_gated
     command(bench, PV, 1)
@@ -103,12 +103,12 @@ def test_a_minimum_not_below_the_maximum_is_no_limit_and_asks_for_no_gate(low, h
 
 
 @pytest.mark.parametrize("mode", [1, 6, 7, 8])
-def test_where_a_position_is_controlled_no_gate_is_asked_for(mode):
+def test_modes_with_position_control_are_not_gated(mode):
     bench = bench_in(mode)
     assert not bench.drive._power_drive.inputs.is_gated
 
 
-def test_they_count_from_home_whatever_it_is_called():
+def test_limits_count_from_home_whatever_its_position():
     bench = bench_on(NOWHERE, o6085=QUICK, o6098=37, o607C=-3_000)
     assert home(bench) == DONE
     bench.set(0x607D, 1, -4_000, 4)
@@ -124,7 +124,7 @@ def test_they_count_from_home_whatever_it_is_called():
     assert 4_000 < bench.read(0x6064) - home_called < 5_000
 
 
-def test_wider_limits_let_go_and_narrower_ones_stop_at_once():
+def test_wider_limits_release_and_narrower_ones_stop():
     bench = bench_in(PV)
     command(bench, PV, 1)
     bench.run(500 * MS)
@@ -144,7 +144,7 @@ def test_wider_limits_let_go_and_narrower_ones_stop_at_once():
     assert not bench.statusword() & LIMIT
 
 
-def test_polarity_turns_the_limits_round():
+def test_polarity_inverts_the_limits():
     bench = bench_in(PV, -4_000, 6_000)
     bench.set(0x60FF, 0, 0, 4)
     bench.set(0x607E, 0, 0xC0, 1)
@@ -154,7 +154,7 @@ def test_polarity_turns_the_limits_round():
     assert bench.statusword() & LIMIT
 
 
-def test_set_points_into_the_limit_that_go_on_do_not_move_the_motor_further():
+def test_repeated_set_points_beyond_a_limit_do_not_move():
     bench = bench_in(CSV)
     for _ in range(600):
         bench.send(0x500 + NODE, struct.pack("<Hi", 0x0F, 40_000))
@@ -171,8 +171,8 @@ def test_set_points_into_the_limit_that_go_on_do_not_move_the_motor_further():
 
 @pytest.mark.parametrize("polarity", [0, 0x80])
 @pytest.mark.parametrize(("target", "arrives"), [(9_000, 3_000), (-9_000, -5_000), (2_999, 2_999)])
-def test_limits_count_from_home_and_zero_lies_the_home_offset_beyond_it(target, arrives, polarity):
-    """Elmo's DSP 402 guide, 607Dh: the limit looked at is the one written minus the home offset."""
+def test_limits_and_zero_include_the_home_offset(target, arrives, polarity):
+    """Check Elmo's DSP 402 guide, 607Dh: the effective limit is 607Dh minus the home offset."""
     bench = bench_on(NOWHERE, o6098=37, o607C=1_000, o607E=polarity)
     assert home(bench) == DONE
     assert bench.read(0x6064) == -1_000
@@ -187,7 +187,7 @@ def test_limits_count_from_home_and_zero_lies_the_home_offset_beyond_it(target, 
     assert bench.read(0x6062) == arrives
 
 
-def test_a_home_offset_moves_the_fence_of_the_other_modes_too():
+def test_home_offset_moves_the_limits_of_other_modes():
     bench = bench_in(PV)
     bench.set(0x607C, 0, 1_000, 4)
     command(bench, PV, 1)

@@ -4,12 +4,11 @@ from canopen.profiles.p402 import State402
 from hypothesis import given
 from hypothesis import strategies as st
 
-from emulators.cia402.pds_fsa import PdsState
-from emulators.cia402.statusword import MODE_BITS, compose
+from motorhil.emulators.cia402.state_machine import MODE_BITS, PdsState, compose
 
 
 @given(st.sampled_from(list(PdsState)), st.integers(0, 7), *[st.booleans()] * 4)
-def test_each_state_is_read_back_whatever_the_other_bits(state, mode, voltage, remote, limit, warn):
+def test_each_state_is_decoded_whatever_the_other_bits(state, mode, voltage, remote, limit, warn):
     word = compose(
         state,
         mode_bits=(mode << 11 | mode << 10) & MODE_BITS,
@@ -26,8 +25,8 @@ def test_each_state_is_read_back_whatever_the_other_bits(state, mode, voltage, r
     assert bool(word & 0x800) is limit
 
 
-def test_words_a_real_drive_shows():
-    """Statuswords of drives.md's table, with voltage (10h) and remote (200h) set."""
+def test_words_match_those_of_a_real_drive():
+    """Check statuswords in drives.md's table, with voltage (10h) and remote (200h) set."""
 
     def word(state: PdsState) -> int:
         return compose(state, mode_bits=0, voltage=True, remote=True, limit=False, warning=False)

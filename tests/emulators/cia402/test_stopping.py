@@ -1,11 +1,11 @@
-"""Quick stop, shutdown, disable operation, power off: what each does to a running motor.
+"""Quick stop, shutdown, disable operation, power off: the effect of each on a running motor.
 
 CiA 402-2, objects 605Ah to 605Ch, and transitions 5, 8, 9, 11, 12, 16.
 """
 
 import pytest
 
-from emulators.cia402.pds_fsa import PdsState
+from motorhil.emulators.cia402.state_machine import PdsState
 from tests.emulators.cia402.bench import ENABLE, MS, Bench
 
 V, A, QUICK = 40_000, 409_600, 819_200
@@ -13,7 +13,7 @@ V, A, QUICK = 40_000, 409_600, 819_200
 
 @pytest.fixture
 def bench() -> Bench:
-    """Runs in pv at V; all stops are told by 6041h on TPDO 1, without inhibit time."""
+    """Return a bench in pv at V; TPDO 1 reports all stops by 6041h, without inhibit time."""
     bench = Bench(
         objects={"1800h:3": 0},
         plant={"preset": "wheel_60w", "load_inertia_kg_m2": 0.0},
@@ -51,7 +51,7 @@ def test_quick_stop_brakes_on_its_ramp(bench, option, deceleration):
         assert bench.truth("current_a") == pytest.approx(0.0, abs=1e-6)
     else:
         assert state(bench) == PdsState.QUICK_STOP_ACTIVE
-        assert bench.last(0x185) == bytes.fromhex("1706")  # target reached: it stands
+        assert bench.last(0x185) == bytes.fromhex("1706")  # target reached: standstill
         bench.run(1000 * MS)
         assert state(bench) == PdsState.QUICK_STOP_ACTIVE
 
@@ -76,10 +76,10 @@ def test_transition_16_is_for_options_from_5_on(bench, option, leads):
     assert (state(bench) == PdsState.OPERATION_ENABLED) is leads
     bench.run(500 * MS)
     assert state(bench) == (PdsState.OPERATION_ENABLED if leads else PdsState.SWITCH_ON_DISABLED)
-    assert bench.read(0x606B) == (V if leads else 0)  # pv: 60FFh counts again
+    assert bench.read(0x606B) == (V if leads else 0)  # pv: 60FFh applies again
 
 
-def test_quick_stop_codes_that_have_no_behaviour_are_refused(bench):
+def test_quick_stop_codes_without_behaviour_are_rejected(bench):
     for code in (-1, 9):
         assert bench.write(0x605A, 0, code, 2) == 0x0609_0030
     assert bench.read(0x605A) == 2
@@ -105,7 +105,7 @@ def test_disable_operation_0_coasts(bench):
     assert bench.truth("velocity_rad_s") > 1.0
 
 
-def test_shutdown_coasts_by_default_and_brakes_if_told(bench):
+def test_shutdown_coasts_by_default_and_can_brake(bench):
     bench.set(0x605B, 0, 1, 2)
     bench.controlword(0x06)
     assert state(bench) == PdsState.OPERATION_ENABLED
@@ -120,7 +120,7 @@ def test_shutdown_coasts_by_default_and_brakes_if_told(bench):
     assert bench.truth("velocity_rad_s") > 1.0
 
 
-def test_enabling_again_while_it_brakes_calls_disabling_off(bench):
+def test_enabling_during_braking_cancels_disabling(bench):
     bench.controlword(0x07)
     bench.run(50 * MS)
     bench.controlword(0x0F)
@@ -129,10 +129,10 @@ def test_enabling_again_while_it_brakes_calls_disabling_off(bench):
     assert state(bench) == PdsState.OPERATION_ENABLED
     assert bench.read(0x606B) == V
     words = [data for _, can_id, data in bench.sent[count:] if can_id == 0x185]
-    assert all(word[0] == 0x37 for word in words)  # it never left operation enabled
+    assert all(word[0] == 0x37 for word in words)  # the drive never left operation enabled
 
 
-def test_a_later_command_overtakes_disabling(bench):
+def test_later_command_overrides_disabling(bench):
     bench.controlword(0x07)
     bench.run(10 * MS)
     bench.controlword(0x02)
@@ -144,15 +144,15 @@ def test_a_later_command_overtakes_disabling(bench):
 
 
 @pytest.mark.parametrize("word", [0x00, 0x0D, 0xFF01 & ~0x80])
-def test_disable_voltage_coasts_at_once(bench, word):
+def test_disable_voltage_coasts_immediately(bench, word):
     bench.controlword(word)
     assert state(bench) == PdsState.SWITCH_ON_DISABLED
     bench.run(2 * MS)
     assert bench.truth("current_a") == pytest.approx(0.0, abs=1e-6)
 
 
-def test_a_move_that_was_cut_short_is_not_taken_up_again():
-    """pp: after a quick stop and enabling again, the old set-point is gone."""
+def test_interrupted_move_is_not_resumed():
+    """Check in pp: after a quick stop and a new enabling, the old set-point is discarded."""
     bench = Bench()
     bench.enable(mode=1)
     bench.set(0x607A, 0, 30_000, 4)
@@ -168,8 +168,8 @@ def test_a_move_that_was_cut_short_is_not_taken_up_again():
     assert bench.truth("position_inc") == pytest.approx(stood_at, abs=10)
 
 
-def test_nmt_stop_is_an_abort_of_the_connection(bench):
-    """6007h = 1: fault. EMCY is not sent in STOPPED (CiA 301), the state tells."""
+def test_nmt_stop_aborts_the_connection(bench):
+    """Check 6007h = 1: fault. EMCY is not sent in STOPPED (CiA 301); the state shows it."""
     bench.nmt(0x02)
     assert state(bench) == PdsState.FAULT_REACTION_ACTIVE
     bench.run(500 * MS)
@@ -178,10 +178,10 @@ def test_nmt_stop_is_an_abort_of_the_connection(bench):
     assert bench.read(0x603F, signed=False) == 0x8100
 
 
-def test_reset_communication_is_one_too(bench):
+def test_reset_communication_aborts_the_connection(bench):
     bench.set(0x6007, 0, 3, 2)
     bench.nmt(0x82)
     assert state(bench) == PdsState.QUICK_STOP_ACTIVE
     bench.run(500 * MS)
     assert state(bench) == PdsState.SWITCH_ON_DISABLED
-    assert bench.read(0x6007) == 3  # 60xxh are not reset by it
+    assert bench.read(0x6007) == 3  # it does not reset 60xxh

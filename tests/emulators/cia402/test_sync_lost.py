@@ -1,4 +1,4 @@
-"""A cyclic mode whose SYNC stays away: a fault, where 60C2h states the period.
+"""A cyclic mode without SYNC: a fault, if 60C2h gives the period.
 
 CiA 402 names no error code for it; FF64h is Kollmorgen's ("Sync not received", ip/csp/csv/cst).
 """
@@ -7,7 +7,7 @@ import struct
 
 import pytest
 
-from emulators.cia402.pds_fsa import PdsState
+from motorhil.emulators.cia402.state_machine import PdsState
 from tests.emulators.cia402.bench import MS, NODE, Bench
 
 LIGHT = {"preset": "wheel_60w", "load_inertia_kg_m2": 0.0}
@@ -29,7 +29,7 @@ def emergencies(bench: Bench) -> list[bytes]:
 
 
 @pytest.mark.parametrize("mode", CYCLIC)
-def test_four_periods_without_sync_are_a_fault_and_one_less_is_none(mode):
+def test_four_periods_without_sync_are_a_fault(mode):
     bench = running(mode)
     bench.run(30 * MS - 1)  # 10 ms of silence have passed already
     assert bench.truth("state") == PdsState.OPERATION_ENABLED
@@ -47,13 +47,13 @@ def test_four_periods_without_sync_are_a_fault_and_one_less_is_none(mode):
 
 
 @pytest.mark.parametrize("mode", [1, 3, 4, 6])
-def test_no_other_mode_minds(mode):
+def test_missing_sync_has_no_effect_in_other_modes(mode):
     bench = running(mode)
     bench.run(1000 * MS)
     assert bench.truth("state") == PdsState.OPERATION_ENABLED
 
 
-def test_without_a_period_or_unless_asked_nobody_minds():
+def test_missing_sync_needs_a_period_and_the_setting():
     for bench in (
         running(8, objects={"60C2h:1": 0}),
         running(8, cyclic={}),
@@ -63,7 +63,7 @@ def test_without_a_period_or_unless_asked_nobody_minds():
         assert bench.truth("state") == PdsState.OPERATION_ENABLED
 
 
-def test_the_rig_sets_how_many_and_which_code():
+def test_rig_sets_number_of_periods_and_error_code():
     bench = running(9, cyclic={"sync_lost_periods": 2, "sync_lost_code": 0x8700})
     bench.run(10 * MS - 1)
     assert bench.truth("state") == PdsState.OPERATION_ENABLED
@@ -71,7 +71,7 @@ def test_the_rig_sets_how_many_and_which_code():
     assert emergencies(bench)[-1] == struct.pack("<HB5x", 0x8700, 0x21)
 
 
-def test_605eh_says_how_it_stops():
+def test_605eh_sets_the_reaction_to_missing_sync():
     for option, coasts in ((0, True), (2, False)):
         bench = running(9, objects={"605Eh": option, "60FFh": 40_000})
         bench.run(31 * MS)
@@ -82,7 +82,7 @@ def test_605eh_says_how_it_stops():
         assert bench.truth("state") == PdsState.FAULT
 
 
-def test_a_late_sync_in_time_is_forgiven():
+def test_late_sync_within_the_time_is_accepted():
     bench = running(8)
     for _ in range(5):
         bench.run(29 * MS)

@@ -1,4 +1,4 @@
-"""What 1 means: exact, rounded to the nearest, and taken from where the file says so."""
+"""The size of one unit: exact, rounded to the nearest, from the source that the file gives."""
 
 from dataclasses import replace
 from fractions import Fraction
@@ -7,10 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from emulators.canopen.object_dictionary import DataType, ObjectDictionary, Variable
-from emulators.cia402.factors import fill_factors
-from emulators.cia402.units import Units, limited, units_of
-from emulators.plant.presets import WHEEL_60W
+from motorhil.emulators.canopen.object_dictionary import DataType, ObjectDictionary, Variable
+from motorhil.emulators.cia402.objects.units import Units, fill_factors, limited, units_of
+from motorhil.emulators.plant.presets import WHEEL_60W
 
 TURN = WHEEL_60W.encoder_increments_rev
 U32 = DataType.UNSIGNED32
@@ -38,13 +37,13 @@ def test_positions_round_to_the_nearest(ratio, raw):
 
 
 @given(st.fractions(1, 1000, max_denominator=50), st.integers(-(10**6), 10**6))
-def test_a_position_survives_the_way_in_and_out(ratio, raw):
-    """Where a unit is at least an increment, what was written is what is read."""
+def test_position_survives_a_round_trip(ratio, raw):
+    """Check that a value reads as written where a unit is at least an increment."""
     made = Units(ratio.numerator, ratio.denominator, 1.0, 1.0)
     assert made.position_raw(made.position_inc(raw)) == raw
 
 
-def test_positions_wrap_round_at_32_bits():
+def test_positions_wrap_at_32_bits():
     made = Units(1, 1, 1.0, 1.0)
     assert made.position_raw(2**31 - 1) == 2**31 - 1
     assert made.position_raw(2**31) == -(2**31)
@@ -58,12 +57,12 @@ def test_numbers_are_rounded_and_limited(value, whole):
     assert limited(value, 127) == whole
 
 
-def test_without_factors_everything_is_an_increment():
+def test_without_factors_every_unit_is_an_increment():
     assert units(ObjectDictionary()) == Units(1, 1, 1.0, 1.0)
 
 
-def test_the_factor_group_counts_where_608fh_names_the_motors_encoder():
-    """CiA 402-2: increments = 608Fh x 6091h / 6092h per position unit; 6096h, 6097h on top."""
+def test_factors_apply_if_608fh_names_the_motors_encoder():
+    """Check CiA 402-2: increments = 608Fh x 6091h / 6092h per position unit; then 6096h, 6097h."""
     told = {
         "_608F_1": TURN,
         "_608F_2": 1,
@@ -79,11 +78,11 @@ def test_the_factor_group_counts_where_608fh_names_the_motors_encoder():
         55.0,
         pytest.approx(1100 / 3),
     )
-    assert units(dictionary(**{**told, "_608F_1": 1})) == Units(1, 1, 1.0, 1.0)  # never told
+    assert units(dictionary(**{**told, "_608F_1": 1})) == Units(1, 1, 1.0, 1.0)  # not set
 
 
-def test_si_units_of_60a8h_and_60a9h():
-    """CiA 303-2 codes as Nanotec has them: 41h degree (FFh: a tenth), B4h turns per 47h minute."""
+def test_si_units_of_60a8h_and_60a9h_apply():
+    """Check CiA 303-2 codes (Nanotec): 41h degree (FFh: a tenth), B4h turns per 47h minute."""
     made = units(dictionary(_60A8_0=0xFF41_0000, _60A9_0=0x00B4_4700))
     assert Fraction(made.position_numerator, made.position_divisor) == Fraction(TURN, 3600)
     assert made.velocity_unit_inc_s == pytest.approx(TURN / 60)
@@ -98,14 +97,14 @@ def test_dimension_index_a4h_is_rpm_of_the_motor():
     assert made.position_numerator == made.position_divisor == 1
 
 
-def test_what_the_rig_says_wins():
+def test_settings_of_the_rig_have_precedence():
     od = dictionary(_608C_0=0xA4, _60A8_0=0xFF41_0000)
     made = units(od, position_unit_inc=0.5, velocity_unit_inc_s=7.0, acceleration_unit_inc_s2=8.0)
     assert made == Units(1, 2, 7.0, 8.0)
 
 
 @pytest.mark.parametrize("gear", [1.0, 66.0, 3.7, 123.456])
-def test_factors_nobody_gives_describe_the_motor_and_make_the_unit_an_increment(gear):
+def test_missing_factors_describe_the_motor(gear):
     od = ObjectDictionary()
     for index in (0x608F, 0x6091, 0x6092):
         for subindex in (1, 2):

@@ -1,18 +1,19 @@
-"""Drives whose dictionaries are real vendors': they come up, enable and move.
+"""Drives whose dictionaries are those of real vendors: they start, enable and move.
 
-What each file lacks: data/eds/INDEX.md. All is asked for by SDO, which every file allows.
+For the objects missing in each file see data/eds/INDEX.md. All access is by SDO, which every file
+allows.
 """
 
 from pathlib import Path
 
 import pytest
 
-from emulators.controller import SettingError
+from motorhil.emulators.controller import SettingError
 from tests.emulators.cia402.bench import ENABLE, MS, Bench
 
 pytestmark = pytest.mark.data
 
-# file: (modes 6502h names then, increments per position unit, inc/s per velocity unit)
+# file: (modes that 6502h then names, increments per position unit, inc/s per velocity unit)
 TURN = 2000  # encoder increments of the default motor
 FILES = {
     "maxon_epos2_50_5.eds": ({"pp", "pv", "hm", "csp"}, 1.0, TURN / 60),  # 608Ch: rpm
@@ -48,14 +49,14 @@ def switch(bench: Bench, mode: str) -> None:
 
 
 @pytest.mark.parametrize("file", FILES)
-def test_it_comes_up_enables_and_moves_in_every_mode_it_names(shared, file):
+def test_drive_enables_and_moves_in_every_mode_it_names(shared, file):
     modes, position_unit, velocity_unit = FILES[file]
     bench = vendor_bench(shared, file)
     enable(bench)
     if bench.drive.od.has_index(0x6502):
         named = bench.read(0x6502, signed=False)
         assert {name for name, mode in MODES.items() if named >> (mode - 1) & 1} == modes
-        assert named & 0xFFFF & ~0x3ED == 0  # nothing is named that has no behaviour
+        assert named & 0xFFFF & ~0x3ED == 0  # no mode without behaviour is named
 
     switch(bench, "pp")
     target = round(20_000 / position_unit)
@@ -107,13 +108,13 @@ def test_it_comes_up_enables_and_moves_in_every_mode_it_names(shared, file):
         bench.set(0x6040, 0, 0x1F, 2)
         bench.run(5 * MS)
         assert bench.statusword() & 0x3400 == 0x1400
-        assert bench.read(0x6064) == pytest.approx(0, abs=50)  # it still holds its position
+        assert bench.read(0x6064) == pytest.approx(0, abs=50)  # the drive still holds its position
     bench.set(0x6040, 0, 0x00, 2)
     assert bench.statusword() & 0x4F == 0x40
 
 
 @pytest.mark.parametrize("file", FILES)
-def test_quick_stop_and_faults_work_whatever_the_file_lacks(shared, file):
+def test_quick_stop_and_faults_work_with_every_file(shared, file):
     _, position_unit, velocity_unit = FILES[file]
     bench = vendor_bench(shared, file)
     enable(bench)
@@ -132,7 +133,7 @@ def test_quick_stop_and_faults_work_whatever_the_file_lacks(shared, file):
 
     bench.drive.stimulate("fault", 0x2310, bench.now)
     bench._drain()
-    assert bench.last(0x085)[:3] == bytes.fromhex("102303")  # EMCY: 080h + node where 1014h lacks
+    assert bench.last(0x085)[:3] == bytes.fromhex("102303")  # EMCY: 085h without 1014h
     assert bench.statusword() & 0x4F == 0x08
     if bench.drive.od.has_index(0x603F):
         assert bench.read(0x603F, signed=False) == 0x2310
@@ -150,7 +151,7 @@ ABSENT = {  # INDEX.md, "What the drives' files lack"
 
 
 @pytest.mark.parametrize("file", ABSENT)
-def test_what_a_file_lacks_is_invisible(shared, file):
+def test_objects_missing_in_a_file_do_not_exist(shared, file):
     bench = vendor_bench(shared, file)
     bench.boot()
     for index in ABSENT[file]:
@@ -159,7 +160,7 @@ def test_what_a_file_lacks_is_invisible(shared, file):
         assert reply.hex() == f"80{index & 0xFF:02x}{index >> 8:02x}0000000206"
 
 
-def test_values_come_from_the_file_with_a_dcfs_parameter_value_first(shared):
+def test_values_come_from_the_file_parametervalue_first(shared):
     bench = vendor_bench(shared, "schunk_prl_erb_0_63.dcf")
     bench.boot()
     assert bench.read(0x60C2, 1) == 50
@@ -171,7 +172,7 @@ def test_values_come_from_the_file_with_a_dcfs_parameter_value_first(shared):
     assert bench.read(0x6065) == 2000
 
 
-def test_the_rig_wins_over_the_file_and_gives_what_it_lacks(shared):
+def test_rig_overrides_the_file_and_adds_missing_values(shared):
     bench = vendor_bench(
         shared,
         "schunk_prl_erb_0_63.dcf",
@@ -183,11 +184,11 @@ def test_the_rig_wins_over_the_file_and_gives_what_it_lacks(shared):
     assert bench.read(0x6083) == 50_000
     bench.set(0x6040, 0, 0x02, 2)
     bench.run(1000 * MS)
-    assert bench.statusword() & 0x6F == 0x07  # stays: 605Ah is 6 behind the scenes
+    assert bench.statusword() & 0x6F == 0x07  # stays: 605Ah has the hidden value 6
 
 
 def test_motion_can_be_streamed_by_remapping(shared):
-    """Roboteq maps 607Ah into no RPDO of its own: RPDO 4 is remapped by the usual procedure."""
+    """Remap RPDO 4 by the usual procedure: Roboteq maps 607Ah into none of its RPDOs."""
     bench = vendor_bench(shared, "roboteq_v80.eds", objects={"6065h": 0xFFFF_FFFF})
     enable(bench)
     bench.set(0x1403, 1, 0x8000_0505, 4)
@@ -208,12 +209,12 @@ def test_motion_can_be_streamed_by_remapping(shared):
     assert bench.truth("demand_inc") == 1000
 
 
-def test_the_drive_tells_which_modes_of_the_file_it_leaves_out(shared):
+def test_modes_of_the_file_not_emulated_are_reported(shared):
     bench = vendor_bench(shared, "roboteq_v80.eds")
     assert ("info", "6502h of roboteq_v80.eds also names vl: not emulated") in (bench.events)
 
 
-def test_a_file_in_windows_1252_is_read_with_a_warning_and_works(shared):
+def test_file_in_windows_1252_is_read_with_a_warning(shared):
     bench = vendor_bench(shared, "BAD_faulhaber_mcbl_51V.eds")
     assert any(
         level == "warning" and "BAD_faulhaber_mcbl_51V.eds:52" in text
@@ -222,6 +223,6 @@ def test_a_file_in_windows_1252_is_read_with_a_warning_and_works(shared):
     enable(bench)
 
 
-def test_an_unresolved_merge_is_refused_with_its_line(shared):
+def test_unresolved_merge_is_rejected_with_its_line(shared):
     with pytest.raises(SettingError, match=r"^eds: .*BAD_epos2_master.dcf:235: unresolved merge"):
         vendor_bench(shared, "BAD_epos2_master.dcf")

@@ -1,9 +1,9 @@
-"""A drive under a stranger's eyes: whatever is done to it, the standard's rules are checked.
+"""A drive under observation: after every action, the standard's rules are checked.
 
-After each frame, each deadline and each tick the statusword is read and held against `standard`;
-each fault and reset against the EMCYs; and the motion, as the plant has it, against what a drive
-may do in that state. Controlwords are counted where they arrive (the writer of 6040h) and where
-they were sent, so that neither a lost nor an invented one goes unseen.
+After each frame, each deadline and each tick the statusword is read and compared with `standard`.
+Each fault and reset is compared with the EMCYs. The plant's motion is compared with the rules of
+the state. Controlwords are counted on arrival (the writer of 6040h) and when sent, so that neither
+a lost nor an additional one goes undetected.
 """
 
 from collections import Counter
@@ -11,7 +11,7 @@ from collections.abc import Iterable
 from contextlib import suppress
 from typing import Any
 
-from emulators.cia402.drive import Cia402Drive
+from motorhil.emulators.cia402.drive import Cia402Drive
 from tests.emulators.cia402.bench import MS, NODE, Bench, new_drive
 from tests.emulators.cia402.standard import (
     AT_ONCE,
@@ -32,27 +32,29 @@ HEARTBEAT_LOST = 0x8130
 PP, PV, HM, CSP = 1, 3, 6, 8
 RAMPS = (0x6083, 0x6084, 0x6085, 0x60C5, 0x60C6)
 SETTLED = 3
-"""Ticks until a regime's demand is its own: the loop that hands over has still moved the motor."""
+"""Ticks until a regime's demand is its own: the previous loop has still moved the motor."""
 ROUNDED = 2
-"""Whole increments of one tick, against those of the tick before."""
+"""Whole increments of one tick, against those of the previous tick."""
 
 SWING, CREEP = 1.15, 8
-"""In pv demand is where the motor is, and a loop swings that takes over: share, and increments."""
+"""In pv, demand is the motor's position, and a new loop oscillates: ratio, and increments."""
 OVERSHOOT = 0.33
-"""Where a motor is braked on the current limit there is no profile: demand is where it is, and its
-speed swings through zero by less than a third, as behind any step of a PI loop."""
+"""Braking on the current limit has no profile: demand is the motor's position.
+
+The speed overshoots zero by less than a third, as in any step response of a PI loop.
+"""
 HARD = (3, 4, 7, 8)  # 605Ah; 3 and 4 of 605Dh and 605Eh
 
 LOST_CONNECTION = {1: By.FAULT, 2: By.DISABLE_VOLTAGE, 3: By.QUICK_STOP}  # 6007h
 
 
 class Watched(Bench):
-    """`taken`: how often each transition was seen; `visited`: each state, once a run."""
+    """A checked bench; `taken`: the count of each transition; `visited`: the states reached."""
 
     def __init__(self, strict: bool = True, **settings: object) -> None:
-        """`strict`: whether EMCYs and motion are judged too.
+        """Create the drive; `strict`: check EMCYs and motion too.
 
-        Those rules know the default's COB-IDs and factors, and a host that tells what it sends.
+        Those rules need the default COB-IDs and factors, and a host that declares its controlwords.
         """
         self.taken: Counter[int] = Counter([0])
         self.visited = {State.NOT_READY_TO_SWITCH_ON}
@@ -64,10 +66,10 @@ class Watched(Bench):
         self.inputs: dict[str, float] = {}  # as last set
         self._strict = strict
         self._arrived: list[int] = []
-        self._expected: list[int] | None = None  # None: whoever spoke does not know
+        self._expected: list[int] | None = None  # None: the sender does not know
         self._is_reset = False
         self._is_lost = False
-        self._is_off = False  # safe torque off has come
+        self._is_off = False  # safe torque off has arrived
         self._read = 0  # of `sent`
         self._events_read = 0
         self.state = State.NOT_READY_TO_SWITCH_ON
@@ -75,7 +77,7 @@ class Watched(Bench):
         drive = new_drive(**settings)
         self._od = drive.od
         self.controlword_now = drive.od.integer(0x6040, 0, 0)
-        self._standing = command_in(self.controlword_now)  # the last one, may it take its time
+        self._standing = command_in(self.controlword_now)  # the last command; it may take time
         self._listen_to_controlwords(drive)
         statusword, error_code = drive.od.get(0x6041), drive.od.get(0x603F)
         assert statusword is not None
@@ -84,19 +86,19 @@ class Watched(Bench):
         plant = drive.settings.plant
         self._increments_rpm_s = plant.encoder_increments_rev / 60.0
         # motion
-        self._off_ns = 0  # since when the motor has no power; -1: it has
+        self._off_ns = 0  # since when the motor has no power; -1: it has power
         self._speed_rad_s = 0.0
         self._truth: object = None
         self._sampled_ns = -1
         self._demand = 0.0
-        self._ramp = float("inf")  # the slowest that ever stood: one under way may be older
-        self._steps: list[float] = []  # in this regime: how many increments in each tick
+        self._ramp = float("inf")  # the slowest ramp ever set: a ramp in progress may be older
+        self._steps: list[float] = []  # increments of each tick in this regime
         self._regime: tuple[Any, ...] = ()
-        self._is_fresh = False  # the regime is younger than a tick
+        self._is_fresh = False  # the regime is younger than one tick
         self._asked = False
         self._is_inside = False
         self._is_standing = False
-        self._brakes_hard = False  # once asked for, and for good: a stop may be under way
+        self._brakes_hard = False  # permanent once requested: a stop may be in progress
         super().__init__(drive)
 
     def _listen_to_controlwords(self, drive: Cia402Drive) -> None:
@@ -114,16 +116,16 @@ class Watched(Bench):
 
         variable.writer = write
 
-    # --- what is done to it
+    # --- actions
 
     def speak(self, can_id: int, data: bytes, *controlwords: int) -> None:
-        """A frame; `controlwords`: what must arrive by it."""
+        """Send a frame; `controlwords`: the words that must arrive by it."""
         self._expected = list(controlwords)
         self.send(can_id, data)
         self._expected = None
 
     def tell(self, frame: bytes) -> None:
-        """Any can_frame, of which nobody says what should come of it."""
+        """Send any can_frame without an expectation of its effect."""
         if frame[:4] == b"\0\0\0\0" and frame[4] >= 2 and frame[9] in (0, self.drive._node.node_id):
             self._is_reset = frame[8] == 0x81
             self._is_lost = frame[8] in (0x02, 0x82)
@@ -131,18 +133,18 @@ class Watched(Bench):
         self._drain()
 
     def forget(self) -> None:
-        """What it has sent and told so far is of no interest any more."""
+        """Discard all frames and events so far."""
         self.sent.clear()
         self.events.clear()
         self._read = self._events_read = 0
 
     def rpdo(self, number: int, word: int, rest: bytes = b"") -> None:
-        """RPDO 1 to 4, which our file maps with the controlword first."""
+        """Send RPDO 1 to 4, which our file maps with the controlword first."""
         words = (word,) if self.nmt_state == "operational" else ()
         self.speak(0x100 + 0x100 * number + NODE, word.to_bytes(2, "little") + rest, *words)
 
     def sdo(self, index: int, subindex: int, value: int, size: int) -> None:
-        """An expedited download; whatever comes of it."""
+        """Send an expedited download, whatever its result."""
         head = bytes((0x23 | (4 - size) << 2, index & 0xFF, index >> 8, subindex))
         data = (value & (1 << 8 * size) - 1).to_bytes(4, "little")
         can_talk = self.nmt_state in ("pre-operational", "operational")
@@ -150,7 +152,7 @@ class Watched(Bench):
         self.speak(0x600 + NODE, head + data, *words)
 
     def nmt(self, command: int, node: int = NODE) -> None:
-        """The command and what the standard makes of the state."""
+        """Send the command and track the state that the standard defines."""
         talks = self.nmt_state != "initialising"
         self._is_reset = talks and command == 0x81
         self._is_lost = talks and command in (0x02, 0x82)
@@ -160,7 +162,7 @@ class Watched(Bench):
         self.speak(0x000, bytes((command, node)))
 
     def stimulate(self, name: str, value: float) -> None:
-        """A physical input; a value that the drive refuses is none."""
+        """Set a physical input; ignore a value that the drive rejects."""
         self.inputs[name] = value
         if name == "bus_off" and value:
             self._is_lost = True
@@ -171,7 +173,7 @@ class Watched(Bench):
         self._drain()
 
     def wait(self, duration_ns: int) -> None:
-        """Time passes, tick by tick; where nothing moves, in one go."""
+        """Advance time tick by tick; in one step where nothing moves."""
         end = self.now + duration_ns
         while self.now < end:
             truth = self.drive.snapshot(self.now)
@@ -183,7 +185,7 @@ class Watched(Bench):
             self.run_until(min(tick, end))
             self._observe()
 
-    # --- what is seen
+    # --- checks
 
     def _drain(self) -> None:
         super()._drain()
@@ -217,14 +219,16 @@ class Watched(Bench):
                 if data[0] == 0x80:
                     self.aborts[int.from_bytes(data[4:], "little")] += 1
         self._read = len(self.sent)
-        for _, text in self.events[self._events_read :]:  # where an inhibit time holds EMCYs back
+        for _, text in self.events[self._events_read :]:  # where an inhibit time delays EMCYs
             self._is_lost = self._is_lost or "lost" in text or "not guarded" in text
         self._events_read = len(self.events)
 
     def _judge_state(self, state: State) -> None:
         arrived, before = self._arrived, self.state
         if self._expected is not None:
-            assert arrived == self._expected, f"controlwords {arrived} came of {self._expected}"
+            assert arrived == self._expected, (
+                f"controlwords {arrived} arrived, expected {self._expected}"
+            )
             self._expected = []
         commands = commands_of(self.controlword_now, arrived)
         standing = self._standing
@@ -243,12 +247,12 @@ class Watched(Bench):
         if 13 in taken:
             assert error_code, "a fault without an error code (603Fh)"
             if can_tell:
-                assert error_code in self.emergencies, f"no EMCY tells of fault {error_code:04X}h"
+                assert error_code in self.emergencies, f"no EMCY reports fault {error_code:04X}h"
         if 15 in taken and can_tell:
-            assert 0x0000 in self.emergencies, "no EMCY tells that the fault is over"
+            assert 0x0000 in self.emergencies, "no EMCY reports the end of the fault"
         if state not in FAULTY:
             told = [code for code in self.emergencies if code and code >> 8 not in (0x81, 0x82)]
-            assert not (told and self._strict) or 13 in taken, f"EMCY {told} and no fault"
+            assert not (told and self._strict) or 13 in taken, f"EMCY {told} without a fault"
             assert error_code == 0, f"error code {error_code:04X}h in {state.name}"
         if self._is_reset:
             self.controlword_now = self._od.integer(0x6040, 0, 0)
@@ -277,7 +281,7 @@ class Watched(Bench):
     # --- motion
 
     def _judge_power(self) -> None:
-        """Where the standard knows no power the motor has no current, and gets no faster."""
+        """Check that states without power have no current and no acceleration."""
         state, now = self.state, self.now
         if state in POWERED:
             self._off_ns = -1
@@ -288,10 +292,12 @@ class Watched(Bench):
             self._off_ns = now
         if now - self._off_ns <= MS:
             speed = float("inf")
-        else:  # what was ordered takes effect at a tick
+        else:  # a command takes effect at a tick
             assert abs(truth["current_a"]) < 1e-6, f"{truth['current_a']} A in {state.name}"
             if not self.inputs.get("load_torque_n_m"):
-                assert speed <= self._speed_rad_s + 1e-9, f"faster by itself in {state.name}"
+                assert speed <= self._speed_rad_s + 1e-9, (
+                    f"accelerates without power in {state.name}"
+                )
         self._speed_rad_s = speed
 
     def _judge_motion(self, word: int) -> None:
@@ -323,7 +329,7 @@ class Watched(Bench):
             self._asked = False
 
     def _note_asking(self, state: State, mode: int) -> None:
-        """Whether anything has asked for motion since operation was enabled in this mode."""
+        """Note whether motion was requested since operation was enabled in this mode."""
         if state is not State.OPERATION_ENABLED:
             self._asked = self._is_inside = False
             return
@@ -337,7 +343,7 @@ class Watched(Bench):
             self._asked = True
 
     def _judge_step(self, step: float, demand: float) -> None:
-        """Increments of one whole tick in one regime."""
+        """Check the increments of one whole tick in one regime."""
         state, mode, is_halted, asked, reached, _, (fastest, ramp) = self._regime
         size = abs(step)
         where = f"{step:+g} inc in a tick, before {self._steps[-5:]}: {self._regime}"
@@ -349,19 +355,21 @@ class Watched(Bench):
         else:
             return
         if stands:
-            assert step == 0, f"reached, and moves on: {where}"
+            assert step == 0, f"moves after target reached: {where}"
         if len(self._steps) >= SETTLED:
             entry, least = max(self._steps[:SETTLED]), min(self._steps)
             if brakes and self._brakes_hard:
                 overshoot = max(least, OVERSHOOT * entry) + ROUNDED
-                assert size <= overshoot, f"faster instead of slower: {where}"
+                assert size <= overshoot, f"accelerates instead of braking: {where}"
             elif brakes:
-                assert size <= least + ROUNDED, f"faster instead of slower: {where}"
+                assert size <= least + ROUNDED, f"accelerates instead of braking: {where}"
                 slower = max(0.0, entry - ramp * (len(self._steps) - SETTLED))
-                assert size <= slower + ROUNDED, f"slower by less than a ramp: {where}"
+                assert size <= slower + ROUNDED, f"brakes by less than a ramp: {where}"
                 way = SETTLED * entry + (entry + 1) ** 2 / (2 * ramp) if ramp else float("inf")
-                assert sum(self._steps) <= way + ROUNDED, f"farther than it brakes: {where}"
-            pushed = mode == PV and self.inputs.get("load_torque_n_m")  # its demand is the actual
+                assert sum(self._steps) <= way + ROUNDED, (
+                    f"farther than its braking distance: {where}"
+                )
+            pushed = mode == PV and self.inputs.get("load_torque_n_m")  # demand is actual
             if mode in (PP, PV) and not pushed:
                 allowed = max(entry, fastest) * (SWING if mode == PV else 1.0)
                 allowed += ROUNDED if mode == PP else CREEP
@@ -372,13 +380,13 @@ class Watched(Bench):
             assert low - 1 <= demand <= high + 1, f"{demand} beyond 607Dh {low}..{high}: {where}"
 
     def _fastest_inc(self) -> float:
-        """607Fh and 6080h, for one tick."""
+        """Return 607Fh and 6080h combined, for one tick."""
         fastest = float(self._od.integer(0x607F, 0, 0xFFFF_FFFF) or 0xFFFF_FFFF)
         rpm = self._od.integer(0x6080, 0, 0)
         return min(fastest, rpm * self._increments_rpm_s if rpm else fastest) / 1000.0
 
     def _slowest_ramp_inc(self) -> float:
-        """The least of 6083h to 6085h, 60C5h and 60C6h that are set, as what a tick takes away."""
+        """Return the lowest of 6083h to 6085h, 60C5h and 60C6h that are set, per tick."""
         ramps = [self._od.integer(index, 0, 0) for index in RAMPS]
         return min((ramp for ramp in ramps if ramp > 0), default=0) / 1e6
 

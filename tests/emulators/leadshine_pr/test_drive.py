@@ -1,14 +1,14 @@
-"""A PR-mode drive, through its registers alone; positions and times computed here.
+"""A PR-mode drive, tested through its registers; positions and times computed here.
 
-Source: drives.md 7.1 A (what several public drivers agree on).
+Source: drives.md 7.1 A (agreement of several public drivers).
 """
 
 from math import pi
 
 import pytest
 
-from emulators.controller import SettingError
-from emulators.leadshine_pr.factory import build, registers
+from motorhil.emulators.controller import SettingError
+from motorhil.emulators.leadshine_pr.drive import build, registers
 from tests.emulators.modbus_bench import ModbusBench, Refused
 
 STATUS, TRIGGER, FEEDBACK, ALARM, CONTROL = 0x1003, 0x6002, 0x1014, 0x2203, 0x1801
@@ -31,7 +31,7 @@ def enable(bench):
     bench.write(0x000F, 1)
 
 
-def test_it_is_at_rest_and_has_no_current_until_it_is_enabled(bench):
+def test_drive_is_at_rest_without_current_until_enabled(bench):
     assert bench.read(STATUS) == 0x0030
     assert bench.truth()["current_a"] == 0.0
     enable(bench)
@@ -39,7 +39,7 @@ def test_it_is_at_rest_and_has_no_current_until_it_is_enabled(bench):
 
 
 @pytest.mark.parametrize("target", [20_000, -35_000])
-def test_an_absolute_path_ends_at_its_target(bench, target):
+def test_absolute_path_ends_at_target(bench, target):
     enable(bench)
     path(bench, ABSOLUTE, target)
     bench.write(TRIGGER, 0x10)
@@ -53,20 +53,20 @@ def test_an_absolute_path_ends_at_its_target(bench, target):
     assert bench.truth()["position_rad"] == pytest.approx(expected_rad, abs=0.001)
 
 
-def test_a_path_takes_as_long_as_its_trapezoid(bench):
+def test_path_takes_time_of_its_trapezoid(bench):
     enable(bench)
-    # 600 rpm = 10 rev/s, 100 ms per 1000 rpm: 60 ms to get there, and 3 revolutions in all
+    # 600 rpm = 10 rev/s, 100 ms per 1000 rpm: a ramp of 60 ms, and 3 revolutions in total
     path(bench, ABSOLUTE, 30_000, rpm=600, ms=100)
     begun_ns = bench.world.queue.now_ns
     bench.write(TRIGGER, 0x10)
-    bench.run_ms(300 + 60 - 22)  # 3 rev / 10 rev/s + one ramp, and 20 ms were the request's
+    bench.run_ms(300 + 60 - 22)  # 3 rev / 10 rev/s + one ramp; the request took 20 ms
     assert bench.truth()["demand_inc"] < 6000
     bench.run_ms(6)
     assert bench.truth()["demand_inc"] == 6000
     assert bench.world.queue.now_ns - begun_ns < 400_000_000
 
 
-def test_a_relative_path_moves_by_its_distance_each_time_it_is_triggered(bench):
+def test_relative_path_moves_by_distance_at_each_trigger(bench):
     enable(bench)
     path(bench, RELATIVE, 5_000)
     for count in (1, 2, 3):
@@ -75,14 +75,14 @@ def test_a_relative_path_moves_by_its_distance_each_time_it_is_triggered(bench):
         assert bench.read(0x602C, 2) == 5_000 * count
 
 
-def test_one_request_may_tell_and_start_a_motion(bench):
+def test_one_request_sets_and_starts_motion(bench):
     enable(bench)
     bench.write(PATH0, ABSOLUTE, 0, 10_000, 600, 50, 50, 0, 0x10)
     bench.run_ms(700)
     assert bench.read(0x602C, 2) == 10_000
 
 
-def test_what_a_path_says_counts_when_it_is_triggered(bench):
+def test_path_uses_registers_at_trigger(bench):
     enable(bench)
     path(bench, ABSOLUTE, 10_000)
     bench.write(TRIGGER, 0x10)
@@ -91,7 +91,7 @@ def test_what_a_path_says_counts_when_it_is_triggered(bench):
     assert bench.read(0x602C, 2) == 10_000
 
 
-def test_a_velocity_path_goes_on_until_it_is_stopped(bench):
+def test_velocity_path_runs_until_stopped(bench):
     enable(bench)
     path(bench, VELOCITY, rpm=-300, ms=20)
     bench.write(TRIGGER, 0x10)
@@ -104,7 +104,7 @@ def test_a_velocity_path_goes_on_until_it_is_stopped(bench):
     assert bench.truth()["velocity_rad_s"] == 0.0
 
 
-def test_a_quick_stop_is_quicker_than_the_path(bench):
+def test_quick_stop_is_faster_than_path_deceleration(bench):
     enable(bench)
     path(bench, ABSOLUTE, 100_000, rpm=1200, ms=500)
     bench.write(TRIGGER, 0x10)
@@ -116,7 +116,7 @@ def test_a_quick_stop_is_quicker_than_the_path(bench):
     assert bench.truth()["demand_inc"] - before < 20 * 2000 * 0.06  # not its own 600 ms ramp
 
 
-def test_a_path_waits_for_the_one_that_runs_unless_it_interrupts(bench):
+def test_path_waits_for_running_one_unless_it_interrupts(bench):
     enable(bench)
     path(bench, ABSOLUTE, 30_000)
     path(bench, ABSOLUTE, 0, number=1)
@@ -135,7 +135,7 @@ def test_a_path_waits_for_the_one_that_runs_unless_it_interrupts(bench):
     assert bench.truth()["path"] == -1
 
 
-def test_paths_that_jump_follow_one_another_after_their_dwell(bench):
+def test_jumping_paths_follow_after_dwell(bench):
     enable(bench)
     path(bench, ABSOLUTE | 0x4000 | 2 << 8, 10_000, dwell=200)
     path(bench, RELATIVE, 2_000, number=2)
@@ -146,7 +146,7 @@ def test_paths_that_jump_follow_one_another_after_their_dwell(bench):
     assert bench.read(0x602C, 2) == 12_000
 
 
-def test_a_trigger_without_current_moves_nothing_and_is_told(bench):
+def test_trigger_without_current_is_ignored_and_reported(bench):
     path(bench, ABSOLUTE, 10_000)
     bench.write(TRIGGER, 0x10)
     bench.run_ms(500)
@@ -154,7 +154,7 @@ def test_a_trigger_without_current_moves_nothing_and_is_told(bench):
     assert "trigger 010h ignored: the motor is not enabled" in bench.told()
 
 
-def test_the_other_direction_is_the_other_way_round(bench):
+def test_direction_register_reverses_motion(bench):
     bench.write(0x0007, 1)
     enable(bench)
     path(bench, ABSOLUTE, 10_000)
@@ -164,7 +164,7 @@ def test_the_other_direction_is_the_other_way_round(bench):
     assert bench.truth()["position_rad"] < -0.09
 
 
-def test_pulses_are_what_a_revolution_is_divided_into(bench):
+def test_pulses_per_revolution_scale_positions(bench):
     bench.write(0x0001, 2000)
     enable(bench)
     path(bench, ABSOLUTE, 2000)
@@ -175,7 +175,7 @@ def test_pulses_are_what_a_revolution_is_divided_into(bench):
 
 
 @pytest.mark.parametrize("way", [0x4001, 0x4002])
-def test_a_jog_lasts_as_long_as_it_is_asked_for_again(bench, way):
+def test_jog_lasts_while_it_is_repeated(bench, way):
     enable(bench)
     for _ in range(5):
         bench.write(CONTROL, way)  # every 20 ms
@@ -190,7 +190,7 @@ SWITCHES = {"switches": {"home_rad": 0.3, "limit_forward_rad": 0.5, "limit_backw
 
 
 @pytest.mark.parametrize(("mode", "edge_rad"), [(0x0005, 0.3), (0x0001, 0.5), (0x0000, -0.4)])
-def test_homing_finds_the_edge_of_its_switch_and_calls_it_as_told(mode, edge_rad):
+def test_homing_finds_switch_edge_and_sets_its_position(mode, edge_rad):
     bench = ModbusBench(build, SWITCHES)
     enable(bench)
     bench.write(0x600A, mode)
@@ -205,19 +205,19 @@ def test_homing_finds_the_edge_of_its_switch_and_calls_it_as_told(mode, edge_rad
     assert bench.read(FEEDBACK, 2) == pytest.approx(edge, abs=20)  # a tick at 50 rpm is 8 pulses
 
 
-def test_homing_may_begin_on_the_switch():
+def test_homing_may_begin_on_switch():
     bench = ModbusBench(build, {**SWITCHES, "initial_position_rad": 0.35})
     enable(bench)
     bench.write(0x600A, 0x0005)
     bench.write(TRIGGER, 0x20)
     bench.run_ms(100)
-    assert bench.truth()["position_rad"] < 0.35  # it has left backwards at once
+    assert bench.truth()["position_rad"] < 0.35  # it has moved backwards at once
     bench.run_ms(4000)
     assert bench.read(STATUS) == 0x0072
     assert bench.truth()["position_rad"] < 0.3
 
 
-def test_a_limit_switch_stops_what_runs_into_it():
+def test_limit_switch_stops_motion_into_it():
     bench = ModbusBench(build, SWITCHES)
     enable(bench)
     path(bench, ABSOLUTE, 300_000)
@@ -226,12 +226,12 @@ def test_a_limit_switch_stops_what_runs_into_it():
     assert bench.truth()["position_rad"] == pytest.approx(0.5, abs=0.02)
     assert bench.told() == ["stopped at the forward limit switch"]
     path(bench, ABSOLUTE, 0)
-    bench.write(TRIGGER, 0x10)  # back is allowed
+    bench.write(TRIGGER, 0x10)  # moving back is allowed
     bench.run_ms(3000)
     assert bench.read(0x602C, 2) == 0
 
 
-def test_the_present_position_may_be_called_zero(bench):
+def test_present_position_may_be_set_to_zero(bench):
     enable(bench)
     path(bench, ABSOLUTE, 10_000)
     bench.write(TRIGGER, 0x10)
@@ -241,7 +241,7 @@ def test_the_present_position_may_be_called_zero(bench):
     assert bench.read(STATUS) == 0x0072
 
 
-def test_an_alarm_takes_the_current_away_until_it_is_reset(bench):
+def test_alarm_removes_current_until_reset(bench):
     enable(bench)
     bench.stimulate("alarm", 0x01)
     assert bench.read(ALARM) == 0x01
@@ -255,7 +255,7 @@ def test_an_alarm_takes_the_current_away_until_it_is_reset(bench):
     assert bench.told()[-1] == "alarm reset"
 
 
-def test_a_load_it_cannot_move_is_a_following_error(bench):
+def test_excessive_load_causes_following_error(bench):
     enable(bench)
     bench.stimulate("load_torque_n_m", 40.0)
     path(bench, ABSOLUTE, 100_000, rpm=3000)
@@ -265,7 +265,7 @@ def test_a_load_it_cannot_move_is_a_following_error(bench):
     assert bench.read(STATUS) & 0x0003 == 0x0001
 
 
-def test_what_was_saved_is_there_after_power_comes_back(bench):
+def test_saved_parameters_survive_power_cycle(bench):
     bench.write(0x0001, 4000)
     bench.write(CONTROL, 0x2211)
     bench.write(0x0001, 8000)
@@ -281,7 +281,7 @@ def test_what_was_saved_is_there_after_power_comes_back(bench):
     assert bench.read(0x0001) == 10_000
 
 
-def test_without_power_it_says_nothing(bench):
+def test_unpowered_drive_is_silent(bench):
     bench.stimulate("power", 0)
     with pytest.raises(ValueError, match="not enough values"):
         bench.read(STATUS)
@@ -290,20 +290,20 @@ def test_without_power_it_says_nothing(bench):
 @pytest.mark.parametrize(
     ("pdu", "code"),
     [
-        ("06 1003 0001", "02h"),  # read only
-        ("03 1801 0001", "02h"),  # written only
-        ("06 0001 0001", "03h"),  # out of its range
+        ("06 1003 0001", "02h"),  # read-only
+        ("03 1801 0001", "02h"),  # write-only
+        ("06 0001 0001", "03h"),  # out of range
         ("03 0000 0001", "02h"),
-        ("01 0000 0001", "01h"),  # it has no coils
+        ("01 0000 0001", "01h"),  # no coils
         ("17 0001 0001 0001 0001 02 0001", "01h"),
     ],
 )
-def test_what_it_has_not_it_refuses(bench, pdu, code):
+def test_unsupported_request_is_refused(bench, pdu, code):
     with pytest.raises(Refused, match=code):
         bench.ask(pdu)
 
 
-def test_the_map_is_a_table_without_holes_in_its_words():
+def test_register_map_has_vendor_addresses():
     rows = {row.name: row for row in registers()}
     assert rows["path15_special"].address == 0x627F
     assert rows["path3_position"].address == 0x6219
@@ -322,35 +322,35 @@ def test_the_map_is_a_table_without_holes_in_its_words():
         ({"timing": {"reply_s": -1}}, ("timing", "reply_s")),
     ],
 )
-def test_a_table_that_is_wrong_is_told_with_its_keys(table, place):
+def test_wrong_setting_is_refused_with_its_keys(table, place):
     with pytest.raises(SettingError) as caught:
         ModbusBench(build, table)
     assert caught.value.path == place
 
 
-def test_a_rig_may_set_registers_by_name_or_address():
+def test_rig_sets_registers_by_name_or_address():
     bench = ModbusBench(build, {"registers": {"force_enable": 1, "0001h": 5000}})
     assert bench.read(STATUS) == 0x0032
     assert bench.read(0x0001) == 5000
 
 
 @pytest.mark.parametrize("interrupts", [0x10, 0x00])
-def test_relative_is_to_what_was_commanded_not_to_where_it_is(bench, interrupts):
-    bench.write(0x0191, 8)  # 0.8 A hold this load, and cannot lift it
+def test_relative_path_starts_from_commanded_position(bench, interrupts):
+    bench.write(0x0191, 8)  # 0.8 A hold this load, but cannot lift it
     enable(bench)
     bench.stimulate("load_torque_n_m", 1.5)
     path(bench, ABSOLUTE, 500)
     bench.write(TRIGGER, 0x10)
     bench.run_ms(150)
     assert bench.read(FEEDBACK, 2) < 250
-    assert bench.read(STATUS) == 0x0016  # commanded, and not there
+    assert bench.read(STATUS) == 0x0016  # commanded, but not reached
     path(bench, RELATIVE | interrupts, 500)
     bench.write(TRIGGER, 0x10)
     bench.run_ms(150)
-    assert bench.read(0x602C, 2) == (1000 if interrupts else 500)  # it waits for the one before
+    assert bench.read(0x602C, 2) == (1000 if interrupts else 500)  # it waits for the previous one
 
 
-def test_zero_is_not_set_in_motion(bench):
+def test_set_zero_in_motion_is_ignored(bench):
     enable(bench)
     path(bench, ABSOLUTE, 30_000)
     bench.write(TRIGGER, 0x10)

@@ -1,9 +1,9 @@
-"""Running a bus in tests: the time of each delivery, and what each port makes of it."""
+"""Running a bus in tests: deliveries and their times."""
 
 from collections.abc import Iterable
 
-from emulators.media.can_bus import CanBus, Delivery
-from emulators.media.delivery import KIND_MASK, TOLD, confirms, hears
+from motorhil.emulators.can.bus.bus import CanBus
+from motorhil.emulators.can.bus.port import KIND_MASK, TOLD, Delivery, confirms, hears
 
 BIT = 1000  # [ns] at 1 Mbit/s
 Submission = tuple[int, int, bytes]  # (time [ns], port, frame)
@@ -11,7 +11,7 @@ Timed = tuple[int, Delivery]
 
 
 def run(bus: CanBus, submissions: Iterable[Submission] = (), until_ns: int = 10**12) -> list[Timed]:
-    """All that the bus delivers, if it is called at every deadline and told in time."""
+    """Return all deliveries of the bus, called at every deadline with submissions in time."""
     deliveries: list[Timed] = []
     for time_ns, port, frame in submissions:
         deliveries += expire_all(bus, time_ns)
@@ -31,7 +31,7 @@ def expire_all(bus: CanBus, until_ns: int) -> list[Timed]:
 
 
 def heard(deliveries: Iterable[Timed], port: int) -> list[tuple[int, bytes]]:
-    """What this port receives, and when."""
+    """Return the frames that this port receives, with their times."""
     return [
         (time_ns, frame)
         for time_ns, (frame, sender, kind) in deliveries
@@ -40,7 +40,7 @@ def heard(deliveries: Iterable[Timed], port: int) -> list[tuple[int, bytes]]:
 
 
 def confirmed(deliveries: Iterable[Timed], port: int) -> list[tuple[int, bytes]]:
-    """What this port knows to have sent, and when."""
+    """Return the frames confirmed to this port, with their times."""
     return [
         (time_ns, frame)
         for time_ns, (frame, sender, kind) in deliveries
@@ -49,5 +49,5 @@ def confirmed(deliveries: Iterable[Timed], port: int) -> list[tuple[int, bytes]]
 
 
 def traffic(deliveries: Iterable[Timed]) -> list[Timed]:
-    """What was on the wire: not what CAN controllers tell of errors."""
+    """Return the frames on the wire, without error messages."""
     return [one for one in deliveries if one[1][2] & KIND_MASK != TOLD]

@@ -1,10 +1,11 @@
-"""A bus of three nodes on which things go wrong, for the tests of faults."""
+"""A bus of three nodes with faults, for tests."""
 
 import random
 
-from emulators.media.can_bus import CanBus
-from emulators.media.can_frame import pack
-from emulators.media.faults import FaultKind, FaultPlan, FaultRule
+from motorhil.emulators.can.bus.bus import CanBus
+from motorhil.emulators.can.bus.fault_plan import FaultPlan
+from motorhil.emulators.can.fault_rules import FaultKind, FaultRule
+from motorhil.emulators.can.frame import pack
 from tests.emulators.media.driving import BIT
 
 SYNC = pack(0x080)  # 51 bits with intermission (can-utils, can-physics.md 6.2)

@@ -1,14 +1,17 @@
-"""A bus with modest traffic and bit errors, for hours: two TPDOs every 100 ms at 500 kbit/s."""
+"""A bus with modest traffic and bit errors for hours.
+
+Two nodes send a TPDO each every 100 ms at 500 kbit/s.
+"""
 
 import random
 from dataclasses import dataclass, field
 
-from emulators.media import error_message as told
-from emulators.media.can_bus import CanBus
-from emulators.media.can_frame import pack
-from emulators.media.delivery import KIND_MASK, TOLD, Delivery, confirms, hears
-from emulators.media.fault_rule import FaultKind, FaultRule
-from emulators.media.faults import FaultPlan
+from motorhil.emulators.can import error_confinement as told
+from motorhil.emulators.can.bus.bus import CanBus
+from motorhil.emulators.can.bus.fault_plan import FaultPlan
+from motorhil.emulators.can.bus.port import KIND_MASK, TOLD, Delivery, confirms, hears
+from motorhil.emulators.can.fault_rules import FaultKind, FaultRule
+from motorhil.emulators.can.frame import pack
 
 PERIOD_NS = 100_000_000
 HOUR_NS = 3600 * 10**9
@@ -17,13 +20,13 @@ HOST = 2
 
 @dataclass
 class Tally:
-    """What became of each frame; frames are numbered, so that one lost and one doubled show."""
+    """The fate of each frame; numbered frames reveal losses and duplicates."""
 
     submitted: int = 0
     confirmed: int = 0
-    doubled: int = 0  # heard again by the third node, after its sender told of an error
-    wrong: list[str] = field(default_factory=list)  # frames lost, or doubled without a trace
-    _heard: list[int] = field(default_factory=lambda: [-1, -1])  # number of the last, by sender
+    doubled: int = 0  # received again by the third node, after the sender's error
+    wrong: list[str] = field(default_factory=list)  # frames lost, or duplicated without an error
+    _heard: list[int] = field(default_factory=lambda: [-1, -1])  # last number, by sender
     _failed: list[bool] = field(default_factory=lambda: [False, False])  # since it was sent
 
     def hear(self, delivery: Delivery) -> None:
@@ -52,7 +55,7 @@ class Tally:
 def noisy_hours(
     hours: int, rate: float = 1e-6, seed: int = 1, planted: tuple[FaultRule, ...] = ()
 ) -> tuple[CanBus, Tally]:
-    """The bus afterwards, and what became of the frames on it."""
+    """Run the bus and return it with the tally of its frames."""
     noise = FaultRule("noise", FaultKind.NOISE, bit_error_rate=rate)
     bus = CanBus("can0", 500_000, FaultPlan([noise, *planted], random.Random(seed).random))
     for name in ("left", "right", "host"):

@@ -1,12 +1,12 @@
-"""A CAN controller written down as the standard tells it: field after field, flag after flag.
+"""An independent CAN controller written directly from the standard, as a coroutine.
 
-What `can_station` and its parts are compared with. It is a coroutine: it yields the level that it
-sends in the next bit, and is sent the level that it samples there; where it is in the text is where
-it is in the protocol. Errors are exceptions. Nothing is shared with the emulator.
+`can_station` and its parts are compared with it. The coroutine yields the level to send in the next
+bit, and receives the level sampled there. Its position in the code is its position in the protocol.
+Errors are exceptions. The emulator shares no code with it.
 
-All at one bit rate: of two, `wired_and` has to take care.
+The node works at one bit rate; `wired_and` handles two rates.
 Source: ISO 11898-1:2015; where it leaves something open, the conformance tests of ISO 16845-1 (the
-clause is named), and then what the emulator's docstrings say that it does.
+clause is named), and then the emulator's docstrings.
 """
 
 from collections.abc import Generator
@@ -21,7 +21,7 @@ Heard = Generator[int, int, str]
 
 @dataclass(frozen=True)
 class Sent:
-    """A frame to send: its bits, and up to which of them arbitration may be lost."""
+    """A frame to send: its bits, and the end of its arbitration."""
 
     fields: wire.Fields | wire_fd.FdFields
 
@@ -40,7 +40,7 @@ class Sent:
         return wire_fd.on_the_wire(said)
 
     def arbitration(self) -> str:
-        """Start of frame to RTR (in CAN FD: RRS), before stuffing."""
+        """Return start of frame to RTR (in CAN FD: RRS), before stuffing."""
         fields = self.fields
         if fields.extended:
             word = f"{fields.identifier:029b}"
@@ -69,7 +69,7 @@ class LostArbitrationError(Exception):
 
 
 class ReferenceNode:
-    """TEC, REC, and what has happened: (bit, what), in order."""
+    """A node with TEC, REC, and its events: (bit, what), in order."""
 
     def __init__(self, queue: list[Sent], tec: int, rec: int, support: str, once: bool) -> None:
         self.queue = queue
@@ -98,7 +98,7 @@ class ReferenceNode:
     def note(self, what: str) -> None:
         self.told.append((self.bit, what))
 
-    # --- life
+    # --- main loop
 
     def live(self, integrating: int, suspended: int) -> Levels:
         try:
@@ -118,7 +118,7 @@ class ReferenceNode:
             quiet, wanted = (quiet + 1, wanted) if level == R else (0, 11)
 
     def one_frame(self, suspended: int) -> Generator[int, int, int]:
-        """From an idle bus until it is idle again; for how long it is suspended then."""
+        """Process one frame, from idle to idle; return the suspend time [bits]."""
         first = yield from self.wait_idle(suspended)
         while True:
             end = yield from self.frame_and_what_follows(first)
@@ -167,7 +167,7 @@ class ReferenceNode:
         self.sender = True
         frame = self.queue[0]
         bits = frame.bits(self.is_passive())
-        plain = wire.stuffed(frame.arbitration()[:-1] + "?").index("?")  # where RTR is
+        plain = wire.stuffed(frame.arbitration()[:-1] + "?").index("?")  # position of RTR
         ack = len(bits) - 9
         acknowledged = False
         number = start
@@ -180,8 +180,8 @@ class ReferenceNode:
                 if level == R:
                     if not frame.is_fd():
                         self.fail("ack")
-                    # the CRC delimiter may have two bits (8.2.7), the error is in the second
-                    # recessive bit (8.2.6)
+                    # The CRC delimiter may have two bits (8.2.7); the error is in the second
+                    # recessive bit (8.2.6).
                     if (yield R) == R:
                         self.fail("ack")
                     heard += "0"
@@ -217,7 +217,7 @@ class ReferenceNode:
     # --- receiving
 
     def receive(self, heard: str) -> Levels:
-        """The rest of a frame of which this was heard."""
+        """Receive the rest of a frame whose beginning was already heard."""
         self.sender = False
         reader = Reader(heard)
         base = yield from reader.take(11)
@@ -283,7 +283,7 @@ class ReferenceNode:
             self.rec = 127 if self.rec > 127 else max(0, self.rec - 1)
         delimiter = yield R
         if is_fd and (delimiter == D or level == R):
-            delimiter = yield R  # the second bit of the ACK slot was before it (7.6.7, 7.6.10)
+            delimiter = yield R  # the second bit of the ACK slot came before (7.6.7, 7.6.10)
         if delimiter == D:
             raise FaultError("form")
         if not right:
@@ -300,7 +300,7 @@ class ReferenceNode:
     # --- between frames
 
     def interframe(self, cause: str) -> Heard:
-        """Flags and delimiters, then the intermission: "idle", or "start" in its third bit."""
+        """Process flags, delimiters, intermission; return "idle", or "start" in its third bit."""
         while True:
             if cause != "intermission":
                 yield from self.flags(cause)
@@ -319,7 +319,7 @@ class ReferenceNode:
             cause = "overload"
 
     def flags(self, cause: str) -> Levels:
-        """Error flags or an overload flag, and all dominant bits after them."""
+        """Process error flags or an overload flag, and the dominant bits after them."""
         overload = cause == "overload"
         passive = self.is_passive()
         doubtful = cause == "ack" and passive  # rule c, exception 1
@@ -366,7 +366,7 @@ class ReferenceNode:
                 self.more(8, 0)
 
     def delimiter(self) -> Heard:
-        """After its first bit; what ends it early."""
+        """Process the delimiter after its first bit, and errors in it."""
         for number in range(2, 9):
             if (yield R) == D:
                 if number == 8:
@@ -377,7 +377,7 @@ class ReferenceNode:
 
 
 class Reader:
-    """Bits of a frame without their stuff bits; `plain` are those read, `raw` all heard."""
+    """The bits of a frame without stuff bits; `plain` are those read, `raw` all heard."""
 
     def __init__(self, heard: str) -> None:
         self.raw = ""
@@ -419,7 +419,7 @@ class Reader:
 
 
 def is_stuff_bit(bits: str, number: int) -> bool:
-    """Whether this bit of what is sent follows five equal ones, none of them before a stuff bit."""
+    """Return whether this bit follows five equal bits, none of them before a stuff bit."""
     run = 0
     last = ""
     for place in range(number + 1):

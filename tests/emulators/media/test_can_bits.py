@@ -2,9 +2,9 @@ import pytest
 from hypothesis import event, example, given
 from hypothesis import strategies as st
 
-from emulators.media import can_bits
-from emulators.media.can_bits import arbitration_key, can_id_of_key, frame_bits
-from emulators.media.can_frame import EFF_FLAG, ERR_FLAG, RTR_FLAG, can_id_of, pack, pack_remote
+from motorhil.emulators.can import frame_length as can_bits
+from motorhil.emulators.can.frame import EFF_FLAG, ERR_FLAG, RTR_FLAG, can_id_of, pack, pack_remote
+from motorhil.emulators.can.frame_length import arbitration_key, can_id_of_key, frame_bits
 from tests.emulators.media import wire
 
 # Source: can-utils canframelen.c, mode CFL_EXACT, compiled and run (can-physics.md 6.2).
@@ -37,7 +37,7 @@ def _frame(identifier: str, data: str) -> bytes:
 
 
 @pytest.mark.parametrize(("identifier", "data", "low", "exact", "high", "stuff"), VECTORS)
-def test_a_frame_is_as_long_as_can_utils_says(identifier, data, low, exact, high, stuff):
+def test_length_equals_can_utils(identifier, data, low, exact, high, stuff):
     assert frame_bits(_frame(identifier, data)) == exact
     assert exact - low == stuff
 
@@ -46,22 +46,22 @@ def test_a_frame_is_as_long_as_can_utils_says(identifier, data, low, exact, high
 @example(wire.Fields(0x000, False, False, 0, b""))
 @example(wire.Fields(0x7FF, False, True, 8, b""))
 @example(wire.Fields(0x1FFFFFFF, True, True, 0, b""))
-def test_a_frame_is_as_long_as_when_built_bit_by_bit(frame):
+def test_length_equals_bitwise_construction(frame):
     sent = wire.on_the_wire(frame)
     event(f"{'extended' if frame.extended else 'base'} {'remote' if frame.remote else 'data'}")
     assert frame_bits(frame.can_frame()) == len(sent) + wire.INTERMISSION
 
 
 @pytest.mark.parametrize(("identifier", "data", "low", "exact", "high", "stuff"), VECTORS)
-def test_the_slow_construction_agrees_with_can_utils_too(identifier, data, low, exact, high, stuff):
+def test_bitwise_construction_equals_can_utils(identifier, data, low, exact, high, stuff):
     data_bytes = bytes.fromhex(data)
     extended = len(identifier) == 8
     frame = wire.Fields(int(identifier, 16), extended, False, len(data_bytes), data_bytes)
     assert len(wire.on_the_wire(frame)) + wire.INTERMISSION == exact
 
 
-def test_a_run_that_ends_with_the_last_crc_bit_is_stuffed():
-    # Rare, so looked for: 1 in 16 frames ends its CRC sequence with five equal bits.
+def test_run_ending_with_last_crc_bit_is_stuffed():
+    # Rare, so searched for: 1 in 16 frames ends its CRC sequence with five equal bits.
     found = 0
     for identifier in range(0x100):
         frame = wire.Fields(identifier, False, False, 1, b"\x00")
@@ -73,7 +73,7 @@ def test_a_run_that_ends_with_the_last_crc_bit_is_stuffed():
 
 
 @given(wire.fields())
-def test_no_frame_leaves_the_bounds_of_davis(frame):
+def test_length_is_within_bounds_of_davis(frame):
     # Source: Davis et al. 2007: g + 8n + 13 and as much plus floor((g + 8n - 1) / 4).
     stuffable = (54 if frame.extended else 34) + 8 * len(frame.data)
     low = stuffable + 13
@@ -84,7 +84,7 @@ def test_no_frame_leaves_the_bounds_of_davis(frame):
 @example(wire.Fields(5, False, False, 0, b""), wire.Fields(5, False, True, 0, b""))
 @example(wire.Fields(5, False, True, 0, b""), wire.Fields(5 << 18, True, False, 0, b""))
 @example(wire.Fields(6, True, False, 0, b""), wire.Fields(6, True, True, 0, b""))
-def test_the_lower_key_belongs_to_who_wins_the_wired_and(one, other):
+def test_lower_key_wins_wired_and(one, other):
     first = wire.arbitration_field(one)
     second = wire.arbitration_field(other)
     key = arbitration_key(one.can_frame())
@@ -97,7 +97,7 @@ def test_the_lower_key_belongs_to_who_wins_the_wired_and(one, other):
     assert key == other_key
 
 
-def test_at_equal_11_bits_data_beats_remote_beats_extended():
+def test_data_beats_remote_beats_extended_with_equal_11_bits():
     rivals = [
         pack(0x123),
         pack_remote(0x123),
@@ -110,7 +110,7 @@ def test_at_equal_11_bits_data_beats_remote_beats_extended():
 
 
 @given(wire.fields())
-def test_a_key_tells_whose_it_is(frame):
+def test_can_id_is_recovered_from_key(frame):
     can_frame = frame.can_frame()
     assert can_id_of_key(arbitration_key(can_frame)) == can_id_of(can_frame)
 
@@ -125,18 +125,18 @@ def test_a_key_tells_whose_it_is(frame):
         (pack(0x181 | ERR_FLAG), "error message"),
     ],
 )
-def test_what_no_node_can_send_is_refused(frame, told):
+def test_unsendable_frame_is_refused(frame, told):
     with pytest.raises(ValueError, match=told):
         frame_bits(frame)
 
 
-def test_padding_and_bytes_behind_the_data_are_not_on_the_wire():
+def test_padding_and_unused_bytes_are_not_on_wire():
     clean = bytes.fromhex("81010000 02000000 3706000000000000")
     dirty = bytes.fromhex("81010000 02FFFFFF 3706FFFFFFFFFFFF")
     assert frame_bits(clean) == frame_bits(dirty) == 66
 
 
-def test_the_remembered_headers_are_bounded_and_forgetting_changes_nothing():
+def test_header_cache_is_bounded_without_effect_on_results():
     before = [frame_bits(pack(identifier)) for identifier in range(0x10)]
     for identifier in range(5000):
         frame_bits(pack(identifier | EFF_FLAG))
@@ -145,7 +145,7 @@ def test_the_remembered_headers_are_bounded_and_forgetting_changes_nothing():
 
 
 @given(st.integers(0, 0x7FF), st.integers(0, 8))
-def test_a_remote_frame_is_as_long_as_an_empty_one_but_for_its_bits(identifier, length):
+def test_remote_frame_is_as_long_as_empty_data_frame(identifier, length):
     frame = pack_remote(identifier, length)
     assert can_id_of(frame) == identifier | RTR_FLAG
     assert 47 <= frame_bits(frame) <= 55

@@ -1,9 +1,10 @@
 import pytest
 
-from emulators.media.can_bits import frame_bits
-from emulators.media.can_bus import DELIVERED, CanBus
-from emulators.media.can_frame import EFF_FLAG, RTR_FLAG, pack, pack_remote
-from emulators.media.can_node import CanNode, QueueOrder
+from motorhil.emulators.can.bus.bus import CanBus
+from motorhil.emulators.can.bus.port import DELIVERED
+from motorhil.emulators.can.controller_config import CanNode, QueueOrder
+from motorhil.emulators.can.frame import EFF_FLAG, RTR_FLAG, pack, pack_remote
+from motorhil.emulators.can.frame_length import frame_bits
 from tests.emulators.media.driving import BIT, confirmed, expire_all, heard, run
 
 # Exact lengths with intermission: can-physics.md 6.2 (can-utils).
@@ -17,7 +18,7 @@ def _bus(*names: str, queue: QueueOrder = QueueOrder.FIFO) -> CanBus:
     bus = CanBus("can0")
     for name in names:
         bus.attach(name, CanNode(queue))
-    bus.attach("ear")  # who acknowledges
+    bus.attach("ear")  # a node that acknowledges
     return bus
 
 
@@ -29,7 +30,7 @@ def _sent(deliveries):
     "bitrate_bit_s",
     [1_000_000, 800_000, 500_000, 250_000, 125_000, 100_000, 50_000, 20_000, 10_000],
 )
-def test_a_frame_on_an_idle_bus_takes_its_bits_without_intermission(bitrate_bit_s):
+def test_frame_on_idle_bus_takes_its_bits(bitrate_bit_s):
     bus = CanBus("can0", bitrate_bit_s)
     port = bus.attach("left")
     bus.attach("ear")
@@ -43,12 +44,12 @@ def test_a_frame_on_an_idle_bus_takes_its_bits_without_intermission(bitrate_bit_
 
 
 @pytest.mark.parametrize("bitrate_bit_s", [0, -1, 83_333, 300_000])
-def test_a_bit_that_is_no_whole_number_of_nanoseconds_is_refused(bitrate_bit_s):
+def test_bit_of_fractional_nanoseconds_is_refused(bitrate_bit_s):
     with pytest.raises(ValueError, match=f"{bitrate_bit_s} bit/s"):
         CanBus("can0", bitrate_bit_s)
 
 
-def test_the_next_frame_starts_after_three_bits_of_intermission():
+def test_next_frame_starts_after_intermission():
     bus = _bus("left", "right")
     assert _sent(run(bus, [(0, 0, SYNC), (0, 1, STATUS)])) == [
         (48 * BIT, SYNC),
@@ -56,7 +57,7 @@ def test_the_next_frame_starts_after_three_bits_of_intermission():
     ]
 
 
-def test_a_frame_submitted_in_the_intermission_of_an_idle_bus_waits_for_its_end():
+def test_frame_submitted_in_intermission_waits_for_its_end():
     for wait_ns, start_ns in ((0, 51), (2 * BIT, 51), (3 * BIT, 51), (3 * BIT + 1, 51)):
         bus = _bus("left")
         run(bus, [(0, 0, SYNC)])
@@ -65,14 +66,14 @@ def test_a_frame_submitted_in_the_intermission_of_an_idle_bus_waits_for_its_end(
 
 
 @pytest.mark.parametrize(("later_ns", "first"), [(0, SYNC), (999, SYNC), (1000, STATUS)])
-def test_who_asks_within_the_first_bit_of_a_frame_takes_part_in_its_arbitration(later_ns, first):
+def test_frame_submitted_in_first_bit_joins_arbitration(later_ns, first):
     bus = _bus("left", "right")
     deliveries = run(bus, [(0, 0, STATUS), (later_ns, 1, SYNC)])
     assert _sent(deliveries)[0] == ((frame_bits(first) - 3) * BIT, first)
-    assert _sent(deliveries)[1][0] == (51 + 66 - 3) * BIT  # the start is nobody's to move
+    assert _sent(deliveries)[1][0] == (51 + 66 - 3) * BIT  # the start does not move
 
 
-def test_who_asks_in_the_intermission_takes_part_in_the_arbitration_after_it():
+def test_frame_submitted_in_intermission_joins_arbitration():
     for after_ns, second in ((0, SYNC), (2999, SYNC), (3999, SYNC), (4000, STATUS)):
         bus = _bus("left", "right", "sync")
         bus.submit(0, HEARTBEAT, 0)
@@ -84,7 +85,7 @@ def test_who_asks_in_the_intermission_takes_part_in_the_arbitration_after_it():
         assert _sent(expire_all(bus, 10**9))[0][1] == second
 
 
-def test_the_frame_that_wins_is_the_one_that_is_most_dominant():
+def test_most_dominant_frame_wins():
     rivals = [
         pack_remote(0x123 << 18 | EFF_FLAG),
         pack(0x123 << 18 | EFF_FLAG),
@@ -99,7 +100,7 @@ def test_the_frame_that_wins_is_the_one_that_is_most_dominant():
     assert [port for _, (_, port, _) in deliveries] == order
 
 
-def test_a_fifo_sends_in_the_order_of_submission_even_if_the_head_keeps_losing():
+def test_fifo_sends_in_submission_order_after_losses():
     bus = _bus("left", "right")
     deliveries = run(
         bus, [(0, 0, HEARTBEAT), (0, 0, SYNC), (0, 1, STATUS), (0, 1, COMMAND), (0, 0, STATUS)]
@@ -107,7 +108,7 @@ def test_a_fifo_sends_in_the_order_of_submission_even_if_the_head_keeps_losing()
     assert [frame for _, frame in _sent(deliveries)] == [STATUS, COMMAND, HEARTBEAT, SYNC, STATUS]
 
 
-def test_a_priority_queue_sends_the_most_urgent_and_equals_in_order():
+def test_priority_queue_sends_most_urgent_and_equals_in_order():
     first, second = pack(0x181, b"\x01"), pack(0x181, b"\x02")
     bus = _bus("host", queue=QueueOrder.PRIORITY)
     deliveries = run(
@@ -118,13 +119,13 @@ def test_a_priority_queue_sends_the_most_urgent_and_equals_in_order():
     assert sent == [COMMAND, SYNC, first, second, HEARTBEAT]
 
 
-def test_a_priority_queue_changes_its_mind_until_its_frame_has_started():
+def test_priority_queue_replaces_candidate_until_start():
     for later_ns, first in ((0, SYNC), (999, SYNC), (1000, COMMAND)):
         bus = _bus("host", queue=QueueOrder.PRIORITY)
         assert _sent(run(bus, [(0, 0, COMMAND), (later_ns, 0, SYNC)]))[0][1] == first
 
 
-def test_a_priority_queue_lets_the_urgent_frame_compete_in_place_of_the_other():
+def test_priority_queue_lets_urgent_frame_compete_instead():
     bus = CanBus("can0")
     left = bus.attach("left")
     host = bus.attach("host", CanNode(QueueOrder.PRIORITY))
@@ -140,7 +141,7 @@ def test_a_priority_queue_lets_the_urgent_frame_compete_in_place_of_the_other():
     assert bus.arbitration_losses(host) == 1  # HEARTBEAT against COMMAND
 
 
-def test_what_a_priority_queue_lost_with_one_frame_counts_if_another_wins_at_once():
+def test_priority_queue_counts_losses_of_replaced_candidate():
     bus = CanBus("can0")
     left = bus.attach("left")
     host = bus.attach("host", CanNode(QueueOrder.PRIORITY))
@@ -155,13 +156,13 @@ def test_what_a_priority_queue_lost_with_one_frame_counts_if_another_wins_at_onc
     assert bus.arbitration_losses(host) == 2  # HEARTBEAT against both; SYNC against none
 
 
-def test_a_frame_that_loses_its_start_to_another_node_stays_the_first_of_its_node():
+def test_displaced_frame_stays_first_of_its_node():
     bus = _bus("left", "right")
     deliveries = run(bus, [(0, 0, STATUS), (1, 1, SYNC), (2, 0, HEARTBEAT)])
     assert [frame for _, frame in _sent(deliveries)] == [SYNC, STATUS, HEARTBEAT]
 
 
-def test_a_hundred_nodes_that_ask_at_once_go_in_the_order_of_their_identifiers():
+def test_hundred_nodes_send_in_identifier_order():
     bus = _bus(*[f"node {number}" for number in range(100)])
     submissions = [(0, port, pack(0x200 + port * 37 % 100)) for port in range(100)]
     deliveries = run(bus, submissions)
@@ -171,13 +172,13 @@ def test_a_hundred_nodes_that_ask_at_once_go_in_the_order_of_their_identifiers()
     assert sum(bus.arbitration_losses(port) for port in range(100)) == 99 * 100 // 2
 
 
-def test_everybody_but_the_sender_hears_a_frame():
+def test_frame_is_delivered_to_all_but_sender():
     bus = _bus("left", "right", "host")
     deliveries = run(bus, [(0, 1, SYNC)])
     assert [len(heard(deliveries, port)) for port in range(3)] == [1, 0, 1]
 
 
-def test_two_nodes_that_send_the_same_frame_at_once_are_one_on_the_wire_and_both_know():
+def test_equal_frames_of_two_nodes_are_sent_as_one():
     bus = _bus("left", "right")
     deliveries = run(bus, [(0, 0, STATUS), (0, 1, STATUS)])
     assert _sent(deliveries) == [(63 * BIT, STATUS)] * 2
@@ -187,9 +188,11 @@ def test_two_nodes_that_send_the_same_frame_at_once_are_one_on_the_wire_and_both
     assert bus.statistics.collisions() == {0x181: 1}
 
 
-def test_two_different_frames_with_one_identifier_destroy_each_other_until_one_is_passive():
-    # Of 01h and 02h the first is dominant where they differ: its sender reads no error there. After
-    # 16 attempts at TEC + 8 both are error passive, and the other's error flag destroys nothing.
+def test_different_frames_with_one_identifier_collide():
+    # Among 01h and 02h the first is dominant in the first difference: its sender reads no error
+    # there.
+    # After 16 attempts at TEC + 8 both are error passive, and the other's error flag destroys
+    # nothing.
     for order in ([0, 1], [1, 0]):
         bus = _bus("left", "right")
         twins = [pack(0x181, b"\x01"), pack(0x181, b"\x02")]
@@ -199,7 +202,7 @@ def test_two_different_frames_with_one_identifier_destroy_each_other_until_one_i
         assert [bus.node(port).confinement.tec for port in range(2)] == [127, 135]
 
 
-def test_the_programs_of_a_host_share_a_controller_and_never_collide():
+def test_programs_sharing_controller_never_collide():
     bus = CanBus("can0")
     for name in ("host", "host-2"):
         bus.attach(name, CanNode(shared=True))
@@ -211,19 +214,19 @@ def test_the_programs_of_a_host_share_a_controller_and_never_collide():
     assert bus.statistics.errors == 0
 
 
-def test_one_identifier_of_two_nodes_at_different_times_is_no_collision():
+def test_same_identifier_at_different_times_does_not_collide():
     bus = _bus("left", "right")
     run(bus, [(0, 0, STATUS), (BIT, 1, STATUS)])
     assert bus.statistics.collisions() == {}
 
 
-def test_a_collision_behind_a_more_urgent_frame_counts_when_it_comes_to_it():
+def test_collision_counts_after_more_urgent_frame():
     bus = _bus("left", "right", "host")
     run(bus, [(0, 0, STATUS), (0, 1, STATUS), (0, 2, SYNC)])
     assert bus.statistics.collisions() == {0x181: 1}
 
 
-def test_a_collision_counts_once_even_if_the_other_node_gives_up():
+def test_collision_counts_once_if_other_node_withdraws():
     bus = _bus("left", "right")
     run(bus, [(0, 0, STATUS), (0, 1, STATUS)], until_ns=BIT)
     bus.withdraw(1)
@@ -231,13 +234,13 @@ def test_a_collision_counts_once_even_if_the_other_node_gives_up():
     assert bus.statistics.collisions() == {0x181: 1}
 
 
-def test_a_data_and_a_remote_frame_with_one_identifier_do_not_collide():
+def test_data_and_remote_frame_of_identifier_do_not_collide():
     bus = _bus("left", "right")
     run(bus, [(0, 0, pack_remote(0x181)), (0, 1, pack(0x181))])
     assert bus.statistics.collisions() == {}
 
 
-def test_lost_arbitrations_are_counted_as_they_are_lost():
+def test_lost_arbitrations_are_counted():
     bus = _bus("left", "right")
     run(bus, [(0, 1, HEARTBEAT), (0, 0, STATUS), (10 * BIT, 0, SYNC)], until_ns=20 * BIT)
     assert bus.arbitration_losses(1) == 1
@@ -248,7 +251,7 @@ def test_lost_arbitrations_are_counted_as_they_are_lost():
     assert bus.arbitration_losses(0) == 0
 
 
-def test_pending_counts_what_is_not_sent_completely():
+def test_pending_counts_incomplete_frames():
     bus = _bus("left", "right")
     run(bus, [(0, 0, SYNC), (0, 0, SYNC), (0, 1, STATUS)], until_ns=48 * BIT - 1)
     assert [bus.pending(0), bus.pending(1)] == [2, 1]
@@ -258,7 +261,7 @@ def test_pending_counts_what_is_not_sent_completely():
     assert [bus.pending(0), bus.pending(1)] == [0, 0]
 
 
-def test_withdrawn_frames_are_never_sent_but_one_in_flight_is():
+def test_withdraw_keeps_only_frame_in_flight():
     bus = _bus("left", "right")
     submissions = [(0, 0, SYNC), (0, 0, STATUS), (0, 1, STATUS), (0, 1, HEARTBEAT)]
     run(bus, submissions, until_ns=BIT)
@@ -270,7 +273,7 @@ def test_withdrawn_frames_are_never_sent_but_one_in_flight_is():
     assert _sent(expire_all(bus, 2 * 10**9)) == [(10**9 + 63 * BIT, STATUS)]
 
 
-def test_withdrawing_the_most_urgent_leaves_the_others_in_order():
+def test_withdraw_of_most_urgent_keeps_order_of_others():
     bus = _bus(*"abcdefgh")
     run(bus, [(0, 0, SYNC)], until_ns=BIT)
     for port, can_id in enumerate((0x101, 0x105, 0x102, 0x106, 0x107, 0x103, 0x104), 1):
@@ -292,7 +295,7 @@ def test_statistics_count_frames_bits_and_identifiers():
     assert list(statistics.counts()) == [0x080, 0x181, 0x701 | RTR_FLAG]
 
 
-def test_a_bus_that_never_pauses_has_a_load_of_one():
+def test_bus_without_pauses_has_load_one():
     bus = _bus("left")
     run(bus, [(0, 0, STATUS)] * 10)
     assert bus.statistics.load(0, 660 * BIT) == 1.0
@@ -301,7 +304,7 @@ def test_a_bus_that_never_pauses_has_a_load_of_one():
     assert bus.statistics.peak_load(1320 * BIT) == 0.5
 
 
-def test_who_is_called_late_hears_everything_in_order():
+def test_late_call_gets_all_deliveries_in_order():
     bus = _bus("left", "right")
     for _ in range(3):
         bus.submit(0, STATUS, 0)
@@ -310,15 +313,15 @@ def test_who_is_called_late_hears_everything_in_order():
     assert bus.next_deadline_ns() is None
 
 
-def test_ports_have_numbers_in_order_and_names_of_their_own():
+def test_ports_have_ordered_numbers_and_unique_names():
     bus = _bus("left")
     assert bus.port_names() == ["left", "ear"]
     assert bus.attach("host") == 2
-    with pytest.raises(ValueError, match="left already"):
+    with pytest.raises(ValueError, match="already a port named left"):
         bus.attach("left")
 
 
-def test_a_frame_nobody_can_send_is_refused_and_changes_nothing():
+def test_unsendable_frame_is_refused_without_effect():
     bus = _bus("left")
     with pytest.raises(ValueError, match="16 bytes"):
         bus.submit(0, b"short", 0)

@@ -1,19 +1,19 @@
-"""The bus against nodes that put bit after bit on a wired AND and read it back."""
+"""The bus compared with bitwise nodes on a wired AND."""
 
 from dataclasses import dataclass, field
 
 from hypothesis import event, given
 from hypothesis import strategies as st
 
-from emulators.media.can_bus import CanBus
-from emulators.media.can_node import CanNode, QueueOrder
+from motorhil.emulators.can.bus.bus import CanBus
+from motorhil.emulators.can.controller_config import CanNode, QueueOrder
 from tests.emulators.media import wire
 from tests.emulators.media.driving import BIT, run
 
 
 @dataclass
 class BitNode:
-    """A node that knows nothing of keys or lengths: it sends bits and watches the bus."""
+    """A node without keys or lengths: it sends bits and watches the bus."""
 
     by_priority: bool
     waiting: list[wire.Fields] = field(default_factory=list)
@@ -22,11 +22,11 @@ class BitNode:
     losses: int = 0
 
     def choose(self) -> None:
-        """Take the frame to send next: the oldest, or the most dominant, of equals the oldest."""
+        """Choose the next frame: the oldest, or the most dominant, of equal ones the oldest."""
         place = 0
         if self.by_priority:
             rivals = [wire.arbitration_field(frame) for frame in self.waiting]
-            # A shorter field ends in a dominant IDE bit, so plain text order is wire order.
+            # A shorter field ends in a dominant IDE bit, so text order is wire order.
             place = min(range(len(rivals)), key=lambda number: rivals[number])
         self.frame = self.waiting.pop(place)
         self.sending = wire.on_the_wire(self.frame)
@@ -41,7 +41,7 @@ class BitNode:
 def run_bits(
     nodes: list[BitNode], submissions: list[tuple[int, int, wire.Fields]]
 ) -> list[tuple[int, bytes, int]]:
-    """(end of frame [bit times], frame, node) of every frame; submissions are in bit times."""
+    """Return (end of frame [bit times], frame, node) of every frame; submissions in bit times."""
     sent: list[tuple[int, bytes, int]] = []
     todo = list(submissions)
     now = 0
@@ -84,7 +84,7 @@ NODES = st.lists(st.booleans(), min_size=1, max_size=5)
 
 @st.composite
 def traffic(draw: st.DrawFn) -> tuple[list[bool], list[tuple[int, int, wire.Fields]]]:
-    """Nodes with a kind of queue each, and frames for them; no two nodes share an identifier."""
+    """Draw nodes with their queue order, and frames with unique identifiers."""
     orders = draw(NODES)
     owner: dict[str, int] = {}
     submissions: list[tuple[int, int, wire.Fields]] = []
@@ -98,7 +98,7 @@ def traffic(draw: st.DrawFn) -> tuple[list[bool], list[tuple[int, int, wire.Fiel
 
 
 @given(traffic())
-def test_every_frame_ends_when_the_bits_say_and_losses_are_those_seen_on_the_wire(case):
+def test_frame_ends_and_losses_equal_bitwise_model(case):
     orders, submissions = case
     nodes = [BitNode(by_priority) for by_priority in orders]
     expected = run_bits(nodes, submissions)
@@ -118,7 +118,7 @@ def test_every_frame_ends_when_the_bits_say_and_losses_are_those_seen_on_the_wir
     event("contended" if sum(losses) else "not contended")
 
 
-def test_the_bit_model_does_contend():
+def test_bitwise_model_has_contention():
     low = wire.Fields(0x100, False, False, 0, b"")
     high = wire.Fields(0x101, False, False, 0, b"")
     nodes = [BitNode(False), BitNode(False)]

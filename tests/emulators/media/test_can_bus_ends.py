@@ -1,20 +1,22 @@
-"""Where frames end and wires do: last bits, the third bit of intermission, a short on a part."""
+"""Ends of frames and wires: last bits, intermission, partial shorts."""
 
 import random
 
 import pytest
 
-from emulators.media.can_bus import CanBus
-from emulators.media.fault_rule import FaultKind, FaultRule, FrameError, WireLevel
-from emulators.media.faults import FaultPlan
+from motorhil.emulators.can.bus.bus import CanBus
+from motorhil.emulators.can.bus.fault_plan import FaultPlan
+from motorhil.emulators.can.fault_rules import FaultKind, FaultRule, FrameError, WireLevel
 from tests.emulators.media.driving import BIT, confirmed, expire_all, heard, run, traffic
 from tests.emulators.media.faulty import HEARTBEAT, HOST, LEFT, RIGHT, STATUS, SYNC, bus_with
 
 
-def test_the_last_bit_makes_the_others_hear_a_frame_twice_and_the_sender_count():
-    """By hand: STATUS is bits 0 to 62. Left reads 62 dominant, its flag is 63 to 68; the others
-    read the first bit of intermission dominant, their overload flags are 64 to 69; delimiter to 77,
-    intermission to 80, and the frame again from 81 on. A DUPLICATE takes as long.
+def test_error_in_last_bit_duplicates_frame_and_counts():
+    """By hand: STATUS is bits 0 to 62.
+
+    Left reads 62 dominant, its flag is 63 to 68. The others read the first bit of intermission
+    dominant, their overload flags are 64 to 69; delimiter to 77, intermission to 80, and the frame
+    again from 81 on. A DUPLICATE takes as long.
     """
     bus = bus_with(FaultRule("strike", FaultKind.ERROR, error=FrameError.LAST, limit=1))
     deliveries = run(bus, [(0, LEFT, STATUS)])
@@ -25,7 +27,7 @@ def test_the_last_bit_makes_the_others_hear_a_frame_twice_and_the_sender_count()
     assert heard(run(stand_in, [(0, LEFT, STATUS)]), HOST) == heard(deliveries, HOST)
 
 
-def test_who_reads_another_last_but_one_bit_hears_it_once():
+def test_receiver_with_error_in_last_but_one_bit_hears_it_once():
     """Right refuses it in bit 61, with a flag of 62 to 67; left fails in 62, host has it."""
     strike = FaultRule("strike", FaultKind.ERROR, error=FrameError.LAST, ports=("right",), limit=1)
     bus = bus_with(strike)
@@ -37,7 +39,7 @@ def test_who_reads_another_last_but_one_bit_hears_it_once():
 @pytest.mark.parametrize(
     ("shorted", "quiet"), [((), "host"), (("host",), "host"), (("left",), "left")]
 )
-def test_of_a_split_bus_one_part_is_shorted(shorted, quiet):
+def test_short_affects_one_part_of_split_bus(shorted, quiet):
     names = ("left", "right", "host", "ear")
     split = FaultRule("cable", FaultKind.SPLIT, ports=("left", "right"))
     short = FaultRule("short", FaultKind.SHORT, level=WireLevel.DOMINANT, ports=shorted)
@@ -47,14 +49,16 @@ def test_of_a_split_bus_one_part_is_shorted(shorted, quiet):
     deliveries = run(bus, [(0, 0, STATUS), (0, 2, SYNC)], until_ns=10**9)
     got = {names[port] for port in range(4) if confirmed(deliveries, port)}
     assert got == {"left", "host"} - {quiet}
-    bus.lift("cable", 10**9)  # now they are one wire, and it is shorted
+    bus.lift("cable", 10**9)  # now they are one shorted wire
     bus.submit(1, HEARTBEAT, 10**9)
     assert traffic(expire_all(bus, 2 * 10**9)) == []
 
 
-def test_a_start_of_frame_in_the_third_bit_of_intermission_is_another_frame_of_another_node():
-    """STATUS is bits 0 to 62, its intermission 63 to 65. A dominant 65 is a start of frame to all;
-    right has HEARTBEAT pending, and goes on with its identifier (55 bits from 65 on).
+def test_dominant_third_intermission_bit_starts_other_frame():
+    """STATUS is bits 0 to 62, its intermission 63 to 65.
+
+    A dominant 65 is a start of frame to all. Right has HEARTBEAT pending, and continues with its
+    identifier (55 bits from 65 on).
     """
     strike = FaultRule("strike", FaultKind.ERROR, identifier=0x181, bit=65, limit=1)
     bus = bus_with(strike)

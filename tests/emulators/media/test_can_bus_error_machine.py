@@ -1,4 +1,4 @@
-"""Whatever goes wrong, in any order: counters stay legal, and no frame is lost unnoticed."""
+"""Random fault sequences: legal counters, and no frame lost unnoticed."""
 
 import random
 from collections import Counter
@@ -7,14 +7,14 @@ from hypothesis import event, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 
-from emulators.media import error_message as told
-from emulators.media.can_bus import CanBus
-from emulators.media.can_frame import can_id_of, pack
-from emulators.media.can_node import CanNode
-from emulators.media.confinement import ErrorState
-from emulators.media.delivery import KIND_MASK, TOLD, confirms, hears
-from emulators.media.fault_rule import PARTING, FaultKind, FaultRule, FrameError, WireLevel
-from emulators.media.faults import FaultPlan
+from motorhil.emulators.can import error_confinement as told
+from motorhil.emulators.can.bus.bus import CanBus
+from motorhil.emulators.can.bus.fault_plan import FaultPlan
+from motorhil.emulators.can.bus.port import KIND_MASK, TOLD, confirms, hears
+from motorhil.emulators.can.controller_config import CanNode
+from motorhil.emulators.can.error_confinement import ErrorState
+from motorhil.emulators.can.fault_rules import PARTING, FaultKind, FaultRule, FrameError, WireLevel
+from motorhil.emulators.can.frame import can_id_of, pack
 from tests.emulators.media.driving import BIT
 
 NAMES = ("a", "b", "c", "d")
@@ -23,7 +23,7 @@ GROUPS = st.lists(st.sampled_from(NAMES), min_size=1, max_size=3, unique=True).m
 
 
 class Errors(RuleBasedStateMachine):
-    """A bus of four nodes, one of which recovers by command and one of which tries once."""
+    """A bus of four nodes; one recovers by command, and one is one-shot."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -39,10 +39,8 @@ class Errors(RuleBasedStateMachine):
         self.given_up: list[list[bytes]] = [[] for _ in NAMES]
         self.lasting: list[str] = []
         self.struck = 0
-        self.failed_unseen = [0] * len(
-            NAMES
-        )  # errors of a sender after which others may have its frame
-        self.moves = 0  # nodes left a wire, or came; a frame may have been all but sent
+        self.failed_unseen = [0] * len(NAMES)  # sender errors after which others may have the frame
+        self.moves = 0  # nodes left or entered a wire; a frame may have been nearly sent
 
     def name(self) -> str:
         self.number += 1
@@ -72,12 +70,12 @@ class Errors(RuleBasedStateMachine):
                 self.given_up[NAMES.index(name)].append(frame)
 
     def hear_message(self, message: bytes, port: int) -> None:
-        passive = max(message[14], message[15]) > 127  # its flag is one that nobody sees
+        passive = max(message[14], message[15]) > 127  # its flag is invisible to the others
         if message[10] & told.TRANSMITTING and (passive or message[11] == told.END_OF_FRAME):
             self.failed_unseen[port] += 1
         if can_id_of(message) & told.RESTARTED:
             event("a node has recovered")
-        if can_id_of(message) & told.BUS_OFF:
+        if can_id_of(message) & told.MESSAGE_BUS_OFF:
             event("a node is bus-off")
         self.struck += 1
 
@@ -145,7 +143,7 @@ class Errors(RuleBasedStateMachine):
                 assert counters.tec < 256
 
     def teardown(self) -> None:
-        """All faults end, and all that was submitted is accounted for."""
+        """End all faults and account for all submitted frames."""
         self.advance(self.now_ns + 10 * BIT)
         for name in self.lasting:
             self.bus.lift(name, self.now_ns)

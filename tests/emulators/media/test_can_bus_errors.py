@@ -1,17 +1,17 @@
-"""Errors on a bus: bus-off and recovery to the bit, lone nodes, noise, babble, shorts, splits."""
+"""Errors on a bus: bus-off, lone nodes, noise, babble, shorts, splits."""
 
 import random
 
 import pytest
 
-from emulators.media import error_message as told
-from emulators.media.can_bus import CanBus
-from emulators.media.can_frame import BRS, can_id_of, pack, pack_fd
-from emulators.media.can_node import CanNode, FrameSupport
-from emulators.media.confinement import ErrorState
-from emulators.media.delivery import KIND_MASK, TOLD
-from emulators.media.fault_rule import FaultKind, FaultRule, FrameError, WireLevel
-from emulators.media.faults import FaultPlan
+from motorhil.emulators.can import error_confinement as told
+from motorhil.emulators.can.bus.bus import CanBus
+from motorhil.emulators.can.bus.fault_plan import FaultPlan
+from motorhil.emulators.can.bus.port import KIND_MASK, TOLD
+from motorhil.emulators.can.controller_config import CanNode, FrameSupport
+from motorhil.emulators.can.error_confinement import ErrorState
+from motorhil.emulators.can.fault_rules import FaultKind, FaultRule, FrameError, WireLevel
+from motorhil.emulators.can.frame import BRS, can_id_of, pack, pack_fd
 from tests.emulators.media.driving import (
     BIT,
     Timed,
@@ -25,14 +25,14 @@ from tests.emulators.media.faulty import HEARTBEAT, HOST, LEFT, RIGHT, STATUS, S
 from tests.emulators.media.noisy import noisy_hours
 
 RATES = [125_000, 250_000, 500_000, 1_000_000]
-# The bits of STATUS around the one that is struck, 20: ...1 1 [0] 0 0 1 1...
+# The bits of STATUS around the struck one, 20: ...1 1 [0] 0 0 1 1...
 STRUCK = 20
 OFF_BITS = 16 * 44 + 8 + 15 * 49 + STRUCK + 1
 BACK_BITS = OFF_BITS - (STRUCK + 1) + 30 + 128 * 11
 
 
 def classes(deliveries: list[Timed], port: int, wanted: int) -> list[int]:
-    """When this port's controller told of these classes of errors."""
+    """Return when this port's controller reported these classes of errors."""
     return [
         time_ns
         for time_ns, (frame, sender, kind) in deliveries
@@ -52,7 +52,7 @@ def struck_bus(rate: int, chip: CanNode) -> CanBus:
 def test_bus_off_and_recovery_are_exact_to_the_bit(rate):
     """By hand, from ISO 11898-1.
 
-    Active, 44 bits an attempt: bit error in 20, its flag 21 to 26, whose sixth bit is the stuff
+    Active, 44 bits per attempt: bit error in 20, its flag 21 to 26, whose sixth bit is the stuff
     error of the others, theirs 27 to 32, delimiter to 40, intermission to 43. After 16 of them TEC
     is 128, and it suspends 8 bits. Passive, 41 + 8: its flag is recessive, the others see the sixth
     recessive bit in 23, their flags are 24 to 29, delimiter to 37, intermission to 40. In the 32nd
@@ -61,7 +61,7 @@ def test_bus_off_and_recovery_are_exact_to_the_bit(rate):
     bit_ns = 10**9 // rate
     bus = struck_bus(rate, CanNode())
     deliveries = run(bus, [(0, 0, STATUS)])
-    assert classes(deliveries, 0, told.BUS_OFF) == [OFF_BITS * bit_ns]
+    assert classes(deliveries, 0, told.MESSAGE_BUS_OFF) == [OFF_BITS * bit_ns]
     assert classes(deliveries, 0, told.RESTARTED) == [BACK_BITS * bit_ns]
     assert bus.node(0).aborted == 1
     assert bus.node(0).confinement.tec == 0
@@ -70,13 +70,13 @@ def test_bus_off_and_recovery_are_exact_to_the_bit(rate):
 
 
 @pytest.mark.parametrize("rate", RATES)
-def test_recovery_by_command_takes_128_runs_of_11_bits_from_then_on(rate):
+def test_recovery_by_command_takes_128_runs_of_11_bits(rate):
     bit_ns = 10**9 // rate
     bus = struck_bus(rate, CanNode(recovery_ns=None))
     deliveries = run(bus, [(0, 0, STATUS)])
     assert classes(deliveries, 0, told.RESTARTED) == []
     assert bus.error_state(0) is ErrorState.BUS_OFF
-    assert bus.node(0).confinement.tec == 255  # as the message told
+    assert bus.node(0).confinement.tec == 255  # as reported
     bus.restart(0, 10**12)
     deliveries = expire_all(bus, 2 * 10**12)
     assert classes(deliveries, 0, told.RESTARTED) == [10**12 + 1408 * bit_ns]
@@ -84,8 +84,8 @@ def test_recovery_by_command_takes_128_runs_of_11_bits_from_then_on(rate):
         bus.restart(0, 2 * 10**12)
 
 
-def test_a_frame_without_errors_counts_as_one_run_of_11_recessive_bits():
-    """ACK delimiter, end of frame and intermission; nothing else in a frame is as long."""
+def test_error_free_frame_counts_as_one_recessive_run():
+    """ACK delimiter, end of frame and intermission; no other part of a frame is as long."""
     rule = FaultRule("strike", FaultKind.ERROR, identifier=0x181, bit=STRUCK)
     bus = bus_with(rule)
     run(bus, [(0, LEFT, STATUS)], until_ns=OFF_BITS * BIT)
@@ -94,11 +94,11 @@ def test_a_frame_without_errors_counts_as_one_run_of_11_recessive_bits():
     last = [time_ns for time_ns, _ in heard(deliveries, HOST)]
     (back_ns,) = classes(deliveries, LEFT, told.RESTARTED)
     # From bit 30 of its last attempt on the wire is recessive until the first SYNC, which may begin
-    # in bit 41: that is the first run, and each SYNC's is another.
+    # in bit 41: that is the first run, and each SYNC gives another.
     assert back_ns == last[126] + 3 * BIT
 
 
-def test_what_a_node_that_is_off_has_and_submits_is_given_up_and_told():
+def test_frames_of_bus_off_node_are_aborted_and_reported():
     bus = struck_bus(1_000_000, CanNode(recovery_ns=None))
     run(bus, [(0, 0, STATUS), (0, 0, SYNC)], until_ns=10**9)
     bus.submit(0, HEARTBEAT, 10**9)
@@ -113,11 +113,11 @@ def test_what_a_node_that_is_off_has_and_submits_is_given_up_and_told():
 
 
 @pytest.mark.parametrize("waits", [False, True], ids=["nobody waits", "a less urgent frame waits"])
-def test_a_passive_node_lets_others_begin_first_also_after_a_frame_that_went_well(waits):
+def test_passive_node_suspends_after_successful_frame(waits):
     """16 attempts of 44 bits, then passive: 8, and one of 41 + 8; STATUS has 66, HEARTBEAT 58.
 
-    By can-utils, with intermission; then TEC is 135, and SYNC (51) has to wait for 8 bits more, or
-    for the frame that another node begins in them.
+    Lengths by can-utils, with intermission. Then TEC is 135, and SYNC (51) has to wait for 8 bits
+    more, or for the frame that another node begins in them.
     """
     rule = FaultRule("strike", FaultKind.ERROR, identifier=0x181, bit=STRUCK, limit=17)
     bus = bus_with(rule)
@@ -133,7 +133,7 @@ def test_a_passive_node_lets_others_begin_first_also_after_a_frame_that_went_wel
     assert confirmed(deliveries, LEFT) == [(bit * BIT, frame) for bit, frame in ends]
 
 
-def test_a_bit_that_a_frame_has_not_strikes_none_and_counts_for_nothing():
+def test_error_bit_beyond_frame_has_no_effect():
     """SYNC has 51 bits with intermission, STATUS 66 (can-utils): 51 is the 52nd."""
     bus = bus_with(FaultRule("strike", FaultKind.ERROR, bit=51, limit=1))
     deliveries = run(bus, [(0, LEFT, SYNC), (0, LEFT, STATUS), (0, LEFT, STATUS)])
@@ -144,11 +144,11 @@ def test_a_bit_that_a_frame_has_not_strikes_none_and_counts_for_nothing():
     assert struck_ns == (51 + 52) * BIT
 
 
-# --- nobody acknowledges
+# --- missing acknowledgement
 
 
-def test_a_lone_node_is_passive_after_16_attempts_and_never_off():
-    """72 bits an attempt (54 to the ACK slot, 1, flag 6, delimiter 8, intermission 3)."""
+def test_lone_node_is_passive_after_16_attempts_and_never_off():
+    """72 bits per attempt (54 to the ACK slot, 1, flag 6, delimiter 8, intermission 3)."""
     bus = CanBus("can0")
     bus.attach("left")
     deliveries = run(bus, [(0, 0, STATUS)], until_ns=3600 * 10**9)
@@ -164,7 +164,7 @@ def test_a_lone_node_is_passive_after_16_attempts_and_never_off():
     assert bus.node(0).confinement.tec == 127
 
 
-def test_one_shot_frames_are_tried_once():
+def test_one_shot_frame_is_tried_once():
     bus = CanBus("can0")
     bus.attach("left", CanNode(one_shot=True))
     assert traffic(run(bus, [(0, 0, STATUS)])) == []
@@ -174,7 +174,7 @@ def test_one_shot_frames_are_tried_once():
     ]
 
 
-def test_one_shot_frames_that_lose_arbitration_are_not_sent():
+def test_one_shot_frame_losing_arbitration_is_not_sent():
     bus = CanBus("can0")
     bus.attach("left", CanNode(one_shot=True))
     bus.attach("right")
@@ -187,7 +187,7 @@ def test_one_shot_frames_that_lose_arbitration_are_not_sent():
 
 
 @pytest.mark.parametrize("error", FrameError)
-def test_each_kind_of_error_is_struck_once_and_the_frame_is_sent_again(error):
+def test_each_error_kind_repeats_classical_frame(error):
     bus = bus_with(FaultRule("strike", FaultKind.ERROR, error=error, limit=1))
     deliveries = run(bus, [(0, LEFT, STATUS)])
     times = 2 if error is FrameError.LAST else 1
@@ -212,8 +212,8 @@ def test_each_kind_of_error_is_struck_once_and_the_frame_is_sent_again(error):
 
 @pytest.mark.parametrize("error", FrameError)
 @pytest.mark.parametrize(("length", "flags"), [(0, 0), (16, BRS), (20, BRS), (64, 0)])
-def test_each_kind_of_error_strikes_can_fd_frames_as_well(error, length, flags):
-    """CRC-17 and CRC-21, with and without a switch; a CRC error shows at the end."""
+def test_each_error_kind_repeats_can_fd_frame(error, length, flags):
+    """CRC-17 and CRC-21, with and without a switch; a CRC error appears at the end."""
     chip = CanNode(frames=FrameSupport.FD)
     rule = FaultRule("strike", FaultKind.ERROR, error=error, limit=1)
     bus = CanBus("can0", 500_000, FaultPlan([rule], random.Random(1).random), 2_000_000)
@@ -236,8 +236,8 @@ def test_each_kind_of_error_strikes_can_fd_frames_as_well(error, length, flags):
 # --- noise, babble, shorts, splits
 
 
-def test_noise_inverts_as_many_bits_as_its_rate_says():
-    """1e-3 over 2000 frames: 150 or so expected; a binomial's 5 sigma around it."""
+def test_noise_inverts_bits_at_its_rate():
+    """1e-3 over 2000 frames: about 150 expected; tolerance of 5 sigma of a binomial."""
     bus = bus_with(FaultRule("noise", FaultKind.NOISE, bit_error_rate=1e-3), seed=3)
     frames = 2000
     submissions = [(number * 400 * BIT, LEFT, STATUS) for number in range(frames)]
@@ -249,7 +249,7 @@ def test_noise_inverts_as_many_bits_as_its_rate_says():
     assert bus.statistics.errors > 100
 
 
-def test_a_babbling_node_leaves_the_bus_to_the_more_urgent_only():
+def test_babbling_node_lets_only_more_urgent_frames_pass():
     babble = FaultRule(
         "idiot", FaultKind.BABBLE, identifier=0x100, sender="right", until_ns=2000 * BIT
     )
@@ -258,12 +258,12 @@ def test_a_babbling_node_leaves_the_bus_to_the_more_urgent_only():
     order = [frame for _, frame in heard(deliveries, HOST)]
     assert order[-1] == STATUS
     assert set(order[:-1]) == {pack(0x100)}
-    assert confirmed(deliveries, RIGHT) == []  # its node has submitted nothing
+    assert confirmed(deliveries, RIGHT) == []  # its node has not submitted anything
     assert confirmed(deliveries, HOST)[0][0] < 200 * BIT
 
 
 @pytest.mark.parametrize("level", WireLevel)
-def test_a_short_stops_the_bus_and_its_end_lets_it_go_on(level):
+def test_short_stops_bus_until_it_ends(level):
     short = FaultRule("short", FaultKind.SHORT, level=level, from_ns=20 * BIT, until_ns=400 * BIT)
     bus = bus_with(short)
     deliveries = run(bus, [(0, LEFT, STATUS), (100 * BIT, RIGHT, SYNC)])
@@ -273,7 +273,7 @@ def test_a_short_stops_the_bus_and_its_end_lets_it_go_on(level):
     assert bus.node(LEFT).errors > 0
 
 
-def test_a_bus_that_is_split_is_two_buses():
+def test_split_bus_is_two_buses():
     split = FaultRule("cable", FaultKind.SPLIT, ports=("a", "b"), from_ns=0)
     whole = CanBus("can0", faults=FaultPlan([split], random.Random(1).random))
     for name in "abcd":
@@ -302,8 +302,8 @@ def test_a_bus_that_is_split_is_two_buses():
     assert whole.statistics.frames == 300
 
 
-def test_no_frame_of_a_noisy_hour_is_lost_or_doubled_without_a_trace():
-    """24 hours of it are in `make bench`: 15 CPU s on one core."""
+def test_noisy_hour_loses_or_doubles_no_frame_silently():
+    """`make bench` runs 24 hours: 15 CPU s on one core."""
     bus, tally = noisy_hours(1, rate=3e-5)
     struck = bus.faults_fired()["noise"]
     assert struck > 100
@@ -316,17 +316,19 @@ def test_no_frame_of_a_noisy_hour_is_lost_or_doubled_without_a_trace():
     ("kind", "noticed"),
     [(FaultKind.DROP, ["10000 of 0 is lost"]), (FaultKind.DUPLICATE, ["10000 of 0 came twice"])],
 )
-def test_a_frame_lost_or_doubled_in_a_noisy_hour_would_be_noticed(kind, noticed):
+def test_lost_or_doubled_frame_in_noisy_hour_is_detected(kind, noticed):
     planted = FaultRule("planted", kind, sender="left", skip=10_000, limit=1)
     _, tally = noisy_hours(1, planted=(planted,))
     assert tally.wrong == noticed
     assert tally.confirmed == tally.submitted
 
 
-def test_noise_under_which_nodes_never_agree_costs_no_more_than_the_time_that_it_lasts():
-    """Eight nodes, each of which misreads one bit in ten: that all hear the 11 recessive bits of a
-    delimiter and an intermission has a chance of 0.9 ** 88, once in 10,000 tries. Computing all of
-    an episode before any of it is played would not end; what is played next is known soon.
+def test_cost_of_endless_noise_is_proportional_to_time():
+    """Eight nodes each misread one bit in ten.
+
+    All hear the 11 recessive bits of a delimiter and an intermission with a chance of 0.9 ** 88,
+    once in 10,000 tries. Computing the whole episode before playing it would not end; the next
+    events are known early.
     """
     names = tuple("abcdefgh")
     rule = FaultRule("storm", FaultKind.NOISE, bit_error_rate=0.1, ports=names, until_ns=3000 * BIT)
@@ -338,14 +340,14 @@ def test_noise_under_which_nodes_never_agree_costs_no_more_than_the_time_that_it
     assert bus._playback is not None
     assert not bus._playback.end.is_over
     assert 3000 <= bus._playback.end.bits <= 2 * 3000 + 512
-    expire_all(bus, 3000 * BIT)  # its last bit inverted was before
+    expire_all(bus, 3000 * BIT)  # its last inverted bit was before
     assert bus._playback.end.is_over
     assert bus._playback.end.bits <= 3000 + 14 + 8 + 3
     deliveries = expire_all(bus, 10**9)
     assert bus.node(0).aborted + len(confirmed(deliveries, 0)) == 1
 
 
-def test_the_same_seed_makes_the_same_errors():
+def test_same_seed_gives_same_errors():
     def story(seed):
         rule = FaultRule("noise", FaultKind.NOISE, bit_error_rate=1e-3)
         bus = bus_with(rule, seed=seed)
@@ -355,10 +357,10 @@ def test_the_same_seed_makes_the_same_errors():
     assert story(1) != story(2)
 
 
-# --- found by the state machine
+# --- found by the state machine test
 
 
-def test_noise_that_begins_in_a_frame_strikes_none_of_its_bits_even_if_something_else_does():
+def test_noise_beginning_in_frame_strikes_none_of_its_bits():
     bus = bus_with(seed=2)
     bus.submit(LEFT, STATUS, 0)
     expire_all(bus, 40 * BIT)
@@ -370,7 +372,7 @@ def test_noise_that_begins_in_a_frame_strikes_none_of_its_bits_even_if_something
     assert due_ns > 40 * BIT + 500
 
 
-def test_a_short_that_changes_its_level_is_over_when_both_are():
+def test_short_with_changed_level_ends_after_both():
     bus = bus_with(
         FaultRule("low", FaultKind.SHORT, level=WireLevel.DOMINANT, until_ns=500 * BIT),
         FaultRule("high", FaultKind.SHORT, level=WireLevel.RECESSIVE, until_ns=600 * BIT),
@@ -379,20 +381,20 @@ def test_a_short_that_changes_its_level_is_over_when_both_are():
     assert heard(deliveries, HOST) == [(763 * BIT, STATUS)]
 
 
-def test_recovery_waits_before_it_counts():
-    """As exact to the bit as without; what is recessive before the wait is over does not count."""
+def test_recovery_delay_precedes_counting():
+    """Exact to the bit, as without the delay; recessive bits before its end do not count."""
     bus = struck_bus(1_000_000, CanNode(recovery_ns=5000 * BIT))
     deliveries = run(bus, [(0, 0, STATUS)])
     assert classes(deliveries, 0, told.RESTARTED) == [(OFF_BITS + 5000 + 1408) * BIT]
 
 
-def test_a_lone_node_that_comes_to_another_wire_was_not_acknowledged_on_the_way():
-    """Wherever in its frame it is alone on another wire: nobody has heard it.
+def test_lone_node_moved_to_other_wire_is_not_acknowledged():
+    """At any bit of its frame it becomes alone on another wire: no node has received it.
 
-    Behind the ACK slot it was taken for acknowledged, and the frame for sent: lost unnoticed.
+    A fixed bug: behind the ACK slot the frame was taken for sent, and lost unnoticed.
     """
     confinement = []
-    for bit in range(80):  # an attempt has 8 fewer
+    for bit in range(80):  # an attempt has 8 bits less
         until_ns = 20_000_000 + bit * BIT
         cut = FaultRule("cut", FaultKind.CUT, ports=("left",), until_ns=until_ns)
         split = FaultRule("split", FaultKind.SPLIT, ports=("left",), from_ns=10_000_000)

@@ -1,20 +1,20 @@
-"""What faults do to the traffic of a bus."""
+"""Properties of a bus under random faults."""
 
 from hypothesis import event, given
 from hypothesis import strategies as st
 
-from emulators.media.can_bus import CanBus
-from emulators.media.delivery import DELIVERED, KIND_MASK, LOST
-from emulators.media.fault_rule import PARTING, FaultKind, FaultRule
+from motorhil.emulators.can.bus.bus import CanBus
+from motorhil.emulators.can.bus.port import DELIVERED, KIND_MASK, LOST
+from motorhil.emulators.can.fault_rules import PARTING, FaultKind, FaultRule
 from tests.emulators.media import wire
 from tests.emulators.media.driving import BIT, Submission, confirmed, heard, run
 from tests.emulators.media.faulty import HOST, LEFT, NAMES, RIGHT, bus_with
 
-# --- whatever the faults
+# --- any faults
 
 
 FOR_FRAMES = (FaultKind.DROP, FaultKind.DELAY, FaultKind.DUPLICATE, FaultKind.CORRUPT)
-KINDS = st.sampled_from((*FOR_FRAMES, *PARTING))  # the others: test_can_bus_errors
+KINDS = st.sampled_from((*FOR_FRAMES, *PARTING))  # the others are in test_can_bus_errors
 SOME_PORTS = st.lists(st.sampled_from(NAMES), max_size=2, unique=True).map(tuple)
 
 
@@ -54,7 +54,7 @@ def traffic(draw: st.DrawFn) -> list[Submission]:
 
 
 @given(rules(), traffic())
-def test_no_fault_loses_reorders_or_doubles_what_a_node_knows_to_have_sent(plan, submissions):
+def test_faults_keep_confirmed_frames_complete_and_ordered(plan, submissions):
     bus = bus_with(*plan)
     deliveries = run(bus, submissions)
     aborted = 0
@@ -75,14 +75,14 @@ def test_no_fault_loses_reorders_or_doubles_what_a_node_knows_to_have_sent(plan,
 
 
 @given(rules(), traffic(), st.integers(0, 3))
-def test_the_same_seed_makes_the_same_faults(plan, submissions, seed):
+def test_same_seed_gives_same_faults(plan, submissions, seed):
     first, second = bus_with(*plan, seed=seed), bus_with(*plan, seed=seed)
     assert run(first, submissions) == run(second, submissions)
     assert first.take_fault_events() == second.take_fault_events()
 
 
 @given(traffic())
-def test_an_empty_plan_changes_nothing(submissions):
+def test_empty_plan_changes_nothing(submissions):
     plain = CanBus("can0")
     for name in NAMES:
         plain.attach(name)
@@ -90,13 +90,13 @@ def test_an_empty_plan_changes_nothing(submissions):
 
 
 @given(traffic())
-def test_a_plan_that_hits_nothing_changes_nothing(submissions):
+def test_plan_without_hits_changes_nothing(submissions):
     other = FaultRule("elsewhere", FaultKind.DROP, sender="nobody")
     assert run(bus_with(), submissions) == run(bus_with(other), submissions)
 
 
 @given(rules(), traffic())
-def test_nobody_hears_a_frame_more_often_than_faults_explain(plan, submissions):
+def test_frame_is_heard_no_more_often_than_faults_explain(plan, submissions):
     bus = bus_with(*plan)
     deliveries = run(bus, submissions)
     twice = sum(bus.faults_fired()[rule.name] for rule in plan if rule.kind is FaultKind.DUPLICATE)

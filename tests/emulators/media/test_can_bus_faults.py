@@ -1,17 +1,18 @@
-"""What faults do to the traffic of a bus."""
+"""Effects of faults on the traffic of a bus."""
 
 import pytest
 
-from emulators.media.can_bus import DELIVERED, CanBus
-from emulators.media.can_frame import pack
-from emulators.media.can_node import CanNode, QueueOrder
-from emulators.media.delivery import LOST
-from emulators.media.faults import FaultKind, FaultPlan, FaultRule
+from motorhil.emulators.can.bus.bus import CanBus
+from motorhil.emulators.can.bus.fault_plan import FaultPlan
+from motorhil.emulators.can.bus.port import DELIVERED, LOST
+from motorhil.emulators.can.controller_config import CanNode, QueueOrder
+from motorhil.emulators.can.fault_rules import FaultKind, FaultRule
+from motorhil.emulators.can.frame import pack
 from tests.emulators.media.driving import BIT, confirmed, expire_all, heard, run
 from tests.emulators.media.faulty import HOST, LEFT, RIGHT, STATUS, SYNC, bus_with, cut, no_draw
 
 
-def test_a_dropped_frame_is_sent_for_all_its_sender_knows_and_nobody_hears_it():
+def test_dropped_frame_is_confirmed_but_not_received():
     bus = bus_with(FaultRule("noise", FaultKind.DROP, identifier=0x181))
     deliveries = run(bus, [(0, LEFT, STATUS), (0, RIGHT, SYNC)])
     assert deliveries[1] == ((51 + 63) * BIT, (STATUS, LEFT, LOST))
@@ -23,7 +24,7 @@ def test_a_dropped_frame_is_sent_for_all_its_sender_knows_and_nobody_hears_it():
     assert bus.faults_fired() == {"noise": 1}
 
 
-def test_a_frame_can_be_dropped_for_some_only():
+def test_frame_may_be_dropped_for_some_ports():
     bus = bus_with(FaultRule("deaf", FaultKind.DROP, ports=("right",)))
     deliveries = run(bus, [(0, HOST, SYNC)])
     assert heard(deliveries, LEFT) == [(48 * BIT, SYNC)]
@@ -31,26 +32,26 @@ def test_a_frame_can_be_dropped_for_some_only():
     assert confirmed(deliveries, HOST) == [(48 * BIT, SYNC)]
 
 
-def test_a_frame_dropped_for_all_there_are_is_lost():
+def test_frame_dropped_for_all_ports_is_lost():
     bus = bus_with(FaultRule("deaf", FaultKind.DROP, ports=("right", "left")))
     assert run(bus, [(0, HOST, SYNC)]) == [(48 * BIT, (SYNC, HOST, LOST))]
 
 
-def test_a_delayed_frame_is_sent_in_time_and_heard_later():
+def test_delayed_frame_is_sent_in_time_and_heard_later():
     bus = bus_with(FaultRule("gateway", FaultKind.DELAY, delay_ns=777, identifier=0x080))
     deliveries = run(bus, [(0, HOST, SYNC)])
     assert confirmed(deliveries, HOST) == [(48 * BIT, SYNC)]
     assert heard(deliveries, LEFT) == heard(deliveries, RIGHT) == [(48 * BIT + 777, SYNC)]
 
 
-def test_a_delayed_frame_is_overtaken_and_takes_the_bus_no_second_time():
+def test_delayed_frame_is_overtaken_without_second_transmission():
     bus = bus_with(FaultRule("gateway", FaultKind.DELAY, delay_ns=100 * BIT, identifier=0x080))
     deliveries = run(bus, [(0, HOST, SYNC), (0, RIGHT, STATUS)])
     assert heard(deliveries, LEFT) == [((51 + 63) * BIT, STATUS), (148 * BIT, SYNC)]
     assert bus.statistics.bits == 51 + 66
 
 
-def test_a_delay_for_some_leaves_the_others_in_time():
+def test_delay_for_some_ports_keeps_others_in_time():
     bus = bus_with(FaultRule("slow", FaultKind.DELAY, delay_ns=5, ports=("right",)))
     deliveries = run(bus, [(0, HOST, SYNC)])
     assert heard(deliveries, LEFT) == [(48 * BIT, SYNC)]
@@ -58,7 +59,7 @@ def test_a_delay_for_some_leaves_the_others_in_time():
     assert confirmed(deliveries, HOST) == [(48 * BIT, SYNC)]
 
 
-def test_frames_heard_late_at_the_same_time_come_in_the_order_they_were_sent():
+def test_simultaneous_late_frames_keep_sending_order():
     bus = bus_with(
         FaultRule("long", FaultKind.DELAY, identifier=0x080, delay_ns=200 * BIT),
         FaultRule("short", FaultKind.DELAY, identifier=0x181, delay_ns=(200 - 66) * BIT),
@@ -67,23 +68,23 @@ def test_frames_heard_late_at_the_same_time_come_in_the_order_they_were_sent():
     assert heard(deliveries, HOST) == [(248 * BIT, SYNC), (248 * BIT, STATUS)]
 
 
-def test_what_a_rule_delayed_still_comes_when_the_rule_has_gone():
+def test_delayed_frame_arrives_after_rule_is_lifted():
     bus = bus_with(FaultRule("gateway", FaultKind.DELAY, delay_ns=100 * BIT))
     run(bus, [(0, LEFT, SYNC)], until_ns=100 * BIT)
     bus.lift("gateway", 100 * BIT)
     assert heard(expire_all(bus, 10**9), HOST) == [(148 * BIT, SYNC)]
 
 
-def test_frames_delayed_alike_stay_in_order():
+def test_equally_delayed_frames_stay_in_order():
     bus = bus_with(FaultRule("gateway", FaultKind.DELAY, delay_ns=100 * BIT))
     frames = [pack(0x181, bytes([number])) for number in range(10)]
     deliveries = run(bus, [(0, LEFT, frame) for frame in frames])
     assert [frame for _, frame in heard(deliveries, HOST)] == frames
 
 
-def test_a_duplicate_is_heard_sent_again_after_an_error_frame_and_confirmed_once():
-    # Source: ISO 11898-1: an error in the last bit of EOF; the error flag is intermission's first
-    # six bits to the others, whose overload flags end a bit later; delimiter 8 bits.
+def test_duplicate_is_sent_again_and_confirmed_once():
+    # Source: ISO 11898-1: an error in the last bit of EOF. The error flag is the first six bits of
+    # intermission for the others, whose overload flags end one bit later; delimiter 8 bits.
     bus = bus_with(FaultRule("eof", FaultKind.DUPLICATE, limit=1))
     deliveries = run(bus, [(0, LEFT, STATUS)])
     again_ns = (66 + 15 + 63) * BIT
@@ -93,27 +94,27 @@ def test_a_duplicate_is_heard_sent_again_after_an_error_frame_and_confirmed_once
     assert bus.statistics.busy_ns() == (66 + 15 + 66) * BIT
 
 
-def test_a_rule_that_duplicates_everything_sends_everything_twice_not_for_ever():
+def test_duplicate_rule_for_all_frames_repeats_each_once():
     bus = bus_with(FaultRule("eof", FaultKind.DUPLICATE))
     deliveries = run(bus, [(0, LEFT, STATUS), (0, LEFT, STATUS), (0, RIGHT, SYNC)])
     assert [frame for _, frame in heard(deliveries, HOST)] == [SYNC] * 2 + [STATUS] * 4
     assert bus.faults_fired() == {"eof": 3}
 
 
-def test_a_frame_sent_again_has_to_win_the_bus_again():
+def test_repeated_frame_must_win_arbitration_again():
     bus = bus_with(FaultRule("eof", FaultKind.DUPLICATE, identifier=0x181))
     deliveries = run(bus, [(0, LEFT, STATUS), (5 * BIT, RIGHT, SYNC)])
     assert [frame for _, frame in heard(deliveries, HOST)] == [STATUS, SYNC, STATUS]
     assert bus.arbitration_losses(LEFT) == 1
 
 
-def test_a_duplicate_for_some_is_heard_once_by_the_others():
+def test_duplicate_for_some_ports_is_heard_once_by_others():
     bus = bus_with(FaultRule("eof", FaultKind.DUPLICATE, ports=("right",)))
     deliveries = run(bus, [(0, HOST, SYNC)])
     assert [len(heard(deliveries, port)) for port in (LEFT, RIGHT)] == [1, 2]
 
 
-def test_a_duplicate_that_is_displaced_before_it_is_repeated_is_still_repeated_once():
+def test_displaced_duplicate_is_repeated_once():
     bus = CanBus("can0", faults=FaultPlan([FaultRule("eof", FaultKind.DUPLICATE)], no_draw))
     host = bus.attach("host", CanNode(QueueOrder.PRIORITY))
     bus.attach("left")
@@ -123,14 +124,14 @@ def test_a_duplicate_that_is_displaced_before_it_is_repeated_is_still_repeated_o
     assert [frame for _, frame in confirmed(deliveries, host)] == [SYNC, STATUS]
 
 
-def test_a_duplicate_does_not_reach_a_port_cut_off_with_either_copy():
+def test_duplicate_does_not_reach_cut_port():
     bus = bus_with(FaultRule("eof", FaultKind.DUPLICATE), cut(0, None, "right"))
     deliveries = run(bus, [(0, LEFT, STATUS)])
     assert heard(deliveries, RIGHT) == []
     assert len(heard(deliveries, HOST)) == 2
 
 
-def test_a_frame_repeated_after_its_rule_has_gone_leaves_nothing_behind():
+def test_repetition_after_lifted_rule_leaves_no_state():
     bus = bus_with(FaultRule("eof", FaultKind.DUPLICATE))
     run(bus, [(0, LEFT, STATUS)], until_ns=100 * BIT)
     bus.lift("eof", 100 * BIT)
@@ -140,7 +141,7 @@ def test_a_frame_repeated_after_its_rule_has_gone_leaves_nothing_behind():
     assert deliveries == [(663 * BIT, (STATUS, LEFT, LOST))]
 
 
-def test_corrupted_data_are_heard_by_those_hit_and_the_sender_knows_the_true_ones():
+def test_corrupted_data_reach_only_ports_hit():
     flipped = pack(0x181, bytes.fromhex("3707"))
     rule = FaultRule("ram", FaultKind.CORRUPT, flip=b"\x00\x01", ports=("right",))
     bus = bus_with(rule)
@@ -151,17 +152,17 @@ def test_corrupted_data_are_heard_by_those_hit_and_the_sender_knows_the_true_one
     assert bus.take_fault_events() == [(63 * BIT, "ram", "corrupt", STATUS)]
 
 
-def test_corrupted_data_without_a_choice_of_ports_reach_everybody():
+def test_corrupted_data_without_ports_reach_all():
     bus = bus_with(FaultRule("ram", FaultKind.CORRUPT, flip=b"\xff"))
     deliveries = run(bus, [(0, LEFT, STATUS)])
     assert heard(deliveries, RIGHT) == heard(deliveries, HOST) != [(63 * BIT, STATUS)]
     assert len(heard(deliveries, HOST)) == 1
 
 
-# --- while it runs
+# --- changes at run time
 
 
-def test_a_rule_can_come_and_go_while_the_bus_runs():
+def test_rule_may_be_added_and_lifted_at_run_time():
     bus = bus_with()
     bus.submit(LEFT, STATUS, 0)
     bus.inject(cut(0, None, "right"), 10)
@@ -176,7 +177,7 @@ def test_a_rule_can_come_and_go_while_the_bus_runs():
     ]
 
 
-def test_a_cut_lifted_during_a_frame_leaves_the_port_deaf_to_it_and_then_costs_nothing():
+def test_cut_lifted_during_frame_hides_only_that_frame():
     bus = bus_with(cut(0, None, "right"))
     run(bus, [(0, LEFT, STATUS), (0, LEFT, SYNC)], until_ns=10 * BIT)
     bus.lift("cable", 10 * BIT)
@@ -184,16 +185,16 @@ def test_a_cut_lifted_during_a_frame_leaves_the_port_deaf_to_it_and_then_costs_n
     assert not bus._faulty
 
 
-def test_lifting_a_cut_sends_what_has_waited():
+def test_lifted_cut_sends_waiting_frames():
     bus = bus_with(cut(0, None, "left"))
     bus.submit(LEFT, STATUS, 0)
     expire_all(bus, 10**9)
-    assert bus.next_deadline_ns() is None  # it is passive, and tries in vain for ever
+    assert bus.next_deadline_ns() is None  # it is passive, and repeats its frame for ever
     bus.lift("cable", 10**9)
     assert confirmed(expire_all(bus, 2 * 10**9), LEFT) == [(10**9 + (11 + 63) * BIT, STATUS)]
 
 
-def test_a_bus_without_a_plan_takes_no_rules():
+def test_bus_without_plan_refuses_rules():
     bus = CanBus("can0")
     with pytest.raises(ValueError, match="can0 has no fault plan"):
         bus.inject(FaultRule("x", FaultKind.DROP), 0)

@@ -1,12 +1,12 @@
-"""The bus against what schedulability analysis proves of every correct CAN bus."""
+"""The bus compared with results of schedulability analysis."""
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from emulators.media.can_bits import frame_bits
-from emulators.media.can_bus import CanBus
-from emulators.media.can_frame import can_id_of, pack
+from motorhil.emulators.can.bus.bus import CanBus
+from motorhil.emulators.can.frame import can_id_of, pack
+from motorhil.emulators.can.frame_length import frame_bits
 from tests.emulators.media.driving import run
 
 MS = 1_000_000
@@ -14,7 +14,7 @@ US = 1000
 
 
 def _responses(bus: CanBus, releases: list[tuple[int, int, bytes]]) -> dict[int, list[int]]:
-    """By identifier, in order: how long after its release each frame's end of frame came [ns]."""
+    """Return, by identifier, the time from release to end of frame of each frame [ns]."""
     waiting: dict[int, list[int]] = {}
     for release_ns, _, frame in releases:
         waiting.setdefault(can_id_of(frame), []).append(release_ns)
@@ -27,7 +27,7 @@ def _responses(bus: CanBus, releases: list[tuple[int, int, bytes]]) -> dict[int,
 
 
 def _frame_of_bits(can_id: int, bits: int) -> bytes:
-    """A frame of 7 data bytes of exactly this length."""
+    """Return a frame of 7 data bytes of exactly this length."""
     for number in range(2**16):
         frame = pack(can_id, number.to_bytes(2, "big") * 3 + b"\x00")
         if frame_bits(frame) == bits:
@@ -35,7 +35,7 @@ def _frame_of_bits(can_id: int, bits: int) -> bytes:
     raise AssertionError("no such frame")
 
 
-def test_the_second_instance_of_the_least_urgent_message_is_the_late_one():
+def test_second_instance_of_least_urgent_message_is_latest():
     # Source: Davis, Burns, Bril & Lukkien 2007, the counter-example to the older analysis: three
     # messages of length C, periods 2.5, 3.5 and 3.5 C. Worst responses 2, 3 and 3.5 C, the last
     # in the second instance (can-physics.md 6.4). All responses there end with intermission.
@@ -95,7 +95,7 @@ def _message(number: int, fill: bytes) -> bytes:
     phases=st.lists(st.integers(0, 5 * MS), min_size=17, max_size=17),
     fill=st.binary(min_size=24, max_size=24),
 )
-def test_no_message_of_the_sae_benchmark_is_ever_later_than_proved(phases, fill):
+def test_sae_benchmark_meets_proved_response_times(phases, fill):
     bus = CanBus("can0", 125_000)
     releases = []
     for number, (period_ms, _, _) in enumerate(SAE):
@@ -109,9 +109,10 @@ def test_no_message_of_the_sae_benchmark_is_ever_later_than_proved(phases, fill)
 
 
 def _proved_ns(number: int, fill: bytes) -> int:
-    """Davis et al. 2007, section 3, with exact lengths: the longest response to the end of EOF.
+    """Return the longest response to the end of EOF by Davis et al. 2007, section 3.
 
-    The blocking frame has started one bit before: later, and it would not have won.
+    Lengths are exact. The blocking frame has started one bit earlier; if later, it would not have
+    won.
     """
     periods_ns = [period_ms * MS for period_ms, _, _ in SAE]
     lengths_ns = [frame_bits(_message(other, fill)) * BIT_NS for other in range(len(SAE))]
@@ -135,7 +136,7 @@ def _proved_ns(number: int, fill: bytes) -> int:
 
 @pytest.mark.parametrize("fill", [b"\x3c" * 8, b"\x00" * 8, b"\x55" * 8])
 @pytest.mark.parametrize("number", range(17))
-def test_at_the_critical_instant_a_message_takes_exactly_as_long_as_proved(number, fill):
+def test_critical_instant_gives_exact_proved_response(number, fill):
     bus = CanBus("can0", 125_000)
     releases = []
     lower = range(number + 1, len(SAE))

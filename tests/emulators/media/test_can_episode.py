@@ -1,9 +1,9 @@
-"""Episodes of several stations: what the standard says comes of a struck frame."""
+"""Episodes of several stations, compared with the standard."""
 
 from hypothesis import given
 from hypothesis import strategies as st
 
-from emulators.media.can_episode import (
+from motorhil.emulators.can.bitlevel.episode import (
     Disturbance,
     Effect,
     Episode,
@@ -11,7 +11,7 @@ from emulators.media.can_episode import (
     Station,
     run_episode,
 )
-from emulators.media.can_frame import pack
+from motorhil.emulators.can.frame import pack
 from tests.emulators.media import wire
 
 FRAME = wire.Fields(0x123, False, False, 2, b"\x55\xaa")
@@ -20,7 +20,7 @@ SENDER = Station(0, (FRAME.can_frame(),))
 
 
 def told(episode: Episode, *kinds: EventKind) -> list[tuple[int, int, EventKind]]:
-    """(bit, port, kind) of the events of these kinds."""
+    """Return (bit, port, kind) of the events of these kinds."""
     return [(event.bit, event.port, event.kind) for event in episode.events if event.kind in kinds]
 
 
@@ -29,7 +29,7 @@ def counters(episode: Episode) -> list[tuple[int, int]]:
 
 
 @given(wire.fields(), st.integers(1, 9), st.integers(0, 200))
-def test_an_undisturbed_frame_takes_its_exact_bits_and_all_others_accept_it(frame, others, rec):
+def test_undisturbed_frame_is_exact_and_accepted_by_all(frame, others, rec):
     receivers = [Station(port, rec=rec) for port in range(1, others + 1)]
     episode = run_episode([Station(0, (frame.can_frame(),), tec=1), *receivers])
     last = len(wire.on_the_wire(frame)) - 1
@@ -47,7 +47,7 @@ def test_an_undisturbed_frame_takes_its_exact_bits_and_all_others_accept_it(fram
     assert (episode.recessive_runs, episode.recessive_bits) == (1, 0)
 
 
-def test_nobody_acknowledges_a_lone_node_which_tries_for_ever_and_stays_passive():
+def test_lone_node_repeats_for_ever_and_stays_passive():
     station = SENDER
     for attempt in range(40):
         episode = run_episode([station])
@@ -62,16 +62,16 @@ def test_nobody_acknowledges_a_lone_node_which_tries_for_ever_and_stays_passive(
         station = Station(0, outcome.frames, tec=outcome.tec)
 
 
-def test_an_error_that_all_see_costs_a_flag_a_delimiter_and_an_intermission():
+def test_error_seen_by_all_costs_flag_delimiter_intermission():
     episode = run_episode([SENDER, Station(1), Station(2)], [Disturbance(30)])
     first = min(bit for bit, _, _ in told(episode, EventKind.ERROR))
-    assert first == 30  # a bit error at least, at the sender
+    assert first == 30  # at least a bit error at the sender
     assert 30 + 1 + 6 + 8 + 3 <= episode.bits <= 30 + 1 + 6 + 6 + 8 + 3
     assert not told(episode, EventKind.SENT, EventKind.ACCEPTED)
     assert counters(episode)[0] == (8, 0)
 
 
-def test_a_receiver_that_misses_the_last_but_one_bit_makes_the_others_hear_the_frame_twice():
+def test_receiver_error_in_last_but_one_bit_duplicates_frame():
     last = len(BITS) - 1
     stations = [SENDER, Station(1), Station(2)]
     episode = run_episode(stations, [Disturbance(last - 1, ports=0b010)])
@@ -83,7 +83,7 @@ def test_a_receiver_that_misses_the_last_but_one_bit_makes_the_others_hear_the_f
     assert [port for _, port, _ in told(again, EventKind.ACCEPTED)] == [1, 2]
 
 
-def test_a_wire_shorted_to_dominant_stalls_all_who_do_not_go_bus_off():
+def test_short_to_dominant_stalls_nodes_that_are_not_bus_off():
     short = [Disturbance(20, Effect.DOMINANT, None)]
     episode = run_episode([SENDER, Station(1)], short)
     assert [outcome.off_at is not None for outcome in episode.outcomes] == [True, False]
@@ -92,7 +92,7 @@ def test_a_wire_shorted_to_dominant_stalls_all_who_do_not_go_bus_off():
     assert after.bits == 8 + 3
 
 
-def test_two_senders_of_one_identifier_with_other_data_destroy_each_other():
+def test_same_identifier_with_different_data_collides():
     rival = Station(1, (pack(0x123, b"\x55\xab"),))
     episode = run_episode([SENDER, rival, Station(2)])
     assert not told(episode, EventKind.SENT, EventKind.ACCEPTED, EventKind.LOST)
@@ -100,7 +100,7 @@ def test_two_senders_of_one_identifier_with_other_data_destroy_each_other():
     assert [tec for tec, _ in counters(episode)] == [8, 8, 0]
 
 
-def test_equal_frames_of_two_senders_are_one_on_the_wire():
+def test_equal_frames_of_two_senders_are_sent_as_one():
     episode = run_episode([SENDER, Station(1, SENDER.frames), Station(2)])
     assert told(episode, EventKind.SENT, EventKind.ACCEPTED) == [
         (len(BITS) - 2, 2, EventKind.ACCEPTED),
@@ -110,7 +110,7 @@ def test_equal_frames_of_two_senders_are_one_on_the_wire():
     assert episode.bits == len(BITS) + 3
 
 
-def test_a_short_of_ten_seconds_costs_no_more_than_a_brief_one():
+def test_short_of_ten_seconds_costs_as_little_as_brief_one():
     ten_million = [Disturbance(0, Effect.DOMINANT, 10_000_000)]
     episode = run_episode([Station(0), Station(1, rec=3), Station(2, integrating=11)], ten_million)
     assert episode.bits == 10_000_000 + 8 + 3
@@ -119,7 +119,7 @@ def test_a_short_of_ten_seconds_costs_no_more_than_a_brief_one():
     assert (episode.recessive_runs, episode.recessive_bits) == (1, 0)
 
 
-def test_a_receiver_that_hears_nothing_but_dominant_bits_does_not_keep_the_others_from_going_on():
+def test_stalled_receiver_does_not_block_others():
     stations = [Station(0, SENDER.frames, one_shot=True), Station(1), Station(2)]
     deaf = Disturbance(0, Effect.DOMINANT, None, 0b100)
     first = run_episode(stations, [deaf])
@@ -131,7 +131,7 @@ def test_a_receiver_that_hears_nothing_but_dominant_bits_does_not_keep_the_other
     assert again.bits == len(BITS) + 3
 
 
-def test_who_hears_something_else_than_is_on_the_wire_is_not_waited_for():
+def test_deaf_receiver_is_not_waited_for():
     brief = 20_000
     both = [Disturbance(0, Effect.DOMINANT, brief, port) for port in (0b01, 0b10)]
     episode = run_episode([Station(0), Station(1)], both)
@@ -144,12 +144,12 @@ def test_who_hears_something_else_than_is_on_the_wire_is_not_waited_for():
     assert [outcome.stalled for outcome in episode.outcomes] == [False, True]
 
 
-def test_a_stalled_node_is_no_twin_of_one_that_is_not():
+def test_stalled_node_is_simulated_separately():
     stations = [Station(1, rec=255), Station(0, rec=255, stalled=True)]
     assert run_episode(stations).bits == 8 + 3
 
 
-def test_the_thirty_second_failure_in_a_row_takes_a_node_off_the_bus():
+def test_32nd_consecutive_failure_is_bus_off():
     station = SENDER
     for failure in range(1, 33):
         episode = run_episode([station, Station(1)], [Disturbance(25, Effect.FLIP, 1, 0b01)])
@@ -160,23 +160,23 @@ def test_the_thirty_second_failure_in_a_row_takes_a_node_off_the_bus():
     assert episode.outcomes[0].recessive_runs == 1  # the delimiter, the intermission
 
 
-def test_a_wire_shorted_to_recessive_takes_its_senders_off_and_leaves_the_others_alone():
+def test_short_to_recessive_makes_only_senders_bus_off():
     station = SENDER
     short = [Disturbance(0, Effect.RECESSIVE, None)]
     attempts = 0
     while True:
         episode = run_episode([station, Station(1)], short)
         attempts += 1
-        assert counters(episode)[1] == (0, 0)  # it hears nothing at all
+        assert counters(episode)[1] == (0, 0)  # it hears nothing
         if episode.outcomes[0].off_at is not None:
             break
         station = Station(0, SENDER.frames, tec=episode.outcomes[0].tec)
-    # The first start of frame and its flag, restarted at each bit, make it passive; each further
+    # The first start of frame and its flag, restarted at each bit, make it passive. Each further
     # start of frame counts eight.
     assert attempts == 1 + 15
 
 
-def test_a_classical_frame_of_ten_stations_is_the_same_to_equal_and_to_unequal_ones():
+def test_equal_and_unequal_stations_give_same_result():
     equal = run_episode([SENDER, *[Station(port) for port in range(1, 10)]], [Disturbance(40)])
     unequal = run_episode(
         [SENDER, *[Station(port, rec=port) for port in range(1, 10)]], [Disturbance(40)]

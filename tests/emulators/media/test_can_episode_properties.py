@@ -1,4 +1,4 @@
-"""What holds of every episode, whatever strikes it."""
+"""Properties of every episode under random disturbances."""
 
 from dataclasses import replace
 
@@ -6,9 +6,15 @@ import pytest
 from hypothesis import event, given
 from hypothesis import strategies as st
 
-from emulators.media.can_episode import Disturbance, Effect, EventKind, Station, run_episode
-from emulators.media.can_station import CanStation
-from emulators.media.confinement import Confinement
+from motorhil.emulators.can.bitlevel.controller import CanStation
+from motorhil.emulators.can.bitlevel.episode import (
+    Disturbance,
+    Effect,
+    EventKind,
+    Station,
+    run_episode,
+)
+from motorhil.emulators.can.error_confinement import Confinement
 from tests.emulators.media import wire
 
 SHORT = wire.Fields(0x0F0, False, False, 1, b"\x00")
@@ -23,7 +29,7 @@ LAST = len(wire.on_the_wire(SHORT)) - 1
 
 @st.composite
 def disturbances(draw: st.DrawFn, ports: int) -> Disturbance:
-    """Anywhere in and after a frame, for some bits, on the wire or seen by some."""
+    """Draw disturbances in and after a frame, of some bits, on the wire or at some ports."""
     mask = draw(st.sampled_from([-1, *range(1, 1 << ports)]))
     first = draw(st.integers(0, LAST + 30))
     return Disturbance(
@@ -54,7 +60,7 @@ def cases(draw: st.DrawFn) -> tuple[list[Station], list[Disturbance]]:
 
 
 def legal(before: tuple[int, int], after: tuple[int, int]) -> bool:
-    """Whether one rule, or none, leads from these counters to those."""
+    """Return whether at most one rule leads from these counters to those."""
     tec, rec = before
     received = min(127, max(rec - 1, 0))
     return after in [
@@ -77,7 +83,7 @@ def level_for(level: int, bit: int, port: int, struck: list[Disturbance]) -> int
 def one_by_one(
     stations: list[Station], struck: list[Disturbance], bits: int
 ) -> list[tuple[int, int, int, bytes]]:
-    """(bit, port, kind, frame) of all that happens to them, each a controller of its own."""
+    """Return (bit, port, kind, frame) of all events, with a separate controller per station."""
     nodes = [
         CanStation(list(one.frames), Confinement(one.tec, one.rec), one.one_shot)
         for one in stations
@@ -107,7 +113,7 @@ def one_by_one(
 
 
 @given(cases())
-def test_every_episode_ends_with_counters_that_one_rule_at_a_time_made(case):
+def test_counters_change_by_one_rule_at_a_time(case):
     stations, struck = case
     episode = run_episode(stations, struck)
     expected = one_by_one(stations, struck, episode.bits)
@@ -128,7 +134,7 @@ def test_every_episode_ends_with_counters_that_one_rule_at_a_time_made(case):
 
 
 @given(cases(), st.integers(0, 120), st.data())
-def test_what_happens_later_changes_nothing_before(case, now, data):
+def test_later_disturbance_does_not_change_the_past(case, now, data):
     stations, struck = case
     struck = [one for one in struck if one.first < now]
     more = [
@@ -151,8 +157,8 @@ def test_what_happens_later_changes_nothing_before(case, now, data):
     st.integers(1, 0b111),
     st.integers(0, 119),
 )
-def test_a_flip_at_some_active_receivers_is_consistent_but_in_the_last_but_one_bit(bit, who, rec):
-    """The frame is nobody's, and sent again; or everybody's, and sent."""
+def test_flip_at_receivers_is_consistent_except_last_but_one(bit, who, rec):
+    """All nodes refuse the frame, and it is sent again; or all accept it."""
     stations = [Station(0, (SHORT.can_frame(),)), *[Station(p, rec=rec) for p in (1, 2, 3)]]
     episode = run_episode(stations, [Disturbance(bit, ports=who << 1)])
     got = [e.port for e in episode.events if e.kind is EventKind.ACCEPTED]
@@ -175,8 +181,8 @@ def test_a_flip_at_some_active_receivers_is_consistent_but_in_the_last_but_one_b
     assert episode.outcomes[0].frames == (() if sent else stations[0].frames)
 
 
-def test_a_sender_that_dies_before_it_can_repeat_leaves_an_omission():
-    """Rufino et al.: the last but one bit, and then a crash; nobody on the bus knows."""
+def test_sender_dying_before_repetition_causes_omission():
+    """Rufino et al.: the last but one bit, and then a crash; no node detects it."""
     stations = [Station(0, (SHORT.can_frame(),), leaves_at=LAST + 1), Station(1), Station(2)]
     episode = run_episode(stations, [Disturbance(LAST - 1, ports=0b010)])
     assert [e.port for e in episode.events if e.kind is EventKind.ACCEPTED] == [2]
@@ -184,11 +190,11 @@ def test_a_sender_that_dies_before_it_can_repeat_leaves_an_omission():
 
 
 @pytest.mark.parametrize("silent_from", range(1, LAST + 1))
-def test_a_sender_that_falls_silent_is_noticed_until_the_frame_is_valid(silent_from):
+def test_silent_sender_is_detected_until_frame_is_valid(silent_from):
     stations = [Station(0, (SHORT.can_frame(),), leaves_at=silent_from), Station(1), Station(2)]
     episode = run_episode(stations)
     got = [e.port for e in episode.events if e.kind is EventKind.ACCEPTED]
-    # What is left of the frame after the CRC is recessive anyway, or the others' acknowledgement.
+    # After the CRC the rest of the frame is recessive, or the acknowledgement of others.
     tail = wire.on_the_wire(SHORT).rstrip("1")
     if silent_from >= len(tail):
         assert got == [1, 2]
@@ -198,10 +204,11 @@ def test_a_sender_that_falls_silent_is_noticed_until_the_frame_is_valid(silent_f
 
 
 @given(cases())
-def test_once_nothing_strikes_any_more_all_agree_soon(case):
-    """How soon, at most: each failure of a sender counts 8, but that of a passive one that nobody
-    acknowledges, after which the others have 25 recessive bits to agree in. So with n nodes no
-    frame is tried more than 32 n + 32 times. (The worst of 30,000 drawn took 769 bits.)
+def test_nodes_agree_soon_after_last_disturbance(case):
+    """Bound: each failure of a sender counts 8, except at a passive sender without ACK.
+
+    After that failure the others have 25 recessive bits to agree in. With n nodes no frame is
+    therefore tried more than 32 n + 32 times. (The worst of 30,000 drawn took 769 bits.)
     """
     stations, struck = case
     episode = run_episode(stations, struck)
@@ -217,7 +224,7 @@ def test_once_nothing_strikes_any_more_all_agree_soon(case):
 
 
 @given(cases(), st.integers(1, 400))
-def test_an_episode_computed_in_part_is_the_beginning_of_the_whole(case, until_bit):
+def test_partial_episode_is_beginning_of_whole(case, until_bit):
     stations, struck = case
     whole = run_episode(stations, struck)
     part = run_episode(stations, struck, until_bit=until_bit)
@@ -230,8 +237,8 @@ def test_an_episode_computed_in_part_is_the_beginning_of_the_whole(case, until_b
 
 
 @given(st.sampled_from(Effect), st.integers(0, 60), st.integers(-1, 7), st.integers(0, 3))
-def test_what_never_ends_ends_too(effect, first, ports, senders):
-    """A short, or a receiver that hears nothing: those who can do no more are stalled or off."""
+def test_endless_disturbance_ends_with_stalled_nodes(effect, first, ports, senders):
+    """A short, or a deaf receiver: nodes that cannot continue are stalled or off."""
     stations = [Station(p, (SHORT.can_frame(),) if p < senders else ()) for p in range(3)]
     episode = run_episode(stations, [Disturbance(first, effect, None, ports)])
     assert episode.bits < 5000

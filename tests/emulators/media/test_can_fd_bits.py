@@ -4,16 +4,8 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from emulators.media import can_bits
-from emulators.media.can_bits import (
-    LENGTHS_MASK,
-    arbitration_key,
-    can_id_of_key,
-    frame_bits,
-    measure,
-    phases_of,
-)
-from emulators.media.can_frame import (
+from motorhil.emulators.can import frame_length as can_bits
+from motorhil.emulators.can.frame import (
     BRS,
     EFF_FLAG,
     ERR_FLAG,
@@ -22,6 +14,14 @@ from emulators.media.can_frame import (
     can_id_of,
     pack,
     pack_fd,
+)
+from motorhil.emulators.can.frame_length import (
+    LENGTHS_MASK,
+    arbitration_key,
+    can_id_of_key,
+    frame_bits,
+    measure,
+    phases_of,
 )
 from tests.emulators.media import wire_fd
 from tests.emulators.media.wire_fd import FdFields
@@ -72,21 +72,21 @@ def phases(frame: bytes) -> tuple[int, int]:
 
 
 def bounds(size: int, extended: bool) -> tuple[int, int]:
-    """As PUBLISHED, for every length; length.h's formula."""
+    """Return bounds as PUBLISHED, for every length, by the formula of length.h."""
     stuffable = (41 if extended else 22) + 8 * size
     rest = (28 if size <= 16 else 33) + 9 + 3
     return stuffable + rest, stuffable + (stuffable - 1) // 4 + rest
 
 
 @pytest.mark.parametrize(("identifier", "flags", "data", "bits", "stuff", "crc"), VECTORS)
-def test_a_frame_is_as_long_as_another_generator_says(identifier, flags, data, bits, stuff, crc):
+def test_length_equals_other_generator(identifier, flags, data, bits, stuff, crc):
     frame = fields_of(identifier, flags, data)
     assert frame_bits(frame.can_frame()) == bits
     assert bits - bounds(len(frame.data), frame.extended)[0] == stuff
 
 
 @pytest.mark.parametrize(("identifier", "flags", "data", "bits", "stuff", "crc"), VECTORS)
-def test_the_slow_construction_agrees_with_it_too(identifier, flags, data, bits, stuff, crc):
+def test_bitwise_construction_equals_other_generator(identifier, flags, data, bits, stuff, crc):
     frame = fields_of(identifier, flags, data)
     sent = wire_fd.dynamically_stuffed(frame)
     assert wire_fd.stuff_bits(frame, sent) == stuff
@@ -94,7 +94,7 @@ def test_the_slow_construction_agrees_with_it_too(identifier, flags, data, bits,
     assert len(wire_fd.on_the_wire(frame)) + 3 == bits
 
 
-def test_a_whole_frame_bit_by_bit():
+def test_whole_frame_equals_vector_bit_by_bit():
     # Source: as VECTORS; identifier 7AAh, BRS, data 55h, with the ACK slot dominant
     frame = fields_of("7AA", "B", "55")
     sent = wire_fd.on_the_wire(frame)
@@ -102,13 +102,13 @@ def test_a_whole_frame_bit_by_bit():
     assert sent[:-9] + "0" + sent[-8:] + "111" == told
 
 
-def test_1e5_random_frames_are_as_long_as_when_built_bit_by_bit(record_property):
-    """Equal at both rates for all, and within the published bounds; and how many reached them."""
+def test_100000_random_lengths_equal_bitwise_construction(record_property):
+    """All are equal at both rates and within the published bounds; count those at the bounds."""
     random = Random(SEED)
     shortest = longest = nearly = 0
     for number in range(FRAMES):
         frame = wire_fd.random_fd_fields(random)
-        # the length does not depend on what the CRC is: it is worked out for some
+        # the length does not depend on the CRC: it is computed for some only
         assert phases(frame.can_frame()) == wire_fd.phases(frame, number % 100 == 0), frame
         low, high = bounds(len(frame.data), frame.extended)
         bits = frame_bits(frame.can_frame())
@@ -117,7 +117,7 @@ def test_1e5_random_frames_are_as_long_as_when_built_bit_by_bit(record_property)
         longest += bits == high
         nearly += bits >= high - 3
     assert shortest > 500
-    # FDF, res, BRS are 1, 0, 1 or 1, 0, 0: no frame has all the stuff bits that length.h allows for
+    # FDF, res, BRS are 1, 0, 1 or 1, 0, 0: no frame has all the stuff bits allowed by length.h
     assert longest == 0
     assert nearly > 20
     record_property(
@@ -125,13 +125,13 @@ def test_1e5_random_frames_are_as_long_as_when_built_bit_by_bit(record_property)
     )
 
 
-def test_the_bounds_are_the_published_ones():
+def test_bounds_equal_published_ones():
     for size, (low, high, extended_low, extended_high) in PUBLISHED.items():
         assert bounds(size, False) == (low, high)
         assert bounds(size, True) == (extended_low, extended_high)
 
 
-def test_where_the_data_end_no_stuff_bit_follows_but_the_fixed_one():
+def test_data_end_is_followed_by_fixed_stuff_bit_only():
     # DLC 0 after BRS: 1 00000; and a data field that ends with five equal bits
     assert frame_bits(pack_fd(0x555)) == 62
     assert (
@@ -142,7 +142,7 @@ def test_where_the_data_end_no_stuff_bit_follows_but_the_fixed_one():
 
 @given(st.integers(0, 0x1FFFFFFF), st.booleans(), st.sampled_from(wire_fd.LENGTHS), st.booleans())
 @example(0, False, 64, True)
-def test_both_rates_together_are_the_frame(identifier, extended, size, switch):
+def test_sum_of_both_phases_is_frame_length(identifier, extended, size, switch):
     can_id = identifier | EFF_FLAG if extended else identifier & 0x7FF
     frame = pack_fd(can_id, bytes(size), BRS if switch else 0)
     assert sum(phases(frame)) == frame_bits(frame)
@@ -150,7 +150,7 @@ def test_both_rates_together_are_the_frame(identifier, extended, size, switch):
 
 
 @given(st.integers(0, 0x1FFFFFFF), st.booleans(), st.sampled_from([0, ESI, BRS, BRS | ESI]))
-def test_an_fd_frame_competes_as_a_data_frame_of_its_identifier(identifier, extended, flags):
+def test_fd_frame_competes_as_data_frame(identifier, extended, flags):
     can_id = identifier | EFF_FLAG if extended else identifier & 0x7FF
     key = arbitration_key(pack_fd(can_id, b"", flags))
     assert key == arbitration_key(pack(can_id))
@@ -172,19 +172,19 @@ def _raw(can_id: int, length: int) -> bytes:
         (bytes(71), "or 72 in CAN FD, not 71"),
     ],
 )
-def test_what_no_fd_node_can_send_is_refused(frame, told):
+def test_unsendable_fd_frame_is_refused(frame, told):
     with pytest.raises(ValueError, match=told):
         measure(frame)
 
 
-def test_padding_reserved_bytes_and_unknown_flags_are_not_on_the_wire():
+def test_padding_and_unknown_flags_are_not_on_wire():
     clean = pack_fd(0x181, b"\x37\x06", BRS)
     dirty = clean[:5] + bytes([clean[5] | 0xF8, 0xFF, 0xFF]) + b"\x37\x06" + b"\xff" * 62
     assert phases(clean) == phases(dirty)
     assert can_id_of(dirty) == 0x181
 
 
-def test_the_remembered_headers_are_bounded_and_forgetting_changes_nothing():
+def test_header_cache_is_bounded_without_effect_on_results():
     before = [measure(pack_fd(identifier)) for identifier in range(0x10)]
     for identifier in range(9000):
         measure(pack_fd(identifier | EFF_FLAG))

@@ -1,17 +1,16 @@
-"""CAN FD frames on the wire, and what comes of them when something goes wrong."""
+"""CAN FD frames on the wire, with and without errors."""
 
 import pytest
 from hypothesis import event, given
 from hypothesis import strategies as st
 
-from emulators.media import error_message as told
-from emulators.media.can_bits import measure, phases_of
-from emulators.media.can_episode import Disturbance, EventKind, Station, run_episode
-from emulators.media.can_node import FrameSupport
-from emulators.media.can_port import LENGTHS_MASK
-from emulators.media.can_station import CanStation
-from emulators.media.can_wire import WireFrame
-from emulators.media.confinement import Confinement
+from motorhil.emulators.can import error_confinement as told
+from motorhil.emulators.can.bitlevel.controller import CanStation
+from motorhil.emulators.can.bitlevel.encoder import WireFrame
+from motorhil.emulators.can.bitlevel.episode import Disturbance, EventKind, Station, run_episode
+from motorhil.emulators.can.controller_config import FrameSupport
+from motorhil.emulators.can.error_confinement import Confinement
+from motorhil.emulators.can.frame_length import LENGTHS_MASK, measure, phases_of
 from tests.emulators.media import wire, wire_fd
 from tests.emulators.media.wire_fd import FdFields, fd_fields
 
@@ -29,7 +28,7 @@ def receiver(support: FrameSupport = FD) -> CanStation:
 
 
 def play(station: CanStation, sampled: str) -> str:
-    """What it puts on the wire while it samples these levels."""
+    """Return the levels that the node drives while it samples these levels."""
     drives = ""
     for bit, level in enumerate(sampled.replace(" ", "")):
         drives += str(station.drives)
@@ -45,7 +44,7 @@ def errors(station: CanStation) -> list[tuple[int, int, int]]:
     ]
 
 
-def test_the_slow_way_divides_as_the_catalogue_of_crcs_says():
+def test_long_division_equals_crc_catalogue():
     """CRC RevEng: check values of CRC-17/CAN-FD and CRC-21/CAN-FD, whose registers begin empty."""
     bits = "".join(f"{byte:08b}" for byte in b"123456789")
     assert wire_fd.remainder(bits, wire_fd.GENERATOR_17, 0) == 0x04F03
@@ -53,21 +52,21 @@ def test_the_slow_way_divides_as_the_catalogue_of_crcs_says():
 
 
 @given(fd_fields())
-def test_a_sender_sends_what_the_slow_way_builds(frame):
+def test_sender_equals_bitwise_construction(frame):
     sent = WireFrame(frame.can_frame())
     assert "".join(map(str, sent.levels)) == wire_fd.on_the_wire(frame)
     assert (sent.fast_from, sent.fast_to) == wire_fd.data_phase(frame)
 
 
 @given(fd_fields())
-def test_the_bits_are_as_many_as_the_bus_reckons_with(frame):
+def test_bit_count_equals_bus_length(frame):
     first, end = wire_fd.data_phase(frame)
     nominal = len(wire_fd.on_the_wire(frame)) + 3 - (end - first)
     assert phases_of(measure(frame.can_frame()) & LENGTHS_MASK) == (nominal, end - first)
 
 
 @given(fd_fields(), st.integers(2, 10))
-def test_all_who_know_can_fd_accept_it_and_the_tolerant_wait_until_it_is_over(frame, ratio):
+def test_fd_nodes_accept_and_tolerant_nodes_wait(frame, ratio):
     stations = [Station(0, (frame.can_frame(),), support=FD), Station(1, support=FD)]
     tolerant = Station(2, support=FrameSupport.FD_TOLERANT)
     episode = run_episode([*stations, tolerant], ratio=ratio)
@@ -85,17 +84,18 @@ def test_all_who_know_can_fd_accept_it_and_the_tolerant_wait_until_it_is_over(fr
     event(f"{len(frame.data)} bytes")
 
 
-def test_five_equal_bits_before_the_fixed_stuff_bit_get_no_other():
+def test_five_equal_bits_before_fixed_stuff_bit_add_none():
     zero = FdFields(0x2AA, False, False, False, b"\xe0")
     sent = wire_fd.dynamically_stuffed(zero)
     assert sent.endswith("11100000")
     levels = "".join(map(str, WireFrame(zero.can_frame()).levels))
     assert levels[len(sent)] == "1"  # the fixed one
-    # it is not counted: 0 01010101010 00 1 00000 [1] 01 11100000 has one stuff bit, not two
+    # The fixed bit is not counted: 0 01010101010 00 1 00000 [1] 01 11100000 has one stuff bit, not
+    # two.
     assert levels[len(sent) + 1 : len(sent) + 5] == "0011"
 
 
-def test_a_passive_sender_says_so_in_its_frame():
+def test_passive_sender_sets_esi():
     stations = [Station(0, (ONES.can_frame(),), tec=128, support=FD), Station(1, support=FD)]
     accepted, sent = [
         e for e in run_episode(stations).events if e.kind in (EventKind.ACCEPTED, EventKind.SENT)
@@ -104,7 +104,7 @@ def test_a_passive_sender_says_so_in_its_frame():
     assert sent.frame == ONES.can_frame()
 
 
-def test_a_fixed_stuff_bit_like_the_bit_before_it_is_a_form_error():
+def test_wrong_fixed_stuff_bit_is_form_error():
     start = len(wire_fd.dynamically_stuffed(ONES))
     station = receiver()
     wrong = SENT[:start] + SENT[start - 1] + FLAG + QUIET
@@ -114,10 +114,12 @@ def test_a_fixed_stuff_bit_like_the_bit_before_it_is_a_form_error():
 
 @pytest.mark.parametrize("acknowledged", ["1 1", "1 0", "0 0", "0"])
 @pytest.mark.parametrize("bit", [2, 22])
-def test_a_wrong_stuff_count_or_crc_is_told_after_the_ack_delimiter(bit, acknowledged):
-    """After the first fixed stuff bit come the 4 bits of the stuff count; none that is followed by
-    a fixed stuff bit, which would be wrong then. With two bits of ACK slot the flag begins in the
-    fourth bit after the CRC delimiter (ISO 16845-1, 7.6.10).
+def test_wrong_stuff_count_or_crc_is_signalled_after_ack(bit, acknowledged):
+    """After the first fixed stuff bit come the 4 bits of the stuff count.
+
+    The last of them precedes a fixed stuff bit, which would be wrong then, so it is not tested.
+    With two bits of ACK slot the flag begins in the fourth bit after the CRC delimiter (ISO
+    16845-1, 7.6.10).
     """
     place = len(wire_fd.dynamically_stuffed(ONES)) + bit
     wrong = SENT[:place] + ("0" if SENT[place] == "1" else "1") + SENT[place + 1 :]
@@ -128,7 +130,7 @@ def test_a_wrong_stuff_count_or_crc_is_told_after_the_ack_delimiter(bit, acknowl
     assert errors(station) == [(len(sampled) - 1, 0, told.CRC_SEQUENCE)]
 
 
-def test_nobody_acknowledges_in_two_bits_of_ack_slot():
+def test_missing_ack_in_two_bit_slot_is_ack_error():
     """ISO 16845-1, 8.2.6 and 8.6.8: the error flag begins after both."""
     ack_slot = len(SENT) - 9
     sender = CanStation([ONES.can_frame()], Confinement(), support=FD)
@@ -140,7 +142,7 @@ def test_nobody_acknowledges_in_two_bits_of_ack_slot():
     assert sender.confinement.tec == 8
 
 
-def test_an_acknowledgement_may_come_a_bit_late():
+def test_acknowledgement_may_be_one_bit_late():
     """ISO 16845-1, 8.2.7: the CRC delimiter up to two bits long."""
     ack_slot = len(SENT) - 9
     sender = CanStation([ONES.can_frame()], Confinement(), support=FD)
@@ -150,7 +152,7 @@ def test_an_acknowledgement_may_come_a_bit_late():
 
 
 @pytest.mark.parametrize("third", ["000", "100"])
-def test_a_third_bit_is_the_ack_delimiter(third):
+def test_third_bit_is_ack_delimiter(third):
     ack_slot = len(SENT) - 9
     sender = CanStation([ONES.can_frame()], Confinement(), support=FD)
     sender.begin_idle()
@@ -163,10 +165,10 @@ def test_a_third_bit_is_the_ack_delimiter(third):
     ("support", "sampled"),
     [
         (FrameSupport.FD_TOLERANT, "0 01010101010 00 1"),  # FDF
-        (FrameSupport.FD, "0 01010101010 00 11"),  # FDF and res: a format to come
+        (FrameSupport.FD, "0 01010101010 00 11"),  # FDF and res: a future format
     ],
 )
-def test_a_protocol_exception_is_no_error_and_waits_for_eleven_recessive_bits(support, sampled):
+def test_protocol_exception_waits_for_11_recessive_bits(support, sampled):
     station = receiver(support)
     assert play(station, sampled) == "1" * len(sampled.replace(" ", ""))
     play(station, "1010" * 30 + "1111111111")
@@ -176,7 +178,7 @@ def test_a_protocol_exception_is_no_error_and_waits_for_eleven_recessive_bits(su
     assert station.journal.notes == []
 
 
-def test_a_second_dominant_bit_after_the_ack_slot_belongs_to_it():
+def test_second_dominant_bit_belongs_to_ack_slot():
     ack_slot = len(SENT) - 9
     stretched = SENT[:ack_slot] + "00" + SENT[ack_slot + 1 :]
     station = receiver()
@@ -191,12 +193,12 @@ def test_a_second_dominant_bit_after_the_ack_slot_belongs_to_it():
     assert errors(station) == [(ack_slot + 2, told.FORM_ERROR, told.ACK_DELIMITER)]
 
 
-def test_a_classical_controller_reads_on_until_it_finds_an_error():
-    """Drawn by hand: ONES, 4 bits at the data rate to a nominal one, sampled in the last.
+def test_classical_controller_reads_fd_frame_until_error():
+    """By hand: ONES, 4 bits at the data rate to a nominal one, sampled in the last.
 
     ... FDF 1, res 0, BRS 1 is bit 16; then 0 0011 and ones, whose stuff bits are 25, 31, 37 and 43.
     The classical one samples 20, 24, 28 and 32 as 1 after BRS: five; and 36, a stuff error. Its
-    flag is on the wire from 37. The sender's 1 in bit 38 is the first to be dominated; the other
+    flag is on the wire from 37. The sender's 1 in bit 38 is the first to be dominated. The other
     receiver's sixth dominant bit is 42, so its flag is a nominal bit behind that of the other two:
     they end with the sixth nominal bit (40, 44, 45, ... 48) and with 49; then 8 and 3.
     """
@@ -215,7 +217,7 @@ def test_a_classical_controller_reads_on_until_it_finds_an_error():
     assert [(outcome.tec, outcome.rec) for outcome in episode.outcomes] == [(8, 0), (0, 1), (0, 9)]
 
 
-def test_without_a_bit_rate_switch_it_is_a_classical_frame_with_another_end():
+def test_fd_frame_without_switch_ends_as_classical_form_error():
     """By hand, 123h: FDF is r0; res, BRS, ESI and the first bit of the DLC, 0001, are a DLC of 1.
 
     The other three bits and five of the first byte are its data; the last three of that byte, 11h
@@ -238,8 +240,8 @@ def test_without_a_bit_rate_switch_it_is_a_classical_frame_with_another_end():
     assert [(outcome.tec, outcome.rec) for outcome in episode.outcomes] == [(8, 0), (0, 9), (0, 0)]
 
 
-def test_a_sender_that_falls_silent_in_the_data_phase_is_noticed_there():
-    """Five recessive bits, and a stuff bit that does not come; one flag of six nominal bits."""
+def test_sender_silent_in_data_phase_is_detected_there():
+    """Five recessive bits, and a missing stuff bit; one flag of six nominal bits."""
     first, _ = wire_fd.data_phase(ONES)
     ones = SENT.index("11111", first)
     stations = [Station(0, (ONES.can_frame(),), support=FD, leaves_at=ones + 5)]
@@ -249,12 +251,12 @@ def test_a_sender_that_falls_silent_in_the_data_phase_is_noticed_there():
     assert episode.bits == ones + 6 + 6 + 8 + 3
 
 
-def test_an_error_in_the_data_phase_is_told_at_the_nominal_rate():
-    """Drawn by hand, 4 bits at the data rate to a nominal one.
+def test_error_in_data_phase_is_signalled_at_nominal_rate():
+    """By hand, 4 bits at the data rate to a nominal one.
 
     The sender misreads the third of five data bits 1. Its flag begins, the others sample 4 dominant
-    bits in its first nominal bit and the sixth in its second; their flags take what is left of it
-    and five more: together 7 nominal bits, then delimiter and intermission.
+    bits in its first nominal bit and the sixth in its second. Their flags take the rest of it and
+    five more: together 7 nominal bits, then delimiter and intermission.
     """
     first, _ = wire_fd.data_phase(ONES)
     struck = SENT.index("11111", first) + 2
@@ -267,7 +269,7 @@ def test_an_error_in_the_data_phase_is_told_at_the_nominal_rate():
     ]
     assert episode.fast == ((first, struck + 1 + 8),)
     assert episode.bits == struck + 1 + 8 + (7 - 2) + 8 + 3
-    # of nominal bits: 17 to the data phase, and 7 + 8 + 3
+    # nominal bits: 17 to the data phase, and 7 + 8 + 3
     assert episode.end_ns(first, 400, 100) == first * 400 + 100
     in_phase = struck + 1 - first
     nominal = first + 7 + 8 + 3
@@ -275,9 +277,10 @@ def test_an_error_in_the_data_phase_is_told_at_the_nominal_rate():
     assert [(outcome.tec, outcome.rec) for outcome in episode.outcomes] == [(8, 0), (0, 1)]
 
 
-def test_each_data_phase_has_a_grid_of_its_own():
-    """As the one above, twice in one episode: an error passive receiver misreads a bit of the first
-    error delimiter, and so is not ready when the frame is sent again.
+def test_each_data_phase_has_its_own_grid():
+    """Twice in one episode: an error passive receiver misreads a bit of the first error delimiter.
+
+    The receiver is therefore not ready when the frame is sent again.
     """
     first, _ = wire_fd.data_phase(ONES)
     struck = SENT.index("11111", first) + 2
@@ -297,8 +300,8 @@ def test_each_data_phase_has_a_grid_of_its_own():
     assert failed == [struck, again + struck]
 
 
-def test_an_fd_and_a_classical_frame_of_one_identifier_are_told_apart_too_late():
-    """FDF is not in the arbitration field, so it is a bit error, not a loss."""
+def test_fd_and_classical_frame_of_identifier_differ_too_late():
+    """FDF is not in the arbitration field, so the difference is a bit error, not a loss."""
     for extended, fdf in ((False, 14), (True, 33)):
         identifier = 0x0AAA_AAAA if extended else 0x2AA
         fd = FdFields(identifier, extended, False, False, b"")
@@ -316,8 +319,8 @@ def test_an_fd_and_a_classical_frame_of_one_identifier_are_told_apart_too_late()
 
 
 @pytest.mark.parametrize("turn", range(5))
-def test_a_tolerant_controller_does_not_take_a_data_phase_for_an_idle_bus(turn):
-    """One bit in five is dominant, and a nominal bit has five: sampled, they may all look alike."""
+def test_tolerant_controller_detects_activity_in_data_phase(turn):
+    """One bit in five is dominant, and a nominal bit has five: single samples may all be equal."""
     pattern = ("01111" * 110)[turn : turn + 512]
     frame = FdFields(0x2AA, False, True, False, int(pattern, 2).to_bytes(64, "big"))
     stations = [Station(0, (frame.can_frame(),), support=FD), Station(1, support=FD)]
@@ -328,7 +331,7 @@ def test_a_tolerant_controller_does_not_take_a_data_phase_for_an_idle_bus(turn):
 
 
 @given(fd_fields(), st.integers(0, 700), st.integers(-1, 7), st.sampled_from([1, 2, 4, 5, 8]))
-def test_a_flip_anywhere_loses_no_frame_unnoticed(frame, bit, ports, ratio):
+def test_flip_anywhere_loses_no_frame_unnoticed(frame, bit, ports, ratio):
     stations = [
         Station(0, (frame.can_frame(),), support=FD),
         Station(1, support=FD),
@@ -341,13 +344,13 @@ def test_a_flip_anywhere_loses_no_frame_unnoticed(frame, bit, ports, ratio):
     got = [e.port for e in episode.events if e.kind is EventKind.ACCEPTED]
     assert len(sent) + len(failed) == 1
     if sent:
-        # a dominant ACK delimiter, heard by one, makes its end of frame a bit later
+        # a dominant ACK delimiter at one node delays its end of frame by a bit
         assert sorted(got) == [1, 2]
     assert all(e.frame == frame.can_frame() for e in episode.events if e.kind is EventKind.ACCEPTED)
     assert episode.bits < len(wire_fd.on_the_wire(frame)) + 60
     event("sent" if sent else "failed")
 
 
-def test_a_frame_that_its_controller_cannot_send_is_refused():
-    with pytest.raises(ValueError, match="classical CAN controller sends no CAN FD"):
+def test_frame_of_unsupported_format_is_refused():
+    with pytest.raises(ValueError, match="classical CAN controller cannot send CAN FD"):
         run_episode([Station(0, (ONES.can_frame(),))])

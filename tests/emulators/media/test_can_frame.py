@@ -3,7 +3,7 @@ import struct
 
 import pytest
 
-from emulators.media.can_frame import (
+from motorhil.emulators.can.frame import (
     EFF_FLAG,
     ERR_FLAG,
     FRAME_BYTES,
@@ -15,28 +15,28 @@ from emulators.media.can_frame import (
 )
 
 
-def test_a_frame_is_what_linux_calls_struct_can_frame():
+def test_frame_equals_linux_can_frame():
     # Source: include/uapi/linux/can.h, little endian host; the layout of python-can's socketcan
-    # interface, struct "<IBB2x8s" (length and two fields we leave 0).
+    # interface, struct "<IBB2x8s" (length and two fields that stay 0).
     assert pack(0x181, b"\x01\x02") == bytes.fromhex("81010000 02000000 0102000000000000")
     assert pack(0x181, b"\x01\x02") == struct.pack("<IBBBB8s", 0x181, 2, 0, 0, 0, b"\x01\x02")
     assert len(pack(0)) == FRAME_BYTES == 16
 
 
-def test_flags_are_those_of_linux():
+def test_flags_equal_linux():
     assert EFF_FLAG == socket.CAN_EFF_FLAG
     assert RTR_FLAG == socket.CAN_RTR_FLAG
     assert ERR_FLAG == socket.CAN_ERR_FLAG
 
 
-def test_identifier_and_data_come_out_as_they_went_in():
+def test_identifier_and_data_make_round_trip():
     frame = pack(0x1ABCDEF0 | EFF_FLAG, b"abcdefgh")
     assert can_id_of(frame) == 0x9ABCDEF0
     assert data_of(frame) == b"abcdefgh"
     assert data_of(pack(0x10)) == b""
 
 
-def test_a_remote_frame_has_a_length_and_no_data():
+def test_remote_frame_has_length_without_data():
     frame = pack_remote(0x701, 8)
     assert frame == bytes.fromhex("01070040 08000000 0000000000000000")
     assert data_of(frame) == b""
@@ -51,6 +51,6 @@ def test_a_remote_frame_has_a_length_and_no_data():
         (lambda: pack_remote(0x181, -1), "-1"),
     ],
 )
-def test_what_does_not_fit_a_frame_is_refused(call, told):
+def test_oversized_content_is_refused(call, told):
     with pytest.raises(ValueError, match=told):
         call()

@@ -1,13 +1,16 @@
-"""How a node that is off, or integrates, counts recessive bits; by hand, at 1 us a bit."""
+"""Recessive bits counted by a bus-off or integrating node; by hand.
+
+A bit takes 1 us.
+"""
 
 from dataclasses import replace
 
 import pytest
 
-from emulators.media.can_episode import Outcome
-from emulators.media.can_node import CanNode
-from emulators.media.can_presence import NEVER_NS, RECOVERY_RUNS, RUN_BITS, Presence, Role
-from emulators.media.fault_rule import FaultKind, FaultRule
+from motorhil.emulators.can.bitlevel.episode import Outcome
+from motorhil.emulators.can.bus.port import NEVER_NS, RECOVERY_RUNS, RUN_BITS, Presence, Role
+from motorhil.emulators.can.controller_config import CanNode
+from motorhil.emulators.can.fault_rules import FaultKind, FaultRule
 
 BIT = 1000
 ALL_RUNS_NS = 128 * 11 * BIT  # ISO 11898-1: 128 occurrences of 11 recessive bits
@@ -20,14 +23,14 @@ def off(recovery_ns, off_ns=5_000):
     return node
 
 
-def test_one_that_is_off_recovers_128_runs_after_it_may_begin_to_count():
+def test_bus_off_node_recovers_after_128_runs():
     assert off(0).due_ns(BIT) == 5_000 + ALL_RUNS_NS
     assert off(70_000).due_ns(BIT) == 75_000 + ALL_RUNS_NS
     assert off(None).due_ns(BIT) == NEVER_NS
 
 
 @pytest.mark.parametrize(("since_ns", "counts_from_ns"), [(10_000, 75_000), (90_000, 90_000)])
-def test_on_another_wire_it_does_not_begin_before_its_host_lets_it(since_ns, counts_from_ns):
+def test_recovery_delay_lasts_on_other_wire(since_ns, counts_from_ns):
     node = off(70_000)
     node.integrate(since_ns)
     assert (node.role, node.runs_left) == (Role.OFF, RECOVERY_RUNS)
@@ -35,33 +38,33 @@ def test_on_another_wire_it_does_not_begin_before_its_host_lets_it(since_ns, cou
 
 
 @pytest.mark.parametrize(("heard_bits", "runs"), [(0, 0), (10, 0), (11, 1), (21, 1), (22, 2)])
-def test_a_frame_that_begins_leaves_the_runs_that_were_whole(heard_bits, runs):
+def test_start_of_frame_keeps_complete_runs(heard_bits, runs):
     node = off(0)
     node.dominant_from(5_000 + heard_bits * BIT, BIT)
     assert node.runs_left == RECOVERY_RUNS - runs
 
 
-def test_after_an_episode_the_runs_heard_since_it_went_off_count():
+def test_episode_adds_runs_since_bus_off():
     node = Presence(0, "left", CanNode())
     node.end(replace(ENDED, off_at=20, recessive_runs=3, recessive_bits=4), 90_000, 21_000, BIT)
     assert node.due_ns(BIT) == 86_000 + 125 * 11 * BIT
 
 
 @pytest.mark.parametrize(("recovery_ns", "counts_from_ns"), [(30_000, 86_000), (80_000, 101_000)])
-def test_runs_before_it_may_count_do_not(recovery_ns, counts_from_ns):
+def test_runs_before_recovery_delay_do_not_count(recovery_ns, counts_from_ns):
     node = Presence(0, "left", CanNode(recovery_ns=recovery_ns))
     node.end(replace(ENDED, off_at=20, recessive_runs=3, recessive_bits=4), 90_000, 21_000, BIT)
     assert node.due_ns(BIT) == counts_from_ns + ALL_RUNS_NS
 
 
-def test_one_that_integrates_has_so_many_bits_still_to_hear():
+def test_integrating_node_keeps_remaining_bits():
     node = Presence(0, "left", CanNode())
     node.end(replace(ENDED, integrating=4), 90_000, 0, BIT)
     assert node.due_ns(BIT) == 94_000
     assert node.station(()).integrating == RUN_BITS
 
 
-def test_one_that_waits_for_a_recessive_bit_does_so_in_the_next_episode_too():
+def test_stalled_node_stays_stalled_in_next_episode():
     node = Presence(0, "left", CanNode())
     node.end(replace(ENDED, stalled=True), 90_000, 0, BIT)
     assert node.station(()).stalled
@@ -69,7 +72,7 @@ def test_one_that_waits_for_a_recessive_bit_does_so_in_the_next_episode_too():
     assert not node.station(()).stalled
 
 
-def test_a_babble_has_eight_bytes_at_most():
+def test_babble_has_eight_bytes_at_most():
     words = {"identifier": 0x10, "sender": "left"}
     for size in (0, 8):
         FaultRule("idiot", FaultKind.BABBLE, data=bytes(size), **words)

@@ -1,4 +1,4 @@
-"""Whether a bit is read as sent, against a receiver that lives in continuous time."""
+"""Sampling of bits, compared with a receiver in continuous time."""
 
 from fractions import Fraction
 
@@ -6,11 +6,16 @@ import pytest
 from hypothesis import event, given
 from hypothesis import strategies as st
 
-from emulators.media.can_bus import CanBus
-from emulators.media.can_frame import pack
-from emulators.media.can_node import CanNode
-from emulators.media.can_sampling import ONE, USUAL_TIMING, BitTiming, first_misread
-from emulators.media.faults import FaultPlan
+from motorhil.emulators.can.bus.bus import CanBus
+from motorhil.emulators.can.bus.fault_plan import FaultPlan
+from motorhil.emulators.can.controller_config import (
+    ONE,
+    USUAL_TIMING,
+    BitTiming,
+    CanNode,
+    first_misread,
+)
+from motorhil.emulators.can.frame import pack
 from tests.emulators.media import wire
 from tests.emulators.media.driving import heard, run
 
@@ -26,7 +31,7 @@ def levels_of(frame: wire.Fields) -> bytes:
 
 
 def misread_in_time(levels: bytes, drift: Fraction, timing: BitTiming) -> int | None:
-    """A receiver that looks at a wire at its sample points, and goes by the edges."""
+    """Return the first bit misread by a receiver with sample points and resynchronisation."""
     bit = 1 + drift  # its bit time, where the sender's is 1
     sample = bit * timing.sample / timing.quanta
     jump = Fraction(timing.jump, timing.quanta)
@@ -35,9 +40,7 @@ def misread_in_time(levels: bytes, drift: Fraction, timing: BitTiming) -> int | 
     ]
     begins = Fraction(0)
     for number, sent in enumerate(levels):
-        if (
-            number in edges
-        ):  # where it expects it, or near: it begins its bit there, or nearer to it
+        if number in edges:  # an edge at or near the expected time: shift the bit towards it
             error = begins - number
             begins -= max(-jump, min(jump, error))
         place = int(begins + sample) if begins + sample >= 0 else 0
@@ -48,7 +51,7 @@ def misread_in_time(levels: bytes, drift: Fraction, timing: BitTiming) -> int | 
 
 
 @given(wire.fields(), TIMINGS, PPM)
-def test_a_misread_bit_is_the_one_that_a_receiver_in_time_misreads(frame, timing, ppm):
+def test_misread_bit_equals_continuous_receiver(frame, timing, ppm):
     levels = levels_of(frame)
     found = first_misread(levels, ppm * ONE // 1_000_000, timing)
     event("misread" if found is not None else "read")
@@ -56,21 +59,21 @@ def test_a_misread_bit_is_the_one_that_a_receiver_in_time_misreads(frame, timing
 
 
 @given(wire.fields(), TIMINGS, st.integers(0, 100))
-def test_within_tolerance_no_frame_is_misread(frame, timing, percent):
+def test_no_frame_is_misread_within_tolerance(frame, timing, percent):
     drift = timing.tolerance_1e12() * percent // 100
     for error in (drift, -drift):
         assert first_misread(levels_of(frame), error, timing) is None
 
 
-def test_beyond_tolerance_the_frame_with_the_rarest_edges_is_misread():
-    """Fives and fives: an edge to go by every ten bits, and each lets more of the drift stand."""
+def test_frame_with_rarest_edges_is_misread_beyond_tolerance():
+    """Runs of five: an edge every ten bits, and each leaves more of the drift uncorrected."""
     frame = wire.Fields(0x078, False, False, 8, bytes([0x3C]) * 8)
     worst = bytes([0] * 5 + [1] * 5) * 10
     timing = BitTiming()
     tolerance = timing.tolerance_1e12()
     assert first_misread(worst, tolerance, timing) is None
-    # In bit times: 0.09375 of drift in ten bits, 0.0625 of it made good; in bit 29 the sample is
-    # 2 * 0.03125 + 9 * 0.009375 + 0.0082 late, and 0.125 is what there is.
+    # In bit times: 0.09375 of drift in ten bits, 0.0625 of it corrected. In bit 29 the sample is 2
+    # * 0.03125 + 9 * 0.009375 + 0.0082 late, and the margin is 0.125.
     assert first_misread(worst, tolerance * 3 // 2, timing) == 29
     assert first_misread(levels_of(frame), tolerance * 8, timing) is not None
 
@@ -81,7 +84,7 @@ def test_beyond_tolerance_the_frame_with_the_rarest_edges_is_misread():
     ("timing", "ppm"),
     [(BitTiming(16, 14, 1), 6250), (BitTiming(16, 14, 2), 9708), (BitTiming(16, 12, 4), 19607)],
 )
-def test_the_tolerance_is_that_of_the_two_conditions(timing, ppm):
+def test_tolerance_equals_both_conditions(timing, ppm):
     assert timing.tolerance_1e12() // 1_000_000 == ppm
 
 
@@ -94,7 +97,7 @@ def test_the_tolerance_is_that_of_the_two_conditions(timing, ppm):
         (16, 14, 0, "jump width 0"),
     ],
 )
-def test_a_bit_that_cannot_be_divided_so_is_refused(quanta, sample, jump, told):
+def test_invalid_bit_timing_is_refused(quanta, sample, jump, told):
     with pytest.raises(ValueError, match=told):
         BitTiming(quanta, sample, jump)
 
@@ -111,14 +114,14 @@ def two_nodes(ppm: float, timing: BitTiming = USUAL_TIMING) -> CanBus:
     ("port", "ppm", "end_ns"),
     [(0, 100.0, 248_000), (1, 100.0, 247_975), (1, -100.0, 248_024), (1, 5000.0, 246_766)],
 )
-def test_a_frame_takes_as_long_as_its_sender_s_clock_makes_it(port, ppm, end_ns):
+def test_frame_duration_follows_sender_clock(port, ppm, end_ns):
     bus = two_nodes(ppm)
     deliveries = run(bus, [(0, port, pack(0, bytes(8)))])
     assert [time_ns for time_ns, _ in deliveries] == [end_ns]
     assert bus.statistics.frames == 1
 
 
-def test_two_nodes_whose_clocks_are_too_far_apart_do_not_understand_one_another():
+def test_nodes_with_distant_clocks_cannot_communicate():
     bus = two_nodes(40_000.0)
     deliveries = run(bus, [(0, 0, pack(0, bytes(8)))], until_ns=100_000_000)
     assert heard(deliveries, 1) == []
@@ -127,8 +130,8 @@ def test_two_nodes_whose_clocks_are_too_far_apart_do_not_understand_one_another(
     assert bus.statistics.frames == 0
 
 
-def test_a_wide_jump_and_an_early_sample_point_let_them():
-    """The receiver is the slow one: it samples late, and there is an eighth of a bit behind."""
+def test_wide_jump_and_early_sample_point_allow_communication():
+    """The receiver is the slow one: it samples late, with a margin of an eighth of a bit."""
     fives = pack(0x078, bytes([0x3C]) * 8)
     wide = two_nodes(15_000.0, BitTiming(8, 6, 2))
     assert [frame for _, frame in heard(run(wide, [(0, 1, fives)]), 0)] == [fives]

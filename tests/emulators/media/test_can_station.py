@@ -1,36 +1,38 @@
-"""One CAN controller against transcripts of the wire, drawn by hand from the standard.
+"""One CAN controller against handmade transcripts of the wire.
 
-A transcript is what the controller samples, bit by bit (0 dominant, 1 recessive), and what it puts
-on the wire meanwhile. Frames come from `wire`, which shares nothing with the emulator; what follows
-an error is drawn here. Rules are those of ISO 11898-1, fault confinement, a to i.
+A transcript has the levels that the controller samples, bit by bit (0 dominant, 1 recessive), and
+the levels that it drives meanwhile. Frames come from `wire`, which shares no code with the
+emulator. The bits after an error are drawn here. Rules are those of ISO 11898-1, fault confinement,
+a to i.
 """
 
 import pytest
 
-from emulators.media import error_message as told
-from emulators.media.can_station import OFF, CanStation
-from emulators.media.confinement import Confinement
-from emulators.media.error_journal import (
+from motorhil.emulators.can import error_confinement as told
+from motorhil.emulators.can.bitlevel.controller import (
     NOTE_ACCEPTED,
     NOTE_ERROR,
     NOTE_FAILED,
     NOTE_LOST,
     NOTE_SENT,
     NOTE_STATE,
+    OFF,
+    CanStation,
 )
+from motorhil.emulators.can.error_confinement import Confinement
 from tests.emulators.media import wire
 
 FIELDS = wire.Fields(0x2AA, False, False, 1, b"\x0f")
 FRAME = FIELDS.can_frame()
 SENT = wire.on_the_wire(FIELDS)  # the sender's levels; its ACK slot is recessive
 ACK_SLOT = len(SENT) - 9
-READ = SENT[:ACK_SLOT] + "0" + SENT[ACK_SLOT + 1 :]  # what is on the wire
-HEARD = "1" * ACK_SLOT + "0" + "1" * 8  # what a receiver sends meanwhile
+READ = SENT[:ACK_SLOT] + "0" + SENT[ACK_SLOT + 1 :]  # levels on the wire
+HEARD = "1" * ACK_SLOT + "0" + "1" * 8  # levels of a receiver meanwhile
 
 FLAG = "000000"
 DELIMITER = "11111111"
 INTERMISSION = "111"
-QUIET = DELIMITER + INTERMISSION  # what follows a flag, in the best case
+QUIET = DELIMITER + INTERMISSION  # the bits after a flag, in the best case
 
 
 def sender(tec: int = 0, rec: int = 0, **kinds: bool) -> CanStation:
@@ -46,7 +48,7 @@ def receiver(rec: int = 0, tec: int = 0) -> CanStation:
 
 
 def play(station: CanStation, sampled: str) -> str:
-    """What it puts on the wire while it samples these levels. Spaces are for the reader."""
+    """Return the levels driven while sampling these levels. Spaces are for the reader."""
     drives = ""
     for bit, level in enumerate(sampled.replace(" ", "")):
         drives += str(station.drives)
@@ -63,7 +65,7 @@ def counters(station: CanStation) -> tuple[int, int]:
 
 
 def errors(station: CanStation) -> list[tuple[int, int, int]]:
-    """(bit, data[2], data[3]) of each error told."""
+    """Return (bit, data[2], data[3]) of each reported error."""
     return [(bit, m[10], m[11]) for bit, kind, m in station.journal.notes if kind == NOTE_ERROR]
 
 
@@ -71,10 +73,10 @@ def kinds(station: CanStation) -> list[int]:
     return [kind for _, kind, _ in station.journal.notes]
 
 
-# --- what goes well
+# --- without errors
 
 
-def test_a_sender_sends_the_frame_and_counts_it_at_its_last_bit():  # g
+def test_sent_frame_counts_at_its_last_bit():  # g
     station = sender(tec=5)
     check(station, READ, SENT)
     assert station.journal.notes == [(len(SENT) - 1, NOTE_SENT, FRAME)]
@@ -82,14 +84,14 @@ def test_a_sender_sends_the_frame_and_counts_it_at_its_last_bit():  # g
     check(station, INTERMISSION + "1111", "1111111")
 
 
-def test_a_receiver_acknowledges_and_accepts_at_the_last_but_one_bit():
+def test_receiver_acknowledges_and_accepts_before_last_bit():
     station = receiver()
     check(station, READ + INTERMISSION, HEARD + INTERMISSION)
     assert station.journal.notes == [(len(SENT) - 2, NOTE_ACCEPTED, FRAME)]
 
 
 @pytest.mark.parametrize(("rec", "after"), [(0, 0), (1, 0), (127, 126), (128, 127), (255, 127)])
-def test_a_receiver_counts_down_in_the_ack_slot(rec, after):  # h
+def test_receiver_counts_down_in_ack_slot(rec, after):  # h
     station = receiver(rec)
     play(station, READ[:ACK_SLOT])
     assert counters(station) == (0, rec)
@@ -97,7 +99,7 @@ def test_a_receiver_counts_down_in_the_ack_slot(rec, after):  # h
     assert counters(station) == (0, after)
 
 
-def test_who_loses_arbitration_receives_and_acknowledges_the_winner():
+def test_arbitration_loser_receives_and_acknowledges():
     station = sender()
     winner = wire.Fields(0x2A9, False, False, 1, b"\x0f")
     bits = wire.on_the_wire(winner)
@@ -114,7 +116,7 @@ def test_who_loses_arbitration_receives_and_acknowledges_the_winner():
     ]
 
 
-def test_a_remote_frame_loses_to_the_data_frame_of_its_identifier_in_rtr():
+def test_remote_frame_loses_to_data_frame_in_rtr():
     remote = wire.Fields(0x2AA, False, True, 1, b"")
     station = CanStation([remote.can_frame()], Confinement())
     station.begin_idle()
@@ -125,7 +127,7 @@ def test_a_remote_frame_loses_to_the_data_frame_of_its_identifier_in_rtr():
     ]
 
 
-def test_who_has_lost_arbitration_counts_as_a_receiver():  # a
+def test_arbitration_loser_counts_as_receiver():  # a
     station = CanStation([wire.Fields(0x07F, False, False, 0, b"").can_frame()], Confinement())
     station.begin_idle()
     play(station, "0 0000 1 0 11111 1")  # lost in the second bit after the stuff bit
@@ -133,7 +135,7 @@ def test_who_has_lost_arbitration_counts_as_a_receiver():  # a
     assert kinds(station) == [NOTE_LOST, NOTE_ERROR]
 
 
-def test_a_dlc_above_eight_means_eight_bytes():
+def test_dlc_above_eight_means_eight_bytes():
     odd = wire.Fields(0x2AA, False, False, 15, bytes(range(8)))
     bits = wire.on_the_wire(odd)
     station = receiver()
@@ -146,20 +148,20 @@ def test_a_dlc_above_eight_means_eight_bytes():
 # --- errors of a receiver
 
 
-def test_six_equal_bits_are_a_stuff_error():  # a
+def test_six_equal_bits_are_stuff_error():  # a
     station = receiver()
     check(station, "000000" + FLAG + QUIET, "111111" + FLAG + QUIET)
     assert counters(station) == (0, 1)
     assert errors(station) == [(5, told.STUFF_ERROR, told.ID_28_21)]
 
 
-def test_five_equal_bits_are_none():
+def test_five_equal_bits_are_no_error():
     station = receiver()
     check(station, "00000 1 00000 1", "111111111111")
     assert errors(station) == []
 
 
-def test_a_dominant_bit_right_after_the_flag_says_that_others_saw_the_error_later():  # b
+def test_dominant_bit_after_flag_counts_eight():  # b
     station = receiver()
     check(station, "000000" + FLAG + "0", "111111" + FLAG + "1")
     assert counters(station) == (0, 1 + 8)
@@ -167,7 +169,7 @@ def test_a_dominant_bit_right_after_the_flag_says_that_others_saw_the_error_late
     assert counters(station) == (0, 9)
 
 
-def test_eight_dominant_bits_after_the_flag_count_and_each_further_eight():  # f
+def test_each_eight_dominant_bits_after_flag_count():  # f
     station = receiver()
     play(station, "000000" + FLAG + "0000000")
     assert counters(station) == (0, 9)
@@ -180,16 +182,16 @@ def test_eight_dominant_bits_after_the_flag_count_and_each_further_eight():  # f
     check(station, QUIET, QUIET)
 
 
-def test_a_bit_error_in_a_receivers_flag_counts_eight_and_begins_another():  # e, not a
+def test_bit_error_in_receiver_flag_counts_and_restarts_it():  # e, not a
     station = receiver()
     check(station, "000000 00 1" + FLAG + QUIET, "111111 00 0" + FLAG + QUIET)
     assert counters(station) == (0, 1 + 8)
     assert errors(station)[1] == (8, told.BIT0_ERROR, told.ACTIVE_FLAG)
 
 
-def test_a_crc_error_is_told_after_the_ack_delimiter_and_not_acknowledged():
+def test_crc_error_is_signalled_after_ack_without_ack():
     station = receiver()
-    last = SENT[ACK_SLOT - 2]  # of the CRC; turned over, no stuff error comes of it here
+    last = SENT[ACK_SLOT - 2]  # of the CRC; its inversion causes no stuff error here
     assert len(set(SENT[ACK_SLOT - 6 : ACK_SLOT - 2])) == 2
     wrong = SENT[: ACK_SLOT - 2] + ("1" if last == "0" else "0") + "1"
     check(station, wrong + "0 1" + FLAG + QUIET, "1" * ACK_SLOT + "1 1" + FLAG + QUIET)
@@ -206,26 +208,26 @@ def test_a_crc_error_is_told_after_the_ack_delimiter_and_not_acknowledged():
         (-2, told.END_OF_FRAME),
     ],
 )
-def test_a_dominant_bit_in_a_fixed_field_is_a_form_error(bit, place):
+def test_dominant_bit_in_fixed_field_is_form_error(bit, place):
     station = receiver(rec=10)
     position = len(SENT) + bit
     check(station, READ[:position] + "0" + FLAG, HEARD[: position + 1] + FLAG)
     assert errors(station) == [(position, told.FORM_ERROR, place)]
-    # h has been counted if the ACK slot was heard
+    # h has counted if the ACK slot was heard
     assert counters(station) == (0, 11 if position < ACK_SLOT else 10)
     assert NOTE_ACCEPTED not in kinds(station)
 
 
-def test_an_acknowledgement_that_does_not_come_through_is_a_bit_error():
+def test_own_acknowledgement_read_recessive_is_bit_error():
     station = receiver(rec=10)
     check(station, SENT[: ACK_SLOT + 1] + FLAG, HEARD[: ACK_SLOT + 1] + FLAG)
     assert errors(station) == [(ACK_SLOT, told.BIT0_ERROR, told.ACK_SLOT)]
-    assert not station.journal.notes[0][2][0] & told.NO_ACKNOWLEDGE  # that is the sender's
+    assert not station.journal.notes[0][2][0] & told.NO_ACKNOWLEDGE  # of the sender
     assert counters(station) == (0, 11)
 
 
 @pytest.mark.parametrize(("extended", "reserved"), [(False, 1), (True, 1), (True, 2), (True, 3)])
-def test_a_recessive_reserved_bit_is_none_to_a_classical_controller(extended, reserved):
+def test_recessive_reserved_bit_is_accepted_as_classical(extended, reserved):
     """ISO 16845-1, 7.1.4 and 7.1.5: r1 and r0 of either level are accepted, and acknowledged."""
     fields = wire.Fields(0x0AAAAAAA if extended else 0x2AA, extended, False, 1, b"\x0f")
     field = wire.unstuffed(fields)
@@ -246,7 +248,7 @@ def test_a_recessive_reserved_bit_is_none_to_a_classical_controller(extended, re
 # --- errors of a transmitter
 
 
-def test_a_transmitter_counts_eight_and_sends_again_after_the_intermission():  # c
+def test_transmitter_counts_eight_and_sends_again():  # c
     station = sender()
     broken = len(SENT) - 30
     wrong = "1" if SENT[broken] == "0" else "0"
@@ -259,13 +261,13 @@ def test_a_transmitter_counts_eight_and_sends_again_after_the_intermission():  #
     assert kinds(station) == [NOTE_ERROR, NOTE_FAILED, NOTE_SENT]
 
 
-def test_one_shot_is_not_sent_again():
+def test_one_shot_frame_is_not_sent_again():
     station = sender(one_shot=True)
     check(station, "1" + FLAG + QUIET + "11111", "0" + FLAG + QUIET + "11111")
     assert station.frames == []
 
 
-def test_a_transmitter_does_not_count_dominant_bits_after_its_flag_before_the_eighth():  # b, f
+def test_transmitter_ignores_dominant_bits_before_eighth():  # b, f
     station = sender()
     play(station, "1" + FLAG + "0000000")
     assert counters(station) == (8, 0)
@@ -273,13 +275,13 @@ def test_a_transmitter_does_not_count_dominant_bits_after_its_flag_before_the_ei
     assert counters(station) == (16, 0)
 
 
-def test_a_bit_error_in_a_transmitters_flag_counts_eight_and_begins_another():  # d, not c twice
+def test_bit_error_in_transmitter_flag_counts_and_restarts_it():  # d, not c twice
     station = sender()
     check(station, "1 00000 1" + FLAG + QUIET, "0 00000 0" + FLAG + QUIET)
     assert counters(station) == (16, 0)
 
 
-def test_no_acknowledgement_counts_for_an_active_transmitter():  # c
+def test_missing_ack_counts_for_active_transmitter():  # c
     station = sender(tec=120)
     check(station, SENT[: ACK_SLOT + 1] + FLAG, SENT[: ACK_SLOT + 1] + FLAG)
     assert counters(station) == (128, 0)
@@ -287,13 +289,13 @@ def test_no_acknowledgement_counts_for_an_active_transmitter():  # c
     assert message[0] & told.NO_ACKNOWLEDGE
 
 
-def test_no_acknowledgement_does_not_count_for_a_passive_one():  # c, exception 1
+def test_missing_ack_does_not_count_for_passive_transmitter():  # c, exception 1
     station = sender(tec=128)
     check(station, SENT[: ACK_SLOT + 1] + "111111" + QUIET, SENT[: ACK_SLOT + 1] + "111111" + QUIET)
     assert counters(station) == (128, 0)
 
 
-def test_but_does_if_it_sees_a_dominant_bit_in_its_flag():  # c, exception 1 does not hold
+def test_missing_ack_counts_with_dominant_bit_in_passive_flag():  # c, exception 1 does not hold
     station = sender(tec=128)
     play(station, SENT[: ACK_SLOT + 1] + "11 0")
     assert counters(station) == (136, 0)
@@ -301,10 +303,11 @@ def test_but_does_if_it_sees_a_dominant_bit_in_its_flag():  # c, exception 1 doe
     assert counters(station) == (136, 0)
 
 
-def test_the_exception_is_over_with_its_flag():  # c, exception 1; then d alone
-    """Unacknowledged and passive; the first bit of intermission dominant, and an overload flag of
-    which a bit does not come through: 8 for that. Dominant bits in the passive error flag after it
-    are others' flags.
+def test_missing_ack_exception_ends_with_its_flag():  # c, exception 1; then d alone
+    """Unacknowledged and passive; a dominant first bit of intermission causes an overload flag.
+
+    A bit of that flag is read recessive: 8 for that. Dominant bits in the passive error flag after
+    it are other nodes' flags.
     """
     station = sender(tec=128)
     play(station, SENT[: ACK_SLOT + 1] + "111111" + DELIMITER)
@@ -319,7 +322,7 @@ STUFFED = wire.Fields(
 ZEROS = wire.Fields(0x07F, False, False, 0, b"")  # 0 0000[1]1111... the stuff bit is recessive
 
 
-def test_a_recessive_stuff_bit_read_dominant_in_arbitration_does_not_count():  # c, exception 2
+def test_recessive_stuff_bit_lost_in_arbitration_is_free():  # c, exception 2
     station = CanStation([ZEROS.can_frame()], Confinement())
     station.begin_idle()
     assert wire.on_the_wire(ZEROS)[:6] == "000001"
@@ -328,7 +331,7 @@ def test_a_recessive_stuff_bit_read_dominant_in_arbitration_does_not_count():  #
     assert errors(station) == [(5, told.STUFF_ERROR | told.TRANSMITTING, told.ID_28_21)]
 
 
-def test_a_dominant_stuff_bit_read_recessive_in_arbitration_does():  # c
+def test_dominant_stuff_bit_error_in_arbitration_counts():  # c
     station = CanStation([STUFFED.can_frame()], Confinement())
     station.begin_idle()
     assert wire.on_the_wire(STUFFED)[:7] == "0111110"
@@ -336,7 +339,7 @@ def test_a_dominant_stuff_bit_read_recessive_in_arbitration_does():  # c
     assert counters(station) == (8, 0)
 
 
-def test_a_recessive_stuff_bit_after_rtr_does():  # c: it is not before RTR
+def test_recessive_stuff_bit_error_after_rtr_counts():  # c: it is not before RTR
     remote = wire.Fields(0x555, False, False, 0, b"")
     bits = wire.on_the_wire(remote)
     assert bits[:18] == "0 10101010101 0 0 0 00 1".replace(" ", "")  # RTR IDE r0 DLC [stuff]
@@ -346,7 +349,7 @@ def test_a_recessive_stuff_bit_after_rtr_does():  # c: it is not before RTR
     assert counters(station) == (8, 0)
 
 
-def test_a_dominant_bit_in_the_last_bit_of_end_of_frame_fails_the_frame():
+def test_dominant_last_bit_of_frame_fails_it():
     station = sender()
     check(station, READ[:-1] + "0" + FLAG, SENT + FLAG)
     assert kinds(station) == [NOTE_ERROR, NOTE_FAILED]
@@ -356,7 +359,7 @@ def test_a_dominant_bit_in_the_last_bit_of_end_of_frame_fails_the_frame():
 # --- error passive, bus-off
 
 
-def test_the_error_that_makes_a_node_passive_is_told_by_an_active_flag_the_next_by_a_passive():  # i
+def test_error_to_passive_has_active_flag_and_next_a_passive():  # i
     station = sender(tec=120)
     check(
         station,
@@ -368,19 +371,19 @@ def test_the_error_that_makes_a_node_passive_is_told_by_an_active_flag_the_next_
     assert message[9] == told.TX_PASSIVE
 
 
-def test_a_passive_transmitter_waits_eight_more_bits_after_a_frame_also():
+def test_passive_transmitter_suspends_after_frame():
     station = CanStation([FRAME, FRAME], Confinement(tec=140))
     station.begin_idle()
     check(station, READ + INTERMISSION + "11111111" + "0", SENT + INTERMISSION + "11111111" + "0")
 
 
-def test_a_suspended_node_receives_what_another_starts():
+def test_suspended_node_receives_other_frame():
     station = CanStation([FRAME], Confinement(tec=140))
     station.begin_idle(suspended=8)
     check(station, "1111111" + READ + INTERMISSION + "0", "1111111" + HEARD + INTERMISSION + "0")
 
 
-def test_a_passive_receiver_is_not_suspended():
+def test_passive_receiver_is_not_suspended():
     station = CanStation([], Confinement(rec=200))
     station.begin_idle()
     play(station, "000000" + "111111" + DELIMITER + "11")
@@ -388,9 +391,9 @@ def test_a_passive_receiver_is_not_suspended():
     check(station, "1" + "0", "1" + "0")
 
 
-def test_six_equal_bits_end_a_passive_flag_of_either_level():
+def test_six_equal_bits_of_either_level_end_passive_flag():
     station = receiver(rec=200)
-    # 111 is not enough, nor 00000; six dominant bits are, and the one after them is b's
+    # Neither 111 nor 00000 is enough; six dominant bits are, and the next one counts by b.
     check(station, "000000 111 00000 1 000000", "1" * 21)
     assert counters(station) == (0, 201)
     play(station, "0")
@@ -399,7 +402,7 @@ def test_six_equal_bits_end_a_passive_flag_of_either_level():
     assert NOTE_ACCEPTED in kinds(station)
 
 
-def test_eight_dominant_bits_after_a_passive_flag_count():  # f
+def test_eight_dominant_bits_after_passive_flag_count():  # f
     station = sender(tec=128)
     play(station, "1" + "000000")
     assert counters(station) == (136, 0)
@@ -409,24 +412,24 @@ def test_eight_dominant_bits_after_a_passive_flag_count():  # f
     assert counters(station) == (144, 0)
 
 
-def test_rec_stops_at_255_and_is_passive():
+def test_rec_stops_at_255():
     station = receiver(rec=250)
     play(station, "000000" + "000000" + "0" * 64)
     assert counters(station) == (0, 255)
-    assert len(errors(station)) == 1  # from 255 on nothing more is told of dominant bits
+    assert len(errors(station)) == 1  # from 255 on dominant bits are not reported any more
 
 
-def test_above_255_it_is_off_the_wire_at_once_and_counts_runs_of_11():  # i
+def test_tec_above_255_is_bus_off_at_once_and_counts_runs():  # i
     station = sender(tec=248)
     check(station, "1" + "0" * 5 + "1" * 10 + "0" + "1" * 22, "0" + "1" * 38)
     assert station.phase == OFF
     assert station.off_at == 0
     assert (station.recessive_runs, station.recessive_bits) == (2, 0)
     assert station.journal.notes[-1][1:] == (NOTE_FAILED, FRAME)
-    assert station.journal.notes[-2][2][0] & told.BUS_OFF
+    assert station.journal.notes[-2][2][0] & told.MESSAGE_BUS_OFF
 
 
-def test_at_255_it_is_not():  # i
+def test_tec_of_255_is_not_bus_off():  # i
     station = sender(tec=247)
     play(station, "1")
     assert counters(station) == (255, 0)
@@ -437,7 +440,7 @@ def test_at_255_it_is_not():  # i
 
 
 @pytest.mark.parametrize("recessive", range(1, 7))
-def test_a_dominant_bit_in_the_delimiter_is_a_form_error(recessive):  # a
+def test_dominant_bit_in_delimiter_is_form_error(recessive):  # a
     station = receiver()
     quiet = "1" * recessive
     check(station, "000000" + FLAG + quiet + "0" + FLAG, "111111" + FLAG + quiet + "1" + FLAG)
@@ -445,7 +448,7 @@ def test_a_dominant_bit_in_the_delimiter_is_a_form_error(recessive):  # a
     assert errors(station)[-1][1:] == (told.FORM_ERROR, told.DELIMITER)
 
 
-def test_the_last_bit_of_the_delimiter_dominant_is_an_overload():
+def test_dominant_last_bit_of_delimiter_is_overload():
     station = receiver()
     check(
         station,
@@ -455,7 +458,7 @@ def test_the_last_bit_of_the_delimiter_dominant_is_an_overload():
     assert counters(station) == (0, 1)
 
 
-def test_the_last_bit_of_end_of_frame_dominant_is_an_overload_to_a_receiver():
+def test_dominant_last_bit_of_frame_is_overload_to_receiver():
     station = receiver(rec=5)
     check(station, READ[:-1] + "0" + FLAG + QUIET, HEARD + FLAG + QUIET)
     assert kinds(station) == [NOTE_ACCEPTED, NOTE_ERROR]
@@ -464,21 +467,21 @@ def test_the_last_bit_of_end_of_frame_dominant_is_an_overload_to_a_receiver():
 
 
 @pytest.mark.parametrize("first", ["0", "10"])
-def test_a_dominant_first_or_second_bit_of_intermission_is_an_overload(first):
+def test_dominant_early_bit_of_intermission_is_overload(first):
     station = sender()
     check(station, READ + first + FLAG + QUIET, SENT + "1" * len(first) + FLAG + QUIET)
     assert counters(station) == (0, 0)
     assert kinds(station) == [NOTE_SENT, NOTE_ERROR]
 
 
-def test_a_bit_error_in_an_overload_flag_is_an_error():  # d, e
+def test_bit_error_in_overload_flag_is_error():  # d, e
     for station, frame, after in ((sender(), READ, (8, 0)), (receiver(), READ, (0, 8))):
         play(station, frame + "0" + "001")
         assert counters(station) == after
         check(station, FLAG + QUIET, FLAG + QUIET)
 
 
-def test_dominant_bits_after_an_overload_flag_count_by_f_alone():  # not b
+def test_dominant_bits_after_overload_flag_count_by_f_alone():  # not b
     station = receiver()
     play(station, READ + "0" + FLAG + "0000000")
     assert counters(station) == (0, 0)
@@ -486,42 +489,42 @@ def test_dominant_bits_after_an_overload_flag_count_by_f_alone():  # not b
     assert counters(station) == (0, 8)
 
 
-def test_they_do_so_after_an_error_flag_as_well():  # not b
+def test_overload_flag_after_error_flag_counts_by_f_alone():  # not b
     station = receiver()
     play(station, "000000" + FLAG + "1111111 0" + FLAG + "0")
     assert counters(station) == (0, 1)
 
 
-def test_a_dominant_third_bit_of_intermission_is_a_start_of_frame():
+def test_dominant_third_bit_of_intermission_starts_frame():
     station = receiver()
     check(station, READ + "11" + READ, HEARD + "11" + HEARD)
     assert kinds(station) == [NOTE_ACCEPTED, NOTE_ACCEPTED]
 
 
-def test_who_has_a_frame_takes_a_start_a_bit_early_for_its_own():
+def test_pending_frame_uses_start_of_frame_one_bit_early():
     station = CanStation([FRAME, FRAME], Confinement())
     station.begin_idle()
     check(station, READ + "11" + READ, SENT + "11" + "1" + SENT[1:])
     assert kinds(station) == [NOTE_SENT, NOTE_SENT]
 
 
-def test_but_not_if_it_has_to_wait():
+def test_suspended_node_ignores_start_of_frame_for_sending():
     station = CanStation([FRAME, FRAME], Confinement(tec=140))
     station.begin_idle()
     check(station, READ + "11" + READ, SENT + "11" + HEARD)
     assert kinds(station) == [NOTE_SENT, NOTE_ACCEPTED]
 
 
-# --- coming back
+# --- return to the bus
 
 
-def test_a_node_that_comes_back_listens_until_eleven_recessive_bits():
+def test_returning_node_listens_for_11_recessive_bits():
     station = CanStation([FRAME], Confinement())
     station.begin_integrating()
     check(station, "0" * 20 + "1" * 10 + "0" + "1" * 11 + "0", "1" * 42 + "0")
 
 
-def test_a_stalled_node_is_back_after_a_delimiter_and_an_intermission():
+def test_stalled_node_returns_after_delimiter_and_intermission():
     station = CanStation([FRAME], Confinement(rec=255))
     station.begin_stalled()
     check(station, "000" + QUIET + "0", "111" + QUIET + "0")

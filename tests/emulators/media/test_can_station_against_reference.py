@@ -1,19 +1,19 @@
-"""Controllers on one wire, bit for bit as other ones that share nothing with them."""
+"""Controllers on one wire, compared bit by bit with independent ones."""
 
 from random import Random
 
 import pytest
 
-from emulators.media.can_node import FrameSupport
-from emulators.media.can_station import CanStation
-from emulators.media.confinement import Confinement
-from emulators.media.error_journal import (
+from motorhil.emulators.can.bitlevel.controller import (
     NOTE_ACCEPTED,
     NOTE_ERROR,
     NOTE_FAILED,
     NOTE_LOST,
     NOTE_SENT,
+    CanStation,
 )
+from motorhil.emulators.can.controller_config import FrameSupport
+from motorhil.emulators.can.error_confinement import Confinement
 from tests.emulators.media import wire, wire_fd
 from tests.emulators.media.reference_node import ReferenceNode, Sent
 
@@ -59,7 +59,7 @@ def random_node(random: Random, support: str, sends: bool) -> tuple[CanStation, 
 
 
 def strikes_for(random: Random, ports: int, bits: int) -> dict[tuple[int, int], str]:
-    """(bit, port) -> what is done to the level sampled there."""
+    """Return (bit, port) -> change of the level sampled there."""
     found: dict[tuple[int, int], str] = {}
     for _ in range(random.choice((0, 1, 1, 2, 3, 6))):
         first = random.randrange(bits)
@@ -74,7 +74,7 @@ def strikes_for(random: Random, ports: int, bits: int) -> dict[tuple[int, int], 
 
 
 def compare(seed: int) -> dict[str, int]:
-    """Runs one case; what was reached, by name."""
+    """Run one case and return the names of the situations reached."""
     random = Random(seed)
     ports = random.randrange(1, 5)
     kinds = random.choice((("classical",), ("fd",), ("fd", "tolerant"), ("fd", "classical")))
@@ -122,7 +122,7 @@ def compare(seed: int) -> dict[str, int]:
 
 
 @pytest.mark.parametrize("block", range(4))
-def test_every_bit_and_every_counter_is_the_same(block):
+def test_bits_and_counters_equal_reference(block):
     """Random frames, counters, kinds of controllers and disturbances; a failure names its seed."""
     reached: dict[str, int] = {}
     for seed in range(block * 250, block * 250 + 250):

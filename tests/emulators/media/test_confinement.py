@@ -1,10 +1,10 @@
-"""A node's error counters by themselves, and what is told of them."""
+"""Error counters of a node, and their reports."""
 
 import pytest
 
-from emulators.media import error_message as told
-from emulators.media.confinement import Confinement, ErrorState, state_of
-from emulators.media.error_journal import NOTE_STATE, ErrorJournal
+from motorhil.emulators.can import error_confinement as told
+from motorhil.emulators.can.bitlevel.controller import NOTE_STATE, ErrorJournal
+from motorhil.emulators.can.error_confinement import Confinement, ErrorState, state_of
 
 
 @pytest.mark.parametrize(
@@ -19,12 +19,12 @@ from emulators.media.error_journal import NOTE_STATE, ErrorJournal
         (256, ErrorState.BUS_OFF),
     ],
 )
-def test_a_counter_makes_a_node_what_rule_i_says(counter, state):
+def test_error_state_follows_rule_i(counter, state):
     assert state_of(counter) is state
 
 
 @pytest.mark.parametrize(("tec", "rec"), [(-1, 0), (256, 0), (0, -1), (0, 256)])
-def test_counters_that_no_node_on_the_bus_has_are_refused(tec, rec):
+def test_invalid_counters_are_refused(tec, rec):
     with pytest.raises(ValueError, match="0 to 255"):
         Confinement(tec, rec)
 
@@ -40,18 +40,18 @@ def test_counters_that_no_node_on_the_bus_has_are_refused(tec, rec):
         ((128, 0), (127, 0), told.CONTROLLER, told.TX_WARNING, (127, 0)),
         ((0, 200), (0, 127), told.CONTROLLER, told.RX_WARNING, (0, 127)),
         ((96, 0), (95, 0), told.CONTROLLER, told.ERROR_ACTIVE, (95, 0)),
-        ((250, 3), (258, 3), told.BUS_OFF, 0, (0, 0)),
+        ((250, 3), (258, 3), told.MESSAGE_BUS_OFF, 0, (0, 0)),
     ],
 )
-def test_a_change_of_state_is_told_as_linux_does(before, after, classes, controller, counters):
+def test_state_change_is_reported_as_by_linux(before, after, classes, controller, counters):
     """drivers/net/can/dev/dev.c, can_change_state; data[6] and data[7] are the counters.
 
-    When it is bus-off, drivers tell none (sja1000, m_can, rkcanfd: new_state != CAN_STATE_BUS_OFF).
+    On bus-off, drivers report none (sja1000, m_can, rkcanfd: new_state != CAN_STATE_BUS_OFF).
     """
     confinement = Confinement(*before)
     journal = ErrorJournal(confinement)
     confinement.tec, confinement.rec = after
-    assert journal.note_state() is (classes == told.BUS_OFF)
+    assert journal.note_state() is (classes == told.MESSAGE_BUS_OFF)
     assert not journal.note_state()  # once
     if not classes:
         assert journal.notes == []
@@ -59,13 +59,13 @@ def test_a_change_of_state_is_told_as_linux_does(before, after, classes, control
     ((_, kind, message),) = journal.notes
     assert kind == NOTE_STATE
     can_id = int.from_bytes(message[:4], "little")
-    counted = 0 if classes == told.BUS_OFF else told.COUNTERS
+    counted = 0 if classes == told.MESSAGE_BUS_OFF else told.COUNTERS
     assert can_id == 0x20000000 | classes | counted
     assert message[9] == controller
     assert (message[14], message[15]) == counters
 
 
-def test_a_bus_error_of_a_node_that_it_took_off_the_bus_has_no_counters():
+def test_bus_error_leading_to_bus_off_has_no_counters():
     confinement = Confinement(255, 7)
     journal = ErrorJournal(confinement)
     journal.note_error(told.BIT0_ERROR, told.DATA, transmitter=True)

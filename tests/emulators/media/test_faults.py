@@ -1,4 +1,4 @@
-"""The rules alone: which frames a plan hits."""
+"""Fault rules: the frames that a plan hits."""
 
 from collections.abc import Callable
 
@@ -6,8 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from emulators.media.can_frame import EFF_FLAG, pack, pack_remote
-from emulators.media.faults import NEVER_NS, FaultKind, FaultPlan, FaultRule
+from motorhil.emulators.can.bus.fault_plan import NEVER_NS, FaultPlan
+from motorhil.emulators.can.fault_rules import FaultKind, FaultRule
+from motorhil.emulators.can.frame import EFF_FLAG, pack, pack_remote
 
 DROP = FaultKind.DROP
 
@@ -24,7 +25,7 @@ def _hits(rule: FaultRule, frame: bytes, sender: str = "left", now_ns: int = 0) 
     return FaultPlan([rule], _no_draw).verdict(frame, sender, now_ns) is rule
 
 
-def test_a_rule_without_conditions_hits_every_frame_without_a_draw():
+def test_rule_without_conditions_hits_all_without_draw():
     for frame in (pack(0), pack(0x181, b"\x01"), pack_remote(0x701), pack(0x181 | EFF_FLAG)):
         assert _hits(FaultRule("all", DROP), frame)
 
@@ -32,32 +33,32 @@ def test_a_rule_without_conditions_hits_every_frame_without_a_draw():
 @pytest.mark.parametrize(
     ("can_id", "hit"), [(0x181, True), (0x182, False), (0x181 | EFF_FLAG, False)]
 )
-def test_an_identifier_is_met_in_its_own_format_only(can_id, hit):
+def test_identifier_matches_its_own_format_only(can_id, hit):
     assert _hits(FaultRule("tpdo", DROP, identifier=0x181), pack(can_id)) is hit
 
 
-def test_an_identifier_is_met_by_data_and_remote_frames():
+def test_identifier_matches_data_and_remote_frames():
     assert _hits(FaultRule("tpdo", DROP, identifier=0x181), pack_remote(0x181))
 
 
 @pytest.mark.parametrize(("can_id", "hit"), [(0x180, True), (0x1FF, True), (0x200, False)])
-def test_a_mask_says_which_bits_count(can_id, hit):
+def test_mask_selects_bits_of_identifier(can_id, hit):
     rule = FaultRule("tpdos", DROP, identifier=0x185, mask=0x780)
     assert _hits(rule, pack(can_id)) is hit
 
 
-def test_a_sender_is_met_by_name():
+def test_sender_is_matched_by_name():
     rule = FaultRule("left's", DROP, sender="left")
     assert _hits(rule, pack(1), sender="left")
     assert not _hits(rule, pack(1), sender="right")
 
 
 @pytest.mark.parametrize(("now_ns", "hit"), [(9, False), (10, True), (19, True), (20, False)])
-def test_a_window_includes_its_beginning_and_not_its_end(now_ns, hit):
+def test_window_includes_beginning_and_excludes_end(now_ns, hit):
     assert _hits(FaultRule("then", DROP, from_ns=10, until_ns=20), pack(1), now_ns=now_ns) is hit
 
 
-def test_the_first_rule_that_fires_decides():
+def test_first_rule_that_fires_decides():
     plan = FaultPlan(
         [
             FaultRule("never", DROP, probability=0.5),
@@ -72,20 +73,20 @@ def test_the_first_rule_that_fires_decides():
 
 
 @pytest.mark.parametrize(("draw", "hit"), [(0.0, True), (0.2499, True), (0.25, False)])
-def test_chance_is_one_draw_per_frame_that_meets_the_conditions(draw, hit):
+def test_probability_takes_one_draw_per_matching_frame(draw, hit):
     plan = FaultPlan([FaultRule("some", DROP, identifier=1, probability=0.25)], _sequence(draw))
     assert plan.verdict(pack(2), "left", 0) is None  # draws nothing
     assert (plan.verdict(pack(1), "left", 0) is not None) is hit
 
 
-def test_skip_spares_the_first_and_limit_ends_it():
+def test_skip_spares_first_frames_and_limit_ends_rule():
     plan = FaultPlan([FaultRule("third", DROP, skip=2, limit=2)], _no_draw)
     hits = [plan.verdict(pack(1), "left", time_ns) is not None for time_ns in range(6)]
     assert hits == [False, False, True, True, False, False]
     assert plan.fired() == {"third": 2}
 
 
-def test_every_firing_is_told_once():
+def test_every_firing_is_reported_once():
     plan = FaultPlan([FaultRule("third", DROP, skip=2, limit=1)], _no_draw)
     for time_ns in range(6):
         plan.verdict(pack(time_ns), "left", time_ns)
@@ -94,7 +95,7 @@ def test_every_firing_is_told_once():
 
 
 @given(st.binary(min_size=1, max_size=8), st.floats(0, 1, exclude_max=True))
-def test_corrupted_data_differ_in_one_bit_drawn_and_nowhere_else(data, draw):
+def test_corrupted_data_differ_in_one_drawn_bit(data, draw):
     rule = FaultRule("flip", FaultKind.CORRUPT)
     plan = FaultPlan([rule], _sequence(draw))
     frame = pack(0x181, data)
@@ -115,7 +116,7 @@ def test_every_data_bit_can_be_hit():
     assert len(seen) == 16
 
 
-def test_flip_says_which_bits_change_in_the_data_there_are():
+def test_flip_selects_bits_of_existing_data():
     rule = FaultRule("flip", FaultKind.CORRUPT, flip=b"\x00\xff\x01")
     plan = FaultPlan([rule], _no_draw)
     assert plan.corrupted(rule, pack(1, b"\x0f\x0f\x00\x07")) == pack(1, b"\x0f\xf0\x01\x07")
@@ -123,16 +124,16 @@ def test_flip_says_which_bits_change_in_the_data_there_are():
 
 
 @pytest.mark.parametrize("frame", [pack(0x80), pack(0x181, b"\x01"), pack_remote(0x181, 8)])
-def test_a_frame_without_the_bits_to_flip_is_not_hit(frame):
+def test_frame_without_bits_to_flip_is_not_hit(frame):
     assert not _hits(FaultRule("flip", FaultKind.CORRUPT, flip=b"\x00\xff"), frame)
 
 
 @pytest.mark.parametrize("frame", [pack(0x80), pack_remote(0x181, 8)])
-def test_a_frame_without_data_cannot_be_corrupted(frame):
+def test_frame_without_data_is_not_corrupted(frame):
     assert not _hits(FaultRule("flip", FaultKind.CORRUPT), frame)
 
 
-def test_cuts_are_told_when_they_begin_and_when_they_end():
+def test_cuts_are_reported_at_beginning_and_end():
     rule = FaultRule("cable", FaultKind.CUT, ports=("left", "right"), from_ns=5, until_ns=9)
     plan = FaultPlan([rule], _no_draw)
     assert [plan.next_change_ns(time_ns) for time_ns in (0, 4, 5, 8, 9)] == [5, 5, 9, 9, NEVER_NS]
@@ -147,7 +148,7 @@ def test_cuts_are_told_when_they_begin_and_when_they_end():
     assert plan.fired() == {"cable": 1}
 
 
-def test_the_next_change_is_the_first_of_all_cuts():
+def test_next_change_is_earliest_of_all_cuts():
     cuts = [
         FaultRule(f"{from_ns}", FaultKind.CUT, ports=("a",), from_ns=from_ns, until_ns=until_ns)
         for from_ns, until_ns in ((30, 40), (10, 35), (20, 50))
@@ -173,25 +174,25 @@ def test_the_next_change_is_the_first_of_all_cuts():
         ({"from_ns": 5, "until_ns": 5}, "until_ns 5"),
         ({"skip": -1}, "skip -1"),
         ({"limit": 0}, "limit 0"),
-        ({"delay_ns": 1}, "delay_ns is 1"),
-        ({"kind": FaultKind.DELAY}, "delay_ns is 0"),
-        ({"kind": FaultKind.DELAY, "delay_ns": -1}, "delay_ns is -1"),
-        ({"flip": b"\x01"}, "flip is for corrupt"),
-        ({"kind": FaultKind.CORRUPT, "flip": b"\x00"}, "has a bit set"),
-        ({"kind": FaultKind.CUT}, "names the ports"),
-        ({"kind": FaultKind.CUT, "ports": ("a",), "identifier": 0}, "no condition but its time"),
-        ({"kind": FaultKind.CUT, "ports": ("a",), "sender": "a"}, "no condition but its time"),
-        ({"kind": FaultKind.CUT, "ports": ("a",), "skip": 1}, "no condition but its time"),
-        ({"kind": FaultKind.CUT, "ports": ("a",), "limit": 1}, "no condition but its time"),
-        ({"kind": FaultKind.CUT, "ports": ("a",), "probability": 0.5}, "no condition but its"),
+        ({"delay_ns": 1}, "delay_ns 1: invalid"),
+        ({"kind": FaultKind.DELAY}, "delay_ns 0: invalid"),
+        ({"kind": FaultKind.DELAY, "delay_ns": -1}, "delay_ns -1: invalid"),
+        ({"flip": b"\x01"}, "flip: invalid; only corrupt"),
+        ({"kind": FaultKind.CORRUPT, "flip": b"\x00"}, "at least one bit set"),
+        ({"kind": FaultKind.CUT}, "cut: no ports"),
+        ({"kind": FaultKind.CUT, "ports": ("a",), "identifier": 0}, "cut: invalid condition"),
+        ({"kind": FaultKind.CUT, "ports": ("a",), "sender": "a"}, "cut: invalid condition"),
+        ({"kind": FaultKind.CUT, "ports": ("a",), "skip": 1}, "cut: invalid condition"),
+        ({"kind": FaultKind.CUT, "ports": ("a",), "limit": 1}, "cut: invalid condition"),
+        ({"kind": FaultKind.CUT, "ports": ("a",), "probability": 0.5}, "cut: invalid condition"),
     ],
 )
-def test_a_rule_that_makes_no_sense_is_refused_by_name(settings, told):
+def test_invalid_rule_is_refused_by_name(settings, told):
     with pytest.raises(ValueError, match=f"fault odd: .*{told}"):
         FaultRule(**{"name": "odd", "kind": DROP, **settings})
 
 
-def test_names_are_unique_for_good():
+def test_rule_names_stay_unique_after_removal():
     plan = FaultPlan([FaultRule("one", DROP)], _no_draw)
     with pytest.raises(ValueError, match="one"):
         plan.add(FaultRule("one", DROP))
@@ -200,12 +201,12 @@ def test_names_are_unique_for_good():
         plan.add(FaultRule("one", DROP))
 
 
-def test_a_removed_rule_hits_no_more_and_its_count_stays():
+def test_removed_rule_hits_nothing_and_keeps_count():
     plan = FaultPlan([FaultRule("one", DROP)], _no_draw)
     assert plan.verdict(pack(1), "left", 0) is not None
     plan.remove("one")
     assert plan.verdict(pack(1), "left", 0) is None
     assert plan.is_empty()
     assert plan.fired() == {"one": 1}
-    with pytest.raises(ValueError, match="no fault rule one"):
+    with pytest.raises(ValueError, match="fault one: unknown rule"):
         plan.remove("one")

@@ -2,14 +2,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from emulators.media.load import BusyTime
+from motorhil.emulators.media.load import BusyTime
 
 # Gap before and length of each busy period; gaps of 0 join periods.
 PERIODS = st.lists(st.tuples(st.integers(0, 5), st.integers(1, 6)), max_size=12)
 
 
 def _fill(periods: list[tuple[int, int]]) -> tuple[BusyTime, list[bool]]:
-    """The same twice: as periods, and as one flag for each nanosecond."""
+    """Return the same data twice: as periods, and as one flag per nanosecond."""
     busy = BusyTime()
     flags: list[bool] = []
     for gap, length in periods:
@@ -20,34 +20,34 @@ def _fill(periods: list[tuple[int, int]]) -> tuple[BusyTime, list[bool]]:
 
 
 @given(PERIODS, st.integers(0, 40), st.integers(1, 40))
-def test_the_load_of_any_window_is_the_busy_part_of_it(periods, from_ns, length_ns):
+def test_load_of_window_is_its_busy_part(periods, from_ns, length_ns):
     busy, flags = _fill(periods)
     expected = sum(flags[from_ns : from_ns + length_ns]) / length_ns
     assert busy.load(from_ns, from_ns + length_ns) == expected
 
 
 @given(PERIODS, st.integers(1, 30))
-def test_the_peak_is_the_load_of_the_fullest_window(periods, window_ns):
+def test_peak_is_load_of_fullest_window(periods, window_ns):
     busy, flags = _fill(periods)
-    padded = [False] * window_ns + flags  # a window may begin before time does
+    padded = [False] * window_ns + flags  # a window may begin before time 0
     sums = [sum(padded[at : at + window_ns]) for at in range(len(padded))]
     assert busy.peak_load(window_ns) == max(sums) / window_ns
 
 
 @given(PERIODS)
-def test_the_sum_is_the_sum(periods):
+def test_busy_time_is_sum_of_periods(periods):
     busy, flags = _fill(periods)
     assert busy.busy_ns() == sum(flags) == busy.busy_ns(until_ns=len(flags))
 
 
-def test_nothing_was_busy_before_anything_was_added():
+def test_new_medium_was_never_busy():
     busy = BusyTime()
     assert busy.load(0, 1) == 0.0
     assert busy.peak_load(1) == 0.0
     assert busy.busy_ns() == 0
 
 
-def test_periods_that_touch_take_no_memory():
+def test_adjacent_periods_take_no_memory():
     busy = BusyTime()
     for start_ns in range(0, 1000, 10):
         busy.add(start_ns, start_ns + 10)
@@ -56,11 +56,11 @@ def test_periods_that_touch_take_no_memory():
 
 
 @pytest.mark.parametrize("until_ns", [9, 10])
-def test_an_empty_window_has_no_load(until_ns):
+def test_empty_window_has_no_load(until_ns):
     with pytest.raises(ValueError, match="empty"):
         BusyTime().load(10, until_ns)
 
 
-def test_an_empty_window_has_no_peak():
+def test_empty_window_has_no_peak():
     with pytest.raises(ValueError, match="0 ns is empty"):
         BusyTime().peak_load(0)

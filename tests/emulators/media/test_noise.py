@@ -1,13 +1,12 @@
-"""Bits inverted at random: at the very places that the draws say."""
+"""Random inversion of bits, compared with the draws."""
 
 import random
 
 import pytest
 
-from emulators.media.can_episode import ALL_PORTS
-from emulators.media.delivery import KIND_MASK, TOLD
-from emulators.media.fault_rule import FaultKind, FaultRule
-from emulators.media.noise import NoiseSource
+from motorhil.emulators.can.bitlevel.episode import ALL_PORTS
+from motorhil.emulators.can.bus.port import KIND_MASK, TOLD
+from motorhil.emulators.can.fault_rules import FaultKind, FaultRule, NoiseSource
 from tests.emulators.media.driving import BIT, confirmed, run
 from tests.emulators.media.faulty import LEFT, SYNC, bus_with
 
@@ -18,8 +17,10 @@ def source(rate: float, seed: int) -> NoiseSource:
 
 
 def places(rate: float, seed: int, bits: int) -> list[int]:
-    """One bit after another: a draw is spent when the chance to have been spared so far is not
-    above it. Products in another order than the emulator's: equal but for their last digits.
+    """Return the inverted bits, one bit after another.
+
+    A draw is used when the probability of no inversion so far is not above it. The products are in
+    another order than the emulator's: equal except for their last digits.
     """
     draws = random.Random(seed)
     found: list[int] = []
@@ -39,20 +40,20 @@ def test_bits_are_inverted_at_geometric_distances(rate, bits):
     assert len(expected) == pytest.approx(bits * rate, abs=5 * (bits * rate) ** 0.5)
 
 
-def test_a_draw_of_nothing_spares_nothing_but_the_age_of_a_bus():
+def test_draw_of_zero_spares_very_many_bits():
     rule = FaultRule("noise", FaultKind.NOISE, bit_error_rate=0.1)
     assert NoiseSource(rule, ALL_PORTS, lambda: 0.95).within(3) == [0, 1, 2]  # 0.9 is not above it
     assert NoiseSource(rule, ALL_PORTS, lambda: 0.0).left > 2000  # until a product is 0
 
 
-def test_looking_ahead_and_passing_by_change_no_place():
+def test_look_ahead_does_not_change_places():
     expected = places(0.03, 3, 30_000)
     looked_at = source(0.03, 3)
     pace = random.Random(1)
     found: list[int] = []
     start = 0
     while start < 29_000:
-        looked_at.within(pace.randrange(400))  # what may come, and then does not
+        looked_at.within(pace.randrange(400))  # expected, but then does not come
         bits = pace.randrange(1, 300)
         assert looked_at.left == next(one for one in expected if one >= start) - start
         found += [start + place for place in looked_at.within(bits)]
@@ -62,7 +63,7 @@ def test_looking_ahead_and_passing_by_change_no_place():
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_on_a_bus_every_bit_counts_also_those_between_frames(seed):
+def test_noise_counts_bits_between_frames(seed):
     """SYNC after SYNC, 51 bits with intermission by can-utils: the first struck one is known."""
     rule = FaultRule("noise", FaultKind.NOISE, bit_error_rate=1e-3)
     bus = bus_with(rule, seed=seed)
@@ -71,4 +72,4 @@ def test_on_a_bus_every_bit_counts_also_those_between_frames(seed):
     errors_ns = [time_ns for time_ns, (_, _, kind) in deliveries if kind & KIND_MASK == TOLD]
     good = [time_ns for time_ns, _ in confirmed(deliveries, LEFT) if time_ns < errors_ns[0]]
     assert good == [(number * 51 + 48) * BIT for number in range(len(good))]
-    assert first - 48 < len(good) * 51 <= first  # an error is told when it is seen, in its frame
+    assert first - 48 < len(good) * 51 <= first  # an error is reported in its frame

@@ -1,7 +1,7 @@
 """An episode in time, computed again while it is played."""
 
-from emulators.media.can_episode import EventKind, Station
-from emulators.media.playback import Playback
+from motorhil.emulators.can.bitlevel.episode import EventKind, Station
+from motorhil.emulators.can.bus.segment import Playback
 from tests.emulators.media.driving import BIT
 from tests.emulators.media.faulty import STATUS
 
@@ -11,7 +11,7 @@ def playback() -> Playback:
     return Playback(0, (BIT, BIT), stations, [], [])
 
 
-def test_a_node_that_has_left_leaves_no_second_time():
+def test_absent_node_does_not_leave_twice():
     """STATUS, 63 bits. Its sender is cut off in bit 20, and that cable is cut again in bit 50."""
     played = playback()
     played.leave(0, 20 * BIT)
@@ -23,12 +23,12 @@ def test_a_node_that_has_left_leaves_no_second_time():
     assert [station.leaves_at for station in played.stations] == [20, 60, None]
 
 
-def test_a_time_is_that_of_the_first_bit_that_begins_then_or_later():
+def test_bit_at_is_first_bit_beginning_then_or_later():
     played = playback()
     assert [played.bit_at(time_ns) for time_ns in (0, 1, BIT, BIT + 1)] == [0, 1, 1, 2]
 
 
-def test_what_is_over_does_not_go_on():
+def test_finished_episode_does_not_continue():
     played = playback()
     assert played.over_ns == 66 * BIT
     assert not played.go_on()

@@ -1,7 +1,7 @@
-"""The line's times, in fractions of a second computed here; its silences; several who talk.
+"""Times of the serial line, as fractions of a second; silences; collisions.
 
-Source: MODBUS over Serial Line V1.02, section 2.5.1.1: t1.5 and t3.5 are of character times up to
-19,200 bit/s, fixed (750 us, 1.750 ms) above.
+Source: MODBUS over Serial Line V1.02, section 2.5.1.1: t1.5 and t3.5 are multiples of the character
+time up to 19,200 bit/s, fixed (750 us, 1.750 ms) above.
 """
 
 from fractions import Fraction
@@ -10,8 +10,8 @@ import pytest
 from hypothesis import event, given
 from hypothesis import strategies as st
 
-from emulators.media.serial_faults import SerialFaultKind, SerialFaultPlan, SerialFaultRule
-from emulators.media.serial_line import CHARACTERS, FRAME, SENT, SPOILED, SerialLine
+from motorhil.emulators.media.serial_faults import SerialFaultKind, SerialFaultPlan, SerialFaultRule
+from motorhil.emulators.media.serial_line import CHARACTERS, FRAME, SENT, SPOILED, SerialLine
 
 MS = 1_000_000
 REQUEST = bytes.fromhex("1103006B00037687")
@@ -26,7 +26,7 @@ def line(*rules: SerialFaultRule, baud: int = 9600) -> SerialLine:
 
 
 def play(one: SerialLine, *sends: tuple[int, int, bytes]) -> list[tuple[int, int, bytes, int]]:
-    """(time, kind, data, port) of everything that (time, port, data) brings, till all is silent."""
+    """Return (time, kind, data, port) of all effects of (time, port, data), until silence."""
     told = []
     queue = sorted(sends, key=lambda send: send[0])
     while True:
@@ -59,7 +59,7 @@ def test_characters_take_their_bits(baud, parity, stop_bits, bits):
     assert abs(told[2][0] - told[0][0] - silence_ns) <= 1
 
 
-def test_silence_makes_frames():
+def test_silence_ends_frame():
     one = line()
     char_ns = one.duration_ns(1)
     first_end = one.duration_ns(8)
@@ -70,14 +70,14 @@ def test_silence_makes_frames():
 
 
 @pytest.mark.parametrize(("gap", "kind"), [(0, FRAME), (1, SPOILED)])
-def test_a_pause_longer_than_t15_spoils_the_frame(gap, kind):
+def test_pause_longer_than_t15_spoils_frame(gap, kind):
     one = line()
     told = play(one, (0, 0, REQUEST[:3]), (one.duration_ns(3) + one.t15_ns + gap, 0, REQUEST[3:]))
     assert [(k, data) for _, k, data, _ in told if k in (FRAME, SPOILED)] == [(kind, REQUEST)]
     assert one.spoiled == gap
 
 
-def test_two_at_once_are_garbled_and_told_so():
+def test_simultaneous_senders_are_garbled_and_reported():
     one = line()
     told = play(one, (0, 0, b"\x0f\xf0"), (one.duration_ns(1), 1, b"\x3c\x11"))
     assert one.collisions == 1
@@ -86,7 +86,7 @@ def test_two_at_once_are_garbled_and_told_so():
     assert sorted(port for _, kind, _, port in told if kind == SENT) == [0, 1]
 
 
-def test_who_is_still_sending_sends_the_next_behind_it():
+def test_busy_sender_queues_next_characters():
     one = line()
     told = play(one, (0, 0, b"\x01\x02"), (1, 0, b"\x03"))
     assert [data for _, data in of_kind(told, FRAME)] == [b"\x01\x02\x03"]
@@ -114,7 +114,7 @@ NOISE = SerialFaultRule("noise", SerialFaultKind.NOISE, noise=b"\xff\x00")
     ],
     ids=lambda value: value.name if isinstance(value, SerialFaultRule) else "",
 )
-def test_faults(rule, frames):
+def test_fault_changes_frame_as_specified(rule, frames):
     one = line(rule)
     plan = SerialFaultPlan((), lambda: 0.5)
     assert plan.fired() == {}
@@ -125,14 +125,14 @@ def test_faults(rule, frames):
         assert time_ns == begins_ns + one.duration_ns(len(data)) + pause_ns + one.t35_ns
 
 
-def test_what_is_lost_nobody_hears_though_the_sender_has_sent_it():
+def test_lost_frame_is_sent_but_not_heard():
     one = line(LOSE)
     told = play(one, (0, 1, REQUEST), (100 * MS, 1, REQUEST), (200 * MS, 0, REQUEST))
     assert next(time_ns for time_ns, kind, _, _ in told if kind == SENT) == one.duration_ns(8)
     assert [port for _, kind, _, port in told if kind == FRAME] == [1, 0]
 
 
-def test_what_comes_late_does_not_hold_up_what_is_sent_after_it():
+def test_delayed_frame_does_not_delay_later_ones():
     one = line(SerialFaultRule("late", SerialFaultKind.DELAY, delay_ns=50 * MS, limit=1))
     told = of_kind(play(one, (0, 1, b"\x01\x02"), (20 * MS, 1, b"\x03\x04")), FRAME)
     assert [data for _, data in told] == [b"\x03\x04", b"\x01\x02"]
@@ -145,9 +145,7 @@ SENDS = st.lists(
 
 
 @given(SENDS, st.sampled_from([9600, 115_200]))
-def test_nothing_is_heard_before_it_was_sent_and_every_burst_of_characters_ends_in_a_frame(
-    sends, baud
-):
+def test_characters_are_causal_and_end_in_frames(sends, baud):
     one = line(baud=baud)
     told = play(one, *sends)
     times = [time_ns for time_ns, _, _, _ in told]
@@ -177,7 +175,7 @@ def test_nothing_is_heard_before_it_was_sent_and_every_burst_of_characters_ends_
         {"kind": SerialFaultKind.NOISE},
     ],
 )
-def test_a_rule_that_makes_no_sense_is_refused_by_name(facts):
+def test_invalid_rule_is_refused_by_name(facts):
     with pytest.raises(ValueError, match="fault odd"):
         SerialFaultRule(**{"name": "odd", "kind": SerialFaultKind.LOSE, **facts})
 
@@ -185,6 +183,6 @@ def test_a_rule_that_makes_no_sense_is_refused_by_name(facts):
 @pytest.mark.parametrize(
     ("baud", "parity", "stop_bits"), [(0, "E", 1), (9600, "M", 1), (9600, "E", 3)]
 )
-def test_a_line_that_cannot_be_is_refused(baud, parity, stop_bits):
-    with pytest.raises(ValueError, match="no such line"):
+def test_invalid_line_is_refused(baud, parity, stop_bits):
+    with pytest.raises(ValueError, match="serial line rs485: "):
         SerialLine("rs485", baud, parity, stop_bits)

@@ -1,7 +1,7 @@
-"""CAN frames bit by bit, built the slow way: what the tables of the bus are compared with.
+"""CAN frames built bit by bit, to check the bus.
 
-Nothing here is shared with the emulator: frames come in as fields, the CRC is the remainder of a
-long division of the whole bit string, and stuffing looks for five equal bits.
+No code is shared with the emulator: frames are given as fields, the CRC is the remainder of a long
+division of the whole bit string, and stuffing looks for five equal bits.
 Source: ISO 11898-1, frame formats, CRC sequence, bit stuffing.
 """
 
@@ -18,7 +18,7 @@ GENERATOR = 0b1100010110011001  # x15 + x14 + x10 + x8 + x7 + x4 + x3 + 1
 
 @dataclass(frozen=True)
 class Fields:
-    """A classical frame, as a person would say it."""
+    """The fields of a classical frame."""
 
     identifier: int
     extended: bool
@@ -33,7 +33,7 @@ class Fields:
 
 
 def arbitration_field(frame: Fields) -> str:
-    """From the first identifier bit to the last bit that tells frames of two nodes apart."""
+    """Return the first identifier bit to the last bit that distinguishes frames of two nodes."""
     remote = "1" if frame.remote else "0"
     if frame.extended:
         identifier = f"{frame.identifier:029b}"
@@ -42,7 +42,7 @@ def arbitration_field(frame: Fields) -> str:
 
 
 def unstuffed(frame: Fields) -> str:
-    """Start of frame to the end of the data field."""
+    """Return start of frame to the end of the data field."""
     reserved = "00" if frame.extended else "0"
     data = "".join(f"{byte:08b}" for byte in frame.data)
     return "0" + arbitration_field(frame) + reserved + f"{frame.dlc:04b}" + data
@@ -58,17 +58,17 @@ def with_crc(bits: str) -> str:
 def stuffed(bits: str) -> str:
     start = 0
     while (run := _RUN.search(bits, start)) is not None:
-        start = run.end()  # where the stuff bit goes, which the next run may begin with
+        start = run.end()  # position of the stuff bit, which may begin the next run
         bits = bits[:start] + ("1" if run[0][0] == "0" else "0") + bits[start:]
     return bits
 
 
 def on_the_wire(frame: Fields) -> str:
-    """Every bit from start of frame to end of frame."""
+    """Return every bit from start of frame to end of frame."""
     return stuffed(with_crc(unstuffed(frame))) + TAIL
 
 
-# Data that stuff, not only data that do not: runs are what the machine is about.
+# Data with and without stuffing: runs are essential for the state machine.
 _BYTES = st.sampled_from([0x00, 0xFF, 0x0F, 0xF0, 0xC3, 0x3C, 0x1F, 0xE0, 0x83]) | st.integers(
     0, 255
 )

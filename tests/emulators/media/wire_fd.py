@@ -1,6 +1,6 @@
-"""CAN FD frames bit by bit, built the slow way, as `wire` does classical ones.
+"""CAN FD frames built bit by bit, as `wire` does.
 
-Strings of bits; the CRC is the remainder of a long division of the whole string, with the first
+Strings of bits; the CRC is the remainder of a long division of the whole string, with the initial
 value of the register as a term of the dividend.
 Source: ISO 11898-1:2015, frame formats, CRC, bit stuffing.
 """
@@ -20,7 +20,7 @@ STUFF_COUNTS = ["0000", "0011", "0110", "0101", "1100", "1111", "1010", "1001"]
 
 @dataclass(frozen=True)
 class FdFields:
-    """A CAN FD frame, as a person would say it."""
+    """The fields of a CAN FD frame."""
 
     identifier: int
     extended: bool
@@ -36,7 +36,7 @@ class FdFields:
 
 
 def header(frame: FdFields) -> str:
-    """Start of frame to the bit that switches the rate, or would."""
+    """Return start of frame to BRS."""
     if frame.extended:
         identifier = f"{frame.identifier:029b}"
         return "0" + identifier[:11] + "11" + identifier[11:] + "0" + "10" + f"{frame.brs:b}"
@@ -44,7 +44,7 @@ def header(frame: FdFields) -> str:
 
 
 def remainder(bits: str, generator: int, first: int) -> int:
-    """What is left of the bits, shifted, when divided; `first` is in the register before them."""
+    """Return the remainder of the shifted bits; `first` is the initial register value."""
     width = generator.bit_length() - 1
     rest = int(bits, 2) << width ^ first << len(bits)
     while rest.bit_length() > width:
@@ -53,7 +53,7 @@ def remainder(bits: str, generator: int, first: int) -> int:
 
 
 def dynamically_stuffed(frame: FdFields) -> str:
-    """Start of frame to the end of the data; no stuff bit follows the last."""
+    """Return start of frame to the end of the data; no stuff bit follows the last."""
     rest = f"{frame.esi:b}{LENGTHS.index(len(frame.data)):04b}"
     if frame.data:
         rest += f"{int.from_bytes(frame.data, 'big'):0{8 * len(frame.data)}b}"
@@ -62,14 +62,14 @@ def dynamically_stuffed(frame: FdFields) -> str:
 
 
 def stuff_bits(frame: FdFields, sent: str) -> int:
-    """How many dynamic stuff bits there are in what was sent to the end of the data."""
+    """Return the number of dynamic stuff bits up to the end of the data."""
     return len(sent) - (41 if frame.extended else 22) - 8 * len(frame.data)
 
 
 def checks(frame: FdFields, sent: str, divide: bool = True) -> str:
-    """Stuff count and CRC after what was sent to the end of the data, without fixed stuff bits.
+    """Return stuff count and CRC after the data, without fixed stuff bits.
 
-    `divide=False` has 0s in place of the CRC, for who only counts.
+    `divide=False` gives 0s in place of the CRC, for counting bits only.
     """
     count = STUFF_COUNTS[stuff_bits(frame, sent) % 8]
     if not divide:
@@ -80,7 +80,7 @@ def checks(frame: FdFields, sent: str, divide: bool = True) -> str:
 
 
 def on_the_wire(frame: FdFields, divide: bool = True) -> str:
-    """Every bit from start of frame to end of frame."""
+    """Return every bit from start of frame to end of frame."""
     sent = dynamically_stuffed(frame)
     field = checks(frame, sent, divide)
     for start in range(0, len(field), 4):
@@ -89,7 +89,7 @@ def on_the_wire(frame: FdFields, divide: bool = True) -> str:
 
 
 def data_phase(frame: FdFields, divide: bool = True) -> tuple[int, int]:
-    """The first bit that counts as one at the data rate, and the first one after them.
+    """Return the first bit that counts as one at the data rate, and the first one after them.
 
     BRS and CRC delimiter are sent at both rates, and together last one bit of each: the former
     counts as nominal.
@@ -101,7 +101,7 @@ def data_phase(frame: FdFields, divide: bool = True) -> tuple[int, int]:
 
 
 def phases(frame: FdFields, divide: bool = True) -> tuple[int, int]:
-    """(bits at the nominal rate, bits at the data rate), intermission included."""
+    """Return (bits at the nominal rate, bits at the data rate), intermission included."""
     whole = len(on_the_wire(frame, divide)) + INTERMISSION
     if not frame.brs:
         return whole, 0
@@ -126,7 +126,7 @@ _IDENTIFIERS = (0, 0x1FFFFFFF, 0x00FF00FF, 0x07C1F07C, 0x15555555, 0x1555BFFF, 0
 
 
 def random_fd_fields(random: Random) -> FdFields:
-    """One of a seed's frames; more often than not of runs, which are what stuffing is about."""
+    """Return one of a seed's frames; most have runs, which stuffing depends on."""
     extended = random.random() < 0.5
     identifier = random.choice(_IDENTIFIERS) if random.random() < 0.4 else random.getrandbits(29)
     length = random.choice(LENGTHS)

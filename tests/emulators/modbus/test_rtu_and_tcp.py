@@ -1,7 +1,7 @@
-"""Framing, on a line and in a stream.
+"""Modbus framing, on a serial line and in a TCP stream.
 
 Source of the frames: MODBUS over Serial Line V1.02, section 2.5.1.2 and appendix B (02h 07h has the
-check sum 1241h); pymodbus' framers, which are not ours; the Messaging on TCP/IP guide V1.0b.
+checksum 1241h); pymodbus' framers, which are not ours; the Messaging on TCP/IP guide V1.0b.
 """
 
 import pytest
@@ -9,12 +9,10 @@ from hypothesis import event, given
 from hypothesis import strategies as st
 from pymodbus.framer import FramerRTU
 
-from emulators.modbus.crc import crc16, with_crc
-from emulators.modbus.diagnostics import Diagnostics
-from emulators.modbus.registers import Register, RegisterBank
-from emulators.modbus.rtu import RtuUnit
-from emulators.modbus.server import ModbusServer
-from emulators.modbus.tcp import GONE, MbapStream, TcpGateway, adu
+from motorhil.emulators.modbus.registers import Register, RegisterBank
+from motorhil.emulators.modbus.rtu import RtuUnit, crc16, with_crc
+from motorhil.emulators.modbus.server import Diagnostics, ModbusServer
+from motorhil.emulators.modbus.tcp import GONE, MbapStream, TcpGateway, adu
 
 MS = 1_000_000
 
@@ -24,13 +22,13 @@ def server() -> ModbusServer:
     return ModbusServer(holding=bank, diagnostics=Diagnostics())
 
 
-def test_check_sums_of_the_standard():
+def test_crc_equals_examples_of_standard():
     assert crc16(b"\x02\x07") == b"\x41\x12"
     assert with_crc(bytes.fromhex("01030000000A")).hex(" ") == "01 03 00 00 00 0a c5 cd"
 
 
 @given(st.binary(max_size=40))
-def test_check_sums_are_those_of_another_implementation(data):
+def test_crc_equals_other_implementation(data):
     assert crc16(data) == FramerRTU.compute_CRC(data).to_bytes(2, "big")
 
 
@@ -43,7 +41,7 @@ def exchange(unit: RtuUnit, frame: str, now_ns: int = 0) -> str:
     return b"".join(unit.take_output()).hex(" ").upper()
 
 
-def test_a_unit_answers_after_its_own_time():
+def test_unit_responds_after_reply_time():
     unit = RtuUnit(1, server(), reply_ns=3 * MS)
     unit.receive(bytes.fromhex("010300020001 25CA"), 10 * MS)
     assert unit.next_deadline_ns() == 13 * MS
@@ -54,7 +52,7 @@ def test_a_unit_answers_after_its_own_time():
     assert unit.take_output() == []
 
 
-def test_what_is_not_its_own_it_does_not_answer():
+def test_frame_for_other_unit_is_ignored():
     unit = RtuUnit(1, server())
     of_another = with_crc(bytes.fromhex("020300020001")).hex()
     answer_of_another = with_crc(bytes.fromhex("0203020002")).hex()
@@ -67,21 +65,21 @@ def test_what_is_not_its_own_it_does_not_answer():
 
 
 @pytest.mark.parametrize("frame", ["", "01", "0103 0000", "010300020001 25CB", "01" * 300])
-def test_what_is_no_frame_is_counted_and_not_answered(frame):
+def test_invalid_frame_is_counted_without_response(frame):
     unit = RtuUnit(1, server())
     assert exchange(unit, frame) == ""
     assert unit.server.diagnostics is not None
     assert unit.server.diagnostics.bus_errors == 1
 
 
-def test_a_broadcast_is_done_and_not_answered():
+def test_broadcast_is_executed_without_response():
     unit = RtuUnit(1, server())
     assert exchange(unit, with_crc(bytes.fromhex("000600050777")).hex()) == ""
     assert unit.server.holding is not None
     assert unit.server.holding["r5"] == 0x777
 
 
-def test_a_second_request_before_the_answer_to_the_first_is_ignored_and_counted():
+def test_request_before_response_is_ignored_and_counted():
     unit = RtuUnit(1, server())
     unit.receive(with_crc(bytes.fromhex("010600050001")), 0)
     unit.receive(with_crc(bytes.fromhex("010600050002")), MS // 2)
@@ -93,7 +91,7 @@ def test_a_second_request_before_the_answer_to_the_first_is_ignored_and_counted(
 
 
 @pytest.mark.parametrize("unit", [0, 248, 255, -1])
-def test_a_unit_that_cannot_be_is_refused(unit):
+def test_invalid_unit_is_refused(unit):
     with pytest.raises(ValueError, match="1 to 247"):
         RtuUnit(unit, server())
 
@@ -104,14 +102,14 @@ def mbap(transaction: int, unit: int, pdu: str, protocol: int = 0) -> bytes:
     return head + (len(data) + 1).to_bytes(2, "big") + bytes((unit,)) + data
 
 
-def test_requests_under_way_at_once_are_told_apart_by_their_transactions():
+def test_pending_requests_differ_by_transaction():
     asked = b"".join(mbap(n, 1, f"03 {n:04X} 0001") for n in (7, 3, 9))
     expected = [(n, 1, bytes.fromhex(f"03 {n:04X} 0001")) for n in (7, 3, 9)]
     assert MbapStream().feed(asked) == expected
 
 
 @given(st.lists(st.integers(0, 0xFFFF), min_size=1, max_size=5), st.data())
-def test_a_stream_may_be_split_anywhere(numbers, data):
+def test_stream_may_be_split_anywhere(numbers, data):
     asked = b"".join(mbap(n, 1, f"03 {n:04X} 0001") for n in numbers)
     cuts = sorted(data.draw(st.lists(st.integers(0, len(asked)), max_size=6)))
     event(f"{len(cuts)} cuts")
@@ -125,13 +123,13 @@ def test_a_stream_may_be_split_anywhere(numbers, data):
 @pytest.mark.parametrize(
     "head", ["0001 0001 0006 01", "0001 0000 0001 01", "0001 0000 00FF 01", "4745 5420 2F20 48"]
 )
-def test_a_stream_that_is_no_modbus_is_closed_with_the_reason(head):
+def test_foreign_stream_is_closed_with_reason(head):
     stream = MbapStream()
     assert stream.feed(bytes.fromhex(head)) == []
     assert stream.closed_because is not None
     assert "no Modbus" in stream.closed_because
     assert stream.feed(mbap(1, 1, "03 0005 0001")) == []
-    assert len(MbapStream().feed(mbap(1, 1, "63" + "00" * 252))) == 1  # as long as can be
+    assert len(MbapStream().feed(mbap(1, 1, "63" + "00" * 252))) == 1  # the maximum length
 
 
 READ = (5, 1, bytes.fromhex("03 0005 0001"))
@@ -144,7 +142,7 @@ def gateway(*units: int) -> TcpGateway:
     return one
 
 
-def test_a_unit_is_asked_one_thing_at_a_time_and_each_answer_goes_to_who_asked():
+def test_unit_gets_one_request_at_a_time():
     one = gateway(1, 2)
     assert one.ask(10, (5, 1, b"\x03a"), 0) == (1, b"\x03a")
     assert one.ask(11, (5, 1, b"\x03b"), 0) is None
@@ -157,7 +155,7 @@ def test_a_unit_is_asked_one_thing_at_a_time_and_each_answer_goes_to_who_asked()
     assert one.answered(1, b"\x03D") is None
 
 
-def test_a_unit_that_does_not_answer_is_the_gateways_to_tell():
+def test_gateway_responds_for_silent_unit():
     one = gateway(1)
     one.ask(10, READ, 0)
     assert one.next_deadline_ns() == 100 * MS
@@ -166,17 +164,17 @@ def test_a_unit_that_does_not_answer_is_the_gateways_to_tell():
     assert one.timeouts == 1
 
 
-def test_a_late_answer_is_not_taken_for_that_to_the_next_request():
+def test_late_response_is_not_used_for_next_request():
     one = gateway(1)
     one.ask(10, READ, 0)
     one.expired(100 * MS)
-    assert one.ask(10, (6, 1, b"\x03b"), 100 * MS) is None  # until the old one has come
+    assert one.ask(10, (6, 1, b"\x03b"), 100 * MS) is None  # until the old response has come
     assert one.answered(1, b"\x03 late") is None
     assert one.next_for(1, 110 * MS) == b"\x03b"
     assert one.answered(1, b"\x03B") == (10, mbap(6, 1, "03 42"))
 
 
-def test_a_unit_that_never_answers_is_asked_again_after_a_while():
+def test_silent_unit_is_asked_again_after_timeout():
     one = gateway(1)
     one.ask(10, READ, 0)
     one.expired(100 * MS)
@@ -187,7 +185,7 @@ def test_a_unit_that_never_answers_is_asked_again_after_a_while():
 
 
 @pytest.mark.parametrize("unit", [0x00, 0x01, 0xFF])
-def test_a_controller_that_is_alone_is_meant_by_no_particular_unit_too(unit):
+def test_single_controller_accepts_any_unspecific_unit(unit):
     alone = gateway(1)
     assert alone.knows(unit)
     alone.ask(10, (5, unit, b"\x03a"), 0)
@@ -200,7 +198,7 @@ def one_refuses(one: TcpGateway) -> bytes:
     return one.refusal((5, 3, bytes.fromhex("03 0005 0001")))
 
 
-def test_who_has_left_is_told_nothing():
+def test_closed_connection_gets_no_response():
     one = gateway(1)
     one.ask(10, READ, 0)
     one.forget(10)
@@ -209,7 +207,7 @@ def test_who_has_left_is_told_nothing():
     assert answer[0] == GONE
 
 
-def test_what_who_has_left_asked_and_the_unit_was_not_told_it_is_not_told():
+def test_queued_request_of_closed_connection_is_dropped():
     one = gateway(1)
     one.ask(10, READ, 0)
     one.ask(10, (6, 1, b"\x06b"), 0)
@@ -219,7 +217,7 @@ def test_what_who_has_left_asked_and_the_unit_was_not_told_it_is_not_told():
     assert one.next_for(1, 0) == b"\x03c"
 
 
-def test_what_who_has_left_asked_of_a_unit_that_is_given_up_it_is_not_told_later():
+def test_request_for_silent_unit_is_dropped_on_disconnect():
     one = gateway(1)
     one.ask(10, READ, 0)
     one.expired(100 * MS)
@@ -229,7 +227,7 @@ def test_what_who_has_left_asked_of_a_unit_that_is_given_up_it_is_not_told_later
     assert one.next_for(1, 200 * MS) is None
 
 
-def test_so_many_wait_for_a_unit_and_no_more():
+def test_queue_of_unit_is_limited():
     one = gateway(1, 2)
     for number in range(64):
         assert not one.is_full(1)
@@ -241,6 +239,6 @@ def test_so_many_wait_for_a_unit_and_no_more():
     assert not one.is_full(1)
 
 
-def test_two_controllers_of_one_unit_are_refused():
-    with pytest.raises(ValueError, match="two controllers are unit 1"):
+def test_duplicate_unit_is_refused():
+    with pytest.raises(ValueError, match="unit 1: already used"):
         gateway(1, 1)

@@ -1,24 +1,22 @@
-"""The server's answers, byte for byte.
+"""Responses of the server, byte for byte.
 
 Source of the transcripts: MODBUS Application Protocol Specification V1.1b3, the example of each
-function in section 6. Of exceptions: its state diagrams.
+function in section 6; for exceptions its state diagrams.
 """
 
 import pytest
 from hypothesis import event, given
 from hypothesis import strategies as st
 
-from emulators.modbus.diagnostics import Diagnostics
-from emulators.modbus.identification import Identification
-from emulators.modbus.registers import Access, BitBank, Kind, Register, RegisterBank
-from emulators.modbus.server import ModbusServer
+from motorhil.emulators.modbus.registers import Access, BitBank, Kind, Register, RegisterBank
+from motorhil.emulators.modbus.server import Diagnostics, Identification, ModbusServer
 
 ILLEGAL_FUNCTION, ILLEGAL_ADDRESS, ILLEGAL_VALUE, FAILURE = 1, 2, 3, 4
 OBJECTS = {0: "Company identification", 1: "Product code XX", 2: "V2.11"}
 
 
 def bits(count: int, **values: int) -> BitBank:
-    """Bits at 0.., some of them set from packed bytes: `at19=0x056BCD`."""
+    """Return bits from 0, some of them set from packed bytes: `at19=0x056BCD`."""
     bank = BitBank([f"bit{n}" for n in range(count)])
     for name, packed in values.items():
         first = int(name.removeprefix("at"))
@@ -28,7 +26,7 @@ def bits(count: int, **values: int) -> BitBank:
 
 
 def registers(**values: int) -> RegisterBank:
-    """Registers 0..120h; `r107=0x022B` has that value."""
+    """Return registers 0..120h; `r107=0x022B` sets a value."""
     bank = RegisterBank([Register(n, f"r{n}") for n in range(0x121)])
     for name, value in values.items():
         bank[name] = value
@@ -36,7 +34,7 @@ def registers(**values: int) -> RegisterBank:
 
 
 def server(**parts: object) -> ModbusServer:
-    """All functions of the specification."""
+    """Return a server with all functions of the specification."""
     return ModbusServer(
         holding=registers(r107=0x022B, r109=0x0064),
         inputs=registers(r8=0x000A),
@@ -67,15 +65,15 @@ def ask(one: ModbusServer, request: str) -> str:
         ("16 0004 00F2 0025", "16 00 04 00 F2 00 25"),
     ],
 )
-def test_the_examples_of_the_specification(request_pdu, response):
+def test_specification_examples_match(request_pdu, response):
     assert ask(server(), request_pdu) == response
 
 
-def test_what_was_written_is_read():
+def test_written_values_are_read_back():
     one = server()
     ask(one, "10 0001 0002 04 000A 0102")
     assert ask(one, "03 0001 0002") == "03 04 00 0A 01 02"
-    ask(one, "0F 0013 000A 02 CD01")  # of twenty bits the first ten
+    ask(one, "0F 0013 000A 02 CD01")  # the first ten of twenty bits
     assert ask(one, "01 0013 000A") == "01 02 CD 01"
     ask(one, "05 00AC FF00")
     assert ask(one, "01 00AC 0001") == "01 01 01"
@@ -83,14 +81,14 @@ def test_what_was_written_is_read():
     assert ask(one, "01 00AC 0001") == "01 01 00"
 
 
-def test_mask_write_is_the_and_or_of_the_standard():
+def test_mask_write_uses_and_or_of_standard():
     one = server()
     ask(one, "06 0004 0012")
     ask(one, "16 0004 00F2 0025")
     assert ask(one, "03 0004 0001") == "03 02 00 17"
 
 
-def test_read_write_writes_before_it_reads():
+def test_read_write_writes_before_reading():
     one = server()
     for address, value in enumerate((0x00FE, 0x0ACD, 0x0001, 0x0003, 0x000D, 0x00FF), 3):
         ask(one, f"06 {address:04X} {value:04X}")
@@ -123,9 +121,9 @@ def test_read_write_writes_before_it_reads():
         ("17 0000 0000 0000 0001 02 0001", ILLEGAL_VALUE),
         ("17 0000 007E 0000 0001 02 0001", ILLEGAL_VALUE),
         ("08 0001 1234", ILLEGAL_VALUE),
-        ("08 0003 0000", ILLEGAL_FUNCTION),  # a sub-function it does not know
+        ("08 0003 0000", ILLEGAL_FUNCTION),  # unknown sub-function
         ("11 00", ILLEGAL_VALUE),
-        ("2B 0D 01 00", ILLEGAL_FUNCTION),  # another MEI type
+        ("2B 0D 01 00", ILLEGAL_FUNCTION),  # unknown MEI type
         ("2B 0E 05 00", ILLEGAL_VALUE),
         ("2B 0E 04 77", ILLEGAL_ADDRESS),
         ("07", ILLEGAL_FUNCTION),
@@ -134,12 +132,12 @@ def test_read_write_writes_before_it_reads():
         ("03 0000 0001 00", ILLEGAL_VALUE),
     ],
 )
-def test_exceptions(request_pdu, code):
+def test_invalid_request_gets_exception(request_pdu, code):
     function = int(request_pdu[:2], 16)
     assert ask(server(), request_pdu) == f"{function | 0x80:02X} {code:02X}"
 
 
-def test_a_function_that_is_not_there_comes_before_a_wrong_value_and_that_before_the_address():
+def test_checks_are_function_then_value_then_address():
     only_holding = ModbusServer(holding=registers())
     assert ask(only_holding, "01 FFFF 0000") == "81 01"
     assert ask(only_holding, "03 FFFF 0000") == "83 03"
@@ -149,7 +147,7 @@ def test_a_function_that_is_not_there_comes_before_a_wrong_value_and_that_before
 
 @pytest.mark.parametrize("write_address", ["0010", "0121"])
 @pytest.mark.parametrize("read_address", ["0010", "0121"])
-def test_read_write_looks_at_both_ranges_before_it_writes(read_address, write_address):
+def test_read_write_checks_both_ranges_before_writing(read_address, write_address):
     one = server()
     answer = ask(one, f"17 {read_address} 0001 {write_address} 0001 02 BEEF")
     well = read_address == write_address == "0010"
@@ -157,14 +155,14 @@ def test_read_write_looks_at_both_ranges_before_it_writes(read_address, write_ad
     assert ask(one, "03 0010 0001") == ("03 02 BE EF" if well else "03 02 00 00")
 
 
-def test_device_identification_as_a_stream():
+def test_device_identification_is_streamed():
     first = "2B 0E 01 81 00 00 03 00 16 " + b"Company identification".hex(" ").upper()
     rest = " 01 0F " + b"Product code XX".hex(" ").upper() + " 02 05 " + b"V2.11".hex(" ").upper()
     assert ask(server(), "2B 0E 01 00") == first + rest
     assert ask(server(), "2B 0E 04 02") == "2B 0E 04 81 00 00 01 02 05 56 32 2E 31 31"
 
 
-def test_a_stream_too_long_for_one_answer_says_where_to_go_on():
+def test_long_identification_stream_has_continuation():
     one = ModbusServer(identification=Identification({**OBJECTS, 3: "u" * 200, 4: "p" * 100}))
     first = one.respond(bytes.fromhex("2B0E0200"))
     assert len(first) <= 253
@@ -176,41 +174,41 @@ def test_a_stream_too_long_for_one_answer_says_where_to_go_on():
     assert (first[6], second[6], third[6]) == (3, 1, 1)
 
 
-def test_report_server_id_says_whether_it_runs():
+def test_server_id_has_run_indicator():
     one = server()
     assert ask(one, "11") == "11 02 01 FF"
     one.run_indicator = False
     assert ask(one, "11") == "11 02 01 00"
 
 
-def test_counters_of_a_serial_line():
+def test_serial_counters_count_messages():
     one = server()
     assert one.diagnostics is not None
-    one.diagnostics.bus_messages = 0x10005  # they turn over
+    one.diagnostics.bus_messages = 0x10005  # they wrap around
     ask(one, "63")
     one.broadcast(bytes.fromhex("06 0001 0007"))
     assert ask(one, "08 000B 0000") == "08 00 0B 00 05"
     assert ask(one, "08 000D 0000") == "08 00 0D 00 01"
     assert ask(one, "08 000F 0000") == "08 00 0F 00 01"
-    assert ask(one, "08 000E 0000") == "08 00 0E 00 06"  # with this one
+    assert ask(one, "08 000E 0000") == "08 00 0E 00 06"  # including this one
     ask(one, "08 000A 0000")
     assert ask(one, "08 000B 0000") == "08 00 0B 00 00"
 
 
-def test_who_listens_only_does_nothing_until_it_is_restarted():
+def test_listen_only_unit_is_silent_until_restart():
     one = server()
     assert ask(one, "08 0004 0000") == ""
     assert ask(one, "06 0001 0007") == ""
     one.broadcast(bytes.fromhex("06 0002 0007"))
-    assert ask(one, "08 0001 0000") == ""  # the restart itself is not answered either
+    assert ask(one, "08 0001 0000") == ""  # the restart itself has no response either
     assert ask(one, "03 0001 0002") == "03 04 00 00 00 00"
 
 
-def test_broadcasts_write_and_are_never_answered():
+def test_broadcasts_write_without_response():
     one = server()
     one.broadcast(bytes.fromhex("10 0001 0001 02 000A"))
     one.broadcast(bytes.fromhex("03 0001 0001"))
-    one.broadcast(bytes.fromhex("17 0003 0001 0003 0001 02 0001"))  # reads as well: not for all
+    one.broadcast(bytes.fromhex("17 0003 0001 0003 0001 02 0001"))  # reads: not broadcast
     one.broadcast(b"")
     assert ask(one, "03 0001 0003") == "03 06 00 0A 00 00 00 00"
 
@@ -232,7 +230,7 @@ REQUESTS = st.one_of(
 
 
 @given(st.lists(REQUESTS, max_size=8))
-def test_whatever_is_asked_the_answer_is_one_that_the_specification_knows(requests):
+def test_random_request_gets_valid_response(requests):
     one = server()
     for request in requests:
         answer = one.respond(request)
@@ -261,7 +259,7 @@ def wide() -> RegisterBank:
     )
 
 
-def test_32_bit_come_upper_half_first_and_are_signed():
+def test_32_bit_register_is_upper_half_first_and_signed():
     bank = wide()
     one = ModbusServer(holding=bank)
     assert ask(one, "10 0010 0002 04 0001 0002") == "10 00 10 00 02"
@@ -272,7 +270,7 @@ def test_32_bit_come_upper_half_first_and_are_signed():
     assert ask(one, "03 0010 0002") == "03 04 FF FF FF FE"
 
 
-def test_one_request_reads_32_bit_at_one_instant_and_two_requests_may_tear_them():
+def test_32_bit_register_is_consistent_in_one_request_only():
     bank = wide()
     values = iter((0x0001FFFF, 0x00020000, 0x00020000))
     bank.on_read("position", lambda: next(values))
@@ -282,7 +280,7 @@ def test_one_request_reads_32_bit_at_one_instant_and_two_requests_may_tear_them(
     assert ask(one, "03 0011 0001") == "03 02 00 00"
 
 
-def test_half_a_32_bit_register_may_be_written():
+def test_half_of_32_bit_register_may_be_written():
     bank = wide()
     one = ModbusServer(holding=bank)
     ask(one, "06 0011 0005")
@@ -291,22 +289,22 @@ def test_half_a_32_bit_register_may_be_written():
     assert bank["position"] == 65541
 
 
-def test_a_register_is_read_and_written_as_its_row_says():
+def test_register_access_follows_its_row():
     one = ModbusServer(holding=wide())
-    assert ask(one, "06 0012 0000") == "86 02"  # read only
-    assert ask(one, "03 0013 0001") == "83 02"  # written only
+    assert ask(one, "06 0012 0000") == "86 02"  # read-only
+    assert ask(one, "03 0013 0001") == "83 02"  # write-only
     assert ask(one, "10 0011 0002 04 0005 0005") == "90 02"
-    assert ask(one, "03 0011 0001") == "03 02 00 00"  # and nothing of that was written
+    assert ask(one, "03 0011 0001") == "03 02 00 00"  # and none of it was written
 
 
-def test_all_values_are_looked_at_before_the_first_is_stored():
+def test_values_are_checked_before_first_is_stored():
     bank = RegisterBank([Register(0, "a", high=10), Register(1, "b", high=10)])
     one = ModbusServer(holding=bank)
     assert ask(one, "10 0000 0002 04 0005 000B") == "90 03"
     assert (bank["a"], bank["b"]) == (0, 0)
 
 
-def test_a_writer_is_told_in_order_and_may_refuse():
+def test_writers_are_called_in_order_and_may_refuse():
     bank = RegisterBank([Register(0, "a"), Register(1, "b"), Register(2, "c")])
     told: list[tuple[str, int]] = []
 
@@ -328,20 +326,20 @@ def test_a_writer_is_told_in_order_and_may_refuse():
 @pytest.mark.parametrize(
     ("rows", "problem"),
     [
-        ([Register(0, "a"), Register(0, "b")], "b and a are both at 0000h"),
-        ([Register(0, "a", Kind.U32), Register(1, "b")], "b and a are both at 0001h"),
-        ([Register(0, "a"), Register(1, "a")], "two registers are called a"),
+        ([Register(0, "a"), Register(0, "b")], "b and a: both at address 0000h"),
+        ([Register(0, "a", Kind.U32), Register(1, "b")], "b and a: both at address 0001h"),
+        ([Register(0, "a"), Register(1, "a")], "register a: name already used"),
         ([Register(0xFFFF, "a", Kind.U32)], "address 10000h"),
         ([Register(0, "a", Kind.I16, default=40000)], "i16 holds -32768 to 32767"),
     ],
 )
-def test_a_table_that_cannot_be_is_refused(rows, problem):
+def test_invalid_table_is_refused(rows, problem):
     with pytest.raises(ValueError, match=problem):
         RegisterBank(rows)
 
 
 def of_size(code: int, count: int) -> bytes:
-    """A request that reads or writes `count` things at 0, right but for that."""
+    """Return a request for `count` items at 0 that is otherwise valid."""
     head = bytes((code, 0, 0)) + count.to_bytes(2, "big")
     if code in (0x01, 0x03):
         return head
@@ -354,13 +352,13 @@ def of_size(code: int, count: int) -> bytes:
 @pytest.mark.parametrize(
     ("code", "most"), [(0x01, 2000), (0x03, 125), (0x0F, 1968), (0x10, 123), (0x17, 121)]
 )
-def test_the_most_that_fits_and_one_more(code, most):
+def test_maximum_count_is_accepted_and_one_more_refused(code, most):
     one = ModbusServer(holding=registers(), coils=bits(2048))
     assert one.respond(of_size(code, most))[0] == code
     assert one.respond(of_size(code, most + 1)) == bytes((code | 0x80, ILLEGAL_VALUE))
 
 
-def test_a_stream_of_objects_that_begins_at_an_unknown_one_begins_at_the_first():
+def test_identification_from_unknown_object_starts_at_first():
     one = server()
     assert ask(one, "2B 0E 01 77") == ask(one, "2B 0E 01 00")
     assert ask(one, "2B 0E 01 01").startswith("2B 0E 01 81 00 00 02 01 0F")

@@ -1,8 +1,8 @@
-"""Axes to test, at rest or holding their position."""
+"""Axes for tests, at rest or holding their position."""
 
-from emulators.firmware.axis import Axis
-from emulators.firmware.gains import ServoGains
-from emulators.plant.presets import WHEEL_60W
+from motorhil.emulators.firmware.axis import Axis
+from motorhil.emulators.firmware.servo_tables import ServoGains
+from motorhil.emulators.plant.presets import WHEEL_60W
 
 MS = 1_000_000
 GAINS = ServoGains.tuned(WHEEL_60W, MS, 10)
@@ -20,7 +20,7 @@ def powered_axis(initial_position_inc: int = 0) -> Axis:
 
 
 def tick_by_tick(axis: Axis, start_ms: int, flag: int, becomes: bool, within_ms: int = 5000) -> int:
-    """The first tick from `start_ms` on at which the flag is so."""
+    """Return the first tick from `start_ms` on at which the flag has this state."""
     for k in range(start_ms, start_ms + within_ms):
         axis.at(k * MS)
         if (axis.flags & flag != 0) is becomes:

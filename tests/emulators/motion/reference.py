@@ -1,11 +1,14 @@
-"""A second axis, written for clearness alone: differential equations by small steps, a servo in
-plain sequence, nothing lazy, nothing multiplied out. An oracle for emulators.firmware."""
+"""A second axis, written for clarity only, as an oracle for the firmware.
+
+It solves the differential equations in small steps and runs the servo in plain sequence. Nothing is
+lazy, and no steps are combined.
+"""
 
 import math
 from dataclasses import dataclass, field
 
-from emulators.firmware.gains import ServoGains
-from emulators.plant.dc_motor import MotorPlant
+from motorhil.emulators.firmware.servo_tables import ServoGains
+from motorhil.emulators.plant.dc_motor import MotorPlant
 
 
 @dataclass
@@ -17,7 +20,7 @@ class ReferenceAxis:
     load_n_m: float = 0.0
     tick_s: float = 1e-3
     current_steps: int = 10
-    fine_steps: int = 8  # of the equations per step of the current loop
+    fine_steps: int = 8  # steps of the equations per step of the current loop
 
     current: float = 0.0
     speed: float = 0.0
@@ -28,13 +31,13 @@ class ReferenceAxis:
     counts: list[int] = field(default_factory=lambda: [0, 0, 0])
 
     def push(self, current: float) -> None:
-        """One servo tick, after which this current is wanted."""
+        """Run one servo tick, then demand this current."""
         for _ in range(self.current_steps):
             self._current_step()
         self.wanted = current
 
     def tick(self, demand: int, velocity: float, acceleration: float) -> None:
-        """One servo tick towards a demand [inc], with its velocity and acceleration [inc/s...].
+        """Run one servo tick towards a demand [inc], with its velocity and acceleration [inc/s...].
 
         `velocity` is the demand's one tick ago: as old as the middle of the two-tick average.
         """
@@ -66,7 +69,7 @@ class ReferenceAxis:
             self.volts += self.gains.current_ki_v_a_s * error * step_s
 
     def _fine_step(self, voltage: float, h: float) -> None:
-        """The classical fourth-order rule; standstill is sought at the end of each step."""
+        """Apply the classical fourth-order rule; check for standstill at the end of the step."""
         p = self.plant
         k, j = p.torque_constant_n_m_a, p.inertia_kg_m2()
         load = self.load_n_m / p.gear_ratio

@@ -1,16 +1,19 @@
-"""A day in an axis' life, and its digest: the same on every machine, compiled or not."""
+"""A scenario with all commands of an axis, and its digest.
+
+The digest is the same on every machine, compiled or not.
+"""
 
 from hashlib import sha256
 
-from emulators.firmware.axis import Axis
-from emulators.firmware.gains import ServoGains
-from emulators.plant.presets import PLAUSIBLE
+from motorhil.emulators.firmware.axis import Axis
+from motorhil.emulators.firmware.servo_tables import ServoGains
+from motorhil.emulators.plant.presets import PLAUSIBLE
 
 MS = 1_000_000
 
 
 def digest() -> str:
-    """SHA-256 over every tick's readings, in full precision."""
+    """Return the SHA-256 over every tick's readings, in full precision."""
     total = sha256()
     for name, plant in PLAUSIBLE.items():
         axis = Axis(plant, ServoGains.tuned(plant, MS, 10), MS, 10)
@@ -29,7 +32,7 @@ def digest() -> str:
 
 
 def command(axis: Axis, k: int) -> None:
-    """Every command once, and limits of voltage and current reached."""
+    """Give every command once, and reach the limits of voltage and current."""
     if k == 10:
         axis.power(True)
     elif k == 100:

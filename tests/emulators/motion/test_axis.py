@@ -1,4 +1,4 @@
-"""What a drive sees of an axis: demands, flags to the tick, windows, commands and their limits."""
+"""The axis as a drive sees it: demands, flags, windows, commands and limits."""
 
 import math
 from dataclasses import replace
@@ -8,8 +8,8 @@ import pytest
 from hypothesis import event, given
 from hypothesis import strategies as st
 
-from emulators.firmware.axis import Axis
-from emulators.firmware.flags import (
+from motorhil.emulators.firmware.axis import Axis
+from motorhil.emulators.firmware.flags import (
     CURRENT_SATURATED,
     FOLLOWING_ERROR,
     IN_TARGET_WINDOW,
@@ -17,7 +17,7 @@ from emulators.firmware.flags import (
     PROFILE_ACTIVE,
     SPEED_ZERO,
 )
-from emulators.plant.presets import WHEEL_60W
+from motorhil.emulators.plant.presets import WHEEL_60W
 from tests.emulators.motion.axes import GAINS, MS, new_axis, powered_axis, tick_by_tick
 from tests.emulators.motion.test_profile import closed_form_ticks
 
@@ -30,7 +30,7 @@ from tests.emulators.motion.test_profile import closed_form_ticks
     st.floats(5_000.0, 2e6),
     st.floats(5_000.0, 2e6),
 )
-def test_a_move_ends_within_a_tick_of_the_closed_form_and_keeps_its_limits(distance, v, a, d):
+def test_move_any_parameters_matches_closed_form(distance, v, a, d):
     ticks = closed_form_ticks(distance, v * 1e-3, a * 1e-6, d * 1e-6)
     if ticks > 4000:
         distance, ticks = 5, closed_form_ticks(5, v * 1e-3, a * 1e-6, d * 1e-6)
@@ -57,14 +57,14 @@ def test_a_move_ends_within_a_tick_of_the_closed_form_and_keeps_its_limits(dista
     assert abs(axis.following_error_inc()) <= 2
 
 
-def test_the_longest_move_of_32_bits_ends_on_its_increment():
+def test_longest_32_bit_move_ends_on_its_increment():
     axis = powered_axis(-(2**31))
-    axis.move_to(2**31 - 1, 4e9, 4e9, 4e9)  # far beyond the motor: the demand alone
+    axis.move_to(2**31 - 1, 4e9, 4e9, 4e9)  # far beyond the motor: only the demand counts
     axis.at(20_000 * MS)
     assert axis.demand_inc() == axis.target_inc() == 2**31 - 1
 
 
-def test_a_move_of_no_increments_is_over_at_the_next_tick_and_reached_anew():
+def test_zero_move_is_over_at_next_tick():
     axis = powered_axis()
     assert axis.flags & IN_TARGET_WINDOW
     axis.move_to(0, 1000.0, 1e5, 1e5)
@@ -74,12 +74,12 @@ def test_a_move_of_no_increments_is_over_at_the_next_tick_and_reached_anew():
     assert axis.flags & (PROFILE_ACTIVE | IN_TARGET_WINDOW) == IN_TARGET_WINDOW
 
 
-def test_a_new_move_on_the_way_goes_on_without_a_jump():
+def test_new_move_during_move_continues_smoothly():
     axis = powered_axis()
     axis.move_to(50_000, 100_000.0, 500_000.0, 500_000.0)
     axis.at(300 * MS)
     before = axis.demand_inc()
-    axis.move_to(-10_000, 50_000.0, 500_000.0, 1_000_000.0)  # brakes, and comes back
+    axis.move_to(-10_000, 50_000.0, 500_000.0, 1_000_000.0)  # brakes, and returns
     demands = [before]
     for k in range(301, 2000):
         axis.at(k * MS)
@@ -91,7 +91,7 @@ def test_a_new_move_on_the_way_goes_on_without_a_jump():
     assert min(b - a for a, b in pairwise(demands)) >= -51
 
 
-def test_a_command_replaced_within_its_tick_has_never_been():
+def test_command_replaced_within_its_tick_has_no_effect():
     replaced, direct = powered_axis(), powered_axis()
     replaced.move_to(-9_999, 70_000.0, 3e5, 3e5)
     for axis in (replaced, direct):
@@ -100,7 +100,7 @@ def test_a_command_replaced_within_its_tick_has_never_been():
     assert repr(replaced._time.state) == repr(direct._time.state)
 
 
-def test_velocity_zero_makes_a_profile_that_never_ends():
+def test_move_velocity_zero_never_ends():
     axis = powered_axis()
     axis.move_to(1_000, 0.0, 1e5, 1e5)
     axis.at(5_000 * MS)
@@ -109,7 +109,7 @@ def test_velocity_zero_makes_a_profile_that_never_ends():
     assert axis.next_event_ns() is None
 
 
-def test_a_halt_brakes_along_its_ramp_and_holds():
+def test_halt_brakes_on_ramp_and_holds():
     axis = powered_axis()
     axis.move_to(10**6, 100_000.0, 1e6, 1e6)
     axis.at(500 * MS)
@@ -124,7 +124,7 @@ def test_a_halt_brakes_along_its_ramp_and_holds():
     assert axis.flags & SPEED_ZERO
 
 
-def test_hold_stops_the_demand_at_once():
+def test_hold_stops_demand_at_once():
     axis = powered_axis()
     axis.move_to(10_000, 20_000.0, 1e6, 1e6)
     axis.at(200 * MS)
@@ -142,7 +142,7 @@ def test_hold_stops_the_demand_at_once():
 
 
 @pytest.mark.parametrize("wanted", [1_000.0, 80_000.0, -80_000.0])
-def test_run_at_reaches_its_velocity_and_says_so(wanted):
+def test_run_at_reaches_velocity_and_sets_flag(wanted):
     axis = powered_axis()
     axis.run_at(wanted, 400_000.0, 400_000.0)
     assert axis.flags & PROFILE_ACTIVE
@@ -156,7 +156,7 @@ def test_run_at_reaches_its_velocity_and_says_so(wanted):
     assert (axis.position_inc() - before) / 2 == pytest.approx(wanted, rel=0.002, abs=2)
 
 
-def test_stopping_by_velocity_comes_to_rest_and_a_move_then_starts_where_it_is():
+def test_move_after_velocity_stop_starts_at_position():
     axis = powered_axis()
     axis.run_at(50_000.0, 1e6, 1e6)
     axis.at(500 * MS)
@@ -173,7 +173,7 @@ def test_stopping_by_velocity_comes_to_rest_and_a_move_then_starts_where_it_is()
     assert axis.position_inc() == here + 100
 
 
-def test_from_velocity_to_position_and_back_nothing_jerks():
+def test_change_of_velocity_and_position_mode_is_smooth():
     axis = powered_axis()
     axis.run_at(50_000.0, 1e6, 1e6)
     axis.at(500 * MS)
@@ -193,10 +193,10 @@ def test_from_velocity_to_position_and_back_nothing_jerks():
 # --- cyclic demands ------------------------------------------------------------------------------
 
 
-def test_cyclic_demands_are_interpolated_evenly_and_reached_a_tick_after_their_period():
+def test_follow_interpolates_cyclic_demands():
     axis = powered_axis()
     demands = []
-    for cycle in range(1, 26):  # every 4 ms, 10 inc further; then none for a while
+    for cycle in range(1, 26):  # every 4 ms, 10 inc further; then a pause
         axis.at((46 + 4 * cycle) * MS)
         axis.follow(10 * cycle, 4 * MS)
         for k in range(47 + 4 * cycle, 51 + 4 * cycle):
@@ -210,7 +210,7 @@ def test_cyclic_demands_are_interpolated_evenly_and_reached_a_tick_after_their_p
     assert not axis.flags & (PROFILE_ACTIVE | IN_TARGET_WINDOW)
 
 
-def test_a_sine_in_cyclic_demands_is_followed_closely():
+def test_follow_sine_error_is_small():
     axis = powered_axis()
     worst = 0
     for k in range(50, 1_050):
@@ -224,7 +224,7 @@ def test_a_sine_in_cyclic_demands_is_followed_closely():
 # --- flags and windows -------------------------------------------------------------------------
 
 
-def test_the_target_is_reached_at_the_tick_at_which_the_window_has_held_for_its_time():
+def test_target_window_held_for_time_sets_flag():
     axis = powered_axis()
     axis.set_windows(target_window_inc=2, target_window_ns=7 * MS)
     axis.move_to(3_000, 100_000.0, 2e6, 2e6)
@@ -239,10 +239,10 @@ def test_the_target_is_reached_at_the_tick_at_which_the_window_has_held_for_its_
     inside = (
         len(errors) - next((i for i in range(len(errors) - 1, -1, -1) if errors[i] > 2), -1) - 1
     )
-    assert inside == 8  # 8 ticks in a row are 7 ms
+    assert inside == 8  # 8 consecutive ticks are 7 ms
 
 
-def test_a_move_of_no_increments_waits_for_the_windows_time_again():
+def test_zero_move_restarts_window_time():
     axis = powered_axis()
     axis.set_windows(target_window_inc=2, target_window_ns=7 * MS)
     axis.at(100 * MS)
@@ -254,7 +254,7 @@ def test_a_move_of_no_increments_waits_for_the_windows_time_again():
 @pytest.mark.parametrize(
     ("time_ns", "ticks"), [(0, 0), (1, 1), (MS, 1), (5 * MS, 5), (5 * MS + 1, 6)]
 )
-def test_a_following_error_is_told_when_it_has_lasted_and_not_before(time_ns, ticks):
+def test_following_error_flag_needs_its_time(time_ns, ticks):
     axis = powered_axis()
     axis.set_windows(following_window_inc=20, following_window_ns=time_ns)
     axis.follow(500, 0)
@@ -271,7 +271,7 @@ def test_a_following_error_is_told_when_it_has_lasted_and_not_before(time_ns, ti
     assert abs(axis.following_error_inc()) <= 20
 
 
-def test_an_error_of_exactly_the_window_is_inside_it():
+def test_following_error_equal_to_window_is_inside():
     for window, told in ((30, False), (29, True)):
         axis = powered_axis()
         axis.set_current_limit(0.0)  # the motor stays where it is
@@ -282,7 +282,7 @@ def test_an_error_of_exactly_the_window_is_inside_it():
         assert bool(axis.flags & FOLLOWING_ERROR) is told
 
 
-def test_speed_zero_waits_for_its_time_and_goes_at_once():
+def test_speed_zero_flag_waits_to_set_and_clears_at_once():
     axis = powered_axis()
     axis.set_windows(velocity_threshold_inc_s=1_000.0, velocity_threshold_ns=20 * MS)
     axis.at(100 * MS)
@@ -302,7 +302,7 @@ def test_speed_zero_waits_for_its_time_and_goes_at_once():
     assert slow == 21
 
 
-def test_asking_for_more_current_than_there_is_shows():
+def test_current_demand_above_limit_is_saturated():
     axis = powered_axis()
     axis.set_current_limit(1.0)
     axis.move_to(20_000, 200_000.0, 2e7, 2e7)
@@ -310,16 +310,16 @@ def test_asking_for_more_current_than_there_is_shows():
     for k in range(51, 400):
         axis.at(k * MS)
         assert abs(axis.current_demand_a()) <= 1.0
-        assert abs(axis.current_a()) < 1.3  # the current loop may overshoot a little
+        assert abs(axis.current_a()) < 1.3  # the current loop can overshoot slightly
         if axis.flags & CURRENT_SATURATED:
             saturated = True
             assert abs(axis.current_demand_a()) == 1.0
     assert saturated
     axis.at(3_000 * MS)
-    assert axis.position_inc() == 20_000  # and no wound-up integrator keeps it from its target
+    assert axis.position_inc() == 20_000  # no integrator wind-up keeps it from its target
 
 
-def test_the_current_limit_never_exceeds_the_plants():
+def test_current_limit_never_exceeds_plant_limit():
     axis = powered_axis()
     axis.set_current_limit(1e9)
     axis.move_to(10**6, 1e6, 1e9, 1e9)
@@ -331,7 +331,7 @@ def test_the_current_limit_never_exceeds_the_plants():
 # --- power -------------------------------------------------------------------------------------
 
 
-def test_a_new_zero_moves_nothing_and_later_moves_count_from_it():
+def test_set_position_moves_nothing_and_shifts_moves():
     axis = powered_axis(500)
     truth = axis.output_position_rad()
     axis.set_position(0)
@@ -345,7 +345,7 @@ def test_a_new_zero_moves_nothing_and_later_moves_count_from_it():
     assert turn == pytest.approx(2 * math.pi, abs=2 * math.pi / 132_000)
 
 
-def test_the_truth_starts_at_the_initial_position():
+def test_output_position_starts_at_initial_position():
     assert new_axis().output_position_rad() == 0.0
     assert new_axis(132_000).output_position_rad() == pytest.approx(2 * math.pi, rel=1e-15)
 
@@ -359,7 +359,7 @@ def test_the_truth_starts_at_the_initial_position():
         ((1, 1.0, 1.0, -1.0), "deceleration"),
     ],
 )
-def test_a_move_that_makes_no_sense_is_refused_and_changes_nothing(arguments, message):
+def test_move_invalid_argument_changes_nothing(arguments, message):
     axis = powered_axis()
     before = (repr(axis._time.state), axis.flags)
     with pytest.raises(ValueError, match=message):
@@ -367,7 +367,7 @@ def test_a_move_that_makes_no_sense_is_refused_and_changes_nothing(arguments, me
     assert (repr(axis._time.state), axis.flags) == before
 
 
-def test_time_runs_forward_only():
+def test_at_earlier_time_is_refused():
     axis = powered_axis()
     axis.at(50 * MS)
     axis.at(51 * MS - 1)
@@ -376,12 +376,12 @@ def test_time_runs_forward_only():
 
 
 @pytest.mark.parametrize(("tick_ns", "steps"), [(0, 1), (MS, 0), (MS, 3), (10, 20)])
-def test_a_tick_must_hold_a_whole_number_of_current_steps(tick_ns, steps):
+def test_tick_not_divisible_into_steps_is_refused(tick_ns, steps):
     with pytest.raises(ValueError, match="steps"):
         Axis(WHEEL_60W, GAINS, tick_ns, steps)
 
 
-def test_gains_that_make_the_current_loop_unstable_are_refused():
+def test_unstable_current_gains_are_refused():
     for kp in (1e3, -10.0):
-        with pytest.raises(ValueError, match="current loop is unstable"):
+        with pytest.raises(ValueError, match="current loop: unstable"):
             Axis(WHEEL_60W, replace(GAINS, current_kp_v_a=kp), MS, 10)

@@ -1,17 +1,13 @@
-"""One axis without power, losing it and getting it back."""
+"""One axis without power, losing power and regaining it."""
 
 import pytest
 
-from emulators.firmware.flags import (
-    FOLLOWING_ERROR,
-    IN_TARGET_WINDOW,
-    POWERED,
-)
-from emulators.plant.presets import WHEEL_60W
+from motorhil.emulators.firmware.flags import FOLLOWING_ERROR, IN_TARGET_WINDOW, POWERED
+from motorhil.emulators.plant.presets import WHEEL_60W
 from tests.emulators.motion.axes import MS, new_axis, powered_axis, tick_by_tick
 
 
-def test_without_power_nothing_is_commanded_and_the_demand_is_where_the_motor_is():
+def test_power_off_commands_refused_demand_is_actual():
     axis = new_axis(77)
     for what in (
         lambda: axis.move_to(1, 1.0, 1.0, 1.0),
@@ -30,19 +26,19 @@ def test_without_power_nothing_is_commanded_and_the_demand_is_where_the_motor_is
     assert axis.current_a() == axis.torque_n_m() == 0.0
 
 
-def test_power_takes_hold_of_a_motor_where_it_is():
+def test_power_on_holds_present_position():
     axis = powered_axis(1_234)
     assert axis.flags & POWERED
     assert axis.position_inc() == axis.demand_inc() == 1_234
     axis.set_load(1.0)
     axis.at(2_000 * MS)
     assert axis.position_inc() == 1_234
-    # held by friction and current together: the motor's torque is the load's within the friction
+    # friction and current hold it together: the motor torque equals the load within the friction
     friction_n_m = WHEEL_60W.coulomb_friction_n_m * WHEEL_60W.gear_ratio
     assert axis.torque_n_m() == pytest.approx(1.0, abs=friction_n_m)
 
 
-def test_a_motor_whose_power_goes_coasts_to_rest():
+def test_power_off_in_motion_coasts_to_rest():
     axis = powered_axis()
     axis.run_at(50_000.0, 1e6, 1e6)
     axis.at(500 * MS)
@@ -56,7 +52,7 @@ def test_a_motor_whose_power_goes_coasts_to_rest():
     assert axis.next_event_ns() is None
 
 
-def test_power_that_returns_finds_nothing_left_from_before():
+def test_power_on_again_starts_from_clean_state():
     axis = powered_axis()
     axis.set_windows(following_window_inc=20, following_window_ns=30 * MS)
     axis.set_load(2.0)
@@ -76,11 +72,11 @@ def test_power_that_returns_finds_nothing_left_from_before():
     axis.set_current_limit(0.0)
     axis.follow(axis.position_inc() + 1_000, 0)
     told = tick_by_tick(axis, 401, FOLLOWING_ERROR, True)
-    # in force at 402 ms, there at 403 ms; the 31st tick in a row
+    # effective at 402 ms, there at 403 ms; the 31st consecutive tick
     assert told == 403 + 30
 
 
-def test_power_that_is_on_already_disturbs_nothing():
+def test_power_on_while_on_has_no_effect():
     axis = powered_axis()
     axis.move_to(1_000, 20_000.0, 1e6, 1e6)
     axis.at(60 * MS)

@@ -1,26 +1,25 @@
-"""The motor behind the servo does what its data sheet says: expected values by hand, SI units."""
+"""The motor behind the servo against its data sheet, with expected values by hand in SI units."""
 
 import math
 from dataclasses import replace
 
 import pytest
 
-from emulators.firmware import servo
-from emulators.firmware.axis import Axis
-from emulators.firmware.gains import ServoGains
-from emulators.firmware.servo_tables import ServoTables
-from emulators.plant.dc_motor import MotorPlant
-from emulators.plant.presets import WHEEL_60W
+from motorhil.emulators.firmware import servo
+from motorhil.emulators.firmware.axis import Axis
+from motorhil.emulators.firmware.servo_tables import ServoGains, ServoTables
+from motorhil.emulators.plant.dc_motor import MotorPlant
+from motorhil.emulators.plant.presets import WHEEL_60W
 
 MS = 1_000_000
-UNLIMITED_A = 1e6  # asks for so much current that the power stage gives its whole voltage
+UNLIMITED_A = 1e6  # a current demand that saturates the power stage's voltage
 
 # The bare motor of the wheel: no gear, no load, no viscous friction.
 BARE = replace(WHEEL_60W, gear_ratio=1.0, load_inertia_kg_m2=0.0, viscous_friction_n_m_s_rad=0.0)
 
 
 def at_full_voltage(plant: MotorPlant, duration_s: float, load_n_m: float = 0.0):
-    """(current, speed, position) of the motor after a time at the supply's voltage."""
+    """Return current, speed and position of the motor after a time at supply voltage."""
     tables = ServoTables(plant, ServoGains.tuned(plant, MS, 10), MS, 10)
     i, u, w, x = 0.0, 0.0, 0.0, 0.0
     steps = round(duration_s / 1e-4)
@@ -28,7 +27,7 @@ def at_full_voltage(plant: MotorPlant, duration_s: float, load_n_m: float = 0.0)
     return i, w, x
 
 
-def test_the_no_load_speed_is_supply_less_friction_current_over_the_torque_constant():
+def test_no_load_speed_matches_data_sheet_formula():
     i, w, _ = at_full_voltage(BARE, 1.0)
     no_load_a = 0.004 / 0.0259
     assert i == pytest.approx(no_load_a, rel=1e-9)  # settled to e^-300
@@ -36,7 +35,7 @@ def test_the_no_load_speed_is_supply_less_friction_current_over_the_torque_const
     assert BARE.no_load_speed_rad_s() == pytest.approx(w, rel=1e-9)
 
 
-def test_a_motor_held_fast_draws_the_stall_current_and_gives_the_stall_torque():
+def test_blocked_motor_has_stall_current_and_torque():
     held = replace(BARE, coulomb_friction_n_m=2.0)  # more than the motor can overcome
     i, w, x = at_full_voltage(held, 0.1)
     assert (w, x) == (0.0, 0.0)
@@ -44,7 +43,7 @@ def test_a_motor_held_fast_draws_the_stall_current_and_gives_the_stall_torque():
     assert held.stall_torque_n_m() == pytest.approx(i * 0.0259, rel=1e-9)
 
 
-def test_a_voltage_step_is_answered_with_the_two_time_constants_of_motor_theory():
+def test_voltage_step_has_both_time_constants():
     free = replace(BARE, coulomb_friction_n_m=0.0)
     j, k, r, henry = 3.37e-6, 0.0259, 0.611, 0.119e-3
     root = math.sqrt((j * r) ** 2 - 4 * j * henry * k * k)
@@ -60,7 +59,7 @@ def test_a_voltage_step_is_answered_with_the_two_time_constants_of_motor_theory(
     assert free.electrical_time_constant_s() == pytest.approx(henry / r, rel=1e-12)
 
 
-def test_gear_and_load_are_felt_by_the_motor_as_they_should():
+def test_gear_and_load_are_referred_to_motor_side():
     geared = replace(BARE, gear_ratio=50.0, load_inertia_kg_m2=0.05)
     assert geared.inertia_kg_m2() == pytest.approx(3.37e-6 + 0.05 / 2500, rel=1e-15)
     _, free, _ = at_full_voltage(geared, 2.0)
@@ -69,7 +68,7 @@ def test_gear_and_load_are_felt_by_the_motor_as_they_should():
     assert free - loaded == pytest.approx(0.02 * 0.611 / 0.0259**2, rel=1e-9)
 
 
-def test_no_energy_appears_or_is_lost():
+def test_energy_is_conserved():
     """Supply = heat + friction + load + stored, integrated by trapezoids of 10 us."""
     plant = replace(BARE, viscous_friction_n_m_s_rad=2e-6)
     tables = ServoTables(plant, ServoGains.tuned(plant, 10_000, 1), 10_000, 1)
@@ -97,7 +96,7 @@ def coasting_axis(plant: MotorPlant, speed_rad_s: float) -> Axis:
     return axis
 
 
-def test_dry_friction_stops_a_coasting_motor_when_and_where_it_should():
+def test_coulomb_friction_stops_coasting_motor():
     axis = coasting_axis(BARE, 300.0)
     speed = axis.output_velocity_rad_s()
     position = axis.output_position_rad()
@@ -113,7 +112,7 @@ def test_dry_friction_stops_a_coasting_motor_when_and_where_it_should():
     assert travelled == pytest.approx(speed * stop_s / 2, abs=deceleration * 1e-8)
 
 
-def test_a_load_below_the_friction_is_held_and_one_above_it_is_not():
+def test_load_moves_motor_only_above_friction():
     for sign in (1.0, -1.0):
         for share, moves in ((0.999, False), (1.001, True)):
             axis = Axis(BARE, ServoGains.tuned(BARE, MS, 10), MS, 10)
@@ -123,7 +122,7 @@ def test_a_load_below_the_friction_is_held_and_one_above_it_is_not():
             assert (axis.output_position_rad() != 0.0) is moves
 
 
-def test_a_falling_load_reaches_the_speed_at_which_viscous_friction_carries_it():
+def test_falling_load_reaches_viscous_speed():
     plant = replace(BARE, viscous_friction_n_m_s_rad=1e-4)
     axis = Axis(plant, ServoGains.tuned(plant, MS, 10), MS, 10)
     axis.set_load(0.010)
@@ -145,6 +144,6 @@ def test_a_falling_load_reaches_the_speed_at_which_viscous_friction_carries_it()
         ("load_torque_n_m", math.nan),
     ],
 )
-def test_numbers_no_motor_has_are_refused_by_name(name, value):
+def test_invalid_plant_number_is_refused_by_name(name, value):
     with pytest.raises(ValueError, match=name):
         replace(WHEEL_60W, **{name: value})

@@ -1,4 +1,4 @@
-"""Same commit, same motion, to the last bit, in every process."""
+"""The same commit has the same motion, to the last bit, in every process."""
 
 import os
 import subprocess
@@ -8,7 +8,7 @@ from pathlib import Path
 from tests.emulators.motion.scenario import digest
 
 
-def test_two_processes_with_different_hash_seeds_agree():
+def test_digest_other_hash_seeds_is_equal():
     here = digest()
     for seed in ("1", "2"):
         result = subprocess.run(

@@ -1,4 +1,4 @@
-"""The sampled motor against mathematics that knows nothing of matrix exponentials."""
+"""The sampled motor against mathematics without matrix exponentials."""
 
 import math
 
@@ -6,26 +6,26 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from emulators.plant.discretisation import exponential, product, sample
-from emulators.plant.presets import PLAUSIBLE, WHEEL_60W
+from motorhil.emulators.plant.dc_motor import exponential, product, sample
+from motorhil.emulators.plant.presets import PLAUSIBLE, WHEEL_60W
 
-# The series is cut below 1e-21 and squared at most some ten times: a few units in the last place.
+# The series is cut below 1e-21 and squared at most about ten times: a few units in the last place.
 ROUNDING = 1e-13
 
 
 @given(st.floats(-30.0, 5.0))
-def test_a_single_number_has_the_exponential_of_mathematics(x):
+def test_exponential_of_number_matches_math(x):
     assert exponential([[x]])[0][0] == pytest.approx(math.exp(x), rel=ROUNDING)
 
 
 @given(st.floats(-20.0, 20.0))
-def test_a_rotation_comes_out_as_sine_and_cosine(angle):
+def test_exponential_of_rotation_is_sine_and_cosine(angle):
     (c, minus_s), (s, c2) = exponential([[0.0, -angle], [angle, 0.0]])
     assert (c, s) == pytest.approx((math.cos(angle), math.sin(angle)), abs=1e-12)
     assert (c2, minus_s) == (c, -s)
 
 
-def test_a_nilpotent_matrix_gives_its_finite_series():
+def test_exponential_of_nilpotent_matrix_is_finite_series():
     assert exponential([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [0.0, 0.0, 0.0]]) == [
         [1.0, 1.0, 0.5],
         [0.0, 1.0, 1.0],
@@ -34,7 +34,7 @@ def test_a_nilpotent_matrix_gives_its_finite_series():
 
 
 @pytest.mark.parametrize("plant", PLAUSIBLE.values(), ids=PLAUSIBLE)
-def test_two_half_steps_make_a_whole_one(plant):
+def test_two_half_steps_equal_one_step(plant):
     half, whole = sample(plant, 0.5e-4), sample(plant, 1e-4)
     inputs = [[0.0, 0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 0.0, 1.0]]
     twice = product(half.driven + inputs, half.driven + inputs)
@@ -43,7 +43,7 @@ def test_two_half_steps_make_a_whole_one(plant):
 
 
 def runge_kutta(plant, state, voltage, torque, duration_s, steps):
-    """The three differential equations, integrated by the classical fourth-order rule."""
+    """Integrate the three differential equations by the classical fourth-order rule."""
     k, j = plant.torque_constant_n_m_a, plant.inertia_kg_m2()
     inc_rad = plant.encoder_increments_rev / (2 * math.pi)
 
@@ -77,7 +77,7 @@ def runge_kutta(plant, state, voltage, torque, duration_s, steps):
         ((0.0, 50.0, 0.0), 0.0, -0.02),
     ],
 )
-def test_a_step_is_the_solution_of_the_differential_equations(plant, start, voltage, torque):
+def test_step_solves_differential_equations(plant, start, voltage, torque):
     motor = sample(plant, 1e-4)
     vector = [*start, voltage, torque]
     got = [sum(m * v for m, v in zip(row, vector, strict=True)) for row in motor.driven]
@@ -86,7 +86,7 @@ def test_a_step_is_the_solution_of_the_differential_equations(plant, start, volt
     assert got == pytest.approx(fine, rel=1e-9, abs=1e-9)
 
 
-def test_a_coasting_motor_slows_down_as_friction_and_inertia_say():
+def test_coasting_motor_decelerates_by_friction():
     plant = WHEEL_60W
     motor = sample(plant, 1e-3)
     b, j, torque, start = plant.viscous_friction_n_m_s_rad, plant.inertia_kg_m2(), -0.004, 300.0
@@ -103,7 +103,7 @@ def test_a_coasting_motor_slows_down_as_friction_and_inertia_say():
     assert position == pytest.approx(travelled / (2 * math.pi), rel=1e-9)  # cancellation
 
 
-def test_the_current_of_a_blocked_motor_rises_with_its_electrical_time_constant():
+def test_blocked_current_rises_with_time_constant():
     plant = WHEEL_60W
     motor = sample(plant, 1e-4)
     current = 0.0

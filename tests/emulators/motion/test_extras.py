@@ -1,4 +1,4 @@
-"""A plant with extras behind the axis: who looks makes no difference, and rest is exact."""
+"""A nonlinear plant behind the axis: readers do not influence it, and rest is exact."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -7,12 +7,11 @@ import pytest
 from hypothesis import event, given, settings
 from hypothesis import strategies as st
 
-from emulators.cia402.factory import build as cia402_drive
-from emulators.controller import ControllerContext, SettingError
-from emulators.firmware import extras_servo
-from emulators.firmware.axis import Axis
-from emulators.firmware.extras_tables import StepNumbers, extras_tables
-from emulators.firmware.flags import (
+from motorhil.emulators.cia402.drive import build as cia402_drive
+from motorhil.emulators.controller import ControllerContext, SettingError
+from motorhil.emulators.firmware import nonlinear_servo as extras_servo
+from motorhil.emulators.firmware.axis import Axis
+from motorhil.emulators.firmware.flags import (
     I2T_LIMIT,
     I2T_WARNING,
     OUTSIDE_GATE,
@@ -21,14 +20,14 @@ from emulators.firmware.flags import (
     TEMPERATURE_WARNING,
     UNDER_VOLTAGE,
 )
-from emulators.firmware.gains import ServoGains
-from emulators.firmware.servo_tables import tables_of
-from emulators.leadshine_pr.factory import build as leadshine_drive
-from emulators.oriental_az.factory import build as oriental_drive
-from emulators.plant.extras import PlantExtras
-from emulators.plant.presets import WHEEL_60W
-from emulators.setting_tables import plant_of
-from harness.build_info import cores_are_compiled
+from motorhil.emulators.firmware.nonlinear_tables import StepNumbers, extras_tables
+from motorhil.emulators.firmware.servo_tables import ServoGains, tables_of
+from motorhil.emulators.leadshine_pr.drive import build as leadshine_drive
+from motorhil.emulators.oriental_az.drive import build as oriental_drive
+from motorhil.emulators.plant.nonlinear import PlantExtras
+from motorhil.emulators.plant.presets import WHEEL_60W
+from motorhil.emulators.settings.tables import plant_of
+from motorhil.harness.version import cores_are_compiled
 
 MS = 1_000_000
 CONTEXT = ControllerContext(name="drive", folder=Path(), seed=1)
@@ -85,7 +84,7 @@ def thresholds(axis):
 
 
 def day(axis, looks):
-    """Readings after each command; in between somebody looks, or asks when to come back."""
+    """Return readings after each command; readers act in between as `looks` says."""
     seen = []
     commands = (
         (10, lambda: axis.power(True)),
@@ -115,7 +114,7 @@ def day(axis, looks):
     SETS,
     st.lists(st.tuples(st.integers(1, 1_600), st.sampled_from([0, 1, 7, 90])), max_size=40),
 )
-def test_what_a_plant_with_extras_does_is_the_same_whoever_looks(names, looks):
+def test_nonlinear_plant_is_independent_of_readers(names, looks):
     plant = plant_with(*names)
     alone = day(axis_with(plant), ())
     assert day(axis_with(plant), sorted(looks)) == alone
@@ -135,13 +134,15 @@ def run_to_rest(axis, limit_ms):
 
 @settings(max_examples=12)
 @given(SETS, st.integers(-15_000, 15_000), st.booleans())
-def test_a_plant_with_extras_comes_to_exact_rest(names, target, has_power):
+def test_nonlinear_plant_comes_to_exact_rest(names, target, has_power):
     axis = axis_with(plant_with(*names))
     axis.power(True)
     axis.at(50 * MS)
     axis.move_to(target, 60_000.0, 400_000.0, 400_000.0)
     axis.at(900 * MS)
-    if not has_power or {"stops", "friction"} & set(names):  # held short of it, or hunting for it
+    if not has_power or {"stops", "friction"} & set(
+        names
+    ):  # stops before the target, or hunts around it
         axis.power(False)
         has_power = False
     run_to_rest(axis, 100_000_000)
@@ -155,7 +156,7 @@ def test_a_plant_with_extras_comes_to_exact_rest(names, target, has_power):
     event("held" if has_power else "without power")
 
 
-def test_rest_is_a_state_that_the_step_maps_onto_itself():
+def test_nonlinear_rest_maps_onto_itself():
     axis = axis_with(plant_with(*FEATURES))
     axis.power(True)
     axis.at(50 * MS)
@@ -173,8 +174,8 @@ def test_rest_is_a_state_that_the_step_maps_onto_itself():
         assert repr(state[19][:6]) == repr(time.state[19][:6])
 
 
-def test_losses_of_a_rest_that_ends_between_two_reckonings_are_not_lost():
-    """The same tick by tick, where rest is never found, to the last bit."""
+def test_losses_between_thermal_updates_are_kept():
+    """Compare with single ticks, in which rest is never found, to the last bit."""
     heat = {**HEAT, "thermal_time_constant_winding_s": 0.2, "thermal_time_constant_motor_s": 0.3}
     axis = axis_with(replace(WHEEL_60W, extras=PlantExtras(**heat, stop_high_rad=0.0)))
     axis.power(True)
@@ -200,8 +201,8 @@ def test_losses_of_a_rest_that_ends_between_two_reckonings_are_not_lost():
     assert again == seen
 
 
-def test_a_motor_that_cools_at_rest_is_hardly_worked_for():
-    """An hour of it: one wake-up every ten seconds, until the temperature stands."""
+def test_cooling_motor_at_rest_needs_few_wakeups():
+    """For an hour: one wake-up every ten seconds, until the temperature is steady."""
     axis = axis_with(plant_with("heat"))
     axis.power(True)
     axis.at(10 * MS)
@@ -224,8 +225,8 @@ def test_a_motor_that_cools_at_rest_is_hardly_worked_for():
 
 @pytest.mark.skipif(cores_are_compiled(), reason="what compiled cores call cannot be counted")
 @pytest.mark.parametrize("is_on", [False, True])
-def test_a_motor_that_cools_under_commands_is_not_run_ahead_of_in_vain(is_on, monkeypatch):
-    """A command every 5 ms: what a cooling hour would be like is reckoned when none comes."""
+def test_cooling_motor_under_commands_is_not_run_ahead(is_on, monkeypatch):
+    """With a command every 5 ms, the cooling hour ahead is not computed."""
     axis = axis_with(plant_with("heat"))
     axis.power(True)
     axis.at(10 * MS)
@@ -256,8 +257,8 @@ def test_a_motor_that_cools_under_commands_is_not_run_ahead_of_in_vain(is_on, mo
 
 
 @pytest.mark.parametrize("looks", [False, True])
-def test_thresholds_wake_the_drive_at_their_tick(looks):
-    """Every flag comes at a wake-up that the axis asked for, and at the same one for all."""
+def test_thresholds_wake_drive_at_their_tick(looks):
+    """Every flag comes at a requested wake-up, and at the same tick with and without readers."""
     axis = axis_with(plant_with("heat", "i2t", "supply"))
     axis.power(True)
     axis.at(50 * MS)
@@ -280,7 +281,7 @@ def test_thresholds_wake_the_drive_at_their_tick(looks):
         ):
             if axis.flags & ~before & flag:
                 came.setdefault(flag, axis._time.tick)
-    # 0.495 A^2 s of room, filled by 16 A^2 since 55 ms: half in 15 ms, and told every 20 ms
+    # 0.495 A^2 s of capacity, filled by 16 A^2 since 55 ms: half in 15 ms, updated every 20 ms
     assert came[I2T_WARNING] == 80
     assert came[I2T_LIMIT] == 100
     assert came[TEMPERATURE_WARNING] % 20 == came[OVER_TEMPERATURE] % 20 == 0
@@ -288,7 +289,7 @@ def test_thresholds_wake_the_drive_at_their_tick(looks):
     assert came[UNDER_VOLTAGE] == 126
 
 
-def test_play_alone_makes_two_bodies_and_the_load_is_where_the_rotor_is():
+def test_backlash_alone_makes_two_bodies():
     plant = plant_with("backlash")
     assert plant.extras.has_two_bodies()
     axis = axis_with(plant)
@@ -296,7 +297,7 @@ def test_play_alone_makes_two_bodies_and_the_load_is_where_the_rotor_is():
     assert axis.output_position_rad() == 0.0
 
 
-def test_static_friction_has_half_gone_at_the_stribeck_speed():
+def test_static_friction_halves_at_stribeck_speed():
     extras = FEATURES["friction"]
     plant = plant_with("friction")
     numbers = StepNumbers(plant, 1e-4, 1e-4, plant.resistance_ohm)
@@ -305,8 +306,8 @@ def test_static_friction_has_half_gone_at_the_stribeck_speed():
     assert numbers.more / (1.0 + speed * speed * numbers.stribeck) == pytest.approx(more / 2)
 
 
-def test_heat_and_i2t_go_by_true_time_whatever_the_own_clock():
-    """A clock that is a quarter fast makes its ticks shorter, and less happens in one."""
+def test_heat_and_i2t_use_true_time():
+    """A clock that is 25 % fast makes its ticks shorter, and less happens in one."""
     plant = plant_with("i2t")
     gains = ServoGains.tuned(plant, MS, 10)
     rises = []
@@ -318,7 +319,7 @@ def test_heat_and_i2t_go_by_true_time_whatever_the_own_clock():
     assert rises[0] == pytest.approx(rises[1] * 1.25)
 
 
-def test_a_plain_plant_answers_for_what_it_has_not():
+def test_linear_plant_reports_constants():
     axis = axis_with(WHEEL_60W)
     axis.power(True)
     axis.at(100 * MS)
@@ -329,8 +330,8 @@ def test_a_plain_plant_answers_for_what_it_has_not():
         axis.set_supply(20.0)
 
 
-def test_the_gate_of_the_output_is_behind_the_play():
-    """A switch at the output closes where the load is, at the tick at which it gets there."""
+def test_output_gate_is_behind_backlash():
+    """A switch at the output closes at the load's position, at the tick at which it gets there."""
     axis = axis_with(plant_with("backlash"))
     axis.power(True)
     axis.at(50 * MS)
@@ -349,7 +350,7 @@ def test_the_gate_of_the_output_is_behind_the_play():
 
 
 @pytest.mark.parametrize("kind", ["cia402", "leadshine_pr", "oriental_az"])
-def test_every_drive_takes_a_plant_with_extras(kind):
+def test_every_drive_accepts_nonlinear_plant(kind):
     table = {"preset": "mast_20w", "backlash_rad": 0.01, "stop_high_rad": 1.0}
     if kind == "cia402":
         drive = cia402_drive({"node_id": 1, "plant": table}, CONTEXT)
@@ -358,7 +359,7 @@ def test_every_drive_takes_a_plant_with_extras(kind):
     else:
         drive = oriental_drive({"unit": 1, "plant": table}, CONTEXT)
     drive.start(0)
-    drive.stimulate("load_torque_n_m", -50.0, 0)  # more than friction holds: to the upper end
+    drive.stimulate("load_torque_n_m", -50.0, 0)  # more than friction holds: to the upper end stop
     assert drive.snapshot(3_000 * MS)["position_rad"] == pytest.approx(1.0, abs=1e-9)
 
 
@@ -367,7 +368,7 @@ def test_every_drive_takes_a_plant_with_extras(kind):
     [
         ({"backlash_rad": -1}, "backlash_rad", "-1 is outside 0..6.2832"),
         ({"backlash": 0.1}, "backlash", "did you mean backlash_rad?"),
-        ({"cogging_periods_rev": 1.5}, "cogging_periods_rev", "no whole number"),
+        ({"cogging_periods_rev": 1.5}, "cogging_periods_rev", "not a whole number"),
         ({"stop_low_rad": 2.0, "stop_high_rad": 1.0}, "stop_low_rad", "not below stop_high_rad"),
         (
             {"thermal_time_constant_winding_s": 2.0},
@@ -378,14 +379,14 @@ def test_every_drive_takes_a_plant_with_extras(kind):
         ({"i2t_peak_a": 2.0, "i2t_continuous_a": 3.0}, "i2t_peak_a", "not above i2t_continuous_a"),
     ],
 )
-def test_what_a_plant_cannot_have_is_refused_with_its_key(table, key, told):
+def test_invalid_plant_value_is_refused_with_key(table, key, told):
     with pytest.raises(SettingError) as caught:
         plant_of({"preset": "wheel_60w", **table})
     assert caught.value.path == ("plant", key)
     assert told in str(caught.value)
 
 
-def test_a_motor_cannot_begin_beyond_an_end_of_its_way():
+def test_initial_position_beyond_end_stop_is_refused():
     settings = {"node_id": 1, "plant": {"preset": "mast_20w", "stop_high_rad": 1.0}}
-    with pytest.raises(SettingError, match="beyond an end"):
+    with pytest.raises(SettingError, match="beyond the plant's end"):
         cia402_drive({**settings, "initial_position_rad": 1.5}, CONTEXT)

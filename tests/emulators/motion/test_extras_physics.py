@@ -1,4 +1,4 @@
-"""A plant with extras against differential equations solved by others, closed forms, and energy."""
+"""A nonlinear plant against other solvers, closed forms, and conservation of energy."""
 
 import math
 from dataclasses import replace
@@ -10,24 +10,23 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
-from emulators.controller import SettingError
-from emulators.firmware import extras_step
-from emulators.firmware.axis import Axis
-from emulators.firmware.current_loop import steps
-from emulators.firmware.extras_tables import ExtrasTables, StepNumbers
-from emulators.firmware.flags import AT_STOP, OVER_VOLTAGE
-from emulators.firmware.gains import ServoGains
-from emulators.firmware.servo_tables import ServoTables
-from emulators.plant.extras import PlantExtras
-from emulators.plant.presets import WHEEL_60W
-from emulators.servo_settings import servo_of
+from motorhil.emulators.controller import SettingError
+from motorhil.emulators.firmware import nonlinear_servo as extras_step
+from motorhil.emulators.firmware.axis import Axis
+from motorhil.emulators.firmware.flags import AT_STOP, OVER_VOLTAGE
+from motorhil.emulators.firmware.nonlinear_tables import ExtrasTables, StepNumbers
+from motorhil.emulators.firmware.servo import steps
+from motorhil.emulators.firmware.servo_tables import ServoGains, ServoTables
+from motorhil.emulators.plant.nonlinear import PlantExtras
+from motorhil.emulators.plant.presets import WHEEL_60W
+from motorhil.emulators.settings.motor import servo_of
 
 MS = 1_000_000
 STEP_S = 1e-4
 GEAR = WHEEL_60W.gear_ratio
 INC_RAD = WHEEL_60W.increments_per_rad()  # at the motor
 ROTOR = WHEEL_60W.rotor_inertia_kg_m2
-LOAD = WHEEL_60W.load_inertia_kg_m2 / GEAR**2  # as the motor feels it
+LOAD = WHEEL_60W.load_inertia_kg_m2 / GEAR**2  # referred to the motor
 
 
 def with_extras(plant=WHEEL_60W, **numbers):
@@ -45,8 +44,8 @@ def axis_of(plant):
     return axis
 
 
-def test_without_anything_asked_for_it_is_the_plain_motor():
-    """A tick that moves throughout, with everything at 0 but the way it is reckoned."""
+def test_all_effects_off_equals_linear_motor():
+    """A tick in constant motion, with all effects 0 but computed by the nonlinear step."""
     plant = with_extras(ambient_c=20.0)
     gains = ServoGains.tuned(plant, MS, 10)
     plain = ServoTables(WHEEL_60W, gains, MS, 10)
@@ -54,12 +53,12 @@ def test_without_anything_asked_for_it_is_the_plain_motor():
     begin = (0.7, 11.0, 400.0, 1234.5)
     for wanted in (0.0, 0.7, 2.5, 8.0):
         expected = steps(plain.step, 10, 0.01, wanted, *begin)
-        found = extras_step.tick(tables, 0, True, 0.01, 24.0, wanted, *begin, 0.0, 0.0, 24.0)
+        found = extras_step.plant_tick(tables, 0, True, 0.01, 24.0, wanted, *begin, 0.0, 0.0, 24.0)
         assert found[:4] == pytest.approx(expected, rel=1e-12)
         assert found[4:6] == found[2:4]  # one body
 
 
-def test_two_bodies_swing_as_their_equations_say():
+def test_two_bodies_oscillate_as_their_equations():
     k, c, b = 800.0, 3.0, 2.0  # at the output
     plant = with_extras(
         replace(WHEEL_60W, coulomb_friction_n_m=0.0, current_max_a=1e-3),
@@ -84,8 +83,8 @@ def test_two_bodies_swing_as_their_equations_say():
     assert (x / INC_RAD, xl / INC_RAD) == pytest.approx((a_end, al_end), rel=2e-3)
 
 
-def test_a_pendulum_swings_as_one():
-    """The wave is a sine's likeness, to 0.1 %."""
+def test_gravity_load_swings_as_pendulum():
+    """The wave approximates a sine to 0.1 %."""
     plant = with_extras(
         replace(WHEEL_60W, coulomb_friction_n_m=0.0, viscous_friction_n_m_s_rad=0.0),
         gravity_torque_n_m=3.0,
@@ -104,7 +103,7 @@ def test_a_pendulum_swings_as_one():
     assert (x - 0.5) / (GEAR * INC_RAD) == pytest.approx(exact.y[0, -1], abs=0.01)
 
 
-def test_the_load_stands_until_the_play_is_used_up_and_rests_within_it():
+def test_load_stands_until_backlash_is_used_up():
     play = {"backlash_rad": 0.02, "output_coulomb_friction_n_m": 0.3}
     t = numbers_of(with_extras(replace(WHEEL_60W, coulomb_friction_n_m=0.0), **play))
     half_inc = 0.01 * GEAR * INC_RAD
@@ -124,8 +123,8 @@ def test_the_load_stands_until_the_play_is_used_up_and_rests_within_it():
     axis.at(1_000 * MS)
     assert axis.output_velocity_rad_s() == 0.0
     gap_rad = axis.position_inc() / (GEAR * INC_RAD) - axis.output_position_rad()
-    assert -0.0101 <= gap_rad <= -0.005  # it went on to the other flank
-    axis.move_to(3_100, 3_000.0, 200_000.0, 200_000.0)  # less than the play: the load stays
+    assert -0.0101 <= gap_rad <= -0.005  # it continued to the other flank
+    axis.move_to(3_100, 3_000.0, 200_000.0, 200_000.0)  # less than the backlash: the load stays
     there = axis.output_position_rad()
     axis.at(1_500 * MS)
     assert axis.position_inc() == 3_100
@@ -136,7 +135,7 @@ def test_the_load_stands_until_the_play_is_used_up_and_rests_within_it():
 
 
 def height(p):
-    """The wave's integral from 0 to p."""
+    """Return the wave's integral from 0 to p."""
     p -= math.floor(p)
     if p >= 0.5:
         return height(0.49999999999999994) - height(p - 0.5)
@@ -146,7 +145,7 @@ def height(p):
 
 
 def energy(t, plant, i, w, x, wl, xl):
-    """In joule, at the motor; torques of waves and springs are per increment."""
+    """Return the energy [J] at the motor; torques of waves and springs are per increment."""
     twist = max(0.0, abs(x - xl) - t.gap) if t.two_bodies else 0.0
     stored = 0.5 * t.spring * twist * twist
     if t.cogging:
@@ -182,8 +181,8 @@ SPEED = st.floats(-600.0, 600.0)
     {"static_friction_n_m": 8e-3, "coupling_stiffness_n_m_rad": 30.0}, False, True, 0.0078, 0.0, 0.0
 )
 @given(EXTRAS, st.booleans(), st.booleans(), SPEED, SPEED, st.floats(-0.02, 0.02))
-def test_a_plant_left_alone_never_gains_energy(numbers, is_dry, shorted, w, wl, at_rad):
-    """Coasting, or with a shorted winding; whatever it has, in every single substep."""
+def test_free_plant_never_gains_energy(numbers, is_dry, shorted, w, wl, at_rad):
+    """Coasting, or with a shorted winding; any effects, in every single substep."""
     plant = with_extras(
         WHEEL_60W if is_dry else replace(WHEEL_60W, coulomb_friction_n_m=0.0), **numbers
     )
@@ -219,7 +218,7 @@ def test_a_plant_left_alone_never_gains_energy(numbers, is_dry, shorted, w, wl, 
     st.floats(0.0, 5_000.0),
 )
 def test_flanks_push_and_never_pull(gap, twist, free, give, damping):
-    """Whatever the damper asks for; and they part where the play begins, not within each other."""
+    """With any damper; the flanks separate where the backlash begins, without penetration."""
     t = numbers_of(with_extras(backlash_rad=0.01, coupling_damping_n_m_s_rad=damping))
     t.gap = gap
     torque = extras_step.coupling(t, twist, free, give)
@@ -231,7 +230,7 @@ def test_flanks_push_and_never_pull(gap, twist, free, give, damping):
         assert free - give * torque >= gap * (1.0 - 1e-9)
 
 
-def test_an_end_of_the_way_holds_and_gives_back_what_it_should():
+def test_end_stop_holds_and_rebounds():
     plant = with_extras(
         replace(WHEEL_60W, coulomb_friction_n_m=0.0, viscous_friction_n_m_s_rad=0.0),
         stop_high_rad=0.05,
@@ -259,7 +258,7 @@ def test_an_end_of_the_way_holds_and_gives_back_what_it_should():
 # --- supply and heat ------------------------------------------------------------------------------
 
 
-def test_load_lowers_the_dc_link_and_braking_raises_it_to_the_chopper():
+def test_dc_link_falls_under_load_rises_in_braking():
     base = {"source_resistance_ohm": 0.3, "dc_link_capacitance_f": 470e-6}
     axis = axis_of(with_extras(**base, stop_high_rad=0.0))
     axis.apply_current(8.0, 1e4)
@@ -289,8 +288,8 @@ def test_load_lowers_the_dc_link_and_braking_raises_it_to_the_chopper():
     assert tops[1] < tops[0]
 
 
-def test_a_blocked_motor_warms_as_two_nodes_do():
-    """Closed form by scipy's matrix exponential; at 100 s and 2,000 s."""
+def test_blocked_motor_warms_as_two_nodes():
+    """Compare with scipy's matrix exponential at 100 s and 2,000 s."""
     heat = {
         "thermal_resistance_winding_housing_k_w": 1.7,
         "thermal_resistance_housing_ambient_k_w": 6.0,
@@ -314,8 +313,8 @@ def test_a_blocked_motor_warms_as_two_nodes_do():
         assert axis.housing_temperature_c() - 25.0 == pytest.approx(rise[1], rel=2e-3)
 
 
-def test_a_winding_on_a_cold_housing_has_the_data_sheets_time_constant():
-    """And with copper's coefficient the voltage that holds the current rises with it."""
+def test_winding_has_time_constant_of_data_sheet():
+    """With copper's coefficient the voltage that holds the current rises with the temperature."""
     heat = {
         "thermal_resistance_winding_housing_k_w": 2.0,
         "thermal_resistance_housing_ambient_k_w": 1e-3,
@@ -331,11 +330,11 @@ def test_a_winding_on_a_cold_housing_has_the_data_sheets_time_constant():
     warm = axis_of(with_extras(**heat, stop_high_rad=0.0, copper_coefficient_1_k=0.0039))
     warm.apply_current(4.0, 1e6)
     warm.at(100_000 * MS)
-    rise = full / (1.0 - 0.0039 * full)  # the losses rise as the resistance does
+    rise = full / (1.0 - 0.0039 * full)  # the losses rise with the resistance
     assert warm.winding_temperature_c() - 25.0 == pytest.approx(rise, rel=5e-3)
 
 
-def test_a_coupling_too_stiff_to_be_stepped_is_refused_with_limit_and_remedy():
+def test_too_stiff_coupling_is_refused_with_limit():
     plant = with_extras(coupling_stiffness_n_m_rad=1e9)
     with pytest.raises(SettingError) as caught:
         servo_of({}, plant)

@@ -1,9 +1,9 @@
-"""The gate: a flag that comes at the first tick at which the count has left a range."""
+"""The gate: a flag at the first tick at which the count has left a range."""
 
 from hypothesis import event, given
 from hypothesis import strategies as st
 
-from emulators.firmware.flags import OUTSIDE_GATE
+from motorhil.emulators.firmware.flags import OUTSIDE_GATE
 from tests.emulators.motion.axes import MS, new_axis, powered_axis
 
 FAR = 1e300
@@ -21,9 +21,7 @@ def outside(axis) -> bool:
     st.booleans(),
     st.lists(st.integers(1, 400), max_size=4),
 )
-def test_it_comes_at_the_first_tick_outside_however_it_is_looked_at(
-    target, low, high, velocity, of_output, looks
-):
+def test_gate_flag_comes_at_first_tick_outside(target, low, high, velocity, of_output, looks):
     ranges = (-FAR, FAR, low, high) if of_output else (low, high, -FAR, FAR)
     lazy, plain = powered_axis(), powered_axis()
     for axis in (lazy, plain):
@@ -51,16 +49,16 @@ def test_it_comes_at_the_first_tick_outside_however_it_is_looked_at(
         assert lazy.count() == plain.count()
 
 
-def test_the_range_holds_its_lower_end_and_not_its_upper():
+def test_gate_includes_lower_end_excludes_upper():
     axis = new_axis(initial_position_inc=100)
     for low, high, is_outside in ((100, 101, False), (101, 200, True), (0, 100, True)):
         axis.set_gate(low, high, -FAR, FAR)
-        assert not outside(axis)  # at the present tick nothing is said yet
+        assert not outside(axis)  # not evaluated at the present tick
         axis.at((axis._time.tick + 1) * MS)
         assert outside(axis) is is_outside
 
 
-def test_a_motor_without_power_that_its_load_turns_leaves_it_too():
+def test_gate_works_without_power():
     axis = new_axis()
     axis.set_load(5.0)
     axis.set_gate(-50, 50, -FAR, FAR)
@@ -72,7 +70,7 @@ def test_a_motor_without_power_that_its_load_turns_leaves_it_too():
     assert axis.count() < -50
 
 
-def test_a_new_gate_around_the_count_takes_the_flag_back_and_asks_for_no_tick_at_rest():
+def test_new_gate_around_count_clears_flag():
     axis = new_axis()
     axis.set_gate(5, 9, -FAR, FAR)
     axis.at(1 * MS)
@@ -82,7 +80,7 @@ def test_a_new_gate_around_the_count_takes_the_flag_back_and_asks_for_no_tick_at
     assert axis.next_event_ns() is None
 
 
-def test_what_a_position_is_called_moves_no_gate():
+def test_set_position_does_not_move_gate():
     axis = new_axis()
     axis.set_gate(-5, 5, -FAR, FAR)
     axis.set_position(1_000)

@@ -1,4 +1,4 @@
-"""A controller's own clock: exact both ways, however long a run is."""
+"""A controller's own clock: exact in both directions, however long a run is."""
 
 from fractions import Fraction
 
@@ -6,7 +6,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from emulators.plant.oscillator import IDEAL, ONE, Oscillator
+from motorhil.emulators.plant.oscillator import IDEAL, ONE, Oscillator
 
 CLOCKS = st.builds(Oscillator, st.integers(-(ONE // 10), ONE // 10), st.integers(0, 1_000_000_000))
 DAY_NS = 86_400 * 10**9
@@ -19,27 +19,27 @@ def exact_ns(clock, true_ns):
 
 @given(CLOCKS, TIMES)
 @example(Oscillator(50_000_000), DAY_NS)  # 50 ppm, a day: 4.32 s
-def test_it_shows_what_its_rate_makes_of_the_time_rounded_down(clock, true_ns):
+def test_own_time_is_rate_times_true_time_rounded_down(clock, true_ns):
     assert clock.own_ns(true_ns) == exact_ns(clock, true_ns) // 1
 
 
 @given(CLOCKS, TIMES)
-def test_a_deadline_is_met_at_the_first_nanosecond_at_which_it_shows_it(clock, own_ns):
+def test_true_time_is_first_nanosecond_of_own_time(clock, own_ns):
     true_ns = clock.true_ns(own_ns)
     assert clock.own_ns(true_ns) >= own_ns
     assert true_ns == 0 or clock.own_ns(true_ns - 1) < own_ns
 
 
 @given(CLOCKS, TIMES, st.integers(0, 1000))
-def test_it_never_runs_backwards(clock, true_ns, later_ns):
+def test_own_time_never_runs_backwards(clock, true_ns, later_ns):
     assert clock.own_ns(true_ns + later_ns) >= clock.own_ns(true_ns)
 
 
-def test_fifty_ppm_are_four_and_a_third_seconds_a_day():
+def test_50_ppm_are_4_32_seconds_per_day():
     assert Oscillator(50_000_000).own_ns(DAY_NS) - DAY_NS == 4_320_000_000
 
 
-def test_without_an_error_it_is_the_time_and_the_rate_exactly_one():
+def test_ideal_clock_shows_true_time():
     assert IDEAL.is_ideal()
     assert IDEAL.rate() == 1.0
     assert not Oscillator(1).is_ideal()
@@ -56,5 +56,5 @@ def test_without_an_error_it_is_the_time_and_the_rate_exactly_one():
         (IDEAL, "its own clock shows the true time"),
     ],
 )
-def test_it_is_told_in_words(clock, told):
+def test_oscillator_is_described_in_words(clock, told):
     assert clock.told() == told

@@ -1,4 +1,4 @@
-"""The profile generator against the closed forms of the trapezoid, and against its own limits."""
+"""The profile generator against closed forms of the trapezoid and its own limits."""
 
 import math
 from itertools import pairwise
@@ -7,8 +7,8 @@ import pytest
 from hypothesis import assume, event, example, given
 from hypothesis import strategies as st
 
-from emulators.firmware import profile
-from emulators.firmware.profile import FOREVER
+from motorhil.emulators.firmware import profile
+from motorhil.emulators.firmware.profile import FOREVER
 
 # Increments, increments per tick, increments per tick^2: from a crawl to far beyond any motor.
 DISTANCES = st.integers(-(2**32), 2**32) | st.integers(-2000, 2000)
@@ -20,7 +20,7 @@ RELATIVE = 1e-9
 
 
 def closed_form_ticks(distance: float, v: float, a: float, d: float) -> float:
-    """Rest to rest. Source: Biagiotti & Melchiorri (2008), ch. 3, with two different ramps."""
+    """Return the rest-to-rest time. Source: Biagiotti & Melchiorri (2008), ch. 3, two ramps."""
     size = abs(distance)
     if size >= v * v / 2 * (1 / a + 1 / d):
         return size / v + v / 2 * (1 / a + 1 / d)
@@ -28,7 +28,7 @@ def closed_form_ticks(distance: float, v: float, a: float, d: float) -> float:
 
 
 def instants(pieces):
-    """Times worth looking at: around every change, and between."""
+    """Return times around every change, and between."""
     times = [0.0]
     for end, start, *_ in pieces:
         stop = start + 3.0 if end == FOREVER else end
@@ -45,7 +45,7 @@ def within(value: float, limit: float) -> bool:
 @example(1, 1e5, 1e4, 1e-6)
 @example(113, 10.0, 1.0, 0.8)  # half an increment of cruise
 @example(-(2**32), 1e-3, 1e-6, 1e4)
-def test_a_move_takes_as_long_as_the_closed_form_says(distance, v, a, d):
+def test_move_duration_matches_closed_form(distance, v, a, d):
     pieces = profile.move(1000.0, 0.0, 1000.0 + distance, v, a, d)
     expected = closed_form_ticks(distance, v, a, d)
     event("none" if distance == 0 else "triangle" if len(pieces) == 3 else "trapezoid")
@@ -53,7 +53,7 @@ def test_a_move_takes_as_long_as_the_closed_form_says(distance, v, a, d):
 
 
 @given(DISTANCES, SPEEDS, ACCELERATIONS, ACCELERATIONS)
-def test_a_move_stays_within_its_limits_and_ends_on_its_target(distance, v, a, d):
+def test_move_stays_within_limits_ends_on_target(distance, v, a, d):
     target = float(distance)
     pieces = profile.move(0.0, 0.0, target, v, a, d)
     check_limits(pieces, v, a, d)
@@ -66,7 +66,7 @@ def test_a_move_stays_within_its_limits_and_ends_on_its_target(distance, v, a, d
 
 
 def check_limits(pieces, v, a, d):
-    """Speed at most v, a while |speed| grows, d while it shrinks; nothing jumps."""
+    """Check: speed <= v, a while |speed| grows, d while it shrinks; nothing jumps."""
     pieces = [piece for piece in pieces if piece[0] > piece[1]]
     for end, start, _, slope, half, velocity, change in pieces:
         assert (slope, 2 * half) == (velocity, change)
@@ -94,14 +94,14 @@ def check_limits(pieces, v, a, d):
     st.floats(1e-3, 1e3),
 )
 @example(0.0, 100.0, 100, 50.0, 1.0, 1.0)  # too fast, and too close to stop
-@example(0.0, -100.0, 100, 50.0, 1.0, 1.0)  # the wrong way
+@example(0.0, -100.0, 100, 50.0, 1.0, 1.0)  # the wrong direction
 @example(0.0, 100.0, 5000, 100.0, 1.0, 1.0)  # just enough room to stop
-def test_from_any_motion_a_move_reaches_rest_on_its_target(position, velocity, target, v, a, d):
+def test_move_from_any_motion_reaches_target(position, velocity, target, v, a, d):
     pieces = profile.move(position, velocity, float(target), v, a, d)
     assert profile.demand_at(pieces, 0.0) == pytest.approx((position, velocity), abs=1e-4)
     check_limits(pieces, max(v, abs(velocity)), a, d)
     assert profile.demand_at(pieces, profile.duration_ticks(pieces)) == (float(target), 0.0)
-    # Once it is within the limit it stays there, and it never speeds up beyond it.
+    # Once within the limit it stays there, and it never accelerates beyond it.
     for _, start, _, slope, *_ in pieces:
         assert start == 0.0 or within(slope, v)
     if velocity != 0.0:
@@ -123,19 +123,19 @@ def test_from_any_motion_a_move_reaches_rest_on_its_target(position, velocity, t
     st.floats(1e-4, 1e3),
     st.floats(0.0, 1.0),
 )
-def test_the_same_command_again_on_the_way_changes_nothing(distance, v, a, d, share):
-    """What is left of a shortest motion is itself the shortest one."""
+def test_same_command_repeated_changes_nothing(distance, v, a, d, share):
+    """The rest of a shortest motion is itself the shortest one."""
     assume(distance != 0)
     pieces = profile.move(0.0, 0.0, float(distance), v, a, d)
     whole = profile.duration_ticks(pieces)
     position, velocity = profile.demand_at(pieces, share * whole)
     rest = profile.duration_ticks(profile.move(position, velocity, float(distance), v, a, d))
-    # sqrt amplifies rounding where almost nothing is left: 1e-12 of the way is 1e-6 of the time
+    # sqrt amplifies rounding near the end: 1e-12 of the distance is 1e-6 of the time
     assert rest == pytest.approx((1 - share) * whole, rel=1e-5, abs=1e-4 * whole + 1e-3)
 
 
 @given(st.floats(-1e3, 1e3), st.floats(-1e3, 1e3), st.floats(1e-3, 1e2), st.floats(1e-3, 1e2))
-def test_a_velocity_ramp_takes_as_long_as_its_two_slopes_need(velocity, wanted, a, d):
+def test_ramp_duration_matches_its_slopes(velocity, wanted, a, d):
     pieces = profile.ramp(0.0, velocity, wanted, a, d)
     if velocity * wanted < 0.0:
         expected = abs(velocity) / d + abs(wanted) / a
@@ -151,7 +151,7 @@ def test_a_velocity_ramp_takes_as_long_as_its_two_slopes_need(velocity, wanted, 
 
 
 @given(st.floats(-1e6, 1e6), st.floats(-1e4, 1e4), st.floats(1e-3, 1e3))
-def test_a_ramp_to_rest_ends_on_the_increment_next_to_its_braking_distance(position, velocity, d):
+def test_ramp_to_rest_ends_on_nearest_increment(position, velocity, d):
     pieces = profile.ramp(position, velocity, 0.0, d, d)
     end, speed = profile.demand_at(pieces, profile.duration_ticks(pieces))
     braking = position + velocity * abs(velocity) / (2 * d)
@@ -160,7 +160,7 @@ def test_a_ramp_to_rest_ends_on_the_increment_next_to_its_braking_distance(posit
     assert abs(end - braking) <= 0.5 + 1e-6
 
 
-def test_a_line_is_even_and_hands_its_velocity_to_the_next_one():
+def test_line_is_linear_and_keeps_velocity_one_tick():
     pieces = profile.line(100.0, 140.0, 4.0)
     assert [profile.demand_at(pieces, t) for t in (0.0, 1.0, 3.0, 4.0, 4.5, 5.0, 99.0)] == [
         (100.0, 10.0),
@@ -173,15 +173,15 @@ def test_a_line_is_even_and_hands_its_velocity_to_the_next_one():
     ]
 
 
-def test_a_line_in_no_time_takes_one_tick():
+def test_line_zero_ticks_takes_one_tick():
     assert profile.demand_at(profile.line(0.0, 8.0, 0.0), 1.0) == (8.0, 8.0)
 
 
 @given(DISTANCES, st.floats(-1e3, 1e3), SPEEDS, ACCELERATIONS, ACCELERATIONS, SPEEDS)
 @example(100, 0.0, 10.0, 1.0, 1.0, 10.0)
-@example(1, 50.0, 60.0, 1.0, 1.0, 1.0)  # too fast for the way
+@example(1, 50.0, 60.0, 1.0, 1.0, 1.0)  # too fast for the distance
 @example(1, 0.0, 60.0, 1.0, 1.0, 50.0)  # too slow for it
-def test_a_target_is_passed_at_the_end_velocity_and_within_the_limits(distance, v0, v, a, d, end):
+def test_move_through_passes_target_at_end_velocity(distance, v0, v, a, d, end):
     target = float(distance)
     pieces = profile.move_through(0.0, v0, target, v, a, d, end)
     forward = 1.0 if distance >= 0 else -1.0
@@ -197,7 +197,7 @@ def test_a_target_is_passed_at_the_end_velocity_and_within_the_limits(distance, 
         assert kept == pytest.approx(target, abs=1e-6 * largest)
     for before, after in pairwise(pieces):
         assert before[0] == after[1]
-        for k in (0, 1):  # no step, neither of position nor of velocity
+        for k in (0, 1):  # no step in position or velocity
             left = profile.demand_at((before, *pieces[-1:]), before[0] * (1 - 1e-15))[k]
             late = 1e-12 * before[0] * (max(a, d) + max(v, abs(v0)))  # of rounded times
             assert profile.demand_at(pieces, after[1])[k] == pytest.approx(

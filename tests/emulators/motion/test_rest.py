@@ -1,4 +1,4 @@
-"""At rest is a state that maps onto itself to the last bit; and the motor gets there, and stays."""
+"""Rest is a state that maps onto itself to the last bit; the motor reaches it and stays."""
 
 from dataclasses import replace
 
@@ -6,13 +6,12 @@ import pytest
 from hypothesis import event, given
 from hypothesis import strategies as st
 
-from emulators.firmware import servo
-from emulators.firmware.axis import Axis
-from emulators.firmware.flags import PROFILE_ACTIVE, SPEED_ZERO
-from emulators.firmware.gains import ServoGains
-from emulators.firmware.servo_tables import ServoTables
-from emulators.plant.dc_motor import MotorPlant
-from emulators.plant.presets import PLAUSIBLE, WHEEL_60W
+from motorhil.emulators.firmware import servo
+from motorhil.emulators.firmware.axis import Axis
+from motorhil.emulators.firmware.flags import PROFILE_ACTIVE, SPEED_ZERO
+from motorhil.emulators.firmware.servo_tables import ServoGains, ServoTables
+from motorhil.emulators.plant.dc_motor import MotorPlant
+from motorhil.emulators.plant.presets import PLAUSIBLE, WHEEL_60W
 
 MS = 1_000_000
 
@@ -25,7 +24,7 @@ def make(plant: MotorPlant, tick_ns: int = MS, steps: int = 10) -> Axis:
 
 
 def run_to_rest(axis: Axis, limit_ns: int) -> int | None:
-    """Let the axis wake as it wants; when it wants no more [ns], or None."""
+    """Let the axis wake as it requests; return when it rests [ns], or None."""
     now = axis._time.tick * axis._tick_ns
     wake = axis.next_event_ns()
     while wake is not None:
@@ -38,7 +37,7 @@ def run_to_rest(axis: Axis, limit_ns: int) -> int | None:
 
 
 def ticks_to_rest(axis: Axis, limit: int = 60_000) -> int:
-    """Ticks until the state no longer changes, one by one."""
+    """Return the ticks until the state no longer changes."""
     start = axis._time.tick
     while not axis._time.resting:
         axis.at((axis._time.tick + 1) * axis._tick_ns)
@@ -47,7 +46,7 @@ def ticks_to_rest(axis: Axis, limit: int = 60_000) -> int:
 
 
 def assert_fixed(axis: Axis, plant: MotorPlant) -> None:
-    """A hundred further ticks of the bare step function change nothing, not even a sign of zero."""
+    """Check that 100 further ticks of the step function change nothing, not even a zero's sign."""
     time = axis._time
     tick_ns, steps = axis._tick_ns, axis._time._current_steps
     tables = ServoTables(plant, ServoGains.tuned(plant, tick_ns, steps), tick_ns, steps)
@@ -74,7 +73,7 @@ MOVES = st.integers(-30_000, 30_000) | st.integers(-30, 30)
     st.floats(0.02, 0.6),
     st.floats(0.02, 0.5),
 )
-def test_after_any_move_a_powered_axis_comes_to_exact_rest(
+def test_powered_axis_after_any_move_rests_exactly(
     name, clock, increments, friction_share, load_share, distance, speed_share, acceleration_share
 ):
     preset = PLAUSIBLE[name]
@@ -107,9 +106,11 @@ def test_after_any_move_a_powered_axis_comes_to_exact_rest(
 
 
 @pytest.mark.parametrize("name", PLAUSIBLE)
-def test_the_default_motors_rest_soon(name):
-    """Ticks: a few for the encoder's averages, some for the current, more if friction holds it an
-    increment short until the integrator has pushed it over.
+def test_default_motors_rest_soon(name):
+    """The limit covers the encoder's averages, the current, and the integrator's last increment.
+
+    More ticks are needed if friction holds the motor an increment short until the integrator has
+    pushed it over.
     """
     plant = PLAUSIBLE[name]
     for distance in (100_000, -20_000, 1_000, 7, 1):
@@ -124,7 +125,7 @@ def test_the_default_motors_rest_soon(name):
         assert_fixed(axis, plant)
 
 
-def test_an_axis_that_was_never_powered_rests_from_the_start():
+def test_unpowered_axis_rests_from_the_start():
     axis = Axis(WHEEL_60W, ServoGains.tuned(WHEEL_60W, MS, 10), MS, 10)
     assert axis.next_event_ns() is None
     axis.at(3_600_000 * MS)
@@ -145,7 +146,7 @@ def test_rest_costs_nothing(monkeypatch):
 
 
 @pytest.mark.parametrize(("tick_ns", "steps"), [(250_000, 5), (500_000, 10), (MS, 1), (2 * MS, 20)])
-def test_other_clocks_move_and_rest_as_well(tick_ns, steps):
+def test_other_servo_clocks_move_and_rest(tick_ns, steps):
     axis = make(WHEEL_60W, tick_ns, steps)
     axis.move_to(50_000, 80_000.0, 400_000.0, 400_000.0)
     worst = 0
@@ -157,7 +158,7 @@ def test_other_clocks_move_and_rest_as_well(tick_ns, steps):
     assert axis.position_inc() == 50_000
 
 
-def test_a_frictionless_axis_keeps_its_place_though_it_never_quite_rests():
+def test_frictionless_axis_keeps_its_position():
     plant = replace(WHEEL_60W, coulomb_friction_n_m=0.0)
     axis = make(plant)
     axis.move_to(20_000, 100_000.0, 1e6, 1e6)
@@ -167,10 +168,10 @@ def test_a_frictionless_axis_keeps_its_place_though_it_never_quite_rests():
         assert abs(axis.position_inc() - 20_000) <= 2
 
 
-def test_an_axis_too_weak_for_its_load_gives_way_and_recovers():
+def test_overloaded_axis_yields_and_recovers():
     axis = make(WHEEL_60W)
     axis.set_current_limit(0.3)
-    axis.set_load(2.0)  # 30 mN m at the motor against 8 of current and 4 of friction
+    axis.set_load(2.0)  # 30 mN m at the motor against 8 from the current and 4 from friction
     axis.at(400 * MS)
     assert axis.position_inc() < -100
     axis.set_load(0.0)

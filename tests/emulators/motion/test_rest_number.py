@@ -1,11 +1,11 @@
-"""As long as an axis says that it rests, with the same number, nothing that it shows changes."""
+"""While an axis rests with the same number, its readings do not change."""
 
 from hypothesis import event, given
 from hypothesis import strategies as st
 
-from emulators.firmware.axis import Axis
-from emulators.firmware.gains import ServoGains
-from emulators.plant.presets import WHEEL_60W
+from motorhil.emulators.firmware.axis import Axis
+from motorhil.emulators.firmware.servo_tables import ServoGains
+from motorhil.emulators.plant.presets import WHEEL_60W
 
 MS = 1_000_000
 GAINS = ServoGains.tuned(WHEEL_60W, MS, 10)
@@ -36,7 +36,7 @@ def readings(axis: Axis) -> list[float]:
 
 
 @given(STEPS)
-def test_the_same_number_is_the_same_readings(steps):
+def test_same_rest_number_means_same_readings(steps):
     axis = Axis(WHEEL_60W, GAINS)
     axis.power(True)
     now, number, shown = 0, -1, [0.0]
@@ -53,7 +53,7 @@ def test_the_same_number_is_the_same_readings(steps):
         number, shown = axis.rest(), readings(axis)
 
 
-def test_a_standing_axis_does_rest():
+def test_standing_axis_rests():
     axis = Axis(WHEEL_60W, GAINS)
     axis.power(True)
     assert axis.rest() == -1

@@ -1,4 +1,4 @@
-"""Ten steps as one map are ten steps; and the whole axis is what its equations say."""
+"""Ten steps as one map equal ten steps, and the axis follows its equations."""
 
 import math
 from dataclasses import replace
@@ -7,11 +7,11 @@ import pytest
 from hypothesis import event, given
 from hypothesis import strategies as st
 
-from emulators.firmware import current_loop, profile, servo
-from emulators.firmware.axis import Axis
-from emulators.firmware.gains import ServoGains
-from emulators.firmware.servo_tables import ServoTables
-from emulators.plant.presets import PLAUSIBLE, WHEEL_60W
+from motorhil.emulators.firmware import profile, servo
+from motorhil.emulators.firmware import servo as current_loop
+from motorhil.emulators.firmware.axis import Axis
+from motorhil.emulators.firmware.servo_tables import ServoGains, ServoTables
+from motorhil.emulators.plant.presets import PLAUSIBLE, WHEEL_60W
 from tests.emulators.motion.reference import ReferenceAxis
 
 MS = 1_000_000
@@ -22,7 +22,7 @@ TABLES = {
 
 
 def one_tick(tables, load_table, state):
-    """The state one tick later, at hold; `one by one` if the load table forbids the map."""
+    """Return the state one tick later, at hold; step by step if the load table forbids the map."""
     orders = (servo.POSITION, 0, -1.0, profile.hold(0.0), True, 0.0, 0.0, 8.0, 8.0)
     after, made, _ = servo.run(
         *(tables.tick, tables.step, tables.current_steps, load_table),
@@ -43,7 +43,7 @@ def state_with(i, u, w, wanted):
     | st.integers(-(2**53), 2**53).map(lambda halves: halves / 2)
     | st.integers(-(2**51), 2**51).map(lambda number: math.nextafter(float(number), -math.inf))
 )
-def test_the_encoder_counts_whole_increments_as_floor_division_does(x):
+def test_whole_equals_floor_division(x):
     assert servo.whole(x) == x // 1.0
 
 
@@ -56,7 +56,7 @@ def check_one_tick(name, current, error, speed, mismatch, load):
     mapped = one_tick(tables, tables.load(load * plant.gear_ratio), state)
     singly = current_loop.steps(tables.step, 10, load, wanted, current, u, speed, 0.5)
     got = mapped[1:5]
-    # Ten products of matrices against ten steps: rounding, relative to the quantities there are.
+    # Ten products of matrices against ten steps: rounding relative to the quantities.
     assert got[0] == pytest.approx(singly[0], rel=1e-9, abs=1e-10)
     assert got[1] == pytest.approx(singly[1], rel=1e-9, abs=1e-9)
     assert got[2] == pytest.approx(singly[2], rel=1e-9, abs=1e-8)
@@ -76,7 +76,7 @@ LOADS_N_M = st.floats(-0.01, 0.01)
     st.floats(-30.0, 30.0) | st.floats(-0.3, 0.3),
     LOADS_N_M,
 )
-def test_ten_steps_as_one_map_are_ten_steps(name, current, error, speed, mismatch, load):
+def test_one_map_equals_ten_steps(name, current, error, speed, mismatch, load):
     event(check_one_tick(name, current, error, speed, mismatch, load))
 
 
@@ -87,12 +87,12 @@ def test_ten_steps_as_one_map_are_ten_steps(name, current, error, speed, mismatc
     st.floats(-0.03, 0.03) | st.floats(-0.2, 0.2),
     st.floats(-0.0005, 0.0005),
 )
-def test_ten_steps_of_a_rotor_that_sticks_are_one_map_too(name, current, error, mismatch, load):
+def test_one_map_equals_ten_steps_of_stuck_rotor(name, current, error, mismatch, load):
     event(check_one_tick(name, current, error, 0.0, mismatch, load))
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_a_rotor_that_dips_through_standstill_within_a_tick_is_stepped(sign):
+def test_rotor_dipping_through_standstill_is_stepped(sign):
     """Both ends of such a tick turn the same way; friction changes its sign in between."""
     plant, tables = PLAUSIBLE["wheel_60w"], TABLES["wheel_60w"]
     dips = 0
@@ -109,7 +109,7 @@ def test_a_rotor_that_dips_through_standstill_within_a_tick_is_stepped(sign):
     assert dips > 3
 
 
-def test_a_rotor_that_is_pushed_loose_within_a_tick_is_stepped():
+def test_rotor_breaking_loose_within_tick_is_stepped():
     """Current and integrator are far from their steady state, in which the rotor would stick."""
     loose = 0
     for mismatch_mv in range(-300, 301, 20):
@@ -119,7 +119,7 @@ def test_a_rotor_that_is_pushed_loose_within_a_tick_is_stepped():
     assert loose > 5
 
 
-def test_a_clipped_voltage_does_not_wind_the_current_loop_up():
+def test_clipped_voltage_does_not_wind_up_integrator():
     for sign in (1.0, -1.0):
         table = TABLES["wheel_60w"].step
         i, u, w, x = current_loop.steps(table, 1000, 0.0, sign * 1e6, 0.0, 0.0, 0.0, 0.0)
@@ -130,14 +130,14 @@ def test_a_clipped_voltage_does_not_wind_the_current_loop_up():
         assert u * sign < 20.0  # not enough to clip: it integrates
 
 
-def test_a_rotor_that_is_about_to_leave_does_not_creep_the_other_way():
+def test_rotor_about_to_leave_does_not_creep_backwards():
     """Its torque exceeds the friction only at the end of the step: not enough to leave in it."""
     plant, table = PLAUSIBLE["wheel_60w"], TABLES["wheel_60w"].step
     gains = ServoGains.tuned(plant, MS, 10)
     breakaway_a = plant.coulomb_friction_n_m / plant.torque_constant_n_m_a
     for sign in (1.0, -1.0):
         i, wanted = sign * breakaway_a * 0.5, sign * breakaway_a
-        # a voltage that lifts the current to 1.02 of what it takes: 0.4 of its end in a step
+        # a voltage that lifts the current to 1.02 of the breakaway value: 0.4 of its end in a step
         voltage = plant.resistance_ohm * sign * breakaway_a * 1.79
         u = voltage - gains.current_kp_v_a * (wanted - i)
         state = current_loop.steps(table, 1, 0.0, wanted, i, u, 0.0, 0.5)
@@ -146,8 +146,8 @@ def test_a_rotor_that_is_about_to_leave_does_not_creep_the_other_way():
 
 
 @pytest.mark.parametrize("name", PLAUSIBLE)
-def test_an_axis_in_motion_is_mapped_and_not_stepped(name, monkeypatch):
-    """Or the map would be no use: only starting, stopping and clipping are worth single steps."""
+def test_axis_in_motion_uses_the_map(name, monkeypatch):
+    """Only starting, stopping and clipping need single steps."""
     plant = PLAUSIBLE[name]
     axis = Axis(plant, ServoGains.tuned(plant, MS, 10), MS, 10)
     stepped = 0
@@ -168,7 +168,7 @@ def test_an_axis_in_motion_is_mapped_and_not_stepped(name, monkeypatch):
 
 
 def side_by_side(plant, load_n_m, ticks):
-    """Positions [inc] of an axis and its twin of small steps, tick by tick in one move."""
+    """Yield the positions [inc] of an axis and its reference, tick by tick in one move."""
     gains = ServoGains.tuned(plant, MS, 10)
     axis = Axis(plant, gains, MS, 10)
     axis.set_load(load_n_m)
@@ -187,8 +187,8 @@ def side_by_side(plant, load_n_m, ticks):
         yield axis.output_position_rad() * inc_rad, twin.position
 
 
-def test_until_their_encoders_part_them_the_axis_and_its_equations_are_one():
-    """Pushed by its load from the start, the rotor never sticks: rounding and small steps only."""
+def test_axis_equals_reference_until_encoders_differ():
+    """The load pushes the rotor, so it never sticks: rounding and small steps only."""
     together = 0
     for ours, theirs in side_by_side(WHEEL_60W, -1.5, 200):
         if math.floor(ours + 0.5) != math.floor(theirs + 0.5):
@@ -200,8 +200,8 @@ def test_until_their_encoders_part_them_the_axis_and_its_equations_are_one():
 
 @pytest.mark.parametrize("load_n_m", [0.0, 1.5, -1.5])
 @pytest.mark.parametrize("friction_n_m", [0.0, 0.004, 0.02])
-def test_a_move_is_what_the_equations_say(load_n_m, friction_n_m):
-    """An increment seen a tick sooner or later parts the two, but by less than an increment."""
+def test_move_follows_the_equations(load_n_m, friction_n_m):
+    """A count one tick earlier or later separates the two by less than an increment."""
     plant = replace(WHEEL_60W, coulomb_friction_n_m=friction_n_m)
     for ours, theirs in side_by_side(plant, load_n_m, 200):
         assert ours == pytest.approx(theirs, abs=1.0)

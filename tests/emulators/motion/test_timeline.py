@@ -1,16 +1,15 @@
-"""Who looks, when and how often changes nothing: not the motion, and not when a drive wakes up."""
+"""Readers change neither the motion nor the wake-up times of a drive."""
 
 from dataclasses import replace
 
 from hypothesis import event, given, settings
 from hypothesis import strategies as st
 
-from emulators.firmware import servo
-from emulators.firmware.axis import Axis
-from emulators.firmware.flags import IN_TARGET_WINDOW, PROFILE_ACTIVE
-from emulators.firmware.gains import ServoGains
-from emulators.firmware.servo_tables import ServoTables
-from emulators.plant.presets import MAST_20W, WHEEL_60W
+from motorhil.emulators.firmware import servo
+from motorhil.emulators.firmware.axis import Axis
+from motorhil.emulators.firmware.flags import IN_TARGET_WINDOW, PROFILE_ACTIVE
+from motorhil.emulators.firmware.servo_tables import ServoGains, ServoTables
+from motorhil.emulators.plant.presets import MAST_20W, WHEEL_60W
 
 MS = 1_000_000
 TICK_NS = MS
@@ -36,7 +35,7 @@ TABLES = {
     for softer in (1.0, 0.25)
 }
 
-# Commands: name and arguments. Small moves and short ramps, so that ends and rests come up.
+# Commands: name and arguments. Small moves and short ramps, so that ends and rests occur.
 SPEEDS = st.sampled_from([500.0, 20_000.0, 150_000.0])
 RAMPS = st.sampled_from([50_000.0, 1_000_000.0])
 COMMANDS = st.one_of(
@@ -73,7 +72,7 @@ BEGIN = [
 
 
 class Plain:
-    """The same servo run one tick at a time, whatever happens; the orders are the axis' own."""
+    """The same servo run one tick at a time, with the axis' own orders."""
 
     def __init__(self, name: str, axis: Axis) -> None:
         self.tables = TABLES[name, 1.0]
@@ -97,7 +96,7 @@ class Plain:
             self.tick += 1
 
     def flags_after(self, ticks: int) -> list[int]:
-        """The flags of the ticks to come, if nothing is commanded."""
+        """Return the flags of the next ticks without commands."""
         flags, state = [], self.state
         for tick in range(self.tick, self.tick + ticks):
             state = self.one_more(tick, state)
@@ -112,7 +111,7 @@ def make(name: str) -> tuple[Axis, Plain]:
 
 
 def command(plant: str, axis: Axis, name: str, *arguments) -> None:
-    """As a drive does it: only what the power stage's state allows."""
+    """Give a command if the power stage's state allows it, like a drive."""
     powered = axis._mode != servo.OFF
     if name == "set_gains":
         axis.set_gains(gains_of(plant, *arguments))
@@ -122,7 +121,7 @@ def command(plant: str, axis: Axis, name: str, *arguments) -> None:
 
 @settings(max_examples=3 * settings().max_examples)
 @given(st.sampled_from(sorted(PLANTS)), ACTIONS)
-def test_whatever_is_asked_and_when_the_states_are_those_of_a_plain_run(name, actions):
+def test_any_queries_states_equal_plain_run(name, actions):
     axis, plain = make(name)
     now = 0
     for wait, (what, *arguments) in BEGIN + actions:
@@ -136,7 +135,7 @@ def test_whatever_is_asked_and_when_the_states_are_those_of_a_plain_run(name, ac
         elif what != "look":
             command(name, axis, what, *arguments)
             event(what)
-            plain.state = axis._time.state  # a command may change the flags
+            plain.state = axis._time.state  # a command can change the flags
             if what == "set_gains":
                 plain.tables = TABLES[name, arguments[0]]
             if what in ("set_gains", "set_load"):
@@ -144,7 +143,7 @@ def test_whatever_is_asked_and_when_the_states_are_those_of_a_plain_run(name, ac
 
 
 def check_next_event(axis: Axis, plain: Plain, now: int, within_ns: int | None) -> None:
-    """Never later than the first change of flags, nor than the limit; later than now."""
+    """Check: later than now, not later than the first change of flags or the limit."""
     limit = None if within_ns is None else now + within_ns
     answer = axis.next_event_ns(limit)
     flags = axis.flags
@@ -165,9 +164,7 @@ def check_next_event(axis: Axis, plain: Plain, now: int, within_ns: int | None) 
     st.lists(st.integers(0, 40 * MS), max_size=60),
     st.sampled_from([None, 20 * MS]),
 )
-def test_a_drive_sees_every_change_of_flags_and_wakes_the_same_whoever_looks(
-    name, commands, looks, limit_step_ns
-):
+def test_any_readers_flags_and_wakes_are_the_same(name, commands, looks, limit_step_ns):
     seen, wakes = drive(name, commands, [], limit_step_ns)
     seen_too, wakes_too = drive(name, commands, looks, limit_step_ns)
     assert wakes == wakes_too
@@ -184,7 +181,7 @@ def schedule(commands) -> list[tuple[int, tuple]]:
 
 
 def drive(name, commands, looks, limit_step_ns):
-    """(tick, flags) at each change, and when it woke up; looks are times since what was last."""
+    """Return (tick, flags) of each change and the wake-ups; looks are intervals."""
     axis, _ = make(name)
     due = schedule(commands)
     end = due[-1][0] + 500 * MS
@@ -237,15 +234,15 @@ def every_change(name, commands) -> list[tuple[int, int]]:
     return seen
 
 
-def test_a_move_can_begin_end_and_be_seen_at_all():  # an axis that never changes would pass above
+def test_move_begins_ends_and_is_seen():  # an axis that never changes would pass above
     seen, wakes = drive("wheel", [(10, ("move_to", 3000, 20_000.0, 1e6, 1e6))], [], None)
     assert any(flags & PROFILE_ACTIVE for _, flags in seen)
     assert seen[-1][1] & IN_TARGET_WINDOW
-    assert len(wakes) < 30  # of some 500 ticks: it ran ahead, and rested
+    assert len(wakes) < 30  # of about 500 ticks: it ran ahead, and rested
 
 
-def test_what_was_kept_from_before_a_command_is_never_looked_at():
-    """It has run ahead to rest, past several looks to come; then it is told to go on."""
+def test_states_kept_before_a_command_are_discarded():
+    """The axis has run ahead to rest, past several readings; then a new command comes."""
     axis, plain = make("wheel")
     axis.set_windows(velocity_threshold_inc_s=1e9)  # no flag changes on the way to rest
     axis.power(True)
@@ -266,7 +263,7 @@ def test_what_was_kept_from_before_a_command_is_never_looked_at():
 
 
 def test_commands_every_tick_are_not_computed_twice(monkeypatch):
-    """Cyclic demands make running ahead useless; it stops, but for a try now and then."""
+    """Cyclic demands make running ahead useless; it stops, except for occasional tries."""
     axis, _ = make("wheel")
     made = 0
     run = servo.run

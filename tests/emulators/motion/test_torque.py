@@ -1,4 +1,4 @@
-"""Torque control: the current loop alone, its demand a ramp; and gains that change in motion."""
+"""Torque control with the current loop only, ramps of its demand, and changes of gains."""
 
 import math
 from dataclasses import replace
@@ -7,8 +7,8 @@ import pytest
 from hypothesis import event, given
 from hypothesis import strategies as st
 
-from emulators.firmware.axis import Axis
-from emulators.firmware.flags import (
+from motorhil.emulators.firmware.axis import Axis
+from motorhil.emulators.firmware.flags import (
     CURRENT_REACHED,
     CURRENT_SATURATED,
     IN_TARGET_WINDOW,
@@ -16,8 +16,8 @@ from emulators.firmware.flags import (
     PROFILE_ACTIVE,
     SPEED_ZERO,
 )
-from emulators.firmware.gains import ServoGains
-from emulators.plant.presets import PLAUSIBLE, WHEEL_60W
+from motorhil.emulators.firmware.servo_tables import ServoGains
+from motorhil.emulators.plant.presets import PLAUSIBLE, WHEEL_60W
 from tests.emulators.motion.reference import ReferenceAxis
 
 MS = 1_000_000
@@ -45,7 +45,7 @@ def demands(axis: Axis, start: int, ticks: int) -> list[float]:
     st.floats(-7.9, 7.9),
     st.floats(1.0, 1e5) | st.just(AT_ONCE),
 )
-def test_the_demand_goes_by_the_slope_in_every_tick_and_then_stays(start, target, slope):
+def test_apply_current_follows_slope_then_stays(start, target, slope):
     axis = powered_axis()
     axis.apply_current(start, AT_ONCE)
     assert demands(axis, 50, 1) == [start]
@@ -61,16 +61,16 @@ def test_the_demand_goes_by_the_slope_in_every_tick_and_then_stays(start, target
     event("at once" if slope == AT_ONCE else "long" if ticks == 400 else "ramp")
 
 
-def test_the_flags_of_a_ramp_change_at_its_exact_ticks():
+def test_current_ramp_flags_change_at_exact_ticks():
     axis = powered_axis()
-    axis.apply_current(0.2, 20.0)  # 10 ticks; too little to make the wheel accelerate much
+    axis.apply_current(0.2, 20.0)  # 10 ticks; too little to accelerate the wheel much
     assert axis.flags & (PROFILE_ACTIVE | CURRENT_REACHED) == PROFILE_ACTIVE
     seen = []
     for k in range(51, 70):
         axis.at(k * MS)
         seen.append(axis.flags & (PROFILE_ACTIVE | CURRENT_REACHED))
     assert seen == [PROFILE_ACTIVE] * 9 + [CURRENT_REACHED] * 10
-    # and a drive that only wakes for its events wakes for that one
+    # a drive that only wakes for its events wakes for that one
     again = powered_axis()
     again.apply_current(0.2, 20.0)
     now, wakes = 50 * MS, []
@@ -82,14 +82,14 @@ def test_the_flags_of_a_ramp_change_at_its_exact_ticks():
 
 
 @pytest.mark.parametrize("name", PLAUSIBLE)
-def test_the_motor_moves_as_its_equations_say(name):
+def test_torque_motion_matches_equations(name):
     plant = PLAUSIBLE[name]
     axis = powered_axis(plant)
     reference = ReferenceAxis(plant, ServoGains.tuned(plant, MS, 10))
     peak = plant.current_max_a
     counts = plant.increments_per_rad()
-    # What passes through standstill stops for the rest of a step of the current loop, here 0.1 ms,
-    # there 12.5 us: as much speed as is gained in that time.
+    # A rotor that passes through standstill stops for the rest of a current loop step: 0.1 ms here,
+    # 12.5 us in the reference. The tolerance is the speed gained in that time.
     off_rad_s = plant.torque_constant_n_m_a * peak / plant.inertia_kg_m2() * 1e-4
     off_a = 2e-3 * peak + off_rad_s * plant.torque_constant_n_m_a / plant.resistance_ohm
     for start, target, slope in ((50, 0.5, 40.0), (130, -0.7, AT_ONCE), (210, 0.02, 100.0)):
@@ -106,7 +106,7 @@ def test_the_motor_moves_as_its_equations_say(name):
             )
 
 
-def test_a_constant_torque_accelerates_by_torque_over_inertia():
+def test_constant_torque_accelerates_by_inertia():
     """Without friction and far below the top speed: a = k i / J, by hand."""
     plant = replace(WHEEL_60W, coulomb_friction_n_m=0.0, viscous_friction_n_m_s_rad=0.0)
     axis = powered_axis(plant)
@@ -114,8 +114,8 @@ def test_a_constant_torque_accelerates_by_torque_over_inertia():
     axis.at(60 * MS)
     before = axis.output_velocity_rad_s()
     axis.at(70 * MS)
-    # Within a step the voltage stands still and the back-EMF grows: the current at its end, which
-    # is read, is a little less than its mean, which accelerates.
+    # Within a step the voltage is constant and the back-EMF grows. The current read at its end is
+    # slightly below its mean, which accelerates.
     gained = (axis.output_velocity_rad_s() - before) * plant.gear_ratio / 0.010
     assert gained == pytest.approx(
         plant.torque_constant_n_m_a * axis.current_a() / plant.inertia_kg_m2(), rel=1e-3
@@ -125,7 +125,7 @@ def test_a_constant_torque_accelerates_by_torque_over_inertia():
     assert axis.torque_n_m() == axis.current_a() * plant.torque_constant_n_m_a * plant.gear_ratio
 
 
-def test_more_than_the_limit_is_cut_and_told_and_is_never_reached():
+def test_current_above_limit_is_cut_and_flagged():
     axis = powered_axis()
     axis.set_current_limit(3.0)
     axis.apply_current(8.0, AT_ONCE)
@@ -135,7 +135,7 @@ def test_more_than_the_limit_is_cut_and_told_and_is_never_reached():
         assert axis.flags & (CURRENT_SATURATED | CURRENT_REACHED) == CURRENT_SATURATED
 
 
-def test_each_direction_may_have_its_own_limit():
+def test_current_limits_can_differ_by_direction():
     axis = powered_axis()
     axis.set_current_limit(3.0, 1.0)
     for asked, allowed in ((8.0, 3.0), (-8.0, -1.0), (2.0, 2.0), (-0.5, -0.5)):
@@ -153,7 +153,7 @@ def test_each_direction_may_have_its_own_limit():
             axis.set_current_limit(*wrong)
 
 
-def test_torque_within_the_friction_turns_nothing_and_costs_nothing():
+def test_torque_within_friction_rests():
     axis = powered_axis()
     stuck = 0.9 * WHEEL_60W.coulomb_friction_n_m / WHEEL_60W.torque_constant_n_m_a
     axis.apply_current(stuck, 1.0)
@@ -165,7 +165,7 @@ def test_torque_within_the_friction_turns_nothing_and_costs_nothing():
     assert axis.position_inc() == axis.demand_inc() == 0
 
 
-def test_position_control_takes_over_in_mid_motion_without_a_jump():
+def test_position_mode_takes_over_torque_smoothly():
     axis = powered_axis()
     axis.apply_current(1.0, AT_ONCE)
     axis.at(100 * MS)
@@ -182,8 +182,8 @@ def test_position_control_takes_over_in_mid_motion_without_a_jump():
     )
 
 
-def test_torque_takes_over_from_what_holds_a_load():
-    """The ramp starts at the current that was wanted, not at zero: the load does not drop."""
+def test_torque_mode_takes_over_holding_current():
+    """The ramp starts at the present demand, not at zero, so the load does not drop."""
     axis = powered_axis()
     axis.set_load(1.5)
     axis.at(1_000 * MS)
@@ -195,7 +195,7 @@ def test_torque_takes_over_from_what_holds_a_load():
     assert axis.current_demand_a() == holding
 
 
-def test_without_power_or_with_a_slope_that_is_none_it_is_refused():
+def test_apply_current_without_power_or_slope_is_refused():
     axis = Axis(WHEEL_60W, GAINS, MS, 10)
     with pytest.raises(RuntimeError, match="power"):
         axis.apply_current(1.0, 1.0)
@@ -210,7 +210,7 @@ def test_without_power_or_with_a_slope_that_is_none_it_is_refused():
 # --- gains ---------------------------------------------------------------------------------------
 
 
-def test_gains_count_from_the_next_tick_and_move_nothing_by_themselves():
+def test_set_gains_at_rest_moves_nothing():
     axis = powered_axis()
     axis.set_load(1.0)
     axis.at(1_000 * MS)
@@ -220,18 +220,18 @@ def test_gains_count_from_the_next_tick_and_move_nothing_by_themselves():
     assert (axis.current_a(), axis.position_inc()) == before
 
 
-def test_a_softer_position_loop_follows_worse():
-    """P alone (no velocity fed forward) lags by velocity / kp: 60 000 / kp increments."""
+def test_softer_position_loop_has_larger_lag():
+    """P alone (no velocity feedforward) lags by velocity / kp: 60 000 / kp increments."""
     for kp in (20.0, 40.0):
         axis = powered_axis()
         axis.set_gains(replace(GAINS, position_kp_1_s=kp, velocity_feedforward=0.0))
         axis.move_to(1_000_000, 60_000.0, 1e6, 1e6)
         axis.at(1_000 * MS)
-        # the demand is ahead of what it was compared with by nothing: lag = v / kp, in whole inc
+        # demand and reading are of the same moment: lag = v / kp, in whole increments
         assert axis.following_error_inc() == pytest.approx(60_000.0 / kp, abs=2.0)
 
 
-def test_gains_that_make_the_current_loop_unstable_are_refused_and_the_old_ones_stay():
+def test_set_unstable_gains_keeps_old_gains():
     axis = powered_axis()
     with pytest.raises(ValueError, match="unstable"):
         axis.set_gains(replace(GAINS, current_kp_v_a=1e4))

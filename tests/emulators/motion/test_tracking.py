@@ -1,20 +1,20 @@
-"""The tuned gains on the plants shipped: how well a typical robot wheel follows and settles."""
+"""Tracking and settling of a typical robot wheel with the tuned gains."""
 
 import math
 from dataclasses import replace
 
 import pytest
 
-from emulators.firmware.axis import Axis
-from emulators.firmware.flags import PROFILE_ACTIVE
-from emulators.firmware.gains import ServoGains
-from emulators.plant.presets import PLAUSIBLE, WHEEL_60W
+from motorhil.emulators.firmware.axis import Axis
+from motorhil.emulators.firmware.flags import PROFILE_ACTIVE
+from motorhil.emulators.firmware.servo_tables import ServoGains
+from motorhil.emulators.plant.presets import PLAUSIBLE, WHEEL_60W
 
 MS = 1_000_000
 
 
 def follow_a_move(plant, distance, v, a, load_n_m=0.0):
-    """Peaks of the following error while moving and 50 ms afterwards, and overshoot [inc]."""
+    """Return peak following errors in motion and 50 ms after it, and the overshoot [inc]."""
     axis = Axis(plant, ServoGains.tuned(plant, MS, 10), MS, 10)
     axis.power(True)
     axis.set_load(load_n_m)
@@ -40,7 +40,7 @@ def follow_a_move(plant, distance, v, a, load_n_m=0.0):
 @pytest.mark.parametrize("name", PLAUSIBLE)
 @pytest.mark.parametrize("distance", [200_000, -30_000, 2_000])
 @pytest.mark.parametrize("load_share", [0.0, 0.3, -0.3])
-def test_a_trapezoid_is_followed_within_a_few_increments(name, distance, load_share):
+def test_trapezoid_is_followed_within_few_increments(name, distance, load_share):
     plant = PLAUSIBLE[name]
     load = load_share * plant.torque_constant_n_m_a * plant.current_max_a * plant.gear_ratio
     moving, settled, overshoot = follow_a_move(plant, distance, 150_000.0, 500_000.0, load)
@@ -49,7 +49,7 @@ def test_a_trapezoid_is_followed_within_a_few_increments(name, distance, load_sh
     assert overshoot <= 2
 
 
-def test_a_load_that_comes_suddenly_is_pushed_back():
+def test_sudden_load_is_rejected():
     axis = Axis(WHEEL_60W, ServoGains.tuned(WHEEL_60W, MS, 10), MS, 10)
     axis.power(True)
     axis.at(100 * MS)
@@ -62,7 +62,7 @@ def test_a_load_that_comes_suddenly_is_pushed_back():
     assert axis.position_inc() == 0
 
 
-def test_the_tuned_current_loop_settles_without_overshoot():
+def test_tuned_current_loop_has_no_overshoot():
     """Zero on the pole, closed-loop pole at 0.6: the error is 0.6^n (a first-order lag)."""
     g = ServoGains.tuned(WHEEL_60W, MS, 10)
     decay = math.exp(-1e-4 * 0.611 / 0.119e-3)
@@ -75,7 +75,7 @@ def test_the_tuned_current_loop_settles_without_overshoot():
         assert 1.0 - current == pytest.approx(0.6**n, rel=1e-9)  # rounding
 
 
-def test_a_coarse_encoder_gets_a_softer_servo():
+def test_coarse_encoder_gets_softer_servo():
     fine = ServoGains.tuned(WHEEL_60W, MS, 10)
     coarse = ServoGains.tuned(replace(WHEEL_60W, encoder_increments_rev=24), MS, 10)
     assert coarse.position_kp_1_s < 0.6 * fine.position_kp_1_s

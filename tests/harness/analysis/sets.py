@@ -1,12 +1,12 @@
-"""Published sets of messages, and how tests write messages."""
+"""Published sets of messages for the tests of the analysis."""
 
-from harness.analysis.message import BusLoad, Message
+from motorhil.harness.analysis.message import BusLoad, Message
 
 MS = 1_000_000
 US = 1_000
 
-# The SAE benchmark as Tindell & Burns pack it into 17 messages, most urgent first: period [ms],
-# data bytes, longest response to the end of EOF at 125, 250, 500 and 1000 kbit/s [us]. Source:
+# The SAE benchmark in the packing of Tindell & Burns, 17 messages, most urgent first: period [ms],
+# data bytes, worst response to the end of EOF at 125, 250, 500 and 1000 kbit/s [us]. Source:
 # can-physics, 6.5: the first column recalled from the papers, all recomputed by hand.
 SAE_RATES = (125_000, 250_000, 500_000, 1_000_000)
 SAE = (
@@ -31,7 +31,7 @@ SAE = (
 
 
 def sae(rate: int) -> BusLoad:
-    """The benchmark; each message has a node of its own, and its period as deadline."""
+    """Return the benchmark; each message has its own node, and its period as deadline."""
     messages = tuple(
         Message(0x78 + place, row[1], row[0] * MS, deadline_ns=(5 if place == 0 else row[0]) * MS)
         for place, row in enumerate(SAE)
@@ -40,7 +40,7 @@ def sae(rate: int) -> BusLoad:
 
 
 def davis() -> BusLoad:
-    """The counter-example of Davis, Burns, Bril & Lukkien 2007: A, B and C of 1 ms each."""
+    """Return the counter-example of Davis, Burns, Bril & Lukkien 2007: A, B and C of 1 ms each."""
     times = ((1, 2.5, 2.5), (2, 3.5, 3.25), (3, 3.5, 3.25))
     messages = tuple(
         Message(number, 7, int(period_ms * MS), deadline_ns=int(deadline_ms * MS))

@@ -1,8 +1,9 @@
-"""The analysis against the simulated bus: never above it, and on it where it is exact.
+"""Analysis against the simulated bus: an upper bound, and tight where it is exact.
 
-Who becomes ready within the first bit of another's start of frame takes part in that arbitration,
-here and on a real bus; so a frame that blocks has begun a bit before, and the theory's blocking is
-a bit too long. Where "exactly" is asked, the blocking frames of the theory are a bit shorter.
+A node that becomes ready within the first bit of another start of frame takes part in that
+arbitration, here and on a real bus. A blocking frame has therefore started one bit earlier, and the
+theory's blocking is one bit too long. In tests of exactness, the theory's blocking frames are one
+bit shorter.
 """
 
 from dataclasses import replace
@@ -11,25 +12,22 @@ import pytest
 from hypothesis import event, given
 from hypothesis import strategies as st
 
-from emulators.media.can_bits import frame_bits, measure, phases_of
-from emulators.media.can_bus import CanBus
-from emulators.media.can_frame import BRS, EFF_FLAG, FD_LENGTHS, can_id_of, pack, pack_fd
-from emulators.media.can_node import CanNode, FrameSupport, QueueOrder
-from emulators.media.can_port import LENGTHS_MASK
-from emulators.media.delivery import confirms
-from emulators.media.fault_rule import FrameError
-from emulators.media.faults import FaultKind, FaultPlan, FaultRule
-from harness.analysis.errors import ErrorModel
-from harness.analysis.frame_length import INTERMISSION_BITS, Bits, longest
-from harness.analysis.message import BusLoad, Message
-from harness.analysis.response_time import response_times
+from motorhil.emulators.can.bus.bus import CanBus
+from motorhil.emulators.can.bus.fault_plan import FaultPlan
+from motorhil.emulators.can.bus.port import confirms
+from motorhil.emulators.can.controller_config import CanNode, FrameSupport, QueueOrder
+from motorhil.emulators.can.fault_rules import FaultKind, FaultRule, FrameError
+from motorhil.emulators.can.frame import BRS, EFF_FLAG, FD_LENGTHS, can_id_of, pack, pack_fd
+from motorhil.emulators.can.frame_length import LENGTHS_MASK, frame_bits, measure, phases_of
+from motorhil.harness.analysis.message import INTERMISSION_BITS, Bits, BusLoad, Message, longest
+from motorhil.harness.analysis.response_time import ErrorModel, response_times
 from tests.emulators.media.driving import run
 from tests.harness.analysis.sets import MS, SAE_RATES, US, sae
 
 RATE = 1_000_000
 BIT_NS = 1000
 FRAMES = 12  # of the slowest message
-Release = tuple[int, int, Message]  # queued, due, of what
+Release = tuple[int, int, Message]  # queueing time, due time, message
 
 
 def latest(
@@ -38,7 +36,7 @@ def latest(
     payload=lambda message, number: b"\0" * 8,
     faults: FaultPlan | None = None,
 ):
-    """By rank: how long after it was due the last bit of a frame came, at most [ns]."""
+    """Return the largest delay of each message from due time to last bit [ns], by rank."""
     bus = CanBus("can0", load.bitrate_bit_s, faults, load.data_bitrate_bit_s)
     ports: dict[str, int] = {}
     for message in load.messages:
@@ -46,7 +44,7 @@ def latest(
         if owner not in ports:
             queue = QueueOrder.FIFO if owner in load.fifo else QueueOrder.PRIORITY
             ports[owner] = bus.attach(owner, CanNode(queue=queue, frames=FrameSupport.FD))
-    bus.attach("ear", CanNode(frames=FrameSupport.FD))  # who acknowledges the only sender
+    bus.attach("ear", CanNode(frames=FrameSupport.FD))  # acknowledges a single sender
     due: dict[int, list[int]] = {}
     submissions = []
     for number, (queued_ns, due_ns, message) in enumerate(releases):
@@ -55,7 +53,7 @@ def latest(
         submissions.append((queued_ns, ports[message.sender or message.label], frame))
     worst: dict[int, int] = {}
     for end_ns, (frame, _, kind) in run(bus, submissions, until_ns=10**13):
-        if not confirms(kind):  # it was struck, and is sent again
+        if not confirms(kind):  # a destroyed frame is sent again
             continue
         can_id = can_id_of(frame)
         worst[can_id] = max(worst.get(can_id, 0), end_ns - due[can_id].pop(0))
@@ -68,7 +66,7 @@ def latest(
 
 
 def frame_of(message: Message, data: bytes) -> bytes:
-    """A frame of the message with these data, or as many of them as it has."""
+    """Return a frame of the message with these data, truncated to its length."""
     can_id = message.identifier | (EFF_FLAG if message.extended else 0)
     if not message.fd:
         return pack(can_id, data[: message.length])
@@ -77,7 +75,7 @@ def frame_of(message: Message, data: bytes) -> bytes:
 
 @st.composite
 def buses(draw: st.DrawFn, fd: bool = False) -> BusLoad:
-    """Up to six messages of up to three nodes, queued in either way; what has a bound, mostly."""
+    """Draw up to six messages of up to three nodes with either queue; most have a bound."""
     fd_lengths = st.sampled_from(FD_LENGTHS if fd else FD_LENGTHS[:9])
     identifiers = draw(
         st.lists(
@@ -104,12 +102,12 @@ def buses(draw: st.DrawFn, fd: bool = False) -> BusLoad:
 
 
 @given(buses() | buses(fd=True), st.randoms(use_true_random=False), st.booleans())
-def test_no_frame_is_ever_later_than_the_analysis_says(load: BusLoad, chance, at_once: bool):
+def test_frame_delay_never_exceeds_the_bound(load: BusLoad, chance, at_once: bool):
     releases: list[Release] = []
     until_ns = FRAMES * max(one.period_ns for one in load.messages)
     for message in load.messages:
         phase_ns = 0 if at_once else chance.randrange(message.period_ns)
-        # at once: the first is as late as it can be, all others are in time
+        # at once: the first has its maximum delay, all others are on time
         first_ns = phase_ns - message.jitter_ns if at_once else phase_ns
         for number, due_ns in enumerate(range(first_ns, until_ns, message.period_ns)):
             late_ns = chance.randrange(message.jitter_ns + 1)
@@ -126,8 +124,8 @@ def test_no_frame_is_ever_later_than_the_analysis_says(load: BusLoad, chance, at
         assert bound_ns is None or late_ns <= bound_ns
 
 
-def test_what_waited_in_a_queue_comes_closer_together_than_its_period():
-    """K waits behind L, which waits for all of H; then two of K come before M, which H is below."""
+def test_fifo_queue_reduces_distance_below_period():
+    """K waits behind L, which waits for all of H. Then two frames of K precede M, below H."""
     fill = b"\x55" * 8
     urgent = Message(0x100, 8, 900 * US, sender="node")
     held = Message(0x400, 8, 100 * MS, sender="node")
@@ -178,11 +176,11 @@ NOISE = st.builds(
 
 
 @given(buses() | buses(fd=True), st.randoms(use_true_random=False), STRIKES | NOISE)
-def test_with_errors_as_well(load: BusLoad, chance, rule: FaultRule):
-    """As many errors as struck, wherever in a frame, on the wire or at some nodes.
+def test_frame_delay_with_errors_never_exceeds_the_bound(load: BusLoad, chance, rule: FaultRule):
+    """The errors strike anywhere in a frame, on the wire or at some nodes.
 
-    Of nodes with one queue each: a node that sends by priority repeats a struck frame here before
-    a more urgent one of its own, which the theory does not allow for.
+    Every node has one queue. A node that sends by priority repeats a destroyed frame here before a
+    more urgent one of its own, which the theory does not cover.
     """
     load = replace(load, fifo=frozenset("abc"))
     releases: list[Release] = []
@@ -207,11 +205,11 @@ def test_with_errors_as_well(load: BusLoad, chance, rule: FaultRule):
             event(f"{rule.kind.value}, later than without: {late_ns > bound_ns}")
 
 
-def test_an_error_costs_what_is_counted_but_for_what_did_not_happen():
-    """Struck in the last bit of its end: a flag of 6, a delimiter of 8, 3 of intermission, again.
+def test_error_cost_equals_the_counted_bits():
+    """An error in the last bit: a flag of 6, a delimiter of 8, 3 of intermission, and a repetition.
 
-    The theory counts 31 bits, for two flags and a suspended transmission, and the intermission
-    behind the frame that was struck.
+    The theory counts 31 bits, for two flags and a suspended transmission, and also the intermission
+    after the destroyed frame.
     """
     fill = b"\x55" * 8
     load = measured(BusLoad("can0", RATE, (Message(0x100, 8, 10 * MS, sender="a"),)), fill)
@@ -225,11 +223,11 @@ def test_an_error_costs_what_is_counted_but_for_what_did_not_happen():
     assert found[message.rank] == bound.received_ns - (6 + 8 + 3) * BIT_NS
 
 
-# --- exactly
+# --- exactness
 
 
 def exact(load: BusLoad, message: Message) -> int | None:
-    """The bound of one message [ns], blocking frames a bit shorter."""
+    """Return the bound of one message [ns], with blocking frames one bit shorter."""
     last = max(
         one.rank
         for one in load.messages
@@ -249,7 +247,7 @@ def exact(load: BusLoad, message: Message) -> int | None:
 
 
 def from_the_critical_instant(load: BusLoad, message: Message) -> list[Release]:
-    """The longest less urgent frame has just begun, then all others are queued at once."""
+    """Return releases where the longest lower frame has just started and all others are queued."""
     mates = [
         one
         for one in load.messages
@@ -275,7 +273,7 @@ def from_the_critical_instant(load: BusLoad, message: Message) -> list[Release]:
 
 
 def measured(load: BusLoad, fill: bytes) -> BusLoad:
-    """The same messages, each always with these data: so long is every frame of it."""
+    """Return the same messages with the frame lengths for these data."""
     return replace(
         load,
         messages=tuple(
@@ -289,10 +287,10 @@ def measured(load: BusLoad, fill: bytes) -> BusLoad:
 
 
 @given(buses() | buses(fd=True), st.binary(min_size=8, max_size=8), st.data())
-def test_from_the_critical_instant_a_message_is_exactly_as_late_as_the_analysis_says(
+def test_bound_by_priority_is_attained_at_critical_instant(
     load: BusLoad, fill: bytes, data: st.DataObject
 ):
-    """Each message by priority alone; frames of the length that the analysis is told."""
+    """Each message is sent by priority; its frames have the analysed length."""
     load = measured(
         replace(load, messages=tuple(replace(one, sender="") for one in load.messages)), fill
     )
@@ -309,10 +307,10 @@ def test_from_the_critical_instant_a_message_is_exactly_as_late_as_the_analysis_
 
 
 @given(buses() | buses(fd=True), st.binary(min_size=8, max_size=8), st.integers(2, 4), st.data())
-def test_in_one_queue_as_well_where_no_message_of_others_is_between(
+def test_bound_in_fifo_queue_is_attained_for_neighbours(
     load: BusLoad, fill: bytes, count: int, data: st.DataObject
 ):
-    """Neighbours of equal period and no jitter in one queue, all others by priority."""
+    """Neighbours of equal period and no jitter share one queue; all others are sent by priority."""
     ordered = sorted(load.messages, key=lambda one: one.rank)
     begin = data.draw(st.integers(0, max(0, len(ordered) - count)))
     mates = ordered[begin : begin + count]
@@ -342,7 +340,7 @@ def test_in_one_queue_as_well_where_no_message_of_others_is_between(
 
 
 @pytest.mark.parametrize("rate", SAE_RATES)
-def test_the_sae_benchmark_is_exactly_as_late_at_every_rate(rate: int):
+def test_bound_of_sae_benchmark_is_attained(rate: int):
     load = measured(sae(rate), b"\x3c" * 8)
     for message in load.messages:
         releases = [one for one in from_the_critical_instant(load, message) if one[0] < 60 * MS]
@@ -350,10 +348,10 @@ def test_the_sae_benchmark_is_exactly_as_late_at_every_rate(rate: int):
         assert found[message.rank] == exact(load, message), message.label
 
 
-def test_no_frame_has_all_the_stuff_bits_of_the_theory():
-    """IDE and r0, 0 in all of them, break the pattern: the theory's lengths are not quite reached.
+def test_longest_frames_are_shorter_than_the_theory():
+    """IDE and r0 are always 0 and break the stuffing pattern, so the bound is not attained.
 
-    So "exactly" above is with the lengths that frames have.
+    The tests of exactness therefore use the real frame lengths.
     """
     empty = [frame_bits(pack(identifier)) for identifier in range(0x800)]
     assert max(empty) == longest(0, extended=False).nominal - 2

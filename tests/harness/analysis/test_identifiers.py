@@ -1,4 +1,4 @@
-"""Which identifiers to change: what is proposed helps, is small, and "none" is true."""
+"""Proposals of identifiers: they help, are small, and "impossible" is correct."""
 
 from dataclasses import replace
 from itertools import permutations
@@ -7,24 +7,25 @@ import pytest
 from hypothesis import event, example, given
 from hypothesis import strategies as st
 
-from harness.analysis.errors import NO_ERRORS, ErrorModel
-from harness.analysis.identifiers import best_order, propose, with_changes
-from harness.analysis.margins import (
+from motorhil.harness.analysis.advice import (
     ERRORS_MAX,
     at_rate,
+    best_order,
+    propose,
     queues_that_help,
     rate_that_helps,
     shortest_error_interval_ns,
     tolerances,
+    with_changes,
 )
-from harness.analysis.message import BusLoad, Message
-from harness.analysis.response_time import are_in_time
-from harness.analysis.subject import is_canopen_reserved, reserves_nothing
+from motorhil.harness.analysis.message import BusLoad, Message
+from motorhil.harness.analysis.response_time import NO_ERRORS, ErrorModel, are_in_time
+from motorhil.harness.analysis.subject import is_canopen_reserved, reserves_nothing
 from tests.harness.analysis.sets import MS, US, davis, sae
 
 
 def _load(*times: tuple[int, int], rate: int = 125_000, movable: tuple[bool, ...] = ()) -> BusLoad:
-    """Messages of 7 bytes, 1 ms each, most urgent first: (period, deadline) [us]."""
+    """Return messages of 7 bytes and 1 ms, most urgent first: (period, deadline) [us]."""
     return BusLoad(
         "can0",
         rate,
@@ -41,14 +42,14 @@ def _load(*times: tuple[int, int], rate: int = 125_000, movable: tuple[bool, ...
     )
 
 
-def test_the_counter_example_of_davis_and_others_has_no_order_that_helps():
+def test_propose_for_davis_counter_example_is_impossible():
     proposal = propose(davis(), NO_ERRORS, reserves_nothing)
     assert (proposal.changes, proposal.is_impossible) == (None, True)
     assert rate_that_helps(davis()) == 250_000
     assert are_in_time(at_rate(davis(), 250_000))
 
 
-def test_one_identifier_is_changed_where_one_is_enough():
+def test_propose_changes_one_identifier_if_sufficient():
     load = _load((10_000, 10_000), (10_000, 10_000), (10_000, 10_000), (10_000, 2_500))
     proposal = propose(load, NO_ERRORS, reserves_nothing)
     assert proposal.changes is not None
@@ -57,7 +58,7 @@ def test_one_identifier_is_changed_where_one_is_enough():
     assert are_in_time(with_changes(load, proposal.changes))
 
 
-def test_reserved_identifiers_are_not_given():
+def test_propose_avoids_reserved_identifiers():
     load = _load((10_000, 10_000), (10_000, 10_000), (10_000, 2_000))
     plain = propose(load, NO_ERRORS, reserves_nothing)
     assert plain.changes is not None
@@ -69,7 +70,7 @@ def test_reserved_identifiers_are_not_given():
     assert not is_canopen_reserved(0x081, True)
 
 
-def test_what_cannot_move_does_not():
+def test_propose_keeps_immovable_messages():
     times = ((10_000, 10_000), (10_000, 10_000), (10_000, 2_000))
     fixed = propose(_load(*times, movable=(False, False, False)), NO_ERRORS, reserves_nothing)
     assert (fixed.changes, fixed.is_impossible) == (None, True)
@@ -87,7 +88,7 @@ def test_what_cannot_move_does_not():
         max_size=4,
     )
 )
-def test_an_order_is_found_exactly_where_one_of_all_orders_is_in_time(times):
+def test_best_order_exists_iff_brute_force_finds_one(times):
     load = _load(*times)
     found = best_order(load)
     identifiers = [one.identifier for one in load.messages]
@@ -112,7 +113,7 @@ def test_an_order_is_found_exactly_where_one_of_all_orders_is_in_time(times):
         assert are_in_time(with_changes(load, proposal.changes))
 
 
-def test_a_queue_that_sends_the_urgent_first_can_help():
+def test_queues_that_help_names_the_fifo_sender():
     messages = (
         Message(0x100, 7, 10 * MS, deadline_ns=2 * MS, sender="node"),
         Message(0x200, 7, 10 * MS, deadline_ns=9 * MS, sender="other"),
@@ -124,10 +125,10 @@ def test_a_queue_that_sends_the_urgent_first_can_help():
     assert queues_that_help(davis()) is None
 
 
-# --- what it stands
+# --- margins
 
 
-def test_the_shortest_error_interval_is_on_the_edge():
+def test_shortest_error_interval_is_minimal():
     load = sae(250_000)
     interval_ns = shortest_error_interval_ns(load)
     assert interval_ns is not None
@@ -136,7 +137,7 @@ def test_the_shortest_error_interval_is_on_the_edge():
     assert shortest_error_interval_ns(davis()) is None
 
 
-def test_so_many_errors_are_stood_and_not_one_more():
+def test_tolerated_errors_are_maximal():
     load = sae(250_000)
     for one in tolerances(load):
         alone = replace(
@@ -152,7 +153,7 @@ def test_so_many_errors_are_stood_and_not_one_more():
     assert [one.errors for one in tolerances(davis())][2] is None
 
 
-def test_a_higher_bit_error_rate_makes_late_frames_likelier():
+def test_late_probability_grows_with_bit_error_rate():
     tight = next(one for one in tolerances(sae(250_000)) if one.message.period_ns == 5 * MS)
     chances = [tight.late_probability(rate) for rate in (0.0, 1e-7, 1e-5, 1e-3)]
     assert chances == sorted(chances)
@@ -161,5 +162,5 @@ def test_a_higher_bit_error_rate_makes_late_frames_likelier():
 
 
 @pytest.mark.parametrize("burst", [0, 1, 3])
-def test_errors_never_make_anything_earlier(burst: int):
+def test_sae_benchmark_tolerates_error_bursts(burst: int):
     assert are_in_time(sae(500_000), ErrorModel(burst))

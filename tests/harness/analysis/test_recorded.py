@@ -1,10 +1,10 @@
-"""Periods and jitter that a recording shows: all that was recorded is allowed by them."""
+"""Periods and jitter from recordings: they cover everything that was recorded."""
 
 from hypothesis import event, given
 from hypothesis import strategies as st
 
-from harness.analysis.message import Arrival, Message
-from harness.analysis.recorded import Heard, measured
+from motorhil.harness.analysis.measured import Heard, measured
+from motorhil.harness.analysis.message import Arrival, Message
 from tests.harness.analysis.sets import MS, US
 
 
@@ -16,13 +16,13 @@ def _heard(times_ns: list[int]) -> Heard:
 
 
 def _most_in(message: Message, window_ns: int) -> int:
-    """How many of it a closed window of this length can hold."""
+    """Return how many frames a closed window of this length can hold."""
     early_ns = message.jitter_ns + message.irregular_ns
     count = (window_ns + early_ns) // message.period_ns + 1
     return min(count, window_ns // message.distance_ns + 1) if message.distance_ns else count
 
 
-def test_a_strict_period_has_no_jitter():
+def test_strict_period_has_no_jitter():
     found = measured(_heard([7 + 10 * MS * n for n in range(20)]), 200 * MS)
     message = found.message
     assert (message.period_ns, message.jitter_ns, message.irregular_ns) == (10 * MS, 0, 0)
@@ -31,14 +31,14 @@ def test_a_strict_period_has_no_jitter():
     assert (message.length, message.sender, message.source) == (5, "left", "20 frames")
 
 
-def test_jitter_is_how_much_closer_frames_came_than_a_period():
+def test_jitter_is_the_advance_on_the_period():
     times = [10 * MS * n + (300 * US if n % 5 == 0 else 0) for n in range(1, 42)]
     message = measured(_heard(times), 420 * MS).message
     assert message.period_ns == 10 * MS
     assert message.jitter_ns == 300 * US
 
 
-def test_a_boot_up_before_the_first_heartbeat_is_irregular_and_no_jitter():
+def test_boot_up_before_heartbeats_is_irregular():
     times = [90 * MS, *(100 * MS * n for n in range(1, 40))]
     found = measured(_heard(times), 4000 * MS)
     assert found.message.period_ns == 100 * MS
@@ -46,13 +46,13 @@ def test_a_boot_up_before_the_first_heartbeat_is_irregular_and_no_jitter():
     assert found.irregular == 1
 
 
-def test_a_pause_takes_nothing_from_the_period():
+def test_pause_does_not_change_the_period():
     times = [10 * MS * n for n in range(30)] + [10 * MS * n for n in range(100, 130)]
     message = measured(_heard(times), 1300 * MS).message
     assert (message.period_ns, message.jitter_ns, message.irregular_ns) == (10 * MS, 0, 0)
 
 
-def test_what_is_not_periodic_is_sporadic_with_its_least_distance():
+def test_irregular_message_is_sporadic_with_least_distance():
     times = [0, 1 * MS, 50 * MS, 52 * MS, 300 * MS, 301 * MS, 700 * MS, 800 * MS, 1000 * MS]
     found = measured(_heard(times), 1000 * MS)
     assert found.message.arrival is Arrival.SPORADIC
@@ -61,13 +61,13 @@ def test_what_is_not_periodic_is_sporadic_with_its_least_distance():
     assert found.message.source == "9 frames"
 
 
-def test_a_single_frame_may_come_once_in_the_time_of_the_recording():
+def test_single_frame_has_recording_span_as_period():
     found = measured(_heard([5 * MS]), 80 * MS)
     assert (found.message.period_ns, found.least_ns) == (80 * MS, None)
 
 
 @given(st.lists(st.integers(0, 400), min_size=1, max_size=40), st.booleans())
-def test_what_was_recorded_is_allowed_by_what_is_told_of_it(steps: list[int], regular: bool):
+def test_measured_message_covers_all_frames(steps: list[int], regular: bool):
     times, now = [], 0
     for step in steps:
         now += (1000 + step % 50 if regular else step * 10) * US

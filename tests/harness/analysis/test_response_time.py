@@ -1,4 +1,4 @@
-"""Longest response times against published figures, and against motorapi's own reading."""
+"""Worst-case response times against published figures and motorapi's implementation."""
 
 from dataclasses import replace
 
@@ -6,12 +6,23 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from harness.analysis.errors import ErrorModel, more_errors_probability
-from harness.analysis.frame_length import FD_LENGTHS, longest, shortest
-from harness.analysis.message import Arrival, BusLoad, Message
-from harness.analysis.response_time import are_in_time, response_between, response_times
-from motorapi import bus_timing
-from motorapi.traffic import CanTraffic, PeriodicMessage
+from motorhil.harness.analysis.message import (
+    FD_LENGTHS,
+    Arrival,
+    BusLoad,
+    Message,
+    longest,
+    shortest,
+)
+from motorhil.harness.analysis.response_time import (
+    ErrorModel,
+    are_in_time,
+    more_errors_probability,
+    response_between,
+    response_times,
+)
+from motorhil.motorapi.synchronization import can_response_time as bus_timing
+from motorhil.motorapi.synchronization.bus_load import CanTraffic, PeriodicMessage
 from tests.harness.analysis.sets import MS, SAE, SAE_RATES, US, davis, sae
 
 # Bits with intermission, shortest and longest, 11-bit and 29-bit identifiers, by FD_LENGTHS.
@@ -29,7 +40,7 @@ FD_BITS = {
 }
 
 
-def test_in_the_counter_example_of_davis_and_others_the_second_instance_misses():
+def test_davis_counter_example_misses_in_second_instance():
     a, b, c = response_times(davis())
     assert [one.response_ns for one in (a, b, c)] == [2.0 * MS, 3.0 * MS, 3.5 * MS]
     assert [one.is_in_time for one in (a, b, c)] == [True, True, False]
@@ -38,7 +49,7 @@ def test_in_the_counter_example_of_davis_and_others_the_second_instance_misses()
 
 
 @pytest.mark.parametrize("column", range(4))
-def test_the_sae_benchmark_comes_out_to_the_microsecond(column: int):
+def test_sae_benchmark_equals_published_figures(column: int):
     load = sae(SAE_RATES[column])
     found = [one.received_ns for one in response_times(load)]
     assert found == [row[2 + column] * US for row in SAE]
@@ -47,7 +58,7 @@ def test_the_sae_benchmark_comes_out_to_the_microsecond(column: int):
 
 
 @pytest.mark.parametrize("length", FD_LENGTHS)
-def test_fd_frames_are_as_long_as_the_kernel_says(length: int):
+def test_fd_frame_lengths_equal_the_kernels(length: int):
     for extended in (False, True):
         bounds = [make(length, extended=extended, fd=True).nominal for make in (shortest, longest)]
         if length in FD_BITS:
@@ -86,7 +97,7 @@ MESSAGES = st.lists(
     st.sampled_from([1_000_000, 500_000, 125_000]),
     st.sampled_from([None, 2_000_000, 5_000_000]),
 )
-def test_it_agrees_with_the_reading_in_motorapi(
+def test_response_times_equal_those_of_motorapi(
     messages: list[PeriodicMessage], rate: int, data_rate: int | None
 ):
     traffic = CanTraffic(rate, tuple(messages), data_bitrate_bit_s=data_rate)
@@ -112,7 +123,7 @@ def test_it_agrees_with_the_reading_in_motorapi(
     )
     for mine, other in zip(ours, theirs, strict=True):
         assert mine.message.rank == other.message.rank
-        if other.response_s is None:  # it looks at 1000 instances at most
+        if other.response_s is None:  # that one examines 1000 instances at most
             assert mine.response_ns is None or mine.busy_ns > 500_000 * 1000
         else:
             assert mine.response_ns == round(other.response_s * 1e9)
@@ -121,7 +132,7 @@ def test_it_agrees_with_the_reading_in_motorapi(
 # --- errors: Tindell's bound by hand
 
 
-def test_errors_cost_a_longest_error_frame_and_the_longest_frame_sent_again():
+def test_error_costs_error_frame_and_longest_repetition():
     load = BusLoad(
         "can0", 1_000_000, (Message(1, 0, 10 * MS), Message(2, 8, 10 * MS), Message(3, 8, 10 * MS))
     )
@@ -134,22 +145,22 @@ def test_errors_cost_a_longest_error_frame_and_the_longest_frame_sent_again():
     assert two == [(190 + 2 * 86) * US, (325 + 2 * 166) * US, (325 + 2 * 166) * US]
 
 
-def test_a_more_urgent_frame_that_is_sent_again_costs_as_well():
+def test_repetition_of_more_urgent_frame_is_counted():
     load = BusLoad("can0", 1_000_000, (Message(1, 8, 10 * MS), Message(2, 0, 10 * MS)))
     found = response_times(load, ErrorModel(1))[1]
     assert found.response_ns == (135 + 55 + 31 + 135) * US
 
 
-def test_errors_that_come_again_are_counted_in_the_time_they_lengthen():
+def test_repeated_errors_count_in_the_extended_window():
     load = BusLoad("can0", 1_000_000, (Message(1, 8, 10 * MS),))
-    # 135 us, and 166 us for each error: one at once, then one every 200 us: in 135 + 166 us there
-    # are two, in 135 + 332 us three, in 135 + 498 us four, in 135 + 664 us four.
+    # 135 us, and 166 us for each error. One error occurs at once, then one every 200 us. There are
+    # two in 135 + 166 us, three in 135 + 332 us, four in 135 + 498 us, and four in 135 + 664 us.
     found = response_times(load, ErrorModel(1, 200 * US))
     assert found[0].response_ns == (135 + 4 * 166) * US
     assert response_times(load, ErrorModel(1, 166 * US))[0].response_ns is None
 
 
-def test_a_bit_error_rate_bounds_the_chance_of_more_errors():
+def test_more_errors_probability_equals_poisson_tail():
     # 1000 bits at 1e-3: a Poisson number of mean 1.0005. Its tail by the series, to three digits.
     assert more_errors_probability(0, 1000, 1e-3) == pytest.approx(0.6323, abs=1e-3)  # 1 - 0.999^n
     assert more_errors_probability(0, 1000, 1e-3) == pytest.approx(1 - 0.999**1000, rel=1e-9)
@@ -158,7 +169,7 @@ def test_a_bit_error_rate_bounds_the_chance_of_more_errors():
     assert more_errors_probability(5, 100, 0.0) == 0.0
 
 
-# --- what a queue costs
+# --- cost of a queue
 
 
 def _queued(*ids: int, fifo: bool) -> BusLoad:
@@ -169,14 +180,14 @@ def _queued(*ids: int, fifo: bool) -> BusLoad:
     return BusLoad("can0", 1_000_000, messages, fifo=frozenset({"node"} if fifo else ()))
 
 
-def test_in_one_queue_the_urgent_waits_for_what_its_mates_wait_for():
+def test_fifo_queue_delays_urgent_message():
     by_priority = response_times(_queued(0x100, 0x2FF, 0x300, fifo=False))
     one_queue = response_times(_queued(0x100, 0x2FF, 0x300, fifo=True))
     assert [one.response_ns for one in by_priority] == [270 * US, 405 * US, 405 * US]
     assert [one.response_ns for one in one_queue] == [405 * US, 405 * US, 405 * US]
 
 
-def test_a_message_of_another_node_between_them_holds_up_both():
+def test_fifo_queue_is_delayed_by_message_between():
     between = replace(
         _queued(0x100, 0x2FF, fifo=True),
         messages=(
@@ -188,10 +199,10 @@ def test_a_message_of_another_node_between_them_holds_up_both():
     assert found == {0x100: 405 * US, 0x200: 405 * US, 0x2FF: 405 * US}
 
 
-def test_sporadic_messages_are_timed_from_when_they_are_queued():
+def test_sporadic_message_is_timed_from_queueing():
     burst = Message(1, 0, 10 * MS, 20 * MS, distance_ns=1 * MS, arrival=Arrival.SPORADIC)
     one, other = response_times(BusLoad("can0", 1_000_000, (burst, Message(2, 0, 10 * MS))))
-    assert one.response_ns == 110 * US  # never two at once: a millisecond between them
+    assert one.response_ns == 110 * US  # never two at once: their minimum distance is 1 ms
     assert other.response_ns == 110 * US
     together = replace(burst, distance_ns=0)
     one, other = response_times(BusLoad("can0", 1_000_000, (together, Message(2, 0, 10 * MS))))
@@ -199,7 +210,7 @@ def test_sporadic_messages_are_timed_from_when_they_are_queued():
     assert other.response_ns == (3 * 55 + 55) * US
 
 
-def test_what_fills_the_bus_has_no_bound_and_is_late():
+def test_starving_message_has_no_bound_and_is_late():
     load = BusLoad(
         "can0",
         125_000,
@@ -210,7 +221,7 @@ def test_what_fills_the_bus_has_no_bound_and_is_late():
     assert (starving.response_ns, starving.is_in_time) == (None, False)
 
 
-def test_a_message_between_others_is_as_late_as_its_place_makes_it():
+def test_response_between_equals_response_times():
     load = sae(125_000)
     for place, found in enumerate(response_times(load)):
         higher, lower = load.messages[:place], load.messages[place + 1 :]

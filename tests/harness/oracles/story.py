@@ -1,16 +1,24 @@
-"""A drive's day on a bus, frame by frame by hand: sound as it is, and easily spoilt.
+"""Hand-written frames of a drive on a bus: sound, and easy to alter.
 
-Node 1 boots, is set up by SDO (its PDOs and limits), switches on, moves to 500, has a fault, is
-reset; its CAN controller meets errors up to bus-off, and is restarted; it is switched off.
-Bytes are those of CiA 301 and 402-2, and of linux/can/error.h.
+Node 1 boots, is set up by SDO (its PDOs and limits), switches on, moves to 500, has a fault, and is
+reset. Its CAN controller has errors up to bus-off and is restarted. Then the drive is switched off.
+Bytes follow CiA 301 and 402-2, and linux/can/error.h.
 """
 
 import struct
 
-from traces.fields import encode_log
-from traces.protobuf import encode
-from traces.schema import CAN_FRAME, LOG, MOTOR_LOCK, Direction, Level, LockAction, Schema
-from traces.writer import TraceWriter
+from motorhil.traces.mcap.protobuf import encode
+from motorhil.traces.mcap.writer import TraceWriter
+from motorhil.traces.schema import (
+    CAN_FRAME,
+    LOG,
+    MOTOR_LOCK,
+    Direction,
+    Level,
+    LockAction,
+    Schema,
+    encode_log,
+)
 
 MS = 1_000_000
 RIG = b"""
@@ -32,7 +40,7 @@ increments_per_rad = 1000.0
 velocity_unit_rad_s = 0.001
 acceleration_unit_rad_s2 = 0.001
 """
-SET_UP = (  # what the client reads: index, sub-index, bytes, value
+SET_UP = (  # objects read by the client: index, sub-index, bytes, value
     *((0x1000, 0, 4, 0x20192), (0x1014, 0, 4, 0x81), (0x1017, 0, 2, 100)),
     *((0x1600, 1, 4, 0x60400010), (0x1600, 0, 1, 1)),
     *((0x1A00, 1, 4, 0x60410010), (0x1A00, 2, 4, 0x60640020), (0x1A00, 0, 1, 2)),
@@ -59,12 +67,12 @@ ERRORS = (  # ms, class, data: of node 1's CAN controller
 
 
 def error(ms, classes, data):
-    """An error message of node 1's CAN controller."""
+    """Return an error frame of node 1's CAN controller."""
     return ms, 0x2000_0000 | classes, bytes.fromhex(data)
 
 
 def sdo(ms, index, subindex, size, value):
-    """A question of the client and, 1 ms later, the server's answer."""
+    """Yield an upload request and, 1 ms later, the server's answer."""
     place = struct.pack("<HB", index, subindex)
     data = (value % (1 << 8 * size)).to_bytes(size, "little").ljust(4, b"\0")
     yield ms, 0x601, b"\x40" + place + bytes(4)
@@ -72,14 +80,14 @@ def sdo(ms, index, subindex, size, value):
 
 
 def written(ms, index, size, value):
-    """An object is written, and 1 ms later that is confirmed."""
+    """Yield a download and, 1 ms later, its confirmation."""
     place = struct.pack("<HB", index, 0)
     yield ms, 0x601, bytes([0x23 | 4 - size << 2]) + place + value.to_bytes(4, "little")
     yield ms + 1, 0x581, b"\x60" + place + bytes(4)
 
 
 def story():
-    """(ms, identifier, data), by time."""
+    """Return the frames (ms, identifier, data) by time."""
     frames = [(1, 0x701, b"\0"), (290, 0x000, b"\x01\x01")]
     for number, (index, subindex, size, value) in enumerate(SET_UP):
         frames += sdo(10 + 4 * number, index, subindex, size, value)
@@ -99,9 +107,15 @@ def story():
 
 
 def record(path, frames, senders=None, locks=(), metadata=None, said=()):
-    """A recording of these frames; `senders` by identifier, "host" otherwise.
+    """Record these frames with `senders` by identifier, otherwise "host".
 
-    locks: (ms, action, who); said: events.
+    Args:
+        path: the file.
+        frames: (ms, identifier, data), optionally with a sender.
+        senders: senders by identifier.
+        locks: (ms, action, owner).
+        metadata: of the recording; None: that of a run.
+        said: texts of events.
     """
     metadata = {"run": {}} if metadata is None else metadata
     with TraceWriter(path, metadata) as writer:

@@ -1,12 +1,12 @@
-"""Each oracle holds on a sound story, its reach counted, and breaks on one spoilt on purpose."""
+"""Oracles hold on a sound story, with counted cases, and break on altered ones."""
 
 import struct
 
 import pytest
 
-from harness.oracles.facts import Facts
-from harness.oracles.finding import Verdict
-from harness.oracles.judge import IDS, is_sound, judge
+from motorhil.harness.oracles.base import Verdict
+from motorhil.harness.oracles.facts import Facts
+from motorhil.harness.oracles.judge import IDS, is_sound, judge
 from tests.harness.oracles.story import (
     MS,
     RELEASED,
@@ -21,7 +21,7 @@ LOCKS = ((305, TAKEN, "host"), (1699, RELEASED, "host"))
 
 
 def without(*chosen):
-    """The story without frames of (identifier, first ms, last ms)."""
+    """Return the story without frames of (identifier, first ms, last ms)."""
     return [
         frame
         for frame in story()
@@ -34,7 +34,7 @@ def with_more(*frames):
 
 
 def instead(*frames):
-    """The story with these in place of what has their time and identifier."""
+    """Return the story with these frames instead of those with equal time and identifier."""
     times = {frame[:2] for frame in frames}
     return sorted([*frames, *(one for one in story() if one[:2] not in times)])
 
@@ -53,10 +53,10 @@ def gave_up():
 
 
 LAGS = [(ms, 0x381, struct.pack("<i", 80)) for ms in range(605, 860, 50)]
-BY_PRESENCE = [  # oracle, frames, when it is told [ms], words of the violation
+BY_PRESENCE = [  # oracle, frames, time of the violation [ms], words of the violation
     ("limit-position", instead(status(700, 0x0237, 1200)), 700, "6064h beyond 607Dh: 1200 inc"),
     ("limit-position", with_more(*written(500, 0x607A, 4, 1500)), 510, "607Ah: 1.5 rad, limit 1"),
-    (  # what it was told counts less than what it says: it is in pp still
+    (  # the display counts, not the written mode: it is still in pp
         "limit-position",
         sorted([*instead(status(700, 0x0237, 1200)), *written(494, 0x6060, 1, 4)]),
         *(700, "6064h beyond 607Dh: 1200 inc"),
@@ -69,7 +69,7 @@ BY_PRESENCE = [  # oracle, frames, when it is told [ms], words of the violation
     (
         "rest-when-told",
         instead(status(1100, 0x0637, 530), status(1200, 0x0637, 560)),
-        *(1200, "moves while it says, since 0.900000 s, that it has arrived: 30 inc, limit 10"),
+        *(1200, "moves while it reports arrival, since 0.900000 s: 30 inc, limit 10"),
     ),
     ("following-bounded", instead(*LAGS), 755, "since 0.605000 s"),
     ("torque-off", instead(torque(1555, -120)), 1555, "since 1.420000 s: 120 permille"),
@@ -82,18 +82,18 @@ BY_PRESENCE = [  # oracle, frames, when it is told [ms], words of the violation
     ("error-states", with_more((1685, 0x701, b"\5")), 1685, "left: sends 701h while it is bus-off"),
     ("one-sender", with_more((*status(610, 0x0237, 99), "ghost")), 700, "by ghost and by left"),
 ]
-BY_ABSENCE = [  # what was not heard
+BY_ABSENCE = [  # missing frames
     ("pds-legal", without((0x201, 450, 450)), 460, "switched on, then operation enabled"),
-    ("pds-legal", instead(status(1700, 0x0231, 500)), 1700, "told enable operation, fault reset"),
+    ("pds-legal", instead(status(1700, 0x0231, 500)), 1700, "after enable operation, fault reset"),
     (
         "pds-legal",
         without((0x201, 410, 410)),
         420,
-        "ready to switch on (statusword 0231h), told not",
+        "ready to switch on (statusword 0231h), after no",
     ),
     ("pds-legal", without((0x201, 1610, 1610)), 1620, "fault, then switch on disabled"),
     ("pds-legal", with_more(status(610, 0x0200, 99)), 610, "then not ready to switch on"),
-    ("fault-told", without((0x081, 0, 9999)), 1402, "no EMCY within 1 s"),
+    ("fault-told", without((0x081, 0, 9999)), 1402, "without an EMCY within 1 s"),
     ("sync-period", without((0x080, 800, 800)), 810, "1 SYNC missing: 20 ms, limit 10 ms"),
     (
         "sync-period",
@@ -108,18 +108,18 @@ BY_ABSENCE = [  # what was not heard
         "error-states",
         without((0x2000_0204, 1670, 1670)),
         1680,
-        "left: bus-off (TEC 255, REC 0), and was error warning",
+        "left: bus-off (TEC 255, REC 0), but was error warning",
     ),
     (
         "error-states",
         instead(error(1690, 0x204, "0008000000006000")),
         1690,
-        "left: error warning (TEC 96, REC 0), and was bus-off",
+        "left: error warning (TEC 96, REC 0), but was bus-off",
     ),
-    ("no-reboot", with_more((1000, 0x701, b"\0")), 1000, "booted again, and nobody had reset it"),
+    ("no-reboot", with_more((1000, 0x701, b"\0")), 1000, "booted again without an NMT reset"),
 ]
-REACH = {  # of the sound story, counted in it by hand
-    "limit-position": 7,  # one target, six positions while it is enabled in pp
+REACH = {  # of the sound story, counted by hand
+    "limit-position": 7,  # one target, six positions while enabled in pp
     "limit-velocity": 19,  # 6081h, and 606Ch from 505 to 1355 ms
     "limit-acceleration": 1,
     "limit-torque": 28,  # 6077h from 305 to 1655 ms
@@ -146,20 +146,18 @@ def broken_in(findings):
     return [name for name, one in findings.items() if one.verdict is Verdict.BROKEN]
 
 
-def test_a_sound_story_is_sound_and_every_oracle_has_looked_at_it(tmp_path):
+def test_sound_story_is_held_by_every_oracle(tmp_path):
     findings = findings_of(record(tmp_path / "one.mcap", story(), locks=LOCKS))
     assert [one.first for one in findings.values()] == [None] * len(IDS)
     assert {name: one.looked for name, one in findings.items()} == REACH
     assert is_sound(findings.values())
     assert tuple(findings) == IDS
-    for name in IDS:  # each hears for itself what it needs
+    for name in IDS:  # each oracle works alone
         assert judge(tmp_path / "one.mcap", only=[name]) == [findings[name]]
 
 
 @pytest.mark.parametrize(("oracle", "frames", "ms", "words"), BY_PRESENCE)
-def test_what_was_heard_breaks_its_oracle_and_no_other_whatever_else_is_missing(
-    tmp_path, oracle, frames, ms, words
-):
+def test_present_violation_breaks_one_oracle_in_any_recording(tmp_path, oracle, frames, ms, words):
     for metadata in ({"run": {}}, {}):
         findings = findings_of(record(tmp_path / "one.mcap", frames, metadata=metadata))
         assert broken_in(findings) == [oracle]
@@ -171,9 +169,7 @@ def test_what_was_heard_breaks_its_oracle_and_no_other_whatever_else_is_missing(
 
 
 @pytest.mark.parametrize(("oracle", "frames", "ms", "words"), BY_ABSENCE)
-def test_what_was_not_heard_breaks_its_oracle_only_where_every_frame_is_there(
-    tmp_path, oracle, frames, ms, words
-):
+def test_missing_frame_breaks_one_oracle_if_complete(tmp_path, oracle, frames, ms, words):
     whole = record(tmp_path / "whole.mcap", frames)
     findings = findings_of(whole)
     assert broken_in(findings) == [oracle]
@@ -190,7 +186,7 @@ def test_what_was_not_heard_breaks_its_oracle_only_where_every_frame_is_there(
     assert broken_in(findings_of(imported, facts=Facts(is_complete=True))) == [oracle]
 
 
-def test_who_has_not_the_motor_does_not_command_it(tmp_path):
+def test_command_without_ownership_breaks_oracle(tmp_path):
     frames = with_more((600, 0x201, b"\x1f\0", "other"))
     findings = findings_of(record(tmp_path / "one.mcap", frames, locks=LOCKS))
     assert broken_in(findings) == ["owner-commands"]
@@ -199,7 +195,7 @@ def test_who_has_not_the_motor_does_not_command_it(tmp_path):
     assert first.text.startswith("other sends 201h 1f 00 while wheel: 0.305 s to 1.699 s: host")
 
 
-def test_a_drive_that_moves_on_is_caught_though_the_recording_ends_while_it_says_that_it_rests(
+def test_creeping_drive_is_detected_at_the_end(
     tmp_path,
 ):
     frames = instead(status(1100, 0x0637, 530), status(1200, 0x0637, 560))
@@ -207,7 +203,7 @@ def test_a_drive_that_moves_on_is_caught_though_the_recording_ends_while_it_says
     assert broken_in(findings_of(path)) == ["rest-when-told"]
 
 
-def test_only_what_was_asked_for_is_judged_but_what_was_before_is_known(tmp_path):
+def test_time_limits_judgement_but_not_knowledge(tmp_path):
     path = record(tmp_path / "one.mcap", without((0x201, 410, 410), (0x201, 1610, 1610)))
     early = findings_of(path, to_ns=1000 * MS)["pds-legal"]
     assert (early.first.time_ns, early.further, early.looked) == (420 * MS, 0, 3)
@@ -218,8 +214,8 @@ def test_only_what_was_asked_for_is_judged_but_what_was_before_is_known(tmp_path
     assert [one.oracle for one in judge(path, only=["pds-legal"])] == ["pds-legal"]
 
 
-def test_an_rpdo_whose_mapping_nobody_tells_may_have_carried_the_controlword(tmp_path):
-    """Without the controlwords a drive that rises was told by what is not understood."""
+def test_unmapped_rpdo_prevents_judgement(tmp_path):
+    """Without known controlwords, a state change may be due to an undecoded RPDO."""
     frames = [frame for frame in without((0x201, 410, 410)) if frame[1] != 0x301]
     frames += [(ms, 0x301, b"\x06\0") for ms in (405, 1600)]
     path = record(tmp_path / "one.mcap", sorted(frames, key=lambda frame: frame[0]))
@@ -228,8 +224,8 @@ def test_an_rpdo_whose_mapping_nobody_tells_may_have_carried_the_controlword(tmp
     assert finding.reason == ("RPDO 301h may carry the controlword: its mapping is not known")
 
 
-def test_a_bus_that_is_no_canopen_is_accused_of_nothing(tmp_path):
-    """Cars have identifiers of 580h to 67Fh, 700h to 77Fh and 080h, too."""
+def test_bus_without_canopen_is_not_judged(tmp_path):
+    """Cars also use identifiers 580h to 67Fh, 700h to 77Fh and 080h."""
     frames = [(10 * n, 0x701, b"\x05") for n in range(20)]  # like heartbeats, which end
     frames += [(10 * n, 0x601, b"\x40" + bytes(7)) for n in range(100)]
     path = record(tmp_path / "car.mcap", sorted(frames, key=lambda frame: frame[0]))

@@ -1,15 +1,21 @@
-"""What the medium's own nodes tell of their states is accused of nothing, wherever they get to."""
+"""Oracle of error states against the states of the simulated medium."""
 
 import random
 
-from emulators.media.can_episode import Disturbance, Effect, EventKind, Station, run_episode
-from emulators.media.can_frame import pack
-from harness.oracles.finding import Verdict
-from harness.oracles.judge import judge
-from traces.bus_errors import ControllerState, bus_error
-from traces.schema import Direction
-from traces.traffic import ERR, Frame, classic
-from traces.traffic_mcap import record_frames
+from motorhil.emulators.can.bitlevel.episode import (
+    Disturbance,
+    Effect,
+    EventKind,
+    Station,
+    run_episode,
+)
+from motorhil.emulators.can.frame import pack
+from motorhil.harness.oracles.base import Verdict
+from motorhil.harness.oracles.judge import judge
+from motorhil.traces.decoding.can_errors import ControllerState, bus_error
+from motorhil.traces.formats.frames import ERR, Frame, classic
+from motorhil.traces.formats.registry import record_frames
+from motorhil.traces.schema import Direction
 
 NODES = 3
 RESTARTED = classic(ERR | 0x300, bytes(8))
@@ -17,7 +23,7 @@ EPISODES = 1500
 
 
 def struck(dice):
-    """Something that strikes every second frame, somewhere, for some or for all."""
+    """Return a disturbance for half of the frames, at some nodes or all."""
     if dice.random() < 0.5:
         return []
     ports = dice.choice([-1, *range(1, 1 << NODES)])
@@ -25,7 +31,7 @@ def struck(dice):
 
 
 def run(dice):
-    """What is recorded of a bus on which now one, now another node sends, and many frames fail."""
+    """Record a bus where random nodes send and many frames fail."""
     frames, now_ns = [], 0
     stations = {port: Station(port) for port in range(NODES)}
     off = {}
@@ -57,7 +63,7 @@ def run(dice):
     return sorted(frames, key=lambda frame: frame.time_ns)
 
 
-def test_the_states_that_the_medium_tells_are_legal_and_all_are_met(tmp_path):
+def test_states_of_the_medium_are_legal_and_all_reached(tmp_path):
     met = set()
     for seed in (1, 2):
         frames = run(random.Random(seed))

@@ -1,10 +1,10 @@
-"""`motorhil judge`: what it prints, its exit status, and what it makes of bad input."""
+"""Command `motorhil judge`: output, exit status, and errors."""
 
 import json
 
 import pytest
 
-from harness.oracles.judge import IDS
+from motorhil.harness.oracles.judge import IDS
 from tests.golden import golden
 from tests.harness.oracles.story import RIG, record, story
 from tests.harness.oracles.test_broken import without
@@ -21,7 +21,7 @@ def broken(tmp_path):
     return str(record(tmp_path / "broken.mcap", frames))
 
 
-def test_a_sound_recording_passes_and_each_reach_is_told(say, sound):
+def test_sound_recording_passes_with_counts(say, sound):
     status, out, err = say("judge", sound)
     assert (status, err) == (0, "")
     lines = out.splitlines()
@@ -32,26 +32,26 @@ def test_a_sound_recording_passes_and_each_reach_is_told(say, sound):
     )
 
 
-def test_a_broken_one_fails_with_the_first_violation_and_how_many_more(say, broken):
+def test_broken_recording_fails_with_first_violation(say, broken):
     status, out, _ = say("judge", broken, "--only", "pds-legal")
     assert status == 1
     assert out.splitlines()[2:] == [
         "pds-legal: 0.420000000 s can0 node 1 (wheel): switch on disabled, then ready to switch on"
-        " (statusword 0231h), told nothing that leads there; 1 more",
+        " (statusword 0231h), after no command that leads there; 1 more",
         f"{broken}: broken: 1 broken",
     ]
     assert say("judge", broken, "--to", "0.4", "--only", "pds-legal")[0] == 3
     assert say("judge", broken, "--from", "0.43", "--to", "1.5", "--only", "pds-legal")[0] == 0
 
 
-def test_where_nothing_was_judged_nothing_has_passed(say):
+def test_judging_nothing_does_not_pass(say):
     with golden("leadshine") as path:
         status, out, _ = say("judge", str(path), "--only", "pds-legal", "--only", "sync-period")
     assert status == 3
     assert out.splitlines()[-1] == f"{path}: not judged: 2 could not judge"
 
 
-def test_a_machine_reads_the_same(say, broken):
+def test_json_output_has_the_same_findings(say, broken):
     status, out, _ = say("judge", "--json", broken)
     told = json.loads(out)
     assert (status, told["file"], told["verdict"]) == (1, broken, "broken")
@@ -60,10 +60,10 @@ def test_a_machine_reads_the_same(say, broken):
     first = findings["pds-legal"]["first"]
     assert (first["time_ns"], first["bus"], first["node"]) == (420_000_000, "can0", 1)
     assert findings["pds-legal"]["verdict"] == "broken"
-    assert findings["owner-commands"]["reason"].startswith("nothing is told of who had")
+    assert findings["owner-commands"]["reason"].startswith("no motor ownership ")
 
 
-def test_each_oracle_says_its_promise_and_its_source(say):
+def test_list_names_promise_and_source_of_each_oracle(say):
     status, out, _ = say("judge", "--list")
     assert status == 0
     lines = out.splitlines()
@@ -72,17 +72,19 @@ def test_each_oracle_says_its_promise_and_its_source(say):
     assert all(len(line) <= 104 for line in lines)
 
 
-def test_an_imported_recording_is_complete_if_somebody_says_so(say, broken, tmp_path):
+def test_complete_option_accepts_imported_recording(say, broken, tmp_path):
     log = str(tmp_path / "broken.log")
     assert say("convert", broken, "-o", log)[0] == 0
     status, out, _ = say("judge", log)
     assert status == 0
     assert "pds-legal: perhaps: 0.420000000 s can0 node 1: switch on disabled" in out
-    assert "nobody says that this recording (candump) has every frame: --complete says so" in out
+    assert (
+        "nothing shows that this recording (candump) has every frame; --complete asserts it" in out
+    )
     assert say("judge", log, "--complete")[0] == 1
 
 
-def test_the_rig_beside_a_recording_names_its_motors_and_their_limits(say, broken, tmp_path):
+def test_rig_option_names_motors_and_limits(say, broken, tmp_path):
     log, rig = str(tmp_path / "broken.log"), tmp_path / "one.toml"
     rig.write_bytes(RIG)
     assert say("convert", broken, "-o", log)[0] == 0
@@ -91,7 +93,7 @@ def test_the_rig_beside_a_recording_names_its_motors_and_their_limits(say, broke
     assert "limit-acceleration  held                     1" in out
 
 
-def test_a_cut_recording_is_judged_as_far_as_it_goes(say, sound, tmp_path):
+def test_truncated_recording_is_judged_as_far_as_readable(say, sound, tmp_path):
     cut = tmp_path / "cut.mcap"
     with open(sound, "rb") as file:
         cut.write_bytes(file.read()[:-3_000])
@@ -101,13 +103,13 @@ def test_a_cut_recording_is_judged_as_far_as_it_goes(say, sound, tmp_path):
     assert err.startswith(f"motorhil judge: {cut}: cut at byte")
 
 
-LIMITS = {  # what is in the file, what is said of it
+LIMITS = {  # contents of the file, message
     "[motor.left]\nvelocity_max = 1.0\n": ":2: motor.left.velocity_max: unknown key",
     "[moter.left]\nvelocity_max_rad_s = 1.0\n": ":1: moter: unknown key (known: motor)",
     "[motor.left]\nvelocity_max_rad_s = -1\n": ":2: motor.left.velocity_max_rad_s: -1 is out of",
     '[motor.left]\nvelocity_max_rad_s = "1"\n': "must be a number, but is a string",
     "[motor.left]\nbus = 'can0'\nvelocity_max_rad_s = 1\n": "motor.left.node_id: is missing",
-    "[motor.left]\nposition_max_rad = 1\nvelocity_max_m_s = 1\n": "is in m, others are in rad",
+    "[motor.left]\nposition_max_rad = 1\nvelocity_max_m_s = 1\n": "is in m, but other keys",
     "[motor.left]\nposition_max_rad = 1\nincrements_per_rad = 0\n": "is 0",
     "[motor.left]\nbus = 'can0'\nnode_id = 1\n": "motor.left: has no limit",
     "": "motor: is missing",
@@ -117,7 +119,7 @@ LIMITS = {  # what is in the file, what is said of it
 
 
 @pytest.mark.parametrize(("text", "said"), LIMITS.items())
-def test_what_is_wrong_in_a_file_of_limits_is_told_with_its_line(say, sound, tmp_path, text, said):
+def test_wrong_limits_file_is_reported_with_line(say, sound, tmp_path, text, said):
     file = tmp_path / "limits.toml"
     file.write_text(text)
     status, out, err = say("judge", sound, "--limits", str(file))
@@ -137,7 +139,7 @@ def test_what_is_wrong_in_a_file_of_limits_is_told_with_its_line(say, sound, tmp
         (b"\x89MCAP0\r\n" + bytes(range(256)), None),
     ],
 )
-def test_what_is_no_recording_is_no_traceback(say, tmp_path, content, said):
+def test_unreadable_file_gives_an_error_message(say, tmp_path, content, said):
     path = tmp_path / "what"
     if content is not None:
         path.write_bytes(content)
@@ -149,7 +151,7 @@ def test_what_is_no_recording_is_no_traceback(say, tmp_path, content, said):
     assert said in err
 
 
-def test_wrong_usage_is_told(say, sound, tmp_path):
+def test_wrong_usage_is_reported(say, sound, tmp_path):
     assert say("judge")[0] == 2
     assert say("judge", sound, "--only", "luck")[0] == 2
     assert say("judge", sound, "--from", "soon")[0] == 2

@@ -1,12 +1,12 @@
-"""What looks like a violation and is none, and what makes a recording one that proves nothing."""
+"""Cases that resemble violations, and recordings that prove nothing."""
 
 import pytest
 
-from harness.cli import main
-from harness.oracles.facts import Facts
-from harness.oracles.finding import Verdict
-from harness.oracles.judge import judge
-from harness.oracles.pds import Command, command_in
+from motorhil.harness.cli.main import main
+from motorhil.harness.oracles.base import Verdict
+from motorhil.harness.oracles.facts import Facts
+from motorhil.harness.oracles.judge import judge
+from motorhil.harness.oracles.state_machine import Command, command_in
 from tests.harness.oracles.story import record, sdo, story, written
 from tests.harness.oracles.test_broken import (
     LAGS,
@@ -29,19 +29,19 @@ def by_time(*frames):
 
 
 def slow_drive():
-    """Its statusword of 405 ms was made before it heard the words of 401 and 403 ms."""
+    """Delay the statusword of 405 ms behind the controlwords of 401 and 403 ms."""
     words = ((401, 0x201, b"\x06\0"), (403, 0x201, b"\x07\0"), status(405, 0x0250, 0))
     return by_time(*without((0x201, 410, 430)), *words)
 
 
 def lowered():
-    """6072h becomes 200 at 600 ms; for a while the old limit may still hold, and it does."""
+    """Lower 6072h to 200 at 600 ms; the old limit may still apply for a while."""
     late = [torque(ms, 100, 0) for ms in range(1055, 1400, 50)]
     return by_time(*instead(*late), *written(600, 0x6072, 2, 200))
 
 
 FINE = {
-    "a distance is no place": by_time(
+    "a distance is not a position": by_time(
         *instead((510, 0x201, b"\x5f\0")), *written(500, 0x607A, 4, 1500)
     ),
     "a motion of torque passes 607Dh": by_time(
@@ -59,18 +59,18 @@ FINE = {
 
 
 @pytest.mark.parametrize("name", FINE)
-def test_what_is_allowed_is_not_accused(tmp_path, name):
+def test_allowed_behaviour_is_not_broken(tmp_path, name):
     findings = findings_of(record(tmp_path / "one.mcap", FINE[name], locks=LOCKS))
     assert {one.oracle: str(one.first) for one in findings.values() if one.first} == {}
 
 
-def test_a_window_that_is_switched_off_bounds_nothing(tmp_path):
+def test_disabled_following_window_is_not_judged(tmp_path):
     frames = by_time(*instead(*LAGS), *written(494, 0x6065, 4, 0xFFFF_FFFF))
     finding = findings_of(record(tmp_path / "one.mcap", frames))["following-bounded"]
     assert (finding.verdict, finding.looked) == (Verdict.NOT_JUDGED, 0)
 
 
-def test_a_fault_is_reset_by_an_edge():
+def test_fault_reset_is_a_rising_edge():
     assert command_in(0x80, 0x00) is command_in(0x80, None) is Command.FAULT_RESET
     assert command_in(0x80, 0x80) is command_in(0x8F, 0x8F) is None
     assert [command_in(word, 0) for word in (0x06, 0x07, 0x0F, 0x00, 0x02)] == [
@@ -78,7 +78,7 @@ def test_a_fault_is_reset_by_an_edge():
     ]
 
 
-SPOILT = without((0x201, 410, 410))  # pds-legal is broken, if all frames are there
+SPOILT = without((0x201, 410, 410))  # breaks pds-legal if all frames are present
 
 
 def reason(path):
@@ -88,21 +88,21 @@ def reason(path):
     return finding.reason
 
 
-def test_an_answer_without_its_question_shows_that_frames_are_missing(tmp_path):
+def test_answer_without_request_proves_missing_frames(tmp_path):
     frames = without((0x201, 410, 410), (0x601, 474, 474))
     path = record(tmp_path / "one.mcap", frames)
-    assert reason(path) == "there is an SDO answer without its question"
+    assert reason(path) == "it has an SDO answer without a request"
     begun_in_the_middle = without((0x201, 410, 410), (0x601, 10, 10))
     assert reason(record(tmp_path / "two.mcap", begun_in_the_middle)) == ""
 
 
-def test_who_recorded_it_tells_that_frames_were_lost(tmp_path):
+def test_recorded_losses_prevent_judgement(tmp_path):
     path = record(tmp_path / "one.mcap", SPOILT, said=["3 frames were lost here"])
     assert reason(path) == "frames were lost while it was recorded"
     assert reason(record(tmp_path / "two.mcap", SPOILT, said=["it is hot"])) == ""
 
 
-def test_where_times_go_backwards_nobody_knows_what_came_first(tmp_path):
+def test_backward_times_prevent_judgement(tmp_path):
     rows = [f"({ms / 1e3:.6f}) can0 {can_id:03X}#{data.hex()}\n" for ms, can_id, data in SPOILT]
     log, mcap = tmp_path / "one.log", tmp_path / "one.mcap"
     log.write_text("".join(rows))
@@ -116,7 +116,7 @@ def test_where_times_go_backwards_nobody_knows_what_came_first(tmp_path):
     assert reason(log) == "1 of its lines could not be read"
 
 
-def test_without_times_order_alone_is_judged(tmp_path):
+def test_recording_without_times_is_judged_by_order(tmp_path):
     rows = [
         f"  can0  {can_id:03X}   [{len(data)}]  {data.hex(' ')}\n" for _, can_id, data in story()
     ]
@@ -128,8 +128,8 @@ def test_without_times_order_alone_is_judged(tmp_path):
     assert findings["sync-period"].verdict is Verdict.NOT_JUDGED
 
 
-def test_a_driver_that_tells_counters_in_its_own_way_is_doubted_not_accused(tmp_path):
-    """M_CAN has 7 bits for REC; and an imported recording tells nobody's name."""
+def test_foreign_counters_are_doubted_but_not_broken(tmp_path):
+    """M_CAN has 7 bits for REC, and an imported recording has no sender names."""
     rows = ["(1.000000) can0 20000204#0004000000000060\n"]  # receive warning, REC 96
     rows += ["(2.000000) can0 20000204#001000000000007F\n"]  # receive passive, REC 127
     path = tmp_path / "real.log"
@@ -138,11 +138,11 @@ def test_a_driver_that_tells_counters_in_its_own_way_is_doubted_not_accused(tmp_
     assert (finding.verdict, finding.looked) == (Verdict.NOT_JUDGED, 2)
     assert finding.first.text == (
         "the CAN controller: error passive by receiving (TEC 0, REC 127): "
-        "the greater should be 128 to 255"
+        "the greater counter should be 128 to 255"
     )
 
 
-def test_what_is_passed_over_is_told(tmp_path, capsys):
+def test_skipped_frames_are_reported(tmp_path, capsys):
     path = tmp_path / "fd.log"
     path.write_text("(1.000000) can0 701##10500\n(2.000000) can1 123##1\n(3.0) can1 701#05\n")
     assert main(["judge", str(path)]) == 3

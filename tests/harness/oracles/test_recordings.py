@@ -1,24 +1,23 @@
-"""Whole recordings: ours are sound, spoilt ones are not, imported ones are accused of nothing."""
+"""Oracles on whole recordings: generated, altered, and imported."""
 
 import random
 
 import pytest
 
-from harness.oracles.facts import Facts, read_limits, subjects_in
-from harness.oracles.finding import Verdict
-from harness.oracles.judge import Pass, is_sound, judge
-from harness.oracles.scene import Scene
-from harness.rig import Rig, installed_plugins
-from harness.rig_file import parse_rig
-from harness.settings import Source
-from motorapi import ControlMode, MotorError
+from motorhil.harness.oracles.base import RecordingContext, Verdict
+from motorhil.harness.oracles.facts import Facts, read_limits, subjects_in
+from motorhil.harness.oracles.judge import Pass, is_sound, judge
+from motorhil.harness.rig.config.rig_file import parse_rig
+from motorhil.harness.rig.config.toml import Source
+from motorhil.harness.rig.rig import Rig, installed_plugins
+from motorhil.motorapi import ControlMode, MotorError
+from motorhil.traces.decoding.objects import names_of
+from motorhil.traces.formats.frames import Findings
+from motorhil.traces.formats.registry import recorded_frames
+from motorhil.traces.mcap.reader import read_trace
 from tests.golden import GOLDEN, golden
 from tests.harness.replay.altered import copied
 from tests.motorapi.kinds import EVERY
-from traces.reader import read_trace
-from traces.recorded_names import names_of
-from traces.traffic import Findings
-from traces.traffic_mcap import recorded_frames
 
 _CAN = {
     *("limit-velocity", "heartbeat-kept", "sdo-answered", "one-sender", "no-reboot"),
@@ -36,7 +35,7 @@ HELD = {
 
 
 def verdicts(findings):
-    """By oracle, without those that could not judge at all."""
+    """Return the verdicts by oracle, without oracles that had nothing to judge."""
     return {
         one.oracle: one.verdict
         for one in findings
@@ -58,7 +57,7 @@ def test_golden_recordings_are_sound(name):
     assert all(one.reason for one in findings if one.verdict is Verdict.NOT_JUDGED)
 
 
-def test_the_demos_record_is_sound(demo):
+def test_demo_recording_is_sound(demo):
     findings = {one.oracle: one for one in judge(demo)}
     assert held(findings.values()) == _DRIVE | {"rest-when-told", "limit-position"}
     assert is_sound(findings.values())
@@ -66,8 +65,8 @@ def test_the_demos_record_is_sound(demo):
     assert findings["owner-commands"].looked == 818
 
 
-def test_a_recording_with_frames_missing_is_accused_of_nothing():
-    """As an imported candump is: no senders, and each frame lost by a chance of 1 to 20 %."""
+def test_recording_with_missing_frames_is_not_broken():
+    """As in an imported candump: no senders, each frame lost with a chance of 1 to 20 %."""
     for name in ("cia402", "overload", "software"):
         with golden(name) as path, read_trace(path) as trace:
             frames = list(recorded_frames(trace, Findings()))
@@ -76,7 +75,7 @@ def test_a_recording_with_frames_missing_is_accused_of_nothing():
         suspected = 0
         for seed, chance in enumerate((0.01, 0.05, 0.1, 0.2) * 2):
             draw = random.Random(f"{name}:{seed}").random
-            pass_ = Pass(Scene(facts, names), ())
+            pass_ = Pass(RecordingContext(facts, names), ())
             for time_ns, bus, frame, _, _ in frames:
                 if draw() >= chance:
                     pass_.hear(time_ns, bus, frame, "")
@@ -84,12 +83,12 @@ def test_a_recording_with_frames_missing_is_accused_of_nothing():
             findings = pass_.findings(None, None, None)
             assert Verdict.BROKEN not in verdicts(findings).values()
             suspected += sum(one.first is not None for one in findings)
-        assert suspected  # that frames are missing shows
+        assert suspected  # missing frames are noticed
 
 
-def test_a_file_of_limits_is_held_against_what_was_measured(tmp_path):
+def test_limits_file_is_applied_to_measured_values(tmp_path):
     file = tmp_path / "limits.toml"
-    expected = {  # what the recording tells: 2 rad/s, from 0 to 1 and back to 0.5 rad
+    expected = {  # the recording has 2 rad/s, from 0 to 1 and back to 0.5 rad
         "velocity_max_rad_s = 1.9": "limit-velocity",
         "position_max_rad = 0.99": "limit-position",
         "position_min_rad = 0.01": "limit-position",
@@ -121,8 +120,8 @@ def test_a_file_of_limits_is_held_against_what_was_measured(tmp_path):
         assert [one.verdict for one in limits] == [Verdict.HELD] * 5
 
 
-def test_a_rig_broken_on_purpose_is_caught_and_its_torque_is_seen_to_be_off(tmp_path):
-    """Safe torque off at one drive, and nothing of the other one comes through any more."""
+def test_rig_with_faults_is_broken_and_torque_off_held(tmp_path):
+    """One drive has safe torque off, and all frames of the other one are dropped."""
     text = EVERY["cia402"].rig() + (
         '[[stimulus]]\ncontroller = "left"\nname = "sto"\nvalue = 1\nat_s = 0.8\n'
         '[[fault]]\nbus = "can0"\nkind = "drop"\nsender = "right"\nfrom_s = 0.8\n'
@@ -150,7 +149,7 @@ def test_a_rig_broken_on_purpose_is_caught_and_its_torque_is_seen_to_be_off(tmp_
     assert findings["torque-off"].looked > 10
 
 
-def test_a_message_that_cannot_be_read_makes_a_recording_incomplete(tmp_path):
+def test_unreadable_message_makes_recording_incomplete(tmp_path):
     with golden("cia402") as path:
         spoilt = copied(
             path,
@@ -160,18 +159,17 @@ def test_a_message_that_cannot_be_read_makes_a_recording_incomplete(tmp_path):
     assert Verdict.BROKEN not in verdicts(judge(spoilt)).values()
 
 
-# What is in the real ones, looked at frame by frame; (verdict, further) of what was accused.
+# Contents of the real recordings, examined frame by frame; (verdict, further) of violations.
 BROKEN, PERHAPS = Verdict.BROKEN, Verdict.NOT_JUDGED
 REAL = {
     # A client asks node 15 for 4001h and aborts with 0504 0000h 0.4 s later, five times in all.
     "canopen_machine_pcan1.trc": {"sdo-answered": (BROKEN, 4)},
-    # The same seven times; around rows that the converter garbled, heartbeats and a reset are not
-    # there.
+    # The same seven times; heartbeats and a reset are missing around rows garbled by the converter.
     "canopen_machine_pcanrouter_pcan3.trc": {
         **{"sdo-answered": (BROKEN, 6), "heartbeat-kept": (PERHAPS, 2), "no-reboot": (PERHAPS, 1)},
     },
 }
-REACHED = {  # what of CANopen there is to judge in the others
+REACHED = {  # the CANopen oracles that can judge the others
     "canopenlens_sample_amr_2wheel.log": {
         *("pds-legal", "sync-period", "heartbeat-kept", "sdo-answered", "no-reboot"),
     },
@@ -189,7 +187,7 @@ REACHED = {  # what of CANopen there is to judge in the others
 
 @pytest.mark.data
 @pytest.mark.parametrize("name", [*REAL, *REACHED])
-def test_real_traffic_is_accused_of_what_is_true_of_it_and_of_nothing_else(shared, name):
+def test_real_traffic_has_exactly_the_known_violations(shared, name):
     findings = judge(shared / "data" / "traffic" / name)
     accused = {one.oracle: (one.verdict, one.further) for one in findings if one.first is not None}
     assert accused == REAL.get(name, {})

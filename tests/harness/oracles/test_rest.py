@@ -1,14 +1,13 @@
-"""After its group has ended a motor of any kind stays, until somebody takes it."""
+"""Rest of any motor after the end of its group's motion, until it has a new owner."""
 
 import pytest
 
-from harness.oracles.finding import Verdict
-from harness.oracles.judge import judge
+from motorhil.harness.oracles.base import Verdict
+from motorhil.harness.oracles.judge import judge
+from motorhil.traces.mcap.protobuf import encode
+from motorhil.traces.mcap.writer import TraceWriter
+from motorhil.traces.schema import GROUP_SYNC, JOINT_STATE, MOTOR_LOCK, JointStateEncoder, Schema
 from tests.harness.oracles.story import MS, RELEASED, TAKEN
-from traces.fields import JointStateEncoder
-from traces.protobuf import encode
-from traces.schema import GROUP_SYNC, JOINT_STATE, MOTOR_LOCK, Schema
-from traces.writer import TraceWriter
 
 START, END = 1, 2
 MOVE = ((200, 0.0), (400, 0.4), (600, 0.8), (800, 1.0))
@@ -16,7 +15,7 @@ USUAL = ((100, TAKEN), (210, RELEASED), (200, START), (810, END))
 
 
 def rests(path, positions, others=USUAL):
-    """What `rest-when-told` says of a motor with these (ms, position), locks and groups."""
+    """Return the finding of `rest-when-told` for these (ms, position), locks and groups."""
     with TraceWriter(path, {"run": {}}) as writer:
         state = writer.channel("/motor/pan/state", Schema.of(JOINT_STATE))
         lock = writer.channel("/motor/pan/lock", Schema.of(MOTOR_LOCK))
@@ -41,20 +40,20 @@ def rests(path, positions, others=USUAL):
     [
         (MOVE, (*USUAL, (2000, TAKEN)), 1),
         ((*MOVE, (880, 0.97), (1200, 0.981)), (*USUAL, (2000, TAKEN)), 1),  # it settles
-        ((*MOVE, (2100, 1.0), (2200, 3.0)), (*USUAL, (2000, TAKEN)), 1),  # somebody else
+        ((*MOVE, (2100, 1.0), (2200, 3.0)), (*USUAL, (2000, TAKEN)), 1),  # another owner
         ((*MOVE, (1200, 2.0)), (*USUAL, (1100, START), (2000, END), (3000, TAKEN)), 2),
-        ((*MOVE, (1200, 2.0)), USUAL[:1] + USUAL[2:], 0),  # who has it may go on
-        ((*MOVE, (1200, 2.0)), USUAL[2:], 0),  # nobody tells who has it
+        ((*MOVE, (1200, 2.0)), USUAL[:1] + USUAL[2:], 0),  # the owner may continue
+        ((*MOVE, (1200, 2.0)), USUAL[2:], 0),  # no ownership is recorded
     ],
 )
-def test_a_motor_that_rests_or_is_anothers_is_not_accused(tmp_path, positions, others, looked):
+def test_resting_or_owned_motor_is_not_broken(tmp_path, positions, others, looked):
     finding = rests(tmp_path / "one.mcap", positions, others)
     assert (finding.looked, finding.first) == (looked, None)
     assert finding.verdict is (Verdict.HELD if looked else Verdict.NOT_JUDGED)
 
 
-def test_a_motor_that_creeps_on_is_caught(tmp_path):
-    """1 rad of way was travelled: 2 % of it are allowed, from 100 ms behind the end on."""
+def test_creeping_motor_is_broken(tmp_path):
+    """The travel was 1 rad; 2 % of it are allowed, from 100 ms after the end on."""
     positions = (*MOVE, (1200, 1.01), (1500, 1.05), (1700, 1.02))
     finding = rests(tmp_path / "one.mcap", positions, (*USUAL, (2000, TAKEN)))
     assert finding.verdict is Verdict.BROKEN

@@ -1,4 +1,4 @@
-"""The batch reader on datagram sockets of this machine, which give stamps as CAN sockets do."""
+"""Batch reader on local datagram sockets, which have time stamps like CAN sockets."""
 
 import errno
 import socket
@@ -6,8 +6,8 @@ import struct
 
 import pytest
 
-from harness.recording import datagrams
-from harness.recording.datagrams import BATCH, DatagramReader
+from motorhil.harness.recording import socketcan as datagrams
+from motorhil.harness.recording.socketcan import BATCH, DatagramReader
 
 NOW = 7
 
@@ -27,12 +27,12 @@ def pair():
         yield first, second
 
 
-def test_frames_come_in_order_with_stamps_that_python_reads_alike(pair):
+def test_read_frames_keep_order_and_kernel_stamps(pair):
     sender, receiver = pair
     reader = DatagramReader(receiver)
     for number in range(5):
         sender.send(classic(number))
-    _, ancillary, _, _ = receiver.recvmsg(72, 128)  # frame 0, by Python's own call
+    _, ancillary, _, _ = receiver.recvmsg(72, 128)  # frame 0, read with Python's own call
     seconds, nanoseconds = struct.unpack("@ll", ancillary[0][2])
     first_ns = seconds * 1_000_000_000 + nanoseconds
     entries = reader.read(4, 5, NOW)
@@ -44,7 +44,7 @@ def test_frames_come_in_order_with_stamps_that_python_reads_alike(pair):
     assert reader.read(4, 5, NOW) == []
 
 
-def test_long_frames_among_short_ones_keep_their_size_and_rubbish_is_counted(pair):
+def test_read_mixed_lengths_keeps_sizes_and_counts_invalid(pair):
     sender, receiver = pair
     reader = DatagramReader(receiver)
     told = [classic(1), flexible(2), b"rubbish", classic(3), b"", flexible(4)]
@@ -56,7 +56,7 @@ def test_long_frames_among_short_ones_keep_their_size_and_rubbish_is_counted(pai
     assert reader.ignored == 2
 
 
-def test_a_short_row_never_shows_what_a_longer_one_left(pair):
+def test_read_short_frame_after_long_one_has_no_old_bytes(pair):
     sender, receiver = pair
     reader = DatagramReader(receiver)
     sender.send(flexible(2))
@@ -69,7 +69,7 @@ def test_a_short_row_never_shows_what_a_longer_one_left(pair):
     assert [frame for _, _, frame in reader.read(0, 1, NOW)] == [flexible(4), classic(5)]
 
 
-def test_a_full_batch_is_followed_by_the_rest(pair):
+def test_read_after_full_batch_returns_the_rest(pair):
     sender, receiver = pair
     sender.setblocking(False)
     reader = DatagramReader(receiver)
@@ -78,7 +78,7 @@ def test_a_full_batch_is_followed_by_the_rest(pair):
         try:
             sender.send(classic(sent))
             sent += 1
-        except BlockingIOError:  # as many as the kernel queues
+        except BlockingIOError:  # the kernel's queue is full
             part = reader.read(0, 1, NOW)
             largest = max(largest, len(part))
             heard += part
@@ -89,16 +89,16 @@ def test_a_full_batch_is_followed_by_the_rest(pair):
     assert largest <= BATCH
 
 
-def test_without_stamps_it_is_now(pair, monkeypatch):
+def test_read_without_stamps_uses_given_time(pair, monkeypatch):
     sender, receiver = pair
-    monkeypatch.setattr(datagrams, "_SO_TIMESTAMPNS", 9999)  # no kernel has it
+    monkeypatch.setattr(datagrams, "_SO_TIMESTAMPNS", 9999)  # no kernel supports it
     reader = DatagramReader(receiver)
     assert not reader.stamped
     sender.send(classic(1))
     assert reader.read(0, 1, NOW) == [(0, NOW, classic(1))]
 
 
-def test_an_error_of_the_socket_is_told_as_what_it_is(pair):
+def test_read_on_closed_socket_raises_os_error(pair):
     _, receiver = pair
     reader = DatagramReader(receiver)
     receiver.close()
@@ -107,21 +107,21 @@ def test_an_error_of_the_socket_is_told_as_what_it_is(pair):
     assert caught.value.errno == errno.EBADF
 
 
-def test_the_kernels_count_of_what_it_gave_up_is_read_where_it_stands():
-    """UDP gives frames up when its queue is full, and counts them like a CAN socket."""
+def test_dropped_counts_kernel_losses():
+    """UDP drops frames when its queue is full, and counts them like a CAN socket."""
     with (
         socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as receiver,
         socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender,
     ):
         receiver.bind(("127.0.0.1", 0))
-        receiver.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1)  # the least there is
+        receiver.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1)  # the minimum size
         reader = DatagramReader(receiver)
         sent, heard = 500, 0
         for number in range(sent):
             sender.sendto(classic(number), receiver.getsockname())
         while part := reader.read(0, 1, NOW):
             heard += len(part)
-        assert reader.dropped == 0  # it tells with the next frame
+        assert reader.dropped == 0  # the kernel reports it with the next frame
         for _ in range(2):
             sender.sendto(classic(0), receiver.getsockname())
             assert len(reader.read(0, 1, NOW)) == 1

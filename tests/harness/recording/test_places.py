@@ -1,10 +1,19 @@
 import can
 import pytest
 
-from harness.recording.places import Kind, Place, PlaceError, parse_place, refuse_twice, topic_name
-from harness.recording.python_can import PythonCanTap, frame_of, message_of
-from harness.recording.taps import HubClocks
-from traces.traffic import classic, flexible, remote
+from motorhil.harness.recording.sources import (
+    HubClocks,
+    Kind,
+    Place,
+    PlaceError,
+    PythonCanTap,
+    frame_of,
+    message_of,
+    parse_place,
+    refuse_twice,
+    topic_name,
+)
+from motorhil.traces.formats.frames import classic, flexible, remote
 
 NOW_S = 1_800_000_000
 
@@ -22,30 +31,32 @@ NOW_S = 1_800_000_000
         ("udp_multicast:ff15:7079::1", Kind.PYTHON_CAN, "udp_multicast", "ff15:7079::1", ""),
     ],
 )
-def test_a_place_is_told_by_its_form(text, kind, interface, channel, name):
+def test_parse_place_recognises_kind_by_form(text, kind, interface, channel, name):
     assert parse_place(text) == Place(text, kind, interface, channel, name)
 
 
 @pytest.mark.parametrize("text", ["", "can0=", "=vcan0", "a b", "pcan:", ":0", "x" * 16])
-def test_what_names_no_bus_is_refused_with_what_to_write(text):
+def test_parse_place_without_bus_raises_with_remedy(text):
     with pytest.raises(PlaceError, match="interface:channel"):
         parse_place(text)
 
 
-def test_two_buses_need_two_names():
+def test_refuse_twice_for_equal_names_raises():
     places = [parse_place("vcan0"), parse_place("./hub")]
     refuse_twice(["vcan0", "can0"], places)
-    with pytest.raises(PlaceError, match=r"--on ./hub: vcan0 is called can0 already.*NAME=./hub"):
+    with pytest.raises(
+        PlaceError, match=r"--on ./hub: the name can0 is used already, by vcan0.*NAME=./hub"
+    ):
         refuse_twice(["can0", "can0"], places)
 
 
-def test_a_channel_becomes_a_name_that_a_topic_can_have():
+def test_topic_name_replaces_invalid_characters():
     assert topic_name("/dev/ttyACM0@115200") == "dev_ttyACM0_115200"
     assert topic_name("0") == "0"
     assert topic_name("::") == "can"
 
 
-def test_hub_times_are_kept_where_one_hub_is_all_there_is():
+def test_hub_clocks_for_single_hub_keep_its_times():
     one = HubClocks([parse_place("./hub"), parse_place("b=./hub#can1")])
     assert one.keeps
     assert one.shift("./hub", 5, 1000) == 0
@@ -68,11 +79,11 @@ FRAMES = {
 
 
 @pytest.mark.parametrize("frame", FRAMES.values(), ids=FRAMES)
-def test_a_frame_is_a_message_is_a_frame(frame):
+def test_frame_of_inverts_message_of(frame):
     assert frame_of(message_of(frame)) == frame
 
 
-def test_messages_say_what_python_can_calls_it():
+def test_message_of_fd_frame_has_python_can_attributes():
     message = message_of(FRAMES["FD, BRS, ESI"])
     expected = can.Message(
         arbitration_id=0x1FFF_FFFF,
@@ -98,28 +109,31 @@ def tap():
     ("stamps", "expected"),
     [
         ([NOW_S - 1.5, NOW_S], [NOW_S * 10**9 - 1_500_000_000, NOW_S * 10**9]),  # since 1970
-        ([12.5, 13.75], [NOW_S * 10**9, NOW_S * 10**9 + 1_250_000_000]),  # since it was plugged in
-        ([0.0, 0.0], [NOW_S * 10**9] * 2),  # it has none
+        (
+            [12.5, 13.75],
+            [NOW_S * 10**9, NOW_S * 10**9 + 1_250_000_000],
+        ),  # since power-on
+        ([0.0, 0.0], [NOW_S * 10**9] * 2),  # no stamps
     ],
 )
-def test_an_interfaces_own_stamps_are_used_and_moved_only_where_they_must_be(tap, stamps, expected):
+def test_python_can_stamps_are_shifted_only_if_necessary(tap, stamps, expected):
     assert [tap._time_ns(stamp, NOW_S * 10**9) for stamp in stamps] == expected
     assert ("moved" in tap.clock) == (stamps[0] == 12.5)
 
 
-def test_an_unknown_interface_is_told_with_those_there_are():
-    with pytest.raises(PlaceError, match=r"no interface 'vrtual'; it has .*virtual"):
+def test_unknown_interface_error_lists_available_ones():
+    with pytest.raises(PlaceError, match=r"no interface 'vrtual'; available: .*virtual"):
         PythonCanTap(parse_place("vrtual:0"), {})
 
 
-def test_a_driver_that_is_not_there_is_one_error_with_its_words():
+def test_missing_driver_raises_place_error_in_one_line():
     with pytest.raises(PlaceError, match=r"--on pcan:PCAN_USBBUS1: .*--bitrate") as caught:
         PythonCanTap(parse_place("pcan:PCAN_USBBUS1"), {})
     assert "\n" not in str(caught.value)
 
 
-def test_an_error_frame_of_an_adapter_with_codes_of_its_own_is_a_bus_error_and_no_more():
-    """PCAN-Basic: identifier 4 is a stuff error; Linux's class 4 would be the controller's."""
+def test_error_frame_with_foreign_codes_becomes_bus_error():
+    """In PCAN-Basic identifier 4 is a stuff error; in Linux class 4 is a controller state."""
     error = can.Message(arbitration_id=4, is_error_frame=True, data=bytes([1, 10, 0, 8]))
     assert frame_of(error, "pcan") == bytes.fromhex("80000020 08 000000") + bytes(8)
     assert frame_of(error, "gs_usb")[:4] != bytes.fromhex("80000020")

@@ -2,22 +2,21 @@ import struct
 
 import pytest
 
-from harness.recording.progress import Progress
-from harness.recording.pump import FLUSH_NS, Pump, opener
-from harness.recording.series import Series
+from motorhil.harness.cli.record import Progress
+from motorhil.harness.recording.writer import FLUSH_NS, Pump, Series, opener
+from motorhil.traces.digest import digest
+from motorhil.traces.errors import TraceError
+from motorhil.traces.formats.frames import Findings
+from motorhil.traces.formats.registry import recorded_frames
+from motorhil.traces.mcap.reader import read_trace
+from motorhil.traces.schema import Direction, Level
 from tests.traces.recordings import MS, can_frame, counted_frame
-from traces.digest import digest
-from traces.errors import TraceError
-from traces.reader import read_trace
-from traces.schema import Direction, Level
-from traces.traffic import Findings
-from traces.traffic_mcap import recorded_frames
 
 S = 1_000_000_000
 
 
 class Told:
-    """Where a pump's messages go in a test."""
+    """Sink that keeps a pump's messages."""
 
     def __init__(self):
         self.entries, self.flushes, self.facts = [], 0, None
@@ -42,11 +41,11 @@ def times(pump, told):
     return [time_ns for _, time_ns, _ in told.entries]
 
 
-def test_two_buses_are_recorded_in_the_order_of_their_stamps_across_rounds():
+def test_pump_two_buses_are_ordered_across_rounds():
     told = Told()
     pump = Pump(["can0", "can1"], told)
-    # The round began at 10. can0 was read first, can1 later, when frames of 11 and 12 were there;
-    # can0's frame of 11 comes with the next round only.
+    # The round began at 10. can0 was read first. can1 was read later, when the frames of 11 and 12
+    # had arrived. can0's frame of 11 arrives only in the next round.
     assert pump.take([frames(0, 1, 5, 9), frames(2, 2, 8, 11, 12)], began_ns=10) == 7
     assert times(pump, told) == [1, 2, 5, 8, 9]
     pump.take([frames(0, 11, 13), frames(2, 14)], began_ns=15)
@@ -55,7 +54,7 @@ def test_two_buses_are_recorded_in_the_order_of_their_stamps_across_rounds():
     assert (pump.first_ns, pump.last_ns) == (1, 14)
 
 
-def test_within_a_round_the_buses_are_put_in_order():
+def test_pump_two_buses_are_ordered_within_a_round():
     told = Told()
     pump = Pump(["can0", "can1"], told)
     pump.take([frames(0, 1, 5), frames(2, 2, 3)], began_ns=10)
@@ -63,7 +62,7 @@ def test_within_a_round_the_buses_are_put_in_order():
     assert (pump.first_ns, pump.last_ns) == (1, 5)
 
 
-def test_a_stamp_ahead_of_our_clock_waits_one_round_and_no_longer():
+def test_pump_future_stamp_waits_one_round_only():
     told = Told()
     pump = Pump(["can0", "can1"], told)
     pump.take([frames(0, 900), []], began_ns=10)
@@ -72,7 +71,7 @@ def test_a_stamp_ahead_of_our_clock_waits_one_round_and_no_longer():
     assert times(pump, told) == [900]
 
 
-def test_what_waits_is_recorded_in_the_end():
+def test_pump_close_records_held_frames():
     told = Told()
     pump = Pump(["can0", "can1"], told)
     pump.take([frames(0, 900), []], began_ns=10)
@@ -81,7 +80,7 @@ def test_what_waits_is_recorded_in_the_end():
     assert told.facts == {"lost": {"can0": "0"}}
 
 
-def test_a_silent_bus_is_in_the_file_after_a_second():
+def test_pump_silent_bus_is_flushed_after_one_second():
     told = Told()
     pump = Pump(["can0"], told)
     pump.tick(0)
@@ -96,7 +95,7 @@ def test_a_silent_bus_is_in_the_file_after_a_second():
     assert told.flushes == 1  # nothing new
 
 
-def test_a_busy_bus_is_left_to_the_writers_own_seconds():
+def test_pump_busy_bus_is_not_flushed_by_tick():
     told = Told()
     pump = Pump(["can0"], told)
     for time_ns in range(0, 5 * S, 10 * MS):
@@ -105,7 +104,7 @@ def test_a_busy_bus_is_left_to_the_writers_own_seconds():
     assert told.flushes == 0
 
 
-def test_losses_are_counted_and_stand_in_the_recording_where_they_were(tmp_path):
+def test_pump_losses_are_counted_and_recorded_in_place(tmp_path):
     path = str(tmp_path / "a.mcap")
     pump = Pump(["can0"], Series(path, opener(["can0"], {}, compact=False)))
     pump.take([frames(0, 1 * S)], began_ns=1 * S)
@@ -146,14 +145,14 @@ def write_series(path, count=400, step_ns=50 * MS, batch=37, **limits):
     return series, expected
 
 
-def test_one_file_is_named_as_asked_for(tmp_path):
+def test_series_without_rotation_uses_given_name(tmp_path):
     series, expected = write_series(tmp_path / "run.mcap")
     assert series.paths == [str(tmp_path / "run.mcap")]
     assert recorded(series.paths[0]) == expected
     assert series.bytes == (tmp_path / "run.mcap").stat().st_size
 
 
-def test_files_by_time_are_complete_each_and_hold_everything_once(tmp_path):
+def test_series_rotated_by_time_is_complete_without_overlap(tmp_path):
     series, expected = write_series(tmp_path / "run.mcap", rotate_ns=3 * S)
     names = [f"run-{number:04d}.mcap" for number in range(1, 8)]
     assert series.paths == [str(tmp_path / name) for name in names]
@@ -168,14 +167,14 @@ def test_files_by_time_are_complete_each_and_hold_everything_once(tmp_path):
         assert "record" in trace.metadata
 
 
-def test_a_gap_longer_than_a_file_leaves_no_empty_files(tmp_path):
+def test_series_after_long_gap_has_no_empty_files(tmp_path):
     series = Series(str(tmp_path / "a.mcap"), opener(["can0"], {}, False), rotate_ns=S)
     series.extend(frames(0, 0, 10 * S, 10 * S + 1))
     series.close({})
     assert [len(recorded(path)) for path in series.paths] == [1, 2]
 
 
-def test_files_by_size_end_behind_the_chunk_that_fills_them(tmp_path):
+def test_series_rotated_by_size_ends_after_full_chunk(tmp_path):
     series, expected = write_series(tmp_path / "run.mcap", batch=1, rotate_bytes=4000)
     sizes = [(tmp_path / path).stat().st_size for path in series.paths]
     assert len(sizes) > 3
@@ -183,24 +182,24 @@ def test_files_by_size_end_behind_the_chunk_that_fills_them(tmp_path):
     for path in series.paths[:-1]:
         with read_trace(path) as trace:
             *_, filling, last = sorted(chunk.offset for chunk in trace._chunks)
-        assert filling < 4000 <= last  # the last holds the one message that ended the one before
+        assert filling < 4000 <= last  # the last chunk holds the one message that ended the file
 
 
-def test_an_older_recording_is_not_lost_unless_that_is_said(tmp_path):
+def test_series_existing_file_is_kept_unless_overwrite(tmp_path):
     path = tmp_path / "run.mcap"
     write_series(path, 10)
     before = path.read_bytes()
-    with pytest.raises(TraceError, match=r"run.mcap: exists; name another file, or say --force"):
+    with pytest.raises(TraceError, match=r"run.mcap: exists; name another file, or give --force"):
         write_series(path, 10)
     assert path.read_bytes() == before
     write_series(path, 20, overwrite=True)
     assert len(recorded(path)) == 20
     (tmp_path / "notes.mcap").write_text("dear diary")
-    with pytest.raises(TraceError, match="is no recording, and would be lost"):
+    with pytest.raises(TraceError, match="is not a recording, and would be overwritten"):
         write_series(tmp_path / "notes.mcap", overwrite=True)
 
 
-def test_a_later_file_that_would_be_lost_is_told_before_anything_is_recorded(tmp_path):
+def test_series_existing_later_file_is_refused_at_start(tmp_path):
     (tmp_path / "run-0007.mcap").write_text("from another day")
     (tmp_path / "run-x.mcap").write_text("of no number")
     with pytest.raises(TraceError, match=r"run-0007.mcap: exists"):
@@ -210,7 +209,7 @@ def test_a_later_file_that_would_be_lost_is_told_before_anything_is_recorded(tmp
     assert len(write_series(tmp_path / "run.mcap", rotate_ns=3 * S)[0].paths) == 7
 
 
-def test_a_terminal_is_told_four_times_a_second():
+def test_progress_line_is_due_four_times_a_second():
     progress = Progress(0)
     assert progress.line(249 * MS, 10, 0, 0) is None
     line = progress.line(500 * MS, 1000, 3, 3 << 20)
@@ -219,7 +218,7 @@ def test_a_terminal_is_told_four_times_a_second():
     assert "10,000 frames/s" in progress.line(1500 * MS, 11_000, 3, 0)
 
 
-def test_error_frames_and_long_frames_are_recorded_as_they_are(tmp_path):
+def test_pump_error_and_fd_frames_are_recorded_unchanged(tmp_path):
     error = struct.pack("<IB3x8s", 0x2000_0040, 8, bytes(8))
     long = struct.pack("<IBB2x64s", 0x123, 12, 5, bytes(12))
     pump = Pump(["can0"], Series(str(tmp_path / "a.mcap"), opener(["can0"], {}, False)))

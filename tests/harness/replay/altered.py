@@ -1,11 +1,11 @@
-"""Recordings like another one, but for something."""
+"""Altered copies of recordings."""
 
-from traces.reader import read_trace
-from traces.writer import TraceWriter
+from motorhil.traces.mcap.reader import read_trace
+from motorhil.traces.mcap.writer import TraceWriter
 
 
 def copied(source, target, change):
-    """A copy, of what `change(number, topic, time, payload)` gives; None: left out."""
+    """Copy a recording with the payloads of `change(number, topic, time, payload)`; None: omit."""
     with read_trace(source) as trace, TraceWriter(target, trace.metadata) as writer:
         for one in trace.attachments:
             writer.attach(one.name, one.data, one.media_type, one.log_time_ns)
@@ -20,7 +20,7 @@ def copied(source, target, change):
 
 
 def traffic(path, topic=None):
-    """(time, payload) of what was on each bus and line, by topic, in order."""
+    """Return (time, payload) of the messages on each bus and line, by topic, in order."""
     found = {}
     with read_trace(path) as trace:
         for channel, time_ns, payload in trace.messages():

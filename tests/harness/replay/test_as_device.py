@@ -1,4 +1,4 @@
-"""A host program against a recording of its devices: what passes, what not, what is told."""
+"""Host programs against recorded devices: matches, mismatches, and reports."""
 
 from contextlib import suppress
 from itertools import pairwise
@@ -7,17 +7,17 @@ import pytest
 from hypothesis import event, given
 from hypothesis import strategies as st
 
-from harness.replay.recorded_rig import with_recorded
-from harness.replay.verdict import players, unanswered
-from harness.rig import Rig
-from motorapi import ControlMode, MotorError
+from motorhil.harness.replay.rig import with_recorded
+from motorhil.harness.replay.verdict import players, unanswered
+from motorhil.harness.rig.rig import Rig
+from motorhil.motorapi import ControlMode, MotorError
+from motorhil.traces.mcap.reader import read_trace
 from tests.golden import described, golden, overload, record
 from tests.harness.replay.altered import copied, traffic
-from traces.reader import read_trace
 
 
 def one_move(rig, target=1.0, pauses=(0.0, 0.0, 0.0), after_enable=None):
-    """As the first half of `algorithms`, as patient as told."""
+    """Run the first half of `algorithms` with the given pauses."""
     left = rig.motors["left"]
     left.set_control_mode(ControlMode.SETPOINT)
     rig.runtime.run_for(pauses[0])
@@ -33,15 +33,15 @@ def one_move(rig, target=1.0, pauses=(0.0, 0.0, 0.0), after_enable=None):
 
 
 @given(st.tuples(*[st.sampled_from((0.0, 0.001, 0.037, 0.4, 3.0))] * 3))
-def test_a_host_may_be_slower_than_the_recorded_one(pauses):
+def test_slower_host_is_answered_completely(pauses):
     with golden("cia402") as path, Rig(with_recorded(described("cia402"), path)) as rig:
         position = one_move(rig, pauses=pauses)
         event(f"slower by {sum(pauses):g} s")
         assert unanswered(rig) == []
-        assert position == pytest.approx(1.0, abs=0.001)  # what the recorded drive reached
+        assert position == pytest.approx(1.0, abs=0.001)  # reached by the recorded drive
 
 
-def test_a_drive_that_is_not_told_anything_keeps_its_heartbeat():
+def test_idle_drive_keeps_its_heartbeat_period():
     with golden("cia402") as path, Rig(with_recorded(described("cia402"), path)) as rig:
         one_move(rig)
         heard = []
@@ -53,22 +53,22 @@ def test_a_drive_that_is_not_told_anything_keeps_its_heartbeat():
         assert max(steps) - min(steps) < 1_000_000
 
 
-def test_another_target_is_named_with_what_was_expected():
+def test_other_target_is_reported_with_the_expected_one():
     with golden("cia402") as path, Rig(with_recorded(described("cia402"), path)) as rig:
         with pytest.raises(MotorError):
             one_move(rig, target=1.1)
         first = unanswered(rig)[0]
     assert first.controller == "left"
     told = str(first)
-    # The model: 66 * 2000 increments in 2 pi.
+    # The model: 66 * 2000 increments per 2 pi.
     assert "write 607Ah target position = 23109" in told
     assert "expected, as at" in told
     assert "write 607Ah target position = 21008" in told
 
 
 @pytest.mark.parametrize("set_points", ["exact", "any"])
-def test_a_host_that_is_the_servo_may_stream_other_values_if_that_is_said(set_points):
-    """To a target half a milliradian further on: within the window of what was recorded."""
+def test_other_streamed_values_pass_only_with_any_set_point(set_points):
+    """The target is half a milliradian further, within the recorded position window."""
     with golden("software") as path:
         description = with_recorded(described("software"), path, set_points)
         with Rig(description) as rig:
@@ -81,7 +81,7 @@ def test_a_host_that_is_the_servo_may_stream_other_values_if_that_is_said(set_po
 
 
 def sdo_answers(path):
-    """(number of the message, payload) of what node 1 has answered to SDO requests."""
+    """Return (message number, payload) of node 1's SDO answers."""
     found = []
     with read_trace(path) as trace:
         for number, (channel, _, payload) in enumerate(trace.messages()):
@@ -90,7 +90,7 @@ def sdo_answers(path):
     return found
 
 
-# What the host acts on, and how: (object, the byte of its value that is altered).
+# Answers that affect the host: (object, byte of its value to alter).
 ACTED_ON = {
     "1000h": (b"\x43\x00\x10\x00", 0),
     "6061h": (b"\x4f\x61\x60\x00", 0),
@@ -101,7 +101,7 @@ ACTED_ON = {
 
 
 @pytest.mark.parametrize("what", ACTED_ON)
-def test_one_altered_reply_fails_and_is_named(what, tmp_path):
+def test_altered_answer_fails_and_is_named(what, tmp_path):
     head, byte = ACTED_ON[what]
 
     with golden("cia402") as path:
@@ -126,8 +126,8 @@ def test_one_altered_reply_fails_and_is_named(what, tmp_path):
     assert what in told
 
 
-def test_what_is_not_altered_passes(tmp_path):
-    """The partner: the same copy, and nothing changed."""
+def test_unaltered_copy_passes(tmp_path):
+    """The counterpart: the same copy without a change."""
     with golden("cia402") as path:
         same = copied(path, tmp_path / "same.mcap", lambda *args: args[-1])
         with Rig.open(same) as rig:
@@ -135,7 +135,7 @@ def test_what_is_not_altered_passes(tmp_path):
             assert unanswered(rig) == []
 
 
-def test_a_read_that_was_never_recorded_ends_with_an_abort_and_is_told():
+def test_unrecorded_read_is_aborted_and_reported():
     with golden("cia402") as path, Rig(with_recorded(described("cia402"), path)) as rig:
         with pytest.raises(MotorError, match="2020h:00h aborted: no data available"):
             one_move(rig, after_enable=lambda motor: motor.hardware.read(0x2020, 0, "u16"))
@@ -143,7 +143,7 @@ def test_a_read_that_was_never_recorded_ends_with_an_abort_and_is_told():
         assert "read 2020h" in str(one)
 
 
-def test_what_never_changed_is_answered_as_often_as_it_is_asked():
+def test_constant_object_is_answered_for_every_read():
     def ask(motor):
         for _ in range(3):
             assert motor.hardware.read(0x1018, 2, "u32") == 0x402
@@ -153,7 +153,7 @@ def test_what_never_changed_is_answered_as_often_as_it_is_asked():
         assert unanswered(rig) == []
 
 
-def test_a_modbus_request_that_is_not_in_the_record_is_refused_and_told():
+def test_unrecorded_modbus_request_is_refused_and_reported():
     with golden("leadshine") as path, Rig(with_recorded(described("leadshine"), path)) as rig:
         with pytest.raises(MotorError, match="server device failure"):
             one_move(rig, target=1.1)
@@ -163,7 +163,7 @@ def test_a_modbus_request_that_is_not_in_the_record_is_refused_and_told():
         assert "expected, as at" in str(first)
 
 
-def test_a_recorded_drive_has_no_inputs():
+def test_recorded_drive_refuses_stimulus():
     with (
         golden("cia402") as path,
         Rig(with_recorded(described("cia402"), path)) as rig,
@@ -172,8 +172,8 @@ def test_a_recorded_drive_has_no_inputs():
         rig.controllers["left"].stimulate("load_torque_n_m", 1.0)
 
 
-def test_the_record_of_a_replay_is_a_recording_like_others(tmp_path):
-    """Devices out of a replay's record are the same devices."""
+def test_recording_of_a_replay_can_be_replayed(tmp_path):
+    """Devices from a replay's recording behave identically."""
     first = tmp_path / "first.mcap"
     second = tmp_path / "second.mcap"
     record("overload", first)

@@ -1,26 +1,25 @@
-"""A recorded host drives a rig: when its frames are there, what is refused, what is compared."""
+"""Recorded hosts against a rig: transmission times, errors, and comparison."""
 
 import json
 import shutil
 
 import pytest
 
-from harness.replay.as_host import DrivenRig, compared, drive
-from harness.rig import Rig
+from motorhil.harness.replay.host import DrivenRig, compared, drive
+from motorhil.harness.rig.rig import Rig
+from motorhil.traces.exchange.recording import tapes_of
+from motorhil.traces.formats.frames import classic
+from motorhil.traces.mcap.reader import read_trace
+from motorhil.traces.mcap.writer import TraceWriter
+from motorhil.traces.schema import CAN_FRAME, Direction, Schema, decode_can_frame
+from motorhil.traces.semantics.diff import Tolerance
 from tests.golden import FOLDER
 from tests.harness.recorded import MS, Recorded, S
 from tests.harness.replay.altered import copied, traffic
-from traces.fields import decode_can_frame
-from traces.reader import read_trace
-from traces.recorded_tapes import tapes_of
-from traces.schema import CAN_FRAME, Direction, Schema
-from traces.semantic_diff import Tolerance
-from traces.traffic import classic
-from traces.writer import TraceWriter
 
 SET_POINT = classic(0x205, b"\x0f\0")
 RESET_ALL = classic(0x000, b"\x81\0")  # CiA 301, NMT: reset node, to all
-# With a node that acknowledges, and says nothing.
+# With a silent node that acknowledges.
 EMPTY = "bus.can0 = {{ bitrate_bit_s = {}, node.ear.silent = true }}\n"
 
 
@@ -32,7 +31,7 @@ def folder(tmp_path, monkeypatch):
 
 
 def recording(path, times_ns, metadata):
-    """Its host has sent this at these times."""
+    """Record set-points of a host at these times."""
     with TraceWriter(path, metadata) as writer:
         channel = writer.channel("/can/can0", Schema.of(CAN_FRAME))
         source = writer.source(channel, "host", Direction.TRANSMITTED)
@@ -47,26 +46,26 @@ def driven(folder, path, bitrate_bit_s, **options):
 
 
 @pytest.mark.parametrize("bitrate_bit_s", [125_000, 1_000_000])
-def test_frames_are_on_their_bus_when_they_were_whatever_its_bit_rate(folder, bitrate_bit_s):
+def test_frames_are_sent_on_time_at_any_bit_rate(folder, bitrate_bit_s):
     times_ns = [10 * MS, 20 * MS, 400 * MS]
     path = recording(folder / "a.mcap", times_ns, {"run": {}})
     assert driven(folder, path, bitrate_bit_s).pairs == [(at, at) for at in times_ns]
 
 
-def test_a_recording_without_a_rig_begins_with_its_first_frame(folder):
-    """A frame of 2 bytes at 1 Mbit/s is 60 to 74 us long; the first one is not waited for."""
+def test_recording_without_rig_begins_with_first_frame(folder):
+    """A frame of 2 bytes at 1 Mbit/s takes 60 to 74 us; the first frame is sent at once."""
     path = recording(folder / "a.mcap", [1_000 * S, 1_000 * S + 10 * MS], {})
     (_, first), (_, second) = driven(folder, path, 1_000_000).pairs
     assert 60_000 <= first <= 74_000
     assert second - first == 10 * MS
 
 
-def test_a_bus_that_is_not_there_is_named_with_those_that_are(folder, say):
+def test_missing_bus_is_reported_with_available_ones(folder, say):
     (folder / "empty.toml").write_text("bus.arm.bitrate_bit_s = 1_000_000\n")
     status, out, err = say("replay", "bench.mcap", "--as", "host", "--rig", "empty.toml")
     assert (status, out) == (2, "")
-    assert "the recorded host sends on 'can0', and empty.toml has no such bus or line" in err
-    assert "it has arm" in err
+    assert "the recorded host sends on 'can0', but empty.toml has no such bus or line" in err
+    assert "available: arm" in err
 
 
 def hosts_frames(path):
@@ -74,7 +73,7 @@ def hosts_frames(path):
     return [one.frame for one in told if one.direction is Direction.TRANSMITTED]
 
 
-def test_a_reset_comes_first_if_it_is_asked_for(folder, say):
+def test_reset_option_sends_reset_first(folder, say):
     words = ("replay", "bench.mcap", "--as", "host", "-o", "live.mcap")
     say(*words)
     assert RESET_ALL not in hosts_frames("live.mcap")
@@ -84,7 +83,7 @@ def test_a_reset_comes_first_if_it_is_asked_for(folder, say):
 
 
 def altered(folder, node, head, byte, flip):
-    """The recording but for one answer of a node: in the value behind `head` a byte is flipped."""
+    """Copy the recording with one flipped byte in one answer of a node."""
     done = []
 
     def change(number, topic, time_ns, payload):
@@ -99,8 +98,8 @@ def altered(folder, node, head, byte, flip):
     assert done
 
 
-def test_one_answer_that_differs_fails_and_is_a_share_of_its_object(folder, say):
-    """Of node 2, supported drive modes, read once; all else is as recorded."""
+def test_one_different_answer_fails_with_its_object(folder, say):
+    """The answer is node 2's supported drive modes, read once; all else is unchanged."""
     altered(folder, 2, b"\x43\x02\x65\x00", 0, 0x01)
     words = ("replay", "altered.mcap", "--as", "host")
     status, out, _ = say(*words)
@@ -115,15 +114,15 @@ def test_one_answer_that_differs_fails_and_is_a_share_of_its_object(folder, say)
     assert [one["share"] for one in told["objects"] if one["share"] < 1.0] == [0.0]
 
 
-def test_how_far_a_quantity_may_be_off_is_a_share_of_its_range(folder, say):
-    """Position demand value of node 1, of 42017 increments in all: 1024 of them."""
+def test_tolerance_is_a_share_of_the_quantitys_range(folder, say):
+    """Node 1's position demand value is off by 1024 of 42017 increments."""
     altered(folder, 1, b"\x43\x62\x60\x00", 1, 0x04)
     words = ("replay", "altered.mcap", "--as", "host")
     assert say(*words)[0] == 1
     assert say(*words, "--tolerance", "0.2")[0] == 0
 
 
-def test_pauses_can_be_shorter(folder, say):
+def test_speed_option_shortens_pauses(folder, say):
     recording(folder / "a.mcap", [10 * MS, 1_010 * MS], {"run": {}})
     (folder / "empty.toml").write_text(EMPTY.format(1_000_000))
     words = ("replay", "a.mcap", "--as", "host", "--rig", "empty.toml", "-o", "live.mcap")
@@ -132,12 +131,12 @@ def test_pauses_can_be_shorter(folder, say):
     assert 99 * MS < second - first < 101 * MS
 
 
-def test_a_rig_and_buses_are_not_driven_both(folder, say):
+def test_rig_and_buses_together_are_refused(folder, say):
     (folder / "empty.toml").write_text("bus.can0.bitrate_bit_s = 1_000_000\n")
     words = ("--rig", "empty.toml", "--on", "virtual:1")
     status, out, err = say("replay", "bench.mcap", "--as", "host", *words)
     assert (status, out) == (2, "")
-    assert err == "motorhil replay: --on names buses, and --rig a rig to drive: say one of them\n"
+    assert err == "motorhil replay: --on and --rig exclude each other; give one of them\n"
 
 
 SINGLE = """\
@@ -150,8 +149,8 @@ plant = { preset = "wheel_60w" }
 """
 
 
-def test_who_waits_in_vain_fails_though_the_same_is_told(folder, say):
-    """With no patience at all; each answer comes, later than it is waited for."""
+def test_missed_answer_fails_without_differences(folder, say):
+    """With zero patience, each answer arrives after its deadline."""
     (folder / "single.toml").write_text(SINGLE)
     ask, kind = (classic(0x601, bytes.fromhex("4000100000000000")), "4300100092010200")
     with TraceWriter(folder / "a.mcap", {"run": {}}) as writer:
@@ -174,7 +173,7 @@ def test_who_waits_in_vain_fails_though_the_same_is_told(folder, say):
     assert status == 1
 
 
-def test_a_device_that_does_the_same_later_is_not_different(folder):
+def test_same_values_later_are_not_different(folder):
     def moved(name, late_ns):
         one = Recorded(folder / name)
         for number in range(20):
@@ -199,8 +198,8 @@ with can.Bus() as bus:
 """
 
 
-def test_a_rig_may_be_named_for_its_devices_too(folder, say):
-    """Of the two in the recording, one."""
+def test_as_device_with_rig_option_uses_that_rig(folder, say):
+    """The rig has only one of the two recorded devices."""
     (folder / "check.py").write_text(CHECK)
     (folder / "one.toml").write_text(SINGLE)
     words = ("replay", "bench.mcap", "--as", "device", "check.py", "--rig", "one.toml")
@@ -215,8 +214,8 @@ def test_a_rig_may_be_named_for_its_devices_too(folder, say):
     )
 
 
-def test_that_a_recording_is_cut_is_told(folder, say):
-    """Of its end alone, here: everything else is there, and agrees."""
+def test_truncated_recording_is_reported(folder, say):
+    """Only its end is missing; everything else is present and agrees."""
     (folder / "cut.mcap").write_bytes((folder / "bench.mcap").read_bytes()[:-20])
     status, _, err = say("replay", "cut.mcap", "--as", "host")
     assert status == 0
@@ -233,8 +232,8 @@ with can.Bus() as bus:
 """
 
 
-def test_other_set_points_pass_if_that_is_said(folder, say):
-    """The first PDO to the I/O node, its set-points turned over."""
+def test_other_set_points_pass_with_any_set_points(folder, say):
+    """The first PDO to the I/O node has its set-points inverted."""
     path = FOLDER / "software.mcap"
     with read_trace(path) as trace:
         (tape,) = tapes_of(trace, any_set_point=True).tapes.values()

@@ -1,24 +1,23 @@
-"""What CAN controllers told of errors while it was recorded is no traffic: it changes nothing."""
+"""Recorded error frames are not traffic and do not change a replay."""
 
 import pytest
 
-from harness.oracles.judge import judge
-from harness.replay.as_host import DrivenRig, compared, drive
-from harness.replay.recorded_rig import with_recorded
-from harness.replay.verdict import unanswered
-from harness.rig import Rig
+from motorhil.harness.oracles.judge import judge
+from motorhil.harness.replay.host import DrivenRig, compared, drive
+from motorhil.harness.replay.rig import with_recorded
+from motorhil.harness.replay.verdict import unanswered
+from motorhil.harness.rig.rig import Rig
+from motorhil.traces.exchange.recording import tapes_of
+from motorhil.traces.formats.frames import ERR, classic
+from motorhil.traces.mcap.reader import read_trace
+from motorhil.traces.mcap.writer import TraceWriter
+from motorhil.traces.schema import Direction, encode_can_frame
+from motorhil.traces.semantics.diff import Tolerance
 from tests.golden import GOLDEN, described, golden
 from tests.harness.replay.altered import traffic
-from traces.fields import encode_can_frame
-from traces.reader import read_trace
-from traces.recorded_tapes import tapes_of
-from traces.schema import Direction
-from traces.semantic_diff import Tolerance
-from traces.traffic import ERR, classic
-from traces.writer import TraceWriter
 
 HEARD, OWN = Direction.RECEIVED, Direction.TRANSMITTED
-ERRORS = [  # some whose bits are those of NMT, SYNC, an SDO of node 1, were they identifiers
+ERRORS = [  # some with the bits of NMT, SYNC, or an SDO of node 1, read as identifiers
     (classic(ERR | 0x204, bytes.fromhex("0008000000006000")), "left", HEARD),
     (classic(ERR | 0x0A8, bytes.fromhex("0000801900000000")), "host", OWN),
     (classic(ERR | 0x080, bytes.fromhex("0000000000000000")), "left", HEARD),
@@ -31,7 +30,7 @@ EVERY = 7
 
 @pytest.fixture
 def told(tmp_path):
-    """The golden recording of two drives, with an error message behind each seventh frame."""
+    """Return the golden recording of two drives, with an error frame after each seventh frame."""
     with (
         golden("cia402") as path,
         read_trace(path) as trace,
@@ -54,7 +53,7 @@ def told(tmp_path):
     return tmp_path / "told.mcap"
 
 
-def test_the_devices_in_it_answer_as_if_there_were_none(told, tmp_path):
+def test_error_frames_do_not_change_recorded_devices(told, tmp_path):
     with golden("cia402") as path, read_trace(path) as plain, read_trace(told) as trace:
         assert tapes_of(trace).tapes == tapes_of(plain).tapes
     again = tmp_path / "again.mcap"
@@ -65,7 +64,7 @@ def test_the_devices_in_it_answer_as_if_there_were_none(told, tmp_path):
         assert traffic(again) == traffic(path)
 
 
-def test_the_host_in_it_waits_for_none_and_sends_none(told, tmp_path):
+def test_error_frames_are_not_awaited_or_sent_by_the_host(told, tmp_path):
     live = tmp_path / "live.mcap"
     with Rig(described("cia402"), record=live) as rig:
         player = drive(DrivenRig(rig), told)
@@ -74,7 +73,7 @@ def test_the_host_in_it_waits_for_none_and_sends_none(told, tmp_path):
     assert {one.label: one.share for one in objects if one.share < 1.0} == {}
 
 
-def test_oracles_say_what_they_said_and_one_more_judges(told):
+def test_error_frames_only_add_a_judging_oracle(told):
     with golden("cia402") as path:
         before = {one.oracle: one for one in judge(path)}
     after = {one.oracle: one for one in judge(told)}

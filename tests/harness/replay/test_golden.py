@@ -1,19 +1,19 @@
-"""The golden recordings are what the rigs do today, and each replays in all three ways."""
+"""Golden recordings: up to date, and replayable in all three ways."""
 
 import shutil
 
 import pytest
 
-from harness.cli import main
-from harness.replay.as_host import DrivenRig, compared, drive
-from harness.replay.recorded_rig import with_recorded
-from harness.replay.verdict import players, summary, unanswered
-from harness.rig import Rig
+from motorhil.harness.cli.main import main
+from motorhil.harness.replay.host import DrivenRig, compared, drive
+from motorhil.harness.replay.rig import with_recorded
+from motorhil.harness.replay.verdict import players, summary, unanswered
+from motorhil.harness.rig.rig import Rig
+from motorhil.traces.digest import digest
+from motorhil.traces.schema import decode_can_frame
+from motorhil.traces.semantics.diff import Tolerance
 from tests.golden import GOLDEN, INDEX, described, golden, record, rows
 from tests.harness.replay.altered import traffic
-from traces.digest import digest
-from traces.fields import decode_can_frame
-from traces.semantic_diff import Tolerance
 
 NAMES = list(GOLDEN)
 
@@ -23,18 +23,18 @@ def name(request):
     return request.param
 
 
-def test_it_is_what_the_rig_does_today(name, tmp_path):
+def test_golden_recording_equals_a_new_run(name, tmp_path):
     with golden(name) as path:
         record(name, tmp_path / "now.mcap")
         assert digest(tmp_path / "now.mcap") == digest(path), "if that is right: make golden"
 
 
-def test_the_index_tells_what_there_is():
+def test_index_equals_generated_rows():
     assert INDEX.read_text() == "\n".join(rows()) + "\n", "make golden"
 
 
-def test_as_devices_they_answer_the_same_application_and_every_frame_is_the_same(name, tmp_path):
-    """To the nanosecond: the drives are recorded, the host is live."""
+def test_as_device_traffic_equals_the_recording(name, tmp_path):
+    """The drives are recorded and the host is live; times agree to the nanosecond."""
     with golden(name) as path:
         again = tmp_path / "again.mcap"
         with Rig(with_recorded(described(name), path), record=again) as rig:
@@ -50,7 +50,7 @@ def test_as_devices_they_answer_the_same_application_and_every_frame_is_the_same
         assert traffic(again) == traffic(path)
 
 
-def test_the_rig_in_the_recording_serves_as_well(name, tmp_path):
+def test_recording_opened_as_rig_answers_completely(name, tmp_path):
     with golden(name) as path:
         moved = shutil.copy(path, tmp_path / "bench.mcap")
         with Rig.open(moved) as rig:
@@ -58,13 +58,13 @@ def test_the_rig_in_the_recording_serves_as_well(name, tmp_path):
             assert unanswered(rig) == []
 
 
-def test_as_host_it_drives_the_same_devices_to_the_same(name, tmp_path):
+def test_as_host_objects_agree_with_the_recording(name, tmp_path):
     with golden(name) as path:
         live = tmp_path / "live.mcap"
         with Rig(described(name), record=live) as rig:
             player = drive(DrivenRig(rig), path)
         objects, differing = compared(path, live, player.pairs, Tolerance())
-        if name == "overload":  # nobody loads the motor: that the frames do not tell
+        if name == "overload":  # the frames do not show the missing load
             assert any("emergency" in one.label for one in differing)
             assert any("6041h" in one.awaited.subject[2] for one in player.missed)
             return
@@ -74,8 +74,8 @@ def test_as_host_it_drives_the_same_devices_to_the_same(name, tmp_path):
         assert {one.label: one.share for one in objects if one.share < 1.0} == {}
 
 
-def test_as_traffic_its_frames_are_on_another_bus_when_they_were(name, tmp_path, capsys):
-    """Each is sent when it was recorded, and so ends a frame later; a longer one may hold it up."""
+def test_as_traffic_frames_keep_order_and_times(name, tmp_path, capsys):
+    """A frame is sent at its recorded end, and a longer frame may delay it."""
     bench, live = tmp_path / "bench.toml", tmp_path / "live.mcap"
     bench.write_text("bus.bench = { bitrate_bit_s = 1_000_000, node.ear.silent = true }\n")
     with golden(name) as path:

@@ -1,19 +1,19 @@
-"""When a recorded host sends what: behind what it waited for, never longer than its patience."""
+"""Schedule of a replayed host: after what it waits for, within its patience."""
 
 import pytest
 
-from harness.replay.host_player import HostPlayer
-from traces.host_tape import ANSWER, HostStep, Listener, Told
-from traces.traffic import classic
+from motorhil.harness.replay.host import HostPlayer
+from motorhil.traces.exchange.host import ANSWER, HostStep, Listener, Told
+from motorhil.traces.formats.frames import classic
 
 MS = 1_000_000
-PATIENCE = 2_000 * MS  # what `replay --patience` is by default
+PATIENCE = 2_000 * MS  # the default of `replay --patience`
 ANSWERED = classic(0x585, bytes.fromhex("6040600000000000"))
 BOOTED, STOPPED, OPERATIONAL = (classic(0x705, bytes([state])) for state in (0, 4, 5))
 
 
 def step(start_ms, *waits, bus="can0", number=0, is_free=False):
-    """A frame of the host, on its bus for 1 ms."""
+    """Return a frame of the host that occupies its bus for 1 ms."""
     frame = classic(0x77F, b"\5") if is_free else classic(0x205, bytes([number]))
     begin = start_ms * MS
     return HostStep(begin, begin + MS, bus, frame, "a set-point", list(waits), is_free)
@@ -24,7 +24,7 @@ def answer(time_ms, bus="can0"):
 
 
 def state(time_ms, frame):
-    """What the recorded host heard, and now waits for."""
+    """Return an observation that the recorded host heard, and now waits for."""
     listener = Listener({})
     (told,) = listener.told(time_ms * MS, "can0", listener.decode("can0", frame))
     return told
@@ -36,7 +36,7 @@ def started(*steps, now_ms=0, **options):
     return player
 
 
-def test_the_first_frame_keeps_its_distance_from_the_beginning():
+def test_first_frame_keeps_recorded_delay_from_start():
     player = started(step(30), now_ms=100, begin_ns=20 * MS)
     assert player.next_deadline_ns() == 110 * MS
     assert player.take(110 * MS - 1) == []
@@ -46,7 +46,7 @@ def test_the_first_frame_keeps_its_distance_from_the_beginning():
 
 
 @pytest.mark.parametrize(("speed", "pause_ns"), [(1.0, 8 * MS), (2.0, 4 * MS), (0.5, 16 * MS)])
-def test_a_frame_comes_as_long_behind_the_live_answer_as_behind_the_recorded_one(speed, pause_ns):
+def test_frame_keeps_recorded_pause_after_live_answer(speed, pause_ns):
     player = started(step(0), step(20, answer(12)), speed=speed)
     assert len(player.take(0)) == 1
     player.heard("can0", ANSWERED, 500 * MS, False)
@@ -55,8 +55,8 @@ def test_a_frame_comes_as_long_behind_the_live_answer_as_behind_the_recorded_one
     assert len(player.take(500 * MS + pause_ns)) == 1
 
 
-def test_a_frame_that_waits_for_nothing_comes_behind_the_one_before_it_was_out():
-    """Recorded out at 1 ms, the next one 4 ms later; now out at 7 ms."""
+def test_frame_without_wait_follows_end_of_previous():
+    """Recorded end at 1 ms, next frame 4 ms later; the live end is at 7 ms."""
     player = started(step(0), step(5))
     player.take(0)
     player.heard("can0", step(0).frame, 7 * MS, True)
@@ -64,8 +64,8 @@ def test_a_frame_that_waits_for_nothing_comes_behind_the_one_before_it_was_out()
     assert player.pairs == [(1 * MS, 7 * MS)]
 
 
-def test_of_two_things_known_the_later_one_recorded_counts():
-    """The answer (12 ms) came behind the request (out at 1 ms), which is told last today."""
+def test_anchor_is_the_later_recorded_event():
+    """The answer (12 ms) followed the request (end at 1 ms), which is reported last today."""
     player = started(step(0), step(20, answer(12)))
     player.take(0)
     player.heard("can0", ANSWERED, 50 * MS, False)
@@ -74,20 +74,20 @@ def test_of_two_things_known_the_later_one_recorded_counts():
     assert player.next_deadline_ns() == 58 * MS
 
 
-def test_a_frame_that_was_out_is_told_apart_by_its_bus():
+def test_sent_frame_is_matched_by_bus():
     player = started(step(0, bus="can0"), step(0, bus="can1"))
     assert len(player.take(0)) == 2
     player.heard("can1", step(0).frame, 3 * MS, True)
-    player.heard("can1", step(0).frame, 4 * MS, True)  # nobody's
+    player.heard("can1", step(0).frame, 4 * MS, True)  # matches no frame
     assert player.pairs == [(1 * MS, 3 * MS)]
     player.heard("can0", step(0).frame, 5 * MS, True)
     assert player.pairs == [(1 * MS, 3 * MS), (1 * MS, 5 * MS)]
 
 
-def test_what_does_not_come_is_missed_when_patience_ends_and_pauses_count_from_there():
+def test_missing_answer_is_missed_when_patience_ends():
     player = started(step(0), step(20, answer(12)), now_ms=5)
     player.take(5 * MS)
-    over_ns = (5 + 12) * MS + PATIENCE  # it came after 12 ms
+    over_ns = (5 + 12) * MS + PATIENCE  # recorded after 12 ms
     assert player.next_deadline_ns() == over_ns
     assert player.take(over_ns - 1) == []
     assert player.missed == []
@@ -103,7 +103,7 @@ def test_what_does_not_come_is_missed_when_patience_ends_and_pauses_count_from_t
     assert len(player.take(over_ns + 8 * MS)) == 1
 
 
-def test_each_thing_is_waited_for_with_the_same_patience():
+def test_patience_applies_to_each_awaited_event():
     player = started(step(0), step(20, answer(8), answer(12)), patience_ns=100 * MS)
     player.take(10 * MS)
     player.take(110 * MS)
@@ -113,7 +113,7 @@ def test_each_thing_is_waited_for_with_the_same_patience():
     assert [one.time_ns for one in player.missed] == [110 * MS, 214 * MS]
 
 
-def test_patience_begins_with_the_recording_whatever_the_time_is():
+def test_patience_begins_with_the_recording():
     player = started(step(20, state(10, BOOTED)), now_ms=60_000)
     player.take(60_000 * MS)
     assert player.missed == []
@@ -121,10 +121,8 @@ def test_patience_begins_with_the_recording_whatever_the_time_is():
 
 
 @pytest.mark.parametrize(("speed", "wait_ms"), [(1.0, 60_000), (2.0, 30_000)])
-def test_what_took_longer_than_patience_is_waited_for_as_long_and_patience_comes_behind(
-    speed, wait_ms
-):
-    """A homing that takes a minute is no reason to disable the drive after two seconds of it."""
+def test_long_recorded_wait_is_extended_by_patience(speed, wait_ms):
+    """A homing of one minute must not end in a disabled drive after two seconds."""
     player = started(step(0), step(60_001, state(60_000, OPERATIONAL)), speed=speed)
     player.take(0)
     assert player.take((wait_ms + 2_000) * MS - 1) == []
@@ -133,7 +131,7 @@ def test_what_took_longer_than_patience_is_waited_for_as_long_and_patience_comes
     assert len(player.missed) == 1
 
 
-def test_a_state_is_waited_for_by_its_value_and_what_came_instead_is_told():
+def test_awaited_state_is_matched_by_value():
     def waiting():
         return started(step(0, state(0, OPERATIONAL)), patience_ns=100 * MS)
 
@@ -145,14 +143,14 @@ def test_a_state_is_waited_for_by_its_value_and_what_came_instead_is_told():
     assert player.missed[0].instead == "last told: node 5 is stopped"
     player = waiting()
     player.take(100 * MS)
-    assert player.missed[0].instead == "it has told nothing of it"
+    assert player.missed[0].instead == "no report received"
     player = waiting()
     player.heard("can0", OPERATIONAL, 20 * MS, False)
     assert len(player.take(20 * MS)) == 1
     assert player.missed == []
 
 
-def test_what_was_told_twice_has_to_be_told_twice():
+def test_two_equal_answers_are_awaited_separately():
     player = started(step(0, answer(0)), step(20, answer(12)))
     player.heard("can0", ANSWERED, 1 * MS, False)
     assert len(player.take(1 * MS)) == 1
@@ -161,7 +159,7 @@ def test_what_was_told_twice_has_to_be_told_twice():
     assert len(player.take(508 * MS)) == 1
 
 
-def test_of_a_line_a_units_answer_is_waited_for_and_a_request_is_out_after_its_own_length():
+def test_line_answer_is_awaited_by_unit():
     player = started(
         step(0, bus="rs485"), step(20, answer(12, "rs485"), bus="rs485"), lines=["rs485"]
     )
@@ -177,7 +175,7 @@ def test_of_a_line_a_units_answer_is_waited_for_and_a_request_is_out_after_its_o
 @pytest.mark.parametrize(
     ("speed", "due_ms"), [(1.0, [5, 105, 205, 305]), (2.0, [2.5, 52.5, 102.5])]
 )
-def test_the_hosts_heartbeat_waits_for_nothing_and_goes_on_until_all_is_sent(speed, due_ms):
+def test_heartbeat_continues_until_all_is_sent(speed, due_ms):
     beats = [step(5, is_free=True), step(105, is_free=True)]
     player = started(*beats, step(400, answer(390)), speed=speed)
     for due in due_ms:
@@ -190,7 +188,7 @@ def test_the_hosts_heartbeat_waits_for_nothing_and_goes_on_until_all_is_sent(spe
     assert player.take(10_000 * MS) == []
 
 
-def test_a_heartbeat_that_came_once_comes_once():
+def test_single_heartbeat_is_sent_once():
     player = started(step(5, is_free=True), step(400, answer(390)))
     assert len(player.take(5 * MS)) == 1
     assert player.take(1_000 * MS) == []

@@ -1,4 +1,4 @@
-"""What careless people do with recordings: nothing is lost, and they are told in one line."""
+"""Careless use of recordings: no data loss, and one-line errors."""
 
 import os
 import shutil
@@ -6,12 +6,12 @@ import stat
 
 import pytest
 
+from motorhil.traces.errors import TraceError
+from motorhil.traces.mcap.reader import read_trace
+from motorhil.traces.mcap.writer import TraceWriter
+from motorhil.traces.schema import CAN_FRAME, MODBUS_ADU, Direction, Schema
 from tests.golden import FOLDER
 from tests.harness.recorded import Recorded
-from traces.errors import TraceError
-from traces.reader import read_trace
-from traces.schema import CAN_FRAME, MODBUS_ADU, Direction, Schema
-from traces.writer import TraceWriter
 
 TABLES = {"/can": CAN_FRAME, "/mod": MODBUS_ADU}
 
@@ -57,7 +57,7 @@ def folder(tmp_path, monkeypatch):
     ],
 )
 @pytest.mark.parametrize("name", ["bench.mcap", "./bench.mcap", "link.mcap", "hard.mcap"])
-def test_a_recording_is_not_written_over_by_what_it_is_replayed_into(folder, say, words, name):
+def test_recording_is_not_overwritten_by_its_replay(folder, say, words, name):
     (folder / "link.mcap").symlink_to("bench.mcap")
     os.link("bench.mcap", "hard.mcap")
     before = (folder / "bench.mcap").read_bytes()
@@ -78,8 +78,8 @@ def test_a_recording_is_not_written_over_by_what_it_is_replayed_into(folder, say
         ("report", "bench.mcap", "--foxglove-layout"),
     ],
 )
-def test_what_is_no_file_is_not_replaced_by_one(folder, say, words):
-    """As root, `-o /dev/null` would be the end of it for everybody on the machine."""
+def test_output_to_a_pipe_is_refused(folder, say, words):
+    """As root, `-o /dev/null` would otherwise replace the device."""
     os.mkfifo("null")
     where = ("null",) if words[-1].startswith("--fox") else ("-o", "null")
     status, _, err = say(*words, *where)
@@ -89,7 +89,7 @@ def test_what_is_no_file_is_not_replaced_by_one(folder, say, words):
     assert not list(folder.glob("*.part"))
 
 
-def test_a_link_to_a_file_stays_one(folder, say):
+def test_output_to_a_link_keeps_the_link(folder, say):
     (folder / "there.log").write_text("")
     (folder / "here.log").symlink_to("there.log")
     assert say("convert", "bench.mcap", "-o", "here.log", "--force")[0] == 0
@@ -110,21 +110,21 @@ def test_a_link_to_a_file_stays_one(folder, say):
         ("replay", "pipe", "--as", "traffic", "--rig", "bench.mcap"),
     ],
 )
-def test_a_pipe_is_refused_and_nobody_waits_for_it(folder, say, words):
-    os.mkfifo("pipe")  # nobody writes there: who opens it waits for ever
+def test_input_from_a_pipe_is_refused_at_once(folder, say, words):
+    os.mkfifo("pipe")  # without a writer, a reader would block forever
     status, out, err = say(*words)
     assert (status, out) == (2, "")
     assert err == (
-        "pipe: is a pipe, and read from its beginning to its end only; write it to a file first\n"
+        "pipe: is a pipe, which can only be read from beginning to end; write it to a file first\n"
     )
 
 
-def test_the_layout_is_not_written_over_the_page(folder, say):
+def test_layout_does_not_overwrite_the_page(folder, say):
     status, out, err = say("report", "bench.mcap", "-o", "x", "--foxglove-layout", "./x")
     assert (status, out, err) == (2, "", "x: is the page already; name another file\n")
 
 
-def test_a_recording_of_a_replay_holds_all_files_of_the_first(folder, say):
+def test_recording_of_a_replay_keeps_attachments(folder, say):
     before = "bench.mcap"
     for name in ("second.mcap", "third.mcap"):
         assert say("run", before, "ask.py", "-o", name)[0] == 0
@@ -140,7 +140,7 @@ def attached(path):
 
 @pytest.fixture
 def with_eds(folder, say):
-    """A recording of a rig that names an EDS file and a model, and the files are gone again."""
+    """Record a rig that names an EDS file and a model, then delete both files."""
     assert say("new", "wheels")[0] == 0
     rig = folder / "wheels" / "rig.toml"
     text = rig.read_text().replace('kind = "cia402"', 'kind = "cia402"\neds = "../drive.eds"')
@@ -153,7 +153,7 @@ def with_eds(folder, say):
     return folder
 
 
-def test_the_recorded_host_drives_the_rig_with_its_own_eds_files(with_eds, say):
+def test_as_host_uses_recorded_eds_files(with_eds, say):
     assert {"drive.eds", "wheel_model.toml", "rig.toml"} <= set(attached("eds.mcap"))
     status, out, err = say("replay", "eds.mcap", "--as", "host", "-o", "again.mcap")
     assert status == 0, err
@@ -161,10 +161,10 @@ def test_the_recorded_host_drives_the_rig_with_its_own_eds_files(with_eds, say):
     assert attached("again.mcap") == attached("eds.mcap")
 
 
-def test_a_file_that_a_recorded_rig_names_and_that_did_not_come_with_it_is_told(folder):
-    from harness.replay.recorded_rig import own_rig
-    from harness.rig import installed_plugins
-    from harness.settings import RigError
+def test_missing_attached_file_is_reported(folder):
+    from motorhil.harness.replay.rig import own_rig
+    from motorhil.harness.rig.config.toml import RigError
+    from motorhil.harness.rig.rig import installed_plugins
 
     with read_trace("bench.mcap") as trace:
         rig = next(one for one in trace.attachments if one.name.endswith(".toml"))
@@ -202,9 +202,9 @@ NUMBERS = [
 
 @pytest.mark.parametrize("words", NUMBERS)
 @pytest.mark.parametrize("value", ["nan", "inf", "-1", "-1e9", "1e30", "9" * 30, "x", "", "²"])
-def test_a_number_that_is_none_or_out_of_range_is_told_with_its_limits(folder, say, words, value):
+def test_invalid_number_option_error_names_limits(folder, say, words, value):
     if words[-1] == "--id" and value == "1e30":
-        value = "g"  # that is hexadecimal
+        value = "g"  # hexadecimal otherwise
     status, out, err = say(*words[:-1], f"{words[-1]}={value}")
     assert (status, out) == (2, "")
     last = err.splitlines()[-1]
@@ -212,14 +212,14 @@ def test_a_number_that_is_none_or_out_of_range_is_told_with_its_limits(folder, s
     assert " to " in last, "the limits are named"
 
 
-def test_pipes_are_refused_to_programs_as_well(folder):
+def test_read_trace_refuses_a_pipe(folder):
     os.mkfifo("pipe")
     with pytest.raises(TraceError, match="is a pipe"):
         read_trace("pipe")
 
 
-def test_what_devices_say_after_the_last_word_of_the_host_is_heard(folder, say):
-    """They boot while the host, which has asked too early, waits for an answer."""
+def test_devices_are_heard_after_the_hosts_last_frame(folder, say):
+    """They boot while the host, which asked too early, waits for an answer."""
     (folder / "early.py").write_text(EARLY)
     assert say("run", "bench.mcap", "early.py", "-o", "early.mcap")[0] == 0
     status, out, _ = say("replay", "early.mcap", "--as", "host")
@@ -227,8 +227,8 @@ def test_what_devices_say_after_the_last_word_of_the_host_is_heard(folder, say):
     assert status == 0
 
 
-def test_lines_that_are_named_by_addresses_stand_in_as_well(folder, say):
-    """So are those of imported Modbus/TCP; names of a rig's buses are words."""
+def test_lines_named_by_addresses_can_be_replayed(folder, say):
+    """Imported Modbus/TCP lines are named by addresses; a rig's buses are named by words."""
     for number in (1, 2):
         place = f"/modbus/10.0.0.{number}"
         made = Recorded(f"{number}.mcap")
@@ -245,23 +245,23 @@ def test_lines_that_are_named_by_addresses_stand_in_as_well(folder, say):
     assert (status, err) == (0, "")
     assert out == "2.mcap: generated: 1 bus, 1 controller\n"
     status, _, err = say("run", "2.mcap", "nothing.py")
-    assert (status, "the recording goes on: 1 more command" in err) == (0, True), err
+    assert (status, "the recording has 1 more command" in err) == (0, True), err
 
 
-def test_a_recording_without_devices_is_told_to_have_none(folder, say):
+def test_recording_without_devices_is_refused(folder, say):
     Recorded("free.mcap").frame(1, 0x7FF, "00").close()
     bare("free.mcap")
     for words in (("check", "free.mcap"), ("run", "free.mcap", "ask.py")):
         status, out, err = say(*words)
         assert (status, out) == (2, "")
         assert err == (
-            "free.mcap: holds nothing that a device told, of CANopen or Modbus; "
+            "free.mcap: holds no CANopen or Modbus message of a device; "
             "give a recording with devices in it\n"
         )
 
 
 def bare(path):
-    """The recording without its attachments: as if imported."""
+    """Remove the attachments of a recording, as if it was imported."""
     content = path.replace(".mcap", ".bare")
     with read_trace(path) as trace:
         writer = TraceWriter(content, {})
@@ -275,12 +275,12 @@ def bare(path):
     os.replace(content, path)
 
 
-def test_recordings_that_say_nothing_are_not_the_same_in_silence(folder, say):
+def test_diff_of_empty_recordings_warns(folder, say):
     for name in ("a.mcap", "b.mcap"):
         TraceWriter(name, {}).close()
     status, _, err = say("diff", "a.mcap", "b.mcap")
     assert status == 0
     assert [line.split(": ")[1:3] for line in err.splitlines()] == [
-        [name, "nothing in it has a meaning known here; --exact compares bytes"]
+        [name, "no event of known meaning; use --exact to compare bytes"]
         for name in ("a.mcap", "b.mcap")
     ]

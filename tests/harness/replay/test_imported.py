@@ -1,23 +1,23 @@
-"""Imported recordings stand in, whatever their buses are called and their units numbered."""
+"""Replay of imported recordings with any names of buses and numbers of units."""
 
 import pytest
 
-from harness.cli import main
-from harness.replay.verdict import unanswered
-from harness.rig import Rig
+from motorhil.harness.cli.main import main
+from motorhil.harness.replay.verdict import unanswered
+from motorhil.harness.rig.rig import Rig
 
 
 @pytest.fixture(scope="module")
 def plant(shared, tmp_path_factory):
-    """Thirteen Modbus/TCP servers, each unit 255 of an address of its own."""
+    """Import thirteen Modbus/TCP servers, each unit 255 of its own address."""
     path = tmp_path_factory.mktemp("plant") / "plant.mcap"
     source = shared / "data" / "traffic" / "modbus_plant1_tcp.pcap"
     assert main(["convert", str(source), "-o", str(path)]) == 0
     return path
 
 
-def test_servers_that_are_addresses_answer_behind_lines_of_their_own(plant):
-    """What it was asked first, with another transaction, is answered as in the capture."""
+def test_servers_named_by_addresses_answer(plant):
+    """The first recorded request, with another transaction, gets the captured answer."""
     with Rig.open(plant) as rig:
         line = rig.line("line_141_81_0_24")
         assert line.framing == "tcp"
@@ -33,8 +33,8 @@ def test_servers_that_are_addresses_answer_behind_lines_of_their_own(plant):
     assert b"".join(heard) == b"\0\7\0\0" + len(told).to_bytes(2, "big") + told
 
 
-def test_units_that_took_seconds_answer_behind_a_gateway_that_waits(shared, tmp_path):
-    """The slowest answer took 5.1 s (traffic/INDEX.md); a gateway's own patience is 1 s."""
+def test_slow_units_answer_through_a_patient_gateway(shared, tmp_path):
+    """The slowest answer took 5.1 s (traffic/INDEX.md); a gateway's default timeout is 1 s."""
     path = tmp_path / "plant.mcap"
     source = shared / "data" / "traffic" / "modbus_gateway_units1237_pipelined.pcap"
     assert main(["convert", str(source), "-o", str(path)]) == 0

@@ -1,13 +1,13 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from harness.replay.lateness import Lateness
+from motorhil.harness.replay.player import Lateness
 
 DELAYS = st.lists(st.integers(0, 2_000) | st.integers(0, 10**12), min_size=1, max_size=200)
 
 
 @given(DELAYS, st.sampled_from([0.01, 0.5, 0.99, 1.0]))
-def test_a_quantile_is_never_too_small_and_at_most_a_32nd_too_large(delays, share):
+def test_quantile_is_at_most_a_32nd_too_large(delays, share):
     late = Lateness()
     for delay in delays:
         late.add(delay)
@@ -16,14 +16,14 @@ def test_a_quantile_is_never_too_small_and_at_most_a_32nd_too_large(delays, shar
     assert (late.count, late.worst_ns, late.last_ns) == (len(delays), max(delays), delays[-1])
 
 
-def test_nothing_is_not_late():
+def test_lateness_without_delays_is_zero():
     late = Lateness()
     assert (late.quantile_ns(0.5), late.worst_ns, late.last_ns) == (0, 0, 0)
     late.add(-5)
     assert (late.count, late.worst_ns, late.quantile_ns(1.0)) == (1, 0, 0)
 
 
-def test_the_table_does_not_grow_with_the_count():
+def test_table_size_is_bounded():
     late = Lateness()
     for delay in range(0, 10_000_000, 97):
         late.add(delay)

@@ -1,16 +1,16 @@
-"""What a tape does with hosts that do other things than the recorded one, by hand and at random."""
+"""Exchange log players with hosts that deviate from the recorded one, by hand and at random."""
 
 from hypothesis import event, given
 from hypothesis import strategies as st
 
-from harness.replay.player import LOOK_AHEAD, TapePlayer
-from traces.tape import START, Role, Sent, Step, Tape, Turn, period_ns
+from motorhil.harness.replay.player import LOOK_AHEAD, ExchangePlayer
+from motorhil.traces.exchange.steps import START, ExchangeLog, Role, Sent, Step, Turn, period_ns
 
 MS = 1_000_000
 
 
 def command(number, *reactions):
-    """A write of `number` to an object of its own; reactions are (delay, frame)."""
+    """Return a write of `number` to its own object; reactions are (delay, frame)."""
     return Step(
         Role.COMMAND,
         ("sdo", number, bytes([number & 0xFF])),
@@ -33,11 +33,11 @@ def poll(number, answer):
 
 def tape(*steps, periods_ns=None):
     first = Step(Role.COMMAND, START, 0, "")
-    return Tape("can0", 1, [first, *steps], periods_ns or {})
+    return ExchangeLog("can0", 1, [first, *steps], periods_ns or {})
 
 
 def played(*steps, periods_ns=None):
-    player = TapePlayer(tape(*steps, periods_ns=periods_ns))
+    player = ExchangePlayer(tape(*steps, periods_ns=periods_ns))
     player.start(0)
     return player
 
@@ -50,7 +50,7 @@ def answers(step):
     return None if step is None else [sent.data for turn in step.turns for sent in turn.answers]
 
 
-def test_what_follows_a_command_keeps_its_delay_behind_it():
+def test_reactions_keep_their_delay_after_the_command():
     player = played(command(1, (5 * MS, b"a"), (9 * MS, b"b")))
     player.command(key(1), 100 * MS)
     assert player.next_deadline_ns() == 105 * MS
@@ -61,8 +61,8 @@ def test_what_follows_a_command_keeps_its_delay_behind_it():
     assert player.next_deadline_ns() is None
 
 
-def test_a_command_cuts_short_what_the_one_before_it_would_still_have_brought():
-    """Of each identifier the last frame, in their order."""
+def test_next_command_cuts_short_pending_reactions():
+    """The last frame of each identifier is sent, in their order."""
     a1, a2, b1 = b"\x81\1\0\0one", b"\x81\1\0\0two", b"\x01\7\0\0up"
     player = played(command(1, (5 * MS, a1), (6 * MS, b1), (7 * MS, a2)), command(2))
     player.command(key(1), 0)
@@ -70,7 +70,7 @@ def test_a_command_cuts_short_what_the_one_before_it_would_still_have_brought():
     assert player.take(MS) == [b1, a2]
 
 
-def test_polls_are_answered_in_order_and_the_last_again_until_the_next_command():
+def test_polls_are_answered_in_order_and_last_one_repeats():
     player = played(command(1), poll(7, b"not yet"), poll(7, b"done"), command(2), poll(7, b"off"))
     player.command(key(1), 0)
     read = ("read", 7, b"")
@@ -84,8 +84,8 @@ def test_polls_are_answered_in_order_and_the_last_again_until_the_next_command()
     assert answers(player.poll(read, 0)) == [b"off"]
 
 
-def test_a_drive_is_silent_as_long_as_the_recorded_one_was_and_no_longer():
-    """It is asked before it has booted; the host that comes later finds it there."""
+def test_drive_is_silent_exactly_as_long_as_recorded():
+    """The recorded host polls before boot-up; a later host finds the drive present."""
     read = ("read", 7, b"")
     silent, there = poll(7, b""), poll(7, b"here")
     silent.turns[0].answers.clear()
@@ -97,12 +97,12 @@ def test_a_drive_is_silent_as_long_as_the_recorded_one_was_and_no_longer():
     recorded = tape(silent, there)
     recorded.steps[0].reactions.append(Sent(200 * MS, b"\1\7\0\0boot"))
     for now_ns, expected in ((200 * MS - 1, []), (200 * MS, [b"here"])):
-        player = TapePlayer(recorded)
+        player = ExchangePlayer(recorded)
         player.start(0)
         assert answers(player.poll(read, now_ns)) == expected
 
 
-def test_what_is_asked_in_another_epoch_has_no_answer_unless_it_never_changes():
+def test_poll_of_another_epoch_needs_constant_answer():
     player = played(
         poll(7, b"a"), poll(8, b"same"), command(1), poll(7, b"b"), poll(8, b"same"), command(2)
     )
@@ -113,19 +113,19 @@ def test_what_is_asked_in_another_epoch_has_no_answer_unless_it_never_changes():
     assert player.poll(("read", 9, b""), 0) is None
 
 
-def test_the_same_words_again_are_answered_again_and_nothing_comes_of_it():
+def test_repeated_command_is_answered_without_reactions():
     player = played(command(1, (MS, b"moves")), command(2), command(1, (MS, b"moves again")))
     assert player.command(key(1), 0) is not None
     player.take(10 * MS)
     assert answers(player.command(key(1), 20 * MS)) == [b"ok1"]
     assert player.repeated == 1
-    assert player.next_deadline_ns() is None  # the second move is another command's
+    assert player.next_deadline_ns() is None  # the second motion belongs to another command
     player.command(key(2), 30 * MS)
     player.command(key(1), 40 * MS)
     assert player.take(50 * MS) == [b"moves again"]
 
 
-def test_what_was_left_out_may_still_come():
+def test_skipped_command_may_come_later():
     player = played(command(1), command(2), command(3))
     for number in (1, 3, 2):
         assert player.command(key(number), 0) is not None
@@ -133,14 +133,14 @@ def test_what_was_left_out_may_still_come():
     assert player.to_come() == 0
 
 
-def test_a_command_too_far_ahead_is_not_meant():
+def test_command_beyond_look_ahead_is_not_found():
     steps = [command(1 + number) for number in range(LOOK_AHEAD + 1)]
     last = steps[-1]
     assert played(*steps).command(last.key, 0) is None
     assert played(*steps[1:]).command(last.key, 0) is not None
 
 
-def test_what_cannot_be_answered_names_the_same_object_first_then_the_next():
+def test_refuse_expects_same_object_then_next_command():
     player = played(command(1), command(2))
     assert player.refuse(("sdo", 2, b"\xff"), "write 2 = ff", 5).expected.text == "write 2"
     assert player.refuse(("sdo", 9, b"\xff"), "write 9", 5).expected.text == "write 1"
@@ -149,7 +149,7 @@ def test_what_cannot_be_answered_names_the_same_object_first_then_the_next():
     assert player.refuse(("sdo", 9, b"\xff"), "write 9", 5).expected is None
 
 
-def test_what_was_periodic_goes_on_and_what_came_once_does_not():
+def test_periodic_frame_continues_but_single_one_does_not():
     beat, boot = b"\x01\7\0\0\5", b"\x02\7\0\0\0"
     first = command(1, (10 * MS, boot))
     first.reactions += [Sent(n * 100 * MS, beat, goes_on=True) for n in range(1, 4)]
@@ -157,39 +157,39 @@ def test_what_was_periodic_goes_on_and_what_came_once_does_not():
     player.command(key(1), 0)
     out = player.take(1_000 * MS)
     assert out[0] == boot
-    # Three recorded ones; the next half a period late, then every period.
+    # Three recorded frames; the next one half a period late, then one every period.
     assert out[1:] == [beat] * (3 + 6)
     assert player.next_deadline_ns() == 1_050 * MS
 
 
-def test_a_period_is_what_most_intervals_are():
+def test_period_ns_is_the_majority_interval():
     assert period_ns([0, 100, 201, 299, 400, 500]) == 100
-    assert period_ns([0, 100, 200]) is None  # too few to say
+    assert period_ns([0, 100, 200]) is None  # too few samples
     assert period_ns([0, 100, 130, 500, 900, 901]) is None
     assert period_ns([5] * 9) is None
 
 
-def test_of_the_same_words_left_out_twice_the_later_ones_are_meant():
+def test_command_skipped_twice_means_the_later_step():
     again = command(1, (MS, b"again"))
     player = played(command(1, (MS, b"first")), again, command(3))
     player.command(key(3), 0)
     assert player.command(key(1), 10 * MS) is again
 
 
-def test_what_is_told_again_and_was_never_answered_is_no_repetition():
+def test_repeated_unanswered_command_is_not_a_repetition():
     player = played(command(1))
     assert player.command(key(7), 0) is None
     assert player.command(key(7), 0) is None
     assert (player.matched, player.repeated) == (0, 0)
 
 
-def test_a_drive_that_never_answered_does_not_now():
+def test_drive_that_never_answered_stays_silent():
     silent = poll(7, b"")
     silent.turns[0].answers.clear()
     assert answers(played(silent).poll(("read", 7, b""), 10_000 * MS)) == []
 
 
-def test_what_was_answered_before_a_command_is_not_the_answer_behind_it():
+def test_poll_answer_of_previous_epoch_is_not_reused():
     player = played(poll(7, b"a"), command(1), poll(8, b"x"), command(2), poll(7, b"b"))
     read = ("read", 7, b"")
     assert answers(player.poll(read, 0)) == [b"a"]
@@ -197,14 +197,14 @@ def test_what_was_answered_before_a_command_is_not_the_answer_behind_it():
     assert player.poll(read, MS) is None
 
 
-def test_of_two_things_due_at_once_the_answer_comes_first():
+def test_answer_precedes_reaction_due_at_same_time():
     player = played(command(1, (MS, b"by itself")))
     step = player.command(key(1), 0)
     player.answer(step.turns[0].answers, 0)
     assert player.take(MS) == [b"ok1", b"by itself"]
 
 
-def test_the_last_eight_answers_are_kept_and_what_says_nothing_pushes_none_out():
+def test_last_eight_answers_with_text_are_kept():
     steps = [poll(number, b"x") for number in range(10)]
     for number, step in enumerate(steps):
         step.answer_text = f"answer {number}"
@@ -218,8 +218,8 @@ def test_the_last_eight_answers_are_kept_and_what_says_nothing_pushes_none_out()
     assert player.answered_last() == tuple(f"answer {number}" for number in range(2, 10))
 
 
-def test_a_period_that_is_cut_short_goes_on_behind_what_is_sent_at_once():
-    """Half a period late, as behind the last one recorded."""
+def test_periodic_frame_continues_after_cut_short():
+    """Half a period late, as after the last recorded one."""
     beat = b"\x01\7\0\0\5"
     first = command(1)
     first.reactions += [Sent(n * 100 * MS, beat, goes_on=True) for n in range(1, 4)]
@@ -234,7 +234,7 @@ HOSTS = st.lists(st.tuples(st.sampled_from("NRPS"), st.integers(0, 30)), max_siz
 
 
 @given(st.integers(1, 25), HOSTS)
-def test_whatever_a_host_does_each_command_is_found_once_and_nothing_runs_early(count, host):
+def test_any_host_finds_each_command_once(count, host):
     """N: the next command, R: any, P: a poll, S: time passes."""
     steps = []
     for number in range(1, count + 1):
@@ -267,7 +267,7 @@ def test_whatever_a_host_does_each_command_is_found_once_and_nothing_runs_early(
 
 
 @given(st.integers(1, 25))
-def test_the_recorded_host_finds_everything(count):
+def test_recorded_host_finds_every_command(count):
     steps = [command(number) for number in range(1, count + 1)]
     player = played(*steps)
     for number in range(1, count + 1):

@@ -1,15 +1,14 @@
-"""A recorded node and a recorded unit as controllers, frame by frame."""
+"""Recorded nodes and units as controllers, frame by frame."""
 
 import pytest
 
-from harness.replay.recorded_node import NO_DATA, RecordedNode
-from harness.replay.recorded_unit import RecordedUnit
+from motorhil.harness.replay.device_node import NO_DATA, RecordedNode, RecordedUnit
+from motorhil.traces.decoding.canopen import CanopenDecoder
+from motorhil.traces.exchange.canopen import CanopenTapes
+from motorhil.traces.exchange.modbus import modbus_tapes
+from motorhil.traces.formats.frames import BRS, RTR, Frame, classic, flexible, remote
+from motorhil.traces.schema import Direction
 from tests.traces.test_tapes import MS, adu, cut, frame
-from traces.canopen_tapes import CanopenTapes
-from traces.decode_canopen import CanopenDecoder
-from traces.modbus_tapes import modbus_tapes
-from traces.schema import Direction
-from traces.traffic import BRS, RTR, Frame, classic, flexible, remote
 
 BOOT = frame(0, 0x706, b"\0")
 READ, KIND = bytes.fromhex("4000100000000000"), bytes.fromhex("4300100092010200")
@@ -28,7 +27,7 @@ def asked(data):
 
 
 def node(*frames, boots=True):
-    """Node 6 out of these frames; started, and its boot-up taken."""
+    """Return node 6 from these frames, started and booted."""
     tape = cut(*([BOOT] if boots else []), *frames)[6]
     made = RecordedNode(tape, CanopenDecoder(), 6)
     made.start(0)
@@ -38,7 +37,7 @@ def node(*frames, boots=True):
 
 
 def told(one, data, now_ms, wait_ms=5):
-    """What it sends within `wait_ms` of being told this: data, or what is left of it."""
+    """Return the data that the node sends within `wait_ms` of receiving a frame."""
     one.receive(data, now_ms * MS)
     one.expire((now_ms + wait_ms) * MS)
     return [sent[8 : 8 + sent[4]] for sent in one.take_output()]
@@ -58,39 +57,39 @@ def name_upload(time_ms):
     ]
 
 
-def test_an_answer_begins_so_much_earlier_as_it_is_long():
-    """Complete 1 ms behind its request: at 1 Mbit/s it began a frame of 8 bytes before that."""
+def test_answer_starts_earlier_by_its_duration():
+    """Complete 1 ms after its request: it started the duration of a frame of 8 bytes earlier."""
     one = node(*exchange(10, READ, KIND))
     one.receive(asked(READ), 100 * MS)
     begins_ns = one.next_deadline_ns()
-    # ISO 11898-1: 47 bits and 64 of data less 3 of intermission, and at most 24 stuffed ones.
+    # ISO 11898-1: 47 bits and 64 of data, less 3 of intermission, and at most 24 stuff bits.
     assert 101 * MS - 132_000 <= begins_ns <= 101 * MS - 108_000
 
 
-def test_a_segmented_upload_goes_turn_by_turn():
+def test_segmented_upload_is_answered_turn_by_turn():
     one = node(*name_upload(10))
     got = [told(one, asked(data), ms) for ms, data in ((10, READ_NAME), (20, NEXT), (30, LAST))]
     assert got == [[data] for data in NAMED]
 
 
-def test_a_transfer_that_is_given_up_is_not_gone_on_with():
+def test_aborted_transfer_is_not_continued():
     one = node(*name_upload(10), *exchange(50, READ, KIND))
     assert told(one, asked(READ_NAME), 100) == [NAMED[0]]
     one.receive(asked(NEXT), 110 * MS)
-    assert told(one, asked(ABORT), 110) == []  # nor is the segment sent that was on its way
-    assert told(one, asked(LAST), 130)[0][:1] == b"\x80"  # there is no transfer to go on with
+    assert told(one, asked(ABORT), 110) == []  # the pending segment is not sent either
+    assert told(one, asked(LAST), 130)[0][:1] == b"\x80"  # no transfer is in progress
     assert told(one, asked(READ), 140) == [KIND]
     assert told(one, asked(READ_NAME), 150) == [NAMED[0]]
 
 
-def test_a_reset_ends_a_transfer():
+def test_reset_ends_a_transfer():
     one = node(*name_upload(10), frame(40, 0x000, b"\x81\x06"))
     assert told(one, asked(READ_NAME), 100) == [NAMED[0]]
     told(one, classic(0x000, b"\x81\x06"), 110)
     assert told(one, asked(NEXT), 120)[0][:1] == b"\x80"
 
 
-def test_what_is_not_recorded_is_aborted_with_no_data_available_and_told_once():
+def test_unrecorded_upload_is_aborted_and_reported_once():
     one = node(*exchange(10, READ, KIND))
     request = bytes.fromhex("4018100100000000")
     assert told(one, asked(request), 100) == [bytes.fromhex("8018100124000008")]
@@ -104,7 +103,7 @@ def test_what_is_not_recorded_is_aborted_with_no_data_available_and_told_once():
 @pytest.mark.parametrize(
     "request_", ["a0080000 00000000", "c0080000 00000000"], ids=["block upload", "block download"]
 )
-def test_a_block_transfer_begins_as_any_other_does(request_):
+def test_block_transfer_start_is_answered(request_):
     """CiA 301: initiate block upload (ccs 5, cs 0), block download (ccs 6, cs 0) of 1008h."""
     begins = bytes.fromhex(request_[:2] + "081000" + "7f000000")
     answered = bytes.fromhex("c0081000 09000000")
@@ -122,13 +121,13 @@ def test_a_block_transfer_begins_as_any_other_does(request_):
         (b"", False),
     ],
 )
-def test_an_nmt_command_is_for_the_node_it_names_or_all(data, is_told):
+def test_nmt_command_applies_to_named_node_or_all(data, is_told):
     one = node()
     one.receive(classic(0x000, data), 10 * MS)
     assert len(one.take_events()) == is_told
 
 
-def test_a_set_point_that_cannot_be_answered_is_told_once_however_often_it_comes():
+def test_unanswerable_set_point_is_reported_once():
     one = node(frame(10, 0x206, b"\x0f"))
     for ms in (100, 120, 140):
         one.receive(classic(0x206, b"\x1f"), ms * MS)
@@ -140,7 +139,7 @@ def test_a_set_point_that_cannot_be_answered_is_told_once_however_often_it_comes
     assert one.snapshot(0) == {"matched": 1.0, "mismatches": 1.0}
 
 
-def test_behind_a_reset_a_set_point_tells_something_again():
+def test_equal_set_point_after_reset_is_a_new_command():
     beat = b"\x05"
     one = node(
         frame(10, 0x206, b"\x0f"),
@@ -154,8 +153,8 @@ def test_behind_a_reset_a_set_point_tells_something_again():
     assert one.snapshot(0)["matched"] == 3.0
 
 
-def test_a_sync_fires_once_what_it_fired_and_only_asks_otherwise():
-    """As recorded: the TPDO of type 1 answers each SYNC, the heartbeat came of the first."""
+def test_sync_triggers_once_then_is_a_poll():
+    """The TPDO of type 1 answers each SYNC; the heartbeat reacts to the first one only."""
     typed = exchange(1, bytes.fromhex("2f001802 01000000"), bytes.fromhex("60001802 00000000"))
     one = node(
         *typed,
@@ -173,7 +172,7 @@ def test_a_sync_fires_once_what_it_fired_and_only_asks_otherwise():
     assert one.snapshot(0) == {"matched": 3.0, "mismatches": 0.0}
 
 
-def test_a_sync_that_came_again_without_a_set_point_is_answered_as_the_one_that_fired():
+def test_repeated_sync_gets_the_answer_of_the_triggering_one():
     typed = exchange(1, bytes.fromhex("2f001802 01000000"), bytes.fromhex("60001802 00000000"))
     one = node(*typed, frame(10, 0x206, b"\x0f"), frame(20, 0x080), frame(21, 0x186, b"\1"))
     told(one, asked(bytes.fromhex("2f00180201000000")), 1)
@@ -181,13 +180,13 @@ def test_a_sync_that_came_again_without_a_set_point_is_answered_as_the_one_that_
     assert [told(one, classic(0x080, b""), ms) for ms in (100, 200)] == [[b"\1"], [b"\1"]]
 
 
-def test_a_remote_frame_is_answered_and_listened_for():
+def test_remote_frame_is_accepted_and_answered():
     one = node(
         Frame(10 * MS, "can0", remote(0x186, 1)),
         frame(11, 0x186, b"\1"),
         frame(20, 0x206, b"\x0f"),
     )
-    set_points = {0x206, 0x306, 0x406, 0x506}  # those of the pre-defined connection set, too
+    set_points = {0x206, 0x306, 0x406, 0x506}  # including those of the pre-defined connection set
     assert one.identifiers() == sorted({0x000, 0x080, 0x606, *set_points, RTR | 0x186})
     assert told(one, remote(0x186, 1), 100) == [b"\1"]
 
@@ -196,7 +195,7 @@ WRITE, ASK = bytes.fromhex("0600010003"), bytes.fromhex("03006B0001")
 
 
 def with_crc(data):
-    """MODBUS over Serial Line V1.02, section 6.2.2, bit by bit."""
+    """Append the CRC of MODBUS over Serial Line V1.02, section 6.2.2, computed bit by bit."""
     crc = 0xFFFF
     for byte in data:
         crc ^= byte
@@ -231,12 +230,12 @@ def answer(unit, frame_, now_ms=100):
     return list(unit.take_output())
 
 
-def test_a_request_to_the_unit_is_answered_with_its_check_sum(unit):
+def test_request_to_unit_is_answered_with_crc(unit):
     assert answer(unit, with_crc(b"\1" + ASK)) == [with_crc(bytes.fromhex("010302022B"))]
     assert unit.take_events() == []
 
 
-def test_the_shortest_request_there_is_has_four_bytes(unit):
+def test_shortest_request_has_four_bytes(unit):
     answer(unit, with_crc(b"\0" + WRITE), 50)
     answer(unit, with_crc(b"\1" + WRITE), 70)
     assert answer(unit, with_crc(b"\1\7")) == [with_crc(b"\1\7\x6d")]
@@ -245,22 +244,22 @@ def test_the_shortest_request_there_is_has_four_bytes(unit):
 @pytest.mark.parametrize(
     "spoiled", [b"", b"\xff\xff", with_crc(b"\1"), with_crc(b"\1" + ASK)[:-1] + b"\0", b"\2" + ASK]
 )
-def test_what_is_spoiled_is_not_answered_and_not_told(unit, spoiled):
+def test_corrupted_or_foreign_request_is_ignored(unit, spoiled):
     assert (answer(unit, spoiled), unit.take_events()) == ([], [])
     assert answer(unit, with_crc(b"\2" + ASK)) == []
 
 
-def test_a_broadcast_is_taken_and_not_answered(unit):
+def test_broadcast_is_accepted_without_answer(unit):
     assert answer(unit, with_crc(b"\0" + WRITE)) == []
     assert unit.snapshot(0)["matched"] == 1.0
-    assert answer(unit, with_crc(b"\0" + WRITE), 150) == []  # recorded to the unit alone
+    assert answer(unit, with_crc(b"\0" + WRITE), 150) == []  # recorded only for the single unit
     assert unit.snapshot(0)["matched"] == 2.0
     unknown = with_crc(b"\0" + WRITE[:-1] + b"\4")
-    assert answer(unit, unknown, 200) == []  # no exception either, but it is told
+    assert answer(unit, unknown, 200) == []  # no exception response, but an event
     assert len(unit.take_events()) == 1
 
 
-def test_a_request_that_is_not_recorded_is_refused_as_a_failure_of_the_device(unit):
+def test_unrecorded_request_is_refused_as_device_failure(unit):
     """MODBUS Application Protocol V1.1b3, section 7: function code and 80h, exception 04h."""
     refused = with_crc(bytes.fromhex("018604"))
     assert answer(unit, with_crc(b"\1" + WRITE[:-1] + b"\4")) == [refused]
@@ -268,7 +267,7 @@ def test_a_request_that_is_not_recorded_is_refused_as_a_failure_of_the_device(un
 
 
 def flexible_node(data_bit_ns, frames):
-    """Node 6 of a recording at 500 kbit/s, whose frames are known to be its own, and its player."""
+    """Return node 6 of a 500 kbit/s recording with known senders."""
     tapes = CanopenTapes("can0", 0, {6: "left"})
     for at_ns, sent in frames:
         tapes.take(at_ns, sent, Direction.UNKNOWN, "left")
@@ -277,7 +276,7 @@ def flexible_node(data_bit_ns, frames):
     return made
 
 
-def test_can_fd_frames_begin_so_much_before_their_end_as_both_rates_make_them():
+def test_can_fd_frame_starts_earlier_by_both_rates():
     """123h with 8 bytes: 26 nominal bits to its end, 99 at the data rate (test_can_bus_fd)."""
     data = bytes.fromhex("0011223344556677")
     frames = [
@@ -296,7 +295,7 @@ def test_can_fd_frames_begin_so_much_before_their_end_as_both_rates_make_them():
     assert one.take_events() == []
 
 
-def test_a_classical_node_sends_no_can_fd_frame_and_says_so():
+def test_classical_node_omits_can_fd_frames_with_warning():
     frames = [(1 * MS, classic(0x706, b"\0")), (20 * MS, flexible(0x123, 0, bytes(64)))]
     one = flexible_node(0, frames)
     one.expire(50 * MS)

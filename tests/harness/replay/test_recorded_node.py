@@ -1,11 +1,11 @@
-"""A recorded node asked by hosts that are not the recorded one; frames are those of CiA 301."""
+"""Recorded nodes with hosts other than the recorded one; frames follow CiA 301."""
 
 import struct
 
-from harness.replay.recorded_node import RecordedNode
-from traces.canopen_tapes import CanopenTapes
-from traces.schema import Direction
-from traces.traffic import EFF, RTR, classic
+from motorhil.harness.replay.device_node import RecordedNode
+from motorhil.traces.exchange.canopen import CanopenTapes
+from motorhil.traces.formats.frames import EFF, RTR, classic
+from motorhil.traces.schema import Direction
 
 MS = 1_000_000
 BOOT_UP = (0, 0x701, b"\0")
@@ -14,7 +14,7 @@ READ_POSITION = bytes.fromhex("4064600000000000")
 
 
 def node(*frames, any_set_point=False):
-    """Node 1 of a recording of (ms, identifier, data)."""
+    """Return node 1 of a recording of (ms, identifier, data)."""
     cutter = CanopenTapes("can0", 0, None, None, any_set_point)
     for time_ms, can_id, data in frames:
         cutter.take(int(time_ms * MS), classic(can_id, data), Direction.UNKNOWN, "")
@@ -24,7 +24,7 @@ def node(*frames, any_set_point=False):
 
 
 def played(one, *told, until_ms=1000):
-    """What it sends, as (identifier, data), when it is told (ms, identifier, data)."""
+    """Return the frames (identifier, data) that the node sends for (ms, identifier, data)."""
     out = []
 
     def go_on(now_ns):
@@ -42,7 +42,7 @@ def played(one, *told, until_ms=1000):
 
 
 def write(time_ms, index, subindex, value, size=4):
-    """An expedited download, and that it was taken."""
+    """Return an expedited download and its confirmation."""
     place = struct.pack("<HB", index, subindex)
     command = {1: 0x2F, 2: 0x2B, 4: 0x23}[size]
     return (
@@ -55,27 +55,27 @@ def asked(frames):
     return [one for one in frames if one[1] not in (0x581, 0x181, 0x701)]
 
 
-def test_what_was_told_to_all_before_a_node_was_heard_was_told_to_it():
+def test_broadcast_before_first_frame_applies_to_node():
     one = node((0, 0, b"\x81\0"), (50, 0x701, b"\0"), (60, 0, b"\1\0"), (100, 0x701, b"\5"))
     assert played(one, (10, 0, b"\x81\0"), (80, 0, b"\1\0")) == [(0x701, "00"), (0x701, "05")]
     assert not one.player.mismatches
 
 
-def test_a_boot_up_answers_no_guarding():
-    """It was guarded before it was there; it boots, whoever guards it."""
+def test_boot_up_is_not_an_answer_to_guarding():
+    """The recorded host guarded the node before it was present; the node boots in any case."""
     guard = 0x701 | RTR
     one = node((0, guard, b""), (300, 0x701, b"\0"), (500, guard, b""), (501, 0x701, b"\x7f"))
     assert played(one, (400, guard, b""))[0] == (0x701, "00")
 
 
-def test_the_toggle_bit_of_node_guarding_alternates_however_often_it_is_asked():
+def test_toggle_bit_alternates_with_every_guarding():
     guard = 0x701 | RTR
     one = node(BOOT_UP, (5, guard, b""), (6, 0x701, b"\x7f"), (9, guard, b""), (10, 0x701, b"\xff"))
     told = played(one, *[(10 + number, guard, b"") for number in range(0, 50, 10)])
     assert [data for _, data in told[1:]] == ["7f", "ff", "7f", "ff", "7f"]
 
 
-def test_a_node_that_boots_by_itself_is_told_the_same_pdo_anew():
+def test_equal_pdo_after_own_boot_up_is_a_new_command():
     frames = (
         *(BOOT_UP, (10, 0x201, b"\6\0"), (12, 0x181, b"\x31\2")),
         *((100, 0x701, b"\0"), (110, 0x201, b"\6\0"), (115, 0x181, b"\x33\2")),
@@ -84,7 +84,7 @@ def test_a_node_that_boots_by_itself_is_told_the_same_pdo_anew():
     assert told == [(0x701, "00"), (0x181, "3102"), (0x701, "00"), (0x181, "3302")]
 
 
-def test_a_second_reset_resets_though_something_before_it_is_left_out():
+def test_second_reset_is_found_after_skipped_commands():
     reset = b"\x81\1"
     frames = (
         *(BOOT_UP, (5, 0, reset), (50, 0x701, b"\0"), *write(60, 0x2000, 0, 1)),
@@ -99,16 +99,16 @@ LATE = (
     (22, 0x581, bytes.fromhex("4b41600031020000")),
     (23, 0x581, bytes.fromhex("4364600001000000")),
 )
-"""The host gave up waiting for the first answer, which came all the same."""
+"""The host gave up waiting for the first answer, which arrived later."""
 
 
-def test_an_answer_that_came_late_is_that_of_what_was_asked():
+def test_late_answer_is_matched_with_its_request():
     assert played(node(*LATE), (10, 0x601, READ_STATUSWORD))[1:] == [(0x581, "4b41600031020000")]
     assert played(node(*LATE), (10, 0x601, READ_POSITION))[1:] == [(0x581, "4364600001000000")]
     assert len(played(node(*LATE), *LATE[1:3])) == 3
 
 
-def test_reserved_and_unused_bytes_of_sdo_requests_tell_nothing():
+def test_reserved_bytes_of_sdo_requests_are_ignored():
     """Upload: bytes 4 to 7; expedited download of one byte: 5 to 7; upload segment: 1 to 7."""
     frames = (
         *(BOOT_UP, (10, 0x601, bytes.fromhex("40416000ffaabbcc"))),
@@ -132,21 +132,21 @@ def test_reserved_and_unused_bytes_of_sdo_requests_tell_nothing():
     assert played(node(*frames), (20, 0x601, bytes.fromhex("2f60600003000000")))[1][1][:2] == "80"
 
 
-def test_extended_identifiers_are_not_its():
+def test_extended_identifier_is_ignored():
     one = node(*LATE)
     one.receive(classic(0x601 | EFF, READ_STATUSWORD), 0)
     one.expire(15 * MS)
     assert [frame[:2] for frame in one.take_output()] == [b"\1\7"]
 
 
-def test_a_pdo_to_it_that_was_never_recorded_is_told():
+def test_unrecorded_pdo_is_a_mismatch():
     one = node(*LATE)
     played(one, (30, 0x201, b"\6\0"))
     assert [mismatch.came[:15] for mismatch in one.player.mismatches] == ["RPDO 1 to node "]
 
 
-def test_sync_may_have_another_identifier():
-    """1005h = 85h, which is not the emergency of node 5; TPDO 1 by every SYNC."""
+def test_sync_identifier_follows_1005h():
+    """1005h = 85h, which is not the emergency of node 5; TPDO 1 answers every SYNC."""
     syncs = [(100 + 10 * n, 0x85, b"") for n in range(4)]
     answers = [(time_ms + 1, 0x181, bytes([n])) for n, (time_ms, _, _) in enumerate(syncs)]
     traffic = sorted([*syncs, *answers])
@@ -156,7 +156,7 @@ def test_sync_may_have_another_identifier():
     assert told[-2:] == [(0x181, "00"), (0x181, "01")]
 
 
-def test_a_sync_where_none_was_recorded_gets_what_the_last_one_got():
+def test_unrecorded_sync_gets_the_last_answer():
     frames = (
         *(BOOT_UP, *write(12, 0x1800, 2, 1, 1), (100, 0x80, b""), (101, 0x181, b"\7")),
         *(*write(151, 0x6060, 0, 1, 1), *write(152, 0x6081, 0, 1)),
@@ -165,7 +165,7 @@ def test_a_sync_where_none_was_recorded_gets_what_the_last_one_got():
     assert [data for can_id, data in told if can_id == 0x181] == ["07", "07"]
 
 
-def test_where_a_set_point_is_in_a_pdo_may_change():
+def test_set_point_position_in_pdo_may_change():
     frames = (
         *(BOOT_UP, *write(1, 0x1600, 1, 0x607A0020), *write(2, 0x1600, 2, 0x60400010)),
         *(*write(3, 0x1600, 0, 2, 1), (10, 0x201, bytes.fromhex("010000000600"))),
@@ -189,8 +189,8 @@ def test_where_a_set_point_is_in_a_pdo_may_change():
     assert one.player.matched == 7
 
 
-def test_giving_up_a_transfer_leaves_what_else_is_on_its_way():
-    """A SYNC has just asked for a PDO when the client aborts its upload."""
+def test_aborted_transfer_keeps_other_pending_frames():
+    """A SYNC has just requested a PDO when the client aborts its upload."""
     frames = (
         *(BOOT_UP, *write(12, 0x1800, 2, 1, 1), (100, 0x80, b""), (105, 0x181, b"\7")),
         *((110, 0x601, READ_STATUSWORD), (120, 0x581, bytes.fromhex("4b41600031020000"))),
@@ -200,7 +200,7 @@ def test_giving_up_a_transfer_leaves_what_else_is_on_its_way():
     assert played(node(*frames), *told)[2:] == [(0x181, "07")]
 
 
-def test_a_segment_that_was_not_recorded_is_refused_with_the_object_it_is_of():
+def test_unrecorded_segment_is_aborted_with_its_object():
     """CiA 301: an abort names index and sub-index of the transfer."""
     frames = (
         *(BOOT_UP, (10, 0x601, bytes.fromhex("4008100000000000"))),

@@ -1,4 +1,4 @@
-"""Rigs out of recordings: whose tape a controller gets, what is left out, what files come along."""
+"""Rigs with recorded controllers: chosen logs, omitted settings, attached files."""
 
 import os
 import tomllib
@@ -6,27 +6,25 @@ from dataclasses import replace
 
 import pytest
 
-from emulators.controller import ControllerContext, SettingError
-from harness.replay.factory import build, recorded_tapes
-from harness.replay.recorded_node import RecordedNode
-from harness.replay.recorded_rig import own_rig, rig_in, with_recorded
-from harness.replay.recorded_unit import RecordedUnit
-from harness.rig import installed_plugins
+from motorhil.emulators.controller import ControllerContext, SettingError
+from motorhil.harness.replay.device_node import RecordedNode, RecordedUnit, build, recorded_tapes
+from motorhil.harness.replay.rig import own_rig, rig_in, with_recorded
+from motorhil.harness.rig.rig import installed_plugins
+from motorhil.traces.exchange.recording import tapes_of
+from motorhil.traces.exchange.steps import START
+from motorhil.traces.mcap.reader import read_trace
+from motorhil.traces.mcap.writer import TraceWriter
+from motorhil.traces.schema import CAN_FRAME, MODBUS_ADU, Direction, Schema
 from tests.golden import described, golden
 from tests.harness.recorded import MS, Recorded
 from tests.traces.test_tapes import frame
-from traces.reader import read_trace
-from traces.recorded_tapes import tapes_of
-from traces.schema import CAN_FRAME, MODBUS_ADU, Direction, Schema
-from traces.tape import START
-from traces.writer import TraceWriter
 
 S = 1_000_000_000
 ASK, KIND = "40001000", "4300100092010200"
 
 
 def recording(path, *frames, metadata=None, attached=()):
-    """Frames as (bus, frame), without a rig."""
+    """Record frames, given as (bus, frame), without a rig."""
     with TraceWriter(path, metadata or {}) as writer:
         for name, data in attached:
             writer.attach(name, data, "application/toml")
@@ -48,16 +46,16 @@ def booted(number):
     return frame(1_000, 0x700 + number, b"\0")
 
 
-def test_of_a_node_on_two_buses_one_is_to_be_named(tmp_path):
+def test_node_on_two_buses_needs_recorded_bus(tmp_path):
     path = recording(tmp_path / "a.mcap", ("can0", booted(1)), ("can1", booted(1)))
-    with pytest.raises(SettingError, match=r"name one; .* has node 1 on several buses: can0, can1"):
+    with pytest.raises(SettingError, match=r"name one of them; .* on several buses: can0, can1"):
         built(path, node_id=1)
     core = built(path, node_id=1, recorded_bus="can1")
     assert isinstance(core, RecordedNode)
     assert core.player.tape.bus == "can1"
 
 
-def test_a_unit_and_a_node_of_one_number_are_told_apart(tmp_path):
+def test_unit_and_node_with_equal_number_are_distinct(tmp_path):
     one = Recorded(tmp_path / "a.mcap")
     one.sdo(1 * MS, 3, ASK, KIND)
     one.modbus(11 * MS, "000100000006030600010003", True)
@@ -68,12 +66,12 @@ def test_a_unit_and_a_node_of_one_number_are_told_apart(tmp_path):
     assert isinstance(unit, RecordedUnit)
     assert isinstance(node, RecordedNode)
     assert (unit.player.tape.bus, node.player.tape.bus) == ("rs485", "can0")
-    with pytest.raises(SettingError, match="nothing of a unit 4"):
+    with pytest.raises(SettingError, match="no data of unit 4"):
         built(path, unit=4)
 
 
 @pytest.mark.parametrize(("rate", "bit_ns"), [(1_000_000, 1_000), (125_000, 8_000)])
-def test_how_long_a_recorded_frame_was_the_bit_rate_tells(tmp_path, rate, bit_ns):
+def test_frame_duration_follows_bit_rate(tmp_path, rate, bit_ns):
     """A boot-up frame 701h 00h: 52 bits without intermission, and at most 10 stuff bits."""
     path = recording(tmp_path / "a.mcap", ("can0", booted(1)))
     ((sent,),) = [
@@ -82,8 +80,8 @@ def test_how_long_a_recorded_frame_was_the_bit_rate_tells(tmp_path, rate, bit_ns
     assert 52 * bit_ns <= sent.duration_ns <= 62 * bit_ns
 
 
-def test_a_recording_that_was_made_anew_is_read_anew(tmp_path):
-    """Though it is as long as the one before it."""
+def test_replaced_recording_is_read_again(tmp_path):
+    """The new file has the same size."""
     path = recording(tmp_path / "a.mcap", ("can0", booted(1)))
     size = path.stat().st_size
     assert list(recorded_tapes(path).tapes) == [("can0", 1)]
@@ -94,9 +92,7 @@ def test_a_recording_that_was_made_anew_is_read_anew(tmp_path):
 
 
 @pytest.mark.parametrize(("metadata", "begin_ns"), [({"run": {}}, 0), ({}, 1 * S)])
-def test_a_rigs_recording_begins_at_0_and_another_with_its_first_message(
-    tmp_path, metadata, begin_ns
-):
+def test_recording_starts_at_0_only_with_a_run(tmp_path, metadata, begin_ns):
     path = recording(tmp_path / "a.mcap", ("can0", booted(1)), metadata=metadata)
     with read_trace(path) as trace:
         (first,) = tapes_of(trace).tapes["can0", 1].steps
@@ -104,7 +100,7 @@ def test_a_rigs_recording_begins_at_0_and_another_with_its_first_message(
     assert [one.delay_ns for one in first.reactions] == [1 * S - begin_ns]
 
 
-def test_messages_that_are_none_tell_nothing(tmp_path):
+def test_invalid_messages_yield_no_logs(tmp_path):
     path = tmp_path / "a.mcap"
     with TraceWriter(path) as writer:
         for topic, table in (("/can/can0", CAN_FRAME), ("/modbus/rs485", MODBUS_ADU)):
@@ -113,7 +109,7 @@ def test_messages_that_are_none_tell_nothing(tmp_path):
         assert tapes_of(trace).tapes == {}
 
 
-def test_without_a_rig_each_that_answers_is_a_controller_named_by_its_number(tmp_path):
+def test_rig_in_without_rig_names_controllers_by_number(tmp_path):
     known = installed_plugins()
     one = rig_in(recording(tmp_path / "one.mcap", ("can0", booted(1)), ("can0", booted(2))), known)
     assert list(one.controllers) == ["node_1", "node_2"]
@@ -121,8 +117,8 @@ def test_without_a_rig_each_that_answers_is_a_controller_named_by_its_number(tmp
     assert list(two.controllers) == ["can0_node_1", "can1_node_1"]
 
 
-def test_faults_and_plants_of_the_rig_are_left_out():
-    """What they did is in the recording."""
+def test_faults_and_plants_are_left_out():
+    """Their effects are in the recording."""
     with golden("cia402") as path:
         rig = described("cia402")
         left = replace(rig.controllers["left"], plants_from_model=(("plant",),))
@@ -155,7 +151,7 @@ model = "%s"
 @pytest.mark.parametrize(
     "place", ["wheel.toml", "models/wheel.toml", "../" * 20 + "models/wheel.toml"]
 )
-def test_a_motor_model_is_found_wherever_the_rig_had_it(tmp_path, place):
+def test_motor_model_is_found_at_any_path(tmp_path, place):
     with golden("cia402") as path, read_trace(path) as trace:
         text = tomllib.loads(trace.attachments[0].data.decode())["motor"]["left"]["model"]
     model = "".join(f"{key} = {value}\n" for key, value in text.items()).encode()

@@ -1,4 +1,4 @@
-"""`motorhil replay`, `run` and `demo --against`, as they are used."""
+"""Command line of `motorhil replay`, `run` and `demo --against`."""
 
 import json
 import shutil
@@ -31,8 +31,8 @@ def folder(tmp_path, monkeypatch):
 CONNECT = """\
 from pathlib import Path
 import can
-from motorapi import ControlMode, MotorModel
-from motorapi.adaptations.cia402 import Cia402HwMotor, Cia402Motor
+from motorhil.motorapi import ControlMode, MotorModel
+from motorhil.motorapi.adaptations.cia402.motor import Cia402HwMotor, Cia402Motor
 model = MotorModel.from_table({table}, path="model", line_of=lambda key: None, default_name="left")
 with can.Bus() as bus:
     left = Cia402Motor(Cia402HwMotor(bus, node_id=1), model=model)
@@ -63,14 +63,14 @@ def program(folder, target):
 @pytest.mark.parametrize(
     "words", [("replay", "bench.mcap", "--as", "device"), ("run", "bench.mcap")]
 )
-def test_a_program_passes_against_the_recording(folder, say, words):
+def test_program_matching_the_recording_passes(folder, say, words):
     status, out, err = say(*words, program(folder, 1.0))
     assert (status, out) == (0, "1.000 rad\n"), err
     assert "2 recorded controllers: " in err
     assert "commands, all answered as recorded" in err
 
 
-def test_a_program_that_does_something_else_fails_and_it_is_told_what(folder, say):
+def test_deviating_program_fails_with_reason(folder, say):
     status, out, err = say("replay", "bench.mcap", "--as", "device", program(folder, 1.5))
     assert (status, out) == (1, "")
     assert "not in the recording; first:" in err
@@ -79,7 +79,7 @@ def test_a_program_that_does_something_else_fails_and_it_is_told_what(folder, sa
     assert "again: motorhil replay bench.mcap --as device" in err
 
 
-def test_as_host_every_object_is_told_of(folder, say):
+def test_as_host_lists_every_object(folder, say):
     status, out, err = say("replay", "bench.mcap", "--as", "host")
     assert status == 0, err
     assert "left" in out
@@ -88,7 +88,7 @@ def test_as_host_every_object_is_told_of(folder, say):
     assert "100.00 % of what they tell agrees" in out
 
 
-def test_as_host_for_a_machine(folder, say):
+def test_as_host_json_has_all_facts(folder, say):
     status, out, _ = say("replay", "bench.mcap", "--as", "host", "--json")
     told = json.loads(out)
     assert (status, told["differences"], told["missed"]) == (0, [], [])
@@ -96,8 +96,8 @@ def test_as_host_for_a_machine(folder, say):
 
 
 def other_rig(folder, change):
-    """The recording's own rig, but for something."""
-    from traces.reader import read_trace
+    """Write the recording's own rig with one change."""
+    from motorhil.traces.mcap.reader import read_trace
 
     with read_trace(folder / "bench.mcap") as trace:
         text = trace.attachments[0].data.decode()
@@ -107,7 +107,7 @@ def other_rig(folder, change):
     return str(path)
 
 
-def test_another_drive_is_told_apart_by_the_objects_in_which_it_differs(folder, say):
+def test_as_host_with_other_drive_lists_its_objects(folder, say):
     weak = 'preset = "wheel_60w", current_max_a = 0.2'
     rig = other_rig(folder, ('preset = "wheel_60w"', weak))
     status, out, _ = say("replay", "bench.mcap", "--as", "host", "--rig", rig)
@@ -117,7 +117,7 @@ def test_another_drive_is_told_apart_by_the_objects_in_which_it_differs(folder, 
     assert any("(left)" in line for line in worse)
 
 
-def test_a_drive_that_is_not_there_is_waited_for_and_told(folder, say):
+def test_as_host_with_missing_drive_reports_it(folder, say):
     rig = other_rig(folder, ("node_id = 2", "node_id = 3"))
     status, out, _ = say("replay", "bench.mcap", "--as", "host", "--rig", rig, "--patience", "0.2")
     assert status == 1
@@ -128,14 +128,14 @@ def test_a_drive_that_is_not_there_is_waited_for_and_told(folder, say):
     ("words", "told"),
     [
         (("none.mcap", "--as", "device"), "none.mcap"),
-        (("text.mcap", "--as", "host"), "is no MCAP file"),
+        (("text.mcap", "--as", "host"), "is not an MCAP file"),
         (("bench.mcap", "--as", "host", "--rig", "missing.toml"), "missing.toml"),
         (("bench.mcap", "--as", "device", "missing.py"), "missing.py"),
         (("bench.mcap", "--as", "host", "-o", "nowhere/x.mcap"), "nowhere"),
         (("silent.mcap", "--as", "host"), "holds no frame of a host"),
     ],
 )
-def test_what_cannot_be_replayed_is_said_in_one_line(folder, say, words, told):
+def test_unusable_input_is_reported_in_one_line(folder, say, words, told):
     (folder / "text.mcap").write_text("no recording")
     copied(
         folder / "bench.mcap",
@@ -149,7 +149,7 @@ def test_what_cannot_be_replayed_is_said_in_one_line(folder, say, words, told):
     assert len(err.splitlines()) == 1
 
 
-def test_a_rig_may_name_a_recording_for_one_of_its_controllers(folder, say):
+def test_rig_may_have_one_recorded_controller(folder, say):
     rig = other_rig(
         folder,
         (
@@ -166,13 +166,13 @@ def test_a_rig_may_name_a_recording_for_one_of_its_controllers(folder, say):
     ("line", "told"),
     [
         ('recording = "none.mcap"', "no such file"),
-        ('recording = "other.toml"', "is no MCAP file"),
-        ("", "is missing, or no text"),
-        ('recording = "bench.mcap"\nrecorded_bus = "can7"', "nothing of a node 1 on can7"),
+        ('recording = "other.toml"', "is not an MCAP file"),
+        ("", "is missing or not a text"),
+        ('recording = "bench.mcap"\nrecorded_bus = "can7"', "no data of node 1 on can7"),
         ('recording = "bench.mcap"\nplant = {}', "is not known"),
     ],
 )
-def test_a_wrong_table_is_told_with_its_line(folder, say, line, told):
+def test_wrong_recorded_table_is_reported_with_line(folder, say, line, told):
     rig = other_rig(
         folder,
         (
@@ -186,9 +186,7 @@ def test_a_wrong_table_is_told_with_its_line(folder, say, line, told):
     assert "other.toml:" in err
 
 
-def test_the_demo_passes_against_its_own_record_and_with_another_reply_it_does_not(
-    tmp_path, say, monkeypatch
-):
+def test_demo_against_altered_recording_fails(tmp_path, say, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert say("demo")[0] == 0
     status, _, err = say("demo", "--against", "out/demo.mcap")
@@ -198,7 +196,7 @@ def test_the_demo_passes_against_its_own_record_and_with_another_reply_it_does_n
     done = []
 
     def change(number, topic, time_ns, payload):
-        # Where tilt (node 12) stands when it is asked for its demand: another place.
+        # Alter the position of tilt (node 12) in the answer about its demand.
         is_asked = payload[1:5] == b"\x8c\x05\0\0" and payload[-8:-4] == b"\x43\x62\x60\0"
         if topic == "/can/can0" and is_asked:
             done.append(number)
@@ -215,33 +213,33 @@ def test_the_demo_passes_against_its_own_record_and_with_another_reply_it_does_n
     assert "again: motorhil demo" in err
 
 
-def test_devices_out_of_somebody_elses_recording_answer(tmp_path, say, monkeypatch, shared):
-    """A log with two drives that this project has not made: imported, then asked."""
+def test_imported_recording_answers_as_device(tmp_path, say, monkeypatch, shared):
+    """A foreign log with two drives is imported, then queried."""
     monkeypatch.chdir(tmp_path)
     source = shared / "data" / "traffic" / "canopenlens_sample_amr_2wheel.log"
     assert say("convert", str(source), "-o", "amr.mcap")[0] == 0
     Path("ask.py").write_text(CAN_SCRIPT)
     status, out, err = say("replay", "amr.mcap", "--as", "device", "ask.py")
-    assert (status, out) == (0, "4300100000000000\n"), err  # its line 5
+    assert (status, out) == (0, "4300100000000000\n"), err  # line 5 of the log
 
 
 @pytest.mark.parametrize(
     ("words", "told"),
     [
-        (("--as", "device", "--on", "vcan0"), "--on: not of --as device"),
-        (("--as", "device", "--speed", "2", "--json"), "--speed, --json: not of --as device"),
-        (("--as", "host", "move.py"), "SCRIPT: not of --as host"),
-        (("--as", "traffic", "--reset"), "--reset: not of --as traffic"),
-        (("--as", "host", "--node", "3"), "--node: not of --as host"),
+        (("--as", "device", "--on", "vcan0"), "--on: not for --as device"),
+        (("--as", "device", "--speed", "2", "--json"), "--speed, --json: not for --as device"),
+        (("--as", "host", "move.py"), "SCRIPT: not for --as host"),
+        (("--as", "traffic", "--reset"), "--reset: not for --as traffic"),
+        (("--as", "host", "--node", "3"), "--node: not for --as host"),
     ],
 )
-def test_an_option_that_would_do_nothing_is_refused(folder, say, words, told):
+def test_option_without_effect_is_refused(folder, say, words, told):
     status, out, err = say("replay", "bench.mcap", *words)
     assert (status, out) == (2, "")
     assert told in err
 
 
-def test_that_a_recording_is_cut_is_told_before_its_devices_fall_silent(folder, say):
+def test_truncated_recording_is_reported_at_power_on(folder, say):
     whole = (folder / "bench.mcap").read_bytes()
     (folder / "cut.mcap").write_bytes(whole[: len(whole) // 3])
     _, _, err = say("run", "cut.mcap", program(folder, 1.0))
@@ -249,15 +247,15 @@ def test_that_a_recording_is_cut_is_told_before_its_devices_fall_silent(folder, 
     assert "commands behind that are not in it" in line
 
 
-def test_a_file_that_is_called_a_recording_and_is_none_is_not_read_as_a_rig(folder, say):
+def test_invalid_mcap_file_is_not_read_as_a_rig(folder, say):
     (folder / "empty.mcap").write_bytes(b"")
     status, out, err = say("check", "empty.mcap")
     assert (status, out) == (2, "")
-    assert "empty.mcap: is no recording (MCAP); give a recording, or a rig file" in err
+    assert "empty.mcap: is not a recording (MCAP); give a recording, or a rig file" in err
 
 
-def test_a_record_of_vendors_drives_holds_the_rig_that_ran(tmp_path, say, monkeypatch, shared):
-    """The recorded host drives drives with the same EDS file to the same."""
+def test_demo_recording_with_eds_keeps_its_rig(tmp_path, say, monkeypatch, shared):
+    """The recorded host drives drives with the same EDS file to the same result."""
     monkeypatch.chdir(tmp_path)
     eds = shared / "data" / "eds" / "technosoft_ipos.eds"
     assert say("demo", "--eds", str(eds), "-o", "e.mcap")[0] == 0
@@ -266,7 +264,7 @@ def test_a_record_of_vendors_drives_holds_the_rig_that_ran(tmp_path, say, monkey
     assert "0 differences, 0 times waited in vain" in out
 
 
-def test_that_traffic_is_cut_is_told(folder, say):
+def test_as_traffic_reports_truncated_recording(folder, say):
     whole = (folder / "bench.mcap").read_bytes()
     (folder / "cut.mcap").write_bytes(whole[: len(whole) // 3])
     rig = other_rig(folder, ("node_id = 2", "node_id = 2"))
@@ -275,7 +273,7 @@ def test_that_traffic_is_cut_is_told(folder, say):
     assert "cut at byte" in err
 
 
-def test_frames_of_the_host_that_no_classical_bus_carries_are_counted(folder, say):
+def test_as_host_counts_unsendable_frames(folder, say):
     """One of its SDO requests is a CAN FD frame."""
     done = []
 

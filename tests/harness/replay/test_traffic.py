@@ -1,4 +1,4 @@
-"""Recorded traffic sent again, in virtual time: the schedule, to the nanosecond."""
+"""Traffic replay in virtual time: the schedule, to the nanosecond."""
 
 import json
 import random
@@ -9,9 +9,9 @@ from itertools import pairwise
 import can
 import pytest
 
-from emulators.event_queue import EventQueue
-from harness.cli import main
-from harness.replay.traffic import (
+from motorhil.emulators.simulation.event_queue import EventQueue
+from motorhil.harness.cli.main import main
+from motorhil.harness.replay.frames import (
     STUCK_S,
     Choice,
     SendError,
@@ -19,23 +19,23 @@ from harness.replay.traffic import (
     refuse_long,
     survey,
 )
-from harness.rig import Rig
-from harness.scaffold import EXAMPLES
-from harness.virtual_time import VirtualRuntime
+from motorhil.harness.rig.config.scaffold import EXAMPLES
+from motorhil.harness.rig.rig import Rig
+from motorhil.harness.virtual_time.runtime import VirtualRuntime
+from motorhil.traces.formats.frames import ERR, Findings, Frame, flexible
+from motorhil.traces.formats.registry import record_frames, recorded_frames
+from motorhil.traces.mcap.reader import read_trace
+from motorhil.traces.schema import Direction
 from tests.traces.recordings import can_frame
-from traces.reader import read_trace
-from traces.schema import Direction
-from traces.traffic import ERR, Findings, Frame, flexible
-from traces.traffic_mcap import record_frames, recorded_frames
 
 S = 1_000_000_000
 MS = 1_000_000
-BEGIN = 1_763_000_000 * S + 17  # a recording of the world's clock
+BEGIN = 1_763_000_000 * S + 17  # a recording in wall time
 RIG = str(EXAMPLES / "two_wheels.toml")
 
 
 class Told:
-    """A bus that takes everything, and when it did."""
+    """A sink that takes every frame and notes the time."""
 
     name = "told"
 
@@ -58,13 +58,13 @@ class Told:
 @pytest.fixture
 def runtime():
     runtime = VirtualRuntime(EventQueue())
-    runtime.run_for(0.123456789)  # the replay begins some time
+    runtime.run_for(0.123456789)  # the replay begins at an arbitrary time
     yield runtime
     runtime.close()
 
 
 def an_hour():
-    """(times, frames) of an hour: 16 frames a second at odd moments, seeded."""
+    """Yield frames of one hour: 16 per second at random times with a fixed seed."""
     draw = random.Random("an hour")
     time_ns = BEGIN
     for number in range(3600 * 16):
@@ -73,7 +73,7 @@ def an_hour():
 
 
 @pytest.mark.parametrize("speed", [Fraction(1), Fraction(3), Fraction(1, 7)])
-def test_an_hour_later_nothing_has_drifted(runtime, speed):
+def test_schedule_after_an_hour_has_no_drift(runtime, speed):
     began = runtime.now_ns()
     frames = list(an_hour())
     sink = Told(runtime)
@@ -83,13 +83,13 @@ def test_an_hour_later_nothing_has_drifted(runtime, speed):
         abs(at - began - (frame.time_ns - BEGIN) / speed)
         for (at, _), frame in zip(sink.sent, frames, strict=True)
     )
-    assert worst < 1  # ns; and the hour was one
+    assert worst < 1  # ns; and the hour is one hour
     assert 0.98 * 3600 * S < (sink.sent[-1][0] - began) * speed < 1.02 * 3600 * S
     assert done.late.worst_ns == 0
     assert done.late.count == len(frames) == done.sent["can0"]
 
 
-def test_as_fast_as_possible_asks_no_clock(runtime):
+def test_max_speed_sends_without_waiting(runtime):
     sink = Told(runtime)
     frames = list(an_hour())[:1000]
     began = runtime.now_ns()
@@ -98,8 +98,8 @@ def test_as_fast_as_possible_asks_no_clock(runtime):
     assert done.sent == {"can0": 1000}
 
 
-def test_what_is_late_is_sent_at_once_and_is_not_caught_up_later(runtime):
-    """A bus that is not ready holds up what is due; what comes behind is in time again."""
+def test_late_frames_are_sent_at_once_without_shift(runtime):
+    """A bus that is not ready delays due frames; later frames are on time again."""
     sink = Told(runtime)
     frames = [Frame(BEGIN + k * 10 * MS, "can0", can_frame(k)) for k in range(10)]
 
@@ -117,7 +117,7 @@ def test_what_is_late_is_sent_at_once_and_is_not_caught_up_later(runtime):
     assert done.late.quantile_ns(0.5) == 0
 
 
-def test_a_bus_that_takes_nothing_is_told_by_name(runtime):
+def test_stuck_bus_is_reported_by_name(runtime):
     sink = Told(runtime)
     sink.ready = False
     replay = TrafficReplay({"can0": sink}, runtime, BEGIN)
@@ -127,7 +127,7 @@ def test_a_bus_that_takes_nothing_is_told_by_name(runtime):
     assert STUCK_S == 2.0
 
 
-def test_stamps_that_go_backward_keep_the_order_of_the_file(runtime):
+def test_backward_stamps_keep_file_order(runtime):
     times = [5 * MS, 3 * MS, 9 * MS, 8 * MS]
     frames = [Frame(BEGIN + t, "can0", can_frame(k)) for k, t in enumerate(times)]
     sink = Told(runtime)
@@ -137,13 +137,13 @@ def test_stamps_that_go_backward_keep_the_order_of_the_file(runtime):
     assert [(at - began) // MS for at, _ in sink.sent] == [2, 2, 6, 6]
 
 
-def test_who_asks_for_an_identifier_gets_no_error_frame_of_the_same_bits():
+def test_choice_by_identifier_excludes_error_frames():
     error = Frame(BEGIN, "can0", struct.pack("<IB3x8s", ERR | 0x204, 8, bytes(8)))
     plain = Frame(BEGIN, "can0", struct.pack("<IB3x8s", 0x204, 8, bytes(8)))
     assert list(Choice(identifiers=(0x204,)).of([error, plain])) == [plain]
 
 
-def test_error_frames_are_counted_not_sent_and_other_buses_left_out(runtime):
+def test_error_frames_are_counted_but_not_sent(runtime):
     sink = Told(runtime)
     error = struct.pack("<IB3x8s", ERR | 0x40, 8, bytes(8))
     frames = [
@@ -159,16 +159,16 @@ def test_error_frames_are_counted_not_sent_and_other_buses_left_out(runtime):
     assert (found.first_ns, found.span_ns) == (BEGIN, 2)
 
 
-def test_long_frames_for_a_classic_bus_are_refused_by_bus_and_count():
+def test_can_fd_frames_for_classical_bus_are_refused():
     frames = [Frame(BEGIN, "can0", flexible(1, 0, bytes(12))), Frame(BEGIN, "can0", can_frame(1))]
     found = survey(frames)
     with pytest.raises(SendError, match=r"told: 1 frames of can0 are CAN FD.*nothing was sent"):
         refuse_long(found, {"can0": Told()})
     refuse_long(found, {"can0": Told(carries_fd=True)})
-    refuse_long(found, {})  # that bus is not sent at all
+    refuse_long(found, {})  # that bus has no sink
 
 
-def test_frames_are_chosen_by_bus_identifier_node_and_time():
+def test_choice_filters_by_bus_identifier_node_and_time():
     frames = [
         Frame(0, "can0", can_frame(0x000, b"\1\0")),  # NMT to all nodes: start
         Frame(1, "can0", can_frame(0x701, b"\5")),
@@ -199,7 +199,7 @@ def recording(tmp_path, frames):
     return path
 
 
-def test_frames_in_a_rig_are_on_its_bus_at_their_times(capsys, tmp_path):
+def test_as_traffic_on_rig_keeps_times(capsys, tmp_path):
     frames = [Frame(BEGIN + k * MS, "arm", can_frame(0x123, bytes(8))) for k in range(1000)]
     path, live = recording(tmp_path, frames), str(tmp_path / "live.mcap")
     words = ("replay", path, "--as", "traffic", "--rig", RIG, "--on", "arm=can0", "-o", live)
@@ -217,7 +217,7 @@ def test_frames_in_a_rig_are_on_its_bus_at_their_times(capsys, tmp_path):
     assert {frame.direction for frame in mine} == {Direction.TRANSMITTED}
 
 
-def test_as_fast_as_possible_a_rigs_bus_is_full_and_nothing_overtakes(capsys, tmp_path):
+def test_as_traffic_at_max_speed_fills_bus_in_order(capsys, tmp_path):
     data = [struct.pack("<Q", k) for k in range(500)]
     frames = [Frame(k * MS, "can0", can_frame(0x123, one)) for k, one in enumerate(data)]
     path = recording(tmp_path, frames)
@@ -241,7 +241,7 @@ def test_as_fast_as_possible_a_rigs_bus_is_full_and_nothing_overtakes(capsys, tm
     assert told["recorded_ns"] == 499 * MS
 
 
-def test_any_interface_of_python_can_is_sent_to(capsys, tmp_path):
+def test_as_traffic_sends_to_python_can_interface(capsys, tmp_path):
     frames = [
         Frame(BEGIN, "can0", can_frame(0x123, b"\1")),
         Frame(BEGIN + 1, "can0", flexible(0x9234_5678, 1, bytes(64))),
@@ -267,17 +267,17 @@ def test_any_interface_of_python_can_is_sent_to(capsys, tmp_path):
 @pytest.mark.parametrize(
     ("words", "told"),
     [
-        ((), "names no bus to send to: --on can0=vcan0"),
-        (("--on", "virtual:1"), "there are frames of can0, can1; write --on can0=WHERE"),
-        (("--on", "can7=virtual:1"), "there are frames of can0, can1"),
-        (("--on", "can0=virtual:1", "--on", "can0=virtual:2"), "can0 is sent elsewhere already"),
+        ((), "no destination given: name a bus with --on can0=vcan0"),
+        (("--on", "virtual:1"), "the recording has frames of can0, can1; write --on can0=WHERE"),
+        (("--on", "can7=virtual:1"), "the recording has frames of can0, can1"),
+        (("--on", "can0=virtual:1", "--on", "can0=virtual:2"), "can0 has a destination already"),
         (("--on", "can0=vcan7"), "vcan7"),
         (("--on", "can0=/nowhere/hub"), "no hub answers here"),
         (("--bus", "can9", "--on", "virtual:1"), "holds no CAN frame to send"),
         (("--rig", RIG, "--on", "can0=can7"), "can7"),
     ],
 )
-def test_what_cannot_begin_is_one_line(capsys, tmp_path, words, told):
+def test_as_traffic_unusable_destination_is_one_line_error(capsys, tmp_path, words, told):
     frames = [Frame(BEGIN, "can0", can_frame(1)), Frame(BEGIN, "can1", can_frame(1))]
     path = recording(tmp_path, frames)
     assert main(["replay", path, "--as", "traffic", *words]) == 2
@@ -287,7 +287,7 @@ def test_what_cannot_begin_is_one_line(capsys, tmp_path, words, told):
     assert said.out == ""
 
 
-def test_buses_that_are_sent_nowhere_are_told(capsys, tmp_path):
+def test_as_traffic_reports_buses_without_destination(capsys, tmp_path):
     frames = [Frame(BEGIN, "can0", can_frame(1)), Frame(BEGIN, "can1", can_frame(1))]
     path = recording(tmp_path, frames)
     assert main(["replay", path, "--as", "traffic", "--on", "can0=virtual:1"]) == 0
@@ -297,9 +297,9 @@ def test_buses_that_are_sent_nowhere_are_told(capsys, tmp_path):
 
 
 @pytest.mark.parametrize("speed", ["0", "-1", "fast", "nan"])
-def test_a_speed_is_a_positive_number_or_max(capsys, tmp_path, speed):
+def test_speed_option_needs_positive_number_or_max(capsys, tmp_path, speed):
     path = recording(tmp_path, [Frame(0, "can0", can_frame(1))])
     assert main(["replay", path, "--as", "traffic", f"--speed={speed}"]) == 2
     assert "is not a number from 0.001 to 1e+06, nor max" in capsys.readouterr().err
     assert main(["replay", path, "--as", "host", "--speed", "max"]) == 2
-    assert "say a number" in capsys.readouterr().err
+    assert "give a number" in capsys.readouterr().err

@@ -1,14 +1,14 @@
-"""What is said of a run against recorded controllers."""
+"""Summaries of runs against recorded controllers."""
 
 import pytest
 
-from harness.replay.as_host import DrivenRig
-from harness.replay.recorded_rig import with_recorded
-from harness.replay.verdict import players, summary, unanswered
-from harness.rig import Rig
+from motorhil.harness.replay.host import DrivenRig
+from motorhil.harness.replay.rig import with_recorded
+from motorhil.harness.replay.verdict import players, summary, unanswered
+from motorhil.harness.rig.rig import Rig
+from motorhil.traces.exchange.steps import Role
+from motorhil.traces.formats.frames import classic
 from tests.golden import described, golden
-from traces.tape import Role
-from traces.traffic import classic
 
 UNKNOWN = bytes.fromhex("4018100700000000")
 
@@ -26,12 +26,12 @@ def tell(rig, node, data):
 
 
 def commands(rig, name):
-    """(number in order, request) of its SDO writes."""
+    """Return (index, request) of the controller's SDO writes."""
     told = [step for step in players(rig)[name].tape.steps if step.role is Role.COMMAND]
     return [(number, step.turns[0].asked[8:16]) for number, step in enumerate(told) if step.turns]
 
 
-def test_what_could_not_be_answered_is_told_by_time_whoever_it_was(rig):
+def test_unanswered_commands_are_listed_by_time(rig):
     for node in (1, 2, 1):
         tell(rig, node, UNKNOWN)
     assert [one.controller for one in unanswered(rig)] == ["left", "right", "left"]
@@ -40,18 +40,18 @@ def test_what_could_not_be_answered_is_told_by_time_whoever_it_was(rig):
     assert lines[1].startswith("left at 0.5")
 
 
-def test_what_was_left_out_and_what_is_still_to_come_are_counted(rig):
+def test_summary_counts_skipped_and_remaining_commands(rig):
     total = sum(one.to_come() for one in players(rig).values())
     assert list(summary(rig)) == [
         "2 recorded controllers: 0 commands, all answered as recorded",
-        f"the recording goes on: {total} more commands",
+        f"the recording has {total} more commands",
     ]
     (place, request), *_ = [one for one in commands(rig, "left") if one[0] > 3]
     tell(rig, 1, request)
     assert list(summary(rig)) == [
         "2 recorded controllers: 1 commands, all answered as recorded",
-        f"commands of the recording that did not come: left {place - 1}",
-        f"the recording goes on: {total - place} more commands",
+        f"commands of the recording that were not sent: left {place - 1}",
+        f"the recording has {total - place} more commands",
     ]
     tell(rig, 1, UNKNOWN)
     assert next(summary(rig)).startswith("2 recorded controllers: 1 of 2 commands not in")
@@ -61,7 +61,7 @@ def test_what_was_left_out_and_what_is_still_to_come_are_counted(rig):
     ("failure", "is_told"),
     [("", False), ("left: it has a fault", True), ("leftover", False), ("right is away", False)],
 )
-def test_what_a_controller_answered_last_is_told_if_the_failure_names_it(rig, failure, is_told):
+def test_summary_lists_last_answers_of_failing_controller(rig, failure, is_told):
     tell(rig, 1, commands(rig, "left")[0][1])
     told = [line for line in summary(rig, failure) if "answered last" in line]
     assert [line.split()[0] for line in told] == (["left"] if is_told else [])

@@ -1,1 +1,1 @@
-"""The report: its data against independent readings, and the page in a real browser."""
+"""Report: its data against independent readings, and the page in a real browser."""

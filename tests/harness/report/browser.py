@@ -1,4 +1,4 @@
-"""Debian's Chromium without a screen, told what to do over a pipe: no port, no library.
+"""Headless Debian Chromium, controlled over a pipe without a port or a library.
 
 Source: Chrome DevTools Protocol, `--remote-debugging-pipe`: JSON messages that end with a zero
 byte, to file descriptor 3 and from 4.
@@ -15,28 +15,29 @@ FLAGS = (
     *("--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run"),
     *("--disable-background-networking", "--disable-component-update", "--disable-sync"),
     *("--disable-default-apps", "--disable-extensions", "--hide-scrollbars", "--mute-audio"),
-    "--host-resolver-rules=MAP * ~NOTFOUND",  # not even a name may be looked up
+    "--host-resolver-rules=MAP * ~NOTFOUND",  # prevents even name lookups
     "--remote-debugging-pipe",
 )
 
 
 def chromium():
-    """Where it is; None: it is not installed."""
+    """Return the path of Chromium, or None if it is not installed."""
     return shutil.which("chromium")
 
 
 class Browser:
     """One page in one browser; a context manager that ends it.
 
-    Attributes: requests (addresses that the page asked for), errors (exceptions and console
-    errors), in order.
+    Attributes:
+        requests: addresses requested by the page, in order.
+        errors: exceptions and console errors, in order.
     """
 
     def __init__(self, profile: Path, width=1400, height=900):
         to_browser, self._out = os.pipe()
         self._in, from_browser = os.pipe()
         words = [chromium(), *FLAGS, f"--user-data-dir={profile}", "about:blank"]
-        # The shell puts the pipes where the browser looks for them: 3 and 4, whatever was there.
+        # The shell moves the pipes to descriptors 3 and 4, which the browser uses.
         script = 'exec 3<&"$1" 4>&"$2"; shift 2; exec "$@"'
         self._process = subprocess.Popen(
             ["bash", "-c", script, "bash", str(to_browser), str(from_browser), *words],
@@ -77,7 +78,7 @@ class Browser:
         os.close(self._in)
 
     def call(self, method, **parameters):
-        """What the browser answers; events that come before it are noted."""
+        """Return the browser's answer; note the events before it."""
         self._number += 1
         message = {"id": self._number, "method": method, "params": parameters}
         if self._session is not None:
@@ -92,14 +93,14 @@ class Browser:
             self._note(told)
 
     def open(self, page: Path, fragment=""):
-        """The page is drawn, or has failed: `errors` and its own `data-error` tell."""
+        """Open the page and wait until it is drawn or has failed (`errors`, its `data-error`)."""
         self.call("Page.navigate", url=page.as_uri() + fragment)
         return self.wait(
             "document.documentElement.dataset.state || document.documentElement.dataset.error"
         )
 
     def wait(self, condition, timeout_ms=120_000):
-        """What the condition is when it is true; the browser itself waits, frame by frame."""
+        """Return the condition's value once it is true; the browser itself waits."""
         return self.run(
             "new Promise((resolve, reject) => {"
             f"  const end = performance.now() + {timeout_ms};"
@@ -112,13 +113,13 @@ class Browser:
         )
 
     def run(self, expression):
-        """The value of a JavaScript expression; of a promise, what it comes to."""
+        """Return the value of a JavaScript expression, or of its promise."""
         while True:
             try:
                 told = self.call(
                     "Runtime.evaluate", expression=expression, returnByValue=True, awaitPromise=True
                 )
-            except RuntimeError as error:  # the page was left for the next one meanwhile
+            except RuntimeError as error:  # the page was replaced meanwhile
                 if "context" in str(error).lower() or "navigated" in str(error).lower():
                     continue
                 raise
@@ -129,7 +130,7 @@ class Browser:
             return told["result"].get("value")
 
     def drawn(self):
-        """By panel: how much it has drawn, from when to when."""
+        """Return the number of drawn items and the range of each panel."""
         found = self.run(
             "[...document.querySelectorAll('canvas[data-panel]')].map(c =>"
             " [c.dataset.panel, ...['drawn', 'from', 'to'].map(n => Number(c.dataset[n]))])"
@@ -137,21 +138,21 @@ class Browser:
         return {name: tuple(rest) for name, *rest in found}
 
     def key(self, key, **more):
-        """A key is pressed and let go."""
+        """Press and release a key."""
         for kind in ("keyDown", "keyUp"):
             self.call("Input.dispatchKeyEvent", type=kind, key=key, **more)
         self.settle()
 
     def mouse(self, kind, x, y, **more):
-        """Something of the mouse, in pixels of the window."""
+        """Send a mouse event, in pixels of the window."""
         self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, **more)
 
     def settle(self):
-        """Two frames have been drawn since."""
+        """Wait until two frames have been drawn."""
         self.run("new Promise(r => requestAnimationFrame(() => requestAnimationFrame(() => r(1))))")
 
     def size(self, width, height, scale=1):
-        """The window is so large [CSS pixels]."""
+        """Set the size of the window [CSS pixels]."""
         self.call(
             "Emulation.setDeviceMetricsOverride",
             width=width,
@@ -161,14 +162,14 @@ class Browser:
         )
 
     def media(self, **features):
-        """As `prefers_color_scheme="dark"`."""
+        """Set media features, such as `prefers_color_scheme="dark"`."""
         told = [
             {"name": name.replace("_", "-"), "value": value} for name, value in features.items()
         ]
         self.call("Emulation.setEmulatedMedia", features=told)
 
     def picture(self, whole=False):
-        """A PNG of what is seen, or of the whole page."""
+        """Return a PNG of the window, or of the whole page."""
         told = self.call("Page.captureScreenshot", format="png", captureBeyondViewport=whole)
         return base64.b64decode(told["data"])
 

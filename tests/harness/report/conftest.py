@@ -1,4 +1,4 @@
-"""The report of the demo, made once; and of any recording."""
+"""Fixtures: the report of the demo, made once, and of any recording."""
 
 import base64
 import json
@@ -7,10 +7,10 @@ import zlib
 
 import pytest
 
-from harness.cli import main
-from harness.report.collect import collect
-from harness.report.document import document_of
-from traces.reader import read_trace
+from motorhil.harness.cli.main import main
+from motorhil.harness.report.collect import collect
+from motorhil.harness.report.document import document_of
+from motorhil.traces.mcap.reader import read_trace
 
 
 @pytest.fixture(scope="session")
@@ -22,7 +22,7 @@ def demo_page(demo):
 
 @pytest.fixture(scope="session")
 def report_of():
-    """(what was found in a recording, the page's document, its arrays by `array`)."""
+    """Return a function that gives findings, document and arrays of a recording."""
 
     def report(path, **limits):
         with read_trace(path) as trace:
@@ -34,7 +34,7 @@ def report_of():
 
 
 class Arrays:
-    """The packed arrays, read by their description alone: Python's integers, no numpy."""
+    """The packed arrays, decoded from their description with plain Python integers."""
 
     def __init__(self, packed):
         self.bytes = zlib.decompress(base64.b64decode(packed))
@@ -59,7 +59,7 @@ class Arrays:
 
 
 def document_in(page):
-    """(document, arrays) of a page's text, as a browser finds them in it."""
+    """Return document and arrays from a page's text, as a browser reads them."""
     text = page.read_text("utf-8")
     found = re.search(r'<script type="application/json" id="document">(.*?)</script>', text, re.S)
     packed = re.search(r'<script type="text/plain" id="packed">(.*?)</script>', text, re.S)

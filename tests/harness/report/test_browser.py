@@ -1,4 +1,4 @@
-"""The page in Debian's Chromium, without a network: drawn, zoomed, panned, read by the cursor.
+"""Page in Debian's Chromium without a network: drawing, zoom, pan, cursor.
 
 Needs `chromium` (Debian package of that name) in PATH.
 """
@@ -7,11 +7,11 @@ import re
 
 import pytest
 
-from harness.cli import main
+from motorhil.harness.cli.main import main
+from motorhil.traces.mcap.writer import TraceWriter
+from motorhil.traces.schema import GROUP_SYNC, MOTOR_LOCK
 from tests.harness.recorded import MS, Recorded
 from tests.harness.report.browser import Browser, chromium
-from traces.schema import GROUP_SYNC, MOTOR_LOCK
-from traces.writer import TraceWriter
 
 pytestmark = pytest.mark.wall
 
@@ -38,7 +38,7 @@ def browser(tmp_path_factory):
 
 @pytest.fixture
 def opened(browser, demo_page):
-    """The demo's page, whole; afterwards nothing has gone wrong, and nothing was asked for."""
+    """Open the demo's page; check afterwards that there were no errors and no requests."""
     browser.requests.clear()
     browser.errors.clear()
     browser.size(1400, 900)
@@ -55,7 +55,7 @@ def shown(browser):
 
 
 def centre_of(browser, panel):
-    """Where the middle of a panel's plot is, after it has been scrolled into sight."""
+    """Scroll a panel into view and return the centre of its plot."""
     where = (
         "(() => { const p = panels.find(p => p.canvas.dataset.panel.startsWith("
         + repr(panel)
@@ -68,7 +68,7 @@ def centre_of(browser, panel):
     return found
 
 
-def test_every_panel_is_drawn_over_the_whole_recording(opened):
+def test_all_panels_are_drawn_over_the_whole_recording(opened):
     sections = opened.run("[...document.querySelectorAll('#charts > section')].map(s => s.id)")
     assert sections == SECTIONS
     drawn = opened.drawn()
@@ -80,8 +80,8 @@ def test_every_panel_is_drawn_over_the_whole_recording(opened):
     assert drawn["load of can1 by identifier"][0] == 7_348
 
 
-def test_pixels_are_drawn_where_a_motor_moves(opened):
-    """More than grid lines: hundreds of pixels of each line's colour."""
+def test_moving_motor_has_coloured_pixels(opened):
+    """Each line's colour covers hundreds of pixels, more than grid lines."""
     colours = opened.run(
         "(() => { const own = p => p.canvas.dataset.panel.startsWith('pan, position');"
         " const c = panels.find(own).canvas;"
@@ -90,11 +90,11 @@ def test_pixels_are_drawn_where_a_motor_moves(opened):
         " { const k = [d[i], d[i+1], d[i+2]].join(); n[k] = (n[k] || 0) + 1; } return n; })()"
     )
     assert colours["213,94,0"] > 300  # the demand, vermilion of Okabe and Ito
-    assert colours["0,114,178"] > 100  # the actual position, blue, where no demand is on it
+    assert colours["0,114,178"] > 100  # the actual position, blue, beside the demand
 
 
-def test_one_sample_of_many_thousands_is_seen(browser, tmp_path):
-    """A spike of one sample, two dozen samples to a pixel: it stands above all others."""
+def test_single_sample_among_thousands_is_visible(browser, tmp_path):
+    """A spike of one sample, with two dozen samples per pixel, rises above all others."""
     one = Recorded(tmp_path / "a.mcap")
     for number in range(24_000):
         one.position(number * MS, "left_wheel", 1.0 if number == 12_345 else 0.0)
@@ -113,11 +113,11 @@ def test_one_sample_of_many_thousands_is_seen(browser, tmp_path):
     )
     assert browser.errors == []
     upper = heights[8 : len(heights) // 2]
-    assert all(0 < count < 6 for count in upper)  # a thin line all the way up
+    assert all(0 < count < 6 for count in upper)  # a thin line over the full height
     assert max(heights) > 500  # and the long one at 0
 
 
-def test_the_range_in_the_address_is_the_range_drawn(opened, demo_page):
+def test_range_in_the_address_is_drawn(opened, demo_page):
     opened.requests.clear()
     opened.call("Page.navigate", url="about:blank")
     opened.requests.clear()
@@ -125,11 +125,11 @@ def test_the_range_in_the_address_is_the_range_drawn(opened, demo_page):
     opened.requests[:] = [one.partition("#")[0] for one in opened.requests]
     assert shown(opened) == pytest.approx((2.060, 2.061), abs=1e-9)
     drawn = opened.drawn()
-    # Between these two moments can0 carries few frames, each with its true length.
+    # can0 carries few frames between these times, each with its true length.
     assert 0 < drawn["load of can0 by identifier"][0] < 20
 
 
-def test_keys_zoom_pan_and_go_back(opened):
+def test_keys_zoom_pan_and_reset(opened):
     opened.run("charts.focus()")
     begin, end = shown(opened)
     opened.key("+")
@@ -143,7 +143,7 @@ def test_keys_zoom_pan_and_go_back(opened):
     opened.key("w")
     opened.key("Backspace")
     assert shown(opened) == pytest.approx((begin, end))
-    opened.key("n")  # the first of the incidents that are warnings behind the middle, or none
+    opened.key("n")  # the first warning after the middle, or none
     opened.key("p")
     assert opened.run("cursor") is not None
     opened.key("?")
@@ -151,13 +151,13 @@ def test_keys_zoom_pan_and_go_back(opened):
     opened.run("document.getElementById('help').close()")
 
 
-def test_zoom_changes_what_every_panel_in_sight_has_drawn(opened):
+def test_zoom_redraws_every_visible_panel(opened):
     opened.run("setRange(3, 4)")
     opened.settle()
     drawn = opened.drawn()
     assert drawn["load of can0 over time"][1:] == pytest.approx((3.0, 4.0))
     assert drawn["load of can0 over time"][0] < 1000
-    # What is further down is drawn when it is scrolled to, with the same range.
+    # A panel further down is drawn with the same range when it becomes visible.
     name = next(one for one in drawn if one.startswith("tilt, position"))
     assert drawn[name][2] > 17
     opened.run("document.querySelector('[data-motor=tilt]').scrollIntoView()")
@@ -165,7 +165,7 @@ def test_zoom_changes_what_every_panel_in_sight_has_drawn(opened):
     assert opened.drawn()[name][1:] == pytest.approx((3.0, 4.0))
 
 
-def test_a_drag_zooms_to_what_was_dragged_over(opened):
+def test_drag_zooms_to_the_dragged_range(opened):
     x, y = centre_of(opened, "load of can0 over")
     middle = sum(shown(opened)) / 2
     opened.mouse("mouseMoved", x, y)
@@ -178,7 +178,7 @@ def test_a_drag_zooms_to_what_was_dragged_over(opened):
     assert 1 < end - begin < 3
 
 
-def test_the_wheel_zooms_at_the_pointer_and_scrolls_without_a_key(opened):
+def test_wheel_zooms_with_ctrl_and_scrolls_without(opened):
     x, y = centre_of(opened, "load of can0 over")
     begin, end = shown(opened)
     opened.mouse("mouseWheel", x, y, deltaX=0, deltaY=-120, modifiers=2)  # with Ctrl
@@ -191,8 +191,8 @@ def test_the_wheel_zooms_at_the_pointer_and_scrolls_without_a_key(opened):
     assert shown(opened) == zoomed
 
 
-def test_the_cursor_reads_the_same_moment_in_every_panel(opened, demo):
-    """What it says of a position is what another reader finds there."""
+def test_cursor_reads_the_same_time_in_every_panel(opened, demo):
+    """The displayed position equals the one from another reader."""
     from mcap.reader import make_reader
     from mcap_protobuf.decoder import DecoderFactory
 
@@ -218,7 +218,7 @@ def test_the_cursor_reads_the_same_moment_in_every_panel(opened, demo):
     before = max(point for point in points if point[0] <= at)
     after = min(point for point in points if point[0] > at)
     assert before[1] - 1e-4 <= value <= after[1] + 1e-4
-    assert after[1] - before[1] > 1e-3  # it moves there: a wrong moment would be seen
+    assert after[1] - before[1] > 1e-3  # it moves there, so a wrong time would be visible
     load = opened.run(
         "panels.find(p => p.canvas.dataset.panel === 'load of can0 over time').reading.textContent"
     )
@@ -226,7 +226,7 @@ def test_the_cursor_reads_the_same_moment_in_every_panel(opened, demo):
     assert "shown range, on average5.6" in load or "shown range, on average5.7" in load
 
 
-def test_quantities_and_motors_can_be_chosen(opened):
+def test_quantities_and_motors_can_be_filtered(opened):
     seen = "panels.filter(p => p.row.offsetParent).length"
     before = opened.run(seen)
     opened.run(
@@ -240,14 +240,14 @@ def test_quantities_and_motors_can_be_chosen(opened):
 
 @pytest.mark.parametrize("width", [1800, 1000, 420])
 @pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_it_fits_the_window_in_light_and_dark(opened, width, scheme):
+def test_page_fits_the_window_in_light_and_dark(opened, width, scheme):
     opened.media(prefers_color_scheme=scheme)
     opened.size(width, 900)
     opened.settle()
     assert opened.run("document.documentElement.scrollWidth") <= width
     paper = opened.run("getComputedStyle(document.body).backgroundColor")
     assert (paper == "rgb(255, 255, 255)") == (scheme == "light")
-    # Whatever is written can be read: WCAG's contrast of 4.5 for text, 3 for lines.
+    # All text is readable: WCAG's contrast of 4.5 for text, 3 for lines.
     contrast = (
         "(name, other) => { const l = n => { const v = parseInt(theme[n].slice(1), 16);"
         " return [v >> 16, v >> 8 & 255, v & 255].map(c => c / 255)"
@@ -260,7 +260,7 @@ def test_it_fits_the_window_in_light_and_dark(opened, width, scheme):
         assert opened.run(f"({contrast})('{name}', 'paper')") >= least, name
 
 
-def test_before_it_is_printed_everything_is_drawn_for_white_paper(opened):
+def test_before_print_everything_is_drawn_on_white(opened):
     opened.media(prefers_color_scheme="dark")
     opened.settle()
     opened.run("setRange(5, 6)")
@@ -274,11 +274,11 @@ def test_before_it_is_printed_everything_is_drawn_for_white_paper(opened):
     assert opened.run(colours) == dark != ["#ffffff", "rgb(255, 255, 255)"]
 
 
-def test_a_page_of_sums_and_extremes_tells_the_same_load(browser, demo, demo_page, tmp_path):
-    from harness.report.collect import collect
-    from harness.report.document import document_of
-    from harness.report.page import render
-    from traces.reader import read_trace
+def test_reduced_page_has_the_same_load(browser, demo, demo_page, tmp_path):
+    from motorhil.harness.report.collect import collect
+    from motorhil.harness.report.document import document_of
+    from motorhil.harness.report.page import render
+    from motorhil.traces.mcap.reader import read_trace
 
     with read_trace(demo) as trace:
         made = document_of(trace, collect(trace), "reduced", points_max=3_000, frames_max=4_000)
@@ -293,13 +293,11 @@ def test_a_page_of_sums_and_extremes_tells_the_same_load(browser, demo, demo_pag
     exact = browser.run(asked)
     assert browser.errors == []
     for one, other in zip(reduced, exact, strict=True):
-        assert one == pytest.approx(
-            other, rel=0.03
-        )  # what lies in a cell at the end counts in part
+        assert one == pytest.approx(other, rel=0.03)  # cells at the end count in part
 
 
-def test_names_that_are_markup_stay_names(browser, tmp_path):
-    """Motors, events and files are called by others: nothing they are called is obeyed."""
+def test_markup_in_names_is_escaped(browser, tmp_path):
+    """Names of motors, events and files are foreign text and must not be executed."""
     evil = "</script><script>document.title='taken'</script><img src=x onerror=alert(1)>@@packed@@"
     path = tmp_path / "a.mcap"
     one = Recorded(path)
@@ -319,7 +317,7 @@ def test_names_that_are_markup_stay_names(browser, tmp_path):
 
 
 @pytest.mark.parametrize("messages", [0, 1])
-def test_a_page_of_nothing_opens(browser, tmp_path, messages):
+def test_page_of_empty_recording_opens(browser, tmp_path, messages):
     path = tmp_path / "a.mcap"
     if messages:
         Recorded(path).frame(MS, 0x100, "00").close()
@@ -331,7 +329,7 @@ def test_a_page_of_nothing_opens(browser, tmp_path, messages):
     assert browser.errors == []
 
 
-def test_a_page_whose_data_is_spoiled_says_so(browser, demo_page, tmp_path):
+def test_page_with_corrupted_data_reports_it(browser, demo_page, tmp_path):
     text = demo_page.read_text("utf-8")
     broken = tmp_path / "broken.html"
     broken.write_text(text.replace('id="packed">', 'id="packed">AAAA', 1), "utf-8")
@@ -340,8 +338,8 @@ def test_a_page_whose_data_is_spoiled_says_so(browser, demo_page, tmp_path):
     assert "cannot be drawn" in browser.run("document.getElementById('notes').textContent")
 
 
-def test_nothing_can_be_loaded_even_by_the_pages_own_script(browser, demo_page):
-    """The page's policy, not good will: a request is refused before it leaves."""
+def test_page_policy_refuses_requests_of_its_script(browser, demo_page):
+    """The content security policy refuses a request before it is sent."""
     browser.open(demo_page)
     browser.requests.clear()
     refused = browser.run("fetch('https://example.org/').then(() => 'sent', () => 'refused')")
@@ -350,8 +348,8 @@ def test_nothing_can_be_loaded_even_by_the_pages_own_script(browser, demo_page):
     assert policy.startswith("default-src 'none'; img-src data:; script-src 'sha256-")
 
 
-def test_response_times_stand_on_an_axis_of_their_own(opened):
-    """A row for each periodic message; the bound is right of the bar, the deadline of the bound."""
+def test_response_times_are_drawn_in_order(opened):
+    """Each periodic message has a row with, from left to right, bar, bound and deadline."""
     opened.run("document.querySelector('#places a[href=\"#responses\"]').click()")
     rows = opened.run("document.querySelectorAll('#responses tr').length")
     told = opened.run("report.responses.map(bus => bus.messages.length)")

@@ -1,5 +1,6 @@
-"""What the page says of the demo, against readings of the same file that share nothing with it:
-mcap's own reader with protobuf's own decoder, and frames built bit by bit.
+"""Demo data on the page against independent readings of the same file.
+
+The other readings use mcap's reader with protobuf's decoder, and frames built bit by bit.
 """
 
 import struct
@@ -27,7 +28,7 @@ STATES = (
 
 @pytest.fixture(scope="module")
 def others(demo):
-    """By topic: (log time, message) of another reader and decoder."""
+    """Return (log time, message) by topic from another reader and decoder."""
     found = defaultdict(list)
     with demo.open("rb") as file:
         reader = make_reader(file, decoder_factories=[DecoderFactory()])
@@ -41,14 +42,14 @@ def made(demo, report_of):
     return report_of(demo)
 
 
-def test_every_motor_is_there_in_the_order_of_the_rig(made):
+def test_motors_are_listed_in_the_rigs_order(made):
     _, document, _ = made
     assert [motor["name"] for motor in document["motors"]] == MOTORS
     assert document["notes"] == []
     assert document["time"]["kind"] == "rig"
 
 
-def test_frames_and_bits_of_every_identifier_are_those_of_another_reading(made, others):
+def test_frames_and_bits_equal_another_reading(made, others):
     _, document, arrays = made
     assert [traffic["name"] for traffic in document["traffic"]] == ["can0", "can1"]
     for traffic in document["traffic"]:
@@ -68,7 +69,7 @@ def test_frames_and_bits_of_every_identifier_are_those_of_another_reading(made, 
         assert traffic["capacity_s"] == 1_000_000
 
 
-def test_frames_are_drawn_when_they_were_logged(made, others):
+def test_frame_times_equal_log_times(made, others):
     _, document, arrays = made
     tick_ns = round(document["time"]["tick_s"] * 1e9)
     begin_ns = int(document["time"]["begin_ns"])
@@ -91,13 +92,13 @@ def line_of(document, motor, quantity, role):
 
 
 @pytest.mark.parametrize("motor", MOTORS)
-def test_positions_are_the_applications_and_the_plants(made, others, motor):
+def test_positions_equal_application_and_plant(made, others, motor):
     _, document, arrays = made
     unit, line = line_of(document, motor, "position", "actual")
     told = [one for _, one in others[f"/motor/{motor}/state"]]
-    state = [one.position for one in told if one.HasField("position")]  # else it is not known yet
+    state = [one.position for one in told if one.HasField("position")]  # else unknown
     assert unit == "rad"
-    # A number is kept as a float32 beside the first one: 1e-7 of the travel, 30 rad at most.
+    # A number is a float32 relative to the first one: 1e-7 of the travel, 30 rad at most.
     assert arrays.numbers(line["v"]) == pytest.approx(state, abs=3e-6)
     _, line = line_of(document, motor, "position", "truth")
     truth = [one.position_rad for _, one in others[f"/controller/{motor}/truth"]]
@@ -105,8 +106,8 @@ def test_positions_are_the_applications_and_the_plants(made, others, motor):
 
 
 @pytest.mark.parametrize("motor", MOTORS)
-def test_the_following_error_is_demand_minus_actual_in_rad(made, others, motor):
-    """By the truth's demand and position, and what one increment is by the rig's motor models."""
+def test_following_error_is_demand_minus_actual_in_rad(made, others, motor):
+    """Computed from the truth's demand and position with the increments of the motor models."""
     increments_per_rad = {"d": 66, "s": 100}.get(motor[0], 100) * 2000 / 6.283185307179586
     _, document, arrays = made
     unit, line = line_of(document, motor, "following error", "actual")
@@ -116,21 +117,21 @@ def test_the_following_error_is_demand_minus_actual_in_rad(made, others, motor):
     assert arrays.numbers(line["v"]) == pytest.approx(expected, abs=1e-9)
     summary = next(one for one in document["motors"] if one["name"] == motor)["summary"]
     assert summary["following error"]["value"] == pytest.approx(max(map(abs, expected)), abs=1e-9)
-    assert 0 < max(map(abs, expected)) < 0.01  # it moved, and it followed
+    assert 0 < max(map(abs, expected)) < 0.01  # it moved and followed
 
 
 @pytest.mark.parametrize("motor", MOTORS)
-def test_the_demand_runs_with_the_plant(made, motor):
+def test_demand_follows_the_plant(made, motor):
     _, document, arrays = made
     _, demand = line_of(document, motor, "position", "demand")
     _, true = line_of(document, motor, "position", "truth")
     pairs = zip(arrays.numbers(demand["v"]), arrays.numbers(true["v"]), strict=True)
-    # The largest following error of the demo is 19 increments, 0.6 mrad; backlash is below that.
+    # The largest following error of the demo is 19 increments, 0.6 mrad; the backlash is smaller.
     assert max(abs(one - other) for one, other in pairs) < 0.001
 
 
-def test_states_are_those_of_the_statuswords_on_the_bus(made, others):
-    """TPDO 1 begins with 6041h, as the rig's EDS has it."""
+def test_states_equal_the_statuswords_on_the_bus(made, others):
+    """TPDO 1 starts with 6041h, as in the rig's EDS."""
     _, document, arrays = made
     timeline = document["timelines"][0]
     assert [row["name"] for row in timeline["rows"]] == MOTORS
@@ -153,7 +154,7 @@ def test_states_are_those_of_the_statuswords_on_the_bus(made, others):
         assert ends[-1] == document["time"]["span"]
 
 
-def test_groups_tell_what_was_recorded_of_them(made, others):
+def test_groups_equal_their_recorded_messages(made, others):
     _, document, _ = made
     assert [group["name"] for group in document["groups"]] == ["wheels", "steering", "mast"]
     for group in document["groups"]:
@@ -165,7 +166,7 @@ def test_groups_tell_what_was_recorded_of_them(made, others):
         assert max(predicted) > 0
 
 
-def test_every_ownership_is_a_bar(made, others):
+def test_every_ownership_has_a_bar(made, others):
     _, document, arrays = made
     rows = {row["name"]: row for row in document["timelines"][1]["rows"]}
     assert list(rows) == MOTORS
@@ -177,7 +178,7 @@ def test_every_ownership_is_a_bar(made, others):
         assert arrays.times(rows[motor]["from"]) == [at // tick_ns for at in taken]
 
 
-def test_incidents_are_those_on_the_bus(made, others):
+def test_incidents_equal_those_on_the_bus(made, others):
     _, document, _ = made
     told = dict(zip(document["incidents"]["kinds"], document["incidents"]["counts"], strict=True))
     frames = [one for bus in ("can0", "can1") for _, one in others[f"/can/{bus}"]]

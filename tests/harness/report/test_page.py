@@ -1,31 +1,31 @@
-"""The command and the file it writes."""
+"""Command `motorhil report`, and the file it writes."""
 
 import re
 
 import pytest
 from mcap.reader import make_reader
 
-from harness.cli import main
-from harness.report.foxglove import layout_of, path_of
+from motorhil.harness.cli.main import main
+from motorhil.harness.report.foxglove import layout_of, path_of
+from motorhil.traces.mcap.reader import read_trace
 from tests.harness.recorded import Recorded
 from tests.harness.report.conftest import document_in
-from traces.reader import read_trace
 
 
-def test_the_page_names_no_other_place(demo_page):
-    """No address, no link but to its own sections, nothing to load."""
+def test_page_has_no_external_address(demo_page):
+    """There are no addresses, no links except to its own sections, and nothing to load."""
     text = demo_page.read_text("utf-8")
     markup = re.sub(
         r'<script type="(application/json|text/plain)".*?</script>', "", text, flags=re.S
     )
     addresses = set(re.findall(r"[a-z]+://[^\s\"'<)]+", markup))
-    assert addresses == {"http://www.w3.org/2000/svg"}  # the name of a namespace, never loaded
+    assert addresses == {"http://www.w3.org/2000/svg"}  # a namespace, never loaded
     loads = re.findall(r"""(?:src|href)\s*=\s*["']?([^"'\s>]*)""", markup)
     assert set(loads) <= {"data:,", "#"}
     assert not re.search(r"@import|url\(", markup)
 
 
-def test_the_page_holds_the_recording_and_is_the_same_each_time(demo, demo_page, tmp_path):
+def test_page_is_reproducible(demo, demo_page, tmp_path):
     again = tmp_path / "again.html"
     assert main(["report", str(demo), "-o", str(again)]) == 0
     assert again.read_bytes() == demo_page.read_bytes()
@@ -35,7 +35,7 @@ def test_the_page_holds_the_recording_and_is_the_same_each_time(demo, demo_page,
     assert again.stat().st_size < 600_000
 
 
-def test_without_a_name_the_page_stands_beside_the_recording(tmp_path, capsys):
+def test_page_without_output_option_is_beside_recording(tmp_path, capsys):
     path = Recorded(tmp_path / "a.mcap").frame(1, 0x100, "00").close()
     assert main(["report", path]) == 0
     assert capsys.readouterr().out.startswith(f"{tmp_path / 'a.html'}: 1 messages")
@@ -46,13 +46,13 @@ def test_without_a_name_the_page_stands_beside_the_recording(tmp_path, capsys):
     ("words", "told"),
     [
         (["absent.mcap"], "absent.mcap: cannot be read: no such file"),
-        (["text.txt"], "text.txt: is no MCAP file"),
+        (["text.txt"], "text.txt: is not an MCAP file"),
         (["a.mcap", "-o", "a.mcap"], "a.mcap: is the recording itself"),
         (["a.mcap", "--foxglove-layout", "a.mcap"], "a.mcap: is the recording itself"),
         (["a.mcap", "-o", "no/folder.html"], "no/folder.html: cannot be written: no such file"),
     ],
 )
-def test_what_cannot_be_done_is_refused_in_one_line(tmp_path, monkeypatch, capsys, words, told):
+def test_unusable_input_is_refused_in_one_line(tmp_path, monkeypatch, capsys, words, told):
     monkeypatch.chdir(tmp_path)
     content = Recorded("a.mcap").frame(1, 0x100, "00").close()
     (tmp_path / "text.txt").write_text("no recording\n")
@@ -68,7 +68,7 @@ def test_what_cannot_be_done_is_refused_in_one_line(tmp_path, monkeypatch, capsy
 
 
 def panels_in(layout):
-    """The identifiers of panels in a mosaic, in order."""
+    """Return the identifiers of panels in a mosaic, in order."""
     if isinstance(layout, str):
         return [layout]
     assert set(layout) == {"direction", "first", "second", "splitPercentage"}
@@ -77,8 +77,8 @@ def panels_in(layout):
     return panels_in(layout["first"]) + panels_in(layout["second"])
 
 
-def test_the_foxglove_layout_shows_what_is_in_the_recording(demo):
-    """Each panel stands once; each path is of a topic and a field of the file's own schemas."""
+def test_foxglove_layout_shows_recorded_topics(demo):
+    """Each panel appears once; each path has a topic and a field of the file's schemas."""
     from mcap_protobuf.decoder import DecoderFactory
 
     with read_trace(demo) as trace:
@@ -108,7 +108,7 @@ def test_the_foxglove_layout_shows_what_is_in_the_recording(demo):
     assert kinds == {"Plot", "StateTransitions", "RawMessages", "Tab"}
 
 
-def test_a_layout_is_made_for_any_recording(tmp_path, capsys):
+def test_foxglove_layout_of_minimal_recording_is_written(tmp_path, capsys):
     path = Recorded(tmp_path / "a.mcap").event(1, "hot", "left").frame(2, 0x100, "00").close()
     layout = tmp_path / "layout.json"
     assert main(["report", path, "--foxglove-layout", str(layout)]) == 0
@@ -116,7 +116,7 @@ def test_a_layout_is_made_for_any_recording(tmp_path, capsys):
     assert "a layout for Foxglove" in capsys.readouterr().out
 
 
-def test_topics_with_odd_names_are_quoted_in_message_paths():
+def test_path_of_quotes_unusual_topics():
     assert path_of("/motor/pan/state", "position") == "/motor/pan/state.position"
     assert path_of("/motor/my arm.1/state", "position") == '"/motor/my arm.1/state".position'
     assert path_of('/a"b', "x") == '"/a\\"b".x'

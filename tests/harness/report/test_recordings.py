@@ -1,4 +1,4 @@
-"""Recordings of every kind: imported, cut, empty, without times, with times of the calendar."""
+"""Reports of all kinds of recordings: imported, truncated, empty, without times, in wall time."""
 
 import struct
 
@@ -7,20 +7,26 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from harness.cli import main
-from harness.report.reduce import cells, extremes
+from motorhil.harness.cli.main import main
+from motorhil.harness.report.series import cells, extremes
+from motorhil.traces.formats.frames import BRS, flexible
+from motorhil.traces.mcap.writer import TraceWriter
+from motorhil.traces.schema import (
+    CAN_FRAME,
+    GROUP_SYNC,
+    MODBUS_ADU,
+    MOTOR_LOCK,
+    Schema,
+    encode_can_frame,
+)
 from tests.harness.recorded import MS, Recorded, S
-from traces.fields import encode_can_frame
-from traces.schema import CAN_FRAME, GROUP_SYNC, MODBUS_ADU, MOTOR_LOCK, Schema
-from traces.traffic import BRS, flexible
-from traces.writer import TraceWriter
 
 WALL_NS = 1_700_000_000 * S
 ERROR_FRAME = struct.pack("<IB3x8s", 0x2000_0040, 8, bytes(8))  # bus-off, linux/can/error.h
 
 
 def plain(path, frames):
-    """A recording of CAN frames alone, as `motorhil convert` makes them."""
+    """Record CAN frames only, as `motorhil convert` does."""
     with TraceWriter(path) as writer:
         channel = writer.channel("/can/can0", Schema.of(CAN_FRAME))
         for time_ns, frame in frames:
@@ -46,7 +52,7 @@ def words(document, arrays, title, name):
 
 @pytest.fixture
 def drive(tmp_path):
-    """A drive whose PDO mapping is in the traffic: 6041h and 6064h, 6062h beside them."""
+    """Record a drive with its PDO mapping: 6041h and 6064h, and 6062h."""
     told = [(0, frame(0x701, "00"))]
     for index, entries in (("001A", ("10004160", "20006460")), ("011A", ("20006260",))):
         parts = [f"2F{index}0000", *(f"23{index}{n + 1:02X}{e}" for n, e in enumerate(entries))]
@@ -65,7 +71,7 @@ def drive(tmp_path):
     return plain(tmp_path / "drive.mcap", told)
 
 
-def test_a_drive_on_an_imported_bus_is_drawn_in_its_own_increments(drive, report_of):
+def test_imported_drive_is_drawn_in_increments(drive, report_of):
     _, document, arrays = report_of(drive)
     (motor,) = document["motors"]
     plots = {plot["quantity"]: plot for plot in motor["plots"]}
@@ -80,14 +86,14 @@ def test_a_drive_on_an_imported_bus_is_drawn_in_its_own_increments(drive, report
         9,
         15,
         1,
-    ]  # demand minus actual, each time one is told
+    ]  # demand minus actual, for each new value
     assert "6062h minus 6064h" in error["source"]
     assert plots["velocity"]["lines"] == []
     assert "no velocity in the recording" in plots["velocity"]["missing"]
-    assert "not in the recording" in motor["scale"]
+    assert "the recording does not give" in motor["scale"]
 
 
-def test_its_states_and_faults_are_told(drive, report_of):
+def test_imported_drive_has_states_and_faults(drive, report_of):
     _, document, arrays = report_of(drive)
     assert words(document, arrays, "PDS FSA", "can0 node 1") == [
         "switch on disabled",
@@ -104,7 +110,7 @@ def test_its_states_and_faults_are_told(drive, report_of):
     assert [one[1] for one in document["incidents"]["list"]] == [0, 2, 2]
 
 
-def test_without_a_bit_rate_no_load_is_made_up(drive, report_of, tmp_path, capsys):
+def test_load_without_bit_rate_is_not_guessed(drive, report_of, tmp_path, capsys):
     _, document, _ = report_of(drive)
     (traffic,) = document["traffic"]
     assert traffic["capacity_s"] is None
@@ -117,29 +123,29 @@ def test_without_a_bit_rate_no_load_is_made_up(drive, report_of, tmp_path, capsy
 
 
 @pytest.mark.parametrize("text", ["can0", "can0=", "=5", "can0=fast", "can0=0", "can0=-1", "a=1G"])
-def test_a_bit_rate_that_is_none_is_refused(drive, capsys, text):
+def test_invalid_bitrate_option_is_refused(drive, capsys, text):
     assert main(["report", str(drive), "--bitrate", text]) == 2
     assert "BUS=RATE" in capsys.readouterr().err
 
 
-def test_pdos_of_an_unknown_mapping_are_counted_not_guessed(tmp_path, report_of):
+def test_pdos_without_mapping_are_counted(tmp_path, report_of):
     path = plain(tmp_path / "a.mcap", [(n * MS, frame(0x181, "3706000000FF")) for n in range(9)])
     _, document, _ = report_of(path)
     assert document["motors"] == []
-    assert any("9 frames that may be PDOs" in note for note in document["notes"])
+    assert any("9 possible PDOs" in note for note in document["notes"])
 
 
-def test_a_mapping_that_is_told_late_counts_from_then_on(tmp_path, report_of):
+def test_late_mapping_applies_from_then_on(tmp_path, report_of):
     told = [(0, frame(0x181, "3706"))]
     told += [(1, frame(0x601, "23001A0110004160")), (2, frame(0x581, "60001A0100000000"))]
     told += [(3, frame(0x601, "2F001A0001000000")), (4, frame(0x581, "60001A0000000000"))]
     path = plain(tmp_path / "a.mcap", [*told, (5, frame(0x181, "3106"))])
     _, document, arrays = report_of(path)
     assert words(document, arrays, "PDS FSA", "can0 node 1") == ["ready to switch on"]
-    assert any("of 1 frames that may be PDOs" in note for note in document["notes"])
+    assert any("of 1 possible PDOs" in note for note in document["notes"])
 
 
-def test_a_device_of_another_profile_is_no_drive(tmp_path, report_of):
+def test_device_of_another_profile_is_not_a_drive(tmp_path, report_of):
     told = [(0, frame(0x601, "4000100000000000")), (1, frame(0x581, "4300100091010000"))]
     told += [(2, frame(0x601, "23001A0110004160")), (3, frame(0x581, "60001A0100000000"))]
     told += [(4, frame(0x601, "2F001A0001000000")), (5, frame(0x581, "60001A0000000000"))]
@@ -148,7 +154,7 @@ def test_a_device_of_another_profile_is_no_drive(tmp_path, report_of):
     assert document["motors"] == []
 
 
-def test_what_looks_like_emergencies_needs_a_bus_that_is_canopen(tmp_path, report_of):
+def test_emergencies_need_a_certain_canopen_bus(tmp_path, report_of):
     noise = [(n * MS, frame(0x0CA, "1023010000000000")) for n in range(5)]
     _, document, _ = report_of(plain(tmp_path / "a.mcap", noise))
     assert document["incidents"]["list"] == []
@@ -160,7 +166,7 @@ def test_what_looks_like_emergencies_needs_a_bus_that_is_canopen(tmp_path, repor
     ) == {"emergency": 5}
 
 
-def test_times_of_the_calendar_keep_their_nanoseconds(tmp_path, report_of):
+def test_wall_times_keep_their_nanoseconds(tmp_path, report_of):
     told = [(WALL_NS + n * 1_000_003, frame(0x100 + n)) for n in range(1000)]
     _, document, arrays = report_of(plain(tmp_path / "a.mcap", told))
     assert document["time"]["kind"] == "wall"
@@ -169,24 +175,24 @@ def test_times_of_the_calendar_keep_their_nanoseconds(tmp_path, report_of):
     assert arrays.times(document["traffic"][0]["t"]) == [n * 1_000_003 for n in range(1000)]
 
 
-def test_frames_without_times_are_drawn_in_their_order(tmp_path, report_of):
+def test_frames_without_times_are_drawn_in_order(tmp_path, report_of):
     told = [(WALL_NS, frame(0x100)) for _ in range(50)]
     _, document, arrays = report_of(plain(tmp_path / "a.mcap", told))
     assert document["time"]["kind"] == "order"
     assert arrays.times(document["traffic"][0]["t"]) == list(range(1, 51))
-    assert any("all messages have one time" in note for note in document["notes"])
+    assert any("all messages have the same time" in note for note in document["notes"])
 
 
-def test_two_clocks_are_told_and_drawn_by_stamp(tmp_path, report_of):
+def test_backward_stamps_are_noted_and_drawn_by_stamp(tmp_path, report_of):
     told = [(at * MS, frame(0x181)) for at in (5, 1, 6, 2, 7)]
     _, document, arrays = report_of(plain(tmp_path / "a.mcap", told))
     times = arrays.times(document["traffic"][0]["t"])
     assert times == sorted(times)
     assert len(times) == 5
-    assert any("2 messages are stamped earlier" in note for note in document["notes"])
+    assert any("2 messages have earlier stamps" in note for note in document["notes"])
 
 
-def test_can_fd_frames_count_as_long_as_they_are_at_both_rates(tmp_path, report_of):
+def test_can_fd_frames_count_with_both_rates(tmp_path, report_of):
     told = flexible(0x123, BRS, bytes([0x55]) * 64)
     path = tmp_path / "fd.mcap"
     rig = "[bus.can0]\nbitrate_bit_s = 500_000\n"
@@ -200,12 +206,12 @@ def test_can_fd_frames_count_as_long_as_they_are_at_both_rates(tmp_path, report_
         _, document, arrays = report_of(path)
         weights[rate] = arrays.whole(document["traffic"][0]["weight"])[0]
         assert any("data bit rate of 2 CAN FD" in note for note in document["notes"]) is (not rate)
-    # Without stuff bits but the fixed: 17 + 13 nominal, 5 + 512 + 32 at the data rate.
+    # Only fixed stuff bits: 17 + 13 nominal, 5 + 512 + 32 at the data rate.
     assert weights[""] in range(579, 579 + 10)
     assert weights["data_bitrate_bit_s = 2_000_000\n"] in range(30 + 549 // 4, 30 + 549 // 4 + 10)
 
 
-def test_error_frames_are_incidents_and_no_traffic(tmp_path, report_of):
+def test_error_frames_are_incidents_but_not_traffic(tmp_path, report_of):
     path = plain(tmp_path / "a.mcap", [(0, frame(0x100)), (MS, ERROR_FRAME)])
     _, document, _ = report_of(path)
     assert document["traffic"][0]["frames"] == 1
@@ -216,7 +222,7 @@ def test_error_frames_are_incidents_and_no_traffic(tmp_path, report_of):
     assert (incidents["kinds"], incidents["counts"]) == (["state of a CAN controller"], [1])
 
 
-def test_an_empty_recording_makes_a_page_that_says_so(tmp_path, capsys):
+def test_empty_recording_page_states_it(tmp_path, capsys):
     path = tmp_path / "a.mcap"
     TraceWriter(path).close()
     assert main(["report", str(path)]) == 0
@@ -224,7 +230,7 @@ def test_an_empty_recording_makes_a_page_that_says_so(tmp_path, capsys):
     assert "0 messages" in capsys.readouterr().out
 
 
-def test_a_cut_recording_is_drawn_as_far_as_it_goes(demo, tmp_path, report_of):
+def test_truncated_recording_is_drawn_as_far_as_readable(demo, tmp_path, report_of):
     content = demo.read_bytes()
     path = tmp_path / "cut.mcap"
     path.write_bytes(content[: len(content) * 2 // 3])
@@ -233,10 +239,10 @@ def test_a_cut_recording_is_drawn_as_far_as_it_goes(demo, tmp_path, report_of):
     assert any(note.startswith("the file is cut at byte") for note in document["notes"])
 
 
-def test_a_serial_line_is_busy_while_its_bits_run_and_exceptions_are_told(tmp_path, report_of):
-    """115,200 bit/s with a parity bit: 11 bits a byte.
+def test_serial_line_load_and_exceptions_are_shown(tmp_path, report_of):
+    """The line has 115,200 bit/s and a parity bit: 11 bits a byte.
 
-    Check sums as pymodbus computes them: 8 and 5 bytes in all.
+    The CRCs are those computed by pymodbus: 8 and 5 bytes in all.
     """
     one = Recorded(tmp_path / "a.mcap")
     for at, data, received in (
@@ -258,7 +264,7 @@ def test_a_serial_line_is_busy_while_its_bits_run_and_exceptions_are_told(tmp_pa
     assert "exception 2, illegal data address" in text
 
 
-def test_who_waited_and_how_it_ended_is_in_the_lock_timeline(tmp_path, report_of):
+def test_lock_timeline_shows_waiting_and_death(tmp_path, report_of):
     one = Recorded(tmp_path / "a.mcap")
     topic = "/motor/left_wheel/lock"
     first = {"owner": "start()", "pid": 11, "program": "arm.py", "token": 1}
@@ -283,17 +289,17 @@ def test_who_waited_and_how_it_ended_is_in_the_lock_timeline(tmp_path, report_of
         ("leg.py [12]", False, 5.0, 7.0),
     ]
     texts = [row["texts"][number] for number in arrays.whole(row["text"])]
-    assert "died with it" in texts[0]
+    assert "died as the owner" in texts[0]
     assert "leg.py [12] has left_wheel for a walk" in texts[2]
     ((_, severity, kind, place, _),) = document["incidents"]["list"]
     assert (severity, document["incidents"]["kinds"][kind], place) == (
         1,
-        "lock of one who died",
+        "lock of a dead owner",
         "left_wheel",
     )
 
 
-def test_a_wait_that_nobody_announced_is_as_long_as_it_is_said_to_have_been(tmp_path, report_of):
+def test_unannounced_wait_is_drawn_from_waited_s(tmp_path, report_of):
     one = Recorded(tmp_path / "a.mcap").event(0, "begins")
     taken = {"action": 1, "owner": "start()", "token": 1, "waited_s": 2.5}
     one.message(4 * S, "/motor/left_wheel/lock", MOTOR_LOCK, taken).event(6 * S, "ends")
@@ -308,7 +314,7 @@ def test_a_wait_that_nobody_announced_is_as_long_as_it_is_said_to_have_been(tmp_
     ]
 
 
-def test_numbers_that_are_none_do_not_break_the_page(tmp_path, report_of):
+def test_non_finite_numbers_do_not_break_the_page(tmp_path, report_of):
     one = Recorded(tmp_path / "a.mcap")
     one.position(0, "left_wheel", float("nan")).position(S, "left_wheel", float("inf"))
     sync = {"phase": 1, "motor": ["left_wheel"], "offset_s": [float("nan")], "skew_s": float("nan")}
@@ -331,7 +337,7 @@ def test_numbers_that_are_none_do_not_break_the_page(tmp_path, report_of):
     ],
 )
 @pytest.mark.data
-def test_real_traffic_makes_a_page(shared, tmp_path, report_of, name):
+def test_real_traffic_gives_a_page(shared, tmp_path, report_of, name):
     source, path = shared / "data" / "traffic" / name, tmp_path / "a.mcap"
     assert main(["convert", str(source), "-o", str(path)]) == 0
     found, document, _ = report_of(path)
@@ -350,7 +356,7 @@ SERIES = st.lists(
 
 
 @given(SERIES, st.integers(4, 40))
-def test_of_every_stretch_first_last_lowest_and_highest_stay(series, points):
+def test_extremes_keep_first_last_lowest_and_highest(series, points):
     series.sort(key=lambda one: one[0])
     times = np.array([at for at, _ in series], dtype=np.int64)
     values = np.array([value for _, value in series])
@@ -378,7 +384,7 @@ def test_of_every_stretch_first_last_lowest_and_highest_stay(series, points):
     ),
     st.integers(1, 10**6),
 )
-def test_cells_hold_all_that_was_on_the_bus(told, width_ns):
+def test_cells_keep_the_sums(told, width_ns):
     told.sort()
     columns = [np.array([one[n] for one in told], dtype=np.int64) for n in range(3)]
     ends, keys, weights, counts = (one.tolist() for one in cells(*columns, width_ns))
@@ -391,10 +397,10 @@ def test_cells_hold_all_that_was_on_the_bus(told, width_ns):
     assert len(set(zip(ends, keys, strict=True))) == len(ends)
 
 
-def test_beyond_the_budget_extremes_and_sums_are_drawn_and_it_is_said(demo, report_of):
+def test_reduction_beyond_the_budget_is_noted(demo, report_of):
     _, document, arrays = report_of(demo, points_max=2_000, frames_max=3_000)
     notes = " ".join(document["notes"])
-    assert "points of quantities are drawn by about 2,000" in notes
+    assert "points of quantities are reduced to about 2,000" in notes
     assert "drawn as sums over short stretches" in notes
     for traffic in document["traffic"]:
         assert traffic["cell_s"] > 0

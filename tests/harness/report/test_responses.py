@@ -1,4 +1,4 @@
-"""Response times on the page: what a recording proves of them, beside the theory's bounds."""
+"""Response times on the page: recorded lower bounds beside the theory's upper bounds."""
 
 from pathlib import Path
 
@@ -7,24 +7,23 @@ import pytest
 from hypothesis import event, given
 from hypothesis import strategies as st
 
-from emulators.media.can_bus import CanBus
-from emulators.media.can_frame import pack
-from emulators.media.delivery import confirms
-from emulators.media.faults import FaultKind, FaultPlan, FaultRule
-from harness.analysis.errors import ErrorModel
-from harness.analysis.response_time import response_times
-from harness.analysis.subject import Queues
-from harness.cli import main
-from harness.recorded_bus import RecordedBus
-from harness.report.responses import MESSAGES_MAX
-from harness.rig import Rig
+from motorhil.emulators.can.bus.bus import CanBus
+from motorhil.emulators.can.bus.fault_plan import FaultPlan
+from motorhil.emulators.can.bus.port import confirms
+from motorhil.emulators.can.fault_rules import FaultKind, FaultRule
+from motorhil.emulators.can.frame import pack
+from motorhil.harness.analysis.from_recording import RecordedBus
+from motorhil.harness.analysis.response_time import ErrorModel, response_times
+from motorhil.harness.analysis.subject import Queues
+from motorhil.harness.cli.main import main
+from motorhil.harness.report.timelines import MESSAGES_MAX
+from motorhil.harness.rig.rig import Rig
+from motorhil.traces.formats.frames import BRS, flexible
+from motorhil.traces.mcap.writer import TraceWriter
+from motorhil.traces.schema import CAN_FRAME, Schema, encode_can_frame
 from tests.emulators.media.driving import run
 from tests.harness.recorded import MS, Recorded
 from tests.harness.report.conftest import document_in
-from traces.fields import encode_can_frame
-from traces.schema import CAN_FRAME, Schema
-from traces.traffic import BRS, flexible
-from traces.writer import TraceWriter
 
 US = 1_000
 RIG = "[bus.can0]\nbitrate_bit_s = 500_000\n"
@@ -44,7 +43,7 @@ def recorded(path, frames, rig=RIG):
 
 
 def every(period_ns, frame, late_ns=None, count=40):
-    """Frames of a period; some of them, by number, so much later."""
+    """Return periodic frames, some of them delayed, by number."""
     return [(n * period_ns + (late_ns or {}).get(n, 0), frame) for n in range(1, count)]
 
 
@@ -52,12 +51,12 @@ def seconds(message, *keys):
     return [pytest.approx(message[f"{key}_s"], abs=1e-12) for key in keys]
 
 
-def test_what_was_recorded_stands_beside_the_bound_and_the_deadline(tmp_path, report_of):
+def test_recorded_times_bound_and_deadline_are_shown(tmp_path, report_of):
     """000h: 53 bits (can-physics, 6.2), 7FFh: 50; both 55 at most, and one was 300 us late."""
     frames = every(10 * MS, pack(0x000)) + every(40 * MS, pack(0x7FF), {5: 300 * US})
     (bus,) = report_of(recorded(tmp_path / "a.mcap", frames))[1]["responses"]
     assert (bus["bus"], bus["why"]) == ("can0", "")
-    assert bus["about"] == "500000 bit/s, 1.4% of it used at most"
+    assert bus["about"] == "500000 bit/s, utilisation at most 1.4%"
     first, second = bus["messages"]
     assert [first["label"], first["frames"], first["bytes"]] == ["000h", 39, "0"]
     assert seconds(first, "least", "usual", "most") == [53 * BIT_S, 53 * BIT_S, 53 * BIT_S]
@@ -70,7 +69,7 @@ def test_what_was_recorded_stands_beside_the_bound_and_the_deadline(tmp_path, re
     assert seconds(second, "bound") == [110 * BIT_S + 300e-6]
 
 
-def test_the_middle_frame_is_told_where_more_than_half_are_late(tmp_path, report_of):
+def test_usual_time_is_the_median_delay(tmp_path, report_of):
     late = {n: 100 * US for n in range(1, 39) if n % 3}
     frames = every(10 * MS, pack(0x7FF), late)
     (bus,) = report_of(recorded(tmp_path / "a.mcap", frames))[1]["responses"]
@@ -78,7 +77,7 @@ def test_the_middle_frame_is_told_where_more_than_half_are_late(tmp_path, report
     assert seconds(message, "usual", "most") == [50 * BIT_S + 100e-6] * 2
 
 
-def test_can_fd_takes_both_rates(tmp_path, report_of):
+def test_can_fd_bound_uses_both_rates(tmp_path, report_of):
     """64 bytes: 712 bits at most, 33 of them at 500 kbit/s (can-physics, 6.3)."""
     frames = every(10 * MS, flexible(0x123, BRS, bytes([0x55]) * 64))
     rig = RIG + "data_bitrate_bit_s = 2_000_000\n"
@@ -92,7 +91,7 @@ def test_can_fd_takes_both_rates(tmp_path, report_of):
     assert "the data bit rate of 39 CAN FD frames is not known" in slow["notes"][0]
 
 
-def test_one_frame_without_a_switch_makes_them_all_count_as_such(tmp_path, report_of):
+def test_one_frame_without_switch_counts_for_all(tmp_path, report_of):
     data = bytes([0x55]) * 64
     switched = every(10 * MS, flexible(0x123, BRS, data))
     rig = RIG + "data_bitrate_bit_s = 2_000_000\n"
@@ -103,8 +102,8 @@ def test_one_frame_without_a_switch_makes_them_all_count_as_such(tmp_path, repor
         assert seconds(bus["messages"][0], "bound") == [712 * BIT_S]
 
 
-def test_a_rig_with_errors_and_can_fd_records_what_can_be_drawn(tmp_path):
-    """Struck frames are sent again: later than without, and errors are told of."""
+def test_rig_with_errors_and_can_fd_gives_response_times(tmp_path):
+    """Destroyed frames are sent again, so they are late, and error frames are recorded."""
     path = tmp_path / "rig.toml"
     path.write_text(
         f"{RIG}data_bitrate_bit_s = 2_000_000\n[bus.can0.node.ear]\nsilent = true\nframes = 'fd'\n"
@@ -133,10 +132,10 @@ def test_a_rig_with_errors_and_can_fd_records_what_can_be_drawn(tmp_path):
     assert any("error messages were recorded" in note for note in told["notes"])
 
 
-def test_where_no_bit_rate_is_known_it_says_so(tmp_path, report_of):
+def test_missing_bit_rate_is_stated(tmp_path, report_of):
     path = recorded(tmp_path / "a.mcap", every(10 * MS, pack(0x7FF)), rig="")
     (bus,) = report_of(path)[1]["responses"]
-    assert bus["why"] == "its bit rate is not in the recording; give it by --bitrate"
+    assert bus["why"] == "its bit rate is not in the recording; give --bitrate"
     assert bus["messages"] == []
     page = tmp_path / "a.html"
     assert main(["report", str(path), "-o", str(page), "--bitrate", "can0=500k"]) == 0
@@ -150,19 +149,19 @@ def test_where_no_bit_rate_is_known_it_says_so(tmp_path, report_of):
         ([], None),
         ([(5, pack(1))], None),
         ([(n * n * MS, pack(1)) for n in range(30)], None),
-        ([(7, pack(n)) for n in range(30)], None),  # all at one time
+        ([(7, pack(n)) for n in range(30)], None),  # all at the same time
         (
             [(n * 10 * MS, pack(number)) for n in range(12) for number in range(MESSAGES_MAX + 1)],
-            "it has 501 messages, 500 are analysed",
+            "it has 501 messages; at most 500 are analysed",
         ),
     ],
 )
-def test_where_nothing_is_periodic_or_too_much_nothing_is_drawn(tmp_path, report_of, frames, why):
+def test_no_or_too_many_messages_give_no_rows(tmp_path, report_of, frames, why):
     told = report_of(recorded(tmp_path / "a.mcap", frames))[1]["responses"]
     assert [bus["why"] for bus in told] == ([] if why is None else [why])
 
 
-def test_a_bus_that_is_full_has_no_bound(tmp_path, report_of):
+def test_full_bus_has_no_bound(tmp_path, report_of):
     """200 frames of up to 55 bits in 20 ms at 500 kbit/s: 110 % with all stuff bits."""
     frames = [(n * 100 * US, pack(0x7FF)) for n in range(1, 200)]
     frames += every(1 * MS, pack(0x7FE), count=20)
@@ -172,7 +171,7 @@ def test_a_bus_that_is_full_has_no_bound(tmp_path, report_of):
     assert starving["bound_s"] is None
 
 
-def test_a_recording_of_a_modbus_line_has_none(tmp_path, report_of):
+def test_modbus_recording_has_no_response_times(tmp_path, report_of):
     path = Recorded(Path(tmp_path / "a.mcap")).modbus(1, "0103", True).close()
     assert report_of(path)[1]["responses"] == []
 
@@ -187,8 +186,8 @@ def test_a_recording_of_a_modbus_line_has_none(tmp_path, report_of):
     st.randoms(use_true_random=False),
     st.sampled_from([0.0, 0.0, 0.1]),
 )
-def test_no_frame_is_told_to_be_later_than_it_was(messages, chance, errors: float):
-    """What later frames prove is never above what the simulated bus knows, errors or not."""
+def test_recorded_time_never_exceeds_the_true_one(messages, chance, errors: float):
+    """The delay proved by later frames never exceeds the true one of the simulated bus."""
     rule = FaultRule("struck", FaultKind.ERROR, probability=errors, bit=20)
     bus = CanBus("can0", 1_000_000, FaultPlan([rule] if errors else [], chance.random))
     ports = {one[0]: bus.attach(f"{one[0]:X}") for one in messages}

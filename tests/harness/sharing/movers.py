@@ -1,4 +1,4 @@
-"""Motors of every adaptation that makes relative moves over a bus, for what is judged of them."""
+"""Movers with the motors of every adaptation that makes relative moves over a bus."""
 
 import re
 from collections.abc import Callable
@@ -6,25 +6,25 @@ from dataclasses import replace
 from math import pi
 from pathlib import Path
 
-from emulators.cia402.settings import OWN_EDS
-from harness.rig import Rig, installed_plugins
-from harness.rig_file import parse_rig
-from harness.settings import Source
-from harness.sharing.relative_moves import Mover, mover_of
-from motorapi import ControlMode, Motor, TrapezoidalTrajectory
-from motorapi.trajectory import ComplexTrajectory
+from motorhil.emulators.cia402.settings import OWN_EDS
+from motorhil.harness.rig.config.rig_file import parse_rig
+from motorhil.harness.rig.config.toml import Source
+from motorhil.harness.rig.rig import Rig, installed_plugins
+from motorhil.harness.sharing_tests.relative_moves import Mover, mover_of
+from motorhil.motorapi import ControlMode, Motor, TrapezoidalTrajectory
+from motorhil.motorapi.trajectory import ComplexTrajectory
 from tests.motorapi.adaptations.conftest import drive
 from tests.motorapi.adaptations.software_rigs import INC_PER_RAD as SERVO_INC_RAD
 from tests.motorapi.adaptations.software_rigs import one as servo_motor
 from tests.motorapi.adaptations.streaming import quintic
 
 HEAD = "[rig]\nseed = {seed}\n[bus.can0]\nbitrate_bit_s = 1_000_000\n"
-INC_RAD = 132_000 / (2 * pi)  # 2000 x 66, our own drive's default motor and gear
+INC_RAD = 132_000 / (2 * pi)  # 2000 x 66, the default motor and gear of the emulated drive
 TIMEOUT_S = 10.0
 
 
 def rigs_with(*parts: str, folder: Path = Path()) -> Callable[[int], Rig]:
-    """Opens rigs of these parts, by their seed."""
+    """Return a function that opens a rig of these parts with a seed."""
 
     def opened(seed: int) -> Rig:
         text = HEAD.format(seed=seed) + "".join(parts)
@@ -34,29 +34,29 @@ def rigs_with(*parts: str, folder: Path = Path()) -> Callable[[int], Rig]:
 
 
 def demand(rig: Rig) -> float:
-    """Where the left drive's own profile has it be [rad]: it cannot overshoot."""
+    """Return the left drive's demand [rad], which cannot overshoot."""
     return rig.controllers["left"].snapshot()["demand_inc"] / INC_RAD
 
 
 def counted(rig: Rig) -> float:
-    """Where the motor of the I/O node is [rad]."""
+    """Return the position of the I/O node's motor [rad]."""
     return rig.controllers["io"].snapshot()["position_inc"] / SERVO_INC_RAD
 
 
 def by_rpdo() -> Mover:
-    """A CiA 402 drive in pp: the target by SDO, the controlword by RPDO."""
+    """Return a CiA 402 drive in pp: the target by SDO, the controlword by RPDO."""
     return replace(mover_of("left", rigs_with(drive("left", 1)), demand), name="pp by RPDO")
 
 
 def by_sdo(folder: Path) -> Mover:
-    """A drive without any RPDO and TPDO: all is told and asked by SDO."""
+    """Return a drive without PDOs, which is operated by SDO only."""
     (folder / "sdo_only.eds").write_text(without_pdos(OWN_EDS.read_text()))
     make_rig = rigs_with(drive("left", 1, 'eds = "sdo_only.eds"'), folder=folder)
     return replace(mover_of("left", make_rig, demand), name="pp by SDO")
 
 
 def in_a_group() -> Mover:
-    """Two drives in pp that a SYNC starts together: the target is latched."""
+    """Return two drives in pp that are started together by a SYNC: the target is latched."""
 
     def ready(rig: Rig) -> None:
         rig.groups["both"].for_each(Motor.enable)
@@ -74,7 +74,7 @@ def in_a_group() -> Mover:
 
 
 def streamed() -> Mover:
-    """A drive in csp: a function, one set-point at each SYNC."""
+    """Return a drive in csp that follows a function, one set-point at each SYNC."""
 
     def move(rig: Rig, distance: float) -> None:
         motor = rig.motors["left"]
@@ -88,7 +88,7 @@ def streamed() -> Mover:
 
 
 def by_servo() -> Mover:
-    """A servo on the host, its amplifier and encoder on an I/O node."""
+    """Return a servo on the host with its amplifier and encoder on an I/O node."""
 
     def move(rig: Rig, distance: float) -> None:
         motor = rig.motors["left"]
@@ -105,13 +105,13 @@ def by_servo() -> Mover:
         distance_max=2.0,
         tolerance=110 / SERVO_INC_RAD,
         overshoot=0.1,
-        delays_ns=(500_000, 1_500_000),  # a cycle: CAN lets no count overtake another
-        coast=1.0,  # from 3 rad/s, when the servo has lost its motor: by its friction alone
+        delays_ns=(500_000, 1_500_000),  # a cycle: on CAN no count overtakes another
+        coast=1.0,  # from 3 rad/s without a servo: slowed by friction only
     )
 
 
 def without_pdos(eds: str) -> str:
-    """The file without PDOs."""
+    """Return the EDS file without PDOs."""
     gone = re.compile(r"\[1[4-7A8-9]..(sub[0-9A-F]+)?\]\n(?:[^\[\n].*\n|\n)*", re.IGNORECASE)
     text = gone.sub("", eds)
     kept: list[str] = []

@@ -1,7 +1,7 @@
-"""Ways to get sharing wrong, planted in the motor interface: what the shipped suites must kill.
+"""Planted defects of motor sharing, which the shipped suites must detect.
 
-Those for one process are context managers. Those for many are functions that a worker of
-`harness.sharing.processes` calls in its own process before it begins (`Plan.plant`).
+Defects for one process are context managers. Defects for several processes are functions that a
+worker of `motorhil.harness.sharing_tests.processes` calls in its own process before it begins (`Plan.plant`).
 """
 
 import os
@@ -10,13 +10,12 @@ from contextlib import contextmanager
 from pathlib import Path
 from unittest.mock import patch
 
-from motorapi import execution
-from motorapi.adaptations.drive_motions import DriveMotions
-from motorapi.adaptations.drive_objects import DriveObjects
-from motorapi.hold import Hold
-from motorapi.lock_file import LockFile
-from motorapi.owner_row import OwnerRow
-from motorapi.ownership import Ownership
+from motorhil.motorapi import execution
+from motorhil.motorapi.adaptations.cia402.motion import DriveMotions
+from motorhil.motorapi.adaptations.cia402.object_access import DriveObjects
+from motorhil.motorapi.locking.lock_file import LockFile
+from motorhil.motorapi.locking.process_lock import LockHandle
+from motorhil.motorapi.ownership.ownership import Ownership, WaitQueue
 
 RAMPS = (0x6081, 0x6083, 0x6084)
 
@@ -26,24 +25,24 @@ RAMPS = (0x6081, 0x6083, 0x6084)
 
 @contextmanager
 def a_lock_without_fifo():
-    """Who came last is served first."""
+    """Serve the last request first."""
 
     class Pile(deque):
         append = deque.appendleft
 
-    make = OwnerRow.__init__
+    make = WaitQueue.__init__
 
     def made(row, *args):
         make(row, *args)
         row._places = Pile()
 
-    with patch.object(OwnerRow, "__init__", made):
+    with patch.object(WaitQueue, "__init__", made):
         yield
 
 
 @contextmanager
 def no_fencing():
-    """Who has lost the motor goes on as if he had it."""
+    """Let an owner that has lost the motor continue to command it."""
     again = Ownership._again
 
     def as_if(ownership, owner, afresh):
@@ -62,7 +61,7 @@ def no_fencing():
 
 @contextmanager
 def a_group_that_starts_before_all_are_armed():
-    """Each is fired as soon as it is armed."""
+    """Fire each motor as soon as it is armed."""
 
     class Fired:
         def fire(self):
@@ -79,7 +78,7 @@ def a_group_that_starts_before_all_are_armed():
 
 @contextmanager
 def a_start_that_pushes_settings_after_starting():
-    """Velocity and ramps of a motion get to the drive when it has begun, for the next one."""
+    """Send velocity and ramps of a motion only after its start."""
     late = []
     arm, confirm, push = DriveMotions.arm, DriveMotions.confirm, DriveObjects.push
 
@@ -110,32 +109,32 @@ def a_start_that_pushes_settings_after_starting():
         yield
 
 
-# ---- in many
+# ---- in several processes
 
 
 def whoever_is_quickest(folder):
-    """A lock without FIFO."""
+    """Plant a lock without FIFO order."""
     LockFile.is_first = lambda file, place: True
 
 
 def no_fence(folder):
-    """Whoever lost it writes all the same."""
-    Hold._enter = lambda hold, asker: None
+    """Let an owner that has lost the lock still write."""
+    LockHandle._enter = lambda hold, asker: None
 
 
 def no_token(folder):
-    """The token does not grow."""
+    """Keep the token constant."""
     LockFile.last = lambda file: (0, b"", False)
 
 
 def no_exclusion(folder):
-    """A lock that is none."""
+    """Plant a lock without mutual exclusion."""
     LockFile.take = lambda file, place: True
     LockFile.tell_holder = lambda file, token, record, lease=b"": os.pwrite(file.fd, record, 400)
 
 
 def stays_after_death(folder):
-    """A lock that is a file that is there, or is not: what so many do."""
+    """Plant a lock that is the existence of a file, a common mistake."""
     flag, mine = Path(folder) / "flag", set()
     let_go = LockFile.let_go
 

@@ -1,22 +1,32 @@
-"""No relative move is made twice, by any adaptation; and whoever does make one twice is told so."""
+"""Relative moves of all adaptations are made at most once; planted violations are detected."""
 
 import re
 from dataclasses import replace
 
 import pytest
 
-from emulators.media.faults import FaultKind, FaultRule
-from harness.sharing.at_most_once import KINDS, at_most_once, judge, single_faults, traffic_of
-from harness.sharing.relative_moves import Ending, MadeMoreThanOnce, Plan, Reach, Step
-from motorapi import DeadlineExceeded
-from motorapi.adaptations.drive_control import DriveControl
-from motorapi.adaptations.drive_objects import DriveObjects
-from motorapi.errors import MotorError
+from motorhil.emulators.can.fault_rules import FaultKind, FaultRule
+from motorhil.harness.sharing_tests.relative_moves import (
+    KINDS,
+    Ending,
+    MadeMoreThanOnce,
+    Plan,
+    Reach,
+    Step,
+    at_most_once,
+    judge,
+    single_faults,
+    traffic_of,
+)
+from motorhil.motorapi import DeadlineExceeded
+from motorhil.motorapi.adaptations.cia402.controlword import DriveControl
+from motorhil.motorapi.adaptations.cia402.object_access import DriveObjects
+from motorhil.motorapi.errors import MotorError
 from tests.harness.sharing import movers
 
 SDO_REQUEST, SDO_ANSWER, TPDO, RPDO = 0x601, 0x581, 0x181, 0x201
-EXAMPLES = {"servo": 8}  # a cycle of 1 ms costs
-EVERY = {"servo": 49, "csp": 21, "pp by SYNC": 21}  # of the plans with one fault; else
+EXAMPLES = {"servo": 8}  # the cycle of 1 ms is expensive
+EVERY = {"servo": 49, "csp": 21, "pp by SYNC": 21}  # step through the plans; else EVERY_NINTH
 EVERY_NINTH = 9
 MOVERS = {
     "pp-rpdo": lambda folder: movers.by_rpdo(),
@@ -33,7 +43,7 @@ def mover(request, tmp_path):
 
 
 def lost(identifier, *, place=0, count=1):
-    """From this frame of the identifier on so many are lost."""
+    """Return a rule that drops `count` frames of the identifier, from frame `place` on."""
     return FaultRule("lost", FaultKind.DROP, identifier=identifier, skip=place, limit=count)
 
 
@@ -51,12 +61,12 @@ def reached(mover, plans):
 # --- the property ------------------------------------------------------------------------------
 
 
-def test_a_relative_move_is_made_at_most_once_whatever_becomes_of_frames(mover):
+def test_move_under_random_faults_is_made_at_most_once(mover):
     at_most_once(mover, examples=EXAMPLES.get(mover.name, 25), shrink=False)()
 
 
-def test_it_is_made_at_most_once_with_one_fault_anywhere_in_its_start(mover):
-    """The whole of it takes minutes; a test sees every so many, which are of all kinds."""
+def test_move_with_one_fault_in_its_start_is_made_at_most_once(mover):
+    """All plans take minutes, so the test takes every n-th plan, with all kinds of faults."""
     chosen = single_faults(mover)[:: EVERY.get(mover.name, EVERY_NINTH)]
     reach = reached(mover, chosen)
     assert sum(reach.fired.values()) == sum(reach.hit.values()) == len(chosen) >= 10
@@ -64,10 +74,10 @@ def test_it_is_made_at_most_once_with_one_fault_anywhere_in_its_start(mover):
     assert all(reach.fired[kind] > 2 for kind in KINDS)
 
 
-# --- which is about something: what it must have met ----------------------------------------------
+# --- reached cases ------------------------------------------------------------------------------
 
 
-def test_undisturbed_moves_are_made_and_nothing_is_hit(mover):
+def test_undisturbed_moves_are_done_without_hits(mover):
     reach = judge(mover, plan_of())
     assert reach.endings == {Ending.DONE: 2}
     assert not reach.hit
@@ -75,7 +85,7 @@ def test_undisturbed_moves_are_made_and_nothing_is_hit(mover):
     assert not reach.errors
 
 
-def test_moves_fail_that_were_made_when_the_answer_is_lost(tmp_path):
+def test_lost_answers_fail_moves_that_were_made(tmp_path):
     mover = movers.by_sdo(tmp_path)
     answers = [plan_of(lost(SDO_ANSWER, place=place)) for place in range(0, 60, 2)]
     reach = reached(mover, answers)
@@ -85,8 +95,8 @@ def test_moves_fail_that_were_made_when_the_answer_is_lost(tmp_path):
     assert reach.errors["DeadlineExceeded"] > 10
 
 
-def test_late_answers_come_in_the_next_move_and_do_no_harm(tmp_path):
-    """They are held back longer than anybody waits for them; then another object is asked for."""
+def test_late_answers_in_the_next_move_are_harmless(tmp_path):
+    """They are delayed beyond every timeout; then another object is requested."""
     mover = movers.by_sdo(tmp_path)
     late = FaultRule("late", FaultKind.DELAY, identifier=SDO_ANSWER, limit=1, delay_ns=400_000_000)
     for place in range(0, 60, 4):
@@ -96,21 +106,21 @@ def test_late_answers_come_in_the_next_move_and_do_no_harm(tmp_path):
         assert reach.endings[Ending.DONE] >= 1  # the second one
 
 
-def test_a_command_that_is_lost_is_sent_again_and_made_once():
+def test_lost_command_is_repeated_and_made_once():
     reach = judge(movers.by_rpdo(), plan_of(lost(RPDO, count=2)))
     assert reach.fired == {FaultKind.DROP: 2}
     assert reach.endings == {Ending.DONE: 2}
     assert reach.hit == {Ending.DONE: 1}
 
 
-def test_an_acknowledge_that_is_lost_has_the_command_sent_again_and_made_once():
+def test_lost_acknowledge_repeats_command_and_move_is_single():
     reach = judge(movers.by_rpdo(), plan_of(lost(TPDO, count=14)))
     assert reach.repeated >= 1
     assert reach.endings == {Ending.DONE: 2}
     assert reach.hit == {Ending.DONE: 1}
 
 
-def test_random_plans_reach_what_they_are_about(tmp_path):
+def test_random_plans_reach_faults_hits_and_errors(tmp_path):
     reach = Reach()
     for make in (movers.by_rpdo, lambda: movers.by_sdo(tmp_path), movers.streamed):
         at_most_once(make(), examples=25, reach=reach)()
@@ -119,11 +129,11 @@ def test_random_plans_reach_what_they_are_about(tmp_path):
     assert sum(reach.errors.values()) > 3, str(reach)
 
 
-# --- and who breaks it is told -------------------------------------------------------------------
+# --- violations ----------------------------------------------------------------------------------
 
 
-def test_whoever_starts_again_after_a_timeout_is_caught(mover):
-    """The reply is lost, the motor has moved: a blind repetition is a second move."""
+def test_blind_restart_after_timeout_is_detected(mover):
+    """The reply is lost after the motor has moved, so a blind repetition is a second move."""
 
     def blindly(rig, distance):
         try:
@@ -139,10 +149,10 @@ def test_whoever_starts_again_after_a_timeout_is_caught(mover):
         reached(twice, [*hard_plans(mover)])
 
 
-def test_an_adaptation_that_has_the_drive_count_from_where_it_is_is_caught(monkeypatch):
-    """Relative on the wire (bit 6), a rising edge for every repetition: one lost answer is a move.
+def test_relative_set_point_on_the_wire_is_detected(monkeypatch):
+    """A relative bit (6) and a rising edge per repetition turn one lost answer into a move.
 
-    CiA 402-2, profile position mode: each edge of bit 4 is a set-point of its own.
+    CiA 402-2, profile position mode: each edge of bit 4 is a new set-point.
     """
 
     def push(self, index, value, subindex=0, *, whole=DriveObjects.push):
@@ -163,7 +173,7 @@ def test_an_adaptation_that_has_the_drive_count_from_where_it_is_is_caught(monke
 
 
 def hard_plans(mover):
-    """Answers are lost: of SDO one, from every one on; or all that the drive tells by itself."""
+    """Yield plans with lost answers: each SDO answer in turn, or all TPDOs."""
     identifiers = traffic_of(mover).identifiers
     if TPDO in identifiers:
         yield plan_of(FaultRule("mute", FaultKind.DROP, identifier=TPDO, until_ns=10_300_000_000))
@@ -171,7 +181,7 @@ def hard_plans(mover):
     yield from (plan_of(lost(SDO_ANSWER, place=place)) for place in range(60))
 
 
-def test_whoever_says_done_of_what_was_not_heard_is_caught(mover):
+def test_done_report_without_motion_is_detected(mover):
     def boldly(rig, distance):
         try:
             mover.move(rig, distance)
@@ -184,7 +194,7 @@ def test_whoever_says_done_of_what_was_not_heard_is_caught(mover):
         judge(bold, plan_of(nothing))
 
 
-def test_whoever_moves_later_by_himself_is_caught():
+def test_later_unrequested_move_is_detected():
     mover = movers.by_rpdo()
 
     def late(rig, distance):
@@ -197,7 +207,7 @@ def test_whoever_moves_later_by_himself_is_caught():
         judge(replace(mover, move=late), plan_of())
 
 
-def test_an_error_of_the_adaptations_own_code_is_no_verdict_but_itself():
+def test_adaptations_own_exception_is_passed_on():
     def broken(rig, distance):
         raise ZeroDivisionError("in the adaptation")
 
@@ -205,7 +215,7 @@ def test_an_error_of_the_adaptations_own_code_is_no_verdict_but_itself():
         judge(replace(movers.by_rpdo(), move=broken), plan_of())
 
 
-def test_a_verdict_names_the_plan_that_led_to_it():
+def test_verdict_names_its_plan():
     mover = movers.by_rpdo()
     far = replace(mover, move=lambda rig, distance: mover.move(rig, 2 * distance))
     plan = plan_of(lost(TPDO))
@@ -214,7 +224,7 @@ def test_a_verdict_names_the_plan_that_led_to_it():
     assert "pp by RPDO: a move by 0.5 from 0 was reported done; it was at 0.99" in str(caught.value)
 
 
-def test_the_same_plan_reaches_the_same():
+def test_equal_plans_give_equal_reach():
     plan = plan_of(
         FaultRule("half", FaultKind.DROP, probability=0.05),
         FaultRule("late", FaultKind.DELAY, probability=0.1, delay_ns=5_000_000),
@@ -222,7 +232,7 @@ def test_the_same_plan_reaches_the_same():
     assert judge(movers.by_rpdo(), plan) == judge(movers.by_rpdo(), plan)
 
 
-def test_what_was_reached_is_told_in_words():
+def test_reach_as_text_lists_all_counts():
     told = str(judge(movers.by_rpdo(), plan_of(lost(RPDO, count=2))))
     assert told == (
         "moves: 2 done (1 of them hit). Faults: 2 drop. Errors: none."

@@ -1,11 +1,11 @@
-"""What frames prove of who commanded a motor: frames by the standards, ownership as told."""
+"""Evidence from frames: frames by the standards, ownership as recorded."""
 
 import pytest
 
-from harness.ownership_record import LockEvent, ownership_of
-from harness.sharing.evidence import BusFrame, commanded_node, judge_frames
-from harness.sharing.history import SharingViolated
-from traces.schema import LockAction
+from motorhil.harness.recording.ownership import LockEvent, ownership_of
+from motorhil.harness.sharing_tests.bus_evidence import BusFrame, commanded_node, judge_frames
+from motorhil.harness.sharing_tests.history import SharingViolated
+from motorhil.traces.schema import LockAction
 
 MS = 1_000_000
 NODES = {"pan": ("can0", 3)}
@@ -38,7 +38,7 @@ NODES = {"pan": ("can0", 3)}
         (0x703, "05", None),  # heartbeat
     ],
 )
-def test_what_commands_is_told_from_what_asks_or_stops(can_id, data, node):
+def test_commanded_node_ignores_reads_and_stops(can_id, data, node):
     assert commanded_node(can_id, bytes.fromhex(data)) == node
 
 
@@ -65,33 +65,35 @@ def judged(*frames, events=TOLD):
     return judge_frames(frames, ownership_of(events), NODES)
 
 
-def test_frames_of_the_owner_and_of_nobodys_time_are_sound():
+def test_frames_of_owner_and_of_free_time_are_sound():
     evidence = judged(frame(15, "a"), frame(25, "c"), frame(35, "b"), frame(50, "a"))
     evidence.require_sound()
     assert evidence.counts == {"pan: own": 3, "pan: free": 1}
 
 
 @pytest.mark.parametrize("at_ms", [10, 19.9, 30, 39.9, 45])
-def test_a_frame_of_another_while_it_is_somebodys_is_told(at_ms):
+def test_foreign_frame_during_ownership_is_reported(at_ms):
     evidence = judged(frame(at_ms, "c"))
-    with pytest.raises(SharingViolated, match="1 commanding frames of one who did not have"):
+    with pytest.raises(
+        SharingViolated, match="1 commanding frames from a process that did not own"
+    ):
         evidence.require_sound()
 
 
-def test_what_the_loser_had_sent_before_may_come_a_little_later():
+def test_losers_frame_may_follow_within_late_s():
     judged(frame(42, "b")).require_sound()
     with pytest.raises(SharingViolated):
         judged(frame(42.1, "b")).require_sound()
 
 
-def test_the_next_owner_may_set_it_up_before_he_tells_that_he_has_it_but_not_move_it():
+def test_next_owner_may_send_settings_but_not_move():
     settings = frame(39, "a", 0x603, "23 81 60 00 e8 03 00 00")
     assert judged(settings).counts == {"pan: next": 1}
     with pytest.raises(SharingViolated):
         judged(frame(39, "a")).require_sound()
 
 
-def test_other_nodes_buses_and_stops_are_no_matter():
+def test_other_nodes_buses_and_stops_do_not_count():
     others = [
         frame(15, "c", 0x204),
         BusFrame("can1", 15 * MS, "c", 0x203, b"\x1f\0"),
@@ -108,17 +110,17 @@ def test_other_nodes_buses_and_stops_are_no_matter():
         ({}, "any motor"),
     ],
 )
-def test_a_motor_that_nothing_commands_is_not_proven_sound(nodes, named):
+def test_motor_without_commands_is_not_proved_sound(nodes, named):
     evidence = judge_frames([frame(15, "a")], ownership_of(TOLD), nodes)
-    with pytest.raises(SharingViolated, match=f"nothing is proven of {named}"):
+    with pytest.raises(SharingViolated, match=f"nothing is proved about {named}"):
         evidence.require_sound()
 
 
-def test_nmt_to_all_nodes_commands_each():
+def test_nmt_to_all_nodes_commands_each_motor():
     assert judged(frame(15, "c", 0x000, "81 00")).counts == {"pan: foreign": 1}
 
 
-def test_what_was_told_in_another_order_is_put_in_order_by_tokens():
+def test_crossed_handovers_are_ordered_by_tokens():
     crossed = [told(10, TAKEN, 2, "b"), told(11, TAKEN, 1, "a"), told(11, RELEASED, 1, "a")]
     evidence = judged(frame(12, "b"), events=crossed)
     evidence.require_sound()

@@ -1,6 +1,6 @@
-"""What is noted of uses, and what is told from the notes alone."""
+"""Histories: notes of uses, and checks of the notes alone."""
 
-from harness.sharing.history import (
+from motorhil.harness.sharing_tests.history import (
     FOREVER_NS,
     Action,
     Answer,
@@ -28,7 +28,7 @@ def taken(who, called_ns, returned_ns, token, queued_ns=None, motor="m", forced=
     )
 
 
-def test_a_use_is_unknown_until_it_is_told_what_came_of_it():
+def test_use_is_unknown_until_completed():
     now = iter(range(10, 100, 10))
     history = History(lambda: next(now))
     note = history.call("a", "m", Action.TAKE)
@@ -39,7 +39,7 @@ def test_a_use_is_unknown_until_it_is_told_what_came_of_it():
     assert history.uses() == (taken("a", 10, 30, 3, queued_ns=20),)
 
 
-def test_the_death_of_one_ends_what_he_began_at_every_motor():
+def test_death_ends_incomplete_uses_at_every_motor():
     begun = Use("a", "m", Action.COMMAND, 1, FOREVER_NS, Answer.UNKNOWN)
     done = Use("a", "n", Action.READ, 0, 1)
     other = Use("b", "m", Action.COMMAND, 1, FOREVER_NS, Answer.UNKNOWN)
@@ -54,7 +54,7 @@ def test_the_death_of_one_ends_what_he_began_at_every_motor():
     ]
 
 
-def test_one_who_queued_before_another_asked_and_had_it_later_was_overtaken():
+def test_overtaken_finds_earlier_queued_later_served():
     first, second = taken("a", 0, 90, 2, queued_ns=9), taken("b", 10, 20, 1, queued_ns=11)
     assert overtaken((first, second)) == [(first, second)]
     assert overtaken((taken("a", 0, 90, 2, queued_ns=10), second)) == []  # at the same instant
@@ -63,20 +63,20 @@ def test_one_who_queued_before_another_asked_and_had_it_later_was_overtaken():
     assert overtaken((first, taken("b", 10, 20, 1, queued_ns=11, forced=True))) == []
 
 
-def test_tokens_grow_with_every_owner():
+def test_tokens_must_grow_with_every_owner():
     one, two, three = taken("a", 0, 1, 1), taken("b", 2, 3, 2), taken("a", 4, 5, 2)
     assert tokens_that_did_not_grow((one, two)) == []
     assert tokens_that_did_not_grow((one, two, three)) == [(two, three)]
 
 
-def test_the_worst_gap_counts_from_the_beginning_and_to_the_end():
+def test_worst_gap_includes_begin_and_end():
     uses = (taken("a", 0, 3_000_000_000, 1), taken("b", 0, 4_000_000_000, 2))
     assert worst_gap_s(uses, 0, 4_500_000_000) == 3.0
     assert worst_gap_s(uses, 2_000_000_000, 9_000_000_000) == 5.0
     assert worst_gap_s((), 0, 1_000_000_000) == 1.0
 
 
-def test_a_line_holds_all_of_a_use():
+def test_from_line_inverts_to_line():
     use = Use("a", "m", Action.TAKE, 1, 2, Answer.LOST, 5, 6, 7, True)
     assert from_line(to_line(use)) == use
     assert "\n" not in to_line(use)

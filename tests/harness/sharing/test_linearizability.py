@@ -1,4 +1,4 @@
-"""The checker of histories: against histories that are known, and against trying every order."""
+"""Linearizability checks against known histories and against brute force."""
 
 from dataclasses import replace
 from itertools import permutations
@@ -7,7 +7,7 @@ import pytest
 from hypothesis import event, given, settings
 from hypothesis import strategies as st
 
-from harness.sharing.history import (
+from motorhil.harness.sharing_tests.history import (
     FOREVER_NS,
     Action,
     Answer,
@@ -15,7 +15,7 @@ from harness.sharing.history import (
     Use,
     ended_by_death,
 )
-from harness.sharing.linearizability import (
+from motorhil.harness.sharing_tests.linearizability import (
     OwnedMotor,
     _with,
     events_of,
@@ -51,11 +51,11 @@ def is_allowed(*uses):
 # ---- known histories
 
 
-def test_nothing_happened_is_a_history():
+def test_empty_history_is_allowed():
     assert require_linearizable(()) == 0
 
 
-def test_one_after_another_is_allowed():
+def test_sequential_history_is_allowed():
     assert is_allowed(
         take("a", 0, 1, 5),
         command("a", 2, 3, 7),
@@ -66,13 +66,13 @@ def test_one_after_another_is_allowed():
     )
 
 
-def test_two_owners_at_once_are_not():
+def test_two_owners_at_once_are_refused():
     first = take("a", 0, 1, 1)
     assert not is_allowed(first, take("b", 2, 3, 2), use("a", GIVE, 4, 5))
-    assert is_allowed(first, take("b", 2, 6, 2), use("a", GIVE, 4, 5))  # he may have had to wait
+    assert is_allowed(first, take("b", 2, 6, 2), use("a", GIVE, 4, 5))  # it may have had to wait
 
 
-def test_a_token_that_does_not_grow_is_not():
+def test_token_that_does_not_grow_is_refused():
     given_back = (take("a", 0, 1, 4), use("a", GIVE, 2, 3))
     assert not is_allowed(*given_back, take("b", 4, 5, 4))
     assert not is_allowed(*given_back, take("b", 4, 5, 3))
@@ -83,11 +83,11 @@ def test_a_token_that_does_not_grow_is_not():
     ("queued_ns", "allowed"),
     [
         (19, False),  # b waits before c asks at 20
-        (20, True),  # or at the very instant
-        (None, True),  # nobody saw when b began to wait
+        (20, True),  # at the same instant
+        (None, True),  # the start of b's waiting is unknown
     ],
 )
-def test_who_waits_is_served_before_whoever_asks_later(queued_ns, allowed):
+def test_waiting_party_is_served_before_later_request(queued_ns, allowed):
     assert (
         is_allowed(
             take("a", 0, 1, 1),
@@ -100,33 +100,33 @@ def test_who_waits_is_served_before_whoever_asks_later(queued_ns, allowed):
     )
 
 
-def test_who_is_refused_was_refused_for_somebody():
+def test_refusal_needs_an_owner_or_a_waiting_party():
     assert not is_allowed(use("b", TAKE, 0, 1, REFUSED))
     assert is_allowed(take("a", 0, 5, 1), use("b", TAKE, 3, 4, REFUSED))
-    # somebody who waits is enough: it is his next
+    # a waiting party is sufficient, since it is the next owner
     waits = take("b", 1, 9, 2, queued_ns=2)
     assert is_allowed(
         take("a", 0, 1, 1), waits, use("a", GIVE, 3, 4), use("c", TAKE, 5, 6, REFUSED)
     )
 
 
-def test_a_command_of_one_who_does_not_own_it_is_not_allowed():
+def test_command_without_ownership_is_refused():
     assert not is_allowed(command("a", 0, 1, 3))
     assert is_allowed(command("a", 0, 1, 3, REFUSED))
     assert not is_allowed(take("a", 0, 1, 1), command("a", 2, 3, 3, REFUSED))
 
 
-def test_after_a_takeover_the_loser_commands_no_more():
+def test_loser_after_takeover_does_not_command():
     taken = (take("a", 0, 1, 1), take("b", 2, 3, 2, forced=True))
     assert is_allowed(*taken, command("a", 4, 5, 1, LOST), use("a", GIVE, 6, 7, LOST))
     assert not is_allowed(*taken, command("a", 4, 5, 1))
     assert not is_allowed(*taken, use("a", GIVE, 6, 7))
-    assert not is_allowed(take("a", 0, 1, 1), take("b", 2, 3, 2))  # no takeover: two owners
-    # during the takeover it may be either
+    assert not is_allowed(take("a", 0, 1, 1), take("b", 2, 3, 2))  # not a takeover: two owners
+    # either is possible during the takeover
     assert is_allowed(*taken[:1], take("b", 2, 6, 2, forced=True), command("a", 4, 5, 1))
 
 
-def test_a_lease_that_ended_goes_to_who_waits_longest():
+def test_expired_lease_goes_to_longest_waiting_party():
     first = take("a", 0, 1, 1)
     waits = take("b", 2, 30, 2, queued_ns=3, forced=True)
     assert is_allowed(first, waits)
@@ -137,16 +137,16 @@ def test_a_lease_that_ended_goes_to_who_waits_longest():
     )
 
 
-def test_what_is_read_was_commanded_last():
+def test_read_returns_the_last_command():
     commanded = (take("a", 0, 1, 1), command("a", 2, 3, 7), command("a", 4, 9, 8))
     assert is_allowed(*commanded, use("r", READ, 5, 6, value=7))
     assert is_allowed(*commanded, use("r", READ, 5, 6, value=8))
     assert not is_allowed(*commanded, use("r", READ, 10, 11, value=7))
     both = (use("r", READ, 5, 6, value=8), use("r", READ, 7, 8, value=7))
-    assert not is_allowed(*commanded, *both)  # not forth and back
+    assert not is_allowed(*commanded, *both)  # not back and forth
 
 
-def test_what_the_dead_began_has_happened_by_his_end_or_never():
+def test_command_of_dead_party_took_effect_before_death():
     death = use("a", DIE, 10, 12)
     begun = command("a", 5, LATE, 9, UNKNOWN)
     told = ended_by_death((take("a", 0, 1, 1), begun, death))
@@ -156,10 +156,10 @@ def test_what_the_dead_began_has_happened_by_his_end_or_never():
     assert is_allowed(*told, use("r", READ, 20, 21, value=0), use("r", READ, 22, 23, value=0))
     assert not is_allowed(*told, use("r", READ, 20, 21, value=0), use("r", READ, 22, 23, value=9))
     assert is_allowed(*told, take("b", 6, 13, 2))  # freed by the death
-    assert not is_allowed(*told, take("b", 6, 9, 2))  # not before
+    assert not is_allowed(*told, take("b", 6, 9, 2))  # not earlier
 
 
-def test_what_nobody_knows_the_outcome_of_has_happened_or_not():
+def test_use_with_unknown_result_may_have_had_effect():
     unsure = (take("a", 0, 1, 1), command("a", 5, 6, 9, UNKNOWN))
     seven, eight = (use("r", READ, at, at + 1, value=9) for at in (7, 9))
     assert is_allowed(*unsure, seven, eight)
@@ -167,7 +167,7 @@ def test_what_nobody_knows_the_outcome_of_has_happened_or_not():
     assert not is_allowed(*unsure, replace(seven, value=0), eight)
 
 
-def test_one_who_died_may_have_taken_it_over():
+def test_dead_party_may_have_taken_over():
     uses = (
         take("a", 0, 1, 1),
         use("b", TAKE, 2, LATE, UNKNOWN),
@@ -178,7 +178,7 @@ def test_one_who_died_may_have_taken_it_over():
     assert not is_allowed(*(one for one in uses if one.who == "a"))
 
 
-def test_one_who_died_waiting_is_no_longer_waited_for():
+def test_dead_waiting_party_leaves_the_queue():
     uses = (
         take("a", 0, 1, 1),
         use("b", TAKE, 2, LATE, UNKNOWN, queued_ns=3),
@@ -191,12 +191,12 @@ def test_one_who_died_waiting_is_no_longer_waited_for():
     assert not is_allowed(*alive)
 
 
-def test_a_complaint_names_what_does_not_fit():
+def test_violation_names_the_conflicting_uses():
     with pytest.raises(SharingViolated, match=r"(?s)m: no order of its 2 uses.*b take m: done"):
         require_linearizable((take("a", 0, 1, 1), take("b", 2, 3, 2)))
 
 
-def test_motors_are_judged_one_by_one():
+def test_motors_are_judged_separately():
     good = take("a", 0, 1, 1)
     other = Use("b", "other", TAKE, 0, 1, DONE, token=1)
     assert is_allowed(good, other)
@@ -204,7 +204,7 @@ def test_motors_are_judged_one_by_one():
         require_linearizable((good, other, Use("c", "other", TAKE, 2, 3, DONE, token=2)))
 
 
-def test_long_histories_take_steps_in_proportion():
+def test_steps_grow_linearly_with_long_histories():
     uses = []
     for turn in range(2000):
         at = turn * 100
@@ -215,18 +215,18 @@ def test_long_histories_take_steps_in_proportion():
     assert require_linearizable(uses) < 10 * 8000
 
 
-def test_what_was_reached_once_is_not_searched_again():
+def test_reached_state_is_not_searched_again():
     readers = [use(f"r{number}", READ, 0, 10) for number in range(10)]
     impossible = use("x", READ, 20, 21, value=1)
     found = search(events_of([*readers, impossible]), OwnedMotor())
     assert found.order is None
     assert len(found.reached) == 10
     assert found.stuck == tuple(events_of([impossible]))
-    assert found.steps <= 10 * 2**10 + 11  # of 10! orders
+    assert found.steps <= 10 * 2**10 + 11  # instead of 10! orders
 
 
 @given(st.permutations(range(9)), st.integers(0, 9))
-def test_a_set_of_numbers_is_told_from_every_other(numbers, many):
+def test_with_represents_sets_uniquely(numbers, many):
     passed = ahead = 0
     for number in numbers[:many]:
         passed, ahead = _with(passed, ahead, number)
@@ -234,11 +234,11 @@ def test_a_set_of_numbers_is_told_from_every_other(numbers, many):
     assert found == set(numbers[:many])
 
 
-# ---- against trying every order
+# ---- brute force
 
 
 def brute_force(events, specification):
-    """Whether any order of all events agrees with the times and the specification."""
+    """Return True if any order of the events fits the times and the specification."""
     for order in permutations(events):
         if any(
             later.returned_ns < earlier.called_ns
@@ -259,7 +259,7 @@ TIMES = st.integers(0, 12)
 
 @st.composite
 def anything(draw):
-    """A use of whatever kind: mostly nonsense."""
+    """Draw a use of any kind, mostly an implausible one."""
     begin, end = sorted((draw(TIMES), draw(TIMES)))
     action = draw(st.sampled_from(list(Action)))
     answer = draw(st.sampled_from([DONE, DONE, DONE, REFUSED, LOST, UNKNOWN]))
@@ -279,7 +279,7 @@ def anything(draw):
 
 @st.composite
 def plausible(draw):
-    """Uses made one by one as they should be, in wider intervals; maybe one lie."""
+    """Draw correct sequential uses with wider intervals, and at most one wrong use."""
     uses, holder, token, value = [], None, 0, 0
     for place in range(draw(st.integers(1, 4))):
         who = draw(st.sampled_from("abc"))
@@ -301,8 +301,8 @@ def plausible(draw):
             value = place if kind is COMMAND and done is DONE else value
             uses.append(use(who, kind, begin, end, done, value=place if kind is COMMAND else 0))
             holder = None if kind is GIVE and done is DONE else holder
-    if draw(st.booleans()):  # begun, and never had any effect
-        begin, end = sorted((draw(TIMES), draw(TIMES)))  # and he died there
+    if draw(st.booleans()):  # begun, without any effect
+        begin, end = sorted((draw(TIMES), draw(TIMES)))  # and it died there
         begun = use("d", draw(st.sampled_from([TAKE, COMMAND, GIVE])), begin, end, UNKNOWN)
         uses.append(begun if draw(st.booleans()) else replace(begun, who="a"))
     if uses and draw(st.booleans()):
@@ -313,7 +313,7 @@ def plausible(draw):
 
 @settings(max_examples=600)
 @given(st.lists(anything(), max_size=4) | plausible())
-def test_the_search_finds_an_order_exactly_where_there_is_one(uses):
+def test_search_finds_an_order_iff_brute_force_does(uses):
     events, specification = events_of(uses), OwnedMotor()
     found = search(events, specification)
     expected = brute_force(events, specification)

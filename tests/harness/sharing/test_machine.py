@@ -1,4 +1,4 @@
-"""The shipped state machines on every kind of hardware, and what each of them put to the test."""
+"""Shipped state machines on every kind of hardware, and the cases that they reach."""
 
 import os
 from pathlib import Path
@@ -6,16 +6,19 @@ from pathlib import Path
 import pytest
 from hypothesis import Phase, settings
 
-from harness.rig import installed_plugins
-from harness.rig_file import parse_rig
-from harness.settings import Source
-from harness.sharing.history import SharingViolated
-from harness.sharing.machine import group_machine, ownership_machine
-from harness.sharing.stage import shared_rig
+from motorhil.harness.rig.config.rig_file import parse_rig
+from motorhil.harness.rig.config.toml import Source
+from motorhil.harness.rig.rig import installed_plugins
+from motorhil.harness.sharing_tests.history import SharingViolated
+from motorhil.harness.sharing_tests.state_machine import (
+    group_machine,
+    ownership_machine,
+    shared_rig,
+)
 from tests.motorapi.kinds import KINDS
 
 LONGER = int(os.environ.get("MOTORHIL_SHARING", "1"))
-"""So many times the examples."""
+"""The factor by which the number of examples is multiplied."""
 
 EXAMPLES = {"ideal": 80, "cia402": 50, "software": 12}
 OWNED = (
@@ -47,7 +50,7 @@ def rig_of(kind, owners=("ann", "ben", "cem")):
 
 
 def run(machine, examples):
-    """How often what was reached; a failure as it was found, not shrunk."""
+    """Run the machine without shrinking, and return its reach."""
     machine.TestCase.settings = settings(
         machine.TestCase.settings,
         max_examples=examples * LONGER,
@@ -63,21 +66,21 @@ def table(reach):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_motor_has_one_owner_at_a_time_whatever_its_owners_do(kind):
+def test_ownership_machine_holds_and_reaches_all_cases(kind):
     reach = run(ownership_machine(rig_of(kind)), EXAMPLES[kind])
     print(table(reach))
-    wanted = OWNED if kind != "software" else OWNED[:2] + OWNED[-1:]  # it is slower: fewer runs
+    wanted = OWNED if kind != "software" else OWNED[:2] + OWNED[-1:]  # slower, so fewer runs
     assert [name for name in wanted if not reach[name]] == []
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_groups_that_overlap_move_together_or_not_at_all(kind):
+def test_group_machine_holds_and_reaches_all_cases(kind):
     reach = run(group_machine(rig_of(kind)), EXAMPLES[kind])
     print(table(reach))
     assert [name for name in GROUPED if not reach[name]] == []
 
 
-def test_the_same_choices_make_the_same_history():
+def test_equal_choices_give_equal_histories():
     def histories():
         told = []
         machine = ownership_machine(rig_of("cia402"))
@@ -96,6 +99,6 @@ def test_the_same_choices_make_the_same_history():
     assert histories() == first
 
 
-def test_a_rig_without_a_second_owner_is_told_so():
-    with pytest.raises(SharingViolated, match="no motor of the rig has two logical ones"):
+def test_rig_without_second_owner_is_refused():
+    with pytest.raises(SharingViolated, match="no motor of the rig has two logical motors"):
         run(ownership_machine(rig_of("ideal", ["ann"])), 1)

@@ -1,26 +1,27 @@
-"""Five processes fight for one lock while some are killed or paused; and the judge is judged.
+"""Five processes compete for one lock while some are killed or paused.
 
-MOTORHIL_SHARING=5 makes of the 2 s of kills the 10 s that the requirements ask for.
+MOTORHIL_SHARING=5 extends the 2 s of kills to the required 10 s. Planted defects test the
+judgement.
 """
 
 import os
 
 import pytest
 
-from harness.sharing.history import SharingViolated
-from harness.sharing.processes import Plan, run
+from motorhil.harness.sharing_tests.history import SharingViolated
+from motorhil.harness.sharing_tests.processes import Plan, run
 
 pytestmark = pytest.mark.wall
 
 LONGER = int(os.environ.get("MOTORHIL_SHARING", "1"))
 PATIENT_S = 5.0
-"""A turn of somebody that a busy machine delays; far below what a lock that is not let go takes."""
+"""A turn delayed by a busy machine [s]; far shorter than a lock that is never released."""
 MUTANTS = "tests.harness.sharing.mutants"
 LEASES = {"lease_s": 0.02, "take_over": 0.02, "inside_s": 0.002, "commands": 5}
 
 
 PORTIONS = (1, 3, 9)
-"""How much longer again, where a busy machine came to too little of what is put to the test."""
+"""Factors of the duration for repetitions on a busy machine that reached too few cases."""
 
 
 def judged(enough=lambda outcome: True, *, seconds, **plan):
@@ -34,11 +35,11 @@ def judged(enough=lambda outcome: True, *, seconds, **plan):
 
 
 def until_found_out(**plan):
-    """SharingViolated is raised, or it is no use to go on."""
+    """Run until SharingViolated is raised, or the repetitions are used up."""
     judged(lambda outcome: False, **plan)
 
 
-def test_with_a_kill_every_50_ms_nobody_intrudes_or_is_overtaken_and_it_goes_on():
+def test_lock_with_kills_every_50_ms_stays_sound():
     outcome = judged(
         lambda outcome: outcome.reached()["killed"] >= 5 and outcome.reached()["take: done"] >= 100,
         seconds=2.0 * LONGER,
@@ -49,7 +50,7 @@ def test_with_a_kill_every_50_ms_nobody_intrudes_or_is_overtaken_and_it_goes_on(
     assert outcome.worst_gap_s < PATIENT_S
 
 
-def test_holders_are_killed_too():
+def test_lock_survives_kills_of_its_holders():
     outcome = judged(
         lambda outcome: outcome.reached()["killed inside"] and outcome.taken_after_last_kill,
         seconds=1.0 * LONGER,
@@ -63,7 +64,7 @@ def test_holders_are_killed_too():
     assert outcome.worst_gap_s < PATIENT_S
 
 
-def test_those_who_are_paused_and_go_on_find_it_as_it_should_be():
+def test_lock_survives_paused_workers():
     outcome = judged(
         lambda outcome: outcome.reached()["paused"] >= 5,
         seconds=1.0,
@@ -74,7 +75,7 @@ def test_those_who_are_paused_and_go_on_find_it_as_it_should_be():
     assert outcome.counts["paused"] >= 5
 
 
-def test_of_one_who_is_paused_the_motor_is_taken_when_his_lease_is_over_and_he_writes_no_more():
+def test_paused_owner_loses_its_lease_and_writes_nothing():
     def enough(outcome):
         reached = outcome.reached()
         return reached["take: done from a living owner"] >= 3 and reached["command: lost"] >= 1
@@ -91,19 +92,19 @@ def test_of_one_who_is_paused_the_motor_is_taken_when_his_lease_is_over_and_he_w
     )
     reached = outcome.reached()
     assert reached["take: done from a living owner"] >= 3
-    assert reached["command: lost"] >= 1, "nobody tried to write who had lost it"
+    assert reached["command: lost"] >= 1, "no worker that lost the lock tried to write"
     assert outcome.counts["paused inside"] >= 1
 
 
-# ---- what is wrong on purpose
+# ---- planted defects
 
 
-def test_a_lock_that_lets_the_quickest_in_is_found_out():
+def test_judgement_detects_lock_without_fifo():
     with pytest.raises(SharingViolated, match="overtaken"):
         until_found_out(seconds=0.5, plant=f"{MUTANTS}:whoever_is_quickest")
 
 
-def test_a_lock_without_fencing_is_found_out():
+def test_judgement_detects_lock_without_fencing():
     with pytest.raises(SharingViolated, match="no order of its"):
         until_found_out(
             seconds=2.0,
@@ -116,17 +117,17 @@ def test_a_lock_without_fencing_is_found_out():
         )
 
 
-def test_a_lock_that_is_none_is_found_out():
+def test_judgement_detects_lock_without_exclusion():
     with pytest.raises(SharingViolated):
         until_found_out(seconds=0.5, plant=f"{MUTANTS}:no_exclusion")
 
 
-def test_a_token_that_does_not_grow_is_found_out():
+def test_judgement_detects_constant_token():
     with pytest.raises(SharingViolated, match="token did not grow"):
         until_found_out(seconds=0.5, plant=f"{MUTANTS}:no_token")
 
 
-def test_a_lock_that_survives_its_holder_is_found_out():
+def test_judgement_detects_lock_held_by_the_dead():
     plan = {"seconds": 1.0, "kill_period_s": 0.6, "kill_inside": True}
     plan["facts"] = {"inside_s": 0.02}
     outcome = run(Plan(**plan, plant=f"{MUTANTS}:stays_after_death"))
@@ -135,7 +136,7 @@ def test_a_lock_that_survives_its_holder_is_found_out():
     assert judged(lambda outcome: outcome.taken_after_last_kill, **plan).taken_after_last_kill > 0
 
 
-def test_a_worker_that_fails_is_told():
+def test_failed_worker_is_reported():
     with pytest.raises(SharingViolated, match=r"worker 0: AttributeError: .*no_such_mutant"):
         judged(seconds=0.1, workers=1, plant="tests.harness.sharing.test_processes:fails")
 

@@ -3,35 +3,36 @@ from types import SimpleNamespace
 
 import pytest
 
-from emulators.event_queue import EventQueue
-from harness.virtual_program import in_virtual_time
-from harness.virtual_time import VirtualRuntime
+from motorhil.emulators.simulation.event_queue import EventQueue
+from motorhil.harness.virtual_time.runtime import VirtualRuntime
+from motorhil.harness.virtual_time.stdlib.install import in_virtual_time
 
 
 @pytest.fixture(autouse=True)
-def nobody_sleeps_on_the_wall(monkeypatch):
+def refuse_wall_sleep(monkeypatch):
     wall = time.sleep
 
     def refuse(seconds):
         if not seconds > 0:
-            wall(seconds)  # refuses what is no time
-        pytest.fail(f"somebody sleeps {seconds} s on the wall")
+            wall(seconds)  # raises for invalid durations
+        pytest.fail(f"a thread sleeps {seconds} s on the wall clock")
 
     monkeypatch.setattr("time.sleep", refuse)
-    monkeypatch.setattr("harness.virtual_program.clocks._sleep", refuse)
+    monkeypatch.setattr("motorhil.harness.virtual_time.stdlib.clocks._sleep", refuse)
 
 
 @pytest.fixture
 def rig():
-    """A rig in which nothing is."""
+    """An empty rig."""
     return SimpleNamespace(runtime=VirtualRuntime(EventQueue()), seed=7)
 
 
 @pytest.fixture
 def now_s(rig):
-    """A program is on; what the rig's own clock says, at which nobody looks.
+    """A function that returns the rig's own time [s] while a program is active.
 
-    To 0.1 ms: who has looked n times before it waits wakes n microseconds later.
+    The time is rounded to 0.1 ms: a thread that has polled n times before it waits wakes n
+    microseconds later.
     """
     with in_virtual_time(rig):
         yield lambda: round(rig.runtime.now_ns() / 1e9, 4)

@@ -8,10 +8,10 @@ from types import ModuleType
 
 import pytest
 
-from harness.pace import WallPace
-from harness.virtual_program import in_virtual_time
+from motorhil.harness.virtual_time.runtime import WallPace
+from motorhil.harness.virtual_time.stdlib.install import in_virtual_time
 
-UP_S = 100_000.0  # what a machine has been on for, when the rig is switched on
+UP_S = 100_000.0  # uptime of a machine when the rig is switched on
 US = 1e-6
 
 
@@ -25,7 +25,7 @@ US = 1e-6
         ("thread_time", 0.0),
     ],
 )
-def test_a_clock_goes_by_the_rigs_time_and_a_little_further_at_each_look(now_s, clock, begins_s):
+def test_clock_shows_rig_time_and_advances_at_each_look(now_s, clock, begins_s):
     time.sleep(2.5)
     told = [getattr(time, clock)() for _ in range(3)]
     told_ns = getattr(time, f"{clock}_ns")()
@@ -33,14 +33,14 @@ def test_a_clock_goes_by_the_rigs_time_and_a_little_further_at_each_look(now_s, 
     assert told == pytest.approx([first_s, first_s + US, first_s + 2 * US], abs=3 * US)
     assert told[0] < told[1] < told[2]
     assert told_ns == pytest.approx(told[2] * 1e9 + 1e3, abs=100)
-    assert now_s() == 2.5  # looking lets no time pass, as long as it is not often
+    assert now_s() == 2.5  # a few looks let no time pass
 
 
 @pytest.mark.parametrize("clock", ["time", "monotonic", "perf_counter"])
 @pytest.mark.parametrize(
     "wait", [lambda s: time.sleep(s), lambda s: threading.Event().wait(s)], ids=["sleep", "event"]
 )
-def test_by_its_clock_a_program_never_waits_shorter_than_it_asked_for(now_s, clock, wait):
+def test_wait_is_never_shorter_than_asked_by_own_clock(now_s, clock, wait):
     read = getattr(time, clock)
     for looks in (1, 2, 50):
         for seconds in (1e-6, 0.01, 100.0):
@@ -49,7 +49,7 @@ def test_by_its_clock_a_program_never_waits_shorter_than_it_asked_for(now_s, clo
             assert read() - began >= seconds
 
 
-def test_clocks_by_number_go_by_the_rigs_time(now_s):
+def test_clock_gettime_shows_rig_time(now_s):
     time.sleep(1.0)
     for number, expected_s in (
         (time.CLOCK_REALTIME, 1.0),
@@ -61,7 +61,7 @@ def test_clocks_by_number_go_by_the_rigs_time(now_s):
         assert time.clock_gettime_ns(number) == pytest.approx(expected_s * 1e9, abs=20_000)
 
 
-def test_dates_are_the_rigs(now_s):
+def test_dates_are_those_of_the_rig(now_s):
     time.sleep(86_400.0)
     assert datetime.datetime.now(datetime.UTC).isoformat()[:19] == "1970-01-02T00:00:00"
     assert abs(datetime.datetime.now() - datetime.datetime.fromtimestamp(86_400)).seconds == 0  # noqa: DTZ005, DTZ006 -- both local
@@ -72,7 +72,7 @@ def test_dates_are_the_rigs(now_s):
     assert time.strftime("%Y", time.gmtime(1e9)) == "2001"
 
 
-def test_dates_of_the_library_and_of_programs_are_taken_for_what_they_are(now_s):
+def test_isinstance_of_dates_is_preserved(now_s):
     made = datetime.datetime(2001, 2, 3, tzinfo=datetime.UTC)
     assert type(made) is type(made + datetime.timedelta(1)) is datetime.datetime.original
     assert isinstance(made, datetime.datetime)
@@ -89,7 +89,7 @@ def test_dates_of_the_library_and_of_programs_are_taken_for_what_they_are(now_s)
     assert not isinstance(made, Own)
 
 
-def test_who_only_looks_at_the_clock_gets_there_and_others_have_their_turns(now_s, capsys):
+def test_clock_polling_makes_progress_and_others_run(now_s, capsys):
     said = []
 
     def other():
@@ -111,10 +111,10 @@ def test_who_only_looks_at_the_clock_gets_there_and_others_have_their_turns(now_
     assert told.startswith("main (")
     assert told.count("\n") == 1
     assert "test_clocks.py:" in told
-    assert "time.sleep() there makes it faster" in told
+    assert "add a time.sleep()" in told
 
 
-def test_who_sleeps_for_nothing_or_polls_an_event_gets_on(now_s):
+def test_polling_of_events_and_locks_makes_progress(now_s):
     flag = threading.Event()
     threading.Timer(0.002, flag.set).start()
     while not flag.is_set():
@@ -135,7 +135,7 @@ def test_who_sleeps_for_nothing_or_polls_an_event_gets_on(now_s):
         time.sleep(-1)
 
 
-def test_a_schedule_keeps_the_rigs_time(now_s):
+def test_scheduler_uses_rig_time(now_s):
     ran = []
     plan = sched.scheduler()
     for delay_s in (3.0, 1.0):
@@ -144,8 +144,8 @@ def test_a_schedule_keeps_the_rigs_time(now_s):
     assert ran == [1.0, 3.0]
 
 
-def test_names_bound_before_are_reached_and_those_of_the_house_are_not(rig, monkeypatch):
-    library, own = ModuleType("somebodys_library"), ModuleType("motorapi.somewhere")
+def test_bound_names_are_replaced_except_in_own_packages(rig, monkeypatch):
+    library, own = ModuleType("somebodys_library"), ModuleType("motorhil.motorapi.somewhere")
     for module in (library, own):
         exec("import time\nfrom time import monotonic\n", vars(module))
         exec("def both():\n    return monotonic(), time.monotonic()\n", vars(module))
@@ -161,7 +161,7 @@ def test_names_bound_before_are_reached_and_those_of_the_house_are_not(rig, monk
         pace = WallPace()
         pace(0)
         pace(1)
-        assert pace.late_ns_max < 10**9  # its clock is the wall's, and the rig's says 28 h
+        assert pace.late_ns_max < 10**9  # it uses the wall clock, while the rig's shows 28 h
     assert library.monotonic is late.monotonic is wall
 
 
@@ -184,7 +184,7 @@ def everything_bound():
     return found, sched.scheduler.__init__.__defaults__
 
 
-def test_all_is_as_before_also_when_the_program_raised(rig):
+def test_everything_is_restored_even_after_an_error(rig):
     import random
 
     chance = random.getstate()

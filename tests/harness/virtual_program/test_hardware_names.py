@@ -1,11 +1,11 @@
-"""Programs that name hardware reach the rig's buses, and never the hardware."""
+"""Programs that name hardware get the rig's buses, and never the hardware."""
 
 import can
 import pytest
 from can.interfaces import BACKENDS
 
-from harness.rig import Rig
-from harness.script import bus_settings
+from motorhil.harness.cli.run import bus_settings
+from motorhil.harness.rig.rig import Rig
 
 RIG = """
 [rig]
@@ -34,7 +34,7 @@ def rig(tmp_path):
         ("pcan", None, "can0"),
     ],
 )
-def test_a_program_that_names_hardware_has_the_rigs_bus_of_that_name(rig, interface, channel, bus):
+def test_named_hardware_opens_bus_of_that_name(rig, interface, channel, bus):
     with (
         can.Bus(interface=interface, channel=channel, bitrate=500_000) as one,
         can.Bus(channel=bus) as other,
@@ -43,14 +43,14 @@ def test_a_program_that_names_hardware_has_the_rigs_bus_of_that_name(rig, interf
         assert other.recv(0.1).arbitration_id == 0x123
 
 
-def test_hardware_that_is_no_bus_of_the_rig_is_refused_by_name(rig):
+def test_hardware_without_rig_bus_is_refused(rig):
     with pytest.raises(
-        can.CanInitializationError, match=r"'socketcan', channel 'can7'.*there are: can0, ttyUSB0"
+        can.CanInitializationError, match=r"'socketcan', channel 'can7'.*its buses: can0, ttyUSB0"
     ):
         can.Bus(interface="socketcan", channel="can7")
 
 
-def test_interfaces_are_as_before_afterwards(tmp_path):
+def test_interfaces_are_restored(tmp_path):
     (tmp_path / "rig.toml").write_text(RIG)
     before = dict(BACKENDS)
     with Rig.open(tmp_path / "rig.toml") as rig:

@@ -1,4 +1,4 @@
-"""Programs that know nothing of this project, on the rig that `motorhil new` writes."""
+"""Independent programs on the rig that `motorhil new` writes."""
 
 import os
 import subprocess
@@ -6,15 +6,15 @@ import sys
 from importlib.resources import files
 from pathlib import Path
 
-import emulators
-from traces.digest import digest
+from motorhil import emulators
+from motorhil.traces.digest import digest
 
 HERE = Path(__file__).parent / "programs"
 EDS = str(files(emulators) / "eds" / "motorhil_cia402.eds")
-RIG = str(files("harness") / "examples" / "two_wheels.toml")
+RIG = str(files("motorhil.harness") / "examples" / "two_wheels.toml")
 
-# Two drives of one identity answer the question for the node-ID at once, and destroy each other's
-# frames until one is error passive (ISO 11898-1): that takes a millisecond.
+# Two drives with one identity answer the request for the node-ID at once. They destroy each other's
+# frames until one is error passive (ISO 11898-1), which takes a millisecond.
 MOVED = """\
 booted at 0.3 s; LSS finds node 1
 OPERATIONAL, EMCY: None
@@ -30,7 +30,7 @@ HEARD = """\
 
 def run_alone(hash_seed, *command):
     done = subprocess.run(
-        [sys.executable, "-m", "harness", "run", *command],
+        [sys.executable, "-m", "motorhil", "run", *command],
         env={**os.environ, "PYTHONHASHSEED": hash_seed},
         capture_output=True,
         text=True,
@@ -39,7 +39,7 @@ def run_alone(hash_seed, *command):
     return done.returncode, done.stdout, done.stderr
 
 
-def test_a_canopen_program_moves_a_drive_and_is_the_same_bytes_in_every_process(tmp_path):
+def test_canopen_program_gives_equal_records_in_each_process(tmp_path):
     digests = []
     for seed in ("1", "2"):
         record = tmp_path / f"{seed}.mcap"
@@ -49,11 +49,11 @@ def test_a_canopen_program_moves_a_drive_and_is_the_same_bytes_in_every_process(
     assert digests[0] == digests[1]
 
 
-def test_a_python_can_program_listens_in_threads_and_sends_again_and_again(say):
+def test_python_can_program_receives_and_sends_cyclically(say):
     assert say("run", RIG, str(HERE / "listening.py")) == (0, HEARD, "")
 
 
-def test_another_seed_is_another_run_of_the_same_program(tmp_path, say):
+def test_random_numbers_depend_on_rig_seed(tmp_path, say):
     (tmp_path / "dice.py").write_text("import random\nprint(random.randrange(10**9))\n")
     said = [say("run", RIG, str(tmp_path / "dice.py"), "--seed", seed) for seed in "112"]
     assert said[0] == said[1] != said[2]

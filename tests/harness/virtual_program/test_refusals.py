@@ -14,8 +14,8 @@ from types import ModuleType
 import can
 import pytest
 
-from harness.virtual_program import in_virtual_time
-from motorapi.errors import UsageError
+from motorhil.harness.virtual_time.stdlib.install import in_virtual_time
+from motorhil.motorapi.errors import UsageError
 
 
 async def nothing():
@@ -55,7 +55,7 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("name", REFUSED)
-def test_what_would_wait_elsewhere_is_refused_by_name_with_a_remedy(now_s, name):
+def test_blocking_operation_is_refused_with_remedy(now_s, name):
     with pytest.raises(UsageError) as caught:
         REFUSED[name]()
     told = str(caught.value)
@@ -63,7 +63,7 @@ def test_what_would_wait_elsewhere_is_refused_by_name_with_a_remedy(now_s, name)
     assert told.endswith("motorhil serve RIG -- python SCRIPT")
 
 
-def test_what_does_not_wait_is_left_as_it_is(now_s):
+def test_non_blocking_operations_are_not_refused(now_s):
     assert select.select([], [], [], 0) == ([], [], [])
     with selectors.DefaultSelector() as selector:
         assert selector.select(0) == []
@@ -78,10 +78,10 @@ def test_what_does_not_wait_is_left_as_it_is(now_s):
         [sys.executable, "-c", "print(5)"], capture_output=True, text=True, check=True
     )
     assert done.stdout == "5\n"
-    assert now_s() == 0.0  # time stood still meanwhile
+    assert now_s() == 0.0  # time stood still
 
 
-def test_threads_that_are_no_parties_may_wait_as_they_like(rig):
+def test_threads_that_are_not_parties_may_block(rig):
     heard = []
 
     def outside():
@@ -97,8 +97,8 @@ def test_threads_that_are_no_parties_may_wait_as_they_like(rig):
     assert heard == [([], [], [])]
 
 
-def test_a_thread_that_our_own_packages_start_waits_for_the_wall(now_s):
-    own = ModuleType("motorapi.somewhere")
+def test_thread_started_by_own_package_uses_wall_time(now_s):
+    own = ModuleType("motorhil.motorapi.somewhere")
     exec("def start(thread):\n    thread.start()\n", vars(own))
     ran = []
     thread = threading.Thread(target=lambda: ran.append(select.select([], [], [], 0.001)))
@@ -108,12 +108,12 @@ def test_a_thread_that_our_own_packages_start_waits_for_the_wall(now_s):
     assert now_s() == 0.0
 
 
-def test_a_bus_on_the_walls_clock_is_refused(now_s):
+def test_bus_of_hub_socket_is_refused(now_s):
     with pytest.raises(can.CanInitializationError, match=r"'/tmp/x.sock' is a socket.*by its name"):
         can.Bus(interface="emulated", channel="/tmp/x.sock")
 
 
-def test_one_program_at_a_time_and_in_the_rigs_own_thread(rig):
+def test_second_program_or_foreign_thread_is_refused(rig):
     refused = []
 
     def elsewhere():
@@ -126,6 +126,6 @@ def test_one_program_at_a_time_and_in_the_rigs_own_thread(rig):
     thread = threading.Thread(target=elsewhere, name="stranger")
     thread.start()
     thread.join()
-    assert "thread 'stranger' is no party of this rig" in refused[0]
+    assert "thread 'stranger' is not a party of this rig" in refused[0]
     with in_virtual_time(rig), pytest.raises(UsageError, match="already"), in_virtual_time(rig):
         pass

@@ -6,14 +6,14 @@ from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
-from harness.virtual_program import in_virtual_time, join_executors
-from harness.virtual_program.turn import program_here
-from motorapi.errors import UsageError
+from motorhil.harness.virtual_time.stdlib.install import in_virtual_time
+from motorhil.harness.virtual_time.stdlib.threads import join_executors, program_here
+from motorhil.motorapi.errors import UsageError
 
-THE_WALLS = (_thread.start_new_thread, _thread.allocate_lock)  # in here nothing replaces them
+THE_WALLS = (_thread.start_new_thread, _thread.allocate_lock)  # bound here, so not replaced
 
 
-def test_who_sleeps_lets_the_rigs_time_pass_and_others_run(now_s):
+def test_sleep_lets_rig_time_pass_and_others_run(now_s):
     said, begun = [], []
 
     def worker(name, period_s):
@@ -25,7 +25,7 @@ def test_who_sleeps_lets_the_rigs_time_pass_and_others_run(now_s):
     threads = [threading.Thread(target=worker, args=(f"every {p}", p)) for p in (3.0, 2.0)]
     for thread in threads:
         thread.start()
-    assert not begun  # who starts a thread keeps the turn
+    assert not begun  # a thread that starts another one keeps its turn
     for thread in threads:
         thread.join()
     assert begun == ["every 3.0", "every 2.0"]
@@ -33,7 +33,7 @@ def test_who_sleeps_lets_the_rigs_time_pass_and_others_run(now_s):
     assert not any(thread.is_alive() for thread in threads)
 
 
-def test_a_lock_held_across_a_wait_is_waited_for_in_virtual_time_first_come_first_served(now_s):
+def test_lock_waiters_are_served_in_order_in_virtual_time(now_s):
     lock, got = threading.Lock(), []
 
     def taker(name):
@@ -51,7 +51,7 @@ def test_a_lock_held_across_a_wait_is_waited_for_in_virtual_time_first_come_firs
     assert got == [("a", 1.0), ("b", 2.0), ("c", 3.0)]
 
 
-def test_a_lock_that_is_not_let_go_in_time_is_not_taken(now_s):
+def test_lock_acquire_times_out_in_virtual_time(now_s):
     lock = threading.Lock()
     lock.acquire()
     threading.Timer(2.0, lock.release).start()
@@ -65,7 +65,7 @@ def test_a_lock_that_is_not_let_go_in_time_is_not_taken(now_s):
         lock.acquire(True, -3.0)
 
 
-def test_a_reentrant_lock_is_one_threads(now_s):
+def test_rlock_belongs_to_one_thread(now_s):
     lock = threading.RLock()
     seen = []
 
@@ -98,20 +98,20 @@ def test_queues_events_and_barriers_wait_in_virtual_time(now_s):
     time.sleep(1.0)
     gate.wait()
     for order in (1, 2, None):
-        orders.put(order)  # waits until there is room
+        orders.put(order)  # waits for room
     assert not done.wait(0.25)
     assert done.wait(10.0)
     assert worked == [(1, 1.5), (2, 2.0)]
     with pytest.raises(queue.Empty):
         orders.get(timeout=1.0)
-    assert now_s() == pytest.approx(3.0, abs=1e-4)  # looking at clocks takes a microsecond each
+    assert now_s() == pytest.approx(3.0, abs=1e-4)  # each look at a clock takes a microsecond
     mail = queue.SimpleQueue()
     threading.Timer(1.0, mail.put, ["post"]).start()
     assert mail.get() == "post"
 
 
-def test_a_pool_works_side_by_side_and_ends_as_with_python(now_s):
-    before = threading.active_count()  # other tests of this process may have threads of their own
+def test_thread_pool_runs_concurrently_and_can_be_joined(now_s):
+    before = threading.active_count()  # other tests of this process may have running threads
 
     def work(number):
         time.sleep(1.0)
@@ -121,15 +121,13 @@ def test_a_pool_works_side_by_side_and_ends_as_with_python(now_s):
         assert list(pool.map(work, range(3))) == [(0, 1.0), (2, 1.0), (4, 2.0)]
     left = ThreadPoolExecutor(1)
     future = left.submit(work, 5)
-    join_executors()  # nobody has shut it down
+    join_executors()  # without an own shutdown
     assert future.result() == (10, 3.0)
     assert threading.active_count() == before
-    ThreadPoolExecutor(1).submit(int).result()  # there may be new ones
+    ThreadPoolExecutor(1).submit(int).result()  # new pools are possible
 
 
-def test_what_a_thread_raises_is_told_as_python_does_before_another_has_its_turn(
-    now_s, monkeypatch
-):
+def test_thread_exception_is_reported_before_next_turn(now_s, monkeypatch):
     told = []
     monkeypatch.setattr(
         "threading.excepthook", lambda what: told.append((what.exc_type, what.thread.name, now_s()))
@@ -149,7 +147,7 @@ def test_what_a_thread_raises_is_told_as_python_does_before_another_has_its_turn
     assert told == [(ZeroDivisionError, "fails", 1.0)]
 
 
-def test_threads_that_are_left_end_with_the_program_and_their_cleaning_up_has_its_time(rig):
+def test_remaining_threads_are_ended_with_time_for_cleanup(rig):
     ended = []
 
     def listens(name, cleaning_s):
@@ -169,7 +167,7 @@ def test_threads_that_are_left_end_with_the_program_and_their_cleaning_up_has_it
     rig.runtime.close()
 
 
-def test_a_thread_that_does_not_let_itself_be_ended_has_no_turn_any_more(rig):
+def test_thread_that_ignores_its_end_gets_no_more_turns(rig):
     turns = []
 
     def stubborn():
@@ -189,7 +187,7 @@ def test_a_thread_that_does_not_let_itself_be_ended_has_no_turn_any_more(rig):
     assert len(turns) == count
 
 
-def test_a_thread_of_somebody_else_has_the_wall_and_wakes_nobody(now_s):
+def test_foreign_thread_uses_wall_clock_and_wakes_no_party(now_s):
     start_new_thread, allocate_lock = THE_WALLS
     event, over = threading.Event(), allocate_lock()
     over.acquire()
@@ -210,11 +208,11 @@ def test_a_thread_of_somebody_else_has_the_wall_and_wakes_nobody(now_s):
     over.acquire()
     assert before_s == pytest.approx(100_001.0, abs=1e-4)
     assert abs(clocks[0] - 100_001.0) > 1.0
-    assert "would wake a party" in refused[0]
+    assert "cannot wake a party" in refused[0]
     assert "threading.Thread" in refused[0]
 
 
-def test_parties_that_hold_each_other_up_are_told_who_and_where_also_while_events_go_on(rig):
+def test_deadlock_is_reported_with_names_and_places(rig):
     told = []
 
     def take(one, other):
@@ -239,10 +237,12 @@ def test_parties_that_hold_each_other_up_are_told_who_and_where_also_while_event
         for thread in threads:
             thread.join()
     beat.cancel()
-    assert rig.runtime.now_ns() == 3600 * 10**9  # so long it might have been an event that helps
+    assert rig.runtime.now_ns() == 3600 * 10**9  # an hour, as an event might have helped until then
     assert [text.split(" waits")[0] for text in told] == ["party 'left'", "party 'right'"]
     for text in (*told, str(caught.value)):
-        assert "what can never happen: all wait for one another, since an hour" in text
+        assert (
+            "nothing can end the wait: all parties have waited for one another for an hour" in text
+        )
         assert "left (" in text
         assert "), held up by right" in text
         assert "), held up by left" in text
@@ -250,14 +250,14 @@ def test_parties_that_hold_each_other_up_are_told_who_and_where_also_while_event
         assert "main (" in text
 
 
-def test_who_waits_for_a_thread_that_is_busy_for_hours_is_left_alone(now_s):
+def test_join_of_long_running_thread_is_not_a_deadlock(now_s):
     thread = threading.Thread(target=time.sleep, args=(10_000.0,))
     thread.start()
     thread.join()
     assert now_s() == 10_000.0
 
 
-def test_ctrl_c_ends_the_wait_for_a_lock_and_takes_it_from_nobody(rig):
+def test_ctrl_c_ends_wait_for_lock_without_acquiring_it(rig):
     with in_virtual_time(rig):
         lock = threading.Lock()
 
@@ -278,7 +278,7 @@ def test_ctrl_c_ends_the_wait_for_a_lock_and_takes_it_from_nobody(rig):
         lock.release()
 
 
-def test_an_interrupt_at_the_moment_a_lock_is_given_leaves_it_free(now_s, rig, monkeypatch):
+def test_interrupt_while_lock_is_acquired_leaves_it_free(now_s, rig, monkeypatch):
     lock = threading.Lock()
     lock.acquire()
 
@@ -297,7 +297,7 @@ def test_an_interrupt_at_the_moment_a_lock_is_given_leaves_it_free(now_s, rig, m
     assert not lock.locked()
 
 
-def test_a_thread_has_a_turn_when_one_is_started_in_a_callback(now_s, rig):
+def test_thread_started_in_callback_runs(now_s, rig):
     ran = []
     rig.runtime.queue.alarm(
         lambda now_ns: threading.Thread(target=lambda: ran.append(now_s())).start()
@@ -306,7 +306,7 @@ def test_a_thread_has_a_turn_when_one_is_started_in_a_callback(now_s, rig):
     assert ran == [1.0]
 
 
-def test_objects_made_in_a_program_work_on_the_wall_afterwards(rig):
+def test_objects_of_program_work_on_wall_clock_afterwards(rig):
     with in_virtual_time(rig):
         mail, lock = queue.Queue(), threading.RLock()
         flag, pool = threading.Event(), ThreadPoolExecutor(1)
@@ -327,7 +327,7 @@ def test_objects_made_in_a_program_work_on_the_wall_afterwards(rig):
     pool.shutdown()
 
 
-def test_modules_are_imported_by_two_parties_at_once(now_s, tmp_path, monkeypatch):
+def test_two_parties_can_import_one_module(now_s, tmp_path, monkeypatch):
     (tmp_path / "slow_to_import.py").write_text("import time\ntime.sleep(1.0)\nready = True\n")
     monkeypatch.syspath_prepend(tmp_path)
     seen = []
@@ -345,7 +345,7 @@ def test_modules_are_imported_by_two_parties_at_once(now_s, tmp_path, monkeypatc
     assert seen == [(True, 1.0), (True, 1.0)]
 
 
-def test_old_programs_start_threads_by_another_name(now_s):
+def test_start_new_thread_starts_a_party(now_s):
     ended = threading.Event()
 
     def work(pause_s, last=None):
@@ -354,9 +354,9 @@ def test_old_programs_start_threads_by_another_name(now_s):
 
     assert _thread.start_new_thread(work, (1.0,), {"last": ended})
     assert ended.wait(5.0)
-    assert 1.0 <= now_s() < 1.0 + 1e-5  # looks take their microseconds
+    assert 1.0 <= now_s() < 1.0 + 1e-5  # each look takes a microsecond
 
 
-def test_sleeping_on_the_wall_fails_a_test_of_this_folder():
-    with pytest.raises(pytest.fail.Exception, match=r"sleeps 0\.5 s on the wall"):
+def test_sleep_on_wall_clock_fails_test():
+    with pytest.raises(pytest.fail.Exception, match=r"sleeps 0\.5 s on the wall clock"):
         time.sleep(0.5)

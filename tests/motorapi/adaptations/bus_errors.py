@@ -1,11 +1,11 @@
-"""What a CAN controller tells its own host, planted: the messages, and what goes with them."""
+"""Injected error messages of a CAN controller to its own host."""
 
 import struct
 from collections.abc import Callable
 from typing import Final
 
-from emulators.media.faults import FaultKind, FaultRule
-from harness.rig import Rig
+from motorhil.emulators.can.fault_rules import FaultKind, FaultRule
+from motorhil.harness.rig.rig import Rig
 
 MS = 1_000_000
 
@@ -24,7 +24,7 @@ def message(text: str) -> bytes:
 
 
 def tell(rig: Rig, text: str, name: str = "host", bus: str = "can0") -> None:
-    """The node of that name is told now."""
+    """Send the error message of that name to the host now."""
     segment = rig.world._segments[bus]
     endpoint = next(one for one in segment._by_port if one.name == name)
     endpoint.told(message(text), rig.runtime.now_ns())
@@ -39,7 +39,7 @@ def at(rig: Rig, time_ns: int, action: Callable[[], None]) -> None:
 
 
 def go_off(rig: Rig, off_ns: int, length_ns: int) -> None:
-    """The host is off the bus for so long: cut off, and told so."""
+    """Cut the host off the bus for a time, and inject the bus-off message."""
     rule = FaultRule(
         f"off-{off_ns}", FaultKind.CUT, ports=("host",), from_ns=off_ns, until_ns=off_ns + length_ns
     )

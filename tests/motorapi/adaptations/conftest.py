@@ -1,4 +1,4 @@
-"""Rigs for the adaptations: drives of our own on one bus, and what they say."""
+"""Rigs for the adaptation tests: emulated drives on one bus."""
 
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from harness.rig import Rig
+from motorhil.harness.rig.rig import Rig
 
 HEAD = """
 [rig]
@@ -34,13 +34,13 @@ acceleration_max_rad_s2 = 10.0
 
 
 def drive(name: str, node_id: int, controller: str = "", motor: str = "", model: str = "") -> str:
-    """One drive and its motor, as a rig file has them."""
+    """Return the rig text of one drive and its motor."""
     return DRIVE.format(name=name, node_id=node_id, controller=controller, motor=motor, model=model)
 
 
 @pytest.fixture
 def open_rig(tmp_path: Path) -> Iterator[Callable[..., Rig]]:
-    """Opens rigs from the text of their files; all are closed at the end."""
+    """Open rigs from the text of their files; close all at the end."""
     with ExitStack() as stack:
 
         def opened(*parts: str) -> Rig:

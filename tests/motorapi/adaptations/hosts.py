@@ -1,4 +1,4 @@
-"""Several hosts on one bus of a rig: bus objects of their own, and a SYNC producer not of ours."""
+"""Several hosts on a rig's bus, and a foreign SYNC producer."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -7,10 +7,12 @@ from itertools import pairwise
 import can
 import canopen
 
-from harness.rig import Rig
-from motorapi.adaptations.cia402 import Cia402HwMotor, Cia402Motor, HwOptions
-from motorapi.group import MotorGroup
-from motorapi.model import MotorModel
+from motorhil.harness.rig.rig import Rig
+from motorhil.motorapi.adaptations.cia402.bringup import HwOptions
+from motorhil.motorapi.adaptations.cia402.hardware import Cia402HwMotor
+from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
+from motorhil.motorapi.group import MotorGroup
+from motorhil.motorapi.model import MotorModel
 
 SYNC = 0x080
 MODEL = MotorModel(name="wheel", velocity_max=3.0, acceleration_max=10.0)
@@ -20,7 +22,7 @@ MODEL = MotorModel(name="wheel", velocity_max=3.0, acceleration_max=10.0)
 def host_with(
     rig: Rig, *node_ids: int, period_ms: int = 5, servo_ms: float | None = 1.0
 ) -> Iterator[list[Cia402Motor]]:
-    """Motors on these nodes, by a bus object of their own."""
+    """Return motors on these nodes, on a bus object of their own."""
     options = HwOptions(set_point_period_ms=period_ms, servo_period_ms=servo_ms)
     with can.Bus(interface="emulated", channel="can0") as bus:
         hardware = [Cia402HwMotor(bus, node_id=one, options=options) for one in node_ids]
@@ -33,7 +35,7 @@ def host_with(
 
 @contextmanager
 def foreign_sync(period_s: float) -> Iterator[canopen.Network]:
-    """canopen's own SYNC producer, which knows nothing of us; it is on for the block."""
+    """Run canopen's own SYNC producer, a foreign one, during the block."""
     with can.Bus(interface="emulated", channel="can0") as bus:
         network = canopen.Network(bus)
         network.sync.start(period_s)
@@ -44,7 +46,7 @@ def foreign_sync(period_s: float) -> Iterator[canopen.Network]:
 
 
 class BusEvidence:
-    """SYNCs and what they latch, as they were on the bus, whoever sent them."""
+    """The SYNCs on the bus and the set-points that they latch, of all senders."""
 
     def __init__(self, rig: Rig) -> None:
         self.frames: list[tuple[int, str, int, bytes]] = []
@@ -56,7 +58,7 @@ class BusEvidence:
             self.frames.append((time_ns, sender, can_id, frame[8 : 8 + frame[4]]))
 
     def syncs(self, sender: str | None = None) -> list[int]:
-        """When SYNCs of this sender (None: of anybody) were on the bus [ns]."""
+        """Return the times of SYNCs of this sender (None: of all) on the bus [ns]."""
         return [
             time_ns
             for time_ns, who, can_id, _ in self.frames
@@ -70,7 +72,7 @@ class BusEvidence:
         return [later - earlier for earlier, later in pairwise(self.syncs())]
 
     def fired(self) -> list[set[int]]:
-        """Which set-points (bits 4 and 5 set, by RPDO) each SYNC made count, where any did."""
+        """Return the set-points (bits 4 and 5 set, by RPDO) that each SYNC started, if any."""
         result: list[set[int]] = []
         waiting: dict[int, bool] = {}
         for _, _, can_id, data in self.frames:

@@ -1,8 +1,8 @@
-"""Commanding and watching an ideal motor, for tests."""
+"""Helpers for commanding and sampling an ideal motor."""
 
 import pytest
 
-from motorapi import ControlMode, ControlVariable, MotorModel
+from motorhil.motorapi import ControlMode, ControlVariable, MotorModel
 
 MODEL = MotorModel(
     name="wheel",
@@ -31,7 +31,7 @@ def follow(motor, trajectory, variable=POSITION, argument=None):
 
 
 def samples(runtime, motor, period_s, count):
-    """(position, velocity, torque) every `period_s` from now on."""
+    """Sample (position, velocity, torque) every `period_s` from now on."""
     taken = []
     for _ in range(count):
         taken.append((motor.position(), motor.velocity(), motor.torque()))

@@ -1,10 +1,10 @@
-"""What tests of low-level access share: a motion to begin, and what the host sends."""
+"""Helpers for tests of low-level access: a motion, and the host's frames."""
 
 from collections.abc import Callable
 
-from harness.rig import Rig
-from motorapi.commands import ControlMode
-from motorapi.motor import Motor
+from motorhil.harness.rig.rig import Rig
+from motorhil.motorapi.commands import ControlMode
+from motorhil.motorapi.motor import Motor
 
 OpenRig = Callable[..., Rig]
 SPARED = {0x080: "SYNC", 0x77F: "the host's heartbeat"}
@@ -17,7 +17,7 @@ def go_to(motor: Motor, target: float) -> None:
 
 
 def sent_on(rig: Rig) -> list[tuple[int, int, bytes]]:
-    """(time, identifier, data) of what the host sends from now on; SYNC and its heartbeat apart."""
+    """Record (time, identifier, data) of the host's frames, except SYNC and its heartbeat."""
     heard: list[tuple[int, int, bytes]] = []
 
     def on_frame(bus: str, time_ns: int, sender: str, frame: bytes) -> None:

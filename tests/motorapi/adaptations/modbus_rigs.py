@@ -1,14 +1,14 @@
-"""Rigs with Modbus drives, and what may go wrong on their lines."""
+"""Rigs with Modbus drives, and faults of their lines."""
 
 from contextlib import contextmanager
 from pathlib import Path
 
 from hypothesis import strategies as st
 
-from emulators.media.serial_faults import SerialFaultKind, SerialFaultRule
-from harness.rig import Rig, installed_plugins
-from harness.rig_file import parse_rig
-from harness.settings import Source
+from motorhil.emulators.media.serial_faults import SerialFaultKind, SerialFaultRule
+from motorhil.harness.rig.config.rig_file import parse_rig
+from motorhil.harness.rig.config.toml import Source
+from motorhil.harness.rig.rig import Rig, installed_plugins
 
 MS = 1_000_000
 LINES = {
@@ -36,7 +36,7 @@ ADAPTATIONS = {"leadshine": "leadshine_pr", "oriental_az": "oriental_az"}
 
 
 def text(adaptation="leadshine", line="rtu", names=("mast",)):
-    """A rig of drives of one kind on one line."""
+    """Return the rig text of drives of one kind on one line."""
     drives = [
         DRIVE.format(name=name, unit=unit, kind=ADAPTATIONS[adaptation], adaptation=adaptation)
         for unit, name in enumerate(names, 1)
@@ -65,7 +65,7 @@ PLACED = (SerialFaultKind.TRUNCATE, SerialFaultKind.PAUSE)
 
 @st.composite
 def rules(draw, name, kinds=tuple(SerialFaultKind)):
-    """A fault of somebody's next requests or answers."""
+    """Inject a fault of the next requests or answers of a port."""
     kind = draw(st.sampled_from(kinds))
     return SerialFaultRule(
         name,

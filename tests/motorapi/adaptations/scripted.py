@@ -1,4 +1,4 @@
-"""A bus in memory whose other end is a script: frames expected, answers given, at exact times.
+"""A bus in memory with a scripted peer: expected frames, timed answers.
 
 Frames are written as candump writes them: "601#4018100100000000", identifier and data in hex.
 """
@@ -6,21 +6,21 @@ Frames are written as candump writes them: "601#4018100100000000", identifier an
 from collections.abc import Callable, Iterable, Sequence
 from typing import Final, final
 
-from emulators.event_queue import EventQueue
-from harness.virtual_time import VirtualRuntime
+from motorhil.emulators.simulation.event_queue import EventQueue
+from motorhil.harness.virtual_time.runtime import VirtualRuntime
 
 US: Final = 1_000
 MS: Final = 1_000_000
 FRAME_NS: Final = 100 * US
-"""How long a frame takes here: from being sent to being confirmed, and heard by the other end."""
+"""The time from sending a frame to its confirmation and its arrival at the peer [ns]."""
 
 Answer = tuple[int, bytes]
-"""(delay after hearing the request [ns], frame)"""
+"""(delay after the request arrived [ns], frame)"""
 Peer = Callable[[bytes], Iterable[Answer]]
 
 
 def frame(text: str) -> bytes:
-    """The can_frame of "id#data" in hex; blanks in the data do not count."""
+    """Return the can_frame of "id#data" in hex; blanks in the data are ignored."""
     can_id, _, data = text.partition("#")
     payload = bytes.fromhex(data)
     return (
@@ -31,14 +31,14 @@ def frame(text: str) -> bytes:
 
 
 def text_of(data: bytes) -> str:
-    """A can_frame as `frame` reads it."""
+    """Return a can_frame in the notation that `frame` reads."""
     can_id = int.from_bytes(data[:4], "little")
     return f"{can_id:03X}#{data[8 : 8 + data[4]].hex().upper()}"
 
 
 @final
 class ScriptedBus:
-    """What a runtime in virtual time needs of a bus; the peer hears what the host sends."""
+    """The bus interface for a runtime in virtual time; the peer receives the host's frames."""
 
     def __init__(self, peer: Peer | None = None, *, confirms: bool = True) -> None:
         self.queue = EventQueue()
@@ -52,7 +52,7 @@ class ScriptedBus:
 
     @property
     def texts(self) -> list[str]:
-        """What the host has sent, without the times."""
+        """The frames that the host has sent, without the times."""
         return [text for _, text in self.sent]
 
     def subscribe(self, on_frame: Callable[[bytes, int, bool], None]) -> "_Subscription":
@@ -71,14 +71,14 @@ class ScriptedBus:
         self.queue.alarm(on_wire).set(self.queue.now_ns + FRAME_NS)
 
     def deliver(self, data: bytes | str, delay_ns: int = 0) -> None:
-        """The other end's frame is complete `delay_ns` from now."""
+        """Complete a frame of the peer `delay_ns` from now."""
         raw = frame(data) if isinstance(data, str) else data
         self.queue.alarm(lambda now_ns: self._tell(raw, now_ns, False)).set(
             self.queue.now_ns + delay_ns
         )
 
     def confirm(self, text: str) -> None:
-        """An own frame is said to have been transmitted."""
+        """Report an own frame as transmitted."""
         self.queue.alarm(lambda now_ns: self._tell(frame(text), now_ns, True)).set(
             self.queue.now_ns
         )
@@ -105,7 +105,7 @@ class _Subscription:
 
 @final
 class Transcript:
-    """A peer that answers as written: ("601#40...", "581#43...") pairs, in this order."""
+    """A peer that answers by a script of pairs ("601#40...", "581#43..."), in this order."""
 
     def __init__(self, exchanges: Sequence[tuple[str, str | None]], delay_ns: int = 1 * MS) -> None:
         self._exchanges = list(exchanges)
@@ -121,5 +121,5 @@ class Transcript:
 
     @property
     def is_over(self) -> bool:
-        """Whether everything written was said, and nothing else."""
+        """True if the whole script was played, and nothing else was sent."""
         return not self._exchanges and not self.unexpected

@@ -1,12 +1,12 @@
-"""Rigs with motors whose servo runs on the host, and what theory says of such a servo."""
+"""Rigs with servos on the host, and the servo's theory."""
 
 import math
 
-from emulators.plant.presets import PRESETS
-from harness.rig import Rig
-from motorapi.commands import ControlMode, ControlVariable
-from motorapi.motor import Motor
-from motorapi.trajectory import TrapezoidalTrajectory
+from motorhil.emulators.plant.presets import PRESETS
+from motorhil.harness.rig.rig import Rig
+from motorhil.motorapi.commands import ControlMode, ControlVariable
+from motorhil.motorapi.motor import Motor
+from motorhil.motorapi.trajectory import TrapezoidalTrajectory
 
 WHEEL = PRESETS["wheel_60w"]
 INC_PER_RAD = WHEEL.encoder_increments_rev * WHEEL.gear_ratio / (2 * math.pi)
@@ -46,7 +46,7 @@ increments_per_rad = {increments}
 
 
 def node(name: str, node_id: int, channels: int = 1, more: str = "") -> str:
-    """An I/O node, as a rig file has it; `more` may hold further tables of the controller."""
+    """Return the rig text of an I/O node; `more` may hold further tables of the controller."""
     return NODE.format(name=name, node_id=node_id, channels=channels) + more
 
 
@@ -58,7 +58,7 @@ def motor(
     model: str = "",
     **numbers: float,
 ) -> str:
-    """A motor on a channel of a node."""
+    """Return the rig text of a motor on a channel of a node."""
     values = {
         "ampere": WHEEL.current_max_a / 10.0,
         "torque": TORQUE_CONSTANT,
@@ -76,31 +76,31 @@ def motor(
 
 
 def one(**numbers: object) -> str:
-    """A node with one motor, "left"."""
+    """Return the rig text of a node with one motor, "left"."""
     return node("io", 1) + motor("left", "io", **numbers)  # type: ignore[arg-type]
 
 
 def two(**numbers: object) -> str:
-    """Two motors on one node, "left" and "right"."""
+    """Return the rig text of two motors on one node, "left" and "right"."""
     left = motor("left", "io", 1, **numbers)  # type: ignore[arg-type]
     return node("io", 1, 2) + left + motor("right", "io", 2, **numbers)  # type: ignore[arg-type]
 
 
 def enabled(rig: Rig, name: str = "left") -> Motor:
-    """The motor, enabled and at rest."""
+    """Return the motor, enabled and at rest."""
     chosen = rig.motors[name]
     chosen.enable()
     return chosen
 
 
 def inc(rig: Rig, controller: str = "io", channel: int = 1) -> float:
-    """What the encoder of a channel truly counts now."""
+    """Return the true present count of a channel's encoder."""
     prefix = "" if channel == 1 else f"channel_{channel}_"
     return rig.controllers[controller].snapshot()[f"{prefix}position_inc"]
 
 
 class SyncTap:
-    """The truth at every SYNC: (when, increments of channel 1)."""
+    """The true position at every SYNC: (time, increments of channel 1)."""
 
     def __init__(self, rig: Rig, controller: str = "io") -> None:
         self.seen: list[tuple[int, float]] = []
@@ -113,19 +113,19 @@ class SyncTap:
             self.seen.append((time_ns, inc(self._rig, self._controller)))
 
     def since(self, time_ns: int) -> list[float]:
-        """The counts, from the SYNC at this time on."""
+        """Return the counts, from the SYNC at this time on."""
         return [count for when, count in self.seen if when >= time_ns]
 
 
 def lag_bound_inc(acceleration: float = ACCELERATION_MAX, period_s: float = 0.001) -> float:
-    """How far a motion within these limits may be behind or ahead, by theory [inc].
+    """Return the theoretical bound of the following error within these limits [inc].
 
-    With all three poles at b the error answers an impulse of torque that changes the velocity by
-    dv with at most 0.231 dv / b (maximum of t (1 - b t / 2) exp(-b t)). The impulses come where the
-    acceleration steps, from 0 to a and back, or to -a: its feed-forward is late or early by a cycle
-    and a half at most, so dv <= 1.5 a T, twice that from a to -a. To that come one increment of the
-    counter, one of its rounding in the demand, and what the integral has to learn at first: viscous
-    friction, which is not fed forward, divided by kp.
+    With all three poles at b, the error responds to an impulse of torque that changes the velocity
+    by dv with at most 0.231 dv / b (maximum of t (1 - b t / 2) exp(-b t)). The impulses come where
+    the acceleration steps, from 0 to a and back, or to -a: its feed-forward is late or early by one
+    and a half cycles at most. So dv <= 1.5 a T, twice that from a to -a. To this are added one
+    increment of the counter, one of its rounding in the demand, and the initial settling of the
+    integral: viscous friction, which is not fed forward, divided by kp.
     """
     impulse = 0.231 * 2 * 1.5 * acceleration * period_s / BANDWIDTH
     viscous_a = WHEEL.viscous_friction_n_m_s_rad * VELOCITY_MAX * WHEEL.gear_ratio
@@ -145,7 +145,7 @@ def commanded(chosen: Motor, mode: ControlMode, variable: ControlVariable, comma
 
 
 def moving(rig: Rig, name: str = "left", distance: float = 2.0) -> Motor:
-    """The motor is 0.2 s into a trajectory."""
+    """Start a trajectory, and return 0.2 s later."""
     chosen = enabled(rig, name)
     chosen.set_control_mode(ControlMode.TRAJECTORY)
     chosen.set_trajectory(TrapezoidalTrajectory(distance))

@@ -1,24 +1,23 @@
-"""What tests of streamed set-points share: functions, a tap on the bus, an argument that jumps."""
+"""Helpers for streaming tests: functions, a bus tap, an argument that jumps."""
 
 from collections.abc import Callable
 from math import pi
 
-from harness.rig import Rig
-from motorapi.adaptations.cia402 import Cia402Motor
-from motorapi.arguments import MotorPosition
-from motorapi.commands import ControlMode, ControlVariable
-from motorapi.functions import Function, Polynomial
-from motorapi.trajectory import ComplexTrajectory
+from motorhil.harness.rig.rig import Rig
+from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
+from motorhil.motorapi.commands import ControlMode, ControlVariable
+from motorhil.motorapi.functions import Function, Polynomial
+from motorhil.motorapi.trajectory import ComplexTrajectory, MotorPosition
 
 OpenRig = Callable[..., Rig]
 MS = 1_000_000
-INC_PER_RAD = 132_000 / (2 * pi)  # 2000 x 66, our own drive's default motor and gear
+INC_PER_RAD = 132_000 / (2 * pi)  # 2000 x 66, the emulated drive's default motor and gear
 SYNC, LEFT, RIGHT = 0x080, 0x301, 0x302
 EVERY_MS = "set_point_period_ms = 1\nservo_period_ms = 1"
 
 
 def quintic(distance: float, duration_s: float) -> Function:
-    """From rest to rest, and no acceleration at either end."""
+    """Return a function from rest to rest, without acceleration at either end."""
     shape = Polynomial((0.0, 0.0, 0.0, 10.0 * distance, -15.0 * distance, 6.0 * distance))
     return shape.scaled(duration_s).restricted(0.0, duration_s)
 
@@ -43,7 +42,7 @@ def set_function(
 
 
 class Tap:
-    """SYNCs and set-points as they were on the bus: (time, identifier, controlword, target)."""
+    """The SYNCs and set-points on the bus: (time, identifier, controlword, target)."""
 
     def __init__(self, rig: Rig) -> None:
         self.frames: list[tuple[int, int, int, int]] = []
@@ -57,7 +56,7 @@ class Tap:
             self.frames.append((time_ns, can_id, word, target))
 
     def latched(self, can_id: int) -> list[tuple[int, int]]:
-        """(time of SYNC, target): what each SYNC made count, none between two of them twice."""
+        """Return (time of SYNC, target) of each latched set-point; two between SYNCs fail."""
         result, waiting = [], []
         for time_ns, found, _, target in self.frames:
             if found == can_id:
@@ -70,7 +69,7 @@ class Tap:
 
 
 def demands(rig: Rig, name: str, for_s: float) -> list[float]:
-    """The demand at every millisecond from now on [increments]."""
+    """Record the demand at every millisecond from now on [increments]."""
     result = []
     for _ in range(round(for_s * 1e3)):
         rig.runtime.run_for(1e-3)
@@ -79,7 +78,7 @@ def demands(rig: Rig, name: str, for_s: float) -> list[float]:
 
 
 class Jumps:
-    """An argument that steps, as no motor does."""
+    """An argument that steps, unlike any motor."""
 
     name = "position of something"
     rate_max = 1.0

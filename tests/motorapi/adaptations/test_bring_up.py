@@ -1,4 +1,4 @@
-"""A drive is brought up: found, identified, configured with as little writing as possible."""
+"""Bring-up of a drive: detection, identification, minimal configuration."""
 
 from collections.abc import Callable
 from itertools import pairwise
@@ -6,13 +6,14 @@ from math import inf, nan
 
 import pytest
 
-from harness.rig import Rig
-from motorapi.adaptations.canopen_errors import SdoAborted
-from motorapi.adaptations.cia402 import Cia402HwMotor, HwOptions
-from motorapi.adaptations.cia402_objects import Mode, PdsState
-from motorapi.commands import ControlMode
-from motorapi.errors import DeadlineExceeded, LinkError, MotionInterrupted, UsageError
-from motorapi.state import MotorState
+from motorhil.harness.rig.rig import Rig
+from motorhil.motorapi.adaptations.canopen.sdo import SdoAborted
+from motorhil.motorapi.adaptations.cia402.bringup import HwOptions
+from motorhil.motorapi.adaptations.cia402.hardware import Cia402HwMotor
+from motorhil.motorapi.adaptations.cia402.objects import Mode, PdsState
+from motorhil.motorapi.commands import ControlMode
+from motorhil.motorapi.errors import DeadlineExceeded, LinkError, MotionInterrupted, UsageError
+from motorhil.motorapi.state import MotorState
 from tests.motorapi.adaptations.conftest import drive
 from tests.motorapi.adaptations.scripted import MS, Answer, ScriptedBus, frame
 
@@ -25,7 +26,7 @@ def rig(open_rig: OpenRig) -> Rig:
 
 
 def host_frames(rig: Rig) -> list[tuple[int, int, bytes]]:
-    """(time, identifier, data) of every frame of the host from now on."""
+    """Record (time, identifier, data) of every frame of the host from now on."""
     heard: list[tuple[int, int, bytes]] = []
 
     def on_frame(bus: str, time_ns: int, sender: str, data: bytes) -> None:
@@ -37,7 +38,7 @@ def host_frames(rig: Rig) -> list[tuple[int, int, bytes]]:
 
 
 def downloads(frames: list[tuple[int, int, bytes]]) -> list[str]:
-    """Objects written by SDO, as "6040:00"."""
+    """Return the objects written by SDO, as "6040:00"."""
     return [
         f"{int.from_bytes(data[1:3], 'little'):04X}:{data[3]:02X}"
         for _, can_id, data in frames
@@ -45,7 +46,7 @@ def downloads(frames: list[tuple[int, int, bytes]]) -> list[str]:
     ]
 
 
-def test_a_drive_that_still_boots_is_waited_for_and_brought_up(rig: Rig):
+def test_bring_up_of_a_booting_drive_waits(rig: Rig):
     hw = Cia402HwMotor(rig.bus("can0"), 1)
     facts = hw.connect()
     assert facts.modes == {
@@ -66,7 +67,7 @@ def test_a_drive_that_still_boots_is_waited_for_and_brought_up(rig: Rig):
     hw.close()
 
 
-def test_each_side_watches_the_other(rig: Rig):
+def test_bring_up_sets_mutual_supervision(rig: Rig):
     hw = Cia402HwMotor(rig.bus("can0"), 1)
     frames = host_frames(rig)
     hw.connect()
@@ -81,7 +82,7 @@ def test_each_side_watches_the_other(rig: Rig):
     hw.close()
 
 
-def test_without_heartbeats_nobody_is_watched(rig: Rig):
+def test_bring_up_without_heartbeats_sets_no_supervision(rig: Rig):
     Cia402HwMotor(rig.bus("can0"), 1).connect()  # dropped at once
     hw = Cia402HwMotor(rig.bus("can0"), 1, options=HwOptions(heartbeat_ms=0))
     hw.enable()
@@ -93,7 +94,7 @@ def test_without_heartbeats_nobody_is_watched(rig: Rig):
     hw.close()
 
 
-def test_the_program_after_one_that_left_its_motor_on_just_starts(rig: Rig):
+def test_start_after_a_program_that_left_the_motor_on(rig: Rig):
     first = Cia402HwMotor(rig.bus("can0"), 1)
     first.enable()
     first.close()
@@ -105,7 +106,7 @@ def test_the_program_after_one_that_left_its_motor_on_just_starts(rig: Rig):
     second.close()
 
 
-def test_a_second_program_writes_nothing_and_stops_nothing(rig: Rig):
+def test_second_program_writes_nothing_and_stops_nothing(rig: Rig):
     first = Cia402HwMotor(rig.bus("can0"), 1)
     first.connect()
     first.close()
@@ -117,7 +118,7 @@ def test_a_second_program_writes_nothing_and_stops_nothing(rig: Rig):
     second.close()
 
 
-def test_connecting_twice_costs_nothing(rig: Rig):
+def test_second_connect_sends_nothing(rig: Rig):
     hw = Cia402HwMotor(rig.bus("can0"), 1)
     facts = hw.connect()
     now_ns = rig.runtime.now_ns()
@@ -126,7 +127,7 @@ def test_connecting_twice_costs_nothing(rig: Rig):
     hw.close()
 
 
-def test_two_parties_bring_it_up_once(rig: Rig):
+def test_concurrent_connects_bring_up_once(rig: Rig):
     hw = Cia402HwMotor(rig.bus("can0"), 1)
     frames = host_frames(rig)
     parties = [rig.runtime.spawn(name, lambda: hw.connect() and None) for name in ("a", "b")]
@@ -136,7 +137,7 @@ def test_two_parties_bring_it_up_once(rig: Rig):
     hw.close()
 
 
-def test_status_comes_every_20_ms_and_at_once_when_it_changes(rig: Rig):
+def test_status_tpdo_comes_every_20_ms_and_on_change(rig: Rig):
     hw = Cia402HwMotor(rig.bus("can0"), 1)
     hw.connect()
     times: list[int] = []
@@ -158,7 +159,7 @@ def test_status_comes_every_20_ms_and_at_once_when_it_changes(rig: Rig):
     hw.close()
 
 
-def test_velocity_comes_by_itself_where_it_is_asked_for(open_rig: OpenRig):
+def test_velocity_tpdo_comes_cyclically_if_requested(open_rig: OpenRig):
     rig = open_rig(drive("left", 1, motor="velocity_period_ms = 10"))
     motor = rig.motors["left"]
     motor.position()
@@ -168,7 +169,7 @@ def test_velocity_comes_by_itself_where_it_is_asked_for(open_rig: OpenRig):
     assert latest.velocity == 0.0
 
 
-def test_other_tpdos_are_switched_off(rig: Rig):
+def test_bring_up_disables_other_tpdos(rig: Rig):
     hw = Cia402HwMotor(rig.bus("can0"), 1)
     hw.connect()
     for number in range(1, 4):
@@ -178,13 +179,13 @@ def test_other_tpdos_are_switched_off(rig: Rig):
     hw.close()
 
 
-def test_a_drive_whose_pdos_cannot_be_mapped_is_asked_by_sdo(open_rig: OpenRig):
+def test_drive_with_fixed_pdos_is_polled_by_sdo(open_rig: OpenRig):
     rig = open_rig(drive("left", 1), drive("right", 2))
     hw = Cia402HwMotor(rig.bus("can0"), 1)
     refuse = hw.node.sdo.download
 
     def refusing(index: int, subindex: int, data: bytes, *, stops: bool = False) -> None:
-        if 0x1600 <= index < 0x1A04:  # a drive whose mapping, and TPDO parameters, are fixed
+        if 0x1600 <= index < 0x1A04:  # a drive with fixed mapping and TPDO parameters
             raise SdoAborted(node_id=1, index=index, subindex=subindex, abort_code=0x0601_0002)
         refuse(index, subindex, data, stops=stops)
 
@@ -199,7 +200,7 @@ def test_a_drive_whose_pdos_cannot_be_mapped_is_asked_by_sdo(open_rig: OpenRig):
     hw.close()
 
 
-def test_objects_are_read_and_written_by_name_index_and_bytes(rig: Rig):
+def test_objects_are_accessed_by_name_index_and_bytes(rig: Rig):
     hw = Cia402HwMotor(rig.bus("can0"), 1)
     hw.connect()
     hw.write("target_position", -5)
@@ -221,7 +222,7 @@ def test_objects_are_read_and_written_by_name_index_and_bytes(rig: Rig):
     hw.close()
 
 
-def test_what_was_written_is_believed_only_while_the_motor_does_not_change_hands(rig: Rig):
+def test_written_values_are_forgotten_when_motor_changes_hands(rig: Rig):
     hw = Cia402HwMotor(rig.bus("can0"), 1)
     hw.connect()
     frames = host_frames(rig)
@@ -236,7 +237,7 @@ def test_what_was_written_is_believed_only_while_the_motor_does_not_change_hands
     hw.close()
 
 
-def test_nobody_there_is_told_with_where_and_how_long():
+def test_missing_drive_raises_deadline_with_place():
     bus = ScriptedBus()
     hw = Cia402HwMotor(bus, 9, options=HwOptions(connect_timeout_s=2.0))
     with pytest.raises(DeadlineExceeded, match="script0 node 9: any answer: did not happen") as at:
@@ -246,14 +247,14 @@ def test_nobody_there_is_told_with_where_and_how_long():
     hw.close()
 
 
-def test_what_is_no_drive_is_refused():
+def test_bring_up_of_a_non_drive_is_refused():
     def an_io_module(data: bytes) -> list[Answer]:
         if data[:4] != b"\x09\x06\0\0" or data[8] == 0x80:
             return []
         return [(1 * MS, frame("589#4300100091010F00"))]  # 000F0191h: CiA 401
 
     hw = Cia402HwMotor(ScriptedBus(an_io_module), 9)
-    with pytest.raises(UsageError, match="is no CiA 402 drive: its device type 1000h is 000F0191h"):
+    with pytest.raises(UsageError, match="not a CiA 402 drive: its device type 1000h is 000F0191h"):
         hw.connect()
     hw.close()
 
@@ -261,26 +262,26 @@ def test_what_is_no_drive_is_refused():
 @pytest.mark.parametrize(
     ("wrong", "text"),
     [
-        ({"host_node_id": 0}, "host_node_id = 0: must be a whole number, 1 to 127"),
-        ({"heartbeat_ms": 70_000}, "heartbeat_ms = 70000: must be a whole number, 0 to 65535 ms"),
-        ({"heartbeat_ms": 1.5}, "heartbeat_ms = 1.5: must be a whole number, 0 to 65535 ms"),
+        ({"host_node_id": 0}, "host_node_id = 0: must be an integer, 1 to 127"),
+        ({"heartbeat_ms": 70_000}, "heartbeat_ms = 70000: must be an integer, 0 to 65535 ms"),
+        ({"heartbeat_ms": 1.5}, "heartbeat_ms = 1.5: must be an integer, 0 to 65535 ms"),
         ({"heartbeat_ms": 300}, "must be longer than heartbeat_ms = 300"),
-        ({"velocity_period_ms": -1}, "velocity_period_ms = -1: must be a whole number, 0 to"),
+        ({"velocity_period_ms": -1}, "velocity_period_ms = -1: must be an integer, 0 to"),
         ({"status_inhibit_ms": nan}, "status_inhibit_ms = nan: must be 0 to 6553.5 ms"),
         ({"status_inhibit_ms": 6553.6}, "status_inhibit_ms = 6553.6: must be 0 to 6553.5 ms"),
-        ({"connection_loss": 99}, "connection_loss = 99: must be a whole number, -32768 to 3"),
+        ({"connection_loss": 99}, "connection_loss = 99: must be an integer, -32768 to 3"),
         ({"servo_period_ms": -1}, "servo_period_ms = -1: must be 0 to 1000 ms"),
         ({"sdo_timeout_s": 0.0}, "sdo_timeout_s = 0.0: must be > 0 s"),
         ({"connect_timeout_s": inf}, "connect_timeout_s = inf: must be > 0 s, and at most 3600 s"),
         ({"connect_timeout_s": "3"}, "connect_timeout_s = '3': must be > 0 s"),
     ],
 )
-def test_wrong_options_are_refused(wrong: dict[str, float], text: str):
+def test_invalid_hw_options_are_refused(wrong: dict[str, float], text: str):
     with pytest.raises(UsageError, match=text):
         HwOptions(**wrong)  # type: ignore[arg-type]
 
 
-def test_the_host_has_a_node_id_of_its_own(open_rig: OpenRig):
+def test_host_node_id_of_a_drive_is_refused(open_rig: OpenRig):
     bus = open_rig(drive("left", 1), drive("right", 2)).bus("can0")
     with pytest.raises(UsageError, match=r"node 127 is also the host's.*host_node_id"):
         Cia402HwMotor(bus, 127)
@@ -296,7 +297,7 @@ def test_the_host_has_a_node_id_of_its_own(open_rig: OpenRig):
     Cia402HwMotor(bus, 2).close()
 
 
-def test_a_closed_motor_is_offline_and_its_motion_was_ended_by_that(open_rig: OpenRig):
+def test_closed_motor_is_offline_and_its_motion_ended(open_rig: OpenRig):
     left = open_rig(drive("left", 1)).motors["left"]
     left.set_control_mode(ControlMode.SETPOINT)
     left.set_setpoint(10.0)
@@ -315,7 +316,7 @@ def test_a_closed_motor_is_offline_and_its_motion_was_ended_by_that(open_rig: Op
 # --- motors from settings ------------------------------------------------------------------------
 
 
-def test_motors_that_name_one_drive_share_its_hardware_object(open_rig: OpenRig):
+def test_motors_built_for_one_drive_share_its_hardware(open_rig: OpenRig):
     rig = open_rig(
         drive("left", 1),
         """
@@ -341,12 +342,15 @@ acceleration_max_rad_s2 = 10.0
 @pytest.mark.parametrize(
     ("setting", "text"),
     [
-        ("heartbeat = 100", "heartbeat is no setting of a cia402 motor; did you mean heartbeat_ms"),
+        (
+            "heartbeat = 100",
+            "heartbeat is not a setting of a cia402 motor; did you mean heartbeat_ms",
+        ),
         ('heartbeat_ms = "fast"', "heartbeat_ms = 'fast': must be a number"),
         ("sdo_timeout_s = -1", "sdo_timeout_s = -1: must be > 0 s"),
     ],
 )
-def test_a_wrong_setting_is_told_with_its_remedy(open_rig: OpenRig, setting: str, text: str):
+def test_invalid_settings_error_names_the_remedy(open_rig: OpenRig, setting: str, text: str):
     rig = open_rig(drive("left", 1, motor=setting))
     with pytest.raises(Exception, match=text):
         rig.motors["left"]

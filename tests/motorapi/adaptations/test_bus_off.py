@@ -1,23 +1,23 @@
-"""The host's own CAN controller off the bus, passive, or alone: who waits is told, and goes on.
+"""The host's CAN controller in bus-off or error passive, or without ACK.
 
-The messages are planted; what goes with them on the bus is a cut of the host's.
+The messages are injected; a cut of the host has the corresponding effect on the bus.
 """
 
 from collections.abc import Callable
 
 import pytest
 
-from emulators.media.faults import FaultKind, FaultRule
-from harness.rig import Rig
-from motorapi.adaptations.canopen_link import CanopenLink
-from motorapi.bus_status import BusCondition
-from motorapi.commands import ControlMode
-from motorapi.errors import DeadlineExceeded, LinkError
-from motorapi.functions import Polynomial
-from motorapi.group import MotorGroup
-from motorapi.motor import Motor
-from motorapi.state import MotorState
-from motorapi.trajectory import ComplexTrajectory, TrapezoidalTrajectory
+from motorhil.emulators.can.fault_rules import FaultKind, FaultRule
+from motorhil.harness.rig.rig import Rig
+from motorhil.motorapi.adaptations.canopen.bus import CanopenLink
+from motorhil.motorapi.commands import ControlMode
+from motorhil.motorapi.errors import DeadlineExceeded, LinkError
+from motorhil.motorapi.functions import Polynomial
+from motorhil.motorapi.group import MotorGroup
+from motorhil.motorapi.motor import Motor
+from motorhil.motorapi.runtime.can_sources import BusCondition
+from motorhil.motorapi.state import MotorState
+from motorhil.motorapi.trajectory import ComplexTrajectory, TrapezoidalTrajectory
 from tests.motorapi.adaptations import software_rigs
 from tests.motorapi.adaptations.bus_errors import (
     ACTIVE,
@@ -35,7 +35,7 @@ from tests.motorapi.adaptations.wheels import MS, WINDOW_RAD, frames_on, go_to, 
 
 OpenRig = Callable[..., Rig]
 
-IS_OFF = r"can0: bus-off: nothing is sent or heard since {:.6f} s; "
+IS_OFF = r"can0: bus-off: nothing is sent or received since {:.6f} s; "
 
 
 @pytest.fixture
@@ -47,7 +47,7 @@ def now_ns(rig: Rig) -> int:
     return rig.runtime.now_ns()
 
 
-def test_who_waits_for_a_motion_is_told_in_that_instant_and_can_go_on_afterwards(rig: Rig):
+def test_bus_off_ends_a_wait_at_once_and_motor_recovers(rig: Rig):
     motor = motor_of(rig)
     go_to(motor, 1.0)
     off_ns = now_ns(rig) + 200 * MS
@@ -66,7 +66,7 @@ def test_who_waits_for_a_motion_is_told_in_that_instant_and_can_go_on_afterwards
     assert truth(rig) == pytest.approx(0.5, abs=WINDOW_RAD)
 
 
-def test_a_drive_that_misses_its_host_for_long_is_set_up_and_used_again(rig: Rig):
+def test_drive_after_long_bus_off_is_set_up_again(rig: Rig):
     motor = motor_of(rig)
     go_to(motor, 3.0)
     go_off(rig, now_ns(rig) + 200 * MS, 2000 * MS)
@@ -75,7 +75,7 @@ def test_a_drive_that_misses_its_host_for_long_is_set_up_and_used_again(rig: Rig
     rig.runtime.run_for(2.5)
     before = truth(rig)
     rig.runtime.run_for(1.0)
-    assert truth(rig) == before  # nothing begins by itself
+    assert truth(rig) == before  # nothing begins without a command
     if motor.fault() is not None:
         motor.reset_fault()
     go_to(motor, 0.5)
@@ -83,7 +83,7 @@ def test_a_drive_that_misses_its_host_for_long_is_set_up_and_used_again(rig: Rig
     assert truth(rig) == pytest.approx(0.5, abs=WINDOW_RAD)
 
 
-def test_while_the_bus_is_off_nothing_is_sent_and_everything_fails_at_once(rig: Rig):
+def test_bus_off_calls_fail_at_once_and_send_nothing(rig: Rig):
     motor = motor_of(rig)
     go_to(motor, 0.5)
     motor.wait_until_done(timeout_s=5)
@@ -103,7 +103,7 @@ def test_while_the_bus_is_off_nothing_is_sent_and_everything_fails_at_once(rig: 
     assert [can_id for _, sender, can_id, _ in heard if sender == "host"] == [0x77F] * 2
 
 
-def test_an_sdo_transfer_that_waits_is_told_at_once(rig: Rig):
+def test_bus_off_ends_a_waiting_sdo_transfer_at_once(rig: Rig):
     motor = motor_of(rig)
     motor.enable()
     off_ns = now_ns(rig) + MS // 2
@@ -115,7 +115,7 @@ def test_an_sdo_transfer_that_waits_is_told_at_once(rig: Rig):
     assert isinstance(motor.hardware.read(0x6064), int)
 
 
-def test_off_and_on_again_in_one_instant_is_noticed_by_who_waited():
+def test_bus_off_shorter_than_a_step_is_noticed_by_waiters():
     bus = ScriptedBus(confirms=False)
     link = CanopenLink(bus, bus.runtime)
     sent = link.send_tracked(frame("301#0F00"))
@@ -125,12 +125,12 @@ def test_off_and_on_again_in_one_instant_is_noticed_by_who_waited():
             bus._tell(message(text), bus.runtime.now_ns(), False)
 
     bus.queue.alarm(off_and_on).set(3 * MS)
-    with pytest.raises(LinkError, match=r"went off the bus at 0\.003000 s, and is on again"):
+    with pytest.raises(LinkError, match=r"the bus was off at 0\.003000 s and has recovered"):
         link.confirmed([sent])
     assert bus.runtime.now_ns() == 3 * MS
 
 
-def test_what_waited_for_the_bus_when_it_went_off_confirms_nothing_later():
+def test_bus_off_drops_frames_without_late_confirmation():
     bus = ScriptedBus(confirms=False)
     link = CanopenLink(bus, bus.runtime)
     lost = link.send_tracked(frame("080#"))
@@ -143,7 +143,7 @@ def test_what_waited_for_the_bus_when_it_went_off_confirms_nothing_later():
     assert lost.time_ns is None
 
 
-def test_a_stream_ends_with_its_sync_and_the_motor_goes_on_afterwards(rig: Rig):
+def test_bus_off_ends_a_stream_and_the_motor_recovers(rig: Rig):
     motor = motor_of(rig)
     motor.set_control_mode(ControlMode.TRAJECTORY)
     motor.set_trajectory(ComplexTrajectory(Polynomial([0, 0, 0.75, -0.25]), 0, 2, relative=True))
@@ -165,7 +165,7 @@ def test_a_stream_ends_with_its_sync_and_the_motor_goes_on_afterwards(rig: Rig):
     assert truth(rig) == pytest.approx(0.25, abs=WINDOW_RAD)
 
 
-def test_a_group_is_told_once_whose_it_is_and_goes_on(rig: Rig):
+def test_bus_off_fails_a_group_once_and_it_recovers(rig: Rig):
     group = MotorGroup(motor_of(rig, "left"), motor_of(rig, "right"))
     group.for_each(Motor.set_control_mode, ControlMode.TRAJECTORY)
     group.set_trajectory(TrapezoidalTrajectory(1.0), TrapezoidalTrajectory(-1.0))
@@ -182,7 +182,7 @@ def test_a_group_is_told_once_whose_it_is_and_goes_on(rig: Rig):
     group.wait_until_done(timeout_s=5)
 
 
-def test_a_servo_on_the_host_ends_and_can_be_used_again(open_rig: OpenRig):
+def test_bus_off_ends_a_servo_and_it_recovers(open_rig: OpenRig):
     rig = open_rig(software_rigs.node("node", 1), software_rigs.motor("left", "node"))
     motor = rig.motors["left"]
     motor.set_control_mode(ControlMode.TRAJECTORY)
@@ -202,7 +202,7 @@ def test_a_servo_on_the_host_ends_and_can_be_used_again(open_rig: OpenRig):
     motor.wait_until_done(timeout_s=5)
 
 
-def test_a_passive_host_works_on_and_who_waits_in_vain_is_told_why(rig: Rig):
+def test_error_passive_host_works_and_timeouts_name_it(rig: Rig):
     motor = motor_of(rig)
     motor.enable()
     tell(rig, PASSIVE)
@@ -211,18 +211,18 @@ def test_a_passive_host_works_on_and_who_waits_in_vain_is_told_why(rig: Rig):
     assert link.status.counters == (128, 0)
     go_to(motor, 0.5)
     motor.wait_until_done(timeout_s=5)
-    assert "error passive since" in link.status.trouble()  # and no more: frames are acknowledged
+    assert "error passive since" in link.status.trouble()  # no more: frames are acknowledged
     tell(rig, ACTIVE)
     assert link.status.trouble() == ""
 
 
-def test_that_nobody_acknowledges_is_told_with_the_deadline(rig: Rig):
+def test_missing_ack_is_named_in_the_deadline_error(rig: Rig):
     motor = motor_of(rig)
     motor.enable()
     alone_ns = now_ns(rig) + MS // 10
     tell_at(rig, alone_ns, NO_ACKNOWLEDGE)
     rig.faults.inject("can0", FaultRule("alone", FaultKind.CUT, ports=("host",), from_ns=alone_ns))
-    since = f"nobody acknowledges on can0 since {alone_ns / 1e9:.6f} s"
+    since = f"can0: no ACK since t = {alone_ns / 1e9:.6f} s"
     with pytest.raises(DeadlineExceeded, match=since):
         motor.hardware.read(0x6064)
     with pytest.raises(LinkError, match=rf"were not transmitted within 0.5 s; {since}"):
@@ -230,8 +230,8 @@ def test_that_nobody_acknowledges_is_told_with_the_deadline(rig: Rig):
 
 
 @pytest.mark.parametrize("classes", [0x000, 0x080, 0x081, 0x181, 0x201, 0x301])
-def test_an_error_message_is_taken_for_nobodys_frame(rig: Rig, classes: int):
-    """Its classes may be the bits of SYNC, of the drive's EMCY, of its TPDO, of our RPDOs."""
+def test_error_frame_is_not_handled_as_data_frame(rig: Rig, classes: int):
+    """Its classes may equal the bits of SYNC, of the drive's EMCY, of its TPDO, or of our RPDOs."""
     motor = motor_of(rig)
     motor.enable()
     node = motor.hardware.node

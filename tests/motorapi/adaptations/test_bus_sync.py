@@ -1,15 +1,15 @@
-"""One SYNC producer a bus: others follow what they hear, take it over, or are refused by name."""
+"""One SYNC producer per bus: following, take-over and refusal."""
 
 from collections.abc import Callable
 
 import canopen
 import pytest
 
-from emulators.media.faults import FaultKind, FaultRule
-from harness.rig import Rig
-from motorapi.adaptations.cia402 import Cia402Motor
-from motorapi.adaptations.csp_stream import CspStream
-from motorapi.errors import LinkError, MotorError, UsageError
+from motorhil.emulators.can.fault_rules import FaultKind, FaultRule
+from motorhil.harness.rig.rig import Rig
+from motorhil.motorapi.adaptations.cia402.csp import CspStream
+from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
+from motorhil.motorapi.errors import LinkError, MotorError, UsageError
 from tests.motorapi.adaptations.conftest import drive
 from tests.motorapi.adaptations.hosts import BusEvidence, foreign_sync, host_with
 from tests.motorapi.adaptations.software_rigs import INC_PER_RAD, moving, one
@@ -37,12 +37,12 @@ def stream_of(motor: Cia402Motor) -> CspStream:
 
 
 def name_of(who: "Cia402Motor | canopen.Network") -> str:
-    """What the bus calls this host."""
+    """Return the name of this host on the bus."""
     bus = who.hardware.link.bus if isinstance(who, Cia402Motor) else who.bus
     return str(bus._port.name)
 
 
-def test_who_streams_at_the_period_of_another_host_follows_its_sync(rig: Rig):
+def test_stream_of_equal_period_follows_other_hosts_sync(rig: Rig):
     with host_with(rig, 1) as (first,), host_with(rig, 2) as (second,):
         first.position(), second.position()
         seen = BusEvidence(rig)
@@ -59,7 +59,7 @@ def test_who_streams_at_the_period_of_another_host_follows_its_sync(rig: Rig):
         assert first.hardware.link.cyclic_sync() is None
 
 
-def test_another_period_is_refused_and_the_producer_named_before_anything_moves(rig: Rig):
+def test_other_period_is_refused_and_names_the_producer(rig: Rig):
     with host_with(rig, 1) as (first,), host_with(rig, 2, period_ms=4) as (second,):
         set_function(first, quintic(1.0, 1.0)).start()
         set_function(second, quintic(0.4, 0.5))
@@ -73,7 +73,7 @@ def test_another_period_is_refused_and_the_producer_named_before_anything_moves(
         second.wait_until_done(5)
 
 
-def test_when_the_producer_ends_who_follows_goes_on_with_it(rig: Rig):
+def test_follower_takes_over_when_the_producer_ends(rig: Rig):
     with host_with(rig, 1) as (first,), host_with(rig, 2) as (second,):
         first.position(), second.position()
         seen = BusEvidence(rig)
@@ -82,13 +82,13 @@ def test_when_the_producer_ends_who_follows_goes_on_with_it(rig: Rig):
         first.wait_until_done(5)
         second.wait_until_done(5)
         assert seen.producers() == {name_of(first), name_of(second)}
-        (late,) = [gap for gap in seen.gaps_ns() if gap != PERIOD_NS]  # one, from one to the other
+        (late,) = [gap for gap in seen.gaps_ns() if gap != PERIOD_NS]  # one, during the take-over
         assert 0 <= late - PERIOD_NS * 5 // 4 < FRAME_NS
         assert abs(position(rig, 2) - 1.0) < INCREMENT_RAD
         assert stream_of(second).late == 0
 
 
-def test_who_streams_at_the_period_of_a_producer_not_of_ours_follows_it(rig: Rig):
+def test_stream_of_equal_period_follows_a_foreign_sync(rig: Rig):
     with host_with(rig, 1) as (motor,):
         seen = BusEvidence(rig)
         with foreign_sync(0.005) as network:
@@ -100,25 +100,25 @@ def test_who_streams_at_the_period_of_a_producer_not_of_ours_follows_it(rig: Rig
         assert abs(position(rig, 1) - 1.0) < INCREMENT_RAD
 
 
-def test_a_producer_not_of_ours_with_another_period_is_refused(rig: Rig):
+def test_foreign_sync_of_other_period_is_refused(rig: Rig):
     with host_with(rig, 1) as (motor,), foreign_sync(0.01):
         motor.position()
         set_function(motor, quintic(1.0, 1.0))
         for _ in range(2):  # it must be heard at first, and is known then
             with pytest.raises(
                 UsageError,
-                match="every 10 ms already, produced by somebody who is not of ours, so not",
+                match="every 10 ms already, produced by a foreign program, so not",
             ):
                 motor.start()
         assert abs(position(rig, 1)) < INCREMENT_RAD
 
 
-def test_when_a_sync_not_of_ours_ends_the_drives_that_went_by_it_brake(rig: Rig):
+def test_drives_brake_when_a_foreign_sync_ends(rig: Rig):
     with host_with(rig, 1) as (motor,), foreign_sync(0.005) as network:
         set_function(motor, quintic(2.0, 2.0)).start()
         rig.runtime.run_for(1.0)
         network.sync.stop()
-        with pytest.raises(LinkError, match=r"no SYNC came for .* ms; it was produced by somebody"):
+        with pytest.raises(LinkError, match=r"no SYNC came for .* ms; it was produced by"):
             motor.wait_until_done(5)
         before = position(rig, 1)
         rig.runtime.run_for(0.5)
@@ -126,12 +126,12 @@ def test_when_a_sync_not_of_ours_ends_the_drives_that_went_by_it_brake(rig: Rig)
         assert 0.5 < before < 1.5
 
 
-def test_a_second_producer_beside_ours_is_found_out_and_the_drives_brake(rig: Rig):
+def test_second_producer_is_detected_and_drives_brake(rig: Rig):
     with host_with(rig, 1) as (motor,):
         set_function(motor, quintic(2.0, 2.0)).start()
         rig.runtime.run_for(1.0)
         with foreign_sync(0.0071):
-            with pytest.raises(LinkError, match="somebody who is not of ours produces SYNC as"):
+            with pytest.raises(LinkError, match="a foreign program produces SYNC as"):
                 motor.wait_until_done(5)
             before = position(rig, 1)
             rig.runtime.run_for(0.5)
@@ -139,7 +139,7 @@ def test_a_second_producer_beside_ours_is_found_out_and_the_drives_brake(rig: Ri
         assert motor.hardware.link.sync_period_ns is None
 
 
-def test_one_sync_that_somebody_sends_beside_ours_is_borne(rig: Rig):
+def test_single_foreign_sync_is_tolerated(rig: Rig):
     with host_with(rig, 1) as (motor,), host_with(rig, 2) as (other,):
         set_function(motor, quintic(1.0, 1.0)).start()
         rig.runtime.run_for(0.5)
@@ -147,7 +147,7 @@ def test_one_sync_that_somebody_sends_beside_ours_is_borne(rig: Rig):
         motor.wait_until_done(5)
 
 
-def test_a_follower_that_hears_nothing_for_a_while_goes_on_with_those_it_hears(rig: Rig):
+def test_follower_cut_off_for_a_while_resumes(rig: Rig):
     with host_with(rig, 1) as (first,), host_with(rig, 2) as (second,):
         set_function(first, quintic(1.0, 1.0)).start()
         second.position()
@@ -157,7 +157,7 @@ def test_a_follower_that_hears_nothing_for_a_while_goes_on_with_those_it_hears(r
         seen = BusEvidence(rig)
         set_function(second, quintic(0.4, 0.5)).start()
         second.wait_until_done(5)
-        assert seen.producers() == {name_of(first)}  # nobody took over what has a producer
+        assert seen.producers() == {name_of(first)}  # no take-over from a living producer
         assert stream_of(second).missed == 3
         first.wait_until_done(5)
 
@@ -165,7 +165,7 @@ def test_a_follower_that_hears_nothing_for_a_while_goes_on_with_those_it_hears(r
 # --- servos on the host ------------------------------------------------------------------------
 
 
-def test_servos_of_the_same_period_go_by_a_sync_not_of_ours(open_rig: OpenRig):
+def test_servos_of_equal_period_follow_a_foreign_sync(open_rig: OpenRig):
     rig = open_rig(one())
     left = rig.motors["left"]
     seen = BusEvidence(rig)
@@ -178,7 +178,7 @@ def test_servos_of_the_same_period_go_by_a_sync_not_of_ours(open_rig: OpenRig):
     assert left.cycles.missed == 0
 
 
-def test_servos_whose_sync_ends_have_no_control_any_more_and_switch_off(open_rig: OpenRig):
+def test_servos_switch_off_when_their_sync_ends(open_rig: OpenRig):
     rig = open_rig(one())
     with foreign_sync(0.001) as network:
         rig.runtime.run_for(0.1)
@@ -191,9 +191,9 @@ def test_servos_whose_sync_ends_have_no_control_any_more_and_switch_off(open_rig
         assert rig.controllers["io"].snapshot()["velocity_rad_s"] == 0.0
 
 
-def test_servos_of_another_period_are_refused(open_rig: OpenRig):
+def test_servos_of_other_period_are_refused(open_rig: OpenRig):
     rig = open_rig(one())
     with foreign_sync(0.004):
         rig.runtime.run_for(0.1)
-        with pytest.raises(UsageError, match="SYNC runs every 4 ms already, produced by somebody"):
+        with pytest.raises(UsageError, match="SYNC runs every 4 ms already, produced by a foreign"):
             rig.motors["left"].enable()

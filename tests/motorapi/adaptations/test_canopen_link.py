@@ -2,8 +2,13 @@
 
 import pytest
 
-from motorapi.adaptations.canopen_link import CanopenLink, can_frame, open_link, release_link
-from motorapi.errors import LinkError, UsageError
+from motorhil.motorapi.adaptations.canopen.bus import (
+    CanopenLink,
+    can_frame,
+    open_link,
+    release_link,
+)
+from motorhil.motorapi.errors import LinkError, UsageError
 from tests.motorapi.adaptations.scripted import FRAME_NS, MS, ScriptedBus, frame, text_of
 
 
@@ -11,12 +16,12 @@ def link_on(bus: ScriptedBus) -> CanopenLink:
     return CanopenLink(bus, bus.runtime)
 
 
-def test_a_can_frame_is_linux_struct_can_frame():
+def test_can_frame_equals_linux_struct():
     # linux/can.h: can_id u32, len u8, 3 bytes of padding and reserve, data[8]
     assert can_frame(0x201, b"\x0f\x00").hex() == "01020000020000000f00000000000000"
 
 
-def test_a_tracked_frame_tells_when_it_was_on_the_wire():
+def test_tracked_frame_has_its_time_on_the_wire():
     bus = ScriptedBus()
     link = link_on(bus)
     sent = link.send_tracked(frame("301#0F0001000000"))
@@ -25,7 +30,7 @@ def test_a_tracked_frame_tells_when_it_was_on_the_wire():
     assert sent.time_ns == bus.runtime.now_ns() == FRAME_NS
 
 
-def test_equal_frames_are_confirmed_in_the_order_they_were_sent():
+def test_equal_frames_are_confirmed_in_order():
     bus = ScriptedBus()
     link = link_on(bus)
     first, second = (link.send_tracked(frame("301#0F00")) for _ in range(2))
@@ -34,19 +39,19 @@ def test_equal_frames_are_confirmed_in_the_order_they_were_sent():
     assert first.time_ns is not None
 
 
-def test_frames_before_the_one_confirmed_were_never_on_the_wire():
+def test_frames_before_a_confirmed_one_count_as_unsent():
     bus = ScriptedBus(confirms=False)
     link = link_on(bus)
     first, second = (link.send_tracked(frame(f"301#0F0{place}")) for place in (1, 2))
     bus.confirm("301#0F02")
     link.confirmed([second])
     assert first.time_ns is None
-    bus.confirm("301#0F01")  # nobody waits for it any more
+    bus.confirm("301#0F01")  # it is no longer awaited
     bus.runtime.run_for(0.01)
     assert first.time_ns is None
 
 
-def test_what_is_not_transmitted_is_an_error_that_names_the_frame():
+def test_untransmitted_frame_raises_an_error_naming_it():
     bus = ScriptedBus(confirms=False)
     link = link_on(bus)
     with pytest.raises(
@@ -55,7 +60,7 @@ def test_what_is_not_transmitted_is_an_error_that_names_the_frame():
         link.confirmed([link.send_tracked(frame("301#0F00"))])
 
 
-def test_frames_go_to_whoever_asked_for_their_identifier():
+def test_frames_are_dispatched_by_identifier():
     bus = ScriptedBus()
     link = link_on(bus)
     heard: list[tuple[str, int]] = []
@@ -82,7 +87,7 @@ def test_other_identifiers_reach_the_canopen_network():
     assert bus.texts == ["613#40"]
 
 
-def test_the_host_heartbeat_is_heard_at_once_and_then_every_period():
+def test_host_heartbeat_is_sent_at_once_and_cyclically():
     bus = ScriptedBus()
     link = link_on(bus)
     link.produce_heartbeat(127, 100)
@@ -97,7 +102,7 @@ def test_the_host_heartbeat_is_heard_at_once_and_then_every_period():
     assert len(bus.sent) == 4
 
 
-def test_a_heartbeat_that_the_bus_does_not_take_is_told_once_until_it_does_again(monkeypatch):
+def test_failed_heartbeat_is_reported_once_until_recovery(monkeypatch):
     bus = ScriptedBus()
     link = link_on(bus)
     link.produce_heartbeat(127, 100)
@@ -112,20 +117,20 @@ def test_a_heartbeat_that_the_bus_does_not_take_is_told_once_until_it_does_again
         with pytest.raises(LinkError, match="cannot send"):
             bus.runtime.run_for(0.15)
         tried.clear()
-        bus.runtime.run_for(1.0)  # it goes on trying, and nobody hears of it
+        bus.runtime.run_for(1.0)  # it retries without further reports
         assert len(tried) == 10
         monkeypatch.undo()
         bus.runtime.run_for(0.2)
 
 
-def test_one_host_has_one_heartbeat_period():
+def test_second_host_heartbeat_period_is_refused():
     link = link_on(ScriptedBus())
     link.produce_heartbeat(127, 100)
     with pytest.raises(UsageError, match="heartbeat of 100 ms already, so not of 50 ms"):
         link.produce_heartbeat(127, 50)
 
 
-def test_cyclic_sync_is_one_for_all_and_ends_with_its_last_user():
+def test_cyclic_sync_is_shared_and_ends_with_its_last_user():
     bus = ScriptedBus()
     link = link_on(bus)
     turns: list[str] = []
@@ -143,7 +148,7 @@ def test_cyclic_sync_is_one_for_all_and_ends_with_its_last_user():
 
 
 @pytest.mark.parametrize("own", [True, False])
-def test_whoever_waits_for_the_next_sync_is_told_its_time_whoever_sends_it(own: bool):
+def test_at_next_sync_reports_its_time_for_any_sender(own: bool):
     bus = ScriptedBus()
     link = link_on(bus)
     told: list[int] = []
@@ -159,7 +164,7 @@ def test_whoever_waits_for_the_next_sync_is_told_its_time_whoever_sends_it(own: 
     assert told == [FRAME_NS]  # the next one only
 
 
-def test_a_bus_has_one_link_until_its_last_user_lets_go():
+def test_link_of_a_bus_is_shared_until_its_last_release():
     bus = ScriptedBus()
     link = open_link(bus, bus.runtime)
     assert open_link(bus, bus.runtime) is link
@@ -170,7 +175,7 @@ def test_a_bus_has_one_link_until_its_last_user_lets_go():
     release_link(link)
     sent = len(bus.sent)
     bus.runtime.run_for(1.0)
-    assert len(bus.sent) == sent  # nothing goes on
+    assert len(bus.sent) == sent  # nothing is active
     other = open_link(bus, bus.runtime)
     assert other is not link
     release_link(other)

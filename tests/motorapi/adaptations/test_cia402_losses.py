@@ -1,17 +1,13 @@
-"""What ends a motion of a CiA 402 motor short of its target: faults, lost drives, lost hosts."""
+"""Interrupted motions of a CiA 402 motor: faults, lost drives, lost hosts."""
 
 from collections.abc import Callable
 
 import pytest
 
-from emulators.media.faults import FaultKind, FaultRule
-from harness.rig import Rig
-from motorapi.errors import (
-    DeviceFault,
-    LinkError,
-    MotionInterrupted,
-)
-from motorapi.state import MotorState
+from motorhil.emulators.can.fault_rules import FaultKind, FaultRule
+from motorhil.harness.rig.rig import Rig
+from motorhil.motorapi.errors import DeviceFault, LinkError, MotionInterrupted
+from motorhil.motorapi.state import MotorState
 from tests.motorapi.adaptations.conftest import drive
 from tests.motorapi.adaptations.wheels import MS, WINDOW_RAD, frames_on, go_to, motor_of, truth
 
@@ -23,7 +19,7 @@ def rig(open_rig: OpenRig) -> Rig:
     return open_rig(drive("left", 1), drive("right", 2))
 
 
-def test_a_fault_in_mid_motion_ends_the_wait_when_its_frame_arrives(rig: Rig):
+def test_fault_in_motion_ends_the_wait_at_its_frame(rig: Rig):
     motor = motor_of(rig)
     go_to(motor, 3.0)
     heard = frames_on(rig)
@@ -49,7 +45,7 @@ def test_a_fault_in_mid_motion_ends_the_wait_when_its_frame_arrives(rig: Rig):
     assert [emergency.code for emergency in motor.hardware.emergencies] == [0x3210, 0x0000]
 
 
-def test_a_lost_drive_ends_the_wait_within_the_heartbeat_time(rig: Rig):
+def test_lost_drive_ends_the_wait_within_heartbeat_time(rig: Rig):
     motor = motor_of(rig)
     go_to(motor, 3.0)
     heard = frames_on(rig)
@@ -66,7 +62,7 @@ def test_a_lost_drive_ends_the_wait_within_the_heartbeat_time(rig: Rig):
         motor.position()
 
 
-def test_a_drive_that_boots_again_is_brought_up_again(rig: Rig):
+def test_rebooted_drive_is_brought_up_again(rig: Rig):
     motor = motor_of(rig)
     go_to(motor, 1.0)
     motor.wait_until_done(timeout_s=5)
@@ -78,7 +74,7 @@ def test_a_drive_that_boots_again_is_brought_up_again(rig: Rig):
     motor.wait_until_done(timeout_s=5)
 
 
-def test_a_drive_that_boots_in_mid_motion_is_a_lost_link(rig: Rig):
+def test_drive_reboot_in_motion_raises_link_error(rig: Rig):
     motor = motor_of(rig)
     go_to(motor, 3.0)
     rig.runtime.run_for(0.2)
@@ -87,7 +83,7 @@ def test_a_drive_that_boots_in_mid_motion_is_a_lost_link(rig: Rig):
         motor.wait_until_done(timeout_s=5)
 
 
-def test_a_drive_that_is_switched_off_by_somebody_else_interrupts_the_motion(rig: Rig):
+def test_foreign_switch_off_interrupts_the_motion(rig: Rig):
     motor = motor_of(rig)
     go_to(motor, 3.0)
     rig.runtime.run_for(0.2)
@@ -96,7 +92,7 @@ def test_a_drive_that_is_switched_off_by_somebody_else_interrupts_the_motion(rig
         motor.wait_until_done(timeout_s=5)
 
 
-def test_a_drive_that_leaves_operational_is_a_lost_link(rig: Rig):
+def test_drive_leaving_operational_raises_link_error(rig: Rig):
     motor = motor_of(rig)
     go_to(motor, 3.0)
     rig.runtime.run_for(0.2)
@@ -105,7 +101,7 @@ def test_a_drive_that_leaves_operational_is_a_lost_link(rig: Rig):
         motor.wait_until_done(timeout_s=5)
 
 
-def test_a_host_that_was_not_heard_for_a_while_is_told_why_its_motion_ended(rig: Rig):
+def test_host_silent_for_a_while_is_named_as_the_cause(rig: Rig):
     motor = motor_of(rig)
     go_to(motor, 3.0)
     lose = FaultRule("lose", FaultKind.DROP, identifier=0x77F, from_ns=rig.runtime.now_ns())
@@ -120,14 +116,11 @@ def test_a_host_that_was_not_heard_for_a_while_is_told_why_its_motion_ended(rig:
     assert abs(truth(rig) - 0.1) <= WINDOW_RAD
 
 
-def test_the_drive_stops_when_the_host_falls_silent(rig: Rig):
+def test_drive_stops_when_the_host_falls_silent(rig: Rig):
     motor = motor_of(rig)
     go_to(motor, 3.0)
     rig.runtime.run_for(0.2)
-    motor.hardware.close()  # the host's end: no heartbeat any more
+    motor.hardware.close()  # the host's end: no further heartbeats
     rig.runtime.run_for(1.0)
     assert rig.controllers["left"].snapshot()["velocity_rad_s"] == 0.0
     assert truth(rig) < 2.5
-
-
-# --- together ------------------------------------------------------------------------------------

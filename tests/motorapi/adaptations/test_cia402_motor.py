@@ -1,27 +1,28 @@
-"""Motors on emulated CiA 402 drives: every command, and every way a motion can end."""
+"""Motors on emulated CiA 402 drives: commands and ends of motions."""
 
 from collections.abc import Callable
 from contextlib import suppress
 
 import pytest
 
-from emulators.media.faults import FaultKind, FaultRule
-from harness.rig import Rig
-from motorapi.adaptations.canopen_errors import HomingFailed
-from motorapi.adaptations.cia402 import Cia402HwMotor, Cia402Motor
-from motorapi.adaptations.cia402_objects import PdsState
-from motorapi.commands import ControlMode, ControlVariable, DerivativeLimits
-from motorapi.errors import (
+from motorhil.emulators.can.fault_rules import FaultKind, FaultRule
+from motorhil.harness.rig.rig import Rig
+from motorhil.motorapi.adaptations.canopen.sdo import HomingFailed
+from motorhil.motorapi.adaptations.cia402.hardware import Cia402HwMotor
+from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
+from motorhil.motorapi.adaptations.cia402.objects import PdsState
+from motorhil.motorapi.commands import ControlMode, ControlVariable, DerivativeLimits
+from motorhil.motorapi.errors import (
     DeadlineExceeded,
     MotionInterrupted,
     UnsupportedError,
     UsageError,
 )
-from motorapi.group import MotorGroup
-from motorapi.motor import Motor
-from motorapi.state import MotorState
-from motorapi.synchronization import SyncLevel
-from motorapi.trajectory import TrapezoidalTrajectory
+from motorhil.motorapi.group import MotorGroup
+from motorhil.motorapi.motor import Motor
+from motorhil.motorapi.state import MotorState
+from motorhil.motorapi.synchronization.quality import SyncLevel
+from motorhil.motorapi.trajectory import TrapezoidalTrajectory
 from tests.motorapi.adaptations.conftest import drive
 from tests.motorapi.adaptations.wheels import (
     INCREMENT_RAD,
@@ -61,7 +62,7 @@ def test_algorithm_1_of_the_paper(rig: Rig):
     hw.close()
 
 
-def test_nothing_is_sent_before_it_is_needed(rig: Rig):
+def test_constructor_sends_nothing_before_first_use(rig: Rig):
     heard = frames_on(rig)
     motor = motor_of(rig)
     motor.set_control_mode(ControlMode.SETPOINT)
@@ -71,7 +72,7 @@ def test_nothing_is_sent_before_it_is_needed(rig: Rig):
     assert [sender for _, sender, _, _ in heard if sender == "host"] == []
 
 
-def test_relative_moves_do_not_add_up_rounding(rig: Rig):
+def test_relative_moves_do_not_accumulate_rounding(rig: Rig):
     motor = motor_of(rig)
     motor.set_control_mode(ControlMode.TRAJECTORY)
     for _ in range(10):
@@ -82,7 +83,7 @@ def test_relative_moves_do_not_add_up_rounding(rig: Rig):
     assert demand_inc == round(0.1 / INCREMENT_RAD)
 
 
-def test_a_set_point_takes_the_commands_velocity_limit(rig: Rig):
+def test_set_point_velocity_limit_of_command_applies(rig: Rig):
     motor = motor_of(rig)
     go_to(motor, 1.0, DerivativeLimits(first=0.5))
     started_ns = rig.runtime.now_ns()
@@ -91,7 +92,7 @@ def test_a_set_point_takes_the_commands_velocity_limit(rig: Rig):
     assert 2.05 <= (rig.runtime.now_ns() - started_ns) / 1e9 <= 2.08
 
 
-def test_a_set_point_may_be_replaced_in_mid_motion(rig: Rig):
+def test_set_point_in_motion_replaces_the_previous_one(rig: Rig):
     motor = motor_of(rig)
     go_to(motor, 3.0)
     rig.runtime.run_for(0.4)
@@ -101,7 +102,7 @@ def test_a_set_point_may_be_replaced_in_mid_motion(rig: Rig):
     assert abs(truth(rig) + 0.5) <= WINDOW_RAD
 
 
-def test_a_move_of_length_zero_is_done(rig: Rig):
+def test_move_of_length_zero_is_done(rig: Rig):
     motor = motor_of(rig)
     go_to(motor, 0.5)
     motor.wait_until_done(timeout_s=5)
@@ -128,7 +129,7 @@ def test_velocity_is_reached_kept_and_stopped(rig: Rig):
     assert motor.state() is MotorState.ENABLED
 
 
-def test_an_old_target_velocity_never_counts_again(rig: Rig):
+def test_old_target_velocity_never_takes_effect(rig: Rig):
     motor = motor_of(rig)
     motor.set_control_mode(ControlMode.SETPOINT, ControlVariable.VELOCITY)
     motor.set_setpoint(2.0)
@@ -147,8 +148,8 @@ def test_an_old_target_velocity_never_counts_again(rig: Rig):
     assert 0 < rig.controllers["left"].snapshot()["velocity_rad_s"] < 1.0
 
 
-def test_current_is_not_supported_and_says_what_is(rig: Rig):
-    """CiA 402 has no target current: what 6075h makes of a torque would be a guess."""
+def test_current_control_is_refused_with_alternatives(rig: Rig):
+    """CiA 402 has no target current; a conversion of torque by 6075h would be a guess."""
     with pytest.raises(UnsupportedError, match="setpoint of torque"):
         motor_of(rig).set_control_mode(ControlMode.SETPOINT, ControlVariable.CURRENT)
 
@@ -156,7 +157,7 @@ def test_current_is_not_supported_and_says_what_is(rig: Rig):
 # --- stopping ----------------------------------------------------------------------------------
 
 
-def test_stop_ends_at_rest_short_of_the_target_and_nothing_resumes(rig: Rig):
+def test_stop_rests_short_of_target_and_nothing_resumes(rig: Rig):
     motor = motor_of(rig)
     go_to(motor, 3.0)
     rig.runtime.run_for(0.5)
@@ -174,7 +175,7 @@ def test_stop_ends_at_rest_short_of_the_target_and_nothing_resumes(rig: Rig):
     assert abs(truth(rig) - (at - 0.5)) <= WINDOW_RAD
 
 
-def test_stop_may_come_from_a_callback_and_ends_the_wait_of_the_other(rig: Rig):
+def test_stop_from_a_callback_ends_the_other_wait(rig: Rig):
     motor = motor_of(rig)
     other = Cia402Motor(motor.hardware, motor.model, name="other")
     go_to(motor, 3.0)
@@ -186,7 +187,7 @@ def test_stop_may_come_from_a_callback_and_ends_the_wait_of_the_other(rig: Rig):
 
 
 @pytest.mark.parametrize("delay_us", range(0, 6000, 250))
-def test_a_stop_while_starting_never_lets_it_move_on(rig: Rig, delay_us: int):
+def test_stop_during_start_prevents_the_motion(rig: Rig, delay_us: int):
     motor = motor_of(rig)
     motor.enable()
     motor.set_control_mode(ControlMode.SETPOINT)
@@ -204,7 +205,7 @@ def test_a_stop_while_starting_never_lets_it_move_on(rig: Rig, delay_us: int):
     assert abs(truth(rig) - at) <= WINDOW_RAD
 
 
-def test_quick_stop_needs_enable_before_anything_moves(rig: Rig):
+def test_quick_stop_requires_enable_before_motion(rig: Rig):
     motor = motor_of(rig)
     go_to(motor, 3.0)
     rig.runtime.run_for(0.5)
@@ -224,7 +225,7 @@ def test_quick_stop_needs_enable_before_anything_moves(rig: Rig):
 # --- homing ------------------------------------------------------------------------------------
 
 
-def test_homing_makes_this_position_0_and_twice_means_twice(rig: Rig):
+def test_homing_sets_position_0_and_can_be_repeated(rig: Rig):
     motor = motor_of(rig)
     assert not motor.is_referenced()
     for _ in range(2):
@@ -236,12 +237,12 @@ def test_homing_makes_this_position_0_and_twice_means_twice(rig: Rig):
     assert abs(truth(rig) - 1.0) <= 2 * WINDOW_RAD  # the plant has moved twice
 
 
-def test_an_unknown_homing_method_is_refused(rig: Rig):
+def test_unknown_homing_method_is_refused(rig: Rig):
     with pytest.raises(UnsupportedError, match="homing by method 99"):
         motor_of(rig).home(99)
 
 
-def test_a_failed_homing_is_an_error(rig: Rig):
+def test_failed_homing_raises_an_error(rig: Rig):
     motor = motor_of(rig)
     motor.enable()
     motor.home(37, wait=False)
@@ -253,7 +254,7 @@ def test_a_failed_homing_is_an_error(rig: Rig):
         motor.wait_until_done(timeout_s=1)
 
 
-# --- how a motion fails --------------------------------------------------------------------------
+# --- failing motions -----------------------------------------------------------------------------
 
 
 def test_algorithm_2_of_the_paper(rig: Rig):
@@ -272,7 +273,7 @@ def test_algorithm_2_of_the_paper(rig: Rig):
     assert group.sync_capability().level is SyncLevel.TRIGGERED
 
 
-def test_sync_comes_after_every_armed_rpdo_is_on_the_wire(rig: Rig):
+def test_sync_follows_all_armed_rpdos(rig: Rig):
     group = MotorGroup(rig.motors["left"], rig.motors["right"])
     group.for_each(Motor.enable)
     group.for_each(Motor.set_control_mode, ControlMode.SETPOINT)
@@ -287,7 +288,7 @@ def test_sync_comes_after_every_armed_rpdo_is_on_the_wire(rig: Rig):
     group.wait_until_done(timeout_s=5)
 
 
-def test_what_was_armed_and_not_fired_is_disarmed(rig: Rig):
+def test_armed_motion_without_start_is_disarmed(rig: Rig):
     left, right = motor_of(rig, "left"), motor_of(rig, "right")
     group = MotorGroup(left, right)
     group.for_each(Motor.enable)
@@ -318,7 +319,7 @@ def test_velocities_start_at_one_sync(rig: Rig):
 # --- one object per drive ------------------------------------------------------------------------
 
 
-def test_a_second_hardware_object_for_a_drive_is_refused_and_the_first_is_named(rig: Rig):
+def test_second_hardware_object_is_refused_naming_the_first(rig: Rig):
     hw = Cia402HwMotor(rig.bus("can0"), node_id=5)
     with pytest.raises(UsageError, match="can0 node 5 has a hardware object already: <Cia402HwM"):
         Cia402HwMotor(rig.bus("can0"), node_id=5)
@@ -327,7 +328,7 @@ def test_a_second_hardware_object_for_a_drive_is_refused_and_the_first_is_named(
     Cia402HwMotor(rig.bus("can0"), node_id=5).close()
 
 
-def test_dropping_a_hardware_object_lets_go_of_drive_and_bus(rig: Rig):
+def test_dropped_hardware_object_releases_drive_and_bus(rig: Rig):
     hw = Cia402HwMotor(rig.bus("can0"), node_id=1)
     hw.connect()
     assert hw.state is PdsState.SWITCH_ON_DISABLED

@@ -1,21 +1,22 @@
-"""Parameters belong to a logical motor: gains and windows, in the drive when its motion begins."""
+"""Parameters of a logical motor: gains and windows, written at its start."""
 
 from collections.abc import Callable
 from math import inf
 
 import pytest
 
-from harness.rig import Rig
-from motorapi.adaptations.cia402 import Cia402Motor, Cia402Parameters
-from motorapi.commands import ControlMode
-from motorapi.errors import LimitError, UnsupportedError, UsageError
-from motorapi.state import MotorState
+from motorhil.harness.rig.rig import Rig
+from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
+from motorhil.motorapi.adaptations.cia402.object_access import Cia402Parameters
+from motorhil.motorapi.commands import ControlMode
+from motorhil.motorapi.errors import LimitError, UnsupportedError, UsageError
+from motorhil.motorapi.state import MotorState
 from tests.motorapi.adaptations.conftest import drive
 from tests.motorapi.adaptations.test_drive_control import written_to_left
 
 OpenRig = Callable[..., Rig]
 INC_PER_RAD = 132_000 / (2 * 3.141592653589793)
-OWN = 66_667  # 60FBh:1 of our drive's default motor, in 1/1000 per s
+OWN = 66_667  # 60FBh:1 of the emulated drive's default motor, in 1/1000 per s
 
 
 @pytest.fixture
@@ -57,7 +58,7 @@ def test_two_logical_motors_each_move_with_their_own_gains(rig: Rig):
 
 
 def test_what_was_written_is_believed_only_while_the_motor_does_not_change_hands(rig: Rig):
-    """Whoever had it in between may have written something else: here, behind our back."""
+    """An owner in between may have written other values; here they are written directly."""
     first, second = two_motors(rig)
     for motor in (first, second):
         motor.set_parameters(Cia402Parameters(position_gains=(30_000,)))
@@ -69,7 +70,7 @@ def test_what_was_written_is_believed_only_while_the_motor_does_not_change_hands
     assert gain(second) == 30_000
 
 
-def test_who_says_nothing_of_a_gain_has_the_drive_s_own(rig: Rig):
+def test_open_parameters_get_the_drives_own_values(rig: Rig):
     tuned, plain = two_motors(rig)
     tuned.set_parameters(Cia402Parameters(position_gains=(20_000, None, 0), position_window=0.05))
     move(tuned)
@@ -84,7 +85,7 @@ def test_who_says_nothing_of_a_gain_has_the_drive_s_own(rig: Rig):
     assert gain(tuned) == OWN
 
 
-def test_setting_them_sends_nothing_and_reading_them_is_free(rig: Rig):
+def test_setting_and_reading_parameters_send_nothing(rig: Rig):
     motor, _ = two_motors(rig)
     parameters = Cia402Parameters(velocity_gains=(300_000, 15_000_000))
     motor.set_parameters(parameters)
@@ -94,18 +95,18 @@ def test_setting_them_sends_nothing_and_reading_them_is_free(rig: Rig):
     assert motor.state() is MotorState.OFFLINE
 
 
-def test_after_a_reset_of_the_drive_they_are_written_again(rig: Rig):
+def test_parameters_are_written_again_after_a_drive_reset(rig: Rig):
     motor, _ = two_motors(rig)
     motor.set_parameters(Cia402Parameters(position_gains=(20_000,)))
     move(motor)
     motor.disable()
-    motor.hardware.link.nmt(0x81, 1)  # reset node: the drive's own values are back
+    motor.hardware.link.nmt(0x81, 1)  # reset node restores the drive's own values
     rig.runtime.run_for(1.0)
     move(motor)
     assert gain(motor) == 20_000
 
 
-def test_low_level_access_may_change_what_the_drive_s_own_values_are(rig: Rig):
+def test_low_level_access_may_change_the_own_values(rig: Rig):
     tuned, plain = two_motors(rig)
     tuned.set_parameters(Cia402Parameters(position_gains=(20_000,)))
     move(tuned)
@@ -144,7 +145,7 @@ def test_windows_are_in_si_units(rig: Rig):
     assert read("following_error_window") == 0xFFFF_FFFF  # off
 
 
-def test_a_wider_window_is_reached_earlier(rig: Rig):
+def test_wider_window_is_reached_earlier(rig: Rig):
     motor, _ = two_motors(rig)
     took = []
     for window in (0.0005, 0.3):
@@ -156,7 +157,7 @@ def test_a_wider_window_is_reached_earlier(rig: Rig):
     assert took[1] <= took[0]
 
 
-def test_an_unstable_gain_is_refused_before_anything_moves(rig: Rig):
+def test_unstable_gain_is_refused_before_motion(rig: Rig):
     motor, _ = two_motors(rig)
     motor.set_parameters(Cia402Parameters(current_gains=(4_000_000_000,)))
     with pytest.raises(UnsupportedError, match="60F6h:1 = 4000000000"):
@@ -166,7 +167,7 @@ def test_an_unstable_gain_is_refused_before_anything_moves(rig: Rig):
     move(motor, 0.5)
 
 
-def test_a_drive_without_such_an_object_says_so(rig: Rig):
+def test_missing_parameter_object_is_reported(rig: Rig):
     motor, _ = two_motors(rig)
     motor.set_parameters(Cia402Parameters(current_gains=(None, None, 7)))
     with pytest.raises(UnsupportedError, match="60F6h:3"):
@@ -193,20 +194,20 @@ def test_a_drive_without_such_an_object_says_so(rig: Rig):
         {"following_error_window": -1.0},
     ],
 )
-def test_what_is_no_parameter_is_refused_by_name(wrong: dict[str, object]):
+def test_invalid_parameter_is_refused_by_name(wrong: dict[str, object]):
     with pytest.raises(UsageError, match=next(iter(wrong))):
         Cia402Parameters(**wrong)  # type: ignore[arg-type]
 
 
-def test_what_are_no_parameters_are_refused(rig: Rig):
+def test_set_parameters_of_another_type_is_refused(rig: Rig):
     motor, _ = two_motors(rig)
-    with pytest.raises(UsageError, match="no Cia402Parameters"):
+    with pytest.raises(UsageError, match="is not a Cia402Parameters"):
         motor.set_parameters({"position_gains": (1,)})  # type: ignore[arg-type]
 
 
 @pytest.mark.data
-def test_a_vendor_s_gains_are_written_in_the_size_they_have(open_rig: OpenRig, shared):
-    """maxon's are INTEGER16; the drive itself keeps them as numbers."""
+def test_gains_are_written_in_the_vendors_size(open_rig: OpenRig, shared):
+    """Gains of maxon's drives are INTEGER16; the emulated drive keeps them as integers."""
     eds = shared / "data" / "eds" / "maxon_epos2_50_5.eds"
     rig = open_rig(
         drive(

@@ -1,27 +1,24 @@
-"""Trajectories that no profile of a drive can follow: streamed in csp, one set-point per SYNC."""
+"""Trajectories that no profile of a drive can follow, streamed in csp."""
 
 from itertools import pairwise
 from pathlib import Path
 
 import pytest
 
-from emulators.firmware.gains import ServoGains
-from emulators.media.faults import FaultKind, FaultRule
-from emulators.plant.presets import WHEEL_60W
-from harness.rig import Rig
-from motorapi import MotorGroup, TrapezoidalTrajectory
-from motorapi.adaptations.cia402 import Cia402Motor, Cia402Parameters
-from motorapi.commands import ControlMode, ControlVariable, DerivativeLimits
-from motorapi.errors import (
-    StateError,
-    UnsupportedError,
-    UsageError,
-)
-from motorapi.functions import Constant
-from motorapi.state import MotorState
-from motorapi.synchronization import SyncLevel
-from motorapi.traffic import CanTraffic, declare_traffic
-from motorapi.trajectory import ComplexTrajectory
+from motorhil.emulators.can.fault_rules import FaultKind, FaultRule
+from motorhil.emulators.firmware.servo_tables import ServoGains
+from motorhil.emulators.plant.presets import WHEEL_60W
+from motorhil.harness.rig.rig import Rig
+from motorhil.motorapi import MotorGroup, TrapezoidalTrajectory
+from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
+from motorhil.motorapi.adaptations.cia402.object_access import Cia402Parameters
+from motorhil.motorapi.commands import ControlMode, ControlVariable, DerivativeLimits
+from motorhil.motorapi.errors import StateError, UnsupportedError, UsageError
+from motorhil.motorapi.functions import Constant
+from motorhil.motorapi.state import MotorState
+from motorhil.motorapi.synchronization.bus_load import CanTraffic, declare_traffic
+from motorhil.motorapi.synchronization.quality import SyncLevel
+from motorhil.motorapi.trajectory import ComplexTrajectory
 from tests.motorapi.adaptations.conftest import HEAD, drive
 from tests.motorapi.adaptations.streaming import (
     EVERY_MS,
@@ -42,26 +39,27 @@ def rig(open_rig: OpenRig) -> Rig:
     return open_rig(drive("left", 1, motor=EVERY_MS), drive("right", 2, motor=EVERY_MS))
 
 
-# --- the drive follows as theory predicts --------------------------------------------------------
+# --- theory of the drive's following -------------------------------------------------------------
 
 G = WHEEL_60W.torque_constant_n_m_a / WHEEL_60W.inertia_kg_m2() * WHEEL_60W.increments_per_rad()
-"""Acceleration per current of the motor with its load [increments/s^2/A], by hand."""
+"""The acceleration per current of the motor with its load [increments/s^2/A], by hand."""
 
 
 def predicted_error(
     positions: list[float], gains: ServoGains, friction_a: float, substeps: int = 20
 ) -> list[float]:
-    """Following error [inc] at each millisecond of a demand, by the servo's differential equations.
+    """Return the following error [inc] at each millisecond, by the servo's differential equations.
 
     P position loop with velocity feed-forward f, PI velocity loop, an inertia, and dry friction:
 
         i = kp_v e_v + integral of ki_v e_v,  e_v = f x'(t + T/2) + kp (x - y) - y'(t - T),
         y'' = G (i - friction sign y')
 
-    with T = 1 ms: what is fed forward is the step to come, half of it ahead; what is measured is
+    with T = 1 ms. The feed-forward value is the next step, half of it ahead; the measured value is
     the average over 2 T, T old. Error constants, with a = G kp_v, b = G ki_v and no friction:
     E/X = (s^3 + (1 - f) s (a s + b)) / (s^3 + (a s + b)(s + kp)), so velocity leaves (1 - f) v/kp,
-    jerk j/(b kp), and the two times 3/2 T per kp of acceleration (of f = 1), the motor leading.
+    jerk leaves j/(b kp), and the two times leave 3/2 T per kp of acceleration (for f = 1), the
+    motor leading.
     """
     h = 1e-3 / substeps
     y = y1 = hold = 0.0
@@ -115,7 +113,7 @@ def test_at_1_khz_no_set_point_is_lost_or_doubled_and_the_drive_follows_as_predi
     assert times.started_ns is not None
     started_ns = times.started_ns
 
-    # 1. On the bus: every millisecond one set-point, each of them the function's.
+    # 1. On the bus: every millisecond one set-point of the function.
     truth: dict[int, tuple[float, float]] = {}
     tick = rig.runtime.now_ns() // MS
     while rig.runtime.now_ns() < started_ns + 1_600 * MS:
@@ -133,14 +131,14 @@ def test_at_1_khz_no_set_point_is_lost_or_doubled_and_the_drive_follows_as_predi
     assert all(abs(b - a - MS) <= 1000 for a, b in pairwise(syncs))
     assert syncs[1] == started_ns
 
-    # 2. In the drive: the demand is the target of SYNC k at the second tick after it, evenly.
+    # 2. In the drive: the demand reaches the target of SYNC k at the second tick after it, evenly.
     for time_ns, target in latched:
         at = time_ns // MS + 2
         if at in truth:
             assert truth[at][0] == target
 
-    # 3. The motor: where the equations of the servo say, but for 2.5 increments: whole counts of
-    # the encoder in position and velocity, whole targets.
+    # 3. The motor: as the equations of the servo predict, within 2.5 increments: integer counts of
+    #    the encoder in position and velocity, integer targets.
     first = started_ns // MS + 1  # the tick at which the demand begins to move
     demands = [function.value(min(k * 1e-3, 1.5)) * INC_PER_RAD for k in range(1550)]
     friction_a = WHEEL_60W.coulomb_friction_n_m / WHEEL_60W.torque_constant_n_m_a
@@ -158,14 +156,14 @@ def test_at_1_khz_no_set_point_is_lost_or_doubled_and_the_drive_follows_as_predi
 # --- beginning and ending ------------------------------------------------------------------------
 
 
-def test_a_group_begins_at_the_same_sync_and_ends_with_it(rig: Rig):
+def test_group_begins_and_ends_with_one_sync(rig: Rig):
     left, right = motor_of(rig), motor_of(rig, "right")
     set_function(left, quintic(1.0, 1.0))
     set_function(right, quintic(-0.5, 1.0))
     group = MotorGroup(left, right)
     capability = group.sync_capability()
     assert capability.level is SyncLevel.CYCLIC
-    assert capability.start_skew_s == 1e-3  # the servo's tick, the most there is after one SYNC
+    assert capability.start_skew_s == 1e-3  # the servo's tick, the longest delay after one SYNC
     tap = Tap(rig)
     group.start()
     group.wait_until_done(timeout_s=3)
@@ -179,20 +177,18 @@ def test_a_group_begins_at_the_same_sync_and_ends_with_it(rig: Rig):
     quality = group.sync_quality()
     assert quality.start_skew_s == 0.0
     assert quality.end_skew_s is not None
-    assert quality.end_skew_s <= 0.02  # as far as a TPDO every 20 ms can tell
+    assert quality.end_skew_s <= 0.02  # within the resolution of a TPDO every 20 ms
 
 
 @pytest.mark.parametrize("order", [("left", "right"), ("right", "left")])
-def test_a_drive_s_own_profile_and_set_points_begin_by_one_sync_too(
-    rig: Rig, order: tuple[str, str]
-):
+def test_profile_and_stream_begin_by_one_sync(rig: Rig, order: tuple[str, str]):
     group = MotorGroup(*(motor_of(rig, name) for name in order))
     group.for_each(Cia402Motor.set_control_mode, ControlMode.TRAJECTORY)
     motor_of(rig).set_trajectory(TrapezoidalTrajectory(0.5))
     set_function(motor_of(rig, "right"), quintic(0.5, 1.0))
     capability = group.sync_capability()
     assert capability.level is SyncLevel.TRIGGERED
-    # The set-points' first step is one period later, as far as nothing holds a SYNC up.
+    # The first step of a stream is one period later, unless SYNC is delayed.
     assert capability.start_skew_s is None
     declare_traffic(rig.bus("can0"), CanTraffic(1_000_000))
     start_skew_s = group.sync_capability().start_skew_s
@@ -206,7 +202,7 @@ def test_a_drive_s_own_profile_and_set_points_begin_by_one_sync_too(
         assert rig.controllers[name].snapshot()["demand_inc"] == round(0.5 * INC_PER_RAD)
 
 
-def test_who_begins_beside_its_trajectory_goes_there_first_and_the_others_wait(rig: Rig):
+def test_lead_in_to_the_trajectory_makes_others_wait(rig: Rig):
     left, right = motor_of(rig), motor_of(rig, "right")
     shifted = quintic(1.0, 1.0) + Constant(0.008)  # within the model's tolerance of 0.01 rad
     set_function(left, shifted, relative=False)
@@ -226,7 +222,7 @@ def test_who_begins_beside_its_trajectory_goes_there_first_and_the_others_wait(r
     assert first[-1] == round(1.008 * INC_PER_RAD)
 
 
-def test_afterwards_the_drive_s_own_profiles_go_on_from_there(rig: Rig):
+def test_profile_after_a_stream_continues_from_its_end(rig: Rig):
     motor = set_function(motor_of(rig), quintic(0.5, 0.7))
     for _ in range(2):
         motor.start()
@@ -239,18 +235,18 @@ def test_afterwards_the_drive_s_own_profiles_go_on_from_there(rig: Rig):
     assert motor.hardware.link.sync_period_ns is None
 
 
-def test_what_cannot_be_streamed_is_refused_before_anything_is_sent(rig: Rig):
+def test_unstreamable_trajectory_is_refused_before_sending(rig: Rig):
     motor = motor_of(rig)
     motor.set_control_mode(ControlMode.TRAJECTORY, ControlVariable.TORQUE)
     with pytest.raises(UnsupportedError, match="position and velocity"):
         motor.set_trajectory(ComplexTrajectory(quintic(1.0, 1.0)))
     smooth = TrapezoidalTrajectory(1.0, limits=DerivativeLimits(first=1.0, second=10.0))
-    with pytest.raises(UnsupportedError, match="no ramp at a constant rate"):
+    with pytest.raises(UnsupportedError, match="other than a ramp at a constant rate"):
         motor.set_trajectory(smooth)
     assert motor.state() is MotorState.OFFLINE  # not even connected
 
 
-def test_a_drive_without_csp_says_so_and_stays_where_it_is(open_rig: OpenRig):
+def test_drive_without_csp_refuses_and_stays(open_rig: OpenRig):
     rig = open_rig(drive("left", 1, controller='supported_modes = ["pp", "pv"]'))
     motor = motor_of(rig)
     motor.enable()
@@ -259,7 +255,7 @@ def test_a_drive_without_csp_says_so_and_stays_where_it_is(open_rig: OpenRig):
     assert motor.hardware.link.sync_period_ns is None
 
 
-def test_all_drives_of_a_bus_share_one_period(open_rig: OpenRig):
+def test_stream_of_another_period_is_refused(open_rig: OpenRig):
     slower = "set_point_period_ms = 4"
     rig = open_rig(drive("left", 1, motor=EVERY_MS), drive("right", 2, motor=slower))
     left, right = motor_of(rig), motor_of(rig, "right")
@@ -272,7 +268,7 @@ def test_all_drives_of_a_bus_share_one_period(open_rig: OpenRig):
     right.wait_until_done(timeout_s=3)
 
 
-def test_a_motor_that_streams_is_not_started_again_before_it_rests(rig: Rig):
+def test_start_while_streaming_is_refused_until_rest(rig: Rig):
     motor = set_function(motor_of(rig), quintic(1.0, 1.0))
     motor.start()
     rig.runtime.run_for(0.3)
@@ -281,7 +277,7 @@ def test_a_motor_that_streams_is_not_started_again_before_it_rests(rig: Rig):
     motor.wait_until_done(timeout_s=3)
 
 
-def test_a_group_in_pp_begins_by_the_sync_that_runs_for_others_in_one_burst(open_rig: OpenRig):
+def test_pp_group_begins_in_one_burst_beside_a_cyclic_sync(open_rig: OpenRig):
     rig = open_rig(*(drive(name, n, motor=EVERY_MS) for n, name in enumerate("abc", 1)))
     set_function(motor_of(rig, "a"), quintic(2.0, 2.0)).start()
     group = MotorGroup(motor_of(rig, "b"), motor_of(rig, "c"))
@@ -292,7 +288,7 @@ def test_a_group_in_pp_begins_by_the_sync_that_runs_for_others_in_one_burst(open
     assert "SYNC runs every 1 ms, produced by" in capability.reason
     assert capability.command_skew_s is None
     assert capability.no_command_bound == (
-        "b: what else is sent on can0 is not declared (declare_traffic)"
+        "b: the other traffic on can0 is not declared (declare_traffic)"
     )
     group.start()
     group.wait_until_done(timeout_s=3)
@@ -304,8 +300,8 @@ def test_a_group_in_pp_begins_by_the_sync_that_runs_for_others_in_one_burst(open
 # --- late, lost ----------------------------------------------------------------------------------
 
 
-def test_late_set_points_are_counted_and_told(tmp_path: Path):
-    """At 125 kbit/s SYNC and one set-point take 1.2 ms: every 1 ms is too much."""
+def test_late_set_points_are_counted_and_reported(tmp_path: Path):
+    """At 125 kbit/s SYNC and one set-point take 1.2 ms: too long for a period of 1 ms."""
     path = tmp_path / "slow.toml"
     text = HEAD.replace("1_000_000", "125_000") + drive("left", 1, motor=EVERY_MS)
     path.write_text(text)
@@ -320,7 +316,7 @@ def test_late_set_points_are_counted_and_told(tmp_path: Path):
         assert f"{late} of 500 set-points were late" in times.source
 
 
-def test_a_lost_set_point_leaves_one_period_out_and_the_next_one_catches_up(rig: Rig):
+def test_lost_set_point_skips_one_period(rig: Rig):
     motor = set_function(motor_of(rig), quintic(1.0, 1.0))
     motor.start()
     rig.runtime.run_for(0.4)

@@ -1,22 +1,17 @@
-"""Streamed trajectories of velocity, and over arguments that are not time."""
+"""Streamed velocity trajectories, and trajectories over other arguments."""
 
 from itertools import pairwise
 from math import pi, sin
 
 import pytest
 
-from harness.rig import Rig
-from motorapi import TrapezoidalTrajectory
-from motorapi.arguments import MotorPosition
-from motorapi.commands import ControlMode, ControlVariable
-from motorapi.errors import (
-    LimitError,
-    StateError,
-    UsageError,
-)
-from motorapi.functions import Constant, Cosine, Polynomial
-from motorapi.state import MotorState
-from motorapi.trajectory import ComplexTrajectory
+from motorhil.harness.rig.rig import Rig
+from motorhil.motorapi import TrapezoidalTrajectory
+from motorhil.motorapi.commands import ControlMode, ControlVariable
+from motorhil.motorapi.errors import LimitError, StateError, UsageError
+from motorhil.motorapi.functions import Constant, Cosine, Polynomial
+from motorhil.motorapi.state import MotorState
+from motorhil.motorapi.trajectory import ComplexTrajectory, MotorPosition
 from tests.motorapi.adaptations.conftest import drive
 from tests.motorapi.adaptations.streaming import (
     EVERY_MS,
@@ -40,7 +35,7 @@ def rig(open_rig: OpenRig) -> Rig:
 # --- velocity, by its integral -------------------------------------------------------------------
 
 
-def test_a_trajectory_of_velocity_is_followed_by_its_integral(rig: Rig):
+def test_velocity_trajectory_follows_its_integral(rig: Rig):
     """v = 1 - cos(2 pi t) over 2 s: 2 rad; the position at any time is t - sin(2 pi t) / 2 pi."""
     function = (Constant(1.0) - Cosine(1.0, 2 * pi)).restricted(0.0, 2.0)
     motor = set_function(motor_of(rig), function, ControlVariable.VELOCITY, relative=False)
@@ -49,7 +44,7 @@ def test_a_trajectory_of_velocity_is_followed_by_its_integral(rig: Rig):
     motor.wait_until_done(timeout_s=3)
     expected = [k * 1e-3 - sin(2 * pi * k * 1e-3) / (2 * pi) for k in range(2001)]
     targets = [target for _, target in tap.latched(LEFT)]
-    # A whole number and a half are told apart by the last bit of the sum: one increment's rounding.
+    # The last bit of the sum decides between an integer and a half: rounding of one increment.
     off = [target - x * INC_PER_RAD for target, x in zip(targets, expected, strict=True)]
     assert max(abs(one) for one in off) <= 0.5 + 1e-6
     rig.runtime.run_for(0.2)
@@ -57,7 +52,7 @@ def test_a_trajectory_of_velocity_is_followed_by_its_integral(rig: Rig):
     assert motor.hardware.stream.ended
 
 
-def test_a_velocity_that_does_not_end_at_0_goes_on(rig: Rig):
+def test_velocity_trajectory_with_nonzero_end_continues(rig: Rig):
     ramp = Polynomial((0.0, 0.0, 3.0, -2.0)).restricted(0.0, 1.0)  # 0 to 1 rad/s
     motor = set_function(motor_of(rig), ramp, ControlVariable.VELOCITY, relative=False)
     motor.start()
@@ -72,8 +67,8 @@ def test_a_velocity_that_does_not_end_at_0_goes_on(rig: Rig):
     assert motor.hardware.stream.ended
 
 
-def test_a_velocity_over_another_argument_is_summed_up_cycle_by_cycle(rig: Rig):
-    """v = x, and x comes to grow by 1 in a second: the way is the integral of x over time."""
+def test_velocity_over_another_argument_is_integrated(rig: Rig):
+    """v = x, and x comes to grow by 1 per second: the distance is the integral of x over time."""
     motor, argument = motor_of(rig), Jumps()
     line = Polynomial((0.0, 1.0)).restricted(0.0, 1.0)
     motor.set_control_mode(ControlMode.TRAJECTORY, ControlVariable.VELOCITY)
@@ -87,7 +82,7 @@ def test_a_velocity_over_another_argument_is_summed_up_cycle_by_cycle(rig: Rig):
 
     ramp = rig.runtime.every(1e-3, go_on)
     motor.wait_until_done(timeout_s=3)
-    rig.runtime.run_for(1.0)  # it goes on at 1 rad/s, as it ended
+    rig.runtime.run_for(1.0)  # it continues at its final 1 rad/s
     at = rig.controllers["left"].snapshot()["demand_inc"]
     ramp.cancel()
     # read up to 1 ms ago, latched 1 ms later, reached 1 to 2 ms after that: 4 ms at 1 rad/s
@@ -96,7 +91,7 @@ def test_a_velocity_over_another_argument_is_summed_up_cycle_by_cycle(rig: Rig):
     motor.wait_until_done(timeout_s=2)
 
 
-def test_a_function_of_velocity_begins_at_rest(rig: Rig):
+def test_velocity_function_must_begin_at_rest(rig: Rig):
     motor = motor_of(rig)
     motor.set_control_mode(ControlMode.SETPOINT, ControlVariable.VELOCITY)
     motor.set_setpoint(1.0)
@@ -112,7 +107,7 @@ def test_a_function_of_velocity_begins_at_rest(rig: Rig):
     motor.stop()
 
 
-def test_a_simple_trajectory_of_velocity_is_the_drive_s_ramp(rig: Rig):
+def test_simple_velocity_trajectory_uses_the_drives_ramp(rig: Rig):
     """From 0 to 2 rad/s in 0.8 s, then to -1 rad/s in 1.5 s: pv, with equal ramps up and down."""
     motor = motor_of(rig)
     motor.set_control_mode(ControlMode.TRAJECTORY, ControlVariable.VELOCITY)
@@ -143,14 +138,14 @@ LEADER = "status_period_ms = 1\nstatus_inhibit_ms = 0\nset_point_period_ms = 1"
 
 @pytest.fixture
 def geared(open_rig: OpenRig) -> Rig:
-    """The right one may follow the left one, which tells its position every millisecond."""
+    """Return a rig whose right motor may follow the left one, which sends every millisecond."""
     return open_rig(drive("left", 1, motor=LEADER), drive("right", 2, motor=EVERY_MS))
 
 
-def test_a_motor_follows_another_as_by_a_gear(geared: Rig):
+def test_motor_follows_another_like_a_gear(geared: Rig):
     left, right = motor_of(geared), motor_of(geared, "right")
     left.enable()
-    assert left.position() == 0.0  # by which its units are known, too
+    assert left.position() == 0.0  # this also makes its units known
     cam = GEAR.restricted(-10.0, 1.0)
     set_function(right, cam, argument=MotorPosition(left))
     right.start()
@@ -164,7 +159,7 @@ def test_a_motor_follows_another_as_by_a_gear(geared: Rig):
         follows = geared.controllers["right"].snapshot()["position_rad"]
         worst = max(worst, abs(follows - 0.5 * leads))
     left.wait_until_done(timeout_s=2)
-    # What was measured up to 1 ms ago is sent, latched 1 ms later and reached 1 to 2 ms after that.
+    # A value measured up to 1 ms ago is sent, latched 1 ms later and reached 1 to 2 ms after that.
     assert worst <= 0.5 * 3.0 * 4.5e-3 + 5 / INC_PER_RAD
     assert not right.is_done()  # the cam ends at 1 rad only
     left.set_trajectory(TrapezoidalTrajectory(1.6))
@@ -177,16 +172,16 @@ def test_a_motor_follows_another_as_by_a_gear(geared: Rig):
     assert right.hardware.stream.ended
 
 
-def test_how_fast_the_leader_may_be_is_checked_before_the_start(geared: Rig):
+def test_leader_velocity_limit_is_checked_before_start(geared: Rig):
     """Its model says 3 rad/s: five times that is more than the follower's 3 rad/s."""
     left, right = motor_of(geared), motor_of(geared, "right")
     steep = Polynomial((0.0, 5.0)).restricted(-10.0, 10.0)
-    with pytest.raises(LimitError, match="while the position of left changes fastest"):
+    with pytest.raises(LimitError, match="at the maximum rate of the position of left"):
         set_function(right, steep, argument=MotorPosition(left))
     assert right.state() is MotorState.OFFLINE
 
 
-def test_a_step_beyond_the_limits_ends_the_motion_with_a_controlled_stop(rig: Rig):
+def test_argument_step_beyond_limits_stops_the_motion(rig: Rig):
     motor, argument = motor_of(rig), Jumps()
     motor.set_control_mode(ControlMode.TRAJECTORY)
     line = Polynomial((0.0, 1.0)).restricted(0.0, 10.0)
@@ -218,8 +213,8 @@ def test_a_step_beyond_the_limits_ends_the_motion_with_a_controlled_stop(rig: Ri
     motor.wait_until_done(timeout_s=3)
 
 
-def test_an_argument_that_becomes_too_fast_ends_it_too(rig: Rig):
-    """It says 1 rad/s at most, and comes to more than the motor's 3 rad/s, never abruptly."""
+def test_argument_that_becomes_too_fast_stops_the_motion(rig: Rig):
+    """The argument promises 1 rad/s at most, and exceeds the motor's 3 rad/s smoothly."""
     motor, argument = motor_of(rig), Jumps()
     motor.set_control_mode(ControlMode.TRAJECTORY)
     line = Polynomial((0.0, 1.0)).restricted(0.0, 10.0)
@@ -236,7 +231,7 @@ def test_an_argument_that_becomes_too_fast_ends_it_too(rig: Rig):
     ramp.cancel()
 
 
-def test_it_does_not_jump_onto_an_argument_that_moves(rig: Rig):
+def test_start_onto_a_moving_argument_is_refused(rig: Rig):
     """From rest to 1 rad/s within a period would be 1000 rad/s2: refused, and nothing moves."""
     motor, argument = motor_of(rig), Jumps()
     motor.set_control_mode(ControlMode.TRAJECTORY)
@@ -250,8 +245,8 @@ def test_it_does_not_jump_onto_an_argument_that_moves(rig: Rig):
     ramp.cancel()
 
 
-def test_a_velocity_that_changes_too_fast_ends_it_as_well(rig: Rig):
-    """The argument's speed goes from 1 to 0.2 rad/s in a millisecond: no step, but no motion."""
+def test_argument_velocity_change_too_fast_stops_the_motion(rig: Rig):
+    """The argument's velocity changes from 1 to 0.2 rad/s in a millisecond, without a step."""
     motor, argument = motor_of(rig), Jumps()
     motor.set_control_mode(ControlMode.TRAJECTORY)
     line = Polynomial((0.0, 1.0)).restricted(0.0, 10.0)
@@ -272,7 +267,7 @@ def test_a_velocity_that_changes_too_fast_ends_it_as_well(rig: Rig):
     ramp.cancel()
 
 
-def test_an_argument_that_fails_ends_the_motion_in_the_same_way(rig: Rig):
+def test_failing_argument_stops_the_motion(rig: Rig):
     motor, argument = motor_of(rig), Jumps()
     motor.set_control_mode(ControlMode.TRAJECTORY)
     line = Polynomial((0.0, 1.0)).restricted(0.0, 10.0)

@@ -1,19 +1,15 @@
-"""Set-points that end before their time: stops, faults, losses, in mid-stream."""
+"""Premature ends of streams: stops, faults and losses."""
 
 from itertools import pairwise
 
 import pytest
 
-from emulators.media.faults import FaultKind, FaultRule
-from harness.rig import Rig
-from motorapi import MotorGroup
-from motorapi.adaptations.cia402 import Cia402Motor
-from motorapi.errors import (
-    DeviceFault,
-    LinkError,
-    MotionInterrupted,
-)
-from motorapi.state import MotorState
+from motorhil.emulators.can.fault_rules import FaultKind, FaultRule
+from motorhil.harness.rig.rig import Rig
+from motorhil.motorapi import MotorGroup
+from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
+from motorhil.motorapi.errors import DeviceFault, LinkError, MotionInterrupted
+from motorhil.motorapi.state import MotorState
 from tests.motorapi.adaptations.conftest import drive
 from tests.motorapi.adaptations.streaming import (
     EVERY_MS,
@@ -42,11 +38,13 @@ def rig(open_rig: OpenRig) -> Rig:
 @pytest.mark.parametrize(
     ("others", "offset_us"), [(False, 500), (True, 40), (True, 500), (True, 930), (True, 990)]
 )
-def test_in_mid_stream_it_brakes_within_the_model_s_limit(
+def test_stop_in_mid_stream_keeps_the_model_deceleration(
     rig: Rig, how: str, others: bool, offset_us: int
 ):
-    """At any moment between two SYNCs, which go on for others or not: a set-point that waits for
-    the next one must not take the stop back."""
+    """The stop comes at any moment between two SYNCs, with or without other users of SYNC.
+
+    A set-point that waits for the next SYNC must not revoke it.
+    """
     motor = set_function(motor_of(rig), quintic(2.0, 1.5))
     other = set_function(motor_of(rig, "right"), quintic(2.0, 1.5))
     MotorGroup(motor, other).start() if others else motor.start()
@@ -55,7 +53,7 @@ def test_in_mid_stream_it_brakes_within_the_model_s_limit(
     at = demands(rig, "left", 0.5)
     steps = [b - a for a, b in pairwise(at)]
     fastest = steps[0]
-    assert 30 < fastest < 53  # 2.2 rad/s or so, in increments a millisecond
+    assert 30 < fastest < 53  # about 2.2 rad/s, in increments per millisecond
     changes = [b - a for a, b in pairwise(steps)]
     limit = 10.0 * INC_PER_RAD * 1e-6  # acceleration_max of the model, here also deceleration
     assert min(changes) >= -limit - 2.0  # each demand is rounded: a second difference by at most 2
@@ -67,7 +65,7 @@ def test_in_mid_stream_it_brakes_within_the_model_s_limit(
     assert motor.hardware.stream is not None
     assert motor.hardware.stream.ended
     word = motor.hardware.read("controlword")
-    assert word == (0x0002 if how == "quick_stop" else 0x010F)  # no set-point took it back
+    assert word == (0x0002 if how == "quick_stop" else 0x010F)  # no set-point revoked it
     if others:
         other.wait_until_done(timeout_s=3)
         assert rig.controllers["right"].snapshot()["demand_inc"] == round(2.0 * INC_PER_RAD)
@@ -82,7 +80,7 @@ def test_in_mid_stream_it_brakes_within_the_model_s_limit(
     )
 
 
-def test_a_stop_whose_first_frames_are_lost_is_in_the_next_set_points(rig: Rig):
+def test_stop_with_lost_frames_comes_with_the_set_points(rig: Rig):
     motor = set_function(motor_of(rig), quintic(2.0, 1.5))
     motor.start()
     rig.runtime.run_for(0.6005)  # between a set-point and the next SYNC
@@ -97,7 +95,7 @@ def test_a_stop_whose_first_frames_are_lost_is_in_the_next_set_points(rig: Rig):
     motor.wait_until_done(timeout_s=1)
 
 
-def test_a_stop_by_another_logical_motor_ends_the_stream(rig: Rig):
+def test_stop_by_another_logical_motor_ends_the_stream(rig: Rig):
     motor = set_function(motor_of(rig), quintic(2.0, 1.5))
     second = Cia402Motor(motor.hardware, motor.model, name="second")
     motor.start()
@@ -110,7 +108,7 @@ def test_a_stop_by_another_logical_motor_ends_the_stream(rig: Rig):
     assert rig.controllers["left"].snapshot()["velocity_rad_s"] == 0.0
 
 
-def test_a_fault_in_mid_stream_ends_both(rig: Rig):
+def test_fault_in_mid_stream_ends_both(rig: Rig):
     motor = set_function(motor_of(rig), quintic(2.0, 1.5))
     motor.start()
     rig.runtime.run_for(0.5)
@@ -122,7 +120,7 @@ def test_a_fault_in_mid_stream_ends_both(rig: Rig):
     assert motor.hardware.link.sync_period_ns is None
 
 
-def test_a_drive_that_is_heard_no_more_is_braked_all_the_same(rig: Rig):
+def test_silent_drive_is_still_braked(rig: Rig):
     motor = set_function(motor_of(rig), quintic(4.0, 3.0))
     motor.start()
     rig.runtime.run_for(1.0)
@@ -138,7 +136,7 @@ def test_a_drive_that_is_heard_no_more_is_braked_all_the_same(rig: Rig):
     assert motor.hardware.stream.ended
 
 
-def test_who_begins_to_stream_beside_another_disturbs_nobody(rig: Rig):
+def test_second_stream_does_not_disturb_the_first(rig: Rig):
     left = set_function(motor_of(rig), quintic(1.0, 1.0))
     right = set_function(motor_of(rig, "right"), quintic(-1.0, 1.0))
     tap = Tap(rig)
@@ -152,13 +150,13 @@ def test_who_begins_to_stream_beside_another_disturbs_nobody(rig: Rig):
         expected = [round(function.value(k * 1e-3) * INC_PER_RAD) for k in range(1001)]
         latched = tap.latched(can_id)
         assert [target for _, target in latched] == expected
-        # SYNC wins every arbitration, but waits for a frame under way and for the host's own
-        # before it: at most 0.135 ms each, two of them.
+        # SYNC wins every arbitration, but waits for a frame under way and for the host's own before
+        # it: at most 0.135 ms each, two of them.
         assert all(abs(b - a - MS) <= 300_000 for (a, _), (b, _) in pairwise(latched))
     assert left.hardware.stream.late == right.hardware.stream.late == 0
 
 
-def test_switching_off_ends_the_stream(rig: Rig):
+def test_disable_ends_the_stream(rig: Rig):
     motor = set_function(motor_of(rig), quintic(2.0, 1.5))
     motor.start()
     rig.runtime.run_for(0.3)

@@ -1,24 +1,24 @@
-"""Torque on a CiA 402 drive: in N·m at the output, by the drive's profile torque mode."""
+"""Output torque of a CiA 402 drive in profile torque mode."""
 
 from collections.abc import Callable
 from math import inf
 
 import pytest
 
-from emulators.cia402.settings import OWN_EDS
-from emulators.plant.presets import WHEEL_60W
-from harness.rig import Rig
-from motorapi import MotorGroup, MotorModel, TrapezoidalTrajectory
-from motorapi.adaptations.cia402 import Cia402Motor
-from motorapi.commands import ControlMode, ControlVariable, DerivativeLimits
-from motorapi.errors import LimitError, MotionInterrupted, StateError, UnsupportedError
-from motorapi.model import MotionKind
-from motorapi.synchronization import SyncLevel
+from motorhil.emulators.cia402.settings import OWN_EDS
+from motorhil.emulators.plant.presets import WHEEL_60W
+from motorhil.harness.rig.rig import Rig
+from motorhil.motorapi import MotorGroup, MotorModel, TrapezoidalTrajectory
+from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
+from motorhil.motorapi.commands import ControlMode, ControlVariable, DerivativeLimits
+from motorhil.motorapi.errors import LimitError, MotionInterrupted, StateError, UnsupportedError
+from motorhil.motorapi.model import MotionKind
+from motorhil.motorapi.synchronization.quality import SyncLevel
 from tests.motorapi.adaptations.conftest import drive
 from tests.motorapi.adaptations.test_drive_control import written_to_left
 
 OpenRig = Callable[..., Rig]
-GEAR = 66.0  # of the drive's default motor, as its 6091h says
+GEAR = 66.0  # of the drive's default motor, from its 6091h
 RATED_N_M = 0.207  # 6076h, at the motor: 8 A times its torque constant, in mN m
 HEAVY = "plant.preset = 'wheel_60w'\nplant.load_inertia_kg_m2 = 0.5"
 
@@ -42,13 +42,13 @@ def push(motor: Cia402Motor, torque_n_m: float, slope: float | None = None) -> N
 
 
 def asked(rig: Rig, name: str = "left") -> float:
-    """The drive's torque demand, 6074h, behind the gear [N·m]."""
+    """Return the drive's torque demand, 6074h, behind the gear [N·m]."""
     permille = motor_of(rig, name).hardware.read("torque_demand")
     assert isinstance(permille, int)
     return permille * 1e-3 * RATED_N_M * GEAR
 
 
-def test_a_set_point_is_the_torque_behind_the_gear(rig: Rig):
+def test_torque_set_point_acts_behind_the_gear(rig: Rig):
     motor = motor_of(rig)
     push(motor, 6.0)
     motor.wait_until_done(timeout_s=1)
@@ -67,10 +67,10 @@ def test_a_set_point_is_the_torque_behind_the_gear(rig: Rig):
     motor.stop()
     motor.wait_until_done(timeout_s=3)
     velocity = rig.controllers["left"].snapshot()["velocity_rad_s"]
-    assert velocity == pytest.approx(0.0, abs=0.01)  # what it tells: 2 increments in 20 ms, or so
+    assert velocity == pytest.approx(0.0, abs=0.01)  # resolution: about 2 increments in 20 ms
 
 
-def test_it_goes_on_until_something_else_is_said_of_torque(rig: Rig):
+def test_torque_continues_until_the_next_torque_command(rig: Rig):
     motor = motor_of(rig)
     push(motor, 3.0)
     motor.wait_until_done(timeout_s=1)
@@ -91,8 +91,8 @@ def test_it_goes_on_until_something_else_is_said_of_torque(rig: Rig):
     assert motor.position() == pytest.approx(1.0, abs=1e-3)
 
 
-def test_nothing_moves_between_arming_and_the_start(rig: Rig):
-    """A load hangs on it, and 6071h is 0: the drive is held by its halt bit while it changes."""
+def test_nothing_moves_between_arming_and_start(rig: Rig):
+    """With a hanging load and 6071h = 0, the halt bit holds the drive while its mode changes."""
     motor = motor_of(rig)
     motor.enable()
     rig.controllers["left"].stimulate("load_torque_n_m", 5.0)
@@ -111,7 +111,7 @@ def test_nothing_moves_between_arming_and_the_start(rig: Rig):
     motor.stop()
 
 
-def test_a_simple_trajectory_of_torque_is_the_drive_s_slope(rig: Rig):
+def test_simple_torque_trajectory_uses_the_drives_slope(rig: Rig):
     motor = motor_of(rig)
     motor.set_control_mode(ControlMode.TRAJECTORY, ControlVariable.TORQUE)
     motor.set_trajectory(TrapezoidalTrajectory(8.0, initial=0.0, duration_s=0.4))
@@ -124,12 +124,12 @@ def test_a_simple_trajectory_of_torque_is_the_drive_s_slope(rig: Rig):
         rig.runtime.run_for(began_s + at_s - rig.runtime.now_ns() / 1e9)
         assert asked(rig) == pytest.approx(20.0 * at_s, abs=0.15)
     motor.wait_until_done(timeout_s=1)
-    # over when the current is within the drive's window of it; and a TPDO every 20 ms tells
+    # over when the current is within the drive's window; a TPDO every 20 ms reports it
     assert rig.runtime.now_ns() / 1e9 - began_s == pytest.approx(0.4, abs=0.05)
     motor.stop()
 
 
-def test_two_motors_are_started_one_after_another_and_say_so(rig: Rig):
+def test_two_torque_motors_start_sequentially_and_report_it(rig: Rig):
     group = MotorGroup(motor_of(rig), motor_of(rig, "right"))
     group.for_each(Cia402Motor.set_control_mode, ControlMode.TRAJECTORY, ControlVariable.TORQUE)
     group.set_trajectory(
@@ -146,7 +146,7 @@ def test_two_motors_are_started_one_after_another_and_say_so(rig: Rig):
     group.stop()
 
 
-def test_limits_are_the_model_s_and_the_drive_s(open_rig: OpenRig):
+def test_torque_limits_are_those_of_model_and_drive(open_rig: OpenRig):
     rig = open_rig(
         drive("left", 1, 'objects = { "6072h" = 300 }', model="torque_max_n_m = 10.0"),
         drive("right", 2),
@@ -164,7 +164,7 @@ def test_limits_are_the_model_s_and_the_drive_s(open_rig: OpenRig):
     assert rig.controllers["right"].snapshot()["velocity_rad_s"] == 0.0
 
 
-def test_each_direction_may_have_its_own_limit_in_the_drive(open_rig: OpenRig):
+def test_torque_limits_may_differ_by_direction(open_rig: OpenRig):
     """300/1000 forwards and 200/1000 backwards of 0.207 N·m times 66: 4.0986 and 2.7324 N·m."""
     limits = 'objects = { "60E0h" = 300, "60E1h" = 200 }'
     rig = open_rig(
@@ -189,7 +189,7 @@ def test_each_direction_may_have_its_own_limit_in_the_drive(open_rig: OpenRig):
         ('objects = { "6091h:1" = 0 }', "increments_per_rad = 21008.0", "gear ratio, 6091h"),
     ],
 )
-def test_what_nobody_says_is_not_guessed(
+def test_unknown_torque_units_are_not_guessed(
     open_rig: OpenRig, controller: str, model: str, reason: str
 ):
     model += "\nvelocity_unit_rad_s = 4.76e-5\nacceleration_unit_rad_s2 = 4.76e-5"
@@ -200,7 +200,7 @@ def test_what_nobody_says_is_not_guessed(
             act()
 
 
-def test_the_model_s_gear_counts_before_the_drive_s(open_rig: OpenRig):
+def test_model_gear_precedes_the_drives_gear(open_rig: OpenRig):
     rig = open_rig(
         drive(
             "left",
@@ -216,7 +216,7 @@ def test_the_model_s_gear_counts_before_the_drive_s(open_rig: OpenRig):
     motor.stop()
 
 
-def test_where_the_drive_counts_the_other_way_so_does_torque(open_rig: OpenRig):
+def test_torque_sign_follows_the_counting_direction(open_rig: OpenRig):
     rig = open_rig(drive("left", 1, HEAVY, model="increments_per_rad = -21008.45249"))
     motor = motor_of(rig)
     push(motor, 4.0)
@@ -227,7 +227,7 @@ def test_where_the_drive_counts_the_other_way_so_does_torque(open_rig: OpenRig):
     motor.stop()
 
 
-def test_a_linear_motor_has_a_force(open_rig: OpenRig):
+def test_linear_motor_has_a_force(open_rig: OpenRig):
     """F = 2 pi n T with n turns of the motor per metre: 200 turns make 1256.6 N of 1 N·m."""
     rig = open_rig(drive("left", 1, HEAVY))
     hardware = motor_of(rig).hardware
@@ -249,7 +249,7 @@ def test_a_linear_motor_has_a_force(open_rig: OpenRig):
     motor.stop()
 
 
-def test_a_stop_in_mid_ramp_ends_it_for_who_waits(rig: Rig):
+def test_stop_in_mid_ramp_ends_the_wait(rig: Rig):
     motor = motor_of(rig)
     second = Cia402Motor(motor.hardware, motor.model, name="second")
     motor.set_control_mode(ControlMode.TRAJECTORY, ControlVariable.TORQUE)
@@ -261,10 +261,10 @@ def test_a_stop_in_mid_ramp_ends_it_for_who_waits(rig: Rig):
         motor.wait_until_done(timeout_s=1)
     second.wait_until_done(timeout_s=3)
     velocity = rig.controllers["left"].snapshot()["velocity_rad_s"]
-    assert velocity == pytest.approx(0.0, abs=0.01)  # what it tells: 2 increments in 20 ms, or so
+    assert velocity == pytest.approx(0.0, abs=0.01)  # resolution: about 2 increments in 20 ms
 
 
-def test_a_set_point_without_a_slope_is_a_step(rig: Rig):
+def test_torque_set_point_without_slope_is_a_step(rig: Rig):
     motor = motor_of(rig)
     written = written_to_left(rig)
     push(motor, 3.0)
@@ -275,8 +275,8 @@ def test_a_set_point_without_a_slope_is_a_step(rig: Rig):
     motor.stop()
 
 
-def test_a_drive_that_takes_no_steeper_slope_keeps_its_own(open_rig: OpenRig, tmp_path):
-    """As Elmo's, whose 6087h has a highest value; what a ramp wrote does not stay for others."""
+def test_drive_with_a_slope_maximum_keeps_its_own(open_rig: OpenRig, tmp_path):
+    """Elmo's 6087h has a maximum; a ramp's value does not remain for other motors."""
     text = OWN_EDS.read_text()
     at = text.index("DefaultValue=100000")
     eds = tmp_path / "own.eds"

@@ -1,4 +1,4 @@
-"""What 1 means in a drive's objects: told by the model or the drive, never guessed."""
+"""Units of a drive's objects, from the model or the drive."""
 
 from math import pi
 
@@ -6,9 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from motorapi.adaptations.cia402_units import DriveUnits, drive_units
-from motorapi.errors import LimitError, UsageError
-from motorapi.model import MotionKind, MotorModel
+from motorhil.motorapi.adaptations.cia402.units import DriveUnits, drive_units
+from motorhil.motorapi.errors import LimitError, UsageError
+from motorhil.motorapi.model import MotionKind, MotorModel
 
 Objects = dict[tuple[int, int], int]
 
@@ -33,19 +33,19 @@ def units_of(objects: Objects, **numbers: object) -> DriveUnits:
     )
 
 
-def test_the_feed_constant_tells_increments_per_turn_and_rates_follow():
+def test_feed_constant_gives_increments_per_turn_and_rates():
     units = units_of(TOLD)
     assert units.increments_per_unit == PER_RAD
     assert units.velocity_unit == units.acceleration_unit == 1 / PER_RAD
     assert units.sources[0] == "6092h = 135168 position units per turn"
 
 
-def test_without_a_feed_constant_resolution_and_gear_tell():
+def test_units_without_feed_constant_use_resolution_and_gear():
     objects = {key: value for key, value in TOLD.items() if key[0] != 0x6092}
     assert units_of(objects).increments_per_unit == PER_RAD
 
 
-def test_si_units_tell_by_themselves():
+def test_si_unit_objects_give_all_units():
     # Nanotec C5-E: 60A8h = tenth of a degree, 60A9h = turns per minute (CiA 303-2 codes)
     units = units_of({**TOLD, (0x60A8, 0): 0xFF41_0000, (0x60A9, 0): 0x00B4_4700})
     assert units.increments_per_unit == pytest.approx(1800 / pi, rel=1e-15)  # float of a ratio
@@ -62,11 +62,11 @@ def test_si_units_tell_by_themselves():
         ({(0x6096, 1): None}, "velocity_unit", "lacks the factor object 6096h"),
         ({(0x608C, 0): 0xA4}, "velocity_unit", "608Ch = A4h names a unit of its own"),
         ({(0x60A9, 0): 0x00B4_4700}, "acceleration_unit", "none of acceleration"),
-        ({(0x60A9, 0): 0x0001_0300}, "velocity_unit", "none of turns, degrees, radians"),
+        ({(0x60A9, 0): 0x0001_0300}, "velocity_unit", "not turns, degrees or radians"),
         ({(0x6097, 1): 2}, "acceleration_unit", "6097h is 2"),
     ],
 )
-def test_what_is_not_told_plainly_is_asked_of_the_model(
+def test_ambiguous_units_are_required_of_the_model(
     change: dict[tuple[int, int], int | None], missing: str, why: str
 ):
     objects = {key: value for key, value in (TOLD | change).items() if value is not None}
@@ -76,22 +76,22 @@ def test_what_is_not_told_plainly_is_asked_of_the_model(
     assert f"write {missing} into the motor model" in str(caught.value)
 
 
-def test_the_model_wins_over_the_drive():
+def test_model_units_precede_the_drives():
     units = units_of(TOLD, increments_per_unit=-100.0, velocity_unit=0.5, acceleration_unit=0.25)
     assert units.position_inc(1.0) == -100
     assert units.position(-100) == 1.0
-    assert units.velocity_raw(2.0) == -4  # the drive counts the other way round
+    assert units.velocity_raw(2.0) == -4  # the drive counts in the opposite direction
     assert units.velocity(-4) == 2.0
     assert units.acceleration_raw(1.0) == 4
     assert units.sources == ("the motor model",) * 3
 
 
 def test_metres_must_come_from_the_model():
-    with pytest.raises(UsageError, match="the drive tells turns, not metres"):
+    with pytest.raises(UsageError, match="the drive reports turns, not metres"):
         units_of(TOLD, kind=MotionKind.LINEAR).require_all()
 
 
-def test_a_position_beyond_32_bits_is_refused():
+def test_position_beyond_32_bits_is_refused():
     units = units_of({}, increments_per_unit=1e6, velocity_unit=1.0, acceleration_unit=1.0)
     assert units.position_inc(2147.483647) == 0x7FFF_FFFF
     with pytest.raises(LimitError, match="607Ah has 32 bits"):
@@ -99,7 +99,7 @@ def test_a_position_beyond_32_bits_is_refused():
 
 
 @given(st.floats(1e-6, 1e6), st.floats(1e-6, 1e3))
-def test_sizes_are_rounded_down_and_never_to_nothing(value: float, unit: float):
+def test_rates_are_rounded_down_but_never_to_0(value: float, unit: float):
     units = units_of({}, increments_per_unit=1.0, velocity_unit=unit, acceleration_unit=unit)
     if value / unit > 0xFFFF_FFFF:
         with pytest.raises(LimitError):
@@ -112,7 +112,7 @@ def test_sizes_are_rounded_down_and_never_to_nothing(value: float, unit: float):
 
 
 @given(st.integers(1, 0x7FFF_FFFF), st.floats(1e-6, 1e3))
-def test_a_whole_number_of_steps_stays_what_it_is(raw: int, unit: float):
+def test_integer_number_of_steps_is_kept(raw: int, unit: float):
     units = units_of({}, increments_per_unit=1.0, velocity_unit=unit, acceleration_unit=unit)
     assert units.acceleration_raw(units.acceleration(raw)) == raw
     assert units.velocity_raw(units.velocity(-raw)) == -raw

@@ -1,14 +1,14 @@
-"""Cyclic synchronous position: one set-point a SYNC, none lost, none doubled."""
+"""Set-points in csp: one per SYNC, none lost, none doubled."""
 
 from collections.abc import Callable
 from itertools import pairwise
 
 import pytest
 
-from harness.rig import Rig
-from motorapi.adaptations.cia402 import Cia402HwMotor
-from motorapi.adaptations.csp_stream import CspStream
-from motorapi.errors import UsageError
+from motorhil.harness.rig.rig import Rig
+from motorhil.motorapi.adaptations.cia402.csp import CspStream
+from motorhil.motorapi.adaptations.cia402.hardware import Cia402HwMotor
+from motorhil.motorapi.errors import UsageError
 from tests.motorapi.adaptations.conftest import drive
 from tests.motorapi.adaptations.test_drive_control import written_to_left
 
@@ -27,7 +27,7 @@ def enabled(rig: Rig, node_id: int) -> Cia402HwMotor:
     return hw
 
 
-def test_every_set_point_is_on_the_wire_once_and_before_its_sync(rig: Rig):
+def test_each_set_point_is_sent_once_before_its_sync(rig: Rig):
     left, right = enabled(rig, 1), enabled(rig, 2)
     order: list[tuple[int, int]] = []
 
@@ -58,9 +58,9 @@ def test_every_set_point_is_on_the_wire_once_and_before_its_sync(rig: Rig):
     right.close()
 
 
-def test_csp_begins_where_the_drive_is(rig: Rig):
+def test_csp_begins_at_the_drives_position(rig: Rig):
     hw = enabled(rig, 1)
-    hw.write("target_position", 50_000)  # of long ago
+    hw.write("target_position", 50_000)  # an old target
     at = rig.controllers["left"].snapshot()["position_inc"]
     written = written_to_left(rig)
     stream = hw.stream_positions(0.01, lambda cycle: None)
@@ -74,10 +74,10 @@ def test_csp_begins_where_the_drive_is(rig: Rig):
     hw.close()
 
 
-def test_a_sync_that_runs_already_does_not_fire_an_old_target(rig: Rig):
+def test_running_sync_does_not_fire_an_old_target(rig: Rig):
     left, right = enabled(rig, 1), enabled(rig, 2)
     left.stream_positions(0.001, lambda cycle: 0)
-    right.write("target_position", 50_000)  # of long ago
+    right.write("target_position", 50_000)  # an old target
     right.stream_positions(0.001, lambda cycle: None)
     rig.runtime.run_for(0.3)
     assert abs(rig.controllers["right"].snapshot()["position_inc"]) <= 1
@@ -85,7 +85,7 @@ def test_a_sync_that_runs_already_does_not_fire_an_old_target(rig: Rig):
     right.close()
 
 
-def test_what_the_application_raises_ends_the_stream_and_is_kept(rig: Rig):
+def test_application_error_ends_the_stream_and_is_kept(rig: Rig):
     hw = enabled(rig, 1)
 
     def broken(cycle: int) -> int | None:
@@ -100,8 +100,8 @@ def test_what_the_application_raises_ends_the_stream_and_is_kept(rig: Rig):
 
 
 @pytest.mark.parametrize("period_s", [0.0005, 0.0015, 0.3])
-def test_a_period_that_60c2h_cannot_say_is_refused(rig: Rig, period_s: float):
+def test_period_outside_60c2h_is_refused(rig: Rig, period_s: float):
     hw = enabled(rig, 1)
-    with pytest.raises(UsageError, match="whole milliseconds, 1 to 255"):
+    with pytest.raises(UsageError, match="integer milliseconds, 1 to 255"):
         CspStream(hw, period_s, lambda cycle: 0)
     hw.close()

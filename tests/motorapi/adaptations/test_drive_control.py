@@ -1,16 +1,16 @@
-"""What the controlword does and, more important, does not do."""
+"""Effects of the controlword, and effects that it must not have."""
 
 from collections.abc import Callable
 from itertools import pairwise
 
 import pytest
 
-from emulators.media.faults import FaultKind, FaultRule
-from harness.rig import Rig
-from motorapi.adaptations.cia402 import Cia402HwMotor
-from motorapi.adaptations.cia402_objects import Mode, PdsState
-from motorapi.commands import ControlMode, ControlVariable
-from motorapi.errors import DeadlineExceeded, DeviceFault, UnsupportedError
+from motorhil.emulators.can.fault_rules import FaultKind, FaultRule
+from motorhil.harness.rig.rig import Rig
+from motorhil.motorapi.adaptations.cia402.hardware import Cia402HwMotor
+from motorhil.motorapi.adaptations.cia402.objects import Mode, PdsState
+from motorhil.motorapi.commands import ControlMode, ControlVariable
+from motorhil.motorapi.errors import DeadlineExceeded, DeviceFault, UnsupportedError
 from tests.motorapi.adaptations.conftest import drive
 
 OpenRig = Callable[..., Rig]
@@ -22,7 +22,7 @@ def rig(open_rig: OpenRig) -> Rig:
 
 
 def ready(rig: Rig, node_id: int = 1) -> Cia402HwMotor:
-    """Enabled in pp, with a slow profile and target position 20,000 (0.95 rad)."""
+    """Return controls, enabled in pp, with a slow profile and target position 20,000 (0.95 rad)."""
     hw = Cia402HwMotor(rig.bus("can0"), node_id)
     hw.connect()
     hw.set_mode(Mode.PROFILE_POSITION)
@@ -38,7 +38,7 @@ def position(rig: Rig) -> float:
 
 
 def written_to_left(rig: Rig) -> list[tuple[str, int]]:
-    """(object, value) of everything written by SDO to node 1 from now on."""
+    """Record (object, value) of every SDO write to node 1 from now on."""
     found: list[tuple[str, int]] = []
 
     def on_frame(bus: str, time_ns: int, sender: str, data: bytes) -> None:
@@ -52,7 +52,7 @@ def written_to_left(rig: Rig) -> list[tuple[str, int]]:
     return found
 
 
-def test_armed_means_that_its_frame_was_on_the_wire(rig: Rig):
+def test_arm_waits_until_its_frame_was_on_the_wire(rig: Rig):
     hw = ready(rig)
     heard: list[int] = []
     rig.world.tap_frames(
@@ -68,7 +68,7 @@ def test_armed_means_that_its_frame_was_on_the_wire(rig: Rig):
     hw.close()
 
 
-def test_what_was_armed_does_not_start_after_a_halt(rig: Rig):
+def test_armed_target_does_not_start_after_a_halt(rig: Rig):
     hw = ready(rig)
     hw.control.take_set_points()
     hw.control.arm(0x607A, 20_000)
@@ -80,7 +80,7 @@ def test_what_was_armed_does_not_start_after_a_halt(rig: Rig):
     hw.close()
 
 
-def test_what_was_armed_does_not_start_once_disarmed(rig: Rig):
+def test_armed_target_does_not_start_after_disarm(rig: Rig):
     hw = ready(rig)
     hw.control.take_set_points()
     hw.control.arm(0x607A, 20_000)
@@ -91,20 +91,20 @@ def test_what_was_armed_does_not_start_once_disarmed(rig: Rig):
     hw.close()
 
 
-def test_a_set_point_after_a_stop_is_none(rig: Rig):
+def test_set_point_after_a_stop_starts_nothing(rig: Rig):
     hw = ready(rig)
     hw.control.take_set_points()
     hw.halt()
     hw.control.send_set_point()
     rig.runtime.run_for(0.3)
     assert abs(position(rig)) <= 1
-    hw.control.release()  # nothing has been waiting for the halt to end
+    hw.control.release()  # no set-point waits for the end of the halt
     rig.runtime.run_for(0.3)
     assert abs(position(rig)) <= 1
     hw.close()
 
 
-def test_a_halt_goes_on_until_the_next_set_point(rig: Rig):
+def test_halt_lasts_until_the_next_set_point(rig: Rig):
     hw = ready(rig)
     hw.control.take_set_points()
     hw.control.send_set_point()
@@ -133,7 +133,7 @@ def test_homing_starts_by_a_rising_edge_every_time(rig: Rig):
     assert rises == 2
 
 
-def test_pv_is_entered_with_no_old_target_velocity(rig: Rig):
+def test_entering_pv_clears_the_old_target_velocity(rig: Rig):
     motor = rig.motors["left"]
     for velocity in (2.0, 0.5):
         motor.set_control_mode(ControlMode.SETPOINT, ControlVariable.VELOCITY)
@@ -151,7 +151,7 @@ def test_pv_is_entered_with_no_old_target_velocity(rig: Rig):
         motor.wait_until_done(timeout_s=5)
 
 
-def test_a_mode_that_6061h_does_not_confirm_is_an_error(rig: Rig, monkeypatch: pytest.MonkeyPatch):
+def test_mode_not_confirmed_by_6061h_raises_an_error(rig: Rig, monkeypatch: pytest.MonkeyPatch):
     hw = ready(rig)
     read = hw.objects.read_int
     monkeypatch.setattr(
@@ -165,7 +165,7 @@ def test_a_mode_that_6061h_does_not_confirm_is_an_error(rig: Rig, monkeypatch: p
     hw.close()
 
 
-def test_a_mode_the_drive_does_not_name_is_refused_before_anything_is_sent(rig: Rig):
+def test_mode_missing_in_6502h_is_refused_before_sending(rig: Rig):
     hw = ready(rig)
     words = written_to_left(rig)
     with pytest.raises(UnsupportedError, match="mode VELOCITY; it supports PROFILE_POSITION"):
@@ -175,7 +175,7 @@ def test_a_mode_the_drive_does_not_name_is_refused_before_anything_is_sent(rig: 
 
 
 @pytest.mark.parametrize("lost", [1, 2])
-def test_a_controlword_that_is_lost_is_sent_again(rig: Rig, lost: int):
+def test_lost_controlword_is_sent_again(rig: Rig, lost: int):
     motor = rig.motors["left"]
     motor.enable()
     rule = FaultRule("lose", FaultKind.DROP, identifier=0x201, limit=lost)
@@ -188,7 +188,7 @@ def test_a_controlword_that_is_lost_is_sent_again(rig: Rig, lost: int):
     assert abs(rig.controllers["left"].snapshot()["position_rad"] - 0.5) < 1e-3
 
 
-def test_a_controlword_that_never_arrives_starts_nothing_and_says_so(rig: Rig):
+def test_controlword_that_never_arrives_raises_an_error(rig: Rig):
     motor = rig.motors["left"]
     motor.enable()
     rig.faults.inject("can0", FaultRule("lose", FaultKind.DROP, identifier=0x201))
@@ -199,7 +199,7 @@ def test_a_controlword_that_never_arrives_starts_nothing_and_says_so(rig: Rig):
     assert position(rig) == 0
 
 
-def test_enabling_goes_on_from_whatever_state_it_finds(rig: Rig):
+def test_enable_works_from_any_state(rig: Rig):
     hw = ready(rig)
     for word in (0x06, 0x07, 0x02, 0x00):  # RTSO, SO, QSA or SOD, SOD
         hw.write("controlword", word)
@@ -210,7 +210,7 @@ def test_enabling_goes_on_from_whatever_state_it_finds(rig: Rig):
     hw.close()
 
 
-def test_a_drive_in_fault_is_not_enabled_before_its_reset(rig: Rig):
+def test_drive_in_fault_is_not_enabled_before_reset(rig: Rig):
     hw = ready(rig)
     rig.controllers["left"].stimulate("fault", 0x4310)
     rig.runtime.run_for(0.5)
@@ -223,7 +223,7 @@ def test_a_drive_in_fault_is_not_enabled_before_its_reset(rig: Rig):
     hw.close()
 
 
-def test_a_fault_whose_cause_is_still_there_is_told(rig: Rig):
+def test_fault_with_persistent_cause_is_reported(rig: Rig):
     hw = ready(rig)
     rig.controllers["left"].stimulate("power", 0)
     rig.runtime.run_for(0.5)

@@ -1,10 +1,10 @@
-"""A drive protects itself while it moves: what the application is told, and how it goes on."""
+"""Faults of a moving drive: the error for the application, and recovery."""
 
 import pytest
 
-from motorapi.commands import ControlMode
-from motorapi.errors import DeviceFault, MotionInterrupted
-from motorapi.state import MotorState
+from motorhil.motorapi.commands import ControlMode
+from motorhil.motorapi.errors import DeviceFault, MotionInterrupted
+from motorhil.motorapi.state import MotorState
 from tests.motorapi.adaptations.conftest import drive
 from tests.motorapi.adaptations.wheels import go_to, motor_of
 
@@ -21,9 +21,7 @@ FAULTS = [
 
 
 @pytest.mark.parametrize(("name", "bad", "good", "code", "text"), FAULTS)
-def test_a_motion_ends_with_the_fault_that_the_rig_file_plans(
-    open_rig, name, bad, good, code, text
-):
+def test_motion_ends_with_the_fault_planned_in_the_rig_file(open_rig, name, bad, good, code, text):
     rig = open_rig(
         drive("left", 1), STIMULUS.format(name, bad, 0.9), STIMULUS.format(name, good, 1.4)
     )
@@ -37,7 +35,7 @@ def test_a_motion_ends_with_the_fault_that_the_rig_file_plans(
     assert (fault.code, fault.text) == (code, text)
     if name != "load_torque_n_m":
         with pytest.raises(DeviceFault, match=f"{code:04X}h"):
-            motor.reset_fault()  # its cause still stands
+            motor.reset_fault()  # its cause persists
     rig.runtime.run_for(30.0)  # without power it coasts to rest
     motor.reset_fault()
     assert motor.fault() is None
@@ -59,9 +57,7 @@ PHYSICS = [
 
 
 @pytest.mark.parametrize(("plant", "code", "text"), PHYSICS)
-def test_a_motor_that_pushes_against_a_wall_ends_with_the_fault_that_comes_first(
-    open_rig, plant, code, text
-):
+def test_motor_against_a_wall_ends_with_the_first_fault(open_rig, plant, code, text):
     wall = f'[controller.left.plant]\npreset = "wheel_60w"\nstop_high_rad = 0.5\n{plant}'
     rig = open_rig(drive("left", 1, controller='objects = { "6065h" = 0 }\n' + wall))
     motor = motor_of(rig)
@@ -74,7 +70,7 @@ def test_a_motor_that_pushes_against_a_wall_ends_with_the_fault_that_comes_first
     assert motor.fault() is None
 
 
-def test_safe_torque_off_ends_a_motion_and_nothing_moves_until_it_is_released(open_rig):
+def test_safe_torque_off_prevents_motion_until_released(open_rig):
     rig = open_rig(drive("left", 1), STIMULUS.format("sto", 1, 0.9))
     motor = motor_of(rig)
     go_to(motor, 3.0)

@@ -1,12 +1,12 @@
-"""Straight lines as drives round them to whole increments, and to theirs of velocity and ramp."""
+"""Straight lines as drives round them, in position, velocity and ramps."""
 
 from hypothesis import event, example, given, settings
 from hypothesis import strategies as st
 
-from motorapi import ControlMode, Motor, Synchronization, TrapezoidalTrajectory
-from motorapi.execution import Started, plan
-from motorapi.group_planning import Common
-from motorapi.path import Line, moving, predicted
+from motorhil.motorapi import ControlMode, Motor, Synchronization, TrapezoidalTrajectory
+from motorhil.motorapi.execution import Started, plan
+from motorhil.motorapi.planning.groups import Common
+from motorhil.motorapi.planning.path import Line, moving, predicted
 from tests.motorapi.adaptations.test_joint_stop import opened
 from tests.motorapi.adaptations.wheels import INCREMENT_RAD
 from tests.motorapi.kinds import ACCELERATION_MAX, VELOCITY_MAX
@@ -20,9 +20,11 @@ WAYS = st.lists(
 )
 
 
-def test_no_limit_is_exceeded_no_way_is_too_short_and_the_line_is_met_within_five_increments():
-    """Three at most were found in thousands of lines: the drive's velocities are rounded down, and
-    its ramps made flatter for the duration to fit."""
+def test_rounded_line_keeps_limits_and_five_increments():
+    """Three increments at most were found in thousands of lines.
+
+    The drive's velocities are rounded down, and its ramps flattened to fit the duration.
+    """
     with opened(3) as (_, group):
         group.for_each(Motor.set_control_mode, ControlMode.TRAJECTORY)
         group.synchronization = Synchronization.PHASE
@@ -56,10 +58,12 @@ def test_no_limit_is_exceeded_no_way_is_too_short_and_the_line_is_met_within_fiv
 
 @settings(max_examples=8)
 @given(st.lists(st.floats(0.01, 2.0), min_size=3, max_size=3))
-def test_the_drives_demands_are_as_far_from_the_line_as_was_predicted(ways):
-    """Velocities are told in steps of 0.1 rad/s, so that there is something to predict. Demands
-    are rounded to an increment at each tick: that comes on top, and as the ticks of all drives are
-    at the same instants, nothing else does."""
+def test_demands_deviate_from_the_line_as_predicted(ways):
+    """Velocities have a resolution of 0.1 rad/s, so that there is a deviation to predict.
+
+    Demands are also rounded to an increment at each tick. As the ticks of all drives are
+    simultaneous, there is no other deviation.
+    """
     with opened(3, velocity_unit_inc=2000) as (rig, group):
         group.for_each(Motor.enable)
         group.for_each(Motor.set_control_mode, ControlMode.TRAJECTORY)

@@ -1,22 +1,22 @@
-"""The whole numbers a motion becomes, and the duration they really take."""
+"""Integers of a motion in a drive, and its exact duration."""
 
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from motorapi import planning
-from motorapi.adaptations.cia402_units import DriveUnits
-from motorapi.adaptations.drive_profile import (
+from motorhil.motorapi.adaptations.cia402.profile import (
     DriveLimits,
     as_motion,
     check_limits,
     check_target,
     profile_of,
 )
-from motorapi.commands import ControlMode, ControlVariable, DerivativeLimits, Motion
-from motorapi.errors import LimitError
-from motorapi.model import MotorModel
-from motorapi.trajectory import TrapezoidalTrajectory
+from motorhil.motorapi.adaptations.cia402.units import DriveUnits
+from motorhil.motorapi.commands import ControlMode, ControlVariable, DerivativeLimits, Motion
+from motorhil.motorapi.errors import LimitError
+from motorhil.motorapi.model import MotorModel
+from motorhil.motorapi.planning import single_axis as planning
+from motorhil.motorapi.trajectory import TrapezoidalTrajectory
 
 MODEL = MotorModel(name="wheel", velocity_max=3.0, acceleration_max=9.0, deceleration_max=6.0)
 NO_LIMITS = DriveLimits(None, None, None, None, None, has_deceleration=True)
@@ -28,7 +28,7 @@ def trajectory(distance: float, duration_s: float | None = None, start: float = 
     return planning.plan_trajectory("wheel", MODEL, ControlVariable.POSITION, asked, start)
 
 
-def test_a_set_point_is_rounded_down_to_the_drives_steps():
+def test_set_point_is_rounded_down_to_the_drives_steps():
     motion = Motion(ControlMode.SETPOINT, ControlVariable.POSITION, 0.0, 1.0004, 2.999, 8.99, 5.99)
     profile = profile_of(motion, MODEL, COARSE, NO_LIMITS)
     assert (profile.target, profile.speed) == (1000, 299)
@@ -38,7 +38,7 @@ def test_a_set_point_is_rounded_down_to_the_drives_steps():
     assert made.duration_s is None
 
 
-def test_a_drive_without_6084h_slows_down_as_it_speeds_up():
+def test_drive_without_6084h_has_equal_ramps():
     limits = DriveLimits(None, None, None, None, None, has_deceleration=False)
     profile = profile_of(trajectory(1.0), MODEL, COARSE, limits)
     assert profile.acceleration == profile.deceleration == 60
@@ -50,7 +50,7 @@ def test_a_drive_without_6084h_slows_down_as_it_speeds_up():
     st.sampled_from([1e-4, 1e-3, 0.01, 0.05]),
     st.sampled_from([1e-3, 0.01, 0.1, 0.5]),
 )
-def test_a_stretched_profile_keeps_every_limit_and_comes_nearest(
+def test_stretched_profile_is_nearest_within_limits(
     distance: float, factor: float, velocity_unit: float, acceleration_unit: float
 ):
     units = DriveUnits("wheel", "rad", 1e6, velocity_unit, acceleration_unit, ("", "", ""))
@@ -64,7 +64,7 @@ def test_a_stretched_profile_keeps_every_limit_and_comes_nearest(
     assert made.deceleration <= motion.deceleration * (1 + 1e-9)
     assert made.velocity <= MODEL.velocity_max * (1 + 1e-9)
     assert made.velocity < motion.velocity * (1 + 1e-9) + velocity_unit
-    # never worse than plainly rounding down
+    # never worse than plain rounding down
     plain = Motion(
         motion.mode, motion.variable, motion.start, motion.target, motion.velocity,
         motion.acceleration, motion.deceleration,
@@ -77,7 +77,7 @@ def test_a_stretched_profile_keeps_every_limit_and_comes_nearest(
 
 
 @given(st.floats(0.01, 50.0), st.floats(1.0, 20.0))
-def test_what_is_rounded_already_stays_as_it_is(distance: float, factor: float):
+def test_rounded_profile_is_unchanged_by_rounding(distance: float, factor: float):
     shortest_s = trajectory(distance).duration_s
     assert shortest_s is not None
     motion = trajectory(distance, duration_s=shortest_s * factor)
@@ -86,7 +86,7 @@ def test_what_is_rounded_already_stays_as_it_is(distance: float, factor: float):
     assert again == once
 
 
-def test_a_finer_fit_than_rounding_down_is_found_where_there_is_one():
+def test_profile_search_finds_a_better_fit_than_rounding():
     motion = trajectory(2.0, duration_s=1.5)  # peak 1.558: 155 steps of 0.01 are too slow
     profile = profile_of(motion, MODEL, COARSE, NO_LIMITS)
     made = as_motion(motion, profile, COARSE)
@@ -96,7 +96,7 @@ def test_a_finer_fit_than_rounding_down_is_found_where_there_is_one():
     assert abs(made.duration_s - 1.5) < 1e-3  # 155, 90, 60 would take 5.6 ms longer
 
 
-def test_the_fastest_profile_never_exceeds_the_velocity_limit_to_be_nearer():
+def test_nearest_profile_never_exceeds_the_velocity_limit():
     limits = DriveUnits("wheel", "rad", 1000.0, 0.07, 0.1, ("", "", ""))
     motion = trajectory(20.0)
     made = as_motion(motion, profile_of(motion, MODEL, limits, NO_LIMITS), limits)
@@ -104,7 +104,7 @@ def test_the_fastest_profile_never_exceeds_the_velocity_limit_to_be_nearer():
 
 
 @given(st.integers(-2000, 2000), st.integers(-2000, 2000))
-def test_the_duration_is_that_of_the_way_in_increments(start_inc: int, distance_inc: int):
+def test_duration_is_that_of_the_distance_in_increments(start_inc: int, distance_inc: int):
     assume(distance_inc != 0)
     start = start_inc / 1000 + 0.0003
     motion = trajectory(distance_inc / 1000, start=start)
@@ -113,7 +113,7 @@ def test_the_duration_is_that_of_the_way_in_increments(start_inc: int, distance_
     assert made.duration_s == planning.duration_of(made)
 
 
-def test_what_the_drive_itself_would_clip_is_refused_and_named():
+def test_motion_clipped_by_the_drive_is_refused_by_object():
     profile = profile_of(trajectory(1.0), MODEL, COARSE, NO_LIMITS)
     for name, limits in {
         "607Fh": DriveLimits(None, 299, None, None, None, has_deceleration=True),
@@ -126,7 +126,7 @@ def test_what_the_drive_itself_would_clip_is_refused_and_named():
     check_limits("wheel", profile, COARSE, exact)
 
 
-def test_the_drives_software_position_limits_hold_at_their_ends():
+def test_software_position_limits_hold_at_their_ends():
     limits = DriveLimits((-500, 1000), None, None, None, None, has_deceleration=True)
     check_target("wheel", 1000, COARSE, limits)
     check_target("wheel", -500, COARSE, limits)
@@ -141,8 +141,8 @@ def test_the_drives_software_position_limits_hold_at_their_ends():
     [
         (
             Motion(ControlMode.SETPOINT, ControlVariable.POSITION, 0.0, 1.0, 0.005, 9.0, 6.0),
-            r"wheel: velocity limit 0\.005 rad/s, allowed is at least 0\.01 rad/s \(the drive's "
-            r"units tell nothing smaller\)",
+            r"wheel: velocity limit 0\.005 rad/s, allowed is at least 0\.01 rad/s \(it is "
+            r"below the smallest step of the drive's units\)",
         ),
         (
             Motion(ControlMode.SETPOINT, ControlVariable.POSITION, 0.0, 1.0, 1.0, 0.05, 6.0),
@@ -154,27 +154,29 @@ def test_the_drives_software_position_limits_hold_at_their_ends():
         ),
     ],
 )
-def test_a_limit_below_the_drives_smallest_step_is_refused_not_exceeded(motion: Motion, told: str):
+def test_limit_below_the_smallest_step_is_refused(motion: Motion, told: str):
     with pytest.raises(LimitError, match=told):
         profile_of(motion, MODEL, COARSE, NO_LIMITS)
 
 
-def test_a_limit_of_a_trajectory_below_the_smallest_step_is_refused_too():
+def test_trajectory_limit_below_the_smallest_step_is_refused():
     asked = TrapezoidalTrajectory(1.0, limits=DerivativeLimits(first=0.005))
     motion = planning.plan_trajectory("wheel", MODEL, ControlVariable.POSITION, asked, 0.0)
     with pytest.raises(LimitError, match=r"velocity limit 0\.005 rad/s"):
         profile_of(motion, MODEL, COARSE, NO_LIMITS)
 
 
-def test_a_duration_that_the_smallest_step_cannot_fill_is_refused():
-    """Once 1 rad in 1000 s was made in 100 s, at 0.01 rad/s, without a word."""
-    with pytest.raises(LimitError, match=r"duration 1000 s, allowed is at most 100.* no slower"):
+def test_duration_beyond_the_smallest_step_is_refused():
+    """A former version made 1 rad in 1000 s within 100 s, at 0.01 rad/s, without an error."""
+    with pytest.raises(
+        LimitError, match=r"duration 1000 s, allowed is at most 100.* lowest velocity"
+    ):
         profile_of(trajectory(1.0, duration_s=1000.0), MODEL, COARSE, NO_LIMITS)
     profile = profile_of(trajectory(1.0, duration_s=105.0), MODEL, COARSE, NO_LIMITS)
-    assert profile.speed == 1  # 0.01 rad/s: 100 s and a ramp, as near as can be
+    assert profile.speed == 1  # 0.01 rad/s: 100 s and a ramp, the nearest possible
 
 
-def test_a_motor_of_a_group_may_end_early_where_it_cannot_go_so_slowly():
+def test_group_member_too_fast_at_smallest_step_ends_early():
     motion = planning.stretch(trajectory(1.0), 1000.0)
     profile = profile_of(motion, MODEL, COARSE, NO_LIMITS)
-    assert profile.speed == 1  # what its end is early by is told as the predicted end skew
+    assert profile.speed == 1  # reported as the predicted end skew

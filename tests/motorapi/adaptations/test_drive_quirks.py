@@ -1,9 +1,9 @@
-"""Drives that deviate as real ones do: the host goes on, or says what the drive does not do."""
+"""Drives that deviate like real ones: the host continues or reports it."""
 
 import pytest
 
-from emulators.cia402.quirk_catalogue import CATALOGUE
-from motorapi.errors import DeadlineExceeded
+from motorhil.emulators.cia402.settings import CATALOGUE
+from motorhil.motorapi.errors import DeadlineExceeded
 from tests.motorapi.adaptations.conftest import drive
 from tests.motorapi.adaptations.wheels import WINDOW_RAD, go_to, motor_of, truth
 
@@ -25,7 +25,7 @@ NOT_SURVIVED = [
 
 
 @pytest.mark.parametrize(("name", "value"), SURVIVED.items())
-def test_the_host_goes_on(open_rig, name, value):
+def test_host_tolerates_the_quirk(open_rig, name, value):
     rig = open_rig(drive("left", 2, controller=f"quirks.{name} = {value}"))
     motor = motor_of(rig)
     for target in (0.3, 0.6):
@@ -43,7 +43,7 @@ def test_the_host_goes_on(open_rig, name, value):
 
 
 @pytest.mark.parametrize(("name", "value", "told"), NOT_SURVIVED)
-def test_the_host_says_what_the_drive_does_not_do(open_rig, name, value, told):
+def test_host_reports_the_quirk(open_rig, name, value, told):
     rig = open_rig(drive("left", 2, controller=f"quirks.{name} = {value}"))
     motor = motor_of(rig)
     with pytest.raises(DeadlineExceeded, match=told):
@@ -51,7 +51,7 @@ def test_the_host_says_what_the_drive_does_not_do(open_rig, name, value, told):
     assert truth(rig) == pytest.approx(0.0, abs=1e-4)  # an increment; nothing has moved
 
 
-def test_an_emergency_that_is_another_drives_ends_nobodys_motion(open_rig):
+def test_emcy_of_another_drive_ends_no_motion(open_rig):
     rig = open_rig(drive("left", 1), drive("right", 2, controller='quirks = ["stray_emcy"]'))
     left, right = motor_of(rig, "left"), motor_of(rig, "right")
     go_to(right, 0.1)

@@ -1,9 +1,9 @@
-"""Which of several errors a drive's EMCYs tell as its own (CiA 301, 7.2.7: code, 1001h)."""
+"""Selection of the drive's error from its EMCYs (CiA 301, 7.2.7)."""
 
 import pytest
 
-from harness.rig import Rig
-from motorapi.adaptations.emergencies import Emergency, standing_error
+from motorhil.harness.rig.rig import Rig
+from motorhil.motorapi.adaptations.canopen.emcy import Emergency, standing_error
 from tests.motorapi.adaptations.bus_errors import ACTIVE, PASSIVE, tell
 from tests.motorapi.adaptations.conftest import drive
 from tests.motorapi.adaptations.wheels import go_to, motor_of
@@ -12,9 +12,9 @@ from tests.motorapi.adaptations.wheels import go_to, motor_of
 @pytest.mark.parametrize(
     ("told", "standing"),
     [
-        ([(0x8611, 0x21), (0x8120, 0x31)], 0x8611),  # the bus gives way
+        ([(0x8611, 0x21), (0x8120, 0x31)], 0x8611),  # an error of the bus yields
         ([(0x8120, 0x11), (0x8611, 0x31)], 0x8611),
-        ([(0x8611, 0x21), (0x8120, 0x31), (0x0000, 0x21)], 0x8611),  # the bus is well again
+        ([(0x8611, 0x21), (0x8120, 0x31), (0x0000, 0x21)], 0x8611),  # the bus has recovered
         ([(0x8611, 0x21), (0x8120, 0x31), (0x0000, 0x11)], None),  # the fault is reset
         ([(0x8120, 0x11), (0x0000, 0x11)], 0x8120),
         ([(0x8120, 0x11), (0x0000, 0x00)], None),
@@ -24,14 +24,14 @@ from tests.motorapi.adaptations.wheels import go_to, motor_of
         ([(0x8130, 0x11), (0x8220, 0x11)], 0x8130),
     ],
 )
-def test_what_is_about_the_bus_gives_way_to_what_is_about_the_drive(told, standing):
+def test_bus_error_yields_to_a_drive_error(told, standing):
     error = None
     for code, register in told:
         error = standing_error(error, Emergency(code, register, bytes(5), 0))
     assert (None if error is None else error.code) == standing
 
 
-def test_a_passive_drive_moves_and_says_what_is_wrong_with_it(open_rig):
+def test_error_passive_drive_moves_and_reports_the_error(open_rig):
     rig: Rig = open_rig(drive("left", 1))
     motor = motor_of(rig)
     motor.enable()

@@ -1,4 +1,4 @@
-"""Every way a motion on a drive can end: wait and `on_done` end at that very frame, and say why.
+"""Ends of a motion, reported by `wait` and `on_done` equally.
 
 Times are those of the bus record (ends of frames), in virtual time: they agree to the nanosecond.
 """
@@ -7,21 +7,20 @@ from collections.abc import Callable
 
 import pytest
 
-from emulators.media.faults import FaultKind, FaultRule
-from harness.rig import Rig
-from motorapi.adaptations.canopen_errors import HomingFailed
-from motorapi.adaptations.cia402 import Cia402Motor
-from motorapi.commands import ControlMode
-from motorapi.errors import (
+from motorhil.emulators.can.fault_rules import FaultKind, FaultRule
+from motorhil.harness.rig.rig import Rig
+from motorhil.motorapi.adaptations.canopen.sdo import HomingFailed
+from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
+from motorhil.motorapi.commands import ControlMode
+from motorhil.motorapi.errors import (
     DeviceFault,
     LinkError,
     MotionInterrupted,
     MotorError,
     PluginError,
 )
-from motorapi.motor import Motor
-from motorapi.outcome import Ending, Outcome
-from motorapi.trajectory import TrapezoidalTrajectory
+from motorhil.motorapi.motor import Ending, Motor, Outcome
+from motorhil.motorapi.trajectory import TrapezoidalTrajectory
 from tests.motorapi.adaptations.conftest import drive
 
 OpenRig = Callable[..., Rig]
@@ -49,7 +48,7 @@ class Heard:
             self.frames.append((time_ns, can_id, frame[8 : 8 + frame[4]]))
 
     def first_status(self, wanted: Callable[[int], bool], after_ns: int = 0) -> int:
-        """When the first TPDO with such a statusword was complete."""
+        """Return the time when the first TPDO with such a statusword was complete."""
         return next(
             time_ns
             for time_ns, can_id, data in self.frames
@@ -60,7 +59,7 @@ class Heard:
 
 
 class Endings:
-    """How a motion of `motor` ends, by both ways of hearing of it."""
+    """The end of a motion of `motor`, by both ways of notification."""
 
     def __init__(self, rig: Rig, motor: Motor) -> None:
         self.told: list[Outcome] = []
@@ -78,7 +77,7 @@ class Endings:
         self.waited.append((self._rig.runtime.now_ns(), error))
 
     def within(self, timeout_s: float, late_ns: int = 0) -> tuple[int, MotorError | None]:
-        """When both heard, and of what; they agree, to `late_ns` of the waiter."""
+        """Return time and error of the end; both ways agree, within `late_ns` of the waiter."""
         assert self._party.join(timeout_s)
         assert self._party.error is None
         ((waited_ns, error),) = self.waited
@@ -101,7 +100,7 @@ def moving(rig: Rig, way: float = 1.0) -> tuple[Cia402Motor, Heard, Endings]:
     return motor, heard, endings
 
 
-def test_a_target_reached_ends_it(rig: Rig):
+def test_target_reached_ends_a_motion(rig: Rig):
     _, heard, endings = moving(rig)
     ended_ns, error = endings.within(5.0)
     assert error is None
@@ -109,7 +108,7 @@ def test_a_target_reached_ends_it(rig: Rig):
     assert ended_ns == heard.first_status(lambda word: bool(word & TARGET_REACHED))
 
 
-def test_a_fault_ends_it(rig: Rig):
+def test_fault_ends_a_motion(rig: Rig):
     _, heard, endings = moving(rig)
     rig.controllers["left"].stimulate("fault", 0x3210)
     ended_ns, error = endings.within(1.0)
@@ -120,7 +119,7 @@ def test_a_fault_ends_it(rig: Rig):
 
 
 @pytest.mark.parametrize("how", [Motor.stop, Motor.halt, Motor.quick_stop])
-def test_a_stop_by_another_logical_motor_ends_it_at_once(rig: Rig, how: Callable[[Motor], None]):
+def test_stop_by_another_motor_ends_a_motion_at_once(rig: Rig, how: Callable[[Motor], None]):
     motor, _, endings = moving(rig)
     other = Cia402Motor(motor.hardware, motor.model, name="other")
     stopped_ns = rig.runtime.now_ns()
@@ -132,10 +131,10 @@ def test_a_stop_by_another_logical_motor_ends_it_at_once(rig: Rig, how: Callable
     assert endings.told[0].ending is Ending.INTERRUPTED
 
 
-def test_a_power_stage_that_another_program_switches_off_ends_it(rig: Rig):
-    """Frames of another host: no logical motor of this process knows of them but by the drive."""
+def test_foreign_switch_off_ends_a_motion(rig: Rig):
+    """The frames come from another host: only the drive's reaction is visible to this process."""
     motor, heard, endings = moving(rig)
-    motor.hardware.send_frame(0x201, b"\0\0")  # disable voltage, behind the interface's back
+    motor.hardware.send_frame(0x201, b"\0\0")  # disable voltage, not by the interface
     ended_ns, error = endings.within(1.0)
     assert ended_ns == heard.first_status(lambda word: word & STATE != OPERATION_ENABLED)
     assert isinstance(error, MotionInterrupted)
@@ -143,7 +142,7 @@ def test_a_power_stage_that_another_program_switches_off_ends_it(rig: Rig):
     assert error.by.startswith("the drive, now in state")
 
 
-def test_a_disable_by_another_logical_motor_waits_its_turn_so_nothing_ends(rig: Rig):
+def test_disable_by_another_logical_motor_waits_for_the_end(rig: Rig):
     motor, _, endings = moving(rig)
     other = Cia402Motor(motor.hardware, motor.model, name="other")
     with pytest.raises(MotorError, match=r"held by start\(\) of left"):
@@ -151,7 +150,7 @@ def test_a_disable_by_another_logical_motor_waits_its_turn_so_nothing_ends(rig: 
     assert endings.within(5.0)[1] is None
 
 
-def test_a_lost_drive_ends_it_within_the_heartbeat_consumer_time(rig: Rig):
+def test_lost_drive_ends_a_motion_within_heartbeat_time(rig: Rig):
     _, heard, endings = moving(rig)
     lost_ns = rig.runtime.now_ns()
     rig.faults.inject("can0", FaultRule("cut", FaultKind.CUT, ports=("left",), from_ns=lost_ns))
@@ -163,8 +162,8 @@ def test_a_lost_drive_ends_it_within_the_heartbeat_consumer_time(rig: Rig):
     assert error.since_ns == ended_ns
 
 
-def test_a_drive_that_boots_ends_it_with_its_boot_up(open_rig: OpenRig):
-    rig = open_rig(drive("left", 1, controller="timing.boot_up_s = 0.1"))  # before it is missed
+def test_drive_reboot_ends_a_motion_at_its_boot_up(open_rig: OpenRig):
+    rig = open_rig(drive("left", 1, controller="timing.boot_up_s = 0.1"))  # before a loss
     motor, heard, endings = moving(rig)
     motor.hardware.send_frame(0x000, bytes((0x81, 1)))  # CiA 301, NMT: reset node
     ended_ns, error = endings.within(1.0)
@@ -176,7 +175,7 @@ def test_a_drive_that_boots_ends_it_with_its_boot_up(open_rig: OpenRig):
     assert "it has booted" in error.reason
 
 
-def test_a_drive_that_leaves_operational_ends_it_with_the_heartbeat_that_says_so(rig: Rig):
+def test_drive_leaving_operational_ends_a_motion_at_heartbeat(rig: Rig):
     motor, heard, endings = moving(rig)
     motor.hardware.send_frame(0x000, bytes((0x02, 1)))  # CiA 301, NMT: stop
     ended_ns, error = endings.within(1.0)
@@ -188,7 +187,7 @@ def test_a_drive_that_leaves_operational_ends_it_with_the_heartbeat_that_says_so
     assert "not OPERATIONAL" in error.reason
 
 
-def test_closing_the_hardware_ends_it_at_once(rig: Rig):
+def test_closing_the_hardware_ends_a_motion_at_once(rig: Rig):
     motor, _, endings = moving(rig)
     now_ns = rig.runtime.now_ns()
     motor.hardware.close()
@@ -198,14 +197,14 @@ def test_closing_the_hardware_ends_it_at_once(rig: Rig):
     assert error.by == "close() of can0 node 1"
 
 
-def test_a_homing_that_fails_ends_it(rig: Rig):
+def test_failed_homing_ends_a_motion(rig: Rig):
     motor = rig.motors["left"]
     assert isinstance(motor, Cia402Motor)
     motor.enable()
     motor.home(37, wait=False)
     endings = Endings(rig, motor)
-    # Our drive fails no homing, so its words are said for it. CiA 402-2, homing mode: bit 13,
-    # homing error, rises after it was seen low.
+    # The emulated drive fails no homing, so its statuswords are injected. CiA 402-2, homing mode:
+    # bit 13, homing error, rises after it was seen low.
     begun_ns = rig.runtime.now_ns()
     words = iter((0x0237, 0x2637))
     timer = rig.runtime.every(
@@ -219,7 +218,7 @@ def test_a_homing_that_fails_ends_it(rig: Rig):
     assert ended_ns == begun_ns + 20_000
 
 
-def test_a_stop_has_ended_when_the_drive_is_seen_at_rest(rig: Rig):
+def test_stop_ends_when_the_drive_is_at_rest(rig: Rig):
     motor, _, _ = moving(rig)
     motor.stop()
     endings = Endings(rig, motor)
@@ -231,7 +230,7 @@ def test_a_stop_has_ended_when_the_drive_is_seen_at_rest(rig: Rig):
     assert endings.told[0].operation == "stop() of left"
 
 
-def test_low_level_access_afterwards_does_not_change_how_it_ended(rig: Rig):
+def test_later_low_level_access_keeps_the_recorded_end(rig: Rig):
     motor, _, endings = moving(rig)
     rig.controllers["left"].stimulate("fault", 0x3210)
     _, error = endings.within(1.0)
@@ -242,14 +241,14 @@ def test_low_level_access_afterwards_does_not_change_how_it_ended(rig: Rig):
     assert str(late[0].error) == str(error)
 
 
-# --- a drive that does not report by itself ----------------------------------------------------
+# --- a drive without cyclic status -------------------------------------------------------------
 
 
-def test_a_drive_that_must_be_asked_tells_while_somebody_waits(open_rig: OpenRig):
+def test_polled_drive_reports_its_end_while_awaited(open_rig: OpenRig):
     rig = open_rig(drive("left", 1, motor="status_period_ms = 0"))
     motor, _, endings = moving(rig)
     assert not motor.hardware.node.status_is_cyclic
-    ended_ns, error = endings.within(5.0, late_ns=5 * MS)  # the waiter may be asking just then
+    ended_ns, error = endings.within(5.0, late_ns=5 * MS)  # the waiter may be polling just then
     assert error is None
     times = motor._motion_times()
     assert times is not None
@@ -259,18 +258,18 @@ def test_a_drive_that_must_be_asked_tells_while_somebody_waits(open_rig: OpenRig
 # --- errors of callbacks, and of others --------------------------------------------------------
 
 
-def test_a_callback_that_fails_breaks_neither_the_bus_nor_the_others(rig: Rig):
+def test_failing_callback_harms_neither_bus_nor_others(rig: Rig):
     motor, _, endings = moving(rig)
     registrations = [motor.on_done(lambda outcome: 1 / 0)]
     also: list[Outcome] = []
     motor.on_done(also.append)
-    rig.runtime.run_for(3.0)  # everybody hears; nobody is hurt
+    rig.runtime.run_for(3.0)  # all callbacks run
     assert len(also) == 1
     assert motor.hardware.node.malformed == 0
     position = motor.position()
     assert position == pytest.approx(1.0, abs=2e-3)  # the drive's position window
     assert registrations[0] is not None
     ((_, error),) = endings.waited
-    assert isinstance(error, PluginError)  # the waiter was told of it
+    assert isinstance(error, PluginError)  # the waiter got the error
     motor.start()
     motor.wait_until_done(timeout_s=5)

@@ -1,4 +1,7 @@
-"""On a bus that loses, delays and repeats frames a motion ends at its target, or with an error."""
+"""Motions on a bus that loses, delays and repeats frames.
+
+Each motion ends at its target, or with an error.
+"""
 
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -6,17 +9,17 @@ from tempfile import TemporaryDirectory
 from hypothesis import event, given, settings
 from hypothesis import strategies as st
 
-from emulators.media.faults import FaultKind, FaultRule
-from harness.rig import Rig
-from motorapi.commands import ControlMode, ControlVariable
-from motorapi.errors import MotorError, PluginError
-from motorapi.group import MotorGroup
-from motorapi.motor import Motor
-from motorapi.trajectory import TrapezoidalTrajectory
+from motorhil.emulators.can.fault_rules import FaultKind, FaultRule
+from motorhil.harness.rig.rig import Rig
+from motorhil.motorapi.commands import ControlMode, ControlVariable
+from motorhil.motorapi.errors import MotorError, PluginError
+from motorhil.motorapi.group import MotorGroup
+from motorhil.motorapi.motor import Motor
+from motorhil.motorapi.trajectory import TrapezoidalTrajectory
 from tests.motorapi.adaptations.conftest import HEAD, drive
 
 TOLERANCE_RAD = 2e-3  # the drive's position window is 10 increments of 21,008 per rad
-CONNECTED_NS = 600_000_000  # well after the drives were brought up
+CONNECTED_NS = 600_000_000  # well after the bring-up of the drives
 
 RULES = st.lists(
     st.builds(
@@ -50,7 +53,7 @@ def rig_with(rules: list[FaultRule], seed: int, *drives: str) -> Rig:
 
 @settings(max_examples=20)
 @given(RULES, DISTANCES, st.integers(0, 1000))
-def test_a_move_that_says_it_is_done_is_at_its_target(
+def test_move_reported_as_done_is_at_its_target(
     rules: list[FaultRule], distances: list[float], seed: int
 ):
     with rig_with(rules, seed, drive("left", 1)) as rig:
@@ -76,7 +79,7 @@ def test_a_move_that_says_it_is_done_is_at_its_target(
 
 @settings(max_examples=25)
 @given(st.integers(0, 30_000), st.sampled_from(list(ControlVariable)[:2]), st.booleans())
-def test_a_stop_while_a_group_starts_leaves_nothing_moving_or_about_to(
+def test_stop_during_group_start_leaves_no_motion_pending(
     delay_us: int, variable: ControlVariable, whole: bool
 ):
     with rig_with([], 1, drive("left", 1), drive("right", 2)) as rig:
@@ -84,7 +87,7 @@ def test_a_stop_while_a_group_starts_leaves_nothing_moving_or_about_to(
         group.for_each(Motor.enable)
         group.for_each(Motor.set_control_mode, ControlMode.SETPOINT, variable)
         group.for_each(Motor.set_setpoint, 2.0)
-        group.for_each(Motor.position)  # units are read: from here on starting is all arming
+        group.for_each(Motor.position)  # units are read: from here on starting is only arming
         stop = group.stop if whole else group[0].stop
         rig.world.queue.alarm(lambda now_ns: stop()).set(rig.runtime.now_ns() + delay_us * 1000)
         try:
@@ -93,9 +96,9 @@ def test_a_stop_while_a_group_starts_leaves_nothing_moving_or_about_to(
             rig.runtime.run_for(0.05)
             group.stop()
         except MotorError as error:
-            event(type(error).__name__)  # then nobody needs to stop anything
+            event(type(error).__name__)  # then there is nothing to stop
         rig.runtime.run_for(0.3)
-        group[0].hardware.link.sync()  # what is still armed would start now
+        group[0].hardware.link.sync()  # anything still armed would start now
         rig.runtime.run_for(0.05)
         before = [rig.controllers[name].snapshot()["position_inc"] for name in ("left", "right")]
         rig.runtime.run_for(0.1)

@@ -1,14 +1,14 @@
-"""Motors home over switches of their plants, by the method that the application names."""
+"""Homing on switches of the plant, by the method of the application."""
 
 from collections.abc import Callable
 from math import tau
 
 import pytest
 
-from harness.rig import Rig
-from motorapi.adaptations.canopen_errors import HomingFailed
-from motorapi.errors import DeadlineExceeded
-from motorapi.state import MotorState
+from motorhil.harness.rig.rig import Rig
+from motorhil.motorapi.adaptations.canopen.sdo import HomingFailed
+from motorhil.motorapi.errors import DeadlineExceeded
+from motorhil.motorapi.state import MotorState
 from tests.motorapi.adaptations.conftest import drive
 from tests.motorapi.adaptations.wheels import WINDOW_RAD, go_to, motor_of, truth
 
@@ -32,11 +32,11 @@ def rig(open_rig: OpenRig) -> Rig:
 @pytest.mark.parametrize(
     ("method", "where_rad"), [(17, -0.5), (18, 1.5), (24, 0.25), (25, 0.3), (7, 0.25), (34, 0.0)]
 )
-def test_home_is_the_place_of_the_switch_and_moves_count_from_there(rig: Rig, method, where_rad):
+def test_homing_sets_the_origin_at_the_switch(rig: Rig, method, where_rad):
     motor = motor_of(rig)
     motor.home(method)
     assert motor.is_referenced()
-    way = -0.1 if method == 18 else 0.1  # away from the switch it stands at
+    way = -0.1 if method == 18 else 0.1  # away from the switch at its present position
     go_to(motor, way)
     motor.wait_until_done(timeout_s=5)
     at = truth(rig) - way
@@ -48,7 +48,7 @@ def test_home_is_the_place_of_the_switch_and_moves_count_from_there(rig: Rig, me
     assert abs(at - where_rad) <= tau / 66.0
 
 
-def test_a_homing_that_finds_nothing_is_an_error_and_another_method_goes_on(rig: Rig):
+def test_failed_homing_raises_and_another_method_works(rig: Rig):
     motor = motor_of(rig)
     rig.controllers["left"].stimulate("home", 0)
     with pytest.raises(HomingFailed, match="method 19"):
@@ -59,7 +59,7 @@ def test_a_homing_that_finds_nothing_is_an_error_and_another_method_goes_on(rig:
     assert motor.is_referenced()
 
 
-def test_a_homing_that_takes_too_long_is_stopped(rig: Rig):
+def test_homing_that_takes_too_long_is_stopped(rig: Rig):
     motor = motor_of(rig)
     with pytest.raises(DeadlineExceeded):
         motor.home(18, timeout_s=0.3)
@@ -70,7 +70,7 @@ def test_a_homing_that_takes_too_long_is_stopped(rig: Rig):
     assert at < 1.4
 
 
-def test_a_motion_into_a_limit_switch_does_not_arrive_and_one_away_does(rig: Rig):
+def test_limit_switch_blocks_motion_towards_it_only(rig: Rig):
     motor = motor_of(rig)
     motor.home(24)
     go_to(motor, 2.0)  # the switch is 1.25 rad from home

@@ -1,4 +1,4 @@
-"""Whatever a device answers, and however a bus breaks: an error of the tree, never another one."""
+"""Arbitrary answers and failing buses raise only errors of the tree."""
 
 import random
 from collections.abc import Callable, Iterable
@@ -9,10 +9,12 @@ import pytest
 from hypothesis import event, example, given
 from hypothesis import strategies as st
 
-from motorapi.adaptations.canopen_errors import SdoAborted
-from motorapi.adaptations.cia402 import Cia402HwMotor, Cia402Motor, HwOptions
-from motorapi.errors import DeadlineExceeded, LinkError, MotorError, UsageError
-from motorapi.model import MotorModel
+from motorhil.motorapi.adaptations.canopen.sdo import SdoAborted
+from motorhil.motorapi.adaptations.cia402.bringup import HwOptions
+from motorhil.motorapi.adaptations.cia402.hardware import Cia402HwMotor
+from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
+from motorhil.motorapi.errors import DeadlineExceeded, LinkError, MotorError, UsageError
+from motorhil.motorapi.model import MotorModel
 from tests.motorapi.adaptations.scripted import MS, Answer, ScriptedBus, Transcript, frame
 
 MODEL = MotorModel(name="m", velocity_max=1.0, acceleration_max=1.0)
@@ -22,7 +24,7 @@ COMMANDS = (0x40, 0x41, 0x43, 0x4F, 0x60, 0x80, 0x00, 0x01, 0x10, 0x11, 0x20, 0x
 
 
 def garbage(seed: int) -> Callable[[bytes], Iterable[Answer]]:
-    """A device that answers SDO requests by frames that look like answers, of any length."""
+    """Return a device that answers SDO requests by frames like answers, of any length."""
     draw = random.Random(seed)
 
     def answer(request: bytes) -> Iterable[Answer]:
@@ -71,7 +73,7 @@ def calls_of(hardware: Cia402HwMotor, motor: Cia402Motor) -> list[Callable[[], o
 
 @given(st.integers(0, 10**6), st.permutations(range(14)))
 @example(seed=1, order=list(range(14)))
-def test_garbage_of_a_device_is_told_as_its_own(seed: int, order: list[int]):
+def test_garbage_of_a_device_raises_a_peer_error(seed: int, order: list[int]):
     hardware = Cia402HwMotor(ScriptedBus(garbage(seed)), 5, options=OPTIONS)
     motor = Cia402Motor(hardware, MODEL)
     calls = calls_of(hardware, motor)
@@ -86,11 +88,11 @@ def test_garbage_of_a_device_is_told_as_its_own(seed: int, order: list[int]):
         hardware.close()
 
 
-def test_canopens_own_errors_leave_the_block_as_ours():
+def test_canopen_errors_in_a_block_become_ours():
     bus = ScriptedBus(
         Transcript(
             [
-                ("605#4008100000000000", "585#8008100000000206"),  # CiA 301: no such object
+                ("605#4008100000000000", "585#8008100000000206"),  # CiA 301: object does not exist
                 ("605#4009100000000000", None),
                 ("605#400A100000000000", "585#60EEEE0000000000"),
             ]
@@ -105,7 +107,7 @@ def test_canopens_own_errors_leave_the_block_as_ours():
     with pytest.raises(DeadlineExceeded, match="last heard: 60 EE EE"), hardware.sdo() as sdo:
         sdo.upload(0x100A, 0)
     with pytest.raises(ZeroDivisionError), hardware.sdo():
-        raise ZeroDivisionError  # the application's own is its own
+        raise ZeroDivisionError  # the application's own errors are unchanged
     hardware.close()
 
 
@@ -119,13 +121,13 @@ BREAKS = (
 
 
 @pytest.mark.parametrize("error", BREAKS, ids=lambda error: type(error).__name__)
-def test_a_bus_that_breaks_is_a_lost_link(error: Exception):
+def test_failing_bus_raises_link_error(error: Exception):
     class Broken(ScriptedBus):
         def transmit(self, data: bytes) -> None:
             raise error
 
     bus = Broken()
-    # Without a heartbeat of the host, whose frames would be the first to fail.
+    # Without a heartbeat of the host, whose frames would fail first.
     options = HwOptions(heartbeat_ms=0, connect_timeout_s=0.3, sdo_timeout_s=0.05)
     hardware = Cia402HwMotor(bus, 5, options=options)
     motor = Cia402Motor(hardware, MODEL)
@@ -169,7 +171,7 @@ SLIPS: list[Callable[[Cia402HwMotor], object]] = [
 
 
 @pytest.mark.parametrize("slip", SLIPS)
-def test_a_slip_at_the_prompt_is_refused_and_nothing_is_sent(
+def test_wrong_argument_at_the_prompt_is_refused(
     slip: Callable[[Cia402HwMotor], object],
 ):
     bus = ScriptedBus()

@@ -1,18 +1,19 @@
-"""The ideal motor does what it is told, exactly and when it is told. Expected values by hand."""
+"""The ideal motor executes commands exactly; expected values by hand."""
 
 import pytest
 
-from emulators.event_queue import EventQueue
-from harness.virtual_time import VirtualRuntime
-from motorapi import (
+from motorhil.emulators.simulation.event_queue import EventQueue
+from motorhil.harness.virtual_time.runtime import VirtualRuntime
+from motorhil.motorapi import (
     ComplexTrajectory,
     DerivativeLimits,
     LinkError,
     MotorPosition,
     TrapezoidalTrajectory,
 )
-from motorapi.adaptations.ideal import IdealHwMotor, IdealMotor
-from motorapi.functions import Polynomial
+from motorhil.motorapi.adaptations.ideal.hardware import IdealHwMotor
+from motorhil.motorapi.adaptations.ideal.motor import IdealMotor
+from motorhil.motorapi.functions import Polynomial
 from tests.motorapi.adaptations.ideals import (
     CURRENT,
     MODEL,
@@ -42,10 +43,10 @@ def motor(hw):
     return IdealMotor(hw, MODEL, name="m")
 
 
-# --- set-points: straight there
+# --- set-points: straight motion
 
 
-def test_a_position_set_point_goes_straight_there_at_the_limit_of_velocity(runtime, motor):
+def test_position_set_point_moves_at_the_velocity_limit(runtime, motor):
     aim(motor, 1.25)  # 1 rad at 2 rad/s
     assert samples(runtime, motor, 0.125, 6) == [
         (0.25, 2.0, 0.0),
@@ -57,14 +58,14 @@ def test_a_position_set_point_goes_straight_there_at_the_limit_of_velocity(runti
     ]
 
 
-def test_a_set_points_own_limit_of_velocity_counts(runtime, motor):
+def test_set_point_own_velocity_limit_applies(runtime, motor):
     aim(motor, -0.75, limits=DerivativeLimits(first=0.5))
     assert motor.velocity() == -0.5
     motor.wait_until_done()
     assert (runtime.now_ns(), motor.position()) == (2_000_000_000, -0.75)
 
 
-def test_a_velocity_set_point_goes_straight_to_its_velocity(runtime, motor):
+def test_velocity_set_point_ramps_to_its_velocity(runtime, motor):
     aim(motor, 2.0, VELOCITY)  # at 4 rad/s^2
     motor.wait_until_done()
     assert runtime.now_ns() == 500_000_000
@@ -81,13 +82,13 @@ def test_a_velocity_set_point_goes_straight_to_its_velocity(runtime, motor):
     assert motor.position() == 2.75 + 0.25 - 0.125
 
 
-def test_a_velocity_set_points_own_limit_of_acceleration_counts(runtime, motor):
+def test_velocity_set_point_own_acceleration_limit_applies(runtime, motor):
     aim(motor, 1.0, VELOCITY, limits=DerivativeLimits(first=0.5))
     runtime.run_for(1.0)
     assert (motor.velocity(), motor.position()) == (0.5, 0.5)
 
 
-def test_torque_steps_and_the_shaft_is_held(runtime, motor):
+def test_torque_set_point_steps_with_the_shaft_held(runtime, motor):
     aim(motor, -1.5, TORQUE)
     assert motor.is_done()
     assert samples(runtime, motor, 0.5, 2) == [(0.25, 0.0, -1.5)] * 2
@@ -96,7 +97,7 @@ def test_torque_steps_and_the_shaft_is_held(runtime, motor):
     assert motor.torque() == 0.0
 
 
-def test_torque_goes_at_the_rate_that_was_asked(runtime, motor):
+def test_torque_set_point_follows_its_slope(runtime, motor):
     aim(motor, 2.0, TORQUE, limits=DerivativeLimits(first=4.0))
     assert not motor.is_done()
     assert [torque for _, _, torque in samples(runtime, motor, 0.25, 4)] == [0.0, 1.0, 2.0, 2.0]
@@ -105,7 +106,7 @@ def test_torque_goes_at_the_rate_that_was_asked(runtime, motor):
     assert motor.torque() == 1.0
 
 
-def test_current_makes_torque_by_the_torque_constant(runtime, motor):
+def test_current_set_point_gives_torque_by_the_constant(runtime, motor):
     aim(motor, 2.0, CURRENT, limits=DerivativeLimits(first=2.0))
     runtime.run_for(0.5)
     assert motor.torque() == 0.5 * 1.0
@@ -113,7 +114,7 @@ def test_current_makes_torque_by_the_torque_constant(runtime, motor):
     assert (runtime.now_ns(), motor.torque()) == (1_000_000_000, 1.0)
 
 
-def test_a_set_point_replaced_on_the_way_goes_on_from_there(runtime, motor):
+def test_replaced_set_point_continues_from_its_position(runtime, motor):
     aim(motor, 1.25)
     runtime.run_for(0.25)
     aim(motor, 0.25)
@@ -122,10 +123,10 @@ def test_a_set_point_replaced_on_the_way_goes_on_from_there(runtime, motor):
     assert (runtime.now_ns(), motor.position()) == (500_000_000, 0.25)
 
 
-# --- trajectories: what they demand, at every instant
+# --- trajectories: the demand at every instant
 
 
-def test_a_simple_trajectory_of_position_is_a_trapezoid(runtime, motor):
+def test_simple_position_trajectory_is_a_trapezoid(runtime, motor):
     # Limits 2, 4, 8: up 0.5 s over 0.5, down 0.25 s over 0.25, plateau 1.25 in 0.625 s.
     follow(motor, TrapezoidalTrajectory(2.0))
     assert samples(runtime, motor, 0.25, 3) == [
@@ -139,32 +140,32 @@ def test_a_simple_trajectory_of_position_is_a_trapezoid(runtime, motor):
     assert (runtime.now_ns(), motor.position()) == (1_375_000_000, 2.25)
 
 
-def test_a_simple_trajectory_of_velocity_is_a_ramp_and_its_way_a_parabola(runtime, motor):
+def test_simple_velocity_trajectory_is_a_ramp(runtime, motor):
     follow(motor, TrapezoidalTrajectory(1.0, duration_s=2.0), VELOCITY)
     runtime.run_for(1.0)
     assert (motor.position(), motor.velocity()) == (0.25 + 0.25, 0.5)
     motor.wait_until_done()
     assert (runtime.now_ns(), motor.velocity()) == (2_000_000_000, 1.0)
     runtime.run_for(1.0)
-    assert motor.position() == 0.25 + 1.0 + 1.0  # it goes on
+    assert motor.position() == 0.25 + 1.0 + 1.0  # it continues
     follow(motor, TrapezoidalTrajectory(-1.0, duration_s=1.0), VELOCITY)  # from 1 to 0
     motor.wait_until_done()
     assert (motor.position(), motor.velocity()) == (2.25 + 0.5, 0.0)
 
 
-def test_a_simple_trajectory_of_torque_is_a_ramp(runtime, motor):
+def test_simple_torque_trajectory_is_a_ramp(runtime, motor):
     follow(motor, TrapezoidalTrajectory(3.0, duration_s=3.0), TORQUE)
     assert [torque for _, _, torque in samples(runtime, motor, 1.0, 5)] == [0, 1, 2, 3, 3]
 
 
-def test_a_motion_that_ends_between_two_nanoseconds_ends_at_the_nearer_one(runtime, motor):
+def test_end_between_two_nanoseconds_is_rounded_to_nearest(runtime, motor):
     follow(motor, TrapezoidalTrajectory(1.0, duration_s=10.0 / 3.0))
     motor.wait_until_done()
     assert runtime.now_ns() == 3_333_333_333
     assert (motor.position(), motor.velocity()) == (1.25, 0.0)
 
 
-def test_a_motion_that_takes_longer_than_time_can_be_told_goes_on_and_can_be_stopped(motor):
+def test_motion_of_unlimited_duration_can_be_stopped(motor):
     aim(motor, 1e308)
     motor.stop()
     motor.wait_until_done()
@@ -175,11 +176,11 @@ def test_a_motion_that_takes_longer_than_time_can_be_told_goes_on_and_can_be_sto
 
 
 def rest_to_rest(distance, duration_s):
-    """3 s^2 - 2 s^3 of the way."""
+    """Return 3 s^2 - 2 s^3 of the distance."""
     return Polynomial((0.0, 0.0, 3.0, -2.0)).restricted(0.0, 1.0).scaled(duration_s) * distance
 
 
-def test_a_complex_trajectory_is_followed_exactly_at_every_instant(runtime, motor):
+def test_complex_trajectory_is_followed_at_every_instant(runtime, motor):
     function = rest_to_rest(2.0, 4.0)
     follow(motor, ComplexTrajectory(function, relative=True))
     velocity = function.derivative()
@@ -192,7 +193,7 @@ def test_a_complex_trajectory_is_followed_exactly_at_every_instant(runtime, moto
     assert motor.position() == 2.25
 
 
-def test_a_complex_trajectory_of_velocity_makes_the_way_of_its_integral(runtime, motor):
+def test_complex_velocity_trajectory_covers_its_integral(runtime, motor):
     # v = t (2 - t): its integral t^2 - t^3 / 3.
     function = Polynomial((0.0, 2.0, -1.0)).restricted(0.0, 2.0)
     follow(motor, ComplexTrajectory(function), VELOCITY)
@@ -202,7 +203,7 @@ def test_a_complex_trajectory_of_velocity_makes_the_way_of_its_integral(runtime,
     assert (motor.position(), motor.velocity()) == near(0.25 + 4 - 8 / 3, 0.0)
 
 
-def test_a_piece_of_a_function_begins_at_its_initial_argument(runtime, motor):
+def test_function_piece_begins_at_its_initial_argument(runtime, motor):
     function = Polynomial((0.0, 1.0))  # of velocity, from argument 0 to 1.5
     follow(motor, ComplexTrajectory(function, 0.0, 1.5), VELOCITY)
     motor.wait_until_done()
@@ -212,14 +213,14 @@ def test_a_piece_of_a_function_begins_at_its_initial_argument(runtime, motor):
     assert (motor.velocity(), motor.position()) == near(1.0, 0.25 + 1.125 + 0.625)
 
 
-def test_a_complex_trajectory_of_torque_is_followed_too(runtime, motor):
+def test_complex_torque_trajectory_is_followed(runtime, motor):
     follow(motor, ComplexTrajectory(Polynomial((1.0, -0.5)).restricted(0.0, 2.0)), TORQUE)
     assert [torque for _, _, torque in samples(runtime, motor, 0.5, 6)] == [
         *(1.0, 0.75, 0.5, 0.25, 0.0, 0.0)
     ]
 
 
-# --- over an argument that is not time: another motor's position
+# --- over another argument: another motor's position
 
 
 @pytest.fixture
@@ -227,10 +228,10 @@ def leader(runtime):
     return IdealMotor(IdealHwMotor(runtime, "leading"), MODEL, name="leader")
 
 
-GEAR = Polynomial((0.25, 0.5)).restricted(0.0, 2.0)  # half as fast, from where the motor is
+GEAR = Polynomial((0.25, 0.5)).restricted(0.0, 2.0)  # half as fast, from the motor's position
 
 
-def test_a_motor_led_by_another_is_where_the_gear_says_at_every_instant(runtime, motor, leader):
+def test_led_motor_follows_the_gear_at_every_instant(runtime, motor, leader):
     follow(motor, ComplexTrajectory(GEAR), argument=MotorPosition(leader))
     runtime.run_for(0.1)
     assert (motor.position(), motor.velocity()) == (0.25, 0.0)  # the leader stands still
@@ -251,10 +252,10 @@ def test_a_motor_led_by_another_is_where_the_gear_says_at_every_instant(runtime,
     runtime.run_for(0.1)
     follow(leader, TrapezoidalTrajectory(-1.0))
     leader.wait_until_done()
-    assert motor.position() == 1.25  # it has arrived, and is led no longer
+    assert motor.position() == 1.25  # it has arrived, and is no longer led
 
 
-def test_where_it_was_led_does_not_depend_on_who_looks(runtime, leader):
+def test_led_position_does_not_depend_on_reading(runtime, leader):
     ends = []
     for look in (False, True):
         motor = IdealMotor(IdealHwMotor(runtime, f"looked at {look}"), MODEL, name="m")
@@ -267,24 +268,24 @@ def test_where_it_was_led_does_not_depend_on_who_looks(runtime, leader):
                 motor.latest()
             runtime.run_for(0.0003)
         ends.append((motor.position(), motor.velocity()))
-    # Velocity is the leader's place: its way is that of an integral over the leader's motion,
-    # p = 0.45 of way and half the duration 0.9 each by symmetry, to the step of 1 ms.
+    # Velocity is the leader's position: the distance is an integral over the leader's motion, p =
+    # 0.45 of the distance and half the duration 0.9 each by symmetry, to the step of 1 ms.
     assert ends[0] == ends[1]
     assert ends[0][1] == pytest.approx(0.9, abs=1e-12)
 
 
-def test_the_way_made_while_led_is_the_integral(runtime, motor, leader):
+def test_led_velocity_covers_the_integral(runtime, motor, leader):
     gear = Polynomial((0.0, 0.5)).restricted(0.0, 4.0)
     leader.home()
     follow(motor, ComplexTrajectory(gear), VELOCITY, MotorPosition(leader))
-    aim(leader, 2.0)  # at 2 rad/s for 1 s: v = t, way t^2 / 2
+    aim(leader, 2.0)  # at 2 rad/s for 1 s: v = t, distance t^2 / 2
     runtime.run_for(0.5)
     assert motor.position() - 0.25 == pytest.approx(0.125, abs=1e-9)  # ten nanometres of a step
     leader.wait_until_done()
     assert motor.position() - 0.25 == pytest.approx(0.5, abs=1e-9)
 
 
-def test_an_argument_that_cannot_be_told_moves_nothing_and_later_ends_the_motion(runtime, motor):
+def test_missing_argument_moves_nothing_and_ends_the_motion(runtime, motor):
     class Fickle:
         name, rate_max, known = "fickle", 1.0, False
 

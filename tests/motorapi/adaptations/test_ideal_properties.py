@@ -1,14 +1,16 @@
-"""Whatever an ideal motor is told, its readings belong to one motion: position is the integral of
-velocity, nothing exceeds a limit, and what was promised to be over is over."""
+"""Properties of an ideal motor under any sequence of commands.
+
+Position is the integral of velocity, no limit is exceeded, and a finished motion is at its goal.
+"""
 
 from contextlib import contextmanager
 
 from hypothesis import event, example, given
 from hypothesis import strategies as st
 
-from emulators.event_queue import EventQueue
-from harness.virtual_time import VirtualRuntime
-from motorapi import (
+from motorhil.emulators.simulation.event_queue import EventQueue
+from motorhil.harness.virtual_time.runtime import VirtualRuntime
+from motorhil.motorapi import (
     ComplexTrajectory,
     ControlMode,
     ControlVariable,
@@ -17,8 +19,9 @@ from motorapi import (
     TrapezoidalTrajectory,
     UsageError,
 )
-from motorapi.adaptations.ideal import IdealHwMotor, IdealMotor
-from motorapi.functions import Polynomial
+from motorhil.motorapi.adaptations.ideal.hardware import IdealHwMotor
+from motorhil.motorapi.adaptations.ideal.motor import IdealMotor
+from motorhil.motorapi.functions import Polynomial
 
 VELOCITY_MAX, UP, DOWN = 2.0, 4.0, 8.0
 MODEL = MotorModel(
@@ -51,7 +54,7 @@ def one_motor():
 
 
 def tell(motor, word, *rest):
-    """The command has begun; whether it was allowed."""
+    """Start the command; return whether it was allowed."""
     try:
         if word in ("stop", "quick_stop", "disable", "home"):
             getattr(motor, word)()
@@ -86,7 +89,7 @@ FASTER = (
 @given(STEPS)
 @example(FASTER)
 @example(((("aim", ControlVariable.POSITION, 0.5e-9, None), 0.0),))
-def test_position_is_the_integral_of_velocity_whatever_the_motor_is_told(steps):
+def test_position_is_the_integral_of_velocity(steps):
     with one_motor() as motor:
         runtime = motor.runtime
         for command, pause_s in steps:
@@ -94,15 +97,15 @@ def test_position_is_the_integral_of_velocity_whatever_the_motor_is_told(steps):
             allowed = tell(motor, *command)
             event(f"{command[0]}: {'done' if allowed else 'refused'}")
             before = motor.latest()
-            if command[0] != "home":  # which calls the place 0
-                # What takes less than half a nanosecond is over at once.
+            if command[0] != "home":  # defines the present position as 0
+                # A motion shorter than half a nanosecond is over at once.
                 assert abs(before.position - place) <= 0.5e-9 * VELOCITY_MAX
             steps_left = int(pause_s / STEP_S)
             for _ in range(steps_left):
                 runtime.run_for(STEP_S)
                 now = motor.latest()
                 assert abs(now.velocity) <= VELOCITY_MAX + 1e-9
-                # Velocity may step where a set-point of position begins or ends, by its limit.
+                # Velocity may step, up to its limit, where a position set-point begins or ends.
                 low, high = sorted((before.velocity, now.velocity))
                 made = now.position - before.position
                 slack = 0.5 * DOWN * STEP_S**2 + 1e-12
@@ -111,7 +114,7 @@ def test_position_is_the_integral_of_velocity_whatever_the_motor_is_told(steps):
 
 
 @given(COMMANDS, st.floats(0.0, 2.0))
-def test_a_stop_comes_to_rest_in_the_time_that_the_deceleration_takes(command, after_s):
+def test_stop_takes_the_time_of_its_deceleration(command, after_s):
     with one_motor() as motor:
         if not tell(motor, *command) or motor.state().value != "enabled":
             event("nothing to stop")
@@ -123,7 +126,7 @@ def test_a_stop_comes_to_rest_in_the_time_that_the_deceleration_takes(command, a
         asked_ns = runtime.now_ns()
         motor.wait_until_done(10.0)
         event("moved" if before.velocity else "at rest")
-        # From v at d: v/d, over v^2 / 2d; the end is told to the nanosecond.
+        # From v at d: v/d, over v^2 / 2d; the end is exact to the nanosecond.
         took_s, size = (runtime.now_ns() - asked_ns) / 1e9, abs(before.velocity)
         assert abs(took_s - size / DOWN) <= 1e-9
         way = abs(motor.position() - before.position)
@@ -132,7 +135,7 @@ def test_a_stop_comes_to_rest_in_the_time_that_the_deceleration_takes(command, a
 
 
 @given(COMMANDS.filter(lambda command: len(command) > 1))
-def test_what_is_over_has_reached_what_was_told(command):
+def test_finished_motion_has_reached_its_goal(command):
     word, variable, value, _ = command
     with one_motor() as motor:
         if not tell(motor, *command):

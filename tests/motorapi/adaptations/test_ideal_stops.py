@@ -1,10 +1,10 @@
-"""How an ideal motor stops, is shared, begins together with others, and is built by a rig."""
+"""Stops, sharing, group starts and rig settings of an ideal motor."""
 
 import pytest
 
-from emulators.event_queue import EventQueue
-from harness.virtual_time import VirtualRuntime
-from motorapi import (
+from motorhil.emulators.simulation.event_queue import EventQueue
+from motorhil.harness.virtual_time.runtime import VirtualRuntime
+from motorhil.motorapi import (
     DerivativeLimits,
     DeviceFault,
     LinkError,
@@ -19,8 +19,9 @@ from motorapi import (
     UnsupportedError,
     UsageError,
 )
-from motorapi.adaptations.ideal import IdealHwMotor, IdealMotor, build
-from motorapi.synchronization import SyncLevel
+from motorhil.motorapi.adaptations.ideal.hardware import IdealHwMotor
+from motorhil.motorapi.adaptations.ideal.motor import IdealMotor, build
+from motorhil.motorapi.synchronization.quality import SyncLevel
 from tests.motorapi.adaptations.ideals import (
     MODEL,
     ROUNDING,
@@ -52,7 +53,7 @@ def motor(hw):
 # --- stopping
 
 
-def test_stop_slows_down_at_the_motions_deceleration(runtime, motor):
+def test_stop_uses_the_motions_deceleration(runtime, motor):
     follow(motor, TrapezoidalTrajectory(2.0, limits=DerivativeLimits(second=(-4.0, 4.0))))
     runtime.run_for(0.5)
     motor.stop()
@@ -63,7 +64,7 @@ def test_stop_slows_down_at_the_motions_deceleration(runtime, motor):
     assert motor.position() == 0.25 + 0.5 + 0.5
 
 
-def test_halt_is_a_stop_and_the_next_start_needs_nothing(runtime, motor):
+def test_halt_is_a_stop_and_start_needs_nothing_more(runtime, motor):
     aim(motor, 1.0, VELOCITY)
     motor.wait_until_done()
     motor.halt()
@@ -75,7 +76,7 @@ def test_halt_is_a_stop_and_the_next_start_needs_nothing(runtime, motor):
     assert motor.position() == 0.0
 
 
-def test_quick_stop_slows_down_at_the_models_deceleration_whatever_was_asked(runtime, motor):
+def test_quick_stop_uses_the_models_deceleration(runtime, motor):
     aim(motor, 2.0, VELOCITY, limits=DerivativeLimits(first=1.0))
     motor.wait_until_done()
     motor.quick_stop()
@@ -91,7 +92,7 @@ def test_quick_stop_slows_down_at_the_models_deceleration_whatever_was_asked(run
     assert motor.position() == 0.0
 
 
-def test_a_motor_whose_power_goes_off_stands_still_at_once(runtime, motor):
+def test_power_off_stops_the_motor_at_once(runtime, motor):
     aim(motor, 1.0, VELOCITY)
     runtime.run_for(0.25)
     motor.disable()
@@ -104,7 +105,7 @@ def test_a_motor_whose_power_goes_off_stands_still_at_once(runtime, motor):
 # --- faults, homing, closing
 
 
-def test_a_fault_in_mid_motion_ends_the_wait_when_it_comes(runtime, motor, hw):
+def test_fault_in_motion_ends_the_wait(runtime, motor, hw):
     follow(motor, TrapezoidalTrajectory(2.0))
     breaks = runtime.spawn("breaks", lambda: (runtime.run_for(0.3), hw.inject_fault(0x2310)))
     with pytest.raises(DeviceFault) as caught:
@@ -123,7 +124,7 @@ def test_a_fault_in_mid_motion_ends_the_wait_when_it_comes(runtime, motor, hw):
     assert motor.position() == pytest.approx(place, abs=ROUNDING)
 
 
-def test_homing_makes_here_the_place_0_at_once(runtime, motor):
+def test_homing_defines_the_position_as_0_at_once(runtime, motor):
     assert not motor.is_referenced()
     motor.home()
     assert motor.is_referenced()
@@ -132,7 +133,7 @@ def test_homing_makes_here_the_place_0_at_once(runtime, motor):
         motor.home(17)
 
 
-def test_a_closed_motor_is_offline_and_waiting_for_it_ends(runtime, motor, hw):
+def test_closed_motor_is_offline_and_waits_end(runtime, motor, hw):
     aim(motor, 1.0, VELOCITY, limits=DerivativeLimits(first=0.1))
     runtime.spawn("closes", lambda: (runtime.run_for(0.1), hw.close()))
     with pytest.raises((LinkError, MotionInterrupted)):
@@ -143,16 +144,16 @@ def test_a_closed_motor_is_offline_and_waiting_for_it_ends(runtime, motor, hw):
     assert IdealHwMotor(runtime, "axis 1").reading().position == 0.0
 
 
-# --- one physical motor, many logical ones
+# --- one physical motor, several logical ones
 
 
-def test_a_second_object_for_the_same_motor_is_refused_and_the_first_named(runtime, hw):
+def test_second_object_is_refused_naming_the_first(runtime, hw):
     with pytest.raises(UsageError, match="has a hardware object already: <IdealHwMotor axis 1"):
         IdealHwMotor(runtime, "axis 1")
-    IdealHwMotor(VirtualRuntime(EventQueue()), "axis 1")  # another world's
+    IdealHwMotor(VirtualRuntime(EventQueue()), "axis 1")  # of another runtime
 
 
-def test_logical_motors_share_the_motor_and_not_their_settings(runtime, motor, hw):
+def test_logical_motors_share_the_motor_not_the_settings(runtime, motor, hw):
     other = IdealMotor(hw, MODEL, name="other")
     aim(motor, 1.25)
     other.set_control_mode(SETPOINT)
@@ -167,7 +168,7 @@ def test_logical_motors_share_the_motor_and_not_their_settings(runtime, motor, h
     assert motor.position() == other.position()
 
 
-def test_a_stop_by_somebody_else_ends_the_wait_and_the_motion_has_no_end(runtime, motor, hw):
+def test_stop_by_another_ends_wait_and_motion_without_end(runtime, motor, hw):
     other = IdealMotor(hw, MODEL, name="other")
     follow(motor, TrapezoidalTrajectory(2.0))
     runtime.spawn("stops", lambda: (runtime.run_for(0.25), other.stop()))
@@ -182,7 +183,7 @@ def test_a_stop_by_somebody_else_ends_the_wait_and_the_motion_has_no_end(runtime
 # --- time
 
 
-def test_motors_of_a_group_begin_and_end_at_the_same_nanosecond(runtime):
+def test_group_begins_and_ends_at_the_same_nanosecond(runtime):
     motors = [IdealMotor(IdealHwMotor(runtime, f"axis {n}"), MODEL, name=f"m{n}") for n in "123"]
     group = MotorGroup(*motors)
     group.for_each(IdealMotor.set_control_mode, TRAJECTORY)
@@ -197,13 +198,13 @@ def test_motors_of_a_group_begin_and_end_at_the_same_nanosecond(runtime):
     assert [motor.position() for motor in motors] == [1.0, -2.0, 3.0]
 
 
-def test_a_motor_in_motion_makes_itself_heard_so_that_conditions_are_looked_at(runtime, motor):
+def test_moving_motor_notifies_so_conditions_are_checked(runtime, motor):
     aim(motor, 1.25)
     assert runtime.wait_until(lambda: motor.latest().position >= 1.0, 5.0)
     assert runtime.now_ns() == 375_000_000
 
 
-def test_a_motor_at_rest_costs_nothing(runtime, motor, hw):
+def test_motor_at_rest_needs_no_events(runtime, motor, hw):
     aim(motor, 1.25)
     motor.wait_until_done()
     motor.stop()
@@ -211,8 +212,8 @@ def test_a_motor_at_rest_costs_nothing(runtime, motor, hw):
     assert runtime.queue.next_time_ns() is None
 
 
-def test_looking_changes_nothing(runtime):
-    """Two motors, one of them looked at every 0.1 ms: they end with the same bits."""
+def test_reading_a_motor_changes_nothing(runtime):
+    """Two motors, one of them read every 0.1 ms: they end with the same bits."""
     quiet, watched = (
         IdealMotor(IdealHwMotor(runtime, name), MODEL, name=name) for name in ("quiet", "watched")
     )
@@ -224,10 +225,10 @@ def test_looking_changes_nothing(runtime):
     assert quiet.latest() == watched.latest()
 
 
-# --- what a rig builds
+# --- motors built by a rig
 
 
-def test_motors_built_for_one_axis_share_it_until_the_last_is_closed(runtime):
+def test_motors_built_for_one_axis_share_it_until_closed(runtime):
     table = {"name": "a", "axis": "shaft", "position_rad": 1.5, "torque_constant_n_m_a": 0.1}
     first = build(None, table, MODEL, runtime)
     second = build(None, {"name": "b", "axis": "shaft"}, MODEL, runtime)
@@ -241,22 +242,22 @@ def test_motors_built_for_one_axis_share_it_until_the_last_is_closed(runtime):
     assert build.needs_bus is False
 
 
-def test_a_motion_that_another_stops_before_it_has_moved_was_stopped_and_is_not_done(runtime):
+def test_motion_stopped_before_it_moved_is_stopped_not_done(runtime):
     hardware = IdealHwMotor(runtime)
     first, second = (IdealMotor(hardware, MODEL, name=name) for name in "ab")
     follow(first, TrapezoidalTrajectory(1.0))
     outcomes = []
     first.on_done(outcomes.append)
-    second.stop()  # at the very nanosecond at which it began
+    second.stop()  # at the very nanosecond of its beginning
     assert [str(outcome.ending) for outcome in outcomes] == ["Ending.INTERRUPTED"]
     with pytest.raises(MotionInterrupted, match=r"stop\(\) of b"):
         first.wait_until_done(1.0)
 
 
-def test_who_waits_for_a_motor_at_rest_that_is_reserved_lets_time_pass(runtime):
+def test_waiting_at_rest_in_a_reserved_motor_lets_time_pass(runtime):
     hardware = IdealHwMotor(runtime)
     first, second = (IdealMotor(hardware, MODEL, name=name) for name in "ab")
-    first.stop()  # there is a run, it is over, and nobody has looked yet
+    first.stop()  # there is a finished motion, and it has not been checked yet
     with first.reserve(), pytest.raises(MotorBusyError), second.reserve(timeout_s=0.05):
         pass
     assert runtime.now_ns() == 50_000_000
@@ -265,29 +266,29 @@ def test_who_waits_for_a_motor_at_rest_that_is_reserved_lets_time_pass(runtime):
 @pytest.mark.parametrize(
     ("settings", "told"),
     [
-        ({"axes": "x"}, "axes is no setting of an ideal rotary motor; did you mean axis?"),
-        ({"node_id": 1}, "node_id is no setting"),
-        ({"position_m": 1.0}, "position_m is no setting of an ideal rotary motor"),
+        ({"axes": "x"}, "axes is not a setting of an ideal rotary motor; did you mean axis?"),
+        ({"node_id": 1}, "node_id is not a setting"),
+        ({"position_m": 1.0}, "position_m is not a setting of an ideal rotary motor"),
         ({"position_rad": "far"}, "position_rad = 'far': must be a finite number"),
         ({"position_rad": True}, "position_rad = True: must be a finite number"),
         ({"torque_constant_n_m_a": 0}, "torque_constant_n_m_a = 0: must be > 0"),
         ({"axis": 3}, "axis = 3: must be a name"),
     ],
 )
-def test_a_wrong_setting_is_named(runtime, settings, told):
+def test_invalid_setting_is_named(runtime, settings, told):
     with pytest.raises(UsageError) as caught:
         build(None, {"name": "m", **settings}, MODEL, runtime)
     assert str(caught.value).startswith(told)
 
 
-def test_motors_of_one_axis_must_agree_on_its_settings(runtime):
+def test_motors_of_one_axis_must_agree_on_settings(runtime):
     first = build(None, {"name": "a", "axis": "shaft", "position_rad": 1.5}, MODEL, runtime)
-    with pytest.raises(UsageError, match="share its settings"):
+    with pytest.raises(UsageError, match="must have the same settings"):
         build(None, {"name": "b", "axis": "shaft", "position_rad": 1.0}, MODEL, runtime)
     first.close()
 
 
-def test_a_linear_motors_settings_are_in_metres(runtime):
+def test_linear_motor_settings_are_in_metres(runtime):
     model = MotorModel(name="rail", kind=MotionKind.LINEAR, velocity_max=1.0, acceleration_max=1.0)
     motor = build(None, {"name": "r", "position_m": 0.3}, model, runtime)
     assert motor.position() == 0.3

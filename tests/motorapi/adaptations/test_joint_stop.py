@@ -1,15 +1,15 @@
-"""Drives of one bus stop at one SYNC: the frames, and what the drives' demands really did."""
+"""Simultaneous stop of drives by one SYNC: frames and true demands."""
 
 from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 
-from emulators.media.faults import FaultKind, FaultRule
-from harness.rig import Rig, installed_plugins
-from harness.rig_file import parse_rig
-from harness.settings import Source
-from motorapi import (
+from motorhil.emulators.can.fault_rules import FaultKind, FaultRule
+from motorhil.harness.rig.config.rig_file import parse_rig
+from motorhil.harness.rig.config.toml import Source
+from motorhil.harness.rig.rig import Rig, installed_plugins
+from motorhil.motorapi import (
     ControlMode,
     DeviceFault,
     FaultReaction,
@@ -18,7 +18,7 @@ from motorapi import (
     Synchronization,
     TrapezoidalTrajectory,
 )
-from motorapi.adaptations.joint_stop import joint_stop_of
+from motorhil.motorapi.adaptations.cia402.motor import joint_stop_of
 from tests.motorapi.adaptations.wheels import INCREMENT_RAD, frames_on
 from tests.motorapi.kinds import MODEL
 from tests.motorapi.test_fault_reactions import DRIVE
@@ -44,7 +44,7 @@ def opened(count, bitrate=1_000_000, velocity_unit_inc=1):
 
 
 def started(rig, group, seconds=0.7):
-    """They are at their plateaus, all at 2 rad/s."""
+    """Bring all motors to their plateaus, at 2 rad/s."""
     group.for_each(Motor.enable)
     group.for_each(Motor.set_control_mode, ControlMode.TRAJECTORY)
     group.set_trajectory(*(TrapezoidalTrajectory(2.5) for _ in group))
@@ -55,7 +55,7 @@ def started(rig, group, seconds=0.7):
 
 
 class Demands:
-    """What each drive's profile demands, every tick; a drive stops when its demand slows down."""
+    """Each drive's profile demand at every tick; a drive stops when its demand slows down."""
 
     def __init__(self, rig, names):
         self.rig, self.names, self.seen = rig, names, []
@@ -66,7 +66,7 @@ class Demands:
         self.seen.append((self.rig.runtime.now_ns(), [one["demand_inc"] for one in truths]))
 
     def slowing_ns(self, place):
-        """When the demand of one first made 1 % less way in a tick than at the beginning."""
+        """Return the time when the demand of one first covered 1 % less in a tick than at first."""
         steps = [
             (at_ns, now[place] - before[place])
             for (_, before), (at_ns, now) in zip(self.seen, self.seen[1:], strict=False)
@@ -75,8 +75,8 @@ class Demands:
 
 
 @pytest.mark.parametrize("by_priority", [False, True], ids=["fifo", "priority"])
-def test_one_sync_halts_them_all_and_their_demands_slow_down_at_one_tick(by_priority):
-    """Also where the host's controller sends what has the smallest identifier first: SYNC."""
+def test_one_sync_halts_all_and_demands_slow_at_one_tick(by_priority):
+    """Also if the host's controller sends the smallest identifier first: SYNC."""
     with opened(10, bitrate=250_000) as (rig, group):
         host = next(one for one in rig.world.bus("can0")._ports if one.name == "host")
         host.by_priority = by_priority
@@ -103,7 +103,7 @@ def test_one_sync_halts_them_all_and_their_demands_slow_down_at_one_tick(by_prio
         assert max(begun) - min(begun) == 0
 
 
-def test_where_sync_runs_each_is_halted_by_a_frame_of_its_own():
+def test_stop_beside_a_cyclic_sync_halts_each_separately():
     with opened(3) as (rig, group):
         started(rig, group)
         link = group[0].hardware.link
@@ -119,7 +119,7 @@ def test_where_sync_runs_each_is_halted_by_a_frame_of_its_own():
             assert abs(motor.velocity()) < 0.01
 
 
-def test_a_sync_that_does_not_come_is_not_waited_for():
+def test_stop_does_not_wait_for_a_missing_sync():
     with opened(3) as (rig, group):
         started(rig, group)
         rule = FaultRule("no sync", FaultKind.DROP, identifier=SYNC, mask=0x7FF, sender="host")
@@ -130,7 +130,7 @@ def test_a_sync_that_does_not_come_is_not_waited_for():
             assert abs(motor.velocity()) < 0.01
 
 
-def test_afterwards_sync_starts_nothing_and_others_can_arm():
+def test_sync_after_a_joint_stop_starts_nothing():
     with opened(3) as (rig, group):
         started(rig, group)
         rig.controllers["m1"].stimulate("fault", 0x7500)
@@ -150,7 +150,7 @@ def test_afterwards_sync_starts_nothing_and_others_can_arm():
             group.wait_until_done()
 
 
-def test_a_target_that_was_set_by_a_latched_frame_is_not_believed_to_be_the_one_before():
+def test_latched_target_invalidates_the_believed_one():
     with opened(2) as (_, group):
         first, second = group
         group.for_each(Motor.set_control_mode, ControlMode.SETPOINT)
@@ -167,7 +167,7 @@ def test_a_target_that_was_set_by_a_latched_frame_is_not_believed_to_be_the_one_
         assert first.position() == pytest.approx(1.0, abs=0.001)
 
 
-def test_a_group_that_stops_together_does_so_when_it_is_told_to_stop():
+def test_group_stop_halts_the_group_at_once():
     with opened(4) as (rig, group):
         started(rig, group)
         demands = Demands(rig, [motor.name for motor in group])
@@ -180,7 +180,7 @@ def test_a_group_that_stops_together_does_so_when_it_is_told_to_stop():
         assert max(begun) - min(begun) == 0
 
 
-def test_a_drive_whose_halt_cannot_be_set_starts_all_the_same():
+def test_drive_without_halt_option_still_starts():
     with opened(2) as (rig, group):
         for name in ("m1", "m2"):
             rig.world.controller(name).od.get(0x605D, 0).access = "ro"

@@ -1,17 +1,17 @@
-"""Low-level access to a drive: all it can do, for one thread, and nobody else at it meanwhile.
+"""Low-level access to a drive: full function, exclusive to one thread.
 
 Source: the paper, Requirement 2.
 """
 
 import pytest
 
-from harness.rig import Rig
-from motorapi.adaptations.cia402 import Cia402Motor
-from motorapi.commands import ControlMode
-from motorapi.errors import DeadlineExceeded, MotorBusyError, MotorError, UsageError
-from motorapi.group import MotorGroup
-from motorapi.motor import Motor
-from motorapi.state import MotorState
+from motorhil.harness.rig.rig import Rig
+from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
+from motorhil.motorapi.commands import ControlMode
+from motorhil.motorapi.errors import DeadlineExceeded, MotorBusyError, MotorError, UsageError
+from motorhil.motorapi.group import MotorGroup
+from motorhil.motorapi.motor import Motor
+from motorhil.motorapi.state import MotorState
 from tests.motorapi.adaptations.conftest import drive
 from tests.motorapi.adaptations.low_level import OpenRig, go_to, sent_on
 
@@ -23,7 +23,7 @@ def rig(open_rig: OpenRig) -> Rig:
 
 @pytest.fixture
 def motor(rig: Rig) -> Cia402Motor:
-    """A motor whose drive is up."""
+    """Return a motor whose drive is up."""
     motor = rig.motors["left"]
     assert isinstance(motor, Cia402Motor)
     motor.hardware.connect()
@@ -32,7 +32,7 @@ def motor(rig: Rig) -> Cia402Motor:
 
 @pytest.fixture
 def fresh(rig: Rig) -> Cia402Motor:
-    """A motor whose drive still boots."""
+    """Return a motor whose drive is still booting."""
     motor = rig.motors["left"]
     assert isinstance(motor, Cia402Motor)
     return motor
@@ -43,10 +43,10 @@ def other(motor: Cia402Motor) -> Cia402Motor:
     return Cia402Motor(motor.hardware, motor.model, name="other")
 
 
-# --- what one can do with it ------------------------------------------------------------------
+# --- functions of the holder ------------------------------------------------------------------
 
 
-def test_the_hardware_is_there_with_all_its_objects_and_frames(rig: Rig, motor: Cia402Motor):
+def test_hardware_offers_all_objects_and_frames(rig: Rig, motor: Cia402Motor):
     with motor.low_level() as hardware:
         assert hardware is motor.hardware
         assert hardware.read("device_type") & 0xFFFF == 402
@@ -63,7 +63,7 @@ def test_the_hardware_is_there_with_all_its_objects_and_frames(rig: Rig, motor: 
         assert motor.state() is MotorState.ENABLED
 
 
-def test_frames_that_cannot_be_are_refused(motor: Cia402Motor):
+def test_invalid_frames_are_refused(motor: Cia402Motor):
     with motor.low_level() as hardware:
         for can_id, data in ((0x800, b""), (-1, b""), ("601", b""), (0x601, bytes(9))):
             with pytest.raises(UsageError):
@@ -75,7 +75,7 @@ def test_frames_that_cannot_be_are_refused(motor: Cia402Motor):
             inbox.receive(timeout_s=0.01)
 
 
-def test_nothing_is_sent_by_entering_and_leaving(rig: Rig, fresh: Cia402Motor):
+def test_entering_and_leaving_access_sends_nothing(rig: Rig, fresh: Cia402Motor):
     sent = sent_on(rig)
     with fresh.low_level():
         rig.runtime.run_for(0.5)
@@ -83,7 +83,7 @@ def test_nothing_is_sent_by_entering_and_leaving(rig: Rig, fresh: Cia402Motor):
     assert sent == []
 
 
-# --- what nobody can do meanwhile -------------------------------------------------------------
+# --- refusals for others ----------------------------------------------------------------------
 
 REFUSED = (
     Motor.start,
@@ -100,7 +100,7 @@ REFUSED = (
 )
 
 
-def test_everything_that_would_send_is_refused_and_names_the_holder(
+def test_sending_operations_of_others_are_refused_by_holder(
     rig: Rig, motor: Cia402Motor, other: Cia402Motor
 ):
     go_to(motor, 0.2)
@@ -124,11 +124,11 @@ def test_everything_that_would_send_is_refused_and_names_the_holder(
             for call in (group.start, group.stop, group.sync_capability):
                 with pytest.raises(MotorBusyError):
                     call()
-            # what was heard last is told
+            # the last received values are available
             assert one.state() is MotorState.ENABLED
             assert one.fault() is None
             assert one.position() == pytest.approx(0.2, abs=2e-3)  # the drive's position window
-            one.wait_until_done(timeout_s=0)  # nothing goes on
+            one.wait_until_done(timeout_s=0)  # nothing is active
             assert one.is_done()
             assert one.latest() is not None
         rig.runtime.run_for(0.2)
@@ -139,13 +139,13 @@ def test_everything_that_would_send_is_refused_and_names_the_holder(
     motor.wait_until_done(timeout_s=5)
 
 
-def test_a_stop_that_is_refused_says_what_remains(motor: Cia402Motor, other: Cia402Motor):
+def test_refused_stop_names_the_alternatives(motor: Cia402Motor, other: Cia402Motor):
     with motor.low_level(), pytest.raises(MotorBusyError) as caught:
         other.stop()
     assert "the drive's own dead-man" in caught.value.__notes__[0]
 
 
-def test_a_stop_from_a_callback_is_refused_though_the_holder_runs_it(
+def test_stop_from_a_callback_of_the_holder_is_refused(
     rig: Rig, motor: Cia402Motor, other: Cia402Motor
 ):
     refused: list[MotorError] = []
@@ -158,7 +158,7 @@ def test_a_stop_from_a_callback_is_refused_though_the_holder_runs_it(
 
     motor.enable()
     with motor.low_level() as hardware:
-        timer = rig.runtime.every(0.001, stop)  # runs in whatever thread lets time pass
+        timer = rig.runtime.every(0.001, stop)  # runs in any thread that lets time pass
         sent = sent_on(rig)
         for _ in range(5):
             hardware.read("position_actual_value")
@@ -168,7 +168,7 @@ def test_a_stop_from_a_callback_is_refused_though_the_holder_runs_it(
     assert [can_id for _, can_id, _ in sent] == [0x601] * 5
 
 
-def test_another_thread_cannot_work_the_hardware_object(rig: Rig, motor: Cia402Motor):
+def test_hardware_object_is_refused_to_another_thread(rig: Rig, motor: Cia402Motor):
     motor.enable()
     hardware = motor.hardware
     refused: list[str] = []
@@ -196,7 +196,7 @@ def test_another_thread_cannot_work_the_hardware_object(rig: Rig, motor: Cia402M
     assert sent == []
 
 
-def test_a_drive_never_heard_is_no_obstacle_and_nobody_brings_it_up(rig: Rig, fresh: Cia402Motor):
+def test_access_to_a_silent_drive_needs_no_bring_up(rig: Rig, fresh: Cia402Motor):
     other = Cia402Motor(fresh.hardware, fresh.model, name="other")
     sent = sent_on(rig)
     with fresh.low_level():

@@ -1,8 +1,8 @@
-"""Between entering and leaving low-level access the bus carries to the drive what its holder sent.
+"""Exclusive bus use during low-level access: only the holder's frames.
 
-A property over interleavings: Hypothesis says what several parties do and when, virtual time makes
-of it one run, and the bus record is the judge. Of what the host sends, these are of the bus and
-addressed to no drive, so they are spared: SYNC (080h) and the host's heartbeat (700h + 127).
+A property over interleavings: Hypothesis chooses the actions and times of several parties, virtual
+time makes one run of them, and the bus record is the judge. Two kinds of the host's frames are
+addressed to no drive, so they are exempt: SYNC (080h) and the host's heartbeat (700h + 127).
 """
 
 from collections.abc import Callable, Iterator
@@ -15,21 +15,21 @@ import pytest
 from hypothesis import event, given, settings
 from hypothesis import strategies as st
 
-from harness.rig import Rig
-from motorapi.adaptations.cia402 import Cia402Motor
-from motorapi.commands import ControlMode
-from motorapi.errors import MotorBusyError, MotorError
-from motorapi.functions import Sine
-from motorapi.group import MotorGroup
-from motorapi.sharing import PhysicalMotor
-from motorapi.trajectory import ComplexTrajectory, TrapezoidalTrajectory
+from motorhil.harness.rig.rig import Rig
+from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
+from motorhil.motorapi.commands import ControlMode
+from motorhil.motorapi.errors import MotorBusyError, MotorError
+from motorhil.motorapi.functions import Sine
+from motorhil.motorapi.group import MotorGroup
+from motorhil.motorapi.ownership.physical_motor import PhysicalMotor
+from motorhil.motorapi.trajectory import ComplexTrajectory, TrapezoidalTrajectory
 from tests.motorapi.adaptations.conftest import HEAD, drive
 
 NODE = 1
 # CiA 301, predefined connection set: SDO request and the four RPDOs of the node; and NMT, below.
 TO_NODE = (0x600 + NODE, 0x200 + NODE, 0x300 + NODE, 0x400 + NODE, 0x500 + NODE)
 
-# --- what the holder does: each act is the frames that it puts on the bus ----------------------
+# --- the holder's actions: each is the frames that it puts on the bus --------------------------
 
 Frame = tuple[int, bytes]
 
@@ -65,7 +65,7 @@ def let_time_pass(motor: Cia402Motor, frames: list[Frame]) -> None:
 HOLDS = (read_statusword, write_speed, raw_shutdown, use_the_interface, let_time_pass)
 
 
-# --- what others do ----------------------------------------------------------------------------
+# --- the others' actions -----------------------------------------------------------------------
 
 
 def move(motor: Cia402Motor) -> None:
@@ -75,7 +75,7 @@ def move(motor: Cia402Motor) -> None:
 
 
 def stream(motor: Cia402Motor) -> None:
-    """Set-points in csp, one a SYNC; perhaps stopped on the way by who comes next."""
+    """Stream set-points in csp, one per SYNC; the next party may stop them."""
     motor.set_control_mode(ControlMode.TRAJECTORY)
     motor.set_trajectory(ComplexTrajectory(Sine(0.02, 2.0).restricted(0.0, 0.3), relative=True))
     motor.start()
@@ -124,7 +124,7 @@ class Evidence:
     refused: int = 0
 
     def intrusions(self) -> list[str]:
-        """Each window in which the bus carried anything else to the drive than was sent there."""
+        """Return each window in which others than the holder sent frames to the drive."""
         found: list[str] = []
         for entered_ns, left_ns, expected in self.windows:
             seen = [frame for time_ns, frame in self.sent if entered_ns < time_ns <= left_ns]
@@ -177,7 +177,7 @@ def run(scenario: Scenario) -> Evidence:
             except MotorBusyError as busy:
                 evidence.refused += busy.purpose == "low-level access"
             except MotorError:
-                pass  # whatever the holder did to the drive: it is told as an error of the tree
+                pass  # every action of the holder ends with an error of the tree, if any
 
         def other(motor: Cia402Motor, acts: list[tuple[float, str]]) -> None:
             for pause_s, what in acts:
@@ -251,20 +251,20 @@ BUSY = Scenario(
 )
 
 
-def test_the_holder_is_there_and_the_others_try():
-    """So that the property above says something: a busy scenario, counted."""
+def test_scenario_has_a_holder_and_others_that_try():
+    """A busy scenario, counted, shows that the property above is not empty."""
     evidence = run(BUSY)
     assert evidence.intrusions() == []
     assert len(evidence.windows) == 3
     assert [len(frames) for _, _, frames in evidence.windows] == [3, 3, 3]
     assert evidence.refused >= 20
     outside = len(evidence.sent) - 9
-    assert outside > 100  # and they are heard when nobody has access
+    assert outside > 100  # and they are heard outside of access
 
 
 @pytest.mark.parametrize("gate", ["passage", "require_not_held_elsewhere", "is_over"])
-def test_each_gate_left_open_is_seen_on_the_bus(gate: str, monkeypatch: pytest.MonkeyPatch):
-    """What must go wrong does: the property is able to fail."""
+def test_each_removed_gate_is_detected_on_the_bus(gate: str, monkeypatch: pytest.MonkeyPatch):
+    """The property must be able to fail."""
 
     @contextmanager
     def open_passage(self: PhysicalMotor, motor: str, *, of_holder: bool = False) -> Iterator[None]:
@@ -276,6 +276,6 @@ def test_each_gate_left_open_is_seen_on_the_bus(gate: str, monkeypatch: pytest.M
     elif gate == "require_not_held_elsewhere":
         monkeypatch.setattr(PhysicalMotor, gate, lambda self: None)
     else:
-        monkeypatch.setattr("motorapi.low_level._is_at_rest", lambda motor, patient: True)
+        monkeypatch.setattr("motorhil.motorapi.motor._is_at_rest", lambda motor, patient: True)
         monkeypatch.setattr(PhysicalMotor, "passage", open_passage)
     assert run(BUSY).intrusions() != []

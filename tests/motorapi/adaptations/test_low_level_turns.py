@@ -1,4 +1,4 @@
-"""When low-level access begins, who is next, and how it ends.
+"""Begin, order and end of low-level access.
 
 Source: the paper, Requirement 2.
 """
@@ -7,15 +7,16 @@ from collections.abc import Callable
 
 import pytest
 
-from harness.rig import Rig
-from motorapi.adaptations.canopen_errors import SdoAborted
-from motorapi.adaptations.cia402 import Cia402HwMotor, Cia402Motor
-from motorapi.commands import ControlMode, ControlVariable
-from motorapi.errors import MotorBusyError, MotorError, StateError, UsageError
-from motorapi.functions import Sine
-from motorapi.motor import Motor
-from motorapi.state import MotorState
-from motorapi.trajectory import ComplexTrajectory, TrapezoidalTrajectory
+from motorhil.harness.rig.rig import Rig
+from motorhil.motorapi.adaptations.canopen.sdo import SdoAborted
+from motorhil.motorapi.adaptations.cia402.hardware import Cia402HwMotor
+from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
+from motorhil.motorapi.commands import ControlMode, ControlVariable
+from motorhil.motorapi.errors import MotorBusyError, MotorError, StateError, UsageError
+from motorhil.motorapi.functions import Sine
+from motorhil.motorapi.motor import Motor
+from motorhil.motorapi.state import MotorState
+from motorhil.motorapi.trajectory import ComplexTrajectory, TrapezoidalTrajectory
 from tests.motorapi.adaptations.conftest import drive
 from tests.motorapi.adaptations.low_level import OpenRig, go_to, sent_on
 
@@ -27,7 +28,7 @@ def rig(open_rig: OpenRig) -> Rig:
 
 @pytest.fixture
 def motor(rig: Rig) -> Cia402Motor:
-    """A motor whose drive is up."""
+    """Return a motor whose drive is up."""
     motor = rig.motors["left"]
     assert isinstance(motor, Cia402Motor)
     motor.hardware.connect()
@@ -36,7 +37,7 @@ def motor(rig: Rig) -> Cia402Motor:
 
 @pytest.fixture
 def fresh(rig: Rig) -> Cia402Motor:
-    """A motor whose drive still boots."""
+    """Return a motor whose drive is still booting."""
     motor = rig.motors["left"]
     assert isinstance(motor, Cia402Motor)
     return motor
@@ -47,10 +48,10 @@ def other(motor: Cia402Motor) -> Cia402Motor:
     return Cia402Motor(motor.hardware, motor.model, name="other")
 
 
-# --- when it begins ---------------------------------------------------------------------------
+# --- begin ------------------------------------------------------------------------------------
 
 
-def test_an_own_motion_must_be_over(rig: Rig, motor: Cia402Motor):
+def test_access_during_own_motion_is_refused(rig: Rig, motor: Cia402Motor):
     go_to(motor, 1.0)
     with pytest.raises(StateError, match=r"start\(\) of left goes on"), motor.low_level():
         raise AssertionError("it was given")
@@ -59,14 +60,14 @@ def test_an_own_motion_must_be_over(rig: Rig, motor: Cia402Motor):
         pass
 
 
-def test_another_ones_motion_is_named(motor: Cia402Motor, other: Cia402Motor):
+def test_access_during_anothers_motion_names_it(motor: Cia402Motor, other: Cia402Motor):
     go_to(other, 1.0)
     with pytest.raises(MotorBusyError, match=r"start\(\) of other"), motor.low_level():
         raise AssertionError("it was given")
     other.wait_until_done(timeout_s=5)
 
 
-def test_a_velocity_goes_on_until_it_is_stopped(rig: Rig, motor: Cia402Motor):
+def test_access_during_a_velocity_is_refused_until_stopped(rig: Rig, motor: Cia402Motor):
     motor.set_control_mode(ControlMode.SETPOINT, ControlVariable.VELOCITY)
     motor.set_setpoint(0.5)
     motor.start()
@@ -80,7 +81,7 @@ def test_a_velocity_goes_on_until_it_is_stopped(rig: Rig, motor: Cia402Motor):
         assert motor.velocity is not None
 
 
-def test_the_end_of_a_motion_is_waited_for_and_its_waiter_is_told_the_truth(
+def test_access_waits_for_a_motion_and_its_waiter_gets_the_end(
     rig: Rig, motor: Cia402Motor, other: Cia402Motor
 ):
     motor.set_control_mode(ControlMode.TRAJECTORY)
@@ -98,10 +99,10 @@ def test_the_end_of_a_motion_is_waited_for_and_its_waiter_is_told_the_truth(
         rig.runtime.run_for(0.1)
     assert waiter.join(1.0)
     assert waiter.error is None
-    motor.wait_until_done()  # it did end at its target, whatever the holder did since
+    motor.wait_until_done()  # it did end at its target, regardless of the holder's later actions
 
 
-def test_a_fault_of_before_is_what_the_waiter_hears(rig: Rig, motor: Cia402Motor):
+def test_earlier_fault_is_reported_to_the_waiter(rig: Rig, motor: Cia402Motor):
     go_to(motor, 1.0)
     rig.controllers["left"].stimulate("fault", 0x3210)
     rig.runtime.run_for(0.1)
@@ -112,21 +113,21 @@ def test_a_fault_of_before_is_what_the_waiter_hears(rig: Rig, motor: Cia402Motor
         motor.wait_until_done()
 
 
-def test_streamed_set_points_must_be_over(rig: Rig, motor: Cia402Motor):
+def test_access_during_a_stream_is_refused(rig: Rig, motor: Cia402Motor):
     motor.enable()
     stream = motor.hardware.stream_positions(0.01, lambda cycle: 0)
     with pytest.raises(StateError, match="streamed"), motor.low_level():
         raise AssertionError("it was given")
     sent = sent_on(rig)
     rig.runtime.run_for(0.1)
-    assert len([one for one in sent if one[1] == 0x301]) >= 9  # it goes on
+    assert len([one for one in sent if one[1] == 0x301]) >= 9  # it continues
     stream.cancel()
     with motor.low_level():
         pass
 
 
-def test_a_drive_being_brought_up_is_waited_for(rig: Rig, fresh: Cia402Motor):
-    """The reader reads: access comes after that, not in the middle of bringing the drive up."""
+def test_access_waits_for_a_bring_up(rig: Rig, fresh: Cia402Motor):
+    """A reader brings the drive up; access is granted after that, not in the middle of it."""
     other = Cia402Motor(fresh.hardware, fresh.model, name="other")
     read: list[float] = []
     reader = rig.runtime.spawn("reader", lambda: read.append(other.position()))
@@ -142,7 +143,7 @@ def test_a_drive_being_brought_up_is_waited_for(rig: Rig, fresh: Cia402Motor):
     assert reader.error is None
 
 
-def test_what_was_sent_before_is_on_the_wire_before_access_is_given(rig: Rig, motor: Cia402Motor):
+def test_access_waits_until_earlier_frames_are_sent(rig: Rig, motor: Cia402Motor):
     motor.enable()
     rig.runtime.run_for(0.1)
     sent = sent_on(rig)
@@ -154,10 +155,10 @@ def test_what_was_sent_before_is_on_the_wire_before_access_is_given(rig: Rig, mo
     assert sent[0][0] <= entered_ns
 
 
-# --- who is next ------------------------------------------------------------------------------
+# --- order ------------------------------------------------------------------------------------
 
 
-def test_turns_are_first_come_first_served(rig: Rig, motor: Cia402Motor):
+def test_access_is_granted_first_come_first_served(rig: Rig, motor: Cia402Motor):
     order: list[str] = []
 
     def take(one: Motor, wait_s: float) -> Callable[[], None]:
@@ -179,7 +180,7 @@ def test_turns_are_first_come_first_served(rig: Rig, motor: Cia402Motor):
     assert order == ["m3", "m1", "m2", "m0"]
 
 
-def test_who_waits_in_vain_is_told_by_whom(rig: Rig, motor: Cia402Motor, other: Cia402Motor):
+def test_access_timeout_names_the_holder(rig: Rig, motor: Cia402Motor, other: Cia402Motor):
     def hold() -> None:
         with motor.low_level():
             rig.runtime.run_for(1.0)
@@ -200,7 +201,7 @@ def test_who_waits_in_vain_is_told_by_whom(rig: Rig, motor: Cia402Motor, other: 
     assert party.join(1.0)
 
 
-def test_an_operation_behind_one_who_waits_for_access_is_refused_when_that_one_has_it(
+def test_operation_behind_a_waiter_is_refused_during_access(
     rig: Rig, motor: Cia402Motor, other: Cia402Motor
 ):
     told: list[tuple[int, str]] = []
@@ -227,17 +228,15 @@ def test_an_operation_behind_one_who_waits_for_access_is_refused_when_that_one_h
 
 
 @pytest.mark.parametrize("timeout_s", [-1.0, "soon", float("nan")])
-def test_a_timeout_is_a_time(motor: Cia402Motor, timeout_s: float):
+def test_invalid_access_timeout_is_refused(motor: Cia402Motor, timeout_s: float):
     with pytest.raises(UsageError, match="timeout_s"), motor.low_level(timeout_s=timeout_s):
         pass
 
 
-# --- re-entry, and how it ends ----------------------------------------------------------------
+# --- re-entry and end -------------------------------------------------------------------------
 
 
-def test_a_block_inside_a_block_of_the_same_motor_changes_nothing(
-    motor: Cia402Motor, other: Cia402Motor
-):
+def test_nested_access_changes_nothing(motor: Cia402Motor, other: Cia402Motor):
     with motor.low_level() as outer:
         with motor.low_level() as inner:
             assert inner is outer
@@ -249,7 +248,7 @@ def test_a_block_inside_a_block_of_the_same_motor_changes_nothing(
     motor.enable()
 
 
-def test_access_ends_with_whatever_leaves_the_block(motor: Cia402Motor, other: Cia402Motor):
+def test_access_ends_with_any_exit_of_the_block(motor: Cia402Motor, other: Cia402Motor):
     with pytest.raises(ZeroDivisionError), motor.low_level():
         raise ZeroDivisionError
     other.stop()
@@ -258,14 +257,14 @@ def test_access_ends_with_whatever_leaves_the_block(motor: Cia402Motor, other: C
     other.enable()
 
 
-def test_what_the_holder_wrote_does_not_outlive_the_block(rig: Rig, motor: Cia402Motor):
+def test_holders_writes_do_not_outlive_the_block(rig: Rig, motor: Cia402Motor):
     go_to(motor, 0.3)
     motor.wait_until_done(timeout_s=5)
     with motor.low_level() as hardware:
         hardware.write("profile_velocity", 1)  # so slow that it would never arrive
         hardware.write("modes_of_operation", 3)
         hardware.write(0x1400, b"\x01\x02\x00\x80", subindex=1)  # RPDO 1, the controlword: off
-        hardware.write(0x1800, 0, subindex=5)  # TPDO 1 does not repeat the status any more
+        hardware.write(0x1800, 0, subindex=5)  # TPDO 1 no longer repeats the status
     sent = sent_on(rig)
     go_to(motor, 0.6)
     motor.wait_until_done(timeout_s=5)
@@ -278,10 +277,8 @@ def test_what_the_holder_wrote_does_not_outlive_the_block(rig: Rig, motor: Cia40
     assert {0x6060, 0x6081, 0x6083, 0x6084, 0x607A, 0x1400, 0x1800} <= written
 
 
-def test_a_second_start_without_access_in_between_writes_only_what_differs(
-    rig: Rig, motor: Cia402Motor
-):
-    """So that the test above says something."""
+def test_second_start_without_access_writes_only_changes(rig: Rig, motor: Cia402Motor):
+    """Shows that the test above is not empty."""
     go_to(motor, 0.3)
     motor.wait_until_done(timeout_s=5)
     sent = sent_on(rig)
@@ -295,18 +292,16 @@ def test_a_second_start_without_access_in_between_writes_only_what_differs(
     assert written == {0x6040, 0x607A}
 
 
-def test_a_state_told_after_the_block_is_the_drives(motor: Cia402Motor):
+def test_state_after_the_block_is_the_drives(motor: Cia402Motor):
     motor.enable()
     with motor.low_level():
         pass
-    assert motor.state() is MotorState.ENABLED  # heard all the time, if not brought up again yet
+    assert motor.state() is MotorState.ENABLED  # heard all the time, but not brought up yet
     assert isinstance(motor.hardware, Cia402HwMotor)
 
 
 @pytest.mark.parametrize("stopped", [True, False])
-def test_a_streamed_motion_has_said_its_last_word_before_access_is_given(
-    rig: Rig, motor: Cia402Motor, stopped: bool
-):
+def test_access_waits_for_the_last_frame_of_a_stream(rig: Rig, motor: Cia402Motor, stopped: bool):
     motor.set_control_mode(ControlMode.TRAJECTORY)
     motor.set_trajectory(ComplexTrajectory(Sine(0.1, 0.5).restricted(0.0, 2.0), relative=True))
     motor.start()

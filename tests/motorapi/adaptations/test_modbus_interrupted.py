@@ -1,11 +1,11 @@
-"""A Modbus drive that rests short of its target has not arrived, whatever its status says."""
+"""A Modbus drive that rests short of its target has not arrived."""
 
 import pytest
 
-from emulators.media.serial_faults import SerialFaultKind, SerialFaultRule
-from motorapi import ControlMode, ControlVariable
-from motorapi.adaptations.leadshine_hardware import LeadshineHwMotor
-from motorapi.errors import MotionInterrupted, UsageError
+from motorhil.emulators.media.serial_faults import SerialFaultKind, SerialFaultRule
+from motorhil.motorapi import ControlMode, ControlVariable
+from motorhil.motorapi.adaptations.leadshine.hardware import LeadshineHwMotor
+from motorhil.motorapi.errors import MotionInterrupted, UsageError
 from tests.emulators.modbus_bench import with_crc
 from tests.motorapi.adaptations.modbus_rigs import opened, run_s, text, truth
 
@@ -22,12 +22,12 @@ def begun(rig, variable=ControlVariable.POSITION):
 
 
 def say(rig, pdu):
-    """A second master says something to the drive, while ours is silent."""
+    """Send a request as a second client, while ours is silent."""
     rig.line("line").send(with_crc(b"\x01" + bytes.fromhex(pdu)))
     run_s(rig, 0.05)
 
 
-def test_a_limit_switch_ends_a_motion_short_of_its_target():
+def test_limit_switch_ends_a_motion_short_of_its_target():
     with opened(text().replace(SWITCHES, "switches = { limit_forward_rad = 0.2 }")) as rig:
         mast = begun(rig)
         with pytest.raises(MotionInterrupted, match=r"it rests at 0\.2"):
@@ -35,7 +35,7 @@ def test_a_limit_switch_ends_a_motion_short_of_its_target():
         assert truth(rig)["position_rad"] == pytest.approx(0.2, abs=0.05)
 
 
-def test_a_velocity_that_a_limit_switch_prevents_is_not_reached():
+def test_velocity_blocked_by_a_limit_switch_is_not_reached():
     switches = "switches = { limit_forward_rad = 0.02 }"
     with opened(text().replace(SWITCHES, switches)) as rig:
         mast = begun(rig, ControlVariable.VELOCITY)
@@ -43,7 +43,7 @@ def test_a_velocity_that_a_limit_switch_prevents_is_not_reached():
             mast.wait_until_done(5)
 
 
-def test_an_emergency_stop_input_ends_a_motion():
+def test_emergency_stop_input_ends_a_motion():
     with opened() as rig:
         mast = begun(rig)
         run_s(rig, 0.3)
@@ -61,17 +61,17 @@ def test_an_emergency_stop_input_ends_a_motion():
         pytest.param("oriental_az", "10 007C 0002 04 0000 0040", id="az, FREE"),
     ],
 )
-def test_what_another_master_ends_is_told(adaptation, pdu):
+def test_end_by_another_client_is_reported(adaptation, pdu):
     with opened(text(adaptation)) as rig:
         mast = begun(rig)
         run_s(rig, 0.3)
         say(rig, pdu)
-        with pytest.raises(MotionInterrupted, match="somebody else"):
+        with pytest.raises(MotionInterrupted, match="another program"):
             mast.wait_until_done(5)
 
 
 @pytest.mark.parametrize("adaptation", ["leadshine", "oriental_az"])
-def test_a_slow_line_is_no_reason_to_take_an_arrival_for_an_interruption(adaptation):
+def test_arrival_on_a_slow_line_is_not_an_interruption(adaptation):
     with opened(text(adaptation)) as rig:
         late = SerialFaultRule("late", SerialFaultKind.DELAY, sender="mast", delay_ns=60_000_000)
         mast = begun(rig)
@@ -81,7 +81,7 @@ def test_a_slow_line_is_no_reason_to_take_an_arrival_for_an_interruption(adaptat
 
 
 @pytest.mark.parametrize("adaptation", ["leadshine", "oriental_az"])
-def test_a_velocity_of_0_is_reached_at_rest(adaptation):
+def test_velocity_0_is_reached_at_rest(adaptation):
     with opened(text(adaptation)) as rig:
         mast = begun(rig, ControlVariable.VELOCITY)
         mast.wait_until_done(5)
@@ -91,7 +91,7 @@ def test_a_velocity_of_0_is_reached_at_rest(adaptation):
         assert truth(rig)["velocity_rad_s"] == pytest.approx(0.0, abs=0.02)
 
 
-def test_a_line_of_another_runtime_is_refused_and_its_motor_is_free_then():
+def test_line_of_another_runtime_is_refused_and_motor_is_free():
     with opened() as rig, opened() as other:
         line = rig.line("line")
         with pytest.raises(UsageError, match="another runtime"):
@@ -100,7 +100,7 @@ def test_a_line_of_another_runtime_is_refused_and_its_motor_is_free_then():
 
 
 @pytest.mark.parametrize(("line", "highest"), [("rtu", 247), ("tcp", 255)])
-def test_the_addresses_there_are(line, highest):
+def test_server_address_range_is_checked(line, highest):
     with opened(text(line=line)) as rig:
         LeadshineHwMotor(rig.line("line"), highest, runtime=rig.runtime).close()
         with pytest.raises(UsageError, match=f"1 to {highest}"):

@@ -1,4 +1,4 @@
-"""A line whose other end does what no server should: what is heard is taken for what it is."""
+"""A Modbus line whose peer violates the protocol."""
 
 import pytest
 from pymodbus.pdu.register_message import (
@@ -7,14 +7,13 @@ from pymodbus.pdu.register_message import (
     WriteSingleRegisterRequest,
 )
 
-from motorapi.adaptations.modbus_errors import ModbusProtocolViolation
-from motorapi.adaptations.modbus_line import ModbusLine
-from motorapi.errors import DeadlineExceeded, LinkError
+from motorhil.motorapi.adaptations.modbus.client import ModbusLine, ModbusProtocolViolation
+from motorhil.motorapi.errors import DeadlineExceeded, LinkError
 from tests.emulators.modbus_bench import with_crc
 from tests.motorapi.adaptations.modbus_rigs import MS, opened
 
 TIMEOUT_S = 0.2
-NEXT_S = 0.15  # how long the next answer takes
+NEXT_S = 0.15  # delay of the next answer
 
 
 class Subscription:
@@ -63,7 +62,7 @@ class Line:
 
 
 def never(line, number):
-    """Nothing is ever answered."""
+    """Answer no request."""
 
 
 @pytest.fixture
@@ -83,7 +82,7 @@ def read(line, unit=1):
 
 
 def rtu(value, unit=1):
-    """The answer to `read` (V1.1b3, 6.3)."""
+    """Return the answer to `read` (V1.1b3, 6.3)."""
     return with_crc(bytes((unit, 3, 2)) + value.to_bytes(2, "big"))
 
 
@@ -93,7 +92,7 @@ def tcp(transaction, pdu, length=None):
 
 
 def late(*pieces):
-    """The first request is answered too late, in pieces (time [s], bytes); the others in time."""
+    """Answer the first request late, in pieces (time [s], bytes), and the others in time."""
 
     def answer(line, number):
         if number > 1:
@@ -114,7 +113,7 @@ def late(*pieces):
         pytest.param([(0.25, rtu(7, unit=2)), (0.3, rtu(1111))], id="another unit before it"),
     ],
 )
-def test_a_late_answer_is_not_taken_for_the_next_ones_however_it_comes(runtime, pieces):
+def test_late_answer_in_pieces_is_not_the_next_one(runtime, pieces):
     _, modbus = on(runtime, late(*pieces))
     with pytest.raises((DeadlineExceeded, ModbusProtocolViolation)):
         read(modbus)
@@ -139,7 +138,7 @@ WRITE_TWO = WriteMultipleRegistersRequest(address=0x10, registers=[5, 6])
         (WRITE_TWO, "10 0010 0001"),
     ],
 )
-def test_an_answer_that_does_not_repeat_its_request_is_none(runtime, framing, request_, pdu):
+def test_answer_that_does_not_repeat_its_request_is_refused(runtime, framing, request_, pdu):
     def answer(line, number):
         said = bytes.fromhex(pdu)
         line.hear_after(0.01, with_crc(b"\x01" + said) if framing == "rtu" else tcp(1, said))
@@ -150,7 +149,7 @@ def test_an_answer_that_does_not_repeat_its_request_is_none(runtime, framing, re
 
 
 @pytest.mark.parametrize("length", [0, 1, 255])
-def test_a_header_that_is_none_is_the_servers_fault_and_the_next_answer_is_read(runtime, length):
+def test_invalid_header_is_reported_and_next_answer_is_read(runtime, length):
     def answer(line, number):
         said = bytes.fromhex("03 02 0007")
         line.hear_after(0.01, tcp(number, said, length if number == 1 else None))
@@ -162,7 +161,7 @@ def test_a_header_that_is_none_is_the_servers_fault_and_the_next_answer_is_read(
 
 
 @pytest.mark.parametrize("split", range(1, 11))
-def test_half_an_answer_in_time_on_tcp_spoils_no_other(runtime, split):
+def test_half_a_late_answer_on_tcp_harms_no_other(runtime, split):
     first, second = (tcp(n, bytes((3, 2, 0, n))) for n in (1, 2))
 
     def answer(line, number):
@@ -174,7 +173,7 @@ def test_half_an_answer_in_time_on_tcp_spoils_no_other(runtime, split):
     assert read(modbus) == [2]
 
 
-def test_on_a_line_that_is_never_silent_who_asks_is_told_and_a_stop_goes_out(runtime):
+def test_never_silent_line_times_out_but_a_stop_is_sent(runtime):
     line, modbus = on(runtime)
     line.hear_always(0.001, b"\x55")
     runtime.run_for(0.1)
@@ -189,7 +188,7 @@ def test_on_a_line_that_is_never_silent_who_asks_is_told_and_a_stop_goes_out(run
     assert [time_ns - began_ns for time_ns, _ in line.sent] == [pytest.approx(100 * MS, abs=2 * MS)]
 
 
-def test_what_is_posted_does_not_wait_for_a_late_answer_of_somebody_else(runtime):
+def test_posted_request_does_not_wait_for_a_late_answer(runtime):
     line, modbus = on(runtime)
     with pytest.raises(DeadlineExceeded):
         read(modbus, unit=2)
@@ -199,7 +198,7 @@ def test_what_is_posted_does_not_wait_for_a_late_answer_of_somebody_else(runtime
     assert line.sent[-1][0] - began_ns < MS
 
 
-def test_who_waits_behind_many_that_are_not_answered_still_has_his_turn(runtime):
+def test_request_behind_many_unanswered_ones_gets_its_turn(runtime):
     def answer(line, number):
         if line.sent[-1][1][0] == 9:
             line.hear_after(0.01, rtu(7, unit=9))
@@ -219,7 +218,7 @@ def test_who_waits_behind_many_that_are_not_answered_still_has_his_turn(runtime)
     assert told == [*[None] * 8, [7]]
 
 
-def test_a_line_that_fails_in_a_way_of_its_own_is_a_broken_link_each_time(runtime):
+def test_unexpected_line_failure_raises_link_error(runtime):
     def unplugged(line, number):
         raise OSError("unplugged")
 

@@ -1,4 +1,4 @@
-"""Motors on Modbus drives: the interface's promises, and nothing twice whatever the line does."""
+"""Motors on Modbus drives: the interface's guarantees on faulty lines."""
 
 from dataclasses import replace
 from math import pi
@@ -7,8 +7,8 @@ import pytest
 from hypothesis import event, given, settings
 from hypothesis import strategies as st
 
-from emulators.media.serial_faults import SerialFaultKind, SerialFaultRule
-from motorapi import (
+from motorhil.emulators.media.serial_faults import SerialFaultKind, SerialFaultRule
+from motorhil.motorapi import (
     ControlMode,
     ControlVariable,
     MotorGroup,
@@ -16,9 +16,12 @@ from motorapi import (
     SyncLevel,
     TrapezoidalTrajectory,
 )
-from motorapi.adaptations.leadshine_hardware import LeadshineHwMotor
-from motorapi.adaptations.modbus_errors import ModbusExceptionResponse, ModbusProtocolViolation
-from motorapi.errors import (
+from motorhil.motorapi.adaptations.leadshine.hardware import LeadshineHwMotor
+from motorhil.motorapi.adaptations.modbus.client import (
+    ModbusExceptionResponse,
+    ModbusProtocolViolation,
+)
+from motorhil.motorapi.errors import (
     DeadlineExceeded,
     DeviceFault,
     LimitError,
@@ -36,7 +39,7 @@ from tests.motorapi.adaptations.modbus_rigs import (
     truth,
 )
 
-RESOLUTION = 0.002  # rad: one step of the coarser drive, and what its servo leaves
+RESOLUTION = 0.002  # rad: one step of the coarser drive, and the error of its servo
 
 
 @pytest.fixture(params=list(ADAPTATIONS))
@@ -56,7 +59,7 @@ def go_to(motor, position, **words):
     motor.start()
 
 
-def test_a_set_point_of_position_is_reached(rig):
+def test_position_set_point_is_reached(rig):
     mast = rig.motors["mast"]
     go_to(mast, 0.5)
     mast.wait_until_done(5)
@@ -68,7 +71,7 @@ def test_a_set_point_of_position_is_reached(rig):
     assert mast.state() is MotorState.ENABLED
 
 
-def test_a_trajectory_takes_the_time_it_was_given(rig):
+def test_trajectory_takes_its_given_duration(rig):
     mast = rig.motors["mast"]
     mast.enable()
     mast.set_control_mode(ControlMode.TRAJECTORY)
@@ -77,11 +80,11 @@ def test_a_trajectory_takes_the_time_it_was_given(rig):
     begun_ns = rig.runtime.now_ns()
     mast.wait_until_done(5)
     took_s = (rig.runtime.now_ns() - begun_ns) / 1e9
-    assert took_s == pytest.approx(1.2, abs=0.06)  # whole rpm and ms, and a poll every 10 ms
+    assert took_s == pytest.approx(1.2, abs=0.06)  # integer rpm and ms, and a poll every 10 ms
     assert truth(rig)["position_rad"] == pytest.approx(0.8, abs=RESOLUTION)
 
 
-def test_the_limits_of_the_model_are_kept(rig):
+def test_model_limits_are_kept(rig):
     mast = rig.motors["mast"]
     fastest = 0.0
     go_to(mast, 2.0)
@@ -95,7 +98,7 @@ def test_the_limits_of_the_model_are_kept(rig):
 
 
 @pytest.mark.parametrize("way", [1.0, -1.0])
-def test_a_set_point_of_velocity_goes_on_until_it_is_stopped(rig, way):
+def test_velocity_set_point_continues_until_stopped(rig, way):
     mast = rig.motors["mast"]
     mast.set_control_mode(ControlMode.SETPOINT, ControlVariable.VELOCITY)
     mast.set_setpoint(way)
@@ -110,7 +113,7 @@ def test_a_set_point_of_velocity_goes_on_until_it_is_stopped(rig, way):
     assert truth(rig)["velocity_rad_s"] == 0.0
 
 
-def test_a_stop_in_the_middle_ends_the_motion_short_of_its_target(rig):
+def test_stop_in_motion_rests_short_of_the_target(rig):
     mast = rig.motors["mast"]
     go_to(mast, 2.0)
     run_s(rig, 0.5)
@@ -118,22 +121,22 @@ def test_a_stop_in_the_middle_ends_the_motion_short_of_its_target(rig):
     mast.wait_until_done(5)
     stopped = truth(rig)["position_rad"]
     assert 0.1 < stopped < 1.5
-    assert abs(truth(rig)["velocity_rad_s"]) < 0.01  # the drive says so; it still settles
+    assert abs(truth(rig)["velocity_rad_s"]) < 0.01  # by the drive's status; it still settles
     run_s(rig, 1.0)
     assert truth(rig)["position_rad"] == pytest.approx(stopped, abs=RESOLUTION)
 
 
-def test_a_stop_may_come_from_a_callback(rig):
+def test_stop_from_a_callback_is_executed(rig):
     mast = rig.motors["mast"]
     go_to(mast, 2.0)
     timer = rig.runtime.every(0.3, lambda: (mast.stop(), timer.cancel()))
     run_s(rig, 0.5)
-    mast.wait_until_done(5)  # what was commanded last here is the stop
+    mast.wait_until_done(5)  # the last command here is the stop
     assert 0.05 < truth(rig)["position_rad"] < 1.5
     assert abs(truth(rig)["velocity_rad_s"]) < 0.01
 
 
-def test_after_a_quick_stop_it_must_be_enabled_again(rig):
+def test_quick_stop_requires_enable_afterwards(rig):
     mast = rig.motors["mast"]
     go_to(mast, 2.0)
     run_s(rig, 0.4)
@@ -148,7 +151,7 @@ def test_after_a_quick_stop_it_must_be_enabled_again(rig):
     assert truth(rig)["position_rad"] == pytest.approx(0.0, abs=RESOLUTION)
 
 
-def test_here_may_be_called_zero(rig):
+def test_homing_here_defines_position_0(rig):
     mast = rig.motors["mast"]
     go_to(mast, 0.5)
     mast.wait_until_done(5)
@@ -159,7 +162,7 @@ def test_here_may_be_called_zero(rig):
         mast.home(99)
 
 
-def test_a_prdrive_finds_its_home_switch():
+def test_pr_drive_finds_its_home_switch():
     with opened() as rig:
         mast = rig.motors["mast"]
         mast.home(19, timeout_s=20)
@@ -168,7 +171,7 @@ def test_a_prdrive_finds_its_home_switch():
         assert at_switch == pytest.approx(0.3, abs=0.005)
 
 
-def test_an_alarm_is_the_drives_fault_until_it_is_reset(rig):
+def test_alarm_is_a_fault_until_reset(rig):
     mast = rig.motors["mast"]
     go_to(mast, 2.0)
     run_s(rig, 0.3)
@@ -184,7 +187,7 @@ def test_an_alarm_is_the_drives_fault_until_it_is_reset(rig):
     assert truth(rig)["position_rad"] == pytest.approx(0.1, abs=RESOLUTION)
 
 
-def test_the_power_stage_is_switched(rig):
+def test_power_stage_is_switched(rig):
     mast = rig.motors["mast"]
     mast.enable()
     assert mast.state() is MotorState.ENABLED
@@ -194,17 +197,17 @@ def test_the_power_stage_is_switched(rig):
     assert truth(rig)["current_a"] == 0.0
 
 
-def test_a_drive_that_is_not_heard_is_offline_until_it_is(rig):
+def test_silent_drive_is_offline_until_it_answers(rig):
     mast = rig.motors["mast"]
     mast.enable()
     rig.controllers["mast"].stimulate("power", 0)
     assert mast.state() is MotorState.OFFLINE
     rig.controllers["mast"].stimulate("power", 1)
-    run_s(rig, 2.0)  # a gateway takes a second to give up what was asked of it before
+    run_s(rig, 2.0)  # a gateway needs a second to abandon the request before
     assert mast.state() is not MotorState.OFFLINE
 
 
-def test_the_ramp_of_a_stop_is_told_again_after_somebody_else_had_the_drive():
+def test_stop_ramp_is_written_again_after_another_owner():
     with opened() as rig:
         mast = rig.motors["mast"]
         go_to(mast, 0.1)
@@ -218,7 +221,7 @@ def test_the_ramp_of_a_stop_is_told_again_after_somebody_else_had_the_drive():
             assert hardware.registers.read(0x6017) == told
 
 
-def test_several_on_one_line_start_one_after_another_and_say_so(adaptation):
+def test_drives_on_one_line_start_in_sequence_and_report_it(adaptation):
     with opened(text(adaptation, names=("pan", "tilt"))) as rig:
         pair = MotorGroup(rig.motors["pan"], rig.motors["tilt"])
         pair.for_each(lambda motor: motor.set_control_mode(ControlMode.TRAJECTORY))
@@ -238,13 +241,13 @@ def test_several_on_one_line_start_one_after_another_and_say_so(adaptation):
         assert 0.001 < quality.start_skew_s < 0.1
 
 
-def test_what_the_model_must_say_is_asked_for():
+def test_missing_gear_ratio_in_the_model_is_reported():
     lacking = text().replace("gear_ratio = 100.0\n", "")
     with opened(lacking) as rig, pytest.raises(UsageError, match="gear_ratio is not given"):
         rig.motors["mast"].enable()
 
 
-# --- the line fails ------------------------------------------------------------------------------
+# --- line faults ---------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -266,7 +269,7 @@ def test_what_the_model_must_say_is_asked_for():
         ),
     ],
 )
-def test_what_goes_wrong_has_its_own_error_and_the_next_request_works(rule, error):
+def test_each_failure_has_its_error_and_next_request_works(rule, error):
     with opened() as rig:
         mast = rig.motors["mast"]
         mast.enable()
@@ -278,7 +281,7 @@ def test_what_goes_wrong_has_its_own_error_and_the_next_request_works(rule, erro
         assert mast.position() == pytest.approx(0.0, abs=RESOLUTION)
 
 
-def test_a_late_answer_is_never_taken_for_that_to_the_next_request():
+def test_late_answer_never_answers_the_next_request():
     with opened() as rig:
         mast = rig.motors["mast"]
         mast.enable()
@@ -293,7 +296,7 @@ def test_a_late_answer_is_never_taken_for_that_to_the_next_request():
         assert unit.line.strays == 1
 
 
-def test_what_the_drive_refuses_is_told_with_its_address():
+def test_refusal_by_the_drive_names_its_address():
     with opened() as rig:
         mast = rig.motors["mast"]
         mast.enable()
@@ -309,7 +312,7 @@ MOVES = st.lists(st.sampled_from((0.3, -0.4, 0.7)), min_size=1, max_size=3)
 
 @settings(max_examples=60, deadline=None)
 @given(st.data(), MOVES, st.sampled_from(list(ADAPTATIONS)))
-def test_a_relative_move_is_made_at_most_once_whatever_the_line_does(data, moves, adaptation):
+def test_relative_move_is_made_at_most_once(data, moves, adaptation):
     with opened(text(adaptation)) as rig:
         mast = rig.motors["mast"]
         mast.enable()
@@ -329,7 +332,7 @@ def test_a_relative_move_is_made_at_most_once_whatever_the_line_does(data, moves
                 event(type(error).__name__)
             for name in names:
                 rig.faults.lift("line", name)
-            run_s(rig, 3.0)  # what is late has come, what moves has come to rest
+            run_s(rig, 3.0)  # late answers have come, moving drives are at rest
             moved = (truth(rig)["position_rad"] - before) / distance
             assert -0.02 < moved < 1.02
             if done:
@@ -347,8 +350,8 @@ def test_positions_are_those_of_the_output(rig):
     assert truth(rig)["position_inc"] == pytest.approx(2000 * 100 / 8, abs=60)
 
 
-def test_a_relative_command_that_is_sent_again_would_be_made_twice(monkeypatch):
-    """What the property above is there to find: both halves of the mistake, planted."""
+def test_repeated_relative_command_would_move_twice(monkeypatch):
+    """The mistake that the property above must find: both halves of it, injected."""
     prepare, trigger = LeadshineHwMotor.prepare, LeadshineHwMotor.trigger
 
     def prepare_relative(self, motion, model):

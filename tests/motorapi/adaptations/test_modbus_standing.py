@@ -1,14 +1,14 @@
-"""What is known of a Modbus drive is asked again after others had it, or it was without power."""
+"""Knowledge of a Modbus drive expires with its owner or its power."""
 
 import pytest
 
-from emulators.media.serial_faults import SerialFaultKind, SerialFaultRule
-from motorapi import ControlMode, MotorState
-from motorapi.errors import DeadlineExceeded
+from motorhil.emulators.media.serial_faults import SerialFaultKind, SerialFaultRule
+from motorhil.motorapi import ControlMode, MotorState
+from motorhil.motorapi.errors import DeadlineExceeded
 from tests.motorapi.adaptations.modbus_rigs import ADAPTATIONS, opened, run_s, text, truth
 
-RESOLUTION = 0.004  # rad: two steps of the coarser drive, that here counts half as many
-# Registers that say how much a turn is, and what they hold when a turn is half as many steps.
+RESOLUTION = 0.004  # rad: two steps of the coarser drive, which counts half as many here
+# Registers of the steps per turn, and their values for half as many steps.
 COARSER = {"leadshine": (0x0001, (5000,)), "oriental_az": (0x0380, (0, 2))}
 QUICK_RAMP = 0x6017
 ONE_IS_LOST = SerialFaultRule("lost", SerialFaultKind.LOSE, sender="mast", limit=1)
@@ -33,7 +33,7 @@ def go_to(motor, position):
 
 
 def cut_power(rig):
-    """Its supply was gone for a while, and somebody asked it meanwhile."""
+    """Remove the supply for a while, and send a request meanwhile."""
     drive = rig.controllers["mast"]
     drive.stimulate("power", 0)
     assert rig.motors["mast"].state() is MotorState.OFFLINE
@@ -41,7 +41,7 @@ def cut_power(rig):
     run_s(rig, 2.0)
 
 
-def test_what_somebody_else_made_of_a_turn_is_asked_before_the_next_motion(rig, adaptation):
+def test_steps_per_turn_are_read_again_after_another_owner(rig, adaptation):
     mast = rig.motors["mast"]
     go_to(mast, 0.1)
     with mast.low_level() as hardware:
@@ -52,7 +52,7 @@ def test_what_somebody_else_made_of_a_turn_is_asked_before_the_next_motion(rig, 
     assert mast.position() == pytest.approx(0.5, abs=RESOLUTION)
 
 
-def test_a_turn_is_what_it_was_saved_as_after_power_was_gone(rig, adaptation):
+def test_steps_per_turn_are_the_saved_ones_after_power_loss(rig, adaptation):
     mast = rig.motors["mast"]
     mast.enable()
     with mast.low_level() as hardware:
@@ -67,7 +67,7 @@ def test_a_turn_is_what_it_was_saved_as_after_power_was_gone(rig, adaptation):
 
 
 @pytest.mark.parametrize("has_moved", [True, False])
-def test_a_drive_that_was_without_power_is_enabled_by_nobody(rig, has_moved):
+def test_drive_after_power_loss_is_not_enabled(rig, has_moved):
     mast = rig.motors["mast"]
     mast.enable()
     if has_moved:
@@ -79,7 +79,7 @@ def test_a_drive_that_was_without_power_is_enabled_by_nobody(rig, has_moved):
     assert mast.state() is MotorState.ENABLED
 
 
-def test_a_drive_of_which_an_answer_was_lost_is_as_enabled_as_before(rig):
+def test_drive_after_a_lost_answer_is_still_enabled(rig):
     mast = rig.motors["mast"]
     go_to(mast, 0.1)
     rig.faults.inject("line", ONE_IS_LOST)
@@ -91,7 +91,7 @@ def test_a_drive_of_which_an_answer_was_lost_is_as_enabled_as_before(rig):
 
 
 @pytest.mark.parametrize("adaptation", ["leadshine"])
-def test_the_ramp_of_a_stop_is_told_again_after_power_was_gone(rig):
+def test_stop_ramp_is_written_again_after_power_loss(rig):
     mast = rig.motors["mast"]
     go_to(mast, 0.1)
     told = mast.hardware.registers.read(QUICK_RAMP)

@@ -1,8 +1,8 @@
-"""When a motion has begun and is over, by statuswords alone."""
+"""Begin and end of a motion, from statuswords alone."""
 
 import pytest
 
-from motorapi.adaptations.motion_watch import (
+from motorhil.motorapi.adaptations.cia402.motion_status import (
     SETTLE_NS,
     HomingWatch,
     RestWatch,
@@ -29,7 +29,7 @@ def set_point(expected_ms: int = 100, tolerance: int | None = 10) -> SetpointWat
     return watch
 
 
-def test_a_set_point_begins_with_its_acknowledge_and_ends_with_target_reached():
+def test_set_point_begins_and_ends_by_its_bits():
     watch = set_point()
     watch.see(REACHED, 0, 6 * MS)
     assert watch.started_ns is None
@@ -42,7 +42,7 @@ def test_a_set_point_begins_with_its_acknowledge_and_ends_with_target_reached():
     assert watch.ended_ns == 120 * MS
 
 
-def test_target_reached_of_the_motion_before_is_not_believed():
+def test_old_target_reached_is_ignored():
     watch = set_point()
     for time_ms in range(7, 27, 2):  # a drive that shows it 20 ms too long
         watch.see(ACK_REACHED, 0, time_ms * MS)
@@ -52,7 +52,7 @@ def test_target_reached_of_the_motion_before_is_not_believed():
     assert watch.ended_ns == 110 * MS
 
 
-def test_a_status_of_before_that_was_late_on_its_way_is_not_believed():
+def test_delayed_old_status_is_ignored():
     watch = SetpointWatch(
         commanded_ns=None,
         expected_ns=100 * MS,
@@ -70,7 +70,7 @@ def test_a_status_of_before_that_was_late_on_its_way_is_not_believed():
     assert watch.ended_ns == 10 * MS
 
 
-def test_a_bit_that_is_never_seen_low_counts_when_time_and_place_are_right():
+def test_bit_never_low_counts_by_duration_and_position():
     watch = set_point(expected_ms=100)
     watch.see(ACK_REACHED, 0, 10 * MS)
     watch.see(REACHED, 1000, 110 * MS - 1)
@@ -81,25 +81,25 @@ def test_a_bit_that_is_never_seen_low_counts_when_time_and_place_are_right():
     assert watch.ended_ns == 111 * MS
 
 
-def test_a_move_of_length_zero_ends_at_its_acknowledge():
+def test_move_of_length_zero_ends_at_its_acknowledge():
     watch = set_point(expected_ms=0)
     watch.see(ACK_REACHED, 1000, 7 * MS)
     assert (watch.started_ns, watch.ended_ns) == (7 * MS, 7 * MS)
 
 
-def test_without_a_position_window_time_alone_decides():
+def test_motion_without_position_window_ends_by_duration():
     watch = set_point(expected_ms=100, tolerance=None)
     watch.see(ACK_REACHED, 0, 10 * MS)
     watch.see(REACHED, 0, 110 * MS)
     assert watch.ended_ns == 110 * MS
 
 
-def test_a_target_velocity_counts_from_when_it_was_on_the_wire():
+def test_target_velocity_begins_when_on_the_wire():
     watch = SetpointWatch(
         commanded_ns=None, expected_ns=0, acknowledged=False, target_inc=None, tolerance_inc=None
     )
     watch.see(MOVING, 0, 1 * MS)
-    watch.see(REACHED, 0, 2 * MS)  # armed, not fired: both are of before
+    watch.see(REACHED, 0, 2 * MS)  # armed, not fired: both are older
     assert watch.started_ns is None
     watch.begin(3 * MS)
     watch.begin(9 * MS)  # the first counts
@@ -110,9 +110,9 @@ def test_a_target_velocity_counts_from_when_it_was_on_the_wire():
     assert (watch.started_ns, watch.ended_ns) == (4 * MS, 50 * MS)
 
 
-def test_rest_needs_the_bit_and_a_position_that_stands_still():
+def test_rest_needs_the_bit_and_standstill():
     watch = RestWatch(commanded_ns=0, needs_bit=True)
-    watch.see(REACHED, 0, 0)  # pv: at speed, the bit means the velocity is reached
+    watch.see(REACHED, 0, 0)  # pv: at speed, the bit means that the velocity is reached
     watch.see(REACHED, 50, 20 * MS)
     watch.see(MOVING, 80, 40 * MS)
     watch.see(MOVING, 81, 60 * MS)
@@ -121,7 +121,7 @@ def test_rest_needs_the_bit_and_a_position_that_stands_still():
     assert watch.ended_ns == 61 * MS
 
 
-def test_rest_after_a_quick_stop_is_seen_by_position_alone():
+def test_rest_after_quick_stop_is_seen_by_position():
     watch = RestWatch(commanded_ns=0, needs_bit=False)
     watch.see(0x0217, 80, 40 * MS)
     watch.see(0x0217, 80, 40 * MS + SETTLE_NS - 1)
@@ -131,7 +131,7 @@ def test_rest_after_a_quick_stop_is_seen_by_position_alone():
 
 
 @pytest.mark.parametrize("error", [False, True])
-def test_a_homing_attained_before_is_not_believed_until_it_was_seen_low(error: bool):
+def test_old_homing_attained_is_ignored_until_seen_low(error: bool):
     homed: list[bool] = []
     watch = HomingWatch(commanded_ns=10 * MS, on_success=lambda: homed.append(True))
     watch.see(ACK_REACHED, 0, 12 * MS)  # drives.md: 1400h is "completed", of the homing before
@@ -143,7 +143,7 @@ def test_a_homing_attained_before_is_not_believed_until_it_was_seen_low(error: b
     assert homed == ([] if error else [True])
 
 
-def test_a_homing_that_is_over_at_once_is_believed_after_the_settling_time():
+def test_immediate_homing_counts_after_the_settling_time():
     watch = HomingWatch(commanded_ns=10 * MS)
     watch.see(ACK_REACHED, 0, 10 * MS + SETTLE_NS - 1)
     assert watch.ended_ns is None
@@ -151,7 +151,7 @@ def test_a_homing_that_is_over_at_once_is_believed_after_the_settling_time():
     assert watch.ended_ns == 10 * MS + SETTLE_NS
 
 
-def test_homing_attained_but_still_moving_is_not_over():
+def test_homing_attained_while_moving_is_not_over():
     watch = HomingWatch(commanded_ns=0)
     watch.see(MOVING, 0, 5 * MS)
     watch.see(ACK, 0, 6 * MS)  # 1000h: attained, target not reached
@@ -160,7 +160,7 @@ def test_homing_attained_but_still_moving_is_not_over():
     assert watch.ended_ns == 9 * MS
 
 
-def test_set_points_are_over_when_the_last_had_its_period_and_the_position_is_there():
+def test_stream_is_over_after_last_period_and_at_position():
     watch = StreamWatch(period_ns=5 * MS, tolerance_inc=10)
     watch.begin(10 * MS)
     assert watch.started_ns == 10 * MS
@@ -177,7 +177,7 @@ def test_set_points_are_over_when_the_last_had_its_period_and_the_position_is_th
     assert watch.ended_ns == 106 * MS
 
 
-def test_without_a_window_set_points_are_over_when_the_motor_stands():
+def test_stream_without_window_is_over_at_standstill():
     watch = StreamWatch(period_ns=MS, tolerance_inc=None)
     watch.arrive(1000, 100 * MS)
     for time_ms, position in ((101, 900), (110, 950), (120, 951), (129, 951)):
@@ -187,14 +187,14 @@ def test_without_a_window_set_points_are_over_when_the_motor_stands():
     assert watch.ended_ns == 110 * MS + SETTLE_NS
 
 
-def test_set_points_that_go_on_at_a_velocity_are_over_as_they_arrive():
+def test_stream_with_final_velocity_is_over_at_arrival():
     watch = StreamWatch(period_ns=MS, tolerance_inc=10)
     watch.arrive(None, 100 * MS)
     watch.see(MOVING, 123, 101 * MS)
     assert watch.ended_ns == 101 * MS
 
 
-def test_set_points_that_failed_are_over_when_the_motor_stands_from_then_on():
+def test_failed_stream_is_over_at_later_standstill():
     watch = StreamWatch(period_ns=MS, tolerance_inc=10)
     told: list[int] = []
     watch.on_end = lambda: told.append(1)

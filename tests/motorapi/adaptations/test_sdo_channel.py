@@ -1,11 +1,10 @@
-"""SDO by canopen's client in a runtime: right bytes, right deadlines, no stale answer."""
+"""SDO by canopen's client in a runtime: bytes, deadlines, stale answers."""
 
 import pytest
 
-from motorapi.adaptations.canopen_errors import ProtocolViolation, SdoAborted
-from motorapi.adaptations.canopen_link import CanopenLink
-from motorapi.adaptations.sdo_channel import SdoChannel
-from motorapi.errors import DeadlineExceeded
+from motorhil.motorapi.adaptations.canopen.bus import CanopenLink
+from motorhil.motorapi.adaptations.canopen.sdo import ProtocolViolation, SdoAborted, SdoChannel
+from motorhil.motorapi.errors import DeadlineExceeded
 from tests.motorapi.adaptations.scripted import FRAME_NS, MS, Answer, ScriptedBus, Transcript, frame
 
 
@@ -14,7 +13,7 @@ def channel_to(bus: ScriptedBus, timeout_s: float = 0.3, quarantine_s: float = 1
     return SdoChannel(link, 2, timeout_s=timeout_s, quarantine_s=quarantine_s)
 
 
-# Bytes: canopen's own test/test_sdo.py, which follow CiA 301's SDO protocols.
+# Bytes: canopen's own test/test_sdo.py, which follows CiA 301's SDO protocols.
 
 
 def test_expedited_upload_is_one_request_and_one_answer():
@@ -45,7 +44,7 @@ def test_expedited_download_is_confirmed():
     assert script.is_over
 
 
-def test_segmented_download_ends_with_the_last_segment_marked():
+def test_segmented_download_marks_its_last_segment():
     script = Transcript(
         [
             ("602#210020000D000000", "582#6000200000000000"),
@@ -57,7 +56,7 @@ def test_segmented_download_ends_with_the_last_segment_marked():
     assert script.is_over
 
 
-def test_an_abort_says_where_and_why():
+def test_abort_error_names_place_and_code():
     script = Transcript([("602#4018100100000000", "582#8018100111000906")])
     with pytest.raises(SdoAborted, match=r"node 2: SDO 1018h:01h aborted: sub-index") as caught:
         channel_to(ScriptedBus(script)).upload(0x1018, 1)
@@ -66,18 +65,18 @@ def test_an_abort_says_where_and_why():
     assert error.abort_code == 0x0609_0011
 
 
-def test_no_answer_ends_at_the_deadline_to_the_nanosecond():
+def test_missing_answer_ends_exactly_at_the_deadline():
     bus = ScriptedBus()
     with pytest.raises(DeadlineExceeded, match="answer to SDO 6041h:00h") as caught:
         channel_to(bus, timeout_s=0.3).upload(0x6041)
     assert bus.runtime.now_ns() == 300 * MS
     assert caught.value.timeout_s == 0.3
-    # the server is told, with the object (CiA 301: abort transfer, 0504 0000h)
+    # the abort names the object (CiA 301: abort transfer, 0504 0000h)
     assert bus.texts == ["602#4041600000000000", "602#8041600000000405"]
 
 
 def answers(*values: tuple[int, int]):
-    """A peer that answers each upload of 6064h in turn: (delay [ns], value); delay -1: never."""
+    """Return a peer that answers uploads of 6064h in turn: (delay [ns], value); delay -1: never."""
     waiting = list(values)
 
     def peer(data: bytes) -> list[Answer]:
@@ -91,18 +90,18 @@ def answers(*values: tuple[int, int]):
     return peer
 
 
-def test_a_late_answer_is_never_taken_for_the_next_one():
+def test_late_answer_never_answers_the_next_request():
     bus = ScriptedBus(answers((400 * MS, 111), (1 * MS, 222)))
     channel = channel_to(bus)
     with pytest.raises(DeadlineExceeded):
         channel.upload(0x6064)
     assert channel.upload(0x6064) == (222).to_bytes(4, "little")
-    # it waited for the late answer before asking again, no longer
+    # it waited for the late answer before the next request, no longer
     assert bus.sent[2] == (400 * MS + FRAME_NS, "602#4064600000000000")
     assert channel.strays == 1
 
 
-def test_quarantine_ends_after_its_bound_if_the_answer_is_lost():
+def test_quarantine_ends_after_its_time_limit():
     bus = ScriptedBus(answers((-1, 111), (1 * MS, 222)))
     channel = channel_to(bus, quarantine_s=1.0)
     with pytest.raises(DeadlineExceeded):
@@ -111,7 +110,7 @@ def test_quarantine_ends_after_its_bound_if_the_answer_is_lost():
     assert bus.sent[2][0] == 1000 * MS
 
 
-def test_an_answer_to_another_object_is_dropped_and_the_right_one_awaited():
+def test_answer_to_another_object_is_dropped():
     def peer(data: bytes) -> list[Answer]:
         if data[8] != 0x40:
             return []
@@ -122,21 +121,21 @@ def test_an_answer_to_another_object_is_dropped_and_the_right_one_awaited():
     assert channel.strays == 1
 
 
-def test_an_answer_before_the_request_was_on_the_wire_is_dropped():
+def test_answer_before_its_request_was_sent_is_dropped():
     bus = ScriptedBus(answers((1 * MS, 7), (1 * MS, 222)))
     channel = channel_to(bus)
     assert channel.upload(0x6064) == (7).to_bytes(4, "little")
-    bus.deliver("582#436460006F000000", FRAME_NS // 2)  # 111, from whomever
+    bus.deliver("582#436460006F000000", FRAME_NS // 2)  # 111, of unknown origin
     assert channel.upload(0x6064) == (222).to_bytes(4, "little")
     assert channel.strays == 1
 
 
-def test_a_bus_that_never_reports_own_frames_is_believed_all_the_same():
+def test_bus_without_own_frame_reports_still_works():
     bus = ScriptedBus(answers((1 * MS, 222)), confirms=False)
     assert channel_to(bus).upload(0x6064) == (222).to_bytes(4, "little")
 
 
-def test_an_abort_of_another_transfer_is_dropped():
+def test_abort_of_another_transfer_is_dropped():
     def peer(data: bytes) -> list[Answer]:
         if data[8] != 0x40:
             return []
@@ -145,7 +144,7 @@ def test_an_abort_of_another_transfer_is_dropped():
     assert channel_to(ScriptedBus(peer)).upload(0x6064) == b"\x05\x00\x00\x00"
 
 
-def test_an_answer_of_the_wrong_kind_is_a_violation_and_quarantined():
+def test_answer_of_the_wrong_kind_is_a_violation():
     def peer(data: bytes) -> list[Answer]:
         return [(1 * MS, frame("582#6064600000000000"))] if data[8] == 0x40 else []
 
@@ -156,7 +155,7 @@ def test_an_answer_of_the_wrong_kind_is_a_violation_and_quarantined():
     assert bus.runtime.now_ns() == 300 * MS
 
 
-def test_the_answer_to_a_read_repeated_is_not_taken_for_that_to_a_write():
+def test_repeated_read_answer_does_not_confirm_a_write():
     again = ("582#43646000D7000000", "582#6064600000000000")
     script = Transcript([("602#4064600000000000", again[0])])
     bus = ScriptedBus(script)
@@ -167,7 +166,7 @@ def test_the_answer_to_a_read_repeated_is_not_taken_for_that_to_a_write():
     assert channel.strays == 1
 
 
-def test_a_segment_repeated_is_not_taken_for_the_next_one():
+def test_repeated_segment_is_not_the_next_one():
     segments = {
         0x40: ["582#410810000A000000"],
         0x60: ["582#0054696E79204E6F"],
@@ -182,7 +181,7 @@ def test_a_segment_repeated_is_not_taken_for_the_next_one():
     assert channel.strays == 1
 
 
-def test_a_boot_ends_waiting_and_quarantine():
+def test_boot_up_ends_waiting_and_quarantine():
     bus = ScriptedBus(answers((-1, 0), (1 * MS, 222)))
     channel = channel_to(bus)
     bus.queue.alarm(lambda now_ns: channel.rebooted()).set(50 * MS)

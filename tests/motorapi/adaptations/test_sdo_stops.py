@@ -1,16 +1,16 @@
-"""A drive without PDOs is told to stop at once, whatever its SDO channel is waiting for."""
+"""Immediate stop of a drive without PDOs, during any SDO transfer."""
 
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
-from emulators.cia402.settings import OWN_EDS
-from emulators.media.faults import FaultKind, FaultRule
-from harness.rig import Rig
-from motorapi.adaptations.canopen_link import CanopenLink
-from motorapi.adaptations.sdo_channel import SdoChannel
-from motorapi.errors import DeadlineExceeded, MotionInterrupted
+from motorhil.emulators.can.fault_rules import FaultKind, FaultRule
+from motorhil.emulators.cia402.settings import OWN_EDS
+from motorhil.harness.rig.rig import Rig
+from motorhil.motorapi.adaptations.canopen.bus import CanopenLink
+from motorhil.motorapi.adaptations.canopen.sdo import SdoChannel
+from motorhil.motorapi.errors import DeadlineExceeded, MotionInterrupted
 from tests.harness.sharing.movers import without_pdos
 from tests.motorapi.adaptations.conftest import drive
 from tests.motorapi.adaptations.scripted import FRAME_NS, MS, Answer, ScriptedBus, frame
@@ -28,7 +28,7 @@ def rig(open_rig: Callable[..., Rig], tmp_path: Path) -> Rig:
 
 
 def told(rig: Rig) -> list[tuple[int, bytes]]:
-    """(when, controlword download) of all from now on."""
+    """Record (time, controlword download) of all from now on."""
     found: list[tuple[int, bytes]] = []
 
     def on_frame(bus: str, time_ns: int, sender: str, data: bytes) -> None:
@@ -40,7 +40,7 @@ def told(rig: Rig) -> list[tuple[int, bytes]]:
 
 
 def lose_answer_to_set_point(rig: Rig) -> None:
-    """The next confirmation of the controlword that starts the motion does not arrive."""
+    """Drop the next confirmation of the controlword that starts the motion."""
     words: list[bytes] = []
 
     def on_frame(bus: str, time_ns: int, sender: str, data: bytes) -> None:
@@ -52,7 +52,7 @@ def lose_answer_to_set_point(rig: Rig) -> None:
 
 
 @pytest.mark.parametrize(("stop", "word"), [("stop", HALT), ("quick_stop", QUICK_STOP)])
-def test_a_stop_after_an_answer_was_lost_is_on_the_wire_at_once(rig: Rig, stop: str, word: bytes):
+def test_stop_after_a_lost_answer_is_sent_at_once(rig: Rig, stop: str, word: bytes):
     motor = motor_of(rig)
     motor.enable()
     lose_answer_to_set_point(rig)
@@ -67,12 +67,12 @@ def test_a_stop_after_an_answer_was_lost_is_on_the_wire_at_once(rig: Rig, stop: 
     assert at_ns - now_ns < 1 * MS
     assert truth(rig) < 2.5
     motor.enable()
-    go_to(motor, 0.0)  # and nothing is in its way
+    go_to(motor, 0.0)  # and nothing delays it
     motor.wait_until_done(timeout_s=5)
     assert abs(truth(rig)) < 0.01
 
 
-def test_a_callback_stops_it_without_waiting(rig: Rig):
+def test_callback_stops_the_drive_without_waiting(rig: Rig):
     motor = motor_of(rig)
     motor.enable()
     go_to(motor, 3.0)
@@ -88,7 +88,7 @@ def test_a_callback_stops_it_without_waiting(rig: Rig):
 
 
 @pytest.mark.parametrize("lost", [1, 3])
-def test_a_stop_that_is_lost_is_said_again_until_the_drive_shows_it(rig: Rig, lost: int):
+def test_lost_stop_is_repeated_until_the_drive_obeys(rig: Rig, lost: int):
     motor = motor_of(rig)
     motor.enable()
     go_to(motor, 3.0)
@@ -122,7 +122,7 @@ def channel_to(bus: ScriptedBus) -> SdoChannel:
 
 
 def answering(table: dict[str, list[Answer]]):
-    """A peer that answers each request, told by its data, as its list says, the first first."""
+    """Return a peer that answers each request with the next entry of its list."""
 
     def peer(data: bytes) -> list[Answer]:
         waiting = table.get(data[8:16].hex().upper(), [])
@@ -131,8 +131,8 @@ def answering(table: dict[str, list[Answer]]):
     return peer
 
 
-def test_what_goes_out_at_once_ends_no_quarantine_and_is_no_answer():
-    """An upload is not answered in time; the answer to a stop comes before the late one."""
+def test_stop_at_once_neither_ends_quarantine_nor_answers():
+    """An upload gets no answer in time; the answer to a stop comes before the late one."""
     bus = ScriptedBus(
         answering(
             {
@@ -152,7 +152,7 @@ def test_what_goes_out_at_once_ends_no_quarantine_and_is_no_answer():
 
 
 @pytest.mark.parametrize("answered", [True, False])
-def test_nothing_it_could_be_taken_to_answer_is_asked_before_its_answer(answered: bool):
+def test_same_object_is_not_requested_before_the_stop_answer(answered: bool):
     stopped = [(5 * MS, frame(STOPPED))] if answered else []
     bus = ScriptedBus(
         answering({"2B4060000F010000": stopped, "2B4060000F000000": [(1 * MS, frame(STOPPED))]})
@@ -163,7 +163,7 @@ def test_nothing_it_could_be_taken_to_answer_is_asked_before_its_answer(answered
     assert bus.sent[1][0] == (5 * MS + FRAME_NS if answered else 1000 * MS)
 
 
-def test_other_objects_are_asked_for_meanwhile():
+def test_other_objects_are_requested_meanwhile():
     bus = ScriptedBus(answering({"4064600000000000": [(1 * MS, frame(LATE))]}))
     channel = channel_to(bus)
     channel.send_at_once(0x6040, 0, b"\x0f\x01")
@@ -173,8 +173,8 @@ def test_other_objects_are_asked_for_meanwhile():
 
 @pytest.mark.parametrize("by_others", [False, True])
 @pytest.mark.parametrize("heard", [False, True])
-def test_its_answer_is_not_taken_for_that_to_a_download_under_way(by_others: bool, heard: bool):
-    """`heard`: whether the device had the download that was under way."""
+def test_stop_answer_does_not_confirm_another_download(by_others: bool, heard: bool):
+    """`heard`: whether the device had received the active download."""
     own = [(4 * MS, frame(STOPPED))] if heard else []
     stopped = [(4 * MS, frame(STOPPED))]
     bus = ScriptedBus(answering({"2B4060000F000000": own, "2B4060000F010000": stopped}))
@@ -197,7 +197,7 @@ def test_its_answer_is_not_taken_for_that_to_a_download_under_way(by_others: boo
             channel.download(0x6040, 0, GO)
 
 
-def test_a_device_that_boots_answers_no_stop_of_before():
+def test_booted_device_owes_no_answer_to_an_earlier_stop():
     bus = ScriptedBus(answering({"2B4060000F000000": [(1 * MS, frame(STOPPED))]}))
     channel = channel_to(bus)
     channel.send_at_once(0x6040, 0, b"\x0f\x01")

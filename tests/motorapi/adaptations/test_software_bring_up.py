@@ -1,14 +1,14 @@
-"""Central servo: its node is brought up, and lent to somebody who works it by hand."""
+"""Central servo: bring-up of its node, and low-level access."""
 
 from collections.abc import Callable
 
 import pytest
 
-from emulators.media.faults import FaultKind, FaultRule
-from harness.rig import Rig
-from motorapi.commands import ControlMode, ControlVariable
-from motorapi.errors import MotorBusyError, StateError, UsageError
-from motorapi.trajectory import TrapezoidalTrajectory
+from motorhil.emulators.can.fault_rules import FaultKind, FaultRule
+from motorhil.harness.rig.rig import Rig
+from motorhil.motorapi.commands import ControlMode, ControlVariable
+from motorhil.motorapi.errors import MotorBusyError, StateError, UsageError
+from motorhil.motorapi.trajectory import TrapezoidalTrajectory
 from tests.motorapi.adaptations.conftest import drive
 from tests.motorapi.adaptations.software_rigs import (
     INC_PER_RAD,
@@ -23,7 +23,7 @@ from tests.motorapi.adaptations.software_rigs import (
 OpenRig = Callable[..., Rig]
 
 
-# --- low-level access, bringing up
+# --- low-level access, bring-up
 
 
 def test_low_level_access_needs_a_servo_that_is_off(open_rig: OpenRig):
@@ -59,7 +59,7 @@ def test_low_level_access_needs_a_servo_that_is_off(open_rig: OpenRig):
     left.wait_until_done(1)
 
 
-def test_a_second_connection_writes_nothing_that_the_node_has_already(open_rig: OpenRig):
+def test_second_connection_writes_only_differences(open_rig: OpenRig):
     rig = open_rig(one())
     left = rig.motors["left"]
     left.position()
@@ -76,7 +76,7 @@ def test_a_second_connection_writes_nothing_that_the_node_has_already(open_rig: 
     assert downloads == []
 
 
-def test_outputs_fall_to_0_whatever_the_node_says_by_default(open_rig: OpenRig):
+def test_outputs_fall_to_0_despite_the_nodes_defaults(open_rig: OpenRig):
     objects = '[controller.io.objects]\n"6444h:1" = 20000\n"6443h:1" = 0\n"6206h:1" = 0\n'
     rig = open_rig(node("io", 1, more=objects), motor("left", "io"))
     moving(rig)
@@ -86,15 +86,15 @@ def test_outputs_fall_to_0_whatever_the_node_says_by_default(open_rig: OpenRig):
     assert (truth["output_v"], truth["ready"]) == (0.0, 0.0)
 
 
-def test_a_drive_is_no_io_node_and_a_channel_must_be_there(open_rig: OpenRig):
+def test_drive_is_not_an_io_node_and_channel_must_exist(open_rig: OpenRig):
     rig = open_rig(drive("d", 3), one(), motor("far", "io", 4), motor("no", "d"))
-    with pytest.raises(UsageError, match=r"node 3 is no I/O node.*: it has no 6411h, 6820h"):
+    with pytest.raises(UsageError, match=r"node 3 is not an I/O node.*: 6411h, 6820h missing"):
         rig.motors["no"].position()
     with pytest.raises(UsageError, match="channel 4: the node has 1 channels"):
         rig.motors["far"].position()
 
 
-def test_a_drive_and_a_servo_share_a_bus_and_the_drive_is_not_disturbed(open_rig: OpenRig):
+def test_drive_and_servo_share_a_bus_undisturbed(open_rig: OpenRig):
     rig = open_rig(one(), drive("d", 3))
     left, d = moving(rig), rig.motors["d"]
     d.set_control_mode(ControlMode.TRAJECTORY)

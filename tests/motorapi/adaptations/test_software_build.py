@@ -1,20 +1,17 @@
-"""Central servo from a rig's table, and by hand: what is wrong is told with its key."""
+"""Central servo built from a rig's table and by hand: invalid settings."""
 
 from collections.abc import Callable
 
 import pytest
 
-from harness.rig import Rig
-from harness.settings import RigError
-from motorapi.adaptations.software import (
-    AmplifierHwMotor,
-    IoOptions,
-    PidGains,
-    ServoParameters,
-    SoftwareMotor,
-)
-from motorapi.errors import UsageError
-from motorapi.model import MotorModel
+from motorhil.harness.rig.config.toml import RigError
+from motorhil.harness.rig.rig import Rig
+from motorhil.motorapi.adaptations.host_servo.hardware import AmplifierHwMotor
+from motorhil.motorapi.adaptations.host_servo.motor import ServoParameters, SoftwareMotor
+from motorhil.motorapi.adaptations.host_servo.node import IoOptions
+from motorhil.motorapi.adaptations.host_servo.servo import PidGains
+from motorhil.motorapi.errors import UsageError
+from motorhil.motorapi.model import MotorModel
 from tests.motorapi.adaptations.software_rigs import motor, one
 
 OpenRig = Callable[..., Rig]
@@ -27,23 +24,23 @@ OpenRig = Callable[..., Rig]
         ("current_per_volt_a_v = 0.8", "current_per_volt_a_v = 0", "a number of A/V, not 0"),
         ("current_per_volt_a_v = 0.8", 'current_per_volt_a_v = "x"', "must be a number"),
         ("channel = 1", "channel = 5", "a node's channels are 1 to 4"),
-        ("channel = 1", "channel = 1.0", "channel = 1.0: must be a whole number"),
-        ("channel = 1", "chanel = 1", "chanel is no setting .*; did you mean channel"),
+        ("channel = 1", "channel = 1.0", "channel = 1.0: must be an integer"),
+        ("channel = 1", "chanel = 1", "chanel is not a setting .*; did you mean channel"),
         ("bandwidth_rad_s = 60.0", "", "gains: kp_a_rad is missing"),
-        ("bandwidth_rad_s = 60.0", "kp_a_m = 3.0", "kp_a_m is no gain; did you mean kp_a_rad"),
+        ("bandwidth_rad_s = 60.0", "kp_a_m = 3.0", "kp_a_m is not a gain; did you mean kp_a_rad"),
         ("bandwidth_rad_s = 60.0", "bandwidth_rad_s = 0.0", "bandwidth_rad_s is 0.0"),
         ("acceleration_feed", "# ", "bandwidth_rad_s needs acceleration_feedforward_a_s2_rad"),
         ("friction_feedforward_a = 0.", "friction_feedforward_a = -0.", "not a number >= 0"),
-        ("increments_per_rad", "#", "does not tell increments_per_rad"),
+        ("increments_per_rad", "#", "does not define increments_per_rad"),
         ("channel = 1", "cycle_ms = 0.01", r"cycle_ms = 0\.01: must be 0\.1 to 1000 ms"),
-        ("channel = 1", "misses_max = 0", "misses_max = 0: must be a whole number"),
+        ("channel = 1", "misses_max = 0", "misses_max = 0: must be an integer"),
         ("channel = 1", "counter = 1", "counter = 1: must be an index"),
         ("channel = 1", "heartbeat_timeout_ms = 50", "must be longer than heartbeat_ms"),
         ("channel = 1", "settle_s = 0", "settle_s = 0: must be a number > 0"),
         ("channel = 1", "position_window_rad = nan", "position_window = nan: must be"),
     ],
 )
-def test_what_is_wrong_in_a_rig_is_told_with_its_place(
+def test_invalid_rig_setting_is_reported_with_its_place(
     open_rig: OpenRig, old: str, new: str, told: str
 ):
     text = one()
@@ -96,7 +93,7 @@ def test_motors_that_share_must_agree(open_rig: OpenRig):
     assert rig.motors["left"].hardware.users == 1
 
 
-def test_a_second_hardware_object_for_the_same_channel_is_refused_and_named(open_rig: OpenRig):
+def test_second_object_for_a_channel_is_refused_by_name(open_rig: OpenRig):
     rig = open_rig(one())
     bus = rig.bus("can0")
     first = AmplifierHwMotor(bus, 1, current_per_volt_a_v=0.8)
@@ -113,7 +110,7 @@ def test_a_second_hardware_object_for_the_same_channel_is_refused_and_named(open
         AmplifierHwMotor(bus, 126, current_per_volt_a_v=0.8)
 
 
-def test_by_hand_it_is_as_in_a_rig(open_rig: OpenRig):
+def test_motor_built_by_hand_equals_that_of_a_rig(open_rig: OpenRig):
     rig = open_rig(one())
     hw = AmplifierHwMotor(rig.bus("can0"), node_id=1, current_per_volt_a_v=0.8)
     model = MotorModel(
@@ -133,7 +130,7 @@ def test_by_hand_it_is_as_in_a_rig(open_rig: OpenRig):
     hw.close()
 
 
-def test_closing_takes_the_current_away(open_rig: OpenRig):
+def test_close_switches_the_current_off(open_rig: OpenRig):
     rig = open_rig(one())
     left = rig.motors["left"]
     left.enable()

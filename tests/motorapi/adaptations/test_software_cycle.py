@@ -1,14 +1,14 @@
-"""What goes wrong with central servo: missed cycles, lost nodes, hosts and amplifiers."""
+"""Failures of central servo: missed cycles, lost nodes, hosts, amplifiers."""
 
 from collections.abc import Callable
 
 import pytest
 
-from emulators.media.faults import FaultKind, FaultRule
-from harness.rig import Rig
-from motorapi.errors import DeadlineExceeded, DeviceFault, LinkError, UsageError
-from motorapi.state import MotorState
-from motorapi.trajectory import TrapezoidalTrajectory
+from motorhil.emulators.can.fault_rules import FaultKind, FaultRule
+from motorhil.harness.rig.rig import Rig
+from motorhil.motorapi.errors import DeadlineExceeded, DeviceFault, LinkError, UsageError
+from motorhil.motorapi.state import MotorState
+from motorhil.motorapi.trajectory import TrapezoidalTrajectory
 from tests.motorapi.adaptations.software_rigs import (
     INC_PER_RAD,
     inc,
@@ -34,7 +34,7 @@ def rule(kind: FaultKind, can_id: int, **conditions: object) -> FaultRule:
 
 
 @pytest.mark.parametrize("count", [1, 4])
-def test_counts_that_come_too_late_are_misses_and_the_motion_goes_on(open_rig: OpenRig, count: int):
+def test_late_counts_are_misses_and_motion_continues(open_rig: OpenRig, count: int):
     rig = open_rig(one())
     left = moving(rig)
     before = left.cycles
@@ -43,8 +43,8 @@ def test_counts_that_come_too_late_are_misses_and_the_motion_goes_on(open_rig: O
     rig.faults.inject("can0", late)
     left.wait_until_done(3)
     after = left.cycles
-    # Each is missed by its own cycle. The last one delayed comes in a cycle that has its own count
-    # as well; the others take the place of one that is late in its turn.
+    # Each is missed by its own cycle. The last delayed count comes in a cycle that has its own
+    # count as well; the others replace a count that is late itself.
     assert rig.faults.fired()["delay"] == count
     assert (after.counts_missed, after.outputs_late, after.surplus) == (1, 0, 1)
     assert after.worst_in_a_row == 1
@@ -52,7 +52,7 @@ def test_counts_that_come_too_late_are_misses_and_the_motion_goes_on(open_rig: O
 
 
 @pytest.mark.parametrize("count", [1, 3])
-def test_lost_counts_are_missed_one_by_one_and_told_in_a_row(open_rig: OpenRig, count: int):
+def test_lost_counts_are_counted_singly_and_in_a_row(open_rig: OpenRig, count: int):
     rig = open_rig(one())
     left = moving(rig)
     worst: list[float] = []
@@ -63,12 +63,12 @@ def test_lost_counts_are_missed_one_by_one_and_told_in_a_row(open_rig: OpenRig, 
     assert (report.counts_missed, report.worst_in_a_row, report.surplus) == (count, count, 0)
     assert f"{count} counts missed, 0 outputs late, at most {count} in a row" in str(report)
     assert left.position() == pytest.approx(2.0, abs=10 / INC_PER_RAD)
-    # nothing but the outputs of those cycles is older than it should be
+    # only the outputs of those cycles are older than they should be
     assert max(worst) < lag_bound_inc() + 20 * count
 
 
-def test_outputs_that_still_wait_when_sync_is_due_are_late(open_rig: OpenRig):
-    """Somebody with better identifiers has the bus from the counts on until after the next SYNC."""
+def test_outputs_that_still_wait_at_sync_are_late(open_rig: OpenRig):
+    """More urgent frames occupy the bus from the counts on until after the next SYNC."""
     rig = open_rig(one())
     left = moving(rig)
     port = rig.world.add_host("can0", "stranger", lambda *_: None)
@@ -89,7 +89,7 @@ def test_outputs_that_still_wait_when_sync_is_due_are_late(open_rig: OpenRig):
     assert left.position() == pytest.approx(2.0, abs=10 / INC_PER_RAD)
 
 
-def test_too_many_misses_in_a_row_switch_the_motor_off_and_say_why(open_rig: OpenRig):
+def test_too_many_misses_in_a_row_switch_the_motor_off(open_rig: OpenRig):
     rig = open_rig(one(motor="misses_max = 5"))
     left = moving(rig)
     begun = left.cycles.counts_missed
@@ -114,8 +114,8 @@ def test_too_many_misses_in_a_row_switch_the_motor_off_and_say_why(open_rig: Ope
     left.wait_until_done(2)
 
 
-def test_late_outputs_in_a_row_end_in_a_deadline_error(open_rig: OpenRig):
-    """A bus that is full all the time: SYNC is delayed with them, which is a miss as well."""
+def test_late_outputs_in_a_row_raise_a_deadline_error(open_rig: OpenRig):
+    """On a bus that is always full, SYNC is delayed too, which is a miss as well."""
     rig = open_rig(one(motor="misses_max = 4"))
     left = moving(rig)
     port = rig.world.add_host("can0", "stranger", lambda *_: None)
@@ -135,7 +135,7 @@ def test_late_outputs_in_a_row_end_in_a_deadline_error(open_rig: OpenRig):
     assert rig.controllers["io"].snapshot()["ready"] == 0.0
 
 
-def test_a_neighbour_on_another_node_goes_on(open_rig: OpenRig):
+def test_servo_on_another_node_continues(open_rig: OpenRig):
     rig = open_rig(node("io", 1), node("b", 2), motor("left", "io"), motor("right", "b"))
     right = moving(rig, "right")
     left = moving(rig, "left")
@@ -156,7 +156,7 @@ def test_two_motors_of_one_bus_share_one_period(open_rig: OpenRig):
     left.wait_until_done(3)
 
 
-def test_at_2_ms_it_works_as_well(open_rig: OpenRig):
+def test_servo_works_at_2_ms(open_rig: OpenRig):
     rig = open_rig(one(motor="cycle_ms = 2", bandwidth=30.0))
     left = moving(rig)
     left.wait_until_done(3)
@@ -167,7 +167,7 @@ def test_at_2_ms_it_works_as_well(open_rig: OpenRig):
 # --- the node, the host and the amplifier
 
 
-def test_a_dead_host_leaves_outputs_at_their_error_values_within_the_heartbeats_time(
+def test_dead_host_leaves_outputs_at_error_values(
     open_rig: OpenRig,
 ):
     rig = open_rig(one())
@@ -190,7 +190,7 @@ def test_a_dead_host_leaves_outputs_at_their_error_values_within_the_heartbeats_
         left.is_done()
 
 
-def test_a_lost_node_is_a_link_error_within_the_misses_allowed(open_rig: OpenRig):
+def test_lost_node_is_a_link_error_within_the_misses(open_rig: OpenRig):
     rig = open_rig(one())
     left = moving(rig)
     rig.faults.inject("can0", FaultRule("cut", FaultKind.CUT, ports=("io",)))
@@ -209,7 +209,7 @@ def test_a_lost_node_is_a_link_error_within_the_misses_allowed(open_rig: OpenRig
     left.wait_until_done(2)
 
 
-def test_a_silent_node_is_lost_by_its_heartbeat_where_misses_are_allowed(open_rig: OpenRig):
+def test_silent_node_is_lost_by_its_heartbeat(open_rig: OpenRig):
     rig = open_rig(one(motor="misses_max = 1000000"))
     left = moving(rig, distance=20.0)
     rig.faults.inject("can0", FaultRule("cut", FaultKind.CUT, ports=("io",)))
@@ -232,7 +232,7 @@ def test_misses_that_are_not_in_a_row_stop_nothing(open_rig: OpenRig):
     assert (left.cycles.counts_missed, left.cycles.worst_in_a_row) == (6, 1)
 
 
-def test_a_node_that_boots_has_lost_everything_and_is_brought_up_again(open_rig: OpenRig):
+def test_rebooted_node_is_brought_up_again(open_rig: OpenRig):
     rig = open_rig(one())
     left = moving(rig, distance=0.3)
     left.wait_until_done(2)
@@ -243,7 +243,7 @@ def test_a_node_that_boots_has_lost_everything_and_is_brought_up_again(open_rig:
         left.wait_until_done(3)
     rig.runtime.run_for(2.0)
     assert not left.is_referenced()
-    assert left.position() == inc(rig) / INC_PER_RAD  # its counter has begun anew
+    assert left.position() == inc(rig) / INC_PER_RAD  # its counter was restarted
     left.set_trajectory(TrapezoidalTrajectory(0.1))
     left.start()
     begun = inc(rig)
@@ -251,7 +251,7 @@ def test_a_node_that_boots_has_lost_everything_and_is_brought_up_again(open_rig:
     assert inc(rig) - begun == pytest.approx(0.1 * INC_PER_RAD, abs=30)
 
 
-def test_an_amplifiers_fault_ends_the_motion_when_its_frame_comes(open_rig: OpenRig):
+def test_amplifier_fault_ends_the_motion_at_its_frame(open_rig: OpenRig):
     rig = open_rig(two())
     right = moving(rig, "right")
     left = moving(rig, "left")
@@ -274,7 +274,7 @@ def test_an_amplifiers_fault_ends_the_motion_when_its_frame_comes(open_rig: Open
     left.wait_until_done(2)
 
 
-def test_an_amplifier_without_supply_is_a_fault_while_it_should_drive(open_rig: OpenRig):
+def test_amplifier_without_supply_is_a_fault_while_driving(open_rig: OpenRig):
     rig = open_rig(one())
     left = moving(rig)
     rig.controllers["io"].stimulate("power", 0)
@@ -288,7 +288,7 @@ def test_an_amplifier_without_supply_is_a_fault_while_it_should_drive(open_rig: 
     left.enable()
 
 
-def test_a_blocked_motor_is_stopped_by_its_following_error(open_rig: OpenRig):
+def test_blocked_motor_is_stopped_by_following_error(open_rig: OpenRig):
     rig = open_rig(one(motor="following_error_window_rad = 0.05\nfollowing_error_s = 0.02"))
     left = moving(rig)
     rig.controllers["io"].stimulate("load_torque_n_m", 20.0)  # the motor has 13.7 N m
@@ -302,10 +302,10 @@ def test_a_blocked_motor_is_stopped_by_its_following_error(open_rig: OpenRig):
     left.wait_until_done(2)
 
 
-def test_without_a_window_a_blocked_motor_pushes_on(open_rig: OpenRig):
+def test_blocked_motor_without_window_keeps_pushing(open_rig: OpenRig):
     rig = open_rig(one(motor="following_error_window_rad = inf"))
     left = moving(rig)
-    rig.controllers["io"].stimulate("load_torque_n_m", 13.8)  # what the motor and friction hold
+    rig.controllers["io"].stimulate("load_torque_n_m", 13.8)  # torque plus friction
     rig.runtime.run_for(0.5)
     assert left.following_error() > 0.5
     rig.controllers["io"].stimulate("load_torque_n_m", 0.0)

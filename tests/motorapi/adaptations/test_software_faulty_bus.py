@@ -1,4 +1,7 @@
-"""On a bus that loses, delays, repeats frames a servo on the host keeps its motor, or lets go."""
+"""Central servo on a bus that loses, delays and repeats frames.
+
+The servo keeps control of its motor, or releases it.
+"""
 
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -6,15 +9,15 @@ from tempfile import TemporaryDirectory
 from hypothesis import event, example, given, settings
 from hypothesis import strategies as st
 
-from emulators.media.faults import FaultKind, FaultRule
-from harness.rig import Rig
-from motorapi.commands import ControlMode
-from motorapi.errors import MotorError, PluginError
-from motorapi.trajectory import TrapezoidalTrajectory
+from motorhil.emulators.can.fault_rules import FaultKind, FaultRule
+from motorhil.harness.rig.rig import Rig
+from motorhil.motorapi.commands import ControlMode
+from motorhil.motorapi.errors import MotorError, PluginError
+from motorhil.motorapi.trajectory import TrapezoidalTrajectory
 from tests.motorapi.adaptations.conftest import HEAD
 from tests.motorapi.adaptations.software_rigs import INC_PER_RAD, inc, one
 
-SETTLED_INC = 10 + 100  # the window, and what may have happened since
+SETTLED_INC = 10 + 100  # the window, and the motion since then
 OVERSHOOT_INC = 0.1 * INC_PER_RAD
 
 RULES = st.lists(
@@ -28,7 +31,7 @@ RULES = st.lists(
         ),
         st.sampled_from([FaultKind.DROP, FaultKind.DELAY, FaultKind.DUPLICATE]),
         st.sampled_from([0.005, 0.02, 0.1, 0.3]),
-        st.sampled_from([500_000, 1_500_000]),  # one cycle; CAN never lets a count overtake another
+        st.sampled_from([500_000, 1_500_000]),  # one cycle; on CAN no count overtakes another
         st.booleans(),
     ),
     unique_by=lambda rule: rule.kind,
@@ -40,7 +43,7 @@ DISTANCES = st.lists(st.floats(-0.6, 0.6).map(lambda x: round(x, 3)), min_size=1
 @settings(max_examples=15, deadline=None)
 @given(RULES, DISTANCES, st.integers(0, 1000))
 @example([FaultRule("drop", FaultKind.DROP, probability=0.1)], [0.4, -0.4], 1)
-def test_a_move_that_says_it_is_done_is_at_its_target(
+def test_move_reported_as_done_is_at_its_target(
     rules: list[FaultRule], distances: list[float], seed: int
 ):
     with TemporaryDirectory() as folder:
@@ -79,7 +82,7 @@ def test_a_move_that_says_it_is_done_is_at_its_target(
             assert abs(inc(rig) - begun - distance * INC_PER_RAD) <= SETTLED_INC
 
 
-def test_the_property_is_not_empty_faults_do_come_and_motions_do_end():
+def test_property_scenario_has_faults_and_finished_motions():
     with TemporaryDirectory() as folder:
         path = Path(folder) / "rig.toml"
         path.write_text(HEAD + one(motor="misses_max = 20"))

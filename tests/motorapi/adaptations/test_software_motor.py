@@ -1,19 +1,19 @@
-"""Central servo end to end: what is commanded happens, as far as PID and a cycle's delay allow."""
+"""Central servo end to end, within the theory of its PID."""
 
 from collections.abc import Callable
 from itertools import pairwise
 
 import pytest
 
-from harness.rig import Rig
-from motorapi.adaptations.software import PidGains, SoftwareMotor
-from motorapi.arguments import MotorPosition
-from motorapi.commands import ControlMode, ControlVariable, DerivativeLimits
-from motorapi.errors import PluginError, UnsupportedError
-from motorapi.functions import Polynomial
-from motorapi.generation import shortest
-from motorapi.state import MotorState
-from motorapi.trajectory import ComplexTrajectory, TrapezoidalTrajectory
+from motorhil.harness.rig.rig import Rig
+from motorhil.motorapi.adaptations.host_servo.motor import SoftwareMotor
+from motorhil.motorapi.adaptations.host_servo.servo import PidGains
+from motorhil.motorapi.commands import ControlMode, ControlVariable, DerivativeLimits
+from motorhil.motorapi.errors import PluginError, UnsupportedError
+from motorhil.motorapi.functions import Polynomial
+from motorhil.motorapi.generation import shortest
+from motorhil.motorapi.state import MotorState
+from motorhil.motorapi.trajectory import ComplexTrajectory, MotorPosition, TrapezoidalTrajectory
 from tests.motorapi.adaptations.software_rigs import (
     ACCELERATION_MAX,
     INC_PER_RAD,
@@ -32,7 +32,7 @@ OpenRig = Callable[..., Rig]
 WINDOW = 10 / INC_PER_RAD
 
 
-def test_a_trajectory_is_followed_at_every_cycle_within_what_theory_allows(open_rig: OpenRig):
+def test_trajectory_is_followed_within_the_theoretical_bound(open_rig: OpenRig):
     rig = open_rig(one())
     tap = SyncTap(rig)
     left = enabled(rig)
@@ -49,7 +49,7 @@ def test_a_trajectory_is_followed_at_every_cycle_within_what_theory_allows(open_
     assert left.position() == pytest.approx(begin + 1.0, abs=WINDOW)
 
 
-def test_the_bound_is_not_empty_a_servo_without_feedforward_breaks_it(open_rig: OpenRig):
+def test_servo_without_feedforward_exceeds_the_bound(open_rig: OpenRig):
     rig = open_rig(one())
     left = enabled(rig)
     assert isinstance(left, SoftwareMotor)
@@ -62,7 +62,7 @@ def test_the_bound_is_not_empty_a_servo_without_feedforward_breaks_it(open_rig: 
     assert max(errors) > 5 * lag_bound_inc()
 
 
-def test_a_set_point_has_no_profile_it_is_a_step_that_the_gains_answer(open_rig: OpenRig):
+def test_set_point_is_a_step_without_profile(open_rig: OpenRig):
     rig = open_rig(one())
     tap = SyncTap(rig)
     left = enabled(rig)
@@ -73,14 +73,14 @@ def test_a_set_point_has_no_profile_it_is_a_step_that_the_gains_answer(open_rig:
     assert demand == 0.5
     way = [count / INC_PER_RAD for count in counts]
     profile = shortest(0.5, VELOCITY_MAX, ACCELERATION_MAX, ACCELERATION_MAX)
-    assert way[30] > 3 * profile.position(0.030)  # with all the current there is
+    assert way[30] > 3 * profile.position(0.030)  # with the whole available current
     speeds = [(b - a) * 1000 for a, b in pairwise(way)]
-    assert max(speeds) < 1.1 * VELOCITY_MAX  # but no faster than the motor may
+    assert max(speeds) < 1.1 * VELOCITY_MAX  # but within the motor's maximum velocity
     assert max(speeds) > 0.9 * VELOCITY_MAX
     assert left.position() == pytest.approx(0.5, abs=WINDOW)
 
 
-def test_limits_that_only_a_profile_could_keep_are_refused_before_anything_moves(
+def test_limits_that_need_a_profile_are_refused(
     open_rig: OpenRig,
 ):
     rig = open_rig(one())
@@ -93,7 +93,7 @@ def test_limits_that_only_a_profile_could_keep_are_refused_before_anything_moves
     assert rig.runtime.now_ns() == 0
 
 
-def test_a_velocity_set_point_steps_and_is_kept(open_rig: OpenRig):
+def test_velocity_set_point_steps_and_is_kept(open_rig: OpenRig):
     rig = open_rig(one())
     left = enabled(rig)
     commanded(left, ControlMode.SETPOINT, ControlVariable.VELOCITY, 2.0)
@@ -111,7 +111,7 @@ def test_a_velocity_set_point_steps_and_is_kept(open_rig: OpenRig):
     assert left.velocity() == pytest.approx(-1.0, abs=0.1)
 
 
-def test_a_velocity_set_point_with_a_limit_is_approached_at_that_rate(open_rig: OpenRig):
+def test_velocity_set_point_with_limit_is_ramped(open_rig: OpenRig):
     rig = open_rig(one())
     left = enabled(rig)
     left.set_control_mode(ControlMode.SETPOINT, ControlVariable.VELOCITY)
@@ -123,7 +123,7 @@ def test_a_velocity_set_point_with_a_limit_is_approached_at_that_rate(open_rig: 
     assert left.velocity() == pytest.approx(2.0, abs=0.1)
 
 
-def test_a_trajectory_of_velocity_makes_the_way_that_its_integral_is(open_rig: OpenRig):
+def test_velocity_trajectory_covers_its_integral(open_rig: OpenRig):
     rig = open_rig(one())
     left = enabled(rig)
     begin = inc(rig)
@@ -140,7 +140,7 @@ def test_a_trajectory_of_velocity_makes_the_way_that_its_integral_is(open_rig: O
     ("variable", "value", "ampere"),
     [(ControlVariable.CURRENT, 2.0, 2.0), (ControlVariable.TORQUE, -1.0, -1.0 / TORQUE_CONSTANT)],
 )
-def test_torque_and_current_set_points_are_the_amplifiers_current(
+def test_torque_and_current_set_points_are_the_amplifiers(
     open_rig: OpenRig, variable: ControlVariable, value: float, ampere: float
 ):
     rig = open_rig(one(), "[controller.io.plant]\npreset = 'wheel_60w'\ncoulomb_friction_n_m = 9\n")
@@ -152,7 +152,7 @@ def test_torque_and_current_set_points_are_the_amplifiers_current(
     rig.runtime.run_for(0.05)
     lsb = 8.0 / 32768
     assert rig.controllers["io"].snapshot()["current_a"] == pytest.approx(ampere, abs=lsb)
-    # with a limit of its slope it takes its time
+    # with a slope limit it takes its time
     left.set_setpoint(0.0, limits=DerivativeLimits(first=abs(value)))
     left.start()
     rig.runtime.run_for(0.5)
@@ -163,7 +163,7 @@ def test_torque_and_current_set_points_are_the_amplifiers_current(
     left.wait_until_done(1)
 
 
-def test_torque_is_refused_where_its_constant_is_not_known(open_rig: OpenRig):
+def test_torque_without_its_constant_is_refused(open_rig: OpenRig):
     text = one().replace(f"torque_constant_n_m_a = {TORQUE_CONSTANT}", "")
     left = open_rig(text).motors["left"]
     with pytest.raises(UnsupportedError, match="setpoint of torque"):
@@ -174,11 +174,11 @@ def test_torque_is_refused_where_its_constant_is_not_known(open_rig: OpenRig):
 
 
 def smooth(distance: float, duration_s: float) -> Polynomial:
-    """3 u^2 - 2 u^3: from rest to rest."""
+    """Return 3 u^2 - 2 u^3: from rest to rest."""
     return Polynomial((0.0, 0.0, 3 * distance / duration_s**2, -2 * distance / duration_s**3))
 
 
-def test_a_complex_trajectory_is_sampled_every_cycle(open_rig: OpenRig):
+def test_complex_trajectory_is_sampled_every_cycle(open_rig: OpenRig):
     rig = open_rig(one())
     tap = SyncTap(rig)
     left = enabled(rig)
@@ -193,7 +193,7 @@ def test_a_complex_trajectory_is_sampled_every_cycle(open_rig: OpenRig):
     assert worst <= lag_bound_inc()
 
 
-def test_a_trajectory_over_another_motors_position_goes_as_that_one_goes(open_rig: OpenRig):
+def test_trajectory_over_another_motors_position_follows_it(open_rig: OpenRig):
     rig = open_rig(two())
     left, right = enabled(rig, "left"), enabled(rig, "right")
     gear = Polynomial((0.0, -0.5))
@@ -210,12 +210,12 @@ def test_a_trajectory_over_another_motors_position_goes_as_that_one_goes(open_ri
     rig.runtime.every(0.001, compare)
     right.wait_until_done(3)
     left.wait_until_done(3)
-    # It learns where the other one is when its count comes, and follows after that: two cycles.
+    # The follower learns the leader's position with its count, and acts after that: two cycles.
     assert max(abs(x) for x in apart) < 0.5 * VELOCITY_MAX * 0.002 * INC_PER_RAD + 20
     assert right.position() == pytest.approx(-0.5, abs=WINDOW)
 
 
-def test_an_argument_that_fails_brings_the_motor_to_rest_and_the_error_to_who_waits(
+def test_failing_argument_stops_the_motor_and_raises(
     open_rig: OpenRig,
 ):
     rig = open_rig(one())

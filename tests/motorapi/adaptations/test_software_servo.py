@@ -1,4 +1,4 @@
-"""The servo by itself, on a made-up motor: its law, saturation, winding up, counters that wrap."""
+"""The servo on a simulated motor: its law, saturation, anti-windup, wrapping."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from motorapi.adaptations.software_courses import (
+from motorhil.motorapi.adaptations.host_servo.demand import (
     CURRENT,
     POSITION,
     VELOCITY,
@@ -20,10 +20,9 @@ from motorapi.adaptations.software_courses import (
     Tracked,
     course_of,
 )
-from motorapi.adaptations.software_gains import PidGains
-from motorapi.adaptations.software_servo import Servo, ServoLimits
-from motorapi.commands import ControlMode, ControlVariable, Motion
-from motorapi.errors import PluginError, UsageError
+from motorhil.motorapi.adaptations.host_servo.servo import PidGains, Servo, ServoLimits
+from motorhil.motorapi.commands import ControlMode, ControlVariable, Motion
+from motorhil.motorapi.errors import PluginError, UsageError
 
 T = 0.001
 GAINS = PidGains(kp=0.02, ki=0.4, kd=0.0004)
@@ -44,7 +43,7 @@ def limits(**changed: float) -> ServoLimits:
 
 
 class Broken:
-    """A demand that is no number from the second cycle on; or a derivative of it."""
+    """A demand, or a derivative of it, that is not a number from the second cycle on."""
 
     initial_argument = 0.0
     final_argument = 1.0
@@ -67,14 +66,14 @@ class Broken:
 
 
 class Inertia:
-    """x'' = current / m, counted down to whole increments; the output acts one cycle later."""
+    """x'' = current / m, rounded down to integer increments; the output acts one cycle later."""
 
     def __init__(self, servo: Servo, m: float = 1.8e-6) -> None:
         self.servo = servo
         self.m = m
         self.x = self.v = 0.0
         self.blocked = False
-        self.pushed = 0.0  # acceleration from outside
+        self.pushed = 0.0  # external acceleration
         self.cycle = 0
         self._waiting = 0.0
         self.counts: list[int] = []
@@ -102,14 +101,14 @@ def ready(gains: PidGains = GAINS, bounds: ServoLimits = LIMITS) -> Inertia:
     return motor
 
 
-def test_without_a_course_there_is_no_current():
+def test_servo_without_course_has_no_current():
     servo = Servo(T)
     assert [servo.step(count, cycle) for cycle, count in enumerate((5, 50, -400), 1)] == [0.0] * 3
     assert servo.position == -400.0
     assert servo.demand == servo.position
 
 
-def test_the_law_is_pid_with_feedforward_term_by_term():
+def test_law_is_pid_with_feedforward_term_by_term():
     gains = PidGains(
         kp=0.01,
         ki=3.0,
@@ -122,10 +121,10 @@ def test_the_law_is_pid_with_feedforward_term_by_term():
     servo.step(100, 1)
     servo.begin(Braking(130.0, -1000.0, 5000.0), gains, LIMITS, 1)
     out = servo.step(103, 2)
-    # by hand: the counter began at 100; demand of 1 ms after the start, what is ahead 2.5 ms
+    # by hand: the counter began at 100; demand 1 ms after the start, feed-forward at 2.5 ms
     demand = 130.0 - 1.0 + 0.5 * 5000.0 * 1e-6
     error = demand - 103.0
-    before = 100.0  # what was demanded when it was taken over: where it was
+    before = 100.0  # the demand at the beginning: the present position
     rate = (demand - before) / T - 3.0 / T
     velocity = -1000.0 + 5000.0 * 0.0025
     wanted = 0.01 * error + 2e-5 * rate + 1e-5 * velocity + 2e-6 * 5000.0 - 0.3
@@ -139,8 +138,8 @@ def test_the_law_is_pid_with_feedforward_term_by_term():
     assert servo.step(201, 4) == pytest.approx(0.3)
 
 
-def test_the_rate_of_the_error_is_filtered_as_the_gains_say():
-    """A first-order low-pass: of a step, T / (T + tau) in the first cycle, the rest follows."""
+def test_error_rate_is_filtered_as_the_gains_define():
+    """A first-order low-pass: of a step, T / (T + tau) in the first cycle."""
     gains = PidGains(kp=1e-300, kd=1.0, derivative_filter_s=3 * T)
     servo = Servo(T)
     servo.step(0, 1)
@@ -149,7 +148,7 @@ def test_the_rate_of_the_error_is_filtered_as_the_gains_say():
     assert outs == pytest.approx([1000 * (1 - 0.75**k) for k in (1, 2, 3)])
 
 
-def test_a_stop_in_the_middle_of_a_step_brakes_from_where_the_motor_is():
+def test_stop_in_a_step_brakes_from_the_motors_position():
     motor = ready()
     motor.servo.begin(Course(POSITION, 1e6, is_step=True), GAINS, LIMITS, motor.cycle)
     motor.run(200)
@@ -157,10 +156,10 @@ def test_a_stop_in_the_middle_of_a_step_brakes_from_where_the_motor_is():
     motor.servo.brake(100_000.0)
     outs: list[float] = []
     motor.run(30, lambda: outs.append(motor.servo.current_a))
-    assert min(outs) > -4.0  # -0.18 A would do; no kick from a demand that jumped
+    assert min(outs) > -4.0  # -0.18 A would suffice; no kick from a step of the demand
 
 
-def test_a_led_course_feeds_forward_what_its_argument_makes_of_it():
+def test_led_course_feeds_forward_its_arguments_rates():
     class Ramp:
         name = "ramp"
         rate_max = None
@@ -194,15 +193,15 @@ def test_a_led_course_feeds_forward_what_its_argument_makes_of_it():
     assert course.is_over
 
 
-def test_a_step_of_position_is_no_velocity():
+def test_position_step_is_not_a_velocity():
     motor = ready(PidGains(kp=1e-5, kd=1.0))
     servo = motor.servo
     servo.begin(Course(POSITION, 10_000.0, is_step=True), PidGains(kp=1e-5, kd=1.0), LIMITS, 2)
     motor.run(1)
-    assert servo.current_a == pytest.approx(0.1)  # kp times the error, nothing of kd
+    assert servo.current_a == pytest.approx(0.1)  # kp times the error, no kd term
 
 
-def test_a_step_is_answered_no_faster_than_the_motor_may():
+def test_step_response_is_limited_to_the_maximum_velocity():
     motor = ready()
     motor.servo.begin(Course(POSITION, 100_000.0, is_step=True), GAINS, LIMITS, motor.cycle)
     fastest: list[float] = []
@@ -212,7 +211,7 @@ def test_a_step_is_answered_no_faster_than_the_motor_may():
     assert abs(motor.x - 100_000.0) < 2.0
 
 
-def test_the_output_saturates_and_nothing_winds_up_meanwhile():
+def test_saturated_output_does_not_wind_up():
     motor = ready()
     motor.servo.begin(Course(POSITION, 20_000.0, is_step=True), GAINS, LIMITS, motor.cycle)
     motor.blocked = True
@@ -225,10 +224,10 @@ def test_the_output_saturates_and_nothing_winds_up_meanwhile():
     for one in (motor, free):
         one.counts.clear()
         one.run(2000)
-    assert max(motor.counts) <= max(free.counts) + 50  # no more overshoot than never blocked
+    assert max(motor.counts) <= max(free.counts) + 50  # no more overshoot than without the wall
 
 
-def test_a_velocity_that_was_blocked_is_not_made_good_by_going_faster():
+def test_blocked_velocity_is_not_recovered_by_going_faster():
     motor = ready()
     motor.servo.begin(Rated(VELOCITY, 0.0, 20_000.0, inf, inf), GAINS, LIMITS, motor.cycle)
     motor.run(500)
@@ -242,7 +241,7 @@ def test_a_velocity_that_was_blocked_is_not_made_good_by_going_faster():
     assert abs(speeds[-1] - 20_000.0) < 600.0
 
 
-def test_a_constant_push_is_taken_up_by_the_integral_alone():
+def test_constant_load_is_compensated_by_the_integral():
     motor = ready()
     motor.pushed = 1e6
     motor.run(4000)
@@ -250,7 +249,7 @@ def test_a_constant_push_is_taken_up_by_the_integral_alone():
     assert motor.servo.current_a == pytest.approx(-1e6 * motor.m, abs=0.2)
 
 
-def test_the_counter_may_wrap_around():
+def test_counter_may_wrap_around():
     servo = Servo(T)
     servo.step(0x7FFF_FFF0, 1)
     start = servo.position
@@ -261,7 +260,7 @@ def test_the_counter_may_wrap_around():
 
 
 @given(st.lists(st.integers(-(2**30), 2**30), max_size=20), st.integers(-(2**31), 2**31 - 1))
-def test_position_is_the_sum_of_what_the_counter_made_wherever_it_wraps(steps, first):
+def test_position_is_the_sum_of_counts_across_wraps(steps, first):
     servo = Servo(T)
     servo.restart(first)
     total = count = first
@@ -272,7 +271,7 @@ def test_position_is_the_sum_of_what_the_counter_made_wherever_it_wraps(steps, f
         assert servo.position == total
 
 
-def test_missed_cycles_make_no_velocity_of_their_own():
+def test_missed_cycles_cause_no_velocity():
     servo = Servo(T)
     servo.step(0, 1)
     for cycle in range(2, 200):
@@ -285,7 +284,7 @@ def test_missed_cycles_make_no_velocity_of_their_own():
     assert servo.velocity == pytest.approx(before, rel=1e-9)
 
 
-def test_done_is_when_it_has_been_in_the_window_for_long_enough_and_not_before():
+def test_done_requires_the_settling_time_in_the_window():
     servo = Servo(T)
     servo.step(0, 0)
     servo.begin(Course(POSITION, 100.0, is_step=True), GAINS, LIMITS, 0)
@@ -300,7 +299,7 @@ def test_done_is_when_it_has_been_in_the_window_for_long_enough_and_not_before()
     assert servo.is_done
 
 
-def test_a_stop_is_done_when_the_motor_stands_still():
+def test_stop_is_done_at_standstill():
     motor = ready()
     motor.servo.begin(Rated(VELOCITY, 0.0, 20_000.0, inf, inf), GAINS, LIMITS, motor.cycle)
     motor.run(500)
@@ -313,7 +312,7 @@ def test_a_stop_is_done_when_the_motor_stands_still():
     assert abs(motor.v) < 500.0
 
 
-def test_a_lag_counts_only_when_it_lasts_and_never_of_a_step():
+def test_following_error_counts_if_it_lasts_but_not_in_a_step():
     bounds = limits(following_error=50.0)
     servo = Servo(T)
     servo.step(0, 0)
@@ -333,7 +332,7 @@ def test_a_lag_counts_only_when_it_lasts_and_never_of_a_step():
     assert not servo.lags
 
 
-def test_rates_of_a_set_point_are_kept_through_0():
+def test_set_point_rates_are_kept_through_0():
     course = Rated(CURRENT, 2.0, -1.0, 4.0, 1.0)
     values = []
     for k in range(6):
@@ -344,7 +343,7 @@ def test_rates_of_a_set_point_are_kept_through_0():
     assert course.is_over
 
 
-def test_torque_and_current_are_scaled_with_the_counters_direction():
+def test_torque_and_current_follow_the_counting_direction():
     motion = Motion(
         mode=ControlMode.SETPOINT,
         variable=ControlVariable.TORQUE,
@@ -369,7 +368,7 @@ def test_torque_and_current_are_scaled_with_the_counters_direction():
         ({"kp": 1.0, "derivative_filter_s": float("nan")}, "derivative_filter_s is nan"),
     ],
 )
-def test_gains_that_are_none_are_refused(bad, told):
+def test_invalid_gains_are_refused(bad, told):
     with pytest.raises(UsageError, match=told):
         PidGains(**bad)
 
@@ -385,9 +384,7 @@ def test_tuned_gains_put_three_poles_at_the_bandwidth():
 
 @pytest.mark.parametrize("name", ["value", "first", "second"])
 @pytest.mark.parametrize("bad", [nan, inf, -inf])
-def test_a_demand_that_is_no_finite_number_is_an_error_and_the_current_stays(
-    name: str, bad: float
-) -> None:
+def test_non_finite_demand_is_an_error_and_keeps_the_current(name: str, bad: float) -> None:
     motor = ready()
     motor.servo.begin(Tracked(POSITION, Broken(name, bad), 1.0), GAINS, LIMITS, motor.cycle + 1)
     motor.run(5)

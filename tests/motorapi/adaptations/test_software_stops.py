@@ -1,18 +1,18 @@
-"""How central servo stops, holds, is shared, and keeps to the limits of motor and amplifier."""
+"""Stops, holding, sharing and limits of central servo."""
 
 import math
 from collections.abc import Callable
 
 import pytest
 
-from harness.rig import Rig
-from motorapi.commands import ControlMode, ControlVariable
-from motorapi.errors import MotionInterrupted, StateError, UnsupportedError
-from motorapi.group import MotorGroup
-from motorapi.motor import Motor
-from motorapi.state import MotorState
-from motorapi.synchronization import SyncLevel
-from motorapi.trajectory import TrapezoidalTrajectory
+from motorhil.harness.rig.rig import Rig
+from motorhil.motorapi.commands import ControlMode, ControlVariable
+from motorhil.motorapi.errors import MotionInterrupted, StateError, UnsupportedError
+from motorhil.motorapi.group import MotorGroup
+from motorhil.motorapi.motor import Motor
+from motorhil.motorapi.state import MotorState
+from motorhil.motorapi.synchronization.quality import SyncLevel
+from motorhil.motorapi.trajectory import TrapezoidalTrajectory
 from tests.motorapi.adaptations.software_rigs import (
     ACCELERATION_MAX,
     INC_PER_RAD,
@@ -35,7 +35,7 @@ WINDOW = 10 / INC_PER_RAD
 # --- stopping
 
 
-def test_stop_slows_down_at_the_motions_deceleration_and_holds(open_rig: OpenRig):
+def test_stop_uses_the_motions_deceleration_and_holds(open_rig: OpenRig):
     rig = open_rig(one())
     left = enabled(rig)
     commanded(left, ControlMode.TRAJECTORY, ControlVariable.POSITION, TrapezoidalTrajectory(3.0))
@@ -60,7 +60,7 @@ def test_stop_slows_down_at_the_motions_deceleration_and_holds(open_rig: OpenRig
     ],
 )
 @pytest.mark.parametrize("way", ["stop", "halt", "quick_stop"])
-def test_set_points_are_stopped_from_whatever_the_motor_does(
+def test_set_point_is_stopped_from_any_state(
     open_rig: OpenRig, variable: ControlVariable, value: float, way: str
 ):
     rig = open_rig(one())
@@ -77,7 +77,7 @@ def test_set_points_are_stopped_from_whatever_the_motor_does(
     assert left.state() is stopped
 
 
-def test_after_a_quick_stop_it_moves_only_once_enabled_again(open_rig: OpenRig):
+def test_quick_stop_requires_enable_before_motion(open_rig: OpenRig):
     rig = open_rig(one())
     left = enabled(rig)
     commanded(left, ControlMode.TRAJECTORY, ControlVariable.POSITION, TrapezoidalTrajectory(3.0))
@@ -92,7 +92,7 @@ def test_after_a_quick_stop_it_moves_only_once_enabled_again(open_rig: OpenRig):
     left.wait_until_done(2)
 
 
-def test_who_waits_is_told_that_another_stopped_the_motor(open_rig: OpenRig):
+def test_stop_by_another_is_reported_to_the_waiter(open_rig: OpenRig):
     rig = open_rig(one(), motor("other", "io"))
     left, other = enabled(rig), rig.motors["other"]
     commanded(left, ControlMode.TRAJECTORY, ControlVariable.POSITION, TrapezoidalTrajectory(3.0))
@@ -102,7 +102,7 @@ def test_who_waits_is_told_that_another_stopped_the_motor(open_rig: OpenRig):
     assert party.join(1)
 
 
-def test_disabled_it_has_no_current_and_sync_ends_with_the_last_motor(open_rig: OpenRig):
+def test_disable_removes_current_and_last_one_ends_sync(open_rig: OpenRig):
     rig = open_rig(two())
     left, right = enabled(rig, "left"), enabled(rig, "right")
     left.disable()
@@ -115,7 +115,7 @@ def test_disabled_it_has_no_current_and_sync_ends_with_the_last_motor(open_rig: 
     assert left.hardware.link.sync_period_ns is None
     rig.controllers["io"].stimulate("load_torque_n_m", -3.0)
     rig.runtime.run_for(0.1)
-    at = left.position()  # asked for, as no cycle brings it
+    at = left.position()  # polled, as no cycle brings it
     assert at > 0.01
     assert left.velocity() > 0.1
     rig.controllers["io"].stimulate("load_torque_n_m", 0.0)
@@ -125,7 +125,7 @@ def test_disabled_it_has_no_current_and_sync_ends_with_the_last_motor(open_rig: 
     left.wait_until_done(1)
 
 
-def test_enabling_moves_nothing(open_rig: OpenRig):
+def test_enable_moves_nothing(open_rig: OpenRig):
     rig = open_rig(one())
     left = enabled(rig)
     rig.runtime.run_for(0.5)
@@ -134,7 +134,7 @@ def test_enabling_moves_nothing(open_rig: OpenRig):
 
 
 @pytest.mark.parametrize("method", [None, 35, 37])
-def test_homing_calls_here_0_and_moves_nothing(open_rig: OpenRig, method: int | None):
+def test_homing_defines_position_0_and_moves_nothing(open_rig: OpenRig, method: int | None):
     rig = open_rig(one())
     left = enabled(rig)
     commanded(left, ControlMode.TRAJECTORY, ControlVariable.POSITION, TrapezoidalTrajectory(0.7))
@@ -154,7 +154,7 @@ def test_homing_calls_here_0_and_moves_nothing(open_rig: OpenRig, method: int | 
         left.home(17)
 
 
-def test_a_motor_that_counts_against_its_direction_works_the_same(open_rig: OpenRig):
+def test_motor_with_reversed_counter_works_the_same(open_rig: OpenRig):
     rig = open_rig(one(increments=-INC_PER_RAD))
     left = enabled(rig)
     commanded(left, ControlMode.TRAJECTORY, ControlVariable.POSITION, TrapezoidalTrajectory(0.5))
@@ -171,7 +171,7 @@ def test_a_motor_that_counts_against_its_direction_works_the_same(open_rig: Open
 # --- sharing and groups
 
 
-def test_gains_are_each_logical_motors_own_and_are_taken_at_start(open_rig: OpenRig):
+def test_gains_belong_to_a_logical_motor_and_apply_at_start(open_rig: OpenRig):
     rig = open_rig(one(), motor("slow", "io", bandwidth=20.0))
     left, slow = rig.motors["left"], rig.motors["slow"]
     assert left.hardware is slow.hardware
@@ -181,15 +181,15 @@ def test_gains_are_each_logical_motors_own_and_are_taken_at_start(open_rig: Open
         chosen.set_control_mode(ControlMode.TRAJECTORY)
         chosen.set_trajectory(TrapezoidalTrajectory(0.1))
         before = servo._gains
-        chosen.gains = chosen.gains  # local: nothing of it is felt yet
+        chosen.gains = chosen.gains  # local: without effect yet
         assert servo._gains is before
         chosen.start()
         assert servo._gains == chosen.gains.per_increment(INC_PER_RAD)
         chosen.wait_until_done(2)
 
 
-def test_two_motors_of_a_group_begin_with_one_sync_and_end_together(open_rig: OpenRig):
-    """On two nodes: the first outputs that differ from 0 stand before the same SYNC on the wire."""
+def test_group_of_two_begins_with_one_sync(open_rig: OpenRig):
+    """On two nodes: the first nonzero outputs are before the same SYNC on the wire."""
     rig = open_rig(
         node("a", 1),
         node("b", 2),
@@ -217,7 +217,7 @@ def test_two_motors_of_a_group_begin_with_one_sync_and_end_together(open_rig: Op
     group.wait_until_done(3)
     quality = group.sync_quality()
     assert quality.start_skew_s == 0.0
-    assert quality.end_skew_s < 0.02  # how they settle differs
+    assert quality.end_skew_s < 0.02  # their settling differs
     syncs = [place for place, (can_id, _) in enumerate(wire) if can_id == 0x080]
     first = {
         can_id: next(
@@ -246,7 +246,7 @@ def test_four_motors_of_one_node_move_at_once(open_rig: OpenRig):
     assert group[0].hardware.report().missed == 0
 
 
-def test_at_rest_the_motor_stands_and_the_output_does_not_hunt(open_rig: OpenRig):
+def test_motor_at_rest_does_not_oscillate(open_rig: OpenRig):
     rig = open_rig(one())
     left = enabled(rig)
     commanded(
@@ -260,7 +260,7 @@ def test_at_rest_the_motor_stands_and_the_output_does_not_hunt(open_rig: OpenRig
     assert len(seen) == 1
 
 
-def test_a_load_is_taken_up_by_the_integral(open_rig: OpenRig):
+def test_load_is_compensated_by_the_integral(open_rig: OpenRig):
     rig = open_rig(one())
     left = enabled(rig)
     rig.controllers["io"].stimulate("load_torque_n_m", 3.0)
@@ -270,7 +270,7 @@ def test_a_load_is_taken_up_by_the_integral(open_rig: OpenRig):
     assert left.hardware.servo.current_a == pytest.approx(load_a, abs=0.3)  # friction holds some
 
 
-def test_the_models_limits_of_current_and_torque_are_the_outputs(open_rig: OpenRig):
+def test_model_current_and_torque_limit_the_output(open_rig: OpenRig):
     blocked = "[controller.io.plant]\npreset = 'wheel_60w'\ncoulomb_friction_n_m = 9\n"
     for model, most in (("current_max_a = 1.5", 1.5), ("torque_max_n_m = 4.0", 2.34), ("", 8.0)):
         with open_rig(one(model=model), blocked) as rig:

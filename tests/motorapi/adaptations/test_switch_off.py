@@ -1,10 +1,10 @@
-"""An amplifier that missed the frame that switches it off is switched off by the next one."""
+"""Repeated switching-off of an amplifier that missed a frame."""
 
 import pytest
 
-from emulators.media.faults import FaultKind, FaultRule
-from harness.rig import Rig
-from motorapi.errors import DeadlineExceeded, LinkError
+from motorhil.emulators.can.fault_rules import FaultKind, FaultRule
+from motorhil.harness.rig.rig import Rig
+from motorhil.motorapi.errors import DeadlineExceeded, LinkError
 from tests.motorapi.adaptations.software_rigs import enabled, moving, one
 from tests.motorapi.adaptations.wheels import frames_on
 
@@ -24,8 +24,8 @@ def ready(rig: Rig) -> bool:
 
 
 @pytest.mark.parametrize("lost", [0, 1, 5])
-def test_a_motor_whose_counts_end_is_switched_off_though_frames_are_lost(open_rig, lost: int):
-    """No loop is closed any more: what it was given last would drive it on and on."""
+def test_motor_without_counts_is_switched_off_despite_losses(open_rig, lost: int):
+    """The loop is open: the last current would drive the motor on."""
     rig = open_rig(one())
     left = moving(rig)
     lose(rig, COUNTS, None)
@@ -42,10 +42,10 @@ def test_a_motor_whose_counts_end_is_switched_off_though_frames_are_lost(open_ri
     rig.runtime.run_for(1.0)
     assert abs(rig.controllers["io"].snapshot()["position_rad"] - at) < COAST_RAD
     off = [data for _, sender, can_id, data in heard if can_id == ENABLE and sender == "host"]
-    assert off == [b"\0"]  # the first that is heard is the last that is sent
+    assert off == [b"\0"]  # the first one received is the last one sent
 
 
-def test_a_motor_that_says_that_it_is_off_is_off(open_rig):
+def test_confirmed_switch_off_is_not_repeated(open_rig):
     rig = open_rig(one())
     left = enabled(rig)
     lose(rig, ENABLE, 3)
@@ -53,12 +53,12 @@ def test_a_motor_that_says_that_it_is_off_is_off(open_rig):
     assert not ready(rig)
 
 
-def test_enabling_again_ends_it(open_rig):
+def test_enable_ends_the_repetition(open_rig):
     rig = open_rig(one())
     left = enabled(rig)
     lose(rig, ENABLE, 100)
     with pytest.raises(DeadlineExceeded, match="its amplifier off"):
-        left.disable()  # it is told that nobody knows, and goes on being switched off
+        left.disable()  # the result is unknown to the caller, and the repetition continues
     rig.faults.lift("can0", f"{ENABLE:X}h lost")
     left.enable()
     rig.runtime.run_for(0.5)
@@ -75,12 +75,12 @@ def test_nothing_is_sent_after_a_close(open_rig):
     assert [can_id for _, sender, can_id, _ in heard if sender == "host"] == []
 
 
-def test_it_is_given_up_after_a_while(open_rig):
+def test_repetition_ends_after_its_maximum(open_rig):
     rig = open_rig(one())
     left = enabled(rig)
     lose(rig, ENABLE, None)
     with pytest.raises(DeadlineExceeded, match="its amplifier off"):
-        left.disable()  # it is told that nobody knows, and goes on being switched off
+        left.disable()  # the result is unknown to the caller, and the repetition continues
     rig.runtime.run_for(10.0)
     fired = rig.faults.fired()[f"{ENABLE:X}h lost"]
     assert 500 <= fired <= 502

@@ -1,18 +1,18 @@
-"""A group of set-points where a cyclic SYNC runs: one burst after a SYNC; straddles are seen."""
+"""Group start beside a cyclic SYNC, by one burst; straddles."""
 
 from collections.abc import Callable
 
 import can
 import pytest
 
-from emulators.media.faults import FaultKind, FaultRule
-from harness.rig import Rig
-from motorapi.adaptations.cia402 import Cia402Motor
-from motorapi.commands import ControlMode, ControlVariable
-from motorapi.errors import LinkError, MotionInterrupted, MotorError
-from motorapi.group import MotorGroup
-from motorapi.motor import Motor
-from motorapi.synchronization import SyncLevel
+from motorhil.emulators.can.fault_rules import FaultKind, FaultRule
+from motorhil.harness.rig.rig import Rig
+from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
+from motorhil.motorapi.commands import ControlMode, ControlVariable
+from motorhil.motorapi.errors import LinkError, MotionInterrupted, MotorError
+from motorhil.motorapi.group import MotorGroup
+from motorhil.motorapi.motor import Motor
+from motorhil.motorapi.synchronization.quality import SyncLevel
 from tests.motorapi.adaptations.conftest import drive
 from tests.motorapi.adaptations.hosts import BusEvidence, foreign_sync, host_with
 from tests.motorapi.adaptations.streaming import MS, quintic, set_function
@@ -33,7 +33,7 @@ def truth(rig: Rig, node_id: int) -> float:
 
 
 def ready(*motors: Cia402Motor, variable: ControlVariable = ControlVariable.POSITION) -> MotorGroup:
-    """A group that is enabled, and to which all is told but to start."""
+    """Return an enabled group with all commands set, not started."""
     group = MotorGroup(*motors)
     group.for_each(Motor.enable)
     group.for_each(Motor.set_control_mode, ControlMode.SETPOINT, variable)
@@ -46,9 +46,7 @@ def streaming(motor: Cia402Motor) -> None:
 
 
 @pytest.mark.parametrize("variable", [ControlVariable.POSITION, ControlVariable.VELOCITY])
-def test_where_a_stream_runs_on_the_bus_a_group_begins_with_one_sync_of_it(
-    rig: Rig, variable: ControlVariable
-):
+def test_group_beside_a_stream_begins_with_one_of_its_syncs(rig: Rig, variable: ControlVariable):
     with host_with(rig, 1, 2, 3, 4) as (*motors, fourth):
         group = ready(*motors, variable=variable)
         streaming(fourth)
@@ -63,13 +61,13 @@ def test_where_a_stream_runs_on_the_bus_a_group_begins_with_one_sync_of_it(
         started = [times.latched_ns for _, times in quality.times if times is not None]
         assert len(started) == 3
         assert set(started) <= set(seen.syncs())
-        assert min(seen.gaps_ns()) > 4.5 * MS  # no SYNC but those that run; they wait for frames
+        assert min(seen.gaps_ns()) > 4.5 * MS  # only the SYNCs of the stream; they wait for frames
         group.stop()
         group.wait_until_done(5)
         fourth.wait_until_done(10)
 
 
-def test_the_burst_goes_out_just_after_a_sync(rig: Rig):
+def test_burst_is_sent_just_after_a_sync(rig: Rig):
     with host_with(rig, 1, 2, 3, 4) as (*motors, fourth):
         group = ready(*motors)
         streaming(fourth)
@@ -85,9 +83,7 @@ def test_the_burst_goes_out_just_after_a_sync(rig: Rig):
 
 
 @pytest.mark.parametrize("period_s", [0.005, 0.02, 0.1])
-def test_where_somebody_not_of_ours_produces_sync_a_group_begins_with_one_of_his(
-    rig: Rig, period_s: float
-):
+def test_group_beside_a_foreign_sync_begins_with_one_of_it(rig: Rig, period_s: float):
     with host_with(rig, 1, 2, 3) as motors, foreign_sync(period_s) as network:
         group = ready(*motors)
         seen = BusEvidence(rig)
@@ -97,10 +93,10 @@ def test_where_somebody_not_of_ours_produces_sync_a_group_begins_with_one_of_his
         assert (quality.command_skew_s, quality.straddles) == (0.0, 0)
         assert seen.producers() == {str(network.bus._port.name)}
         assert seen.fired() == [IDS]
-        assert "not of ours" in group.sync_capability().reason
+        assert "a foreign program" in group.sync_capability().reason
 
 
-def test_where_another_host_streams_a_group_begins_with_one_sync_of_his(rig: Rig):
+def test_group_beside_another_hosts_stream_uses_its_sync(rig: Rig):
     with host_with(rig, 4) as (fourth,), host_with(rig, 1, 2, 3) as motors:
         group = ready(*motors)
         streaming(fourth)
@@ -112,7 +108,7 @@ def test_where_another_host_streams_a_group_begins_with_one_sync_of_his(rig: Rig
         group.wait_until_done(5)
 
 
-def test_regular_starts_of_another_host_are_not_taken_for_a_cyclic_sync(rig: Rig):
+def test_regular_starts_of_another_host_are_not_cyclic_sync(rig: Rig):
     with host_with(rig, 3, 4) as others, host_with(rig, 1, 2) as motors:
         other, group = ready(*others), ready(*motors)
         group.start()
@@ -124,13 +120,13 @@ def test_regular_starts_of_another_host_are_not_taken_for_a_cyclic_sync(rig: Rig
             rig.runtime.run_for(0.05)
         before_ns = rig.runtime.now_ns()
         group.start()
-        assert rig.runtime.now_ns() - before_ns < 20 * MS  # waits for none: they took turns
+        assert rig.runtime.now_ns() - before_ns < 20 * MS  # does not wait for one: they took turns
         assert motors[0].hardware.link.cyclic_sync() is None
         assert group.sync_quality().command_skew_s == 0.0
         group.wait_until_done(5)
 
 
-def test_a_burst_that_traffic_pushes_over_a_sync_straddles_it_and_that_is_told(rig: Rig):
+def test_burst_pushed_over_a_sync_straddles_and_reports_it(rig: Rig):
     with (
         host_with(rig, 1, 2, 3) as motors,
         foreign_sync(0.001),
@@ -139,7 +135,7 @@ def test_a_burst_that_traffic_pushes_over_a_sync_straddles_it_and_that_is_told(r
         group = ready(*motors)
         link = motors[0].hardware.link
 
-        def shout(time_ns: int) -> None:  # goes first in arbitration, for most of a period
+        def shout(time_ns: int) -> None:  # wins arbitration, for most of a period
             if any(one.transmission is not None for one in link.armed_set_points):
                 return
             for _ in range(6):
@@ -160,7 +156,7 @@ def test_a_burst_that_traffic_pushes_over_a_sync_straddles_it_and_that_is_told(r
         assert "1 SYNC later than the first" in told[0].source
 
 
-def test_a_burst_after_a_sync_that_was_heard_late_straddles_the_next_and_that_is_told(rig: Rig):
+def test_burst_after_a_delayed_sync_straddles_and_reports_it(rig: Rig):
     with host_with(rig, 1, 2, 3) as motors, foreign_sync(0.02):
         group = ready(*motors)
         rig.runtime.run_for(0.1)
@@ -171,7 +167,7 @@ def test_a_burst_after_a_sync_that_was_heard_late_straddles_the_next_and_that_is
             identifier=0x080,
             ports=(str(link.bus._port.name),),
             limit=1,
-            delay_ns=20 * MS - 150_000,  # what is left is too short for three frames
+            delay_ns=20 * MS - 150_000,  # the rest is too short for three frames
         )
         injected: list[int] = []
 
@@ -190,7 +186,7 @@ def test_a_burst_after_a_sync_that_was_heard_late_straddles_the_next_and_that_is
         assert quality.command_skew_s == pytest.approx(0.02, abs=2e-6)  # a SYNC waits for a frame
 
 
-def test_a_stop_between_arming_and_the_burst_leaves_nothing_to_begin(rig: Rig):
+def test_stop_between_arming_and_burst_leaves_nothing_armed(rig: Rig):
     with host_with(rig, 1, 2, 3) as motors, foreign_sync(0.1):
         group = ready(*motors)
         rig.runtime.run_for(0.5)
@@ -213,7 +209,7 @@ def test_a_stop_between_arming_and_the_burst_leaves_nothing_to_begin(rig: Rig):
         assert [abs(truth(rig, one)) < WINDOW_RAD for one in (1, 2, 3)] == [True] * 3
 
 
-def test_when_the_sync_ends_that_a_burst_waits_for_one_of_ours_begins_all(rig: Rig):
+def test_own_sync_begins_a_burst_when_the_producer_ends(rig: Rig):
     with host_with(rig, 4) as (fourth,), host_with(rig, 1, 2, 3) as motors:
         group = ready(*motors)
         streaming(fourth)
@@ -232,7 +228,7 @@ def test_when_the_sync_ends_that_a_burst_waits_for_one_of_ours_begins_all(rig: R
         group.wait_until_done(5)
 
 
-def test_a_set_point_that_is_refused_leaves_nothing_armed_where_sync_runs(rig: Rig):
+def test_refused_set_point_leaves_nothing_armed(rig: Rig):
     with host_with(rig, 1, 2, 3) as motors, foreign_sync(PERIOD_S):
         group = ready(*motors)
         group.for_each(Motor.position)
@@ -249,7 +245,7 @@ def test_a_set_point_that_is_refused_leaves_nothing_armed_where_sync_runs(rig: R
         assert seen.fired() == [IDS]
 
 
-def test_a_producer_that_stands_still_is_named(rig: Rig):
+def test_stalled_sync_producer_is_named(rig: Rig):
     with host_with(rig, 4) as (fourth,), host_with(rig, 1, 2, 3) as motors:
         group = ready(*motors)
         streaming(fourth)
@@ -260,7 +256,7 @@ def test_a_producer_that_stands_still_is_named(rig: Rig):
             group.start()
 
 
-def test_a_stream_and_set_points_of_one_group_begin_within_what_is_predicted(rig: Rig):
+def test_stream_and_set_points_begin_within_the_prediction(rig: Rig):
     with host_with(rig, 4) as (fourth,), host_with(rig, 1, 2, 3) as motors:
         group = ready(*motors)
         set_function(motors[0], quintic(0.5, 1.0))
@@ -279,7 +275,7 @@ def test_a_stream_and_set_points_of_one_group_begin_within_what_is_predicted(rig
         fourth.wait_until_done(10)
 
 
-def test_a_single_foreign_sync_in_the_middle_of_arming_is_not_made_worse_by_listening(rig: Rig):
+def test_single_foreign_sync_while_arming_causes_no_wait(rig: Rig):
     with (
         host_with(rig, 1, 2) as motors,
         can.Bus(interface="emulated", channel="can0") as evil,

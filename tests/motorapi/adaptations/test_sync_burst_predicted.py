@@ -1,4 +1,4 @@
-"""What a burst is predicted to do under declared traffic, and what it does: never worse."""
+"""Predicted and measured skew of bursts under declared traffic."""
 
 from pathlib import Path
 from random import Random
@@ -7,10 +7,10 @@ from tempfile import TemporaryDirectory
 from hypothesis import event, given, settings
 from hypothesis import strategies as st
 
-from harness.rig import Rig
-from motorapi.commands import ControlMode
-from motorapi.group import MotorGroup
-from motorapi.motor import Motor
+from motorhil.harness.rig.rig import Rig
+from motorhil.motorapi.commands import ControlMode
+from motorhil.motorapi.group import MotorGroup
+from motorhil.motorapi.motor import Motor
 from tests.motorapi.adaptations.hosts import foreign_sync
 from tests.motorapi.skew_rigs import Member, Message, Scenario, Sender, rig_text
 
@@ -38,7 +38,7 @@ MESSAGES = st.lists(
 
 
 def affordable(messages: list[Message], rate_bit_s: int) -> tuple[Message, ...]:
-    """As many of them as leave the bus half of its time."""
+    """Return as many of them as leave the bus half of its time."""
     chosen: list[Message] = []
     load = 0.0
     for one in messages:
@@ -63,7 +63,7 @@ SCENARIOS = st.builds(
 
 
 def burst(scenario: Scenario, period_ms: int) -> tuple[float | None, float, int]:
-    """(predicted, measured command skew [s], straddles), where a SYNC runs that is not ours."""
+    """Return (predicted, measured command skew [s], straddles) beside a foreign SYNC."""
     with TemporaryDirectory() as folder:
         path = Path(folder) / "rig.toml"
         path.write_text(rig_text(scenario))
@@ -89,7 +89,7 @@ def burst(scenario: Scenario, period_ms: int) -> tuple[float | None, float, int]
 
 @settings(max_examples=15)
 @given(SCENARIOS, st.sampled_from([1, 2, 5, 10]))
-def test_a_burst_is_never_worse_than_predicted(scenario: Scenario, period_ms: int):
+def test_burst_is_never_worse_than_predicted(scenario: Scenario, period_ms: int):
     predicted, measured, straddles = burst(scenario, period_ms)
     assert (measured == 0.0) == (straddles == 0)
     if predicted is None:
@@ -99,7 +99,7 @@ def test_a_burst_is_never_worse_than_predicted(scenario: Scenario, period_ms: in
     event(f"{straddles} straddles, predicted {round(predicted * 1e3 / period_ms)} periods")
 
 
-def test_bursts_that_straddle_have_no_bound_or_a_larger_one():
+def test_straddling_bursts_have_no_bound_or_a_larger_one():
     scenario = Scenario((Member("latched", 0, 0.05),) * 10, (), (500_000,), 20.0)
     predicted, measured, straddles = burst(scenario, 2)  # ten frames of 0.2 ms each
     assert straddles == 1

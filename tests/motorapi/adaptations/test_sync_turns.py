@@ -1,4 +1,4 @@
-"""From arming to SYNC a bus is one group's: no SYNC of another host fires what is half armed."""
+"""Exclusive turns from arming to SYNC, among several hosts on a bus."""
 
 from collections.abc import Callable
 from contextlib import nullcontext
@@ -9,13 +9,13 @@ import pytest
 from hypothesis import event, given, settings
 from hypothesis import strategies as st
 
-from harness.rig import Rig
-from motorapi import execution
-from motorapi.adaptations.bus_sync import BusSync
-from motorapi.adaptations.cia402 import Cia402Motor
-from motorapi.commands import ControlMode
-from motorapi.group import MotorGroup
-from motorapi.motor import Motor
+from motorhil.harness.rig.rig import Rig
+from motorhil.motorapi import execution
+from motorhil.motorapi.adaptations.canopen.sync import BusSync
+from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
+from motorhil.motorapi.commands import ControlMode
+from motorhil.motorapi.group import MotorGroup
+from motorhil.motorapi.motor import Motor
 from tests.motorapi.adaptations.conftest import HEAD, drive
 from tests.motorapi.adaptations.hosts import BusEvidence, host_with
 from tests.motorapi.adaptations.streaming import quintic, set_function
@@ -43,7 +43,7 @@ def stream(rig: Rig, motor: Cia402Motor, delay_us: int) -> None:
 
 
 def fired(delays: list[int]) -> list[set[int]]:
-    """What each SYNC has started, of two groups and a stream of three hosts that begin so late."""
+    """Return the set-points started by each SYNC, of two groups and a stream of three hosts."""
     with TemporaryDirectory() as folder:
         path = Path(folder) / "rig.toml"
         path.write_text(HEAD + "".join(drive(f"wheel{one}", one) for one in range(1, 6)))
@@ -75,7 +75,7 @@ def are_whole(started: list[set[int]]) -> bool:
 
 @settings(max_examples=15)
 @given(DELAYS)
-def test_a_sync_starts_whole_groups_whoever_sends_it(delays: list[int]):
+def test_sync_of_any_sender_starts_whole_groups(delays: list[int]):
     started = fired(delays)
     assert are_whole(started), started
     assert sum(len(one) for one in started) == 2 * 2 * ROUNDS  # each group, each round, once
@@ -83,7 +83,7 @@ def test_a_sync_starts_whole_groups_whoever_sends_it(delays: list[int]):
 
 
 @pytest.mark.parametrize("what", ["arming", "cyclic"])
-def test_without_turns_half_armed_groups_are_started(what: str, monkeypatch: pytest.MonkeyPatch):
+def test_without_turns_partial_groups_are_started(what: str, monkeypatch: pytest.MonkeyPatch):
     if what == "arming":
         monkeypatch.setattr(execution, "_trigger_turns", lambda motors: [])
     monkeypatch.setattr(BusSync, "in_turn", lambda sync, who: nullcontext())
@@ -93,5 +93,5 @@ def test_without_turns_half_armed_groups_are_started(what: str, monkeypatch: pyt
 def is_sound(delays: list[int]) -> bool:
     try:
         return are_whole(fired(delays))
-    except AssertionError:  # a party failed for what others sent
+    except AssertionError:  # a party failed because of others' frames
         return False

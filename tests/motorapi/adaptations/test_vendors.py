@@ -1,4 +1,4 @@
-"""Real vendors' object dictionaries: every drive comes up, enables and moves in what it names."""
+"""Object dictionaries of real vendors: bring-up and motion in every mode."""
 
 from collections.abc import Callable
 from math import pi
@@ -6,18 +6,18 @@ from pathlib import Path
 
 import pytest
 
-from harness.rig import Rig
-from motorapi.adaptations.cia402 import Cia402Motor
-from motorapi.adaptations.cia402_objects import Mode
-from motorapi.commands import ControlMode, ControlVariable
-from motorapi.group import MotorGroup
-from motorapi.motor import Motor
-from motorapi.trajectory import TrapezoidalTrajectory
+from motorhil.harness.rig.rig import Rig
+from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
+from motorhil.motorapi.adaptations.cia402.objects import Mode
+from motorhil.motorapi.commands import ControlMode, ControlVariable
+from motorhil.motorapi.group import MotorGroup
+from motorhil.motorapi.motor import Motor
+from motorhil.motorapi.trajectory import TrapezoidalTrajectory
 from tests.motorapi.adaptations.conftest import drive
 
 pytestmark = pytest.mark.data
 
-# 2000 increments a turn of the motor, gear 66:1: the emulated drives' default motor.
+# 2000 increments per turn of the motor, gear 66:1: the emulated drives' default motor.
 INCREMENTS = f"increments_per_rad = {132_000 / (2 * pi)!r}\n"
 IN_INCREMENTS = INCREMENTS + (
     f"velocity_unit_rad_s = {2 * pi / 132_000!r}\nacceleration_unit_rad_s2 = {2 * pi / 132_000!r}"
@@ -25,9 +25,9 @@ IN_INCREMENTS = INCREMENTS + (
 IN_MOTOR_RPM = INCREMENTS + (
     f"velocity_unit_rad_s = {2 * pi / 60 / 66!r}\nacceleration_unit_rad_s2 = {2 * pi / 60 / 66!r}"
 )
-# 60A8h: tenths of a degree, 60A9h: turns per minute of the output; only acceleration is not told.
+# 60A8h: tenths of a degree, 60A9h: turns per minute of the output; only acceleration is unknown.
 TELLS_ITS_UNITS = f"acceleration_unit_rad_s2 = {2 * pi / 60!r}"
-# What its user sets in that drive: the gear between its motor and the wheel.
+# A setting of that drive's user: the gear between its motor and the wheel.
 BUILT_IN = 'objects = { "6091h:1" = 66 }'
 
 PP, PV, HM, CSP = (
@@ -51,7 +51,7 @@ VENDORS = [
 
 
 @pytest.mark.parametrize(("file", "units", "modes", "method", "period_s"), VENDORS)
-def test_a_vendors_drive_moves_in_every_mode_it_names(
+def test_vendor_drive_moves_in_every_mode_it_names(
     file: str,
     units: str,
     modes: tuple[Mode, ...],
@@ -91,7 +91,7 @@ def test_a_vendors_drive_moves_in_every_mode_it_names(
     group.start()
     group.wait_until_done(timeout_s=5)
     quality = group.sync_quality()
-    assert quality.start_skew_s == 0.0  # every one of them has an RPDO that SYNC latches
+    assert quality.start_skew_s == 0.0  # each of them has an RPDO that SYNC latches
     assert abs(position_rad("two") - 0.25) <= step_rad
 
     if HM in modes:
@@ -115,7 +115,7 @@ def test_a_vendors_drive_moves_in_every_mode_it_names(
 
 
 def follow_a_ramp(rig: Rig, motor: Cia402Motor, period_s: float) -> None:
-    """0.2 rad/s in csp for 100 cycles, one target each."""
+    """Move at 0.2 rad/s in csp for 100 cycles, one target each."""
     scale = motor.units.increments_per_unit
     assert scale is not None
     motor.enable()

@@ -1,14 +1,14 @@
-"""Two wheels on CiA 402 drives: looking at them and moving them."""
+"""Two wheels on CiA 402 drives: helpers to observe and move them."""
 
 from math import pi
 
-from harness.rig import Rig
-from motorapi.adaptations.cia402 import Cia402Motor
-from motorapi.commands import ControlMode, DerivativeLimits
-from motorapi.motor import Motor
+from motorhil.harness.rig.rig import Rig
+from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
+from motorhil.motorapi.commands import ControlMode, DerivativeLimits
+from motorhil.motorapi.motor import Motor
 
 MS = 1_000_000
-INCREMENT_RAD = 2 * pi / 132_000  # 2000 x 66, our own drive's default motor and gear
+INCREMENT_RAD = 2 * pi / 132_000  # 2000 x 66, the emulated drive's default motor and gear
 WINDOW_RAD = 10 * INCREMENT_RAD  # its position window: "at the target" is within it
 
 
@@ -29,7 +29,7 @@ def go_to(motor: Motor, target: float, limits: DerivativeLimits | None = None) -
 
 
 def frames_on(rig: Rig) -> list[tuple[int, str, int, bytes]]:
-    """(time, sender, identifier, data) of every frame from now on."""
+    """Record (time, sender, identifier, data) of every frame from now on."""
     heard: list[tuple[int, str, int, bytes]] = []
 
     def on_frame(bus: str, time_ns: int, sender: str, frame: bytes) -> None:

@@ -1,14 +1,14 @@
-"""Taylor coefficients of a function at an argument, found without its derivatives: an oracle.
+"""Taylor coefficients of a function without its derivatives: an oracle.
 
 Arithmetic of truncated power series (automatic differentiation, forward): Griewank & Walther,
-Evaluating Derivatives, 2nd ed. (2008), ch. 13. Each jet comes with the same of the sizes of all
-terms, which says how many digits rounding may have taken.
+Evaluating Derivatives, 2nd ed. (2008), ch. 13. Each jet has a companion with the sizes of all
+terms, which bounds the digits lost by rounding.
 """
 
 from fractions import Fraction
 from math import comb, cos, exp, factorial, pi, sin
 
-from motorapi.functions import (
+from motorhil.motorapi.functions import (
     Composition,
     Cosine,
     Exponential,
@@ -24,7 +24,7 @@ from motorapi.functions import (
 
 
 def derivative(function, order, x):
-    """(the derivative of that order at x, the size of the terms it is made of)."""
+    """Return (the derivative of that order at x, the size of its terms)."""
     values, sizes = jet(function, x, order)
     return values[order] * factorial(order), sizes[order] * factorial(order)
 
@@ -67,7 +67,7 @@ def jet(function, x, order):
 
 
 def piece_at(function, x):
-    """From the right at a break, from the left at the end."""
+    """Return the piece at x: from the right at a break, from the left at the end."""
     number = 0
     while number < len(function.pieces) - 1 and x >= function.breaks[number + 1]:
         number += 1
@@ -108,7 +108,7 @@ def times(left, right):
 def composed(function, x, order):
     inner, inner_sizes = jet(function.inner, x, order)
     outer, outer_sizes = jet(function.outer, inner[0], order)
-    # What is uncertain of the inner value moves the outer one by its slope.
+    # The uncertainty of the inner value moves the outer one by its slope.
     slope = jet(function.outer, inner[0], order + 1)[1]
     outer_sizes = [
         size + (k + 1) * slope[k + 1] * inner_sizes[0] for k, size in enumerate(outer_sizes)
@@ -120,7 +120,7 @@ def composed(function, x, order):
 
 
 def series(outer, inner):
-    """outer(inner(h)), by Horner's scheme."""
+    """Return outer(inner(h)), by Horner's scheme."""
     total = [outer[-1]] + [0.0] * (len(inner) - 1)
     for coefficient in reversed(outer[:-1]):
         total = times(total, inner)

@@ -1,8 +1,8 @@
-"""Functions to try: all kinds of them, all known from LOW to HIGH at least."""
+"""Strategies for functions of all kinds, defined at least from LOW to HIGH."""
 
 from hypothesis import strategies as st
 
-from motorapi.functions import (
+from motorhil.motorapi.functions import (
     Composition,
     Constant,
     Cosine,
@@ -35,7 +35,7 @@ exponentials = st.builds(
 
 @st.composite
 def edges(draw, low=LOW, high=HIGH, most=6):
-    """Ascending, from `low` or below to `high` or above, not too near to one another."""
+    """Return ascending breaks, from `low` or below to `high` or above, with minimum distances."""
     begin = low - draw(st.floats(0.0, 1.0))
     ways = draw(st.lists(st.floats(0.05, 1.0), min_size=1, max_size=most))
     length = high + draw(st.floats(0.0, 1.0)) - begin
@@ -72,7 +72,7 @@ simple = st.one_of(smooth, piecewise(), sampled())
 
 @st.composite
 def moved(draw, inner):
-    """Shifted or scaled so that LOW to HIGH stays within the domain of what is unbounded."""
+    """Return shifted or scaled functions whose domain contains LOW to HIGH."""
     if draw(st.booleans()):
         return Shifted(draw(inner), draw(st.floats(-2.0, 2.0)))
     return Scaled(draw(inner), draw(NOT_ZERO))

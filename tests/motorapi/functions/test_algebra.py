@@ -1,4 +1,4 @@
-"""What operators make of functions: the right values, and the simplest function that has them."""
+"""Operators on functions: correct values, and the simplest form."""
 
 from fractions import Fraction
 from math import inf, nan
@@ -8,8 +8,8 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from motorapi.errors import DomainError, UsageError
-from motorapi.functions import (
+from motorhil.motorapi.errors import DomainError, UsageError
+from motorhil.motorapi.functions import (
     Composition,
     Constant,
     Cosine,
@@ -37,16 +37,16 @@ RAMP = Piecewise.of_polynomials((0.0, 1.0, 3.0), [(0.0, 0.0, 0.5), (0.5, 1.0)])
 
 
 def at(function, x):
-    """(value, size of its terms); nothing is tried outside the domain."""
+    """Return (value, size of its terms), or None outside the domain."""
     assume(function.domain[0] <= x <= function.domain[1])
     (value, *_), (size, *_) = jets.jet(function, x, 0)
     return value, size
 
 
 @given(any_function, any_function, ARGUMENTS)
-def test_operators_do_to_functions_what_they_do_to_values(f, g, x):
+def test_operators_on_functions_apply_to_their_values(f, g, x):
     (left, left_size), (right, right_size) = at(f, x), at(g, x)
-    # Coefficients of merged polynomials are rounded where these are about; jets count the terms.
+    # Coefficients of merged polynomials are rounded at their expansion point; jets count the terms.
     assert abs((f + g).value(x) - (left + right)) <= 1e-12 * (left_size + right_size + 1.0)
     assert abs((f - g).value(x) - (left - right)) <= 1e-12 * (left_size + right_size + 1.0)
     size = max(1.0, left_size) * max(1.0, right_size)
@@ -54,7 +54,7 @@ def test_operators_do_to_functions_what_they_do_to_values(f, g, x):
 
 
 @given(any_function, NUMBERS, ARGUMENTS)
-def test_numbers_are_operands_too(f, number, x):
+def test_operators_accept_numbers(f, number, x):
     value, size = at(f, x)
     slack = 1e-12 * (size + abs(number)) * max(1.0, abs(number))
     for made, expected in (
@@ -76,14 +76,14 @@ def test_numbers_are_operands_too(f, number, x):
 
 
 @given(any_smooth, tame, ARGUMENTS)
-def test_after_calls_the_one_with_the_value_of_the_other(outer, inner, x):
+def test_after_calls_the_outer_function_with_the_inner_value(outer, inner, x):
     made = Composition(outer, inner)
     expected, size = at(made, x)
     assert abs(outer.after(inner).value(x) - expected) <= 1e-12 * (size + 1.0)
 
 
 @given(made_of_polynomials, made_of_polynomials)
-def test_what_is_made_of_polynomials_stays_made_of_them(f, g):
+def test_combinations_of_polynomials_stay_polynomials(f, g):
     for made in (f + g, f - g, f * g, 2.0 * f, f + 1.0, f.shifted(0.5), f.scaled(2.0)):
         assert isinstance(made, Polynomial | Piecewise | Sampled)
         assert not isinstance(made, Piecewise) or made.is_polynomial
@@ -93,7 +93,7 @@ def test_what_is_made_of_polynomials_stays_made_of_them(f, g):
 
 
 @given(polynomials, polynomials, ARGUMENTS)
-def test_polynomials_are_combined_exactly_and_rounded_once(f, g, x):
+def test_combined_polynomials_are_rounded_once(f, g, x):
     point = Fraction(x)
     for made, expected in (
         (f + g, exactly(f, point) + exactly(g, point)),
@@ -104,8 +104,8 @@ def test_polynomials_are_combined_exactly_and_rounded_once(f, g, x):
             abs(Fraction(c) * (point - Fraction(made.about)) ** k)
             for k, c in enumerate(made.coefficients)
         ]
-        # Every coefficient is the nearest double: half an ulp of each term, evaluated exactly;
-        # or nothing, where it is below all doubles.
+        # Every coefficient is the nearest double: half an ulp of each term, evaluated exactly; or
+        # nothing, if it is below all doubles.
         lost = Fraction(5e-324) * sum(abs(point - Fraction(made.about)) ** k for k in range(26))
         assert abs(exactly(made, point) - expected) <= Fraction(1, 2**53) * sum(terms) + lost
         assert made.about in (f.about, g.about) or made.degree == 0
@@ -115,7 +115,7 @@ def exactly(p, point):
     return sum(Fraction(c) * (point - Fraction(p.about)) ** k for k, c in enumerate(p.coefficients))
 
 
-def test_sums_and_products_of_polynomials_are_numpys():
+def test_sums_and_products_of_polynomials_equal_numpy():
     draw = np.random.default_rng(3)
     for _ in range(50):
         a, b = draw.normal(size=draw.integers(1, 6)), draw.normal(size=draw.integers(1, 6))
@@ -131,7 +131,7 @@ def test_sums_and_products_of_polynomials_are_numpys():
             assert np.abs(found - theirs.coef).max() <= 1e-12 * size
 
 
-def test_the_simplest_function_is_made():
+def test_operators_make_the_simplest_function():
     assert Polynomial((1.0, 2.0)) - Polynomial((0.0, 2.0)) == Constant(1.0)
     assert Constant(2.0) * Constant(3.0) == Constant(6.0)
     assert Sine() * 2.0 == Sine(2.0)
@@ -151,7 +151,7 @@ def test_the_simplest_function_is_made():
     assert Sine().after(Cosine()) * 2.0 == Composition(Sine(2.0), Cosine())
 
 
-def test_pieces_meet_at_the_breaks_of_both():
+def test_combined_pieces_have_the_breaks_of_both():
     steps = Sampled((0.5, 1.5, 2.5), (1.0, 2.0, 3.0), Interpolation.NEAREST)
     made = RAMP + steps
     assert made.domain == (0.5, 2.5)
@@ -161,7 +161,7 @@ def test_pieces_meet_at_the_breaks_of_both():
     assert all(p.about == b for p, b in zip(made.pieces, made.breaks, strict=False) if p.degree)
 
 
-def test_a_line_as_the_inner_function_moves_the_breaks():
+def test_linear_inner_function_moves_the_breaks():
     twice = RAMP.after(Polynomial((1.0, 2.0)))
     assert twice.breaks == (-0.5, 0.0, 1.0)
     assert twice([-0.25, 0.0, 0.5]).tolist() == [0.125, 0.5, 1.5]
@@ -172,7 +172,7 @@ def test_a_line_as_the_inner_function_moves_the_breaks():
     assert held.after(Polynomial((1.0, -1.0))).breaks == (-inf, 1.0, inf)
 
 
-def test_without_an_interval_in_common_there_is_no_function():
+def test_operators_without_common_domain_raise():
     for make in (
         lambda: RAMP + RAMP.shifted(3.0),
         lambda: RAMP * RAMP.shifted(-4.0),
@@ -183,15 +183,15 @@ def test_without_an_interval_in_common_there_is_no_function():
             make()
 
 
-def test_an_inner_function_that_leaves_the_outer_ones_domain_is_told_beforehand():
-    Composition(RAMP, Sine(1.5, 1.0, 0.0) + 1.5)  # it may, where it has no end
+def test_compose_with_inner_leaving_outer_domain_raises():
+    Composition(RAMP, Sine(1.5, 1.0, 0.0) + 1.5)  # permitted with an unbounded domain
     with pytest.raises(DomainError, match=r"the argument 3\.5 lies outside") as raised:
         RAMP.after((Sine(2.0) + 1.5).restricted(0.0, 2.0))
     assert (raised.value.argument, raised.value.low, raised.value.high) == (3.5, 0.0, 3.0)
     assert repr(0.5 * np.pi) in str(raised.value)
 
 
-def test_an_inner_value_outside_is_told_with_both_arguments():
+def test_inner_value_outside_error_names_both_arguments():
     far = RAMP.after(Sine(4.0))
     for ask in (far.value, lambda x: far([0.1, x]), lambda x: far.extrema(0.0, x)):
         with pytest.raises(DomainError) as raised:
@@ -201,9 +201,9 @@ def test_an_inner_value_outside_is_told_with_both_arguments():
         assert "Sine(4.0" in str(raised.value)
 
 
-def test_an_inner_value_that_only_rounding_takes_outside_counts_as_the_end():
+def test_inner_value_outside_by_rounding_counts_as_the_end():
     outer = Piecewise((0.0, 0.3), (Sine(),))
-    inner = Polynomial((0.0, 0.1)).after(Cosine(1.0) + 2.0)  # 0.1 * 3 is a little above 0.3
+    inner = Polynomial((0.0, 0.1)).after(Cosine(1.0) + 2.0)  # 0.1 * 3 is slightly above 0.3
     assert inner.value(0.0) > 0.3
     made = outer.after(inner)
     assert made.value(0.0) == outer.value(0.3)
@@ -212,7 +212,7 @@ def test_an_inner_value_that_only_rounding_takes_outside_counts_as_the_end():
 
 
 @pytest.mark.parametrize("bad", ["2", None, [1.0, 2.0], np.array([1.0, 2.0]), nan])
-def test_other_operands_are_no_operands(bad):
+def test_operators_reject_other_operands(bad):
     for apply in (
         lambda f, x: f + x,
         lambda f, x: x + f,
@@ -226,7 +226,7 @@ def test_other_operands_are_no_operands(bad):
 
 
 @pytest.mark.parametrize("bad", [0.0, nan, "2", RAMP])
-def test_functions_are_divided_by_numbers_only(bad):
+def test_functions_are_divisible_by_numbers_only(bad):
     with pytest.raises(UsageError):
         RAMP / bad
 
@@ -255,13 +255,13 @@ def test_functions_are_divided_by_numbers_only(bad):
         lambda: Polynomial((1.0, 1e300)) * Polynomial((1.0, 1e300)),
     ],
 )
-def test_parameters_that_make_no_function_are_refused(make):
+def test_functions_with_invalid_parameters_raise(make):
     with pytest.raises(UsageError):
         make()
 
 
 @given(st.floats(-1e6, 1e6), st.floats(-1e6, 1e6))
-def test_a_polynomial_far_away_is_added_to_without_losing_its_digits(place, other):
+def test_addition_of_distant_polynomials_keeps_the_digits(place, other):
     cubic = Polynomial((1.0, -2.0, 3.0, 0.5), about=place)
     made = cubic + Polynomial((0.25, 1.0), about=other)
     for local in (0.0, 0.125, 1.0):

@@ -1,9 +1,9 @@
-"""What no float can hold, and what is no number: an error of ours, never one of the interpreter."""
+"""Numbers beyond all floats, and non-numbers: always an error of our own."""
 
 import pytest
 
-from motorapi import UsageError
-from motorapi.functions import (
+from motorhil.motorapi import UsageError
+from motorhil.motorapi.functions import (
     DomainError,
     Exponential,
     Integral,
@@ -26,10 +26,10 @@ FUNCTIONS = (
 
 
 @pytest.mark.parametrize("function", FUNCTIONS)
-def test_a_whole_number_beyond_all_floats_lies_outside_every_domain(function):
+def test_integer_beyond_all_floats_is_outside_every_domain(function):
     with pytest.raises(DomainError, match="the argument -inf lies outside"):
         function(-HUGE)
-    with pytest.raises(UsageError, match="is no array of numbers"):
+    with pytest.raises(UsageError, match="is not an array of numbers"):
         function([0.0, HUGE])
     with pytest.raises(DomainError, match="the argument inf lies outside"):
         function.restricted(-1.0, 1.0).value(HUGE)
@@ -37,18 +37,18 @@ def test_a_whole_number_beyond_all_floats_lies_outside_every_domain(function):
 
 @pytest.mark.parametrize("function", FUNCTIONS)
 @pytest.mark.parametrize("factor", [HUGE, "1", None, [1.0, 2.0], 1j])
-def test_a_factor_is_a_finite_number(function, factor):
+def test_factor_must_be_a_finite_number(function, factor):
     with pytest.raises(UsageError, match="not a finite number"):
         function.times(factor)
 
 
 @pytest.mark.parametrize("function", [Sine(1.0, 1e200), Exponential(1.0, 1e200)])
-def test_a_derivative_beyond_all_floats_is_refused(function):
+def test_derivative_beyond_all_floats_raises(function):
     with pytest.raises(UsageError, match="its derivative of this order is too large"):
         function.derivative(2)
 
 
-def test_an_integral_beyond_all_floats_is_refused():
+def test_integral_beyond_all_floats_raises():
     product = Sine() * Exponential()
     with pytest.raises(UsageError, match=r"integral from 0\.0 to 1e\+308 is too large"):
         product.integrate(0.0, 1e308)
@@ -56,14 +56,14 @@ def test_an_integral_beyond_all_floats_is_refused():
         Integral(product).value(1e308)
 
 
-def test_samples_that_are_too_near_or_too_far_are_refused():
+def test_samples_too_near_or_too_far_raise():
     for apart in (1e-300, 1e308):
-        with pytest.raises(UsageError, match="distance of samples is too small, or too large"):
+        with pytest.raises(UsageError, match="distance of two samples is too small or too large"):
             Sampled([0.0, apart], [1.0, 2.0], Interpolation.QUINTIC)
 
 
-def test_breaks_and_coefficients_are_sequences():
-    with pytest.raises(UsageError, match="are sequences"):
+def test_breaks_and_coefficients_must_be_sequences():
+    with pytest.raises(UsageError, match="give two sequences"):
         Piecewise.of_polynomials(1.0, [[1.0]])
-    with pytest.raises(UsageError, match="are sequences"):
+    with pytest.raises(UsageError, match="give two sequences"):
         Piecewise.of_polynomials([0.0, 1.0], None)

@@ -1,4 +1,4 @@
-"""Extrema and bounds: none is missed, and each is there."""
+"""Extrema and bounds: complete and attained."""
 
 import itertools
 from math import e, exp, inf, nextafter, pi, sqrt
@@ -8,8 +8,8 @@ import pytest
 from hypothesis import assume, event, example, given
 from hypothesis import strategies as st
 
-from motorapi.errors import DomainError, UsageError
-from motorapi.functions import (
+from motorhil.motorapi.errors import DomainError, UsageError
+from motorhil.motorapi.functions import (
     Constant,
     Cosine,
     Exponential,
@@ -21,8 +21,8 @@ from motorapi.functions import (
     Polynomial,
     Sampled,
     Sine,
-    search,
 )
+from motorhil.motorapi.functions import numerics as search
 from tests.motorapi.functions import jets
 from tests.motorapi.functions.strategies import (
     ARGUMENTS,
@@ -35,7 +35,7 @@ from tests.motorapi.functions.strategies import (
 
 
 def samples(function, low, high, count=400):
-    """Many values, at breaks and beside them too."""
+    """Return many values, also at breaks and beside them."""
     x = [low + (high - low) * k / count for k in range(count)] + [high]
     for b in function.breaks_between(low, high):
         x += [nextafter(b, -inf), b, nextafter(b, inf)]
@@ -43,7 +43,7 @@ def samples(function, low, high, count=400):
 
 
 def ordered(function, *arguments):
-    """The arguments in order, if the function is known there and they are not too near."""
+    """Return the arguments in order, if they lie in the domain and are not too near."""
     low, high = sorted(arguments)
     assume(function.domain[0] <= low and high <= function.domain[1])
     assume(high - low > 1e-6)
@@ -51,14 +51,14 @@ def ordered(function, *arguments):
 
 
 @given(any_function, ARGUMENTS, ARGUMENTS)
-def test_extrema_bound_every_sample_and_are_values_themselves(function, one, other):
+def test_extrema_bound_every_sample_and_are_attained(function, one, other):
     low, high = ordered(function, one, other)
     event(type(function).__name__)
     found = function.extrema(low, high)
     assert low <= found.at_minimum <= high
     assert low <= found.at_maximum <= high
     size = max(jets.jet(function, x, 0)[1][0] for _, x in samples(function, low, high, 8))
-    # The search's accuracy, and the rounding of a value made of terms of that size.
+    # The accuracy of the search, and the rounding of a value with terms of that size.
     slack = 1e-12 * max(abs(found.minimum), abs(found.maximum)) + 1e-14 * size
     values = [value for value, _ in samples(function, low, high)]
     assert found.minimum - slack <= min(values)
@@ -68,7 +68,7 @@ def test_extrema_bound_every_sample_and_are_values_themselves(function, one, oth
 
 
 @given(any_function, ARGUMENTS, ARGUMENTS)
-def test_bounds_hold_every_sample(function, one, other):
+def test_bounds_contain_every_sample(function, one, other):
     low, high = ordered(function, one, other)
     least, most = function.bounds(low, high)
     size = max(jets.jet(function, x, 0)[1][0] for _, x in samples(function, low, high, 8))
@@ -76,7 +76,7 @@ def test_bounds_hold_every_sample(function, one, other):
         assert least - 1e-14 * size <= value <= most + 1e-14 * size
 
 
-def test_bounds_of_a_polynomial_are_those_of_its_control_polygon():
+def test_polynomial_bounds_are_those_of_its_control_polygon():
     # By hand: t - t² has the Bernstein coefficients 0, 1/2, 0 over [0, 1].
     least, most = Polynomial((0.0, 1.0, -1.0)).bounds(0.0, 1.0)
     assert (least, most) == (pytest.approx(0.0, abs=1e-14), pytest.approx(0.5, abs=1e-14))
@@ -86,7 +86,7 @@ def test_bounds_of_a_polynomial_are_those_of_its_control_polygon():
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_bounds_and_extrema_of_an_integral_hold_its_values(sign):
+def test_integral_bounds_and_extrema_contain_its_values(sign):
     rising = Integral(sign * (Sine() * Sine() + 0.5))
     falling = Integral(sign * Sine() * Exponential(1.0, -0.1))
     for function in (rising, falling, Integral(Exponential(sign, 0.5))):
@@ -101,23 +101,23 @@ def test_bounds_and_extrema_of_an_integral_hold_its_values(sign):
         1.0,
         8.0,
     ]
-    # Of the damped sine it is extreme where that is 0.
+    # The integral of the damped sine has its extrema at the zeros of that function.
     found = falling.extrema(1.0, 8.0)
     at = found.at_maximum if sign > 0 else found.at_minimum
     assert at == pytest.approx(np.pi, abs=1e-6)
 
 
 @given(any_smooth, st.floats(-1.5, 1.5))
-def test_bounds_close_in_on_the_values_as_the_interval_shrinks(function, x):
+def test_bounds_converge_as_the_interval_shrinks(function, x):
     for width in (2.0**-4, 2.0**-8, 2.0**-12, 2.0**-16):
         least, most = function.bounds(x, x + width)
         _, (size, slope) = jets.jet(function, x, 1)
-        # At first order at least: by the slopes of all terms (4 times, for they vary and multiply).
+        # First order at least: by the slopes of all terms (4 times, for they vary and multiply).
         assert most - least <= 64.0 * width * (slope + size) + 1e-12 * size + 64.0 * width
 
 
 @given(polynomials, ARGUMENTS, ARGUMENTS)
-def test_extrema_of_polynomials_are_at_the_roots_of_the_derivative(function, one, other):
+def test_polynomial_extrema_are_at_roots_of_the_derivative(function, one, other):
     low, high = ordered(function, one, other)
     slope = np.polynomial.Polynomial(function.coefficients).deriv()
     roots = slope.roots() if slope.degree() > 0 else np.array([])
@@ -126,14 +126,14 @@ def test_extrema_of_polynomials_are_at_the_roots_of_the_derivative(function, one
     ]
     values = [function.value(x) for x in at]
     found = function.extrema(low, high)
-    # A value near its extremum is off by the square of what the root is off: eps of the size.
+    # A value near its extremum has an error of the square of the root's error: eps of the size.
     size = max(jets.jet(function, x, 0)[1][0] for x in (low, high))
     assert abs(found.minimum - min(values)) <= 1e-13 * size
     assert abs(found.maximum - max(values)) <= 1e-13 * size
 
 
 @pytest.mark.parametrize("degree", range(1, 16))
-def test_all_waves_of_a_chebyshev_polynomial_are_found(degree):
+def test_extrema_of_chebyshev_polynomials_are_all_found(degree):
     # T_n has n + 1 extrema on [-1, 1], all of them +-1 (Rivlin, Chebyshev Polynomials, 1.1).
     p = Polynomial(np.polynomial.chebyshev.cheb2poly([0] * degree + [1]))
     extremes = [np.cos(np.pi * k / degree) for k in range(degree, -1, -1)]
@@ -149,8 +149,8 @@ def test_all_waves_of_a_chebyshev_polynomial_are_found(degree):
 
 @pytest.mark.parametrize("width", [1e-2, 1e-5, 1e-9])
 @pytest.mark.parametrize("number", [0, 137, 499])
-def test_a_narrow_spike_is_not_missed_however_long_the_rest(width, number):
-    """No sampling would see it: a parabola as narrow as 1e-9 among 500 pieces over 500."""
+def test_extrema_find_a_narrow_spike_in_a_long_interval(width, number):
+    """Search for a parabola of width 1e-9 among 500 pieces over 500, invisible to samples."""
     breaks, rows = [0.0], []
     for i in range(500):
         if i == number:
@@ -165,7 +165,7 @@ def test_a_narrow_spike_is_not_missed_however_long_the_rest(width, number):
         Piecewise.of_polynomials(breaks, rows) + Constant(0.0).restricted(-1.0, 501.0),
     ):
         found = function.extrema()
-        # An argument next to the top may be a double away from it: 1.2e-13 near 500.
+        # The argument of the maximum may differ by one double: 1.2e-13 near 500.
         off = 8.0 * (1.2e-13 / width) ** 2 + 1e-15
         assert found.maximum == pytest.approx(1.0, abs=off)
         assert found.minimum == pytest.approx(-2.0, abs=2.0 * off)
@@ -195,7 +195,7 @@ def test_extrema_of_waves_are_at_their_crests(function, low, length):
         assert found.minimum == -abs(function.amplitude)
 
 
-def test_of_equal_extrema_the_first_is_told():
+def test_equal_extrema_return_the_first():
     assert Sine().extrema(0.0, 50.0) == Extrema(-1.0, 1.5 * pi, 1.0, 0.5 * pi)
     assert Sine(-1.0).extrema(0.0, 50.0) == Extrema(-1.0, 0.5 * pi, 1.0, 1.5 * pi)
     assert Cosine(2.0, 2.0).extrema(-0.5, 50.0) == Extrema(-2.0, 0.5 * pi, 2.0, 0.0)
@@ -207,7 +207,7 @@ def test_of_equal_extrema_the_first_is_told():
     assert teeth.extrema(0.5, 3.5) == Extrema(0.0, 2.0, 1.0, 1.0)
 
 
-def test_of_equal_extrema_that_are_searched_one_is_told():
+def test_equal_searched_extrema_return_one_of_them():
     for first, step, function in (
         (0.0, pi, Cosine() * Cosine()),
         (0.5 * pi, 2 * pi, Exponential().after(Sine())),
@@ -218,7 +218,7 @@ def test_of_equal_extrema_that_are_searched_one_is_told():
         assert at == pytest.approx(first + number * step, abs=1e-6)
 
 
-def test_extrema_of_other_functions_by_hand():
+def test_extrema_of_other_functions_equal_hand_results():
     wedge = Polynomial((0.0, 1.0)) * Exponential(1.0, -1.0)
     found = wedge.extrema(0.0, 20.0)
     assert found.maximum == pytest.approx(1.0 / e, rel=1e-12)
@@ -234,8 +234,8 @@ def test_extrema_of_other_functions_by_hand():
     assert found.minimum == pytest.approx(damped.value((pi - np.arctan(0.05)) / 2), rel=1e-12)
 
 
-def test_a_narrow_pulse_among_waves_is_not_missed():
-    """Narrower than any sampling of the search: found by bounds."""
+def test_extrema_find_a_narrow_pulse_among_waves():
+    """Search for a pulse narrower than any sampling, found by bounds."""
     pulse = Exponential(3.0, -1e8).after(Polynomial((0.0, 0.0, 1.0), about=7.123))
     found = (Sine(1.0, 5.0) + pulse).extrema(0.0, 10.0)
     top = Sine(1.0, 5.0).value(7.123) + 3.0
@@ -244,7 +244,7 @@ def test_a_narrow_pulse_among_waves_is_not_missed():
     assert found.minimum == -1.0
 
 
-def test_at_a_jump_what_the_left_side_comes_to_counts_too():
+def test_extrema_at_a_jump_include_the_left_limit():
     saw = Piecewise.of_polynomials((0.0, 1.0, 2.0), [(0.0, 1.0), (0.0, 1.0)])
     for function in (saw, saw + Sine(1e-9), saw * (Exponential(1e-12) + 1.0)):
         found = function.extrema(0.25, 1.5)
@@ -256,39 +256,39 @@ def test_at_a_jump_what_the_left_side_comes_to_counts_too():
     assert saw.extrema(0.25, 1.0 - 2.0**-20).minimum == 0.25
 
 
-def test_a_jump_in_a_composition_is_found_by_its_bounds():
+def test_extrema_find_a_jump_in_a_composition():
     step = Sampled((0.0, 1.0, 2.0), (0.0, 5.0, 1.0), Interpolation.NEAREST)
-    narrow = step.after(Cosine(0.25 + 1e-6, 1.0) + 0.25)  # over 1/2 near 0 only
+    narrow = step.after(Cosine(0.25 + 1e-6, 1.0) + 0.25)  # above 1/2 near 0 only
     found = narrow.extrema(-1.0, 2.0)
     assert (found.minimum, found.maximum) == (0.0, 5.0)
     assert abs(found.at_maximum) <= 0.003
 
 
 @given(made_of_polynomials, ARGUMENTS)
-def test_over_a_single_argument_there_is_a_single_value(function, x):
+def test_extrema_at_a_single_argument_are_its_value(function, x):
     assume(function.domain[0] <= x <= function.domain[1])
     value = function.value(x)
     assert function.extrema(x, x) == Extrema(value, x, value, x)
     assert function.bounds(x, x) == (value, value)
 
 
-def test_the_whole_domain_is_meant_where_nothing_is_said():
+def test_extrema_default_to_the_whole_domain():
     ramp = Piecewise.of_polynomials((0.0, 1.0, 3.0), [(0.0, 0.0, 0.5), (0.5, 1.0)])
     assert ramp.extrema() == ramp.extrema(0.0, 3.0) == Extrema(0.0, 0.0, 2.5, 3.0)
     assert ramp.extrema(high=1.0).maximum == 0.5
     assert ramp.extrema(2.0).minimum == 1.5
 
 
-def test_an_interval_without_an_end_or_turned_round_is_refused():
+def test_extrema_over_unbounded_or_reversed_interval_raise():
     with pytest.raises(DomainError):
         Sine().extrema()
     with pytest.raises(DomainError):
         Polynomial((1.0, 2.0)).bounds(0.0)
-    with pytest.raises(UsageError, match="between"):
+    with pytest.raises(UsageError, match="is empty"):
         Sine().extrema(2.0, 1.0)
 
 
-def test_terms_that_cancel_everywhere_are_told_to_less_accuracy(monkeypatch):
+def test_extrema_with_cancelling_terms_are_less_accurate(monkeypatch):
     monkeypatch.setattr(search, "ACCURACIES", ((64, 1e-12), (128, 1e-9), (2048, 1e-6)))
     one = Sine(1.0, 2.0) * Sine(1.0, 2.0) + Cosine(1.0, 2.0) * Cosine(1.0, 2.0)
     found = one.extrema(0.0, 1.0)
@@ -297,7 +297,7 @@ def test_terms_that_cancel_everywhere_are_told_to_less_accuracy(monkeypatch):
 
 
 class Unbounded(Function):
-    """Knows nothing of its values between two arguments."""
+    """A function without knowledge of its values between two arguments."""
 
     __slots__ = ()
 
@@ -324,7 +324,7 @@ class Unbounded(Function):
         return ()
 
 
-def test_what_has_no_bounds_is_refused_and_not_guessed(monkeypatch):
+def test_extrema_without_bounds_raise(monkeypatch):
     monkeypatch.setattr(search, "ACCURACIES", ((64, 1e-12), (128, 1e-6)))
-    with pytest.raises(UsageError, match="too little is known"):
+    with pytest.raises(UsageError, match="its bounds are too wide"):
         Unbounded().extrema()

@@ -1,4 +1,4 @@
-"""Integrals: exact where the function is made of polynomials, against quadrature elsewhere."""
+"""Integrals: exact for piecewise polynomials, else compared with quadrature."""
 
 import itertools
 from fractions import Fraction
@@ -9,8 +9,8 @@ import pytest
 from hypothesis import assume, given, reject
 from hypothesis import strategies as st
 
-from motorapi.errors import DomainError, UsageError
-from motorapi.functions import (
+from motorhil.motorapi.errors import DomainError, UsageError
+from motorhil.motorapi.functions import (
     Constant,
     Cosine,
     Exponential,
@@ -35,7 +35,7 @@ from tests.motorapi.functions.strategies import (
 
 
 def exactly(function, low, high):
-    """The integral of a polynomial in rational arithmetic, term by term."""
+    """Return the integral of a polynomial in rational arithmetic, term by term."""
     a, b = (Fraction(x) - Fraction(function.about) for x in (low, high))
     return sum(
         Fraction(c) * (b ** (k + 1) - a ** (k + 1)) / (k + 1)
@@ -44,18 +44,18 @@ def exactly(function, low, high):
 
 
 def of_size(function, low, high):
-    """The integral of the function's size, by many samples: what an error is small beside."""
+    """Return the integral of the absolute value, by many samples, as a scale of errors."""
     x = np.linspace(low, high, 1001)
     return abs(high - low) * float(np.abs(function(x)).mean())
 
 
 @given(polynomials, ARGUMENTS, ARGUMENTS)
-def test_the_integral_of_a_polynomial_is_the_nearest_double(function, low, high):
+def test_polynomial_integral_is_the_nearest_double(function, low, high):
     assert function.integrate(low, high) == float(exactly(function, low, high))
 
 
 @given(piecewise(), ARGUMENTS, ARGUMENTS)
-def test_so_is_that_of_polynomials_by_pieces(function, low, high):
+def test_piecewise_integral_is_the_nearest_double(function, low, high):
     low, high = min(low, high), max(low, high)
     cuts = [low, *(b for b in function.breaks if low < b < high), high]
     exact = sum(exactly(jets.piece_at(function, a), a, b) for a, b in itertools.pairwise(cuts))
@@ -64,7 +64,7 @@ def test_so_is_that_of_polynomials_by_pieces(function, low, high):
 
 
 @given(any_function, ARGUMENTS, ARGUMENTS)
-def test_integrals_are_those_of_quadpack(function, low, high):
+def test_integrals_equal_quadpack(function, low, high):
     from scipy import integrate
 
     low, high = min(low, high), max(low, high)
@@ -75,20 +75,20 @@ def test_integrals_are_those_of_quadpack(function, low, high):
         integrate.quad(function.value, a, b, epsabs=0.0, epsrel=1e-13, limit=200, full_output=1)[0]
         for a, b in itertools.pairwise(cuts)
     ]
-    # QUADPACK's own accuracy is about this where a function nearly cancels.
+    # The accuracy of QUADPACK itself, where a function nearly cancels.
     slack = 1e-12 * of_size(function, low, high) + 1e-15
     assert abs(function.integrate(low, high) - sum(parts)) <= slack
 
 
 @given(any_function, ARGUMENTS)
-def test_the_derivative_of_the_integral_is_the_function(function, x):
+def test_derivative_of_the_integral_is_the_function(function, x):
     assume(function.domain[0] <= x <= function.domain[1])
     size = jets.jet(function, x, 0)[1][0]
     assert abs(function.integral().derivative().value(x) - function.value(x)) <= 1e-13 * size
 
 
 @given(simple, ARGUMENTS, ARGUMENTS)
-def test_the_integral_grows_by_the_definite_one(function, low, high):
+def test_integral_grows_by_the_definite_integral(function, low, high):
     whole = function.integral()
     grown = whole.value(high) - whole.value(low)
     size = abs(whole.value(high)) + abs(whole.value(low)) + of_size(function, low, high)
@@ -99,7 +99,7 @@ def test_the_integral_grows_by_the_definite_one(function, low, high):
 
 
 @given(any_function)
-def test_the_integral_is_0_where_the_domain_begins_or_at_0(function):
+def test_integral_is_zero_at_the_domain_begin_or_at_zero(function):
     whole = function.integral()
     assert whole.domain == function.domain
     low, high = function.domain
@@ -108,12 +108,12 @@ def test_the_integral_is_0_where_the_domain_begins_or_at_0(function):
     assert abs(whole.value(origin)) <= 1e-13 * size
 
 
-def test_the_integral_is_continuous_over_jumps():
+def test_integral_is_continuous_over_jumps():
     step = Sampled((0.0, 2.0, 4.0), (1.0, 3.0, -2.0), Interpolation.NEAREST)
     assert step.integral()(np.array([0.0, 1.0, 2.0, 3.0, 4.0])).tolist() == [0, 1, 4, 7, 5]
 
 
-def test_half_open_domains_have_an_integral_too():
+def test_half_open_domain_has_an_integral():
     held = Piecewise((-inf, 0.0, inf), (Constant(1.0), Polynomial((1.0, 1.0))))
     whole = held.integral()
     assert [whole.value(x) for x in (-2.0, 0.0, 2.0)] == [-2.0, 0.0, 4.0]
@@ -124,8 +124,8 @@ def test_half_open_domains_have_an_integral_too():
     assert [slow.value(x) for x in (-4.0, -3.0)] == [-2.0, 0.0]
 
 
-def test_small_steps_far_away_keep_their_digits():
-    # By a difference of antiderivatives nothing would be left of these.
+def test_integral_of_small_distant_steps_keeps_its_digits():
+    # A difference of antiderivatives would lose all digits.
     for at in (1e6, 1e9):
         for function, slope in ((Sine(1.0, 1e-3), 0.0), (Polynomial((0.0, 0.0, 1.0)), 2.0)):
             width = 2.0**-10
@@ -142,12 +142,12 @@ def test_small_steps_far_away_keep_their_digits():
     )
 
 
-def test_known_integrals_without_a_closed_form_here():
-    # The Gaussian over the line (from -8 to 8, beyond which less than 1e-28 is left), and others.
+def test_integrals_without_closed_form_equal_known_values():
+    # The Gaussian over the line (from -8 to 8, with less than 1e-28 outside), and others.
     gauss = Exponential(1.0, -1.0).after(Polynomial((0.0, 0.0, 1.0)))
     assert gauss.integrate(-8.0, 8.0) == pytest.approx(sqrt(np.pi), rel=1e-13)
     damped = Sine(1.0, 3.0) * Exponential(1.0, -0.5)
-    exact = 3.0 / 9.25  # of e^(-x/2) sin 3x from 0 to infinity: b / (a² + b²)
+    exact = 3.0 / 9.25  # integral of e^(-x/2) sin 3x from 0 to infinity: b / (a² + b²)
     assert damped.integrate(0.0, 150.0) == pytest.approx(exact, rel=1e-13)
     wedge = Polynomial((0.0, 1.0)) * Cosine(1.0, 100.0)
     exact = (np.cos(1000.0) - 1.0) / 1e4 + 10.0 * np.sin(1000.0) / 100.0
@@ -172,15 +172,15 @@ def test_moved_functions_have_moved_integrals(factor, bounded):
             grown = whole.value(x) - whole.value(-2.0)
             assert grown == pytest.approx(function.integrate(-2.0, x), rel=1e-11, abs=1e-12)
             for one in (factor, 1.0 / factor):
-                # Substitution: what is scaled covers as much as its argument does.
+                # Substitution: a scaled function covers as much as its argument.
                 wide = function.scaled(one).integrate(-0.5 * abs(one), 0.5 * abs(one))
                 assert wide == pytest.approx(
                     abs(one) * function.integrate(-0.5, 0.5), rel=1e-11, abs=1e-12
                 )
 
 
-def test_a_spike_that_is_known_is_not_missed():
-    # As narrow as 1e-9: no node of any quadrature would meet it by chance.
+def test_integral_includes_a_known_spike():
+    # A spike of width 1e-9: no quadrature node would hit it by chance.
     breaks = (0.0, 0.7, 0.7 + 1e-9, 2.0)
     spike = Piecewise(breaks, (Constant(1.0), Constant(1e9), Constant(1.0)))
     width = breaks[2] - breaks[1]
@@ -188,8 +188,8 @@ def test_a_spike_that_is_known_is_not_missed():
     assert (spike * Exponential()).integrate(0.0, 2.0) == pytest.approx(exact, rel=1e-13)
 
 
-def test_a_jump_that_is_not_known_beforehand_is_found():
-    # Where the inner function meets the breaks of the outer one, nobody says.
+def test_integral_finds_an_unknown_jump():
+    # The places where the inner function meets the breaks of the outer one are unknown.
     stairs = Sampled((0.0, 1.0, 2.0), (0.0, 1.0, 4.0), Interpolation.NEAREST)
     over = stairs.after(Sine(1.0, 1.0) + 1.0)  # 0 below sin = -1/2, 4 from sin = 1/2
     exact = 1.0 * (2 * np.pi / 3) + 4.0 * (2 * np.pi / 3)
@@ -197,7 +197,7 @@ def test_a_jump_that_is_not_known_beforehand_is_found():
 
 
 @given(any_smooth, st.floats(-1.0, 1.0))
-def test_an_integral_can_be_integrated_again(function, x):
+def test_integral_can_be_integrated_again(function, x):
     twice = Integral(function).integral()
     # Cauchy: the repeated integral is that of (x - t) f(t).
     way = Polynomial((x, -1.0))
@@ -206,7 +206,7 @@ def test_an_integral_can_be_integrated_again(function, x):
 
 
 @given(any_smooth, st.floats(-3.0, 70.0), st.booleans())
-def test_values_of_an_integral_are_those_from_the_beginning(function, x, bounded):
+def test_integral_values_do_not_depend_on_earlier_calls(function, x, bounded):
     if bounded:
         function = function.restricted(-3.0, 70.0)
     begin = -3.0 if bounded else 0.0
@@ -216,7 +216,7 @@ def test_values_of_an_integral_are_those_from_the_beginning(function, x, bounded
     except UsageError as beyond:
         if "is too large" not in str(beyond):
             raise
-        reject()  # e to the power of more than 709: no float holds what is asked
+        reject()  # e to a power above 709: no float holds the value
     fresh, used = Integral(function), Integral(function)
     for other in (-2.9, 69.0, 0.0, 33.3):
         used.value(other)
@@ -225,7 +225,7 @@ def test_values_of_an_integral_are_those_from_the_beginning(function, x, bounded
     assert abs(fresh.value(x) - function.integrate(begin, x)) <= 1e-12 * size
 
 
-def test_an_integral_is_known_at_its_ends_and_far_away():
+def test_integral_is_defined_at_its_ends_and_far_away():
     whole = Integral(Polynomial((1.0, 2.0)).restricted(-1.0, 3.0))
     assert [whole.value(x) for x in (-1.0, 1.0, 3.0)] == pytest.approx([0.0, 2.0, 12.0], abs=1e-14)
     far = Integral(Polynomial((1.0, 2.0)))
@@ -233,6 +233,6 @@ def test_an_integral_is_known_at_its_ends_and_far_away():
         assert far.value(x) == pytest.approx(x + x * x, rel=1e-13)
 
 
-def test_beyond_the_domain_nothing_is_integrated():
+def test_integral_beyond_the_domain_raises():
     with pytest.raises(DomainError):
         Sampled((0.0, 1.0), (0.0, 1.0)).integrate(0.0, 1.5)

@@ -1,4 +1,4 @@
-"""Functions side by side: which piece counts where, and whole arrays at once."""
+"""Piecewise functions: choice of pieces, and evaluation of arrays."""
 
 from math import inf, nan, nextafter
 
@@ -7,14 +7,14 @@ import pytest
 from hypothesis import event, given
 from hypothesis import strategies as st
 
-from motorapi.errors import UsageError
-from motorapi.functions import Constant, Exponential, Piecewise, Polynomial, Sampled, Sine
-from motorapi.functions.piece_table import PieceFinder
+from motorhil.motorapi.errors import UsageError
+from motorhil.motorapi.functions import Constant, Exponential, Piecewise, Polynomial, Sampled, Sine
+from motorhil.motorapi.functions.piece_table import PieceFinder
 
 RAMP = Piecewise.of_polynomials((0.0, 1.0, 3.0), [(0.0, 0.0, 0.5), (0.5, 1.0)])
 
 
-def test_at_a_break_the_piece_that_begins_there_counts_and_at_the_end_the_last():
+def test_value_at_a_break_is_of_the_next_piece_or_the_last():
     steps = Piecewise((0.0, 1.0, 2.0), (Constant(5.0), Constant(7.0)))
     at = [0.0, nextafter(1.0, 0.0), 1.0, 2.0]
     assert [steps.value(x) for x in at] == [5.0, 5.0, 7.0, 7.0]
@@ -44,7 +44,7 @@ def test_pieces_may_be_of_any_kind():
     assert mixed.is_polynomial is False
 
 
-def test_piecewise_pieces_are_taken_apart():
+def test_nested_piecewise_pieces_are_flattened():
     inner = Piecewise((-1.0, 0.5, 2.0), (Sine(), Constant(3.0)))
     outer = Piecewise((0.0, 1.0, 2.0), (inner, RAMP.shifted(1.0)))
     assert outer.breaks == (0.0, 0.5, 1.0, 2.0)
@@ -53,7 +53,7 @@ def test_piecewise_pieces_are_taken_apart():
     assert again == outer
 
 
-def test_breaks_within_pieces_are_told_too():
+def test_breaks_include_those_within_pieces():
     step = Piecewise((0.0, 1.0, 3.0), (Constant(0.0), Constant(5.0)))
     made = Piecewise((0.0, 2.0, 4.0), (Sine() + step, Constant(1.0)))
     assert made.breaks_between(0.0, 4.0) == (1.0, 2.0)
@@ -70,7 +70,7 @@ def test_breaks_within_pieces_are_told_too():
         assert made.is_smooth(low, high) is smooth
 
 
-def test_what_is_joined_follows_one_upon_the_other():
+def test_joined_functions_follow_each_other():
     track = Piecewise.joined(RAMP, Constant(2.5).restricted(-1.0, 0.0), RAMP.scaled(-1.0))
     assert track.breaks == (0.0, 1.0, 3.0, 4.0, 6.0, 7.0)
     assert track([0.5, 2.0, 3.5, 4.0, 5.0, 6.5]).tolist() == [0.125, 1.5, 2.5, 2.5, 1.5, 0.125]
@@ -79,7 +79,7 @@ def test_what_is_joined_follows_one_upon_the_other():
         Piecewise.joined(RAMP, Sine())
 
 
-def test_the_outer_pieces_may_go_on_for_ever():
+def test_outer_pieces_may_be_unbounded():
     held = Piecewise((-inf, 0.0, 1.0, inf), (Constant(0.0), Polynomial((0.0, 1.0)), Constant(1.0)))
     assert held.domain == (-inf, inf)
     assert held([-1e300, 0.5, 1e300]).tolist() == [0.0, 0.5, 1.0]
@@ -89,7 +89,7 @@ def test_the_outer_pieces_may_go_on_for_ever():
     assert held.scaled(-1.0).value(-0.25) == 0.25
 
 
-def test_a_part_of_a_function_is_a_function_over_that_part():
+def test_restricted_function_has_the_restricted_domain():
     part = RAMP.restricted(0.5, 2.0)
     assert part.domain == (0.5, 2.0)
     assert part.pieces == RAMP.pieces
@@ -112,22 +112,22 @@ def test_a_part_of_a_function_is_a_function_over_that_part():
         ((0.0, nan), (Constant(1),), "break 1 is nan"),
         (("a", 1.0), (Constant(1),), "break 0, nan"),
         ((0.0, inf, inf), (Constant(1), Constant(1)), "not above"),
-        ((0.0, 1.0), (3.0,), "piece 0 is 3.0, no function"),
-        ((0.0, 4.0), (RAMP,), "is known from 0.0 to 3.0 only"),
+        ((0.0, 1.0), (3.0,), "piece 0 is 3.0, not a function"),
+        ((0.0, 4.0), (RAMP,), "is 0.0 to 3.0 only"),
         (1.0, (RAMP,), "sequences"),
     ],
 )
-def test_what_is_no_piecewise_function_is_refused(breaks, pieces, told):
+def test_invalid_piecewise_function_raises(breaks, pieces, told):
     with pytest.raises(UsageError, match=told):
         Piecewise(breaks, pieces)
 
 
-def test_moving_so_far_that_breaks_become_one_is_refused():
+def test_shift_that_merges_breaks_raises():
     with pytest.raises(UsageError, match="not above"):
         RAMP.shifted(1e300)
 
 
-# --- which piece an argument is in
+# --- choice of the piece of an argument
 
 GAPS = st.floats(1e-9, 1.0) | st.sampled_from([1.0, 1e-3, 1e3])
 
@@ -146,7 +146,7 @@ def breaks_and_arguments(draw):
 
 
 @given(breaks_and_arguments())
-def test_the_guide_and_the_runs_find_the_piece_that_a_search_finds(data):
+def test_guide_and_runs_find_the_piece_of_a_search(data):
     breaks, arguments = data
     finder = PieceFinder(breaks.tolist())
     expected = np.searchsorted(breaks[1:-1], arguments, side="right").tolist()
@@ -162,7 +162,7 @@ def test_the_guide_and_the_runs_find_the_piece_that_a_search_finds(data):
         assert finder.runs_of(arguments) is None
 
 
-def test_all_three_ways_of_finding_pieces_are_taken():
+def test_all_three_ways_to_find_pieces_are_used():
     even = PieceFinder(np.linspace(0.0, 1.0, 1001).tolist())
     assert even._crowd <= 2  # by the guide
     crowded = PieceFinder([0.0, *(1e-9 * k for k in range(1, 20)), 1.0])
@@ -178,7 +178,7 @@ def test_all_three_ways_of_finding_pieces_are_taken():
 
 @pytest.mark.parametrize("pieces", [1, 2, 1000])
 @pytest.mark.parametrize("degree", [0, 1, 3, 5])
-def test_many_points_at_once_are_those_of_scipy(pieces, degree):
+def test_many_points_at_once_equal_scipy(pieces, degree):
     from scipy import interpolate
 
     draw = np.random.default_rng(pieces + degree)
@@ -186,7 +186,7 @@ def test_many_points_at_once_are_those_of_scipy(pieces, degree):
     rows = draw.normal(size=(degree + 1, pieces))
     ours = Piecewise.of_polynomials(breaks, rows[::-1].T)
     theirs = interpolate.PPoly(rows, breaks)
-    x = draw.uniform(breaks[0], breaks[-1], 100_000)  # several blocks, the last one not full
+    x = draw.uniform(breaks[0], breaks[-1], 100_000)  # several blocks, the last one incomplete
     x[:2] = breaks[[0, -1]]
     for arguments in (x, np.sort(x), np.sort(x)[::-1]):
         expected = theirs(arguments)
@@ -201,7 +201,7 @@ def test_many_points_at_once_are_those_of_scipy(pieces, degree):
     assert np.abs(ours.integral()(x) - whole).max() <= 1e-12 * np.abs(whole).max()
 
 
-def test_an_array_may_be_shared_and_read_only():
+def test_array_argument_may_be_shared_and_read_only():
     x = np.linspace(0.0, 3.0, 7)
     x.flags.writeable = False
     assert RAMP(x)[-1] == 2.5

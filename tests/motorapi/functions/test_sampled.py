@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from motorapi.errors import UsageError
-from motorapi.functions import Constant, Ends, Interpolation, Piecewise, Sampled
-from motorapi.functions.splines import solved
+from motorhil.motorapi.errors import UsageError
+from motorhil.motorapi.functions import Constant, Ends, Interpolation, Piecewise, Sampled
+from motorhil.motorapi.functions.sampled import solved
 from tests.motorapi.functions.strategies import NUMBERS, sampled
 
 NEAREST, LINEAR, CUBIC, HERMITE, QUINTIC = Interpolation
@@ -25,7 +25,7 @@ def scipy():
 
 @st.composite
 def data(draw, least=2, rows=1):
-    """Arguments with gaps of 1/4 to 1, and rows of values."""
+    """Return arguments with gaps of 1/4 to 1, and rows of values."""
     gaps = draw(st.lists(st.floats(0.25, 1.0), min_size=least - 1, max_size=12))
     x = np.cumsum([draw(st.floats(-5.0, 5.0)), *gaps])
     numbers = st.lists(NUMBERS, min_size=len(x), max_size=len(x))
@@ -33,7 +33,7 @@ def data(draw, least=2, rows=1):
 
 
 def agrees(ours, theirs, orders, x, accuracy=1e-12):
-    """Values and derivatives, relative to their size: that of the samples over the gap's power."""
+    """Compare values and derivatives, relative to the samples over the gap's power."""
     at = np.linspace(x[0], x[-1], 301)
     for order in orders:
         expected = theirs(at, order)
@@ -47,7 +47,7 @@ SPLINES = [(Ends.NOT_A_KNOT, "not-a-knot"), (Ends.NATURAL, "natural"), (Ends.AT_
 
 @pytest.mark.parametrize(("ends", "theirs"), SPLINES)
 @given(samples=data())
-def test_cubic_splines_are_scipys(scipy, samples, ends, theirs):
+def test_cubic_splines_equal_scipy(scipy, samples, ends, theirs):
     x, y = samples
     agrees(Sampled(x, y, CUBIC, ends=ends), scipy.CubicSpline(x, y, bc_type=theirs), (0, 1, 2), x)
 
@@ -61,14 +61,14 @@ AT_REST_5 = ([(1, 0.0), (2, 0.0)], [(1, 0.0), (2, 0.0)])
     [(Ends.NOT_A_KNOT, None), (Ends.NATURAL, NATURAL_5), (Ends.AT_REST, AT_REST_5)],
 )
 @given(samples=data(least=6))
-def test_quintic_splines_are_scipys(scipy, samples, ends, theirs):
+def test_quintic_splines_equal_scipy(scipy, samples, ends, theirs):
     x, y = samples
     spline = scipy.make_interp_spline(x, y, k=5, bc_type=theirs)
-    # Against an exact solution of 60 such systems: 7e-14 of the largest value here, 3e-15 there.
+    # Against an exact solution of 60 such systems: 7e-14 of the largest value in scipy, 3e-15 here.
     agrees(Sampled(x, y, QUINTIC, ends=ends), spline, (0, 1, 2, 3), x)
 
 
-def test_equal_gaps_make_a_quintic_spline_of_full_accuracy(scipy):
+def test_quintic_spline_with_equal_gaps_has_full_accuracy(scipy):
     x = np.arange(12.0)
     y = np.sin(x) * 3 + x
     for ends, theirs in ((Ends.NOT_A_KNOT, None), (Ends.NATURAL, NATURAL_5)):
@@ -77,40 +77,40 @@ def test_equal_gaps_make_a_quintic_spline_of_full_accuracy(scipy):
 
 
 @given(samples=data(rows=2))
-def test_hermite_curves_are_scipys(scipy, samples):
+def test_hermite_curves_equal_scipy(scipy, samples):
     x, y, first = samples
     theirs = scipy.CubicHermiteSpline(x, y, first)
     agrees(Sampled(x, y, HERMITE, first), theirs, (0, 1, 2, 3), x)
 
 
 @given(samples=data(rows=3))
-def test_quintic_curves_with_given_derivatives_are_scipys(scipy, samples):
+def test_quintic_curves_with_derivatives_equal_scipy(scipy, samples):
     x, y, first, second = samples
     theirs = scipy.BPoly.from_derivatives(x, np.column_stack([y, first, second]))
     agrees(Sampled(x, y, QUINTIC, first, second), theirs, (0, 1, 2), x)
 
 
 @given(samples=data())
-def test_straight_lines_are_numpys(samples):
+def test_linear_interpolation_equals_numpy(samples):
     x, y = samples
     at = np.linspace(x[0], x[-1], 301)
     assert np.abs(Sampled(x, y)(at) - np.interp(at, x, y)).max() <= 1e-14 * (1 + np.abs(y).max())
 
 
-def test_nearest_changes_half_way_and_there_the_later_one_counts():
+def test_nearest_changes_half_way_to_the_later_sample():
     steps = Sampled((0.0, 1.0, 4.0), (5.0, 6.0, 7.0), NEAREST)
     at = [0.0, nextafter(0.5, 0), 0.5, 1.0, nextafter(2.5, 0), 2.5, 4.0]
     assert [steps.value(x) for x in at] == [5, 5, 6, 6, 6, 7, 7]
 
 
 @given(sampled())
-def test_samples_are_taken_exactly_the_last_one_too(function):
+def test_samples_are_reproduced_exactly_with_the_last(function):
     assert [function.value(x) for x in function.arguments] == list(function.values)
     assert function(np.array(function.arguments)).tolist() == list(function.values)
 
 
 @given(sampled(QUINTIC) | sampled(HERMITE))
-def test_given_derivatives_are_taken_too(function):
+def test_given_derivatives_are_reproduced(function):
     for order, given_ones in ((1, function.first), (2, function.second)):
         if given_ones is not None:
             slope = function.derivative(order)
@@ -132,12 +132,12 @@ def test_splines_do_not_jump_at_their_samples(samples, kind, ends, smooth):
         pieces = spline.curve.derivative(order).pieces
         scale = 1.0 + max(abs(piece.value(at)) for piece, at in zip(pieces, x[:-1], strict=True))
         for i, at in enumerate(x[1:-1].tolist()):
-            # By how much rounding makes it jump grows with the power of 1/gap.
+            # The jump by rounding grows with the power of 1/gap.
             assert abs(pieces[i].value(at) - pieces[i + 1].value(at)) <= 1e-9 * scale
 
 
 @given(samples=data(least=7))
-def test_splines_end_as_asked(samples):
+def test_splines_meet_their_end_conditions(samples):
     x, y = samples
     both = [x[0], x[-1]]
     size = 1.0 + np.abs(y).max()
@@ -152,7 +152,7 @@ def test_splines_end_as_asked(samples):
 
 @pytest.mark.parametrize(("kind", "most"), [(CUBIC, 4), (QUINTIC, 6)])
 @given(samples=data(least=6))
-def test_of_few_samples_a_spline_is_the_polynomial_through_them(samples, kind, most):
+def test_spline_of_few_samples_is_their_polynomial(samples, kind, most):
     x, y = samples
     for count in range(2, most + 1):
         curve = Sampled(x[:count], y[:count], kind)
@@ -162,7 +162,7 @@ def test_of_few_samples_a_spline_is_the_polynomial_through_them(samples, kind, m
 
 
 def lagrange(x, y, at):
-    """The value of the polynomial through all points, exactly; and of its terms' sizes."""
+    """Return the exact value of the polynomial through all points, and the size of its terms."""
     knots, at = [Fraction(k) for k in x.tolist()], Fraction(at)
     total = size = Fraction(0)
     for i, knot in enumerate(knots):
@@ -174,7 +174,7 @@ def lagrange(x, y, at):
     return float(total), float(size)
 
 
-def test_a_spline_reproduces_what_it_is_made_of():
+def test_spline_of_a_polynomial_reproduces_it():
     x = np.array([0.0, 0.4, 1.0, 1.7, 2.1, 3.0, 3.3])
     for kind, degree in ((CUBIC, 3), (QUINTIC, 5)):
         p = np.polynomial.Polynomial(np.arange(1.0, degree + 2))
@@ -182,7 +182,7 @@ def test_a_spline_reproduces_what_it_is_made_of():
         assert np.allclose(Sampled(x, p(x), kind)(at), p(at), rtol=1e-11, atol=0.0)
 
 
-def test_ten_thousand_samples_are_no_trouble():
+def test_spline_of_ten_thousand_samples_is_accurate():
     x = np.arange(10_000) * 1e-3
     wave = np.sin(x)
     spline = Sampled(x, wave, CUBIC)
@@ -191,7 +191,7 @@ def test_ten_thousand_samples_are_no_trouble():
     assert isinstance(spline.derivative(), Piecewise)
 
 
-def test_the_banded_solver_pivots():
+def test_banded_solver_pivots():
     # By hand: without a swap the first pivot has no digits left; x = (1, 2, 3).
     rows = [
         (0, [1e-30, 1.0], 2.0),
@@ -203,10 +203,12 @@ def test_the_banded_solver_pivots():
 
 
 @given(sampled(), st.sampled_from([0.5, 2.0, -0.25, -4.0]), st.floats(-2.0, 2.0))
-def test_scaled_samples_make_the_same_curve_longer_or_turned_round(function, factor, x):
+def test_scaled_samples_stretch_or_reverse_the_curve(function, factor, x):
     scaled = function.scaled(factor)
     assert isinstance(scaled, Sampled)
-    if function.kind is not NEAREST or x not in function.curve.breaks:  # half-way, its later side
+    if (
+        function.kind is not NEAREST or x not in function.curve.breaks
+    ):  # half-way, the other side counts
         size = 1e3 * (1.0 + max(abs(c) for p in function.curve.pieces for c in p.coefficients))
         assert abs(scaled.value(x * factor) - function.value(x)) <= 1e-12 * size
 
@@ -223,8 +225,8 @@ def test_samples_move_with_their_function():
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [
-        (((0.0,), (1.0,)), "two"),
-        (((), ()), "two"),
+        (((0.0,), (1.0,)), "expected at least 2"),
+        (((), ()), "expected at least 2"),
         (((0.0, 1.0), (1.0,)), "2 arguments, but 1 of values"),
         (((0.0, 0.0), (1.0, 2.0)), "argument 1 is 0.0, not above argument 0, 0.0"),
         (((0.0, 1.0, 0.5), (1.0, 2.0, 3.0)), "argument 2 is 0.5"),
@@ -233,17 +235,17 @@ def test_samples_move_with_their_function():
         (((0.0, 1.0), (1.0, nan)), "values\\[1\\]"),
         (((0.0, 1.0), (1.0, "2")), "values\\[1\\]"),
         ((3.0, (1.0, 2.0)), "not a sequence"),
-        (((0.0, 1.0), (1.0, 2.0), "cubic"), "no Interpolation"),
-        (((0.0, 1.0), (1.0, 2.0), CUBIC, None, None, "natural"), "no Ends"),
+        (((0.0, 1.0), (1.0, 2.0), "cubic"), "not an Interpolation"),
+        (((0.0, 1.0), (1.0, 2.0), CUBIC, None, None, "natural"), "not an Ends"),
         (((0.0, 1.0), (1.0, 2.0), HERMITE), "first derivatives"),
         (((0.0, 1.0), (1.0, 2.0), HERMITE, (1.0,)), "but 1 of first"),
-        (((0.0, 1.0), (1.0, 2.0), HERMITE, (1, 2), (1, 2)), "only these"),
+        (((0.0, 1.0), (1.0, 2.0), HERMITE, (1, 2), (1, 2)), "no second derivatives"),
         (((0.0, 1.0), (1.0, 2.0), QUINTIC, (1.0, 2.0)), "or neither"),
         (((0.0, 1.0), (1.0, 2.0), CUBIC, (1.0, 2.0)), "CUBIC takes no derivatives"),
-        (((0.0, 1.0), (1.0, 2.0), LINEAR, None, None, Ends.AT_REST), "no spline"),
-        (((0.0, 1.0), (1, 2), QUINTIC, (1, 2), (1, 2), Ends.NATURAL), "no spline"),
+        (((0.0, 1.0), (1.0, 2.0), LINEAR, None, None, Ends.AT_REST), "not a spline"),
+        (((0.0, 1.0), (1, 2), QUINTIC, (1, 2), (1, 2), Ends.NATURAL), "not a spline"),
     ],
 )
-def test_samples_that_make_no_function_are_refused(arguments, told):
+def test_invalid_samples_raise(arguments, told):
     with pytest.raises(UsageError, match=told):
         Sampled(*arguments)

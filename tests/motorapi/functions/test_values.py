@@ -1,4 +1,4 @@
-"""What holds for every function: values, domains, errors, and that functions are values."""
+"""Common rules of every function: values, domains, errors, value semantics."""
 
 import copy
 import pickle
@@ -13,8 +13,8 @@ import pytest
 from hypothesis import assume, example, given
 from hypothesis import strategies as st
 
-from motorapi.errors import DomainError, UsageError
-from motorapi.functions import (
+from motorhil.motorapi.errors import DomainError, UsageError
+from motorhil.motorapi.functions import (
     Composition,
     Constant,
     Cosine,
@@ -67,8 +67,8 @@ NAMES = [type(one).__name__ for one in ONE_OF_EACH]
 each = pytest.mark.parametrize("function", ONE_OF_EACH, ids=NAMES)
 
 
-def test_all_kinds_are_here():
-    # A class of functions without a place here would be held to nothing.
+def test_all_function_classes_are_listed():
+    # An unlisted class would escape these tests.
     found, waiting = set(), [Function]
     while waiting:
         kind = waiting.pop()
@@ -76,18 +76,18 @@ def test_all_kinds_are_here():
         if not (isabstract(kind) or kind.__name__.startswith("_")):
             found.add(kind)
     assert {type(one) for one in ONE_OF_EACH} == {
-        kind for kind in found if kind.__module__.startswith("motorapi.")
+        kind for kind in found if kind.__module__.startswith("motorhil.motorapi.")
     }
 
 
 @given(polynomials, ARGUMENTS)
-def test_polynomial_has_the_value_of_its_terms(function, x):
+def test_polynomial_value_is_the_sum_of_its_terms(function, x):
     (exact,), (size,) = jets.jet(function, x, 0)
     # Horner's scheme rounds twice a step (N. Higham, Accuracy and Stability, 5.1).
     assert abs(function.value(x) - exact) <= 4e-15 * size
 
 
-def test_waves_and_exponentials_by_their_formulas():
+def test_waves_and_exponentials_follow_their_formulas():
     for x in (-3.0, 0.0, 0.7, 25.0):
         assert Sine(2.0, 3.0, 0.5, 1.0).value(x) == 2.0 * sin(3.0 * (x - 1.0) + 0.5)
         assert Cosine(2.0, 3.0, 0.5, 1.0).value(x) == 2.0 * cos(3.0 * (x - 1.0) + 0.5)
@@ -95,7 +95,7 @@ def test_waves_and_exponentials_by_their_formulas():
 
 
 @given(any_function, ARGUMENTS)
-def test_every_function_has_the_value_of_its_parts(function, x):
+def test_composite_function_has_the_value_of_its_parts(function, x):
     assume(covers(function, x))
     (expected, *_), (size, *_) = jets.jet(function, x, 0)
     assert abs(function.value(x) - expected) <= 1e-13 * size
@@ -107,7 +107,7 @@ def covers(function, *arguments):
 
 
 @each
-def test_ends_of_the_domain_belong_to_it_and_beyond_is_an_error_that_names_both(function):
+def test_domain_includes_its_ends_and_errors_name_both(function):
     low, high = function.domain
     if low == -inf:
         assert high == inf
@@ -127,7 +127,7 @@ def test_ends_of_the_domain_belong_to_it_and_beyond_is_an_error_that_names_both(
 
 @each
 @pytest.mark.parametrize("bad", [nan, inf, -inf])
-def test_nan_and_infinity_are_in_no_domain(function, bad):
+def test_nan_and_infinity_are_outside_every_domain(function, bad):
     for ask in (
         function.value,
         function,
@@ -143,7 +143,7 @@ def test_nan_and_infinity_are_in_no_domain(function, bad):
 
 
 @each
-def test_numbers_give_numbers_and_arrays_arrays_of_their_shape(function):
+def test_calls_keep_numbers_and_array_shapes(function):
     for number in (1.0, 1, np.float64(1.0), np.float32(1.0), np.int64(1), True):
         assert type(function(number)) is float
     for shape in ((0,), (5,), (2, 3), (2, 0, 3), ()):
@@ -159,13 +159,13 @@ def test_numbers_give_numbers_and_arrays_arrays_of_their_shape(function):
 
 
 @pytest.mark.parametrize("bad", ["text", None, object(), [[1.0], [1.0, 2.0]]])
-def test_what_is_no_number_is_refused(bad):
+def test_calls_with_non_numbers_raise(bad):
     with pytest.raises(UsageError):
         RAMP(bad)
 
 
 @given(made_of_polynomials, st.lists(ARGUMENTS, min_size=1, max_size=40), st.booleans())
-def test_of_polynomials_arrays_and_numbers_give_the_same_bits(function, arguments, ordered):
+def test_polynomial_arrays_and_numbers_have_the_same_bits(function, arguments, ordered):
     arguments = [*arguments, *function.breaks_between(LOW, HIGH)]
     arguments = sorted(arguments) if ordered else arguments
     one_by_one = np.array([function.value(x) for x in arguments])
@@ -173,7 +173,7 @@ def test_of_polynomials_arrays_and_numbers_give_the_same_bits(function, argument
 
 
 @given(any_function, st.lists(ARGUMENTS, min_size=1, max_size=10))
-def test_arrays_and_numbers_agree_to_the_last_places(function, arguments):
+def test_arrays_and_numbers_agree_to_the_last_digits(function, arguments):
     arguments = [x for x in arguments if covers(function, x)]
     for x, value in zip(arguments, function(arguments), strict=True):
         size = jets.jet(function, x, 0)[1][0]
@@ -181,10 +181,10 @@ def test_arrays_and_numbers_agree_to_the_last_places(function, arguments):
         assert abs(value - function.value(x)) <= 4e-15 * size
 
 
-def test_a_number_is_evaluated_without_numpy():
+def test_value_of_a_number_does_not_use_numpy():
     script = """
 import sys
-from motorapi.functions import *
+from motorhil.motorapi.functions import *
 ramp = Piecewise.of_polynomials((0., 1., 3.), [(0., 0., .5), (.5, 1.)])
 some = [ramp, Sampled((0., 1., 2.), (1., 2., 0.)), (ramp * Sine() + Exponential()).shifted(-0.5),
         Sine().after(ramp)]
@@ -204,7 +204,7 @@ print([c for c in calls if "numpy" in str(c) or "numpy" in str(getattr(c, "__mod
 
 
 @each
-def test_functions_are_values(function):
+def test_functions_have_value_semantics(function):
     twin = pickle.loads(pickle.dumps(function))
     assert twin is not function
     assert twin == function
@@ -219,8 +219,8 @@ def test_functions_are_values(function):
 
 
 @given(any_function)
-def test_any_function_comes_back_from_pickling_as_it_was(function):
-    function(np.array([], dtype=float))  # with what it has made for itself
+def test_function_survives_pickling(function):
+    function(np.array([], dtype=float))  # with its cached data
     twin = pickle.loads(pickle.dumps(function))
     assert twin == function
     assert hash(twin) == hash(function)
@@ -228,7 +228,7 @@ def test_any_function_comes_back_from_pickling_as_it_was(function):
 
 
 @each
-def test_functions_do_not_change(function):
+def test_functions_are_immutable(function):
     before = repr(function)
     for name in ("coefficients", "breaks", "amplitude", "_low", "anything"):
         with pytest.raises(AttributeError):
@@ -238,7 +238,7 @@ def test_functions_do_not_change(function):
     assert repr(function) == before
 
 
-def test_functions_differ_by_their_parameters_and_their_class():
+def test_functions_differ_by_parameters_and_class():
     assert Sine(1.0, 2.0) != Sine(1.0, 3.0)
     assert Sine(1.0, 2.0) != Cosine(1.0, 2.0)
     assert Polynomial((1.0, 2.0)) != Polynomial((1.0, 2.0), about=1.0)
@@ -278,12 +278,12 @@ def test_functions_differ_by_their_parameters_and_their_class():
         (Shifted(Constant(1), 2), "Shifted(Constant(1.0), 2.0)"),
     ],
 )
-def test_reprs_help_at_a_prompt(function, told):
+def test_long_reprs_are_abbreviated(function, told):
     assert repr(function) == told
 
 
 @each
-def test_short_reprs_can_be_typed_in_again(function):
+def test_short_reprs_are_valid_expressions(function):
     assert eval(repr(function)) == function
 
 
@@ -311,8 +311,8 @@ def test_domains_move_with_their_functions():
 
 
 @given(*[st.floats(-1e3, 1e3), st.floats(1e-3, 1e3)] * 2)
-def test_a_moved_function_is_known_at_its_own_ends(begin, length, offset, factor):
-    """Rounding may take the inner argument out of the inner domain; that is nobody's fault."""
+def test_moved_function_is_defined_at_its_own_ends(begin, length, offset, factor):
+    """Evaluate where rounding may move the inner argument out of the inner domain."""
     inner = Integral(Constant(1.0).restricted(begin, begin + length))
     for one in (Shifted(inner, offset), Scaled(inner, factor), Scaled(inner, -factor)):
         for end in one.domain:
@@ -322,7 +322,7 @@ def test_a_moved_function_is_known_at_its_own_ends(begin, length, offset, factor
 
 @pytest.mark.parametrize("factor", [0.0, inf, nan, "2", None])
 @each
-def test_scaling_by_what_is_no_number_or_zero_is_refused(function, factor):
+def test_scaling_by_zero_or_a_non_number_raises(function, factor):
     with pytest.raises(UsageError):
         function.scaled(factor)
     with pytest.raises(UsageError):
@@ -333,18 +333,18 @@ def test_scaling_by_what_is_no_number_or_zero_is_refused(function, factor):
 
 
 @pytest.mark.parametrize("order", [-1, 1.5, "1", None])
-def test_an_order_is_a_count(order):
+def test_derivative_order_must_be_a_count(order):
     with pytest.raises(UsageError, match="order"):
         RAMP.derivative(order)
 
 
 @each
-def test_order_zero_is_the_function_itself(function):
+def test_derivative_of_order_zero_is_the_function(function):
     assert function.derivative(0) is function
 
 
-def test_far_from_zero_a_piece_keeps_its_digits():
-    # 1 µrad steps at an epoch of 1e9 s: in local arguments nothing cancels.
+def test_distant_piece_keeps_its_digits():
+    # 1 µrad steps at an epoch of 1e9 s: local arguments do not cancel.
     far = Piecewise.of_polynomials((1e9, 1e9 + 1, 1e9 + 2), [(1e-6, 1e-6, 1e-6), (3e-6, -1e-6)])
     x = 1e9 + 0.25
     exact = Fraction(1e-6) + Fraction(1e-6) / 4 + Fraction(1e-6) / 16

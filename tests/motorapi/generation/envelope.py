@@ -1,10 +1,10 @@
-"""What motions are possible at all, in exact arithmetic and without a profile: an oracle.
+"""Envelope of all possible motions, in exact arithmetic: an oracle.
 
-In a time T, velocity can be no higher than what speeding up from the beginning gives, than what
-still allows to be down to the final velocity in time, and than its limit; and that much it can be
-at every moment at once. So the way is at most the integral of the least of the three, at least that
-of the greatest of their counterparts, and every way in between is possible (mix the two). No case
-is told from another here, and no root is taken: what a generator must find is independent of it.
+In a time T, velocity is bounded by acceleration from the beginning, by deceleration to the final
+velocity in time, and by its limit. This bound is attainable at all moments at once. So the distance
+is at most the integral of the minimum of the three, and at least that of the maximum of their
+counterparts. Every distance in between is possible by a mix of the two. No case distinctions and no
+roots occur here: the result is independent of the generator.
 """
 
 from fractions import Fraction
@@ -21,7 +21,7 @@ class Envelope:
         self.forward, self.backward = forward, backward
 
     def ways(self, duration):
-        """(least, greatest) way in this time, or None if it is too short for the velocities."""
+        """Return (minimum, maximum) distance in this time, or None if it is too short."""
         up = self._rising(self.v0, self.forward[1], self.backward[1])
         back_up = self._rising(self.v1, -Fraction(self.forward[0]), -Fraction(self.backward[0]))
         greatest = self._integral(up, back_up, duration, self.high)
@@ -37,7 +37,7 @@ class Envelope:
 
     @staticmethod
     def _rising(velocity, size, back_size):
-        """Corners (time, velocity) of the steepest rise; the last one goes on for ever."""
+        """Return the corners (time, velocity) of the steepest rise; the last one is unbounded."""
         size, back_size = Fraction(size), Fraction(back_size)
         if velocity >= 0:
             return [(Fraction(0), velocity)], size
@@ -53,7 +53,7 @@ class Envelope:
         return v0 + slope * (time - t0)
 
     def _integral(self, rise, fall, duration, top):
-        """Of the least of the rise, the fall (told backward from the end), and the top."""
+        """Return the integral of the minimum of rise, fall (from the end) and limit."""
         if self._at(rise, duration) < fall[0][0][1] or self._at(fall, duration) < rise[0][0][1]:
             return None
 
@@ -64,7 +64,7 @@ class Envelope:
         times = {Fraction(0), duration}
         times |= {t for t, _ in rise[0] if t < duration}
         times |= {duration - t for t, _ in fall[0] if t < duration}
-        for line, mirrored in ((rise, False), (fall, True)):  # where a line reaches the top
+        for line, mirrored in ((rise, False), (fall, True)):  # where a line reaches the limit
             t0, v0 = line[0][-1]
             if top != inf and v0 < top:
                 reached = t0 + (Fraction(top) - v0) / line[1]

@@ -1,11 +1,11 @@
-"""Random problems of two states and limits, of every magnitude, and their strategies."""
+"""Random problems of two states and limits, of every magnitude."""
 
 from fractions import Fraction
 from itertools import pairwise
 
 from hypothesis import strategies as st
 
-from motorapi.generation import ProfileLimits
+from motorhil.motorapi.generation import ProfileLimits
 from tests.motorapi.generation.envelope import Envelope
 
 
@@ -14,7 +14,7 @@ def magnitude(random, decades):
 
 
 def random_problem(random, decades):
-    """(final, limits, keywords); velocity and acceleration ranges as ruckig has them too."""
+    """Return (final, limits, keywords), with velocity and acceleration ranges as in ruckig."""
     low, high = -magnitude(random, decades), magnitude(random, decades)
     limits = ProfileLimits((low, high), (-magnitude(random, decades), magnitude(random, decades)))
     begin, end = (
@@ -32,7 +32,7 @@ def sizes(decades):
 
 @st.composite
 def problems(draw, decades=3.0):
-    """As `random_problem`, and with accelerations that differ by direction, at and on limits."""
+    """Return problems as `random_problem`, with limits by direction, and values at the limits."""
     size = sizes(decades)
     low, high = -draw(size), draw(size)
     kind = draw(st.sampled_from(["range", "model", "directions"]))
@@ -43,7 +43,7 @@ def problems(draw, decades=3.0):
     else:
         forward, backward = (-draw(size), draw(size)), (-draw(size), draw(size))
         limits = ProfileLimits.by_direction((low, high), forward, backward)
-    # Squares of velocities below 1e-150 are no numbers any more.
+    # Squares of velocities below 1e-150 vanish.
     some = st.floats(low, high).filter(lambda number: number == 0.0 or abs(number) > 1e-60)
     velocity = st.sampled_from([0.0, low, high]) | some
     begin, end = draw(velocity), draw(velocity)
@@ -53,14 +53,14 @@ def problems(draw, decades=3.0):
 
 
 def directions_problem(random, decades):
-    """As `random_problem`, with four accelerations that have nothing to do with one another."""
+    """Return a problem as `random_problem`, with four independent accelerations."""
     final, limits, states = random_problem(random, decades)
     backward = (-magnitude(random, decades), magnitude(random, decades))
     return final, ProfileLimits.by_direction(limits.velocity, limits.forward, backward), states
 
 
 def nearly_direct_problem(random):
-    """A way that the direct ramp nearly covers, where the least digit of the excess counts."""
+    """Return a distance nearly equal to that of the direct ramp, where the last digit counts."""
     begin = -magnitude(random, 2.0)
     end = random.choice([0.0, 0.0, 1e-6, 0.9]) * begin * random.random()
     size = magnitude(random, 2.0)
@@ -86,7 +86,7 @@ def envelope_of(limits, given):
 
 
 def assert_is_admissible(profile, final, limits, given):
-    """A motion between these states within these limits, as the pieces themselves tell it."""
+    """Check that the pieces form a motion between these states within these limits."""
     pieces = profile.pieces
     assert pieces[0][0] == 0.0
     assert (profile.initial, profile.final) == (given["initial"], final)
@@ -105,7 +105,7 @@ def assert_is_admissible(profile, final, limits, given):
         assert entry * leave >= 0.0
         allowed = limits.forward if max(entry, leave) > 0.0 else limits.backward
         assert acceleration == 0.0 or acceleration in allowed
-        # Rounding: of times and velocities, each to 2^-53 of the largest there is.
+        # Rounding: of times and velocities, each to 2^-53 of the largest.
         slack = Fraction(1e-14) * max(abs(Fraction(acceleration)) * Fraction(pieces[-1][1]), 0)
         slack += Fraction(1e-14) * (abs(Fraction(entry)) + abs(Fraction(leave)))
         assert abs(Fraction(acceleration) * lasts - (Fraction(leave) - Fraction(entry))) <= slack

@@ -1,9 +1,9 @@
-"""What is known of the shortest motion of limited jerk without making one: two oracles.
+"""Shortest jerk-limited motions without a generator: two oracles.
 
 `rest_to_rest_s` is the closed form of the double-S profile (Biagiotti & Melchiorri, 3.4.1).
-`is_impossible` is a linear program: of any motion with these limits the states at 80 moments fulfil
-its inequalities (they only say what the limits imply for what lies between two moments), so if they
-have no solution there is no motion. It knows neither profiles nor phases.
+`is_impossible` is a linear program: the states of any motion with these limits at 80 moments
+satisfy its inequalities, which contain only consequences of the limits between two moments. Without
+a solution there is no motion. The program uses no profiles or phases.
 """
 
 import numpy as np
@@ -26,12 +26,12 @@ def rest_to_rest_s(way, velocity, acceleration, jerk):
 
 
 def is_impossible(linprog, begin, end, velocity, acceleration, jerk, duration_s):
-    """No motion between these states (value, first, second derivative) takes so short a time."""
+    """Return True if no motion between these (value, first, second derivative) is so short."""
     h = duration_s / MOMENTS
     rows, tops = [], []
 
     def holds(terms, top):
-        """sum(factor * number) <= top; a number is (0..2 for its order, which moment)."""
+        """Require sum(factor * number) <= top; a number is (order 0..2, index of the moment)."""
         row = np.zeros(3 * (MOMENTS + 1))
         for factor, order, moment in terms:
             row[3 * moment + order] += factor
@@ -39,7 +39,7 @@ def is_impossible(linprog, begin, end, velocity, acceleration, jerk, duration_s)
         tops.append(top)
 
     for k in range(MOMENTS):
-        rise = ((1.0, 2, k + 1), (-1.0, 2, k))  # of the acceleration
+        rise = ((1.0, 2, k + 1), (-1.0, 2, k))  # derivative of the acceleration
         change = ((1.0, 1, k + 1), (-1.0, 1, k))
         way = ((1.0, 0, k + 1), (-1.0, 0, k))
         rest = ((-h, 1, k), (-0.5 * h * h, 2, k))
@@ -53,8 +53,8 @@ def is_impossible(linprog, begin, end, velocity, acceleration, jerk, duration_s)
             holds([(sign * f, o, m) for f, o, m in change], h * low[1])
             holds([(sign * f, o, m) for f, o, m in way], h * high[1])
             holds([(sign * f, o, m) for f, o, m in (*way, *rest)], jerk * h**3 / 6.0)
-            # Velocity changes by the mean of both accelerations, but for (J h² - d²/J) / 4 at most,
-            # d being their difference: tangents of that parabola.
+            # Velocity changes by the mean of both accelerations, within (J h² - d²/J) / 4, where d
+            # is their difference: tangents of that parabola.
             for share in (-1.0, -0.5, 0.0, 0.5, 1.0):
                 tangent = share * jerk * h
                 mean = ((-0.5 * h, 2, k), (-0.5 * h, 2, k + 1))

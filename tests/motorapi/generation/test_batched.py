@@ -6,9 +6,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from motorapi.errors import UsageError
-from motorapi.generation import ProfileLimits, possible_durations, trapezoid
-from motorapi.generation.batched import LimitArrays, trapezoids
+from motorhil.motorapi.errors import UsageError
+from motorhil.motorapi.generation import ProfileLimits, possible_durations, trapezoid
+from motorhil.motorapi.generation import batch as trapezoids
+from motorhil.motorapi.generation.batched import LimitArrays
 from tests.motorapi.generation.problems import (
     directions_problem,
     magnitude,

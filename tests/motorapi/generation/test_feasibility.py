@@ -4,10 +4,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from motorapi.commands import ControlVariable, DerivativeLimits
-from motorapi.errors import LimitError, UsageError
-from motorapi.functions import Piecewise, Polynomial
-from motorapi.generation import (
+from motorhil.motorapi.commands import ControlVariable, DerivativeLimits
+from motorhil.motorapi.errors import LimitError, UsageError
+from motorhil.motorapi.functions import Piecewise, Polynomial
+from motorhil.motorapi.generation import (
     Feasibility,
     ProfileLimits,
     feasible,
@@ -16,8 +16,8 @@ from motorapi.generation import (
     through_waypoints,
     trapezoid,
 )
-from motorapi.model import MotorModel
-from motorapi.trajectory import ComplexTrajectory, TrapezoidalTrajectory
+from motorhil.motorapi.model import MotorModel
+from motorhil.motorapi.trajectory import ComplexTrajectory, TrapezoidalTrajectory
 from tests.motorapi.generation.problems import problems
 
 MODEL = MotorModel(
@@ -37,15 +37,15 @@ def only(feasibility):
     return violation
 
 
-def test_what_is_feasible_is_true_and_says_so():
+def test_feasible_motion_is_true_and_reads_feasible():
     answer = feasible(TrapezoidalTrajectory(1.0), MODEL)
     assert answer
     assert answer == Feasibility()
     assert str(answer) == "feasible"
 
 
-def test_a_range_of_the_value_that_is_left_by_a_motion_turning_round():
-    # From 2.5 rad at 2 rad/s and 1 rad/s² it cannot but reach 4.5 rad, after 2 s.
+def test_reversing_motion_that_leaves_the_range_is_violation():
+    # From 2.5 rad at 2 rad/s and 1 rad/s² it inevitably reaches 4.5 rad, after 2 s.
     answer = feasible(TrapezoidalTrajectory(2.0, 2.5, initial_derivatives=(2.0,)), MODEL)
     assert not answer
     violation = only(answer)
@@ -54,12 +54,12 @@ def test_a_range_of_the_value_that_is_left_by_a_motion_turning_round():
     assert str(answer) == "position 4.5 rad at 2 s is 1.5 rad above the highest, 3 rad"
 
 
-def test_of_several_moments_the_worst_is_told():
+def test_violation_reports_the_worst_moment():
     answer = feasible(TrapezoidalTrajectory(3.25, 3.5, initial_derivatives=(2.0,)), MODEL)
     assert [(v.value, v.argument) for v in answer.violations] == [(5.5, 2.0)]
 
 
-def test_a_boundary_velocity_beyond_its_limit():
+def test_boundary_velocity_beyond_its_limit_is_violation():
     violation = only(feasible(TrapezoidalTrajectory(1.0, final_derivatives=(-2.5,)), MODEL))
     assert (violation.quantity, violation.value, violation.by) == ("velocity", -2.5, 0.5)
     assert violation.argument is None
@@ -75,7 +75,7 @@ def test_a_boundary_velocity_beyond_its_limit():
     assert (began.argument, began.reason) == (7.0, "where it begins")
 
 
-def test_a_duration_that_is_too_short_or_in_a_gap():
+def test_duration_too_short_or_in_a_gap_is_violation():
     violation = only(feasible(TrapezoidalTrajectory(1.0, duration_s=1.0), MODEL))
     assert (violation.quantity, violation.unit) == ("duration", "s")
     # A triangle up at 4 and down at 1: T = sqrt(2 (1/4 + 1)).
@@ -86,11 +86,11 @@ def test_a_duration_that_is_too_short_or_in_a_gap():
     through = {"initial_derivatives": (1.0,), "final_derivatives": (1.0,)}
     gap = feasible(TrapezoidalTrajectory(0.1, duration_s=1.0, **through), MODEL)
     assert only(gap).high < 1.0
-    assert "it can run back and come again" in str(gap)
+    assert "it can move back and return" in str(gap)
     assert feasible(TrapezoidalTrajectory(0.1, duration_s=10.0, **through), MODEL)
 
 
-def test_a_function_by_hand():
+def test_function_violations_equal_hand_results():
     assert feasible(PARABOLA, MODEL, interval=(0.0, 1.0))
     # Until 3 s: velocity 3 and position 4.5 at the end.
     answer = feasible(PARABOLA, MODEL, interval=(0.0, 3.0))
@@ -98,14 +98,14 @@ def test_a_function_by_hand():
         ("position", 4.5, 3.0, 1.5),
         ("velocity", 3.0, 3.0, 1.0),
     ]
-    # Slowing down by 2 rad/s² is too much, speeding up is not.
+    # Deceleration of 2 rad/s² is too much, acceleration is not.
     steep = Polynomial([0.0, 0.0, 1.0])
     assert feasible(steep, MODEL, interval=(0.0, 1.0))
     slowing = feasible(steep, MODEL, interval=(-1.0, 0.0))
     assert (only(slowing).quantity, only(slowing).by) == ("acceleration", 1.0)
 
 
-def test_limits_alone_name_derivatives_plainly():
+def test_violation_of_plain_limits_names_derivatives():
     limits = DerivativeLimits(first=(-0.5, 1.0), second=0.25, third=0.1)
     answer = feasible(Polynomial([0.0, 0.0, 0.0, 1.0 / 6.0]), limits, interval=(0.0, 2.0))
     assert [str(v) for v in answer.violations] == [
@@ -117,7 +117,7 @@ def test_limits_alone_name_derivatives_plainly():
     assert feasible(TrapezoidalTrajectory(1.0), limits)
 
 
-def test_complex_trajectories_bring_their_interval_their_limits_and_their_start():
+def test_complex_trajectory_brings_interval_limits_and_start():
     climb = ComplexTrajectory(PARABOLA, 0.0, 2.0, relative=True)
     assert feasible(climb, MODEL, start=0.5)
     assert only(feasible(climb, MODEL, start=1.5)).value == 3.5
@@ -133,28 +133,28 @@ def test_complex_trajectories_bring_their_interval_their_limits_and_their_start(
     ]
 
 
-def test_a_step_needs_a_derivative_without_end():
+def test_step_violates_the_next_derivative():
     jump = Piecewise((0.0, 1.0, 2.0), (Polynomial([0.0]), Polynomial([0.5])))
     violation = only(feasible(jump, MODEL))
     assert (violation.quantity, violation.value, violation.by) == ("velocity", inf, inf)
     assert violation.argument == 1.0
-    assert violation.reason == "position steps by 0.5 rad there"
+    assert violation.reason == "position jumps by 0.5 rad there"
     kink = Piecewise((0.0, 1.0, 2.0), (Polynomial([0.0]), Polynomial([0.0, -0.5], about=1.0)))
     assert str(feasible(kink, MODEL)) == (
         "acceleration -inf rad/s² at 1 s is inf rad/s² below the lowest, -1 rad/s²:"
-        " velocity steps by -0.5 rad/s there"
+        " velocity jumps by -0.5 rad/s there"
     )
-    # Of the next derivative's limits, 10 ms are let pass: samples are no smoother.
+    # 10 ms of the next derivative's limit are permitted: samples are no smoother.
     small = Piecewise((0.0, 1.0, 2.0), (Polynomial([0.0]), Polynomial([0.0, 0.009], about=1.0)))
     assert feasible(small, MODEL)
 
 
-def test_a_function_without_an_end_is_refused():
+def test_feasible_of_an_unbounded_function_raises():
     with pytest.raises(UsageError, match="give interval="):
         feasible(PARABOLA, MODEL)
 
 
-def test_what_generators_make_is_feasible():
+def test_generated_motions_are_feasible():
     profile = generate(TrapezoidalTrajectory(2.0, -1.0, initial_derivatives=(-1.0,)), MODEL)
     assert feasible(profile, MODEL)
     assert feasible(profile.as_function(), MODEL)
@@ -162,7 +162,7 @@ def test_what_generators_make_is_feasible():
     assert feasible(course, MODEL)
 
 
-def test_what_ruckig_makes_is_feasible_and_a_trapezoid_is_not_where_jerk_is_limited():
+def test_only_ruckig_motions_are_feasible_with_limited_jerk():
     limits = ProfileLimits(2.0, 4.0)
     assert feasible(jerk_limited(2.0, limits, 10.0), SMOOTH)
     violation = feasible(trapezoid(2.0, limits).as_function(), SMOOTH).violations[0]
@@ -170,7 +170,7 @@ def test_what_ruckig_makes_is_feasible_and_a_trapezoid_is_not_where_jerk_is_limi
 
 
 @given(problems(1.0))
-def test_profiles_are_feasible_for_their_limits_and_for_none_that_is_tighter(problem):
+def test_profiles_are_feasible_for_no_tighter_limits(problem):
     final, limits, states = problem
     if limits.forward != limits.backward:
         return
@@ -192,7 +192,7 @@ def test_profiles_are_feasible_for_their_limits_and_for_none_that_is_tighter(pro
     st.floats(-2.0, 2.0),
     st.none() | st.floats(0.1, 10.0),
 )
-def test_generate_refuses_just_what_is_not_feasible(initial, final, begin, end, duration_s):
+def test_generate_raises_exactly_for_infeasible_motions(initial, final, begin, end, duration_s):
     trajectory = TrapezoidalTrajectory(
         final,
         initial,

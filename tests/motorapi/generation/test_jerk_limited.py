@@ -5,9 +5,9 @@ from random import Random
 import numpy as np
 import pytest
 
-from motorapi.errors import PluginError, UnsupportedError, UsageError
-from motorapi.generation import ProfileLimits, batched, jerk_limited, trapezoid
-from motorapi.generation.smooth import phases_in
+from motorhil.motorapi.errors import PluginError, UnsupportedError, UsageError
+from motorhil.motorapi.generation import ProfileLimits, batched, jerk_limited, trapezoid
+from motorhil.motorapi.generation.jerk_limited import phases_in
 from tests.motorapi.generation.problems import magnitude
 from tests.motorapi.generation.smooth_bounds import is_impossible, rest_to_rest_s
 
@@ -15,14 +15,14 @@ UNIT = ProfileLimits(1.0, 1.0)
 
 
 def smooth_problem(random, decades):
-    """(final, limits, jerk, states) whose states can be reached and left within the limits."""
+    """Return (final, limits, jerk, states) whose states are reachable within the limits."""
     velocity = (-magnitude(random, decades), magnitude(random, decades))
     acceleration = (-magnitude(random, decades), magnitude(random, decades))
     jerk = magnitude(random, decades)
     states = []
     for sense in (1.0, -1.0):
         a = random.choice([0.0, random.uniform(*acceleration)])
-        moves = sense * a * abs(a) / (2.0 * jerk)  # by how much velocity goes on changing
+        moves = sense * a * abs(a) / (2.0 * jerk)  # inevitable further change of velocity
         low, high = velocity[0] - min(moves, 0.0), velocity[1] - max(moves, 0.0)
         if low >= high:
             a, low, high = 0.0, *velocity
@@ -46,7 +46,7 @@ def made(problem, **more):
 
 
 def assert_is_right(function, problem, rounding):
-    """Both states, no steps, all limits."""
+    """Check both states, continuity and all limits."""
     final, limits, jerk, (begin, end) = problem
     low, high = function.domain
     derivatives = [function.derivative(order) for order in range(4)]
@@ -62,7 +62,7 @@ def assert_is_right(function, problem, rounding):
             strict=False,
         ):
             step = abs(left.value(at) - right.value(at))
-            # Where the function is long, its argument tells no shorter moments apart.
+            # In a long function, the argument does not resolve shorter moments.
             assert step <= rounding * size[order] + 4e-16 * high * size[order + 1]
     for order, (lowest, highest) in (
         (1, limits.velocity),
@@ -75,7 +75,7 @@ def assert_is_right(function, problem, rounding):
         assert extent[order].maximum <= highest + slack
 
 
-def test_states_and_limits_of_2000_random_motions():
+def test_2000_random_motions_meet_states_and_limits():
     random = Random("motorhil:smooth")
     for _ in range(2_000):
         problem = smooth_problem(random, 1.0)
@@ -83,11 +83,11 @@ def test_states_and_limits_of_2000_random_motions():
         assert_is_right(function, problem, 1e-10)
         final, limits, _, (begin, end) = problem
         rough = trapezoid(final, limits, initial_velocity=begin[0], final_velocity=end[0])
-        # With no limit of jerk it cannot take longer; unless it has to turn round for nothing.
+        # Without a limit of jerk it cannot take longer, unless it has to reverse for nothing.
         assert rough.duration_s <= function.domain[1] * (1 + 1e-9)
 
 
-def test_of_limits_that_differ_by_three_decades_it_is_right_or_says_that_it_is_not():
+def test_limits_three_decades_apart_are_met_or_reported():
     random = Random("motorhil:smooth decades")
     refused = []
     for _ in range(500):
@@ -106,7 +106,7 @@ def test_of_limits_that_differ_by_three_decades_it_is_right_or_says_that_it_is_n
         )
 
 
-def test_rest_to_rest_takes_what_the_double_s_profile_takes():
+def test_rest_to_rest_takes_the_time_of_the_double_s_profile():
     random = Random("motorhil:double S")
     for _ in range(1_000):
         way, velocity, acceleration, jerk = (magnitude(random, 2.0) for _ in range(4))
@@ -115,7 +115,7 @@ def test_rest_to_rest_takes_what_the_double_s_profile_takes():
         assert function.domain[1] == pytest.approx(expected, rel=1e-9)
 
 
-def test_no_motion_is_shorter_by_a_linear_program():
+def test_linear_program_finds_no_shorter_motion():
     from scipy import optimize
 
     random = Random("motorhil:linear program")
@@ -129,7 +129,7 @@ def test_no_motion_is_shorter_by_a_linear_program():
 
 @pytest.mark.parametrize("length", [1e-9, 1e-3, 1e9])
 @pytest.mark.parametrize("time", [1e-6, 1e6])
-def test_units_do_not_matter(length, time):
+def test_result_does_not_depend_on_units(length, time):
     random = Random("motorhil:smooth units")
     for _ in range(50):
         final, limits, jerk, (begin, end) = problem = smooth_problem(random, 1.0)
@@ -147,17 +147,19 @@ def test_units_do_not_matter(length, time):
         assert made(scaled).domain[1] == pytest.approx(expected, rel=1e-9)
 
 
-def test_a_given_duration_is_held_and_an_impossible_one_told():
+def test_given_duration_is_met_or_reported_as_impossible():
     function = jerk_limited(1.0, UNIT, 1.0, duration_s=10.0, initial_argument=5.0)
     assert function.domain == pytest.approx((5.0, 15.0), rel=1e-12)
     assert function.value(15.0) == 1.0
-    with pytest.raises(UsageError, match=r"cannot take 1 s; the next that it can is 3\.1748 s"):
+    with pytest.raises(
+        UsageError, match=r"cannot take 1 s; the next possible duration is 3\.1748 s"
+    ):
         jerk_limited(1.0, UNIT, 1.0, duration_s=1.0)
     with pytest.raises(UsageError, match="not a finite number >= 0"):
         jerk_limited(1.0, UNIT, 1.0, duration_s=-1.0)
 
 
-def test_the_tighter_limit_holds_where_directions_differ():
+def test_limits_by_direction_use_the_tighter_one():
     limits = ProfileLimits(10.0, 4.0, 2.0)
     assert jerk_limited(1.0, limits, 1e6).derivative(2).extrema().maximum <= 2.0 + 1e-9
 
@@ -177,14 +179,14 @@ def test_the_tighter_limit_holds_where_directions_differ():
         ({"final": 0.0}, "takes no time"),
     ],
 )
-def test_what_cannot_be_is_refused(arguments, told):
+def test_impossible_requests_raise(arguments, told):
     arguments = {"final": 1.0, "limits": UNIT, "jerk": 1.0} | arguments
     with pytest.raises(UsageError, match=told):
         jerk_limited(**arguments)
 
 
-def test_phases_of_braking_are_phases_too():
-    """Outside the limits ruckig brakes first. Our states never are, but for rounding."""
+def test_brake_phases_of_ruckig_are_included():
+    """Start outside the limits by rounding, where ruckig brakes first."""
     import ruckig
 
     given = ruckig.InputParameter(1)
@@ -197,13 +199,13 @@ def test_phases_of_braking_are_phases_too():
     assert sum(lasts_s for lasts_s, _ in phases) == pytest.approx(made.duration, rel=1e-12)
 
 
-def test_without_the_package_it_is_said_which_extra_has_it(monkeypatch):
+def test_missing_package_error_names_the_extra(monkeypatch):
     monkeypatch.setitem(sys.modules, "ruckig", None)
     with pytest.raises(UnsupportedError, match=r"pip install 'motorhil\[ruckig\]'"):
         jerk_limited(1.0, UNIT, 1.0)
 
 
-def test_many_are_as_one_by_one():
+def test_many_motions_equal_single_ones():
     random = Random("motorhil:smooth batch")
     some = [smooth_problem(random, 1.0) for _ in range(600)]
     finals, limits, jerks, states = zip(*some, strict=True)
@@ -220,13 +222,13 @@ def test_many_are_as_one_by_one():
         for order, values in enumerate(found):
             derivative = function.derivative(order)
             told = derivative(np.minimum(times[index], function.domain[1]))
-            # The last piece is reckoned from its other end.
+            # The last piece is computed from its other end.
             np.testing.assert_allclose(values[index], told, rtol=1e-9, atol=1e-8)
     last = curves.function(599)
     assert last.value(0.0) == 0.0
 
 
-def test_many_of_given_durations_take_them():
+def test_many_motions_meet_their_durations():
     curves = batched.jerk_limited(np.array([1.0, -2.0, 0.5]), UNIT, 1.0, duration_s=[5.0, 6.0, 7.0])
     np.testing.assert_allclose(curves.duration_s, [5.0, 6.0, 7.0], rtol=1e-12)
     np.testing.assert_allclose(curves.value(9.0), [1.0, -2.0, 0.5], rtol=1e-9)
@@ -234,7 +236,7 @@ def test_many_of_given_durations_take_them():
         batched.jerk_limited(np.array([1.0, -2.0]), UNIT, 1.0, duration_s=[5.0, 1.0])
 
 
-def test_the_first_of_many_that_cannot_be_is_named():
+def test_many_motions_error_names_the_first_impossible_one():
     with pytest.raises(UsageError, match=r"motion 2: the initial velocity 1\.5 lies outside"):
         batched.jerk_limited(1.0, UNIT, 1.0, initial_derivatives=[np.array([0.0, 0.5, 1.5])])
     with pytest.raises(UsageError, match="2 limits for 3 motions"):

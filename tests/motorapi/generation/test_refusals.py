@@ -1,8 +1,8 @@
-"""What is asked of a generator and cannot be kept to, or is of another type, is refused aloud."""
+"""Errors for generator requests that are impossible or have the wrong type."""
 
 import pytest
 
-from motorapi import (
+from motorhil.motorapi import (
     ComplexTrajectory,
     DerivativeLimits,
     MotorModel,
@@ -10,8 +10,8 @@ from motorapi import (
     UnsupportedError,
     UsageError,
 )
-from motorapi.functions import Polynomial
-from motorapi.generation import (
+from motorhil.motorapi.functions import Polynomial
+from motorhil.motorapi.generation import (
     ProfileLimits,
     feasible,
     generate,
@@ -33,13 +33,13 @@ COMPLEX = ComplexTrajectory(Polynomial((0.0, 0.0, 3.0, -2.0)), 0, 1)
         (TrapezoidalTrajectory(1.0, final_derivatives=(0.0, 1.0)), "with a second derivative"),
     ],
 )
-def test_nothing_is_called_feasible_that_no_trapezoid_can_be(trajectory, why):
+def test_feasible_of_a_request_beyond_trapezoids_raises(trajectory, why):
     for refuse in (feasible, generate):
         with pytest.raises(UnsupportedError, match=f"^wheel .*{why}.*jerk_limited"):
             refuse(trajectory, MODEL)
 
 
-def test_way_points_have_times_or_limits_that_are_kept_to():
+def test_waypoints_require_times_or_supported_limits():
     limits = DerivativeLimits(first=0.1, second=1.0)
     with pytest.raises(UsageError, match="limits of way-points with times are not kept to"):
         through_waypoints([0.0, 1.0, 2.0], [0.0, 1.0, 2.0], limits=limits)
@@ -48,15 +48,15 @@ def test_way_points_have_times_or_limits_that_are_kept_to():
         through_waypoints([0.0, 1.0, 0.0], limits=limits)
 
 
-def test_what_is_of_another_type_is_refused_with_what_to_give():
-    with pytest.raises(UsageError, match="a ComplexTrajectory is generated already"):
+def test_generators_with_wrong_types_name_the_expected_one():
+    with pytest.raises(UsageError, match="a ComplexTrajectory needs no generation"):
         generate(COMPLEX, MODEL)
     with pytest.raises(UsageError, match="give a TrapezoidalTrajectory and a MotorModel"):
         generate(MODEL, TrapezoidalTrajectory(1.0))
-    with pytest.raises(UsageError, match="is no trajectory, no Profile and no function"):
+    with pytest.raises(UsageError, match="is not a trajectory, a Profile or a function"):
         feasible(lambda time_s: time_s, MODEL)
     for motion in (COMPLEX, TrapezoidalTrajectory(1.0)):
-        with pytest.raises(UsageError, match=r"ProfileLimits\(.* limits nothing; give a MotorM"):
+        with pytest.raises(UsageError, match=r"ProfileLimits\(.* has no limits; give a MotorM"):
             feasible(motion, ProfileLimits(1.0, 1.0))
         with pytest.raises(UsageError, match="'position'; give a ControlVariable"):
             feasible(motion, MODEL, variable="position")

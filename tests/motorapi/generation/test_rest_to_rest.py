@@ -5,15 +5,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from motorapi.errors import UsageError
-from motorapi.generation import shortest, stretched
+from motorhil.motorapi.errors import UsageError
+from motorhil.motorapi.generation import shortest, stretched
 
 SIZE = st.floats(1e-3, 1e3)
 WAY = st.floats(-1e4, 1e4).filter(lambda way: way == 0.0 or abs(way) > 1e-6)
 
 
 def integrated_way(profile):
-    """The way by exact integration of the velocity it says it has (an independent reading)."""
+    """Return the distance by exact integration of the velocity, an independent reading."""
     up = Fraction(profile.ramp_up_s)
     plateau = Fraction(profile.ramp_down_s) - up
     down = Fraction(profile.duration_s) - Fraction(profile.ramp_down_s)
@@ -28,14 +28,14 @@ def test_paper_figure_5_is_a_trapezoid():
     assert [profile.velocity(t) for t in (0, 1, 2, 3.5, 5, 6, 7)] == [0, 1, 2, 2, 2, 1, 0]
 
 
-def test_short_way_is_a_triangle():
+def test_short_distance_is_a_triangle():
     # By hand: 1 rad at 1 rad/s²: half of it in 1 s, peak 1 rad/s, far below the limit.
     profile = shortest(1.0, 50.0, 1.0, 1.0)
     assert (profile.peak, profile.duration_s) == (1.0, 2.0)
     assert profile.ramp_up_s == profile.ramp_down_s == 1.0
 
 
-def test_asymmetric_ramps_by_hand():
+def test_asymmetric_ramps_equal_hand_result():
     # Up at 2, down at 1, limit 2: ramps 1 s and 2 s over 1 and 2, plateau 3 in 1.5 s.
     profile = shortest(-6.0, 2.0, 2.0, 1.0)
     assert (profile.ramp_up_s, profile.ramp_down_s, profile.duration_s) == (1.0, 2.5, 4.5)
@@ -43,14 +43,14 @@ def test_asymmetric_ramps_by_hand():
     assert profile.velocity(3.5) == -1.0
 
 
-def test_no_way_takes_no_time_and_any_time():
+def test_zero_distance_takes_no_time_or_any_time():
     assert shortest(0.0, 1.0, 1.0, 1.0).duration_s == 0.0
     held = stretched(0.0, 3.0, 1.0, 1.0)
     assert held.duration_s == 3.0
     assert held.position(1.5) == held.velocity(1.5) == 0.0
 
 
-def test_before_and_after_it_is_at_rest():
+def test_profile_is_at_rest_before_and_after():
     profile = shortest(-3.0, 1.0, 1.0, 1.0)
     assert profile.position(-1.0) == profile.velocity(-1.0) == 0.0
     assert profile.position(profile.duration_s + 1.0) == -3.0
@@ -58,7 +58,7 @@ def test_before_and_after_it_is_at_rest():
 
 
 @given(WAY, SIZE, SIZE, SIZE)
-def test_profile_makes_its_way_within_its_limits(way, velocity, up, down):
+def test_profile_covers_its_distance_within_its_limits(way, velocity, up, down):
     profile = shortest(way, velocity, up, down)
     assert profile.peak <= velocity
     assert 0.0 <= profile.ramp_up_s <= profile.ramp_down_s <= profile.duration_s
@@ -74,8 +74,8 @@ def test_profile_makes_its_way_within_its_limits(way, velocity, up, down):
 
 
 @given(WAY, SIZE, SIZE, SIZE)
-def test_nothing_shorter_is_possible(way, velocity, up, down):
-    """Against the bound that holds for any motion: it cannot outrun limit and ramps."""
+def test_no_shorter_profile_is_possible(way, velocity, up, down):
+    """Compare with the bound for any motion, from velocity limit and ramps."""
     profile = shortest(way, velocity, up, down)
     if profile.ramp_up_s < profile.ramp_down_s:
         bound_s = abs(way) / velocity + velocity / (2 * up) + velocity / (2 * down)
@@ -88,7 +88,7 @@ def test_nothing_shorter_is_possible(way, velocity, up, down):
 def test_stretched_takes_exactly_its_time(way, velocity, up, down, factor):
     fastest = shortest(way, velocity, up, down)
     slow = stretched(way, fastest.duration_s * factor, up, down)
-    # The root is of relative rounding error eps; at factor 1 it is of sqrt(eps).
+    # The root has a relative rounding error of eps; at factor 1 of sqrt(eps).
     assert slow.duration_s == pytest.approx(fastest.duration_s * factor, rel=1e-7)
     assert integrated_way(slow) == pytest.approx(abs(way), rel=1e-7)
     assert slow.peak <= fastest.peak * (1 + 1e-7)
@@ -96,22 +96,22 @@ def test_stretched_takes_exactly_its_time(way, velocity, up, down, factor):
 
 
 @given(SIZE, SIZE, st.floats(1.001, 1e6))
-def test_symmetric_stretch_is_the_known_formula(way, ramp, factor):
+def test_symmetric_stretched_equals_the_known_formula(way, ramp, factor):
     # v' = (aT - sqrt(a²T² - 4aD)) / 2, in exact rational arithmetic up to the root.
     time_s = shortest(way, 1e9, ramp, ramp).duration_s * factor
     a, d, t = Fraction(ramp), Fraction(way), Fraction(time_s)
     peak = Fraction(stretched(way, time_s, ramp, ramp).peak)
     residual = peak * peak - a * t * peak + a * d
-    assert abs(residual) <= Fraction(1, 10**12) * a * d  # the exact root makes it 0
-    assert peak <= a * t / 2  # the smaller one of the two
+    assert abs(residual) <= Fraction(1, 10**12) * a * d  # 0 with the exact root
+    assert peak <= a * t / 2  # the smaller root
 
 
-def test_stretched_is_exact_where_it_would_cancel():
+def test_stretched_over_a_long_time_is_exact():
     # 1 rad in 1e9 s: aT - sqrt(a²T² - 4aD) has no digit left; the peak is 1e-9 rad/s.
     assert stretched(1.0, 1e9, 1.0, 1.0).peak == pytest.approx(1e-9, rel=1e-12)
 
 
-def test_shorter_than_possible_is_refused_and_told():
+def test_stretched_below_the_minimum_time_raises():
     with pytest.raises(UsageError, match="at least 2 s"):
         stretched(1.0, 1.99, 1.0, 1.0)
     assert stretched(1.0, 2.0, 1.0, 1.0).peak == 1.0
@@ -119,7 +119,7 @@ def test_shorter_than_possible_is_refused_and_told():
 
 @pytest.mark.parametrize("bad", [0.0, -1.0, inf, nan])
 @pytest.mark.parametrize("place", [1, 2, 3])
-def test_bad_limits_are_refused(bad, place):
+def test_invalid_limits_raise(bad, place):
     arguments = [1.0, 1.0, 1.0, 1.0]
     arguments[place] = bad
     with pytest.raises(UsageError):
@@ -129,6 +129,6 @@ def test_bad_limits_are_refused(bad, place):
 
 
 @pytest.mark.parametrize("bad", [inf, -inf, nan])
-def test_bad_distance_is_refused(bad):
+def test_invalid_distance_raises(bad):
     with pytest.raises(UsageError):
         shortest(bad, 1.0, 1.0, 1.0)

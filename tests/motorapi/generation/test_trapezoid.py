@@ -7,8 +7,8 @@ import pytest
 from hypothesis import event, given
 from hypothesis import strategies as st
 
-from motorapi.errors import UsageError
-from motorapi.generation import ProfileLimits, possible_durations, shortest, trapezoid
+from motorhil.motorapi.errors import UsageError
+from motorhil.motorapi.generation import ProfileLimits, possible_durations, shortest, trapezoid
 from tests.motorapi.generation.problems import (
     assert_is_admissible,
     envelope_of,
@@ -31,7 +31,7 @@ def sampled(profile, count=64):
 # --- by hand
 
 
-def test_rest_to_rest_with_limits_that_differ():
+def test_rest_to_rest_with_limits_by_direction():
     # Up at 2, down at 1, limit 2: ramps 1 s and 2 s over 1 and 2, plateau 3 in 1.5 s.
     profile = trapezoid(6.0, ProfileLimits((-9.0, 2.0), (-1.0, 2.0)))
     assert (profile.duration_s, profile.switching_times_s) == (4.5, (1.0, 2.5))
@@ -40,26 +40,26 @@ def test_rest_to_rest_with_limits_that_differ():
     assert [profile.second(t) for t in (0, 0.5, 1, 2.5, 4.5)] == [2, 2, 0, -1, -1]
 
 
-def test_a_short_way_between_velocities():
+def test_short_distance_between_velocities():
     # From 1 to 0 with 1/s²: the direct ramp covers 0.5 in 1 s.
     profile = trapezoid(0.5, UNIT, initial_velocity=1.0)
     assert profile.pieces == ((0.0, 1.0, 0.0, 0.5, 1.0, 0.0, -1.0),)
-    # A way of 0 instead: stop 0.5 beyond, and come back by 0.5 in 2 sqrt(0.5) s.
+    # Distance 0 instead: stop 0.5 beyond, and return by 0.5 in 2 sqrt(0.5) s.
     profile = trapezoid(0.0, UNIT, initial_velocity=1.0)
     assert profile.value(1.0) == 0.5
     assert profile.value_range == (0.0, 0.5)
     assert profile.duration_s == pytest.approx(1.0 + 2.0**0.5, rel=1e-15)
 
 
-def test_a_motor_that_slows_down_more_gently_turns_round_in_two_pieces():
-    # Model: speeding up 2, slowing down 1. From -1 m/s: 1 s to stop (-0.5 m), then 1 s to 2 m/s.
+def test_motor_with_gentle_deceleration_reverses_in_2_pieces():
+    # Model: acceleration 2, deceleration 1. From -1 m/s: 1 s to stop (-0.5 m), then 1 s to 2 m/s.
     limits = ProfileLimits(2.0, 2.0, 1.0)
     profile = trapezoid(0.5, limits, initial_velocity=-1.0, final_velocity=2.0)
     assert [piece[:2] + piece[6:] for piece in profile.pieces] == [(0, 1, 1), (1, 2, 2)]
     assert [profile.value(t) for t in (0.5, 1.0, 1.5, 2.0)] == [-0.375, -0.5, -0.25, 0.5]
 
 
-def test_it_is_what_shortest_makes_of_rest_to_rest():
+def test_trapezoid_from_rest_to_rest_equals_shortest():
     for distance, velocity, up, down in (
         (10.0, 2.0, 1.0, 1.0),
         (-6.0, 2.0, 2.0, 1.0),
@@ -74,7 +74,7 @@ def test_it_is_what_shortest_makes_of_rest_to_rest():
             assert new.first(t) == pytest.approx(old.velocity(t), rel=1e-14, abs=1e-14)
 
 
-def test_no_way_takes_no_time_and_outside_it_has_the_state_of_the_nearer_end():
+def test_zero_distance_has_the_state_of_the_nearer_end():
     nothing = trapezoid(2.0, UNIT, initial=2.0)
     assert nothing.duration_s == 0.0
     assert (nothing.value(-1), nothing.value(0), nothing.value(1)) == (2.0, 2.0, 2.0)
@@ -86,8 +86,8 @@ def test_no_way_takes_no_time_and_outside_it_has_the_state_of_the_nearer_end():
     assert "from 0.0 to 5.0" in repr(profile)
 
 
-def test_it_arrives_to_the_last_digit():
-    """1e-9 of the duration before the end, d (T - t)² / 2 is left, and far less than rounding."""
+def test_trapezoid_arrives_to_the_last_digit():
+    """Evaluate 1e-9 of the duration before the end, where d (T - t)² / 2 is left."""
     for way, down in ((3.0, 1.0), (-7.0, 0.3), (1e6, 2.0)):
         profile = trapezoid(way, ProfileLimits(2.0, 1.0, down))
         left = profile.duration_s * 1e-9
@@ -99,7 +99,7 @@ def test_it_arrives_to_the_last_digit():
         assert found * way < 0.0
 
 
-def test_without_a_limit_of_acceleration_velocity_steps():
+def test_trapezoid_without_acceleration_limit_steps_velocity():
     profile = trapezoid(3.0, ProfileLimits((-1.0, 2.0), inf))
     assert profile.pieces == ((0.0, 1.5, 0.0, 3.0, 2.0, 2.0, 0.0),)
     assert (profile.first(0.0), profile.first(0.1), profile.first(1.5)) == (0.0, 2.0, 0.0)
@@ -107,27 +107,27 @@ def test_without_a_limit_of_acceleration_velocity_steps():
     assert trapezoid(1.0, up_only).duration_s == pytest.approx(2.0**0.5, rel=1e-15)
 
 
-def test_without_a_limit_of_velocity_it_is_a_triangle():
+def test_trapezoid_without_velocity_limit_is_a_triangle():
     assert trapezoid(1e6, ProfileLimits(inf, 1.0)).duration_s == 2000.0
 
 
-# --- bad questions
+# --- invalid requests
 
 
 @pytest.mark.parametrize("bad", [nan, inf, -inf])
 @pytest.mark.parametrize(
     "name", ["final", "initial", "initial_velocity", "final_velocity", "initial_argument"]
 )
-def test_a_number_that_is_none_is_refused(name, bad):
+def test_trapezoid_with_non_finite_number_raises(name, bad):
     arguments = {"final": 1.0, name: bad}
     with pytest.raises(UsageError, match="not a finite number"):
         trapezoid(limits=ProfileLimits(inf, 1.0), **arguments)
 
 
-def test_a_motion_beyond_the_limits_is_refused():
+def test_trapezoid_beyond_the_limits_raises():
     with pytest.raises(UsageError, match=r"final velocity 1\.5 lies outside its limits, -1 to 1"):
         trapezoid(1.0, UNIT, final_velocity=1.5)
-    with pytest.raises(UsageError, match="allow no motion in the direction"):
+    with pytest.raises(UsageError, match="allow no motion in this direction"):
         trapezoid(1.0, ProfileLimits((-1.0, 0.0), 1.0))
     with pytest.raises(UsageError, match="neither velocity nor acceleration is limited"):
         trapezoid(1.0, ProfileLimits(inf, inf))
@@ -143,10 +143,10 @@ def test_a_motion_beyond_the_limits_is_refused():
         ((1.0, 1.0, 0.0), "deceleration"),
         ((1.0, (0.0, 1.0)), "acceleration range"),
         ((1.0, nan), "acceleration range"),
-        ((1.0, (-1.0, 1.0), 1.0), "not with a range"),
+        ((1.0, (-1.0, 1.0), 1.0), "not as a range"),
     ],
 )
-def test_limits_that_are_none_are_refused(arguments, told):
+def test_invalid_profile_limits_raise(arguments, told):
     with pytest.raises(UsageError, match=told):
         ProfileLimits(*arguments)
     with pytest.raises(UsageError, match="the value"):
@@ -169,7 +169,7 @@ def test_every_profile_is_admissible_at_any_scale(problem):
 
 
 @given(problems(), st.floats(0.0, 1.0))
-def test_limits_are_never_exceeded_at_any_moment(problem, share):
+def test_limits_are_never_exceeded(problem, share):
     final, limits, states = problem
     profile = trapezoid(final, limits, **states)
     low, high = profile.value_range
@@ -180,7 +180,7 @@ def test_limits_are_never_exceeded_at_any_moment(problem, share):
         velocity, acceleration = profile.first(t), profile.second(t)
         assert limits.velocity[0] <= velocity <= limits.velocity[1]
         allowed = limits.forward if velocity > 0.0 else limits.backward
-        if velocity == 0.0:  # it may just turn round
+        if velocity == 0.0:  # it may just reverse
             ends = (*limits.forward, *limits.backward)
             allowed = (min(ends), max(ends))
         assert allowed[0] <= acceleration <= allowed[1]
@@ -188,8 +188,8 @@ def test_limits_are_never_exceeded_at_any_moment(problem, share):
 
 
 @given(problems() | problems(9.0), st.randoms(use_true_random=False))
-def test_nothing_shorter_is_possible(problem, random):
-    """Against the envelope of all motions, in exact arithmetic."""
+def test_no_shorter_profile_is_possible(problem, random):
+    """Compare with the envelope of all motions, in exact arithmetic."""
     final, limits, states = problem
     profile = trapezoid(final, limits, **states)
     envelope, way = envelope_of(limits, states), way_of(final, states)
@@ -199,7 +199,7 @@ def test_nothing_shorter_is_possible(problem, random):
         assert not duration or not envelope.is_possible(way, duration * (1 - share))
 
 
-def test_a_way_that_the_direct_ramp_nearly_covers_is_exact_too():
+def test_distance_near_that_of_the_direct_ramp_is_exact():
     random = Random("motorhil:nearly direct")
     for _ in range(300):
         final, limits, states = nearly_direct_problem(random)
@@ -208,13 +208,13 @@ def test_a_way_that_the_direct_ramp_nearly_covers_is_exact_too():
         duration = Fraction(profile.duration_s)
         assert not envelope.is_possible(way, duration * (1 - EPS))
         (low, high), *_ = possible_durations(final, limits, **states)
-        if low * (1 + 1e-11) < high:  # or there is no time to choose a later one
+        if low * (1 + 1e-11) < high:  # else there is no later time to choose
             assert envelope.is_possible(way, duration * (1 + EPS))
 
 
 @given(problems())
-def test_nothing_reaches_less_far(problem):
-    """The extent is the least: what braking and what arriving need, and both ends."""
+def test_no_profile_has_a_smaller_extent(problem):
+    """Compare the extent with braking and arrival distances, and both ends."""
     final, limits, states = problem
     profile = trapezoid(final, limits, **states)
     begin, end = Fraction(states["initial_velocity"]), Fraction(states["final_velocity"])
@@ -239,7 +239,7 @@ def _arriving(limits, velocity):
 
 
 @given(problems())
-def test_a_mirror_changes_signs_only(problem):
+def test_mirrored_problem_changes_signs_only(problem):
     final, limits, states = problem
     mirrored = ProfileLimits((-limits.velocity[1], -limits.velocity[0]), 1.0)
     for name, (low, high) in (("forward", limits.backward), ("backward", limits.forward)):
@@ -251,13 +251,13 @@ def test_a_mirror_changes_signs_only(problem):
 
 
 @given(sizes(3.0), sizes(3.0), sizes(3.0))
-def test_a_direct_ramp_stays_one_although_its_numbers_are_rounded(begin, end, size):
-    """Speeding up backward: an excess of the last digit does not make it turn round."""
+def test_direct_ramp_with_rounded_numbers_stays_direct(begin, end, size):
+    """Accelerate backward: an excess in the last digit must not cause a reversal."""
     begin, end = sorted((begin, end))
     way = -(end * end - begin * begin) / (2.0 * size)
     limits = ProfileLimits(2.0 * end, size)
     profile = trapezoid(way, limits, initial_velocity=-begin, final_velocity=-end)
-    # Rounding of the way, told as a time.
+    # Rounding of the distance, expressed as a time.
     assert (
         profile.duration_s <= (end - begin) / size * (1 + 1e-12) + 4e-15 * end * end / size / begin
     )
@@ -267,7 +267,7 @@ def test_a_direct_ramp_stays_one_although_its_numbers_are_rounded(begin, end, si
 
 
 def by_ruckig(ruckig, final, limits, states):
-    """The trajectory, or None where it fails."""
+    """Return the trajectory, or None if ruckig fails."""
     given = ruckig.InputParameter(1)
     given.current_position, given.target_position = [states["initial"]], [final]
     given.current_velocity = [states["initial_velocity"]]
@@ -282,7 +282,7 @@ def by_ruckig(ruckig, final, limits, states):
     return made if result == ruckig.Result.Working else None
 
 
-def test_ruckig_finds_the_same_12_000_times():
+def test_trapezoid_equals_ruckig_12_000_times():
     import ruckig
 
     random = Random("motorhil:trapezoids")
@@ -302,11 +302,11 @@ def test_ruckig_finds_the_same_12_000_times():
             assert abs(ours.first(t) - velocity) <= 1e-9 * speed
             assert limits.velocity[0] <= ours.first(t) <= limits.velocity[1]
             assert limits.forward[0] <= ours.second(t) <= limits.forward[1]
-    assert moving > 8_000  # or nothing would be said of boundary velocities
+    assert moving > 8_000  # otherwise boundary velocities would not be covered
 
 
-def test_where_ruckig_differs_over_six_decades_the_envelope_says_who_is_right():
-    """It gives up on some, and is off by up to 1e-11 on a few; ours is right on all."""
+def test_trapezoid_is_right_where_ruckig_differs():
+    """Compare over six decades, where ruckig fails on some and errs by up to 1e-11 on a few."""
     import ruckig
 
     random = Random("motorhil:six decades")
@@ -333,6 +333,6 @@ def test_where_ruckig_differs_over_six_decades_the_envelope_says_who_is_right():
     assert different < 40
 
 
-def test_problems_of_any_magnitude_are_made():
+def test_problems_of_any_magnitude_are_solved():
     random = Random("motorhil:magnitudes")
     assert min(magnitude(random, 9.0) for _ in range(200)) < 1e-6

@@ -7,13 +7,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from motorapi.commands import DerivativeLimits
-from motorapi.errors import UsageError
-from motorapi.generation import batched, through_waypoints
-from motorapi.generation.batched.curves import differentiated, ranges
+from motorhil.motorapi.commands import DerivativeLimits
+from motorhil.motorapi.errors import UsageError
+from motorhil.motorapi.generation import batched, through_waypoints
+from motorhil.motorapi.generation.batch import differentiated, ranges
 
 VALUE = st.floats(-100.0, 100.0)
-STEP = st.floats(0.1, 5.0)  # quintics know rounding to the fourth power of the steps' ratio
+STEP = st.floats(0.1, 5.0)  # rounding of quintics grows with the fourth power of the steps' ratio
 LIMITS = DerivativeLimits(first=(-1.0, 2.0), second=3.0, third=40.0)
 
 
@@ -25,7 +25,7 @@ def courses(draw, most=8):
 
 
 def steps_of(function, order):
-    """(step, size) of a derivative at each inner break."""
+    """Return (jump, size) of a derivative at each inner break."""
     derivative = function.derivative(order)
     if len(function.pieces) == 1:
         return []
@@ -35,7 +35,7 @@ def steps_of(function, order):
     return [(abs(left.value(at) - right.value(at)), size) for left, right, at in pieces]
 
 
-def test_two_way_points_by_hand():
+def test_two_waypoints_equal_hand_results():
     # Rest to rest over 1 in 1 s: 3 t² - 2 t³, and 10 t³ - 15 t⁴ + 6 t⁵.
     (cubic,) = through_waypoints([0.0, 1.0], [0.0, 1.0]).pieces
     assert cubic.coefficients == (0.0, 0.0, 3.0, -2.0)
@@ -44,7 +44,7 @@ def test_two_way_points_by_hand():
 
 
 @given(courses(), st.sampled_from([3, 5]))
-def test_it_goes_through_all_points_smoothly_and_rests_at_its_ends(course, degree):
+def test_curve_passes_all_points_smoothly_and_rests_at_ends(course, degree):
     values, times = course
     function = through_waypoints(values, times, degree=degree)
     size = max(abs(function.extrema().minimum), abs(function.extrema().maximum))
@@ -58,12 +58,12 @@ def test_it_goes_through_all_points_smoothly_and_rests_at_its_ends(course, degre
         assert derivative.value(times[-1]) == pytest.approx(0.0, abs=1e-9 * size)
     for order in range(1, degree):
         for step, size in steps_of(function, order):
-            # The equations are solved for this; rounding grows with the powers of the steps.
+            # Required by the equations; rounding grows with the powers of the steps.
             assert step <= 1e-7 * size
 
 
 @given(courses(12), st.booleans())
-def test_cubics_are_scipys_spline(course, natural):
+def test_cubics_equal_the_spline_of_scipy(course, natural):
     from scipy import interpolate
 
     values, times = course
@@ -79,12 +79,12 @@ def test_cubics_are_scipys_spline(course, natural):
 
 
 @given(courses(), st.data())
-def test_given_derivatives_are_as_given(course, data):
+def test_given_derivatives_are_reproduced(course, data):
     values, times = course
     free = st.none() | st.floats(-3.0, 3.0)
     first = [data.draw(free) for _ in values]
     second = [data.draw(free) for _ in values]
-    for end in (0, -1):  # what is free at an end of quintics is determined by nothing else
+    for end in (0, -1):  # a free derivative at an end of a quintic is not determined otherwise
         first[end], second[end] = 1.0, -2.0
     for degree, orders in ((3, (first,)), (5, (first, second))):
         extra = {"second": second} if degree == 5 else {}
@@ -95,7 +95,7 @@ def test_given_derivatives_are_as_given(course, data):
             for t, number in zip(times, given_, strict=True):
                 if number is not None:
                     assert derivative.value(t) == pytest.approx(number, abs=1e-9 * size)
-    # Where one of both is free, one more derivative of a quintic goes through.
+    # If one of both is free, one more derivative of a quintic is continuous.
     for order, free_one in ((3, second), (4, first)):
         for place, (step, size) in enumerate(steps_of(function, order), start=1):
             if free_one[place] is None:
@@ -104,7 +104,7 @@ def test_given_derivatives_are_as_given(course, data):
 
 @pytest.mark.parametrize("degree", [3, 5])
 @pytest.mark.parametrize("ends", [None, (0.5, -0.25)])
-def test_the_shortest_times_hold_the_limits_and_reach_one(degree, ends):
+def test_shortest_times_meet_the_limits_and_reach_one(degree, ends):
     random = Random(f"motorhil:shortest times {degree}")
     bounds = ((1, LIMITS.first), (2, LIMITS.second), (3, LIMITS.third))
     for count in (2, 3, 5, 7):
@@ -121,7 +121,7 @@ def test_the_shortest_times_hold_the_limits_and_reach_one(degree, ends):
         assert max(used) == pytest.approx(1.0, rel=1e-9)
 
 
-def test_no_division_of_the_time_that_a_search_finds_is_shorter_by_a_hundredth():
+def test_no_searched_time_division_is_shorter_by_1_percent():
     from scipy import optimize
 
     random = Random("motorhil:division")
@@ -145,8 +145,8 @@ def test_no_division_of_the_time_that_a_search_finds_is_shorter_by_a_hundredth()
         assert found.fun >= 0.99 * ours.domain[1]
 
 
-def test_of_many_pieces_too_the_limits_are_held_and_one_is_reached():
-    """Forty points: here the ratios of the times are not searched for."""
+def test_forty_points_meet_the_limits_and_reach_one():
+    """Use forty points, where the ratios of the times are not searched."""
     random = Random("motorhil:many pieces")
     values = [random.uniform(-3.0, 3.0) for _ in range(40)]
     ours = through_waypoints(values, limits=LIMITS)
@@ -157,10 +157,10 @@ def test_of_many_pieces_too_the_limits_are_held_and_one_is_reached():
     ]
     assert max(used) == pytest.approx(1.0, rel=1e-9)
     chords = sum(max(b - a, 2.0 * (a - b)) / 2.0 for a, b in pairwise(values))
-    assert ours.domain[1] < 3.0 * chords  # what it takes at the limit of velocity
+    assert ours.domain[1] < 3.0 * chords  # the time at the velocity limit
 
 
-def test_many_are_as_one_by_one():
+def test_many_curves_equal_single_ones():
     random = np.random.default_rng(3)
     values = random.uniform(-2.0, 2.0, (40, 5))
     times = np.cumsum(random.uniform(0.1, 1.0, (40, 5)), axis=1)
@@ -185,7 +185,7 @@ def test_many_are_as_one_by_one():
                     )
 
 
-def test_curves_hold_their_ends_outside():
+def test_curves_are_constant_outside_their_ends():
     curves = batched.through_waypoints([[0.0, 1.0], [2.0, 4.0]], [0.0, 1.0])
     assert curves.value(-1.0).tolist() == [0.0, 2.0]
     assert curves.value(2.0).tolist() == [1.0, 4.0]
@@ -196,7 +196,7 @@ def test_curves_hold_their_ends_outside():
 
 
 @given(st.lists(st.floats(-10.0, 10.0), min_size=1, max_size=6), st.floats(0.01, 10.0))
-def test_ranges_of_polynomials_miss_nothing(coefficients, length):
+def test_ranges_of_polynomials_contain_all_values(coefficients, length):
     low, high = ranges(np.array([coefficients]), np.array([length]))
     at = np.linspace(0.0, length, 400)
     values = np.polynomial.polynomial.polyval(at, coefficients)
@@ -235,7 +235,7 @@ def test_ranges_of_polynomials_miss_nothing(coefficients, length):
         ({"initial_argument": nan}, "initial argument"),
     ],
 )
-def test_what_cannot_be_is_refused(arguments, told):
+def test_impossible_waypoints_raise(arguments, told):
     arguments = {"values": [0.0, 1.0, 3.0], "times": [0.0, 1.0, 2.0]} | arguments
     with pytest.raises(UsageError, match=told):
         through_waypoints(arguments.pop("values"), **arguments)

@@ -1,27 +1,27 @@
-"""Where a motor is taken from who lives, by lease or on demand: the same wherever owners live.
+"""Worlds for takeovers of motors from living owners, by lease or on demand.
 
 - "parties": logical motors of one process, in virtual time, without a lock.
-- "threads": logical motors of one process, on the wall's clock, with a lock between processes.
-- "strangers": each has a hardware object and a lock of his own, as in processes of their own.
+- "threads": logical motors of one process, on the wall clock, with a lock between processes.
+- "strangers": each has its own hardware object and lock, as in separate processes.
 """
 
 from types import SimpleNamespace
 
 import pytest
 
-from emulators.event_queue import EventQueue
-from harness.virtual_time import VirtualRuntime
-from motorapi import (
+from motorhil.emulators.simulation.event_queue import EventQueue
+from motorhil.harness.virtual_time.runtime import VirtualRuntime
+from motorhil.motorapi import (
     WallRuntime,
 )
-from motorapi.lock_directory import LockDirectory
-from motorapi.process_lock import ProcessLock
+from motorhil.motorapi.locking.directory import LockDirectory
+from motorhil.motorapi.locking.process_lock import ProcessLock
 from tests.motorapi.plain import PlainBus, PlainHwMotor, PlainMotor
 
 
 @pytest.fixture(params=["parties", "threads", "strangers"])
 def world(request, tmp_path):
-    """Somewhere to live, with logical motors a to d of one physical one."""
+    """Return a world with logical motors a to d of one physical motor."""
     virtual = request.param == "parties"
     runtime = VirtualRuntime(EventQueue()) if virtual else WallRuntime()
     directory = LockDirectory(tmp_path)
@@ -45,7 +45,7 @@ def world(request, tmp_path):
         pass_s=pass_s,
         kind=request.param,
         virtual=virtual,
-        lease_s=0.1 if virtual else 0.4,  # far longer than a busy machine delays anybody
+        lease_s=0.1 if virtual else 0.4,  # far longer than any delay on a busy machine
     )
     runtime.close()
 

@@ -1,6 +1,6 @@
-"""What owners do with motors that may be taken from them."""
+"""Activities of owners whose motors may be taken over."""
 
-from motorapi import (
+from motorhil.motorapi import (
     ControlMode,
     ControlVariable,
     TrapezoidalTrajectory,
@@ -10,7 +10,7 @@ LONG_S = 20.0
 
 
 def rove(motor):
-    """It goes on for ever, once it is started."""
+    """Start a motion that does not end by itself."""
     motor.set_control_mode(ControlMode.SETPOINT, ControlVariable.VELOCITY)
     motor.set_setpoint(0.1)
 
@@ -27,7 +27,7 @@ def heard(motor):
 
 
 def elsewhere(world, action):
-    """It is done, in another thread: whoever waits in this one is alive, and his leases last."""
+    """Run it in another thread while this one waits, so that its leases are renewed."""
     party = world.runtime.spawn("elsewhere", action)
     assert party.join(LONG_S)
     if party.error is not None:

@@ -1,8 +1,8 @@
-"""A lease that is over: the motor is another's, and nobody loses it who uses it."""
+"""Leases: an expired lease permits a takeover, use of the motor renews it."""
 
 import pytest
 
-from motorapi import (
+from motorhil.motorapi import (
     MotorBusyError,
     MotorGroup,
     TrapezoidalTrajectory,
@@ -11,7 +11,7 @@ from motorapi import (
 from tests.motorapi.takeover.owners import LONG_S, elsewhere, follow, rove
 
 
-def test_who_waits_has_it_when_the_lease_of_who_does_nothing_is_over(world, logical):
+def test_waiter_takes_the_motor_when_an_idle_lease_expires(world, logical):
     a, b, *_ = logical
     rove(a)
     follow(b)
@@ -32,7 +32,7 @@ def test_who_waits_has_it_when_the_lease_of_who_does_nothing_is_over(world, logi
         b.wait_until_done(LONG_S)
 
 
-def test_who_asks_after_the_lease_is_over_need_not_wait(world, logical):
+def test_request_after_lease_expiry_does_not_wait(world, logical):
     a, b, *_ = logical
     with a.reserve("survey", lease_s=world.lease_s):
         world.pass_s(world.lease_s * 1.01)
@@ -42,7 +42,7 @@ def test_who_asks_after_the_lease_is_over_need_not_wait(world, logical):
             pass
 
 
-def test_without_a_lease_nobody_has_it_but_on_demand(world, logical):
+def test_motor_without_a_lease_is_taken_on_demand_only(world, logical):
     a, b, *_ = logical
     follow(b)
     with a.reserve("survey") as first:
@@ -52,7 +52,7 @@ def test_without_a_lease_nobody_has_it_but_on_demand(world, logical):
         assert first.is_held
 
 
-def test_a_lease_goes_on_with_every_operation_every_wait_and_every_renewal(world, logical):
+def test_lease_is_renewed_by_operations_waits_and_renew(world, logical):
     a, b, *_ = logical
     follow(a, 0.05)
     with a.reserve("survey", lease_s=world.lease_s) as first:
@@ -66,7 +66,7 @@ def test_a_lease_goes_on_with_every_operation_every_wait_and_every_renewal(world
     assert first.lost_to is None
 
 
-def test_who_waits_for_a_motion_longer_than_his_lease_keeps_it(world, logical):
+def test_wait_for_a_motion_longer_than_the_lease_keeps_it(world, logical):
     a, b, *_ = logical
     follow(a)
     a.set_trajectory(TrapezoidalTrajectory(0.01, duration_s=2.5 * world.lease_s))
@@ -89,7 +89,7 @@ def test_who_waits_for_a_motion_longer_than_his_lease_keeps_it(world, logical):
     assert len(refused) == 6
 
 
-def test_also_who_waits_for_it_in_another_thread_uses_it(world, logical):
+def test_wait_in_another_thread_renews_the_lease(world, logical):
     a, b, *_ = logical
     follow(a)
     a.set_trajectory(TrapezoidalTrajectory(0.01, duration_s=2 * world.lease_s))
@@ -101,7 +101,7 @@ def test_also_who_waits_for_it_in_another_thread_uses_it(world, logical):
         assert first.is_held
 
 
-def test_a_lease_inside_of_another_is_that_of_the_inner_block(world, logical):
+def test_nested_lease_is_that_of_the_inner_block(world, logical):
     a, b, *_ = logical
     with a.reserve("outer"):
         with a.reserve("inner", lease_s=world.lease_s):
@@ -115,7 +115,7 @@ def test_a_lease_inside_of_another_is_that_of_the_inner_block(world, logical):
             assert not inner.is_held
 
 
-def test_a_motion_that_goes_on_after_the_block_has_no_lease(world, logical):
+def test_motion_active_after_the_block_has_no_lease(world, logical):
     a, b, *_ = logical
     follow(a)
     a.set_trajectory(TrapezoidalTrajectory(0.01, duration_s=3 * world.lease_s))
@@ -129,14 +129,14 @@ def test_a_motion_that_goes_on_after_the_block_has_no_lease(world, logical):
 
 
 @pytest.mark.parametrize("lease_s", [0.0, 0.0099, -1.0, float("nan"), float("inf"), "soon", True])
-def test_a_lease_nobody_could_have_is_refused(world, logical, lease_s):
+def test_invalid_lease_raises(world, logical, lease_s):
     a, *_ = logical
     with pytest.raises(UsageError, match="lease_s"), a.reserve(lease_s=lease_s):
         pass
     a.enable()
 
 
-def test_a_group_that_waits_for_one_motor_keeps_its_lease_of_the_others(world):
+def test_group_wait_for_one_motor_renews_the_others(world):
     a1, b1 = world.motors(["a1", "b1"], node=1)
     a2, b2 = world.motors(["a2", "b2"], node=2)
     done = []
@@ -165,7 +165,7 @@ def test_a_group_that_waits_for_one_motor_keeps_its_lease_of_the_others(world):
     assert done == [True]
 
 
-def test_who_waits_for_one_motor_keeps_the_lease_of_another(world):
+def test_wait_for_one_motor_renews_the_lease_of_another(world):
     a1, b1 = world.motors(["a1", "b1"], node=1)
     (a2,) = world.motors(["a2"], node=2)
     follow(a2)

@@ -1,8 +1,8 @@
-"""A motor is taken on demand from who lives, and from nobody else."""
+"""Takeover on demand from a living owner."""
 
 import pytest
 
-from motorapi import (
+from motorhil.motorapi import (
     LockAction,
     MotionInterrupted,
     MotorBusyError,
@@ -14,9 +14,7 @@ from motorapi import (
 from tests.motorapi.takeover.owners import LONG_S, actions, follow, heard, rove
 
 
-def test_on_demand_it_is_taken_from_who_lives_and_he_is_refused_by_the_name_of_who_took_it(
-    world, logical
-):
+def test_takeover_on_demand_refuses_the_loser_by_name(world, logical):
     a, b, *_ = logical
     rove(a)
     with a.reserve("survey") as first:
@@ -36,13 +34,13 @@ def test_on_demand_it_is_taken_from_who_lives_and_he_is_refused_by_the_name_of_w
             b.start()
             b.wait_until_done(LONG_S)
         with pytest.raises(MotorBusyError, match="taken over"):
-            a.start()  # also when it is free again, until he takes it
+            a.start()  # also when it is free again, until the loser acquires it
     a.enable()
     a.start()
     a.stop()
 
 
-def test_what_it_does_for_the_loser_is_interrupted_and_it_is_brought_to_rest(world, logical):
+def test_takeover_interrupts_the_motion_and_brings_to_rest(world, logical):
     a, b, *_ = logical
     follow(a)
     a.set_trajectory(TrapezoidalTrajectory(0.01, duration_s=2 * LONG_S))
@@ -64,7 +62,7 @@ def test_what_it_does_for_the_loser_is_interrupted_and_it_is_brought_to_rest(wor
     assert isinstance(ending.error, MotionInterrupted)
 
 
-def test_a_motion_that_nobody_reserved_is_taken_over_on_demand_as_well(world, logical):
+def test_motion_without_reservation_is_taken_over_on_demand(world, logical):
     a, b, *_ = logical
     rove(a)
     a.start()
@@ -72,22 +70,24 @@ def test_a_motion_that_nobody_reserved_is_taken_over_on_demand_as_well(world, lo
         pass
     with b.reserve("rescue", take_over=True), pytest.raises(MotionInterrupted, match="took"):
         a.wait_until_done(LONG_S)
-    a.start()  # he had not reserved it: he may take it again
+    a.start()  # not reserved before: it may be acquired again
     a.stop()
 
 
-def test_what_has_come_to_rest_after_it_was_lost_is_not_taken_for_done(world, logical, monkeypatch):
-    monkeypatch.setattr("motorapi.patience.LOOK_PERIOD_S", LONG_S)  # nobody looks before
+def test_rest_after_the_loss_does_not_count_as_done(world, logical, monkeypatch):
+    monkeypatch.setattr(
+        "motorhil.motorapi.ownership.claim.LOOK_PERIOD_S", LONG_S
+    )  # no check before
     a, b, *_ = logical
     follow(a, 1.0)
     a.start()
     with b.reserve("rescue", take_over=True):
-        a.hw.freeze()  # as a drive that was stopped for somebody else
+        a.hw.freeze()  # as a drive stopped by another owner
         with pytest.raises(MotionInterrupted, match="took"):
             a.is_done()
 
 
-def test_the_loser_may_reserve_it_again_inside_of_his_block(world, logical):
+def test_loser_may_reserve_again_inside_its_block(world, logical):
     a, b, *_ = logical
     follow(a)
     with a.reserve("survey"):
@@ -104,7 +104,7 @@ def test_the_loser_may_reserve_it_again_inside_of_his_block(world, logical):
     a.start()
 
 
-def test_two_take_it_from_each_other(world, logical):
+def test_two_owners_take_the_motor_from_each_other(world, logical):
     a, b, *_ = logical
     with (
         a.reserve("one") as one,
@@ -120,7 +120,7 @@ def test_two_take_it_from_each_other(world, logical):
     b.enable()
 
 
-def test_those_who_wait_keep_their_order_through_a_takeover(world, logical):
+def test_waiters_keep_their_order_through_a_takeover(world, logical):
     a, b, c, d = logical
     order = []
 
@@ -146,7 +146,7 @@ def test_those_who_wait_keep_their_order_through_a_takeover(world, logical):
     assert order == ["c", "d"]
 
 
-def test_listeners_are_told_what_happened(world, logical):
+def test_takeover_notifies_listeners(world, logical):
     a, b, *_ = logical
     told = heard(a)
     if world.kind == "strangers":
@@ -169,7 +169,7 @@ def test_listeners_are_told_what_happened(world, logical):
 
 
 @pytest.mark.parametrize("take_over", ["no", float("nan"), 1, None])
-def test_a_motor_is_taken_over_by_true_and_nothing_else(world, logical, take_over):
+def test_take_over_accepts_booleans_only(world, logical, take_over):
     a, b, *_ = logical
     group = MotorGroup(b)
     for who in (b, group):
@@ -182,7 +182,7 @@ def test_a_motor_is_taken_over_by_true_and_nothing_else(world, logical, take_ove
     a.enable()
 
 
-def test_a_reservation_shows_whether_it_is_held(world, logical):
+def test_reservation_repr_shows_whether_it_is_held(world, logical):
     a, b, *_ = logical
     with a.reserve() as first:
         assert repr(first) == f"<Reservation of {a.name}: held>"
@@ -191,10 +191,10 @@ def test_a_reservation_shows_whether_it_is_held(world, logical):
     assert repr(second) == f"<Reservation of {b.name}: given back>"
 
 
-def test_low_level_access_of_another_thread_is_not_taken_over(world, logical):
+def test_low_level_access_of_another_thread_is_not_taken(world, logical):
     a, b, *_ = logical
     if world.kind == "strangers":
-        return  # another process's is: the hardware object's commands are fenced
+        return  # that of another process is: the hardware object's commands are fenced
     a._open_low_level = lambda: a.hw
     a._close_low_level = lambda: None
     with a.low_level():
@@ -205,7 +205,7 @@ def test_low_level_access_of_another_thread_is_not_taken_over(world, logical):
     a.enable()
 
 
-def test_a_start_under_way_fails_when_it_is_taken_over_and_stops_nothing_of_the_takers(world):
+def test_start_in_progress_fails_at_a_takeover_without_stop(world):
     if world.kind == "strangers":
         return
     a, b = world.motors("ab")
@@ -222,7 +222,7 @@ def test_a_start_under_way_fails_when_it_is_taken_over_and_stops_nothing_of_the_
 
     party = world.runtime.spawn("a", drive)
     assert world.runtime.wait_until(lambda: a.hw.log != [], LONG_S)
-    with b.reserve("rescue", take_over=True):  # waits for the end of what is under way
+    with b.reserve("rescue", take_over=True):  # waits for the end of the present operation
         assert party.join(LONG_S)
         assert [type(error) for error in errors] == [MotorBusyError]
         assert errors[0].taken_over == "on demand"
@@ -233,7 +233,7 @@ def test_a_start_under_way_fails_when_it_is_taken_over_and_stops_nothing_of_the_
         b.wait_until_done(LONG_S)
 
 
-def test_ones_own_reservation_is_not_taken_over_from_oneself(world, logical):
+def test_own_reservation_is_not_taken_over(world, logical):
     a, *_ = logical
     with a.reserve("outer") as outer, a.reserve("inner", take_over=True) as inner:
         assert outer.token == inner.token

@@ -1,16 +1,16 @@
-"""The conformance kit on a real SocketCAN interface: the same clauses, the same adaptation."""
+"""The conformance kit on a real SocketCAN interface."""
 
-from harness.conformance.job import Job
-from harness.conformance.kit import all_clauses
-from harness.conformance.run import run_clause
-from harness.conformance.target import Target
-from harness.conformance.verdict import Result
-from motorapi.lock_directory import VARIABLE
+from motorhil.harness.conformance.clause import Result
+from motorhil.harness.conformance.examination import Target
+from motorhil.harness.conformance.kit import all_clauses
+from motorhil.harness.conformance.run import run_clause
+from motorhil.harness.conformance.worker import Job
+from motorhil.motorapi.locking.directory import VARIABLE
+from motorhil.traces.mcap.reader import read_trace
 from tests.vcan.inside.on_fencing import serving_on
-from traces.reader import read_trace
 
 
-def test_a_clause_is_checked_and_what_was_on_the_bus_is_recorded(tmp_path, monkeypatch):
+def test_clause_is_checked_and_its_bus_traffic_recorded(tmp_path, monkeypatch):
     monkeypatch.setenv(VARIABLE, str(tmp_path))
     tmp_path.chmod(0o700)
     target = Target(Job("cia402", on=("can0=vcan0",)))

@@ -1,4 +1,4 @@
-"""Error frames on real vcan: the kernel between a rig's bus and python-can's own interface."""
+"""Error frames on real vcan: the kernel between a rig and python-can."""
 
 import contextlib
 import shutil
@@ -8,8 +8,7 @@ import time
 import can
 import pytest
 
-from emulators.can_link import link_kind
-from emulators.socketcan import SocketCanGateway
+from motorhil.emulators.gateways.socketcan import SocketCanGateway, link_kind
 from tests.harness.error_frames import NO_ACK, PASSIVE, ErrorFrames, message
 from tests.wall.error_bench import ErrorBench
 
@@ -38,19 +37,19 @@ def bench():
 
 
 class TestOnVcan(ErrorFrames):
-    is_rx = False  # of all that comes from this host
+    is_rx = False  # of all frames of this host
     keeps_state = False
 
-    def test_what_a_drive_is_told_is_its_own(self, bench):
-        """As on a real bus, whose interface knows of its own CAN controller alone."""
+    def test_error_of_a_drive_stays_its_own(self, bench):
+        """As on a real bus, whose interface knows only its own CAN controller."""
         bench.world.add_host("can0", "drive", lambda *_: None)
         with bench.open() as bus:
             bench.tell_node("drive", PASSIVE)
             bench.tell(bus, NO_ACK)
             assert bus.recv(5.0).arbitration_id == 0xA8
 
-    def test_an_error_frame_that_a_program_sends_is_not_put_on_the_rigs_bus(self, bench):
-        """The kernel hands it to other programs, and that is all."""
+    def test_error_frame_of_a_program_is_not_put_on_the_rigs_bus(self, bench):
+        """The kernel passes it to other programs, and has no further effect."""
         with bench.open() as bus, bench.open() as other:
             sent = can.Message(
                 arbitration_id=0x204, data=PASSIVE[8:], is_error_frame=True, is_extended_id=False
@@ -63,10 +62,10 @@ class TestOnVcan(ErrorFrames):
         assert [frame[:4] for _, frame in bench.heard] == [b"\x23\x01\0\0"]
 
     @pytest.mark.skipif(shutil.which("candump") is None, reason="no can-utils here")
-    def test_candump_tells_them_in_its_words(self, bench):
+    def test_candump_prints_error_frames(self, bench):
         command = ["candump", "-e", "-n", "1", "vcan0,0:0,#FFFFFFFF"]
         with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as candump:
-            for _ in range(100):  # nobody says when it has begun to listen
+            for _ in range(100):  # there is no sign when it begins to listen
                 bench.tell(None, NO_ACK)
                 with contextlib.suppress(subprocess.TimeoutExpired):
                     candump.wait(0.1)
@@ -77,16 +76,16 @@ class TestOnVcan(ErrorFrames):
             assert word in told
 
 
-def test_hardware_is_sent_no_error_message(monkeypatch):
+def test_hardware_interface_gets_no_error_message(monkeypatch):
     """Its driver would put a frame on the bus, with the class for its identifier."""
-    monkeypatch.setattr("emulators.socketcan.link_kind", lambda _: "can")
+    monkeypatch.setattr("motorhil.emulators.gateways.socketcan.link_kind", lambda _: "can")
     with contextlib.closing(VcanBench()) as bench, bench.open() as bus, bench.open() as other:
         bench.tell(bus, PASSIVE)
         other.send(message(0x123))
         assert bus.recv(5.0).arbitration_id == 0x123
 
 
-def test_the_kernel_says_what_kind_of_interface_it_is():
+def test_kernel_reports_the_kind_of_interface():
     assert link_kind("vcan0") == "vcan"
     assert link_kind("lo") == ""
     with pytest.raises(OSError, match="no interface"):

@@ -1,4 +1,4 @@
-"""CAN FD on real vcan: the kernel between a rig's bus and python-can's own interface."""
+"""CAN FD on real vcan: the kernel between a rig and python-can."""
 
 import fcntl
 import socket
@@ -7,12 +7,11 @@ import struct
 import can
 import pytest
 
-from emulators.can_link import link_mtu
-from emulators.event_queue import EventQueue
-from emulators.hub import HubServer
-from emulators.media.can_bus import CanBus
-from emulators.socketcan import SocketCanError, SocketCanGateway
-from emulators.world import World
+from motorhil.emulators.can.bus.bus import CanBus
+from motorhil.emulators.gateways.hub import HubServer
+from motorhil.emulators.gateways.socketcan import SocketCanError, SocketCanGateway, link_mtu
+from motorhil.emulators.simulation.event_queue import EventQueue
+from motorhil.emulators.simulation.world import World
 from tests.harness.fd_frames import FdFrames, fd_message
 from tests.wall.error_bench import ErrorBench
 
@@ -23,7 +22,7 @@ UP = 1
 
 
 def change_mtu(interface, size):
-    """As `ip link set down ...; ip link set ... mtu SIZE up`."""
+    """Run `ip link set down ...; ip link set ... mtu SIZE up`."""
     name = interface.encode()
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as kernel:
         fcntl.ioctl(kernel, SIOCSIFFLAGS, struct.pack("16sh14x", name, 0))
@@ -49,7 +48,7 @@ class Bench(ErrorBench):
 
 
 class Across:
-    """Its buses are on vcan0 and on the rig's in turns: what one sends passes the gateway."""
+    """A pair of buses on vcan0 and on the rig in turns: each frame passes the gateway."""
 
     def __init__(self, bench):
         self._bench = bench
@@ -87,7 +86,7 @@ class TestFromTheRigToVcan(FdFrames):
         return across
 
 
-def test_what_a_classical_bus_cannot_carry_stays_outside():
+def test_frames_unfit_for_a_classical_bus_stay_outside():
     bench = ErrorBench(lambda world: [SocketCanGateway("vcan0", world, "can0")])
     try:
         with can.Bus(interface="socketcan", channel="vcan0", fd=True) as bus:
@@ -96,11 +95,11 @@ def test_what_a_classical_bus_cannot_carry_stays_outside():
         with can.Bus(interface="socketcan", channel="vcan0") as bus:
             bus.send(can.Message(arbitration_id=0x125, is_extended_id=False))
     finally:
-        bench.close()  # once all that has come is dealt with
+        bench.close()  # once all received frames are processed
     assert all(len(frame) == 16 for _, frame in bench.heard)
 
 
-def test_an_interface_that_carries_no_fd_is_told_of():
+def test_interface_without_fd_is_reported():
     world = World(EventQueue())
     world.add_bus(CanBus("can0", data_bitrate_bit_s=2_000_000))
     world.add_bus(CanBus("can1"))
@@ -108,7 +107,7 @@ def test_an_interface_that_carries_no_fd_is_told_of():
     change_mtu("vcan1", CAN_MTU)
     try:
         assert link_mtu("vcan1") == CAN_MTU
-        with pytest.raises(SocketCanError, match=r"vcan1: carries no CAN FD \(MTU 16\)"):
+        with pytest.raises(SocketCanError, match=r"vcan1: does not support CAN FD \(MTU 16\)"):
             SocketCanGateway("vcan1", world, "can0")
         SocketCanGateway("vcan1", world, "can1").close()
     finally:

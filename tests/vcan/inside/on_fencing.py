@@ -1,4 +1,7 @@
-"""Fencing where no hub looks at tokens: on SocketCAN, what the kernel was given is on the bus."""
+"""Fencing on SocketCAN, where no hub checks tokens.
+
+Every frame given to the kernel is on the bus.
+"""
 
 import contextlib
 import threading
@@ -7,21 +10,21 @@ from pathlib import Path
 
 import pytest
 
-from emulators.cia402.factory import build
-from emulators.controller import ControllerContext
-from emulators.event_queue import EventQueue
-from emulators.media.can_bus import CanBus
-from emulators.serve import WallLoop
-from emulators.socketcan import SocketCanGateway
-from emulators.world import World
-from motorapi import WallRuntime
-from motorapi.lock_directory import VARIABLE
+from motorhil.emulators.can.bus.bus import CanBus
+from motorhil.emulators.cia402.drive import build
+from motorhil.emulators.controller import ControllerContext
+from motorhil.emulators.gateways.loop import WallLoop
+from motorhil.emulators.gateways.socketcan import SocketCanGateway
+from motorhil.emulators.simulation.event_queue import EventQueue
+from motorhil.emulators.simulation.world import World
+from motorhil.motorapi import WallRuntime
+from motorhil.motorapi.locking.directory import VARIABLE
 from tests.wall.test_fencing import SET_POINTS, Stage, lose
 
 
 @contextlib.contextmanager
 def serving_on(interface):
-    """One drive on the interface."""
+    """Return one drive on the interface."""
     queue = EventQueue()
     world = World(queue)
     world.add_bus(CanBus("can0", 1_000_000))
@@ -57,12 +60,12 @@ def stage(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("how", ["fenced", "unfenced"])
-def test_no_frame_of_a_resumed_stream_reaches_the_bus(stage, how):
+def test_resumed_stream_sends_no_frame_on_the_bus(stage, how):
     since = lose(stage, how, take_over=True)
     if how == "fenced":
         assert stage.owner.ask("wait").startswith("interrupted ")
         assert stage.others(since) == Counter()
         assert stage.owner.ask("write").startswith("busy ")
         assert stage.others(since) == Counter()
-    else:  # what the test would see; who waits may be told before the first frame: nobody does
+    else:  # without a wait for the motor, which could end the stream before its first frame
         stage.wait_for(lambda: any(SET_POINTS in frame for frame in stage.heard(since)))

@@ -1,4 +1,4 @@
-"""Recording SocketCAN interfaces, and sending recordings back; real ones only."""
+"""Recording of real SocketCAN interfaces, and replay to them."""
 
 import fcntl
 import socket
@@ -9,15 +9,19 @@ from contextlib import contextmanager
 
 import can
 
-from harness.cli import main
-from harness.recording.places import parse_place
-from harness.recording.socketcan import SocketCanTap
-from traces.reader import read_trace
-from traces.schema import Direction
-from traces.traffic import ERR, Findings, Frame, classic, flexible
-from traces.traffic_mcap import record_frames, recorded_frames
+from motorhil.harness.cli.main import main
+from motorhil.harness.recording.socketcan import SocketCanTap
+from motorhil.harness.recording.sources import parse_place
+from motorhil.traces.formats.frames import ERR, Findings, Frame, classic, flexible
+from motorhil.traces.formats.registry import record_frames, recorded_frames
+from motorhil.traces.mcap.reader import read_trace
+from motorhil.traces.schema import Direction
 
-MOTORHIL = (sys.executable, "-c", "import sys; from harness.cli import main; sys.exit(main())")
+MOTORHIL = (
+    sys.executable,
+    "-c",
+    "import sys; from motorhil.harness.cli.main import main; sys.exit(main())",
+)
 
 
 @contextmanager
@@ -38,7 +42,7 @@ def recorded(path):
         return list(recorded_frames(trace, Findings()))
 
 
-def test_two_interfaces_fd_and_error_frames_with_the_kernels_stamps(tmp_path):
+def test_fd_and_error_frames_keep_the_kernels_stamps(tmp_path):
     file = tmp_path / "run.mcap"
     with (
         can.Bus(interface="socketcan", channel="vcan0", fd=True) as first,
@@ -64,14 +68,14 @@ def test_two_interfaces_fd_and_error_frames_with_the_kernels_stamps(tmp_path):
     assert [frame.frame[0] for frame in mine[:-1]] == list(range(100))
     assert mine[-1].frame == error
     for frame, stamp_s in zip(mine[:-1], stamps, strict=True):
-        assert abs(frame.time_ns - stamp_s * 1e9) < 500  # a float holds no better
+        assert abs(frame.time_ns - stamp_s * 1e9) < 500  # the resolution of a float
     assert {len(frame.frame) for frame in frames if frame.bus == "arm"} == {72}
     assert {frame.direction for frame in frames} == {Direction.TRANSMITTED}  # by this host
 
 
-def test_what_a_full_socket_loses_is_counted():
+def test_losses_of_a_full_socket_are_counted():
     tap = SocketCanTap(parse_place("vcan0"))
-    tap._socket.setsockopt(socket.SOL_SOCKET, 33, 1)  # SO_RCVBUFFORCE: the least there is
+    tap._socket.setsockopt(socket.SOL_SOCKET, 33, 1)  # SO_RCVBUFFORCE: the minimum
     with can.Bus(interface="socketcan", channel="vcan0") as bus:
         message = can.Message(arbitration_id=1, is_extended_id=False)
         for _ in range(200):
@@ -86,7 +90,7 @@ def test_what_a_full_socket_loses_is_counted():
     assert tap.dropped == 200 - heard
 
 
-def test_an_interface_that_is_missing_or_down_is_one_line_with_the_remedy(capsys, tmp_path):
+def test_missing_or_down_interface_is_one_line_with_remedy(capsys, tmp_path):
     words = ("-o", str(tmp_path / "run.mcap"))
     assert main(["record", "--on", "vcan7", *words]) == 2
     err = capsys.readouterr().err
@@ -96,12 +100,12 @@ def test_an_interface_that_is_missing_or_down_is_one_line_with_the_remedy(capsys
 
 
 def switch(interface, up):
-    """The interface is up, or down (SIOCSIFFLAGS, IFF_UP)."""
+    """Set the interface up or down (SIOCSIFFLAGS, IFF_UP)."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as any_socket:
         fcntl.ioctl(any_socket, 0x8914, struct.pack("16sh14x", interface.encode(), int(up)))
 
 
-def test_an_interface_that_is_down_is_told_and_read_again_when_it_is_up(capsys, tmp_path):
+def test_interface_that_goes_down_is_reported_and_read_again(capsys, tmp_path):
     file = tmp_path / "run.mcap"
     try:
         with (
@@ -125,7 +129,7 @@ def test_an_interface_that_is_down_is_told_and_read_again_when_it_is_up(capsys, 
     assert len(recorded(file)) == 2
 
 
-def test_a_recording_sent_back_is_what_it_was(capsys, tmp_path):
+def test_replayed_recording_is_unchanged(capsys, tmp_path):
     path, again = str(tmp_path / "first.mcap"), str(tmp_path / "again.mcap")
     frames = [Frame(k * 1_000_000, "arm", classic(k % 2048, bytes(k % 9))) for k in range(1500)]
     frames += [Frame(2_000_000_000, "arm", flexible(k, 1, bytes(48))) for k in range(20)]

@@ -1,18 +1,18 @@
-"""Drives on a real SocketCAN interface, shared by programs of which one is killed."""
+"""Drives on a real SocketCAN interface, shared by programs; one is killed."""
 
 import signal
 import subprocess
 
 import can
 
-from harness.scaffold import EXAMPLES
-from harness.sharing.processes import Plan, run
+from motorhil.harness.rig.config.scaffold import EXAMPLES
+from motorhil.harness.sharing_tests.processes import Plan, run
 from tests.wall.programs import LONG_S
 from tests.wall.test_shared_drive import SERVE
 
 
 def await_boot():
-    """Node 1 answers."""
+    """Wait until node 1 answers."""
     ask = can.Message(
         arbitration_id=0x601, data=bytes.fromhex("4000100000000000"), is_extended_id=False
     )
@@ -49,9 +49,9 @@ def on_vcan(**plan):
     return outcome
 
 
-def test_who_has_the_motor_is_one_at_a_time_though_somebody_is_killed():
+def test_motor_has_one_owner_at_a_time_despite_a_kill():
     outcome = on_vcan(
-        work="harness.sharing.drivers:work_motor",
+        work="motorhil.harness.sharing_tests.workers:work_motor",
         workers=2,
         seconds=10.0,  # a machine in a machine is slow: some seconds until all are connected
         kill_period_s=6.0,
@@ -63,7 +63,7 @@ def test_who_has_the_motor_is_one_at_a_time_though_somebody_is_killed():
 
 def test_two_groups_in_opposite_orders_end_every_round():
     outcome = on_vcan(
-        work="harness.sharing.drivers:work_groups",
+        work="motorhil.harness.sharing_tests.workers:work_groups",
         workers=2,
         seconds=60.0,
         facts={"rounds": 20, "move_every": 20},

@@ -1,4 +1,4 @@
-"""On real vcan interfaces only; `tests/vcan/test_on_vcan.py` brings them up and runs this."""
+"""Tests on real vcan interfaces; `tests/vcan/test_on_vcan.py` runs them."""
 
 import os
 import subprocess
@@ -8,16 +8,20 @@ from pathlib import Path
 import can
 import pytest
 
-from harness.ownership_record import Ended, read_ownership
-from harness.scaffold import EXAMPLES
-from motorapi import WallRuntime
+from motorhil.harness.recording.ownership import Ended, read_ownership
+from motorhil.harness.rig.config.scaffold import EXAMPLES
+from motorhil.motorapi import WallRuntime
 
-MOTORHIL = (sys.executable, "-c", "import sys; from harness.cli import main; sys.exit(main())")
+MOTORHIL = (
+    sys.executable,
+    "-c",
+    "import sys; from motorhil.harness.cli.main import main; sys.exit(main())",
+)
 RIG = str(EXAMPLES / "two_wheels.toml")
 ROVER = str(EXAMPLES / "rover.toml")
 WALL = Path(__file__).parents[2] / "wall"
 SCRIPT = (str(WALL / "patient_wheels.py"), str(EXAMPLES / "wheel_model.toml"))
-REACHED = "1.000\n2.000 2.000\n"  # what the paper says of Algorithms 1 and 2
+REACHED = "1.000\n2.000 2.000\n"  # the paper on Algorithms 1 and 2
 
 
 def motorhil(*words):
@@ -30,8 +34,8 @@ def frame(can_id, data):
     return can_id.to_bytes(4, "little") + bytes([len(data), 0, 0, 0]) + data.ljust(8, b"\0")
 
 
-def test_the_script_that_runs_in_virtual_time_runs_on_vcan(tmp_path):
-    """And who had the motors is seen on their locks, for on vcan nobody tells it."""
+def test_virtual_time_script_runs_on_vcan(tmp_path):
+    """The owners of the motors are found by their locks, as vcan carries no notices."""
     record = tmp_path / "run.mcap"
     command = ("serve", RIG, "--on", "vcan0", "-o", str(record), "--", sys.executable, *SCRIPT)
     served = motorhil(*command)
@@ -45,7 +49,7 @@ def test_the_script_that_runs_in_virtual_time_runs_on_vcan(tmp_path):
         assert any(one.ended is Ended.RELEASED for one in tenures)
 
 
-def test_a_ci_job_gets_the_interfaces_it_names(tmp_path):
+def test_ci_job_gets_the_interfaces_it_names(tmp_path):
     shown = "import os; print(os.environ['CAN_INTERFACE'], os.environ['MOTORHIL_CHANNEL_CAN0'])"
     helper = ("bash", str(EXAMPLES / "ci" / "vcan-or-hub"), RIG, "--on", "can0=vcan9")
     path = f"{Path(sys.executable).parent}:{os.environ['PATH']}"
@@ -61,8 +65,8 @@ def test_a_ci_job_gets_the_interfaces_it_names(tmp_path):
     assert (tmp_path / "summary").read_text() == done.stderr
 
 
-def test_own_frames_are_told_when_the_interface_has_carried_them():
-    """On vcan is_rx is False for everybody's frames: own ones are told apart all the same."""
+def test_own_frames_are_confirmed_once_carried():
+    """On vcan is_rx is False for all frames; own ones are still distinguished."""
     heard = []
     runtime = WallRuntime()
     with (
@@ -98,7 +102,7 @@ for channel in ("vcan0", "vcan1"):
 
 
 @pytest.mark.parametrize("missing", ["vcan7", "nonsense"])
-def test_an_interface_that_is_not_there_is_one_line_with_the_remedy(missing):
+def test_missing_interface_is_one_line_with_the_remedy(missing):
     served = motorhil("serve", RIG, "--on", missing)
     assert served.returncode == 2
     assert served.stderr.count("\n") == 1

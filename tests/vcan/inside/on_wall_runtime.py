@@ -1,4 +1,4 @@
-"""The wall's runtime on real SocketCAN: the kernel says which frames were ours."""
+"""The wall runtime on real SocketCAN: the kernel marks our own frames."""
 
 import socket
 import struct
@@ -6,8 +6,8 @@ import struct
 import can
 import pytest
 
-from motorapi import LinkError, WallRuntime
-from motorapi.lock_names import bus_name
+from motorhil.motorapi import LinkError, WallRuntime
+from motorhil.motorapi.locking.directory import bus_name
 
 LATE_S = 20.0
 SOL_CAN_RAW, CAN_RAW_RECV_OWN_MSGS = 101, 4  # include/uapi/linux/can/raw.h
@@ -30,14 +30,14 @@ def bus():
         yield bus
 
 
-def test_own_frames_are_told_apart_from_equal_ones_of_others_on_this_host(runtime, bus):
+def test_own_frames_differ_from_equal_ones_of_others(runtime, bus):
     with can.Bus(interface="socketcan", channel="vcan0") as other:
         heard = []
         runtime.listen(bus, lambda frame, time_ns, own: heard.append((frame, own)))
         equal = can.Message(arbitration_id=0x80, is_extended_id=False)
         expected = []
         for k in range(20):
-            other.send(equal)  # the same SYNC, from somebody else
+            other.send(equal)  # the same SYNC, from another sender
             runtime.send(bus, frame(0x80))
             runtime.send(bus, frame(0x201, bytes((k,))))
             expected += [
@@ -80,7 +80,7 @@ def test_times_are_the_kernels_and_never_in_the_future(runtime, bus):
     assert sent_ns - 1_000_000 <= time_ns <= told_ns
 
 
-def test_an_interface_is_one_bus_for_locks_whatever_object_is_on_it_and_whatever_its_name(bus):
+def test_interface_is_one_bus_for_locks_by_any_name(bus):
     index = socket.if_nametoindex("vcan0")
     with can.Bus(interface="socketcan", channel="vcan0") as other:
         assert bus_name(bus) == bus_name(other)
@@ -89,7 +89,7 @@ def test_an_interface_is_one_bus_for_locks_whatever_object_is_on_it_and_whatever
         assert bus_name(second) != bus_name(bus)
 
 
-def test_the_users_socket_is_left_as_it_was(bus):
+def test_users_socket_is_left_unchanged(bus):
     runtime = WallRuntime()
     runtime.listen(bus, lambda *_: None)
     assert bus.socket.getsockopt(SOL_CAN_RAW, CAN_RAW_RECV_OWN_MSGS) == 1
@@ -97,7 +97,7 @@ def test_the_users_socket_is_left_as_it_was(bus):
     assert bus.socket.getsockopt(SOL_CAN_RAW, CAN_RAW_RECV_OWN_MSGS) == 0
 
 
-def test_a_closed_bus_is_told_to_whoever_sends(runtime):
+def test_sending_on_a_closed_bus_raises(runtime):
     bus = can.Bus(interface="socketcan", channel="vcan0")
     bus.shutdown()
     with pytest.raises(LinkError, match="cannot send"):

@@ -1,12 +1,12 @@
-"""What the tests of this package share: the drive stepped by hand, and rigs in virtual time."""
+"""Fixtures: an emulated drive stepped by hand, rigs in virtual time."""
 
 import os
 from pathlib import Path
 
 import pytest
+from motorhil.emulators.controller import ControllerContext
+from motorhil.harness.rig.rig import Rig
 
-from emulators.controller import ControllerContext
-from harness.rig import Rig
 from motorhil_odrive.emulated.build import build
 
 RIG = Path(__file__).parents[1] / "src" / "motorhil_odrive" / "rig.toml"
@@ -20,7 +20,7 @@ def own_locks(tmp_path_factory):
 
 
 class Bench:
-    """One emulated drive and nobody else: frames in and out, time by hand."""
+    """One emulated drive alone: frames in and out, time by hand."""
 
     def __init__(self, **table):
         table = {"node_id": 5, "plant": {"preset": "wheel_60w"}, **table}
@@ -58,7 +58,7 @@ class Bench:
             self.heard.append((self.now / MS, can_id & 0x1F, frame[8 : 8 + frame[4]]))
 
     def heartbeat(self):
-        """(error, state, result, done)"""
+        """Return (error, state, result, done)."""
         data = self.ask(1)
         return int.from_bytes(data[:4], "little"), data[4], data[5], data[6]
 

@@ -1,4 +1,4 @@
-"""The emulated drive, frame by frame."""
+"""Tests of the emulated drive, frame by frame."""
 
 import struct
 
@@ -6,8 +6,7 @@ import pytest
 from conftest import MS, Bench
 from hypothesis import given, settings
 from hypothesis import strategies as st
-
-from emulators.controller import SettingError
+from motorhil.emulators.controller import SettingError
 
 IDLE, CLOSED_LOOP, HOMING = 1, 8, 11
 SUCCESS, BUSY, CANCELLED, DISARMED, WITHOUT_ENDSTOP, INVALID = 0, 1, 2, 3, 12, 13
@@ -31,7 +30,7 @@ def armed(control=3, mode=5, **table):
     return bench
 
 
-def test_it_says_what_it_does_every_100_and_every_10_ms_once_it_has_booted():
+def test_cyclic_messages_start_after_boot():
     bench = Bench().run(1000)
     beats = [at for at, command, _ in bench.heard if command == 1]
     estimates = [at for at, command, _ in bench.heard if command == 9]
@@ -39,22 +38,22 @@ def test_it_says_what_it_does_every_100_and_every_10_ms_once_it_has_booted():
     assert estimates == [500.0 + 10 * k for k in range(51)]
 
 
-def test_nobody_hears_of_it_before():
+def test_drive_is_silent_before_boot():
     bench = Bench().run(499).tell(7, u32(CLOSED_LOOP)).tell(1, flags=0x4000_0000)
     assert bench.heard == []
 
 
 @pytest.mark.parametrize("command", [0, 1, 3, 9, 0x14, 0x15, 0x17, 0x1C, 0x1D])
-def test_each_get_is_answered_when_it_is_asked_for(command):
+def test_remote_frame_is_answered(command):
     assert len(Bench().run(510).ask(command)) == 8
 
 
-def test_its_version_is_0_6_10_and_its_protocol_2():
+def test_version_is_firmware_0_6_10_and_protocol_2():
     answer = Bench().run(510).ask(0)
     assert (answer[0], *answer[4:7]) == (2, 0, 6, 10)
 
 
-def test_a_trapezoid_takes_the_textbooks_time_and_is_done_at_its_end():
+def test_trapezoid_is_done_after_its_theoretical_time():
     bench = armed()
     began = bench.now
     bench.tell(0x0C, f32(5.0) + bytes(4))  # 5 rev at 10 rev/s, 20 rev/s^2: a triangle of 1 s
@@ -68,19 +67,19 @@ def test_a_trapezoid_takes_the_textbooks_time_and_is_done_at_its_end():
     assert abs(bench.truth("position_inc") - 5 * REV) <= 2
 
 
-def test_a_new_place_replaces_the_old_one_on_the_way():
+def test_new_target_replaces_target_during_motion():
     bench = armed()
     bench.tell(0x0C, f32(5.0) + bytes(4)).run(400).tell(0x0C, f32(-1.0) + bytes(4)).run(3000)
     assert abs(bench.truth("position_inc") + REV) <= 2
 
 
-def test_passthrough_steps_there_at_once():
+def test_position_passthrough_steps_at_once():
     bench = armed(3, 1)
     bench.tell(0x0C, f32(0.1) + bytes(4)).run(150)
     assert abs(bench.truth("position_inc") - 0.1 * REV) <= 2
 
 
-def test_velocity_by_a_ramp_and_at_once():
+def test_velocity_input_is_ramped_or_at_once():
     bench = armed(2, 2, velocity_ramp_rev_s2=10.0)
     bench.tell(0x0D, f32(5.0, 0.0)).run(250)
     assert struct.unpack("<ff", bench.ask(9))[1] == pytest.approx(2.5, abs=0.3)
@@ -90,7 +89,7 @@ def test_velocity_by_a_ramp_and_at_once():
     assert struct.unpack("<ff", bench.ask(9))[1] == pytest.approx(1.0, abs=0.3)
 
 
-def test_torque_is_the_motors_current_by_its_constant():
+def test_torque_equals_current_times_constant():
     bench = armed(1, 1)
     bench.tell(0x0E, f32(0.01)).run(20)
     target, estimate = struct.unpack("<ff", bench.ask(0x1C))
@@ -99,19 +98,19 @@ def test_torque_is_the_motors_current_by_its_constant():
     assert struct.unpack("<ff", bench.ask(0x14))[1] == pytest.approx(0.01 / 0.0259, rel=0.05)
 
 
-def test_torque_does_not_carry_it_beyond_the_velocity_limit():
+def test_torque_mode_keeps_velocity_limit():
     bench = armed(1, 1)
     bench.tell(0x0F, f32(4.0, 8.0)).tell(0x0E, f32(0.1)).run(2000)
     assert 3.0 < struct.unpack("<ff", bench.ask(9))[1] < 4.5
 
 
-def test_beyond_what_the_velocity_limit_tolerates_it_disarms():
+def test_exceeded_velocity_tolerance_disarms():
     bench = armed(2, 1)
     bench.tell(0x0D, f32(20.0, 0.0)).run(300).tell(0x0F, f32(10.0, 8.0)).run(20)
     assert bench.heartbeat()[:3] == (OVERSPEED, IDLE, DISARMED)
 
 
-def test_an_emergency_stop_disarms_until_errors_are_cleared():
+def test_emergency_stop_disarms_until_errors_are_cleared():
     bench = armed().tell(2)
     assert bench.heartbeat()[:3] == (ESTOP, IDLE, DISARMED)
     assert struct.unpack("<II", bench.ask(3)) == (0, ESTOP)
@@ -121,7 +120,7 @@ def test_an_emergency_stop_disarms_until_errors_are_cleared():
     assert bench.heartbeat()[:3] == (0, CLOSED_LOOP, BUSY)
 
 
-def test_what_is_still_there_is_not_cleared():
+def test_error_with_present_cause_is_not_cleared():
     bench = armed()
     bench.drive.stimulate("encoder", 0, bench.now)
     bench.tell(0x18, b"\0")
@@ -130,7 +129,7 @@ def test_what_is_still_there_is_not_cleared():
     assert bench.heartbeat()[0] == 0
 
 
-def test_the_watchdog_bites_only_who_is_not_fed():
+def test_watchdog_expires_only_without_messages():
     bench = armed(watchdog_s=0.2)
     for _ in range(5):
         bench.run(199).tell(1, flags=0x4000_0000)
@@ -142,12 +141,12 @@ def test_the_watchdog_bites_only_who_is_not_fed():
     assert bench.truth("axis_state") == IDLE
 
 
-def test_homing_needs_an_end_stop():
+def test_homing_without_end_stop_fails():
     bench = Bench().run(600).tell(7, u32(HOMING))
     assert bench.heartbeat()[1:3] == (IDLE, WITHOUT_ENDSTOP)
 
 
-def test_homing_finds_the_edge_of_its_end_stop():
+def test_homing_ends_at_edge_of_end_stop():
     bench = armed(min_endstop_rad=-0.05, homing_speed_rev_s=2.0, velocity_ramp_rev_s2=50.0)
     bench.tell(7, u32(HOMING)).run(100)
     assert bench.heartbeat()[1:3] == (HOMING, BUSY)
@@ -157,7 +156,7 @@ def test_homing_finds_the_edge_of_its_end_stop():
     assert at_edge_rad == pytest.approx(-0.05, abs=0.001)
 
 
-def test_calibration_takes_its_time_and_ends_idle():
+def test_calibration_ends_in_idle():
     bench = Bench().run(600).tell(7, u32(3))
     assert bench.heartbeat()[1:3] == (3, BUSY)
     bench.run(2001)
@@ -166,14 +165,14 @@ def test_calibration_takes_its_time_and_ends_idle():
     assert bench.heartbeat()[1:3] == (IDLE, INVALID)
 
 
-def test_idle_takes_the_current_away():
+def test_idle_switches_current_off():
     bench = armed().tell(7, u32(IDLE))
     assert bench.heartbeat()[1:3] == (IDLE, CANCELLED)
     bench.drive.stimulate("load_torque_n_m", 5.0, bench.now)
     assert bench.run(200).truth("velocity_rad_s") < -0.1
 
 
-def test_what_was_saved_survives_a_boot_and_the_rest_does_not():
+def test_only_saved_parameters_survive_reboot():
     bench = armed().tell(0x16, b"\x01").run(600)
     bench.tell(0x11, f32(1.0)).tell(0x16, b"\0").run(600)
     bench.tell(7, u32(CLOSED_LOOP)).tell(0x0C, f32(5.0) + bytes(4)).run(1100)
@@ -182,7 +181,7 @@ def test_what_was_saved_survives_a_boot_and_the_rest_does_not():
     assert bench.truth("axis_state") == 0
 
 
-def test_a_place_has_another_name_and_nothing_moves():
+def test_absolute_position_changes_without_motion():
     bench = armed()
     before = bench.truth("position_rad")
     bench.tell(0x19, f32(7.5)).run(100)
@@ -190,14 +189,14 @@ def test_a_place_has_another_name_and_nothing_moves():
     assert bench.truth("position_rad") == pytest.approx(before, abs=1e-4)
 
 
-def test_gains_are_in_the_units_of_the_motor():
+def test_zero_gains_move_nothing():
     bench = armed()
     bench.tell(0x1A, f32(0.0)).tell(0x1B, f32(0.0, 0.0)).tell(0x13, f32(0.0))
     bench.tell(0x0C, f32(1.0) + bytes(4)).run(500)
-    assert abs(bench.truth("position_inc")) < 10  # nothing pushes any more
+    assert abs(bench.truth("position_inc")) < 10  # no control moves it
 
 
-def test_a_velocity_loop_without_integrator_lags_by_friction_over_gain():
+def test_velocity_loop_without_integrator_lags():
     bench = armed(2, 1)
     bench.tell(0x1B, f32(0.004, 0.0)).tell(0x0D, f32(5.0, 0.0)).run(1500)
     # 4 mN m of friction, and 1e-6 N m s of it at 25 rad/s, need 1.006 rev/s
@@ -206,7 +205,7 @@ def test_a_velocity_loop_without_integrator_lags_by_friction_over_gain():
 
 @pytest.mark.parametrize("value", [float("nan"), float("inf"), -float("inf"), 3e38])
 @pytest.mark.parametrize("command", [0x0C, 0x0D, 0x0F, 0x11, 0x12, 0x13, 0x19, 0x1A, 0x1B])
-def test_numbers_that_no_motor_can_have_change_nothing(command, value):
+def test_impossible_values_change_nothing(command, value):
     bench = armed(2 if command == 0x0D else 3, 1 if command == 0x0D else 5)
     before = bench.drive.control.parameters
     bench.drive.take_events()
@@ -216,7 +215,7 @@ def test_numbers_that_no_motor_can_have_change_nothing(command, value):
     assert [level for level, _ in bench.drive.take_events()] == ["warning"]
 
 
-def test_it_takes_the_node_id_that_is_given_to_its_serial_number():
+def test_addressing_by_serial_number_changes_node_id():
     bench = Bench(serial_number=0x123456).run(510)
     serial = (0x123456).to_bytes(6, "little")
     assert bench.ask(6)[:7] == bytes((5,)) + serial
@@ -230,7 +229,7 @@ def test_it_takes_the_node_id_that_is_given_to_its_serial_number():
     assert bench.truth("axis_state") == CLOSED_LOOP
 
 
-def test_a_stranger_with_its_number_makes_it_leave():
+def test_node_id_of_another_serial_number_is_given_up():
     bench = Bench(serial_number=7).run(510).tell(6, b"\x05" + b"\x01" * 6 + b"\0")
     assert bench.drive.identifiers()[0] == 0x3F << 5
 
@@ -244,7 +243,7 @@ def test_a_stranger_with_its_number_makes_it_leave():
         ({"timing": {"heartbeat": 1}}, "timing.heartbeat: is not known"),
     ],
 )
-def test_a_wrong_setting_is_told_with_its_keys(table, told):
+def test_wrong_setting_is_reported_with_its_keys(table, told):
     with pytest.raises(SettingError, match=told.replace("?", r"\?")):
         Bench(**table)
 
@@ -264,7 +263,7 @@ def test_a_wrong_setting_is_told_with_its_keys(table, told):
         max_size=25,
     )
 )
-def test_no_frame_makes_it_raise(frames):
+def test_random_frames_raise_no_error(frames):
     bench = Bench(min_endstop_rad=-0.1, watchdog_s=0.25).run(510)
     bench.tell(7, u32(CLOSED_LOOP))
     for command, data, flags, ms in frames:

@@ -1,4 +1,4 @@
-"""The two sides of the wire know nothing of each other."""
+"""The drive's side and the host's side share no code."""
 
 import ast
 from pathlib import Path
@@ -20,12 +20,12 @@ def imports(folder):
 @pytest.mark.parametrize(
     ("side", "allowed"),
     [
-        ("emulated", ("emulators", "motorhil_odrive.emulated")),
-        ("host", ("motorapi", "can", "motorhil_odrive.host")),
+        ("emulated", ("motorhil.emulators", "motorhil_odrive.emulated")),
+        ("host", ("motorhil.motorapi", "can", "motorhil_odrive.host")),
     ],
 )
-def test_each_side_imports_its_own_and_the_standard_library(side, allowed):
-    ours = ("emulators", "motorapi", "traces", "harness", "motorhil_odrive", "can")
+def test_each_side_imports_only_its_own_packages(side, allowed):
+    ours = ("motorhil", "motorhil_odrive", "can")
     found = list(imports(side))
     assert len(found) > 20
     for path, module in found:
@@ -33,6 +33,6 @@ def test_each_side_imports_its_own_and_the_standard_library(side, allowed):
             assert module.startswith(allowed), f"{side}/{path} imports {module}"
 
 
-def test_the_emulated_side_has_no_clock_and_no_chance():
+def test_emulated_side_imports_no_clock_or_random():
     banned = {"time", "socket", "select", "threading", "asyncio", "random", "os"}
     assert not banned & {module.split(".")[0] for _, module in imports("emulated")}

@@ -1,15 +1,14 @@
-"""The adaptation on emulated drives, in virtual time. Where a motor is, is asked of its plant."""
+"""Tests of the adaptation on emulated drives and their plants."""
 
 from pathlib import Path
 
 import can
 import pytest
-
-from emulators.media.faults import FaultKind, FaultRule
-from harness.rig import Rig, installed_plugins
-from harness.rig_file import parse_rig
-from harness.settings import Source
-from motorapi import (
+from motorhil.emulators.can.fault_rules import FaultKind, FaultRule
+from motorhil.harness.rig.config.rig_file import parse_rig
+from motorhil.harness.rig.config.toml import Source
+from motorhil.harness.rig.rig import Rig, installed_plugins
+from motorhil.motorapi import (
     ControlMode,
     ControlVariable,
     DerivativeLimits,
@@ -24,6 +23,7 @@ from motorapi import (
     UnsupportedError,
     UsageError,
 )
+
 from motorhil_odrive.host import messages as m
 from motorhil_odrive.host.units import single, single_below
 
@@ -47,7 +47,7 @@ def go_to(motor, value, variable=ControlVariable.POSITION, **more):
 
 
 def track(rig, seconds, step_s=0.002):
-    """True positions from now on."""
+    """Return the true positions from now on."""
     found = []
     for _ in range(round(seconds / step_s)):
         rig.runtime.run_for(step_s)
@@ -71,7 +71,7 @@ def one_drive(more=""):
 # --- motions
 
 
-def test_it_goes_to_places_and_by_distances(rig):
+def test_absolute_and_relative_moves_reach_target(rig):
     motor = rig.motors["left"]
     go_to(motor, 1.0)
     motor.wait_until_done(timeout_s=5)
@@ -83,7 +83,7 @@ def test_it_goes_to_places_and_by_distances(rig):
     assert abs(true(rig) - 0.6) <= WINDOW
 
 
-def test_distances_are_counted_from_where_it_was_told_to_be(rig):
+def test_distances_add_up_from_held_position(rig):
     motor = rig.motors["left"]
     motor.enable()
     rig.controllers["left"].stimulate("load_torque_n_m", 1.0)
@@ -93,7 +93,7 @@ def test_distances_are_counted_from_where_it_was_told_to_be(rig):
     assert abs(true(rig) - 0.2) <= WINDOW
 
 
-def test_done_of_the_motion_before_does_not_count(rig):
+def test_done_flag_of_previous_motion_is_ignored(rig):
     motor = rig.motors["left"]
     go_to(motor, 0.5)
     motor.wait_until_done(timeout_s=5)
@@ -105,7 +105,7 @@ def test_done_of_the_motion_before_does_not_count(rig):
 
 
 def late_heartbeats(hardware):
-    """From now on a heartbeat that is old comes just behind each frame that starts a motion."""
+    """Add an old heartbeat just after each frame that starts a motion."""
     confirm = hardware.confirm
 
     def instead(sent):
@@ -117,7 +117,7 @@ def late_heartbeats(hardware):
     hardware.confirm = instead
 
 
-def test_a_heartbeat_that_was_queued_before_the_start_says_nothing_of_it(rig):
+def test_heartbeat_queued_before_start_is_ignored(rig):
     motor = rig.motors["left"]
     go_to(motor, 0.5)
     motor.wait_until_done(timeout_s=5)
@@ -125,12 +125,12 @@ def test_a_heartbeat_that_was_queued_before_the_start_says_nothing_of_it(rig):
     go_to(motor, 1.0)
     motor.wait_until_done(timeout_s=5)
     began = rig.runtime.now_ns()
-    go_to(motor, 0.0008, relative=True, limits=DerivativeLimits(first=0.002))  # in the window
+    go_to(motor, 0.0008, relative=True, limits=DerivativeLimits(first=0.002))  # within the window
     motor.wait_until_done(timeout_s=5)
     assert (rig.runtime.now_ns() - began) / 1e9 > 0.4
 
 
-def test_no_way_to_go_is_done_soon(rig):
+def test_move_to_present_position_is_done_soon(rig):
     motor = rig.motors["left"]
     go_to(motor, 0.5)
     motor.wait_until_done(timeout_s=5)
@@ -138,7 +138,7 @@ def test_no_way_to_go_is_done_soon(rig):
     motor.wait_until_done(timeout_s=0.5)
 
 
-def test_a_place_is_replaced_on_the_way(rig):
+def test_set_point_is_replaced_during_motion(rig):
     motor = rig.motors["left"]
     go_to(motor, 3.0)
     rig.runtime.run_for(0.8)
@@ -147,7 +147,7 @@ def test_a_place_is_replaced_on_the_way(rig):
     assert abs(true(rig) - 1.0) <= WINDOW
 
 
-def test_limits_of_a_command_hold(rig):
+def test_velocity_limit_of_command_is_kept(rig):
     motor = rig.motors["left"]
     go_to(motor, 1.0, limits=DerivativeLimits(first=0.5))
     speeds = []
@@ -157,7 +157,7 @@ def test_limits_of_a_command_hold(rig):
     assert 0.45 < max(speeds) < 0.55
 
 
-def test_a_start_that_the_drive_did_not_hear_is_an_error(rig):
+def test_lost_set_point_raises_peer_error(rig):
     motor = rig.motors["left"]
     motor.enable()
     rule = FaultRule("lost", FaultKind.DROP, identifier=1 << 5 | 0x0C)
@@ -169,7 +169,7 @@ def test_a_start_that_the_drive_did_not_hear_is_an_error(rig):
     motor.wait_until_done(timeout_s=5)
 
 
-def test_velocity_ramps_within_the_acceleration_and_goes_on(rig):
+def test_velocity_set_point_is_ramped_and_kept(rig):
     motor = rig.motors["left"]
     go_to(motor, 1.0, ControlVariable.VELOCITY)
     began = rig.runtime.now_ns()
@@ -184,7 +184,7 @@ def test_velocity_ramps_within_the_acceleration_and_goes_on(rig):
     assert true(rig, what="velocity_rad_s") == 0.0
 
 
-def test_torque_is_at_the_output(rig):
+def test_torque_is_that_of_the_output(rig):
     motor = rig.motors["left"]
     motor.enable()
     rig.controllers["left"].stimulate("load_torque_n_m", 1.5)
@@ -194,7 +194,7 @@ def test_torque_is_at_the_output(rig):
     assert motor.torque() == pytest.approx(1.5, rel=0.05)
 
 
-def test_a_group_starts_one_after_another_and_says_so(rig):
+def test_group_starts_sequentially_and_reports_it(rig):
     group = MotorGroup(rig.motors["left"], rig.motors["right"])
     group.for_each(Motor.set_control_mode, ControlMode.TRAJECTORY)
     group.set_trajectory(TrapezoidalTrajectory(0.5), TrapezoidalTrajectory(-1.0))
@@ -206,22 +206,22 @@ def test_a_group_starts_one_after_another_and_says_so(rig):
 
 
 @pytest.mark.parametrize(("mode", "variable"), [(ControlMode.SETPOINT, ControlVariable.CURRENT)])
-def test_what_it_cannot_do_is_refused(rig, mode, variable):
+def test_unsupported_mode_is_refused(rig, mode, variable):
     with pytest.raises(UnsupportedError):
         rig.motors["left"].set_control_mode(mode, variable)
 
 
-def test_smooth_trajectories_are_refused(rig):
+def test_jerk_limited_trajectory_is_refused(rig):
     motor = rig.motors["left"]
     motor.set_control_mode(ControlMode.TRAJECTORY)
     with pytest.raises(UnsupportedError, match="function of time"):
         motor.set_trajectory(TrapezoidalTrajectory(1.0, limits=DerivativeLimits(third=10.0)))
 
 
-def test_what_the_drive_said_before_does_not_refuse_an_enable(rig):
+def test_old_heartbeat_does_not_refuse_enable(rig):
     motor = rig.motors["left"]
     motor.enable()
-    motor.disable()  # "cancelled", says the drive of its closed loop
+    motor.disable()  # the drive reports "cancelled" for its closed loop
     hardware, confirm = motor.hardware, motor.hardware.confirm
 
     def instead(sent):
@@ -234,7 +234,7 @@ def test_what_the_drive_said_before_does_not_refuse_an_enable(rig):
     assert motor.state() is MotorState.ENABLED
 
 
-def test_a_refused_enable_says_why(rig):
+def test_refused_enable_has_reason(rig):
     motor = rig.motors["left"]
     rule = FaultRule("lost", FaultKind.DROP, identifier=1 << 5 | 7)
     rig.faults.inject("can0", rule)
@@ -246,7 +246,7 @@ def test_a_refused_enable_says_why(rig):
 
 
 @pytest.mark.parametrize("after_s", [0.2, 0.7, 1.4])
-def test_a_stop_brakes_as_the_motion_would_and_does_not_turn_back(rig, after_s):
+def test_stop_brakes_without_reversing(rig, after_s):
     motor = rig.motors["left"]
     go_to(motor, 2.5)
     rig.runtime.run_for(after_s)
@@ -260,7 +260,7 @@ def test_a_stop_brakes_as_the_motion_would_and_does_not_turn_back(rig, after_s):
     assert motor.state() is MotorState.ENABLED
 
 
-def test_a_stop_of_what_hardly_moves_is_not_over_before_its_time(rig):
+def test_stop_of_slow_motion_is_not_over_early(rig):
     motor = rig.motors["left"]
     go_to(motor, 1.0, limits=DerivativeLimits(first=0.004, second=0.002))
     rig.runtime.run_for(4.0)
@@ -270,7 +270,7 @@ def test_a_stop_of_what_hardly_moves_is_not_over_before_its_time(rig):
     assert (rig.runtime.now_ns() - began) / 1e9 == pytest.approx(2.0, abs=0.2)
 
 
-def test_a_quick_stop_needs_an_enable(rig):
+def test_start_after_quick_stop_needs_enable(rig):
     motor = rig.motors["left"]
     go_to(motor, 2.5)
     rig.runtime.run_for(0.7)
@@ -285,7 +285,7 @@ def test_a_quick_stop_needs_an_enable(rig):
     motor.wait_until_done(timeout_s=5)
 
 
-def test_without_its_host_a_drive_stops(rig):
+def test_drive_without_host_stops(rig):
     motor = rig.motors["left"]
     go_to(motor, 2.0, ControlVariable.VELOCITY)
     motor.wait_until_done(timeout_s=5)
@@ -295,10 +295,10 @@ def test_without_its_host_a_drive_stops(rig):
     assert true(rig, what="velocity_rad_s") == 0.0
 
 
-# --- faults, losses, others
+# --- faults, losses, other hosts
 
 
-def test_a_fault_has_code_and_text_and_is_reset(rig):
+def test_fault_has_code_and_text_and_can_be_reset(rig):
     motor = rig.motors["left"]
     go_to(motor, 2.0)
     rig.runtime.run_for(0.3)
@@ -312,7 +312,7 @@ def test_a_fault_has_code_and_text_and_is_reset(rig):
     motor.wait_until_done(timeout_s=5)
 
 
-def test_a_fault_whose_cause_is_there_is_not_reset(rig):
+def test_fault_with_present_cause_is_not_reset(rig):
     motor = rig.motors["left"]
     motor.enable()
     rig.controllers["left"].stimulate("encoder", 0)
@@ -321,7 +321,7 @@ def test_a_fault_whose_cause_is_there_is_not_reset(rig):
         motor.reset_fault()
 
 
-def test_a_drive_that_falls_silent_is_lost_and_no_longer_referenced(rig):
+def test_silent_drive_is_lost_and_not_referenced(rig):
     motor = rig.motors["left"]
     motor.home()
     assert motor.is_referenced()
@@ -335,7 +335,7 @@ def test_a_drive_that_falls_silent_is_lost_and_no_longer_referenced(rig):
     assert not motor.is_referenced()
 
 
-def test_a_drive_that_was_off_is_told_everything_again(rig):
+def test_restarted_drive_receives_all_settings_again(rig):
     motor = rig.motors["left"]
     go_to(motor, 0.5)
     motor.wait_until_done(timeout_s=5)
@@ -346,7 +346,7 @@ def test_a_drive_that_was_off_is_told_everything_again(rig):
     motor.wait_until_done(timeout_s=1.6)
 
 
-def test_what_a_tool_has_changed_is_told_again(rig):
+def test_setting_changed_by_tool_is_sent_again(rig):
     motor = rig.motors["left"]
     go_to(motor, 0.5)
     motor.wait_until_done(timeout_s=5)
@@ -358,7 +358,7 @@ def test_what_a_tool_has_changed_is_told_again(rig):
     motor.wait_until_done(timeout_s=2)
 
 
-def test_somebody_else_who_commands_it_is_told(rig):
+def test_command_of_other_program_interrupts_motion(rig):
     motor = rig.motors["left"]
     go_to(motor, 2.0)
     rig.runtime.run_for(0.3)
@@ -369,7 +369,7 @@ def test_somebody_else_who_commands_it_is_told(rig):
             motor.wait_until_done(timeout_s=5)
 
 
-def test_what_was_told_is_told_again_after_low_level_access(rig):
+def test_settings_are_sent_again_after_low_level_access(rig):
     motor = rig.motors["left"]
     go_to(motor, 0.5)
     motor.wait_until_done(timeout_s=5)
@@ -383,7 +383,7 @@ def test_what_was_told_is_told_again_after_low_level_access(rig):
 # --- homing
 
 
-def test_here_is_zero(rig):
+def test_homing_on_the_spot_sets_zero(rig):
     motor = rig.motors["left"]
     go_to(motor, 0.7)
     motor.wait_until_done(timeout_s=5)
@@ -394,7 +394,7 @@ def test_here_is_zero(rig):
     assert abs(true(rig) - 0.8) <= WINDOW
 
 
-def test_it_homes_by_its_end_stop():
+def test_homing_by_end_stop_sets_zero():
     more = "min_endstop_rad = -0.2\nhoming_speed_rev_s = 5.0\nvelocity_ramp_rev_s2 = 50.0"
     with one_drive(more) as rig:
         motor = rig.motors["left"]
@@ -405,7 +405,7 @@ def test_it_homes_by_its_end_stop():
         assert abs(true(rig) - 0.3) <= WINDOW
 
 
-def test_a_homing_that_fails_says_why():
+def test_failed_homing_has_reason():
     with one_drive() as rig:
         motor = rig.motors["left"]
         with pytest.raises(PeerError, match="homing without an end stop"):
@@ -418,8 +418,8 @@ def test_a_homing_that_fails_says_why():
 # --- on one bus with CANopen
 
 
-def test_it_shares_a_bus_with_a_canopen_drive():
-    # Node 10 has identifiers 140h to 15Fh; node 12 would have 180h to 19Fh, TPDO 1 of CANopen's.
+def test_odrive_and_canopen_drive_share_a_bus():
+    # Node 10 has identifiers 140h to 15Fh; node 12 would have 180h to 19Fh, CANopen's TPDO 1.
     with opened(
         "bus.can0.bitrate_bit_s = 500_000\n"
         '[controller.left]\nkind = "odrive"\nbus = "can0"\nnode_id = 10\n'
@@ -445,7 +445,7 @@ def test_it_shares_a_bus_with_a_canopen_drive():
 
 
 @pytest.mark.parametrize("value", [1.0, 0.1, 1e-3, 21.00845, 42.0169, 3.3e5])
-def test_rounding_down_stays_below_and_stays(value):
+def test_single_below_is_at_most_value_and_stable(value):
     down = single_below(value)
     assert down <= value
     assert value - down < value * 2**-22
@@ -453,8 +453,9 @@ def test_rounding_down_stays_below_and_stays(value):
     assert single_below(down) == down
 
 
-def test_a_motor_without_gear_ratio_is_refused(rig):
-    from motorapi.model import MotorModel
+def test_model_without_gear_ratio_is_refused(rig):
+    from motorhil.motorapi.model import MotorModel
+
     from motorhil_odrive.host.motor import OdriveMotor
 
     model = MotorModel(name="wheel", velocity_max=1.0, acceleration_max=1.0)

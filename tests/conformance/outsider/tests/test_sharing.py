@@ -1,11 +1,16 @@
-"""Several owners of one drive, some of them killed: motorhil's own state machines, on ODrives."""
+"""Ownership of a drive by several users, some of which are killed.
+
+The state machines are motorhil's own.
+"""
 
 import pytest
 from conftest import RIG
 from hypothesis import Phase, settings
-
-from harness.sharing.machine import group_machine, ownership_machine
-from harness.sharing.stage import shared_rig
+from motorhil.harness.sharing_tests.state_machine import (
+    group_machine,
+    ownership_machine,
+    shared_rig,
+)
 
 
 @pytest.mark.parametrize(
@@ -15,7 +20,7 @@ from harness.sharing.stage import shared_rig
         (group_machine, 10, ("2 motors: moved", "2 motors: one refused to be armed")),
     ],
 )
-def test_a_drive_has_one_owner_at_a_time(machine, examples, reached):
+def test_drive_has_one_owner_at_a_time(machine, examples, reached):
     machine = machine(shared_rig(str(RIG), ("ann", "ben", "cem")))
     machine.TestCase.settings = settings(
         machine.TestCase.settings,

@@ -1,4 +1,4 @@
-"""python-can alone: a Notifier with listeners, a thread that receives, a message sent in cycles."""
+"""python-can alone: a Notifier with listeners, a receiving thread, a cyclic message."""
 
 import threading
 import time

@@ -1,4 +1,4 @@
-"""A program as its users have it: python-can, canopen and the standard library, nothing of ours."""
+"""A user's program: python-can, canopen and the standard library, without motorhil."""
 
 import queue
 import sys

@@ -1,1 +1,1 @@
-"""An ODrive that is not there: what it says, does, and lets happen to its motor."""
+"""An emulated ODrive: its protocol, its controller and its motor."""

@@ -1,15 +1,16 @@
-"""An ODrive from its table in a rig: entry point `motorhil.controllers`, name `odrive`."""
+"""Builder of an emulated ODrive; entry point `motorhil.controllers`, name `odrive`."""
 
 from collections.abc import Mapping
 
-from emulators.controller import Controller, ControllerContext
-from emulators.firmware.own_time import on_own_time
+from motorhil.emulators.controller import Controller, ControllerContext
+from motorhil.emulators.firmware.clock import on_own_time
+
 from motorhil_odrive.emulated.drive import OdriveController
 from motorhil_odrive.emulated.settings import read_settings
 
 
 def build(settings: Mapping[str, object], context: ControllerContext) -> Controller:
-    """The drive a rig describes.
+    """Build the drive from its table in a rig.
 
     Args:
         settings: the controller's table without `kind` and `bus`.

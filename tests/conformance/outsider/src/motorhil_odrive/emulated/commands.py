@@ -1,4 +1,4 @@
-"""What each message to the drive makes it do; the values are finite, and of the layout's number."""
+"""Commands to the drive, with finite values that match the layout."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -10,7 +10,7 @@ from motorhil_odrive.emulated.messages import Action, AxisState, ControlMode, Er
 if TYPE_CHECKING:
     from motorhil_odrive.emulated.drive import OdriveController
 
-_FAR_REV: Final = 1e6  # further, or faster, no axis of this emulator counts
+_FAR_REV: Final = 1e6  # largest distance or velocity that this emulator accepts
 
 
 def _estop(drive: "OdriveController") -> None:
@@ -80,7 +80,7 @@ def _is_sane(drive: "OdriveController", name: str, value: float) -> bool:
 
 
 def _parameters(*names: str) -> "Callable[..., None]":
-    """The values are these parameters from now on; one that is negative changes nothing."""
+    """Return a command that sets these parameters; a negative value changes nothing."""
 
     def write(drive: "OdriveController", *values: float) -> None:
         if any(not 0.0 <= value <= _FAR_REV for value in values):

@@ -1,11 +1,11 @@
-"""From inputs to set-points: what the controller of an ODrive makes of what it is told.
+"""Set-points from inputs, as in an ODrive's controller.
 
-The motor, the servo and the profile generator are motorhil's (`emulators.firmware.axis`); here they
-are given the meaning that ODrive gives them. Positions are turns of the motor.
+The motor, the servo and the profile generator are motorhil's (`motorhil.emulators.firmware.axis`). This
+module gives them ODrive's meaning. Positions are turns of the motor.
 
 | control    | input        | the axis                                            |
 | ---------- | ------------ | --------------------------------------------------- |
-| POSITION   | PASSTHROUGH  | steps there, at once; fed forward is what it is told |
+| POSITION   | PASSTHROUGH  | steps there at once, with the given feedforward     |
 | POSITION   | TRAP_TRAJ    | a trapezoid from the present set-point              |
 | VELOCITY   | PASSTHROUGH  | that velocity, at once                              |
 | VELOCITY   | VEL_RAMP     | a ramp                                              |
@@ -17,14 +17,15 @@ are given the meaning that ODrive gives them. Positions are turns of the motor.
 from dataclasses import dataclass, replace
 from typing import Final, final
 
-from emulators.firmware import flags as f
-from emulators.motor_settings import axis_of
+from motorhil.emulators.firmware import flags as f
+from motorhil.emulators.settings.motor import axis_of
+
 from motorhil_odrive.emulated.messages import ControlMode, InputMode
 from motorhil_odrive.emulated.settings import OdriveSettings
 
-_AT_ONCE: Final = 1e9  # a ramp without length [rev/s^2]
+_AT_ONCE: Final = 1e9  # a ramp without duration [rev/s^2]
 _SLOPE: Final = 1e300  # likewise [A/s]
-_SMALLEST: Final = 1e-9  # where 0 would never get anywhere
+_SMALLEST: Final = 1e-9  # replaces 0, with which a motion would never end
 
 _INPUT_MODES: Final = {
     ControlMode.POSITION_CONTROL: (InputMode.PASSTHROUGH, InputMode.TRAP_TRAJ),
@@ -36,9 +37,9 @@ _INPUT_MODES: Final = {
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Parameters:
-    """What of the configuration can be written by CANSimple; the defaults are ODrive's.
+    """The configuration that CANSimple can write, with ODrive's defaults.
 
-    Velocities in rev/s, accelerations in rev/s^2, of the motor. None: the plant's own.
+    Velocities in rev/s, accelerations in rev/s^2, of the motor. None: the plant's own value.
     """
 
     control_mode: ControlMode = ControlMode.POSITION_CONTROL
@@ -56,14 +57,14 @@ class Parameters:
 
 @final
 class Control:
-    """Set-points of one axis. Every method is called after `axis.at` of the same time.
+    """The set-points of one axis; call every method after `axis.at` of the same time.
 
     Attributes:
-        axis: what moves.
-        parameters: in force.
+        axis: the motor's axis.
+        parameters: the active parameters.
         is_armed: whether the motor has current.
         trajectory_done: whether the set-point has reached the end of its trapezoid.
-        torque_target_n_m: as told.
+        torque_target_n_m: the last torque input.
     """
 
     def __init__(self, settings: OdriveSettings) -> None:
@@ -77,37 +78,37 @@ class Control:
         self._inc = motor.plant.encoder_increments_rev
         self._torque_constant = motor.plant.torque_constant_n_m_a
         self._velocity = 0.0
-        self._positions = False  # whether what it follows is a position
+        self._positions = False  # whether the axis follows a position
         self._feed_forward = True
 
-    # --- what is measured --------------------------------------------------------------------
+    # --- measurements ------------------------------------------------------------------------
 
     def position(self) -> float:
-        """Where the motor is [rev]."""
+        """Return the motor's position [rev]."""
         return self.axis.position_inc() / self._inc
 
     def velocity(self) -> float:
-        """How fast it is [rev/s]."""
+        """Return the motor's velocity [rev/s]."""
         return self.axis.velocity_inc_s() / self._inc
 
     def torque_n_m(self) -> float:
-        """What the motor's current makes of torque at its shaft."""
+        """Return the torque of the motor's current at its shaft [N m]."""
         return self.axis.current_a() * self._torque_constant
 
     def is_too_fast(self) -> bool:
-        """Whether it is beyond what the velocity limit tolerates."""
+        """Return whether the motor exceeds the tolerance of the velocity limit."""
         return abs(self.velocity()) > 1.2 * self.parameters.velocity_limit
 
     # --- power ---------------------------------------------------------------------------------
 
     def power_on(self, parameters: Parameters) -> None:
-        """These are in force; what was called a position before is forgotten."""
+        """Activate these parameters, and forget the former position reference."""
         self.disarm()
         self.take(parameters)
         self.axis.set_position(self.axis.count())
 
     def arm(self) -> None:
-        """The motor has current, and goes on standing where it is."""
+        """Switch the motor's current on, at rest in its position."""
         self.is_armed = True
         self._feed(True)
         self.axis.power(True)
@@ -115,17 +116,17 @@ class Control:
         self._enter()
 
     def disarm(self) -> None:
-        """It has none; it coasts."""
+        """Switch the motor's current off; it coasts."""
         self.is_armed = False
         self.trajectory_done = True
         self._positions = False
         self.torque_target_n_m = 0.0
         self.axis.power(False)
 
-    # --- what it is told -------------------------------------------------------------------------
+    # --- inputs ----------------------------------------------------------------------------------
 
     def set_mode(self, control: ControlMode, mode: InputMode) -> bool:
-        """These modes are in force from here on; False: this one has no such modes."""
+        """Activate these modes; return False if they cannot be combined."""
         if mode is not InputMode.INACTIVE and mode not in _INPUT_MODES.get(control, ()):
             return False
         self.parameters = replace(self.parameters, control_mode=control, input_mode=mode)
@@ -134,7 +135,7 @@ class Control:
         return True
 
     def take(self, parameters: Parameters) -> None:
-        """These are in force. What moves already keeps its profile."""
+        """Activate these parameters; an active motion keeps its profile."""
         plant, mine = self._settings.motor.plant, self._settings.motor.gains
         self.parameters = parameters
         amps = plant.current_max_a
@@ -160,7 +161,7 @@ class Control:
         )
 
     def input_position(self, rev: float, feed_rev_s: float, feed_n_m: float) -> None:
-        """0Ch."""
+        """Handle Set_Input_Pos (0Ch)."""
         if self._is_deaf(ControlMode.POSITION_CONTROL):
             return
         target = round(rev * self._inc)
@@ -176,41 +177,41 @@ class Control:
         self.axis.feed_current(feed_n_m / self._torque_constant)
 
     def input_velocity(self, rev_s: float, feed_n_m: float) -> None:
-        """0Dh."""
+        """Handle Set_Input_Vel (0Dh)."""
         self._velocity = rev_s
         if not self._is_deaf(ControlMode.VELOCITY_CONTROL):
             self._run()
             self.axis.feed_current(feed_n_m / self._torque_constant)
 
     def input_torque(self, n_m: float) -> None:
-        """0Eh."""
+        """Handle Set_Input_Torque (0Eh)."""
         self.torque_target_n_m = n_m
         if not self._is_deaf(ControlMode.TORQUE_CONTROL):
             self._push()
 
     def call_here(self, rev: float) -> None:
-        """19h: the place where it is has this number; the set-point is renamed with it."""
+        """Set the present position to this value (19h); the set-point changes with it."""
         self.axis.set_position(round(rev * self._inc))
 
     def home_run(self, way: int) -> None:
-        """It runs towards (-1) or away from (1) the end stop, along a ramp."""
+        """Run towards (-1) or away from (1) the end stop, along a ramp."""
         self._positions = False
         self._feed(True)
         self._at(way * self._settings.homing_speed_rev_s, self._settings.velocity_ramp_rev_s2)
 
     def rest(self) -> None:
-        """It brakes, and holds where it comes to rest."""
+        """Brake, and hold the position of rest."""
         self._positions = True
         self.trajectory_done = False
         slower = max(self.parameters.traj_deceleration, _SMALLEST)
         self.axis.ramp_to_rest(slower * self._inc)
 
     def settle(self) -> None:
-        """A trapezoid has come to its end."""
+        """Note the end of a trapezoid."""
         if self._positions and not self.axis.flags & f.PROFILE_ACTIVE:
             self.trajectory_done = True
 
-    # --- inside --------------------------------------------------------------------------------
+    # --- helpers -------------------------------------------------------------------------------
 
     def _is_deaf(self, wanted: ControlMode) -> bool:
         own = self.parameters
@@ -221,7 +222,7 @@ class Control:
         )
 
     def _enter(self) -> None:
-        """The mode begins with what is there: no step of position, the inputs told before."""
+        """Begin the mode without a step of position, with the last inputs."""
         control, mode = self.parameters.control_mode, self.parameters.input_mode
         self._positions = False
         if mode is InputMode.INACTIVE:
@@ -265,7 +266,7 @@ class Control:
         self.axis.apply_current(amps, slope, self.parameters.velocity_limit * self._inc)
 
     def _feed(self, forward: bool) -> None:
-        """Of a trapezoid velocity and acceleration are fed forward, of an input what it says."""
+        """Feed forward a trapezoid's velocity and acceleration, or only the values of an input."""
         if forward != self._feed_forward:
             self._feed_forward = forward
             self.take(self.parameters)

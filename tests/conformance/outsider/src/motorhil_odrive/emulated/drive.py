@@ -1,22 +1,23 @@
-"""An ODrive on a CAN bus: its axis state machine, what it says by itself, what it answers.
+"""An emulated ODrive: axis states, cyclic messages and answers.
 
-It looks at itself when a frame comes, when one of its cyclic messages is due, and while it is
-homing at each edge of its switch. In between, and at rest, it costs nothing.
+The drive updates itself when a frame comes, when a cyclic message is due, and at each edge of its
+switch while homing. In between it needs no computation.
 
-Not emulated, and told so where somebody asks for it: access to endpoints (04h), sensorless control,
+Not emulated, with a warning where a host uses it: access to endpoints (04h), sensorless control,
 lock-in, the input modes POS_FILTER, MIX_CHANNELS, MIRROR and TUNING, voltage control. Choices of
-this emulator, where what is published leaves room: an axis that was disarmed by an error does not
-arm before Clear_Errors, and after an emergency stop that is all that is needed; the watchdog counts
-in all states but IDLE.
+this emulator, where the documentation leaves room: an axis that was disarmed by an error does not
+arm before Clear_Errors, and after an emergency stop nothing else is needed; the watchdog runs in
+all states but IDLE.
 """
 
 from collections.abc import Mapping, Sequence
 from math import isfinite
 from typing import Final, final
 
-from emulators.firmware.axis_readings import NEVER_NS
-from emulators.media.can_frame import EFF_FLAG, ERR_FLAG, RTR_FLAG, can_id_of, data_of, pack
-from emulators.plant.dc_motor import RANGES
+from motorhil.emulators.can.frame import EFF_FLAG, ERR_FLAG, RTR_FLAG, can_id_of, data_of, pack
+from motorhil.emulators.firmware.axis import NEVER_NS
+from motorhil.emulators.plant.dc_motor import RANGES
+
 from motorhil_odrive.emulated import messages as m
 from motorhil_odrive.emulated.commands import COMMANDS
 from motorhil_odrive.emulated.control import Control, Parameters
@@ -41,11 +42,11 @@ _STIMULI: Final = ("load_torque_n_m", "power", "fault", "encoder")
 
 @final
 class OdriveController:
-    """Implements `emulators.controller.Controller`.
+    """Implements `motorhil.emulators.controller.Controller`.
 
     Attributes:
-        control: what turns its motor.
-        state, result: the axis' state, and how the last one that was asked for ended.
+        control: the control of its motor.
+        state, result: the axis state, and the result of the last requested state.
         active_errors, disarm_reason: bits of `Error`.
     """
 
@@ -70,12 +71,12 @@ class OdriveController:
     # --- Controller ------------------------------------------------------------------------------
 
     def start(self, now_ns: int) -> None:
-        """Power comes on."""
+        """Switch the power on."""
         self._is_powered = True
         self.reboot(now_ns)
 
     def receive(self, data: bytes, now_ns: int) -> None:
-        """A frame was on the bus."""
+        """Handle a frame from the bus."""
         can_id = can_id_of(data)
         if can_id & (EFF_FLAG | ERR_FLAG) or not self._is_powered or self._boot_ns != NEVER_NS:
             return
@@ -104,15 +105,15 @@ class OdriveController:
             self.note("warning", "access to endpoints (04h) is not emulated")
 
     def sent(self, data: bytes, now_ns: int) -> bool | None:
-        """An own frame left the bus."""
+        """Handle a transmitted frame of this drive; nothing follows from it."""
         return False
 
     def wants_sent(self) -> bool:
-        """Nothing comes of it."""
+        """Return False: calls of `sent` are not needed."""
         return False
 
     def next_deadline_ns(self) -> int | None:
-        """When `expire` must be called at the latest [ns]."""
+        """Return the latest time of the next call of `expire` [ns]."""
         due_ns = min(self._boot_ns, self._heartbeat_ns, self._encoder_ns, self._watchdog_ns)
         due_ns = min(due_ns, self._calibrated_ns)
         if self._homing is not None:
@@ -120,7 +121,7 @@ class OdriveController:
         return None if due_ns >= NEVER_NS else due_ns
 
     def expire(self, now_ns: int) -> None:
-        """It is `now_ns`; what is due is done."""
+        """Do everything that is due at `now_ns`."""
         if now_ns >= self._boot_ns:
             self._boot_ns = NEVER_NS
             self._boot(now_ns)
@@ -138,20 +139,20 @@ class OdriveController:
             self.tell(m.HEARTBEAT)
 
     def take_output(self) -> Sequence[bytes]:
-        """Frames to queue now."""
+        """Return the frames to queue now."""
         out, self._out = self._out, []
         return out
 
     def take_events(self) -> Sequence[tuple[str, str]]:
-        """(level, text) of what happened since last asked."""
+        """Return (level, text) of the events since the last call."""
         events, self._events = self._events, []
         return events
 
     def stimulate(self, name: str, value: float, now_ns: int) -> None:
-        """The load at the output [N m]; power or encoder (1, or 0: gone); an error, gone at once.
+        """Set the load at the output [N m], switch power or encoder (1, 0), or cause a short error.
 
         Raises:
-            ValueError: there is no such stimulus, or the value is none.
+            ValueError: there is no such stimulus, or the value is invalid.
         """
         self._at(now_ns)
         if name not in _STIMULI:
@@ -179,7 +180,7 @@ class OdriveController:
             self._is_powered = False
 
     def snapshot(self, now_ns: int) -> Mapping[str, float]:
-        """The truth at `now_ns`, behind the gear where it says rad and N m."""
+        """Return the true values at `now_ns`; those in rad and N m are at the gear's output."""
         axis = self.control.axis
         axis.at(now_ns)
         return {
@@ -196,7 +197,7 @@ class OdriveController:
         }
 
     def identifiers(self) -> Sequence[int] | None:
-        """All of its node-ID, remote or not, and 06h to those without an address."""
+        """Return all identifiers of its node-ID, remote or not, and 06h to unaddressed nodes."""
         first = self.node_id << m.COMMAND_BITS
         everybody = m.UNADDRESSED << m.COMMAND_BITS | m.ADDRESS
         own = [first | command for command in range(1 << m.COMMAND_BITS)]
@@ -204,13 +205,13 @@ class OdriveController:
         return [can_id | flag for flag in (0, RTR_FLAG) for can_id in own]
 
     def identifiers_revision(self) -> int:
-        """Grows when it gets another node-ID."""
+        """Return a number that grows when the node-ID changes."""
         return self._revision
 
-    # --- the axis' states ------------------------------------------------------------------------
+    # --- axis states -----------------------------------------------------------------------------
 
     def request(self, state: AxisState) -> None:
-        """07h."""
+        """Handle Set_Axis_State (07h)."""
         if state is AxisState.IDLE:
             was_at_rest = self.state is AxisState.IDLE
             self._rest(self.result if was_at_rest else ProcedureResult.CANCELLED)
@@ -230,50 +231,50 @@ class OdriveController:
             self.note("warning", f"{state.name} is not emulated")
 
     def fail(self, bits: int) -> None:
-        """An error disarms the axis."""
+        """Disarm the axis with an error."""
         self.disarm_reason |= bits
         self.note("error", f"disarmed: {_names(bits)}")
         self._rest(ProcedureResult.DISARMED)
 
     def clear_errors(self) -> None:
-        """18h: what caused it, if it is still there, stays active."""
+        """Clear the errors (18h); those whose cause remains stay active."""
         self.disarm_reason = 0
         self.result = ProcedureResult.SUCCESS
 
     def errors(self) -> int:
-        """What a heartbeat tells of errors."""
+        """Return the error bits of a heartbeat."""
         return self.active_errors | self.disarm_reason
 
     def save(self) -> None:
-        """What can be written by CAN holds after the next boot, too."""
+        """Save the parameters for the next boot."""
         self._saved = self.control.parameters
 
     def erase(self) -> None:
-        """It is as delivered after the next boot."""
+        """Restore the default parameters for the next boot."""
         self._saved = Parameters()
 
     def reboot(self, now_ns: int | None = None) -> None:
-        """It starts anew, as when power comes on."""
+        """Restart, as at power-on."""
         self.fall_silent()
         self._boot_ns = self.settings.boot_up_ns + (self._now_ns if now_ns is None else now_ns)
 
     def fall_silent(self) -> None:
-        """Nothing is heard of it; its motor has no current."""
+        """Send nothing more; the motor has no current."""
         self._rest(ProcedureResult.SUCCESS)
         self.state = AxisState.UNDEFINED
         self._boot_ns = self._heartbeat_ns = self._encoder_ns = self._watchdog_ns = NEVER_NS
 
     def tell(self, command: int) -> None:
-        """A message of this kind is queued; does nothing if it has none."""
+        """Queue a message, if the drive has one of this kind."""
         if command in m.TOLD:
             data = m.TOLD[command][0].pack(*told(self, command))
             self._out.append(pack(self.node_id << m.COMMAND_BITS | command, data))
 
     def note(self, level: str, text: str) -> None:
-        """Something worth a line in the record happened."""
+        """Add an event to the record."""
         self._events.append((level, text))
 
-    # --- inside ----------------------------------------------------------------------------------
+    # --- helpers ---------------------------------------------------------------------------------
 
     def _boot(self, now_ns: int) -> None:
         self.control.axis.at(now_ns)
@@ -320,7 +321,7 @@ class OdriveController:
         self._feed_watchdog()
 
     def _rest(self, result: ProcedureResult) -> None:
-        """IDLE; what went on is over."""
+        """Enter IDLE and end whatever was active."""
         if self._homing is not None:
             self._homing.abandon()
             self._homing = None
@@ -329,7 +330,7 @@ class OdriveController:
         self.state, self.result = AxisState.IDLE, result
 
     def _address(self, payload: bytes, is_remote: bool) -> None:
-        """06h: who is there, or who is to have which node-ID."""
+        """Handle Address (06h): report the address, or assign a node-ID."""
         serial = self.settings.serial_number.to_bytes(6, "little")
         if is_remote or len(payload) < m.ADDRESSING.size:
             data = m.ADDRESSING.pack(self.node_id, serial)

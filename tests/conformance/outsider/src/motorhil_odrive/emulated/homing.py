@@ -1,14 +1,16 @@
-"""Homing of an ODrive: to the minimum end stop, off it again, and where it opens is position 0.
+"""Homing of an ODrive at its minimum end stop.
 
-Which way it searches and that it ends in closed loop is what ODrive's manuals of earlier firmware
-say of it; how it leaves the switch is this emulator's choice.
+The axis runs to the end stop and off it again; the place where the switch opens becomes position 0.
+The direction, and the final closed loop state, are those in ODrive's manuals of earlier firmware.
+How the axis leaves the switch is a choice of this emulator.
 """
 
 from enum import Enum
 from typing import Final, final
 
-from emulators.firmware import flags as f
-from emulators.firmware.axis_readings import NEVER_NS
+from motorhil.emulators.firmware import flags as f
+from motorhil.emulators.firmware.axis import NEVER_NS
+
 from motorhil_odrive.emulated.control import Control
 
 _FAR: Final = 1e18
@@ -24,7 +26,7 @@ class _Phase(Enum):
 
 @final
 class Homing:
-    """One homing that goes on; `endstop_count` is where, in encoder counts, its switch closes."""
+    """An active homing; `endstop_count` is the encoder count where its switch closes."""
 
     def __init__(self, control: Control, endstop_count: int) -> None:
         self._control = control
@@ -33,7 +35,7 @@ class Homing:
         self._go()
 
     def settle(self) -> bool:
-        """What follows from where the axis is; whether it is over, at position 0 or near it."""
+        """Continue from the axis' position; return whether homing is over, near position 0."""
         axis, control = self._control.axis, self._control
         if self._phase is _Phase.SEARCHING and self._is_closed():
             self._phase = _Phase.STOPPING
@@ -51,11 +53,11 @@ class Homing:
         return False
 
     def wake_ns(self) -> int:
-        """When the switch opens or closes, or a ramp ends [ns]; NEVER_NS: not by itself."""
+        """Return when the switch opens or closes, or a ramp ends [ns]; NEVER_NS if never."""
         return self._control.axis.event_ns(NEVER_NS)
 
     def abandon(self) -> None:
-        """Nobody looks at the switch any more."""
+        """Ignore the switch from now on."""
         self._control.axis.set_gate(-_FAR, _FAR, -_FAR, _FAR)
 
     def _is_closed(self) -> bool:

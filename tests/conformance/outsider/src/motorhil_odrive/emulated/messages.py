@@ -1,4 +1,4 @@
-"""CANSimple as the drive reads and writes it: identifiers, layouts, enumerations.
+"""CANSimple, as the drive implements it: identifiers, layouts, enumerations.
 
 An identifier is node_id << 5 | command. Everything is little endian; floats are IEEE 754 singles.
 
@@ -11,7 +11,7 @@ from typing import Final
 
 COMMAND_BITS: Final = 5
 COMMAND_MASK: Final = 0x1F
-UNADDRESSED: Final = 0x3F  # everybody listens to 06h with this node-ID
+UNADDRESSED: Final = 0x3F  # all nodes receive 06h with this node-ID
 
 GET_VERSION: Final = 0x00
 HEARTBEAT: Final = 0x01
@@ -42,7 +42,7 @@ GET_TORQUES: Final = 0x1C
 GET_POWERS: Final = 0x1D
 ENTER_DFU_MODE: Final = 0x1F
 
-# What the drive sends: by itself, or asked by a remote frame.
+# Messages from the drive: cyclic, or in answer to a remote frame.
 TOLD: Final[dict[int, tuple[Struct, tuple[str, ...]]]] = {
     GET_VERSION: (
         Struct("<8B"),
@@ -64,7 +64,7 @@ TOLD: Final[dict[int, tuple[Struct, tuple[str, ...]]]] = {
     GET_TORQUES: (Struct("<ff"), ("Torque_Target", "Torque_Estimate")),
     GET_POWERS: (Struct("<ff"), ("Electrical_Power", "Mechanical_Power")),
 }
-# What it is told. 06h goes both ways, and is 8 bytes on the way to the drive.
+# Messages to the drive. 06h exists in both directions, with 8 bytes to the drive.
 HEARD: Final[dict[int, tuple[Struct, tuple[str, ...]]]] = {
     ESTOP: (Struct(""), ()),
     SET_AXIS_STATE: (Struct("<I"), ("Axis_Requested_State",)),
@@ -88,7 +88,7 @@ ADDRESSING: Final = Struct("<B6s")
 
 
 class AxisState(IntEnum):
-    """What the axis does, or is asked to do."""
+    """State of the axis, or requested state."""
 
     UNDEFINED = 0
     IDLE = 1
@@ -108,7 +108,7 @@ class AxisState(IntEnum):
 
 
 class ProcedureResult(IntEnum):
-    """How the last state that was asked for ended."""
+    """Result of the last requested state."""
 
     SUCCESS = 0
     BUSY = 1
@@ -129,7 +129,7 @@ class ProcedureResult(IntEnum):
 
 
 class ControlMode(IntEnum):
-    """Which quantity is controlled."""
+    """Controlled quantity."""
 
     VOLTAGE_CONTROL = 0
     TORQUE_CONTROL = 1
@@ -138,7 +138,7 @@ class ControlMode(IntEnum):
 
 
 class InputMode(IntEnum):
-    """What becomes of an input on its way to the set-point."""
+    """Processing of an input on its way to the set-point."""
 
     INACTIVE = 0
     PASSTHROUGH = 1
@@ -152,7 +152,7 @@ class InputMode(IntEnum):
 
 
 class Action(IntEnum):
-    """What 16h is to do."""
+    """Action of Reboot (16h)."""
 
     REBOOT = 0
     SAVE_CONFIGURATION = 1
@@ -161,7 +161,7 @@ class Action(IntEnum):
 
 
 class Error(IntEnum):
-    """Why the axis does not run, or was disarmed; bits."""
+    """Reason why the axis does not run, or was disarmed; bits."""
 
     NONE = 0
     INITIALIZING = 1

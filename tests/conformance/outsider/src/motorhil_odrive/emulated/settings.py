@@ -1,12 +1,12 @@
-"""What a rig may say about an ODrive: its table `[controller.NAME]`, checked key by key."""
+"""Settings of an emulated ODrive: its table `[controller.NAME]` in a rig."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final, final
 
-from emulators.controller import ControllerContext, SettingError
-from emulators.motor_settings import MOTOR_KEYS, MotorSettings, motor_in
-from emulators.setting_tables import duration_ns, number, refuse_unknown, table_in, whole
+from motorhil.emulators.controller import ControllerContext, SettingError
+from motorhil.emulators.settings.motor import MOTOR_KEYS, MotorSettings, motor_in
+from motorhil.emulators.settings.tables import duration_ns, number, refuse_unknown, table_in, whole
 
 NODE_ID_MAX: Final = 0x3E
 _TIMING: Final = ("boot_up_s", "heartbeat_s", "encoder_s", "calibration_s")
@@ -21,20 +21,21 @@ _CONFIG: Final = {  # key: default, lowest, highest
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OdriveSettings:
-    """One ODrive of a rig.
+    """The settings of one ODrive.
 
     Attributes:
         node_id: 0..62.
         serial_number: 48 bits.
-        motor: what it turns, and how well.
+        motor: the motor, its plant and its gains.
         boot_up_ns: from power-on to the first heartbeat.
-        heartbeat_ns, encoder_ns: periods of 01h and 09h; 0: only when asked.
-        calibration_ns: what every calibration takes.
-        watchdog_ns: without a message for so long it disarms; 0: never (as delivered).
-        velocity_ramp_rev_s2: of the input mode VEL_RAMP.
-        torque_ramp_n_m_s: of the input mode TORQUE_RAMP.
-        homing_speed_rev_s: towards the end stop.
-        min_endstop_rad: where, at the output, its end stop switch closes; None: it has none.
+        heartbeat_ns, encoder_ns: periods of 01h and 09h; 0: only on request.
+        calibration_ns: the duration of every calibration.
+        watchdog_ns: without a message for this time it disarms; 0: never (default).
+        velocity_ramp_rev_s2: the ramp of the input mode VEL_RAMP.
+        torque_ramp_n_m_s: the ramp of the input mode TORQUE_RAMP.
+        homing_speed_rev_s: the speed towards the end stop.
+        min_endstop_rad: the position at the output where its end stop switch closes; None: no
+            switch.
     """
 
     node_id: int
@@ -52,7 +53,7 @@ class OdriveSettings:
 
 
 def read_settings(table: Mapping[str, object], context: ControllerContext) -> OdriveSettings:
-    """The settings in a rig's table.
+    """Read the settings in a rig's table.
 
     Raises:
         SettingError: a key is unknown, or a value is missing or wrong.

@@ -1,4 +1,4 @@
-"""The contents of each message the drive sends, in the order of its layout."""
+"""Values of the drive's messages, in the order of their layouts."""
 
 from typing import TYPE_CHECKING, Final
 
@@ -11,7 +11,7 @@ _VERSION: Final = (2, 4, 4, 58, 0, 6, 10, 0)  # protocol 2; hardware 4.4-58 (S1)
 
 
 def told(drive: "OdriveController", command: int) -> tuple[float, ...]:
-    """What this message says now."""
+    """Return the present values of this message."""
     if command == m.GET_VERSION:
         return _VERSION
     if command == m.HEARTBEAT:

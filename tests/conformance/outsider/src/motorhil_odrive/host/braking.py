@@ -1,8 +1,8 @@
-"""Any way of stopping: the drive is sent to the place where it can have come to rest.
+"""Stops: the drive moves to the nearest possible position of rest.
 
-By a trapezoid of its own, so that it slows down as it is told, then holds, and needs nobody for it.
-02h (estop) would be one frame; but it takes the current away, and a motor that coasts stops nowhere
-in particular.
+The drive uses its own trapezoid, so that it slows down as commanded, then holds, without further
+frames. Estop (02h) would be one frame, but it switches the current off, and a coasting motor stops
+anywhere.
 """
 
 from math import copysign
@@ -16,14 +16,14 @@ if TYPE_CHECKING:
     from motorhil_odrive.host.units import Units
 
 _LEAD_S: Final = 0.004
-"""Until the frames are there: the place is rather a little too far, or it would turn back."""
+"""Time until the frames arrive: a target too near would make the motor reverse."""
 _STILL: Final = 0.05  # [rev/s]
 _NOISE: Final = 0.25  # of an estimate [rev/s]
 _FASTER: Final = 1.05
 
 
 def brake(hardware: "OdriveHwMotor", deceleration: float, units: "Units") -> None:
-    """The motor slows down at `deceleration` [U/s^2], then holds; does not wait."""
+    """Slow down at `deceleration` [U/s^2], then hold; do not wait."""
     hardware.end_stream()
     if not hardware.heard.is_in(m.CLOSED_LOOP, m.HOMING):
         hardware.heard.follow(None)
@@ -45,7 +45,7 @@ def brake(hardware: "OdriveHwMotor", deceleration: float, units: "Units") -> Non
 
 
 def _likely(hardware: "OdriveHwMotor", position: float, velocity: float) -> float:
-    """How fast it is [rev/s], by the trapezoid it is on where the estimate is but noise."""
+    """Return the likely velocity [rev/s], from the trapezoid if the estimate is mostly noise."""
     told, target = hardware.told(m.TRAJECTORY_VELOCITY), hardware.held
     if told is None or target is None or abs(velocity) > told[0] + _NOISE:
         return velocity

@@ -1,21 +1,21 @@
-"""An ODrive's motor from its table in a rig: entry point `motorhil.adaptations`, name `odrive`."""
+"""Builder of an ODrive motor; entry point `motorhil.adaptations`, name `odrive`."""
 
 from collections.abc import Mapping
 from dataclasses import fields
 from typing import TYPE_CHECKING, Final
 
-from motorapi.adaptations.building import Shared, as_name, number, refuse_unknown
-from motorapi.errors import UsageError
-from motorapi.sharing import bus_key
+from motorhil.motorapi.adaptations.registration import Shared, as_name, number, refuse_unknown
+from motorhil.motorapi.errors import UsageError
+from motorhil.motorapi.ownership.physical_motor import bus_key
+
 from motorhil_odrive.host.hardware import OdriveHwMotor
 from motorhil_odrive.host.motor import OdriveMotor
 from motorhil_odrive.host.options import OdriveOptions
 
 if TYPE_CHECKING:
     import can
-
-    from motorapi.model import MotorModel
-    from motorapi.runtime import Runtime
+    from motorhil.motorapi.model import MotorModel
+    from motorhil.motorapi.runtime.api import Runtime
 
 _OPTIONS: Final = tuple(field.name for field in fields(OdriveOptions))
 _SHARED: Final[Shared[OdriveHwMotor]] = Shared("drive")
@@ -24,15 +24,15 @@ _SHARED: Final[Shared[OdriveHwMotor]] = Shared("drive")
 def build(
     bus: "can.BusABC", settings: Mapping[str, object], model: "MotorModel", runtime: "Runtime"
 ) -> OdriveMotor:
-    """The motor that a table of settings describes.
+    """Build the motor that a table of settings describes.
 
-    Motors that name the same drive share one hardware object, made by the first of them.
+    Motors that name the same drive share one hardware object, built by the first of them.
 
     Args:
-        bus: where the drive is.
+        bus: the bus of the drive.
         settings: `node_id`; `name` (None: the model's); and any field of OdriveOptions.
-        model: the motor's; its gear ratio must be given.
-        runtime: where it waits.
+        model: the motor's model, with its gear ratio.
+        runtime: the runtime in which the motor waits.
 
     Raises:
         UsageError: a setting is unknown, missing, or wrong.

@@ -1,27 +1,28 @@
-"""The hardware class of an ODrive: the whole drive, free of inheritance, in turns of its motor.
+"""The hardware class of an ODrive, in turns of its motor.
 
-One object per physical motor and process. It knows what the drive is able to do, and nothing of
-what an application means by it. What commands the drive goes out through `tell`, and nowhere else:
-there it passes the fence (`motorapi.fencing`) and low-level access (`motorapi.low_level`).
+There is one object per physical motor and process. The class knows the drive's abilities, and
+nothing of their use in an application. All commands to the drive pass through `tell`. There they
+pass the fence (`motorhil.motorapi.ownership.fencing`) and low-level access (`motorhil.motorapi.motor`).
 """
 
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Final, final
 
-from motorapi.adaptations.turn_lock import TurnLock
-from motorapi.errors import DeadlineExceeded, LinkError, PeerError, UsageError
-from motorapi.fencing import NodeFence, announce
-from motorapi.lock_names import bus_name
-from motorapi.process_lock import ProcessLock, can_share_time
-from motorapi.runtime import runtime_of, wait_until
-from motorapi.sharing import (
+from motorhil.motorapi.adaptations.canopen.sdo import TurnLock
+from motorhil.motorapi.errors import DeadlineExceeded, LinkError, PeerError, UsageError
+from motorhil.motorapi.locking.directory import bus_name
+from motorhil.motorapi.locking.process_lock import ProcessLock, can_share_time
+from motorhil.motorapi.ownership.fencing import NodeFence, announce
+from motorhil.motorapi.ownership.physical_motor import (
     PhysicalMotor,
     RunStatus,
     bus_key,
     register_physical_motor,
     release_physical_motor,
 )
-from motorapi.traffic import NodeTraffic, PeriodicMessage, note_node
+from motorhil.motorapi.runtime.api import runtime_of, wait_until
+from motorhil.motorapi.synchronization.bus_load import NodeTraffic, PeriodicMessage, note_node
+
 from motorhil_odrive.host import messages as m
 from motorhil_odrive.host.heard import Heard, Heartbeat
 from motorhil_odrive.host.options import OdriveOptions
@@ -29,9 +30,9 @@ from motorhil_odrive.host.wire import Sent, Wire
 
 if TYPE_CHECKING:
     import can
+    from motorhil.motorapi.ownership.fencing import Fence
+    from motorhil.motorapi.runtime.api import Runtime
 
-    from motorapi.fencing import Fence
-    from motorapi.runtime import Runtime
     from motorhil_odrive.host.messages import Message
     from motorhil_odrive.host.stream import Stream
 
@@ -39,7 +40,7 @@ NODE_ID_MAX: Final = 0x3E
 _ASK_S: Final = 0.02
 _ASK_VERSION_S: Final = 0.1
 _ANSWER_S: Final = 0.2
-# What moves a drive, or keeps it from moving: of others, it ends what goes on here.
+# Commands that start or prevent motion: from another host they end an active motion.
 _COMMANDS: Final = tuple(
     message.command
     for message in (
@@ -51,25 +52,25 @@ _COMMANDS: Final = tuple(
 
 @final
 class OdriveHwMotor:
-    """One ODrive on one CAN bus, by node-ID. Shared by all logical motors and threads.
+    """One ODrive on a CAN bus, by node-ID; shared by all logical motors and threads.
 
     Args:
-        bus: an open python-can bus, of whatever interface.
-        node_id: the drive's, 0..62.
-        runtime: where to wait; None: the bus's own (virtual time), else the wall's.
+        bus: an open python-can bus with any interface.
+        node_id: the drive's node-ID, 0..62.
+        runtime: the runtime for waits; None: the bus's own (virtual time), else wall time.
         options: see OdriveOptions.
 
     Attributes:
         physical: the record that its logical motors share.
-        heard: what it said last.
-        fence: lets out what commands the drive; None: no other process can take it over.
-        stream: the set-points that it was given last; None: none were.
-        held: the position that it was told to hold, or to go to [rev]; None: not known.
-        quick_stopped: whether a quick stop was the last thing commanded to it.
-        users: how many motors were built on it by settings; the last one closes it.
+        heard: the last received messages.
+        fence: passes commands to the drive; None: no other process can take the drive over.
+        stream: the last streamed set-points, or None.
+        held: the last commanded position [rev]; None: not known.
+        quick_stopped: whether a quick stop was the last command.
+        users: the number of motors built on it from settings; the last one closes it.
 
     Raises:
-        UsageError: a hardware object for this drive exists already; it is named.
+        UsageError: a hardware object for this drive exists already; names it.
     """
 
     def __init__(
@@ -94,7 +95,7 @@ class OdriveHwMotor:
         self._bus = bus
         self._told: dict[int, tuple[float, ...]] = {}
         self._told_at = -1
-        self._feeds = False  # whether we were the last to command it, of all programs
+        self._feeds = False  # whether this program was the last to command the drive
         self._connecting = TurnLock(self.runtime)
         where = bus_name(bus) if can_share_time(self.runtime) else None
         lock = None if where is None else ProcessLock(f"{where}-node{node_id}", self.label)
@@ -122,7 +123,7 @@ class OdriveHwMotor:
         return f"<OdriveHwMotor {self.label}: {'closed' if self.is_closed else what}>"
 
     def close(self) -> None:
-        """Nothing is sent or heard any more; the drive's watchdog stops it, if it has one."""
+        """Stop sending and receiving; the drive's watchdog stops it, if there is one."""
         if self.is_closed:
             return
         watch = self.heard.watch
@@ -137,11 +138,11 @@ class OdriveHwMotor:
         self.heard.news.grow()
 
     def connect(self) -> None:
-        """The drive is heard, and speaks the protocol we do; costs nothing if that is known.
+        """Wait until the drive is heard, and check its protocol; free if this is known.
 
         Raises:
-            LinkError: it is not heard, or this object is closed, or the bus is off.
-            PeerError: it speaks another protocol.
+            LinkError: the drive is not heard, this object is closed, or the bus is off.
+            PeerError: the drive uses another protocol version.
         """
         self.check_open()
         self._wire.status.check()
@@ -165,58 +166,58 @@ class OdriveHwMotor:
         self._note_traffic()
 
     def check_open(self) -> None:
-        """Raises LinkError if this object is closed."""
+        """Raise LinkError if this object is closed."""
         if self.is_closed:
             raise LinkError(link=self.label, reason="this hardware object is closed")
 
-    # --- what it is told ---------------------------------------------------------------------
+    # --- commands ----------------------------------------------------------------------------
 
     def tell(self, message: "Message", *values: float, fence: "Fence | None" = None) -> Sent:
-        """The drive is told; only while this process owns the motor, if others can.
+        """Send a command to the drive, only while this process owns the motor.
 
         Args:
             message: see `motorhil_odrive.host.messages`.
-            values: of its signals.
-            fence: of an ownership that a stream began under; None: the present one.
+            values: the values of its signals.
+            fence: the fence of a stream's ownership; None: the present one.
 
         Raises:
-            LinkError: the bus does not take it.
-            MotorBusyError: somebody else owns the motor, or has low-level access.
+            LinkError: the bus does not accept the frame.
+            MotorBusyError: another user owns the motor, or has low-level access.
         """
         with self.physical.passage(self.label, of_holder=True):
             sent = self._wire.tell(message, *values, fence=self.fence if fence is None else fence)
         return self._noted(message, values, sent)
 
     def tell_anyway(self, message: "Message", *values: float) -> Sent:
-        """As `tell`, whoever owns the motor: for stops, which take nobody's permission."""
+        """Send a command whoever owns the motor: for stops, which need no ownership."""
         with self.physical.passage(self.label, of_holder=True):
             sent = self._wire.tell(message, *values)
         return self._noted(message, values, sent)
 
     def push(self, message: "Message", *values: float) -> Sent | None:
-        """As `tell`, unless it was told the same already; None then."""
+        """Send a command unless it was the last one of its kind; return None then."""
         return None if self.was_told(message, *values) else self.tell(message, *values)
 
     def was_told(self, message: "Message", *values: float) -> bool:
-        """Whether the drive has this, by what may be believed of it."""
+        """Return whether the drive is known to have these values."""
         return self.told(message) == values
 
     def told(self, message: "Message") -> tuple[float, ...] | None:
-        """What it was told last of this, by what may be believed of it; None: nothing."""
+        """Return the last values sent with this message, if still valid, or None."""
         is_ours = self._told_at == self.physical.token
         return self._told.get(message.command) if is_ours else None
 
     def doubt(self) -> None:
-        """Nothing is believed of what the drive was told."""
+        """Forget all values that were sent to the drive."""
         self._told.clear()
         self.held = None
 
     def confirm(self, sent: Sent) -> int:
-        """When it was on the wire [ns]. Raises LinkError: it was not."""
+        """Return when the frame was on the bus [ns]; raise LinkError if it was not."""
         return self._wire.confirm(sent)
 
     def _noted(self, message: "Message", values: tuple[float, ...], sent: Sent) -> Sent:
-        """What it was told is believed of it, as long as nobody else commands it."""
+        """Remember sent values, which are valid until another program commands the drive."""
         if self._told_at != self.physical.token:
             self._told.clear()
             self._told_at = self.physical.token
@@ -228,14 +229,14 @@ class OdriveHwMotor:
             self.held = None
         return sent
 
-    # --- what it is asked ----------------------------------------------------------------------
+    # --- requests ------------------------------------------------------------------------------
 
     def ask(self, message: "Message") -> tuple[float, ...]:
-        """What the drive answers to a remote frame.
+        """Request a message by a remote frame, and return its values.
 
         Raises:
-            DeadlineExceeded: it does not answer.
-            LinkError: the bus does not take it.
+            DeadlineExceeded: the drive does not answer.
+            LinkError: the bus does not accept the frame.
         """
         answers, found = self.heard.answers, []
 
@@ -256,14 +257,14 @@ class OdriveHwMotor:
         return found[-1]
 
     def ask_for_heartbeat(self) -> None:
-        """A heartbeat comes soon; does not wait."""
+        """Request a heartbeat; do not wait."""
         self._wire.ask(m.HEARTBEAT)
 
     def await_heartbeat(self, wanted: Callable[[Heartbeat], bool], timeout_s: float) -> Heartbeat:
-        """The first heartbeat from now on that is wanted.
+        """Return the first heartbeat from now on that satisfies `wanted`.
 
         Raises:
-            DeadlineExceeded: it did not come within `timeout_s` [s].
+            DeadlineExceeded: no such heartbeat came within `timeout_s` [s].
         """
         since_ns = self.runtime.now_ns()
         end_ns = since_ns + round(timeout_s * 1e9)
@@ -275,34 +276,35 @@ class OdriveHwMotor:
         while True:
             self.ask_for_heartbeat()
             if wait_until(self.runtime, is_there, _ASK_S):
-                assert self.heard.heartbeat is not None  # is_there has said so
+                assert self.heard.heartbeat is not None  # checked by is_there
                 return self.heard.heartbeat
             if self.runtime.now_ns() >= end_ns:
                 what = f"{self.label}: a heartbeat that shows what was commanded"
                 told = f"{self.heard.heartbeat}"
                 raise DeadlineExceeded(awaited=what, timeout_s=timeout_s, last_heard=told)
 
-    # --- what goes on by itself ------------------------------------------------------------------
+    # --- background
+    # --------------------------------------------------------------------------------
 
     def end_stream(self) -> None:
-        """No more set-points come by themselves."""
+        """End the stream of set-points."""
         if self.stream is not None:
             self.stream.cancel()
 
     def _overheard(self, command: int, time_ns: int) -> None:
-        """Somebody else has told the drive something: another program, or a person with a tool."""
+        """Handle a command to the drive from another program, or from a tool."""
         self.doubt()
-        self._feeds = False  # its watchdog is that one's to feed
+        self._feeds = False  # its watchdog is now fed by that program
         physical, watch = self.physical, self.heard.watch
         moves = physical.run is not None and watch is not None and watch.moves
         if moves and command in _COMMANDS:
             self.end_stream()
             if physical.run is not None:
-                physical.ownership.notice(physical.run.owner)  # who took it over is told by name
+                physical.ownership.notice(physical.run.owner)  # the error then names the new owner
             physical.stopped_elsewhere(f"another program (message {command:02X}h)", time_ns)
 
     def _look(self) -> None:
-        """The watchdog is fed by whoever commanded last; a drive that fell silent is lost."""
+        """Feed the watchdog if this program commanded last, and detect the loss of the drive."""
         if self.heard.look(self.runtime.now_ns()):
             self._feeds = False
             self.doubt()

@@ -1,11 +1,12 @@
-"""What an ODrive was heard to say, and what follows from it for what it was commanded."""
+"""Received messages of an ODrive, and their effect on the last command."""
 
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Final, NamedTuple, final
 
-from motorapi.errors import LinkError
-from motorapi.state import Fault
-from motorapi.waiting import News
+from motorhil.motorapi.errors import LinkError
+from motorhil.motorapi.runtime.api import ChangeCounter
+from motorhil.motorapi.state import Fault
+
 from motorhil_odrive.host import messages as m
 
 if TYPE_CHECKING:
@@ -17,7 +18,7 @@ _AGE_MAX_S: Final = 0.1
 
 
 class Heartbeat(NamedTuple):
-    """What a heartbeat said, and when it was complete on the bus [ns]."""
+    """The values of a heartbeat, and when it was complete on the bus [ns]."""
 
     error: int
     state: int
@@ -27,7 +28,7 @@ class Heartbeat(NamedTuple):
 
 
 class Estimate(NamedTuple):
-    """Position [rev], velocity [rev/s] and when they were on the bus [ns]."""
+    """Position [rev], velocity [rev/s] and their time on the bus [ns]."""
 
     position: float
     velocity: float
@@ -36,20 +37,20 @@ class Estimate(NamedTuple):
 
 @final
 class Heard:
-    """Of one drive. Written by frame handlers, read by everybody.
+    """The received messages of one drive; written by frame handlers only.
 
     Attributes:
-        news: counts what may change whether a motion is over.
-        heartbeat, estimate: the last ones; None: there was none.
-        version: what it told of its versions, the protocol's first; None: not asked yet.
-        answers: what else it told last, by command.
-        lost_since_ns: since when it is not heard any more; None while it is.
-        is_homed: whether its position 0 is known; no more once it was lost: it may have booted.
-        watch: follows what was commanded last; None: nothing was.
+        news: counts changes that may end a motion.
+        heartbeat, estimate: the last ones, or None.
+        version: the drive's versions, with the protocol's first; None: not received yet.
+        answers: the last values of other messages, by command.
+        lost_since_ns: the time of its loss; None while it is heard.
+        is_homed: whether its position 0 is known; False after a loss, as it may have booted.
+        watch: follows the last command, or None.
     """
 
     def __init__(self, wire: "Wire", label: str, timeout_ms: float) -> None:
-        self.news: Final = News()
+        self.news: Final = ChangeCounter()
         self.heartbeat: Heartbeat | None = None
         self.estimate: Estimate | None = None
         self.version: tuple[float, ...] | None = None
@@ -68,12 +69,12 @@ class Heard:
             wire.handle(message, self._on_answer(message))
 
     def is_up(self) -> bool:
-        """Whether it is heard, and all is known that is needed to command it."""
+        """Return whether the drive is heard, with all values that commands need."""
         known = self.heartbeat is not None and self.estimate is not None
         return known and self.version is not None and self.lost_since_ns is None
 
     def check(self) -> None:
-        """Raises LinkError if it was heard, and is no more; or if the bus is off."""
+        """Raise LinkError if the drive was lost, or if the bus is off."""
         self._wire.status.check()
         if self.lost_since_ns is not None:
             reason = f"no heartbeat for {self._timeout_ms:g} ms"
@@ -81,22 +82,22 @@ class Heard:
 
     @property
     def is_lost(self) -> bool:
-        """Whether it cannot be heard now."""
+        """True if the drive cannot be heard now."""
         return self.lost_since_ns is not None or self._wire.status.is_off
 
     def is_in(self, *states: int) -> bool:
-        """Whether the last heartbeat told one of these axis states."""
+        """Return whether the last heartbeat has one of these axis states."""
         return self.heartbeat is not None and self.heartbeat.state in states
 
     def fault(self) -> Fault | None:
-        """The error that the last heartbeat told."""
+        """Return the error of the last heartbeat, or None."""
         heartbeat = self.heartbeat
         if heartbeat is None or not heartbeat.error:
             return None
         return Fault(heartbeat.error, m.error_text(heartbeat.error), self._fault_since_ns)
 
     def at(self, now_ns: int, acceleration_max: float) -> tuple[float, float]:
-        """Position [rev] and velocity [rev/s] at this instant, from the last two estimates."""
+        """Return position [rev] and velocity [rev/s] now, from the last two estimates."""
         last, before = self.estimate, self._before
         if last is None:
             return 0.0, 0.0
@@ -109,7 +110,7 @@ class Heard:
         return last.position + 0.5 * (last.velocity + velocity) * age_s, velocity
 
     def look(self, now_ns: int) -> bool:
-        """Whether it has just fallen silent. To be called every now and then."""
+        """Return whether the drive has just been lost; to be called periodically."""
         heard = self.heartbeat
         if heard is None or self.lost_since_ns is not None:
             return False
@@ -121,11 +122,11 @@ class Heard:
         return True
 
     def follow(self, watch: "Watch | None") -> None:
-        """What is heard from now on is shown to `watch`."""
+        """Show all messages from now on to `watch`."""
         self.watch = watch
         self.news.grow()
 
-    # --- inside ------------------------------------------------------------------------------
+    # --- helpers -----------------------------------------------------------------------------
 
     def _on_heartbeat(self, values: tuple[float, ...], time_ns: int) -> None:
         error, state, result, done = (int(value) for value in values)
@@ -152,7 +153,7 @@ class Heard:
         return take
 
     def _show(self) -> bool:
-        """Whether what was commanded is over by the latest news, and was not before."""
+        """Update the watch; return whether its command has just ended."""
         watch, heartbeat, estimate = self.watch, self.heartbeat, self.estimate
         if watch is None or heartbeat is None or estimate is None or watch.is_over():
             return False

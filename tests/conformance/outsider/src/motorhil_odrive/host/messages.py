@@ -1,7 +1,7 @@
-"""CANSimple as the host reads and writes it: each message as signals, by where their bits are.
+"""CANSimple, as the host implements it: messages as signals at bit positions.
 
-An identifier of 11 bits is the node-ID, six bits, in front of the command's five. Bit 0 is the
-lowest of the first byte; a message is one number, least significant byte first.
+An 11-bit identifier is the six-bit node-ID, followed by the five-bit command. Bit 0 is the lowest
+bit of the first byte. A message is one number, least significant byte first.
 
 Source: the message set of firmware 0.6.10, as ODrive describes it in a DBC.
 """
@@ -11,7 +11,7 @@ from typing import Final, NamedTuple
 
 
 class Signal(NamedTuple):
-    """`bits` bits from bit `at` on: "u" unsigned, "i" signed, or "f" a single-precision float."""
+    """A signal of `bits` bits at bit `at`: "u" unsigned, "i" signed, or "f" IEEE 754 single."""
 
     name: str
     at: int
@@ -21,7 +21,7 @@ class Signal(NamedTuple):
 
 
 class Message(NamedTuple):
-    """A command number, what the frame's length is, and its signals."""
+    """A command number, the length of its frame, and its signals."""
 
     command: int
     length: int
@@ -139,20 +139,20 @@ ERROR_TEXTS: Final = {
 
 
 def error_text(bits: int) -> str:
-    """What an error says, in words."""
+    """Return the text of an error's bits."""
     return ", ".join(text for bit, text in ERROR_TEXTS.items() if bits & bit) or "unknown error"
 
 
 def result_text(result: int) -> str:
-    """How a procedure ended, in words."""
+    """Return the text of a procedure's result."""
     return RESULTS[result] if result < len(RESULTS) else f"result {result}"
 
 
 def encoded(message: Message, *values: float) -> bytes:
-    """The data of a message; integers are cut to their range.
+    """Encode a message; integers are limited to their range.
 
     Raises:
-        ValueError: another number of values than it has signals.
+        ValueError: the number of values differs from that of the signals.
     """
     number = 0
     for signal, value in zip(message.signals, values, strict=True):
@@ -166,7 +166,7 @@ def encoded(message: Message, *values: float) -> bytes:
 
 
 def decoded(message: Message, data: bytes) -> tuple[float, ...] | None:
-    """The values of its signals, in order; None: it is too short."""
+    """Decode the values of a message's signals, in order; None if it is too short."""
     if len(data) < message.length:
         return None
     number = int.from_bytes(data, "little")

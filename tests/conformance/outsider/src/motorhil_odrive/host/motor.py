@@ -1,13 +1,13 @@
 """The adaptation of the motor interface to an ODrive.
 
-| command                                  | what the drive is told                              |
+| command                                  | command to the drive                                |
 | ---------------------------------------- | --------------------------------------------------- |
-| set-point or simple trajectory, position | TRAP_TRAJ: a trapezoid of its own, to a place       |
+| set-point or simple trajectory, position | TRAP_TRAJ: a trapezoid of its own, to a position    |
 | set-point or ramp, velocity and torque   | PASSTHROUGH, in steps of the host's (`stream`)      |
 | stop, halt, quick stop                   | TRAP_TRAJ to where it can come to rest              |
 | homing                                   | here (35, 37), or by its minimum end stop (17)      |
 
-What is sent once is a place, never a distance: told twice it would be gone to once. Trajectories
+Commands contain positions, never distances, so that a repeated frame does no harm. Trajectories
 that are functions are refused. Motors start one after another: CANSimple has no common signal.
 """
 
@@ -15,14 +15,21 @@ from collections.abc import Callable
 from math import isfinite
 from typing import Final, final
 
-from motorapi.commands import ControlMode, ControlVariable, Motion, Setpoint
-from motorapi.errors import DeviceFault, MotionInterrupted, PeerError, StateError, UnsupportedError
-from motorapi.model import MotorModel
-from motorapi.motor import Motor
-from motorapi.smooth_planning import asks_for_smoothness
-from motorapi.state import Fault, Measurement, MotorState
-from motorapi.synchronization import MotionTimes, SyncLevel, SyncOffer, Trigger
-from motorapi.trajectory import ComplexTrajectory, Trajectory
+from motorhil.motorapi.commands import ControlMode, ControlVariable, Motion, Setpoint
+from motorhil.motorapi.errors import (
+    DeviceFault,
+    MotionInterrupted,
+    PeerError,
+    StateError,
+    UnsupportedError,
+)
+from motorhil.motorapi.model import MotorModel
+from motorhil.motorapi.motor import Motor
+from motorhil.motorapi.planning.functions import asks_for_smoothness
+from motorhil.motorapi.state import Fault, Measurement, MotorState
+from motorhil.motorapi.synchronization.quality import MotionTimes, SyncLevel, SyncOffer, Trigger
+from motorhil.motorapi.trajectory import ComplexTrajectory, Trajectory
+
 from motorhil_odrive.host import messages as m
 from motorhil_odrive.host.braking import brake
 from motorhil_odrive.host.hardware import OdriveHwMotor
@@ -41,13 +48,13 @@ _SUPPORTED: Final = (ControlVariable.POSITION, ControlVariable.VELOCITY, Control
 
 @final
 class OdriveMotor(Motor):
-    """A logical motor on an ODrive. Any number of them may share one hardware object.
+    """A logical motor on an ODrive; several of them may share one hardware object.
 
     Args:
-        hardware: speaks for the drive.
-        model: what is constant of the motor; its gear ratio must be given.
-        name: what messages and records call it; None: the model's name and where it is.
-        on_close: is called once, when the motor is closed. The hardware object is its maker's.
+        hardware: the drive.
+        model: the motor's constants; its gear ratio is required.
+        name: its name in messages and records; None: the model's name and the drive's place.
+        on_close: called once when the motor is closed. The hardware object belongs to its creator.
     """
 
     def __init__(
@@ -69,17 +76,17 @@ class OdriveMotor(Motor):
         self._on_close = on_close
 
     def close(self) -> None:
-        """It is no longer used; closing again does nothing."""
+        """Close the motor; closing again does nothing."""
         on_close, self._on_close = self._on_close, None
         if on_close is not None:
             on_close()
 
     @property
     def hardware(self) -> OdriveHwMotor:
-        """The drive, with all it is able to do."""
+        """The drive, with all its abilities."""
         return self._hardware
 
-    # --- what it can do --------------------------------------------------------------------
+    # --- capabilities ----------------------------------------------------------------------
 
     def _supports(self, mode: ControlMode, variable: ControlVariable) -> bool:
         return variable in _SUPPORTED
@@ -132,7 +139,7 @@ class OdriveMotor(Motor):
 
     def _read_position(self) -> float:
         estimate = self._hardware.heard.estimate
-        assert estimate is not None  # _connect has seen to that
+        assert estimate is not None  # after _connect
         return estimate.position / self._units.rev
 
     def _read_velocity(self) -> float:
@@ -165,7 +172,7 @@ class OdriveMotor(Motor):
         return "encoder estimate, message 09h"
 
     def _refresh(self) -> float | None:
-        """Both come by themselves; a heartbeat that is asked for comes sooner."""
+        """Request a heartbeat, so that it comes sooner than by itself."""
         if not self._hardware.heard.is_lost and not self._hardware.is_closed:
             self._hardware.ask_for_heartbeat()
         return _REFRESH_S
@@ -189,7 +196,7 @@ class OdriveMotor(Motor):
 
         def is_answered(heard: Heartbeat) -> bool:
             if heard.state != m.CLOSED_LOOP and heard.time_ns > sent_ns:
-                denied.add(heard.time_ns)  # the first may have been queued before
+                denied.add(heard.time_ns)  # the first one may have been queued before the command
             return heard.state == m.CLOSED_LOOP or len(denied) > 1
 
         heartbeat = hardware.await_heartbeat(is_answered, _STATE_S)
@@ -216,7 +223,7 @@ class OdriveMotor(Motor):
         hardware.heard.follow(None)
         hardware.tell(m.AXIS_STATE, m.IDLE)
         sent_ns = hardware.confirm(hardware.tell(m.CLEAR_ERRORS, 0))
-        # One heartbeat may have been queued before: its errors are old.
+        # One heartbeat may have been queued before the command: its errors are old.
         hardware.await_heartbeat(lambda heard: heard.time_ns > sent_ns, _STATE_S)
         hardware.await_heartbeat(lambda heard: True, _STATE_S)
         fault = hardware.heard.fault()
@@ -231,7 +238,7 @@ class OdriveMotor(Motor):
             hardware.heard.follow(Called(hardware.tell(m.ABSOLUTE_POSITION, 0.0), window))
         elif method == _NEGATIVE_SWITCH:
             hardware.heard.follow(Homed(hardware.tell(m.AXIS_STATE, m.HOMING)))
-            hardware.doubt()  # it changes modes as it likes
+            hardware.doubt()  # the drive changes modes by itself
         else:
             feature = f"homing by method {method}"
             raise UnsupportedError(motor=self.name, feature=feature, supported="17, 35, 37")
@@ -264,7 +271,7 @@ class OdriveMotor(Motor):
         hardware.await_heartbeat(lambda _: is_settled(), _ANSWER_S)
         estimate = heard.estimate
         if heard.watch is not watch or heard.fault() is not None or estimate is None:
-            return  # stopped, or failed: who waits for it is told
+            return  # stopped or failed: the wait reports it
         if watch.was_ignored(estimate):
             raise PeerError(f"{self.name}: the drive did not take the set-point; it did not move")
 
@@ -283,7 +290,7 @@ class OdriveMotor(Motor):
             raise stream.error
         if not hardware.heard.is_in(m.CLOSED_LOOP, m.HOMING):
             if isinstance(watch, Rest):
-                return True  # nothing slows down any more
+                return True  # no active deceleration
             if watch.needs_power:
                 raise self._switched_off()
         if watch.is_over() and watch.failed:
@@ -292,7 +299,7 @@ class OdriveMotor(Motor):
 
     def _switched_off(self) -> MotionInterrupted:
         heartbeat = self._hardware.heard.heartbeat
-        assert heartbeat is not None  # or nothing would have begun
+        assert heartbeat is not None  # a motion has begun
         told = m.result_text(heartbeat.result)
         by = f"the drive, now in axis state {heartbeat.state} ({told})"
         return MotionInterrupted(motor=self.name, by=by, at_ns=heartbeat.time_ns)

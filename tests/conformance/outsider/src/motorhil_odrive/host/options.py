@@ -1,25 +1,25 @@
-"""How the host deals with one ODrive."""
+"""Options of the host for one ODrive."""
 
 from dataclasses import dataclass
 from math import isfinite
 from typing import final
 
-from motorapi.errors import UsageError
+from motorhil.motorapi.errors import UsageError
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OdriveOptions:
-    """Settings of a hardware object; in a rig, keys of the motor's table.
+    """The settings of a hardware object; in a rig, keys of the motor's table.
 
     Attributes:
-        heartbeat_timeout_ms: without a heartbeat for so long the drive is lost.
-        watchdog_feed_ms: how often whoever commanded last feeds the drive's watchdog.
-        estimate_period_ms: of the drive's encoder estimates, as it is configured.
-        stream_period_ms: between two set-points of velocity or torque while they change.
-        connect_timeout_s: for a drive that may still be booting.
-        velocity_window: of velocity_max, within which a velocity set-point is reached.
-        position_window_rev: within which of its target, in turns of the motor, a motion ends.
+        heartbeat_timeout_ms: without a heartbeat for this time the drive is lost.
+        watchdog_feed_ms: the period of feeding the drive's watchdog, by the last commander.
+        estimate_period_ms: the configured period of the drive's encoder estimates.
+        stream_period_ms: between two streamed set-points of velocity or torque.
+        connect_timeout_s: allows for a drive that is still booting.
+        velocity_window: share of velocity_max within which a velocity set-point is reached.
+        position_window_rev: distance from the target, in motor turns, within which a motion ends.
 
     Raises:
         UsageError: a value is not > 0.
@@ -34,7 +34,7 @@ class OdriveOptions:
     position_window_rev: float = 0.01
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be."""
+        """Raise UsageError for invalid values."""
         for name in self.__slots__:
             value = getattr(self, name)
             if not isfinite(value) or value <= 0.0:

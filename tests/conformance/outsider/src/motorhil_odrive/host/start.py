@@ -1,21 +1,23 @@
-"""One motion from arming to its beginning: what is told before, and the frame that starts it."""
+"""Start of a motion, from arming to the frame that triggers it."""
 
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Final, final
 
-from motorapi.commands import ControlVariable, Motion
-from motorapi.demand import demand_of, ramps
+from motorhil.motorapi.commands import ControlVariable, Motion
+from motorhil.motorapi.planning.sampling import demand_of, ramps
+
 from motorhil_odrive.host import messages as m
 from motorhil_odrive.host.stream import Stream
 from motorhil_odrive.host.watch import Arrival, Reached
 
 if TYPE_CHECKING:
-    from motorapi.model import MotorModel
+    from motorhil.motorapi.model import MotorModel
+
     from motorhil_odrive.host.hardware import OdriveHwMotor
     from motorhil_odrive.host.units import Units
 
 _HEADROOM: Final = 1.1
-"""The drive's velocity limit, by the model's: a loop that may not exceed it never catches up."""
+"""Factor on the drive's velocity limit: a loop at its limit would never catch up."""
 
 
 @final
@@ -31,7 +33,7 @@ class Start:
         self.model = model
 
     def fire(self) -> None:
-        """The motion has begun: what starts it was on the wire."""
+        """Start the motion; return when its start is on the bus."""
         if self.motion.variable is ControlVariable.POSITION:
             self._go()
         else:
@@ -41,7 +43,7 @@ class Start:
         hardware = self.hardware
         target = self.motion.target * self.units.rev
         estimate = hardware.heard.estimate
-        assert estimate is not None  # it was connected
+        assert estimate is not None  # connected before
         sent = hardware.tell(m.INPUT_POSITION, target, 0.0, 0.0)
         window = hardware.options.position_window_rev
         hardware.heard.follow(Arrival(sent, target, window, estimate.position))
@@ -59,7 +61,7 @@ class Start:
         window = self.model.velocity_max * hardware.options.velocity_window * abs(scale)
         watch = Reached(motion.target * scale if is_velocity else None, window)
         hardware.end_stream()
-        if not goes_on:  # the input first: it counts from the change of mode on
+        if not goes_on:  # the input first: it is valid from the change of mode on
             first = value(0.0) * scale
             hardware.tell(message, *((first, 0.0) if is_velocity else (first,)))
             hardware.tell(m.CONTROLLER_MODE, control, m.PASSTHROUGH)
@@ -69,7 +71,7 @@ class Start:
 
 
 def prepare(start: Start) -> None:
-    """All that the drive must have been told before has been on the wire; nothing has moved."""
+    """Send all settings of the motion, and wait until they are on the bus; nothing moves."""
     hardware, motion, units = start.hardware, start.motion, start.units
     size = abs(units.rev)
     sent = []
@@ -91,7 +93,7 @@ def prepare(start: Start) -> None:
 
 
 def profile(motion: Motion, before: float) -> tuple[Callable[[float], float], float]:
-    """(value over the time since the start [s], when its last one is due [s]) of a ramp."""
+    """Return a ramp's value over the time since the start [s], and its end time [s]."""
     if motion.trajectory is not None:
         demand = demand_of(motion)
         return demand.value, demand.final_argument

@@ -1,19 +1,21 @@
-"""Set-points that change from frame to frame, where the drive has no ramp that we could set.
+"""Streamed set-points, for ramps that the drive does not provide.
 
-CANSimple can set the limits of trapezoids of position, and no others: the ramps of velocity and
-torque are parameters of the drive that only endpoints (04h) reach. So these ramps are the host's,
-in small steps, and a host that dies in the middle leaves the last step to the drive's watchdog.
+CANSimple can set the limits of position trapezoids only. The ramps of velocity and torque are
+parameters of the drive that only endpoints (04h) reach. So these ramps are the host's, in small
+steps. If the host dies during a ramp, the drive's watchdog ends the last step.
 """
 
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Final, final
 
-from motorapi.errors import MotorError
+from motorhil.motorapi.errors import MotorError
+
 from motorhil_odrive.host.watch import Reached
 
 if TYPE_CHECKING:
-    from motorapi.fencing import BoundFence
-    from motorapi.runtime import Registration
+    from motorhil.motorapi.ownership.fencing import BoundFence
+    from motorhil.motorapi.runtime.api import Registration
+
     from motorhil_odrive.host.hardware import OdriveHwMotor
     from motorhil_odrive.host.messages import Message
     from motorhil_odrive.host.wire import Sent
@@ -21,18 +23,18 @@ if TYPE_CHECKING:
 
 @final
 class Stream:
-    """One of them; it begins with `begin`, and ends by itself or by `cancel`.
+    """A stream of set-points, which starts with `begin`, and ends by itself or by `cancel`.
 
     Args:
-        hardware: of the drive.
-        message: which brings a set-point, as the first of two signals or alone.
-        value: the set-point, so many seconds after the beginning, in the drive's units.
-        duration_s: when the last one is due.
-        watch: is told of the last one.
+        hardware: the drive.
+        message: the message with the set-point, as its only or its first signal.
+        value: the set-point in the drive's units, over the time since the start [s].
+        duration_s: the time of the last set-point.
+        watch: receives the last set-point's frame.
 
     Attributes:
         message: as above.
-        error: why it ended early; None: it did not.
+        error: the error that ended the stream early, or None.
         last: the last set-point sent.
     """
 
@@ -57,11 +59,11 @@ class Stream:
 
     @property
     def is_going(self) -> bool:
-        """Whether more set-points will come."""
+        """True if more set-points will come."""
         return self._registration is not None
 
     def begin(self) -> "Sent":
-        """The first set-point is on its way, the others follow. Raises as `OdriveHwMotor.tell`."""
+        """Send the first set-point, and start the others; raise as `OdriveHwMotor.tell`."""
         hardware = self._hardware
         self._began_ns = hardware.runtime.now_ns()
         if hardware.fence is not None:
@@ -73,7 +75,7 @@ class Stream:
         return sent
 
     def cancel(self) -> None:
-        """There are no more set-points; cancelling again does nothing."""
+        """End the stream; cancelling again does nothing."""
         registration, self._registration = self._registration, None
         if registration is not None:
             registration.cancel()

@@ -1,8 +1,9 @@
-"""Turns of the motor, which an ODrive counts in, and the units of the motor interface.
+"""Conversion between turns of the motor and units of the motor interface.
 
-The motor model's gear ratio says how many turns of the motor make one of the output, or a metre,
-and by its sign which way it goes. Torque is told at the motor's shaft: a gear is taken to lose
-nothing. Floats have 24 bits on the wire, so numbers are rounded here as they will be there.
+An ODrive counts turns of its motor. The motor model's gear ratio gives the turns per turn of the
+output, or per metre, and the direction by its sign. Torque is that of the motor's shaft; the gear
+is assumed to have no losses. Floats have 24 bits on the wire, so numbers are rounded here in
+advance.
 """
 
 import struct
@@ -10,22 +11,22 @@ from dataclasses import replace
 from math import tau
 from typing import TYPE_CHECKING, Final, final
 
-from motorapi.commands import ControlVariable, Motion
-from motorapi.errors import UsageError
-from motorapi.model import MotionKind
+from motorhil.motorapi.commands import ControlVariable, Motion
+from motorhil.motorapi.errors import UsageError
+from motorhil.motorapi.model import MotionKind
 
 if TYPE_CHECKING:
-    from motorapi.model import MotorModel
+    from motorhil.motorapi.model import MotorModel
 
 _ROUNDING: Final = 1e-9
 
 
 @final
 class Units:
-    """What 1 means to this motor's drive.
+    """The units of this motor's drive.
 
     Raises:
-        UsageError: the model does not tell the gear ratio.
+        UsageError: the model has no gear ratio.
     """
 
     def __init__(self, model: "MotorModel") -> None:
@@ -42,11 +43,11 @@ class Units:
         """Torque at the motor per N m (or N) at the output, signed."""
 
     def of(self, variable: ControlVariable) -> float:
-        """What the drive is told for 1 of this variable."""
+        """Return the drive's value for 1 of this variable."""
         return self.n_m if variable is ControlVariable.TORQUE else self.rev
 
     def rounded(self, motion: Motion) -> Motion:
-        """The motion in numbers that a frame can hold."""
+        """Return the motion, rounded to numbers that a frame can hold."""
         size = abs(self.rev)
         per = self.of(motion.variable)
         if motion.variable is not ControlVariable.POSITION:
@@ -61,13 +62,13 @@ class Units:
 
 
 def single(value: float) -> float:
-    """The nearest number that four bytes hold."""
+    """Return the nearest single-precision float."""
     (rounded,) = struct.unpack("<f", struct.pack("<f", value))
     return float(rounded)
 
 
 def single_below(value: float) -> float:
-    """The nearest one > 0 that is not above `value` > 0; what is one already stays."""
+    """Return the largest single-precision float > 0 that does not exceed `value` > 0."""
     nearest = single(value)
     if nearest <= value * (1.0 + _ROUNDING / 1e3):
         return nearest

@@ -1,8 +1,8 @@
-"""When what was commanded last is over, as the drive shows it: one class for each kind of command.
+"""End of the last command: one class for each kind.
 
-A heartbeat says whether the trapezoid is done, and goes on saying so of the last one. One that had
-been queued before the drive heard of the new one may come after it. So *done* counts once a
-heartbeat since the command has denied it, or with the second one since.
+A heartbeat has a flag for the end of the trapezoid, and keeps it for the last one. A heartbeat that
+was queued before the drive received a new command may come after it. So *done* counts only after a
+heartbeat without this flag, or from the second heartbeat on.
 """
 
 from typing import TYPE_CHECKING, Final, final
@@ -21,14 +21,14 @@ class Watch:
     """Follows one command.
 
     Args:
-        sent: what brought it; None: not known yet.
+        sent: its frame; None: not known yet.
 
     Attributes:
-        ended_ns: when it was seen to be over; None: it was not.
-        failed: why it has failed, in words; "": it has not.
-        moves: whether a command of somebody else interrupts it.
+        ended_ns: when its end was seen; None: not yet.
+        failed: why it has failed; "" if it has not.
+        moves: whether a command of another program interrupts it.
         needs_power: whether it is interrupted if the drive leaves closed loop.
-        references: whether the motor knows where its position 0 is after it.
+        references: whether the motor is referenced after it.
     """
 
     moves = True
@@ -43,18 +43,18 @@ class Watch:
 
     @property
     def started_ns(self) -> int | None:
-        """When the command was on the wire; None: it was not yet."""
+        """When the command was on the bus, or None."""
         return None if self.sent is None else self.sent.time_ns
 
     def is_over(self) -> bool:
-        """Whether it was seen to be over."""
+        """Return whether its end was seen."""
         return self.ended_ns is not None
 
     def see(self, heartbeat: "Heartbeat", estimate: "Estimate") -> None:
-        """One of the two is new."""
+        """Handle a new heartbeat or estimate."""
 
     def _is_new(self, time_ns: int) -> bool:
-        """Whether what came then came since the command, and was not seen before."""
+        """Return whether a message of this time is new, and later than the command."""
         started_ns = self.started_ns
         if started_ns is None or time_ns <= max(started_ns, self._seen_ns):
             return False
@@ -64,7 +64,7 @@ class Watch:
 
 @final
 class Armed(Watch):
-    """Nothing has begun yet; `before` is what was going on."""
+    """A motion that has not begun; `before` is the previous command's watch."""
 
     def __init__(self, before: Watch | None) -> None:
         super().__init__()
@@ -72,7 +72,7 @@ class Armed(Watch):
 
 
 class _Trapezoid(Watch):
-    """Whether the trapezoid that was commanded is done."""
+    """A command whose trapezoid must be done."""
 
     def __init__(self, sent: "Sent") -> None:
         super().__init__(sent)
@@ -81,7 +81,7 @@ class _Trapezoid(Watch):
         self._is_done = False
 
     def is_answered(self) -> bool:
-        """Whether the drive has shown what it makes of the command."""
+        """Return whether the drive has shown its reaction to the command."""
         return self._was_denied or self._heard >= _ENOUGH
 
     def _take(self, heartbeat: "Heartbeat") -> None:
@@ -93,7 +93,7 @@ class _Trapezoid(Watch):
 
 @final
 class Arrival(_Trapezoid):
-    """A motion: over when it is done and the motor is within the window of its target [rev]."""
+    """A motion, which ends when done with the motor within the window of its target [rev]."""
 
     def __init__(self, sent: "Sent", target: float, window: float, start: float) -> None:
         super().__init__(sent)
@@ -102,14 +102,14 @@ class Arrival(_Trapezoid):
         self._start = start
 
     def see(self, heartbeat: "Heartbeat", estimate: "Estimate") -> None:
-        """One of the two is new."""
+        """Handle a new heartbeat or estimate."""
         self._take(heartbeat)
         is_there = abs(estimate.position - self._target) <= self._window
         if self._is_done and is_there and self.ended_ns is None:
             self.ended_ns = max(heartbeat.time_ns, estimate.time_ns)
 
     def was_ignored(self, estimate: "Estimate") -> bool:
-        """Whether the drive says that it is done, and never left where it was."""
+        """Return whether the drive reports done without having moved."""
         is_there = abs(estimate.position - self._target) <= 2 * self._window
         has_left = abs(estimate.position - self._start) > self._window
         return not (is_there or has_left or self._was_denied)
@@ -117,7 +117,7 @@ class Arrival(_Trapezoid):
 
 @final
 class Rest(_Trapezoid):
-    """Any way of stopping: over when its trapezoid is done and the motor stands still."""
+    """A stop, which ends when its trapezoid is done and the motor is at rest."""
 
     moves = False
     needs_power = False
@@ -129,7 +129,7 @@ class Rest(_Trapezoid):
         self._estimated_ns = 0
 
     def see(self, heartbeat: "Heartbeat", estimate: "Estimate") -> None:
-        """One of the two is new."""
+        """Handle a new heartbeat or estimate."""
         self._take(heartbeat)
         if estimate.time_ns != self._estimated_ns:
             self._estimated_ns = estimate.time_ns
@@ -140,7 +140,7 @@ class Rest(_Trapezoid):
 
 @final
 class Reached(Watch):
-    """Set-points that are streamed: over when the last is out, and a velocity was seen [rev/s]."""
+    """A stream, which ends after its last set-point, when a velocity [rev/s] was reached."""
 
     def __init__(self, velocity: float | None, window: float) -> None:
         super().__init__()
@@ -149,11 +149,11 @@ class Reached(Watch):
         self._window = window
 
     def arrive(self, last: "Sent") -> None:
-        """This is the last set-point."""
+        """Note the frame of the last set-point."""
         self._last = last
 
     def see(self, heartbeat: "Heartbeat", estimate: "Estimate") -> None:
-        """One of the two is new."""
+        """Handle a new heartbeat or estimate."""
         last_ns = None if self._last is None else self._last.time_ns
         if last_ns is None or estimate.time_ns <= last_ns or self.ended_ns is not None:
             return
@@ -163,7 +163,7 @@ class Reached(Watch):
 
 @final
 class Called(Watch):
-    """Position 0 is here: over when an estimate says so."""
+    """A change of the position reference, which ends when an estimate shows position 0."""
 
     references = True
 
@@ -172,7 +172,7 @@ class Called(Watch):
         self._window = window
 
     def see(self, heartbeat: "Heartbeat", estimate: "Estimate") -> None:
-        """One of the two is new."""
+        """Handle a new heartbeat or estimate."""
         is_there = abs(estimate.position) <= self._window
         if self._is_new(estimate.time_ns) and is_there and self.ended_ns is None:
             self.ended_ns = estimate.time_ns
@@ -180,9 +180,9 @@ class Called(Watch):
 
 @final
 class Homed(Watch):
-    """The drive's own homing: over when it has left that state, one way or another."""
+    """The drive's own homing, which ends when the drive leaves that state."""
 
-    needs_power = False  # a refused one ends in IDLE, and says why
+    needs_power = False  # a refused homing ends in IDLE, with the reason
     references = True
 
     def __init__(self, sent: "Sent") -> None:
@@ -191,7 +191,7 @@ class Homed(Watch):
         self._began = False
 
     def see(self, heartbeat: "Heartbeat", estimate: "Estimate") -> None:
-        """One of the two is new."""
+        """Handle a new heartbeat or estimate."""
         if not self._is_new(heartbeat.time_ns) or self.ended_ns is not None:
             return
         self._heard += 1

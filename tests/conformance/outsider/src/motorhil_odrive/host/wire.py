@@ -1,19 +1,19 @@
-"""One ODrive's frames on a bus: what it says goes to handlers, what it is told is tracked."""
+"""Frames of one ODrive: received messages, and tracking of sent ones."""
 
 import struct
 from collections import deque
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Final, final
 
-from motorapi.bus_status import ERROR_FLAG, status_of
-from motorapi.errors import LinkError
+from motorhil.motorapi.errors import LinkError
+from motorhil.motorapi.runtime.can_sources import ERROR_FLAG, status_of
+
 from motorhil_odrive.host.messages import Message, decoded, encoded
 
 if TYPE_CHECKING:
     import can
-
-    from motorapi.fencing import Fence
-    from motorapi.runtime import Runtime
+    from motorhil.motorapi.ownership.fencing import Fence
+    from motorhil.motorapi.runtime.api import Runtime
 
 Handler = Callable[[tuple[float, ...], int], None]
 """(values of the signals, time [ns])."""
@@ -25,7 +25,7 @@ _WAITING_MAX: Final = 256
 
 @final
 class Sent:
-    """A frame on its way; `time_ns` is when it was complete on the bus, None before that."""
+    """A sent frame; `time_ns` is when it was complete on the bus, or None before that."""
 
     __slots__ = ("frame", "time_ns")
 
@@ -36,18 +36,18 @@ class Sent:
 
 @final
 class Wire:
-    """The host's end of one ODrive.
+    """The host's connection to one ODrive.
 
     Args:
-        bus: where it is.
-        runtime: where to wait.
-        node_id: its number there.
-        label: what errors call it.
-        on_command: is told of commands that others send to this drive.
-        on_bus_off: is told when the bus goes off: what waits then is lost.
+        bus: the bus of the drive.
+        runtime: the runtime for waits.
+        node_id: the drive's node-ID.
+        label: its name in errors.
+        on_command: called with commands of other programs to this drive.
+        on_bus_off: called when the bus goes off; queued frames are lost then.
 
     Attributes:
-        status: of the bus, by what its CAN controller tells.
+        status: the state of the bus from the host's CAN controller.
     """
 
     def __init__(
@@ -71,26 +71,26 @@ class Wire:
         self._registration = runtime.listen(bus, self._on_frame)
 
     def handle(self, message: Message, handler: Handler) -> None:
-        """What the drive says in this message goes to `handler`."""
+        """Pass the values of this message to `handler`."""
         self._handlers[self._first | message.command] = message, handler
 
     def tell(self, message: Message, *values: float, fence: "Fence | None" = None) -> Sent:
-        """The drive is told; a command goes out only while its fence lets it.
+        """Send a command to the drive, only while its fence permits it.
 
         Raises:
-            LinkError: the bus does not take it.
-            MotorBusyError: somebody else owns the motor.
+            LinkError: the bus does not accept the frame.
+            MotorBusyError: another user owns the motor.
         """
         data = encoded(message, *values)
         return self._send(_FRAME.pack(self._first | message.command, len(data), data), fence)
 
     def ask(self, message: Message) -> Sent:
-        """The drive is asked for this message, by a remote frame."""
+        """Request this message by a remote frame."""
         can_id = self._first | message.command | _REMOTE
         return self._send(_FRAME.pack(can_id, message.length, b""), None)
 
     def confirm(self, sent: Sent, timeout_s: float = 0.5) -> int:
-        """When the frame, and so all before it, was complete on the bus [ns].
+        """Return when the frame, and so all frames before it, was on the bus [ns].
 
         Raises:
             LinkError: not within `timeout_s` [s], or the bus went off.
@@ -107,7 +107,7 @@ class Wire:
         raise LinkError(link=self._label, reason=f"{reason}; {trouble}" if trouble else reason)
 
     def close(self) -> None:
-        """Nothing is heard any more."""
+        """Stop receiving."""
         self._registration.cancel()
 
     def _send(self, frame: bytes, fence: "Fence | None") -> Sent:
@@ -146,7 +146,7 @@ class Wire:
             return
         known = self._handlers.get(can_id)
         if can_id & _REMOTE:
-            return  # another program asks
+            return  # a request of another program
         if known is None:
             self._on_command(can_id & 0x1F, time_ns)
             return
@@ -156,7 +156,7 @@ class Wire:
             handler(values, time_ns)
 
     def _hear_controller(self, message: bytes, time_ns: int) -> None:
-        """Our own CAN controller tells of an error; that is no frame of anybody's."""
+        """Handle an error message of the own CAN controller, which is not a frame from the bus."""
         status, offs = self.status, self.status.offs
         status.hear(message, time_ns)
         if status.offs != offs:

@@ -1,0 +1,1 @@
+"""CAN frames, controllers and their errors."""

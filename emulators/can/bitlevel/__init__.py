@@ -1,0 +1,1 @@
+"""CAN error signalling bit by bit."""

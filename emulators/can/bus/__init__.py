@@ -1,0 +1,1 @@
+"""The emulated CAN bus: ports, arbitration, faults."""

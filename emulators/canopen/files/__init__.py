@@ -1,0 +1,1 @@
+"""EDS files and stored parameters."""

@@ -1,0 +1,102 @@
+"""Description of a device, independent of the file format."""
+
+from pathlib import Path
+from typing import final
+
+from motorhil.emulators.canopen.object_dictionary import ObjectDictionary, Value, Variable
+
+
+@final
+class VariableDescription:
+    """The description of one sub-index in a file, at `line`; `default` None: not stated.
+
+    `follows_node_id`: the default is an offset to $NODEID.
+    """
+
+    def __init__(
+        self,
+        index: int,
+        subindex: int,
+        name: str,
+        data_type: int,
+        access: str,
+        pdo_mappable: bool,
+        limits: tuple[int | None, int | None],
+        default: Value | None,
+        line: int,
+        follows_node_id: bool = False,
+    ) -> None:
+        self.index = index
+        self.subindex = subindex
+        self.name = name
+        self.data_type = data_type
+        self.access = access
+        self.pdo_mappable = pdo_mappable
+        self.low, self.high = limits
+        self.default = default
+        self.line = line
+        self.follows_node_id = follows_node_id
+
+    def variable(self) -> Variable:
+        """Return a new variable as described."""
+        variable = Variable(
+            self.index,
+            self.subindex,
+            self.data_type,
+            self.name,
+            self.access,
+            self.pdo_mappable,
+            self.low,
+            self.high,
+            self.default,
+        )
+        variable.follows_node_id = self.follows_node_id
+        return variable
+
+
+@final
+class DeviceDescription:
+    """The description of a device in an EDS or DCF, for one node-ID.
+
+    Attributes:
+        path: the file.
+        vendor_name, product_name, order_code: [DeviceInfo]; "" if not stated.
+        vendor_number, product_number, revision_number: [DeviceInfo]; 0 if not stated.
+        node_id: the value of $NODEID.
+        supports_lss: [DeviceInfo] LSS_Supported.
+        objects: every sub-index, by index and sub-index.
+        dummies: data types an RPDO may map as dummies.
+        warnings: (path, line, text) of everything that was repaired or left out.
+    """
+
+    def __init__(self, path: Path, node_id: int) -> None:
+        self.path = path
+        self.node_id = node_id
+        self.vendor_name = ""
+        self.product_name = ""
+        self.order_code = ""
+        self.vendor_number = 0
+        self.product_number = 0
+        self.revision_number = 0
+        self.supports_lss = False
+        self.objects: tuple[VariableDescription, ...] = ()
+        self.dummies: tuple[int, ...] = (1, 2, 3, 4, 5, 6, 7)
+        self.warnings: tuple[tuple[Path, int, str], ...] = ()
+
+    def dictionary(self) -> ObjectDictionary:
+        """Return a new object dictionary; `Variable.has_default` marks values stated in the file.
+
+        If 1018h states no identity, that of [DeviceInfo] is used.
+        """
+        od = ObjectDictionary()
+        od.dummies = self.dummies
+        od.node_id = self.node_id
+        od.supports_lss = self.supports_lss
+        for description in self.objects:
+            od.add(description.variable())
+        numbers = (self.vendor_number, self.product_number, self.revision_number)
+        for subindex, number in enumerate(numbers, start=1):
+            variable = od.get(0x1018, subindex)
+            if variable is not None and not variable.has_default and number:
+                variable.set_default(number)
+        return od

@@ -1,0 +1,1 @@
+"""The CiA 402 modes of operation."""

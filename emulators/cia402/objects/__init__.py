@@ -1,0 +1,1 @@
+"""The CiA 402 objects in the object dictionary."""

@@ -1,0 +1,1 @@
+"""Connections from emulated buses to the outside, in wall time."""

@@ -1,0 +1,335 @@
+"""Base of Modbus drives: a unit on a line, registers, one axis.
+
+A drive of a certain make derives from `ModbusDrive` and attaches behaviour to its registers. The
+drive does nothing between two calls: `next_deadline_ns` returns the time of the next required call.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+from motorhil.emulators.controller import ControllerContext, SettingError
+from motorhil.emulators.firmware.axis import NEVER_NS
+from motorhil.emulators.firmware.servo_tables import ServoGains
+from motorhil.emulators.modbus.codes import UNITS
+from motorhil.emulators.modbus.registers import RegisterBank
+from motorhil.emulators.modbus.rtu import RtuUnit
+from motorhil.emulators.modbus.server import Diagnostics, Identification, ModbusServer
+from motorhil.emulators.plant.dc_motor import PI, RANGES, MotorPlant
+from motorhil.emulators.plant.oscillator import IDEAL, Oscillator
+from motorhil.emulators.settings.motor import MOTOR_KEYS, axis_of, motor_in
+from motorhil.emulators.settings.tables import duration_ns, number, refuse_unknown, table_in, whole
+
+KEYS: Final = ("unit", *MOTOR_KEYS, "timing", "registers", "switches")
+TIMING_KEYS: Final = ("boot_up_s", "reply_s")
+SWITCH_KEYS: Final = ("home_rad", "limit_forward_rad", "limit_backward_rad")
+_RAD_MAX: Final = 1e9
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ModbusDriveSettings:
+    """One drive of a rig.
+
+    Attributes:
+        unit: its server address, 1..247.
+        plant, gains, tick_ns, current_steps: the motor, and the servo that drives it.
+        oscillator: its own clock.
+        boot_up_ns: from power-on until it responds.
+        reply_ns: from the end of a request to its response.
+        registers: power-on values of registers, by their keys in the rig (a name, or an address in
+            hex such as "6200h").
+        home_rad: the position at the output where its home switch closes (there and beyond); None:
+            it has none.
+        limit_forward_rad, limit_backward_rad: those of its limit switches, likewise.
+        initial_position_rad: at the output, at power-on.
+    """
+
+    unit: int
+    plant: MotorPlant
+    gains: ServoGains
+    tick_ns: int = 1_000_000
+    current_steps: int = 10
+    oscillator: Oscillator = IDEAL
+    boot_up_ns: int = 500_000_000
+    reply_ns: int = 2_000_000
+    registers: tuple[tuple[str, int], ...] = ()
+    home_rad: float | None = None
+    limit_forward_rad: float | None = None
+    limit_backward_rad: float | None = None
+    initial_position_rad: float = 0.0
+
+
+def read_settings(table: Mapping[str, object], context: ControllerContext) -> ModbusDriveSettings:
+    """Read the settings from a rig's table.
+
+    Raises:
+        SettingError: a key is unknown, or a value is missing or wrong.
+    """
+    refuse_unknown(table, KEYS, ())
+    if "unit" not in table:
+        raise SettingError(("unit",), "is missing", "a number 1..247")
+    motor = motor_in(table, context.stream())
+    timing = table_in(table, "timing")
+    refuse_unknown(timing, TIMING_KEYS, ("timing",))
+    switches = table_in(table, "switches")
+    refuse_unknown(switches, SWITCH_KEYS, ("switches",))
+    return ModbusDriveSettings(
+        unit=whole(table["unit"], ("unit",), UNITS[0], UNITS[-1]),
+        plant=motor.plant,
+        gains=motor.gains,
+        tick_ns=motor.tick_ns,
+        current_steps=motor.current_steps,
+        oscillator=motor.oscillator,
+        boot_up_ns=duration_ns(timing, "boot_up_s", 0.5, ("timing",)),
+        reply_ns=duration_ns(timing, "reply_s", 0.002, ("timing",)),
+        registers=_registers(table_in(table, "registers")),
+        home_rad=_switch(switches, "home_rad"),
+        limit_forward_rad=_switch(switches, "limit_forward_rad"),
+        limit_backward_rad=_switch(switches, "limit_backward_rad"),
+        initial_position_rad=motor.initial_position_rad,
+    )
+
+
+def _registers(table: Mapping[str, object]) -> tuple[tuple[str, int], ...]:
+    return tuple(
+        (key, whole(value, ("registers", key), -(1 << 31), (1 << 32) - 1))
+        for key, value in table.items()
+    )
+
+
+def _switch(table: Mapping[str, object], key: str) -> float | None:
+    return number(table[key], ("switches", key), -_RAD_MAX, _RAD_MAX) if key in table else None
+
+
+class ModbusDrive:
+    """The base of Modbus drives; implements `Controller`.
+
+    Args:
+        settings: of the rig.
+        bank: its holding registers, without behaviour so far.
+        identification: its identification; None: it has none.
+        functions: the supported function codes.
+        events: events to report at power-on.
+
+    Raises:
+        SettingError: the rig names an unknown register, or a value that does not fit it.
+    """
+
+    def __init__(
+        self,
+        settings: ModbusDriveSettings,
+        bank: RegisterBank,
+        identification: Identification | None,
+        functions: Sequence[int],
+        events: Sequence[tuple[str, str]] = (),
+    ) -> None:
+        self.unit = settings.unit
+        self.settings = settings
+        self.bank = bank
+        plant = settings.plant
+        self.inc_rad = plant.gear_ratio * plant.increments_per_rad()
+        self.axis = axis_of(settings, settings.oscillator.rate())
+        self.server = ModbusServer(
+            holding=bank,
+            identification=identification,
+            diagnostics=Diagnostics(),
+            functions=functions,
+        )
+        self.rtu = RtuUnit(settings.unit, self.server, settings.reply_ns)
+        self.is_powered = False
+        self.now_ns = 0  # of the current call, for readers and writers of registers
+        self._ready_ns = NEVER_NS
+        self._events: list[tuple[str, str]] = list(events)
+        self._set_registers()
+
+    def _set_registers(self) -> None:
+        for key, value in self.settings.registers:
+            path = ("registers", key)
+            try:
+                self.bank.set_default(key, value)
+            except KeyError:
+                raise SettingError(
+                    path, "is not a register of this drive", "see: motorhil list registers"
+                ) from None
+            except ValueError as error:
+                raise SettingError(path, str(error)) from None
+
+    # --- hooks of a make
+    # ---------------------------------------------------------------------------
+
+    def power_on(self) -> None:
+        """Handle power-on; registers have their power-on values."""
+
+    def power_off(self) -> None:
+        """Handle power-off; the axis has no current already."""
+
+    def settle(self) -> None:
+        """Apply the consequences of the axis state at `now_ns`."""
+
+    def wake_ns(self) -> int:
+        """Return when `settle` must be called at the latest [ns]; NEVER_NS: only on input."""
+        return NEVER_NS
+
+    def own_stimuli(self) -> Mapping[str, Callable[[float], None]]:
+        """Return further physical stimuli; a setter raises ValueError on a wrong value."""
+        return {}
+
+    def own_truth(self) -> Mapping[str, float]:
+        """Return further values of the true state."""
+        return {}
+
+    def tell(self, level: str, text: str) -> None:
+        """Report an event for the record."""
+        self._events.append((level, text))
+
+    # --- switches -------------------------------------------------------------------------------
+
+    def home_closed(self) -> bool:
+        """Return whether its home switch is closed."""
+        home_rad = self.settings.home_rad
+        return home_rad is not None and self.axis.output_position_rad() >= home_rad
+
+    def limits_closed(self) -> tuple[bool, bool]:
+        """Return whether its limit switches are closed: forward, backward."""
+        forward_rad, backward_rad = (
+            self.settings.limit_forward_rad,
+            self.settings.limit_backward_rad,
+        )
+        at_rad = self.axis.output_position_rad()
+        forward = forward_rad is not None and at_rad >= forward_rad
+        return forward, backward_rad is not None and at_rad <= backward_rad
+
+    # --- Controller -----------------------------------------------------------------------------
+
+    def start(self, now_ns: int) -> None:
+        """Power on."""
+        self.now_ns = now_ns
+        self.is_powered = True
+        self._ready_ns = now_ns + self.settings.boot_up_ns
+        self.bank.set_defaults()
+        self.power_on()
+
+    def receive(self, data: bytes, now_ns: int) -> None:
+        """Process a frame between two silences on the line; b"": it was spoiled."""
+        if not self.is_powered or now_ns < self._ready_ns:
+            return
+        self._at(now_ns)
+        if data:
+            self.rtu.receive(data, now_ns)
+            self.settle()  # a broadcast acts at once
+        else:
+            self.rtu.spoiled()
+
+    def sent(self, data: bytes, now_ns: int) -> bool | None:
+        """Ignore that an own frame left the line."""
+        return False
+
+    def wants_sent(self) -> bool:
+        """Return False: `sent` has no effect."""
+        return False
+
+    def next_deadline_ns(self) -> int | None:
+        """Return when `expire` must be called at the latest [ns], or None."""
+        if not self.is_powered:
+            return None
+        due_ns = self.wake_ns()
+        reply_ns = self.rtu.next_deadline_ns()
+        if reply_ns is not None and reply_ns < due_ns:
+            due_ns = reply_ns
+        event_ns = self.axis.event_ns(due_ns)
+        due_ns = event_ns if event_ns < due_ns else due_ns
+        return None if due_ns >= NEVER_NS else due_ns
+
+    def expire(self, now_ns: int) -> None:
+        """Process what is due: first the motor, then the response."""
+        self._at(now_ns)
+        self.rtu.expire(now_ns)
+        self.settle()
+
+    def take_output(self) -> Sequence[bytes]:
+        """Return the frames to send now."""
+        return self.rtu.take_output()
+
+    def take_events(self) -> Sequence[tuple[str, str]]:
+        """Return (level, text) of each event since the last call."""
+        events, self._events = self._events, []
+        return events
+
+    def stimulate(self, name: str, value: float, now_ns: int) -> None:
+        """Set the load at the output [N m], the supply (1 or 0), or a stimulus of the make.
+
+        Raises:
+            ValueError: the stimulus is unknown, or the value is invalid.
+        """
+        self._at(now_ns)
+        own = self.own_stimuli()
+        if name == "load_torque_n_m":
+            low, high = RANGES[name]
+            if not low <= value <= high:
+                raise ValueError(f"load_torque_n_m is {low:g}..{high:g} N m, not {value}")
+            self.axis.set_load(value)
+        elif name == "power":
+            if value not in (0, 1):
+                raise ValueError(f"power is 0 or 1, not {value}")
+            self._set_power(value == 1, now_ns)
+        elif name in own:
+            own[name](value)
+            self.settle()
+        else:
+            known = ", ".join(("load_torque_n_m", "power", *own))
+            raise ValueError(f"there is no stimulus {name!r}; known: {known}")
+
+    def _set_power(self, on: bool, now_ns: int) -> None:
+        if on and not self.is_powered:
+            self.start(now_ns)
+        elif not on and self.is_powered:
+            self.is_powered = False
+            self.axis.power(False)
+            self.rtu.power_off()
+            self.power_off()
+
+    def snapshot(self, now_ns: int) -> Mapping[str, float]:
+        """Return the true state at `now_ns`; rad and N m are behind the gear."""
+        axis = self.axis
+        axis.at(now_ns)
+        return {
+            "position_rad": axis.output_position_rad(),
+            "velocity_rad_s": axis.output_velocity_rad_s(),
+            "position_inc": float(axis.position_inc()),
+            "demand_inc": float(axis.demand_inc()),
+            "current_a": axis.current_a(),
+            "torque_n_m": axis.torque_n_m(),
+            "following_error_inc": float(axis.following_error_inc()),
+            **axis.truth_of_extras(),
+            **self.own_truth(),
+        }
+
+    def identifiers(self) -> Sequence[int] | None:
+        """Return None: every unit hears the whole line."""
+        return None
+
+    def identifiers_revision(self) -> int:
+        """Return a constant."""
+        return 0
+
+    def _at(self, now_ns: int) -> None:
+        self.now_ns = now_ns
+        self.axis.at(now_ns)
+        if self.is_powered:
+            self.settle()
+
+
+def alarm_code(value: float) -> int:
+    """Return the alarm code in the value of a stimulus.
+
+    Raises:
+        ValueError: the value is not a code.
+    """
+    if not (1 <= value <= 0xFFFF and value == int(value)):
+        raise ValueError(f"alarm {value}: invalid; expected a code 1..FFFFh")
+    return int(value)
+
+
+def revolutions_inc(plant: MotorPlant) -> int:
+    """Return the encoder increments per revolution of the motor, in front of the gear."""
+    return round(plant.increments_per_rad() * 2.0 * PI)

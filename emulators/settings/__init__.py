@@ -1,0 +1,1 @@
+"""Checked settings that several kinds of emulated drives share."""

@@ -1,0 +1,1 @@
+"""Event queue and networks that connect controllers in one simulated time."""

@@ -1,0 +1,269 @@
+"""Modbus lines of a world: serial lines, and TCP through a gateway.
+
+Controllers are the same on both: they receive and send RTU frames. On a serial line these are the
+frames on the wires. On TCP a gateway is in between, as in a real plant.
+"""
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from typing import Final, final
+
+from motorhil.emulators.media.byte_pipe import BytePipe
+from motorhil.emulators.media.serial_faults import SerialFaultPlan
+from motorhil.emulators.media.serial_line import CHARACTERS, SENT, SPOILED, SerialLine
+from motorhil.emulators.modbus.rtu import with_crc
+from motorhil.emulators.modbus.tcp import GATEWAY_TIMEOUT_NS, GONE, MbapStream, TcpGateway
+from motorhil.emulators.modbus.tcp import adu as adu_of
+from motorhil.emulators.simulation.endpoints import (
+    ControllerSlot,
+    Endpoint,
+    HostListener,
+    Overseer,
+    Segment,
+)
+from motorhil.emulators.simulation.event_queue import UNSET
+
+LineTap = Callable[[str, int, int, int, str, bytes, bool], None]
+"""A listener: (line, now, first bit's begin and last bit's end [ns], sender, ADU, spoiled)."""
+
+
+class LineSegment(Segment, ABC):
+    """The common part of serial lines and gateways: endpoints, faults, taps."""
+
+    def __init__(self, name: str, overseer: Overseer, plan: SerialFaultPlan | None) -> None:
+        super().__init__(name, overseer.queue)
+        self.taps: list[LineTap] = []
+        self.plan = plan
+        self.endpoints: list[Endpoint] = []
+        self._overseer = overseer
+        self._alarm = overseer.queue.alarm(self._expire)
+
+    @abstractmethod
+    def attach(self, name: str) -> int:
+        """Attach a controller and return the number of its new port."""
+
+    def join(self, slot: ControllerSlot, unit: int) -> None:
+        """Add the controller whose port was attached last."""
+        self.endpoints.append(slot)
+
+    @abstractmethod
+    def add_host(self, name: str, listener: HostListener) -> "LineHost":
+        """Return a new port for an application on the line."""
+
+    def free_name(self, wish: str) -> str:
+        """Return the wanted name, with a number appended if it is taken."""
+        taken = [endpoint.name for endpoint in self.endpoints]
+        name, number = wish, 1
+        while name in taken:
+            number += 1
+            name = f"{wish}-{number}"
+        return name
+
+    def remove_listener(self, endpoint: Endpoint) -> None:
+        """Stop deliveries to the endpoint."""
+        if isinstance(endpoint, LineHost):
+            endpoint.is_closed = True
+
+    @abstractmethod
+    def _expire(self, now_ns: int) -> None:
+        """Process what is due."""
+
+    def _settle(self, deadline_ns: int | None) -> None:
+        if self.plan is not None:
+            for time_ns, rule, what, data in self.plan.take_events():
+                text = f"{rule}: {what} {data.hex(' ').upper()}"
+                self._overseer.report(time_ns, "warning", self.name, text)
+        due_ns = UNSET if deadline_ns is None else deadline_ns
+        if due_ns != self._alarm.time_ns:
+            self._alarm.move(due_ns)
+
+
+@final
+class LineHost(Endpoint):
+    """The port of an application: bytes in, bytes out."""
+
+    def __init__(self, name: str, port: int, segment: LineSegment, listener: HostListener) -> None:
+        super().__init__(name, port)
+        self.is_closed = False
+        self._segment = segment
+        self._listener = listener
+
+    def deliver(self, frame: bytes, now_ns: int) -> None:
+        """Pass received characters to the application."""
+        if not self.is_closed:
+            self._listener(frame, now_ns, False)
+
+    def confirm(self, frame: bytes, now_ns: int) -> None:
+        """Inform the application that its last character is sent."""
+        if not self.is_closed:
+            self._listener(frame, now_ns, True)
+
+    def send(self, data: bytes) -> None:
+        """Send these characters."""
+        self._segment.submit(self.port, data, self._segment.queue.now_ns)
+
+    def close(self) -> None:
+        """Stop deliveries to the application."""
+        self._segment.remove_listener(self)
+
+
+@final
+class SerialSegment(LineSegment):
+    """A serial line with its endpoints."""
+
+    def __init__(self, line: SerialLine, overseer: Overseer, plan: SerialFaultPlan | None) -> None:
+        super().__init__(line.name, overseer, plan)
+        self.line: Final = line
+
+    def attach(self, name: str) -> int:
+        """Attach a port and return its number."""
+        return self.line.attach(name)
+
+    def add_host(self, name: str, listener: HostListener) -> LineHost:
+        """Return a new port for an application on the line."""
+        name = self.free_name(name)
+        host = LineHost(name, self.line.attach(name), self, listener)
+        self.endpoints.append(host)
+        return host
+
+    def submit(self, port: int, frame: bytes, now_ns: int) -> None:
+        """Let the port begin to send."""
+        self.line.submit(port, frame, now_ns)
+        self._settle(self.line.next_deadline_ns())
+
+    def _expire(self, now_ns: int) -> None:
+        for kind, data, port, start_ns in self.line.expire(now_ns):
+            if kind == SENT:
+                self.endpoints[port].confirm(data, now_ns)
+            elif kind == CHARACTERS:
+                for endpoint in self.endpoints:
+                    if isinstance(endpoint, LineHost) and endpoint.port != port:
+                        endpoint.deliver(data, now_ns)
+            else:
+                spoiled = kind == SPOILED
+                end_ns, sender = self.line.silent_since_ns(), self.endpoints[port].name
+                for tap in self.taps:
+                    tap(self.name, now_ns, start_ns, end_ns, sender, data, spoiled)
+                for endpoint in self.endpoints:
+                    if isinstance(endpoint, ControllerSlot) and endpoint.port != port:
+                        endpoint.deliver(b"" if spoiled else data, now_ns)
+        self._settle(self.line.next_deadline_ns())
+
+
+@final
+class TcpSegment(LineSegment):
+    """Controllers behind a gateway, and the connections to it. Ports count both."""
+
+    def __init__(
+        self,
+        pipe: BytePipe,
+        overseer: Overseer,
+        plan: SerialFaultPlan | None,
+        timeout_ns: int = GATEWAY_TIMEOUT_NS,
+    ) -> None:
+        super().__init__(pipe.name, overseer, plan)
+        self.gateway: Final = TcpGateway(timeout_ns)
+        self._pipe = pipe
+        self._slots: dict[int, ControllerSlot] = {}  # by unit
+        self._units: dict[int, int] = {}  # by port
+        self._connections: dict[int, int] = {}  # by port
+        self._timeout = overseer.queue.alarm(self._give_up)
+        self._hosts: list[LineHost] = []  # by connection
+        self._streams: list[MbapStream] = []
+
+    def attach(self, name: str) -> int:
+        """Return the number of the next port."""
+        return len(self.endpoints)
+
+    def join(self, slot: ControllerSlot, unit: int) -> None:
+        """Add the controller under this unit identifier.
+
+        Raises:
+            ValueError: the identifier is taken.
+        """
+        self.gateway.add_unit(unit)
+        super().join(slot, unit)
+        self._slots[unit] = slot
+        self._units[slot.port] = unit
+
+    def add_host(self, name: str, listener: HostListener) -> LineHost:
+        """Open a connection."""
+        name = self.free_name(name)
+        host = LineHost(name, len(self.endpoints), self, listener)
+        self.endpoints.append(host)
+        self._connections[host.port] = self._pipe.connect(name, self.name)
+        self._hosts.append(host)
+        self._streams.append(MbapStream())
+        return host
+
+    def remove_listener(self, endpoint: Endpoint) -> None:
+        """Close the connection."""
+        super().remove_listener(endpoint)
+        connection = self._connections[endpoint.port]
+        self._pipe.close(connection)
+        self.gateway.forget(connection)
+
+    def submit(self, port: int, frame: bytes, now_ns: int) -> None:
+        """Process the bytes of a client, or the response of a controller."""
+        connection = self._connections.get(port)
+        if connection is not None:
+            self._pipe.submit(connection, True, frame, now_ns)
+        else:
+            self._respond(self._units[port], frame[1:-2], now_ns)
+        self._settle(self._pipe.next_deadline_ns())
+
+    def _respond(self, unit: int, pdu: bytes, now_ns: int) -> None:
+        answer = self.gateway.answered(unit, pdu)
+        if answer is not None:
+            self._send_back(*answer, now_ns, self._slots[unit].name)
+        self._ask_next(unit, now_ns)
+
+    def _send_back(self, connection: int, adu: bytes, now_ns: int, sender: str) -> None:
+        if connection != GONE:
+            self._tap(now_ns, sender, adu)
+            self._pipe.submit(connection, False, adu, now_ns, sender)
+
+    def _ask_next(self, unit: int, now_ns: int) -> None:
+        pdu = self.gateway.next_for(unit, now_ns)
+        if pdu is not None:
+            self._slots[unit].deliver(with_crc(bytes((unit,)) + pdu), now_ns)
+
+    def _expire(self, now_ns: int) -> None:
+        for data, connection, to_server in self._pipe.expire(now_ns):
+            if to_server:
+                self._hear(connection, data, now_ns)
+            else:
+                self._hosts[connection].deliver(data, now_ns)
+        self._settle(self._pipe.next_deadline_ns())
+
+    def _give_up(self, now_ns: int) -> None:
+        """Handle timed-out units and set the next timeout."""
+        for unit, connection, adu in self.gateway.expired(now_ns):
+            self._send_back(connection, adu, now_ns, self.name)
+            self._ask_next(unit, now_ns)
+        self._timeout.set(self.gateway.next_deadline_ns())
+        self._settle(self._pipe.next_deadline_ns())
+
+    def _hear(self, connection: int, data: bytes, now_ns: int) -> None:
+        stream, host = self._streams[connection], self._hosts[connection]
+        for request in stream.feed(data):
+            if self.taps:
+                self._tap(now_ns, host.name, adu_of(*request))
+            if not self.gateway.knows(request[1]) or self.gateway.is_full(request[1]):
+                self._send_back(connection, self.gateway.refusal(request), now_ns, self.name)
+                continue
+            handed_on = self.gateway.ask(connection, request, now_ns)
+            if self._timeout.time_ns == UNSET:  # else it rings earlier, and is set again then
+                self._timeout.set(self.gateway.next_deadline_ns())
+            if handed_on is not None:
+                unit, pdu = handed_on
+                self._slots[unit].deliver(with_crc(bytes((unit,)) + pdu), now_ns)
+        if stream.closed_because is not None and not host.is_closed:
+            text = f"{host.name} is disconnected: {stream.closed_because}"
+            self._overseer.report(now_ns, "warning", self.name, text)
+            host.deliver(b"", now_ns)  # the end of the stream
+            host.close()
+
+    def _tap(self, now_ns: int, sender: str, adu: bytes) -> None:
+        for tap in self.taps:
+            tap(self.name, now_ns, now_ns, now_ns, sender, adu, False)

@@ -1,0 +1,268 @@
+"""The verb `conform`: checks an adaptation against the motor interface.
+
+Each clause of the kit is checked on a bench of its own, in another process, so that an adaptation
+cannot end the run. A clause that fails is checked again with the same seed, and that run is
+recorded.
+"""
+
+import argparse
+import os
+import sys
+import time
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from motorhil.harness.cli.main import FAILED, NOT_JUDGED, PASSED, WRONG_USAGE
+from motorhil.harness.cli.options import add_seed
+from motorhil.harness.rig.config.toml import RigError, listed, nearest, one_line
+
+if TYPE_CHECKING:
+    from motorhil.harness.conformance.examination import Finding
+    from motorhil.harness.conformance.results import Outcome
+    from motorhil.harness.conformance.worker import Promise, Supervisor
+
+_MORE: Final = """\
+Without --rig the adaptation is checked on the rig that comes with it. Exit status: 0 all claims
+are kept, 1 one is not, 2 wrong usage, 3 no clause was applicable.
+"""
+_RECORDS: Final = Path("out", "conform")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of `conform`."""
+    parser.epilog = _MORE
+    parser.add_argument(
+        "--adaptation",
+        metavar="NAME",
+        help="from `motorhil list adaptations`, or package.module:function",
+    )
+    parser.add_argument("--rig", metavar="RIG", help="a rig file with motors of this adaptation")
+    parser.add_argument("--level", type=level_of, metavar="L3", help="all clauses up to this level")
+    parser.add_argument(
+        "--clause", action="append", metavar="ID", help="only this clause; repeatable"
+    )
+    parser.add_argument(
+        "--on",
+        action="append",
+        metavar="[BUS=]WHERE",
+        help="the rig's motors are on real buses: a SocketCAN interface, the socket of `motorhil "
+        "serve`, interface:channel of python-can; a Modbus line: a device, or host:port",
+    )
+    add_seed(parser)
+    parser.add_argument(
+        "-o",
+        "--output",
+        type=Path,
+        default=_RECORDS,
+        metavar="DIR",
+        help=f"folder for the records of failed clauses (default {_RECORDS})",
+    )
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write the results as JSON")
+    parser.add_argument("--junit", type=Path, metavar="FILE", help="write the results as JUnit XML")
+    parser.add_argument("--html", type=Path, metavar="FILE", help="write the results as HTML")
+    parser.add_argument("--list", action="store_true", help="print the clauses, and check none")
+
+
+def level_of(text: str) -> int:
+    """Parse a level of the kit, for argparse."""
+    from motorhil.harness.conformance.clause import Level
+
+    found = {one.name: one for one in Level}.get(f"L{text.upper().removeprefix('L')}")
+    if found is None:
+        raise argparse.ArgumentTypeError(f"invalid level {text!r}; use L0 to {max(Level).name}")
+    return found
+
+
+def run(options: argparse.Namespace) -> int:
+    """Check the clauses; return 0 if all claims are kept, 1 if not, 3 if none is applicable.
+
+    Raises:
+        RigError: a file or an option cannot be used, or a result cannot be written.
+    """
+    from motorhil.harness.conformance.worker import CannotTestError, Job, Supervisor, WrongJobError
+    from motorhil.harness.virtual_time.interrupts import ends_by_signal
+
+    if options.list:
+        return _list(options)
+    if options.adaptation is None and options.rig is None:
+        print(
+            "motorhil conform: no adaptation named; use --adaptation NAME, --rig RIG, or both",
+            file=sys.stderr,
+        )
+        return WRONG_USAGE
+    files = [one for one in (options.json, options.junit, options.html) if one is not None]
+    for file in files:
+        _require_writable(file)
+    if os.getcwd() not in sys.path:
+        sys.path.insert(0, os.getcwd())  # finds modules that are not installed yet
+    job = Job(options.adaptation or "", options.rig or "", options.seed, tuple(options.on or ()))
+    try:
+        with ends_by_signal(), Supervisor(job) as supervisor:
+            outcome = _outcome(options, supervisor)
+    except WrongJobError as error:
+        print(error, file=sys.stderr)
+        return WRONG_USAGE
+    except CannotTestError as error:
+        print(f"motorhil conform: {error}", file=sys.stderr)
+        return FAILED
+    _write(options, outcome)
+    _tell(outcome)
+    if outcome.is_empty:
+        print("motorhil conform: no clause was applicable, so nothing was tested", file=sys.stderr)
+        return NOT_JUDGED
+    return PASSED if outcome.passed else FAILED
+
+
+def _require_writable(file: Path) -> None:
+    """Raise RigError if a file cannot be written, before any clause is checked."""
+    if file.is_dir():
+        raise RigError(file, "is a folder", "name a file in it")
+    if not file.parent.is_dir():
+        raise RigError(file, f"folder {file.parent} does not exist", "create it, or name another")
+    if not os.access(file if file.exists() else file.parent, os.W_OK):
+        raise RigError(file, "cannot be written", "name another file")
+
+
+def _chosen(options: argparse.Namespace, known: "Sequence[Promise]") -> "list[Promise]":
+    """Return the selected clauses in the order of the kit.
+
+    Raises:
+        RigError: an option names a clause that does not exist, or one above the level.
+    """
+    by_id = {one.id: one for one in known}
+    for name in options.clause or ():
+        if name not in by_id:
+            remedy = nearest(name, list(by_id))
+            if not remedy.startswith("did"):
+                remedy = f"one of {listed(by_id)}"
+            raise RigError(f"--clause {name}", "there is no such clause", remedy)
+        level = by_id[name].level
+        if options.level is not None and level > options.level:
+            told = f"is of level L{level}, above --level L{options.level}"
+            raise RigError(f"--clause {name}", told, "leave --level out")
+    return [
+        one
+        for one in known
+        if (options.level is None or one.level <= options.level)
+        and (options.clause is None or one.id in options.clause)
+    ]
+
+
+def _list(options: argparse.Namespace) -> int:
+    from motorhil.harness.cli.options import print_table
+    from motorhil.harness.conformance.kit import all_clauses
+    from motorhil.harness.conformance.worker import Promise
+
+    known = [Promise(one.id, one.level, one.promise, one.source) for one in all_clauses().values()]
+    rows = [(one.id, f"L{one.level}", one.promise, one.source) for one in _chosen(options, known)]
+    print_table(("clause", "level", "promise", "source"), rows, words=(0, 1, 2, 3))
+    return PASSED
+
+
+def _outcome(options: argparse.Namespace, supervisor: "Supervisor") -> "Outcome":
+    """Check the clauses, print each result as it comes, and return the outcome."""
+    from motorhil.harness.conformance.examination import Examiner
+    from motorhil.harness.conformance.results import Outcome
+    from motorhil.harness.conformance.worker import CannotTestError
+
+    chosen = _chosen(options, supervisor.loaded.clauses)
+    examiner = Examiner(supervisor, _command(options), options.output, is_live=bool(options.on))
+    findings: list[Finding] = []
+    first_s = 0.0
+    for number, promise in enumerate(chosen, 1):
+        _progress(f"{promise.id} ({number} of {len(chosen)})")
+        finding = examiner.examine(promise)
+        first_s = first_s or _running_s()
+        _progress("")
+        _tell_one(finding)
+        findings.append(finding)
+    try:
+        claims = supervisor.claims()
+    except CannotTestError as error:
+        print(f"motorhil conform: {error}", file=sys.stderr)
+        claims = None
+    return Outcome(supervisor.loaded, findings, claims, first_s, _running_s())
+
+
+def _command(options: argparse.Namespace) -> list[str]:
+    words = ["motorhil", "conform"]
+    if options.adaptation is not None:
+        words += ["--adaptation", options.adaptation]
+    if options.rig is not None:
+        words += ["--rig", options.rig]
+    for where in options.on or ():
+        words += ["--on", where]
+    return words
+
+
+def _running_s() -> float:
+    """Return the age of this process [s]."""
+    fields = Path("/proc/self/stat").read_text().rpartition(")")[2].split()
+    born_s = int(fields[19]) / os.sysconf("SC_CLK_TCK")
+    return time.clock_gettime(time.CLOCK_BOOTTIME) - born_s
+
+
+# --- output ------------------------------------------------------------------------------------
+
+
+def _progress(text: str) -> None:
+    """Show the current clause on a terminal."""
+    if sys.stderr.isatty():
+        print(f"\r\033[K{text}", end="", file=sys.stderr, flush=True)
+
+
+def _tell_one(one: "Finding") -> None:
+    from motorhil.harness.conformance.results import more_of
+
+    verdict = one.verdict
+    told = verdict.seen or one.promise.promise
+    print(
+        f"{one.promise.id:<10}{verdict.result.value:<15}{verdict.time_ns / 1e9:8.3f} s"
+        f"  {one_line(told)}"
+    )
+    for line in more_of(one):
+        print(f"{'':<10}{one_line(line)}")
+    sys.stdout.flush()
+
+
+def _tell(outcome: "Outcome") -> None:
+    from motorhil.harness.conformance.clause import Result
+
+    counts = [(outcome.count(result), result) for result in Result]
+    told = ", ".join(f"{count} {result.value}" for count, result in counts if count)
+    took = f"first verdict after {outcome.first_verdict_s:.2f} s, the last {outcome.took_s:.2f} s"
+    clauses = "1 clause" if len(outcome.findings) == 1 else f"{len(outcome.findings)} clauses"
+    print(f"\n{clauses}: {told or 'none'}; {took}")
+    if outcome.claims is not None:
+        claimed = [name for name, why_not in outcome.claims.items() if not why_not]
+        print(f"claimed: {listed(claimed)}")
+    reasons: dict[str, list[str]] = {}
+    for one in outcome.findings:
+        if one.verdict.result is Result.NOT_APPLICABLE:
+            reasons.setdefault(one.verdict.seen, []).append(one.promise.id)
+    for reason, names in reasons.items():
+        print(f"not applicable: {', '.join(names)}: {one_line(reason)}")
+
+
+def _write(options: argparse.Namespace, outcome: "Outcome") -> None:
+    """Write the requested result files.
+
+    Raises:
+        RigError: a file cannot be written.
+    """
+    from motorhil.harness.conformance.results import as_json, as_junit, as_page
+
+    texts: tuple[tuple[Path | None, Callable[[Outcome], str]], ...] = (
+        (options.json, as_json),
+        (options.junit, as_junit),
+        (options.html, partial(as_page, folder=options.html and options.html.parent)),
+    )
+    for file, text in texts:
+        if file is None:
+            continue
+        try:
+            file.write_text(text(outcome), encoding="utf-8")
+        except OSError as error:
+            raise RigError(file, f"cannot be written: {error.strerror}") from None

@@ -1,0 +1,147 @@
+"""The verb `diff`: compares the meaning of two recordings."""
+
+import argparse
+import json
+import sys
+from collections import deque
+from collections.abc import Sequence
+from typing import Final
+
+from motorhil.harness.cli.main import FAILED, PASSED
+from motorhil.harness.cli.options import real, whole
+from motorhil.harness.cli.show import text_of
+from motorhil.harness.replay.verdict import meaning_in
+from motorhil.traces.decoding.narrative import Line, Story
+from motorhil.traces.digest import first_mismatch
+from motorhil.traces.mcap.reader import read_trace
+from motorhil.traces.semantics.diff import Difference, Tolerance, differences
+from motorhil.traces.semantics.model import Meaning
+
+_NS = 1_000_000_000
+_AROUND_NS = 2 * _NS
+
+
+_SAYS_NOTHING: Final = "no event of known meaning; use --exact to compare bytes"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of `diff`."""
+    usual = Tolerance()
+    parser.add_argument("first", metavar="A", help="a recording (MCAP)")
+    parser.add_argument("second", metavar="B", help="another recording (MCAP)")
+    parser.add_argument(
+        "--exact", action="store_true", help="compare bytes and times of all messages"
+    )
+    parser.add_argument(
+        "--tolerance",
+        type=real(0.0, 1e9),
+        default=usual.position,
+        metavar="X",
+        help=f"tolerance of positions, rad or m (default {usual.position:g})",
+    )
+    parser.add_argument(
+        "--tolerance-s",
+        type=real(0.0, 1e9, "s"),
+        default=usual.time_ns / _NS,
+        metavar="S",
+        help=f"tolerance of times of motions (default {usual.time_ns / _NS:g})",
+    )
+    parser.add_argument(
+        "--context",
+        type=whole(0, 1_000_000, "lines"),
+        default=3,
+        metavar="N",
+        help="lines of context (default 3)",
+    )
+    parser.add_argument("--json", action="store_true", help="print JSON")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Compare two recordings; return 0 if they mean the same, 1 if not.
+
+    Raises:
+        TraceError: a recording cannot be read, or is damaged.
+    """
+    if options.exact:
+        return _exact(options)
+    first, second = (meaning_in(path, "diff") for path in (options.first, options.second))
+    tolerance = Tolerance(options.tolerance, round(options.tolerance_s * _NS))
+    found = differences(first, second, tolerance)
+    for path, meaning in ((options.first, first), (options.second, second)):
+        if not meaning.items and not meaning.motions:
+            print(f"motorhil diff: {path}: {_SAYS_NOTHING}", file=sys.stderr)
+    if options.json:
+        print(json.dumps({"same": not found, "differences": [_facts(one) for one in found]}))
+        return FAILED if found else PASSED
+    if found:
+        _tell(options, found[0])
+    _summarise(first, second, found)
+    return FAILED if found else PASSED
+
+
+def _exact(options: argparse.Namespace) -> int:
+    mismatch = first_mismatch(options.first, options.second)
+    if options.json:
+        place = None if mismatch is None else mismatch.number
+        print(json.dumps({"same": mismatch is None, "message": place}))
+    else:
+        print("every message is the same" if mismatch is None else mismatch)
+    return PASSED if mismatch is None else FAILED
+
+
+def _tell(options: argparse.Namespace, difference: Difference) -> None:
+    """Print the difference, with both recordings' context of the same node or motor."""
+    print(f"first difference, {difference.time_ns / _NS:.6f} s: {difference}")
+    sides = ((options.first, difference.first), (options.second, difference.second))
+    for path, item in sides:
+        time_ns = difference.time_ns if item is None else item.time_ns
+        print(f"\n{path}:")
+        for line in _around(path, difference, time_ns, options.context):
+            mark = ">" if item is not None and line.time_ns == item.time_ns else " "
+            print(f"{mark}{text_of(line)}")
+
+
+def _around(path: str, difference: Difference, time_ns: int, count: int) -> Sequence[Line]:
+    before: deque[Line] = deque(maxlen=count)
+    behind: list[Line] = []
+    with read_trace(path) as trace:
+        story = Story(trace)
+        begin_ns = max(0, time_ns - _AROUND_NS)
+        for line in story.lines(begin_ns, time_ns + _AROUND_NS):
+            if not _is_about(line, difference):
+                continue
+            if line.time_ns < time_ns:
+                before.append(line)
+            elif line.time_ns == time_ns or len(behind) <= count:
+                behind.append(line)
+    return [*before, *behind]
+
+
+def _is_about(line: Line, difference: Difference) -> bool:
+    place, node, _ = difference.key
+    if node is not None:
+        return line.place == place and line.said is not None and line.said.node == node
+    return line.place == place or place in line.names
+
+
+def _summarise(first: Meaning, second: Meaning, found: list[Difference]) -> None:
+    orders = len({**first.items, **second.items})
+    quantities = len({**first.motions, **second.motions})
+    compared = f"{orders} orders of events and {quantities} motions"
+    counts = f"{first.messages} and {second.messages} messages"
+    if not found:
+        print(f"the same: {compared} compared, in {counts}")
+        return
+    print(f"\n{len(found)} of {compared} differ, in {counts}:")
+    for one in found[:20]:
+        print(f"  {one.time_ns / _NS:12.6f} s  {one}")
+    if len(found) > 20:
+        print(f"  and {len(found) - 20} more")
+
+
+def _facts(one: Difference) -> dict[str, object]:
+    told = {
+        side: None if item is None else {"time_ns": item.time_ns, "text": item.text}
+        for side, item in (("first", one.first), ("second", one.second))
+    }
+    return {"time_ns": one.time_ns, "about": one.label, **told}

@@ -1,0 +1,146 @@
+"""The verb `judge`: checks a recording against the oracles."""
+
+import argparse
+import json
+import sys
+import textwrap
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Final
+
+from motorhil.harness.cli.main import FAILED, NOT_JUDGED, PASSED, WRONG_USAGE
+from motorhil.harness.cli.options import print_table, time_ns
+from motorhil.harness.oracles.base import Finding, Verdict
+from motorhil.harness.oracles.facts import Facts, read_limits, read_rig
+from motorhil.harness.oracles.judge import CATALOGUE, IDS, is_sound, judge
+from motorhil.traces.formats.registry import open_source
+from motorhil.traces.mcap.reader import read_trace
+
+_WIDTH: Final = 100
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of `judge`."""
+    parser.add_argument(
+        "file", nargs="?", metavar="FILE", help="a recording: MCAP, candump, TRC, ASC, BLF, CSV ..."
+    )
+    parser.add_argument(
+        "--list", action="store_true", help="print the promises of the oracles, and their sources"
+    )
+    parser.add_argument(
+        "--only",
+        action="append",
+        choices=IDS,
+        default=[],
+        metavar="ID",
+        help="only this oracle; may be repeated",
+    )
+    parser.add_argument(
+        "--limits",
+        type=Path,
+        metavar="TOML",
+        help="limits of measured values, by motor",
+    )
+    parser.add_argument(
+        "--rig", type=Path, metavar="RIG", help="the rig, if the recording does not contain it"
+    )
+    parser.add_argument(
+        "--complete",
+        action="store_true",
+        help="the recording has every frame of its buses: missing frames count",
+    )
+    parser.add_argument("--from", type=time_ns, dest="from_ns", metavar="S", help="from this time")
+    parser.add_argument("--to", type=time_ns, dest="to_ns", metavar="S", help="before this time")
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Judge a recording; return 0 if it is sound, 1 if not, 3 if nothing could be judged.
+
+    Raises:
+        RigError: the rig or the file of limits is wrong.
+        TraceError: the recording cannot be read, or is damaged.
+    """
+    if options.list:
+        _list(options.only)
+        return PASSED
+    if options.file is None:
+        print("motorhil judge: name a recording, or use --list", file=sys.stderr)
+        return WRONG_USAGE
+    facts = Facts(is_complete=options.complete)
+    if options.limits is not None:
+        facts = facts.with_more(read_limits(options.limits))
+    if options.rig is not None:
+        facts = facts.with_more(read_rig(options.rig))
+    findings = judge(
+        options.file,
+        facts,
+        only=options.only,
+        from_ns=options.from_ns,
+        to_ns=options.to_ns,
+        progress=_progress(),
+        note=lambda text: print(f"motorhil judge: {options.file}: {text}", file=sys.stderr),
+    )
+    _tell_cut(options.file)
+    verdict, status = _sum(findings)
+    if options.json:
+        tables = [finding.as_table() for finding in findings]
+        print(json.dumps({"file": options.file, "verdict": verdict, "findings": tables}))
+    else:
+        _print(findings)
+        print(f"{options.file}: {verdict}: {_counts(findings)}")
+    return status
+
+
+def _sum(findings: Sequence[Finding]) -> tuple[str, int]:
+    if is_sound(findings):
+        return "sound, as far as it could be judged", PASSED
+    if any(finding.verdict is Verdict.BROKEN for finding in findings):
+        return "broken", FAILED
+    return "not judged", NOT_JUDGED
+
+
+def _counts(findings: Sequence[Finding]) -> str:
+    verdicts = [finding.verdict for finding in findings]
+    counts = [(verdicts.count(verdict), verdict.value) for verdict in Verdict]
+    return ", ".join(f"{count} {word}" for count, word in counts if count)
+
+
+def _print(findings: Sequence[Finding]) -> None:
+    rows = [(one.oracle, one.verdict.value, str(one.looked)) for one in findings]
+    print_table(("oracle", "verdict", "looked at"), rows, words=(0, 1))
+    for one in findings:
+        if one.first is not None:
+            more = f"; {one.further} more" if one.further else ""
+            doubt = "" if one.verdict is Verdict.BROKEN else "perhaps: "
+            print(f"{one.oracle}: {doubt}{one.first}{more}")
+        if one.reason:
+            print(f"{one.oracle}: {one.reason}")
+
+
+def _list(only: Sequence[str]) -> None:
+    for name, promise, source, needs in CATALOGUE:
+        if not only or name in only:
+            print(name)
+            for text in (promise, f"source: {source}", f"cannot judge: {needs}"):
+                print(textwrap.indent(textwrap.fill(text, _WIDTH), "    "))
+
+
+def _tell_cut(path: str) -> None:
+    """Print where a recording was cut; it was judged up to there."""
+    if open_source(path).format == "mcap":
+        with read_trace(path) as trace:
+            if trace.cut is not None:
+                print(f"motorhil judge: {path}: {trace.cut}", file=sys.stderr)
+
+
+def _progress() -> Callable[[int], None] | None:
+    """Return a callback that shows the progress on a terminal, or None if there is none."""
+    if not sys.stderr.isatty():
+        return None
+
+    def told(count: int) -> None:
+        if not count % 200_000:
+            print(f"{count:,} messages read", file=sys.stderr, flush=True)
+
+    return told

@@ -1,0 +1,190 @@
+"""The command `motorhil`: one verb per module, loaded when it is used.
+
+Exit status: 0 passed, 1 the thing under test failed, 2 wrong usage, 3 nothing could be judged, 130
+interrupted. Results go to stdout, reasons to stderr. The module of a verb has
+`add_arguments(parser)` and `run(arguments)`. Words after `--` on the command line are
+`arguments.rest`, which is None without `--`.
+
+Exit statuses of `motorhil`, the same for every verb.
+"""
+
+import argparse
+import errno
+import os
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib import import_module
+from importlib.util import find_spec
+from typing import Final, final
+
+PASSED: Final = 0
+FAILED: Final = 1  # the thing under test failed
+WRONG_USAGE: Final = 2
+NOT_JUDGED: Final = 3  # there was nothing to test: neither passed nor failed
+INTERRUPTED: Final = 130
+
+
+_NO_PLACE: Final = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class _Verb:
+    name: str
+    help: str
+    module: str
+    takes_rest: bool = False
+
+    def exists(self) -> bool:
+        return find_spec(self.module) is not None
+
+
+_VERBS: Final = (
+    _Verb(
+        "demo",
+        "a six-wheel rover drives, crabs and turns on emulated drives",
+        "motorhil.harness.cli.demo",
+    ),
+    _Verb("new", "write a working rig, and a script that drives it", "motorhil.harness.cli.new"),
+    _Verb(
+        "check", "check a rig file: print its errors, or its contents", "motorhil.harness.cli.check"
+    ),
+    _Verb(
+        "run", "run a script, or a prompt, with a rig around it", "motorhil.harness.cli.run", True
+    ),
+    _Verb(
+        "serve", "run a rig in real time for other processes", "motorhil.harness.cli.serve", True
+    ),
+    _Verb("record", "record live CAN buses", "motorhil.harness.cli.record"),
+    _Verb(
+        "replay",
+        "let a recording stand in for devices or host",
+        "motorhil.harness.cli.replay",
+        True,
+    ),
+    _Verb("recover", "repair a cut or damaged recording", "motorhil.harness.cli.recover"),
+    _Verb("show", "print a recording as sentences", "motorhil.harness.cli.show"),
+    _Verb("diff", "find the first difference between two recordings", "motorhil.harness.cli.diff"),
+    _Verb(
+        "conform",
+        "check whether an adaptation fulfils the motor interface",
+        "motorhil.harness.cli.conform",
+    ),
+    _Verb(
+        "judge",
+        "judge a recording by rules that every recording must meet",
+        "motorhil.harness.cli.judge",
+    ),
+    _Verb(
+        "analyse",
+        "check whether every message on a CAN bus meets its deadline",
+        "motorhil.harness.cli.analyse",
+    ),
+    _Verb(
+        "report", "draw a recording on one page, on one time axis", "motorhil.harness.cli.report"
+    ),
+    _Verb(
+        "convert", "turn recorded CAN traffic into another format", "motorhil.harness.cli.convert"
+    ),
+    _Verb(
+        "list",
+        "list controllers, adaptations, examples, motors",
+        "motorhil.harness.cli.list",
+    ),
+)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line and return its exit status."""
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    _open_standard_streams()
+    try:
+        status = _dispatch(words)
+        sys.stdout.flush()
+    except KeyboardInterrupt:
+        print("motorhil: interrupted", file=sys.stderr)
+        return INTERRUPTED
+    except BrokenPipeError:  # the reader of our output has left
+        _drop_output()
+        return FAILED
+    except OSError as error:
+        if error.filename is not None or error.errno not in _NO_PLACE:
+            raise
+        _drop_output()
+        print(
+            f"motorhil: standard output cannot be written: {error.strerror}; free space there, "
+            "or send it elsewhere",
+            file=sys.stderr,
+        )
+        return WRONG_USAGE
+    return status
+
+
+def _open_standard_streams() -> None:
+    """Open the null device for each standard stream that the process lacks."""
+    for name in ("stdin", "stdout", "stderr"):
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(os.devnull, "r" if name == "stdin" else "w"))  # noqa: SIM115
+
+
+def _drop_output() -> None:
+    """Redirect stdout to the null device, including the flush at exit."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def _dispatch(words: list[str]) -> int:
+    try:
+        return _obey(words)
+    except SystemExit as leaving:  # argparse: help was printed, or the usage is wrong
+        return leaving.code if isinstance(leaving.code, int) else PASSED
+
+
+def _obey(words: list[str]) -> int:
+    verbs = {verb.name: verb for verb in _VERBS if verb.exists()}
+    top = argparse.ArgumentParser(
+        prog="motorhil", description="Motor code on emulated drives, in virtual time."
+    )
+    top.add_argument("--version", action="store_true", help="print the version and which cores run")
+    commands = top.add_subparsers(metavar="VERB", dest="verb")
+    for verb in verbs.values():
+        commands.add_parser(verb.name, help=verb.help, add_help=False)
+    options = top.parse_args(words[:1])
+    if options.version:
+        return _print_version()
+    if options.verb is None:
+        top.print_help(sys.stderr)
+        return WRONG_USAGE
+    return _run_verb(verbs[options.verb], words[1:])
+
+
+def _run_verb(verb: _Verb, words: list[str]) -> int:
+    from motorhil.harness.rig.config.toml import RigError
+    from motorhil.traces.errors import TraceError
+
+    module = import_module(verb.module)
+    parser = argparse.ArgumentParser(
+        prog=f"motorhil {verb.name}",
+        description=verb.help[0].upper() + verb.help[1:] + ".",
+        allow_abbrev=False,
+    )
+    module.add_arguments(parser)
+    rest: list[str] | None = None
+    if verb.takes_rest and "--" in words:
+        cut = words.index("--")
+        words, rest = words[:cut], words[cut + 1 :]
+    options = parser.parse_intermixed_args(words)
+    options.rest = rest
+    try:
+        status: int = module.run(options)
+    except (RigError, TraceError) as error:
+        print(error, file=sys.stderr)
+        return WRONG_USAGE
+    return status
+
+
+def _print_version() -> int:
+    from motorhil.harness.version import describe
+
+    print(describe())
+    return PASSED

@@ -1,0 +1,32 @@
+"""The verb `new`: creates a rig, its script, and CI jobs."""
+
+import argparse
+import sys
+from pathlib import Path
+
+from motorhil.harness.cli.main import PASSED
+from motorhil.harness.rig.config.scaffold import CI_FILES, write_new_rig
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of `new`."""
+    parser.add_argument("folder", type=Path, metavar="DIR", help="the folder; created if missing")
+    parser.add_argument(
+        "--ci",
+        choices=list(CI_FILES),
+        help=f"also write a CI job into the current folder: {' or '.join(CI_FILES.values())}; "
+        "an existing rig in DIR is kept",
+    )
+
+
+def run(options: argparse.Namespace) -> int:
+    """Write the files.
+
+    Raises:
+        RigError: the files exist already, or cannot be written.
+    """
+    for path in write_new_rig(options.folder, options.ci):
+        print(path)
+    rig, script = options.folder / "rig.toml", options.folder / "drive.py"
+    print(f"next: motorhil run {rig} {script}", file=sys.stderr)
+    return PASSED

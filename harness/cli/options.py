@@ -1,0 +1,113 @@
+"""Numbers on the command line; errors name limits and unit.
+
+Option --seed, the same for every verb that has it.
+
+Text tables for terminals.
+"""
+
+import argparse
+import math
+from collections.abc import Callable, Collection, Sequence
+from typing import Final
+
+from motorhil.harness.rig.config.toml import SEED_MAX
+
+_NS: Final = 1_000_000_000
+_NS_MAX: Final = 2**64 - 1  # MCAP's log time
+
+
+def real(low: float, high: float, unit: str = "") -> Callable[[str], float]:
+    """Return a reader of finite numbers from `low` to `high` [unit], for argparse's `type`."""
+
+    def read(text: str) -> float:
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.nan
+        if not low <= value <= high:
+            raise _wrong(text, "a number", low, high, unit)
+        return value
+
+    return read
+
+
+def whole(low: int, high: int, unit: str = "") -> Callable[[str], int]:
+    """Return a reader of whole numbers from `low` to `high` [unit], for argparse's `type`."""
+
+    def read(text: str) -> int:
+        value = int(text) if text.isdecimal() and text.isascii() else -1
+        if not low <= value <= high:
+            raise _wrong(text, "a whole number", low, high, unit)
+        return value
+
+    return read
+
+
+def identifier(text: str) -> int:
+    """Read a CAN identifier in hexadecimal, with or without a final h, for argparse's `type`."""
+    digits = text.lower().removesuffix("h")
+    try:
+        value = int(digits, 16) if digits.isalnum() else -1
+    except ValueError:
+        value = -1
+    if not 0 <= value <= 0x1FFFFFFF:
+        raise argparse.ArgumentTypeError(
+            f"{text!r} is not an identifier; say 0 to 1FFFFFFF, such as 181"
+        )
+    return value
+
+
+def time_ns(text: str) -> int:
+    """Read seconds, exactly as written, and return nanoseconds, for argparse's `type`."""
+    whole_s, _, part = text.partition(".")
+    digits = (whole_s or "0") + (part or "0")
+    if text in ("", ".") or not (digits.isascii() and digits.isdecimal()) or len(part) > 9:
+        raise _no_time(text)
+    value = int(whole_s or "0") * _NS + int(part.ljust(9, "0"))
+    if value > _NS_MAX:
+        raise _no_time(text)
+    return value
+
+
+def _no_time(text: str) -> argparse.ArgumentTypeError:
+    limit = f"0 to {_NS_MAX / _NS:.0f} s, with at most 9 decimal places"
+    return argparse.ArgumentTypeError(f"{text!r} is not a time; say {limit}")
+
+
+def _wrong(text: str, what: str, low: float, high: float, unit: str) -> argparse.ArgumentTypeError:
+    words = f"{text!r} is not {what} from {low:g} to {high:g} {unit}".rstrip()
+    return argparse.ArgumentTypeError(words)
+
+
+def add_seed(parser: argparse.ArgumentParser) -> None:
+    """Add `--seed N`, a seed that a rig may have; None by default."""
+    parser.add_argument("--seed", type=seed, metavar="N", help="overrides the rig's own seed")
+
+
+def seed(text: str) -> int:
+    """Read a seed, for argparse's `type`.
+
+    Raises:
+        ValueError: the text is not a seed.
+    """
+    value = int(text, 0)
+    if not 0 <= value <= SEED_MAX:
+        raise ValueError
+    return value
+
+
+_NAME: Final = f"seed (0 to {SEED_MAX})"
+seed.__name__ = _NAME  # argparse uses it in the error for an invalid value
+
+
+def print_table(
+    head: Sequence[str], rows: Sequence[Sequence[str]], words: Collection[int] = (0,)
+) -> None:
+    """Print the head and rows in columns: words left-aligned, numbers right-aligned."""
+    widths = [max(len(row[column]) for row in [head, *rows]) for column in range(len(head))]
+    for row in [head, *rows]:
+        cells = [
+            cell.ljust(width) if column in words else cell.rjust(width)
+            for column, (cell, width) in enumerate(zip(row, widths, strict=True))
+        ]
+        print("  ".join(cells).rstrip())

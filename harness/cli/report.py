@@ -1,0 +1,123 @@
+"""The verb `report`: a recording as one self-contained HTML page."""
+
+import argparse
+import os
+import sys
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import Final
+
+from motorhil.harness.cli.main import PASSED
+from motorhil.traces.errors import TraceError
+from motorhil.traces.mcap.reader import Trace, read_trace, whole_file
+
+_KILO: Final = {"k": 1_000, "M": 1_000_000}
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of `report`."""
+    parser.add_argument("file", metavar="FILE", help="a recording (MCAP)")
+    parser.add_argument(
+        "-o",
+        "--output",
+        type=Path,
+        metavar="PAGE",
+        help="the page (default: FILE with the ending .html)",
+    )
+    parser.add_argument("--title", help="title of the page (default: the recording's name)")
+    add_bit_rates(parser, "bit rate of a CAN bus, if the recording lacks it, such as can0=500k")
+    parser.add_argument(
+        "--foxglove-layout",
+        type=Path,
+        metavar="JSON",
+        help="also write a layout for Foxglove with the motors and controllers of this recording",
+    )
+
+
+def run(options: argparse.Namespace) -> int:
+    """Write the page; return 0.
+
+    Raises:
+        TraceError: the recording cannot be read, is damaged, or the page cannot be written.
+    """
+    from motorhil.harness.report.collect import collect
+    from motorhil.harness.report.document import document_of
+    from motorhil.harness.report.page import render
+
+    target = options.output or Path(options.file).with_suffix(".html")
+    with read_trace(options.file) as trace:
+        _refuse_lost(options.file, target, options.foxglove_layout)
+        rates, data_rates = dict(options.bitrate), dict(options.data_bitrate)
+        found = collect(trace, rates, _progress(), data_rates)
+        title = options.title or Path(options.file).name
+        document, packed = document_of(trace, found, title)
+        page = render(document, packed)
+        _write(target, page)
+        messages = sum(found.messages.values())
+        print(f"{target}: {messages} messages, {len(page.encode()) / 1e6:.1f} MB")
+        if options.foxglove_layout is not None:
+            _write_layout(trace, options.foxglove_layout)
+    for name in sorted({*rates, *data_rates} - set(found.buses)):
+        print(f"motorhil report: the recording has no CAN bus {name}", file=sys.stderr)
+    return PASSED
+
+
+def _write_layout(trace: Trace, target: Path) -> None:
+    import json
+
+    from motorhil.harness.report.foxglove import layout_of
+
+    _write(target, json.dumps(layout_of(trace), indent=2) + "\n")
+    print(f"{target}: a layout for Foxglove")
+
+
+def _refuse_lost(source: str, page: Path, layout: Path | None) -> None:
+    if layout is not None and os.path.realpath(page) == os.path.realpath(layout):
+        raise TraceError(str(layout), "is the page already", remedy="name another file")
+    for target in (page, layout):
+        with suppress(OSError):
+            if target is not None and os.path.samefile(source, target):
+                raise TraceError(str(target), "is the recording itself", remedy="name another file")
+
+
+def _write(target: Path, text: str) -> None:
+    with whole_file(str(target)) as file:
+        file.write(text.encode())
+
+
+def _progress() -> Callable[[int], None] | None:
+    """Return a callback that shows the progress on a terminal, or None if there is none."""
+    if not sys.stderr.isatty():
+        return None
+
+    def told(count: int) -> None:
+        if not count % 200_000:
+            print(f"{count:,} messages read", file=sys.stderr, flush=True)
+
+    return told
+
+
+def add_bit_rates(parser: argparse.ArgumentParser, told: str) -> None:
+    """Add options for nominal bit rates (with help text `told`) and data bit rates of CAN FD."""
+    data = "bit rate of the data phase of CAN FD"
+    for option, text in (("--bitrate", told), ("--data-bitrate", data)):
+        parser.add_argument(
+            option, action="append", type=bus_rate, default=[], metavar="BUS=RATE", help=text
+        )
+
+
+def bus_rate(text: str) -> tuple[str, int]:
+    """Parse a bus and its bit rate.
+
+    Raises:
+        argparse.ArgumentTypeError: the text does not have the form BUS=RATE.
+    """
+    name, sign, rate = text.partition("=")
+    factor = _KILO.get(rate[-1:], 1)
+    number = rate.removesuffix(rate[-1:]) if factor > 1 else rate
+    if not name or not sign or not number.isdecimal() or not 0 < int(number) * factor <= 10**8:
+        raise argparse.ArgumentTypeError(
+            f"{text!r} is not BUS=RATE with a rate of 1 bit/s to 100M, as can0=500k"
+        )
+    return name, int(number) * factor

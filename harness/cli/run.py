@@ -1,0 +1,429 @@
+"""The verb `run`: runs a script, or a prompt, with a rig.
+
+User's program inside an open rig: bus, threads and errors.
+
+Hardware bus names redirected to the rig: `can.Bus("can0", "socketcan")`.
+
+While a program runs in a rig's virtual time, every python-can interface joins the rig, except those
+within this process. The channel is the name of one of the rig's buses, or it is refused. So a
+program in virtual time never commands hardware.
+"""
+
+import argparse
+import builtins
+import code
+import linecache
+import os
+import shlex
+import sys
+import threading
+import traceback
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from types import CodeType, ModuleType
+from typing import TYPE_CHECKING, Any, Final, Self, final
+
+import can
+from can.interfaces import BACKENDS
+
+from motorhil.harness.cli.main import PASSED
+from motorhil.harness.cli.options import add_seed
+from motorhil.harness.python_can.bus import EmulatedBus, bus_names
+from motorhil.harness.rig.config.toml import RigError
+from motorhil.harness.rig.rig import NoSuchName
+from motorhil.harness.virtual_time.interrupts import exit_handlers
+from motorhil.harness.virtual_time.stdlib.install import in_virtual_time
+from motorhil.harness.virtual_time.stdlib.threads import join_executors
+from motorhil.traces.errors import TraceError
+
+if TYPE_CHECKING:
+    from motorhil.harness.rig.rig import Rig
+
+_MORE = """\
+SCRIPT opens its bus with can.Bus(), as on real hardware: CAN_INTERFACE and CAN_CHANNEL name a bus
+of the rig. Time passes while the script waits: time.sleep, clocks, threads, locks and queues use
+the rig's clock; operations that cannot use it raise UsageError. Without SCRIPT, a prompt opens, in
+which `rig` is the rig. With "-", the script is read from standard input. Arguments after -- go to
+the script.
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of `run`."""
+    parser.usage = (
+        "motorhil run [-h] [--realtime] [--seed N] [-o FILE] RIG [SCRIPT [ARGS ...]] [-- ARGS ...]"
+    )
+    parser.epilog = _MORE
+    parser.add_argument(
+        *("rig",),
+        type=Path,
+        metavar="RIG",
+        help="a rig file (TOML), or a recording in place of its devices",
+    )
+    parser.add_argument("script", nargs="?", metavar="SCRIPT", help="a Python program, or -")
+    parser.add_argument(
+        "args", nargs="*", default=[], metavar="ARGS", help="the script's own arguments"
+    )
+    parser.add_argument(
+        "--realtime", action="store_true", help="run at most as fast as the wall clock"
+    )
+    add_seed(parser)
+    parser.add_argument("-o", "--output", type=Path, metavar="FILE", help="record to FILE (MCAP)")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the script; return its exit status, or 1 if it raised an exception.
+
+    Raises:
+        RigError: the rig, the script or the output file cannot be used; nothing was run.
+    """
+    from motorhil.harness.rig.rig import Rig
+
+    words = [*options.args, *(options.rest or ())]
+    script = None if options.script is None else read_script(options.script)
+    if script is None and words:
+        raise RigError(options.rig, "arguments, but no script to take them", "name a script")
+    rig = Rig.open(options.rig, seed=options.seed, realtime=options.realtime, record=options.output)
+    for note in rig.notes:
+        print(note, file=sys.stderr)
+    status = run_judged(rig, script, words, "run")
+    if status != PASSED and script is not None:
+        print(f"again: {_again(options, rig, words)}", file=sys.stderr)
+    return status
+
+
+def _again(options: argparse.Namespace, rig: "Rig", words: list[str]) -> str:
+    command = ["motorhil", "run", str(options.rig), options.script, "--seed", str(rig.seed)]
+    if options.realtime:
+        command.append("--realtime")
+    if options.output is not None:
+        command += ["-o", str(options.output)]
+    if words:
+        command += ["--", *words]
+    return shlex.join(command)
+
+
+STDIN: Final = "-"
+_STDIN_NAME: Final = "<stdin>"
+_PATIENCE_S: Final = 1.0
+_CAN_SETTINGS: Final = ("CAN_INTERFACE", "CAN_CHANNEL", "CAN_BITRATE", "CAN_CONFIG")
+_OWN_FOLDER: Final = str(Path(__file__).parents[3]) + os.sep
+_OWN_PACKAGES: Final = tuple(
+    folder + "motorhil" + os.sep
+    for folder in (_OWN_FOLDER, "")  # compiled modules do not know their path
+)
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Script:
+    """A Python program: its name in tracebacks, its source and its folder."""
+
+    name: str
+    source: bytes
+    folder: str
+
+
+def read_script(name: str) -> Script:
+    """Read the program in a file, or from standard input if the name is "-".
+
+    Raises:
+        RigError: the file does not exist, or is not readable.
+    """
+    if name == STDIN:
+        return Script(_STDIN_NAME, sys.stdin.buffer.read(), "")
+    path = Path(name)
+    try:
+        return Script(name, path.read_bytes(), str(path.resolve().parent))
+    except FileNotFoundError:
+        raise RigError(path, "no such file", "name a Python program") from None
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise RigError(path, f"cannot be read: {reason}", "name a Python program") from None
+
+
+def run_script(rig: "Rig", script: Script, words: Sequence[str]) -> int:
+    """Run the program as `__main__`; return its exit status, or 1 if it raised.
+
+    Exceptions, also those of its threads, are printed on stderr, starting at its own first line.
+    KeyboardInterrupt propagates. As with Python itself, the program ends when its threads have
+    ended.
+    """
+    main = ModuleType("__main__")
+    main.__dict__.update(__file__=script.name, __builtins__=builtins)
+    if script.name == _STDIN_NAME:  # lets tracebacks quote its lines
+        lines = script.source.decode("utf-8", "replace").splitlines(keepends=True)
+        linecache.cache[_STDIN_NAME] = (len(script.source), None, lines, _STDIN_NAME)
+    with (
+        _as_main(main, script, words),
+        bus_settings(rig),
+        _Threads(script.name) as threads,
+        in_virtual_time(rig),
+        exit_handlers() as handlers,
+    ):
+        try:
+            status = _run(rig, script, main)
+            threads.join()
+        finally:
+            handlers.run(lambda error: print_error(error, script.name))
+    return status or int(threads.failed)
+
+
+def _run(rig: "Rig", script: Script, main: ModuleType) -> int:
+    """Run the program's own lines; return its exit status."""
+    try:
+        program: CodeType = compile(script.source, script.name, "exec", dont_inherit=True)
+        exec(program, main.__dict__)
+    except SystemExit as leaving:
+        return _status(leaving)
+    except BrokenPipeError:
+        raise  # the reader of its output has left: as with any command
+    except Exception as error:
+        if rig.recording is not None and error is rig.recording.error:
+            raise  # the record failed, not the program
+        print_error(error, script.name)
+        return 1
+    return 0
+
+
+def run_judged(rig: "Rig", script: Script | None, words: Sequence[str], verb: str) -> int:
+    """Run the program, or a prompt, with the rig open around it; then close the rig.
+
+    Returns:
+        The program's exit status; 1 if it raised, or if recorded controllers could not answer its
+        requests. The latter is reported on stderr in the name of `verb`.
+
+    Raises:
+        RigError, TraceError, BrokenPipeError: errors of the rig, its record or the output.
+    """
+    from motorhil.harness.replay.verdict import summary, unanswered
+
+    try:
+        with rig:
+            status = run_prompt(rig) if script is None else run_script(rig, script, words)
+            for line in summary(rig):
+                print(f"motorhil {verb}: {line}", file=sys.stderr)
+            return status or int(bool(unanswered(rig)))
+    except (RigError, TraceError, BrokenPipeError):
+        raise
+    except Exception as error:  # of a party without a join, or while closing resources
+        print_error(error, "<prompt>" if script is None else script.name)
+        return 1
+
+
+@final
+class _Threads:
+    """The threads that a program starts; an exception in them is the program's failure.
+
+    Attributes:
+        failed: True if a thread raised an exception.
+    """
+
+    def __init__(self, script: str) -> None:
+        self.failed = False
+        self._script = script
+        self._before = threading.enumerate()
+        self._hook = threading.excepthook
+
+    def __enter__(self) -> Self:
+        threading.excepthook = self._told
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        threading.excepthook = self._hook
+
+    def _told(self, what: threading.ExceptHookArgs) -> None:
+        if what.exc_value is not None and not isinstance(what.exc_value, SystemExit):
+            self.failed = True
+            print_error(what.exc_value, self._script)
+
+    def join(self) -> None:
+        """Wait for all threads except daemons; report a thread that runs for more than a second."""
+        join_executors()
+        for thread in threading.enumerate():
+            if thread in self._before or thread.daemon:
+                continue
+            thread.join(_PATIENCE_S)
+            if thread.is_alive():
+                print(
+                    f"{self._script} has ended, but its thread {thread.name!r} still runs; "
+                    "Ctrl-C ends it",
+                    file=sys.stderr,
+                )
+                thread.join()
+
+
+def run_prompt(rig: "Rig") -> int:
+    """Run a Python prompt in which `rig` is the rig, until the user leaves it."""
+    with suppress(ImportError):  # without readline the prompt lacks line editing
+        import readline  # noqa: F401 -- importing is all it takes
+    names = {"rig": rig, "__name__": "__console__", "__doc__": None}
+    with bus_settings(rig), in_virtual_time(rig):
+        try:
+            _Prompt(names).interact(_banner(rig), exitmsg="")
+        except SystemExit as leaving:
+            return _status(leaving)
+    return 0
+
+
+@final
+class _Prompt(code.InteractiveConsole):
+    """Python's console, but with errors printed as for scripts."""
+
+    def showtraceback(self) -> None:
+        error = sys.exc_info()[1]
+        if error is not None:
+            sys.last_value = error
+            print_error(error, self.filename)
+
+
+def _banner(rig: "Rig") -> str:
+    return (
+        f"{rig.description.name}: motors {', '.join(rig.motors) or 'none'}; "
+        "time passes while you wait: rig.runtime.run_for(1.0). Leave with Ctrl-D."
+    )
+
+
+@contextmanager
+def bus_settings(rig: "Rig") -> Iterator[None]:
+    """Let a plain `can.Bus()` join the rig's first bus, and `can.Bus("can1")` another one.
+
+    For a rig without a bus it raises an error that says so. A hardware interface joins the rig's
+    bus with the channel's name.
+    """
+    before = {name: os.environ.pop(name, None) for name in _CAN_SETTINGS}
+    os.environ["CAN_INTERFACE"] = "emulated"
+    os.environ["CAN_CHANNEL"] = next(iter(rig.description.buses), "none")
+    try:
+        with hardware_is_the_rigs():
+            yield
+    finally:
+        for name, value in before.items():
+            os.environ.pop(name, None)
+            if value is not None:
+                os.environ[name] = value
+
+
+@contextmanager
+def _as_main(main: ModuleType, script: Script, words: Sequence[str]) -> Iterator[None]:
+    before = (sys.argv, sys.path.copy(), sys.modules["__main__"])
+    sys.argv = [script.name, *words]
+    sys.path.insert(0, script.folder)
+    sys.modules["__main__"] = main
+    try:
+        yield
+    finally:
+        sys.argv, sys.path[:], sys.modules["__main__"] = before
+
+
+def _status(leaving: SystemExit) -> int:
+    """Return the exit status that Python itself would give for sys.exit(...)."""
+    if leaving.code is None:
+        return 0
+    if isinstance(leaving.code, int):
+        return leaving.code & 0xFF
+    print(leaving.code, file=sys.stderr)
+    return 1
+
+
+def print_error(error: BaseException, script: str) -> None:
+    """Print the traceback on stderr, reduced to the lines that the script's author needs.
+
+    It begins in the script and omits frames between the script's lines. It also omits frames after
+    the last of them if the motor interface or python-can raised the error deliberately. An
+    unexpected error from inside is printed in full.
+    """
+    on_purpose = is_on_purpose(error)
+    report = traceback.TracebackException.from_exception(error)
+    if on_purpose:
+        report.__cause__ = report.__context__ = None
+    links = [report]
+    for link in links:
+        link.stack = _frames_of(link.stack, script, on_purpose)
+        links += [other for other in (link.__cause__, link.__context__) if other is not None]
+    in_script = any(frame.filename == script for frame in report.stack)
+    is_no_python = isinstance(error, SyntaxError) and not in_script
+    lines = report.format_exception_only() if is_no_python else report.format()
+    print("".join(lines), end="", file=sys.stderr)
+
+
+def is_on_purpose(error: BaseException) -> bool:
+    """Return True if the motor interface, python-can or a rig raised it for its caller."""
+    kinds = [f"{kind.__module__}.{kind.__name__}" for kind in type(error).__mro__]
+    return (
+        "motorhil.motorapi.errors.MotorError" in kinds
+        or "can.exceptions.CanError" in kinds
+        or isinstance(error, RigError | NoSuchName)
+    )
+
+
+def _frames_of(
+    stack: traceback.StackSummary, script: str, on_purpose: bool
+) -> traceback.StackSummary:
+    frames = list(stack)
+    places = [number for number, frame in enumerate(frames) if frame.filename == script]
+    if places:
+        frames = frames[places[0] :]
+    folder = str(Path(script).resolve().parent) + os.sep
+    users: list[traceback.FrameSummary] = []
+    inside: list[traceback.FrameSummary] = []  # from one of our frames up to the user's next one
+    for frame in frames:
+        own = _is_own(frame.filename, script)
+        is_users = frame.filename == script or (frame.filename.startswith(folder) and not own)
+        if is_users or not (own or inside):
+            users.append(frame)
+            inside = []
+        else:
+            inside.append(frame)
+    in_full = bool(inside) and not on_purpose
+    return traceback.StackSummary.from_list(frames if in_full else users)
+
+
+def _is_own(filename: str, script: str) -> bool:
+    return filename != script and is_of_ours(filename)
+
+
+def is_of_ours(filename: str) -> bool:
+    """Return True if a code file belongs to these packages."""
+    return filename.startswith(_OWN_PACKAGES)
+
+
+_HERE: Final = ("emulated", "virtual")  # python-can interfaces that reach no hardware
+
+
+@contextmanager
+def hardware_is_the_rigs() -> Iterator[None]:
+    """Redirect `can.Bus` of any interface to the rig's bus with the channel's name."""
+    before = {name: BACKENDS[name] for name in BACKENDS if name not in _HERE}
+    for name in before:
+        setattr(sys.modules[__name__], _attribute(name), partial(_join, name))
+        BACKENDS[name] = (__name__, _attribute(name))
+    try:
+        yield
+    finally:
+        BACKENDS.update(before)
+
+
+def _attribute(interface: str) -> str:
+    """Return the attribute of this module that replaces an interface of python-can."""
+    return f"{interface} of the rig"
+
+
+def _join(interface: str, channel: Any = None, **options: Any) -> can.BusABC:
+    name, known = _bus_of(str(channel)), bus_names()
+    if name not in known:
+        raise can.CanInitializationError(
+            f"interface {interface!r}, channel {channel!r}: hardware cannot be reached from "
+            f"virtual time, and the rig has no bus {name} (its buses: "
+            f"{', '.join(known) or 'none'}); name one [bus.{name}], or run the program in wall "
+            "time: motorhil serve RIG -- python SCRIPT"
+        )
+    return EmulatedBus(name, **options)
+
+
+def _bus_of(channel: str) -> str:
+    """Return the rig's name for a channel: can0 for 0, ttyUSB0 for /dev/ttyUSB0."""
+    return f"can{channel}" if channel.isdecimal() else channel.rpartition("/")[2]

@@ -1,0 +1,477 @@
+"""`motorhil serve`: a rig in real time for other processes.
+
+CAN buses are served on a socket or on SocketCAN, Modbus lines on TCP or on pseudo-terminals.
+
+Lines of a rig on TCP and pseudo-terminals, for `motorhil serve`.
+
+Child processes beside a world in wall time, and stop signals.
+"""
+
+import argparse
+import os
+import select
+import signal
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import ExitStack, suppress
+from pathlib import Path
+from types import FrameType
+from typing import Final, Protocol, Self, final
+
+import motorhil
+from motorhil.emulators.gateways.hub import HubError, HubServer
+from motorhil.emulators.gateways.loop import WallLoop
+from motorhil.emulators.gateways.modbus_pty import ModbusPty, ModbusPtyError
+from motorhil.emulators.gateways.modbus_tcp import ModbusSocket, ModbusSocketError
+from motorhil.emulators.gateways.socketcan import SocketCanError, SocketCanGateway
+from motorhil.harness.cli.main import FAILED, PASSED, WRONG_USAGE
+from motorhil.harness.cli.options import add_seed
+from motorhil.harness.recording.ownership import LockLooks, LockWriter
+from motorhil.harness.replay.verdict import summary, unanswered
+from motorhil.harness.rig.config.buses import MODBUS_RTU, MODBUS_TCP, BusDescription
+from motorhil.harness.rig.config.toml import RigError
+from motorhil.harness.rig.rig import Rig
+
+ModbusDoorError = (ModbusPtyError, ModbusSocketError)
+_PORT_MAX: Final = 65_535
+
+
+def add_modbus_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the Modbus arguments of `motorhil serve`."""
+    parser.add_argument(
+        "--modbus-tcp",
+        action="append",
+        default=[],
+        metavar="[BUS=]HOST:PORT",
+        help="serve a bus of kind modbus_tcp (default: the first) at this address; port 0 "
+        "means any free port; may be repeated",
+    )
+    parser.add_argument(
+        "--modbus-rtu",
+        action="append",
+        default=[],
+        metavar="[BUS=]LINK",
+        help="serve a bus of kind modbus_rtu (default: the first) on a pseudo-terminal with "
+        "this symbolic link; may be repeated",
+    )
+    parser.add_argument(
+        "--any-address",
+        action="store_true",
+        help="allow --modbus-tcp addresses that other machines can reach",
+    )
+
+
+def open_doors(rig: Rig, loop: WallLoop, options: argparse.Namespace) -> dict[str, list[str]]:
+    """Open the requested endpoints and return them: bus -> HOST:PORT or LINK, one per request.
+
+    Raises:
+        RigError: the rig has no such line.
+        ModbusSocketError, ModbusPtyError: an address or link cannot be used.
+    """
+    doors: dict[str, list[str]] = {}
+    for text in options.modbus_tcp:
+        bus, host, port = _tcp_words(rig, text)
+        there = ModbusSocket(host, port, rig.world, bus, any_address=options.any_address)
+        loop.add(there)
+        doors.setdefault(bus, []).append(str(there))
+    for text in options.modbus_rtu:
+        bus, link = _words(rig, text, "--modbus-rtu", MODBUS_RTU)
+        pty = ModbusPty(Path(link), rig.world, bus)
+        loop.add(pty)
+        doors.setdefault(bus, []).append(str(pty.link.absolute()))
+    return doors
+
+
+def described(rig: Rig, doors: dict[str, list[str]]) -> Iterable[str]:
+    """Return one line of text per endpoint."""
+    for name, places in doors.items():
+        bus = rig.description.buses[name]
+        units = [
+            str(one.node_id)
+            for one in rig.description.controllers.values()
+            if one.bus == name and one.node_id is not None
+        ]
+        behind = f"units {', '.join(units)}" if units else "no units"
+        for place in places:
+            yield f"{name}: {_protocol(bus)} at {place}, {behind}"
+
+
+def _protocol(bus: BusDescription) -> str:
+    if bus.kind == MODBUS_TCP:
+        return "Modbus/TCP"
+    return f"Modbus RTU (as at {bus.bitrate_bit_s} bit/s 8{bus.parity}{bus.stop_bits})"
+
+
+def _tcp_words(rig: Rig, text: str) -> tuple[str, str, int]:
+    bus, place = _words(rig, text, "--modbus-tcp", MODBUS_TCP)
+    host, _, port = place.rpartition(":")
+    if host.startswith("[") and host.endswith("]"):
+        host = host[1:-1]
+    if not host or not (port.isascii() and port.isdigit()) or int(port) > _PORT_MAX:
+        raise ModbusSocketError(f"--modbus-tcp {text}: no HOST:PORT; usual: 127.0.0.1:5020")
+    return bus, host, int(port)
+
+
+def _words(rig: Rig, text: str, option: str, kind: str) -> tuple[str, str]:
+    """Split an option's text into bus and place; the default is the first fitting bus."""
+    buses = rig.description.buses
+    fitting = [bus.name for bus in buses.values() if bus.kind == kind]
+    name, _, place = text.rpartition("=")
+    if not name:
+        if not fitting:
+            raise RigError(rig.description.source.path, *_none(kind, option))
+        name = fitting[0]
+    if name not in fitting:
+        had = f"it is of kind {buses[name].kind}" if name in buses else "the rig has no such bus"
+        known = ", ".join(fitting) or "none"
+        raise ModbusSocketError(
+            f"{option} {text}: bus {name!r}: {had}; buses of kind {kind}: {known}"
+        )
+    if not place:
+        raise ModbusSocketError(f"{option} {text}: names no place; see motorhil serve --help")
+    return name, place
+
+
+def _none(kind: str, option: str) -> tuple[str, str]:
+    return (
+        f"the rig has no bus of kind {kind}, which {option} serves",
+        f'write [bus.NAME] with kind = "{kind}"',
+    )
+
+
+STOPPING: Final = (signal.SIGINT, signal.SIGTERM)
+_LINE_MAX: Final = 65_536
+
+
+class Wakeable(Protocol):
+    """A loop that descriptors can wake."""
+
+    def wake_on(self, descriptor: int) -> None:
+        """Wake the loop also when this descriptor becomes readable."""
+
+    def forget(self, descriptor: int) -> None:
+        """Stop waking the loop for this descriptor."""
+
+
+@final
+class StopSignals:
+    """A context in which a terminating signal wakes the loop instead, and is kept.
+
+    Attributes:
+        number: the first signal received, or None.
+    """
+
+    def __init__(self, loop: Wakeable, numbers: Sequence[signal.Signals] = STOPPING) -> None:
+        self.number: int | None = None
+        self._loop = loop
+        self._reader, self._writer = os.pipe()
+        os.set_blocking(self._writer, False)
+        loop.wake_on(self._reader)
+        self._old_wakeup = signal.set_wakeup_fd(self._writer, warn_on_full_buffer=False)
+        self._old_handlers = {
+            number: signal.signal(number, self._come)
+            for number in numbers
+            if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN  # nohup
+        }
+
+    def _come(self, number: int, frame: FrameType | None) -> None:
+        if self.number is None:
+            self.number = number
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Restore the former signal handlers."""
+        for number, handler in self._old_handlers.items():
+            signal.signal(number, handler)
+        signal.set_wakeup_fd(self._old_wakeup)
+        self._loop.forget(self._reader)
+        os.close(self._writer)
+        os.close(self._reader)
+
+
+@final
+class Program:
+    """A Python program in a process of its own, until it ends or the context does.
+
+    It has a process group of its own: Ctrl-C reaches only this process, which then ends it.
+
+    Attributes:
+        name: name in messages.
+        file: name of its file.
+        pid: its process id.
+    """
+
+    def __init__(self, path: Path, environment: Mapping[str, str], loop: WallLoop) -> None:
+        """Start the program; `lines` returns its output of both streams."""
+        self.name: Final = path.stem.removesuffix("_program")
+        self.file: Final = path.name
+        root = str(Path(motorhil.__file__).parent.parent)  # lets it import the same packages
+        others = [path for path in (environment.get("PYTHONPATH"),) if path]
+        self._loop = loop
+        self._process = subprocess.Popen(
+            [sys.executable, str(path)],
+            env={**environment, "PYTHONPATH": os.pathsep.join([root, *others])},
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            process_group=0,
+        )
+        self.pid: Final = self._process.pid
+        assert self._process.stdout is not None
+        self._output = self._process.stdout.fileno()
+        self._text = b""
+        self._watch: int | None = None
+        self._hears = False
+        try:
+            os.set_blocking(self._output, False)
+            loop.wake_on(self._output)
+            self._hears = True
+            self._watch = os.pidfd_open(self.pid)
+            loop.wake_on(self._watch)
+        except BaseException:
+            self.__exit__()
+            raise
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Kill the program if it still runs, and wait for its end."""
+        try:
+            self.kill()
+        finally:
+            self._process.wait()
+            self._forget_process()
+            self._forget_output()
+            assert self._process.stdout is not None
+            self._process.stdout.close()
+
+    @property
+    def status(self) -> int | None:
+        """The exit status, -n if signal n ended it, or None while it runs."""
+        status = self._process.poll()
+        if status is not None:
+            self._forget_process()
+        return status
+
+    def kill(self) -> None:
+        """Kill the program at once, by its process id; no effect if it has ended."""
+        self._process.kill()
+
+    def lines(self) -> list[str]:
+        """Return the lines printed since the last call."""
+        if self._hears:
+            try:
+                data = os.read(self._output, _LINE_MAX)
+            except BlockingIOError:
+                return []
+            if not data:
+                self._forget_output()
+                data = b"\n" if self._text else b""
+            *whole, self._text = (self._text + data).split(b"\n")
+            return [line.decode("utf-8", "replace") for line in whole]
+        return []
+
+    def _forget_process(self) -> None:
+        watch, self._watch = self._watch, None
+        if watch is not None:
+            with suppress(KeyError):  # it was never registered
+                self._loop.forget(watch)
+            os.close(watch)
+
+    def _forget_output(self) -> None:
+        if self._hears:
+            self._hears = False
+            self._loop.forget(self._output)
+
+
+_NOT_FOUND: Final = 127
+_GRACE_S: Final = 3.0
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of `motorhil serve`."""
+    parser.add_argument("rig", type=Path, metavar="RIG", help="the rig file, or a recording")
+    parser.add_argument(
+        "--socket",
+        type=Path,
+        metavar="PATH",
+        help="serve all buses on this socket: can.Bus(interface='emulated', channel='PATH'); "
+        "another bus than the first is 'PATH#can1' (default: a private socket, if no --on)",
+    )
+    parser.add_argument(
+        "--on",
+        action="append",
+        default=[],
+        metavar="[BUS=]INTERFACE",
+        help="join a bus (default: the first) with a SocketCAN interface; may be repeated",
+    )
+    add_modbus_arguments(parser)
+    add_seed(parser)
+    parser.add_argument(
+        "-o", "--output", type=Path, metavar="FILE", help="record to this MCAP file"
+    )
+    parser.epilog = (
+        "With -- COMMAND, the command runs while the rig is up, and its exit status is "
+        "returned (CAN_INTERFACE and CAN_CHANNEL name the first CAN bus, MOTORHIL_CHANNEL_NAME "
+        "bus or line `name`). Without a command, Ctrl-C stops."
+    )
+
+
+def run(options: argparse.Namespace) -> int:
+    """Serve a rig; return 0, 1 (a recording could not answer), 2, or the command's own status."""
+    if options.rest == []:
+        print("motorhil serve: no command after --; name one, or omit --", file=sys.stderr)
+        return WRONG_USAGE
+    with ExitStack() as cleanup:
+        rig = cleanup.enter_context(Rig.open(options.rig, seed=options.seed, record=options.output))
+        _refuse_nothing(rig, options)
+        loop = WallLoop(rig.world.queue)
+        cleanup.callback(loop.close)
+        try:
+            lines = open_doors(rig, loop, options)
+            doors = _open_doors(rig, loop, options, cleanup)
+        except (HubError, SocketCanError, *ModbusDoorError) as error:
+            print(f"motorhil serve: {error}", file=sys.stderr)
+            return WRONG_USAGE
+        _look_at_locks(rig, doors, cleanup)
+        service = _Service(loop, cleanup.enter_context(StopSignals(loop)))
+        if options.rest:
+            status = service.run_command(options.rest, _environment(doors, lines))
+            verdict = _stood_in(rig)
+            return status or verdict
+        print(f"serving {rig.description.name}; Ctrl-C stops", file=sys.stderr)
+        for bus, (interface, channel) in doors.items():
+            print(f"{bus}: can.Bus(interface={interface!r}, channel={channel!r})", flush=True)
+        for text in described(rig, lines):
+            print(text, flush=True)
+        service.run_until_stopped()
+        print(
+            f"stopped; an event was at most {loop.late_ns_max / 1e6:.1f} ms late", file=sys.stderr
+        )
+        return _stood_in(rig)
+
+
+def _stood_in(rig: Rig) -> int:
+    """Print what recorded controllers could not answer; return 0 if they answered everything."""
+    for line in summary(rig):
+        print(f"motorhil serve: {line}", file=sys.stderr)
+    return FAILED if unanswered(rig) else PASSED
+
+
+def _refuse_nothing(rig: Rig, options: argparse.Namespace) -> None:
+    """Raise RigError if nothing would be served."""
+    if rig.world.bus_names() or options.modbus_tcp or options.modbus_rtu:
+        return
+    if rig.world.line_names():
+        raise RigError(
+            options.rig,
+            "the rig has lines and no CAN bus, and no address to serve them is given",
+            "say --modbus-tcp 127.0.0.1:5020, or --modbus-rtu LINK",
+        )
+    raise RigError(
+        options.rig,
+        "the rig has no bus, so there is nothing to serve",
+        "motorhil run opens a prompt with its motors",
+    )
+
+
+def _environment(doors: dict[str, tuple[str, str]], lines: dict[str, list[str]]) -> dict[str, str]:
+    """Return environment variables that tell a command where buses and lines are."""
+    told: dict[str, str] = {}
+    if doors:
+        told["CAN_INTERFACE"], told["CAN_CHANNEL"] = next(iter(doors.values()))
+    places = {bus: channel for bus, (_, channel) in doors.items()}
+    places |= {line: where[0] for line, where in lines.items()}
+    for name, place in places.items():
+        told[f"MOTORHIL_CHANNEL_{name.upper().replace('-', '_')}"] = place
+    return told
+
+
+def _open_doors(
+    rig: Rig, loop: WallLoop, options: argparse.Namespace, cleanup: ExitStack
+) -> dict[str, tuple[str, str]]:
+    """Open each bus and return its python-can name: bus -> (interface, channel)."""
+    names = rig.world.bus_names()
+    doors: dict[str, tuple[str, str]] = {}
+    if not names and not options.on and options.socket is None:
+        return doors
+    if not names:
+        raise RigError(options.rig, "the rig has no CAN bus for --on and --socket", "omit them")
+    for text in options.on:
+        bus, _, interface = text.rpartition("=")
+        bus = bus or names[0]
+        if not interface:
+            raise SocketCanError(f"--on {text}: names no interface; write --on {bus}=vcan0")
+        if bus not in names:
+            known = ", ".join(names)
+            raise SocketCanError(f"--on {text}: the rig has no bus {bus!r}; it has {known}")
+        loop.add(SocketCanGateway(interface, rig.world, bus))
+        doors[bus] = ("socketcan", interface)
+    path = options.socket
+    if path is None and not options.on:
+        folder = cleanup.enter_context(tempfile.TemporaryDirectory(prefix="motorhil-"))
+        path = Path(folder) / "hub"
+    if path is not None:
+        loop.add(HubServer(path, rig.world))
+        for bus in names:
+            channel = str(path.absolute()) + ("" if bus == names[0] else f"#{bus}")
+            doors.setdefault(bus, ("emulated", channel))
+    return doors
+
+
+def _look_at_locks(rig: Rig, doors: dict[str, tuple[str, str]], cleanup: ExitStack) -> None:
+    """Record the owners of motors on SocketCAN too, if there is a recording."""
+    interfaces = {bus: channel for bus, (kind, channel) in doors.items() if kind == "socketcan"}
+    if rig.recording is not None and interfaces:
+        writer = LockWriter(rig.recording, rig.world)
+        looks = LockLooks(writer, rig.world, rig.description, interfaces)
+        cleanup.callback(looks.look)  # covers what the command did after the last poll
+
+
+@final
+class _Service:
+    """The event loop, until a signal or the end of the command."""
+
+    def __init__(self, loop: WallLoop, signals: StopSignals) -> None:
+        self._loop = loop
+        self._signals = signals
+
+    def _is_stopped(self) -> bool:
+        return self._signals.number is not None
+
+    def run_until_stopped(self) -> None:
+        """Run until SIGINT or SIGTERM."""
+        self._loop.start()
+        self._loop.run(self._is_stopped)
+
+    def run_command(self, command: list[str], environment: dict[str, str]) -> int:
+        """Run the command; return its exit status (128 + n if signal n ended it)."""
+        try:
+            process = subprocess.Popen(command, env={**os.environ, **environment})
+        except OSError as error:
+            print(f"motorhil serve: {command[0]}: {error.strerror}", file=sys.stderr)
+            return _NOT_FOUND
+        watch = os.pidfd_open(process.pid)
+        try:
+            self._loop.wake_on(watch)
+            self._loop.start()
+            self._loop.run(lambda: self._is_stopped() or bool(select.select([watch], [], [], 0)[0]))
+            if process.poll() is None:  # we were asked to stop, so the command is as well
+                process.terminate()
+                try:
+                    process.wait(_GRACE_S)
+                except subprocess.TimeoutExpired:
+                    process.kill()
+            status = process.wait()
+        finally:
+            if process.poll() is None:
+                process.kill()
+                process.wait()
+            self._loop.forget(watch)
+            os.close(watch)
+        return 128 - status if status < 0 else status

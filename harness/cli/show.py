@@ -1,0 +1,236 @@
+"""The verb `show`: prints selected events of a recording as sentences."""
+
+import argparse
+import json
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import nullcontext, suppress
+from typing import Final, final
+
+from motorhil.harness.cli.main import PASSED
+from motorhil.harness.cli.options import identifier, time_ns, whole
+from motorhil.traces.decoding.events import PERIODIC, Fact, Kind
+from motorhil.traces.decoding.narrative import Line, Story
+from motorhil.traces.mcap.protobuf import Value
+from motorhil.traces.mcap.reader import Trace, read_trace
+
+_NS: Final = 1_000_000_000
+_LOOK_AGAIN_S: Final = 0.2  # a recorder writes once a second
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of `show`."""
+    parser.add_argument("file", metavar="FILE", help="a recording (MCAP)")
+    parser.add_argument("--from", type=time_ns, dest="from_ns", metavar="S", help="from this time")
+    parser.add_argument("--to", type=time_ns, dest="to_ns", metavar="S", help="before this time")
+    parser.add_argument(
+        "--last", type=time_ns, dest="last_ns", metavar="S", help="only the last S seconds"
+    )
+    parser.add_argument(
+        "--bus", action="append", metavar="NAME", help="only this bus or line; may be repeated"
+    )
+    parser.add_argument(
+        "--id",
+        action="append",
+        type=identifier,
+        metavar="HEX",
+        help="only CAN frames with this identifier",
+    )
+    parser.add_argument(
+        "--node",
+        action="append",
+        type=whole(0, 255),
+        metavar="N",
+        help="only this node or Modbus unit",
+    )
+    parser.add_argument("--motor", action="append", metavar="NAME", help="only this motor")
+    parser.add_argument(
+        "--brief",
+        action="store_true",
+        help="leave out SYNC, and heartbeats and PDOs without news other than motion",
+    )
+    parser.add_argument(
+        "--follow",
+        action="store_true",
+        help="follow a recording in progress until it is complete, or Ctrl-C",
+    )
+    parser.add_argument("--json", action="store_true", help="print one JSON object per line")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Print the selected lines; return 0.
+
+    Raises:
+        TraceError: the file cannot be read, or is damaged.
+    """
+    with read_trace(options.file) as trace:
+        story = Story(trace)
+        wanted = _Filter(options, story)
+        from_ns = options.from_ns
+        span = trace.span_ns()
+        if options.last_ns is not None and span is not None:
+            from_ns = max(from_ns or 0, span[1] - options.last_ns)
+        lines = story.lines(from_ns, options.to_ns)
+        if options.follow:
+            lines = followed(trace, story, from_ns, options.to_ns, _wait)
+        told = seen = 0
+        with suppress(KeyboardInterrupt) if options.follow else nullcontext():
+            for line in lines:
+                seen += 1
+                if wanted.takes(line):
+                    told += 1
+                    print(json.dumps(facts_of(line)) if options.json else text_of(line))
+        _warn(trace)
+        if not told:
+            print(f"motorhil show: {trace.path}: {_nothing(trace, seen)}", file=sys.stderr)
+        for name in options.motor or ():
+            if name not in wanted.met:
+                print(f"motorhil show: no events of motor {name}", file=sys.stderr)
+    return PASSED
+
+
+def followed(
+    trace: Trace,
+    story: Story,
+    from_ns: int | None,
+    to_ns: int | None,
+    wait: Callable[[], None],
+) -> Iterator[Line]:
+    """Yield the lines of a growing recording as they come; call `wait` in between.
+
+    Raises:
+        TraceError: the file is damaged, or was overwritten.
+    """
+    while True:
+        yield from story.more_lines(from_ns, to_ns)
+        if trace.cut is None:
+            return
+        while not trace.grow():
+            wait()
+
+
+def _wait() -> None:
+    sys.stdout.flush()
+    time.sleep(_LOOK_AGAIN_S)
+
+
+def text_of(line: Line) -> str:
+    """Return a line as text: time [s], place, sentence."""
+    return f"{line.time_ns // _NS:5d}.{line.time_ns % _NS:09d}  {line.place:<8}  {line.text}"
+
+
+def facts_of(line: Line) -> dict[str, object]:
+    """Return a line as JSON values."""
+    told: dict[str, object] = {
+        "time_ns": line.time_ns,
+        "topic": line.topic,
+        "text": line.text,
+        "names": list(line.names),
+    }
+    if line.identifier is not None:
+        told["id"] = line.identifier
+    said = line.said
+    if said is not None:
+        told |= {"kind": said.kind.value, "node": said.node}
+        if said.index is not None:
+            told |= {"index": said.index, "subindex": said.subindex}
+        told["facts"] = [
+            {
+                "subject": fact.subject,
+                "value": _plain(fact.value),
+                "text": fact.text,
+                "told_to": fact.told_to,
+            }
+            for fact in said.facts
+        ]
+    elif line.values:
+        told["values"] = {name: _plain(value) for name, value in line.values}
+    return told
+
+
+@final
+class _Filter:
+    """Selects lines by the options.
+
+    Traffic has to pass every filter that is given. Locks and groups pass with their motors. Events
+    always pass, except those that name other motors than --motor.
+    """
+
+    def __init__(self, options: argparse.Namespace, story: Story) -> None:
+        self.met: set[str] = set()
+        self._buses: list[str] | None = options.bus
+        self._ids: list[int] | None = options.id
+        self._nodes: list[int] | None = options.node
+        self._motors: list[str] | None = options.motor
+        self._brief: bool = options.brief
+        self._story = story
+        self._known: dict[tuple[str, int | None, Kind, str], object] = {}
+
+    def takes(self, line: Line) -> bool:
+        """Return whether a line is selected."""
+        if not self._is_wanted(line):
+            return False
+        self.met.update(line.names)
+        return not self._brief or self._is_news(line)
+
+    def _is_wanted(self, line: Line) -> bool:
+        if line.topic == "/events":
+            return self._motors is None or not line.names or self._has_motor(line)
+        if line.topic.startswith(("/can/", "/modbus/")):
+            return self._takes_traffic(line)
+        if self._ids is not None:
+            return False
+        places = [self._story.names.motors.get(name) for name in line.names]
+        return (
+            (self._motors is None or self._has_motor(line))
+            and (self._buses is None or any(p is None or p[0] in self._buses for p in places))
+            and (self._nodes is None or any(p is None or p[1] in self._nodes for p in places))
+        )
+
+    def _takes_traffic(self, line: Line) -> bool:
+        if self._buses is not None and line.place not in self._buses:
+            return False
+        if self._ids is not None and line.identifier not in self._ids:
+            return False
+        said = line.said
+        to_all = said is not None and said.kind is Kind.NMT and said.node is None
+        node = None if said is None else said.node
+        if self._nodes is not None and node not in self._nodes and not to_all:
+            return False
+        return self._motors is None or self._has_motor(line) or to_all
+
+    def _has_motor(self, line: Line) -> bool:
+        return any(name in (self._motors or ()) for name in line.names)
+
+    def _is_news(self, line: Line) -> bool:
+        said = line.said
+        if said is None or said.kind not in PERIODIC:
+            return True
+        news = False
+        for fact in said.facts:
+            if fact.motion:
+                continue
+            key = (line.place, said.node, said.kind, fact.subject)
+            if self._known.get(key) != fact.value:
+                self._known[key] = fact.value
+                news = True
+        return news
+
+
+def _nothing(trace: Trace, seen: int) -> str:
+    """Return why no line was printed."""
+    if seen:
+        return f"none of {seen} lines matches the options"
+    topics = ", ".join(sorted({channel.topic for channel in trace.channels.values()}))
+    return f"no events at that time; topics: {topics or 'none'}"
+
+
+def _warn(trace: Trace) -> None:
+    if trace.cut is not None:
+        more = f", {trace.salvaged} messages of its last chunk were read" if trace.salvaged else ""
+        print(f"motorhil show: {trace.path}: {trace.cut}{more}", file=sys.stderr)
+
+
+def _plain(value: "Value | Fact") -> object:
+    return value.hex() if isinstance(value, bytes) else value

@@ -1,0 +1,1 @@
+"""Plugins for python-can and for serial lines."""

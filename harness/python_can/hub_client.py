@@ -1,0 +1,158 @@
+"""Client of a hub's socket (`motorhil serve --socket PATH`), wall time."""
+
+import os
+import select
+import socket
+import sys
+import time
+from contextlib import suppress
+from pathlib import Path
+from typing import Final, final
+
+from can import CanInitializationError, CanOperationError
+
+from motorhil.emulators.simulation.ownership_notice import (
+    FD_GREETING,
+    GREETING,
+    HEARD,
+    RECORD_MAX,
+    REFUSED,
+    SENT,
+    STALE,
+    TOLD,
+    WELCOME,
+    OwnershipNotice,
+    pack_fenced,
+    pack_owns,
+    pack_submit,
+    unpack_stale,
+    unpack_told,
+)
+
+_GREETING_TIMEOUT_S: Final = 5.0
+
+
+@final
+class HubLink:
+    """One connection to one bus of a hub; one thread may read while another one writes.
+
+    Attributes:
+        fd: True if CAN FD frames are received.
+        stale: tokens that the hub refused: resource -> (the greater token, its owner).
+    """
+
+    def __init__(self, channel: str, fd: bool = False) -> None:
+        """Connect to `channel`, which is "PATH" (the hub's first bus) or "PATH#BUS".
+
+        With `fd`, CAN FD frames are received and may be sent; the hub refuses it for a classical
+        bus.
+
+        Raises:
+            CanInitializationError: no hub answers there, or it refuses the connection; says why.
+        """
+        self.fd = fd
+        self.stale: dict[int, tuple[int, str]] = {}
+        path, _, bus = channel.partition("#")
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        try:
+            self._socket.settimeout(_GREETING_TIMEOUT_S)
+            self._socket.connect(path)
+            name = f"{Path(sys.argv[0] or 'python').name}[{os.getpid()}]".replace(" ", "_")
+            with suppress(BrokenPipeError):  # the hub has sent its reason and closed the connection
+                self._socket.send((FD_GREETING if fd else GREETING) + f"{bus} {name}".encode())
+            answer = self._read()
+        except OSError as error:
+            self._socket.close()
+            reason = error.strerror or "no answer"
+            raise CanInitializationError(
+                f"{path}: no hub answers here ({reason}); start one with 'motorhil serve RIG "
+                f"--socket {path}'"
+            ) from None
+        if not answer.startswith(WELCOME):
+            self._socket.close()
+            reason = answer.decode("utf-8", "replace") or "the hub has closed the connection"
+            raise CanInitializationError(f"{path}: {reason}")
+        self.bus = answer[len(WELCOME) :].decode()
+        self.path = path
+        self._socket.setblocking(True)
+
+    @classmethod
+    def with_all(cls, channel: str) -> "HubLink":
+        """Connect, and receive CAN FD frames if the bus has them.
+
+        Raises:
+            CanInitializationError: as for a new connection.
+        """
+        try:
+            return cls(channel, True)
+        except CanInitializationError:  # a classical bus or an older hub
+            return cls(channel)
+
+    def fileno(self) -> int:
+        """Return the socket's descriptor, for select and event loops."""
+        return self._socket.fileno()
+
+    def send(self, frame: bytes) -> None:
+        """Send the frame to the hub, which queues it for the bus.
+
+        Raises:
+            CanOperationError: the hub has closed the connection.
+        """
+        self._send(pack_submit(frame))
+
+    def send_fenced(self, frame: bytes, resource: int, token: int) -> None:
+        """Send a frame with its token; the hub refuses it if a greater token is known."""
+        self._send(pack_fenced(frame, resource, token))
+
+    def announce(self, notice: OwnershipNotice) -> None:
+        """Announce an owner to the hub, in order with the frames. Raises as `send` does."""
+        self._send(pack_owns(notice))
+
+    def _send(self, record: bytes) -> None:
+        try:
+            self._socket.send(record)
+        except OSError as error:
+            raise self._gone() from error
+
+    def receive(self, timeout_s: float | None) -> tuple[bytes, int, bool] | None:
+        """Return the next (frame, time [ns], transmitted) on the bus, or None after `timeout_s`.
+
+        An error message of this program's own CAN controller arrives as a frame of another sender.
+
+        Raises:
+            CanOperationError: the hub has closed the connection.
+        """
+        deadline_s = None if timeout_s is None else time.monotonic() + timeout_s
+        while True:
+            left_s = None if deadline_s is None else max(0.0, deadline_s - time.monotonic())
+            try:
+                if not select.select([self._socket], [], [], left_s)[0]:
+                    return None
+                record = self._read()
+            except (OSError, ValueError) as error:
+                raise self._gone() from error
+            if not record:
+                raise self._gone()
+            if record.startswith(REFUSED):
+                reason = record[len(REFUSED) :].decode("utf-8", "replace")
+                raise CanOperationError(f"{self.path}: {reason}; the hub has closed the connection")
+            if record[0] in (HEARD, SENT, TOLD):
+                kind, time_ns, frame = unpack_told(record)
+                return frame, time_ns, kind == SENT
+            if record[0] == STALE:
+                resource, token, who = unpack_stale(record)
+                self.stale[resource] = token, who
+
+    def _read(self) -> bytes:
+        """Return the next record, or b"" if the hub has closed the connection."""
+        try:
+            return self._socket.recv(RECORD_MAX)
+        except ConnectionResetError:  # its last records are still readable
+            return self._socket.recv(RECORD_MAX)
+
+    def _gone(self) -> CanOperationError:
+        return CanOperationError(f"{self.path}: the hub has closed the connection")
+
+    def close(self) -> None:
+        """Close the connection."""
+        self._socket.close()

@@ -1,0 +1,97 @@
+"""Application's end of an emulated line in virtual time: a `motorapi` ByteLine.
+
+On a serial line every character takes its time, and listeners get characters as they arrive. On a
+gateway's line (TCP), `send` and `listen` are the two directions of one connection.
+"""
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Final, final
+
+from motorhil.emulators.simulation.serial_network import SerialSegment
+from motorhil.motorapi.errors import LinkError
+
+if TYPE_CHECKING:
+    from motorhil.emulators.simulation.serial_network import LineHost
+    from motorhil.emulators.simulation.world import World
+    from motorhil.motorapi.runtime.api import Registration, Runtime
+
+DataListener = Callable[[bytes, int], None]
+"""Callback for (characters, time when the last one was complete [ns]); b"" ends the connection."""
+
+
+@final
+class _Subscription:
+    """A listener on a line, until cancelled."""
+
+    def __init__(self, listeners: list[DataListener], listener: DataListener) -> None:
+        self._listeners = listeners
+        self._listener = listener
+        listeners.append(listener)
+
+    def cancel(self) -> None:
+        """Remove the listener."""
+        if self._listener in self._listeners:
+            self._listeners.remove(self._listener)
+
+
+@final
+class EmulatedLine:
+    """One application's port on a line, or connection to a gateway.
+
+    Attributes:
+        name: the line's name in messages.
+        framing: "rtu" on a serial line, "tcp" on a gateway's.
+        runtime: the Runtime in which the application waits.
+        silence_ns: t3.5 [ns]; 0 where silence means nothing.
+        is_closed: True once either end has closed the connection.
+    """
+
+    def __init__(self, world: "World", name: str, runtime: "Runtime") -> None:
+        segment = world.line(name)
+        self.name: Final = name
+        self.runtime: Final = runtime
+        serial = segment.line if isinstance(segment, SerialSegment) else None
+        self.framing: Final = "tcp" if serial is None else "rtu"
+        self.silence_ns: Final = 0 if serial is None else serial.t35_ns
+        self.is_closed = False
+        self._serial = serial
+        self._listeners: list[DataListener] = []
+        self._port: LineHost = world.add_line_host(name, "host", self._hear)
+
+    def duration_ns(self, characters: int) -> int:
+        """Return the transmission time of this many characters [ns]; 0 on a gateway's line."""
+        return 0 if self._serial is None else self._serial.duration_ns(characters)
+
+    def send(self, data: bytes) -> None:
+        """Send these characters now.
+
+        Raises:
+            LinkError: the line is closed.
+        """
+        if self.is_closed:
+            raise LinkError(link=self.name, reason="the connection is closed")
+        self._port.send(data)
+
+    def listen(self, on_data: DataListener) -> "Registration":
+        """Call `on_data` with the characters that others send."""
+        return _Subscription(self._listeners, on_data)
+
+    def close(self) -> None:
+        """Close the connection; closing it again has no effect."""
+        if not self.is_closed:
+            self.is_closed = True
+            self._port.close()
+
+    def _hear(self, data: bytes, now_ns: int, transmitted: bool) -> None:
+        if transmitted:
+            return
+        if not data:
+            self.is_closed = True
+        for listener in tuple(self._listeners):
+            listener(data, now_ns)
+
+
+if TYPE_CHECKING:  # lets mypy check that EmulatedLine is a ByteLine
+    from motorhil.motorapi.adaptations.modbus.client import ByteLine
+
+    _EMULATED: type[ByteLine] = EmulatedLine

@@ -1,0 +1,141 @@
+"""Conversion of recorded traffic between formats, with an account of losses."""
+
+import os
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from itertools import chain
+from pathlib import Path
+from typing import Final, final
+
+from motorhil.traces.decoding.modbus import RecordedAdu, all_adus
+from motorhil.traces.errors import TraceError
+from motorhil.traces.formats.frames import Findings
+from motorhil.traces.formats.pcap_modbus import AduFeature, ModbusExport, captured_adus, record_adus
+from motorhil.traces.formats.registry import (
+    WRITABLE,
+    Feature,
+    Format,
+    Source,
+    Survey,
+    open_source,
+    record_frames,
+)
+from motorhil.traces.mcap.reader import read_trace, whole_file
+
+MODBUS_PCAPNG: Final = "modbus-pcapng"
+_WITH_MODBUS: Final = ("mcap", "pcap")
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Conversion:
+    """The result of a conversion.
+
+    Attributes:
+        source: the source that was read.
+        target: path of the file that was written.
+        format: format that was written.
+        findings: problems found while reading.
+        buses: names of the buses.
+        lost: number of frames or ADUs per feature that the target's format cannot hold.
+        is_modbus: True if ADUs were read, not frames.
+    """
+
+    source: Source
+    target: str
+    format: str
+    findings: Findings
+    buses: tuple[str, ...]
+    lost: Mapping[Feature, int] | Mapping[AduFeature, int]
+    is_modbus: bool = False
+
+
+def format_named(name: str) -> Format | None:
+    """Return the format of this name; None stands for motorhil's own recording.
+
+    Raises:
+        KeyError: the name is unknown.
+    """
+    return None if name == "mcap" else {known.name: known for known in WRITABLE}[name]
+
+
+def format_of_ending(path: str) -> str | None:
+    """Return the name of the format for a file name's extension, or None if it is unknown."""
+    endings = {".mcap": "mcap"} | {known.ending: known.name for known in WRITABLE}
+    return endings.get(os.path.splitext(path)[1].lower())
+
+
+def convert(source_path: str, target: str, name: str, overwrite: bool = False) -> Conversion:
+    """Write the source's frames to the target, as far as its format can hold them.
+
+    If there are no frames, or the format is `MODBUS_PCAPNG`, write the ADUs of Modbus lines.
+
+    Raises:
+        TraceError: the source cannot be read or has no frames; or the target cannot be written, or
+            exists and `overwrite` is False.
+    """
+    source = open_source(source_path)
+    with suppress(OSError):
+        if os.path.samefile(source_path, target):
+            raise TraceError(target, "is the source itself", remedy="name another file")
+    if os.path.exists(target) and not overwrite:
+        raise TraceError(target, "exists", remedy="name another file, or say --force")
+    if name == MODBUS_PCAPNG:
+        return _convert_modbus(source, target, name)
+    findings = Findings()
+    frames = source.frames(findings)
+    first = next(frames, None)
+    if first is None and source.format in _WITH_MODBUS:
+        return _convert_modbus(source, target, name)
+    if first is None:
+        raise TraceError(source_path, f"no frame can be read as {source.format}")
+    frames = chain((first,), frames)
+    format_ = format_named(name)
+    lost: dict[Feature, int] = {}
+    if format_ is None:
+        told = {"source": Path(source.path).name, "format": source.format}
+        buses = record_frames(target, frames, {"convert": told})
+    else:
+        survey = Survey()
+        for frame in frames:
+            survey.add(frame)
+        with whole_file(target) as file:
+            format_.write(file, survey, source.frames(Findings()))
+        buses = tuple(survey.buses)
+        lost = {what: n for what, n in survey.counts.items() if what not in format_.holds}
+    return Conversion(source, target, name, findings, buses, lost)
+
+
+def _convert_modbus(source: Source, target: str, name: str) -> Conversion:
+    """Convert the Modbus of a capture or recording without CAN frames."""
+    findings = Findings()
+    adus = _adus(source, findings)
+    first = next(adus, None)
+    if first is None:
+        neither = "no Modbus" if name == MODBUS_PCAPNG else "neither CAN frames nor Modbus"
+        raise TraceError(source.path, f"holds {neither}")
+    adus = chain((first,), adus)
+    if name == "mcap":
+        told = {"source": Path(source.path).name, "format": f"Modbus in {source.format}"}
+        lines = record_adus(target, adus, {"convert": told})
+        return Conversion(source, target, name, findings, lines, {}, True)
+    if name not in ("pcapng", MODBUS_PCAPNG):
+        remedy = "convert it to mcap or pcapng"
+        raise TraceError(source.path, f"holds Modbus, which {name} cannot", remedy=remedy)
+    with whole_file(target) as file:
+        export = ModbusExport(file, findings)
+        export.add(adus)
+    return Conversion(source, target, MODBUS_PCAPNG, findings, export.lines, export.lost, True)
+
+
+def _adus(source: Source, findings: Findings) -> Iterator[RecordedAdu]:
+    if source.format == "pcap":
+        yield from captured_adus(source.path, findings)
+    elif source.format == "mcap":
+        with read_trace(source.path) as trace:
+            for adu in all_adus(trace):
+                findings.frames += 1
+                yield adu
+            if trace.cut is not None and trace.cut.messages_missing:
+                findings.problem(0, str(trace.cut))

@@ -1,0 +1,253 @@
+"""Replay of recorded frames: at their times, scaled, or without pauses.
+
+The schedule is absolute. A frame's due time follows from its own stamp and the start of the replay,
+never from the transmission of the previous frame. Delays therefore do not accumulate, over an hour
+or a day. A delay of the machine affects only the frames of that moment, and is measured.
+
+The same code serves virtual time and wall time; it waits only in a Runtime.
+"""
+
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from fractions import Fraction
+from typing import Final, Protocol, final
+
+from motorhil.harness.replay.player import Lateness
+from motorhil.motorapi.runtime.api import Runtime
+from motorhil.traces.decoding.canopen import CanopenDecoder
+from motorhil.traces.decoding.events import Kind
+from motorhil.traces.formats.frames import EFF_MASK, ERR, NS, Frame
+
+STUCK_S: Final = 2.0
+_CLASSIC_SIZE: Final = 16
+
+
+class SendError(Exception):
+    """A bus that does not take a frame; the message names the bus, the reason and the remedy."""
+
+
+class Sink(Protocol):
+    """Destination of the frames of a recorded bus.
+
+    Attributes:
+        name: its name in messages.
+        carries_fd: True if it takes CAN FD frames.
+    """
+
+    name: str
+    carries_fd: bool
+
+    def send(self, frame: bytes) -> None:
+        """Queue the frame on the bus. Raises SendError."""
+
+    def is_ready(self) -> bool:
+        """Return True if it takes another frame; called before each. Raises SendError."""
+
+    def is_empty(self) -> bool:
+        """Return True if all queued frames were on the bus. Raises SendError."""
+
+    def close(self) -> None:
+        """Leave the bus."""
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Choice:
+    """Selection of the frames that pass every given filter.
+
+    Attributes:
+        buses: names of buses.
+        identifiers: CAN identifiers.
+        nodes: node-IDs that a CANopen frame is about; NMT to all nodes passes.
+        from_ns, to_ns: log times [ns]; inclusive, exclusive.
+    """
+
+    buses: tuple[str, ...] | None = None
+    identifiers: tuple[int, ...] | None = None
+    nodes: tuple[int, ...] | None = None
+    from_ns: int | None = None
+    to_ns: int | None = None
+
+    def of(self, frames: Iterable[Frame]) -> Iterator[Frame]:
+        """Yield the selected frames in order; `frames` must begin with the recording."""
+        decoders: dict[str, CanopenDecoder] = {}
+        for frame in frames:
+            time_ns, bus, data = frame[:3]
+            if self.buses is not None and bus not in self.buses:
+                continue
+            if self.nodes is not None:  # all frames are decoded, to map PDOs to nodes
+                if bus not in decoders:
+                    decoders[bus] = CanopenDecoder({}, {})
+                said = decoders[bus].decode(data)
+                to_all = said.kind is Kind.NMT and said.node is None
+                if said.node not in self.nodes and not to_all:
+                    continue
+            identifier = int.from_bytes(data[:4], "little") & EFF_MASK
+            if self.identifiers is not None and (
+                identifier not in self.identifiers or is_error(data)
+            ):
+                continue
+            if (self.from_ns is None or time_ns >= self.from_ns) and (
+                self.to_ns is None or time_ns < self.to_ns
+            ):
+                yield frame
+
+
+@final
+@dataclass(slots=True)
+class Survey:
+    """Summary of the frames to send.
+
+    Attributes:
+        frames, long_frames, error_frames: numbers of all, CAN FD and error frames, by bus.
+        first_ns, last_ns: the earliest and the latest log time [ns].
+    """
+
+    frames: dict[str, int] = field(default_factory=dict)
+    long_frames: dict[str, int] = field(default_factory=dict)
+    error_frames: dict[str, int] = field(default_factory=dict)
+    first_ns: int = 0
+    last_ns: int = 0
+
+    @property
+    def span_ns(self) -> int:
+        """The time between the first and the last frame [ns]."""
+        return self.last_ns - self.first_ns
+
+
+def survey(frames: Iterable[Frame]) -> Survey:
+    """Count these frames."""
+    found = Survey()
+    first: int | None = None
+    for time_ns, bus, data, _, _ in frames:
+        first = time_ns if first is None or time_ns < first else first
+        found.last_ns = max(found.last_ns, time_ns)
+        found.frames[bus] = found.frames.get(bus, 0) + 1
+        if len(data) > _CLASSIC_SIZE:
+            found.long_frames[bus] = found.long_frames.get(bus, 0) + 1
+        elif is_error(data):
+            found.error_frames[bus] = found.error_frames.get(bus, 0) + 1
+    found.first_ns = first or 0
+    return found
+
+
+def is_error(frame: bytes) -> bool:
+    """Return True for an error frame, which is a controller's report and not traffic."""
+    return bool(int.from_bytes(frame[:4], "little") & ERR)
+
+
+def refuse_long(found: Survey, sinks: Mapping[str, Sink]) -> None:
+    """Raise SendError if there are CAN FD frames for a bus that does not carry them."""
+    for bus, count in found.long_frames.items():
+        sink = sinks.get(bus)
+        if sink is not None and not sink.carries_fd:
+            raise SendError(
+                f"{sink.name}: {count} frames of {bus} are CAN FD, which this bus does not "
+                "carry; nothing was sent; choose a CAN FD bus, or give --fd where the "
+                "interface supports it"
+            )
+
+
+@final
+@dataclass(slots=True)
+class Replayed:
+    """Result of a replay, updated while it runs.
+
+    Attributes:
+        sent: number of frames sent, by bus.
+        errors: number of error frames, which cannot be sent, by bus.
+        late: delays of the frames after their due times.
+        began_ns, ended_ns: by the runtime's clock [ns].
+    """
+
+    began_ns: int
+    ended_ns: int = 0
+    sent: dict[str, int] = field(default_factory=dict)
+    errors: dict[str, int] = field(default_factory=dict)
+    late: Lateness = field(default_factory=Lateness)
+
+
+@final
+class TrafficReplay:
+    """Replay of recorded frames.
+
+    Attributes:
+        done: the result so far.
+    """
+
+    def __init__(
+        self,
+        sinks: Mapping[str, Sink],
+        runtime: Runtime,
+        first_ns: int,
+        speed: Fraction | None = Fraction(1),
+    ) -> None:
+        """Start the replay now.
+
+        Args:
+            sinks: by recorded bus; frames of other buses are left out.
+            runtime: provides the time and waits.
+            first_ns: the log time that corresponds to now [ns].
+            speed: acceleration factor; None: as fast as the buses take the frames.
+        """
+        self.done = Replayed(runtime.now_ns())
+        self._sinks = sinks
+        self._runtime = runtime
+        self._first_ns = first_ns
+        self._speed = speed
+
+    def due_ns(self, time_ns: int) -> int:
+        """Return when a frame of this log time is due, by the runtime's clock [ns]."""
+        assert self._speed is not None
+        step_ns = time_ns - self._first_ns
+        return self.done.began_ns + step_ns * self._speed.denominator // self._speed.numerator
+
+    def run(
+        self, frames: Iterable[Frame], tell: Callable[[int, int], None] | None = None
+    ) -> Replayed:
+        """Send all frames, and wait until they were on their buses.
+
+        Args:
+            frames: the frames in order.
+            tell: called with the log time [ns] and the number of each frame.
+
+        Raises:
+            SendError: a bus does not take a frame.
+        """
+        now_ns = self._runtime.now_ns
+        done = self.done
+        for number, (time_ns, bus, data, _, _) in enumerate(frames):
+            sink = self._sinks.get(bus)
+            if sink is None:
+                continue
+            if is_error(data):
+                done.errors[bus] = done.errors.get(bus, 0) + 1
+                continue
+            if self._speed is not None:
+                due_ns = self.due_ns(time_ns)
+                left_ns = due_ns - now_ns()
+                if left_ns > 0:
+                    self._runtime.wait_until(_never, left_ns / NS)
+            if not sink.is_ready():
+                self._wait_for(sink, sink.is_ready)
+            if self._speed is not None:
+                done.late.add(now_ns() - due_ns)
+            sink.send(data)
+            done.sent[bus] = done.sent.get(bus, 0) + 1
+            if tell is not None:
+                tell(time_ns, number)
+        for sink in self._sinks.values():
+            self._wait_for(sink, sink.is_empty)
+        done.ended_ns = now_ns()
+        return done
+
+    def _wait_for(self, sink: Sink, done: Callable[[], bool]) -> None:
+        if not self._runtime.wait_until(done, STUCK_S):
+            raise SendError(
+                f"{sink.name}: has taken no frame for {STUCK_S:g} s; check that another node "
+                "acknowledges and that the bit rate is right"
+            )
+
+
+def _never() -> bool:
+    return False

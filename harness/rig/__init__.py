@@ -1,0 +1,1 @@
+"""The rig: media, controllers, motors and a runtime from one file."""

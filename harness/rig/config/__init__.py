@@ -1,0 +1,1 @@
+"""Rig files: reading, checking, defaults."""

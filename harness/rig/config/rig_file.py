@@ -1,0 +1,403 @@
+"""Rig file: buses, controllers, motors, faults and stimuli.
+
+A rig is TOML. This module checks its structure, and every name that refers to another one. The
+settings of a controller or motor are checked by its builder; errors in them still report their line
+(`RigDescription.source`). `rig.schema.json` describes the same for editors.
+
+    [rig]                       name, seed
+    [bus.NAME]                  kind = "can", bitrate_bit_s; or a line (see BusDescription)
+    [bus.NAME.node.NAME]        the CAN controller of one node (see read_nodes)
+    [[bus.NAME.message]]        a message of others: identifier, length, period_s, jitter_s
+    [controller.NAME]           kind, bus, node_id, and the kind's own settings
+    [motor.NAME]                adaptation, model, and its own settings; its place: controller, or
+                                bus and node_id, or nothing if its adaptation needs no bus
+    [group.NAME]                motors
+    [[fault]]                   bus, kind, conditions
+    [[stimulus]]                controller, name, value, at_s
+    [conformance]               facts declared about the motors under test
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+from typing import Final, final
+
+from motorhil.harness.conformance.clause import NOTHING_DECLARED, Facts, read_facts
+from motorhil.harness.plugins import is_target
+from motorhil.harness.rig.config.buses import (
+    NODE_MAX,
+    UNIT_MAX,
+    BusDescription,
+    address_key,
+    read_address,
+    read_bus,
+    refuse_strangers,
+)
+from motorhil.harness.rig.config.faults import HOST, FaultDescription, read_faults
+from motorhil.harness.rig.config.stimuli import StimulusDescription, read_stimuli
+from motorhil.harness.rig.config.toml import (
+    SEED_MAX,
+    KeyPath,
+    RigError,
+    Source,
+    Table,
+    listed,
+    one_line,
+    read_source,
+)
+
+RIG_KEYS: Final = ("name", "seed")
+GROUP_KEYS: Final = ("motors",)
+TOP_KEYS: Final = (
+    *("rig", "bus", "controller", "motor", "group", "fault", "stimulus", "conformance"),
+)
+
+_NEW_REMEDY: Final = "check the path, or write a new rig: motorhil new DIR"
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class ControllerDescription:
+    """An emulated controller.
+
+    Attributes:
+        name: name in the rig.
+        kind: the plugin that builds it.
+        bus: its bus.
+        node_id: its node-ID, or its unit on a line; None if its kind has none.
+        settings: its table without `kind`, `bus` and `plant.from_motor_model`.
+        plants_from_model: paths of the plant tables in it (`plant`, `channel.2.plant`) that take
+            missing values from their motor's model.
+    """
+
+    name: str
+    kind: str
+    bus: str
+    node_id: int | None
+    settings: Mapping[str, object]
+    plants_from_model: tuple[KeyPath, ...]
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class MotorDescription:
+    """A motor as the application sees it.
+
+    Attributes:
+        name: name in the rig.
+        adaptation: the plugin that builds it.
+        bus, node_id: bus and node-ID (on a line: unit) of its controller; None if the adaptation
+            needs no bus.
+        controller: its emulated controller; None if the table names bus and node_id itself.
+        model: a motor model file, or the model itself.
+        settings: its table without the keys above.
+    """
+
+    name: str
+    adaptation: str
+    bus: str | None
+    node_id: int | None
+    controller: str | None
+    model: Path | Mapping[str, object]
+    settings: Mapping[str, object]
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class GroupDescription:
+    """Names of motors that move together."""
+
+    name: str
+    motors: tuple[str, ...]
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class RigDescription:
+    """A checked rig file, in which every name refers to something.
+
+    `attached`, for a rig out of a recording: (name, media type, contents) of the recording's files.
+    """
+
+    name: str
+    seed: int
+    buses: Mapping[str, BusDescription]
+    controllers: Mapping[str, ControllerDescription]
+    motors: Mapping[str, MotorDescription]
+    groups: Mapping[str, GroupDescription]
+    faults: tuple[FaultDescription, ...]
+    stimuli: tuple[StimulusDescription, ...]
+    source: Source
+    attached: tuple[tuple[str, str, bytes], ...] = ()
+    conformance: Facts = NOTHING_DECLARED
+
+    @property
+    def folder(self) -> Path:
+        """The folder in which relative paths of the rig start."""
+        return self.source.path.parent
+
+    def error(
+        self, path: KeyPath, message: str, remedy: str = "", kind: type[RigError] = RigError
+    ) -> RigError:
+        """Return the error for a value of this rig, with its line."""
+        return self.source.error(path, message, remedy, kind)
+
+
+def _all_need_one(adaptation: str) -> bool | None:
+    return True
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Known:
+    """The plugins that a rig may name.
+
+    Attributes:
+        controllers, adaptations: names of the plugins.
+        needs_bus: returns True if motors of this adaptation are on a bus, or None if the adaptation
+            cannot be loaded; the error is then reported when the motor is built.
+    """
+
+    controllers: tuple[str, ...]
+    adaptations: tuple[str, ...]
+    needs_bus: Callable[[str], bool | None] = _all_need_one
+
+
+def read_rig(path: Path, known: Known) -> RigDescription:
+    """Read the rig in a file.
+
+    Raises:
+        RigError: the file does not exist, or its first error.
+    """
+    return parse_rig(read_source(path, _NEW_REMEDY), known)
+
+
+def parse_rig(source: Source, known: Known) -> RigDescription:
+    """Read the rig in a text.
+
+    Raises:
+        RigError: the first error in it.
+    """
+    root = source.root()
+    root.refuse_unknown(TOP_KEYS, "table")
+    rig = root.table("rig")
+    rig.refuse_unknown(RIG_KEYS)
+    buses = {name: read_bus(name, table) for name, table in _named(root, "bus")}
+    if not buses and _needs_bus(root, known):
+        raise source.error((), "the rig has no bus", "add [bus.can0]")
+    controllers = {
+        name: _controller(name, table, buses, known) for name, table in _named(root, "controller")
+    }
+    _refuse_shared_nodes(source, controllers, buses)
+    for bus, names in _on_each(buses, controllers).items():
+        refuse_strangers(source, bus, buses[bus].nodes, buses[bus].silent, (HOST, *names))
+    motors = {
+        name: _motor(name, table, buses, controllers, known)
+        for name, table in _named(root, "motor")
+    }
+    groups = {name: _group(name, table, motors) for name, table in _named(root, "group")}
+    return RigDescription(
+        name=_rig_name(rig),
+        seed=rig.integer("seed", 0, low=0, high=SEED_MAX, example="1"),
+        buses=MappingProxyType(buses),
+        controllers=MappingProxyType(controllers),
+        motors=MappingProxyType(motors),
+        groups=MappingProxyType(groups),
+        faults=read_faults(root, _on_each(buses, controllers), buses),
+        stimuli=read_stimuli(root, list(controllers)),
+        source=source,
+        conformance=read_facts(root.table("conformance"), tuple(motors)),
+    )
+
+
+def _needs_bus(root: Table, known: Known) -> bool:
+    """Return True if anything in the rig needs a bus, or if the rig is empty."""
+    motors = [table for _, table in _named(root, "motor")]
+    if root.table("controller").values or not motors:
+        return True
+    named = [table.values.get("adaptation") for table in motors]
+    return any(isinstance(name, str) and known.needs_bus(name) for name in named)
+
+
+def _rig_name(rig: Table) -> str:
+    name = rig.text("name", rig.source.path.stem, '"my rig"')
+    if rig.has("name") and not name.isprintable():
+        raise rig.error(
+            "name", "contains a character that cannot be printed", "write one line of text"
+        )
+    return one_line(name)
+
+
+def _named(root: Table, key: str) -> "list[tuple[str, Table]]":
+    """Return the tables [key.NAME]."""
+    outer = root.table(key)
+    tables = []
+    for name in outer.values:
+        outer.refuse_no_name(name)
+        tables.append((name, outer.table(name)))
+    return tables
+
+
+def _controller(
+    name: str, table: Table, buses: Mapping[str, BusDescription], known: Known
+) -> ControllerDescription:
+    kind = _plugin(table, "kind", known.controllers, "controller kind")
+    bus = table.name_of("bus", list(buses), "bus")
+    settings = _without(table, ("kind", "bus"))
+    asking: list[KeyPath] = []
+    for plant in _plants(table):
+        path = plant.path[len(table.path) :]
+        if plant.flag("from_motor_model", False):
+            asking.append(path)
+        if plant.has("from_motor_model"):
+            settings = replaced(settings, path, _without(plant, ("from_motor_model",)))
+    if name == HOST or name.startswith(f"{HOST}-"):
+        raise table.source.error(
+            table.path, "is reserved for the application's ports on a bus", "rename it"
+        )
+    address = read_address(table, buses[bus])
+    return ControllerDescription(name, kind, bus, address, settings, tuple(asking))
+
+
+def _plugin(table: Table, key: str, known: Sequence[str], what: str) -> str:
+    """Read the name of a plugin, or "package.module:function" of one that is not installed."""
+    name = table.values.get(key)
+    return name if isinstance(name, str) and is_target(name) else table.one_of(key, known, what)
+
+
+def _plants(table: Table) -> list[Table]:
+    """Return the controller's plant tables: its own, and those of its channels."""
+    plants = [table.table("plant")]
+    if isinstance(table.values.get("channel"), dict):
+        channels = table.table("channel")
+        plants += [
+            channels.table(name).table("plant")
+            for name, value in channels.values.items()
+            if isinstance(value, dict)
+        ]
+    return plants
+
+
+def replaced(
+    settings: Mapping[str, object], path: KeyPath, value: Mapping[str, object]
+) -> dict[str, object]:
+    """Return the settings with another value at `path`."""
+    key, *rest = path
+    inner = settings.get(str(key), {})
+    assert isinstance(inner, Mapping)
+    return {**settings, str(key): replaced(inner, tuple(rest), value) if rest else value}
+
+
+def _motor(
+    name: str,
+    table: Table,
+    buses: Mapping[str, BusDescription],
+    controllers: Mapping[str, ControllerDescription],
+    known: Known,
+) -> MotorDescription:
+    if table.has("name"):
+        raise table.error("name", f'the motor has the name of its table, "{name}"', "take it out")
+    adaptation = _plugin(table, "adaptation", known.adaptations, "adaptation")
+    bus, node_id, controller = _place(table, adaptation, buses, controllers, known)
+    settings = _without(table, ("adaptation", "controller", "bus", "node_id", "unit", "model"))
+    return MotorDescription(name, adaptation, bus, node_id, controller, _model(table), settings)
+
+
+def _place(
+    table: Table,
+    adaptation: str,
+    buses: Mapping[str, BusDescription],
+    controllers: Mapping[str, ControllerDescription],
+    known: Known,
+) -> tuple[str | None, int | None, str | None]:
+    """Return (bus, node_id, controller) of a motor."""
+    needs_bus = known.needs_bus(adaptation)
+    if needs_bus is False:
+        for key in ("controller", "bus", "node_id", "unit"):
+            if table.has(key):
+                problem = f'a motor of adaptation "{adaptation}" is not on a bus'
+                raise table.error(key, problem, f"take out {key}")
+        return None, None, None
+    if table.has("controller"):
+        controller = table.name_of("controller", list(controllers), "controller")
+        for key in ("bus", "node_id", "unit"):
+            if table.has(key):
+                raise table.error(key, "follows from the controller", f"take out {key}")
+        described = controllers[controller]
+        return described.bus, described.node_id, controller
+    if table.has("bus"):
+        bus = table.name_of("bus", list(buses), "bus")
+        return bus, read_address(table, buses[bus]), None
+    if needs_bus is None:
+        return None, None, None
+    known_names = listed(controllers)
+    raise table.missing("controller", f"name one ({known_names}), or write bus and node_id")
+
+
+def _model(table: Table) -> Path | Mapping[str, object]:
+    if isinstance(table.values.get("model"), dict):
+        return MappingProxyType(dict(table.table("model").values))
+    path = table.source.path.parent / table.text("model", example='"motor.toml"')
+    if not _is_file(path):
+        raise table.error("model", f"no such file: {path}", "paths start at the rig's folder")
+    return path
+
+
+def _is_file(path: Path) -> bool:
+    try:
+        return path.is_file()
+    except (OSError, ValueError):
+        return False
+
+
+def _group(name: str, table: Table, motors: Mapping[str, MotorDescription]) -> GroupDescription:
+    table.refuse_unknown(GROUP_KEYS)
+    members = table.texts("motors", example='["left", "right"]')
+    if not members:
+        raise table.error("motors", "is empty", f"name motors of this rig: {listed(motors)}")
+    for index, member in enumerate(members):
+        path = (*table.path, "motors", index)
+        if member not in motors:
+            raise table.source.no_such(path, member, list(motors), "motor")
+        if member in members[:index]:
+            raise table.source.error(path, f'"{member}" is in the group twice', "take one out")
+    return GroupDescription(name, members)
+
+
+def _refuse_shared_nodes(
+    source: Source,
+    controllers: Mapping[str, ControllerDescription],
+    buses: Mapping[str, BusDescription],
+) -> None:
+    taken: dict[tuple[str, int], str] = {}
+    for name, controller in controllers.items():
+        if controller.node_id is None:
+            continue
+        place = (controller.bus, controller.node_id)
+        if place in taken:
+            bus = buses[controller.bus]
+            key, last = address_key(bus), UNIT_MAX if bus.is_line else NODE_MAX
+            first = source.line(("controller", taken[place], key))
+            used = [node for name_of_bus, node in taken if name_of_bus == controller.bus]
+            free = next((node for node in range(1, last + 1) if node not in used), None)
+            raise source.error(
+                ("controller", name, key),
+                f'{place[1]} on bus "{place[0]}" is already used by controller '
+                f'"{taken[place]}" (line {first})',
+                f"the first free {key} is {free}" if free else "use another bus",
+            )
+        taken[place] = name
+
+
+def _on_each(
+    buses: Mapping[str, BusDescription], controllers: Mapping[str, ControllerDescription]
+) -> dict[str, list[str]]:
+    return {
+        bus: [name for name, controller in controllers.items() if controller.bus == bus]
+        for bus in buses
+    }
+
+
+def _without(table: Table, keys: tuple[str, ...]) -> dict[str, object]:
+    return {key: value for key, value in table.values.items() if key not in keys}

@@ -1,0 +1,121 @@
+"""Shipped examples, and new rigs with CI jobs made from them."""
+
+import shlex
+from collections.abc import Iterable, Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import Final
+
+from motorhil.harness.rig.config.toml import RigError
+
+EXAMPLES: Final = Path(__file__).resolve().parents[2] / "examples"
+SCHEMA: Final = Path(__file__).parents[2] / "rig.schema.json"
+_START: Final = "two_wheels"  # the example that a new rig starts from
+_FILES: Final = (  # (name among the examples, name in the new folder)
+    (f"{_START}.toml", "rig.toml"),
+    ("wheel_model.toml", "wheel_model.toml"),
+    (f"{_START}.py", "drive.py"),
+    ("../rig.schema.json", "rig.schema.json"),
+)
+_CI: Final = EXAMPLES / "ci"
+_HELPER: Final = "vcan-or-hub"
+CI_FILES: Final = {"github": ".github/workflows/motors.yml", "gitlab": ".gitlab-ci.yml"}
+
+
+def example_rigs() -> list[Path]:
+    """Return the shipped rigs in alphabetical order, without the motor models beside them."""
+    return [
+        path for path in sorted(EXAMPLES.glob("*.toml")) if "\n[motor." in path.read_text("utf-8")
+    ]
+
+
+def first_comment(path: Path) -> str:
+    """Return the first line of a file if it is a comment, else ""."""
+    with path.open(encoding="utf-8") as file:
+        line = file.readline().strip()
+    return line.removeprefix("#").strip() if line.startswith("#") else ""
+
+
+def write_new_rig(folder: Path, ci: str | None = None) -> list[Path]:
+    """Write a working rig, a motor model, a script and the editors' schema into the folder.
+
+    Args:
+        folder: the folder; created if missing.
+        ci: also write this CI job, one of CI_FILES, into the current folder; an existing rig in
+            `folder` then stays as it is.
+
+    Returns:
+        The files written.
+
+    Raises:
+        RigError: a file exists already, or cannot be written.
+    """
+    is_there = ci is not None and (folder / "rig.toml").exists()
+    rig = {} if is_there else _rig(folder)
+    job = {} if ci is None else _job(ci, folder)
+    _refuse_existing(rig, "name another folder: motorhil new DIR")
+    _refuse_existing(job, f"take what you need from {_CI}")
+    _write(folder, rig | job)
+    return [*rig, *job]
+
+
+def _rig(folder: Path) -> dict[Path, str]:
+    texts = {folder / new: (EXAMPLES / old).read_text("utf-8") for old, new in _FILES}
+    texts[folder / "rig.toml"] = texts[folder / "rig.toml"].replace(
+        f"#:schema ../{SCHEMA.name}", f"#:schema ./{SCHEMA.name}"
+    )
+    for old, new in _FILES:  # the script names the files beside it
+        texts[folder / "drive.py"] = texts[folder / "drive.py"].replace(old, new)
+    return texts
+
+
+def _job(kind: str, folder: Path) -> dict[Path, str]:
+    """Return the CI job that runs tests with the folder's rig, and its helper script."""
+    try:
+        place = folder.resolve().relative_to(Path.cwd())
+    except ValueError:
+        raise RigError(
+            folder,
+            "is not in the current folder, where the CI job is written",
+            "change to its parent folder first",
+        ) from None
+    job = (_CI / f"{kind}.yml").read_text("utf-8")
+    for name in ("rig.toml", "drive.py"):
+        job = job.replace(f"wheels/{name}", shlex.quote((place / name).as_posix()))
+    return {
+        Path(CI_FILES[kind]): job,
+        Path(".ci", _HELPER): (_CI / _HELPER).read_text("utf-8"),
+    }
+
+
+def _refuse_existing(paths: Iterable[Path], remedy: str) -> None:
+    for path in paths:
+        if path.exists():
+            raise RigError(path, "already exists", remedy)
+
+
+def _write(folder: Path, texts: Mapping[Path, str]) -> None:
+    missing = {
+        above for path in texts for above in (path.parent, *path.parents) if not above.exists()
+    }
+    made: list[Path] = []
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for path, text in texts.items():
+            path.parent.mkdir(parents=True, exist_ok=True)
+            with path.open("x", encoding="utf-8") as file:
+                made.append(path)
+                file.write(text)
+    except OSError as error:
+        _take_back(made, sorted(missing, reverse=True))
+        reason = error.strerror or str(error)
+        raise RigError(folder, f"cannot be written: {reason}", "name another folder") from None
+
+
+def _take_back(files: Iterable[Path], folders: Iterable[Path]) -> None:
+    """Delete these files and folders, as far as possible."""
+    with suppress(OSError):
+        for path in files:
+            path.unlink()
+        for folder in folders:
+            folder.rmdir()

@@ -1,0 +1,92 @@
+"""`[[stimulus]]` tables of a rig: timed physical inputs of controllers."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final, final
+
+from motorhil.emulators.controller import Controller
+from motorhil.emulators.simulation.world import World
+from motorhil.harness.rig.config.toml import KeyPath, Table
+
+if TYPE_CHECKING:
+    from motorhil.harness.rig.config.rig_file import ControllerDescription, RigDescription
+
+STIMULUS_KEYS: Final = ("controller", "name", "value", "at_s")
+_VALUE_MAX: Final = 1e12
+_TIME_MAX_S: Final = 1e9
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class StimulusDescription:
+    """A value of the controller's physical input `name` from `at_ns` on.
+
+    `path` leads to its table in the rig file.
+    """
+
+    controller: str
+    name: str
+    value: float
+    at_ns: int
+    path: KeyPath
+
+
+def read_stimuli(root: Table, controllers: Sequence[str]) -> tuple[StimulusDescription, ...]:
+    """Return the stimuli of a rig, in the order of the file.
+
+    Raises:
+        RigError: the first error in them, except errors that only the controller can detect.
+    """
+    return tuple(_stimulus(table, controllers) for table in root.listed_tables("stimulus"))
+
+
+def _stimulus(table: Table, controllers: Sequence[str]) -> StimulusDescription:
+    table.refuse_unknown(STIMULUS_KEYS)
+    at_s = table.number("at_s", low=0.0, high=_TIME_MAX_S, unit="s", example="1.5")
+    return StimulusDescription(
+        controller=table.name_of("controller", controllers, "controller"),
+        name=table.text("name", example='"sto"'),
+        value=table.number("value", low=-_VALUE_MAX, high=_VALUE_MAX, example="1"),
+        at_ns=round(at_s * 1e9),
+        path=table.path,
+    )
+
+
+@final
+class _Occurrence:
+    """One scheduled stimulus."""
+
+    def __init__(self, world: World, stimulus: StimulusDescription) -> None:
+        self._world = world
+        self._stimulus = stimulus
+
+    def happen(self, now_ns: int) -> None:
+        """Report the stimulus and apply it."""
+        one = self._stimulus
+        self._world.report(now_ns, "info", one.controller, f"stimulus {one.name} = {one.value:g}")
+        self._world.stimulate(one.controller, one.name, one.value)
+
+
+def schedule(
+    description: "RigDescription",
+    world: World,
+    build: "Callable[[ControllerDescription], Controller]",
+) -> None:
+    """Schedule every stimulus.
+
+    A twin of each controller, built for this purpose only, checks them in advance.
+
+    Raises:
+        RigError: the stimulus does not exist, or cannot have this value.
+    """
+    twins: dict[str, Controller] = {}
+    for stimulus in description.stimuli:
+        name = stimulus.controller
+        if name not in twins:
+            twins[name] = build(description.controllers[name])
+            twins[name].start(0)
+        try:
+            twins[name].stimulate(stimulus.name, stimulus.value, 0)
+        except ValueError as error:
+            raise description.error(stimulus.path, str(error), "write another one") from None
+        world.queue.alarm(_Occurrence(world, stimulus).happen).set(stimulus.at_ns)

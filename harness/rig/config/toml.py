@@ -1,0 +1,603 @@
+"""Reader of hand-written TOML files; errors name file, line, key and remedy.
+
+A `Source` is the file: its values and their lines. A `Table` is one of its tables, read key by key.
+It refuses unknown keys first, because a misspelt key explains a missing one. Reading ends at the
+first error; RigError is always one line.
+
+Line numbers of keys in a TOML text; tomllib reads the values.
+
+A path is the keys down to a value. Array items and tables of an array of tables are counted from 0.
+The text must be one that tomllib accepts, so nothing is checked here.
+
+Changes of one table in a rig's text, which recordings contain.
+
+Wording of keys, names and values in messages: short, one line.
+"""
+
+import difflib
+import math
+import re
+import tomllib
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import Final, final
+
+KeyPath = tuple[str | int, ...]
+
+BARE_KEY: Final = re.compile(r"[A-Za-z0-9_-]+")
+_PLAIN_VALUE: Final = re.compile(r"[^,\]}#\n]+")  # number, boolean, date: ends before any of these
+_SPACE: Final = re.compile(r"[ \t]*")
+_SPACE_LINES_COMMENTS: Final = re.compile(r"(?:[ \t\n]|#[^\n]*)*")
+_STRING: Final = {
+    '"': re.compile(r'"(?:[^"\\]|\\.)*"'),
+    "'": re.compile(r"'[^']*'"),
+    # Up to two quotes may precede the three that close a multi-line string.
+    '"""': re.compile(r'"""(?:[^"\\]|\\.|"{1,2}(?!"))*"{3,5}', re.DOTALL),
+    "'''": re.compile(r"'''(?:[^']|'{1,2}(?!'))*'{3,5}"),
+}
+
+
+def key_lines(text: str) -> Mapping[KeyPath, int]:
+    """Return the line, counted from 1, of every table, key and array item in a valid TOML text.
+
+    A table with a header of its own is at that header. A table that is only implied (by a dotted
+    key, or by the header of a table inside it) is where it is first implied. The root, `()`, is at
+    line 1.
+    """
+    return _Locator(text.replace("\r\n", "\n")).run()
+
+
+class _Locator:
+    def __init__(self, text: str) -> None:
+        self._text = text
+        self._at = 0
+        self._line = 1
+        self._counted_to = 0
+        self._lines: dict[KeyPath, int] = {(): 1}
+        self._tables_in_array: dict[KeyPath, int] = {}
+
+    def run(self) -> dict[KeyPath, int]:
+        text = self._text
+        table: KeyPath = ()
+        self._skip(_SPACE_LINES_COMMENTS)
+        while self._at < len(text):
+            if text.startswith("[[", self._at):
+                table = self._array_header()
+            elif text[self._at] == "[":
+                table = self._header()
+            else:
+                self._key_and_value(table)
+            self._skip(_SPACE_LINES_COMMENTS)
+        return self._lines
+
+    def _header(self) -> KeyPath:
+        line = self._here()
+        self._at += 1
+        *outer, last = self._dotted_key()
+        self._at += 1
+        path = (*self._resolve(outer, line), last)
+        self._lines[path] = line  # its own header overrides where it was implied before
+        return path
+
+    def _array_header(self) -> KeyPath:
+        line = self._here()
+        self._at += 2
+        *outer, last = self._dotted_key()
+        self._at += 2
+        array = (*self._resolve(outer, line), last)
+        count = self._tables_in_array.get(array, 0)
+        self._tables_in_array[array] = count + 1
+        self._lines.setdefault(array, line)
+        self._lines[(*array, count)] = line
+        return (*array, count)
+
+    def _resolve(self, keys: list[str], line: int) -> KeyPath:
+        """Return the path of a header's outer keys; an array of tables means its last table."""
+        path: KeyPath = ()
+        for key in keys:
+            path = (*path, key)
+            self._lines.setdefault(path, line)
+            count = self._tables_in_array.get(path)
+            if count is not None:
+                path = (*path, count - 1)
+        return path
+
+    def _key_and_value(self, table: KeyPath) -> None:
+        line = self._here()
+        path = table
+        for key in self._dotted_key():
+            path = (*path, key)
+            self._lines.setdefault(path, line)
+        self._at += 1  # the "="
+        self._skip(_SPACE)
+        self._value(path)
+
+    def _dotted_key(self) -> list[str]:
+        """Return the keys at this position, and move to the character that ends them."""
+        keys = []
+        while True:
+            self._skip(_SPACE)
+            quoted = self._text[self._at] in "\"'"
+            start = self._at
+            self._skip(_STRING[self._text[start]] if quoted else BARE_KEY)
+            key = self._text[start : self._at]
+            keys.append(tomllib.loads(f"key = {key}")["key"] if quoted else key)
+            self._skip(_SPACE)
+            if self._text[self._at] != ".":
+                return keys
+            self._at += 1
+
+    def _value(self, path: KeyPath) -> None:
+        text = self._text
+        first = text[self._at]
+        if first in "\"'":
+            triple = text[self._at : self._at + 3]
+            self._skip(_STRING[triple if triple == first * 3 else first])
+        elif first == "[":
+            self._array(path)
+        elif first == "{":
+            self._inline_table(path)
+        else:
+            self._skip(_PLAIN_VALUE)
+
+    def _array(self, path: KeyPath) -> None:
+        self._at += 1
+        index = 0
+        self._skip(_SPACE_LINES_COMMENTS)
+        while self._text[self._at] != "]":
+            item = (*path, index)
+            self._lines[item] = self._here()
+            self._value(item)
+            index += 1
+            self._end_of_item()
+        self._at += 1
+
+    def _inline_table(self, path: KeyPath) -> None:
+        self._at += 1
+        self._skip(_SPACE_LINES_COMMENTS)  # newlines and comments inside: TOML 1.1
+        while self._text[self._at] != "}":
+            self._key_and_value(path)
+            self._end_of_item()
+        self._at += 1
+
+    def _end_of_item(self) -> None:
+        self._skip(_SPACE_LINES_COMMENTS)
+        if self._text[self._at] == ",":
+            self._at += 1
+            self._skip(_SPACE_LINES_COMMENTS)
+
+    def _skip(self, pattern: re.Pattern[str]) -> None:
+        found = pattern.match(self._text, self._at)
+        if found is None:
+            raise AssertionError(f"not TOML at character {self._at}")
+        self._at = found.end()
+
+    def _here(self) -> int:
+        self._line += self._text.count("\n", self._counted_to, self._at)
+        self._counted_to = self._at
+        return self._line
+
+
+def with_table(text: str, table: str, lines: str, without: Collection[str]) -> str:
+    """Return the text with these lines in `[table]`, and without that table's keys `without`.
+
+    The table must have a header of its own in the text, and each of its keys must be on one line.
+    """
+    head = f"[{table}]\n"
+    before, found, rest = text.partition(head)
+    assert found, f"no {head.strip()} in a file that is ours"
+    end = re.search(r"^\[", rest, re.MULTILINE)
+    body, behind = (rest[: end.start()], rest[end.start() :]) if end else (rest, "")
+    kept = [
+        line
+        for line in body.splitlines(keepends=True)
+        if line.partition("=")[0].strip() not in without
+    ]
+    return before + head + lines + "".join(kept) + behind
+
+
+_SHOWN_MAX: Final = 60
+
+
+def dotted(path: KeyPath) -> str:
+    """Return the path as people write it: keys joined by dots, list items in brackets."""
+    text = ""
+    for key in path:
+        if isinstance(key, int):
+            text += f"[{key}]"
+        else:
+            quoted = key if BARE_KEY.fullmatch(key) else repr(key)
+            text += f".{quoted}" if text else quoted
+    return text
+
+
+def listed(names: Iterable[str]) -> str:
+    """Return the names separated by commas, or "none"."""
+    return ", ".join(names) or "none"
+
+
+def nearest(name: str, known: Sequence[str]) -> str:
+    """Return a remedy: the known name most similar to `name`, or to remove it."""
+    for candidate in known:  # a missing unit is the likeliest mistake
+        if candidate.startswith(f"{name}_"):
+            return f"did you mean {candidate}?"
+    found = difflib.get_close_matches(name.lower(), [k.lower() for k in known], 1, 0.6)
+    for candidate in known:
+        if found and candidate.lower() == found[0]:
+            return f"did you mean {candidate}?"
+    return "take it out, or use one of these"
+
+
+def kind_of(value: object) -> str:
+    """Return TOML's word for the type of this value, with its article."""
+    if isinstance(value, bool):
+        return "a boolean"
+    for kind, name in _KINDS:
+        if isinstance(value, kind):
+            return name
+    return "a date or time"
+
+
+def a_kind_of(value: object) -> str:
+    """Return Python's word for it, with its article: "None", "the class Motor", "a 'str'"."""
+    if value is None:
+        return "None"
+    return (
+        f"the class {value.__name__}" if isinstance(value, type) else f"a {type(value).__name__!r}"
+    )
+
+
+_KINDS: Final = (
+    (str, "a string"),
+    (int, "an integer"),
+    (float, "a float"),
+    (dict, "a table"),
+    (list, "an array"),
+)
+
+
+def shown(value: object) -> str:
+    """Return a value as TOML writes it, shortened."""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, dict | list):
+        return "1 entry" if len(value) == 1 else f"{len(value)} entries"
+    text = f'"{value}"' if isinstance(value, str) else str(value)
+    return text if len(text) <= _SHOWN_MAX else text[: _SHOWN_MAX - 3] + "..."
+
+
+def one_line(text: str) -> str:
+    """Return the text with every non-printable character as an escape."""
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
+
+
+_REQUIRED: Final = object()
+_NAME: Final = re.compile(r"[A-Za-z][A-Za-z0-9_-]*")
+SEED_MAX: Final = 2**32 - 1
+_INTEGER_MAX: Final = 2**63 - 1  # TOML 1.0, "Integer": 64-bit signed is what all must accept
+
+
+class RigError(Exception):
+    """The rig cannot be used as it is written; nothing was started.
+
+    Attributes:
+        file: the file with the error.
+        line: line number from 1; None if the error has no line (the file is missing).
+        key: keys down to the value, joined by dots; empty if the error has no key.
+        message: the problem, with value, limit and unit.
+        remedy: what to write or do instead.
+    """
+
+    def __init__(
+        self,
+        file: Path | str,
+        message: str,
+        remedy: str = "",
+        *,
+        line: int | None = None,
+        key: str = "",
+    ) -> None:
+        self.file = file
+        self.line = line
+        self.key = key
+        self.message = message
+        self.remedy = remedy
+        place = f"{file}:{line}" if line is not None else str(file)
+        text = ": ".join(part for part in (place, key, message) if part)
+        super().__init__(one_line(f"{text}; {remedy}" if remedy else text))
+
+
+@final
+class BrokenPluginError(RigError):
+    """A plugin cannot be loaded, or it failed; its author has to fix it, not the rig's."""
+
+
+def refuse_source(source: Path, target: Path) -> None:
+    """Refuse to overwrite a recording while it is read.
+
+    Raises:
+        RigError: the target is the source, by whatever name.
+    """
+    with suppress(OSError):
+        if target.samefile(source):
+            raise RigError(target, "is the recording itself", "record elsewhere with -o")
+
+
+@final
+class Source:
+    """A TOML file and the lines of its values.
+
+    Attributes:
+        path: the file; relative paths inside it start at its folder.
+        text: its contents.
+    """
+
+    def __init__(self, path: Path, text: str) -> None:
+        self.path = path
+        self.text = text
+        self._lines: Mapping[KeyPath, int] | None = None
+
+    def root(self) -> "Table":
+        """Return the whole file as a table.
+
+        Raises:
+            RigError: the text is not TOML.
+        """
+        try:
+            values = tomllib.loads(self.text)
+            self._lines = key_lines(self.text)
+            self._refuse_long_integers((), values)
+        except tomllib.TOMLDecodeError as error:
+            message, line = _syntax_error(str(error), self.text)
+            raise RigError(
+                self.path, f"not TOML: {message}", "see https://toml.io", line=line
+            ) from None
+        except RecursionError:
+            counts = [line.count("[") + line.count("{") for line in self.text.split("\n")]
+            line = counts.index(max(counts)) + 1
+            raise RigError(self.path, "nested too deeply", "flatten it", line=line) from None
+        except ValueError as error:  # error of int() within tomllib: more than 4300 digits
+            line = self.text.count("\n", 0, _longest_number_at(self.text)) + 1
+            raise RigError(self.path, f"{error}", "shorten the number", line=line) from None
+        return Table(self, (), values)
+
+    def _refuse_long_integers(self, path: KeyPath, value: object) -> None:
+        if isinstance(value, dict):
+            for key, item in value.items():
+                self._refuse_long_integers((*path, key), item)
+        elif isinstance(value, list):
+            for index, item in enumerate(value):
+                self._refuse_long_integers((*path, index), item)
+        elif isinstance(value, int) and abs(value) > _INTEGER_MAX:
+            raise self.error(path, "is an integer of more than 64 bits", "write a smaller one")
+
+    def line(self, path: KeyPath) -> int:
+        """Return the line of the value, or of the innermost existing table around it."""
+        lines = self._lines or {}
+        while path and path not in lines:
+            path = path[:-1]
+        return lines.get(path, 1)
+
+    def error(
+        self, path: KeyPath, message: str, remedy: str = "", kind: type[RigError] = RigError
+    ) -> RigError:
+        """Return the RigError for the value at `path`."""
+        return kind(self.path, message, remedy, line=self.line(path), key=dotted(path))
+
+    def no_such(self, path: KeyPath, name: str, known: Sequence[str], what: str) -> RigError:
+        """Return the RigError for a name at `path` that refers to nothing."""
+        remedy = nearest(name, known)
+        if not remedy.startswith("did"):
+            remedy = f"name one of these, or add [{what}.{name}]"
+        return self.error(path, f'there is no {what} "{name}" (known: {listed(known)})', remedy)
+
+
+def read_source(path: Path, remedy: str) -> Source:
+    """Return the file's contents as a Source.
+
+    Raises:
+        RigError: the file is missing (`remedy` says what to do), not readable, or not UTF-8.
+    """
+    try:
+        return Source(path, path.read_bytes().decode("utf-8-sig"))
+    except FileNotFoundError:
+        raise RigError(path, "no such file", remedy) from None
+    except IsADirectoryError:
+        raise RigError(path, "is a folder, not a file", "name the TOML file in it") from None
+    except OSError as error:
+        raise RigError(path, f"cannot be read: {error.strerror or error}", remedy) from None
+    except UnicodeDecodeError as error:
+        line = error.object.count(b"\n", 0, error.start) + 1
+        value = error.object[error.start]
+        raise RigError(
+            path, f"not UTF-8 (byte {value:02X}h)", "save it as UTF-8", line=line
+        ) from None
+    except ValueError as error:  # a path that no file can have
+        raise RigError(path, f"cannot be read: {error}", remedy) from None
+
+
+@final
+class Table:
+    """One table of a source, read key by key."""
+
+    def __init__(self, source: Source, path: KeyPath, values: Mapping[str, object]) -> None:
+        self.source = source
+        self.path = path
+        self.values = values
+
+    def refuse_unknown(self, known: Sequence[str], what: str = "key") -> None:
+        """Raise RigError for the first key that is not `known`, suggesting the nearest."""
+        for key in self.values:
+            if key not in known:
+                raise self.error(
+                    key, f"unknown {what} (known: {listed(known)})", nearest(key, known)
+                )
+
+    def error(self, key: str, message: str, remedy: str = "") -> RigError:
+        """Return the RigError for one of the table's keys."""
+        return self.source.error((*self.path, key), message, remedy)
+
+    def refuse_no_name(self, key: str) -> None:
+        """Raise RigError for a key that is not a plain name; topics of the record contain it."""
+        if not _NAME.fullmatch(key):
+            remedy = "use a letter, then letters, digits, - and _ only"
+            raise self.error(key, "is not a name", remedy)
+
+    def missing(self, key: str, remedy: str) -> RigError:
+        """Return the RigError for a missing key, at the table's line."""
+        where = self.source.line(self.path)
+        return RigError(
+            self.source.path, "is missing", remedy, line=where, key=dotted((*self.path, key))
+        )
+
+    def has(self, key: str) -> bool:
+        """Return True if the key is present."""
+        return key in self.values
+
+    def text(self, key: str, default: object = _REQUIRED, example: str = "") -> str:
+        """Return a non-empty string."""
+        value = self._get(key, default, example)
+        if not isinstance(value, str):
+            raise self._wrong_type(key, "a string", value, example)
+        if not value:
+            raise self.error(key, "is empty", _write(key, example))
+        return value
+
+    def one_of(self, key: str, known: Sequence[str], what: str, default: object = _REQUIRED) -> str:
+        """Return a word out of `known`; `what` describes them in errors."""
+        value = self.text(key, default, _alternatives(known))
+        if value not in known:
+            message = f'unknown {what} "{value}" (known: {listed(known)})'
+            raise self.error(key, message, nearest(value, known))
+        return value
+
+    def name_of(self, key: str, known: Sequence[str], what: str) -> str:
+        """Return the name of something else in the file; `what` describes it in errors."""
+        value = self.text(key, example=_alternatives(known))
+        if value not in known:
+            raise self.source.no_such((*self.path, key), value, known, what)
+        return value
+
+    def flag(self, key: str, default: object = _REQUIRED) -> bool:
+        """Return a boolean."""
+        value = self._get(key, default, "true")
+        if not isinstance(value, bool):
+            raise self._wrong_type(key, "true or false", value, "true")
+        return value
+
+    def integer(
+        self,
+        key: str,
+        default: object = _REQUIRED,
+        *,
+        low: int,
+        high: int,
+        unit: str = "",
+        example: str = "",
+    ) -> int:
+        """Return an integer from `low` to `high`, both included."""
+        value = self._get(key, default, example)
+        if not isinstance(value, int) or isinstance(value, bool):
+            raise self._wrong_type(key, "an integer" + _bracketed(unit), value, example)
+        self._check_range(key, value, low, high, unit)
+        return value
+
+    def number(
+        self,
+        key: str,
+        default: object = _REQUIRED,
+        *,
+        low: float,
+        high: float,
+        unit: str = "",
+        example: str = "",
+    ) -> float:
+        """Return a finite number from `low` to `high`, both included."""
+        value = self._get(key, default, example)
+        if not isinstance(value, int | float) or isinstance(value, bool):
+            raise self._wrong_type(key, "a number" + _bracketed(unit), value, example)
+        self._check_range(key, value, low, high, unit)
+        return float(value)
+
+    def texts(self, key: str, default: object = _REQUIRED, example: str = "") -> tuple[str, ...]:
+        """Return a list of strings as a tuple."""
+        value = self._get(key, default, example)
+        if not isinstance(value, list | tuple):
+            raise self._wrong_type(key, "a list of strings", value, example)
+        for index, item in enumerate(value):
+            if not isinstance(item, str):
+                path = (*self.path, key, index)
+                raise self.source.error(path, f"must be a string ({shown(item)})", example)
+        return tuple(value)
+
+    def table(self, key: str) -> "Table":
+        """Return a table, or an empty one if the key is absent."""
+        value = self.values.get(key, {})
+        if not isinstance(value, dict):
+            raise self._wrong_type(
+                key, "a table", value, "", f"write [{dotted((*self.path, key))}]"
+            )
+        return Table(self.source, (*self.path, key), value)
+
+    def listed_tables(self, key: str) -> "list[Table]":
+        """Return the tables of an array of tables, or [] if the key is absent."""
+        value = self.values.get(key, [])
+        remedy = f"write [[{dotted((*self.path, key))}]]"
+        if not isinstance(value, list):
+            raise self._wrong_type(key, "an array of tables", value, "", remedy)
+        for index, item in enumerate(value):
+            if not isinstance(item, dict):
+                path = (*self.path, key, index)
+                raise self.source.error(path, f"must be a table ({shown(item)})", remedy)
+        return [Table(self.source, (*self.path, key, n), item) for n, item in enumerate(value)]
+
+    def _get(self, key: str, default: object, example: str) -> object:
+        value = self.values.get(key, default)
+        if value is _REQUIRED:
+            raise self.missing(key, _write(key, example))
+        return value
+
+    def _check_range(self, key: str, value: float, low: float, high: float, unit: str) -> None:
+        if isinstance(value, float) and not math.isfinite(value):
+            raise self.error(key, f"must be finite ({value})", f"write {low} to {high}")
+        if not low <= value <= high:
+            unit = f" {unit}" if unit else ""
+            limit = f"{shown(low)} to {shown(high)}{unit}"
+            if math.isinf(high):
+                limit = f"{shown(low)}{unit} or more"
+            raise self.error(key, f"{shown(value)}{unit} is out of range", f"allowed: {limit}")
+
+    def _wrong_type(
+        self, key: str, wanted: str, value: object, example: str, remedy: str = ""
+    ) -> RigError:
+        message = f"must be {wanted}, but is {kind_of(value)} ({shown(value)})"
+        return self.error(key, message, remedy or _write(key, example))
+
+
+def _write(key: str, example: str) -> str:
+    return f"write {key} = {example}" if example else ""
+
+
+def _alternatives(known: Sequence[str]) -> str:
+    return " or ".join(f'"{name}"' for name in known[:4])
+
+
+def _bracketed(unit: str) -> str:
+    return f" [{unit}]" if unit else ""
+
+
+def _syntax_error(text: str, source: str) -> tuple[str, int]:
+    """Split an error text of tomllib into its message and its line."""
+    message, found, place = text.rpartition(" (at ")
+    if not found:
+        return text, 1
+    words = place.rstrip(")").replace(",", "").split()
+    if len(words) >= 2 and words[0] == "line" and words[1].isdigit():
+        return message, int(words[1])
+    return message, source.count("\n") + 1  # "at end of document"
+
+
+def _longest_number_at(text: str) -> int:
+    numbers = list(re.finditer(r"[0-9_]+", text))
+    return max(numbers, key=lambda found: found.end() - found.start()).start() if numbers else 0

@@ -1,0 +1,762 @@
+"""Open rig: buses, controllers, plants and motors in virtual time.
+
+    with Rig.open("rig.toml") as rig:
+        wheel = rig.motors["left"]
+        wheel.enable()
+        rig.runtime.run_for(1.0)
+
+A program written for python-can joins the same buses while the rig is open:
+`can.Bus(interface="emulated", channel="can0")`.
+
+Parts of an open rig: controllers, faults, and mappings by name.
+
+Construction of a rig's buses and lines from their descriptions.
+
+Motor models of a rig, from their own files or its.
+
+Plugins of a rig: loading, calling, and errors with line numbers.
+"""
+
+import traceback
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from random import Random
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Final, Generic, Self, TypeVar, final
+
+from motorhil.emulators.can.bus.bus import CanBus
+from motorhil.emulators.can.bus.fault_plan import FaultPlan
+from motorhil.emulators.can.controller_config import PLAIN
+from motorhil.emulators.can.error_confinement import ErrorState
+from motorhil.emulators.can.fault_rules import FaultRule
+from motorhil.emulators.controller import Controller, ControllerContext, SettingError
+from motorhil.emulators.media.byte_pipe import BytePipe
+from motorhil.emulators.media.serial_faults import SerialFaultPlan, SerialFaultRule
+from motorhil.emulators.media.serial_line import SerialLine
+from motorhil.emulators.settings.tables import oscillator_in
+from motorhil.emulators.simulation.event_queue import EventQueue
+from motorhil.emulators.simulation.world import World
+from motorhil.harness.plugins import ADAPTATIONS, CONTROLLERS, Plugin, installed, named
+from motorhil.harness.rig.config.bus_load import traffic_of
+from motorhil.harness.rig.config.buses import CAN, MODBUS_RTU, BusDescription, address_key
+from motorhil.harness.rig.config.derived import settings_with_model, with_timing
+from motorhil.harness.rig.config.rig_file import (
+    ControllerDescription,
+    Known,
+    MotorDescription,
+    RigDescription,
+    read_rig,
+)
+from motorhil.harness.rig.config.stimuli import schedule
+from motorhil.harness.rig.config.toml import (
+    SEED_MAX,
+    BrokenPluginError,
+    RigError,
+    a_kind_of,
+    refuse_source,
+)
+from motorhil.harness.rig.nonvolatile import MemoryFiles
+from motorhil.harness.virtual_time.interrupts import interrupts_between_events
+from motorhil.harness.virtual_time.runtime import VirtualRuntime, WallPace
+from motorhil.motorapi.errors import FileError, UsageError
+from motorhil.motorapi.model import MotorModel
+from motorhil.motorapi.synchronization.bus_load import declare_traffic
+
+if TYPE_CHECKING:
+    from motorhil.harness.python_can.bus import EmulatedBus
+    from motorhil.harness.python_can.line import EmulatedLine
+    from motorhil.harness.recording.recorder import Recorder
+    from motorhil.motorapi.group import MotorGroup
+    from motorhil.motorapi.motor import Motor
+    from motorhil.motorapi.runtime.api import Runtime
+
+T = TypeVar("T")
+
+
+@final
+class RigController:
+    """An emulated controller of an open rig: its physical inputs and its true state.
+
+    Attributes:
+        name: name in the rig.
+        core: the controller itself.
+    """
+
+    def __init__(self, name: str, core: Controller, world: World) -> None:
+        self.name = name
+        self.core = core
+        self._world = world
+
+    def stimulate(self, stimulus: str, value: float) -> None:
+        """Set a physical input (load, switch) to this value from now on.
+
+        Raises:
+            ValueError: the input does not exist; names the known ones.
+        """
+        self._world.stimulate(self.name, stimulus, value)
+
+    def snapshot(self) -> Mapping[str, float]:
+        """Return the true state now, units in the keys. Has no side effects."""
+        return self._world.snapshot(self.name)
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class NodeState:
+    """The state of a node of a CAN bus.
+
+    Attributes:
+        state: error active, above the warning limit, error passive, or bus-off.
+        tec, rec: its error counters.
+        errors: number of errors that it has detected.
+        aborted: number of its frames abandoned because of bus-off or one-shot mode.
+    """
+
+    state: ErrorState
+    tec: int
+    rec: int
+    errors: int
+    aborted: int
+
+
+@final
+class RigFaults:
+    """The faults of an open rig, to inject and to query."""
+
+    def __init__(self, world: World) -> None:
+        self._world = world
+
+    def inject(self, bus: str, rule: FaultRule | SerialFaultRule) -> None:
+        """Apply the rule to the bus or line from now on.
+
+        Raises:
+            ValueError: the bus does not exist, it has had a rule of that name, or the rule is for
+                another
+                kind of bus.
+        """
+        plan = self._plan(bus)
+        if plan is None and isinstance(rule, FaultRule):
+            self._world.inject(bus, rule)
+        elif plan is not None and isinstance(rule, SerialFaultRule):
+            plan.add(rule)
+        else:
+            right = "FaultRule" if plan is None else "SerialFaultRule"
+            raise ValueError(f"bus {bus}: rule {rule.name}: its faults are of class {right}")
+
+    def _plan(self, bus: str) -> SerialFaultPlan | None:
+        """Return the fault plan of a line, or None for a CAN bus."""
+        if bus in self._world.line_names():
+            return self._world.line(bus).plan
+        self._require_bus(bus)
+        return None
+
+    def _require_bus(self, bus: str) -> None:
+        names = self._world.bus_names()
+        if bus not in names:
+            known = ", ".join(names) or "none"
+            raise ValueError(f"this rig has no CAN bus {bus!r} (known: {known})")
+
+    def lift(self, bus: str, name: str) -> None:
+        """End the rule of this name; its count stays.
+
+        Raises:
+            ValueError: the bus does not exist, or has no such rule.
+        """
+        plan = self._plan(bus)
+        if plan is None:
+            self._world.lift(bus, name)
+        else:
+            plan.remove(name)
+
+    def bus_state(self, bus: str) -> dict[str, NodeState]:
+        """Return the state of each node of the bus by name, in the order of its ports.
+
+        Raises:
+            ValueError: the CAN bus does not exist.
+        """
+        self._require_bus(bus)
+        core = self._world.bus(bus)
+        nodes = [core.node(port) for port in range(len(core.port_names()))]
+        return {
+            node.name: NodeState(
+                node.state(),
+                node.confinement.tec,
+                node.confinement.rec,
+                node.errors,
+                node.aborted,
+            )
+            for node in nodes
+        }
+
+    def restart(self, bus: str, node: str) -> None:
+        """Restart a bus-off node: it waits for 128 x 11 recessive bits from now on.
+
+        Raises:
+            ValueError: the bus or the node does not exist, or the node is not bus-off.
+        """
+        self._require_bus(bus)
+        self._world.restart(bus, node)
+
+    def fired(self) -> dict[str, int]:
+        """Return how often each rule has fired, over all buses, in the order of addition."""
+        counts: dict[str, int] = {}
+        for bus in self._world.bus_names():
+            for name, count in self._world.bus(bus).faults_fired().items():
+                counts[name] = counts.get(name, 0) + count
+        for line in self._world.line_names():
+            plan = self._plan(line)
+            for name, count in ({} if plan is None else plan.fired()).items():
+                counts[name] = counts.get(name, 0) + count
+        return counts
+
+
+@final
+class NoSuchName(KeyError):  # noqa: N818 -- it says what happened, as the errors of motorapi
+    """A rig has no such motor, controller, bus or group; the message names the known ones."""
+
+    def __str__(self) -> str:
+        return str(self.args[0])
+
+
+@final
+class Named(Mapping[str, T], Generic[T]):
+    """Things of a rig by name, each created on first use, in the order of the file."""
+
+    def __init__(self, what: str, names: Iterable[str], make: Callable[[str], T]) -> None:
+        self._what = what
+        self._names = tuple(names)
+        self._make = make
+        self._made: dict[str, T] = {}
+
+    def __getitem__(self, name: str) -> T:
+        """Return the thing of this name.
+
+        Raises:
+            NoSuchName: the name is unknown; a KeyError that names the known ones.
+        """
+        if name not in self._made:
+            if name not in self._names:
+                known = ", ".join(self._names) or "none"
+                raise NoSuchName(f"this rig has no {self._what} {name!r} (known: {known})")
+            self._made[name] = self._make(name)
+        return self._made[name]
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._names
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._names)
+
+    def __len__(self) -> int:
+        return len(self._names)
+
+
+def add_bus(
+    world: World,
+    bus: BusDescription,
+    rules: Sequence[FaultRule | SerialFaultRule],
+    random: Callable[[], float],
+    clocks: Mapping[str, int],
+) -> None:
+    """Add the bus or line to the world, with its faults.
+
+    Args:
+        world: the rig's world.
+        bus: description of the bus.
+        rules: rules of its faults, in the order of the file.
+        random: its random stream, derived from the run's seed.
+        clocks: clock errors of controllers by name, as returned by `own_clocks`.
+    """
+    if not bus.is_line:
+        frames = [rule for rule in rules if isinstance(rule, FaultRule)]
+        plan = FaultPlan(frames, random)
+        can = CanBus(bus.name, bus.bitrate_bit_s, plan, bus.data_bitrate_bit_s)
+        chips = dict(bus.nodes)
+        for name, error in clocks.items():
+            chip = chips.get(name, PLAIN)
+            if not chip.clock_error_1e12:
+                chips[name] = replace(chip, clock_error_1e12=error)
+        world.add_bus(can, chips)
+        return
+    line_plan = SerialFaultPlan([one for one in rules if isinstance(one, SerialFaultRule)], random)
+    if bus.kind == MODBUS_RTU:
+        line = SerialLine(bus.name, bus.bitrate_bit_s, bus.parity, bus.stop_bits, line_plan)
+        world.add_serial_line(line, line_plan)
+    else:
+        world.add_tcp(BytePipe(bus.name, bus.latency_ns, line_plan), line_plan, bus.timeout_ns)
+
+
+def own_clocks(description: "RigDescription", bus: str, seed: int) -> dict[str, int]:
+    """Return the clock errors of a bus's controllers by name [1e-12]; positive runs fast.
+
+    A controller sends its frames with the oscillator of its firmware. Exact clocks are omitted.
+    """
+    clocks: dict[str, int] = {}
+    for controller in description.controllers.values():
+        if controller.bus == bus and "oscillator" in controller.settings:
+            with suppress(SettingError):  # reported with its line when the controller is built
+                own = oscillator_in(controller.settings, f"{seed}:{controller.name}")
+                if own.error_1e12:
+                    clocks[controller.name] = own.error_1e12
+    return clocks
+
+
+def read_models(description: RigDescription) -> dict[str, MotorModel]:
+    """Read the models of all motors, each file once. Raises as `_model` does."""
+    files: dict[Path, MotorModel] = {}
+    models: dict[str, MotorModel] = {}
+    for name, motor in description.motors.items():
+        model = files.get(motor.model) if isinstance(motor.model, Path) else None
+        models[name] = _model(description, name) if model is None else model
+        if isinstance(motor.model, Path):
+            files[motor.model] = models[name]
+    return models
+
+
+def _model(description: RigDescription, motor: str) -> MotorModel:
+    """Read the motor's model from its own file or from the rig.
+
+    Raises:
+        RigError: the model has an error; names its file and line.
+    """
+    described: MotorDescription = description.motors[motor]
+    path = ("motor", motor, "model")
+    try:
+        if isinstance(described.model, Path):
+            return MotorModel.load(described.model)
+        return MotorModel.from_table(
+            described.model,
+            path=str(description.source.path),
+            line_of=lambda key: description.source.line((*path, key)),
+            default_name=motor,
+        )
+    except FileError as error:
+        key = error.key or ""
+        if not isinstance(described.model, Path):
+            at = (*path, key) if key else path
+            raise description.error(at, error.problem, error.remedy) from None
+        raise RigError(error.path, error.problem, error.remedy, line=error.line, key=key) from None
+
+
+_OF_MOTORS: Final = ("close", "latest", "ownership")
+"""Attributes by which a rig recognises a motor; wrappers of motors have them too."""
+
+
+@final
+class RigPlugins:
+    """The plugins that build the controllers and motors of one rig."""
+
+    def __init__(self, description: RigDescription) -> None:
+        self._description: Final = description
+
+    def load(self, plugin: Plugin, path: tuple[str, ...]) -> Callable[..., Any]:
+        """Return the build function of the plugin that the value at `path` names.
+
+        Raises:
+            BrokenPluginError: the plugin cannot be imported.
+        """
+        try:
+            return plugin.load()
+        except (Exception, SystemExit) as error:
+            raise self._description.error(
+                path,
+                f'plugin "{plugin.name}" cannot be loaded from {plugin.target}: '
+                f"{type(error).__name__}: {error}",
+                f"reinstall {plugin.package}" if plugin.package else "is its folder on PYTHONPATH?",
+                BrokenPluginError,
+            ) from error
+
+    def require_kind(
+        self, build: Callable[..., Any], bus: str, what: str, path: tuple[str, ...]
+    ) -> None:
+        """Check that the built object can be on a bus of this kind.
+
+        Raises:
+            RigError: it cannot.
+        """
+        kinds = getattr(build, "bus_kinds", (CAN,))
+        found = self._description.buses[bus].kind
+        if found not in kinds:
+            raise self._description.error(
+                path,
+                f'{what} is for buses of kind {", ".join(kinds)}, but "{bus}" is {found}',
+                "put it on another bus, or use another kind",
+            )
+
+    @contextmanager
+    def blaming(self, plugin: Plugin, path: tuple[str, ...]) -> Iterator[None]:
+        """Raise any error within the context, except RigError, as the plugin's failure."""
+        try:
+            yield
+        except RigError:
+            raise
+        except (Exception, SystemExit) as error:
+            frame = traceback.extract_tb(error.__traceback__)[-1]
+            raise self._description.error(
+                path,
+                f'plugin "{plugin.name}" failed: {type(error).__name__}: {error} '
+                f"({frame.filename}:{frame.lineno})",
+                f"fix it, or report it to the author of {plugin.package or 'the plugin'}",
+                BrokenPluginError,
+            ) from error
+
+    def motor(
+        self,
+        name: str,
+        model: "MotorModel",
+        runtime: "Runtime",
+        open_link: Callable[[str], object],
+        controller: "Controller | None" = None,
+    ) -> "tuple[Motor, Callable[[], None], str]":
+        """Return a motor of the rig, the function that closes it, and a note about it, or "".
+
+        Args:
+            name: its name in the rig.
+            model: its model.
+            runtime: the Runtime in which it waits.
+            open_link: returns the bus or line of a name.
+            controller: its emulated controller, if that is in the same process.
+
+        Raises:
+            RigError: the motor cannot be built as the rig describes it.
+        """
+        description = self._description
+        motor = description.motors[name]
+        place = ("motor", name)
+        plugin = named(ADAPTATIONS, motor.adaptation)
+        build = self.load(plugin, (*place, "adaptation"))
+        own, note = with_timing(description, motor, controller)
+        settings: dict[str, object] = {"name": name, **own}
+        link: object = None
+        if motor.bus is not None:
+            key = "bus" if motor.controller is None else "controller"
+            what = f'adaptation "{motor.adaptation}"'
+            self.require_kind(build, motor.bus, what, (*place, key))
+            link = open_link(motor.bus)
+            if motor.node_id is not None:
+                settings[address_key(description.buses[motor.bus])] = motor.node_id
+        with self.blaming(plugin, (*place, "adaptation")):
+            try:
+                built: Motor = build(link, settings, model, runtime)
+            except UsageError as error:
+                word = str(error).partition(" ")[0].rstrip(":")  # usually the wrong key
+                path = (*place, word) if word in settings else place
+                raise description.error(path, str(error), "correct its settings") from error
+        if isinstance(built, type) or not all(hasattr(built, one) for one in _OF_MOTORS):
+            raise description.error(
+                (*place, "adaptation"),
+                f'plugin "{plugin.name}" built {a_kind_of(built)}, which is not a motorapi.Motor',
+                "its function must return a motorapi.Motor",
+                BrokenPluginError,
+            )
+        return built, built.close, note
+
+
+@final
+class Rig:
+    """An open rig; leaving its `with` block always closes everything in it.
+
+    Attributes (read only):
+        description: the contents of the rig file.
+        seed: the seed of this run.
+        world: buses and controllers on one event queue.
+        runtime: where an application waits, and so lets time pass.
+        controllers, motors, groups: by name, in the order of the file; motors and groups are
+            created on first use.
+        faults: faults of the rig, to inject and to query.
+        recording: the recorder; None if nothing is recorded.
+        notes: notes for readers of the rig's results, one line each.
+    """
+
+    def __init__(
+        self,
+        description: RigDescription,
+        *,
+        seed: int | None = None,
+        realtime: bool = False,
+        record: Path | None = None,
+    ) -> None:
+        self.description = description
+        self.seed = description.seed if seed is None else seed
+        self.notes: list[str] = []
+        self.recording: Recorder | None = None
+        self._models = read_models(description)
+        self._plugins = RigPlugins(description)
+        self._memory_files = MemoryFiles(description.folder)
+        with ExitStack() as cleanup:
+            queue = EventQueue()
+            self.world = World(queue)
+            started: list[tuple[int, str, str, str]] = []
+            self.world.tap_events(lambda *event: started.append(event))
+            self._add_buses()
+            self._add_controllers()
+            schedule(description, self.world, self._build_controller)
+            self.notes += [f"{name}: {level}: {text}" for _, level, name, text in started]
+            self.notes += [note for bus in description.buses for note in self._destroyers(bus)]
+            if record is not None:
+                self._record(record, started, cleanup)
+            self.runtime = VirtualRuntime(queue, WallPace() if realtime else None)
+            cleanup.enter_context(interrupts_between_events(self.runtime))
+            self._open_door(cleanup)
+            self._cleanup = cleanup.pop_all()
+        self._in_use = ExitStack()  # resources of applications; closed before the rest
+        self.faults = RigFaults(self.world)
+        self.controllers: Mapping[str, RigController] = Named(
+            "controller", description.controllers, self._controller
+        )
+        buses = description.buses.values()
+        self._buses = Named("bus", [bus.name for bus in buses if not bus.is_line], self._bus)
+        self._lines = Named("line", [bus.name for bus in buses if bus.is_line], self._line)
+        self.motors: Mapping[str, Motor] = Named("motor", description.motors, self._motor)
+        self.groups: Mapping[str, MotorGroup] = Named("group", description.groups, self._group)
+
+    @classmethod
+    def open(
+        cls,
+        path: str | Path,
+        seed: int | None = None,
+        realtime: bool = False,
+        record: str | Path | None = None,
+    ) -> Self:
+        """Open the rig of a file, switched on at time 0.
+
+        Args:
+            path: the rig file; or a recording, which then replaces the controllers.
+            seed: overrides the rig's own seed.
+            realtime: True to run no faster than the wall clock.
+            record: an MCAP file for the recording.
+
+        Raises:
+            RigError: the rig cannot be used as it is written; nothing is left open.
+        """
+        description = describe(Path(path))
+        if seed is not None and not 0 <= seed <= SEED_MAX:
+            raise RigError(path, f"seed {seed} is not within 0 to {SEED_MAX}", "use another seed")
+        return cls(
+            description,
+            seed=seed,
+            realtime=realtime,
+            record=None if record is None else Path(record),
+        )
+
+    def bus(self, name: str) -> "EmulatedBus":
+        """Return the application's own connection to a bus, a python-can bus.
+
+        Raises:
+            KeyError: the rig has no such bus.
+        """
+        return self._buses[name]
+
+    def line(self, name: str) -> "EmulatedLine":
+        """Return the application's own port on a Modbus line.
+
+        Raises:
+            KeyError: the rig has no such line.
+        """
+        return self._lines[name]
+
+    def build_motors(self) -> None:
+        """Create every motor and group now, to find errors in their settings.
+
+        Raises:
+            RigError: a motor cannot be built as the rig describes it.
+        """
+        for name in self.motors:
+            self.motors[name]
+        for name in self.groups:
+            self.groups[name]
+
+    def close(self) -> None:
+        """End all parties, close motors and buses, and complete the record."""
+        with self._cleanup, self._in_use:
+            self.runtime.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    # --- construction --------------------------------------------------------------------------
+
+    def _add_buses(self) -> None:
+        for bus in self.description.buses.values():
+            rules = [fault.rule for fault in self.description.faults if fault.bus == bus.name]
+            stream = Random(f"{self.seed}:bus.{bus.name}.faults")
+            clocks = own_clocks(self.description, bus.name, self.seed)
+            add_bus(self.world, bus, rules, stream.random, clocks)
+
+    def _add_controllers(self) -> None:
+        built = [
+            (controller, self._build_controller(controller))
+            for controller in self.description.controllers.values()
+        ]
+        for controller, core in built:
+            place = ("controller", controller.name, "kind")
+            with self._plugins.blaming(named(CONTROLLERS, controller.kind), place):
+                self.world.add_controller(controller.name, core, controller.bus)
+        for name in self.world.bus_names():
+            self.world.reserve_host(name)
+            for node in self.description.buses[name].silent:
+                self.world.add_silent(name, node)
+
+    def _build_controller(self, controller: ControllerDescription) -> Controller:
+        place = ("controller", controller.name)
+        settings, notes = settings_with_model(self.description, controller, self._models)
+        self.notes += [note for note in notes if note not in self.notes]
+        context = ControllerContext(
+            controller.name,
+            self.description.folder,
+            self.seed,
+            partial(self._memory_files.open, controller.name),
+        )
+        plugin = named(CONTROLLERS, controller.kind)
+        build = self._plugins.load(plugin, (*place, "kind"))
+        kind = f'controller kind "{controller.kind}"'
+        self._plugins.require_kind(build, controller.bus, kind, (*place, "bus"))
+        with self._plugins.blaming(plugin, (*place, "kind")):
+            try:
+                core: Controller = build(settings, context)
+            except SettingError as error:
+                raise self.description.error(
+                    (*place, *error.path), error.message, error.remedy
+                ) from error
+            except (ValueError, ArithmeticError) as error:  # numbers that are only valid one by one
+                message = f"cannot be built: {error}"
+                raise self.description.error(place, message, "correct its numbers") from error
+            if not callable(getattr(core, "next_deadline_ns", None)):
+                raise TypeError(f"it built {a_kind_of(core)}, which is not a controller")
+            return core
+
+    def _record(
+        self, target: Path, started: list[tuple[int, str, str, str]], cleanup: ExitStack
+    ) -> None:
+        from motorhil.harness.rig.recording import end_recording, start_recording
+        from motorhil.traces.errors import TraceError
+
+        for controller in self.description.controllers.values():
+            source = controller.settings.get("recording")
+            if isinstance(source, str):
+                refuse_source(self.description.folder / source, target)
+        try:
+            recorder = start_recording(target, self.description, self.seed, self.world, started)
+        except TraceError as error:
+            raise RigError(error.path, error.what, error.remedy) from None
+        self.recording = recorder
+        cleanup.callback(end_recording, recorder, self.world)
+
+    def _open_door(self, cleanup: ExitStack) -> None:
+        """Make the rig's buses available by name to `can.Bus()` in this process."""
+        from can import CanInitializationError
+
+        from motorhil.harness.python_can.bus import close_rig, open_rig
+
+        try:
+            open_rig(self.world, self.runtime)
+        except CanInitializationError as error:
+            raise RigError(self.description.source.path, str(error)) from None
+        cleanup.callback(close_rig, self.world)
+
+    # --- resources of applications -----------------------------------------------------------
+
+    def _bus(self, name: str) -> "EmulatedBus":
+        from motorhil.harness.python_can.bus import EmulatedBus
+
+        bus = EmulatedBus(channel=name)
+        self._in_use.callback(bus.shutdown)
+        declare_traffic(bus, traffic_of(self.description, name))
+        return bus
+
+    def _line(self, name: str) -> "EmulatedLine":
+        from motorhil.harness.python_can.line import EmulatedLine
+
+        line = EmulatedLine(self.world, name, self.runtime)
+        self._in_use.callback(line.close)
+        return line
+
+    def _controller(self, name: str) -> RigController:
+        return RigController(name, self.world.controller(name), self.world)
+
+    def _motor(self, name: str) -> "Motor":
+        motor = self.description.motors[name]
+        controller = None if motor.controller is None else self.world.controller(motor.controller)
+        built, close, note = self._plugins.motor(
+            name, self._models[name], self.runtime, self._link, controller
+        )
+        self._in_use.callback(close)
+        if note:
+            self.notes.append(note)
+        if self.recording is not None:
+            from motorhil.harness.rig.recording import watch_motor
+
+            watch_motor(self.recording, built, motor, self.world)
+        return built
+
+    def _destroyers(self, bus: str) -> list[str]:
+        controllers = self.description.controllers.values()
+        names = self.description.buses[bus].destroyers(
+            [c.name for c in controllers if c.bus == bus]
+        )
+        if not names:
+            return []
+        return [
+            f"{bus}: warning: classical CAN controllers destroy its CAN FD frames:"
+            f' {", ".join(names)}; give them frames = "fd_tolerant" or "fd" in'
+            f" [bus.{bus}.node.{names[0]}]"
+        ]
+
+    def _link(self, bus: str) -> "EmulatedBus | EmulatedLine":
+        return self.line(bus) if self.description.buses[bus].is_line else self.bus(bus)
+
+    def _group(self, name: str) -> "MotorGroup":
+        from motorhil.motorapi.group import MotorGroup
+
+        group = MotorGroup()
+        for place, motor in enumerate(self.description.groups[name].motors):
+            try:
+                group.append(self.motors[motor])
+            except UsageError as error:
+                path = ("group", name, "motors", place)
+                raise self.description.error(path, str(error), "remove one of them") from error
+        if self.recording is not None:
+            from motorhil.harness.rig.recording import watch_group
+
+            watch_group(self.recording, group, name, self.world)
+        return group
+
+
+def describe(path: Path) -> RigDescription:
+    """Read a rig file, or the rig in a recording.
+
+    Raises:
+        RigError: the rig cannot be used.
+    """
+    from motorhil.harness.replay.rig import is_recording, rig_in
+
+    known = installed_plugins()
+    if is_recording(path):
+        return rig_in(path, known)
+    if path.suffix == ".mcap" and path.exists():
+        raise RigError(path, "is not a recording (MCAP)", "give a recording, or a rig file (TOML)")
+    return read_rig(path, known)
+
+
+def installed_plugins() -> Known:
+    """Return the plugins of this Python environment that a rig may name."""
+
+    def needs_bus(adaptation: str) -> bool | None:
+        try:
+            build = named(ADAPTATIONS, adaptation).load()
+        except (Exception, SystemExit):
+            return None
+        return getattr(build, "needs_bus", True) is not False
+
+    return Known(tuple(installed(CONTROLLERS)), tuple(installed(ADAPTATIONS)), needs_bus)

@@ -1,0 +1,1 @@
+"""Virtual time: the runtime and unmodified programs in it."""

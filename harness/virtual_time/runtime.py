@@ -1,0 +1,511 @@
+"""Virtual time: one event queue, and parties that take turns.
+
+Time passes only while parties wait. A waiting party runs the world's events one by one, in the
+order (time, order of scheduling). It stops when the condition of some party holds or its timeout
+expires. Then that party continues, and all others stand still. So ordinary blocking code is
+deterministic.
+
+The rules of turn:
+    1. At any moment exactly one thread runs: the party that has the baton.
+    2. The baton changes hands only in `wait_until`, and when a party ends.
+    3. Of several waiting parties that could continue at one time, the one that waits longest does.
+    4. Events at the very time of a timeout still count: events first, then the timeout.
+
+With `pace`, the same events happen in the same order, but none earlier than its wall time.
+
+Parties that take turns in virtual time, their waits, and periodic actions.
+
+Wall clock as a brake for virtual time.
+
+Virtual events happen no earlier than their wall time.
+"""
+
+import threading
+import time
+from _thread import allocate_lock  # the real one, never the replacement for programs
+from collections.abc import Callable
+from operator import attrgetter
+from typing import TYPE_CHECKING, Final, Protocol, final
+
+from motorhil.emulators.simulation.event_queue import UNSET, Alarm, EventQueue
+from motorhil.motorapi.errors import UsageError
+
+if TYPE_CHECKING:
+    import can
+
+    from motorhil.motorapi.runtime.api import FrameListener, Registration
+
+UNKNOWN: Final = 0
+
+
+class Cancelled(BaseException):
+    """The end of the run, raised in a party that still waits."""
+
+
+@final
+class Waiter:
+    """A waiting party: its condition, its deadline and the result."""
+
+    __slots__ = ("deadline_ns", "done", "error", "on_parties", "party", "result")
+
+    def __init__(
+        self,
+        party: "VirtualParty",
+        done: Callable[[], bool],
+        deadline_ns: int,
+        on_parties: bool = False,
+    ) -> None:
+        self.party = party
+        self.done = done
+        self.deadline_ns = deadline_ns
+        self.on_parties = on_parties  # it waits for other parties, not for frames
+        self.result = False
+        self.error: BaseException | None = None
+
+
+@final
+class VirtualParty:
+    """One thread of execution of the application, in virtual time.
+
+    Attributes:
+        name: as given to `spawn`.
+        error: the exception of the function once it has ended, else None.
+        is_ending: True once it has been asked to end.
+        thread: its thread; None for the first party.
+        ident: thread identifier, as in threading.get_ident(); UNKNOWN before it runs.
+        looked_ns, owed_ns, read_ns: time of its last clock reading, cost of its readings then,
+            and the clock value returned [ns].
+        held_up_by: the party that holds the lock it waits for.
+    """
+
+    def __init__(self, name: str, runtime: "VirtualRuntime") -> None:
+        self.name = name
+        self.error: BaseException | None = None
+        self.finished = False
+        self.is_ending = False
+        self.joined = False
+        self.baton = allocate_lock()
+        self.baton.acquire()
+        self.thread: threading.Thread | None = None
+        self.ident = UNKNOWN
+        self.held_up_by: VirtualParty | None = None
+        self.looked_ns = self.owed_ns = self.read_ns = 0
+        self._runtime = runtime
+
+    def join(self, timeout_s: float | None = None) -> bool:
+        """Wait up to `timeout_s` [s]; return True if it has ended. Its exception is in `error`."""
+        self.joined = True
+        return self._runtime.wait_until(self.has_finished, timeout_s)
+
+    def has_finished(self) -> bool:
+        """Return True if it has ended."""
+        return self.finished
+
+
+@final
+class PartyThread(threading.Thread):
+    """The thread of a party that `spawn` started."""
+
+
+@final
+class Periodic:
+    """An action that repeats at start + k * period until it is cancelled."""
+
+    def __init__(self, runtime: "VirtualRuntime", period_ns: int, action: Callable[[], None]):
+        self._period_ns = period_ns
+        self._action = action
+        self._alarm: Alarm = runtime.queue.alarm(self._expire)
+        self._alarm.set(runtime.queue.now_ns + period_ns)
+
+    def _expire(self, now_ns: int) -> None:
+        self._alarm.set(now_ns + self._period_ns)
+        self._action()
+
+    def cancel(self) -> None:
+        """Stop the repetition."""
+        self._alarm.set(None)
+
+
+_NEVER: Final = -1
+_END_NS: Final = 2 * 10**18  # 63 years: controllers treat later times (2**61 ns) as never
+_STUCK_NS: Final = 3600 * 10**9  # limit for parties that wait only for one another
+_POLLS_MAX: Final = 1_000_000
+_LOOK_UP_TURNS: Final = 256  # compiled code must check for signals now and then
+GRACE_S: Final = 1.0  # wall time for a party to reach its next wait, or to end
+
+
+class _Port(Protocol):
+    """Interface of a bus of this rig (EmulatedBus)."""
+
+    def subscribe(self, on_frame: "FrameListener") -> "Registration": ...
+    def transmit(self, frame: bytes) -> None: ...
+
+
+@final
+class VirtualRuntime:
+    """The Runtime of a rig in virtual time. The thread that creates it is the first party.
+
+    A switch between parties costs about 15 us. An event with one waiting party costs no switch.
+    """
+
+    def __init__(self, queue: EventQueue, pace: Callable[[int], None] | None = None) -> None:
+        self.queue = queue
+        self._pace = pace
+        self._waiters: list[Waiter] = []
+        first = VirtualParty("main", self)
+        first.ident = threading.get_ident()
+        self._parties: dict[int, VirtualParty] = {first.ident: first}
+        self._spawned: list[VirtualParty] = []
+        self._in_callback = self._pumping = False
+        self._closing = self._interrupted = False
+        self._polls = self._turns = 0
+        self.on_poll: Callable[[], None] | None = None  # called before polls
+        self.whereabouts: Callable[[VirtualParty], str] = attrgetter("name")
+
+    # --- Runtime ---------------------------------------------------------------------------
+
+    def now_ns(self) -> int:
+        """Return the virtual time [ns] since the rig was switched on."""
+        return self.queue.now_ns
+
+    def wait_until(self, done: Callable[[], bool], timeout_s: float | None = None) -> bool:
+        """Wait up to `timeout_s` [s] for `done()`, by the rules of turn; return True if it held.
+
+        Raises:
+            UsageError: called in a callback, or in a thread that this runtime did not start; or no
+                event
+                can ever end the wait, or only after the end of virtual time; or a million polls let
+                no
+                time pass.
+        """
+        return self._wait_until(done, timeout_s)
+
+    def _wait_until(
+        self, done: Callable[[], bool], timeout_s: float | None, on_parties: bool = False
+    ) -> bool:
+        party = self._party_here()
+        self._in_callback = True
+        try:
+            if done():
+                return True
+        finally:
+            self._in_callback = False
+        deadline_ns = _NEVER
+        if timeout_s is not None:
+            if not timeout_s >= 0.0:
+                raise UsageError(f"timeout_s = {timeout_s}: must be a number of seconds >= 0")
+            if timeout_s == 0.0 and self.on_poll is not None:
+                self.on_poll()
+            deadline_ns = self.queue.now_ns + round(min(timeout_s, 1e9) * 1e9)
+            if deadline_ns > _END_NS:
+                raise UsageError(f"timeout_s = {timeout_s}: virtual time ends at {_END_NS / 1e9} s")
+            if deadline_ns == self.queue.now_ns:
+                self._count_poll()
+        waiter = Waiter(party, done, deadline_ns, on_parties)
+        self._waiters.append(waiter)
+        try:
+            self._pump(waiter)
+        except BaseException:  # an event failed, or Ctrl-C: this wait is over
+            if waiter in self._waiters:
+                self._waiters.remove(waiter)
+            raise
+        if waiter.error is not None:
+            raise waiter.error
+        return waiter.result
+
+    def every(self, period_s: float, action: Callable[[], None]) -> Periodic:
+        """Call `action` every `period_s` [s], first after one period; it must not wait."""
+        if not 1e-9 <= period_s <= 1e9:
+            raise UsageError(f"period_s = {period_s}: must be 1e-9 to 1e9 s")
+        return Periodic(self, round(period_s * 1e9), action)
+
+    def spawn(self, name: str, function: Callable[[], None]) -> VirtualParty:
+        """Run `function` as a further party, from the next wait of this one on."""
+        self._party_here()
+        party = VirtualParty(name, self)
+        party.thread = PartyThread(
+            target=self.run_party, args=(party, function), name=f"party {name}", daemon=True
+        )
+        party.thread.start()  # first, so that its thread exists when it gets a turn
+        self._spawned.append(party)
+        self.enrol(party)
+        return party
+
+    def listen(self, bus: "can.BusABC", on_frame: "FrameListener") -> "Registration":
+        """Call `on_frame` for every frame on `bus`; own frames count when they were transmitted."""
+        return _port_of(bus).subscribe(on_frame)
+
+    def send(self, bus: "can.BusABC", frame: bytes) -> None:
+        """Queue the can_frame (16 bytes) for transmission on `bus`."""
+        transmit = getattr(bus, "transmit", None)
+        if transmit is None:
+            transmit = _port_of(bus).transmit
+        transmit(frame)
+
+    # --- a program's own threads -----------------------------------------------------------------
+
+    def party_of_thread(self) -> VirtualParty | None:
+        """Return the party of this thread, or None."""
+        return self._parties.get(threading.get_ident())
+
+    def is_in_callback(self) -> bool:
+        """Return True while an event's action runs, in which waiting is not possible."""
+        return self._in_callback
+
+    def wait_for_parties(self, done: Callable[[], bool], timeout_s: float | None = None) -> bool:
+        """Wait as `wait_until` does, but for another party; raise if no party can act."""
+        return self._wait_until(done, timeout_s, on_parties=True)
+
+    def enrol(self, party: VirtualParty) -> None:
+        """Give the party a turn at the next wait of this one; its thread is in `run_party`."""
+        self._waiters.append(Waiter(party, _at_once, _NEVER))
+
+    def abandon(self, party: VirtualParty) -> None:
+        """Remove the party's turn for good."""
+        self._waiters = [waiter for waiter in self._waiters if waiter.party is not party]
+
+    def run_party(self, party: VirtualParty, function: Callable[[], None]) -> None:
+        """Run `function` in this thread as the party, once it has its turn."""
+        party.ident = threading.get_ident()
+        self._parties[party.ident] = party
+        party.baton.acquire()
+        try:
+            if not (self._closing or party.is_ending):
+                function()
+        except Cancelled:
+            pass
+        except BaseException as error:  # raised by join() or close()
+            party.error = error
+        finally:
+            party.finished = True
+            del self._parties[party.ident]
+        if not self._closing:
+            self._leave(party)
+
+    # --- the rig's side --------------------------------------------------------------------
+
+    def run_for(self, duration_s: float) -> None:
+        """Let `duration_s` [s] pass."""
+        self.wait_until(_never, duration_s)
+
+    def interrupt(self) -> bool:
+        """Raise KeyboardInterrupt in the first party after this event; for signal handlers.
+
+        Returns:
+            True if that will happen; False if no event is running, or it was requested before.
+        """
+        if not self._pumping or self._interrupted:
+            return False
+        self._interrupted = True
+        return True
+
+    def end(self, party: VirtualParty) -> None:
+        """End the party in its present wait, as all parties end when the run is over."""
+        party.is_ending = True
+        for waiter in self._waiters:
+            if waiter.party is party:
+                waiter.done, waiter.error = _at_once, Cancelled()
+
+    def close(self) -> None:
+        """End all waiting parties; raise the error of a party that was not joined."""
+        self._closing = True
+        me = self._parties.get(threading.get_ident())
+        while self._waiters:
+            waiter = self._waiters.pop(0)
+            if waiter.party is me:
+                continue
+            waiter.error = Cancelled()
+            waiter.party.baton.release()
+            thread = waiter.party.thread
+            if thread is not None:
+                thread.join(GRACE_S)
+            if thread is not None and thread.is_alive():
+                raise UsageError(
+                    f"party {waiter.party.name!r} does not end with the run: it does not wait, "
+                    "or catches the exception that ends it; catch Exception, never "
+                    "BaseException"
+                )
+        for party in self._spawned:
+            if party.error is not None and not party.joined:
+                raise party.error
+
+    # --- turns -----------------------------------------------------------------------------
+
+    def _party_here(self) -> VirtualParty:
+        if self._in_callback:
+            raise UsageError(
+                "waiting inside a callback: time stands still until the callback returns; "
+                "set a flag there and wait for it outside, or start a party with runtime.spawn"
+            )
+        party = self._parties.get(threading.get_ident())
+        if self._closing and party is not None and party.thread is not None:
+            raise Cancelled
+        if party is None:
+            raise UsageError(
+                f"thread {threading.current_thread().name!r} was not started by this runtime and "
+                "has no turn in virtual time; start it with runtime.spawn(name, function)"
+            )
+        return party
+
+    def _count_poll(self) -> None:
+        self._polls += 1
+        if self._polls > _POLLS_MAX:
+            self._polls = 0
+            raise UsageError(
+                f"{_POLLS_MAX} polls with timeout 0 in a row at t = {self.queue.now_ns / 1e9} s: "
+                "time passes only while waiting; give the wait a timeout"
+            )
+
+    def _expired(self) -> Waiter | None:
+        now_ns = self.queue.now_ns
+        for waiter in self._waiters:
+            if _NEVER != waiter.deadline_ns <= now_ns:
+                return waiter
+        return None
+
+    def _pump(self, mine: Waiter | None) -> None:
+        """Run events until it is the turn of `mine` (None: of any party)."""
+        self._pumping = True
+        try:
+            self._in_callback = True
+            try:
+                ready = self._run_to_next_turn(self._first_deadline_ns())
+            finally:
+                self._in_callback = False
+            self._waiters.remove(ready)
+            if ready is not mine:
+                ready.party.baton.release()
+        finally:
+            self._pumping = False
+        if ready is not mine and mine is not None:
+            self._await_baton(mine)
+
+    def _first_deadline_ns(self) -> int:
+        deadline_ns = _NEVER
+        for waiter in self._waiters:
+            if waiter.deadline_ns != _NEVER and not 0 <= deadline_ns <= waiter.deadline_ns:
+                deadline_ns = waiter.deadline_ns
+        return deadline_ns
+
+    def _run_to_next_turn(self, deadline_ns: int) -> Waiter:
+        """Run events until a party can continue; no timeout expires before `deadline_ns`."""
+        queue = self.queue
+        stuck_ns = queue.now_ns + _STUCK_NS
+        while True:
+            self._turns += 1
+            if self._turns % _LOOK_UP_TURNS == 0:
+                threading.current_thread()  # interpreted code: signal handlers run there
+            if self._interrupted:
+                self._interrupted = False
+                for waiter in self._waiters:
+                    if waiter.party.thread is None:
+                        waiter.done, waiter.error = _at_once, KeyboardInterrupt()
+            for waiter in self._waiters:  # in the order of their waits; the result is in the waiter
+                try:
+                    if waiter.done():
+                        waiter.result = True
+                        return waiter
+                except Exception as error:
+                    waiter.error = error
+                    return waiter
+            next_ns = queue.next_ns()
+            now_ns = queue.now_ns
+            if _NEVER != deadline_ns <= now_ns != next_ns:
+                expired = self._expired()
+                if expired is not None:
+                    return expired
+            is_event = next_ns != UNSET and (deadline_ns == _NEVER or next_ns <= deadline_ns)
+            if not is_event and deadline_ns == _NEVER:
+                self._nothing_will_happen("no event is due in the whole rig")
+                continue
+            due_ns = next_ns if is_event else deadline_ns
+            if due_ns > stuck_ns and all(waiter.on_parties for waiter in self._waiters):
+                if deadline_ns == _NEVER:
+                    self._nothing_will_happen("all parties have waited for one another for an hour")
+                    continue
+                stuck_ns = _END_NS
+            if due_ns > now_ns or not is_event:
+                self._polls = 0
+            if self._pace is not None:
+                self._pumping = False  # while asleep, an interrupt takes effect at once
+                self._pace(due_ns)
+                self._pumping = True
+            if is_event:
+                queue.run_next()
+            else:
+                queue.run_until(due_ns)
+
+    def _await_baton(self, mine: Waiter) -> None:
+        try:
+            # Not without a timeout: a signal just before the wait would be handled only after it.
+            while not mine.party.baton.acquire(timeout=GRACE_S):
+                threading.current_thread()  # as in _run_to_next_turn: signal handlers run there
+        except KeyboardInterrupt as interrupt:
+            # Another party is running: take the turn at its next wait, never in parallel.
+            mine.done, mine.error = _at_once, interrupt
+            if not mine.party.baton.acquire(timeout=GRACE_S):
+                self._closing = True  # it does not wait; it ends at its next wait
+                raise
+
+    def _nothing_will_happen(self, why: str) -> None:
+        names = ", ".join(self.whereabouts(waiter.party) for waiter in self._waiters)
+        for waiter in self._waiters:
+            waiter.done = _at_once
+            waiter.error = UsageError(
+                f"party {waiter.party.name!r} waits without a timeout, but nothing can end the "
+                f"wait: {why} (waiting: {names}); give the wait a timeout"
+            )
+
+    def _leave(self, party: VirtualParty) -> None:
+        """Pass the baton on to the next party; run events until there is one."""
+        try:
+            if self._waiters:
+                self._pump(None)
+        except BaseException as error:  # an event failed: raise it in the longest-waiting party
+            waiter = self._waiters.pop(0)
+            waiter.error = error
+            waiter.party.baton.release()
+
+
+def _at_once() -> bool:
+    return True
+
+
+def _never() -> bool:
+    return False
+
+
+def _port_of(bus: "can.BusABC") -> _Port:
+    if hasattr(bus, "subscribe") and hasattr(bus, "transmit"):
+        port: _Port = bus
+        return port
+    raise UsageError(
+        f"{bus!r} is not a bus of this rig: virtual time reaches only emulated buses; "
+        "use rig.bus(name), or motorapi's WallRuntime on a real bus"
+    )
+
+
+@final
+class WallPace:
+    """A callable that returns when wall time has reached the next event's time [ns].
+
+    Time 0 is the first call. Late events are neither delayed further nor skipped.
+
+    Attributes:
+        late_ns_max: largest lateness of an event so far [ns].
+    """
+
+    def __init__(self) -> None:
+        self._start_ns: int | None = None
+        self.late_ns_max = 0
+
+    def __call__(self, due_ns: int) -> None:
+        """Sleep until wall time has reached `due_ns`."""
+        now_ns = time.monotonic_ns()
+        if self._start_ns is None:
+            self._start_ns = now_ns
+        left_ns = self._start_ns + due_ns - now_ns
+        if left_ns > 0:
+            time.sleep(left_ns / 1e9)
+        else:
+            self.late_ns_max = max(self.late_ns_max, -left_ns)

@@ -1,0 +1,1 @@
+"""Replacements for the standard library's clocks, threads and locks."""

@@ -1,0 +1,1 @@
+"""CANopen client services that all CANopen adaptations share."""

@@ -1,0 +1,51 @@
+"""EMCY messages as a host receives them (CiA 301, 7.2.7).
+
+Selects which of several errors is reported as the drive's fault.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Final, final
+
+from motorhil.motorapi.adaptations.cia402.objects import error_text
+
+_ERROR_CLASS: Final = 0xFF00  # 00xxh: an error is reset
+_COMMUNICATION: Final = 0x8100
+_OF_COMMUNICATION: Final = 0x11  # 1001h: generic, and communication
+# Errors of frames and the bus do not end a motion. Some drives repeat the first two endlessly.
+_MINOR: Final = (0x8210, 0x8220, 0x8120, 0x8140)
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Emergency:
+    """One EMCY: error code (603Fh), error register (1001h), 5 vendor bytes, time received [ns]."""
+
+    code: int
+    register: int
+    vendor: bytes
+    time_ns: int
+
+    def __str__(self) -> str:
+        gone = "no error, or one is gone"
+        text = error_text(self.code) if self.code & _ERROR_CLASS else gone
+        return f"EMCY {self.code:04X}h at {self.time_ns / 1e9:.6f} s: {text}"
+
+
+def last_error(heard: Iterable[Emergency], from_ns: int) -> Emergency | None:
+    """Return the last EMCY with an error, reset or not, received at `from_ns` or later."""
+    errors = [one for one in heard if one.code & _ERROR_CLASS and one.time_ns >= from_ns]
+    return errors[-1] if errors else None
+
+
+def standing_error(before: Emergency | None, heard: Emergency) -> Emergency | None:
+    """Return the error that persists after this EMCY, or None.
+
+    An error of a frame or the bus yields to an error of the drive.
+    """
+    if heard.code & _ERROR_CLASS:
+        return heard if before is None or heard.code not in _MINOR else before
+    if before is None or not heard.register:
+        return None
+    is_of_drive = before.code & _ERROR_CLASS != _COMMUNICATION and before.code not in _MINOR
+    return None if is_of_drive and not heard.register & ~_OF_COMMUNICATION else before

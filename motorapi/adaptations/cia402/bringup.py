@@ -1,0 +1,401 @@
+"""Bring-up of a drive: identification, mutual supervision and PDOs.
+
+Only values that the drive does not have yet are written, so that a second program may join at any
+time.
+
+Traffic of a configured drive, and of this program for it.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final, final
+
+from motorhil.motorapi.adaptations.canopen.bus import HEARTBEAT_ID, STOPPED
+from motorhil.motorapi.adaptations.canopen.pdo_setup import (
+    CONTROLWORD,
+    EVENT_DRIVEN,
+    POSITION,
+    STATUSWORD,
+    SYNCHRONOUS,
+    TARGET_POSITION,
+    TARGET_VELOCITY,
+    TORQUE,
+    VELOCITY,
+    PdoFound,
+    PdoSetUp,
+    PdoWish,
+    usable_as_it_is,
+)
+from motorhil.motorapi.adaptations.canopen.sdo import SdoAborted
+from motorhil.motorapi.adaptations.cia402.node import DriveNode
+from motorhil.motorapi.adaptations.cia402.objects import Mode
+from motorhil.motorapi.errors import DeadlineExceeded, UsageError
+from motorhil.motorapi.synchronization.bus_load import NodeTraffic, PeriodicMessage, note_node
+
+_UNKNOWN_CLOCK_PPM: Final = 1000.0
+_SYNCHRONOUS_MAX: Final = 240
+
+
+def drive_traffic(
+    node_id: int,
+    facts: "DriveFacts",
+    tpdos: "Sequence[tuple[int, PdoFound]]",
+    options: "HwOptions",
+) -> NodeTraffic:
+    """Return the traffic of a drive that has these TPDOs (identifier, settings) and no others."""
+    ppm = _UNKNOWN_CLOCK_PPM if options.oscillator_ppm is None else options.oscillator_ppm
+    shorter = 1.0 - ppm * 1e-6  # a fast oscillator shortens the drive's times
+    sent: list[PeriodicMessage] = []
+    at_sync: list[PeriodicMessage] = []
+    unknown = "; ".join(one for one in facts.limitations if "stays on" in one)
+    for can_id, tpdo in tpdos:
+        length = sum(entry & 0xFF for entry in tpdo.mapping) // 8
+        if tpdo.transmission <= _SYNCHRONOUS_MAX:
+            at_sync.append(PeriodicMessage(can_id, length, 1.0, 1.0))
+        elif tpdo.inhibit_100us:
+            sent.append(PeriodicMessage(can_id, length, tpdo.inhibit_100us * 1e-4 * shorter))
+        else:
+            unknown = f"TPDO {can_id:03X}h of node {node_id} has no inhibit time"
+    ours: tuple[PeriodicMessage, ...] = ()
+    if options.heartbeat_ms:
+        period_s = options.heartbeat_ms / 1e3
+        sent.append(PeriodicMessage(HEARTBEAT_ID + node_id, 1, period_s * shorter))
+        ours = (PeriodicMessage(HEARTBEAT_ID + options.host_node_id, 1, period_s),)
+    return NodeTraffic(
+        sent=tuple(sent),
+        ours=ours,
+        sent_at_sync=tuple(at_sync),
+        unknown=unknown,
+    )
+
+
+_PROFILE_402: Final = 0x0192
+_TPDOS: Final = 4
+_FIRST_STATUS_S: Final = 0.5
+_LATCHED_TARGETS: Final = (TARGET_POSITION, TARGET_VELOCITY)
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HwOptions:
+    """The settings of a hardware object for its drive; the defaults suit most drives.
+
+    Attributes:
+        host_node_id: the node-ID under which the host sends its heartbeat.
+        heartbeat_ms: the period of the drive's and the host's heartbeats; 0: no heartbeats.
+        heartbeat_timeout_ms: the silence after which either side regards the other as lost.
+        status_period_ms: the period with which the drive sends statusword and position; 0: on
+            change only.
+        status_inhibit_ms: the shortest time between two of these messages.
+        velocity_period_ms: the period with which the drive sends velocity and torque; 0: they are
+            polled.
+        connection_loss: the drive's reaction to the loss of the host (6007h): 1 fault, 2 disable
+            voltage, 3 quick stop (the next program need not reset a fault); None leaves the drive's
+            setting.
+        servo_period_ms: the drive's profile tick, for predicting skew; None: not known.
+        oscillator_ppm: the tolerance of the drive's clock in either direction [1e-6]; likewise.
+        sdo_reply_ms: the drive's longest SDO response time; likewise.
+        set_point_period_ms: the period of set-points (SYNCs) that the host streams to the drive;
+            the same for all drives of a bus.
+        connect_timeout_s: the longest time for the drive to boot.
+        sdo_timeout_s: the longest time for an SDO response.
+        sdo_quarantine_s: the time after an unanswered request in which a late response may still
+            arrive.
+    """
+
+    host_node_id: int = 127
+    heartbeat_ms: int = 100
+    heartbeat_timeout_ms: int = 300
+    status_period_ms: int = 20
+    status_inhibit_ms: float = 2.0
+    velocity_period_ms: int = 0
+    connection_loss: int | None = 3
+    servo_period_ms: float | None = None
+    oscillator_ppm: float | None = None
+    sdo_reply_ms: float | None = None
+    set_point_period_ms: int = 5
+    connect_timeout_s: float = 3.0
+    sdo_timeout_s: float = 0.3
+    sdo_quarantine_s: float = 1.0
+
+    def __post_init__(self) -> None:
+        """Refuse invalid options.
+
+        Raises:
+            UsageError: an option has the wrong type or is out of range.
+        """
+        for name, (low, high, unit) in _WHOLE.items():
+            value = getattr(self, name)
+            if value is None and name == "connection_loss":
+                continue
+            if not isinstance(value, int) or not low <= value <= high:
+                limits = f"{low} to {high}{unit}"
+                raise UsageError(f"{name} = {value!r}: must be an integer, {limits}")
+        for name, (highest, of, optional) in _NUMBERS.items():
+            value = getattr(self, name)
+            if value is None and optional:
+                continue
+            if not isinstance(value, int | float) or not 0 <= value <= highest:
+                raise UsageError(f"{name} = {value!r}: must be 0 to {highest:g} {of}")
+        for name in _TIMEOUTS:
+            value = getattr(self, name)
+            if not isinstance(value, int | float) or not 0 < value <= _TIMEOUT_MAX_S:
+                limit = f"> 0 s, and at most {_TIMEOUT_MAX_S} s"
+                raise UsageError(f"{name} = {value!r}: must be {limit}")
+        if 0 < self.heartbeat_timeout_ms <= self.heartbeat_ms:
+            raise UsageError(
+                f"heartbeat_timeout_ms = {self.heartbeat_timeout_ms}: must be longer than"
+                f" heartbeat_ms = {self.heartbeat_ms}, better three times as long"
+            )
+
+
+_WHOLE: Final = {  # lowest, highest, unit
+    "host_node_id": (1, 127, ""),
+    "heartbeat_ms": (0, 65535, " ms"),  # 1017h
+    "heartbeat_timeout_ms": (0, 65535, " ms"),  # 1016h
+    "status_period_ms": (0, 65535, " ms"),  # 1800h:05h
+    "velocity_period_ms": (0, 65535, " ms"),
+    "set_point_period_ms": (1, 255, " ms"),  # 60C2h
+    "connection_loss": (-32768, 3, ""),  # 6007h; negative values are manufacturer-specific
+}
+_NUMBERS: Final = {  # highest, unit, whether None is allowed
+    "status_inhibit_ms": (6553.5, "ms", False),  # 1800h:03h
+    "servo_period_ms": (1000.0, "ms", True),
+    "oscillator_ppm": (100_000.0, "ppm", True),
+    "sdo_reply_ms": (60_000.0, "ms", True),
+}
+_TIMEOUTS: Final = ("connect_timeout_s", "sdo_timeout_s", "sdo_quarantine_s")
+_TIMEOUT_MAX_S: Final = 3600
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Identity:
+    """The identity of the drive (1000h, 1018h); None where it reports nothing."""
+
+    device_type: int | None
+    vendor_id: int | None
+    product_code: int | None
+    revision_number: int | None
+    serial_number: int | None
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class DriveFacts:
+    """The results of the bring-up of a drive.
+
+    Attributes:
+        identity: the identity of the drive.
+        modes: the modes in 6502h; None if the drive does not report them.
+        control_id: the identifier of the RPDO that sends the controlword at once; None: by SDO.
+        latched_ids: the identifiers of the RPDOs with controlword and a target, latched at SYNC, by
+            the index of the target (607Ah, 60FFh). Targets without such an RPDO are missing.
+        status: the TPDO that sends the statusword; None: it is polled by SDO.
+        limitations: the functions that this drive lacks or refuses, in words.
+    """
+
+    identity: Identity
+    modes: frozenset[Mode] | None
+    control_id: int | None
+    latched_ids: Mapping[int, int]
+    status: PdoFound | None
+    limitations: tuple[str, ...]
+
+
+def bring_up(node: DriveNode, options: HwOptions) -> DriveFacts:
+    """Configure the drive, start it (OPERATIONAL) and await its first status.
+
+    Raises:
+        DeadlineExceeded: the drive does not answer.
+        UsageError: the device is not a CiA 402 drive.
+        PeerError: the drive refused an indispensable setting.
+    """
+    node.may_change_state()
+    identity = _identity(node, first_answer(node, options.connect_timeout_s))
+    limitations: list[str] = []
+    _set_up_dead_man(node, options, limitations)
+    sync_id = node.read_optional(0x1005)
+    latched = sync_id is None or sync_id & 0x7FF == node.link.sync_id
+    if not latched:
+        limitations.append(f"its SYNC is {sync_id or 0:03X}h, ours {node.link.sync_id:03X}h")
+    pdos = PdoSetUp(node)
+    control = pdos.configure(PdoWish(False, 1, (CONTROLWORD,), EVENT_DRIVEN))
+    if control is not None:
+        node.listen_to_control(control[0])
+    latched_ids = _latched_pdos(pdos) if latched else {}
+    status = _status_pdo(node, pdos, options)
+    for number in range(3 if options.velocity_period_ms else 2, _TPDOS + 1):
+        pdos.switch_off(number, keep=None if status is None else status[0])
+    limitations += pdos.refusals
+    if status is not None:
+        node.listen_to_tpdo(status[0], status[1].mapping)
+    velocity = _velocity_pdo(node, pdos, options)
+    pdos.finish()
+    facts = DriveFacts(
+        identity=identity,
+        modes=_modes(node),
+        control_id=None if control is None else control[0],
+        latched_ids=latched_ids,
+        status=None if status is None else status[1],
+        limitations=tuple(limitations),
+    )
+    tpdos = [made for made in (status, velocity) if made is not None]
+    note_node(node.link.bus, node.node_id, drive_traffic(node.node_id, facts, tpdos, options))
+    _await_first_status(node, facts, options)
+    return facts
+
+
+def first_answer(node: DriveNode, timeout_s: float) -> int:
+    """Return 1000h, once the device answers; a booting device answers after its boot-up.
+
+    Raises:
+        DeadlineExceeded: it does not answer within `timeout_s` [s].
+    """
+    runtime = node.link.runtime
+    deadline_ns = runtime.now_ns() + round(timeout_s * 1e9)
+    while True:
+        if node.nmt_state == STOPPED:  # a stopped node answers no SDO (CiA 301, NMT states)
+            node.link.nmt(0x80, node.node_id)
+        try:
+            return node.read_int(0x1000)
+        except SdoAborted:
+            return _PROFILE_402  # any answer suffices
+        except DeadlineExceeded as error:
+            if runtime.now_ns() >= deadline_ns:
+                heard = "a boot-up" if node.boots else "nothing"
+                trouble = node.link.status.trouble()
+                raise DeadlineExceeded(
+                    awaited=f"{node.label}: any answer",
+                    timeout_s=timeout_s,
+                    last_heard=f"{heard}; {trouble}" if trouble else heard,
+                ) from error
+
+
+def _identity(node: DriveNode, device_type: int) -> Identity:
+    if device_type & 0xFFFF not in (_PROFILE_402, 0):
+        raise UsageError(
+            f"{node.label} is not a CiA 402 drive: its device type 1000h is {device_type:08X}h"
+        )
+    numbers = [node.read_optional(0x1018, place) for place in range(1, 5)]
+    return Identity(device_type, *numbers)
+
+
+def _modes(node: DriveNode) -> frozenset[Mode] | None:
+    word = node.read_optional(0x6502)
+    if word is None:
+        return None
+    return frozenset(mode for mode in Mode if mode is not Mode.NONE and word & mode.supported_bit)
+
+
+def _set_up_dead_man(node: DriveNode, options: HwOptions, limitations: list[str]) -> None:
+    """Set up mutual supervision: 1017h there and here, 1016h and 6007h there."""
+    if options.connection_loss is not None:
+        write_if_different(
+            node, 0x6007, 0, options.connection_loss, 2, limitations, "its reaction to our loss"
+        )
+    write_if_different(
+        node,
+        0x1017,
+        0,
+        options.heartbeat_ms,
+        2,
+        limitations,
+        "its heartbeat, so its loss is not detected",
+    )
+    watched = node.read_optional(0x1016, 1)
+    if not options.heartbeat_ms and watched and watched >> 16 == options.host_node_id:
+        write_if_different(node, 0x1016, 1, 0, 4, limitations, "the end of its supervision of us")
+    if options.heartbeat_ms and options.heartbeat_timeout_ms:
+        consumer = options.host_node_id << 16 | options.heartbeat_timeout_ms
+        write_if_different(
+            node,
+            0x1016,
+            1,
+            consumer,
+            4,
+            limitations,
+            "its supervision of us, so it does not detect our loss",
+        )
+        if node.read_optional(0x1017) == options.heartbeat_ms:
+            node.expect_heartbeat()
+
+
+def write_if_different(
+    node: DriveNode,
+    index: int,
+    subindex: int,
+    value: int,
+    size: int,
+    limitations: list[str],
+    meaning: str,
+) -> None:
+    """Write `value` in `size` bytes unless the object holds it; report a refusal in `limitations`.
+
+    `meaning` completes "it does not let us set ...".
+    """
+    if node.read_optional(index, subindex) == value:
+        return
+    try:
+        node.sdo.download(index, subindex, (value & (1 << 8 * size) - 1).to_bytes(size, "little"))
+    except SdoAborted as error:
+        limitations.append(f"it does not let us set {meaning} ({error})")
+
+
+def _latched_pdos(pdos: PdoSetUp) -> dict[int, int]:
+    """Configure RPDO 2 and following, one per target; return `DriveFacts.latched_ids`."""
+    identifiers: dict[int, int] = {}
+    for number, target in enumerate(_LATCHED_TARGETS, 2):
+        made = pdos.configure(PdoWish(False, number, (CONTROLWORD, target), SYNCHRONOUS))
+        if made is not None:
+            identifiers[target >> 16] = made[0]
+    return identifiers
+
+
+def _status_pdo(node: DriveNode, pdos: PdoSetUp, options: HwOptions) -> tuple[int, PdoFound] | None:
+    wish = PdoWish(
+        True,
+        1,
+        (STATUSWORD, POSITION),
+        EVENT_DRIVEN,
+        inhibit_100us=round(options.status_inhibit_ms * 10),
+        event_ms=options.status_period_ms,
+    )
+    return (
+        pdos.configure(wish)
+        or usable_as_it_is(node, (STATUSWORD, POSITION))
+        or usable_as_it_is(node, (STATUSWORD,))
+    )
+
+
+def _velocity_pdo(
+    node: DriveNode, pdos: PdoSetUp, options: HwOptions
+) -> tuple[int, PdoFound] | None:
+    period_ms = options.velocity_period_ms
+    if not period_ms:
+        return None
+    for mapping in ((VELOCITY, TORQUE), (VELOCITY,)):
+        wish = PdoWish(
+            True, 2, mapping, EVENT_DRIVEN, inhibit_100us=period_ms * 10, event_ms=period_ms
+        )
+        made = pdos.configure(wish)
+        if made is not None:
+            node.listen_to_tpdo(made[0], mapping)
+            return made
+    return None
+
+
+def _await_first_status(node: DriveNode, facts: DriveFacts, options: HwOptions) -> None:
+    """Await the first status: by TPDO if the drive sends it cyclically, else by SDO."""
+    status = facts.status
+    node.status_is_cyclic = status is not None and bool(status.event_ms)
+    if node.status_is_cyclic:
+        seen_ns = node.status_ns
+        heard = node.link.wait_until(
+            lambda: node.status_ns != seen_ns,
+            max(_FIRST_STATUS_S, 3 * options.status_period_ms / 1e3),
+        )
+        node.status_is_cyclic = heard
+    if not node.status_is_cyclic:
+        node.poll_status()
+    node.stays_operational()

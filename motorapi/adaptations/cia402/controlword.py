@@ -1,0 +1,475 @@
+"""Commands to a drive by its controlword: power, modes, stops, set-points.
+
+All values are in the drive's own units.
+
+Repetition of a stop until the drive obeys, against lost frames.
+"""
+
+import struct
+from collections.abc import Callable
+from contextlib import suppress
+from typing import TYPE_CHECKING, Final, final
+
+from motorhil.motorapi.adaptations.canopen.bus import CanopenLink, Transmission, can_frame
+from motorhil.motorapi.adaptations.cia402.node import DriveNode
+from motorhil.motorapi.adaptations.cia402.object_access import DriveObjects
+from motorhil.motorapi.adaptations.cia402.objects import (
+    ACKNOWLEDGE,
+    CHANGE_IMMEDIATELY,
+    DISABLE_VOLTAGE,
+    ENABLE_OPERATION,
+    FAULT_BIT,
+    FAULT_RESET,
+    HALT,
+    NEW_SET_POINT,
+    QUICK_STOP,
+    SHUTDOWN,
+    SWITCH_ON,
+    Mode,
+    PdsState,
+    encode,
+    is_off,
+    shows_no_acknowledge,
+    shows_no_fault,
+    shows_no_reaction,
+    type_of,
+)
+from motorhil.motorapi.errors import DeadlineExceeded, LinkError, MotorBusyError, UnsupportedError
+
+if TYPE_CHECKING:
+    from motorhil.motorapi.adaptations.cia402.bringup import DriveFacts
+    from motorhil.motorapi.adaptations.cia402.motion_status import MotionWatch
+    from motorhil.motorapi.ownership.fencing import BoundFence, Fence, NodeFence
+    from motorhil.motorapi.ownership.physical_motor import PhysicalMotor
+
+_REPEAT_S: Final = 0.1
+_REPEATS: Final = 10
+
+
+def stop_sender(
+    node: "DriveNode", physical: "PhysicalMotor", control_id: int | None, word: int
+) -> "Callable[[Fence | None], None]":
+    """Return a function that sends the controlword at once, without waiting.
+
+    Args:
+        node: the drive.
+        physical: its motor; low-level access of another thread prevents sending (MotorBusyError).
+        control_id: the identifier of the RPDO for it; None: there is none, and SDO is used.
+        word: the controlword of the stop.
+    """
+
+    def send(fence: "Fence | None") -> None:
+        with physical.passage(node.label, of_holder=True):
+            if control_id is None:
+                node.sdo.send_at_once(0x6040, 0, word.to_bytes(2, "little"), fence)
+            else:
+                node.link.send_tracked(_CONTROL.pack(control_id, 2, word), fence)
+
+    return send
+
+
+@final
+class StopRepetition:
+    """A repeated stop, sent until `watch` sees its end or it is cancelled.
+
+    Any program may stop a drive without owning it. But a former owner that stopped the drive and
+    has lost it since must not stop its new owner unknowingly.
+
+    Args:
+        node: the received state of the drive.
+        watch: observes the deceleration.
+        fence: the fence of the drive; None: no other process can take it over.
+        send: sends the stop once, through a fence if there is one.
+    """
+
+    def __init__(
+        self,
+        node: "DriveNode",
+        watch: "MotionWatch",
+        fence: "NodeFence | None",
+        send: "Callable[[Fence | None], object]",
+    ) -> None:
+        self._node = node
+        self._watch = watch
+        self._send = send
+        self._left = _REPEATS
+        self._fence: BoundFence | None = None
+        if fence is not None and fence.is_owned:
+            with suppress(MotorBusyError):  # the drive is already lost
+                self._fence = fence.bound("a stop")
+        self._registration = node.link.runtime.every(_REPEAT_S, self._again)
+
+    def _again(self) -> None:
+        node, watch = self._node, self._watch
+        enabled = node.state is PdsState.OPERATION_ENABLED
+        if node.watch is not watch or watch.ended_ns is not None or not enabled or not self._left:
+            self.cancel()
+            return
+        self._left -= 1
+        try:
+            self._send(self._fence)
+        except (LinkError, MotorBusyError):
+            self.cancel()
+
+    def cancel(self) -> None:
+        """End the repetition."""
+        self._registration.cancel()
+
+
+_STATE_TIMEOUT_S: Final = 2.0
+_MODE_TIMEOUT_S: Final = 0.5
+_ACKNOWLEDGE_TIMEOUT_S: Final = 0.5
+_RESET_TIMEOUT_S: Final = 0.5
+_POLL_S: Final = 0.002
+_STEPS_MAX: Final = 8
+_CONTROL: Final = struct.Struct("<IB3xH6x")
+_NEXT_COMMAND: Final = {
+    PdsState.SWITCH_ON_DISABLED: SHUTDOWN,
+    PdsState.READY_TO_SWITCH_ON: SWITCH_ON,
+    PdsState.SWITCHED_ON: ENABLE_OPERATION,
+    PdsState.QUICK_STOP_ACTIVE: ENABLE_OPERATION,
+}
+
+
+@final
+class DriveControl:
+    """Commands through the controlword (6040h) and the modes of operation (6060h).
+
+    They go by SDO where there is time to wait for the confirmation, else by RPDO. The bring-up sets
+    `facts`. Every command except stops passes through `fence`.
+    """
+
+    def __init__(
+        self, link: CanopenLink, node: DriveNode, objects: DriveObjects, fence: "NodeFence | None"
+    ) -> None:
+        self.facts: DriveFacts | None = None
+        self._physical = objects.physical
+        self._fence = fence
+        self._link = link
+        self._node = node
+        self._objects = objects
+        self._mode: Mode | None = None
+        self.is_halted = False  # stopped since `take_set_points`, by any program
+        self._word: int | None = None  # the controlword commanded last
+        self._repetition: StopRepetition | None = None
+        self._armed: int | None = None  # index of the target that the next SYNC latches
+        self._latched: int | None = None  # the same, until the drive has shown that it has started
+        self.may_be_armed = False  # by a former owner that still has its turn at SYNC
+        self.holds_halt = False  # a halt of ours waits for a SYNC in its place
+
+    def forget(self) -> None:
+        """Forget everything about the drive, as it has booted or is new."""
+        self._end_repetition()
+        self._word = None
+        self._mode = None
+        self.is_halted = False
+        self._armed = None
+        self.has_started()
+
+    def supports(self, mode: Mode) -> bool:
+        """Return whether 6502h contains the mode; True while that is not known."""
+        facts = self.facts
+        return facts is None or facts.modes is None or mode in facts.modes
+
+    # --- power ---------------------------------------------------------------------------
+
+    def write_controlword(self, word: int, *, stops: bool = False) -> None:
+        """Write the controlword (6040h) by SDO, which confirms it."""
+        self._end_repetition()
+        self._word = word
+        self._objects.download(0x6040, 0, word.to_bytes(2, "little"), stops=stops)
+
+    def send_controlword(self, word: int) -> Transmission | None:
+        """Send the controlword by RPDO without waiting; return None if it was written by SDO."""
+        facts = self.facts
+        if facts is None or facts.control_id is None:
+            self.write_controlword(word)
+            return None
+        self._end_repetition()
+        self._word = word
+        return self._send(_CONTROL.pack(facts.control_id, 2, word), self._fence)
+
+    def _send(self, frame: bytes, fence: "Fence | None") -> Transmission:
+        """Queue a frame for the bus; raises MotorBusyError as `PhysicalMotor.passage`."""
+        with self._physical.passage(self._node.label, of_holder=True):
+            return self._link.send_tracked(frame, fence)
+
+    def enable(self) -> None:
+        """Enable operation, step by step from the state that the statusword shows.
+
+        Raises:
+            DeadlineExceeded: the drive did not follow a step.
+            DeviceFault: the drive is in fault.
+        """
+        node = self._node
+        node.refresh()
+        for _ in range(_STEPS_MAX):
+            state = node.state
+            if state is PdsState.OPERATION_ENABLED:
+                self.is_halted = False
+                return
+            if state in (PdsState.FAULT, PdsState.FAULT_REACTION_ACTIVE):
+                raise node.fault_error(self._node.label)
+            word = DISABLE_VOLTAGE if state is None else _NEXT_COMMAND.get(state)
+            if word is not None:
+                self.write_controlword(word)
+            before = "unknown" if state is None else state.value
+            node.wait_for_status(
+                _differs(node, state),
+                _STATE_TIMEOUT_S,
+                f"leaving state {before!r} on the way to operation enabled",
+            )
+        raise DeadlineExceeded(
+            awaited=f"{self._node.label}: operation enabled, in {_STEPS_MAX} steps",
+            timeout_s=_STEPS_MAX * _STATE_TIMEOUT_S,
+            last_heard=node.describe_status(),
+        )
+
+    def disable(self, *, stops: bool = False) -> None:
+        """Switch the power stage off by disable voltage; with `stops`, without owning the drive."""
+        self.write_controlword(DISABLE_VOLTAGE, stops=stops)
+        self._node.wait_for_status(is_off, _STATE_TIMEOUT_S, "power stage off")
+        self.is_halted = False
+
+    def reset_fault(self) -> None:
+        """Reset the fault; the state is switch on disabled afterwards.
+
+        Raises:
+            DeviceFault: its cause persists.
+        """
+        node = self._node
+        node.refresh()
+        if not node.statusword & FAULT_BIT:
+            return
+        node.wait_for_status(shows_no_reaction, _STATE_TIMEOUT_S, "end of the fault reaction")
+        self.write_controlword(0)  # the reset is a rising edge
+        self.write_controlword(FAULT_RESET)
+        try:
+            node.wait_for_status(shows_no_fault, _RESET_TIMEOUT_S, "fault reset")
+        except DeadlineExceeded:
+            raise node.fault_error(self._node.label) from None
+        finally:
+            self.write_controlword(0)
+
+    def send_halt(self, watch: "MotionWatch | None" = None) -> None:
+        """Halt the drive as 605Dh defines, until the next command.
+
+        With `watch`, which observes the deceleration, the command is repeated in case it is lost.
+        """
+        self.is_halted = True
+        self._send_stop(ENABLE_OPERATION | HALT, watch)
+
+    def send_quick_stop(self, watch: "MotionWatch | None" = None) -> None:
+        """Stop the drive as 605Ah defines; `watch` as for a halt."""
+        self.is_halted = True
+        self._send_stop(QUICK_STOP, watch)
+
+    def _send_stop(self, word: int, watch: "MotionWatch | None") -> None:
+        self._armed = None
+        self._end_repetition()
+        self._word = word
+        control_id = None if self.facts is None else self.facts.control_id
+        send = stop_sender(self._node, self._physical, control_id, word)
+        send(None)
+        self._overwrite_latch(None)
+        if watch is not None:
+            self._repetition = StopRepetition(self._node, watch, self._fence, send)
+
+    def _end_repetition(self) -> None:
+        if self._repetition is not None:
+            self._repetition.cancel()
+            self._repetition = None
+
+    # --- modes and set-points ------------------------------------------------------------
+
+    def set_mode(self, mode: Mode) -> None:
+        """Set the mode of operation, confirmed by 6061h.
+
+        Raises:
+            UnsupportedError: 6502h does not contain the mode.
+            DeadlineExceeded: 6061h did not follow.
+        """
+        if not self.supports(mode):
+            modes = self.facts.modes if self.facts is not None and self.facts.modes else ()
+            names = ", ".join(one.name for one in sorted(modes))
+            raise UnsupportedError(
+                motor=self._node.label, feature=f"mode {mode.name}", supported=names
+            )
+        if not self._objects.push(0x6060, mode) and self._mode is mode:
+            return
+        self._mode = None
+        deadline_ns = self._link.runtime.now_ns() + round(_MODE_TIMEOUT_S * 1e9)
+        while True:
+            display = self._objects.read_int(0x6061)
+            if display == mode:
+                self._mode = mode
+                return
+            if self._link.runtime.now_ns() >= deadline_ns:
+                self._objects.doubt(0x6060)
+                raise DeadlineExceeded(
+                    awaited=f"{self._node.label}: mode {mode.name} in 6061h",
+                    timeout_s=_MODE_TIMEOUT_S,
+                    last_heard=f"mode {display}",
+                )
+            self._link.runtime.wait_until(_never, _POLL_S)
+
+    def is_in(self, mode: Mode) -> bool:
+        """Return whether 6061h confirmed this mode, and it cannot have changed since."""
+        return self._mode is mode and self._objects.is_believed(0x6060, mode)
+
+    def take_set_points(self) -> None:
+        """Clear bit 4 (pp) and await a low acknowledge; a halt lasts until the next set-point.
+
+        From then on `is_halted` reports stops that came after this call.
+        """
+        self.write_controlword(self._holding_word())
+        if self._node.statusword & ACKNOWLEDGE or not self._node.status_is_cyclic:
+            self._node.wait_for_status(
+                shows_no_acknowledge, _ACKNOWLEDGE_TIMEOUT_S, "set-point acknowledge to fall"
+            )
+        self.is_halted = False
+
+    def keep_halt(self) -> None:
+        """Keep a halt until the next set-point; `is_halted` reports stops from now on."""
+        self.is_halted = False
+
+    def hold(self) -> None:
+        """Halt the drive until its next set-point, so that no change of mode moves it."""
+        self.write_controlword(ENABLE_OPERATION | HALT)
+        self.is_halted = False
+
+    def release(self) -> None:
+        """Write the controlword for operation enabled, with no halt and no bit of a mode."""
+        self.is_halted = False
+        self.write_controlword(ENABLE_OPERATION)
+
+    def send_set_point(self) -> Transmission | None:
+        """Start a motion to target position 607Ah at once (pp, bits 4 and 5), and lift a halt.
+
+        No motion is started if the drive was stopped after `take_set_points`.
+        """
+        word = self._holding_word()
+        if not self.is_halted:
+            word |= NEW_SET_POINT | CHANGE_IMMEDIATELY
+        return self.send_controlword(word)
+
+    def send_holding_word(self) -> Transmission | None:
+        """Send operation enabled with the halt bit as commanded last, and every other bit low."""
+        return self.send_controlword(self._holding_word())
+
+    def _holding_word(self) -> int:
+        return ENABLE_OPERATION | (HALT if self.is_halted else 0)
+
+    def arm(self, index: int, target: int, *, fired: Callable[[int], None] | None = None) -> None:
+        """Arm `target` for the next SYNC, and wait for its frame; arguments as in `send_armed`."""
+        self._link.confirmed([self.send_armed(index, target, fired=fired)])
+
+    def send_armed(
+        self, index: int, target: int, *, fired: Callable[[int], None] | None = None
+    ) -> Transmission:
+        """Send a target that the next SYNC latches; a position is sent with bits 4 and 5.
+
+        Args:
+            index: the object that holds the target: 607Ah, 60FFh.
+            target: the target in the drive's units.
+            fired: called with the time [ns] when the SYNC after it was on the wire.
+        """
+        facts = self.facts
+        if facts is None or index not in facts.latched_ids:
+            raise UnsupportedError(motor=self._node.label, feature="starting by SYNC")
+        word = ENABLE_OPERATION
+        if index == 0x607A:
+            word |= NEW_SET_POINT | CHANGE_IMMEDIATELY
+        self._armed = self._latched = index
+        self._link.latching.add(self._node.node_id)
+        self._objects.doubt(index)
+        frame = _control_target(facts.latched_ids[index], word, index, target)
+        transmission = self._send(frame, self._fence)
+
+        def on_sync(time_ns: int) -> None:
+            if self._armed is None:
+                return
+            if transmission.time_ns is None:  # SYNC was before the frame: wait for the next one
+                self._link.at_next_sync(on_sync)
+                return
+            self._armed = None
+            if fired is not None:
+                fired(time_ns)
+
+        self._link.at_next_sync(on_sync)
+        return transmission
+
+    def send_armed_halt(self) -> Transmission | None:
+        """Send a halt that the next SYNC latches; return None if there is no RPDO for it.
+
+        Any process may send it, as any stop.
+        """
+        if self.facts is None or 0x607A not in self.facts.latched_ids:
+            return None
+        self._armed, self._latched, self.is_halted = None, 0x607A, True
+        self._word = self._holding_word()
+        self._link.latching.add(self._node.node_id)
+        return self._overwrite_latch(None)[0]
+
+    @property
+    def is_armed(self) -> bool:
+        """True if an armed target still waits for a SYNC."""
+        return self._armed is not None
+
+    def has_started(self) -> None:
+        """Record that the drive has started the armed target."""
+        self._latched = None
+        self._link.latching.discard(self._node.node_id)
+
+    def disarm(self) -> None:
+        """Prevent the armed target from starting at any later SYNC.
+
+        The target is overwritten twice, as a frame may be lost. The overwriting frame then waits
+        for a SYNC, and would bring its controlword back later. So a SYNC clears it, once no drive
+        on the bus holds another armed set-point.
+        """
+        self._armed = None
+        try:
+            transmissions = self._overwrite_latch(self._fence) + self._overwrite_latch(self._fence)
+        except MotorBusyError:  # its new owner clears it; no SYNC for the others
+            self.has_started()
+            self._link.lost = True
+            return
+        if not transmissions:
+            return
+        self._link.confirmed(transmissions)
+        self.has_started()
+        if not self._link.latching and not self._link.lost and self._link.bus_sync.known() is None:
+            self._link.confirmed([self._link.sync()])
+
+    def _overwrite_latch(self, fence: "Fence | None") -> list[Transmission]:
+        """Overwrite the waiting target by the present controlword without a motion."""
+        facts, indices = self.facts, [] if self._latched is None else [self._latched]
+        if facts is None:
+            return []
+        if not indices and self.may_be_armed:
+            self.may_be_armed, self.holds_halt = False, True
+            indices = [*facts.latched_ids] * 2
+        word = self._holding_word() if self._word is None else self._word
+        word &= ~(NEW_SET_POINT | CHANGE_IMMEDIATELY)
+        sent = []
+        for index in indices:
+            target = self._node.position_inc if index == 0x607A else 0
+            self._objects.doubt(index)
+            frame = _control_target(facts.latched_ids[index], word, index, target)
+            sent.append(self._send(frame, fence))
+        return sent
+
+
+def _control_target(can_id: int, word: int, index: int, target: int) -> bytes:
+    """Return the frame of an RPDO with controlword and target."""
+    data = encode(type_of(index, 0) or "i32", target)
+    return can_frame(can_id, word.to_bytes(2, "little") + data)
+
+
+def _differs(node: DriveNode, state: PdsState | None) -> Callable[[int], bool]:
+    return lambda word: node.state is not state
+
+
+def _never() -> bool:
+    return False

@@ -1,0 +1,232 @@
+"""Demand of a servo on the host, cycle by cycle.
+
+A position set-point is the demand from the first cycle on: there is no profile, and the servo acts
+on the step. A set-point of velocity, torque or current also steps, or changes at the rate limit of
+the command. Trajectories are sampled. All values are in increments of the counter, seconds and
+amperes.
+"""
+
+from dataclasses import dataclass
+from math import inf
+from typing import Final, final
+
+from motorhil.motorapi.commands import ControlMode, ControlVariable, Motion
+from motorhil.motorapi.planning.sampling import Demand, demand_of, ramps
+from motorhil.motorapi.trajectory import Argument, value_of
+
+POSITION: Final = 0
+VELOCITY: Final = 1
+CURRENT: Final = 2
+
+
+class Course:
+    """The demand since the cycle of its beginning; `sample` sets it for one instant.
+
+    Attributes:
+        kind: POSITION, VELOCITY or CURRENT: the quantity of `value`.
+        value: the demand [inc, inc/s or A].
+        velocity, acceleration: the values for feed-forward [inc/s, inc/s²].
+        is_step: whether it is a position set-point; its error is not a following error.
+        is_stop: whether it is a stop: over when the motor stands still, at any position.
+        target: the final value; with an argument other than time, the present value.
+        is_over: whether the demand has come to its end.
+    """
+
+    def __init__(self, kind: int, target: float, *, is_step: bool = False) -> None:
+        self.kind = kind
+        self.value = target
+        self.velocity = 0.0
+        self.acceleration = 0.0
+        self.is_step = is_step
+        self.is_stop = False
+        self.target = target
+        self.is_over = True
+
+    def sample(self, elapsed_s: float, ahead_s: float) -> None:
+        """Set the demand for `elapsed_s` after the start; feed-forward for `ahead_s` later.
+
+        Raises:
+            MotorError: the argument of the trajectory is no longer known.
+        """
+
+
+@final
+class Rated(Course):
+    """A set-point of velocity or current that is approached at limited rates.
+
+    Args:
+        kind: VELOCITY or CURRENT.
+        start: the initial value.
+        target: the final value.
+        growing: the rate limit while the magnitude grows; inf: at once.
+        shrinking: the rate limit while the magnitude shrinks, first to 0 if the sign changes.
+    """
+
+    def __init__(
+        self, kind: int, start: float, target: float, growing: float, shrinking: float
+    ) -> None:
+        super().__init__(kind, target)
+        self._pieces = ramps(start, target, growing, shrinking)
+        self.is_over = not self._pieces
+
+    def sample(self, elapsed_s: float, ahead_s: float) -> None:
+        """Set the demand for `elapsed_s` after the start."""
+        left_s = elapsed_s
+        self.acceleration = 0.0
+        for duration_s, before, rate in self._pieces:
+            if left_s < duration_s:
+                self.value = before + rate * left_s
+                self._feed(rate)
+                return
+            left_s -= duration_s
+        self.value = self.target
+        self.is_over = True
+        self._feed(0.0)
+
+    def _feed(self, rate: float) -> None:
+        if self.kind == VELOCITY:
+            self.velocity = self.value
+            self.acceleration = rate
+
+
+@final
+class Braking(Course):
+    """A stop at a constant deceleration, from a position and a velocity."""
+
+    def __init__(self, place: float, velocity: float, deceleration: float) -> None:
+        self._place = place
+        self._velocity = velocity
+        self._rate = -deceleration if velocity > 0.0 else deceleration
+        self._end_s = abs(velocity) / deceleration
+        super().__init__(POSITION, place + 0.5 * velocity * self._end_s)
+        self.is_over = False
+        self.is_stop = True
+
+    def sample(self, elapsed_s: float, ahead_s: float) -> None:
+        """Set the demand for `elapsed_s` after the start."""
+        end_s = self._end_s
+        then_s = min(elapsed_s + ahead_s, end_s)
+        self.velocity = self._velocity + self._rate * then_s if then_s < end_s else 0.0
+        self.acceleration = self._rate if then_s < end_s else 0.0
+        if elapsed_s < end_s:
+            self.value = self._place + (self._velocity + 0.5 * self._rate * elapsed_s) * elapsed_s
+        else:
+            self.value = self.target
+            self.is_over = True
+
+
+@final
+class Tracked(Course):
+    """A trajectory over time."""
+
+    def __init__(self, kind: int, demand: Demand, scale: float) -> None:
+        super().__init__(kind, demand.value(demand.final_argument) * scale)
+        self._demand = demand
+        self._scale = scale
+        self._start = demand.initial_argument
+        self._end = demand.final_argument
+        self.is_over = False
+
+    def sample(self, elapsed_s: float, ahead_s: float) -> None:
+        """Set the demand for `elapsed_s` after the start."""
+        demand = self._demand
+        now = self._start + elapsed_s
+        self.value = demand.value(now) * self._scale
+        self.is_over = now >= self._end
+        if self.kind == POSITION:
+            then = now + ahead_s
+            self.velocity = demand.first(then) * self._scale
+            self.acceleration = demand.second(then) * self._scale
+        elif self.kind == VELOCITY:
+            self.velocity = self.value
+            self.acceleration = demand.first(now + ahead_s) * self._scale
+
+
+@final
+class Led(Course):
+    """A trajectory over an argument other than time, which is read once a cycle."""
+
+    def __init__(self, kind: int, demand: Demand, scale: float, argument: Argument) -> None:
+        super().__init__(kind, demand.value(value_of(argument)) * scale)
+        self._demand = demand
+        self._scale = scale
+        self._argument = argument
+        self._before = (0.0, value_of(argument))
+        self.is_over = False
+
+    def sample(self, elapsed_s: float, ahead_s: float) -> None:
+        """Set the demand for the present value of the argument."""
+        demand = self._demand
+        now = value_of(self._argument)
+        then_s, before = self._before
+        passed_s = elapsed_s - then_s
+        rate = (now - before) / passed_s if passed_s > 0.0 else 0.0
+        self._before = (elapsed_s, now)
+        self.value = self.target = demand.value(now) * self._scale
+        self.is_over = now >= demand.final_argument
+        if self.kind == POSITION:
+            self.velocity = demand.first(now) * rate * self._scale
+            self.acceleration = demand.second(now) * rate * rate * self._scale
+        elif self.kind == VELOCITY:
+            self.velocity = self.value
+            self.acceleration = demand.first(now) * rate * self._scale
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Scales:
+    """The scales between the motor's units and its servo.
+
+    Attributes:
+        increments: increments of the counter per unit of position, signed.
+        torque: the torque per current at the output [N·m/A, of a linear motor N/A]; None: not
+            known.
+    """
+
+    increments: float
+    torque: float | None
+
+    @property
+    def sign(self) -> float:
+        """1, or -1 if the counter counts against the motor's positive direction."""
+        return 1.0 if self.increments > 0.0 else -1.0
+
+    def of(self, variable: ControlVariable) -> float:
+        """Return the servo's units per unit of this variable."""
+        if variable is ControlVariable.TORQUE:
+            return self.sign / (1.0 if self.torque is None else self.torque)
+        return self.sign if variable is ControlVariable.CURRENT else self.increments
+
+
+_KINDS: Final = {ControlVariable.POSITION: POSITION, ControlVariable.VELOCITY: VELOCITY}
+
+
+def course_of(motion: Motion, scales: Scales, velocity: float, current_a: float) -> Course:
+    """Return the course of a motion.
+
+    Args:
+        motion: a set-point or any trajectory, in the motor's units.
+        scales: the scales of these units.
+        velocity: the present demand [inc/s].
+        current_a: the present output [A].
+
+    Raises:
+        MotorError: the argument of the trajectory is not known.
+    """
+    kind = _KINDS.get(motion.variable, CURRENT)
+    scale = scales.of(motion.variable)
+    if motion.mode is ControlMode.TRAJECTORY:
+        demand = demand_of(motion)
+        if motion.argument is not None:
+            return Led(kind, demand, scale, motion.argument)
+        return Tracked(kind, demand, scale)
+    target = motion.target * scale
+    if kind == POSITION:
+        return Course(POSITION, target, is_step=True)
+    size = abs(scale)
+    if kind == CURRENT:
+        return Rated(CURRENT, current_a, target, motion.slope * size, motion.slope * size)
+    if motion.slope == inf:
+        return Rated(VELOCITY, velocity, target, inf, inf)
+    growing, shrinking = motion.acceleration * size, motion.deceleration * size
+    return Rated(VELOCITY, velocity, target, growing, shrinking)

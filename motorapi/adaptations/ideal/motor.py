@@ -1,0 +1,269 @@
+"""Ideal motors: the names that applications and rigs use.
+
+They are the reference for every other kind of motor, and the quickest way to try an application.
+There is no bus, no drive and no plant: commands are executed exactly and at once. See
+`IdealMotor`::
+
+    hw = IdealHwMotor(runtime, "left wheel")
+    motor = IdealMotor(hw, model=MotorModel.load("wheel.toml"))
+
+Adaptation of the motor interface to an ideal motor.
+
+| command                      | behaviour of the motor                                         |
+| ---------------------------- | -------------------------------------------------------------- |
+| set-point, position          | straight motion at the velocity limit, without ramps           |
+| set-point, velocity          | ramp at the acceleration limit                                 |
+| set-point, torque or current | step, or ramp at the given limit of the first derivative       |
+| trajectory, any variable     | the demand of the trajectory, at every instant                 |
+| homing (35, 37)              | the present position becomes 0, at once                        |
+
+A set-point has no profile: its variable moves straight to the target at the limit of its first
+derivative, from the command or else from the model. So velocity steps in a position set-point,
+which no real motor can do. This distinguishes it from a trajectory. In torque and current control
+the shaft is held: the motor exerts torque and stands still.
+"""
+
+from collections.abc import Callable, Mapping
+from math import isfinite
+from typing import TYPE_CHECKING, Final, final
+
+from motorhil.motorapi.adaptations.ideal.hardware import IdealHwMotor
+from motorhil.motorapi.adaptations.registration import Shared, refuse_unknown
+from motorhil.motorapi.commands import ControlMode, ControlVariable, Motion, Setpoint, as_number
+from motorhil.motorapi.errors import DeviceFault, LinkError, UnsupportedError, UsageError
+from motorhil.motorapi.model import MotionKind
+from motorhil.motorapi.motor import Motor
+from motorhil.motorapi.state import Fault, Measurement, MotorState
+from motorhil.motorapi.synchronization.can_response_time import Firing
+from motorhil.motorapi.synchronization.quality import MotionTimes, SyncLevel, SyncOffer, Trigger
+
+if TYPE_CHECKING:
+    from motorhil.motorapi.model import MotorModel
+    from motorhil.motorapi.runtime.api import Runtime
+    from motorhil.motorapi.trajectory import Trajectory
+
+_HERE_IS_ZERO: Final = (None, 35, 37)
+
+
+@final
+class IdealMotor(Motor):
+    """A logical motor on an ideal one; any number of them may share one hardware object.
+
+    Args:
+        hardware: the hardware object.
+        model: the limits of the motor.
+        name: the name in messages and records. None: the model's name and the hardware's label.
+        on_close: called once, when the motor is closed. The maker of the hardware object closes it.
+    """
+
+    def __init__(
+        self,
+        hardware: IdealHwMotor,
+        model: "MotorModel",
+        *,
+        name: str | None = None,
+        on_close: Callable[[], None] | None = None,
+    ) -> None:
+        super().__init__(
+            name=f"{model.name} at {hardware.label}" if name is None else name,
+            model=model,
+            runtime=hardware.runtime,
+            physical=hardware.physical,
+        )
+        self._hardware = hardware
+        self._on_close = on_close
+
+    def close(self) -> None:
+        """Close the motor; further calls do nothing."""
+        on_close, self._on_close = self._on_close, None
+        if on_close is not None:
+            on_close()
+
+    @property
+    def hardware(self) -> IdealHwMotor:
+        """The hardware object; tests inject faults there."""
+        return self._hardware
+
+    # --- capabilities ----------------------------------------------------------------------
+
+    def _supports(self, mode: ControlMode, variable: ControlVariable) -> bool:
+        return True
+
+    def _check_command(self, variable: ControlVariable, command: "Setpoint | Trajectory") -> None:
+        """Accept every command, as every plan can be executed."""
+
+    def _sync_offer(self) -> SyncOffer:
+        reason = "ideal motors of one runtime begin at the same nanosecond"
+        trigger = self._hardware.shared_trigger
+        return SyncOffer(
+            *(SyncLevel.TRIGGERED, trigger, (0.0, 0.0), reason),
+            firing=Firing(),
+            oscillator_ppm=0.0,
+            end_s=(0.0, 0.0),
+        )
+
+    def _quantise(self, motion: Motion) -> Motion:
+        return motion
+
+    # --- connecting, state and measurements ------------------------------------------------
+
+    def _connect(self) -> None:
+        if self._hardware.is_closed:
+            label = self._hardware.label
+            raise LinkError(link=label, reason="this hardware object is closed")
+
+    def _read_state(self) -> MotorState:
+        return self._hardware.state
+
+    def _read_fault(self) -> Fault | None:
+        return self._hardware.fault
+
+    def _read_referenced(self) -> bool:
+        return self._hardware.is_referenced
+
+    def _read_position(self) -> float:
+        return self._hardware.reading().position
+
+    def _read_velocity(self) -> float:
+        return self._hardware.reading().velocity
+
+    def _read_reference(self) -> float:
+        return self._hardware.reading().position
+
+    def _read_torque(self) -> float:
+        return self._hardware.reading().torque
+
+    def _read_following_error(self) -> float:
+        return 0.0
+
+    def _latest(self) -> Measurement | None:
+        hardware = self._hardware
+        position, velocity, torque = hardware.reading()
+        now_ns = self.runtime.now_ns()
+        return Measurement(now_ns, hardware.state, position, velocity, torque, 0.0)
+
+    def _position_source(self) -> str:
+        return "the law of its motion"
+
+    def _refresh(self) -> float | None:
+        return self._hardware.look_again_s()
+
+    # --- power, fault, reference -----------------------------------------------------------
+
+    def _enable(self) -> None:
+        self._hardware.enable()
+
+    def _disable(self) -> None:
+        self._hardware.disable()
+
+    def _reset_fault(self) -> None:
+        self._hardware.reset_fault()
+
+    def _home(self, method: int | None) -> None:
+        if method not in _HERE_IS_ZERO:
+            raise UnsupportedError(
+                motor=self.name, feature=f"homing by method {method}", supported="35 and 37"
+            )
+        self._hardware.call_here(0.0)
+
+    # --- motion ----------------------------------------------------------------------------
+
+    def _arm(self, motion: Motion, *, together: bool) -> Trigger:
+        return self._hardware.arm(motion, together=together)
+
+    def _disarm(self) -> None:
+        self._hardware.disarm()
+
+    def _confirm(self, motion: Motion) -> None:
+        """Do nothing, as the motion began when it was fired."""
+
+    def _is_done(self) -> bool:
+        hardware = self._hardware
+        fault = hardware.fault
+        if fault is not None:
+            raise DeviceFault(
+                motor=self.name, code=fault.code, text=fault.text, since_ns=fault.since_ns
+            )
+        self._connect()
+        if hardware.failure is not None:
+            raise hardware.failure
+        return hardware.is_over
+
+    def _stop(self) -> None:
+        self._hardware.slow_down(self.model.deceleration)
+
+    def _quick_stop(self) -> None:
+        self._hardware.slow_down(self.model.deceleration, quickly=True)
+
+    def _open_low_level(self) -> IdealHwMotor:
+        return self._hardware
+
+    def _motion_times(self) -> MotionTimes | None:
+        begun_ns, over_ns = self._hardware.motion_times_ns()
+        if begun_ns is None:
+            return None
+        return MotionTimes(begun_ns, over_ns, "the law of its motion")
+
+
+_KEYS: Final = {
+    MotionKind.ROTARY: ("position_rad", "torque_constant_n_m_a"),
+    MotionKind.LINEAR: ("position_m", "torque_constant_n_a"),
+}
+_SHARED: Final[Shared[IdealHwMotor]] = Shared("axis")
+
+
+def build(
+    bus: None, settings: Mapping[str, object], model: "MotorModel", runtime: "Runtime"
+) -> IdealMotor:
+    """Return the motor described by a settings table (entry point `motorhil.adaptations`, ideal).
+
+    Motors that name the same axis share one hardware object, made by the first of them.
+
+    Args:
+        bus: None (see `build.needs_bus`).
+        settings: `name`; `axis` (default: the name); the initial position and the torque constant,
+            both with their units: `position_rad`, `torque_constant_n_m_a`, of a linear motor
+            `position_m`, `torque_constant_n_a`.
+        model: the motor model.
+        runtime: the runtime of the motor.
+
+    Raises:
+        UsageError: a setting is unknown or invalid.
+    """
+    position_key, constant_key = _KEYS[model.kind]
+    known = ("name", "axis", position_key, constant_key)
+    refuse_unknown(settings, known, f"setting of an ideal {model.kind.value} motor")
+    name = settings.get("name", model.name)
+    axis = settings.get("axis", name)
+    if not isinstance(name, str) or not isinstance(axis, str) or not axis:
+        raise UsageError(f"axis = {axis!r}: must be a name")
+    position = _number(settings, position_key)
+    constant = _number(settings, constant_key)
+    if constant is not None and constant <= 0.0:
+        raise UsageError(f"{constant_key} = {constant:g}: must be > 0")
+    hardware = _SHARED.get(
+        (runtime, axis),
+        lambda: IdealHwMotor(
+            runtime,
+            axis,
+            position=0.0 if position is None else position,
+            torque_constant=1.0 if constant is None else constant,
+        ),
+        lambda built: (
+            position in (None, built.initial_position) and constant in (None, built.torque_constant)
+        ),
+    )
+    return IdealMotor(hardware, model, name=name, on_close=lambda: _SHARED.give_back(hardware))
+
+
+build.needs_bus = False  # type: ignore[attr-defined]  # what a rig asks of every adaptation
+
+
+def _number(settings: Mapping[str, object], key: str) -> float | None:
+    value = settings.get(key)
+    if value is None:
+        return None
+    number = as_number(value)
+    if isinstance(value, bool) or not isfinite(number):
+        raise UsageError(f"{key} = {value!r}: must be a finite number")
+    return number

@@ -1,0 +1,303 @@
+"""The hardware class of a drive with a path table ("PR mode").
+
+Leadshine and StepperOnline make such drives. Position counts pulses; 0001h holds the pulses per
+turn of the motor, the motor model the turns of the motor per turn of the output. Velocity is in
+integer rpm, acceleration in milliseconds for a change of 1000 rpm. Values are rounded so that no
+limit is exceeded.
+
+Motions use path 0. Its eighth register is the trigger, so one request defines and starts a motion.
+The request is sent only once, even if its answer is lost.
+
+Source: the common subset of several independent public drivers for these drives.
+"""
+
+from dataclasses import replace
+from math import ceil, floor, pi
+from typing import TYPE_CHECKING, Final, final
+
+from motorhil.motorapi.adaptations.modbus.client import ByteLine, Exchange
+from motorhil.motorapi.adaptations.modbus.polled_motor import (
+    Poll,
+    PolledProgress,
+    check_register,
+    gear,
+    toward_zero,
+)
+from motorhil.motorapi.adaptations.modbus.unit import ModbusUnit, as_i32
+from motorhil.motorapi.commands import ControlVariable, Motion
+from motorhil.motorapi.errors import StateError, UnsupportedError
+from motorhil.motorapi.model import MotionKind
+from motorhil.motorapi.state import Fault, MotorState
+
+if TYPE_CHECKING:
+    from motorhil.motorapi.model import MotorModel
+    from motorhil.motorapi.ownership.physical_motor import PhysicalMotor
+    from motorhil.motorapi.runtime.api import Runtime
+
+_PULSES: Final = 0x0001
+_ENABLE: Final = 0x000F
+_STATUS: Final = 0x1003
+_POSITION: Final = 0x1014  # i32; 1046h: speed
+_SPEED: Final = 0x1046
+_CONTROL: Final = 0x1801
+_ALARM: Final = 0x2203
+_TRIGGER: Final = 0x6002
+_HOMING_MODE: Final = 0x600A
+_DEMAND: Final = 0x602C
+_PATH_0: Final = 0x6200
+_QUICK_RAMP: Final = 0x6017
+
+_FAULT: Final = 0x0001
+_ENABLED: Final = 0x0002
+_RUNNING: Final = 0x0004
+_COMMAND_DONE: Final = 0x0010
+_PATH_DONE: Final = 0x0020
+_HOMED: Final = 0x0040
+
+_ABSOLUTE: Final = 0x0011  # interrupts a running motion
+_VELOCITY: Final = 0x0012
+_RUN: Final = 0x010
+_HOME: Final = 0x020
+_HERE_IS_ZERO: Final = 0x021
+_STOP: Final = 0x040
+_RESET_ALARM: Final = 0x1111
+
+# CiA 402 homing methods, and the drive's mode: switch and direction
+_HOMING: Final = {17: 0x0000, 18: 0x0001, 19: 0x0005, 21: 0x0004}
+_HERE: Final = (None, 35, 37)
+_BOOT_S: Final = 3.0
+_RPM_MAX: Final = 6000
+_RAMP_MAX: Final = 32767
+_INT32_MAX: Final = 0x7FFF_FFFF
+_ALARMS: Final = {0x01: "over-current", 0x02: "over-voltage", 0x20: "following error"}
+
+
+@final
+class LeadshineHwMotor:
+    """One PR-mode drive, shared by all logical motors and threads of a process.
+
+    Args:
+        line: the line of the drive.
+        unit: its server address.
+        runtime: the runtime to wait with.
+        timeout_s: the response timeout [s].
+
+    Raises:
+        UsageError: a hardware object for this drive exists already.
+    """
+
+    def __init__(
+        self, line: ByteLine, unit: int, *, runtime: "Runtime", timeout_s: float = 0.2
+    ) -> None:
+        self.registers: Final = ModbusUnit(line, unit, runtime, self, timeout_s)
+        self.progress: Final = PolledProgress()
+        self.users = 0
+        self._pulses = 0  # per turn of the motor; 0: not read yet
+        self._asked_at = (-1, 0)  # `standing` at that time
+        self._fault_since_ns = 0
+        self._is_homed = False
+        self._prepared: tuple[int, ...] = ()
+        self._ramp_told = ((-1, 0), 0)  # `standing` at that time, and the ramp [ms]
+        self._stop: Exchange | None = None
+        self._quick_stopped = False
+
+    def __repr__(self) -> str:
+        return f"<LeadshineHwMotor {self.label}>"
+
+    @property
+    def runtime(self) -> "Runtime":
+        """The runtime to wait with."""
+        return self.registers.runtime
+
+    @property
+    def physical(self) -> "PhysicalMotor":
+        """The record of the physical motor."""
+        return self.registers.physical
+
+    @property
+    def label(self) -> str:
+        """The name of the hardware in messages."""
+        return self.registers.label
+
+    @property
+    def is_closed(self) -> bool:
+        """True if the hardware is closed."""
+        return self.registers.is_closed
+
+    @property
+    def is_referenced(self) -> bool:
+        """True if the drive reports that it has been homed."""
+        return self._is_homed
+
+    def close(self) -> None:
+        """Close the hardware; further calls do nothing."""
+        self.registers.close()
+
+    # --- units ---------------------------------------------------------------------------------
+
+    def connect(self, model: "MotorModel") -> None:
+        """Read the pulses per turn, unless they are known."""
+        gear(model)
+        standing = self.registers.standing
+        if self._asked_at != standing:
+            is_known = bool(self._pulses)
+            self._pulses = self.registers.first_read(_PULSES, 0.0 if is_known else _BOOT_S)
+            self._asked_at = standing
+
+    def _per_unit(self, model: "MotorModel") -> float:
+        """Return the pulses per U."""
+        turns = 1.0 if model.kind is MotionKind.LINEAR else 1.0 / (2.0 * pi)
+        return gear(model) * turns * self._pulses
+
+    def _rpm_per_unit(self, model: "MotorModel") -> float:
+        """Return the speed of the motor [rpm] at 1 U/s."""
+        return abs(self._per_unit(model)) / self._pulses * 60.0
+
+    # --- status ----------------------------------------------------------------------------------
+
+    def poll(self, model: "MotorModel") -> Poll:
+        """Read state, position, speed and demand, each in a separate request."""
+        self.connect(model)
+        registers, per_unit = self.registers, self._per_unit(model)
+        position = registers.read_i32(_POSITION)
+        demand = registers.read_i32(_DEMAND)
+        speed = as_i32(0, registers.read(_SPEED, 2)[1])
+        status = registers.read(_STATUS)[0]
+        self._is_homed = bool(status & _HOMED)
+        fault = self._fault(status)
+        state = MotorState.STOPPED if self._quick_stopped else MotorState.ENABLED
+        state = state if status & _ENABLED else MotorState.DISABLED
+        rpm = speed - 0x10000 if speed & 0x8000 else speed
+        is_moving = bool(status & _RUNNING)
+        self._stop_again(is_moving)
+        return Poll(
+            time_ns=self.runtime.now_ns(),
+            state=MotorState.FAULT if fault is not None else state,
+            fault=fault,
+            position=position / per_unit,
+            demand=demand / per_unit,
+            velocity=rpm / self._rpm_per_unit(model) * (1 if per_unit > 0 else -1),
+            is_moving=is_moving,
+            has_arrived=bool(status & _PATH_DONE) and not is_moving,
+            at_velocity=bool(status & _COMMAND_DONE),
+        )
+
+    def _fault(self, status: int) -> Fault | None:
+        if not status & _FAULT:
+            self._fault_since_ns = 0
+            return None
+        code = self.registers.read(_ALARM)[0]
+        if not self._fault_since_ns:
+            self._fault_since_ns = self.runtime.now_ns()
+        text = _ALARMS.get(code, "see the drive's manual")
+        return Fault(code, text, self._fault_since_ns)
+
+    # --- power, fault, reference ------------------------------------------------------------------
+
+    def enable(self) -> None:
+        """Switch the motor current on."""
+        self._quick_stopped = False
+        self.registers.write(_ENABLE, 1)
+        if not self.registers.read(_STATUS)[0] & _ENABLED:
+            raise StateError(
+                motor=self.label,
+                operation="enable",
+                state=f"the drive does not follow (alarm {self.registers.read(_ALARM)[0]:02X}h)",
+                remedy="reset_fault() first",
+            )
+
+    def disable(self) -> None:
+        """Switch the motor current off."""
+        self.registers.write(_ENABLE, 0)
+
+    def reset_fault(self) -> None:
+        """Reset the alarm, if its cause is gone."""
+        self.registers.write(_ENABLE, 0)
+        self.registers.write(_CONTROL, _RESET_ALARM)
+
+    def home(self, method: int | None, motor: str) -> None:
+        """Start homing: here (35, 37), or to a switch (17, 18: limit; 19, 21: home)."""
+        if method in _HERE:
+            self.registers.write(_TRIGGER, _HERE_IS_ZERO)
+            return
+        mode = _HOMING.get(method or 0)
+        if mode is None:
+            known = ", ".join(str(number) for number in (*sorted(_HOMING), 35, 37))
+            raise UnsupportedError(
+                motor=motor, feature=f"homing by method {method}", supported=known
+            )
+        self.registers.write(_HOMING_MODE, mode)
+        self.registers.write(_TRIGGER, _HOME)
+
+    # --- motion -----------------------------------------------------------------------------------
+
+    def turn(self, model: "MotorModel") -> float:
+        """Return one turn of the motor in its model's units."""
+        return self._pulses / abs(self._per_unit(model))
+
+    def quantised(self, motion: Motion, model: "MotorModel") -> Motion:
+        """Return the motion in the drive's resolution."""
+        rpm_unit, per_unit = self._rpm_per_unit(model), self._per_unit(model)
+        faster, slower = self._ramps(motion, rpm_unit)
+        changed = replace(
+            motion,
+            acceleration=_acceleration(faster, rpm_unit),
+            deceleration=_acceleration(slower, rpm_unit),
+        )
+        if motion.variable is ControlVariable.VELOCITY:
+            return replace(changed, target=toward_zero(motion.target * rpm_unit) / rpm_unit)
+        speed = max(1, floor(motion.velocity * rpm_unit + 1e-9))
+        target = round(motion.target * per_unit) / per_unit
+        return replace(changed, velocity=speed / rpm_unit, target=target)
+
+    def prepare(self, motion: Motion, model: "MotorModel") -> None:
+        """Prepare the request for path 0; send nothing but a changed ramp for stops."""
+        self.connect(model)
+        rpm_unit, per_unit = self._rpm_per_unit(model), self._per_unit(model)
+        faster, slower = self._ramps(motion, rpm_unit)
+        if motion.variable is ControlVariable.VELOCITY:
+            way = 1 if per_unit > 0 else -1
+            speed = way * toward_zero(motion.target * rpm_unit)
+            check_register(self.label, "velocity", abs(speed), _RPM_MAX, "rpm")
+            path = (_VELOCITY, 0, 0, speed, faster, slower, 0, _RUN)
+        else:
+            target = round(motion.target * per_unit)
+            check_register(self.label, "position", abs(target), _INT32_MAX, "pulses")
+            speed = max(1, floor(motion.velocity * rpm_unit + 1e-9))
+            check_register(self.label, "velocity", speed, _RPM_MAX, "rpm")
+            path = (_ABSOLUTE, target >> 16, target, speed, faster, slower, 0, _RUN)
+        ramp = self.registers.standing, slower
+        if self._ramp_told != ramp:
+            self.registers.write(_QUICK_RAMP, slower)  # a stop has the ramp of the motion
+            self._ramp_told = ramp
+        self._prepared = path
+        self._stop = None
+
+    def _ramps(self, motion: Motion, rpm_unit: float) -> tuple[int, int]:
+        return (
+            _ramp_ms(motion.acceleration * rpm_unit),
+            _ramp_ms(motion.deceleration * rpm_unit),
+        )
+
+    def trigger(self) -> None:
+        """Send the prepared motion, and start it by the same request."""
+        self.registers.write(_PATH_0, *self._prepared)
+
+    def post_stop(self, quick: bool) -> None:
+        """Send a stop, and repeat it if the drive did not answer and still moves."""
+        self._stop = self.registers.post(_TRIGGER, _STOP)
+        self._quick_stopped |= quick
+
+    def _stop_again(self, is_moving: bool) -> None:
+        stop = self._stop
+        if stop is not None and stop.is_over:
+            lost = stop.error is not None and is_moving
+            self._stop = self.registers.post(_TRIGGER, _STOP) if lost else None
+
+
+def _ramp_ms(rpm_s: float) -> int:
+    return max(1, min(_RAMP_MAX, ceil(1e6 / rpm_s - 1e-9)))
+
+
+def _acceleration(ramp_ms: int, rpm_unit: float) -> float:
+    return 1e6 / ramp_ms / rpm_unit

@@ -1,0 +1,1 @@
+"""Modbus client and polled motors that all Modbus adaptations share."""

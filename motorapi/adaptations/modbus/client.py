@@ -1,0 +1,577 @@
+"""One host on one Modbus line: one exchange after another.
+
+Exchanges take place in the order of the requests. pymodbus encodes and decodes; the runtime
+provides time, silence and deadlines. No request is sent twice: a request whose answer was lost may
+have been executed. A caller that cannot wait (a stop from inside a callback) *posts* its request.
+The request is sent as soon as the line is silent, before all others.
+
+On a serial line, a late answer looks like the answer to the next request. So after a request
+without an answer in time the line is in *quarantine*. The next request waits until the late answer
+has arrived completely (it is dropped), or a time limit has passed. Posted requests do not wait for
+that. On TCP the transaction identifier distinguishes answers, and the stream is read ADU by ADU.
+
+A line may never be silent, or another process may hold it. The wait for such a line is limited: a
+caller gets an error, and a posted request is sent anyway.
+
+Modbus exchanges, and recognition of answers in the received bytes.
+
+pymodbus decodes. On a serial line, all bytes received since a request must be its answer, complete
+and with its check sum. On TCP, the bytes are a stream of ADUs, each read from its header. So half
+of a late answer does no harm.
+
+Source: MODBUS Messaging on TCP/IP Implementation Guide V1.0b, section 3.1.3 (MBAP); for the request
+fields repeated in a response, MODBUS Application Protocol V1.1b3, sections 6.3, 6.6 and 6.12.
+
+Errors of Modbus servers: refusals and invalid answers, below PeerError.
+"""
+
+from collections import deque
+from collections.abc import Callable
+from contextlib import suppress
+from typing import TYPE_CHECKING, Final, Protocol, final
+
+from pymodbus.client.mixin import ModbusClientMixin
+from pymodbus.exceptions import ModbusException
+from pymodbus.framer import FramerRTU, FramerSocket
+from pymodbus.pdu import DecodePDU, ModbusPDU
+from pymodbus.pdu.exceptionresponse import ExceptionResponse
+from pymodbus.pdu.register_message import (
+    ReadHoldingRegistersRequest,
+    WriteMultipleRegistersRequest,
+    WriteSingleRegisterRequest,
+)
+
+from motorhil.motorapi.errors import DeadlineExceeded, LinkError, MotorError, PeerError
+from motorhil.motorapi.runtime.api import Registration, Runtime
+
+if TYPE_CHECKING:
+    from motorhil.motorapi.locking.process_lock import LockHandle, ProcessLock
+    from motorhil.motorapi.ownership.fencing import Owned
+
+_HEAD: Final = 7  # of MBAP, with the unit
+_LENGTHS: Final = range(2, 255)  # in MBAP: of the unit and a PDU
+_HEARD_MAX: Final = 512  # bytes; more than any answer
+
+
+@final
+class Exchange:
+    """A request and, once it is over, its answer or its error."""
+
+    __slots__ = (
+        "answer",
+        "asked_ns",
+        "error",
+        "is_over",
+        "is_posted",
+        "owned",
+        "request",
+        "timeout_s",
+        "transaction",
+        "unit",
+    )
+
+    def __init__(
+        self, request: ModbusPDU, unit: int, timeout_s: float, owned: "Owned | None" = None
+    ) -> None:
+        self.request: Final = request
+        self.unit: Final = unit
+        self.timeout_s: Final = timeout_s
+        self.owned: Final = owned  # must be ours when the request is sent; None: not required
+        self.transaction = 0
+        self.asked_ns = 0
+        self.is_posted = False
+        self.answer: ModbusPDU | None = None
+        self.error: MotorError | None = None
+        self.is_over = False
+
+
+def answers(answer: ModbusPDU, request: ModbusPDU) -> bool:
+    """Return whether it may answer this very request: same number of registers, same address."""
+    if isinstance(answer, ExceptionResponse):
+        return True
+    if isinstance(request, ReadHoldingRegistersRequest):
+        return len(answer.registers) == request.count
+    if isinstance(request, WriteSingleRegisterRequest):
+        return (answer.address, answer.registers) == (request.address, request.registers)
+    if isinstance(request, WriteMultipleRegistersRequest):
+        return (answer.address, answer.count) == (request.address, request.count)
+    return True
+
+
+@final
+class FrameReader:
+    """A reader of answers on a serial line.
+
+    Attributes: framer; heard (all bytes since the request).
+    """
+
+    def __init__(self) -> None:
+        self.framer: Final = FramerRTU(DecodePDU(False))
+        self.heard = b""
+
+    def begin(self) -> None:
+        """Forget received bytes, as a request is sent."""
+        self.heard = b""
+
+    def feed(self, data: bytes, exchange: Exchange | None) -> ModbusPDU | None:
+        """Return the answer of the addressed unit and function that `data` completes, if any."""
+        if exchange is None:
+            return None
+        heard = self.heard = (self.heard + data)[-_HEARD_MAX:]
+        if len(heard) < 5 or not _is_of(heard[0], heard[1], exchange):
+            return None
+        return _decoded(self.framer, heard, exchange)
+
+
+@final
+class StreamReader:
+    """A reader of answers on TCP.
+
+    Attributes: framer; heard (the bytes since the request, except answers to others).
+    """
+
+    def __init__(self) -> None:
+        self.framer: Final = FramerSocket(DecodePDU(False))
+        self.heard = b""
+        self._buffer = b""
+
+    def begin(self) -> None:
+        """Forget received bytes, as a request is sent."""
+        self.heard = b""
+
+    def feed(self, data: bytes, exchange: Exchange | None) -> ModbusPDU | None:
+        """Return the answer if `data` completes it."""
+        self._buffer += data
+        answer: ModbusPDU | None = None
+        while len(self._buffer) > _HEAD:
+            buffer = self._buffer
+            length = int.from_bytes(buffer[4:6], "big")
+            if buffer[2:4] != b"\x00\x00" or length not in _LENGTHS:  # not Modbus: start again
+                self._buffer, self.heard = b"", buffer[:_HEARD_MAX]
+                return answer
+            end = 6 + length
+            if len(buffer) < end:
+                break
+            adu, self._buffer = buffer[:end], buffer[end:]
+            if exchange is None or int.from_bytes(adu[0:2], "big") != exchange.transaction:
+                continue
+            self.heard = adu
+            if answer is None and _is_of(adu[6], adu[_HEAD], exchange):
+                answer = _decoded(self.framer, adu, exchange)
+        if self._buffer:
+            self.heard = self._buffer
+        return answer
+
+
+def _is_of(unit: int, function: int, exchange: Exchange) -> bool:
+    return unit == exchange.unit and function & 0x7F == exchange.request.function_code
+
+
+def _decoded(framer: FramerRTU | FramerSocket, adu: bytes, exchange: Exchange) -> ModbusPDU | None:
+    try:
+        return framer.handleFrame(adu, exchange.unit, exchange.transaction)[1]
+    except (ModbusException, ValueError, IndexError):  # pymodbus raises these for an invalid frame
+        return None
+
+
+# ruff: noqa: N818 -- the specification's names, and what happened
+
+
+GATEWAY_TARGET_FAILED: Final = 0x0B
+"""The exception code of a gateway, for a unit that does not answer."""
+
+# MODBUS Application Protocol Specification V1.1b3, section 7
+_TEXT: Final = {
+    0x01: "illegal function",
+    0x02: "illegal data address",
+    0x03: "illegal data value",
+    0x04: "server device failure",
+    0x05: "acknowledge",
+    0x06: "server device busy",
+    0x08: "memory parity error",
+    0x0A: "gateway path unavailable",
+    GATEWAY_TARGET_FAILED: "gateway target device failed to respond",
+}
+
+
+@final
+class ModbusExceptionResponse(PeerError):
+    """The server refused a request (MODBUS Application Protocol V1.1b3, section 7).
+
+    Attributes: line, unit, function (its code), address (PDU's, None: the request has none),
+    exception_code.
+    """
+
+    def __init__(
+        self, *, line: str, unit: int, function: int, address: int | None, exception_code: int
+    ) -> None:
+        self.line = line
+        self.unit = unit
+        self.function = function
+        self.address = address
+        self.exception_code = exception_code
+        text = _TEXT.get(exception_code, "code not listed in the specification")
+        where = "" if address is None else f" at {address:04X}h"
+        super().__init__(
+            f"{line} unit {unit}: function {function:02X}h{where} refused: {text}"
+            f" ({exception_code:02X}h)"
+        )
+
+
+@final
+class ModbusProtocolViolation(PeerError):
+    """The received bytes are not an answer to the request.
+
+    Attributes: line, unit, problem (in words), heard (the bytes).
+    """
+
+    def __init__(self, *, line: str, unit: int, problem: str, heard: bytes) -> None:
+        self.line = line
+        self.unit = unit
+        self.problem = problem
+        self.heard = heard
+        shown = heard[:24].hex(" ").upper() + (" ..." if len(heard) > 24 else "")
+        super().__init__(f"{line} unit {unit}: {problem} ({shown})")
+
+
+def is_silence(error: Exception) -> bool:
+    """Return whether the error means that a unit does not answer, directly or behind a gateway."""
+    if isinstance(error, ModbusExceptionResponse):
+        return error.exception_code == GATEWAY_TARGET_FAILED
+    return isinstance(error, DeadlineExceeded)
+
+
+_LOCKED_NS: Final = 1_000_000
+_AT_ONCE_S: Final = 1e-9
+_QUARANTINE_NS: Final = 500_000_000
+_PATIENCE_NS: Final = 2_000_000_000  # for the line, of a waiting caller
+_URGENT_NS: Final = 100_000_000  # for silence, of a posted request
+
+
+class ByteLine(Protocol):
+    """A serial line or a TCP connection, as bytes."""
+
+    @property
+    def name(self) -> str:
+        """The name in messages."""
+
+    @property
+    def framing(self) -> str:
+        """The framing of requests: "rtu" or "tcp"."""
+
+    @property
+    def silence_ns(self) -> int:
+        """t3.5 [ns]; 0 on TCP."""
+
+    @property
+    def is_closed(self) -> bool:
+        """True if either end has closed the line."""
+
+    def duration_ns(self, characters: int) -> int:
+        """Return the duration of this number of characters on the line [ns]; 0 on TCP."""
+
+    def send(self, data: bytes) -> None:
+        """Send these bytes now; raises LinkError if the line does not accept them."""
+
+    def listen(self, on_data: Callable[[bytes, int], None]) -> Registration:
+        """Call `on_data(bytes, time_ns)` for received bytes; b"": the connection has ended."""
+
+
+@final
+class ModbusLine:
+    """The host's end of one line; `open_line` returns a shared one.
+
+    Attributes:
+        strays: the number of answers that matched no request.
+        users: the number of hardware objects that use the line.
+    """
+
+    def __init__(self, line: ByteLine, runtime: Runtime, lock: "ProcessLock | None") -> None:
+        self.line: Final = line
+        self.runtime: Final = runtime
+        self.name: Final = line.name
+        self.strays = 0
+        self.users = 0
+        self._lock = lock
+        self._hold: LockHandle | None = None
+        self._is_tcp: Final = line.framing == "tcp"
+        self._reader: Final = StreamReader() if self._is_tcp else FrameReader()
+        self._queue: deque[Exchange] = deque()
+        self._active: Exchange | None = None
+        self._transaction = 0
+        self._idle_ns = 0  # end of the last exchange, with its quarantine
+        self._silent_ns = 0  # end of the required silence
+        self._owed: Exchange | None = None  # its late answer may still come ...
+        self._owed_until_ns = 0  # ... until then
+        self._timer: Registration | None = None
+        self._registration = line.listen(self._hear)
+        if lock is not None:
+            self._set_reading(False)
+
+    # ---- requests ----
+
+    def ask(
+        self, request: ModbusPDU, unit: int, timeout_s: float, owned: "Owned | None" = None
+    ) -> ModbusPDU:
+        """Send a request and return its answer; with `owned`, only while that is owned.
+
+        Raises:
+            MotorBusyError: it is not owned; nothing was sent.
+            ModbusExceptionResponse: the server refused the request.
+            DeadlineExceeded: no answer came in time; the request may have been executed.
+            ModbusProtocolViolation: the received bytes are not an answer; likewise.
+            LinkError: the line is closed.
+        """
+        exchange = Exchange(request, unit, timeout_s, owned)
+        exchange.asked_ns = self.runtime.now_ns()
+        is_asked = False
+
+        def is_over() -> bool:  # one condition is evaluated at a time, outside of callbacks
+            nonlocal is_asked
+            if not is_asked:
+                is_asked = True
+                self._queue.append(exchange)
+                self._go_on()
+            return exchange.is_over
+
+        try:
+            self.runtime.wait_until(is_over)
+        except BaseException:
+            with suppress(ValueError):  # it may have been sent already
+                self._queue.remove(exchange)
+            raise
+        if exchange.error is not None:
+            raise exchange.error
+        assert exchange.answer is not None
+        return exchange.answer
+
+    def post(self, request: ModbusPDU, unit: int, timeout_s: float) -> Exchange:
+        """Queue a request before all waiting ones, without waiting; callbacks may call it."""
+        exchange = Exchange(request, unit, timeout_s)
+        exchange.asked_ns, exchange.is_posted = self.runtime.now_ns(), True
+        self._queue.appendleft(exchange)
+        self._once(_AT_ONCE_S, self._go_on)
+        return exchange
+
+    def close(self) -> None:
+        """Close the line; waiting callers get an error."""
+        self._registration.cancel()
+        self._end_timer()
+        closed = LinkError(link=self.name, reason="this line was closed")
+        for exchange in (self._active, *self._queue):
+            if exchange is not None:
+                exchange.error, exchange.is_over = closed, True
+        self._queue.clear()
+        self._active = None
+        self._unlock()
+
+    # ---- queue ----
+
+    def _go_on(self) -> None:
+        """Send the next request, as soon as permitted."""
+        if self._active is not None or not self._queue:
+            return
+        if self.line.is_closed:
+            self._fail_all(LinkError(link=self.name, reason="the connection has ended"))
+            return
+        wait_ns = self._wait_ns(self._queue[0])
+        if wait_ns > 0:
+            self._set_timer(wait_ns / 1e9, self._go_on)
+            return
+        exchange = self._active = self._queue.popleft()
+        self._owed = None
+        self._reader.begin()
+        self._transaction = exchange.transaction = self._transaction % 0xFFFF + 1
+        exchange.request.dev_id = exchange.unit
+        exchange.request.transaction_id = exchange.transaction
+        adu = self._reader.framer.buildFrame(exchange.request)
+        try:
+            self._send(exchange, adu)
+        except MotorError as error:
+            self._end(exchange, None, error)
+            return
+        except Exception as error:  # any other failure of the line also ends the exchange
+            self._end(exchange, None, LinkError(link=self.name, reason=f"cannot send: {error}"))
+            return
+        on_line_s = self.line.duration_ns(len(adu)) / 1e9
+        self._set_timer(on_line_s + exchange.timeout_s, self._too_late)
+
+    def _send(self, exchange: Exchange, adu: bytes) -> None:
+        if exchange.owned is None:
+            self.line.send(adu)
+            return
+        exchange.owned.begin_write(f"{self.name} unit {exchange.unit}")
+        try:
+            self.line.send(adu)
+        finally:
+            exchange.owned.end_write()
+
+    def _wait_ns(self, exchange: Exchange) -> int:
+        """Return the time to wait, at least [ns]; end the exchange if it waited too long."""
+        now_ns = self.runtime.now_ns()
+        since_ns = max(exchange.asked_ns, self._idle_ns)
+        silent_ns = self._silent_ns
+        if exchange.is_posted:
+            silent_ns = min(silent_ns, since_ns + _URGENT_NS)
+        elif self._owed is not None:
+            silent_ns = max(silent_ns, self._owed_until_ns)
+        if silent_ns <= now_ns and self._take_lock():
+            return 0
+        if now_ns - since_ns < _PATIENCE_NS:
+            return silent_ns - now_ns if silent_ns > now_ns else _LOCKED_NS
+        if exchange.is_posted:
+            return 0
+        self._queue.remove(exchange)
+        why = "it is never silent" if silent_ns > now_ns else "another process holds it"
+        exchange.error = DeadlineExceeded(
+            awaited=f"{self.name}: its turn", timeout_s=_PATIENCE_NS / 1e9, last_heard=why
+        )
+        exchange.is_over = True
+        return 1
+
+    def _take_lock(self) -> bool:
+        """Take the lock between processes; return False if another process holds it."""
+        if self._lock is None or self._hold is not None:
+            return True
+        from motorhil.motorapi.errors import MotorBusyError
+
+        try:
+            self._hold = self._lock.acquire(self.runtime, "a Modbus exchange", 0.0, self)
+        except MotorBusyError:
+            return False
+        self._set_reading(True)
+        return True
+
+    def _unlock(self) -> None:
+        hold, self._hold = self._hold, None
+        if hold is not None:
+            self._set_reading(False)
+            hold.release()
+
+    def _set_reading(self, reads: bool) -> None:
+        """Enable reading only during our own exchanges, on a line shared by processes."""
+        set_reading = getattr(self.line, "set_reading", None)
+        if set_reading is not None:
+            set_reading(reads)
+
+    def _set_timer(self, time_s: float, action: Callable[[], None]) -> None:
+        self._end_timer()
+
+        def over() -> None:
+            self._timer = None
+            action()
+
+        self._timer = self._once(time_s, over)
+
+    def _once(self, time_s: float, action: Callable[[], None]) -> Registration:
+        """Run `action` once, as a callback, while no other callback and no request runs."""
+        is_over, timers = False, list[Registration]()  # still empty if the timer expires at once
+
+        def over() -> None:
+            nonlocal is_over
+            for timer in timers:
+                timer.cancel()
+            if not is_over:
+                is_over = True
+                action()
+
+        timers.append(self.runtime.every(max(time_s, _AT_ONCE_S), over))
+        return timers[0]
+
+    def _end_timer(self) -> None:
+        timer, self._timer = self._timer, None
+        if timer is not None:
+            timer.cancel()
+
+    # ---- answers ----
+
+    def _hear(self, data: bytes, time_ns: int) -> None:
+        if not data:
+            self._fail_all(LinkError(link=self.name, reason="the connection has ended"))
+            return
+        self._silent_ns = time_ns + self.line.silence_ns
+        exchange, owed = self._active, None if self._is_tcp else self._owed
+        answer = self._reader.feed(data, exchange or owed)
+        if exchange is None:
+            self.strays += 1
+            if answer is not None:  # the late answer: nothing else can come
+                self._leave_quarantine()
+        elif answer is not None and answers(answer, exchange.request):
+            self._end(exchange, answer, None)
+
+    def _too_late(self) -> None:
+        exchange = self._active
+        if exchange is None:
+            return
+        heard, unit = self._reader.heard, exchange.unit
+        error: MotorError
+        if heard:
+            problem = "the received bytes are not an answer to the request"
+            error = ModbusProtocolViolation(line=self.name, unit=unit, problem=problem, heard=heard)
+        else:
+            error = DeadlineExceeded(
+                awaited=f"{self.name} unit {unit}: answer to function"
+                f" {exchange.request.function_code:02X}h",
+                timeout_s=exchange.timeout_s,
+                last_heard="nothing",
+            )
+        if not self._is_tcp:
+            self._owed = exchange
+            self._owed_until_ns = self.runtime.now_ns() + _QUARANTINE_NS
+        self._end(exchange, None, error)
+
+    def _end(self, exchange: Exchange, answer: ModbusPDU | None, error: MotorError | None) -> None:
+        self._active = None
+        self._idle_ns = self.runtime.now_ns() if self._owed is None else self._owed_until_ns
+        self._end_timer()
+        if isinstance(answer, ExceptionResponse):
+            address = getattr(exchange.request, "address", None)
+            error = ModbusExceptionResponse(
+                line=self.name,
+                unit=exchange.unit,
+                function=exchange.request.function_code,
+                address=address if isinstance(address, int) else None,
+                exception_code=answer.exception_code,
+            )
+        exchange.answer, exchange.error, exchange.is_over = answer, error, True
+        if self._owed is None:
+            self._unlock()
+        elif not self._queue:
+            self._set_timer(_QUARANTINE_NS / 1e9, self._leave_quarantine)
+        self._go_on()
+
+    def _leave_quarantine(self) -> None:
+        self._owed = None
+        self._end_timer()
+        self._unlock()
+        self._go_on()
+
+    def _fail_all(self, error: MotorError) -> None:
+        waiting = [exchange for exchange in (self._active, *self._queue) if exchange is not None]
+        self._queue.clear()
+        self._active = None
+        self._end_timer()
+        self._unlock()
+        for exchange in waiting:
+            exchange.error, exchange.is_over = error, True
+
+
+@final
+class UnitClient(ModbusClientMixin[ModbusPDU]):
+    """pymodbus' client calls for one unit of a line, blocking in the runtime."""
+
+    def __init__(self, line: ModbusLine, unit: int, timeout_s: float) -> None:
+        super().__init__()  # type: ignore[no-untyped-call]  # pymodbus'
+        self.line: Final = line
+        self.unit: Final = unit
+        self.timeout_s: Final = timeout_s
+
+    def execute(self, no_response_expected: bool, request: ModbusPDU) -> ModbusPDU:
+        """Send a request and return its answer; raises as `ModbusLine.ask`."""
+        return self.line.ask(request, self.unit, self.timeout_s)
+
+
+if TYPE_CHECKING:  # mypy checks that these classes implement ByteLine
+    from motorhil.motorapi.runtime.byte_streams import SerialLine, TcpLine
+
+    _ON_THE_WALL: tuple[type[ByteLine], ...] = (SerialLine, TcpLine)

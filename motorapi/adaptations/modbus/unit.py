@@ -1,0 +1,187 @@
+"""The registers of one Modbus drive, and the ownership of its motor.
+
+Two locks coordinate processes, as on CAN: one for the ownership of the drive, one for the exchanges
+on its line.
+"""
+
+from collections.abc import Hashable
+from typing import TYPE_CHECKING, Final, final
+
+from pymodbus.pdu.register_message import (
+    ReadHoldingRegistersRequest,
+    WriteMultipleRegistersRequest,
+    WriteSingleRegisterRequest,
+)
+
+from motorhil.motorapi.adaptations.modbus.client import (
+    ByteLine,
+    Exchange,
+    ModbusLine,
+    ModbusProtocolViolation,
+    is_silence,
+)
+from motorhil.motorapi.errors import DeadlineExceeded, LinkError, MotorError, PeerError, UsageError
+from motorhil.motorapi.locking.directory import line_name
+from motorhil.motorapi.locking.process_lock import ProcessLock, can_share_time
+from motorhil.motorapi.ownership.physical_motor import (
+    register_physical_motor,
+    release_physical_motor,
+)
+
+if TYPE_CHECKING:
+    from pymodbus.pdu import ModbusPDU
+
+    from motorhil.motorapi.ownership.fencing import Owned
+    from motorhil.motorapi.runtime.api import Runtime
+
+_LINES: Final[dict[int, ModbusLine]] = {}  # by id(line), which stays unique while we hold the line
+
+
+def _open(line: ByteLine, runtime: "Runtime") -> ModbusLine:
+    known = _LINES.get(id(line))
+    if known is None:
+        where = line_name(line) if can_share_time(runtime) else None
+        lock = None if where is None else ProcessLock(f"{where}-exchange", f"the line {line.name}")
+        known = _LINES[id(line)] = ModbusLine(line, runtime, lock)
+    known.users += 1
+    return known
+
+
+def _release(line: ModbusLine) -> None:
+    line.users -= 1
+    if line.users == 0:
+        _LINES.pop(id(line.line), None)
+        line.close()
+
+
+@final
+class ModbusUnit:
+    """The registers of one unit, and the record of its motor.
+
+    Args:
+        line: the line of the unit.
+        unit: its server address, 1..247 (on TCP 255 too: the only unit there).
+        runtime: the runtime to wait with.
+        hardware: the hardware object of the motor.
+        timeout_s: the response timeout [s].
+
+    Raises:
+        UsageError: a hardware object for the unit exists already, or the address is not valid.
+    """
+
+    def __init__(
+        self, line: ByteLine, unit: int, runtime: "Runtime", hardware: object, timeout_s: float
+    ) -> None:
+        highest = 255 if line.framing == "tcp" else 247
+        if isinstance(unit, bool) or not isinstance(unit, int) or not 1 <= unit <= highest:
+            raise UsageError(f"unit = {unit!r}: must be a server address, 1 to {highest}")
+        own = getattr(line, "wall", getattr(line, "runtime", None))
+        if own is not None and own is not runtime:
+            raise UsageError(f"{line.name} is read by another runtime: use the line's own runtime")
+        self.unit: Final = unit
+        self.runtime: Final = runtime
+        self.timeout_s: Final = timeout_s
+        self.label: Final = f"{line.name} unit {unit}"
+        where = line_name(line) if can_share_time(runtime) else None
+        lock = None if where is None else ProcessLock(f"{where}-unit{unit}", self.label)
+        self._key: Hashable = (id(line) if where is None else where, unit)
+        self.physical: Final = register_physical_motor(self._key, self.label, hardware, lock)
+        self._hardware = hardware
+        self.line: Final = _open(line, runtime)
+        self.is_closed = False
+        self.silences = 0  # number of missing answers; each may mean a loss of power
+
+    def close(self) -> None:
+        """Close the unit; further calls do nothing."""
+        if not self.is_closed:
+            self.is_closed = True
+            release_physical_motor(self._key, self._hardware)
+            _release(self.line)
+
+    def _require_open(self) -> None:
+        if self.is_closed:
+            raise LinkError(link=self.label, reason="this hardware object is closed")
+
+    @property
+    def standing(self) -> tuple[int, int]:
+        """A token that is constant while the motor keeps its owner and always answers.
+
+        Values read from the drive, or written to it, are valid only that long.
+        """
+        return self.physical.token, self.silences
+
+    def _ask(self, request: "ModbusPDU", owned: "Owned | None" = None) -> "ModbusPDU":
+        try:
+            return self.line.ask(request, self.unit, self.timeout_s, owned)
+        except MotorError as error:
+            self.silences += is_silence(error)
+            raise
+
+    def read(self, address: int, count: int = 1) -> list[int]:
+        """Return the contents of holding registers, 0 to FFFFh each.
+
+        Raises: as `ModbusLine.ask`.
+        """
+        self._require_open()
+        request = ReadHoldingRegistersRequest(address=address, count=count)
+        answer = self._ask(request)
+        if len(answer.registers) != count:
+            raise ModbusProtocolViolation(
+                line=self.line.name,
+                unit=self.unit,
+                problem=f"{len(answer.registers)} registers for {count} at {address:04X}h",
+                heard=b"",
+            )
+        return list(answer.registers)
+
+    def first_read(self, address: int, patience_s: float) -> int:
+        """Return one register of a drive that may still be booting; repeat until it answers.
+
+        Raises: as `read`, after `patience_s` [s].
+        """
+        end_ns = self.runtime.now_ns() + round(patience_s * 1e9)
+        while True:
+            try:
+                return self.read(address)[0]
+            except (DeadlineExceeded, PeerError) as error:
+                is_odd = isinstance(error, ModbusProtocolViolation)
+                if not (is_odd or is_silence(error)) or self.runtime.now_ns() >= end_ns:
+                    raise
+
+    def read_i32(self, address: int) -> int:
+        """Return a signed 32-bit value, upper register first."""
+        return as_i32(*self.read(address, 2))
+
+    def write(self, address: int, *values: int) -> None:
+        """Write holding registers from `address` on; a single one by function 06h.
+
+        Writes are commands: they are sent only while this process owns the motor, if other
+        processes can own it.
+
+        Raises: as `ModbusLine.ask`; MotorBusyError if the motor was taken over.
+        """
+        self._require_open()
+        request = self._request(address, values)
+        self._ask(request, self.physical.ownership)
+
+    def post(self, address: int, *values: int) -> Exchange:
+        """Write without waiting and without owning the motor: for stops."""
+        self._require_open()
+        return self.line.post(self._request(address, values), self.unit, self.timeout_s)
+
+    def _request(self, address: int, values: tuple[int, ...]) -> "ModbusPDU":
+        if len(values) == 1:
+            return WriteSingleRegisterRequest(address=address, registers=[values[0] & 0xFFFF])
+        registers = [value & 0xFFFF for value in values]
+        return WriteMultipleRegistersRequest(address=address, registers=registers)
+
+
+def as_i32(upper: int, lower: int) -> int:
+    """Return the signed number in two registers."""
+    value = upper << 16 | lower
+    return value - (1 << 32) if value & 0x8000_0000 else value
+
+
+def words(*values: int) -> tuple[int, ...]:
+    """Return 32-bit numbers as registers, upper half first."""
+    return tuple(half for value in values for half in (value >> 16 & 0xFFFF, value & 0xFFFF))

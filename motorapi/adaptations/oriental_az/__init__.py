@@ -1,0 +1,6 @@
+"""Adaptation for Oriental Motor AZ drives on Modbus."""
+
+from motorhil.motorapi.adaptations.oriental_az.hardware import OrientalAzHwMotor
+from motorhil.motorapi.adaptations.oriental_az.motor import OrientalAzMotor, build
+
+__all__ = ["OrientalAzHwMotor", "OrientalAzMotor", "build"]

@@ -1,0 +1,319 @@
+"""The hardware class of an AZ drive (Oriental Motor): direct data operation.
+
+Position counts steps, 1000 times the electronic gear per turn of the motor; the motor model gives
+the turns of the motor per turn of the output. One request of sixteen registers defines and starts a
+motion. The request is sent only once, even if its answer is lost. A stop is an operation type of
+the same block.
+
+Source: an open-source master for these drives, and the description of the maker's emulator.
+"""
+
+from dataclasses import replace
+from math import floor, pi
+from typing import TYPE_CHECKING, Final, final
+
+from motorhil.motorapi.adaptations.modbus.client import ByteLine, Exchange
+from motorhil.motorapi.adaptations.modbus.polled_motor import (
+    Poll,
+    PolledProgress,
+    check_register,
+    gear,
+    toward_zero,
+)
+from motorhil.motorapi.adaptations.modbus.unit import ModbusUnit, words
+from motorhil.motorapi.commands import ControlVariable, Motion
+from motorhil.motorapi.errors import DeadlineExceeded, UnsupportedError
+from motorhil.motorapi.model import MotionKind
+from motorhil.motorapi.state import Fault, MotorState
+
+if TYPE_CHECKING:
+    from motorhil.motorapi.model import MotorModel
+    from motorhil.motorapi.ownership.physical_motor import PhysicalMotor
+    from motorhil.motorapi.runtime.api import Runtime
+
+_BLOCK: Final = 0x0058
+_TRIGGER_AT: Final = 14  # in the block
+_INPUTS: Final = 0x007C
+_PULSED_INPUTS: Final = 0x0078
+_OUTPUTS: Final = 0x007E
+_ALARM: Final = 0x0080
+_DEMAND: Final = 0x00C6
+_SPEED_DEMAND: Final = 0x00CA
+_POSITION: Final = 0x00CC
+_SPEED: Final = 0x00D0
+_PRESET: Final = 0x018A
+_GEAR_A: Final = 0x0380
+_GEAR_B: Final = 0x0382
+
+_ABSOLUTE: Final = 1
+_CONTINUOUS: Final = 16
+_DECELERATE: Final = 0
+
+_FREE: Final = 0x0040
+_RESET: Final = 0x0080
+_READY: Final = 0x0020
+_IS_ALARM: Final = 0x0080
+_MOVE: Final = 0x2000
+_IN_POSITION: Final = 0x4000
+
+_HERE: Final = (None, 35, 37)
+_FULL_CURRENT: Final = 1000
+_SPEED_MAX: Final = 4_000_000
+_RATE_MAX: Final = 1_000_000_000
+_INT32_MAX: Final = 0x7FFF_FFFF
+_BOOT_S: Final = 3.0
+_RELEASE_S: Final = 0.5
+_POLL_S: Final = 0.005
+_NEAR: Final = 0.02  # of the commanded speed
+_COARSE_HZ: Final = 1000  # resolution of the speed measured each millisecond
+_ALARMS: Final = {
+    0x10: "excessive position deviation",
+    0x20: "overcurrent",
+    0x21: "main circuit overheat",
+    0x22: "overvoltage",
+    0x23: "main power supply off",
+    0x25: "undervoltage",
+    0x26: "motor overheat",
+    0x28: "sensor error",
+}
+
+
+@final
+class OrientalAzHwMotor:
+    """One AZ drive, shared by all logical motors and threads of a process.
+
+    Args:
+        line: the line of the drive.
+        unit: its server address.
+        runtime: the runtime to wait with.
+        timeout_s: the response timeout [s].
+
+    Raises:
+        UsageError: a hardware object for this drive exists already.
+    """
+
+    def __init__(
+        self, line: ByteLine, unit: int, *, runtime: "Runtime", timeout_s: float = 0.2
+    ) -> None:
+        self.registers: Final = ModbusUnit(line, unit, runtime, self, timeout_s)
+        self.progress: Final = PolledProgress()
+        self.users = 0
+        self._steps = 0.0  # per turn of the motor; 0: not read yet
+        self._asked_at = (-1, 0)  # `standing` at that time
+        self._fault_since_ns = 0
+        self._is_enabled = False  # by us: the drive excites its motor at power-on without a command
+        self._quick_stopped = False
+        self._prepared: tuple[int, ...] = ()
+        self._told: tuple[tuple[int, ...], ...] = ()  # the drive holds one of these blocks
+        self._deceleration = 1_000_000
+        self._hz: int | None = None  # commanded; None: a position motion
+        self._stop: Exchange | None = None
+
+    def __repr__(self) -> str:
+        return f"<OrientalAzHwMotor {self.label}>"
+
+    @property
+    def runtime(self) -> "Runtime":
+        """The runtime to wait with."""
+        return self.registers.runtime
+
+    @property
+    def physical(self) -> "PhysicalMotor":
+        """The record of the physical motor."""
+        return self.registers.physical
+
+    @property
+    def label(self) -> str:
+        """The name of the hardware in messages."""
+        return self.registers.label
+
+    @property
+    def is_closed(self) -> bool:
+        """True if the hardware is closed."""
+        return self.registers.is_closed
+
+    @property
+    def is_referenced(self) -> bool:
+        """Always True: the encoder is absolute."""
+        return True
+
+    def close(self) -> None:
+        """Close the hardware; further calls do nothing."""
+        self.registers.close()
+
+    # --- units ---------------------------------------------------------------------------------
+
+    def connect(self, model: "MotorModel") -> None:
+        """Read the steps per turn, unless they are known."""
+        gear(model)
+        standing = self.registers.standing
+        if self._asked_at == standing:
+            return
+        if not self._steps:
+            self.registers.first_read(_OUTPUTS, _BOOT_S)
+        a, b = self.registers.read_i32(_GEAR_A), self.registers.read_i32(_GEAR_B)
+        if self._is_enabled and self._asked_at[1] != standing[1]:
+            self._is_enabled = self._remembers()
+        self._steps = 1000.0 * b / a
+        self._asked_at = standing
+
+    def _remembers(self) -> bool:
+        """Return whether the drive holds our last block; a loss of power clears it."""
+        held = tuple(self.registers.read(_BLOCK, _TRIGGER_AT))
+        return held in [block[:_TRIGGER_AT] for block in self._told]
+
+    def _per_unit(self, model: "MotorModel") -> float:
+        """Return the steps per U."""
+        turns = 1.0 if model.kind is MotionKind.LINEAR else 1.0 / (2.0 * pi)
+        return gear(model) * turns * self._steps
+
+    # --- status ----------------------------------------------------------------------------------
+
+    def poll(self, model: "MotorModel") -> Poll:
+        """Read state, position, speed and demand, each in a separate request."""
+        self.connect(model)
+        registers, per_unit = self.registers, self._per_unit(model)
+        position = registers.read_i32(_POSITION)
+        demand = registers.read_i32(_DEMAND)
+        speed = registers.read_i32(_SPEED)
+        outputs = registers.read_i32(_OUTPUTS)
+        fault = self._fault(outputs)
+        is_moving = bool(outputs & _MOVE)
+        self._stop_again(is_moving)
+        is_free = not outputs & (_READY | _MOVE)
+        state = MotorState.STOPPED if self._quick_stopped else MotorState.ENABLED
+        if is_free or not self._is_enabled:
+            state = MotorState.DISABLED
+        hz = self._hz
+        return Poll(
+            time_ns=self.runtime.now_ns(),
+            state=MotorState.FAULT if fault is not None else state,
+            fault=fault,
+            position=position / per_unit,
+            demand=demand / per_unit,
+            velocity=speed / per_unit,
+            is_moving=is_moving,
+            has_arrived=not is_moving and bool(outputs & _IN_POSITION),
+            at_velocity=hz is not None and self._is_at(speed, hz),
+        )
+
+    def _is_at(self, speed: int, hz: int) -> bool:
+        """Return whether the speed is `hz`, for low speeds by their demand."""
+        if abs(speed - hz) <= max(2.0, _NEAR * abs(hz)):
+            return True
+        return abs(speed - hz) <= _COARSE_HZ and self.registers.read_i32(_SPEED_DEMAND) == hz
+
+    def _fault(self, outputs: int) -> Fault | None:
+        if not outputs & _IS_ALARM:
+            self._fault_since_ns = 0
+            return None
+        code = self.registers.read_i32(_ALARM)
+        if not self._fault_since_ns:
+            self._fault_since_ns = self.runtime.now_ns()
+        return Fault(code, _ALARMS.get(code, "see the drive's manual"), self._fault_since_ns)
+
+    # --- power, fault, reference ------------------------------------------------------------------
+
+    def enable(self) -> None:
+        """Switch the motor current on; the motor holds its position."""
+        self._quick_stopped = False
+        self.registers.write(_INPUTS, *words(0))
+        end_ns = self.runtime.now_ns() + round(_RELEASE_S * 1e9)
+        while not self.registers.read_i32(_OUTPUTS) & (_READY | _MOVE):
+            if self.runtime.now_ns() >= end_ns:
+                raise DeadlineExceeded(
+                    awaited=f"{self.label}: READY",
+                    timeout_s=_RELEASE_S,
+                    last_heard=f"alarm {self.registers.read_i32(_ALARM):02X}h",
+                )
+            self.runtime.wait_until(lambda: False, _POLL_S)
+        self._is_enabled = True
+
+    def disable(self) -> None:
+        """Switch the motor current off (FREE)."""
+        self._is_enabled = False
+        self.registers.write(_INPUTS, *words(_FREE))
+
+    def reset_fault(self) -> None:
+        """Reset the alarm, if its cause is gone; the motor current stays off."""
+        self._is_enabled = False
+        self.registers.write(_INPUTS, *words(_FREE))
+        self.registers.write(_PULSED_INPUTS, *words(_RESET))
+        self.runtime.wait_until(lambda: False, _POLL_S)
+
+    def home(self, method: int | None, motor: str) -> None:
+        """Define the present position as 0 (35, 37); an absolute encoder needs no search."""
+        if method not in _HERE:
+            feature = f"homing by method {method}"
+            raise UnsupportedError(motor=motor, feature=feature, supported="35 and 37")
+        self.registers.write(_PRESET, *words(1))
+
+    # --- motion -----------------------------------------------------------------------------------
+
+    def turn(self, model: "MotorModel") -> float:
+        """Return one turn of the motor in its model's units."""
+        return self._steps / abs(self._per_unit(model))
+
+    def quantised(self, motion: Motion, model: "MotorModel") -> Motion:
+        """Return the motion in the drive's resolution."""
+        per_unit = self._per_unit(model)
+        size = abs(per_unit)
+        changed = replace(
+            motion,
+            acceleration=_down(motion.acceleration * size) / size,
+            deceleration=_down(motion.deceleration * size) / size,
+        )
+        if motion.variable is ControlVariable.VELOCITY:
+            return replace(changed, target=toward_zero(motion.target * size) / size)
+        target = round(motion.target * per_unit) / per_unit
+        return replace(changed, velocity=_down(motion.velocity * size) / size, target=target)
+
+    def prepare(self, motion: Motion, model: "MotorModel") -> None:
+        """Prepare the block; nothing is sent yet."""
+        self.connect(model)
+        per_unit = self._per_unit(model)
+        size = abs(per_unit)
+        faster, slower = _down(motion.acceleration * size), _down(motion.deceleration * size)
+        check_register(self.label, "acceleration", max(faster, slower), _RATE_MAX, "Hz/s")
+        if motion.variable is ControlVariable.VELOCITY:
+            way = 1 if per_unit > 0 else -1
+            kind, target, speed = _CONTINUOUS, 0, way * toward_zero(motion.target * size)
+            self._hz = speed
+        else:
+            kind, target = _ABSOLUTE, round(motion.target * per_unit)
+            speed, self._hz = _down(motion.velocity * size), None
+            check_register(self.label, "position", abs(target), _INT32_MAX, "steps")
+        check_register(self.label, "velocity", abs(speed), _SPEED_MAX, "Hz")
+        self._prepared = words(0, kind, target, speed, faster, slower, _FULL_CURRENT, 1)
+        self._deceleration = slower
+        self._stop = None
+
+    def trigger(self) -> None:
+        """Send the prepared motion, and start it by the same request."""
+        self._tell(self._prepared)
+        self.registers.write(_BLOCK, *self._prepared)
+
+    def _tell(self, block: tuple[int, ...]) -> None:
+        self._told = (*self._told[-1:], block)  # the one before, in case this one is lost
+
+    def post_stop(self, quick: bool) -> None:
+        """Send a stop, and repeat it if the drive did not answer and still moves."""
+        self._hz = None
+        self._quick_stopped |= quick
+        self._stop = self._post()
+
+    def _post(self) -> Exchange:
+        slower = self._deceleration
+        block = words(0, _DECELERATE, 0, 0, slower, slower, _FULL_CURRENT, 1)
+        self._tell(block)
+        return self.registers.post(_BLOCK, *block)
+
+    def _stop_again(self, is_moving: bool) -> None:
+        stop = self._stop
+        if stop is not None and stop.is_over:
+            lost = stop.error is not None and is_moving
+            self._stop = self._post() if lost else None
+
+
+def _down(value: float) -> int:
+    return max(1, floor(value * (1.0 + 4e-16) + 1e-9))

@@ -1,0 +1,552 @@
+"""A lock between processes, as byte ranges of a file locked by the kernel.
+
+The locks are Linux open file description locks (fcntl(2), F_OFD_SETLK). The kernel releases all
+locks of an open file with its last descriptor, however the process died. Two open files exclude
+each other in one process too, so threads need no second lock. `motorhil.motorapi.locking.lock_file` defines the
+bytes.
+
+- The *holder* has locked byte HELD of the present *epoch*. The kernel guarantees that there is only
+  one, whatever the file says. The length of the range below HELD is its token, so a reader gets it
+  from the kernel.
+- A *waiter* has locked one byte, its place, behind all places that existed when it arrived. Its
+  turn comes when no place before it is locked. A waiter that dies leaves a gap, which delays no
+  other waiter.
+- A process that finds the whole queue empty takes HELD and MARK in one step. A process that has
+  waited keeps its place while it holds the lock. So there is always a byte for which the next one
+  can wait.
+
+No step is guarded by another lock. A process paused in the middle of a step delays only those
+behind it.
+
+No process can unlock the bytes of a living process. Therefore a takeover does not take the byte: it
+advances the *epoch*, and with it the byte that counts (`motorhil.motorapi.locking.takeover`). The byte of an
+earlier epoch has no effect. The epoch check and actions that depend on it are atomic: a commanding
+write requires a shared lock of WRITING, an epoch change an exclusive one.
+
+A release is announced with the token before it happens. A lock without this announcement was held
+by a process that died.
+
+The records in the file identify holder and waiters. They are used only if the kernel confirms them:
+the record of the locked token, the record of a locked place. So they are never stale.
+
+Layout of a lock file: locked byte ranges and written blocks.
+
+Locked bytes (never written):
+
+    line of an epoch:  [ ... token ... HELD | MARK | WRITING ]   one for each of `LINES` epochs
+    queue:             [ place 0 | place 1 | place 2 | ...       one for all epochs
+
+Written bytes, in blocks of 512:
+
+    0           header: magic, the epoch, the first valid place, the epoch being ended
+    1 to 16     one per line: present or last holder, its lease, the last released token
+    17 to 144   waiters, by place
+    145 to 160  takeovers, by the lost token
+
+The block of a line is written only by the holder of the HELD byte of that line. So a process that
+has lost the lock without knowing it writes nothing that others read.
+"""
+
+import fcntl
+import os
+import struct
+import threading
+import weakref
+import zlib
+from dataclasses import dataclass
+from typing import Final, final
+
+from motorhil.motorapi.errors import UsageError
+from motorhil.motorapi.locking.directory import LockDirectory
+
+MAGIC: Final = b"motorhi2"
+MAGIC_BEFORE: Final = b"motorhil"
+"""Magic of an obsolete layout; such a file is treated as new."""
+
+LINES: Final = 16
+SPAN: Final = 1 << 57
+PLACES: Final = 1 << 62
+WAITERS: Final = 128
+"""The number of waiters recorded by name."""
+TAKEOVERS: Final = 16
+
+BLOCK: Final = 512
+_HEAD: Final = struct.Struct("<8sQ16sIIQQQ")
+_TAIL: Final = struct.Struct("<64s96s96s")
+_CHECK: Final = struct.Struct("<I")
+RECORD_SIZE: Final = _HEAD.size + _TAIL.size + _CHECK.size
+NUMBER: Final = struct.Struct("<Q")
+
+EPOCH_AT: Final = 488
+"""Offset of the epoch, followed by the first valid place and the epoch being ended."""
+EPOCH: Final = struct.Struct("<QQ")
+HEADER: Final = struct.Struct("<QQQ")
+INTENT_AT: Final = EPOCH_AT + 16
+
+RELEASED_AT: Final = 0
+"""In the block of a line: the last released token."""
+LEASE_AT: Final = 8
+"""In the block of a line: the lease [ns] (0: none) and its end (CLOCK_MONOTONIC [ns])."""
+LEASE: Final = struct.Struct("<QQ")
+RECORD_AT: Final = 24
+"""In the block of a line: the record of the present or last holder."""
+_LINE: Final = struct.Struct("<QQQ8sQ16s")
+LAST_SIZE: Final = _LINE.size
+
+_TAKEOVER_AT: Final = 328
+_TAKEOVER: Final = struct.Struct("<QQI64s")
+
+
+def held_at(epoch: int) -> int:
+    """Return the byte that the holder of the lock in that epoch has locked."""
+    return (epoch % LINES + 1) * SPAN - 8
+
+
+def line_block(epoch: int) -> int:
+    """Return the offset of the block of an epoch's line."""
+    return BLOCK * (1 + epoch % LINES)
+
+
+def waiter_block(place: int) -> int:
+    """Return the offset of the block of a place."""
+    return BLOCK * (1 + LINES + place % WAITERS)
+
+
+def takeover_block(lost: int) -> int:
+    """Return the offset of the block of a lost token."""
+    return BLOCK * (1 + LINES + WAITERS + lost % TAKEOVERS)
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Record:
+    """The record of a holder or a waiter.
+
+    Attributes:
+        number: the token of a holder, the place of a waiter.
+        identity: 16 unique bytes.
+        pid, uid, born: the process; `born` distinguishes it from a later one of the same pid.
+        since_ns, since_utc_ns: since when, by the monotonic and the calendar clock.
+        program, purpose, label: in words; the label names the locked object.
+    """
+
+    number: int
+    identity: bytes
+    pid: int
+    uid: int
+    born: int
+    since_ns: int
+    since_utc_ns: int
+    program: str
+    purpose: str
+    label: str
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Takeover:
+    """One takeover of a lock.
+
+    Attributes: by (the new holder; its label is the reason), epoch (the epoch that it ended; done
+    if that is over), token (of the new holder), lost (the token that ended), from_pid and
+    from_program (the former holder; 0 and "": unknown).
+    """
+
+    by: Record
+    epoch: int
+    token: int
+    lost: int
+    from_pid: int
+    from_program: str
+
+    @property
+    def reason(self) -> str:
+        """The reason, in words."""
+        return self.by.label
+
+
+def last_of(data: bytes, at: int) -> tuple[int, bytes, bool] | None:
+    """Return (token, identity, True if never released) of the last holder, from a line's block.
+
+    None: the lock was never held.
+    """
+    if len(data) < at + _LINE.size:
+        return None
+    released, _, _, magic, token, identity = _LINE.unpack_from(data, at)
+    return (token, identity, token != released) if magic == MAGIC else None
+
+
+def pack_words(program: str, purpose: str, label: str) -> bytes:
+    """Pack the words of a record, cut to the available space."""
+    return _TAIL.pack(_cut(program, 64), _cut(purpose, 96), _cut(label, 96))
+
+
+def _cut(text: str, size: int) -> bytes:
+    return text.encode("utf-8", "replace")[:size].decode("utf-8", "ignore").encode()
+
+
+def pack_record(
+    number: int,
+    identity: bytes,
+    process: tuple[int, int, int],
+    since: tuple[int, int],
+    words: bytes,
+) -> bytes:
+    """Pack a record for the file; `process` is (pid, uid, born)."""
+    pid, uid, born = process
+    head = _HEAD.pack(MAGIC, number, identity, pid, uid, born, since[0], since[1])
+    return b"".join((head, words, _CHECK.pack(zlib.crc32(words, zlib.crc32(head)))))
+
+
+def unpack_record(data: bytes) -> Record | None:
+    """Return the record, or None if there is none or it is being written."""
+    data = data[:RECORD_SIZE]
+    if len(data) != RECORD_SIZE or _CHECK.unpack(data[-4:])[0] != zlib.crc32(data[:-4]):
+        return None
+    _, number, identity, pid, uid, born, since_ns, since_utc_ns = _HEAD.unpack_from(data)
+    words = _TAIL.unpack_from(data, _HEAD.size)
+    program, purpose, label = (_text(word) for word in words)
+    return Record(number, identity, pid, uid, born, since_ns, since_utc_ns, program, purpose, label)
+
+
+def pack_takeover(record: bytes, epoch: int, token: int, victim: Record | None) -> bytes:
+    """Pack a takeover for the file; `record` describes the new holder, under the lost token."""
+    pid, program = (0, "") if victim is None else (victim.pid, victim.program)
+    return record.ljust(_TAKEOVER_AT, b"\0") + _TAKEOVER.pack(epoch, token, pid, _cut(program, 64))
+
+
+def unpack_takeover(data: bytes) -> Takeover | None:
+    """Return the takeover, or None if there is none or it is being written."""
+    record = unpack_record(data)
+    if record is None or len(data) < _TAKEOVER_AT + _TAKEOVER.size:
+        return None
+    epoch, token, pid, program = _TAKEOVER.unpack_from(data, _TAKEOVER_AT)
+    return Takeover(record, epoch, token, record.number, pid, _text(program))
+
+
+def _text(word: bytes) -> str:
+    """Return foreign text fit for a terminal: on one line, without control characters."""
+    text = word.rstrip(b"\0").decode("utf-8", "replace")
+    return text if text.isprintable() else "".join(c if c.isprintable() else "?" for c in text)
+
+
+@final
+class Line:
+    """The content of a line's block.
+
+    Attributes: is_new (the lock was never held), released (the last released token), lease_ns,
+    lease_end_ns, token and identity (of the last holder), record (its whole record; None: being
+    written).
+    """
+
+    __slots__ = (
+        "identity",
+        "is_new",
+        "lease_end_ns",
+        "lease_ns",
+        "record",
+        "released",
+        "token",
+    )
+
+    def __init__(self, data: bytes) -> None:
+        self.is_new: Final = len(data) < _LINE.size or data[RECORD_AT:].find(MAGIC) != 0
+        self.token, self.identity = 0, b""
+        self.lease_ns = self.lease_end_ns = self.released = 0
+        self.record: Final = None if self.is_new else unpack_record(data[RECORD_AT:])
+        if not self.is_new:
+            told = _LINE.unpack_from(data)
+            self.released, self.lease_ns, self.lease_end_ns, _, self.token, self.identity = told
+
+
+_FLOCK: Final = struct.Struct("@hhqqi0q")  # struct flock: type, whence, start, length, pid
+_UNLOCK_ALL: Final = _FLOCK.pack(fcntl.F_UNLCK, os.SEEK_SET, 0, 0, 0)
+
+
+def flock(kind: int, start: int, length: int) -> bytes:
+    """Return the kernel's struct flock of a range; length 0: to the end."""
+    return _FLOCK.pack(kind, os.SEEK_SET, start, length, 0)
+
+
+def find(fd: int, kind: int, start: int, length: int) -> tuple[int, int] | None:
+    """Return (first, last) byte of a lock in the range that excludes one of `kind`, or None."""
+    asked = flock(kind, start, length)
+    found, _, first, size, _ = _FLOCK.unpack(fcntl.fcntl(fd, fcntl.F_OFD_GETLK, asked))
+    if found == fcntl.F_UNLCK:
+        return None
+    return first, (first + size if size else 1 << 63) - 1
+
+
+def first_places(fd: int, start: int, end: int) -> list[int]:
+    """Return all locked places in a range of bytes, in order; the kernel reports one at a time."""
+    if start >= end:
+        return []
+    one = find(fd, fcntl.F_RDLCK, start, end - start)
+    if one is None:
+        return []
+    before, behind = first_places(fd, start, one[0]), first_places(fd, one[1] + 1, end)
+    return [*before, one[0] - PLACES, *behind]
+
+
+_AT_ONCE: Final = tuple(flock(fcntl.F_WRLCK, held_at(line), 2) for line in range(LINES))
+_HOLD: Final = tuple(flock(fcntl.F_WRLCK, held_at(line), 1) for line in range(LINES))
+_DROP: Final = tuple(flock(fcntl.F_UNLCK, held_at(line), 3) for line in range(LINES))
+_WRITE: Final = tuple(flock(fcntl.F_RDLCK, held_at(line) + 2, 1) for line in range(LINES))
+_WRITE_ALONE: Final = tuple(flock(fcntl.F_WRLCK, held_at(line) + 2, 1) for line in range(LINES))
+_WRITTEN: Final = tuple(flock(fcntl.F_UNLCK, held_at(line) + 2, 1) for line in range(LINES))
+_NO_LEASE: Final = LEASE.pack(0, 0)
+_NOTHING: Final = (0, 0, 0)
+_LAST_SIZE: Final = HEADER.size + LAST_SIZE
+
+_forking: Final = threading.Lock()
+"""Guard against a fork between the opening of a file and its registration here."""
+_opened: Final["weakref.WeakSet[LockFile]"] = weakref.WeakSet()
+
+
+def require_lock(fd: int, name: str) -> None:
+    """Raise UsageError if the open file is not a lock file."""
+    magic = os.pread(fd, len(MAGIC), 0)
+    if magic.strip(b"\0") and magic not in (MAGIC, MAGIC_BEFORE):
+        raise UsageError(f"{name}: not a lock file; remove it")
+
+
+@final
+class LockFile:
+    """One open file of a lock, for a holder or a waiter. Only the two wait methods block.
+
+    Garbage collection closes the file, which unlocks; in a forked child it is closed at once, which
+    does not unlock.
+
+    Attributes:
+        epoch: as read last; for a holder, the epoch of its lock.
+        base: the first valid place of the epoch: earlier ones belong to processes that lost the
+            lock.
+    """
+
+    __slots__ = ("__weakref__", "_epoch_bytes", "_fd", "_last", "_row", "base", "epoch", "name")
+
+    def __init__(self, directory: LockDirectory, name: str) -> None:
+        self._fd = -1
+        self._last: tuple[int, bytes, bool] | None = None
+        self.name: Final = str(directory.path / name)
+        with _forking:
+            fd = directory.open(name)
+            assert fd is not None
+            self._fd = fd
+            _opened.add(self)
+        require_lock(fd, self.name)
+        self._note_epoch(0, 0)
+        self.look_up()
+
+    def __del__(self) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Close the file and release its locks; closing again does nothing."""
+        fd, self._fd = self._fd, -1
+        if fd >= 0:
+            os.close(fd)
+
+    @property
+    def is_closed(self) -> bool:
+        """True if the file was closed, as in a forked child."""
+        return self._fd < 0
+
+    @property
+    def is_gone(self) -> bool:
+        """True if the file was removed, so that other processes use another one."""
+        return os.fstat(self._fd).st_nlink == 0
+
+    @property
+    def is_current(self) -> bool:
+        """True if the epoch is still the one that was read last."""
+        data = os.pread(self._fd, NUMBER.size, EPOCH_AT)
+        return data == self._epoch_bytes or not (data or self.epoch)
+
+    def look_up(self) -> bool:
+        """Read the epoch. Return True if it has changed."""
+        data = os.pread(self._fd, EPOCH.size, EPOCH_AT)
+        epoch, base = EPOCH.unpack(data) if len(data) == EPOCH.size else (0, 0)
+        if epoch == self.epoch and base == self.base:
+            return False
+        self._note_epoch(epoch, base)
+        return True
+
+    def _note_epoch(self, epoch: int, base: int) -> None:
+        self.epoch, self.base = epoch, base
+        self._epoch_bytes = NUMBER.pack(epoch)
+        self._row = flock(fcntl.F_WRLCK, PLACES + base, 0)
+
+    # ---- acquisition ----
+
+    def take_at_once(self) -> bool:
+        """Take the lock if it is free and no process waits. Return True on success."""
+        while _is_locked(fcntl.fcntl(self._fd, fcntl.F_OFD_GETLK, self._row)):
+            if not self.look_up():
+                return False
+        return self._take(_AT_ONCE)
+
+    def take_in_front(self) -> bool:
+        """Take the lock if it is free, ahead of all waiters. Return True on success."""
+        return self._take(_AT_ONCE)
+
+    def queue_up(self, at_least: int = 1) -> int:
+        """Take and return a place in the queue, behind all earlier ones.
+
+        Args:
+            at_least: the lowest acceptable place, >= 1.
+        """
+        place = at_least
+        while True:
+            place = self._first_free(max(place, self.base))
+            if not self._try(flock(fcntl.F_WRLCK, PLACES + place, 1)):
+                continue
+            if find(self._fd, fcntl.F_RDLCK, PLACES + place + 1, 0) is None:
+                self.look_up()
+                if place >= self.base:
+                    return place
+            self.let_go()  # another waiter arrived before us in the meantime
+
+    def take(self, place: int) -> bool:
+        """Take the lock if it is the turn of this place. Return True on success."""
+        return self.is_first(place) and self._take(_HOLD)
+
+    def is_first(self, place: int) -> bool:
+        """Return True if no process waits before this place."""
+        while place > self.base:
+            if find(self._fd, fcntl.F_RDLCK, PLACES + self.base, place - self.base) is None:
+                break
+            if not self.look_up():
+                return False
+        return True
+
+    def _take(self, which: tuple[bytes, ...]) -> bool:
+        """Lock HELD of the present epoch. Return True on success."""
+        while True:
+            epoch = self.epoch
+            number = epoch % LINES
+            if not self._try(which[number]):
+                if not self.look_up():
+                    return False
+                continue
+            data = os.pread(self._fd, _LAST_SIZE + BLOCK * number, EPOCH_AT)
+            now, _, intent = HEADER.unpack_from(data) if len(data) >= HEADER.size else _NOTHING
+            if now == epoch and (intent != epoch + 1 or not self._is_being_taken(number)):
+                self._last = last_of(data, HEADER.size + BLOCK * number)
+                return True
+            self._try(_DROP[number])  # the epoch advanced before we had the lock
+            if not self.look_up():
+                return False
+
+    def _is_being_taken(self, number: int) -> bool:
+        """Return True during a takeover; a process that died in it has not locked the byte."""
+        return find(self._fd, fcntl.F_RDLCK, held_at(number) + 2, 1) is not None
+
+    def wait_before(self, place: int) -> None:
+        """Wait, without a timeout, until no process is before the place."""
+        if place > self.base:
+            whole = flock(fcntl.F_RDLCK, PLACES + self.base, place - self.base)
+            fcntl.fcntl(self._fd, fcntl.F_OFD_SETLKW, whole)
+            self.let_go()
+
+    def wait_for_mark(self) -> None:
+        """Wait until the process that took the lock of the known epoch at once has released it."""
+        mark = flock(fcntl.F_RDLCK, held_at(self.epoch) + 1, 1)
+        fcntl.fcntl(self._fd, fcntl.F_OFD_SETLKW, mark)
+        self.let_go()
+
+    def let_go(self) -> None:
+        """Release the lock and the place."""
+        self._last = None
+        if self._fd >= 0:
+            fcntl.fcntl(self._fd, fcntl.F_OFD_SETLK, _UNLOCK_ALL)
+
+    def let_go_of_places(self) -> None:
+        """Release the place, but keep the lock."""
+        fcntl.fcntl(self._fd, fcntl.F_OFD_SETLK, flock(fcntl.F_UNLCK, PLACES, 0))
+
+    def _first_free(self, place: int) -> int:
+        while True:
+            found = find(self._fd, fcntl.F_WRLCK, PLACES + place, 0)
+            if found is None:
+                return place
+            place = found[1] - PLACES + 1
+
+    def _try(self, lock: bytes) -> bool:
+        try:
+            fcntl.fcntl(self._fd, fcntl.F_OFD_SETLK, lock)
+        except (BlockingIOError, PermissionError):
+            return False
+        return True
+
+    # ---- records of holder and waiters ----
+
+    def last(self) -> tuple[int, bytes, bool] | None:
+        """Return (token, identity, True if it died with the lock) of the previous holder.
+
+        None: no previous holder is known.
+        """
+        return self._last
+
+    def line(self) -> Line:
+        """Return the block of the epoch that was read last."""
+        return Line(os.pread(self._fd, BLOCK, line_block(self.epoch)))
+
+    def tell_holder(self, token: int, record: bytes, lease: bytes = _NO_LEASE) -> None:
+        """Publish the record of this process as the holder."""
+        fd, epoch = self._fd, self.epoch
+        held = flock(fcntl.F_WRLCK, held_at(epoch) - token, token)
+        fcntl.fcntl(fd, fcntl.F_OFD_SETLK, held)
+        os.pwrite(fd, lease + record, line_block(epoch) + LEASE_AT)
+        if self._last is None:
+            os.pwrite(fd, MAGIC, 0)
+
+    def tell_release(self, token: int) -> None:
+        """Publish the release of the lock."""
+        if self._fd >= 0:
+            os.pwrite(self._fd, NUMBER.pack(token), line_block(self.epoch) + RELEASED_AT)
+
+    def tell_waiter(self, place: int, record: bytes) -> None:
+        """Publish the record of this process as a waiter."""
+        os.pwrite(self._fd, record, waiter_block(place))
+
+    def tell_lease(self, lease_ns: int, end_ns: int) -> None:
+        """Publish the lease, inside a write section."""
+        os.pwrite(self._fd, LEASE.pack(lease_ns, end_ns), line_block(self.epoch) + LEASE_AT)
+
+    # ---- write sections, which block takeovers ----
+
+    def try_write(self) -> bool:
+        """Block takeovers until `end_write`. Return False during a takeover."""
+        return self._fd >= 0 and self._try(_WRITE[self.epoch % LINES])
+
+    def end_write(self) -> None:
+        """Permit takeovers again."""
+        fcntl.fcntl(self._fd, fcntl.F_OFD_SETLK, _WRITTEN[self.epoch % LINES])
+
+    def try_write_alone(self) -> bool:
+        """Exclude all other writers of the known epoch. Return True on success."""
+        return self._try(_WRITE_ALONE[self.epoch % LINES])
+
+    @property
+    def fd(self) -> int:
+        """The descriptor, for `motorhil.motorapi.locking.takeover`."""
+        return self._fd
+
+
+def _is_locked(answer: bytes) -> bool:
+    kind: int = _FLOCK.unpack(answer)[0]
+    return kind != fcntl.F_UNLCK
+
+
+def _in_child() -> None:
+    """Close all lock files in a forked child, which must not keep the parent's locks alive."""
+    for file in tuple(_opened):
+        file.close()
+    _opened.clear()
+    _forking.release()
+
+
+os.register_at_fork(
+    before=_forking.acquire, after_in_parent=_forking.release, after_in_child=_in_child
+)

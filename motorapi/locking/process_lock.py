@@ -1,0 +1,785 @@
+"""A named lock between processes, and between the threads of each process.
+
+The order is first come, first served. When a process dies, the kernel releases its lock, or its
+place in the queue; no cleanup is necessary. `motorhil.motorapi.locking.lock_file` describes the mechanism.
+
+Every ownership has a *token*, which grows and is kept in the file of the lock. An acquisition
+reports whether the lock has *changed hands* since this object held it last: its knowledge of the
+locked object may then be out of date.
+
+Waits use the runtime, so that a deadline, a broken bus or Ctrl-C ends them. The wall runtime can be
+woken from outside (`wake`). A runtime without it has its own virtual time, which no other process
+shares: there, a lock of another process is refused without a wait.
+
+Handle of a held lock between processes, and its loss.
+
+The holder may lose the lock: another process takes it over on demand, or because its lease has
+expired. The holder is not notified; it notices the loss at its next check, at the latest before its
+next write.
+
+Acquisition of a lock between processes: immediate, queued, or by takeover.
+"""
+
+import os
+import threading
+import time
+import weakref
+from collections.abc import Callable
+from dataclasses import dataclass
+from types import TracebackType
+from typing import Final, Protocol, final, runtime_checkable
+
+from motorhil.motorapi.errors import MotorBusyError, UsageError
+from motorhil.motorapi.locking.directory import LockDirectory
+from motorhil.motorapi.locking.lock_file import LEASE, LockFile, pack_record, pack_words
+from motorhil.motorapi.locking.lock_status import (
+    LockView,
+    Occupant,
+    ThisProcess,
+    find_takeover,
+    look,
+)
+from motorhil.motorapi.locking.takeover import Attempt, TakeoverAttempt
+from motorhil.motorapi.locking.waiter_thread import QueueWatcher
+from motorhil.motorapi.runtime.api import Runtime
+
+_TAKER_PATIENCE_NS: Final = 50_000_000
+"""The maximum duration of a takeover [ns]; in practice it takes about 20 us."""
+_RENEWALS_IN_USE: Final = 8
+"""The number of renewals per lease period during use."""
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Loss:
+    """The loss of a motor.
+
+    Attributes:
+        who: the new owner, in words.
+        purpose: its purpose, in words.
+        reason: the reason for the takeover, in words ("its lease of 0.5 s was over", "on demand").
+        since_ns, since: time of the takeover, in the time of the runtime and in words.
+        pid, program: the process, if another one took it over.
+    """
+
+    who: str
+    purpose: str
+    reason: str
+    since_ns: int = 0
+    since: str = ""
+    pid: int | None = None
+    program: str = ""
+
+    def __str__(self) -> str:
+        purpose = f" for {self.purpose}" if self.purpose else ""
+        return f"{self.who}{purpose}, which took it over ({self.reason})"
+
+    def busy(self, motor: str) -> MotorBusyError:
+        """Return the error for a former owner that continues to use the motor."""
+        return MotorBusyError(
+            motor=motor,
+            holder=self.who,
+            since_ns=self.since_ns,
+            since=self.since,
+            purpose=self.purpose,
+            pid=self.pid,
+            program=self.program,
+            taken_over=self.reason,
+        )
+
+
+@final
+class LockHandle:
+    """A held lock, until `release`; also a context manager.
+
+    Attributes: owner, token (greater than any earlier one), changed_hands (True if another lock
+    object, of any process, held it in between, or this object holds it for the first time),
+    was_abandoned (True if the previous holder died with it), was_taken_over (True if it was taken
+    from a living holder), taken_from (that holder, in words; "": unknown).
+    """
+
+    __slots__ = (
+        "_counting",
+        "_depth",
+        "_end_ns",
+        "_file",
+        "_lease_ns",
+        "_lock",
+        "_loss",
+        "_renew_ns",
+        "_writers",
+        "changed_hands",
+        "owner",
+        "taken_from",
+        "token",
+        "was_abandoned",
+        "was_taken_over",
+    )
+
+    def __init__(
+        self,
+        lock: "ProcessLock",
+        file: "LockFile",
+        owner: object,
+        token: int,
+        *,
+        changed_hands: bool,
+        was_abandoned: bool,
+        taken_from: str | None = None,
+        lease_ns: int = 0,
+    ) -> None:
+        self._lock = lock
+        self._file = file
+        self._depth = 1
+        self._counting = threading.Lock()
+        self._writers = 0
+        self._lease_ns = lease_ns
+        self._end_ns = time.monotonic_ns() + lease_ns  # end of the lease
+        self._renew_ns = 0  # time of the next renewal; the first use renews
+        self._loss: Loss | None = None
+        self.owner: Final = owner
+        self.token: Final = token
+        self.changed_hands: Final = changed_hands
+        self.was_abandoned: Final = was_abandoned
+        self.was_taken_over: Final = taken_from is not None
+        self.taken_from: Final = taken_from or ""
+
+    def __enter__(self) -> "LockHandle":
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.release()
+
+    # ---- validity ----
+
+    @property
+    def is_held(self) -> bool:
+        """True if it was neither released nor lost. Always False in a forked child."""
+        return self._depth > 0 and not self._file.is_closed and self.loss is None
+
+    @property
+    def loss(self) -> Loss | None:
+        """The loss of the lock before its release, or None."""
+        if (
+            self._loss is None
+            and self._depth > 0
+            and not self._file.is_closed
+            and not self._file.is_current
+        ):
+            self._loss = self._lock.loss_of(self.token)
+        return self._loss
+
+    @property
+    def lost_to(self) -> str | None:
+        """The new owner and its reason in words, or None."""
+        loss = self.loss
+        return None if loss is None else str(loss)
+
+    # ---- leases ----
+
+    @property
+    def lease_s(self) -> float | None:
+        """The lease [s], or None."""
+        return self._lease_ns / 1e9 if self._lease_ns else None
+
+    @property
+    def left_s(self) -> float | None:
+        """The remaining time of the lease [s]; 0 if it has expired, None without a lease."""
+        if not self._lease_ns:
+            return None
+        return max(0, self._end_ns - time.monotonic_ns()) / 1e9
+
+    def renew(self) -> None:
+        """Restart the lease.
+
+        Raises:
+            MotorBusyError: the lock was taken over meanwhile; names the new owner.
+        """
+        self.begin_write("")
+        try:
+            if self._lease_ns:
+                self._tell_lease()
+        finally:
+            self.end_write()
+
+    def use(self) -> None:
+        """Restart the lease if it is due; without a lease do nothing."""
+        if self._lease_ns and time.monotonic_ns() >= self._renew_ns:
+            self.renew()
+
+    def set_lease(self, lease_s: float | None) -> None:
+        """Set another lease, which begins now. Raises as `renew`."""
+        self._lease_ns = 0
+        self.begin_write("")
+        try:
+            self._lease_ns = 0 if lease_s is None else round(lease_s * 1e9)
+            self._tell_lease()
+        finally:
+            self.end_write()
+
+    def _tell_lease(self) -> None:
+        now_ns, lease_ns = time.monotonic_ns(), self._lease_ns
+        self._renew_ns = now_ns + lease_ns // _RENEWALS_IN_USE
+        self._end_ns = now_ns + lease_ns
+        self._file.tell_lease(lease_ns, self._end_ns if lease_ns else 0)
+
+    # ---- writing ----
+
+    def begin_write(self, asker: str) -> None:
+        """Block takeovers until `end_write`. Raises as `ProcessLock.begin_write`."""
+        with self._counting:
+            if self._writers == 0:
+                self._enter(asker)
+            self._writers += 1
+
+    def end_write(self) -> None:
+        """End one write section; the last one permits takeovers again."""
+        with self._counting:
+            if self._writers:
+                self._writers -= 1
+                if self._writers == 0 and self._depth > 0:
+                    self._file.end_write()
+
+    def _enter(self, asker: str) -> None:
+        file = self._file
+        if self._depth <= 0 or self._loss is not None or file.is_closed:
+            raise self._refused(asker)
+        if not file.try_write():
+            self._await_taker(asker)
+        if not file.is_current or (file.is_gone and self._is_replaced()):
+            file.end_write()
+            raise self._refused(asker)
+        if self._lease_ns and time.monotonic_ns() >= self._renew_ns:
+            self._tell_lease()
+
+    def _await_taker(self, asker: str) -> None:
+        """Wait until a takeover under way has ended and writing is permitted."""
+        end_ns = time.monotonic_ns() + _TAKER_PATIENCE_NS
+        while not self._file.try_write():
+            if not self._file.is_current:
+                raise self._refused(asker)
+            if time.monotonic_ns() > end_ns:
+                raise self._lock.being_taken(self.token, asker)
+            os.sched_yield()
+
+    def _is_replaced(self) -> bool:
+        """Return True if another process holds the lock through a new file after a removal."""
+        if self._loss is None:
+            self._loss = self._lock.loss_by_removal()
+        return self._loss is not None
+
+    def _refused(self, asker: str) -> MotorBusyError:
+        loss = self.loss
+        return self._lock.not_ours(asker) if loss is None else loss.busy(asker or self._lock.label)
+
+    # ---- release ----
+
+    def again(self) -> None:
+        """Require one more `release` call."""
+        with self._counting:
+            self._depth += 1
+
+    def keep_for(self, runtime: "Runtime", time_s: float) -> None:
+        """Keep the lock for `time_s` [s] from now, whatever is released meanwhile."""
+        self.again()
+
+        def over() -> None:
+            timer.cancel()
+            self.release()
+
+        try:
+            timer = runtime.every(max(time_s, 1e-6), over)
+        except BaseException:
+            self.release()
+            raise
+
+    def release(self) -> None:
+        """Undo one acquisition; the last one releases the lock. Further calls do nothing."""
+        with self._counting:
+            self._depth -= 1
+            is_last = self._depth == 0
+        if is_last:
+            self._file.tell_release(self.token)
+            self._lock.give_back(self._file)
+
+
+_WRITE_PATIENCE_S: Final = 0.25
+"""The maximum wait for the end of a write before a takeover on demand is given up [s]."""
+
+Wait = Callable[[Runtime, Callable[[], bool], float | None], bool]
+"""As `Runtime.wait_until`, with the runtime as the first argument."""
+
+
+@runtime_checkable
+class Wakeable(Protocol):
+    """A runtime that other threads can wake: the wall runtime."""
+
+    def wake(self) -> None:
+        """Wake the waiting thread, which then checks its condition."""
+
+
+def plain_wait(runtime: Runtime, done: Callable[[], bool], timeout_s: float | None) -> bool:
+    """Wait as `Runtime.wait_until`."""
+    return runtime.wait_until(done, timeout_s)
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class LockRequest:
+    """A lock request; see the arguments of `ProcessLock.acquire`."""
+
+    runtime: Runtime
+    timeout_s: float | None
+    asker: str
+    wait: Wait
+    lease_ns: int
+    on_demand: bool
+    describe: Callable[[int, str | None], bytes]
+    """The record for a number; or that of a takeover, for the lost token and the reason."""
+
+
+@final
+class Taking:
+    """The execution of a lock request through one open file.
+
+    Attributes: takeover (the takeover from a living holder, or None).
+    """
+
+    def __init__(
+        self,
+        file: LockFile,
+        wish: LockRequest,
+        watcher: QueueWatcher,
+        mutex: threading.Lock,
+        look: Callable[[], LockView],
+        pid: int,
+    ) -> None:
+        self.takeover: TakeoverAttempt | None = None
+        self._file: Final = file
+        self._wish: Final = wish
+        self._watcher: Final = watcher
+        self._mutex: Final = mutex  # of all that take a place
+        self._look: Final = look
+        self._pid: Final = pid
+        self._blocked: Attempt | None = None
+
+    def take(self) -> None:
+        """Acquire the lock.
+
+        Raises:
+            MotorBusyError: another process holds it; names the process.
+        """
+        wish = self._wish
+        if wish.on_demand:
+            self._take_on_demand()
+            return
+        with self._mutex:
+            mine = self._file.queue_up(1 + self._watcher.busy_before)
+        if self._is_mine(mine):
+            return
+        runtime, timeout_s = wish.runtime, wish.timeout_s
+        if timeout_s is None or timeout_s > 0.0:
+            self._file.tell_waiter(mine, wish.describe(mine, None))
+            if isinstance(runtime, Wakeable):
+                if self._wait_woken(mine, runtime.wake):
+                    return
+            elif not self._has_strangers(mine) and wish.wait(
+                runtime, lambda: self._is_mine(mine), timeout_s
+            ):
+                return
+        raise self._busy(mine)
+
+    def _is_mine(self, place: int) -> bool:
+        """Take the lock if it is the turn of this place, by takeover if its lease has expired."""
+        file = self._file
+        return file.take(place) or (file.is_first(place) and self._take_lapsed())
+
+    # ---- takeover ----
+
+    def _take_lapsed(self) -> bool:
+        """Take over the lock if the lease of its holder has expired. Return True on success."""
+        now_ns = time.monotonic_ns()
+        return 0 < self._file.line().lease_end_ns <= now_ns and self._take_over(now_ns)
+
+    def _take_on_demand(self) -> None:
+        wish = self._wish
+
+        def is_taken() -> bool:
+            return self._file.take_in_front() or self._take_over(None)
+
+        if is_taken():
+            return
+        timeout_s = wish.timeout_s
+        if timeout_s is not None:
+            timeout_s = max(timeout_s, _WRITE_PATIENCE_S)
+        if not plain_wait(wish.runtime, is_taken, timeout_s):
+            raise self._busy(None)
+
+    def _take_over(self, now_ns: int | None) -> bool:
+        lease_ns = self._wish.lease_ns
+        end_ns = time.monotonic_ns() + lease_ns if lease_ns else 0
+        attempt = TakeoverAttempt(self._file, now_ns, self._wish.describe, lease_ns, end_ns)
+        result = attempt.make()
+        if result is Attempt.TAKEN:
+            self._file.let_go_of_places()
+            self.takeover = attempt
+            return True
+        self._blocked = result
+        return False
+
+    # ---- waiting ----
+
+    def _wait_woken(self, place: int, wake: Callable[[], None]) -> bool:
+        file, watcher = self._file, self._watcher
+        watch = watcher.watch(place, wake)
+
+        def is_taken() -> bool:
+            nonlocal watch
+            if self._is_mine(place):
+                return True
+            watcher.move_on(file.epoch)
+            if watch.is_first:  # first, but not our turn: a quicker process got a place before us
+                watch = watcher.watch(place, wake)
+            return False
+
+        try:
+            return self._wish.wait(self._wish.runtime, is_taken, self._wish.timeout_s)
+        finally:
+            watcher.forget(watch)
+
+    def _has_strangers(self, place: int) -> bool:
+        """Return True if the holder or an earlier waiter is of another process."""
+        view = self._look()
+        ahead = [one for there, one in view.waiters if there < place]
+        if view.holder is not None:
+            ahead.append(view.holder)
+        return any(one.record is None or one.record.pid != self._pid for one in ahead)
+
+    def _busy(self, place: int | None) -> MotorBusyError:
+        view = self._look()
+        ahead = [one for there, one in view.waiters if place is None or there < place]
+        who = view.holder or (ahead[0] if ahead else Occupant(None))
+        return busy_error(self._wish.runtime, self._wish.asker, who, _DOING.get(self._blocked, ""))
+
+
+_DOING: Final[dict[Attempt | None, str]] = {
+    Attempt.WRITING: ", in the middle of a write",
+    Attempt.TAKING: ", during a takeover by another process",
+    Attempt.FULL: " (too many live processes have lost the lock: end the paused ones)",
+}
+
+
+def _remedy(who: Occupant) -> str:
+    """Return the advice against a paused holder, which cannot release the lock by itself."""
+    if who.record is None or not who.is_paused:
+        return ""
+    pid = who.record.pid
+    return f"continue it (kill -CONT {pid}), or end it (kill -9 {pid})"
+
+
+def busy_error(runtime: Runtime | None, asker: str, who: Occupant, doing: str) -> MotorBusyError:
+    """Return the error for a refused request; `doing` describes the activity of the holder."""
+    record = who.record
+    now_ns = 0 if runtime is None else runtime.now_ns()
+    return MotorBusyError(
+        motor=asker,
+        holder=f"{who.who}{doing}",
+        since_ns=now_ns - round(who.age_s * 1e9),
+        since=who.since,
+        purpose="" if record is None else record.purpose,
+        pid=None if record is None else record.pid,
+        program="" if record is None else record.program,
+        remedy=_remedy(who),
+    )
+
+
+_WORDS_MAX: Final = 64
+"""The maximum number of packed purposes of a lock."""
+_NO_LEASE: Final = LEASE.pack(0, 0)
+
+
+def can_share_time(runtime: Runtime) -> bool:
+    """Return True if another process can end a wait in this runtime: the wall runtime."""
+    return hasattr(runtime, "wake")  # as Wakeable; isinstance would take 40 us
+
+
+@final
+class ProcessLock:
+    """A lock known to all processes by its name, in one directory.
+
+    Args:
+        name: name of its file; see `motorhil.motorapi.locking.directory`.
+        label: the locked object in words, for errors and lists ("can0 node 3").
+        directory: its directory; None: that of the user, or from MOTORHIL_LOCK_DIR.
+    """
+
+    def __init__(self, name: str, label: str, directory: LockDirectory | None = None) -> None:
+        if not name or "/" in name or name.startswith(".") or len(name.encode()) > 200:
+            raise UsageError(f"lock {name!r}: must be 1 to 200 characters, no '/', no '.' in front")
+        self.name: Final = name
+        self.label: Final = label
+        self._directory: Final = LockDirectory() if directory is None else directory
+        self._words: dict[str, bytes] = {}
+        self.begin_anew()
+        with _all_lock:
+            _all.add(self)
+
+    def begin_anew(self) -> None:
+        """Reset to the initial state without a lock, as in a forked child."""
+        self._identity = os.urandom(16)
+        self._mutex = threading.Lock()
+        self._watcher = QueueWatcher(self._open)
+        self._spare: LockFile | None = None
+        self._hold: LockHandle | None = None
+        self._writing: dict[int, list[LockHandle]] = {}  # by thread
+
+    # ---- acquisition ----
+
+    def acquire(
+        self,
+        runtime: Runtime,
+        purpose: str,
+        timeout_s: float | None = 0.0,
+        owner: object = None,
+        *,
+        asker: str = "",
+        wait: Wait | None = None,
+        lease_s: float | None = None,
+        take_over: bool = False,
+    ) -> LockHandle:
+        """Acquire the lock, until as many releases as acquisitions.
+
+        Args:
+            runtime: the runtime of the wait.
+            purpose: in words; others can read it.
+            timeout_s: timeout for processes before us [s]; None: no timeout.
+            owner: the party that may acquire it repeatedly; None: the thread.
+            asker: name of the refused party in the error; "": the label.
+            wait: wait function of the runtime; None: its `wait_until`.
+            lease_s: others may take it over after this time without renewal [s]; None: never,
+                except with `take_over`.
+            take_over: take it from its holder, ahead of all waiters.
+
+        Raises:
+            MotorBusyError: another process holds it; names the process. The place in the queue is
+                released.
+            UsageError: the file of the lock is not safe, or no wait is possible here.
+        """
+        if owner is None:
+            owner = threading.current_thread()
+        hold = self.hold
+        if hold is not None and hold.owner is owner:
+            hold.again()
+            return hold
+        lease_ns = 0 if lease_s is None else round(lease_s * 1e9)
+        while True:
+            file = self._take_file()
+            try:
+                takeover: TakeoverAttempt | None = None
+                if take_over or not file.take_at_once():
+                    wish = LockRequest(
+                        runtime,
+                        timeout_s,
+                        asker or self.label,
+                        wait or plain_wait,
+                        lease_ns,
+                        take_over,
+                        lambda number, reason: self._record(number, purpose, reason),
+                    )
+                    takeover = self._take(file, wish)
+                if not file.is_gone:
+                    hold = self._publish(file, purpose, lease_ns, takeover, owner)
+                    if hold is not None:
+                        return hold
+                    continue
+            except OSError as error:
+                file.close()
+                raise UsageError(f"{file.name}: {error.strerror}") from error
+            except BaseException:
+                self.give_back(file)
+                raise
+            file.close()  # the file was removed: new requests use a new file
+
+    def _take(self, file: LockFile, wish: LockRequest) -> TakeoverAttempt | None:
+        """Acquire by waiting; return the takeover, if any. Raise MotorBusyError on timeout."""
+        pid = this_process().pid
+        taking = Taking(file, wish, self._watcher, self._mutex, self.look, pid)
+        taking.take()
+        return taking.takeover
+
+    @property
+    def hold(self) -> LockHandle | None:
+        """The handle of this lock object in this process, or None."""
+        hold = self._hold
+        return hold if hold is not None and hold.is_held else None
+
+    def begin_write(self, asker: str = "") -> int:
+        """Block takeovers until `end_write`. Return the token of this process.
+
+        Any thread may call it, also nested. The code in between must be short, and not wait.
+
+        Raises:
+            MotorBusyError: this process does not hold it, or has lost it; names holder and reason.
+        """
+        thread = threading.get_ident()
+        stack = self._writing.get(thread)
+        if stack is None:
+            stack = self._writing[thread] = []
+        hold = stack[-1] if stack else self._hold
+        if hold is None:
+            raise self.not_ours(asker)
+        hold.begin_write(asker)
+        stack.append(hold)
+        return hold.token
+
+    def end_write(self) -> None:
+        """End the write begun by this thread with `begin_write`."""
+        self._writing[threading.get_ident()].pop().end_write()
+
+    def not_ours(self, asker: str) -> MotorBusyError:
+        """Return the error for writing without holding the lock."""
+        holder = self.look().holder
+        if holder is not None:
+            return busy_error(None, asker or self.label, holder, "")
+        return MotorBusyError(
+            motor=asker or self.label,
+            holder="no process, and must be acquired before a command,",
+            since_ns=0,
+            since="its release",
+        )
+
+    def being_taken(self, token: int, asker: str) -> MotorBusyError:
+        """Return the error for writing during a takeover."""
+        takeover = find_takeover(self._directory, self.name, token, is_done=False)
+        who = Occupant(None if takeover is None else takeover.by)
+        return busy_error(None, asker or self.label, who, ", during its takeover")
+
+    def loss_of(self, token: int) -> Loss:
+        """Return the loss of a token."""
+        takeover = find_takeover(self._directory, self.name, token)
+        if takeover is None:
+            return Loss("an unknown process", "", "the reason is no longer known")
+        return _loss(Occupant(takeover.by), takeover.reason)
+
+    def loss_by_removal(self) -> Loss | None:
+        """Return the loss to a process with a new file, after the old file was removed, or None."""
+        holder = self.look().holder
+        return None if holder is None else _loss(holder, "its lock file had been removed")
+
+    def give_back(self, file: LockFile) -> None:
+        """Release all locks of this open file; it is kept for the next acquisition."""
+        file.let_go()
+        with self._mutex:
+            if self._spare is None and not file.is_closed:
+                self._spare = file
+                return
+        file.close()
+
+    def close(self) -> None:
+        """Close the spare file; a held lock is not released."""
+        with self._mutex:
+            spare, self._spare = self._spare, None
+        if spare is not None:
+            spare.close()
+
+    def _open(self) -> LockFile:
+        return LockFile(self._directory, self.name)
+
+    def _take_file(self) -> LockFile:
+        with self._mutex:
+            file, self._spare = self._spare, None
+        return self._open() if file is None else file
+
+    def _publish(
+        self,
+        file: LockFile,
+        purpose: str,
+        lease_ns: int,
+        takeover: TakeoverAttempt | None,
+        owner: object,
+    ) -> LockHandle | None:
+        """Publish an acquired lock and return its handle; None: it is lost again already."""
+        if takeover is not None:
+            token, identity, was_abandoned = takeover.token, takeover.from_identity, False
+        else:
+            last = file.last()
+            if last is None:  # greater than any token in a removed file
+                last = time.time_ns() // 1000, b"", False
+            token, identity, was_abandoned = last
+            token += 1
+            lease = _NO_LEASE
+            if lease_ns:
+                lease = LEASE.pack(lease_ns, time.monotonic_ns() + lease_ns)
+            file.tell_holder(token, self._record(token, purpose, None), lease)
+            if not identity and not file.is_current:  # taken over, by a token that may be smaller
+                self.give_back(file)
+                return None
+        hold = self._hold = LockHandle(
+            self,
+            file,
+            owner,
+            token,
+            changed_hands=identity != self._identity,
+            was_abandoned=was_abandoned,
+            taken_from=None if takeover is None else takeover.taken_from,
+            lease_ns=lease_ns,
+        )
+        return hold
+
+    def _record(self, number: int, purpose: str, reason: str | None) -> bytes:
+        process = this_process()
+        if reason is not None:
+            words = pack_words(process.program, purpose, reason)
+        else:
+            words = self._words.get(purpose, b"")
+        if not words:
+            if len(self._words) >= _WORDS_MAX:
+                self._words.clear()
+            words = self._words[purpose] = pack_words(process.program, purpose, self.label)
+        since = time.monotonic_ns(), time.time_ns()
+        return pack_record(number, self._identity, process.facts, since, words)
+
+    def look(self) -> LockView:
+        """Return the present holder and waiters, without taking or delaying the lock."""
+        return look(self._directory, self.name)
+
+
+def _loss(who: Occupant, reason: str) -> Loss:
+    record = who.record
+    return Loss(
+        who.who,
+        "" if record is None else record.purpose,
+        reason,
+        since=who.since,
+        pid=None if record is None else record.pid,
+        program="" if record is None else record.program,
+    )
+
+
+_all_lock: Final = threading.Lock()
+_all: Final["weakref.WeakSet[ProcessLock]"] = weakref.WeakSet()
+_process: list[ThisProcess] = []
+
+
+def this_process() -> ThisProcess:
+    """Return the published identity of this process."""
+    if not _process:
+        _process.append(ThisProcess())
+    return _process[0]
+
+
+def _in_child() -> None:
+    _all_lock.release()
+    _process.clear()
+    for lock in tuple(_all):
+        lock.begin_anew()
+
+
+os.register_at_fork(
+    before=_all_lock.acquire, after_in_parent=_all_lock.release, after_in_child=_in_child
+)

@@ -1,0 +1,197 @@
+"""Takeover of a lock from a living process, by an advance of the epoch.
+
+    lock WRITING of this epoch, exclusively     fails if the holder writes, or during a takeover
+    write the new and the former holder         so that waiters can name the new one
+    write the intent                            an ordinary acquisition looks for it
+    check again: this epoch, this token, its lease still expired
+    lock HELD and MARK of the next free epoch
+    write the new and the former holder
+    write the epoch                             this advances it; no earlier step had an effect
+    unlock WRITING
+
+If the process dies before the epoch is written, nothing has changed. If it dies later, it leaves a
+lock that a dead process has not released, which the next process handles as usual.
+
+The holder is not in a write section, and begins none, from the first step to the last. So the write
+sections of one epoch end before the next epoch begins. A holder that releases the lock meanwhile
+succeeds, and finds nothing lost: no other process gets it in the ordinary way until the epoch has
+advanced.
+"""
+
+import fcntl
+import os
+from collections.abc import Callable
+from enum import Enum
+from typing import Final, final
+
+from motorhil.motorapi.locking.lock_file import (
+    BLOCK,
+    EPOCH,
+    EPOCH_AT,
+    INTENT_AT,
+    LEASE,
+    LINES,
+    MAGIC,
+    NUMBER,
+    PLACES,
+    Line,
+    LockFile,
+    Record,
+    find,
+    first_places,
+    flock,
+    held_at,
+    line_block,
+    pack_takeover,
+    takeover_block,
+)
+
+
+@final
+class Attempt(Enum):
+    """Result of a takeover attempt."""
+
+    TAKEN = "taken"
+    FREE = "the lock is free"
+    NOT_DUE = "its lease has not expired"
+    WRITING = "its holder is in the middle of a write"
+    TAKING = "another takeover is under way"
+    FULL = "too many former holders are alive"
+
+
+@final
+class TakeoverAttempt:
+    """One attempt to take over a lock, through an open file.
+
+    Args:
+        file: a file without the lock; it may have a place in the queue, which is kept.
+        now_ns: CLOCK_MONOTONIC [ns], to check the lease; None: take over unconditionally.
+        describe: returns the record of the new holder, for its token; and that of the takeover, for
+            the lost token and the reason.
+
+    Attributes: token (of the new holder, once taken), lost (token of the former holder),
+    from_identity (its identity; b"": unknown), taken_from (its name, in words).
+    """
+
+    def __init__(
+        self,
+        file: LockFile,
+        now_ns: int | None,
+        describe: Callable[[int, str | None], bytes],
+        lease_ns: int = 0,
+        lease_end_ns: int = 0,
+    ) -> None:
+        self._file: Final = file
+        self._now_ns: Final = now_ns
+        self._describe: Final = describe
+        self._lease: Final = LEASE.pack(lease_ns, lease_end_ns)
+        self.token = 0
+        self.lost = 0
+        self.from_identity = b""
+        self.taken_from = ""
+
+    def make(self) -> Attempt:
+        """Take over the lock, or return the reason why not; then nothing has changed."""
+        file = self._file
+        file.look_up()
+        seen = self._find_due()
+        if seen is not None:
+            return seen
+        if not file.try_write_alone():
+            return self._who_writes()
+        old = file.epoch
+        try:
+            if not file.is_current:
+                return Attempt.TAKING  # another process has just taken it over
+            self._say_who(old)
+            os.pwrite(file.fd, NUMBER.pack(old + 1), INTENT_AT)
+            seen = self._find_due()
+            if seen is None:
+                seen = self._move_on(old)
+            if seen is not Attempt.TAKEN:
+                os.pwrite(file.fd, NUMBER.pack(0), INTENT_AT)
+            return seen
+        finally:
+            fcntl.fcntl(file.fd, fcntl.F_OFD_SETLK, flock(fcntl.F_UNLCK, held_at(old) + 2, 1))
+
+    def _find_due(self) -> Attempt | None:
+        """Return None if a takeover is permitted, else the reason against it."""
+        file = self._file
+        held = held_at(file.epoch)
+        found = find(file.fd, fcntl.F_RDLCK, held, 1)
+        if found is None:
+            return Attempt.FREE
+        line = file.line()
+        told = held - found[0]
+        if self._now_ns is not None and (
+            line.is_new or told != line.token or not 0 < line.lease_end_ns <= self._now_ns
+        ):
+            return Attempt.NOT_DUE
+        self._line = line
+        self.lost = told or self._next(line)
+        return None
+
+    @staticmethod
+    def _next(line: Line) -> int:
+        """Return the token of a holder that has not published it yet: only one is possible."""
+        return line.token + 1
+
+    def _who_writes(self) -> Attempt:
+        at = held_at(self._file.epoch) + 2
+        alone = find(self._file.fd, fcntl.F_RDLCK, at, 1)
+        return Attempt.WRITING if alone is None else Attempt.TAKING
+
+    def _move_on(self, old: int) -> Attempt:
+        file = self._file
+        base = self._base_behind(old)
+        for new in range(old + 1, old + LINES):
+            if self._lock(held_at(new)):
+                break
+        else:
+            return Attempt.FULL
+        self._write(old, new)
+        os.pwrite(file.fd, EPOCH.pack(new, base), EPOCH_AT)
+        file.look_up()
+        return Attempt.TAKEN
+
+    def _base_behind(self, old: int) -> int:
+        """Return the first place behind that of the holder, if it has one."""
+        file = self._file
+        if find(file.fd, fcntl.F_RDLCK, held_at(old) + 1, 1) is not None:
+            return file.base
+        places = first_places(file.fd, PLACES + file.base, 1 << 63)
+        return max([file.base, *(place + 1 for place in places[:1])])
+
+    def _lock(self, held: int) -> bool:
+        try:
+            fcntl.fcntl(self._file.fd, fcntl.F_OFD_SETLK, flock(fcntl.F_WRLCK, held, 2))
+        except (BlockingIOError, PermissionError):
+            return False
+        return True
+
+    def _write(self, old: int, new: int) -> None:
+        """Write all data of the new epoch, before the epoch advances."""
+        self._say_who(old)
+        fd, token, held = self._file.fd, self.token, held_at(new)
+        fcntl.fcntl(fd, fcntl.F_OFD_SETLK, flock(fcntl.F_WRLCK, held - token, token))
+        told = NUMBER.pack(0) + self._lease + self._describe(token, None)
+        os.pwrite(fd, told.ljust(BLOCK, b"\0"), line_block(new))
+        os.pwrite(fd, MAGIC, 0)
+
+    def _say_who(self, old: int) -> None:
+        """Write the new and the former holder; valid once the epoch advances."""
+        fd = self._file.fd
+        self.token = self.lost + 1
+        victim: Record | None = Line(os.pread(fd, BLOCK, line_block(old))).record
+        if victim is not None and victim.number != self.lost:
+            victim = None
+        if victim is not None:
+            self.from_identity = victim.identity
+            self.taken_from = f"pid {victim.pid} ({victim.program})"
+        by = self._describe(self.lost, self._reason())
+        os.pwrite(fd, pack_takeover(by, old, self.token, victim), takeover_block(self.lost))
+
+    def _reason(self) -> str:
+        if self._now_ns is None:
+            return "on demand"
+        return f"its lease of {self._line.lease_ns / 1e9:g} s was over"

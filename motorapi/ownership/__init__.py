@@ -1,0 +1,1 @@
+"""Ownership of a physical motor by one of several logical motors."""

@@ -1,0 +1,1 @@
+"""Motion planning for one axis and for groups, from values alone."""

@@ -1,0 +1,235 @@
+"""Check of complex trajectories against value and derivative limits.
+
+Pure functions. The trajectory function reports its own extrema (exact for polynomials), so that no
+violation between two samples is missed. U is the unit of the control variable.
+
+Planning of simple trajectories with one more limited derivative.
+
+The paper, 3.3.1: "If necessary, we can use the same representation to bound the third derivative
+and represent a smoother motion." This means position with limited jerk, velocity with limited jerk,
+and torque with a limited change of its slope. The curve is generated and becomes the function of
+the motion, so every motor that can follow a complex trajectory can follow it. The jerk_max of the
+model limits such requests; it does not limit motions without a request.
+"""
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from motorhil.motorapi.commands import ControlMode, ControlVariable, Motion
+from motorhil.motorapi.errors import LimitError, StateError, UnsupportedError, UsageError
+from motorhil.motorapi.generation import ProfileLimits, jerk_limited, trapezoid
+from motorhil.motorapi.generation.feasibility import STEP_S, Allowed, feasible
+from motorhil.motorapi.model import MotorModel
+from motorhil.motorapi.planning.limits import check_target, slack, value_range
+from motorhil.motorapi.trajectory import ComplexTrajectory, TrapezoidalTrajectory, value_of
+
+if TYPE_CHECKING:
+    from motorhil.motorapi.functions.base import Function
+    from motorhil.motorapi.trajectory import Argument
+
+
+def check(
+    motor: str,
+    model: MotorModel,
+    variable: ControlVariable,
+    trajectory: ComplexTrajectory,
+    argument: "Argument | None",
+) -> None:
+    """Check a complex trajectory as far as possible without the motor's position.
+
+    Raises:
+        LimitError: a derivative or an absolute value leaves the limits, or jumps; the message names
+            the place.
+        UsageError: it does not begin and end at rest.
+    """
+    if argument is not None:
+        if not trajectory.relative:
+            _check_values(motor, model, variable, trajectory, 0.0)
+        _check_rate(motor, model, variable, trajectory, argument)
+        return
+    for violation in feasible(trajectory, model, variable=variable).violations:
+        if not (trajectory.relative and violation.quantity == variable.value):
+            raise violation.as_error(motor)
+    if variable is ControlVariable.POSITION:
+        _check_ends(motor, model, trajectory)
+
+
+def plan(
+    motor: str,
+    model: MotorModel,
+    variable: ControlVariable,
+    trajectory: ComplexTrajectory,
+    argument: "Argument | None",
+    reference: float,
+) -> Motion:
+    """Return the motion from `reference` [U]; it begins at the present value of the argument.
+
+    Raises:
+        LimitError: the value leaves the limits from here.
+        StateError: the trajectory is absolute and the motor is not at its initial value.
+        MotorError: the argument has no value.
+    """
+    low, high = trajectory.interval
+    function = trajectory.function
+    begins = low if argument is None else min(max(value_of(argument), low), high)
+    first, last = function.value(begins), function.value(high)
+    offset = reference - first if trajectory.relative else 0.0
+    if trajectory.relative:
+        _check_values(motor, model, variable, trajectory, offset)
+    else:
+        require_at_start(motor, model, variable, first, reference)
+    return Motion(
+        mode=ControlMode.TRAJECTORY,
+        variable=variable,
+        start=first + offset,
+        target=last + offset,
+        velocity=model.velocity_max,
+        acceleration=model.acceleration_max,
+        deceleration=model.deceleration,
+        duration_s=high - low if argument is None else None,
+        trajectory=trajectory,
+        function=function,
+        offset=offset,
+        interval=(low, high),
+        argument=argument,
+    )
+
+
+def require_at_start(
+    motor: str, model: MotorModel, variable: ControlVariable, start: float, reference: float
+) -> None:
+    """Require that the motor is at the initial value of an absolute trajectory.
+
+    Raises:
+        StateError: it is not.
+    """
+    if variable is ControlVariable.POSITION:
+        tolerance = model.start_tolerance
+    elif variable is ControlVariable.VELOCITY:
+        tolerance = model.acceleration_max * STEP_S
+    else:
+        return  # torque and current may jump
+    if abs(start - reference) > tolerance:
+        unit = model.unit_of(variable)
+        raise StateError(
+            motor=motor,
+            operation="start",
+            state=f"the trajectory begins at {start:g} {unit}, the motor is at"
+            f" {reference:g} {unit}",
+            remedy="move there first, or make it relative (leave out initial=, or relative=True)",
+        )
+
+
+def _check_values(
+    motor: str,
+    model: MotorModel,
+    variable: ControlVariable,
+    trajectory: ComplexTrajectory,
+    offset: float,
+) -> None:
+    own = None if trajectory.limits is None else trajectory.limits.value
+    if value_range(model, variable) == (None, None) and own is None:
+        return
+    found = trajectory.function.extrema(*trajectory.interval)
+    for value in (found.minimum, found.maximum):
+        check_target(motor, model, variable, value + offset, trajectory.limits)
+
+
+def _check_rate(
+    motor: str,
+    model: MotorModel,
+    variable: ControlVariable,
+    trajectory: ComplexTrajectory,
+    argument: "Argument",
+) -> None:
+    """Check the first derivative by time at the maximum rate of the argument."""
+    rate = argument.rate_max
+    if rate is None:
+        return
+    allowed = Allowed.by(model, variable, trajectory.limits)
+    low, high = allowed.first
+    size = min(-low, high)
+    found = trajectory.function.derivative().extrema(*trajectory.interval)
+    for value, where in (
+        (found.minimum * rate, found.at_minimum),
+        (found.maximum * rate, found.at_maximum),
+    ):
+        if abs(value) > size + slack(size):
+            raise LimitError(
+                motor=motor,
+                quantity=f"{allowed.names[1]} of the trajectory",
+                value=value,
+                low=-size,
+                high=size,
+                unit=allowed.units[1],
+                reason=f"at argument {where:g}, at the maximum rate of the {argument.name}",
+            )
+
+
+def _check_ends(motor: str, model: MotorModel, trajectory: ComplexTrajectory) -> None:
+    """Require rest at both ends: a velocity step at an end is an infinite acceleration too."""
+    allowed = min(model.acceleration_max, model.deceleration) * STEP_S
+    derivative = trajectory.function.derivative()
+    for where, what in zip(trajectory.interval, ("begins", "ends"), strict=True):
+        velocity = derivative.value(where)
+        if abs(velocity) > allowed:
+            raise UsageError(
+                f"{motor}: the trajectory {what} at {velocity:g} {model.unit}/s, at argument"
+                f" {where:g}, where the motor is at rest; allowed is a step of {allowed:g}"
+                f" {model.unit}/s: lead it in and out, or cut it where its derivative is 0"
+            )
+
+
+def asks_for_smoothness(variable: ControlVariable, trajectory: TrapezoidalTrajectory) -> bool:
+    """Return True if its limits exceed those of a position trapezoid, or of a ramp."""
+    limits = trajectory.limits
+    if limits is None:
+        return False
+    highest = limits.third if variable is ControlVariable.POSITION else limits.second
+    return highest is not None
+
+
+def smoothed(motor: str, motion: Motion, trajectory: TrapezoidalTrajectory) -> Motion:
+    """Return the same motion as a function, as fast as all limits allow.
+
+    Raises:
+        UsageError: the generating package is not installed; names the extra.
+    """
+    if motion.distance == 0.0:
+        return replace(motion, duration_s=0.0)
+    function, duration_s = _generated(motor, motion, trajectory)
+    return replace(motion, function=function, interval=function.domain, duration_s=duration_s)
+
+
+def slowed(motion: Motion, duration_s: float) -> Motion:
+    """Return the motion with scaled time, so that every derivative becomes smaller."""
+    function = motion.function
+    if function is None or not motion.duration_s:
+        return motion
+    scaled = function.scaled(duration_s / motion.duration_s)
+    return replace(motion, function=scaled, interval=scaled.domain, duration_s=duration_s)
+
+
+def _generated(
+    motor: str, motion: Motion, trajectory: TrapezoidalTrajectory
+) -> "tuple[Function, float]":
+    limits = trajectory.limits
+    assert limits is not None
+    if motion.variable is not ControlVariable.POSITION:
+        assert limits.second is not None
+        rate = motion.acceleration if motion.variable is ControlVariable.VELOCITY else motion.slope
+        profile = trapezoid(motion.target, ProfileLimits(rate, limits.second), initial=motion.start)
+        return profile.as_function(), profile.duration_s
+    assert limits.third is not None
+    try:
+        curve = jerk_limited(
+            motion.target,
+            ProfileLimits(motion.velocity, motion.acceleration, motion.deceleration),
+            min(-limits.third[0], limits.third[1]),
+            initial=motion.start,
+        )
+    except UnsupportedError as error:  # without the package that generates it
+        raise UnsupportedError(
+            motor=motor, feature=f"a limit on the jerk of a position ({error})"
+        ) from error
+    return curve, curve.domain[1]

@@ -1,0 +1,157 @@
+"""Demand of a trajectory at each instant, as one object to be sampled.
+
+Drives that generate their own profile do not need it. Motors with set-points from the host
+(streamed, software servo, ideal) sample only this. No numpy: one value at a time, in plain floats.
+"""
+
+from math import inf
+from typing import TYPE_CHECKING, Protocol, final
+
+from motorhil.motorapi.commands import ControlVariable, Motion
+from motorhil.motorapi.generation import Trapezoid, shortest
+
+if TYPE_CHECKING:
+    from motorhil.motorapi.functions.base import Function
+
+
+class Demand(Protocol):
+    """The absolute control variable over the argument; outside the interval, the nearer end."""
+
+    initial_argument: float
+    final_argument: float
+
+    def value(self, argument: float) -> float:
+        """Return the control variable [U]."""
+
+    def first(self, argument: float) -> float:
+        """Return the first derivative by the argument; 0 outside the interval."""
+
+    def second(self, argument: float) -> float:
+        """Return the second derivative by the argument; 0 outside the interval."""
+
+
+def demand_of(motion: Motion) -> Demand:
+    """Return the demand of trajectory `motion` over its argument (time since the start [s]).
+
+    Raises:
+        ValueError: the motion is a set-point, which has a single value.
+    """
+    if motion.trajectory is None:
+        raise ValueError("a set-point has no profile")
+    if motion.function is not None:
+        return _FunctionDemand(motion, motion.function)
+    if motion.variable is ControlVariable.POSITION:
+        return _TrapezoidDemand(motion)
+    return _RampDemand(motion)
+
+
+def ramps(
+    start: float, target: float, growing: float, shrinking: float
+) -> list[tuple[float, float, float]]:
+    """Return (duration [s], initial value, rate) of each ramp from one value to another.
+
+    Args:
+        start: initial value.
+        target: final value.
+        growing: maximum rate while the magnitude grows, > 0; inf: immediate.
+        shrinking: maximum rate while the magnitude shrinks, first to 0 if the sign changes, > 0;
+            inf: immediate.
+    """
+    steps = [(start, target, growing if abs(target) > abs(start) else shrinking)]
+    if start * target < 0.0:
+        steps = [(start, 0.0, shrinking), (0.0, target, growing)]
+    return [
+        (abs(after - before) / rate, before, rate if after > before else -rate)
+        for before, after, rate in steps
+        if after != before and rate != inf
+    ]
+
+
+@final
+class _TrapezoidDemand:
+    """Position in closed form: acceleration, plateau, deceleration."""
+
+    __slots__ = ("_distance", "_profile", "_start", "_target", "final_argument", "initial_argument")
+
+    def __init__(self, motion: Motion) -> None:
+        profile = shortest(
+            motion.distance, motion.velocity, motion.acceleration, motion.deceleration
+        )
+        self._profile: Trapezoid = profile
+        self._start = motion.start
+        self._target = motion.target
+        self.initial_argument = 0.0
+        self.final_argument = profile.duration_s
+
+    def value(self, argument: float) -> float:
+        if argument >= self.final_argument:
+            return self._target
+        return self._start + self._profile.position(argument)
+
+    def first(self, argument: float) -> float:
+        return self._profile.velocity(argument)
+
+    def second(self, argument: float) -> float:
+        profile = self._profile
+        if argument < 0.0 or argument >= profile.duration_s:
+            return 0.0
+        if argument < profile.ramp_up_s:
+            size = profile.acceleration
+        elif argument < profile.ramp_down_s:
+            return 0.0
+        else:
+            size = -profile.deceleration
+        return size if profile.distance > 0.0 else -size
+
+
+@final
+class _RampDemand:
+    """Velocity, torque or current at a constant rate from start to target."""
+
+    __slots__ = ("_rate", "_start", "_target", "final_argument", "initial_argument")
+
+    def __init__(self, motion: Motion) -> None:
+        self._start = motion.start
+        self._target = motion.target
+        self.initial_argument = 0.0
+        self.final_argument = 0.0 if motion.duration_s is None else motion.duration_s
+        self._rate = motion.distance / self.final_argument if self.final_argument > 0.0 else 0.0
+
+    def value(self, argument: float) -> float:
+        if argument >= self.final_argument:
+            return self._target
+        return self._start + self._rate * max(argument, 0.0)
+
+    def first(self, argument: float) -> float:
+        return self._rate if 0.0 <= argument < self.final_argument else 0.0
+
+    def second(self, argument: float) -> float:
+        return 0.0
+
+
+@final
+class _FunctionDemand:
+    """Any function, constant beyond its ends."""
+
+    __slots__ = ("_first", "_function", "_offset", "_second", "final_argument", "initial_argument")
+
+    def __init__(self, motion: Motion, function: "Function") -> None:
+        self._function = function
+        self._first = function.derivative()
+        self._second = function.derivative(2)
+        self._offset = motion.offset
+        self.initial_argument, self.final_argument = motion.interval
+
+    def value(self, argument: float) -> float:
+        inside = min(max(argument, self.initial_argument), self.final_argument)
+        return self._function.value(inside) + self._offset
+
+    def first(self, argument: float) -> float:
+        if self.initial_argument <= argument < self.final_argument:
+            return self._first.value(argument)
+        return 0.0
+
+    def second(self, argument: float) -> float:
+        if self.initial_argument <= argument < self.final_argument:
+            return self._second.value(argument)
+        return 0.0

@@ -1,0 +1,1 @@
+"""Time, waiting and I/O sources of the application."""

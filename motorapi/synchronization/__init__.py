@@ -1,0 +1,1 @@
+"""Prediction and measurement of how exactly a group starts and ends together."""

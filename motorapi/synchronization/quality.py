@@ -1,0 +1,208 @@
+"""Synchronization of several motors: capability before, quality after a start.
+
+A start has two steps. *Arming* prepares a motor so that one more signal starts its motion; it is
+complete only when the hardware has confirmed it (on CAN: seen on the wire). *Firing* is that
+signal. Motors whose hardware can share one signal (drives on one CAN bus: one SYNC) offer the same
+trigger group and are fired by one trigger; the others are fired in turn.
+"""
+
+from collections.abc import Hashable, Sequence
+from dataclasses import dataclass
+from enum import Enum, IntEnum
+from typing import Protocol, final
+
+from motorhil.motorapi.synchronization.can_response_time import Firing, OneFrame
+
+
+@final
+class SyncLevel(IntEnum):
+    """The means of a common start, weakest first."""
+
+    SEQUENTIAL = 0  # a start command for each motor, in turn
+    TRIGGERED = 1  # one signal starts all motors
+    CYCLIC = 2  # set-points at a common rate, latched by one signal
+
+
+@final
+class Synchronization(Enum):
+    """The common property of the trajectories of a group."""
+
+    TIME = "time"  # they begin and end together
+    PHASE = "phase"  # also, at every instant each has covered the same fraction of its distance
+    NONE = "none"  # they begin together; each is as fast as possible
+
+
+@final
+class FaultReaction(Enum):
+    """The reaction of the other motors when one motor of a group fails."""
+
+    TOGETHER = "together"  # they slow down along the path, and come to rest together
+    EACH = "each"  # each slows down as fast as its limits allow
+    NONE = "none"  # they continue
+
+
+class Trigger(Protocol):
+    """The start of every motion armed for it. Equal triggers are fired once."""
+
+    def fire(self) -> None:
+        """Start the armed motions; return when the signal was transmitted."""
+
+    def __eq__(self, other: object, /) -> bool: ...
+
+    def __hash__(self) -> int: ...
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class SyncOffer:
+    """The capability of one motor's hardware for a common start with others.
+
+    Attributes:
+        level: the means of a common start.
+        group: motors whose offers name an equal group (a bus) are fired by one trigger.
+        latency_s: minimum and maximum time from the latch of the command to the start of motion
+            [s]; None without a bound.
+        reason: the reason for the level, in words ("RPDO 1 has transmission type 255").
+        firing: frames and delays of `Trigger.fire`; None without a bound.
+        signals: index of the signal, after the first one of the trigger, that latches the command:
+            1 for the first step of a streamed set-point, latched by the second SYNC.
+        signal_s: minimum and maximum time from the first signal of the trigger to that one [s];
+            None without a bound. It is the same for motors with one trigger and equal `signals`.
+        burst: the frame sent with those of the others just after a signal, if signals come every
+            `period_s` [s] and cannot be delayed; None: armed earlier.
+        oscillator_ppm: maximum error of the drive's clock, either way [1e-6]; None: unknown.
+        end_s: minimum and maximum time from the planned end of the motion, by the drive's own
+            clock, to its end [s]; None without a bound.
+        no_firing_bound: reason for a missing bound of `firing` or `signal_s`, in words; else "".
+        no_start_bound: reason for a missing bound of `latency_s`; else "".
+        no_end_bound: reason for a missing bound of `oscillator_ppm` or `end_s`; else "".
+    """
+
+    level: SyncLevel
+    group: Hashable
+    latency_s: tuple[float, float] | None
+    reason: str
+    firing: Firing | None = None
+    signals: int = 0
+    signal_s: tuple[float, float] | None = (0.0, 0.0)
+    burst: OneFrame | None = None
+    period_s: float | None = None
+    oscillator_ppm: float | None = None
+    end_s: tuple[float, float] | None = None
+    no_firing_bound: str = ""
+    no_start_bound: str = ""
+    no_end_bound: str = ""
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class MotionTimes:
+    """Begin and end of a motion, as reported by the hardware.
+
+    Attributes:
+        started_ns: time of its begin [ns]; None: not (yet) reported.
+        ended_ns: time of its end [ns]; None: not (yet) reported.
+        source: origin of the times ("set-point acknowledge and target reached in TPDO 1").
+        latched_ns: time of its start signal on the wire [ns]; None: unknown.
+        straddles: number of signals that separated frames which belong between two signals.
+    """
+
+    started_ns: int | None
+    ended_ns: int | None
+    source: str
+    latched_ns: int | None = None
+    straddles: int = 0
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class PathDeviation:
+    """The deviation of one motor from the common path of its group.
+
+    Attributes:
+        motor: its name.
+        deviation: largest deviation found, either way [rad or m]; None: not measured.
+        source: origin of the positions ("position in TPDO 1, 183h").
+        age_s: maximum time between the instant of comparison and the nearer sample [s], because
+            positions are interpolated; None: not measured.
+        predicted: maximum deviation by rounding to hardware units alone [rad or m].
+    """
+
+    motor: str
+    deviation: float | None
+    source: str
+    age_s: float | None = None
+    predicted: float | None = None
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class SyncCapability:
+    """The synchronization capability of a group, before it moves.
+
+    If a bound is None, the matching text gives the reason.
+
+    Attributes:
+        level: the means of the start; that of the weakest member.
+        command_skew_s: bound on the time between the instants at which the first and the last motor
+            latch their commands [s]; 0 if one signal starts all.
+        start_skew_s: bound on the time between the first and the last start of motion [s].
+        end_skew_s: bound on the time between the first and the last end [s], with the present
+            settings: start skew, error of the drives' clocks in that time, rounding and profile
+            ticks.
+        weakest: the member that limits the level.
+        reason: its reason, in words.
+        no_command_bound: reason if `command_skew_s` is None; else "".
+        no_start_bound: reason if `start_skew_s` is None; else "".
+        no_end_bound: reason if `end_skew_s` is None; else "".
+        path: for phase-synchronised motors with a distance to cover, the deviation of each from the
+            straight line by rounding; else empty.
+    """
+
+    level: SyncLevel
+    command_skew_s: float | None
+    start_skew_s: float | None
+    end_skew_s: float | None
+    weakest: str
+    reason: str
+    no_command_bound: str = ""
+    no_start_bound: str = ""
+    no_end_bound: str = ""
+    path: tuple[PathDeviation, ...] = ()
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class SyncQuality:
+    """The synchronization quality of a group after a start.
+
+    Attributes:
+        predicted_start_skew_s: bound on the start skew, as in `SyncCapability`, for motors with a
+            distance to cover [s]; None without a bound.
+        predicted_end_skew_s: from the profiles as rounded by the hardware [s].
+        start_skew_s: measured time between the first and the last start [s]; None until all are
+            reported. Motors without a distance to cover do not count.
+        end_skew_s: measured time between the first and the last end [s], likewise.
+        times: for each motor its name, and begin and end of its motion with their origin (None: not
+            reported).
+        command_skew_s: time between the start signals on the wire [s]; None until all are reported.
+        path: for each motor its deviation from the common path; empty unless phase-synchronised.
+        straddles: number of signals that separated frames which belong between two signals.
+    """
+
+    predicted_start_skew_s: float | None
+    predicted_end_skew_s: float
+    start_skew_s: float | None
+    end_skew_s: float | None
+    times: tuple[tuple[str, MotionTimes | None], ...]
+    command_skew_s: float | None = None
+    path: tuple[PathDeviation, ...] = ()
+    straddles: int = 0
+
+
+def spread_s(times_ns: Sequence[int | None]) -> float | None:
+    """Return the time between the first and the last [s]; None if one, or all, are missing."""
+    known = [time_ns for time_ns in times_ns if time_ns is not None]
+    if not known or len(known) < len(times_ns):
+        return None
+    return (max(known) - min(known)) / 1e9

@@ -1,0 +1,24 @@
+"""Motor interface, emulated drives, harness and traces under one name.
+
+The names that most programs need are here; each is loaded when it is first used. Everything else is
+in the four packages `motorapi`, `emulators`, `traces` and `harness`.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from motorhil.harness.rig.rig import Rig as Rig
+
+_HOMES = {"Rig": "motorhil.harness.rig.rig"}
+
+
+def __getattr__(name: str) -> object:
+    home = _HOMES.get(name)
+    if home is None:
+        raise AttributeError(f"module 'motorhil' has no attribute {name!r}")
+    return getattr(import_module(home), name)
+
+
+def __dir__() -> list[str]:
+    return sorted([*globals(), *_HOMES])

@@ -1,0 +1,25 @@
+"""Entry point of `python -m motorhil`, the same as `motorhil`."""
+
+import os
+import sys
+import threading
+
+
+def start() -> int:
+    """Run the command line and return its exit status; handle Ctrl-C even during imports."""
+    try:
+        from motorhil.harness.cli.main import main
+    except KeyboardInterrupt:
+        sys.stderr.write("motorhil: interrupted\n")
+        return 130
+    status = main()
+    others = [thread for thread in threading.enumerate() if thread is not threading.main_thread()]
+    if status == 130 and not all(thread.daemon for thread in others):
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(status)  # Python would wait for a thread that cannot be ended
+    return status
+
+
+if __name__ == "__main__":
+    sys.exit(start())

@@ -1,0 +1,1 @@
+"""Decoders from recorded bytes to events."""

@@ -1,0 +1,462 @@
+"""Passive decoder of the CANopen traffic on one bus, into sentences and facts.
+
+It is independent of the emulators and of the motor interface. It knows the objects of CiA 301 and
+402, and of an EDS attached to the recording. It learns the contents of PDOs from the SDO traffic.
+To decode from the middle of a recording, feed it the beginning first.
+
+Source: CiA 301 (pre-defined connection set, NMT, error control, SYNC, TIME, EMCY, SDO, PDO).
+
+CANopen codes in words: NMT commands and states, SDO aborts, emergencies.
+
+Source: CiA 301, network management, SDO abort transfer protocol, emergency error codes; CiA 402-2
+for the emergencies of drives.
+"""
+
+import struct
+from collections.abc import Mapping
+from typing import Final, final
+
+from motorhil.traces.decoding.can_errors import bus_error
+from motorhil.traces.decoding.cia402 import controlword_text, mode_text, statusword_text
+from motorhil.traces.decoding.events import CONTROLLER, FOREIGN, DecodedEvent, Fact, Kind
+from motorhil.traces.decoding.objects import ObjectName, ObjectNames, axis_of, value_of, value_text
+from motorhil.traces.decoding.pdo import PdoKey, PdoMaps
+from motorhil.traces.decoding.sdo import SdoReader, SdoStep, Step
+
+NMT_COMMANDS: Final = {
+    0x01: "start",
+    0x02: "stop",
+    0x80: "enter pre-operational",
+    0x81: "reset node",
+    0x82: "reset communication",
+}
+NMT_STATES: Final = {0x00: "boot-up", 0x04: "stopped", 0x05: "operational", 0x7F: "pre-operational"}
+
+SDO_ABORTS: Final = {
+    0x05030000: "toggle bit not alternated",
+    0x05040000: "SDO protocol timed out",
+    0x05040001: "client/server command specifier not valid or unknown",
+    0x05040002: "invalid block size",
+    0x05040003: "invalid sequence number",
+    0x05040004: "CRC error",
+    0x05040005: "out of memory",
+    0x06010000: "unsupported access to an object",
+    0x06010001: "attempt to read a write only object",
+    0x06010002: "attempt to write a read only object",
+    0x06020000: "object does not exist in the object dictionary",
+    0x06040041: "object cannot be mapped to the PDO",
+    0x06040042: "mapped objects would exceed the PDO's length",
+    0x06040043: "general parameter incompatibility",
+    0x06040047: "general internal incompatibility in the device",
+    0x06060000: "access failed due to a hardware error",
+    0x06070010: "data type does not match, length of service parameter does not match",
+    0x06070012: "data type does not match, length of service parameter too high",
+    0x06070013: "data type does not match, length of service parameter too low",
+    0x06090011: "sub-index does not exist",
+    0x06090030: "invalid value for parameter (download only)",
+    0x06090031: "value of parameter written too high",
+    0x06090032: "value of parameter written too low",
+    0x06090036: "maximum value is less than minimum value",
+    0x060A0023: "resource not available: SDO connection",
+    0x08000000: "general error",
+    0x08000020: "data cannot be transferred or stored to the application",
+    0x08000021: "data cannot be transferred or stored: local control",
+    0x08000022: "data cannot be transferred or stored: present device state",
+    0x08000023: "no object dictionary is present",
+    0x08000024: "no data available",
+}
+
+_EMERGENCIES: Final = {
+    0x0000: "error reset, or no error",
+    0x2310: "continuous over current",
+    0x2320: "short circuit or earth leakage",
+    0x3110: "mains over-voltage",
+    0x3120: "mains under-voltage",
+    0x3210: "DC link over-voltage",
+    0x3220: "DC link under-voltage",
+    0x4210: "excess temperature of the device",
+    0x4310: "excess temperature of the drive",
+    0x5441: "contact 1",
+    0x7122: "motor error or commutation malfunction",
+    0x7305: "incremental sensor 1 fault",
+    0x8110: "CAN overrun",
+    0x8120: "CAN in error passive mode",
+    0x8130: "life guard or heartbeat error",
+    0x8140: "recovered from bus-off",
+    0x8150: "CAN-ID collision",
+    0x8210: "PDO not processed: length error",
+    0x8220: "PDO length exceeded",
+    0x8240: "unexpected SYNC data length",
+    0x8250: "RPDO time-out",
+    0x8400: "velocity speed controller",
+    0x8500: "position controller",
+    0x8611: "following error",
+    0x8612: "reference limit",
+}
+_EMERGENCY_GROUPS: Final = {
+    0x10: "generic error",
+    0x20: "current",
+    0x21: "current, device input side",
+    0x22: "current inside the device",
+    0x23: "current, device output side",
+    0x30: "voltage",
+    0x31: "mains voltage",
+    0x32: "voltage inside the device",
+    0x33: "output voltage",
+    0x40: "temperature",
+    0x41: "ambient temperature",
+    0x42: "device temperature",
+    0x50: "device hardware",
+    0x60: "device software",
+    0x61: "internal software",
+    0x62: "user software",
+    0x63: "data set",
+    0x70: "additional modules",
+    0x80: "monitoring",
+    0x81: "communication",
+    0x82: "protocol error",
+    0x90: "external error",
+    0xF0: "additional functions",
+    0xFF: "device specific",
+}
+
+
+def abort_text(code: int) -> str:
+    """Return an SDO abort code in words."""
+    return SDO_ABORTS.get(code, "a code that is not in CiA 301")
+
+
+def emergency_text(code: int) -> str:
+    """Return an emergency error code in words, or its group's."""
+    found = _EMERGENCIES.get(code) or _EMERGENCY_GROUPS.get(code >> 8)
+    return found or _EMERGENCY_GROUPS.get(code >> 8 & 0xF0, "a code that is not in CiA 301")
+
+
+_EFF: Final = 0x8000_0000
+_RTR: Final = 0x4000_0000
+_ERR: Final = 0x2000_0000
+_HEAD: Final = struct.Struct("<IB")
+_CONTROLWORD: Final = 0x6040
+_STATUSWORD: Final = 0x6041
+_MODE: Final = (0x6060, 0x6061)
+_DRIVES: Final = (402, 0xFFFF)
+"""Low word of the device type 1000h: a drive, or several devices with a profile each."""
+_RESETS: Final = (0x81, 0x82)
+_MOTION: Final = frozenset(
+    (
+        *(0x6042, 0x6043, 0x6044, 0x6062, 0x6063, 0x6064, 0x6069, 0x606B, 0x606C, 0x6071),
+        *(0x6074, 0x6077, 0x6078, 0x6079, 0x607A, 0x60C1, 0x60F4, 0x60FA, 0x60FC, 0x60FF),
+    )
+)
+"""Measured and demanded quantities of CiA 402."""
+SETPOINTS: Final = frozenset((0x607A, 0x60FF, 0x6071, 0x6042, 0x60C1))
+
+
+@final
+class _Node:
+    """The known facts about a node."""
+
+    def __init__(self, name: str, names: ObjectNames) -> None:
+        self.name = name
+        self.names = names
+        self.sdo = SdoReader()
+        self.is_drive = True  # until its device type shows otherwise
+        self.modes: dict[int, int] = {}  # modes of operation by axis
+        self.controlwords: dict[int, int] = {}
+
+    def place(self, index: int) -> tuple[int, int]:
+        """Return axis and index on the first axis; index 0 for device objects of a non-drive."""
+        return axis_of(index) if self.is_drive or index < 0x6000 else (1, 0)
+
+    def name_of(self, index: int, subindex: int) -> ObjectName:
+        """Return an object's name; from 6000h on by CiA 402 only if this is a drive."""
+        return self.names.of(index, subindex, self.is_drive)
+
+
+@final
+class CanopenDecoder:
+    """Decoder of one bus; frames must be passed in recorded order."""
+
+    def __init__(
+        self,
+        node_names: Mapping[int, str] | None = None,
+        objects: Mapping[int, ObjectNames] | None = None,
+    ) -> None:
+        """Create a decoder with the names of nodes and the objects of those with an EDS."""
+        self.maps = PdoMaps()
+        self._node_names = dict(node_names or {})
+        self._objects = dict(objects or {})
+        self._standard = ObjectNames()
+        self._nodes: dict[int, _Node] = {}
+        for node, names in self._objects.items():
+            self._learn_defaults(node, names)
+
+    def decode(self, frame: bytes, sender: str = "") -> DecodedEvent:
+        """Decode a can_frame or canfd_frame; `sender` is the origin of an error message."""
+        can_id, length = _HEAD.unpack_from(frame)
+        if can_id & _ERR:
+            return self._bus_error(frame, sender)
+        data = frame[8 : 8 + length]
+        identifier = can_id & 0x1FFF_FFFF
+        if len(frame) != 16:
+            return _flexible(identifier, data, can_id, frame[5])
+        if can_id & (_EFF | _RTR):
+            return _other(identifier, data, can_id)
+        node, function = identifier & 0x7F, identifier >> 7
+        if identifier == 0:
+            return self._nmt(data)
+        for key in self.maps.of(identifier):  # a PDO has its own identifier, wherever that is
+            return self._pdo(identifier, key, data)
+        if len(data) < 2 and self.maps.is_sync(identifier):
+            counter = f" {data[0]}" if data else ""
+            return DecodedEvent(Kind.SYNC, None, f"SYNC{counter}")
+        if identifier == 0x100:
+            return DecodedEvent(Kind.TIME, None, _time_text(data))
+        if function == 1 and len(data) == 8:
+            return self._emergency(node, data)
+        if function in (11, 12) and node:
+            return self._sdo(node, data, function == 11)
+        if function == 14 and node and len(data) == 1:
+            return self._heartbeat(node, data[0])
+        return _other(identifier, data, can_id)
+
+    def forget_transfers(self) -> None:
+        """Abandon all SDO transfers in progress, because frames are missing from here on."""
+        for node in self._nodes.values():
+            node.sdo = SdoReader()
+
+    def _node(self, number: int) -> _Node:
+        found = self._nodes.get(number)
+        if found is None:
+            name = self._node_names.get(number)
+            found = self._nodes[number] = _Node(
+                f"node {number}" if name is None else f"{name} ({number})",
+                self._objects.get(number, self._standard),
+            )
+        return found
+
+    def _forget(self, number: int) -> None:
+        """Reset a node: its PDOs are those of its EDS, or unknown."""
+        node = self._node(number)
+        node.modes, node.controlwords, node.sdo = {}, {}, SdoReader()
+        self.maps.forget(number)
+        self._learn_defaults(number, node.names)
+
+    def _learn_defaults(self, node: int, names: ObjectNames) -> None:
+        """Learn the default PDOs of an EDS."""
+        for (index, subindex), text in names.defaults.items():
+            if not 0x1400 <= index < 0x1C00:
+                continue
+            plain = text.upper().replace(" ", "").replace("$NODEID", str(node))
+            try:
+                value = sum(int(part, 0) for part in plain.split("+"))
+            except ValueError:
+                continue
+            self.maps.learn(node, index, subindex, value)
+
+    def _bus_error(self, frame: bytes, sender: str) -> DecodedEvent:
+        node = next((n for n, name in self._node_names.items() if name == sender), None)
+        who = sender if node is None else self._node(node).name
+        whose = f" of {who}" if who else ""
+        told = bus_error(frame)
+        words = told.text + told.counted
+        # The counters are not part of the value: two runs can differ in them and mean the same.
+        subject, value = f"{CONTROLLER}'s errors", told.text
+        if told.state is not None:
+            subject, value = CONTROLLER, told.state.value
+        fact = Fact(subject if node is not None else subject + whose, value, words)
+        return DecodedEvent(Kind.BUS_ERROR, node, f"error frame{whose}: {words}", (fact,))
+
+    # ---------------------------------------------------------------------------- services
+
+    def _nmt(self, data: bytes) -> DecodedEvent:
+        if len(data) < 2:
+            return DecodedEvent(Kind.NMT, None, f"NMT command of {len(data)} bytes instead of 2")
+        command = NMT_COMMANDS.get(data[0], f"unknown command {data[0]:02X}h")
+        node = data[1] or None
+        whom = "all nodes" if node is None else self._node(node).name
+        fact = Fact("NMT command", data[0], command, told_to=True)
+        if data[0] in _RESETS:
+            for number in list(self._nodes) if node is None else [node]:
+                self._forget(number)
+        return DecodedEvent(Kind.NMT, node, f"NMT to {whom}: {command}", (fact,))
+
+    def _heartbeat(self, node: int, state: int) -> DecodedEvent:
+        name = self._node(node).name
+        if state == 0:
+            self._forget(node)
+            fact = Fact("NMT state", 0, "boot-up")
+            return DecodedEvent(Kind.BOOT, node, f"{name} has booted", (fact,))
+        text = NMT_STATES.get(state & 0x7F, f"state {state & 0x7F:02X}h, unknown")
+        fact = Fact("NMT state", state & 0x7F, text)
+        return DecodedEvent(Kind.HEARTBEAT, node, f"{name} is {text}", (fact,))
+
+    def _emergency(self, node: int, data: bytes) -> DecodedEvent:
+        code = int.from_bytes(data[0:2], "little")
+        name = self._node(node).name
+        text = f"{code:04X}h {emergency_text(code)}, error register {data[2]:02X}h"
+        rest = f", manufacturer's {data[3:].hex(' ').upper()}" if any(data[3:]) else ""
+        fact = Fact("emergency", data, text)
+        return DecodedEvent(Kind.EMERGENCY, node, f"{name} emergency {text}{rest}", (fact,))
+
+    # --------------------------------------------------------------------------------- SDO
+
+    def _sdo(self, number: int, data: bytes, from_server: bool) -> DecodedEvent:
+        node = self._node(number)
+        step = node.sdo.read(data, from_server)
+        kind = Kind.SDO_RESPONSE if from_server else Kind.SDO_REQUEST
+        if step.step is Step.NONE:
+            return DecodedEvent(
+                kind, number, f"{node.name} SDO, not understood: {data.hex(' ').upper()}"
+            )
+        facts: tuple[Fact, ...] = ()
+        if step.whole is not None and step.index is not None and step.subindex is not None:
+            facts = self._object(number, step.index, step.subindex, step.whole, not step.upload)
+        elif step.step is Step.ABORT:
+            what = "read" if step.upload else "write"
+            subject = f"{what} of {place_text(step.index or 0, step.subindex or 0)} aborted"
+            facts = (Fact(subject, step.abort_code, abort_text(step.abort_code)),)
+        text = self._sdo_text(node, step, from_server)
+        return DecodedEvent(kind, number, text, facts, step.index, step.subindex)
+
+    def _sdo_text(self, node: _Node, step: SdoStep, from_server: bool) -> str:
+        if step.index is None or step.subindex is None:
+            what, kind = "an object (the beginning was not recorded)", ""
+        else:
+            name = node.name_of(step.index, step.subindex)
+            what = f"{place_text(step.index, step.subindex)} {name.text}".strip()
+            kind = name.kind
+        who = f"SDO {node.name}" if from_server else f"SDO to {node.name}"
+        if step.step is Step.ABORT:
+            return f"{who}: abort of {what}: {abort_text(step.abort_code)} ({step.abort_code:08X}h)"
+        value = ""
+        if step.step in (Step.UPLOADED, Step.DOWNLOAD) and step.index is not None:
+            value = " = " + self._value_text(node, step.index, kind, step.data)
+        elif step.data:
+            value = f": {step.data.hex(' ').upper()}"
+        if step.step is Step.SEGMENT_UPLOADED and step.whole is not None and step.index:
+            value += "; whole = " + self._value_text(node, step.index, kind, step.whole)
+        size = "" if step.size is None else f", {step.size} bytes"
+        word = {Step.ASK_UPLOAD: "read", Step.DOWNLOAD: "write", Step.UPLOADED: ""}.get(
+            step.step, step.step.value
+        )
+        return f"{who}: {f'{word} {what}'.strip()}{value}{size}"
+
+    def _object(
+        self, number: int, index: int, subindex: int, data: bytes, told_to: bool
+    ) -> tuple[Fact, ...]:
+        """Return the facts of an object's value, and learn from it."""
+        node = self._node(number)
+        name = node.name_of(index, subindex)
+        value = value_of(name.kind, data)
+        axis, first = node.place(index)
+        if isinstance(value, int):
+            self.maps.learn(number, index, subindex, value)
+            if index == 0x1000:
+                node.is_drive = value & 0xFFFF in _DRIVES
+            if first in _MODE and value:
+                node.modes[axis] = value
+        text = self._value_text(node, index, name.kind, data)
+        if first == _CONTROLWORD and told_to and isinstance(value, int):
+            node.controlwords[axis] = value
+        subject = f"{place_text(index, subindex)} {name.text}".strip()
+        # A set-point by SDO is an ordinary command; a stream of set-points is motion.
+        return (Fact(subject, value, text, told_to, first in _MOTION and not told_to),)
+
+    @staticmethod
+    def _value_text(node: _Node, index: int, kind: str, data: bytes) -> str:
+        value = value_of(kind, data)
+        axis, first = node.place(index)
+        if isinstance(value, int):
+            mode = node.modes.get(axis, 0)
+            if first == _CONTROLWORD:
+                words = controlword_text(value, mode, node.controlwords.get(axis))
+                return f"{value:04X}h {words}"
+            if first == _STATUSWORD:
+                return f"{value:04X}h {statusword_text(value, mode)}"
+            if first in _MODE:
+                return f"{value} {mode_text(value)}"
+            if first == 0x603F:
+                return f"{value:04X}h {emergency_text(value)}"
+        return value_text(kind, data)
+
+    # --------------------------------------------------------------------------------- PDO
+
+    def _pdo(self, identifier: int, key: PdoKey, data: bytes) -> DecodedEvent:
+        number, transmitted, which = key
+        kind = Kind.TPDO if transmitted else Kind.RPDO
+        keys = [key] if transmitted else self.maps.of(identifier)
+        parts: list[str] = []
+        facts: list[Fact] = []
+        for one in keys:
+            node, _, which = one
+            objects = self.maps.objects(one)
+            name = self._node(node).name
+            what = f"{name} TPDO {which}" if transmitted else f"RPDO {which} to {name}"
+            if objects is None:
+                told = data.hex(" ").upper() or "no data"
+                unknown = Fact(f"{'T' if transmitted else 'R'}PDO {which}", data, told)
+                facts.append(unknown)
+                parts.append(f"{what}: {told} (its mapping is not in the recording)")
+                continue
+            values = self._mapped(node, objects, data, not transmitted)
+            parts.append(f"{what}: " + ", ".join(f"{f.subject} = {f.text}" for f in values))
+            facts += values
+        return DecodedEvent(
+            kind, number if len(keys) == 1 else None, "; ".join(parts), tuple(facts)
+        )
+
+    def _mapped(
+        self, number: int, objects: list[tuple[int, int, int]], data: bytes, told_to: bool
+    ) -> list[Fact]:
+        facts: list[Fact] = []
+        raw = int.from_bytes(data, "little")
+        at = 0
+        for index, subindex, bits in objects:
+            if at + bits > 8 * len(data):
+                facts.append(
+                    Fact(place_text(index, subindex), b"", "missing: the PDO is too short")
+                )
+                break
+            value = raw >> at & (1 << bits) - 1
+            at += bits
+            if index < 0x20:
+                continue  # a dummy object
+            part = value.to_bytes((bits + 7) // 8, "little")
+            (fact,) = self._object(number, index, subindex, part, told_to)
+            motion = fact.motion or self._node(number).place(index)[1] in SETPOINTS
+            facts.append(Fact(fact.subject, fact.value, fact.text, told_to, motion))
+        return facts
+
+
+def place_text(index: int, subindex: int) -> str:
+    """Return the notation of an object: 6041h, or 1018h:1."""
+    return f"{index:04X}h:{subindex}" if subindex else f"{index:04X}h"
+
+
+def _time_text(data: bytes) -> str:
+    if len(data) != 6:
+        return f"TIME of {len(data)} bytes instead of 6"
+    milliseconds, days = struct.unpack("<IH", data)
+    return f"TIME {(milliseconds & 0xFFF_FFFF) / 1000:.3f} s after midnight, day {days} from 1984"
+
+
+def _flexible(identifier: int, data: bytes, can_id: int, flags: int) -> DecodedEvent:
+    """Decode a CAN FD frame, which belongs to no classical CANopen service."""
+    what = f"{_foreign(identifier, can_id)} CAN FD"
+    marks = "".join(f" {name}" for bit, name in ((1, "BRS"), (2, "ESI")) if flags & bit)
+    told = data.hex(" ").upper() or "no data"
+    text = f"{what}{marks}, {len(data)} bytes: {told}"
+    return DecodedEvent(Kind.OTHER, None, text, (Fact(what, data, told),))
+
+
+def _foreign(identifier: int, can_id: int) -> str:
+    return f"{FOREIGN}{identifier:0{8 if can_id & _EFF else 3}X}h"
+
+
+def _other(identifier: int, data: bytes, can_id: int) -> DecodedEvent:
+    what = _foreign(identifier, can_id)
+    if can_id & _RTR:
+        return DecodedEvent(Kind.OTHER, None, f"{what} remote frame")
+    told = data.hex(" ").upper() or "no data"
+    return DecodedEvent(Kind.OTHER, None, f"{what}: {told}", (Fact(what, data, told),))

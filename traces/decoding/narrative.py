@@ -1,0 +1,229 @@
+"""A recording in words: frames, ADUs, locks, groups and events in order."""
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from typing import Final, final
+
+from motorhil.traces.decoding.canopen import CanopenDecoder
+from motorhil.traces.decoding.events import DecodedEvent, Kind
+from motorhil.traces.decoding.modbus import ModbusDecoder, adu_of
+from motorhil.traces.decoding.objects import RecordedNames, names_of
+from motorhil.traces.formats.frames import FrameDecoder
+from motorhil.traces.mcap.protobuf import Value, decode
+from motorhil.traces.mcap.reader import Trace, TraceMessage, telling
+from motorhil.traces.schema import (
+    CAN_FRAME,
+    GROUP_SYNC,
+    LOG,
+    MODBUS_ADU,
+    MOTOR_LOCK,
+    Direction,
+    Level,
+    LockAction,
+)
+
+PREAMBLE_NS: Final = 5_000_000_000
+PREAMBLE_MAX: Final = 50_000
+_ID_MASK: Final = 0x1FFF_FFFF
+_LOCK_WORDS: Final = {
+    LockAction.TAKEN: "takes {motor}",
+    LockAction.RELEASED: "releases {motor}",
+    LockAction.WAITING: "waits for {motor}",
+    LockAction.REFUSED: "is refused {motor}",
+    LockAction.BROKEN: "takes {motor} from a dead owner",
+    LockAction.TAKEN_OVER: "takes {motor} over",
+    LockAction.LOST: "has lost {motor}",
+}
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Line:
+    """One message of a recording in words.
+
+    Attributes:
+        time_ns: log time.
+        topic: of the message.
+        place: the name in the topic: the bus, line, motor or group; "events".
+        text: a sentence.
+        said: the decoded content; None: not traffic.
+        identifier: of a CAN frame; else None.
+        names: names of the motors and controllers concerned.
+        values: the message's own fields; none for a CAN frame.
+    """
+
+    time_ns: int
+    topic: str
+    place: str
+    text: str
+    said: DecodedEvent | None = None
+    identifier: int | None = None
+    names: tuple[str, ...] = ()
+    values: tuple[tuple[str, Value], ...] = ()
+
+
+@final
+class Story:
+    """Describes an open recording in words; read it from front to back (decoders have state)."""
+
+    def __init__(self, trace: Trace) -> None:
+        self.names: RecordedNames = names_of(trace.attachments)
+        self._trace = trace
+        self._has_learned = False
+        self._buses: dict[str, CanopenDecoder] = {}
+        self._lines: dict[str, ModbusDecoder] = {}
+        self._decode_frame = FrameDecoder().decode
+        self._motors = {place: name for name, place in self.names.motors.items()}
+
+    def lines(self, from_ns: int | None = None, to_ns: int | None = None) -> Iterator[Line]:
+        """Yield the messages of a span in words, without motion and plants (which need plots).
+
+        If the span begins later, the contents of PDOs are first learned from the recording's
+        beginning: its first `PREAMBLE_NS`, at most `PREAMBLE_MAX` frames.
+
+        Raises:
+            TraceError: the recording is damaged.
+        """
+        if from_ns is not None:
+            self._learn(from_ns)
+        yield from self._told(self._trace.messages(None, from_ns, to_ns))
+
+    def more_lines(self, from_ns: int | None = None, to_ns: int | None = None) -> Iterator[Line]:
+        """Yield the lines written since the last call (`Trace.grow`), like `lines`."""
+        if from_ns is not None and not self._has_learned:
+            self._learn(from_ns)
+        self._has_learned = True
+        for line in self._told(self._trace.more_messages(from_ns)):
+            if (from_ns is None or line.time_ns >= from_ns) and (
+                to_ns is None or line.time_ns < to_ns
+            ):
+                yield line
+
+    def _told(self, messages: Iterable[TraceMessage]) -> Iterator[Line]:
+        for message in messages:
+            line = self.line(message)
+            if line is not None:
+                yield line
+
+    def line(self, message: TraceMessage) -> Line | None:
+        """Return one message in words; None for a kind that is not described."""
+        channel, time_ns, payload = message
+        topic = channel.topic
+        schema = channel.schema.name if channel.schema is not None else ""
+        parts = topic.strip("/").split("/")
+        place = parts[1] if len(parts) > 1 else parts[0]
+        try:
+            if schema == CAN_FRAME.name:
+                return self._can(time_ns, topic, place, payload)
+            if schema == MODBUS_ADU.name:
+                return self._modbus(time_ns, topic, place, decode(MODBUS_ADU, payload))
+            if schema in _PLAIN:
+                table, tell = _PLAIN[schema]
+                fields = decode(table, payload)
+                text, names = tell(place, fields)
+                return Line(
+                    *(time_ns, topic, place, text),
+                    names=names,
+                    values=tuple(fields.items()),
+                )
+        except ValueError as error:
+            return Line(time_ns, topic, place, f"unreadable message: {error}")
+        return None
+
+    def _learn(self, from_ns: int) -> None:
+        begins_ns, _ = self._trace.span_ns() or (0, 0)
+        until_ns = min(from_ns, begins_ns + PREAMBLE_NS)
+        for message in telling(self._trace.messages(None, None, until_ns), PREAMBLE_MAX):
+            self.line(message)
+        for bus in self._buses.values():
+            bus.forget_transfers()
+        for line in self._lines.values():
+            line.forget_requests()
+
+    def _can(self, time_ns: int, topic: str, bus: str, payload: bytes) -> Line:
+        decoder = self._buses.get(bus)
+        if decoder is None:
+            nodes = {n: name for (b, n), name in self.names.nodes.items() if b == bus}
+            objects = {n: names for (b, n), names in self.names.objects.items() if b == bus}
+            decoder = self._buses[bus] = CanopenDecoder(nodes, objects)
+        frame, _, sender = self._decode_frame(payload)
+        said = decoder.decode(frame, sender)
+        identifier = None  # None for an error message: its bits are not an identifier
+        if said.kind is not Kind.BUS_ERROR:
+            identifier = int.from_bytes(frame[:4], "little") & _ID_MASK
+        return Line(time_ns, topic, bus, said.text, said, identifier, self._about(bus, said.node))
+
+    def _modbus(self, time_ns: int, topic: str, name: str, fields: dict[str, Value]) -> Line:
+        decoder = self._lines.get(name)
+        if decoder is None:
+            units = {n: c for (b, n), c in self.names.nodes.items() if b == name}
+            decoder = self._lines[name] = ModbusDecoder(units)
+        data = fields.get("data", b"")
+        assert isinstance(data, bytes)
+        sender = str(fields.get("sender", ""))
+        to_server = fields.get("direction") == Direction.TRANSMITTED
+        adu, problem = adu_of(time_ns, data, tcp=bool(fields.get("tcp")), to_server=to_server)
+        if fields.get("spoiled"):
+            adu, problem = None, "it was corrupted on the line"
+        if adu is None:
+            text = f"Modbus, not an ADU ({problem}): {data.hex(' ').upper()}"
+            return Line(time_ns, topic, name, text)
+        if not to_server and sender:
+            decoder.call(adu.unit, sender)
+            self.names.nodes.setdefault((name, adu.unit), sender)
+        said = decoder.decode(adu)
+        return Line(time_ns, topic, name, said.text, said, None, self._about(name, said.node))
+
+    def _about(self, bus: str, node: int | None) -> tuple[str, ...]:
+        """Return the motor and the controller of a node."""
+        if node is None:
+            return ()
+        controller = self.names.nodes.get((bus, node))
+        motor = self._motors.get((bus, node))
+        return tuple(dict.fromkeys(name for name in (motor, controller) if name is not None))
+
+
+def _lock(motor: str, fields: dict[str, Value]) -> tuple[str, tuple[str, ...]]:
+    number = fields.get("action", 0)
+    action = next((one for one in LockAction if one == number), LockAction.UNKNOWN)
+    words = _LOCK_WORDS.get(action, "takes an unknown action on {motor}").format(motor=motor)
+    text = f"{_text(fields, 'owner') or 'unknown owner'} {words}"
+    if fields.get("holder"):
+        text += f", held by {_text(fields, 'holder')}"
+    waited, held = fields.get("waited_s", 0.0), fields.get("held_s", 0.0)
+    if isinstance(waited, float) and waited:
+        text += f", after waiting {waited:.3f} s"
+    if isinstance(held, float) and held and action is LockAction.RELEASED:
+        text += f", after {held:.3f} s"
+    return text, (motor,)
+
+
+def _sync(group: str, fields: dict[str, Value]) -> tuple[str, tuple[str, ...]]:
+    motors = fields.get("motor", [])
+    assert isinstance(motors, list)
+    skew = fields.get("skew_s")
+    word = "begins together" if fields.get("phase") == 1 else "has ended"
+    told = f", {float(skew) * 1e3:.3f} ms apart" if isinstance(skew, float) else ""
+    method = f" ({_text(fields, 'method')})" if fields.get("method") else ""
+    return f"group {group} {word}{told}{method}: {', '.join(motors)}", tuple(motors)
+
+
+def _log(_: str, fields: dict[str, Value]) -> tuple[str, tuple[str, ...]]:
+    number = fields.get("level", 0)
+    level = next((one.name.lower() for one in Level if one == number), "unknown")
+    who = _text(fields, "name")
+    told = f"{level}, {who}: " if who else f"{level}: "
+    return told + _text(fields, "message"), (who,) if who else ()
+
+
+def _text(fields: dict[str, Value], name: str) -> str:
+    """Return a text field; empty if it is absent."""
+    value = fields.get(name)
+    return value if isinstance(value, str) else ""
+
+
+_PLAIN: Final = {
+    MOTOR_LOCK.name: (MOTOR_LOCK, _lock),
+    GROUP_SYNC.name: (GROUP_SYNC, _sync),
+    LOG.name: (LOG, _log),
+}

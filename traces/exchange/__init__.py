@@ -1,0 +1,1 @@
+"""Exchanges between host and device, extracted from recordings."""

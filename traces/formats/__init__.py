@@ -1,0 +1,1 @@
+"""Foreign recording formats."""

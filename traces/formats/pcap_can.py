@@ -1,0 +1,109 @@
+"""CAN frames in packet captures of SocketCAN; reads pcap and pcapng, writes pcapng.
+
+Linux's frames with the identifier in network byte order are link type 227. In captures of "any" or
+cooked ones they follow a head. Only pcapng contains a packet's interface and direction; only our
+files contain the sender.
+
+Source: LINKTYPE_CAN_SOCKETCAN, LINKTYPE_LINUX_SLL, tcpdump.org; draft-ietf-opsawg-pcapng.
+"""
+
+import struct
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import BinaryIO, Final
+
+from motorhil.traces.formats import frames as traffic
+from motorhil.traces.formats.frames import Findings, Frame
+from motorhil.traces.formats.pcap import MAGIC, Capture, Origin, Packet, PcapngWriter, origins
+from motorhil.traces.schema import Direction
+
+_SOCKETCAN: Final = 227
+_COOKED: Final = 113
+_COOKED_2: Final = 276
+_PROTOCOLS: Final = (0x000C, 0x000D)  # ETH_P_CAN, ETH_P_CANFD
+_HEAD: Final = struct.Struct(">IBB2x")
+
+
+def is_capture(head: bytes) -> bool:
+    """Return True if a file with this beginning is a capture."""
+    return head[:4] in (
+        MAGIC,
+        b"\xd4\xc3\xb2\xa1",
+        b"\xa1\xb2\xc3\xd4",
+        b"\x4d\x3c\xb2\xa1",
+        b"\xa1\xb2\x3c\x4d",
+    )
+
+
+def captured_frames(path: str, findings: Findings) -> Iterator[Frame]:
+    """Yield the CAN frames of a capture in order; other packets are counted in a note.
+
+    Raises:
+        TraceError: the file cannot be read, or is not a capture.
+    """
+    capture = Capture(path)
+    told = origins(Path(path).read_bytes())
+    nothing = Origin("can0", Direction.UNKNOWN)
+    others = 0
+    for packet in capture.packets():
+        origin = next(told, nothing)
+        try:
+            content, direction = _can_part(packet)
+            if content is None:
+                others += 1
+                continue
+            frame = _frame(content, packet.missing)
+        except ValueError as error:
+            findings.problem(packet.number, f"{error}, in packet {packet.number}")
+            continue
+        if packet.time_ns == 0:
+            findings.unstamped += 1
+        way = origin.direction or direction
+        yield Frame(packet.time_ns, origin.interface, frame, way, origin.sender or "")
+    if others:
+        findings.note(f"{others} packets are not CAN frames, and are omitted")
+    for problem in capture.problems:
+        findings.problem(0, problem.removeprefix(f"{path}: "))
+
+
+def _can_part(packet: Packet) -> tuple[bytes | None, Direction]:
+    """Return Linux's frame in a packet, or None, and the direction of a cooked one."""
+    data = packet.data
+    if packet.link_type == _SOCKETCAN:
+        return data, Direction.UNKNOWN
+    if packet.link_type == _COOKED and len(data) >= 16:
+        kind, protocol, size = int.from_bytes(data[:2], "big"), data[14:16], 16
+    elif packet.link_type == _COOKED_2 and len(data) >= 20:
+        kind, protocol, size = data[10], data[:2], 20
+    else:
+        return None, Direction.UNKNOWN
+    if int.from_bytes(protocol, "big") not in _PROTOCOLS:
+        return None, Direction.UNKNOWN
+    return data[size:], Direction.TRANSMITTED if kind == 4 else Direction.RECEIVED
+
+
+def _frame(content: bytes, missing: int) -> bytes:
+    if len(content) < 8:
+        raise ValueError(f"{len(content)} bytes are not a CAN frame")
+    can_id, length, flags = _HEAD.unpack_from(content)
+    fd = bool(flags & traffic.FDF) or len(content) > 16
+    data = content[8 : 8 + length]
+    if can_id & traffic.RTR:
+        return traffic.remote(can_id & ~traffic.RTR, length)
+    if len(data) < length:
+        cut = ", which were not captured" if missing else ""
+        raise ValueError(f"{len(data)} of {length} bytes{cut}")
+    return traffic.flexible(can_id, flags, data) if fd else traffic.classic(can_id, data)
+
+
+def write_pcapng(file: BinaryIO, buses: Sequence[str], frames: Iterator[Frame]) -> None:
+    """Write a pcapng file with nanoseconds, one interface per bus."""
+    writer = PcapngWriter(file)
+    which = {bus: writer.interface(_SOCKETCAN, bus) for bus in buses}
+    for time_ns, bus, frame, direction, sender in frames:
+        told = traffic.fields(frame)
+        size = 8 if told.can_id & traffic.RTR else 8 + told.length
+        content = _HEAD.pack(told.can_id, told.length, told.flags) + frame[8:size]
+        if not told.fd:
+            content = content.ljust(16, b"\0")
+        writer.packet(which[bus], time_ns, content, direction, sender or None)

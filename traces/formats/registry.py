@@ -1,0 +1,342 @@
+"""Formats of CAN traffic: detection by content, reading, writing, and features.
+
+File endings are ignored on reading, because people keep candump's rows in .txt and .log alike.
+
+CAN traffic in our recordings: reading and writing.
+"""
+
+import os
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from enum import Flag, auto
+from io import TextIOBase, TextIOWrapper
+from pathlib import Path
+from typing import BinaryIO, Final, final
+
+from motorhil.traces.errors import TraceError
+from motorhil.traces.formats import asc, blf, candump, trc
+from motorhil.traces.formats import blf as blf_writing
+from motorhil.traces.formats import candump as sd_rows
+from motorhil.traces.formats import csv as csv_traffic
+from motorhil.traces.formats import pcap_can as socketcan_pcap
+from motorhil.traces.formats.frames import (
+    ERR,
+    RTR,
+    Findings,
+    Frame,
+    FrameDecoder,
+    LineReader,
+    bus_number,
+    one_word,
+    read_lines,
+)
+from motorhil.traces.mcap.reader import Trace, read_trace, refuse_pipe
+from motorhil.traces.mcap.records import MAGIC
+from motorhil.traces.mcap.writer import Entry, TraceWriter
+from motorhil.traces.schema import CAN_FRAME, Direction, Schema
+
+_PREFIX: Final = "/can/"
+_BATCH: Final = 8192
+
+
+def recorded_frames(trace: Trace, findings: Findings) -> Iterator[Frame]:
+    """Yield the CAN frames of a recording in written order; other messages become notes.
+
+    Raises:
+        TraceError: a chunk is damaged.
+    """
+    left_out: dict[str, int] = {}
+    known: dict[int, str | None] = {}
+    decode = FrameDecoder().decode
+    for number, (channel, time_ns, payload) in enumerate(trace.messages(), 1):
+        bus = known.get(channel.number, "")
+        if bus == "":
+            ours = channel.schema is not None and channel.schema.name == CAN_FRAME.name
+            bus = channel.topic.removeprefix(_PREFIX) if ours else None
+            known[channel.number] = bus
+        if bus is None:
+            left_out[channel.topic] = left_out.get(channel.topic, 0) + 1
+            continue
+        try:
+            frame, direction, sender = decode(payload)
+        except ValueError as error:
+            findings.problem(number, f"{channel.topic}: {error}")
+            continue
+        yield Frame(time_ns, bus, frame, direction, sender)
+    for topic, count in left_out.items():
+        findings.note(f"{topic}: {count} messages are not CAN frames, and are omitted")
+    if trace.cut is not None and trace.cut.messages_missing:
+        findings.problem(0, str(trace.cut))
+
+
+def record_frames(
+    target: str | os.PathLike[str], frames: Iterable[Frame], metadata: dict[str, dict[str, str]]
+) -> tuple[str, ...]:
+    """Record these frames in this order; return the buses.
+
+    Raises:
+        TraceError: the recording cannot be written.
+    """
+    with TraceWriter(target, metadata) as writer:
+        channels: dict[str, int] = {}
+        sources: dict[tuple[str, str, Direction], int] = {}
+        entries: list[Entry] = []
+        schema = Schema.of(CAN_FRAME)
+        for time_ns, bus, frame, direction, sender in frames:
+            key = (bus, sender, direction)
+            source = sources.get(key)
+            if source is None:
+                if bus not in channels:
+                    channels[bus] = writer.channel(_PREFIX + bus, schema)
+                source = sources[key] = writer.source(channels[bus], sender, direction)
+            entries.append((source, time_ns, frame))
+            if len(entries) >= _BATCH:
+                writer.extend(entries)
+                entries = []
+        writer.extend(entries)
+    return tuple(channels)
+
+
+_HEAD_BYTES: Final = 1 << 16
+_HEAD_LINES: Final = 200
+
+
+@final
+class Feature(Flag):
+    """A feature of a recording that a format may be unable to store."""
+
+    NANOSECONDS = auto()  # stamps finer than a microsecond
+    BUS_NAMES = auto()  # names other than can0, can1, ...
+    BLANKS = auto()  # blanks and unprintable characters in bus names
+    DIRECTION = auto()  # sent or received
+    UNDIRECTED = auto()  # an unknown direction
+    SENDER = auto()
+    REMOTE = auto()  # and the number of bytes requested
+    FD = auto()  # with BRS and ESI
+    ERROR_FRAMES = auto()  # and their contents
+
+
+IN_WORDS: Final = {
+    Feature.NANOSECONDS: "what is below 1 us in a stamp",
+    Feature.BUS_NAMES: "bus names other than canN",
+    Feature.BLANKS: "blanks in bus names",
+    Feature.DIRECTION: "which frames were sent",
+    Feature.UNDIRECTED: "that a direction is not known",
+    Feature.SENDER: "who sent a frame",
+    Feature.REMOTE: "remote frames",
+    Feature.FD: "CAN FD",
+    Feature.ERROR_FRAMES: "what error frames tell",
+}
+_ALL: Final = ~Feature(0)
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Format:
+    """A format that can be written.
+
+    Attributes:
+        name: its name.
+        ending: the ending of file names.
+        holds: the features it can store.
+        write: its writer.
+    """
+
+    name: str
+    ending: str
+    holds: Feature
+    write: "Callable[[BinaryIO, Survey, Iterator[Frame]], None]"
+
+
+@final
+class Survey:
+    """Features, buses and first times of frames, collected in one pass."""
+
+    def __init__(self) -> None:
+        self.buses: list[str] = []
+        self.first_ns = 0
+        self.lowest_ns = 0
+        self.frames = 0
+        self.counts: dict[Feature, int] = {}
+
+    @property
+    def places(self) -> int:
+        """Decimal places of a second: 6, or 9 if necessary."""
+        return 9 if Feature.NANOSECONDS in self.counts else 6
+
+    def add(self, frame: Frame) -> None:
+        """Include this frame."""
+        time_ns, bus, data, direction, sender = frame
+        if not self.frames:
+            self.first_ns = self.lowest_ns = time_ns
+        self.frames += 1
+        self.lowest_ns = min(self.lowest_ns, time_ns)
+        if bus not in self.buses:
+            self.buses.append(bus)
+        can_id = int.from_bytes(data[:4], "little")
+        if time_ns % 1000:
+            self._count(Feature.NANOSECONDS)
+        if bus_number(bus) is None:
+            self._count(Feature.BUS_NAMES)
+            if one_word(bus) != bus:
+                self._count(Feature.BLANKS)
+        if direction != Direction.RECEIVED:
+            self._count(Feature.DIRECTION if direction else Feature.UNDIRECTED)
+        if sender:
+            self._count(Feature.SENDER)
+        if can_id & RTR:
+            self._count(Feature.REMOTE)
+        if len(data) > 16:
+            self._count(Feature.FD)
+        if can_id & ERR:
+            self._count(Feature.ERROR_FRAMES)
+
+    def _count(self, feature: Feature) -> None:
+        self.counts[feature] = self.counts.get(feature, 0) + 1
+
+
+def _write_candump(file: BinaryIO, survey: Survey, frames: Iterator[Frame]) -> None:
+    places = survey.places
+    with _as_text(file) as text:
+        text.writelines(candump.log_row(frame, places) for frame in frames)
+
+
+def _write_plain(file: BinaryIO, survey: Survey, frames: Iterator[Frame]) -> None:
+    places = survey.places
+    with _as_text(file) as text:
+        text.writelines(candump.plain_row(frame, places) for frame in frames)
+
+
+def _write_trc(file: BinaryIO, survey: Survey, frames: Iterator[Frame]) -> None:
+    with _as_text(file) as text:
+        trc.write_trc(text, survey.buses, survey.lowest_ns, frames)
+
+
+def _write_asc(file: BinaryIO, survey: Survey, frames: Iterator[Frame]) -> None:
+    with _as_text(file) as text:
+        asc.write_asc(text, survey.buses, survey.lowest_ns, survey.places, frames)
+
+
+def _write_csv(file: BinaryIO, survey: Survey, frames: Iterator[Frame]) -> None:
+    with _as_text(file) as text:
+        csv_traffic.write_csv(text, survey.places, frames)
+
+
+def _write_blf(file: BinaryIO, survey: Survey, frames: Iterator[Frame]) -> None:
+    blf_writing.write_blf(file, survey.buses, survey.lowest_ns, frames)
+
+
+def _write_pcapng(file: BinaryIO, survey: Survey, frames: Iterator[Frame]) -> None:
+    socketcan_pcap.write_pcapng(file, survey.buses, frames)
+
+
+@contextmanager
+def _as_text(file: BinaryIO) -> Iterator[TextIOBase]:
+    text = TextIOWrapper(file, encoding="utf-8", newline="")
+    yield text
+    text.flush()
+    text.detach()
+
+
+_NAMES: Final = Feature.BUS_NAMES | Feature.BLANKS
+_NUMBERED: Final = _NAMES | Feature.UNDIRECTED | Feature.SENDER | Feature.ERROR_FRAMES
+_NOT_PLAIN: Final = Feature.SENDER | Feature.BLANKS | Feature.UNDIRECTED
+WRITABLE: Final = (
+    Format("candump", ".log", _ALL & ~Feature.SENDER & ~Feature.BLANKS, _write_candump),
+    Format("candump-plain", ".txt", _ALL & ~_NOT_PLAIN, _write_plain),
+    Format("trc", ".trc", _ALL & ~_NUMBERED & ~Feature.NANOSECONDS, _write_trc),
+    Format("asc", ".asc", _ALL & ~_NUMBERED, _write_asc),
+    Format("blf", ".blf", _ALL & ~_NUMBERED | Feature.ERROR_FRAMES, _write_blf),
+    Format("csv", ".csv", _ALL & ~Feature.BLANKS, _write_csv),
+    Format("pcapng", ".pcapng", _ALL, _write_pcapng),
+)
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Source:
+    """A file of CAN traffic.
+
+    Attributes:
+        path: the file.
+        format: the name of its format.
+    """
+
+    path: str
+    format: str
+
+    def frames(self, findings: Findings) -> Iterator[Frame]:
+        """Yield the frames in file order; unreadable parts are added to `findings`.
+
+        Raises:
+            TraceError: the file cannot be read, or not to its end.
+        """
+        return findings.watched(self._frames(findings))
+
+    def _frames(self, findings: Findings) -> Iterator[Frame]:
+        if self.format == "mcap":
+            with read_trace(self.path) as trace:
+                yield from recorded_frames(trace, findings)
+            return
+        if self.format == "blf":
+            yield from blf.blf_frames(self.path, findings)
+            return
+        if self.format == "pcap":
+            yield from socketcan_pcap.captured_frames(self.path, findings)
+            return
+        try:
+            with open(self.path, encoding="utf-8", errors="replace", newline="\n") as file:
+                yield from read_lines(file, _LINE_READERS[self.format](), findings)
+        except OSError as error:
+            raise _unreadable(self.path, error) from error
+
+
+_LINE_READERS: Final[dict[str, Callable[[], LineReader]]] = {
+    "candump": candump.CandumpReader,
+    "trc": trc.TrcReader,
+    "asc": asc.AscReader,
+    "csv": csv_traffic.CsvReader,
+    "sd-rows": sd_rows.SdRowReader,
+}
+_LOOKS: Final[tuple[tuple[str, Callable[[str], bool]], ...]] = (
+    ("trc", trc.looks_like_trc),
+    ("asc", asc.looks_like_asc),
+    ("csv", csv_traffic.looks_like_csv),
+    ("sd-rows", sd_rows.looks_like_sd_rows),
+    ("candump", candump.looks_like_log),
+    ("candump", candump.looks_plain),
+)
+
+
+def open_source(path: str | os.PathLike[str]) -> Source:
+    """Open a file, and detect its format by its content.
+
+    Raises:
+        TraceError: the file cannot be read, or its format is unknown.
+    """
+    name = os.fspath(path)
+    refuse_pipe(name)
+    try:
+        with Path(path).open("rb") as file:
+            head = file.read(_HEAD_BYTES)
+    except OSError as error:
+        raise _unreadable(name, error) from error
+    if head.startswith(MAGIC[:5]):
+        return Source(name, "mcap")
+    if head.startswith(blf.MAGIC):
+        return Source(name, "blf")
+    if socketcan_pcap.is_capture(head):
+        return Source(name, "pcap")
+    lines = head.decode("utf-8", errors="replace").splitlines()[:_HEAD_LINES]
+    for line in lines:
+        for format_name, looks in _LOOKS:
+            if looks(line):
+                return Source(name, format_name)
+    known = ", ".join(["mcap", "blf", "pcap", *_LINE_READERS])
+    what = "is empty" if not head else "holds no CAN traffic in a format known here"
+    raise TraceError(name, what, remedy=f"formats are {known}")
+
+
+def _unreadable(name: str, error: OSError) -> TraceError:
+    return TraceError(name, f"cannot be read: {(error.strerror or str(error)).lower()}")

@@ -1,0 +1,156 @@
+"""Meaning of a recording: commands and reports in order, and motion.
+
+Times and repetitions are ignored: a frame that repeats known values adds nothing. Each node, motor
+and source of events has an order of its own, so frames of unrelated nodes can change places.
+Commands to one node keep their order.
+"""
+
+from dataclasses import dataclass
+from typing import Final, final
+
+from motorhil.traces.decoding.events import PERIODIC, DecodedEvent, Fact, Kind
+from motorhil.traces.decoding.narrative import Line, Story
+from motorhil.traces.decoding.objects import axis_of
+from motorhil.traces.mcap.protobuf import decode
+from motorhil.traces.mcap.reader import Trace, TraceMessage
+from motorhil.traces.schema import JOINT_STATE
+
+Key = tuple[str, int | None, str]
+"""Bus, line, motor or group; node (None: none); subject."""
+
+COMMANDS: Final = "commands"
+_ALWAYS: Final = ("emergency", "NMT command")
+"""Reports that count each time."""
+_QUANTITIES: Final = (0x6062, 0x6064, 0x607A, 0x60FF, 0x6071, 0x60C1)
+"""Motion that is compared: positions and set-points, but not measured velocities and currents."""
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Item:
+    """One command or report, in order: time, value for comparison, and words."""
+
+    time_ns: int
+    what: tuple[object, ...]
+    text: str
+
+
+@final
+class Meaning:
+    """The meaning of a recording.
+
+    Attributes:
+        items: commands and reports by key, in order.
+        motions: (times [ns], values) of quantities, by key.
+        unheeded: number of reports of measured quantities that are not compared, by key.
+        labels: names of keys, which depend on the names in the recording.
+        messages: number of messages read.
+    """
+
+    def __init__(self) -> None:
+        self.items: dict[Key, list[Item]] = {}
+        self.motions: dict[Key, tuple[list[int], list[float]]] = {}
+        self.unheeded: dict[Key, int] = {}
+        self.labels: dict[Key, str] = {}
+        self.messages = 0
+        self._last: dict[tuple[Key, str], object] = {}
+
+    def take(self, line: Line, names: dict[tuple[str, int], str]) -> None:
+        """Take a line of the story."""
+        if line.said is not None:
+            self._take_said(line, line.said, names)
+            return
+        what = tuple((name, value) for name, value in line.values if name in _TELLING)
+        if line.topic == "/events":
+            key: Key = ("events", None, line.names[0] if line.names else "")
+        else:
+            key = (line.place, None, line.topic.rpartition("/")[2])
+        self._add(key, " ".join(str(part) for part in (key[0], key[2]) if part), line, what)
+
+    def take_state(self, time_ns: int, motor: str, position: float) -> None:
+        """Take the position of a motor."""
+        key: Key = (motor, None, "position")
+        self.labels.setdefault(key, f"motor {motor}, position")
+        self._move(key, time_ns, position)
+
+    def _take_said(self, line: Line, said: DecodedEvent, names: dict[tuple[str, int], str]) -> None:
+        who = "all nodes"
+        if said.node is not None:
+            number = "unit" if line.topic.startswith("/modbus/") else "node"
+            name = names.get((line.place, said.node))
+            who = f"{number} {said.node}" + (f" ({name})" if name else "")
+        elif said.kind in (Kind.OTHER, Kind.BUS_ERROR):
+            who = ""
+        for fact in said.facts:
+            subject = COMMANDS if fact.told_to else fact.subject
+            key: Key = (line.place, said.node, subject)
+            label = ", ".join(part for part in (line.place, who, subject) if part)
+            if fact.motion:
+                self._take_motion(line, said, fact, label)
+            elif self._is_news(key, fact, said):
+                self._add(key, label, line, (fact.subject, fact.value), fact)
+
+    def _take_motion(self, line: Line, said: DecodedEvent, fact: Fact, label: str) -> None:
+        _, index = axis_of(int(fact.subject[:4], 16))
+        key: Key = (line.place, said.node, fact.subject)
+        self.labels.setdefault(key, label.replace(COMMANDS, fact.subject))
+        if index not in _QUANTITIES or isinstance(fact.value, str | bytes):
+            self.unheeded[key] = self.unheeded.get(key, 0) + (not fact.told_to)
+            return
+        self._move(key, line.time_ns, float(fact.value))
+
+    def _is_news(self, key: Key, fact: Fact, said: DecodedEvent) -> bool:
+        """Return True if a fact is new or has changed; always for a command by SDO or NMT."""
+        known = self._last.get((key, fact.subject))
+        self._last[key, fact.subject] = fact.value
+        if fact.told_to and said.kind not in PERIODIC:
+            return True
+        if fact.subject in _ALWAYS or fact.subject.endswith(("aborted", "refused")):
+            return True
+        return known != fact.value or said.kind is Kind.BOOT
+
+    def _add(
+        self, key: Key, label: str, line: Line, what: tuple[object, ...], fact: Fact | None = None
+    ) -> None:
+        self.labels.setdefault(key, label)
+        text = line.text if fact is None else f"{fact.subject} = {fact.text}"
+        self.items.setdefault(key, []).append(Item(line.time_ns, what, text))
+
+    def _move(self, key: Key, time_ns: int, value: float) -> None:
+        times, values = self.motions.setdefault(key, ([], []))
+        times.append(time_ns)
+        values.append(value)
+
+
+_TELLING: Final = ("action", "owner", "holder", "phase", "motor", "method", "level", "message")
+"""Fields of locks, groups and events that are not times and do not vary from run to run."""
+
+
+def meaning_of(trace: Trace) -> Meaning:
+    """Return the meaning of a recording; of a cut one, as far as it goes.
+
+    Raises:
+        TraceError: the recording is damaged.
+    """
+    story, meaning = Story(trace), Meaning()
+    for message in trace.messages():
+        meaning.messages += 1
+        if message[0].topic.endswith("/state"):
+            _take_state(meaning, message)
+            continue
+        line = story.line(message)
+        if line is not None:
+            meaning.take(line, story.names.nodes)
+    return meaning
+
+
+def _take_state(meaning: Meaning, message: TraceMessage) -> None:
+    channel, time_ns, payload = message
+    if channel.schema is None or channel.schema.name != JOINT_STATE.name:
+        return
+    try:
+        position = decode(JOINT_STATE, payload).get("position")
+    except ValueError:
+        return
+    if isinstance(position, float):
+        meaning.take_state(time_ns, channel.topic.split("/")[2], position)
