@@ -1,8 +1,8 @@
 """The motor interface: classes and errors for applications.
 
 Source: the CLARAty motor interface (Pivtoraiko, Nesnas, Nayar: A Reusable Software Framework for
-Rover Motion Control). Adaptations to hardware are in `motorhil.motorapi.adaptations`; only they import the
-libraries of their bus.
+Rover Motion Control). Adaptations to hardware are in `motorhil.motorapi.adaptations`; only they
+import the libraries of their bus.
 """
 
 from motorhil.motorapi.commands import (

@@ -1,31 +1,33 @@
 """Hooks of a motor: the protected methods that a vendor implements.
 
-An adaptation derives from `motorhil.motorapi.motor.Motor`, contains a hardware object, and implements these
-hooks. All values are in SI units with the sign of the motor model; increments stay inside the
-hardware object. Unless its documentation says otherwise, a hook may wait, through `self.runtime`
-only. Hooks raise the errors of `motorhil.motorapi.errors`; any other exception reaches the caller as a
-`PluginError`. The public methods check modes, limits and state before they call a hook. They ensure
-that no two acting hooks run at once on one physical motor, except `_stop`, `_stop_with_others`,
-`_quick_stop` and `_halt`. U is the unit of position of the motor: rad, or m for a linear motor.
+An adaptation derives from `motorhil.motorapi.motor.Motor`, contains a hardware object, and
+implements these hooks. All values are in SI units with the sign of the motor model; increments stay
+inside the hardware object. Unless its documentation says otherwise, a hook may wait, through
+`self.runtime` only. Hooks raise the errors of `motorhil.motorapi.errors`; any other exception
+reaches the caller as a `PluginError`. The public methods check modes, limits and state before they
+call a hook. They ensure that no two acting hooks run at once on one physical motor, except `_stop`,
+`_stop_with_others`, `_quick_stop` and `_halt`. U is the unit of position of the motor: rad, or m
+for a linear motor.
 
 The hardware object belongs to the adaptation. These requirements apply:
 
 - One hardware object exists per physical motor and process.
-  `motorhil.motorapi.ownership.physical_motor.register_physical_motor` returns the record with which the motor is built
-  (`physical`); `release_physical_motor` removes it.
-- If other programs can open the same bus (`motorhil.motorapi.locking.process_lock.can_share_time`, and a name from
-  `motorhil.motorapi.locking.directory`), it registers with a `ProcessLock` of that name and its node. Then every
-  frame that may start or change a motion or a setting is sent between `begin_write` and `end_write`
-  of `physical.ownership`, as described in `motorhil.motorapi.ownership.fencing`, and never after they raised. On CAN,
-  `NodeFence` does this, and `announce` informs a hub. Stops are sent without it. A request of
-  several frames needs a lock of its own, so that the answer to another program is not mistaken for
-  its own.
+  `motorhil.motorapi.ownership.physical_motor.register_physical_motor` returns the record with
+  which the motor is built (`physical`); `release_physical_motor` removes it.
+- If other programs can open the same bus (`motorhil.motorapi.locking.process_lock.can_share_time`,
+  and a name from `motorhil.motorapi.locking.directory`), it registers with a `ProcessLock` of that
+  name and its node. Then every frame that may start or change a motion or a setting is sent between
+  `begin_write` and `end_write` of `physical.ownership`, as described in
+  `motorhil.motorapi.ownership.fencing`, and never after they raised. On CAN, `NodeFence` does this,
+  and `announce` informs a hub. Stops are sent without it. A request of several frames needs a lock
+  of its own, so that the answer to another program is not mistaken for its own.
 - Its recurring activity (a stream, a servo) continues under the ownership under which it began, and
   no other: `NodeFence.bound`.
 - If it is notified of every change that `_is_done` evaluates, `physical.news` counts the changes.
   If it must poll, `_refresh` returns the interval.
-- On CAN it declares the frames that it and its drive send, with `motorhil.motorapi.synchronization.bus_load.note_node` and
-  `note_stream`. Otherwise skew bounds of others on that bus are wrong.
+- On CAN it declares the frames that it and its drive send, with
+  `motorhil.motorapi.synchronization.bus_load.note_node` and `note_stream`. Otherwise skew bounds of
+  others on that bus are wrong.
 
 A motor may be left moving, by a process that died or lost the motor to a takeover. Such a motor is
 brought to rest by `_stop`, `_refresh` and `_is_done` before its next owner commands it.

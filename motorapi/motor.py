@@ -17,8 +17,9 @@ affected. `start` acquires the motor, transmits changed settings, and starts; or
 nothing has moved.
 
 Public methods are final: they validate, acquire the motor, convert errors, and report. The vendor
-implements the hooks of `motorhil.motorapi.hooks`. Read access is in `motorhil.motorapi.motor`, the end of
-motions in `motorhil.motorapi.motor`. U is the unit of position of the motor: rad, or m if linear.
+implements the hooks of `motorhil.motorapi.hooks`. Read access is in `motorhil.motorapi.motor`, the
+end of motions in `motorhil.motorapi.motor`. U is the unit of position of the motor: rad, or m if
+linear.
 
 Read access to a motor at any time: state, fault and measurements.
 
@@ -28,7 +29,8 @@ names the holder. U is the unit of position of the motor: rad, or m if linear.
 
 A logical motor that shares a physical motor: active motion and its end.
 
-`motorhil.motorapi.ownership.physical_motor` coordinates logical motors; `motorhil.motorapi.motor` has the commands of applications.
+`motorhil.motorapi.ownership.physical_motor` coordinates logical motors; `motorhil.motorapi.motor`
+has the commands of applications.
 
 Low-level access: exclusive use of the hardware object by one thread.
 
@@ -1064,7 +1066,8 @@ class Motor(SharedMotor):
 
         Inside the block no other part of the interface accesses the hardware, for any logical motor
         including this one. Operations and stops are refused; readings return the last value
-        received, or are refused; see `motorhil.motorapi.motor`. The hardware object is for this thread
+        received, or are refused; see `motorhil.motorapi.motor`. The hardware object is for this
+        thread
         only. Afterwards nothing is assumed of the hardware: the next start writes all its settings.
         A nested block of the same motor has no effect.
 

@@ -157,7 +157,7 @@ def _derivatives(name: str, given: object) -> tuple[float, ...]:
 @final
 @dataclass(frozen=True, slots=True, repr=False)
 class ComplexTrajectory:
-    """A motion with a value prescribed for every argument, by any function of motorhil.motorapi.functions.
+    """A motion with a value prescribed for every argument, by any `Function`.
 
     `ComplexTrajectory(function)` follows `function(t)` over its domain, t in seconds since the
     start; an argument given to `Motor.set_trajectory` replaces time.
@@ -183,7 +183,7 @@ class ComplexTrajectory:
         domain = getattr(self.function, "domain", None)
         if not isinstance(domain, tuple) or not callable(getattr(self.function, "extrema", None)):
             raise UsageError(
-                f"ComplexTrajectory: {self.function!r} is not a function of motorhil.motorapi.functions"
+                f"ComplexTrajectory: {self.function!r} is not a motorapi.functions.Function"
             )
         if not isinstance(self.relative, bool):
             raise UsageError(

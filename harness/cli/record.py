@@ -178,7 +178,6 @@ def _metadata(
 
 def _teller(pump: "Pump", series: "Series") -> "Callable[[int], None]":
     """Return a callback that shows the progress on a terminal."""
-
     progress: list[Progress] = []
     is_shown = sys.stderr.isatty()
 

@@ -77,7 +77,8 @@ def judge(
     A truncated recording is judged as far as it is readable.
 
     Args:
-        recording: an MCAP file, or a file in any format that `motorhil.traces.formats.registry` reads.
+        recording: an MCAP file, or a file in any format that `motorhil.traces.formats.registry`
+        reads.
         facts: facts beyond those of the recording's own rig.
         only: ids of oracles; empty: all.
         from_ns: events from this time on are judged; earlier ones are still decoded [ns].

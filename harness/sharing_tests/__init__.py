@@ -24,7 +24,8 @@ PATH -o run.mcap`) or on SocketCAN; without pytest and Hypothesis::
     from motorhil.harness.sharing_tests.processes import Plan, run
 
     facts = {"channel": "PATH", "model": "my_model.toml", "node_ids": [1], "lease_s": 0.2}
-    plan = Plan("motorhil.harness.sharing_tests.workers:work_motor", seconds=10.0, kill_period_s=1.0, facts=facts)
+    work = "motorhil.harness.sharing_tests.workers:work_motor"
+    plan = Plan(work, seconds=10.0, kill_period_s=1.0, facts=facts)
     outcome = run(plan)                    # {"make": "my_module:motors"}: for your own motors
     print(outcome.table())                 # number of each event
     outcome.require_sound()                # the history: linearizable, in order, tokens grow

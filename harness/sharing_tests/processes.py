@@ -9,8 +9,8 @@ lock, kills and pauses them according to the plan, and starts replacements. A wo
 `work(desk: Desk)` named as "module:function", which runs until `desk.is_over` and notes all its
 uses in `desk.history`. Every use is in a file before it can have an effect. The actions of a killed
 worker are therefore known, except for the result of its last use. Available workers are
-`motorhil.harness.sharing_tests.workers:work_lock`, which takes a bare lock, and those of `motorhil.harness.sharing_tests.workers`,
-which work motors on a hub or on SocketCAN.
+`motorhil.harness.sharing_tests.workers:work_lock`, which takes a bare lock, and those of
+`motorhil.harness.sharing_tests.workers`, which work motors on a hub or on SocketCAN.
 
 The following must hold. The history is that of motors with one owner at a time, first come, first
 served. No use is overtaken, and every token grows. Work continues after every death.

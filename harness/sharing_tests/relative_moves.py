@@ -1,6 +1,7 @@
 """Relative moves under faults, judged by the truth: completely, partly or not made.
 
-The rules, and how to run them on your own adaptation, are in `motorhil.harness.sharing_tests.relative_moves`.
+The rules, and how to run them on your own adaptation, are in
+`motorhil.harness.sharing_tests.relative_moves`.
 
 Property: a relative move is never made twice, whatever happens to frames.
 

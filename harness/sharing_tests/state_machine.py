@@ -683,9 +683,7 @@ try:
     from hypothesis import strategies as st
     from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 except ImportError as missing:  # pragma: no cover -- without it nothing here can be tested
-    raise ImportError(
-        "motorhil.harness.sharing_tests.state_machine needs Hypothesis: pip install 'motorhil[test]'"
-    ) from missing
+    raise ImportError("this module needs Hypothesis: pip install 'motorhil[test]'") from missing
 
 
 MakeRig = Callable[[], Rig]

@@ -3,7 +3,8 @@
 Workers that share real motors, on a hub or on SocketCAN.
 
     facts = {"channel": "/tmp/hub", "model": "wheel_model.toml", "node_ids": [1]}
-    outcome = run(Plan(work="motorhil.harness.sharing_tests.workers:work_motor", workers=4, facts=facts))
+    work = "motorhil.harness.sharing_tests.workers:work_motor"
+    outcome = run(Plan(work=work, workers=4, facts=facts))
 
 Their motors are CiA 402 drives, unless facts["make"] names your own function as "module:function".
 The function takes the desk and returns the motors of that process. All processes must use the same

@@ -16,7 +16,8 @@ The rules, for every function `f`:
   accurate than a difference of the antiderivative; with `high < low` its sign changes.
 - *Extrema* over a closed interval are exact to rounding for (piecewise) polynomials and waves; the
   first of equal ones is returned. Other functions are searched with bounds that miss nothing, to
-  1e-12 of the size of the values; any of equal ones is returned (`motorhil.motorapi.functions.numerics`).
+  1e-12 of the size of the values; any of equal ones is returned
+  (`motorhil.motorapi.functions.numerics`).
 - *Arrays.* `f(x)` takes a number, or an array and returns one of the same shape. Functions made of
   polynomials give the same bits either way; sines and exponentials agree to the last digit or two
   (the C library computes single numbers, numpy computes arrays).

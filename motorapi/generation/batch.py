@@ -1,6 +1,7 @@
 """Many piecewise polynomials with as many pieces each, evaluated at once.
 
-Many profiles of given durations. The formulas are those of `motorhil.motorapi.generation.trapezoid`.
+Many profiles of given durations. The formulas are those of
+`motorhil.motorapi.generation.trapezoid`.
 
 Limits of many profiles at once.
 

@@ -2,8 +2,8 @@
 
 The locks are Linux open file description locks (fcntl(2), F_OFD_SETLK). The kernel releases all
 locks of an open file with its last descriptor, however the process died. Two open files exclude
-each other in one process too, so threads need no second lock. `motorhil.motorapi.locking.lock_file` defines the
-bytes.
+each other in one process too, so threads need no second lock.
+`motorhil.motorapi.locking.lock_file` defines the bytes.
 
 - The *holder* has locked byte HELD of the present *epoch*. The kernel guarantees that there is only
   one, whatever the file says. The length of the range below HELD is its token, so a reader gets it
@@ -19,7 +19,8 @@ No step is guarded by another lock. A process paused in the middle of a step del
 behind it.
 
 No process can unlock the bytes of a living process. Therefore a takeover does not take the byte: it
-advances the *epoch*, and with it the byte that counts (`motorhil.motorapi.locking.takeover`). The byte of an
+advances the *epoch*, and with it the byte that counts (`motorhil.motorapi.locking.takeover`). The
+byte of an
 earlier epoch has no effect. The epoch check and actions that depend on it are atomic: a commanding
 write requires a shared lock of WRITING, an epoch change an exclusive one.
 

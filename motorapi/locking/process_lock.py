@@ -1,7 +1,8 @@
 """A named lock between processes, and between the threads of each process.
 
 The order is first come, first served. When a process dies, the kernel releases its lock, or its
-place in the queue; no cleanup is necessary. `motorhil.motorapi.locking.lock_file` describes the mechanism.
+place in the queue; no cleanup is necessary. `motorhil.motorapi.locking.lock_file` describes the
+mechanism.
 
 Every ownership has a *token*, which grows and is kept in the file of the lock. An acquisition
 reports whether the lock has *changed hands* since this object held it last: its knowledge of the

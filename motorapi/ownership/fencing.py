@@ -62,7 +62,7 @@ class Owned(Protocol):
 
 @runtime_checkable
 class FencedBus(Protocol):
-    """A bus that checks tokens itself (motorhil.harness.python_can.bus.EmulatedBus over a socket)."""
+    """A bus that checks tokens itself (an `EmulatedBus` over a socket)."""
 
     def transmit_fenced(self, frame: bytes, resource: int, token: int) -> None:
         """Queue the frame; the bus refuses it if the resource has a greater token."""

@@ -14,9 +14,10 @@ record. The record separates four things:
   at once meanwhile. Access without a transaction (readings, stops, polling waits) is refused as
   well: it goes through a *passage*, and low-level access is granted only without active passages.
 
-They build on *ownership* (`motorhil.motorapi.ownership.ownership`): by one logical motor, for an operation, a
-reservation or low-level access. On a bus that other processes can open it excludes them as well,
-also while a motion is active. The token grows when one of them had the motor in between.
+They build on *ownership* (`motorhil.motorapi.ownership.ownership`): by one logical motor, for an
+operation, a reservation or low-level access. On a bus that other processes can open it excludes
+them as well, also while a motion is active. The token grows when one of them had the motor in
+between.
 """
 
 import threading

@@ -9,7 +9,8 @@ has
     v = min v_i / |D_i|    a = min a_i / |D_i|    d = min d_i / |D_i|
 
 and motor i has v |D_i|, a |D_i|, d |D_i|. Limits are used as rounded by the hardware, and each
-drive rounds the result once more; `motorhil.motorapi.planning.path` computes the effect on the line.
+drive rounds the result once more; `motorhil.motorapi.planning.path` computes the effect on the
+line.
 
 Source: field practice (Ruckig, `Synchronization::Phase`); the closed form follows from Biagiotti &
 Melchiorri (2008), ch. 3, for one profile over distance 1.

@@ -115,7 +115,7 @@ def _cannot_send(bus: "can.BusABC", error: Exception) -> LinkError:
 
 
 class _FrameBus(Protocol):
-    """A bus that exchanges raw frames (motorhil.harness.python_can.bus.EmulatedBus over a socket)."""
+    """A bus that exchanges raw frames (an `EmulatedBus` over a socket)."""
 
     def receive_frame(self, timeout_s: float) -> tuple[bytes, int, bool] | None:
         """Return (frame, time by the clock of the bus [ns], transmitted), or None."""

@@ -4,7 +4,8 @@ There are three figures, each based on the one before it:
 
 - *Command skew*: between the instants at which the first and the last drive latch their commands.
   One signal for all: 0. Several triggers, fired in turn: the maximum time of the later ones on the
-  bus (`motorhil.motorapi.synchronization.can_response_time.longest_s`), from the latch of the first drive.
+  bus (`motorhil.motorapi.synchronization.can_response_time.longest_s`), from the latch of the
+  first drive.
 - *Start skew*: also, between the latch and the start of motion, each drive waits for its own
   profile tick, at most one.
 - *End skew*: also, motions differ slightly in duration: they are rounded to hardware units, and

@@ -157,7 +157,7 @@ def prepare(text: str, folder: Path) -> None:
     """Put into a page's folder all that the page starts with."""
     work = folder / "work"
     work.mkdir()
-    (work / "motorhil").symlink_to(CHECKOUT)
+    (folder / "motorhil").symlink_to(CHECKOUT)  # a clone beside the folder, never in it
     names = [name for line in STARTS.findall(text) for name in line.split()]
     for name in names:
         if name in PREPARED:

@@ -2,8 +2,8 @@
 
 Recordings: ../shared/data/traffic/INDEX.md. The host of a transcript is played as by `replay --as
 host`. The messages of our drive are compared with those of the recorded drive, object by object
-(`motorhil.traces.semantics.diff`). A difference without a reason in this table fails a test; so does a reason
-without a difference. docs/reference/emulated-drive.md has this table.
+(`motorhil.traces.semantics.diff`). A difference without a reason in this table fails a test; so
+does a reason without a difference. docs/reference/emulated-drive.md has this table.
 """
 
 import json

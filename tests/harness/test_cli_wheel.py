@@ -47,7 +47,8 @@ def installed(wheel, tmp_path_factory):
     site = tmp_path_factory.mktemp("site")
     with zipfile.ZipFile(wheel) as archive:
         archive.extractall(site)
-    start = f"import sys; sys.path.insert(0, {str(site)!r}); from motorhil.harness.cli.main import main; "
+    start = f"import sys; sys.path.insert(0, {str(site)!r}); "
+    start += "from motorhil.harness.cli.main import main; "
     start += f"from motorhil import harness; assert harness.__file__.startswith({str(site)!r}); "
 
     def run(*words):

@@ -44,6 +44,7 @@ from motorhil.emulators.can.bus.fault_plan import ERROR_FRAME_BITS, FaultSeam, s
 from motorhil.emulators.can.bus.port import (
     CUT_OFF,
     LOST,
+    NEVER_NS,
     NOTED,
     PORT_MASK,
     PORT_SHIFT,
@@ -53,7 +54,6 @@ from motorhil.emulators.can.bus.port import (
     Presence,
     Role,
 )
-from motorhil.emulators.can.bus.port import NEVER_NS as NEVER_NS_of_can_presence
 from motorhil.emulators.can.controller_config import ONE, CanNode, FrameSupport, first_misread
 from motorhil.emulators.can.error_confinement import ACK_SLOT, MESSAGE_BUS_OFF
 from motorhil.emulators.can.fault_rules import FaultRule, NoiseSource, WireLevel
@@ -250,7 +250,6 @@ def _number_of(node: Presence) -> int:
     return node.number
 
 
-NEVER_NS: Final = -1
 _MARGIN_BITS: Final = 512
 
 
@@ -433,7 +432,7 @@ class CanOutcomes(CanMembers):
         self._accepted_frame = b""
         self._attempt = (0, 0, 0, 0, 0)  # of a lone node: entry, TEC, REC, bits, ns to the next
         self._repeat_ns = 0  # period of these attempts; 0: none
-        self._repeat_until_ns = NEVER_NS_of_can_presence
+        self._repeat_until_ns = NEVER_NS
 
     # --- undisturbed frames
 
@@ -681,9 +680,9 @@ class CanOutcomes(CanMembers):
             return False
         if self._level is not None or self._seam.plan.has_errors():
             return False
-        if any(node.since_ns != NEVER_NS_of_can_presence for node in self._held):
+        if any(node.since_ns != NEVER_NS for node in self._held):
             return False
-        self._repeat_until_ns = NEVER_NS_of_can_presence
+        self._repeat_until_ns = NEVER_NS
         self._repeat_ns = period_ns
         if self._noises:
             count = min(source.left // bits for source in self._noises)
@@ -745,31 +744,31 @@ class CanStretch(CanOutcomes):
     def due_ns(self) -> int:
         """Return the time of the next event here, or NEVER_NS if there is none."""
         due_ns = self._flight_due_ns()
-        held_ns = self._held_due_ns() if self._held else NEVER_NS_of_can_presence
+        held_ns = self._held_due_ns() if self._held else NEVER_NS
         return due_ns if held_ns < 0 or 0 <= due_ns < held_ns else held_ns
 
     def _flight_due_ns(self) -> int:
         if not self._flight:
-            return NEVER_NS_of_can_presence
+            return NEVER_NS
         if self._playback is not None:
             return self._playback.next_ns()
         if self._repeat_ns:
             return self._repeat_until_ns
         if self._flight == NOBODY:
-            return NEVER_NS_of_can_presence
+            return NEVER_NS
         if self._decided == self._starts or self._is_quiet():
             return self._end_ns
         return self._joinable_ns
 
     def _held_due_ns(self) -> int:
         """Return when a held node may send again, or NEVER_NS if none can before an idle bus."""
-        due_ns = NEVER_NS_of_can_presence
+        due_ns = NEVER_NS
         for node in self._held:
             node_ns = node.due_ns(self.bit_ns)
             if node_ns >= 0 and not 0 <= due_ns <= node_ns:
                 due_ns = node_ns
         if self._flight and (due_ns > self._start_ns or self._decided == self._starts):
-            return NEVER_NS_of_can_presence
+            return NEVER_NS
         return due_ns
 
     def _is_quiet(self) -> bool:

@@ -37,7 +37,7 @@ _ERRORS = {Ability.BUS_ERRORS, Ability.AFRESH}
     "BUS-01",
     Level.L5,
     bench=_ERRORS,
-    source="errors, LinkError: the bus is off; motorhil.motorapi.runtime.can_sources; ISO 11898-1, fault confinement",
+    source="errors, LinkError: the bus is off; motorapi.runtime; ISO 11898-1, fault confinement",
 )
 def a_host_off_the_bus_is_told_at_once_and_goes_on_afterwards(bench: RigProtocol) -> None:
     """In every mode, bus-off of the host ends the wait at once; the motor is usable afterwards."""

@@ -209,7 +209,7 @@ _TOLD_BY: Final = (LinkError, PeerError, DeadlineExceeded, DeviceFault)
     Level.L2,
     needs={Capability.POSITION_SET_POINT, Capability.POSITION_TRAJECTORY},
     bench={Ability.TRUTH, Ability.LOSE, Ability.AFRESH},
-    source="paper 3.3.3: start() executes only if there were no errors; motorhil.harness.sharing_tests",
+    source="paper 3.3.3: start() executes only if there were no errors; harness.sharing_tests",
 )
 def a_relative_move_is_never_made_twice(bench: RigProtocol) -> None:
     """Whenever its answers are lost, a relative move is made once, or in part, but not twice."""

@@ -112,7 +112,7 @@ def _refusal_of(operation: Callable[[], object]) -> MotorBusyError | None:
     Level.L3,
     needs=_MOVES,
     bench={*_SHARED, Ability.TRAFFIC},
-    source="requirement 4; motorhil.harness.sharing_tests.bus_evidence: only the owner commands a motor",
+    source="requirement 4; harness.sharing_tests: only the owner commands a motor",
 )
 def who_is_refused_sends_no_command(bench: RigProtocol) -> None:
     """If a user without ownership is refused, no command of that user reaches the bus."""
@@ -401,7 +401,7 @@ _STEPS: Final = 15
     Level.L3,
     needs={Capability.POSITION_TRAJECTORY},
     bench={Ability.SEVERAL_USERS, Ability.AFRESH},
-    source="motorhil.harness.sharing_tests.state_machine: the history of every motor is that of one owner at a time",
+    source="harness.sharing_tests: the history of every motor is that of one owner at a time",
 )
 def whatever_its_users_do_one_has_it_at_a_time(bench: RigProtocol) -> None:
     """Whatever users start, reserve, stop, take over, or die of, one has the motor at a time."""

@@ -304,7 +304,7 @@ class Lock:
 
     def __repr__(self) -> str:
         state = "locked" if self._lock.locked() else "unlocked"
-        return f"<{state} Lock of motorhil.harness.virtual_time.stdlib at {id(self):#x}>"
+        return f"<{state} Lock in virtual time at {id(self):#x}>"
 
 
 def allocate_lock() -> Lock:
@@ -382,7 +382,7 @@ class RLock:
         self.release()
 
     def __repr__(self) -> str:
-        return f"<RLock of motorhil.harness.virtual_time.stdlib, held {self._count} times, at {id(self):#x}>"
+        return f"<RLock in virtual time, held {self._count} times, at {id(self):#x}>"
 
 
 _ROUNDS: Final = 3  # attempts to end a thread that continues

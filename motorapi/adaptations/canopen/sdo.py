@@ -234,7 +234,7 @@ class _NothingKnown(canopen.ObjectDictionary):
 
 
 @final
-class NoAnswer(SdoCommunicationError):  # noqa: N818 -- never leaves the channel
+class NoAnswer(SdoCommunicationError):
     """No answer came in time."""
 
 

@@ -1,7 +1,8 @@
 """Planted defects of motor sharing, which the shipped suites must detect.
 
 Defects for one process are context managers. Defects for several processes are functions that a
-worker of `motorhil.harness.sharing_tests.processes` calls in its own process before it begins (`Plan.plant`).
+worker of `motorhil.harness.sharing_tests.processes` calls in its own process before it begins
+(`Plan.plant`).
 """
 
 import os

@@ -14,7 +14,7 @@ def python(code):
 def test_machine_without_hypothesis_names_the_remedy():
     done = python("import motorhil.harness.sharing_tests.state_machine")
     assert done.stderr.splitlines()[-1] == (
-        "ImportError: motorhil.harness.sharing_tests.state_machine needs Hypothesis: pip install 'motorhil[test]'"
+        "ImportError: this module needs Hypothesis: pip install 'motorhil[test]'"
     )
 
 

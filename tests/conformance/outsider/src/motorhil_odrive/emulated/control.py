@@ -1,7 +1,7 @@
 """Set-points from inputs, as in an ODrive's controller.
 
-The motor, the servo and the profile generator are motorhil's (`motorhil.emulators.firmware.axis`). This
-module gives them ODrive's meaning. Positions are turns of the motor.
+The motor, the servo and the profile generator are motorhil's (`motorhil.emulators.firmware.axis`).
+This module gives them ODrive's meaning. Positions are turns of the motor.
 
 | control    | input        | the axis                                            |
 | ---------- | ------------ | --------------------------------------------------- |

@@ -2,7 +2,8 @@
 
 There is one object per physical motor and process. The class knows the drive's abilities, and
 nothing of their use in an application. All commands to the drive pass through `tell`. There they
-pass the fence (`motorhil.motorapi.ownership.fencing`) and low-level access (`motorhil.motorapi.motor`).
+pass the fence (`motorhil.motorapi.ownership.fencing`) and low-level access
+(`motorhil.motorapi.motor`).
 """
 
 from collections.abc import Callable
