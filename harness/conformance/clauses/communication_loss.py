@@ -92,7 +92,7 @@ def _expect_told(bench: RigProtocol, motor: Motor, mode: Mode, when: str) -> Non
     Level.L5,
     needs={Capability.DEAD_MAN},
     bench=_CABLE,
-    source="CiA 301, heartbeat consumer (1016h), 1029h; CiA 402-2, 6007h; Sharing and locking, dead-man",
+    source="CiA 301, heartbeat consumer (1016h), 1029h; CiA 402-2, 6007h; dead-man",
 )
 def a_drive_without_a_cable_comes_to_rest(bench: RigProtocol) -> None:
     """In every mode, a drive whose cable is cut is at rest within dead-man and braking time."""
