@@ -368,7 +368,7 @@ def _fire_once_more(bench: RigProtocol, motor: Motor) -> None:
     Level.L4,
     needs={*_MOVES, Capability.COMMON_TRIGGER},
     bench={*_TWO, Ability.SILENCE_HOST, Ability.AFRESH},
-    source="MotorHooks._arm: in the hardware, confirmed; README, 'arm, then fire'",
+    source="MotorHooks._arm: in the hardware, confirmed; decision 0010, arm, then fire",
 )
 def no_part_of_a_group_moves_on_alone(bench: RigProtocol) -> None:
     """Whichever frame of a common start is lost, all members move, or none and start() fails."""
