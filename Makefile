@@ -91,10 +91,12 @@ format: $(READY)  ## formats the sources
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
+# As a path: a folder motorhil in the current directory, such as the clone itself, hides no package.
 $(READY): requirements.lock pyproject.toml
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements.lock
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation \
+	    --config-settings editable_mode=compat -e .
 	touch $@
 
 $(DOCS)/.ready: docs/requirements.lock
