@@ -15,7 +15,7 @@ import venv
 import pytest
 
 from motorhil.harness.version import source_digest
-from tests.architecture.checkout import CHECKOUT, PACKAGES
+from tests.architecture.checkout import CHECKOUT
 from tests.compiled.building import LEVEL, clone, demo, digest_in, make, nobody_else_builds
 
 pytestmark = [pytest.mark.compiled, pytest.mark.timeout(1800)]
@@ -31,7 +31,7 @@ FOLDERS = ("determinism", "emulators", "traces", "harness", "motorapi")
 LEFT_OUT = (
     *("motorapi/functions", "motorapi/generation", "motorapi/takeover", "motorapi/test_*lock*.py"),
     *("motorapi/test_sharing.py", "motorapi/test_wall_*.py", "motorapi/test_skew*.py"),
-    *("harness/sharing_tests", "harness/recording", "harness/report", "harness/test_cli*.py"),
+    *("harness/sharing", "harness/recording", "harness/report", "harness/test_cli*.py"),
     "harness/test_demo*.py",  # determinism/test_demo.py compares their digests
     *("harness/replay/test_replay_verb.py", "harness/replay/test_hostile_use.py"),
     *("harness/replay/test_traffic.py", "harness/replay/test_imported.py"),
@@ -92,7 +92,7 @@ def test_hot_modules_are_compiled_outside_the_sources(built, tmp_path):
 
 
 def test_demo_runs_compiled_cores_unless_pure_is_requested(built, tmp_path):
-    folder = clone(tmp_path, *PACKAGES)
+    folder = clone(tmp_path, "motorhil")
     (folder / ".venv-compiled").symlink_to(CHECKOUT / ".venv-compiled")
     compiled, pure = demo(folder, LEVEL), demo(folder, LEVEL, "PURE=1")
     assert "seconds per second, compiled cores" in compiled
@@ -162,7 +162,8 @@ def test_wheel_names_its_cores_and_needs_no_checkout(installed, kind):
 
 def installed_core(place):
     (site,) = place.glob("lib/python3*/site-packages")
-    return site / "emulators" / f"event_queue{sysconfig.get_config_var('EXT_SUFFIX')}"
+    folder = site / "motorhil" / "emulators" / "simulation"
+    return folder / f"event_queue{sysconfig.get_config_var('EXT_SUFFIX')}"
 
 
 def test_every_wheel_runs_the_same_demo(installed):

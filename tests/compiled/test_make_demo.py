@@ -3,7 +3,6 @@
 import pytest
 
 from motorhil.harness.version import cores_are_compiled
-from tests.architecture.checkout import PACKAGES
 from tests.compiled.building import clone, demo
 
 pytestmark = [
@@ -13,7 +12,7 @@ pytestmark = [
 
 
 def test_demo_without_a_compiler_is_pure_and_says_so(tmp_path):
-    printed = demo(clone(tmp_path, "traces"), CC="/no/such/cc")
+    printed = demo(clone(tmp_path, "motorhil"), CC="/no/such/cc")
     assert "seconds per second, pure Python cores" in printed
     assert "pure Python cores: no C compiler here (/no/such/cc)" in printed
 
@@ -21,12 +20,10 @@ def test_demo_without_a_compiler_is_pure_and_says_so(tmp_path):
 def test_uncompilable_module_is_named_and_the_demo_is_pure(tmp_path):
     """Check it with a new module: the hot folders include it."""
     folder = clone(tmp_path)
-    for name in PACKAGES:
-        (folder / name).mkdir()
-        (folder / name / "__init__.py").touch()
-    (folder / "emulators" / "plant").mkdir()
-    (folder / "emulators" / "plant" / "__init__.py").touch()
-    bad = folder / "emulators" / "plant" / "new.py"
+    bad = folder / "motorhil" / "emulators" / "plant" / "new.py"
+    bad.parent.mkdir(parents=True)
+    for place in (bad.parent, *list(bad.parents)[1:3]):
+        (place / "__init__.py").touch()
     bad.write_text("class Outer:\n    class Inner:\n        pass\n")
     printed = demo(folder)
     assert "emulators/plant/new.py:2: error: " in printed

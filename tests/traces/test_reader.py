@@ -304,7 +304,7 @@ def test_summary_equals_scan_of_file(tmp_path, monkeypatch, options):
     path = tmp_path / "a.mcap"
     path.write_bytes(written_by_mcap(options)[0])
     told = traced(path)
-    monkeypatch.setattr("traces.mcap.reader.read_summary", lambda file: Summary({}, []))
+    monkeypatch.setattr("motorhil.traces.mcap.reader.read_summary", lambda file: Summary({}, []))
     assert traced(path) == told
 
 
