@@ -62,7 +62,7 @@ bench-against: $(READY)  ## REV, another revision, built once: what the demo, cs
 	$(BIN)/python -m tests.benchmarks.against $(REV) $(AGAINST)
 
 fuzz: $(READY)  ## a million random, mutated and recorded frames at the drive; FUZZ="--seed N --frames N"
-	$(BIN)/python -m tests.fuzz $(FUZZ)
+	$(BIN)/python -m tests.properties.fuzz $(FUZZ)
 
 mutants: $(READY)  ## every adaptation broken on purpose against every clause; writes the kill table
 	$(BIN)/python -m tests.conformance.mutants $(MUTANTS)
@@ -71,7 +71,7 @@ clauses: $(READY)  ## docs/CLAUSES.md, every clause of the conformance kit
 	$(BIN)/python -m motorhil.harness.conformance.kit > docs/CLAUSES.md
 
 golden: $(READY)  ## the golden recordings again, where a rig does something else today
-	$(BIN)/python -m tests.golden
+	$(BIN)/python -m tests.support.golden
 
 format: $(READY)
 	$(BIN)/ruff check --fix .

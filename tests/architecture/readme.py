@@ -27,7 +27,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from tests.architecture import rover_picture
-from tests.architecture.checkout import CHECKOUT
+from tests.support.checkout import CHECKOUT
 
 README = CHECKOUT / "README.md"
 PICTURE = CHECKOUT / "docs" / "rover.svg"

@@ -11,8 +11,8 @@ import pytest
 import motorhil.motorapi.errors
 from motorhil.harness.cli.main import main as motorhil
 from tests.architecture import rover_picture
-from tests.architecture.checkout import CHECKOUT
 from tests.architecture.readme import PICTURE, README, blocks_of, is_told, retold, run, steps_of
+from tests.support.checkout import CHECKOUT
 
 TEXT = README.read_text(encoding="utf-8")
 PROSE = re.sub(r"^```.*?^```$", "", TEXT, flags=re.DOTALL | re.MULTILINE)

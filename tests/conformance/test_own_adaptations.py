@@ -9,7 +9,7 @@ import motorhil.harness.conformance.clauses
 from motorhil.harness.conformance.clause import Ability, Capability, Result
 from motorhil.harness.conformance.kit import all_clauses
 from motorhil.harness.conformance.run import run_clause
-from tests.conformance.benches import KINDS, claims, opener
+from tests.support.kit_benches import KINDS, claims, opener
 
 CLAUSES = all_clauses()
 # The clauses that are not applicable, so that a claim lost by mistake is noticed.
