@@ -9,8 +9,8 @@ from collections import Counter
 
 import pytest
 
-from tests.architecture.checkout import CHECKOUT
 from tests.architecture.pages import PAGES, README, name_of
+from tests.support.checkout import CHECKOUT
 
 README_LINES_MAX = 250
 LINK = re.compile(r"\]\(([^)\s]+)\)")
