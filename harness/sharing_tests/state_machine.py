@@ -58,7 +58,7 @@ from motorhil.motorapi import (
     TrapezoidalTrajectory,
     UsageError,
 )
-from motorhil.motorapi.commands import Motion
+from motorhil.motorapi.motion import Motion
 from motorhil.motorapi.ownership.claim import LockAction, OwnershipEvent
 from motorhil.motorapi.synchronization.quality import Trigger
 
