@@ -33,7 +33,7 @@ HOT = (
     "harness/virtual_time/runtime.py",
     "harness/recording/recorder.py",
     "harness/rig/recording.py",
-    "traces/mcap/protobuf.py",
+    "traces/protobuf.py",
     "motorapi/runtime/api.py",
     "motorapi/adaptations/canopen/*.py",
     "motorapi/adaptations/cia402/*.py",

@@ -176,7 +176,7 @@ def _sum(found: list[Findings]) -> tuple[str, int]:
 
 def _draw(found: list[Findings], target: Path) -> None:
     from motorhil.harness.analysis.plot import svg_of
-    from motorhil.traces.mcap.reader import whole_file
+    from motorhil.traces.files import whole_file
 
     with whole_file(str(target)) as file:
         file.write(svg_of(found).encode())

@@ -38,8 +38,8 @@ from motorhil.harness.rig.config.toml import RigError
 from motorhil.harness.rig.rig import Rig
 from motorhil.motorapi.locking.directory import VARIABLE
 from motorhil.motorapi.locking.lock_status import read_process
-from motorhil.traces.mcap.protobuf import decode
 from motorhil.traces.mcap.reader import Trace, read_trace
+from motorhil.traces.protobuf import decode
 from motorhil.traces.schema import CAN_FRAME, LockAction
 
 if TYPE_CHECKING:

@@ -56,8 +56,8 @@ from motorhil.motorapi.errors import UsageError
 from motorhil.motorapi.locking.directory import LockDirectory, socketcan_name
 from motorhil.motorapi.locking.lock_status import LockView, look
 from motorhil.traces.errors import TraceError
-from motorhil.traces.mcap.protobuf import Value, decode
 from motorhil.traces.mcap.reader import Trace, read_trace
+from motorhil.traces.protobuf import Value, decode
 from motorhil.traces.schema import MOTOR_LOCK, LockAction
 
 if TYPE_CHECKING:

@@ -19,7 +19,7 @@ from typing import Final, final
 from motorhil.harness.analysis.from_recording import RecordedBus
 from motorhil.harness.analysis.plot import usual_name
 from motorhil.harness.analysis.subject import Queues, Subject
-from motorhil.harness.report.events import Incidents, Severity
+from motorhil.harness.report.incidents import Incidents, Severity
 from motorhil.harness.report.series import Steps, Track
 from motorhil.traces.decoding.can_errors import ControllerState, bus_error
 from motorhil.traces.decoding.canopen import NMT_STATES, CanopenDecoder
@@ -27,9 +27,8 @@ from motorhil.traces.decoding.cia402 import STATES, state_number
 from motorhil.traces.decoding.events import DecodedEvent, Kind
 from motorhil.traces.decoding.modbus import ModbusDecoder, adu_of
 from motorhil.traces.decoding.objects import RecordedNames, axis_of
-from motorhil.traces.formats.frames import FrameDecoder
-from motorhil.traces.mcap.protobuf import Value
-from motorhil.traces.schema import Direction
+from motorhil.traces.protobuf import Value
+from motorhil.traces.schema import Direction, FrameDecoder
 
 
 @final

@@ -7,13 +7,13 @@ from typing import Final, final
 
 from motorhil.harness.recording.ownership import LockEvent
 from motorhil.harness.report.buses import CanBus, ModbusLine, Nodes, Traffic
-from motorhil.harness.report.events import Incidents, Severity, TruthReader, message_of
+from motorhil.harness.report.incidents import Incidents, Severity
 from motorhil.harness.report.rig import RigFacts, facts_of
 from motorhil.harness.report.series import TIME_MAX_NS, Track
 from motorhil.traces.decoding.objects import RecordedNames, names_of
-from motorhil.traces.mcap.protobuf import Value, decode
 from motorhil.traces.mcap.reader import Trace
 from motorhil.traces.mcap.records import Channel
+from motorhil.traces.protobuf import Value, decode
 from motorhil.traces.schema import (
     CAN_FRAME,
     GROUP_SYNC,
@@ -23,6 +23,8 @@ from motorhil.traces.schema import (
     MOTOR_LOCK,
     Level,
     LockAction,
+    TruthDecoder,
+    truth_message_of,
 )
 
 _Handler = Callable[[int, bytes], None]
@@ -178,8 +180,8 @@ class _Pass:
             return lambda time_ns, payload: self._group(name, time_ns, payload)
         if schema.name == LOG.name:
             return self._event
-        message = message_of(schema)
-        return None if message is None else self._truth_handler(name, TruthReader(message))
+        message = truth_message_of(schema)
+        return None if message is None else self._truth_handler(name, TruthDecoder(message))
 
     def _adu(self, name: str, time_ns: int, payload: bytes) -> None:
         fields = decode(MODBUS_ADU, payload)
@@ -203,11 +205,11 @@ class _Pass:
 
         return take
 
-    def _truth_handler(self, controller: str, reader: TruthReader) -> _Handler:
+    def _truth_handler(self, controller: str, reader: TruthDecoder) -> _Handler:
         tracks = self._found.truths.setdefault(controller, {})
 
         def take(time_ns: int, payload: bytes) -> None:
-            for name, value in reader.read(payload).items():
+            for name, value in reader.decode(payload).items():
                 track = tracks.get(name)
                 if track is None:
                     track = tracks[name] = Track()

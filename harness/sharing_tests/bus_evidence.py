@@ -29,8 +29,8 @@ from typing import Final, final
 
 from motorhil.harness.recording.ownership import Ended, OwnershipRecord, Tenure, read_ownership
 from motorhil.harness.sharing_tests.history import SharingViolated
-from motorhil.traces.mcap.protobuf import decode
 from motorhil.traces.mcap.reader import read_trace
+from motorhil.traces.protobuf import decode
 from motorhil.traces.schema import CAN_FRAME
 
 _NODE: Final = 0x7F

@@ -18,7 +18,7 @@ from motorhil.traces.formats.frames import Frame, classic
 from motorhil.traces.formats.pcap import Capture
 from motorhil.traces.formats.pcap_modbus import AduFeature, record_adus
 from motorhil.traces.formats.registry import record_frames
-from motorhil.traces.mcap.protobuf import encode
+from motorhil.traces.protobuf import encode
 from motorhil.traces.schema import MODBUS_ADU, Direction
 
 R, T = Direction.RECEIVED, Direction.TRANSMITTED

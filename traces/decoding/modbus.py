@@ -22,8 +22,8 @@ from typing import Final, NamedTuple, final
 
 from motorhil.traces.decoding.events import DecodedEvent, Fact, Kind
 from motorhil.traces.formats.pcap import Piece, Way
-from motorhil.traces.mcap.protobuf import Value, decode
 from motorhil.traces.mcap.reader import Trace
+from motorhil.traces.protobuf import Value, decode
 from motorhil.traces.schema import MODBUS_ADU, Direction
 
 PORT: Final = 502

@@ -22,10 +22,10 @@ from motorhil.traces.decoding.canopen import CanopenDecoder
 from motorhil.traces.decoding.events import DecodedEvent, Kind
 from motorhil.traces.decoding.modbus import Adu, ModbusDecoder, adu_in
 from motorhil.traces.decoding.objects import axis_of
-from motorhil.traces.formats.frames import ERR, RTR, FrameDecoder
-from motorhil.traces.mcap.protobuf import decode
+from motorhil.traces.formats.frames import ERR, RTR
 from motorhil.traces.mcap.reader import Trace
-from motorhil.traces.schema import CAN_FRAME, MODBUS_ADU, Direction
+from motorhil.traces.protobuf import decode
+from motorhil.traces.schema import CAN_FRAME, MODBUS_ADU, Direction, FrameDecoder
 
 Subject = tuple[str, int, str]
 """Bus, node, and object or state."""
@@ -214,8 +214,8 @@ def host_of(
         place = channel.topic.rpartition("/")[2]
         try:
             if kind == CAN_FRAME.name:
-                told = frames.frame(payload, time_ns, place)
-                cutter.take_frame(time_ns, place, told.frame, told.direction)
+                frame, direction, _ = frames.decode(payload)
+                cutter.take_frame(time_ns, place, frame, direction)
             elif kind == MODBUS_ADU.name:
                 values = decode(MODBUS_ADU, payload)
                 adu, data = adu_in(values), values.get("data", b"")

@@ -9,10 +9,9 @@ from motorhil.traces.decoding.objects import RecordedNames, names_of
 from motorhil.traces.exchange.canopen import CanopenTapes
 from motorhil.traces.exchange.modbus import LineAdu, modbus_tapes
 from motorhil.traces.exchange.steps import ExchangeLog
-from motorhil.traces.formats.frames import FrameDecoder
-from motorhil.traces.mcap.protobuf import decode
 from motorhil.traces.mcap.reader import Trace
-from motorhil.traces.schema import CAN_FRAME, MODBUS_ADU
+from motorhil.traces.protobuf import decode
+from motorhil.traces.schema import CAN_FRAME, MODBUS_ADU, FrameDecoder
 
 _RUN: Final = "run"
 """Metadata of a rig; its time begins at 0, with power-on."""
@@ -60,7 +59,7 @@ def tapes_of(trace: Trace, any_set_point: bool = False) -> RecordedTapes:
                 cutter = buses.get(place)
                 if cutter is None:
                     cutter = buses[place] = _cutter(place, begin_ns, names, any_set_point)
-                _, _, frame, direction, sender = frames.frame(payload, time_ns, place)
+                frame, direction, sender = frames.decode(payload)
                 cutter.take(time_ns, frame, direction, sender)
             elif kind == MODBUS_ADU.name:
                 values = decode(MODBUS_ADU, payload)

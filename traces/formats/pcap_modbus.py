@@ -27,8 +27,8 @@ from typing import BinaryIO, Final, NamedTuple, final
 from motorhil.traces.decoding.modbus import Adu, Malformed, RecordedAdu, adus
 from motorhil.traces.formats.frames import Findings
 from motorhil.traces.formats.pcap import Capture, Origin, Packet, PcapngWriter, Way, origins, pieces
-from motorhil.traces.mcap.protobuf import Value, decode, encode
 from motorhil.traces.mcap.writer import TraceWriter
+from motorhil.traces.protobuf import Value, decode, encode
 from motorhil.traces.schema import MODBUS_ADU, Direction, Schema
 
 _ETHERNET: Final = 1
