@@ -33,6 +33,7 @@ HOT = (
     "harness/virtual_time/runtime.py",
     "harness/recording/recorder.py",
     "harness/rig/recording.py",
+    "traces/mcap/chunk.py",
     "traces/protobuf.py",
     "motorapi/runtime/api.py",
     "motorapi/adaptations/canopen/*.py",

@@ -34,7 +34,7 @@ from motorhil.harness.oracles.network import (
     SyncPeriod,
 )
 from motorhil.harness.oracles.state_machine import StateMachine
-from motorhil.traces.decoding.objects import RecordedNames, names_of
+from motorhil.traces.decoding.attached_rig import RecordedNames, names_of
 from motorhil.traces.formats.frames import Findings as Reading
 from motorhil.traces.formats.registry import Source, open_source
 from motorhil.traces.mcap.reader import Trace, read_trace

@@ -21,12 +21,13 @@ from motorhil.harness.analysis.plot import usual_name
 from motorhil.harness.analysis.subject import Queues, Subject
 from motorhil.harness.report.incidents import Incidents, Severity
 from motorhil.harness.report.series import Steps, Track
+from motorhil.traces.decoding.attached_rig import RecordedNames
 from motorhil.traces.decoding.can_errors import ControllerState, bus_error
 from motorhil.traces.decoding.canopen import NMT_STATES, CanopenDecoder
 from motorhil.traces.decoding.cia402 import STATES, state_number
 from motorhil.traces.decoding.events import DecodedEvent, Kind
 from motorhil.traces.decoding.modbus import ModbusDecoder, adu_of
-from motorhil.traces.decoding.objects import RecordedNames, axis_of
+from motorhil.traces.decoding.objects import axis_of
 from motorhil.traces.protobuf import Value
 from motorhil.traces.schema import Direction, FrameDecoder
 

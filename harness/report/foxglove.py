@@ -9,7 +9,7 @@ import re
 from collections.abc import Iterable, Sequence
 from typing import Final
 
-from motorhil.harness.report.rig import facts_of
+from motorhil.traces.decoding.attached_rig import facts_of
 from motorhil.traces.mcap.reader import Trace
 from motorhil.traces.schema import (
     CAN_FRAME,

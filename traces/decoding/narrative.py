@@ -9,10 +9,10 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Final, final
 
+from motorhil.traces.decoding.attached_rig import RecordedNames, names_of
 from motorhil.traces.decoding.canopen import CanopenDecoder
 from motorhil.traces.decoding.events import DecodedEvent, Kind
 from motorhil.traces.decoding.modbus import ModbusDecoder, adu_of
-from motorhil.traces.decoding.objects import RecordedNames, names_of
 from motorhil.traces.mcap.reader import Trace, TraceMessage
 from motorhil.traces.protobuf import Value, decode
 from motorhil.traces.schema import (

@@ -3,9 +3,9 @@
 from dataclasses import dataclass
 from typing import Final, final
 
+from motorhil.traces.decoding.attached_rig import RecordedNames, names_of
 from motorhil.traces.decoding.canopen import CanopenDecoder
 from motorhil.traces.decoding.modbus import adu_in
-from motorhil.traces.decoding.objects import RecordedNames, names_of
 from motorhil.traces.exchange.canopen import CanopenTapes
 from motorhil.traces.exchange.modbus import LineAdu, modbus_tapes
 from motorhil.traces.exchange.steps import ExchangeLog
