@@ -12,7 +12,8 @@ from typing import Final, final
 from motorhil.traces.decoding.attached_rig import RecordedNames, names_of
 from motorhil.traces.decoding.canopen import CanopenDecoder
 from motorhil.traces.decoding.events import DecodedEvent, Kind
-from motorhil.traces.decoding.modbus import ModbusDecoder, adu_of
+from motorhil.traces.decoding.modbus import ModbusDecoder
+from motorhil.traces.formats.modbus import Malformed, recorded_adu
 from motorhil.traces.mcap.reader import Trace, TraceMessage
 from motorhil.traces.protobuf import Value, decode
 from motorhil.traces.schema import (
@@ -21,7 +22,6 @@ from motorhil.traces.schema import (
     LOG,
     MODBUS_ADU,
     MOTOR_LOCK,
-    Direction,
     FrameDecoder,
     Level,
     LockAction,
@@ -179,17 +179,12 @@ class Story:
         if decoder is None:
             units = {n: c for (b, n), c in self.names.nodes.items() if b == name}
             decoder = self._lines[name] = ModbusDecoder(units)
-        data = fields.get("data", b"")
-        assert isinstance(data, bytes)
         sender = str(fields.get("sender", ""))
-        to_server = fields.get("direction") == Direction.TRANSMITTED
-        adu, problem = adu_of(time_ns, data, tcp=bool(fields.get("tcp")), to_server=to_server)
-        if fields.get("spoiled"):
-            adu, problem = None, "it was corrupted on the line"
-        if adu is None:
-            text = f"Modbus, not an ADU ({problem}): {data.hex(' ').upper()}"
+        adu = recorded_adu(fields, time_ns)
+        if isinstance(adu, Malformed):
+            text = f"Modbus, not an ADU ({adu.problem}): {adu.data.hex(' ').upper()}"
             return Line(time_ns, topic, name, text)
-        if not to_server and sender:
+        if not adu.to_server and sender:
             decoder.call(adu.unit, sender)
             self.names.nodes.setdefault((name, adu.unit), sender)
         said = decoder.decode(adu)
