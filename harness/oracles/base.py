@@ -12,10 +12,10 @@ from enum import Enum
 from typing import ClassVar, Final, final
 
 from motorhil.harness.oracles.facts import Facts, Subject
+from motorhil.traces.decoding.attached_rig import RecordedNames
 from motorhil.traces.decoding.can_errors import BusError
 from motorhil.traces.decoding.cia402 import state_number
 from motorhil.traces.decoding.events import DecodedEvent
-from motorhil.traces.decoding.objects import RecordedNames
 from motorhil.traces.schema import LockAction
 
 _NS: Final = 1_000_000_000

@@ -26,9 +26,9 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final, final
 
-from motorhil.harness.report.rig import MotorFacts, facts_of
 from motorhil.harness.rig.config.toml import Table, read_source
 from motorhil.harness.rig.recording import named_files
+from motorhil.traces.decoding.attached_rig import MotorFacts, facts_of
 from motorhil.traces.mcap.records import Attachment
 
 _FREE: Final = float("inf")

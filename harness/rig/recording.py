@@ -12,8 +12,8 @@ from motorhil.harness.recording.ownership import LockWriter, MotorNames, MotorTa
 from motorhil.harness.recording.recorder import PERIOD_NS, Reading, Recorder, run_metadata
 from motorhil.harness.rig.config.rig_file import MotorDescription, RigDescription
 from motorhil.traces.errors import TraceError
-from motorhil.traces.mcap.protobuf import Value
 from motorhil.traces.mcap.writer import TraceWriter
+from motorhil.traces.protobuf import Value
 from motorhil.traces.schema import GROUP_SYNC
 
 if TYPE_CHECKING:

@@ -1,15 +1,21 @@
-"""Bit rates and units from the rig and the motor models attached to a recording."""
+"""Facts from the rig, the motor models and the EDS files attached to a recording.
+
+They give names, places, bit rates and units. Without a rig, nothing is known.
+"""
 
 import tomllib
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, final
+from math import tau
+from typing import Any, Final, final
 
-from motorhil.traces.decoding.objects import is_rig
+from motorhil.traces.decoding.objects import ObjectNames
 from motorhil.traces.mcap.records import Attachment
 
 # A TOML table, hence Any.
 Table = dict[str, Any]
+_EDS: Final = (".eds", ".dcf")
+_TABLES: Final = ("rig", "bus", "controller", "motor")
 
 
 @final
@@ -64,16 +70,59 @@ class RigFacts:
     settings: dict[str, Table] = field(default_factory=dict)
 
 
+@final
+@dataclass(slots=True)
+class RecordedNames:
+    """Names and object tables.
+
+    Attributes:
+        nodes: (bus, node or unit) to the controller's name.
+        motors: a motor's name to (bus, node or unit).
+        objects: (bus, node) to the objects in its EDS.
+    """
+
+    nodes: dict[tuple[str, int], str] = field(default_factory=dict)
+    motors: dict[str, tuple[str, int]] = field(default_factory=dict)
+    objects: dict[tuple[str, int], ObjectNames] = field(default_factory=dict)
+
+
+def rig_in(data: bytes) -> Table | None:
+    """Parse an attached rig; None if the file is something else (a motor model, an EDS)."""
+    table = _toml(data)
+    return table if table is not None and is_rig(table) else None
+
+
+def is_rig(table: Mapping[str, object]) -> bool:
+    """Return True if a TOML file is a rig, not a motor model or another accompanying file."""
+    return any(isinstance(table.get(name), dict) for name in _TABLES)
+
+
+def names_of(attachments: Iterable[Attachment]) -> RecordedNames:
+    """Return the names in the attachments; unreadable files are ignored."""
+    files = {one.name.rpartition("/")[2]: one for one in attachments}
+    facts = facts_of(files.values())
+    names = RecordedNames()
+    for name, table in facts.settings.items():
+        place = _place(table)
+        if place is None:
+            continue
+        names.nodes[place] = name
+        eds = str(table.get("eds", "")).rpartition("/")[2]
+        if eds.lower().endswith(_EDS) and eds in files:
+            names.objects[place] = ObjectNames(files[eds].data.decode("cp1252", errors="replace"))
+    names.motors = {one.name: one.place for one in facts.motors.values() if one.place is not None}
+    return names
+
+
 def facts_of(attachments: Iterable[Attachment]) -> RigFacts:
     """Return the facts in the attachments; unreadable attachments are ignored."""
     tables: dict[str, Table] = {}
     rig: Table | None = None
     for one in attachments:
-        try:
-            table = tables[one.name.rpartition("/")[2]] = tomllib.loads(one.data.decode())
-        except (tomllib.TOMLDecodeError, UnicodeDecodeError):
-            continue
-        rig = table if rig is None and is_rig(table) else rig
+        table = _toml(one.data)
+        if table is not None:
+            tables[one.name.rpartition("/")[2]] = table
+            rig = table if rig is None and is_rig(table) else rig
     facts = RigFacts()
     if rig is None:
         return facts
@@ -138,13 +187,18 @@ def _positive_or_negative(value: object) -> float | None:
 
 def _by_gear(model: Table, unit: str) -> float | None:
     """Return the increments per unit from gear and encoder of a motor model."""
-    from math import tau
-
     encoder = model.get("encoder_increments_rev")
     gear = model.get("motor_turns_per_m" if unit == "m" else "gear_ratio")
     if not isinstance(encoder, int | float) or not isinstance(gear, int | float):
         return None
     return encoder * gear if unit == "m" else encoder * gear / tau
+
+
+def _toml(data: bytes) -> Table | None:
+    try:
+        return tomllib.loads(data.decode())
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError):
+        return None
 
 
 def _tables(rig: Table, kind: str) -> dict[str, Table]:
