@@ -49,6 +49,7 @@ from motorhil.motorapi.planning.groups import TIME, Common
 from motorhil.motorapi.planning.path import PathWatch, predicted_path
 from motorhil.motorapi.runtime.api import LOOK_PERIOD_S
 from motorhil.motorapi.synchronization.conditions import check_asked, require_synchronised
+from motorhil.motorapi.synchronization.offer import Trigger
 from motorhil.motorapi.synchronization.quality import (
     FaultReaction,
     PathDeviation,
@@ -56,7 +57,6 @@ from motorhil.motorapi.synchronization.quality import (
     Synchronization,
     SyncLevel,
     SyncQuality,
-    Trigger,
     spread_s,
 )
 from motorhil.motorapi.synchronization.skew import (

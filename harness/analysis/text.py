@@ -4,10 +4,9 @@ from collections.abc import Sequence
 from typing import Final
 
 from motorhil.harness.analysis.advice import ERRORS_MAX, Tolerance
-from motorhil.harness.analysis.message import Arrival, Message
-from motorhil.harness.analysis.response_time import Response
 from motorhil.harness.analysis.subject import Findings, Subject, Sync
 from motorhil.harness.cli.options import print_table
+from motorhil.motorapi.synchronization.can_response_time import Arrival, Message, Response
 
 _MS = 1e-6  # ms per ns
 
