@@ -60,7 +60,7 @@ from motorhil.motorapi import (
 )
 from motorhil.motorapi.motion import Motion
 from motorhil.motorapi.ownership.claim import LockAction, OwnershipEvent
-from motorhil.motorapi.synchronization.quality import Trigger
+from motorhil.motorapi.synchronization.offer import Trigger
 
 if TYPE_CHECKING:
     from motorhil.harness.virtual_time.runtime import VirtualParty, VirtualRuntime

@@ -184,7 +184,7 @@ def worst_of(messages: Sequence[PeriodicMessage]) -> tuple[PeriodicMessage, ...]
     found: dict[int, PeriodicMessage] = {}
     for message in messages:
         known = found.get(message.rank)
-        if known is not None:
+        if known is not None and known != message:
             message = replace(
                 message,
                 length=max(message.length, known.length),

@@ -12,12 +12,8 @@ from motorhil.motorapi.synchronization.bus_load import (
     own_traffic,
     streams,
 )
-from motorhil.motorapi.synchronization.can_response_time import (
-    Firing,
-    OneFrame,
-    longest_s,
-    overload_of,
-)
+from motorhil.motorapi.synchronization.firing_time import longest_s, overload_of
+from motorhil.motorapi.synchronization.offer import Firing, OneFrame
 
 if TYPE_CHECKING:
     from motorhil.motorapi.adaptations.canopen.bus import CanopenLink

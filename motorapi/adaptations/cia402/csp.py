@@ -42,13 +42,12 @@ from motorhil.motorapi.errors import (
 )
 from motorhil.motorapi.generation import Trapezoid, shortest
 from motorhil.motorapi.motion import Motion
-from motorhil.motorapi.planning.sampling import demand_of
+from motorhil.motorapi.planning.sampling import demand_of, way_of
 from motorhil.motorapi.synchronization.bus_load import PeriodicMessage, note_stream
 from motorhil.motorapi.trajectory import value_of
 
 if TYPE_CHECKING:
     from motorhil.motorapi.adaptations.cia402.hardware import Cia402HwMotor
-    from motorhil.motorapi.functions.base import Function
     from motorhil.motorapi.ownership.fencing import BoundFence, Fence
     from motorhil.motorapi.runtime.api import Registration
 
@@ -380,7 +379,7 @@ class StreamedMotion:
         self._period_s = period_s
         self._demand = demand_of(motion)
         self._argument = motion.argument
-        self._integral: Function | None = None
+        self._way: Callable[[float], float] | None = None
         self._before: tuple[float, float] | None = None  # the previous velocity and position
         self._held_inc = held_inc
         self._last_inc = held_inc
@@ -391,7 +390,7 @@ class StreamedMotion:
         if motion.variable is ControlVariable.VELOCITY:
             self._from = units.position(held_inc)
             if self._argument is None and motion.function is not None:
-                self._integral = motion.function.integral()
+                self._way = way_of(motion)
         else:
             self._from = motion.start
         self._scale = abs(units.increments(1.0))
@@ -493,18 +492,13 @@ class StreamedMotion:
         """Return the integral of a velocity trajectory, continued at its final velocity."""
         demand = self._demand
         self.velocity = demand.value(at)
-        integral = self._integral
-        if integral is None:
+        if self._way is None:
             velocity, position = self._before or (demand.value(at), self._from)
             position += 0.5 * (velocity + self.velocity) * self._period_s
             self._before = (self.velocity, position)
             return position
-        begin, end = demand.initial_argument, demand.final_argument
-        inside = min(at, end)
-        way = (
-            integral.value(inside) - integral.value(begin) + self._motion.offset * (inside - begin)
-        )
-        return self._from + way + (at - inside) * self.velocity
+        inside = min(at, demand.final_argument)
+        return self._from + self._way(inside) + (at - inside) * self.velocity
 
     def _beyond(self, quantity: str, value: float, limit: float) -> LimitError:
         argument = self._argument

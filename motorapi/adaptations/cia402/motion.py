@@ -77,8 +77,8 @@ from motorhil.motorapi.commands import ControlVariable
 from motorhil.motorapi.errors import DeadlineExceeded, LinkError, StateError
 from motorhil.motorapi.motion import Motion
 from motorhil.motorapi.synchronization.bus_load import PeriodicMessage
-from motorhil.motorapi.synchronization.can_response_time import Firing, OneFrame
-from motorhil.motorapi.synchronization.quality import MotionTimes, SyncLevel, SyncOffer, Trigger
+from motorhil.motorapi.synchronization.offer import Firing, OneFrame, SyncOffer, Trigger
+from motorhil.motorapi.synchronization.quality import MotionTimes, SyncLevel
 
 if TYPE_CHECKING:
     from motorhil.motorapi.adaptations.canopen.bus import Transmission

@@ -62,7 +62,8 @@ from motorhil.motorapi.ownership.physical_motor import bus_key
 from motorhil.motorapi.planning.functions import asks_for_smoothness
 from motorhil.motorapi.runtime.api import Registration
 from motorhil.motorapi.state import Fault, Measurement, MotorState
-from motorhil.motorapi.synchronization.quality import MotionTimes, SyncOffer, Trigger
+from motorhil.motorapi.synchronization.offer import SyncOffer, Trigger
+from motorhil.motorapi.synchronization.quality import MotionTimes
 from motorhil.motorapi.trajectory import ComplexTrajectory, Trajectory
 
 if TYPE_CHECKING:

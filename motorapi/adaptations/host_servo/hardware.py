@@ -57,7 +57,7 @@ if TYPE_CHECKING:
     from motorhil.motorapi.locking.process_lock import LockHandle
     from motorhil.motorapi.ownership.claim import OwnershipEvent
     from motorhil.motorapi.runtime.api import Runtime
-    from motorhil.motorapi.synchronization.quality import Trigger
+    from motorhil.motorapi.synchronization.offer import Trigger
 
 FAULT: Final = 2
 AMPLIFIER_FAULT: Final = 0x5400  # device hardware, power section (CiA 402-2, error codes)

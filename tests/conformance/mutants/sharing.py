@@ -176,7 +176,7 @@ def the_last_one_shuts_the_door_every_time():
     def wrong(close):
         def closed(motor):
             close(motor)
-            motor._polled.close()
+            motor.hardware.close()
 
         return closed
 

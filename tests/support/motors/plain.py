@@ -16,7 +16,8 @@ from motorhil.motorapi.ownership.physical_motor import (
     release_physical_motor,
 )
 from motorhil.motorapi.state import Fault, Measurement, MotorState
-from motorhil.motorapi.synchronization.quality import MotionTimes, SyncLevel, SyncOffer
+from motorhil.motorapi.synchronization.offer import SyncOffer
+from motorhil.motorapi.synchronization.quality import MotionTimes, SyncLevel
 
 MODEL = MotorModel(name="plain", velocity_max=2.0, acceleration_max=4.0)
 ABLE = {

@@ -18,9 +18,14 @@ from motorhil.harness.analysis.advice import (
     tolerances,
     with_changes,
 )
-from motorhil.harness.analysis.message import BusLoad, Message
-from motorhil.harness.analysis.response_time import NO_ERRORS, ErrorModel, are_in_time
 from motorhil.harness.analysis.subject import is_canopen_reserved, reserves_nothing
+from motorhil.motorapi.synchronization.can_response_time import (
+    NO_ERRORS,
+    BusLoad,
+    ErrorModel,
+    Message,
+    are_in_time,
+)
 from tests.support.recordings.message_sets import MS, US, davis, sae
 
 

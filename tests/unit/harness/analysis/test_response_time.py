@@ -1,28 +1,21 @@
-"""Worst-case response times against published figures and motorapi's implementation."""
+"""Worst-case response times against published figures."""
 
 from dataclasses import replace
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
-from motorhil.harness.analysis.message import (
-    FD_LENGTHS,
+from motorhil.harness.analysis.advice import more_errors_probability
+from motorhil.motorapi.synchronization.bus_load import FD_LENGTHS
+from motorhil.motorapi.synchronization.can_frame_length import longest, shortest
+from motorhil.motorapi.synchronization.can_response_time import (
     Arrival,
     BusLoad,
-    Message,
-    longest,
-    shortest,
-)
-from motorhil.harness.analysis.response_time import (
     ErrorModel,
+    Message,
     are_in_time,
-    more_errors_probability,
     response_between,
     response_times,
 )
-from motorhil.motorapi.synchronization import can_response_time as bus_timing
-from motorhil.motorapi.synchronization.bus_load import CanTraffic, PeriodicMessage
 from tests.support.recordings.message_sets import MS, SAE, SAE_RATES, US, davis, sae
 
 # Bits with intermission, shortest and longest, 11-bit and 29-bit identifiers, by FD_LENGTHS.
@@ -68,65 +61,6 @@ def test_fd_frame_lengths_equal_the_kernels(length: int):
             assert split.nominal + split.data == bound
             assert split.time_ns(1_000_000, 1_000_000) == bound * 1000
             assert split.nominal in ((49, 57) if extended else (30, 33))
-
-
-TIMES = (
-    st.integers(500, 50_000).map(lambda us: us / 1e6),
-    st.integers(0, 5_000).map(lambda us: us / 1e6),
-)
-IDENTIFIERS = st.integers(0, 0x7FF)
-MESSAGES = st.lists(
-    st.builds(PeriodicMessage, IDENTIFIERS, st.integers(0, 8), *TIMES, st.booleans())
-    | st.builds(
-        PeriodicMessage,
-        IDENTIFIERS,
-        st.sampled_from(FD_LENGTHS),
-        *TIMES,
-        st.booleans(),
-        st.just(True),
-        st.booleans(),
-    ),
-    min_size=1,
-    max_size=8,
-    unique_by=lambda one: one.rank,
-)
-
-
-@given(
-    MESSAGES,
-    st.sampled_from([1_000_000, 500_000, 125_000]),
-    st.sampled_from([None, 2_000_000, 5_000_000]),
-)
-def test_response_times_equal_those_of_motorapi(
-    messages: list[PeriodicMessage], rate: int, data_rate: int | None
-):
-    traffic = CanTraffic(rate, tuple(messages), data_bitrate_bit_s=data_rate)
-    theirs = bus_timing.response_times(traffic)
-    ours = response_times(
-        BusLoad(
-            "can0",
-            rate,
-            tuple(
-                Message(
-                    one.can_id,
-                    one.length,
-                    round(one.period_s * 1e9),
-                    round(one.jitter_s * 1e9),
-                    extended=one.extended,
-                    fd=one.fd,
-                    switched=one.bit_rate_switch,
-                )
-                for one in messages
-            ),
-            data_rate,
-        )
-    )
-    for mine, other in zip(ours, theirs, strict=True):
-        assert mine.message.rank == other.message.rank
-        if other.response_s is None:  # that one examines 1000 instances at most
-            assert mine.response_ns is None or mine.busy_ns > 500_000 * 1000
-        else:
-            assert mine.response_ns == round(other.response_s * 1e9)
 
 
 # --- errors: Tindell's bound by hand

@@ -13,16 +13,10 @@ from motorhil.motorapi.synchronization.bus_load import (
     PeriodicMessage,
     worst_of,
 )
-from motorhil.motorapi.synchronization.can_response_time import (
-    Firing,
-    OneFrame,
-    least_frame_bits,
-    longest_s,
-    overload_of,
-    response_times,
-    worst_frame_bits,
-    worst_frame_ns,
-)
+from motorhil.motorapi.synchronization.can_frame_length import longest, shortest
+from motorhil.motorapi.synchronization.can_response_time import BusLoad, Message, response_times
+from motorhil.motorapi.synchronization.firing_time import longest_s, overload_of
+from motorhil.motorapi.synchronization.offer import Firing, OneFrame
 
 # Frame bits with intermission, minimum and maximum: can-utils canframelen.c and Linux
 # include/linux/can/length.h, which follow Davis et al. 2007, by data bytes 0 to 8.
@@ -37,37 +31,13 @@ LENGTHS = {
     ),
 }
 
-# The SAE benchmark of Tindell & Burns 1994 (17 messages after piggybacking): period [ms], bytes,
-# and the response at 125, 250, 500 and 1000 kbit/s to the last bit of the frame [us], in order of
-# priority. The column of 125 kbit/s is quoted from memory of the papers and was recomputed by hand
-# from the frame lengths above, without jitter; the others follow from it.
-SAE = (
-    (1000, 1, 1416, 708, 354, 177),
-    (5, 2, 2016, 1008, 504, 252),
-    (5, 1, 2536, 1268, 634, 317),
-    (5, 2, 3136, 1568, 784, 392),
-    (5, 1, 3656, 1828, 914, 457),
-    (5, 2, 4256, 2128, 1064, 532),
-    (10, 6, 5016, 2508, 1254, 627),
-    (10, 1, 8376, 2768, 1384, 692),
-    (10, 2, 8976, 3068, 1534, 767),
-    (10, 2, 9576, 3368, 1684, 842),
-    (100, 1, 10096, 3628, 1814, 907),
-    (100, 4, 19096, 3968, 1984, 992),
-    (100, 1, 19616, 4228, 2114, 1057),
-    (100, 1, 20136, 4488, 2244, 1122),
-    (1000, 3, 28976, 4748, 2374, 1187),
-    (1000, 1, 29496, 5008, 2504, 1252),
-    (1000, 1, 29496, 5008, 2504, 1252),
-)
-
 
 @pytest.mark.parametrize("extended", [False, True])
 def test_frame_lengths_equal_those_of_kernel_and_can_utils(extended: bool):
     least, worst = LENGTHS[extended]
     for length in range(9):
-        assert worst_frame_bits(length, extended=extended) == worst[length]
-        assert least_frame_bits(length, extended=extended) + 3 == least[length]
+        assert longest(length, extended=extended).nominal == worst[length]
+        assert shortest(length, extended=extended).nominal == least[length]
 
 
 def test_counter_example_of_davis_et_al_is_found():
@@ -76,22 +46,11 @@ def test_counter_example_of_davis_et_al_is_found():
         PeriodicMessage(can_id, 7, period_s)
         for can_id, period_s in ((1, 0.0025), (2, 0.0035), (3, 0.0035))
     )
-    a, b, c = response_times(CanTraffic(125_000, messages))
-    assert (a.response_s, b.response_s, c.response_s) == (0.002, 0.003, 0.0035)
+    a, b, c = response_times(BusLoad.of(CanTraffic(125_000, messages)))
+    assert (a.response_ns, b.response_ns, c.response_ns) == (2_000_000, 3_000_000, 3_500_000)
     assert c.instance == 1
-    assert c.busy_s == 0.007
+    assert c.busy_ns == 7_000_000
     assert (a.instance, b.instance) == (0, 0)
-
-
-@pytest.mark.parametrize("column", range(4))
-def test_sae_benchmark_is_exact_to_the_microsecond(column: int):
-    rate = (125_000, 250_000, 500_000, 1_000_000)[column]
-    messages = tuple(
-        PeriodicMessage(place + 1, row[1], row[0] / 1e3) for place, row in enumerate(SAE)
-    )
-    found = response_times(CanTraffic(rate, messages))
-    received_us = [round((one.received_s or 0.0) * 1e6) for one in found]
-    assert received_us == [row[2 + column] for row in SAE]
 
 
 @pytest.mark.parametrize(
@@ -100,14 +59,14 @@ def test_sae_benchmark_is_exact_to_the_microsecond(column: int):
 )
 def test_can_fd_frame_lengths_equal_those_of_the_kernel(length: int, bits: tuple[int, int]):
     """Check the longest frames. Source: Linux include/linux/can/length.h (can-physics, 6.3)."""
-    slow, fast = (CanTraffic(1_000_000, data_bitrate_bit_s=rate) for rate in (1_000_000, 5_000_000))
+    slow, fast = (BusLoad("", 1_000_000, (), rate) for rate in (1_000_000, 5_000_000))
     for extended, worst, nominal in zip((False, True), bits, (33, 57), strict=True):
         plain = PeriodicMessage(1, length, 1.0, extended=extended, fd=True)
         switched = replace(plain, bit_rate_switch=True)
         for one in (plain, switched):
-            assert worst_frame_ns(one, slow) == worst * 1000
-        assert worst_frame_ns(plain, fast) == worst * 1000
-        assert worst_frame_ns(switched, fast) == nominal * 1000 + (worst - nominal) * 200
+            assert slow.takes_ns(Message.of(one)) == worst * 1000
+        assert fast.takes_ns(Message.of(plain)) == worst * 1000
+        assert fast.takes_ns(Message.of(switched)) == nominal * 1000 + (worst - nominal) * 200
 
 
 def test_can_fd_frame_without_switch_is_the_worst():
@@ -127,9 +86,9 @@ def test_full_bus_has_no_bound_and_names_the_message():
     traffic = CanTraffic(
         125_000, (PeriodicMessage(1, 8, 0.0012), PeriodicMessage(2, 8, 0.01))
     )  # 1.08 ms in 1.2 ms
-    urgent, starving = response_times(traffic)
-    assert urgent.response_s is not None
-    assert starving.response_s is None
+    urgent, starving = response_times(BusLoad.of(traffic))
+    assert urgent.response_ns is not None
+    assert starving.response_ns is None
     assert overload_of(traffic) == "002h and messages of higher priority may fill the bus"
     assert overload_of(CanTraffic(1_000_000, traffic.messages)) == ""
 
@@ -138,8 +97,8 @@ def test_jitter_permits_several_frames_at_once():
     one = PeriodicMessage(1, 8, 0.001)
     plain = CanTraffic(1_000_000, (one, PeriodicMessage(2, 8, 0.1)))
     shaken = CanTraffic(1_000_000, (replace(one, jitter_s=0.002), PeriodicMessage(2, 8, 0.1)))
-    assert response_times(plain)[1].response_s == pytest.approx(270e-6, abs=1e-12)  # ns, as float
-    assert response_times(shaken)[1].response_s == pytest.approx(540e-6, abs=1e-12)
+    assert response_times(BusLoad.of(plain))[1].response_ns == 270_000
+    assert response_times(BusLoad.of(shaken))[1].response_ns == 540_000
 
 
 @pytest.mark.parametrize(
@@ -247,10 +206,10 @@ def _simulated(
     """Return the duration of `frames`, in turn from `begin_ns` on [ns]; all of worst length."""
     bit_ns = 1_000_000_000 // traffic.bitrate_bit_s
     due = [
-        [offset, round(message.period_s * 1e9), message.rank, worst_frame_bits(message.length)]
+        [offset, round(message.period_s * 1e9), message.rank, longest(message.length).nominal]
         for offset, message in zip(offsets_ns, traffic.messages, strict=True)
     ]
-    left = [(can_id << 19, worst_frame_bits(length)) for can_id, length in frames]
+    left = [(can_id << 19, longest(length).nominal) for can_id, length in frames]
     queued_ns, now_ns = begin_ns, 0
     while left:
         ready = [(one[2], place) for place, one in enumerate(due) if one[0] <= now_ns]
