@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, Self, final
 
 from motorhil.motorapi.adaptations.canopen.sync import BusSync, FenceNow, Lost
+from motorhil.motorapi.bus_context import context_of
 from motorhil.motorapi.errors import DeadlineExceeded, LinkError, UsageError
 from motorhil.motorapi.ownership.fencing import joint_fence
 from motorhil.motorapi.runtime.api import Registration, Runtime, wait_until
@@ -460,14 +461,9 @@ def bus_label(bus: "can.BusABC") -> str:
     return str(channel) if channel is not None else str(bus.channel_info)
 
 
-_LINKS: dict[int, CanopenLink] = {}  # by id(bus), which stays unique while the link holds the bus
-
-
 def open_link(bus: "can.BusABC", runtime: Runtime) -> CanopenLink:
     """Return the link of this bus object, made on first use; `release_link` ends the use."""
-    link = _LINKS.get(id(bus))
-    if link is None:
-        link = _LINKS[id(bus)] = CanopenLink(bus, runtime)
+    link = context_of(bus).parts.part(CanopenLink, lambda: CanopenLink(bus, runtime))
     link.users += 1
     return link
 
@@ -476,7 +472,7 @@ def release_link(link: CanopenLink) -> None:
     """Count one user of the link less; the last one closes the link, not the bus."""
     link.users -= 1
     if link.users == 0:
-        _LINKS.pop(id(link.bus), None)
+        context_of(link.bus).parts.drop(link)
         link.close()
 
 

@@ -31,20 +31,19 @@ the ownership abandoned.
 """
 
 import re
-import weakref
 from collections import deque
-from collections.abc import Callable, Hashable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING, Final, final
 
 from motorhil.motorapi.adaptations.cia402.objects import ENABLE_OPERATION, HALT
+from motorhil.motorapi.bus_context import context_of
 from motorhil.motorapi.errors import LinkError, MotorBusyError, UsageError
 from motorhil.motorapi.locking.directory import LockDirectory, bus_name
 from motorhil.motorapi.locking.lock_status import list_locks, look
 from motorhil.motorapi.locking.process_lock import LockHandle, ProcessLock, can_share_time
-from motorhil.motorapi.ownership.physical_motor import bus_key
 from motorhil.motorapi.ownership.queue import FifoQueue, share_trigger
 from motorhil.motorapi.runtime.api import Registration, Runtime
 
@@ -243,19 +242,13 @@ class SharedBus:
         self.turns: Final = FifoQueue(f"SYNC of {name}", lock)
         self.seat: Final = ProducerSeat(seat_lock)
         self.marks: Final = ArmedMarks(where, name)
-
-
-_buses: Final["weakref.WeakValueDictionary[Hashable, SharedBus]"] = weakref.WeakValueDictionary()
+        self.users = 0
 
 
 def shared_bus(link: "CanopenLink") -> SharedBus:
     """Return the shared state of the link's bus, independent of the path by which it was opened."""
     where = bus_name(link.bus) if can_share_time(link.runtime) else None
-    key: Hashable = bus_key(link.bus) if where is None else where
-    bus = _buses.get(key)
-    if bus is None:
-        bus = _buses[key] = SharedBus(link.name, where)
-    return bus
+    return context_of(link.bus).medium.part(SharedBus, lambda: SharedBus(link.name, where))
 
 
 def median_ns(times_ns: tuple[int, ...]) -> int:
@@ -313,6 +306,7 @@ class BusSync:
         self._link: Final = link
         self._runtime: Final = link.runtime
         self._bus: Final = shared_bus(link)
+        self._bus.users += 1
         self._frame: Final = link.sync_frame
         self.turns: Final = self._bus.turns
         self.marks: Final = self._bus.marks
@@ -645,3 +639,6 @@ class BusSync:
         self._at_next.clear()
         self._end()
         self._bus.seat.give(self)
+        self._bus.users -= 1
+        if self._bus.users == 0:
+            context_of(self._link.bus).medium.drop(self._bus)

@@ -35,7 +35,6 @@ from motorhil.motorapi.errors import LinkError, StateError, UsageError
 from motorhil.motorapi.ownership.physical_motor import (
     PhysicalMotor,
     RunStatus,
-    bus_key,
     register_physical_motor,
     release_physical_motor,
 )
@@ -103,16 +102,15 @@ class Cia402HwMotor:
         if self.options.heartbeat_ms and node_id == self.options.host_node_id:
             raise self._is_the_hosts()
         self._facts: DriveFacts | None = None
-        self._key = (*bus_key(bus), node_id)
         lock, sdo_lock = node_locks(bus, runtime, node_id, self.label)
         self.physical: Final[PhysicalMotor] = register_physical_motor(
-            self._key, self.label, self, lock
+            bus, node_id, self.label, self, lock
         )
         self._shared = SharedNode(self.physical, sdo_lock, runtime)
         self.link: Final[CanopenLink] = open_link(bus, runtime)
         if self.link.is_host(node_id):
             release_link(self.link)
-            release_physical_motor(self._key, self)
+            release_physical_motor(bus, node_id, self)
             raise self._is_the_hosts()
         self.node: Final = DriveNode(
             self.link,
@@ -156,7 +154,7 @@ class Cia402HwMotor:
             done = watch is None or watch.ended_ns is not None
             status = RunStatus.DONE if done else RunStatus.GOING
             self.physical.end(f"close() of {self.label}", self.runtime.now_ns(), status)
-        release_physical_motor(self._key, self)
+        release_physical_motor(self.link.bus, self.node_id, self)
         if self.stream is not None:
             self.stream.cancel()
         self._facts = None

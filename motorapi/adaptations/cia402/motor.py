@@ -57,7 +57,6 @@ from motorhil.motorapi.commands import ControlMode, ControlVariable, Motion, Set
 from motorhil.motorapi.errors import UnsupportedError, UsageError
 from motorhil.motorapi.model import MotorModel
 from motorhil.motorapi.motor import Motor
-from motorhil.motorapi.ownership.physical_motor import bus_key
 from motorhil.motorapi.planning.functions import asks_for_smoothness
 from motorhil.motorapi.runtime.api import Registration
 from motorhil.motorapi.state import Fault, Measurement, MotorState
@@ -452,7 +451,8 @@ def build(
     }
     options = HwOptions(**given)  # type: ignore[arg-type]  # HwOptions checks them
     hardware = _SHARED.get(
-        (*bus_key(bus), node_id),
+        bus,
+        node_id,
         lambda: Cia402HwMotor(bus, node_id, runtime=runtime, options=options),
         lambda built: built.options == options,
     )

@@ -43,7 +43,6 @@ from motorhil.motorapi.ownership.fencing import announce
 from motorhil.motorapi.ownership.physical_motor import (
     PhysicalMotor,
     RunStatus,
-    bus_key,
     register_physical_motor,
     release_physical_motor,
 )
@@ -367,17 +366,17 @@ class AmplifierHwMotor:
         self.channel: Final = channel
         self.current_per_volt_a_v: Final = float(current_per_volt_a_v)
         self.label: Final = f"{bus_label(bus)} node {node_id} channel {channel}"
-        self._key = (*bus_key(bus), node_id, "channel", channel)
+        self._place = (node_id, channel)
         lock = node_locks(bus, self.runtime, node_id, self.label)[0]
         if lock is not None:  # of this motor; that of the node is in `io.occupation`
             lock = ProcessLock(f"{lock.name}-channel{channel}", self.label)
         self.physical: Final[PhysicalMotor] = register_physical_motor(
-            self._key, self.label, self, lock
+            bus, self._place, self.label, self, lock
         )
         try:
             self.io: Final[AmplifierNode] = open_node(bus, node_id, self.runtime, self.options)
         except BaseException:
-            release_physical_motor(self._key, self)
+            release_physical_motor(bus, self._place, self)
             raise
         self.node: Final = self.io.node
         self.link: Final = self.io.link
@@ -419,7 +418,7 @@ class AmplifierHwMotor:
         if self._pair is not None:
             self._pair.place((self.channel - 1) % 2, None)
             self._pair = None
-        release_physical_motor(self._key, self)
+        release_physical_motor(self.link.bus, self._place, self)
         self.io.release()
 
     # --- bring-up --------------------------------------------------------------------------

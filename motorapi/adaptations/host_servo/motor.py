@@ -39,7 +39,6 @@ from motorhil.motorapi.adaptations.registration import Shared, as_name, number, 
 from motorhil.motorapi.commands import ControlMode, ControlVariable, Motion, Setpoint, as_number
 from motorhil.motorapi.errors import DeviceFault, UnsupportedError, UsageError
 from motorhil.motorapi.motor import Motor
-from motorhil.motorapi.ownership.physical_motor import bus_key
 from motorhil.motorapi.state import Fault, Measurement, MotorState
 from motorhil.motorapi.synchronization.can_response_time import Firing
 from motorhil.motorapi.synchronization.quality import MotionTimes, SyncLevel, SyncOffer, Trigger
@@ -458,7 +457,8 @@ def build(
         **{field: number(key, settings[key]) for key, field in keys.items() if key in settings}
     )
     hardware = _SHARED.get(
-        (*bus_key(bus), node_id, channel),
+        bus,
+        (node_id, channel),
         lambda: AmplifierHwMotor(
             *(bus, node_id, channel),
             current_per_volt_a_v=current_per_volt_a_v,

@@ -45,6 +45,7 @@ from motorhil.motorapi.adaptations.cia402.bringup import HwOptions, first_answer
 from motorhil.motorapi.adaptations.cia402.node import DriveNode
 from motorhil.motorapi.adaptations.cia402.node_sharing import node_locks
 from motorhil.motorapi.adaptations.host_servo.cycle import Axis, ChannelPair, Cycle, cycle_of
+from motorhil.motorapi.bus_context import context_of
 from motorhil.motorapi.errors import (
     DeadlineExceeded,
     LinkError,
@@ -55,12 +56,9 @@ from motorhil.motorapi.errors import (
 from motorhil.motorapi.locking.process_lock import this_process
 from motorhil.motorapi.ownership.claim import LockAction
 from motorhil.motorapi.ownership.fencing import BoundFence, Fence, NodeFence, tell_bus
-from motorhil.motorapi.ownership.physical_motor import bus_key
 from motorhil.motorapi.synchronization.bus_load import NodeTraffic, PeriodicMessage, note_node
 
 if TYPE_CHECKING:
-    from collections.abc import Hashable
-
     import can
 
     from motorhil.motorapi.adaptations.canopen.pdo_setup import PdoFound
@@ -281,7 +279,6 @@ class AmplifierNode:
         self, bus: "can.BusABC", node_id: int, runtime: "Runtime", options: IoOptions
     ) -> None:
         self.options: Final = options
-        self._key = (*bus_key(bus), node_id)
         self.link: Final = open_link(bus, runtime)
         if options.heartbeat_ms and (node_id == options.host_node_id or self.link.is_host(node_id)):
             name = self.link.name
@@ -321,8 +318,9 @@ class AmplifierNode:
             return
         self.is_closed = True
         self.facts = None
-        if _NODES.get(self._key) is self:
-            del _NODES[self._key]
+        nodes = _nodes(self.link.bus)
+        if nodes.get(self.node.node_id) is self:
+            del nodes[self.node.node_id]
         for pair in self._pairs:
             pair.close()
         self.node.close()
@@ -556,7 +554,16 @@ class AmplifierNode:
             )
 
 
-_NODES: "Final[dict[Hashable, AmplifierNode]]" = {}
+@final
+class _Nodes:
+    """The I/O nodes on one bus, by node-ID."""
+
+    def __init__(self) -> None:
+        self.nodes: Final[dict[int, AmplifierNode]] = {}
+
+
+def _nodes(bus: "can.BusABC") -> dict[int, AmplifierNode]:
+    return context_of(bus).medium.part(_Nodes).nodes
 
 
 def open_node(
@@ -567,10 +574,10 @@ def open_node(
     Raises:
         UsageError: it is used with other options already.
     """
-    key = (*bus_key(bus), node_id)
-    io = _NODES.get(key)
+    nodes = _nodes(bus)
+    io = nodes.get(node_id)
     if io is None:
-        io = _NODES[key] = AmplifierNode(bus, node_id, runtime, options)
+        io = nodes[node_id] = AmplifierNode(bus, node_id, runtime, options)
     elif io.options != options:
         raise UsageError(
             f"{io.node.label} is used with other settings already; motors on one node share its"

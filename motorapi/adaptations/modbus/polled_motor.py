@@ -517,7 +517,8 @@ def shared_hardware(
     if not 0.001 <= timeout_s <= 60.0:
         raise UsageError(f"timeout_s = {timeout_s:g}: must be 0.001 to 60 s")
     return shared.get(
-        (id(line), unit),
+        line,
+        unit,
         lambda: make(unit, timeout_s),
         lambda built: built.registers.timeout_s == timeout_s,
     )
