@@ -11,13 +11,13 @@ A serial line has a context as a bus has. Motors without a bus use the context o
 """
 
 import os
-import socket
 import threading
 from collections.abc import Callable, Hashable
 from typing import Final, TypeVar, cast, final
 from weakref import WeakKeyDictionary
 
 PartT = TypeVar("PartT")
+_AF_CAN: Final = 29  # linux/socket.h
 
 
 @final
@@ -33,6 +33,10 @@ class Parts:
         if found is None:
             found = self._parts.setdefault(kind, (make or kind)())
         return cast("PartT", found)
+
+    def find(self, kind: type[PartT]) -> PartT | None:
+        """Return the part of this class, or None."""
+        return cast("PartT | None", self._parts.get(kind))
 
     def drop(self, part: object) -> None:
         """Drop a part; the next use makes another one."""
@@ -94,7 +98,7 @@ def physical_key(home: object) -> Hashable:
         return ("hub", os.path.realpath(hub[0]), hub[1])
     channel = getattr(home, "channel", None)
     raw = getattr(home, "socket", None)
-    if isinstance(raw, socket.socket) and raw.family == socket.AF_CAN and channel:
+    if getattr(raw, "family", None) == _AF_CAN and channel:
         return ("socketcan", str(channel))
     path = getattr(home, "path", channel)
     if isinstance(path, str) and path.startswith("/dev/"):
