@@ -243,7 +243,8 @@ def build(
     if constant is not None and constant <= 0.0:
         raise UsageError(f"{constant_key} = {constant:g}: must be > 0")
     hardware = _SHARED.get(
-        (runtime, axis),
+        runtime,
+        axis,
         lambda: IdealHwMotor(
             runtime,
             axis,

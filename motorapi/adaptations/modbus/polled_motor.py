@@ -341,7 +341,8 @@ class PolledBuilder(Generic[HardwareT]):
         if not 0.001 <= timeout_s <= 60.0:
             raise UsageError(f"timeout_s = {timeout_s:g}: must be 0.001 to 60 s")
         hardware = self._shared.get(
-            (id(bus), unit),
+            bus,
+            unit,
             lambda: self._hardware(bus, unit, runtime=runtime, timeout_s=timeout_s),
             lambda built: built.registers.timeout_s == timeout_s,
         )

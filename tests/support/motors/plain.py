@@ -70,9 +70,9 @@ class PlainHwMotor:
         self.runtime = runtime
         self.bus = bus if bus is not None else PlainBus()
         self.node = node
-        self.key = ("plain", runtime, self.bus.name, node)
+        self.place = (self.bus.name, node)
         label = f"{self.bus.name} node {node}"
-        self.physical = register_physical_motor(self.key, label, self, lock)
+        self.physical = register_physical_motor(runtime, self.place, label, self, lock)
         self.bus.hardware.append(self)
         self.acts_s = acts_s
         self.latency_s = latency_s
@@ -98,7 +98,7 @@ class PlainHwMotor:
         return f"PlainHwMotor({self.bus.name!r}, node={self.node})"
 
     def close(self):
-        release_physical_motor(self.key, self)
+        release_physical_motor(self.runtime, self.place, self)
 
     def act(self, name, *facts):
         """Perform one exchange on the bus, which takes time and may fail."""

@@ -298,7 +298,7 @@ def test_armed_motion_without_start_is_disarmed(rig: Rig):
     rig.faults.inject("can0", lose)  # every SDO request to the right one
     with pytest.raises(DeadlineExceeded, match="node 2"):
         group.start()
-    left.hardware.link.sync()
+    left.hardware.node.bus.sync.send()
     rig.runtime.run_for(0.5)
     assert abs(truth(rig, "left")) <= WINDOW_RAD
 
