@@ -2,7 +2,7 @@
 
     @clause("STOP-04", Level.L2, needs={Capability.POSITION_TRAJECTORY}, bench={Ability.TRUTH},
             source="CiA 402-2, halt option code 605Dh; requirement 1 of the paper")
-    def a_stop_ends_at_rest(bench: RigProtocol) -> None:
+    def stop_ends_at_rest_short_of_target(bench: RigProtocol) -> None:
         \"\"\"A stop during a move ends at rest, short of the target, without a fault.\"\"\"
         ...
         expect(bench.motor.fault() is None, f"stop() left {bench.motor.fault()}")

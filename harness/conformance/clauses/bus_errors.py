@@ -40,7 +40,7 @@ _ERRORS = {Ability.BUS_ERRORS, Ability.AFRESH}
     bench=_ERRORS,
     source="errors, LinkError: the bus is off; motorapi.runtime; ISO 11898-1, fault confinement",
 )
-def a_host_off_the_bus_is_told_at_once_and_goes_on_afterwards(bench: RigProtocol) -> None:
+def host_bus_off_ends_wait_at_once(bench: RigProtocol) -> None:
     """In every mode, bus-off of the host ends the wait at once; the motor is usable afterwards."""
     for mode in modes_of(bench):
         motor = bench.motor
@@ -64,7 +64,7 @@ def a_host_off_the_bus_is_told_at_once_and_goes_on_afterwards(bench: RigProtocol
     bench={*_ERRORS, Ability.TRUTH},
     source="Sharing and locking, at most once; ISO 11898-1: destroyed frames are repeated",
 )
-def a_noisy_bus_loses_no_move_and_doubles_none(bench: RigProtocol) -> None:
+def noisy_bus_makes_each_move_once(bench: RigProtocol) -> None:
     """On a bus with one wrong bit in ten thousand, every move is made once and reported done."""
     motor = bench.motor
     motor.enable()
@@ -84,7 +84,7 @@ def a_noisy_bus_loses_no_move_and_doubles_none(bench: RigProtocol) -> None:
     bench={*_ERRORS, Ability.TRUTH},
     source="ISO 11898-1: an error passive node takes part; CiA 301, EMCY 8120h",
 )
-def an_error_passive_node_is_none_that_has_failed(bench: RigProtocol) -> None:
+def error_passive_node_is_not_faulty(bench: RigProtocol) -> None:
     """With an error passive drive or host, the motor stays enabled, without fault, and moves."""
     for whose in ("drive", "host"):
         bench.afresh()
@@ -109,7 +109,7 @@ def an_error_passive_node_is_none_that_has_failed(bench: RigProtocol) -> None:
     bench={*_ERRORS, Ability.TRUTH},
     source="Sharing and locking, at most once; Linux: bus-off discards queued frames",
 )
-def whichever_frame_puts_the_host_off_the_bus_nothing_is_untrue(bench: RigProtocol) -> None:
+def bus_off_at_any_frame_moves_once_or_fails(bench: RigProtocol) -> None:
     """Whichever frame of a move puts the host in bus-off, the move is made once or fails."""
     hit = 0
     for skip in range(1, _FRAMES):

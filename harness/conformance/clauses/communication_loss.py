@@ -54,7 +54,7 @@ _CABLE = {Ability.TRUTH, Ability.CUT, Ability.AFRESH}
     bench={Ability.CUT, Ability.AFRESH},
     source="Motor.wait_until_done, LinkError; MotorHooks._read_state, OFFLINE; CiA 301, 7.2.8.3",
 )
-def a_lost_drive_is_told_and_never_taken_for_done(bench: RigProtocol) -> None:
+def cut_cable_fails_wait_in_time(bench: RigProtocol) -> None:
     """In every mode, a wait for a drive whose cable is cut fails in time, and is not done."""
     for mode in modes_of(bench):
         motor = bench.motor
@@ -87,7 +87,7 @@ def _expect_told(bench: RigProtocol, motor: Motor, mode: Mode, when: str) -> Non
     bench=_CABLE,
     source="CiA 301, heartbeat consumer (1016h), 1029h; CiA 402-2, 6007h; dead-man",
 )
-def a_drive_without_a_cable_comes_to_rest(bench: RigProtocol) -> None:
+def drive_with_cut_cable_comes_to_rest(bench: RigProtocol) -> None:
     """In every mode, a drive whose cable is cut is at rest within dead-man and braking time."""
     moved = False
     for mode in modes_of(bench):
@@ -106,7 +106,7 @@ def a_drive_without_a_cable_comes_to_rest(bench: RigProtocol) -> None:
     bench={Ability.TRUTH, Ability.SILENCE_HOST, Ability.AFRESH},
     source="CiA 301, heartbeat consumer (1016h), 1029h; CiA 402-2, 6007h",
 )
-def a_drive_that_does_not_hear_its_host_comes_to_rest(bench: RigProtocol) -> None:
+def drive_without_host_comes_to_rest(bench: RigProtocol) -> None:
     """In every mode, a drive without its host is at rest in time, and the host is notified."""
     silenced = 0
     for mode in modes_of(bench):
@@ -127,7 +127,7 @@ def a_drive_that_does_not_hear_its_host_comes_to_rest(bench: RigProtocol) -> Non
     bench=_CABLE,
     source="MotorHooks._connect; Sharing and locking, at most once",
 )
-def what_was_lost_can_be_used_again_and_begins_nothing_by_itself(bench: RigProtocol) -> None:
+def restored_cable_starts_no_motion(bench: RigProtocol) -> None:
     """Once the cable is back, no motion begins by itself, and the motor is usable as before."""
     for mode in modes_of(bench):
         motor = bench.motor
@@ -147,7 +147,7 @@ def what_was_lost_can_be_used_again_and_begins_nothing_by_itself(bench: RigProto
     bench={*_CABLE, Ability.LOAD},
     source="MotorHooks._read_state; MotorHooks._enable, it holds its position",
 )
-def what_it_says_after_a_loss_is_true(bench: RigProtocol) -> None:
+def enabled_after_loss_holds_position(bench: RigProtocol) -> None:
     """After a loss, a motor reports that it is enabled only if it holds its position."""
     motor = bench.motor
     motor.enable()
@@ -168,7 +168,7 @@ def what_it_says_after_a_loss_is_true(bench: RigProtocol) -> None:
     bench=_CABLE,
     source="requirement 4 of the paper; Sharing and locking, at most once",
 )
-def what_a_lost_drive_was_told_is_not_done_later(bench: RigProtocol) -> None:
+def command_to_lost_drive_is_never_executed_later(bench: RigProtocol) -> None:
     """While the cable is cut, commands fail, and are not carried out when it is back."""
     motor = bench.motor
     move(bench, motor, 0.25 * long_move(bench))  # the motor is now fully set up
@@ -199,7 +199,7 @@ def _failure_of(bench: RigProtocol, motor: Motor) -> MotorError | None:
     bench={Ability.TRUTH, Ability.RESTART, Ability.AFRESH},
     source="CiA 301, 7.2.8.3.3 boot-up; MotorHooks._connect",
 )
-def a_drive_that_restarts_is_noticed_and_set_up_anew(bench: RigProtocol) -> None:
+def drive_restart_fails_motion_and_sets_up_again(bench: RigProtocol) -> None:
     """If a drive restarts during a motion, the motion fails, and the drive is set up again."""
     for mode in modes_of(bench):
         motor = bench.motor
@@ -225,7 +225,7 @@ def a_drive_that_restarts_is_noticed_and_set_up_anew(bench: RigProtocol) -> None
     bench={Ability.TRUTH, Ability.STOP_SYNC, Ability.AFRESH},
     source="CiA 301, SYNC; Sharing and locking, dead-man",
 )
-def a_stream_that_loses_its_signal_ends(bench: RigProtocol) -> None:
+def stream_without_sync_fails_and_stops(bench: RigProtocol) -> None:
     """If a streamed motion loses its clock signal, it fails in time, and the motor stops."""
     for mode in modes_of(bench):
         if mode.capability is not Capability.COMPLEX_POSITION:
@@ -252,7 +252,7 @@ def a_stream_that_loses_its_signal_ends(bench: RigProtocol) -> None:
     bench={Ability.TRUTH, Ability.LOSE, Ability.SILENCE_HOST, Ability.AFRESH},
     source="Sharing and locking, at most once; requirement 1; errors: DeadlineExceeded, PeerError",
 )
-def a_single_frame_that_is_lost_makes_nothing_untrue(bench: RigProtocol) -> None:
+def lost_frame_keeps_report_truthful(bench: RigProtocol) -> None:
     """Whichever single frame of a move is lost, the move is reported done, or fails, truthfully."""
     hit = 0
     for skip in range(_FRAMES):
@@ -275,7 +275,7 @@ def a_single_frame_that_is_lost_makes_nothing_untrue(bench: RigProtocol) -> None
     bench=_CABLE,
     source="Motor.wait_until_done: done, or the right error; never done short of its target",
 )
-def whenever_the_cable_is_cut_done_is_true(bench: RigProtocol) -> None:
+def done_despite_cut_cable_means_at_target(bench: RigProtocol) -> None:
     """Whenever and however long the cable is cut, done is reported only at the target."""
     from hypothesis import HealthCheck, Phase, given, seed, settings
     from hypothesis import strategies as st

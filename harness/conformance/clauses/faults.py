@@ -71,7 +71,7 @@ def _expect_told(motor: Motor, code: int) -> None:
     bench={Ability.FAULT},
     source="Motor.wait_until_done: DeviceFault, the drive has a fault; CiA 402-2, FAULT",
 )
-def a_fault_in_mid_motion_ends_the_wait(bench: RigProtocol) -> None:
+def fault_during_motion_ends_wait(bench: RigProtocol) -> None:
     """During a motion, a fault ends the wait with its error code and becomes the state."""
     motor, way = bench.motor, 2.0 * long_move(bench)
     motor.enable()
@@ -102,7 +102,7 @@ def a_fault_in_mid_motion_ends_the_wait(bench: RigProtocol) -> None:
     bench={Ability.FAULT},
     source="Motor.start: DeviceFault, reset_fault() first; CiA 402-2, FAULT",
 )
-def nothing_moves_with_a_fault(bench: RigProtocol) -> None:
+def fault_prevents_start_and_enable(bench: RigProtocol) -> None:
     """Until reset_fault(), a motor with a fault cannot be started or enabled."""
     motor = bench.motor
     motor.enable()
@@ -126,7 +126,7 @@ def nothing_moves_with_a_fault(bench: RigProtocol) -> None:
     bench={Ability.FAULT},
     source="Motor.reset_fault: the fault is gone, the power stage is off if there was one",
 )
-def a_fault_is_reset(bench: RigProtocol) -> None:
+def reset_fault_clears_fault_without_motion(bench: RigProtocol) -> None:
     """After reset_fault() the motor has no fault, is off and at rest; the next start works."""
     motor, way = bench.motor, 0.4 * long_move(bench)
     motor.enable()
@@ -158,7 +158,7 @@ def a_fault_is_reset(bench: RigProtocol) -> None:
     bench={Ability.FAULT},
     source="ReadableMotor.fault: what the drive says is wrong; Motor.enable: DeviceFault",
 )
-def a_fault_between_two_motions_is_not_swallowed(bench: RigProtocol) -> None:
+def fault_at_rest_is_reported(bench: RigProtocol) -> None:
     """At rest, a fault is reported with its error code to the next caller."""
     motor, way = bench.motor, 0.2 * long_move(bench)
     follow(motor, TrapezoidalTrajectory(way))
@@ -179,7 +179,7 @@ def a_fault_between_two_motions_is_not_swallowed(bench: RigProtocol) -> None:
     bench={Ability.TRUTH, Ability.FAULT, Ability.AFRESH},
     source="CiA 402-2, fault reaction; Motor.wait_until_done, DeviceFault",
 )
-def a_fault_ends_a_motion_in_every_mode(bench: RigProtocol) -> None:
+def fault_ends_motion_in_every_mode(bench: RigProtocol) -> None:
     """In every mode, a fault is reported with its code; the motor stops, and is usable again."""
     for mode in modes_of(bench):
         motor = bench.motor
@@ -212,7 +212,7 @@ _TOLD_BY: Final = (LinkError, PeerError, DeadlineExceeded, DeviceFault)
     bench={Ability.TRUTH, Ability.LOSE, Ability.AFRESH},
     source="paper 3.3.3: start() executes only if there were no errors; harness.sharing_tests",
 )
-def a_relative_move_is_never_made_twice(bench: RigProtocol) -> None:
+def relative_move_without_answers_is_not_doubled(bench: RigProtocol) -> None:
     """Whenever its answers are lost, a relative move is made once, or in part, but not twice."""
     bench.motor.enable()
     begun_ns = bench.runtime.now_ns()
@@ -265,7 +265,7 @@ def _move_without_answers(bench: RigProtocol, from_s: float, length_s: float) ->
     bench={Ability.LOSE, Ability.TRUTH},
     source="errors: LinkError, PeerError, DeadlineExceeded; Motor.state: OFFLINE without answers",
 )
-def silence_is_told_within_a_bound(bench: RigProtocol) -> None:
+def command_without_answer_fails_in_time(bench: RigProtocol) -> None:
     """Commands to a drive that does not answer fail in time, and are never reported as done."""
     motor, way = bench.motor, 0.2 * long_move(bench)
     move(bench, motor, way)
@@ -302,7 +302,7 @@ def _expect_late_reply_told(bench: RigProtocol, what: str, operation: Callable[[
     bench={Ability.LOSE, Ability.TRUTH},
     source="requirement 4: inform the users; Motor.wait_until_done: LinkError, DeadlineExceeded",
 )
-def who_is_heard_again_moves_again(bench: RigProtocol) -> None:
+def drive_that_answers_again_moves(bench: RigProtocol) -> None:
     """After a time without answers, a motor that answers again moves as commanded."""
     motor, way = bench.motor, 0.2 * long_move(bench)
     move(bench, motor, way)
@@ -341,7 +341,7 @@ _NO_METHOD = 77  # reserved in CiA 402-2
     needs={Capability.HOMING, Capability.POSITION_TRAJECTORY},
     source="Motor.home: knows where its position 0 is, 37: here; CiA 402-2, 6098h",
 )
-def here_is_zero(bench: RigProtocol) -> None:
+def homing_on_the_spot_sets_zero(bench: RigProtocol) -> None:
     """Homing on the spot moves nothing; the position becomes 0 and the motor is referenced."""
     motor, way = bench.motor, 0.3 * long_move(bench)
     move(bench, motor, way)
@@ -361,7 +361,7 @@ def here_is_zero(bench: RigProtocol) -> None:
     needs={Capability.HOMING, Capability.POSITION_TRAJECTORY},
     source="Motor.home: UnsupportedError, the motor does not know the method",
 )
-def a_homing_it_does_not_know_is_refused(bench: RigProtocol) -> None:
+def unknown_homing_method_is_refused(bench: RigProtocol) -> None:
     """Unknown homing methods are refused with UnsupportedError; the motor does not move."""
     motor, way = bench.motor, 0.2 * long_move(bench)
     move(bench, motor, way)
@@ -384,7 +384,7 @@ def a_homing_it_does_not_know_is_refused(bench: RigProtocol) -> None:
     needs={Capability.LOW_LEVEL, Capability.POSITION_TRAJECTORY},
     source="requirement 2: no other part of the interface will have any effect",
 )
-def low_level_access_is_alone_and_ends(bench: RigProtocol) -> None:
+def low_level_access_is_exclusive_and_ends(bench: RigProtocol) -> None:
     """Low-level access is exclusive; when it ends, the motor works as before."""
     motor, way = bench.motor, 0.2 * long_move(bench)
     move(bench, motor, way)
@@ -415,7 +415,7 @@ def low_level_access_is_alone_and_ends(bench: RigProtocol) -> None:
     bench={Ability.TRUTH},
     source="requirement 2; Motor.low_level: StateError, a motion of this motor is active",
 )
-def low_level_access_begins_at_rest(bench: RigProtocol) -> None:
+def low_level_access_requires_rest(bench: RigProtocol) -> None:
     """Low-level access is refused while the motor moves; the motion continues undisturbed."""
     motor = bench.motor
     asked = 0.3 * motor.model.velocity_max

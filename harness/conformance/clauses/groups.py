@@ -58,7 +58,7 @@ _FAR = 1e-6  # U: two skews that are not meant to differ
     bench=_TWO,
     source="requirement 5 of the paper; 3.4, Algorithm 2",
 )
-def a_group_begins_and_ends_together(bench: RigProtocol) -> None:
+def group_starts_and_ends_together(bench: RigProtocol) -> None:
     """All members begin within the reported bound, and end together, at their targets."""
     way = half(bench)
     ways = (way, -way)
@@ -91,7 +91,7 @@ def a_group_begins_and_ends_together(bench: RigProtocol) -> None:
     bench=_TWO,
     source="requirement 5 of the paper: feedback on the quality of synchronization",
 )
-def the_quality_that_is_told_is_what_it_was(bench: RigProtocol) -> None:
+def sync_quality_is_as_measured(bench: RigProtocol) -> None:
     """Each member's start and end, and the skew, are reported as they were, or not at all."""
     way = half(bench)
     ways = (way, -way)
@@ -137,7 +137,7 @@ def the_quality_that_is_told_is_what_it_was(bench: RigProtocol) -> None:
     bench=_TWO,
     source="paper 3.4: as fast as motors allow, at the same time; MotorGroup.start",
 )
-def a_group_takes_the_time_of_its_slowest(bench: RigProtocol) -> None:
+def group_takes_time_of_slowest_member(bench: RigProtocol) -> None:
     """Each group takes the time of its slowest member; it is done only when all members are."""
     way = half(bench)
     ways = (0.25 * way, way)
@@ -167,7 +167,7 @@ def a_group_takes_the_time_of_its_slowest(bench: RigProtocol) -> None:
     bench=_TWO,
     source="MotorGroup.synchronization NONE; MotorGroup.append, remove (paper 3.4)",
 )
-def a_group_forgets_no_member(bench: RigProtocol) -> None:
+def group_operations_reach_every_member(bench: RigProtocol) -> None:
     """Group operations act on every member, and on no motor that was removed."""
     first, second = bench.motors[:2]
     way = half(bench)
@@ -216,7 +216,7 @@ def _expect_one_alone(bench: RigProtocol, group: MotorGroup) -> None:
     bench=_TWO,
     source="requirement 5 of the paper: feedback on the possible capability",
 )
-def what_is_asked_of_a_start_is_met_or_refused(bench: RigProtocol) -> None:
+def start_requirement_is_met_or_refused(bench: RigProtocol) -> None:
     """Every skew has a bound or a reason; a start that cannot meet a requirement is refused."""
     way = half(bench)
     group = pair_of(bench, way, -way)
@@ -260,7 +260,7 @@ def _expect_refused(group: MotorGroup, level: SyncLevel | None, skew_s: float | 
     bench=_TWO,
     source="Synchronization.PHASE: at every instant all have the same share of their distance",
 )
-def a_line_is_a_line(bench: RigProtocol) -> None:
+def phase_sync_stays_on_straight_line(bench: RigProtocol) -> None:
     """Phase-synchronised motors stay on a straight line, within the predicted deviation."""
     way = half(bench)
     ways = (way, -0.4 * way)
@@ -305,7 +305,7 @@ def _off_the_line(course: Course, ways: tuple[float, float]) -> float:
     bench={*_TWO, Ability.CUT, Ability.AFRESH},
     source="MotorGroup.start: if one refuses, none moves",
 )
-def if_one_cannot_be_armed_none_moves(bench: RigProtocol) -> None:
+def group_with_lost_member_does_not_move(bench: RigProtocol) -> None:
     """If one member does not answer when it is armed, no member moves, then or later."""
     _require_cables_of_their_own(bench)
     for lost in (1, 0):
@@ -370,7 +370,7 @@ def _fire_once_more(bench: RigProtocol, motor: Motor) -> None:
     bench={*_TWO, Ability.SILENCE_HOST, Ability.AFRESH},
     source="MotorHooks._arm: in the hardware, confirmed; decision 0010, arm, then fire",
 )
-def no_part_of_a_group_moves_on_alone(bench: RigProtocol) -> None:
+def lost_start_frame_moves_all_or_none(bench: RigProtocol) -> None:
     """Whichever frame of a common start is lost, all members move, or none and start() fails."""
     hit = 0
     for skip in range(_FRAMES):
@@ -406,7 +406,7 @@ def no_part_of_a_group_moves_on_alone(bench: RigProtocol) -> None:
     bench={*_TWO, Ability.FAULT, Ability.AFRESH},
     source="FaultReaction; requirement 5, synchronised motions",
 )
-def a_fault_of_one_is_answered_as_was_set(bench: RigProtocol) -> None:
+def member_fault_causes_set_reaction(bench: RigProtocol) -> None:
     """If one member fails, the group fails, and the others react as set: stop or continue."""
     for reaction in FaultReaction:
         bench.afresh()

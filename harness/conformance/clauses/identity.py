@@ -30,7 +30,7 @@ _HOLDS = 0.3  # of the largest torque
     bench={Ability.TRUTH},
     source="paper 3.2, the motor model; 3.1, the adaptation maps logical to physical operations",
 )
-def it_moves_as_far_and_to_the_side_that_its_model_says(bench: RigProtocol) -> None:
+def motor_moves_commanded_distance(bench: RigProtocol) -> None:
     """Each motor moves, and reports, the commanded distance in its model's units and direction."""
     for motor in bench.motors:
         for share in (0.25, -0.4):
@@ -60,7 +60,7 @@ def _move_and_compare(bench: RigProtocol, motor: Motor, way: float) -> None:
     bench={Ability.TRUTH, Ability.SECOND_MOTOR},
     source="paper 3.5, no more than one physical motor object for any motor in the system",
 )
-def it_moves_and_no_other_does(bench: RigProtocol) -> None:
+def only_commanded_motor_moves(bench: RigProtocol) -> None:
     """Only the commanded motor moves."""
     way = 0.25 * long_move(bench)
     for motor in bench.motors:
@@ -81,7 +81,7 @@ def it_moves_and_no_other_does(bench: RigProtocol) -> None:
     needs={Capability.POSITION_TRAJECTORY},
     source="requirement 1; Motor.latest: nothing is sent, so callbacks may call it",
 )
-def what_it_is_and_was_heard_of_it_is_told_at_once(bench: RigProtocol) -> None:
+def latest_state_is_returned_at_once(bench: RigProtocol) -> None:
     """Name, text and last known state are returned at once, also in callbacks, and agree."""
     names = [motor.name for motor in bench.motors]
     expect(len(set(names)) == len(names), f"two motors have one name: {', '.join(names)}")
@@ -115,7 +115,7 @@ def what_it_is_and_was_heard_of_it_is_told_at_once(bench: RigProtocol) -> None:
     Level.L0,
     source="paper 3.1, the base class; CiA 402-2, PDS FSA",
 )
-def enabling_and_disabling_are_told(bench: RigProtocol) -> None:
+def enable_and_disable_set_state(bench: RigProtocol) -> None:
     """After enable() the motor is enabled, and after disable() disabled, also when repeated."""
     motor = bench.motor
     before = motor.state()
@@ -136,7 +136,7 @@ def enabling_and_disabling_are_told(bench: RigProtocol) -> None:
     bench={Ability.TRUTH, Ability.LOAD},
     source="Motor.enable: the power stage is on and the motor holds its position; Motor.disable",
 )
-def an_enabled_motor_holds_and_a_disabled_one_gives_way(bench: RigProtocol) -> None:
+def enabled_holds_load_and_disabled_gives_way(bench: RigProtocol) -> None:
     """When enabled, the motor holds its position against a load; when disabled, it gives way."""
     motor = bench.motor
     before = place(bench, motor)
@@ -168,7 +168,7 @@ _LOOKS = 10
     bench={Ability.TRUTH},
     source="ReadableMotor.velocity: measured velocity [U/s]; paper 3.2",
 )
-def velocity_is_how_fast_its_position_changes(bench: RigProtocol) -> None:
+def measured_velocity_is_true_velocity(bench: RigProtocol) -> None:
     """Measured velocity is the velocity of the output, in sign and size."""
     motor, model = bench.motor, bench.motor.model
     for share in (0.5, -0.25):
@@ -201,7 +201,7 @@ def velocity_is_how_fast_its_position_changes(bench: RigProtocol) -> None:
     bench={Ability.LOAD},
     source="ReadableMotor.torque: measured torque [N·m], or force [N]; paper 3.2",
 )
-def torque_is_what_it_holds(bench: RigProtocol) -> None:
+def measured_torque_holds_load(bench: RigProtocol) -> None:
     """Measured torque is the torque that holds the load, in sign and size."""
     motor = bench.motor
     motor.enable()
@@ -226,7 +226,7 @@ def torque_is_what_it_holds(bench: RigProtocol) -> None:
     bench={Ability.LOAD, Ability.TRUTH},
     source="ReadableMotor.following_error: demand minus actual position [U]",
 )
-def following_error_is_what_is_left_of_the_way(bench: RigProtocol) -> None:
+def following_error_is_demand_minus_actual(bench: RigProtocol) -> None:
     """Following error is the distance from demand to actual position, in sign and size."""
     motor, unit = bench.motor, bench.motor.model.unit
     motor.enable()

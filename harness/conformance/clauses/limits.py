@@ -56,7 +56,7 @@ def _refused(
     needs={Capability.POSITION_SET_POINT, Capability.POSITION_TRAJECTORY},
     source="paper 3.2, limits on position; 3.3.1, derivative limits: ranges of the value",
 )
-def limits_of_position_are_kept_in_every_mode(bench: RigProtocol) -> None:
+def position_limit_is_kept_in_every_mode(bench: RigProtocol) -> None:
     """In every mode, targets beyond a position limit are refused; the limit itself is reached."""
     motor, limit = bench.motor, 0.3 * long_move(bench)
     expected_s = shortest_s(motor, 2.0 * limit)
@@ -92,7 +92,7 @@ def limits_of_position_are_kept_in_every_mode(bench: RigProtocol) -> None:
     Level.L2,
     source="paper 3.2, limits on velocity and acceleration are the model's, and constant",
 )
-def no_command_may_exceed_the_model(bench: RigProtocol) -> None:
+def command_beyond_model_limit_is_refused(bench: RigProtocol) -> None:
     """In every supported mode, settings that exceed the model's limits are refused."""
     motor, model = bench.motor, bench.motor.model
     tops = {
@@ -152,7 +152,7 @@ def _set(motor: Motor, value: float) -> None:
     Level.L2,
     source="paper 3.3: any control variable supported by the motor; UnsupportedError",
 )
-def what_it_cannot_do_is_refused(bench: RigProtocol) -> None:
+def unsupported_mode_is_refused_with_list(bench: RigProtocol) -> None:
     """Every mode either works, or is refused with the list of supported modes."""
     motor = bench.motor
     motor.enable()
@@ -184,7 +184,7 @@ def what_it_cannot_do_is_refused(bench: RigProtocol) -> None:
     needs={Capability.POSITION_SET_POINT},
     source="errors: UsageError is the caller's mistake, and nothing was sent",
 )
-def nonsense_is_refused(bench: RigProtocol) -> None:
+def invalid_command_is_refused(bench: RigProtocol) -> None:
     """Invalid commands raise UsageError; the motor does not move, and is usable afterwards."""
     motor, way = bench.motor, 0.2 * long_move(bench)
     before = place(bench, motor)

@@ -40,7 +40,7 @@ _PUSH_S = 0.25
     needs={Capability.POSITION_SET_POINT, Capability.POSITION_TRAJECTORY},
     source="paper, Algorithm 1, and 3.3",
 )
-def algorithm_1(bench: RigProtocol) -> None:
+def algorithm_1_ends_at_1_then_2(bench: RigProtocol) -> None:
     """Algorithm 1 of the paper, from a quarter, ends at 1 by its set-point and then at 2."""
     motor, one = bench.motor, 0.5 * long_move(bench)
     aim(motor, 0.25 * one)
@@ -59,7 +59,7 @@ def algorithm_1(bench: RigProtocol) -> None:
     needs={Capability.POSITION_SET_POINT},
     source="paper 3.3, control variables; Motor.set_setpoint: relative",
 )
-def a_relative_set_point_is_a_distance(bench: RigProtocol) -> None:
+def relative_setpoint_is_distance(bench: RigProtocol) -> None:
     """Relative set-points are distances from the held position, in both directions."""
     motor, way = bench.motor, 0.2 * long_move(bench)
     begin = motor.position()
@@ -77,7 +77,7 @@ def a_relative_set_point_is_a_distance(bench: RigProtocol) -> None:
     needs={Capability.VELOCITY_SET_POINT},
     source="paper 3.3, Figure 4; Motor.wait_until_done: done when reached, and continues",
 )
-def a_velocity_is_reached_and_goes_on(bench: RigProtocol) -> None:
+def velocity_setpoint_is_reached_and_kept(bench: RigProtocol) -> None:
     """Velocity set-points are done when reached, and keep the velocity, in both directions."""
     motor, unit = bench.motor, bench.motor.model.unit
     for share in (0.4, -0.3):
@@ -102,7 +102,7 @@ def a_velocity_is_reached_and_goes_on(bench: RigProtocol) -> None:
     bench={Ability.LOAD, Ability.TRUTH},
     source="paper 3.3, Figure 4",
 )
-def a_torque_is_made(bench: RigProtocol) -> None:
+def torque_setpoint_overcomes_smaller_load(bench: RigProtocol) -> None:
     """Torque set-points overcome a smaller load, and give way to a larger one."""
     _balance(bench, ControlVariable.TORQUE)
 
@@ -135,7 +135,7 @@ def _balance(bench: RigProtocol, variable: ControlVariable) -> None:
     needs={Capability.POSITION_SET_POINT, Capability.LIMITED_SET_POINT},
     source="paper 3.3: limits on the first derivative make a velocity-bounded motion",
 )
-def a_set_points_limit_of_velocity_is_kept(bench: RigProtocol) -> None:
+def setpoint_velocity_limit_is_kept(bench: RigProtocol) -> None:
     """Each set-point's own velocity limit is kept, even between two steps of the hardware."""
     motor, model = bench.motor, bench.motor.model
     for share in (0.5, 0.0017, 0.0023):
@@ -163,7 +163,7 @@ def a_set_points_limit_of_velocity_is_kept(bench: RigProtocol) -> None:
     needs={Capability.POSITION_SET_POINT},
     source="paper 3.3.3, setting up is separate from enacting; 3.5, settings are cached locally",
 )
-def setting_does_nothing_before_start(bench: RigProtocol) -> None:
+def setting_has_no_effect_before_start(bench: RigProtocol) -> None:
     """Before start(), new settings do nothing: the motor does not move and is not enabled."""
     motor = bench.motor
     before, state = place(bench, motor), motor.state()
@@ -188,7 +188,7 @@ def setting_does_nothing_before_start(bench: RigProtocol) -> None:
     bench={Ability.LOAD, Ability.TRUTH},
     source="paper 3.3, Figure 4",
 )
-def a_current_pushes_to_its_side(bench: RigProtocol) -> None:
+def current_setpoint_sets_side_and_strength(bench: RigProtocol) -> None:
     """Positive current set-points push to the positive side, and a larger one pushes more."""
     motor, most = bench.motor, bench.motor.model.current_max
     expect(most is not None, "current set-points are supported, but the model has no current_max")
@@ -216,7 +216,7 @@ def a_current_pushes_to_its_side(bench: RigProtocol) -> None:
     bench={Ability.TRUTH},
     source="paper 3.2: the model's limits of velocity; 3.3.1, never exceeds a certain range",
 )
-def a_set_point_goes_no_faster_than_the_model_allows(bench: RigProtocol) -> None:
+def setpoint_velocity_is_that_of_model(bench: RigProtocol) -> None:
     """Without limits of their own, set-points use the model's velocity, and do not exceed it."""
     motor, model = bench.motor, bench.motor.model
     way, least_way = 2.0 * long_move(bench), way_to_top_speed(motor)

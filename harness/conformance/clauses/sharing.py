@@ -54,7 +54,7 @@ def _both(bench: RigProtocol) -> tuple[Motor, Motor]:
     bench={*_SHARED, Ability.TRUTH},
     source="requirement 4 of the paper: inform the users; MotorBusyError",
 )
-def while_one_moves_it_another_is_refused(bench: RigProtocol) -> None:
+def moving_motor_refuses_other_user(bench: RigProtocol) -> None:
     """While a motor moves for one user, commands of another are refused, naming the owner."""
     motor, other = _both(bench)
     before, way = place(bench, motor), long_move(bench)
@@ -107,7 +107,7 @@ def _refusal_of(operation: Callable[[], object]) -> MotorBusyError | None:
     bench={*_SHARED, Ability.TRAFFIC},
     source="requirement 4; harness.sharing_tests: only the owner commands a motor",
 )
-def who_is_refused_sends_no_command(bench: RigProtocol) -> None:
+def refused_user_sends_no_command(bench: RigProtocol) -> None:
     """If a user without ownership is refused, no command of that user reaches the bus."""
     motor, other = _both(bench)
     with bench.commands_to(motor) as sent, motor.reserve("a clause"):
@@ -132,7 +132,7 @@ def who_is_refused_sends_no_command(bench: RigProtocol) -> None:
     bench=_SHARED,
     source="Sharing and locking: reading and stops are free; MotionInterrupted",
 )
-def anybody_may_look_and_stop(bench: RigProtocol) -> None:
+def any_user_may_read_and_stop(bench: RigProtocol) -> None:
     """Other users may read and stop a moving motor; its user learns which one stopped it."""
     motor, other = _both(bench)
     begin, way = place(bench, motor), 2.0 * long_move(bench)
@@ -167,7 +167,7 @@ def anybody_may_look_and_stop(bench: RigProtocol) -> None:
     bench=_SHARED,
     source="paper 3.5: settings are local; start sets and starts in one atomic operation",
 )
-def each_moves_with_its_own_settings(bench: RigProtocol) -> None:
+def each_user_keeps_own_settings(bench: RigProtocol) -> None:
     """Each user's motions use that user's own settings, whatever other users set."""
     motor, other = _both(bench)
     way = 0.25 * long_move(bench)
@@ -198,7 +198,7 @@ def each_moves_with_its_own_settings(bench: RigProtocol) -> None:
     bench=_SHARED,
     source="requirement 4; Motor.reserve: only its user commands the motor inside the block",
 )
-def a_reservation_holds_and_lets_go(bench: RigProtocol) -> None:
+def reservation_lasts_for_its_block(bench: RigProtocol) -> None:
     """During its block, and no longer, a reservation keeps other users away."""
     motor, other = _both(bench)
     way = 0.1 * long_move(bench)
@@ -238,7 +238,7 @@ def _expect_free(bench: RigProtocol, user: Motor, when: str) -> None:
     bench={*_SHARED, Ability.TRUTH},
     source="Sharing and locking; Motor.start(timeout_s): waits its turn",
 )
-def who_comes_next_finds_it_at_rest(bench: RigProtocol) -> None:
+def next_user_gets_motor_at_rest(bench: RigProtocol) -> None:
     """While a motor slows down, no other user gets it; the next one gets it at rest."""
     motor, other = _both(bench)
     way = 3.0 * long_move(bench)
@@ -257,7 +257,7 @@ def who_comes_next_finds_it_at_rest(bench: RigProtocol) -> None:
     bench=_SHARED,
     source="Motor.start(timeout_s): first come, first served",
 )
-def who_asked_first_is_served_first(bench: RigProtocol) -> None:
+def users_are_served_in_order(bench: RigProtocol) -> None:
     """First come, first served: waiting users get the motor in the order of their requests."""
     motor, other = _both(bench)
     served: list[str] = []
@@ -290,7 +290,7 @@ def who_asked_first_is_served_first(bench: RigProtocol) -> None:
     bench=_SHARED,
     source="Sharing and locking: leases, take_over; the next owner brings a moving motor to rest",
 )
-def what_is_taken_over_is_brought_to_rest(bench: RigProtocol) -> None:
+def takeover_brings_motor_to_rest(bench: RigProtocol) -> None:
     """On a takeover, the motor is brought to rest, and its former user loses the ownership."""
     motor, other = _both(bench)
     with motor.reserve("survey") as survey:
@@ -324,7 +324,7 @@ def _reserved(motor: Motor) -> None:
     bench=_SHARED,
     source="requirement 2 of the paper: no other part of the interface will have any effect",
 )
-def low_level_access_keeps_everybody_away(bench: RigProtocol) -> None:
+def low_level_access_refuses_other_users(bench: RigProtocol) -> None:
     """During low-level access, all other users are refused; afterwards the motor is as before."""
     motor, other = _both(bench)
     way = 0.1 * long_move(bench)
@@ -372,7 +372,7 @@ def _expect_all_refused(bench: RigProtocol, other: Motor) -> None:
     bench=_SHARED,
     source="paper 3.5: one hardware object, shared by all; Device.close",
 )
-def who_leaves_takes_nothing_along(bench: RigProtocol) -> None:
+def closed_motor_leaves_others_working(bench: RigProtocol) -> None:
     """After a logical motor is closed, even twice, the others work as before."""
     motor, other = _both(bench)
     move(bench, other, 0.1 * long_move(bench))
@@ -396,7 +396,7 @@ _STEPS: Final = 15
     bench={Ability.SEVERAL_USERS, Ability.AFRESH},
     source="harness.sharing_tests: the history of every motor is that of one owner at a time",
 )
-def whatever_its_users_do_one_has_it_at_a_time(bench: RigProtocol) -> None:
+def motor_has_one_owner_at_a_time(bench: RigProtocol) -> None:
     """Whatever users start, reserve, stop, take over, or die of, one has the motor at a time."""
     from hypothesis import HealthCheck, Phase, seed, settings
     from hypothesis.errors import HypothesisException

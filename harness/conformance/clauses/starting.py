@@ -47,7 +47,7 @@ _TURN_RAD: Final = 6.3
     needs={Capability.POSITION_TRAJECTORY},
     source="Motor.start: starting again repeats the command",
 )
-def starting_again_repeats_the_command(bench: RigProtocol) -> None:
+def second_start_repeats_command(bench: RigProtocol) -> None:
     """On a second start, the command is repeated: a distance is moved once more."""
     motor, way = bench.motor, 0.2 * long_move(bench)
     follow(motor, TrapezoidalTrajectory(way))
@@ -63,7 +63,7 @@ def starting_again_repeats_the_command(bench: RigProtocol) -> None:
     needs={Capability.POSITION_TRAJECTORY},
     source="paper 3.5: start both sets the parameters to match the user's view and executes",
 )
-def each_start_has_the_settings_made_before_it(bench: RigProtocol) -> None:
+def start_uses_latest_settings(bench: RigProtocol) -> None:
     """Each motion uses the settings made before its own start, not earlier ones."""
     motor, model = bench.motor, bench.motor.model
     way, tolerance_s = 0.3 * long_move(bench), bench.facts.time_tolerance_s
@@ -95,7 +95,7 @@ def each_start_has_the_settings_made_before_it(bench: RigProtocol) -> None:
     needs={Capability.POSITION_SET_POINT},
     source="Motor.start: during a motion, a set-point replaces one of its variable",
 )
-def a_set_point_replaces_another_in_mid_motion(bench: RigProtocol) -> None:
+def position_setpoint_replaces_previous(bench: RigProtocol) -> None:
     """During a motion, a new position set-point replaces the previous one at once."""
     motor, way = bench.motor, 2.0 * long_move(bench)
     aim(motor, way)
@@ -125,7 +125,7 @@ def a_set_point_replaces_another_in_mid_motion(bench: RigProtocol) -> None:
     bench={Ability.TRUTH},
     source="Motor.start: a velocity set-point replaces another one",
 )
-def a_velocity_replaces_another(bench: RigProtocol) -> None:
+def velocity_setpoint_replaces_previous(bench: RigProtocol) -> None:
     """During a motion, a new velocity set-point replaces the previous one."""
     motor, unit = bench.motor, bench.motor.model.unit
     ramp_s = motor.model.velocity_max / motor.model.acceleration_max
@@ -152,7 +152,7 @@ def a_velocity_replaces_another(bench: RigProtocol) -> None:
     needs={Capability.POSITION_TRAJECTORY},
     source="Motor.start: everything else starts from rest; paper 3.3.3, only without errors",
 )
-def what_cannot_be_replaced_is_not_disturbed(bench: RigProtocol) -> None:
+def trajectory_refuses_another_and_continues(bench: RigProtocol) -> None:
     """During a trajectory, another one is refused, and the first one is not disturbed."""
     motor, way = bench.motor, 0.5 * long_move(bench)
     begin = motor.position()
@@ -221,7 +221,7 @@ def _room(bench: RigProtocol) -> tuple[float, float]:
     needs={Capability.POSITION_SET_POINT, Capability.POSITION_TRAJECTORY},
     source="requirement 1; Motor.wait_until_done: the last command",
 )
-def moves_of_no_way_are_moves(bench: RigProtocol) -> None:
+def tiny_move_is_done_at_once(bench: RigProtocol) -> None:
     """Zero or sub-resolution moves are done at once, and the next move is exact."""
     motor = bench.motor
     least = motor.model.resolution or 1e-6 * long_move(bench)
@@ -253,7 +253,7 @@ def moves_of_no_way_are_moves(bench: RigProtocol) -> None:
     bench={Ability.TRUTH},
     source="paper 3.3.3: blocks until the motor finished; MotorHooks._is_done",
 )
-def done_is_neither_early_nor_late(bench: RigProtocol) -> None:
+def done_is_reported_at_rest_at_target(bench: RigProtocol) -> None:
     """Every wait ends soon after the motor is at rest at its target, and not before."""
     motor, tolerance_s = bench.motor, bench.facts.time_tolerance_s
     motor.enable()
@@ -285,7 +285,7 @@ def done_is_neither_early_nor_late(bench: RigProtocol) -> None:
     needs={Capability.POSITION_TRAJECTORY},
     source="Motor.wait_until_done: DeadlineExceeded, the motion continues",
 )
-def a_motion_goes_on_unwatched(bench: RigProtocol) -> None:
+def motion_continues_after_wait_timeout(bench: RigProtocol) -> None:
     """Every motion continues when a wait for it times out, and while no caller waits."""
     motor, way = bench.motor, long_move(bench)
     begin, expected_s = motor.position(), shortest_s(motor, way)
@@ -313,7 +313,7 @@ def a_motion_goes_on_unwatched(bench: RigProtocol) -> None:
     needs={Capability.POSITION_TRAJECTORY},
     source="Motor.on_done: called once, at the end of the last commanded motion",
 )
-def the_end_is_told_once(bench: RigProtocol) -> None:
+def on_done_is_called_once(bench: RigProtocol) -> None:
     """Callbacks of on_done() are called once, at the end of the motion, with its outcome."""
     motor, way = bench.motor, 0.4 * long_move(bench)
     told: list[tuple[int, Outcome]] = []
@@ -350,7 +350,7 @@ def _expect_told(
     needs={Capability.POSITION_TRAJECTORY},
     source="Motor.progress: of the last commanded motion; None once it is over",
 )
-def progress_goes_from_nothing_to_all(bench: RigProtocol) -> None:
+def progress_grows_to_one_then_ends(bench: RigProtocol) -> None:
     """Progress grows from 0 to 1 along the distance, agrees with the time left, and then ends."""
     motor, way = bench.motor, 0.5 * long_move(bench)
     expect(motor.progress() is None, "progress() before the first command; expected None")

@@ -72,7 +72,7 @@ def _stopped_half_way(
     needs={Capability.POSITION_TRAJECTORY},
     source="Motor.stop: slows down, and the motion is over; CiA 402-2, halt",
 )
-def a_stop_ends_at_rest_short_of_the_target(bench: RigProtocol) -> None:
+def stop_ends_at_rest_short_of_target(bench: RigProtocol) -> None:
     """During a motion, a stop ends at rest, short of the target, enabled; the next start works."""
     _, found = _stopped_half_way(bench, Motor.stop, "stop()")
     _expect_goes_on(bench, found, "stop()")
@@ -96,7 +96,7 @@ def _expect_goes_on(bench: RigProtocol, found: float, name: str) -> None:
     needs={Capability.POSITION_TRAJECTORY},
     source="Motor.halt: stops as the drive's halt option says; CiA 402-2, 605Dh",
 )
-def a_halt_ends_at_rest_and_the_next_start_lifts_it(bench: RigProtocol) -> None:
+def halt_ends_at_rest_until_next_start(bench: RigProtocol) -> None:
     """During a motion, a halt ends at rest, short of the target; the next start lifts it."""
     _, found = _stopped_half_way(bench, Motor.halt, "halt()")
     _expect_goes_on(bench, found, "halt()")
@@ -108,7 +108,7 @@ def a_halt_ends_at_rest_and_the_next_start_lifts_it(bench: RigProtocol) -> None:
     needs={Capability.POSITION_TRAJECTORY},
     source="Motor.quick_stop: moves again only after enable(); CiA 402-2, 605Ah",
 )
-def after_a_quick_stop_it_moves_only_when_enabled(bench: RigProtocol) -> None:
+def quick_stop_holds_until_enable(bench: RigProtocol) -> None:
     """After a quick stop, the motor is at rest, short of the target, until the next enable()."""
     motor = bench.motor
     _stopped_half_way(bench, Motor.quick_stop, "quick_stop()")
@@ -137,7 +137,7 @@ def after_a_quick_stop_it_moves_only_when_enabled(bench: RigProtocol) -> None:
     bench={Ability.TRUTH},
     source="MotorHooks._stop: slows down at the motion's deceleration; paper 3.2, the model",
 )
-def a_stop_slows_down_as_the_model_allows(bench: RigProtocol) -> None:
+def stop_uses_deceleration_of_motion(bench: RigProtocol) -> None:
     """On a stop, the braking distance is that of the motion's deceleration."""
     motor, model = bench.motor, bench.motor.model
     motor.enable()
@@ -167,7 +167,7 @@ def a_stop_slows_down_as_the_model_allows(bench: RigProtocol) -> None:
     needs={Capability.VELOCITY_SET_POINT},
     source="Motor.stop; paper 3.3, Figure 4: every control variable",
 )
-def a_stop_ends_a_velocity(bench: RigProtocol) -> None:
+def stop_ends_velocity_setpoint(bench: RigProtocol) -> None:
     """During a velocity set-point, a stop, halt or quick stop ends at rest."""
     motor = bench.motor
     ramp_s = motor.model.velocity_max / motor.model.acceleration_max
@@ -189,7 +189,7 @@ def a_stop_ends_a_velocity(bench: RigProtocol) -> None:
     needs={Capability.POSITION_TRAJECTORY},
     source="Motor.stop needs no ownership; wait_until_done returns at once",
 )
-def stopping_what_stands_is_right(bench: RigProtocol) -> None:
+def stop_at_rest_is_done_at_once(bench: RigProtocol) -> None:
     """If the motor is at rest, off or stopped, a stop is done at once; the next move works."""
     motor, way = bench.motor, 0.2 * long_move(bench)
     begin = motor.position()
@@ -232,7 +232,7 @@ def stopping_what_stands_is_right(bench: RigProtocol) -> None:
     bench={Ability.AFRESH},
     source="requirement 1; Motor.start, Motor.stop: the last command counts",
 )
-def any_sequence_ends_where_its_last_command_says(bench: RigProtocol) -> None:
+def last_command_of_any_sequence_counts(bench: RigProtocol) -> None:
     """After any sequence of settings, starts and stops, the last command is carried out."""
     from hypothesis import Phase, example, given, seed, settings
     from hypothesis import strategies as st
@@ -291,7 +291,7 @@ def _do(bench: RigProtocol, steps: Sequence[tuple[str, float, float]], longest_s
     bench={Ability.TRUTH},
     source="Motor.disable: the motion is over, a moving motor coasts; Motor.enable: not moved",
 )
-def what_was_switched_off_is_over(bench: RigProtocol) -> None:
+def disable_ends_motion(bench: RigProtocol) -> None:
     """After disable() the motion is over: when enabled again, the motor stays at its position."""
     motor, way = bench.motor, 2.0 * long_move(bench)
     motor.enable()

@@ -62,7 +62,7 @@ def _expect_profile(
     needs={Capability.POSITION_TRAJECTORY},
     source="paper 3.3.1, boundary conditions; Figure 5",
 )
-def an_absolute_trajectory_ends_at_its_final_value(bench: RigProtocol) -> None:
+def absolute_trajectory_ends_at_final_value(bench: RigProtocol) -> None:
     """With an initial value, a trajectory is absolute, and is refused from another position."""
     motor, one = bench.motor, 0.4 * long_move(bench)
     follow(motor, TrapezoidalTrajectory(one))
@@ -87,7 +87,7 @@ def an_absolute_trajectory_ends_at_its_final_value(bench: RigProtocol) -> None:
     bench={Ability.TRUTH},
     source="paper 3.3.1, simple trajectories, Figure 5; 3.3: follows a prescribed profile",
 )
-def a_simple_trajectory_takes_the_time_it_was_given(bench: RigProtocol) -> None:
+def simple_trajectory_takes_given_duration(bench: RigProtocol) -> None:
     """In both directions, a simple trajectory of given duration is followed at every instant."""
     model, way = bench.motor.model, 0.7 * long_move(bench)
     ramps = model.acceleration_max, model.deceleration
@@ -104,7 +104,7 @@ def a_simple_trajectory_takes_the_time_it_was_given(bench: RigProtocol) -> None:
     bench={Ability.TRUTH},
     source="paper 3.3.1, derivative limits: the allowed ranges; 3.2, the model's by default",
 )
-def a_simple_trajectory_is_as_fast_as_its_limits_allow(bench: RigProtocol) -> None:
+def simple_trajectory_uses_its_limits(bench: RigProtocol) -> None:
     """Within its velocity and acceleration limits, a simple trajectory is as fast as possible."""
     model, way = bench.motor.model, 0.7 * long_move(bench)
     up, down = 0.6 * model.acceleration_max, 0.15 * model.deceleration
@@ -121,7 +121,7 @@ def a_simple_trajectory_is_as_fast_as_its_limits_allow(bench: RigProtocol) -> No
     bench={Ability.TRUTH},
     source="paper 3.3.1, complex trajectories, Figure 6",
 )
-def a_complex_trajectory_is_followed_at_every_instant(bench: RigProtocol) -> None:
+def complex_trajectory_is_followed(bench: RigProtocol) -> None:
     """Complex position trajectories are followed at every instant, from any start position."""
     from motorhil.motorapi.functions import Polynomial
 
@@ -158,7 +158,7 @@ def a_complex_trajectory_is_followed_at_every_instant(bench: RigProtocol) -> Non
     bench={Ability.TRUTH},
     source="paper 3.3.1: the function value can be of any control variable; Figure 5",
 )
-def a_trajectory_of_velocity_is_a_ramp(bench: RigProtocol) -> None:
+def velocity_trajectory_is_ramp(bench: RigProtocol) -> None:
     """Velocity trajectories reach their velocity in the given time, and keep it."""
     motor = bench.motor
     motor.enable()
@@ -203,7 +203,7 @@ def _ramp(motor: Motor, variable: ControlVariable, final: float, duration_s: flo
     bench={Ability.LOAD, Ability.TRUTH},
     source="paper 3.3.1: the function value can be of any control variable",
 )
-def a_trajectory_of_torque_is_a_ramp(bench: RigProtocol) -> None:
+def torque_trajectory_is_ramp(bench: RigProtocol) -> None:
     """Torque trajectories reach their torque in the given time: half of it at half-time."""
     motor = bench.motor
     motor.enable()
@@ -233,7 +233,7 @@ def a_trajectory_of_torque_is_a_ramp(bench: RigProtocol) -> None:
     bench={Ability.TRUTH},
     source="paper 3.3.1, complex trajectories: any control variable; Figure 6, integrals",
 )
-def a_complex_trajectory_of_velocity_makes_its_integral(bench: RigProtocol) -> None:
+def complex_velocity_position_is_integral(bench: RigProtocol) -> None:
     """Complex velocity trajectories are followed: the position is their integral at all times."""
     from motorhil.motorapi.functions import Polynomial
 
