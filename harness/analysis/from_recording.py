@@ -22,8 +22,7 @@ from motorhil.harness.analysis.subject import (
     is_canopen_reserved,
     reserves_nothing,
 )
-from motorhil.harness.report.rig import RigFacts, facts_of
-from motorhil.traces.decoding.objects import RecordedNames, names_of
+from motorhil.traces.decoding.attached_rig import RecordedNames, RigFacts, facts_of, names_of
 from motorhil.traces.errors import TraceError
 from motorhil.traces.formats.frames import BRS, EFF, EFF_MASK, ERR, RTR, Findings
 from motorhil.traces.formats.registry import Source, open_source

@@ -1,15 +1,9 @@
 """Checks of clauses in this process, each on a new bench.
 
-A check that never ends, or that ends the process, is handled by `supervision`.
-
-Capability claims of motors, from their hooks and their rig.
-
-Leaks of a clause: threads, buses, descriptors, processes left after its end.
-
-No library records where a thread was started or a bus was opened. Inside `watched` both calls
-record their callers.
-
-Places in the code, as "file:line", for failure reports.
+A check that never ends, or that ends the process, is handled by `Supervisor`. After a check the
+process is searched for leaks: threads, buses, descriptors and processes left behind. No library
+records where a thread was started or a bus was opened; inside `watched` both calls record their
+callers. Places in the code are reported as "file:line".
 """
 
 import gc
@@ -30,17 +24,9 @@ import can
 
 from motorhil.harness.conformance import clause
 from motorhil.harness.conformance.bench import Opener
-from motorhil.harness.conformance.clause import (
-    NOTHING_DECLARED,
-    Capability,
-    Clause,
-    Facts,
-    NotApplicable,
-    Result,
-    Verdict,
-    Violated,
-)
+from motorhil.harness.conformance.clause import Clause, NotApplicable, Result, Verdict, Violated
 from motorhil.harness.conformance.rig_bench import TimeIsUp
+from motorhil.harness.rig.config.conformance import NOTHING_DECLARED, Capability, Facts
 from motorhil.harness.rig.config.toml import BrokenPluginError, RigError
 from motorhil.motorapi import (
     ComplexTrajectory,

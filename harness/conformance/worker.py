@@ -1,4 +1,11 @@
-"""The worker process, which checks clauses on request of its supervisor.
+"""The worker process that checks clauses, and its supervisor.
+
+    with Supervisor(Job("my_drive", "bench.toml")) as supervisor:
+        verdict = supervisor.check("STOP-04")
+
+An adaptation cannot end the kit. One worker checks all clauses as long as it lives. A check that
+misses its deadline is interrupted, and the verdict has the line where it hangs. If the worker then
+ends or has died, a new worker checks the remaining clauses.
 
 The worker receives a job, then requests, each as a line of JSON on one pipe. Each answer is a line
 on another pipe. Output of the adaptation goes elsewhere. The supervisor's first signal makes Python
@@ -9,21 +16,6 @@ dump the stacks of all threads. The second signal ends the check, if possible.
     {"claims": true}                        -> {"claims": {"homing": "why not, or nothing"}}
 
 Each request has a number, and its answer is [number, answer].
-
-Worker process, as seen by its supervisor.
-
-A supervisor sends requests to a worker, reads its answers and ends it, whatever the worker does.
-
-Supervision of a worker process, in which the clauses are checked.
-
-    with Supervisor(Job("my_drive", "bench.toml")) as supervisor:
-        verdict = supervisor.check("STOP-04")
-
-An adaptation cannot end the kit. One worker checks all clauses as long as it lives. A check that
-misses its deadline is interrupted, and the verdict has the line where it hangs. If the worker then
-ends or has died, a new worker checks the remaining clauses.
-
-Jobs for workers, and the promises that workers report.
 """
 
 import faulthandler
@@ -39,7 +31,7 @@ import tempfile
 import time
 from collections.abc import Callable, Container, Mapping
 from contextlib import suppress
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
 from typing import Any, Final, NoReturn, Self, TextIO, final
@@ -54,6 +46,7 @@ from motorhil.harness.conformance.clause import (
     unpacked,
 )
 from motorhil.harness.conformance.run import Line, place_in
+from motorhil.harness.conformance.target import Job, Target
 
 _MARGIN_S: Final = 30.0
 """Time after the deadline at which a worker without a supervisor ends by itself."""
@@ -64,7 +57,6 @@ class _Worker:
     """Answers the requests for one job."""
 
     def __init__(self, job: Mapping[str, Any]) -> None:
-        from motorhil.harness.conformance.examination import Target
         from motorhil.harness.conformance.kit import all_clauses
         from motorhil.harness.conformance.run import Claims
 
@@ -110,8 +102,8 @@ class _Worker:
         Raises:
             RigError: the adaptation's claims cannot be read.
         """
-        from motorhil.harness.conformance.clause import Capability
         from motorhil.harness.conformance.run import raised_at
+        from motorhil.harness.rig.config.conformance import Capability
         from motorhil.harness.rig.config.toml import RigError
 
         try:
@@ -342,34 +334,6 @@ class Child:
         self._stacks.close()
         os.close(self._replies)
         os.close(self._ended)
-
-
-@final
-@dataclass(frozen=True, slots=True)
-class Job:
-    """The adaptation and the rig to test.
-
-    Attributes:
-        adaptation: its name, or "package.module:function"; "": the adaptation of the rig's motors.
-        rig: the rig file; "": the rig that comes with the adaptation.
-        seed: the seed of all random numbers; None: the rig's seed.
-        on: the places of the rig's buses, "[BUS=]WHERE"; if empty, they are emulated in virtual
-            time.
-    """
-
-    adaptation: str = ""
-    rig: str = ""
-    seed: int | None = None
-    on: tuple[str, ...] = ()
-
-    def packed(self) -> dict[str, Any]:
-        """Return the job as JSON values."""
-        return asdict(self)
-
-    @classmethod
-    def unpacked(cls, values: Mapping[str, Any]) -> Self:
-        """Return the job from the values of `packed`."""
-        return cls(**{**values, "on": tuple(values["on"])})
 
 
 @final

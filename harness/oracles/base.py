@@ -1,11 +1,9 @@
-"""Base of oracles: a promise with a source, fed with events, counting examined cases.
+"""Base of oracles: a promise with a source, fed with events.
 
-An oracle receives decoded events in the order of the recording, with their times. An oracle knows
-no file, bus or clock. Its memory is bounded by nodes, axes and motors, never by time.
-
-Findings: the results of oracles.
-
-Context shared by all oracles: motors, axes, gaps of the recording.
+An oracle receives decoded events in the order of the recording, with their times. It counts the
+cases that it examined, and reports a finding. An oracle knows no file, bus or clock. All oracles
+share one context: motors, axes and gaps of the recording. Memory is bounded by nodes, axes and
+motors, never by time.
 """
 
 from collections.abc import Mapping, Sequence
@@ -14,10 +12,10 @@ from enum import Enum
 from typing import ClassVar, Final, final
 
 from motorhil.harness.oracles.facts import Facts, Subject
+from motorhil.traces.decoding.attached_rig import RecordedNames
 from motorhil.traces.decoding.can_errors import BusError
 from motorhil.traces.decoding.cia402 import state_number
 from motorhil.traces.decoding.events import DecodedEvent
-from motorhil.traces.decoding.objects import RecordedNames
 from motorhil.traces.schema import LockAction
 
 _NS: Final = 1_000_000_000

@@ -26,9 +26,9 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final, final
 
-from motorhil.harness.report.rig import MotorFacts, facts_of
 from motorhil.harness.rig.config.toml import Table, read_source
 from motorhil.harness.rig.recording import named_files
+from motorhil.traces.decoding.attached_rig import MotorFacts, facts_of
 from motorhil.traces.mcap.records import Attachment
 
 _FREE: Final = float("inf")
@@ -194,11 +194,11 @@ def read_limits(path: Path) -> dict[str, Subject]:
     Raises:
         RigError: it cannot be read, or has a wrong key or value.
     """
-    root = read_source(path, "write one as shown in the README").root()
+    root = read_source(path, "write one as in docs/how-to/judge-a-recording.md").root()
     root.refuse_unknown(("motor",))
     motors = root.table("motor")
     if not motors.values:
-        raise root.missing("motor", "write [motor.NAME], as README shows")
+        raise root.missing("motor", "write [motor.NAME], as in docs/how-to/judge-a-recording.md")
     return {name: _limits_of(name, motors.table(name)) for name in motors.values}
 
 

@@ -34,15 +34,23 @@ from motorhil.harness.oracles.network import (
     SyncPeriod,
 )
 from motorhil.harness.oracles.state_machine import StateMachine
-from motorhil.harness.report.events import TruthReader, message_of
-from motorhil.traces.decoding.objects import RecordedNames, names_of
+from motorhil.traces.decoding.attached_rig import RecordedNames, names_of
 from motorhil.traces.formats.frames import Findings as Reading
-from motorhil.traces.formats.frames import FrameDecoder
 from motorhil.traces.formats.registry import Source, open_source
-from motorhil.traces.mcap.protobuf import decode
 from motorhil.traces.mcap.reader import Trace, read_trace
 from motorhil.traces.mcap.records import Channel
-from motorhil.traces.schema import CAN_FRAME, GROUP_SYNC, JOINT_STATE, LOG, MOTOR_LOCK, LockAction
+from motorhil.traces.protobuf import decode
+from motorhil.traces.schema import (
+    CAN_FRAME,
+    GROUP_SYNC,
+    JOINT_STATE,
+    LOG,
+    MOTOR_LOCK,
+    FrameDecoder,
+    LockAction,
+    TruthDecoder,
+    truth_message_of,
+)
 
 ORACLES: Final[tuple[type[Oracle], ...]] = (
     *(PositionLimit, VelocityLimit, AccelerationLimit, TorqueLimit),
@@ -229,11 +237,11 @@ class Pass:
             return self._group
         if schema.name == LOG.name:
             return self._event
-        message = message_of(schema)
+        message = truth_message_of(schema)
         if message is None or len(parts) < 2:
             return None
-        reader = TruthReader(message)
-        return lambda time_ns, payload: self._truth(parts[1], time_ns, reader.read(payload))
+        reader = TruthDecoder(message)
+        return lambda time_ns, payload: self._truth(parts[1], time_ns, reader.decode(payload))
 
     def _frames(self, bus: str) -> _Handler:
         take, decode_frame = self._ear(bus).take, FrameDecoder().decode

@@ -1,12 +1,10 @@
-"""Oracles of a drive's motion, with and without power.
+"""Oracles of a drive's motion: with power, without, and at rest.
 
-Source: CiA 402-2: statusword (following error), following error window 6065h and time-out 6066h,
-states without power.
+A motor rests while its drive or its group reports the end of motion.
 
-Oracle of rest: a motor rests while its drive or its group reports the end of motion.
-
-Source: CiA 402-2: statusword (target reached, homing attained), position window 6067h; the paper,
-3.3.3 (waiting blocks until the motion is over) and Algorithm 2.
+Source: CiA 402-2: statusword (following error, target reached, homing attained), following error
+window 6065h and time-out 6066h, position window 6067h, states without power; the paper, 3.3.3
+(waiting blocks until the motion is over) and Algorithm 2.
 """
 
 from collections.abc import Mapping, Sequence

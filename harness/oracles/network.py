@@ -1,10 +1,10 @@
-"""Oracles of CANopen rules for any node: heartbeats, answers, boot-ups, identifiers.
+"""Oracles of CANopen and CAN rules that hold for any node.
 
-Oracle of the SYNC period: within bounds, and without missing SYNCs.
+Heartbeats, answers, boot-ups and identifiers; the SYNC period, within bounds and without missing
+SYNCs; the states that CAN controllers report (fault confinement).
 
-Source: CiA 301, SYNC protocol, communication cycle period 1006h.
-
-Oracle of fault confinement: the reported states of CAN controllers.
+Source: CiA 301: NMT error control, SYNC protocol, communication cycle period 1006h; ISO 11898-1,
+fault confinement.
 """
 
 from collections.abc import Mapping

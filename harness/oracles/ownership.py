@@ -8,11 +8,11 @@ from collections.abc import Iterator, Mapping
 from typing import Final
 
 from motorhil.harness.oracles.base import Finding, Verdict, Violation
-from motorhil.harness.recording.ownership import motor_of, read_ownership
 from motorhil.harness.sharing_tests.bus_evidence import BusFrame, commanded_node, judge_frames
-from motorhil.traces.formats.frames import FrameDecoder, fields
+from motorhil.traces.formats.frames import fields
 from motorhil.traces.mcap.reader import Trace
-from motorhil.traces.schema import CAN_FRAME
+from motorhil.traces.schema import CAN_FRAME, FrameDecoder
+from motorhil.traces.semantics.ownership import motor_of, read_ownership
 
 ID: Final = "owner-commands"
 PROMISE: Final = "While a motor has an owner, no other process sends a frame that commands it"

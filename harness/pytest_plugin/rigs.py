@@ -12,7 +12,7 @@ from typing import Final, TypeVar, final
 import pytest
 
 from motorhil.harness.cli.run import bus_settings, is_of_ours, is_on_purpose
-from motorhil.harness.pytest_plugin.plugin import (
+from motorhil.harness.pytest_plugin.options import (
     OPENED,
     OWN_NAMES,
     option,

@@ -24,16 +24,9 @@ following must hold for any adaptation:
 The number of tests of each rule is counted in `reach` of the machine's class, and as Hypothesis
 events (`pytest --hypothesis-show-statistics`).
 
-Stage of shared motors: a rig in virtual time, its history, and its parties.
-
-Logical owners of shared motors, as parties in one virtual time.
-
-The next action of an owner is an *errand*. An errand may take long, and other owners work
-meanwhile. All uses are noted in a history with a strictly increasing clock. Each owner checks its
-own motions. An uninterrupted motion must take the requested time. If the owner had the motor
-throughout, the motion must also go the requested distance.
-
-Owners of overlapping groups; the counterpart of `Owner` for single motors.
+A stage has the rig in virtual time, its history, and its parties, which are the logical owners. The
+next action of an owner is an *errand*. An errand may take long, and other owners work meanwhile.
+All uses are noted in a history with a strictly increasing clock. Each owner checks its own motions.
 """
 
 from collections import Counter
@@ -65,7 +58,7 @@ from motorhil.motorapi import (
     TrapezoidalTrajectory,
     UsageError,
 )
-from motorhil.motorapi.commands import Motion
+from motorhil.motorapi.motion import Motion
 from motorhil.motorapi.ownership.claim import LockAction, OwnershipEvent
 from motorhil.motorapi.synchronization.quality import Trigger
 

@@ -27,9 +27,10 @@ from contextlib import AbstractContextManager
 from enum import Enum
 from typing import TYPE_CHECKING, Final, final
 
-from motorhil.motorapi.commands import ControlVariable, Motion
+from motorhil.motorapi.commands import ControlVariable
 from motorhil.motorapi.errors import MotorBusyError, MotorError, UsageError
 from motorhil.motorapi.locking.process_lock import ProcessLock
+from motorhil.motorapi.motion import Motion
 from motorhil.motorapi.ownership.ownership import Ownership
 from motorhil.motorapi.ownership.queue import LOW_LEVEL, FifoQueue, Ticket
 from motorhil.motorapi.runtime.api import ChangeCounter, Runtime, wait_until

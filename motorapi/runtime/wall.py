@@ -23,7 +23,7 @@ from heapq import heappop, heappush
 from typing import TYPE_CHECKING, Final, ParamSpec, final
 
 from motorhil.motorapi.errors import DeadlineExceeded, LinkError, UsageError
-from motorhil.motorapi.runtime.api import FrameListener
+from motorhil.motorapi.runtime.api import FrameListener, Runtime
 from motorhil.motorapi.runtime.can_sources import FrameSource, source_of
 
 if TYPE_CHECKING:
@@ -507,3 +507,13 @@ def _in_child() -> None:
 
 atexit.register(close_process_runtime)
 os.register_at_fork(after_in_child=_in_child)
+
+
+def runtime_of(bus: "can.BusABC") -> Runtime:
+    """Return the runtime of the bus itself if it has one, else that of the wall clock.
+
+    An emulated bus of a rig in this process has that of the rig. All other buses of the process
+    share one `WallRuntime`.
+    """
+    own: Runtime | None = getattr(bus, "runtime", None)
+    return process_runtime() if own is None else own

@@ -6,17 +6,12 @@ from pathlib import Path
 import pytest
 
 from motorhil.harness.conformance import worker as supervision
-from motorhil.harness.conformance.clause import Capability, Result
-from motorhil.harness.conformance.examination import Target
+from motorhil.harness.conformance.clause import Result
 from motorhil.harness.conformance.kit import all_clauses
 from motorhil.harness.conformance.run import Claims, run_clause
-from motorhil.harness.conformance.worker import (
-    CannotTestError,
-    Job,
-    Supervisor,
-    WrongJobError,
-    _Worker,
-)
+from motorhil.harness.conformance.target import Job, Target
+from motorhil.harness.conformance.worker import CannotTestError, Supervisor, WrongJobError, _Worker
+from motorhil.harness.rig.config.conformance import Capability
 from motorhil.harness.rig.config.toml import RigError
 from motorhil.motorapi.locking.directory import VARIABLE
 from tests.support import misbehaving_motors as misbehaving

@@ -6,8 +6,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from motorhil.traces.decoding.canopen import CanopenDecoder
-from motorhil.traces.decoding.modbus import Adu, ModbusDecoder, adu_of
+from motorhil.traces.decoding.modbus import ModbusDecoder
 from motorhil.traces.decoding.objects import ObjectNames
+from motorhil.traces.formats.modbus import Adu, adu_of
 
 # Mostly identifiers of one node's services; bytes that begin like SDOs and PDO parameters.
 SERVICES = [0, 0x80, 0x81, 0x100, 0x181, 0x201, 0x281, 0x581, 0x601, 0x701]
@@ -44,8 +45,8 @@ def test_any_adus_are_decoded(adus):
 
 @given(st.binary(max_size=20), st.booleans())
 def test_any_line_bytes_are_adu_or_problem(data, tcp):
-    adu, problem = adu_of(0, data, tcp=tcp, to_server=True)
-    assert (adu is None) == bool(problem)
+    adu = adu_of(0, data, tcp=tcp, to_server=True)
+    assert isinstance(adu, Adu) or adu.problem
 
 
 @given(st.text(alphabet="[]1A00sub=0x$NODEID+;\n PDdefaultValue", max_size=200))

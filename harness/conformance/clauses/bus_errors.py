@@ -5,8 +5,8 @@ A CAN controller repeats a frame that a bit error has destroyed (ISO 11898-1). E
 128 times 11 recessive bits.
 """
 
-from motorhil.harness.conformance.bench import RigProtocol
-from motorhil.harness.conformance.clause import Ability, Capability, Level, clause, expect
+from motorhil.harness.conformance.bench import Ability, RigProtocol
+from motorhil.harness.conformance.clause import Level, clause, expect
 from motorhil.harness.conformance.clauses.helpers import (
     aim,
     ending,
@@ -21,6 +21,7 @@ from motorhil.harness.conformance.clauses.helpers import (
     rest_for,
     until_rest_s,
 )
+from motorhil.harness.rig.config.conformance import Capability
 from motorhil.motorapi import LinkError, Motor, MotorState
 
 _TO_PASSIVE = 24  # failures; the node then stays error passive for a while
@@ -61,7 +62,7 @@ def a_host_off_the_bus_is_told_at_once_and_goes_on_afterwards(bench: RigProtocol
     Level.L5,
     needs={Capability.POSITION_SET_POINT},
     bench={*_ERRORS, Ability.TRUTH},
-    source="README, 'at most once'; ISO 11898-1: destroyed frames are repeated",
+    source="Sharing and locking, at most once; ISO 11898-1: destroyed frames are repeated",
 )
 def a_noisy_bus_loses_no_move_and_doubles_none(bench: RigProtocol) -> None:
     """On a bus with one wrong bit in ten thousand, every move is made once and reported done."""
@@ -106,7 +107,7 @@ def an_error_passive_node_is_none_that_has_failed(bench: RigProtocol) -> None:
     Level.L5,
     needs={Capability.POSITION_SET_POINT},
     bench={*_ERRORS, Ability.TRUTH},
-    source="README, 'at most once'; Linux: bus-off discards queued frames",
+    source="Sharing and locking, at most once; Linux: bus-off discards queued frames",
 )
 def whichever_frame_puts_the_host_off_the_bus_nothing_is_untrue(bench: RigProtocol) -> None:
     """Whichever frame of a move puts the host in bus-off, the move is made once or fails."""

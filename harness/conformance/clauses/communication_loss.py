@@ -6,16 +6,8 @@ Each loss happens in the middle of each kind of motion. The rig declares the tim
 
 from contextlib import suppress
 
-from motorhil.harness.conformance.bench import RigProtocol
-from motorhil.harness.conformance.clause import (
-    Ability,
-    Capability,
-    Level,
-    NotApplicable,
-    Violated,
-    clause,
-    expect,
-)
+from motorhil.harness.conformance.bench import Ability, RigProtocol
+from motorhil.harness.conformance.clause import Level, NotApplicable, Violated, clause, expect
 from motorhil.harness.conformance.clauses.helpers import (
     Mode,
     aim,
@@ -38,6 +30,7 @@ from motorhil.harness.conformance.clauses.helpers import (
     torque_of,
     until_rest_s,
 )
+from motorhil.harness.rig.config.conformance import Capability
 from motorhil.motorapi import (
     DeadlineExceeded,
     Motor,
@@ -92,7 +85,7 @@ def _expect_told(bench: RigProtocol, motor: Motor, mode: Mode, when: str) -> Non
     Level.L5,
     needs={Capability.DEAD_MAN},
     bench=_CABLE,
-    source="CiA 301, heartbeat consumer (1016h), 1029h; CiA 402-2, 6007h; README, dead-man",
+    source="CiA 301, heartbeat consumer (1016h), 1029h; CiA 402-2, 6007h; dead-man",
 )
 def a_drive_without_a_cable_comes_to_rest(bench: RigProtocol) -> None:
     """In every mode, a drive whose cable is cut is at rest within dead-man and braking time."""
@@ -132,7 +125,7 @@ def a_drive_that_does_not_hear_its_host_comes_to_rest(bench: RigProtocol) -> Non
     "LOST-04",
     Level.L5,
     bench=_CABLE,
-    source="MotorHooks._connect; README, 'nothing that moves is sent again blindly'",
+    source="MotorHooks._connect; Sharing and locking, at most once",
 )
 def what_was_lost_can_be_used_again_and_begins_nothing_by_itself(bench: RigProtocol) -> None:
     """Once the cable is back, no motion begins by itself, and the motor is usable as before."""
@@ -173,7 +166,7 @@ def what_it_says_after_a_loss_is_true(bench: RigProtocol) -> None:
     "LOST-06",
     Level.L5,
     bench=_CABLE,
-    source="requirement 4 of the paper; README, 'at most once'",
+    source="requirement 4 of the paper; Sharing and locking, at most once",
 )
 def what_a_lost_drive_was_told_is_not_done_later(bench: RigProtocol) -> None:
     """While the cable is cut, commands fail, and are not carried out when it is back."""
@@ -230,7 +223,7 @@ def a_drive_that_restarts_is_noticed_and_set_up_anew(bench: RigProtocol) -> None
     Level.L5,
     needs={Capability.COMPLEX_POSITION},
     bench={Ability.TRUTH, Ability.STOP_SYNC, Ability.AFRESH},
-    source="CiA 301, SYNC; README, 'if the SYNC that drives go by ends, they brake and say why'",
+    source="CiA 301, SYNC; Sharing and locking, dead-man",
 )
 def a_stream_that_loses_its_signal_ends(bench: RigProtocol) -> None:
     """If a streamed motion loses its clock signal, it fails in time, and the motor stops."""
@@ -257,7 +250,7 @@ def a_stream_that_loses_its_signal_ends(bench: RigProtocol) -> None:
     Level.L5,
     needs={Capability.POSITION_SET_POINT},
     bench={Ability.TRUTH, Ability.LOSE, Ability.SILENCE_HOST, Ability.AFRESH},
-    source="README, 'at most once'; requirement 1; errors: DeadlineExceeded, PeerError",
+    source="Sharing and locking, at most once; requirement 1; errors: DeadlineExceeded, PeerError",
 )
 def a_single_frame_that_is_lost_makes_nothing_untrue(bench: RigProtocol) -> None:
     """Whichever single frame of a move is lost, the move is reported done, or fails, truthfully."""

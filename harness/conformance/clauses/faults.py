@@ -9,8 +9,8 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Final
 
-from motorhil.harness.conformance.bench import RigProtocol
-from motorhil.harness.conformance.clause import Ability, Capability, Level, Violated, clause, expect
+from motorhil.harness.conformance.bench import Ability, RigProtocol
+from motorhil.harness.conformance.clause import Level, Violated, clause, expect
 from motorhil.harness.conformance.clauses.helpers import (
     aim,
     ending,
@@ -30,6 +30,7 @@ from motorhil.harness.conformance.clauses.helpers import (
     turn,
     until_rest_s,
 )
+from motorhil.harness.rig.config.conformance import Capability
 from motorhil.motorapi import (
     ControlMode,
     DeadlineExceeded,

@@ -5,16 +5,8 @@ L4: groups with a member that refuses, is lost, or fails.
 
 from math import hypot
 
-from motorhil.harness.conformance.bench import RigProtocol
-from motorhil.harness.conformance.clause import (
-    Ability,
-    Capability,
-    Level,
-    NotApplicable,
-    Violated,
-    clause,
-    expect,
-)
+from motorhil.harness.conformance.bench import Ability, RigProtocol
+from motorhil.harness.conformance.clause import Level, NotApplicable, Violated, clause, expect
 from motorhil.harness.conformance.clauses.helpers import (
     BEGUN,
     Course,
@@ -36,6 +28,7 @@ from motorhil.harness.conformance.clauses.helpers import (
     smooth_way,
     ways_of,
 )
+from motorhil.harness.rig.config.conformance import Capability
 from motorhil.motorapi import (
     ControlMode,
     FaultReaction,
@@ -375,7 +368,7 @@ def _fire_once_more(bench: RigProtocol, motor: Motor) -> None:
     Level.L4,
     needs={*_MOVES, Capability.COMMON_TRIGGER},
     bench={*_TWO, Ability.SILENCE_HOST, Ability.AFRESH},
-    source="MotorHooks._arm: in the hardware, confirmed; README, 'arm, then fire'",
+    source="MotorHooks._arm: in the hardware, confirmed; decision 0010, arm, then fire",
 )
 def no_part_of_a_group_moves_on_alone(bench: RigProtocol) -> None:
     """Whichever frame of a common start is lost, all members move, or none and start() fails."""

@@ -17,8 +17,9 @@ from dataclasses import dataclass
 from math import sqrt
 from typing import Final, final
 
-from motorhil.harness.conformance.bench import Lost, RigProtocol
-from motorhil.harness.conformance.clause import Ability, Capability, NotApplicable, Violated, expect
+from motorhil.harness.conformance.bench import Ability, Lost, RigProtocol
+from motorhil.harness.conformance.clause import NotApplicable, Violated, expect
+from motorhil.harness.rig.config.conformance import Capability
 from motorhil.motorapi import (
     ComplexTrajectory,
     ControlMode,

@@ -3,15 +3,8 @@
 L0: measured values are right in sign and size.
 """
 
-from motorhil.harness.conformance.bench import RigProtocol
-from motorhil.harness.conformance.clause import (
-    Ability,
-    Capability,
-    Level,
-    NotApplicable,
-    clause,
-    expect,
-)
+from motorhil.harness.conformance.bench import Ability, RigProtocol
+from motorhil.harness.conformance.clause import Level, NotApplicable, clause, expect
 from motorhil.harness.conformance.clauses.helpers import (
     expect_unmoved,
     finish,
@@ -24,6 +17,7 @@ from motorhil.harness.conformance.clauses.helpers import (
     shortest_s,
     torque_of,
 )
+from motorhil.harness.rig.config.conformance import Capability
 from motorhil.motorapi import DerivativeLimits, Motor, MotorState, TrapezoidalTrajectory
 
 _HOLDS = 0.3  # of the largest torque

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from functools import partial
 
 from motorhil.harness.conformance.bench import RigProtocol
-from motorhil.harness.conformance.clause import Capability, Level, Violated, clause, expect
+from motorhil.harness.conformance.clause import Level, Violated, clause, expect
 from motorhil.harness.conformance.clauses.helpers import (
     aim,
     expect_at,
@@ -16,6 +16,7 @@ from motorhil.harness.conformance.clauses.helpers import (
     rest_for,
     shortest_s,
 )
+from motorhil.harness.rig.config.conformance import Capability
 from motorhil.motorapi import (
     ControlMode,
     ControlVariable,

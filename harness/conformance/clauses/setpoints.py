@@ -1,14 +1,7 @@
 """L1: set-points of all control variables."""
 
-from motorhil.harness.conformance.bench import RigProtocol
-from motorhil.harness.conformance.clause import (
-    Ability,
-    Capability,
-    Level,
-    NotApplicable,
-    clause,
-    expect,
-)
+from motorhil.harness.conformance.bench import Ability, RigProtocol
+from motorhil.harness.conformance.clause import Level, NotApplicable, clause, expect
 from motorhil.harness.conformance.clauses.helpers import (
     aim,
     expect_at,
@@ -28,6 +21,7 @@ from motorhil.harness.conformance.clauses.helpers import (
     watched,
     way_to_top_speed,
 )
+from motorhil.harness.rig.config.conformance import Capability
 from motorhil.motorapi import (
     ControlMode,
     ControlVariable,

@@ -8,16 +8,8 @@ from contextlib import suppress
 from types import SimpleNamespace
 from typing import Any, Final
 
-from motorhil.harness.conformance.bench import RigProtocol
-from motorhil.harness.conformance.clause import (
-    Ability,
-    Capability,
-    Level,
-    NotApplicable,
-    Violated,
-    clause,
-    expect,
-)
+from motorhil.harness.conformance.bench import Ability, RigProtocol
+from motorhil.harness.conformance.clause import Level, NotApplicable, Violated, clause, expect
 from motorhil.harness.conformance.clauses.helpers import (
     expect_rest,
     expect_unmoved,
@@ -33,6 +25,7 @@ from motorhil.harness.conformance.clauses.helpers import (
     speed,
     turn,
 )
+from motorhil.harness.rig.config.conformance import Capability
 from motorhil.motorapi import (
     ControlMode,
     MotionInterrupted,
@@ -137,7 +130,7 @@ def who_is_refused_sends_no_command(bench: RigProtocol) -> None:
     Level.L3,
     needs=_MOVES,
     bench=_SHARED,
-    source="README, Sharing: reading and stops are free; MotionInterrupted",
+    source="Sharing and locking: reading and stops are free; MotionInterrupted",
 )
 def anybody_may_look_and_stop(bench: RigProtocol) -> None:
     """Other users may read and stop a moving motor; its user learns which one stopped it."""
@@ -243,7 +236,7 @@ def _expect_free(bench: RigProtocol, user: Motor, when: str) -> None:
     Level.L3,
     needs=_MOVES,
     bench={*_SHARED, Ability.TRUTH},
-    source="README, Sharing; Motor.start(timeout_s): waits its turn",
+    source="Sharing and locking; Motor.start(timeout_s): waits its turn",
 )
 def who_comes_next_finds_it_at_rest(bench: RigProtocol) -> None:
     """While a motor slows down, no other user gets it; the next one gets it at rest."""
@@ -295,7 +288,7 @@ def who_asked_first_is_served_first(bench: RigProtocol) -> None:
     Level.L3,
     needs={*_MOVES, Capability.VELOCITY_SET_POINT},
     bench=_SHARED,
-    source="README, Sharing: leases, take_over; the next owner brings a moving motor to rest",
+    source="Sharing and locking: leases, take_over; the next owner brings a moving motor to rest",
 )
 def what_is_taken_over_is_brought_to_rest(bench: RigProtocol) -> None:
     """On a takeover, the motor is brought to rest, and its former user loses the ownership."""

@@ -5,8 +5,8 @@ L1: the end of a motion: waiting, notification and progress.
 
 from typing import TYPE_CHECKING, Final
 
-from motorhil.harness.conformance.bench import RigProtocol
-from motorhil.harness.conformance.clause import Ability, Capability, Level, Violated, clause, expect
+from motorhil.harness.conformance.bench import Ability, RigProtocol
+from motorhil.harness.conformance.clause import Level, Violated, clause, expect
 from motorhil.harness.conformance.clauses.helpers import (
     aim,
     expect_at,
@@ -22,6 +22,7 @@ from motorhil.harness.conformance.clauses.helpers import (
     watched,
     way_of_stopping,
 )
+from motorhil.harness.rig.config.conformance import Capability
 from motorhil.motorapi import (
     ControlMode,
     DeadlineExceeded,

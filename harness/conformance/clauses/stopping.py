@@ -3,8 +3,8 @@
 from collections.abc import Callable, Sequence
 from typing import Final
 
-from motorhil.harness.conformance.bench import RigProtocol
-from motorhil.harness.conformance.clause import Ability, Capability, Level, Violated, clause, expect
+from motorhil.harness.conformance.bench import Ability, RigProtocol
+from motorhil.harness.conformance.clause import Level, Violated, clause, expect
 from motorhil.harness.conformance.clauses.helpers import (
     aim,
     expect_at,
@@ -23,6 +23,7 @@ from motorhil.harness.conformance.clauses.helpers import (
     watched,
     way_of_stopping,
 )
+from motorhil.harness.rig.config.conformance import Capability
 from motorhil.motorapi import (
     ControlMode,
     MotionInterrupted,

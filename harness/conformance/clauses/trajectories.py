@@ -2,8 +2,8 @@
 
 from itertools import pairwise
 
-from motorhil.harness.conformance.bench import RigProtocol
-from motorhil.harness.conformance.clause import Ability, Capability, Level, clause, expect
+from motorhil.harness.conformance.bench import Ability, RigProtocol
+from motorhil.harness.conformance.clause import Level, clause, expect
 from motorhil.harness.conformance.clauses.helpers import (
     expect_at,
     expect_tracks,
@@ -20,6 +20,7 @@ from motorhil.harness.conformance.clauses.helpers import (
     watched,
     worst_deviation,
 )
+from motorhil.harness.rig.config.conformance import Capability
 from motorhil.motorapi import (
     ComplexTrajectory,
     ControlMode,

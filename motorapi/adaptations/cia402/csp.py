@@ -31,7 +31,7 @@ from motorhil.motorapi.adaptations.canopen.bus import Transmission
 from motorhil.motorapi.adaptations.canopen.sdo import SdoAborted
 from motorhil.motorapi.adaptations.cia402.objects import ENABLE_OPERATION, HALT, Mode, PdsState
 from motorhil.motorapi.adaptations.cia402.units import DriveUnits
-from motorhil.motorapi.commands import ControlVariable, Motion, as_number
+from motorhil.motorapi.commands import ControlVariable, as_number
 from motorhil.motorapi.errors import (
     LimitError,
     LinkError,
@@ -41,6 +41,7 @@ from motorhil.motorapi.errors import (
     UsageError,
 )
 from motorhil.motorapi.generation import Trapezoid, shortest
+from motorhil.motorapi.motion import Motion
 from motorhil.motorapi.planning.sampling import demand_of
 from motorhil.motorapi.synchronization.bus_load import PeriodicMessage, note_stream
 from motorhil.motorapi.trajectory import value_of

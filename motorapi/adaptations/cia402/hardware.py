@@ -39,7 +39,7 @@ from motorhil.motorapi.ownership.physical_motor import (
     register_physical_motor,
     release_physical_motor,
 )
-from motorhil.motorapi.runtime.api import runtime_of
+from motorhil.motorapi.runtime.wall import runtime_of
 
 if TYPE_CHECKING:
     from contextlib import AbstractContextManager

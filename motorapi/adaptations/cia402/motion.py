@@ -73,8 +73,9 @@ from motorhil.motorapi.adaptations.cia402.profile import (
     ramp_s,
     torque_profile_of,
 )
-from motorhil.motorapi.commands import ControlVariable, Motion
+from motorhil.motorapi.commands import ControlVariable
 from motorhil.motorapi.errors import DeadlineExceeded, LinkError, StateError
+from motorhil.motorapi.motion import Motion
 from motorhil.motorapi.synchronization.bus_load import PeriodicMessage
 from motorhil.motorapi.synchronization.can_response_time import Firing, OneFrame
 from motorhil.motorapi.synchronization.quality import MotionTimes, SyncLevel, SyncOffer, Trigger

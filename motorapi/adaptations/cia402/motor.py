@@ -53,9 +53,10 @@ from motorhil.motorapi.adaptations.cia402.objects import (
 )
 from motorhil.motorapi.adaptations.cia402.units import DriveUnits
 from motorhil.motorapi.adaptations.registration import Shared, as_name, number, refuse_unknown
-from motorhil.motorapi.commands import ControlMode, ControlVariable, Motion, Setpoint
+from motorhil.motorapi.commands import ControlMode, ControlVariable, Setpoint
 from motorhil.motorapi.errors import UnsupportedError, UsageError
 from motorhil.motorapi.model import MotorModel
+from motorhil.motorapi.motion import Motion
 from motorhil.motorapi.motor import Motor
 from motorhil.motorapi.ownership.physical_motor import bus_key
 from motorhil.motorapi.planning.functions import asks_for_smoothness

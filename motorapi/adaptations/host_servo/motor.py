@@ -36,8 +36,9 @@ from motorhil.motorapi.adaptations.host_servo.hardware import AmplifierHwMotor
 from motorhil.motorapi.adaptations.host_servo.node import IoOptions
 from motorhil.motorapi.adaptations.host_servo.servo import PidGains, ServoLimits
 from motorhil.motorapi.adaptations.registration import Shared, as_name, number, refuse_unknown
-from motorhil.motorapi.commands import ControlMode, ControlVariable, Motion, Setpoint, as_number
+from motorhil.motorapi.commands import ControlMode, ControlVariable, Setpoint, as_number
 from motorhil.motorapi.errors import DeviceFault, UnsupportedError, UsageError
+from motorhil.motorapi.motion import Motion
 from motorhil.motorapi.motor import Motor
 from motorhil.motorapi.ownership.physical_motor import bus_key
 from motorhil.motorapi.state import Fault, Measurement, MotorState

@@ -15,7 +15,7 @@ from motorhil.motorapi.runtime.api import ChangeCounter
 from motorhil.motorapi.state import Fault, MotorState
 
 if TYPE_CHECKING:
-    from motorhil.motorapi.commands import Motion
+    from motorhil.motorapi.motion import Motion
     from motorhil.motorapi.runtime.api import Registration, Runtime
 
 LOOK_PERIOD_S: Final = 0.001

@@ -29,9 +29,10 @@ from typing import TYPE_CHECKING, Final, final
 
 from motorhil.motorapi.adaptations.ideal.hardware import IdealHwMotor
 from motorhil.motorapi.adaptations.registration import Shared, refuse_unknown
-from motorhil.motorapi.commands import ControlMode, ControlVariable, Motion, Setpoint, as_number
+from motorhil.motorapi.commands import ControlMode, ControlVariable, Setpoint, as_number
 from motorhil.motorapi.errors import DeviceFault, LinkError, UnsupportedError, UsageError
 from motorhil.motorapi.model import MotionKind
+from motorhil.motorapi.motion import Motion
 from motorhil.motorapi.motor import Motor
 from motorhil.motorapi.state import Fault, Measurement, MotorState
 from motorhil.motorapi.synchronization.can_response_time import Firing

@@ -11,8 +11,9 @@ from collections.abc import Callable
 from math import inf
 from typing import Final, NamedTuple, Protocol, final
 
-from motorhil.motorapi.commands import ControlMode, ControlVariable, Motion
+from motorhil.motorapi.commands import ControlMode, ControlVariable
 from motorhil.motorapi.errors import MotorError, PluginError
+from motorhil.motorapi.motion import Motion
 from motorhil.motorapi.planning.sampling import Demand, demand_of, ramps
 from motorhil.motorapi.trajectory import Argument, value_of
 

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Final, Protocol, TypeVar, final
 
 from motorhil.motorapi.adaptations.modbus.client import is_silence
 from motorhil.motorapi.adaptations.registration import Shared, number, refuse_unknown
-from motorhil.motorapi.commands import ControlMode, ControlVariable, Motion
+from motorhil.motorapi.commands import ControlMode, ControlVariable
 from motorhil.motorapi.errors import (
     DeviceFault,
     LimitError,
@@ -28,6 +28,7 @@ from motorhil.motorapi.errors import (
     UsageError,
 )
 from motorhil.motorapi.model import MotionKind
+from motorhil.motorapi.motion import Motion
 from motorhil.motorapi.motor import Motor
 from motorhil.motorapi.state import Fault, Measurement, MotorState
 from motorhil.motorapi.synchronization.quality import MotionTimes, SyncLevel, SyncOffer, Trigger

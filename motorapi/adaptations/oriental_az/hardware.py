@@ -21,9 +21,10 @@ from motorhil.motorapi.adaptations.modbus.polled_motor import (
     toward_zero,
 )
 from motorhil.motorapi.adaptations.modbus.unit import ModbusUnit, words
-from motorhil.motorapi.commands import ControlVariable, Motion
+from motorhil.motorapi.commands import ControlVariable
 from motorhil.motorapi.errors import DeadlineExceeded, UnsupportedError
 from motorhil.motorapi.model import MotionKind
+from motorhil.motorapi.motion import Motion
 from motorhil.motorapi.state import Fault, MotorState
 
 if TYPE_CHECKING:

@@ -3,7 +3,7 @@
 Recordings: ../shared/data/traffic/INDEX.md. The host of a transcript is played as by `replay --as
 host`. The messages of our drive are compared with those of the recorded drive, object by object
 (`motorhil.traces.semantics.diff`). A difference without a reason in this table fails a test; so
-does a reason without a difference. The README's table is generated from this one.
+does a reason without a difference. docs/reference/emulated-drive.md has this table.
 """
 
 import json
@@ -42,7 +42,7 @@ class Transcript:
         first: required host messages before it.
         stimuli: lines of a rig file: physical stimuli of the recorded drive.
         differences: by subject: the first difference, "theirs, but ours", and its reason.
-        agrees: equal results, for the README.
+        agrees: equal results, for that page.
     """
 
     title: str
@@ -325,7 +325,7 @@ TRANSCRIPTS: Final = (
 
 
 def table() -> str:
-    """Return agreements, differences and reasons: the README's table."""
+    """Return agreements, differences and reasons: the table of docs/reference/emulated-drive.md."""
     rows = ["| recorded | alike | different, and why |", "| --- | --- | --- |"]
     for one in TRANSCRIPTS:
         reasons: dict[str, list[str]] = {}

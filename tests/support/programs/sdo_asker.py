@@ -10,7 +10,7 @@ import can
 from motorhil.motorapi.adaptations.canopen.bus import open_link
 from motorhil.motorapi.adaptations.canopen.sdo import SdoChannel
 from motorhil.motorapi.adaptations.cia402.node_sharing import node_locks
-from motorhil.motorapi.runtime.api import runtime_of
+from motorhil.motorapi.runtime.wall import runtime_of
 
 
 def channel_of(bus, *, quarantine_s):

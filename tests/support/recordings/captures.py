@@ -2,7 +2,8 @@
 
 import struct
 
-from motorhil.traces.formats.pcap import Packet, Way
+from motorhil.traces.formats.pcap import Packet
+from motorhil.traces.formats.tcp import Way
 
 SYN = 0x02
 ACK = 0x10

@@ -2,8 +2,8 @@
 
 import struct
 
-from motorhil.traces.mcap.protobuf import encode
 from motorhil.traces.mcap.writer import TraceWriter
+from motorhil.traces.protobuf import encode
 from motorhil.traces.schema import (
     CAN_FRAME,
     JOINT_STATE,

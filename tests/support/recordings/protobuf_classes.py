@@ -4,7 +4,7 @@ from google.protobuf.descriptor_pb2 import FileDescriptorSet
 from google.protobuf.descriptor_pool import DescriptorPool
 from google.protobuf.message_factory import GetMessageClass
 
-from motorhil.traces.mcap.protobuf import file_descriptor_set
+from motorhil.traces.protobuf import file_descriptor_set
 
 
 def google_class(message):

@@ -7,8 +7,8 @@ Bytes follow CiA 301 and 402-2, and linux/can/error.h.
 
 import struct
 
-from motorhil.traces.mcap.protobuf import encode
 from motorhil.traces.mcap.writer import TraceWriter
+from motorhil.traces.protobuf import encode
 from motorhil.traces.schema import (
     CAN_FRAME,
     LOG,

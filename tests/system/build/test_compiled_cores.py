@@ -85,7 +85,7 @@ def test_hot_modules_are_compiled_outside_the_sources(built, tmp_path):
             *("emulators.simulation.event_queue", "emulators.simulation.world"),
             *("emulators.can.bus.bus", "emulators.firmware.servo", "emulators.plant.dc_motor"),
             *("emulators.canopen.node", "emulators.cia402.drive"),
-            *("harness.virtual_time.runtime", "traces.mcap.protobuf"),
+            *("harness.virtual_time.runtime", "traces.protobuf"),
         )
     ]
     code = f"from importlib import import_module\nfor n in {names}:\n"

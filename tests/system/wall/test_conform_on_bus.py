@@ -4,8 +4,7 @@ import json
 
 import pytest
 
-from motorhil.harness.conformance.examination import Target
-from motorhil.harness.conformance.worker import Job
+from motorhil.harness.conformance.target import Job, Target
 from motorhil.harness.rig.config.toml import RigError
 from motorhil.traces.mcap.reader import read_trace
 from tests.support.kit_benches import RIGS

@@ -6,12 +6,12 @@ import subprocess
 
 import pytest
 
-from motorhil.harness.recording.ownership import Ended, read_ownership
 from motorhil.motorapi.locking.directory import VARIABLE, LockDirectory
 from motorhil.motorapi.locking.lock_status import list_locks
-from motorhil.traces.mcap.protobuf import decode
 from motorhil.traces.mcap.reader import read_trace
+from motorhil.traces.protobuf import decode
 from motorhil.traces.schema import CAN_FRAME, LockAction
+from motorhil.traces.semantics.ownership import Ended, read_ownership
 from tests.support.line_programs import LONG_S, Program
 from tests.system.wall.test_shared_drive import MODEL, SERVE, await_boot, folder, wait_for
 

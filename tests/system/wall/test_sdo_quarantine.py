@@ -5,8 +5,7 @@ import pytest
 
 from motorhil.motorapi.adaptations.canopen.bus import open_link, release_link
 from motorhil.motorapi.locking.directory import VARIABLE
-from motorhil.motorapi.runtime.api import runtime_of
-from motorhil.motorapi.runtime.wall import close_process_runtime
+from motorhil.motorapi.runtime.wall import close_process_runtime, runtime_of
 from tests.support.line_programs import Program
 from tests.support.programs.sdo_asker import channel_of
 from tests.system.wall.test_hub import serving

@@ -14,10 +14,10 @@ from pathlib import Path
 import pytest
 
 from motorhil.harness.cli import demo_two_processes as two_processes
-from motorhil.harness.recording.ownership import Ended, read_ownership
 from motorhil.motorapi.locking.lock_status import read_process
 from motorhil.traces.mcap.reader import read_trace
 from motorhil.traces.schema import LockAction
+from motorhil.traces.semantics.ownership import Ended, read_ownership
 from tests.support.line_programs import LONG_S
 
 pytestmark = pytest.mark.wall

@@ -8,7 +8,7 @@ from tests.support.plugin_rigs import GOOD, SCRIPT, WHEEL
 ENTRY_POINTS = """\
 [motorhil.controllers]
 echo = tests.support.plugin:controller
-broken = tests.harness.no_such_module:controller
+broken = tests.unit.harness.no_such_module:controller
 [motorhil.adaptations]
 bare = tests.support.plugin:adaptation
 """

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from motorhil.traces.mcap.protobuf import encode
+from motorhil.traces.protobuf import encode
 from motorhil.traces.schema import (
     CAN_FRAME,
     JOINT_STATE,

@@ -1,6 +1,6 @@
 from google.protobuf.descriptor_pb2 import FileDescriptorSet
 
-from motorhil.traces.mcap.protobuf import file_descriptor_set
+from motorhil.traces.protobuf import file_descriptor_set
 from motorhil.traces.schema import (
     CAN_FRAME,
     JOINT_STATE,

@@ -8,9 +8,9 @@ from pathlib import Path
 import can
 import pytest
 
-from motorhil.harness.recording.ownership import Ended, read_ownership
 from motorhil.harness.rig.config.scaffold import EXAMPLES
 from motorhil.motorapi import WallRuntime
+from motorhil.traces.semantics.ownership import Ended, read_ownership
 
 MOTORHIL = (
     sys.executable,

@@ -277,7 +277,7 @@ def plugin(rig, monkeypatch):
     def write(module, text):
         (rig / f"{module}.py").write_text(text)
         listing = rig.parent / "site" / "bench-1.0.dist-info" / "entry_points.txt"
-        listing.write_text(listing.read_text().replace("tests.harness.no_such_module", module))
+        listing.write_text(listing.read_text().replace("tests.unit.harness.no_such_module", module))
         (rig / "rig.toml").write_text(GOOD.replace('"echo"', '"broken"', 1))
         monkeypatch.syspath_prepend(rig)
         return rig / f"{module}.py"

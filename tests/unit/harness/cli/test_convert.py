@@ -6,8 +6,8 @@ import pytest
 
 from motorhil.traces.formats.frames import Frame, classic
 from motorhil.traces.formats.registry import record_frames
-from motorhil.traces.mcap.protobuf import encode
 from motorhil.traces.mcap.writer import TraceWriter
+from motorhil.traces.protobuf import encode
 from motorhil.traces.schema import CAN_FRAME, MODBUS_ADU, Direction, Schema
 
 TEXT = """\

@@ -3,8 +3,8 @@
 import pytest
 
 from motorhil.harness.cli.demo_two_processes import commands_by_tenure
-from motorhil.harness.recording.ownership import LockEvent, ownership_of
 from motorhil.traces.schema import LockAction
+from motorhil.traces.semantics.ownership import LockEvent, ownership_of
 
 TAKEN = LockEvent("pan", 10, LockAction.TAKEN, "mast", token=1, pid=4, sender="mast[4]")
 BROKEN = LockEvent("pan", 20, LockAction.BROKEN, "driving", token=2, pid=5, sender="driving[5]")

@@ -11,7 +11,7 @@ from motorhil.harness.rig.config.rig_file import parse_rig
 from motorhil.harness.rig.config.toml import Source
 from motorhil.harness.rig.rig import Rig, installed_plugins
 from motorhil.motorapi import ControlMode, MotorError
-from motorhil.traces.decoding.objects import names_of
+from motorhil.traces.decoding.attached_rig import names_of
 from motorhil.traces.formats.frames import Findings
 from motorhil.traces.formats.registry import recorded_frames
 from motorhil.traces.mcap.reader import read_trace

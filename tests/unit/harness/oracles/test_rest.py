@@ -4,8 +4,8 @@ import pytest
 
 from motorhil.harness.oracles.base import Verdict
 from motorhil.harness.oracles.judge import judge
-from motorhil.traces.mcap.protobuf import encode
 from motorhil.traces.mcap.writer import TraceWriter
+from motorhil.traces.protobuf import encode
 from motorhil.traces.schema import GROUP_SYNC, JOINT_STATE, MOTOR_LOCK, JointStateEncoder, Schema
 from tests.support.recordings.story import MS, RELEASED, TAKEN
 

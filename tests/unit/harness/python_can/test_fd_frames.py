@@ -7,7 +7,8 @@ from motorhil.emulators.can.bus.bus import CanBus
 from motorhil.emulators.can.frame import pack_fd
 from motorhil.emulators.simulation.event_queue import EventQueue
 from motorhil.emulators.simulation.world import World
-from motorhil.harness.python_can.bus import ReceiveQueue, close_rig, open_rig
+from motorhil.harness.python_can.bus import close_rig, open_rig
+from motorhil.harness.python_can.receive_queue import ReceiveQueue
 from motorhil.harness.rig.config.toml import RigError
 from motorhil.harness.rig.rig import Rig
 from motorhil.harness.virtual_time.runtime import VirtualRuntime

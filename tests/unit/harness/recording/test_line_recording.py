@@ -5,12 +5,20 @@ import pytest
 from motorhil.emulators.media.serial_faults import SerialFaultKind, SerialFaultRule
 from motorhil.harness.rig.rig import Rig
 from motorhil.motorapi.errors import DeadlineExceeded
-from motorhil.traces.decoding.modbus import lines_of, paired, recorded_adus
+from motorhil.traces.formats.modbus import all_adus, recorded_adu
 from motorhil.traces.mcap.reader import read_trace
+from motorhil.traces.protobuf import decode
 from motorhil.traces.schema import MODBUS_ADU
 from tests.support.recordings.protobuf_classes import google_class
+from tests.unit.traces.formats.pairing import paired
 
 REQUEST = bytes.fromhex("010300000001840A")
+
+
+def adu_in(one):
+    """Return the ADU of a recorded message, at the time of its last bit."""
+    values = decode(MODBUS_ADU, one.payload)
+    return recorded_adu(values, values["end_ns"])
 
 
 def recorded(path):
@@ -77,8 +85,9 @@ def test_requests_and_responses_of_a_record_are_paired(tmp_path, kind):
                 mast.position()
         position = mast.position()
     with read_trace(record) as trace:
-        assert lines_of(trace) == ["line"]
-        adus = list(recorded_adus(trace, "line"))
+        recorded_lines = list(all_adus(trace))
+        assert {one.line for one in recorded_lines} == {"line"}
+        adus = [adu_in(one) for one in recorded_lines]
     pairing = paired(adus)
     booting = [one for one in pairing.exchanges if one.response is None][:-1]
     answered = [one for one in pairing.exchanges if one.response is not None]
@@ -102,10 +111,10 @@ def test_corrupted_adus_are_reported_as_such(tmp_path):
             rig.line("line").send(data)
             rig.runtime.wait_until(lambda: False, 0.1)
     with read_trace(record) as trace:
-        found = list(recorded_adus(trace, "line"))
+        found = [adu_in(one) for one in all_adus(trace)]
     assert [getattr(one, "problem", "") for one in found] == [
-        "a pause in it, or a collision",
-        "a wrong check sum",
-        "shorter than any frame",
+        "corrupted on the line",
+        "wrong CRC",
+        "2 bytes; an ADU has at least 4",
         "",
     ]

@@ -9,14 +9,7 @@ import pytest
 
 from motorhil.emulators.simulation.event_queue import EventQueue
 from motorhil.emulators.simulation.world import World
-from motorhil.harness.recording.ownership import (
-    PERIOD_NS,
-    Ended,
-    LockEvent,
-    LockLooks,
-    LockWriter,
-    ownership_of,
-)
+from motorhil.harness.recording.ownership import PERIOD_NS, LockLooks, LockWriter
 from motorhil.harness.rig.config.rig_file import read_rig
 from motorhil.harness.rig.config.scaffold import EXAMPLES
 from motorhil.harness.rig.rig import installed_plugins
@@ -24,6 +17,7 @@ from motorhil.motorapi.locking.directory import VARIABLE, socketcan_name
 from motorhil.motorapi.locking.process_lock import ProcessLock
 from motorhil.motorapi.runtime.wall import WallRuntime
 from motorhil.traces.schema import LockAction
+from motorhil.traces.semantics.ownership import Ended, LockEvent, ownership_of
 
 NODE_2 = f"{socketcan_name('lo')}-node2"  # a network interface that every host has
 

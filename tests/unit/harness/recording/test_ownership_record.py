@@ -2,11 +2,11 @@
 
 import pytest
 
-from motorhil.harness.recording.ownership import Ended, LockEvent, ownership_of, read_ownership
 from motorhil.harness.recording.recorder import Recorder
 from motorhil.traces.errors import TraceError
 from motorhil.traces.mcap.writer import TraceWriter
 from motorhil.traces.schema import MOTOR_LOCK, LockAction
+from motorhil.traces.semantics.ownership import Ended, LockEvent, ownership_of, read_ownership
 
 SECOND = 1_000_000_000
 A = LockAction

@@ -4,7 +4,6 @@ from itertools import pairwise
 
 import pytest
 
-from motorhil.harness.recording.ownership import Ended, read_ownership
 from motorhil.harness.rig.config.rig_file import parse_rig
 from motorhil.harness.rig.config.scaffold import EXAMPLES
 from motorhil.harness.rig.config.toml import Source
@@ -13,6 +12,7 @@ from motorhil.motorapi import ControlMode, MotorBusyError
 from motorhil.traces.digest import digest
 from motorhil.traces.mcap.reader import read_trace
 from motorhil.traces.schema import LockAction
+from motorhil.traces.semantics.ownership import Ended, read_ownership
 
 MAST = """[motor.mast]
 adaptation = "cia402"

@@ -6,12 +6,12 @@ import os
 import pytest
 
 from motorhil.emulators.simulation.ownership_notice import OwnershipNotice
-from motorhil.harness.recording.ownership import Ended, LockEvent, read_ownership
 from motorhil.harness.rig.config.scaffold import EXAMPLES
 from motorhil.harness.rig.rig import Rig
 from motorhil.traces.errors import TraceError
 from motorhil.traces.mcap.writer import TraceWriter
 from motorhil.traces.schema import LockAction
+from motorhil.traces.semantics.ownership import Ended, LockEvent, read_ownership
 from tests.support.plugin_rigs import GOOD, WHEEL
 
 SECOND = 1_000_000_000

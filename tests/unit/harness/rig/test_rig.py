@@ -158,8 +158,8 @@ def test_second_rig_with_the_same_bus_is_refused(write):
             'kind = "echo"',
             'kind = "broken"',
             'rig.toml:6: controller.left.kind: plugin "broken" cannot be loaded from '
-            "tests.harness.no_such_module:controller: ModuleNotFoundError: "
-            "No module named 'tests.harness.no_such_module'; reinstall bench 1.0",
+            "tests.unit.harness.no_such_module:controller: ModuleNotFoundError: "
+            "No module named 'tests.unit.harness.no_such_module'; reinstall bench 1.0",
         ),
         (
             'kind = "echo"',

@@ -6,8 +6,8 @@ from motorhil.harness.rig.config.toml import RigError
 from motorhil.harness.rig.rig import Rig
 from motorhil.motorapi import ControlMode, Motor, TrapezoidalTrajectory
 from motorhil.traces.digest import digest
-from motorhil.traces.mcap.protobuf import decode
 from motorhil.traces.mcap.reader import read_trace
+from motorhil.traces.protobuf import decode
 from motorhil.traces.schema import GROUP_SYNC
 from tests.support.plugin_rigs import FAULT, GOOD, WHEEL
 

@@ -139,7 +139,7 @@ def test_check_and_list_support_rigs_without_a_bus(folder, say):
 def test_adaptation_that_cannot_be_loaded_is_reported(rig, say):
     points = rig.parent / "site" / "bench-1.0.dist-info" / "entry_points.txt"
     with points.open("a") as file:
-        file.write("gone = tests.harness.no_such_module:adaptation\n")
+        file.write("gone = tests.unit.harness.no_such_module:adaptation\n")
     (rig / "ideal.toml").write_text(IDEAL.replace('"ideal"', '"gone"'))
     status, _, err = say("check", "ideal.toml")
     assert status == 2

@@ -2,10 +2,10 @@
 
 import pytest
 
-from motorhil.harness.recording.ownership import LockEvent, ownership_of
 from motorhil.harness.sharing_tests.bus_evidence import BusFrame, commanded_node, judge_frames
 from motorhil.harness.sharing_tests.history import SharingViolated
 from motorhil.traces.schema import LockAction
+from motorhil.traces.semantics.ownership import LockEvent, ownership_of
 
 MS = 1_000_000
 NODES = {"pan": ("can0", 3)}

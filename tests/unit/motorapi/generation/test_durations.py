@@ -2,14 +2,12 @@ from fractions import Fraction
 from math import inf, nan
 from random import Random
 
-import numpy as np
 import pytest
 from hypothesis import event, given
 from hypothesis import strategies as st
 
 from motorhil.motorapi.errors import UsageError
 from motorhil.motorapi.generation import ProfileLimits, possible_durations, stretched, trapezoid
-from motorhil.motorapi.generation import batch as trapezoids
 from tests.support.mathematics.problems import (
     assert_is_admissible,
     directions_problem,
@@ -148,13 +146,9 @@ def test_duration_within_rounding_of_a_possible_one_is_used():
         (back * (1 - 1e-10), back),
     ):
         assert trapezoid(0.5, UNIT, duration_s=asked, **THROUGH).duration_s == taken
-        many = trapezoids(0.5, UNIT, duration_s=np.array([asked]), **THROUGH)
-        assert many.duration_s[0] == pytest.approx(taken, rel=1e-15)
     for asked in (low * (1 - 1e-8), high * (1 + 1e-8), back * (1 - 1e-8)):
         with pytest.raises(UsageError, match="cannot take"):
             trapezoid(0.5, UNIT, duration_s=asked, **THROUGH)
-        with pytest.raises(UsageError, match="not possible in its duration"):
-            trapezoids(0.5, UNIT, duration_s=np.array([asked]), **THROUGH)
 
 
 def gap_problem(random):

@@ -2,11 +2,10 @@ import sys
 from math import inf, nan
 from random import Random
 
-import numpy as np
 import pytest
 
 from motorhil.motorapi.errors import PluginError, UnsupportedError, UsageError
-from motorhil.motorapi.generation import ProfileLimits, batched, jerk_limited, trapezoid
+from motorhil.motorapi.generation import ProfileLimits, jerk_limited, trapezoid
 from motorhil.motorapi.generation.jerk_limited import phases_in
 from tests.support.mathematics.problems import magnitude
 from tests.support.mathematics.smooth_bounds import is_impossible, rest_to_rest_s
@@ -101,9 +100,7 @@ def test_limits_three_decades_apart_are_met_or_reported():
     assert 0 < len(refused) < 100
     final, limits, jerk, (begin, end) = refused[0]
     with pytest.raises(PluginError, match=r"ruckig: .*: no motion from "):
-        batched.jerk_limited(
-            [final, final], limits, jerk, initial_derivatives=begin, final_derivatives=end
-        )
+        jerk_limited(final, limits, jerk, initial_derivatives=begin, final_derivatives=end)
 
 
 def test_rest_to_rest_takes_the_time_of_the_double_s_profile():
@@ -203,41 +200,3 @@ def test_missing_package_error_names_the_extra(monkeypatch):
     monkeypatch.setitem(sys.modules, "ruckig", None)
     with pytest.raises(UnsupportedError, match=r"pip install 'motorhil\[ruckig\]'"):
         jerk_limited(1.0, UNIT, 1.0)
-
-
-def test_many_motions_equal_single_ones():
-    random = Random("motorhil:smooth batch")
-    some = [smooth_problem(random, 1.0) for _ in range(600)]
-    finals, limits, jerks, states = zip(*some, strict=True)
-    begins, ends = (np.array([pair[side] for pair in states]).T for side in (0, 1))
-    curves = batched.jerk_limited(
-        finals, limits, jerks, initial_derivatives=begins, final_derivatives=ends
-    )
-    assert len(curves) == 600
-    times = np.random.default_rng(1).uniform(size=(600, 9)) * curves.duration_s[:, None]
-    found = [curves.value(times, order) for order in range(3)]
-    for index, problem in enumerate(some):
-        function = made(problem)
-        assert curves.duration_s[index] == pytest.approx(function.domain[1], rel=1e-12)
-        for order, values in enumerate(found):
-            derivative = function.derivative(order)
-            told = derivative(np.minimum(times[index], function.domain[1]))
-            # The last piece is computed from its other end.
-            np.testing.assert_allclose(values[index], told, rtol=1e-9, atol=1e-8)
-    last = curves.function(599)
-    assert last.value(0.0) == 0.0
-
-
-def test_many_motions_meet_their_durations():
-    curves = batched.jerk_limited(np.array([1.0, -2.0, 0.5]), UNIT, 1.0, duration_s=[5.0, 6.0, 7.0])
-    np.testing.assert_allclose(curves.duration_s, [5.0, 6.0, 7.0], rtol=1e-12)
-    np.testing.assert_allclose(curves.value(9.0), [1.0, -2.0, 0.5], rtol=1e-9)
-    with pytest.raises(UsageError, match="motion 1: this motion cannot take 1 s"):
-        batched.jerk_limited(np.array([1.0, -2.0]), UNIT, 1.0, duration_s=[5.0, 1.0])
-
-
-def test_many_motions_error_names_the_first_impossible_one():
-    with pytest.raises(UsageError, match=r"motion 2: the initial velocity 1\.5 lies outside"):
-        batched.jerk_limited(1.0, UNIT, 1.0, initial_derivatives=[np.array([0.0, 0.5, 1.5])])
-    with pytest.raises(UsageError, match="2 limits for 3 motions"):
-        batched.jerk_limited(np.ones(3), [UNIT, UNIT], 1.0)

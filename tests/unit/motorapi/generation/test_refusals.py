@@ -41,10 +41,10 @@ def test_feasible_of_a_request_beyond_trapezoids_raises(trajectory, why):
 
 def test_waypoints_require_times_or_supported_limits():
     limits = DerivativeLimits(first=0.1, second=1.0)
-    with pytest.raises(UsageError, match="limits of way-points with times are not kept to"):
+    with pytest.raises(UsageError, match="limits of way-points with times are not met"):
         through_waypoints([0.0, 1.0, 2.0], [0.0, 1.0, 2.0], limits=limits)
     limits = DerivativeLimits(value=(0.0, 0.5), first=0.1, second=1.0)
-    with pytest.raises(UsageError, match="limits of their value are not kept to"):
+    with pytest.raises(UsageError, match="limits of their value are not met"):
         through_waypoints([0.0, 1.0, 0.0], limits=limits)
 
 

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 
 from motorhil.motorapi.commands import DerivativeLimits
 from motorhil.motorapi.errors import UsageError
-from motorhil.motorapi.generation import batched, through_waypoints
-from motorhil.motorapi.generation.batch import differentiated, ranges
+from motorhil.motorapi.generation import through_waypoints
+from motorhil.motorapi.generation.waypoints import value_ranges
 
 VALUE = st.floats(-100.0, 100.0)
 STEP = st.floats(0.1, 5.0)  # rounding of quintics grows with the fourth power of the steps' ratio
@@ -132,11 +132,12 @@ def test_no_searched_time_division_is_shorter_by_1_percent():
 
         def lasts(logs, values=values):
             steps = np.exp(np.clip(logs, -10.0, 10.0))
-            curves = batched.through_waypoints(values, np.cumsum([0.0, *steps]))
+            function = through_waypoints(values, np.cumsum([0.0, *steps]))
             factor = 0.0
             for order, (low, high) in bounds:
-                least, most = ranges(differentiated(curves.coefficients, order), steps[None])
-                factor = max(factor, max(least.min() / low, most.max() / high) ** (1.0 / order))
+                found = function.derivative(order).extrema()
+                used = max(found.minimum / low, found.maximum / high)
+                factor = max(factor, used ** (1.0 / order))
             return factor * steps.sum()
 
         start = np.log(np.diff(ours.breaks))
@@ -160,44 +161,9 @@ def test_forty_points_meet_the_limits_and_reach_one():
     assert ours.domain[1] < 3.0 * chords  # the time at the velocity limit
 
 
-def test_many_curves_equal_single_ones():
-    random = np.random.default_rng(3)
-    values = random.uniform(-2.0, 2.0, (40, 5))
-    times = np.cumsum(random.uniform(0.1, 1.0, (40, 5)), axis=1)
-    for degree in (3, 5):
-        for given_ in ({"times": times}, {"limits": LIMITS}):
-            curves = batched.through_waypoints(values, degree=degree, **given_)
-            for index in range(0, 40, 7):
-                one = dict(given_)
-                if "times" in one:
-                    one["times"] = times[index]
-                function = through_waypoints(values[index], degree=degree, **one)
-                np.testing.assert_allclose(curves.breaks[index], function.breaks, rtol=1e-12)
-                at = np.linspace(*function.domain, 9)
-                own = batched.Curves(curves.breaks[[index]], curves.coefficients[[index]])
-                for order in (0, 1, 2):
-                    size = np.abs(function.derivative(order)(at)).max()
-                    np.testing.assert_allclose(
-                        own.value(at[None], order)[0],
-                        function.derivative(order)(at),
-                        rtol=0.0,
-                        atol=1e-9 * size,
-                    )
-
-
-def test_curves_are_constant_outside_their_ends():
-    curves = batched.through_waypoints([[0.0, 1.0], [2.0, 4.0]], [0.0, 1.0])
-    assert curves.value(-1.0).tolist() == [0.0, 2.0]
-    assert curves.value(2.0).tolist() == [1.0, 4.0]
-    assert curves.value(0.5).tolist() == [0.5, 3.0]
-    assert curves.value(0.5, order=1).tolist() == [1.5, 3.0]
-    assert curves.value([[0.0, 1.0], [0.0, 1.0]]).tolist() == [[0.0, 1.0], [2.0, 4.0]]
-    assert repr(curves) == "<2 functions of 1 polynomials of degree 3>"
-
-
 @given(st.lists(st.floats(-10.0, 10.0), min_size=1, max_size=6), st.floats(0.01, 10.0))
 def test_ranges_of_polynomials_contain_all_values(coefficients, length):
-    low, high = ranges(np.array([coefficients]), np.array([length]))
+    low, high = value_ranges(np.array([coefficients]), np.array([length]))
     at = np.linspace(0.0, length, 400)
     values = np.polynomial.polynomial.polyval(at, coefficients)
     slack = 1e-9 * (np.abs(values).max() + 1e-300)

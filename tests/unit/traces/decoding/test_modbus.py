@@ -3,8 +3,10 @@
 import pytest
 
 from motorhil.traces.decoding.events import Kind
-from motorhil.traces.decoding.modbus import Adu, ModbusDecoder, adu_of, adus, crc16
-from motorhil.traces.formats.pcap import Capture, pieces
+from motorhil.traces.decoding.modbus import ModbusDecoder
+from motorhil.traces.formats.modbus import Adu, Malformed, adu_of, adus, crc16
+from motorhil.traces.formats.pcap import Capture
+from motorhil.traces.formats.tcp import pieces
 
 MS = 1_000_000
 
@@ -100,17 +102,18 @@ def test_response_of_another_unit_is_unexpected():
 def test_serial_bytes_with_correct_crc_are_adu():
     # MODBUS over Serial Line V1.02, 6.2.2: the CRC of 02 07 is 1241h, low byte first on the wire
     assert crc16(bytes((2, 7))) == 0x1241
-    adu, problem = adu_of(5, bytes.fromhex("02074112"), tcp=False, to_server=True)
-    assert (adu, problem) == (Adu(5, None, True, 0, 2, b"\x07"), "")
-    assert adu_of(5, bytes.fromhex("02074113"), tcp=False, to_server=True)[0] is None
-    assert adu_of(5, bytes.fromhex("0207"), tcp=False, to_server=True)[0] is None
+    adu = adu_of(5, bytes.fromhex("02074112"), tcp=False, to_server=True)
+    assert adu == Adu(5, None, True, 0, 2, b"\x07")
+    for broken in ("02074113", "0207"):
+        found = adu_of(5, bytes.fromhex(broken), tcp=False, to_server=True)
+        assert isinstance(found, Malformed)
 
 
 def test_tcp_bytes_with_correct_length_are_adu():
     data = bytes.fromhex("1234 0000 0006 11 03006B0003")
-    adu, _ = adu_of(5, data, tcp=True, to_server=True)
+    adu = adu_of(5, data, tcp=True, to_server=True)
     assert (adu.transaction, adu.unit, adu.pdu.hex()) == (0x1234, 0x11, "03006b0003")
-    assert adu_of(5, data[:-1], tcp=True, to_server=True)[0] is None
+    assert isinstance(adu_of(5, data[:-1], tcp=True, to_server=True), Malformed)
 
 
 @pytest.mark.data

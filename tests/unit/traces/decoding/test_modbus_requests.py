@@ -6,9 +6,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from motorhil.traces.decoding.modbus import Adu, Malformed, adus, paired
-from motorhil.traces.formats.pcap import Capture, Piece, pieces
+from motorhil.traces.formats.modbus import Adu, Malformed, adus
+from motorhil.traces.formats.pcap import Capture
+from motorhil.traces.formats.tcp import Piece, pieces
 from tests.support.recordings.captures import THERE
+from tests.unit.traces.formats.pairing import paired
 
 BACK = THERE.back
 

@@ -6,12 +6,12 @@ from collections import Counter
 import pytest
 
 from motorhil.harness.cli.main import main
-from motorhil.traces.decoding.modbus import Adu
 from motorhil.traces.exchange.canopen import canopen_tapes
 from motorhil.traces.exchange.modbus import LineAdu, modbus_tapes
 from motorhil.traces.exchange.recording import tapes_of
 from motorhil.traces.exchange.steps import START, Role
 from motorhil.traces.formats.frames import EFF, ERR, RTR, Findings, Frame, classic
+from motorhil.traces.formats.modbus import Adu
 from motorhil.traces.formats.registry import open_source
 from motorhil.traces.mcap.reader import read_trace
 from motorhil.traces.schema import Direction

@@ -4,9 +4,9 @@ import struct
 
 import pytest
 
-from motorhil.traces.decoding.modbus import Adu
 from motorhil.traces.exchange.host import ANSWER, HostCutter, Listener, answer_size
 from motorhil.traces.formats.frames import ERR, classic
+from motorhil.traces.formats.modbus import Adu
 from motorhil.traces.schema import Direction
 
 MS = 1_000_000

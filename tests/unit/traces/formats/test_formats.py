@@ -94,7 +94,7 @@ def test_zero_and_backward_times_are_stored(tmp_path, form, step_ns):
     assert before == after
 
 
-def test_readme_lists_features_not_stored():
+def test_documents_list_features_not_stored():
     rows = ["| format | ending | does not hold |", "| --- | --- | --- |"]
     for form in WRITABLE:
         lacks = [feature for feature in Feature if feature not in form.holds]
@@ -102,7 +102,9 @@ def test_readme_lists_features_not_stored():
             lacks.remove(Feature.BLANKS)  # included in the names
         told = ", ".join(IN_WORDS[feature] for feature in lacks) or "nothing is lost"
         rows.append(f"| {form.name} | `{form.ending}` | {told} |")
-    assert "\n".join(rows) + "\n\n" in (CHECKOUT / "README.md").read_text(), "\n".join(rows)
+    assert (
+        "\n".join(rows) + "\n\n" in (CHECKOUT / "docs/how-to/convert-a-recording.md").read_text()
+    ), "\n".join(rows)
 
 
 def test_survey_finds_every_feature():

@@ -11,14 +11,14 @@ from hypothesis import event, given
 from hypothesis import strategies as st
 
 from motorhil.harness.recording.conversion import MODBUS_PCAPNG, convert
-from motorhil.traces.decoding.modbus import RecordedAdu
 from motorhil.traces.digest import digest
 from motorhil.traces.errors import TraceError
 from motorhil.traces.formats.frames import Frame, classic
+from motorhil.traces.formats.modbus import RecordedAdu
 from motorhil.traces.formats.pcap import Capture
 from motorhil.traces.formats.pcap_modbus import AduFeature, record_adus
 from motorhil.traces.formats.registry import record_frames
-from motorhil.traces.mcap.protobuf import encode
+from motorhil.traces.protobuf import encode
 from motorhil.traces.schema import MODBUS_ADU, Direction
 
 R, T = Direction.RECEIVED, Direction.TRANSMITTED

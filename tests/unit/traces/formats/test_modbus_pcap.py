@@ -4,8 +4,8 @@ import pytest
 
 from motorhil.harness.recording.conversion import convert
 from motorhil.traces.errors import TraceError
-from motorhil.traces.mcap.protobuf import decode
 from motorhil.traces.mcap.reader import read_trace
+from motorhil.traces.protobuf import decode
 from motorhil.traces.schema import MODBUS_ADU, Direction
 from tests.support.recordings.captures import SYN, ethernet, ip4, pcap, tcp
 

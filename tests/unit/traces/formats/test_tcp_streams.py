@@ -4,7 +4,7 @@ import pytest
 from hypothesis import event, given
 from hypothesis import strategies as st
 
-from motorhil.traces.formats.pcap import Way, pieces
+from motorhil.traces.formats.tcp import Way, pieces
 from tests.support.recordings.captures import ACK, SYN, THERE, ethernet, ip4, ip6, packet, tcp
 
 TEXT = bytes(range(48))

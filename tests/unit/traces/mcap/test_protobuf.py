@@ -7,7 +7,7 @@ from google.protobuf.json_format import MessageToDict
 from hypothesis import given
 from hypothesis import strategies as st
 
-from motorhil.traces.mcap.protobuf import decode, delimited, encode, file_descriptor_set, varint
+from motorhil.traces.protobuf import decode, delimited, encode, file_descriptor_set, varint
 from motorhil.traces.schema import (
     CAN_FRAME,
     GROUP_SYNC,

@@ -1,7 +1,7 @@
 """An episode in time, computed again while it is played."""
 
 from motorhil.emulators.can.bitlevel.episode import EventKind, Station
-from motorhil.emulators.can.bus.segment import Playback
+from motorhil.emulators.can.bus.playback import Playback
 from tests.support.can.deliveries import BIT
 from tests.support.can.faulty_bus import STATUS
 

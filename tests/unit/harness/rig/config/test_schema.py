@@ -30,7 +30,6 @@ from motorhil.emulators.settings.protection import (
     VOLTAGE_RANGE_V,
 )
 from motorhil.emulators.settings.tables import JITTER_MAX_S, OSCILLATOR_KEYS, PHASE_MAX_S, PPM_MAX
-from motorhil.harness.conformance.clause import CONFORMANCE_KEYS, NOTHING_DECLARED, Capability
 from motorhil.harness.plugins import ADAPTATIONS, installed
 from motorhil.harness.rig.config import buses as rig_buses
 from motorhil.harness.rig.config import buses as rig_nodes
@@ -38,6 +37,7 @@ from motorhil.harness.rig.config import faults as rig_faults
 from motorhil.harness.rig.config import faults as rig_line_faults
 from motorhil.harness.rig.config import rig_file
 from motorhil.harness.rig.config import stimuli as rig_stimuli
+from motorhil.harness.rig.config.conformance import CONFORMANCE_KEYS, NOTHING_DECLARED, Capability
 from motorhil.harness.rig.config.derived import ASKED
 from motorhil.harness.rig.config.scaffold import EXAMPLES
 from motorhil.harness.rig.rig import installed_plugins

@@ -12,9 +12,10 @@ from motorhil.motorapi.adaptations.cia402.profile import (
     profile_of,
 )
 from motorhil.motorapi.adaptations.cia402.units import DriveUnits
-from motorhil.motorapi.commands import ControlMode, ControlVariable, DerivativeLimits, Motion
+from motorhil.motorapi.commands import ControlMode, ControlVariable, DerivativeLimits
 from motorhil.motorapi.errors import LimitError
 from motorhil.motorapi.model import MotorModel
+from motorhil.motorapi.motion import Motion
 from motorhil.motorapi.planning import single_axis as planning
 from motorhil.motorapi.trajectory import TrapezoidalTrajectory
 

@@ -21,8 +21,9 @@ from motorhil.motorapi.adaptations.host_servo.demand import (
     course_of,
 )
 from motorhil.motorapi.adaptations.host_servo.servo import PidGains, Servo, ServoLimits
-from motorhil.motorapi.commands import ControlMode, ControlVariable, Motion
+from motorhil.motorapi.commands import ControlMode, ControlVariable
 from motorhil.motorapi.errors import PluginError, UsageError
+from motorhil.motorapi.motion import Motion
 
 T = 0.001
 GAINS = PidGains(kp=0.02, ki=0.4, kd=0.0004)

@@ -21,7 +21,8 @@ from motorhil.motorapi.ownership.physical_motor import (
     register_physical_motor,
     release_physical_motor,
 )
-from motorhil.motorapi.runtime.api import runtime_of, wait_until
+from motorhil.motorapi.runtime.api import wait_until
+from motorhil.motorapi.runtime.wall import runtime_of
 from motorhil.motorapi.synchronization.bus_load import NodeTraffic, PeriodicMessage, note_node
 
 from motorhil_odrive.host import messages as m
