@@ -39,7 +39,6 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING, Final, final
 
-from motorhil.motorapi.adaptations.cia402.objects import ENABLE_OPERATION, HALT
 from motorhil.motorapi.errors import LinkError, MotorBusyError, UsageError
 from motorhil.motorapi.locking.directory import LockDirectory, bus_name
 from motorhil.motorapi.locking.lock_status import list_locks, look
@@ -53,7 +52,7 @@ if TYPE_CHECKING:
     from motorhil.motorapi.ownership.fencing import Fence
 
 _OVERWRITTEN: Final = 2  # times: a frame may be lost
-_HALTED: Final = (ENABLE_OPERATION | HALT).to_bytes(2, "little") + bytes(4)
+_HALTED: Final = 0x010F.to_bytes(2, "little") + bytes(4)  # CiA 402: enable operation, halt
 
 
 @final
