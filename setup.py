@@ -16,7 +16,8 @@ from setuptools.modified import newer_group
 
 # The modules on a frame's way from plant to record and application; modules that call one another
 # often are compiled together. Excluded are modules that use sockets or files, that applications or
-# third parties subclass, or that subclass classes of other libraries.
+# third parties subclass, that subclass classes of other libraries, or whose objects are referred to
+# weakly.
 HOT = (
     "emulators/simulation/[!o]*.py",
     "emulators/media/*.py",
@@ -35,9 +36,16 @@ HOT = (
     "harness/rig/recording.py",
     "traces/mcap/protobuf.py",
     "motorapi/runtime/api.py",
-    "motorapi/adaptations/canopen/*.py",
-    "motorapi/adaptations/cia402/*.py",
-    "motorapi/adaptations/host_servo/*.py",
+    *(f"motorapi/adaptations/canopen/{name}.py" for name in ("emcy", "link", "node", "objects")),
+    "motorapi/adaptations/cia402/measurements.py",
+    "motorapi/adaptations/cia402/motion_status.py",
+    "motorapi/adaptations/cia402/node.py",
+    "motorapi/adaptations/cia402/objects.py",
+    "motorapi/adaptations/cia402/units.py",
+    *(
+        f"motorapi/adaptations/host_servo/{name}.py"
+        for name in ("axis", "cycle", "demand", "servo")
+    ),
 )
 INTERPRETED = ("__init__.py", "factory.py", "settings.py")
 
