@@ -559,14 +559,14 @@ class Cia402Drive:
     def on_write(self, now_ns: int) -> None:
         """Apply the objects that were written."""
         objects = self._objects
-        written = objects.written.kinds
-        if not written:
+        changes = objects.changes.pending
+        if not changes:
             return
-        objects.written.kinds = 0
+        objects.changes.pending = 0
         self._happens()
         self.axis.at(now_ns)
         self._power_drive.settle(now_ns)
-        self._power_drive.written(written, now_ns)
+        self._power_drive.written(changes, now_ns)
 
     def on_sync(self, now_ns: int) -> None:
         """Handle SYNC; `on_write` has already applied the synchronous RPDOs."""

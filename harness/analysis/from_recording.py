@@ -21,10 +21,9 @@ from motorhil.harness.analysis.subject import (
     is_canopen_reserved,
     reserves_nothing,
 )
-from motorhil.harness.report.rig import RigFacts, facts_of
 from motorhil.motorapi.synchronization.can_frame_length import Bits
 from motorhil.motorapi.synchronization.can_response_time import Arrival, BusLoad, Message
-from motorhil.traces.decoding.objects import RecordedNames, names_of
+from motorhil.traces.decoding.attached_rig import RecordedNames, RigFacts, facts_of, names_of
 from motorhil.traces.errors import TraceError
 from motorhil.traces.formats.frames import BRS, EFF, EFF_MASK, ERR, RTR, Findings
 from motorhil.traces.formats.registry import Source, open_source

@@ -21,7 +21,7 @@ from motorhil.motorapi.synchronization.bus_load import PeriodicMessage, own_traf
 from motorhil.motorapi.synchronization.can_response_time import Arrival, BusLoad, Message, floor_ns
 
 if TYPE_CHECKING:
-    from motorhil.motorapi.adaptations.canopen.bus import CanopenLink
+    from motorhil.motorapi.adaptations.canopen.sync import BusSync
     from motorhil.motorapi.synchronization.bus_load import NodeTraffic
 
 HOST: Final = "host"
@@ -187,16 +187,14 @@ class _Bus:
             return "SYNC"
         return "" if one.extended else usual_name(one.can_id, _numbered(self._nodes))
 
-    def _link(self) -> "CanopenLink | None":
-        """Return the link that the motors of this bus share, or None."""
+    def _sync(self) -> "BusSync | None":
+        """Return the SYNC that the motors of this bus share, or None."""
         for name, described in self._rig.description.motors.items():
             if described.bus == self._name:
                 hardware = getattr(self._rig.motors[name], "hardware", None)
-                link = getattr(hardware, "link", None)
-                found: CanopenLink | None = link or getattr(
-                    getattr(hardware, "node", None), "link", None
-                )
-                if found is not None:
+                bus = getattr(getattr(hardware, "node", None), "bus", None)
+                if bus is not None:
+                    found: BusSync = bus.sync
                     return found
         return None
 
@@ -207,8 +205,8 @@ class _Bus:
             return self._assumptions.sync_s
         if produced:
             return min(one.period_s for _, one in produced)
-        link = self._link()
-        period_s = sync_period(link)[0] if link is not None else None
+        sync = self._sync()
+        period_s = None if sync is None else sync_period(sync)[0]
         if period_s is None and self._assumptions.streamed:
             periods = [one.period_ns for one in self._set_points()]
             period_s = min(periods) / 1e9 if periods else None

@@ -11,8 +11,9 @@ from collections.abc import Callable
 from math import inf
 from typing import TYPE_CHECKING, Protocol, final
 
-from motorhil.motorapi.commands import ControlVariable, Motion
+from motorhil.motorapi.commands import ControlVariable
 from motorhil.motorapi.generation import Trapezoid, shortest
+from motorhil.motorapi.motion import Motion
 
 if TYPE_CHECKING:
     from motorhil.motorapi.functions.base import Function

@@ -25,14 +25,7 @@ from typing import Final, final
 
 from motorhil.emulators.canopen.outbox import NEVER
 from motorhil.emulators.cia402.modes.base import Mode
-from motorhil.emulators.cia402.objects.changes import (
-    FACTORS,
-    MOTION_LIMITS,
-    OFFSETS,
-    TARGET_POSITION,
-    TARGET_VELOCITY,
-    TORQUE,
-)
+from motorhil.emulators.cia402.objects.changes import ObjectChange
 from motorhil.emulators.cia402.objects.dictionary import DriveObjects
 from motorhil.emulators.cia402.state_machine import CW_HALT, FOLLOWING_ERROR, FOLLOWS_COMMAND
 from motorhil.emulators.firmware import flags as f
@@ -40,6 +33,13 @@ from motorhil.emulators.firmware.axis import Axis
 
 PERIOD_MAX_NS: Final = 1_000_000_000
 _NONE_YET: Final = -1
+
+_C = ObjectChange
+_OFFSETS: Final = int(_C.OFFSETS)
+_SPEED_LIMIT: Final = int(_C.MOTION_LIMITS | _C.FACTORS)
+_TARGET_POSITION: Final = int(_C.TARGET_POSITION)
+_VELOCITY_DEMAND: Final = int(_C.TARGET_VELOCITY | _C.OFFSETS)
+_TORQUE_DEMAND: Final = int(_C.TORQUE | _C.OFFSETS | _C.FACTORS | _C.MOTION_LIMITS)
 
 
 class CyclicMode(Mode):
@@ -150,13 +150,13 @@ class CyclicPosition(CyclicMode):
 
     def written(self, what: int, now_ns: int) -> None:
         """Follow a new target or offset."""
-        if what & (MOTION_LIMITS | FACTORS):
+        if what & _SPEED_LIMIT:
             self._speed_max_inc_s = self.objects.motion.velocity_max_inc_s()
-        if what & OFFSETS:
+        if what & _OFFSETS:
             self._has_offsets = self.objects.offsets.are_set()
             if not self._has_offsets:
                 self.axis.feed_current(0.0)
-        elif not what & TARGET_POSITION:
+        elif not what & _TARGET_POSITION:
             return
         self.measure(now_ns)
         if self.halted:
@@ -219,7 +219,7 @@ class CyclicVelocity(CyclicMode):
 
     def written(self, what: int, now_ns: int) -> None:
         """Follow a new velocity or offset."""
-        if not what & (TARGET_VELOCITY | OFFSETS):
+        if not what & _VELOCITY_DEMAND:
             return
         self.measure(now_ns)
         if not self.halted:
@@ -250,7 +250,7 @@ class CyclicTorque(CyclicMode):
 
     def written(self, what: int, now_ns: int) -> None:
         """Follow a new torque or offset."""
-        if not what & (TORQUE | OFFSETS | FACTORS | MOTION_LIMITS):
+        if not what & _TORQUE_DEMAND:
             return
         self.measure(now_ns)
         if not self.halted:

@@ -20,7 +20,7 @@ from typing import Final, final
 
 from motorhil.emulators.canopen.codes import OK, AbortCode
 from motorhil.emulators.canopen.object_dictionary import DataType, ObjectDictionary
-from motorhil.emulators.cia402.objects.changes import IP_DATA, Choice, Written
+from motorhil.emulators.cia402.objects.changes import Choice, ObjectChange, ObjectChanges
 from motorhil.emulators.cia402.objects.motion import MotionObjects
 from motorhil.emulators.cia402.objects.units import DriveDefaults, FactorGroup
 from motorhil.emulators.firmware.digital_inputs import HOME_SWITCH, NEGATIVE_LIMIT, POSITIVE_LIMIT
@@ -29,6 +29,7 @@ BUFFER_MAX: Final = 64
 _BUFFER: Final = 16
 _FIFO: Final = 0
 _RING: Final = 1
+_IP_DATA: Final = int(ObjectChange.IP_DATA)
 _LINEAR: Final = frozenset((0,))
 _D = DataType
 
@@ -37,24 +38,23 @@ _D = DataType
 class IpObjects:
     """60C0h, 60C1h:1 and 60C4h; records are converted with the units valid when they are taken."""
 
-    def __init__(self, od: ObjectDictionary, factors: FactorGroup, written: Written) -> None:
+    def __init__(self, od: ObjectDictionary, factors: FactorGroup, changes: ObjectChanges) -> None:
         ensure = od.ensure
         self._factors = factors
-        self._written = written
+        self._changes = changes
         self._records: list[int] = []
-        refused = int(AbortCode.INVALID_VALUE)
-        ensure(0x60C0, 0, _D.INTEGER16, 0).writer = Choice(written, 0, _LINEAR, refused).write
+        ensure(0x60C0, 0, _D.INTEGER16, 0).writer = Choice(_LINEAR).write
         ensure(0x60C1, 1, _D.INTEGER32, 0).writer = self._write_record
         ensure(0x60C4, 1, _D.UNSIGNED32, BUFFER_MAX)
         self._size = ensure(0x60C4, 2, _D.UNSIGNED32, _BUFFER)
         self._size.writer = self._write_size
         self._organisation = ensure(0x60C4, 3, _D.UNSIGNED8, _FIFO)
-        self._organisation.writer = Choice(written, 0, frozenset((_FIFO, _RING)), refused).write
+        self._organisation.writer = Choice(frozenset((_FIFO, _RING))).write
         position = od.get(0x60C4, 4)
         if position is not None:
             position.reader = self._free_place
         length = ensure(0x60C4, 5, _D.UNSIGNED8, 1)
-        length.writer = Choice(written, 0, frozenset((1,)), refused).write
+        length.writer = Choice(frozenset((1,))).write
         self._access = ensure(0x60C4, 6, _D.UNSIGNED8, 1)
         self._access.writer = self._write_access
 
@@ -82,7 +82,7 @@ class IpObjects:
                 return AbortCode.NOT_STORED_DEVICE_STATE
             self._records.pop(0)
         self._records.append(value)
-        self._written.kinds |= IP_DATA
+        self._changes.pending |= _IP_DATA
         return OK
 
     def _write_size(self, value: int) -> int:
@@ -184,15 +184,13 @@ class HomingObjects:
         factors: FactorGroup,
         motion: MotionObjects,
         defaults: DriveDefaults,
-        written: Written,
     ) -> None:
         ensure = od.ensure
         self._factors = factors
         self._motion = motion
         self._home_offset = ensure(0x607C, 0, _D.INTEGER32, 0)
         self._method = ensure(0x6098, 0, _D.INTEGER8, 37)
-        methods = frozenset(HOMING_METHODS)
-        self._method.writer = Choice(written, 0, methods, int(AbortCode.INVALID_VALUE)).write
+        self._method.writer = Choice(frozenset(HOMING_METHODS)).write
         velocity = defaults.velocity
         self._switch_speed = ensure(0x6099, 1, _D.UNSIGNED32, max(1, velocity // _SWITCH_PART))
         self._zero_speed = ensure(0x6099, 2, _D.UNSIGNED32, max(1, velocity // _ZERO_PART))

@@ -21,21 +21,18 @@ Meaning of their terms in this drive:
 
 from typing import Final, final
 
-from motorhil.emulators.canopen.codes import OK, AbortCode
+from motorhil.emulators.canopen.codes import OK
 from motorhil.emulators.canopen.object_dictionary import DataType, ObjectDictionary, Variable
 from motorhil.emulators.canopen.outbox import MS
-from motorhil.emulators.cia402.objects.changes import (
-    TARGET_POSITION,
-    TARGET_VELOCITY,
-    Choice,
-    Written,
-)
+from motorhil.emulators.cia402.objects.changes import Choice, ObjectChange, ObjectChanges
 from motorhil.emulators.cia402.objects.units import DriveDefaults, FactorGroup
 from motorhil.emulators.firmware.axis import Axis
 from motorhil.emulators.plant.dc_motor import MotorPlant
 
 _UNLIMITED: Final = 0xFFFF_FFFF
 _NO_SPEED: Final = 1e300
+_TARGET_POSITION: Final = int(ObjectChange.TARGET_POSITION)
+_TARGET_VELOCITY: Final = int(ObjectChange.TARGET_VELOCITY)
 # 60F2h: origin of a relative set-point (bits 0 and 1), and direction of an axis with a position
 # range (bits 6 and 7); no other bit has an effect.
 _POSITIONING: Final = frozenset(origin | way << 6 for origin in range(3) for way in range(4))
@@ -56,11 +53,11 @@ class MotionObjects:
         plant: MotorPlant,
         factors: FactorGroup,
         defaults: DriveDefaults,
-        written: Written,
+        changes: ObjectChanges,
     ) -> None:
         ensure = od.ensure
         self._factors = factors
-        self._written = written
+        self._changes = changes
         self._encoder_increments_rev = plant.encoder_increments_rev
         self.target_position_raw: int = 0
         self.target_velocity_raw: int = 0
@@ -78,8 +75,7 @@ class MotionObjects:
         self._deceleration = self._ramp(od, 0x6084)
         self._quick_deceleration = self._ramp(od, 0x6085)
         self._end_velocity = ensure(0x6082, 0, _D.UNSIGNED32, 0)
-        refused = int(AbortCode.INVALID_VALUE)
-        linear = Choice(written, 0, frozenset((0,)), refused).write
+        linear = Choice(frozenset((0,))).write
         ensure(0x6086, 0, _D.INTEGER16, 0).writer = linear
         ensure(0x6088, 0, _D.INTEGER16, 0).writer = linear
         self._slippage = ensure(0x60F8, 0, _D.INTEGER32, 0)
@@ -88,7 +84,7 @@ class MotionObjects:
         self._period = ensure(0x60C2, 1, _D.UNSIGNED8, 0)
         self._period_exponent = ensure(0x60C2, 2, _D.INTEGER8, -3)
         self._positioning_option = ensure(0x60F2, 0, _D.UNSIGNED16, 0)
-        self._positioning_option.writer = Choice(written, 0, _POSITIONING, refused).write
+        self._positioning_option.writer = Choice(_POSITIONING).write
         self._acceleration_fallback_inc_s2 = defaults.acceleration_inc_s2
         self._velocity_physical_inc_s = defaults.no_load_inc_s
 
@@ -226,12 +222,12 @@ class MotionObjects:
 
     def _write_target_position(self, value: int) -> int:
         self.target_position_raw = value
-        self._written.kinds |= TARGET_POSITION
+        self._changes.pending |= _TARGET_POSITION
         return OK
 
     def _write_target_velocity(self, value: int) -> int:
         self.target_velocity_raw = value
-        self._written.kinds |= TARGET_VELOCITY
+        self._changes.pending |= _TARGET_VELOCITY
         return OK
 
 
@@ -299,7 +295,7 @@ _ALLOWED: Final = {
 class OptionCodes:
     """The option codes as in their objects; a default of the EDS outside the table is kept."""
 
-    def __init__(self, od: ObjectDictionary, motion: MotionObjects, written: Written) -> None:
+    def __init__(self, od: ObjectDictionary, motion: MotionObjects) -> None:
         ensure = od.ensure
         self._motion = motion
         self._abort_connection = ensure(0x6007, 0, _D.INTEGER16, 1)
@@ -313,8 +309,7 @@ class OptionCodes:
             *(self._disable, self._halt, self._fault_reaction),
         )
         for code in codes:
-            allowed = _ALLOWED[code.index]
-            code.writer = Choice(written, 0, allowed, int(AbortCode.INVALID_VALUE)).write
+            code.writer = Choice(_ALLOWED[code.index]).write
 
     def quick_stops_and_stays(self) -> bool:
         """Return True if 605Ah >= 5: the drive stays in QUICK STOP ACTIVE until transition 16."""

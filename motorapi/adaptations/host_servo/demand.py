@@ -10,7 +10,8 @@ from dataclasses import dataclass
 from math import inf
 from typing import Final, final
 
-from motorhil.motorapi.commands import ControlMode, ControlVariable, Motion
+from motorhil.motorapi.commands import ControlMode, ControlVariable
+from motorhil.motorapi.motion import Motion
 from motorhil.motorapi.planning.sampling import Demand, Ramps, demand_of
 from motorhil.motorapi.trajectory import Argument, value_of
 

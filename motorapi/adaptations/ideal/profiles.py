@@ -10,8 +10,9 @@ U is the motor's unit of position: rad, or m if linear.
 from math import inf
 from typing import Final, NamedTuple, Protocol, final
 
-from motorhil.motorapi.commands import ControlMode, ControlVariable, Motion
+from motorhil.motorapi.commands import ControlMode, ControlVariable
 from motorhil.motorapi.errors import MotorError, PluginError
+from motorhil.motorapi.motion import Motion
 from motorhil.motorapi.planning.sampling import Ramps, demand_of, way_of
 from motorhil.motorapi.trajectory import Argument, value_of
 

@@ -23,8 +23,8 @@ from motorhil.motorapi.model import MotionKind
 from motorhil.motorapi.state import Fault, MotorState
 
 if TYPE_CHECKING:
-    from motorhil.motorapi.commands import Motion
     from motorhil.motorapi.model import MotorModel
+    from motorhil.motorapi.motion import Motion
     from motorhil.motorapi.ownership.physical_motor import PhysicalMotor
     from motorhil.motorapi.runtime.api import Runtime
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final, Generic, TypeVar, final
 from motorhil.motorapi.adaptations.modbus.client import is_silence
 from motorhil.motorapi.adaptations.modbus.polled_hardware import Poll, PolledHardware, Wanted
 from motorhil.motorapi.adaptations.registration import Shared, as_name, number, refuse_unknown
-from motorhil.motorapi.commands import ControlMode, ControlVariable, Motion
+from motorhil.motorapi.commands import ControlMode, ControlVariable
 from motorhil.motorapi.errors import (
     DeviceFault,
     LinkError,
@@ -18,6 +18,7 @@ from motorhil.motorapi.errors import (
     UnsupportedError,
     UsageError,
 )
+from motorhil.motorapi.motion import Motion
 from motorhil.motorapi.motor import Motor
 from motorhil.motorapi.state import Fault, Measurement, MotorState
 from motorhil.motorapi.synchronization.offer import SyncOffer, Trigger
@@ -340,7 +341,8 @@ class PolledBuilder(Generic[HardwareT]):
         if not 0.001 <= timeout_s <= 60.0:
             raise UsageError(f"timeout_s = {timeout_s:g}: must be 0.001 to 60 s")
         hardware = self._shared.get(
-            (id(bus), unit),
+            bus,
+            unit,
             lambda: self._hardware(bus, unit, runtime=runtime, timeout_s=timeout_s),
             lambda built: built.registers.timeout_s == timeout_s,
         )

@@ -23,8 +23,9 @@ from motorhil.motorapi.adaptations.modbus.polled_hardware import (
     toward_zero,
 )
 from motorhil.motorapi.adaptations.modbus.unit import words
-from motorhil.motorapi.commands import ControlVariable, Motion
+from motorhil.motorapi.commands import ControlVariable
 from motorhil.motorapi.errors import DeadlineExceeded, UnsupportedError
+from motorhil.motorapi.motion import Motion
 from motorhil.motorapi.state import MotorState
 
 if TYPE_CHECKING:

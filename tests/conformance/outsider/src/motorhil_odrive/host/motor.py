@@ -15,7 +15,7 @@ from collections.abc import Callable
 from math import isfinite
 from typing import Final, final
 
-from motorhil.motorapi.commands import ControlMode, ControlVariable, Motion, Setpoint
+from motorhil.motorapi.commands import ControlMode, ControlVariable, Setpoint
 from motorhil.motorapi.errors import (
     DeviceFault,
     MotionInterrupted,
@@ -24,6 +24,7 @@ from motorhil.motorapi.errors import (
     UnsupportedError,
 )
 from motorhil.motorapi.model import MotorModel
+from motorhil.motorapi.motion import Motion
 from motorhil.motorapi.motor import Motor
 from motorhil.motorapi.planning.functions import asks_for_smoothness
 from motorhil.motorapi.state import Fault, Measurement, MotorState

@@ -3,7 +3,8 @@
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Final, final
 
-from motorhil.motorapi.commands import ControlVariable, Motion
+from motorhil.motorapi.commands import ControlVariable
+from motorhil.motorapi.motion import Motion
 from motorhil.motorapi.planning.sampling import Ramps, demand_of
 
 from motorhil_odrive.host import messages as m
