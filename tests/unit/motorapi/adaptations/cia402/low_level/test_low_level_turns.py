@@ -53,7 +53,7 @@ def other(motor: Cia402Motor) -> Cia402Motor:
 
 def test_access_during_own_motion_is_refused(rig: Rig, motor: Cia402Motor):
     go_to(motor, 1.0)
-    with pytest.raises(StateError, match=r"start\(\) of left goes on"), motor.low_level():
+    with pytest.raises(StateError, match=r"start\(\) of left is active"), motor.low_level():
         raise AssertionError("it was given")
     motor.wait_until_done(timeout_s=5)
     with motor.low_level():
