@@ -22,9 +22,9 @@ from motorhil.emulators.plant.oscillator import IDEAL, Oscillator
 from motorhil.emulators.settings.motor import MOTOR_KEYS, axis_of, motor_in
 from motorhil.emulators.settings.tables import duration_ns, number, refuse_unknown, table_in, whole
 
-_KEYS: Final = ("unit", *MOTOR_KEYS, "timing", "registers", "switches")
-_TIMING_KEYS: Final = ("boot_up_s", "reply_s")
-_SWITCH_KEYS: Final = ("home_rad", "limit_forward_rad", "limit_backward_rad")
+KEYS: Final = ("unit", *MOTOR_KEYS, "timing", "registers", "switches")
+TIMING_KEYS: Final = ("boot_up_s", "reply_s")
+SWITCH_KEYS: Final = ("home_rad", "limit_forward_rad", "limit_backward_rad")
 _RAD_MAX: Final = 1e9
 
 
@@ -66,14 +66,14 @@ class ModbusDriveSettings:
 def _read_settings(
     table: Mapping[str, object], context: ControllerContext, options: Mapping[str, bool]
 ) -> ModbusDriveSettings:
-    refuse_unknown(table, (*_KEYS, *options), ())
+    refuse_unknown(table, (*KEYS, *options), ())
     if "unit" not in table:
         raise SettingError(("unit",), "is missing", "a number 1..247")
     motor = motor_in(table, context.stream())
     timing = table_in(table, "timing")
-    refuse_unknown(timing, _TIMING_KEYS, ("timing",))
+    refuse_unknown(timing, TIMING_KEYS, ("timing",))
     switches = table_in(table, "switches")
-    refuse_unknown(switches, _SWITCH_KEYS, ("switches",))
+    refuse_unknown(switches, SWITCH_KEYS, ("switches",))
     return ModbusDriveSettings(
         unit=whole(table["unit"], ("unit",), UNITS[0], UNITS[-1]),
         plant=motor.plant,

@@ -36,7 +36,7 @@ All times are integer nanoseconds, rounded up. A frame has the maximum number of
 3 bits of intermission in which no frame may begin.
 """
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from enum import Enum
 from typing import Final, final
@@ -268,9 +268,9 @@ def response_between(
         lower: the less urgent messages.
         errors: the error model.
     """
-    flows = [Flow(one, 0, load.takes_ns(one), "") for one in higher]
-    flows.append(own := Flow(message, 1, load.takes_ns(message), ""))
-    flows += [Flow(one, 2, load.takes_ns(one), "") for one in lower]
+    flows = [Flow(one, 0, load.takes_ns(one)) for one in higher]
+    flows.append(own := Flow(message, 1, load.takes_ns(message)))
+    flows += [Flow(one, 2, load.takes_ns(one)) for one in lower]
     return _Levels(flows, [], errors, load).response(own)
 
 
@@ -278,8 +278,9 @@ def _levels(load: BusLoad, errors: ErrorModel) -> "_Levels":
     flows = sorted((Flow.of(load, message) for message in load.messages), key=lambda f: f.rank)
     queues: dict[str, list[Flow]] = {}
     for flow in flows:
-        if flow.queue:
-            queues.setdefault(flow.queue, []).append(flow)
+        sender = flow.message.sender
+        if sender and sender in load.fifo:
+            queues.setdefault(sender, []).append(flow)
     levels = _Levels(flows, [queue for queue in queues.values() if len(queue) > 1], errors, load)
     levels.settle()
     return levels
@@ -293,14 +294,12 @@ class Flow:
     message: Message
     rank: int
     takes_ns: int
-    queue: str
     late_ns: int | None = 0
 
     @classmethod
     def of(cls, load: BusLoad, message: Message) -> "Flow":
         """Return the message as it is sent on this bus."""
-        queue = message.sender if message.sender in load.fifo else ""
-        return cls(message, message.rank, load.takes_ns(message), queue)
+        return cls(message, message.rank, load.takes_ns(message))
 
     def most(self, window_ns: int) -> int:
         """Return the maximum number of frames queued in any window of this length."""
@@ -352,9 +351,9 @@ class _Levels:
         errors: ErrorModel,
         load: BusLoad,
     ) -> None:
-        self._flows = flows
+        self.flows: Final = flows
         self._shared = {id(flow): queue for queue in shared for flow in queue}
-        self._bit_ns = bits_ns(1, load.bitrate_bit_s)
+        self.bit_ns: Final = bits_ns(1, load.bitrate_bit_s)
         self._errors = errors
         self._recovery_ns = bits_ns(RECOVERY_BITS, load.bitrate_bit_s)
         self._late_max_ns = max((flow.message.period_ns for flow in flows), default=0)
@@ -362,7 +361,7 @@ class _Levels:
 
     def settle(self) -> None:
         """Compute the lateness of every shared queue, to a fixed point."""
-        waiting = [flow for flow in self._flows if id(flow) in self._shared]
+        waiting = [flow for flow in self.flows if id(flow) in self._shared]
         changed = bool(waiting)
         while changed:
             changed = False
@@ -415,16 +414,6 @@ class _Levels:
     def queue_of(self, flow: Flow) -> list[Flow]:
         """Return the messages in the same queue as this one, or itself alone."""
         return self._shared.get(id(flow), [flow])
-
-    @property
-    def flows(self) -> Sequence[Flow]:
-        """All messages, the most urgent first."""
-        return self._flows
-
-    @property
-    def bit_ns(self) -> int:
-        """The duration of one bit [ns]."""
-        return self._bit_ns
 
     def errors_ns(self, window_ns: int, longest_ns: int) -> int:
         """Return the cost of errors in a window, where retransmissions take `longest_ns` [ns]."""
