@@ -1,4 +1,4 @@
-"""Fault confinement of a CAN node: error counters and error state.
+"""Fault confinement of a CAN node: error counters, state and messages.
 
 The rules are those of ISO 11898-1, fault confinement, by their letters (Bosch CAN 2.0 numbers them
 1 to 12). `CanStation` detects on the wire when a rule applies. This module implements its effect:
@@ -21,13 +21,11 @@ i  at 128 or more in either a node is error passive, at a TEC above 255 bus-off
 Left open by the standard, decided here: h leads to 127. REC counts to 255 and stays there, as in an
 8-bit register. The reported TEC is limited in the same way.
 
-Error messages to a node, in the format of SocketCAN.
-
-An error message is a 16-byte can_frame with ERR_FLAG. The identifier's bits are classes of errors,
-8 bytes of data give details. Error messages are never on the bus. The medium makes them for the
-node that detected an error, and for the record. Lost arbitration is not reported: few common
-controllers do (SJA1000, CTU CAN FD), and on a busy bus each frame would cost a message per waiting
-node.
+The module also has the error messages to a node, in the format of SocketCAN. An error message is a
+16-byte can_frame with ERR_FLAG. The identifier's bits are classes of errors, 8 bytes of data give
+details. Error messages are never on the bus. The medium makes them for the node that detected an
+error, and for the record. Lost arbitration is not reported: few common controllers do (SJA1000, CTU
+CAN FD), and on a busy bus each frame would cost a message per waiting node.
 
 Source: Linux include/uapi/linux/can/error.h.
 """

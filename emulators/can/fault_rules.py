@@ -22,8 +22,6 @@ Faults are modelled by their effect on a receiver, in CAN's own terms where thes
 - BABBLE: the sender named sends one frame again and again, whenever it may.
 - SHORT: the wire is stuck at one level. On a split bus this is the part with any of the ports, by
   default the part that all others have left.
-
-Random inversion of bits: the distances between inverted bits.
 """
 
 from collections.abc import Callable, Sequence

@@ -1,7 +1,4 @@
-"""SDO abort codes (CiA 301, SDO abort transfer protocol).
-
-COB-IDs (CiA 301, 7.3.5): the identifiers allowed for communication objects.
-"""
+"""SDO abort codes and COB-IDs (CiA 301, SDO abort transfer protocol and 7.3.5)."""
 
 from enum import IntEnum, unique
 from typing import Final, final

@@ -8,12 +8,11 @@ The history is 1003h.
 Two EMCYs are separated by at least the inhibit time (1015h, in 100 us); waiting ones are sent in
 order. At most `WAITING_MAX` wait; older ones are dropped and reported as an event.
 
-CAN controller state of a node, and its effects by CiA 301.
-
-Error passive is an error as long as it lasts (EMCY 8120h). Bus-off is a communication error like a
-lost heartbeat. 1029h:1 gives the NMT state that it leads to. The device around the node decides on
-other effects (6007h). A bus-off node cannot send, so it reports the bus-off after recovery (EMCY
-8140h). The node does not boot then: its configuration stays.
+The state of the CAN controller has these effects. Error passive is an error as long as it lasts
+(EMCY 8120h). Bus-off is a communication error like a lost heartbeat. 1029h:1 gives the NMT state
+that it leads to. The device around the node decides on other effects (6007h). A bus-off node cannot
+send, so it reports the bus-off after recovery (EMCY 8140h). The node does not boot then: its
+configuration stays.
 
 Frames that waited for the bus at bus-off are lost. New frames wait as in the mailboxes of a CAN
 controller, one for each identifier: newer data replace older data. Emergencies are all kept.

@@ -4,7 +4,7 @@ INITIALISING passes into PRE-OPERATIONAL by itself, with the boot-up message. Th
 to it. Services by state (CiA 301, table 38): SDO, SYNC and EMCY in PRE-OPERATIONAL and OPERATIONAL,
 PDOs in OPERATIONAL only, NMT and error control in all but INITIALISING.
 
-Error behaviour (CiA 301, 1029h): effects of errors on the NMT state.
+1029h, error behaviour, states the effects of errors on the NMT state.
 """
 
 from enum import IntEnum, unique

@@ -11,8 +11,6 @@ again, so the dictionary is the only place of a setting.
 Frames are dispatched by one look-up in a dict, keyed by the four identifier bytes. The dict holds
 only what the present NMT state accepts, so the parts need not check the state. Remote frames and
 29-bit identifiers have no entry, except remote frames that guard this node or request its TPDOs.
-
-Dispatching of frames: handlers by identifier, and the identifiers of a node.
 """
 
 from collections.abc import Callable, Sequence

@@ -5,9 +5,7 @@ A `Variable` is one sub-index. Values are Python ints (BOOLEAN, INTEGERn, UNSIGN
 ones are two's complement. The device behind the dictionary attaches two callbacks: a `reader`
 returns a current value, a `writer` accepts or refuses a new value.
 
-Access of a client to the object dictionary, with abort codes.
-
-The SDO server uses it. Other services that access a dictionary may use it as well.
+`DictionaryAccess` is the access of a client, with abort codes. The SDO server uses it.
 """
 
 import struct

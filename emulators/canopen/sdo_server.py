@@ -6,14 +6,11 @@ no command. If the client is silent for `TIMEOUT_NS` during a transfer, the serv
 0000h). Every response is sent `reply_ns` after its request. Values are read and written at the time
 of the request.
 
-SDO block transfer (CiA 301, 7.2.4.3.9 to 7.2.4.3.15): data and CRC.
-
-A block has up to 127 segments of 7 bytes, numbered from 1, and is confirmed as a whole. The
-receiver reports the last number that arrived in sequence, and the size of the next block. Segments
-behind a gap are sent again. The last segment carries a flag. The end message has the number of its
-valid bytes, and the CRC of all data if both sides support it.
-
-This module has the state of a transfer only; `SdoServer` handles requests and responses.
+Block transfer (CiA 301, 7.2.4.3.9 to 7.2.4.3.15): a block has up to 127 segments of 7 bytes,
+numbered from 1, and is confirmed as a whole. The receiver reports the last number that arrived in
+sequence, and the size of the next block. Segments behind a gap are sent again. The last segment
+carries a flag. The end message has the number of its valid bytes, and the CRC of all data if both
+sides support it.
 """
 
 from collections import deque

@@ -1,20 +1,16 @@
-"""A CiA 402 drive: one CANopen node, one power drive, one axis; sans-I/O.
+"""A CiA 402 drive: CANopen node, power drive and axis; sans-I/O.
 
 The drive updates itself on input, when the node has work to do, and at the exact tick at which the
 axis' flags change. In between, and at rest, it costs nothing.
 
-Construction of a drive from its rig table (`motorhil.controllers` entry point `cia402`).
+`build` makes a drive of its rig table (`motorhil.controllers` entry point `cia402`). Actual values
+have readers, bound to the objects in the EDS. Every reader returns the value at the last `axis.at`.
 
-Readers of actual values, bound to the objects in the EDS.
-
-Every reader returns the value at the last `axis.at`.
-
-Protective functions of the drive: inputs that switch the torque off.
-
-The axis reports winding temperature, I2t and DC link in its flags, at the exact tick, and the power
-drive evaluates them. All other conditions are stimuli. An input keeps its value until it is
-changed, and the fault that it caused cannot be reset meanwhile. `sto` switches the torque off
-without the firmware; the vendor decides if that is a fault (table `protection`).
+Protective functions switch the torque off. The axis reports winding temperature, I2t and DC link in
+its flags, at the exact tick, and the power drive evaluates them. All other conditions are stimuli.
+An input keeps its value until it is changed, and the fault that it caused cannot be reset
+meanwhile. `sto` switches the torque off without the firmware; the vendor decides if that is a fault
+(table `protection`).
 
 A lost incremental encoder stops counting. The position that a host reads then stays constant,
 whatever the motor does. Once the encoder is back it counts on from there, and the drive's reference

@@ -1,15 +1,12 @@
-"""Installation of quirks in a drive while it is built.
+"""Quirks: deviations of real drives from the standards, as wrappers.
 
-Deviating profile position modes: wrappers around `ProfilePosition`.
+Deviating profile position modes are wrappers around `ProfilePosition`. Each passes everything on
+except its own deviation, so wrappers can be nested. A drive without quirks has none of them. The
+catalogue in `settings` lists their sources.
 
-Each wrapper passes everything on except its own deviation, so wrappers can be nested. A drive
-without quirks has none of them. The quirk catalogue lists their sources.
-
-Deviations of real drives on the wire: a wrapper around the drive.
-
-Outgoing frames are delayed or altered, and incoming frames ignored, by their function codes,
-whatever the node-ID from LSS. The drive does not know about it. A drive without such quirks needs
-no wrapper. The quirk catalogue lists the sources.
+Deviations on the wire are a wrapper around the drive. Outgoing frames are delayed or altered, and
+incoming frames ignored, by their function codes, whatever the node-ID from LSS. The drive does not
+know about it. A drive without such quirks needs no wrapper.
 """
 
 import hashlib

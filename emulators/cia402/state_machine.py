@@ -1,10 +1,7 @@
-"""The power drive system's state machine (PDS FSA) of CiA 402-2, as one table.
+"""State machine (PDS FSA) and statusword of CiA 402-2.
 
-Theory of operation
--------------------
-Rule 1: everything that changes the state is in this file, and only `PdsFsa.take` writes it.
-
-Rule 2: the file knows nothing of time, motion or option codes. It returns the transition that a
+Everything that changes the state is in this file, and only `PdsFsa.take` writes it. The file knows
+nothing of time, motion or option codes. It returns the transition that a
 controlword requests. The drive decides when its preconditions are met (the power stage is ready,
 the motor is at rest), and then calls `take`.
 
@@ -26,8 +23,6 @@ and 14 are automatic (power on, initialised, fault, fault reaction finished).
                                                   |8                       |
                                                   v to READY ...           +--16--> OPERATION
                                                                                     ENABLED
-
-The statusword (6041h): the bits of each state, and the other bits.
 """
 
 from enum import IntEnum

@@ -1,6 +1,6 @@
 """The servo with a nonlinear plant behind it, tick by tick.
 
-This is the counterpart of `servo.run`. The plant's tick is `extras_step.tick`. The servo's part
+This is the counterpart of `servo.run`. The plant's tick is `plant_tick`. The servo's part
 (encoder, loops, flags) comes from `servo.run` itself, with tables that move nothing.
 
 Temperature and I2t are slow, so they are updated only every `slow_ticks` ticks, from the losses of
@@ -14,11 +14,9 @@ The state contains, in addition to that of `servo.run`: the load's speed [rad/s]
 0..1; losses since the last update and in the last tick [counts]; 1.0 if that tick changed nothing
 else.
 
-One servo tick of a nonlinear plant: current loop, supply, and one or two bodies.
-
-The step is passive by construction. Within a substep each body moves exactly under a torque that is
-held. The energy that a torque takes out of a body is therefore the torque times the distance. The
-rules are:
+A plant has one or two bodies. Its step is passive by construction. Within a substep each body moves
+exactly under a torque that is held. The energy that a torque takes out of a body is therefore the
+torque times the distance. The rules are:
 
 - Friction opposes the motion. A body that friction alone would reverse stops. A body that other
   torques reverse moves without friction in that substep.

@@ -24,10 +24,8 @@ state that maps onto itself bit for bit, and `run` reports that.
 Within this module velocities are increments per tick. The position x is half an increment ahead, so
 that the encoder's count is its floor. Only + - * / are used.
 
-The current loop in single steps, for servo ticks near its limits.
-
-Most ticks take all their steps at once (see `ServoTables`). These two functions take the steps
-singly. They are needed where the voltage is clipped, or where the rotor stops or starts within the
+Most ticks take all their steps at once (see `ServoTables`). Two functions take the steps singly.
+They are needed where the voltage is clipped, or where the rotor stops or starts within the
 tick.
 """
 

@@ -15,7 +15,7 @@ The step, with voltage v held by the power stage for one period h of the current
 
 A tick's map acts on z = (current, u, speed, position, current demand, torque).
 
-Servo gains (P position, PI velocity, PI current, feedforward) and their tuning.
+`ServoGains` has the gains (P position, PI velocity, PI current, feedforward) and their tuning.
 """
 
 from dataclasses import dataclass, replace

@@ -1,9 +1,7 @@
-"""Wall time: run a world's events by the wall clock.
+"""Loop that runs a world and its gateways by the wall clock.
 
 This is the only module of the package that reads a clock. The loop waits for the next event or for
 input, whichever comes first. Late events run in the order of their due times.
-
-Gateways between a world in wall time and the outside.
 """
 
 import select

@@ -9,8 +9,6 @@
 - NOISE: characters are put in front of the frame.
 
 A plan is evaluated once per sent frame. Its rules are tried in order; the first that fires decides.
-
-Conditions common to fault rules of CAN buses and of serial lines.
 """
 
 from collections.abc import Callable, Sequence

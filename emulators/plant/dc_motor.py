@@ -1,4 +1,4 @@
-"""Parameters of a permanent-magnet DC motor with gear, load and encoder.
+"""A permanent-magnet DC motor with gear, load and encoder.
 
 All equations are on the motor's side of the gear (w is the rotor speed, i the current):
 
@@ -10,10 +10,9 @@ K is both the torque constant and the back-EMF constant (N m/A = V s/rad). Coulo
 the motion with `coulomb_friction_n_m`. At standstill it holds against any torque up to that value,
 and the speed is then exactly 0.0.
 
-Exact sampled-data models of the plant for one step.
-
-Voltage and torque are held during the step. All matrices are computed once, when an axis is built.
-Plain Python with + - * / gives bit-identical numbers on every machine.
+The sampled-data models are exact. Voltage and torque are held during the step. All matrices are
+computed once, when an axis is built. Plain Python with + - * / gives bit-identical numbers on every
+machine.
 """
 
 from collections.abc import Sequence

@@ -4,10 +4,6 @@ Once per bit time the wire reads `drives` and calls `hear` with the sampled leve
 implements framing, arbitration and acknowledgement. `Reception` decodes other nodes' frames,
 `CanSignalling` handles errors and the time between frames, `Confinement` has the error counters.
 
-Source: ISO 11898-1, medium access control; Bosch CAN 2.0, chapters 3 and 7.
-
-CAN signalling outside of frames: error and overload frames, intermission.
-
 An error flag begins with the bit after the error was detected. The flag of a CRC error begins with
 the bit after the ACK delimiter.
 
@@ -22,15 +18,12 @@ Left open by the standard, decided here:
 - A passive transmitter without an acknowledgement counts by rule c when it sees a dominant bit in
   its flag.
 
-Source: ISO 11898-1, medium access control; Bosch CAN 2.0, chapters 3 and 7.
-
-Event log of a node, and its CAN controller's error messages.
-
 Error messages are those of a driver that reports each error: its type, its place, whether the node
 was sending, and the counters after it. A change of the node's error state is reported as Linux's
 `can_change_state` does. A bus-off node reports no counters: they would not fit.
 
-Source: Linux drivers/net/can/dev/dev.c; "can: do not report txerr and rxerr during bus-off" (2022)
+Source: ISO 11898-1, medium access control; Bosch CAN 2.0, chapters 3 and 7. Linux
+drivers/net/can/dev/dev.c; "can: do not report txerr and rxerr during bus-off" (2022)
 in its drivers.
 """
 

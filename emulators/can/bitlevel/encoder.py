@@ -1,15 +1,12 @@
 """Bit sequence of a CAN frame on the wire.
 
-Source: ISO 11898-1, frame formats, CRC sequence, bit stuffing.
+CAN FD frames have stuff bits, a stuff count, and CRC-17 or CRC-21 as follows. From start of frame
+to the end of the data, an inverse bit follows five equal bits. At the end of the data a fixed stuff
+bit follows instead. This bit is not counted, even after five equal bits. From there one fixed stuff
+bit precedes every four bits of stuff count and CRC. The CRC covers the stuff count and all bits
+before it, dynamic stuff bits included, but no fixed ones.
 
-CAN FD frame checks: stuff bits, stuff count, CRC-17 and CRC-21.
-
-From start of frame to the end of the data, an inverse bit follows five equal bits. At the end of
-the data a fixed stuff bit follows instead. This bit is not counted, even after five equal bits.
-From there one fixed stuff bit precedes every four bits of stuff count and CRC. The CRC covers the
-stuff count and all bits before it, dynamic stuff bits included, but no fixed ones.
-
-Source: ISO 11898-1:2015, bit stuffing, CRC sequence.
+Source: ISO 11898-1:2015, frame formats, bit stuffing, CRC sequence.
 """
 
 from collections.abc import Sequence

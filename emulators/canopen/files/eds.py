@@ -6,17 +6,14 @@ $NODEID is the requested node-ID. The sections define the objects; lists and cou
 cause a warning. Every repair and omission causes a warning with file and line. A file without a
 plain meaning is refused with one line.
 
-Line reader for EDS and DCF files: sections, keys, line numbers.
-
 Files in the field are hand-edited, merged and saved by old editors. These defects are repaired with
 a warning: a text encoding other than UTF-8, an unresolved merge whose two sides mean the same, a
 key or section given twice with one meaning, a missing bracket, stray lines, comments behind a
 value. If two relevant statements contradict each other, the intended meaning is unknown: that is an
 `EdsError`.
 
-Values in EDS and DCF files (CiA 306, 4.5).
-
-Every function returns the value and a remark. A remark other than "" names a repair.
+Every function for values (CiA 306, 4.5) returns the value and a remark. A remark other than ""
+names a repair.
 """
 
 import re

@@ -1,4 +1,4 @@
-"""Storing and restoring parameters (CiA 301, 7.5.2.13 and 7.5.2.14: 1010h, 1011h).
+"""Storing and restoring parameters (CiA 301, 1010h and 1011h).
 
 "save" written to 1010h:n stores the present values: all (1), of communication (2: 1000h to 1FFFh),
 of the application (3: 6000h to 9FFFh), of the manufacturer (4 and above: 2000h to 5FFFh). They are
@@ -9,7 +9,7 @@ signature is refused with 0800 0020h, without any effect.
 Only values that differ from the device's own defaults are stored, so an unchanged COB-ID still
 follows the node-ID. Set-points and commands are not parameters and are not stored.
 
-Text format of stored parameters, readable and protected by a CRC.
+The text format is readable and protected by a CRC:
 
     motorhil parameters 1
     identity 00000000 00000402      vendor-ID and product code (1018h:1, 1018h:2)

@@ -4,9 +4,8 @@ Objects in the EDS are bound to the drive. Objects missing there are invisible t
 act with the default stated where they are bound (CiA 402-2's, or derived from the motor). Related
 objects have a module: motion, torque, offsets, interpolation, windows, homing, option codes, gains.
 
-6502h, supported drive modes: only modes that are emulated.
-
-The bit of a mode is one less than its number in 6060h; bits 16 to 31 are manufacturer-specific.
+6502h, supported drive modes, shows only modes that are emulated. The bit of a mode is one less than
+its number in 6060h; bits 16 to 31 are manufacturer-specific.
 """
 
 from collections.abc import Sequence

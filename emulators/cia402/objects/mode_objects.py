@@ -1,19 +1,16 @@
-"""The objects of interpolated position mode: sub-mode, data record, buffer (CiA 402-2).
-
-The objects of homing: 6098h, 6099h, 609Ah, 607Ch.
+"""The objects of interpolated position mode and of homing (CiA 402-2).
 
 The zero position is 607Ch beyond home, so the position of home is -607Ch. CiA 402-2 defines it this
 way, as do Elmo, Parker, Applied Motion, Fastech and Mitsubishi (MR-J5, Pr. PT08). KEB's F6 has the
 opposite sign.
 
-The homing methods of CiA 402-2 as one table.
-
-Every method ends by passing an edge of one switch in one direction, where the switch changes from
-`before` to the other state. Home is that edge, or the first index pulse after it in the same
-direction. `search` is the direction of the search if the switch is not active at the start. Methods
-7 to 14 and 23 to 30 can meet a limit switch first, and reverse there; their home switch is a cam in
-the middle. In 3 to 6 and 19 to 22 the home switch extends to the end of travel. 15, 16, 31 and 32
-are reserved; 36 and the negative ones are not emulated. 35 is obsolete and replaced by 37.
+HOMING_METHODS has the homing methods as one table. Every method ends by passing an edge of one
+switch in one direction, where the switch changes from `before` to the other state. Home is that
+edge, or the first index pulse after it in the same direction. `search` is the direction of the
+search if the switch is not active at the start. Methods 7 to 14 and 23 to 30 can meet a limit
+switch first, and reverse there; their home switch is a cam in the middle. In 3 to 6 and 19 to 22
+the home switch extends to the end of travel. 15, 16, 31 and 32 are reserved; 36 and the negative
+ones are not emulated. 35 is obsolete and replaced by 37.
 """
 
 from typing import Final, final

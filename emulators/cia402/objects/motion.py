@@ -1,13 +1,9 @@
-"""The objects of motion: targets, speeds, ramps and limits.
+"""The objects of motion: targets, speeds, ramps, limits, windows, option codes.
 
 All values are converted to increments and seconds. A value of 0 in a ramp means "not set": 6085h
 then falls back to 6084h, and that to 6083h.
 
-The windows for target reached, standstill, velocity and following error.
-
-Option codes for stopping the drive (CiA 402-2, 605Ah to 605Eh, 6007h).
-
-Meaning of their terms in this drive:
+The option codes (CiA 402-2, 605Ah to 605Eh, 6007h) tell how the drive stops. Their terms mean:
 
 - *slow-down ramp*: 6084h, or 609Ah if homing is halted. *Quick stop ramp*: 6085h. The demand
   decreases linearly.

@@ -1,12 +1,11 @@
-"""The objects of torque and current, and their units.
+"""The objects of torque, servo gains, and offsets of the cyclic modes.
 
 Torque is that of the motor shaft, in 1/1000 of the rated torque 6076h [mN m]. Current is in 1/1000
 of the rated current 6075h [mA]. Only the motor's torque constant relates the two, so the torque is
 correct for any 6075h and 6076h. Where they are 0 or absent, the motor's values are used.
 
-Servo gains as objects: current (60F6h), velocity (60F9h), position loop (60FBh).
-
-CiA 402-2 leaves the contents of these three sets to the manufacturer. The meaning below therefore
+Servo gains are objects: current (60F6h), velocity (60F9h) and position loop (60FBh). CiA 402-2
+leaves the contents of these three sets to the manufacturer. The meaning below therefore
 applies only to a drive with our identity (1018h). In any other EDS they are plain numbers that can
 be stored and read.
 
@@ -24,8 +23,6 @@ object   sub  gain                         unit
 
 At power-on they show the tuned gains of the servo, rounded. The servo uses the exact value until a
 different value is written.
-
-Offsets of the cyclic modes, added to a set-point or fed forward.
 """
 
 from typing import Final, final

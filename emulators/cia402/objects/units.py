@@ -13,7 +13,7 @@ squared. Externally, a drive uses the units of its factor group (CiA 402-2, fact
 607Eh inverts positions (bit 7) and velocities (bit 6), but not torque. 607Bh defines a range in
 which positions repeat, as on a turntable, if it is smaller than 32 bits.
 
-Motor-dependent values for objects without a value in EDS and rig.
+`DriveDefaults` has the motor-dependent values for objects without a value in EDS and rig.
 """
 
 from dataclasses import dataclass
