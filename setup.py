@@ -38,6 +38,7 @@ COMPILED = (
     "traces/mcap/protobuf.py",
     "motorapi/runtime/api.py",
     "motorapi/adaptations/canopen/bus.py",
+    "motorapi/adaptations/cia402/csp.py",
     "motorapi/adaptations/cia402/measurements.py",
     "motorapi/adaptations/cia402/motion_status.py",
     "motorapi/adaptations/cia402/node.py",
@@ -124,4 +125,5 @@ class EveryCore(build_ext):
         )
 
 
-setup(ext_modules=extensions(), cmdclass={"build_ext": EveryCore})
+if __name__ == "__main__":  # not if tests read the lists above
+    setup(ext_modules=extensions(), cmdclass={"build_ext": EveryCore})

@@ -35,6 +35,8 @@ from motorhil.emulators.media.serial_faults import wrong_condition
 DATA_MAX: Final = 8
 RATE_MAX: Final = 0.1  # above this, error frames seldom end
 
+_DOUBLINGS: Final = 48  # distances up to 2**48 bits, beyond the life of a bus
+
 
 class FaultKind(Enum):
     """The effect of a rule on a frame, or on a port."""
@@ -194,9 +196,6 @@ class FaultRule:
             and (self.identifier is None or not (can_id ^ self.identifier) & self.mask)
             and (self.sender is None or self.sender == sender)
         )
-
-
-_DOUBLINGS: Final = 48  # distances up to 2**48 bits, beyond the life of a bus
 
 
 @final

@@ -55,6 +55,13 @@ _RESERVED: Final = 1 << 30  # of 1014h
 _VENDOR_BYTES: Final = 5
 _LONG_AGO: Final = -NEVER
 
+ERROR_PASSIVE: Final = 0x8120
+BUS_OFF_RECOVERED: Final = 0x8140
+
+_EMCY_FUNCTION: Final = 0x080
+_PASSIVE: Final = e.RX_PASSIVE | e.TX_PASSIVE
+_ACTIVE: Final = e.ERROR_ACTIVE | e.RX_WARNING | e.TX_WARNING
+
 
 class ChangeListener(Protocol):
     """A listener for changes of values by the device itself."""
@@ -229,14 +236,6 @@ class EmcyProducer:
             if variable is not None:
                 variable.value = value
         count.value = held
-
-
-ERROR_PASSIVE: Final = 0x8120
-BUS_OFF_RECOVERED: Final = 0x8140
-
-_EMCY_FUNCTION: Final = 0x080
-_PASSIVE: Final = e.RX_PASSIVE | e.TX_PASSIVE
-_ACTIVE: Final = e.ERROR_ACTIVE | e.RX_WARNING | e.TX_WARNING
 
 
 @final

@@ -20,6 +20,10 @@ from motorhil.emulators.canopen.outbox import MS, NEVER, Outbox
 
 _ERROR_CONTROL: Final = 0x700
 
+_TOGGLE: Final = 0x80
+
+NOBODY: Final = 0  # stands for the unknown master that guards this node
+
 
 @final
 class HeartbeatProducer:
@@ -162,9 +166,6 @@ class _EntryCheck:
         return 0
 
 
-_TOGGLE: Final = 0x80
-
-
 @final
 class NodeGuarding:
     """The slave side of guarding.
@@ -228,9 +229,6 @@ class NodeGuarding:
     def _move(self, deadline_ns: int) -> None:
         self.deadline_ns = deadline_ns
         self._outbox.deadlines_moved = True
-
-
-NOBODY: Final = 0  # stands for the unknown master that guards this node
 
 
 @final

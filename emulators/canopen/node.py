@@ -40,6 +40,8 @@ from motorhil.emulators.controller import NonvolatileMemory, RigMemory
 
 Handler = Callable[[bytes, int], None]
 
+_ERROR_BYTE: Final = ERR_FLAG >> 24
+
 
 @final
 class Routes:
@@ -81,9 +83,6 @@ class _Both:
     def receive(self, frame: bytes, now_ns: int) -> None:
         self._first(frame, now_ns)
         self._second(frame, now_ns)
-
-
-_ERROR_BYTE: Final = ERR_FLAG >> 24
 
 
 @final

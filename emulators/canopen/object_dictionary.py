@@ -20,6 +20,8 @@ Value = int | float | bytes
 Reader = Callable[[], int]
 Writer = Callable[[int], int]
 
+_ACCESS: Final = ("ro", "wo", "rw", "rwr", "rww", "const")
+
 
 @final
 @unique
@@ -94,7 +96,6 @@ STRUCT_FORMAT: Final[dict[int, str]] = {
     _D.REAL32: "f",
     _D.REAL64: "d",
 }
-_ACCESS: Final = ("ro", "wo", "rw", "rwr", "rww", "const")
 
 
 def length_bits(data_type: int) -> int:

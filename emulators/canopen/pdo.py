@@ -40,6 +40,11 @@ from motorhil.emulators.canopen.sync import SyncService, SyncWindow
 
 LAST_SYNCHRONOUS: Final = 240
 
+SAMPLED_ON_REQUEST: Final = 252
+
+_LONG_AGO: Final = -NEVER
+_WAITS: Final = -NEVER  # an unreachable number of SYNCs: it waits for its start value
+
 
 @final
 class Rpdo:
@@ -138,12 +143,6 @@ class Rpdo:
         if self.deadline_ns != NEVER:
             self.deadline_ns = NEVER
             self._outbox.deadlines_moved = True
-
-
-SAMPLED_ON_REQUEST: Final = 252
-
-_LONG_AGO: Final = -NEVER
-_WAITS: Final = -NEVER  # an unreachable number of SYNCs: it waits for its start value
 
 
 @final

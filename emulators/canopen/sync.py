@@ -33,6 +33,14 @@ COUNTER_MAX: Final = 240
 _GENERATE: Final = 1 << 30
 _PERIOD_MIN_US: Final = 100  # drives do not send SYNC more often; it would fill the bus
 
+TIME_OF_DAY: Final = 0x2012
+
+_CONSUME: Final = 1 << 31
+_PRODUCE: Final = 1 << 30
+_LENGTH: Final = 6
+_DAY_MS: Final = 86_400_000
+_STEP_MS: Final = 100  # smaller deviations from the own clock do not cause an event
+
 
 @final
 class SyncWindow:
@@ -161,15 +169,6 @@ class SyncService:
             self._period_ns = self._od.integer(0x1006, 0, 0) * US
         self.deadline_ns = now_ns + self._period_ns if self._period_ns else NEVER
         self._outbox.deadlines_moved = True
-
-
-TIME_OF_DAY: Final = 0x2012
-
-_CONSUME: Final = 1 << 31
-_PRODUCE: Final = 1 << 30
-_LENGTH: Final = 6
-_DAY_MS: Final = 86_400_000
-_STEP_MS: Final = 100  # smaller deviations from the own clock do not cause an event
 
 
 @final

@@ -74,6 +74,43 @@ from motorhil.emulators.plant.dc_motor import RANGES
 from motorhil.emulators.settings.motor import axis_of
 from motorhil.emulators.settings.protection import TEMPERATURE_RANGE_C, ProtectionSettings
 
+# Inputs whose value 1 is the cause of a fault.
+CAUSES: Final[dict[str, int]] = {
+    "short_circuit": SHORT_CIRCUIT,
+    "mains_over_voltage": MAINS_OVER_VOLTAGE,
+    "mains_under_voltage": MAINS_UNDER_VOLTAGE,
+}
+_SWITCHES: Final = ("sto", "encoder", *CAUSES, "error_passive", "bus_off")
+PROTECTION_STIMULI: Final = (*_SWITCHES, "device_temperature_c", "supply_v")
+
+# Objects derived from the encoder.
+_POSITIONS: Final = (0x6063, 0x6064)
+_VELOCITIES: Final = (0x6069, 0x606C, 0x60F4)
+
+STIMULI: Final = (
+    *("load_torque_n_m", "fault", "power"),
+    *PROTECTION_STIMULI,
+    *INPUT_STIMULI,
+)
+
+_ABSENT: Final = -(1 << 70)
+
+# Communication objects that a rig can configure although the EDS lacks them.
+_COMMUNICATION: Final[dict[tuple[int, int], DataType]] = {
+    (0x1005, 0): DataType.UNSIGNED32,
+    (0x1006, 0): DataType.UNSIGNED32,
+    (0x1007, 0): DataType.UNSIGNED32,
+    (0x100C, 0): DataType.UNSIGNED16,
+    (0x100D, 0): DataType.UNSIGNED8,
+    (0x1014, 0): DataType.UNSIGNED32,
+    (0x1015, 0): DataType.UNSIGNED16,
+    (0x1016, 1): DataType.UNSIGNED32,
+    (0x1017, 0): DataType.UNSIGNED16,
+    (0x1019, 0): DataType.UNSIGNED8,
+    (0x1029, 1): DataType.UNSIGNED8,
+    (0x1029, 2): DataType.UNSIGNED8,
+}
+
 
 @final
 class Readings:
@@ -176,20 +213,6 @@ class Readings:
 
 def _wrapped(value: int) -> int:
     return (value + 0x8000_0000 & 0xFFFF_FFFF) - 0x8000_0000
-
-
-# Inputs whose value 1 is the cause of a fault.
-CAUSES: Final[dict[str, int]] = {
-    "short_circuit": SHORT_CIRCUIT,
-    "mains_over_voltage": MAINS_OVER_VOLTAGE,
-    "mains_under_voltage": MAINS_UNDER_VOLTAGE,
-}
-_SWITCHES: Final = ("sto", "encoder", *CAUSES, "error_passive", "bus_off")
-PROTECTION_STIMULI: Final = (*_SWITCHES, "device_temperature_c", "supply_v")
-
-# Objects derived from the encoder.
-_POSITIONS: Final = (0x6063, 0x6064)
-_VELOCITIES: Final = (0x6069, 0x606C, 0x60F4)
 
 
 @final
@@ -335,13 +358,6 @@ class Protection:
             self._power_drive.abort_connection(COMMUNICATION_LOST, now_ns)
         else:
             self._node.can.recover(now_ns)
-
-
-STIMULI: Final = (
-    *("load_torque_n_m", "fault", "power"),
-    *PROTECTION_STIMULI,
-    *INPUT_STIMULI,
-)
 
 
 @final
@@ -667,25 +683,6 @@ class Cia402Drive:
                 motor_ns = event_ns
         self._motor_due_ns = motor_ns
         self._deadline_ns = node_ns if node_ns < motor_ns else motor_ns
-
-
-_ABSENT: Final = -(1 << 70)
-
-# Communication objects that a rig can configure although the EDS lacks them.
-_COMMUNICATION: Final[dict[tuple[int, int], DataType]] = {
-    (0x1005, 0): DataType.UNSIGNED32,
-    (0x1006, 0): DataType.UNSIGNED32,
-    (0x1007, 0): DataType.UNSIGNED32,
-    (0x100C, 0): DataType.UNSIGNED16,
-    (0x100D, 0): DataType.UNSIGNED8,
-    (0x1014, 0): DataType.UNSIGNED32,
-    (0x1015, 0): DataType.UNSIGNED16,
-    (0x1016, 1): DataType.UNSIGNED32,
-    (0x1017, 0): DataType.UNSIGNED16,
-    (0x1019, 0): DataType.UNSIGNED8,
-    (0x1029, 1): DataType.UNSIGNED8,
-    (0x1029, 2): DataType.UNSIGNED8,
-}
 
 
 def build(settings: Mapping[str, object], context: ControllerContext) -> Controller:

@@ -25,6 +25,13 @@ from motorhil.emulators.cia402.state_machine import CW_HALT, SET_POINT_ACKNOWLED
 from motorhil.emulators.controller import Controller
 from motorhil.emulators.firmware.digital_inputs import Edge
 
+_EMCY: Final = 0x080
+_SDO_RESPONSE: Final = 0x580
+_SDO_REQUEST: Final = 0x600
+_ERROR_CONTROL: Final = 0x700
+_SYNC: Final = (0x080).to_bytes(4, "little")
+_STRAY_EMCY: Final = (0x081).to_bytes(4, "little")
+
 
 class Around(Mode):
     """Passes everything on to the inner mode."""
@@ -159,14 +166,6 @@ class StaleTargetReached(Around):
         """Return the bits with bit 10, stale or not."""
         bits = self.inner.status_bits()
         return bits if self._until_ns == NEVER else bits | TARGET_REACHED
-
-
-_EMCY: Final = 0x080
-_SDO_RESPONSE: Final = 0x580
-_SDO_REQUEST: Final = 0x600
-_ERROR_CONTROL: Final = 0x700
-_SYNC: Final = (0x080).to_bytes(4, "little")
-_STRAY_EMCY: Final = (0x081).to_bytes(4, "little")
 
 
 @final

@@ -19,6 +19,8 @@ from motorhil.emulators.plant.oscillator import ONE, Oscillator
 
 _BITS_64: Final = (1 << 64) - 1
 
+_UNKNOWN: Final = -1
+
 
 def lateness_ns(seed: int, due_ns: int, jitter_ns: int) -> int:
     """Return an evenly spread value 0..jitter_ns.
@@ -116,9 +118,6 @@ class LateWakes:
             return False
         self.inner.expire(now_ns)
         return True
-
-
-_UNKNOWN: Final = -1
 
 
 @final

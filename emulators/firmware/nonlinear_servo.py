@@ -59,6 +59,8 @@ E_STILL: Final = 8
 _AT_REST: Final = -1.0  # losses: every tick since the last update was like the last one
 _SETTLED_K: Final = 1e-9  # a change of temperature per update that is small enough to ignore
 
+_DC_LINK_MIN_V: Final = 1e-3
+
 
 def standing(tables: ExtrasTables, count: float, source_v: float) -> servo.State:
     """Return the state of a motor without power, at rest at `count` and at ambient temperature."""
@@ -223,9 +225,6 @@ def run(
     extras = (wl, xl, supply, winding, housing, level, losses, last, still)
     state = (*bare[:14], bare[servo.I_FLAGS] | own, *bare[15:19], extras)
     return state, made, resting
-
-
-_DC_LINK_MIN_V: Final = 1e-3
 
 
 def wave(p: float) -> float:

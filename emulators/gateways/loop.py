@@ -12,6 +12,9 @@ from typing import Protocol, final
 
 from motorhil.emulators.simulation.event_queue import EventQueue
 
+_IDLE_S = 0.5
+_BACKLOGGED_S = 0.002
+
 
 class Source(Protocol):
     """A source of input: a socket, or another object with a descriptor (a pseudo-terminal)."""
@@ -34,10 +37,6 @@ class Gateway(Protocol):
 
     def close(self) -> None:
         """Close all resources."""
-
-
-_IDLE_S = 0.5
-_BACKLOGGED_S = 0.002
 
 
 @final

@@ -16,6 +16,12 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import final
 
+# (characters, delay of their beginning [ns], pause after so many, pause [ns], whether heard)
+Fate = tuple[bytes, int, int, int, bool]
+
+# (time [ns], rule, event, the characters hit)
+SerialFaultEvent = tuple[int, str, str, bytes]
+
 
 def wrong_condition(
     probability: float, from_ns: int, until_ns: int | None, skip: int, limit: int | None
@@ -28,13 +34,6 @@ def wrong_condition(
     if skip < 0 or (limit is not None and limit < 1):
         return f"skip {skip} is below 0, or limit {limit} is below 1"
     return ""
-
-
-# (characters, delay of their beginning [ns], pause after so many, pause [ns], whether heard)
-Fate = tuple[bytes, int, int, int, bool]
-
-# (time [ns], rule, event, the characters hit)
-SerialFaultEvent = tuple[int, str, str, bytes]
 
 
 @final

@@ -57,6 +57,35 @@ NOTE_STATE: Final = 5
 _TX: Final = (told.ERROR_ACTIVE, told.TX_WARNING, told.TX_PASSIVE)
 _RX: Final = (told.ERROR_ACTIVE, told.RX_WARNING, told.RX_PASSIVE)
 
+FLAG_BITS: Final = 6
+DELIMITER_BITS: Final = 8
+INTERMISSION_BITS: Final = 3
+_TOLERATED_BITS: Final = 8  # dominant bits after a flag: rule f
+
+# results of a bit
+BUSY: Final = 0
+FREE: Final = 1  # the intermission is over
+STARTED: Final = 2  # the intermission ended with a start of frame
+GONE: Final = 3  # the node is bus-off
+
+_ACTIVE_FLAG: Final = 0
+_PASSIVE_FLAG: Final = 1
+_OVERLOAD_FLAG: Final = 2
+_AFTER_FLAG: Final = 3  # its own flag is sent; it waits for a recessive bit
+_DELIMITER: Final = 4
+_INTERMISSION: Final = 5
+
+SUSPEND_BITS: Final = 8
+INTEGRATION_BITS: Final = 11  # recessive bits after which a node that comes back takes part
+
+# phases
+IDLE: Final = 0
+SENDING: Final = 1
+RECEIVING: Final = 2
+SIGNALLING: Final = 3
+INTEGRATING: Final = 4
+OFF: Final = 5
+
 
 @final
 class ErrorJournal:
@@ -111,25 +140,6 @@ def state_message(confinement: Confinement) -> bytes:
         controller |= _RX[rx]
     counters = (confinement.tec, confinement.rec)
     return told.pack_error(told.CONTROLLER, controller=controller, counters=counters)
-
-
-FLAG_BITS: Final = 6
-DELIMITER_BITS: Final = 8
-INTERMISSION_BITS: Final = 3
-_TOLERATED_BITS: Final = 8  # dominant bits after a flag: rule f
-
-# results of a bit
-BUSY: Final = 0
-FREE: Final = 1  # the intermission is over
-STARTED: Final = 2  # the intermission ended with a start of frame
-GONE: Final = 3  # the node is bus-off
-
-_ACTIVE_FLAG: Final = 0
-_PASSIVE_FLAG: Final = 1
-_OVERLOAD_FLAG: Final = 2
-_AFTER_FLAG: Final = 3  # its own flag is sent; it waits for a recessive bit
-_DELIMITER: Final = 4
-_INTERMISSION: Final = 5
 
 
 @final
@@ -296,18 +306,6 @@ class CanSignalling:
         if level == DOMINANT:
             self.overload(told.INTERMISSION)
         return BUSY
-
-
-SUSPEND_BITS: Final = 8
-INTEGRATION_BITS: Final = 11  # recessive bits after which a node that comes back takes part
-
-# phases
-IDLE: Final = 0
-SENDING: Final = 1
-RECEIVING: Final = 2
-SIGNALLING: Final = 3
-INTEGRATING: Final = 4
-OFF: Final = 5
 
 
 @final

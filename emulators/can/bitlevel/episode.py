@@ -49,6 +49,8 @@ from motorhil.emulators.can.frame import BRS, FD_FRAME_BYTES
 
 ALL_PORTS: Final = -1  # as a mask of 1 << port
 
+ALL_BITS: Final = 1 << 62
+
 
 class Effect(Enum):
     """The effect of a disturbance on a level."""
@@ -364,7 +366,6 @@ class EventKind(Enum):
     STATE = NOTE_STATE  # its error state changed; the frame is an error message
 
 
-ALL_BITS: Final = 1 << 62
 _KINDS: Final = tuple(EventKind)  # by value; the values count from 0
 
 

@@ -40,6 +40,22 @@ UNSET: Final = -1
 _NODE_IDS: Final = (*range(1, 128), 255)
 _BIT_TIMING_MAX: Final = 9  # CiA 305's table 0
 
+SAVE: Final = 0x6576_6173  # "save", little-endian
+LOAD: Final = 0x6461_6F6C  # "load"
+ON_COMMAND: Final = 1  # value of 1010h and 1011h: stored (restored) on command
+
+_ALL: Final = (0x1000, 0xFFFF)
+_RANGES: Final = (_ALL, (0x1000, 0x1FFF), (0x6000, 0x9FFF))  # of sub-indices 1 to 3
+_MANUFACTURER: Final = (0x2000, 0x5FFF)
+_LAST: Final = 0x7F
+
+# Errors, commands, set-points of CiA 402, outputs of CiA 401, counters' presets.
+_NO_PARAMETERS: Final = (
+    *(0x1001, 0x1003, 0x1010, 0x1011),
+    *(0x6040, 0x6042, 0x6071, 0x607A, 0x60B0, 0x60B1, 0x60B2, 0x60C1, 0x60FE, 0x60FF),
+    *(0x6200, 0x6411, 0x6810),
+)
+
 
 @final
 class StoredParameters:
@@ -120,23 +136,6 @@ class StoredParameters:
         else:
             index, _, subindex = key.partition(":")
             self.values[int(index, 16) << 8 | int(subindex, 16)] = bytes.fromhex(value)
-
-
-SAVE: Final = 0x6576_6173  # "save", little-endian
-LOAD: Final = 0x6461_6F6C  # "load"
-ON_COMMAND: Final = 1  # value of 1010h and 1011h: stored (restored) on command
-
-_ALL: Final = (0x1000, 0xFFFF)
-_RANGES: Final = (_ALL, (0x1000, 0x1FFF), (0x6000, 0x9FFF))  # of sub-indices 1 to 3
-_MANUFACTURER: Final = (0x2000, 0x5FFF)
-_LAST: Final = 0x7F
-
-# Errors, commands, set-points of CiA 402, outputs of CiA 401, counters' presets.
-_NO_PARAMETERS: Final = (
-    *(0x1001, 0x1003, 0x1010, 0x1011),
-    *(0x6040, 0x6042, 0x6071, 0x607A, 0x60B0, 0x60B1, 0x60B2, 0x60C1, 0x60FE, 0x60FF),
-    *(0x6200, 0x6411, 0x6810),
-)
 
 
 @final

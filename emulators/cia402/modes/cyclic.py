@@ -38,6 +38,8 @@ _TARGET_POSITION: Final = int(_C.TARGET_POSITION)
 _VELOCITY_DEMAND: Final = int(_C.TARGET_VELOCITY | _C.OFFSETS)
 _TORQUE_DEMAND: Final = int(_C.TORQUE | _C.OFFSETS | _C.FACTORS | _C.MOTION_LIMITS)
 
+NEAREST: Final = 3  # direction: a target is never half a range away from one cycle to the next
+
 
 class CyclicMode(Mode):
     """A cyclic mode; statusword bit 12: drive follows the command value; bit 10 is reserved."""
@@ -122,9 +124,6 @@ class CyclicMode(Mode):
         if ticks > 0:
             self._last_target_ns = now_ns
             self._period_ns = min(PERIOD_MAX_NS, ticks * tick_ns)
-
-
-NEAREST: Final = 3  # direction: a target is never half a range away from one cycle to the next
 
 
 @final

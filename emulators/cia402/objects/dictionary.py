@@ -39,6 +39,12 @@ _TARGETS: Final = (
     ("cst", 0x6071),
 )
 
+_D = DataType
+_CONTROLWORD: Final = int(ObjectChange.CONTROLWORD)
+_GAINS: Final = int(ObjectChange.GAINS)
+_MODE: Final = int(ObjectChange.MODE)
+POLARITIES: Final = frozenset((0, VELOCITY_POLARITY, POSITION_POLARITY, 0xC0))  # 607Eh
+
 
 def modes_with_target(od: ObjectDictionary) -> int:
     """Return the emulated modes whose target object exists, for an EDS without a 6502h."""
@@ -57,13 +63,6 @@ def honest_modes(stated: int, names: Sequence[str] | None) -> int:
         for name in names:
             wanted |= 1 << (EMULATED_MODES[name] - 1)
     return (stated & ~_STANDARD) | (wanted & _EMULATED)
-
-
-_D = DataType
-_CONTROLWORD: Final = int(ObjectChange.CONTROLWORD)
-_GAINS: Final = int(ObjectChange.GAINS)
-_MODE: Final = int(ObjectChange.MODE)
-POLARITIES: Final = frozenset((0, VELOCITY_POLARITY, POSITION_POLARITY, 0xC0))  # 607Eh
 
 
 @final

@@ -30,6 +30,32 @@ _IP_DATA: Final = int(ObjectChange.IP_DATA)
 _LINEAR: Final = frozenset((0,))
 _D = DataType
 
+_LEFT: Final = -1
+_RIGHT: Final = 1
+_ON: Final = True
+_OFF: Final = False
+
+# Methods 1 to 14; 17 to 30 are the same without the index pulse.
+_BY_EDGE: Final = (
+    (NEGATIVE_LIMIT, _RIGHT, _ON, _LEFT, False),  # 1, 17
+    (POSITIVE_LIMIT, _LEFT, _ON, _RIGHT, False),  # 2, 18
+    (HOME_SWITCH, _LEFT, _ON, _RIGHT, False),  # 3, 19: positive home switch
+    (HOME_SWITCH, _RIGHT, _OFF, _RIGHT, False),  # 4, 20
+    (HOME_SWITCH, _RIGHT, _ON, _LEFT, False),  # 5, 21: negative home switch
+    (HOME_SWITCH, _LEFT, _OFF, _LEFT, False),  # 6, 22
+    (HOME_SWITCH, _LEFT, _ON, _RIGHT, True),  # 7, 23: left edge, from inside
+    (HOME_SWITCH, _RIGHT, _OFF, _RIGHT, True),  # 8, 24: left edge, from outside
+    (HOME_SWITCH, _LEFT, _OFF, _RIGHT, True),  # 9, 25: right edge, from outside
+    (HOME_SWITCH, _RIGHT, _ON, _RIGHT, True),  # 10, 26: right edge, from inside
+    (HOME_SWITCH, _RIGHT, _ON, _LEFT, True),  # 11, 27: the same four, starting to the left
+    (HOME_SWITCH, _LEFT, _OFF, _LEFT, True),  # 12, 28
+    (HOME_SWITCH, _RIGHT, _OFF, _LEFT, True),  # 13, 29
+    (HOME_SWITCH, _LEFT, _ON, _LEFT, True),  # 14, 30
+)
+
+_SWITCH_PART: Final = 4  # default 6099h:1 is 6081h divided by this
+_ZERO_PART: Final = 40  # default 6099h:2 is 6081h divided by this
+
 
 @final
 class IpObjects:
@@ -103,12 +129,6 @@ class IpObjects:
         return len(self._records)
 
 
-_LEFT: Final = -1
-_RIGHT: Final = 1
-_ON: Final = True
-_OFF: Final = False
-
-
 @final
 class HomingMethod:
     """One row of the table.
@@ -133,25 +153,6 @@ class HomingMethod:
         self.index = index
 
 
-# Methods 1 to 14; 17 to 30 are the same without the index pulse.
-_BY_EDGE: Final = (
-    (NEGATIVE_LIMIT, _RIGHT, _ON, _LEFT, False),  # 1, 17
-    (POSITIVE_LIMIT, _LEFT, _ON, _RIGHT, False),  # 2, 18
-    (HOME_SWITCH, _LEFT, _ON, _RIGHT, False),  # 3, 19: positive home switch
-    (HOME_SWITCH, _RIGHT, _OFF, _RIGHT, False),  # 4, 20
-    (HOME_SWITCH, _RIGHT, _ON, _LEFT, False),  # 5, 21: negative home switch
-    (HOME_SWITCH, _LEFT, _OFF, _LEFT, False),  # 6, 22
-    (HOME_SWITCH, _LEFT, _ON, _RIGHT, True),  # 7, 23: left edge, from inside
-    (HOME_SWITCH, _RIGHT, _OFF, _RIGHT, True),  # 8, 24: left edge, from outside
-    (HOME_SWITCH, _LEFT, _OFF, _RIGHT, True),  # 9, 25: right edge, from outside
-    (HOME_SWITCH, _RIGHT, _ON, _RIGHT, True),  # 10, 26: right edge, from inside
-    (HOME_SWITCH, _RIGHT, _ON, _LEFT, True),  # 11, 27: the same four, starting to the left
-    (HOME_SWITCH, _LEFT, _OFF, _LEFT, True),  # 12, 28
-    (HOME_SWITCH, _RIGHT, _OFF, _LEFT, True),  # 13, 29
-    (HOME_SWITCH, _LEFT, _ON, _LEFT, True),  # 14, 30
-)
-
-
 def _table() -> dict[int, HomingMethod]:
     table: dict[int, HomingMethod] = {}
     for first, index in ((1, True), (17, False)):
@@ -165,10 +166,6 @@ def _table() -> dict[int, HomingMethod]:
 
 
 HOMING_METHODS: Final[dict[int, HomingMethod]] = _table()
-
-
-_SWITCH_PART: Final = 4  # default 6099h:1 is 6081h divided by this
-_ZERO_PART: Final = 40  # default 6099h:2 is 6081h divided by this
 
 
 @final

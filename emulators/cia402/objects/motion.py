@@ -34,6 +34,26 @@ _TARGET_VELOCITY: Final = int(ObjectChange.TARGET_VELOCITY)
 _POSITIONING: Final = frozenset(origin | way << 6 for origin in range(3) for way in range(4))
 _D = DataType
 
+NO_WINDOW: Final = 0xFFFF_FFFF
+
+# Common to 605Ah, 605Dh and 605Eh; 605Ah has 5 to 8 for the same reactions, and then stays.
+COAST: Final = 0
+SLOW_DOWN_RAMP: Final = 1
+QUICK_STOP_RAMP: Final = 2
+CURRENT_LIMIT: Final = 3
+VOLTAGE_LIMIT: Final = 4
+STAYS: Final = 5  # from here on, 605Ah stays in QUICK STOP ACTIVE
+
+# Values that have an effect, and can therefore be written.
+_ALLOWED: Final = {
+    0x6007: frozenset(range(4)),
+    0x605A: frozenset(range(9)),
+    0x605B: frozenset(range(2)),
+    0x605C: frozenset(range(2)),
+    0x605D: frozenset(range(1, 5)),
+    0x605E: frozenset(range(5)),
+}
+
 
 @final
 class MotionObjects:
@@ -227,9 +247,6 @@ class MotionObjects:
         return OK
 
 
-NO_WINDOW: Final = 0xFFFF_FFFF
-
-
 @final
 class WindowObjects:
     """6065h to 6068h, 606Dh to 6070h."""
@@ -266,25 +283,6 @@ class WindowObjects:
             self._velocity_threshold.integer() * units.velocity_unit_inc_s,
             self._velocity_threshold_ms.integer() * MS,
         )
-
-
-# Common to 605Ah, 605Dh and 605Eh; 605Ah has 5 to 8 for the same reactions, and then stays.
-COAST: Final = 0
-SLOW_DOWN_RAMP: Final = 1
-QUICK_STOP_RAMP: Final = 2
-CURRENT_LIMIT: Final = 3
-VOLTAGE_LIMIT: Final = 4
-STAYS: Final = 5  # from here on, 605Ah stays in QUICK STOP ACTIVE
-
-# Values that have an effect, and can therefore be written.
-_ALLOWED: Final = {
-    0x6007: frozenset(range(4)),
-    0x605A: frozenset(range(9)),
-    0x605B: frozenset(range(2)),
-    0x605C: frozenset(range(2)),
-    0x605D: frozenset(range(1, 5)),
-    0x605E: frozenset(range(5)),
-}
 
 
 @final

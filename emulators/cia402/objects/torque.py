@@ -38,6 +38,21 @@ SLOPE_DEFAULT: Final = 100_000  # 1/1000 of the rated torque per second: the ful
 _UNSIGNED16_MAX: Final = 0xFFFF
 _D = DataType
 
+OUR_VENDOR: Final = 0x0000_0000
+OUR_PRODUCT: Final = 0x0000_0402
+
+# Index, sub-index and unit of each ServoGains attribute, in the order of the attributes.
+_PLACES: Final = (
+    (0x60FB, 1, 1e-3),
+    (0x60F9, 1, 1e-9),
+    (0x60F9, 2, 1e-9),
+    (0x60F6, 1, 1e-6),
+    (0x60F6, 2, 1e-3),
+    (0x60FB, 2, 1e-3),
+    (0x60FB, 3, 1e-12),
+)
+_UNSIGNED32_MAX: Final = 0xFFFF_FFFF
+
 
 @final
 class TorqueObjects:
@@ -115,22 +130,6 @@ class TorqueObjects:
 
     def _per_permille_a(self) -> float:
         return self._torque_unit_mn_m() * 1e-6 / self._torque_n_m_a
-
-
-OUR_VENDOR: Final = 0x0000_0000
-OUR_PRODUCT: Final = 0x0000_0402
-
-# Index, sub-index and unit of each ServoGains attribute, in the order of the attributes.
-_PLACES: Final = (
-    (0x60FB, 1, 1e-3),
-    (0x60F9, 1, 1e-9),
-    (0x60F9, 2, 1e-9),
-    (0x60F6, 1, 1e-6),
-    (0x60F6, 2, 1e-3),
-    (0x60FB, 2, 1e-3),
-    (0x60FB, 3, 1e-12),
-)
-_UNSIGNED32_MAX: Final = 0xFFFF_FFFF
 
 
 @final
@@ -220,9 +219,6 @@ class ControlParameters:
         )
 
 
-_OFFSET_DATA: Final = DataType
-
-
 @final
 class OffsetObjects:
     """60B0h, 60B1h and 60B2h (CiA 402-2, cyclic synchronous modes)."""
@@ -230,9 +226,9 @@ class OffsetObjects:
     def __init__(self, od: ObjectDictionary, factors: FactorGroup, torque: TorqueObjects) -> None:
         self._factors = factors
         self._torque = torque
-        self._position = od.ensure(0x60B0, 0, _OFFSET_DATA.INTEGER32, 0)
-        self._velocity = od.ensure(0x60B1, 0, _OFFSET_DATA.INTEGER32, 0)
-        self._torque_offset = od.ensure(0x60B2, 0, _OFFSET_DATA.INTEGER16, 0)
+        self._position = od.ensure(0x60B0, 0, _D.INTEGER32, 0)
+        self._velocity = od.ensure(0x60B1, 0, _D.INTEGER32, 0)
+        self._torque_offset = od.ensure(0x60B2, 0, _D.INTEGER16, 0)
 
     def are_set(self) -> bool:
         """Return True if any offset is not 0."""

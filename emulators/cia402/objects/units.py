@@ -38,6 +38,9 @@ _SI_TURNS: Final[dict[int, Fraction]] = {
 }
 _SI_SECONDS: Final[dict[int, int]] = {0x00: 1, 0x03: 1, 0x47: 60}
 
+_UNSIGNED32_MAX: Final = 0xFFFF_FFFF
+_GEAR_DIVISOR_MAX: Final = 10_000
+
 
 @final
 @dataclass(frozen=True, slots=True)
@@ -218,10 +221,6 @@ def _rate_unit(
 def _power_of_ten(si: int) -> Fraction:
     exponent = (si >> 24 & 0xFF ^ 0x80) - 0x80
     return Fraction(10) ** exponent
-
-
-_UNSIGNED32_MAX: Final = 0xFFFF_FFFF
-_GEAR_DIVISOR_MAX: Final = 10_000
 
 
 def fill_factors(od: ObjectDictionary, plant: MotorPlant) -> None:
