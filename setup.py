@@ -35,7 +35,7 @@ COMPILED = (
     "harness/rig/recording.py",
     "traces/schema.py",
     "traces/mcap/chunk.py",
-    "traces/mcap/protobuf.py",
+    "traces/protobuf.py",
     "motorapi/runtime/api.py",
     "motorapi/adaptations/canopen/bus.py",
     "motorapi/adaptations/cia402/csp.py",

@@ -9,7 +9,6 @@ from motorhil.motorapi.commands import (
     ControlMode,
     ControlVariable,
     DerivativeLimits,
-    Motion,
     Range,
     Setpoint,
 )
@@ -27,29 +26,29 @@ from motorhil.motorapi.errors import (
     PeerError,
     PluginError,
     StateError,
-    SynchronizationError,
     UnsupportedError,
     UsageError,
 )
 from motorhil.motorapi.generation import Trapezoid
 from motorhil.motorapi.group import MotorGroup
 from motorhil.motorapi.model import MotionKind, MotorModel
+from motorhil.motorapi.motion import Motion
 from motorhil.motorapi.motor import Ending, Motor, Outcome, Progress
 from motorhil.motorapi.ownership.claim import LockAction, OwnershipEvent
 from motorhil.motorapi.ownership.reservation import Reservation
-from motorhil.motorapi.runtime.api import Runtime, runtime_of
-from motorhil.motorapi.runtime.wall import WallRuntime
+from motorhil.motorapi.runtime.api import Runtime
+from motorhil.motorapi.runtime.wall import WallRuntime, runtime_of
 from motorhil.motorapi.state import Fault, Measurement, MotorState
+from motorhil.motorapi.synchronization.offer import SyncOffer, Trigger
 from motorhil.motorapi.synchronization.quality import (
     FaultReaction,
     MotionTimes,
     PathDeviation,
     SyncCapability,
     Synchronization,
+    SynchronizationError,
     SyncLevel,
-    SyncOffer,
     SyncQuality,
-    Trigger,
 )
 from motorhil.motorapi.trajectory import (
     Argument,

@@ -1,21 +1,16 @@
-"""Motor commands: control mode, control variable, limits, and the resolved motion.
+"""Motor commands: control mode, control variable, limits and set-points.
 
 Source: the CLARAty motor interface (Pivtoraiko, Nesnas, Nayar), 3.3 and Figure 4. U is the unit of
 position of the motor: rad for a rotary motor, m for a linear one.
 """
 
-from dataclasses import dataclass
+from dataclasses import MISSING, dataclass, fields
 from enum import Enum
-from math import inf, isfinite, isnan, nan
+from math import inf, isnan, nan
 from numbers import Real
-from typing import TYPE_CHECKING, TypeGuard, final
+from typing import Any, TypeGuard, final
 
 from motorhil.motorapi.errors import UsageError
-from motorhil.motorapi.reprs import given
-
-if TYPE_CHECKING:
-    from motorhil.motorapi.functions.base import Function
-    from motorhil.motorapi.trajectory import Argument, Trajectory
 
 Range = tuple[float, float]
 """(lowest, highest) allowed value; -inf or inf for a side without a limit."""
@@ -116,6 +111,17 @@ def as_number(value: object) -> float:
         return inf if abs(value) == value else -inf
 
 
+def given(value: Any) -> str:
+    """Return the call that creates this dataclass, without default arguments."""
+    arguments = []
+    for field in fields(value):
+        held = getattr(value, field.name)
+        if field.default is MISSING or held != field.default:
+            shown = f"{type(held).__name__}.{held.name}" if isinstance(held, Enum) else repr(held)
+            arguments.append(f"{field.name}={shown}")
+    return f"{type(value).__name__}({', '.join(arguments)})"
+
+
 @final
 @dataclass(frozen=True, slots=True, repr=False)
 class Setpoint:
@@ -127,66 +133,3 @@ class Setpoint:
 
     def __repr__(self) -> str:
         return given(self)
-
-
-@final
-@dataclass(frozen=True, slots=True, repr=False)
-class Motion:
-    """One resolved command for an adaptation: absolute, signed, SI units, within the limits.
-
-    The hooks receive it. For position, `start` is the reference position that the motor holds now
-    and `target` the absolute position at the end; `velocity`, `acceleration` and `deceleration` are
-    magnitudes > 0 that the motion must not exceed. For velocity, `target` is the velocity;
-    acceleration applies while its magnitude grows and deceleration while it shrinks. A velocity
-    trajectory goes from `start` to `target` at a constant rate, and both fields hold this rate. For
-    torque and current, `slope` is the steepest change [N·m/s or A/s]. For set-points of position
-    and velocity, `slope` is the tighter side of the requested range (inf: no request).
-
-    A trajectory is prescribed at every instant: by the numbers above, or by `function` if there is
-    one. `demand_of` returns either as one object to be sampled.
-    """
-
-    mode: ControlMode
-    variable: ControlVariable
-    start: float
-    target: float
-    velocity: float
-    acceleration: float
-    deceleration: float
-    slope: float = inf
-    duration_s: float | None = None
-    """The duration of a trajectory [s]; None for set-points and for arguments other than time."""
-    trajectory: "Trajectory | None" = None
-    """The requested trajectory, or None for a set-point."""
-    function: "Function | None" = None
-    """The profile, if not in closed form: to be followed from `interval[0]` to `interval[1]`."""
-    offset: float = 0.0
-    """The offset added to the values of the function."""
-    interval: Range = (0.0, 0.0)
-    """(initial, final) argument of the function."""
-    argument: "Argument | None" = None
-    """The argument of the function; None: time, from `interval[0]` at the start [s]."""
-    stop_deceleration: float | None = None
-    """The deceleration of a stop during the motion [U/s²]; None: `deceleration`."""
-
-    def __repr__(self) -> str:
-        text = f"<Motion {self.mode.value} of {self.variable.value}"
-        if self.function is not None:
-            over = "time" if self.argument is None else f"the {self.argument.name}"
-            low, high = self.interval
-            return f"{text}: {self.function!r} of {over} from {low:g} to {high:g}>"
-        text += f": {self.start:g} to {self.target:g}"
-        if self.duration_s is not None:
-            text += f" in {self.duration_s:g} s"
-        if self.variable is ControlVariable.POSITION:
-            text += f", velocity up to {self.velocity:g}"
-        if self.variable in (ControlVariable.POSITION, ControlVariable.VELOCITY):
-            text += f", acceleration {self.acceleration:g}, deceleration {self.deceleration:g}"
-        elif isfinite(self.slope):
-            text += f", {self.slope:g} per s"
-        return f"{text}>"
-
-    @property
-    def distance(self) -> float:
-        """The signed change from start to target: for position [U], else in the variable's unit."""
-        return self.target - self.start

@@ -23,10 +23,7 @@ unit and motor. All errors can be pickled. Adaptations add subclasses of `PeerEr
 # ruff: noqa: N818 -- the names are the design's, and say what happened, not that it is an error
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, final
-
-if TYPE_CHECKING:
-    from motorhil.motorapi.synchronization.quality import SyncCapability
+from typing import final
 
 
 class MotorError(Exception):
@@ -130,20 +127,6 @@ class UnsupportedError(UsageError):
         self.supported = supported
         tail = f"; it supports {supported}" if supported else ""
         super().__init__(f"{motor} does not support {feature}{tail}")
-
-
-@final
-class SynchronizationError(UsageError):
-    """A group that cannot begin as closely together as its start requested.
-
-    Attributes: capability (`SyncCapability`: what is possible, and the reason), asked (the request,
-    in words).
-    """
-
-    def __init__(self, *, capability: "SyncCapability", asked: str, found: str) -> None:
-        self.capability = capability
-        self.asked = asked
-        super().__init__(f"start refused: {asked} was requested, {found}")
 
 
 @final

@@ -14,7 +14,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, final
 
-from motorhil.motorapi.commands import ControlMode, ControlVariable, Motion, Setpoint, as_number
+from motorhil.motorapi.commands import ControlMode, ControlVariable, Setpoint, as_number
 from motorhil.motorapi.errors import (
     DeadlineExceeded,
     DeviceFault,
@@ -25,6 +25,7 @@ from motorhil.motorapi.errors import (
     StateError,
     UsageError,
 )
+from motorhil.motorapi.motion import Motion
 from motorhil.motorapi.ownership.claim import use_leases
 from motorhil.motorapi.ownership.physical_motor import ActiveMotion, RunStatus
 from motorhil.motorapi.ownership.queue import FifoQueue, trigger_turns
@@ -32,7 +33,8 @@ from motorhil.motorapi.planning import single_axis as planning
 from motorhil.motorapi.planning.groups import TIME, Common, synchronised
 from motorhil.motorapi.runtime.api import Awaited, Waiting, wait_until
 from motorhil.motorapi.state import Fault, MotorState
-from motorhil.motorapi.synchronization.quality import SyncLevel, Trigger
+from motorhil.motorapi.synchronization.offer import Trigger
+from motorhil.motorapi.synchronization.quality import SyncLevel
 from motorhil.motorapi.trajectory import Argument, ComplexTrajectory, MotorPosition, Trajectory
 
 if TYPE_CHECKING:

@@ -36,14 +36,16 @@ brought to rest by `_stop`, `_refresh` and `_is_done` before its next owner comm
 from abc import ABC, abstractmethod
 from typing import final
 
-from motorhil.motorapi.commands import ControlMode, ControlVariable, Motion, Setpoint
+from motorhil.motorapi.commands import ControlMode, ControlVariable, Setpoint
 from motorhil.motorapi.device import Device
 from motorhil.motorapi.errors import UnsupportedError
 from motorhil.motorapi.model import MotorModel
+from motorhil.motorapi.motion import Motion
 from motorhil.motorapi.ownership.physical_motor import PhysicalMotor
 from motorhil.motorapi.runtime.api import Runtime
 from motorhil.motorapi.state import Fault, Measurement, MotorState
-from motorhil.motorapi.synchronization.quality import MotionTimes, SyncOffer, Trigger
+from motorhil.motorapi.synchronization.offer import SyncOffer, Trigger
+from motorhil.motorapi.synchronization.quality import MotionTimes
 from motorhil.motorapi.trajectory import ComplexTrajectory, Trajectory
 
 

@@ -35,9 +35,8 @@ from math import isfinite, tau
 from pathlib import Path
 from typing import Final, Self, final
 
-from motorhil.motorapi.commands import ControlVariable, as_number
+from motorhil.motorapi.commands import ControlVariable, as_number, given
 from motorhil.motorapi.errors import FileError, UsageError
-from motorhil.motorapi.reprs import given
 
 
 @final

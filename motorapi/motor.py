@@ -73,7 +73,6 @@ from motorhil.motorapi.commands import (
     ControlMode,
     ControlVariable,
     DerivativeLimits,
-    Motion,
     Setpoint,
     as_number,
 )
@@ -95,6 +94,7 @@ from motorhil.motorapi.execution import (
     wait_for_all,
 )
 from motorhil.motorapi.hooks import MotorHooks
+from motorhil.motorapi.motion import Motion
 from motorhil.motorapi.ownership.claim import AcquirePolicy
 from motorhil.motorapi.ownership.ownership import Ownership
 from motorhil.motorapi.ownership.physical_motor import ActiveMotion, RunStatus

@@ -29,7 +29,9 @@ from itertools import pairwise
 from math import floor, log10, sqrt
 from typing import Final, final
 
-from motorhil.harness.analysis.message import FD_LENGTHS, Arrival, Bits, Message
+from motorhil.motorapi.synchronization.bus_load import FD_LENGTHS
+from motorhil.motorapi.synchronization.can_frame_length import Bits
+from motorhil.motorapi.synchronization.can_response_time import Arrival, Message
 
 SAMPLES_MIN: Final = 10
 _REGULAR_SHARE: Final = 0.9

@@ -8,8 +8,8 @@ from math import log10
 from typing import Final
 from xml.sax.saxutils import escape
 
-from motorhil.harness.analysis.response_time import Response
 from motorhil.harness.analysis.subject import Findings
+from motorhil.motorapi.synchronization.can_response_time import Response
 
 _WIDTH: Final = 900
 _NAMES: Final = 260

@@ -3,19 +3,16 @@
 `channel` is the name of a bus of the rig that is open in this process ("can0"). Alternatively it is
 the path of the socket that `motorhil serve --socket` created. A program written for python-can
 needs no other change. In a rig of this process, `recv` and `send_periodic` use the rig's time; over
-a socket they use wall time.
+a socket they use wall time. The bus passes every frame to the program's receive queue.
 
 CAN FD works as with SocketCAN: a connection opened without `fd=True` neither sends nor receives CAN
 FD frames. The bus must be an FD bus (`data_bitrate_bit_s`).
 
 Errors seen by the program's own CAN controller arrive as error frames, as from SocketCAN.
-`can_filters` do not apply to them. `ignore_rx_error_frames=True` suppresses them.
-
-CAN controller states of python-can, derived from error messages.
-
-python-can has three: ACTIVE (error active, including the warning level), PASSIVE (error passive)
-and ERROR (bus-off). Its own SocketCAN interface never queries the controller and always reports
-ACTIVE.
+`can_filters` do not apply to them. `ignore_rx_error_frames=True` suppresses them. `state` is
+derived from them: ACTIVE (error active, including the warning level), PASSIVE (error passive) or
+ERROR (bus-off). python-can's own SocketCAN interface never queries the controller and always
+reports ACTIVE.
 
 Source: Linux include/uapi/linux/can/error.h; python-can 4.6.1, can/bus.py and interfaces.
 """

@@ -19,7 +19,7 @@ from contextlib import suppress
 from typing import Final, final
 
 from motorhil.harness.recording.sources import BusDownError, BusEndedError, Place, PlaceError
-from motorhil.traces.mcap.writer import Entry
+from motorhil.traces.mcap.chunk import Entry
 
 FRAME_SIZES: Final = (16, 72)
 BATCH: Final = 256

@@ -27,7 +27,7 @@ from motorhil.traces.formats.frames import (
     flexible,
     remote,
 )
-from motorhil.traces.mcap.writer import Entry
+from motorhil.traces.mcap.chunk import Entry
 
 _NAME: Final = re.compile(r"[\w.-]+")
 _INTERFACE_MAX: Final = 15  # IFNAMSIZ of linux/if.h, without the terminating zero

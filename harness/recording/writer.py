@@ -16,7 +16,8 @@ from operator import itemgetter
 from typing import Final, Protocol, final
 
 from motorhil.traces.errors import TraceError
-from motorhil.traces.mcap.writer import Entry, TraceWriter
+from motorhil.traces.mcap.chunk import Entry
+from motorhil.traces.mcap.writer import TraceWriter
 from motorhil.traces.schema import CAN_FRAME, LOG, Direction, Level, Schema, encode_log
 
 FLUSH_NS: Final = 1_000_000_000

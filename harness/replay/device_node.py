@@ -43,7 +43,7 @@ from motorhil.emulators.settings.tables import refuse_unknown, whole
 from motorhil.harness.replay.player import ExchangePlayer
 from motorhil.harness.rig.config.buses import BUS_KINDS, NODE_MAX, UNIT_MAX
 from motorhil.traces.decoding.canopen import CanopenDecoder
-from motorhil.traces.decoding.modbus import Adu, ModbusDecoder
+from motorhil.traces.decoding.modbus import ModbusDecoder
 from motorhil.traces.errors import TraceError
 from motorhil.traces.exchange.canopen import (
     SYNC_KEY,
@@ -59,6 +59,7 @@ from motorhil.traces.exchange.modbus import request_key, role_of
 from motorhil.traces.exchange.recording import RecordedTapes, tapes_of
 from motorhil.traces.exchange.steps import ExchangeLog, Key, Role, Sent, Step
 from motorhil.traces.formats.frames import EFF, ERR, RTR, classic
+from motorhil.traces.formats.modbus import Adu
 from motorhil.traces.mcap.reader import read_trace
 
 

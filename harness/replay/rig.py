@@ -18,7 +18,7 @@ from motorhil.harness.rig.config.buses import CAN, MODBUS_RTU, MODBUS_TCP, UNIT_
 from motorhil.harness.rig.config.rig_file import Known, parse_rig, read_rig
 from motorhil.harness.rig.config.toml import RigError, Source
 from motorhil.harness.rig.recording import named_files
-from motorhil.traces.decoding.objects import rig_in as rig_of
+from motorhil.traces.decoding.attached_rig import rig_in as rig_of
 from motorhil.traces.errors import TraceError
 from motorhil.traces.exchange.recording import RecordedTapes
 from motorhil.traces.mcap.reader import read_trace

@@ -19,17 +19,18 @@ from typing import Final, final
 from motorhil.harness.analysis.from_recording import RecordedBus
 from motorhil.harness.analysis.plot import usual_name
 from motorhil.harness.analysis.subject import Queues, Subject
-from motorhil.harness.report.events import Incidents, Severity
+from motorhil.harness.report.incidents import Incidents, Severity
 from motorhil.harness.report.series import Steps, Track
+from motorhil.traces.decoding.attached_rig import RecordedNames
 from motorhil.traces.decoding.can_errors import ControllerState, bus_error
 from motorhil.traces.decoding.canopen import NMT_STATES, CanopenDecoder
 from motorhil.traces.decoding.cia402 import STATES, state_number
 from motorhil.traces.decoding.events import DecodedEvent, Kind
-from motorhil.traces.decoding.modbus import ModbusDecoder, adu_of
-from motorhil.traces.decoding.objects import RecordedNames, axis_of
-from motorhil.traces.formats.frames import FrameDecoder
-from motorhil.traces.mcap.protobuf import Value
-from motorhil.traces.schema import Direction
+from motorhil.traces.decoding.modbus import ModbusDecoder
+from motorhil.traces.decoding.objects import axis_of
+from motorhil.traces.formats.modbus import Malformed, recorded_adu
+from motorhil.traces.protobuf import Value
+from motorhil.traces.schema import Direction, FrameDecoder
 
 
 @final
@@ -134,17 +135,16 @@ class ModbusLine:
         assert isinstance(start_ns, int)
         assert isinstance(end_ns, int)
         tcp = bool(fields.get("tcp"))
-        adu, problem = adu_of(time_ns, data, tcp=tcp, to_server=to_server)
-        if fields.get("spoiled"):
-            adu, problem = None, "corrupted on the line"
+        adu = recorded_adu(fields, time_ns)
+        is_broken = isinstance(adu, Malformed)
         is_busy = self.traffic.unit == "ns" and end_ns > start_ns
         weight = end_ns - start_ns if is_busy else 8 * len(data)
         if self.traffic.unit == "ns" and not is_busy:
             weight = 0
         ended_ns = end_ns - begin_ns if is_busy else time_ns
-        self.traffic.add(ended_ns, self._label(data, tcp, to_server, adu is None), weight)
-        if adu is None:
-            text = f"no ADU ({problem}): {data.hex(' ').upper()}"
+        self.traffic.add(ended_ns, self._label(data, tcp, to_server, is_broken), weight)
+        if isinstance(adu, Malformed):
+            text = f"no ADU ({adu.problem}): {data.hex(' ').upper()}"
             self._incidents.add(time_ns, Severity.WARNING, "no Modbus ADU", self._name, text)
             return
         sender = str(fields.get("sender", ""))

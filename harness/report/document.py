@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Final
 
 from motorhil.harness.report.buses import Traffic
 from motorhil.harness.report.collect import Findings
-from motorhil.harness.report.events import Severity
+from motorhil.harness.report.incidents import Severity
 from motorhil.harness.report.motors import Line, Motor, Plot, motors_of
 from motorhil.harness.report.series import (
     FRAMES_MAX,

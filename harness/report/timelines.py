@@ -12,15 +12,14 @@ from dataclasses import dataclass, field
 from typing import Final, final
 
 from motorhil.harness.analysis.measured import Measured
-from motorhil.harness.analysis.message import Arrival
-from motorhil.harness.analysis.response_time import Response, response_times
-from motorhil.harness.recording.ownership import Ended, LockEvent, ownership_of
 from motorhil.harness.report.buses import nmt_text
 from motorhil.harness.report.collect import Findings
 from motorhil.harness.report.motors import Motor
 from motorhil.harness.report.series import Steps
+from motorhil.motorapi.synchronization.can_response_time import Arrival, Response, response_times
 from motorhil.traces.decoding.cia402 import STATES, UNKNOWN_STATE, mode_text
 from motorhil.traces.schema import LockAction
+from motorhil.traces.semantics.ownership import Ended, LockEvent, ownership_of
 
 BARS_MAX: Final = 20_000
 """Limit for one row; the remaining bars are counted as left out."""

@@ -22,7 +22,14 @@ import numpy as np
 
 from motorhil.motorapi.commands import as_number
 from motorhil.motorapi.errors import DomainError, UsageError
-from motorhil.motorapi.functions.base import LARGEST, Extrema, FloatArray, Function, overlap
+from motorhil.motorapi.functions.base import (
+    LARGEST,
+    Extrema,
+    FloatArray,
+    Function,
+    operations,
+    overlap,
+)
 from motorhil.motorapi.functions.integrals import Integral, anchored
 from motorhil.motorapi.functions.numerics import extrema
 from motorhil.motorapi.functions.piecewise import Piecewise
@@ -457,3 +464,14 @@ def _piece(function: Function, low: float, high: float) -> Polynomial:
         ((function, _, _),) = _piecewise(function).within(low, high)
         assert isinstance(function, Polynomial)
     return function.moved_to(low) if low > -inf and function.degree else function
+
+
+def _amplified(function: Function, number: float) -> Product:
+    return Product(Constant(number), function)
+
+
+operations.amplify = _amplified
+operations.as_function = as_function
+operations.add = add
+operations.multiply = multiply
+operations.compose = compose

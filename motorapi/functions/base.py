@@ -31,16 +31,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import inf
 from sys import float_info
-from typing import TYPE_CHECKING, Final, NoReturn, TypeAlias, final, overload
+from typing import Final, NoReturn, TypeAlias, final, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from motorhil.motorapi.commands import as_number
 from motorhil.motorapi.errors import DomainError, UsageError
-
-if TYPE_CHECKING:
-    from motorhil.motorapi.functions.piecewise import Piecewise
 
 FloatArray: TypeAlias = NDArray[np.float64]
 LARGEST: Final = float_info.max  # the end of an unbounded domain: nan and inf lie beyond
@@ -115,14 +112,10 @@ class Function(ABC):
         return True
 
     def _extrema(self, low: float, high: float) -> Extrema:
-        from motorhil.motorapi.functions.numerics import extrema
-
-        return extrema(self, low, high)
+        return operations.extrema(self, low, high)
 
     def _integrate(self, low: float, high: float) -> float:
-        from motorhil.motorapi.functions.numerics import integrate
-
-        return integrate(self, low, high)
+        return operations.integrate(self, low, high)
 
     # --- called by applications
 
@@ -210,54 +203,41 @@ class Function(ABC):
         return self._bounds(low, high)
 
     @final
-    def restricted(self, low: float, high: float) -> "Piecewise":
+    def restricted(self, low: float, high: float) -> "Function":
         """Return the same function over [low, high] only, a part of its domain.
 
         Raises:
             DomainError: an end lies outside the domain, or is not finite.
             UsageError: `low` is not below `high`.
         """
-        from motorhil.motorapi.functions.piecewise import Piecewise
-
-        return Piecewise((self._inside(low), self._inside(high)), (self,))
+        return operations.restrict(self, self._inside(low), self._inside(high))
 
     def shifted(self, offset: float) -> "Function":
         """Return x -> f(x - offset), which begins `offset` later."""
-        from motorhil.motorapi.functions.transforms import Shifted
-
-        return Shifted(self, offset)
+        return operations.shift(self, offset)
 
     def scaled(self, factor: float) -> "Function":
         """Return x -> f(x / factor), which takes `factor` times as long.
 
         A negative factor reverses the function. To scale the values, multiply: `2.0 * f`.
         """
-        from motorhil.motorapi.functions.transforms import Scaled
-
-        return Scaled(self, factor)
+        return operations.scale(self, factor)
 
     def times(self, number: float) -> "Function":
         """Return the function multiplied by a finite number, as `number * f`."""
-        from motorhil.motorapi.functions.algebra import Product
-        from motorhil.motorapi.functions.polynomial import Constant
-
-        return Product(Constant(number), self)
+        return operations.amplify(self, number)
 
     @final
     def after(self, inner: "Function") -> "Function":
         """Return x -> f(inner(x))."""
-        from motorhil.motorapi.functions.algebra import compose
-
-        return compose(self, inner)
+        return operations.compose(self, inner)
 
     # --- operators
 
     @final
     def __add__(self, other: "Function | float") -> "Function":
-        from motorhil.motorapi.functions.algebra import add, as_function
-
-        right = as_function(other)
-        return NotImplemented if right is None else add(self, right)
+        right = operations.as_function(other)
+        return NotImplemented if right is None else operations.add(self, right)
 
     @final
     def __radd__(self, other: float) -> "Function":
@@ -265,10 +245,8 @@ class Function(ABC):
 
     @final
     def __mul__(self, other: "Function | float") -> "Function":
-        from motorhil.motorapi.functions.algebra import as_function, multiply
-
-        right = as_function(other)
-        return NotImplemented if right is None else multiply(self, right)
+        right = operations.as_function(other)
+        return NotImplemented if right is None else operations.multiply(self, right)
 
     @final
     def __rmul__(self, other: float) -> "Function":
@@ -284,10 +262,8 @@ class Function(ABC):
 
     @final
     def __sub__(self, other: "Function | float") -> "Function":
-        from motorhil.motorapi.functions.algebra import add, as_function
-
-        right = as_function(other)
-        return NotImplemented if right is None else add(self, -right)
+        right = operations.as_function(other)
+        return NotImplemented if right is None else operations.add(self, -right)
 
     @final
     def __rsub__(self, other: float) -> "Function":
@@ -367,6 +343,29 @@ class Function(ABC):
         """Return the argument at which the integral is 0."""
         low, high = self.domain
         return low if low > -inf else min(0.0, high)
+
+
+@final
+class Operations:
+    """The operations of `Function` whose results are of other classes.
+
+    The modules of these classes are above this one, so they set the operations when the package is
+    imported.
+    """
+
+    extrema: Callable[[Function, float, float], Extrema]
+    integrate: Callable[[Function, float, float], float]
+    restrict: Callable[[Function, float, float], Function]
+    shift: Callable[[Function, float], Function]
+    scale: Callable[[Function, float], Function]
+    amplify: Callable[[Function, float], Function]
+    as_function: Callable[[object], Function | None]
+    add: Callable[[Function, Function], Function]
+    multiply: Callable[[Function, Function], Function]
+    compose: Callable[[Function, Function], Function]
+
+
+operations: Final = Operations()
 
 
 def finite(owner: str, name: str, value: object) -> float:

@@ -28,7 +28,7 @@ from math import fsum, inf, nextafter
 from typing import Final, final
 
 from motorhil.motorapi.errors import UsageError
-from motorhil.motorapi.functions.base import Extrema, Function
+from motorhil.motorapi.functions.base import Extrema, Function, operations
 
 # (number of parts, accuracy relative to the largest value) at which the search settles for less.
 # Only terms that cancel almost everywhere (a sine squared and a cosine squared) get beyond the
@@ -239,3 +239,7 @@ def _part(function: Function, low: float, high: float) -> Part:
     if error and spread:
         error = spread * min(1.0, (200.0 * error / spread) ** 1.5)
     return -error * half, low, high, fine * half, size * half
+
+
+operations.extrema = extrema
+operations.integrate = integrate

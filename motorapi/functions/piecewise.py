@@ -10,7 +10,14 @@ import numpy as np
 
 from motorhil.motorapi.commands import as_number
 from motorhil.motorapi.errors import UsageError
-from motorhil.motorapi.functions.base import LARGEST, Extrema, FloatArray, Function, finite
+from motorhil.motorapi.functions.base import (
+    LARGEST,
+    Extrema,
+    FloatArray,
+    Function,
+    finite,
+    operations,
+)
 from motorhil.motorapi.functions.piece_table import PieceFinder, PieceTable
 from motorhil.motorapi.functions.polynomial import Horner, Polynomial, polynomial
 from motorhil.motorapi.functions.polynomial_math import Exact, nearest
@@ -306,3 +313,10 @@ def _exact(function: Function, low: float, high: float) -> Fraction:
     if isinstance(function, Piecewise | Polynomial):
         return function.exact_integral(low, high)
     return Fraction(function.integrate(low, high))
+
+
+def _restricted(function: Function, low: float, high: float) -> Piecewise:
+    return Piecewise((low, high), (function,))
+
+
+operations.restrict = _restricted

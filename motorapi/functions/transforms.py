@@ -10,7 +10,14 @@ from typing import final
 import numpy as np
 
 from motorhil.motorapi.errors import UsageError
-from motorhil.motorapi.functions.base import LARGEST, Extrema, FloatArray, Function, finite
+from motorhil.motorapi.functions.base import (
+    LARGEST,
+    Extrema,
+    FloatArray,
+    Function,
+    finite,
+    operations,
+)
 from motorhil.motorapi.functions.numerics import extrema
 
 
@@ -199,3 +206,7 @@ class Scaled(_Moved):
 
     def _parameters(self) -> tuple[object, ...]:
         return self.function, self.factor
+
+
+operations.shift = Shifted
+operations.scale = Scaled

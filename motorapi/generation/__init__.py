@@ -12,6 +12,8 @@ Importing this package does not import numpy. Generators that return functions i
 called. Source: the paper, 3.3.2.
 """
 
+from typing import TYPE_CHECKING
+
 from motorhil.motorapi.generation.feasibility import Feasibility, Violation, feasible, generate
 from motorhil.motorapi.generation.jerk_limited import jerk_limited
 from motorhil.motorapi.generation.limits import ProfileLimits
@@ -23,7 +25,9 @@ from motorhil.motorapi.generation.trapezoid import (
     stretched,
     trapezoid,
 )
-from motorhil.motorapi.generation.waypoints import through_waypoints
+
+if TYPE_CHECKING:
+    from motorhil.motorapi.generation.waypoints import through_waypoints
 
 __all__ = [
     "Feasibility",
@@ -40,3 +44,12 @@ __all__ = [
     "through_waypoints",
     "trapezoid",
 ]
+
+
+def __getattr__(name: str) -> object:
+    """Import `through_waypoints` at its first use, with numpy."""
+    if name != "through_waypoints":
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from motorhil.motorapi.generation.waypoints import through_waypoints
+
+    return through_waypoints

@@ -116,14 +116,14 @@ def jerk_limited(
         UsageError: a number is not finite, a state lies outside the limits or must leave them, or
             no motion has that duration, or the motion takes no time.
     """
-    task = task_of(final, limits, jerk, initial, initial_derivatives, final_derivatives)
+    task = _task_of(final, limits, jerk, initial, initial_derivatives, final_derivatives)
     if not isfinite(initial_argument):
         raise UsageError(f"the initial argument is {initial_argument}, not a finite number")
-    phases = phases_of(task, duration_s)
+    phases = _phases_of(task, duration_s)
     return _function(task, phases, initial_argument)
 
 
-def task_of(
+def _task_of(
     final: float,
     limits: ProfileLimits,
     jerk: float,
@@ -141,7 +141,7 @@ def task_of(
     return SmoothTask(begin, end, limits.velocity, acceleration, jerk)
 
 
-def phases_of(task: SmoothTask, duration_s: float | None = None) -> list[Phase]:
+def _phases_of(task: SmoothTask, duration_s: float | None = None) -> list[Phase]:
     """Return the durations and jerks of the phases, in order.
 
     Raises:
@@ -149,10 +149,9 @@ def phases_of(task: SmoothTask, duration_s: float | None = None) -> list[Phase]:
         PluginError: the package finds no motion, or a wrong one.
         UsageError: no motion has that duration.
     """
-    ruckig = load()
+    ruckig = _load()
     length, time = task.units
-    given = ruckig.InputParameter(1)
-    fill(given, [task], [(length, time)])
+    given = _input_of(ruckig, task, length, time)
     if duration_s is not None:
         if not (isfinite(duration_s) and duration_s >= 0.0):
             raise UsageError(f"the duration is {duration_s} s, not a finite number >= 0")
@@ -161,11 +160,11 @@ def phases_of(task: SmoothTask, duration_s: float | None = None) -> list[Phase]:
     try:
         result = ruckig.Ruckig(1).calculate(given, made)
     except ruckig.RuckigError as error:
-        raise failed(task, str(error).strip().splitlines()[0]) from None
+        raise _failed(task, str(error).strip().splitlines()[0]) from None
     if result != ruckig.Result.Working:
-        raise failed(task, str(result))
+        raise _failed(task, str(result))
     phases = phases_in(made.profiles[0][0], length, time)
-    judge(task, phases)
+    _judge(task, phases)
     takes_s = sum(lasts_s for lasts_s, _ in phases)
     if duration_s is not None and abs(takes_s - duration_s) > _ROUNDING * takes_s:
         raise UsageError(
@@ -174,20 +173,20 @@ def phases_of(task: SmoothTask, duration_s: float | None = None) -> list[Phase]:
     return phases
 
 
-def judge(task: SmoothTask, phases: Sequence[Phase]) -> None:
+def _judge(task: SmoothTask, phases: Sequence[Phase]) -> None:
     """Verify the result of the package to 1e-9.
 
     Raises:
         PluginError: it is wrong; observed if limits and states differ by more than three decades.
     """
     length, time = task.units
-    pieces = pieces_of(task, phases)
-    reached = pieces_of(task, [*phases, (1.0, 0.0)])[-1][2]
+    pieces = _pieces_of(task, phases)
+    reached = _pieces_of(task, [*phases, (1.0, 0.0)])[-1][2]
     ways = [abs(state[0] - task.begin[0]) for _, _, state in pieces]
     sizes = (max(ways, default=0.0), length / time, length / time**2)
     for name, found, asked, size in zip(_NAMES, reached, task.end, sizes, strict=True):
         if abs(found - asked) > _ROUNDING * (size + abs(asked)):
-            raise failed(task, f"its final {name} is {found:g}")
+            raise _failed(task, f"its final {name} is {found:g}")
     for (lasts_s, jerk, (_, before, rate)), (_, _, (_, after, _)) in pairwise(
         [*pieces, (0.0, 0.0, task.end)]
     ):
@@ -201,10 +200,10 @@ def judge(task: SmoothTask, phases: Sequence[Phase]) -> None:
             rounding = 1e-12 * size
             slack_low, slack_high = -_ROUNDING * low + rounding, _ROUNDING * high + rounding
             if min(values) < low - slack_low or max(values) > high + slack_high:
-                raise failed(task, f"its {name} goes from {min(values):g} to {max(values):g}")
+                raise _failed(task, f"its {name} goes from {min(values):g} to {max(values):g}")
 
 
-def failed(task: SmoothTask, problem: str) -> PluginError:
+def _failed(task: SmoothTask, problem: str) -> PluginError:
     """Return the error for a wrong result of the package."""
     return PluginError(
         plugin="ruckig",
@@ -214,7 +213,7 @@ def failed(task: SmoothTask, problem: str) -> PluginError:
     )
 
 
-def load() -> Any:
+def _load() -> Any:
     """Import and return the package.
 
     Raises:
@@ -230,20 +229,21 @@ def load() -> Any:
         ) from None
 
 
-def fill(given: Any, tasks: Sequence[SmoothTask], units: Sequence[tuple[float, float]]) -> None:
-    """Fill the input parameter with these motions, one per degree of freedom, in `units`."""
-    both = list(zip(tasks, units, strict=True))
-    given.current_position = [0.0] * len(both)
-    given.target_position = [(task.end[0] - task.begin[0]) / u for task, (u, _) in both]
-    given.current_velocity = [task.begin[1] * t / u for task, (u, t) in both]
-    given.target_velocity = [task.end[1] * t / u for task, (u, t) in both]
-    given.current_acceleration = [task.begin[2] * t * t / u for task, (u, t) in both]
-    given.target_acceleration = [task.end[2] * t * t / u for task, (u, t) in both]
-    given.min_velocity = [task.velocity[0] * t / u for task, (u, t) in both]
-    given.max_velocity = [task.velocity[1] * t / u for task, (u, t) in both]
-    given.min_acceleration = [task.acceleration[0] * t * t / u for task, (u, t) in both]
-    given.max_acceleration = [task.acceleration[1] * t * t / u for task, (u, t) in both]
-    given.max_jerk = [task.jerk * t * t * t / u for task, (u, t) in both]
+def _input_of(ruckig: Any, task: SmoothTask, u: float, t: float) -> Any:
+    """Return the input parameter of one degree of freedom in these units of length and time."""
+    given = ruckig.InputParameter(1)
+    given.current_position = [0.0]
+    given.target_position = [(task.end[0] - task.begin[0]) / u]
+    given.current_velocity = [task.begin[1] * t / u]
+    given.target_velocity = [task.end[1] * t / u]
+    given.current_acceleration = [task.begin[2] * t * t / u]
+    given.target_acceleration = [task.end[2] * t * t / u]
+    given.min_velocity = [task.velocity[0] * t / u]
+    given.max_velocity = [task.velocity[1] * t / u]
+    given.min_acceleration = [task.acceleration[0] * t * t / u]
+    given.max_acceleration = [task.acceleration[1] * t * t / u]
+    given.max_jerk = [task.jerk * t * t * t / u]
+    return given
 
 
 def phases_in(profile: Any, length: float, time: float) -> list[Phase]:
@@ -255,7 +255,7 @@ def phases_in(profile: Any, length: float, time: float) -> list[Phase]:
     return [phase for phase in found if phase[0] > 0.0]
 
 
-def pieces_of(task: SmoothTask, phases: Sequence[Phase]) -> list[tuple[float, float, State]]:
+def _pieces_of(task: SmoothTask, phases: Sequence[Phase]) -> list[tuple[float, float, State]]:
     """Return (duration, jerk, initial state) of each phase."""
     value, velocity, acceleration = task.begin
     found: list[tuple[float, float, State]] = []
@@ -273,7 +273,7 @@ def _function(task: SmoothTask, phases: Sequence[Phase], initial_argument: float
 
     edges, polynomials = [initial_argument], []
     since_s = 0.0
-    pieces = pieces_of(task, phases)
+    pieces = _pieces_of(task, phases)
     for index, (lasts_s, jerk, state) in enumerate(pieces):
         about = initial_argument + since_s
         since_s += lasts_s

@@ -327,12 +327,32 @@ class Profile:
     def as_function(self) -> "Piecewise":
         """Return the profile as a piecewise polynomial of the argument; imports numpy.
 
+        As in the profile, the last piece is expanded about its end and all others about their
+        beginning. Pieces shorter than the resolution of the argument (far from 0) are omitted.
+
         Raises:
             UsageError: the profile takes no time, so that it has no value at any argument.
         """
-        from motorhil.motorapi.generation.conversion import function_of
+        from motorhil.motorapi.functions.piecewise import Piecewise
+        from motorhil.motorapi.functions.polynomial import Polynomial
 
-        return function_of(self)
+        begin = self.initial_argument
+        edges = [begin]
+        polynomials: list[Polynomial] = []
+        last = self.pieces[-1]
+        for piece in self.pieces:
+            begins_s, ends_s, first, final, entry, leave, acceleration = piece
+            edge = begin + ends_s
+            if edge <= edges[-1]:
+                continue
+            edges.append(edge)
+            about, value, slope = (
+                (edge, final, leave) if piece is last else (begin + begins_s, first, entry)
+            )
+            polynomials.append(Polynomial((value, slope, 0.5 * acceleration), about))
+        if not polynomials:
+            raise UsageError(f"{self!r} takes no time: it is not a function of the argument")
+        return Piecewise(edges, polynomials)
 
     def __repr__(self) -> str:
         return (

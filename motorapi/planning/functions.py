@@ -15,11 +15,12 @@ model limits such requests; it does not limit motions without a request.
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from motorhil.motorapi.commands import ControlMode, ControlVariable, Motion
+from motorhil.motorapi.commands import ControlMode, ControlVariable
 from motorhil.motorapi.errors import LimitError, StateError, UnsupportedError, UsageError
 from motorhil.motorapi.generation import ProfileLimits, jerk_limited, trapezoid
 from motorhil.motorapi.generation.feasibility import STEP_S, Allowed, feasible
 from motorhil.motorapi.model import MotorModel
+from motorhil.motorapi.motion import Motion
 from motorhil.motorapi.planning.limits import check_target, slack, value_range
 from motorhil.motorapi.trajectory import ComplexTrajectory, TrapezoidalTrajectory, value_of
 

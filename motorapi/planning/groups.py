@@ -23,9 +23,10 @@ from dataclasses import dataclass, replace
 from sys import float_info
 from typing import TYPE_CHECKING, Final, final
 
-from motorhil.motorapi.commands import ControlMode, ControlVariable, Motion
+from motorhil.motorapi.commands import ControlMode, ControlVariable
 from motorhil.motorapi.errors import LimitError, UnsupportedError, UsageError
 from motorhil.motorapi.generation import shortest, stretched
+from motorhil.motorapi.motion import Motion
 from motorhil.motorapi.planning import single_axis as planning
 from motorhil.motorapi.planning.limits import ROUNDING
 from motorhil.motorapi.synchronization.quality import FaultReaction, Synchronization

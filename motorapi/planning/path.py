@@ -25,7 +25,7 @@ from motorhil.motorapi.state import MotorState
 from motorhil.motorapi.synchronization.quality import PathDeviation
 
 if TYPE_CHECKING:
-    from motorhil.motorapi.commands import Motion
+    from motorhil.motorapi.motion import Motion
     from motorhil.motorapi.motor import Motor
     from motorhil.motorapi.runtime.api import Registration
 

@@ -12,7 +12,6 @@ from motorhil.motorapi.commands import (
     ControlMode,
     ControlVariable,
     DerivativeLimits,
-    Motion,
     Range,
     Setpoint,
     as_number,
@@ -20,6 +19,7 @@ from motorhil.motorapi.commands import (
 from motorhil.motorapi.errors import LimitError, UnsupportedError, UsageError
 from motorhil.motorapi.generation import shortest, stretched
 from motorhil.motorapi.model import MotorModel
+from motorhil.motorapi.motion import Motion
 from motorhil.motorapi.planning import functions as function_planning
 from motorhil.motorapi.planning import functions as smooth_planning
 from motorhil.motorapi.planning.limits import ROUNDING, check_bounds, check_target

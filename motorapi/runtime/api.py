@@ -87,20 +87,6 @@ def wait_until(runtime: Runtime, done: Callable[[], bool], timeout_s: float | No
         raise PluginError(plugin=plugin, where=where, problem=repr(error)) from error
 
 
-def runtime_of(bus: "can.BusABC") -> Runtime:
-    """Return the runtime of the bus itself if it has one, else that of the wall clock.
-
-    An emulated bus of a rig in this process has that of the rig. All other buses of the process
-    share one `WallRuntime`.
-    """
-    own: Runtime | None = getattr(bus, "runtime", None)
-    if own is not None:
-        return own
-    from motorhil.motorapi.runtime.wall import process_runtime
-
-    return process_runtime()
-
-
 LOOK_PERIOD_S: Final = 0.01
 """The check period [s] where no event reports a change: motors without a change counter, for
 callbacks; the end of low-level access.

@@ -22,8 +22,9 @@ from contextlib import contextmanager, suppress
 from heapq import heappop, heappush
 from typing import TYPE_CHECKING, Final, ParamSpec, final
 
+from motorhil.motorapi.bus_context import BusContext
 from motorhil.motorapi.errors import DeadlineExceeded, LinkError, UsageError
-from motorhil.motorapi.runtime.api import FrameListener
+from motorhil.motorapi.runtime.api import FrameListener, Runtime
 from motorhil.motorapi.runtime.can_sources import FrameSource, source_of
 
 if TYPE_CHECKING:
@@ -209,6 +210,7 @@ class WallRuntime:
     """The Runtime of real hardware, and of emulated hardware in other processes."""
 
     def __init__(self) -> None:
+        self.context: Final = BusContext()
         self._start_ns = time.monotonic_ns()
         self._changed = threading.Condition(threading.RLock())
         self._callback_thread: int | None = None
@@ -507,3 +509,13 @@ def _in_child() -> None:
 
 atexit.register(close_process_runtime)
 os.register_at_fork(after_in_child=_in_child)
+
+
+def runtime_of(bus: "can.BusABC") -> Runtime:
+    """Return the runtime of the bus itself if it has one, else that of the wall clock.
+
+    An emulated bus of a rig in this process has that of the rig. All other buses of the process
+    share one `WallRuntime`.
+    """
+    own: Runtime | None = getattr(bus, "runtime", None)
+    return process_runtime() if own is None else own

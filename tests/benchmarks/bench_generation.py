@@ -1,4 +1,4 @@
-"""Costs of trajectory generation, single and batched, compared with ruckig."""
+"""Costs of trajectory generation, compared with ruckig."""
 
 from collections.abc import Callable
 from time import process_time
@@ -15,19 +15,15 @@ from motorhil.motorapi.generation import (
     through_waypoints,
     trapezoid,
 )
-from motorhil.motorapi.generation import batch as trapezoids
-from motorhil.motorapi.generation import batched as many
-from motorhil.motorapi.generation.batched import LimitArrays
 from motorhil.motorapi.model import MotorModel
 from motorhil.motorapi.trajectory import TrapezoidalTrajectory
 
-MANY = 100_000
 FEW = 20_000
 
 
 def run() -> list[tuple[str, float, str]]:
     """Return the figures as (name, figure, unit)."""
-    return [*single(), *batched(), *others()]
+    return [*single(), *others()]
 
 
 def best(work: Callable[[], object], times: int = 7) -> float:
@@ -94,54 +90,14 @@ def single() -> list[tuple[str, float, str]]:
     return rows
 
 
-def batched() -> list[tuple[str, float, str]]:
-    """Measure 100,000 trapezoids from rest to rest, each with its own limits."""
-    random = np.random.default_rng(1)
-    ways, velocities = random.uniform(-10.0, 10.0, MANY), random.uniform(0.1, 5.0, MANY)
-    ups, downs = random.uniform(0.1, 10.0, MANY), random.uniform(0.1, 10.0, MANY)
-    limits = LimitArrays(velocities, ups, downs)
-    made = trapezoids(ways, limits)
-    many_s = best(lambda: trapezoids(ways, LimitArrays(velocities, ups, downs)))
-    rows = [
-        ("100,000 trapezoids from rest to rest, with their limits", many_s * 1e3, "ms"),
-        (
-            "100,000 between two velocities",
-            best(
-                lambda: trapezoids(
-                    ways,
-                    limits,
-                    initial_velocity=0.5 * velocities,
-                    final_velocity=-0.3 * velocities,
-                )
-            )
-            * 1e3,
-            "ms",
-        ),
-        (
-            "100,000 of given durations",
-            best(lambda: trapezoids(ways, limits, duration_s=1.5 * made.duration_s)) * 1e3,
-            "ms",
-        ),
-        ("100,000 values, one of each", best(lambda: made.value(0.3)) * 1e3, "ms"),
-    ]
-    peer = ruckig_loop(
-        ways.tolist(), velocities.tolist(), ups.tolist(), downs.tolist(), moving=False
-    )
-    if peer is not None:
-        loop_s = best(peer, 3)
-        rows.append(("the same 100,000 in a loop over ruckig", loop_s * 1e3, "ms"))
-        rows.append(("ruckig's loop over ours (to be >= 50)", loop_s / many_s, "x"))
-    return rows
-
-
 def others() -> list[tuple[str, float, str]]:
     """Measure generators that return functions, and functions that use a motor's model."""
     model = MotorModel(name="wheel", velocity_max=2.0, acceleration_max=4.0)
     asked = TrapezoidalTrajectory(1.0, 0.25)
     random = np.random.default_rng(2)
-    points = random.uniform(-1.0, 1.0, (1_000, 10))
+    points = random.uniform(-1.0, 1.0, 10)
     limits = DerivativeLimits(first=2.0, second=10.0)
-    spline = through_waypoints(points[0], limits=limits)
+    spline = through_waypoints(points, limits=limits)
 
     def times(work: Callable[[], object], count: int) -> float:
         def loop() -> None:
@@ -164,17 +120,12 @@ def others() -> list[tuple[str, float, str]]:
         ),
         (
             "a cubic spline through 10 points at given times",
-            times(lambda: through_waypoints(points[0], range(10)), 200) * 1e6,
+            times(lambda: through_waypoints(points, range(10)), 200) * 1e6,
             "us",
         ),
         (
             "a cubic spline through 10 points, as soon as limits allow",
-            times(lambda: through_waypoints(points[0], limits=limits), 3) * 1e3,
-            "ms",
-        ),
-        (
-            "1,000 cubic splines through 10 points at given times",
-            times(lambda: many.through_waypoints(points, range(10)), 3) * 1e3,
+            times(lambda: through_waypoints(points, limits=limits), 3) * 1e3,
             "ms",
         ),
     ]
@@ -182,18 +133,12 @@ def others() -> list[tuple[str, float, str]]:
         jerk_limited(1.0, ProfileLimits(1.0, 2.0), 10.0)
     except UnsupportedError:
         return rows
-    ways = random.uniform(-10.0, 10.0, 1_000)
     bounds = ProfileLimits(1.0, 2.0)
     rows += [
         (
             "a motion of limited jerk, by ruckig, judged, as a function",
             times(lambda: jerk_limited(1.0, bounds, 10.0), 500) * 1e6,
             "us",
-        ),
-        (
-            "1,000 motions of limited jerk, by ruckig, judged",
-            times(lambda: many.jerk_limited(ways, bounds, 10.0), 3) * 1e3,
-            "ms",
         ),
     ]
     return rows

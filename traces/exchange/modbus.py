@@ -11,8 +11,9 @@ from collections.abc import Iterable
 from dataclasses import replace
 from typing import Final, NamedTuple, final
 
-from motorhil.traces.decoding.modbus import Adu, ModbusDecoder
+from motorhil.traces.decoding.modbus import ModbusDecoder
 from motorhil.traces.exchange.steps import START, ExchangeLog, Key, Role, Sent, Step, Turn
+from motorhil.traces.formats.modbus import Adu
 
 WRITES: Final = (0x05, 0x06, 0x0F, 0x10, 0x15, 0x16, 0x17)
 _BITS_EACH: Final = {0x01: 1, 0x02: 1, 0x03: 16, 0x04: 16, 0x17: 16}

@@ -3,16 +3,15 @@
 from dataclasses import dataclass
 from typing import Final, final
 
+from motorhil.traces.decoding.attached_rig import RecordedNames, names_of
 from motorhil.traces.decoding.canopen import CanopenDecoder
-from motorhil.traces.decoding.modbus import adu_in
-from motorhil.traces.decoding.objects import RecordedNames, names_of
 from motorhil.traces.exchange.canopen import CanopenTapes
 from motorhil.traces.exchange.modbus import LineAdu, modbus_tapes
 from motorhil.traces.exchange.steps import ExchangeLog
-from motorhil.traces.formats.frames import FrameDecoder
-from motorhil.traces.mcap.protobuf import decode
+from motorhil.traces.formats.modbus import Adu, recorded_adu
 from motorhil.traces.mcap.reader import Trace
-from motorhil.traces.schema import CAN_FRAME, MODBUS_ADU
+from motorhil.traces.protobuf import decode
+from motorhil.traces.schema import CAN_FRAME, MODBUS_ADU, FrameDecoder
 
 _RUN: Final = "run"
 """Metadata of a rig; its time begins at 0, with power-on."""
@@ -60,13 +59,15 @@ def tapes_of(trace: Trace, any_set_point: bool = False) -> RecordedTapes:
                 cutter = buses.get(place)
                 if cutter is None:
                     cutter = buses[place] = _cutter(place, begin_ns, names, any_set_point)
-                _, _, frame, direction, sender = frames.frame(payload, time_ns, place)
+                frame, direction, sender = frames.decode(payload)
                 cutter.take(time_ns, frame, direction, sender)
             elif kind == MODBUS_ADU.name:
                 values = decode(MODBUS_ADU, payload)
                 start_ns, end_ns = values.get("start_ns", 0), values.get("end_ns", 0)
-                adu = adu_in(values)
-                if adu is not None and isinstance(start_ns, int) and isinstance(end_ns, int):
+                assert isinstance(start_ns, int)
+                assert isinstance(end_ns, int)
+                adu = recorded_adu(values, end_ns)
+                if isinstance(adu, Adu):
                     is_tcp = bool(values.get("tcp"))
                     one = LineAdu(time_ns, start_ns, end_ns, adu, is_tcp)
                     lines.setdefault(place, []).append(one)

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import BinaryIO, Final, final
 
 from motorhil.traces.errors import TraceError
+from motorhil.traces.files import refuse_pipe, unreadable
 from motorhil.traces.formats import asc, blf, candump, trc
 from motorhil.traces.formats import blf as blf_writing
 from motorhil.traces.formats import candump as sd_rows
@@ -25,16 +26,16 @@ from motorhil.traces.formats.frames import (
     RTR,
     Findings,
     Frame,
-    FrameDecoder,
     LineReader,
     bus_number,
     one_word,
     read_lines,
 )
-from motorhil.traces.mcap.reader import Trace, read_trace, refuse_pipe
+from motorhil.traces.mcap.chunk import Entry
+from motorhil.traces.mcap.reader import Trace, read_trace
 from motorhil.traces.mcap.records import MAGIC
-from motorhil.traces.mcap.writer import Entry, TraceWriter
-from motorhil.traces.schema import CAN_FRAME, Direction, Schema
+from motorhil.traces.mcap.writer import TraceWriter
+from motorhil.traces.schema import CAN_FRAME, Direction, FrameDecoder, Schema
 
 _PREFIX: Final = "/can/"
 _BATCH: Final = 8192
@@ -289,7 +290,7 @@ class Source:
             with open(self.path, encoding="utf-8", errors="replace", newline="\n") as file:
                 yield from read_lines(file, _LINE_READERS[self.format](), findings)
         except OSError as error:
-            raise _unreadable(self.path, error) from error
+            raise unreadable(self.path, error) from error
 
 
 _LINE_READERS: Final[dict[str, Callable[[], LineReader]]] = {
@@ -321,7 +322,7 @@ def open_source(path: str | os.PathLike[str]) -> Source:
         with Path(path).open("rb") as file:
             head = file.read(_HEAD_BYTES)
     except OSError as error:
-        raise _unreadable(name, error) from error
+        raise unreadable(name, error) from error
     if head.startswith(MAGIC[:5]):
         return Source(name, "mcap")
     if head.startswith(blf.MAGIC):
@@ -336,7 +337,3 @@ def open_source(path: str | os.PathLike[str]) -> Source:
     known = ", ".join(["mcap", "blf", "pcap", *_LINE_READERS])
     what = "is empty" if not head else "holds no CAN traffic in a format known here"
     raise TraceError(name, what, remedy=f"formats are {known}")
-
-
-def _unreadable(name: str, error: OSError) -> TraceError:
-    return TraceError(name, f"cannot be read: {(error.strerror or str(error)).lower()}")

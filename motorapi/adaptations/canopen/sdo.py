@@ -36,7 +36,7 @@ import canopen
 from canopen.sdo.client import SdoClient
 from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError
 
-from motorhil.motorapi.adaptations.canopen.bus import CanopenLink, Transmission, can_frame
+from motorhil.motorapi.adaptations.canopen.link import CanLink, Transmission, can_frame
 from motorhil.motorapi.errors import (
     DeadlineExceeded,
     MotorBusyError,
@@ -208,7 +208,7 @@ RESPONSE_ID: Final = 0x580
 class LinkNetwork(canopen.Network):
     """canopen's network over a link: never connected, so it has no thread and no Notifier."""
 
-    def __init__(self, link: CanopenLink) -> None:
+    def __init__(self, link: CanLink) -> None:
         super().__init__()
         self._link = link
 
@@ -242,11 +242,11 @@ class NoAnswer(SdoCommunicationError):
 class ChannelClient(SdoClient):
     """canopen's SDO client, blocking in the runtime instead of on the wall clock."""
 
-    def __init__(self, link: CanopenLink, node_id: int, timeout_s: float) -> None:
+    def __init__(self, link: CanLink, node_id: int, timeout_s: float) -> None:
         super().__init__(  # type: ignore[no-untyped-call]  # canopen's
             REQUEST_ID + node_id, RESPONSE_ID + node_id, _NothingKnown()
         )
-        self.network = link.network
+        self.network = LinkNetwork(link)
         self.timeout_s = timeout_s
         self.strays = 0
         self.booted = False
@@ -486,7 +486,7 @@ class SdoChannel:
     """
 
     def __init__(
-        self, link: CanopenLink, node_id: int, *, timeout_s: float, quarantine_s: float
+        self, link: CanLink, node_id: int, *, timeout_s: float, quarantine_s: float
     ) -> None:
         self.physical: PhysicalMotor | None = None
         self.process_lock: ProcessLock | None = None

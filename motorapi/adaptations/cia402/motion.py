@@ -36,7 +36,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Final, final
 
-from motorhil.motorapi.adaptations.canopen.bus import HEARTBEAT_ID, CanopenLink
+from motorhil.motorapi.adaptations.canopen.bus import HEARTBEAT_ID, CanopenBus
 from motorhil.motorapi.adaptations.canopen.bus_load import (
     FULL,
     SYNC,
@@ -54,13 +54,13 @@ from motorhil.motorapi.adaptations.cia402.motion_status import (
     SetpointWatch,
     StreamWatch,
 )
-from motorhil.motorapi.adaptations.cia402.object_access import (
+from motorhil.motorapi.adaptations.cia402.objects import ENABLE_OPERATION, FAULT_BIT, HALT, Mode
+from motorhil.motorapi.adaptations.cia402.parameters import (
     HALT_OPTION,
     WINDOW_OFF,
     Cia402Parameters,
     Place,
 )
-from motorhil.motorapi.adaptations.cia402.objects import FAULT_BIT, Mode
 from motorhil.motorapi.adaptations.cia402.profile import (
     STEEPEST,
     DriveProfile,
@@ -73,14 +73,15 @@ from motorhil.motorapi.adaptations.cia402.profile import (
     ramp_s,
     torque_profile_of,
 )
-from motorhil.motorapi.commands import ControlVariable, Motion
+from motorhil.motorapi.commands import ControlVariable
 from motorhil.motorapi.errors import DeadlineExceeded, LinkError, StateError
+from motorhil.motorapi.motion import Motion
 from motorhil.motorapi.synchronization.bus_load import PeriodicMessage
-from motorhil.motorapi.synchronization.can_response_time import Firing, OneFrame
-from motorhil.motorapi.synchronization.quality import MotionTimes, SyncLevel, SyncOffer, Trigger
+from motorhil.motorapi.synchronization.offer import Firing, OneFrame, SyncOffer, Trigger
+from motorhil.motorapi.synchronization.quality import MotionTimes, SyncLevel
 
 if TYPE_CHECKING:
-    from motorhil.motorapi.adaptations.canopen.bus import Transmission
+    from motorhil.motorapi.adaptations.canopen.link import Transmission
     from motorhil.motorapi.adaptations.cia402.bringup import DriveFacts
     from motorhil.motorapi.adaptations.cia402.controlword import DriveControl
     from motorhil.motorapi.locking.process_lock import LockHandle
@@ -107,7 +108,7 @@ def offer_of(hardware: "Cia402HwMotor", variable: ControlVariable, *, streamed: 
         reason += "; servo_period_ms, from the latch to the profile, is not known"
     if streamed:
         return _streamed(hardware, armed, reason)
-    period_s, why = sync_period(link)
+    period_s, why = sync_period(hardware.node.bus.sync)
     if period_s is not None:
         frame = OneFrame(armed, _SET_POINT_BYTES)
         return _in_a_burst(hardware, frame, period_s, f"{reason}; {why}")
@@ -168,7 +169,7 @@ def _alone(
 ) -> SyncOffer:
     """Return the offer of a start by a controlword, or by a target effective when written."""
     link, node_id = hardware.link, hardware.node_id
-    traffic, unbounded = traffic_on(link, sync_period(link)[0])
+    traffic, unbounded = traffic_on(link, sync_period(hardware.node.bus.sync)[0])
     mates = [HEARTBEAT_ID + node_id]
     if facts.status is not None:
         mates.append(facts.status.cob_id & 0x7FF)
@@ -322,6 +323,7 @@ def window_of(
 
 
 _PERIODS: Final = 4
+_HALTED: Final = (ENABLE_OPERATION | HALT).to_bytes(2, "little") + bytes(4)
 
 
 @final
@@ -329,7 +331,6 @@ class ArmedSetPoint:
     """A set-point of one drive that begins at a SYNC, with others.
 
     Args:
-        link: the link of the bus.
         control: the controls of the drive.
         index: the object that holds the target: 607Ah, 60FFh.
         target: the target in the drive's units.
@@ -344,14 +345,13 @@ class ArmedSetPoint:
 
     def __init__(
         self,
-        link: "CanopenLink",
         control: "DriveControl",
         index: int,
         target: int,
         fired: Callable[[int], None],
     ) -> None:
-        self._link = link
         self._control = control
+        self._sync = control.node.bus.sync
         self._index = index
         self._target = target
         self._fired = fired
@@ -361,9 +361,11 @@ class ArmedSetPoint:
         self.latched_ns: int | None = None
         self.straddles = 0
 
-    def mark(self, node_id: int, can_id: int) -> None:
+    def mark(self, can_id: int) -> None:
         """Mark the set-point as waiting in this RPDO of the drive, for other processes."""
-        self._mark = self._link.bus_sync.marks.mark(self._link, node_id, can_id, self)
+        node = self._control.node
+        waiting = (node.node_id, can_id, _HALTED)
+        self._mark = self._sync.marks.mark(node.link.runtime, waiting, self)
 
     def unmark(self) -> None:
         """Remove the mark: a SYNC has latched the set-point, or it was overwritten."""
@@ -385,7 +387,7 @@ class ArmedSetPoint:
 
     def _latched(self, time_ns: int) -> None:
         self.latched_ns = time_ns
-        self.place = self._link.bus_sync.count
+        self.place = self._sync.count
         self._fired(time_ns)
 
     @property
@@ -398,12 +400,13 @@ class ArmedSetPoint:
 class Burst:
     """The frames of several drives, sent one after another just after a SYNC."""
 
-    def __init__(self, link: "CanopenLink", armed: Sequence[ArmedSetPoint]) -> None:
-        self._link = link
+    def __init__(self, bus: CanopenBus, armed: Sequence[ArmedSetPoint]) -> None:
+        self._link = bus.link
+        self._sync = bus.sync
         self._armed = armed
         self._error: Exception | None = None
         self._is_sent = False
-        link.at_next_sync(self._send)
+        bus.sync.at_next(self._send)
 
     def _send(self, time_ns: int) -> None:
         if self._is_sent:
@@ -429,7 +432,7 @@ class Burst:
             raise self._error
         link.confirmed([one.transmission for one in armed if one.transmission is not None])
         if not self._comes(lambda: all(one.is_over for one in armed)):
-            link.confirmed([link.sync()])
+            link.confirmed([self._sync.send()])
 
     def _comes(self, done: Callable[[], bool]) -> bool:
         """Return whether `done` becomes true; False: the cyclic SYNC has ended.
@@ -438,13 +441,13 @@ class Burst:
             LinkError: a cyclic SYNC should run, but does not come.
         """
         link = self._link
-        runs = link.bus_sync.known()
+        runs = self._sync.known()
         period_s = 0.0 if runs is None else runs.period_ns / 1e9
         end_ns = link.runtime.now_ns() + round((_FIRST_SYNC_S + _PERIODS * period_s) * 1e9)
         while runs is not None:
             if link.wait_until(done, _PERIODS * period_s):
                 return True
-            runs = link.bus_sync.known()
+            runs = self._sync.known()
             if runs is not None and link.runtime.now_ns() >= end_ns:
                 raise LinkError(link=link.name, reason=f"no SYNC was transmitted, but {runs}")
         return done()
@@ -461,17 +464,32 @@ _FIRST_SYNC_S: Final = 0.5
 
 
 @final
-class SyncTrigger:
-    """One SYNC for all motors armed on a bus: it latches set-points and begins streams.
+class ArmedGroup:
+    """The motions that are to begin together at one SYNC of a bus.
 
-    Args:
-        link: the link of the bus.
-        streams: the streams to begin. None: those of the group that is armed on this bus.
+    Attributes:
+        streams: the streams of set-points.
+        set_points: the single set-points.
     """
 
-    def __init__(self, link: CanopenLink, streams: "list[ArmedStream] | None" = None) -> None:
-        self._link = link
-        self._streams = link.armed_streams if streams is None else streams
+    def __init__(self) -> None:
+        self.streams: Final[list[ArmedStream]] = []
+        self.set_points: Final[list[ArmedSetPoint]] = []
+
+
+def armed_group(bus: CanopenBus) -> ArmedGroup:
+    """Return the group that is armed on this bus."""
+    return bus.parts.part(ArmedGroup)
+
+
+@final
+class SyncTrigger:
+    """One SYNC for all motors armed on a bus: it latches set-points and begins streams."""
+
+    def __init__(self, bus: CanopenBus, armed: ArmedGroup) -> None:
+        self._bus = bus
+        self._link = bus.link
+        self._armed = armed
 
     def fire(self) -> None:
         """Send SYNC and wait until it was on the wire; for streams, also the next one.
@@ -481,24 +499,22 @@ class SyncTrigger:
         Raises:
             LinkError: SYNC was not transmitted in time.
         """
-        link = self._link
-        streams = [one for one in self._streams if not one.stream.ended]
-        is_group = self._streams is link.armed_streams
-        self._streams.clear()
-        points = link.armed_set_points[:] if is_group else []
+        armed = self._armed
+        streams = [one for one in armed.streams if not one.stream.ended]
+        armed.streams.clear()
+        points = armed.set_points[:]
         waiting = [one for one in points if one.transmission is None]
-        burst = Burst(link, waiting) if waiting else None
+        burst = Burst(self._bus, waiting) if waiting else None
         if streams:
             self._begin(streams)
         if burst is not None:
             burst.await_latched()
         elif not streams:
-            link.confirmed([link.sync()])
+            self._link.confirmed([self._bus.sync.send()])
         count_straddles(points)
         for one in points:
             one.unmark()
-        if is_group:
-            link.armed_set_points.clear()
+        armed.set_points.clear()
 
     def _begin(self, streams: "list[ArmedStream]") -> None:
         link = self._link
@@ -513,10 +529,10 @@ class SyncTrigger:
                 raise LinkError(link=link.name, reason="no SYNC was transmitted")
 
     def __eq__(self, other: object, /) -> bool:
-        return isinstance(other, SyncTrigger) and other._streams is self._streams
+        return isinstance(other, SyncTrigger) and other._armed is self._armed
 
     def __hash__(self) -> int:
-        return id(self._streams)
+        return id(self._armed)
 
 
 @final
@@ -604,6 +620,7 @@ class DriveMotions:
         self._armed: CspStream | None = None  # the stream that begins, or began last
         self._point: ArmedSetPoint | None = None  # of the last group start
         self._together = False
+        self._group = armed_group(hardware.node.bus)
 
     @property
     def _set_point_period_s(self) -> float:
@@ -734,11 +751,12 @@ class DriveMotions:
                 raise
             if was_over and not watch.has_arrived:  # the last one goes with the SYNC just queued
                 last = None if streamed.velocity else stream.target
-                self._node.link.at_next_sync(partial(watch.arrive, last))
+                self._node.bus.sync.at_next(partial(watch.arrive, last))
             return target
 
+        hardware.connect()
         stream = CspStream(
-            hardware,
+            self._control,
             period_s,
             next_target,
             began=watch.begin,
@@ -752,11 +770,9 @@ class DriveMotions:
         self._reader.held = (None, 0.0)
         if not velocity:
             self._reader.held = (units.position_inc(motion.target), motion.target)
-        link, armed = self._node.link, ArmedStream(stream, streamed)
-        if not self._together:
-            return SyncTrigger(link, [armed])
-        link.armed_streams.append(armed)
-        return SyncTrigger(link)
+        armed = self._group if self._together else ArmedGroup()
+        armed.streams.append(ArmedStream(stream, streamed))
+        return SyncTrigger(self._node.bus, armed)
 
     def _check_ends(self, motion: Motion) -> None:
         """Check that the whole trajectory is within the drive's own software position limits."""
@@ -788,19 +804,19 @@ class DriveMotions:
 
     def _arm_latched(self, index: int, target: int, watch: SetpointWatch) -> Trigger:
         """Write the target for the next SYNC; while a cyclic SYNC runs, only prepare it."""
-        link = self._node.link
-        point = ArmedSetPoint(link, self._control, index, target, watch.begin)
+        bus, link, armed = self._node.bus, self._node.link, self._group
+        point = ArmedSetPoint(self._control, index, target, watch.begin)
         self._point = point
         # If a foreign SYNC has already begun some motors, the others do not wait for another.
-        has_begun = any(one.latched_ns is not None for one in link.armed_set_points)
-        link.armed_set_points.append(point)
-        cyclic = link.bus_sync.known() if has_begun else link.bus_sync.find_cyclic()
+        has_begun = any(one.latched_ns is not None for one in armed.set_points)
+        armed.set_points.append(point)
+        cyclic = bus.sync.known() if has_begun else bus.sync.find_cyclic()
         if cyclic is None:
-            point.mark(self._node.node_id, self._hardware.connect().latched_ids[index])
+            point.mark(self._hardware.connect().latched_ids[index])
             point.send()
             if point.transmission is not None:
                 link.confirmed([point.transmission])
-        return SyncTrigger(link)
+        return SyncTrigger(bus, armed)
 
     def _follow(self, watch: SetpointWatch | StreamWatch) -> None:
         self._before = self._node.watch
@@ -815,9 +831,8 @@ class DriveMotions:
         if stream is not None and stream.started_ns is None:
             stream.cancel()
         point, self._point = self._point, None
-        armed_set_points = self._node.link.armed_set_points
-        if point in armed_set_points:
-            armed_set_points.remove(point)
+        if point in self._group.set_points:
+            self._group.set_points.remove(point)
         try:
             self._control.disarm()
         finally:

@@ -30,17 +30,15 @@ from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import fields
 from typing import TYPE_CHECKING, Final, final
-from weakref import WeakKeyDictionary
 
-from motorhil.motorapi.adaptations.canopen.bus import CanopenLink, Transmission
+from motorhil.motorapi.adaptations.canopen.bus import CanopenBus
+from motorhil.motorapi.adaptations.canopen.link import Transmission
 from motorhil.motorapi.adaptations.canopen.sdo import HomingFailed, SdoAborted
-from motorhil.motorapi.adaptations.canopen.sync import BusSync
 from motorhil.motorapi.adaptations.cia402.bringup import HwOptions
 from motorhil.motorapi.adaptations.cia402.hardware import Cia402HwMotor
 from motorhil.motorapi.adaptations.cia402.measurements import DriveReader
 from motorhil.motorapi.adaptations.cia402.motion import POLL_S, DriveMotions
 from motorhil.motorapi.adaptations.cia402.motion_status import HomingWatch, RestWatch, StreamWatch
-from motorhil.motorapi.adaptations.cia402.object_access import Cia402Parameters
 from motorhil.motorapi.adaptations.cia402.objects import (
     DISABLE_VOLTAGE,
     ENABLE_OPERATION,
@@ -51,17 +49,19 @@ from motorhil.motorapi.adaptations.cia402.objects import (
     Mode,
     PdsState,
 )
+from motorhil.motorapi.adaptations.cia402.parameters import Cia402Parameters
 from motorhil.motorapi.adaptations.cia402.units import DriveUnits
 from motorhil.motorapi.adaptations.registration import Shared, as_name, number, refuse_unknown
-from motorhil.motorapi.commands import ControlMode, ControlVariable, Motion, Setpoint
+from motorhil.motorapi.commands import ControlMode, ControlVariable, Setpoint
 from motorhil.motorapi.errors import UnsupportedError, UsageError
 from motorhil.motorapi.model import MotorModel
+from motorhil.motorapi.motion import Motion
 from motorhil.motorapi.motor import Motor
-from motorhil.motorapi.ownership.physical_motor import bus_key
 from motorhil.motorapi.planning.functions import asks_for_smoothness
 from motorhil.motorapi.runtime.api import Registration
 from motorhil.motorapi.state import Fault, Measurement, MotorState
-from motorhil.motorapi.synchronization.quality import MotionTimes, SyncOffer, Trigger
+from motorhil.motorapi.synchronization.offer import SyncOffer, Trigger
+from motorhil.motorapi.synchronization.quality import MotionTimes
 from motorhil.motorapi.trajectory import ComplexTrajectory, Trajectory
 
 if TYPE_CHECKING:
@@ -81,8 +81,8 @@ A late halt is worse than separate halts.
 class JointStop:
     """The joint halt of several drives of one bus in one group; a `Trigger`."""
 
-    def __init__(self, link: CanopenLink, turn: AbstractContextManager[bool]) -> None:
-        self._link = link
+    def __init__(self, bus: CanopenBus, turn: AbstractContextManager[bool]) -> None:
+        self._bus = bus
         self._turn = turn  # SYNC is ours until this context is left
         self._armed: list[tuple[Cia402HwMotor, RestWatch, Transmission]] = []
         self._timer: Registration | None = None
@@ -105,16 +105,16 @@ class JointStop:
 
     def fire(self) -> None:
         """Send SYNC when all frames were on the wire, without waiting."""
-        _open.pop(self._link.bus_sync, None)
+        self._bus.parts.drop(self)
         if self._armed:
-            self._timer = self._link.runtime.every(_LOOK_S, self._look)
+            self._timer = self._bus.link.runtime.every(_LOOK_S, self._look)
         else:
             self._turn.__exit__(None, None, None)
 
     def _look(self) -> None:
         self._looks += 1
         if self._sync is None and all(sent.time_ns is not None for _, _, sent in self._armed):
-            self._sync = self._link.sync()
+            self._sync = self._bus.sync.send()
         is_latched = self._sync is not None and self._sync.time_ns is not None
         if is_latched or self._looks >= _LOOKS_MAX:
             self._halt_at_once()
@@ -134,26 +134,19 @@ class JointStop:
             self._turn.__exit__(None, None, None)
 
 
-_open: "Final[WeakKeyDictionary[BusSync, JointStop]]" = WeakKeyDictionary()
-"""The joint stops that still accept drives, by `BusSync`.
-
-Compiled classes such as CanopenLink have no weak references; BusSync has them.
-"""
-
-
-def joint_stop_of(link: CanopenLink) -> JointStop | None:
+def joint_stop_of(bus: CanopenBus) -> JointStop | None:
     """Return the joint stop for a drive of this bus, or None if SYNC is not ours to send now."""
-    stop = _open.get(link.bus_sync)
+    stop = bus.parts.find(JointStop)
     if stop is not None:
         return stop
-    if not link.confirms or link.latching or link.cyclic_sync() is not None:
+    link, sync = bus.link, bus.sync
+    if not link.confirms or sync.latching or sync.cyclic() is not None:
         return None
-    turn = link.bus_sync.turns.at_once(link.runtime, f"a stop of several on {link.name}")
+    turn = sync.turns.at_once(link.runtime, f"a stop of several on {link.name}")
     if not turn.__enter__():
         turn.__exit__(None, None, None)
         return None
-    stop = _open[link.bus_sync] = JointStop(link, turn)
-    return stop
+    return bus.parts.part(JointStop, lambda: JointStop(bus, turn))
 
 
 _MODES: Final = {
@@ -261,7 +254,7 @@ class Cia402Motor(Motor):
     def _connect(self) -> None:
         self._node.link.status.check()
         self._hardware.connect()
-        control, bus_sync = self._control, self._node.link.bus_sync
+        control, bus_sync = self._control, self._node.bus.sync
         if self._physical.ownership.is_orphan:
             control.may_be_armed = not bus_sync.clear(own=self._node.node_id)
         elif control.holds_halt and bus_sync.take_out():
@@ -389,7 +382,7 @@ class Cia402Motor(Motor):
             self._hardware.end_stream(ENABLE_OPERATION | HALT)
 
     def _stop_with_others(self) -> Trigger | None:
-        stop = joint_stop_of(self._node.link)
+        stop = joint_stop_of(self._node.bus)
         if stop is not None and stop.add(self._hardware):
             return stop
         self._stop()
@@ -452,7 +445,8 @@ def build(
     }
     options = HwOptions(**given)  # type: ignore[arg-type]  # HwOptions checks them
     hardware = _SHARED.get(
-        (*bus_key(bus), node_id),
+        bus,
+        node_id,
         lambda: Cia402HwMotor(bus, node_id, runtime=runtime, options=options),
         lambda built: built.options == options,
     )

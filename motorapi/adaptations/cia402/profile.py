@@ -19,10 +19,11 @@ from math import floor, inf, pi
 from typing import Final, final
 
 from motorhil.motorapi.adaptations.cia402.units import DriveUnits
-from motorhil.motorapi.commands import ControlMode, ControlVariable, Motion
+from motorhil.motorapi.commands import ControlMode, ControlVariable
 from motorhil.motorapi.errors import LimitError, UnsupportedError
 from motorhil.motorapi.generation import shortest
 from motorhil.motorapi.model import MotionKind, MotorModel
+from motorhil.motorapi.motion import Motion
 from motorhil.motorapi.planning import single_axis as planning
 from motorhil.motorapi.trajectory import TrapezoidalTrajectory
 

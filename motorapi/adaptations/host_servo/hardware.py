@@ -11,10 +11,15 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import TYPE_CHECKING, Final, final
 
-from motorhil.motorapi.adaptations.canopen.bus import FrameInbox, Transmission, bus_label, raw_frame
-from motorhil.motorapi.adaptations.cia402.node_sharing import node_locks
-from motorhil.motorapi.adaptations.cia402.object_access import DriveObjects
-from motorhil.motorapi.adaptations.cia402.objects import Value
+from motorhil.motorapi.adaptations.canopen.link import (
+    FrameInbox,
+    Transmission,
+    bus_label,
+    raw_frame,
+)
+from motorhil.motorapi.adaptations.canopen.node import node_locks
+from motorhil.motorapi.adaptations.canopen.object_access import ObjectAccess
+from motorhil.motorapi.adaptations.canopen.objects import Value
 from motorhil.motorapi.adaptations.host_servo.cycle import ChannelPair, CycleReport, ServoTrigger
 from motorhil.motorapi.adaptations.host_servo.demand import POSITION, Course
 from motorhil.motorapi.adaptations.host_servo.node import (
@@ -43,11 +48,10 @@ from motorhil.motorapi.ownership.fencing import announce
 from motorhil.motorapi.ownership.physical_motor import (
     PhysicalMotor,
     RunStatus,
-    bus_key,
     register_physical_motor,
     release_physical_motor,
 )
-from motorhil.motorapi.runtime.api import runtime_of
+from motorhil.motorapi.runtime.wall import runtime_of
 from motorhil.motorapi.state import Fault, MotorState
 
 if TYPE_CHECKING:
@@ -57,7 +61,7 @@ if TYPE_CHECKING:
     from motorhil.motorapi.locking.process_lock import LockHandle
     from motorhil.motorapi.ownership.claim import OwnershipEvent
     from motorhil.motorapi.runtime.api import Runtime
-    from motorhil.motorapi.synchronization.quality import Trigger
+    from motorhil.motorapi.synchronization.offer import Trigger
 
 FAULT: Final = 2
 AMPLIFIER_FAULT: Final = 0x5400  # device hardware, power section (CiA 402-2, error codes)
@@ -151,7 +155,7 @@ class ServoAxis:
         if before is not None:
             before.release()
         self.end_switching_off()
-        self._io.be_heard()
+        self._node.keep_host_heartbeat()
         self.failure = None
         self.servo.forget()
         self.is_active = True
@@ -367,22 +371,22 @@ class AmplifierHwMotor:
         self.channel: Final = channel
         self.current_per_volt_a_v: Final = float(current_per_volt_a_v)
         self.label: Final = f"{bus_label(bus)} node {node_id} channel {channel}"
-        self._key = (*bus_key(bus), node_id, "channel", channel)
+        self._place = (node_id, channel)
         lock = node_locks(bus, self.runtime, node_id, self.label)[0]
         if lock is not None:  # of this motor; that of the node is in `io.occupation`
             lock = ProcessLock(f"{lock.name}-channel{channel}", self.label)
         self.physical: Final[PhysicalMotor] = register_physical_motor(
-            self._key, self.label, self, lock
+            bus, self._place, self.label, self, lock
         )
         try:
             self.io: Final[AmplifierNode] = open_node(bus, node_id, self.runtime, self.options)
         except BaseException:
-            release_physical_motor(self._key, self)
+            release_physical_motor(bus, self._place, self)
             raise
         self.node: Final = self.io.node
         self.link: Final = self.io.link
         self.physical.news = self.node.news
-        self.objects: Final = DriveObjects(self.node, self.physical)
+        self.objects: Final = ObjectAccess(self.node, self.physical)
         self.axis: Final = ServoAxis(
             self.io,
             channel,
@@ -419,7 +423,7 @@ class AmplifierHwMotor:
         if self._pair is not None:
             self._pair.place((self.channel - 1) % 2, None)
             self._pair = None
-        release_physical_motor(self._key, self)
+        release_physical_motor(self.link.bus, self._place, self)
         self.io.release()
 
     # --- bring-up --------------------------------------------------------------------------
@@ -476,11 +480,11 @@ class AmplifierHwMotor:
     # --- objects and frames ----------------------------------------------------------------
 
     def upload(self, index: int, subindex: int = 0) -> bytes:
-        """Return the bytes of an object of the node; raises as `DriveObjects.upload`."""
+        """Return the bytes of an object of the node; raises as `ObjectAccess.upload`."""
         return self.objects.upload(index, subindex)
 
     def download(self, index: int, subindex: int, data: bytes) -> None:
-        """Write `data` to an object of the node; raises as `DriveObjects.upload`."""
+        """Write `data` to an object of the node; raises as `ObjectAccess.upload`."""
         self.objects.download(index, subindex, data)
 
     def read(self, what: int | str, subindex: int = 0, kind: str | None = None) -> Value:

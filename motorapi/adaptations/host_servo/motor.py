@@ -36,13 +36,13 @@ from motorhil.motorapi.adaptations.host_servo.hardware import AmplifierHwMotor
 from motorhil.motorapi.adaptations.host_servo.node import IoOptions
 from motorhil.motorapi.adaptations.host_servo.servo import PidGains, ServoLimits
 from motorhil.motorapi.adaptations.registration import Shared, as_name, number, refuse_unknown
-from motorhil.motorapi.commands import ControlMode, ControlVariable, Motion, Setpoint, as_number
+from motorhil.motorapi.commands import ControlMode, ControlVariable, Setpoint, as_number
 from motorhil.motorapi.errors import DeviceFault, UnsupportedError, UsageError
+from motorhil.motorapi.motion import Motion
 from motorhil.motorapi.motor import Motor
-from motorhil.motorapi.ownership.physical_motor import bus_key
 from motorhil.motorapi.state import Fault, Measurement, MotorState
-from motorhil.motorapi.synchronization.can_response_time import Firing
-from motorhil.motorapi.synchronization.quality import MotionTimes, SyncLevel, SyncOffer, Trigger
+from motorhil.motorapi.synchronization.offer import Firing, SyncOffer, Trigger
+from motorhil.motorapi.synchronization.quality import MotionTimes, SyncLevel
 
 if TYPE_CHECKING:
     import can
@@ -458,7 +458,8 @@ def build(
         **{field: number(key, settings[key]) for key, field in keys.items() if key in settings}
     )
     hardware = _SHARED.get(
-        (*bus_key(bus), node_id, channel),
+        bus,
+        (node_id, channel),
         lambda: AmplifierHwMotor(
             *(bus, node_id, channel),
             current_per_volt_a_v=current_per_volt_a_v,

@@ -29,13 +29,14 @@ from typing import TYPE_CHECKING, Final, final
 
 from motorhil.motorapi.adaptations.ideal.hardware import IdealHwMotor
 from motorhil.motorapi.adaptations.registration import Shared, refuse_unknown
-from motorhil.motorapi.commands import ControlMode, ControlVariable, Motion, Setpoint, as_number
+from motorhil.motorapi.commands import ControlMode, ControlVariable, Setpoint, as_number
 from motorhil.motorapi.errors import DeviceFault, LinkError, UnsupportedError, UsageError
 from motorhil.motorapi.model import MotionKind
+from motorhil.motorapi.motion import Motion
 from motorhil.motorapi.motor import Motor
 from motorhil.motorapi.state import Fault, Measurement, MotorState
-from motorhil.motorapi.synchronization.can_response_time import Firing
-from motorhil.motorapi.synchronization.quality import MotionTimes, SyncLevel, SyncOffer, Trigger
+from motorhil.motorapi.synchronization.offer import Firing, SyncOffer, Trigger
+from motorhil.motorapi.synchronization.quality import MotionTimes, SyncLevel
 
 if TYPE_CHECKING:
     from motorhil.motorapi.model import MotorModel
@@ -242,7 +243,8 @@ def build(
     if constant is not None and constant <= 0.0:
         raise UsageError(f"{constant_key} = {constant:g}: must be > 0")
     hardware = _SHARED.get(
-        (runtime, axis),
+        runtime,
+        axis,
         lambda: IdealHwMotor(
             runtime,
             axis,

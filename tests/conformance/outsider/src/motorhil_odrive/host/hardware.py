@@ -17,11 +17,11 @@ from motorhil.motorapi.ownership.fencing import NodeFence, announce
 from motorhil.motorapi.ownership.physical_motor import (
     PhysicalMotor,
     RunStatus,
-    bus_key,
     register_physical_motor,
     release_physical_motor,
 )
-from motorhil.motorapi.runtime.api import runtime_of, wait_until
+from motorhil.motorapi.runtime.api import wait_until
+from motorhil.motorapi.runtime.wall import runtime_of
 from motorhil.motorapi.synchronization.bus_load import NodeTraffic, PeriodicMessage, note_node
 
 from motorhil_odrive.host import messages as m
@@ -100,9 +100,8 @@ class OdriveHwMotor:
         self._connecting = TurnLock(self.runtime)
         where = bus_name(bus) if can_share_time(self.runtime) else None
         lock = None if where is None else ProcessLock(f"{where}-node{node_id}", self.label)
-        self._key = (*bus_key(bus), node_id)
         self.physical: Final[PhysicalMotor] = register_physical_motor(
-            self._key, self.label, self, lock
+            bus, node_id, self.label, self, lock
         )
         self.fence: Final = (
             None
@@ -135,7 +134,7 @@ class OdriveHwMotor:
         self.end_stream()
         self._every.cancel()
         self._wire.close()
-        release_physical_motor(self._key, self)
+        release_physical_motor(self._bus, self.node_id, self)
         self.heard.news.grow()
 
     def connect(self) -> None:

@@ -15,7 +15,7 @@ from collections.abc import Callable
 from math import isfinite
 from typing import Final, final
 
-from motorhil.motorapi.commands import ControlMode, ControlVariable, Motion, Setpoint
+from motorhil.motorapi.commands import ControlMode, ControlVariable, Setpoint
 from motorhil.motorapi.errors import (
     DeviceFault,
     MotionInterrupted,
@@ -24,10 +24,12 @@ from motorhil.motorapi.errors import (
     UnsupportedError,
 )
 from motorhil.motorapi.model import MotorModel
+from motorhil.motorapi.motion import Motion
 from motorhil.motorapi.motor import Motor
 from motorhil.motorapi.planning.functions import asks_for_smoothness
 from motorhil.motorapi.state import Fault, Measurement, MotorState
-from motorhil.motorapi.synchronization.quality import MotionTimes, SyncLevel, SyncOffer, Trigger
+from motorhil.motorapi.synchronization.offer import SyncOffer, Trigger
+from motorhil.motorapi.synchronization.quality import MotionTimes, SyncLevel
 from motorhil.motorapi.trajectory import ComplexTrajectory, Trajectory
 
 from motorhil_odrive.host import messages as m

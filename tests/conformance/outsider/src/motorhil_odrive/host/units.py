@@ -11,9 +11,10 @@ from dataclasses import replace
 from math import tau
 from typing import TYPE_CHECKING, Final, final
 
-from motorhil.motorapi.commands import ControlVariable, Motion
+from motorhil.motorapi.commands import ControlVariable
 from motorhil.motorapi.errors import UsageError
 from motorhil.motorapi.model import MotionKind
+from motorhil.motorapi.motion import Motion
 
 if TYPE_CHECKING:
     from motorhil.motorapi.model import MotorModel
