@@ -38,6 +38,8 @@ COMPILED = (
     "traces/protobuf.py",
     "motorapi/runtime/api.py",
     "motorapi/adaptations/canopen/bus.py",
+    "motorapi/adaptations/canopen/link.py",
+    "motorapi/adaptations/canopen/node.py",
     "motorapi/adaptations/cia402/csp.py",
     "motorapi/adaptations/cia402/measurements.py",
     "motorapi/adaptations/cia402/motion_status.py",
