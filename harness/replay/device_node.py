@@ -1,21 +1,8 @@
-"""Common base of recorded controllers, for any kind of bus.
+"""Recorded CANopen nodes and Modbus units, as controllers on an emulated bus.
 
-Recorded CANopen node, as a controller on an emulated bus.
-
-The node answers a live host as the recorded node answered the recorded host; see `TapePlayer`. A
-request that the recording cannot answer is refused by an SDO abort and reported as an error of this
-node.
-
-Source: CiA 301, SDO abort transfer protocol, node guarding protocol (toggle bit).
-
-Recorded Modbus unit, as a controller on an emulated line.
-
-The unit answers a live host as the recorded unit answered the recorded host; see `TapePlayer`. A
-request that the recording cannot answer is refused with an exception and reported as an error.
-
-Source: MODBUS over Serial Line V1.02, section 2; Application Protocol V1.1b3, section 7.
-
-Factory of recorded controllers: entry point `motorhil.controllers`, `recorded`.
+They answer a live host as the recorded ones answered the recorded host; see `ExchangePlayer`. A
+request that the recording cannot answer is refused, by an SDO abort or an exception, and reported
+as an error. A rig names them by the kind `recorded` (entry point `motorhil.controllers`):
 
 [controller.left]
 kind = "recorded"
@@ -26,6 +13,9 @@ recorded_bus = "can0"           # if the recording has the node on more than one
 recorded_unit = 255             # on a line: if the recording has it as another unit
 bitrate_bit_s = 1_000_000       # of the bus
 data_bitrate_bit_s = 2_000_000  # of a bus where it may send CAN FD frames
+
+Source: CiA 301, SDO abort transfer protocol, node guarding protocol (toggle bit); MODBUS over
+Serial Line V1.02, section 2; Application Protocol V1.1b3, section 7.
 """
 
 from collections.abc import Mapping, Sequence
@@ -61,6 +51,26 @@ from motorhil.traces.exchange.steps import ExchangeLog, Key, Role, Sent, Step
 from motorhil.traces.formats.frames import EFF, ERR, RTR, classic
 from motorhil.traces.formats.modbus import Adu
 from motorhil.traces.mcap.reader import read_trace
+
+KIND: Final = "recorded"
+_KEYS: Final = (
+    *("node_id", "unit", "recording", "recorded_bus", "recorded_unit"),
+    *("bitrate_bit_s", "data_bitrate_bit_s", "set_points"),
+)
+_BYTE_MAX: Final = 255
+SET_POINTS: Final = ("exact", "any")
+_RATE_MAX: Final = 1_000_000
+_DATA_RATE_MAX: Final = 20_000_000
+_SYNC: Final = 0x080
+_SEGMENTS: Final = (0, 3)  # SDO command specifiers of a client
+_TOGGLE: Final = 0x80
+_NAMED: Final = 0x7FF
+_RESETS: Final = (0x81, 0x82)
+NO_DATA: Final = 0x0800_0024
+"""SDO abort code: no data available."""
+_SHORTEST: Final = 4
+DEVICE_FAILURE: Final = 4
+"""Exception code: server device failure."""
 
 
 class RecordedController:
@@ -123,15 +133,6 @@ class RecordedController:
     def identifiers_revision(self) -> int:
         """Return 0: the identifiers never change."""
         return 0
-
-
-_SYNC: Final = 0x080
-_SEGMENTS: Final = (0, 3)  # SDO command specifiers of a client
-_TOGGLE: Final = 0x80
-_NAMED: Final = 0x7FF
-_RESETS: Final = (0x81, 0x82)
-NO_DATA: Final = 0x0800_0024
-"""SDO abort code: no data available."""
 
 
 @final
@@ -362,11 +363,6 @@ def _timed(tape: ExchangeLog, bit_ns: int, data_bit_ns: int) -> tuple[ExchangeLo
     return replace(tape, steps=steps), left_out
 
 
-_SHORTEST: Final = 4
-DEVICE_FAILURE: Final = 4
-"""Exception code: server device failure."""
-
-
 @final
 class RecordedUnit(RecordedController):
     """Implementation of `motorhil.emulators.controller.Controller` for a recorded Modbus unit.
@@ -413,17 +409,6 @@ class RecordedUnit(RecordedController):
     def identifiers(self) -> Sequence[int] | None:
         """Return None: every unit on a line hears everything."""
         return None
-
-
-KIND: Final = "recorded"
-_KEYS: Final = (
-    *("node_id", "unit", "recording", "recorded_bus", "recorded_unit"),
-    *("bitrate_bit_s", "data_bitrate_bit_s", "set_points"),
-)
-_BYTE_MAX: Final = 255
-SET_POINTS: Final = ("exact", "any")
-_RATE_MAX: Final = 1_000_000
-_DATA_RATE_MAX: Final = 20_000_000
 
 
 def build(settings: Mapping[str, object], context: ControllerContext) -> Controller:

@@ -1,15 +1,10 @@
-"""Player of a recorded host: which frames it sends, and when.
+"""Replay of a recorded host against devices, and comparison of their answers.
 
 The player is sans-I/O, and sends a step once everything that the recorded host had waited for has
 arrived again. Then the recorded pause is kept after the last of these observations, or after the
 host's last frame. An observation that does not arrive within the patience after its time is missed.
-The player notes it and continues, as a human operator would.
-
-The host's own heartbeat waits for nothing, and continues while there are steps to send.
-
-Replay of a recorded host against devices, and comparison of their answers.
-
-Bus listener of a replayed host, which ignores frames from before a reset.
+The player notes it and continues, as a human operator would. The host's own heartbeat waits for
+nothing, and continues while there are steps to send.
 """
 
 from collections.abc import Callable, Collection, Sequence
@@ -47,6 +42,11 @@ if TYPE_CHECKING:
     from motorhil.harness.rig.rig import Rig
 
 PATIENCE_NS: Final = 2_000_000_000
+_NEVER_NS: Final = 1 << 62
+_RESET_ALL: Final = classic(0, b"\x81\x00")
+"""The frame of NMT service "reset node" to all nodes (CiA 301)."""
+_TAIL_S: Final = 0.1
+"""How long to listen after the end of the recording [s], since devices may be slower now."""
 _SDO_REQUEST: Final = 12  # function code of the pre-defined connection set
 
 
@@ -89,9 +89,6 @@ class _Heartbeat:
         else:
             self.due_ns = _NEVER_NS
         return step
-
-
-_NEVER_NS: Final = 1 << 62
 
 
 @final
@@ -301,12 +298,6 @@ class ReceiveQueue:
                 return
             self._opening = None
         self._hear(frame, time_ns, transmitted)
-
-
-_RESET_ALL: Final = classic(0, b"\x81\x00")
-"""The frame of NMT service "reset node" to all nodes (CiA 301)."""
-_TAIL_S: Final = 0.1
-"""How long to listen after the end of the recording [s], since devices may be slower now."""
 
 
 class Driven(Protocol):

@@ -1,6 +1,7 @@
-"""Buses outside the rig that a recorded host drives, in wall time.
+"""Buses for replay: of an open rig, hubs, SocketCAN, python-can.
 
-Sinks of replayed frames: buses of a rig, hubs, SocketCAN, python-can.
+`DrivenBuses` are those that a recorded host drives, in wall time. Sinks take the frames of recorded
+traffic.
 """
 
 import errno
@@ -32,6 +33,12 @@ if TYPE_CHECKING:
 
 _INTERFACES: Final = {Kind.SOCKETCAN: "socketcan", Kind.HUB: "emulated"}
 _BITRATE_BIT_S: Final = 1_000_000
+_SOL_CAN_RAW: Final = 101  # linux/can/raw.h
+_CAN_RAW_FILTER: Final = 1
+_CAN_RAW_FD_FRAMES: Final = 5
+_FD_MTU: Final = 72
+_QUEUED_MAX: Final = 64  # frames given to an emulated bus before it has carried them
+_PAUSE_S: Final = 0.0005
 
 
 @final
@@ -110,14 +117,6 @@ class DrivenBuses:
             self._writer.source(channel, "", Direction.RECEIVED),
             self._writer.source(channel, "host", Direction.TRANSMITTED),
         )
-
-
-_SOL_CAN_RAW: Final = 101  # linux/can/raw.h
-_CAN_RAW_FILTER: Final = 1
-_CAN_RAW_FD_FRAMES: Final = 5
-_FD_MTU: Final = 72
-_QUEUED_MAX: Final = 64  # frames given to an emulated bus before it has carried them
-_PAUSE_S: Final = 0.0005
 
 
 def open_sink(place: Place, options: Mapping[str, object]) -> Sink:

@@ -16,7 +16,7 @@ from motorhil.harness.analysis.from_recording import RecordedBus
 from motorhil.harness.analysis.response_time import ErrorModel, response_times
 from motorhil.harness.analysis.subject import Queues
 from motorhil.harness.cli.main import main
-from motorhil.harness.report.timelines import MESSAGES_MAX
+from motorhil.harness.report.responses import MESSAGES_MAX
 from motorhil.harness.rig.rig import Rig
 from motorhil.traces.formats.frames import BRS, flexible
 from motorhil.traces.mcap.writer import TraceWriter
