@@ -35,6 +35,7 @@ HOT = (
     "harness/rig/recording.py",
     "traces/mcap/chunk.py",
     "traces/protobuf.py",
+    "traces/schema.py",
     "motorapi/runtime/api.py",
     "motorapi/adaptations/canopen/*.py",
     "motorapi/adaptations/cia402/*.py",
