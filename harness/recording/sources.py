@@ -23,7 +23,6 @@ from motorhil.traces.formats.frames import (
     ESI,
     RTR,
     classic,
-    fields,
     flexible,
     remote,
 )
@@ -295,22 +294,6 @@ def frame_of(message: can.Message, interface: str = "socketcan") -> bytes:
         )
         return flexible(can_id, flags, data)
     return classic(can_id, data)
-
-
-def message_of(frame: bytes) -> can.Message:
-    """Return the message to send for a frame."""
-    told = fields(frame)
-    asks = bool(told.can_id & RTR)
-    return can.Message(
-        arbitration_id=told.identifier,
-        is_extended_id=bool(told.can_id & EFF),
-        is_remote_frame=asks,
-        is_fd=told.fd,
-        bitrate_switch=bool(told.flags & BRS),
-        error_state_indicator=bool(told.flags & ESI),
-        dlc=told.length,
-        data=None if asks else told.data,
-    )
 
 
 def open_bus(place: Place, options: Mapping[str, object]) -> can.BusABC:

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from fractions import Fraction
 from typing import Final, Protocol, final
 
+from motorhil.emulators.can.frame_length import INTERMISSION_BITS, LENGTHS_MASK, measure, phases_of
 from motorhil.motorapi.runtime.api import Runtime
 from motorhil.traces.decoding.canopen import CanopenDecoder
 from motorhil.traces.decoding.events import Kind
@@ -129,6 +130,21 @@ def survey(frames: Iterable[Frame]) -> Survey:
             found.error_frames[bus] = found.error_frames.get(bus, 0) + 1
     found.first_ns = first or 0
     return found
+
+
+def duration_ns(frame: bytes, bit_ns: int, data_bit_ns: int) -> int:
+    """Return the time from the first to the last bit of a frame [ns].
+
+    Args:
+        frame: a can_frame or canfd_frame.
+        bit_ns: nominal bit time [ns].
+        data_bit_ns: bit time of the CAN FD data phase [ns].
+
+    Raises:
+        ValueError: the frame is impossible on a bus.
+    """
+    nominal, data = phases_of(measure(frame) & LENGTHS_MASK)
+    return (nominal - INTERMISSION_BITS) * bit_ns + data * data_bit_ns
 
 
 def is_error(frame: bytes) -> bool:
@@ -262,7 +278,7 @@ class TrafficReplay:
                 due_ns = self.due_ns(time_ns)
                 left_ns = due_ns - now_ns()
                 if left_ns > 0:
-                    self._runtime.wait_until(_never, left_ns / NS)
+                    self._runtime.wait_until(never, left_ns / NS)
             if not sink.is_ready():
                 self._wait_for(sink, sink.is_ready)
             if self._speed is not None:
@@ -284,5 +300,6 @@ class TrafficReplay:
             )
 
 
-def _never() -> bool:
+def never() -> bool:
+    """Return False, for a wait that only time ends."""
     return False

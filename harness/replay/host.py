@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final, Protocol, final
 
 from motorhil.emulators.can.frame import FRAME_BYTES
-from motorhil.emulators.can.frame_length import INTERMISSION_BITS, LENGTHS_MASK, measure, phases_of
+from motorhil.harness.replay.frames import duration_ns, never
 from motorhil.harness.replay.verdict import meaning_in
 from motorhil.harness.rig.config.toml import RigError
 from motorhil.motorapi.runtime.api import Runtime
@@ -351,8 +351,7 @@ def drive(
         bit_ns, data_bit_ns = bits_ns.get(bus, (1000, 1000))
         if len(frame) > FRAME_BYTES and not data_bit_ns:
             raise ValueError("a classical bus does not carry CAN FD frames")
-        nominal, data = phases_of(measure(frame) & LENGTHS_MASK)
-        return (nominal - INTERMISSION_BITS) * bit_ns + data * data_bit_ns
+        return duration_ns(frame, bit_ns, data_bit_ns)
 
     with read_trace(recording) as trace:
         steps, unsent = host_of(trace, Listener({}), length_ns)
@@ -386,16 +385,12 @@ def drive(
         if due_ns is not None:
             left_s = max(0, due_ns - runtime.now_ns()) / 1e9
             runtime.wait_until(_changed(player, due_ns), left_s)
-    runtime.wait_until(_never, max(0, end_ns - steps[-1].end_ns) / 1e9 + _TAIL_S)
+    runtime.wait_until(never, max(0, end_ns - steps[-1].end_ns) / 1e9 + _TAIL_S)
     return player
 
 
 def _changed(player: HostPlayer, due_ns: int) -> Callable[[], bool]:
     return lambda: player.next_deadline_ns() != due_ns
-
-
-def _never() -> bool:
-    return False
 
 
 @final

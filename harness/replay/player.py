@@ -59,12 +59,12 @@ class ExchangePlayer:
         mismatches: the commands without an answer.
     """
 
-    def __init__(self, tape: ExchangeLog) -> None:
-        self.tape = tape
+    def __init__(self, log: ExchangeLog) -> None:
+        self.log = log
         self.matched = 0
         self.repeated = 0
         self.mismatches: list[Mismatch] = []
-        self._steps = tape.steps
+        self._steps = log.steps
         self._commands = [
             number for number, step in enumerate(self._steps) if step.role is Role.COMMAND
         ]
@@ -293,7 +293,7 @@ class ExchangePlayer:
         """Schedule the next periodic frame after so many quarter periods; 0: stop it."""
         identifier = int.from_bytes(data[:4], "little")
         if quarters:
-            period_ns = self.tape.periods_ns[identifier]
+            period_ns = self.log.periods_ns[identifier]
             self._periodic[identifier] = (own_ns + period_ns * quarters // 4, data)
         else:
             self._periodic.pop(identifier, None)

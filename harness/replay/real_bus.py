@@ -17,8 +17,9 @@ import can
 
 from motorhil.emulators.simulation.can_network import HOST
 from motorhil.harness.python_can.hub_client import HubLink
+from motorhil.harness.python_can.messages import to_message
 from motorhil.harness.recording.socketcan import open_interface
-from motorhil.harness.recording.sources import Kind, Place, PlaceError, message_of, open_bus
+from motorhil.harness.recording.sources import Kind, Place, PlaceError, open_bus
 from motorhil.harness.replay.frames import STUCK_S, SendError, Sink
 from motorhil.harness.replay.host import ReceiveQueue
 from motorhil.motorapi.runtime.api import Runtime
@@ -281,7 +282,7 @@ class PythonCanSink:
     def send(self, frame: bytes) -> None:
         """Pass the frame to the interface."""
         try:
-            self._bus.send(message_of(frame), STUCK_S)
+            self._bus.send(to_message(frame, 0, self.name, received=False), STUCK_S)
         except (can.CanError, OSError, ValueError) as error:
             raise SendError(f"{self.name}: {error}") from None
 
