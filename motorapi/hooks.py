@@ -34,11 +34,13 @@ brought to rest by `_stop`, `_refresh` and `_is_done` before its next owner comm
 """
 
 from abc import ABC, abstractmethod
-from typing import final
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import ParamSpec, Protocol, TypeVar, final
 
 from motorhil.motorapi.commands import ControlMode, ControlVariable, Setpoint
 from motorhil.motorapi.device import Device
-from motorhil.motorapi.errors import UnsupportedError
+from motorhil.motorapi.errors import MotorError, PluginError, UnsupportedError
 from motorhil.motorapi.model import MotorModel
 from motorhil.motorapi.motion import Motion
 from motorhil.motorapi.ownership.physical_motor import PhysicalMotor
@@ -47,16 +49,70 @@ from motorhil.motorapi.state import Fault, Measurement, MotorState
 from motorhil.motorapi.synchronization.quality import MotionTimes, SyncOffer, Trigger
 from motorhil.motorapi.trajectory import ComplexTrajectory, Trajectory
 
+P = ParamSpec("P")
+R = TypeVar("R")
+
+
+class ArmHook(Protocol):
+    """The type of `MotorHooks._arm`."""
+
+    def __call__(self, motion: Motion, *, together: bool) -> Trigger:
+        """See `MotorHooks._arm`."""
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Hooks:
+    """The hooks of one motor, as the interface calls them; `MotorHooks` documents each.
+
+    An exception of a hook that is not a `MotorError` becomes a `PluginError`.
+    """
+
+    plugin: str
+    supports: Callable[[ControlMode, ControlVariable], bool]
+    check_command: Callable[[ControlVariable, Setpoint | Trajectory], None]
+    sync_offer: Callable[[], SyncOffer]
+    quantise: Callable[[Motion], Motion]
+    connect: Callable[[], None]
+    read_state: Callable[[], MotorState]
+    read_fault: Callable[[], Fault | None]
+    read_referenced: Callable[[], bool]
+    read_position: Callable[[], float]
+    read_velocity: Callable[[], float]
+    read_reference: Callable[[], float]
+    read_torque: Callable[[], float]
+    read_following_error: Callable[[], float]
+    latest: Callable[[], Measurement | None]
+    position_source: Callable[[], str]
+    refresh: Callable[[], float | None]
+    enable: Callable[[], None]
+    disable: Callable[[], None]
+    reset_fault: Callable[[], None]
+    home: Callable[[int | None], None]
+    arm: ArmHook
+    disarm: Callable[[], None]
+    confirm: Callable[[Motion], None]
+    is_done: Callable[[], bool]
+    stop: Callable[[], None]
+    stop_with_others: Callable[[], Trigger | None]
+    quick_stop: Callable[[], None]
+    halt: Callable[[], None]
+    motion_times: Callable[[], MotionTimes | None]
+    open_low_level: Callable[[], object]
+    close_low_level: Callable[[], None]
+
+    def fire(self, trigger: Trigger) -> None:
+        """Fire a trigger that one of the hooks returned."""
+        try:
+            trigger.fire()
+        except MotorError:
+            raise
+        except Exception as error:
+            raise PluginError(plugin=self.plugin, where="fire", problem=repr(error)) from error
+
 
 class MotorHooks(Device, ABC):
-    """The vendor's side of a motor; the application's side is `motorhil.motorapi.motor.Motor`.
-
-    Args:
-        name: name in messages and recordings.
-        model: constant properties of the motor, shared between copies.
-        runtime: the runtime in which it waits.
-        physical: the record that `register_physical_motor` returned for its hardware object.
-    """
+    """The vendor's side of a motor; the application's side is `motorhil.motorapi.motor.Motor`."""
 
     def __init__(
         self, *, name: str, model: MotorModel, runtime: Runtime, physical: PhysicalMotor
@@ -293,3 +349,59 @@ class MotorHooks(Device, ABC):
 
         Must neither wait nor send.
         """
+
+    # ---- for the rest of the interface ----
+
+    @final
+    def _all_hooks(self) -> Hooks:
+        """Return all hooks, guarded."""
+        return Hooks(
+            plugin=type(self).__qualname__,
+            supports=self._guarded(self._supports),
+            check_command=self._guarded(self._check_command),
+            sync_offer=self._guarded(self._sync_offer),
+            quantise=self._guarded(self._quantise),
+            connect=self._guarded(self._connect),
+            read_state=self._guarded(self._read_state),
+            read_fault=self._guarded(self._read_fault),
+            read_referenced=self._guarded(self._read_referenced),
+            read_position=self._guarded(self._read_position),
+            read_velocity=self._guarded(self._read_velocity),
+            read_reference=self._guarded(self._read_reference),
+            read_torque=self._guarded(self._read_torque),
+            read_following_error=self._guarded(self._read_following_error),
+            latest=self._guarded(self._latest),
+            position_source=self._guarded(self._position_source),
+            refresh=self._guarded(self._refresh),
+            enable=self._guarded(self._enable),
+            disable=self._guarded(self._disable),
+            reset_fault=self._guarded(self._reset_fault),
+            home=self._guarded(self._home),
+            arm=self._guarded(self._arm),
+            disarm=self._guarded(self._disarm),
+            confirm=self._guarded(self._confirm),
+            is_done=self._guarded(self._is_done),
+            stop=self._guarded(self._stop),
+            stop_with_others=self._guarded(self._stop_with_others),
+            quick_stop=self._guarded(self._quick_stop),
+            halt=self._guarded(self._halt),
+            motion_times=self._guarded(self._motion_times),
+            open_low_level=self._guarded(self._open_low_level),
+            close_low_level=self._guarded(self._close_low_level),
+        )
+
+    def _guarded(self, hook: Callable[P, R]) -> Callable[P, R]:
+        """Return a call of the hook, looked up by its name each time."""
+        name = hook.__name__
+
+        def call(*args: P.args, **kwargs: P.kwargs) -> R:
+            try:
+                found: R = getattr(self, name)(*args, **kwargs)
+            except MotorError:
+                raise
+            except Exception as error:
+                plugin = type(self).__qualname__
+                raise PluginError(plugin=plugin, where=name, problem=repr(error)) from error
+            return found
+
+        return call

@@ -155,7 +155,7 @@ def a_fault_is_reset(bench: RigProtocol) -> None:
     Level.L2,
     needs={Capability.FAULTS, Capability.POSITION_TRAJECTORY},
     bench={Ability.FAULT},
-    source="ReadableMotor.fault: what the drive says is wrong; Motor.enable: DeviceFault",
+    source="Motor.fault: what the drive says is wrong; Motor.enable: DeviceFault",
 )
 def a_fault_between_two_motions_is_not_swallowed(bench: RigProtocol) -> None:
     """At rest, a fault is reported with its error code to the next caller."""

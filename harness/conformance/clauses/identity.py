@@ -172,7 +172,7 @@ _LOOKS = 10
     Level.L0,
     needs={Capability.POSITION_TRAJECTORY},
     bench={Ability.TRUTH},
-    source="ReadableMotor.velocity: measured velocity [U/s]; paper 3.2",
+    source="Motor.velocity: measured velocity [U/s]; paper 3.2",
 )
 def velocity_is_how_fast_its_position_changes(bench: RigProtocol) -> None:
     """Measured velocity is the velocity of the output, in sign and size."""
@@ -205,7 +205,7 @@ def velocity_is_how_fast_its_position_changes(bench: RigProtocol) -> None:
     Level.L0,
     needs={Capability.MEASURED_TORQUE},
     bench={Ability.LOAD},
-    source="ReadableMotor.torque: measured torque [N·m], or force [N]; paper 3.2",
+    source="Motor.torque: measured torque [N·m], or force [N]; paper 3.2",
 )
 def torque_is_what_it_holds(bench: RigProtocol) -> None:
     """Measured torque is the torque that holds the load, in sign and size."""
@@ -230,7 +230,7 @@ def torque_is_what_it_holds(bench: RigProtocol) -> None:
     Level.L0,
     needs={Capability.MEASURED_FOLLOWING_ERROR},
     bench={Ability.LOAD, Ability.TRUTH},
-    source="ReadableMotor.following_error: demand minus actual position [U]",
+    source="Motor.following_error: demand minus actual position [U]",
 )
 def following_error_is_what_is_left_of_the_way(bench: RigProtocol) -> None:
     """Following error is the distance from demand to actual position, in sign and size."""

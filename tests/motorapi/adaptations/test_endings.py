@@ -19,7 +19,8 @@ from motorhil.motorapi.errors import (
     MotorError,
     PluginError,
 )
-from motorhil.motorapi.motor import Ending, Motor, Outcome
+from motorhil.motorapi.motor import Motor
+from motorhil.motorapi.outcome import Ending, Outcome
 from motorhil.motorapi.trajectory import TrapezoidalTrajectory
 from tests.motorapi.adaptations.conftest import drive
 
