@@ -1,12 +1,11 @@
-"""Execution of commands: one motor or many, started as one operation.
+"""Execution of commands: the start of one motor or many, and the wait for its end.
 
     acquire all (in one global order) -> plan -> enable -> plan again -> reserve the triggers
     -> arm all -> fire each trigger once -> confirm all
 
 If a step before firing fails, no motor has moved and all armed motors are disarmed. If a later step
-fails, every motor of the start is stopped. A start of one motor is the start of a group of one.
-
-A wait for the motions of one or several motors has one deadline.
+fails, every motor of the start is stopped. A start of one motor is the start of a group of one. A
+wait for several motors has one deadline.
 """
 
 from collections.abc import Callable, Sequence

@@ -1,4 +1,4 @@
-"""Motor groups: several motors that move together.
+"""Motor groups: several motors that start, wait and stop together.
 
 Algorithm 2 of the paper runs nearly word for word::
 
@@ -8,19 +8,17 @@ Algorithm 2 of the paper runs nearly word for word::
     group.start()
     group.wait_until_done()
 
-Supervision of one group start to its end, with the reaction to a failure.
+A group predicts how closely its motors can begin and end together, and measures it afterwards.
 
-Supervision does not depend on a waiting caller: it examines every change of its motors, as
-`on_done` does, and sends its reaction from there without waiting. A motor that must be polled
-reports only while a caller waits for it.
+Each start is supervised to its end, whether or not a caller waits. Supervision examines every
+change of the motors, as `on_done` does, and sends its reaction from there without waiting. A motor
+that must be polled reports only while a caller waits for it.
 
 A motor fails when its motion ends short of its target although its owner did not request that: by a
 fault, a lost link, another program, or a takeover. A stop of one motor affects that motor only. A
 caller that waits for the group finds it short of its target, and then the group reacts as to a
 fault. Motors stopped in reaction raise an interruption for callers that wait for one of them; a
 caller that waits for the group gets the cause.
-
-Synchronization capability of a group before a motion, and quality afterwards.
 """
 
 import logging

@@ -25,33 +25,14 @@ Source: Biagiotti & Melchiorri, Trajectory Planning for Automatic Machines and R
 trapezoidal trajectories with non-null initial and final velocities; asymmetric ramps and reversing
 motions follow in the same way.
 
-Trapezoidal velocity profiles from rest to rest, in closed form.
-
-The profile is the shortest, or has a given duration. With distance D >= 0, speed limit v,
-acceleration a and deceleration d (all magnitudes):
-
-    shortest   peak p = min(v, sqrt(2 D a d / (a + d))), duration T = D/p + k p
-    stretched  the same a and d, and the peak p for which D/p + k p = T
-               p = (T - sqrt(T² - 4 k D)) / (2 k) = 2 D / (T + sqrt(T² - 4 k D))
-
-Here k = (1/a + 1/d) / 2 is half the time for a ramp up to speed 1 and a ramp down from it. For a =
-d the peak is (a T - sqrt(a² T² - 4 a D)) / 2. The last form is used: it avoids cancellation for
-long T. A profile of distance 0 has duration 0, or any requested duration. Units: one unit of length
-U (rad or m) throughout, so rotary and linear motors may be mixed.
-
-Source: Biagiotti & Melchiorri, Trajectory Planning for Automatic Machines and Robots (2008), ch. 3,
-trapezoidal velocity profile; asymmetric ramps follow in the same way.
-
-Possible durations of a motion, and the profile of a given duration.
-
-At a given duration T, with every ramp as steep as the limits allow, the distance grows with the
-peak u:
+*Possible durations.* At a given duration T, with every ramp as steep as the limits allow, the
+distance grows with the peak u:
 
     d(distance) / du = T - (time for both ramps) = duration of the plateau >= 0
 
 So each distance that is possible in T has one peak, and no motion of another shape reaches a
 distance that these do not. Let c = T - (time of the direct ramp), and G the excess caused by a peak
-(the terms are those of `motorhil.motorapi.generation.trapezoid`):
+(the terms are those above):
 
     between the boundary velocities   G = u c
     above or below                    G is a quadratic polynomial of u on each side of 0
@@ -63,7 +44,17 @@ slow only as long as it need not stop: until Ta. For a longer duration it must s
 target, move back and return, which is impossible before Tb. No motion has a duration between Ta and
 Tb.
 
-Generated profiles: pieces of constant acceleration.
+*From rest to rest*, in the fewest numbers. The profile is the shortest, or has a given duration.
+With distance D >= 0, speed limit v, acceleration a and deceleration d (all magnitudes):
+
+    shortest   peak p = min(v, sqrt(2 D a d / (a + d))), duration T = D/p + k p
+    stretched  the same a and d, and the peak p for which D/p + k p = T
+               p = (T - sqrt(T² - 4 k D)) / (2 k) = 2 D / (T + sqrt(T² - 4 k D))
+
+Here k = (1/a + 1/d) / 2 is half the time for a ramp up to speed 1 and a ramp down from it. For a =
+d the peak is (a T - sqrt(a² T² - 4 a D)) / 2. The last form is used: it avoids cancellation for
+long T. A profile of distance 0 has duration 0, or any requested duration. Units: one unit of length
+U (rad or m) throughout, so rotary and linear motors may be mixed.
 """
 
 from dataclasses import dataclass
@@ -77,6 +68,10 @@ from motorhil.motorapi.planning.limits import ROUNDING
 
 if TYPE_CHECKING:
     from motorhil.motorapi.functions.piecewise import Piecewise
+
+
+_LOST: Final = 64.0  # ratio of direct way to excess beyond which digits are lost
+_ROUNDING: Final = 2.0**-50
 
 
 @final
@@ -369,9 +364,6 @@ def _between(one: float, found: float, other: float) -> float:
     return other if found < other else one if found > one else found
 
 
-_LOST: Final = 64.0  # ratio of direct way to excess beyond which digits are lost
-_ROUNDING: Final = 2.0**-50
-
 Task: TypeAlias = tuple[float, float, float, float, float, float, float, float, float, float]
 """A motion, mirrored if necessary so that its excess is >= 0: (sign, excess, initial velocity,
 final velocity, low, high, rise, fall, back_rise, back_fall). The sign is -1 if mirrored, (low,
@@ -407,17 +399,17 @@ def trapezoid(
         UsageError: a number is not finite, a boundary velocity lies outside the limits, or no
             motion (of that duration) exists; the message lists the possible durations.
     """
-    task = task_of(final, limits, initial, initial_velocity, final_velocity)
+    task = _task_of(final, limits, initial, initial_velocity, final_velocity)
     if not isfinite(initial_argument):
         raise UsageError(f"the initial argument is {initial_argument}, not a finite number")
     pieces: tuple[Piece, ...]
     if duration_s is not None:
-        pieces = pieces_lasting(task, duration_s, initial, final)
+        pieces = _pieces_lasting(task, duration_s, initial, final)
         return Profile(initial_argument, initial_velocity, final_velocity, pieces)
-    peak, up, down, hold_s = peak_of(task)
+    peak, up, down, hold_s = _peak_of(task)
     sign, _, begin, end, _, _, rise, fall, _, _ = task
     if begin >= 0.0 <= end and up > 0.0 < down and rise < inf > fall:
-        # One ramp up and one down, the common case: the same as `assembled`, without a list.
+        # One ramp up and one down, the common case: the same as `_assembled`, without a list.
         t1 = up / rise
         t2 = t1 + hold_s
         t3 = t2 + down / fall
@@ -431,11 +423,11 @@ def trapezoid(
         else:
             pieces = ((0.0, t1, initial, x2, initial_velocity, top, sign * rise), last)
     else:
-        pieces = assembled(task, peak, up, down, hold_s, initial, final)
+        pieces = _assembled(task, peak, up, down, hold_s, initial, final)
     return Profile(initial_argument, initial_velocity, final_velocity, pieces)
 
 
-def task_of(
+def _task_of(
     final: float,
     limits: ProfileLimits,
     initial: float,
@@ -482,7 +474,7 @@ def task_of(
     )  # fmt: skip
 
 
-def peak_of(task: Task) -> tuple[float, float, float, float]:
+def _peak_of(task: Task) -> tuple[float, float, float, float]:
     """Return (peak, velocity gain to it, velocity loss after it, duration of the plateau [s]).
 
     Raises:
@@ -509,7 +501,7 @@ def peak_of(task: Task) -> tuple[float, float, float, float]:
     return peak, (greater - initial) + gain, (greater - final) + gain, hold_s
 
 
-def assembled(
+def _assembled(
     task: Task,
     peak: float,
     up: float,
@@ -657,10 +649,10 @@ def possible_durations(
     Raises:
         UsageError: as for `trapezoid`.
     """
-    return _possible(task_of(final, limits, initial, initial_velocity, final_velocity))
+    return _possible(_task_of(final, limits, initial, initial_velocity, final_velocity))
 
 
-def pieces_lasting(
+def _pieces_lasting(
     task: Task, duration_s: float, initial: float, final: float
 ) -> tuple[Piece, ...]:
     """Return the pieces of the motion of this duration; see `assembled` for the arguments.
@@ -672,11 +664,11 @@ def pieces_lasting(
         raise UsageError(f"the duration is {duration_s} s, not a finite number >= 0")
     duration_s = _allowed(task, duration_s)
     if duration_s <= _shortest_s(task):
-        return assembled(task, *peak_of(task), initial, final)
+        return _assembled(task, *_peak_of(task), initial, final)
     _, _, begin, end, low, high, *_ = task
     peak = min(max(_peak(task, duration_s - _ramp_s(task, begin, end)), low), high)
     hold_s = duration_s - _ramp_s(task, begin, peak) - _ramp_s(task, peak, end)
-    pieces = assembled(task, peak, peak - begin, peak - end, max(hold_s, 0.0), initial, final)
+    pieces = _assembled(task, peak, peak - begin, peak - end, max(hold_s, 0.0), initial, final)
     return (*pieces[:-1], (pieces[-1][0], duration_s, *pieces[-1][2:]))
 
 
@@ -753,7 +745,7 @@ def _shortest_s(task: Task) -> float:
     _, excess, _, _, _, high, rise, fall, _, _ = task
     if excess > 0.0 and high == rise == fall == inf:
         return 0.0  # all longer durations are possible
-    return assembled(task, *peak_of(task), 0.0, 0.0)[-1][1]
+    return _assembled(task, *_peak_of(task), 0.0, 0.0)[-1][1]
 
 
 def _ramp_s(task: Task, begin: float, end: float) -> float:
