@@ -35,8 +35,8 @@ brought to rest by `_stop`, `_refresh` and `_is_done` before its next owner comm
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import ParamSpec, Protocol, TypeVar, final
+from dataclasses import dataclass, fields
+from typing import Any, Protocol, final
 
 from motorhil.motorapi.commands import ControlMode, ControlVariable, Setpoint
 from motorhil.motorapi.device import Device
@@ -48,9 +48,6 @@ from motorhil.motorapi.runtime.api import Runtime
 from motorhil.motorapi.state import Fault, Measurement, MotorState
 from motorhil.motorapi.synchronization.quality import MotionTimes, SyncOffer, Trigger
 from motorhil.motorapi.trajectory import ComplexTrajectory, Trajectory
-
-P = ParamSpec("P")
-R = TypeVar("R")
 
 
 class ArmHook(Protocol):
@@ -354,54 +351,20 @@ class MotorHooks(Device, ABC):
 
     @final
     def _all_hooks(self) -> Hooks:
-        """Return all hooks, guarded."""
-        return Hooks(
-            plugin=type(self).__qualname__,
-            supports=self._guarded(self._supports),
-            check_command=self._guarded(self._check_command),
-            sync_offer=self._guarded(self._sync_offer),
-            quantise=self._guarded(self._quantise),
-            connect=self._guarded(self._connect),
-            read_state=self._guarded(self._read_state),
-            read_fault=self._guarded(self._read_fault),
-            read_referenced=self._guarded(self._read_referenced),
-            read_position=self._guarded(self._read_position),
-            read_velocity=self._guarded(self._read_velocity),
-            read_reference=self._guarded(self._read_reference),
-            read_torque=self._guarded(self._read_torque),
-            read_following_error=self._guarded(self._read_following_error),
-            latest=self._guarded(self._latest),
-            position_source=self._guarded(self._position_source),
-            refresh=self._guarded(self._refresh),
-            enable=self._guarded(self._enable),
-            disable=self._guarded(self._disable),
-            reset_fault=self._guarded(self._reset_fault),
-            home=self._guarded(self._home),
-            arm=self._guarded(self._arm),
-            disarm=self._guarded(self._disarm),
-            confirm=self._guarded(self._confirm),
-            is_done=self._guarded(self._is_done),
-            stop=self._guarded(self._stop),
-            stop_with_others=self._guarded(self._stop_with_others),
-            quick_stop=self._guarded(self._quick_stop),
-            halt=self._guarded(self._halt),
-            motion_times=self._guarded(self._motion_times),
-            open_low_level=self._guarded(self._open_low_level),
-            close_low_level=self._guarded(self._close_low_level),
-        )
+        """Return all hooks, guarded; each field of `Hooks` has the name of its hook."""
+        names = [field.name for field in fields(Hooks)]
+        return Hooks(type(self).__qualname__, *(self._guarded(f"_{name}") for name in names[1:]))
 
-    def _guarded(self, hook: Callable[P, R]) -> Callable[P, R]:
-        """Return a call of the hook, looked up by its name each time."""
-        name = hook.__name__
+    def _guarded(self, name: str) -> Any:
+        """Return a call of the hook, which is looked up by its name each time."""
 
-        def call(*args: P.args, **kwargs: P.kwargs) -> R:
+        def call(*args: Any, **kwargs: Any) -> Any:
             try:
-                found: R = getattr(self, name)(*args, **kwargs)
+                return getattr(self, name)(*args, **kwargs)
             except MotorError:
                 raise
             except Exception as error:
                 plugin = type(self).__qualname__
                 raise PluginError(plugin=plugin, where=name, problem=repr(error)) from error
-            return found
 
         return call

@@ -24,7 +24,7 @@ import weakref
 from collections.abc import Callable
 from dataclasses import dataclass
 from types import TracebackType
-from typing import Final, Protocol, final, runtime_checkable
+from typing import Final, NamedTuple, Protocol, final, runtime_checkable
 
 from motorhil.motorapi.errors import MotorBusyError, UsageError
 from motorhil.motorapi.locking.directory import LockDirectory
@@ -331,8 +331,7 @@ def _plain_wait(runtime: Runtime, done: Callable[[], bool], timeout_s: float | N
 
 
 @final
-@dataclass(frozen=True, slots=True)
-class _LockRequest:
+class _LockRequest(NamedTuple):
     """A lock request; see the arguments of `ProcessLock.acquire`."""
 
     runtime: Runtime
@@ -359,7 +358,6 @@ class _Acquisition:
         watcher: QueueWatcher,
         mutex: threading.Lock,
         look: Callable[[], LockView],
-        pid: int,
     ) -> None:
         self.takeover: TakeoverAttempt | None = None
         self._file: Final = file
@@ -367,7 +365,6 @@ class _Acquisition:
         self._watcher: Final = watcher
         self._mutex: Final = mutex  # of all that take a place
         self._look: Final = look
-        self._pid: Final = pid
         self._blocked: Attempt | None = None
 
     def take(self) -> None:
@@ -456,11 +453,11 @@ class _Acquisition:
 
     def _has_strangers(self, place: int) -> bool:
         """Return True if the holder or an earlier waiter is of another process."""
-        view = self._look()
+        view, pid = self._look(), this_process().pid
         ahead = [one for there, one in view.waiters if there < place]
         if view.holder is not None:
             ahead.append(view.holder)
-        return any(one.record is None or one.record.pid != self._pid for one in ahead)
+        return any(one.record is None or one.record.pid != pid for one in ahead)
 
     def _busy(self, place: int | None) -> MotorBusyError:
         view = self._look()
@@ -552,17 +549,14 @@ class ProcessLock:
             owner: the party that may acquire it repeatedly; None: the thread.
             asker: name of the refused party in the error; "": the label.
             wait: wait function of the runtime; None: its `wait_until`.
-            lease_s: others may take it over after this time without renewal [s]; None: never,
-                except with `take_over`.
+            lease_s: others may take it over after this time without renewal [s]; None: no lease.
             take_over: take it from its holder, ahead of all waiters.
 
         Raises:
-            MotorBusyError: another process holds it; names the process. The place in the queue is
-                released.
+            MotorBusyError: another process holds it; names the process.
             UsageError: the file of the lock is not safe, or no wait is possible here.
         """
-        if owner is None:
-            owner = threading.current_thread()
+        owner = threading.current_thread() if owner is None else owner
         hold = self.hold
         if hold is not None and hold.owner is owner:
             hold.again()
@@ -598,10 +592,9 @@ class ProcessLock:
 
     def _take(self, file: LockFile, request: _LockRequest) -> TakeoverAttempt | None:
         """Acquire by waiting; return the takeover, if any. Raise MotorBusyError on timeout."""
-        pid = this_process().pid
-        taking = _Acquisition(file, request, self._watcher, self._mutex, self.look, pid)
-        taking.take()
-        return taking.takeover
+        acquisition = _Acquisition(file, request, self._watcher, self._mutex, self.look)
+        acquisition.take()
+        return acquisition.takeover
 
     @property
     def hold(self) -> LockHandle | None:
