@@ -159,7 +159,7 @@ class Stage:
         found: dict[int, list[Motor]] = {}
         for name in self.rig.motors:
             motor = self.rig.motors[name]
-            found.setdefault(id(motor._physical), []).append(motor)
+            found.setdefault(id(motor.logical.physical), []).append(motor)
         return list(found.values())
 
     def require(self, holds: bool, words: str) -> None:
@@ -238,7 +238,7 @@ class Owner(Party):
         self._give: Note | None = None
         self._death: Note | None = None
         self._taken: OwnershipEvent | None = None
-        self._listeners: Final = motor._physical.ownership.listeners
+        self._listeners: Final = motor.logical.physical.ownership.listeners
         self._listeners.append(self._hear)
         super().__init__(name, stage)
 
@@ -380,7 +380,7 @@ class Owner(Party):
             reservation = other.reservation
             if other.is_lost or reservation is None or reservation.lost_to is None:
                 continue
-            if other.motor._physical is self.motor._physical:
+            if other.motor.logical.physical is self.motor.logical.physical:
                 other.is_lost = True
                 lease_s = (other.lease_s or _LONG_S) * _RENEWED
                 end_ns = other.used_ns + round(lease_s * 1e9)
@@ -448,7 +448,7 @@ class Owner(Party):
         self, before: float, distance: float, duration_s: float, reserved: "Reservation | None"
     ) -> None:
         stage = self.stage
-        run = self.motor._run
+        run = self.motor.logical.run
         assert run is not None
         took_s = (stage.runtime.now_ns() - run.since_ns) / 1e9
         stage.counts["motion: as long as asked for"] += 1
@@ -526,7 +526,7 @@ class Watch:
     def _watched_arm(self, motion: Motion, *, together: bool) -> Trigger:
         if self.refuses:
             raise LinkError(
-                link=self.motor._physical.label, reason="it refuses, as planned by the test"
+                link=self.motor.logical.physical.label, reason="it refuses, as planned by the test"
             )
         trigger = self._arm(motion, together=together)
         self.was_armed = True
@@ -631,7 +631,7 @@ class GroupOwner(Party):
             self._require_moved(watches, before, ways, "to its target")
 
     def _begun_ns(self, watches: Sequence[Watch]) -> int:
-        runs = [watch.motor._run for watch in watches]
+        runs = [watch.motor.logical.run for watch in watches]
         return min(run.since_ns for run in runs if run is not None)
 
     def _require_moved(
@@ -663,12 +663,12 @@ class GroupOwner(Party):
 
     def _take(self, watches: Sequence[Watch]) -> None:
         for watch in watches:
-            label = watch.motor._physical.label
+            label = watch.motor.logical.physical.label
             self.stage.history.call(self.name, label, Action.TAKE).returned()
 
     def _gives(self, watches: Sequence[Watch]) -> list[Note]:
         """Begin the notes of release; they are completed when ownership has ended."""
-        labels = [watch.motor._physical.label for watch in watches]
+        labels = [watch.motor.logical.physical.label for watch in watches]
         return [self.stage.history.call(self.name, label, Action.GIVE) for label in labels]
 
 
