@@ -60,7 +60,7 @@ def add_modbus_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def open_doors(rig: Rig, loop: WallLoop, options: argparse.Namespace) -> dict[str, list[str]]:
+def _open_lines(rig: Rig, loop: WallLoop, options: argparse.Namespace) -> dict[str, list[str]]:
     """Open the requested endpoints and return them: bus -> HOST:PORT or LINK, one per request.
 
     Raises:
@@ -70,9 +70,9 @@ def open_doors(rig: Rig, loop: WallLoop, options: argparse.Namespace) -> dict[st
     doors: dict[str, list[str]] = {}
     for text in options.modbus_tcp:
         bus, host, port = _tcp_words(rig, text)
-        there = ModbusSocket(host, port, rig.world, bus, any_address=options.any_address)
-        loop.add(there)
-        doors.setdefault(bus, []).append(str(there))
+        endpoint = ModbusSocket(host, port, rig.world, bus, any_address=options.any_address)
+        loop.add(endpoint)
+        doors.setdefault(bus, []).append(str(endpoint))
     for text in options.modbus_rtu:
         bus, link = _words(rig, text, "--modbus-rtu", MODBUS_RTU)
         pty = ModbusPty(Path(link), rig.world, bus)
@@ -90,9 +90,9 @@ def described(rig: Rig, doors: dict[str, list[str]]) -> Iterable[str]:
             for one in rig.description.controllers.values()
             if one.bus == name and one.node_id is not None
         ]
-        behind = f"units {', '.join(units)}" if units else "no units"
+        served = f"units {', '.join(units)}" if units else "no units"
         for place in places:
-            yield f"{name}: {_protocol(bus)} at {place}, {behind}"
+            yield f"{name}: {_protocol(bus)} at {place}, {served}"
 
 
 def _protocol(bus: BusDescription) -> str:
@@ -222,11 +222,11 @@ class Program:
         self._output = self._process.stdout.fileno()
         self._text = b""
         self._watch: int | None = None
-        self._hears = False
+        self._is_reading = False
         try:
             os.set_blocking(self._output, False)
             loop.wake_on(self._output)
-            self._hears = True
+            self._is_reading = True
             self._watch = os.pidfd_open(self.pid)
             loop.wake_on(self._watch)
         except BaseException:
@@ -261,7 +261,7 @@ class Program:
 
     def lines(self) -> list[str]:
         """Return the lines printed since the last call."""
-        if self._hears:
+        if self._is_reading:
             try:
                 data = os.read(self._output, _LINE_MAX)
             except BlockingIOError:
@@ -281,8 +281,8 @@ class Program:
             os.close(watch)
 
     def _forget_output(self) -> None:
-        if self._hears:
-            self._hears = False
+        if self._is_reading:
+            self._is_reading = False
             self._loop.forget(self._output)
 
 
@@ -330,8 +330,8 @@ def run(options: argparse.Namespace) -> int:
         loop = WallLoop(rig.world.queue)
         cleanup.callback(loop.close)
         try:
-            lines = open_doors(rig, loop, options)
-            doors = _open_doors(rig, loop, options, cleanup)
+            lines = _open_lines(rig, loop, options)
+            doors = _open_buses(rig, loop, options, cleanup)
         except (HubError, SocketCanError, *ModbusDoorError) as error:
             print(f"motorhil serve: {error}", file=sys.stderr)
             return WRONG_USAGE
@@ -339,7 +339,7 @@ def run(options: argparse.Namespace) -> int:
         service = _Service(loop, cleanup.enter_context(StopSignals(loop)))
         if options.rest:
             status = service.run_command(options.rest, _environment(doors, lines))
-            verdict = _stood_in(rig)
+            verdict = _report_unanswered(rig)
             return status or verdict
         print(f"serving {rig.description.name}; Ctrl-C stops", file=sys.stderr)
         for bus, (interface, channel) in doors.items():
@@ -350,10 +350,10 @@ def run(options: argparse.Namespace) -> int:
         print(
             f"stopped; an event was at most {loop.late_ns_max / 1e6:.1f} ms late", file=sys.stderr
         )
-        return _stood_in(rig)
+        return _report_unanswered(rig)
 
 
-def _stood_in(rig: Rig) -> int:
+def _report_unanswered(rig: Rig) -> int:
     """Print what recorded controllers could not answer; return 0 if they answered everything."""
     for line in summary(rig):
         print(f"motorhil serve: {line}", file=sys.stderr)
@@ -379,17 +379,17 @@ def _refuse_nothing(rig: Rig, options: argparse.Namespace) -> None:
 
 def _environment(doors: dict[str, tuple[str, str]], lines: dict[str, list[str]]) -> dict[str, str]:
     """Return environment variables that tell a command where buses and lines are."""
-    told: dict[str, str] = {}
+    variables: dict[str, str] = {}
     if doors:
-        told["CAN_INTERFACE"], told["CAN_CHANNEL"] = next(iter(doors.values()))
+        variables["CAN_INTERFACE"], variables["CAN_CHANNEL"] = next(iter(doors.values()))
     places = {bus: channel for bus, (_, channel) in doors.items()}
     places |= {line: where[0] for line, where in lines.items()}
     for name, place in places.items():
-        told[f"MOTORHIL_CHANNEL_{name.upper().replace('-', '_')}"] = place
-    return told
+        variables[f"MOTORHIL_CHANNEL_{name.upper().replace('-', '_')}"] = place
+    return variables
 
 
-def _open_doors(
+def _open_buses(
     rig: Rig, loop: WallLoop, options: argparse.Namespace, cleanup: ExitStack
 ) -> dict[str, tuple[str, str]]:
     """Open each bus and return its python-can name: bus -> (interface, channel)."""
