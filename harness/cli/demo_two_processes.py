@@ -28,7 +28,7 @@ from motorhil.emulators.gateways.hub import HubError, HubServer
 from motorhil.emulators.gateways.loop import WallLoop
 from motorhil.harness.cli.main import FAILED, PASSED
 from motorhil.harness.cli.options import print_table
-from motorhil.harness.cli.serve import STOPPING, Program, StopSignals
+from motorhil.harness.cli.processes import STOPPING, Program, StopSignals
 from motorhil.harness.examples.driving_program import LEGS
 from motorhil.harness.examples.rover_kinematics import WHEELS
 from motorhil.harness.recording.ownership import Ended, OwnershipRecord, Tenure, read_ownership

@@ -132,7 +132,7 @@ def _record(
     own_times: bool,
     cleanup: ExitStack,
 ) -> int:
-    from motorhil.harness.cli.serve import StopSignals
+    from motorhil.harness.cli.processes import StopSignals
     from motorhil.harness.recording.loop import RecordingLoop
     from motorhil.harness.recording.writer import Pump, Series, opener
 
