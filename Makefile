@@ -13,8 +13,8 @@ PACKAGES := motorhil
 WORKERS := -n 2 --dist loadfile --no-loadscope-reorder
 
 DOCUMENTS := tests/architecture/test_docs_links.py tests/architecture/test_docs_language.py
-QUICK := $(DOCUMENTS) tests/motorapi/functions tests/motorapi/generation tests/traces \
-    tests/emulators/media tests/emulators/canopen tests/emulators/motion
+QUICK := $(DOCUMENTS) tests/unit/motorapi/functions tests/unit/motorapi/generation tests/unit/traces/formats \
+    tests/unit/emulators/can/bus tests/unit/emulators/canopen tests/unit/emulators/firmware
 
 # What was read once is not compiled or rewritten anew by each of the hundreds of programs that the
 # tests start, whatever the environment says; nor does it lie among the sources.
@@ -76,7 +76,7 @@ bench-against: $(READY)  ## REV, another revision, built once: what the demo, cs
 	$(BIN)/python -m tests.benchmarks.against $(REV) $(AGAINST)
 
 fuzz: $(READY)  ## a million random, mutated and recorded frames at the drive; FUZZ="--seed N --frames N"
-	$(BIN)/python -m tests.fuzz $(FUZZ)
+	$(BIN)/python -m tests.properties.fuzz $(FUZZ)
 
 mutants: $(READY)  ## every adaptation broken on purpose against every clause; writes the kill table
 	$(BIN)/python -m tests.conformance.mutants $(MUTANTS)
@@ -85,7 +85,7 @@ clauses: $(READY)  ## docs/reference/clauses.md, every clause of the conformance
 	$(BIN)/python -m motorhil.harness.conformance.kit > docs/reference/clauses.md
 
 golden: $(READY)  ## the golden recordings again, where a rig does something else today
-	$(BIN)/python -m tests.golden
+	$(BIN)/python -m tests.support.golden
 
 format: $(READY)  ## formats the sources
 	$(BIN)/ruff check --fix .

@@ -10,7 +10,7 @@ from hypothesis import HealthCheck, settings
 
 from motorhil import emulators
 from motorhil.harness.version import cores_are_compiled
-from tests.dissector import collect_sent, complaints, tshark
+from tests.support.dissector import collect_sent, complaints, tshark
 
 settings.register_profile(
     "ci",

@@ -40,7 +40,7 @@ from functools import cache
 from pathlib import Path
 
 from tests.architecture import rover_picture
-from tests.architecture.checkout import CHECKOUT
+from tests.support.checkout import CHECKOUT
 
 README = CHECKOUT / "README.md"
 PAGES = (README, *sorted((CHECKOUT / "docs").rglob("*.md")))

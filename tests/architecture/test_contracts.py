@@ -8,7 +8,7 @@ import tomllib
 
 import pytest
 
-from tests.architecture.checkout import CHECKOUT, PACKAGES
+from tests.support.checkout import CHECKOUT, PACKAGES
 
 # (contract, file of the planted line, the line, import-linter's message)
 PLANTS = [

@@ -3,13 +3,14 @@
 `make check` runs this file too: it starts nothing and takes a second.
 """
 
+import pkgutil
 import re
 from collections import Counter
 
 import pytest
 
-from tests.architecture.checkout import CHECKOUT
 from tests.architecture.pages import PAGES, README, name_of
+from tests.support.checkout import CHECKOUT
 
 README_LINES_MAX = 250
 LINK = re.compile(r"\]\(([^)\s]+)\)")
@@ -99,3 +100,11 @@ def test_readme_is_short():
 def test_a_dead_link_is_found(link, is_dead):
     text = f"# `README`: title\n\n## README title\n\n[text]({link})\n"
     assert dead_links(README, text) == ([link] if is_dead else [])
+
+
+def test_renamed_names_are_at_their_new_homes():
+    page = (CHECKOUT / "docs/reference/renamed.md").read_text(encoding="utf-8")
+    homes = re.findall(r"^\| `[^`]+`[^|]*\| `(motorhil[\w.]+)` \|$", page, re.MULTILINE)
+    assert len(homes) > 30
+    for home in homes:
+        assert pkgutil.resolve_name(home) is not None

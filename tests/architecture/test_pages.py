@@ -11,7 +11,6 @@ import pytest
 from motorhil.harness.cli.main import main as motorhil
 from motorhil.motorapi import errors
 from tests.architecture import rover_picture
-from tests.architecture.checkout import CHECKOUT
 from tests.architecture.pages import (
     PAGES,
     PICTURE,
@@ -24,6 +23,7 @@ from tests.architecture.pages import (
     run,
     steps_of,
 )
+from tests.support.checkout import CHECKOUT
 
 TEXTS = {name_of(page): page.read_text(encoding="utf-8") for page in PAGES}
 ALL = "\n".join(TEXTS.values())

@@ -1,7 +1,7 @@
 """docs/reference/clauses.md contains the kit's promises."""
 
 from motorhil.harness.conformance.kit import page
-from tests.architecture.checkout import CHECKOUT
+from tests.support.checkout import CHECKOUT
 
 PAGE = CHECKOUT / "docs" / "reference" / "clauses.md"
 

@@ -24,12 +24,12 @@ from motorhil.harness.rig.config.toml import RigError
 from motorhil.harness.rig.rig import describe
 from motorhil.motorapi import ControlMode, ControlVariable
 from motorhil.traces.digest import digest
-from tests.conformance.benches import RIGS
-from tests.harness.cli_bench import beside, in_another_process
+from tests.support.command_line import beside, in_another_process
+from tests.support.kit_benches import RIGS
 
 ROOT = Path(__file__).parents[2]
 WITHOUT = '[conformance.without]\nposition_trajectory = "it has none"\n'
-MISBEHAVING = "tests.conformance.misbehaving:build"
+MISBEHAVING = "tests.support.misbehaving_motors:build"
 
 
 def conform(*words, seed):

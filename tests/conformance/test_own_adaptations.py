@@ -11,7 +11,7 @@ from motorhil.harness.conformance.clause import Result
 from motorhil.harness.conformance.kit import all_clauses
 from motorhil.harness.conformance.run import run_clause
 from motorhil.harness.rig.config.conformance import Capability
-from tests.conformance.benches import KINDS, claims, opener
+from tests.support.kit_benches import KINDS, claims, opener
 
 CLAUSES = all_clauses()
 # The clauses that are not applicable, so that a claim lost by mistake is noticed.

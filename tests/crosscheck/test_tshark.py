@@ -17,9 +17,9 @@ from motorhil.harness.rig.config.scaffold import EXAMPLES
 from motorhil.harness.rig.rig import Rig
 from motorhil.harness.version import cores_are_compiled
 from motorhil.motorapi import ControlMode, Motor, TrapezoidalTrajectory
-from tests.dissector import COLUMNS, capture, collect_sent, complaints, dissected
-from tests.dissector import tshark as program
-from tests.emulators.cia402.bench import Bench
+from tests.support.cia402.bench import Bench
+from tests.support.dissector import COLUMNS, capture, collect_sent, complaints, dissected
+from tests.support.dissector import tshark as program
 
 FIELDS = (
     "canopen.node_id",

@@ -11,7 +11,7 @@ from motorhil.motorapi.adaptations.modbus.polled_motor import PolledMotor
 from motorhil.motorapi.motor import SharedMotor
 from motorhil.motorapi.ownership.physical_motor import PhysicalMotor, RunStatus
 from tests.conformance.mutants import mutant, replaced
-from tests.harness.sharing.mutants import a_lock_without_fifo, no_fencing
+from tests.support.sharing.mutants import a_lock_without_fifo, no_fencing
 
 
 @mutant("ideal", "SHARE-01")
