@@ -239,7 +239,7 @@ class Owner(Party):
         self._death: Note | None = None
         self._taken: OwnershipEvent | None = None
         self._listeners: Final = motor.logical.physical.ownership.listeners
-        self._listeners.append(self._hear)
+        self._listeners.append(self._note_event)
         super().__init__(name, stage)
 
     # ---- errands ----
@@ -358,7 +358,7 @@ class Owner(Party):
         self._taken = None
         return self.stage.history.call(self.name, self._label, action, value=value, forced=forced)
 
-    def _hear(self, event: OwnershipEvent) -> None:
+    def _note_event(self, event: OwnershipEvent) -> None:
         if event.owner.endswith(f" of {self.motor.name}") and event.action in (
             LockAction.TAKEN,
             LockAction.BROKEN,
@@ -459,12 +459,12 @@ class Owner(Party):
         )
         if reserved is None or reserved.lost_to is not None:
             return
-        went = self.motor.position() - before
+        moved = self.motor.position() - before
         stage.counts["motion: as far as asked for"] += 1
         stage.require(
-            abs(went - distance) <= stage.course.window,
+            abs(moved - distance) <= stage.course.window,
             f"{self.name} was the only owner and moved the motor by {distance:g}, but it went "
-            f"{went:g}",
+            f"{moved:g}",
         )
 
     def leave(self) -> None:
@@ -472,7 +472,7 @@ class Owner(Party):
         self._death = self.stage.history.call(self.name, "", Action.DIE)
         self._stack.close()
         self.reservation = None
-        self._listeners.remove(self._hear)
+        self._listeners.remove(self._note_event)
         if not self._moves:
             self._death.returned()
             self._death = None
@@ -638,11 +638,11 @@ class GroupOwner(Party):
         self, watches: Sequence[Watch], before: Sequence[float], ways: Sequence[float], why: str
     ) -> None:
         for watch, place, way in zip(watches, before, ways, strict=True):
-            went = watch.motor.position() - place
+            moved = watch.motor.position() - place
             self.stage.counts["positions compared"] += 1
             self.stage.require(
-                abs(went - way) <= self.stage.course.window,
-                f"{self.name}: {watch.motor.name} went {went:g} instead of {way:g} {why}",
+                abs(moved - way) <= self.stage.course.window,
+                f"{self.name}: {watch.motor.name} went {moved:g} instead of {way:g} {why}",
             )
 
     @contextmanager
