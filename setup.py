@@ -37,16 +37,13 @@ COMPILED = (
     "traces/mcap/chunk.py",
     "traces/protobuf.py",
     "motorapi/runtime/api.py",
-    "motorapi/adaptations/canopen/bus.py",
+    *(f"motorapi/adaptations/canopen/{name}.py" for name in ("emcy", "link", "node", "objects")),
     "motorapi/adaptations/cia402/measurements.py",
     "motorapi/adaptations/cia402/motion_status.py",
     "motorapi/adaptations/cia402/node.py",
     "motorapi/adaptations/cia402/objects.py",
     "motorapi/adaptations/cia402/units.py",
-    "motorapi/adaptations/host_servo/cycle.py",
-    "motorapi/adaptations/host_servo/demand.py",
-    "motorapi/adaptations/host_servo/hardware.py",
-    "motorapi/adaptations/host_servo/servo.py",
+    *(f"motorapi/adaptations/host_servo/{name}.py" for name in ("axis", "cycle", "demand", "servo")),
 )
 # Modules of these folders that stay interpreted: compiling them costs more than they spend.
 READ_AT_START = (  # once, when a rig opens

@@ -75,6 +75,19 @@ PLANTS = [
         "oriental_az.hardware -> motorhil.motorapi.adaptations.leadshine.hardware",
     ),
     (
+        "adaptations",
+        "motorapi/adaptations/canopen/emcy.py",
+        "import motorhil.motorapi.adaptations.cia402.objects",
+        "canopen.emcy -> motorhil.motorapi.adaptations.cia402.objects",
+    ),
+    (
+        "adaptations",
+        "motorapi/adaptations/host_servo/node.py",
+        "import motorhil.motorapi.adaptations.cia402.node",
+        "host_servo.node -> motorhil.motorapi.adaptations.cia402.node",
+    ),
+    ("adaptations", "motorapi/adaptations/novelty.py", "", "novelty"),
+    (
         "modbus-without-can",
         "motorapi/adaptations/modbus/client.py",
         "import motorhil.motorapi.adaptations.canopen.bus",

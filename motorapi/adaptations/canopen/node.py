@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Final, Protocol
 
 from motorhil.motorapi.adaptations.canopen.bus import HEARTBEAT_ID, OPERATIONAL, STOPPED, CanopenBus
 from motorhil.motorapi.adaptations.canopen.emcy import Emergency, last_error, standing_error
+from motorhil.motorapi.adaptations.canopen.errors import SdoAborted
 from motorhil.motorapi.adaptations.canopen.objects import ObjectTable, Value, decode
-from motorhil.motorapi.adaptations.canopen.sdo import SdoAborted, SdoChannel
+from motorhil.motorapi.adaptations.canopen.sdo import SdoChannel
 from motorhil.motorapi.errors import DeadlineExceeded, LinkError, UsageError
 from motorhil.motorapi.locking.directory import bus_name
 from motorhil.motorapi.locking.process_lock import ProcessLock, can_share_time

@@ -8,8 +8,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final, final
 
+from motorhil.motorapi.adaptations.canopen.errors import SdoAborted
 from motorhil.motorapi.adaptations.canopen.node import CanopenNode
-from motorhil.motorapi.adaptations.canopen.sdo import SdoAborted
 
 SYNCHRONOUS: Final = 1  # acts at the next SYNC
 EVENT_DRIVEN: Final = 255

@@ -2,8 +2,6 @@
 
 Only values that the drive does not have yet are written, so that a second program may join at any
 time.
-
-Traffic of a configured drive, and of this program for it.
 """
 
 from collections.abc import Mapping, Sequence

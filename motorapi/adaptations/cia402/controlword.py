@@ -1,8 +1,7 @@
 """Commands to a drive by its controlword: power, modes, stops, set-points.
 
-All values are in the drive's own units.
-
-Repetition of a stop until the drive obeys, against lost frames.
+All values are in the drive's own units. A stop is repeated until the drive obeys, against lost
+frames.
 """
 
 import struct

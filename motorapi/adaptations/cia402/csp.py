@@ -1,11 +1,9 @@
 """Streaming of set-points in cyclic synchronous position mode, one per SYNC.
 
-Set-points of a motion for a drive in csp, in increments.
-
-Cycle k is k set-point periods after the start. A period in which the host sends no SYNC does not
-count, so that set-points are never two steps apart. A trajectory over time is sampled at these
-times; another argument is read in each cycle. A velocity trajectory is followed by its integral:
-exactly over time, by the trapezoidal rule over another argument.
+Set-points are increments. Cycle k is k set-point periods after the start. A period in which the
+host sends no SYNC does not count, so that set-points are never two steps apart. A trajectory over
+time is sampled at these times; another argument is read in each cycle. A velocity trajectory is
+followed by its integral: exactly over time, by the trapezoidal rule over another argument.
 
 Another argument is not predictable. So its set-points are checked against the limits one by one:
 - no step of position beyond the velocity limit;
@@ -27,8 +25,8 @@ from contextlib import nullcontext, suppress
 from math import ceil
 from typing import TYPE_CHECKING, Final, final
 
+from motorhil.motorapi.adaptations.canopen.errors import SdoAborted
 from motorhil.motorapi.adaptations.canopen.link import Transmission
-from motorhil.motorapi.adaptations.canopen.sdo import SdoAborted
 from motorhil.motorapi.adaptations.cia402.controlword import DriveControl
 from motorhil.motorapi.adaptations.cia402.objects import ENABLE_OPERATION, HALT, Mode, PdsState
 from motorhil.motorapi.adaptations.cia402.units import DriveUnits

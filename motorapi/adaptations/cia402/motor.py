@@ -1,4 +1,7 @@
-"""The adaptation of the motor interface to CiA 402 drives on CANopen.
+"""Logical motors on CiA 402 drives on CANopen.
+
+    hw = Cia402HwMotor(bus, node_id=3)
+    motor = Cia402Motor(hw, model=MotorModel.load("wheel.toml"))
 
 `DriveMotions` chooses the mode of operation for each motion; homing uses hm. A position set-point
 has no profile of its own, but a drive in pp makes one. It has the model's maximum accelerations,
@@ -9,21 +12,13 @@ csp, one set-point per SYNC.
 Several motors of one bus start together at a SYNC: their RPDOs (transmission type 1) hold the
 set-point until then. A single motor starts by an RPDO that acts at once, or by its own SYNC.
 
-CiA 402 drives on CANopen: the names that applications and rigs use.
-
-No other module of this package need be imported::
-
-    hw = Cia402HwMotor(bus, node_id=3)
-    motor = Cia402Motor(hw, model=MotorModel.load("wheel.toml"))
-
-Simultaneous stop of several drives of one bus, latched by one SYNC.
-
-Frames that act at once act one after another: on a full bus, the last of many drives would move on
-for a millisecond or more. So each drive gets its halt in the RPDO that SYNC latches, and SYNC
-follows when all of these were on the wire. Everything is sent from callbacks, without waiting.
-There are cases without a SYNC of ours: a start is being armed, a cyclic SYNC runs, or the bus does
-not report own frames. Then, or if SYNC does not come in time, each drive is halted by a frame that
-acts at once. The same frame also follows SYNC, as a frame may be lost.
+*Simultaneous stops* of several drives of one bus are latched by one SYNC. Frames that act at once
+act one after another: on a full bus, the last of many drives would move on for a millisecond or
+more. So each drive gets its halt in the RPDO that SYNC latches, and SYNC follows when all of these
+were on the wire. Everything is sent from callbacks, without waiting. There are cases without a SYNC
+of ours: a start is being armed, a cyclic SYNC runs, or the bus does not report own frames. Then, or
+if SYNC does not come in time, each drive is halted by a frame that acts at once. The same frame
+also follows SYNC, as a frame may be lost.
 """
 
 from collections.abc import Callable, Mapping
@@ -32,8 +27,8 @@ from dataclasses import fields
 from typing import TYPE_CHECKING, Final, final
 
 from motorhil.motorapi.adaptations.canopen.bus import CanopenBus
+from motorhil.motorapi.adaptations.canopen.errors import SdoAborted
 from motorhil.motorapi.adaptations.canopen.link import Transmission
-from motorhil.motorapi.adaptations.canopen.sdo import HomingFailed, SdoAborted
 from motorhil.motorapi.adaptations.cia402.bringup import HwOptions
 from motorhil.motorapi.adaptations.cia402.hardware import Cia402HwMotor
 from motorhil.motorapi.adaptations.cia402.measurements import DriveReader
@@ -53,7 +48,7 @@ from motorhil.motorapi.adaptations.cia402.parameters import Cia402Parameters
 from motorhil.motorapi.adaptations.cia402.units import DriveUnits
 from motorhil.motorapi.adaptations.registration import Shared, as_name, number, refuse_unknown
 from motorhil.motorapi.commands import ControlMode, ControlVariable, Setpoint
-from motorhil.motorapi.errors import UnsupportedError, UsageError
+from motorhil.motorapi.errors import PeerError, UnsupportedError, UsageError
 from motorhil.motorapi.model import MotorModel
 from motorhil.motorapi.motion import Motion
 from motorhil.motorapi.motor import Motor
@@ -75,6 +70,22 @@ _LOOKS_MAX: Final = 10
 
 A late halt is worse than separate halts.
 """
+
+
+@final
+class HomingFailed(PeerError):  # noqa: N818 -- the name says what happened, as in errors
+    """The drive reports a homing error (CiA 402-2, homing mode, statusword bit 13).
+
+    Attributes: motor (name), method, statusword.
+    """
+
+    def __init__(self, *, motor: str, method: int, statusword: int) -> None:
+        self.motor = motor
+        self.method = method
+        self.statusword = statusword
+        super().__init__(
+            f"{motor}: homing by method {method} ended with an error (statusword {statusword:04X}h)"
+        )
 
 
 @final

@@ -1,4 +1,4 @@
-"""The received state of one drive: status, and what a canopen node has.
+"""Received state of one drive: its status, beside that of a CANopen node.
 
 The TPDO decoder is the hot path: one call per frame, straight from the link's dispatch.
 """

@@ -1,4 +1,4 @@
-"""Coordination of processes that use the same CANopen node.
+"""Coordination of processes that use the same drive.
 
 Two locks coordinate them. The lock of the drive grants its command (class `Ownership`). The second
 lock is held briefly, for one SDO transfer or one set-up, so that each process receives only its own
@@ -9,12 +9,10 @@ The drive watches the heartbeat of the host, not of one process. While any proce
 heartbeat, a drive keeps moving for a process that died. So the remaining processes watch the drive:
 when its owner has died and it moves, they halt it (`Guard`).
 
-Detection of stops that other programs command on the bus.
-
-Any process may stop a motor without owning it. The drive obeys, but does not report the stop. In pp
-it stands short of its target; in pv it shows *target reached* as it comes to rest. So the
-controlwords that other programs put on the bus are monitored, and the owner's motion is ended with
-an error. Controlwords sent by SDO are not detected.
+*Foreign stops*: any process may stop a motor without owning it. The drive obeys, but does not
+report the stop. In pp it stands short of its target; in pv it shows *target reached* as it comes to
+rest. So the controlwords that other programs put on the bus are monitored, and the owner's motion
+is ended with an error. Controlwords sent by SDO are not detected.
 """
 
 import logging

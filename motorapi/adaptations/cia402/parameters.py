@@ -10,8 +10,8 @@ from dataclasses import dataclass, fields
 from math import isfinite
 from typing import TYPE_CHECKING, Final, final
 
+from motorhil.motorapi.adaptations.canopen.errors import SdoAborted
 from motorhil.motorapi.adaptations.canopen.object_access import ObjectAccess
-from motorhil.motorapi.adaptations.canopen.sdo import SdoAborted
 from motorhil.motorapi.adaptations.cia402.node import DriveNode
 from motorhil.motorapi.commands import as_number
 from motorhil.motorapi.errors import LimitError, UnsupportedError, UsageError

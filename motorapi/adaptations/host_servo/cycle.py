@@ -10,8 +10,6 @@ Or the outputs still wait for the bus then.
 A frame does not show which SYNC its counts belong to. Counts after the next SYNC are attributed to
 that one, until further counts come in the same cycle (`surplus`). On CAN they are one cycle old at
 most, as a node sends them in order.
-
-The trigger that starts servos on the host at the next SYNC.
 """
 
 import struct

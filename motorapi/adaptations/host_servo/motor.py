@@ -1,4 +1,4 @@
-"""Central servo: the names that applications and rigs use.
+"""Logical motors with central servo: amplifier and encoder, servo on the host.
 
 The servo runs on the host, as on JPL's FIDO: trajectories are sampled and PID is computed once a
 cycle. The hardware is a plain torque amplifier and an encoder counter on a CANopen I/O node::
@@ -6,10 +6,6 @@ cycle. The hardware is a plain torque amplifier and an encoder counter on a CANo
     hw = AmplifierHwMotor(bus, node_id=3, channel=1, current_per_volt_a_v=0.8)
     gains = PidGains.tuned(60.0, current_per_acceleration=0.038)
     motor = SoftwareMotor(hw, MotorModel.load("wheel.toml"), gains)
-
-The adaptation of the motor interface to central servo.
-
-Trajectories are sampled, and PID is computed, on the host.
 
 | command                      | behaviour of the servo                                          |
 | ---------------------------- | --------------------------------------------------------------- |

@@ -10,10 +10,7 @@ frames:
 | RPDO 2, 3  | 6411h, the outputs of channels 1 and 2, of 3 and 4         | latched by SYNC |
 | TPDO 2, 3  | 6820h, the counters of channels 1 and 2, of 3 and 4        | at SYNC         |
 
-Options of an I/O node with amplifiers, and its bring-up results.
-
-Traffic of a configured I/O node, and of this program for it.
-Repeated switching-off of an amplifier, as a frame may be lost.
+An amplifier is switched off repeatedly until its node confirms it, as a frame may be lost.
 """
 
 from collections.abc import Callable, Iterator
@@ -35,8 +32,8 @@ from motorhil.motorapi.adaptations.canopen.pdo_setup import (
     PdoSetUp,
     PdoWish,
 )
-from motorhil.motorapi.adaptations.canopen.sdo import TurnLock
 from motorhil.motorapi.adaptations.canopen.sync import SYNC_ID
+from motorhil.motorapi.adaptations.canopen.turn_lock import TurnLock
 from motorhil.motorapi.adaptations.host_servo.cycle import Axis, ChannelPair, Cycle, cycle_of
 from motorhil.motorapi.adaptations.host_servo.occupation import NodeOccupation
 from motorhil.motorapi.bus_context import context_of

@@ -2,8 +2,9 @@
 
 import pytest
 
+from motorhil.motorapi.adaptations.canopen.errors import ProtocolViolation, SdoAborted
 from motorhil.motorapi.adaptations.canopen.link import CanLink
-from motorhil.motorapi.adaptations.canopen.sdo import ProtocolViolation, SdoAborted, SdoChannel
+from motorhil.motorapi.adaptations.canopen.sdo import SdoChannel
 from motorhil.motorapi.errors import DeadlineExceeded
 from tests.support.motors.scripted import FRAME_NS, MS, Answer, ScriptedBus, Transcript, frame
 

@@ -7,8 +7,8 @@ import pytest
 
 from motorhil.emulators.can.fault_rules import FaultKind, FaultRule
 from motorhil.harness.rig.rig import Rig
-from motorhil.motorapi.adaptations.cia402.motion import armed_group
 from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
+from motorhil.motorapi.adaptations.cia402.sync_start import armed_group
 from motorhil.motorapi.commands import ControlMode, ControlVariable
 from motorhil.motorapi.errors import LinkError, MotionInterrupted, MotorError
 from motorhil.motorapi.group import MotorGroup

@@ -9,7 +9,7 @@ pass the fence (`motorhil.motorapi.ownership.fencing`) and low-level access
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Final, final
 
-from motorhil.motorapi.adaptations.canopen.sdo import TurnLock
+from motorhil.motorapi.adaptations.canopen.turn_lock import TurnLock
 from motorhil.motorapi.errors import DeadlineExceeded, LinkError, PeerError, UsageError
 from motorhil.motorapi.locking.directory import bus_name
 from motorhil.motorapi.locking.process_lock import ProcessLock, can_share_time

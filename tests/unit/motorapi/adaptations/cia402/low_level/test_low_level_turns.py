@@ -8,7 +8,7 @@ from collections.abc import Callable
 import pytest
 
 from motorhil.harness.rig.rig import Rig
-from motorhil.motorapi.adaptations.canopen.sdo import SdoAborted
+from motorhil.motorapi.adaptations.canopen.errors import SdoAborted
 from motorhil.motorapi.adaptations.cia402.hardware import Cia402HwMotor
 from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
 from motorhil.motorapi.commands import ControlMode, ControlVariable
