@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING, Final, final
 
 from motorhil.emulators.can.controller_config import QueueOrder
 from motorhil.harness.analysis.advice import Reserved
-from motorhil.harness.analysis.plot import usual_name
 from motorhil.harness.analysis.subject import Queues, Subject, is_canopen_reserved, reserves_nothing
 from motorhil.harness.rig.config.bus_load import Declared, declared, heartbeats, syncs
 from motorhil.harness.rig.rig import Rig
 from motorhil.motorapi.errors import MotorError
 from motorhil.motorapi.synchronization.bus_load import PeriodicMessage, own_traffic
 from motorhil.motorapi.synchronization.can_response_time import Arrival, BusLoad, Message, floor_ns
+from motorhil.traces.decoding.canopen import usual_name
 
 if TYPE_CHECKING:
     from motorhil.motorapi.adaptations.canopen.sync import BusSync

@@ -129,7 +129,8 @@ PLANTS = [
         "motorhil.emulators.canopen.files.eds -> canopen",
     ),
     ("traces-alone", "traces/mcap/writer.py", "from time import time", "mcap.writer -> time"),
-    ("traces-alone", "traces/mcap/reader.py", "import mcap.reader", "mcap.reader -> mcap"),
+    ("mcap-in-tests", "traces/mcap/reader.py", "import mcap.reader", "mcap.reader -> mcap"),
+    ("mcap-in-tests", "harness/report/page.py", "import mcap", "report.page -> mcap"),
     ("waiting", "motorapi/motor.py", "import time", "motorhil.motorapi.motor -> time"),
     (
         "waiting",
