@@ -5,18 +5,23 @@ BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 
 COMPILED := .venv-compiled
+DOCS := .venv-docs
 DIST := dist
 OPTIMISE := 2
 PACKAGES := motorhil
 # A third one would save a minute, and hurry what goes by the wall (tests/conftest.py).
 WORKERS := -n 2 --dist loadfile --no-loadscope-reorder
 
+DOCUMENTS := tests/architecture/test_docs_links.py tests/architecture/test_docs_language.py
+QUICK := $(DOCUMENTS) tests/unit/motorapi/functions tests/unit/motorapi/generation tests/unit/traces/formats \
+    tests/unit/emulators/can/bus tests/unit/emulators/canopen tests/unit/emulators/firmware
+
 # What was read once is not compiled or rewritten anew by each of the hundreds of programs that the
 # tests start, whatever the environment says; nor does it lie among the sources.
 test test-compiled: export PYTHONDONTWRITEBYTECODE :=
 test test-compiled: export PYTHONPYCACHEPREFIX := $(CURDIR)/build/bytecode
 
-.PHONY: demo wheel test check bench bench-against fuzz mutants clauses golden format clean compiled build-compiled test-compiled
+.PHONY: demo docs wheel quick test check bench bench-against fuzz mutants clauses golden format clean compiled build-compiled test-compiled
 
 # It takes a second, compiling a minute or more: so nobody waits for compiled cores the first time.
 # What could not be built is not tried again before something has changed.
@@ -46,14 +51,32 @@ wheel: compiled  ## in dist: the sources, a wheel of pure Python, one with compi
 	@mkdir -p $(DIST) && mv build/wheel/*.tar.gz build/wheel/*.whl $(DIST) && cp build/compiled/wheel/*.whl $(DIST)
 	@ls $(DIST)
 
-test: check  ## everything that must hold, on one machine, in minutes
+quick: $(READY)  ## style and tests that the changes since main can break, nearest first; QUICK="--seconds N --list"
+	@$(BIN)/python -m tests.architecture.quick $(QUICK)
+
+nightly: $(READY)  ## what repeats: Hypothesis with new seeds and many examples, stress, fuzz, all mutants
+	MOTORHIL_HYPOTHESIS=nightly $(BIN)/python -m pytest $(WORKERS) --timeout 7200 -m "hypothesis or nightly"
+	$(MAKE) --no-print-directory fuzz FUZZ="--seed $$(date +%s)"
+	$(MAKE) --no-print-directory mutants
+
+test: check  ## everything that must hold, on one machine, in minutes; repetition is for nightly
 	$(BIN)/python -m pytest $(WORKERS)
 
-check: $(READY)  ## style, types and who may import whom
+check: $(READY)  ## style, types, import contracts, links and language of the documents
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+	@$(BIN)/python -m tests.architecture.structure
+	$(BIN)/python -m pytest -p no:cacheprovider $(DOCUMENTS)
+
+quick: $(READY)  ## fast tests, while you edit: functions, trajectories, plants, buses, recordings, documents
+	$(BIN)/python -m pytest $(WORKERS) $(QUICK)
+
+docs: $(READY) $(DOCS)/.ready  ## the documents as a site, which works from disk: build/docs/html/index.html
+	$(BIN)/python -m motorhil.harness.documentation docs build/docs/source
+	$(DOCS)/bin/sphinx-build -q -W --keep-going build/docs/source build/docs/html
+	@echo build/docs/html/index.html
 
 bench: $(READY)  ## figures against a peer in the same run; asserts no wall time
 	$(BIN)/python -m tests.benchmarks
@@ -62,25 +85,32 @@ bench-against: $(READY)  ## REV, another revision, built once: what the demo, cs
 	$(BIN)/python -m tests.benchmarks.against $(REV) $(AGAINST)
 
 fuzz: $(READY)  ## a million random, mutated and recorded frames at the drive; FUZZ="--seed N --frames N"
-	$(BIN)/python -m tests.fuzz $(FUZZ)
+	$(BIN)/python -m tests.properties.fuzz $(FUZZ)
 
 mutants: $(READY)  ## every adaptation broken on purpose against every clause; writes the kill table
 	$(BIN)/python -m tests.conformance.mutants $(MUTANTS)
 
-clauses: $(READY)  ## docs/CLAUSES.md, every clause of the conformance kit
-	$(BIN)/python -m motorhil.harness.conformance.kit > docs/CLAUSES.md
+clauses: $(READY)  ## docs/reference/clauses.md, every clause of the conformance kit
+	$(BIN)/python -m motorhil.harness.conformance.kit > docs/reference/clauses.md
 
 golden: $(READY)  ## the golden recordings again, where a rig does something else today
-	$(BIN)/python -m tests.golden
+	$(BIN)/python -m tests.support.golden
 
-format: $(READY)
+format: $(READY)  ## formats the sources
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
+# As a path: a folder motorhil in the current directory, such as the clone itself, hides no package.
 $(READY): requirements.lock pyproject.toml
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements.lock
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation \
+	    --config-settings editable_mode=compat -e .
+	touch $@
+
+$(DOCS)/.ready: docs/requirements.lock
+	$(PYTHON) -m venv $(DOCS)
+	$(DOCS)/bin/python -m pip install --quiet --disable-pip-version-check --require-hashes -r docs/requirements.lock
 	touch $@
 
 # What the cores are made of. Tests that ask for less than what ships take what ships, where it is.
@@ -120,5 +150,5 @@ test-compiled: compiled  ## the tests again, against the compiled cores
 	cd build/tests && MOTORHIL_COMPILED=1 MOTORHIL_CHECKOUT=$(CURDIR) \
 	    MOTORHIL_SHARED=$${MOTORHIL_SHARED:-$(CURDIR)/../shared} ../../$(COMPILED)/bin/python -m pytest $(TESTS)
 
-clean:
-	rm -rf $(VENV) .venv-compiled build dist out *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis
+clean:  ## removes all that the other targets have made
+	rm -rf $(VENV) .venv-compiled .venv-docs build dist out *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis

@@ -182,8 +182,7 @@ class ComplexTrajectory:
         domain = getattr(self.function, "domain", None)
         if not isinstance(domain, tuple) or not callable(getattr(self.function, "extrema", None)):
             raise UsageError(
-                f"ComplexTrajectory: {self.function!r} is not a function of"
-                " motorhil.motorapi.functions"
+                f"ComplexTrajectory: {self.function!r} is not a function (see motorapi.functions)"
             )
         if not isinstance(self.relative, bool):
             raise UsageError(

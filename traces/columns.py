@@ -14,10 +14,9 @@ from typing import Any, Final, final
 import numpy as np
 from numpy.typing import NDArray
 
-from motorhil.traces.formats.frames import FrameDecoder
 from motorhil.traces.mcap.reader import Cut, Trace, TraceMessage, read_trace
 from motorhil.traces.mcap.records import MESSAGE
-from motorhil.traces.schema import CAN_FRAME, can_frame_prefix
+from motorhil.traces.schema import CAN_FRAME, FrameDecoder, can_frame_prefix
 
 _PREFIX: Final = "/can/"
 _CHANNEL_AT: Final = 9  # offset in a message record

@@ -12,12 +12,10 @@
 `log_time` is the rig's time [ns from 0]. Field numbers are permanent: they never change their
 meaning.
 
-Hand-written packing of the most frequent messages.
-
-No object is created except for the resulting bytes. A CAN frame has Linux's layout: `struct
-can_frame` (16 bytes) or `struct canfd_frame` (72 bytes, with CANFD_FDF set in its flags). It
-consists of can_id with EFF, RTR and ERR bits, length, flags (FD only), two reserved bytes, and data
-padded to 8 or 64. Source: linux/can.h.
+The most frequent messages are packed by hand: no object is created except for the resulting bytes.
+A CAN frame has Linux's layout: `struct can_frame` (16 bytes) or `struct canfd_frame` (72 bytes,
+with CANFD_FDF set in its flags). It consists of can_id with EFF, RTR and ERR bits, length, flags
+(FD only), two reserved bytes, and data padded to 8 or 64. Source: linux/can.h.
 """
 
 import re
@@ -27,7 +25,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import Final, final
 
-from motorhil.traces.mcap.protobuf import (
+from motorhil.traces.protobuf import (
     Enumeration,
     Field,
     Kind,
@@ -38,6 +36,33 @@ from motorhil.traces.mcap.protobuf import (
     tag,
     varint,
 )
+
+CAN_FRAME_SIZE: Final = 16
+CANFD_FRAME_SIZE: Final = 72
+_EFF: Final = 0x8000_0000
+_RTR: Final = 0x4000_0000
+_ERR: Final = 0x2000_0000
+_SFF_MASK: Final = 0x7FF
+_EFF_MASK: Final = 0x1FFF_FFFF
+_BRS: Final = 0x01
+_ESI: Final = 0x02
+_FDF: Final = 0x04
+_HEADER: Final = struct.Struct("<IBBxx")
+_DOUBLE: Final = struct.Struct("<d")
+_ID_FIELD: Final = struct.Struct("<BI")
+
+# Tags of CanFrame, field number * 8 + wire type.
+_ID: Final = 0x0D
+_EXTENDED: Final = b"\x10\x01"  # a tag and the value 1
+_REMOTE: Final = b"\x18\x01"
+_ERROR: Final = b"\x20\x01"
+_FD_SET: Final = b"\x28\x01"
+_BRS_SET: Final = b"\x30\x01"
+_ESI_SET: Final = b"\x38\x01"
+_DIRECTION: Final = b"\x40"
+_REMOTE_LENGTH: Final = b"\x50"
+_DATA: Final = b"\x7a"
+_REMEMBERED: Final = 1 << 16  # beginnings of messages
 
 
 @final
@@ -202,6 +227,33 @@ GROUP_SYNC: Final = Message(
 )
 
 
+_TRUTH: Final = "motorhil.truth."
+
+# Source: google/protobuf/descriptor.proto; only the fields used here.
+_FIELD: Final = Message(
+    "google.protobuf.FieldDescriptorProto",
+    (Field(1, "name", Kind.STRING), Field(3, "number", Kind.INT32), Field(5, "type", Kind.INT32)),
+)
+_MESSAGE: Final = Message(
+    "google.protobuf.DescriptorProto",
+    (
+        Field(1, "name", Kind.STRING),
+        Field(2, "field", Kind.MESSAGE, repeated=True, of=_FIELD),
+    ),
+)
+_FILE: Final = Message(
+    "google.protobuf.FileDescriptorProto",
+    (
+        Field(2, "package", Kind.STRING),
+        Field(4, "message_type", Kind.MESSAGE, repeated=True, of=_MESSAGE),
+    ),
+)
+_SET: Final = Message(
+    "google.protobuf.FileDescriptorSet",
+    (Field(1, "file", Kind.MESSAGE, repeated=True, of=_FILE),),
+)
+
+
 def truth_message(kind: str, keys: Sequence[str]) -> Message:
     """Return the message type for snapshots of a controller of `kind` with these keys.
 
@@ -218,39 +270,12 @@ def truth_message(kind: str, keys: Sequence[str]) -> Message:
             name = f"{stem}_{number}"
         used.append(name.replace("_", "").lower())
         fields.append(Field(len(used), name, Kind.DOUBLE))
-    return Message(f"motorhil.truth.{_identifier(kind)}", tuple(fields))
+    return Message(f"{_TRUTH}{_identifier(kind)}", tuple(fields))
 
 
 def _identifier(text: str) -> str:
     name = re.sub(r"[^A-Za-z0-9_]", "_", text)
     return name if name[:1].isalpha() or name[:1] == "_" else f"_{name}"
-
-
-CAN_FRAME_SIZE: Final = 16
-CANFD_FRAME_SIZE: Final = 72
-_EFF: Final = 0x8000_0000
-_RTR: Final = 0x4000_0000
-_ERR: Final = 0x2000_0000
-_SFF_MASK: Final = 0x7FF
-_EFF_MASK: Final = 0x1FFF_FFFF
-_BRS: Final = 0x01
-_ESI: Final = 0x02
-_FDF: Final = 0x04
-_HEADER: Final = struct.Struct("<IBBxx")
-_DOUBLE: Final = struct.Struct("<d")
-_ID_FIELD: Final = struct.Struct("<BI")
-
-# Tags of CanFrame, field number * 8 + wire type.
-_ID: Final = 0x0D
-_EXTENDED: Final = b"\x10\x01"  # a tag and the value 1
-_REMOTE: Final = b"\x18\x01"
-_ERROR: Final = b"\x20\x01"
-_FD_SET: Final = b"\x28\x01"
-_BRS_SET: Final = b"\x30\x01"
-_ESI_SET: Final = b"\x38\x01"
-_DIRECTION: Final = b"\x40"
-_REMOTE_LENGTH: Final = b"\x50"
-_DATA: Final = b"\x7a"
 
 
 def can_frame_prefix(header: bytes, size: int, sender: bytes, direction: int) -> tuple[bytes, int]:
@@ -344,6 +369,36 @@ def decode_can_frame(payload: bytes) -> RecordedFrame:
     )
 
 
+@final
+class FrameDecoder:
+    """Decoder that caches the beginnings of messages."""
+
+    def __init__(self) -> None:
+        self._known: dict[tuple[bytes, int], tuple[bytes, bytes, bytes, Direction, str]] = {}
+
+    def decode(self, payload: bytes) -> tuple[bytes, Direction, str]:
+        """Return can_frame or canfd_frame, direction and sender of a motorhil.CanFrame.
+
+        Raises:
+            ValueError: the payload is not a CanFrame.
+        """
+        key = (payload[:5], len(payload))
+        before = self._known.get(key)
+        if before is not None and payload.startswith(before[0]):
+            prefix, head, padding, direction, sender = before
+            return head + payload[len(prefix) :] + padding, direction, sender
+        told = decode_can_frame(payload)
+        head = told.frame[:8]
+        sender_bytes = told.sender.encode()
+        prefix, length = can_frame_prefix(head, len(told.frame), sender_bytes, told.direction)
+        if len(prefix) + length == len(payload) and payload.startswith(prefix):
+            if len(self._known) >= _REMEMBERED:
+                self._known.clear()
+            padding = bytes(len(told.frame) - 8 - length)
+            self._known[key] = (prefix, head, padding, told.direction, told.sender)
+        return told.frame, told.direction, told.sender
+
+
 def timestamp_field(time_ns: int) -> bytes:
     """Encode field 1, a google.protobuf.Timestamp."""
     seconds, nanos = divmod(time_ns, 1_000_000_000)
@@ -398,3 +453,54 @@ class TruthEncoder:
         """Encode the message; one value per field."""
         self._arguments[1::2] = values
         return self._pack(*self._arguments)
+
+
+def truth_message_of(schema: Schema) -> Message | None:
+    """Return the message type of a truth channel with its double fields, or None."""
+    if not schema.name.startswith(_TRUTH) or schema.encoding != "protobuf":
+        return None
+    try:
+        files = decode(_SET, schema.data).get("file", [])
+    except ValueError:
+        return None
+    for file in files if isinstance(files, list) else []:
+        if not isinstance(file, dict):
+            continue
+        package = file.get("package", "")
+        messages = file.get("message_type", [])
+        for message in messages if isinstance(messages, list) else []:
+            if isinstance(message, dict) and f"{package}.{message.get('name')}" == schema.name:
+                return Message(schema.name, _doubles(message.get("field", [])))
+    return None
+
+
+def _doubles(fields: object) -> tuple[Field, ...]:
+    found: list[Field] = []
+    for one in fields if isinstance(fields, list) else []:
+        if isinstance(one, dict) and one.get("type") == Kind.DOUBLE.value:
+            number = one.get("number")
+            if isinstance(number, int):
+                found.append(Field(number, str(one.get("name", "")), Kind.DOUBLE))
+    return tuple(found)
+
+
+@final
+class TruthDecoder:
+    """Decoder of snapshots of one controller."""
+
+    def __init__(self, message: Message) -> None:
+        self._message = message
+        self._names = [field.name for field in message.fields]
+
+    def decode(self, payload: bytes) -> dict[str, float]:
+        """Return every field; a missing one is 0, as in protobuf.
+
+        Raises:
+            ValueError: the payload is not such a message.
+        """
+        told = decode(self._message, payload)
+        values: dict[str, float] = {}
+        for name in self._names:
+            value = told.get(name, 0.0)
+            values[name] = value if isinstance(value, float) else 0.0
+        return values

@@ -14,7 +14,7 @@ position (607Ch). The axis' own gate monitors them. Without 607Dh they cost noth
 
 from typing import Final, final
 
-from motorhil.emulators.cia402.objects.changes import FACTORS, POSITION_LIMITS
+from motorhil.emulators.cia402.objects.changes import ObjectChange
 from motorhil.emulators.cia402.objects.motion import MotionObjects
 from motorhil.emulators.cia402.settings import EMULATED_MODES
 from motorhil.emulators.firmware.axis import Axis
@@ -27,6 +27,7 @@ from motorhil.emulators.firmware.digital_inputs import (
 )
 
 _FENCED_MODES: Final = tuple(EMULATED_MODES[name] for name in ("pv", "tq", "csv", "cst"))
+_LIMIT_CHANGES: Final = int(ObjectChange.POSITION_LIMITS | ObjectChange.FACTORS)
 
 
 @final
@@ -69,7 +70,7 @@ class LimitGuard:
 
     def written(self, what: int) -> None:
         """Handle a write to 607Dh or to objects that change its meaning."""
-        if what & (POSITION_LIMITS | FACTORS):
+        if what & _LIMIT_CHANGES:
             self.fence()
 
     def fence(self) -> None:

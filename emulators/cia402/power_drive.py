@@ -16,15 +16,7 @@ from motorhil.emulators.cia402.modes.homing import Homing
 from motorhil.emulators.cia402.modes.interpolated_position import InterpolatedPosition
 from motorhil.emulators.cia402.modes.profile_position import ProfilePosition
 from motorhil.emulators.cia402.modes.profile_velocity_torque import ProfileTorque, ProfileVelocity
-from motorhil.emulators.cia402.objects.changes import (
-    CONTROLWORD,
-    FACTORS,
-    GAINS,
-    MODE,
-    TORQUE_LIMIT,
-    TOUCH_PROBE,
-    WINDOWS,
-)
+from motorhil.emulators.cia402.objects.changes import ObjectChange
 from motorhil.emulators.cia402.objects.dictionary import DriveObjects
 from motorhil.emulators.cia402.objects.servo import ServoObjects
 from motorhil.emulators.cia402.settings import EMULATED_MODES
@@ -43,6 +35,13 @@ from motorhil.emulators.firmware.axis import Axis
 from motorhil.emulators.firmware.digital_inputs import DigitalInputs, Edge
 
 NO_FAULT: Final = 0x0000
+
+_CONTROLWORD: Final = int(ObjectChange.CONTROLWORD)
+_FACTORS: Final = int(ObjectChange.FACTORS)
+_GAINS: Final = int(ObjectChange.GAINS | ObjectChange.TORQUE_LIMIT)
+_MODE: Final = int(ObjectChange.MODE)
+_TOUCH_PROBE: Final = int(ObjectChange.TOUCH_PROBE)
+_WINDOWS: Final = int(ObjectChange.WINDOWS | ObjectChange.FACTORS)
 
 # Values of 6007h (abort connection option code)
 ABORT_FAULT: Final = 1
@@ -91,7 +90,7 @@ class PowerDrive:
         self._servo: ServoObjects = ServoObjects(axis, objects)
         self.inputs: DigitalInputs = inputs
         self.touch_probe: TouchProbe = TouchProbe(
-            objects.od, axis, inputs, objects.factors, objects.written
+            objects.od, axis, inputs, objects.factors, objects.changes
         )
         self._guard = LimitGuard(axis, inputs, objects.motion)
         self._guard.apply()
@@ -137,20 +136,20 @@ class PowerDrive:
 
     def written(self, what: int, now_ns: int) -> None:
         """Apply written objects: first units and settings, then the mode and the controlword."""
-        if what & FACTORS:
+        if what & _FACTORS:
             self._objects.reload_units()
-        if what & (WINDOWS | FACTORS):
+        if what & _WINDOWS:
             self._servo.apply_windows()
-        if what & (GAINS | TORQUE_LIMIT):
+        if what & _GAINS:
             self._servo.apply_limits_and_gains()
-        if what & TOUCH_PROBE:
+        if what & _TOUCH_PROBE:
             self.touch_probe.configure()
         self._guard.written(what)
-        if what & MODE and self._objects.mode != self.mode:
+        if what & _MODE and self._objects.mode != self.mode:
             self._switch_mode(now_ns)
         if self.fsa.state is PdsState.OPERATION_ENABLED and self._at_rest == NO_TRANSITION:
             self._active.written(what, now_ns)
-        if what & CONTROLWORD:
+        if what & _CONTROLWORD:
             self._write_controlword(self._objects.controlword, now_ns)
 
     def settle(self, now_ns: int) -> None:

@@ -19,9 +19,8 @@ reserved, as are the sources of 60D0h other than 1, 2 (the inputs), 5 and 6 (ind
 
 from typing import Final, final
 
-from motorhil.emulators.canopen.codes import AbortCode
 from motorhil.emulators.canopen.object_dictionary import DataType, ObjectDictionary
-from motorhil.emulators.cia402.objects.changes import TOUCH_PROBE, Choice, Watch, Written
+from motorhil.emulators.cia402.objects.changes import Choice, ObjectChange, ObjectChanges, Watch
 from motorhil.emulators.cia402.objects.units import FactorGroup
 from motorhil.emulators.firmware.axis import Axis
 from motorhil.emulators.firmware.digital_inputs import (
@@ -32,6 +31,7 @@ from motorhil.emulators.firmware.digital_inputs import (
     Edge,
 )
 
+_CHANGE: Final = int(ObjectChange.TOUCH_PROBE)
 _ON: Final = 0x01
 _EVERY: Final = 0x02
 _RISING: Final = 0x10
@@ -98,7 +98,7 @@ class TouchProbe:
         axis: Axis,
         inputs: DigitalInputs,
         factors: FactorGroup,
-        written: Written,
+        changes: ObjectChanges,
     ) -> None:
         self._axis = axis
         self._inputs = inputs
@@ -107,15 +107,13 @@ class TouchProbe:
         self._watches_index: bool = False
         self._probes: tuple[Probe, Probe] = (Probe(), Probe())
         self._function = od.ensure(0x60B8, 0, _D.UNSIGNED16, 0)
-        self._function.writer = Watch(written, TOUCH_PROBE).write
+        self._function.writer = Watch(changes, _CHANGE).write
         self._sources = (
             od.ensure(0x60D0, 1, _D.INTEGER16, 1),
             od.ensure(0x60D0, 2, _D.INTEGER16, 2),
         )
-        refused = int(AbortCode.INVALID_VALUE)
         for variable in self._sources:
-            allowed = frozenset(_SOURCES)
-            variable.writer = Choice(written, TOUCH_PROBE, allowed, refused).write
+            variable.writer = Choice(frozenset(_SOURCES), changes, _CHANGE).write
         shown = od.get(0x60B9)
         if shown is not None:
             shown.reader = self._read_status

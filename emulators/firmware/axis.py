@@ -1,22 +1,15 @@
-"""Readings of an axis as of its last `at`, and its next event.
-
-Settings of an axis: limits, gains, windows, gate, load, supply and zero.
-
-One axis of a drive: profile generator, servo and plant.
+"""One axis of a drive: profile generator, servo and plant.
 
 The axis is computed lazily and exactly. `at(now_ns)` updates the readings to the last servo tick at
 or before `now_ns`. Commands take effect at the following tick. `next_event_ns` returns when to call
 `at` again. The readings never depend on who calls `at`, when, or how often.
 
 Positions are encoder increments. Tick k is at k * tick_ns.
-
-Windows of the axis' flags, their times in servo ticks, and the gate.
 """
 
 from typing import Final, final
 
-from motorhil.emulators.firmware import nonlinear_servo as extras_servo
-from motorhil.emulators.firmware import profile, servo
+from motorhil.emulators.firmware import nonlinear_servo, profile, servo
 from motorhil.emulators.firmware.flags import (
     CURRENT_REACHED,
     IN_TARGET_WINDOW,
@@ -32,40 +25,111 @@ from motorhil.emulators.firmware.timeline import RESTS, Timeline
 from motorhil.emulators.plant.dc_motor import PI, MotorPlant
 
 NEVER_NS: Final = 1 << 61  # a small int to the compiler
+NEVER: Final = -1.0  # end of PROFILE_ACTIVE for a profile that never sets it
+NO_LIMIT: Final = 1e300  # a threshold or velocity that is never reached
+
+_BACKWARD: Final = 1
+_FORWARD: Final = 2
+_OF_PROFILE: Final = IN_TARGET_WINDOW | IN_VELOCITY_WINDOW | CURRENT_REACHED  # next one clears them
+_CURRENT_WINDOW: Final = 0.05  # of the plant's maximum current: the target counts as reached
 
 
-class AxisReadings:
-    """The readings of an axis; positions are encoder increments.
+def default_windows(tick_ns: int) -> Windows:
+    """Return the defaults: target 10 inc, no following error, 500 and 2000 inc/s for 10 ms.
+
+    The 500 inc/s are the speed threshold, the 2000 inc/s the velocity window.
+    """
+    tick_s = tick_ns / 1e9
+    return (
+        *(10.0, NO_LIMIT, 500.0 * tick_s, 2000.0 * tick_s),
+        *(in_a_row(0, 0, tick_ns), in_a_row(0, 0, tick_ns)),
+        *(in_a_row(10_000_000, 0, tick_ns), in_a_row(10_000_000, 0, tick_ns)),
+        *(-NO_LIMIT, NO_LIMIT),
+    )
+
+
+def with_gate(windows: Windows, low: float, high: float) -> Windows:
+    """Return the windows with another gate."""
+    return (*windows[:8], low, high)
+
+
+def in_a_row(time_ns: int | None, before: int, tick_ns: int) -> int:
+    """Return the consecutive ticks for a condition of `time_ns`; None: `before`."""
+    return before if time_ns is None else -(-time_ns // tick_ns) + 1
+
+
+@final
+class Axis:
+    """One motor with its drive firmware; sans-I/O, reads no clock.
+
+    It starts without power. Settings and commands take effect at the next tick. `Timeline`
+    documents how the axis stays lazy and exact.
 
     `flags` (bits of the flags module) are as of the last `at`, with one exception. A command that
     starts a profile sets PROFILE_ACTIVE and clears the two target windows at once.
+
+    Raises:
+        ValueError: `current_steps` does not divide the tick, or the gains make the current loop
+            unstable.
     """
 
     def __init__(
         self,
         plant: MotorPlant,
-        tick_ns: int,
-        time: Timeline,
-        pieces: profile.Profile,
-        conditions: Conditions,
+        gains: ServoGains,
+        tick_ns: int = 1_000_000,
+        current_steps: int = 10,
+        initial_position_inc: int = 0,
+        clock_rate: float = 1.0,
     ) -> None:
+        if tick_ns < 1 or current_steps < 1 or tick_ns % current_steps:
+            raise ValueError(
+                f"tick_ns = {tick_ns}: must be > 0 and divisible into {current_steps} equal steps"
+            )
         self._plant: Final = plant
+        self._gains: ServoGains = gains
         self._tick_ns: Final = tick_ns
         self._tick_s: Final = tick_ns / 1e9
+        self._current_steps: Final = current_steps
+        self._clock_rate: Final = clock_rate
         self._torque_n_m_a: Final = plant.torque_constant_n_m_a * plant.gear_ratio
         self._output_rad_inc: Final = 2.0 * PI / (plant.encoder_increments_rev * plant.gear_ratio)
         self._gear_ratio: Final = plant.gear_ratio
-        self._time: Final = time
         self._has_extras: Final[bool] = plant.extras.is_any()
-        self._conditions: Conditions = conditions
-        self._offset_inc = 0
         self._load_torque_n_m = plant.load_torque_n_m
+        self._current_max_a: Final = plant.current_max_a
+        self._limits_a = (plant.current_max_a, plant.current_max_a)  # forwards, backwards
+        self._offset_inc = 0
         self._mode = servo.OFF
-        self._profile = pieces
+        self._profile = profile.hold(float(initial_position_inc))
+        self._profile_tick = 0  # the tick at which the profile's time is 0
+        self._way = 0.0  # its sign is the direction of the last command
+        self._barred = 0  # directions that are barred to commands
+        self._bar_slower = 0.0
+        self._fed_a: float = 0.0  # part of the velocity loop's integrator added by `feed_current`
         self.is_braking: bool = False  # by `brake`, until the next command
-        self.flags: int = time.state[servo.I_FLAGS]
+        self._is_shorted: bool = False
+        self._windows: servo.Windows = default_windows(tick_ns)
+        self._orders: servo.Orders = (
+            *(servo.OFF, 0, NEVER, self._profile),
+            *(False, 0.0, 0.0, plant.current_max_a, plant.current_max_a),
+        )
+        self._conditions: Conditions = (
+            *(plant.load_torque_n_m / plant.gear_ratio, plant.supply_v),
+            *(NO_LIMIT, -NO_LIMIT, NO_LIMIT, NO_LIMIT, NO_LIMIT, -NO_LIMIT, NO_LIMIT),
+        )
+        tables = tables_of(plant, gains, tick_ns, current_steps, clock_rate)
+        extras = extras_tables(plant, gains, tables.tick, tick_ns, current_steps, clock_rate)
+        state = servo.standing(float(initial_position_inc))
+        if extras is not None:
+            state = nonlinear_servo.standing(extras, float(initial_position_inc), plant.supply_v)
+        self._time: Final = Timeline(
+            *(tables, plant.load_torque_n_m, self._windows, self._orders, state, extras),
+            self._conditions,
+        )
+        self.flags: int = self._time.state[servo.I_FLAGS]
 
-    # --- time -------------------------------------------------------------------------------------
+    # --- time
 
     def at(self, now_ns: int) -> None:
         """Update readings and flags to tick now_ns // tick_ns; behaviour does not change.
@@ -108,7 +172,7 @@ class AxisReadings:
         """
         return self._time.commands if self._time.resting else -1
 
-    # --- readings, at the time of the last at() ---------------------------------------------------
+    # --- readings, at the time of the last at()
 
     def stands(self) -> bool:
         """Return True if the ramp or the braking that was to stop the motor is over."""
@@ -127,13 +191,15 @@ class AxisReadings:
     def output_count(self) -> int:
         """Return the output position in whole increments like `count`, as switches there see it."""
         if self._has_extras:
-            return int(servo.whole(self._extra(extras_servo.E_LOAD_POSITION)))
+            return int(servo.whole(self._extra(nonlinear_servo.E_LOAD_POSITION)))
         return int(self._time.state[servo.I_COUNT])
 
     def count_when_output_was(self, output_count: int) -> int:
         """Return the encoder count when the output passed `output_count` within the last tick."""
         if self._has_extras:
-            ahead = self._time.state[servo.I_POSITION] - self._extra(extras_servo.E_LOAD_POSITION)
+            ahead = self._time.state[servo.I_POSITION] - self._extra(
+                nonlinear_servo.E_LOAD_POSITION
+            )
             return output_count + int(servo.whole(ahead))
         return output_count
 
@@ -174,13 +240,13 @@ class AxisReadings:
     def output_position_rad(self) -> float:
         """Return the true output position, not quantised, independent of `set_position` [rad]."""
         if self._has_extras:
-            return (self._extra(extras_servo.E_LOAD_POSITION) - 0.5) * self._output_rad_inc
+            return (self._extra(nonlinear_servo.E_LOAD_POSITION) - 0.5) * self._output_rad_inc
         return (self._time.state[servo.I_POSITION] - 0.5) * self._output_rad_inc
 
     def output_velocity_rad_s(self) -> float:
         """Return the true output velocity, not quantised [rad/s]."""
         if self._has_extras:
-            return self._extra(extras_servo.E_LOAD_SPEED) / self._gear_ratio
+            return self._extra(nonlinear_servo.E_LOAD_SPEED) / self._gear_ratio
         return self._time.state[servo.I_SPEED] / self._gear_ratio
 
     def load_torque_n_m(self) -> float:
@@ -190,24 +256,24 @@ class AxisReadings:
     def dc_link_v(self) -> float:
         """Return the DC-link voltage; without a DC link, the supply's voltage [V]."""
         if self._plant.extras.has_dc_link():
-            return self._extra(extras_servo.E_DC_LINK)
+            return self._extra(nonlinear_servo.E_DC_LINK)
         return self._conditions[1]
 
     def winding_temperature_c(self) -> float:
         """Return the winding temperature; without a thermal model, the ambient one [degC]."""
         if self._has_extras:
-            return self._extra(extras_servo.E_WINDING)
+            return self._extra(nonlinear_servo.E_WINDING)
         return self._plant.extras.ambient_c
 
     def housing_temperature_c(self) -> float:
         """Return the housing temperature; without a thermal model, the ambient one [degC]."""
         if self._has_extras:
-            return self._extra(extras_servo.E_HOUSING)
+            return self._extra(nonlinear_servo.E_HOUSING)
         return self._plant.extras.ambient_c
 
     def i2t_level(self) -> float:
         """Return the level of the I2t integrator, 0..1; 0 without one."""
-        return self._extra(extras_servo.E_I2T) if self._has_extras else 0.0
+        return self._extra(nonlinear_servo.E_I2T) if self._has_extras else 0.0
 
     def truth_of_extras(self) -> dict[str, float]:
         """Return the existing values of DC link, winding and I2t under their snapshot names."""
@@ -221,87 +287,7 @@ class AxisReadings:
             truth["i2t_level"] = self.i2t_level()
         return truth
 
-    def _extra(self, index: int) -> float:
-        return self._time.state[servo.I_EXTRAS][index]
-
-
-NO_LIMIT: Final = 1e300
-
-
-def default_windows(tick_ns: int) -> Windows:
-    """Return the defaults: target 10 inc, no following error, 500 and 2000 inc/s for 10 ms.
-
-    The 500 inc/s are the speed threshold, the 2000 inc/s the velocity window.
-    """
-    tick_s = tick_ns / 1e9
-    return (
-        *(10.0, NO_LIMIT, 500.0 * tick_s, 2000.0 * tick_s),
-        *(in_a_row(0, 0, tick_ns), in_a_row(0, 0, tick_ns)),
-        *(in_a_row(10_000_000, 0, tick_ns), in_a_row(10_000_000, 0, tick_ns)),
-        *(-NO_LIMIT, NO_LIMIT),
-    )
-
-
-def with_gate(windows: Windows, low: float, high: float) -> Windows:
-    """Return the windows with another gate."""
-    return (*windows[:8], low, high)
-
-
-def in_a_row(time_ns: int | None, before: int, tick_ns: int) -> int:
-    """Return the consecutive ticks for a condition of `time_ns`; None: `before`."""
-    return before if time_ns is None else -(-time_ns // tick_ns) + 1
-
-
-NEVER: Final = -1.0  # end of PROFILE_ACTIVE for a profile that never sets it
-_NONE: Final = 1e300  # a threshold that is never reached
-
-
-class AxisSettings(AxisReadings):
-    """The settings of an axis, effective from the next tick on; it starts without power.
-
-    Raises:
-        ValueError: `current_steps` does not divide the tick, or the gains make the current loop
-            unstable.
-    """
-
-    def __init__(
-        self,
-        plant: MotorPlant,
-        gains: ServoGains,
-        tick_ns: int,
-        current_steps: int,
-        initial_position_inc: int,
-        clock_rate: float,
-    ) -> None:
-        if tick_ns < 1 or current_steps < 1 or tick_ns % current_steps:
-            raise ValueError(
-                f"tick_ns = {tick_ns}: must be > 0 and divisible into {current_steps} equal steps"
-            )
-        self._gains: ServoGains = gains
-        self._current_steps: Final = current_steps
-        self._clock_rate: Final = clock_rate
-        self._current_max_a: Final = plant.current_max_a
-        self._limits_a = (plant.current_max_a, plant.current_max_a)  # forwards, backwards
-        self._windows: servo.Windows = default_windows(tick_ns)
-        standing: servo.Orders = (
-            *(servo.OFF, 0, NEVER, profile.hold(float(initial_position_inc))),
-            *(False, 0.0, 0.0, plant.current_max_a, plant.current_max_a),
-        )
-        self._orders: servo.Orders = standing
-        tables = tables_of(plant, gains, tick_ns, current_steps, clock_rate)
-        extras = extras_tables(plant, gains, tables.tick, tick_ns, current_steps, clock_rate)
-        state = servo.standing(float(initial_position_inc))
-        if extras is not None:
-            state = extras_servo.standing(extras, float(initial_position_inc), plant.supply_v)
-        conditions: Conditions = (
-            *(plant.load_torque_n_m / plant.gear_ratio, plant.supply_v),
-            *(_NONE, -_NONE, _NONE, _NONE, _NONE, -_NONE, _NONE),
-        )
-        time = Timeline(
-            *(tables, plant.load_torque_n_m, self._windows, standing, state, extras, conditions)
-        )
-        super().__init__(plant, tick_ns, time, standing[3], conditions)
-        self._is_shorted: bool = False
+    # --- settings, effective from the next tick on
 
     def set_windows(
         self,
@@ -445,56 +431,7 @@ class AxisSettings(AxisReadings):
         self._time.commands += 1
         self._offset_inc = position_inc - (self.count() if count is None else count)
 
-    def _set_conditions(self, conditions: Conditions) -> None:
-        if conditions != self._conditions:
-            self._conditions = conditions
-            self._time.set_conditions(conditions)
-
-    def _step_with(self, gains: ServoGains) -> None:
-        tables = tables_of(self._plant, gains, self._tick_ns, self._current_steps, self._clock_rate)
-        extras = extras_tables(
-            *(self._plant, gains, tables.tick, self._tick_ns, self._current_steps),
-            self._clock_rate,
-        )
-        self._time.set_tables(tables, self._load_torque_n_m, extras)
-
-
-_BACKWARD: Final = 1
-_FORWARD: Final = 2
-_OF_PROFILE: Final = IN_TARGET_WINDOW | IN_VELOCITY_WINDOW | CURRENT_REACHED
-"""Flags cleared by the next profile."""
-_CURRENT_WINDOW: Final = (
-    0.05  # share of the plant's maximum current within which the target counts as reached
-)
-
-_NO_SPEED: Final = 1e300  # a velocity above any motor's
-
-
-@final
-class Axis(AxisSettings):
-    """One motor with its drive firmware; sans-I/O, reads no clock.
-
-    `AxisReadings` documents the readings and when they change. `Timeline` documents how the axis
-    stays lazy and exact.
-    """
-
-    def __init__(
-        self,
-        plant: MotorPlant,
-        gains: ServoGains,
-        tick_ns: int = 1_000_000,
-        current_steps: int = 10,
-        initial_position_inc: int = 0,
-        clock_rate: float = 1.0,
-    ) -> None:
-        super().__init__(plant, gains, tick_ns, current_steps, initial_position_inc, clock_rate)
-        self._profile_tick = 0  # the tick at which the profile's time is 0
-        self._way = 0.0  # its sign is the direction of the last command
-        self._barred = 0  # directions that are barred to commands
-        self._bar_slower = 0.0
-        self._fed_a: float = 0.0  # part of the velocity loop's integrator added by `feed_current`
-
-    # --- commands, effective from the tick after the last at() ------------------------------------
+    # --- commands, effective from the tick after the last at()
 
     def power(self, on: bool) -> None:
         """Switch the power stage on or off; no effect if it is in that state already.
@@ -593,13 +530,13 @@ class Axis(AxisSettings):
             left = end - position if velocity > 0.0 else position - end
             square = velocity * velocity
             if left >= 0.0 and square > 2.0 * slower * left:
-                slower = square / (2.0 * left) if left > 0.0 else _NO_SPEED
+                slower = square / (2.0 * left) if left > 0.0 else NO_LIMIT
         pieces = profile.ramp(position, velocity, 0.0, slower, slower)
         self._mode = servo.POSITION
         self._begin(pieces, profile.duration_ticks(pieces), True, 0.0)
 
     def apply_current(
-        self, target_a: float, slope_a_s: float, speed_max_inc_s: float = _NO_SPEED
+        self, target_a: float, slope_a_s: float, speed_max_inc_s: float = NO_LIMIT
     ) -> None:
         """Ramp the current from its present demand to `target_a` and keep it.
 
@@ -634,7 +571,7 @@ class Axis(AxisSettings):
         over_ns: int,
         fed_velocity_inc_s: float = 0.0,
         has_target: bool = False,
-        speed_max_inc_s: float = _NO_SPEED,
+        speed_max_inc_s: float = NO_LIMIT,
     ) -> int:
         """Move linearly from the present demand to `position_inc` in `over_ns`, then hold (csp).
 
@@ -678,10 +615,10 @@ class Axis(AxisSettings):
             return
         pieces = profile.velocity_line(velocity, wanted, over_ns / self._tick_ns)
         self._mode = servo.VELOCITY
-        self._begin(pieces, NEVER, False, _NO_SPEED)
+        self._begin(pieces, NEVER, False, NO_LIMIT)
 
     def follow_current(
-        self, current_a: float, over_ns: int, speed_max_inc_s: float = _NO_SPEED
+        self, current_a: float, over_ns: int, speed_max_inc_s: float = NO_LIMIT
     ) -> None:
         """Change the current demand linearly to this one in `over_ns`, then keep it (cst)."""
         self._start()
@@ -719,7 +656,7 @@ class Axis(AxisSettings):
         self._start()
         self._way = 0.0
         self._mode = servo.VELOCITY
-        self._begin(profile.hold(0.0), NEVER, False, _NO_SPEED)
+        self._begin(profile.hold(0.0), NEVER, False, NO_LIMIT)
         state = self._time.state
         self._fed_a = 0.0
         self._time.order(self._orders, (*state[:5], 0.0, *state[6:]))
@@ -754,7 +691,23 @@ class Axis(AxisSettings):
         if self._mode != servo.OFF and (self._mode != servo.POSITION or moves):
             self._is_barred()
 
-    # --- internals -------------------------------------------------------------------------------
+    # --- internals
+
+    def _extra(self, index: int) -> float:
+        return self._time.state[servo.I_EXTRAS][index]
+
+    def _set_conditions(self, conditions: Conditions) -> None:
+        if conditions != self._conditions:
+            self._conditions = conditions
+            self._time.set_conditions(conditions)
+
+    def _step_with(self, gains: ServoGains) -> None:
+        tables = tables_of(self._plant, gains, self._tick_ns, self._current_steps, self._clock_rate)
+        extras = extras_tables(
+            *(self._plant, gains, tables.tick, self._tick_ns, self._current_steps),
+            self._clock_rate,
+        )
+        self._time.set_tables(tables, self._load_torque_n_m, extras)
 
     def _end_braking(self) -> None:
         self.is_braking = False

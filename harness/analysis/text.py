@@ -1,20 +1,19 @@
-"""Findings of a bus analysis as text tables and as JSON."""
+"""Findings of a bus analysis in words and as JSON."""
 
 from collections.abc import Sequence
 from typing import Final
 
 from motorhil.harness.analysis.advice import ERRORS_MAX, Tolerance
-from motorhil.harness.analysis.message import Arrival, Message
-from motorhil.harness.analysis.response_time import Response
 from motorhil.harness.analysis.subject import Findings, Subject, Sync
-from motorhil.harness.cli.options import print_table
+from motorhil.motorapi.synchronization.can_response_time import Arrival, Message, Response
 
-_MS = 1e-6  # ms per ns
+WORDS: Final = (0, 1, 2, 8)
+_MS: Final = 1e-6  # ms per ns
+_ALONE: Final = "its jitter and its own frame take longer than its deadline, whatever else is sent"
 
 
-def print_findings(found: Findings, bit_error_rate: float | None) -> None:
-    """Print the findings of one bus as a table for people."""
-    _print_head(found)
+def rows_of(found: Findings, bit_error_rate: float | None) -> tuple[list[str], list[list[str]]]:
+    """Return the head and the rows of the table of one bus; `WORDS` are its columns of words."""
     stands = {one.message.rank: one for one in found.tolerances}
     head = ["message", "what", "sender", "bytes", "period ms", "jitter ms", "deadline ms"]
     head += ["response ms", "in time", "errors stood"]
@@ -30,35 +29,39 @@ def print_findings(found: Findings, bit_error_rate: float | None) -> None:
         if bit_error_rate is not None:
             row.append("-" if stood is None else f"{stood.late_probability(bit_error_rate):.1e}")
         rows.append(row)
-    print_table(head, rows, words=(0, 1, 2, 8))
-    for line in _advice(found):
-        print(line)
+    return head, rows
+
+
+def remarks_of(found: Findings) -> list[str]:
+    """Return the lines below the table: advice, the clock of SYNC, and notes."""
+    lines = _advice(found)
     sync = found.subject.sync
     if sync is not None:
-        print(f"{found.subject.load.name}: {_sync(sync)}")
-    print_notes(found.subject)
+        lines.append(f"{found.subject.load.name}: {_sync(sync)}")
+    return lines + notes_of(found.subject)
 
 
-def print_notes(subject: Subject) -> None:
-    """Print the notes that readers of the results must know."""
-    if not subject.load.messages:
-        print(f"{subject.load.name}: no known messages")
-    for note in subject.notes:
-        print(f"{subject.load.name}: {note}")
+def notes_of(subject: Subject) -> list[str]:
+    """Return the notes that readers of the results must know."""
+    name = subject.load.name
+    lines = [] if subject.load.messages else [f"{name}: no known messages"]
+    return lines + [f"{name}: {note}" for note in subject.notes]
 
 
-def _print_head(found: Findings) -> None:
+def head_of(found: Findings) -> list[str]:
+    """Return the lines above the table: bit rate, utilisation, assumed errors."""
     load, subject = found.subject.load, found.subject
     rate = f"{load.bitrate_bit_s} bit/s"
     if load.data_bitrate_bit_s is not None:
         rate += f", data {load.data_bitrate_bit_s} bit/s"
     used = f"{load.utilisation():.1%} of it used at most, {load.utilisation_unstuffed():.1%}"
     measured = "" if subject.measured is None else f", {subject.measured:.1%} when recorded"
-    print(f"{load.name}: {rate}, {used} without stuff bits{measured}")
+    lines = [f"{load.name}: {rate}, {used} without stuff bits{measured}"]
     errors = found.errors
     if errors.burst or errors.interval_ns is not None:
         every = "" if errors.interval_ns is None else f", then every {_ms(errors.interval_ns)} ms"
-        print(f"{load.name}: errors: {errors.burst} at once{every}")
+        lines.append(f"{load.name}: errors: {errors.burst} at once{every}")
+    return lines
 
 
 def _advice(found: Findings) -> list[str]:
@@ -93,9 +96,6 @@ def _advice(found: Findings) -> list[str]:
             apart = f"errors {_ms(found.interval_ns)} ms apart or more make no message late"
             lines.append(f"{name}: {first}{apart}")
     return lines
-
-
-_ALONE: Final = "its jitter and its own frame take longer than its deadline, whatever else is sent"
 
 
 def _is_alone(one: Response) -> bool:

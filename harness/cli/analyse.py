@@ -7,14 +7,21 @@ from dataclasses import replace
 from pathlib import Path
 
 from motorhil.harness.analysis.advice import at_rate
-from motorhil.harness.analysis.message import Message
-from motorhil.harness.analysis.response_time import ErrorModel
 from motorhil.harness.analysis.subject import Findings, Subject, analyse
-from motorhil.harness.analysis.text import as_table, print_findings, print_notes, sync_drifts
+from motorhil.harness.analysis.text import (
+    WORDS,
+    as_table,
+    head_of,
+    notes_of,
+    remarks_of,
+    rows_of,
+    sync_drifts,
+)
 from motorhil.harness.cli.main import FAILED, NOT_JUDGED, PASSED
-from motorhil.harness.cli.options import identifier, real, whole
+from motorhil.harness.cli.options import identifier, print_table, real, whole
 from motorhil.harness.cli.report import add_bit_rates
 from motorhil.harness.rig.config.toml import RigError
+from motorhil.motorapi.synchronization.can_response_time import ErrorModel, Message
 
 _TIME_MAX_S = 1e6
 
@@ -97,9 +104,12 @@ def run(options: argparse.Namespace) -> int:
     else:
         for one in subjects:
             if not one.load.messages:
-                print_notes(one)
+                print(*notes_of(one), sep="\n")
         for each in found:
-            print_findings(each, options.bit_error_rate)
+            print(*head_of(each), sep="\n")
+            print_table(*rows_of(each, options.bit_error_rate), words=WORDS)
+            for line in remarks_of(each):
+                print(line)
         for drift in sync_drifts(found):
             text = f"{drift['drift_ppm']:+.1f} ppm from that of {drift['from']}"
             print(f"{drift['bus']}: SYNC drifts by {text}")
@@ -176,7 +186,7 @@ def _sum(found: list[Findings]) -> tuple[str, int]:
 
 def _draw(found: list[Findings], target: Path) -> None:
     from motorhil.harness.analysis.plot import svg_of
-    from motorhil.traces.mcap.reader import whole_file
+    from motorhil.traces.files import whole_file
 
     with whole_file(str(target)) as file:
         file.write(svg_of(found).encode())

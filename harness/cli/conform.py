@@ -81,7 +81,8 @@ def run(options: argparse.Namespace) -> int:
     Raises:
         RigError: a file or an option cannot be used, or a result cannot be written.
     """
-    from motorhil.harness.conformance.worker import CannotTestError, Job, Supervisor, WrongJobError
+    from motorhil.harness.conformance.target import Job
+    from motorhil.harness.conformance.worker import CannotTestError, Supervisor, WrongJobError
     from motorhil.harness.virtual_time.interrupts import ends_by_signal
 
     if options.list:

@@ -2,14 +2,9 @@
 
 Meanwhile its mast looks at a fixed point. The application is `harness/examples/rover.py`. The rig
 is `harness/examples/rover.toml`, or with `--rig` another one that has the same motors on other
-hardware. This module adds progress, recording and result tables. `--two-processes` has a module of
-its own.
-
-The demo's drives with vendors' EDS files, and the units they imply.
-
-The demo's mast on Modbus: two PR-mode drives on a serial line.
-
-They replace the CAN drives of pan and tilt.
+hardware. This module adds progress, recording and result tables. With `--eds` the drives follow
+vendors' EDS files, in the units that these imply. With `--mast modbus` two PR-mode drives on a
+serial line replace the CAN drives of pan and tilt. `--two-processes` has a module of its own.
 """
 
 import argparse

@@ -28,19 +28,20 @@ from motorhil.emulators.gateways.hub import HubError, HubServer
 from motorhil.emulators.gateways.loop import WallLoop
 from motorhil.harness.cli.main import FAILED, PASSED
 from motorhil.harness.cli.options import print_table
-from motorhil.harness.cli.serve import STOPPING, Program, StopSignals
+from motorhil.harness.cli.serve import Program
+from motorhil.harness.cli.stop_signals import STOPPING, StopSignals
 from motorhil.harness.examples.driving_program import LEGS
 from motorhil.harness.examples.rover_kinematics import WHEELS
-from motorhil.harness.recording.ownership import Ended, OwnershipRecord, Tenure, read_ownership
 from motorhil.harness.rig.config.rig_file import RigDescription
 from motorhil.harness.rig.config.scaffold import EXAMPLES
 from motorhil.harness.rig.config.toml import RigError
 from motorhil.harness.rig.rig import Rig
 from motorhil.motorapi.locking.directory import VARIABLE
 from motorhil.motorapi.locking.lock_status import read_process
-from motorhil.traces.mcap.protobuf import decode
 from motorhil.traces.mcap.reader import Trace, read_trace
+from motorhil.traces.protobuf import decode
 from motorhil.traces.schema import CAN_FRAME, LockAction
+from motorhil.traces.semantics.ownership import Ended, OwnershipRecord, Tenure, read_ownership
 
 if TYPE_CHECKING:
     from motorhil.emulators.simulation.ownership_notice import OwnershipNotice

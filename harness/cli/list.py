@@ -1,8 +1,7 @@
-"""The verb `list`: installed plug-ins, examples, and owners of motors.
+"""The verb `list`: plug-ins, examples, owners of motors, quirks, registers.
 
-The verb `list quirks`: known deviations of drives, with sources.
-
-The verb `list registers NAME`: the register map of a Modbus controller.
+`list quirks` shows known deviations of drives with their sources, `list registers NAME` the
+register map of a Modbus controller.
 """
 
 import argparse

@@ -1,11 +1,9 @@
 """The command `motorhil`: one verb per module, loaded when it is used.
 
-Exit status: 0 passed, 1 the thing under test failed, 2 wrong usage, 3 nothing could be judged, 130
-interrupted. Results go to stdout, reasons to stderr. The module of a verb has
-`add_arguments(parser)` and `run(arguments)`. Words after `--` on the command line are
+Exit status, the same for every verb: 0 passed, 1 the thing under test failed, 2 wrong usage, 3
+nothing could be judged, 130 interrupted. Results go to stdout, reasons to stderr. The module of a
+verb has `add_arguments(parser)` and `run(arguments)`. Words after `--` on the command line are
 `arguments.rest`, which is None without `--`.
-
-Exit statuses of `motorhil`, the same for every verb.
 """
 
 import argparse

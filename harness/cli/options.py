@@ -1,8 +1,6 @@
-"""Numbers on the command line; errors name limits and unit.
+"""Options and tables that several verbs share.
 
-Option --seed, the same for every verb that has it.
-
-Text tables for terminals.
+Errors of numbers name the limits and the unit.
 """
 
 import argparse

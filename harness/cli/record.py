@@ -1,7 +1,4 @@
-"""The verb `record`: records live CAN buses.
-
-Progress line of a recording, for the terminal.
-"""
+"""The verb `record`: records live CAN buses, and shows its progress."""
 
 import argparse
 import json
@@ -135,7 +132,7 @@ def _record(
     own_times: bool,
     cleanup: ExitStack,
 ) -> int:
-    from motorhil.harness.cli.serve import StopSignals
+    from motorhil.harness.cli.stop_signals import StopSignals
     from motorhil.harness.recording.loop import RecordingLoop
     from motorhil.harness.recording.writer import Pump, Series, opener
 

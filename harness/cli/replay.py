@@ -1,10 +1,8 @@
 """The verb `replay`: a recording stands in for devices, host, or both.
 
-`motorhil replay FILE --as device SCRIPT`: an application against recorded devices.
-
-`motorhil replay FILE --as host`: the recorded host against a rig or real devices.
-
-`motorhil replay FILE --as traffic`: recorded frames on a bus, at their times.
+motorhil replay FILE --as device SCRIPT    an application against recorded devices
+motorhil replay FILE --as host             the recorded host against a rig or real devices
+motorhil replay FILE --as traffic          recorded frames on a bus, at their times
 """
 
 import argparse

@@ -10,7 +10,8 @@ from typing import Final
 
 from motorhil.harness.cli.main import PASSED
 from motorhil.traces.errors import TraceError
-from motorhil.traces.mcap.reader import Trace, read_trace, whole_file
+from motorhil.traces.files import whole_file
+from motorhil.traces.mcap.reader import Trace, read_trace
 
 _KILO: Final = {"k": 1_000, "M": 1_000_000}
 

@@ -1,12 +1,9 @@
-"""The verb `run`: runs a script, or a prompt, with a rig.
+"""The verb `run`: runs a script, or a prompt, with a rig around it.
 
-User's program inside an open rig: bus, threads and errors.
-
-Hardware bus names redirected to the rig: `can.Bus("can0", "socketcan")`.
-
-While a program runs in a rig's virtual time, every python-can interface joins the rig, except those
-within this process. The channel is the name of one of the rig's buses, or it is refused. So a
-program in virtual time never commands hardware.
+The program finds the rig's buses under their hardware names: while it runs in the rig's virtual
+time, every python-can interface joins the rig, except those within this process. The channel is the
+name of one of the rig's buses, or it is refused. So a program in virtual time never commands
+hardware.
 """
 
 import argparse

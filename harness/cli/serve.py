@@ -1,24 +1,19 @@
-"""`motorhil serve`: a rig in real time for other processes.
+"""The verb `serve`: a rig in real time for other processes.
 
 CAN buses are served on a socket or on SocketCAN, Modbus lines on TCP or on pseudo-terminals.
-
-Lines of a rig on TCP and pseudo-terminals, for `motorhil serve`.
-
-Child processes beside a world in wall time, and stop signals.
+Programs started beside the rig are child processes, and end with it.
 """
 
 import argparse
 import os
 import select
-import signal
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from contextlib import ExitStack, suppress
 from pathlib import Path
-from types import FrameType
-from typing import Final, Protocol, Self, final
+from typing import Final, Self, final
 
 import motorhil
 from motorhil.emulators.gateways.hub import HubError, HubServer
@@ -28,6 +23,7 @@ from motorhil.emulators.gateways.modbus_tcp import ModbusSocket, ModbusSocketErr
 from motorhil.emulators.gateways.socketcan import SocketCanError, SocketCanGateway
 from motorhil.harness.cli.main import FAILED, PASSED, WRONG_USAGE
 from motorhil.harness.cli.options import add_seed
+from motorhil.harness.cli.stop_signals import StopSignals
 from motorhil.harness.recording.ownership import LockLooks, LockWriter
 from motorhil.harness.replay.verdict import summary, unanswered
 from motorhil.harness.rig.config.buses import MODBUS_RTU, MODBUS_TCP, BusDescription
@@ -141,56 +137,7 @@ def _none(kind: str, option: str) -> tuple[str, str]:
     )
 
 
-STOPPING: Final = (signal.SIGINT, signal.SIGTERM)
 _LINE_MAX: Final = 65_536
-
-
-class Wakeable(Protocol):
-    """A loop that descriptors can wake."""
-
-    def wake_on(self, descriptor: int) -> None:
-        """Wake the loop also when this descriptor becomes readable."""
-
-    def forget(self, descriptor: int) -> None:
-        """Stop waking the loop for this descriptor."""
-
-
-@final
-class StopSignals:
-    """A context in which a terminating signal wakes the loop instead, and is kept.
-
-    Attributes:
-        number: the first signal received, or None.
-    """
-
-    def __init__(self, loop: Wakeable, numbers: Sequence[signal.Signals] = STOPPING) -> None:
-        self.number: int | None = None
-        self._loop = loop
-        self._reader, self._writer = os.pipe()
-        os.set_blocking(self._writer, False)
-        loop.wake_on(self._reader)
-        self._old_wakeup = signal.set_wakeup_fd(self._writer, warn_on_full_buffer=False)
-        self._old_handlers = {
-            number: signal.signal(number, self._come)
-            for number in numbers
-            if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN  # nohup
-        }
-
-    def _come(self, number: int, frame: FrameType | None) -> None:
-        if self.number is None:
-            self.number = number
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        """Restore the former signal handlers."""
-        for number, handler in self._old_handlers.items():
-            signal.signal(number, handler)
-        signal.set_wakeup_fd(self._old_wakeup)
-        self._loop.forget(self._reader)
-        os.close(self._writer)
-        os.close(self._reader)
 
 
 @final

@@ -12,8 +12,8 @@ from motorhil.harness.cli.main import PASSED
 from motorhil.harness.cli.options import identifier, time_ns, whole
 from motorhil.traces.decoding.events import PERIODIC, Fact, Kind
 from motorhil.traces.decoding.narrative import Line, Story
-from motorhil.traces.mcap.protobuf import Value
 from motorhil.traces.mcap.reader import Trace, read_trace
+from motorhil.traces.protobuf import Value
 
 _NS: Final = 1_000_000_000
 _LOOK_AGAIN_S: Final = 0.2  # a recorder writes once a second

@@ -2,14 +2,34 @@
 
 from collections.abc import Callable, Collection, Sequence
 from contextlib import AbstractContextManager
-from typing import Protocol
+from enum import Enum
+from typing import Protocol, final
 
-from motorhil.harness.conformance.clause import Ability, Facts
+from motorhil.harness.rig.config.conformance import Facts
 from motorhil.motorapi import Motor
 from motorhil.motorapi.runtime.api import Runtime
 
 Lost = Callable[[], int]
 """Number of frames or answers lost so far. A fault that hit nothing has tested nothing."""
+
+
+@final
+class Ability(Enum):
+    """Something that a bench can do or see."""
+
+    TRUTH = "see the true position of the motor"
+    LOAD = "load the motor"
+    FAULT = "cause a drive fault"
+    CUT = "cut a drive off the bus for a time"
+    LOSE = "lose frames or answers of a drive"
+    SILENCE_HOST = "drop everything the host sends"
+    BUS_ERRORS = "disturb frames on a CAN bus until a node goes bus-off"
+    AFRESH = "switch everything off and on again"
+    STOP_SYNC = "stop the signal that clocks streamed motions"
+    RESTART = "switch a drive off and on again"
+    TRAFFIC = "see the commands sent to a drive"
+    SECOND_MOTOR = "move a second motor"
+    SEVERAL_USERS = "create several logical motors for one physical motor"
 
 
 class RigProtocol(Protocol):

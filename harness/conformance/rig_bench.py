@@ -10,8 +10,9 @@ from typing import Final, Self, final
 from motorhil.emulators.can.fault_rules import FaultKind, FaultRule, FrameError
 from motorhil.emulators.can.frame import can_id_of, data_of, pack
 from motorhil.emulators.media.serial_faults import SerialFaultKind, SerialFaultRule
-from motorhil.harness.conformance.bench import Lost
-from motorhil.harness.conformance.clause import Ability, Facts, NotApplicable
+from motorhil.harness.conformance.bench import Ability, Lost
+from motorhil.harness.conformance.clause import NotApplicable
+from motorhil.harness.rig.config.conformance import Facts
 from motorhil.harness.rig.config.faults import HOST
 from motorhil.harness.rig.config.rig_file import RigDescription
 from motorhil.harness.rig.config.toml import RigError

@@ -14,10 +14,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, Never, Self, final
 
-from motorhil.harness.conformance.bench import Lost
-from motorhil.harness.conformance.clause import Ability, Facts, NotApplicable
+from motorhil.harness.conformance.bench import Ability, Lost
+from motorhil.harness.conformance.clause import NotApplicable
 from motorhil.harness.conformance.rig_bench import SECOND_USER, physical_name
 from motorhil.harness.recording.sources import Kind, Place, PlaceError, open_bus, parse_place
+from motorhil.harness.rig.config.conformance import Facts
 from motorhil.harness.rig.config.rig_file import RigDescription
 from motorhil.harness.rig.config.toml import RigError
 from motorhil.harness.rig.rig import Named, RigPlugins, read_models

@@ -8,11 +8,11 @@ from collections.abc import Iterator, Mapping
 from typing import Final
 
 from motorhil.harness.oracles.base import Finding, Verdict, Violation
-from motorhil.harness.recording.ownership import motor_of, read_ownership
 from motorhil.harness.sharing_tests.bus_evidence import BusFrame, commanded_node, judge_frames
-from motorhil.traces.formats.frames import FrameDecoder, fields
+from motorhil.traces.formats.frames import fields
 from motorhil.traces.mcap.reader import Trace
-from motorhil.traces.schema import CAN_FRAME
+from motorhil.traces.schema import CAN_FRAME, FrameDecoder
+from motorhil.traces.semantics.ownership import motor_of, read_ownership
 
 ID: Final = "owner-commands"
 PROMISE: Final = "While a motor has an owner, no other process sends a frame that commands it"
@@ -44,14 +44,14 @@ def judge_ownership(
     if trace is None or not any(motor_of(one.topic) for one in trace.channels.values()):
         return Finding(*head, Verdict.NOT_JUDGED, reason=NEEDS)
     ownership = read_ownership(trace)
-    told = {motor: place for motor, place in places.items() if motor in ownership.tenures}
-    if not told:
+    known = {motor: place for motor, place in places.items() if motor in ownership.tenures}
+    if not known:
         reason = "the places of the owned motors are not known; give --rig RIG"
         return Finding(*head, Verdict.NOT_JUDGED, reason=reason)
-    evidence = judge_frames(_commanding(trace, from_ns, to_ns), ownership, told)
+    evidence = judge_frames(_commanding(trace, from_ns, to_ns), ownership, known)
     looked = sum(evidence.counts.values())
     broken = [
-        _violation(frame, tenure.motor, told, str(tenure)) for frame, tenure in evidence.foreign
+        _violation(frame, tenure.motor, known, str(tenure)) for frame, tenure in evidence.foreign
     ]
     if ownership.contradictions:
         text = ownership.contradictions[0]

@@ -14,14 +14,9 @@ import pytest
 from motorhil.harness.conformance.clause import Result
 from motorhil.harness.conformance.examination import Examiner, Finding
 from motorhil.harness.conformance.results import more_of
-from motorhil.harness.conformance.worker import (
-    CannotTestError,
-    Job,
-    Promise,
-    Supervisor,
-    WrongJobError,
-)
-from motorhil.harness.pytest_plugin.plugin import option, record_folder, shortened
+from motorhil.harness.conformance.target import Job
+from motorhil.harness.conformance.worker import CannotTestError, Promise, Supervisor, WrongJobError
+from motorhil.harness.pytest_plugin.options import option, record_folder, shortened
 from motorhil.harness.rig.config.toml import RigError
 
 _PROPERTY: Final = "motorhil clause"

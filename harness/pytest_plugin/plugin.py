@@ -9,7 +9,6 @@ a rig. An option that another plugin or a conftest.py also defines is left to th
 only its long name (`--motorhil-seed`).
 """
 
-import os
 from argparse import ArgumentTypeError
 from collections.abc import Generator, Iterator
 from itertools import pairwise
@@ -18,16 +17,14 @@ from typing import TYPE_CHECKING, Any, Final
 
 import pytest
 
+from motorhil.harness.pytest_plugin.options import OPENED, OWN_NAMES, RECORDS, option, record_folder
+
 if TYPE_CHECKING:
-    from motorhil.harness.pytest_plugin.rigs import RecordOfTest, RigOfTest
+    from motorhil.harness.pytest_plugin.rigs import RecordOfTest
     from motorhil.harness.rig.rig import Rig
     from motorhil.motorapi.group import MotorGroup
     from motorhil.motorapi.motor import Motor
 
-OPENED: Final[pytest.StashKey["RigOfTest"]] = pytest.StashKey()
-"""Stash key of a test: the rig that was opened for it."""
-OWN_NAMES: Final = pytest.StashKey[dict[str, str]]()
-"""Stash key of the configuration: the name of each option."""
 _MADE: Final = pytest.StashKey[Path]()
 
 _MARK: Final = (
@@ -35,7 +32,6 @@ _MARK: Final = (
     "folder; omitted values come from an outer mark, the command line, or the rig"
 )
 _RIG_HELP: Final = "for fixture `rig`: a rig file (TOML), or a recording that replaces the devices"
-_RECORDS: Final = "out"
 
 
 def _seed(text: str) -> int:
@@ -60,7 +56,7 @@ _OPTIONS: Final[tuple[tuple[str, dict[str, Any]], ...]] = (
         "record-dir",
         {
             "metavar": "DIR",
-            "help": f"folder for the record (MCAP) of a test that fails; default: {_RECORDS}, "
+            "help": f"folder for the record (MCAP) of a test that fails; default: {RECORDS}, "
             "next to pytest's ini file if there is one",
         },
     ),
@@ -117,25 +113,6 @@ def _is_free(parser: pytest.Parser, word: str) -> bool:
         return bool(parser.parse_known_and_unknown_args([f"{word}=0"])[1])
     except pytest.UsageError:  # the option is known, and 0 is not valid for it
         return False
-
-
-def option(config: pytest.Config, name: str) -> Any:
-    """Return our option's value or default, or None if our options were registered too late."""
-    return config.getoption(f"motorhil_{name.replace('-', '_')}", None)
-
-
-def record_folder(config: pytest.Config) -> Path:
-    """Return the folder for records of failed tests."""
-    here = config.invocation_params.dir
-    named = option(config, "record-dir")
-    if named is None and config.inipath is not None:
-        return config.inipath.parent / _RECORDS
-    return here / (named or _RECORDS)
-
-
-def shortened(text: str, config: pytest.Config) -> str:
-    """Return the text with paths relative to the folder in which pytest was called."""
-    return text.replace(f"{config.invocation_params.dir}{os.sep}", "")
 
 
 def pytest_configure(config: pytest.Config) -> None:

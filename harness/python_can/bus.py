@@ -3,28 +3,20 @@
 `channel` is the name of a bus of the rig that is open in this process ("can0"). Alternatively it is
 the path of the socket that `motorhil serve --socket` created. A program written for python-can
 needs no other change. In a rig of this process, `recv` and `send_periodic` use the rig's time; over
-a socket they use wall time.
+a socket they use wall time. The bus passes every frame to the program's receive queue.
 
 CAN FD works as with SocketCAN: a connection opened without `fd=True` neither sends nor receives CAN
 FD frames. The bus must be an FD bus (`data_bitrate_bit_s`).
 
 Errors seen by the program's own CAN controller arrive as error frames, as from SocketCAN.
-`can_filters` do not apply to them. `ignore_rx_error_frames=True` suppresses them.
-
-Receive queue of an application's connection to an emulated bus.
-
-The bus passes every frame to it.
-
-CAN controller states of python-can, derived from error messages.
-
-python-can has three: ACTIVE (error active, including the warning level), PASSIVE (error passive)
-and ERROR (bus-off). Its own SocketCAN interface never queries the controller and always reports
-ACTIVE.
+`can_filters` do not apply to them. `ignore_rx_error_frames=True` suppresses them. `state` is
+derived from them: ACTIVE (error active, including the warning level), PASSIVE (error passive) or
+ERROR (bus-off). python-can's own SocketCAN interface never queries the controller and always
+reports ACTIVE.
 
 Source: Linux include/uapi/linux/can/error.h; python-can 4.6.1, can/bus.py and interfaces.
 """
 
-from collections import deque
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, Final, final
 
@@ -47,10 +39,11 @@ from motorhil.emulators.can.error_confinement import (
     TX_PASSIVE,
     TX_WARNING,
 )
-from motorhil.emulators.can.frame import ERR_FLAG, FRAME_BYTES, can_id_of
+from motorhil.emulators.can.frame import ERR_FLAG, can_id_of
 from motorhil.emulators.simulation.ownership_notice import OwnershipNotice
 from motorhil.harness.python_can.hub_client import HubLink
 from motorhil.harness.python_can.messages import to_frame, to_message
+from motorhil.harness.python_can.receive_queue import ReceiveQueue
 
 if TYPE_CHECKING:
     from motorhil.emulators.simulation.endpoints import HostPort
@@ -58,51 +51,6 @@ if TYPE_CHECKING:
     from motorhil.harness.virtual_time.runtime import VirtualRuntime
     from motorhil.motorapi.errors import MotorBusyError
     from motorhil.motorapi.runtime.api import FrameListener, Registration
-
-
-@final
-class ReceiveQueue:
-    """A receive queue that also passes frames to listeners.
-
-    Attributes:
-        listeners: callbacks for every frame, in the order of subscription.
-        backlog: unread (frame, time [ns], transmitted), oldest first.
-        keeps: True if frames are queued at all.
-        dropped: number of unread frames that were discarded, oldest first.
-    """
-
-    def __init__(self, own: bool, backlog_max: int, fd: bool) -> None:
-        """Create an empty queue that keeps frames.
-
-        Args:
-            own: True to queue frames that this connection transmitted itself as well.
-            backlog_max: maximum number of queued frames; beyond it the oldest one is dropped.
-            fd: True to queue CAN FD frames as well. Listeners get classical frames only.
-        """
-        self.listeners: list[FrameListener] = []
-        self.backlog: deque[tuple[bytes, int, bool]] = deque()
-        self.keeps = True
-        self.dropped = 0
-        self._own = own
-        self._backlog_max = backlog_max
-        self._fd = fd
-
-    def hear(self, frame: bytes, time_ns: int, transmitted: bool) -> None:
-        """Process a frame from the bus; `transmitted` marks frames that this connection sent."""
-        if len(frame) == FRAME_BYTES:
-            for listener in self.listeners:
-                listener(frame, time_ns, transmitted)
-        elif not self._fd:
-            return
-        if self.keeps and (self._own or not transmitted):
-            if len(self.backlog) >= self._backlog_max:
-                self.backlog.popleft()
-                self.dropped += 1
-            self.backlog.append((frame, time_ns, transmitted))
-
-    def has_frame(self) -> bool:
-        """Return True if a frame is waiting to be read."""
-        return bool(self.backlog)
 
 
 _STATE_AT: Final = 9  # data[1] of the message

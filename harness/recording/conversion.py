@@ -8,9 +8,10 @@ from itertools import chain
 from pathlib import Path
 from typing import Final, final
 
-from motorhil.traces.decoding.modbus import RecordedAdu, all_adus
 from motorhil.traces.errors import TraceError
+from motorhil.traces.files import whole_file
 from motorhil.traces.formats.frames import Findings
+from motorhil.traces.formats.modbus import RecordedAdu, all_adus
 from motorhil.traces.formats.pcap_modbus import AduFeature, ModbusExport, captured_adus, record_adus
 from motorhil.traces.formats.registry import (
     WRITABLE,
@@ -21,7 +22,7 @@ from motorhil.traces.formats.registry import (
     open_source,
     record_frames,
 )
-from motorhil.traces.mcap.reader import read_trace, whole_file
+from motorhil.traces.mcap.reader import read_trace
 
 MODBUS_PCAPNG: Final = "modbus-pcapng"
 _WITH_MODBUS: Final = ("mcap", "pcap")

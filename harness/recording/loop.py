@@ -11,7 +11,7 @@ from typing import Final, final
 
 from motorhil.harness.recording.sources import POLLED, BusDownError, BusEndedError, Tap
 from motorhil.harness.recording.writer import Pump
-from motorhil.traces.mcap.writer import Entry
+from motorhil.traces.mcap.chunk import Entry
 from motorhil.traces.schema import Level
 
 _IDLE_S: Final = 0.25

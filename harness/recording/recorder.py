@@ -17,8 +17,9 @@ from typing import Final, final
 
 from motorhil.harness.version import source_digest, version, version_of
 from motorhil.traces.errors import TraceError
-from motorhil.traces.mcap.protobuf import Message, Value, encode
-from motorhil.traces.mcap.writer import CHUNK_NS, Entry, TraceWriter
+from motorhil.traces.mcap.chunk import Entry
+from motorhil.traces.mcap.writer import CHUNK_NS, TraceWriter
+from motorhil.traces.protobuf import Message, Value, encode
 from motorhil.traces.schema import (
     CAN_FRAME,
     JOINT_STATE,

@@ -5,15 +5,13 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Final, final
 
-from motorhil.harness.recording.ownership import LockEvent
 from motorhil.harness.report.buses import CanBus, ModbusLine, Nodes, Traffic
-from motorhil.harness.report.events import Incidents, Severity, TruthReader, message_of
-from motorhil.harness.report.rig import RigFacts, facts_of
+from motorhil.harness.report.incidents import Incidents, Severity
 from motorhil.harness.report.series import TIME_MAX_NS, Track
-from motorhil.traces.decoding.objects import RecordedNames, names_of
-from motorhil.traces.mcap.protobuf import Value, decode
+from motorhil.traces.decoding.attached_rig import RecordedNames, RigFacts, facts_of, names_of
 from motorhil.traces.mcap.reader import Trace
 from motorhil.traces.mcap.records import Channel
+from motorhil.traces.protobuf import decode
 from motorhil.traces.schema import (
     CAN_FRAME,
     GROUP_SYNC,
@@ -23,10 +21,12 @@ from motorhil.traces.schema import (
     MOTOR_LOCK,
     Level,
     LockAction,
+    TruthDecoder,
+    truth_message_of,
 )
+from motorhil.traces.semantics.ownership import LockEvent, lock_event
 
 _Handler = Callable[[int, bytes], None]
-_ACTIONS: Final[dict[object, LockAction]] = {action.value: action for action in LockAction}
 _BAD_ACTIONS: Final = {
     LockAction.REFUSED: "lock refused",
     LockAction.BROKEN: "lock of a dead owner",
@@ -178,8 +178,8 @@ class _Pass:
             return lambda time_ns, payload: self._group(name, time_ns, payload)
         if schema.name == LOG.name:
             return self._event
-        message = message_of(schema)
-        return None if message is None else self._truth_handler(name, TruthReader(message))
+        message = truth_message_of(schema)
+        return None if message is None else self._truth_handler(name, TruthDecoder(message))
 
     def _adu(self, name: str, time_ns: int, payload: bytes) -> None:
         fields = decode(MODBUS_ADU, payload)
@@ -203,11 +203,11 @@ class _Pass:
 
         return take
 
-    def _truth_handler(self, controller: str, reader: TruthReader) -> _Handler:
+    def _truth_handler(self, controller: str, reader: TruthDecoder) -> _Handler:
         tracks = self._found.truths.setdefault(controller, {})
 
         def take(time_ns: int, payload: bytes) -> None:
-            for name, value in reader.read(payload).items():
+            for name, value in reader.decode(payload).items():
                 track = tracks.get(name)
                 if track is None:
                     track = tracks[name] = Track()
@@ -216,7 +216,7 @@ class _Pass:
         return take
 
     def _lock(self, motor: str, time_ns: int, payload: bytes) -> None:
-        event = lock_event(motor, time_ns, decode(MOTOR_LOCK, payload))
+        event = lock_event(motor, time_ns, payload)
         self._found.locks.append(event)
         kind = _BAD_ACTIONS.get(event.action)
         if kind is not None:
@@ -254,28 +254,6 @@ class _Pass:
         who = str(fields.get("name", "")) or "events"
         text = str(fields.get("message", ""))
         self._found.incidents.add(time_ns, severity, "event", who, text)
-
-
-def lock_event(motor: str, time_ns: int, fields: Mapping[str, Value]) -> LockEvent:
-    """Decode one message of `/motor/<name>/lock`."""
-
-    def text(name: str) -> str:
-        return str(fields.get(name, ""))
-
-    def whole(name: str) -> int:
-        value = fields.get(name, 0)
-        return value if isinstance(value, int) else 0
-
-    return LockEvent(
-        motor,
-        time_ns,
-        _ACTIONS.get(fields.get("action", 0), LockAction.UNKNOWN),
-        *(text("owner"), text("holder"), text("purpose")),
-        *(whole("token"), whole("pid")),
-        *(text("program"), text("sender")),
-        *(_number(fields.get("waited_s")) or 0.0, _number(fields.get("held_s")) or 0.0),
-        bool(fields.get("looked")),
-    )
 
 
 def _name_in(topic: str) -> str:

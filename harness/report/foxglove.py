@@ -9,10 +9,16 @@ import re
 from collections.abc import Iterable, Sequence
 from typing import Final
 
-from motorhil.harness.report.events import message_of
-from motorhil.harness.report.rig import facts_of
+from motorhil.traces.decoding.attached_rig import facts_of
 from motorhil.traces.mcap.reader import Trace
-from motorhil.traces.schema import CAN_FRAME, GROUP_SYNC, JOINT_STATE, LOG, MOTOR_LOCK
+from motorhil.traces.schema import (
+    CAN_FRAME,
+    GROUP_SYNC,
+    JOINT_STATE,
+    LOG,
+    MOTOR_LOCK,
+    truth_message_of,
+)
 
 Json = dict[str, object]
 _PLAIN_TOPIC: Final = re.compile(r"[A-Za-z0-9_/-]+")
@@ -35,7 +41,7 @@ def layout_of(trace: Trace) -> Json:
         if channel.topic in schemas or channel.schema is None:
             continue
         schemas[channel.topic] = channel.schema.name
-        message = message_of(channel.schema)
+        message = truth_message_of(channel.schema)
         if message is not None:
             fields[channel.topic] = [field.name for field in message.fields]
     order = {name: place for place, name in enumerate(facts_of(trace.attachments).motors)}

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Final, final
 
 from motorhil.harness.report.buses import Place, Told
 from motorhil.harness.report.collect import Findings
-from motorhil.harness.report.rig import MotorFacts
 from motorhil.harness.report.series import Track
+from motorhil.traces.decoding.attached_rig import MotorFacts
 
 if TYPE_CHECKING:
     from numpy import float64, int64

@@ -1,7 +1,4 @@
-"""Recording of an open rig: attached files, and taps on all events.
-
-Files that a rig names, which are attached to its recordings.
-"""
+"""Recording of an open rig: attached files, and taps on all events."""
 
 import hashlib
 import sys
@@ -15,8 +12,8 @@ from motorhil.harness.recording.ownership import LockWriter, MotorNames, MotorTa
 from motorhil.harness.recording.recorder import PERIOD_NS, Reading, Recorder, run_metadata
 from motorhil.harness.rig.config.rig_file import MotorDescription, RigDescription
 from motorhil.traces.errors import TraceError
-from motorhil.traces.mcap.protobuf import Value
 from motorhil.traces.mcap.writer import TraceWriter
+from motorhil.traces.protobuf import Value
 from motorhil.traces.schema import GROUP_SYNC
 
 if TYPE_CHECKING:

@@ -6,15 +6,8 @@
         rig.runtime.run_for(1.0)
 
 A program written for python-can joins the same buses while the rig is open:
-`can.Bus(interface="emulated", channel="can0")`.
-
-Parts of an open rig: controllers, faults, and mappings by name.
-
-Construction of a rig's buses and lines from their descriptions.
-
-Motor models of a rig, from their own files or its.
-
-Plugins of a rig: loading, calling, and errors with line numbers.
+`can.Bus(interface="emulated", channel="can0")`. Errors of plug-ins are reported with the line of
+the rig file that uses them.
 """
 
 import traceback

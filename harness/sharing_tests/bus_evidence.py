@@ -27,11 +27,11 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final, final
 
-from motorhil.harness.recording.ownership import Ended, OwnershipRecord, Tenure, read_ownership
 from motorhil.harness.sharing_tests.history import SharingViolated
-from motorhil.traces.mcap.protobuf import decode
 from motorhil.traces.mcap.reader import read_trace
+from motorhil.traces.protobuf import decode
 from motorhil.traces.schema import CAN_FRAME
+from motorhil.traces.semantics.ownership import Ended, OwnershipRecord, Tenure, read_ownership
 
 _NODE: Final = 0x7F
 _RPDO: Final = (0x200, 0x300, 0x400, 0x500)  # CiA 301, predefined connection set

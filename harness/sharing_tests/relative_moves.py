@@ -1,9 +1,4 @@
-"""Relative moves under faults, judged by the truth: completely, partly or not made.
-
-The rules, and how to run them on your own adaptation, are in
-`motorhil.harness.sharing_tests.relative_moves`.
-
-Property: a relative move is never made twice, whatever happens to frames.
+"""Relative moves under faults: a move is never made twice.
 
 "One radian further" is a command that must not be repeated blindly. If its reply is lost, the host
 cannot know whether the motor received it. A host that sends it again may move two radians. Whatever
@@ -18,9 +13,8 @@ is lost, delayed or repeated on the bus during a move, in either direction, must
 The judgement uses the truth in the emulated controller, never the adaptation's reports. To run it
 on your own adaptation, write a rig with your motor, and describe how it moves:
 
-    from motorhil.harness.rig.rig import Rig
-    from motorhil.harness.sharing_tests.relative_moves import at_most_once
-    from motorhil.harness.sharing_tests.relative_moves import mover_of
+    from motorhil import Rig
+    from motorhil.harness.sharing_tests.relative_moves import at_most_once, mover_of
 
     def opened(seed):
         return Rig.open("wheel.toml", seed=seed)

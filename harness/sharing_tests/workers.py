@@ -1,15 +1,14 @@
-"""Desk of a worker process: its name, history and shared page; and the simplest worker.
-
-Workers that share real motors, on a hub or on SocketCAN.
+"""Workers that share real motors, on a hub or on SocketCAN.
 
     facts = {"channel": "/tmp/hub", "model": "wheel_model.toml", "node_ids": [1]}
     work = "motorhil.harness.sharing_tests.workers:work_motor"
     outcome = run(Plan(work=work, workers=4, facts=facts))
 
-Their motors are CiA 402 drives, unless facts["make"] names your own function as "module:function".
-The function takes the desk and returns the motors of that process. All processes must use the same
-order, and the same names apart from the process. Each worker opens the bus by itself, as unrelated
-programs do.
+A worker process has a `Desk`: its name, its history, and a page shared with the arena. The simplest
+worker, `work_lock`, takes a bare lock. The others' motors are CiA 402 drives, unless facts["make"]
+names your own function as "module:function". The function takes the desk and returns the motors of
+that process. All processes must use the same order, and the same names apart from the process. Each
+worker opens the bus by itself, as unrelated programs do.
 
 `work_motor` shares the first motor: it reserves the motor, with a lease if facts["lease_s"] is set,
 or takes it over. Then it moves the motor there and back, and releases it. `work_groups` shares all

@@ -1,10 +1,7 @@
-"""Ctrl-C and SIGTERM in an open rig.
+"""Ctrl-C, SIGTERM and exit handlers in an open rig.
 
-Ctrl-C takes effect between two events, so that the rig remains usable after it is caught.
-
-Handlers that a program registers with `atexit`.
-
-They run when the program ends, while its rig is still open.
+Ctrl-C takes effect between two events, so that the rig remains usable after it is caught. Handlers
+that a program registers with `atexit` run when the program ends, while its rig is still open.
 """
 
 import atexit

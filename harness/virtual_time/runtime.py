@@ -11,13 +11,8 @@ The rules of turn:
     3. Of several waiting parties that could continue at one time, the one that waits longest does.
     4. Events at the very time of a timeout still count: events first, then the timeout.
 
-With `pace`, the same events happen in the same order, but none earlier than its wall time.
-
-Parties that take turns in virtual time, their waits, and periodic actions.
-
-Wall clock as a brake for virtual time.
-
-Virtual events happen no earlier than their wall time.
+With `pace`, the wall clock is a brake: the same events happen in the same order, but none earlier
+than its wall time.
 """
 
 import threading
@@ -28,6 +23,7 @@ from operator import attrgetter
 from typing import TYPE_CHECKING, Final, Protocol, final
 
 from motorhil.emulators.simulation.event_queue import UNSET, Alarm, EventQueue
+from motorhil.motorapi.bus_context import BusContext
 from motorhil.motorapi.errors import UsageError
 
 if TYPE_CHECKING:
@@ -150,6 +146,7 @@ class VirtualRuntime:
 
     def __init__(self, queue: EventQueue, pace: Callable[[int], None] | None = None) -> None:
         self.queue = queue
+        self.context: Final = BusContext()  # compiled classes have no weak references
         self._pace = pace
         self._waiters: list[Waiter] = []
         first = VirtualParty("main", self)

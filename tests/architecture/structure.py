@@ -14,7 +14,7 @@ from collections import Counter
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
-from tests.architecture.checkout import CHECKOUT, PACKAGES, sources
+from tests.support.checkout import CHECKOUT, PACKAGES, sources
 
 MODULES_IN_A_FOLDER = 15
 VERBS = "harness/cli"  # one module a verb

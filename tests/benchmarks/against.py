@@ -2,9 +2,10 @@
 
     python -m tests.benchmarks.against REV [--rounds N] [--cores pure | compiled] [WORKLOAD ...]
 
-Builds REV once, in build/against, and runs this revision's workloads with the Python of each.
-Figures are CPU times, each the best of its process. Each line has the cost here divided by the cost
-there (1.05: 5 % more here): for the best of all rounds, and as the range over single rounds.
+Builds REV once, in build/against, and runs the workloads of each with its own Python. Figures that
+both know are compared, so a workload must keep its meaning as long as its name. Figures
+are CPU times, each the best of its process. Each line has the cost here divided by the cost there
+(1.05: 5 % more here): for the best of all rounds, and as the range over single rounds.
 """
 
 import argparse
@@ -16,7 +17,7 @@ from typing import Final
 from tests.benchmarks.workloads import WORKLOADS
 
 ROOT: Final = Path(__file__).parents[2]
-SCRIPT: Final = Path(__file__).with_name("workloads.py")
+SCRIPT: Final = "tests/benchmarks/workloads.py"
 MAX: Final = 1.05  # largest acceptable cost ratio
 _PYTHON: Final = {"pure": ".venv", "compiled": ".venv-compiled"}
 _GROWS_WITH_COST: Final = {"us": True, "s": True, "x real time": False}  # other units are not costs
@@ -45,7 +46,10 @@ def costs(folder: Path, cores: str, workload: str) -> Costs:
     """Return the cost of each figure of the workload in that folder."""
     python = folder / _PYTHON[cores] / "bin" / "python"
     ran = subprocess.run(
-        [str(python), "-P", str(SCRIPT), workload], check=True, capture_output=True, text=True
+        [str(python), "-P", str(folder / SCRIPT), workload],
+        check=True,
+        capture_output=True,
+        text=True,
     )
     found = {}
     for line in ran.stdout.splitlines():

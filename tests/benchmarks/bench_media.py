@@ -7,7 +7,7 @@ from motorhil.emulators.can.bus.bus import CanBus
 from motorhil.emulators.can.bus.fault_plan import FaultPlan
 from motorhil.emulators.can.fault_rules import FaultKind, FaultRule
 from tests.benchmarks.workloads import best_us, bus, bus_traffic, one_by_one
-from tests.emulators.media.noisy import noisy_hours
+from tests.support.can.noisy_bus import noisy_hours
 
 
 def run() -> list[tuple[str, float, str]]:

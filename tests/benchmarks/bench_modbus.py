@@ -23,7 +23,7 @@ from motorhil.emulators.modbus.rtu import with_crc
 from motorhil.emulators.modbus.tcp import adu
 from motorhil.emulators.simulation.event_queue import EventQueue
 from motorhil.emulators.simulation.world import World
-from tests.emulators.test_lines import Registers
+from tests.unit.emulators.simulation.test_lines import Registers
 
 ROUNDS = 7
 REQUESTS = 1500

@@ -18,7 +18,7 @@ from can.interfaces.socketcan.socketcan import capture_message
 
 from motorhil.harness.recording.socketcan import DatagramReader
 from motorhil.harness.recording.writer import Pump, Series, opener
-from motorhil.traces.mcap.writer import Entry
+from motorhil.traces.mcap.chunk import Entry
 from tests.benchmarks.bench_traces import FRAMES, by_python_can, traffic
 
 ROUNDS = 7

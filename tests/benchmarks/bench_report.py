@@ -14,7 +14,7 @@ from motorhil.harness.cli.main import main
 from motorhil.traces.mcap.writer import TraceWriter
 from motorhil.traces.schema import CAN_FRAME, Direction, Schema, encode_can_frame
 from tests.benchmarks.bench_traces import traffic
-from tests.harness.report.browser import Browser, chromium
+from tests.support.browser import Browser, chromium
 
 FRAMES = 1_000_000
 PERIOD_NS = 125_000

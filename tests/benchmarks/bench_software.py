@@ -14,7 +14,7 @@ from motorhil.motorapi.commands import ControlMode
 from motorhil.motorapi.group import MotorGroup
 from motorhil.motorapi.motor import Motor
 from motorhil.motorapi.trajectory import TrapezoidalTrajectory
-from tests.motorapi.adaptations.software_rigs import motor, node
+from tests.support.motors.software_rigs import motor, node
 
 ROUNDS = 3
 SECONDS = 2.0

@@ -16,8 +16,9 @@ from mcap.writer import IndexType, Writer
 
 from motorhil.harness.recording.recorder import Recorder
 from motorhil.traces.digest import digest
+from motorhil.traces.mcap.chunk import Entry
 from motorhil.traces.mcap.reader import read_trace
-from motorhil.traces.mcap.writer import Entry, TraceWriter
+from motorhil.traces.mcap.writer import TraceWriter
 from motorhil.traces.schema import CAN_FRAME, Direction, Schema, encode_can_frame
 
 FRAMES = 100_000

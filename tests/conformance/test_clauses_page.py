@@ -1,9 +1,9 @@
-"""docs/CLAUSES.md contains the kit's promises."""
+"""docs/reference/clauses.md contains the kit's promises."""
 
 from motorhil.harness.conformance.kit import page
-from tests.architecture.checkout import CHECKOUT
+from tests.support.checkout import CHECKOUT
 
-PAGE = CHECKOUT / "docs" / "CLAUSES.md"
+PAGE = CHECKOUT / "docs" / "reference" / "clauses.md"
 
 
 def test_clauses_page_is_up_to_date():

@@ -13,22 +13,23 @@ import pytest
 
 from motorhil.harness.cli.main import main
 from motorhil.harness.conformance.clause import Clause, Level, NotApplicable, Result, Verdict
-from motorhil.harness.conformance.examination import Finding, Target
+from motorhil.harness.conformance.examination import Finding
 from motorhil.harness.conformance.kit import all_clauses
 from motorhil.harness.conformance.results import Outcome, as_json, as_junit, as_page
 from motorhil.harness.conformance.rig_bench import RigBench, bench_description
 from motorhil.harness.conformance.run import run_clause
-from motorhil.harness.conformance.worker import Job, Loaded, Promise
+from motorhil.harness.conformance.target import Job, Target
+from motorhil.harness.conformance.worker import Loaded, Promise
 from motorhil.harness.rig.config.toml import RigError
 from motorhil.harness.rig.rig import describe
 from motorhil.motorapi import ControlMode, ControlVariable
 from motorhil.traces.digest import digest
-from tests.conformance.benches import RIGS
-from tests.harness.cli_bench import beside, in_another_process
+from tests.support.command_line import beside, in_another_process
+from tests.support.kit_benches import RIGS
 
 ROOT = Path(__file__).parents[2]
 WITHOUT = '[conformance.without]\nposition_trajectory = "it has none"\n'
-MISBEHAVING = "tests.conformance.misbehaving:build"
+MISBEHAVING = "tests.support.misbehaving_motors:build"
 
 
 def conform(*words, seed):

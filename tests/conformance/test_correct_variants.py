@@ -8,7 +8,7 @@ from motorhil.harness.conformance.rig_bench import RigBench, bench_description
 from motorhil.harness.conformance.run import Claims, run_clause
 from motorhil.harness.rig.config.rig_file import read_rig
 from motorhil.harness.rig.rig import installed_plugins
-from tests.conformance.benches import RIGS
+from tests.support.kit_benches import RIGS
 
 CLAUSES = all_clauses()
 _ACCELERATION = "acceleration_max_rad_s2 = 4.0"

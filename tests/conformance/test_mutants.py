@@ -4,9 +4,9 @@ import pytest
 
 from motorhil.harness.conformance.kit import all_clauses
 from motorhil.harness.conformance.run import run_clause
-from tests.conformance.benches import opener
 from tests.conformance.mutants import MUTANTS
 from tests.conformance.mutants.everyone import MODULES
+from tests.support.kit_benches import opener
 
 assert MODULES
 

@@ -14,8 +14,8 @@ from pathlib import Path
 import can
 import pytest
 
-from tests.architecture.checkout import CHECKOUT
-from tests.conformance.outsider_source import OUTSIDER
+from tests.support.checkout import CHECKOUT
+from tests.support.outsider_source import OUTSIDER
 
 OTHERS = ("pyproject.toml", "setup.py", "README.md", "LICENSE")
 OFFLINE = ("--quiet", "--disable-pip-version-check", "--no-index", "--no-deps")

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 
 import pytest
 
-from tests.conformance.outsider_source import importable
+from tests.support.outsider_source import importable
 
 pytestmark = pytest.mark.data
 AXES = 8

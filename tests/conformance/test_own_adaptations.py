@@ -6,10 +6,12 @@ from pathlib import Path
 import pytest
 
 import motorhil.harness.conformance.clauses
-from motorhil.harness.conformance.clause import Ability, Capability, Result
+from motorhil.harness.conformance.bench import Ability
+from motorhil.harness.conformance.clause import Result
 from motorhil.harness.conformance.kit import all_clauses
 from motorhil.harness.conformance.run import run_clause
-from tests.conformance.benches import KINDS, claims, opener
+from motorhil.harness.rig.config.conformance import Capability
+from tests.support.kit_benches import KINDS, claims, opener
 
 CLAUSES = all_clauses()
 # The clauses that are not applicable, so that a claim lost by mistake is noticed.

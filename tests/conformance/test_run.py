@@ -6,7 +6,7 @@ from motorhil.harness.conformance.clause import Result
 from motorhil.harness.conformance.kit import all_clauses
 from motorhil.harness.conformance.run import run_clause
 from motorhil.harness.rig.config.toml import BrokenPluginError, RigError
-from tests.conformance.benches import claims, opener
+from tests.support.kit_benches import claims, opener
 
 
 def test_check_with_afresh_ends_at_same_time_if_recorded(tmp_path):

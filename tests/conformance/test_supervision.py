@@ -6,24 +6,19 @@ from pathlib import Path
 import pytest
 
 from motorhil.harness.conformance import worker as supervision
-from motorhil.harness.conformance.clause import Capability, Result
-from motorhil.harness.conformance.examination import Target
+from motorhil.harness.conformance.clause import Result
 from motorhil.harness.conformance.kit import all_clauses
 from motorhil.harness.conformance.run import Claims, run_clause
-from motorhil.harness.conformance.worker import (
-    CannotTestError,
-    Job,
-    Supervisor,
-    WrongJobError,
-    _Worker,
-)
+from motorhil.harness.conformance.target import Job, Target
+from motorhil.harness.conformance.worker import CannotTestError, Supervisor, WrongJobError, _Worker
+from motorhil.harness.rig.config.conformance import Capability
 from motorhil.harness.rig.config.toml import RigError
 from motorhil.motorapi.locking.directory import VARIABLE
-from tests.conformance import misbehaving
+from tests.support import misbehaving_motors as misbehaving
 
 pytestmark = pytest.mark.wall
 ROOT = Path(__file__).parents[2]
-MISBEHAVING = "tests.conformance.misbehaving:build"
+MISBEHAVING = "tests.support.misbehaving_motors:build"
 CLAUSE = "STATE-01"  # this clause disables the motor
 DEADLINE_S = 2.0  # enough on a busy machine
 PLACELESS = (  # without a known start
@@ -91,7 +86,7 @@ def test_misbehaviour_has_verdict_and_run_continues(supervisor, harm, result, se
         expected, lines = line_of(harm)
         assert (file, int(line) in lines) == (expected, True), where
     if harm == "exits":
-        assert supervisor.said == ("the adaptation's last words",)
+        assert supervisor.output == ("the adaptation's last words",)
 
 
 @pytest.mark.parametrize(
@@ -100,7 +95,7 @@ def test_misbehaviour_has_verdict_and_run_continues(supervisor, harm, result, se
 )
 @pytest.mark.filterwarnings("ignore:coroutine 'promised':RuntimeWarning")
 def test_builder_without_motor_is_reported_with_rig_line(build, told):
-    target = Target(Job(f"tests.conformance.misbehaving:{build}", str(misbehaving.RIG)))
+    target = Target(Job(f"tests.support.misbehaving_motors:{build}", str(misbehaving.RIG)))
     verdict = run_clause(all_clauses()[CLAUSE], target.opener())
     assert (verdict.result, verdict.place) == (Result.CRASHED, "")
     line = 1 + misbehaving.RIG.read_text().splitlines().index('adaptation = "ideal"')
@@ -110,18 +105,18 @@ def test_builder_without_motor_is_reported_with_rig_line(build, told):
 
 def test_target_that_is_not_a_function_is_wrong_usage():
     with pytest.raises(RigError, match="none_at_all: is a 'int'; name a function"):
-        Target(Job("tests.conformance.misbehaving:none_at_all"))
+        Target(Job("tests.support.misbehaving_motors:none_at_all"))
 
 
 def test_error_while_reading_claims_is_reported_with_line():
-    job = Job("tests.conformance.misbehaving:shy", str(misbehaving.RIG))
-    with pytest.raises(RigError, match=r"misbehaving.py:\d+: PluginError: .*KeyError"):
+    job = Job("tests.support.misbehaving_motors:shy", str(misbehaving.RIG))
+    with pytest.raises(RigError, match=r"misbehaving_motors.py:\d+: PluginError: .*KeyError"):
         _Worker(job.packed()).claims()
 
 
 def test_claim_that_raises_fails_only_clauses_that_need_it():
     """The error was once counted against the first clause only."""
-    target = Target(Job("tests.conformance.misbehaving:alone", str(misbehaving.RIG)))
+    target = Target(Job("tests.support.misbehaving_motors:alone", str(misbehaving.RIG)))
     claims = Claims(target.opener())
     for _ in range(2):
         with pytest.raises(AttributeError, match="'level'"):

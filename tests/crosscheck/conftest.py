@@ -2,8 +2,8 @@ import canopen
 import pytest
 
 from motorhil.emulators.cia402.settings import OWN_EDS
-from tests.crosscheck.client import WireNetwork, WireNode402, connect
-from tests.crosscheck.wire import Wire
+from tests.support.canopen.drive_wire import Wire
+from tests.support.canopen.wire_client import WireNetwork, WireNode402, connect
 
 Connected = tuple[Wire, WireNetwork, WireNode402]
 

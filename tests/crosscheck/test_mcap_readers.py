@@ -2,7 +2,7 @@
 
 The first needs node and npm, and is installed into pytest's cache by its lock file, hashes checked.
 The second needs `rerun` of rerun-sdk (800 MB) in PATH. The tests of mcap for Python are in
-tests/traces.
+tests/unit/traces/formats.
 """
 
 import json
@@ -20,7 +20,7 @@ from motorhil.harness.rig.config.scaffold import EXAMPLES
 from motorhil.harness.rig.rig import Rig
 from motorhil.motorapi import ControlMode
 from motorhil.traces.digest import digest
-from tests.traces.recordings import write
+from tests.support.recordings.written import write
 
 HERE = Path(__file__).parent / "mcap_core"
 

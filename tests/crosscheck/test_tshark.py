@@ -17,9 +17,9 @@ from motorhil.harness.rig.config.scaffold import EXAMPLES
 from motorhil.harness.rig.rig import Rig
 from motorhil.harness.version import cores_are_compiled
 from motorhil.motorapi import ControlMode, Motor, TrapezoidalTrajectory
-from tests.dissector import COLUMNS, capture, collect_sent, complaints, dissected
-from tests.dissector import tshark as program
-from tests.emulators.cia402.bench import Bench
+from tests.support.cia402.bench import Bench
+from tests.support.dissector import COLUMNS, capture, collect_sent, complaints, dissected
+from tests.support.dissector import tshark as program
 
 FIELDS = (
     "canopen.node_id",
@@ -57,7 +57,7 @@ def run(tmp_path_factory: pytest.TempPathFactory, tshark: str) -> list[dict[str,
         rig.controllers["left"].stimulate("fault", 0x2310)
         rig.runtime.run_for(0.1)
         left.reset_fault()
-        left.hardware.link.nmt(0x81, 2)
+        left.hardware.node.bus.nmt(0x81, 2)
         rig.runtime.run_for(0.5)
     (folder / "run.pcap").write_bytes(capture(frames_of(folder / "run.mcap")))
     return dissected(tshark, folder / "run.pcap", (*COLUMNS, *FIELDS))

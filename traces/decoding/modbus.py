@@ -1,215 +1,18 @@
 """Passive decoder of the Modbus traffic on one line, into sentences and facts.
 
+It is independent of the emulators and of the motor interface. Addresses are those of the PDU, from
+0.
+
 Source: MODBUS Application Protocol Specification V1.1b3, sections 6 (function codes) and 7
-(exception codes). Addresses are those of the PDU, from 0.
-
-Recorded Modbus traffic: ADUs of TCP streams and serial lines, paired.
-
-This passive decoder is independent of the other ones. Malformed data is reported and skipped.
-
-Source: MODBUS Messaging on TCP/IP Implementation Guide V1.0b, section 3.1.3; MODBUS over Serial
-Line V1.02, section 2.5.1.
-
-ADUs of the Modbus lines in our recordings.
-
-Source: MODBUS over Serial Line V1.02, section 2.5.1.2 for the check sum; the Messaging on TCP/IP
-guide V1.0b, section 3.1.3 for the header.
+(exception codes).
 """
 
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
-from typing import Final, NamedTuple, final
+from collections.abc import Mapping
+from typing import Final, final
 
 from motorhil.traces.decoding.events import DecodedEvent, Fact, Kind
-from motorhil.traces.formats.pcap import Piece, Way
-from motorhil.traces.mcap.protobuf import Value, decode
-from motorhil.traces.mcap.reader import Trace
-from motorhil.traces.schema import MODBUS_ADU, Direction
-
-PORT: Final = 502
-_HEAD: Final = 7
-_LENGTH_MAX: Final = 254
-
-
-@final
-@dataclass(frozen=True, slots=True)
-class Adu:
-    """One application data unit.
-
-    Attributes:
-        time_ns: the time of its completion.
-        way: connection and direction; None: a serial line.
-        to_server: True for a request.
-        transaction: transaction identifier; 0 on a serial line.
-        unit: unit identifier.
-        pdu: protocol data unit.
-        packet: the number of the packet that completed it; 0: none.
-    """
-
-    time_ns: int
-    way: Way | None
-    to_server: bool
-    transaction: int
-    unit: int
-    pdu: bytes
-    packet: int = 0
-
-    @property
-    def is_exception(self) -> bool:
-        """True for an exception response."""
-        return not self.to_server and len(self.pdu) >= 1 and self.pdu[0] & 0x80 != 0
-
-
-@final
-@dataclass(frozen=True, slots=True)
-class Malformed:
-    """Bytes that are not an ADU.
-
-    Attributes:
-        time_ns: the time of the bytes.
-        way: connection and direction; None: a line of our recordings.
-        packet: the number of the packet.
-        data: the bytes.
-        problem: the reason, in words.
-    """
-
-    time_ns: int
-    way: Way | None
-    packet: int
-    data: bytes
-    problem: str
-
-
-@final
-class _Direction:
-    def __init__(self) -> None:
-        self.rest = b""
-
-
-def adus(stream: Iterable[Piece], port: int = PORT) -> Iterator[Adu | Malformed]:
-    """Yield the ADUs of TCP streams to and from servers at `port`, in order of completion.
-
-    An invalid header (protocol not 0, length not 2 to 254) is skipped with the rest of its segment:
-    most senders begin a new ADU with a new segment. Memory grows with the number of connections.
-    """
-    directions: dict[Way, _Direction] = {}
-    for piece in stream:
-        way = piece.way
-        if port not in (way.source_port, way.target_port):
-            continue
-        direction = directions.setdefault(way, _Direction())
-        if piece.gap and direction.rest:
-            cut = f"{len(direction.rest)} bytes of an ADU whose end was not captured"
-            yield Malformed(piece.time_ns, way, piece.packet, direction.rest, cut)
-            direction.rest = b""
-        rest, direction.rest = direction.rest, b""
-        data = rest + piece.data
-        while len(data) >= _HEAD:
-            protocol = int.from_bytes(data[2:4], "big")
-            length = int.from_bytes(data[4:6], "big")
-            if protocol or not 2 <= length <= _LENGTH_MAX:
-                if rest:  # the leftover belongs to nothing: start again with this segment
-                    lost = f"{len(rest)} bytes after an ADU that do not begin another"
-                    yield Malformed(piece.time_ns, way, piece.packet, rest, lost)
-                    data, rest = piece.data, b""
-                    continue
-                problem = f"protocol {protocol}, length {length}: 0, and 2 to {_LENGTH_MAX}"
-                yield Malformed(piece.time_ns, way, piece.packet, data, problem)
-                data = b""
-                break
-            end = 6 + length
-            if len(data) < end:
-                break
-            to_server = way.target_port == port
-            transaction = int.from_bytes(data[0:2], "big")
-            yield Adu(
-                piece.time_ns, way, to_server, transaction, data[6], data[7:end], piece.packet
-            )
-            data, rest = data[end:], b""
-        direction.rest = data
-    for way, direction in directions.items():
-        if direction.rest:
-            cut = f"{len(direction.rest)} bytes of an ADU that never ended"
-            yield Malformed(0, way, 0, direction.rest, cut)
-
-
-@final
-@dataclass(frozen=True, slots=True)
-class Exchange:
-    """A request and its response.
-
-    Attributes:
-        request: the request.
-        response: the response; None: none was seen.
-        reused: True if the transaction identifier was reused before a response.
-    """
-
-    request: Adu
-    response: Adu | None
-    reused: bool = False
-
-    @property
-    def delay_s(self) -> float | None:
-        """Time from request to response [s]; None: no response."""
-        if self.response is None:
-            return None
-        return (self.response.time_ns - self.request.time_ns) / 1e9
-
-
-@final
-@dataclass(frozen=True, slots=True)
-class Pairing:
-    """Requests with their responses, in the order of the requests, and unsolicited responses."""
-
-    exchanges: tuple[Exchange, ...]
-    strays: tuple[Adu, ...]
-
-    @property
-    def answered(self) -> int:
-        """The number of requests with a response."""
-        return sum(exchange.response is not None for exchange in self.exchanges)
-
-    @property
-    def reused(self) -> int:
-        """The number of unanswered requests whose transaction identifier was reused."""
-        return sum(exchange.reused for exchange in self.exchanges)
-
-
-def paired(found: Iterable[Adu | Malformed]) -> Pairing:
-    """Pair each request with the next response of its connection and transaction identifier.
-
-    Responses can come in any order. On a serial line, which has no transactions, the response is
-    the next ADU from the unit addressed.
-    """
-    pending: dict[tuple[Way | None, int], int] = {}
-    exchanges: list[Exchange] = []
-    strays: list[Adu] = []
-    for adu in found:
-        if isinstance(adu, Malformed):
-            continue
-        way = adu.way if adu.to_server or adu.way is None else adu.way.back
-        key = (way, adu.transaction)
-        if adu.to_server:
-            before = pending.get(key)
-            if before is not None:
-                exchanges[before] = Exchange(exchanges[before].request, None, reused=True)
-            pending[key] = len(exchanges)
-            exchanges.append(Exchange(adu, None))
-            continue
-        place = pending.get(key)
-        if place is None or not _can_answer(exchanges[place].request, adu):
-            strays.append(adu)
-            continue
-        del pending[key]
-        exchanges[place] = Exchange(exchanges[place].request, adu)
-    return Pairing(tuple(exchanges), tuple(strays))
-
-
-def _can_answer(request: Adu, response: Adu) -> bool:
-    if not request.pdu or not response.pdu:
-        return False
-    return request.unit == response.unit and request.pdu[0] & 0x7F == response.pdu[0] & 0x7F
-
+from motorhil.traces.formats.modbus import Adu, can_answer
+from motorhil.traces.formats.tcp import Way
 
 EXCEPTIONS: Final = {
     1: "illegal function",
@@ -263,15 +66,13 @@ class ModbusDecoder:
             facts = _written(adu.pdu, adu.pdu) if broadcast else ()
             text = f"Modbus to {self._name(adu.unit)}: {_request_text(adu.pdu)}"
             return DecodedEvent(Kind.MODBUS_REQUEST, adu.unit, text, facts)
-        asked = self._pending.get(key)
-        found = paired([asked, adu]).exchanges if asked is not None else ()
+        request = self._pending.get(key)
         name = self._name(adu.unit)
-        if not found or found[0].response is None:
+        if request is None or not can_answer(request, adu):
             text = f"Modbus {name}: response without a request: {_hex(adu.pdu)}"
             return DecodedEvent(Kind.MODBUS_RESPONSE, adu.unit, text)
         del self._pending[key]
-        request, delay_s = found[0].request, found[0].delay_s or 0.0
-        late = f" (after {delay_s * 1e3:.3f} ms)"
+        late = f" (after {(adu.time_ns - request.time_ns) / 1e9 * 1e3:.3f} ms)"
         if adu.is_exception:
             code = adu.pdu[1] if len(adu.pdu) > 1 else 0
             words = EXCEPTIONS.get(code, "a non-standard code")
@@ -286,30 +87,6 @@ class ModbusDecoder:
     def _name(self, unit: int) -> str:
         name = self._names.get(unit)
         return f"unit {unit}" if name is None else f"{name} (unit {unit})"
-
-
-def adu_of(time_ns: int, data: bytes, *, tcp: bool, to_server: bool) -> tuple[Adu | None, str]:
-    """Return a recorded ADU, or None and the reason why its bytes are not one."""
-    if tcp:
-        if len(data) < 8 or int.from_bytes(data[4:6], "big") != len(data) - 6:
-            return None, "MBAP header missing, or its length wrong"
-        transaction = int.from_bytes(data[0:2], "big")
-        return Adu(time_ns, None, to_server, transaction, data[6], data[7:]), ""
-    if len(data) < 4:
-        return None, f"{len(data)} bytes; an ADU has at least 4"
-    if crc16(data[:-2]) != int.from_bytes(data[-2:], "little"):
-        return None, "wrong CRC"
-    return Adu(time_ns, None, to_server, 0, data[0], data[1:-2]), ""
-
-
-def crc16(data: bytes) -> int:
-    """Return the CRC of the serial line (MODBUS over Serial Line V1.02, 6.2.2)."""
-    crc = 0xFFFF
-    for byte in data:
-        crc ^= byte
-        for _ in range(8):
-            crc = crc >> 1 ^ 0xA001 if crc & 1 else crc >> 1
-    return crc
 
 
 def _request_text(pdu: bytes) -> str:
@@ -409,77 +186,3 @@ def _u16(data: bytes, at: int) -> int:
 
 def _hex(data: bytes) -> str:
     return data.hex(" ").upper() or "nothing"
-
-
-_TOPIC: Final = "/modbus/"
-_SHORTEST: Final = 4
-_POLYNOMIAL: Final = 0xA001
-
-
-class RecordedAdu(NamedTuple):
-    """A recorded ADU: log time [ns], line, a motorhil.ModbusAdu."""
-
-    time_ns: int
-    line: str
-    payload: bytes
-
-
-def all_adus(trace: Trace) -> Iterator[RecordedAdu]:
-    """Yield the ADUs of all lines in recorded order."""
-    for channel, time_ns, payload in trace.messages():
-        if channel.schema is not None and channel.schema.name == MODBUS_ADU.name:
-            yield RecordedAdu(time_ns, channel.topic.removeprefix(_TOPIC), payload)
-
-
-def lines_of(trace: Trace) -> list[str]:
-    """Return the names of the lines in a recording, sorted."""
-    topics = {channel.topic for channel in trace.channels.values()}
-    return sorted(topic.removeprefix(_TOPIC) for topic in topics if topic.startswith(_TOPIC))
-
-
-def recorded_adus(trace: Trace, line: str) -> Iterator[Adu | Malformed]:
-    """Yield the contents of a line in order; times are those of last bits [ns of the rig]."""
-    for _, _, payload in trace.messages(topics=[_TOPIC + line]):
-        yield _recorded_text(decode(MODBUS_ADU, payload))
-
-
-def adu_in(values: Mapping[str, Value]) -> Adu | None:
-    """Return the ADU in a message's fields; None if its bytes are not an ADU."""
-    told = _recorded_text(values)
-    return told if isinstance(told, Adu) else None
-
-
-def _recorded_text(values: Mapping[str, Value]) -> Adu | Malformed:
-    data, end_ns = values.get("data", b""), values.get("end_ns", 0)
-    assert isinstance(data, bytes)
-    assert isinstance(end_ns, int)
-    to_server = values.get("direction") == Direction.TRANSMITTED
-    is_tcp = bool(values.get("tcp"))
-    problem = _problem(data, spoiled=bool(values.get("spoiled")), tcp=is_tcp)
-    if problem:
-        return Malformed(end_ns, None, 0, data, problem)
-    if is_tcp:
-        transaction = int.from_bytes(data[:2], "big")
-        return Adu(end_ns, None, to_server, transaction, data[6], data[_HEAD:])
-    return Adu(end_ns, None, to_server, 0, data[0], data[1:-2])
-
-
-def _problem(data: bytes, *, spoiled: bool, tcp: bool) -> str:
-    """Return the reason why it is not an ADU; "" if it is one."""
-    if spoiled:
-        return "a pause in it, or a collision"
-    if tcp:
-        return "" if len(data) > _HEAD else "shorter than a header"
-    if len(data) < _SHORTEST:
-        return "shorter than any frame"
-    return "" if _checked(data) else "a wrong check sum"
-
-
-def _checked(data: bytes) -> bool:
-    """Return True if the check sum is correct: the CRC over everything is then 0."""
-    crc = 0xFFFF
-    for byte in data:
-        crc ^= byte
-        for _ in range(8):
-            crc = crc >> 1 ^ (_POLYNOMIAL if crc & 1 else 0)
-    return crc == 0

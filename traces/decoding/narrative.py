@@ -1,23 +1,28 @@
-"""A recording in words: frames, ADUs, locks, groups and events in order."""
+"""A recording in words: frames, ADUs, locks, groups and events in order.
+
+To describe a later part, the decoders first learn from the recording's beginning. Most traffic is
+PDOs, and only the last PDO of each identifier counts, unless a message that affects their decoding
+follows. So only a few messages need to be decoded.
+"""
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Final, final
 
+from motorhil.traces.decoding.attached_rig import RecordedNames, names_of
 from motorhil.traces.decoding.canopen import CanopenDecoder
 from motorhil.traces.decoding.events import DecodedEvent, Kind
-from motorhil.traces.decoding.modbus import ModbusDecoder, adu_of
-from motorhil.traces.decoding.objects import RecordedNames, names_of
-from motorhil.traces.formats.frames import FrameDecoder
-from motorhil.traces.mcap.protobuf import Value, decode
-from motorhil.traces.mcap.reader import Trace, TraceMessage, telling
+from motorhil.traces.decoding.modbus import ModbusDecoder
+from motorhil.traces.formats.modbus import Malformed, recorded_adu
+from motorhil.traces.mcap.reader import Trace, TraceMessage
+from motorhil.traces.protobuf import Value, decode
 from motorhil.traces.schema import (
     CAN_FRAME,
     GROUP_SYNC,
     LOG,
     MODBUS_ADU,
     MOTOR_LOCK,
-    Direction,
+    FrameDecoder,
     Level,
     LockAction,
 )
@@ -25,6 +30,22 @@ from motorhil.traces.schema import (
 PREAMBLE_NS: Final = 5_000_000_000
 PREAMBLE_MAX: Final = 50_000
 _ID_MASK: Final = 0x1FFF_FFFF
+_ID_TAG: Final = b"\x0d"  # the first byte of our CanFrame; the identifier follows
+_NMT: Final = bytes(4)
+_ERROR_CONTROL: Final = b"\x07"
+_BOOTED: Final = b"\x7a\x01\x00"  # the end of a CanFrame with one data byte, 0
+_SERVICES: Final = frozenset(
+    number.to_bytes(4, "little") for number in (0, *range(0x580, 0x680), *range(0x701, 0x780))
+)
+"""Identifiers of NMT, SDO and error control, as encoded in a CanFrame."""
+_SHAPING: Final = frozenset(
+    index.to_bytes(2, "little")
+    for index in (
+        *(0x1000, *range(0x1400, 0x1C00)),
+        *(first + 0x800 * axis for first in (0x6040, 0x6060, 0x6061) for axis in range(8)),
+    )
+)
+"""Objects that affect the contents of PDOs or their decoding."""
 _LOCK_WORDS: Final = {
     LockAction.TAKEN: "takes {motor}",
     LockAction.RELEASED: "releases {motor}",
@@ -158,17 +179,12 @@ class Story:
         if decoder is None:
             units = {n: c for (b, n), c in self.names.nodes.items() if b == name}
             decoder = self._lines[name] = ModbusDecoder(units)
-        data = fields.get("data", b"")
-        assert isinstance(data, bytes)
         sender = str(fields.get("sender", ""))
-        to_server = fields.get("direction") == Direction.TRANSMITTED
-        adu, problem = adu_of(time_ns, data, tcp=bool(fields.get("tcp")), to_server=to_server)
-        if fields.get("spoiled"):
-            adu, problem = None, "it was corrupted on the line"
-        if adu is None:
-            text = f"Modbus, not an ADU ({problem}): {data.hex(' ').upper()}"
+        adu = recorded_adu(fields, time_ns)
+        if isinstance(adu, Malformed):
+            text = f"Modbus, not an ADU ({adu.problem}): {adu.data.hex(' ').upper()}"
             return Line(time_ns, topic, name, text)
-        if not to_server and sender:
+        if not adu.to_server and sender:
             decoder.call(adu.unit, sender)
             self.names.nodes.setdefault((name, adu.unit), sender)
         said = decoder.decode(adu)
@@ -227,3 +243,38 @@ _PLAIN: Final = {
     GROUP_SYNC.name: (GROUP_SYNC, _sync),
     LOG.name: (LOG, _log),
 }
+
+
+def telling(messages: Iterable[TraceMessage], most: int) -> Iterator[TraceMessage]:
+    """Yield those of the first `most` messages of traffic that affect a decoder.
+
+    These are all Modbus messages; of CAN, NMT, boot-ups and SDO in order, and of other frames the
+    last of each identifier before a message that affects decoding; and all CAN frames of other
+    writers.
+    """
+    last: dict[tuple[int, bytes], TraceMessage] = {}
+    kinds: dict[int, str] = {}  # schemas by channel; "": not traffic
+    for message in messages:
+        channel, _, payload = message
+        kind = kinds.get(channel.number)
+        if kind is None:
+            schema = channel.schema if channel.topic.startswith(("/can/", "/modbus/")) else None
+            kind = kinds[channel.number] = schema.name if schema is not None else ""
+        if not kind:
+            continue
+        if kind != CAN_FRAME.name or payload[:1] != _ID_TAG:
+            yield message
+        elif payload[1:5] not in _SERVICES:
+            key = channel.number, payload[:7]
+            last.pop(key, None)  # keeps them in the order of their last occurrence
+            last[key] = message
+        elif payload[2:3] != _ERROR_CONTROL or payload.endswith(_BOOTED):
+            is_sdo = payload[1:5] != _NMT and payload[2:3] != _ERROR_CONTROL
+            if last and (not is_sdo or payload[-7:-5] in _SHAPING):
+                yield from last.values()
+                last.clear()
+            yield message
+        most -= 1
+        if not most:
+            break
+    yield from last.values()

@@ -9,8 +9,6 @@ for. Measured quantities are not states: they differ from run to run.
 
 Source: CiA 301; CiA 402-2, statusword (bits 0 to 3, 5, 6: state; 10: target reached; 12, 13:
 mode-specific).
-
-The host of a recording: all frames it sent, on all buses and lines.
 """
 
 from bisect import bisect_right
@@ -20,18 +18,21 @@ from typing import Final, NamedTuple, final
 
 from motorhil.traces.decoding.canopen import CanopenDecoder
 from motorhil.traces.decoding.events import DecodedEvent, Kind
-from motorhil.traces.decoding.modbus import Adu, ModbusDecoder, adu_in
+from motorhil.traces.decoding.modbus import ModbusDecoder
 from motorhil.traces.decoding.objects import axis_of
-from motorhil.traces.formats.frames import ERR, RTR, FrameDecoder
-from motorhil.traces.mcap.protobuf import decode
+from motorhil.traces.formats.frames import ERR, RTR
+from motorhil.traces.formats.modbus import Adu, recorded_adu
 from motorhil.traces.mcap.reader import Trace
-from motorhil.traces.schema import CAN_FRAME, MODBUS_ADU, Direction
+from motorhil.traces.protobuf import decode
+from motorhil.traces.schema import CAN_FRAME, MODBUS_ADU, Direction, FrameDecoder
 
 Subject = tuple[str, int, str]
 """Bus, node, and object or state."""
 
 ANSWER: Final = "answer"
 """The subject of answers to requests (SDO, Modbus), each of which counts as a report."""
+_RTU_REST: Final = 2  # bytes of a check sum
+_OBJECTS_AT: Final = 8  # in a read device identification answer
 STATUSWORD_MASK: Final = 0x346F
 _STATUSWORD: Final = 0x6041
 _FROM_HOST: Final = (Kind.NMT, Kind.SYNC, Kind.TIME, Kind.RPDO, Kind.SDO_REQUEST)
@@ -181,10 +182,6 @@ def _is_hex(text: str) -> bool:
     return len(text) == 4 and all(c in "0123456789ABCDEFabcdef" for c in text)
 
 
-_RTU_REST: Final = 2
-_OBJECTS_AT: Final = 8
-
-
 @final
 class RecordedHost(NamedTuple):
     """Frames of a host in order, and the number of those that no classical bus can carry."""
@@ -214,13 +211,17 @@ def host_of(
         place = channel.topic.rpartition("/")[2]
         try:
             if kind == CAN_FRAME.name:
-                told = frames.frame(payload, time_ns, place)
-                cutter.take_frame(time_ns, place, told.frame, told.direction)
+                frame, direction, _ = frames.decode(payload)
+                cutter.take_frame(time_ns, place, frame, direction)
             elif kind == MODBUS_ADU.name:
                 values = decode(MODBUS_ADU, payload)
-                adu, data = adu_in(values), values.get("data", b"")
-                start_ns = values.get("start_ns", 0)
-                if adu is not None and isinstance(data, bytes) and isinstance(start_ns, int):
+                data, start_ns = values.get("data", b""), values.get("start_ns", 0)
+                end_ns = values.get("end_ns", 0)
+                assert isinstance(data, bytes)
+                assert isinstance(start_ns, int)
+                assert isinstance(end_ns, int)
+                adu = recorded_adu(values, end_ns)
+                if isinstance(adu, Adu):
                     text = lines.setdefault(place, ModbusDecoder()).decode(adu).text
                     cutter.take_adu(start_ns, place, data, adu, text)
         except ValueError:  # an invalid message

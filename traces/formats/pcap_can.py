@@ -9,14 +9,14 @@ Source: LINKTYPE_CAN_SOCKETCAN, LINKTYPE_LINUX_SLL, tcpdump.org; draft-ietf-opsa
 
 import struct
 from collections.abc import Iterator, Sequence
-from pathlib import Path
 from typing import BinaryIO, Final
 
 from motorhil.traces.formats import frames as traffic
 from motorhil.traces.formats.frames import Findings, Frame
-from motorhil.traces.formats.pcap import MAGIC, Capture, Origin, Packet, PcapngWriter, origins
+from motorhil.traces.formats.pcap import MAGIC, PCAP, Capture, Packet, PcapngWriter
 from motorhil.traces.schema import Direction
 
+_BUS: Final = "can0"  # of a file without names
 _SOCKETCAN: Final = 227
 _COOKED: Final = 113
 _COOKED_2: Final = 276
@@ -26,13 +26,7 @@ _HEAD: Final = struct.Struct(">IBB2x")
 
 def is_capture(head: bytes) -> bool:
     """Return True if a file with this beginning is a capture."""
-    return head[:4] in (
-        MAGIC,
-        b"\xd4\xc3\xb2\xa1",
-        b"\xa1\xb2\xc3\xd4",
-        b"\x4d\x3c\xb2\xa1",
-        b"\xa1\xb2\x3c\x4d",
-    )
+    return head[:4] == MAGIC or head[:4] in PCAP
 
 
 def captured_frames(path: str, findings: Findings) -> Iterator[Frame]:
@@ -42,11 +36,8 @@ def captured_frames(path: str, findings: Findings) -> Iterator[Frame]:
         TraceError: the file cannot be read, or is not a capture.
     """
     capture = Capture(path)
-    told = origins(Path(path).read_bytes())
-    nothing = Origin("can0", Direction.UNKNOWN)
     others = 0
     for packet in capture.packets():
-        origin = next(told, nothing)
         try:
             content, direction = _can_part(packet)
             if content is None:
@@ -58,8 +49,9 @@ def captured_frames(path: str, findings: Findings) -> Iterator[Frame]:
             continue
         if packet.time_ns == 0:
             findings.unstamped += 1
-        way = origin.direction or direction
-        yield Frame(packet.time_ns, origin.interface, frame, way, origin.sender or "")
+        bus = _BUS if packet.interface is None else packet.interface
+        way = packet.direction or direction
+        yield Frame(packet.time_ns, bus, frame, way, packet.sender or "")
     if others:
         findings.note(f"{others} packets are not CAN frames, and are omitted")
     for problem in capture.problems:

@@ -1,15 +1,13 @@
-"""Modbus ADUs from packet captures, with the time of their last packet.
+"""Modbus in packet captures: ADUs read from them, and recorded lines written as pcapng.
 
 On TCP a line is a server's address. The application is assumed to be the client, so requests are
-sent and responses received. Senders are named by address and port. Captures that we wrote
-(`ModbusExport`) contain the names of both, and serial lines as well.
+sent and responses received. Senders are named by address and port. Captures that we wrote contain
+the names of both, and serial lines as well.
 
-Writer of recorded Modbus lines as pcapng, for Wireshark and for our own reader.
-
-TCP traffic becomes segments to and from port 502, one ADU each, with correct sequence numbers and
-check sums. The beginning of a connection is not in a recording and is not invented. A line or a
-sender whose name is not an address gets a private address; the names are stored as well. Serial
-traffic becomes events of link type 250, whose contents Wireshark must be told: decode
+Written TCP traffic becomes segments to and from port 502, one ADU each, with correct sequence
+numbers and check sums. The beginning of a connection is not in a recording and is not invented. A
+line or a sender whose name is not an address gets a private address; the names are stored as well.
+Serial traffic becomes events of link type 250, whose contents Wireshark must be told: decode
 `rtacser.data` as Modbus RTU (tshark -d rtacser.data,mbrtu).
 
 Source: RFC 791, 8200, 9293; LINKTYPE_RTAC_SERIAL, tcpdump.org, events as Wireshark names them;
@@ -21,14 +19,14 @@ from collections import deque
 from collections.abc import Iterator
 from enum import Flag, auto
 from ipaddress import IPv4Address, IPv6Address, ip_address
-from pathlib import Path
 from typing import BinaryIO, Final, NamedTuple, final
 
-from motorhil.traces.decoding.modbus import Adu, Malformed, RecordedAdu, adus
 from motorhil.traces.formats.frames import Findings
-from motorhil.traces.formats.pcap import Capture, Origin, Packet, PcapngWriter, Way, origins, pieces
-from motorhil.traces.mcap.protobuf import Value, decode, encode
+from motorhil.traces.formats.modbus import Adu, Malformed, RecordedAdu, adus
+from motorhil.traces.formats.pcap import Capture, Packet, PcapngWriter
+from motorhil.traces.formats.tcp import Way, pieces
 from motorhil.traces.mcap.writer import TraceWriter
+from motorhil.traces.protobuf import Value, decode, encode
 from motorhil.traces.schema import MODBUS_ADU, Direction, Schema
 
 _ETHERNET: Final = 1
@@ -42,6 +40,11 @@ _NOT_TO_BE_CUT: Final = 0x4000
 _TCP: Final = 6
 _HEAD: Final = 7
 _LENGTH_MAX: Final = 254
+_PREFIX: Final = "/modbus/"
+_BATCH: Final = 8192
+_EVENTS: Final = {1: Direction.TRANSMITTED, 2: Direction.RECEIVED} | {
+    event: direction for direction, event in RTAC_EVENTS.items()
+}
 _Address = IPv4Address | IPv6Address
 
 
@@ -250,13 +253,6 @@ def _check_sum(data: bytes) -> int:
     return ~total & 0xFFFF
 
 
-_PREFIX: Final = "/modbus/"
-_BATCH: Final = 8192
-_EVENTS: Final = {1: Direction.TRANSMITTED, 2: Direction.RECEIVED} | {
-    event: direction for direction, event in RTAC_EVENTS.items()
-}
-
-
 def captured_adus(path: str, findings: Findings) -> Iterator[RecordedAdu]:
     """Yield the ADUs of a capture, in order of their completion.
 
@@ -274,7 +270,7 @@ class _Reader:
         self._path = path
         self._findings = findings
         self._capture = Capture(path)
-        self._origins = list(origins(Path(path).read_bytes()))
+        self._ours: dict[int, tuple[str, str | None]] = {}  # line and sender, by packet
         self._serial: deque[Packet] = deque()
 
     def adus(self) -> Iterator[RecordedAdu]:
@@ -295,20 +291,18 @@ class _Reader:
             if packet.link_type == RTAC_SERIAL:
                 self._serial.append(packet)
             else:
+                if packet.ours and packet.interface is not None:
+                    self._ours[packet.number] = packet.interface, packet.sender
                 yield packet
-
-    def _origin(self, packet: int) -> Origin:
-        known = 0 < packet <= len(self._origins)
-        return self._origins[packet - 1] if known else Origin("serial0", Direction.UNKNOWN)
 
     def _from_tcp(self, adu: Adu, way: Way) -> RecordedAdu:
         data = adu.transaction.to_bytes(2, "big") + bytes(2)
         data += (len(adu.pdu) + 1).to_bytes(2, "big") + bytes((adu.unit,)) + adu.pdu
         line = way.target if adu.to_server else way.source
         sender = f"{way.source}:{way.source_port}"
-        origin = self._origin(adu.packet)
-        if origin.ours:
-            line, sender = origin.interface, sender if origin.sender is None else origin.sender
+        if adu.packet in self._ours:
+            line, own = self._ours[adu.packet]
+            sender = sender if own is None else own
         direction = Direction.TRANSMITTED if adu.to_server else Direction.RECEIVED
         return _recorded(adu.time_ns, line, direction, sender, data, tcp=True)
 
@@ -326,9 +320,9 @@ class _Reader:
             if direction is None or not data:
                 self._findings.note("events of a serial line without data are omitted")
                 continue
-            origin = self._origin(packet.number)
-            sender = origin.sender or ""
-            yield _recorded(packet.time_ns, origin.interface, direction, sender, data, tcp=False)
+            line = "serial0" if packet.interface is None else packet.interface
+            sender = packet.sender or ""
+            yield _recorded(packet.time_ns, line, direction, sender, data, tcp=False)
 
 
 def _recorded(
@@ -345,7 +339,7 @@ def _recorded(
 
 
 def record_adus(
-    target: str, adus_: Iterator[RecordedAdu], metadata: dict[str, dict[str, str]]
+    target: str, found: Iterator[RecordedAdu], metadata: dict[str, dict[str, str]]
 ) -> tuple[str, ...]:
     """Record these ADUs in this order; return the lines.
 
@@ -355,7 +349,7 @@ def record_adus(
     channels: dict[str, int] = {}
     with TraceWriter(target, metadata) as writer:
         entries: list[tuple[int, int, bytes]] = []
-        for time_ns, line, payload in adus_:
+        for time_ns, line, payload in found:
             if line not in channels:
                 channels[line] = writer.channel(_PREFIX + line, Schema.of(MODBUS_ADU))
             entries.append((-channels[line], time_ns, payload))

@@ -1,31 +1,21 @@
 """Reader for recordings, complete and cut ones, of our writer and others.
 
 Opening reads only the heads of records. So every file is read in the same way, even if it ends in
-the middle of a chunk. A summary lets the reader skip chunks and their indexes. Messages are
-returned in the order in which they were written.
+the middle of a chunk. The summary of a complete file, if its CRC is correct, lets the reader skip
+chunks and their indexes. Messages are returned in the order in which they were written.
 
-Chunks and channels of a complete recording, read from its summary.
-
-Source: mcap.dev/spec, summary section and footer.
-
-Messages at a recording's beginning that a decoder needs for the rest.
-
-Most traffic is PDOs. Only the last PDO of each identifier counts, unless a message that affects
-their decoding follows. So only a few messages need to be decoded.
-
-Protection against pipes and devices as input or output files.
+Source: mcap.dev/spec.
 """
 
 import os
-import stat
 import struct
 import zlib
-from collections.abc import Callable, Collection, Iterable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from typing import BinaryIO, Final, NamedTuple, Self, final
 
 from motorhil.traces.errors import TraceError
+from motorhil.traces.files import refuse_pipe, unreadable
 from motorhil.traces.mcap import records
 from motorhil.traces.mcap.records import (
     Attachment,
@@ -37,12 +27,33 @@ from motorhil.traces.mcap.records import (
     salvage,
     schema_in,
 )
-from motorhil.traces.schema import CAN_FRAME, Schema
+from motorhil.traces.schema import Schema
+
+TraceMessage = tuple[Channel, int, bytes]
+"""(channel, log time [ns], payload)."""
 
 _FOOT: Final = records.RECORD_HEAD.size + records.FOOTER_BODY.size + len(records.MAGIC)
 _PLACE: Final = struct.Struct("<QQQQ")
 _SIZES: Final = struct.Struct("<QQ")
 _UNLIKELY: Final = 1 << 28  # bytes: a summary beyond this is not worth reading
+_NAMES: Final = {
+    records.HEADER: "header",
+    records.FOOTER: "footer",
+    records.SCHEMA: "schema",
+    records.CHANNEL: "channel",
+    records.MESSAGE: "message",
+    records.CHUNK: "chunk",
+    records.ATTACHMENT: "attachment",
+    records.METADATA: "metadata",
+    records.DATA_END: "data end",
+}
+_STRUCTURE: Final = (
+    records.HEADER,
+    records.SCHEMA,
+    records.CHANNEL,
+    records.ATTACHMENT,
+    records.METADATA,
+)
 
 
 @final
@@ -62,163 +73,6 @@ class Chunk:
     data_offset: int
     data_size: int
     whole: bool
-
-
-class ChunkPlace(NamedTuple):
-    """A chunk, and the offset after its message indexes."""
-
-    chunk: Chunk
-    end: int
-
-
-class Summary(NamedTuple):
-    """Chunks by their offsets; schemas and channels, as (opcode, content)."""
-
-    places: dict[int, ChunkPlace]
-    names: list[tuple[int, bytes]]
-
-
-def read_summary(file: BinaryIO) -> Summary:
-    """Read the summary; return an empty one if there is none with a correct CRC."""
-    nothing = Summary({}, [])
-    size = file.seek(0, os.SEEK_END)
-    if size < _FOOT:
-        return nothing
-    file.seek(size - _FOOT)
-    foot = file.read(_FOOT)
-    head = records.RECORD_HEAD.pack(records.FOOTER, records.FOOTER_BODY.size)
-    if not foot.startswith(head) or not foot.endswith(records.MAGIC):
-        return nothing
-    start, _, crc = records.FOOTER_BODY.unpack_from(foot, len(head))
-    length = size - _FOOT - start
-    if not start or not crc or not 0 < length < _UNLIKELY:
-        return nothing
-    file.seek(start)
-    summary = file.read(length)
-    if zlib.crc32(foot[: len(head) + 16], zlib.crc32(summary)) != crc:
-        return nothing
-    found, at = Summary({}, []), 0
-    try:
-        while at < len(summary):
-            opcode, length = records.RECORD_HEAD.unpack_from(summary, at)
-            at += records.RECORD_HEAD.size
-            content = summary[at : at + length]
-            if opcode == records.CHUNK_INDEX:
-                place = _place(content, start)
-                found.places[place.chunk.offset] = place
-            elif opcode in (records.SCHEMA, records.CHANNEL):
-                found.names.append((opcode, content))
-            at += length
-    except (struct.error, ValueError):
-        return nothing
-    return found
-
-
-def _place(content: bytes, limit: int) -> ChunkPlace:
-    """Parse a chunk index. Raises struct.error or ValueError if it is damaged."""
-    first_ns, last_ns, offset, length = _PLACE.unpack_from(content)
-    (offsets,) = records.UINT32.unpack_from(content, _PLACE.size)
-    at = _PLACE.size + 4 + offsets
-    (indexes,) = records.UINT64.unpack_from(content, at)
-    compression, at = records.read_string(content, at + 8)
-    stored, size = _SIZES.unpack_from(content, at)
-    data_offset = (
-        offset + records.RECORD_HEAD.size + records.CHUNK_HEAD.size + 12 + len(compression.encode())
-    )
-    end = offset + length + indexes
-    if data_offset + stored != offset + length or end > limit:
-        raise ValueError("a chunk index that fits no chunk")
-    chunk = Chunk(
-        offset, first_ns, last_ns, size, None, compression, data_offset, stored, whole=True
-    )
-    return ChunkPlace(chunk, end)
-
-
-_KINDS: Final[tuple[tuple[Callable[[int], bool], str], ...]] = (
-    (stat.S_ISFIFO, "a pipe"),
-    (stat.S_ISSOCK, "a socket"),
-    (stat.S_ISCHR, "a device"),
-    (stat.S_ISBLK, "a device"),
-)
-_STREAMS: Final = _KINDS[:2]
-
-
-def refuse_pipe(path: str | os.PathLike[str]) -> None:
-    """Refuse a pipe or socket as input: recordings need random access and repeated reading.
-
-    Raises:
-        TraceError: the path is a pipe or a socket. It has not been opened, so no process waits for
-            it.
-    """
-    kind = _kind_of(path, _STREAMS)
-    if kind is not None:
-        what = f"is {kind}, which can only be read from beginning to end"
-        raise TraceError(os.fspath(path), what, remedy="write it to a file first")
-
-
-def place_to_replace(target: str | os.PathLike[str]) -> str:
-    """Return the real path of a file to be replaced, with symbolic links resolved.
-
-    Raises:
-        TraceError: the path is not a regular file, and must not be destroyed.
-    """
-    kind = _kind_of(target, _KINDS)
-    if kind is not None:
-        what = f"is {kind}, and would be replaced by a file"
-        raise TraceError(os.fspath(target), what, remedy="name a file")
-    return os.path.realpath(target)
-
-
-@contextmanager
-def whole_file(target: str) -> Iterator[BinaryIO]:
-    """Open a file that replaces the target on success; the target is never incomplete.
-
-    Raises:
-        TraceError: the file cannot be written, or the target is not a regular file.
-    """
-    place = place_to_replace(target)
-    part = f"{place}.part"
-    try:
-        with open(part, "wb") as file:
-            yield file
-        os.replace(part, place)
-    except OSError as error:
-        what = f"cannot be written: {(error.strerror or str(error)).lower()}"
-        raise TraceError(target, what) from error
-    finally:
-        with suppress(OSError):
-            os.remove(part)
-
-
-def _kind_of(
-    path: str | os.PathLike[str],
-    kinds: tuple[tuple[Callable[[int], bool], str], ...],
-) -> str | None:
-    try:
-        mode = os.stat(path).st_mode
-    except (OSError, ValueError):  # opening the file reports the reason
-        return None
-    return next((words for is_it, words in kinds if is_it(mode)), None)
-
-
-_NAMES: Final = {
-    records.HEADER: "header",
-    records.FOOTER: "footer",
-    records.SCHEMA: "schema",
-    records.CHANNEL: "channel",
-    records.MESSAGE: "message",
-    records.CHUNK: "chunk",
-    records.ATTACHMENT: "attachment",
-    records.METADATA: "metadata",
-    records.DATA_END: "data end",
-}
-_STRUCTURE: Final = (
-    records.HEADER,
-    records.SCHEMA,
-    records.CHANNEL,
-    records.ATTACHMENT,
-    records.METADATA,
-)
 
 
 @final
@@ -243,10 +97,6 @@ class Cut:
         return f"cut at byte {self.offset}: {self.reason}, {self.size} bytes are left of it{rest}"
 
 
-TraceMessage = tuple[Channel, int, bytes]
-"""(channel, log time [ns], payload)."""
-
-
 def read_trace(path: str | os.PathLike[str]) -> "Trace":
     """Open a recording.
 
@@ -259,9 +109,7 @@ def read_trace(path: str | os.PathLike[str]) -> "Trace":
     try:
         file = open(name, "rb")  # noqa: SIM115  # the Trace closes it
     except OSError as error:
-        raise TraceError(
-            name, f"cannot be read: {(error.strerror or str(error)).lower()}"
-        ) from error
+        raise unreadable(name, error) from error
     try:
         return Trace(name, file)
     except BaseException:
@@ -572,54 +420,71 @@ def _is_outside(chunk: Chunk, from_ns: int | None, to_ns: int | None) -> bool:
     )
 
 
-_ID_TAG: Final = b"\x0d"  # the first byte of our CanFrame; the identifier follows
-_NMT: Final = bytes(4)
-_ERROR_CONTROL: Final = b"\x07"
-_BOOTED: Final = b"\x7a\x01\x00"  # the end of a CanFrame with one data byte, 0
-_SERVICES: Final = frozenset(
-    number.to_bytes(4, "little") for number in (0, *range(0x580, 0x680), *range(0x701, 0x780))
-)
-"""Identifiers of NMT, SDO and error control, as encoded in a CanFrame."""
-_SHAPING: Final = frozenset(
-    index.to_bytes(2, "little")
-    for index in (
-        *(0x1000, *range(0x1400, 0x1C00)),
-        *(first + 0x800 * axis for first in (0x6040, 0x6060, 0x6061) for axis in range(8)),
+class ChunkPlace(NamedTuple):
+    """A chunk, and the offset after its message indexes."""
+
+    chunk: Chunk
+    end: int
+
+
+class Summary(NamedTuple):
+    """Chunks by their offsets; schemas and channels, as (opcode, content)."""
+
+    places: dict[int, ChunkPlace]
+    names: list[tuple[int, bytes]]
+
+
+def read_summary(file: BinaryIO) -> Summary:
+    """Read the summary; return an empty one if there is none with a correct CRC."""
+    nothing = Summary({}, [])
+    size = file.seek(0, os.SEEK_END)
+    if size < _FOOT:
+        return nothing
+    file.seek(size - _FOOT)
+    foot = file.read(_FOOT)
+    head = records.RECORD_HEAD.pack(records.FOOTER, records.FOOTER_BODY.size)
+    if not foot.startswith(head) or not foot.endswith(records.MAGIC):
+        return nothing
+    start, _, crc = records.FOOTER_BODY.unpack_from(foot, len(head))
+    length = size - _FOOT - start
+    if not start or not crc or not 0 < length < _UNLIKELY:
+        return nothing
+    file.seek(start)
+    summary = file.read(length)
+    if zlib.crc32(foot[: len(head) + 16], zlib.crc32(summary)) != crc:
+        return nothing
+    found, at = Summary({}, []), 0
+    try:
+        while at < len(summary):
+            opcode, length = records.RECORD_HEAD.unpack_from(summary, at)
+            at += records.RECORD_HEAD.size
+            content = summary[at : at + length]
+            if opcode == records.CHUNK_INDEX:
+                place = _place(content, start)
+                found.places[place.chunk.offset] = place
+            elif opcode in (records.SCHEMA, records.CHANNEL):
+                found.names.append((opcode, content))
+            at += length
+    except (struct.error, ValueError):
+        return nothing
+    return found
+
+
+def _place(content: bytes, limit: int) -> ChunkPlace:
+    """Parse a chunk index. Raises struct.error or ValueError if it is damaged."""
+    first_ns, last_ns, offset, length = _PLACE.unpack_from(content)
+    (offsets,) = records.UINT32.unpack_from(content, _PLACE.size)
+    at = _PLACE.size + 4 + offsets
+    (indexes,) = records.UINT64.unpack_from(content, at)
+    compression, at = records.read_string(content, at + 8)
+    stored, size = _SIZES.unpack_from(content, at)
+    data_offset = (
+        offset + records.RECORD_HEAD.size + records.CHUNK_HEAD.size + 12 + len(compression.encode())
     )
-)
-"""Objects that affect the contents of PDOs or their decoding."""
-
-
-def telling(messages: Iterable[TraceMessage], most: int) -> Iterator[TraceMessage]:
-    """Yield those of the first `most` messages of traffic that affect a decoder.
-
-    These are all Modbus messages; of CAN, NMT, boot-ups and SDO in order, and of other frames the
-    last of each identifier before a message that affects decoding; and all CAN frames of other
-    writers.
-    """
-    last: dict[tuple[int, bytes], TraceMessage] = {}
-    kinds: dict[int, str] = {}  # schemas by channel; "": not traffic
-    for message in messages:
-        channel, _, payload = message
-        kind = kinds.get(channel.number)
-        if kind is None:
-            schema = channel.schema if channel.topic.startswith(("/can/", "/modbus/")) else None
-            kind = kinds[channel.number] = schema.name if schema is not None else ""
-        if not kind:
-            continue
-        if kind != CAN_FRAME.name or payload[:1] != _ID_TAG:
-            yield message
-        elif payload[1:5] not in _SERVICES:
-            key = channel.number, payload[:7]
-            last.pop(key, None)  # keeps them in the order of their last occurrence
-            last[key] = message
-        elif payload[2:3] != _ERROR_CONTROL or payload.endswith(_BOOTED):
-            is_sdo = payload[1:5] != _NMT and payload[2:3] != _ERROR_CONTROL
-            if last and (not is_sdo or payload[-7:-5] in _SHAPING):
-                yield from last.values()
-                last.clear()
-            yield message
-        most -= 1
-        if not most:
-            break
-    yield from last.values()
+    end = offset + length + indexes
+    if data_offset + stored != offset + length or end > limit:
+        raise ValueError("a chunk index that fits no chunk")
+    chunk = Chunk(
+        offset, first_ns, last_ns, size, None, compression, data_offset, stored, whole=True
+    )
+    return ChunkPlace(chunk, end)

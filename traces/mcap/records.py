@@ -1,17 +1,16 @@
-"""Encoding of MCAP records, and their opcodes.
+"""Records of an MCAP file: opcodes, encoding, parsing, and the compression of chunks.
 
 A record is an opcode, the length of its content (8 bytes) and the content. All numbers are
-little-endian. Strings and maps are preceded by their length in bytes (4 bytes).
+little-endian. Strings and maps are preceded by their length in bytes (4 bytes). Chunks are
+compressed by zstd; those of other writers also by lz4, or not at all.
 
 Source: mcap.dev/spec.
-
-Contents of structural records: schemas, channels, attachments.
-
-Compression of chunks: zstd, and on reading also lz4 or none.
 """
 
 import struct
+import sys
 import zlib
+from array import array
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final, final
@@ -53,6 +52,7 @@ FOOTER_BODY: Final = struct.Struct("<QQI")
 UINT16: Final = struct.Struct("<H")
 UINT32: Final = struct.Struct("<I")
 UINT64: Final = struct.Struct("<Q")
+_PIECE: Final = 4096  # bytes of a cut chunk to decompress at once
 
 
 def record(opcode: int, content: bytes) -> bytes:
@@ -97,29 +97,43 @@ def chunk(first_ns: int, last_ns: int, size: int, crc: int, compression: str, da
     return record(CHUNK, content + UINT64.pack(len(data)) + data)
 
 
-def message_index(channel: int, places: bytes) -> bytes:
-    """Encode a channel's message index: packed (log time, offset) in the preceding chunk."""
-    content = UINT16.pack(channel) + UINT32.pack(len(places)) + places
-    return record(MESSAGE_INDEX, content)
+def message_index(channel: int, places: Sequence[int]) -> bytes:
+    """Encode a channel's message index: log time, offset, ... in the preceding chunk."""
+    packed = array("Q", places)
+    if sys.byteorder == "big":
+        packed.byteswap()
+    data = packed.tobytes()
+    return record(MESSAGE_INDEX, UINT16.pack(channel) + UINT32.pack(len(data)) + data)
 
 
-def chunk_index(  # its parameters are the record's fields
-    first_ns: int,
-    last_ns: int,
+def indexed_chunk(
     offset: int,
-    length: int,
-    message_indexes: Mapping[int, int],
-    message_indexes_length: int,
+    times_ns: tuple[int, int],
+    content: bytes | memoryview,
     compression: str,
-    compressed_size: int,
-    size: int,
-) -> bytes:
-    """Encode the index of a chunk and of its message indexes (offsets in the file)."""
-    content = struct.pack("<QQQQ", first_ns, last_ns, offset, length)
-    offsets = b"".join(struct.pack("<HQ", *one) for one in message_indexes.items())
-    content += UINT32.pack(len(offsets)) + offsets + UINT64.pack(message_indexes_length)
-    content += string(compression) + struct.pack("<QQ", compressed_size, size)
-    return record(CHUNK_INDEX, content)
+    data: bytes,
+    places: Mapping[int, Sequence[int]],
+) -> tuple[bytes, bytes]:
+    """Return a chunk with its message indexes, to be written at `offset`, and its chunk index.
+
+    Args:
+        offset: in the file.
+        times_ns: earliest and latest log time in it [ns].
+        content: the records.
+        compression: of `data`.
+        data: the compressed records.
+        places: log time, offset, ... of each channel's messages; empty: no message index.
+    """
+    done = chunk(*times_ns, len(content), zlib.crc32(content), compression, data)
+    offsets = b""
+    indexes = b""
+    for number, own in places.items():
+        offsets += struct.pack("<HQ", number, offset + len(done) + len(indexes))
+        indexes += message_index(number, own)
+    index = struct.pack("<QQQQ", *times_ns, offset, len(done))
+    index += UINT32.pack(len(offsets)) + offsets + UINT64.pack(len(indexes))
+    index += string(compression) + struct.pack("<QQ", len(data), len(content))
+    return done + indexes, record(CHUNK_INDEX, index)
 
 
 def attachment_content(time_ns: int, name: str, media_type: str, data: bytes) -> bytes:
@@ -252,9 +266,6 @@ def attachment_in(content: bytes) -> Attachment:
     if crc not in (0, zlib.crc32(content[: at + 8 + size])):
         raise ValueError("its CRC is wrong")
     return Attachment(name, media_type, time_ns, data)
-
-
-_PIECE: Final = 4096
 
 
 @final

@@ -6,37 +6,29 @@ with their offset and, if known, their time. Complete chunks are copied unchange
 messages of a chunk whose end is missing are salvaged. Schemas and channels in the summary have
 priority, because a check sum covers them.
 
-Assembly of an MCAP file from existing records.
-
-Records are copied unchanged, except for text that is not valid UTF-8, because other readers refuse
-the whole file for it.
-
-Checks that bytes are a complete record of an MCAP file.
-
 Any record may be damaged, but only chunks and attachments have a check sum. Other records are
 checked by their structure: their strings, maps and lists must fill them exactly, which a single
-wrong length prevents. Another record must begin where they end.
+wrong length prevents. Another record must begin where they end. Records are copied unchanged,
+except for text that is not valid UTF-8, because other readers refuse the whole file for it.
 """
 
 import os
 import re
 import struct
 import zlib
-from array import array
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field
 from mmap import ACCESS_READ, mmap
-from sys import byteorder
 from typing import BinaryIO, Final, NamedTuple, final
 
 import zstandard
 
 from motorhil.traces.errors import TraceError
+from motorhil.traces.files import refuse_pipe, unreadable, whole_file
 from motorhil.traces.mcap import records
-from motorhil.traces.mcap.reader import place_to_replace, refuse_pipe
 from motorhil.traces.mcap.records import CompressionError, decompress, salvage
-from motorhil.traces.mcap.writer import Summary, create, framed_chunk, let_go, reason
+from motorhil.traces.mcap.writer import Summary
 
 _HEAD_SIZE: Final = records.RECORD_HEAD.size
 _CHUNK_FIXED: Final = records.CHUNK_HEAD.size
@@ -62,6 +54,21 @@ _SHAPES: Final[dict[int, tuple[int | str, ...]]] = {
     records.SUMMARY_OFFSET: (17,),
     records.DATA_END: (4,),
 }
+_LEVEL: Final = 1  # of compression
+_NO_SCHEMA: Final = 0
+_LOOSE_MAX: Final = 1 << 20
+_NAMES: Final = {
+    records.HEADER: "a header",
+    records.SCHEMA: "a schema",
+    records.CHANNEL: "a channel",
+    records.CHUNK: "a chunk",
+    records.MESSAGE_INDEX: "an index of messages",
+    records.ATTACHMENT: "an attachment",
+    records.METADATA: "metadata",
+    records.DATA_END: "the end of the data",
+}
+_STRUCTURE: Final = (records.SCHEMA, records.CHANNEL, records.METADATA, records.ATTACHMENT)
+_FOOTER_SIZE: Final = _HEAD_SIZE + records.FOOTER_BODY.size
 
 
 class Record(NamedTuple):
@@ -205,10 +212,6 @@ def _fits(content: bytes, shape: tuple[int | str, ...]) -> bool:
     return at == len(content)
 
 
-_LEVEL: Final = 1
-_NO_SCHEMA: Final = 0
-
-
 @final
 class Assembly:
     """A file that is being assembled; every chunk gets a new index.
@@ -243,6 +246,16 @@ class Assembly:
         """Register a reliable schema or channel, used instead of any with the same number."""
         number = int.from_bytes(record.content[:2], "little")
         self._spare[record.opcode, number] = record.content
+
+    def take(self, record: Record) -> None:
+        """Write a schema, channel, metadata or attachment record."""
+        write = {
+            records.SCHEMA: self.schema,
+            records.CHANNEL: self.channel,
+            records.METADATA: self.metadata,
+            records.ATTACHMENT: self.attachment,
+        }
+        write[record.opcode](record.content)
 
     def header(self, content: bytes) -> None:
         """Write the header; call it first, and once."""
@@ -347,12 +360,12 @@ class Assembly:
         times = [time for of_channel in places.values() for time in of_channel[::2]]
         first, last = (min(times), max(times)) if times else (chunk.first_ns, chunk.last_ns)
         self._order |= dict.fromkeys(places)
-        packed = [(number, _packed(places[number])) for number in self._order if number in places]
-        record, index, message_indexes = framed_chunk(
-            *(self._offset, first, last, len(chunk.content), zlib.crc32(chunk.content)),
-            *(chunk.compression, chunk.data, packed if self._indexed else ()),
+        ordered = {number: places[number] for number in self._order if number in places}
+        record, index = records.indexed_chunk(
+            *(self._offset, (first, last), chunk.content, chunk.compression, chunk.data),
+            ordered if self._indexed else {},
         )
-        self._put(record + message_indexes)
+        self._put(record)
         counts = {number: len(of_channel) // 2 for number, of_channel in places.items()}
         if times:
             self._summary.add_chunk(index, first, last, counts)
@@ -364,41 +377,6 @@ class Assembly:
         self._file.write(data)
         self._offset += len(data)
         self._crc = zlib.crc32(data, self._crc)
-
-
-def _packed(places: list[int]) -> bytes:
-    """Return times and offsets in the layout of a message index."""
-    out = array("Q", places)
-    if byteorder == "big":
-        out.byteswap()
-    return out.tobytes()
-
-
-def take(assembly: Assembly, record: Record) -> None:
-    """Add a schema, channel, metadata or attachment record to the assembly."""
-    if record.opcode == records.SCHEMA:
-        assembly.schema(record.content)
-    elif record.opcode == records.CHANNEL:
-        assembly.channel(record.content)
-    elif record.opcode == records.METADATA:
-        assembly.metadata(record.content)
-    elif record.opcode == records.ATTACHMENT:
-        assembly.attachment(record.content)
-
-
-_LOOSE_MAX: Final = 1 << 20
-_NAMES: Final = {
-    records.HEADER: "a header",
-    records.SCHEMA: "a schema",
-    records.CHANNEL: "a channel",
-    records.CHUNK: "a chunk",
-    records.MESSAGE_INDEX: "an index of messages",
-    records.ATTACHMENT: "an attachment",
-    records.METADATA: "metadata",
-    records.DATA_END: "the end of the data",
-}
-_STRUCTURE: Final = (records.SCHEMA, records.CHANNEL, records.METADATA, records.ATTACHMENT)
-_FOOTER_SIZE: Final = records.RECORD_HEAD.size + records.FOOTER_BODY.size
 
 
 @final
@@ -482,26 +460,10 @@ def recover(source: str, target: str, overwrite: bool = False) -> Recovery:
             with mmap(file.fileno(), 0, access=ACCESS_READ) as data:
                 if data[: len(records.MAGIC)] != records.MAGIC:
                     raise TraceError(source, "is not an MCAP file", remedy="give a recording")
-                return _recover_into(target, data)
+                with whole_file(target, "free space there, or name another place") as out:
+                    return recover_bytes(data, out)
     except OSError as error:
-        raise TraceError(source, f"cannot be read: {reason(error)}") from error
-
-
-def _recover_into(target: str, data: mmap) -> Recovery:
-    place = place_to_replace(target)
-    part = f"{place}.part"
-    out = create(part)
-    try:
-        done = recover_bytes(data, out)  # type: ignore[arg-type]  # FileIO is a BinaryIO in all but name
-        os.replace(part, place)
-    except OSError as error:
-        what = f"cannot be written: {reason(error)}"
-        raise TraceError(target, what, remedy="free space there, or name another place") from error
-    finally:
-        let_go(out)
-        with suppress(OSError):
-            os.remove(part)
-    return done
+        raise unreadable(source, error) from error
 
 
 def recover_bytes(data: mmap | bytes, out: BinaryIO) -> Recovery:
@@ -570,7 +532,7 @@ class _Walk:
         elif record.opcode in _STRUCTURE:
             if not self._data_ended:
                 self._end_loose()
-                take(self._assembly, record)
+                self._assembly.take(record)
         elif record.opcode == records.DATA_END:
             self._data_ended = True
         elif record.opcode == records.FOOTER:

@@ -11,8 +11,8 @@ from typing import Final, final
 from motorhil.traces.decoding.events import PERIODIC, DecodedEvent, Fact, Kind
 from motorhil.traces.decoding.narrative import Line, Story
 from motorhil.traces.decoding.objects import axis_of
-from motorhil.traces.mcap.protobuf import decode
 from motorhil.traces.mcap.reader import Trace, TraceMessage
+from motorhil.traces.protobuf import decode
 from motorhil.traces.schema import JOINT_STATE
 
 Key = tuple[str, int | None, str]

@@ -1,10 +1,10 @@
 """A CAN bus with ports: arbitration, transmission time, delivery and faults.
 
 The bus is a sans-I/O core like a controller: it receives frames and the time, and returns its next
-deadline. `CanArbitration` decides which node sends. `CanStretch` and its bases decide what happens
-to a frame under faults. Without an active or possible fault all of this costs one flag.
+deadline. `CanSegment` decides which node sends, and what happens to a frame under faults. Without
+an active or possible fault all of this costs one flag.
 
-Here the wire may be split. Each part is a `CanStretch` with its own arbitration (the bus itself is
+Here the wire may be split. Each part is a `CanSegment` with its own arbitration (the bus itself is
 the part that all others have left). A node that moves to another part first listens until it has
 heard 11 recessive bits. The frame that it was sending is sent again.
 """
@@ -12,10 +12,11 @@ heard 11 recessive bits. The frame that it was sending is sent again.
 from typing import final
 
 from motorhil.emulators.can.bitlevel.episode import ALL_PORTS
-from motorhil.emulators.can.bus.fault_plan import NEVER_NS, FaultEvent, FaultPlan, FaultSeam
+from motorhil.emulators.can.bus.fault_plan import FaultEvent, FaultPlan, FaultSeam
 from motorhil.emulators.can.bus.port import (
     CUT_OFF,
     DELIVERED,
+    NEVER_NS,
     PORT_MASK,
     PORT_SHIFT,
     CanPort,
@@ -24,7 +25,7 @@ from motorhil.emulators.can.bus.port import (
     Role,
     kind_without,
 )
-from motorhil.emulators.can.bus.segment import CanStretch
+from motorhil.emulators.can.bus.segment import CanSegment
 from motorhil.emulators.can.controller_config import PLAIN, CanNode, FrameSupport
 from motorhil.emulators.can.error_confinement import ErrorState
 from motorhil.emulators.can.fault_rules import PARTING, FaultKind, FaultRule, NoiseSource
@@ -34,7 +35,7 @@ _Place = tuple[str, ...]  # rules that separate a node from the others; empty: o
 
 
 @final
-class CanBus(CanStretch):
+class CanBus(CanSegment):
     """A CAN bus. Sans-I/O; times are int nanoseconds on one timeline that starts at 0.
 
     The caller calls `expire` at each `next_deadline_ns`, and never submits at a time later than a
@@ -61,7 +62,7 @@ class CanBus(CanStretch):
     __slots__ = (
         "_fd_kind",
         "_has_plan",
-        "_islands",
+        "_parts",
         "_places",
         "_sources",
         "_where",
@@ -91,8 +92,8 @@ class CanBus(CanStretch):
         self.data_bitrate_bit_s = data_bitrate_bit_s
         self._fd_kind = DELIVERED  # of a CAN FD frame: only FD nodes receive it
         self.eventful = False
-        self._islands: dict[_Place, CanStretch] = {}
-        self._where: list[CanStretch] = []  # by port
+        self._parts: dict[_Place, CanSegment] = {}
+        self._where: list[CanSegment] = []  # by port
         self._places: list[_Place] = []  # by port
         self._sources: dict[tuple[str, int, _Place], NoiseSource] = {}
         self._keep_rules(0)
@@ -115,10 +116,10 @@ class CanBus(CanStretch):
         self._ports.append(_empty_port(number, name, chip))
         if chip.frames is not FrameSupport.FD:
             self._fd_kind = kind_without(self._fd_kind, 1 << number)
-        for island in self._islands.values():
-            island.add_port(_empty_port(number, name, chip))
+        for part in self._parts.values():
+            part.add_port(_empty_port(number, name, chip))
         place = self._place_of(name)
-        where = self._stretch(place)
+        where = self._segment(place)
         self._where.append(where)
         self._places.append(place)
         where.enter(node, now_ns, integrated=not (self._faulty and where.is_under_way(now_ns)))
@@ -233,33 +234,33 @@ class CanBus(CanStretch):
         if not self._has_plan:
             raise ValueError(f"bus {self.name} has no fault plan; give it one, which may be empty")
 
-    def _stretches(self) -> list[CanStretch]:
-        return [self, *self._islands.values()]
+    def _segments(self) -> list[CanSegment]:
+        return [self, *self._parts.values()]
 
     def _recheck(self, now_ns: int) -> None:
         """Apply changed rules to all parts of the bus."""
-        for stretch in self._stretches():
-            stretch.freeze(now_ns)
-            stretch.resume(now_ns)
+        for segment in self._segments():
+            segment.freeze(now_ns)
+            segment.resume(now_ns)
         self._keep_rules(now_ns)
-        for stretch in self._stretches():
-            stretch.count_members()
+        for segment in self._segments():
+            segment.count_members()
         self._settle()
 
     def _settle(self) -> None:
         """Set the flag that selects the path with faults or the one without."""
-        for island in self._islands.values():
-            self.statistics.absorb(island.statistics)
+        for part in self._parts.values():
+            self.statistics.absorb(part.statistics)
         self.eventful = self._seam.plan.has_events()
-        self._faulty = bool(self._islands) or not (self._seam.is_idle() and self._is_calm())
+        self._faulty = bool(self._parts) or not (self._seam.is_idle() and self._is_calm())
         if not self._faulty:
             for port in self._ports:
                 port.repeated.clear()
 
     def _deadline_with_faults_ns(self) -> int:
         due_ns = self._seam.next_ns()
-        for stretch in self._stretches():
-            one_ns = stretch.due_ns()
+        for segment in self._segments():
+            one_ns = segment.due_ns()
             if one_ns >= 0 and not 0 <= due_ns <= one_ns:
                 due_ns = one_ns
         return due_ns
@@ -277,9 +278,9 @@ class CanBus(CanStretch):
         self._settle()
 
     def _step_one(self, due_ns: int, out: list[Delivery]) -> bool:
-        for stretch in self._stretches():
-            if stretch.due_ns() == due_ns:
-                stretch.step(due_ns, out)
+        for segment in self._segments():
+            if segment.due_ns() == due_ns:
+                segment.step(due_ns, out)
                 return True
         return False
 
@@ -298,16 +299,16 @@ class CanBus(CanStretch):
                 place.append(rule.name if rule.kind is FaultKind.SPLIT else f"{rule.name}/{name}")
         return tuple(place)
 
-    def _stretch(self, place: _Place) -> CanStretch:
+    def _segment(self, place: _Place) -> CanSegment:
         if not place:
             return self
-        island = self._islands.get(place)
-        if island is None:
-            island = CanStretch(self.name, self.bit_ns, self.data_bit_ns, self._seam, self._nodes)
+        part = self._parts.get(place)
+        if part is None:
+            part = CanSegment(self.name, self.bit_ns, self.data_bit_ns, self._seam, self._nodes)
             for node in self._nodes:
-                island.add_port(_empty_port(node.number, node.name, node.chip))
-            self._islands[place] = island
-        return island
+                part.add_port(_empty_port(node.number, node.name, node.chip))
+            self._parts[place] = part
+        return part
 
     def _part(self, now_ns: int) -> None:
         """Move ports to the wire where the rules put them."""
@@ -317,18 +318,18 @@ class CanBus(CanStretch):
             if before != after:
                 moved.setdefault((before, after), []).append(node)
         for (before, after), nodes in moved.items():
-            self._move(nodes, self._stretch(before), self._stretch(after), now_ns)
+            self._move(nodes, self._segment(before), self._segment(after), now_ns)
             for node in nodes:
                 self._places[node.number] = after
-        for place in [place for place in self._islands if place not in self._places]:
-            self.statistics.absorb(self._islands.pop(place).statistics)
+        for place in [place for place in self._parts if place not in self._places]:
+            self.statistics.absorb(self._parts.pop(place).statistics)
         self._seam.deaf_mask = 0
-        for stretch in self._islands.values():
-            if len(stretch.members) == 1:
-                self._seam.deaf_mask |= 1 << stretch.members[0].number
+        for segment in self._parts.values():
+            if len(segment.members) == 1:
+                self._seam.deaf_mask |= 1 << segment.members[0].number
 
     def _move(
-        self, nodes: list[Presence], source: CanStretch, target: CanStretch, now_ns: int
+        self, nodes: list[Presence], source: CanSegment, target: CanSegment, now_ns: int
     ) -> None:
         """Move these nodes to another wire; a frame of theirs in flight may continue there."""
         going_on = None if target.members else source.under_way([n.number for n in nodes], now_ns)
@@ -345,26 +346,26 @@ class CanBus(CanStretch):
         """Give each wire its noise, stuck level and babbling nodes."""
         plan = self._seam.plan
         sources: dict[tuple[str, int, _Place], NoiseSource] = {}
-        for place, stretch in [((), self), *self._islands.items()]:
+        for place, segment in [((), self), *self._parts.items()]:
             noises: list[NoiseSource] = []
             for rule in plan.lasting(FaultKind.NOISE):
-                for ports in self._ears(rule, stretch):
+                for ports in self._ears(rule, segment):
                     key = (rule.name, ports, place)
                     sources[key] = self._sources.get(key) or NoiseSource(rule, ports, plan.draw)
                     noises.append(sources[key])
-            stretch.set_noises(noises, now_ns)
-            names = [node.name for node in stretch.members]
+            segment.set_noises(noises, now_ns)
+            names = [node.name for node in segment.members]
             rules = plan.lasting(FaultKind.SHORT)
-            shorts = [rule for rule in rules if rule.shorts(names, stretch is self)]
-            stretch.set_level(shorts[0].level if shorts else None, now_ns)
-            stretch.go_on_babbling(now_ns)
+            shorts = [rule for rule in rules if rule.shorts(names, segment is self)]
+            segment.set_level(shorts[0].level if shorts else None, now_ns)
+            segment.go_on_babbling(now_ns)
         self._sources = sources
 
-    def _ears(self, rule: FaultRule, stretch: CanStretch) -> list[int]:
+    def _ears(self, rule: FaultRule, segment: CanSegment) -> list[int]:
         """Return port masks that see the inverted bits: one for all, or one per port."""
         if not rule.ports:
             return [ALL_PORTS]
-        return [1 << node.number for node in stretch.members if node.name in rule.ports]
+        return [1 << node.number for node in segment.members if node.name in rule.ports]
 
     def _submit_held(self, node: CanPort, entry: int, frame: bytes, now_ns: int) -> bool:
         number = node.tag >> PORT_SHIFT

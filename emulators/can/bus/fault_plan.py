@@ -1,11 +1,7 @@
-"""Fault plan of a CAN bus: rules, their firings and recorded events.
+"""Fault plan of a CAN bus: rules, their firings and effects.
 
 DROP, DELAY, DUPLICATE and CORRUPT are evaluated once per complete frame, ERROR once when a frame
 has begun. Rules are tried in order; the first that fires decides.
-
-Placement of an injected error in a frame.
-
-Seam between a fault plan and the traffic of a bus.
 """
 
 from collections.abc import Callable, Sequence
@@ -14,13 +10,18 @@ from typing import Final, final
 
 from motorhil.emulators.can.bitlevel.encoder import DOMINANT, WireFrame, wire_frame
 from motorhil.emulators.can.bitlevel.episode import ALL_PORTS, Disturbance, Effect
-from motorhil.emulators.can.bus.port import DELIVERED, HEARD, LOST, Delivery, kind_without
+from motorhil.emulators.can.bus.port import DELIVERED, HEARD, LOST, NEVER_NS, Delivery, kind_without
 from motorhil.emulators.can.error_confinement import ACK_SLOT, CRC_DELIMITER, DATA, DLC
 from motorhil.emulators.can.fault_rules import LASTING, FaultKind, FaultRule, FrameError
 from motorhil.emulators.can.frame import RTR_FLAG, can_id_of, pack
 from motorhil.emulators.can.frame_length import INTERMISSION_BITS
 
 STUFF_RUN: Final = 5
+# the sender's error flag (6), the last bit of the overload flags that follow it, a delimiter (8)
+ERROR_FRAME_BITS: Final = 15
+
+# (time [ns], rule or node, event, the frame hit; no bytes without a frame)
+FaultEvent = tuple[int, str, str, bytes]
 
 
 def has_bit(frame: bytes, bit: int) -> bool:
@@ -91,12 +92,6 @@ def _stuff_bits(levels: bytes) -> list[int]:
         last = level
         due = run == STUFF_RUN
     return stuffed
-
-
-# (time [ns], rule or node, event, the frame hit; no bytes without a frame)
-FaultEvent = tuple[int, str, str, bytes]
-
-NEVER_NS: Final = -1
 
 
 @final
@@ -294,10 +289,6 @@ def _over(rule: FaultRule) -> str:
         FaultKind.BABBLE: f"{rule.sender} babbles no more",
         FaultKind.SHORT: "the wire is free",
     }.get(rule.kind, f"{', '.join(rule.ports)} back")
-
-
-# the sender's error flag (6), the last bit of the overload flags that follow it, a delimiter (8)
-ERROR_FRAME_BITS: Final = 15
 
 
 @final

@@ -1,12 +1,8 @@
-"""Transmit side of a node: its candidate and its queue.
-
-Participation of a node in its bus: error counters and roles.
+"""A node of a CAN bus: frames, participation, and deliveries.
 
 A node that comes back after a cut listens until it has heard 11 recessive bits in a row. A bus-off
 node waits until it has counted 128 such runs. Between frames the bus does not process single bits:
 it knows when the runs will be complete unless a frame begins before.
-
-Deliveries of a bus: receivers of a frame and confirmation.
 
 A delivery is (frame, port that sent it, kind). Without faults the kind is always 0. Otherwise its
 low two bits select the action. The bits above are the ports (1 << number) that do not hear this
@@ -17,18 +13,37 @@ from enum import Enum
 from heapq import heappop, heappush
 from typing import Final, final
 
-from motorhil.emulators.can import error_confinement as told
 from motorhil.emulators.can.bitlevel.controller import state_message
 from motorhil.emulators.can.bitlevel.episode import Outcome, Station
 from motorhil.emulators.can.controller_config import CanNode, QueueOrder
-from motorhil.emulators.can.error_confinement import TEC_MAX, Confinement, ErrorState
+from motorhil.emulators.can.error_confinement import (
+    RESTARTED,
+    TEC_MAX,
+    Confinement,
+    ErrorState,
+    pack_error,
+)
 from motorhil.emulators.can.frame_length import KEY_SHIFT
 
 # An entry in an arbitration: key << 30 | port << 18 | lengths. The lowest wins. Its 62 bits fit
-# the tagged integers of compiled code. The lengths are those of `can_bits`.
+# the tagged integers of compiled code. The lengths are those of `frame_length`.
 PORT_SHIFT: Final = 18
 PORT_MASK: Final = 0xFFF
 CUT_OFF: Final = -1  # in place of the candidate's entry: off the bus, all frames wait
+
+RUN_BITS: Final = 11  # length of a recessive run, for integration and recovery
+RECOVERY_RUNS: Final = 128
+NEVER_NS: Final = -1
+
+Delivery = tuple[bytes, int, int]
+DELIVERED: Final = 0  # all others hear it, and the sender is informed that it was sent
+LOST: Final = 1  # the sender is informed that it was sent; no node hears it, or not yet
+TOLD: Final = 3  # an error message from its CAN controller, for the port named as sender only
+HEARD: Final = 2  # all others hear it; the sender is informed before or later
+KIND_MASK: Final = 3
+NOTED: Final = TOLD | 1 << 2  # an error message that the node does not request: recorded only
+
+_KIND_BITS: Final = 2
 
 
 @final
@@ -45,6 +60,7 @@ class CanPort:
         losses: arbitrations lost by earlier candidates.
         repeated: frames that a fault made the node send again.
         babbling: the candidate is a babbled frame, not a submitted one.
+        turn: number of frames queued so far, the order within a rank.
     """
 
     def __init__(self, number: int, name: str, chip: CanNode) -> None:
@@ -59,7 +75,7 @@ class CanPort:
         self.losses = 0
         self.repeated: set[bytes] = set()
         self.babbling = False
-        self._turn = 0
+        self.turn = 0
 
     def pending(self) -> int:
         """Return the number of pending frames."""
@@ -67,13 +83,13 @@ class CanPort:
 
     def queue(self, entry: int, frame: bytes) -> None:
         """Queue the frame as the last of its rank."""
-        self._turn += 1
-        heappush(self.behind, (self._rank(entry), self._turn, entry, frame))
+        self.turn += 1
+        heappush(self.behind, (self._rank(entry), self.turn, entry, frame))
 
     def put_back(self) -> None:
         """Put the candidate back as the first of its rank, leaving no candidate."""
-        self._turn += 1
-        heappush(self.behind, (self._rank(self.entry), -self._turn, self.entry, self.frame))
+        self.turn += 1
+        heappush(self.behind, (self._rank(self.entry), -self.turn, self.entry, self.frame))
         self.entry = 0
 
     def promote(self) -> bool:
@@ -89,15 +105,10 @@ class CanPort:
         self.behind, other.behind = other.behind, []
         self.losses = other.losses
         self.repeated = other.repeated
-        self._turn, other._turn = other._turn, 0  # noqa: SLF001 -- another one of its own kind
+        self.turn, other.turn = other.turn, 0
 
     def _rank(self, entry: int) -> int:
         return entry >> KEY_SHIFT if self.by_priority else 0
-
-
-RUN_BITS: Final = 11  # length of a recessive run, for integration and recovery
-RECOVERY_RUNS: Final = 128
-NEVER_NS: Final = -1
 
 
 class Role(Enum):
@@ -191,7 +202,7 @@ class Presence:
         self.since_ns = NEVER_NS
         self.confinement = Confinement()
         self._told = ErrorState.ACTIVE
-        return told.pack_error(told.RESTARTED)
+        return pack_error(RESTARTED)
 
     def dominant_from(self, now_ns: int, bit_ns: int) -> None:
         """Count the recessive runs up to the frame that begins now."""
@@ -250,17 +261,6 @@ class Presence:
             return b""
         self._told = state
         return state_message(counters)
-
-
-Delivery = tuple[bytes, int, int]
-DELIVERED: Final = 0  # all others hear it, and the sender is informed that it was sent
-LOST: Final = 1  # the sender is informed that it was sent; no node hears it, or not yet
-TOLD: Final = 3  # an error message from its CAN controller, for the port named as sender only
-HEARD: Final = 2  # all others hear it; the sender is informed before or later
-KIND_MASK: Final = 3
-NOTED: Final = TOLD | 1 << 2  # an error message that the node does not request: recorded only
-
-_KIND_BITS: Final = 2
 
 
 def hears(kind: int, port: int) -> bool:

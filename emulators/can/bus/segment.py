@@ -1,46 +1,38 @@
-"""Nodes on one wire, and the frames of absent nodes.
+"""One wire of a CAN bus: nodes, arbitration, fate of frames.
 
-Nodes that may not send keep their frames: the entry of their port is CUT_OFF.
+Arbitration (ISO 11898-1): every frame takes its exact length (`frame_length`). Nodes with a pending
+frame compete when the bus becomes free. Each frame is followed by 3 bits of intermission. A frame
+that is submitted during the intermission, or within the first bit time of another node's start of
+frame, still takes part. This needs no timer: `submit` repeats the arbitration.
 
-Results of the frame in flight: completion, or an episode.
+Faults: the fate of a frame is decided one bit after its start, the last moment at which another
+node could have joined it. An undisturbed frame completes at its end, and counters go down.
+Otherwise the time until all nodes agree again is an episode (`bitlevel.episode`). The episode is
+played bit by bit (`Playback`), and computed again if something happens meanwhile. Nodes that may
+not send keep their frames: the entry of their port is CUT_OFF.
 
 A lone error passive node repeats its frame for ever without any change. This costs nothing here.
 
-A stretch of cable with its nodes, under faults.
-
-The fate of a frame is decided one bit after its start, the last moment at which another node could
-have joined it. An undisturbed frame completes at its end, and counters go down. Otherwise the time
-until all nodes agree again is an episode (`can_episode`). The episode is played bit by bit
-(`Playback`), and computed again if something happens meanwhile.
-
-Playback of an episode in time.
-
-The episode is computed some bits ahead. When these are played, the computed length is doubled. The
-total cost is therefore proportional to the length of the episode, and an endless one costs no more
-than the time that it has lasted.
+The class is long because all of it decides about one frame in flight.
 """
 
 from collections.abc import Sequence
 from dataclasses import replace
-from heapq import heappush
-from typing import Final, final
+from heapq import heapify, heappop, heappush
+from typing import Final
 
 from motorhil.emulators.can.bitlevel.controller import SUSPEND_BITS
 from motorhil.emulators.can.bitlevel.encoder import wire_frame
 from motorhil.emulators.can.bitlevel.episode import (
-    ALL_BITS,
     ALL_PORTS,
     Disturbance,
     Effect,
-    Episode,
     Event,
     EventKind,
     Outcome,
-    Station,
-    run_episode,
 )
-from motorhil.emulators.can.bus.arbitration import CanArbitration
 from motorhil.emulators.can.bus.fault_plan import ERROR_FRAME_BITS, FaultSeam, struck
+from motorhil.emulators.can.bus.playback import Playback
 from motorhil.emulators.can.bus.port import (
     CUT_OFF,
     LOST,
@@ -54,53 +46,108 @@ from motorhil.emulators.can.bus.port import (
     Presence,
     Role,
 )
+from motorhil.emulators.can.bus.statistics import CanStatistics
 from motorhil.emulators.can.controller_config import ONE, CanNode, FrameSupport, first_misread
 from motorhil.emulators.can.error_confinement import ACK_SLOT, MESSAGE_BUS_OFF
-from motorhil.emulators.can.fault_rules import FaultRule, NoiseSource, WireLevel
-from motorhil.emulators.can.frame import FRAME_BYTES, can_id_of
+from motorhil.emulators.can.fault_rules import NoiseSource, WireLevel
+from motorhil.emulators.can.frame import EFF_MASK, FRAME_BYTES, can_id_of
 from motorhil.emulators.can.frame_length import (
     CLASSICAL_MAX,
+    INTERMISSION_BITS,
     KEY_SHIFT,
     LENGTHS_MASK,
     bits_of,
     measure,
+    phases_of,
 )
 
+NOBODY: Final = (1 << 62) - 1  # in flight while no node's frame occupies the wire
+_TAIL_BITS: Final = 8  # ACK delimiter and end of frame: recessive, before the intermission
+_LONGEST_BITS: Final = 1024  # more bits than any frame, including one that may still join
+_EFFECTS: Final = {WireLevel.DOMINANT: Effect.DOMINANT, WireLevel.RECESSIVE: Effect.RECESSIVE}
 
-class CanMembers(CanArbitration):
-    """One wire, and the nodes on it.
+
+class CanSegment:
+    """One wire and the nodes on it: a whole bus, or a part that is split off.
 
     Args:
         name: the name of the bus.
-        bit_ns, data_bit_ns: bit durations [ns], as for `CanArbitration`.
+        bit_ns: the duration of a bit [ns].
+        data_bit_ns: the duration of a bit at the data rate [ns]; 0: the bus is classical.
         seam: the faults of the bus.
         nodes: the nodes of the whole bus, by number.
 
-    Attributes (read only): members, the nodes on this wire, by number.
+    Attributes (read only): name, bit_ns, data_bit_ns, statistics; members, the nodes on this wire,
+    by number.
     """
 
     __slots__ = (
+        "_accepted",
+        "_accepted_frame",
+        "_attempt",
+        "_busy",
+        "_collided",
+        "_competing",
+        "_decided",
+        "_end_ns",
+        "_faulty",
+        "_flight",
+        "_free_ns",
         "_hearing",
         "_hearing_fd",
         "_held",
+        "_intermission_ns",
         "_is_alone",
         "_is_apart",
         "_is_mixed",
         "_is_mixed_told",
+        "_is_skewed",
+        "_joinable_ns",
         "_level",
         "_nodes",
         "_noises",
         "_now_ns",
+        "_plain_max",
+        "_playback",
+        "_ports",
+        "_repeat_ns",
+        "_repeat_until_ns",
         "_seam",
+        "_senders",
+        "_sent",
+        "_sent_bit",
+        "_start_ns",
+        "_starts",
         "_unwell",
         "_watchful",
+        "bit_ns",
+        "data_bit_ns",
         "members",
+        "name",
+        "statistics",
     )
 
     def __init__(
         self, name: str, bit_ns: int, data_bit_ns: int, seam: FaultSeam, nodes: list[Presence]
     ) -> None:
-        super().__init__(name, bit_ns, data_bit_ns)
+        self.name = name
+        self.bit_ns = bit_ns
+        self.data_bit_ns = data_bit_ns
+        self.statistics = CanStatistics()
+        self._busy = self.statistics.busy
+        self._ports: list[CanPort] = []
+        self._competing: list[int] = []  # heap of the entries of candidates not in flight
+        self._flight = 0  # entry in flight; 0: idle
+        self._start_ns = 0
+        self._joinable_ns = 0  # other nodes may join until then (exclusive)
+        self._end_ns = 0  # end of EOF of the frame in flight
+        self._free_ns = 0  # end of the last intermission
+        self._intermission_ns = INTERMISSION_BITS * bit_ns
+        self._starts = 0  # number of arbitrations so far
+        self._collided = False  # the frame in flight has beaten one with the same key
+        self._is_skewed = False  # a node's clock has an error
+        self._plain_max = CLASSICAL_MAX  # the duration of longer frames comes from `_duration_ns`
+        self._faulty = False  # a fault is active or possible
         self._seam = seam
         self._nodes = nodes
         self.members: list[Presence] = []
@@ -116,12 +163,225 @@ class CanMembers(CanArbitration):
         self._level: WireLevel | None = None  # level at which the wire is stuck
         self._now_ns = 0  # time of the current step
         self._is_alone = False  # the missing acknowledgement has been reported
+        self._decided = -1  # number of the arbitration whose frame's fate is decided
+        self._playback: Playback | None = None
+        self._senders: list[int] = []  # ports whose frames take part in the playback
+        self._sent: list[int] = []  # those of them whose frames were sent
+        self._sent_bit = -1  # bit in which the last of these was sent
+        self._accepted = 0  # mask of the receivers of the last sent frame, until it is delivered
+        self._accepted_frame = b""
+        self._attempt = (0, 0, 0, 0, 0)  # of a lone node: entry, TEC, REC, bits, ns to the next
+        self._repeat_ns = 0  # period of these attempts; 0: none
+        self._repeat_until_ns = NEVER_NS
+
+    # --- arbitration
+
+    def submit(self, port: int, frame: bytes, now_ns: int) -> None:
+        """Submit a frame (can_frame or canfd_frame) for transmission by this port.
+
+        Raises:
+            ValueError: a node cannot send this frame (see `measure`); or it is a CAN FD frame and
+                the bus or the node is classical.
+        """
+        node = self._ports[port]
+        entry = measure(frame) | node.tag
+        if len(frame) > FRAME_BYTES:
+            self._require_fd(node, frame)
+        if node.entry:
+            self._submit_behind(node, entry, frame, now_ns)
+            return
+        node.entry = entry
+        node.frame = frame
+        if self._flight:
+            self._compete(node, now_ns)
+        else:
+            self._starts += 1
+            self._collided = False
+            self._begin(entry, now_ns if now_ns > self._free_ns else self._free_ns)
+
+    def pending(self, port: int) -> int:
+        """Return the number of submitted frames of this port that are not yet sent completely."""
+        return self._ports[port].pending()
+
+    def withdraw(self, port: int) -> int:
+        """Discard this port's pending frames, except one in flight, and return their number."""
+        node = self._ports[port]
+        count = len(node.behind)
+        node.behind.clear()
+        if node.entry > 0 and node.entry != self._flight:
+            self._leave_race(node)
+            node.entry = 0
+            count += 1
+        return count
+
+    def arbitration_losses(self, port: int) -> int:
+        """Return how often a frame of this port competed and had to wait for another node's."""
+        node = self._ports[port]
+        if node.entry > 0 and node.entry != self._flight:
+            return node.losses + self._starts - node.starts_seen
+        return node.losses
+
+    def port_names(self) -> list[str]:
+        """Return the names of the ports, by number."""
+        return [port.name for port in self._ports]
+
+    def _begin(self, entry: int, start_ns: int) -> None:
+        """Start the frame that has won so far at `start_ns`."""
+        bit_ns = self.bit_ns
+        self._flight = entry
+        self._start_ns = start_ns
+        self._joinable_ns = start_ns + bit_ns
+        lengths = entry & LENGTHS_MASK
+        if lengths <= self._plain_max:
+            self._end_ns = start_ns + lengths * bit_ns - self._intermission_ns
+        else:
+            self._end_ns = start_ns + self._duration_ns(entry)
+
+    def _duration_ns(self, entry: int) -> int:
+        """Return the frame's duration without intermission, by its sender's clock [ns]."""
+        lengths, number = entry & LENGTHS_MASK, entry >> PORT_SHIFT & PORT_MASK
+        whole_ns = self._fd_ns(lengths) if lengths > CLASSICAL_MAX else lengths * self.bit_ns
+        duration_ns = whole_ns - self._intermission_ns
+        if not self._is_skewed or number >= len(self._ports):  # or no node's frame
+            return duration_ns
+        return duration_ns * ONE // (ONE + self._ports[number].chip.clock_error_1e12)
+
+    def _skew(self) -> None:
+        """Compute frame durations from the sender's clock from now on."""
+        self._is_skewed = True
+        self._plain_max = 0
+
+    def _fd_ns(self, lengths: int) -> int:
+        """Return the duration of a CAN FD frame, intermission included [ns]."""
+        bits, data_bits = phases_of(lengths)
+        return bits * self.bit_ns + data_bits * self.data_bit_ns
+
+    def _require_fd(self, node: CanPort, frame: bytes) -> None:
+        """Check that the node may send this CAN FD frame on this bus."""
+        number = f"CAN FD frame {can_id_of(frame) & EFF_MASK:X}h"
+        if not self.data_bit_ns:
+            raise ValueError(
+                f"{number}: bus {self.name} is classical CAN; give it a data bit rate "
+                "(data_bitrate_bit_s)"
+            )
+        if node.chip.frames is not FrameSupport.FD:
+            raise ValueError(
+                f"{number}: {node.name} on bus {self.name} has a classical CAN controller (frames "
+                f'= "{node.chip.frames.value}"); an FD one sends it'
+            )
+
+    def _arbitrate(self, start_ns: int) -> None:
+        """Start the best competing frame; leave the bus idle if there is none."""
+        competing = self._competing
+        if not competing:
+            self._flight = 0
+            return
+        entry = heappop(competing)
+        node = self._ports[entry >> PORT_SHIFT & PORT_MASK]
+        node.losses += self._starts - node.starts_seen
+        self._starts += 1
+        self._collided = False
+        if competing and competing[0] >> KEY_SHIFT == entry >> KEY_SHIFT:
+            self._collide()
+        self._begin(entry, start_ns)
+
+    def _compete(self, node: CanPort, now_ns: int) -> None:
+        """Add a candidate to the current arbitration if it can still join, else to the next."""
+        if now_ns < self._joinable_ns:
+            node.starts_seen = self._starts - 1
+            self._join(node)
+        else:
+            node.starts_seen = self._starts
+            heappush(self._competing, node.entry)
+
+    def _join(self, node: CanPort) -> None:
+        """Let a candidate join the arbitration that another node's frame has won so far."""
+        entry = node.entry
+        flight = self._flight
+        if entry >> KEY_SHIFT == flight >> KEY_SHIFT:
+            self._collide()
+        elif entry < flight:
+            self._collided = False
+        if entry > flight:
+            heappush(self._competing, entry)
+            return
+        before = self._starts - 1
+        node.losses += before - node.starts_seen
+        self._ports[flight >> PORT_SHIFT & PORT_MASK].starts_seen = before
+        heappush(self._competing, flight)
+        self._begin(entry, self._start_ns)
+
+    def _collide(self) -> None:
+        """Record that two nodes send frames of one identifier and type at once."""
+        self._collided = True
+        self._faulty = True
+
+    def _succeed(self, node: CanPort, entry: int, bits: int) -> None:
+        """Count a sent frame of this many bits and let the node's next frame compete."""
+        key = entry >> KEY_SHIFT
+        statistics = self.statistics  # inlined `count`; the call would cost 4 % of the frame
+        statistics.frames += 1
+        statistics.bits += bits
+        counts = statistics.by_key
+        counts[key] = counts.get(key, 0) + 1
+        if self._collided:
+            statistics.count_collision(key)
+        free_ns = self._free_ns = self._end_ns + self._intermission_ns
+        self._busy.add(self._start_ns, free_ns)
+        if not node.behind:
+            node.entry = 0
+        elif node.promote():
+            node.starts_seen = self._starts
+            heappush(self._competing, node.entry)
+
+    def _occupy(self, more_bits: int) -> None:
+        """Keep the bus busy for the frame in flight and `more_bits` nominal bits."""
+        self._free_ns = self._end_ns + self._intermission_ns + more_bits * self.bit_ns
+        self._busy.add(self._start_ns, self._free_ns)
+
+    def _submit_behind(self, node: CanPort, entry: int, frame: bytes, now_ns: int) -> None:
+        """Queue a frame of a node that has a candidate; it may replace the candidate."""
+        if self._faulty and self._submit_held(node, entry, frame, now_ns):
+            return
+        flying = node.entry == self._flight
+        if (
+            not node.by_priority
+            or entry >> KEY_SHIFT >= node.entry >> KEY_SHIFT
+            or (flying and now_ns >= self._joinable_ns)
+        ):
+            node.queue(entry, frame)
+            return
+        old = node.entry
+        node.put_back()
+        node.entry = entry
+        node.frame = frame
+        if flying:
+            self._collided = False
+            self._begin(entry, self._start_ns)
+            return
+        self._drop_out(old)
+        if now_ns < self._joinable_ns:
+            self._join(node)
+        else:
+            heappush(self._competing, entry)
+
+    def _leave_race(self, node: CanPort) -> None:
+        """Withdraw the node's candidate, which is not in flight, and count its losses."""
+        self._drop_out(node.entry)
+        node.losses += self._starts - node.starts_seen
+
+    def _drop_out(self, entry: int) -> None:
+        """Remove this entry from the arbitration."""
+        self._competing.remove(entry)
+        heapify(self._competing)
+
+    # --- nodes on this wire
 
     def add_port(self, port: CanPort) -> None:
         """Add a port of the bus; its node is not on this wire yet."""
         self._ports.append(port)
 
-    def take_port(self, number: int, other: "CanMembers") -> None:
+    def take_port(self, number: int, other: "CanSegment") -> None:
         """Take over the frames that wait at this port on the other wire."""
         self._ports[number].adopt(other.port(number))
 
@@ -234,205 +494,6 @@ class CanMembers(CanArbitration):
         """Give up the frame and record it."""
         node.aborted += 1
         self._seam.plan.note(self._now_ns, node.name, f"not sent: {why}", frame)
-
-
-def clocks_are_apart(chips: list[CanNode]) -> bool:
-    """Return whether two of these may misread each other's frames because of their clocks."""
-    if not chips:
-        return False
-    errors = [chip.clock_error_1e12 for chip in chips]
-    slowest = min(errors)
-    drift = (max(errors) - slowest) * ONE // (ONE + slowest)
-    return drift > min(chip.timing.tolerance_1e12() for chip in chips)
-
-
-def _number_of(node: Presence) -> int:
-    return node.number
-
-
-_MARGIN_BITS: Final = 512
-
-
-@final
-class Playback:
-    """A stretch of time on one wire, from a start of frame until all nodes agree again.
-
-    After a change it is computed again while it is played; the past stays as it was.
-
-    Attributes (read only):
-        start_ns: its start of frame [ns].
-        stations: as they were then.
-        over_ns: when the next frame may start [ns], or the end of the computed part if it is not
-            over.
-        end: the episode, as far as it is computed.
-    """
-
-    def __init__(
-        self,
-        start_ns: int,
-        rates_ns: tuple[int, int],
-        stations: Sequence[Station],
-        disturbances: Sequence[Disturbance],
-        noises: Sequence[NoiseSource],
-    ) -> None:
-        self.start_ns = start_ns
-        self.stations = list(stations)
-        self._bit_ns, self._data_bit_ns = rates_ns
-        self._disturbances = list(disturbances)
-        self._noises = noises
-        self._quiet_from = [ALL_BITS] * len(noises)  # bit from which on each is inactive
-        self._played = 0
-        self._until_bit = _MARGIN_BITS
-        self._compute()
-
-    def go_on(self) -> bool:
-        """Compute the next part after all is played; return False if the episode is over."""
-        if self.end.is_over:
-            return False
-        self._until_bit = max(2 * self._until_bit, self.end.bits + _MARGIN_BITS)
-        self._compute()
-        return True
-
-    def strike(self, disturbance: Disturbance) -> None:
-        """Add a disturbance that begins now or later."""
-        self._disturbances.append(disturbance)
-        self._compute()
-
-    def end_lasting(self, now_ns: int) -> None:
-        """End all disturbances without an end at `now_ns`."""
-        end = self.bit_at(now_ns)
-        self._disturbances = [
-            replace(one, bits=max(end - one.first, 0)) if one.bits is None else one
-            for one in self._disturbances
-        ]
-        self._compute()
-
-    def spare(self, noises: Sequence[NoiseSource], now_ns: int) -> None:
-        """Stop the inversion of bits by all noise sources except these."""
-        gone = [number for number, source in enumerate(self._noises) if source not in noises]
-        if gone:
-            bit = self.bit_at(now_ns)
-            for number in gone:
-                self._quiet_from[number] = min(bit, self._quiet_from[number])
-            self._compute()
-
-    def leave(self, port: int, now_ns: int) -> None:
-        """Remove a node from now on."""
-        bit = self.bit_at(now_ns)
-        self.stations = [
-            replace(station, leaves_at=bit)
-            if station.port == port and station.leaves_at is None
-            else station
-            for station in self.stations
-        ]
-        self._compute()
-
-    def next_ns(self) -> int:
-        """Return the time of the next event, or of the end [ns]."""
-        events = self.end.events
-        if self._played < len(events):
-            return self._at(events[self._played].bit)
-        return self.over_ns
-
-    def take(self, now_ns: int) -> Event | None:
-        """Return the next event that is due, or None."""
-        events = self.end.events
-        if self._played == len(events) or self._at(events[self._played].bit) > now_ns:
-            return None
-        self._played += 1
-        return events[self._played - 1]
-
-    def off_ns(self, outcome: Outcome) -> int:
-        """Return when this node became bus-off [ns]; its start of frame if it did not."""
-        return self.start_ns if outcome.off_at is None else self._at(outcome.off_at)
-
-    def outcome(self, port: int) -> Outcome | None:
-        """Return the final state of the node, or None if it was not a station."""
-        for outcome in self.end.outcomes:
-            if outcome.port == port:
-                return outcome
-        return None
-
-    def bit_at(self, now_ns: int) -> int:
-        """Return the first bit that begins at `now_ns` or later."""
-        bit = (now_ns - self.start_ns + self._bit_ns - 1) // self._bit_ns
-        while self._at(bit - 1) < now_ns:
-            bit += 1
-        return bit
-
-    def inverted(self) -> list[tuple[int, int, FaultRule]]:
-        """Return (time [ns], bit, rule) of each bit that noise has inverted, in order."""
-        hits = [
-            (bit, number, source.rule)
-            for number, source in enumerate(self._noises)
-            for bit in source.within(min(self.end.bits, self._quiet_from[number]))
-        ]
-        hits.sort(key=lambda hit: hit[:2])
-        return [(self._at(bit), bit, rule) for bit, _, rule in hits]
-
-    def pass_noise_by(self) -> None:
-        """Advance all noise sources by the bits of the episode."""
-        for source in self._noises:
-            source.pass_by(self.end.bits)
-
-    def _compute(self) -> None:
-        """Compute the episode so far, with enough noise for its length."""
-        self.end = self._run()
-        while self._noises and self.end.bits > self._until_bit:
-            self._until_bit = self.end.bits + _MARGIN_BITS
-            self.end = self._run()
-        self.over_ns = self._at(self.end.bits - 1)
-
-    def _run(self) -> Episode:
-        ratio = max(1, round(self._bit_ns / self._data_bit_ns))
-        until_bit = self._until_bit
-        return run_episode(self.stations, self._with_noise(until_bit), 0, ratio, until_bit)
-
-    def _with_noise(self, bits: int) -> list[Disturbance]:
-        disturbances = list(self._disturbances)
-        for source, quiet_from in zip(self._noises, self._quiet_from, strict=True):
-            struck = source.within(min(bits, quiet_from))
-            disturbances += [Disturbance(bit, ports=source.ports) for bit in struck]
-        return disturbances
-
-    def _at(self, bit: int) -> int:
-        return self.start_ns + self.end.end_ns(bit, self._bit_ns, self._data_bit_ns)
-
-
-NOBODY: Final = (1 << 62) - 1  # in flight while no node's frame occupies the wire
-_TAIL_BITS: Final = 8  # ACK delimiter and end of frame: recessive, before the intermission
-
-
-class CanOutcomes(CanMembers):
-    """One wire, and the results of the frames on it. The arguments are those of `CanMembers`."""
-
-    __slots__ = (
-        "_accepted",
-        "_accepted_frame",
-        "_attempt",
-        "_decided",
-        "_playback",
-        "_repeat_ns",
-        "_repeat_until_ns",
-        "_senders",
-        "_sent",
-        "_sent_bit",
-    )
-
-    def __init__(
-        self, name: str, bit_ns: int, data_bit_ns: int, seam: FaultSeam, nodes: list[Presence]
-    ) -> None:
-        super().__init__(name, bit_ns, data_bit_ns, seam, nodes)
-        self._decided = -1  # number of the arbitration whose frame's fate is decided
-        self._playback: Playback | None = None
-        self._senders: list[int] = []  # ports whose frames take part in the playback
-        self._sent: list[int] = []  # those of them whose frames were sent
-        self._sent_bit = -1  # bit in which the last of these was sent
-        self._accepted = 0  # mask of the receivers of the last sent frame, until it is delivered
-        self._accepted_frame = b""
-        self._attempt = (0, 0, 0, 0, 0)  # of a lone node: entry, TEC, REC, bits, ns to the next
-        self._repeat_ns = 0  # period of these attempts; 0: none
-        self._repeat_until_ns = NEVER_NS
 
     # --- undisturbed frames
 
@@ -709,25 +770,6 @@ class CanOutcomes(CanMembers):
         self._attempt = (0, 0, 0, 0, 0)
         self._decided = -1
 
-
-def bits_in(entry: int) -> int:
-    """Return the number of bits of a frame at either rate, intermission included."""
-    lengths = entry & LENGTHS_MASK
-    return bits_of(lengths) if lengths > CLASSICAL_MAX else lengths
-
-
-_LONGEST_BITS: Final = 1024  # more bits than any frame, including one that may still join
-_EFFECTS: Final = {WireLevel.DOMINANT: Effect.DOMINANT, WireLevel.RECESSIVE: Effect.RECESSIVE}
-
-
-class CanStretch(CanOutcomes):
-    """One wire, and the nodes on it: a whole bus, or a part that is split off.
-
-    The arguments are those of `CanMembers`.
-    """
-
-    __slots__ = ()
-
     def _is_calm(self) -> bool:
         """Return whether no fault is active or possible here."""
         return not (
@@ -999,6 +1041,7 @@ class CanStretch(CanOutcomes):
         self._play([number], [Disturbance(slot, Effect.DOMINANT)] if acknowledged else [])
 
     def _submit_held(self, node: CanPort, entry: int, frame: bytes, now_ns: int) -> bool:
+        """Return whether faults keep the frame from the normal queue; it is then dealt with."""
         number = node.tag >> PORT_SHIFT
         if self._nodes[number].role is Role.OFF:
             self._now_ns = now_ns
@@ -1075,6 +1118,22 @@ class CanStretch(CanOutcomes):
             self._arbitrate(max(now_ns, self._free_ns))
 
 
+def bits_in(entry: int) -> int:
+    """Return the number of bits of a frame at either rate, intermission included."""
+    lengths = entry & LENGTHS_MASK
+    return bits_of(lengths) if lengths > CLASSICAL_MAX else lengths
+
+
+def clocks_are_apart(chips: list[CanNode]) -> bool:
+    """Return whether two of these may misread each other's frames because of their clocks."""
+    if not chips:
+        return False
+    errors = [chip.clock_error_1e12 for chip in chips]
+    slowest = min(errors)
+    drift = (max(errors) - slowest) * ONE // (ONE + slowest)
+    return drift > min(chip.timing.tolerance_1e12() for chip in chips)
+
+
 def misreadings(frame: bytes, sender: Presence, members: list[Presence]) -> list[Disturbance]:
     """Return the first misread bit of a classical frame, for each node with a large clock error."""
     levels = bytes(wire_frame(frame).expected)
@@ -1089,3 +1148,7 @@ def misreadings(frame: bytes, sender: Presence, members: list[Presence]) -> list
         if bit is not None:
             found.append(Disturbance(bit, Effect.FLIP, 1, 1 << node.number))
     return found
+
+
+def _number_of(node: Presence) -> int:
+    return node.number

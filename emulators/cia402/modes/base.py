@@ -31,7 +31,7 @@ class Mode:
         """Obey a controlword; `rising` are the bits that were 0 in the one before."""
 
     def written(self, what: int, now_ns: int) -> None:
-        """Handle objects that were written (a set of `Written` bits)."""
+        """Handle objects that were written (bits of `ObjectChange`)."""
 
     def sees(self, edges: list[Edge]) -> None:
         """Handle edges of digital inputs."""

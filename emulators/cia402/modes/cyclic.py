@@ -1,4 +1,4 @@
-"""Base of the cyclic synchronous modes (csp, csv, cst): timing of set-points.
+"""Cyclic synchronous modes: position (csp), velocity (csv), torque (cst).
 
 A set-point takes effect with its RPDO (at SYNC for types 0 to 240). The demand changes linearly
 during the interpolation time period 60C2h. If that is 0 or absent, the time between the last two
@@ -8,31 +8,21 @@ The loss of SYNC is a fault if the rig sets `sync_lost_periods`, 60C2h states a 
 has been received. The fault occurs after that number of periods without SYNC, because the host has
 lost its clock. CiA 402 defines no error code for it; the rig can set one.
 
-Cyclic synchronous position mode (csp).
+In csp, a set-point that cannot be reached in time within 607Fh and 6080h is approached at that
+speed. The demand catches up with later set-points, as ABB's ACSM1 does in synchron control (dynamic
+limiter of the position reference). Meanwhile bit 11 is on and bit 12 off. A motor that falls behind
+causes a following error as usual. A halt ends within 607Dh, on a ramp steeper than 605Dh's if
+necessary: no motion under position control passes a software limit (Danfoss VLT servo drive ISD,
+607Dh).
 
-A set-point that cannot be reached in time within 607Fh and 6080h is approached at that speed. The
-demand catches up with later set-points, as ABB's ACSM1 does in synchron control (dynamic limiter of
-the position reference). Meanwhile bit 11 is on and bit 12 off. A motor that falls behind causes a
-following error as usual. A halt ends within 607Dh, on a ramp steeper than 605Dh's if necessary: no
-motion under position control passes a software limit (Danfoss VLT servo drive ISD, 607Dh).
-
-Cyclic synchronous velocity mode (csv): the host closes the position loop.
-
-Cyclic synchronous torque mode (cst): the drive closes only the current loop.
+In csv the host closes the position loop. In cst the drive closes only the current loop.
 """
 
 from typing import Final, final
 
 from motorhil.emulators.canopen.outbox import NEVER
 from motorhil.emulators.cia402.modes.base import Mode
-from motorhil.emulators.cia402.objects.changes import (
-    FACTORS,
-    MOTION_LIMITS,
-    OFFSETS,
-    TARGET_POSITION,
-    TARGET_VELOCITY,
-    TORQUE,
-)
+from motorhil.emulators.cia402.objects.changes import ObjectChange
 from motorhil.emulators.cia402.objects.dictionary import DriveObjects
 from motorhil.emulators.cia402.state_machine import CW_HALT, FOLLOWING_ERROR, FOLLOWS_COMMAND
 from motorhil.emulators.firmware import flags as f
@@ -40,6 +30,15 @@ from motorhil.emulators.firmware.axis import Axis
 
 PERIOD_MAX_NS: Final = 1_000_000_000
 _NONE_YET: Final = -1
+
+_C = ObjectChange
+_OFFSETS: Final = int(_C.OFFSETS)
+_SPEED_LIMIT: Final = int(_C.MOTION_LIMITS | _C.FACTORS)
+_TARGET_POSITION: Final = int(_C.TARGET_POSITION)
+_VELOCITY_DEMAND: Final = int(_C.TARGET_VELOCITY | _C.OFFSETS)
+_TORQUE_DEMAND: Final = int(_C.TORQUE | _C.OFFSETS | _C.FACTORS | _C.MOTION_LIMITS)
+
+NEAREST: Final = 3  # direction: a target is never half a range away from one cycle to the next
 
 
 class CyclicMode(Mode):
@@ -127,9 +126,6 @@ class CyclicMode(Mode):
             self._period_ns = min(PERIOD_MAX_NS, ticks * tick_ns)
 
 
-NEAREST: Final = 3  # direction: a target is never half a range away from one cycle to the next
-
-
 @final
 class CyclicPosition(CyclicMode):
     """Mode 8: 607Ah + 60B0h; 60B1h and 60B2h are fed forward. Bit 13: following error."""
@@ -150,13 +146,13 @@ class CyclicPosition(CyclicMode):
 
     def written(self, what: int, now_ns: int) -> None:
         """Follow a new target or offset."""
-        if what & (MOTION_LIMITS | FACTORS):
+        if what & _SPEED_LIMIT:
             self._speed_max_inc_s = self.objects.motion.velocity_max_inc_s()
-        if what & OFFSETS:
+        if what & _OFFSETS:
             self._has_offsets = self.objects.offsets.are_set()
             if not self._has_offsets:
                 self.axis.feed_current(0.0)
-        elif not what & TARGET_POSITION:
+        elif not what & _TARGET_POSITION:
             return
         self.measure(now_ns)
         if self.halted:
@@ -219,7 +215,7 @@ class CyclicVelocity(CyclicMode):
 
     def written(self, what: int, now_ns: int) -> None:
         """Follow a new velocity or offset."""
-        if not what & (TARGET_VELOCITY | OFFSETS):
+        if not what & _VELOCITY_DEMAND:
             return
         self.measure(now_ns)
         if not self.halted:
@@ -250,7 +246,7 @@ class CyclicTorque(CyclicMode):
 
     def written(self, what: int, now_ns: int) -> None:
         """Follow a new torque or offset."""
-        if not what & (TORQUE | OFFSETS | FACTORS | MOTION_LIMITS):
+        if not what & _TORQUE_DEMAND:
             return
         self.measure(now_ns)
         if not self.halted:

@@ -13,7 +13,7 @@ from typing import Final, final
 
 from motorhil.emulators.canopen.outbox import NEVER
 from motorhil.emulators.cia402.modes.base import Mode
-from motorhil.emulators.cia402.objects.changes import MOTION_LIMITS
+from motorhil.emulators.cia402.objects.changes import ObjectChange
 from motorhil.emulators.cia402.objects.dictionary import DriveObjects
 from motorhil.emulators.cia402.state_machine import (
     CW_HALT,
@@ -28,6 +28,7 @@ NEW_SET_POINT: Final = 0x0010
 CHANGE_IMMEDIATELY: Final = 0x0020
 RELATIVE: Final = 0x0040
 CHANGE_ON_SET_POINT: Final = 0x0200
+_MOTION_LIMITS: Final = int(ObjectChange.MOTION_LIMITS)
 
 SLOWEST_INC_S: Final = 1.0  # with 6081h = 0 the target would never be reached
 
@@ -102,7 +103,7 @@ class ProfilePosition(Mode):
 
     def written(self, what: int, now_ns: int) -> None:
         """Apply a changed limit to the present move too."""
-        if what & MOTION_LIMITS and not self.halted and self.axis.flags & f.PROFILE_ACTIVE:
+        if what & _MOTION_LIMITS and not self.halted and self.axis.flags & f.PROFILE_ACTIVE:
             self._start(now_ns)
 
     def settle(self, now_ns: int) -> None:

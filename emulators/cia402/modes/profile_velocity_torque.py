@@ -1,19 +1,14 @@
-"""Profile velocity mode (pv): 60FFh with the ramps 6083h and 6084h.
+"""Profile velocity (pv) and profile torque mode (tq).
 
-Profile torque mode (tq): 6071h on the ramp 6087h; 6080h limits the speed.
+In pv, 60FFh is reached on the ramps 6083h and 6084h. In tq, 6071h is reached on the ramp 6087h;
+6080h limits the speed.
 """
 
-from typing import final
+from typing import Final, final
 
 from motorhil.emulators.canopen.outbox import NEVER
 from motorhil.emulators.cia402.modes.base import Mode
-from motorhil.emulators.cia402.objects.changes import (
-    FACTORS,
-    MOTION_LIMITS,
-    RAMPS,
-    TARGET_VELOCITY,
-    TORQUE,
-)
+from motorhil.emulators.cia402.objects.changes import ObjectChange
 from motorhil.emulators.cia402.objects.dictionary import DriveObjects
 from motorhil.emulators.cia402.state_machine import (
     CW_HALT,
@@ -23,6 +18,10 @@ from motorhil.emulators.cia402.state_machine import (
 )
 from motorhil.emulators.firmware import flags as f
 from motorhil.emulators.firmware.axis import Axis
+
+_C = ObjectChange
+_VELOCITY_DEMAND: Final = int(_C.TARGET_VELOCITY | _C.RAMPS)
+_TORQUE_DEMAND: Final = int(_C.TORQUE | _C.FACTORS | _C.MOTION_LIMITS)
 
 
 @final
@@ -74,7 +73,7 @@ class ProfileVelocity(Mode):
 
     def written(self, what: int, now_ns: int) -> None:
         """Apply a new velocity or ramp at once."""
-        if what & (TARGET_VELOCITY | RAMPS) and not self.halted:
+        if what & _VELOCITY_DEMAND and not self.halted:
             self._run()
 
     def status_bits(self) -> int:
@@ -127,7 +126,7 @@ class ProfileTorque(Mode):
 
     def written(self, what: int, now_ns: int) -> None:
         """Apply a new torque or ramp at once."""
-        if what & (TORQUE | FACTORS | MOTION_LIMITS) and not self.halted:
+        if what & _TORQUE_DEMAND and not self.halted:
             self._run()
 
     def settle(self, now_ns: int) -> None:

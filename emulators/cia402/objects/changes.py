@@ -1,110 +1,103 @@
-"""Kinds of objects written since the drive last looked, one bit for each."""
+"""Kinds of objects written since the drive last applied them."""
 
+from enum import IntFlag, auto
 from typing import Final, final
 
-from motorhil.emulators.canopen.codes import OK
+from motorhil.emulators.canopen.codes import OK, AbortCode
 from motorhil.emulators.canopen.object_dictionary import ObjectDictionary
 
-CONTROLWORD: Final = 1
-MODE: Final = 2
-TARGET_POSITION: Final = 4
-TARGET_VELOCITY: Final = 8
-RAMPS: Final = 16
-WINDOWS: Final = 32
-FACTORS: Final = 64
-TORQUE: Final = 128  # target or slope
-TORQUE_LIMIT: Final = 256
-GAINS: Final = 512
-OFFSETS: Final = 1024
-IP_DATA: Final = 2048
-MOTION_LIMITS: Final = 4096
-POSITION_LIMITS: Final = 8192
-TOUCH_PROBE: Final = 8192
+_INVALID_VALUE: Final = int(AbortCode.INVALID_VALUE)
 
-# index, sub-index, kind
+
+class ObjectChange(IntFlag):
+    """Kinds of objects that a drive applies after they were written.
+
+    Modules test masks of `int(ObjectChange...)`: an operation of IntFlag takes about 1 us.
+    """
+
+    CONTROLWORD = auto()
+    MODE = auto()
+    TARGET_POSITION = auto()
+    TARGET_VELOCITY = auto()
+    RAMPS = auto()
+    WINDOWS = auto()
+    FACTORS = auto()
+    TORQUE = auto()  # target or slope
+    TORQUE_LIMIT = auto()
+    GAINS = auto()
+    OFFSETS = auto()
+    IP_DATA = auto()
+    MOTION_LIMITS = auto()
+    POSITION_LIMITS = auto()
+    TOUCH_PROBE = auto()
+
+
+_C = ObjectChange
+
+# index, sub-indices, kinds
 _WATCHED: Final = (
-    (0x6065, 0, WINDOWS),
-    (0x6066, 0, WINDOWS),
-    (0x6067, 0, WINDOWS),
-    (0x6068, 0, WINDOWS),
-    (0x606D, 0, WINDOWS),
-    (0x606E, 0, WINDOWS),
-    (0x606F, 0, WINDOWS),
-    (0x6070, 0, WINDOWS),
-    (0x6071, 0, TORQUE),
-    *((index, 0, TORQUE_LIMIT) for index in (0x6072, 0x6073, 0x60E0, 0x60E1)),
-    (0x6075, 0, FACTORS | TORQUE_LIMIT),
-    (0x6076, 0, FACTORS | TORQUE_LIMIT),
-    (0x6087, 0, TORQUE),
-    *((index, 0, OFFSETS) for index in (0x60B0, 0x60B1, 0x60B2)),
-    *((index, 0, RAMPS | MOTION_LIMITS) for index in (0x607F, 0x6080, 0x60C5, 0x60C6)),
-    (0x607C, 0, POSITION_LIMITS),  # because the limits count from home
-    *((0x607D, subindex, POSITION_LIMITS) for subindex in (1, 2)),
-    (0x6083, 0, RAMPS),
-    (0x6084, 0, RAMPS),
-    *((0x607B, subindex, FACTORS) for subindex in (1, 2)),
-    (0x608C, 0, FACTORS),
-    (0x608E, 0, FACTORS),
-    (0x608F, 1, FACTORS),
-    (0x608F, 2, FACTORS),
-    (0x6091, 1, FACTORS),
-    (0x6091, 2, FACTORS),
-    (0x6092, 1, FACTORS),
-    (0x6092, 2, FACTORS),
-    (0x6096, 1, FACTORS),
-    (0x6096, 2, FACTORS),
-    (0x6097, 1, FACTORS),
-    (0x6097, 2, FACTORS),
-    (0x60A8, 0, FACTORS),
-    (0x60A9, 0, FACTORS),
+    *((index, (0,), _C.WINDOWS) for index in (0x6065, 0x6066, 0x6067, 0x6068)),
+    *((index, (0,), _C.WINDOWS) for index in (0x606D, 0x606E, 0x606F, 0x6070)),
+    *((index, (0,), _C.TORQUE) for index in (0x6071, 0x6087)),
+    *((index, (0,), _C.TORQUE_LIMIT) for index in (0x6072, 0x6073, 0x60E0, 0x60E1)),
+    *((index, (0,), _C.FACTORS | _C.TORQUE_LIMIT) for index in (0x6075, 0x6076)),
+    *((index, (0,), _C.OFFSETS) for index in (0x60B0, 0x60B1, 0x60B2)),
+    *((index, (0,), _C.RAMPS | _C.MOTION_LIMITS) for index in (0x607F, 0x6080, 0x60C5, 0x60C6)),
+    *((index, (0,), _C.RAMPS) for index in (0x6083, 0x6084)),
+    (0x607C, (0,), _C.POSITION_LIMITS),  # because the limits count from home
+    (0x607D, (1, 2), _C.POSITION_LIMITS),
+    *((index, (0,), _C.FACTORS) for index in (0x608C, 0x608E, 0x60A8, 0x60A9)),
+    *((index, (1, 2), _C.FACTORS) for index in (0x607B, 0x608F, 0x6091, 0x6092, 0x6096, 0x6097)),
 )
 
 
 @final
-class Written:
-    """The set of `kinds` as bits; the reader clears them."""
+class ObjectChanges:
+    """The changes that are `pending`, as bits of `ObjectChange`; the drive clears them."""
 
     def __init__(self) -> None:
-        self.kinds: int = 0
+        self.pending: int = 0
 
 
 @final
 class Watch:
     """A writer that accepts every value and records its kind."""
 
-    def __init__(self, written: Written, kind: int) -> None:
-        self._written = written
+    def __init__(self, changes: ObjectChanges, kind: int) -> None:
+        self._changes = changes
         self._kind = kind
 
     def write(self, value: int) -> int:
         """Record the kind before the value is stored; always allowed."""
-        self._written.kinds |= self._kind
+        self._changes.pending |= self._kind
         return OK
 
 
 @final
 class Choice:
-    """A writer that accepts only values with an effect, and records its kind."""
+    """A writer that accepts only values with an effect."""
 
     def __init__(
-        self, written: Written, kind: int, allowed: frozenset[int], refused_with: int
+        self, allowed: frozenset[int], changes: ObjectChanges | None = None, kind: int = 0
     ) -> None:
-        self._written = written
-        self._kind = kind
         self._allowed = allowed
-        self._refused_with = refused_with
+        self._changes = changes
+        self._kind = kind
 
     def write(self, value: int) -> int:
         """Check a value before it is stored; return 0 or the abort code."""
         if value not in self._allowed:
-            return self._refused_with
-        self._written.kinds |= self._kind
+            return _INVALID_VALUE
+        if self._changes is not None:
+            self._changes.pending |= self._kind
         return OK
 
 
-def watch(od: ObjectDictionary, written: Written) -> None:
+def watch(od: ObjectDictionary, changes: ObjectChanges) -> None:
     """Install a writer in every visible object of the table."""
-    for index, subindex, kind in _WATCHED:
-        variable = od.get(index, subindex)
-        if variable is not None:
-            variable.writer = Watch(written, kind).write
+    for index, subindices, kind in _WATCHED:
+        writer = Watch(changes, int(kind)).write
+        for subindex in subindices:
+            variable = od.get(index, subindex)
+            if variable is not None:
+                variable.writer = writer

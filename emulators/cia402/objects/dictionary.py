@@ -4,9 +4,8 @@ Objects in the EDS are bound to the drive. Objects missing there are invisible t
 act with the default stated where they are bound (CiA 402-2's, or derived from the motor). Related
 objects have a module: motion, torque, offsets, interpolation, windows, homing, option codes, gains.
 
-6502h, supported drive modes: only modes that are emulated.
-
-The bit of a mode is one less than its number in 6060h; bits 16 to 31 are manufacturer-specific.
+6502h, supported drive modes, shows only modes that are emulated. The bit of a mode is one less than
+its number in 6060h; bits 16 to 31 are manufacturer-specific.
 """
 
 from collections.abc import Sequence
@@ -14,15 +13,7 @@ from typing import Final, final
 
 from motorhil.emulators.canopen.codes import OK, AbortCode
 from motorhil.emulators.canopen.object_dictionary import DataType, ObjectDictionary
-from motorhil.emulators.cia402.objects.changes import (
-    CONTROLWORD,
-    FACTORS,
-    GAINS,
-    MODE,
-    Choice,
-    Written,
-    watch,
-)
+from motorhil.emulators.cia402.objects.changes import Choice, ObjectChange, ObjectChanges, watch
 from motorhil.emulators.cia402.objects.mode_objects import HomingObjects, IpObjects
 from motorhil.emulators.cia402.objects.motion import MotionObjects, OptionCodes, WindowObjects
 from motorhil.emulators.cia402.objects.torque import ControlParameters, OffsetObjects, TorqueObjects
@@ -48,6 +39,12 @@ _TARGETS: Final = (
     ("cst", 0x6071),
 )
 
+_D = DataType
+_CONTROLWORD: Final = int(ObjectChange.CONTROLWORD)
+_GAINS: Final = int(ObjectChange.GAINS)
+_MODE: Final = int(ObjectChange.MODE)
+POLARITIES: Final = frozenset((0, VELOCITY_POLARITY, POSITION_POLARITY, 0xC0))  # 607Eh
+
 
 def modes_with_target(od: ObjectDictionary) -> int:
     """Return the emulated modes whose target object exists, for an EDS without a 6502h."""
@@ -68,24 +65,20 @@ def honest_modes(stated: int, names: Sequence[str] | None) -> int:
     return (stated & ~_STANDARD) | (wanted & _EMULATED)
 
 
-_D = DataType
-POLARITIES: Final = frozenset((0, VELOCITY_POLARITY, POSITION_POLARITY, 0xC0))  # 607Eh
-
-
 @final
 class GainWatch:
     """A writer that refuses a gain that would make the current loop unstable."""
 
-    def __init__(self, control: ControlParameters, place: int, written: Written) -> None:
+    def __init__(self, control: ControlParameters, place: int, changes: ObjectChanges) -> None:
         self._control = control
         self._place = place
-        self._written = written
+        self._changes = changes
 
     def write(self, value: int) -> int:
         """Check a value before it is stored; return 0 or an abort code."""
         code = self._control.check(self._place, value)
         if code == OK:
-            self._written.kinds |= GAINS
+            self._changes.pending |= _GAINS
         return code
 
 
@@ -94,7 +87,7 @@ class DriveObjects:
     """The objects that a host can write, converted to increments and seconds.
 
     Attributes:
-        written: kinds of objects written since the drive last looked; the drive clears the bits.
+        changes: kinds of objects written since the drive last looked; the drive clears the bits.
         controlword, mode: as last written.
         error_code: 603Fh.
         supported_modes: 6502h.
@@ -106,16 +99,14 @@ class DriveObjects:
     def __init__(self, od: ObjectDictionary, settings: DriveSettings) -> None:
         self.od = od
         self.settings = settings
-        self.written: Written = Written()
+        self.changes: ObjectChanges = ObjectChanges()
         self.controlword: int = 0
         self.mode: int = 0
         plant = settings.plant
         fill_factors(od, plant)
         ensure = od.ensure
         polarity = ensure(0x607E, 0, _D.UNSIGNED8, 0)
-        polarity.writer = Choice(
-            self.written, FACTORS, POLARITIES, int(AbortCode.INVALID_VALUE)
-        ).write
+        polarity.writer = Choice(POLARITIES, self.changes, ObjectChange.FACTORS).write
         for subindex in (1, 2):
             ensure(0x607B, subindex, _D.INTEGER32, 0)
         self.factors: FactorGroup = FactorGroup(od, settings)
@@ -129,15 +120,13 @@ class DriveObjects:
         self._supported = ensure(0x6502, 0, _D.UNSIGNED32, modes_with_target(od))
         self.supported_modes: int = self._honest_modes()
 
-        self.motion: MotionObjects = MotionObjects(od, plant, self.factors, defaults, self.written)
+        self.motion: MotionObjects = MotionObjects(od, plant, self.factors, defaults, self.changes)
         self.torque: TorqueObjects = TorqueObjects(od, plant, defaults)
         self.offsets: OffsetObjects = OffsetObjects(od, self.factors, self.torque)
-        self.ip: IpObjects = IpObjects(od, self.factors, self.written)
+        self.ip: IpObjects = IpObjects(od, self.factors, self.changes)
         self.windows: WindowObjects = WindowObjects(od, self.factors, defaults)
-        self.homing: HomingObjects = HomingObjects(
-            od, self.factors, self.motion, defaults, self.written
-        )
-        self.options: OptionCodes = OptionCodes(od, self.motion, self.written)
+        self.homing: HomingObjects = HomingObjects(od, self.factors, self.motion, defaults)
+        self.options: OptionCodes = OptionCodes(od, self.motion)
         self.control: ControlParameters = ControlParameters(
             od,
             plant,
@@ -147,13 +136,13 @@ class DriveObjects:
             settings.oscillator.rate(),
         )
         for place, gain in enumerate(self.control.places):
-            gain.writer = GainWatch(self.control, place, self.written).write
-        watch(od, self.written)
+            gain.writer = GainWatch(self.control, place, self.changes).write
+        watch(od, self.changes)
         self.reload()
 
     def reload(self) -> None:
         """Reload the values after they were reset to their defaults (reset node)."""
-        self.written.kinds = 0
+        self.changes.pending = 0
         self.controlword = self._controlword.integer()
         self.mode = self._mode.integer()
         self.motion.reload()
@@ -177,12 +166,12 @@ class DriveObjects:
 
     def _write_controlword(self, value: int) -> int:
         self.controlword = value
-        self.written.kinds |= CONTROLWORD
+        self.changes.pending |= _CONTROLWORD
         return OK
 
     def _write_mode(self, value: int) -> int:
         if value != 0 and not self.supports(value):
             return AbortCode.INVALID_VALUE
         self.mode = value
-        self.written.kinds |= MODE
+        self.changes.pending |= _MODE
         return OK

@@ -1,26 +1,23 @@
-"""The objects of interpolated position mode: sub-mode, data record, buffer (CiA 402-2).
-
-The objects of homing: 6098h, 6099h, 609Ah, 607Ch.
+"""The objects of interpolated position mode and of homing (CiA 402-2).
 
 The zero position is 607Ch beyond home, so the position of home is -607Ch. CiA 402-2 defines it this
 way, as do Elmo, Parker, Applied Motion, Fastech and Mitsubishi (MR-J5, Pr. PT08). KEB's F6 has the
 opposite sign.
 
-The homing methods of CiA 402-2 as one table.
-
-Every method ends by passing an edge of one switch in one direction, where the switch changes from
-`before` to the other state. Home is that edge, or the first index pulse after it in the same
-direction. `search` is the direction of the search if the switch is not active at the start. Methods
-7 to 14 and 23 to 30 can meet a limit switch first, and reverse there; their home switch is a cam in
-the middle. In 3 to 6 and 19 to 22 the home switch extends to the end of travel. 15, 16, 31 and 32
-are reserved; 36 and the negative ones are not emulated. 35 is obsolete and replaced by 37.
+HOMING_METHODS has the homing methods as one table. Every method ends by passing an edge of one
+switch in one direction, where the switch changes from `before` to the other state. Home is that
+edge, or the first index pulse after it in the same direction. `search` is the direction of the
+search if the switch is not active at the start. Methods 7 to 14 and 23 to 30 can meet a limit
+switch first, and reverse there; their home switch is a cam in the middle. In 3 to 6 and 19 to 22
+the home switch extends to the end of travel. 15, 16, 31 and 32 are reserved; 36 and the negative
+ones are not emulated. 35 is obsolete and replaced by 37.
 """
 
 from typing import Final, final
 
 from motorhil.emulators.canopen.codes import OK, AbortCode
 from motorhil.emulators.canopen.object_dictionary import DataType, ObjectDictionary
-from motorhil.emulators.cia402.objects.changes import IP_DATA, Choice, Written
+from motorhil.emulators.cia402.objects.changes import Choice, ObjectChange, ObjectChanges
 from motorhil.emulators.cia402.objects.motion import MotionObjects
 from motorhil.emulators.cia402.objects.units import DriveDefaults, FactorGroup
 from motorhil.emulators.firmware.digital_inputs import HOME_SWITCH, NEGATIVE_LIMIT, POSITIVE_LIMIT
@@ -29,32 +26,58 @@ BUFFER_MAX: Final = 64
 _BUFFER: Final = 16
 _FIFO: Final = 0
 _RING: Final = 1
+_IP_DATA: Final = int(ObjectChange.IP_DATA)
 _LINEAR: Final = frozenset((0,))
 _D = DataType
+
+_LEFT: Final = -1
+_RIGHT: Final = 1
+_ON: Final = True
+_OFF: Final = False
+
+# Methods 1 to 14; 17 to 30 are the same without the index pulse.
+_BY_EDGE: Final = (
+    (NEGATIVE_LIMIT, _RIGHT, _ON, _LEFT, False),  # 1, 17
+    (POSITIVE_LIMIT, _LEFT, _ON, _RIGHT, False),  # 2, 18
+    (HOME_SWITCH, _LEFT, _ON, _RIGHT, False),  # 3, 19: positive home switch
+    (HOME_SWITCH, _RIGHT, _OFF, _RIGHT, False),  # 4, 20
+    (HOME_SWITCH, _RIGHT, _ON, _LEFT, False),  # 5, 21: negative home switch
+    (HOME_SWITCH, _LEFT, _OFF, _LEFT, False),  # 6, 22
+    (HOME_SWITCH, _LEFT, _ON, _RIGHT, True),  # 7, 23: left edge, from inside
+    (HOME_SWITCH, _RIGHT, _OFF, _RIGHT, True),  # 8, 24: left edge, from outside
+    (HOME_SWITCH, _LEFT, _OFF, _RIGHT, True),  # 9, 25: right edge, from outside
+    (HOME_SWITCH, _RIGHT, _ON, _RIGHT, True),  # 10, 26: right edge, from inside
+    (HOME_SWITCH, _RIGHT, _ON, _LEFT, True),  # 11, 27: the same four, starting to the left
+    (HOME_SWITCH, _LEFT, _OFF, _LEFT, True),  # 12, 28
+    (HOME_SWITCH, _RIGHT, _OFF, _LEFT, True),  # 13, 29
+    (HOME_SWITCH, _LEFT, _ON, _LEFT, True),  # 14, 30
+)
+
+_SWITCH_PART: Final = 4  # default 6099h:1 is 6081h divided by this
+_ZERO_PART: Final = 40  # default 6099h:2 is 6081h divided by this
 
 
 @final
 class IpObjects:
     """60C0h, 60C1h:1 and 60C4h; records are converted with the units valid when they are taken."""
 
-    def __init__(self, od: ObjectDictionary, factors: FactorGroup, written: Written) -> None:
+    def __init__(self, od: ObjectDictionary, factors: FactorGroup, changes: ObjectChanges) -> None:
         ensure = od.ensure
         self._factors = factors
-        self._written = written
+        self._changes = changes
         self._records: list[int] = []
-        refused = int(AbortCode.INVALID_VALUE)
-        ensure(0x60C0, 0, _D.INTEGER16, 0).writer = Choice(written, 0, _LINEAR, refused).write
+        ensure(0x60C0, 0, _D.INTEGER16, 0).writer = Choice(_LINEAR).write
         ensure(0x60C1, 1, _D.INTEGER32, 0).writer = self._write_record
         ensure(0x60C4, 1, _D.UNSIGNED32, BUFFER_MAX)
         self._size = ensure(0x60C4, 2, _D.UNSIGNED32, _BUFFER)
         self._size.writer = self._write_size
         self._organisation = ensure(0x60C4, 3, _D.UNSIGNED8, _FIFO)
-        self._organisation.writer = Choice(written, 0, frozenset((_FIFO, _RING)), refused).write
+        self._organisation.writer = Choice(frozenset((_FIFO, _RING))).write
         position = od.get(0x60C4, 4)
         if position is not None:
             position.reader = self._free_place
         length = ensure(0x60C4, 5, _D.UNSIGNED8, 1)
-        length.writer = Choice(written, 0, frozenset((1,)), refused).write
+        length.writer = Choice(frozenset((1,))).write
         self._access = ensure(0x60C4, 6, _D.UNSIGNED8, 1)
         self._access.writer = self._write_access
 
@@ -82,7 +105,7 @@ class IpObjects:
                 return AbortCode.NOT_STORED_DEVICE_STATE
             self._records.pop(0)
         self._records.append(value)
-        self._written.kinds |= IP_DATA
+        self._changes.pending |= _IP_DATA
         return OK
 
     def _write_size(self, value: int) -> int:
@@ -104,12 +127,6 @@ class IpObjects:
     def _free_place(self) -> int:
         """Return 60C4h:4, the next free place in the buffer."""
         return len(self._records)
-
-
-_LEFT: Final = -1
-_RIGHT: Final = 1
-_ON: Final = True
-_OFF: Final = False
 
 
 @final
@@ -136,25 +153,6 @@ class HomingMethod:
         self.index = index
 
 
-# Methods 1 to 14; 17 to 30 are the same without the index pulse.
-_BY_EDGE: Final = (
-    (NEGATIVE_LIMIT, _RIGHT, _ON, _LEFT, False),  # 1, 17
-    (POSITIVE_LIMIT, _LEFT, _ON, _RIGHT, False),  # 2, 18
-    (HOME_SWITCH, _LEFT, _ON, _RIGHT, False),  # 3, 19: positive home switch
-    (HOME_SWITCH, _RIGHT, _OFF, _RIGHT, False),  # 4, 20
-    (HOME_SWITCH, _RIGHT, _ON, _LEFT, False),  # 5, 21: negative home switch
-    (HOME_SWITCH, _LEFT, _OFF, _LEFT, False),  # 6, 22
-    (HOME_SWITCH, _LEFT, _ON, _RIGHT, True),  # 7, 23: left edge, from inside
-    (HOME_SWITCH, _RIGHT, _OFF, _RIGHT, True),  # 8, 24: left edge, from outside
-    (HOME_SWITCH, _LEFT, _OFF, _RIGHT, True),  # 9, 25: right edge, from outside
-    (HOME_SWITCH, _RIGHT, _ON, _RIGHT, True),  # 10, 26: right edge, from inside
-    (HOME_SWITCH, _RIGHT, _ON, _LEFT, True),  # 11, 27: the same four, starting to the left
-    (HOME_SWITCH, _LEFT, _OFF, _LEFT, True),  # 12, 28
-    (HOME_SWITCH, _RIGHT, _OFF, _LEFT, True),  # 13, 29
-    (HOME_SWITCH, _LEFT, _ON, _LEFT, True),  # 14, 30
-)
-
-
 def _table() -> dict[int, HomingMethod]:
     table: dict[int, HomingMethod] = {}
     for first, index in ((1, True), (17, False)):
@@ -170,10 +168,6 @@ def _table() -> dict[int, HomingMethod]:
 HOMING_METHODS: Final[dict[int, HomingMethod]] = _table()
 
 
-_SWITCH_PART: Final = 4  # default 6099h:1 is 6081h divided by this
-_ZERO_PART: Final = 40  # default 6099h:2 is 6081h divided by this
-
-
 @final
 class HomingObjects:
     """Method, speeds and offset of homing."""
@@ -184,15 +178,13 @@ class HomingObjects:
         factors: FactorGroup,
         motion: MotionObjects,
         defaults: DriveDefaults,
-        written: Written,
     ) -> None:
         ensure = od.ensure
         self._factors = factors
         self._motion = motion
         self._home_offset = ensure(0x607C, 0, _D.INTEGER32, 0)
         self._method = ensure(0x6098, 0, _D.INTEGER8, 37)
-        methods = frozenset(HOMING_METHODS)
-        self._method.writer = Choice(written, 0, methods, int(AbortCode.INVALID_VALUE)).write
+        self._method.writer = Choice(frozenset(HOMING_METHODS)).write
         velocity = defaults.velocity
         self._switch_speed = ensure(0x6099, 1, _D.UNSIGNED32, max(1, velocity // _SWITCH_PART))
         self._zero_speed = ensure(0x6099, 2, _D.UNSIGNED32, max(1, velocity // _ZERO_PART))

@@ -1,13 +1,9 @@
-"""The objects of motion: targets, speeds, ramps and limits.
+"""The objects of motion: targets, speeds, ramps, limits, windows, option codes.
 
 All values are converted to increments and seconds. A value of 0 in a ramp means "not set": 6085h
 then falls back to 6084h, and that to 6083h.
 
-The windows for target reached, standstill, velocity and following error.
-
-Option codes for stopping the drive (CiA 402-2, 605Ah to 605Eh, 6007h).
-
-Meaning of their terms in this drive:
+The option codes (CiA 402-2, 605Ah to 605Eh, 6007h) tell how the drive stops. Their terms mean:
 
 - *slow-down ramp*: 6084h, or 609Ah if homing is halted. *Quick stop ramp*: 6085h. The demand
   decreases linearly.
@@ -21,25 +17,42 @@ Meaning of their terms in this drive:
 
 from typing import Final, final
 
-from motorhil.emulators.canopen.codes import OK, AbortCode
+from motorhil.emulators.canopen.codes import OK
 from motorhil.emulators.canopen.object_dictionary import DataType, ObjectDictionary, Variable
 from motorhil.emulators.canopen.outbox import MS
-from motorhil.emulators.cia402.objects.changes import (
-    TARGET_POSITION,
-    TARGET_VELOCITY,
-    Choice,
-    Written,
-)
+from motorhil.emulators.cia402.objects.changes import Choice, ObjectChange, ObjectChanges
 from motorhil.emulators.cia402.objects.units import DriveDefaults, FactorGroup
 from motorhil.emulators.firmware.axis import Axis
 from motorhil.emulators.plant.dc_motor import MotorPlant
 
 _UNLIMITED: Final = 0xFFFF_FFFF
 _NO_SPEED: Final = 1e300
+_TARGET_POSITION: Final = int(ObjectChange.TARGET_POSITION)
+_TARGET_VELOCITY: Final = int(ObjectChange.TARGET_VELOCITY)
 # 60F2h: origin of a relative set-point (bits 0 and 1), and direction of an axis with a position
 # range (bits 6 and 7); no other bit has an effect.
 _POSITIONING: Final = frozenset(origin | way << 6 for origin in range(3) for way in range(4))
 _D = DataType
+
+NO_WINDOW: Final = 0xFFFF_FFFF
+
+# Common to 605Ah, 605Dh and 605Eh; 605Ah has 5 to 8 for the same reactions, and then stays.
+COAST: Final = 0
+SLOW_DOWN_RAMP: Final = 1
+QUICK_STOP_RAMP: Final = 2
+CURRENT_LIMIT: Final = 3
+VOLTAGE_LIMIT: Final = 4
+STAYS: Final = 5  # from here on, 605Ah stays in QUICK STOP ACTIVE
+
+# Values that have an effect, and can therefore be written.
+_ALLOWED: Final = {
+    0x6007: frozenset(range(4)),
+    0x605A: frozenset(range(9)),
+    0x605B: frozenset(range(2)),
+    0x605C: frozenset(range(2)),
+    0x605D: frozenset(range(1, 5)),
+    0x605E: frozenset(range(5)),
+}
 
 
 @final
@@ -56,11 +69,11 @@ class MotionObjects:
         plant: MotorPlant,
         factors: FactorGroup,
         defaults: DriveDefaults,
-        written: Written,
+        changes: ObjectChanges,
     ) -> None:
         ensure = od.ensure
         self._factors = factors
-        self._written = written
+        self._changes = changes
         self._encoder_increments_rev = plant.encoder_increments_rev
         self.target_position_raw: int = 0
         self.target_velocity_raw: int = 0
@@ -78,8 +91,7 @@ class MotionObjects:
         self._deceleration = self._ramp(od, 0x6084)
         self._quick_deceleration = self._ramp(od, 0x6085)
         self._end_velocity = ensure(0x6082, 0, _D.UNSIGNED32, 0)
-        refused = int(AbortCode.INVALID_VALUE)
-        linear = Choice(written, 0, frozenset((0,)), refused).write
+        linear = Choice(frozenset((0,))).write
         ensure(0x6086, 0, _D.INTEGER16, 0).writer = linear
         ensure(0x6088, 0, _D.INTEGER16, 0).writer = linear
         self._slippage = ensure(0x60F8, 0, _D.INTEGER32, 0)
@@ -88,7 +100,7 @@ class MotionObjects:
         self._period = ensure(0x60C2, 1, _D.UNSIGNED8, 0)
         self._period_exponent = ensure(0x60C2, 2, _D.INTEGER8, -3)
         self._positioning_option = ensure(0x60F2, 0, _D.UNSIGNED16, 0)
-        self._positioning_option.writer = Choice(written, 0, _POSITIONING, refused).write
+        self._positioning_option.writer = Choice(_POSITIONING).write
         self._acceleration_fallback_inc_s2 = defaults.acceleration_inc_s2
         self._velocity_physical_inc_s = defaults.no_load_inc_s
 
@@ -226,16 +238,13 @@ class MotionObjects:
 
     def _write_target_position(self, value: int) -> int:
         self.target_position_raw = value
-        self._written.kinds |= TARGET_POSITION
+        self._changes.pending |= _TARGET_POSITION
         return OK
 
     def _write_target_velocity(self, value: int) -> int:
         self.target_velocity_raw = value
-        self._written.kinds |= TARGET_VELOCITY
+        self._changes.pending |= _TARGET_VELOCITY
         return OK
-
-
-NO_WINDOW: Final = 0xFFFF_FFFF
 
 
 @final
@@ -276,30 +285,11 @@ class WindowObjects:
         )
 
 
-# Common to 605Ah, 605Dh and 605Eh; 605Ah has 5 to 8 for the same reactions, and then stays.
-COAST: Final = 0
-SLOW_DOWN_RAMP: Final = 1
-QUICK_STOP_RAMP: Final = 2
-CURRENT_LIMIT: Final = 3
-VOLTAGE_LIMIT: Final = 4
-STAYS: Final = 5  # from here on, 605Ah stays in QUICK STOP ACTIVE
-
-# Values that have an effect, and can therefore be written.
-_ALLOWED: Final = {
-    0x6007: frozenset(range(4)),
-    0x605A: frozenset(range(9)),
-    0x605B: frozenset(range(2)),
-    0x605C: frozenset(range(2)),
-    0x605D: frozenset(range(1, 5)),
-    0x605E: frozenset(range(5)),
-}
-
-
 @final
 class OptionCodes:
     """The option codes as in their objects; a default of the EDS outside the table is kept."""
 
-    def __init__(self, od: ObjectDictionary, motion: MotionObjects, written: Written) -> None:
+    def __init__(self, od: ObjectDictionary, motion: MotionObjects) -> None:
         ensure = od.ensure
         self._motion = motion
         self._abort_connection = ensure(0x6007, 0, _D.INTEGER16, 1)
@@ -313,8 +303,7 @@ class OptionCodes:
             *(self._disable, self._halt, self._fault_reaction),
         )
         for code in codes:
-            allowed = _ALLOWED[code.index]
-            code.writer = Choice(written, 0, allowed, int(AbortCode.INVALID_VALUE)).write
+            code.writer = Choice(_ALLOWED[code.index]).write
 
     def quick_stops_and_stays(self) -> bool:
         """Return True if 605Ah >= 5: the drive stays in QUICK STOP ACTIVE until transition 16."""

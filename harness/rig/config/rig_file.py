@@ -23,7 +23,6 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Final, final
 
-from motorhil.harness.conformance.clause import NOTHING_DECLARED, Facts, read_facts
 from motorhil.harness.plugins import is_target
 from motorhil.harness.rig.config.buses import (
     NODE_MAX,
@@ -34,6 +33,7 @@ from motorhil.harness.rig.config.buses import (
     read_bus,
     refuse_strangers,
 )
+from motorhil.harness.rig.config.conformance import NOTHING_DECLARED, Facts, read_facts
 from motorhil.harness.rig.config.faults import HOST, FaultDescription, read_faults
 from motorhil.harness.rig.config.stimuli import StimulusDescription, read_stimuli
 from motorhil.harness.rig.config.toml import (

@@ -1,9 +1,7 @@
-"""Stand-ins for module `time`, which give parties the rig's clock.
+"""Stand-ins for `time` and `datetime`, which give parties the rig's clock.
 
-Stand-ins for `datetime` and `date`, which give parties the rig's date.
-
-The clock of these classes cannot be replaced, so two other classes stand in for them. They create
-the library's own objects, and accept them in isinstance().
+The clock of `datetime` and `date` cannot be replaced, so two other classes stand in for them. They
+create the library's own objects, and accept them in isinstance().
 """
 
 import time

@@ -4,20 +4,14 @@
         main_of_the_program()
 
 Inside the block `time`, `threading`, `queue`, `sched` and thread pools use the rig's clock. Each
-thread is a party, which runs while the others wait. Operations that cannot use the rig's clock
-raise UsageError.
+thread is a party, which runs while the others wait. Every name in every module that is bound to an
+original is rebound, whenever the module was imported: `time.sleep`, and `sleep` in a module with
+`from time import sleep`. Modules of the packages in `OUTSIDE` keep the originals.
 
-Replacement of the standard library while a program runs.
-
-Every name in every module that is bound to an original is rebound, whenever the module was
-imported: `time.sleep`, and `sleep` in a module with `from time import sleep`. Modules of the
-packages in `turn.OUTSIDE` keep the originals.
-
-Operations refused in virtual time, because they block outside the rig.
-
-`subprocess`, `input`, files, sending on sockets and connecting are not refused. The rig's time
-stands still during such calls, as during computations. The refused operations could wait for
-something that this program itself must do, or would create a second copy of the rig.
+Operations that block outside the rig raise UsageError: they could wait for something that this
+program itself must do, or would create a second copy of the rig. `subprocess`, `input`, files,
+sending on sockets and connecting are not refused. The rig's time stands still during such calls, as
+during computations.
 """
 
 import _thread

@@ -1,11 +1,9 @@
-"""Locks that wait in virtual time if one party waits for another.
+"""Threads and locks in virtual time: each thread is a party.
 
-Otherwise they wait in wall time. All other synchronization objects (conditions, events, semaphores,
-barriers, queues, futures) are the standard library's own, built from these two locks.
-
-Threads as parties, which start, join and end in virtual time.
-
-The party whose turn it is, and the cost of polling clocks.
+A lock waits in virtual time if one party waits for another, otherwise in wall time. All other
+synchronization objects (conditions, events, semaphores, barriers, queues, futures) are the standard
+library's own, built from these two locks. Polling a clock costs a party a little virtual time, so
+that polling loops make progress.
 
 All stand-ins for the standard library call `party_here` first. A thread that is not a party (a test
 runner's, a C library's) gets the wall clocks and plain locks. So do callers from the packages in

@@ -12,10 +12,10 @@ from pathlib import Path
 
 from motorhil.harness.conformance.kit import all_clauses
 from motorhil.harness.conformance.run import run_clauses
-from tests.conformance.benches import opener
 from tests.conformance.mutants import MUTANTS
 from tests.conformance.mutants.everyone import MODULES
 from tests.conformance.mutants.stays import WHY_IT_STAYS
+from tests.support.kit_benches import opener
 
 assert MODULES
 PAGE = Path(__file__).with_name("KILLS.md")

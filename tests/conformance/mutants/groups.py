@@ -7,7 +7,7 @@ from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
 from motorhil.motorapi.errors import MotorError
 from motorhil.motorapi.group import CommonMotion
 from tests.conformance.mutants import mutant, replaced
-from tests.harness.sharing.mutants import a_group_that_starts_before_all_are_armed
+from tests.support.sharing.mutants import a_group_that_starts_before_all_are_armed
 
 
 @mutant("cia402", "SYNC-01")

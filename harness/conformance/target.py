@@ -1,0 +1,144 @@
+"""Target of an examination: the loaded adaptation and its rig.
+
+A job names both, and is what a supervisor sends to its worker.
+"""
+
+import inspect
+import os
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Final, Self, final
+
+from motorhil.harness.conformance.bench import Opener
+from motorhil.harness.conformance.rig_bench import RigBench, bench_description
+from motorhil.harness.conformance.run import home_of
+from motorhil.harness.plugins import ADAPTATIONS, installed, is_target, named
+from motorhil.harness.rig.config.conformance import NOTHING_DECLARED, Facts
+from motorhil.harness.rig.config.rig_file import RigDescription, read_rig
+from motorhil.harness.rig.config.toml import BrokenPluginError, RigError, a_kind_of, listed, nearest
+from motorhil.harness.rig.rig import describe, installed_plugins
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Job:
+    """The adaptation and the rig to test.
+
+    Attributes:
+        adaptation: its name, or "package.module:function"; "": the adaptation of the rig's motors.
+        rig: the rig file; "": the rig that comes with the adaptation.
+        seed: the seed of all random numbers; None: the rig's seed.
+        on: the places of the rig's buses, "[BUS=]WHERE"; if empty, they are emulated in virtual
+            time.
+    """
+
+    adaptation: str = ""
+    rig: str = ""
+    seed: int | None = None
+    on: tuple[str, ...] = ()
+
+    def packed(self) -> dict[str, Any]:
+        """Return the job as JSON values."""
+        return asdict(self)
+
+    @classmethod
+    def unpacked(cls, values: Mapping[str, Any]) -> Self:
+        """Return the job from the values of `packed`."""
+        return cls(**{**values, "on": tuple(values["on"])})
+
+
+_LIVE_DEADLINE_S: Final = 120.0
+
+
+OWN_RIGS: Final = Path(__file__).parent / "rigs"
+
+
+@final
+class Target:
+    """The loaded adaptation and the rig of a job.
+
+    Attributes:
+        rig: the description, with the motors under test.
+        seed: the seed of all random numbers.
+        deadline_s: for one clause, in wall time [s].
+        home: the folder of the adaptation's code (`code_places.home_of`).
+
+    Raises:
+        RigError: the adaptation or the rig cannot be used.
+    """
+
+    def __init__(self, job: Job) -> None:
+        build = _loaded(job.adaptation) if job.adaptation else None
+        described = _described(Path(job.rig) if job.rig else _own_rig(job.adaptation, build))
+        self.rig = bench_description(described, job.adaptation or None)
+        self.seed = described.seed if job.seed is None else job.seed
+        first = self.rig.motors[self.rig.conformance.motors[0]]
+        self._places = _places(job, self.rig) if job.on else None
+        self.deadline_s: Final = _deadline_s(self.rig.conformance, is_live=bool(job.on))
+        self.adaptation: Final = first.adaptation
+        self.home: Final = home_of(getattr(build or _loaded(self.adaptation), "__module__", ""))
+
+    def opener(self, record: Path | None = None) -> Opener:
+        """Return an opener for benches of this rig, which record everything to `record`."""
+        if self._places is None:
+            return lambda: RigBench(self.rig, self.seed, record=record)
+        from motorhil.harness.conformance.wall_bench import WallBench
+
+        places = self._places
+        return lambda: WallBench(self.rig, places, self.seed, record=record)
+
+
+def _described(path: Path) -> RigDescription:
+    """Return the rig in a file; detecting a recording takes 0.1 s, so skip it for TOML files."""
+    if path.suffix == ".toml":
+        return read_rig(path, installed_plugins())
+    return describe(path)
+
+
+def _places(job: Job, rig: RigDescription) -> dict[str, str]:
+    from motorhil.harness.conformance.wall_bench import places_in
+
+    return places_in(job.on, rig)
+
+
+def _deadline_s(facts: Facts, is_live: bool) -> float:
+    """Return the declared deadline; a live bench's default allows for the motions themselves."""
+    is_declared = facts.deadline_s != NOTHING_DECLARED.deadline_s
+    return facts.deadline_s if is_declared or not is_live else _LIVE_DEADLINE_S
+
+
+def _loaded(adaptation: str) -> object:
+    """Return the function that builds the adaptation's motors."""
+    where = f"adaptation {adaptation}"
+    known = list(installed(ADAPTATIONS))
+    if not is_target(adaptation) and adaptation not in known:
+        message = f"is not installed (known: {listed(known)})"
+        remedy = nearest(adaptation, known)
+        if not remedy.startswith("did"):
+            remedy = "name one of these, or a function as package.module:function"
+        raise RigError(where, message, remedy)
+    try:
+        loaded = named(ADAPTATIONS, adaptation).load()
+    except (Exception, SystemExit) as error:
+        raise BrokenPluginError(
+            where,
+            f"cannot be loaded: {type(error).__name__}: {error}",
+            "correct the adaptation or its name",
+        ) from error
+    if not callable(loaded):
+        raise BrokenPluginError(where, f"is {a_kind_of(loaded)}", "name a function")
+    return loaded
+
+
+def _own_rig(adaptation: str, build: object) -> Path:
+    """Return the rig that comes with the adaptation."""
+    own = OWN_RIGS / f"{adaptation}.toml"
+    if own.exists():
+        return own
+    told = getattr(build, "conformance_rig", None)
+    if not isinstance(told, str | os.PathLike):
+        raise RigError(f"adaptation {adaptation}", "has no rig of its own", "add --rig RIG")
+    module = inspect.getmodule(build)
+    folder = Path(getattr(module, "__file__", None) or ".").parent
+    return folder / told

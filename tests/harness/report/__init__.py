@@ -1,1 +1,0 @@
-"""Report: its data against independent readings, and the page in a real browser."""

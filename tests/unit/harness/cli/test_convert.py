@@ -1,0 +1,116 @@
+"""The verb `convert`: reports of unreadable and lost records, and of errors."""
+
+import json
+
+import pytest
+
+from motorhil.traces.formats.frames import Frame, classic
+from motorhil.traces.formats.registry import record_frames
+from motorhil.traces.mcap.writer import TraceWriter
+from motorhil.traces.protobuf import encode
+from motorhil.traces.schema import CAN_FRAME, MODBUS_ADU, Direction, Schema
+
+TEXT = """\
+candump can0
+  can0  701   [1]  7F   # alive
+  can0  181   [8]  01 02 03 04
+  can0  081   [2]  01 52
+"""
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "in.txt").write_text(TEXT)
+    return tmp_path
+
+
+def test_unreadable_records_are_reported_with_line(folder, say):
+    status, out, err = say("convert", "in.txt", "-o", "out.mcap")
+    assert status == 0
+    assert out == "out.mcap: 2 frames of can0, from candump to mcap, 2 not readable\n"
+    assert err.splitlines() == [
+        "in.txt:1: not a frame: 'candump can0'",
+        "in.txt:3: 4 of 8 bytes: 'can0  181   [8]  01 02 03 04'",
+        "in.txt: 2 frames have no time stamp: their time is 0",
+    ]
+
+
+def test_strict_fails_if_anything_is_unreadable_or_lost(folder, say):
+    assert say("convert", "in.txt", "-o", "out.mcap", "--strict")[0] == 1
+    assert say("convert", "out.mcap", "-o", "out.log", "--strict")[0] == 0
+    record_frames("sent.mcap", [Frame(0, "can0", classic(1, b""), Direction.RECEIVED, "left")], {})
+    status, _, err = say("convert", "sent.mcap", "-o", "sent.log", "--strict")
+    assert status == 1
+    assert "lost, candump cannot hold it: sender of 1 frames" in err
+
+
+def test_json_has_all_problems(folder, say):
+    (folder / "in.txt").write_text(TEXT + "nonsense\n" * 30)
+    facts = json.loads(say("convert", "in.txt", "-o", "x", "--to", "candump", "--json")[1])
+    assert (facts["frames"], facts["buses"], facts["unstamped"]) == (2, ["can0"], 2)
+    assert [problem["line"] for problem in facts["problems"]] == [1, 3, *range(5, 35)]
+
+
+def test_text_has_twenty_problems_and_count_of_others(folder, say):
+    (folder / "in.txt").write_text(TEXT + "nonsense\n" * 30)
+    err = say("convert", "in.txt", "-o", "x", "--to", "mcap")[2]
+    assert "in.txt: 12 more problems: --all" in err
+    err = say("convert", "in.txt", "-o", "x", "--to", "mcap", "--force", "--all")[2]
+    assert "in.txt:34: not a frame: 'nonsense'" in err
+
+
+@pytest.mark.parametrize(
+    ("words", "why"),
+    [
+        (("no-such.txt", "-o", "x.mcap"), "cannot be read: no such file"),
+        (("in.txt", "-o", "x.doc"), "use --to FORMAT"),
+        (("in.txt", "-o", "in.txt", "--to", "candump"), "is the source itself"),
+        (("in.txt", "-o", "there.log"), "exists; name another file, or say --force"),
+        (("in.txt", "-o", "no/such/x.log"), "cannot be written: no such file"),
+        (("in.txt", "-o", "there.log", "--to", "mcap", "--force"), "is not a recording"),
+        (("in.txt", "-o", "folder.log", "--force"), "cannot be written: is a directory"),
+        (("cut.txt", "-o", "x.mcap"), "no frame can be read as candump"),
+        ((".", "-o", "x.mcap"), "is a directory"),
+    ],
+)
+def test_wrong_usage_is_reported(folder, say, words, why):
+    (folder / "there.log").write_text("mine\n")
+    (folder / "folder.log").mkdir()
+    (folder / "cut.txt").write_text("  can0  181   [8]  01 02 03")
+    status, out, err = say("convert", *words)
+    assert (status, out) == (2, "")
+    assert why in err
+    assert (folder / "there.log").read_text() == "mine\n"
+    assert not list(folder.glob("**/*.part"))
+
+
+def test_modbus_adus_are_extracted_from_mixed_recording(folder, say):
+    request = bytes.fromhex("01 03 0010 0002 C5CE")
+    with TraceWriter("mixed.mcap") as writer:
+        can = writer.channel("/can/can0", Schema.of(CAN_FRAME))
+        line = writer.channel("/modbus/rs485", Schema.of(MODBUS_ADU))
+        writer.can_frame(writer.source(can, "left"), 0, classic(1, b""))
+        values = {"direction": 2, "sender": "host", "start_ns": 1, "end_ns": 2, "data": request}
+        writer.write(line, 3, encode(MODBUS_ADU, values))
+        writer.write(line, 4, encode(MODBUS_ADU, values | {"direction": 0}))
+    assert say("convert", "mixed.mcap", "-o", "can.pcapng")[1:] == (
+        "can.pcapng: 1 frames of can0, from mcap to pcapng\n",
+        "mixed.mcap: /modbus/rs485: 2 messages are not CAN frames, and are omitted\n",
+    )
+    status, out, err = say(
+        "convert", "mixed.mcap", "-o", "line.pcapng", "--to", "modbus-pcapng", "--strict"
+    )
+    assert status == 1
+    assert out == ("line.pcapng: 2 ADUs of rs485, from mcap to modbus-pcapng, 1 not readable\n")
+    assert err.splitlines() == [
+        "mixed.mcap:2: rs485: an ADU without a direction",
+        "mixed.mcap: lost, modbus-pcapng cannot hold it: bit times of 1 ADUs",
+    ]
+    assert say("convert", "line.pcapng", "-o", "again.mcap")[1:] == (
+        "again.mcap: 1 ADUs of rs485, from pcap to mcap\n",
+        "",
+    )
+    assert say("convert", "again.mcap", "-o", "x.log")[2] == (
+        "again.mcap: holds Modbus, which candump cannot; convert it to mcap or pcapng\n"
+    )

@@ -1,0 +1,347 @@
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+from motorhil.traces.digest import digest
+from tests.support.command_line import beside, environment, in_another_process
+from tests.support.plugin_rigs import SCRIPT
+
+
+def test_script_joins_rig_with_plain_can_bus(rig, say):
+    assert say("run", "rig.toml", "script.py") == (0, "[] __main__ 2a\n", "")
+
+
+def test_script_leaves_no_trace_in_process(rig, say, monkeypatch):
+    monkeypatch.setenv("CAN_INTERFACE", "socketcan")
+    monkeypatch.setenv("CAN_CONFIG", '{"fd": true}')
+    before = (dict(os.environ), sys.argv, sys.path.copy(), sys.modules["__main__"])
+    assert say("run", "rig.toml", "script.py") == (0, "[] __main__ 2a\n", "")
+    assert (dict(os.environ), sys.argv, sys.path, sys.modules["__main__"]) == before
+
+
+def test_options_stand_anywhere_before_two_dashes(rig, say):
+    expected = (0, "['a', '--seed', '--', 'b'] __main__ 2a\n", "")
+    words = ("--seed", "3", "rig.toml", "script.py", "a", "--", "--seed", "--", "b")
+    assert say("run", *words) == expected
+    words = ("rig.toml", "script.py", "--seed=3", "a", "--", "--seed", "--", "b")
+    assert say("run", *words) == expected
+
+
+@pytest.mark.parametrize(
+    ("line", "status", "told"),
+    [
+        ("sys.exit()", 0, ""),
+        ("sys.exit(3)", 3, ""),
+        ("sys.exit('enough')", 1, "enough\n"),
+    ],
+)
+def test_exit_status_is_that_of_script(rig, say, line, status, told):
+    (rig / "script.py").write_text(f"import sys\n{line}\n")
+    again = "again: motorhil run rig.toml script.py --seed 7\n" if status else ""
+    assert say("run", "rig.toml", "script.py") == (status, "", told + again)
+
+
+def test_traceback_begins_at_script(rig, say):
+    (rig / "helper.py").write_text("def divide(a, b):\n    return a / b\n")
+    (rig / "script.py").write_text("import helper\n\nhelper.divide(1, 0)\n")
+    status, out, err = say("run", "rig.toml", "script.py", "-o", "x.mcap", "--", "a b")
+    assert (status, out) == (1, "")
+    assert err == (
+        "Traceback (most recent call last):\n"
+        '  File "script.py", line 3, in <module>\n'
+        "    helper.divide(1, 0)\n"
+        f'  File "{rig}/helper.py", line 2, in divide\n'
+        "    return a / b\n"
+        "           ~~^~~\n"
+        "ZeroDivisionError: division by zero\n"
+        "again: motorhil run rig.toml script.py --seed 7 -o x.mcap -- 'a b'\n"
+    )
+
+
+def test_traceback_ends_before_motor_interface(rig, say):
+    (rig / "script.py").write_text(
+        "import can\nfrom motorhil.motorapi import runtime_of\nbus = can.Bus()\n"
+        "runtime_of(bus).wait_until(lambda: False, -1.0)\n"
+    )
+    status, _, err = say("run", "rig.toml", "script.py")
+    assert status == 1
+    assert err.splitlines()[:3] == [
+        "Traceback (most recent call last):",
+        '  File "script.py", line 4, in <module>',
+        "    runtime_of(bus).wait_until(lambda: False, -1.0)",
+    ]
+    assert err.splitlines()[3].startswith("motorhil.motorapi.errors.UsageError: timeout_s = -1.0")
+
+
+def test_unhandled_error_of_party_fails_script(rig, say):
+    (rig / "script.py").write_text(
+        "import can\nfrom motorhil.motorapi import runtime_of\nwith can.Bus() as bus:\n"
+        "    runtime = runtime_of(bus)\n    runtime.spawn('second', lambda: 1 / 0)\n"
+        "    runtime.wait_until(lambda: False, 1.0)\n"
+    )
+    status, _, err = say("run", "rig.toml", "script.py")
+    assert status == 1
+    lines = err.splitlines()
+    assert lines[:2] == [
+        "Traceback (most recent call last):",
+        '  File "script.py", line 5, in <lambda>',
+    ]
+    assert "ZeroDivisionError: division by zero" in lines
+    assert lines[-1].startswith("again: motorhil run")
+
+
+def test_records_of_one_seed_are_equal_for_any_hash_seed(bench, say):
+    say("new", ".")
+    digests = []
+    for hash_seed in ("0", "1"):
+        target = f"{hash_seed}.mcap"
+        done = subprocess.run(
+            [sys.executable, "-m", "motorhil", "run", "rig.toml", "drive.py", "-o", target],
+            env={**environment(), "PYTHONHASHSEED": hash_seed},
+            capture_output=True,
+            timeout=120,
+            check=True,
+        )
+        assert b"right is at 3.1416" in done.stdout
+        digests.append(digest(target))
+    assert digests[0] == digests[1]
+
+
+def test_syntax_error_of_script_is_reported_as_by_python(rig, say):
+    (rig / "script.py").write_text("a = = 1\n")
+    status, _, err = say("run", "rig.toml", "script.py")
+    assert status == 1
+    assert err.startswith('  File "script.py", line 1\n')
+    assert "SyntaxError: invalid syntax" in err
+
+
+def test_chained_errors_of_script_are_all_reported(rig, say):
+    (rig / "script.py").write_text("try:\n    1/0\nexcept Exception as e:\n    raise KeyError(1)\n")
+    _, _, err = say("run", "rig.toml", "script.py")
+    assert err.index("ZeroDivisionError") < err.index("During handling") < err.index("KeyError: 1")
+    assert "harness" not in err
+
+
+def test_script_is_read_from_standard_input(rig):
+    done = in_another_process("run", "rig.toml", "-", "a", input=SCRIPT)
+    assert (done.returncode, done.stdout) == (0, "['a'] __main__ 2a\n")
+    done = in_another_process("run", "rig.toml", "-", input="x = 1\nx / 0\n")
+    assert done.returncode == 1
+    assert '  File "<stdin>", line 2, in <module>\n    x / 0\n' in done.stderr
+
+
+def test_prompt_without_script_has_rig(rig):
+    lines = "rig.seed + 35\nrig.runtime.run_for(2.5); rig.runtime.now_ns()\nexit(3)\n"
+    done = in_another_process("run", "rig.toml", input=lines)
+    assert done.returncode == 3
+    assert "42" in done.stdout
+    assert "2500000000" in done.stdout
+    assert "rig: motors left, right; time passes while you wait" in done.stderr
+    assert in_another_process("run", "rig.toml", input="").returncode == 0
+
+
+@pytest.mark.wall
+def test_ctrl_c_ends_script_with_130_and_one_line(rig):
+    (rig / "script.py").write_text(
+        "from motorhil.motorapi import runtime_of\nimport can\nwith can.Bus() as bus:\n"
+        "    print('up', flush=True)\n    runtime_of(bus).wait_until(lambda: False, 3600.0)\n"
+    )
+    with beside("run", "--realtime", "rig.toml", "script.py") as process:
+        assert process.stdout.readline() == "up\n"
+        process.send_signal(signal.SIGINT)
+        _, err = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert err == "motorhil: interrupted\n"
+
+
+def test_closed_output_is_not_an_error(rig):
+    (rig / "script.py").write_text("for n in range(100_000): print('line', n)\n")
+    command = f"{sys.executable} -m motorhil run rig.toml script.py | head -n 1"
+    done = subprocess.run(
+        command, shell=True, env=environment(), capture_output=True, text=True, timeout=120
+    )
+    assert (done.stdout, done.stderr) == ("line 0\n", "")
+
+
+def test_unfinished_record_is_reported_in_one_line(rig):
+    (rig / "script.py").write_text(
+        "from motorhil.motorapi import runtime_of\nimport can\nwith can.Bus() as bus:\n"
+        "    task = bus.send_periodic(can.Message(arbitration_id=1), 0.0005)\n"
+        "    runtime_of(bus).wait_until(lambda: False, 10.0)\n"
+    )
+    command = f"ulimit -f 8; {sys.executable} -m motorhil run rig.toml script.py -o x.mcap"
+    done = subprocess.run(
+        ["bash", "-c", command], env=environment(), capture_output=True, text=True, timeout=120
+    )
+    assert done.returncode == 2
+    assert done.stderr.startswith("x.mcap: ")
+    assert done.stderr.count("\n") == 1
+
+
+@pytest.mark.wall
+def test_realtime_takes_wall_time(rig, say):
+    (rig / "script.py").write_text(
+        "from motorhil.motorapi import runtime_of\nimport can\n"
+        "runtime_of(can.Bus()).wait_until(lambda: False, 0.1)\n"
+    )
+    start_s = time.monotonic()
+    assert say("run", "--realtime", "rig.toml", "script.py") == (0, "", "")
+    assert time.monotonic() - start_s >= 0.1
+
+
+# --- threads of a script
+
+PLAIN_THREAD = """\
+import threading
+import can
+
+bus = can.Bus()
+bus.shutdown()
+bus = can.Bus()
+
+
+def listen():
+    bus.recv(1.0)
+
+
+thread = threading.Thread(target=listen, name="listener")
+thread.start()
+thread.join()
+bus.shutdown()
+"""
+
+
+def test_thread_of_script_waits_in_virtual_time(rig, say):
+    (rig / "script.py").write_text(PLAIN_THREAD + "print(bus.runtime.now_ns())\n")
+    assert say("run", "rig.toml", "script.py") == (0, "56000\n", "")  # a boot-up message
+
+
+def test_rig_stays_open_until_script_threads_end(rig, say):
+    (rig / "script.py").write_text(
+        "import sys, threading\nimport can\nbus = can.Bus()\nmain_ended = threading.Event()\n"
+        "sys.modules['__main__'].ended = main_ended\n"
+        "def watch():\n    main_ended.wait(20)\n    print(bus.runtime.now_ns())\n    1 / 0\n"
+        "threading.Thread(target=watch).start()\n"
+        "threading.Timer(0.2, main_ended.set).start()\n"
+    )
+    status, out, err = say("run", "rig.toml", "script.py")
+    assert status == 1
+    assert 200_000_000 <= int(out) < 200_010_000  # a waiting thread has looked at the clock before
+    assert "ZeroDivisionError" in err
+
+
+def test_deadlocked_threads_are_reported_with_name_and_line(rig, say):
+    (rig / "script.py").write_text(
+        "import threading\nthreading.Thread(target=threading.Event().wait, name='idle').start()\n"
+    )
+    status, out, err = say("run", "rig.toml", "script.py")
+    assert (status, out) == (1, "")
+    told = "script.py has ended, but its thread 'idle' still runs; Ctrl-C ends it"
+    assert err.splitlines()[0] == told
+    assert "party 'idle' waits without a timeout, but nothing can end the wait" in err
+    assert "(waiting: idle" in err
+
+
+def test_atexit_functions_run_while_rig_is_open(rig, say):
+    (rig / "script.py").write_text(
+        "import atexit, threading, time\nimport can\nbus = can.Bus()\n"
+        "atexit.register(bus.shutdown)\n\n"
+        "def bye(word):\n    time.sleep(1)\n    print(word, bus.runtime.now_ns() // 10**9)\n\n"
+        "atexit.register(bye, 'good')\natexit.register(lambda: 1 / 0)\natexit.register(exit)\n"
+        "atexit.unregister(exit)\n"
+        "threading.Timer(2.0, print, ['thread']).start()\n"
+    )
+    status, out, err = say("run", "rig.toml", "script.py")
+    assert (status, out) == (0, "thread\ngood 3\n")
+    assert err.splitlines()[-1] == "ZeroDivisionError: division by zero"
+
+
+@pytest.mark.wall
+def test_ctrl_c_ends_script_with_endless_thread(rig):
+    (rig / "script.py").write_text(
+        "import threading, time\n\ndef idle():\n    while True:\n        time.sleep(1)\n\n"
+        "threading.Thread(target=idle, name='idle').start()\n"
+    )
+    with beside("run", "rig.toml", "script.py") as process:
+        told = process.stderr.readline()
+        process.send_signal(signal.SIGINT)
+        _, err = process.communicate(timeout=60)
+    assert told == "script.py has ended, but its thread 'idle' still runs; Ctrl-C ends it\n"
+    assert (process.returncode, err) == (130, "motorhil: interrupted\n")
+
+
+CALLBACK = """\
+import can
+
+bus = can.Bus()
+
+
+def act():
+    {act}
+
+
+bus.runtime.every(0.1, act)
+try:
+    bus.runtime.run_for(1.0)
+finally:
+    bus.shutdown()
+"""
+
+
+@pytest.mark.parametrize(
+    ("act", "told"),
+    [
+        (
+            "bus.recv(1.0)",
+            "motorhil.motorapi.errors.UsageError: waiting inside a callback: time stands",
+        ),
+        ("1 / 0", "ZeroDivisionError: division by zero"),
+    ],
+)
+def test_callback_error_is_reported_with_script_lines(rig, say, act, told):
+    (rig / "script.py").write_text(CALLBACK.format(act=act))
+    status, _, err = say("run", "rig.toml", "script.py")
+    assert status == 1
+    lines = [line for line in err.splitlines() if not set(line) <= set(" ^~")]
+    assert lines[:5] == [
+        "Traceback (most recent call last):",
+        '  File "script.py", line 12, in <module>',
+        "    bus.runtime.run_for(1.0)",
+        '  File "script.py", line 7, in act',
+        f"    {act}",
+    ]
+    assert lines[5].startswith(told)
+
+
+def test_prompt_traceback_has_only_user_lines(rig):
+    lines = (
+        "rig.runtime.wait_until(lambda: False, -1.0)\n"
+        "rig.motors['lift']\n"
+        "rig.runtime.every(0.1, lambda: 1 / 0)\n"
+        "rig.runtime.run_for(1.0)\n"
+        "a = = 1\n"
+    )
+    done = in_another_process("run", "rig.toml", input=lines)
+    assert done.returncode == 0
+    told = done.stderr.splitlines()[1:]
+    where = '  File "<console>", line 1, in <module>'
+    assert told[:2] == ["Traceback (most recent call last):", where]
+    assert told[2].startswith(
+        "motorhil.motorapi.errors.UsageError: timeout_s = -1.0: must be a number"
+    )
+    assert told[3:5] == ["Traceback (most recent call last):", where]
+    assert (
+        told[5]
+        == "motorhil.harness.rig.rig.NoSuchName: this rig has no motor 'lift' (known: left, right)"
+    )
+    assert told[6:10] == [
+        "Traceback (most recent call last):",
+        where,
+        '  File "<console>", line 1, in <lambda>',
+        "ZeroDivisionError: division by zero",
+    ]
+    assert "SyntaxError: invalid syntax" in told[-2:]

@@ -1,0 +1,96 @@
+"""Golden recordings: up to date, and replayable in all three ways."""
+
+import shutil
+
+import pytest
+
+from motorhil.harness.cli.main import main
+from motorhil.harness.replay.host import DrivenRig, compared, drive
+from motorhil.harness.replay.rig import with_recorded
+from motorhil.harness.replay.verdict import players, summary, unanswered
+from motorhil.harness.rig.rig import Rig
+from motorhil.traces.digest import digest
+from motorhil.traces.schema import decode_can_frame
+from motorhil.traces.semantics.diff import Tolerance
+from tests.support.golden import GOLDEN, INDEX, described, golden, record, rows
+from tests.support.recordings.altered import traffic
+
+NAMES = list(GOLDEN)
+
+
+@pytest.fixture(params=NAMES)
+def name(request):
+    return request.param
+
+
+def test_golden_recording_equals_a_new_run(name, tmp_path):
+    with golden(name) as path:
+        record(name, tmp_path / "now.mcap")
+        assert digest(tmp_path / "now.mcap") == digest(path), "if that is right: make golden"
+
+
+def test_index_equals_generated_rows():
+    assert INDEX.read_text() == "\n".join(rows()) + "\n", "make golden"
+
+
+def test_as_device_traffic_equals_the_recording(name, tmp_path):
+    """The drives are recorded and the host is live; times agree to the nanosecond."""
+    with golden(name) as path:
+        again = tmp_path / "again.mcap"
+        with Rig(with_recorded(described(name), path), record=again) as rig:
+            GOLDEN[name][2](rig)
+            assert unanswered(rig) == []
+            assert {"matched": 0, "left": 0, "to come": 0}.items() <= {
+                "matched": 0,
+                "left": sum(len(one.left()) for one in players(rig).values()),
+                "to come": sum(one.to_come() for one in players(rig).values()),
+            }.items()
+            (line,) = summary(rig)
+            assert "all answered as recorded" in line
+        assert traffic(again) == traffic(path)
+
+
+def test_recording_opened_as_rig_answers_completely(name, tmp_path):
+    with golden(name) as path:
+        moved = shutil.copy(path, tmp_path / "bench.mcap")
+        with Rig.open(moved) as rig:
+            GOLDEN[name][2](rig)
+            assert unanswered(rig) == []
+
+
+def test_as_host_objects_agree_with_the_recording(name, tmp_path):
+    with golden(name) as path:
+        live = tmp_path / "live.mcap"
+        with Rig(described(name), record=live) as rig:
+            player = drive(DrivenRig(rig), path)
+        objects, differing = compared(path, live, player.pairs, Tolerance())
+        if name == "overload":  # the frames do not show the missing load
+            assert any("emergency" in one.label for one in differing)
+            assert any("6041h" in one.awaited.subject[2] for one in player.missed)
+            return
+        assert player.missed == []
+        assert differing == []
+        assert objects
+        assert {one.label: one.share for one in objects if one.share < 1.0} == {}
+
+
+def test_as_traffic_frames_keep_order_and_times(name, tmp_path, capsys):
+    """A frame is sent at its recorded end, and a longer frame may delay it."""
+    bench, live = tmp_path / "bench.toml", tmp_path / "live.mcap"
+    bench.write_text("bus.bench = { bitrate_bit_s = 1_000_000, node.ear.silent = true }\n")
+    with golden(name) as path:
+        words = ["replay", str(path), "--as", "traffic", "--on", "can0=bench"]
+        status = main([*words, "--rig", str(bench), "-o", str(live)])
+        recorded = traffic(path)
+        if "/can/can0" not in recorded:
+            assert status == 2
+            assert "holds no CAN frame to send" in capsys.readouterr().err
+            return
+        assert status == 0
+        sent = recorded["/can/can0"]
+    heard = traffic(live)["/can/bench"]
+    before, after = ([decode_can_frame(data).frame for _, data in all_] for all_ in (sent, heard))
+    assert before == after
+    began_ns = heard[0][0] - sent[0][0]
+    late = [there - here - began_ns for (here, _), (there, _) in zip(sent, heard, strict=True)]
+    assert -135_000 < min(late) <= max(late) < 2 * 135_000  # the longest frame, at 1 Mbit/s

@@ -1,0 +1,126 @@
+"""Interrupted motions of a CiA 402 motor: faults, lost drives, lost hosts."""
+
+from collections.abc import Callable
+
+import pytest
+
+from motorhil.emulators.can.fault_rules import FaultKind, FaultRule
+from motorhil.harness.rig.rig import Rig
+from motorhil.motorapi.errors import DeviceFault, LinkError, MotionInterrupted
+from motorhil.motorapi.state import MotorState
+from tests.support.motors.drive_rigs import drive
+from tests.support.motors.wheels import MS, WINDOW_RAD, frames_on, go_to, motor_of, truth
+
+OpenRig = Callable[..., Rig]
+
+
+@pytest.fixture
+def rig(open_rig: OpenRig) -> Rig:
+    return open_rig(drive("left", 1), drive("right", 2))
+
+
+def test_fault_in_motion_ends_the_wait_at_its_frame(rig: Rig):
+    motor = motor_of(rig)
+    go_to(motor, 3.0)
+    heard = frames_on(rig)
+    rig.runtime.run_for(0.3)
+    rig.controllers["left"].stimulate("fault", 0x3210)
+    with pytest.raises(DeviceFault, match=r"fault 3210h \(DC link over-voltage\)") as caught:
+        motor.wait_until_done(timeout_s=5)
+    first = next(
+        time_ns
+        for time_ns, _, can_id, data in heard
+        if can_id == 0x181 and int.from_bytes(data[:2], "little") & 0x08
+    )
+    assert rig.runtime.now_ns() == first
+    assert caught.value.code == 0x3210
+    with pytest.raises(DeviceFault):
+        motor.start()
+    rig.runtime.run_for(1.0)
+    motor.reset_fault()
+    assert motor.fault() is None
+    assert motor.state() is MotorState.DISABLED
+    go_to(motor, 0.0)
+    motor.wait_until_done(timeout_s=5)
+    assert [emergency.code for emergency in motor.hardware.emergencies] == [0x3210, 0x0000]
+
+
+def test_lost_drive_ends_the_wait_within_heartbeat_time(rig: Rig):
+    motor = motor_of(rig)
+    go_to(motor, 3.0)
+    heard = frames_on(rig)
+    rig.runtime.run_for(0.25)
+    lost_ns = rig.runtime.now_ns()
+    rig.faults.inject("can0", FaultRule("cut", FaultKind.CUT, ports=("left",), from_ns=lost_ns))
+    with pytest.raises(LinkError, match="can0 node 1: no heartbeat for 300 ms"):
+        motor.wait_until_done(timeout_s=5)
+    last = max(time_ns for time_ns, _, can_id, _ in heard if can_id == 0x701)
+    assert rig.runtime.now_ns() == last + 300 * MS
+    assert rig.runtime.now_ns() <= lost_ns + 300 * MS
+    assert motor.state() is MotorState.OFFLINE
+    with pytest.raises(LinkError):
+        motor.position()
+
+
+def test_rebooted_drive_is_brought_up_again(rig: Rig):
+    motor = motor_of(rig)
+    go_to(motor, 1.0)
+    motor.wait_until_done(timeout_s=5)
+    motor.home(37)
+    motor.hardware.node.bus.nmt(0x81, 1)
+    rig.runtime.run_for(0.5)
+    assert not motor.is_referenced()
+    go_to(motor, 0.25)
+    motor.wait_until_done(timeout_s=5)
+
+
+def test_drive_reboot_in_motion_raises_link_error(rig: Rig):
+    motor = motor_of(rig)
+    go_to(motor, 3.0)
+    rig.runtime.run_for(0.2)
+    motor.hardware.node.bus.nmt(0x81, 1)
+    with pytest.raises(LinkError):
+        motor.wait_until_done(timeout_s=5)
+
+
+def test_foreign_switch_off_interrupts_the_motion(rig: Rig):
+    motor = motor_of(rig)
+    go_to(motor, 3.0)
+    rig.runtime.run_for(0.2)
+    motor.hardware.control.send_controlword(0x0000)
+    with pytest.raises(MotionInterrupted, match="switch on disabled"):
+        motor.wait_until_done(timeout_s=5)
+
+
+def test_drive_leaving_operational_raises_link_error(rig: Rig):
+    motor = motor_of(rig)
+    go_to(motor, 3.0)
+    rig.runtime.run_for(0.2)
+    motor.hardware.node.bus.nmt(0x80, 1)
+    with pytest.raises(LinkError, match="NMT state is 7Fh"):
+        motor.wait_until_done(timeout_s=5)
+
+
+def test_host_silent_for_a_while_is_named_as_the_cause(rig: Rig):
+    motor = motor_of(rig)
+    go_to(motor, 3.0)
+    lose = FaultRule("lose", FaultKind.DROP, identifier=0x77F, from_ns=rig.runtime.now_ns())
+    rig.faults.inject("can0", lose)
+    # CiA 301, 1029h: a node that misses its host leaves OPERATIONAL; its heartbeat says so
+    with pytest.raises(LinkError, match=r"NMT state is 7Fh.*, after EMCY 8130h .* host was not"):
+        motor.wait_until_done(timeout_s=5)
+    rig.faults.lift("can0", "lose")
+    rig.runtime.run_for(0.2)
+    go_to(motor, 0.1)
+    motor.wait_until_done(timeout_s=5)
+    assert abs(truth(rig) - 0.1) <= WINDOW_RAD
+
+
+def test_drive_stops_when_the_host_falls_silent(rig: Rig):
+    motor = motor_of(rig)
+    go_to(motor, 3.0)
+    rig.runtime.run_for(0.2)
+    motor.hardware.close()  # the host's end: no further heartbeats
+    rig.runtime.run_for(1.0)
+    assert rig.controllers["left"].snapshot()["velocity_rad_s"] == 0.0
+    assert truth(rig) < 2.5

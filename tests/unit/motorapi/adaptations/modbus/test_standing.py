@@ -1,0 +1,101 @@
+"""Knowledge of a Modbus drive expires with its owner or its power."""
+
+import pytest
+
+from motorhil.emulators.media.serial_faults import SerialFaultKind, SerialFaultRule
+from motorhil.motorapi import ControlMode, MotorState
+from motorhil.motorapi.errors import DeadlineExceeded
+from tests.support.modbus.rigs import ADAPTATIONS, opened, run_s, text, truth
+
+RESOLUTION = 0.004  # rad: two steps of the coarser drive, which counts half as many here
+# Registers of the steps per turn, and their values for half as many steps.
+COARSER = {"leadshine": (0x0001, (5000,)), "oriental_az": (0x0380, (0, 2))}
+QUICK_RAMP = 0x6017
+ONE_IS_LOST = SerialFaultRule("lost", SerialFaultKind.LOSE, sender="mast", limit=1)
+
+
+@pytest.fixture(params=list(ADAPTATIONS))
+def adaptation(request):
+    return request.param
+
+
+@pytest.fixture
+def rig(adaptation):
+    with opened(text(adaptation)) as rig:
+        yield rig
+
+
+def go_to(motor, position):
+    motor.set_control_mode(ControlMode.SETPOINT)
+    motor.set_setpoint(position)
+    motor.start()
+    motor.wait_until_done(5)
+
+
+def cut_power(rig):
+    """Remove the supply for a while, and send a request meanwhile."""
+    drive = rig.controllers["mast"]
+    drive.stimulate("power", 0)
+    assert rig.motors["mast"].state() is MotorState.OFFLINE
+    drive.stimulate("power", 1)
+    run_s(rig, 2.0)
+
+
+def test_steps_per_turn_are_read_again_after_another_owner(rig, adaptation):
+    mast = rig.motors["mast"]
+    go_to(mast, 0.1)
+    with mast.low_level() as hardware:
+        address, values = COARSER[adaptation]
+        hardware.registers.write(address, *values)
+    go_to(mast, 0.5)
+    assert truth(rig)["position_rad"] == pytest.approx(0.5, abs=RESOLUTION)
+    assert mast.position() == pytest.approx(0.5, abs=RESOLUTION)
+
+
+def test_steps_per_turn_are_the_saved_ones_after_power_loss(rig, adaptation):
+    mast = rig.motors["mast"]
+    mast.enable()
+    with mast.low_level() as hardware:
+        address, values = COARSER[adaptation]
+        hardware.registers.write(address, *values)
+    go_to(mast, 0.2)
+    cut_power(rig)
+    before = truth(rig)["position_rad"]
+    here = mast.position()
+    go_to(mast, here + 0.2)
+    assert truth(rig)["position_rad"] - before == pytest.approx(0.2, abs=RESOLUTION)
+
+
+@pytest.mark.parametrize("has_moved", [True, False])
+def test_drive_after_power_loss_is_not_enabled(rig, has_moved):
+    mast = rig.motors["mast"]
+    mast.enable()
+    if has_moved:
+        go_to(mast, 0.1)
+    assert mast.state() is MotorState.ENABLED
+    cut_power(rig)
+    assert mast.state() is MotorState.DISABLED
+    mast.enable()
+    assert mast.state() is MotorState.ENABLED
+
+
+def test_drive_after_a_lost_answer_is_still_enabled(rig):
+    mast = rig.motors["mast"]
+    go_to(mast, 0.1)
+    rig.faults.inject("line", ONE_IS_LOST)
+    with pytest.raises(DeadlineExceeded):
+        mast.position()
+    assert mast.state() is MotorState.ENABLED
+    go_to(mast, 0.2)
+    assert truth(rig)["position_rad"] == pytest.approx(0.2, abs=RESOLUTION)
+
+
+@pytest.mark.parametrize("adaptation", ["leadshine"])
+def test_stop_ramp_is_written_again_after_power_loss(rig):
+    mast = rig.motors["mast"]
+    go_to(mast, 0.1)
+    told = mast.hardware.registers.read(QUICK_RAMP)
+    cut_power(rig)
+    assert mast.hardware.registers.read(QUICK_RAMP) != told
+    go_to(mast, 0.2)
+    assert mast.hardware.registers.read(QUICK_RAMP) == told
