@@ -32,6 +32,7 @@ from motorhil.emulators.settings.tables import refuse_unknown, whole
 from motorhil.harness.replay.frames import duration_ns
 from motorhil.harness.replay.player import ExchangePlayer
 from motorhil.harness.rig.config.buses import BUS_KINDS, NODE_MAX, UNIT_MAX
+from motorhil.traces.can_frame import EFF, ERR, RTR, classic
 from motorhil.traces.decoding.canopen import CanopenDecoder
 from motorhil.traces.decoding.modbus import ModbusDecoder
 from motorhil.traces.errors import TraceError
@@ -48,7 +49,6 @@ from motorhil.traces.exchange.canopen import (
 from motorhil.traces.exchange.modbus import request_key, role_of
 from motorhil.traces.exchange.recording import RecordedExchanges, exchanges_of
 from motorhil.traces.exchange.steps import ExchangeLog, Key, Role, Sent, Step
-from motorhil.traces.formats.frames import EFF, ERR, RTR, classic
 from motorhil.traces.formats.modbus import Adu
 from motorhil.traces.mcap.reader import read_trace
 
