@@ -55,6 +55,13 @@ _SAMPLE_S: Final = 0.002
 _MOVE_TIMEOUT_S: Final = 10.0
 _REST_S: Final = 0.05
 _RPDOS: Final = range(0x200, 0x580)  # commands from hosts to controllers (CiA 301)
+KINDS: Final = (FaultKind.DROP, FaultKind.DELAY, FaultKind.DUPLICATE)
+RULES_MAX: Final = 3
+MOVES_MAX: Final = 3
+_STARTED_NS: Final = 20_000_000
+_STARTING_MS: Final = 60
+_WHOLE_MS: Final = 2000
+_MS: Final = 1_000_000
 
 
 class MadeMoreThanOnce(AssertionError):  # noqa: N818 -- it says what happened, as a verdict does
@@ -343,16 +350,6 @@ class _Repeats:
         if self._last.get((bus, can_id)) == frame:
             self.count += 1
         self._last[bus, can_id] = frame
-
-
-KINDS: Final = (FaultKind.DROP, FaultKind.DELAY, FaultKind.DUPLICATE)
-RULES_MAX: Final = 3
-MOVES_MAX: Final = 3
-
-_STARTED_NS: Final = 20_000_000
-_STARTING_MS: Final = 60
-_WHOLE_MS: Final = 2000
-_MS: Final = 1_000_000
 
 
 @final
