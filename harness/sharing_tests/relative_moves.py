@@ -426,8 +426,7 @@ def _plans(mover: Mover, traffic: Traffic) -> st.SearchStrategy[Plan]:
         st.sampled_from(KINDS),
         st.sampled_from([None, *traffic.identifiers]),
         st.sampled_from([None, HOST]),
-        begins_ms,
-        st.none() | st.integers(1, _WHOLE_MS),
+        st.tuples(begins_ms, st.none() | st.integers(1, _WHOLE_MS)),
         st.sampled_from([1.0, 0.5, 0.1, 0.02]),
         st.integers(0, 5) | st.integers(0, traffic.starting),
         st.sampled_from([1, 2, 5, None]),
@@ -444,13 +443,13 @@ def _rule(
     kind: FaultKind,
     identifier: int | None,
     sender: str | None,
-    from_ms: int,
-    length_ms: int | None,
+    period_ms: tuple[int, int | None],
     probability: float,
     skip: int,
     limit: int | None,
     delay_ns: int,
 ) -> FaultRule:
+    from_ms, length_ms = period_ms
     from_ns = from_ms * _MS
     return FaultRule(
         kind.value,
