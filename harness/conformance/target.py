@@ -19,6 +19,9 @@ from motorhil.harness.rig.config.rig_file import RigDescription, read_rig
 from motorhil.harness.rig.config.toml import BrokenPluginError, RigError, a_kind_of, listed, nearest
 from motorhil.harness.rig.rig import describe, installed_plugins
 
+_LIVE_DEADLINE_S: Final = 120.0
+OWN_RIGS: Final = Path(__file__).parent / "rigs"
+
 
 @final
 @dataclass(frozen=True, slots=True)
@@ -46,12 +49,6 @@ class Job:
     def unpacked(cls, values: Mapping[str, Any]) -> Self:
         """Return the job from the values of `packed`."""
         return cls(**{**values, "on": tuple(values["on"])})
-
-
-_LIVE_DEADLINE_S: Final = 120.0
-
-
-OWN_RIGS: Final = Path(__file__).parent / "rigs"
 
 
 @final

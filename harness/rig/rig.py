@@ -67,6 +67,8 @@ if TYPE_CHECKING:
     from motorhil.motorapi.runtime.api import Runtime
 
 T = TypeVar("T")
+_OF_MOTORS: Final = ("close", "latest", "ownership")
+"""Attributes by which a rig recognises a motor; wrappers of motors have them too."""
 
 
 @final
@@ -332,10 +334,6 @@ def _model(description: RigDescription, motor: str) -> MotorModel:
             at = (*path, key) if key else path
             raise description.error(at, error.problem, error.remedy) from None
         raise RigError(error.path, error.problem, error.remedy, line=error.line, key=key) from None
-
-
-_OF_MOTORS: Final = ("close", "latest", "ownership")
-"""Attributes by which a rig recognises a motor; wrappers of motors have them too."""
 
 
 @final

@@ -53,6 +53,8 @@ OVER_AT: Final = 0
 INSIDE_AT: Final = 8
 _VALUE_AT: Final = 16
 _PATIENCE_S: Final = 10.0
+_DRIVER_TIMEOUT_S: Final = 60.0
+_TAKEN: Final = (LockAction.TAKEN, LockAction.BROKEN, LockAction.TAKEN_OVER)
 
 
 @final
@@ -172,10 +174,6 @@ def _command(desk: Desk, lock: ProcessLock, value: int) -> None:
     command.returned()
     read = desk.history.call(desk.name, "lock", Action.READ)
     read.returned(value=desk.value)
-
-
-_DRIVER_TIMEOUT_S: Final = 60.0
-_TAKEN: Final = (LockAction.TAKEN, LockAction.BROKEN, LockAction.TAKEN_OVER)
 
 
 def drives(desk: Desk) -> list[Motor]:
