@@ -22,7 +22,8 @@ from motorhil.emulators.can.frame_length import LENGTHS_MASK, frame_bits, measur
 from motorhil.harness.analysis.message import INTERMISSION_BITS, Bits, BusLoad, Message, longest
 from motorhil.harness.analysis.response_time import ErrorModel, response_times
 from tests.support.can.deliveries import run
-from tests.support.recordings.message_sets import MS, SAE_RATES, US, sae
+from tests.support.can.published import MS, SAE_RATES, US
+from tests.support.recordings.message_sets import sae
 
 RATE = 1_000_000
 BIT_NS = 1000

@@ -21,7 +21,8 @@ from motorhil.harness.analysis.advice import (
 from motorhil.harness.analysis.message import BusLoad, Message
 from motorhil.harness.analysis.response_time import NO_ERRORS, ErrorModel, are_in_time
 from motorhil.harness.analysis.subject import is_canopen_reserved, reserves_nothing
-from tests.support.recordings.message_sets import MS, US, davis, sae
+from tests.support.can.published import MS, US
+from tests.support.recordings.message_sets import davis, sae
 
 
 def _load(*times: tuple[int, int], rate: int = 125_000, movable: tuple[bool, ...] = ()) -> BusLoad:

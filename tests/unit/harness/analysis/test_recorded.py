@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 
 from motorhil.harness.analysis.measured import Heard, measured
 from motorhil.harness.analysis.message import Arrival, Message
-from tests.support.recordings.message_sets import MS, US
+from tests.support.can.published import MS, US
 
 
 def _heard(times_ns: list[int]) -> Heard:

@@ -23,21 +23,8 @@ from motorhil.harness.analysis.response_time import (
 )
 from motorhil.motorapi.synchronization import can_response_time as bus_timing
 from motorhil.motorapi.synchronization.bus_load import CanTraffic, PeriodicMessage
-from tests.support.recordings.message_sets import MS, SAE, SAE_RATES, US, davis, sae
-
-# Bits with intermission, shortest and longest, 11-bit and 29-bit identifiers, by FD_LENGTHS.
-# Source: Linux include/linux/can/length.h (can-physics, 6.3).
-FD_BITS = {
-    0: (62, 67, 81, 91),
-    8: (126, 147, 145, 171),
-    12: (158, 187, 177, 211),
-    16: (190, 227, 209, 251),
-    20: (227, 272, 246, 296),
-    24: (259, 312, 278, 336),
-    32: (323, 392, 342, 416),
-    48: (451, 552, 470, 576),
-    64: (579, 712, 598, 736),
-}
+from tests.support.can.published import FD_BITS, MS, SAE, SAE_RATES, US
+from tests.support.recordings.message_sets import davis, sae
 
 
 def test_davis_counter_example_misses_in_second_instance():

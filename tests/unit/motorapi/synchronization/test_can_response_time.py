@@ -23,6 +23,7 @@ from motorhil.motorapi.synchronization.can_response_time import (
     worst_frame_bits,
     worst_frame_ns,
 )
+from tests.support.can.published import SAE
 
 # Frame bits with intermission, minimum and maximum: can-utils canframelen.c and Linux
 # include/linux/can/length.h, which follow Davis et al. 2007, by data bytes 0 to 8.
@@ -36,30 +37,6 @@ LENGTHS = {
         (80, 90, 100, 110, 120, 130, 140, 150, 160),
     ),
 }
-
-# The SAE benchmark of Tindell & Burns 1994 (17 messages after piggybacking): period [ms], bytes,
-# and the response at 125, 250, 500 and 1000 kbit/s to the last bit of the frame [us], in order of
-# priority. The column of 125 kbit/s is quoted from memory of the papers and was recomputed by hand
-# from the frame lengths above, without jitter; the others follow from it.
-SAE = (
-    (1000, 1, 1416, 708, 354, 177),
-    (5, 2, 2016, 1008, 504, 252),
-    (5, 1, 2536, 1268, 634, 317),
-    (5, 2, 3136, 1568, 784, 392),
-    (5, 1, 3656, 1828, 914, 457),
-    (5, 2, 4256, 2128, 1064, 532),
-    (10, 6, 5016, 2508, 1254, 627),
-    (10, 1, 8376, 2768, 1384, 692),
-    (10, 2, 8976, 3068, 1534, 767),
-    (10, 2, 9576, 3368, 1684, 842),
-    (100, 1, 10096, 3628, 1814, 907),
-    (100, 4, 19096, 3968, 1984, 992),
-    (100, 1, 19616, 4228, 2114, 1057),
-    (100, 1, 20136, 4488, 2244, 1122),
-    (1000, 3, 28976, 4748, 2374, 1187),
-    (1000, 1, 29496, 5008, 2504, 1252),
-    (1000, 1, 29496, 5008, 2504, 1252),
-)
 
 
 @pytest.mark.parametrize("extended", [False, True])
