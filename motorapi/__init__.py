@@ -39,6 +39,7 @@ from motorhil.motorapi.ownership.reservation import Reservation
 from motorhil.motorapi.runtime.api import Runtime
 from motorhil.motorapi.runtime.wall import WallRuntime, runtime_of
 from motorhil.motorapi.state import Fault, Measurement, MotorState
+from motorhil.motorapi.synchronization.offer import SyncOffer, Trigger
 from motorhil.motorapi.synchronization.quality import (
     FaultReaction,
     MotionTimes,
@@ -47,9 +48,7 @@ from motorhil.motorapi.synchronization.quality import (
     Synchronization,
     SynchronizationError,
     SyncLevel,
-    SyncOffer,
     SyncQuality,
-    Trigger,
 )
 from motorhil.motorapi.trajectory import (
     Argument,

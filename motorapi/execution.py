@@ -33,7 +33,8 @@ from motorhil.motorapi.planning import single_axis as planning
 from motorhil.motorapi.planning.groups import TIME, Common, synchronised
 from motorhil.motorapi.runtime.api import Awaited, Waiting, wait_until
 from motorhil.motorapi.state import Fault, MotorState
-from motorhil.motorapi.synchronization.quality import SyncLevel, Trigger
+from motorhil.motorapi.synchronization.offer import Trigger
+from motorhil.motorapi.synchronization.quality import SyncLevel
 from motorhil.motorapi.trajectory import Argument, ComplexTrajectory, MotorPosition, Trajectory
 
 if TYPE_CHECKING:

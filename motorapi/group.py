@@ -48,6 +48,7 @@ from motorhil.motorapi.planning import single_axis as planning
 from motorhil.motorapi.planning.groups import TIME, Common
 from motorhil.motorapi.planning.path import PathWatch, predicted_path
 from motorhil.motorapi.runtime.api import LOOK_PERIOD_S
+from motorhil.motorapi.synchronization.offer import Trigger
 from motorhil.motorapi.synchronization.quality import (
     FaultReaction,
     PathDeviation,
@@ -55,7 +56,6 @@ from motorhil.motorapi.synchronization.quality import (
     Synchronization,
     SyncLevel,
     SyncQuality,
-    Trigger,
     check_asked,
     require_synchronised,
     spread_s,

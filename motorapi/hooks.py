@@ -44,7 +44,8 @@ from motorhil.motorapi.motion import Motion
 from motorhil.motorapi.ownership.physical_motor import PhysicalMotor
 from motorhil.motorapi.runtime.api import Runtime
 from motorhil.motorapi.state import Fault, Measurement, MotorState
-from motorhil.motorapi.synchronization.quality import MotionTimes, SyncOffer, Trigger
+from motorhil.motorapi.synchronization.offer import SyncOffer, Trigger
+from motorhil.motorapi.synchronization.quality import MotionTimes
 from motorhil.motorapi.trajectory import ComplexTrajectory, Trajectory
 
 

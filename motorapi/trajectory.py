@@ -183,7 +183,7 @@ class ComplexTrajectory:
         domain = getattr(self.function, "domain", None)
         if not isinstance(domain, tuple) or not callable(getattr(self.function, "extrema", None)):
             raise UsageError(
-                f"ComplexTrajectory: {self.function!r} is not a motorapi.functions.Function"
+                f"ComplexTrajectory: {self.function!r} is not a function (see motorapi.functions)"
             )
         if not isinstance(self.relative, bool):
             raise UsageError(

@@ -6,8 +6,6 @@ motor that a rig can describe, with the same keys:
     motor = motor_in(table, context.stream())           # of the keys MOTOR_KEYS
     axis = axis_of(motor, motor.oscillator.rate())      # motorhil.emulators.firmware.axis
     return on_own_time(controller, motor.oscillator)    # motorhil.emulators.firmware.clock
-
-Servo settings of a drive in a rig: the table `servo`.
 """
 
 from collections.abc import Mapping

@@ -60,16 +60,34 @@ from motorhil.motorapi import (
 )
 from motorhil.motorapi.motion import Motion
 from motorhil.motorapi.ownership.claim import LockAction, OwnershipEvent
-from motorhil.motorapi.synchronization.quality import Trigger
+from motorhil.motorapi.synchronization.offer import Trigger
+
+try:
+    from hypothesis import event, settings
+    from hypothesis import strategies as st
+    from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
+except ImportError as missing:  # pragma: no cover -- without it nothing here can be tested
+    raise ImportError("this module needs Hypothesis: pip install 'motorhil[test]'") from missing
 
 if TYPE_CHECKING:
     from motorhil.harness.virtual_time.runtime import VirtualParty, VirtualRuntime
     from motorhil.motorapi.ownership.reservation import Reservation
 
-# ruff: noqa: SLF001 -- the harness looks at who has a motor
+# ruff: noqa: SLF001 -- the harness looks at who has a motor, and lets arming fail
 
+MakeRig = Callable[[], Rig]
 
 _LONG_S: Final = 60.0
+_GROUP_PATIENCE_S: Final = 120.0
+_RENEWED: Final = 7 / 8
+"""The minimum share of a lease that is left when a use does not renew it."""
+_STOPS: Final = ("stop() of ", "halt() of ")
+_STEPS: Final = 25
+_SETTLED_S: Final = 300.0
+_WHO: Final = st.integers(0, 5)
+_PATIENCE_S: Final = st.sampled_from([None, 0.0, 0.05, 1.0, 5.0])
+_LEASE_S: Final = st.sampled_from([None, None, 0.05, 0.3])
+_PAUSE_S: Final = st.sampled_from([None, 0.0, 1e-5, 2e-4, 1e-3, 0.02, 0.1, 0.5, 2.0])
 
 
 @final
@@ -191,14 +209,6 @@ class Party:
 
     def leave(self) -> None:
         """Close everything that the party has open."""
-
-
-# ruff: noqa: SLF001 -- the harness looks at who has a motor, and lets arming fail
-
-
-_RENEWED: Final = 7 / 8
-"""The minimum share of a lease that is left when a use does not renew it."""
-_STOPS: Final = ("stop() of ", "halt() of ")
 
 
 @final
@@ -468,12 +478,6 @@ class Owner(Party):
             self._death = None
 
 
-# ruff: noqa: SLF001 -- the harness looks at who has a motor, and lets arming fail
-
-
-_PATIENT_S: Final = 120.0
-
-
 @final
 class _WatchedTrigger:
     """A trigger that reports its firing; everything else is delegated."""
@@ -562,7 +566,7 @@ class GroupOwner(Party):
         watches = [self.motors[place] for place in places]
         refusing = None if refuses is None else watches[refuses % len(watches)]
         group = MotorGroup(*(watch.motor for watch in watches))
-        timeout_s = _PATIENT_S if patient else None
+        timeout_s = _GROUP_PATIENCE_S if patient else None
         words = f"{len(watches)} motors"
         with ExitStack() as held:
             try:
@@ -573,7 +577,7 @@ class GroupOwner(Party):
             except MotorBusyError as error:
                 stage.counts[f"{words}: refused"] += 1
                 stage.require(
-                    not patient, f"{self.name} waited {_PATIENT_S:g} s: {error}; a deadlock"
+                    not patient, f"{self.name} waited {_GROUP_PATIENCE_S:g} s: {error}; a deadlock"
                 )
             except LinkError:
                 stage.counts[f"{words}: one refused to be armed"] += 1
@@ -615,7 +619,7 @@ class GroupOwner(Party):
         if not reserved:
             self._take(watches)
         gives = [] if reserved else self._gives(watches)  # owned as long as they move
-        group.wait_until_done(_PATIENT_S)
+        group.wait_until_done(_GROUP_PATIENCE_S)
         for give in gives:
             give.returned()
         took_s = (stage.runtime.now_ns() - self._begun_ns(watches)) / 1e9
@@ -666,27 +670,6 @@ class GroupOwner(Party):
         """Begin the notes of release; they are completed when ownership has ended."""
         labels = [watch.motor._physical.label for watch in watches]
         return [self.stage.history.call(self.name, label, Action.GIVE) for label in labels]
-
-
-# ruff: noqa: SLF001 -- the harness looks at who has a motor
-
-
-try:
-    from hypothesis import event, settings
-    from hypothesis import strategies as st
-    from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
-except ImportError as missing:  # pragma: no cover -- without it nothing here can be tested
-    raise ImportError("this module needs Hypothesis: pip install 'motorhil[test]'") from missing
-
-
-MakeRig = Callable[[], Rig]
-
-_STEPS: Final = 25
-_SETTLED_S: Final = 300.0
-_WHO: Final = st.integers(0, 5)
-_PATIENCE_S: Final = st.sampled_from([None, 0.0, 0.05, 1.0, 5.0])
-_LEASE_S: Final = st.sampled_from([None, None, 0.05, 0.3])
-_PAUSE_S: Final = st.sampled_from([None, 0.0, 1e-5, 2e-4, 1e-3, 0.02, 0.1, 0.5, 2.0])
 
 
 class SharingMachine(RuleBasedStateMachine):

@@ -22,6 +22,7 @@ from contextlib import contextmanager, suppress
 from heapq import heappop, heappush
 from typing import TYPE_CHECKING, Final, ParamSpec, final
 
+from motorhil.motorapi.bus_context import BusContext
 from motorhil.motorapi.errors import DeadlineExceeded, LinkError, UsageError
 from motorhil.motorapi.runtime.api import FrameListener, Runtime
 from motorhil.motorapi.runtime.can_sources import FrameSource, source_of
@@ -209,6 +210,7 @@ class WallRuntime:
     """The Runtime of real hardware, and of emulated hardware in other processes."""
 
     def __init__(self) -> None:
+        self.context: Final = BusContext()
         self._start_ns = time.monotonic_ns()
         self._changed = threading.Condition(threading.RLock())
         self._callback_thread: int | None = None

@@ -86,7 +86,7 @@ def test_misbehaviour_has_verdict_and_run_continues(supervisor, harm, result, se
         expected, lines = line_of(harm)
         assert (file, int(line) in lines) == (expected, True), where
     if harm == "exits":
-        assert supervisor.said == ("the adaptation's last words",)
+        assert supervisor.output == ("the adaptation's last words",)
 
 
 @pytest.mark.parametrize(

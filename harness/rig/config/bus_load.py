@@ -16,7 +16,7 @@ from motorhil.motorapi.synchronization.bus_load import (
     PeriodicMessage,
     worst_of,
 )
-from motorhil.motorapi.synchronization.can_response_time import worst_frame_ns
+from motorhil.motorapi.synchronization.can_response_time import BusLoad, Message
 
 if TYPE_CHECKING:
     from motorhil.harness.rig.config.rig_file import ControllerDescription, RigDescription
@@ -55,6 +55,7 @@ def read_messages(
     if not bus.has("message"):
         return None
     messages: list[PeriodicMessage] = []
+    load = BusLoad("", bitrate_bit_s, (), data_bitrate_bit_s)
     busy = 0.0
     for table in bus.listed_tables("message"):
         message = _declared(table).message
@@ -73,8 +74,7 @@ def read_messages(
                     "declare it once, with the shorter period and the greater length",
                 )
         messages.append(message)
-        traffic = CanTraffic(bitrate_bit_s, data_bitrate_bit_s=data_bitrate_bit_s)
-        busy += worst_frame_ns(message, traffic) / (message.period_s * 1e9)
+        busy += load.takes_ns(Message.of(message)) / (message.period_s * 1e9)
         if busy > 1.0:
             raise table.error(
                 "period_s",

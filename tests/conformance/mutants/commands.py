@@ -63,12 +63,12 @@ def a_velocity_ends_by_itself():
     def watched(fire):
         def fired(self):
             fire(self)
-            started_ns = self._polled.progress.started_ns
+            started_ns = self.hardware.progress.started_ns
 
             def over():
                 timer.cancel()
-                if self._polled.progress.started_ns == started_ns:
-                    self._polled.post_stop(quick=False)
+                if self.hardware.progress.started_ns == started_ns:
+                    self.hardware.post_stop(quick=False)
 
             motion = self.armed_motion
             if is_setpoint(motion, VELOCITY):

@@ -123,7 +123,7 @@ def it_moves_only_while_asked():
             def look(timer):
                 if self.runtime.now_ns() - heard[0] > 200_000_000:
                     timer.cancel()
-                    self._polled.post_stop(quick=False)
+                    self.hardware.post_stop(quick=False)
 
         return fired
 

@@ -3,8 +3,8 @@
 from contextlib import contextmanager
 
 from motorhil.motorapi import Motor, MotorBusyError
+from motorhil.motorapi.adaptations.canopen.object_access import ObjectAccess
 from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
-from motorhil.motorapi.adaptations.cia402.object_access import DriveObjects
 from motorhil.motorapi.adaptations.host_servo.hardware import AmplifierHwMotor
 from motorhil.motorapi.adaptations.ideal.motor import IdealMotor
 from motorhil.motorapi.adaptations.modbus.polled_motor import PolledMotor
@@ -95,7 +95,7 @@ def each_believes_what_it_wrote_itself():
 
         return believed
 
-    with replaced(DriveObjects, "_believes", wrong):
+    with replaced(ObjectAccess, "_believes", wrong):
         yield
 
 
@@ -176,7 +176,7 @@ def the_last_one_shuts_the_door_every_time():
     def wrong(close):
         def closed(motor):
             close(motor)
-            motor._polled.close()
+            motor.hardware.close()
 
         return closed
 

@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from motorhil.harness.analysis.measured import clock_of
-from tests.support.can.published import MS, US
+from tests.support.recordings.message_sets import MS, US
 
 
 def test_clock_error_is_measured_in_ppm():

@@ -4,8 +4,8 @@ from hypothesis import event, given
 from hypothesis import strategies as st
 
 from motorhil.harness.analysis.measured import Heard, measured
-from motorhil.harness.analysis.message import Arrival, Message
-from tests.support.can.published import MS, US
+from motorhil.motorapi.synchronization.can_response_time import Arrival, Message
+from tests.support.recordings.message_sets import MS, US
 
 
 def _heard(times_ns: list[int]) -> Heard:

@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, Final
 
 from motorhil.motorapi.adaptations.registration import Shared, as_name, number, refuse_unknown
 from motorhil.motorapi.errors import UsageError
-from motorhil.motorapi.ownership.physical_motor import bus_key
 
 from motorhil_odrive.host.hardware import OdriveHwMotor
 from motorhil_odrive.host.motor import OdriveMotor
@@ -44,7 +43,8 @@ def build(
     given = {key: number(key, settings[key]) for key in _OPTIONS if key in settings}
     options = OdriveOptions(**given)
     hardware = _SHARED.get(
-        (*bus_key(bus), node_id),
+        bus,
+        node_id,
         lambda: OdriveHwMotor(bus, node_id, runtime=runtime, options=options),
         lambda built: built.options == options,
     )
