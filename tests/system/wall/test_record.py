@@ -16,7 +16,7 @@ from motorhil.harness.recording.writer import Pump, Series, opener
 from motorhil.traces.formats.frames import Findings, Frame, classic
 from motorhil.traces.formats.registry import record_frames, recorded_frames
 from motorhil.traces.mcap.reader import read_trace
-from tests.system.wall.test_hub import serving
+from tests.system.wall.hub.test_hub import serving
 
 pytestmark = pytest.mark.wall
 

@@ -25,7 +25,7 @@ from motorhil.motorapi.locking.lock_status import read_process
 from tests.support.line_programs import LONG_S, Program
 from tests.support.motors.streaming import quintic, set_function
 from tests.support.programs.fenced_owner import MODEL, OPTIONS, open_bus
-from tests.system.wall.test_hub import serving
+from tests.system.wall.hub.test_hub import serving
 
 pytestmark = pytest.mark.wall
 

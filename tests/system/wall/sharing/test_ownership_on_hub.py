@@ -13,7 +13,7 @@ from motorhil.traces.protobuf import decode
 from motorhil.traces.schema import CAN_FRAME, LockAction
 from motorhil.traces.semantics.ownership import Ended, read_ownership
 from tests.support.line_programs import LONG_S, Program
-from tests.system.wall.test_shared_drive import MODEL, SERVE, await_boot, folder, wait_for
+from tests.system.wall.sharing.test_shared_drive import MODEL, SERVE, await_boot, folder, wait_for
 
 __all__ = ["folder"]
 

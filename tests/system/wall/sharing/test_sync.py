@@ -13,7 +13,7 @@ from motorhil.motorapi.locking.directory import VARIABLE, LockDirectory
 from motorhil.motorapi.locking.lock_status import list_locks
 from tests.support.line_programs import LONG_S, Program
 from tests.support.motors.drive_rigs import HEAD, drive
-from tests.system.wall.test_shared_drive import SERVE, await_boot, wait_for
+from tests.system.wall.sharing.test_shared_drive import SERVE, await_boot, wait_for
 
 pytestmark = pytest.mark.wall
 

@@ -20,8 +20,8 @@ from motorhil.motorapi.locking.directory import VARIABLE
 from motorhil.motorapi.locking.lock_status import read_process
 from tests.support.line_programs import LONG_S, Program
 from tests.support.programs.fenced_servo import servo_on
-from tests.system.wall.test_fencing import Listener, Sent, not_of_the_heir
-from tests.system.wall.test_hub import serving
+from tests.system.wall.hub.test_hub import serving
+from tests.system.wall.sharing.test_fencing import Listener, Sent, not_of_the_heir
 
 pytestmark = pytest.mark.wall
 

@@ -10,7 +10,7 @@ from motorhil.harness.rig.config.scaffold import EXAMPLES
 from motorhil.harness.sharing_tests.bus_evidence import read_evidence
 from motorhil.harness.sharing_tests.processes import Plan, run
 from tests.support.line_programs import LONG_S
-from tests.system.wall.test_shared_drive import SERVE, await_boot
+from tests.system.wall.sharing.test_shared_drive import SERVE, await_boot
 
 pytestmark = pytest.mark.wall
 
