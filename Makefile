@@ -13,8 +13,6 @@ PACKAGES := motorhil
 WORKERS := -n 2 --dist loadfile --no-loadscope-reorder
 
 DOCUMENTS := tests/architecture/test_docs_links.py tests/architecture/test_docs_language.py
-QUICK := $(DOCUMENTS) tests/unit/motorapi/functions tests/unit/motorapi/generation tests/unit/traces/formats \
-    tests/unit/emulators/can/bus tests/unit/emulators/canopen tests/unit/emulators/firmware
 
 # What was read once is not compiled or rewritten anew by each of the hundreds of programs that the
 # tests start, whatever the environment says; nor does it lie among the sources.

@@ -33,7 +33,8 @@ from motorhil.motorapi.generation import Trapezoid
 from motorhil.motorapi.group import MotorGroup
 from motorhil.motorapi.model import MotionKind, MotorModel
 from motorhil.motorapi.motion import Motion
-from motorhil.motorapi.motor import Ending, Motor, Outcome, Progress
+from motorhil.motorapi.motor import Motor
+from motorhil.motorapi.outcome import Ending, Outcome, Progress
 from motorhil.motorapi.ownership.claim import LockAction, OwnershipEvent
 from motorhil.motorapi.ownership.reservation import Reservation
 from motorhil.motorapi.runtime.api import Runtime

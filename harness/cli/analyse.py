@@ -98,9 +98,9 @@ def run(options: argparse.Namespace) -> int:
     verdict, status = _sum(found) if subjects else ("no CAN bus", NOT_JUDGED)
     if options.json:
         tables = [as_table(one, options.bit_error_rate) for one in found]
-        told = {"file": str(options.file), "verdict": verdict, "buses": tables}
-        told["sync_drifts"] = sync_drifts(found)
-        print(json.dumps(told, allow_nan=False))
+        document = {"file": str(options.file), "verdict": verdict, "buses": tables}
+        document["sync_drifts"] = sync_drifts(found)
+        print(json.dumps(document, allow_nan=False))
     else:
         for one in subjects:
             if not one.load.messages:

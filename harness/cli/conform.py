@@ -109,7 +109,7 @@ def run(options: argparse.Namespace) -> int:
         print(f"motorhil conform: {error}", file=sys.stderr)
         return FAILED
     _write(options, outcome)
-    _tell(outcome)
+    _print_summary(outcome)
     if outcome.is_empty:
         print("motorhil conform: no clause was applicable, so nothing was tested", file=sys.stderr)
         return NOT_JUDGED
@@ -141,8 +141,8 @@ def _chosen(options: argparse.Namespace, known: "Sequence[Promise]") -> "list[Pr
             raise RigError(f"--clause {name}", "there is no such clause", remedy)
         level = by_id[name].level
         if options.level is not None and level > options.level:
-            told = f"is of level L{level}, above --level L{options.level}"
-            raise RigError(f"--clause {name}", told, "leave --level out")
+            problem = f"is of level L{level}, above --level L{options.level}"
+            raise RigError(f"--clause {name}", problem, "leave --level out")
     return [
         one
         for one in known
@@ -177,7 +177,7 @@ def _outcome(options: argparse.Namespace, supervisor: "Supervisor") -> "Outcome"
         finding = examiner.examine(promise)
         first_s = first_s or _running_s()
         _progress("")
-        _tell_one(finding)
+        _print_finding(finding)
         findings.append(finding)
     try:
         claims = supervisor.claims()
@@ -214,28 +214,28 @@ def _progress(text: str) -> None:
         print(f"\r\033[K{text}", end="", file=sys.stderr, flush=True)
 
 
-def _tell_one(one: "Finding") -> None:
+def _print_finding(one: "Finding") -> None:
     from motorhil.harness.conformance.results import more_of
 
     verdict = one.verdict
-    told = verdict.seen or one.promise.promise
+    text = verdict.seen or one.promise.promise
     print(
         f"{one.promise.id:<10}{verdict.result.value:<15}{verdict.time_ns / 1e9:8.3f} s"
-        f"  {one_line(told)}"
+        f"  {one_line(text)}"
     )
     for line in more_of(one):
         print(f"{'':<10}{one_line(line)}")
     sys.stdout.flush()
 
 
-def _tell(outcome: "Outcome") -> None:
+def _print_summary(outcome: "Outcome") -> None:
     from motorhil.harness.conformance.clause import Result
 
     counts = [(outcome.count(result), result) for result in Result]
-    told = ", ".join(f"{count} {result.value}" for count, result in counts if count)
+    results = ", ".join(f"{count} {result.value}" for count, result in counts if count)
     took = f"first verdict after {outcome.first_verdict_s:.2f} s, the last {outcome.took_s:.2f} s"
     clauses = "1 clause" if len(outcome.findings) == 1 else f"{len(outcome.findings)} clauses"
-    print(f"\n{clauses}: {told or 'none'}; {took}")
+    print(f"\n{clauses}: {results or 'none'}; {took}")
     if outcome.claims is not None:
         claimed = [name for name, why_not in outcome.claims.items() if not why_not]
         print(f"claimed: {listed(claimed)}")

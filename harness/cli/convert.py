@@ -75,7 +75,7 @@ def run(options: argparse.Namespace) -> int:
             print(f"{done.source.path}: {note}", file=sys.stderr)
         unread = f", {len(found.problems)} not readable" if found.problems else ""
         print(
-            f"{done.target}: {found.frames} {_what(done)} of {', '.join(done.buses)}, "
+            f"{done.target}: {found.frames} {_unit_of(done)} of {', '.join(done.buses)}, "
             f"from {done.source.format} to {done.format}{unread}"
         )
     return FAILED if options.strict and (found.problems or done.lost) else PASSED
@@ -93,10 +93,10 @@ def _notes(done: "Conversion") -> list[str]:
             f"{back_s:.6f} s: order and time stamps are kept"
         )
     for what, count in done.lost.items():
-        told = str(what.name).lower().replace("_", " ")
-        notes.append(f"lost, {done.format} cannot hold it: {told} of {count} {_what(done)}")
+        feature = str(what.name).lower().replace("_", " ")
+        notes.append(f"lost, {done.format} cannot hold it: {feature} of {count} {_unit_of(done)}")
     return notes
 
 
-def _what(done: "Conversion") -> str:
+def _unit_of(done: "Conversion") -> str:
     return "ADUs" if done.is_modbus else "frames"

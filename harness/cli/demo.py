@@ -206,9 +206,9 @@ def run(options: argparse.Namespace) -> int:
             arrived = _drive(rig)
             simulated_s = rig.runtime.now_ns() / 1e9
     except MotorError as error:  # the mast's party may raise it when the rig closes
-        _tell_failure(rig, error)
+        _report_failure(rig, error)
         print(f"the record so far: {options.output}", file=sys.stderr)
-        print(f"again: {_again(options, rig.seed)}", file=sys.stderr)
+        print(f"again: {_repeat_command(options, rig.seed)}", file=sys.stderr)
         return FAILED
     spent_s = time.perf_counter() - begun_s
     print(
@@ -220,7 +220,7 @@ def run(options: argparse.Namespace) -> int:
         print(
             f"motorhil demo: a motor's position error exceeds {ERROR_MAX_RAD} rad", file=sys.stderr
         )
-        print(f"again: {_again(options, rig.seed)}", file=sys.stderr)
+        print(f"again: {_repeat_command(options, rig.seed)}", file=sys.stderr)
     return PASSED if arrived else FAILED
 
 
@@ -233,17 +233,17 @@ def _drive(rig: "Rig") -> bool:
     peaks = _PeakFollowingError(rig)
     rover = Rover(rig.groups["wheels"], rig.groups["steering"], rig.groups["mast"])
 
-    def told(text: str) -> None:
+    def report(text: str) -> None:
         print(f"{rig.runtime.now_ns() / 1e9:7.3f} s  {text}", file=sys.stderr, flush=True)
 
-    manoeuvre(rover, rig.runtime, POINT_M, told)
+    manoeuvre(rover, rig.runtime, POINT_M, report)
     arrived = _print_motors(rig, rover, peaks)
     _print_buses(rig)
     _print_groups(rig, rover)
-    return _stood_in(rig) and arrived
+    return _report_unanswered(rig) and arrived
 
 
-def _tell_failure(rig: "Rig", error: BaseException | None) -> None:
+def _report_failure(rig: "Rig", error: BaseException | None) -> None:
     """Print the failure, its cause first, and any part that recorded drives had in it."""
     from motorhil.motorapi import MotorError
 
@@ -253,7 +253,7 @@ def _tell_failure(rig: "Rig", error: BaseException | None) -> None:
         error = error.__context__
     for cause in causes:
         print(f"motorhil demo: {cause}", file=sys.stderr)
-    _stood_in(rig, " ".join(causes))
+    _report_unanswered(rig, " ".join(causes))
 
 
 def _run_two(options: argparse.Namespace) -> int:
@@ -278,7 +278,7 @@ def _against(description: "RigDescription", options: argparse.Namespace) -> "Rig
     return with_recorded(description, options.against)
 
 
-def _stood_in(rig: "Rig", failure: str = "") -> bool:
+def _report_unanswered(rig: "Rig", failure: str = "") -> bool:
     """Print what recorded drives could not answer; return True if they answered everything."""
     from motorhil.harness.replay.verdict import summary, unanswered
 
@@ -287,7 +287,7 @@ def _stood_in(rig: "Rig", failure: str = "") -> bool:
     return not unanswered(rig)
 
 
-def _again(options: argparse.Namespace, seed: int) -> str:
+def _repeat_command(options: argparse.Namespace, seed: int) -> str:
     """Return the command that repeats this run."""
     words = ["motorhil", "demo", "--seed", str(seed), "-o", str(options.output)]
     if options.rig != RIG.stem:
@@ -319,14 +319,14 @@ class _PeakFollowingError:
     def __init__(self, rig: "Rig") -> None:
         self._rig = rig
         self._peaks = dict.fromkeys(rig.motors, 0.0)
-        self._behind = {name: _motors_behind(rig, name) for name in rig.controllers}
+        self._motors = {name: _motors_of(rig, name) for name in rig.controllers}
         rig.world.tap_samples(SAMPLE_NS, self._sample)
 
     def _sample(self, now_ns: int, controller: str, truth: Mapping[str, float]) -> None:
-        for name in self._behind[controller]:
+        for name in self._motors[controller]:
             size = truth.get(_in_truth(self._rig, name, "following_error_inc"))
             if size is None:
-                size = _heard_error_inc(self._rig.motors[name])
+                size = _reported_error_inc(self._rig.motors[name])
             self._peaks[name] = max(self._peaks[name], abs(size))
 
     def of(self, motor: str) -> float:
@@ -334,7 +334,7 @@ class _PeakFollowingError:
         return self._peaks[motor]
 
 
-def _motors_behind(rig: "Rig", controller: str) -> list[str]:
+def _motors_of(rig: "Rig", controller: str) -> list[str]:
     motors = rig.description.motors.values()
     return [motor.name for motor in motors if motor.controller == controller]
 
@@ -345,7 +345,7 @@ def _in_truth(rig: "Rig", motor: str, key: str) -> str:
     return key if channel == 1 else f"channel_{channel}_{key}"
 
 
-def _heard_error_inc(motor: "Motor") -> float:
+def _reported_error_inc(motor: "Motor") -> float:
     latest = motor.latest()
     if latest is None or latest.following_error is None:
         return 0.0

@@ -28,8 +28,7 @@ from motorhil.emulators.gateways.hub import HubError, HubServer
 from motorhil.emulators.gateways.loop import WallLoop
 from motorhil.harness.cli.main import FAILED, PASSED
 from motorhil.harness.cli.options import print_table
-from motorhil.harness.cli.serve import Program
-from motorhil.harness.cli.stop_signals import STOPPING, StopSignals
+from motorhil.harness.cli.processes import STOPPING, Program, StopSignals
 from motorhil.harness.examples.driving_program import LEGS
 from motorhil.harness.examples.rover_kinematics import WHEELS
 from motorhil.harness.rig.config.rig_file import RigDescription
@@ -93,11 +92,11 @@ def run(target: Path, seed: int | None) -> int:
     for reason in wrong:
         print(f"motorhil demo: {reason}", file=sys.stderr)
     if wrong:
-        print(f"again: {_again(target, seed)}", file=sys.stderr)
+        print(f"again: {_repeat_command(target, seed)}", file=sys.stderr)
     return FAILED if wrong else PASSED
 
 
-def _again(target: Path, seed: int | None) -> str:
+def _repeat_command(target: Path, seed: int | None) -> str:
     """Return the command that repeats this run."""
     seeded = [] if seed is None else ["--seed", str(seed)]
     return shlex.join(["motorhil", "demo", "--two-processes", *seeded, "-o", str(target)])
@@ -113,8 +112,8 @@ def private_folder() -> Iterator[Path]:
             alive = read_process(pid)
             if (alive is None or alive[1] != born) and left.lstat().st_uid == os.geteuid():
                 shutil.rmtree(left)
-    here = read_process(os.getpid())
-    born = 0 if here is None else here[1]
+    process = read_process(os.getpid())
+    born = 0 if process is None else process[1]
     try:
         made = tempfile.TemporaryDirectory(prefix=f"{_FOLDER}{os.getpid()}-{born}-")
     except OSError as error:
@@ -158,12 +157,14 @@ class _Story:
         self._bus = rig.description.motors[SHARED].bus
         self._holder = 0  # pids of the owner and of the waiting program
         self._waiter = 0
-        self._looks = 0  # how often the driving program had it
+        self._driving_tenures = 0  # how often the driving program had it
         self._killed = False
         self._ended: tuple[int | None, int | None] = None, None
-        rig.world.tap_ownership(self._heard)
+        rig.world.tap_ownership(self._note_ownership)
 
-    def _heard(self, bus: str, time_ns: int, sender: str, notice: "OwnershipNotice") -> None:
+    def _note_ownership(
+        self, bus: str, time_ns: int, sender: str, notice: "OwnershipNotice"
+    ) -> None:
         if (bus, notice.resource) != (self._bus, self._node_id):
             return
         pid = notice.pid
@@ -171,7 +172,7 @@ class _Story:
             case LockAction.TAKEN | LockAction.BROKEN | LockAction.TAKEN_OVER:
                 self._holder = pid
                 self._waiter = 0 if self._waiter == pid else self._waiter
-                self._looks += pid == self._driving.pid
+                self._driving_tenures += pid == self._driving.pid
             case LockAction.RELEASED | LockAction.LOST:
                 self._holder = 0 if self._holder == pid else self._holder
             case LockAction.WAITING:
@@ -184,11 +185,11 @@ class _Story:
         ended = [program.status for program in (self._driving, self._mast)]
         for program in (self._driving, self._mast):  # also of an ended one
             for line in program.lines():
-                self._tell(program.name, line)
+                self._print_line(program.name, line)
         if self._is_the_moment():
             self._mast.kill()
             self._killed = True
-            self._tell("demo", f"kills {self._mast.file}, which moves {SHARED}")
+            self._print_line("demo", f"kills {self._mast.file}, which moves {SHARED}")
         driving, mast = ended
         is_late = self._rig.world.queue.now_ns > LONGEST_NS
         if is_late or driving is not None or (mast is not None and not self._killed):
@@ -200,16 +201,16 @@ class _Story:
         """Return True when the driving program waits again while the mast moves the motor."""
         return (
             not self._killed
-            and self._looks > 0
+            and self._driving_tenures > 0
             and (self._holder, self._waiter) == (self._mast.pid, self._driving.pid)
             and abs(self._rig.controllers[SHARED].snapshot()["velocity_rad_s"]) > MOVES_RAD_S
         )
 
-    def _tell(self, who: str, text: str) -> None:
+    def _print_line(self, source: str, text: str) -> None:
         now_ns = self._rig.world.queue.now_ns
-        print(f"{now_ns / 1e9:7.3f} s  {who:<8}{text}", file=sys.stderr, flush=True)
+        print(f"{now_ns / 1e9:7.3f} s  {source:<8}{text}", file=sys.stderr, flush=True)
         if self._rig.recording is not None:
-            self._rig.recording.event(now_ns, "info", who, text)
+            self._rig.recording.event(now_ns, "info", source, text)
 
     def wrong(self) -> Iterator[str]:
         """Yield what did not go as it should."""

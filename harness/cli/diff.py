@@ -21,7 +21,7 @@ _NS = 1_000_000_000
 _AROUND_NS = 2 * _NS
 
 
-_SAYS_NOTHING: Final = "no event of known meaning; use --exact to compare bytes"
+_NO_EVENTS: Final = "no event of known meaning; use --exact to compare bytes"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -69,12 +69,12 @@ def run(options: argparse.Namespace) -> int:
     found = differences(first, second, tolerance)
     for path, meaning in ((options.first, first), (options.second, second)):
         if not meaning.items and not meaning.motions:
-            print(f"motorhil diff: {path}: {_SAYS_NOTHING}", file=sys.stderr)
+            print(f"motorhil diff: {path}: {_NO_EVENTS}", file=sys.stderr)
     if options.json:
         print(json.dumps({"same": not found, "differences": [_facts(one) for one in found]}))
         return FAILED if found else PASSED
     if found:
-        _tell(options, found[0])
+        _print_difference(options, found[0])
     _summarise(first, second, found)
     return FAILED if found else PASSED
 
@@ -89,7 +89,7 @@ def _exact(options: argparse.Namespace) -> int:
     return PASSED if mismatch is None else FAILED
 
 
-def _tell(options: argparse.Namespace, difference: Difference) -> None:
+def _print_difference(options: argparse.Namespace, difference: Difference) -> None:
     """Print the difference, with both recordings' context of the same node or motor."""
     print(f"first difference, {difference.time_ns / _NS:.6f} s: {difference}")
     sides = ((options.first, difference.first), (options.second, difference.second))
@@ -103,7 +103,7 @@ def _tell(options: argparse.Namespace, difference: Difference) -> None:
 
 def _around(path: str, difference: Difference, time_ns: int, count: int) -> Sequence[Line]:
     before: deque[Line] = deque(maxlen=count)
-    behind: list[Line] = []
+    after: list[Line] = []
     with read_trace(path) as trace:
         story = Story(trace)
         begin_ns = max(0, time_ns - _AROUND_NS)
@@ -112,9 +112,9 @@ def _around(path: str, difference: Difference, time_ns: int, count: int) -> Sequ
                 continue
             if line.time_ns < time_ns:
                 before.append(line)
-            elif line.time_ns == time_ns or len(behind) <= count:
-                behind.append(line)
-    return [*before, *behind]
+            elif line.time_ns == time_ns or len(after) <= count:
+                after.append(line)
+    return [*before, *after]
 
 
 def _is_about(line: Line, difference: Difference) -> bool:
@@ -140,8 +140,8 @@ def _summarise(first: Meaning, second: Meaning, found: list[Difference]) -> None
 
 
 def _facts(one: Difference) -> dict[str, object]:
-    told = {
+    facts = {
         side: None if item is None else {"time_ns": item.time_ns, "text": item.text}
         for side, item in (("first", one.first), ("second", one.second))
     }
-    return {"time_ns": one.time_ns, "about": one.label, **told}
+    return {"time_ns": one.time_ns, "about": one.label, **facts}

@@ -81,7 +81,7 @@ def run(options: argparse.Namespace) -> int:
         progress=_progress(),
         note=lambda text: print(f"motorhil judge: {options.file}: {text}", file=sys.stderr),
     )
-    _tell_cut(options.file)
+    _note_truncation(options.file)
     verdict, status = _sum(findings)
     if options.json:
         tables = [finding.as_table() for finding in findings]
@@ -126,7 +126,7 @@ def _list(only: Sequence[str]) -> None:
                 print(textwrap.indent(textwrap.fill(text, _WIDTH), "    "))
 
 
-def _tell_cut(path: str) -> None:
+def _note_truncation(path: str) -> None:
     """Print where a recording was cut; it was judged up to there."""
     if open_source(path).format == "mcap":
         with read_trace(path) as trace:
@@ -139,8 +139,8 @@ def _progress() -> Callable[[int], None] | None:
     if not sys.stderr.isatty():
         return None
 
-    def told(count: int) -> None:
+    def show(count: int) -> None:
         if not count % 200_000:
             print(f"{count:,} messages read", file=sys.stderr, flush=True)
 
-    return told
+    return show

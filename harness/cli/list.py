@@ -24,7 +24,59 @@ if TYPE_CHECKING:
     from motorhil.emulators.modbus.registers import Register
 
 
-def list_quirks(*, as_json: bool) -> int:
+_BRIEF: Final = ("-sdo", "-sync", "-sync-producer", "-exchange")
+_ARMED: Final = "-armed-"
+"""Locks of drive objects, SYNC, lines, armed set-points: listed only while held."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of `list`."""
+    parser.add_argument(
+        "what",
+        choices=("controllers", "adaptations", "examples", "motors", "quirks", "registers"),
+    )
+    parser.add_argument(
+        "name", nargs="?", metavar="CONTROLLER", help="for list registers: the controller"
+    )
+    parser.add_argument("--json", action="store_true", help="print JSON")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Print the list; return 0, or 2 for wrong usage."""
+    if (options.what == "registers") is not (options.name is not None):
+        known = ", ".join(_with_registers())
+        print(
+            f"motorhil list: a controller is required for registers, and only there: {known}",
+            file=sys.stderr,
+        )
+        return WRONG_USAGE
+    if options.what == "registers":
+        return _list_registers(options.name, as_json=options.json)
+    if options.what == "quirks":
+        return _list_quirks(as_json=options.json)
+    listings = {
+        "controllers": lambda: _plugins(CONTROLLERS),
+        "adaptations": lambda: _plugins(ADAPTATIONS),
+        "examples": _examples,
+    }
+    wrong: list[str] = []
+    listing = _motors(wrong) if options.what == "motors" else listings[options.what]()
+    for problem in wrong:
+        print(f"motorhil list: {problem}", file=sys.stderr)
+    status = WRONG_USAGE if wrong else PASSED
+    if options.json:
+        print(json.dumps(listing))
+        return status
+    if options.what == "motors":
+        _show_motors(listing)
+        return status
+    for entry in listing:
+        name, *facts = entry.values()
+        print(f"{name:<16} " + "  ".join(facts))
+    return PASSED
+
+
+def _list_quirks(*, as_json: bool) -> int:
     """Print the catalogue; return 0."""
     if as_json:
         rows = [
@@ -46,16 +98,16 @@ def list_quirks(*, as_json: bool) -> int:
     return PASSED
 
 
-def with_registers() -> list[str]:
+def _with_registers() -> list[str]:
     """Return the names of the controllers that have a register map."""
     return [name for name in installed(CONTROLLERS) if _registers_of(name) is not None]
 
 
-def list_registers(name: str, *, as_json: bool) -> int:
+def _list_registers(name: str, *, as_json: bool) -> int:
     """Print the register map; return 0, or 2 if there is none of that name."""
     found = _registers_of(name) if name in installed(CONTROLLERS) else None
     if found is None:
-        known = ", ".join(with_registers())
+        known = ", ".join(_with_registers())
         problem = f'"{name}" has no register map (known: {known})'
         print(f"motorhil list registers: {problem}", file=sys.stderr)
         return WRONG_USAGE
@@ -98,58 +150,6 @@ def _registers_of(name: str) -> "Callable[[], Sequence[Register]] | None":
     return found
 
 
-_BRIEF: Final = ("-sdo", "-sync", "-sync-producer", "-exchange")
-_ARMED: Final = "-armed-"
-"""Locks of drive objects, SYNC, lines, armed set-points: listed only while held."""
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of `list`."""
-    parser.add_argument(
-        "what",
-        choices=("controllers", "adaptations", "examples", "motors", "quirks", "registers"),
-    )
-    parser.add_argument(
-        "name", nargs="?", metavar="CONTROLLER", help="for list registers: the controller"
-    )
-    parser.add_argument("--json", action="store_true", help="print JSON")
-
-
-def run(options: argparse.Namespace) -> int:
-    """Print the list; return 0, or 2 for wrong usage."""
-    if (options.what == "registers") is not (options.name is not None):
-        known = ", ".join(with_registers())
-        print(
-            f"motorhil list: a controller is required for registers, and only there: {known}",
-            file=sys.stderr,
-        )
-        return WRONG_USAGE
-    if options.what == "registers":
-        return list_registers(options.name, as_json=options.json)
-    if options.what == "quirks":
-        return list_quirks(as_json=options.json)
-    listings = {
-        "controllers": lambda: _plugins(CONTROLLERS),
-        "adaptations": lambda: _plugins(ADAPTATIONS),
-        "examples": _examples,
-    }
-    wrong: list[str] = []
-    listing = _motors(wrong) if options.what == "motors" else listings[options.what]()
-    for problem in wrong:
-        print(f"motorhil list: {problem}", file=sys.stderr)
-    status = WRONG_USAGE if wrong else PASSED
-    if options.json:
-        print(json.dumps(listing))
-        return status
-    if options.what == "motors":
-        _show_motors(listing)
-        return status
-    for entry in listing:
-        name, *facts = entry.values()
-        print(f"{name:<16} " + "  ".join(facts))
-    return PASSED
-
-
 def _locks(wrong: list[str]) -> Iterator[LockView]:
     """Yield the readable locks; append the errors of the others to `wrong`."""
     try:
@@ -171,23 +171,23 @@ def _motors(wrong: list[str]) -> list[dict[str, Any]]:
     for view in _locks(wrong):
         if view.holder is None and (view.name.endswith(_BRIEF) or _ARMED in view.name):
             continue  # held for a moment only, unless its holder is paused
-        if view.holder is None and not view.waiters and not _is_there(view.label):
+        if view.holder is None and not view.waiters and not _bus_exists(view.label):
             continue  # of a hub that no longer exists
         entry: dict[str, Any] = {"name": view.label, "lock": view.name}
-        entry["holder"] = None if view.holder is None else _told_of_holder(view, view.holder)
-        entry["waiters"] = [_told(one) for _, one in view.waiters]
+        entry["holder"] = None if view.holder is None else _holder_facts(view, view.holder)
+        entry["waiters"] = [_occupant_facts(one) for _, one in view.waiters]
         entry["abandoned"] = bool(view.abandoned)
         listing.append(entry)
     return sorted(listing, key=lambda entry: str(entry["name"]))
 
 
-def _is_there(label: str) -> bool:
+def _bus_exists(label: str) -> bool:
     """Return whether the label's bus exists: a hub if its socket does, others always."""
     bus = label.partition(" node ")[0]
     return not bus.startswith("/") or Path(bus).exists()
 
 
-def _told(one: Occupant) -> dict[str, Any]:
+def _occupant_facts(one: Occupant) -> dict[str, Any]:
     record = one.record
     if record is None:
         return {"text": str(one)}
@@ -201,9 +201,9 @@ def _told(one: Occupant) -> dict[str, Any]:
     }
 
 
-def _told_of_holder(view: LockView, holder: Occupant) -> dict[str, Any]:
+def _holder_facts(view: LockView, holder: Occupant) -> dict[str, Any]:
     """Return the facts of a holder: occupant, lease, and takeover from a living process."""
-    told = _told(holder)
+    entry = _occupant_facts(holder)
     facts: list[str] = []
     if view.is_writing and holder.is_paused:
         facts.append("during a write: cannot be taken over")
@@ -211,7 +211,7 @@ def _told_of_holder(view: LockView, holder: Occupant) -> dict[str, Any]:
         left_s = view.lease_left_s
         when = f"{left_s:.1f} s left" if left_s > 0.0 else f"expired {-left_s:.1f} s ago"
         facts.append(f"lease of {view.lease_s:g} s, {when}")
-        told |= {"lease_s": view.lease_s, "lease_left_s": left_s}
+        entry |= {"lease_s": view.lease_s, "lease_left_s": left_s}
     if view.taken_over is not None:
         taken = view.taken_over
         whom = (
@@ -220,15 +220,15 @@ def _told_of_holder(view: LockView, holder: Occupant) -> dict[str, Any]:
             else "an unknown process"
         )
         facts.append(f"taken over from {whom}: {taken.reason}")
-        told["taken_over"] = {
+        entry["taken_over"] = {
             "from_pid": taken.from_pid,
             "from_program": taken.from_program,
             "reason": taken.reason,
         }
     if view.token:
-        told["token"] = view.token
-    told["text"] = "; ".join([told["text"], *facts])
-    return told
+        entry["token"] = view.token
+    entry["text"] = "; ".join([entry["text"], *facts])
+    return entry
 
 
 def _show_motors(listing: list[dict[str, Any]]) -> None:

@@ -132,7 +132,7 @@ def _record(
     own_times: bool,
     cleanup: ExitStack,
 ) -> int:
-    from motorhil.harness.cli.stop_signals import StopSignals
+    from motorhil.harness.cli.processes import StopSignals
     from motorhil.harness.recording.loop import RecordingLoop
     from motorhil.harness.recording.writer import Pump, Series, opener
 
@@ -150,7 +150,7 @@ def _record(
     buses = ", ".join(f"{name} ({text})" for name, text in zip(names, options.on, strict=True))
     print(f"recording {buses}; Ctrl-C ends it", file=sys.stderr, flush=True)
     try:
-        loop.run(lambda: signals.number is not None, options.duration, _teller(pump, series))
+        loop.run(lambda: signals.number is not None, options.duration, _progress_line(pump, series))
     finally:
         if sys.stderr.isatty():
             print(file=sys.stderr)
@@ -173,12 +173,12 @@ def _metadata(
     return {"record": {**places, **clocks}, "versions": {"motorhil": version(), **versions}}
 
 
-def _teller(pump: "Pump", series: "Series") -> "Callable[[int], None]":
+def _progress_line(pump: "Pump", series: "Series") -> "Callable[[int], None]":
     """Return a callback that shows the progress on a terminal."""
     progress: list[Progress] = []
     is_shown = sys.stderr.isatty()
 
-    def tell(now_ns: int) -> None:
+    def show(now_ns: int) -> None:
         if not is_shown:
             return
         if not progress:
@@ -188,7 +188,7 @@ def _teller(pump: "Pump", series: "Series") -> "Callable[[int], None]":
             sys.stderr.write(f"\r{line}\x1b[K")  # clear to the end of the line
             sys.stderr.flush()
 
-    return tell
+    return show
 
 
 def _report(text: str) -> None:

@@ -56,8 +56,8 @@ def run(options: argparse.Namespace) -> int:
     for loss in done.losses:
         print(f"{options.file}: {loss}", file=sys.stderr)
     for number in dict.fromkeys(done.nameless):
-        told = f"channel {number} has no description; its messages are in /channel/{number}"
-        print(f"{options.file}: {told}", file=sys.stderr)
+        text = f"channel {number} has no description; its messages are in /channel/{number}"
+        print(f"{options.file}: {text}", file=sys.stderr)
     lost = "nothing is lost"
     if done.losses:
         lost = f"{done.lost_bytes} bytes and {done.lost_ns / _NS:.3f} s are lost"

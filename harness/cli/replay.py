@@ -160,8 +160,8 @@ def run(options: argparse.Namespace) -> int:
         if options.mode not in modes and getattr(options, name)
     ]
     if idle:
-        told = f"{', '.join(idle)}: not for --as {options.mode}"
-        print(f"motorhil replay: {told}; leave out these options", file=sys.stderr)
+        text = f"{', '.join(idle)}: not for --as {options.mode}"
+        print(f"motorhil replay: {text}; leave out these options", file=sys.stderr)
         return WRONG_USAGE
     if options.output is not None:
         refuse_source(options.file, options.output)
@@ -185,7 +185,7 @@ def replay_as_device(options: argparse.Namespace) -> int:
     )
     status = run_judged(rig, script, words, "replay")
     if status != PASSED and script is not None:
-        print(f"again: {_again(options, rig, words)}", file=sys.stderr)
+        print(f"again: {_repeat_command(options, rig, words)}", file=sys.stderr)
     return status
 
 
@@ -197,7 +197,7 @@ def _described(options: argparse.Namespace) -> "RigDescription":
     return with_recorded(rig, options.file, options.set_points)
 
 
-def _again(options: argparse.Namespace, rig: "Rig", words: list[str]) -> str:
+def _repeat_command(options: argparse.Namespace, rig: "Rig", words: list[str]) -> str:
     command = ["motorhil", "replay", str(options.file), "--as", "device", options.script]
     command += ["--seed", str(rig.seed)]
     if options.rig is not None:
@@ -244,7 +244,7 @@ def replay_as_host(options: argparse.Namespace) -> int:
     if options.json:
         print(json.dumps(_facts(done, found, differing)))
     else:
-        _tell(options, done, found, differing)
+        _print_host_result(options, done, found, differing)
     return FAILED if differing or done.missed else PASSED
 
 
@@ -294,7 +294,7 @@ def _described_host(options: argparse.Namespace, folder: Path) -> "RigDescriptio
     return found
 
 
-def _tell(
+def _print_host_result(
     options: argparse.Namespace,
     done: "HostPlayer",
     found: "list[ObjectFidelity]",
@@ -365,7 +365,7 @@ def _facts(
 
 
 _NS: Final = 1_000_000_000
-_TELL_NS: Final = 250_000_000
+_SHOW_NS: Final = 250_000_000
 _TRAFFIC_SHOWN: Final = 3
 
 
@@ -401,7 +401,7 @@ def replay_traffic(options: argparse.Namespace) -> int:
         replay = TrafficReplay(sinks, runtime, found.first_ns, scale)
         status = PASSED
         try:
-            replay.run(_frames(options, choice), _teller(found, runtime))
+            replay.run(_frames(options, choice), _progress_line(found, runtime))
         except SendError as error:
             print(f"motorhil replay: {error}", file=sys.stderr)
             status = FAILED
@@ -409,7 +409,7 @@ def replay_traffic(options: argparse.Namespace) -> int:
             print("motorhil replay: interrupted", file=sys.stderr)
             status = INTERRUPTED
         replay.done.ended_ns = runtime.now_ns()
-        _tell_traffic(options, replay.done, found, sinks, scale)
+        _print_traffic_result(options, replay.done, found, sinks, scale)
     return status
 
 
@@ -481,15 +481,15 @@ def _rig(options: argparse.Namespace, cleanup: ExitStack) -> "Rig":
     )
 
 
-def _teller(found: "Survey", runtime: "Runtime") -> "Callable[[int, int], None] | None":
+def _progress_line(found: "Survey", runtime: "Runtime") -> "Callable[[int, int], None] | None":
     """Return a display of the progress, or None if stderr is not a terminal."""
     if not sys.stderr.isatty():
         return None
     total = sum(found.frames.values())
     shown_ns = [0]
 
-    def tell(time_ns: int, number: int) -> None:
-        if runtime.now_ns() - shown_ns[0] >= _TELL_NS:
+    def show(time_ns: int, number: int) -> None:
+        if runtime.now_ns() - shown_ns[0] >= _SHOW_NS:
             shown_ns[0] = runtime.now_ns()
             at_s, of_s = (time_ns - found.first_ns) / _NS, found.span_ns / _NS
             sys.stderr.write(
@@ -497,10 +497,10 @@ def _teller(found: "Survey", runtime: "Runtime") -> "Callable[[int, int], None] 
             )
             sys.stderr.flush()
 
-    return tell
+    return show
 
 
-def _tell_traffic(
+def _print_traffic_result(
     options: argparse.Namespace,
     done: "Replayed",
     found: "Survey",
@@ -530,10 +530,10 @@ def _tell_traffic(
         print(f"{options.file}: {count} error frames of {bus} cannot be sent", file=sys.stderr)
     each = ", ".join(f"{n} of {bus} to {sinks[bus].name}" for bus, n in done.sent.items())
     each = each.replace(" of", " frames of", 1) or "nothing"
-    told = f"{each} in {took_s:.3f} s, recorded in {found.span_ns / _NS:.3f} s"
+    text = f"{each} in {took_s:.3f} s, recorded in {found.span_ns / _NS:.3f} s"
     if speed is not None:
-        told += "; late: " + ", ".join(f"{name} {ns / 1e6:.3f} ms" for name, ns in figures.items())
-    print(told)
+        text += "; late: " + ", ".join(f"{name} {ns / 1e6:.3f} ms" for name, ns in figures.items())
+    print(text)
 
 
 _MODES: Final = {"device": replay_as_device, "host": replay_as_host, "traffic": replay_traffic}

@@ -39,7 +39,17 @@ from motorhil.traces.errors import TraceError
 if TYPE_CHECKING:
     from motorhil.harness.rig.rig import Rig
 
-_MORE = """\
+STDIN: Final = "-"
+_STDIN_NAME: Final = "<stdin>"
+_PATIENCE_S: Final = 1.0
+_CAN_SETTINGS: Final = ("CAN_INTERFACE", "CAN_CHANNEL", "CAN_BITRATE", "CAN_CONFIG")
+_OWN_FOLDER: Final = str(Path(__file__).parents[3]) + os.sep
+_OWN_PACKAGES: Final = tuple(
+    folder + "motorhil" + os.sep
+    for folder in (_OWN_FOLDER, "")  # compiled modules do not know their path
+)
+_NO_HARDWARE: Final = ("emulated", "virtual")  # python-can interfaces that reach no hardware
+_EPILOG: Final = """\
 SCRIPT opens its bus with can.Bus(), as on real hardware: CAN_INTERFACE and CAN_CHANNEL name a bus
 of the rig. Time passes while the script waits: time.sleep, clocks, threads, locks and queues use
 the rig's clock; operations that cannot use it raise UsageError. Without SCRIPT, a prompt opens, in
@@ -53,9 +63,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.usage = (
         "motorhil run [-h] [--realtime] [--seed N] [-o FILE] RIG [SCRIPT [ARGS ...]] [-- ARGS ...]"
     )
-    parser.epilog = _MORE
+    parser.epilog = _EPILOG
     parser.add_argument(
-        *("rig",),
+        "rig",
         type=Path,
         metavar="RIG",
         help="a rig file (TOML), or a recording in place of its devices",
@@ -88,11 +98,11 @@ def run(options: argparse.Namespace) -> int:
         print(note, file=sys.stderr)
     status = run_judged(rig, script, words, "run")
     if status != PASSED and script is not None:
-        print(f"again: {_again(options, rig, words)}", file=sys.stderr)
+        print(f"again: {_repeat_command(options, rig, words)}", file=sys.stderr)
     return status
 
 
-def _again(options: argparse.Namespace, rig: "Rig", words: list[str]) -> str:
+def _repeat_command(options: argparse.Namespace, rig: "Rig", words: list[str]) -> str:
     command = ["motorhil", "run", str(options.rig), options.script, "--seed", str(rig.seed)]
     if options.realtime:
         command.append("--realtime")
@@ -101,17 +111,6 @@ def _again(options: argparse.Namespace, rig: "Rig", words: list[str]) -> str:
     if words:
         command += ["--", *words]
     return shlex.join(command)
-
-
-STDIN: Final = "-"
-_STDIN_NAME: Final = "<stdin>"
-_PATIENCE_S: Final = 1.0
-_CAN_SETTINGS: Final = ("CAN_INTERFACE", "CAN_CHANNEL", "CAN_BITRATE", "CAN_CONFIG")
-_OWN_FOLDER: Final = str(Path(__file__).parents[3]) + os.sep
-_OWN_PACKAGES: Final = tuple(
-    folder + "motorhil" + os.sep
-    for folder in (_OWN_FOLDER, "")  # compiled modules do not know their path
-)
 
 
 @final
@@ -226,16 +225,16 @@ class _Threads:
         self._hook = threading.excepthook
 
     def __enter__(self) -> Self:
-        threading.excepthook = self._told
+        threading.excepthook = self._report
         return self
 
     def __exit__(self, *_: object) -> None:
         threading.excepthook = self._hook
 
-    def _told(self, what: threading.ExceptHookArgs) -> None:
-        if what.exc_value is not None and not isinstance(what.exc_value, SystemExit):
+    def _report(self, raised: threading.ExceptHookArgs) -> None:
+        if raised.exc_value is not None and not isinstance(raised.exc_value, SystemExit):
             self.failed = True
-            print_error(what.exc_value, self._script)
+            print_error(raised.exc_value, self._script)
 
     def join(self) -> None:
         """Wait for all threads except daemons; report a thread that runs for more than a second."""
@@ -295,7 +294,7 @@ def bus_settings(rig: "Rig") -> Iterator[None]:
     os.environ["CAN_INTERFACE"] = "emulated"
     os.environ["CAN_CHANNEL"] = next(iter(rig.description.buses), "none")
     try:
-        with hardware_is_the_rigs():
+        with redirect_hardware():
             yield
     finally:
         for name, value in before.items():
@@ -368,7 +367,7 @@ def _frames_of(
     users: list[traceback.FrameSummary] = []
     inside: list[traceback.FrameSummary] = []  # from one of our frames up to the user's next one
     for frame in frames:
-        own = _is_own(frame.filename, script)
+        own = frame.filename != script and is_own_file(frame.filename)
         is_users = frame.filename == script or (frame.filename.startswith(folder) and not own)
         if is_users or not (own or inside):
             users.append(frame)
@@ -379,22 +378,15 @@ def _frames_of(
     return traceback.StackSummary.from_list(frames if in_full else users)
 
 
-def _is_own(filename: str, script: str) -> bool:
-    return filename != script and is_of_ours(filename)
-
-
-def is_of_ours(filename: str) -> bool:
+def is_own_file(filename: str) -> bool:
     """Return True if a code file belongs to these packages."""
     return filename.startswith(_OWN_PACKAGES)
 
 
-_HERE: Final = ("emulated", "virtual")  # python-can interfaces that reach no hardware
-
-
 @contextmanager
-def hardware_is_the_rigs() -> Iterator[None]:
+def redirect_hardware() -> Iterator[None]:
     """Redirect `can.Bus` of any interface to the rig's bus with the channel's name."""
-    before = {name: BACKENDS[name] for name in BACKENDS if name not in _HERE}
+    before = {name: BACKENDS[name] for name in BACKENDS if name not in _NO_HARDWARE}
     for name in before:
         setattr(sys.modules[__name__], _attribute(name), partial(_join, name))
         BACKENDS[name] = (__name__, _attribute(name))

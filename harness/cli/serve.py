@@ -10,12 +10,11 @@ import select
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterable, Mapping
-from contextlib import ExitStack, suppress
+from collections.abc import Iterable
+from contextlib import ExitStack
 from pathlib import Path
-from typing import Final, Self, final
+from typing import Final, final
 
-import motorhil
 from motorhil.emulators.gateways.hub import HubError, HubServer
 from motorhil.emulators.gateways.loop import WallLoop
 from motorhil.emulators.gateways.modbus_pty import ModbusPty, ModbusPtyError
@@ -23,219 +22,14 @@ from motorhil.emulators.gateways.modbus_tcp import ModbusSocket, ModbusSocketErr
 from motorhil.emulators.gateways.socketcan import SocketCanError, SocketCanGateway
 from motorhil.harness.cli.main import FAILED, PASSED, WRONG_USAGE
 from motorhil.harness.cli.options import add_seed
-from motorhil.harness.cli.stop_signals import StopSignals
+from motorhil.harness.cli.processes import StopSignals
 from motorhil.harness.recording.ownership import LockLooks, LockWriter
 from motorhil.harness.replay.verdict import summary, unanswered
 from motorhil.harness.rig.config.buses import MODBUS_RTU, MODBUS_TCP, BusDescription
 from motorhil.harness.rig.config.toml import RigError
 from motorhil.harness.rig.rig import Rig
 
-ModbusDoorError = (ModbusPtyError, ModbusSocketError)
 _PORT_MAX: Final = 65_535
-
-
-def add_modbus_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the Modbus arguments of `motorhil serve`."""
-    parser.add_argument(
-        "--modbus-tcp",
-        action="append",
-        default=[],
-        metavar="[BUS=]HOST:PORT",
-        help="serve a bus of kind modbus_tcp (default: the first) at this address; port 0 "
-        "means any free port; may be repeated",
-    )
-    parser.add_argument(
-        "--modbus-rtu",
-        action="append",
-        default=[],
-        metavar="[BUS=]LINK",
-        help="serve a bus of kind modbus_rtu (default: the first) on a pseudo-terminal with "
-        "this symbolic link; may be repeated",
-    )
-    parser.add_argument(
-        "--any-address",
-        action="store_true",
-        help="allow --modbus-tcp addresses that other machines can reach",
-    )
-
-
-def open_doors(rig: Rig, loop: WallLoop, options: argparse.Namespace) -> dict[str, list[str]]:
-    """Open the requested endpoints and return them: bus -> HOST:PORT or LINK, one per request.
-
-    Raises:
-        RigError: the rig has no such line.
-        ModbusSocketError, ModbusPtyError: an address or link cannot be used.
-    """
-    doors: dict[str, list[str]] = {}
-    for text in options.modbus_tcp:
-        bus, host, port = _tcp_words(rig, text)
-        there = ModbusSocket(host, port, rig.world, bus, any_address=options.any_address)
-        loop.add(there)
-        doors.setdefault(bus, []).append(str(there))
-    for text in options.modbus_rtu:
-        bus, link = _words(rig, text, "--modbus-rtu", MODBUS_RTU)
-        pty = ModbusPty(Path(link), rig.world, bus)
-        loop.add(pty)
-        doors.setdefault(bus, []).append(str(pty.link.absolute()))
-    return doors
-
-
-def described(rig: Rig, doors: dict[str, list[str]]) -> Iterable[str]:
-    """Return one line of text per endpoint."""
-    for name, places in doors.items():
-        bus = rig.description.buses[name]
-        units = [
-            str(one.node_id)
-            for one in rig.description.controllers.values()
-            if one.bus == name and one.node_id is not None
-        ]
-        behind = f"units {', '.join(units)}" if units else "no units"
-        for place in places:
-            yield f"{name}: {_protocol(bus)} at {place}, {behind}"
-
-
-def _protocol(bus: BusDescription) -> str:
-    if bus.kind == MODBUS_TCP:
-        return "Modbus/TCP"
-    return f"Modbus RTU (as at {bus.bitrate_bit_s} bit/s 8{bus.parity}{bus.stop_bits})"
-
-
-def _tcp_words(rig: Rig, text: str) -> tuple[str, str, int]:
-    bus, place = _words(rig, text, "--modbus-tcp", MODBUS_TCP)
-    host, _, port = place.rpartition(":")
-    if host.startswith("[") and host.endswith("]"):
-        host = host[1:-1]
-    if not host or not (port.isascii() and port.isdigit()) or int(port) > _PORT_MAX:
-        raise ModbusSocketError(f"--modbus-tcp {text}: no HOST:PORT; usual: 127.0.0.1:5020")
-    return bus, host, int(port)
-
-
-def _words(rig: Rig, text: str, option: str, kind: str) -> tuple[str, str]:
-    """Split an option's text into bus and place; the default is the first fitting bus."""
-    buses = rig.description.buses
-    fitting = [bus.name for bus in buses.values() if bus.kind == kind]
-    name, _, place = text.rpartition("=")
-    if not name:
-        if not fitting:
-            raise RigError(rig.description.source.path, *_none(kind, option))
-        name = fitting[0]
-    if name not in fitting:
-        had = f"it is of kind {buses[name].kind}" if name in buses else "the rig has no such bus"
-        known = ", ".join(fitting) or "none"
-        raise ModbusSocketError(
-            f"{option} {text}: bus {name!r}: {had}; buses of kind {kind}: {known}"
-        )
-    if not place:
-        raise ModbusSocketError(f"{option} {text}: names no place; see motorhil serve --help")
-    return name, place
-
-
-def _none(kind: str, option: str) -> tuple[str, str]:
-    return (
-        f"the rig has no bus of kind {kind}, which {option} serves",
-        f'write [bus.NAME] with kind = "{kind}"',
-    )
-
-
-_LINE_MAX: Final = 65_536
-
-
-@final
-class Program:
-    """A Python program in a process of its own, until it ends or the context does.
-
-    It has a process group of its own: Ctrl-C reaches only this process, which then ends it.
-
-    Attributes:
-        name: name in messages.
-        file: name of its file.
-        pid: its process id.
-    """
-
-    def __init__(self, path: Path, environment: Mapping[str, str], loop: WallLoop) -> None:
-        """Start the program; `lines` returns its output of both streams."""
-        self.name: Final = path.stem.removesuffix("_program")
-        self.file: Final = path.name
-        root = str(Path(motorhil.__file__).parent.parent)  # lets it import the same packages
-        others = [path for path in (environment.get("PYTHONPATH"),) if path]
-        self._loop = loop
-        self._process = subprocess.Popen(
-            [sys.executable, str(path)],
-            env={**environment, "PYTHONPATH": os.pathsep.join([root, *others])},
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            process_group=0,
-        )
-        self.pid: Final = self._process.pid
-        assert self._process.stdout is not None
-        self._output = self._process.stdout.fileno()
-        self._text = b""
-        self._watch: int | None = None
-        self._hears = False
-        try:
-            os.set_blocking(self._output, False)
-            loop.wake_on(self._output)
-            self._hears = True
-            self._watch = os.pidfd_open(self.pid)
-            loop.wake_on(self._watch)
-        except BaseException:
-            self.__exit__()
-            raise
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        """Kill the program if it still runs, and wait for its end."""
-        try:
-            self.kill()
-        finally:
-            self._process.wait()
-            self._forget_process()
-            self._forget_output()
-            assert self._process.stdout is not None
-            self._process.stdout.close()
-
-    @property
-    def status(self) -> int | None:
-        """The exit status, -n if signal n ended it, or None while it runs."""
-        status = self._process.poll()
-        if status is not None:
-            self._forget_process()
-        return status
-
-    def kill(self) -> None:
-        """Kill the program at once, by its process id; no effect if it has ended."""
-        self._process.kill()
-
-    def lines(self) -> list[str]:
-        """Return the lines printed since the last call."""
-        if self._hears:
-            try:
-                data = os.read(self._output, _LINE_MAX)
-            except BlockingIOError:
-                return []
-            if not data:
-                self._forget_output()
-                data = b"\n" if self._text else b""
-            *whole, self._text = (self._text + data).split(b"\n")
-            return [line.decode("utf-8", "replace") for line in whole]
-        return []
-
-    def _forget_process(self) -> None:
-        watch, self._watch = self._watch, None
-        if watch is not None:
-            with suppress(KeyError):  # it was never registered
-                self._loop.forget(watch)
-            os.close(watch)
-
-    def _forget_output(self) -> None:
-        if self._hears:
-            self._hears = False
-            self._loop.forget(self._output)
-
-
 _NOT_FOUND: Final = 127
 _GRACE_S: Final = 3.0
 
@@ -257,7 +51,27 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="[BUS=]INTERFACE",
         help="join a bus (default: the first) with a SocketCAN interface; may be repeated",
     )
-    add_modbus_arguments(parser)
+    parser.add_argument(
+        "--modbus-tcp",
+        action="append",
+        default=[],
+        metavar="[BUS=]HOST:PORT",
+        help="serve a bus of kind modbus_tcp (default: the first) at this address; port 0 "
+        "means any free port; may be repeated",
+    )
+    parser.add_argument(
+        "--modbus-rtu",
+        action="append",
+        default=[],
+        metavar="[BUS=]LINK",
+        help="serve a bus of kind modbus_rtu (default: the first) on a pseudo-terminal with "
+        "this symbolic link; may be repeated",
+    )
+    parser.add_argument(
+        "--any-address",
+        action="store_true",
+        help="allow --modbus-tcp addresses that other machines can reach",
+    )
     add_seed(parser)
     parser.add_argument(
         "-o", "--output", type=Path, metavar="FILE", help="record to this MCAP file"
@@ -276,41 +90,41 @@ def run(options: argparse.Namespace) -> int:
         return WRONG_USAGE
     with ExitStack() as cleanup:
         rig = cleanup.enter_context(Rig.open(options.rig, seed=options.seed, record=options.output))
-        _refuse_nothing(rig, options)
+        _require_endpoint(rig, options)
         loop = WallLoop(rig.world.queue)
         cleanup.callback(loop.close)
         try:
-            lines = open_doors(rig, loop, options)
-            doors = _open_doors(rig, loop, options, cleanup)
-        except (HubError, SocketCanError, *ModbusDoorError) as error:
+            lines = _open_lines(rig, loop, options)
+            endpoints = _open_buses(rig, loop, options, cleanup)
+        except (HubError, SocketCanError, ModbusPtyError, ModbusSocketError) as error:
             print(f"motorhil serve: {error}", file=sys.stderr)
             return WRONG_USAGE
-        _look_at_locks(rig, doors, cleanup)
+        _record_locks(rig, endpoints, cleanup)
         service = _Service(loop, cleanup.enter_context(StopSignals(loop)))
         if options.rest:
-            status = service.run_command(options.rest, _environment(doors, lines))
-            verdict = _stood_in(rig)
+            status = service.run_command(options.rest, _environment(endpoints, lines))
+            verdict = _report_unanswered(rig)
             return status or verdict
         print(f"serving {rig.description.name}; Ctrl-C stops", file=sys.stderr)
-        for bus, (interface, channel) in doors.items():
+        for bus, (interface, channel) in endpoints.items():
             print(f"{bus}: can.Bus(interface={interface!r}, channel={channel!r})", flush=True)
-        for text in described(rig, lines):
+        for text in _line_texts(rig, lines):
             print(text, flush=True)
         service.run_until_stopped()
         print(
             f"stopped; an event was at most {loop.late_ns_max / 1e6:.1f} ms late", file=sys.stderr
         )
-        return _stood_in(rig)
+        return _report_unanswered(rig)
 
 
-def _stood_in(rig: Rig) -> int:
+def _report_unanswered(rig: Rig) -> int:
     """Print what recorded controllers could not answer; return 0 if they answered everything."""
     for line in summary(rig):
         print(f"motorhil serve: {line}", file=sys.stderr)
     return FAILED if unanswered(rig) else PASSED
 
 
-def _refuse_nothing(rig: Rig, options: argparse.Namespace) -> None:
+def _require_endpoint(rig: Rig, options: argparse.Namespace) -> None:
     """Raise RigError if nothing would be served."""
     if rig.world.bus_names() or options.modbus_tcp or options.modbus_rtu:
         return
@@ -327,26 +141,28 @@ def _refuse_nothing(rig: Rig, options: argparse.Namespace) -> None:
     )
 
 
-def _environment(doors: dict[str, tuple[str, str]], lines: dict[str, list[str]]) -> dict[str, str]:
+def _environment(
+    endpoints: dict[str, tuple[str, str]], lines: dict[str, list[str]]
+) -> dict[str, str]:
     """Return environment variables that tell a command where buses and lines are."""
-    told: dict[str, str] = {}
-    if doors:
-        told["CAN_INTERFACE"], told["CAN_CHANNEL"] = next(iter(doors.values()))
-    places = {bus: channel for bus, (_, channel) in doors.items()}
+    variables: dict[str, str] = {}
+    if endpoints:
+        variables["CAN_INTERFACE"], variables["CAN_CHANNEL"] = next(iter(endpoints.values()))
+    places = {bus: channel for bus, (_, channel) in endpoints.items()}
     places |= {line: where[0] for line, where in lines.items()}
     for name, place in places.items():
-        told[f"MOTORHIL_CHANNEL_{name.upper().replace('-', '_')}"] = place
-    return told
+        variables[f"MOTORHIL_CHANNEL_{name.upper().replace('-', '_')}"] = place
+    return variables
 
 
-def _open_doors(
+def _open_buses(
     rig: Rig, loop: WallLoop, options: argparse.Namespace, cleanup: ExitStack
 ) -> dict[str, tuple[str, str]]:
     """Open each bus and return its python-can name: bus -> (interface, channel)."""
     names = rig.world.bus_names()
-    doors: dict[str, tuple[str, str]] = {}
+    endpoints: dict[str, tuple[str, str]] = {}
     if not names and not options.on and options.socket is None:
-        return doors
+        return endpoints
     if not names:
         raise RigError(options.rig, "the rig has no CAN bus for --on and --socket", "omit them")
     for text in options.on:
@@ -358,7 +174,7 @@ def _open_doors(
             known = ", ".join(names)
             raise SocketCanError(f"--on {text}: the rig has no bus {bus!r}; it has {known}")
         loop.add(SocketCanGateway(interface, rig.world, bus))
-        doors[bus] = ("socketcan", interface)
+        endpoints[bus] = ("socketcan", interface)
     path = options.socket
     if path is None and not options.on:
         folder = cleanup.enter_context(tempfile.TemporaryDirectory(prefix="motorhil-"))
@@ -367,17 +183,95 @@ def _open_doors(
         loop.add(HubServer(path, rig.world))
         for bus in names:
             channel = str(path.absolute()) + ("" if bus == names[0] else f"#{bus}")
-            doors.setdefault(bus, ("emulated", channel))
-    return doors
+            endpoints.setdefault(bus, ("emulated", channel))
+    return endpoints
 
 
-def _look_at_locks(rig: Rig, doors: dict[str, tuple[str, str]], cleanup: ExitStack) -> None:
+def _record_locks(rig: Rig, endpoints: dict[str, tuple[str, str]], cleanup: ExitStack) -> None:
     """Record the owners of motors on SocketCAN too, if there is a recording."""
-    interfaces = {bus: channel for bus, (kind, channel) in doors.items() if kind == "socketcan"}
+    interfaces = {bus: channel for bus, (kind, channel) in endpoints.items() if kind == "socketcan"}
     if rig.recording is not None and interfaces:
         writer = LockWriter(rig.recording, rig.world)
         looks = LockLooks(writer, rig.world, rig.description, interfaces)
         cleanup.callback(looks.look)  # covers what the command did after the last poll
+
+
+def _open_lines(rig: Rig, loop: WallLoop, options: argparse.Namespace) -> dict[str, list[str]]:
+    """Open the requested endpoints and return them: bus -> HOST:PORT or LINK, one per request.
+
+    Raises:
+        RigError: the rig has no such line.
+        ModbusSocketError, ModbusPtyError: an address or link cannot be used.
+    """
+    endpoints: dict[str, list[str]] = {}
+    for text in options.modbus_tcp:
+        bus, host, port = _tcp_address(rig, text)
+        endpoint = ModbusSocket(host, port, rig.world, bus, any_address=options.any_address)
+        loop.add(endpoint)
+        endpoints.setdefault(bus, []).append(str(endpoint))
+    for text in options.modbus_rtu:
+        bus, link = _bus_and_place(rig, text, "--modbus-rtu", MODBUS_RTU)
+        pty = ModbusPty(Path(link), rig.world, bus)
+        loop.add(pty)
+        endpoints.setdefault(bus, []).append(str(pty.link.absolute()))
+    return endpoints
+
+
+def _line_texts(rig: Rig, endpoints: dict[str, list[str]]) -> Iterable[str]:
+    """Return one line of text per endpoint."""
+    for name, places in endpoints.items():
+        bus = rig.description.buses[name]
+        units = [
+            str(one.node_id)
+            for one in rig.description.controllers.values()
+            if one.bus == name and one.node_id is not None
+        ]
+        served = f"units {', '.join(units)}" if units else "no units"
+        for place in places:
+            yield f"{name}: {_protocol(bus)} at {place}, {served}"
+
+
+def _protocol(bus: BusDescription) -> str:
+    if bus.kind == MODBUS_TCP:
+        return "Modbus/TCP"
+    return f"Modbus RTU (as at {bus.bitrate_bit_s} bit/s 8{bus.parity}{bus.stop_bits})"
+
+
+def _tcp_address(rig: Rig, text: str) -> tuple[str, str, int]:
+    bus, place = _bus_and_place(rig, text, "--modbus-tcp", MODBUS_TCP)
+    host, _, port = place.rpartition(":")
+    if host.startswith("[") and host.endswith("]"):
+        host = host[1:-1]
+    if not host or not (port.isascii() and port.isdigit()) or int(port) > _PORT_MAX:
+        raise ModbusSocketError(f"--modbus-tcp {text}: no HOST:PORT; usual: 127.0.0.1:5020")
+    return bus, host, int(port)
+
+
+def _bus_and_place(rig: Rig, text: str, option: str, kind: str) -> tuple[str, str]:
+    """Split an option's text into bus and place; the default is the first fitting bus."""
+    buses = rig.description.buses
+    fitting = [bus.name for bus in buses.values() if bus.kind == kind]
+    name, _, place = text.rpartition("=")
+    if not name:
+        if not fitting:
+            raise RigError(rig.description.source.path, *_no_bus(kind, option))
+        name = fitting[0]
+    if name not in fitting:
+        had = f"it is of kind {buses[name].kind}" if name in buses else "the rig has no such bus"
+        known = ", ".join(fitting) or "none"
+        raise ModbusSocketError(
+            f"{option} {text}: bus {name!r}: {had}; buses of kind {kind}: {known}"
+        )
+    if not place:
+        raise ModbusSocketError(f"{option} {text}: names no place; see motorhil serve --help")
+    return name, place
+
+
+def _no_bus(kind: str, option: str) -> tuple[str, str]:
+    return (
+        f"the rig has no bus of kind {kind}, which {option} serves",
+        f'write [bus.NAME] with kind = "{kind}"',
+    )
 
 
 @final

@@ -16,7 +16,7 @@ from motorhil.traces.mcap.reader import Trace, read_trace
 from motorhil.traces.protobuf import Value
 
 _NS: Final = 1_000_000_000
-_LOOK_AGAIN_S: Final = 0.2  # a recorder writes once a second
+_POLL_S: Final = 0.2  # a recorder writes once a second
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -74,15 +74,15 @@ def run(options: argparse.Namespace) -> int:
         lines = story.lines(from_ns, options.to_ns)
         if options.follow:
             lines = followed(trace, story, from_ns, options.to_ns, _wait)
-        told = seen = 0
+        shown = seen = 0
         with suppress(KeyboardInterrupt) if options.follow else nullcontext():
             for line in lines:
                 seen += 1
                 if wanted.takes(line):
-                    told += 1
+                    shown += 1
                     print(json.dumps(facts_of(line)) if options.json else text_of(line))
         _warn(trace)
-        if not told:
+        if not shown:
             print(f"motorhil show: {trace.path}: {_nothing(trace, seen)}", file=sys.stderr)
         for name in options.motor or ():
             if name not in wanted.met:
@@ -112,7 +112,7 @@ def followed(
 
 def _wait() -> None:
     sys.stdout.flush()
-    time.sleep(_LOOK_AGAIN_S)
+    time.sleep(_POLL_S)
 
 
 def text_of(line: Line) -> str:
@@ -122,31 +122,31 @@ def text_of(line: Line) -> str:
 
 def facts_of(line: Line) -> dict[str, object]:
     """Return a line as JSON values."""
-    told: dict[str, object] = {
+    table: dict[str, object] = {
         "time_ns": line.time_ns,
         "topic": line.topic,
         "text": line.text,
         "names": list(line.names),
     }
     if line.identifier is not None:
-        told["id"] = line.identifier
-    said = line.said
-    if said is not None:
-        told |= {"kind": said.kind.value, "node": said.node}
-        if said.index is not None:
-            told |= {"index": said.index, "subindex": said.subindex}
-        told["facts"] = [
+        table["id"] = line.identifier
+    event = line.said
+    if event is not None:
+        table |= {"kind": event.kind.value, "node": event.node}
+        if event.index is not None:
+            table |= {"index": event.index, "subindex": event.subindex}
+        table["facts"] = [
             {
                 "subject": fact.subject,
                 "value": _plain(fact.value),
                 "text": fact.text,
                 "told_to": fact.told_to,
             }
-            for fact in said.facts
+            for fact in event.facts
         ]
     elif line.values:
-        told["values"] = {name: _plain(value) for name, value in line.values}
-    return told
+        table["values"] = {name: _plain(value) for name, value in line.values}
+    return table
 
 
 @final
@@ -172,7 +172,7 @@ class _Filter:
         if not self._is_wanted(line):
             return False
         self.met.update(line.names)
-        return not self._brief or self._is_news(line)
+        return not self._brief or self._has_changed(line)
 
     def _is_wanted(self, line: Line) -> bool:
         if line.topic == "/events":
@@ -193,9 +193,9 @@ class _Filter:
             return False
         if self._ids is not None and line.identifier not in self._ids:
             return False
-        said = line.said
-        to_all = said is not None and said.kind is Kind.NMT and said.node is None
-        node = None if said is None else said.node
+        event = line.said
+        to_all = event is not None and event.kind is Kind.NMT and event.node is None
+        node = None if event is None else event.node
         if self._nodes is not None and node not in self._nodes and not to_all:
             return False
         return self._motors is None or self._has_motor(line) or to_all
@@ -203,19 +203,19 @@ class _Filter:
     def _has_motor(self, line: Line) -> bool:
         return any(name in (self._motors or ()) for name in line.names)
 
-    def _is_news(self, line: Line) -> bool:
-        said = line.said
-        if said is None or said.kind not in PERIODIC:
+    def _has_changed(self, line: Line) -> bool:
+        event = line.said
+        if event is None or event.kind not in PERIODIC:
             return True
-        news = False
-        for fact in said.facts:
+        changed = False
+        for fact in event.facts:
             if fact.motion:
                 continue
-            key = (line.place, said.node, said.kind, fact.subject)
+            key = (line.place, event.node, event.kind, fact.subject)
             if self._known.get(key) != fact.value:
                 self._known[key] = fact.value
-                news = True
-        return news
+                changed = True
+        return changed
 
 
 def _nothing(trace: Trace, seen: int) -> str:

@@ -92,7 +92,7 @@ class Examiner:
         second = None
         if record is None:
             record = self._record_of(promise)
-            second = self._again(verdict, wall_s >= loaded.deadline_s, record)
+            second = self._check_again(verdict, wall_s >= loaded.deadline_s, record)
         return Finding(
             promise,
             verdict,
@@ -104,7 +104,7 @@ class Examiner:
             second,
         )
 
-    def _again(self, first: Verdict, was_slow: bool, record: Path) -> Verdict | None:
+    def _check_again(self, first: Verdict, was_slow: bool, record: Path) -> Verdict | None:
         """Check the clause again and record it; return the verdict if it differs."""
         deadline_s = None
         if was_slow:

@@ -183,8 +183,12 @@ seed {loaded.seed}: {_text(counts)}.</p>
 
 def _row(one: Finding, folder: Path) -> str:
     result = one.verdict.result
-    look = {Result.PASSED: "good", Result.NOT_APPLICABLE: "none"}.get(result, "bad")
-    seen = f'<br><span class="{look}">{_text(one.verdict.seen)}</span>' if one.verdict.seen else ""
+    css_class = {Result.PASSED: "good", Result.NOT_APPLICABLE: "none"}.get(result, "bad")
+    seen = (
+        f'<br><span class="{css_class}">{_text(one.verdict.seen)}</span>'
+        if one.verdict.seen
+        else ""
+    )
     more = "".join(f"<br><code>{_text(line)}</code>" for line in more_of(one))
     if one.record is not None:
         link = html.escape(os.path.relpath(one.record, folder))
@@ -193,7 +197,7 @@ def _row(one: Finding, folder: Path) -> str:
         f"<tr><td>{_text(one.promise.id)}</td>"
         f"<td>{_text(one.promise.promise)}"
         f' <span class="source">{_text(one.promise.source)}</span>{seen}{more}</td>'
-        f'<td class="{look}">{result.value}</td>'
+        f'<td class="{css_class}">{result.value}</td>'
         f"<td>{one.verdict.time_ns / _NS:.3f} s</td></tr>"
     )
 
@@ -213,8 +217,8 @@ def more_of(one: Finding) -> list[str]:
     lines = [one.verdict.place] if one.verdict.place else []
     lines += [f"printed: {line}" for line in one.output]
     if one.second is not None:
-        told = f"{one.second.result.value} {one.second.seen}".rstrip()
-        lines.append(f"not repeatable: a second run with the same seed ended differently: {told}")
+        second = f"{one.second.result.value} {one.second.seen}".rstrip()
+        lines.append(f"not repeatable: a second run with the same seed ended differently: {second}")
     if one.record is not None:
         lines.append(f"record: {one.record}")
     if one.again:

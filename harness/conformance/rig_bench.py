@@ -27,7 +27,7 @@ _FAULT_NS: Final = 50_000_000
 _CANOPEN: Final = ("cia402", "cia401")
 """Kinds of controllers that use SYNC and NMT, and whose commands the bench recognises."""
 _SYNC: Final = 0x080
-_FOR_NOBODY: Final = 0x7FF
+_UNUSED_ID: Final = 0x7FF
 _LAST_BIT: Final = 0.02
 _MODBUS_WRITES: Final = (0x05, 0x06, 0x0F, 0x10, 0x16, 0x17)
 
@@ -223,7 +223,7 @@ class RigBench:
             if (
                 motor is None and not skip
             ):  # the host may have nothing to send now; no node receives this
-                self.rig.bus(self._bus(struck)).transmit(pack(_FOR_NOBODY))
+                self.rig.bus(self._bus(struck)).transmit(pack(_UNUSED_ID))
             yield lost
 
     @contextmanager

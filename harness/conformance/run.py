@@ -123,13 +123,13 @@ def _why_not(motor: Motor, facts: Facts, capability: Capability) -> str:
 
 def _claims(motor: Motor, capability: Capability) -> bool:
     if capability in _MODES:
-        return motor._call(motor._supports, *_MODES[capability])
+        return motor.logical.hooks.supports(*_MODES[capability])
     if capability in _HOOKS:
         hook = _HOOKS[capability]
         return getattr(type(motor), hook) is not getattr(MotorHooks, hook)
     if capability is Capability.COMMON_TRIGGER:
-        motor._call(motor._connect)
-        return motor._call(motor._sync_offer).level >= SyncLevel.TRIGGERED
+        motor.logical.hooks.connect()
+        return motor.logical.hooks.sync_offer().level >= SyncLevel.TRIGGERED
     if capability is Capability.COMPLEX_POSITION:
         return _takes_functions(motor, ControlVariable.POSITION)
     if capability is Capability.COMPLEX_VELOCITY:
@@ -141,7 +141,7 @@ def _claims(motor: Motor, capability: Capability) -> bool:
 
 def _takes_functions(motor: Motor, variable: ControlVariable) -> bool:
     """Return whether the motor accepts complex trajectories; keep the motor's settings."""
-    if not motor._call(motor._supports, ControlMode.TRAJECTORY, variable):
+    if not motor.logical.hooks.supports(ControlMode.TRAJECTORY, variable):
         return False
     from motorhil.motorapi.functions import Polynomial
 
@@ -150,7 +150,7 @@ def _takes_functions(motor: Motor, variable: ControlVariable) -> bool:
 
 
 def _takes_limits(motor: Motor) -> bool:
-    if not motor._call(motor._supports, ControlMode.SETPOINT, ControlVariable.POSITION):
+    if not motor.logical.hooks.supports(ControlMode.SETPOINT, ControlVariable.POSITION):
         return False
     slow = DerivativeLimits(first=0.5 * motor.model.velocity_max)
     return _accepts(motor, ControlVariable.POSITION, Setpoint(0.0, True, slow))
@@ -160,7 +160,7 @@ def _accepts(
     motor: Motor, variable: ControlVariable, command: Setpoint | ComplexTrajectory
 ) -> bool:
     try:
-        motor._call(motor._check_command, variable, command)
+        motor.logical.hooks.check_command(variable, command)
     except UnsupportedError:
         return False
     return True

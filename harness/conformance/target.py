@@ -136,9 +136,9 @@ def _own_rig(adaptation: str, build: object) -> Path:
     own = OWN_RIGS / f"{adaptation}.toml"
     if own.exists():
         return own
-    told = getattr(build, "conformance_rig", None)
-    if not isinstance(told, str | os.PathLike):
+    given = getattr(build, "conformance_rig", None)
+    if not isinstance(given, str | os.PathLike):
         raise RigError(f"adaptation {adaptation}", "has no rig of its own", "add --rig RIG")
     module = inspect.getmodule(build)
     folder = Path(getattr(module, "__file__", None) or ".").parent
-    return folder / told
+    return folder / given

@@ -262,13 +262,13 @@ class WallBench:
         if writer is None or isinstance(link, TcpLine | SerialLine):
             return
         channel = writer.channel(f"/can/{bus}", Schema.of(CAN_FRAME))
-        heard = writer.source(channel, "", Direction.RECEIVED)
+        received = writer.source(channel, "", Direction.RECEIVED)
         sent = writer.source(channel, "host", Direction.TRANSMITTED)
 
-        def hear(frame: bytes, time_ns: int, transmitted: bool) -> None:
-            writer.can_frame(sent if transmitted else heard, time_ns, frame)
+        def record_frame(frame: bytes, time_ns: int, transmitted: bool) -> None:
+            writer.can_frame(sent if transmitted else received, time_ns, frame)
 
-        self.runtime.listen(link, hear)
+        self.runtime.listen(link, record_frame)
 
 
 def _without_fault(motor: Motor) -> None:

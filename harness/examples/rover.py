@@ -24,7 +24,7 @@ MANOEUVRE = (Leg.arc(1.5, 0.9), Leg.crab(0.7, -0.5), Leg.turn(-0.8))
 LOOK_PERIOD_S = 0.5
 LEG_TIMEOUT_S = 60.0
 
-Told = Callable[[str], None]
+Report = Callable[[str], None]
 
 
 @final
@@ -123,18 +123,18 @@ class Rover:
 
 
 def manoeuvre(
-    rover: Rover, runtime: Runtime, point_m: tuple[float, float, float], told: Told
+    rover: Rover, runtime: Runtime, point_m: tuple[float, float, float], report: Report
 ) -> None:
     """Drive the whole manoeuvre while the mast looks at the point, then switch off."""
     rover.switch_on()
-    told("switched on, looking at the point")
+    report("switched on, looking at the point")
     rover.look_at(point_m)
     arrived = False
     looking = runtime.spawn(
         "mast", lambda: rover.keep_looking(runtime, point_m, until=lambda: arrived)
     )
     for leg in MANOEUVRE:
-        told(
+        report(
             f"{leg.name}: {leg.forward_m:.2f} m forward, {leg.left_m:.2f} m to the left, "
             f"{leg.turn_rad:.2f} rad turned"
         )

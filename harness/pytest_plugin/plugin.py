@@ -159,7 +159,7 @@ def pytest_runtest_makereport(
         opened.shorten(call.excinfo)
     report = yield
     if opened is not None:
-        opened.hear(report)
+        opened.take_report(report)
     return report
 
 

@@ -11,7 +11,7 @@ from typing import Final, TypeVar, final
 
 import pytest
 
-from motorhil.harness.cli.run import bus_settings, is_of_ours, is_on_purpose
+from motorhil.harness.cli.run import bus_settings, is_on_purpose, is_own_file
 from motorhil.harness.pytest_plugin.options import (
     OPENED,
     OWN_NAMES,
@@ -113,7 +113,7 @@ class RigOfTest:
         digest = hashlib.sha256(item.nodeid.encode()).hexdigest()[:6]
         folder = record_folder(item.config)
         self._kept = folder / f"{name}-{digest}.mcap"
-        self._failed = self._is_closed = self._is_told = self._is_over = False
+        self._failed = self._is_closed = self._is_reported = self._is_over = False
         try:
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
@@ -122,7 +122,7 @@ class RigOfTest:
             ) from None
         self.record = RecordOfTest(self, folder / f"{self._kept.stem}.{os.getpid()}.part.mcap")
         with ExitStack() as stack:
-            path, self._told_path = self._path(parameter)
+            path, self._path_options = self._path(parameter)
             realtime = bool(option(item.config, "realtime"))
             stack.callback(self.record.path.unlink, missing_ok=True)
             self.rig = Rig.open(path, seed, realtime, self.record.path)
@@ -183,19 +183,19 @@ class RigOfTest:
             return
         last, line = None, raised.value.__traceback__
         while line is not None:
-            if not is_of_ours(line.tb_frame.f_code.co_filename):
+            if not is_own_file(line.tb_frame.f_code.co_filename):
                 last = line
             line = line.tb_next
         if last is not None:
             last.tb_next = None
 
-    def hear(self, report: pytest.TestReport) -> None:
+    def take_report(self, report: pytest.TestReport) -> None:
         """Process the report of a test phase; on a failure, add where the record is."""
         if report.failed:
             self._failed = True
-            if not self._is_told:
-                self._is_told = True
-                report.sections.append(("motorhil", "\n".join(self._told())))
+            if not self._is_reported:
+                self._is_reported = True
+                report.sections.append(("motorhil", "\n".join(self._failure_lines())))
         if report.when == "teardown":
             self._end()
 
@@ -207,7 +207,7 @@ class RigOfTest:
             reporter = self._config.pluginmanager.get_plugin("terminalreporter")
             if reporter is not None:
                 reporter.ensure_newline()
-                reporter.write_line(f"motorhil: interrupted: {'; '.join(self._told())}")
+                reporter.write_line(f"motorhil: interrupted: {'; '.join(self._failure_lines())}")
 
     def _end(self) -> None:
         """Move the record to its final place, or delete it."""
@@ -219,7 +219,7 @@ class RigOfTest:
         else:
             self.record.path.unlink(missing_ok=True)
 
-    def _told(self) -> Iterator[str]:
+    def _failure_lines(self) -> Iterator[str]:
         here = self._config.invocation_params.dir
         record = self._kept
         if record.is_relative_to(here):
@@ -228,9 +228,9 @@ class RigOfTest:
         yield f"record: {shlex.quote(str(record))}, seed {self.rig.seed}, failed at {now_s:.6f} s"
         yield from (f"note:   {note}" for note in self.rig.notes)
         yield f"look:   motorhil show {shlex.quote(str(record))} --last 1"
-        yield f"again:  {self._again()}"
+        yield f"again:  {self._repeat_command()}"
 
-    def _again(self) -> str:
+    def _repeat_command(self) -> str:
         """Return the command that repeats only this test."""
         config = self._config
         names = config.stash[OWN_NAMES]
@@ -241,7 +241,7 @@ class RigOfTest:
             words.append(f"--rootdir={config.option.rootdir}")
         for setting in config.option.override_ini or ():
             words += ["-o", setting]
-        words += [*self._told_path, f"{names['seed']}={self.rig.seed}"]
+        words += [*self._path_options, f"{names['seed']}={self.rig.seed}"]
         if option(config, "record-dir"):
             words.append(f"{names['record-dir']}={option(config, 'record-dir')}")
         if option(config, "realtime"):

@@ -162,7 +162,7 @@ class EmulatedBus(can.BusABC):
         self._own = receive_own_messages
         self._ignores_errors = ignore_rx_error_frames
         self._state = BusState.ACTIVE
-        self._ears = ReceiveQueue(receive_own_messages, _BACKLOG_MAX, fd)
+        self._queue = ReceiveQueue(receive_own_messages, _BACKLOG_MAX, fd)
         self._fd = fd
         self._has_received = False
         self._is_shutdown = True  # until fully open, because BusABC.__del__ reads it
@@ -176,7 +176,9 @@ class EmulatedBus(can.BusABC):
                     f"fd=True: bus {self.channel} is classical CAN; give [bus.{self.channel}] "
                     "of the rig a data_bitrate_bit_s"
                 )
-            self._port = world.add_host(self.channel, "host", self._ears.hear, self._hear_error)
+            self._port = world.add_host(
+                self.channel, "host", self._queue.receive, self._receive_error
+            )
         elif "/" in self.channel:
             _refuse_in_virtual_time(self.channel)
             self._hub = HubLink(self.channel, fd)
@@ -197,9 +199,9 @@ class EmulatedBus(can.BusABC):
         """Call `on_frame` for every frame; stop queueing for `recv` unless `recv` has been used."""
         self._check_open()
         if not self._has_received:
-            self._ears.keeps = False
-            self._ears.backlog.clear()
-        return _Subscription(self._ears.listeners, on_frame)
+            self._queue.keeps = False
+            self._queue.backlog.clear()
+        return _Subscription(self._queue.listeners, on_frame)
 
     @property
     def hub_bus(self) -> tuple[str, str] | None:
@@ -209,7 +211,7 @@ class EmulatedBus(can.BusABC):
     @property
     def dropped(self) -> int:
         """The number of unread frames discarded, oldest first (at most 65,536 wait)."""
-        return self._ears.dropped
+        return self._queue.dropped
 
     def transmit(self, frame: bytes) -> None:
         """Queue the frame for transmission on the bus."""
@@ -272,7 +274,7 @@ class EmulatedBus(can.BusABC):
         if self._hub is not None:
             return super().recv(timeout)
         self._check_open()
-        self._ears.keeps = self._has_received = True
+        self._queue.keeps = self._has_received = True
         deadline_ns = (
             None if timeout is None else self.runtime.now_ns() + round(max(timeout, 0.0) * 1e9)
         )
@@ -280,9 +282,9 @@ class EmulatedBus(can.BusABC):
             left_s = None
             if deadline_ns is not None:
                 left_s = max(0, deadline_ns - self.runtime.now_ns()) / 1e9
-            if not self.runtime.wait_until(self._ears.has_frame, left_s):
+            if not self.runtime.wait_until(self._queue.has_frame, left_s):
                 return None
-            frame, time_ns, transmitted = self._ears.backlog.popleft()
+            frame, time_ns, transmitted = self._queue.backlog.popleft()
             message = to_message(frame, time_ns, self.channel, received=not transmitted)
             if message.is_error_frame:
                 if not self._ignores_errors:
@@ -295,19 +297,21 @@ class EmulatedBus(can.BusABC):
         if self._hub is None:
             return None, False
         while True:
-            heard = self._hub.receive(timeout)
-            if heard is None:
+            received = self._hub.receive(timeout)
+            if received is None:
                 return None, False
-            frame, time_ns, transmitted = heard
-            told = is_error(frame)
-            if told:
+            frame, time_ns, transmitted = received
+            is_error_frame = is_error(frame)
+            if is_error_frame:
                 self._state = state_after(frame, self._state)
-            if not self._ignores_errors if told else self._own or not transmitted:
-                return to_message(frame, time_ns, self.channel, received=not transmitted), told
+            if not self._ignores_errors if is_error_frame else self._own or not transmitted:
+                return to_message(
+                    frame, time_ns, self.channel, received=not transmitted
+                ), is_error_frame
 
-    def _hear_error(self, message: bytes, time_ns: int, _: bool) -> None:
+    def _receive_error(self, message: bytes, time_ns: int, _: bool) -> None:
         self._state = state_after(message, self._state)
-        self._ears.hear(message, time_ns, False)
+        self._queue.receive(message, time_ns, False)
 
     @property
     def bus_off_remedy(self) -> str:

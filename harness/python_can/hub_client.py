@@ -112,7 +112,7 @@ class HubLink:
         try:
             self._socket.send(record)
         except OSError as error:
-            raise self._gone() from error
+            raise self._closed_error() from error
 
     def receive(self, timeout_s: float | None) -> tuple[bytes, int, bool] | None:
         """Return the next (frame, time [ns], transmitted) on the bus, or None after `timeout_s`.
@@ -130,9 +130,9 @@ class HubLink:
                     return None
                 record = self._read()
             except (OSError, ValueError) as error:
-                raise self._gone() from error
+                raise self._closed_error() from error
             if not record:
-                raise self._gone()
+                raise self._closed_error()
             if record.startswith(REFUSED):
                 reason = record[len(REFUSED) :].decode("utf-8", "replace")
                 raise CanOperationError(f"{self.path}: {reason}; the hub has closed the connection")
@@ -140,8 +140,8 @@ class HubLink:
                 kind, time_ns, frame = unpack_told(record)
                 return frame, time_ns, kind == SENT
             if record[0] == STALE:
-                resource, token, who = unpack_stale(record)
-                self.stale[resource] = token, who
+                resource, token, sender = unpack_stale(record)
+                self.stale[resource] = token, sender
 
     def _read(self) -> bytes:
         """Return the next record, or b"" if the hub has closed the connection."""
@@ -150,7 +150,7 @@ class HubLink:
         except ConnectionResetError:  # its last records are still readable
             return self._socket.recv(RECORD_MAX)
 
-    def _gone(self) -> CanOperationError:
+    def _closed_error(self) -> CanOperationError:
         return CanOperationError(f"{self.path}: the hub has closed the connection")
 
     def close(self) -> None:

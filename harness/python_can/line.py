@@ -56,7 +56,7 @@ class EmulatedLine:
         self.is_closed = False
         self._serial = serial
         self._listeners: list[DataListener] = []
-        self._port: LineHost = world.add_line_host(name, "host", self._hear)
+        self._port: LineHost = world.add_line_host(name, "host", self._receive)
 
     def duration_ns(self, characters: int) -> int:
         """Return the transmission time of this many characters [ns]; 0 on a gateway's line."""
@@ -82,7 +82,7 @@ class EmulatedLine:
             self.is_closed = True
             self._port.close()
 
-    def _hear(self, data: bytes, now_ns: int, transmitted: bool) -> None:
+    def _receive(self, data: bytes, now_ns: int, transmitted: bool) -> None:
         if transmitted:
             return
         if not data:

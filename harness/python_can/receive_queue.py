@@ -40,7 +40,7 @@ class ReceiveQueue:
         self._backlog_max = backlog_max
         self._fd = fd
 
-    def hear(self, frame: bytes, time_ns: int, transmitted: bool) -> None:
+    def receive(self, frame: bytes, time_ns: int, transmitted: bool) -> None:
         """Process a frame from the bus; `transmitted` marks frames that this connection sent."""
         if len(frame) == FRAME_BYTES:
             for listener in self.listeners:

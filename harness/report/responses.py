@@ -9,9 +9,8 @@ in the theory.
 from typing import Final
 
 from motorhil.harness.analysis.measured import Measured
-from motorhil.harness.analysis.message import Arrival
-from motorhil.harness.analysis.response_time import Response, response_times
 from motorhil.harness.report.collect import Findings
+from motorhil.motorapi.synchronization.can_response_time import Arrival, Response, response_times
 
 Json = dict[str, object]
 MESSAGES_MAX: Final = 500

@@ -73,7 +73,7 @@ def _contents(paths: Iterable[tuple[object, str]]) -> list[tuple[str, str, bytes
     return files
 
 
-_ON_ITS_WAY = 8  # frames, and the silences after them
+_IN_TRANSIT = 8  # frames, and the silences after them
 _START, _END = 1, 2  # motorhil.GroupSync.Phase
 
 
@@ -127,7 +127,7 @@ def end_recording(recorder: Recorder, world: "World") -> None:
     for name in world.line_names():
         segment = world.line(name)
         if isinstance(segment, SerialSegment):
-            for _ in range(_ON_ITS_WAY):
+            for _ in range(_IN_TRANSIT):
                 due_ns = segment.line.next_deadline_ns()
                 if due_ns is None:
                     break
@@ -143,8 +143,8 @@ def watch_motor(
     Most buses announce the owners of their motors; other motors announce them here.
     """
     bus, controller = description.bus, description.controller
-    heard = () if bus is None or controller is None else ((bus, controller),)
-    recorder.watch_motor(description.name, _Reader(motor).read, heard)
+    places = () if bus is None or controller is None else ((bus, controller),)
+    recorder.watch_motor(description.name, _Reader(motor).read, places)
     if not motor.ownership.listeners:
         writer = LockWriter(recorder, world)
         motor.ownership.listeners.append(MotorTap(writer, description.name).heard)
@@ -152,7 +152,7 @@ def watch_motor(
 
 def watch_group(recorder: Recorder, group: "MotorGroup", name: str, world: "World") -> None:
     """Record how well each start of the group was synchronised, once it has been waited for."""
-    group.observe(_GroupObserver(recorder, name, world).told)
+    group.observe(_GroupObserver(recorder, name, world).record)
 
 
 @final
@@ -164,7 +164,7 @@ class _GroupObserver:
         self._topic = f"/group/{name}/sync"
         self._world = world
 
-    def told(self, quality: "SyncQuality") -> None:
+    def record(self, quality: "SyncQuality") -> None:
         known = [(name, times) for name, times in quality.times if times is not None]
         starts = [(name, times.started_ns, times.source) for name, times in known]
         ends = [(name, times.ended_ns, times.source) for name, times in known]
@@ -178,15 +178,17 @@ class _GroupObserver:
         skew_s: float | None,
         predicted_s: float | None,
     ) -> None:
-        told = [(name, time_ns, source) for name, time_ns, source in moments if time_ns is not None]
-        if not told:
+        starts = [
+            (name, time_ns, source) for name, time_ns, source in moments if time_ns is not None
+        ]
+        if not starts:
             return
-        first_ns = min(time_ns for _, time_ns, _ in told)
+        first_ns = min(time_ns for _, time_ns, _ in starts)
         values: dict[str, Value] = {
             "phase": phase,
-            "motor": [name for name, _, _ in told],
-            "offset_s": [(time_ns - first_ns) / 1e9 for _, time_ns, _ in told],
-            "method": told[0][2],
+            "motor": [name for name, _, _ in starts],
+            "offset_s": [(time_ns - first_ns) / 1e9 for _, time_ns, _ in starts],
+            "method": starts[0][2],
         }
         if skew_s is not None:
             values["skew_s"] = skew_s

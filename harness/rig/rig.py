@@ -219,7 +219,7 @@ class Named(Mapping[str, T], Generic[T]):
     """Things of a rig by name, each created on first use, in the order of the file."""
 
     def __init__(self, what: str, names: Iterable[str], make: Callable[[str], T]) -> None:
-        self._what = what
+        self._kind = what
         self._names = tuple(names)
         self._make = make
         self._made: dict[str, T] = {}
@@ -233,7 +233,7 @@ class Named(Mapping[str, T], Generic[T]):
         if name not in self._made:
             if name not in self._names:
                 known = ", ".join(self._names) or "none"
-                raise NoSuchName(f"this rig has no {self._what} {name!r} (known: {known})")
+                raise NoSuchName(f"this rig has no {self._kind} {name!r} (known: {known})")
             self._made[name] = self._make(name)
         return self._made[name]
 

@@ -25,7 +25,7 @@ from motorhil.harness.sharing_tests.processes import GRACE_S, Plan
 from motorhil.harness.sharing_tests.workers import INSIDE_AT, OVER_AT, PAGE, Desk
 from motorhil.motorapi.locking.directory import VARIABLE
 
-_LOOK_S: Final = 0.1
+_POLL_S: Final = 0.1
 _PR_SET_PDEATHSIG: Final = 1
 
 
@@ -70,7 +70,7 @@ class _Arena:
         finally:
             os._exit(status)
 
-    def goes_on(self) -> bool:
+    def is_running(self) -> bool:
         """Return True while a worker is running; count those that have ended by themselves."""
         for pid in self.pids:
             if os.waitpid(pid, os.WNOHANG)[0]:
@@ -91,13 +91,13 @@ class _Arena:
 
     def _kill(self, pid: int) -> None:
         number = self.numbers.pop(pid)
-        history = History(time.monotonic_ns, self._tell)
+        history = History(time.monotonic_ns, self._write_use)
         death = history.call(str(number), "", Action.DIE)
         os.kill(pid, signal.SIGKILL)
         os.waitpid(pid, 0)
         death.returned()
 
-    def _tell(self, use: Use) -> None:
+    def _write_use(self, use: Use) -> None:
         os.write(self.log, f"{to_line(use)}\n".encode())
 
     @property
@@ -177,12 +177,12 @@ def _act(arena: _Arena, plan: Plan) -> tuple[int, int]:
     acts = ((plan.kill_period_s, arena.kill_one), (plan.pause_period_s, arena.pause_one))
     due = [(begun_s + period_s, period_s, act) for period_s, act in acts if period_s]
     end_s = begun_s + plan.seconds
-    while (now_s := time.monotonic()) < end_s and (due or arena.goes_on()):
+    while (now_s := time.monotonic()) < end_s and (due or arena.is_running()):
         for place, (due_s, period_s, act) in enumerate(due):
             if now_s >= due_s:
                 due[place] = (max(due_s + period_s, now_s), period_s, act)
                 act()
-        next_s = min([end_s, now_s + _LOOK_S, *(one[0] for one in due)])
+        next_s = min([end_s, now_s + _POLL_S, *(one[0] for one in due)])
         _pass(next_s - time.monotonic())
     return round(begun_s * 1e9), time.monotonic_ns()
 
@@ -195,13 +195,13 @@ def main() -> None:
         begun_ns, ended_ns = _act(arena, plan)
     finally:
         arena.end()
-    told = {
+    result = {
         "counts": dict(arena.counts),
         "begun_ns": begun_ns,
         "ended_ns": ended_ns,
         "last_kill_ns": arena.last_kill_ns,
     }
-    print(json.dumps(told))
+    print(json.dumps(result))
 
 
 if __name__ == "__main__":

@@ -159,9 +159,9 @@ def judge_frames(
             if bus != frame.bus or node not in (0, number):
                 continue
             for motor in named:
-                whose, tenure = _whose(ownership.tenures.get(motor, ()), frame, late_ns)
-                counts[f"{motor}: {whose}"] += 1
-                if whose == "foreign" and tenure is not None:
+                kind, tenure = _tenure_of(ownership.tenures.get(motor, ()), frame, late_ns)
+                counts[f"{motor}: {kind}"] += 1
+                if kind == "foreign" and tenure is not None:
                     foreign.append((frame, tenure))
     seen = {name.rpartition(": ")[0] for name in counts}
     unseen = (
@@ -176,7 +176,9 @@ def judge_frames(
     return Evidence(dict(counts), tuple(foreign), ownership.contradictions, tuple(unseen))
 
 
-def _whose(tenures: Sequence[Tenure], frame: BusFrame, late_ns: int) -> tuple[str, Tenure | None]:
+def _tenure_of(
+    tenures: Sequence[Tenure], frame: BusFrame, late_ns: int
+) -> tuple[str, Tenure | None]:
     """Return the relation of the frame's sender to the motor, and the owner's tenure."""
     owner = next((one for one in reversed(tenures) if one.has(frame.time_ns)), None)
     if owner is None:

@@ -127,10 +127,10 @@ class History:
     """
 
     def __init__(
-        self, now_ns: Callable[[], int], tell: Callable[[Use], None] | None = None
+        self, now_ns: Callable[[], int], notify: Callable[[Use], None] | None = None
     ) -> None:
         self.now_ns: Final = now_ns
-        self._tell: Final = tell
+        self._notify: Final = notify
         self._uses: list[Use] = []
 
     def __len__(self) -> int:
@@ -148,15 +148,15 @@ class History:
             who, motor, action, now_ns, FOREVER_NS, Answer.UNKNOWN, value=value, forced=forced
         )
         self._uses.append(use)
-        if self._tell is not None:
-            self._tell(use)
+        if self._notify is not None:
+            self._notify(use)
         return Note(self, len(self._uses) - 1, use)
 
     def replace(self, place: int, use: Use) -> None:
         """Replace the use noted at this index."""
         self._uses[place] = use
-        if self._tell is not None:
-            self._tell(use)
+        if self._notify is not None:
+            self._notify(use)
 
     def uses(self) -> tuple[Use, ...]:
         """Return all uses; incomplete ones of the dead end with their death."""

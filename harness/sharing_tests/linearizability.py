@@ -89,22 +89,24 @@ class _Entry(Generic[E]):
 
     def lift(self) -> None:
         """Remove a call and its return from the list, keeping their positions."""
-        self._leave()
+        self.unlink()
         if self.end is not None:
-            self.end._leave()  # noqa: SLF001 -- another of its kind
+            self.end.unlink()
 
     def put_back(self) -> None:
         """Reinsert them at their positions, in the reverse order of removal."""
         if self.end is not None:
-            self.end._come_back()  # noqa: SLF001 -- another of its kind
-        self._come_back()
+            self.end.relink()
+        self.relink()
 
-    def _leave(self) -> None:
+    def unlink(self) -> None:
+        """Remove this entry from the list."""
         self.before.after = self.after
         if self.after is not None:
             self.after.before = self.before
 
-    def _come_back(self) -> None:
+    def relink(self) -> None:
+        """Reinsert this entry at its position."""
         self.before.after = self
         if self.after is not None:
             self.after.before = self
@@ -243,7 +245,7 @@ class OwnedMotor:
             without = state
             is_over = event.returned_ns < FOREVER_NS
             if use.action is Action.TAKE and not event.queues and is_over:  # no longer waiting
-                without = _left(state, use.who)
+                without = _without(state, use.who)
                 if allowed is None:  # or taken from a living owner without a report
                     allowed = _taken(state, replace(use, forced=True))
             return [without] if allowed is None or allowed == without else [allowed, without]
@@ -262,7 +264,7 @@ def _effect(state: Owned, event: Event) -> Owned | None:
         is_known = use.answer is Answer.DONE
         return None if is_known and use.value != state.value else state
     if use.action is Action.DIE:
-        return replace(_left(state, who), holder="" if is_his else state.holder)
+        return replace(_without(state, who), holder="" if is_his else state.holder)
     if use.answer in (Answer.LOST, Answer.REFUSED):
         return None if is_his else state
     if not is_his:
@@ -272,7 +274,7 @@ def _effect(state: Owned, event: Event) -> Owned | None:
     return replace(state, value=use.value)
 
 
-def _left(state: Owned, who: str) -> Owned:
+def _without(state: Owned, who: str) -> Owned:
     """Return the state without `who` in the queue."""
     if who not in state.queue:
         return state
@@ -280,7 +282,7 @@ def _left(state: Owned, who: str) -> Owned:
 
 
 def _taken(state: Owned, use: Use) -> Owned | None:
-    who, rest = use.who, _left(state, use.who).queue
+    who, rest = use.who, _without(state, use.who).queue
     waits = use.queued_ns is not None or not use.forced
     is_first = bool(state.queue) and state.queue[0] == who
     if use.answer is Answer.REFUSED:

@@ -151,8 +151,8 @@ def run(plan: Plan) -> Outcome:
         )
         if done.returncode:
             raise SharingViolated(f"the arena failed ({done.returncode}): {done.stderr}")
-        told = json.loads(done.stdout)
+        result = json.loads(done.stdout)
         uses = from_lines(Path(folder, "notes").read_text().splitlines())
     # Other lines are messages for the user: "it moves for a process that died: it is halted".
     complaints = tuple(line for line in done.stderr.splitlines() if line.startswith("worker "))
-    return Outcome(ended_by_death(uses), complaints=complaints, **told)
+    return Outcome(ended_by_death(uses), complaints=complaints, **result)

@@ -51,7 +51,7 @@ if TYPE_CHECKING:
 
 DELAYS_NS: Final = (500_000, 5_000_000, 50_000_000, 150_000_000, 400_000_000)
 
-_LOOK_S: Final = 0.002
+_SAMPLE_S: Final = 0.002
 _MOVE_TIMEOUT_S: Final = 10.0
 _REST_S: Final = 0.05
 _RPDOS: Final = range(0x200, 0x580)  # commands from hosts to controllers (CiA 301)
@@ -249,7 +249,7 @@ def _inject(rig: "Rig", rules: Sequence[FaultRule], step: int) -> list[FaultRule
 
 
 @final
-class _Way:
+class _Displacement:
     """The range of a motor's positions since the start."""
 
     def __init__(self, mover: Mover, rig: "Rig") -> None:
@@ -257,9 +257,9 @@ class _Way:
         self._rig = rig
         self.begin = mover.truth(rig)
         self.lowest = self.highest = self.now = self.begin
-        self._looking = rig.runtime.every(_LOOK_S, self.look)
+        self._timer = rig.runtime.every(_SAMPLE_S, self.sample)
 
-    def look(self) -> None:
+    def sample(self) -> None:
         """Take the present position into account."""
         self.now = self._mover.truth(self._rig)
         self.lowest = min(self.lowest, self.now)
@@ -267,13 +267,13 @@ class _Way:
 
     def end(self) -> None:
         """Stop observing."""
-        self.look()
-        self._looking.cancel()
+        self.sample()
+        self._timer.cancel()
 
 
 def _judge_move(mover: Mover, rig: "Rig", distance: float, plan: Plan, reach: Reach) -> None:
     before = sum(rig.faults.fired().values())
-    way = _Way(mover, rig)
+    way = _Displacement(mover, rig)
     error: MotorError | None = None
     try:
         mover.move(rig, distance)
@@ -284,22 +284,24 @@ def _judge_move(mover: Mover, rig: "Rig", distance: float, plan: Plan, reach: Re
         reach.errors[type(error).__name__] = reach.errors.get(type(error).__name__, 0) + 1
     was_hit = sum(rig.faults.fired().values()) > before
     rig.runtime.run_for(mover.settle_s)
-    way.look()
+    way.sample()
     at_rest = way.now
     rig.runtime.run_for(_REST_S)
     way.end()
     what = "was reported done" if error is None else f"failed ({type(error).__name__}: {error})"
     verdict = _verdict(mover, way, distance, is_done=error is None, at_rest=at_rest)
     if verdict:
-        told = f"{mover.name}: a move by {distance:g} from {way.begin:g} {what}; {verdict}"
-        raise MadeMoreThanOnce(f"{told}\n  {plan}")
+        text = f"{mover.name}: a move by {distance:g} from {way.begin:g} {what}; {verdict}"
+        raise MadeMoreThanOnce(f"{text}\n  {plan}")
     ending = _ending(mover, way, distance, is_done=error is None)
     reach.endings[ending] = reach.endings.get(ending, 0) + 1
     if was_hit:
         reach.hit[ending] = reach.hit.get(ending, 0) + 1
 
 
-def _verdict(mover: Mover, way: _Way, distance: float, *, is_done: bool, at_rest: float) -> str:
+def _verdict(
+    mover: Mover, way: _Displacement, distance: float, *, is_done: bool, at_rest: float
+) -> str:
     """Return the violation as text, or an empty text."""
     low, high = sorted((way.begin, way.begin + distance))
     outside = mover.overshoot if is_done else mover.overshoot + mover.coast
@@ -315,7 +317,7 @@ def _verdict(mover: Mover, way: _Way, distance: float, *, is_done: bool, at_rest
     return ""
 
 
-def _ending(mover: Mover, way: _Way, distance: float, *, is_done: bool) -> Ending:
+def _ending(mover: Mover, way: _Displacement, distance: float, *, is_done: bool) -> Ending:
     if is_done:
         return Ending.DONE
     if abs(way.now - way.begin) <= mover.tolerance:
@@ -347,7 +349,7 @@ KINDS: Final = (FaultKind.DROP, FaultKind.DELAY, FaultKind.DUPLICATE)
 RULES_MAX: Final = 3
 MOVES_MAX: Final = 3
 
-_UNDER_WAY_NS: Final = 20_000_000
+_STARTED_NS: Final = 20_000_000
 _STARTING_MS: Final = 60
 _WHOLE_MS: Final = 2000
 _MS: Final = 1_000_000
@@ -374,14 +376,14 @@ def traffic_of(mover: Mover, distance: float | None = None) -> Traffic:
         MadeMoreThanOnce: the motor did not move as reported.
     """
     way = mover.distance_max / 2.0 if distance is None else distance
-    heard: list[tuple[int, int]] = []
+    frames: list[tuple[int, int]] = []
     moved_ns: list[int] = []
     with mover.make_rig(0) as rig:
         mover.ready(rig)
         begin = mover.truth(rig)
 
         def on_frame(_bus: str, time_ns: int, _sender: str, frame: bytes) -> None:
-            heard.append((time_ns, can_id_of(frame)))
+            frames.append((time_ns, can_id_of(frame)))
             if not moved_ns and abs(mover.truth(rig) - begin) > mover.tolerance:
                 moved_ns.append(time_ns)
 
@@ -391,9 +393,9 @@ def traffic_of(mover: Mover, distance: float | None = None) -> Traffic:
         end = mover.truth(rig)
     if not moved_ns or abs(end - begin - way) > mover.tolerance:
         raise MadeMoreThanOnce(f"{mover.name}: undisturbed, from {begin:g} by {way:g} to {end:g}")
-    until_ns = moved_ns[0] + _UNDER_WAY_NS
-    starting = sum(1 for time_ns, _ in heard if time_ns <= until_ns)
-    return Traffic(tuple(sorted({can_id for _, can_id in heard})), starting)
+    until_ns = moved_ns[0] + _STARTED_NS
+    starting = sum(1 for time_ns, _ in frames if time_ns <= until_ns)
+    return Traffic(tuple(sorted({can_id for _, can_id in frames})), starting)
 
 
 def single_faults(mover: Mover) -> list[Plan]:

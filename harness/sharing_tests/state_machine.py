@@ -159,7 +159,7 @@ class Stage:
         found: dict[int, list[Motor]] = {}
         for name in self.rig.motors:
             motor = self.rig.motors[name]
-            found.setdefault(id(motor._physical), []).append(motor)
+            found.setdefault(id(motor.logical.physical), []).append(motor)
         return list(found.values())
 
     def require(self, holds: bool, words: str) -> None:
@@ -238,8 +238,8 @@ class Owner(Party):
         self._give: Note | None = None
         self._death: Note | None = None
         self._taken: OwnershipEvent | None = None
-        self._listeners: Final = motor._physical.ownership.listeners
-        self._listeners.append(self._hear)
+        self._listeners: Final = motor.logical.physical.ownership.listeners
+        self._listeners.append(self._note_event)
         super().__init__(name, stage)
 
     # ---- errands ----
@@ -358,7 +358,7 @@ class Owner(Party):
         self._taken = None
         return self.stage.history.call(self.name, self._label, action, value=value, forced=forced)
 
-    def _hear(self, event: OwnershipEvent) -> None:
+    def _note_event(self, event: OwnershipEvent) -> None:
         if event.owner.endswith(f" of {self.motor.name}") and event.action in (
             LockAction.TAKEN,
             LockAction.BROKEN,
@@ -380,7 +380,7 @@ class Owner(Party):
             reservation = other.reservation
             if other.is_lost or reservation is None or reservation.lost_to is None:
                 continue
-            if other.motor._physical is self.motor._physical:
+            if other.motor.logical.physical is self.motor.logical.physical:
                 other.is_lost = True
                 lease_s = (other.lease_s or _LONG_S) * _RENEWED
                 end_ns = other.used_ns + round(lease_s * 1e9)
@@ -448,7 +448,7 @@ class Owner(Party):
         self, before: float, distance: float, duration_s: float, reserved: "Reservation | None"
     ) -> None:
         stage = self.stage
-        run = self.motor._run
+        run = self.motor.logical.run
         assert run is not None
         took_s = (stage.runtime.now_ns() - run.since_ns) / 1e9
         stage.counts["motion: as long as asked for"] += 1
@@ -459,12 +459,12 @@ class Owner(Party):
         )
         if reserved is None or reserved.lost_to is not None:
             return
-        went = self.motor.position() - before
+        moved = self.motor.position() - before
         stage.counts["motion: as far as asked for"] += 1
         stage.require(
-            abs(went - distance) <= stage.course.window,
+            abs(moved - distance) <= stage.course.window,
             f"{self.name} was the only owner and moved the motor by {distance:g}, but it went "
-            f"{went:g}",
+            f"{moved:g}",
         )
 
     def leave(self) -> None:
@@ -472,7 +472,7 @@ class Owner(Party):
         self._death = self.stage.history.call(self.name, "", Action.DIE)
         self._stack.close()
         self.reservation = None
-        self._listeners.remove(self._hear)
+        self._listeners.remove(self._note_event)
         if not self._moves:
             self._death.returned()
             self._death = None
@@ -526,7 +526,7 @@ class Watch:
     def _watched_arm(self, motion: Motion, *, together: bool) -> Trigger:
         if self.refuses:
             raise LinkError(
-                link=self.motor._physical.label, reason="it refuses, as planned by the test"
+                link=self.motor.logical.physical.label, reason="it refuses, as planned by the test"
             )
         trigger = self._arm(motion, together=together)
         self.was_armed = True
@@ -631,18 +631,18 @@ class GroupOwner(Party):
             self._require_moved(watches, before, ways, "to its target")
 
     def _begun_ns(self, watches: Sequence[Watch]) -> int:
-        runs = [watch.motor._run for watch in watches]
+        runs = [watch.motor.logical.run for watch in watches]
         return min(run.since_ns for run in runs if run is not None)
 
     def _require_moved(
         self, watches: Sequence[Watch], before: Sequence[float], ways: Sequence[float], why: str
     ) -> None:
         for watch, place, way in zip(watches, before, ways, strict=True):
-            went = watch.motor.position() - place
+            moved = watch.motor.position() - place
             self.stage.counts["positions compared"] += 1
             self.stage.require(
-                abs(went - way) <= self.stage.course.window,
-                f"{self.name}: {watch.motor.name} went {went:g} instead of {way:g} {why}",
+                abs(moved - way) <= self.stage.course.window,
+                f"{self.name}: {watch.motor.name} went {moved:g} instead of {way:g} {why}",
             )
 
     @contextmanager
@@ -663,12 +663,12 @@ class GroupOwner(Party):
 
     def _take(self, watches: Sequence[Watch]) -> None:
         for watch in watches:
-            label = watch.motor._physical.label
+            label = watch.motor.logical.physical.label
             self.stage.history.call(self.name, label, Action.TAKE).returned()
 
     def _gives(self, watches: Sequence[Watch]) -> list[Note]:
         """Begin the notes of release; they are completed when ownership has ended."""
-        labels = [watch.motor._physical.label for watch in watches]
+        labels = [watch.motor.logical.physical.label for watch in watches]
         return [self.stage.history.call(self.name, label, Action.GIVE) for label in labels]
 
 

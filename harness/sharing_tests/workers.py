@@ -33,13 +33,12 @@ from motorhil.harness.sharing_tests.processes import Plan
 from motorhil.motorapi import (
     ControlMode,
     Motor,
+    MotorBusyError,
     MotorError,
     MotorGroup,
     MotorModel,
     TrapezoidalTrajectory,
 )
-from motorhil.motorapi import MotorBusyError as MotorBusyError_of_motorapi
-from motorhil.motorapi.errors import MotorBusyError
 from motorhil.motorapi.locking.directory import LockDirectory
 from motorhil.motorapi.locking.process_lock import ProcessLock
 from motorhil.motorapi.ownership.claim import LockAction, OwnershipEvent
@@ -74,11 +73,11 @@ class Desk:
         self.number: Final = number
         self.name: Final = f"{number}"
         self.random: Final = random.Random(f"{plan.seed}:{number}")
-        self.history: Final = History(time.monotonic_ns, self._tell)
+        self.history: Final = History(time.monotonic_ns, self._write_use)
         self._page = page
         self._log = log
 
-    def _tell(self, use: Use) -> None:
+    def _write_use(self, use: Use) -> None:
         os.write(self._log, f"{to_line(use)}\n".encode())
 
     @property
@@ -209,20 +208,20 @@ def _motors(desk: Desk) -> list[Motor]:
 
 
 def _label(motor: Motor) -> str:
-    return motor._physical.label  # noqa: SLF001 -- the same in every process
+    return motor.logical.physical.label  # the same in every process
 
 
 def work_motor(desk: Desk) -> None:
     """Reserve and move the first motor repeatedly; see the module's description."""
     motor = _motors(desk)[0]
-    told: list[OwnershipEvent] = []
-    motor._physical.ownership.listeners.append(told.append)  # noqa: SLF001 -- who has it
+    events: list[OwnershipEvent] = []
+    motor.ownership.listeners.append(events.append)
     turn = 0
     while not desk.is_over:
         turn += 1
         by_force = desk.random.random() < desk.fact("take_over", 0.0)
         take = desk.history.call(desk.name, _label(motor), Action.TAKE, forced=by_force)
-        told.clear()
+        events.clear()
         lease_s = desk.fact("lease_s", 0.0) or None
         try:
             with ExitStack() as stack:
@@ -234,15 +233,15 @@ def work_motor(desk: Desk) -> None:
                         take_over=by_force,
                     )
                 )
-                taken = next(event for event in reversed(told) if event.action in _TAKEN)
+                taken = next(event for event in reversed(events) if event.action in _TAKEN)
                 forced = taken.action is LockAction.TAKEN_OVER
                 take.returned(token=reservation.token, forced=forced)
                 desk.note_inside(True)
                 give = _move_in_turn(desk, motor, reservation, turn)
             desk.note_inside(False)
             give.returned(_given(desk, reservation))
-        except MotorBusyError_of_motorapi:  # from reserve(); inside the block it is handled there
-            was_taken = any(event.action in _TAKEN for event in told)
+        except MotorBusyError:  # from reserve(); inside the block it is handled there
+            was_taken = any(event.action in _TAKEN for event in events)
             take.returned(Answer.UNKNOWN if was_taken else Answer.REFUSED)
             if was_taken:  # lost again, or released because another process was stopping it
                 desk.history.call(desk.name, _label(motor), Action.GIVE).returned(Answer.UNKNOWN)
@@ -256,7 +255,7 @@ def _move_in_turn(desk: Desk, motor: Motor, reservation: "Reservation", turn: in
         try:
             _set_course(desk, motor)
             motor.start()
-        except MotorBusyError_of_motorapi:
+        except MotorBusyError:
             lost = reservation.lost_to is not None
             command.returned(Answer.LOST if lost else Answer.UNKNOWN)  # it is being stopped
             break

@@ -89,14 +89,14 @@ class ExitHandlers:
             place = self._functions.index(function)
             del self._functions[place], self._calls[place]
 
-    def run(self, tell: Callable[[Exception], None]) -> None:
+    def run(self, report: Callable[[Exception], None]) -> None:
         """Run all handlers, last one first; pass exceptions to `tell` and continue."""
         while self._calls:
             del self._functions[-1]
             try:
                 self._calls.pop()()
             except Exception as error:
-                tell(error)
+                report(error)
 
 
 @contextmanager

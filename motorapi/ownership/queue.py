@@ -1,4 +1,4 @@
-"""FIFO turns of parties, the basis of transactions and triggers.
+"""FIFO queues: turns of parties, the basis of transactions and triggers.
 
 A turn is short; an *exclusive* one may last as long as its holder likes (low-level access). Some
 objects are shared with other processes (the SYNC of a bus): then a turn also takes a lock between

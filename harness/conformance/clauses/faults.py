@@ -151,7 +151,7 @@ def reset_fault_clears_fault_without_motion(bench: RigProtocol) -> None:
     Level.L2,
     needs={Capability.FAULTS, Capability.POSITION_TRAJECTORY},
     bench={Ability.FAULT},
-    source="ReadableMotor.fault: what the drive says is wrong; Motor.enable: DeviceFault",
+    source="Motor.fault: what the drive says is wrong; Motor.enable: DeviceFault",
 )
 def fault_at_rest_is_reported(bench: RigProtocol) -> None:
     """At rest, a fault is reported with its error code to the next caller."""

@@ -159,7 +159,7 @@ _SAMPLES = 10
     Level.L0,
     needs={Capability.POSITION_TRAJECTORY},
     bench={Ability.TRUTH},
-    source="ReadableMotor.velocity: measured velocity [U/s]; paper 3.2",
+    source="Motor.velocity: measured velocity [U/s]; paper 3.2",
 )
 def measured_velocity_is_true_velocity(bench: RigProtocol) -> None:
     """Measured velocity is the velocity of the output, in sign and size."""
@@ -192,7 +192,7 @@ def measured_velocity_is_true_velocity(bench: RigProtocol) -> None:
     Level.L0,
     needs={Capability.MEASURED_TORQUE},
     bench={Ability.LOAD},
-    source="ReadableMotor.torque: measured torque [N·m], or force [N]; paper 3.2",
+    source="Motor.torque: measured torque [N·m], or force [N]; paper 3.2",
 )
 def measured_torque_holds_load(bench: RigProtocol) -> None:
     """Measured torque is the torque that holds the load, in sign and size."""
@@ -217,7 +217,7 @@ def measured_torque_holds_load(bench: RigProtocol) -> None:
     Level.L0,
     needs={Capability.MEASURED_FOLLOWING_ERROR},
     bench={Ability.LOAD, Ability.TRUTH},
-    source="ReadableMotor.following_error: demand minus actual position [U]",
+    source="Motor.following_error: demand minus actual position [U]",
 )
 def following_error_is_demand_minus_actual(bench: RigProtocol) -> None:
     """Following error is the distance from demand to actual position, in sign and size."""

@@ -31,7 +31,7 @@ from motorhil.motorapi import (
     StateError,
     TrapezoidalTrajectory,
 )
-from motorhil.motorapi.motor import Ending, Outcome
+from motorhil.motorapi.outcome import Ending, Outcome
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

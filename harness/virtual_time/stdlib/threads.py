@@ -43,7 +43,7 @@ _LOOK_NS: Final = 1_000
 _SPIN_LOOK_NS: Final = 10_000
 _BILL_NS: Final = 1_000_000
 _SPIN_BILLS: Final = 10
-_TOLD_BILLS: Final = 1_000
+_REPORTED_BILLS: Final = 1_000
 
 
 @final
@@ -61,7 +61,7 @@ class Program:
         self.parties: list[VirtualParty] = []  # running threads when the last was added
         self._bills = 0  # consecutive waits for time to catch up, with nothing in between
         self._paid_ns = -1
-        self._told: list[VirtualParty] = []
+        self._reported: list[VirtualParty] = []
 
     def add(self, party: VirtualParty) -> None:
         """Add a started thread to the program."""
@@ -89,8 +89,8 @@ class Program:
     def _pay(self, party: VirtualParty) -> None:
         queue = self.runtime.queue
         self._bills = self._bills + 1 if queue.now_ns == self._paid_ns else 0
-        if self._bills >= _TOLD_BILLS and party not in self._told:
-            self._told.append(party)
+        if self._bills >= _REPORTED_BILLS and party not in self._reported:
+            self._reported.append(party)
             print(
                 f"{whereabouts(party)}: polls without sleeping; each poll "
                 f"takes {_SPIN_LOOK_NS / 1e3:g} us of the rig's time; add a time.sleep()",
@@ -187,19 +187,19 @@ def _poll(program: Program) -> None:
 def whereabouts(party: VirtualParty) -> str:
     """Return a party's name and place in its own code: "worker (robot.py:12, in Queue.get)"."""
     frame = sys._current_frames().get(party.ident)  # noqa: SLF001 -- documented, for this
-    told = [party.name]
+    words = [party.name]
     within = ""
     while frame is not None:
         package = str(frame.f_globals.get("__name__", "")).partition(".")[0]
         if package not in OUTSIDE and package not in sys.stdlib_module_names:
-            told.append(f" ({frame.f_code.co_filename}:{frame.f_lineno}{within})")
+            words.append(f" ({frame.f_code.co_filename}:{frame.f_lineno}{within})")
             break
         if package not in OUTSIDE:
             within = f", in {frame.f_code.co_qualname}"
         frame = frame.f_back
     if party.held_up_by not in (None, party):  # a party takes a condition's lock from itself
-        told.append(f", held up by {party.held_up_by.name}")
-    return "".join(told)
+        words.append(f", held up by {party.held_up_by.name}")
+    return "".join(words)
 
 
 _FOR_EVER: Final = -1

@@ -238,7 +238,7 @@ class Cia402Motor(Motor):
             )
 
     def _sync_offer(self) -> SyncOffer:
-        command = self._command
+        command = self.logical.command
         streamed = command is not None and is_function(self.control_variable, command)
         return self._motions.offer(self.control_variable, streamed=streamed)
 

@@ -67,7 +67,7 @@ def a_wait_that_runs_out_stops_the_motor():
                 wait(motors, timeout_s, answer)
             except DeadlineExceeded:
                 for one in motors:
-                    one._call(one._stop)
+                    one.hooks.stop()
                 raise
 
         return waited

@@ -171,7 +171,7 @@ def a_start_that_failed_is_tried_again_in_the_background():
                 return read(motor)
             except (DeadlineExceeded, LinkError):
                 node, facts = motor._node, motor._hardware.facts
-                way = motor._reader._units.increments(motor._command.value)
+                way = motor._reader._units.increments(motor.logical.command.value)
                 target = node.position_inc + round(way)
 
                 def again():

@@ -70,7 +70,7 @@ def a_group_that_starts_before_all_are_armed():
 
     def hasty(started, seen):
         for one in started:
-            one.motor._call(one.motor._arm, one.motion, together=False).fire()
+            one.motor.hooks.arm(one.motion, together=False).fire()
         return [Fired()]
 
     with patch.object(execution, "_arm", hasty):

@@ -352,5 +352,6 @@ print(json.dumps([name for name in sys.modules]))
     loaded = json.loads(done.stdout.splitlines()[-1])
     ours = [one for one in loaded if one.split(".")[0] == "motorhil"]
     plugin = "motorhil.harness.pytest_plugin"
-    assert ours == ["motorhil", "motorhil.harness", plugin, f"{plugin}.plugin"]
+    parts = [f"{plugin}.options", f"{plugin}.plugin"]
+    assert ours == ["motorhil", "motorhil.harness", plugin, *parts]
     assert not {"can", "numpy", "mcap", "hypothesis", "motorhil.traces"} & set(loaded)

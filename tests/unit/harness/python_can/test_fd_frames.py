@@ -79,7 +79,7 @@ class TestInARig(FdFrames):
         heard = []
         ears = ReceiveQueue(False, 10, True)
         ears.listeners.append(lambda *told: heard.append(told))
-        ears.hear(pack_fd(0x123), 0, False)
+        ears.receive(pack_fd(0x123), 0, False)
         assert not heard
         assert len(ears.backlog) == 1
 

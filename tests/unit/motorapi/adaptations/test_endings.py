@@ -18,7 +18,8 @@ from motorhil.motorapi.errors import (
     MotorError,
     PluginError,
 )
-from motorhil.motorapi.motor import Ending, Motor, Outcome
+from motorhil.motorapi.motor import Motor
+from motorhil.motorapi.outcome import Ending, Outcome
 from motorhil.motorapi.trajectory import TrapezoidalTrajectory
 from tests.support.motors.drive_rigs import drive
 
