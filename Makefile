@@ -68,9 +68,6 @@ check: $(READY)  ## style, types, import contracts, links and language of the do
 	@$(BIN)/python -m tests.architecture.structure
 	$(BIN)/python -m pytest -p no:cacheprovider $(DOCUMENTS)
 
-quick: $(READY)  ## fast tests, while you edit: functions, trajectories, plants, buses, recordings, documents
-	$(BIN)/python -m pytest $(WORKERS) $(QUICK)
-
 docs: $(READY) $(DOCS)/.ready  ## the documents as a site, which works from disk: build/docs/html/index.html
 	$(BIN)/python -m motorhil.harness.documentation docs build/docs/source
 	$(DOCS)/bin/sphinx-build -q -W --keep-going build/docs/source build/docs/html

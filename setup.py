@@ -36,7 +36,6 @@ COMPILED = (
     "traces/can_frame.py",
     "traces/mcap/chunk.py",
     "traces/protobuf.py",
-    "traces/schema.py",
     "motorapi/runtime/api.py",
     "motorapi/adaptations/canopen/emcy.py",
     "motorapi/adaptations/canopen/link.py",

@@ -3,9 +3,10 @@ import pytest
 
 from motorhil.emulators.cia402.settings import OWN_EDS
 from tests.support.canopen.drive_wire import Wire
-from tests.support.canopen.wire_client import WireNetwork, WireNode402, connect
+from tests.support.canopen.pumped_client import PumpedNode402
+from tests.support.canopen.wire_client import WireNetwork, connect
 
-Connected = tuple[Wire, WireNetwork, WireNode402]
+Connected = tuple[Wire, WireNetwork, PumpedNode402]
 
 
 @pytest.fixture

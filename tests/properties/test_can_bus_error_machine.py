@@ -16,6 +16,7 @@ from motorhil.emulators.can.error_confinement import ErrorState
 from motorhil.emulators.can.fault_rules import PARTING, FaultKind, FaultRule, FrameError, WireLevel
 from motorhil.emulators.can.frame import can_id_of, pack
 from tests.support.can.deliveries import BIT
+from tests.support.repetition import examples
 
 NAMES = ("a", "b", "c", "d")
 PORTS = st.integers(0, len(NAMES) - 1)
@@ -170,4 +171,4 @@ class Errors(RuleBasedStateMachine):
 
 
 TestErrors = Errors.TestCase
-TestErrors.settings = settings(max_examples=150, stateful_step_count=25, deadline=None)
+TestErrors.settings = settings(max_examples=examples(60), stateful_step_count=25, deadline=None)

@@ -9,6 +9,7 @@ from motorhil.traces.formats.candump import CandumpReader, SdRowReader
 from motorhil.traces.formats.csv import COLUMNS, CsvReader
 from motorhil.traces.formats.frames import Findings, read_lines
 from motorhil.traces.formats.trc import TrcReader
+from tests.support.repetition import examples
 
 WHOLE = {
     CandumpReader: [
@@ -36,7 +37,7 @@ PIECES = st.text(alphabet="0123456789ABCDEFx#[]().,:;$=- \t\0Rrdé²\"'", max_si
 
 
 @pytest.mark.parametrize("reader", WHOLE, ids=lambda reader: reader.name)
-@settings(max_examples=150)
+@settings(max_examples=examples(60))
 @given(data=st.data())
 def test_damaged_line_is_read_or_reported(reader, data):
     lines = list(WHOLE[reader])

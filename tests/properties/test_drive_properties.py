@@ -7,6 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.support.cia402.bench import MS, NODE, Bench
+from tests.support.repetition import examples
 
 WORDS = st.sampled_from(
     [0x00, 0x02, 0x06, 0x07, 0x0F, 0x1F, 0x3F, 0x5F, 0x010F, 0x80, 0x8F, 0x021F]
@@ -91,7 +92,7 @@ def act(bench: Bench, what: str, value: float) -> None:
 @given(
     RUNS, st.lists(st.integers(0, 30), min_size=1, max_size=40), st.randoms(use_true_random=False)
 )
-@settings(max_examples=40)
+@settings(max_examples=examples(20))
 def test_observing_changes_nothing(run, looks, dice):
     plain, watched = new_bench(), new_bench()
     for number, (what, value) in enumerate(run):

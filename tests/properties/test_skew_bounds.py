@@ -27,6 +27,7 @@ from motorhil.motorapi.trajectory import TrapezoidalTrajectory
 from tests.support.motors.drive_rigs import HEAD, drive
 from tests.support.motors.skew_rigs import Outcome, run
 from tests.support.motors.skew_scenarios import Choices, Member, Message, Scenario, drawn
+from tests.support.repetition import examples
 
 ROUNDING_NS = 2  # two times, each rounded to a whole nanosecond
 
@@ -58,7 +59,7 @@ def _reached(ratio: float | None) -> str:
     return "all of the bound" if ratio >= 1.0 else f"{int(ratio * 4) * 25} % or more of the bound"
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=examples(12), deadline=None)
 @given(st.data())
 def test_random_groups_do_not_exceed_the_prediction(
     tmp_path_factory: pytest.TempPathFactory, data: st.DataObject

@@ -13,6 +13,7 @@ from motorhil.motorapi.group import MotorGroup
 from motorhil.motorapi.motor import Motor
 from tests.support.motors.hosts import foreign_sync
 from tests.support.motors.skew_rigs import Member, Message, Scenario, Sender, rig_text
+from tests.support.repetition import examples
 
 SYNC = (0x080,)
 MESSAGES = st.lists(
@@ -87,7 +88,7 @@ def burst(scenario: Scenario, period_ms: int) -> tuple[float | None, float, int]
             return capability.command_skew_s, quality.command_skew_s, quality.straddles
 
 
-@settings(max_examples=15)
+@settings(max_examples=examples(8))
 @given(SCENARIOS, st.sampled_from([1, 2, 5, 10]))
 def test_burst_is_never_worse_than_predicted(scenario: Scenario, period_ms: int):
     predicted, measured, straddles = burst(scenario, period_ms)

@@ -13,7 +13,7 @@ class Program:
 
     def __init__(self, name, *words, env=None):
         self.process = subprocess.Popen(
-            [sys.executable, "-m", f"tests.system.wall.{name}", *map(str, words)],
+            [sys.executable, "-m", f"tests.support.programs.{name}", *map(str, words)],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,

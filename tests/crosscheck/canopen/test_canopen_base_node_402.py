@@ -8,8 +8,9 @@ import pytest
 from canopen.profiles.p402 import OperationMode, State402
 
 from motorhil.emulators.cia402.settings import EMULATED_MODES, OWN_EDS
+from tests.support.canopen.pumped_client import set_up_402
 from tests.support.cia402.bench import MS, Bench
-from tests.support.cia402.bench_client import connect, set_up
+from tests.support.cia402.bench_client import connect
 from tests.support.cia402.homing_bench import Track
 
 
@@ -21,7 +22,7 @@ def bench() -> Bench:
 @pytest.fixture
 def client(bench, monkeypatch):
     network, node = connect(bench, str(OWN_EDS), monkeypatch)
-    set_up(network, node)
+    set_up_402(network, node)
     return network, node
 
 
@@ -159,7 +160,7 @@ def test_client_homes_the_drive(client, bench):
 def test_client_homes_over_switches_and_detects_failure(monkeypatch):
     bench = Bench(switches=Track().table())
     network, node = connect(bench, str(OWN_EDS), monkeypatch)
-    set_up(network, node)
+    set_up_402(network, node)
     node.sdo[0x6099][1].raw, node.sdo[0x6099][2].raw = 40_000, 4_000
     for method, where in ((1, -5_300), (26, 400), (18, 6_000), (14, -1_300)):
         node.sdo[0x6098].raw = method

@@ -13,14 +13,15 @@ from canopen.profiles import p402
 from motorhil.emulators.cia401.settings import OWN_EDS
 from tests.crosscheck.conftest import aborted
 from tests.support.canopen.drive_wire import MS, Wire
-from tests.support.canopen.wire_client import WireNetwork, WireSdoClient
+from tests.support.canopen.pumped_client import PumpedSdoClient
+from tests.support.canopen.wire_client import WireNetwork
 
 HALF = 16384  # 5 V of 6411h
 
 
 class WireNode(canopen.RemoteNode):
     def add_sdo(self, rx_cobid, tx_cobid):
-        client = WireSdoClient(rx_cobid, tx_cobid, self.object_dictionary)
+        client = PumpedSdoClient(rx_cobid, tx_cobid, self.object_dictionary)
         self.sdo_channels.append(client)
         return client
 

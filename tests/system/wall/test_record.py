@@ -17,7 +17,7 @@ from motorhil.traces.can_frame import classic
 from motorhil.traces.formats.frames import Findings, Frame
 from motorhil.traces.formats.registry import record_frames, recorded_frames
 from motorhil.traces.mcap.reader import read_trace
-from tests.system.wall.test_hub import serving
+from tests.system.wall.hub.test_hub import serving
 
 pytestmark = pytest.mark.wall
 

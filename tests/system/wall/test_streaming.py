@@ -13,7 +13,7 @@ from motorhil.motorapi.adaptations.cia402.bringup import HwOptions
 from motorhil.motorapi.adaptations.cia402.hardware import Cia402HwMotor
 from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
 from tests.support.motors.streaming import quintic, set_function
-from tests.system.wall.test_hub import serving
+from tests.system.wall.hub.test_hub import serving
 
 pytestmark = pytest.mark.wall
 

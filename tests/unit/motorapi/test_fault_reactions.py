@@ -27,6 +27,7 @@ from motorhil.motorapi import (
 )
 from tests.support.motors import software_rigs
 from tests.support.motors.kinds import MODEL
+from tests.support.repetition import examples
 
 MS = 1_000_000
 NAMES = ("m1", "m2", "m3")
@@ -245,7 +246,7 @@ def test_waiters_for_a_motor_and_the_group_get_their_causes(kind):
         other.wait_until_done(timeout_s=5)
 
 
-@settings(max_examples=12)
+@settings(max_examples=examples(5))
 @given(
     st.floats(0.01, 1.45),
     st.lists(st.floats(0.3, 2.0), min_size=3, max_size=3),

@@ -19,7 +19,7 @@ from motorhil.emulators.simulation.event_queue import EventQueue
 from motorhil.emulators.simulation.world import World
 from motorhil.motorapi import WallRuntime
 from motorhil.motorapi.locking.directory import VARIABLE
-from tests.system.wall.test_fencing import SET_POINTS, Stage, lose
+from tests.system.wall.sharing.test_fencing import SET_POINTS, Stage, lose
 
 
 @contextlib.contextmanager

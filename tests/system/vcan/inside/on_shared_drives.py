@@ -8,7 +8,7 @@ import can
 from motorhil.harness.rig.config.scaffold import EXAMPLES
 from motorhil.harness.sharing_tests.processes import Plan, run
 from tests.support.line_programs import LONG_S
-from tests.system.wall.test_shared_drive import SERVE
+from tests.support.served_hub import SERVE
 
 
 def await_boot():

@@ -20,6 +20,7 @@ from motorhil.emulators.firmware.servo_tables import ServoGains, ServoTables
 from motorhil.emulators.plant.nonlinear import PlantExtras
 from motorhil.emulators.plant.presets import WHEEL_60W
 from motorhil.emulators.settings.motor import servo_of
+from tests.support.repetition import examples
 
 MS = 1_000_000
 STEP_S = 1e-4
@@ -175,7 +176,7 @@ EXTRAS = st.fixed_dictionaries(
 SPEED = st.floats(-600.0, 600.0)
 
 
-@settings(max_examples=60)
+@settings(max_examples=examples(30))
 @example({"static_friction_n_m": 8e-3}, False, True, 0.0078125, 0.0, 0.0)
 @example(
     {"static_friction_n_m": 8e-3, "coupling_stiffness_n_m_rad": 30.0}, False, True, 0.0078, 0.0, 0.0

@@ -22,6 +22,7 @@ from motorhil.harness.sharing_tests.linearizability import (
     require_linearizable,
     search,
 )
+from tests.support.repetition import examples
 
 TAKE, GIVE, COMMAND, READ, DIE = Action
 DONE, REFUSED, LOST, UNKNOWN = Answer
@@ -311,7 +312,7 @@ def plausible(draw):
     return uses
 
 
-@settings(max_examples=600)
+@settings(max_examples=examples(200))
 @given(st.lists(anything(), max_size=4) | plausible())
 def test_search_finds_an_order_iff_brute_force_does(uses):
     events, specification = events_of(uses), OwnedMotor()

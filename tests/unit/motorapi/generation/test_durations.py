@@ -18,6 +18,7 @@ from tests.support.mathematics.problems import (
     sizes,
     way_of,
 )
+from tests.support.repetition import examples
 
 UNIT = ProfileLimits(1.0, 1.0)
 THROUGH = {"initial_velocity": 1.0, "final_velocity": 1.0}
@@ -126,9 +127,9 @@ def test_possible_durations_equal_those_of_the_envelope(problem, power, near):
     ) or duration_s < fastest * (1 + 1e-8)
 
 
-def test_durations_of_3000_random_motions_are_exact():
+def test_durations_of_random_motions_are_exact():
     random = Random("motorhil:durations")
-    for index in range(3_000):
+    for index in range(examples(1_000)):
         make = (random_problem, directions_problem)[index % 2]
         final, limits, states = make(random, 1.0)
         low, high = random.choice(possible_durations(final, limits, **states))
@@ -204,7 +205,7 @@ def test_gaps_equal_those_of_ruckig():
 
     random = Random("motorhil:gaps of ruckig")
     compared = 0
-    for _ in range(2_000):
+    for _ in range(examples(600)):
         final, limits, states = (
             gap_problem(random) if random.random() < 0.5 else random_problem(random, 1.0)
         )
@@ -227,4 +228,4 @@ def test_gaps_equal_those_of_ruckig():
             continue
         compared += 1
         assert made.duration == pytest.approx(expected, rel=1e-9)
-    assert compared > 1_000
+    assert compared > examples(300)

@@ -9,6 +9,7 @@ from motorhil.motorapi.generation import ProfileLimits, jerk_limited, trapezoid
 from motorhil.motorapi.generation.jerk_limited import phases_in
 from tests.support.mathematics.problems import magnitude
 from tests.support.mathematics.smooth_bounds import is_impossible, rest_to_rest_s
+from tests.support.repetition import examples
 
 UNIT = ProfileLimits(1.0, 1.0)
 
@@ -74,9 +75,9 @@ def assert_is_right(function, problem, rounding):
         assert extent[order].maximum <= highest + slack
 
 
-def test_2000_random_motions_meet_states_and_limits():
+def test_random_motions_meet_states_and_limits():
     random = Random("motorhil:smooth")
-    for _ in range(2_000):
+    for _ in range(examples(600)):
         problem = smooth_problem(random, 1.0)
         function = made(problem)
         assert_is_right(function, problem, 1e-10)
@@ -105,7 +106,7 @@ def test_limits_three_decades_apart_are_met_or_reported():
 
 def test_rest_to_rest_takes_the_time_of_the_double_s_profile():
     random = Random("motorhil:double S")
-    for _ in range(1_000):
+    for _ in range(examples(300)):
         way, velocity, acceleration, jerk = (magnitude(random, 2.0) for _ in range(4))
         function = jerk_limited(way, ProfileLimits(velocity, acceleration), jerk)
         expected = rest_to_rest_s(way, velocity, acceleration, jerk)

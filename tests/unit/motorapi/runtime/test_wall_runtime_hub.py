@@ -7,7 +7,7 @@ import pytest
 
 from motorhil.motorapi import LinkError, WallRuntime
 from motorhil.motorapi.runtime.can_sources import source_of
-from tests.system.wall.test_hub import serving
+from tests.system.wall.hub.test_hub import serving
 from tests.unit.emulators.simulation.test_world import Echo
 
 pytestmark = pytest.mark.wall

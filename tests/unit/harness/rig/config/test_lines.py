@@ -4,6 +4,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from motorhil.harness.rig.config.toml import key_lines
+from tests.support.repetition import examples
 
 
 def test_every_kind_of_key_has_its_line():
@@ -155,7 +156,7 @@ LINES = st.one_of(
 )
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 @given(st.lists(LINES, max_size=12))
 @example(["[[a]]", "[a.b]", 'c = "@"', "[[a]]", "[a.b]", 'c = "@"'])
 def test_every_path_of_any_valid_text_is_found_at_its_line(pieces):

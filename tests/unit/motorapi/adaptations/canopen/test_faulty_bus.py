@@ -17,6 +17,7 @@ from motorhil.motorapi.group import MotorGroup
 from motorhil.motorapi.motor import Motor
 from motorhil.motorapi.trajectory import TrapezoidalTrajectory
 from tests.support.motors.drive_rigs import HEAD, drive
+from tests.support.repetition import examples
 
 TOLERANCE_RAD = 2e-3  # the drive's position window is 10 increments of 21,008 per rad
 CONNECTED_NS = 600_000_000  # well after the bring-up of the drives
@@ -51,7 +52,7 @@ def rig_with(rules: list[FaultRule], seed: int, *drives: str) -> Rig:
     return rig
 
 
-@settings(max_examples=20)
+@settings(max_examples=examples(8))
 @given(RULES, DISTANCES, st.integers(0, 1000))
 def test_move_reported_as_done_is_at_its_target(
     rules: list[FaultRule], distances: list[float], seed: int
@@ -77,7 +78,7 @@ def test_move_reported_as_done_is_at_its_target(
             assert abs(rig.controllers["left"].snapshot()["position_rad"] - target) < TOLERANCE_RAD
 
 
-@settings(max_examples=25)
+@settings(max_examples=examples(10))
 @given(st.integers(0, 30_000), st.sampled_from(list(ControlVariable)[:2]), st.booleans())
 def test_stop_during_group_start_leaves_no_motion_pending(
     delay_us: int, variable: ControlVariable, whole: bool

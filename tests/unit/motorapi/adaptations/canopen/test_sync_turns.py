@@ -19,6 +19,7 @@ from motorhil.motorapi.motor import Motor
 from tests.support.motors.drive_rigs import HEAD, drive
 from tests.support.motors.hosts import BusEvidence, host_with
 from tests.support.motors.streaming import quintic, set_function
+from tests.support.repetition import examples
 
 WHOLE = [{0x301, 0x302}, {0x303, 0x304}]
 DELAYS = st.lists(st.integers(0, 12_000), min_size=3, max_size=3)
@@ -73,7 +74,7 @@ def are_whole(started: list[set[int]]) -> bool:
     return all(one in (*WHOLE, WHOLE[0] | WHOLE[1]) for one in started)
 
 
-@settings(max_examples=15)
+@settings(max_examples=examples(6))
 @given(DELAYS)
 def test_sync_of_any_sender_starts_whole_groups(delays: list[int]):
     started = fired(delays)

@@ -16,6 +16,7 @@ from motorhil.motorapi.errors import MotorError, PluginError
 from motorhil.motorapi.trajectory import TrapezoidalTrajectory
 from tests.support.motors.drive_rigs import HEAD
 from tests.support.motors.software_rigs import INC_PER_RAD, inc, one
+from tests.support.repetition import examples
 
 SETTLED_INC = 10 + 100  # the window, and the motion since then
 OVERSHOOT_INC = 0.1 * INC_PER_RAD
@@ -40,7 +41,7 @@ RULES = st.lists(
 DISTANCES = st.lists(st.floats(-0.6, 0.6).map(lambda x: round(x, 3)), min_size=1, max_size=2)
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=examples(6), deadline=None)
 @given(RULES, DISTANCES, st.integers(0, 1000))
 @example([FaultRule("drop", FaultKind.DROP, probability=0.1)], [0.4, -0.4], 1)
 def test_move_reported_as_done_is_at_its_target(

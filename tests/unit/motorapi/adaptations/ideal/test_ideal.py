@@ -2,8 +2,6 @@
 
 import pytest
 
-from motorhil.emulators.simulation.event_queue import EventQueue
-from motorhil.harness.virtual_time.runtime import VirtualRuntime
 from motorhil.motorapi import (
     ComplexTrajectory,
     DerivativeLimits,
@@ -24,24 +22,6 @@ from tests.support.motors.ideals import (
     near,
     samples,
 )
-
-
-@pytest.fixture
-def runtime():
-    runtime = VirtualRuntime(EventQueue())
-    yield runtime
-    runtime.close()
-
-
-@pytest.fixture
-def hw(runtime):
-    return IdealHwMotor(runtime, "axis 1", position=0.25, torque_constant=0.5)
-
-
-@pytest.fixture
-def motor(hw):
-    return IdealMotor(hw, MODEL, name="m")
-
 
 # --- set-points: straight motion
 

@@ -32,24 +32,6 @@ from tests.support.motors.ideals import (
     follow,
 )
 
-
-@pytest.fixture
-def runtime():
-    runtime = VirtualRuntime(EventQueue())
-    yield runtime
-    runtime.close()
-
-
-@pytest.fixture
-def hw(runtime):
-    return IdealHwMotor(runtime, "axis 1", position=0.25, torque_constant=0.5)
-
-
-@pytest.fixture
-def motor(hw):
-    return IdealMotor(hw, MODEL, name="m")
-
-
 # --- stopping
 
 

@@ -38,6 +38,7 @@ from tests.support.modbus.rigs import (
     text,
     truth,
 )
+from tests.support.repetition import examples
 
 RESOLUTION = 0.002  # rad: one step of the coarser drive, and the error of its servo
 
@@ -310,7 +311,7 @@ def test_refusal_by_the_drive_names_its_address():
 MOVES = st.lists(st.sampled_from((0.3, -0.4, 0.7)), min_size=1, max_size=3)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(20), deadline=None)
 @given(st.data(), MOVES, st.sampled_from(list(ADAPTATIONS)))
 def test_relative_move_is_made_at_most_once(data, moves, adaptation):
     with opened(text(adaptation)) as rig:

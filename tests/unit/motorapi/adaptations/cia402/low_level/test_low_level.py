@@ -12,36 +12,7 @@ from motorhil.motorapi.errors import DeadlineExceeded, MotorBusyError, MotorErro
 from motorhil.motorapi.group import MotorGroup
 from motorhil.motorapi.motor import Motor
 from motorhil.motorapi.state import MotorState
-from tests.support.motors.drive_rigs import drive
-from tests.support.motors.low_level import OpenRig, go_to, sent_on
-
-
-@pytest.fixture
-def rig(open_rig: OpenRig) -> Rig:
-    return open_rig(drive("left", 1))
-
-
-@pytest.fixture
-def motor(rig: Rig) -> Cia402Motor:
-    """Return a motor whose drive is up."""
-    motor = rig.motors["left"]
-    assert isinstance(motor, Cia402Motor)
-    motor.hardware.connect()
-    return motor
-
-
-@pytest.fixture
-def fresh(rig: Rig) -> Cia402Motor:
-    """Return a motor whose drive is still booting."""
-    motor = rig.motors["left"]
-    assert isinstance(motor, Cia402Motor)
-    return motor
-
-
-@pytest.fixture
-def other(motor: Cia402Motor) -> Cia402Motor:
-    return Cia402Motor(motor.hardware, motor.model, name="other")
-
+from tests.support.motors.low_level import go_to, sent_on
 
 # --- functions of the holder ------------------------------------------------------------------
 

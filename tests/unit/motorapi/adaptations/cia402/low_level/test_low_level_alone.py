@@ -25,6 +25,7 @@ from motorhil.motorapi.logical_motor import LogicalMotor
 from motorhil.motorapi.ownership.physical_motor import PhysicalMotor
 from motorhil.motorapi.trajectory import ComplexTrajectory, TrapezoidalTrajectory
 from tests.support.motors.drive_rigs import HEAD, drive
+from tests.support.repetition import examples
 
 NODE = 1
 # CiA 301, predefined connection set: SDO request and the four RPDOs of the node; and NMT, below.
@@ -230,7 +231,7 @@ SCENARIOS = st.builds(
 )
 
 
-@settings(max_examples=30)
+@settings(max_examples=examples(12))
 @given(SCENARIOS)
 def test_the_bus_carries_to_the_drive_what_the_holder_sent_and_nothing_else(scenario: Scenario):
     evidence = run(scenario)

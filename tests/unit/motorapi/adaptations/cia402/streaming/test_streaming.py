@@ -33,12 +33,6 @@ from tests.support.motors.streaming import (
     set_function,
 )
 
-
-@pytest.fixture
-def rig(open_rig: OpenRig) -> Rig:
-    return open_rig(drive("left", 1, motor=EVERY_MS), drive("right", 2, motor=EVERY_MS))
-
-
 # --- theory of the drive's following -------------------------------------------------------------
 
 G = WHEEL_60W.torque_constant_n_m_a / WHEEL_60W.inertia_kg_m2() * WHEEL_60W.increments_per_rad()

@@ -26,12 +26,6 @@ from tests.support.motors.streaming import (
     set_function,
 )
 
-
-@pytest.fixture
-def rig(open_rig: OpenRig) -> Rig:
-    return open_rig(drive("left", 1, motor=EVERY_MS), drive("right", 2, motor=EVERY_MS))
-
-
 # --- velocity, by its integral -------------------------------------------------------------------
 
 

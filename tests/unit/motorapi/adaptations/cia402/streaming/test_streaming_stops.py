@@ -10,26 +10,17 @@ from motorhil.motorapi import MotorGroup
 from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
 from motorhil.motorapi.errors import DeviceFault, LinkError, MotionInterrupted
 from motorhil.motorapi.state import MotorState
-from tests.support.motors.drive_rigs import drive
 from tests.support.motors.streaming import (
-    EVERY_MS,
     INC_PER_RAD,
     LEFT,
     MS,
     RIGHT,
-    OpenRig,
     Tap,
     demands,
     motor_of,
     quintic,
     set_function,
 )
-
-
-@pytest.fixture
-def rig(open_rig: OpenRig) -> Rig:
-    return open_rig(drive("left", 1, motor=EVERY_MS), drive("right", 2, motor=EVERY_MS))
-
 
 # --- stopping in mid-stream ----------------------------------------------------------------------
 

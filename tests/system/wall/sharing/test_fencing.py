@@ -7,7 +7,6 @@ except those of the new owner and of the drive.
 import re
 import signal
 import struct
-import threading
 from collections import Counter
 from contextlib import ExitStack
 from pathlib import Path
@@ -25,7 +24,8 @@ from motorhil.motorapi.locking.lock_status import read_process
 from tests.support.line_programs import LONG_S, Program
 from tests.support.motors.streaming import quintic, set_function
 from tests.support.programs.fenced_owner import MODEL, OPTIONS, open_bus
-from tests.system.wall.test_hub import serving
+from tests.support.served_hub import Listener
+from tests.system.wall.hub.test_hub import serving
 
 pytestmark = pytest.mark.wall
 
@@ -40,28 +40,6 @@ def is_commanding(can_id, data):
     if can_id == REQUEST:
         return data[0] >> 5 not in (2, 3, 4, 5)
     return can_id in RPDOS or can_id in (SYNC, NMT, MARK)
-
-
-class Listener:
-    """The commanding frames on the bus, as another program receives them."""
-
-    def __init__(self, path):
-        self.frames = []
-        self._bus = open_bus(path)
-        self._ends = False
-        self._thread = threading.Thread(target=self._listen)
-        self._thread.start()
-
-    def _listen(self):
-        while not self._ends:
-            message = self._bus.recv(timeout=0.05)
-            if message is not None and is_commanding(message.arbitration_id, message.data):
-                self.frames.append((message.arbitration_id, bytes(message.data)))
-
-    def close(self):
-        self._ends = True
-        self._thread.join()
-        self._bus.shutdown()
 
 
 class Sent:
@@ -140,7 +118,7 @@ class Stage:
         world.tap_ownership(lambda bus, time_ns, sender, notice: self.notices.append(notice))
         self.heir = Heir(path, runtime)
         self.heir.hardware.connect()
-        self.listener = Listener(path)
+        self.listener = Listener(open_bus(path), is_commanding)
         self.owner = None
         self.reserved = ExitStack()  # by the heir
 

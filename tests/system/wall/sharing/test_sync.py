@@ -3,7 +3,6 @@
 import os
 import signal
 import subprocess
-import threading
 import time
 
 import can
@@ -11,9 +10,9 @@ import pytest
 
 from motorhil.motorapi.locking.directory import VARIABLE, LockDirectory
 from motorhil.motorapi.locking.lock_status import list_locks
-from tests.support.line_programs import LONG_S, Program
+from tests.support.line_programs import Program
 from tests.support.motors.drive_rigs import HEAD, drive
-from tests.system.wall.test_shared_drive import SERVE, await_boot, wait_for
+from tests.support.served_hub import SERVE, Listener, served, wait_for
 
 pytestmark = pytest.mark.wall
 
@@ -22,25 +21,12 @@ DRIVES = 5
 
 
 @pytest.fixture
-def folder(tmp_path):
-    path = tmp_path / "locks"
-    path.mkdir(mode=0o700)
-    return path
-
-
-@pytest.fixture
 def hub(tmp_path):
     """Return the path of a hub that serves five wheels."""
     rig = tmp_path / "rig.toml"
     rig.write_text(HEAD + "".join(drive(f"wheel{one}", one) for one in range(1, DRIVES + 1)))
-    path = tmp_path / "hub"
-    command = [*SERVE, "serve", str(rig), "--socket", str(path)]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL) as server:
-        assert server.stdout.readline().startswith(b"can0: ")
-        await_boot(path)
+    with served(rig, tmp_path / "hub") as path:
         yield path
-        server.send_signal(signal.SIGINT)
-        server.wait(LONG_S)
 
 
 @pytest.fixture
@@ -61,23 +47,12 @@ def programs(hub, folder):
         program.end()
 
 
-class Evidence:
+class Evidence(Listener):
     """The SYNCs and set-points on the hub's bus, in order, as another program receives them."""
 
     def __init__(self, path):
-        self.frames = []
-        self._bus = can.Bus(interface="emulated", channel=str(path))
-        self._ends = False
-        self._thread = threading.Thread(target=self._listen)
-        self._thread.start()
-
-    def _listen(self):
-        while not self._ends:
-            message = self._bus.recv(timeout=0.05)
-            if message is not None and (
-                message.arbitration_id == SYNC or 0x301 <= message.arbitration_id <= 0x37F
-            ):
-                self.frames.append((message.arbitration_id, bytes(message.data)))
+        bus = can.Bus(interface="emulated", channel=str(path))
+        super().__init__(bus, lambda can_id, _: can_id == SYNC or 0x301 <= can_id <= 0x37F)
 
     def armed(self):
         """Return the drives with a new set-point that no SYNC has fired yet."""
@@ -110,11 +85,6 @@ class Evidence:
 
     def syncs(self):
         return sum(can_id == SYNC for can_id, _ in tuple(self.frames))
-
-    def close(self):
-        self._ends = True
-        self._thread.join()
-        self._bus.shutdown()
 
 
 @pytest.fixture

@@ -3,64 +3,26 @@
 import json
 import os
 import re
-import signal
 import subprocess
-import sys
 
-import can
 import pytest
 
 from motorhil.harness.rig.config.scaffold import EXAMPLES
 from motorhil.motorapi.locking.directory import VARIABLE, LockDirectory
 from motorhil.motorapi.locking.lock_status import list_locks
-from motorhil.motorapi.runtime.wall import WallRuntime
-from tests.support.line_programs import LONG_S, Program
+from tests.support.line_programs import Program
+from tests.support.served_hub import SERVE, served, wait_for
 
 pytestmark = pytest.mark.wall
 
-SERVE = (
-    sys.executable,
-    "-c",
-    "import sys; from motorhil.harness.cli.main import main; sys.exit(main())",
-)
 MODEL = EXAMPLES / "wheel_model.toml"
-
-
-@pytest.fixture
-def folder(tmp_path):
-    """Use a separate folder for the locks."""
-    path = tmp_path / "locks"
-    path.mkdir(mode=0o700)
-    return path
-
-
-def await_boot(path):
-    """Wait until node 1 answers: requests before its boot-up (300 ms) are lost."""
-    ask = can.Message(
-        arbitration_id=0x601, data=bytes.fromhex("4000100000000000"), is_extended_id=False
-    )
-    with can.Bus(interface="emulated", channel=str(path)) as bus:
-        for _ in range(round(LONG_S / 0.1)):
-            bus.send(ask)
-            answer = bus.recv(timeout=0.1)
-            while answer is not None:
-                if answer.arbitration_id == 0x581:
-                    return
-                answer = bus.recv(timeout=0.1)
-    pytest.fail("node 1 never answered")
 
 
 @pytest.fixture
 def hub(tmp_path):
     """Return the path of a hub that serves two wheels."""
-    path = tmp_path / "hub"
-    command = [*SERVE, "serve", str(EXAMPLES / "two_wheels.toml"), "--socket", str(path)]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL) as server:
-        assert server.stdout.readline().startswith(b"can0: ")
-        await_boot(path)
+    with served(EXAMPLES / "two_wheels.toml", tmp_path / "hub") as path:
         yield path
-        server.send_signal(signal.SIGINT)
-        server.wait(LONG_S)
 
 
 @pytest.fixture
@@ -87,14 +49,6 @@ def programs(hub, folder):
 def views(folder):
     """Return the locks of the drive and of its SDO channel, as any process sees them."""
     return lambda: list_locks(LockDirectory(folder))
-
-
-def wait_for(done):
-    runtime = WallRuntime()
-    try:
-        assert runtime.wait_until(done, LONG_S)
-    finally:
-        runtime.close()
 
 
 def waiters(views):

@@ -8,7 +8,7 @@ from motorhil.motorapi.locking.directory import VARIABLE
 from motorhil.motorapi.runtime.wall import close_process_runtime, runtime_of
 from tests.support.line_programs import Program
 from tests.support.programs.sdo_asker import channel_of
-from tests.system.wall.test_hub import serving
+from tests.system.wall.hub.test_hub import serving
 
 pytestmark = pytest.mark.wall
 

@@ -13,7 +13,7 @@ from motorhil.emulators.simulation.ownership_notice import (
     unpack_stale,
 )
 from motorhil.motorapi.errors import MotorBusyError
-from tests.system.wall.test_hub import message, serving
+from tests.system.wall.hub.test_hub import message, serving
 
 pytestmark = pytest.mark.wall
 

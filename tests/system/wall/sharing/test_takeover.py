@@ -11,7 +11,7 @@ import pytest
 
 from motorhil.motorapi.errors import MotorBusyError
 from tests.support.programs.takeover_stress import ENOUGH
-from tests.system.wall.test_process_lock import (
+from tests.system.wall.sharing.test_process_lock import (
     LONG_S,
     base,
     holder_pid,

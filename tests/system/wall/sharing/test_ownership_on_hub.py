@@ -1,8 +1,6 @@
 """Ownership of a shared drive, reconstructed from the hub's record alone."""
 
 import os
-import signal
-import subprocess
 
 import pytest
 
@@ -12,10 +10,9 @@ from motorhil.traces.mcap.reader import read_trace
 from motorhil.traces.protobuf import decode
 from motorhil.traces.schema import CAN_FRAME, LockAction
 from motorhil.traces.semantics.ownership import Ended, read_ownership
-from tests.support.line_programs import LONG_S, Program
-from tests.system.wall.test_shared_drive import MODEL, SERVE, await_boot, folder, wait_for
-
-__all__ = ["folder"]
+from tests.support.line_programs import Program
+from tests.support.served_hub import served, wait_for
+from tests.system.wall.sharing.test_shared_drive import MODEL
 
 pytestmark = pytest.mark.wall
 
@@ -28,7 +25,6 @@ def recorded(tmp_path, folder):
 
     def run(story):
         path, record = tmp_path / "hub", tmp_path / "run.mcap"
-        command = [*SERVE, "serve", str(RIG), "--socket", str(path), "-o", str(record)]
         started = []
 
         def start():
@@ -37,16 +33,12 @@ def recorded(tmp_path, folder):
             assert started[-1].hear() == "ready"
             return started[-1]
 
-        with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL) as server:
-            assert server.stdout.readline().startswith(b"can0: ")
-            await_boot(path)
+        with served(RIG, path, "-o", record):
             try:
                 story(start)
             finally:
                 for program in started:
                     program.end()
-                server.send_signal(signal.SIGINT)
-                server.wait(LONG_S)
         return record, [program.pid for program in started]
 
     return run

@@ -1,16 +1,13 @@
 """Drives on a hub, shared by several programs."""
 
 import os
-import signal
-import subprocess
 
 import pytest
 
 from motorhil.harness.rig.config.scaffold import EXAMPLES
 from motorhil.harness.sharing_tests.bus_evidence import read_evidence
 from motorhil.harness.sharing_tests.processes import Plan, run
-from tests.support.line_programs import LONG_S
-from tests.system.wall.test_shared_drive import SERVE, await_boot
+from tests.support.served_hub import served
 
 pytestmark = pytest.mark.wall
 
@@ -25,23 +22,14 @@ def shared(tmp_path):
     def on_hub(portion=1, **plan):
         path, record = tmp_path / f"hub{portion}", tmp_path / f"run{portion}.mcap"
         plan["seconds"] *= portion
-        command = [*SERVE, "serve", str(EXAMPLES / "two_wheels.toml"), "--socket", str(path)]
         facts = {
             "channel": str(path),
             "model": str(EXAMPLES / "wheel_model.toml"),
             "node_ids": [1, 2],
         }
         facts |= plan["facts"]
-        with subprocess.Popen(
-            [*command, "-o", str(record)], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
-        ) as server:
-            try:
-                assert server.stdout.readline().startswith(b"can0: ")
-                await_boot(path)
-                outcome = run(Plan(**{**plan, "facts": facts}))
-            finally:
-                server.send_signal(signal.SIGINT)
-                server.wait(LONG_S)
+        with served(EXAMPLES / "two_wheels.toml", path, "-o", record):
+            outcome = run(Plan(**{**plan, "facts": facts}))
         print(outcome.table())
         outcome.require_sound()
         moved = {name: at for name, at in NODES.items() if at[1] in facts["node_ids"]}

@@ -19,9 +19,11 @@ from motorhil.motorapi import (
 from motorhil.motorapi.locking.directory import VARIABLE
 from motorhil.motorapi.locking.lock_status import read_process
 from tests.support.line_programs import LONG_S, Program
+from tests.support.programs.fenced_owner import open_bus
 from tests.support.programs.fenced_servo import servo_on
-from tests.system.wall.test_fencing import Listener, Sent, not_of_the_heir
-from tests.system.wall.test_hub import serving
+from tests.support.served_hub import Listener
+from tests.system.wall.hub.test_hub import serving
+from tests.system.wall.sharing.test_fencing import Sent, is_commanding, not_of_the_heir
 
 pytestmark = pytest.mark.wall
 
@@ -37,7 +39,7 @@ class Servos:
         self.bus = can.Bus(interface="emulated", channel=path)
         self.heir = servo_on(self.bus, "heir", self.runtime)
         self.sent = Sent(self.bus, self.runtime)
-        self.listener = Listener(path)
+        self.listener = Listener(open_bus(path), is_commanding)
         self.owner = Program("fenced_servo", path, how)
         assert self.owner.hear() == "holding"
 
