@@ -14,6 +14,7 @@ real drive.
 """
 
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from enum import Enum
 from typing import Final, final
 
@@ -26,12 +27,13 @@ from motorhil.emulators.leadshine_pr.registers import ROWS
 from motorhil.emulators.modbus.drive import (
     ModbusDrive,
     ModbusDriveSettings,
+    ModbusDriveTable,
     alarm_code,
-    read_settings,
     revolutions_inc,
 )
 from motorhil.emulators.modbus.registers import Register, RegisterBank
 from motorhil.emulators.modbus.server import Identification
+from motorhil.settings import read
 
 _FORWARD = 0x0001
 _HOME_SWITCH = 0x0004
@@ -410,6 +412,12 @@ class LeadshinePr(ModbusDrive):
         return {"status": float(self.status()), "path": float(self._path)}
 
 
+@final
+@dataclass(frozen=True, kw_only=True)
+class LeadshineTable(ModbusDriveTable):
+    """A PR-mode drive (Leadshine) on a Modbus line."""
+
+
 def build(settings: Mapping[str, object], context: ControllerContext) -> Controller:
     """Build the drive that a rig describes.
 
@@ -420,11 +428,11 @@ def build(settings: Mapping[str, object], context: ControllerContext) -> Control
     Raises:
         SettingError: a key or value is wrong; names the keys.
     """
-    read = read_settings(settings, context)
-    drive = LeadshinePr(read)
-    if not read.oscillator.is_ideal():
-        drive.tell("info", read.oscillator.told())
-    return on_own_time(drive, read.oscillator)
+    own = read(LeadshineTable, settings).settings(context.stream())
+    drive = LeadshinePr(own)
+    if not own.oscillator.is_ideal():
+        drive.tell("info", own.oscillator.told())
+    return on_own_time(drive, own.oscillator)
 
 
 def registers() -> tuple[Register, ...]:

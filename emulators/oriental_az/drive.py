@@ -10,23 +10,25 @@ Factory of AZ drives: entry point `motorhil.controllers`, name `oriental_az`.
 """
 
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import Final, final
 
-from motorhil.emulators.controller import Controller, ControllerContext, SettingError
+from motorhil.emulators.controller import Controller, ControllerContext
 from motorhil.emulators.firmware import flags as f
 from motorhil.emulators.firmware.axis import NEVER_NS
 from motorhil.emulators.firmware.clock import on_own_time
 from motorhil.emulators.modbus.drive import (
     ModbusDrive,
     ModbusDriveSettings,
+    ModbusDriveTable,
     alarm_code,
-    read_settings,
     revolutions_inc,
 )
 from motorhil.emulators.modbus.registers import Register, RegisterBank
 from motorhil.emulators.modbus.server import Identification
 from motorhil.emulators.oriental_az import registers as r
 from motorhil.emulators.oriental_az.registers import ROWS
+from motorhil.settings import flag, read
 
 FUNCTIONS: Final = (0x03, 0x06, 0x08, 0x10, 0x17)
 _AUTO_OFF_NS: Final = 4_000_000
@@ -293,28 +295,30 @@ class OrientalAz(ModbusDrive):
         return {"outputs": float(self.outputs()), "alarm": float(self.bank["alarm"])}
 
 
-_CLEARS: str = "trigger_auto_clear"
+@final
+@dataclass(frozen=True, kw_only=True)
+class OrientalTable(ModbusDriveTable):
+    """An AZ drive (Oriental Motor) with direct data operation on a Modbus line."""
+
+    trigger_auto_clear: bool = flag(True, "The drive resets its trigger after each operation.")
 
 
 def build(settings: Mapping[str, object], context: ControllerContext) -> Controller:
     """Build the drive that a rig describes.
 
     Args:
-        settings: the controller's table without `kind` and `bus`; `trigger_auto_clear` (default
-            true) sets the drive parameter of that name, whose address is not known.
+        settings: the controller's table without `kind` and `bus`.
         context: its name, the folder of relative paths, the seed.
 
     Raises:
         SettingError: a key or value is wrong; names the keys.
     """
-    clears = settings.get(_CLEARS, True)
-    if not isinstance(clears, bool):
-        raise SettingError((_CLEARS,), f"{clears!r} is neither true nor false", "true, the default")
-    read = read_settings({key: settings[key] for key in settings if key != _CLEARS}, context)
-    drive = OrientalAz(read, clears)
-    if not read.oscillator.is_ideal():
-        drive.tell("info", read.oscillator.told())
-    return on_own_time(drive, read.oscillator)
+    table = read(OrientalTable, settings)
+    own = table.settings(context.stream())
+    drive = OrientalAz(own, table.trigger_auto_clear)
+    if not own.oscillator.is_ideal():
+        drive.tell("info", own.oscillator.told())
+    return on_own_time(drive, own.oscillator)
 
 
 def registers() -> tuple[Register, ...]:

@@ -28,8 +28,8 @@ from motorhil.harness.rig.config.rig_file import (
     RigDescription,
     replaced,
 )
-from motorhil.harness.rig.config.toml import KeyPath, dotted
 from motorhil.motorapi.model import MotionKind, MotorModel
+from motorhil.settings import KeyPath, dotted
 
 _TURN_RAD: Final = 6.283185307179586
 _WHOLE_TOLERANCE: Final = 1e-3  # increments per turn: models are written with a few digits
