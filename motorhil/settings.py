@@ -20,6 +20,7 @@ import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import MISSING, dataclass, field, fields
+from enum import Enum
 from functools import cache
 from typing import Any, Final, Protocol, TypeVar, final
 
@@ -27,6 +28,7 @@ BARE_KEY: Final = re.compile(r"[A-Za-z0-9_-]+")
 REQUIRED: Final[Any] = MISSING
 """The default of a key that a table must have."""
 _SHOWN_MAX: Final = 60
+_INTEGER_MAX: Final = 2**63 - 1  # TOML 1.0, "Integer": 64-bit signed is what all must accept
 _KEY: Final = "setting"
 _UNIT: Final = "{u}"
 
@@ -111,6 +113,7 @@ class Number:
         above: the number must be greater than `low`.
         not_zero: 0 is refused.
         word: a text that is allowed, too.
+        may_be_inf, or_none: infinity, or None in an object, is allowed, too.
     """
 
     low: float = -math.inf
@@ -120,18 +123,24 @@ class Number:
     above: bool = False
     not_zero: bool = False
     word: str = ""
+    may_be_inf: bool = False
+    or_none: bool = False
     shown: str = ""
 
-    def read(self, value: object, path: KeyPath) -> float | str:
+    def read(self, value: object, path: KeyPath) -> float | str | None:
         """Return the number, or the word."""
-        if self.word and value == self.word:
-            return self.word
+        if (self.word and value == self.word) or (self.or_none and value is None):
+            return self.word or None
+        if self.may_be_inf and value == math.inf:
+            return math.inf
         wanted = int if self.is_whole else int | float
         if isinstance(value, bool) or not isinstance(value, wanted):
             noun = "an integer" if self.is_whole else "a number"
             noun += f" [{self.unit}]" if self.unit else ""
             raise _wrong_type(path, noun, value, self, f"allowed: {self._limits()}")
         number: float = value
+        if isinstance(number, int) and abs(number) > _INTEGER_MAX:
+            raise SettingError(path, "is an integer of more than 64 bits", "write a shorter one")
         unit = f" {self.unit}" if self.unit else ""
         if isinstance(number, float) and not math.isfinite(number):
             raise SettingError(path, f"must be finite ({value})", f"allowed: {self._limits()}")
@@ -226,6 +235,30 @@ class Text:
 
 @final
 @dataclass(frozen=True, slots=True)
+class Member:
+    """A member of an enumeration by its value, a word."""
+
+    of: type[Enum]
+    noun: str
+
+    def _text(self) -> Text:
+        return Text(tuple(one.value for one in self.of), self.noun)
+
+    def read(self, value: object, path: KeyPath) -> Enum:
+        """Return the member."""
+        return value if isinstance(value, self.of) else self.of(self._text().read(value, path))
+
+    def schema(self) -> Schema:
+        """Return its JSON Schema."""
+        return self._text().schema()
+
+    def example(self) -> str:
+        """Return the words."""
+        return self._text().example()
+
+
+@final
+@dataclass(frozen=True, slots=True)
 class HexBytes:
     """1 to `longest` bytes, written in hex; `must_change`: not all of them 0."""
 
@@ -309,11 +342,11 @@ class TableOf:
 
     of: "type | Declaration"
 
-    def read(self, value: object, path: KeyPath) -> Any:
+    def read(self, value: object, path: KeyPath, unit: str = "") -> Any:
         """Return an object of the class, or what is given of the declaration."""
         if isinstance(self.of, Declaration):
-            return given(self.of, value, path)
-        return read(self.of, value, path)
+            return given(self.of, value, path, unit=unit)
+        return read(self.of, value, path, unit=unit)
 
     def schema(self) -> Schema:
         """Return a reference; `with_definitions` gives it a name."""
@@ -468,15 +501,26 @@ def given(
     Raises:
         SettingError: a key is unknown or missing, or a value is wrong.
     """
-    declared, values = declaration(of), as_table(table, path)
+    try:
+        return _given(declaration(of), as_table(table, path), path, unit)
+    except SettingError as error:
+        message, remedy = (one.replace(_UNIT, unit) for one in (error.message, error.remedy))
+        raise SettingError(error.path, message, remedy) from None
+
+
+def _given(
+    declared: Declaration, values: Mapping[str, object], path: KeyPath, unit: str
+) -> dict[str, Any]:
     names = declared.names(unit)
     refuse_unknown(values, tuple(names), path)
     found = {}
     for name, one in names.items():
-        if name in values:
-            found[one] = declared.keys[one].kind.read(values[name], (*path, name))
+        kind = declared.keys[one].kind
+        if name in values and isinstance(kind, TableOf):
+            found[one] = kind.read(values[name], (*path, name), unit)
+        elif name in values:
+            found[one] = kind.read(values[name], (*path, name))
         elif one not in declared.defaults:
-            kind = declared.keys[one].kind
             raise SettingError((*path, name), "is missing", _write((*path, name), kind))
     for rule in declared.rules:
         rule.check(values, declared.defaults.get(rule.key), path)
@@ -504,6 +548,8 @@ def check(settings: object) -> None:
     declared = declaration(type(settings))
     for name, key in declared.keys.items():
         value = getattr(settings, name)
+        if isinstance(key.kind, TableOf):
+            continue  # checked when it was made
         if name not in declared.defaults or value != declared.defaults[name]:
             key.kind.read(value, (name,))
 
@@ -519,7 +565,8 @@ def schema(of: "type | Declaration") -> Schema:
             own["description"] = f"{key.doc} [{unit_text}]" if unit_text else key.doc
             default = declared.defaults.get(name)
             if default is not None:
-                own["default"] = list(default) if isinstance(default, tuple) else default
+                plain = default.value if isinstance(default, Enum) else default
+                own["default"] = list(plain) if isinstance(plain, tuple) else plain
             properties[key.name_for(name, unit)] = own
     required = [
         key.name_for(name, "")
@@ -662,7 +709,7 @@ def _header(path: KeyPath) -> str:
 def _write(path: KeyPath, kind: Kind) -> str:
     key, example = path[-1], kind.example()
     if not example:
-        return ""
+        return _header(path) if isinstance(kind, TableOf) else ""
     return f"write {example}" if isinstance(key, int) else f"write {key} = {example}"
 
 

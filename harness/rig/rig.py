@@ -437,6 +437,10 @@ class RigPlugins:
             try:
                 built: Motor = build(link, settings, model, runtime)
             except UsageError as error:
+                cause = error.__cause__
+                if isinstance(cause, SettingError):
+                    wrong = cause.below(place)
+                    raise description.error(wrong.path, wrong.message, wrong.remedy) from error
                 word = str(error).partition(" ")[0].rstrip(":")  # usually the wrong key
                 path = (*place, word) if word in settings else place
                 raise description.error(path, str(error), "correct its settings") from error

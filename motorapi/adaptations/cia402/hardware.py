@@ -24,13 +24,14 @@ from motorhil.motorapi.adaptations.canopen.bus import (
 )
 from motorhil.motorapi.adaptations.canopen.emcy import Emergency
 from motorhil.motorapi.adaptations.canopen.sdo import TurnLock
-from motorhil.motorapi.adaptations.cia402.bringup import DriveFacts, HwOptions, bring_up
+from motorhil.motorapi.adaptations.cia402.bringup import DriveFacts, bring_up
 from motorhil.motorapi.adaptations.cia402.controlword import DriveControl
 from motorhil.motorapi.adaptations.cia402.csp import CspStream
 from motorhil.motorapi.adaptations.cia402.node import DriveNode
 from motorhil.motorapi.adaptations.cia402.node_sharing import SharedNode, guarding, node_locks
 from motorhil.motorapi.adaptations.cia402.object_access import DriveObjects, ParameterStore
 from motorhil.motorapi.adaptations.cia402.objects import Mode, PdsState, Value
+from motorhil.motorapi.adaptations.cia402.settings import HwOptions
 from motorhil.motorapi.errors import LinkError, StateError, UsageError
 from motorhil.motorapi.ownership.physical_motor import (
     PhysicalMotor,

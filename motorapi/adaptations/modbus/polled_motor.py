@@ -10,14 +10,14 @@ Rounding to the registers of a polled drive, without exceeding a limit.
 Shared part of the `build` functions of polled drives.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
 from math import floor
 from typing import TYPE_CHECKING, Final, Protocol, TypeVar, final
 
 from motorhil.motorapi.adaptations.modbus.client import is_silence
-from motorhil.motorapi.adaptations.registration import Shared, number, refuse_unknown
+from motorhil.motorapi.adaptations.registration import Shared
 from motorhil.motorapi.commands import ControlMode, ControlVariable
 from motorhil.motorapi.errors import (
     DeviceFault,
@@ -32,6 +32,7 @@ from motorhil.motorapi.motion import Motion
 from motorhil.motorapi.motor import Motor
 from motorhil.motorapi.state import Fault, Measurement, MotorState
 from motorhil.motorapi.synchronization.quality import MotionTimes, SyncLevel, SyncOffer, Trigger
+from motorhil.settings import REQUIRED, number, text, whole
 
 if TYPE_CHECKING:
     from motorhil.motorapi.adaptations.modbus.client import ByteLine
@@ -463,8 +464,16 @@ def check_register(label: str, quantity: str, value: int, high: int, unit: str) 
 
 BUS_KINDS: Final = ("modbus_rtu", "modbus_tcp")
 """The `bus_kinds` of a `build` for Modbus drives: the kinds of bus they may be on."""
-_KEYS: Final = ("name", "unit", "timeout_s")
-_TIMEOUT_S: Final = 0.2
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class PolledTable:
+    """A motor behind a drive on a Modbus line."""
+
+    unit: int = whole(REQUIRED, 1, 247, "", "Server address of the drive.", example="1")
+    name: str | None = text(None, "Name of the motor; absent: the model's.")
+    timeout_s: float = number(0.2, 0.001, 60.0, "s", "Response timeout.")
 
 
 class ModbusHardware(Protocol):
@@ -494,8 +503,7 @@ ModbusHardwareT = TypeVar("ModbusHardwareT", bound=ModbusHardware)
 def shared_hardware(
     shared: Shared[ModbusHardwareT],
     line: "ByteLine",
-    settings: Mapping[str, object],
-    kind: str,
+    own: PolledTable,
     make: Callable[[int, float], ModbusHardwareT],
 ) -> ModbusHardwareT:
     """Return the hardware object described by a settings table, and count one more user.
@@ -503,22 +511,14 @@ def shared_hardware(
     Args:
         shared: the existing hardware objects of this kind.
         line: the line of the drive.
-        settings: `unit`; `name`; `timeout_s`, the response timeout [s].
-        kind: the kind of motor in messages: "a leadshine motor".
+        own: the table.
         make: makes a hardware object from its server address and timeout [s].
 
     Raises:
-        UsageError: a setting is unknown, missing or invalid.
+        UsageError: another motor has other settings for the drive.
     """
-    refuse_unknown(settings, _KEYS, f"setting of {kind}")
-    unit = settings.get("unit")
-    if not isinstance(unit, int) or isinstance(unit, bool):
-        raise UsageError(f"unit = {unit!r}: must be a server address, 1 to 247")
-    timeout_s = number("timeout_s", settings.get("timeout_s", _TIMEOUT_S))
-    if not 0.001 <= timeout_s <= 60.0:
-        raise UsageError(f"timeout_s = {timeout_s:g}: must be 0.001 to 60 s")
     return shared.get(
-        (id(line), unit),
-        lambda: make(unit, timeout_s),
-        lambda built: built.registers.timeout_s == timeout_s,
+        (id(line), own.unit),
+        lambda: make(own.unit, own.timeout_s),
+        lambda built: built.registers.timeout_s == own.timeout_s,
     )

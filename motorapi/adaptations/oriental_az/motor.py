@@ -14,10 +14,11 @@ from typing import TYPE_CHECKING, Final, final
 from motorhil.motorapi.adaptations.modbus.polled_motor import (
     BUS_KINDS,
     PolledMotor,
+    PolledTable,
     shared_hardware,
 )
 from motorhil.motorapi.adaptations.oriental_az.hardware import OrientalAzHwMotor
-from motorhil.motorapi.adaptations.registration import Shared, as_name
+from motorhil.motorapi.adaptations.registration import Shared, read_settings
 
 if TYPE_CHECKING:
     from motorhil.motorapi.adaptations.modbus.client import ByteLine
@@ -53,17 +54,17 @@ def build(
     Raises:
         UsageError: a setting is unknown, missing or invalid.
     """
+    own = read_settings(PolledTable, settings)
     hardware = shared_hardware(
         _SHARED,
         bus,
-        settings,
-        "an oriental_az motor",
+        own,
         lambda unit, timeout_s: OrientalAzHwMotor(bus, unit, runtime=runtime, timeout_s=timeout_s),
     )
     return OrientalAzMotor(
         hardware,
         model,
-        name=as_name(settings.get("name")),
+        name=own.name,
         on_close=lambda: _SHARED.give_back(hardware),
     )
 

@@ -41,9 +41,9 @@ from motorhil.harness.rig.config.conformance import CONFORMANCE_KEYS, NOTHING_DE
 from motorhil.harness.rig.config.derived import ASKED
 from motorhil.harness.rig.config.scaffold import EXAMPLES
 from motorhil.harness.rig.rig import installed_plugins
-from motorhil.motorapi.adaptations.cia402.bringup import HwOptions
+from motorhil.motorapi.adaptations.cia402.settings import HwOptions
 from motorhil.motorapi.adaptations.host_servo import motor as software
-from motorhil.motorapi.adaptations.host_servo.node import IoOptions
+from motorhil.motorapi.adaptations.host_servo.settings import IoOptions
 from motorhil.motorapi.adaptations.ideal import motor as ideal
 from motorhil.motorapi.model import MotorModel
 from tests.support.motors.software_rigs import two
