@@ -137,21 +137,24 @@ class Number:
         if isinstance(value, bool) or not isinstance(value, wanted):
             noun = "an integer" if self.is_whole else "a number"
             noun += f" [{self.unit}]" if self.unit else ""
-            raise _wrong_type(path, noun, value, self, f"allowed: {self._limits()}")
+            raise _wrong_type(path, noun, value, self, f"allowed: {self.limits()}")
         number: float = value
         if isinstance(number, int) and abs(number) > _INTEGER_MAX:
             raise SettingError(path, "is an integer of more than 64 bits", "write a shorter one")
         unit = f" {self.unit}" if self.unit else ""
         if isinstance(number, float) and not math.isfinite(number):
-            raise SettingError(path, f"must be finite ({value})", f"allowed: {self._limits()}")
+            raise SettingError(path, f"must be finite ({value})", f"allowed: {self.limits()}")
         is_low = number < self.low or (self.above and number == self.low)
         if is_low or number > self.high or (self.not_zero and number == 0):
             message = f"{shown(value)}{unit} is out of range"
-            raise SettingError(path, message, f"allowed: {self._limits()}")
+            raise SettingError(path, message, f"allowed: {self.limits()}")
         return number if self.is_whole else float(number)
 
-    def _limits(self) -> str:
+    def limits(self) -> str:
+        """Return the limits in words."""
         unit = f" {self.unit}" if self.unit else ""
+        if math.isinf(self.low) and math.isinf(self.high) and not self.not_zero:
+            return f"any finite number{unit}"
         if math.isinf(self.low):
             return "any number but 0" if self.not_zero else f"up to {_bound(self.high)}{unit}"
         if math.isinf(self.high):
@@ -479,7 +482,8 @@ def _declared(of: type) -> Declaration:
                 defaults[one.name] = None
     rules, extra = getattr(of, "RULES", ()), getattr(of, "SCHEMA", {})
     doc = (of.__doc__ or "").partition("\n\n")[0]
-    return Declaration(of.__name__, " ".join(doc.split()), keys, defaults, rules, extra)
+    name = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", of.__name__.removesuffix("Table")).lower()
+    return Declaration(name, " ".join(doc.split()), keys, defaults, rules, extra)
 
 
 def declaration(of: "type | Declaration") -> Declaration:
@@ -708,6 +712,8 @@ def _header(path: KeyPath) -> str:
 
 def _write(path: KeyPath, kind: Kind) -> str:
     key, example = path[-1], kind.example()
+    if not example and isinstance(kind, Number):
+        return f"write {key}, {kind.limits()}"
     if not example:
         return _header(path) if isinstance(kind, TableOf) else ""
     return f"write {example}" if isinstance(key, int) else f"write {key} = {example}"
@@ -717,7 +723,8 @@ def _wrong_type(
     path: KeyPath, wanted: str, value: object, kind: Kind, remedy: str = ""
 ) -> SettingError:
     message = f"must be {wanted}, but is {kind_of(value)} ({shown(value)})"
-    return SettingError(path, message, _write(path, kind) or remedy)
+    has_example = kind.example() or not remedy
+    return SettingError(path, message, _write(path, kind) if has_example else remedy)
 
 
 def dotted(path: KeyPath) -> str:

@@ -28,8 +28,8 @@ from typing import Any, Final, final
 
 from motorhil.harness.rig.config.toml import Table, read_source
 from motorhil.harness.rig.recording import named_files
-from motorhil.traces.decoding.attached_rig import MotorFacts, facts_of
 from motorhil.settings import Declaration, Key, Number, Rule, Text, given
+from motorhil.traces.decoding.attached_rig import MotorFacts, facts_of
 from motorhil.traces.mcap.records import Attachment
 
 _FREE: Final = float("inf")

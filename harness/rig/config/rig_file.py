@@ -2,7 +2,7 @@
 
 A rig is TOML. This module checks its structure, and every name that refers to another one. The
 settings of a controller or motor are checked by its builder; errors in them still report their line
-(`RigDescription.source`). `rig.schema.json` describes the same for editors.
+(`RigDescription.source`). `motorhil.harness.rig.config.schema` describes the same for editors.
 
     [rig]                       name, seed
     [bus.NAME]                  kind = "can", bitrate_bit_s; or a line (see BusDescription)
@@ -147,6 +147,8 @@ class GroupTable:
     )
 
 
+RESERVED: Final = HOST
+"""The name of the application's ports on every bus; controllers cannot have it."""
 _NEW_REMEDY: Final = "check the path, or write a new rig: motorhil new DIR"
 
 

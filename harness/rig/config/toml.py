@@ -223,7 +223,7 @@ def one_line(text: str) -> str:
 
 
 _REQUIRED: Final = object()
-_NAME: Final = re.compile(r"[A-Za-z][A-Za-z0-9_-]*")
+NAME: Final = re.compile(r"[A-Za-z][A-Za-z0-9_-]*")
 SEED_MAX: Final = 2**32 - 1
 _INTEGER_MAX: Final = 2**63 - 1  # TOML 1.0, "Integer": 64-bit signed is what all must accept
 
@@ -414,7 +414,7 @@ class Table:
 
     def refuse_no_name(self, key: str) -> None:
         """Raise RigError for a key that is not a plain name; topics of the record contain it."""
-        if not _NAME.fullmatch(key):
+        if not NAME.fullmatch(key):
             remedy = "use a letter, then letters, digits, - and _ only"
             raise self.error(key, "is not a name", remedy)
 
