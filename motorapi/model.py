@@ -137,7 +137,9 @@ class MotorModel:
         try:
             self._check()
         except SettingError as error:
-            name = self.name if isinstance(self.name, str) else repr(self.name)
+            name = self.name
+            if not isinstance(name, str) or not name.isprintable():
+                name = repr(name)
             raise UsageError(f"motor model {name}: {error}") from error
         if self.increments_per_unit is None:
             made = _increments(self.kind, self.gear_ratio, self.encoder_increments_rev)

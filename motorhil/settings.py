@@ -154,7 +154,7 @@ class Number:
         """Return the limits in words."""
         unit = f" {self.unit}" if self.unit else ""
         if math.isinf(self.low) and math.isinf(self.high) and not self.not_zero:
-            return f"any finite number{unit}"
+            return "any finite number" + (f" [{self.unit}]" if self.unit else "")
         if math.isinf(self.low):
             return "any number but 0" if self.not_zero else f"up to {_bound(self.high)}{unit}"
         if math.isinf(self.high):
@@ -163,8 +163,8 @@ class Number:
                 if self.above
                 else f"{_bound(self.low)}{unit} or more"
             )
-        least = "more than " if self.above else ""
-        return f"{least}{_bound(self.low)} to {_bound(self.high)}{unit}"
+        to = "more than {}, up to {}" if self.above else "{} to {}"
+        return to.format(_bound(self.low), _bound(self.high)) + unit
 
     def schema(self) -> Schema:
         """Return its JSON Schema."""

@@ -85,7 +85,7 @@ class MessageTable:
         if self.length not in FD_LENGTHS:
             padded = next(one for one in FD_LENGTHS if one > self.length)
             message = f"CAN FD frames cannot have {self.length} bytes"
-            raise SettingError(("length",), message, f"it is padded: write length = {padded}")
+            raise SettingError(("length",), message, f"the frame is padded: write length = {padded}")
 
     def message(self) -> PeriodicMessage:
         """Return the message as motorapi uses it."""

@@ -130,7 +130,7 @@ def _of(kind: str, keys: tuple[str, ...]) -> Rule:
         otherwise=True,
         refused=keys,
         message=f'belongs to kind "{kind}"',
-        remedy=f'remove it, or write kind = "{kind}"',
+        remedy=f'take it out, or write kind = "{kind}"',
     )
 
 

@@ -26,6 +26,7 @@ from motorhil.settings import (
     Rule,
     SettingError,
     Text,
+    declaration,
     flag,
     listed,
     nearest,
@@ -66,16 +67,22 @@ def _needs(kinds: tuple[str, ...], key: str, example: str) -> Rule:
     return Rule("kind", kinds, required=(key,), remedy=f"write {key} = {example}")
 
 
-@final
 @dataclass(frozen=True, kw_only=True)
-class FaultTable:
-    """A fault of a bus or a line, each time that it matches."""
+class FaultBusTable:
+    """Where a fault is, and what happens there."""
 
-    name: str | None = text(None, "Its name; absent: its number.")
     bus: str = text(REQUIRED, "The bus or line.", example='"can0"')
     kind: str = word(
         REQUIRED, dict.fromkeys((*KINDS, *LINE_FAULT_KINDS)), "fault kind", "What happens."
     )
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class FaultTable(FaultBusTable):
+    """A fault of a bus or a line, each time that it matches."""
+
+    name: str | None = text(None, "Its name; absent: its number.")
     identifier: int | None = whole(
         None, 0, EFF_MASK, "", "Frames with this identifier; absent: all.", example="0x181"
     )
@@ -280,24 +287,28 @@ def _fault(
     controllers: Mapping[str, Sequence[str]],
     buses: Mapping[str, BusDescription],
 ) -> FaultDescription:
+    table.refuse_unknown(tuple(declaration(FaultTable).keys))
+    on = table.part(FaultBusTable)
+    table.require("bus", on.bus, list(controllers))
+    bus = buses[on.bus]
+    kinds = KINDS
+    if bus.is_line:
+        kinds = _ON_TCP if bus.kind == MODBUS_TCP else LINE_FAULT_KINDS
+    if on.kind not in kinds:
+        problem = f'unknown fault kind "{on.kind}" (known: {listed(kinds)})'
+        raise table.error("kind", problem, nearest(on.kind, kinds))
+    for key in _CAN_KEYS if bus.is_line else _LINE_KEYS:
+        if table.has(key):
+            problem = f'bus "{on.bus}" is {"" if bus.is_line else "not "}a line'
+            remedy = "take it out" if bus.is_line else "remove it: it is for Modbus"
+            raise table.error(key, problem, remedy)
     own = table.read(FaultTable)
-    table.require("bus", own.bus, list(controllers))
-    bus, name = buses[own.bus], own.name or f"fault {index}"
+    name = own.name or f"fault {index}"
     ports = (HOST, *controllers[own.bus], *bus.silent)
     if own.sender is not None:
         table.require("sender", own.sender, ports, "controller")
     for place, node in enumerate(own.nodes):
         table.require("nodes", node, ports, "controller", place)
-    kinds = KINDS
-    if bus.is_line:
-        kinds = _ON_TCP if bus.kind == MODBUS_TCP else LINE_FAULT_KINDS
-    if own.kind not in kinds:
-        problem = f'unknown fault kind "{own.kind}" (known: {listed(kinds)})'
-        raise table.error("kind", problem, nearest(own.kind, kinds))
-    for key in _CAN_KEYS if bus.is_line else _LINE_KEYS:
-        if table.has(key):
-            problem = f'bus "{own.bus}" is {"" if bus.is_line else "not "}a line'
-            raise table.error(key, problem, "take it out")
     if bus.is_line:
         return FaultDescription(own.bus, own.line_rule(name))
     if own.flip is not None and len(own.flip) > _DATA_MAX:

@@ -60,7 +60,9 @@ def rig_schema() -> Schema:
     definitions = whole.pop("$defs")
     root = whole.pop("root")
     # The harness reads these keys itself, and removes them from what it hands to a plugin.
-    definitions[PLANT.name]["properties"] |= schema(FromModelTable)["properties"]
+    from_model = schema(FromModelTable)["properties"]
+    definitions[PLANT.name]["properties"] |= from_model
+    whole["controller"]["properties"]["plant"] = {"type": "object", "properties": from_model}
     return {**root, "$defs": {**whole, **definitions}}
 
 
@@ -128,7 +130,9 @@ def _plugin_tables() -> dict[str, Schema]:
 def _of_plugin(of: Declaration, base: Mapping[str, Any], key: str) -> Schema:
     """Return the table of a plugin, with the keys that the harness reads itself."""
     own = schema(of)
-    own["properties"] |= {name: {} for name in base if name not in own["properties"]}
+    address = declaration(AddressTable).keys
+    read_here = [one for one in base if one not in address and one not in own["properties"]]
+    own["properties"] |= {name: {} for name in read_here}
     if key == "kind":
         return own
     own["properties"].pop("name", None)
