@@ -51,7 +51,15 @@ wheel: compiled  ## in dist: the sources, a wheel of pure Python, one with compi
 	@mkdir -p $(DIST) && mv build/wheel/*.tar.gz build/wheel/*.whl $(DIST) && cp build/compiled/wheel/*.whl $(DIST)
 	@ls $(DIST)
 
-test: check  ## everything that must hold, on one machine, in minutes
+quick: $(READY)  ## style and tests that the changes since main can break, nearest first; QUICK="--seconds N --list"
+	@$(BIN)/python -m tests.architecture.quick $(QUICK)
+
+nightly: $(READY)  ## what repeats: Hypothesis with new seeds and many examples, stress, fuzz, all mutants
+	MOTORHIL_HYPOTHESIS=nightly $(BIN)/python -m pytest $(WORKERS) --timeout 7200 -m "hypothesis or nightly"
+	$(MAKE) --no-print-directory fuzz FUZZ="--seed $$(date +%s)"
+	$(MAKE) --no-print-directory mutants
+
+test: check  ## everything that must hold, on one machine, in minutes; repetition is for nightly
 	$(BIN)/python -m pytest $(WORKERS)
 
 check: $(READY)  ## style, types, import contracts, links and language of the documents
@@ -59,6 +67,7 @@ check: $(READY)  ## style, types, import contracts, links and language of the do
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+	@$(BIN)/python -m tests.architecture.structure
 	$(BIN)/python -m pytest -p no:cacheprovider $(DOCUMENTS)
 
 quick: $(READY)  ## fast tests, while you edit: functions, trajectories, plants, buses, recordings, documents

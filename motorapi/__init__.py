@@ -33,12 +33,14 @@ from motorhil.motorapi.generation import Trapezoid
 from motorhil.motorapi.group import MotorGroup
 from motorhil.motorapi.model import MotionKind, MotorModel
 from motorhil.motorapi.motion import Motion
-from motorhil.motorapi.motor import Ending, Motor, Outcome, Progress
+from motorhil.motorapi.motor import Motor
+from motorhil.motorapi.outcome import Ending, Outcome, Progress
 from motorhil.motorapi.ownership.claim import LockAction, OwnershipEvent
 from motorhil.motorapi.ownership.reservation import Reservation
 from motorhil.motorapi.runtime.api import Runtime
 from motorhil.motorapi.runtime.wall import WallRuntime, runtime_of
 from motorhil.motorapi.state import Fault, Measurement, MotorState
+from motorhil.motorapi.synchronization.offer import SyncOffer, Trigger
 from motorhil.motorapi.synchronization.quality import (
     FaultReaction,
     MotionTimes,
@@ -47,9 +49,7 @@ from motorhil.motorapi.synchronization.quality import (
     Synchronization,
     SynchronizationError,
     SyncLevel,
-    SyncOffer,
     SyncQuality,
-    Trigger,
 )
 from motorhil.motorapi.trajectory import (
     Argument,

@@ -155,9 +155,10 @@ class MotorBusyError(MotorError):
 
     Attributes: motor (name), holder (in words), since_ns (in the time of the runtime), purpose
     ("low-level access"; "" if the name of the holder is sufficient). For a process that holds the
-    lock between processes, also pid and program, and since (in words). taken_over ("": it was not):
-    the reason for a takeover from the caller, as "its lease of 0.5 s was over". remedy: advice for
-    a holder that does not release the motor by itself, or "".
+    lock between processes, also process (pid and program, None: unknown), pid, program, and since
+    (in words). taken_over ("": it was not): the reason for a takeover from the caller, as "its
+    lease of 0.5 s was over". remedy: advice for a holder that does not release the motor by itself,
+    or "".
     """
 
     def __init__(
@@ -167,8 +168,7 @@ class MotorBusyError(MotorError):
         holder: str,
         since_ns: int,
         purpose: str = "",
-        pid: int | None = None,
-        program: str = "",
+        process: tuple[int, str] | None = None,
         since: str = "",
         taken_over: str = "",
         remedy: str = "",
@@ -177,8 +177,9 @@ class MotorBusyError(MotorError):
         self.holder = holder
         self.since_ns = since_ns
         self.purpose = purpose
-        self.pid = pid
-        self.program = program
+        self.process = process
+        self.pid: int | None = None if process is None else process[0]
+        self.program = "" if process is None else process[1]
         self.since = since or f"{since_ns / 1e9:.6f} s"
         self.taken_over = taken_over
         self.remedy = remedy

@@ -1,30 +1,26 @@
-"""Execution of commands: one motor or many, started as one operation.
+"""Execution of commands: the start of one motor or many, and the wait for its end.
 
     acquire all (in one global order) -> plan -> enable -> plan again -> reserve the triggers
     -> arm all -> fire each trigger once -> confirm all
 
 If a step before firing fails, no motor has moved and all armed motors are disarmed. If a later step
-fails, every motor of the start is stopped. A start of one motor is the start of a group of one.
-
-Waiting for the motions of one or several motors, with one deadline.
+fails, every motor of the start is stopped. A start of one motor is the start of a group of one. A
+wait for several motors has one deadline.
 """
 
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final, final
+from typing import Final, final
 
-from motorhil.motorapi.commands import ControlMode, ControlVariable, Setpoint, as_number
+from motorhil.motorapi.commands import ControlMode, ControlVariable, Setpoint
 from motorhil.motorapi.errors import (
     DeadlineExceeded,
-    DeviceFault,
-    LinkError,
     MotionInterrupted,
-    MotorBusyError,
     MotorError,
     StateError,
-    UsageError,
 )
+from motorhil.motorapi.logical_motor import LogicalMotor, check_timeout
 from motorhil.motorapi.motion import Motion
 from motorhil.motorapi.ownership.claim import use_leases
 from motorhil.motorapi.ownership.physical_motor import ActiveMotion, RunStatus
@@ -32,31 +28,17 @@ from motorhil.motorapi.ownership.queue import FifoQueue, trigger_turns
 from motorhil.motorapi.planning import single_axis as planning
 from motorhil.motorapi.planning.groups import TIME, Common, synchronised
 from motorhil.motorapi.runtime.api import Awaited, Waiting, wait_until
-from motorhil.motorapi.state import Fault, MotorState
-from motorhil.motorapi.synchronization.quality import SyncLevel, Trigger
+from motorhil.motorapi.state import MotorState
+from motorhil.motorapi.synchronization.offer import Trigger
+from motorhil.motorapi.synchronization.quality import SyncLevel
 from motorhil.motorapi.trajectory import Argument, ComplexTrajectory, MotorPosition, Trajectory
 
-if TYPE_CHECKING:
-    from motorhil.motorapi.motor import Motor
-
-# ruff: noqa: SLF001 -- it works the hooks of motors, as motorhil.motorapi.execution does
-
-
-if TYPE_CHECKING:
-    from motorhil.motorapi.motor import Motor
-    from motorhil.motorapi.ownership.physical_motor import ActiveMotion
-
-    Answer = Callable[[Motor, ActiveMotion | None, Exception], Exception]
-
-
-def check_timeout(timeout_s: float | None) -> None:
-    """Raise UsageError if `timeout_s` is not a valid timeout."""
-    if timeout_s is not None and not as_number(timeout_s) >= 0.0:
-        raise UsageError(f"timeout_s = {timeout_s!r}: must be a number of seconds >= 0")
+Answer = Callable[[LogicalMotor, ActiveMotion | None, Exception], Exception]
+"""The reaction to a failure: motor, its motion and the error; returns the error to be raised."""
 
 
 def wait_for_all(
-    motors: Sequence["Motor"], timeout_s: float | None, answer: "Answer | None" = None
+    motors: Sequence[LogicalMotor], timeout_s: float | None, answer: Answer | None = None
 ) -> None:
     """Wait until the last command of all motors has ended; react to the first failure.
 
@@ -71,9 +53,9 @@ def wait_for_all(
             stopped.
         MotorError: the failure of a motion.
     """
-    check_timeout(timeout_s)
+    timeout_s = check_timeout(timeout_s)
     members = [_Member(motor) for motor in motors]
-    awaited = [Awaited(one.motor._physical.news, one.is_over) for one in members]
+    awaited = [Awaited(one.motor.physical.news, one.is_over) for one in members]
     waiting = Waiting(awaited)
 
     def going() -> list[_Member]:
@@ -84,8 +66,8 @@ def wait_for_all(
     if timeout_s is not None:
         deadline_ns = runtime.now_ns() + round(min(timeout_s, 1e9) * 1e9)
     while True:
-        again_s = [one.motor._refresh_freely() for one in going() if one.run is not None]
-        again_s += [one.motor._physical.ownership.use(one.motor) for one in going()]
+        again_s = [one.motor.refresh() for one in going() if one.run is not None]
+        again_s += [one.motor.physical.ownership.use(one.motor) for one in going()]
         again_s.append(use_leases())
         pauses_s = [pause_s for pause_s in again_s if pause_s is not None]
         if deadline_ns is not None:
@@ -93,8 +75,8 @@ def wait_for_all(
         try:
             if wait_until(runtime, waiting.all_over, min(pauses_s) if pauses_s else None):
                 for motor in motors:
-                    motor._physical.ownership.look()
-                    motor._raise_callback_error()
+                    motor.physical.ownership.look()
+                    motor.raise_callback_error()
                 return
         except _MemberFailed as failed:
             error = failed.error
@@ -114,41 +96,41 @@ def wait_for_all(
 class _Member:
     """A motor with its motion at the beginning of the wait."""
 
-    def __init__(self, motor: "Motor") -> None:
+    def __init__(self, motor: LogicalMotor) -> None:
         self.motor = motor
-        self.run = motor._run
+        self.run = motor.run
 
     def is_over(self) -> bool:
         try:
-            return self.motor._look(self.run)
+            return self.motor.look(self.run)
         except Exception as error:
             raise _MemberFailed(self.motor, self.run, error) from error
 
 
 @final
 class _MemberFailed(MotorError):  # noqa: N818 -- never leaves this module
-    def __init__(self, motor: "Motor", run: "ActiveMotion | None", error: Exception) -> None:
+    def __init__(self, motor: LogicalMotor, run: ActiveMotion | None, error: Exception) -> None:
         super().__init__()
         self.motor = motor
         self.run = run
         self.error = error
 
 
-def stop_others(motors: Sequence["Motor"], failed: "Motor", error: Exception) -> None:
+def stop_others(motors: Sequence[LogicalMotor], failed: LogicalMotor, error: Exception) -> None:
     """Stop all motors except the failed one; a note on the error reports this."""
     if len(motors) == 1:
         return
     error.add_note(f"from {failed.name}; the others of its group were stopped")
     for motor in motors:
-        if motor is not failed and not motor._physical.ownership.is_lost_by(motor):
+        if motor is not failed and not motor.physical.ownership.is_lost_by(motor):
             try:
                 motor.stop()
             except Exception as further:
                 error.add_note(f"but {motor.name} could not be stopped: {further}")
 
 
-def _last_heard(motor: "Motor") -> str:
-    latest = motor.latest()
+def _last_heard(motor: LogicalMotor) -> str:
+    latest = motor.hooks.latest()
     if latest is None:
         return f"{motor.name}: nothing"
     text = f"{motor.name}: {latest.state.value} at {latest.time_ns / 1e9:.6f} s"
@@ -157,9 +139,6 @@ def _last_heard(motor: "Motor") -> str:
     if latest.velocity is not None:
         text += f", {latest.velocity:g} {motor.model.unit}/s"
     return text
-
-
-# ruff: noqa: SLF001 -- it works the hooks of motors, as Motor does its own
 
 
 _RING_MAX: Final = 100
@@ -171,13 +150,13 @@ _RING_MAX: Final = 100
 class Started:
     """One motor of a start, with its requested motion and the motion that its hardware makes."""
 
-    motor: "Motor"
+    motor: LogicalMotor
     motion: Motion
     quantised: Motion
 
 
 def start_together(
-    motors: Sequence["Motor"],
+    motors: Sequence[LogicalMotor],
     timeout_s: float | None = None,
     common: Common = TIME,
     check: Callable[[], None] | None = None,
@@ -193,29 +172,28 @@ def start_together(
     Raises:
         MotorError: as `Motor.start`; a note names the motor, if there are several.
     """
-    check_timeout(timeout_s)
-    common.check()
+    timeout_s = check_timeout(timeout_s)
     for motor in motors:
         _require_command(motor)
     asked_ns = motors[0].runtime.now_ns()
     with ExitStack() as held:
-        for motor in sorted(motors, key=lambda motor: motor._physical.order):
+        for motor in sorted(motors, key=lambda motor: motor.physical.order):
             left_s: float | None = None
             if timeout_s is not None:
-                left_s = max(0.0, as_number(timeout_s) - (motor.runtime.now_ns() - asked_ns) / 1e9)
-            held.enter_context(motor._operation("start", left_s))
-        seen = [motor._physical.interruptions for motor in motors]
+                left_s = max(0.0, timeout_s - (motor.runtime.now_ns() - asked_ns) / 1e9)
+            held.enter_context(motor.operation("start", left_s))
+        seen = [motor.physical.interruptions for motor in motors]
         disabled = [motor for motor in motors if _require_movable(motor) is MotorState.DISABLED]
         motions = plan(motors, common)
         if check is not None:
             check()
         if disabled:
             for motor in disabled:
-                motor._call(motor._enable)
+                motor.hooks.enable()
             _check_not_interrupted(motors, seen)
             motions = plan(motors, common)  # enabling may have changed the reference positions
         started = tuple(
-            Started(motor, motion, motor._call(motor._quantise, motion))
+            Started(motor, motion, motor.hooks.quantise(motion))
             for motor, motion in zip(motors, motions, strict=True)
         )
         for turns in _trigger_turns(motors):
@@ -224,7 +202,7 @@ def start_together(
         return started
 
 
-def plan(motors: Sequence["Motor"], common: Common = TIME) -> list[Motion]:
+def plan(motors: Sequence[LogicalMotor], common: Common = TIME) -> list[Motion]:
     """Return the motion of each motor from its present position, with the common properties.
 
     Raises:
@@ -237,15 +215,16 @@ def plan(motors: Sequence["Motor"], common: Common = TIME) -> list[Motion]:
     return motions
 
 
-def _require_no_ring(motors: Sequence["Motor"]) -> None:
+def _require_no_ring(motors: Sequence[LogicalMotor]) -> None:
     """Raise StateError if a motor would follow itself, directly or through other motors."""
-    starting = {id(motor._physical): _argument(motor) for motor in motors}
+    starting = {id(motor.physical): _argument(motor) for motor in motors}
     for motor in motors:
-        led_by, way = starting[id(motor._physical)], [motor.name]
+        led_by, way = starting[id(motor.physical)], [motor.name]
         while isinstance(led_by, MotorPosition) and len(way) <= len(starting) + _RING_MAX:
             way.append(led_by.leader.name)
-            physical = getattr(led_by.leader, "_physical", None)
-            if physical is motor._physical:
+            leader = getattr(led_by.leader, "logical", None)
+            physical = getattr(leader, "physical", None)
+            if physical is motor.physical:
                 raise StateError(
                     motor=motor.name,
                     operation="start",
@@ -258,70 +237,70 @@ def _require_no_ring(motors: Sequence["Motor"]) -> None:
             led_by = starting.get(id(physical), None if goes_on is None else goes_on.argument)
 
 
-def _argument(motor: "Motor") -> Argument | None:
+def _argument(motor: LogicalMotor) -> Argument | None:
     """Return the argument of the motion to be started, or None for time."""
-    return motor._argument if isinstance(motor._command, ComplexTrajectory) else None
+    return motor.argument if isinstance(motor.command, ComplexTrajectory) else None
 
 
-def _plan_one(motor: "Motor") -> Motion:
+def _plan_one(motor: LogicalMotor) -> Motion:
     command = _require_command(motor)
     _require_startable(motor)
     absolute = not (command.relative if isinstance(command, Setpoint) else command.is_relative)
-    absolute = absolute and motor.control_variable is ControlVariable.POSITION
-    if absolute and motor.model.requires_referencing and not motor._call(motor._read_referenced):
+    absolute = absolute and motor.variable is ControlVariable.POSITION
+    if absolute and motor.model.requires_referencing and not motor.hooks.read_referenced():
         raise StateError(
             motor=motor.name,
             operation="start",
             state="its position is not referenced, and the target is absolute",
             remedy="call home() first",
         )
-    variable = motor.control_variable
+    variable = motor.variable
     if isinstance(command, Setpoint):
-        reference = motor._call(motor._read_reference)
+        reference = motor.hooks.read_reference()
         return planning.plan_setpoint(motor.name, motor.model, variable, command, reference)
     return planning.plan_trajectory(
-        motor.name, motor.model, variable, command, _reference(motor), argument=motor._argument
+        motor.name, motor.model, variable, command, _reference(motor), argument=motor.argument
     )
 
 
-def _reference(motor: "Motor") -> float:
+def _reference(motor: LogicalMotor) -> float:
     """Return the present initial value for a trajectory of the motor's control variable."""
-    if motor.control_variable is ControlVariable.POSITION:
-        return motor._call(motor._read_reference)
-    run = motor._physical.run
+    if motor.variable is ControlVariable.POSITION:
+        return motor.hooks.read_reference()
+    run = motor.physical.run
     before = None if run is None or run.finished else run.motion
-    if before is None or before.variable is not motor.control_variable:
+    if before is None or before.variable is not motor.variable:
         return 0.0
-    if motor.control_variable is ControlVariable.VELOCITY and not motor._call(motor._is_done):
-        return motor._call(motor._read_velocity)
+    if motor.variable is ControlVariable.VELOCITY and not motor.hooks.is_done():
+        return motor.hooks.read_velocity()
     return before.target
 
 
-def _require_command(motor: "Motor") -> Setpoint | Trajectory:
-    if motor._command is None:
+def _require_command(motor: LogicalMotor) -> Setpoint | Trajectory:
+    if motor.command is None:
         raise StateError(
             motor=motor.name,
             operation="start",
             state="there is nothing to start",
             remedy="call set_control_mode(), then set_setpoint() or set_trajectory()",
         )
-    return motor._command
+    return motor.command
 
 
-def _require_startable(motor: "Motor") -> None:
+def _require_startable(motor: LogicalMotor) -> None:
     """Require rest, unless the new command may replace the active motion."""
-    run = motor._physical.run
+    run = motor.physical.run
     before = None if run is None else run.motion
-    replaceable = before is not None and before.variable is motor.control_variable
-    if replaceable and motor.control_variable is ControlVariable.POSITION:
+    replaceable = before is not None and before.variable is motor.variable
+    if replaceable and motor.variable is ControlVariable.POSITION:
         setpoints = (ControlMode.SETPOINT, ControlMode.SETPOINT)
-        replaceable = before is not None and (before.mode, motor.control_mode) == setpoints
+        replaceable = before is not None and (before.mode, motor.mode) == setpoints
     if not replaceable:
-        require_rest(motor, "start")
+        motor.require_rest("start")
 
 
-def _require_movable(motor: "Motor") -> MotorState:
-    state = require_no_fault(motor)
+def _require_movable(motor: LogicalMotor) -> MotorState:
+    state = motor.require_no_fault()
     if state is MotorState.STOPPED:
         raise StateError(
             motor=motor.name,
@@ -332,52 +311,11 @@ def _require_movable(motor: "Motor") -> MotorState:
     return state
 
 
-def require_no_fault(motor: "Motor") -> MotorState:
-    """Return the state of the motor, which is neither FAULT nor OFFLINE.
-
-    Raises:
-        DeviceFault: the drive reports a fault.
-        LinkError: the motor does not respond.
-    """
-    state = motor._call(motor._read_state)
-    if state is MotorState.OFFLINE:
-        reason, remedy = f"{motor.name} does not respond", "check its power, its cable and the bus"
-        raise LinkError(link=motor._physical.label, reason=reason, remedy=remedy)
-    if state is MotorState.FAULT:
-        fault = motor._call(motor._read_fault)
-        if fault is None:
-            fault = Fault(0, "not told", motor.runtime.now_ns())
-        raise DeviceFault(
-            motor=motor.name, code=fault.code, text=fault.text, since_ns=fault.since_ns
-        )
-    return state
-
-
-def require_rest(motor: "Motor", operation: str) -> None:
-    """Require that an acquired motor is at rest.
-
-    Raises:
-        StateError: a motion is active.
-        MotorBusyError: another logical motor has stopped it since, and it still slows down.
-    """
-    run = motor._physical.run
-    if run is None or not motor._goes_on(run):
-        return
-    if run.owner is not motor:
-        raise MotorBusyError(motor=motor.name, holder=run.name, since_ns=run.since_ns)
-    raise StateError(
-        motor=motor.name,
-        operation=operation,
-        state=f"{run.name} is active since {run.since_ns / 1e9:.6f} s",
-        remedy="wait_until_done() or stop() first" if run.ends else "stop() first",
-    )
-
-
-def _trigger_turns(motors: Sequence["Motor"]) -> list[FifoQueue]:
+def _trigger_turns(motors: Sequence[LogicalMotor]) -> list[FifoQueue]:
     """Return the turns for triggers of several motors, exclusive from arming to firing."""
     if len(motors) == 1:
         return []
-    offers = [motor._call(motor._sync_offer) for motor in motors]
+    offers = [motor.hooks.sync_offer() for motor in motors]
     shared = [offer.group for offer in offers if offer.level is not SyncLevel.SEQUENTIAL]
     return trigger_turns(motors[0].runtime, shared)
 
@@ -389,7 +327,7 @@ def _arm(started: Sequence[Started], seen: Sequence[int]) -> list[Trigger]:
     try:
         for one in started:
             armed.append(one)
-            trigger = one.motor._call(one.motor._arm, one.motion, together=len(started) > 1)
+            trigger = one.motor.hooks.arm(one.motion, together=len(started) > 1)
             if trigger not in triggers:
                 triggers.append(trigger)
         _check_not_interrupted([one.motor for one in started], seen)
@@ -402,13 +340,13 @@ def _arm(started: Sequence[Started], seen: Sequence[int]) -> list[Trigger]:
 
 def _fire(started: Sequence[Started], triggers: Sequence[Trigger], seen: Sequence[int]) -> None:
     """Fire the triggers and confirm that all motors have begun."""
-    runs = [one.motor._begin("start", one.motion) for one in started]
+    runs = [one.motor.begin("start", one.motion) for one in started]
     current = started[0]
     try:
         for trigger in triggers:
-            current.motor._call(trigger.fire)
+            current.motor.hooks.fire(trigger)
         for current in started:
-            current.motor._call(current.motor._confirm, current.motion)
+            current.motor.hooks.confirm(current.motion)
         _check_not_interrupted([one.motor for one in started], seen)
     except BaseException as error:
         _note_member(error, current, started)
@@ -416,9 +354,9 @@ def _fire(started: Sequence[Started], triggers: Sequence[Trigger], seen: Sequenc
         raise
 
 
-def _check_not_interrupted(motors: Sequence["Motor"], seen: Sequence[int]) -> None:
+def _check_not_interrupted(motors: Sequence[LogicalMotor], seen: Sequence[int]) -> None:
     for motor, count in zip(motors, seen, strict=True):
-        physical = motor._physical
+        physical = motor.physical
         physical.ownership.require(motor)
         if physical.interruptions != count:
             by = "a stop" if physical.run is None else physical.run.name
@@ -428,7 +366,7 @@ def _check_not_interrupted(motors: Sequence["Motor"], seen: Sequence[int]) -> No
 def _disarm(armed: Sequence[Started], error: BaseException) -> None:
     for one in reversed(armed):
         try:
-            one.motor._call(one.motor._disarm)
+            one.motor.hooks.disarm()
         except Exception as further:
             error.add_note(f"and {one.motor.name} could not be disarmed: {further}")
 
@@ -442,13 +380,13 @@ def _abandon(
     """
     for one, run in zip(started, runs, strict=True):
         try:
-            if not one.motor._physical.ownership.is_lost_by(one.motor):
-                one.motor._call(one.motor._stop)
+            if not one.motor.physical.ownership.is_lost_by(one.motor):
+                one.motor.hooks.stop()
         except Exception as further:
             error.add_note(f"and {one.motor.name} could not be stopped: {further}")
-        if one.motor._physical.run is run:
+        if one.motor.physical.run is run:
             now_ns = one.motor.runtime.now_ns()
-            one.motor._physical.end(f"a failed start ({error})", now_ns, RunStatus.FAILED)
+            one.motor.physical.end(f"a failed start ({error})", now_ns, RunStatus.FAILED)
     _disarm(started, error)
 
 

@@ -1,4 +1,4 @@
-"""Motor groups: several motors that move together.
+"""Motor groups: several motors that start, wait and stop together.
 
 Algorithm 2 of the paper runs nearly word for word::
 
@@ -8,19 +8,17 @@ Algorithm 2 of the paper runs nearly word for word::
     group.start()
     group.wait_until_done()
 
-Supervision of one group start to its end, with the reaction to a failure.
+A group predicts how closely its motors can begin and end together, and measures it afterwards.
 
-Supervision does not depend on a waiting caller: it examines every change of its motors, as
-`on_done` does, and sends its reaction from there without waiting. A motor that must be polled
-reports only while a caller waits for it.
+Each start is supervised to its end, whether or not a caller waits. Supervision examines every
+change of the motors, as `on_done` does, and sends its reaction from there without waiting. A motor
+that must be polled reports only while a caller waits for it.
 
 A motor fails when its motion ends short of its target although its owner did not request that: by a
 fault, a lost link, another program, or a takeover. A stop of one motor affects that motor only. A
 caller that waits for the group finds it short of its target, and then the group reacts as to a
 fault. Motors stopped in reaction raise an interruption for callers that wait for one of them; a
 caller that waits for the group gets the cause.
-
-Synchronization capability of a group before a motion, and quality afterwards.
 """
 
 import logging
@@ -28,26 +26,27 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from copy import copy
 from dataclasses import replace
-from typing import TYPE_CHECKING, Final, final
+from typing import Final, final
 
-from motorhil.motorapi.commands import as_number
 from motorhil.motorapi.device import DeviceGroup
 from motorhil.motorapi.errors import MotorError, UsageError
 from motorhil.motorapi.execution import (
     Started,
-    check_timeout,
     plan,
     start_together,
     stop_others,
     wait_for_all,
 )
-from motorhil.motorapi.motor import Motor, callback_failed
+from motorhil.motorapi.logical_motor import LogicalMotor, check_timeout
+from motorhil.motorapi.motor import Motor
+from motorhil.motorapi.outcome import callback_failed
 from motorhil.motorapi.ownership.physical_motor import ActiveMotion
 from motorhil.motorapi.ownership.reservation import Reservation
 from motorhil.motorapi.planning import single_axis as planning
 from motorhil.motorapi.planning.groups import TIME, Common
 from motorhil.motorapi.planning.path import PathWatch, predicted_path
-from motorhil.motorapi.runtime.api import LOOK_PERIOD_S
+from motorhil.motorapi.runtime.api import LOOK_PERIOD_S, Registration
+from motorhil.motorapi.synchronization.offer import Trigger
 from motorhil.motorapi.synchronization.quality import (
     FaultReaction,
     PathDeviation,
@@ -55,7 +54,6 @@ from motorhil.motorapi.synchronization.quality import (
     Synchronization,
     SyncLevel,
     SyncQuality,
-    Trigger,
     check_asked,
     require_synchronised,
     spread_s,
@@ -68,12 +66,6 @@ from motorhil.motorapi.synchronization.skew import (
     start_bound,
 )
 from motorhil.motorapi.trajectory import Trajectory
-
-if TYPE_CHECKING:
-    from motorhil.motorapi.runtime.api import Registration
-
-# ruff: noqa: SLF001 -- it works the hooks of motors, as motorhil.motorapi.execution does
-
 
 _LOG: Final = logging.getLogger("motorapi")
 _TOLD: Final = {
@@ -89,7 +81,7 @@ class _Watched:
 
     __slots__ = ("_common", "is_over", "motor", "run")
 
-    def __init__(self, common: "CommonMotion", motor: "Motor", run: ActiveMotion) -> None:
+    def __init__(self, common: "CommonMotion", motor: LogicalMotor, run: ActiveMotion) -> None:
         self._common = common
         self.motor: Final = motor
         self.run: Final = run
@@ -107,11 +99,11 @@ class _Watched:
         """Return the failure of the motion; None if it runs, is done, or its owner ended it."""
         run = self.run
         try:
-            self.is_over = self.motor._look(run) and run.ends
+            self.is_over = self.motor.look(run) and run.ends
         except MotorError as error:
             self.is_over = True
             # A takeover ends the motion before the new owner has begun its own.
-            taken_over = self.motor._physical.run is run
+            taken_over = self.motor.physical.run is run
             wanted = run.interrupted_by is not None and run.error is None and not taken_over
             return None if wanted else error
         return None
@@ -129,20 +121,20 @@ class CommonMotion:
         cause: the first failure and its motor, or None.
     """
 
-    def __init__(self, started: "Sequence[Started]", common: Common) -> None:
-        self.cause: tuple[Motor, MotorError] | None = None
+    def __init__(self, started: Sequence[Started], common: Common) -> None:
+        self.cause: tuple[LogicalMotor, MotorError] | None = None
         self._common: Final = common
         self._runtime: Final = started[0].motor.runtime
         self._watched: Final[list[_Watched]] = []
         for one in started:
-            if one.motor._run is not None:
-                self._watched.append(_Watched(self, one.motor, one.motor._run))
+            if one.motor.run is not None:
+                self._watched.append(_Watched(self, one.motor, one.motor.run))
         self._timers: list[Registration] = []
         self._claim: Final[list[None]] = [
             None
         ]  # the finder of the first failure takes the only element
         self._ended = False
-        self._answers: list[tuple[Motor, ActiveMotion]] = []
+        self._answers: list[tuple[LogicalMotor, ActiveMotion]] = []
         self._path: PathWatch | None = None
         if common.synchronization is Synchronization.PHASE:
             self._path = PathWatch(started, self._after_look)
@@ -152,7 +144,7 @@ class CommonMotion:
         if self._path is not None:
             self._path.begin()
         for one in self._watched:
-            physical = one.motor._physical
+            physical = one.motor.physical
             if physical.news is None:
                 self._timers.append(self._runtime.every(LOOK_PERIOD_S, one.look))
             physical.bell.listeners.append(one.look)
@@ -179,7 +171,7 @@ class CommonMotion:
         if one.is_over or self._ended:
             return
         error = one.failure()
-        physical = one.motor._physical
+        physical = one.motor.physical
         if one.ended() and physical.news is None:
             physical.bell.grow()  # no other source reports its end to the listeners
         if error is not None:
@@ -193,7 +185,7 @@ class CommonMotion:
         """Return True if `run` belongs to this start."""
         return any(one.run is run for one in self._watched)
 
-    def failed(self, motor: "Motor", error: Exception) -> Exception:
+    def failed(self, motor: LogicalMotor, error: Exception) -> Exception:
         """React to a failure found by a waiting caller. Return the error that it should raise."""
         if not isinstance(error, MotorError):
             return error
@@ -205,7 +197,7 @@ class CommonMotion:
         told.__cause__ = cause[1].__cause__
         return told
 
-    def _fail(self, motor: "Motor", error: MotorError) -> None:
+    def _fail(self, motor: LogicalMotor, error: MotorError) -> None:
         try:
             self._claim.pop()  # two threads may get here at once
         except IndexError:
@@ -220,16 +212,16 @@ class CommonMotion:
         if self._common.reaction is not FaultReaction.TOGETHER and self._path is not None:
             self._path.end()
 
-    def _answer(self, failed: "Motor", cause: MotorError) -> None:
+    def _answer(self, failed: LogicalMotor, cause: MotorError) -> None:
         """Stop the other motors according to the fault reaction."""
         reaction = self._common.reaction
         if reaction is FaultReaction.NONE:
             return
         by = f"the fault reaction of its group ({cause})"
-        triggers: list[tuple[Motor, Trigger]] = []
+        triggers: list[tuple[LogicalMotor, Trigger]] = []
         for one in self._watched:
             motor = one.motor
-            if motor is failed or not motor._goes_on(one.run):
+            if motor is failed or not motor.goes_on(one.run):
                 continue
             try:
                 self._stop(motor, by, triggers)
@@ -237,25 +229,27 @@ class CommonMotion:
                 self._not_stopped(motor, cause, further)
         for motor, trigger in triggers:
             try:
-                motor._call(trigger.fire)
+                motor.hooks.fire(trigger)
             except Exception as further:
                 self._not_stopped(motor, cause, further)
 
-    def _stop(self, motor: "Motor", by: str, triggers: "list[tuple[Motor, Trigger]]") -> None:
+    def _stop(
+        self, motor: LogicalMotor, by: str, triggers: list[tuple[LogicalMotor, Trigger]]
+    ) -> None:
         """Stop the motor, or add its trigger; its motion ends, interrupted by the group."""
-        physical = motor._physical
+        physical = motor.physical
         with physical.interrupt(motor.name):
-            status = motor._status()
+            status = motor.status()
             if self._common.reaction is FaultReaction.TOGETHER:
                 add_trigger(triggers, motor)
             else:
-                motor._call(motor._stop)
+                motor.hooks.stop()
             run = ActiveMotion(by, motor, self._runtime.now_ns(), None)
             physical.begin(run, status)
-            motor._keep()
+            motor.keep()
         self._answers.append((motor, run))
 
-    def _not_stopped(self, motor: "Motor", cause: MotorError, further: Exception) -> None:
+    def _not_stopped(self, motor: LogicalMotor, cause: MotorError, further: Exception) -> None:
         cause.add_note(f"but {motor.name} could not be stopped: {further}")
         _LOG.error("%s could not be stopped after %s: %s", motor.name, cause, further)
 
@@ -264,27 +258,24 @@ class CommonMotion:
         for timer in self._timers:
             timer.cancel()
         for one in self._watched:
-            listeners = one.motor._physical.bell.listeners
+            listeners = one.motor.physical.bell.listeners
             if one.look in listeners:
                 listeners.remove(one.look)
 
     def _after_look(self) -> None:
         """End the supervision of the path when all motors are at rest."""
-        if self._answers and not any(motor._goes_on(run) for motor, run in self._answers):
+        if self._answers and not any(motor.goes_on(run) for motor, run in self._answers):
             self.end()
 
 
-def add_trigger(triggers: "list[tuple[Motor, Trigger]]", motor: "Motor") -> None:
+def add_trigger(triggers: list[tuple[LogicalMotor, Trigger]], motor: LogicalMotor) -> None:
     """Stop the motor, or add its trigger to the list, which holds each trigger once."""
-    trigger = motor._call(motor._stop_with_others)
+    trigger = motor.hooks.stop_with_others()
     if trigger is not None and all(trigger != known for _, known in triggers):
         triggers.append((motor, trigger))
 
 
-# ruff: noqa: SLF001 -- it works the hooks of motors, as Motor does its own
-
-
-def capability_of(motors: Sequence["Motor"], common: Common = TIME) -> SyncCapability:
+def capability_of(motors: Sequence[LogicalMotor], common: Common = TIME) -> SyncCapability:
     """Return how closely together `motors` can begin and end with the present settings.
 
     Args:
@@ -296,14 +287,14 @@ def capability_of(motors: Sequence["Motor"], common: Common = TIME) -> SyncCapab
     """
     with ExitStack() as passages:
         for motor in motors:
-            passages.enter_context(motor._physical.passage(motor.name))
+            passages.enter_context(motor.physical.passage(motor.name))
         return _capability(motors, common)
 
 
-def _capability(motors: Sequence["Motor"], common: Common) -> SyncCapability:
+def _capability(motors: Sequence[LogicalMotor], common: Common) -> SyncCapability:
     for motor in motors:
-        motor._call(motor._connect)
-    offers = [motor._call(motor._sync_offer) for motor in motors]  # only when all are connected
+        motor.hooks.connect()
+    offers = [motor.hooks.sync_offer() for motor in motors]  # only when all are connected
     weakest = min(range(len(offers)), key=lambda place: offers[place].level)
     level, reason = offers[weakest].level, offers[weakest].reason
     for place, offer in enumerate(offers):
@@ -337,9 +328,9 @@ def quality_of(started: Sequence[Started]) -> SyncQuality:
     Raises:
         MotorError: a motor does not answer.
     """
-    times = tuple((one.motor.name, one.motor._call(one.motor._motion_times)) for one in started)
+    times = tuple((one.motor.name, one.motor.hooks.motion_times()) for one in started)
     known = [its for one, (_, its) in zip(started, times, strict=True) if not stays(one)]
-    offers = [one.motor._call(one.motor._sync_offer) for one in started]
+    offers = [one.motor.hooks.sync_offer() for one in started]
     members = [
         Member(one.motor.name, offer, None)
         for one, offer in zip(started, offers, strict=True)
@@ -374,7 +365,7 @@ def end_skew_s(started: Sequence[Started]) -> float:
     return max(durations_s) - min(durations_s) if durations_s else 0.0
 
 
-def _durations_s(motors: Sequence["Motor"], common: Common) -> tuple[list[float | None], str]:
+def _durations_s(motors: Sequence[LogicalMotor], common: Common) -> tuple[list[float | None], str]:
     """Return the quantised duration of each motor [s], and why no start is possible, or "".
 
     A duration is None if the motion does not end by itself.
@@ -385,13 +376,10 @@ def _durations_s(motors: Sequence["Motor"], common: Common) -> tuple[list[float 
         return [None for _ in motors], f"no start is possible now: {error}"
     durations: list[float | None] = []
     for motor, motion in zip(motors, motions, strict=True):
-        one = Started(motor, motion, motor._call(motor._quantise, motion))
+        one = Started(motor, motion, motor.hooks.quantise(motion))
         ends = motion.duration_s is not None and not stays(one)
         durations.append(planning.duration_of(one.quantised) if ends else None)
     return durations, ""
-
-
-# ruff: noqa: SLF001 -- a group works the hooks of its members, as Motor does its own
 
 
 class MotorGroup(DeviceGroup[Motor]):
@@ -406,10 +394,10 @@ class MotorGroup(DeviceGroup[Motor]):
 
     def _check_member(self, device: Motor) -> None:
         for member in self:
-            if member._physical is device._physical:
+            if member.logical.physical is device.logical.physical:
                 raise UsageError(
                     f"{device.name} and {member.name} are the same physical motor,"
-                    f" {device._physical.label}: a group can move it only once"
+                    f" {device.logical.physical.label}: a group can move it only once"
                 )
             if member.runtime is not device.runtime:
                 raise UsageError(
@@ -427,13 +415,13 @@ class MotorGroup(DeviceGroup[Motor]):
             raise UsageError(
                 f"{len(trajectories)} trajectories for {len(self)} motors: give one for each"
             )
-        before = [(motor._command, motor._argument) for motor in self]
+        before = [(motor.logical.command, motor.logical.argument) for motor in self]
         try:
             for motor, trajectory in zip(self, trajectories, strict=True):
                 motor.set_trajectory(trajectory)
         except MotorError:
             for motor, command in zip(self, before, strict=True):
-                motor._command, motor._argument = command
+                motor.logical.command, motor.logical.argument = command
             raise
 
     @property
@@ -498,6 +486,7 @@ class MotorGroup(DeviceGroup[Motor]):
         """
         check_asked(require, max_skew_s)
         members, common = self._members(), self._common
+        common.check()
 
         def check() -> None:
             if require is not None or max_skew_s is not None:
@@ -526,23 +515,20 @@ class MotorGroup(DeviceGroup[Motor]):
         Raises:
             MotorBusyError: another owner holds one of them.
         """
-        check_timeout(timeout_s)
-        members = sorted(self._members(), key=lambda motor: motor._physical.order)
-        asked_ns = members[0].runtime.now_ns()
+        timeout_s = check_timeout(timeout_s)
+        self._members()
+        motors = sorted(self, key=lambda motor: motor.logical.physical.order)
+        asked_ns = motors[0].runtime.now_ns()
         parts: list[Reservation] = []
         with ExitStack() as held:
-            for motor in members:
+            for motor in motors:
                 left_s: float | None = None
                 if timeout_s is not None:
-                    waited_s = (motor.runtime.now_ns() - asked_ns) / 1e9
-                    left_s = max(0.0, as_number(timeout_s) - waited_s)
-                parts.append(
-                    held.enter_context(
-                        motor.reserve(
-                            purpose, timeout_s=left_s, lease_s=lease_s, take_over=take_over
-                        )
-                    )
+                    left_s = max(0.0, timeout_s - (motor.runtime.now_ns() - asked_ns) / 1e9)
+                reserved = motor.reserve(
+                    purpose, timeout_s=left_s, lease_s=lease_s, take_over=take_over
                 )
+                parts.append(held.enter_context(reserved))
             yield Reservation.of_all(parts)
 
     def wait_until_done(self, timeout_s: float | None = None) -> None:
@@ -574,7 +560,7 @@ class MotorGroup(DeviceGroup[Motor]):
             try:
                 done.append(motor.is_done())
             except MotorError as error:
-                told = self._answer(motor, motor._run, error)
+                told = self._answer(motor.logical, motor.logical.run, error)
                 raise told from told.__cause__
         return all(done)
 
@@ -588,14 +574,15 @@ class MotorGroup(DeviceGroup[Motor]):
         if motion is None or not motion.stops_together:
             self._every(Motor.stop)
             return
-        triggers: list[tuple[Motor, Trigger]] = []
+        triggers: list[tuple[LogicalMotor, Trigger]] = []
 
         def stop(motor: Motor) -> None:
-            motor._bring_to_rest("stop", lambda: add_trigger(triggers, motor))
+            logical = motor.logical
+            logical.bring_to_rest("stop", lambda: add_trigger(triggers, logical))
 
         self._every(stop)
         for motor, trigger in triggers:
-            motor._call(trigger.fire)
+            motor.hooks.fire(trigger)
 
     def quick_stop(self) -> None:
         """Quick-stop every motor; all are tried, then the first error is raised."""
@@ -638,7 +625,7 @@ class MotorGroup(DeviceGroup[Motor]):
         if self._motion is not None:
             self._motion.end()
 
-    def _answer(self, motor: Motor, run: ActiveMotion | None, error: Exception) -> Exception:
+    def _answer(self, motor: LogicalMotor, run: ActiveMotion | None, error: Exception) -> Exception:
         """React to the failure of a member in `run`. Return the error to be raised."""
         if self._motion is not None and self._motion.watches(run):
             return self._motion.failed(motor, error)
@@ -646,10 +633,10 @@ class MotorGroup(DeviceGroup[Motor]):
             stop_others(self._members(), motor, error)
         return error
 
-    def _members(self) -> tuple[Motor, ...]:
+    def _members(self) -> tuple[LogicalMotor, ...]:
         if not len(self):
             raise UsageError("the group is empty: append a motor first")
-        return tuple(self)
+        return tuple(motor.logical for motor in self)
 
     def _every(self, method: Callable[[Motor], None]) -> None:
         first: MotorError | None = None

@@ -34,29 +34,83 @@ brought to rest by `_stop`, `_refresh` and `_is_done` before its next owner comm
 """
 
 from abc import ABC, abstractmethod
-from typing import final
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+from typing import Any, Protocol, final
 
 from motorhil.motorapi.commands import ControlMode, ControlVariable, Setpoint
 from motorhil.motorapi.device import Device
-from motorhil.motorapi.errors import UnsupportedError
+from motorhil.motorapi.errors import MotorError, PluginError, UnsupportedError
 from motorhil.motorapi.model import MotorModel
 from motorhil.motorapi.motion import Motion
 from motorhil.motorapi.ownership.physical_motor import PhysicalMotor
 from motorhil.motorapi.runtime.api import Runtime
 from motorhil.motorapi.state import Fault, Measurement, MotorState
-from motorhil.motorapi.synchronization.quality import MotionTimes, SyncOffer, Trigger
+from motorhil.motorapi.synchronization.offer import SyncOffer, Trigger
+from motorhil.motorapi.synchronization.quality import MotionTimes
 from motorhil.motorapi.trajectory import ComplexTrajectory, Trajectory
 
 
-class MotorHooks(Device, ABC):
-    """The vendor's side of a motor; the application's side is `motorhil.motorapi.motor.Motor`.
+class ArmHook(Protocol):
+    """The type of `MotorHooks._arm`."""
 
-    Args:
-        name: name in messages and recordings.
-        model: constant properties of the motor, shared between copies.
-        runtime: the runtime in which it waits.
-        physical: the record that `register_physical_motor` returned for its hardware object.
+    def __call__(self, motion: Motion, *, together: bool) -> Trigger:
+        """See `MotorHooks._arm`."""
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Hooks:
+    """The hooks of one motor, as the interface calls them; `MotorHooks` documents each.
+
+    An exception of a hook that is not a `MotorError` becomes a `PluginError`.
     """
+
+    plugin: str
+    supports: Callable[[ControlMode, ControlVariable], bool]
+    check_command: Callable[[ControlVariable, Setpoint | Trajectory], None]
+    sync_offer: Callable[[], SyncOffer]
+    quantise: Callable[[Motion], Motion]
+    connect: Callable[[], None]
+    read_state: Callable[[], MotorState]
+    read_fault: Callable[[], Fault | None]
+    read_referenced: Callable[[], bool]
+    read_position: Callable[[], float]
+    read_velocity: Callable[[], float]
+    read_reference: Callable[[], float]
+    read_torque: Callable[[], float]
+    read_following_error: Callable[[], float]
+    latest: Callable[[], Measurement | None]
+    position_source: Callable[[], str]
+    refresh: Callable[[], float | None]
+    enable: Callable[[], None]
+    disable: Callable[[], None]
+    reset_fault: Callable[[], None]
+    home: Callable[[int | None], None]
+    arm: ArmHook
+    disarm: Callable[[], None]
+    confirm: Callable[[Motion], None]
+    is_done: Callable[[], bool]
+    stop: Callable[[], None]
+    stop_with_others: Callable[[], Trigger | None]
+    quick_stop: Callable[[], None]
+    halt: Callable[[], None]
+    motion_times: Callable[[], MotionTimes | None]
+    open_low_level: Callable[[], object]
+    close_low_level: Callable[[], None]
+
+    def fire(self, trigger: Trigger) -> None:
+        """Fire a trigger that one of the hooks returned."""
+        try:
+            trigger.fire()
+        except MotorError:
+            raise
+        except Exception as error:
+            raise PluginError(plugin=self.plugin, where="fire", problem=repr(error)) from error
+
+
+class MotorHooks(Device, ABC):
+    """The vendor's side of a motor; the application's side is `motorhil.motorapi.motor.Motor`."""
 
     def __init__(
         self, *, name: str, model: MotorModel, runtime: Runtime, physical: PhysicalMotor
@@ -293,3 +347,25 @@ class MotorHooks(Device, ABC):
 
         Must neither wait nor send.
         """
+
+    # ---- for the rest of the interface ----
+
+    @final
+    def _all_hooks(self) -> Hooks:
+        """Return all hooks, guarded; each field of `Hooks` has the name of its hook."""
+        names = [field.name for field in fields(Hooks)]
+        return Hooks(type(self).__qualname__, *(self._guarded(f"_{name}") for name in names[1:]))
+
+    def _guarded(self, name: str) -> Any:
+        """Return a call of the hook, which is looked up by its name each time."""
+
+        def call(*args: Any, **kwargs: Any) -> Any:
+            try:
+                return getattr(self, name)(*args, **kwargs)
+            except MotorError:
+                raise
+            except Exception as error:
+                plugin = type(self).__qualname__
+                raise PluginError(plugin=plugin, where=name, problem=repr(error)) from error
+
+        return call

@@ -1,12 +1,11 @@
 """Trajectories as immutable values: the request, without its generation.
 
-Source: the paper, 3.3.1. A *simple* trajectory states boundary conditions and limits only; a
-*complex* one gives the value of the control variable for every argument. U is the unit of the
-control variable: rad or m for position, rad/s or m/s for velocity.
+A *simple* trajectory states boundary conditions and limits only; a *complex* one gives the value of
+the control variable for every argument. "The argument typically is a value of time, but can be
+another quantity", as the position of another motor. U is the unit of the control variable: rad or m
+for position, rad/s or m/s for velocity.
 
-Trajectory arguments other than time.
-
-Source: the paper, 3.3.1: "The argument typically is a value of time, but can be another quantity."
+Source: the paper, 3.3.1.
 """
 
 from dataclasses import dataclass, field
@@ -183,7 +182,7 @@ class ComplexTrajectory:
         domain = getattr(self.function, "domain", None)
         if not isinstance(domain, tuple) or not callable(getattr(self.function, "extrema", None)):
             raise UsageError(
-                f"ComplexTrajectory: {self.function!r} is not a motorapi.functions.Function"
+                f"ComplexTrajectory: {self.function!r} is not a function (see motorapi.functions)"
             )
         if not isinstance(self.relative, bool):
             raise UsageError(

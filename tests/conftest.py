@@ -32,11 +32,15 @@ def pytest_configure() -> None:
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Order tests for several workers (`make test`): long or waiting ones first, by file.
+    """Leave repetition to `make nightly`, and order tests for the workers of `make test`.
 
     The compiled build and its tests come first, then wall-time tests: while they wait, the other
     workers work.
     """
+    if os.environ.get("MOTORHIL_HYPOTHESIS") != "nightly":
+        repeated = [item for item in items if item.get_closest_marker("nightly")]
+        config.hook.pytest_deselected(items=repeated)
+        items[:] = [item for item in items if not item.get_closest_marker("nightly")]
     if not hasattr(config, "workerinput"):
         return
     first = {"compiled": 0, "wall": 1, "vcan": 1}

@@ -1,6 +1,6 @@
-"""Digest of a recording, which depends only on its messages.
+"""Digest of a recording, and the first difference between two recordings.
 
-First difference between two recordings, message by message.
+Both depend only on the messages: on topic, log time and payload, in the order written.
 """
 
 import hashlib

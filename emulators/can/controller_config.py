@@ -1,13 +1,10 @@
-"""Configuration of a node's CAN controller, independent of the device behind it.
-
-Effect of clock errors on sampling: the first misread bit.
+"""Configuration of a node's CAN controller, and its clock's effect on sampling.
 
 A receiver starts its bit times with the edge of the start of frame. From then on it only corrects
 them: at each recessive to dominant edge by its phase error, at most the synchronisation jump width.
 Between edges it drifts by the difference of the two clocks. The receiver misreads a bit once its
 sample point has left that bit. Stuffing guarantees an edge every ten bits. Below some clock
-difference no frame
-is misread: `tolerance_1e12`.
+difference no frame is misread: `tolerance_1e12`.
 
 The computation uses whole numbers with a bit time of ONE. Real controllers see edges only in steps
 of a time quantum, and cables have delays. Both are left out, so take the result as a margin, not as

@@ -22,8 +22,6 @@ Faults are modelled by their effect on a receiver, in CAN's own terms where thes
 - BABBLE: the sender named sends one frame again and again, whenever it may.
 - SHORT: the wire is stuck at one level. On a split bus this is the part with any of the ports, by
   default the part that all others have left.
-
-Random inversion of bits: the distances between inverted bits.
 """
 
 from collections.abc import Callable, Sequence
@@ -36,6 +34,8 @@ from motorhil.emulators.media.serial_faults import wrong_condition
 
 DATA_MAX: Final = 8
 RATE_MAX: Final = 0.1  # above this, error frames seldom end
+
+_DOUBLINGS: Final = 48  # distances up to 2**48 bits, beyond the life of a bus
 
 
 class FaultKind(Enum):
@@ -196,9 +196,6 @@ class FaultRule:
             and (self.identifier is None or not (can_id ^ self.identifier) & self.mask)
             and (self.sender is None or self.sender == sender)
         )
-
-
-_DOUBLINGS: Final = 48  # distances up to 2**48 bits, beyond the life of a bus
 
 
 @final

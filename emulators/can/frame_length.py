@@ -67,6 +67,15 @@ _FRAMES_KEPT: Final = 8192  # likewise; bounds memory to 2 MB
 # the states overflow into the counts.
 _STATE: Final = 0x700
 
+# The first five bytes of a frame -> (key << KEY_SHIFT | bits without stuffing, end of the data in
+# the frame, CRC register, stuffing state, stuff bits << 16).
+_headers: Final[dict[bytes, tuple[int, int, int, int, int]]] = {}
+# The first six bytes of an FD frame -> (key << KEY_SHIFT | lengths without stuff bits of the data,
+# end of the data, stuffing state).
+_fd_headers: Final[dict[bytes, tuple[int, int, int]]] = {}
+# Results of `measure` by whole frame: heartbeats, requests and unchanged status repeat.
+_frames: Final[dict[bytes, int]] = {}
+
 
 def _stuff_table(width: int) -> list[int]:
     """Return the stuffing table, by state << width | value with the most significant bit first."""
@@ -113,15 +122,6 @@ _STUFF: Final = _stuff_table(8)
 _STUFF_7: Final = _stuff_table(7)
 _LAST: Final = _last_table()
 _CRC: Final = _crc_table()
-
-# The first five bytes of a frame -> (key << KEY_SHIFT | bits without stuffing, end of the data in
-# the frame, CRC register, stuffing state, stuff bits << 16).
-_headers: Final[dict[bytes, tuple[int, int, int, int, int]]] = {}
-# The first six bytes of an FD frame -> (key << KEY_SHIFT | lengths without stuff bits of the data,
-# end of the data, stuffing state).
-_fd_headers: Final[dict[bytes, tuple[int, int, int]]] = {}
-# Results of `measure` by whole frame: heartbeats, requests and unchanged status repeat.
-_frames: Final[dict[bytes, int]] = {}
 
 
 def length_bits(frame: bytes) -> int:

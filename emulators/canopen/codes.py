@@ -1,10 +1,12 @@
-"""SDO abort codes (CiA 301, SDO abort transfer protocol).
-
-COB-IDs (CiA 301, 7.3.5): the identifiers allowed for communication objects.
-"""
+"""SDO abort codes and COB-IDs (CiA 301, SDO abort transfer protocol and 7.3.5)."""
 
 from enum import IntEnum, unique
 from typing import Final, final
+
+OK: Final = 0
+
+INVALID: Final = 1 << 31  # the communication object does not exist
+UPPER_BITS: Final = 0x3FFF_F800  # the 29-bit frame flag and the bits of 29-bit identifiers only
 
 
 @final
@@ -40,13 +42,6 @@ class AbortCode(IntEnum):
     NOT_STORED_LOCAL_CONTROL = 0x0800_0021
     NOT_STORED_DEVICE_STATE = 0x0800_0022
     NO_DATA = 0x0800_0024
-
-
-OK: Final = 0
-
-
-INVALID: Final = 1 << 31  # the communication object does not exist
-UPPER_BITS: Final = 0x3FFF_F800  # the 29-bit frame flag and the bits of 29-bit identifiers only
 
 
 def is_restricted(identifier: int) -> bool:

@@ -8,12 +8,11 @@ The history is 1003h.
 Two EMCYs are separated by at least the inhibit time (1015h, in 100 us); waiting ones are sent in
 order. At most `WAITING_MAX` wait; older ones are dropped and reported as an event.
 
-CAN controller state of a node, and its effects by CiA 301.
-
-Error passive is an error as long as it lasts (EMCY 8120h). Bus-off is a communication error like a
-lost heartbeat. 1029h:1 gives the NMT state that it leads to. The device around the node decides on
-other effects (6007h). A bus-off node cannot send, so it reports the bus-off after recovery (EMCY
-8140h). The node does not boot then: its configuration stays.
+The state of the CAN controller has these effects. Error passive is an error as long as it lasts
+(EMCY 8120h). Bus-off is a communication error like a lost heartbeat. 1029h:1 gives the NMT state
+that it leads to. The device around the node decides on other effects (6007h). A bus-off node cannot
+send, so it reports the bus-off after recovery (EMCY 8140h). The node does not boot then: its
+configuration stays.
 
 Frames that waited for the bus at bus-off are lost. New frames wait as in the mailboxes of a CAN
 controller, one for each identifier: newer data replace older data. Emergencies are all kept.
@@ -55,6 +54,13 @@ _COMMUNICATION: Final = 0x10
 _RESERVED: Final = 1 << 30  # of 1014h
 _VENDOR_BYTES: Final = 5
 _LONG_AGO: Final = -NEVER
+
+ERROR_PASSIVE: Final = 0x8120
+BUS_OFF_RECOVERED: Final = 0x8140
+
+_EMCY_FUNCTION: Final = 0x080
+_PASSIVE: Final = e.RX_PASSIVE | e.TX_PASSIVE
+_ACTIVE: Final = e.ERROR_ACTIVE | e.RX_WARNING | e.TX_WARNING
 
 
 class ChangeListener(Protocol):
@@ -230,14 +236,6 @@ class EmcyProducer:
             if variable is not None:
                 variable.value = value
         count.value = held
-
-
-ERROR_PASSIVE: Final = 0x8120
-BUS_OFF_RECOVERED: Final = 0x8140
-
-_EMCY_FUNCTION: Final = 0x080
-_PASSIVE: Final = e.RX_PASSIVE | e.TX_PASSIVE
-_ACTIVE: Final = e.ERROR_ACTIVE | e.RX_WARNING | e.TX_WARNING
 
 
 @final

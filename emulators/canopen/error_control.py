@@ -3,14 +3,11 @@
 The node applies the effect of a loss on the NMT state (1029h). Its host applies the effect on the
 device.
 
-Heartbeat (CiA 301, 7.2.8.2.2): producer (1017h) and consumer (1016h).
-
-Node guarding and life guarding (CiA 301, 7.2.8.2.1), the older monitoring protocol.
-
-The NMT master polls each node by a remote frame. The node answers with its NMT state and a toggle
-bit. The node in turn detects the loss of the polling: after 100Ch times 100Dh, beginning with the
-first poll. A node with a heartbeat (1017h) is not guarded, because a node may use only one of the
-two.
+Heartbeat (CiA 301, 7.2.8.2.2) has a producer (1017h) and a consumer (1016h). Node guarding and life
+guarding (CiA 301, 7.2.8.2.1) are the older protocol. The NMT master polls each node by a remote
+frame. The node answers with its NMT state and a toggle bit. The node in turn detects the loss of
+the polling: after 100Ch times 100Dh, beginning with the first poll. A node with a heartbeat (1017h)
+is not guarded, because a node may use only one of the two.
 """
 
 from typing import Final, final
@@ -22,6 +19,10 @@ from motorhil.emulators.canopen.object_dictionary import ObjectDictionary
 from motorhil.emulators.canopen.outbox import MS, NEVER, Outbox
 
 _ERROR_CONTROL: Final = 0x700
+
+_TOGGLE: Final = 0x80
+
+NOBODY: Final = 0  # stands for the unknown master that guards this node
 
 
 @final
@@ -165,9 +166,6 @@ class _EntryCheck:
         return 0
 
 
-_TOGGLE: Final = 0x80
-
-
 @final
 class NodeGuarding:
     """The slave side of guarding.
@@ -231,9 +229,6 @@ class NodeGuarding:
     def _move(self, deadline_ns: int) -> None:
         self.deadline_ns = deadline_ns
         self._outbox.deadlines_moved = True
-
-
-NOBODY: Final = 0  # stands for the unknown master that guards this node
 
 
 @final

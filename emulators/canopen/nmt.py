@@ -4,13 +4,20 @@ INITIALISING passes into PRE-OPERATIONAL by itself, with the boot-up message. Th
 to it. Services by state (CiA 301, table 38): SDO, SYNC and EMCY in PRE-OPERATIONAL and OPERATIONAL,
 PDOs in OPERATIONAL only, NMT and error control in all but INITIALISING.
 
-Error behaviour (CiA 301, 1029h): effects of errors on the NMT state.
+1029h, error behaviour, states the effects of errors on the NMT state.
 """
 
 from enum import IntEnum, unique
 from typing import Final, final
 
 from motorhil.emulators.canopen.object_dictionary import ObjectDictionary
+
+COMMUNICATION: Final = 1  # sub-index: bus-off, a lost heartbeat, a lost guard
+DEVICE: Final = 2
+
+_PRE_OPERATIONAL: Final = 0
+_NO_CHANGE: Final = 1
+_STOPPED: Final = 2
 
 
 @final
@@ -59,14 +66,6 @@ def commanded(frame: bytes, node_id: int) -> int:
     if frame[4] != 2 or frame[9] not in (0, node_id):
         return 0
     return frame[8]
-
-
-COMMUNICATION: Final = 1  # sub-index: bus-off, a lost heartbeat, a lost guard
-DEVICE: Final = 2
-
-_PRE_OPERATIONAL: Final = 0
-_NO_CHANGE: Final = 1
-_STOPPED: Final = 2
 
 
 def state_after(od: ObjectDictionary, kind: int, state: int) -> int:

@@ -11,8 +11,6 @@ again, so the dictionary is the only place of a setting.
 Frames are dispatched by one look-up in a dict, keyed by the four identifier bytes. The dict holds
 only what the present NMT state accepts, so the parts need not check the state. Remote frames and
 29-bit identifiers have no entry, except remote frames that guard this node or request its TPDOs.
-
-Dispatching of frames: handlers by identifier, and the identifiers of a node.
 """
 
 from collections.abc import Callable, Sequence
@@ -41,6 +39,8 @@ from motorhil.emulators.canopen.sync import SyncService, TimeConsumer
 from motorhil.emulators.controller import NonvolatileMemory, RigMemory
 
 Handler = Callable[[bytes, int], None]
+
+_ERROR_BYTE: Final = ERR_FLAG >> 24
 
 
 @final
@@ -83,9 +83,6 @@ class _Both:
     def receive(self, frame: bytes, now_ns: int) -> None:
         self._first(frame, now_ns)
         self._second(frame, now_ns)
-
-
-_ERROR_BYTE: Final = ERR_FLAG >> 24
 
 
 @final

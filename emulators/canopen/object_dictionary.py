@@ -5,9 +5,7 @@ A `Variable` is one sub-index. Values are Python ints (BOOLEAN, INTEGERn, UNSIGN
 ones are two's complement. The device behind the dictionary attaches two callbacks: a `reader`
 returns a current value, a `writer` accepts or refuses a new value.
 
-Access of a client to the object dictionary, with abort codes.
-
-The SDO server uses it. Other services that access a dictionary may use it as well.
+`DictionaryAccess` is the access of a client, with abort codes. The SDO server uses it.
 """
 
 import struct
@@ -21,6 +19,8 @@ from motorhil.emulators.canopen.outbox import NodeHost
 Value = int | float | bytes
 Reader = Callable[[], int]
 Writer = Callable[[int], int]
+
+_ACCESS: Final = ("ro", "wo", "rw", "rwr", "rww", "const")
 
 
 @final
@@ -96,7 +96,6 @@ STRUCT_FORMAT: Final[dict[int, str]] = {
     _D.REAL32: "f",
     _D.REAL64: "d",
 }
-_ACCESS: Final = ("ro", "wo", "rw", "rwr", "rww", "const")
 
 
 def length_bits(data_type: int) -> int:

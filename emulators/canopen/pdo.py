@@ -1,15 +1,11 @@
 """All PDOs of a node (CiA 301, 7.2.2) and their triggers.
 
-Receive PDOs (CiA 301, 7.2.2): processed at once or at SYNC.
-
 An RPDO of type 0..240 becomes active at the next SYNC: its frame is kept and unpacked then. A short
 frame is ignored; of a long one the mapped bytes count. Both are errors (EMCY 8210h, 8220h) until a
 frame of the right length arrives.
 
 With an event timer (140Xh:5) an RPDO must arrive again before the timer expires. The first RPDO
 starts the timer. A missing RPDO is an error (EMCY 8250h) until the next one.
-
-Transmit PDOs (CiA 301, 7.2.2): sent on SYNC, event, timer and request.
 
 A TPDO of type 1..240 is sampled at every n-th SYNC, of type 0 at the SYNC after an event. Types 254
 and 255 are sent at an event, at most once per inhibit time and at least once per event timer. A
@@ -43,6 +39,11 @@ from motorhil.emulators.canopen.pdo_parameters import NO_REMOTE, PdoParameters
 from motorhil.emulators.canopen.sync import SyncService, SyncWindow
 
 LAST_SYNCHRONOUS: Final = 240
+
+SAMPLED_ON_REQUEST: Final = 252
+
+_LONG_AGO: Final = -NEVER
+_WAITS: Final = -NEVER  # an unreachable number of SYNCs: it waits for its start value
 
 
 @final
@@ -142,12 +143,6 @@ class Rpdo:
         if self.deadline_ns != NEVER:
             self.deadline_ns = NEVER
             self._outbox.deadlines_moved = True
-
-
-SAMPLED_ON_REQUEST: Final = 252
-
-_LONG_AGO: Final = -NEVER
-_WAITS: Final = -NEVER  # an unreachable number of SYNCs: it waits for its start value
 
 
 @final

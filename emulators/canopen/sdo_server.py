@@ -6,14 +6,11 @@ no command. If the client is silent for `TIMEOUT_NS` during a transfer, the serv
 0000h). Every response is sent `reply_ns` after its request. Values are read and written at the time
 of the request.
 
-SDO block transfer (CiA 301, 7.2.4.3.9 to 7.2.4.3.15): data and CRC.
-
-A block has up to 127 segments of 7 bytes, numbered from 1, and is confirmed as a whole. The
-receiver reports the last number that arrived in sequence, and the size of the next block. Segments
-behind a gap are sent again. The last segment carries a flag. The end message has the number of its
-valid bytes, and the CRC of all data if both sides support it.
-
-This module has the state of a transfer only; `SdoServer` handles requests and responses.
+Block transfer (CiA 301, 7.2.4.3.9 to 7.2.4.3.15): a block has up to 127 segments of 7 bytes,
+numbered from 1, and is confirmed as a whole. The receiver reports the last number that arrived in
+sequence, and the size of the next block. Segments behind a gap are sent again. The last segment
+carries a flag. The end message has the number of its valid bytes, and the CRC of all data if both
+sides support it.
 """
 
 from collections import deque
@@ -29,6 +26,38 @@ BLOCK_MAX: Final = 127
 
 _LAST: Final = 0x80
 _POLYNOMIAL: Final = 0x1021
+
+MAX_DOWNLOAD_BYTES: Final = 1 << 20
+TIMEOUT_NS: Final = 1_000 * MS  # as in CANopenNode; CiA 301 does not define a time
+
+_BLOCK_RESPONSE: Final = Struct("<IB3xBBB5s")
+_RESPONSE: Final = Struct("<IB3xBHB4s")  # an SDO frame with command, index, sub-index and 4 bytes
+_SEGMENT: Final = Struct("<IB3xB7s")
+
+# Client command specifiers, bits 7..5 of the command byte
+_DOWNLOAD_SEGMENT: Final = 0
+_DOWNLOAD: Final = 1
+_UPLOAD: Final = 2
+_UPLOAD_SEGMENT: Final = 3
+_ABORT: Final = 4
+_BLOCK_UPLOAD: Final = 5
+_BLOCK_DOWNLOAD: Final = 6
+
+_BLOCK_SEGMENTS: Final = 8  # a state, not a specifier: frames of a block download
+
+# Client subcommands of block transfers, and flags of their content. The expected subcommand of a
+# block upload, added to _BLOCK_UPLOADS, is a state.
+_BLOCK_UPLOADS: Final = 16
+_END: Final = 1
+_CONFIRM: Final = 2
+_START: Final = 3
+_HAS_CRC: Final = 4
+_HAS_SIZE: Final = 2
+
+_IDLE: Final = -1
+
+_TOGGLE: Final = 0x10
+_ABORTED: Final = 0x80
 
 
 def _table() -> list[int]:
@@ -149,39 +178,6 @@ class BlockUpload:
         return -len(self._data) % SEGMENT_BYTES if self._data else SEGMENT_BYTES, (
             block_crc(self._data) if self._has_crc else 0
         )
-
-
-MAX_DOWNLOAD_BYTES: Final = 1 << 20
-TIMEOUT_NS: Final = 1_000 * MS  # as in CANopenNode; CiA 301 does not define a time
-
-_BLOCK_RESPONSE: Final = Struct("<IB3xBBB5s")
-_RESPONSE: Final = Struct("<IB3xBHB4s")  # an SDO frame with command, index, sub-index and 4 bytes
-_SEGMENT: Final = Struct("<IB3xB7s")
-
-# Client command specifiers, bits 7..5 of the command byte
-_DOWNLOAD_SEGMENT: Final = 0
-_DOWNLOAD: Final = 1
-_UPLOAD: Final = 2
-_UPLOAD_SEGMENT: Final = 3
-_ABORT: Final = 4
-_BLOCK_UPLOAD: Final = 5
-_BLOCK_DOWNLOAD: Final = 6
-
-_BLOCK_SEGMENTS: Final = 8  # a state, not a specifier: frames of a block download
-
-# Client subcommands of block transfers, and flags of their content. The expected subcommand of a
-# block upload, added to _BLOCK_UPLOADS, is a state.
-_BLOCK_UPLOADS: Final = 16
-_END: Final = 1
-_CONFIRM: Final = 2
-_START: Final = 3
-_HAS_CRC: Final = 4
-_HAS_SIZE: Final = 2
-
-_IDLE: Final = -1
-
-_TOGGLE: Final = 0x10
-_ABORTED: Final = 0x80
 
 
 def sdo_can_id(od: ObjectDictionary, subindex: int, default: int) -> int:

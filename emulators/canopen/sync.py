@@ -1,4 +1,4 @@
-"""SYNC (CiA 301, 7.2.5): identifier, counter, window and producer.
+"""SYNC (CiA 301, 7.2.5) and TIME (7.2.6) of a node.
 
 Without 1005h the identifier is 080h. A SYNC has a counter exactly if 1019h is not 0. A SYNC of
 another length is ignored and an error (EMCY 8240h) until a correct one arrives. The counter runs
@@ -13,13 +13,11 @@ With bit 30 of 1005h the node sends SYNC itself, every 1006h microseconds, in PR
 OPERATIONAL. The first one follows after one period. Its own PDOs are processed at the instant of
 sending.
 
-Source: CiA 301, 7.5.2.5 to 7.5.2.7 and 7.5.2.22; refusals as in CANopenNode (301/CO_SYNC.c).
-
-TIME consumer (CiA 301, 7.2.6): the time of day from the bus.
-
 With bit 31 of 1012h the node listens. TIME carries TIME_OF_DAY: milliseconds since midnight in 28
 bits, four unused bits, days since 1 January 1984 in 16. A TIME of another length is ignored. The
 last time can be read if the file has an object for it (ours: 2012h). The node does not send TIME.
+
+Source: CiA 301, 7.5.2.5 to 7.5.2.7 and 7.5.2.22; refusals as in CANopenNode (301/CO_SYNC.c).
 """
 
 from typing import Final, final
@@ -34,6 +32,14 @@ COUNTER_MAX: Final = 240
 
 _GENERATE: Final = 1 << 30
 _PERIOD_MIN_US: Final = 100  # drives do not send SYNC more often; it would fill the bus
+
+TIME_OF_DAY: Final = 0x2012
+
+_CONSUME: Final = 1 << 31
+_PRODUCE: Final = 1 << 30
+_LENGTH: Final = 6
+_DAY_MS: Final = 86_400_000
+_STEP_MS: Final = 100  # smaller deviations from the own clock do not cause an event
 
 
 @final
@@ -163,15 +169,6 @@ class SyncService:
             self._period_ns = self._od.integer(0x1006, 0, 0) * US
         self.deadline_ns = now_ns + self._period_ns if self._period_ns else NEVER
         self._outbox.deadlines_moved = True
-
-
-TIME_OF_DAY: Final = 0x2012
-
-_CONSUME: Final = 1 << 31
-_PRODUCE: Final = 1 << 30
-_LENGTH: Final = 6
-_DAY_MS: Final = 86_400_000
-_STEP_MS: Final = 100  # smaller deviations from the own clock do not cause an event
 
 
 @final

@@ -5,16 +5,14 @@ the counters are sampled for the TPDOs of the same SYNC. If the host is lost (he
 reset of communication), the outputs take their error values and keep them until they are written
 again.
 
-Objects of an I/O node: outputs, inputs and counters.
-
-| object     | what                                                                          |
-| ---------- | ----------------------------------------------------------------------------- |
-| 6411h:c    | analogue output of channel c, INTEGER16, +-10 V left-adjusted                   |
-| 6443h, 6444h | its reaction when the host is lost: 0 nothing, 1 takes this value             |
-| 6200h:1    | digital outputs; bit c - 1 enables the amplifier of channel c                   |
-| 6206h, 6207h | their reaction when the host is lost: bits that take a value, and which       |
-| 6000h:1    | digital inputs; bits 2c - 2 and 2c - 1 are *ready* and *fault* of channel c      |
-| 6820h:c    | encoder counter of channel c, INTEGER32, wraps around; 6810h:c sets it           |
+| object       | content                                                                     |
+| ------------ | --------------------------------------------------------------------------- |
+| 6411h:c      | analogue output of channel c, INTEGER16, +-10 V left-adjusted               |
+| 6443h, 6444h | its reaction when the host is lost: 0 nothing, 1 takes this value           |
+| 6200h:1      | digital outputs; bit c - 1 enables the amplifier of channel c               |
+| 6206h, 6207h | their reaction when the host is lost: bits that take a value, and which     |
+| 6000h:1      | digital inputs; bits 2c - 2 and 2c - 1 are *ready* and *fault* of channel c |
+| 6820h:c      | encoder counter of channel c, INTEGER32, wraps around; 6810h:c sets it      |
 
 CiA 401 has no position counter. Encoders are CiA 406, and a device of two profiles has the objects
 of the second one 800h further on (CiA 301, multiple device modules: 1000h is FFFFh, 67FFh and 6FFFh
@@ -22,8 +20,6 @@ have the two device types). A counter is therefore 6020h + 800h, "position value
 devices", and its preset 6010h + 800h. Field bus couplers with counter modules use the same objects
 (Turck BL20 among them), so other programs know them. The speed value of CiA 406 is left out: its 16
 bits contain less than two counts of 32.
-
-Factory of I/O nodes: entry point `motorhil.controllers`, name `cia401`.
 """
 
 from collections.abc import Mapping, Sequence
@@ -64,6 +60,10 @@ _ERROR_MODE_8: Final = 0x6206
 _ERROR_VALUE_8: Final = 0x6207
 _ERROR_MODE: Final = 0x6443
 _ERROR_VALUE: Final = 0x6444
+_BY_CHANNEL: Final = (ANALOGUE_OUTPUT, _ERROR_MODE, _ERROR_VALUE, PRESET, POSITION)
+_INDISPENSABLE: Final = ((INPUTS, 1), (OUTPUTS, 1), (ANALOGUE_OUTPUT, 1), (POSITION, 1))
+_INVALID: Final = 1 << 31
+_PREFIX: Final = ("", "channel_2_", "channel_3_", "channel_4_")  # of stimuli and truth, by channel
 _D = DataType
 
 
@@ -141,9 +141,6 @@ class _Preset:
         self._objects.presets[self._place] = value
         self._objects.is_written = True
         return OK
-
-
-_PREFIX: Final = ("", "channel_2_", "channel_3_", "channel_4_")
 
 
 @final
@@ -347,11 +344,6 @@ class IoNode:
 
     def _prefixes(self) -> tuple[str, ...]:
         return _PREFIX[: len(self.channels)]
-
-
-_BY_CHANNEL: Final = (ANALOGUE_OUTPUT, 0x6443, 0x6444, PRESET, POSITION)
-_INDISPENSABLE: Final = ((0x6000, 1), (0x6200, 1), (ANALOGUE_OUTPUT, 1), (POSITION, 1))
-_INVALID: Final = 1 << 31
 
 
 def build(settings: Mapping[str, object], context: ControllerContext) -> Controller:

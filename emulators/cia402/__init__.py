@@ -1,1 +1,1 @@
-"""CiA 402 drive: power state machine, modes and objects over a CANopen node."""
+"""CiA 402 drive: power state machine, modes and objects."""

@@ -1,20 +1,16 @@
-"""A CiA 402 drive: one CANopen node, one power drive, one axis; sans-I/O.
+"""A CiA 402 drive: CANopen node, power drive and axis; sans-I/O.
 
 The drive updates itself on input, when the node has work to do, and at the exact tick at which the
 axis' flags change. In between, and at rest, it costs nothing.
 
-Construction of a drive from its rig table (`motorhil.controllers` entry point `cia402`).
+`build` makes a drive of its rig table (`motorhil.controllers` entry point `cia402`). Actual values
+have readers, bound to the objects in the EDS. Every reader returns the value at the last `axis.at`.
 
-Readers of actual values, bound to the objects in the EDS.
-
-Every reader returns the value at the last `axis.at`.
-
-Protective functions of the drive: inputs that switch the torque off.
-
-The axis reports winding temperature, I2t and DC link in its flags, at the exact tick, and the power
-drive evaluates them. All other conditions are stimuli. An input keeps its value until it is
-changed, and the fault that it caused cannot be reset meanwhile. `sto` switches the torque off
-without the firmware; the vendor decides if that is a fault (table `protection`).
+Protective functions switch the torque off. The axis reports winding temperature, I2t and DC link in
+its flags, at the exact tick, and the power drive evaluates them. All other conditions are stimuli.
+An input keeps its value until it is changed, and the fault that it caused cannot be reset
+meanwhile. `sto` switches the torque off without the firmware; the vendor decides if that is a fault
+(table `protection`).
 
 A lost incremental encoder stops counting. The position that a host reads then stays constant,
 whatever the motor does. Once the encoder is back it counts on from there, and the drive's reference
@@ -77,6 +73,43 @@ from motorhil.emulators.firmware.digital_inputs import DigitalInputs
 from motorhil.emulators.plant.dc_motor import RANGES
 from motorhil.emulators.settings.motor import axis_of
 from motorhil.emulators.settings.protection import TEMPERATURE_RANGE_C, ProtectionSettings
+
+# Inputs whose value 1 is the cause of a fault.
+CAUSES: Final[dict[str, int]] = {
+    "short_circuit": SHORT_CIRCUIT,
+    "mains_over_voltage": MAINS_OVER_VOLTAGE,
+    "mains_under_voltage": MAINS_UNDER_VOLTAGE,
+}
+_SWITCHES: Final = ("sto", "encoder", *CAUSES, "error_passive", "bus_off")
+PROTECTION_STIMULI: Final = (*_SWITCHES, "device_temperature_c", "supply_v")
+
+# Objects derived from the encoder.
+_POSITIONS: Final = (0x6063, 0x6064)
+_VELOCITIES: Final = (0x6069, 0x606C, 0x60F4)
+
+STIMULI: Final = (
+    *("load_torque_n_m", "fault", "power"),
+    *PROTECTION_STIMULI,
+    *INPUT_STIMULI,
+)
+
+_ABSENT: Final = -(1 << 70)
+
+# Communication objects that a rig can configure although the EDS lacks them.
+_COMMUNICATION: Final[dict[tuple[int, int], DataType]] = {
+    (0x1005, 0): DataType.UNSIGNED32,
+    (0x1006, 0): DataType.UNSIGNED32,
+    (0x1007, 0): DataType.UNSIGNED32,
+    (0x100C, 0): DataType.UNSIGNED16,
+    (0x100D, 0): DataType.UNSIGNED8,
+    (0x1014, 0): DataType.UNSIGNED32,
+    (0x1015, 0): DataType.UNSIGNED16,
+    (0x1016, 1): DataType.UNSIGNED32,
+    (0x1017, 0): DataType.UNSIGNED16,
+    (0x1019, 0): DataType.UNSIGNED8,
+    (0x1029, 1): DataType.UNSIGNED8,
+    (0x1029, 2): DataType.UNSIGNED8,
+}
 
 
 @final
@@ -180,20 +213,6 @@ class Readings:
 
 def _wrapped(value: int) -> int:
     return (value + 0x8000_0000 & 0xFFFF_FFFF) - 0x8000_0000
-
-
-# Inputs whose value 1 is the cause of a fault.
-CAUSES: Final[dict[str, int]] = {
-    "short_circuit": SHORT_CIRCUIT,
-    "mains_over_voltage": MAINS_OVER_VOLTAGE,
-    "mains_under_voltage": MAINS_UNDER_VOLTAGE,
-}
-_SWITCHES: Final = ("sto", "encoder", *CAUSES, "error_passive", "bus_off")
-PROTECTION_STIMULI: Final = (*_SWITCHES, "device_temperature_c", "supply_v")
-
-# Objects derived from the encoder.
-_POSITIONS: Final = (0x6063, 0x6064)
-_VELOCITIES: Final = (0x6069, 0x606C, 0x60F4)
 
 
 @final
@@ -339,13 +358,6 @@ class Protection:
             self._power_drive.abort_connection(COMMUNICATION_LOST, now_ns)
         else:
             self._node.can.recover(now_ns)
-
-
-STIMULI: Final = (
-    *("load_torque_n_m", "fault", "power"),
-    *PROTECTION_STIMULI,
-    *INPUT_STIMULI,
-)
 
 
 @final
@@ -671,25 +683,6 @@ class Cia402Drive:
                 motor_ns = event_ns
         self._motor_due_ns = motor_ns
         self._deadline_ns = node_ns if node_ns < motor_ns else motor_ns
-
-
-_ABSENT: Final = -(1 << 70)
-
-# Communication objects that a rig can configure although the EDS lacks them.
-_COMMUNICATION: Final[dict[tuple[int, int], DataType]] = {
-    (0x1005, 0): DataType.UNSIGNED32,
-    (0x1006, 0): DataType.UNSIGNED32,
-    (0x1007, 0): DataType.UNSIGNED32,
-    (0x100C, 0): DataType.UNSIGNED16,
-    (0x100D, 0): DataType.UNSIGNED8,
-    (0x1014, 0): DataType.UNSIGNED32,
-    (0x1015, 0): DataType.UNSIGNED16,
-    (0x1016, 1): DataType.UNSIGNED32,
-    (0x1017, 0): DataType.UNSIGNED16,
-    (0x1019, 0): DataType.UNSIGNED8,
-    (0x1029, 1): DataType.UNSIGNED8,
-    (0x1029, 2): DataType.UNSIGNED8,
-}
 
 
 def build(settings: Mapping[str, object], context: ControllerContext) -> Controller:

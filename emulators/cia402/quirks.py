@@ -1,15 +1,12 @@
-"""Installation of quirks in a drive while it is built.
+"""Quirks: deviations of real drives from the standards, as wrappers.
 
-Deviating profile position modes: wrappers around `ProfilePosition`.
+Deviating profile position modes are wrappers around `ProfilePosition`. Each passes everything on
+except its own deviation, so wrappers can be nested. A drive without quirks has none of them. The
+catalogue in `settings` lists their sources.
 
-Each wrapper passes everything on except its own deviation, so wrappers can be nested. A drive
-without quirks has none of them. The quirk catalogue lists their sources.
-
-Deviations of real drives on the wire: a wrapper around the drive.
-
-Outgoing frames are delayed or altered, and incoming frames ignored, by their function codes,
-whatever the node-ID from LSS. The drive does not know about it. A drive without such quirks needs
-no wrapper. The quirk catalogue lists the sources.
+Deviations on the wire are a wrapper around the drive. Outgoing frames are delayed or altered, and
+incoming frames ignored, by their function codes, whatever the node-ID from LSS. The drive does not
+know about it. A drive without such quirks needs no wrapper.
 """
 
 import hashlib
@@ -27,6 +24,13 @@ from motorhil.emulators.cia402.settings import EMULATED_MODES, Quirks, parameter
 from motorhil.emulators.cia402.state_machine import CW_HALT, SET_POINT_ACKNOWLEDGE, TARGET_REACHED
 from motorhil.emulators.controller import Controller
 from motorhil.emulators.firmware.digital_inputs import Edge
+
+_EMCY: Final = 0x080
+_SDO_RESPONSE: Final = 0x580
+_SDO_REQUEST: Final = 0x600
+_ERROR_CONTROL: Final = 0x700
+_SYNC: Final = (0x080).to_bytes(4, "little")
+_STRAY_EMCY: Final = (0x081).to_bytes(4, "little")
 
 
 class Around(Mode):
@@ -162,14 +166,6 @@ class StaleTargetReached(Around):
         """Return the bits with bit 10, stale or not."""
         bits = self.inner.status_bits()
         return bits if self._until_ns == NEVER else bits | TARGET_REACHED
-
-
-_EMCY: Final = 0x080
-_SDO_RESPONSE: Final = 0x580
-_SDO_REQUEST: Final = 0x600
-_ERROR_CONTROL: Final = 0x700
-_SYNC: Final = (0x080).to_bytes(4, "little")
-_STRAY_EMCY: Final = (0x081).to_bytes(4, "little")
 
 
 @final

@@ -3,11 +3,9 @@
 A wrong key or value is a `SettingError` that names the keys and the expected value. The reader of
 the file adds file and line.
 
-The rig table `switches` of a drive: positions of switches in the plant.
-
-Quirks: named deviations of real drives from the standards, with their sources.
-
-A rig enables them by name, with the parameters stated here or with its own:
+The table `switches` has the positions of switches in the plant. Quirks are named deviations of real
+drives from the standards, with their sources. A rig enables them by name, with the parameters
+stated here or with its own:
 
   quirks = ["single_set_point_only"]
   quirks = { slow_sdo = { mean_s = 0.02 }, single_set_point_only = true }

@@ -1,10 +1,7 @@
-"""The power drive system's state machine (PDS FSA) of CiA 402-2, as one table.
+"""State machine (PDS FSA) and statusword of CiA 402-2.
 
-Theory of operation
--------------------
-Rule 1: everything that changes the state is in this file, and only `PdsFsa.take` writes it.
-
-Rule 2: the file knows nothing of time, motion or option codes. It returns the transition that a
+Everything that changes the state is in this file, and only `PdsFsa.take` writes it. The file knows
+nothing of time, motion or option codes. It returns the transition that a
 controlword requests. The drive decides when its preconditions are met (the power stage is ready,
 the motor is at rest), and then calls `take`.
 
@@ -26,12 +23,49 @@ and 14 are automatic (power on, initialised, fault, fault reaction finished).
                                                   |8                       |
                                                   v to READY ...           +--16--> OPERATION
                                                                                     ENABLED
-
-The statusword (6041h): the bits of each state, and the other bits.
 """
 
 from enum import IntEnum
 from typing import Final, final
+
+NO_TRANSITION: Final = -1
+
+# Controlword bits (CiA 402-2, object 6040h); 4 to 6 and 9 depend on the mode.
+CW_SWITCH_ON: Final = 0x0001
+CW_ENABLE_VOLTAGE: Final = 0x0002
+CW_QUICK_STOP: Final = 0x0004  # 0 requests a quick stop
+CW_ENABLE_OPERATION: Final = 0x0008
+CW_FAULT_RESET: Final = 0x0080
+CW_HALT: Final = 0x0100
+_COMMAND_BITS: Final = 0x008F
+_ENABLED: Final = 0x000F  # the level of these bits that enables operation, and keeps it enabled
+
+VOLTAGE_ENABLED: Final = 0x0010
+WARNING: Final = 0x0080
+REMOTE: Final = 0x0200  # the controlword is obeyed
+TARGET_REACHED: Final = 0x0400
+INTERNAL_LIMIT_ACTIVE: Final = 0x0800
+MODE_BIT_12: Final = 0x1000
+MODE_BIT_13: Final = 0x2000
+MODE_BITS: Final = TARGET_REACHED | MODE_BIT_12 | MODE_BIT_13
+
+# pp
+SET_POINT_ACKNOWLEDGE: Final = MODE_BIT_12
+FOLLOWING_ERROR: Final = MODE_BIT_13
+# pv
+SPEED_IS_ZERO: Final = MODE_BIT_12
+MAX_SLIPPAGE_ERROR: Final = MODE_BIT_13
+# hm
+HOMING_ATTAINED: Final = MODE_BIT_12
+HOMING_ERROR: Final = MODE_BIT_13
+# ip
+IP_ACTIVE: Final = MODE_BIT_12
+# csp, csv, cst
+FOLLOWS_COMMAND: Final = MODE_BIT_12
+
+# Bits 0 to 3, 5 and 6, in the order of PdsState's numbers. CiA 402-2, table of state coding; bit 5
+# is 0 where the standard leaves it open.
+STATE_BITS: Final[tuple[int, ...]] = (0x00, 0x40, 0x21, 0x23, 0x27, 0x07, 0x0F, 0x08)
 
 
 @final
@@ -105,18 +139,6 @@ ENDS: Final[dict[int, tuple[PdsState | None, PdsState]]] = {
     16: (_S.QUICK_STOP_ACTIVE, _S.OPERATION_ENABLED),
 }
 
-NO_TRANSITION: Final = -1
-
-# Controlword bits (CiA 402-2, object 6040h); 4 to 6 and 9 depend on the mode.
-CW_SWITCH_ON: Final = 0x0001
-CW_ENABLE_VOLTAGE: Final = 0x0002
-CW_QUICK_STOP: Final = 0x0004  # 0 requests a quick stop
-CW_ENABLE_OPERATION: Final = 0x0008
-CW_FAULT_RESET: Final = 0x0080
-CW_HALT: Final = 0x0100
-_COMMAND_BITS: Final = 0x008F
-_ENABLED: Final = 0x000F  # the level of these bits that enables operation, and keeps it enabled
-
 
 def decode_controlword(word: int, previous: int) -> Command | None:
     """Decode the command in a controlword (6040h) after the previous word; None if none."""
@@ -185,34 +207,6 @@ class PdsFsa:
             taken.append(transition)
             transition = self.asked(command)
         return taken
-
-
-VOLTAGE_ENABLED: Final = 0x0010
-WARNING: Final = 0x0080
-REMOTE: Final = 0x0200  # the controlword is obeyed
-TARGET_REACHED: Final = 0x0400
-INTERNAL_LIMIT_ACTIVE: Final = 0x0800
-MODE_BIT_12: Final = 0x1000
-MODE_BIT_13: Final = 0x2000
-MODE_BITS: Final = TARGET_REACHED | MODE_BIT_12 | MODE_BIT_13
-
-# pp
-SET_POINT_ACKNOWLEDGE: Final = MODE_BIT_12
-FOLLOWING_ERROR: Final = MODE_BIT_13
-# pv
-SPEED_IS_ZERO: Final = MODE_BIT_12
-MAX_SLIPPAGE_ERROR: Final = MODE_BIT_13
-# hm
-HOMING_ATTAINED: Final = MODE_BIT_12
-HOMING_ERROR: Final = MODE_BIT_13
-# ip
-IP_ACTIVE: Final = MODE_BIT_12
-# csp, csv, cst
-FOLLOWS_COMMAND: Final = MODE_BIT_12
-
-# Bits 0 to 3, 5 and 6, in the order of PdsState's numbers. CiA 402-2, table of state coding; bit 5
-# is 0 where the standard leaves it open.
-STATE_BITS: Final[tuple[int, ...]] = (0x00, 0x40, 0x21, 0x23, 0x27, 0x07, 0x0F, 0x08)
 
 
 def compose(

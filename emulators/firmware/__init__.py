@@ -1,1 +1,1 @@
-"""Drive firmware: profile generator, servo, and the axis that joins them to a plant."""
+"""Drive firmware: profile generator, servo and axis."""

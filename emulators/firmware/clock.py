@@ -4,12 +4,11 @@ The bus uses true time, the controller its own time. The controller does not kno
 conversion. Its constructor needs the rate of its clock (`Oscillator.rate`), because its plant moves
 in true time. A controller whose clock shows true time needs no wrapper.
 
-Timer jitter: a controller whose timers fire slightly late.
-
-A timer due at time d of the controller's own clock fires at d plus a lateness of 0 to `jitter_ns`.
-The lateness is a pure function of the run's seed, the controller's name and d, so no reader can
-change it. The controller decides if lateness accumulates: a heartbeat that counts from the previous
-one does. Frames and stimuli arrive on time. Everything overdue is done before they are handled.
+With jitter, a timer due at time d of the controller's own clock fires at d plus a lateness of 0 to
+`jitter_ns`. The lateness is a pure function of the run's seed, the controller's name and d, so no
+reader can change it. The controller decides if lateness accumulates: a heartbeat that counts from
+the previous one does. Frames and stimuli arrive on time. Everything overdue is done before they are
+handled.
 """
 
 from collections.abc import Mapping, Sequence
@@ -19,6 +18,8 @@ from motorhil.emulators.controller import Controller
 from motorhil.emulators.plant.oscillator import ONE, Oscillator
 
 _BITS_64: Final = (1 << 64) - 1
+
+_UNKNOWN: Final = -1
 
 
 def lateness_ns(seed: int, due_ns: int, jitter_ns: int) -> int:
@@ -117,9 +118,6 @@ class LateWakes:
             return False
         self.inner.expire(now_ns)
         return True
-
-
-_UNKNOWN: Final = -1
 
 
 @final

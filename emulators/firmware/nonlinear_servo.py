@@ -1,6 +1,6 @@
 """The servo with a nonlinear plant behind it, tick by tick.
 
-This is the counterpart of `servo.run`. The plant's tick is `extras_step.tick`. The servo's part
+This is the counterpart of `servo.run`. The plant's tick is `plant_tick`. The servo's part
 (encoder, loops, flags) comes from `servo.run` itself, with tables that move nothing.
 
 Temperature and I2t are slow, so they are updated only every `slow_ticks` ticks, from the losses of
@@ -14,11 +14,9 @@ The state contains, in addition to that of `servo.run`: the load's speed [rad/s]
 0..1; losses since the last update and in the last tick [counts]; 1.0 if that tick changed nothing
 else.
 
-One servo tick of a nonlinear plant: current loop, supply, and one or two bodies.
-
-The step is passive by construction. Within a substep each body moves exactly under a torque that is
-held. The energy that a torque takes out of a body is therefore the torque times the distance. The
-rules are:
+A plant has one or two bodies. Its step is passive by construction. Within a substep each body moves
+exactly under a torque that is held. The energy that a torque takes out of a body is therefore the
+torque times the distance. The rules are:
 
 - Friction opposes the motion. A body that friction alone would reverse stops. A body that other
   torques reverse moves without friction in that substep.
@@ -60,6 +58,8 @@ E_STILL: Final = 8
 
 _AT_REST: Final = -1.0  # losses: every tick since the last update was like the last one
 _SETTLED_K: Final = 1e-9  # a change of temperature per update that is small enough to ignore
+
+_DC_LINK_MIN_V: Final = 1e-3
 
 
 def standing(tables: ExtrasTables, count: float, source_v: float) -> servo.State:
@@ -225,9 +225,6 @@ def run(
     extras = (wl, xl, supply, winding, housing, level, losses, last, still)
     state = (*bare[:14], bare[servo.I_FLAGS] | own, *bare[15:19], extras)
     return state, made, resting
-
-
-_DC_LINK_MIN_V: Final = 1e-3
 
 
 def wave(p: float) -> float:

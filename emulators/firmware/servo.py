@@ -24,10 +24,8 @@ state that maps onto itself bit for bit, and `run` reports that.
 Within this module velocities are increments per tick. The position x is half an increment ahead, so
 that the encoder's count is its floor. Only + - * / are used.
 
-The current loop in single steps, for servo ticks near its limits.
-
-Most ticks take all their steps at once (see `ServoTables`). These two functions take the steps
-singly. They are needed where the voltage is clipped, or where the rotor stops or starts within the
+Most ticks take all their steps at once (see `ServoTables`). Two functions take the steps singly.
+They are needed where the voltage is clipped, or where the rotor stops or starts within the
 tick.
 """
 
@@ -46,6 +44,66 @@ from motorhil.emulators.firmware.flags import (
 )
 from motorhil.emulators.firmware.profile import UNLIMITED, Profile
 from motorhil.emulators.firmware.servo_tables import LoadTable, StepTable, TickTable
+
+OFF: Final = 0
+POSITION: Final = 1
+VELOCITY: Final = 2
+TORQUE: Final = 3
+FED: Final = 4  # POSITION with the pieces' velocities fed forward unchanged
+
+# powered; current, integrator of the current loop, speed [rad/s], position; integrator of the
+# velocity loop, current demand; counts of this tick and the three before; position and velocity
+# demand; measured velocity; flags; ticks in the target window, beyond the following error window,
+# below the speed threshold, in the velocity window (each counts up to its limit); the additional
+# state of a nonlinear plant (see extras_servo; empty for a linear one).
+State = tuple[
+    bool,
+    float,
+    float,
+    float,
+    float,
+    float,
+    float,
+    float,
+    float,
+    float,
+    float,
+    float,
+    float,
+    float,
+    int,
+    int,
+    int,
+    int,
+    int,
+    tuple[float, ...],
+]
+I_CURRENT: Final = 1
+I_SPEED: Final = 3
+I_POSITION: Final = 4
+I_HELD: Final = 5
+I_WANTED: Final = 6
+I_COUNT: Final = 7
+I_DEMAND: Final = 11
+I_DEMAND_VELOCITY: Final = 12
+I_VELOCITY: Final = 13
+I_FLAGS: Final = 14
+I_EXTRAS: Final = 19
+
+# The commands: mode; the tick at which the profile starts; the profile time until which
+# PROFILE_ACTIVE is set (below 0: never); the profile; True if there is a target, and its position
+# (or current); the target velocity of run_at, or the tolerance of the current; current limits,
+# forwards and backwards, both >= 0.
+Orders = tuple[int, int, float, Profile, bool, float, float, float, float]
+
+# Half widths: target and following error [increments], speed threshold and velocity
+# [increments/tick]; the number of consecutive ticks each must hold, this one included; the gate:
+# the least count inside, and the least count above it that is outside.
+Windows = tuple[float, float, float, float, int, int, int, int, float, float]
+
+# Adding it to a number smaller than _EXACT leaves no room for a fraction, and so rounds it.
+_ROUNDS: Final = 1.5 * 2.0**52
+_EXACT: Final = 2.0**51
 
 
 def steps(
@@ -134,68 +192,6 @@ def coast_steps(
         if w < 0.0 if forward else w > 0.0:
             w = 0.0
     return w, x
-
-
-OFF: Final = 0
-POSITION: Final = 1
-VELOCITY: Final = 2
-TORQUE: Final = 3
-FED: Final = 4  # POSITION with the pieces' velocities fed forward unchanged
-
-# powered; current, integrator of the current loop, speed [rad/s], position; integrator of the
-# velocity loop, current demand; counts of this tick and the three before; position and velocity
-# demand; measured velocity; flags; ticks in the target window, beyond the following error window,
-# below the speed threshold, in the velocity window (each counts up to its limit); the additional
-# state of a nonlinear plant (see extras_servo; empty for a linear one).
-State = tuple[
-    bool,
-    float,
-    float,
-    float,
-    float,
-    float,
-    float,
-    float,
-    float,
-    float,
-    float,
-    float,
-    float,
-    float,
-    int,
-    int,
-    int,
-    int,
-    int,
-    tuple[float, ...],
-]
-I_CURRENT: Final = 1
-I_SPEED: Final = 3
-I_POSITION: Final = 4
-I_HELD: Final = 5
-I_WANTED: Final = 6
-I_COUNT: Final = 7
-I_DEMAND: Final = 11
-I_DEMAND_VELOCITY: Final = 12
-I_VELOCITY: Final = 13
-I_FLAGS: Final = 14
-I_EXTRAS: Final = 19
-
-# The commands: mode; the tick at which the profile starts; the profile time until which
-# PROFILE_ACTIVE is set (below 0: never); the profile; True if there is a target, and its position
-# (or current); the target velocity of run_at, or the tolerance of the current; current limits,
-# forwards and backwards, both >= 0.
-Orders = tuple[int, int, float, Profile, bool, float, float, float, float]
-
-# Half widths: target and following error [increments], speed threshold and velocity
-# [increments/tick]; the number of consecutive ticks each must hold, this one included; the gate:
-# the least count inside, and the least count above it that is outside.
-Windows = tuple[float, float, float, float, int, int, int, int, float, float]
-
-
-# Adding it to a number smaller than _EXACT leaves no room for a fraction, and so rounds it.
-_ROUNDS: Final = 1.5 * 2.0**52
-_EXACT: Final = 2.0**51
 
 
 def whole(x: float) -> float:

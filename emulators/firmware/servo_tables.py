@@ -15,7 +15,7 @@ The step, with voltage v held by the power stage for one period h of the current
 
 A tick's map acts on z = (current, u, speed, position, current demand, torque).
 
-Servo gains (P position, PI velocity, PI current, feedforward) and their tuning.
+`ServoGains` has the gains (P position, PI velocity, PI current, feedforward) and their tuning.
 """
 
 from dataclasses import dataclass, replace
@@ -32,6 +32,21 @@ from motorhil.emulators.plant.dc_motor import (
     product,
     sample,
 )
+
+# Flat tuples, in the order in which servo.run and current_loop.steps unpack them.
+TickTable = tuple[float, ...]
+StepTable = tuple[float, ...]
+LoadTable = tuple[float, ...]
+
+_CURRENT: Final = 0
+_INTEGRATOR: Final = 1
+_SPEED: Final = 2
+_POSITION: Final = 3
+_WANTED: Final = 4
+_TORQUE: Final = 5
+
+_DOUBLINGS: Final = 40
+_SLACK: Final = 1.0 + 1e-9  # guards must hold in rounded arithmetic too
 
 
 @final
@@ -96,22 +111,6 @@ class ServoGains:
         return replace(
             self, velocity_kp_a_s_inc=min(kp, self.velocity_kp_a_s_inc), velocity_ki_a_inc=0.0
         )
-
-
-# Flat tuples, in the order in which servo.run and current_loop.steps unpack them.
-TickTable = tuple[float, ...]
-StepTable = tuple[float, ...]
-LoadTable = tuple[float, ...]
-
-_CURRENT: Final = 0
-_INTEGRATOR: Final = 1
-_SPEED: Final = 2
-_POSITION: Final = 3
-_WANTED: Final = 4
-_TORQUE: Final = 5
-
-_DOUBLINGS: Final = 40
-_SLACK: Final = 1.0 + 1e-9  # guards must hold in rounded arithmetic too
 
 
 @lru_cache(maxsize=64)

@@ -1,9 +1,7 @@
-"""Wall time: run a world's events by the wall clock.
+"""Loop that runs a world and its gateways by the wall clock.
 
 This is the only module of the package that reads a clock. The loop waits for the next event or for
 input, whichever comes first. Late events run in the order of their due times.
-
-Gateways between a world in wall time and the outside.
 """
 
 import select
@@ -13,6 +11,9 @@ from operator import is_
 from typing import Protocol, final
 
 from motorhil.emulators.simulation.event_queue import EventQueue
+
+_IDLE_S = 0.5
+_BACKLOGGED_S = 0.002
 
 
 class Source(Protocol):
@@ -36,10 +37,6 @@ class Gateway(Protocol):
 
     def close(self) -> None:
         """Close all resources."""
-
-
-_IDLE_S = 0.5
-_BACKLOGGED_S = 0.002
 
 
 @final

@@ -1,6 +1,4 @@
-"""A Gateway between an emulated bus and a Linux SocketCAN interface.
-
-Type of a CAN network interface, from the Linux kernel.
+"""Gateway between an emulated bus and a Linux SocketCAN interface.
 
 Source: linux/rtnetlink.h, linux/if_link.h (RTM_GETLINK, IFLA_MTU, IFLA_LINKINFO, IFLA_INFO_KIND).
 """

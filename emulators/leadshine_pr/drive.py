@@ -4,13 +4,9 @@ A path takes effect with the register values at its trigger. A path that does no
 for the running one (one can wait). Writing the trigger starts a motion. A relative path that is
 triggered twice is executed twice, whatever is written to the registers in between.
 
-Factory of PR-mode drives: entry point `motorhil.controllers`, name `leadshine_pr`.
-
-Homing of a PR-mode drive: search, back off, set zero.
-
-Bit 0 of the homing mode is the direction (1: forward). Bit 2 selects the home switch, otherwise the
-limit switch of that side. Without such a switch the search continues until it is stopped, as in the
-real drive.
+Homing searches a switch, backs off, and sets zero there. Bit 0 of the homing mode is the direction
+(1: forward). Bit 2 selects the home switch, otherwise the limit switch of that side. Without such a
+switch the search continues until it is stopped, as in the real drive.
 """
 
 from collections.abc import Callable, Mapping
@@ -18,25 +14,25 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Final, final
 
-from motorhil.emulators.controller import Controller, ControllerContext
 from motorhil.emulators.firmware import flags as f
 from motorhil.emulators.firmware.axis import NEVER_NS
-from motorhil.emulators.firmware.clock import on_own_time
 from motorhil.emulators.leadshine_pr import registers as r
-from motorhil.emulators.leadshine_pr.registers import ROWS
 from motorhil.emulators.modbus.drive import (
+    DriveBuilder,
     ModbusDrive,
     ModbusDriveSettings,
     ModbusDriveTable,
-    alarm_code,
-    revolutions_inc,
 )
-from motorhil.emulators.modbus.registers import Register, RegisterBank
+from motorhil.emulators.modbus.registers import RegisterBank
 from motorhil.emulators.modbus.server import Identification
-from motorhil.settings import read
 
-_FORWARD = 0x0001
-_HOME_SWITCH = 0x0004
+_FUNCTIONS: Final = (0x03, 0x06, 0x08, 0x10, 0x11, 0x2B)
+_JOG_NS: Final = 50_000_000  # a jog ends so long after the last word that commands it: *
+_MS: Final = 1_000_000
+_NONE: Final = -1
+_FOLLOWING_RPM_MS: Final = 0.5  # of a revolution: following error that raises the alarm
+_FORWARD: Final = 0x0001  # of the homing mode
+_HOME_SWITCH: Final = 0x0004
 
 
 @final
@@ -109,13 +105,6 @@ class Homing:
         )
 
 
-FUNCTIONS: Final = (0x03, 0x06, 0x08, 0x10, 0x11, 0x2B)
-_JOG_NS: Final = 50_000_000  # a jog ends so long after the last word that commands it: *
-_MS: Final = 1_000_000
-_NONE: Final = -1
-_FOLLOWING_RPM_MS: Final = 0.5  # of a revolution: following error that raises the alarm
-
-
 @final
 class LeadshinePr(ModbusDrive):
     """The drive; `register_map` documents its registers.
@@ -125,8 +114,7 @@ class LeadshinePr(ModbusDrive):
 
     def __init__(self, settings: ModbusDriveSettings) -> None:
         names = {0: "motorhil", 1: "PR-mode drive", 2: "1.0"}
-        super().__init__(settings, RegisterBank(r.ROWS), Identification(names), FUNCTIONS)
-        self._revolution_inc = revolutions_inc(settings.plant)
+        super().__init__(settings, RegisterBank(r.ROWS), Identification(names), _FUNCTIONS)
         self._homing = Homing(self)
         self._path = _NONE  # that runs, or dwells
         self._waiting = _NONE  # that runs next
@@ -158,25 +146,24 @@ class LeadshinePr(ModbusDrive):
 
     def pulses(self, inc: int) -> int:
         """Convert encoder increments to pulses, rounded down."""
-        return self._sign() * inc * self.bank["pulses_per_revolution"] // self._revolution_inc
+        return self._sign() * inc * self.bank["pulses_per_revolution"] // self.turn_inc
 
     def inc(self, pulses: int) -> int:
         """Convert pulses to encoder increments, rounded down."""
-        return self._sign() * pulses * self._revolution_inc // self.bank["pulses_per_revolution"]
+        return self._sign() * pulses * self.turn_inc // self.bank["pulses_per_revolution"]
 
     def inc_s(self, rpm: float) -> float:
         """Convert a velocity from rpm to [inc/s]."""
-        return rpm * self._revolution_inc / 60.0
+        return rpm * self.turn_inc / 60.0
 
     def inc_s2(self, ms: int) -> float:
         """Convert an acceleration, given as [ms] for a change of 1000 rpm, to [inc/s^2]."""
         return self.inc_s(1000.0) * 1000.0 / ms
 
     def _speed_rpm(self) -> int:
-        return int(self._sign() * self.axis.velocity_inc_s() * 60.0 / self._revolution_inc + 0.5)
+        return int(self._sign() * self.axis.velocity_inc_s() * 60.0 / self.turn_inc + 0.5)
 
-    # --- values read
-    # -------------------------------------------------------------------------------
+    # --- values read -----------------------------------------------------------------------------
 
     def is_enabled(self) -> bool:
         """Return whether the motor has current."""
@@ -203,8 +190,7 @@ class LeadshinePr(ModbusDrive):
             return r.POSITIONING_DONE
         return 0
 
-    # --- values written
-    # ----------------------------------------------------------------------------
+    # --- values written --------------------------------------------------------------------------
 
     def _enabled(self, value: int) -> int:
         if value and not self.bank["alarm"]:
@@ -295,8 +281,7 @@ class LeadshinePr(ModbusDrive):
         self._jog_until_ns = self.now_ns + _JOG_NS
         self.axis.run_at(way * self._sign() * self.inc_s(self.bank["jog_speed"]), ramp, ramp)
 
-    # --- events
-    # ------------------------------------------------------------------------------------
+    # --- events ----------------------------------------------------------------------------------
 
     def power_on(self) -> None:
         """Power on without a motion; the motor has current if its register says so."""
@@ -304,7 +289,7 @@ class LeadshinePr(ModbusDrive):
         self.is_homed = False
         self._command_done = self._path_done = True
         self._limit_current(self.bank["peak_current"])
-        following_inc = round(_FOLLOWING_RPM_MS * self._revolution_inc)
+        following_inc = round(_FOLLOWING_RPM_MS * self.turn_inc)
         self.axis.set_windows(following_window_inc=following_inc, following_window_ns=100 * _MS)
         self._enabled(self.bank["force_enable"])
 
@@ -315,7 +300,7 @@ class LeadshinePr(ModbusDrive):
     def settle(self) -> None:
         """End a path, its dwell or an unrepeated jog, and start the next path."""
         if self.axis.flags & f.FOLLOWING_ERROR and self.is_enabled():
-            self._alarm(r.FOLLOWING_ERROR)
+            self.alarm(r.FOLLOWING_ERROR)
         if not self.is_enabled():
             return
         if self._homing.is_active():
@@ -388,18 +373,16 @@ class LeadshinePr(ModbusDrive):
         self._is_positioning = False
         self._dwell_until_ns = self._jog_until_ns = NEVER_NS
 
-    def _alarm(self, code: int) -> None:
+    def alarm(self, code: int) -> None:
+        """Raise the alarm: no motion, and no current."""
         self.tell("error", f"alarm {code:02X}h")
         self.bank["alarm"] = code
         self._abandon()
         self.axis.power(False)
 
     def own_stimuli(self) -> Mapping[str, Callable[[float], None]]:
-        """Return the stimuli: an alarm by its code (2203h); an emergency stop input (22h)."""
-        return {"alarm": self._stimulate_alarm, "emergency_stop": self._emergency_stop}
-
-    def _stimulate_alarm(self, value: float) -> None:
-        self._alarm(alarm_code(value))
+        """Return the stimulus of an emergency stop input (22h)."""
+        return {"emergency_stop": self._emergency_stop}
 
     def _emergency_stop(self, value: float) -> None:
         if value not in (0, 1):
@@ -418,27 +401,4 @@ class LeadshineTable(ModbusDriveTable):
     """A PR-mode drive (Leadshine) on a Modbus line."""
 
 
-def build(settings: Mapping[str, object], context: ControllerContext) -> Controller:
-    """Build the drive that a rig describes.
-
-    Args:
-        settings: the controller's table without `kind` and `bus`.
-        context: its name, the folder of relative paths, the seed.
-
-    Raises:
-        SettingError: a key or value is wrong; names the keys.
-    """
-    own = read(LeadshineTable, settings).settings(context.stream())
-    drive = LeadshinePr(own)
-    if not own.oscillator.is_ideal():
-        drive.tell("info", own.oscillator.told())
-    return on_own_time(drive, own.oscillator)
-
-
-def registers() -> tuple[Register, ...]:
-    """Return the register map, for display."""
-    return ROWS
-
-
-build.bus_kinds = ("modbus_rtu", "modbus_tcp")  # type: ignore[attr-defined]  # a plugin's mark
-build.registers = registers  # type: ignore[attr-defined]  # likewise
+build: Final = DriveBuilder(LeadshinePr, r.ROWS, LeadshineTable)

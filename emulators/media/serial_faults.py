@@ -9,14 +9,18 @@
 - NOISE: characters are put in front of the frame.
 
 A plan is evaluated once per sent frame. Its rules are tried in order; the first that fires decides.
-
-Conditions common to fault rules of CAN buses and of serial lines.
 """
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from typing import final
+
+# (characters, delay of their beginning [ns], pause after so many, pause [ns], whether heard)
+Fate = tuple[bytes, int, int, int, bool]
+
+# (time [ns], rule, event, the characters hit)
+SerialFaultEvent = tuple[int, str, str, bytes]
 
 
 def wrong_condition(
@@ -30,13 +34,6 @@ def wrong_condition(
     if skip < 0 or (limit is not None and limit < 1):
         return f"skip {skip} is below 0, or limit {limit} is below 1"
     return ""
-
-
-# (characters, delay of their beginning [ns], pause after so many, pause [ns], whether heard)
-Fate = tuple[bytes, int, int, int, bool]
-
-# (time [ns], rule, event, the characters hit)
-SerialFaultEvent = tuple[int, str, str, bytes]
 
 
 @final

@@ -2,16 +2,19 @@
 
 A drive of a certain make derives from `ModbusDrive` and attaches behaviour to its registers. The
 drive does nothing between two calls: `next_deadline_ns` returns the time of the next required call.
+A `DriveBuilder` makes it an entry point.
 """
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final, final
 
+from motorhil.emulators.controller import Controller, ControllerContext
 from motorhil.emulators.firmware.axis import NEVER_NS
+from motorhil.emulators.firmware.clock import on_own_time
 from motorhil.emulators.firmware.servo_tables import ServoGains
 from motorhil.emulators.modbus.codes import UNITS
-from motorhil.emulators.modbus.registers import RegisterBank
+from motorhil.emulators.modbus.registers import Register, RegisterBank
 from motorhil.emulators.modbus.rtu import RtuUnit
 from motorhil.emulators.modbus.server import Diagnostics, Identification, ModbusServer
 from motorhil.emulators.plant.dc_motor import PI, RANGES, MotorPlant
@@ -24,6 +27,7 @@ from motorhil.settings import (
     SettingError,
     TablesByKey,
     number,
+    read,
     setting,
     table,
     whole,
@@ -108,6 +112,7 @@ class ModbusDriveSettings:
             it has none.
         limit_forward_rad, limit_backward_rad: those of its limit switches, likewise.
         initial_position_rad: at the output, at power-on.
+        options: the options of its make.
     """
 
     unit: int
@@ -123,6 +128,7 @@ class ModbusDriveSettings:
     limit_forward_rad: float | None = None
     limit_backward_rad: float | None = None
     initial_position_rad: float = 0.0
+    trigger_auto_clear: bool = True
 
 
 class ModbusDrive:
@@ -133,7 +139,6 @@ class ModbusDrive:
         bank: its holding registers, without behaviour so far.
         identification: its identification; None: it has none.
         functions: the supported function codes.
-        events: events to report at power-on.
 
     Raises:
         SettingError: the rig names an unknown register, or a value that does not fit it.
@@ -145,13 +150,12 @@ class ModbusDrive:
         bank: RegisterBank,
         identification: Identification | None,
         functions: Sequence[int],
-        events: Sequence[tuple[str, str]] = (),
     ) -> None:
         self.unit = settings.unit
         self.settings = settings
         self.bank = bank
         plant = settings.plant
-        self.inc_rad = plant.gear_ratio * plant.increments_per_rad()
+        self.turn_inc = round(plant.increments_per_rad() * 2.0 * PI)  # in front of the gear
         self.axis = axis_of(settings, settings.oscillator.rate())
         self.server = ModbusServer(
             holding=bank,
@@ -163,8 +167,10 @@ class ModbusDrive:
         self.is_powered = False
         self.now_ns = 0  # of the current call, for readers and writers of registers
         self._ready_ns = NEVER_NS
-        self._events: list[tuple[str, str]] = list(events)
+        self._events: list[tuple[str, str]] = []
         self._set_registers()
+        if not settings.oscillator.is_ideal():
+            self.tell("info", settings.oscillator.told())
 
     def _set_registers(self) -> None:
         for key, value in self.settings.registers:
@@ -178,8 +184,7 @@ class ModbusDrive:
             except ValueError as error:
                 raise SettingError(path, str(error)) from None
 
-    # --- hooks of a make
-    # ---------------------------------------------------------------------------
+    # --- hooks of a make -------------------------------------------------------------------------
 
     def power_on(self) -> None:
         """Handle power-on; registers have their power-on values."""
@@ -193,6 +198,9 @@ class ModbusDrive:
     def wake_ns(self) -> int:
         """Return when `settle` must be called at the latest [ns]; NEVER_NS: only on input."""
         return NEVER_NS
+
+    def alarm(self, code: int) -> None:
+        """Raise the alarm of this code."""
 
     def own_stimuli(self) -> Mapping[str, Callable[[float], None]]:
         """Return further physical stimuli; a setter raises ValueError on a wrong value."""
@@ -280,7 +288,7 @@ class ModbusDrive:
         return events
 
     def stimulate(self, name: str, value: float, now_ns: int) -> None:
-        """Set the load at the output [N m], the supply (1 or 0), or a stimulus of the make.
+        """Set the load at the output [N m], the supply, an alarm, or a stimulus of the make.
 
         Raises:
             ValueError: the stimulus is unknown, or the value is invalid.
@@ -296,11 +304,14 @@ class ModbusDrive:
             if value not in (0, 1):
                 raise ValueError(f"power is 0 or 1, not {value}")
             self._set_power(value == 1, now_ns)
+        elif name == "alarm":
+            self.alarm(_alarm_code(value))
+            self.settle()
         elif name in own:
             own[name](value)
             self.settle()
         else:
-            known = ", ".join(("load_torque_n_m", "power", *own))
+            known = ", ".join(("load_torque_n_m", "power", "alarm", *own))
             raise ValueError(f"there is no stimulus {name!r}; known: {known}")
 
     def _set_power(self, on: bool, now_ns: int) -> None:
@@ -343,17 +354,47 @@ class ModbusDrive:
             self.settle()
 
 
-def alarm_code(value: float) -> int:
-    """Return the alarm code in the value of a stimulus.
-
-    Raises:
-        ValueError: the value is not a code.
-    """
+def _alarm_code(value: float) -> int:
     if not (1 <= value <= 0xFFFF and value == int(value)):
         raise ValueError(f"alarm {value}: invalid; expected a code 1..FFFFh")
     return int(value)
 
 
-def revolutions_inc(plant: MotorPlant) -> int:
-    """Return the encoder increments per revolution of the motor, in front of the gear."""
-    return round(plant.increments_per_rad() * 2.0 * PI)
+@final
+class DriveBuilder:
+    """The `build` of one make of Modbus drives (entry point `motorhil.controllers`).
+
+    Args:
+        make: the class of the drive.
+        rows: its register map, for display.
+        table: its table in a rig.
+    """
+
+    bus_kinds: Final = ("modbus_rtu", "modbus_tcp")
+
+    def __init__(
+        self,
+        make: Callable[[ModbusDriveSettings], ModbusDrive],
+        rows: tuple[Register, ...],
+        table: type[ModbusDriveTable],
+    ) -> None:
+        self._make = make
+        self._rows = rows
+        self._table = table
+
+    def registers(self) -> tuple[Register, ...]:
+        """Return the register map, for display."""
+        return self._rows
+
+    def __call__(self, settings: Mapping[str, object], context: ControllerContext) -> Controller:
+        """Build the drive that a rig describes.
+
+        Args:
+            settings: the controller's table without `kind` and `bus`.
+            context: its name, the folder of relative paths, the seed.
+
+        Raises:
+            SettingError: a key is unknown, or a value is missing or wrong; names the keys.
+        """
+        own = read(self._table, settings).settings(context.stream())
+        return on_own_time(self._make(own), own.oscillator)

@@ -1,23 +1,18 @@
-"""Modbus RTU: one unit on a serial line. Sans-I/O.
+"""Modbus RTU: checksum, one unit on a serial line, and framing. Sans-I/O.
 
-The line separates frames by silence; this module processes them. A frame that is addressed neither
-to the unit nor to all is ignored. This includes requests to other units, and their responses, which
-begin with their own address.
+The line separates frames by silence. A frame that is addressed neither to the unit nor to all is
+ignored. This includes requests to other units, and their responses, which begin with their own
+address.
 
-Source: MODBUS over Serial Line, Specification and Implementation Guide V1.02, section 2.
+A byte stream has no silences. If the length of a request follows from its function code, and its
+CRC is correct there, it is a complete frame whatever follows. Everything else (an unknown function,
+a wrong CRC, the beginning of a frame) is delimited by silence, which the caller with a clock
+detects.
 
-RTU framing for a byte stream without silences. Sans-I/O.
+The checksum is CRC-16, polynomial A001h (reflected), low byte first.
 
-If the length of a request follows from its function code, and its CRC is correct there, it is a
-complete frame whatever follows. Everything else (an unknown function, a wrong CRC, the beginning of
-a frame) is delimited by silence, which the caller with a clock detects.
-
-Source: MODBUS Application Protocol Specification V1.1b3, section 6 (lengths); MODBUS over Serial
-Line V1.02, section 2.5.1.1 (silence).
-
-Checksum of Modbus RTU: CRC-16, polynomial A001h (reflected), low byte first.
-
-Source: MODBUS over Serial Line, Specification and Implementation Guide V1.02, section 2.5.1.2.
+Source: MODBUS over Serial Line, Specification and Implementation Guide V1.02, section 2; MODBUS
+Application Protocol Specification V1.1b3, section 6 (lengths).
 """
 
 from functools import lru_cache
@@ -27,6 +22,21 @@ from motorhil.emulators.modbus.codes import BROADCAST, UNITS
 from motorhil.emulators.modbus.server import ModbusServer
 
 _POLYNOMIAL: Final = 0xA001
+_SHORTEST: Final = 4  # address, function code, checksum
+_LONGEST: Final = 256
+_FUNCTION: Final = 1
+_CRC: Final = 2
+
+_FIXED: Final = {
+    **dict.fromkeys((0x01, 0x02, 0x03, 0x04, 0x05, 0x06, 0x08), 8),
+    **dict.fromkeys((0x07, 0x0B, 0x0C, 0x11), 4),
+    0x16: 10,
+    0x18: 6,
+    0x2B: 7,  # MEI type 0Eh; another one is delimited by silence
+}
+"""The lengths with address and CRC. Function 08h may be longer: then the CRC at 8 is wrong."""
+_COUNTED: Final = {0x0F: 6, 0x10: 6, 0x14: 2, 0x15: 2, 0x17: 10}
+"""The offset of the byte count in the frame."""
 
 
 def _table() -> list[int]:
@@ -54,10 +64,6 @@ def crc16(data: bytes) -> bytes:
 def with_crc(data: bytes) -> bytes:
     """Return the bytes with their CRC appended."""
     return data + crc16(data)
-
-
-_SHORTEST: Final = 4  # address, function code, checksum
-_LONGEST: Final = 256
 
 
 @final
@@ -135,21 +141,6 @@ class RtuUnit:
         """Drop the pending response."""
         self._due_ns = None
         self._output.clear()
-
-
-_FUNCTION: Final = 1
-_CRC: Final = 2
-
-_FIXED: Final = {
-    **dict.fromkeys((0x01, 0x02, 0x03, 0x04, 0x05, 0x06, 0x08), 8),
-    **dict.fromkeys((0x07, 0x0B, 0x0C, 0x11), 4),
-    0x16: 10,
-    0x18: 6,
-    0x2B: 7,  # MEI type 0Eh; another one is delimited by silence
-}
-"""The lengths with address and CRC. Function 08h may be longer: then the CRC at 8 is wrong."""
-_COUNTED: Final = {0x0F: 6, 0x10: 6, 0x14: 2, 0x15: 2, 0x17: 10}
-"""The offset of the byte count in the frame."""
 
 
 @final

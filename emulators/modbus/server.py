@@ -4,21 +4,16 @@ The checks have the specification's order: function supported (01), quantity and
 addresses exist (02). Only then the request is executed (04 and others, if the controller refuses).
 A request whose length does not match its function has a wrong value (03).
 
-Source: MODBUS Application Protocol Specification V1.1b3, section 6 and its state diagrams.
+`Diagnostics` is function 08h of a server on a serial line. Counters have 16 bits and wrap around.
+Messages and communication errors are those of the whole line; every listener counts them.
+`Identification` is functions 11h (report server ID) and 2Bh/0Eh.
 
-Function 08h: counters and diagnostics of a server on a serial line.
-
-Counters have 16 bits and wrap around. Messages and communication errors are those of the whole
-line; every listener counts them.
-
-Source: MODBUS Application Protocol Specification V1.1b3, section 6.8.
-
-Server identification: functions 11h (report server ID) and 2Bh/0Eh.
-
-Source: MODBUS Application Protocol Specification V1.1b3, sections 6.13, 6.19 and 6.21.
+Source: MODBUS Application Protocol Specification V1.1b3, section 6 and its state diagrams; 6.8
+(diagnostics); 6.13, 6.19 and 6.21 (identification).
 """
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Final, final
 
 from motorhil.emulators.modbus import codes
@@ -34,6 +29,15 @@ from motorhil.emulators.modbus.codes import (
 )
 from motorhil.emulators.modbus.registers import BitBank, RegisterBank
 
+NO_RESPONSE: Final = b""
+_WRITES: Final = (
+    codes.WRITE_SINGLE_COIL,
+    codes.WRITE_SINGLE_REGISTER,
+    codes.WRITE_MULTIPLE_COILS,
+    codes.WRITE_MULTIPLE_REGISTERS,
+    codes.MASK_WRITE_REGISTER,
+)
+"""The functions that may be broadcast: those that only write."""
 _QUERY_DATA: Final = 0x00
 _RESTART: Final = 0x01
 _REGISTER: Final = 0x02
@@ -42,6 +46,15 @@ _CLEAR: Final = 0x0A
 _CLEAR_OVERRUN: Final = 0x14
 _KEEP_LOG: Final = b"\x00\x00"
 _CLEAR_LOG: Final = b"\xff\x00"
+READ_DEVICE_IDENTIFICATION: Final = 0x0E
+VENDOR_NAME: Final = 0x00
+PRODUCT_CODE: Final = 0x01
+REVISION: Final = 0x02
+_BASIC_END: Final = 0x03
+_REGULAR_END: Final = 0x80
+_STREAMS: Final = {1: _BASIC_END, 2: _REGULAR_END, 3: 0x100}
+_INDIVIDUAL: Final = 4
+_HEAD: Final = 7
 
 
 @final
@@ -127,17 +140,6 @@ class Diagnostics:
         return bytes((DIAGNOSTICS | ERROR, code))
 
 
-READ_DEVICE_IDENTIFICATION: Final = 0x0E
-VENDOR_NAME: Final = 0x00
-PRODUCT_CODE: Final = 0x01
-REVISION: Final = 0x02
-_BASIC_END: Final = 0x03
-_REGULAR_END: Final = 0x80
-_STREAMS: Final = {1: _BASIC_END, 2: _REGULAR_END, 3: 0x100}
-_INDIVIDUAL: Final = 4
-_HEAD: Final = 7
-
-
 @final
 class Identification:
     """The objects of one server: text by object id.
@@ -210,19 +212,6 @@ def _identification_refused(code: int) -> bytes:
     return bytes((ENCAPSULATED_INTERFACE | ERROR, code))
 
 
-NO_RESPONSE: Final = b""
-
-_Handler = Callable[[bytes], bytes]
-_WRITES: Final = (
-    codes.WRITE_SINGLE_COIL,
-    codes.WRITE_SINGLE_REGISTER,
-    codes.WRITE_MULTIPLE_COILS,
-    codes.WRITE_MULTIPLE_REGISTERS,
-    codes.MASK_WRITE_REGISTER,
-)
-"""The functions that may be broadcast: those that only write."""
-
-
 @final
 class ModbusServer:
     """A server that responds to the requests to one unit.
@@ -255,21 +244,21 @@ class ModbusServer:
         self.identification: Final = identification
         self.diagnostics: Final = diagnostics
         self.run_indicator = True
-        handlers: dict[int, _Handler] = {}
+        handlers: dict[int, Callable[[bytes], bytes]] = {}
         if coils is not None:
-            handlers[codes.READ_COILS] = self._read_coils
+            handlers[codes.READ_COILS] = partial(_read_bits, coils)
             handlers[codes.WRITE_SINGLE_COIL] = self._write_coil
             handlers[codes.WRITE_MULTIPLE_COILS] = self._write_coils
         if discretes is not None:
-            handlers[codes.READ_DISCRETE_INPUTS] = self._read_discretes
+            handlers[codes.READ_DISCRETE_INPUTS] = partial(_read_bits, discretes)
         if holding is not None:
-            handlers[codes.READ_HOLDING_REGISTERS] = self._read_holding
+            handlers[codes.READ_HOLDING_REGISTERS] = partial(_read_registers, holding)
             handlers[codes.WRITE_SINGLE_REGISTER] = self._write_register
             handlers[codes.WRITE_MULTIPLE_REGISTERS] = self._write_registers
             handlers[codes.MASK_WRITE_REGISTER] = self._mask_write
             handlers[codes.READ_WRITE_MULTIPLE_REGISTERS] = self._read_write
         if inputs is not None:
-            handlers[codes.READ_INPUT_REGISTERS] = self._read_inputs
+            handlers[codes.READ_INPUT_REGISTERS] = partial(_read_registers, inputs)
         if diagnostics is not None:
             handlers[codes.DIAGNOSTICS] = diagnostics.respond
         if identification is not None:
@@ -320,14 +309,6 @@ class ModbusServer:
 
     # ---- bits ----
 
-    def _read_coils(self, request: bytes) -> bytes:
-        assert self.coils is not None
-        return _read_bits(request, self.coils)
-
-    def _read_discretes(self, request: bytes) -> bytes:
-        assert self.discretes is not None
-        return _read_bits(request, self.discretes)
-
     def _write_coil(self, request: bytes) -> bytes:
         coils = self.coils
         assert coils is not None
@@ -356,14 +337,6 @@ class ModbusServer:
         return _refused(request, failed) if failed else request[:5]
 
     # ---- registers ----
-
-    def _read_holding(self, request: bytes) -> bytes:
-        assert self.holding is not None
-        return _read_registers(request, self.holding)
-
-    def _read_inputs(self, request: bytes) -> bytes:
-        assert self.inputs is not None
-        return _read_registers(request, self.inputs)
 
     def _write_register(self, request: bytes) -> bytes:
         bank = self.holding
@@ -436,7 +409,7 @@ class ModbusServer:
         return bytes((request[0], len(said))) + said
 
 
-def _read_bits(request: bytes, bank: BitBank) -> bytes:
+def _read_bits(bank: BitBank, request: bytes) -> bytes:
     count = int.from_bytes(request[3:5], "big")
     if len(request) != 5 or not 1 <= count <= codes.READ_BITS_MAX:
         return _refused(request, ILLEGAL_DATA_VALUE)
@@ -447,7 +420,7 @@ def _read_bits(request: bytes, bank: BitBank) -> bytes:
     return bytes((request[0], len(data))) + data
 
 
-def _read_registers(request: bytes, bank: RegisterBank) -> bytes:
+def _read_registers(bank: RegisterBank, request: bytes) -> bytes:
     count = int.from_bytes(request[3:5], "big")
     if len(request) != 5 or not 1 <= count <= codes.READ_REGISTERS_MAX:
         return _refused(request, ILLEGAL_DATA_VALUE)

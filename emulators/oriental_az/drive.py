@@ -5,54 +5,44 @@ once, in mid-motion as well. Writing the same trigger value again has no effect,
 clears the trigger after execution (a parameter of the drive; here a key of the rig).
 
 Its encoder is absolute: the drive knows its position from power-on, also after a loss of power.
-
-Factory of AZ drives: entry point `motorhil.controllers`, name `oriental_az`.
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, final
 
-from motorhil.emulators.controller import Controller, ControllerContext
 from motorhil.emulators.firmware import flags as f
 from motorhil.emulators.firmware.axis import NEVER_NS
-from motorhil.emulators.firmware.clock import on_own_time
 from motorhil.emulators.modbus.drive import (
+    DriveBuilder,
     ModbusDrive,
     ModbusDriveSettings,
     ModbusDriveTable,
-    alarm_code,
-    revolutions_inc,
 )
-from motorhil.emulators.modbus.registers import Register, RegisterBank
+from motorhil.emulators.modbus.registers import RegisterBank
 from motorhil.emulators.modbus.server import Identification
 from motorhil.emulators.oriental_az import registers as r
-from motorhil.emulators.oriental_az.registers import ROWS
-from motorhil.settings import flag, read
+from motorhil.settings import flag
 
-FUNCTIONS: Final = (0x03, 0x06, 0x08, 0x10, 0x17)
+_FUNCTIONS: Final = (0x03, 0x06, 0x08, 0x10, 0x17)
 _AUTO_OFF_NS: Final = 4_000_000
 _MS: Final = 1_000_000
 _HOME_SPEED_HZ: Final = 5000  # of ZHOME
 _DEVIATION_TURNS: Final = 3.0
+"""The key of the drive parameter of that name, whose address is not known."""
 
 
 @final
 class OrientalAz(ModbusDrive):
     """The drive; `register_map` documents its registers.
 
-    Args:
-        settings: of the rig.
-        clears_trigger: it sets the trigger back to 0 after execution.
-
     Raises: as `ModbusDrive`.
     """
 
-    def __init__(self, settings: ModbusDriveSettings, clears_trigger: bool) -> None:
+    def __init__(self, settings: ModbusDriveSettings) -> None:
         names = {0: "motorhil", 1: "AZ drive", 2: "1.0"}
-        super().__init__(settings, RegisterBank(r.ROWS), Identification(names), FUNCTIONS)
-        self._clears_trigger = clears_trigger
-        self._turn_inc = revolutions_inc(settings.plant)
+        super().__init__(settings, RegisterBank(r.ROWS), Identification(names), _FUNCTIONS)
+        self._clears_trigger = settings.trigger_auto_clear  # after execution
         self._auto_off_ns = NEVER_NS
         self._inputs = 0  # both words, previous state
         self._is_home = False
@@ -84,28 +74,27 @@ class OrientalAz(ModbusDrive):
     def steps(self, inc: int) -> int:
         """Convert encoder increments to steps, rounded to the nearest."""
         steps, turns = self._steps_turn()
-        whole = turns * self._turn_inc
+        whole = turns * self.turn_inc
         return (2 * inc * steps + whole) // (2 * whole)
 
     def inc(self, steps: int) -> int:
         """Convert steps to encoder increments, rounded to the nearest."""
         whole, turns = self._steps_turn()
-        return (2 * steps * turns * self._turn_inc + whole) // (2 * whole)
+        return (2 * steps * turns * self.turn_inc + whole) // (2 * whole)
 
     def inc_s(self, hz: float) -> float:
         """Convert a velocity from [Hz] to [inc/s], or an acceleration from [Hz/s] to [inc/s^2]."""
         steps, turns = self._steps_turn()
-        return hz * turns * self._turn_inc / steps
+        return hz * turns * self.turn_inc / steps
 
     def _hz(self, inc_s: float) -> int:
         steps, turns = self._steps_turn()
-        return int((inc_s * steps / (turns * self._turn_inc) + 0.5) // 1.0)
+        return int((inc_s * steps / (turns * self.turn_inc) + 0.5) // 1.0)
 
     def _rpm(self) -> int:
-        return int((self.axis.velocity_inc_s() * 60.0 / self._turn_inc + 0.5) // 1.0)
+        return int((self.axis.velocity_inc_s() * 60.0 / self.turn_inc + 0.5) // 1.0)
 
-    # --- values read
-    # -------------------------------------------------------------------------------
+    # --- values read -----------------------------------------------------------------------------
 
     def is_excited(self) -> bool:
         """Return whether the motor has current."""
@@ -242,8 +231,7 @@ class OrientalAz(ModbusDrive):
             self.axis.set_position(0)
             self._is_home = True
 
-    # --- events
-    # ------------------------------------------------------------------------------------
+    # --- events ----------------------------------------------------------------------------------
 
     def power_on(self) -> None:
         """Excite the motor and hold the known position."""
@@ -251,7 +239,7 @@ class OrientalAz(ModbusDrive):
         self._auto_off_ns = NEVER_NS
         self._is_home = self._goes_home = False
         self._counts = {}
-        window_inc = round(_DEVIATION_TURNS * self._turn_inc)
+        window_inc = round(_DEVIATION_TURNS * self.turn_inc)
         self.axis.set_windows(following_window_inc=window_inc, following_window_ns=1 * _MS)
         self.axis.power(True)
 
@@ -269,7 +257,7 @@ class OrientalAz(ModbusDrive):
             self.bank["inputs_auto_off"] = 0
             self._see_inputs(self.bank["inputs"])
         if self.axis.flags & f.FOLLOWING_ERROR and self.is_excited():
-            self._alarm(r.EXCESSIVE_DEVIATION)
+            self.alarm(r.EXCESSIVE_DEVIATION)
         if self._goes_home and not self.axis.flags & f.PROFILE_ACTIVE:
             self._goes_home, self._is_home = False, True
 
@@ -277,18 +265,12 @@ class OrientalAz(ModbusDrive):
         """Return when pulsed inputs go off."""
         return self._auto_off_ns
 
-    def _alarm(self, code: int) -> None:
+    def alarm(self, code: int) -> None:
+        """Raise the alarm; the motor has no current."""
         text = r.ALARMS.get(code)
         self.tell("error", f"alarm {code:02X}h" + (f" ({text})" if text else ""))
         self.bank["alarm"] = code
         self.axis.power(False)
-
-    def own_stimuli(self) -> Mapping[str, Callable[[float], None]]:
-        """Return the stimuli: an alarm by its code (0080h)."""
-        return {"alarm": self._stimulate_alarm}
-
-    def _stimulate_alarm(self, value: float) -> None:
-        self._alarm(alarm_code(value))
 
     def own_truth(self) -> Mapping[str, float]:
         """Return its output word and its alarm."""
@@ -302,29 +284,9 @@ class OrientalTable(ModbusDriveTable):
 
     trigger_auto_clear: bool = flag(True, "The drive resets its trigger after each operation.")
 
-
-def build(settings: Mapping[str, object], context: ControllerContext) -> Controller:
-    """Build the drive that a rig describes.
-
-    Args:
-        settings: the controller's table without `kind` and `bus`.
-        context: its name, the folder of relative paths, the seed.
-
-    Raises:
-        SettingError: a key or value is wrong; names the keys.
-    """
-    table = read(OrientalTable, settings)
-    own = table.settings(context.stream())
-    drive = OrientalAz(own, table.trigger_auto_clear)
-    if not own.oscillator.is_ideal():
-        drive.tell("info", own.oscillator.told())
-    return on_own_time(drive, own.oscillator)
+    def settings(self, stream: str) -> ModbusDriveSettings:
+        """Return the settings of the drive; random clock values come from `stream`."""
+        return replace(super().settings(stream), trigger_auto_clear=self.trigger_auto_clear)
 
 
-def registers() -> tuple[Register, ...]:
-    """Return the register map, for display."""
-    return ROWS
-
-
-build.bus_kinds = ("modbus_rtu", "modbus_tcp")  # type: ignore[attr-defined]  # a plugin's mark
-build.registers = registers  # type: ignore[attr-defined]  # likewise
+build: Final = DriveBuilder(OrientalAz, r.ROWS, OrientalTable)

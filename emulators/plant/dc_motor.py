@@ -1,4 +1,4 @@
-"""Parameters of a permanent-magnet DC motor with gear, load and encoder.
+"""A permanent-magnet DC motor with gear, load and encoder.
 
 All equations are on the motor's side of the gear (w is the rotor speed, i the current):
 
@@ -10,10 +10,9 @@ K is both the torque constant and the back-EMF constant (N m/A = V s/rad). Coulo
 the motion with `coulomb_friction_n_m`. At standstill it holds against any torque up to that value,
 and the speed is then exactly 0.0.
 
-Exact sampled-data models of the plant for one step.
-
-Voltage and torque are held during the step. All matrices are computed once, when an axis is built.
-Plain Python with + - * / gives bit-identical numbers on every machine.
+The sampled-data models are exact. Voltage and torque are held during the step. All matrices are
+computed once, when an axis is built. Plain Python with + - * / gives bit-identical numbers on every
+machine.
 """
 
 from collections.abc import Sequence
@@ -23,6 +22,26 @@ from typing import Final, final
 from motorhil.emulators.plant.nonlinear import NO_EXTRAS, PlantExtras
 
 PI: Final = 3.141592653589793
+
+RANGES: Final[dict[str, tuple[float, float]]] = {
+    "resistance_ohm": (1e-4, 1e6),
+    "inductance_h": (1e-9, 1e3),
+    "torque_constant_n_m_a": (1e-7, 1e4),
+    "rotor_inertia_kg_m2": (1e-12, 1e6),
+    "encoder_increments_rev": (1, 1 << 31),
+    "supply_v": (1e-3, 1e6),
+    "current_max_a": (1e-4, 1e6),
+    "coulomb_friction_n_m": (0, 1e6),
+    "viscous_friction_n_m_s_rad": (0, 1e6),
+    "gear_ratio": (1e-4, 1e6),
+    "load_inertia_kg_m2": (0, 1e9),
+    "load_torque_n_m": (-1e9, 1e9),
+}
+"""The permitted range of each parameter; no combination overflows a double."""
+
+Matrix = list[list[float]]
+
+_TAYLOR_TERMS: Final = 18  # for a norm <= 1/2 the remainder is below 1e-21
 
 
 @final
@@ -98,28 +117,6 @@ class MotorPlant:
     def electrical_time_constant_s(self) -> float:
         """Return the electrical time constant L / R of the blocked motor [s]."""
         return self.inductance_h / self.resistance_ohm
-
-
-RANGES: Final[dict[str, tuple[float, float]]] = {
-    "resistance_ohm": (1e-4, 1e6),
-    "inductance_h": (1e-9, 1e3),
-    "torque_constant_n_m_a": (1e-7, 1e4),
-    "rotor_inertia_kg_m2": (1e-12, 1e6),
-    "encoder_increments_rev": (1, 1 << 31),
-    "supply_v": (1e-3, 1e6),
-    "current_max_a": (1e-4, 1e6),
-    "coulomb_friction_n_m": (0, 1e6),
-    "viscous_friction_n_m_s_rad": (0, 1e6),
-    "gear_ratio": (1e-4, 1e6),
-    "load_inertia_kg_m2": (0, 1e9),
-    "load_torque_n_m": (-1e9, 1e9),
-}
-"""The permitted range of each parameter; no combination overflows a double."""
-
-
-Matrix = list[list[float]]
-
-_TAYLOR_TERMS: Final = 18  # for a norm <= 1/2 the remainder is below 1e-21
 
 
 def identity(size: int) -> Matrix:

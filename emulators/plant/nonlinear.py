@@ -24,6 +24,45 @@ from typing import Final, final
 NEVER_RAD: Final = 1e9  # end stop position that stands for "no end stop"
 REFERENCE_C: Final = 25.0  # temperature at which data sheets give the resistance
 
+_THERMAL: Final = (
+    "thermal_resistance_winding_housing_k_w",
+    "thermal_resistance_housing_ambient_k_w",
+    "thermal_time_constant_winding_s",
+    "thermal_time_constant_motor_s",
+)
+
+RANGES: Final[dict[str, tuple[float, float]]] = {
+    "backlash_rad": (0, 6.2832),
+    "coupling_stiffness_n_m_rad": (0, 1e12),
+    "coupling_damping_n_m_s_rad": (0, 1e9),
+    "output_coulomb_friction_n_m": (0, 1e9),
+    "output_viscous_friction_n_m_s_rad": (0, 1e9),
+    "stop_low_rad": (-NEVER_RAD, NEVER_RAD),
+    "stop_high_rad": (-NEVER_RAD, NEVER_RAD),
+    "stop_restitution": (0, 1),
+    "static_friction_n_m": (0, 1e6),
+    "stribeck_speed_rad_s": (1e-6, 1e6),
+    "cogging_torque_n_m": (0, 1e6),
+    "cogging_periods_rev": (1, 100_000),
+    "gravity_torque_n_m": (-1e9, 1e9),
+    "gravity_zero_rad": (-NEVER_RAD, NEVER_RAD),
+    "source_resistance_ohm": (0, 1e6),
+    "dc_link_capacitance_f": (1e-9, 1e3),
+    "dc_link_bleed_ohm": (0, 1e9),
+    "chopper_threshold_v": (0, 1e6),
+    "chopper_resistance_ohm": (0, 1e6),
+    "thermal_resistance_winding_housing_k_w": (0, 1e6),
+    "thermal_resistance_housing_ambient_k_w": (0, 1e6),
+    "thermal_time_constant_winding_s": (0, 1e7),
+    "thermal_time_constant_motor_s": (0, 1e7),
+    "ambient_c": (-200, 300),
+    "copper_coefficient_1_k": (0, 0.1),
+    "i2t_continuous_a": (0, 1e6),
+    "i2t_peak_a": (0, 1e6),
+    "i2t_peak_s": (1e-3, 1e6),
+}
+"""The permitted range of each parameter; no combination overflows a double."""
+
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -139,45 +178,6 @@ class PlantExtras:
         """Return True if any effect is on."""
         return self != NO_EXTRAS
 
-
-_THERMAL: Final = (
-    "thermal_resistance_winding_housing_k_w",
-    "thermal_resistance_housing_ambient_k_w",
-    "thermal_time_constant_winding_s",
-    "thermal_time_constant_motor_s",
-)
-
-RANGES: Final[dict[str, tuple[float, float]]] = {
-    "backlash_rad": (0, 6.2832),
-    "coupling_stiffness_n_m_rad": (0, 1e12),
-    "coupling_damping_n_m_s_rad": (0, 1e9),
-    "output_coulomb_friction_n_m": (0, 1e9),
-    "output_viscous_friction_n_m_s_rad": (0, 1e9),
-    "stop_low_rad": (-NEVER_RAD, NEVER_RAD),
-    "stop_high_rad": (-NEVER_RAD, NEVER_RAD),
-    "stop_restitution": (0, 1),
-    "static_friction_n_m": (0, 1e6),
-    "stribeck_speed_rad_s": (1e-6, 1e6),
-    "cogging_torque_n_m": (0, 1e6),
-    "cogging_periods_rev": (1, 100_000),
-    "gravity_torque_n_m": (-1e9, 1e9),
-    "gravity_zero_rad": (-NEVER_RAD, NEVER_RAD),
-    "source_resistance_ohm": (0, 1e6),
-    "dc_link_capacitance_f": (1e-9, 1e3),
-    "dc_link_bleed_ohm": (0, 1e9),
-    "chopper_threshold_v": (0, 1e6),
-    "chopper_resistance_ohm": (0, 1e6),
-    "thermal_resistance_winding_housing_k_w": (0, 1e6),
-    "thermal_resistance_housing_ambient_k_w": (0, 1e6),
-    "thermal_time_constant_winding_s": (0, 1e7),
-    "thermal_time_constant_motor_s": (0, 1e7),
-    "ambient_c": (-200, 300),
-    "copper_coefficient_1_k": (0, 0.1),
-    "i2t_continuous_a": (0, 1e6),
-    "i2t_peak_a": (0, 1e6),
-    "i2t_peak_s": (1e-3, 1e6),
-}
-"""The permitted range of each parameter; no combination overflows a double."""
 
 NO_EXTRAS: Final = PlantExtras()
 EXTRAS: Final = tuple(field.name for field in fields(PlantExtras))

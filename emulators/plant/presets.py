@@ -1,12 +1,10 @@
 """Named plants: plausible examples, and commercial motors.
 
-Commercial motors with their data-sheet values, without gear and load.
-
-Numbers are as printed, converted to SI units. The sheets give no current limit, because it belongs
-to the drive. Here the limit is slightly above the stall current at nominal voltage, so that the
-power stage can apply the full voltage. The encoder has 500 lines, which both makers offer for these
-motors. Tests compare the published no-load speed, stall torque and mechanical time constant with
-experiments (test_data_sheets).
+Commercial motors have no gear and load. Numbers are as printed, converted to SI units. The sheets
+give no current limit, because it belongs to the drive. Here the limit is slightly above the stall
+current at nominal voltage, so that the power stage can apply the full voltage. The encoder has 500
+lines, which both makers offer for these motors. Tests compare the published no-load speed, stall
+torque and mechanical time constant with experiments (test_data_sheets).
 """
 
 from typing import Final

@@ -23,14 +23,16 @@ from bisect import bisect_left
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
+from math import exp, expm1, lgamma, log, log1p
 from typing import Final, final
 
-from motorhil.harness.analysis.message import BusLoad, Message, rank_of
-from motorhil.harness.analysis.response_time import (
+from motorhil.motorapi.synchronization.bus_load import rank_of
+from motorhil.motorapi.synchronization.can_response_time import (
     NO_ERRORS,
+    BusLoad,
     ErrorModel,
+    Message,
     are_in_time,
-    more_errors_probability,
     response_between,
     response_times,
 )
@@ -262,6 +264,28 @@ def shortest_error_interval_ns(load: BusLoad, burst: int = 1) -> int | None:
         else:
             low = middle
     return high * _STEP_NS
+
+
+def more_errors_probability(errors: int, bits: int, bit_error_rate: float) -> float:
+    """Bound the probability of more than `errors` independent bit errors in `bits` bits.
+
+    The number of errors is binomial. A Poisson variable of mean -bits ln(1 - rate) is
+    stochastically at least as large, and its tail is returned. Source: Broster, Burns &
+    Rodriguez-Navas, Probabilistic analysis of CAN with faults (2002), for the idea.
+    """
+    mean = -bits * log1p(-bit_error_rate)
+    if mean == 0.0:
+        return 0.0
+    if errors == 0:
+        return -expm1(-mean)
+    total = 0.0
+    count = errors + 1
+    while True:
+        part = exp(count * log(mean) - mean - lgamma(count + 1))
+        total += part
+        if count > mean and part <= total * 1e-12:
+            return min(1.0, total)
+        count += 1
 
 
 @final

@@ -1,7 +1,4 @@
-"""Recorded frames of one CAN bus, prepared for the response-time analysis.
-
-Traffic of a recording's CAN buses, prepared for the response-time analysis.
-"""
+"""Recorded CAN buses, prepared for the response-time analysis."""
 
 import struct
 from collections.abc import Iterable, Mapping
@@ -13,8 +10,6 @@ from typing import Final, final
 from motorhil.emulators.can.frame import FD_FRAME_BYTES, FD_LENGTHS
 from motorhil.emulators.can.frame_length import LENGTHS_MASK, measure, phases_of
 from motorhil.harness.analysis.measured import Heard, Measured, clock_of, measured
-from motorhil.harness.analysis.message import Arrival, Bits, BusLoad, Message
-from motorhil.harness.analysis.plot import is_sdo, usual_name
 from motorhil.harness.analysis.subject import (
     Queues,
     Subject,
@@ -22,7 +17,10 @@ from motorhil.harness.analysis.subject import (
     is_canopen_reserved,
     reserves_nothing,
 )
+from motorhil.motorapi.synchronization.can_frame_length import Bits
+from motorhil.motorapi.synchronization.can_response_time import Arrival, BusLoad, Message
 from motorhil.traces.decoding.attached_rig import RecordedNames, RigFacts, facts_of, names_of
+from motorhil.traces.decoding.canopen import is_sdo, usual_name
 from motorhil.traces.errors import TraceError
 from motorhil.traces.formats.frames import BRS, EFF, EFF_MASK, ERR, RTR, Findings
 from motorhil.traces.formats.registry import Source, open_source

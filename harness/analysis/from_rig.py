@@ -12,16 +12,16 @@ from typing import TYPE_CHECKING, Final, final
 
 from motorhil.emulators.can.controller_config import QueueOrder
 from motorhil.harness.analysis.advice import Reserved
-from motorhil.harness.analysis.message import Arrival, BusLoad, Message
-from motorhil.harness.analysis.plot import usual_name
 from motorhil.harness.analysis.subject import Queues, Subject, is_canopen_reserved, reserves_nothing
 from motorhil.harness.rig.config.bus_load import Declared, declared, heartbeats, syncs
 from motorhil.harness.rig.rig import Rig
 from motorhil.motorapi.errors import MotorError
 from motorhil.motorapi.synchronization.bus_load import PeriodicMessage, own_traffic
+from motorhil.motorapi.synchronization.can_response_time import Arrival, BusLoad, Message, floor_ns
+from motorhil.traces.decoding.canopen import usual_name
 
 if TYPE_CHECKING:
-    from motorhil.motorapi.adaptations.canopen.bus import CanopenLink
+    from motorhil.motorapi.adaptations.canopen.sync import BusSync
     from motorhil.motorapi.synchronization.bus_load import NodeTraffic
 
 HOST: Final = "host"
@@ -169,16 +169,12 @@ class _Bus:
         """
         is_sync = one.can_id in self._syncs
         by_clock = one.can_id >= 0x700 or is_sync
-        period_ns = _floor_ns(one.period_s)
+        message = Message.of(one)
         is_own = sender != HOST and not by_clock
         repeated_ns = self._repeats_ns.get(one.can_id & 0x7F, 0) if is_own else 0
-        return Message(
-            identifier=one.can_id,
-            length=one.length,
-            period_ns=period_ns,
-            jitter_ns=-_floor_ns(-one.jitter_s),
-            deadline_ns=max(period_ns, repeated_ns),
-            extended=one.extended,
+        return replace(
+            message,
+            deadline_ns=max(message.period_ns, repeated_ns),
             name=self._name_of(one, is_sync),
             sender=sender,
             arrival=Arrival.PERIODIC if by_clock else Arrival.SPORADIC,
@@ -191,16 +187,14 @@ class _Bus:
             return "SYNC"
         return "" if one.extended else usual_name(one.can_id, _numbered(self._nodes))
 
-    def _link(self) -> "CanopenLink | None":
-        """Return the link that the motors of this bus share, or None."""
+    def _sync(self) -> "BusSync | None":
+        """Return the SYNC that the motors of this bus share, or None."""
         for name, described in self._rig.description.motors.items():
             if described.bus == self._name:
                 hardware = getattr(self._rig.motors[name], "hardware", None)
-                link = getattr(hardware, "link", None)
-                found: CanopenLink | None = link or getattr(
-                    getattr(hardware, "node", None), "link", None
-                )
-                if found is not None:
+                bus = getattr(getattr(hardware, "node", None), "bus", None)
+                if bus is not None:
+                    found: BusSync = bus.sync
                     return found
         return None
 
@@ -211,8 +205,8 @@ class _Bus:
             return self._assumptions.sync_s
         if produced:
             return min(one.period_s for _, one in produced)
-        link = self._link()
-        period_s = sync_period(link)[0] if link is not None else None
+        sync = self._sync()
+        period_s = None if sync is None else sync_period(sync)[0]
         if period_s is None and self._assumptions.streamed:
             periods = [one.period_ns for one in self._set_points()]
             period_s = min(periods) / 1e9 if periods else None
@@ -241,15 +235,9 @@ class _Bus:
 
 def _declared(one: Declared, is_reserved: Reserved) -> Message:
     message = one.message
-    return Message(
-        identifier=message.can_id,
-        length=message.length,
-        period_ns=_floor_ns(message.period_s),
-        jitter_ns=-_floor_ns(-message.jitter_s),
-        deadline_ns=_floor_ns(one.deadline_s),
-        extended=message.extended,
-        fd=message.fd,
-        switched=message.bit_rate_switch,
+    return replace(
+        Message.of(message),
+        deadline_ns=floor_ns(one.deadline_s),
         sender=one.sender,
         movable=not is_reserved(message.can_id, message.extended),
         source="declared",
@@ -274,8 +262,3 @@ def _worse(one: Message, other: Message) -> Message:
 
 def _numbered(nodes: dict[int | None, str]) -> dict[int, str]:
     return {number: name for number, name in nodes.items() if number is not None}
-
-
-def _floor_ns(time_s: float) -> int:
-    """Return the time rounded down to whole ns [ns], tolerating floating-point errors."""
-    return int(round(time_s * 1e12) // 1000)

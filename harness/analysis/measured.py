@@ -12,9 +12,8 @@ Stamps mark the ends of frames, so waiting for the bus is part of the jitter. Th
 is not recorded, but later frames prove a part of it. If one comes too early, those before it were
 late by as much.
 
-Clock of a periodic message: period, error and jitter, as recorded.
-
-A straight line is fitted to the frames' times over their numbers, by least squares. An irregular
+The clock of a periodic message is a straight line, fitted to the frames' times over their numbers
+by least squares. An irregular
 distance (a pause, a lost frame) begins a new run with its own phase. All runs share one period. The
 jitter is the residual of the fit.
 
@@ -29,12 +28,18 @@ from itertools import pairwise
 from math import floor, log10, sqrt
 from typing import Final, final
 
-from motorhil.harness.analysis.message import FD_LENGTHS, Arrival, Bits, Message
+from motorhil.motorapi.synchronization.bus_load import FD_LENGTHS
+from motorhil.motorapi.synchronization.can_frame_length import Bits
+from motorhil.motorapi.synchronization.can_response_time import Arrival, Message
 
 SAMPLES_MIN: Final = 10
 _REGULAR_SHARE: Final = 0.9
 _REGULAR_WITHIN: Final = 4  # a quarter of the median
 _FINE: Final = 1 << 16  # of a nanosecond: a period's error grows with the number of frames
+_LIKE: Final = 4  # a quarter of the median distance
+_ROUND_WITHIN_PPM: Final = 200.0  # crystals are within 100
+_TOLD_WITHIN_PPM: Final = 10_000.0
+_STEPS: Final = (1.0, 0.1, 0.05)  # of the first digit: 10, 12, 12.5
 
 
 @final
@@ -222,12 +227,6 @@ def _ahead_ns(times: Iterable[int], period_ns: int) -> int:
         lowest = place_ns if lowest is None else min(lowest, place_ns)
         ahead_ns = max(ahead_ns, place_ns - lowest)
     return ahead_ns
-
-
-_LIKE: Final = 4  # a quarter of the median distance
-_ROUND_WITHIN_PPM: Final = 200.0  # crystals are within 100
-_TOLD_WITHIN_PPM: Final = 10_000.0
-_STEPS: Final = (1.0, 0.1, 0.05)  # of the first digit: 10, 12, 12.5
 
 
 @final

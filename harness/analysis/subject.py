@@ -14,9 +14,9 @@ from motorhil.harness.analysis.advice import (
     tolerances,
 )
 from motorhil.harness.analysis.measured import Clock, Measured
-from motorhil.harness.analysis.message import BusLoad
-from motorhil.harness.analysis.response_time import (
+from motorhil.motorapi.synchronization.can_response_time import (
     NO_ERRORS,
+    BusLoad,
     ErrorModel,
     Response,
     are_in_time,

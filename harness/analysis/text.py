@@ -4,9 +4,8 @@ from collections.abc import Sequence
 from typing import Final
 
 from motorhil.harness.analysis.advice import ERRORS_MAX, Tolerance
-from motorhil.harness.analysis.message import Arrival, Message
-from motorhil.harness.analysis.response_time import Response
 from motorhil.harness.analysis.subject import Findings, Subject, Sync
+from motorhil.motorapi.synchronization.can_response_time import Arrival, Message, Response
 
 WORDS: Final = (0, 1, 2, 8)
 _MS: Final = 1e-6  # ms per ns

@@ -7,8 +7,6 @@ from dataclasses import replace
 from pathlib import Path
 
 from motorhil.harness.analysis.advice import at_rate
-from motorhil.harness.analysis.message import Message
-from motorhil.harness.analysis.response_time import ErrorModel
 from motorhil.harness.analysis.subject import Findings, Subject, analyse
 from motorhil.harness.analysis.text import (
     WORDS,
@@ -23,6 +21,7 @@ from motorhil.harness.cli.main import FAILED, NOT_JUDGED, PASSED
 from motorhil.harness.cli.options import identifier, print_table, real, whole
 from motorhil.harness.cli.report import add_bit_rates
 from motorhil.harness.rig.config.toml import RigError
+from motorhil.motorapi.synchronization.can_response_time import ErrorModel, Message
 
 _TIME_MAX_S = 1e6
 

@@ -2,7 +2,7 @@
 
     @clause("STOP-04", Level.L2, needs={Capability.POSITION_TRAJECTORY}, bench={Ability.TRUTH},
             source="CiA 402-2, halt option code 605Dh; requirement 1 of the paper")
-    def a_stop_ends_at_rest(bench: RigProtocol) -> None:
+    def stop_ends_at_rest_short_of_target(bench: RigProtocol) -> None:
         \"\"\"A stop during a move ends at rest, short of the target, without a fault.\"\"\"
         ...
         expect(bench.motor.fault() is None, f"stop() left {bench.motor.fault()}")
@@ -15,7 +15,6 @@ one, the clause is not applicable, and the reason is reported. A claimed capabil
 work is a failure. A verdict says how one check ended.
 """
 
-import signal
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from enum import Enum, IntEnum
@@ -134,12 +133,6 @@ def registered() -> Mapping[str, Clause]:
     return _CLAUSES
 
 
-TELL_WHERE: Final = signal.SIGUSR1
-"""Signal to a worker: dump the stacks of all threads."""
-TIME_IS_UP: Final = signal.SIGUSR2
-"""Signal to a worker: end the check."""
-
-
 @final
 class Result(Enum):
     """The result of a clause's check."""
@@ -149,9 +142,7 @@ class Result(Enum):
     NOT_APPLICABLE = "not applicable"
     CRASHED = "crashed"  # an error was raised that is not part of the motor interface
     HUNG = "hung"  # it did not end within its deadline
-    LEFT_BEHIND = (
-        "left behind"  # the check passed, but left resources behind, such as threads or an open bus
-    )
+    LEFT_BEHIND = "left behind"  # it passed, but left resources, such as threads or an open bus
 
     @property
     def is_good(self) -> bool:

@@ -28,7 +28,7 @@ class Finding:
         promise: the clause.
         verdict: the verdict of the run without a record.
         wall_s: the duration of that run [s].
-        said: the last lines printed during that run.
+        output: the last lines printed during that run.
         again: the command that checks this clause alone; "" if the verdict is good.
         record: the MCAP file of the second run, or None.
         digest: the digest of the record's messages; "" if there is none, or the record is
@@ -39,7 +39,7 @@ class Finding:
     promise: Promise
     verdict: Verdict
     wall_s: float
-    said: tuple[str, ...] = ()
+    output: tuple[str, ...] = ()
     again: str = ""
     record: Path | None = None
     digest: str = ""
@@ -82,7 +82,7 @@ class Examiner:
         begin_s = time.monotonic()
         verdict = self._supervisor.check(promise.id, record=record)
         wall_s = time.monotonic() - begin_s
-        said = self._supervisor.said
+        output = self._supervisor.output
         if verdict.result.is_good:
             if record is not None:
                 record.unlink(missing_ok=True)
@@ -97,7 +97,7 @@ class Examiner:
             promise,
             verdict,
             wall_s,
-            said,
+            output,
             shlex.join(again),
             record if record.exists() else None,
             _digest(record),

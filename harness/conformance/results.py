@@ -121,7 +121,7 @@ def _clause(one: Finding) -> dict[str, object]:
         "place": one.verdict.place,
         "time_s": one.verdict.time_ns / _NS,
         "wall_s": round(one.wall_s, 3),
-        "said": list(one.said),
+        "said": list(one.output),
         "again": one.again or None,
         "record": None if one.record is None else str(one.record),
         "digest": one.digest or None,
@@ -211,7 +211,7 @@ def _claims(claims: Mapping[str, str] | None) -> str:
 def more_of(one: Finding) -> list[str]:
     """Return further lines about a clause that did not pass."""
     lines = [one.verdict.place] if one.verdict.place else []
-    lines += [f"printed: {line}" for line in one.said]
+    lines += [f"printed: {line}" for line in one.output]
     if one.second is not None:
         told = f"{one.second.result.value} {one.second.seen}".rstrip()
         lines.append(f"not repeatable: a second run with the same seed ended differently: {told}")

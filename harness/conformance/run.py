@@ -69,6 +69,16 @@ _HOOKS: Final = {
     Capability.MEASURED_FOLLOWING_ERROR: "_read_following_error",
     Capability.LOW_LEVEL: "_open_low_level",
 }
+_SETTLE_S: Final = 0.25
+_POLL_S: Final = 0.01
+_DESCRIPTORS: Final = Path("/proc/self/fd")
+_TASKS: Final = Path("/proc/self/task")
+_CLAUSES: Final = str(Path(__file__).parent / "clauses")
+_SHARED: Final = (str(clause.__file__), os.path.join(_CLAUSES, "helpers.py"))
+"""Files whose functions raise for their callers; a place in the calling clause is preferred."""
+
+Line = tuple[str, int]
+"""(file, line)."""
 
 
 @final
@@ -97,9 +107,7 @@ class Claims:
                     try:
                         found[one] = _why_not(bench.motor, bench.facts, one)
                     except (Exception, SystemExit):
-                        if (
-                            one is capability
-                        ):  # clauses that need another capability report its error
+                        if one is capability:  # clauses that need another one report its error
                             raise
             self._known.update(found)
         return self._known[capability]
@@ -115,13 +123,13 @@ def _why_not(motor: Motor, facts: Facts, capability: Capability) -> str:
 
 def _claims(motor: Motor, capability: Capability) -> bool:
     if capability in _MODES:
-        return motor._call(motor._supports, *_MODES[capability])
+        return motor.logical.hooks.supports(*_MODES[capability])
     if capability in _HOOKS:
         hook = _HOOKS[capability]
         return getattr(type(motor), hook) is not getattr(MotorHooks, hook)
     if capability is Capability.COMMON_TRIGGER:
-        motor._call(motor._connect)
-        return motor._call(motor._sync_offer).level >= SyncLevel.TRIGGERED
+        motor.logical.hooks.connect()
+        return motor.logical.hooks.sync_offer().level >= SyncLevel.TRIGGERED
     if capability is Capability.COMPLEX_POSITION:
         return _takes_functions(motor, ControlVariable.POSITION)
     if capability is Capability.COMPLEX_VELOCITY:
@@ -133,7 +141,7 @@ def _claims(motor: Motor, capability: Capability) -> bool:
 
 def _takes_functions(motor: Motor, variable: ControlVariable) -> bool:
     """Return whether the motor accepts complex trajectories; keep the motor's settings."""
-    if not motor._call(motor._supports, ControlMode.TRAJECTORY, variable):
+    if not motor.logical.hooks.supports(ControlMode.TRAJECTORY, variable):
         return False
     from motorhil.motorapi.functions import Polynomial
 
@@ -142,7 +150,7 @@ def _takes_functions(motor: Motor, variable: ControlVariable) -> bool:
 
 
 def _takes_limits(motor: Motor) -> bool:
-    if not motor._call(motor._supports, ControlMode.SETPOINT, ControlVariable.POSITION):
+    if not motor.logical.hooks.supports(ControlMode.SETPOINT, ControlVariable.POSITION):
         return False
     slow = DerivativeLimits(first=0.5 * motor.model.velocity_max)
     return _accepts(motor, ControlVariable.POSITION, Setpoint(0.0, True, slow))
@@ -152,16 +160,10 @@ def _accepts(
     motor: Motor, variable: ControlVariable, command: Setpoint | ComplexTrajectory
 ) -> bool:
     try:
-        motor._call(motor._check_command, variable, command)
+        motor.logical.hooks.check_command(variable, command)
     except UnsupportedError:
         return False
     return True
-
-
-_KIT: Final = str(clause.__file__)  # `expect` raises here; the caller is the interesting place
-
-Line = tuple[str, int]
-"""(file, line)."""
 
 
 def home_of(module: str) -> str:
@@ -191,7 +193,7 @@ def place_in(lines: Sequence[Line], home: str = "") -> str:
 
     The outermost line is the first.
     """
-    lines = [line for line in lines if line[0] != _KIT] or lines
+    lines = [line for line in lines if line[0] not in _SHARED] or lines
     own = [line for line in lines if home and line[0].startswith(home)]
     chosen = own or lines
     return f"{chosen[-1][0]}:{chosen[-1][1]}" if chosen else ""
@@ -203,23 +205,12 @@ def _lines_of(traceback: TracebackType | None) -> Iterable[Line]:
         traceback = traceback.tb_next
 
 
-# ruff: noqa: SLF001 -- sys._current_frames: documented, and without another name
-
-
-_PATIENCE_S: Final = 0.25
-_LOOK_AGAIN_S: Final = 0.01
-_DESCRIPTORS: Final = Path("/proc/self/fd")
-_TASKS: Final = Path("/proc/self/task")
-
-
 @final
 class Watch:
     """Compares resources before and after a clause; use it through `watched`."""
 
     def __init__(self) -> None:
-        self._threads = set(
-            sys._current_frames()
-        )  # includes threads that the threading module has not started
+        self._threads = _thread_ids()
         self._descriptors = _descriptors()
         self._children = _children()
         self._folder = os.getcwd()
@@ -229,9 +220,9 @@ class Watch:
     def left(self) -> list[str]:
         """Return descriptions of new resources; shut down new buses, kill new processes."""
         buses = list(self._open_buses())
-        end_s = time.monotonic() + _PATIENCE_S
+        end_s = time.monotonic() + _SETTLE_S
         while self._is_ending() and time.monotonic() < end_s:
-            time.sleep(_LOOK_AGAIN_S)  # a thread needs a moment to end
+            time.sleep(_POLL_S)  # a thread needs a moment to end
         self.opened.clear()
         return [
             *map(self._thread, self._new_threads()),
@@ -246,11 +237,12 @@ class Watch:
         return bool(self._new_threads() or set(_descriptors()) - set(self._descriptors))
 
     def _new_threads(self) -> list[int]:
-        return sorted(set(sys._current_frames()) - self._threads - {threading.get_ident()})
+        return sorted(_thread_ids() - self._threads - {threading.get_ident()})
 
     def _thread(self, ident: int) -> str:
         names = {thread.ident: thread.name for thread in threading.enumerate()}
-        at = self.started.get(ident) or called_at(sys._current_frames().get(ident))
+        frame = sys._current_frames().get(ident)
+        at = self.started.get(ident) or called_at(frame)
         return f"thread {names.get(ident, 'without a name')!r}, started at {at}"
 
     def _open_buses(self) -> Iterator[str]:
@@ -319,6 +311,11 @@ def _opened_at() -> str:
     return called_at(frame)
 
 
+def _thread_ids() -> set[int]:
+    """Return all threads, also those that the threading module has not started."""
+    return set(sys._current_frames())
+
+
 def _descriptors() -> dict[int, str]:
     """Return the targets of all open descriptors of this process."""
     found = {}
@@ -342,7 +339,7 @@ def _lock_held(target: str) -> str:
 def _program(pid: int) -> str:
     """Return the command line of a process, or its name if it has ended."""
     words = b""
-    end_s = time.monotonic() + _LOOK_AGAIN_S
+    end_s = time.monotonic() + _POLL_S
     with suppress(OSError):
         while not words and time.monotonic() < end_s:  # empty while the process starts
             words = Path(f"/proc/{pid}/cmdline").read_bytes().replace(b"\0", b" ").strip()
@@ -357,9 +354,6 @@ def _children() -> set[int]:
         with suppress(OSError):
             pids.update(map(int, (task / "children").read_text().split()))
     return pids
-
-
-_CLAUSES: Final = str(Path(__file__).parent / "clauses")
 
 
 def run_clauses(clauses: Iterable[Clause], open_bench: Opener) -> Iterator[Verdict]:
@@ -378,7 +372,7 @@ def run_clause(
         one: the clause.
         open_bench: switches on a bench for it.
         claims: the claims of the motors of such benches.
-        home: the adaptation's folder, whose lines are preferred (`code_places.home_of`).
+        home: the adaptation's folder, whose lines are preferred (`home_of`).
 
     Raises:
         RigError: the rig file cannot be used.
@@ -467,10 +461,10 @@ class _Judge:
                     return Verdict(self._one.id, Result.FAILED, seen, at)
         if isinstance(error, RigError) and error.__cause__ is None:
             place = ""  # the message has the rig's line; the kit's line does not help
-        told = f"{error}" if isinstance(error, RigError) else f"{type(error).__name__}: {error}"
+        seen = f"{error}" if isinstance(error, RigError) else f"{type(error).__name__}: {error}"
         if isinstance(error, MotorError) and not isinstance(error, PluginError):
-            return Verdict(self._one.id, Result.FAILED, f"raised {told}", place)
-        return Verdict(self._one.id, Result.CRASHED, told, place)
+            return Verdict(self._one.id, Result.FAILED, f"raised {seen}", place)
+        return Verdict(self._one.id, Result.CRASHED, seen, place)
 
     def _is_no_room(self, error: LimitError) -> bool:
         """Return whether the clause has asked for a position that the motors' models forbid."""

@@ -37,19 +37,34 @@ from types import FrameType
 from typing import Any, Final, NoReturn, Self, TextIO, final
 
 import motorhil
-from motorhil.harness.conformance.clause import (
-    TELL_WHERE,
-    TIME_IS_UP,
-    Result,
-    Verdict,
-    packed,
-    unpacked,
-)
-from motorhil.harness.conformance.run import Line, place_in
+from motorhil.harness.conformance.clause import Result, Verdict, packed, unpacked
+from motorhil.harness.conformance.kit import all_clauses
+from motorhil.harness.conformance.rig_bench import TimeIsUp
+from motorhil.harness.conformance.run import Claims, Line, place_in, raised_at, run_clause
 from motorhil.harness.conformance.target import Job, Target
+from motorhil.harness.rig.config.conformance import Capability
+from motorhil.harness.rig.config.toml import RigError
 
+DUMP_STACKS: Final = signal.SIGUSR1
+"""Signal to a worker: dump the stacks of all threads."""
+END_CHECK: Final = signal.SIGUSR2
+"""Signal to a worker: end the check."""
 _MARGIN_S: Final = 30.0
 """Time after the deadline at which a worker without a supervisor ends by itself."""
+START_S: Final = 30.0
+"""Time limit for loading the adaptation and reading its rig."""
+_DUMPING_S: Final = 0.1
+_GRACE_S: Final = 1.0
+_OUTPUT_LINES: Final = 5
+_THREAD: Final = re.compile(r"^(?:Current thread|Thread) .*$", re.MULTILINE)
+_FRAME: Final = re.compile(r'^  File "(.*)", line (\d+) in ', re.MULTILINE)
+_WAITS: Final = os.path.join("virtual_time", "runtime.py")
+_READ_MAX: Final = 65_536
+_OUTPUT_MAX: Final = 8_192
+_END_S: Final = 2.0
+_PROGRAM: Final = (
+    "import sys; from motorhil.harness.conformance.worker import main; main(sys.argv[1:])"
+)
 
 
 @final
@@ -57,9 +72,6 @@ class _Worker:
     """Answers the requests for one job."""
 
     def __init__(self, job: Mapping[str, Any]) -> None:
-        from motorhil.harness.conformance.kit import all_clauses
-        from motorhil.harness.conformance.run import Claims
-
         self._target = Target(Job.unpacked(job))
         self._clauses = all_clauses()
         self._claims = Claims(self._target.opener())
@@ -83,15 +95,10 @@ class _Worker:
 
     def check(self, clause: str, record: str | None) -> dict[str, object]:
         """Check a clause and return its verdict."""
-        from motorhil.harness.conformance.clause import Result, Verdict
-        from motorhil.harness.conformance.run import raised_at, run_clause
-
         opener = self._target.opener(Path(record) if record else None)
         try:
             verdict = run_clause(self._clauses[clause], opener, self._claims, self._target.home)
-        except (
-            KeyboardInterrupt
-        ) as error:  # from the code under test: this process does not receive Ctrl-C
+        except KeyboardInterrupt as error:  # of the code under test: Ctrl-C does not come here
             place = raised_at(error, self._target.home)
             verdict = Verdict(clause, Result.CRASHED, "KeyboardInterrupt", place)
         return packed(verdict)
@@ -102,10 +109,6 @@ class _Worker:
         Raises:
             RigError: the adaptation's claims cannot be read.
         """
-        from motorhil.harness.conformance.run import raised_at
-        from motorhil.harness.rig.config.conformance import Capability
-        from motorhil.harness.rig.config.toml import RigError
-
         try:
             return {one.key: self._claims.why_not(one) for one in Capability}
         except RigError:
@@ -125,29 +128,27 @@ def main(words: list[str]) -> None:
     """
     leave = os._exit
 
-    def leave_and_tell(status: int) -> NoReturn:
+    def dump_and_leave(status: int) -> NoReturn:
         """Dump the stacks to show the caller, then exit as `os._exit`."""
-        faulthandler.dump_traceback(told)
+        faulthandler.dump_traceback(dump)
         leave(status)
 
     reader, writer, stacks = (int(word) for word in words)
     for descriptor in (reader, writer, stacks):
         os.set_inheritable(descriptor, False)
-    with open(stacks, "w", closefd=False) as told:
-        faulthandler.enable(told)
-        faulthandler.register(TELL_WHERE, told)
-        signal.signal(TIME_IS_UP, _time_is_up)
-        os._exit = leave_and_tell
+    with open(stacks, "w", closefd=False) as dump:
+        faulthandler.enable(dump)
+        faulthandler.register(DUMP_STACKS, dump)
+        signal.signal(END_CHECK, _end_check)
+        os._exit = dump_and_leave
         with open(reader) as requests:
-            _answer(requests, lambda reply: _write(writer, reply), told)
+            _answer(requests, lambda reply: _write(writer, reply), dump)
     sys.stdout.flush()
     sys.stderr.flush()
     leave(0)  # even if the adaptation has left threads running
 
 
-def _answer(requests: TextIO, reply: Callable[[object], None], told: TextIO) -> None:
-    from motorhil.harness.rig.config.toml import RigError
-
+def _answer(requests: TextIO, reply: Callable[[object], None], dump: TextIO) -> None:
     worker: _Worker | None = None
     for line in requests:
         request = json.loads(line)
@@ -157,14 +158,14 @@ def _answer(requests: TextIO, reply: Callable[[object], None], told: TextIO) -> 
                 sys.path[:] = request["path"]
                 gc.disable()  # loading modules makes no garbage
                 worker = _Worker(request["job"])
-                gc.freeze()  # the collections after each clause need not scan the modules (`leaks`)
+                gc.freeze()  # the collections after each clause need not scan the modules
                 gc.enable()
                 answer = {"ready": worker.ready()}
             elif "claims" in request:
                 answer = {"claims": worker.claims()}
             else:
                 left_s = request["deadline_s"] + _MARGIN_S
-                faulthandler.dump_traceback_later(left_s, exit=True, file=told)
+                faulthandler.dump_traceback_later(left_s, exit=True, file=dump)
                 answer = {"verdict": worker.check(request["check"], request["record"])}
                 faulthandler.cancel_dump_traceback_later()
         except RigError as error:
@@ -178,18 +179,8 @@ def _write(descriptor: int, reply: object) -> None:
         data = data[os.write(descriptor, data) :]
 
 
-def _time_is_up(number: int, frame: FrameType | None) -> None:
-    from motorhil.harness.conformance.rig_bench import TimeIsUp
-
+def _end_check(number: int, frame: FrameType | None) -> None:
     raise TimeIsUp("the deadline has passed")
-
-
-_READ_MAX: Final = 65_536
-_SAID_MAX: Final = 8_192
-_END_S: Final = 2.0
-_PROGRAM: Final = (
-    "import sys; from motorhil.harness.conformance.worker import main; main(sys.argv[1:])"
-)
 
 
 class ChildEndedError(Exception):
@@ -202,20 +193,23 @@ class Child:
 
     The worker has its own process group, so that only the supervisor receives Ctrl-C.
 
-    Attributes: said, the last output of the worker since this was emptied.
+    Attributes:
+        output: the last output of the worker since this was emptied.
+        last_stacks: the stack dumps at the end; "" before `close`.
     """
 
     def __init__(self) -> None:
-        self.said = b""
+        self.output = b""
+        self.last_stacks = ""
         self._stacks = tempfile.TemporaryFile()  # noqa: SIM115 -- closed with the child
         requests, self._requests = os.pipe()
         self._replies, replies = os.pipe()
         root = str(Path(motorhil.__file__).parent.parent)
         others = [path for path in (os.environ.get("PYTHONPATH"),) if path]
         options = [f"-W{one}" for one in sys.warnoptions] + ["-O"] * sys.flags.optimize
-        told = [str(one) for one in (requests, replies, self._stacks.fileno())]
+        arguments = [str(one) for one in (requests, replies, self._stacks.fileno())]
         self._process = subprocess.Popen(
-            [sys.executable, "-P", *options, "-c", _PROGRAM, *told],
+            [sys.executable, "-P", *options, "-c", _PROGRAM, *arguments],
             env={**os.environ, "PYTHONPATH": os.pathsep.join([root, *others])},
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
@@ -226,13 +220,13 @@ class Child:
         os.close(requests)
         os.close(replies)
         assert self._process.stdout is not None
-        self._output = self._process.stdout
+        self._pipe = self._process.stdout
         self._ended = os.pidfd_open(self._process.pid)
-        self._heard = b""
-        self._asked = 0
+        self._received = b""
+        self._number = 0
         self._is_idle = True
         self._poll = select.poll()
-        for descriptor in (self._replies, self._output.fileno()):
+        for descriptor in (self._replies, self._pipe.fileno()):
             os.set_blocking(descriptor, False)
             self._poll.register(descriptor, select.POLLIN)
         self._poll.register(self._ended, select.POLLIN)
@@ -240,8 +234,8 @@ class Child:
     def ask(self, request: Mapping[str, Any]) -> None:
         """Send a request to the worker; `answer` returns its result."""
         self._is_idle = False
-        self._asked += 1
-        line = json.dumps({**request, "number": self._asked}).encode() + b"\n"
+        self._number += 1
+        line = json.dumps({**request, "number": self._number}).encode() + b"\n"
         with suppress(BrokenPipeError):  # the worker has ended; `answer` reports this
             os.write(self._requests, line)
 
@@ -252,21 +246,21 @@ class Child:
             ChildEndedError: the worker has ended, or its answer cannot be decoded.
         """
         end_s = time.monotonic() + timeout_s
-        while b"\n" not in self._heard:
+        while b"\n" not in self._received:
             left_s = end_s - time.monotonic()
             if left_s <= 0.0:
                 return None
             ready = {descriptor for descriptor, _ in self._poll.poll(left_s * 1e3)}
-            self.said = (self.said + self._read(self._output.fileno(), ready))[-_SAID_MAX:]
-            self._heard += self._read(self._replies, ready)
-            if self._ended in ready and b"\n" not in self._heard:
-                raise ChildEndedError(self._how_it_ended())
-        line, _, self._heard = self._heard.partition(b"\n")
-        answer = self._understood(line)
+            self.output = (self.output + self._read(self._pipe.fileno(), ready))[-_OUTPUT_MAX:]
+            self._received += self._read(self._replies, ready)
+            if self._ended in ready and b"\n" not in self._received:
+                raise ChildEndedError(self._end_status())
+        line, _, self._received = self._received.partition(b"\n")
+        answer = self._decode(line)
         self._is_idle = True
         return answer
 
-    def _understood(self, line: bytes) -> dict[str, Any]:
+    def _decode(self, line: bytes) -> dict[str, Any]:
         """Decode an answer line.
 
         Raises:
@@ -275,20 +269,19 @@ class Child:
         """
         try:
             number, answer = json.loads(line)
-            if number == self._asked and isinstance(answer, dict):
+            if number == self._number and isinstance(answer, dict):
                 return answer
         except (ValueError, TypeError):
             pass
-        told = line[:40].decode(errors="replace")
-        raise ChildEndedError(f"worker: wrote {told!r} to the pipe reserved for the kit's answers")
+        text = line[:40].decode(errors="replace")
+        raise ChildEndedError(f"worker: wrote {text!r} to the pipe reserved for the kit's answers")
 
     def forget(self) -> None:
         """Discard the output and the stack dumps received so far."""
-        self.said = b""
+        self.output = b""
         os.ftruncate(self._stacks.fileno(), 0)
-        os.lseek(
-            self._stacks.fileno(), 0, os.SEEK_SET
-        )  # the worker's position too: it inherited the file
+        # The worker inherited the file, and thus shares its position.
+        os.lseek(self._stacks.fileno(), 0, os.SEEK_SET)
 
     def signal(self, number: signal.Signals) -> None:
         """Send a signal to the worker."""
@@ -310,7 +303,7 @@ class Child:
                     self._poll.unregister(descriptor)
         return data
 
-    def _how_it_ended(self) -> str:
+    def _end_status(self) -> str:
         facts = os.waitid(os.P_PID, self._process.pid, os.WEXITED | os.WNOWAIT)
         assert facts is not None
         if facts.si_code == os.CLD_EXITED:
@@ -324,13 +317,11 @@ class Child:
         poll.register(self._ended, select.POLLIN)
         if self._is_idle:
             poll.poll(_END_S * 1e3)
-        with suppress(
-            ProcessLookupError
-        ):  # its process is not reaped yet, so the group is still its own
+        with suppress(ProcessLookupError):  # not reaped yet, so the group is still its own
             os.killpg(self._process.pid, signal.SIGKILL)
         self._process.wait()
-        self.told = self.stacks()
-        self._output.close()
+        self.last_stacks = self.stacks()
+        self._pipe.close()
         self._stacks.close()
         os.close(self._replies)
         os.close(self._ended)
@@ -345,16 +336,6 @@ class Promise:
     level: int
     promise: str
     source: str
-
-
-START_S: Final = 30.0
-"""Time limit for loading the adaptation and reading its rig."""
-_TELLING_S: Final = 0.1
-_GRACE_S: Final = 1.0
-_SAID_LINES: Final = 5
-_THREAD: Final = re.compile(r"^(?:Current thread|Thread) .*$", re.MULTILINE)
-_FRAME: Final = re.compile(r'^  File "(.*)", line (\d+) in ', re.MULTILINE)
-_WAITS: Final = os.path.join("virtual_time", "runtime.py")
 
 
 class WrongJobError(Exception):
@@ -389,11 +370,11 @@ class Supervisor:
     """Checks the clauses of one job; a context manager that ends its worker.
 
     Attributes:
-        said: the last lines printed during the last check.
+        output: the last lines printed during the last check.
     """
 
     def __init__(self, job: Job) -> None:
-        self.said: tuple[str, ...] = ()
+        self.output: tuple[str, ...] = ()
         self._job = job
         self._child: Child | None = None
         self._loaded: Loaded | None = None
@@ -416,19 +397,19 @@ class Supervisor:
         """
         child = self._start()
         if self._loaded is None:
-            child.said = b""
+            child.output = b""
             try:
                 answer = child.answer(START_S)
             except ChildEndedError as ended:
                 self._note(child)
-                said = "".join(f"\n  {line}" for line in self.said)
-                raise CannotTestError(f"loading the adaptation: {ended}{said}") from None
+                output = "".join(f"\n  {line}" for line in self.output)
+                raise CannotTestError(f"loading the adaptation: {ended}{output}") from None
             if answer is None:
                 place = _where(child, "")
                 raise CannotTestError(
                     f"loading the adaptation: not finished after {START_S:g} s, at {place}"
                 )
-            ready = _right(answer)["ready"]
+            ready = _accepted(answer)["ready"]
             clauses = tuple(Promise(**one) for one in ready["clauses"])
             self._loaded = Loaded(**{**ready, "motors": tuple(ready["motors"]), "clauses": clauses})
             self._has_loaded = True
@@ -461,7 +442,7 @@ class Supervisor:
         try:
             answer = child.answer(limit_s)
             if answer is not None:
-                return unpacked(_right(answer)["verdict"])
+                return unpacked(_accepted(answer)["verdict"])
             answer = _interrupt(child)
             result, seen = Result.HUNG, f"not finished after {limit_s:g} s of wall time"
             if answer is None:
@@ -472,7 +453,7 @@ class Supervisor:
             self._note(child)
         self._retire()
         time_ns = unpacked(answer["verdict"]).time_ns if answer else 0
-        return Verdict(clause, result, seen, _place(child.told, loaded.home), time_ns)
+        return Verdict(clause, result, seen, _place(child.last_stacks, loaded.home), time_ns)
 
     def claims(self) -> dict[str, str]:
         """Return the reason why each capability is not claimed, by key; "" if it is claimed.
@@ -512,16 +493,16 @@ class Supervisor:
             child.close()
 
     def _note(self, child: Child) -> None:
-        lines = child.said.decode(errors="replace").splitlines()
-        self.said = tuple(lines[-_SAID_LINES:])
+        lines = child.output.decode(errors="replace").splitlines()
+        self.output = tuple(lines[-_OUTPUT_LINES:])
 
 
 def _interrupt(child: Child) -> dict[str, Any] | None:
     """Interrupt the check; return its answer, or None if it does not end."""
-    child.signal(TELL_WHERE)
-    answer = child.answer(_TELLING_S)  # two signals at once could interrupt a wait only once
+    child.signal(DUMP_STACKS)
+    answer = child.answer(_DUMPING_S)  # two signals at once could interrupt a wait only once
     if answer is None:
-        child.signal(TIME_IS_UP)
+        child.signal(END_CHECK)
         answer = child.answer(_GRACE_S)
     return answer
 
@@ -533,7 +514,7 @@ def _where(child: Child, home: str) -> str:
     return _place(child.stacks(), home)
 
 
-def _right(answer: dict[str, Any]) -> dict[str, Any]:
+def _accepted(answer: dict[str, Any]) -> dict[str, Any]:
     if "wrong" in answer:
         raise WrongJobError(answer["wrong"])
     return answer

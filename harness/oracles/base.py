@@ -18,7 +18,10 @@ from motorhil.traces.decoding.cia402 import state_number
 from motorhil.traces.decoding.events import DecodedEvent
 from motorhil.traces.schema import LockAction
 
-_NS: Final = 1_000_000_000
+MS: Final = 1_000_000
+SETTLE_NS: Final = 100 * MS
+"""A sample may be older than the word beside it by a PDO's waiting time, and a servo settles."""
+_S: Final = 1_000_000_000
 
 
 @final
@@ -53,17 +56,21 @@ class Violation:
     unit: str = ""
 
     def __str__(self) -> str:
-        time = f"{self.time_ns // _NS}.{self.time_ns % _NS:09d} s"
+        time = f"{self.time_ns // _S}.{self.time_ns % _S:09d} s"
         place = f"{self.bus} node {self.node}" if self.node else self.bus
         if self.axis > 1:
             place += f" axis {self.axis}"
-        who = " ".join(part for part in (place, self.motor and f"({self.motor})") if part)
+        subject = " ".join(part for part in (place, self.motor and f"({self.motor})") if part)
         numbers = ""
         if self.value is not None:
             numbers = f": {self.value:g} {self.unit}".rstrip()
             if self.limit is not None:
                 numbers += f", limit {self.limit:g} {self.unit}".rstrip()
-        return f"{time} {who}: {self.text}{numbers}" if who else f"{time}: {self.text}{numbers}"
+        return (
+            f"{time} {subject}: {self.text}{numbers}"
+            if subject
+            else f"{time}: {self.text}{numbers}"
+        )
 
 
 @final
@@ -139,7 +146,7 @@ class Axis:
     has_display: bool = False
     objects: dict[tuple[int, int], int] = field(default_factory=dict)
 
-    def take(self, time_ns: int, index: int, subindex: int, value: int, told_to: bool) -> None:
+    def take(self, time_ns: int, index: int, subindex: int, value: int, is_written: bool) -> None:
         """Take a value of an object."""
         if index == STATUSWORD:
             state = state_number(value)
@@ -147,7 +154,7 @@ class Axis:
                 self.state, self.state_ns = state, time_ns
             self.word = value
         elif index == CONTROLWORD:
-            if told_to:
+            if is_written:
                 self.control = value
         elif index == MODE_DISPLAY:
             self.mode, self.has_display = value, True
@@ -156,6 +163,17 @@ class Axis:
                 self.mode = value
         else:
             self.objects[index, subindex] = value
+
+    def violation(
+        self,
+        time_ns: int,
+        text: str,
+        value: float | None = None,
+        limit: float | None = None,
+        unit: str = "",
+    ) -> Violation:
+        """Return a violation by this axis; for the numbers see `Violation`."""
+        return Violation(time_ns, text, *self.place, self.name, value, limit, unit)
 
     def forget(self) -> None:
         """Forget the state and the settings after a restart of the drive."""
@@ -173,7 +191,7 @@ class RecordingContext:
         gaps: reasons why frames may be missing, so that absence proves nothing. Empty: the
             recording is complete. Final only at the end.
         buses: by bus, True if it had a message that only CANopen has.
-        heard: nodes that sent something, by bus and node-ID.
+        seen_nodes: nodes that sent something, by bus and node-ID.
         unmapped: RPDOs heard without a known mapping, by bus and node.
     """
 
@@ -189,7 +207,7 @@ class RecordingContext:
         self.axes: dict[Place, Axis] = {}
         self.gaps: dict[str, None] = {}  # an ordered set
         self.buses: dict[str, bool] = {}
-        self.heard: dict[tuple[str, int], None] = {}
+        self.seen_nodes: dict[tuple[str, int], None] = {}
         self.unmapped: dict[tuple[str, int], int] = {}
         self._from_ns = from_ns
         self._to_ns = to_ns
@@ -212,6 +230,19 @@ class RecordingContext:
                 found.objects.update(subject.objects)
         return found
 
+    def violation_of(
+        self,
+        time_ns: int,
+        text: str,
+        node: tuple[str, int],
+        value: float | None = None,
+        limit: float | None = None,
+        unit: str = "",
+    ) -> Violation:
+        """Return a violation by a node (bus, node-ID); for the numbers see `Violation`."""
+        name = self.names.nodes.get(node, "")
+        return Violation(time_ns, text, *node, 1, name, value, limit, unit)
+
     def foreign(self) -> list[str]:
         """Return the buses without a sign of CANopen."""
         return [bus for bus, is_canopen in self.buses.items() if not is_canopen]
@@ -223,11 +254,6 @@ class RecordingContext:
             if one.controller is not None:
                 found.setdefault(one.controller, []).append(one)
         return found
-
-
-MS: Final = 1_000_000
-SETTLE_NS: Final = 100 * MS
-"""A sample may be older than the word beside it by a PDO's waiting time, and a servo settles."""
 
 
 @final
@@ -268,15 +294,15 @@ class Oracle:
     objects: ClassVar[Mapping[int, bool]] = {}
     needs_canopen: ClassVar[bool] = True
 
-    def __init__(self, scene: RecordingContext) -> None:
-        self.scene: Final = scene
+    def __init__(self, context: RecordingContext) -> None:
+        self.context: Final = context
         self._tallies: dict[str, Tally] = {}
         self._reasons: dict[str, None] = {}
 
     # ------------------------------------------------------------------- hooks
 
     def value(
-        self, time_ns: int, axis: Axis, index: int, subindex: int, value: int, told_to: bool
+        self, time_ns: int, axis: Axis, index: int, subindex: int, value: int, is_written: bool
     ) -> None:
         """Handle an object's value, written to the node or sent by it; the axis has it already."""
 
@@ -295,13 +321,13 @@ class Oracle:
     def emergency(self, time_ns: int, bus: str, node: int, code: int) -> None:
         """Handle an EMCY."""
 
-    def sdo(self, time_ns: int, bus: str, said: DecodedEvent, data: bytes) -> None:
+    def sdo(self, time_ns: int, bus: str, event: DecodedEvent, data: bytes) -> None:
         """Handle a frame of an SDO transfer."""
 
     def sender(self, time_ns: int, bus: str, identifier: int, before: str, now: str) -> None:
         """Handle a change of an identifier's sender."""
 
-    def error(self, time_ns: int, bus: str, sender: str, told: BusError) -> None:
+    def error(self, time_ns: int, bus: str, sender: str, error: BusError) -> None:
         """Handle an error message of this node's CAN controller; "": unknown node."""
 
     def sent_while_off(self, time_ns: int, bus: str, sender: str, identifier: int) -> None:
@@ -324,16 +350,16 @@ class Oracle:
 
     # --------------------------------------------------------------------- results
 
-    def look(self, time_ns: int, bus: str = "") -> bool:
+    def examine(self, time_ns: int, bus: str = "") -> bool:
         """Count a case to examine; return False if it is outside the judged time."""
-        if not self.scene.judges(time_ns):
+        if not self.context.judges(time_ns):
             return False
         self._tally(bus).looked += 1
         return True
 
     def broken(self, violation: Violation) -> None:
         """Count a violation that holds even if frames are missing."""
-        if self.scene.judges(violation.time_ns):
+        if self.context.judges(violation.time_ns):
             tally = self._tally(violation.bus)
             tally.broken += 1
             if tally.first is None:
@@ -341,7 +367,7 @@ class Oracle:
 
     def absent(self, violation: Violation) -> None:
         """Count a missing event, a violation if the recording is complete."""
-        if self.scene.judges(violation.time_ns):
+        if self.context.judges(violation.time_ns):
             tally = self._tally(violation.bus)
             tally.absent += 1
             if tally.first_absent is None:
@@ -349,7 +375,7 @@ class Oracle:
 
     def doubt(self, violation: Violation, why: str) -> None:
         """Count an uncertain violation, with the reason of the uncertainty."""
-        if self.scene.judges(violation.time_ns):
+        if self.context.judges(violation.time_ns):
             tally = self._tally(violation.bus)
             tally.doubts += 1
             if tally.first_doubt is None:
@@ -368,10 +394,10 @@ class Oracle:
 
     def finding(self) -> Finding:
         """Return the result after the last event; buses without CANopen are left out."""
-        gaps = "; ".join(self.scene.gaps)
+        gaps = "; ".join(self.context.gaps)
         total, why = Tally(), ""
         for bus, tally in self._tallies.items():
-            if self.needs_canopen and bus in self.scene.foreign():
+            if self.needs_canopen and bus in self.context.foreign():
                 continue
             total.looked += tally.looked
             total.broken, total.first = _sum(total.broken, total.first, tally.broken, tally.first)

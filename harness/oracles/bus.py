@@ -27,20 +27,20 @@ _Part = tuple[Axis, int, int, int, int, int, bool, tuple[_Value, ...]]
 
 
 @final
-class BusEar:
+class BusListener:
     """Listener that passes the decoded frames of one bus to the oracles.
 
     Attributes:
         fd_frames: number of CAN FD frames, which are not judged.
     """
 
-    def __init__(self, name: str, scene: RecordingContext, oracles: Sequence[Oracle]) -> None:
+    def __init__(self, name: str, context: RecordingContext, oracles: Sequence[Oracle]) -> None:
         self.fd_frames = 0
         self._name = name
-        self._scene = scene
+        self._context = context
         self._oracles = oracles
-        scene.buses[name] = False
-        objects = {n: eds for (bus, n), eds in scene.names.objects.items() if bus == name}
+        context.buses[name] = False
+        objects = {n: eds for (bus, n), eds in context.names.objects.items() if bus == name}
         self._decoder = CanopenDecoder(objects=objects)
         self._plans: dict[int, tuple[_Part, ...] | None] = {}  # None: not a PDO
         self._senders: dict[int, str] = {}
@@ -78,8 +78,8 @@ class BusEar:
             if before != sender:
                 self._senders[can_id] = sender
                 if all(is_sent for _, is_sent, _ in self._decoder.maps.of(can_id)):
-                    for tell in self._on_sender:
-                        tell(time_ns, self._name, can_id, before, sender)
+                    for hook in self._on_sender:
+                        hook(time_ns, self._name, can_id, before, sender)
         try:
             plan = self._plans[can_id]
         except KeyError:
@@ -90,30 +90,30 @@ class BusEar:
             self._values(time_ns, plan, int.from_bytes(frame[8 : 8 + length], "little"), 8 * length)
 
     def _error(self, time_ns: int, message: bytes, sender: str) -> None:
-        told = bus_error(message)
-        if told.state is ControllerState.BUS_OFF and sender:
+        error = bus_error(message)
+        if error.state is ControllerState.BUS_OFF and sender:
             self._off[sender] = time_ns
-        elif told.state is not None:
+        elif error.state is not None:
             self._off.pop(sender, None)
         for oracle in self._oracles:
-            oracle.error(time_ns, self._name, sender, told)
+            oracle.error(time_ns, self._name, sender, error)
 
     # ------------------------------------------------------------------------------------ PDO
 
     def _values(self, time_ns: int, plan: tuple[_Part, ...], raw: int, size: int) -> None:
         # The objects of a PDO are simultaneous: all values are set before any oracle is called.
-        told: list[tuple[Axis, int, int, int, bool, tuple[_Value, ...]]] = []
-        for axis, shift, mask, sign, index, subindex, told_to, wanted in plan:
+        values: list[tuple[Axis, int, int, int, bool, tuple[_Value, ...]]] = []
+        for axis, shift, mask, sign, index, subindex, is_written, wanted in plan:
             if shift + mask.bit_length() > size:
                 continue
             value = raw >> shift & mask
             if value & sign:
                 value -= mask + 1
-            axis.take(time_ns, index, subindex, value, told_to)
-            told.append((axis, index, subindex, value, told_to, wanted))
-        for axis, index, subindex, value, told_to, wanted in told:
-            for tell in wanted:
-                tell(time_ns, axis, index, subindex, value, told_to)
+            axis.take(time_ns, index, subindex, value, is_written)
+            values.append((axis, index, subindex, value, is_written, wanted))
+        for axis, index, subindex, value, is_written, wanted in values:
+            for hook in wanted:
+                hook(time_ns, axis, index, subindex, value, is_written)
 
     def _plan(self, identifier: int) -> tuple[_Part, ...] | None:
         """Return the parts of a PDO that oracles need; None: not a PDO."""
@@ -122,9 +122,9 @@ class BusEar:
             return None
         for node, is_sent, _ in keys:
             if is_sent:
-                self._scene.heard[self._name, node] = None
+                self._context.seen_nodes[self._name, node] = None
             elif self._decoder.maps.objects((node, is_sent, _)) is None:
-                self._scene.unmapped[self._name, node] = identifier
+                self._context.unmapped[self._name, node] = identifier
         parts: list[_Part] = []
         for (node, is_sent, _), at, (index, subindex, bits) in self._decoder.maps.layout(
             identifier
@@ -132,7 +132,7 @@ class BusEar:
             number, first = axis_of(index)
             if first not in self._signed or (node in self._no_drives and first >= 0x6000):
                 continue
-            axis = self._scene.axis((self._name, node, number))
+            axis = self._context.axis((self._name, node, number))
             sign = 1 << bits - 1 if self._signed[first] else 0
             mask = (1 << bits) - 1
             wanted = self._wanted[first]
@@ -146,18 +146,18 @@ class BusEar:
         if function == 14 and node and length == 1:
             self._error_control(time_ns, node, frame)
         elif can_id == 0 or (function in (11, 12) and node):
-            said = self._decoder.decode(frame)
-            if said.kind is Kind.NMT and said.facts:
-                self._nmt(time_ns, said)
-            elif said.kind in (Kind.SDO_REQUEST, Kind.SDO_RESPONSE):
-                self._sdo(time_ns, said, frame[8 : 8 + length])
+            event = self._decoder.decode(frame)
+            if event.kind is Kind.NMT and event.facts:
+                self._nmt(time_ns, event)
+            elif event.kind in (Kind.SDO_REQUEST, Kind.SDO_RESPONSE):
+                self._sdo(time_ns, event, frame[8 : 8 + length])
         elif length < 2 and self._decoder.maps.is_sync(can_id):
             if not length:
-                self._scene.buses[self._name] = True
-            for tell in self._on_sync:
-                tell(time_ns, self._name, can_id)
+                self._context.buses[self._name] = True
+            for hook in self._on_sync:
+                hook(time_ns, self._name, can_id)
         elif function == 1 and node and length == 8:
-            self._scene.heard[self._name, node] = None
+            self._context.seen_nodes[self._name, node] = None
             code = int.from_bytes(frame[8:10], "little")
             for oracle in self._oracles:
                 oracle.emergency(time_ns, self._name, node, code)
@@ -165,52 +165,52 @@ class BusEar:
     def _error_control(self, time_ns: int, node: int, frame: bytes) -> None:
         state = frame[8] & 0x7F
         if frame[8] == 0:
-            self._scene.buses[self._name] = True
+            self._context.buses[self._name] = True
             self._decoder.decode(frame)
             for oracle in self._oracles:
                 oracle.boot(time_ns, self._name, node)
             self._forget(node)
         elif state in NMT_STATES:
-            for tell in self._on_heartbeat:
-                tell(time_ns, self._name, node, state)
-        self._scene.heard[self._name, node] = None
+            for hook in self._on_heartbeat:
+                hook(time_ns, self._name, node, state)
+        self._context.seen_nodes[self._name, node] = None
 
-    def _nmt(self, time_ns: int, said: DecodedEvent) -> None:
-        command = said.facts[0].value
+    def _nmt(self, time_ns: int, event: DecodedEvent) -> None:
+        command = event.facts[0].value
         assert isinstance(command, int)
         for oracle in self._oracles:
-            oracle.nmt(time_ns, self._name, said.node, command)
+            oracle.nmt(time_ns, self._name, event.node, command)
         if command in _RESETS:
-            self._forget(said.node)
+            self._forget(event.node)
 
     def _forget(self, node: int | None) -> None:
         self._plans.clear()
-        for axis in list(self._scene.axes.values()):
+        for axis in list(self._context.axes.values()):
             if axis.place[0] == self._name and node in (None, axis.place[1]):
                 axis.forget()
 
     # ------------------------------------------------------------------------------------ SDO
 
-    def _sdo(self, time_ns: int, said: DecodedEvent, data: bytes) -> None:
-        node, is_request = said.node, said.kind is Kind.SDO_REQUEST
+    def _sdo(self, time_ns: int, event: DecodedEvent, data: bytes) -> None:
+        node, is_request = event.node, event.kind is Kind.SDO_REQUEST
         assert node is not None
         if len(data) == 8:
             self._follow(node, data, is_request)
         for oracle in self._oracles:
-            oracle.sdo(time_ns, self._name, said, data)
+            oracle.sdo(time_ns, self._name, event, data)
         if not is_request:
-            self._scene.heard[self._name, node] = None
-        index = said.index
+            self._context.seen_nodes[self._name, node] = None
+        index = event.index
         if index is None:
             return
         number, first = axis_of(index)
         if is_request and first == CONTROLWORD and data[0] >> 5 == 1 and data[0] & 2:
             # A controlword acts on arrival, not on confirmation.
             word = int.from_bytes(data[4:6], "little")
-            self._tell(time_ns, (node, number), first, said.subindex or 0, word, True)
-        if not said.facts or not isinstance(said.facts[0].value, int):
+            self._pass_value(time_ns, (node, number), first, event.subindex or 0, word, True)
+        if not event.facts or not isinstance(event.facts[0].value, int):
             return
-        value, told_to = said.facts[0].value, said.facts[0].told_to
+        value, is_written = event.facts[0].value, event.facts[0].told_to
         if 0x1400 <= index < 0x1C00 or index == 0x1005:
             self._plans.clear()
         elif index == 0x1000:
@@ -220,9 +220,9 @@ class BusEar:
             else:
                 self._no_drives[node] = None
         if first != CONTROLWORD and not (node in self._no_drives and first >= 0x6000):
-            if said.facts[0].subject.endswith("aborted"):
+            if event.facts[0].subject.endswith("aborted"):
                 return
-            self._tell(time_ns, (node, number), first, said.subindex or 0, value, told_to)
+            self._pass_value(time_ns, (node, number), first, event.subindex or 0, value, is_written)
 
     def _follow(self, node: int, data: bytes, is_request: bool) -> None:
         """Match answers with requests: a match proves CANopen, a missing request proves a gap.
@@ -243,24 +243,24 @@ class BusEar:
         elif specifier in (2, 3):
             if data[1:4] in asked:
                 asked.remove(data[1:4])
-                self._scene.buses[self._name] = True
+                self._context.buses[self._name] = True
                 self._answered[node] = None
             elif node in self._answered:
-                self._scene.gaps["it has an SDO answer without a request"] = None
+                self._context.gaps["it has an SDO answer without a request"] = None
         elif data[0] == 0x80 and data[1:4] in asked:
             asked.remove(data[1:4])
             self._answered[node] = None
 
-    def _tell(
+    def _pass_value(
         self, time_ns: int, place: tuple[int, int], index: int, subindex: int, value: int, to: bool
     ) -> None:
         wanted = self._wanted.get(index)
         if wanted is None:
             return
-        axis = self._scene.axis((self._name, *place))
+        axis = self._context.axis((self._name, *place))
         axis.take(time_ns, index, subindex, value, to)
-        for tell in wanted:
-            tell(time_ns, axis, index, subindex, value, to)
+        for hook in wanted:
+            hook(time_ns, axis, index, subindex, value, to)
 
 
 def _hooks(oracles: Sequence[Oracle], name: str) -> Sequence[Callable[..., None]]:

@@ -155,8 +155,8 @@ def _subject(motor: MotorFacts, settings: Mapping[str, Mapping[str, Any]]) -> Su
         "acceleration_max": f"acceleration_max_{unit}_s2",
         "deceleration_max": f"deceleration_max_{unit}_s2",
     }
-    told = {key: _number(model.get(name)) for key, name in keys.items()}
-    commanded = {key: value for key, value in told.items() if value is not None}
+    values = {key: _number(model.get(name)) for key, name in keys.items()}
+    commanded = {key: value for key, value in values.items() if value is not None}
     place = None if motor.place is None else (*motor.place, motor.channel)
     return Subject(
         *(motor.name, place, motor.controller, motor.channel, unit),
@@ -170,8 +170,8 @@ def _subject(motor: MotorFacts, settings: Mapping[str, Mapping[str, Any]]) -> Su
 def _objects(controller: Mapping[str, Any]) -> dict[tuple[int, int], int]:
     """Return the objects whose power-on values the rig sets instead of the EDS."""
     found: dict[tuple[int, int], int] = {}
-    told = controller.get("objects")
-    for key, value in told.items() if isinstance(told, dict) else ():
+    values = controller.get("objects")
+    for key, value in values.items() if isinstance(values, dict) else ():
         index, _, subindex = key.partition(":")
         try:
             place = int(index.rstrip("hH"), 16), int(subindex or "0")

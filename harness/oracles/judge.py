@@ -15,7 +15,7 @@ from typing import Final, final
 
 from motorhil.harness.oracles import ownership
 from motorhil.harness.oracles.base import Finding, Oracle, RecordingContext, Verdict
-from motorhil.harness.oracles.bus import BusEar
+from motorhil.harness.oracles.bus import BusListener
 from motorhil.harness.oracles.facts import Facts, subjects_in
 from motorhil.harness.oracles.limits import (
     AccelerationLimit,
@@ -28,7 +28,7 @@ from motorhil.harness.oracles.network import (
     Answers,
     BootUps,
     Confinement,
-    FaultsTold,
+    FaultsReported,
     Heartbeats,
     OneSender,
     SyncPeriod,
@@ -54,7 +54,7 @@ from motorhil.traces.schema import (
 
 ORACLES: Final[tuple[type[Oracle], ...]] = (
     *(PositionLimit, VelocityLimit, AccelerationLimit, TorqueLimit),
-    *(StateMachine, AtRest, Following, TorqueOff, FaultsTold),
+    *(StateMachine, AtRest, Following, TorqueOff, FaultsReported),
     *(SyncPeriod, Heartbeats, Answers, OneSender, BootUps, Confinement),
 )
 CATALOGUE: Final = (
@@ -106,7 +106,7 @@ def judge(
             return _judge_trace(trace, facts, only, from_ns, to_ns, progress, note)
     pass_ = Pass(RecordingContext(facts, RecordedNames(), from_ns, to_ns), only)
     pass_.frames_of(source, progress)
-    pass_.tell(note)
+    pass_.report_unjudged(note)
     return pass_.findings(None, from_ns, to_ns)
 
 
@@ -128,7 +128,7 @@ def _judge_trace(
     facts = facts.with_more(subjects_in(trace.attachments))
     pass_ = Pass(RecordingContext(facts, names_of(trace.attachments), from_ns, to_ns), only)
     pass_.messages_of(trace, to_ns, progress)
-    pass_.tell(note)
+    pass_.report_unjudged(note)
     return pass_.findings(trace, from_ns, to_ns)
 
 
@@ -136,28 +136,28 @@ def _judge_trace(
 class Pass:
     """Dispatcher of messages to the oracles."""
 
-    def __init__(self, scene: RecordingContext, only: Collection[str]) -> None:
-        self._scene = scene
+    def __init__(self, context: RecordingContext, only: Collection[str]) -> None:
+        self._context = context
         self._only = only
-        self._oracles = [one(scene) for one in ORACLES if not only or one.id in only]
-        self._buses: dict[str, BusEar] = {}
+        self._oracles = [one(context) for one in ORACLES if not only or one.id in only]
+        self._buses: dict[str, BusListener] = {}
         self._handlers: dict[int, _Handler | None] = {}
         self._last_ns = 0
 
-    def hear(self, time_ns: int, bus: str, frame: bytes, sender: str) -> None:
+    def take_frame(self, time_ns: int, bus: str, frame: bytes, sender: str) -> None:
         """Take a frame from any source."""
-        self._ear(bus).take(time_ns, frame, sender)
+        self._listener(bus).take(time_ns, frame, sender)
         self._last_ns = max(self._last_ns, time_ns)
 
     def frames_of(self, source: Source, progress: Callable[[int], None] | None) -> None:
         """Take all frames of a file in a foreign format."""
         reading = Reading()
         for time_ns, bus, frame, _, sender in source.frames(reading):
-            self.hear(time_ns, bus, frame, sender)
+            self.take_frame(time_ns, bus, frame, sender)
             if progress is not None and not reading.frames % 20_000:
                 progress(reading.frames)
         self.imported(source.format)
-        gaps = self._scene.gaps
+        gaps = self._context.gaps
         if reading.problems:
             gaps[f"{len(reading.problems)} of its lines could not be read"] = None
         if reading.backward:
@@ -178,12 +178,12 @@ class Pass:
             if time_ns >= self._last_ns:
                 self._last_ns = time_ns
             elif channel.topic.startswith("/can/"):
-                self._scene.gaps[_BACKWARD] = None
+                self._context.gaps[_BACKWARD] = None
             if handler is not None:
                 try:
                     handler(time_ns, payload)
                 except ValueError:
-                    self._scene.gaps["some of its messages could not be read"] = None
+                    self._context.gaps["some of its messages could not be read"] = None
             if progress is not None and not count % 20_000:
                 progress(count)
         if "run" not in trace.metadata and "record" not in trace.metadata:
@@ -197,30 +197,30 @@ class Pass:
             oracle.end(self._last_ns)
         found = [oracle.finding() for oracle in self._oracles]
         if not self._only or ownership.ID in self._only:
-            motors = self._scene.facts.motors.values()
+            motors = self._context.facts.motors.values()
             places = {one.name: one.place[:2] for one in motors if one.place is not None}
             found.append(ownership.judge_ownership(trace, places, from_ns, to_ns))
         return found
 
-    def tell(self, note: Callable[[str], None] | None) -> None:
+    def report_unjudged(self, note: Callable[[str], None] | None) -> None:
         """Report frames that no oracle has examined."""
-        for bus, ear in self._buses.items():
-            if note is not None and ear.fd_frames:
-                note(f"{ear.fd_frames} CAN FD frames of {bus} are not judged")
+        for bus, listener in self._buses.items():
+            if note is not None and listener.fd_frames:
+                note(f"{listener.fd_frames} CAN FD frames of {bus} are not judged")
 
     def imported(self, origin: str) -> None:
         """Note that a foreign recording may be incomplete."""
-        if not self._scene.facts.is_complete:
+        if not self._context.facts.is_complete:
             what = f"nothing shows that this recording ({origin or 'of another writer'}) has every"
-            self._scene.gaps[f"{what} frame; --complete asserts it"] = None
+            self._context.gaps[f"{what} frame; --complete asserts it"] = None
 
     # --------------------------------------------------------------------------- dispatch
 
-    def _ear(self, bus: str) -> BusEar:
-        ear = self._buses.get(bus)
-        if ear is None:
-            ear = self._buses[bus] = BusEar(bus, self._scene, self._oracles)
-        return ear
+    def _listener(self, bus: str) -> BusListener:
+        listener = self._buses.get(bus)
+        if listener is None:
+            listener = self._buses[bus] = BusListener(bus, self._context, self._oracles)
+        return listener
 
     def _handler(self, channel: Channel) -> _Handler | None:
         schema = channel.schema
@@ -244,7 +244,7 @@ class Pass:
         return lambda time_ns, payload: self._truth(parts[1], time_ns, reader.decode(payload))
 
     def _frames(self, bus: str) -> _Handler:
-        take, decode_frame = self._ear(bus).take, FrameDecoder().decode
+        take, decode_frame = self._listener(bus).take, FrameDecoder().decode
 
         def frame(time_ns: int, payload: bytes) -> None:
             data, _, sender = decode_frame(payload)
@@ -253,8 +253,8 @@ class Pass:
         return frame
 
     def _motion(self, motor: str, time_ns: int, payload: bytes) -> None:
-        told = decode(JOINT_STATE, payload)
-        values = {name: value for name, value in told.items() if isinstance(value, float)}
+        decoded = decode(JOINT_STATE, payload)
+        values = {name: value for name, value in decoded.items() if isinstance(value, float)}
         for oracle in self._oracles:
             oracle.motion(time_ns, motor, values)
 
@@ -268,12 +268,12 @@ class Pass:
             oracle.lock(time_ns, motor, action)
 
     def _group(self, time_ns: int, payload: bytes) -> None:
-        told = decode(GROUP_SYNC, payload)
-        names = told.get("motor", [])
+        values = decode(GROUP_SYNC, payload)
+        names = values.get("motor", [])
         motors = [str(name) for name in names] if isinstance(names, list | tuple) else []
         for oracle in self._oracles:
-            oracle.group(time_ns, motors, told.get("phase") == _START)
+            oracle.group(time_ns, motors, values.get("phase") == _START)
 
     def _event(self, time_ns: int, payload: bytes) -> None:
         if str(decode(LOG, payload).get("message", "")).endswith(_LOST):
-            self._scene.gaps["frames were lost while it was recorded"] = None
+            self._context.gaps["frames were lost while it was recorded"] = None

@@ -45,12 +45,12 @@ class _Limit(Oracle, ABC):
     truth_key: ClassVar[str] = ""
     motion_key: ClassVar[str] = ""
 
-    def __init__(self, scene: RecordingContext) -> None:
+    def __init__(self, context: RecordingContext) -> None:
         """Set up the oracle; see `Oracle`."""
-        super().__init__(scene)
-        self._by_controller = scene.controllers()
+        super().__init__(context)
+        self._by_controller = context.controllers()
 
-    def beyond(
+    def compare(
         self,
         time_ns: int,
         axis: Axis | None,
@@ -64,7 +64,7 @@ class _Limit(Oracle, ABC):
     ) -> None:
         """Examine a value; it breaks the promise if it exceeds a limit by more than `allowed`."""
         bus, node, number = axis.place if axis is not None else ("", 0, 1)
-        if (low is None and high is None) or not self.look(time_ns, bus):
+        if (low is None and high is None) or not self.examine(time_ns, bus):
             return
         limit = high
         if low is not None and value < low - allowed:
@@ -73,7 +73,7 @@ class _Limit(Oracle, ABC):
             return
         self.broken(Violation(time_ns, what, bus, node, number, name, value, limit, unit))
 
-    def of(self, one: Subject, suffix: str) -> tuple[float | None, float | None]:
+    def limits_of(self, one: Subject, suffix: str) -> tuple[float | None, float | None]:
         """Return the limits in a file of limits: lowest and highest, symmetric except position."""
         high = one.limits.get(f"{self.quantity}_max_{suffix}")
         if self.quantity == "position":
@@ -90,7 +90,7 @@ class _Limit(Oracle, ABC):
 
     def motion(self, time_ns: int, motor: str, values: Mapping[str, float]) -> None:
         """Examine the value known to the application."""
-        one = self.scene.facts.motors.get(motor)
+        one = self.context.facts.motors.get(motor)
         value = values.get(self.motion_key) if self.motion_key else None
         if one is not None and value is not None:
             self.measured(time_ns, None, one, "as known to the application", value)
@@ -99,12 +99,12 @@ class _Limit(Oracle, ABC):
         self, time_ns: int, axis: Axis | None, one: Subject, what: str, value: float
     ) -> None:
         """Examine a value in SI units against a file of limits."""
-        suffix, unit = self.si(one)
+        suffix, unit = self.si_unit_of(one)
         text = f"{self.quantity.replace('_', ' ')}, {what}"
-        self.beyond(time_ns, axis, one.name, text, value, *self.of(one, suffix), unit)
+        self.compare(time_ns, axis, one.name, text, value, *self.limits_of(one, suffix), unit)
 
     @abstractmethod
-    def si(self, one: Subject) -> tuple[str, str]:
+    def si_unit_of(self, one: Subject) -> tuple[str, str]:
         """Return the suffix of this motor's keys, and the unit."""
 
     def modelled(
@@ -129,31 +129,31 @@ class PositionLimit(_Limit):
         **{0x6060: True, 0x6061: True, 0x607C: True, 0x6041: False},
     }
 
-    def __init__(self, scene: RecordingContext) -> None:
+    def __init__(self, context: RecordingContext) -> None:
         """Set up the oracle; see `Oracle`."""
-        super().__init__(scene)
+        super().__init__(context)
         self._target: dict[Place, int] = {}
         self._word: dict[Place, int] = {}
 
-    def si(self, one: Subject) -> tuple[str, str]:
+    def si_unit_of(self, one: Subject) -> tuple[str, str]:
         """Return "rad" or "m"."""
         return one.unit or "rad", one.unit or "rad"
 
     def value(
-        self, time_ns: int, axis: Axis, index: int, subindex: int, value: int, told_to: bool
+        self, time_ns: int, axis: Axis, index: int, subindex: int, value: int, is_written: bool
     ) -> None:
         """Examine a target, the controlword that activates it, or a position."""
-        if index == 0x607A and told_to:
+        if index == 0x607A and is_written:
             self._target[axis.place] = value
             if axis.mode == _CSP and axis.state == ENABLED:
                 self._commanded(time_ns, axis, value)
-        elif index == CONTROLWORD and told_to:
+        elif index == CONTROLWORD and is_written:
             fresh = value & ~self._word.get(axis.place, 0) & _NEW_SET_POINT
             self._word[axis.place] = value
             target = self._target.get(axis.place)
             if fresh and not value & _RELATIVE and axis.mode == _PP and target is not None:
                 self._commanded(time_ns, axis, target)
-        elif index == 0x6064 and not told_to:
+        elif index == 0x6064 and not is_written:
             self._actual(time_ns, axis, value)
 
     def _commanded(self, time_ns: int, axis: Axis, target: int) -> None:
@@ -164,14 +164,14 @@ class PositionLimit(_Limit):
         low, high = one.commanded.get("position_min"), one.commanded.get("position_max")
         slack = 1.0 / abs(one.increments_per_unit)
         what = "target position 607Ah"
-        self.beyond(time_ns, axis, one.name, what, position, low, high, one.unit, slack)
+        self.compare(time_ns, axis, one.name, what, position, low, high, one.unit, slack)
 
     def _actual(self, time_ns: int, axis: Axis, value: int) -> None:
         one = axis.subject
         if one is not None and one.limits:
-            self.beyond(
+            self.compare(
                 *(time_ns, axis, one.name, "position actual value 6064h"),
-                *(float(value), *self.of(one, "inc"), "inc"),
+                *(float(value), *self.limits_of(one, "inc"), "inc"),
             )
             if one.increments_per_unit:
                 what = "position actual value 6064h"
@@ -186,7 +186,7 @@ class PositionLimit(_Limit):
         slack = window if window < _OFF else 0
         slack += abs(axis.objects.get((0x607C, 0), 0)) + (high - low) // 100
         what = "position actual value 6064h beyond 607Dh"
-        self.beyond(time_ns, axis, axis.name, what, value, low, high, "inc", slack)
+        self.compare(time_ns, axis, axis.name, what, value, low, high, "inc", slack)
 
 
 @final
@@ -205,41 +205,43 @@ class VelocityLimit(_Limit):
         **{0x6060: True, 0x6061: True, 0x6041: False},
     }
 
-    def si(self, one: Subject) -> tuple[str, str]:
+    def si_unit_of(self, one: Subject) -> tuple[str, str]:
         """Return the unit per second."""
         unit = one.unit or "rad"
         return f"{unit}_s", f"{unit}/s"
 
     def value(
-        self, time_ns: int, axis: Axis, index: int, subindex: int, value: int, told_to: bool
+        self, time_ns: int, axis: Axis, index: int, subindex: int, value: int, is_written: bool
     ) -> None:
         """Examine a commanded or measured velocity."""
         one = axis.subject
-        if told_to and (index == 0x6081 or (index == 0x60FF and axis.mode == _PV)):
+        if is_written and (index == 0x6081 or (index == 0x60FF and axis.mode == _PV)):
             if one is not None and one.velocity_unit and "velocity_max" in one.commanded:
                 limit, unit = one.commanded["velocity_max"], abs(one.velocity_unit)
                 what = f"{'profile' if index == 0x6081 else 'target'} velocity {index:04X}h"
                 slack = limit * (_EXACT - 1) + unit
                 speed = abs(value) * unit
                 name = f"{one.unit}/s"
-                self.beyond(time_ns, axis, one.name, what, speed, None, limit, name, slack)
-        elif index == 0x606C and not told_to:
+                self.compare(time_ns, axis, one.name, what, speed, None, limit, name, slack)
+        elif index == 0x606C and not is_written:
             self._actual(time_ns, axis, value)
 
     def _actual(self, time_ns: int, axis: Axis, value: int) -> None:
         one, what = axis.subject, "velocity actual value 606Ch"
         if one is not None and one.limits:
-            self.beyond(time_ns, axis, one.name, what, value, *self.of(one, "raw"), "as 606Ch")
+            self.compare(
+                time_ns, axis, one.name, what, value, *self.limits_of(one, "raw"), "as 606Ch"
+            )
             if one.velocity_unit:
                 self.measured(time_ns, axis, one, what, value * one.velocity_unit)
         limit = axis.objects.get((0x607F, 0))
         if not limit or limit >= _OFF or axis.mode not in _NO_TORQUE_MODES:
             return
-        if axis.state != ENABLED or not self.look(time_ns, axis.place[0]):
+        if axis.state != ENABLED or not self.examine(time_ns, axis.place[0]):
             return
         if abs(value) > limit * MARGIN:
             numbers = (float(abs(value)), float(limit), "as 606Ch")
-            found = Violation(time_ns, f"{what} beyond 607Fh", *axis.place, axis.name, *numbers)
+            found = axis.violation(time_ns, f"{what} beyond 607Fh", *numbers)
             if abs(value) > 2 * limit:
                 self.doubt(found, "606Ch may have another unit than 607Fh")
             else:
@@ -252,12 +254,12 @@ class VelocityLimit(_Limit):
         limit = one.commanded.get("velocity_max")
         if limit is None or one.place is None:
             return
-        state, axis = values.get("state"), self.scene.axes.get(one.place)
+        state, axis = values.get("state"), self.context.axes.get(one.place)
         if state is not None:
             steady = axis is not None and time_ns - axis.state_ns > _LOWERED_NS
             if state != ENABLED or values.get("mode") not in _NO_TORQUE_MODES or not steady:
                 return
-        if not self.look(time_ns) or abs(value) <= limit * MARGIN:
+        if not self.examine(time_ns) or abs(value) <= limit * MARGIN:
             return
         found = Violation(
             *(time_ns, "velocity, truth", "", 0, 1, one.name),
@@ -282,22 +284,22 @@ class AccelerationLimit(_Limit):
     quantity = "acceleration"
     objects: ClassVar[Mapping[int, bool]] = {0x6083: False, 0x6084: False}
 
-    def __init__(self, scene: RecordingContext) -> None:
+    def __init__(self, context: RecordingContext) -> None:
         """Set up the oracle; see `Oracle`."""
-        super().__init__(scene)
+        super().__init__(context)
         self._before: dict[str, tuple[int, float]] = {}
 
-    def si(self, one: Subject) -> tuple[str, str]:
+    def si_unit_of(self, one: Subject) -> tuple[str, str]:
         """Return the unit per second squared."""
         unit = one.unit or "rad"
         return f"{unit}_s2", f"{unit}/s2"
 
     def value(
-        self, time_ns: int, axis: Axis, index: int, subindex: int, value: int, told_to: bool
+        self, time_ns: int, axis: Axis, index: int, subindex: int, value: int, is_written: bool
     ) -> None:
         """Examine a commanded profile acceleration or deceleration."""
         one = axis.subject
-        if not told_to or one is None or not one.acceleration_unit:
+        if not is_written or one is None or not one.acceleration_unit:
             return
         limit = one.commanded.get("acceleration_max")
         if index == 0x6084:
@@ -308,7 +310,7 @@ class AccelerationLimit(_Limit):
         unit = abs(one.acceleration_unit)
         slack = limit * (_EXACT - 1) + unit
         name = f"{one.unit}/s2"
-        self.beyond(time_ns, axis, one.name, what, value * unit, None, limit, name, slack)
+        self.compare(time_ns, axis, one.name, what, value * unit, None, limit, name, slack)
 
     def truth(self, time_ns: int, controller: str, values: Mapping[str, float]) -> None:
         """Examine the mean between two snapshots, which never exceeds the maximum."""
@@ -341,17 +343,17 @@ class TorqueLimit(_Limit):
         0x6078: True,
     }
 
-    def __init__(self, scene: RecordingContext) -> None:
+    def __init__(self, context: RecordingContext) -> None:
         """Set up the oracle; see `Oracle`."""
-        super().__init__(scene)
+        super().__init__(context)
         self._lowered: dict[tuple[Place, int], tuple[int, int]] = {}  # end of validity, old limit
         self._limit: dict[tuple[Place, int], int] = {}
 
-    def si(self, one: Subject) -> tuple[str, str]:
+    def si_unit_of(self, one: Subject) -> tuple[str, str]:
         """Return the suffix and unit of torque, or of force."""
         return ("n", "N") if one.unit == "m" else ("n_m", "N m")
 
-    def of(self, one: Subject, suffix: str) -> tuple[float | None, float | None]:
+    def limits_of(self, one: Subject, suffix: str) -> tuple[float | None, float | None]:
         """Return the limits; a force has its own key."""
         high = one.limits.get("force_max_n" if suffix == "n" else f"torque_max_{suffix}")
         return None if high is None else -high, high
@@ -363,10 +365,10 @@ class TorqueLimit(_Limit):
             current = values.get(one.truth_key("current_a"))
             limit = one.limits.get("current_max_a")
             if current is not None and limit is not None:
-                self.beyond(time_ns, None, one.name, "current, truth", current, -limit, limit, "A")
+                self.compare(time_ns, None, one.name, "current, truth", current, -limit, limit, "A")
 
     def value(
-        self, time_ns: int, axis: Axis, index: int, subindex: int, value: int, told_to: bool
+        self, time_ns: int, axis: Axis, index: int, subindex: int, value: int, is_written: bool
     ) -> None:
         """Take a limit, or examine a limited value."""
         key = (axis.place, index)
@@ -376,12 +378,12 @@ class TorqueLimit(_Limit):
                 self._lowered[key] = time_ns + _LOWERED_NS, before
             self._limit[key] = value
             return
-        if told_to:
+        if is_written:
             return
         one, what = axis.subject, f"{'torque' if index == 0x6077 else 'current'} {index:04X}h"
         if one is not None and index == 0x6077:
-            limits = self.of(one, "permille")
-            self.beyond(time_ns, axis, one.name, what, value, *limits, "permille")
+            limits = self.limits_of(one, "permille")
+            self.compare(time_ns, axis, one.name, what, value, *limits, "permille")
         key = (axis.place, index - 5)  # 6072h limits 6077h, 6073h limits 6078h
         limit = self._limit.get(key)
         if not limit:
@@ -390,4 +392,4 @@ class TorqueLimit(_Limit):
         if time_ns < until_ns:
             limit = max(limit, old)
         slack = 0.05 * limit + 20
-        self.beyond(time_ns, axis, axis.name, what, value, -limit, limit, "permille", slack)
+        self.compare(time_ns, axis, axis.name, what, value, -limit, limit, "permille", slack)

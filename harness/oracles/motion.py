@@ -34,7 +34,16 @@ from motorhil.traces.schema import LockAction
 
 _POSITION: Final = 0x6064
 _OFF: Final = 0xFFFF_FFFF
-_PP, _IP, _CSP = 1, 7, 8
+_PP, _HM, _IP, _CSP = 1, 6, 7, 8
+_POWERLESS: Final = (NOT_READY, DISABLED, READY, FAULT)
+_CURRENT_SETTLE_NS: Final = 50 * MS
+_TRUTH_SHARE: Final = 0.01
+_PERMILLE: Final = 50.0
+_NEW_SET_POINT: Final = 0x0010
+_LEAST_INC: Final = 4
+_SHARE: Final = 0.02
+"""The allowed share of the travelled distance if no window is known."""
+_TAKES: Final = (LockAction.TAKEN, LockAction.BROKEN, LockAction.TAKEN_OVER)
 
 
 @final
@@ -53,22 +62,22 @@ class Following(Oracle):
         **{0x6065: False, 0x6066: False, 0x6060: True, 0x6061: True},
     }
 
-    def __init__(self, scene: RecordingContext) -> None:
+    def __init__(self, context: RecordingContext) -> None:
         """Set up the oracle; see `Oracle`."""
-        super().__init__(scene)
+        super().__init__(context)
         self._since: dict[Place, int] = {}
-        self._told: dict[Place, bool] = {}
-        self._by_controller = scene.controllers()
+        self._reported: dict[Place, bool] = {}
+        self._by_controller = context.controllers()
 
     def value(
-        self, time_ns: int, axis: Axis, index: int, subindex: int, value: int, told_to: bool
+        self, time_ns: int, axis: Axis, index: int, subindex: int, value: int, is_written: bool
     ) -> None:
         """Examine a following error, or a statusword that ends its excess."""
         if index == 0x60F4:
             self._error(time_ns, axis, value)
         elif index == STATUSWORD and (axis.state != ENABLED or value & BIT_13):
             self._since.pop(axis.place, None)
-            self._told.pop(axis.place, None)
+            self._reported.pop(axis.place, None)
 
     def truth(self, time_ns: int, controller: str, values: Mapping[str, float]) -> None:
         """Examine the true error of an emulated drive, which may be absent on the bus."""
@@ -76,8 +85,8 @@ class Following(Oracle):
         if error is None:
             return
         for one in self._by_controller.get(controller, ()):
-            if one.place is not None and one.channel == 1 and one.place in self.scene.axes:
-                self._error(time_ns, self.scene.axes[one.place], error)
+            if one.place is not None and one.channel == 1 and one.place in self.context.axes:
+                self._error(time_ns, self.context.axes[one.place], error)
 
     def _error(self, time_ns: int, axis: Axis, error: float) -> None:
         if axis.state != ENABLED or axis.mode not in (_PP, _IP, _CSP):
@@ -86,20 +95,19 @@ class Following(Oracle):
         window = axis.objects.get((0x6065, 0))
         if window is None or window >= _OFF or axis.word is None or axis.word & BIT_13:
             return
-        bus, node, number = axis.place
-        if not self.look(time_ns, bus):
+        if not self.examine(time_ns, axis.place[0]):
             return
         if abs(error) <= window:
             self._since.pop(axis.place, None)
-            self._told.pop(axis.place, None)
+            self._reported.pop(axis.place, None)
             return
         since_ns = self._since.setdefault(axis.place, time_ns)
         limit_ns = axis.objects.get((0x6066, 0), 0) * MS + SETTLE_NS
-        if time_ns - since_ns > limit_ns and axis.place not in self._told:
-            self._told[axis.place] = True
+        if time_ns - since_ns > limit_ns and axis.place not in self._reported:
+            self._reported[axis.place] = True
             text = f"following error since {since_ns / 1e9:.6f} s, not reported by the drive"
             numbers = (abs(error), float(window), "inc")
-            self.broken(Violation(time_ns, text, bus, node, number, axis.name, *numbers))
+            self.broken(axis.violation(time_ns, text, *numbers))
 
     def _held_to_file(self, time_ns: int, axis: Axis, error: float) -> None:
         """Examine the error against a file of limits, in increments or in the motor's unit."""
@@ -110,17 +118,11 @@ class Following(Oracle):
         if limit is None and one.increments_per_unit is not None:
             limit = one.limits.get(f"following_error_max_{one.unit}")
             scale, unit = abs(one.increments_per_unit), one.unit
-        bus, node, number = axis.place
-        if limit is None or not self.look(time_ns, bus) or abs(error) <= limit * scale:
+        bus = axis.place[0]
+        if limit is None or not self.examine(time_ns, bus) or abs(error) <= limit * scale:
             return
         numbers = (abs(error) / scale, limit, unit)
-        self.broken(Violation(time_ns, "following error", bus, node, number, axis.name, *numbers))
-
-
-_POWERLESS: Final = (NOT_READY, DISABLED, READY, FAULT)
-_CURRENT_SETTLE_NS: Final = 50 * MS
-_TRUTH_SHARE: Final = 0.01
-_PERMILLE: Final = 50.0
+        self.broken(axis.violation(time_ns, "following error", *numbers))
 
 
 @final
@@ -133,26 +135,26 @@ class TorqueOff(Oracle):
     needs = "no drive without power was heard together with its torque (6077h, 6078h, or truth)"
     objects: ClassVar[Mapping[int, bool]] = {STATUSWORD: False, 0x6077: True, 0x6078: True}
 
-    def __init__(self, scene: RecordingContext) -> None:
+    def __init__(self, context: RecordingContext) -> None:
         """Set up the oracle; see `Oracle`."""
-        super().__init__(scene)
+        super().__init__(context)
         self._off: dict[str, int] = {}  # start time, by controller
         self._peak: dict[str, float] = {}
 
     def value(
-        self, time_ns: int, axis: Axis, index: int, subindex: int, value: int, told_to: bool
+        self, time_ns: int, axis: Axis, index: int, subindex: int, value: int, is_written: bool
     ) -> None:
         """Examine a measured torque or current [0.1 % of rated]."""
-        if index == STATUSWORD or told_to or axis.state not in _POWERLESS:
+        if index == STATUSWORD or is_written or axis.state not in _POWERLESS:
             return
         if time_ns - axis.state_ns < SETTLE_NS:
             return
-        bus, node, number = axis.place
-        if self.look(time_ns, bus) and abs(value) > _PERMILLE:
+        bus = axis.place[0]
+        if self.examine(time_ns, bus) and abs(value) > _PERMILLE:
             what = "torque" if index == 0x6077 else "current"
             text = f"{what} without power, since {axis.state_ns / 1e9:.6f} s"
             numbers = (abs(float(value)), _PERMILLE, "permille")
-            self.broken(Violation(time_ns, text, bus, node, number, axis.name, *numbers))
+            self.broken(axis.violation(time_ns, text, *numbers))
 
     def truth(self, time_ns: int, controller: str, values: Mapping[str, float]) -> None:
         """Examine the motor's true torque in the drive's true state."""
@@ -164,24 +166,13 @@ class TorqueOff(Oracle):
             self._off.pop(controller, None)
             return
         since_ns = self._off.setdefault(controller, time_ns)
-        if time_ns - since_ns < _CURRENT_SETTLE_NS or not self.look(time_ns):
+        if time_ns - since_ns < _CURRENT_SETTLE_NS or not self.examine(time_ns):
             return
         limit = peak * _TRUTH_SHARE
         if abs(torque) > max(limit, 1e-9):
             text = f"torque without power, since {since_ns / 1e9:.6f} s"
-            self.broken(
-                Violation(
-                    *(time_ns, text, "", 0, 1, controller),
-                    *(abs(torque), limit, "N m"),
-                )
-            )
-
-
-_PROFILE_POSITION, _HM = 1, 6
-_NEW_SET_POINT: Final = 0x0010
-_LEAST_INC: Final = 4
-_SHARE: Final = 0.02
-"""The allowed share of the travelled distance if no window is known."""
+            numbers = (abs(torque), limit, "N m")
+            self.broken(Violation(time_ns, text, "", 0, 1, controller, *numbers))
 
 
 def says_rest(axis: Axis) -> bool:
@@ -192,7 +183,7 @@ def says_rest(axis: Axis) -> bool:
     reached = bool(word & TARGET_REACHED)
     if mode == _HM:
         return reached and bool(word & BIT_12) and not word & BIT_13
-    return mode == _PROFILE_POSITION and reached and not word & BIT_12
+    return mode == _PP and reached and not word & BIT_12
 
 
 @final
@@ -215,9 +206,6 @@ class _Rest:
     sampled: bool = False
     confirmed: int = 0
     confirmed_ns: int = 0
-
-
-_TAKES: Final = (LockAction.TAKEN, LockAction.BROKEN, LockAction.TAKEN_OVER)
 
 
 @final
@@ -258,9 +246,9 @@ class AtRest(Oracle):
         **{0x6060: True, 0x6061: True, 0x6067: False, 0x6068: False},
     }
 
-    def __init__(self, scene: RecordingContext) -> None:
+    def __init__(self, context: RecordingContext) -> None:
         """Set up the oracle; see `Oracle`."""
-        super().__init__(scene)
+        super().__init__(context)
         self._rests: dict[Place, _Rest] = {}
         self._travel: dict[Place, tuple[int, int]] = {}  # lowest and highest position so far
         self._motors: dict[str, _Motor] = {}
@@ -271,16 +259,16 @@ class AtRest(Oracle):
             del self._rests[place]
 
     def value(
-        self, time_ns: int, axis: Axis, index: int, subindex: int, value: int, told_to: bool
+        self, time_ns: int, axis: Axis, index: int, subindex: int, value: int, is_written: bool
     ) -> None:
         """Take a controlword, a statusword, a mode, or a position."""
         place = axis.place
         if index == _POSITION:
             self._position(time_ns, place, value)
         elif index == CONTROLWORD:
-            if told_to and value & (_NEW_SET_POINT | 0x0F) != 0x0F:
+            if is_written and value & (_NEW_SET_POINT | 0x0F) != 0x0F:
                 self._close(time_ns, axis)  # it may begin to move before it reports so
-        elif index in (STATUSWORD, 0x6060, 0x6061) and not (told_to and index == STATUSWORD):
+        elif index in (STATUSWORD, 0x6060, 0x6061) and not (is_written and index == STATUSWORD):
             self._word(time_ns, axis)
 
     def _position(self, time_ns: int, place: Place, value: int) -> None:
@@ -310,26 +298,21 @@ class AtRest(Oracle):
     def _close(self, time_ns: int, axis: Axis) -> None:
         """Examine a rest that the drive no longer reports."""
         rest = self._rests.pop(axis.place, None)
-        if rest is None or not rest.sampled or not self.look(time_ns, axis.place[0]):
+        if rest is None or not rest.sampled or not self.examine(time_ns, axis.place[0]):
             return
-        bus, node, number = axis.place
         window = axis.objects.get((0x6067, 0), 0)
         low, high = self._travel[axis.place]
         bound = max(_LEAST_INC, 2 * window if 0 < window < _OFF else (high - low) * _SHARE)
         if rest.confirmed > bound:
             since = f"{rest.from_ns / 1e9:.6f} s"
             text = f"moves while it reports arrival, since {since}"
-            self.broken(
-                Violation(
-                    *(rest.confirmed_ns, text, bus, node, number, axis.name),
-                    *(float(rest.confirmed), float(bound), "inc"),
-                )
-            )
+            numbers = (float(rest.confirmed), float(bound), "inc")
+            self.broken(axis.violation(rest.confirmed_ns, text, *numbers))
 
     def end(self, time_ns: int) -> None:
         """Examine the rests that are still reported."""
         for place in list(self._rests):
-            self._close(time_ns, self.scene.axis(place))
+            self._close(time_ns, self.context.axis(place))
         for name in self._motors:
             self._leave(time_ns, name)
 
@@ -372,11 +355,11 @@ class AtRest(Oracle):
         one = self._motors[motor]
         since_ns, one.since_ns = one.since_ns, None
         rested = since_ns is not None and one.is_free and time_ns - since_ns >= SETTLE_NS
-        if rested and one.high >= one.low and self.look(time_ns):
+        if rested and one.high >= one.low and self.examine(time_ns):
             moved, limit = abs(one.worst - one.at), max((one.high - one.low) * _SHARE, 1e-6)
             if one.worst_ns and moved > limit:
                 text = "moves after the end of its group's motion, without an owner"
-                subject = self.scene.facts.motors.get(motor)
+                subject = self.context.facts.motors.get(motor)
                 unit = subject.unit if subject is not None else ""
                 numbers = (moved, limit, unit or "rad or m")
                 self.broken(Violation(one.worst_ns, text, "", 0, 1, motor, *numbers))

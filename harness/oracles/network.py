@@ -28,13 +28,36 @@ _RESETS: Final = (0x81, 0x82)
 _ASKED_MAX: Final = 16
 _TIMED_OUT: Final = 0x0504_0000
 _INVALID: Final = 0x8000_0000
-_NODES_OWN: Final = (1, 3, 5, 7, 9, 11, 14)  # functions: EMCY, TPDOs, SDO answers, heartbeat
+_NODE_FUNCTIONS: Final = (1, 3, 5, 7, 9, 11, 14)  # functions: EMCY, TPDOs, SDO answers, heartbeat
+
+_SYNC_SAMPLES: Final = 64
+_REGULAR: Final = 0.8
+JITTER_SHARE: Final = 0.25
+"""The allowed share of the period; nodes' synchronous window (1007h) is rarely wider."""
+_MISSED_MAX: Final = 3
+_ON_GRID: Final = 0.1
+
+_WARNING: Final = 96
+_PASSIVE: Final = 128
+_COUNTER_MAX: Final = 255  # a message has 8 bits for a counter
+_ORDER: Final = (
+    *(ControllerState.ACTIVE, ControllerState.WARNING),
+    *(ControllerState.PASSIVE, ControllerState.BUS_OFF),
+)
+_RANGES: Final = {  # of the greater counter
+    ControllerState.ACTIVE: (0, _WARNING - 1),
+    ControllerState.WARNING: (_WARNING, _PASSIVE - 1),
+    ControllerState.PASSIVE: (_PASSIVE, _COUNTER_MAX),
+    ControllerState.BUS_OFF: (_COUNTER_MAX, _COUNTER_MAX),
+    ControllerState.RESTARTED: (0, 0),
+}
+_DRIVERS: Final = "hardware drivers report counters in different ways"
 
 
 @final
 @dataclass(slots=True)
 class _Beat:
-    """One node's heartbeat. period_ns 0: not known yet."""
+    """Heartbeat of one node; period_ns 0: not known yet."""
 
     last_ns: int
     period_ns: int = 0
@@ -51,25 +74,25 @@ class Heartbeats(Oracle):
     needs = "no node sent enough heartbeats to determine its period, and no 1017h was heard"
     objects: ClassVar[Mapping[int, bool]] = {0x1017: False}
 
-    def __init__(self, scene: RecordingContext) -> None:
+    def __init__(self, context: RecordingContext) -> None:
         """Set up the oracle; see `Oracle`."""
-        super().__init__(scene)
+        super().__init__(context)
         self._beats: dict[_Node, _Beat] = {}
-        self._told_ms: dict[_Node, int] = {}
+        self._declared_ms: dict[_Node, int] = {}
 
     def value(
-        self, time_ns: int, axis: Axis, index: int, subindex: int, value: int, told_to: bool
+        self, time_ns: int, axis: Axis, index: int, subindex: int, value: int, is_written: bool
     ) -> None:
         """Take a written period; 0 ends the heartbeats."""
         node = axis.place[:2]
-        if self._told_ms.get(node) != value:
-            self._told_ms[node] = value
+        if self._declared_ms.get(node) != value:
+            self._declared_ms[node] = value
             self._beats.pop(node, None)
 
     def boot(self, time_ns: int, bus: str, node: int) -> None:
         """Forget the node's heartbeat after its boot-up."""
         self._beats.pop((bus, node), None)
-        self._told_ms.pop((bus, node), None)
+        self._declared_ms.pop((bus, node), None)
 
     def nmt(self, time_ns: int, bus: str, node: int | None, command: int) -> None:
         """Forget the heartbeats of reset nodes, which may be silent for a while."""
@@ -86,14 +109,14 @@ class Heartbeats(Oracle):
         gap_ns, beat.last_ns = time_ns - beat.last_ns, time_ns
         if not beat.period_ns:
             self._learn(bus, node, beat, gap_ns)
-        if beat.period_ns and gap_ns > 0 and self.look(time_ns, bus):
+        if beat.period_ns and gap_ns > 0 and self.examine(time_ns, bus):
             self._judge(time_ns, bus, node, beat, gap_ns, "since the previous heartbeat")
 
     def _learn(self, bus: str, node: int, beat: _Beat, gap_ns: int) -> None:
         """Set the period from 1017h, otherwise from the median of the first distances."""
-        told_ms = self._told_ms.get((bus, node))
-        if told_ms:
-            beat.period_ns = told_ms * MS
+        declared_ms = self._declared_ms.get((bus, node))
+        if declared_ms:
+            beat.period_ns = declared_ms * MS
             return
         beat.least.append(gap_ns)
         if len(beat.least) >= _SAMPLES:
@@ -106,17 +129,15 @@ class Heartbeats(Oracle):
         limit_ns = int(_LATE * beat.period_ns) + 20 * MS
         if gap_ns <= limit_ns:
             return
-        name = self.scene.names.nodes.get((bus, node), "")
-        found = Violation(
-            *(time_ns, f"no heartbeat {since}, {gap_ns / 1e9:.3f} s", bus, node, 1, name),
-            *(gap_ns / 1e6, limit_ns / 1e6, "ms"),
-        )
+        text = f"no heartbeat {since}, {gap_ns / 1e9:.3f} s"
+        numbers = (gap_ns / 1e6, limit_ns / 1e6, "ms")
+        found = self.context.violation_of(time_ns, text, (bus, node), *numbers)
         # So many lost frames while other nodes were heard are not plausible as gaps of the
         # recording.
-        certain = gap_ns > _CERTAIN * beat.period_ns and self._went_on(bus, time_ns, beat)
+        certain = gap_ns > _CERTAIN * beat.period_ns and self._others_continued(bus, time_ns, beat)
         (self.broken if certain else self.absent)(found)
 
-    def _went_on(self, bus: str, time_ns: int, beat: _Beat) -> bool:
+    def _others_continued(self, bus: str, time_ns: int, beat: _Beat) -> bool:
         """Return True if other nodes were heard throughout."""
         return any(
             place[0] == bus and other is not beat and other.last_ns >= time_ns - 2 * beat.period_ns
@@ -126,7 +147,7 @@ class Heartbeats(Oracle):
     def end(self, time_ns: int) -> None:
         """Examine the nodes that have stopped sending."""
         for (bus, node), beat in self._beats.items():
-            if beat.period_ns and self.scene.judges(time_ns):
+            if beat.period_ns and self.context.judges(time_ns):
                 gap_ns = time_ns - beat.last_ns
                 self._judge(time_ns, bus, node, beat, gap_ns, "until the recording ends")
 
@@ -140,31 +161,31 @@ class Answers(Oracle):
     source = "CiA 301, SDO protocols: each service is confirmed"
     needs = "no SDO request to a node that had been heard before"
 
-    def __init__(self, scene: RecordingContext) -> None:
+    def __init__(self, context: RecordingContext) -> None:
         """Set up the oracle; see `Oracle`."""
-        super().__init__(scene)
+        super().__init__(context)
         self._open: dict[_Node, dict[bytes, int]] = {}  # objects with their request times
 
-    def sdo(self, time_ns: int, bus: str, said: DecodedEvent, data: bytes) -> None:
+    def sdo(self, time_ns: int, bus: str, event: DecodedEvent, data: bytes) -> None:
         """Take a request, an answer, or an abort; only the start of a transfer names its object."""
-        assert said.node is not None
-        node = (bus, said.node)
+        assert event.node is not None
+        node = (bus, event.node)
         if node in self._open:
             self._expire(time_ns, node)
-        if len(data) != 8 or said.index is None:
+        if len(data) != 8 or event.index is None:
             return
         place, is_abort = data[1:4], data[0] == 0x80
-        if said.kind is Kind.SDO_RESPONSE:
+        if event.kind is Kind.SDO_RESPONSE:
             if self._open.get(node, {}).pop(place, None) is not None:
-                self.look(time_ns, bus)
+                self.examine(time_ns, bus)
         elif is_abort:
             begun_ns = self._open.get(node, {}).pop(place, None)
             timed_out = int.from_bytes(data[4:8], "little") == _TIMED_OUT
-            if begun_ns is not None and timed_out and self.look(time_ns, bus):
+            if begun_ns is not None and timed_out and self.examine(time_ns, bus):
                 self.broken(self._violation(time_ns, node, place, begun_ns, "the client gave up"))
         elif data[0] >> 5 in (1, 2):
-            if node not in self.scene.heard:
-                self.cannot(f"{bus} node {said.node} received a request, but was never heard")
+            if node not in self.context.seen_nodes:
+                self.cannot(f"{bus} node {event.node} received a request, but was never heard")
                 return
             asked = self._open.setdefault(node, {})
             if len(asked) < _ASKED_MAX:
@@ -189,17 +210,16 @@ class Answers(Oracle):
         for place, begun_ns in list(asked.items()):
             if time_ns - begun_ns > ANSWER_NS:
                 del asked[place]
-                if self.look(begun_ns, node[0]):
+                if self.examine(begun_ns, node[0]):
                     what = f"no answer within {ANSWER_NS / 1e9:g} s"
                     self.absent(self._violation(begun_ns, node, place, begun_ns, what))
 
     def _violation(
         self, time_ns: int, node: _Node, place: bytes, begun_ns: int, what: str
     ) -> Violation:
-        name = self.scene.names.nodes.get(node, "")
         at = place_text(int.from_bytes(place[:2], "little"), place[2])
         text = f"SDO of {at}, asked at {begun_ns / 1e9:.6f} s: {what}"
-        return Violation(time_ns, text, *node, 1, name)
+        return self.context.violation_of(time_ns, text, node)
 
 
 @final
@@ -211,9 +231,9 @@ class BootUps(Oracle):
     source = "CiA 301, boot-up protocol, NMT services reset node and reset communication"
     needs = "no CANopen node was heard"
 
-    def __init__(self, scene: RecordingContext) -> None:
+    def __init__(self, context: RecordingContext) -> None:
         """Set up the oracle; see `Oracle`."""
-        super().__init__(scene)
+        super().__init__(context)
         self._reset_ns: dict[tuple[str, int | None], int] = {}
 
     def nmt(self, time_ns: int, bus: str, node: int | None, command: int) -> None:
@@ -223,17 +243,16 @@ class BootUps(Oracle):
 
     def boot(self, time_ns: int, bus: str, node: int) -> None:
         """Examine a boot-up; a node that is not in `heard` boots for the first time."""
-        if not self.look(time_ns, bus) or (bus, node) not in self.scene.heard:
+        if not self.examine(time_ns, bus) or (bus, node) not in self.context.seen_nodes:
             return
-        told = max(self._reset_ns.get((bus, one), -_RESET_NS - 1) for one in (node, None))
-        if time_ns - told > _RESET_NS:
-            name = self.scene.names.nodes.get((bus, node), "")
+        reset_ns = max(self._reset_ns.get((bus, one), -_RESET_NS - 1) for one in (node, None))
+        if time_ns - reset_ns > _RESET_NS:
             text = "booted again without an NMT reset"
-            self.absent(Violation(time_ns, text, bus, node, 1, name))
+            self.absent(self.context.violation_of(time_ns, text, (bus, node)))
 
     def heartbeat(self, time_ns: int, bus: str, node: int, state: int) -> None:
         """Count a node that is present and did not boot."""
-        self.look(time_ns, bus)
+        self.examine(time_ns, bus)
 
 
 @final
@@ -245,28 +264,27 @@ class OneSender(Oracle):
     source = "CiA 301, pre-defined connection set; ISO 11898-1: an identifier has one sender"
     needs = "the recording does not name the senders of its frames"
 
-    def __init__(self, scene: RecordingContext) -> None:
+    def __init__(self, context: RecordingContext) -> None:
         """Set up the oracle; see `Oracle`."""
-        super().__init__(scene)
+        super().__init__(context)
         self._before: dict[tuple[str, int], dict[str, None]] = {}
 
     def sender(self, time_ns: int, bus: str, identifier: int, before: str, now: str) -> None:
         """Examine a change of sender; the return of an earlier sender proves two senders."""
-        if identifier >> 7 not in _NODES_OWN or not identifier & 0x7F:
+        if identifier >> 7 not in _NODE_FUNCTIONS or not identifier & 0x7F:
             return
-        if not self.look(time_ns, bus) or not before:
+        if not self.examine(time_ns, bus) or not before:
             return
         node = identifier & 0x7F
         known = self._before.setdefault((bus, identifier), {})
         known[before] = None
         if now in known:
             text = f"{identifier:03X}h is sent by {before} and by {now}"
-            name = self.scene.names.nodes.get((bus, node), "")
-            self.broken(Violation(time_ns, text, bus, node, 1, name))
+            self.broken(self.context.violation_of(time_ns, text, (bus, node)))
 
 
 @final
-class FaultsTold(Oracle):
+class FaultsReported(Oracle):
     """The oracle `fault-told`."""
 
     id = "fault-told"
@@ -275,9 +293,9 @@ class FaultsTold(Oracle):
     needs = "no drive that sends EMCYs (optional in CiA 301) entered a fault"
     objects: ClassVar[Mapping[int, bool]] = {0x6041: False, 0x1014: False}
 
-    def __init__(self, scene: RecordingContext) -> None:
+    def __init__(self, context: RecordingContext) -> None:
         """Set up the oracle; see `Oracle`."""
-        super().__init__(scene)
+        super().__init__(context)
         self._last_ns: dict[_Node, int] = {}
         self._ever: dict[_Node, None] = {}
         self._was_fault: dict[tuple[str, int, int], bool] = {}
@@ -291,17 +309,17 @@ class FaultsTold(Oracle):
             self._settle(time_ns, (bus, node))
 
     def value(
-        self, time_ns: int, axis: Axis, index: int, subindex: int, value: int, told_to: bool
+        self, time_ns: int, axis: Axis, index: int, subindex: int, value: int, is_written: bool
     ) -> None:
         """Examine a statusword, or take 1014h: EMCYs enabled with their default identifier."""
-        bus, node, number = axis.place
+        bus, node, _ = axis.place
         if index == 0x1014:
             if value & _INVALID or value & 0x7FF != 0x80 + node:
                 self._ever.pop((bus, node), None)
             else:
                 self._ever[bus, node] = None
             return
-        if told_to:
+        if is_written:
             return
         self._settle(time_ns, None)
         is_fault = value & 0x4F in (0x0F, 0x08)
@@ -309,32 +327,24 @@ class FaultsTold(Oracle):
         self._was_fault[axis.place] = is_fault
         if was is False and is_fault:
             if time_ns - self._last_ns.get((bus, node), -_S - 1) <= _S:
-                self.look(time_ns, bus)
+                self.examine(time_ns, bus)
             else:
                 text = f"a fault (statusword {value:04X}h) without an EMCY within 1 s"
-                self._waiting.append(Violation(time_ns, text, bus, node, number, axis.name))
+                self._waiting.append(axis.violation(time_ns, text))
 
     def end(self, time_ns: int) -> None:
         """Settle the faults that still wait."""
         self._settle(time_ns, None)
 
-    def _settle(self, time_ns: int, told: _Node | None) -> None:
-        """Settle the faults of node `told`, and those that have waited long enough."""
+    def _settle(self, time_ns: int, settled: _Node | None) -> None:
+        """Settle the faults of node `settled`, and those that have waited long enough."""
         for one in list(self._waiting):
             node = (one.bus, one.node)
             late = time_ns - one.time_ns > _S
-            if late or node == told:
+            if late or node == settled:
                 self._waiting.remove(one)
-                if node in self._ever and self.look(one.time_ns, one.bus) and late:
+                if node in self._ever and self.examine(one.time_ns, one.bus) and late:
                     self.absent(one)
-
-
-_SYNC_SAMPLES: Final = 64
-_REGULAR: Final = 0.8
-JITTER_SHARE: Final = 0.25
-"""The allowed share of the period; nodes' synchronous window (1007h) is rarely wider."""
-_MISSED_MAX: Final = 3
-_ON_GRID: Final = 0.1
 
 
 @final
@@ -357,18 +367,18 @@ class SyncPeriod(Oracle):
     needs = "no cyclic SYNC was heard"
     objects: ClassVar[Mapping[int, bool]] = {0x1006: False}
 
-    def __init__(self, scene: RecordingContext) -> None:
+    def __init__(self, context: RecordingContext) -> None:
         """Set up the oracle; see `Oracle`."""
-        super().__init__(scene)
+        super().__init__(context)
         self._series: dict[tuple[str, int], _Series] = {}
-        self._told_us: dict[str, int] = {}
+        self._declared_us: dict[str, int] = {}
 
     def value(
-        self, time_ns: int, axis: Axis, index: int, subindex: int, value: int, told_to: bool
+        self, time_ns: int, axis: Axis, index: int, subindex: int, value: int, is_written: bool
     ) -> None:
         """Take a communication cycle period [us]."""
         if value:
-            self._told_us[axis.place[0]] = value
+            self._declared_us[axis.place[0]] = value
 
     def sync(self, time_ns: int, bus: str, identifier: int) -> None:
         """Examine the distance to the previous SYNC."""
@@ -403,17 +413,17 @@ class SyncPeriod(Oracle):
             self.cannot(f"the SYNCs of {bus} are not cyclic")
             return
         series.period_ns = median
-        told_ns = self._told_us.get(bus, 0) * 1000
-        if told_ns and abs(told_ns - median) > _ON_GRID * told_ns:
+        declared_ns = self._declared_us.get(bus, 0) * 1000
+        if declared_ns and abs(declared_ns - median) > _ON_GRID * declared_ns:
             text = "the SYNC period differs from 1006h"
-            numbers = (median / 1e6, told_ns / 1e6, "ms")
+            numbers = (median / 1e6, declared_ns / 1e6, "ms")
             self.absent(Violation(kept[0][0], text, bus, 0, 1, "", *numbers))
         for time_ns, interval_ns in kept:
             self._judge(time_ns, bus, interval_ns, median)
 
     def _judge(self, time_ns: int, bus: str, interval_ns: int, period_ns: int) -> None:
         share = interval_ns / period_ns
-        if share > _MISSED_MAX + _ON_GRID or not self.look(time_ns, bus):
+        if share > _MISSED_MAX + _ON_GRID or not self.examine(time_ns, bus):
             return  # stopped and started again
         if abs(share - 1) <= JITTER_SHARE:
             return
@@ -423,23 +433,6 @@ class SyncPeriod(Oracle):
         text = f"{nearest - 1} SYNC missing" if nearest > 1 else "SYNC out of its time"
         numbers = (interval_ns / 1e6, period_ns / 1e6, "ms")
         self.absent(Violation(time_ns, text, bus, 0, 1, "", *numbers))
-
-
-_WARNING: Final = 96
-_PASSIVE: Final = 128
-_TOLD_MAX: Final = 255  # a message has 8 bits for a counter
-_ORDER: Final = (
-    *(ControllerState.ACTIVE, ControllerState.WARNING),
-    *(ControllerState.PASSIVE, ControllerState.BUS_OFF),
-)
-_RANGES: Final = {  # of the greater counter
-    ControllerState.ACTIVE: (0, _WARNING - 1),
-    ControllerState.WARNING: (_WARNING, _PASSIVE - 1),
-    ControllerState.PASSIVE: (_PASSIVE, _TOLD_MAX),
-    ControllerState.BUS_OFF: (_TOLD_MAX, _TOLD_MAX),
-    ControllerState.RESTARTED: (0, 0),
-}
-_DRIVERS: Final = "hardware drivers report counters in different ways"
 
 
 @final
@@ -455,28 +448,28 @@ class Confinement(Oracle):
     needs = "the recording has no error message (SocketCAN error frame) with a controller state"
     needs_canopen = False
 
-    def __init__(self, scene: RecordingContext) -> None:
+    def __init__(self, context: RecordingContext) -> None:
         """Set up the oracle; see `Oracle`."""
-        super().__init__(scene)
+        super().__init__(context)
         self._states: dict[tuple[str, str], ControllerState] = {}
 
-    def error(self, time_ns: int, bus: str, sender: str, told: BusError) -> None:
+    def error(self, time_ns: int, bus: str, sender: str, error: BusError) -> None:
         """Compare the state with its counters and with the previous state.
 
         Counters without a state may be ahead of the next message, which has the state.
         """
-        if told.state is None:
+        if error.state is None:
             return
-        self.look(time_ns, bus)
+        self.examine(time_ns, bus)
         key = (bus, sender)
         before = self._states.get(key)
-        if told.counters is not None:
-            self._counters(time_ns, key, told.text, told.state, told.counters)
-        if before is not None and not _may_follow(before, told.state):
-            text = f"{told.state.value}{told.counted}, but was {before.value}"
+        if error.counters is not None:
+            self._counters(time_ns, key, error.text, error.state, error.counters)
+        if before is not None and not _may_follow(before, error.state):
+            text = f"{error.state.value}{error.counted}, but was {before.value}"
             self.absent(self._violation(time_ns, key, text))
-        is_new = told.state is ControllerState.RESTARTED
-        self._states[key] = ControllerState.ACTIVE if is_new else told.state
+        is_new = error.state is ControllerState.RESTARTED
+        self._states[key] = ControllerState.ACTIVE if is_new else error.state
 
     def sent_while_off(self, time_ns: int, bus: str, sender: str, identifier: int) -> None:
         """Report a frame sent in bus-off."""
@@ -504,7 +497,7 @@ class Confinement(Oracle):
 
     def _violation(self, time_ns: int, key: tuple[str, str], text: str) -> Violation:
         bus, sender = key
-        names = self.scene.names.nodes
+        names = self.context.names.nodes
         node = next((n for (b, n), name in names.items() if (b, name) == key), 0)
         whose = f"the CAN controller of {sender}" if sender else "the CAN controller"
         return Violation(time_ns, f"{whose}: {text}", bus, node)

@@ -44,14 +44,14 @@ def judge_ownership(
     if trace is None or not any(motor_of(one.topic) for one in trace.channels.values()):
         return Finding(*head, Verdict.NOT_JUDGED, reason=NEEDS)
     ownership = read_ownership(trace)
-    told = {motor: place for motor, place in places.items() if motor in ownership.tenures}
-    if not told:
+    known = {motor: place for motor, place in places.items() if motor in ownership.tenures}
+    if not known:
         reason = "the places of the owned motors are not known; give --rig RIG"
         return Finding(*head, Verdict.NOT_JUDGED, reason=reason)
-    evidence = judge_frames(_commanding(trace, from_ns, to_ns), ownership, told)
+    evidence = judge_frames(_commanding(trace, from_ns, to_ns), ownership, known)
     looked = sum(evidence.counts.values())
     broken = [
-        _violation(frame, tenure.motor, told, str(tenure)) for frame, tenure in evidence.foreign
+        _violation(frame, tenure.motor, known, str(tenure)) for frame, tenure in evidence.foreign
     ]
     if ownership.contradictions:
         text = ownership.contradictions[0]

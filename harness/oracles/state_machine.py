@@ -102,7 +102,7 @@ def reachable(state: int, commands: frozenset[Command]) -> frozenset[int]:
 
 
 @final
-class _Told:
+class _Observed:
     """The commands to one axis with their times, and its last state.
 
     Attributes:
@@ -124,13 +124,13 @@ class _Told:
 
     def since(self, time_ns: int) -> frozenset[Command]:
         """Return the commands since then, with the one in force at that time."""
-        told = [command for command, at_ns in self._last_ns.items() if at_ns >= time_ns]
+        commands = [command for command, at_ns in self._last_ns.items() if at_ns >= time_ns]
         before = {command: at for command, at in self._last_ns.items() if at < time_ns}
         if before:
             in_force = max(before, key=lambda command: before[command])
             if in_force is not Command.FAULT_RESET:
-                told.append(in_force)
-        return frozenset(command for command in told if command is not None)
+                commands.append(in_force)
+        return frozenset(command for command in commands if command is not None)
 
 
 @final
@@ -145,63 +145,63 @@ class StateMachine(Oracle):
     needs = "no drive reports a change of its state: no 6041h by SDO or in a mapped PDO"
     objects: ClassVar[Mapping[int, bool]] = {STATUSWORD: False, CONTROLWORD: False}
 
-    def __init__(self, scene: RecordingContext) -> None:
+    def __init__(self, context: RecordingContext) -> None:
         """Set up the oracle; see `Oracle`."""
-        super().__init__(scene)
-        self._told: dict[Place, _Told] = {}
+        super().__init__(context)
+        self._observed: dict[Place, _Observed] = {}
         self._booted: dict[tuple[str, int], None] = {}
 
     def boot(self, time_ns: int, bus: str, node: int) -> None:
         """Forget the commands to a node that has booted."""
         self._booted[bus, node] = None
-        for place in [place for place in self._told if place[:2] == (bus, node)]:
-            del self._told[place]
+        for place in [place for place in self._observed if place[:2] == (bus, node)]:
+            del self._observed[place]
 
     def value(
-        self, time_ns: int, axis: Axis, index: int, subindex: int, value: int, told_to: bool
+        self, time_ns: int, axis: Axis, index: int, subindex: int, value: int, is_written: bool
     ) -> None:
         """Take a controlword, or examine a statusword."""
-        told = self._told.get(axis.place)
-        if told is None:
-            told = self._told[axis.place] = _Told(axis.place[:2] in self._booted)
-        if told_to == (index == CONTROLWORD):
-            if told_to:
-                told.command(time_ns, value)
-            elif value != told.status or told.state is None:
-                self._status(time_ns, axis, told, value)
+        observed = self._observed.get(axis.place)
+        if observed is None:
+            observed = self._observed[axis.place] = _Observed(axis.place[:2] in self._booted)
+        if is_written == (index == CONTROLWORD):
+            if is_written:
+                observed.command(time_ns, value)
+            elif value != observed.status or observed.state is None:
+                self._status(time_ns, axis, observed, value)
             else:
-                told.status_ns = time_ns
+                observed.status_ns = time_ns
 
-    def _status(self, time_ns: int, axis: Axis, told: _Told, word: int) -> None:
+    def _status(self, time_ns: int, axis: Axis, observed: _Observed, word: int) -> None:
         bus, node, number = axis.place
-        before, remote = told.state, word & told.status & _REMOTE
-        state, since_ns = state_number(word), told.status_ns - LAG_NS
-        told.status, told.status_ns = word, time_ns
-        told.state = None if state == UNKNOWN_STATE else state
+        before, remote = observed.state, word & observed.status & _REMOTE
+        state, since_ns = state_number(word), observed.status_ns - LAG_NS
+        observed.status, observed.status_ns = word, time_ns
+        observed.state = None if state == UNKNOWN_STATE else state
         if state == UNKNOWN_STATE:
             text = f"statusword {word:04X}h matches none of the eight states"
-            if self.look(time_ns, bus):
+            if self.examine(time_ns, bus):
                 self.broken(Violation(time_ns, text, bus, node, number, axis.name))
             return
         if before is None or before == state:
             return
-        commands = told.since(since_ns)
+        commands = observed.since(since_ns)
         if state in reachable(before, commands):
-            self.look(time_ns, bus)
+            self.examine(time_ns, bus)
             return
-        heard = ", ".join(command.value for command in Command if command in commands)
+        commanded = ", ".join(command.value for command in Command if command in commands)
         text = (
             f"{STATES[before][2]}, then {STATES[state][2]} (statusword {word:04X}h), after "
-            f"{heard or 'no command that leads there'}"
+            f"{commanded or 'no command that leads there'}"
         )
         found = Violation(time_ns, text, bus, node, number, axis.name)
         if not remote and state != NOT_READY:
             self.cannot("drives are under local control (bit 9 of their statuswords is not set)")
-        elif (bus, node) in self.scene.unmapped:
-            identifier = self.scene.unmapped[bus, node]
+        elif (bus, node) in self.context.unmapped:
+            identifier = self.context.unmapped[bus, node]
             why = f"RPDO {identifier:03X}h may carry the controlword: its mapping is not known"
             self.doubt(found, why)
-        elif told.word is None and not told.is_whole:
+        elif observed.word is None and not observed.is_whole:
             self.cannot("no controlword to the drives was heard")
-        elif self.look(time_ns, bus):
+        elif self.examine(time_ns, bus):
             self.absent(found)

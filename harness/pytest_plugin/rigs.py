@@ -259,8 +259,8 @@ def _marked(item: pytest.Item) -> dict[str, object]:
     """
     found: dict[str, object] = {}
     for mark in item.iter_markers("rig"):
-        said = dict(mark.kwargs)
-        unknown = [name for name in said if name not in _KEYS]
+        settings = dict(mark.kwargs)
+        unknown = [name for name in settings if name not in _KEYS]
         if unknown or len(mark.args) > 1:
             raise RigError(
                 item.nodeid,
@@ -269,6 +269,6 @@ def _marked(item: pytest.Item) -> dict[str, object]:
                 'write @pytest.mark.rig("FILE", seed=N)',
             )
         if mark.args:
-            said["rig"] = mark.args[0]
-        found = {**said, **found}
+            settings["rig"] = mark.args[0]
+        found = {**settings, **found}
     return found

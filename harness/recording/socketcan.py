@@ -1,12 +1,10 @@
-"""Recording of SocketCAN interfaces: error frames, time stamps, drop counter.
-
-Batched reading of CAN frames from datagram sockets, with kernel time stamps.
+"""Recording of SocketCAN: batched reading with kernel time stamps and drop counter.
 
 recvmmsg(2) fills one block of memory. Each frame has a row in it: its bytes, then the kernel's
 control messages. Python decodes the block once for the whole batch. Python's own `recvmsg` costs
 ten times as much per frame.
 
-Sources: linux/can/raw.h, Documentation/networking/can.rst (MSG_DONTROUTE: a frame of this host),
+Source: linux/can/raw.h, Documentation/networking/can.rst (MSG_DONTROUTE: a frame of this host),
 asm-generic/socket.h, net/socket.c (the time stamp precedes the drop counter).
 """
 
@@ -27,6 +25,15 @@ _SO_TIMESTAMPNS: Final = 35
 _SO_RXQ_OVFL: Final = 40
 _MSG_DONTROUTE: Final = 0x04
 _NS: Final = 1_000_000_000
+# Linux: linux/socket.h, linux/can/raw.h, linux/can/error.h, asm-generic/socket.h
+_AF_CAN: Final = 29
+_CAN_RAW: Final = 1
+_SOL_CAN_RAW: Final = 101
+_CAN_RAW_ERR_FILTER: Final = 2
+_CAN_RAW_FD_FRAMES: Final = 5
+_CAN_ERR_MASK: Final = 0x1FFF_FFFF
+_SO_RCVBUFFORCE: Final = 33
+_BUFFER_BYTES: Final = 8 << 20  # the default holds about 280 frames, 13 ms of a full 1 Mbit/s bus
 
 
 class _Piece(ctypes.Structure):
@@ -152,17 +159,6 @@ def _switched_on(source: socket.socket, option: int) -> bool:
     except OSError:
         return False
     return True
-
-
-# Linux: linux/socket.h, linux/can/raw.h, linux/can/error.h, asm-generic/socket.h
-_AF_CAN: Final = 29
-_CAN_RAW: Final = 1
-_SOL_CAN_RAW: Final = 101
-_CAN_RAW_ERR_FILTER: Final = 2
-_CAN_RAW_FD_FRAMES: Final = 5
-_CAN_ERR_MASK: Final = 0x1FFF_FFFF
-_SO_RCVBUFFORCE: Final = 33
-_BUFFER_BYTES: Final = 8 << 20  # the default holds about 280 frames, 13 ms of a full 1 Mbit/s bus
 
 
 def open_interface(place: Place) -> socket.socket:

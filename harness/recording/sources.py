@@ -1,8 +1,8 @@
-"""Taps: the interface of a bus being recorded, and the tap of a hub's bus.
+"""Buses to record from: their places, and taps of hubs and of python-can.
 
-The `--on` option: which bus, where it is, and its recorded name.
-
-Recording of python-can buses, and conversion of messages and frames.
+A place is the value of the option `--on`: which bus, how it is reached, and its recorded name. A
+tap reads the new frames of one bus. Here are also the conversions between messages of python-can
+and frames, which replay needs too.
 """
 
 import re
@@ -23,12 +23,21 @@ from motorhil.traces.formats.frames import (
     ESI,
     RTR,
     classic,
-    fields,
     flexible,
     remote,
 )
 from motorhil.traces.mcap.chunk import Entry
 
+POLLED: Final = -1
+_BATCH: Final = 1024
+_NS: Final = 1_000_000_000
+_FAR_S: Final = 86_400.0  # a stamp further from the wall clock does not count from 1970
+_PYTHON_CAN_BATCH: Final = 4096
+_LINUX_ERRORS: Final = (
+    *("emulated", "gs_usb", "serial", "socketcan", "socketcand", "udp_multicast", "virtual"),
+)
+"""The interfaces of python-can 4.6.1 whose error frames use Linux's error classes."""
+_BUS_ERROR: Final = 0x80
 _NAME: Final = re.compile(r"[\w.-]+")
 _INTERFACE_MAX: Final = 15  # IFNAMSIZ of linux/if.h, without the terminating zero
 
@@ -140,10 +149,6 @@ def refuse_twice(names: Sequence[str], places: Sequence[Place]) -> None:
                 f"--on {place.text}: the name {name} is used already, by {other.text}; give it "
                 f"another name: --on NAME={place.text.rpartition('=')[2]}"
             )
-
-
-POLLED: Final = -1
-_BATCH: Final = 1024
 
 
 class BusDownError(Exception):
@@ -265,16 +270,6 @@ class HubClocks:
         return self.moved_ns.setdefault(path, now_ns - time_ns)
 
 
-_NS: Final = 1_000_000_000
-_FAR_S: Final = 86_400.0  # a stamp further from the wall clock does not count from 1970
-_PYTHON_CAN_BATCH: Final = 4096
-_LINUX_ERRORS: Final = (
-    *("emulated", "gs_usb", "serial", "socketcan", "socketcand", "udp_multicast", "virtual"),
-)
-"""The interfaces of python-can 4.6.1 whose error frames use Linux's error classes."""
-_BUS_ERROR: Final = 0x80
-
-
 def frame_of(message: can.Message, interface: str = "socketcan") -> bytes:
     """Return the can_frame or canfd_frame of a message from this interface.
 
@@ -299,22 +294,6 @@ def frame_of(message: can.Message, interface: str = "socketcan") -> bytes:
         )
         return flexible(can_id, flags, data)
     return classic(can_id, data)
-
-
-def message_of(frame: bytes) -> can.Message:
-    """Return the message to send for a frame."""
-    told = fields(frame)
-    asks = bool(told.can_id & RTR)
-    return can.Message(
-        arbitration_id=told.identifier,
-        is_extended_id=bool(told.can_id & EFF),
-        is_remote_frame=asks,
-        is_fd=told.fd,
-        bitrate_switch=bool(told.flags & BRS),
-        error_state_indicator=bool(told.flags & ESI),
-        dlc=told.length,
-        data=None if asks else told.data,
-    )
 
 
 def open_bus(place: Place, options: Mapping[str, object]) -> can.BusABC:

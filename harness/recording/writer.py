@@ -1,11 +1,9 @@
-"""Ordering, counting and recording of frames from several buses.
+"""Writing of live traffic: ordered and counted, to one file or several.
 
 The pump has no clock; its caller passes the time. In each round the caller reads every bus until it
 is empty, then passes the frames and the start time of the round. A frame stamped after that start
 may be preceded by a frame that another bus had not yet delivered. The pump therefore holds it back
-until the next round, and no longer.
-
-Recording to one file, or to several consecutive files, each complete.
+until the next round, and no longer. Its messages go to a series of files, each complete.
 """
 
 import os

@@ -1,21 +1,8 @@
-"""Common base of recorded controllers, for any kind of bus.
+"""Recorded CANopen nodes and Modbus units, as controllers on an emulated bus.
 
-Recorded CANopen node, as a controller on an emulated bus.
-
-The node answers a live host as the recorded node answered the recorded host; see `TapePlayer`. A
-request that the recording cannot answer is refused by an SDO abort and reported as an error of this
-node.
-
-Source: CiA 301, SDO abort transfer protocol, node guarding protocol (toggle bit).
-
-Recorded Modbus unit, as a controller on an emulated line.
-
-The unit answers a live host as the recorded unit answered the recorded host; see `TapePlayer`. A
-request that the recording cannot answer is refused with an exception and reported as an error.
-
-Source: MODBUS over Serial Line V1.02, section 2; Application Protocol V1.1b3, section 7.
-
-Factory of recorded controllers: entry point `motorhil.controllers`, `recorded`.
+They answer a live host as the recorded ones answered the recorded host; see `ExchangePlayer`. A
+request that the recording cannot answer is refused, by an SDO abort or an exception, and reported
+as an error. A rig names them by the kind `recorded` (entry point `motorhil.controllers`):
 
 [controller.left]
 kind = "recorded"
@@ -26,6 +13,9 @@ recorded_bus = "can0"           # if the recording has the node on more than one
 recorded_unit = 255             # on a line: if the recording has it as another unit
 bitrate_bit_s = 1_000_000       # of the bus
 data_bitrate_bit_s = 2_000_000  # of a bus where it may send CAN FD frames
+
+Source: CiA 301, SDO abort transfer protocol, node guarding protocol (toggle bit); MODBUS over
+Serial Line V1.02, section 2; Application Protocol V1.1b3, section 7.
 """
 
 from collections.abc import Mapping, Sequence
@@ -36,9 +26,9 @@ from pathlib import Path
 from typing import ClassVar, Final, final
 
 from motorhil.emulators.can.frame import FRAME_BYTES
-from motorhil.emulators.can.frame_length import INTERMISSION_BITS, LENGTHS_MASK, measure, phases_of
 from motorhil.emulators.controller import Controller, ControllerContext
 from motorhil.emulators.modbus.rtu import crc16, with_crc
+from motorhil.harness.replay.frames import duration_ns
 from motorhil.harness.replay.player import ExchangePlayer
 from motorhil.harness.rig.config.buses import BUS_KINDS, NODE_MAX, UNIT_MAX
 from motorhil.settings import REQUIRED, Rule, SettingError, read, text, whole, word
@@ -56,11 +46,26 @@ from motorhil.traces.exchange.canopen import (
     sentence,
 )
 from motorhil.traces.exchange.modbus import request_key, role_of
-from motorhil.traces.exchange.recording import RecordedTapes, tapes_of
+from motorhil.traces.exchange.recording import RecordedExchanges, exchanges_of
 from motorhil.traces.exchange.steps import ExchangeLog, Key, Role, Sent, Step
 from motorhil.traces.formats.frames import EFF, ERR, RTR, classic
 from motorhil.traces.formats.modbus import Adu
 from motorhil.traces.mcap.reader import read_trace
+
+KIND: Final = "recorded"
+SET_POINTS: Final = ("exact", "any")
+_RATE_MAX: Final = 1_000_000
+_DATA_RATE_MAX: Final = 20_000_000
+_SYNC: Final = 0x080
+_SEGMENTS: Final = (0, 3)  # SDO command specifiers of a client
+_TOGGLE: Final = 0x80
+_NAMED: Final = 0x7FF
+_RESETS: Final = (0x81, 0x82)
+NO_DATA: Final = 0x0800_0024
+"""SDO abort code: no data available."""
+_SHORTEST: Final = 4
+DEVICE_FAILURE: Final = 4
+"""Exception code: server device failure."""
 
 
 class RecordedController:
@@ -125,21 +130,12 @@ class RecordedController:
         return 0
 
 
-_SYNC: Final = 0x080
-_SEGMENTS: Final = (0, 3)  # SDO command specifiers of a client
-_TOGGLE: Final = 0x80
-_NAMED: Final = 0x7FF
-_RESETS: Final = (0x81, 0x82)
-NO_DATA: Final = 0x0800_0024
-"""SDO abort code: no data available."""
-
-
 @final
 class RecordedNode(RecordedController):
     """Implementation of `motorhil.emulators.controller.Controller` for a recorded CANopen node.
 
     Args:
-        tape: the exchange log of the node.
+        log: the exchange log of the node.
         decoder: the decoder that has seen the recording; it describes received commands.
         node_id: the node-ID on this bus, as in the recording.
         bit_ns: bit time [ns], from which the start of recorded frames is computed.
@@ -152,14 +148,14 @@ class RecordedNode(RecordedController):
 
     def __init__(
         self,
-        tape: ExchangeLog,
+        log: ExchangeLog,
         decoder: CanopenDecoder,
         node_id: int,
         bit_ns: int = 1000,
         note: str = "",
         data_bit_ns: int = 0,
     ) -> None:
-        timed, left_out = _timed(tape, bit_ns, data_bit_ns)
+        timed, left_out = _timed(log, bit_ns, data_bit_ns)
         notes = [note] if note else []
         if left_out:
             notes.append(
@@ -171,11 +167,11 @@ class RecordedNode(RecordedController):
         self._dialogue: Step | None = None
         self._turn = 0
         self._set_points: dict[int, bytes] = {}
-        self._syncs = frozenset(tape.syncs or {_SYNC})
-        told = {step.key[1] for step in tape.steps if step.key[0] == "pdo"}
+        self._syncs = frozenset(log.syncs or {_SYNC})
+        told = {step.key[1] for step in log.steps if step.key[0] == "pdo"}
         self._pdos = frozenset({*told, *decoder.maps.received_by(node_id)})
-        self._remotes = frozenset(step.key[1] for step in tape.steps if step.key[0] == "remote")
-        self._toggles = _toggles(tape, node_id)
+        self._remotes = frozenset(step.key[1] for step in log.steps if step.key[0] == "remote")
+        self._toggles = _toggles(log, node_id)
         self._toggle: int | None = None  # of its last answer to node guarding
 
     # ------------------------------------------------------------------------- Controller
@@ -246,7 +242,7 @@ class RecordedNode(RecordedController):
 
     def _mask(self, identifier: int) -> bytes | None:
         """Return the mask of a PDO's relevant bits at this point of the recording."""
-        masks = self.player.tape.masks.get(identifier)
+        masks = self.player.log.masks.get(identifier)
         if not masks:
             return None
         gone = self.player.commands_gone()
@@ -320,10 +316,10 @@ class RecordedNode(RecordedController):
         self._events.append(("error", str(mismatch)))
 
 
-def _toggles(tape: ExchangeLog, node_id: int) -> bool:
+def _toggles(log: ExchangeLog, node_id: int) -> bool:
     """Return True if the node guarding answers alternate, as the standard requires."""
     key = remote_key(0x700 + node_id)
-    bits = [one.data[8] & _TOGGLE for step in tape.steps if step.key == key for one in step.answers]
+    bits = [one.data[8] & _TOGGLE for step in log.steps if step.key == key for one in step.answers]
     return 2 * sum(a != b for a, b in pairwise(bits)) >= len(bits) - 1
 
 
@@ -336,19 +332,17 @@ def _is_same(step: Step, recorded: bytes, frame: bytes) -> bool:
     return not is_block_download and same_head and meant(recorded[8:]) == meant(frame[8:])
 
 
-def _timed(tape: ExchangeLog, bit_ns: int, data_bit_ns: int) -> tuple[ExchangeLog, int]:
+def _timed(log: ExchangeLog, bit_ns: int, data_bit_ns: int) -> tuple[ExchangeLog, int]:
     """Return the log with frame durations at these bit times, and the number of omitted frames."""
     left_out = 0
-
-    def length_ns(frame: bytes) -> int:
-        nominal, data = phases_of(measure(frame) & LENGTHS_MASK)
-        return (nominal - INTERMISSION_BITS) * bit_ns + data * data_bit_ns
 
     def timed(sent: list[Sent]) -> list[Sent]:
         nonlocal left_out
         kept = [one for one in sent if data_bit_ns or len(one.data) == FRAME_BYTES]
         left_out += len(sent) - len(kept)
-        return [replace(one, duration_ns=length_ns(one.data)) for one in kept]
+        return [
+            replace(one, duration_ns=duration_ns(one.data, bit_ns, data_bit_ns)) for one in kept
+        ]
 
     steps = [
         replace(
@@ -357,14 +351,9 @@ def _timed(tape: ExchangeLog, bit_ns: int, data_bit_ns: int) -> tuple[ExchangeLo
             answers=timed(step.answers),
             turns=[replace(turn, answers=timed(turn.answers)) for turn in step.turns],
         )
-        for step in tape.steps
+        for step in log.steps
     ]
-    return replace(tape, steps=steps), left_out
-
-
-_SHORTEST: Final = 4
-DEVICE_FAILURE: Final = 4
-"""Exception code: server device failure."""
+    return replace(log, steps=steps), left_out
 
 
 @final
@@ -372,15 +361,15 @@ class RecordedUnit(RecordedController):
     """Implementation of `motorhil.emulators.controller.Controller` for a recorded Modbus unit.
 
     Args:
-        tape: the exchange log of the unit.
+        log: the exchange log of the unit.
         unit: its server address on this line.
 
     Attributes:
         player: holds the matched commands and the mismatches.
     """
 
-    def __init__(self, tape: ExchangeLog, unit: int, note: str = "") -> None:
-        super().__init__(ExchangePlayer(tape), "unit", note)
+    def __init__(self, log: ExchangeLog, unit: int, note: str = "") -> None:
+        super().__init__(ExchangePlayer(log), "unit", note)
         self.unit: Final = unit
 
     def receive(self, data: bytes, now_ns: int) -> None:
@@ -413,12 +402,6 @@ class RecordedUnit(RecordedController):
     def identifiers(self) -> Sequence[int] | None:
         """Return None: every unit on a line hears everything."""
         return None
-
-
-KIND: Final = "recorded"
-SET_POINTS: Final = ("exact", "any")
-_RATE_MAX: Final = 1_000_000
-_DATA_RATE_MAX: Final = 20_000_000
 
 
 @final
@@ -468,24 +451,24 @@ def build(settings: Mapping[str, object], context: ControllerContext) -> Control
     recorded = number
     if is_unit and own.recorded_unit is not None:  # TCP servers may use 0 or 255
         recorded = own.recorded_unit
-    tape = _tape(path, found, own.recorded_bus, recorded, is_unit)
+    log = _log(path, found, own.recorded_bus, recorded, is_unit)
     note = ""
-    if found.cut and tape is next(iter(found.tapes.values())):  # reported only once
+    if found.cut and log is next(iter(found.logs.values())):  # reported only once
         note = f"{path} is {found.cut}; commands behind that are not in it"
     if is_unit:
-        return RecordedUnit(tape, number, note)
+        return RecordedUnit(log, number, note)
     data_bit_ns = 0 if own.data_bitrate_bit_s is None else 1_000_000_000 // own.data_bitrate_bit_s
-    decoder, bit_ns = found.decoders[tape.bus], 1_000_000_000 // own.bitrate_bit_s
-    return RecordedNode(tape, decoder, number, bit_ns, note, data_bit_ns)
+    decoder, bit_ns = found.decoders[log.bus], 1_000_000_000 // own.bitrate_bit_s
+    return RecordedNode(log, decoder, number, bit_ns, note, data_bit_ns)
 
 
 build.bus_kinds = BUS_KINDS  # type: ignore[attr-defined]  # how a plugin says where it can be
 
 
-def _recording(own: RecordedTable, folder: Path) -> tuple[Path, RecordedTapes]:
+def _recording(own: RecordedTable, folder: Path) -> tuple[Path, RecordedExchanges]:
     path = folder / own.recording
     try:
-        return path, recorded_tapes(path, own.set_points == SET_POINTS[1])
+        return path, recorded_exchanges(path, own.set_points == SET_POINTS[1])
     except OSError as error:
         reason = (error.strerror or str(error)).lower()
         remedy = "paths are relative to the rig's folder"
@@ -494,7 +477,7 @@ def _recording(own: RecordedTable, folder: Path) -> tuple[Path, RecordedTapes]:
         raise SettingError(("recording",), str(error)) from None
 
 
-def recorded_tapes(path: Path, any_set_point: bool = False) -> RecordedTapes:
+def recorded_exchanges(path: Path, any_set_point: bool = False) -> RecordedExchanges:
     """Return the exchange logs in a file, which is read once for all its controllers.
 
     Raises:
@@ -502,23 +485,23 @@ def recorded_tapes(path: Path, any_set_point: bool = False) -> RecordedTapes:
         TraceError: the file cannot be read.
     """
     about = path.stat()
-    return _tapes(path, about.st_mtime_ns, about.st_size, any_set_point)
+    return _exchanges(path, about.st_mtime_ns, about.st_size, any_set_point)
 
 
 @lru_cache(maxsize=2)
-def _tapes(path: Path, modified_ns: int, size: int, any_set_point: bool) -> RecordedTapes:
+def _exchanges(path: Path, modified_ns: int, size: int, any_set_point: bool) -> RecordedExchanges:
     """Return all exchange logs of a file in its present version."""
     with read_trace(path) as trace:
-        return tapes_of(trace, any_set_point)
+        return exchanges_of(trace, any_set_point)
 
 
-def _tape(
-    path: Path, found: RecordedTapes, bus: str | None, number: int, is_unit: bool
+def _log(
+    path: Path, found: RecordedExchanges, bus: str | None, number: int, is_unit: bool
 ) -> ExchangeLog:
     word = "unit" if is_unit else "node"
     fitting = {
-        where: tape
-        for (where, of), tape in found.tapes.items()
+        where: log
+        for (where, of), log in found.logs.items()
         if of == number and (where in found.decoders) is not is_unit and bus in (None, where)
     }
     if len(fitting) == 1:
@@ -528,7 +511,7 @@ def _tape(
         problem = f"{path} has {word} {number} on several buses: {several}"
         raise SettingError(("recorded_bus",), "is missing", f"name one of them; {problem}")
     known = ", ".join(
-        f"{of} on {where}" for where, of in found.tapes if (where in found.decoders) is not is_unit
+        f"{of} on {where}" for where, of in found.logs if (where in found.decoders) is not is_unit
     )
     on = f" on {bus}" if isinstance(bus, str) else ""
     raise SettingError(

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from fractions import Fraction
 from typing import Final, Protocol, final
 
-from motorhil.harness.replay.player import Lateness
+from motorhil.emulators.can.frame_length import INTERMISSION_BITS, LENGTHS_MASK, measure, phases_of
 from motorhil.motorapi.runtime.api import Runtime
 from motorhil.traces.decoding.canopen import CanopenDecoder
 from motorhil.traces.decoding.events import Kind
@@ -20,6 +20,7 @@ from motorhil.traces.formats.frames import EFF_MASK, ERR, NS, Frame
 
 STUCK_S: Final = 2.0
 _CLASSIC_SIZE: Final = 16
+_BITS: Final = 6  # values are kept to 1 part in 32
 
 
 class SendError(Exception):
@@ -131,6 +132,21 @@ def survey(frames: Iterable[Frame]) -> Survey:
     return found
 
 
+def duration_ns(frame: bytes, bit_ns: int, data_bit_ns: int) -> int:
+    """Return the time from the first to the last bit of a frame [ns].
+
+    Args:
+        frame: a can_frame or canfd_frame.
+        bit_ns: nominal bit time [ns].
+        data_bit_ns: bit time of the CAN FD data phase [ns].
+
+    Raises:
+        ValueError: the frame is impossible on a bus.
+    """
+    nominal, data = phases_of(measure(frame) & LENGTHS_MASK)
+    return (nominal - INTERMISSION_BITS) * bit_ns + data * data_bit_ns
+
+
 def is_error(frame: bytes) -> bool:
     """Return True for an error frame, which is a controller's report and not traffic."""
     return bool(int.from_bytes(frame[:4], "little") & ERR)
@@ -146,6 +162,41 @@ def refuse_long(found: Survey, sinks: Mapping[str, Sink]) -> None:
                 "carry; nothing was sent; choose a CAN FD bus, or give --fd where the "
                 "interface supports it"
             )
+
+
+@final
+class Lateness:
+    """Histogram of delays [ns]; quantiles are at most 1/32 too large.
+
+    Attributes:
+        count: the number of delays.
+        worst_ns, last_ns: the exact largest and last delay [ns]; 0 if there is none.
+    """
+
+    def __init__(self) -> None:
+        self.count = 0
+        self.worst_ns = 0
+        self.last_ns = 0
+        self._counts: dict[tuple[int, int], int] = {}
+
+    def add(self, late_ns: int) -> None:
+        """Add one delay; negative values count as 0."""
+        late_ns = max(0, late_ns)
+        self.count += 1
+        self.last_ns = late_ns
+        self.worst_ns = max(self.worst_ns, late_ns)
+        shift = max(0, late_ns.bit_length() - _BITS)
+        key = shift, late_ns >> shift
+        self._counts[key] = self._counts.get(key, 0) + 1
+
+    def quantile_ns(self, share: float) -> int:
+        """Return the delay that this share of all delays (0 to 1) does not exceed; 0 if none."""
+        left = share * self.count
+        for (shift, high), count in sorted(self._counts.items()):
+            left -= count
+            if left <= 0:
+                return min(self.worst_ns, ((high + 1) << shift) - 1)
+        return self.worst_ns
 
 
 @final
@@ -227,7 +278,7 @@ class TrafficReplay:
                 due_ns = self.due_ns(time_ns)
                 left_ns = due_ns - now_ns()
                 if left_ns > 0:
-                    self._runtime.wait_until(_never, left_ns / NS)
+                    self._runtime.wait_until(never, left_ns / NS)
             if not sink.is_ready():
                 self._wait_for(sink, sink.is_ready)
             if self._speed is not None:
@@ -249,5 +300,6 @@ class TrafficReplay:
             )
 
 
-def _never() -> bool:
+def never() -> bool:
+    """Return False, for a wait that only time ends."""
     return False

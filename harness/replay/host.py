@@ -1,15 +1,10 @@
-"""Player of a recorded host: which frames it sends, and when.
+"""Replay of a recorded host against devices, and comparison of their answers.
 
 The player is sans-I/O, and sends a step once everything that the recorded host had waited for has
 arrived again. Then the recorded pause is kept after the last of these observations, or after the
 host's last frame. An observation that does not arrive within the patience after its time is missed.
-The player notes it and continues, as a human operator would.
-
-The host's own heartbeat waits for nothing, and continues while there are steps to send.
-
-Replay of a recorded host against devices, and comparison of their answers.
-
-Bus listener of a replayed host, which ignores frames from before a reset.
+The player notes it and continues, as a human operator would. The host's own heartbeat waits for
+nothing, and continues while there are steps to send.
 """
 
 from collections.abc import Callable, Collection, Sequence
@@ -18,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final, Protocol, final
 
 from motorhil.emulators.can.frame import FRAME_BYTES
-from motorhil.emulators.can.frame_length import INTERMISSION_BITS, LENGTHS_MASK, measure, phases_of
+from motorhil.harness.replay.frames import duration_ns, never
 from motorhil.harness.replay.verdict import meaning_in
 from motorhil.harness.rig.config.toml import RigError
 from motorhil.motorapi.runtime.api import Runtime
@@ -47,6 +42,11 @@ if TYPE_CHECKING:
     from motorhil.harness.rig.rig import Rig
 
 PATIENCE_NS: Final = 2_000_000_000
+_NEVER_NS: Final = 1 << 62
+_RESET_ALL: Final = classic(0, b"\x81\x00")
+"""The frame of NMT service "reset node" to all nodes (CiA 301)."""
+_TAIL_S: Final = 0.1
+"""How long to listen after the end of the recording [s], since devices may be slower now."""
 _SDO_REQUEST: Final = 12  # function code of the pre-defined connection set
 
 
@@ -89,9 +89,6 @@ class _Heartbeat:
         else:
             self.due_ns = _NEVER_NS
         return step
-
-
-_NEVER_NS: Final = 1 << 62
 
 
 @final
@@ -303,12 +300,6 @@ class ReceiveQueue:
         self._hear(frame, time_ns, transmitted)
 
 
-_RESET_ALL: Final = classic(0, b"\x81\x00")
-"""The frame of NMT service "reset node" to all nodes (CiA 301)."""
-_TAIL_S: Final = 0.1
-"""How long to listen after the end of the recording [s], since devices may be slower now."""
-
-
 class Driven(Protocol):
     """The buses and lines that a recorded host drives.
 
@@ -360,8 +351,7 @@ def drive(
         bit_ns, data_bit_ns = bits_ns.get(bus, (1000, 1000))
         if len(frame) > FRAME_BYTES and not data_bit_ns:
             raise ValueError("a classical bus does not carry CAN FD frames")
-        nominal, data = phases_of(measure(frame) & LENGTHS_MASK)
-        return (nominal - INTERMISSION_BITS) * bit_ns + data * data_bit_ns
+        return duration_ns(frame, bit_ns, data_bit_ns)
 
     with read_trace(recording) as trace:
         steps, unsent = host_of(trace, Listener({}), length_ns)
@@ -395,16 +385,12 @@ def drive(
         if due_ns is not None:
             left_s = max(0, due_ns - runtime.now_ns()) / 1e9
             runtime.wait_until(_changed(player, due_ns), left_s)
-    runtime.wait_until(_never, max(0, end_ns - steps[-1].end_ns) / 1e9 + _TAIL_S)
+    runtime.wait_until(never, max(0, end_ns - steps[-1].end_ns) / 1e9 + _TAIL_S)
     return player
 
 
 def _changed(player: HostPlayer, due_ns: int) -> Callable[[], bool]:
     return lambda: player.next_deadline_ns() != due_ns
-
-
-def _never() -> bool:
-    return False
 
 
 @final

@@ -7,8 +7,6 @@ period.
 
 A host may be faster than the recorded one and cut short the remaining reactions. Then only the last
 frame of each identifier is sent, at once.
-
-Statistics of delays, in a table of bounded size.
 """
 
 from collections import deque
@@ -61,12 +59,12 @@ class ExchangePlayer:
         mismatches: the commands without an answer.
     """
 
-    def __init__(self, tape: ExchangeLog) -> None:
-        self.tape = tape
+    def __init__(self, log: ExchangeLog) -> None:
+        self.log = log
         self.matched = 0
         self.repeated = 0
         self.mismatches: list[Mismatch] = []
-        self._steps = tape.steps
+        self._steps = log.steps
         self._commands = [
             number for number, step in enumerate(self._steps) if step.role is Role.COMMAND
         ]
@@ -295,7 +293,7 @@ class ExchangePlayer:
         """Schedule the next periodic frame after so many quarter periods; 0: stop it."""
         identifier = int.from_bytes(data[:4], "little")
         if quarters:
-            period_ns = self.tape.periods_ns[identifier]
+            period_ns = self.log.periods_ns[identifier]
             self._periodic[identifier] = (own_ns + period_ns * quarters // 4, data)
         else:
             self._periodic.pop(identifier, None)
@@ -330,41 +328,3 @@ def _is_silent(step: Step) -> bool:
 
 def _answers(step: Step) -> list[list[bytes]]:
     return [[sent.data for sent in turn.answers] for turn in step.turns]
-
-
-_BITS: Final = 6  # values are kept to 1 part in 32
-
-
-@final
-class Lateness:
-    """Histogram of delays [ns]; quantiles are at most 1/32 too large.
-
-    Attributes:
-        count: the number of delays.
-        worst_ns, last_ns: the exact largest and last delay [ns]; 0 if there is none.
-    """
-
-    def __init__(self) -> None:
-        self.count = 0
-        self.worst_ns = 0
-        self.last_ns = 0
-        self._counts: dict[tuple[int, int], int] = {}
-
-    def add(self, late_ns: int) -> None:
-        """Add one delay; negative values count as 0."""
-        late_ns = max(0, late_ns)
-        self.count += 1
-        self.last_ns = late_ns
-        self.worst_ns = max(self.worst_ns, late_ns)
-        shift = max(0, late_ns.bit_length() - _BITS)
-        key = shift, late_ns >> shift
-        self._counts[key] = self._counts.get(key, 0) + 1
-
-    def quantile_ns(self, share: float) -> int:
-        """Return the delay that this share of all delays (0 to 1) does not exceed; 0 if none."""
-        left = share * self.count
-        for (shift, high), count in sorted(self._counts.items()):
-            left -= count
-            if left <= 0:
-                return min(self.worst_ns, ((high + 1) << shift) - 1)
-        return self.worst_ns

@@ -1,6 +1,7 @@
-"""Buses outside the rig that a recorded host drives, in wall time.
+"""Buses for replay: of an open rig, hubs, SocketCAN, python-can.
 
-Sinks of replayed frames: buses of a rig, hubs, SocketCAN, python-can.
+`DrivenBuses` are those that a recorded host drives, in wall time. Sinks take the frames of recorded
+traffic.
 """
 
 import errno
@@ -16,8 +17,9 @@ import can
 
 from motorhil.emulators.simulation.can_network import HOST
 from motorhil.harness.python_can.hub_client import HubLink
+from motorhil.harness.python_can.messages import to_message
 from motorhil.harness.recording.socketcan import open_interface
-from motorhil.harness.recording.sources import Kind, Place, PlaceError, message_of, open_bus
+from motorhil.harness.recording.sources import Kind, Place, PlaceError, open_bus
 from motorhil.harness.replay.frames import STUCK_S, SendError, Sink
 from motorhil.harness.replay.host import ReceiveQueue
 from motorhil.motorapi.runtime.api import Runtime
@@ -32,6 +34,12 @@ if TYPE_CHECKING:
 
 _INTERFACES: Final = {Kind.SOCKETCAN: "socketcan", Kind.HUB: "emulated"}
 _BITRATE_BIT_S: Final = 1_000_000
+_SOL_CAN_RAW: Final = 101  # linux/can/raw.h
+_CAN_RAW_FILTER: Final = 1
+_CAN_RAW_FD_FRAMES: Final = 5
+_FD_MTU: Final = 72
+_QUEUED_MAX: Final = 64  # frames given to an emulated bus before it has carried them
+_PAUSE_S: Final = 0.0005
 
 
 @final
@@ -110,14 +118,6 @@ class DrivenBuses:
             self._writer.source(channel, "", Direction.RECEIVED),
             self._writer.source(channel, "host", Direction.TRANSMITTED),
         )
-
-
-_SOL_CAN_RAW: Final = 101  # linux/can/raw.h
-_CAN_RAW_FILTER: Final = 1
-_CAN_RAW_FD_FRAMES: Final = 5
-_FD_MTU: Final = 72
-_QUEUED_MAX: Final = 64  # frames given to an emulated bus before it has carried them
-_PAUSE_S: Final = 0.0005
 
 
 def open_sink(place: Place, options: Mapping[str, object]) -> Sink:
@@ -282,7 +282,7 @@ class PythonCanSink:
     def send(self, frame: bytes) -> None:
         """Pass the frame to the interface."""
         try:
-            self._bus.send(message_of(frame), STUCK_S)
+            self._bus.send(to_message(frame, 0, self.name, received=False), STUCK_S)
         except (can.CanError, OSError, ValueError) as error:
             raise SendError(f"{self.name}: {error}") from None
 

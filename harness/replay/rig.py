@@ -13,14 +13,14 @@ from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Final
 
 from motorhil.emulators.can.controller_config import PLAIN, FrameSupport
-from motorhil.harness.replay.device_node import KIND, SET_POINTS, recorded_tapes
+from motorhil.harness.replay.device_node import KIND, SET_POINTS, recorded_exchanges
 from motorhil.harness.rig.config.buses import CAN, MODBUS_RTU, MODBUS_TCP, UNIT_MAX, address_key
 from motorhil.harness.rig.config.rig_file import Known, parse_rig, read_rig
 from motorhil.harness.rig.config.toml import RigError, Source
 from motorhil.harness.rig.recording import named_files
 from motorhil.traces.decoding.attached_rig import rig_in as rig_of
 from motorhil.traces.errors import TraceError
-from motorhil.traces.exchange.recording import RecordedTapes
+from motorhil.traces.exchange.recording import RecordedExchanges
 from motorhil.traces.mcap.reader import read_trace
 from motorhil.traces.mcap.records import MAGIC, Attachment
 
@@ -87,10 +87,10 @@ def rig_in(recording: Path, known: Known) -> "RigDescription":
     if found is not None:
         return with_recorded(found, recording)
     try:
-        recorded = recorded_tapes(recording)
+        recorded = recorded_exchanges(recording)
     except TraceError as error:
         raise RigError(error.path, error.what, error.remedy) from None
-    if not recorded.tapes:
+    if not recorded.logs:
         what = "holds no CANopen or Modbus message of a device"
         raise RigError(recording, what, "give a recording with devices in it")
     text, places = _generated(recorded)
@@ -183,11 +183,11 @@ def _write(path: Path, data: bytes) -> Path:
     return path
 
 
-def _generated(recorded: RecordedTapes) -> tuple[str, dict[str, dict[str, object]]]:
+def _generated(recorded: RecordedExchanges) -> tuple[str, dict[str, dict[str, object]]]:
     """Return the text of a generated rig file, and each controller's place in the recording."""
     places: dict[str, dict[str, object]] = {}
     lines = ["[rig]"]
-    names = _plain_names([bus for bus, _ in recorded.tapes])
+    names = _plain_names([bus for bus, _ in recorded.logs])
     for bus, plain in names.items():
         is_line = bus not in recorded.decoders
         kind = f"bitrate_bit_s = {_BITRATE_BIT_S}"
@@ -196,7 +196,7 @@ def _generated(recorded: RecordedTapes) -> tuple[str, dict[str, dict[str, object
         if bus in recorded.tcp:
             kind = f'kind = "{MODBUS_TCP}"\ntimeout_s = {_patience_s(recorded, bus)}'
         lines += ["", f"[bus.{plain}]", kind]
-        numbers = [number for where, number in recorded.tapes if where == bus]
+        numbers = [number for where, number in recorded.logs if where == bus]
         free = (number for number in range(1, UNIT_MAX + 1) if number not in numbers)
         key, word = ("unit", "unit") if is_line else ("node_id", "node")
         for number in numbers:
@@ -210,13 +210,13 @@ def _generated(recorded: RecordedTapes) -> tuple[str, dict[str, dict[str, object
     return "\n".join(lines) + "\n", places
 
 
-def _patience_s(recorded: RecordedTapes, line: str) -> int:
+def _patience_s(recorded: RecordedExchanges, line: str) -> int:
     """Return a gateway timeout that covers the latest recorded answer of its units [s]."""
     turns = [
         turn
-        for (where, _), tape in recorded.tapes.items()
+        for (where, _), log in recorded.logs.items()
         if where == line
-        for step in tape.steps
+        for step in log.steps
         for turn in step.turns
     ]
     latest_ns = max((one.delay_ns for turn in turns for one in turn.answers), default=0)

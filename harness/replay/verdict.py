@@ -1,7 +1,4 @@
-"""Verdict on a replay as devices: the commands without a recorded answer.
-
-Meaning of a recording, for verbs that compare.
-"""
+"""Verdicts on a replay: commands without an answer, and the meaning of a recording."""
 
 import re
 import sys

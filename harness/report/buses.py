@@ -1,14 +1,9 @@
-"""One CAN bus of the report: its load, and the quantities of its nodes.
+"""Buses of the report: their traffic, and the quantities of their nodes.
 
-Most frames are PDOs, and most of their objects are not drawn. The position of each quantity in a
-PDO is therefore computed once, from the decoder's knowledge, and again after anything that may
-change it. All other CANopen frames go to the decoder. Repeated heartbeats are ignored.
-
-One Modbus line or connection of the report: its load and its exceptions.
-
-Traffic of a bus or line: one entry per frame, for any medium.
-
-States and quantities of nodes on buses, by bus, node and axis.
+Traffic is one entry per frame or ADU, for any medium. Most frames are PDOs, and most of their
+objects are not drawn. The position of each quantity in a PDO is therefore computed once, from the
+decoder's knowledge, and again after anything that may change it. All other CANopen frames go to the
+decoder. Repeated heartbeats are ignored.
 """
 
 import struct
@@ -17,13 +12,12 @@ from dataclasses import dataclass, field
 from typing import Final, final
 
 from motorhil.harness.analysis.from_recording import RecordedBus
-from motorhil.harness.analysis.plot import usual_name
 from motorhil.harness.analysis.subject import Queues, Subject
 from motorhil.harness.report.incidents import Incidents, Severity
 from motorhil.harness.report.series import Steps, Track
 from motorhil.traces.decoding.attached_rig import RecordedNames
 from motorhil.traces.decoding.can_errors import ControllerState, bus_error
-from motorhil.traces.decoding.canopen import NMT_STATES, CanopenDecoder
+from motorhil.traces.decoding.canopen import NMT_STATES, CanopenDecoder, usual_name
 from motorhil.traces.decoding.cia402 import STATES, state_number
 from motorhil.traces.decoding.events import DecodedEvent, Kind
 from motorhil.traces.decoding.modbus import ModbusDecoder
@@ -31,6 +25,59 @@ from motorhil.traces.decoding.objects import axis_of
 from motorhil.traces.formats.modbus import Malformed, recorded_adu
 from motorhil.traces.protobuf import Value
 from motorhil.traces.schema import Direction, FrameDecoder
+
+Place = tuple[str, int, int]
+"""Bus, node or unit, axis from 1."""
+LABELS_MAX: Final = 4_000
+"""Limit of distinguished identifiers on one bus."""
+_EFF: Final = 0x8000_0000
+_RTR: Final = 0x4000_0000
+_ERR: Final = 0x2000_0000
+_SYNC: Final = 0x080
+_HEAD: Final = struct.Struct("<IBB")
+
+# Index: True if signed. Source: CiA 402-2, object dictionary.
+QUANTITIES: Final[dict[int, bool]] = {
+    0x603F: False,  # error code
+    0x6041: False,  # statusword
+    0x6061: True,  # modes of operation display
+    0x6062: True,  # position demand value
+    0x6064: True,  # position actual value
+    0x606B: True,  # velocity demand value
+    0x606C: True,  # velocity actual value
+    0x6077: True,  # torque actual value
+    0x607A: True,  # target position
+    0x60C1: True,  # interpolation data record
+    0x60F4: True,  # following error actual value
+    0x60FF: True,  # target velocity
+}
+STATUSWORD: Final = 0x6041
+FAULTS: Final = tuple(n for n, (_, _, name) in enumerate(STATES) if name.startswith("fault"))
+
+_Part = tuple[int, int, int, bool, int, int]
+"""Node, shift, mask, True if signed, axis, index on the first axis."""
+_LEVELS: Final[dict[ControllerState | None, Severity]] = {
+    ControllerState.BUS_OFF: Severity.ERROR,
+    ControllerState.ACTIVE: Severity.INFO,
+    ControllerState.RESTARTED: Severity.INFO,
+}
+_MAY_BE_DRIVES: Final = (0, 402, 0xFFFF)
+"""Low word of the device type 1000h: no profile, a drive, or several devices in one."""
+_FUNCTIONS: Final = {
+    1: "read coils",
+    2: "read discrete inputs",
+    3: "read registers",
+    4: "read input registers",
+    5: "write coil",
+    6: "write register",
+    8: "diagnostics",
+    15: "write coils",
+    16: "write registers",
+    22: "mask register",
+    23: "read and write registers",
+    43: "encapsulated interface",
+}
+_NS: Final = 1e9
 
 
 @final
@@ -82,27 +129,6 @@ class Traffic:
         self.ranks.append(rank)
         self.names.append(name)
         return len(self.labels) - 1
-
-
-LABELS_MAX = 4_000
-"""Limit of distinguished identifiers on one bus."""
-
-
-_FUNCTIONS: Final = {
-    1: "read coils",
-    2: "read discrete inputs",
-    3: "read registers",
-    4: "read input registers",
-    5: "write coil",
-    6: "write register",
-    8: "diagnostics",
-    15: "write coils",
-    16: "write registers",
-    22: "mask register",
-    23: "read and write registers",
-    43: "encapsulated interface",
-}
-_NS: Final = 1e9
 
 
 @final
@@ -174,10 +200,6 @@ class ModbusLine:
         return self.traffic.label(f"unit {unit} {function:02X}h {way}", rank, what)
 
 
-Place = tuple[str, int, int]
-"""Bus, node or unit, axis from 1."""
-
-
 @final
 @dataclass(slots=True)
 class Told:
@@ -224,34 +246,6 @@ class Nodes:
             place[:2] == (bus, node) and bool(told.tracks or len(told.pds) or len(told.mode))
             for place, told in self.told.items()
         )
-
-
-_EFF: Final = 0x8000_0000
-_RTR: Final = 0x4000_0000
-_ERR: Final = 0x2000_0000
-_SYNC: Final = 0x080
-_HEAD: Final = struct.Struct("<IBB")
-
-# Index: True if signed. Source: CiA 402-2, object dictionary.
-QUANTITIES: Final[dict[int, bool]] = {
-    0x603F: False,  # error code
-    0x6041: False,  # statusword
-    0x6061: True,  # modes of operation display
-    0x6062: True,  # position demand value
-    0x6064: True,  # position actual value
-    0x606B: True,  # velocity demand value
-    0x606C: True,  # velocity actual value
-    0x6077: True,  # torque actual value
-    0x607A: True,  # target position
-    0x60C1: True,  # interpolation data record
-    0x60F4: True,  # following error actual value
-    0x60FF: True,  # target velocity
-}
-STATUSWORD: Final = 0x6041
-FAULTS: Final = tuple(n for n, (_, _, name) in enumerate(STATES) if name.startswith("fault"))
-
-_Part = tuple[int, int, int, bool, int, int]
-"""Node, shift, mask, True if signed, axis, index on the first axis."""
 
 
 @final
@@ -476,15 +470,6 @@ class CanBus:
         level = _LEVELS.get(state, Severity.WARNING)
         kind = "bus error" if state is None else "state of a CAN controller"
         self._incidents.add(time_ns, level, kind, self._name, said.text)
-
-
-_LEVELS: Final[dict[ControllerState | None, Severity]] = {
-    ControllerState.BUS_OFF: Severity.ERROR,
-    ControllerState.ACTIVE: Severity.INFO,
-    ControllerState.RESTARTED: Severity.INFO,
-}
-_MAY_BE_DRIVES: Final = (0, 402, 0xFFFF)
-"""Low word of the device type 1000h: no profile, a drive, or several devices in one."""
 
 
 def nmt_text(code: int) -> str:

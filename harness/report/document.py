@@ -7,6 +7,7 @@ from motorhil.harness.report.buses import Traffic
 from motorhil.harness.report.collect import Findings
 from motorhil.harness.report.incidents import Severity
 from motorhil.harness.report.motors import Line, Motor, Plot, motors_of
+from motorhil.harness.report.responses import responses_of
 from motorhil.harness.report.series import (
     FRAMES_MAX,
     POINTS_MAX,
@@ -22,7 +23,6 @@ from motorhil.harness.report.timelines import (
     mode_timeline,
     nmt_timeline,
     pds_timeline,
-    responses_of,
 )
 from motorhil.traces.mcap.reader import Trace
 

@@ -1,8 +1,8 @@
-"""Quantities over time: appended one by one, then read as numpy arrays.
+"""Quantities over time: appended, reduced without visible loss, packed into one text.
 
-Reduction of points without visible loss: first, last, lowest, highest of each stretch.
-
-Packing of arrays into one text: base64 of deflated bytes, sorted by significance.
+Values are appended one by one, then read as numpy arrays. A reduction keeps first, last, lowest and
+highest of each stretch of time. Arrays are packed as base64 of deflated bytes, sorted by
+significance.
 """
 
 import base64
@@ -16,6 +16,13 @@ if TYPE_CHECKING:
     from numpy import float64, int64, integer
     from numpy.typing import NDArray
 
+Packed = dict[str, object]
+"""A packed array: type ("u8", "u16", "u32", "f32"), offset, count; for times, delta is true."""
+TICKS_MAX: Final = (1 << 32) - 1
+POINTS_MAX: Final = 1_500_000
+"""Points of all quantities together; below this number all are in the page."""
+FRAMES_MAX: Final = 1_500_000
+"""Frames of all buses together; above, they are summed in cells of time and identifier."""
 TIME_MAX_NS: Final = 1 << 62
 """Limit of drawn times; a stamp that far from the beginning is invalid."""
 
@@ -88,12 +95,6 @@ class Steps:
         return True
 
 
-POINTS_MAX: Final = 1_500_000
-"""Points of all quantities together; below this number all are in the page."""
-FRAMES_MAX: Final = 1_500_000
-"""Frames of all buses together; above, they are summed in cells of time and identifier."""
-
-
 def share(count: int, total: int, budget: int) -> int:
     """Return the share of a budget for `count` of `total`; all of them if it is sufficient."""
     return count if total <= budget else max(400, count * budget // total)
@@ -137,11 +138,6 @@ def cells(
     sums = np.bincount(place, weights=weights).astype(np.int64)
     counts = np.bincount(place).astype(np.int64)
     return ((found >> 16) + 1) * width_ns, found & 0xFFFF, sums, counts
-
-
-Packed = dict[str, object]
-"""A packed array: type ("u8", "u16", "u32", "f32"), offset, count; for times, delta is true."""
-TICKS_MAX: Final = (1 << 32) - 1
 
 
 @final

@@ -60,16 +60,34 @@ from motorhil.motorapi import (
 )
 from motorhil.motorapi.motion import Motion
 from motorhil.motorapi.ownership.claim import LockAction, OwnershipEvent
-from motorhil.motorapi.synchronization.quality import Trigger
+from motorhil.motorapi.synchronization.offer import Trigger
+
+try:
+    from hypothesis import event, settings
+    from hypothesis import strategies as st
+    from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
+except ImportError as missing:  # pragma: no cover -- without it nothing here can be tested
+    raise ImportError("this module needs Hypothesis: pip install 'motorhil[test]'") from missing
 
 if TYPE_CHECKING:
     from motorhil.harness.virtual_time.runtime import VirtualParty, VirtualRuntime
     from motorhil.motorapi.ownership.reservation import Reservation
 
-# ruff: noqa: SLF001 -- the harness looks at who has a motor
+# ruff: noqa: SLF001 -- the harness looks at who has a motor, and lets arming fail
 
+MakeRig = Callable[[], Rig]
 
 _LONG_S: Final = 60.0
+_GROUP_PATIENCE_S: Final = 120.0
+_RENEWED: Final = 7 / 8
+"""The minimum share of a lease that is left when a use does not renew it."""
+_STOPS: Final = ("stop() of ", "halt() of ")
+_STEPS: Final = 25
+_SETTLED_S: Final = 300.0
+_WHO: Final = st.integers(0, 5)
+_PATIENCE_S: Final = st.sampled_from([None, 0.0, 0.05, 1.0, 5.0])
+_LEASE_S: Final = st.sampled_from([None, None, 0.05, 0.3])
+_PAUSE_S: Final = st.sampled_from([None, 0.0, 1e-5, 2e-4, 1e-3, 0.02, 0.1, 0.5, 2.0])
 
 
 @final
@@ -141,7 +159,7 @@ class Stage:
         found: dict[int, list[Motor]] = {}
         for name in self.rig.motors:
             motor = self.rig.motors[name]
-            found.setdefault(id(motor._physical), []).append(motor)
+            found.setdefault(id(motor.logical.physical), []).append(motor)
         return list(found.values())
 
     def require(self, holds: bool, words: str) -> None:
@@ -193,14 +211,6 @@ class Party:
         """Close everything that the party has open."""
 
 
-# ruff: noqa: SLF001 -- the harness looks at who has a motor, and lets arming fail
-
-
-_RENEWED: Final = 7 / 8
-"""The minimum share of a lease that is left when a use does not renew it."""
-_STOPS: Final = ("stop() of ", "halt() of ")
-
-
 @final
 class Owner(Party):
     """One logical motor of a physical one, with its owner.
@@ -228,7 +238,7 @@ class Owner(Party):
         self._give: Note | None = None
         self._death: Note | None = None
         self._taken: OwnershipEvent | None = None
-        self._listeners: Final = motor._physical.ownership.listeners
+        self._listeners: Final = motor.logical.physical.ownership.listeners
         self._listeners.append(self._hear)
         super().__init__(name, stage)
 
@@ -370,7 +380,7 @@ class Owner(Party):
             reservation = other.reservation
             if other.is_lost or reservation is None or reservation.lost_to is None:
                 continue
-            if other.motor._physical is self.motor._physical:
+            if other.motor.logical.physical is self.motor.logical.physical:
                 other.is_lost = True
                 lease_s = (other.lease_s or _LONG_S) * _RENEWED
                 end_ns = other.used_ns + round(lease_s * 1e9)
@@ -438,7 +448,7 @@ class Owner(Party):
         self, before: float, distance: float, duration_s: float, reserved: "Reservation | None"
     ) -> None:
         stage = self.stage
-        run = self.motor._run
+        run = self.motor.logical.run
         assert run is not None
         took_s = (stage.runtime.now_ns() - run.since_ns) / 1e9
         stage.counts["motion: as long as asked for"] += 1
@@ -466,12 +476,6 @@ class Owner(Party):
         if not self._moves:
             self._death.returned()
             self._death = None
-
-
-# ruff: noqa: SLF001 -- the harness looks at who has a motor, and lets arming fail
-
-
-_PATIENT_S: Final = 120.0
 
 
 @final
@@ -522,7 +526,7 @@ class Watch:
     def _watched_arm(self, motion: Motion, *, together: bool) -> Trigger:
         if self.refuses:
             raise LinkError(
-                link=self.motor._physical.label, reason="it refuses, as planned by the test"
+                link=self.motor.logical.physical.label, reason="it refuses, as planned by the test"
             )
         trigger = self._arm(motion, together=together)
         self.was_armed = True
@@ -562,7 +566,7 @@ class GroupOwner(Party):
         watches = [self.motors[place] for place in places]
         refusing = None if refuses is None else watches[refuses % len(watches)]
         group = MotorGroup(*(watch.motor for watch in watches))
-        timeout_s = _PATIENT_S if patient else None
+        timeout_s = _GROUP_PATIENCE_S if patient else None
         words = f"{len(watches)} motors"
         with ExitStack() as held:
             try:
@@ -573,7 +577,7 @@ class GroupOwner(Party):
             except MotorBusyError as error:
                 stage.counts[f"{words}: refused"] += 1
                 stage.require(
-                    not patient, f"{self.name} waited {_PATIENT_S:g} s: {error}; a deadlock"
+                    not patient, f"{self.name} waited {_GROUP_PATIENCE_S:g} s: {error}; a deadlock"
                 )
             except LinkError:
                 stage.counts[f"{words}: one refused to be armed"] += 1
@@ -615,7 +619,7 @@ class GroupOwner(Party):
         if not reserved:
             self._take(watches)
         gives = [] if reserved else self._gives(watches)  # owned as long as they move
-        group.wait_until_done(_PATIENT_S)
+        group.wait_until_done(_GROUP_PATIENCE_S)
         for give in gives:
             give.returned()
         took_s = (stage.runtime.now_ns() - self._begun_ns(watches)) / 1e9
@@ -627,7 +631,7 @@ class GroupOwner(Party):
             self._require_moved(watches, before, ways, "to its target")
 
     def _begun_ns(self, watches: Sequence[Watch]) -> int:
-        runs = [watch.motor._run for watch in watches]
+        runs = [watch.motor.logical.run for watch in watches]
         return min(run.since_ns for run in runs if run is not None)
 
     def _require_moved(
@@ -659,34 +663,13 @@ class GroupOwner(Party):
 
     def _take(self, watches: Sequence[Watch]) -> None:
         for watch in watches:
-            label = watch.motor._physical.label
+            label = watch.motor.logical.physical.label
             self.stage.history.call(self.name, label, Action.TAKE).returned()
 
     def _gives(self, watches: Sequence[Watch]) -> list[Note]:
         """Begin the notes of release; they are completed when ownership has ended."""
-        labels = [watch.motor._physical.label for watch in watches]
+        labels = [watch.motor.logical.physical.label for watch in watches]
         return [self.stage.history.call(self.name, label, Action.GIVE) for label in labels]
-
-
-# ruff: noqa: SLF001 -- the harness looks at who has a motor
-
-
-try:
-    from hypothesis import event, settings
-    from hypothesis import strategies as st
-    from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
-except ImportError as missing:  # pragma: no cover -- without it nothing here can be tested
-    raise ImportError("this module needs Hypothesis: pip install 'motorhil[test]'") from missing
-
-
-MakeRig = Callable[[], Rig]
-
-_STEPS: Final = 25
-_SETTLED_S: Final = 300.0
-_WHO: Final = st.integers(0, 5)
-_PATIENCE_S: Final = st.sampled_from([None, 0.0, 0.05, 1.0, 5.0])
-_LEASE_S: Final = st.sampled_from([None, None, 0.05, 0.3])
-_PAUSE_S: Final = st.sampled_from([None, 0.0, 1e-5, 2e-4, 1e-3, 0.02, 0.1, 0.5, 2.0])
 
 
 class SharingMachine(RuleBasedStateMachine):

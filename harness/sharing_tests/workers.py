@@ -209,14 +209,14 @@ def _motors(desk: Desk) -> list[Motor]:
 
 
 def _label(motor: Motor) -> str:
-    return motor._physical.label  # noqa: SLF001 -- the same in every process
+    return motor.logical.physical.label  # the same in every process
 
 
 def work_motor(desk: Desk) -> None:
     """Reserve and move the first motor repeatedly; see the module's description."""
     motor = _motors(desk)[0]
     told: list[OwnershipEvent] = []
-    motor._physical.ownership.listeners.append(told.append)  # noqa: SLF001 -- who has it
+    motor.ownership.listeners.append(told.append)
     turn = 0
     while not desk.is_over:
         turn += 1

@@ -23,6 +23,7 @@ from operator import attrgetter
 from typing import TYPE_CHECKING, Final, Protocol, final
 
 from motorhil.emulators.simulation.event_queue import UNSET, Alarm, EventQueue
+from motorhil.motorapi.bus_context import BusContext
 from motorhil.motorapi.errors import UsageError
 
 if TYPE_CHECKING:
@@ -145,6 +146,7 @@ class VirtualRuntime:
 
     def __init__(self, queue: EventQueue, pace: Callable[[int], None] | None = None) -> None:
         self.queue = queue
+        self.context: Final = BusContext()  # compiled classes have no weak references
         self._pace = pace
         self._waiters: list[Waiter] = []
         first = VirtualParty("main", self)

@@ -5,9 +5,10 @@ Third parties may use them for adaptations of their own.
 
 from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass, fields
-from typing import Generic, Protocol, TypeVar, final
+from typing import Final, Generic, Protocol, TypeVar, cast, final
 from weakref import WeakValueDictionary
 
+from motorhil.motorapi.bus_context import context_of
 from motorhil.motorapi.errors import UsageError
 from motorhil.settings import SettingError, check, read
 
@@ -37,8 +38,18 @@ HardwareT = TypeVar("HardwareT", bound=Hardware)
 
 
 @final
+class _Built:
+    """The hardware objects on one bus that were built from settings, by kind and place."""
+
+    def __init__(self) -> None:
+        self.hardware: Final[WeakValueDictionary[Hashable, Hardware]] = WeakValueDictionary()
+
+
+@final
 class Shared(Generic[HardwareT]):
-    """The hardware objects built from settings; motors on the same hardware share one.
+    """One kind of hardware built from settings; motors on the same hardware share one object.
+
+    The objects are kept with their bus, line or runtime.
 
     Args:
         noun: the word for such hardware in messages ("drive").
@@ -46,27 +57,30 @@ class Shared(Generic[HardwareT]):
 
     def __init__(self, noun: str) -> None:
         self._noun = noun
-        self._built: WeakValueDictionary[Hashable, HardwareT] = WeakValueDictionary()
 
     def get(
         self,
-        key: Hashable,
+        home: object,
+        place: Hashable,
         make: Callable[[], HardwareT],
         has_settings: Callable[[HardwareT], bool],
     ) -> HardwareT:
-        """Return the hardware object of this key, made on first use, and count one more user.
+        """Return the hardware object at this place, made on first use, and count one more user.
 
         Args:
-            key: identifies the hardware.
+            home: the bus or line of the hardware; its runtime if it has no bus.
+            place: identifies the hardware there.
             make: makes the hardware object.
             has_settings: returns whether an existing object has the requested settings.
 
         Raises:
             UsageError: the existing object has other settings.
         """
-        hardware = self._built.get(key)
+        built = context_of(home).medium.part(_Built).hardware
+        hardware = cast("HardwareT | None", built.get((self, place)))
         if hardware is None or hardware.is_closed:
-            hardware = self._built[key] = make()
+            hardware = make()
+            built[self, place] = hardware
         elif not has_settings(hardware):
             raise UsageError(
                 f"{self._noun} {hardware.label} is used with other settings already; motors "

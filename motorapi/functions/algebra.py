@@ -1,21 +1,17 @@
-"""Simplification of sums, products and compositions of functions.
+"""Sums, products and compositions of functions, as simple as possible.
 
-Polynomials and piecewise polynomials stay polynomials and piecewise polynomials. A numeric factor
-is merged into the function. Nested sums and nested products are flattened. In a sum, terms that
-differ only by their amplitudes are merged.
-
-Composite functions: sums, products, compositions.
-
-The operators create these where `motorhil.motorapi.functions.algebra` finds nothing simpler.
+The operators of `Function` come here. Polynomials and piecewise polynomials stay polynomials and
+piecewise polynomials. A numeric factor is merged into the function. Nested sums and nested products
+are flattened. In a sum, terms that differ only by their amplitudes are merged. Anything else
+becomes a composite function.
 """
 
+import operator
 from collections.abc import Callable
 from fractions import Fraction
 from functools import reduce
 from itertools import zip_longest
 from math import fsum, inf
-from operator import add as add_of_operator
-from operator import mul
 from typing import Final, Self, final
 
 import numpy as np
@@ -120,11 +116,11 @@ class Sum(_Members):
         return total
 
     def _derivative(self, order: int) -> Function:
-        return reduce(add_of_operator, [term.derivative(order) for term in self._members])
+        return reduce(operator.add, [term.derivative(order) for term in self._members])
 
     def integral(self) -> Function:
         """Return the sum of the integrals."""
-        total = reduce(add_of_operator, [term.integral() for term in self._members])
+        total = reduce(operator.add, [term.integral() for term in self._members])
         return anchored(total, self._origin())
 
     def _integrate(self, low: float, high: float) -> float:
@@ -171,10 +167,10 @@ class Product(_Members):
     def _derivative(self, order: int) -> Function:
         members = self._members
         terms = [
-            reduce(mul, [f.derivative() if k == i else f for k, f in enumerate(members)])
+            reduce(operator.mul, [f.derivative() if k == i else f for k, f in enumerate(members)])
             for i in range(len(members))
         ]
-        return reduce(add_of_operator, terms).derivative(order - 1)
+        return reduce(operator.add, terms).derivative(order - 1)
 
     def integral(self) -> Function:
         """Return the integral by quadrature: existing closed forms suffer from cancellation."""

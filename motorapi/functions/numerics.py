@@ -1,7 +1,8 @@
-"""Extrema of any function, by branch and bound without a miss.
+"""Extrema and definite integrals of any function, from its values and bounds.
 
-The interval is split where the function may jump, and then where its bounds leave the most room. A
-part is finished as soon as one of these conditions is certain:
+*Extrema*, by branch and bound without a miss. The interval is split where the function may jump,
+and then where its bounds leave the most room. A part is finished as soon as one of these conditions
+is certain:
 
 - it contains no value beyond those found so far by more than the accuracy;
 - the function is monotone there: its extrema are at the ends, which are known;
@@ -12,11 +13,10 @@ So an extremum may be too small by the accuracy, but is never missed, however na
 Source: branch and bound with the monotonicity and the mean value test: Hansen & Walster, Global
 Optimization Using Interval Analysis, 2nd ed. (2004), ch. 12.
 
-Definite integrals of any function, by adaptive Gauss-Kronrod quadrature.
-
-The interval is split where the function may jump. Then the part with the largest error is halved
-until the sum of errors is below 1e-14 of the integral of the absolute value, or until only rounding
-errors remain. The method needs function values only.
+*Integrals*, by adaptive Gauss-Kronrod quadrature. The interval is split where the function may
+jump. Then the part with the largest error is halved until the sum of errors is below 1e-14 of the
+integral of the absolute value, or until only rounding errors remain. The method needs function
+values only.
 
 Source: QUADPACK (Piessens, de Doncker-Kapenga, Überhuber, Kahaner: 1983), the pair of 7 and 15
 nodes and its error estimate.
@@ -35,6 +35,39 @@ from motorhil.motorapi.functions.base import Extrema, Function, operations
 # first.
 ACCURACIES: Final = ((4096, 1e-12), (8192, 1e-9), (65536, 1e-6))
 _PROBES: Final = 16  # values taken first, to finish most parts sooner
+
+_RELATIVE: Final = 1e-14
+_PARTS: Final = 2000
+
+# (node, weight of the 15-node rule, weight of the 7-node rule), from the outside in; the middle
+# node is last
+_NODES: Final = (
+    (0.991455371120812639206854697526329, 0.022935322010529224963732008058970, 0.0),
+    (
+        0.949107912342758524526189684047851,
+        0.063092092629978553290700663189204,
+        0.129484966168869693270611432679082,
+    ),
+    (0.864864423359769072789712788640926, 0.104790010322250183839876322541518, 0.0),
+    (
+        0.741531185599394439863864773280788,
+        0.140653259715525918745189590510238,
+        0.279705391489276667901467771423780,
+    ),
+    (0.586087235467691130294144258781560, 0.169004726639267902826583426598550, 0.0),
+    (
+        0.405845151377397166906606412076961,
+        0.190350578064785409913256402421014,
+        0.381830050505118944950369775488975,
+    ),
+    (0.207784955007898467600689403773245, 0.204432940075298892414161999234649, 0.0),
+)
+_MIDDLE: Final = (0.209482141084727828012999174891714, 0.417959183673469387755102040816327)
+_EPSILON: Final = 2.3e-16
+
+Part = tuple[
+    float, float, float, float, float
+]  # -error, low, high, integral, integral of the absolute value
 
 
 def extrema(function: Function, low: float, high: float) -> Extrema:
@@ -160,40 +193,6 @@ def _zero(slope: Function, left: float, right: float) -> float:
         else:
             right, at_right, at_left = at, value, 0.5 * at_left
     return left + 0.5 * (right - left)
-
-
-_RELATIVE: Final = 1e-14
-_PARTS: Final = 2000
-
-# (node, weight of the 15-node rule, weight of the 7-node rule), from the outside in; the middle
-# node is last
-_NODES: Final = (
-    (0.991455371120812639206854697526329, 0.022935322010529224963732008058970, 0.0),
-    (
-        0.949107912342758524526189684047851,
-        0.063092092629978553290700663189204,
-        0.129484966168869693270611432679082,
-    ),
-    (0.864864423359769072789712788640926, 0.104790010322250183839876322541518, 0.0),
-    (
-        0.741531185599394439863864773280788,
-        0.140653259715525918745189590510238,
-        0.279705391489276667901467771423780,
-    ),
-    (0.586087235467691130294144258781560, 0.169004726639267902826583426598550, 0.0),
-    (
-        0.405845151377397166906606412076961,
-        0.190350578064785409913256402421014,
-        0.381830050505118944950369775488975,
-    ),
-    (0.207784955007898467600689403773245, 0.204432940075298892414161999234649, 0.0),
-)
-_MIDDLE: Final = (0.209482141084727828012999174891714, 0.417959183673469387755102040816327)
-_EPSILON: Final = 2.3e-16
-
-Part = tuple[
-    float, float, float, float, float
-]  # -error, low, high, integral, integral of the absolute value
 
 
 def integrate(function: Function, low: float, high: float) -> float:

@@ -1,21 +1,20 @@
-"""Extrema and value ranges of polynomials, without a miss.
+"""Polynomial arithmetic: extrema and ranges without a miss, exact coefficients.
 
-Between two neighbouring zeros of p'' the derivative p' is monotone and has at most one zero. So the
-zeros of p' are found by their signs once those of p'' are known, those from p''' and so on, down to
-a straight line. Each zero is refined by Newton steps within a bracket, until the ends of the
-bracket are neighbours or the step is lost in rounding. A zero of p' without a sign change is not an
-extremum. Nor is a zero whose neighbours have one sign through rounding alone, or differ from it
-only by as much.
+*Extrema.* Between two neighbouring zeros of p'' the derivative p' is monotone and has at most one
+zero. So the zeros of p' are found by their signs once those of p'' are known, those from p''' and
+so on, down to a straight line. Each zero is refined by Newton steps within a bracket, until the
+ends of the bracket are neighbours or the step is lost in rounding. A zero of p' without a sign
+change is not an extremum. Nor is a zero whose neighbours have one sign through rounding alone, or
+differ from it only by as much.
 
-The range comes from the Bernstein coefficients: their hull contains the curve (G. Farin, Curves and
-Surfaces for CAGD, 4.3), and converges to it quadratically with the size of the interval.
+*Ranges.* The range comes from the Bernstein coefficients: their hull contains the curve (G. Farin,
+Curves and Surfaces for CAGD, 4.3), and converges to it quadratically with the size of the interval.
 
-Exact arithmetic for polynomial coefficients, with one final rounding.
-
-A double is a rational number, and so are the coefficients of a polynomial. All operations here use
-integers over a common denominator. In floating point, a change of the expansion point, a
-composition or an integration loses digits by cancellation. Coefficients are in ascending order of a
-local argument: p = c0 + c1 t + c2 t² + ..., where t is x minus the expansion point.
+*Exact coefficients.* They are rounded once, at the end. A double is a rational number, and so are
+the coefficients of a polynomial. All operations here use integers over a common denominator. In
+floating point, a change of the expansion point, a composition or an integration loses digits by
+cancellation. Coefficients are in ascending order of a local argument: p = c0 + c1 t + c2 t² + ...,
+where t is x minus the expansion point.
 """
 
 from collections.abc import Iterable, Sequence

@@ -1,11 +1,9 @@
-"""Functions through samples, with a choice of interpolations.
+"""Sampled functions, with a choice of interpolations; splines.
 
-Derivatives at samples for cubic and quintic splines.
-
-The unknowns are the first derivative of a Hermite curve at each sample (quintic: the second
-derivative too), chosen so that the next higher derivatives do not jump at the samples. They solve a
-banded system of linear equations by elimination with pivots, in time proportional to the number of
-samples.
+The unknowns of a spline are the first derivative of a Hermite curve at each sample (quintic: the
+second derivative too), chosen so that the next higher derivatives do not jump at the samples. They
+solve a banded system of linear equations by elimination with pivots, in time proportional to the
+number of samples.
 
 Source: C. de Boor, A Practical Guide to Splines (2001), ch. IV, and the same for degree 5.
 """
@@ -20,6 +18,8 @@ from motorhil.motorapi.errors import UsageError
 from motorhil.motorapi.functions.base import Extrema, FloatArray, Function, finite
 from motorhil.motorapi.functions.piecewise import Piecewise
 from motorhil.motorapi.functions.polynomial_math import Exact, nearest
+
+_SHOWN: Final = 5  # samples in a repr
 
 Equation: TypeAlias = tuple[int, list[float], float]  # first unknown, coefficients, right side
 Derivatives: TypeAlias = tuple[list[float], list[float]]
@@ -40,7 +40,7 @@ class Ends(Enum):
     """The first derivative is 0 at the ends (quintic: the second too), as for motors at rest."""
 
 
-def cubic(x: Sequence[float], y: Sequence[float], ends: Ends) -> list[float]:
+def _slopes(x: Sequence[float], y: Sequence[float], ends: Ends) -> list[float]:
     """Return the first derivatives at the samples; at least two samples, x ascending."""
     n = len(x)
     if ends is Ends.NOT_A_KNOT and n < 4:
@@ -67,7 +67,7 @@ def cubic(x: Sequence[float], y: Sequence[float], ends: Ends) -> list[float]:
     return solved(rows, n)
 
 
-def quintic(x: Sequence[float], y: Sequence[float], ends: Ends) -> Derivatives:
+def _states(x: Sequence[float], y: Sequence[float], ends: Ends) -> Derivatives:
     """Return the first and second derivatives at the samples, at least two; x ascending."""
     n = len(x)
     if n < 6 and ends is Ends.NOT_A_KNOT:
@@ -175,9 +175,6 @@ def _without_first(row: list[float], pivot: list[float]) -> list[float]:
         *(a - share * b for a, b in zip(mine[1:], its[1:], strict=True)),
         row[-1] - share * pivot[-1],
     ]
-
-
-_SHOWN: Final = 5  # samples in a repr
 
 
 class Interpolation(Enum):
@@ -418,7 +415,7 @@ def _linear(
 def _cubic(
     x: _Samples, y: _Samples, first: _Samples | None, second: _Samples | None, ends: Ends
 ) -> Piecewise:
-    return _hermite(x, y, cubic(x, y, ends), None, ends)
+    return _hermite(x, y, _slopes(x, y, ends), None, ends)
 
 
 def _hermite(
@@ -437,7 +434,7 @@ def _hermite(
 def _quintic(
     x: _Samples, y: _Samples, first: _Samples | None, second: _Samples | None, ends: Ends
 ) -> Piecewise:
-    m, a = quintic(x, y, ends) if first is None or second is None else (first, second)
+    m, a = _states(x, y, ends) if first is None or second is None else (first, second)
     rows = []
     for i in range(len(x) - 1):
         h = x[i + 1] - x[i]

@@ -1,7 +1,4 @@
-"""Sine and cosine functions.
-
-The exponential function, for decay or growth at a constant rate.
-"""
+"""Sine, cosine and exponential functions: oscillation, decay and growth."""
 
 from abc import abstractmethod
 from math import ceil, cos, exp, expm1, floor, inf, isfinite, pi, sin

@@ -1,12 +1,8 @@
 """Feasibility of motions: violated limits, with time and amount.
 
-Generation of the profile of a simple trajectory.
-
-Combined limits of a motor model and of a command.
-
-Intervals in which a function rises or falls.
-
-Numpy is imported only if a function is given.
+A motion is examined against the limits of a motor model, tightened by those of its command. The
+second derivative may have different limits in forward and backward motion. Numpy is imported only
+if a function is given.
 """
 
 from collections.abc import Iterator
@@ -26,6 +22,8 @@ from motorhil.motorapi.trajectory import ComplexTrajectory, Trajectory, Trapezoi
 if TYPE_CHECKING:
     from motorhil.motorapi.functions.base import Function
 
+STEP_S: Final = 0.01
+"""The time [s] for which the next derivative may cause a step: samples are no smoother."""
 _ALL: Final[Range] = (-inf, inf)
 _PER: Final = ("", "/s", "/s²", "/s³", "/s⁴")
 _NAMES: Final = {
@@ -145,10 +143,6 @@ def _common(one: Range, other: Range | None) -> Range:
     return one if other is None else (max(one[0], other[0]), min(one[1], other[1]))
 
 
-STEP_S: Final = 0.01
-"""The time [s] for which the next derivative may cause a step: samples are no smoother."""
-
-
 @final
 @dataclass(frozen=True, slots=True)
 class Violation:
@@ -241,7 +235,7 @@ def feasible(
         UsageError: the function has an unbounded domain, or `motion` has the wrong type.
     """
     if isinstance(motion, TrapezoidalTrajectory):
-        return Feasibility(tuple(attempt(motion, against, variable, start)[1]))
+        return Feasibility(tuple(_attempt(motion, against, variable, start)[1]))
     if isinstance(motion, Profile):
         allowed = Allowed.by(against, variable, None)
         return Feasibility(tuple(_of_profile(motion, allowed)))
@@ -260,7 +254,42 @@ def feasible(
     return Feasibility(tuple(_of_function(motion, offset, allowed, (low, high))))
 
 
-def attempt(
+def generate(
+    trajectory: TrapezoidalTrajectory,
+    model: MotorModel,
+    *,
+    variable: ControlVariable = ControlVariable.POSITION,
+    start: float = 0.0,
+) -> Profile:
+    """Return the absolute profile of a trajectory for a motor with this model.
+
+    The profile is as fast as model and trajectory allow, or has the duration of the trajectory.
+    Jerk is not limited: for that see `motorhil.motorapi.generation.jerk_limited`.
+
+    Args:
+        trajectory: simple; its second derivatives at the ends, if any, must be 0.
+        model: provides the limits that the trajectory does not tighten.
+        variable: its control variable, which determines the unit U.
+        start: initial value of a relative trajectory [U].
+
+    Raises:
+        LimitError: no such motion exists within the limits; names limit, time and amount.
+        UnsupportedError: it limits the third derivative, or begins or ends with a second
+            derivative.
+        UsageError: no limit bounds its speed, or an argument has another type.
+    """
+    if not isinstance(trajectory, TrapezoidalTrajectory) or not isinstance(model, MotorModel):
+        raise UsageError(
+            f"generate({trajectory!r}, {model!r}): give a TrapezoidalTrajectory and a "
+            "MotorModel; a ComplexTrajectory needs no generation"
+        )
+    profile, violations = _attempt(trajectory, model, variable, start)
+    if profile is not None and not violations:
+        return profile
+    raise violations[0].as_error(model.name)
+
+
+def _attempt(
     trajectory: TrapezoidalTrajectory,
     against: MotorModel | DerivativeLimits,
     variable: ControlVariable,
@@ -389,7 +418,7 @@ def _of_second(function: "Function", allowed: Allowed, interval: Range) -> Itera
         yield from _worst(function, 2, allowed, allowed.forward, [interval])
         return
 
-    forward, backward = parts_by_direction(function, interval)
+    forward, backward = _parts_by_direction(function, interval)
     yield from _worst(function, 2, allowed, allowed.forward, forward)
     yield from _worst(function, 2, allowed, allowed.backward, backward)
 
@@ -449,42 +478,7 @@ def _beyond(
         yield Violation(name, value, low, high, argument, unit, reason)
 
 
-def generate(
-    trajectory: TrapezoidalTrajectory,
-    model: MotorModel,
-    *,
-    variable: ControlVariable = ControlVariable.POSITION,
-    start: float = 0.0,
-) -> Profile:
-    """Return the absolute profile of a trajectory for a motor with this model.
-
-    The profile is as fast as model and trajectory allow, or has the duration of the trajectory.
-    Jerk is not limited: for that see `motorhil.motorapi.generation.jerk_limited`.
-
-    Args:
-        trajectory: simple; its second derivatives at the ends, if any, must be 0.
-        model: provides the limits that the trajectory does not tighten.
-        variable: its control variable, which determines the unit U.
-        start: initial value of a relative trajectory [U].
-
-    Raises:
-        LimitError: no such motion exists within the limits; names limit, time and amount.
-        UnsupportedError: it limits the third derivative, or begins or ends with a second
-            derivative.
-        UsageError: no limit bounds its speed, or an argument has another type.
-    """
-    if not isinstance(trajectory, TrapezoidalTrajectory) or not isinstance(model, MotorModel):
-        raise UsageError(
-            f"generate({trajectory!r}, {model!r}): give a TrapezoidalTrajectory and a "
-            "MotorModel; a ComplexTrajectory needs no generation"
-        )
-    profile, violations = attempt(trajectory, model, variable, start)
-    if profile is not None and not violations:
-        return profile
-    raise violations[0].as_error(model.name)
-
-
-def parts_by_direction(function: "Function", interval: Range) -> tuple[list[Range], list[Range]]:
+def _parts_by_direction(function: "Function", interval: Range) -> tuple[list[Range], list[Range]]:
     """Return the parts of the interval where the first derivative may be > 0, and < 0.
 
     The result is exact for (piecewise) polynomials. For other functions a part between two breaks

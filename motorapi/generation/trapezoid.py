@@ -1,4 +1,4 @@
-"""Trapezoidal profiles in closed form, for any boundary velocities.
+"""Trapezoidal profiles in closed form, for any boundary velocities and durations.
 
 A profile ramps from its initial velocity v0 to a peak u, holds u, and ramps to its final velocity
 v1. Every ramp is as steep as the limits allow. Let p be the magnitude of the acceleration while the
@@ -21,37 +21,13 @@ The extent is minimal too. Any motion with these accelerations overshoots by the
 from its initial velocity, and by the distance needed to reach its final velocity. This profile does
 not overshoot further. If it leaves a range of values, so does every other motion.
 
-Source: Biagiotti & Melchiorri, Trajectory Planning for Automatic Machines and Robots (2008), 3.2,
-trapezoidal trajectories with non-null initial and final velocities; asymmetric ramps and reversing
-motions follow in the same way.
-
-Trapezoidal velocity profiles from rest to rest, in closed form.
-
-The profile is the shortest, or has a given duration. With distance D >= 0, speed limit v,
-acceleration a and deceleration d (all magnitudes):
-
-    shortest   peak p = min(v, sqrt(2 D a d / (a + d))), duration T = D/p + k p
-    stretched  the same a and d, and the peak p for which D/p + k p = T
-               p = (T - sqrt(T² - 4 k D)) / (2 k) = 2 D / (T + sqrt(T² - 4 k D))
-
-Here k = (1/a + 1/d) / 2 is half the time for a ramp up to speed 1 and a ramp down from it. For a =
-d the peak is (a T - sqrt(a² T² - 4 a D)) / 2. The last form is used: it avoids cancellation for
-long T. A profile of distance 0 has duration 0, or any requested duration. Units: one unit of length
-U (rad or m) throughout, so rotary and linear motors may be mixed.
-
-Source: Biagiotti & Melchiorri, Trajectory Planning for Automatic Machines and Robots (2008), ch. 3,
-trapezoidal velocity profile; asymmetric ramps follow in the same way.
-
-Possible durations of a motion, and the profile of a given duration.
-
-At a given duration T, with every ramp as steep as the limits allow, the distance grows with the
-peak u:
+*Given duration.* At a duration T, with every ramp as steep as the limits allow, the distance grows
+with the peak:
 
     d(distance) / du = T - (time for both ramps) = duration of the plateau >= 0
 
 So each distance that is possible in T has one peak, and no motion of another shape reaches a
-distance that these do not. Let c = T - (time of the direct ramp), and G the excess caused by a peak
-(the terms are those of `motorhil.motorapi.generation.trapezoid`):
+distance that these do not. With c = T - (time of the direct ramp) and G the excess caused by u:
 
     between the boundary velocities   G = u c
     above or below                    G is a quadratic polynomial of u on each side of 0
@@ -63,7 +39,18 @@ slow only as long as it need not stop: until Ta. For a longer duration it must s
 target, move back and return, which is impossible before Tb. No motion has a duration between Ta and
 Tb.
 
-Generated profiles: pieces of constant acceleration.
+*From rest to rest*, with distance D >= 0, speed limit v, acceleration a and deceleration d (all
+magnitudes) and h = (1/a + 1/d) / 2, half of k:
+
+    shortest   peak p = min(v, sqrt(D / h)), duration T = D/p + h p
+    stretched  the peak p for which D/p + h p = T: p = 2 D / (T + sqrt(T² - 4 h D))
+
+These are the peaks of the general form. Times and positions differ from it by rounding errors, and
+recordings depend on them: docs/decisions/0041 says why both forms stay.
+
+Source: Biagiotti & Melchiorri, Trajectory Planning for Automatic Machines and Robots (2008), 3.2,
+trapezoidal trajectories with non-null initial and final velocities; asymmetric ramps and reversing
+motions follow in the same way. U is one unit of length (rad or m) throughout.
 """
 
 from dataclasses import dataclass
@@ -78,138 +65,19 @@ from motorhil.motorapi.planning.limits import ROUNDING
 if TYPE_CHECKING:
     from motorhil.motorapi.functions.piecewise import Piecewise
 
-
-@final
-@dataclass(frozen=True, slots=True)
-class Trapezoid:
-    """A generated profile from rest at 0 to rest at `distance`; immutable.
-
-    Attributes:
-        distance: signed [U].
-        peak: highest speed [U/s], >= 0.
-        acceleration: magnitude while speeding up [U/s²], > 0.
-        deceleration: magnitude while slowing down [U/s²], > 0.
-        ramp_up_s: beginning of the plateau [s], t_1 in the paper.
-        ramp_down_s: end of the plateau [s], t_2 in the paper.
-        duration_s: time of arrival at `distance` [s], t_f in the paper.
-    """
-
-    distance: float
-    peak: float
-    acceleration: float
-    deceleration: float
-    ramp_up_s: float
-    ramp_down_s: float
-    duration_s: float
-
-    def position(self, time_s: float) -> float:
-        """Return the position [U] at `time_s` [s]; 0 before the start, `distance` after the end."""
-        if time_s <= 0.0:
-            return 0.0
-        if time_s >= self.duration_s:
-            return self.distance
-        way = abs(self.distance)
-        if time_s < self.ramp_up_s:
-            made = 0.5 * self.acceleration * time_s * time_s
-        elif time_s <= self.ramp_down_s:
-            made = self.peak * (time_s - 0.5 * self.ramp_up_s)
-        else:
-            left_s = self.duration_s - time_s
-            made = way - 0.5 * self.deceleration * left_s * left_s
-        return min(made, way) if self.distance > 0.0 else -min(made, way)
-
-    def velocity(self, time_s: float) -> float:
-        """Return the signed velocity [U/s] at `time_s` [s]; 0 outside the motion."""
-        if time_s <= 0.0 or time_s >= self.duration_s:
-            return 0.0
-        speed = min(
-            self.acceleration * time_s,
-            self.peak,
-            self.deceleration * (self.duration_s - time_s),
-        )
-        return speed if self.distance > 0.0 else -speed
-
-
-def shortest(
-    distance: float, velocity: float, acceleration: float, deceleration: float
-) -> Trapezoid:
-    """Return the shortest profile over `distance` within the limits.
-
-    Args:
-        distance: signed [U], finite.
-        velocity: speed limit [U/s], finite, > 0.
-        acceleration: limit while speeding up [U/s²], finite, > 0.
-        deceleration: limit while slowing down [U/s²], finite, > 0.
-
-    Raises:
-        UsageError: an argument violates these conditions.
-    """
-    _check(distance, velocity, acceleration, deceleration)
-    way = abs(distance)
-    if way == 0.0:
-        return Trapezoid(distance, 0.0, acceleration, deceleration, 0.0, 0.0, 0.0)
-    k = _ramp_time(acceleration, deceleration)
-    triangle = sqrt(way / k)
-    if triangle <= velocity:
-        return _trapezoid(distance, triangle, acceleration, deceleration, 0.0)
-    plateau_s = max(0.0, way / velocity - k * velocity)
-    return _trapezoid(distance, velocity, acceleration, deceleration, plateau_s)
-
-
-def stretched(
-    distance: float, duration_s: float, acceleration: float, deceleration: float
-) -> Trapezoid:
-    """Return the profile over `distance` of duration `duration_s`, with a lower plateau.
-
-    Args:
-        distance: signed [U], finite.
-        duration_s: > 0 [s], at least the duration of `shortest` (within rounding).
-        acceleration: while speeding up [U/s²], finite, > 0.
-        deceleration: while slowing down [U/s²], finite, > 0.
-
-    Raises:
-        UsageError: an argument violates these conditions, or the duration is too short.
-    """
-    _check(distance, duration_s, acceleration, deceleration)
-    way = abs(distance)
-    if way == 0.0:
-        return Trapezoid(distance, 0.0, acceleration, deceleration, 0.0, duration_s, duration_s)
-    k = _ramp_time(acceleration, deceleration)
-    rest = duration_s * duration_s - 4.0 * k * way
-    if rest < -1e-9 * duration_s * duration_s:
-        raise UsageError(
-            f"distance {way:g} in {duration_s:g} s is impossible with ramps of "
-            f"{acceleration:g} and {deceleration:g}; it takes at least {2.0 * sqrt(k * way):g} "
-            "s"
-        )
-    peak = 2.0 * way / (duration_s + sqrt(max(rest, 0.0)))
-    plateau_s = max(0.0, way / peak - k * peak)
-    return _trapezoid(distance, peak, acceleration, deceleration, plateau_s)
-
-
-def _ramp_time(acceleration: float, deceleration: float) -> float:
-    return 0.5 / acceleration + 0.5 / deceleration
-
-
-def _trapezoid(
-    distance: float, peak: float, acceleration: float, deceleration: float, plateau_s: float
-) -> Trapezoid:
-    up_s = peak / acceleration
-    end_s = up_s + plateau_s + peak / deceleration
-    return Trapezoid(distance, peak, acceleration, deceleration, up_s, up_s + plateau_s, end_s)
-
-
-def _check(distance: float, *positive: float) -> None:
-    if not isfinite(distance):
-        raise UsageError(f"distance {distance} is not a finite number")
-    for value in positive:
-        if not (isfinite(value) and value > 0.0):
-            raise UsageError(f"{value} must be finite and > 0 (a limit or a duration)")
-
+_LOST: Final = 64.0  # ratio of direct way to excess beyond which digits are lost
+_ROUNDING: Final = 2.0**-50
 
 Piece: TypeAlias = tuple[float, float, float, float, float, float, float]
 """One piece: (begin [s], end [s], initial value, final value [U], initial and final first
 derivative [U/s], second derivative [U/s²]); times are relative to the beginning of the profile.
+"""
+
+Task: TypeAlias = tuple[float, float, float, float, float, float, float, float, float, float]
+"""A motion, mirrored if necessary so that its excess is >= 0: (sign, excess, initial velocity,
+final velocity, low, high, rise, fall, back_rise, back_fall). The sign is -1 if mirrored, (low,
+high) is the velocity range, and the magnitudes of the acceleration in forward and backward motion
+follow.
 """
 
 
@@ -367,17 +235,6 @@ def _between(one: float, found: float, other: float) -> float:
     if one <= other:
         return one if found < one else other if found > other else found
     return other if found < other else one if found > one else found
-
-
-_LOST: Final = 64.0  # ratio of direct way to excess beyond which digits are lost
-_ROUNDING: Final = 2.0**-50
-
-Task: TypeAlias = tuple[float, float, float, float, float, float, float, float, float, float]
-"""A motion, mirrored if necessary so that its excess is >= 0: (sign, excess, initial velocity,
-final velocity, low, high, rise, fall, back_rise, back_fall). The sign is -1 if mirrored, (low,
-high) is the velocity range, and the magnitudes of the acceleration in forward and backward motion
-follow.
-"""
 
 
 def trapezoid(
@@ -764,3 +621,131 @@ def _ramp_s(task: Task, begin: float, end: float) -> float:
         abs(max(end, 0.0) - max(begin, 0.0)) / forward
         + abs(min(end, 0.0) - min(begin, 0.0)) / backward
     )
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Trapezoid:
+    """A generated profile from rest at 0 to rest at `distance`; immutable.
+
+    Attributes:
+        distance: signed [U].
+        peak: highest speed [U/s], >= 0.
+        acceleration: magnitude while speeding up [U/s²], > 0.
+        deceleration: magnitude while slowing down [U/s²], > 0.
+        ramp_up_s: beginning of the plateau [s], t_1 in the paper.
+        ramp_down_s: end of the plateau [s], t_2 in the paper.
+        duration_s: time of arrival at `distance` [s], t_f in the paper.
+    """
+
+    distance: float
+    peak: float
+    acceleration: float
+    deceleration: float
+    ramp_up_s: float
+    ramp_down_s: float
+    duration_s: float
+
+    def position(self, time_s: float) -> float:
+        """Return the position [U] at `time_s` [s]; 0 before the start, `distance` after the end."""
+        if time_s <= 0.0:
+            return 0.0
+        if time_s >= self.duration_s:
+            return self.distance
+        way = abs(self.distance)
+        if time_s < self.ramp_up_s:
+            made = 0.5 * self.acceleration * time_s * time_s
+        elif time_s <= self.ramp_down_s:
+            made = self.peak * (time_s - 0.5 * self.ramp_up_s)
+        else:
+            left_s = self.duration_s - time_s
+            made = way - 0.5 * self.deceleration * left_s * left_s
+        return min(made, way) if self.distance > 0.0 else -min(made, way)
+
+    def velocity(self, time_s: float) -> float:
+        """Return the signed velocity [U/s] at `time_s` [s]; 0 outside the motion."""
+        if time_s <= 0.0 or time_s >= self.duration_s:
+            return 0.0
+        speed = min(
+            self.acceleration * time_s,
+            self.peak,
+            self.deceleration * (self.duration_s - time_s),
+        )
+        return speed if self.distance > 0.0 else -speed
+
+
+def shortest(
+    distance: float, velocity: float, acceleration: float, deceleration: float
+) -> Trapezoid:
+    """Return the shortest profile over `distance` within the limits.
+
+    Args:
+        distance: signed [U], finite.
+        velocity: speed limit [U/s], finite, > 0.
+        acceleration: limit while speeding up [U/s²], finite, > 0.
+        deceleration: limit while slowing down [U/s²], finite, > 0.
+
+    Raises:
+        UsageError: an argument violates these conditions.
+    """
+    _check(distance, velocity, acceleration, deceleration)
+    way = abs(distance)
+    if way == 0.0:
+        return Trapezoid(distance, 0.0, acceleration, deceleration, 0.0, 0.0, 0.0)
+    k = _ramp_time(acceleration, deceleration)
+    triangle = sqrt(way / k)
+    if triangle <= velocity:
+        return _trapezoid(distance, triangle, acceleration, deceleration, 0.0)
+    plateau_s = max(0.0, way / velocity - k * velocity)
+    return _trapezoid(distance, velocity, acceleration, deceleration, plateau_s)
+
+
+def stretched(
+    distance: float, duration_s: float, acceleration: float, deceleration: float
+) -> Trapezoid:
+    """Return the profile over `distance` of duration `duration_s`, with a lower plateau.
+
+    Args:
+        distance: signed [U], finite.
+        duration_s: > 0 [s], at least the duration of `shortest` (within rounding).
+        acceleration: while speeding up [U/s²], finite, > 0.
+        deceleration: while slowing down [U/s²], finite, > 0.
+
+    Raises:
+        UsageError: an argument violates these conditions, or the duration is too short.
+    """
+    _check(distance, duration_s, acceleration, deceleration)
+    way = abs(distance)
+    if way == 0.0:
+        return Trapezoid(distance, 0.0, acceleration, deceleration, 0.0, duration_s, duration_s)
+    k = _ramp_time(acceleration, deceleration)
+    rest = duration_s * duration_s - 4.0 * k * way
+    if rest < -1e-9 * duration_s * duration_s:
+        raise UsageError(
+            f"distance {way:g} in {duration_s:g} s is impossible with ramps of "
+            f"{acceleration:g} and {deceleration:g}; it takes at least {2.0 * sqrt(k * way):g} "
+            "s"
+        )
+    peak = 2.0 * way / (duration_s + sqrt(max(rest, 0.0)))
+    plateau_s = max(0.0, way / peak - k * peak)
+    return _trapezoid(distance, peak, acceleration, deceleration, plateau_s)
+
+
+def _ramp_time(acceleration: float, deceleration: float) -> float:
+    return 0.5 / acceleration + 0.5 / deceleration
+
+
+def _trapezoid(
+    distance: float, peak: float, acceleration: float, deceleration: float, plateau_s: float
+) -> Trapezoid:
+    up_s = peak / acceleration
+    end_s = up_s + plateau_s + peak / deceleration
+    return Trapezoid(distance, peak, acceleration, deceleration, up_s, up_s + plateau_s, end_s)
+
+
+def _check(distance: float, *positive: float) -> None:
+    if not isfinite(distance):
+        raise UsageError(f"distance {distance} is not a finite number")
+    for value in positive:
+        if not (isfinite(value) and value > 0.0):
+            raise UsageError(f"{value} must be finite and > 0 (a limit or a duration)")

@@ -1,4 +1,4 @@
-"""Directory of lock files, and secure opening of its files.
+"""Directory of lock files, secure opening of its files, and their names.
 
 Processes exclude each other only if they all use the same file. So the place depends only on the
 user, not on the session, its environment, or its temporary directory. (A service has no
@@ -13,10 +13,8 @@ XDG_RUNTIME_DIR, a terminal of the same user has one, and both drive the same mo
 Directory and file are checked after opening (links are not followed). They are refused if another
 user could have created them, or could write to them.
 
-Unique names of buses and lines, independent of their spelling.
-
-Locks between processes are files with these names. One bus or line has one name in all processes of
-a host; two have two.
+The name of a lock file is that of a bus or a line, independent of its spelling. One bus or line has
+one name in all processes of a host; two have two.
 
 - SocketCAN: the network namespace and the index of the interface; its name can change.
 - A hub socket: device and inode of the socket, whatever path leads there, and the bus.
@@ -42,6 +40,7 @@ from motorhil.motorapi.errors import UsageError
 if TYPE_CHECKING:
     import can
 
+_LOCAL: Final = ("localhost", "ip6-localhost", "")
 VARIABLE: Final = "MOTORHIL_LOCK_DIR"
 _DEFAULT: Final = "/tmp/motorhil-{}"
 _OPEN: Final = os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK
@@ -195,9 +194,6 @@ class LockDirectory:
             f"{path}: {problem}. Locks between processes live here: remove it, or name another"
             f" directory by {VARIABLE} (your own, mode 0700; or a group's, mode 2770)"
         )
-
-
-_LOCAL: Final = ("localhost", "ip6-localhost", "")
 
 
 def bus_name(bus: "can.BusABC") -> str | None:

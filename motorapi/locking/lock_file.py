@@ -1,9 +1,8 @@
-"""A lock between processes, as byte ranges of a file locked by the kernel.
+"""Lock file: a lock between processes, as byte ranges locked by the kernel.
 
 The locks are Linux open file description locks (fcntl(2), F_OFD_SETLK). The kernel releases all
 locks of an open file with its last descriptor, however the process died. Two open files exclude
 each other in one process too, so threads need no second lock.
-`motorhil.motorapi.locking.lock_file` defines the bytes.
 
 - The *holder* has locked byte HELD of the present *epoch*. The kernel guarantees that there is only
   one, whatever the file says. The length of the range below HELD is its token, so a reader gets it
@@ -20,17 +19,14 @@ behind it.
 
 No process can unlock the bytes of a living process. Therefore a takeover does not take the byte: it
 advances the *epoch*, and with it the byte that counts (`motorhil.motorapi.locking.takeover`). The
-byte of an
-earlier epoch has no effect. The epoch check and actions that depend on it are atomic: a commanding
-write requires a shared lock of WRITING, an epoch change an exclusive one.
+byte of an earlier epoch has no effect. The epoch check and actions that depend on it are atomic: a
+commanding write requires a shared lock of WRITING, an epoch change an exclusive one.
 
 A release is announced with the token before it happens. A lock without this announcement was held
 by a process that died.
 
 The records in the file identify holder and waiters. They are used only if the kernel confirms them:
 the record of the locked token, the record of a locked place. So they are never stale.
-
-Layout of a lock file: locked byte ranges and written blocks.
 
 Locked bytes (never written):
 
@@ -89,10 +85,10 @@ RELEASED_AT: Final = 0
 LEASE_AT: Final = 8
 """In the block of a line: the lease [ns] (0: none) and its end (CLOCK_MONOTONIC [ns])."""
 LEASE: Final = struct.Struct("<QQ")
+NO_LEASE: Final = LEASE.pack(0, 0)
 RECORD_AT: Final = 24
 """In the block of a line: the record of the present or last holder."""
 _LINE: Final = struct.Struct("<QQQ8sQ16s")
-LAST_SIZE: Final = _LINE.size
 
 _TAKEOVER_AT: Final = 328
 _TAKEOVER: Final = struct.Struct("<QQI64s")
@@ -295,9 +291,8 @@ _DROP: Final = tuple(flock(fcntl.F_UNLCK, held_at(line), 3) for line in range(LI
 _WRITE: Final = tuple(flock(fcntl.F_RDLCK, held_at(line) + 2, 1) for line in range(LINES))
 _WRITE_ALONE: Final = tuple(flock(fcntl.F_WRLCK, held_at(line) + 2, 1) for line in range(LINES))
 _WRITTEN: Final = tuple(flock(fcntl.F_UNLCK, held_at(line) + 2, 1) for line in range(LINES))
-_NO_LEASE: Final = LEASE.pack(0, 0)
-_NOTHING: Final = (0, 0, 0)
-_LAST_SIZE: Final = HEADER.size + LAST_SIZE
+_NOTHING: Final = (0, 0, 0)  # epoch, first place and intent of a new file
+_LAST_SIZE: Final = HEADER.size + _LINE.size
 
 _forking: Final = threading.Lock()
 """Guard against a fork between the opening of a file and its registration here."""
@@ -493,7 +488,7 @@ class LockFile:
         """Return the block of the epoch that was read last."""
         return Line(os.pread(self._fd, BLOCK, line_block(self.epoch)))
 
-    def tell_holder(self, token: int, record: bytes, lease: bytes = _NO_LEASE) -> None:
+    def tell_holder(self, token: int, record: bytes, lease: bytes = NO_LEASE) -> None:
         """Publish the record of this process as the holder."""
         fd, epoch = self._fd, self.epoch
         held = flock(fcntl.F_WRLCK, held_at(epoch) - token, token)

@@ -1,9 +1,7 @@
-"""State of a lock between processes, readable by any process.
+"""Lock status: the state of a lock between processes, for any process.
 
 Reading takes no lock and delays no process. Each process publishes its own description, which
 counts only while the kernel confirms that it holds the lock, or its place in the queue.
-
-Read-only access to a lock file, which never takes or delays a lock.
 """
 
 import fcntl

@@ -1,4 +1,4 @@
-"""A named lock between processes, and between the threads of each process.
+"""Process lock: a named lock between processes, and between the threads of each.
 
 The order is first come, first served. When a process dies, the kernel releases its lock, or its
 place in the queue; no cleanup is necessary. `motorhil.motorapi.locking.lock_file` describes the
@@ -8,17 +8,13 @@ Every ownership has a *token*, which grows and is kept in the file of the lock. 
 reports whether the lock has *changed hands* since this object held it last: its knowledge of the
 locked object may then be out of date.
 
-Waits use the runtime, so that a deadline, a broken bus or Ctrl-C ends them. The wall runtime can be
-woken from outside (`wake`). A runtime without it has its own virtual time, which no other process
-shares: there, a lock of another process is refused without a wait.
-
-Handle of a held lock between processes, and its loss.
-
 The holder may lose the lock: another process takes it over on demand, or because its lease has
 expired. The holder is not notified; it notices the loss at its next check, at the latest before its
 next write.
 
-Acquisition of a lock between processes: immediate, queued, or by takeover.
+Waits use the runtime, so that a deadline, a broken bus or Ctrl-C ends them. The wall runtime can be
+woken from outside (`wake`). A runtime without it has its own virtual time, which no other process
+shares: there, a lock of another process is refused without a wait.
 """
 
 import os
@@ -28,11 +24,11 @@ import weakref
 from collections.abc import Callable
 from dataclasses import dataclass
 from types import TracebackType
-from typing import Final, Protocol, final, runtime_checkable
+from typing import Final, NamedTuple, Protocol, final, runtime_checkable
 
 from motorhil.motorapi.errors import MotorBusyError, UsageError
 from motorhil.motorapi.locking.directory import LockDirectory
-from motorhil.motorapi.locking.lock_file import LEASE, LockFile, pack_record, pack_words
+from motorhil.motorapi.locking.lock_file import LEASE, NO_LEASE, LockFile, pack_record, pack_words
 from motorhil.motorapi.locking.lock_status import (
     LockView,
     Occupant,
@@ -48,6 +44,15 @@ _TAKER_PATIENCE_NS: Final = 50_000_000
 """The maximum duration of a takeover [ns]; in practice it takes about 20 us."""
 _RENEWALS_IN_USE: Final = 8
 """The number of renewals per lease period during use."""
+_WRITE_PATIENCE_S: Final = 0.25
+"""The maximum wait for the end of a write before a takeover on demand is given up [s]."""
+_WORDS_MAX: Final = 64
+"""The maximum number of packed purposes of a lock."""
+_DOING: Final[dict[Attempt | None, str]] = {
+    Attempt.WRITING: ", in the middle of a write",
+    Attempt.TAKING: ", during a takeover by another process",
+    Attempt.FULL: " (too many live processes have lost the lock: end the paused ones)",
+}
 
 
 @final
@@ -83,8 +88,7 @@ class Loss:
             since_ns=self.since_ns,
             since=self.since,
             purpose=self.purpose,
-            pid=self.pid,
-            program=self.program,
+            process=None if self.pid is None else (self.pid, self.program),
             taken_over=self.reason,
         )
 
@@ -120,7 +124,7 @@ class LockHandle:
     def __init__(
         self,
         lock: "ProcessLock",
-        file: "LockFile",
+        file: LockFile,
         owner: object,
         token: int,
         *,
@@ -285,7 +289,7 @@ class LockHandle:
         with self._counting:
             self._depth += 1
 
-    def keep_for(self, runtime: "Runtime", time_s: float) -> None:
+    def keep_for(self, runtime: Runtime, time_s: float) -> None:
         """Keep the lock for `time_s` [s] from now, whatever is released meanwhile."""
         self.again()
 
@@ -309,9 +313,6 @@ class LockHandle:
             self._lock.give_back(self._file)
 
 
-_WRITE_PATIENCE_S: Final = 0.25
-"""The maximum wait for the end of a write before a takeover on demand is given up [s]."""
-
 Wait = Callable[[Runtime, Callable[[], bool], float | None], bool]
 """As `Runtime.wait_until`, with the runtime as the first argument."""
 
@@ -324,14 +325,13 @@ class Wakeable(Protocol):
         """Wake the waiting thread, which then checks its condition."""
 
 
-def plain_wait(runtime: Runtime, done: Callable[[], bool], timeout_s: float | None) -> bool:
+def _plain_wait(runtime: Runtime, done: Callable[[], bool], timeout_s: float | None) -> bool:
     """Wait as `Runtime.wait_until`."""
     return runtime.wait_until(done, timeout_s)
 
 
 @final
-@dataclass(frozen=True, slots=True)
-class LockRequest:
+class _LockRequest(NamedTuple):
     """A lock request; see the arguments of `ProcessLock.acquire`."""
 
     runtime: Runtime
@@ -345,7 +345,7 @@ class LockRequest:
 
 
 @final
-class Taking:
+class _Acquisition:
     """The execution of a lock request through one open file.
 
     Attributes: takeover (the takeover from a living holder, or None).
@@ -354,19 +354,17 @@ class Taking:
     def __init__(
         self,
         file: LockFile,
-        wish: LockRequest,
+        request: _LockRequest,
         watcher: QueueWatcher,
         mutex: threading.Lock,
         look: Callable[[], LockView],
-        pid: int,
     ) -> None:
         self.takeover: TakeoverAttempt | None = None
         self._file: Final = file
-        self._wish: Final = wish
+        self._request: Final = request
         self._watcher: Final = watcher
         self._mutex: Final = mutex  # of all that take a place
         self._look: Final = look
-        self._pid: Final = pid
         self._blocked: Attempt | None = None
 
     def take(self) -> None:
@@ -375,21 +373,21 @@ class Taking:
         Raises:
             MotorBusyError: another process holds it; names the process.
         """
-        wish = self._wish
-        if wish.on_demand:
+        request = self._request
+        if request.on_demand:
             self._take_on_demand()
             return
         with self._mutex:
             mine = self._file.queue_up(1 + self._watcher.busy_before)
         if self._is_mine(mine):
             return
-        runtime, timeout_s = wish.runtime, wish.timeout_s
+        runtime, timeout_s = request.runtime, request.timeout_s
         if timeout_s is None or timeout_s > 0.0:
-            self._file.tell_waiter(mine, wish.describe(mine, None))
+            self._file.tell_waiter(mine, request.describe(mine, None))
             if isinstance(runtime, Wakeable):
                 if self._wait_woken(mine, runtime.wake):
                     return
-            elif not self._has_strangers(mine) and wish.wait(
+            elif not self._has_strangers(mine) and request.wait(
                 runtime, lambda: self._is_mine(mine), timeout_s
             ):
                 return
@@ -408,23 +406,23 @@ class Taking:
         return 0 < self._file.line().lease_end_ns <= now_ns and self._take_over(now_ns)
 
     def _take_on_demand(self) -> None:
-        wish = self._wish
+        request = self._request
 
         def is_taken() -> bool:
             return self._file.take_in_front() or self._take_over(None)
 
         if is_taken():
             return
-        timeout_s = wish.timeout_s
+        timeout_s = request.timeout_s
         if timeout_s is not None:
             timeout_s = max(timeout_s, _WRITE_PATIENCE_S)
-        if not plain_wait(wish.runtime, is_taken, timeout_s):
+        if not _plain_wait(request.runtime, is_taken, timeout_s):
             raise self._busy(None)
 
     def _take_over(self, now_ns: int | None) -> bool:
-        lease_ns = self._wish.lease_ns
+        lease_ns = self._request.lease_ns
         end_ns = time.monotonic_ns() + lease_ns if lease_ns else 0
-        attempt = TakeoverAttempt(self._file, now_ns, self._wish.describe, lease_ns, end_ns)
+        attempt = TakeoverAttempt(self._file, now_ns, self._request.describe, lease_ns, end_ns)
         result = attempt.make()
         if result is Attempt.TAKEN:
             self._file.let_go_of_places()
@@ -449,30 +447,25 @@ class Taking:
             return False
 
         try:
-            return self._wish.wait(self._wish.runtime, is_taken, self._wish.timeout_s)
+            return self._request.wait(self._request.runtime, is_taken, self._request.timeout_s)
         finally:
             watcher.forget(watch)
 
     def _has_strangers(self, place: int) -> bool:
         """Return True if the holder or an earlier waiter is of another process."""
-        view = self._look()
+        view, pid = self._look(), this_process().pid
         ahead = [one for there, one in view.waiters if there < place]
         if view.holder is not None:
             ahead.append(view.holder)
-        return any(one.record is None or one.record.pid != self._pid for one in ahead)
+        return any(one.record is None or one.record.pid != pid for one in ahead)
 
     def _busy(self, place: int | None) -> MotorBusyError:
         view = self._look()
         ahead = [one for there, one in view.waiters if place is None or there < place]
         who = view.holder or (ahead[0] if ahead else Occupant(None))
-        return busy_error(self._wish.runtime, self._wish.asker, who, _DOING.get(self._blocked, ""))
-
-
-_DOING: Final[dict[Attempt | None, str]] = {
-    Attempt.WRITING: ", in the middle of a write",
-    Attempt.TAKING: ", during a takeover by another process",
-    Attempt.FULL: " (too many live processes have lost the lock: end the paused ones)",
-}
+        return _busy_error(
+            self._request.runtime, self._request.asker, who, _DOING.get(self._blocked, "")
+        )
 
 
 def _remedy(who: Occupant) -> str:
@@ -483,7 +476,7 @@ def _remedy(who: Occupant) -> str:
     return f"continue it (kill -CONT {pid}), or end it (kill -9 {pid})"
 
 
-def busy_error(runtime: Runtime | None, asker: str, who: Occupant, doing: str) -> MotorBusyError:
+def _busy_error(runtime: Runtime | None, asker: str, who: Occupant, doing: str) -> MotorBusyError:
     """Return the error for a refused request; `doing` describes the activity of the holder."""
     record = who.record
     now_ns = 0 if runtime is None else runtime.now_ns()
@@ -493,15 +486,9 @@ def busy_error(runtime: Runtime | None, asker: str, who: Occupant, doing: str) -
         since_ns=now_ns - round(who.age_s * 1e9),
         since=who.since,
         purpose="" if record is None else record.purpose,
-        pid=None if record is None else record.pid,
-        program="" if record is None else record.program,
+        process=None if record is None else (record.pid, record.program),
         remedy=_remedy(who),
     )
-
-
-_WORDS_MAX: Final = 64
-"""The maximum number of packed purposes of a lock."""
-_NO_LEASE: Final = LEASE.pack(0, 0)
 
 
 def can_share_time(runtime: Runtime) -> bool:
@@ -562,17 +549,14 @@ class ProcessLock:
             owner: the party that may acquire it repeatedly; None: the thread.
             asker: name of the refused party in the error; "": the label.
             wait: wait function of the runtime; None: its `wait_until`.
-            lease_s: others may take it over after this time without renewal [s]; None: never,
-                except with `take_over`.
+            lease_s: others may take it over after this time without renewal [s]; None: no lease.
             take_over: take it from its holder, ahead of all waiters.
 
         Raises:
-            MotorBusyError: another process holds it; names the process. The place in the queue is
-                released.
+            MotorBusyError: another process holds it; names the process.
             UsageError: the file of the lock is not safe, or no wait is possible here.
         """
-        if owner is None:
-            owner = threading.current_thread()
+        owner = threading.current_thread() if owner is None else owner
         hold = self.hold
         if hold is not None and hold.owner is owner:
             hold.again()
@@ -583,16 +567,16 @@ class ProcessLock:
             try:
                 takeover: TakeoverAttempt | None = None
                 if take_over or not file.take_at_once():
-                    wish = LockRequest(
+                    request = _LockRequest(
                         runtime,
                         timeout_s,
                         asker or self.label,
-                        wait or plain_wait,
+                        wait or _plain_wait,
                         lease_ns,
                         take_over,
                         lambda number, reason: self._record(number, purpose, reason),
                     )
-                    takeover = self._take(file, wish)
+                    takeover = self._take(file, request)
                 if not file.is_gone:
                     hold = self._publish(file, purpose, lease_ns, takeover, owner)
                     if hold is not None:
@@ -606,12 +590,11 @@ class ProcessLock:
                 raise
             file.close()  # the file was removed: new requests use a new file
 
-    def _take(self, file: LockFile, wish: LockRequest) -> TakeoverAttempt | None:
+    def _take(self, file: LockFile, request: _LockRequest) -> TakeoverAttempt | None:
         """Acquire by waiting; return the takeover, if any. Raise MotorBusyError on timeout."""
-        pid = this_process().pid
-        taking = Taking(file, wish, self._watcher, self._mutex, self.look, pid)
-        taking.take()
-        return taking.takeover
+        acquisition = _Acquisition(file, request, self._watcher, self._mutex, self.look)
+        acquisition.take()
+        return acquisition.takeover
 
     @property
     def hold(self) -> LockHandle | None:
@@ -646,7 +629,7 @@ class ProcessLock:
         """Return the error for writing without holding the lock."""
         holder = self.look().holder
         if holder is not None:
-            return busy_error(None, asker or self.label, holder, "")
+            return _busy_error(None, asker or self.label, holder, "")
         return MotorBusyError(
             motor=asker or self.label,
             holder="no process, and must be acquired before a command,",
@@ -658,7 +641,7 @@ class ProcessLock:
         """Return the error for writing during a takeover."""
         takeover = find_takeover(self._directory, self.name, token, is_done=False)
         who = Occupant(None if takeover is None else takeover.by)
-        return busy_error(None, asker or self.label, who, ", during its takeover")
+        return _busy_error(None, asker or self.label, who, ", during its takeover")
 
     def loss_of(self, token: int) -> Loss:
         """Return the loss of a token."""
@@ -713,7 +696,7 @@ class ProcessLock:
                 last = time.time_ns() // 1000, b"", False
             token, identity, was_abandoned = last
             token += 1
-            lease = _NO_LEASE
+            lease = NO_LEASE
             if lease_ns:
                 lease = LEASE.pack(lease_ns, time.monotonic_ns() + lease_ns)
             file.tell_holder(token, self._record(token, purpose, None), lease)

@@ -1,16 +1,12 @@
 """Claims: ownership of a physical motor by one logical motor of this process.
 
-Leases of each thread, renewed while it waits for any motor.
+A claim lasts from its acquisition to its release or its loss. It may have a lease, which ends
+unless its owner renews it. A thread that waits for one motor is alive, and so are its reservations
+of others: it renews their leases. A thread that is stopped, in a debugger or by a long computation,
+renews nothing.
 
-A thread that waits for one motor is alive, and so are its reservations of others. A thread that is
-stopped, in a debugger or by a long computation, renews nothing.
-
-Acquisition policy, and ownership keep-alive during a motion.
-
-Events of the ownership of a physical motor, for listeners.
-
-An owner is described by its activity ("reserve() of pan"), as in errors. Another process is known
-only by what it has published.
+Events of the ownership go to listeners. An owner is described by its activity ("reserve() of pan"),
+as in errors. Another process is known only by what it has published.
 """
 
 import threading
@@ -26,6 +22,9 @@ from motorhil.motorapi.runtime.api import LOOK_PERIOD_S, wait_until
 
 if TYPE_CHECKING:
     from motorhil.motorapi.runtime.api import ChangeCounter, Registration, Runtime
+
+RENEWALS_IN_WAIT: Final = 4
+"""The number of renewals per lease period during a wait."""
 
 
 class Owner(Protocol):
@@ -206,10 +205,6 @@ class Claim:
         except MotorBusyError:
             self.require()
             raise
-
-
-RENEWALS_IN_WAIT: Final = 4
-"""The number of renewals per lease period during a wait."""
 
 
 @final

@@ -15,16 +15,14 @@ The former owner notices the loss at its next action at the latest. Until the en
 block it is refused, with the name of the new owner, unless it reserves the motor again. All this
 holds with and without a lock.
 
-Set-up of a drive for readers, which own it for that time.
-
-Wait queue of owners within one process, and notification of listeners.
+A drive is set up for readers, too; they own it for that time only.
 """
 
 import threading
 from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from typing import TYPE_CHECKING, Final, Protocol, final
+from typing import TYPE_CHECKING, Final, NamedTuple, final
 
 from motorhil.motorapi.errors import MotorBusyError, MotorError
 from motorhil.motorapi.locking.process_lock import LockHandle, Loss, ProcessLock, this_process
@@ -33,7 +31,6 @@ from motorhil.motorapi.ownership.claim import (
     AcquirePolicy,
     Claim,
     LockAction,
-    Losable,
     Owner,
     OwnershipEvent,
     OwnershipKeepAlive,
@@ -47,6 +44,10 @@ if TYPE_CHECKING:
 
 _LOOK_S: Final = 0.1
 """The maximum delay before a waiter notices a lease set after its request [s]."""
+_LOSS_LOOK_S: Final = 0.1
+"""The maximum delay before a waiter notices a takeover by another process [s]."""
+_SET_UP_TIMEOUT_S: Final = 10.0
+"""The timeout of an owner for the set-up of a drive by readers [s]."""
 
 
 @final
@@ -87,23 +88,6 @@ class OwnershipNotifier:
             listener(event)
 
 
-class ClaimKeeper(Protocol):
-    """The keeper of the present claim; see `motorhil.motorapi.ownership.ownership.Ownership`."""
-
-    @property
-    def held(self) -> Claim | None:
-        """The present claim."""
-
-    def replace(self, held: Claim | None, asked: OwnershipRequest, token: int) -> Claim | None:
-        """Replace claim `held` by a new one and return it; None: `held` is no longer present."""
-
-    def lose(self, claim: Claim, asked: OwnershipRequest) -> None:
-        """Mark the claim as taken over by another owner of this process."""
-
-    def end_run(self, asked: OwnershipRequest) -> bool:
-        """End a motion of former owners. Return True if there was one."""
-
-
 @final
 class WaitQueue:
     """The waiters for one motor, in the order of their requests.
@@ -111,7 +95,7 @@ class WaitQueue:
     Attributes: token (of the last owner).
     """
 
-    def __init__(self, claims: ClaimKeeper, teller: OwnershipNotifier) -> None:
+    def __init__(self, claims: "Ownership", teller: OwnershipNotifier) -> None:
         self.token = 0
         self._claims: Final = claims
         self._teller: Final = teller
@@ -214,47 +198,6 @@ class _Taken:
         self.before: Claim | None = None
 
 
-@final
-class SetUp:
-    """The common owner of drives that are set up for readers, without a logical motor.
-
-    Attributes: name, runtime, as of any owner.
-    """
-
-    def __init__(
-        self, of: Losable, teller: OwnershipNotifier, runtime: "Runtime", label: str
-    ) -> None:
-        self.name: Final = label
-        self.runtime: Final = runtime
-        self._of: Final = of
-        self._teller: Final = teller
-        self._asked: Final = OwnershipRequest(self, f"set-up of {label}", "", None)
-        self._claim: Claim | None = None
-
-    def take(self, lock: ProcessLock, mark: object) -> LockHandle | None:
-        """Acquire the lock, with `mark` as the owner. Return its handle; None: already acquired.
-
-        Raises:
-            MotorBusyError: another process owns the motor.
-        """
-        if self._claim is not None:
-            return None
-        who = self._asked.who
-        hold = lock.acquire(self.runtime, who, owner=mark, asker=self.name)
-        self._claim = Claim(self._asked, hold, hold.token, self._of)
-        self._teller.tell(
-            action_of(hold), self._claim, hold.taken_from, since_ns=self._asked.asked_ns
-        )
-        return hold
-
-    def give(self) -> None:
-        """Release the lock, if it was acquired."""
-        claim, self._claim = self._claim, None
-        if claim is not None and claim.hold is not None:
-            claim.hold.release()
-            self._teller.tell(LockAction.RELEASED, claim, since_ns=claim.since_ns)
-
-
 def action_of(hold: LockHandle) -> LockAction:
     """Return the kind of acquisition of a lock."""
     if hold.was_abandoned:
@@ -262,10 +205,12 @@ def action_of(hold: LockHandle) -> LockAction:
     return LockAction.TAKEN_OVER if hold.was_taken_over else LockAction.TAKEN
 
 
-_LOSS_LOOK_S: Final = 0.1
-"""The maximum delay before a waiter notices a takeover by another process [s]."""
-SET_UP_TIMEOUT_S: Final = 10.0
-"""The timeout of an owner for the set-up of a drive by readers [s]."""
+@final
+class _Reader(NamedTuple):
+    """The owner of a drive that is set up for readers, without a logical motor."""
+
+    name: str
+    runtime: "Runtime"
 
 
 @final
@@ -424,7 +369,7 @@ class Ownership:
         if patience is None and held is not None and held.is_held and not may_take:
             raise held.busy(owner.name)
         if patience is None and lock.hold is not None and lock.hold.owner is self._set_up:
-            timeout_s = SET_UP_TIMEOUT_S
+            timeout_s = _SET_UP_TIMEOUT_S
         words = f"{asked.purpose} ({asked.who})" if asked.purpose else asked.who
         hold = lock.acquire(
             runtime,
@@ -617,15 +562,22 @@ class Ownership:
 
         The function raises MotorBusyError if another process owns the motor.
         """
-        set_up = SetUp(self, self._teller, runtime, label)
+        asked = OwnershipRequest(_Reader(label, runtime), f"set-up of {label}", "", None)
+        claim: Claim | None = None
 
         def own() -> None:
-            if self.lock is not None and not self.is_here:
-                hold = set_up.take(self.lock, self._set_up)
-                if hold is not None:
-                    self._note(hold)
+            nonlocal claim
+            if self.lock is None or self.is_here or claim is not None:
+                return
+            hold = self.lock.acquire(runtime, asked.who, owner=self._set_up, asker=label)
+            claim = Claim(asked, hold, hold.token, self)
+            action = action_of(hold)
+            self._teller.tell(action, claim, hold.taken_from, since_ns=asked.asked_ns)
+            self._note(hold)
 
         try:
             yield own
         finally:
-            set_up.give()
+            if claim is not None and claim.hold is not None:
+                claim.hold.release()
+                self._teller.tell(LockAction.RELEASED, claim, since_ns=claim.since_ns)

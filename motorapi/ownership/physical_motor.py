@@ -20,13 +20,15 @@ them as well, also while a motion is active. The token grows when one of them ha
 between.
 """
 
+import itertools
 import threading
 import weakref
 from collections.abc import Hashable
 from contextlib import AbstractContextManager
 from enum import Enum
-from typing import TYPE_CHECKING, Final, final
+from typing import Final, final
 
+from motorhil.motorapi.bus_context import context_of
 from motorhil.motorapi.commands import ControlVariable
 from motorhil.motorapi.errors import MotorBusyError, MotorError, UsageError
 from motorhil.motorapi.locking.process_lock import ProcessLock
@@ -34,9 +36,6 @@ from motorhil.motorapi.motion import Motion
 from motorhil.motorapi.ownership.ownership import Ownership
 from motorhil.motorapi.ownership.queue import LOW_LEVEL, FifoQueue, Ticket
 from motorhil.motorapi.runtime.api import ChangeCounter, Runtime, wait_until
-
-if TYPE_CHECKING:
-    import can
 
 _NO_STOP: Final = (
     "a stop is refused as well, so that its holder is alone with the hardware; the holder can stop"
@@ -340,18 +339,31 @@ class PhysicalMotor:
         self.bell.grow()
 
 
-_registry_lock: Final = threading.Lock()
-_registry: Final[dict[Hashable, "weakref.ref[object]"]] = {}
-_serial = 0
+_serials: Final = itertools.count(1)
+
+
+@final
+class _PhysicalMotors:
+    """The hardware objects of the motors on one bus, by their place there."""
+
+    def __init__(self) -> None:
+        self.lock: Final = threading.Lock()
+        self.hardware: Final[dict[Hashable, weakref.ref[object]]] = {}
+
+    def find(self, place: Hashable) -> object:
+        """Return the hardware object at this place, or None."""
+        there = self.hardware.get(place)
+        return None if there is None else there()
 
 
 def register_physical_motor(
-    key: Hashable, label: str, hardware: object, lock: ProcessLock | None = None
+    home: object, place: Hashable, label: str, hardware: object, lock: ProcessLock | None = None
 ) -> PhysicalMotor:
-    """Return the record of physical motor `key`, for its only hardware object.
+    """Return the record of a physical motor, for its only hardware object.
 
     Args:
-        key: identifies the physical motor: for a drive on CAN `(*bus_key(bus), node_id)`.
+        home: the bus or line of the motor; its runtime if it has no bus.
+        place: identifies the motor there: the node-ID of a drive on CAN.
         label: its name for users ("can0 node 3").
         hardware: the hardware object. The reference is weak: dropping the object releases the
             motor.
@@ -360,35 +372,21 @@ def register_physical_motor(
     Raises:
         UsageError: another hardware object for this motor exists. It is named.
     """
-    global _serial
-    with _registry_lock:
-        there = _registry.get(key)
-        first = None if there is None else there()
+    motors = context_of(home).medium.part(_PhysicalMotors)
+    with motors.lock:
+        first = motors.find(place)
         if first is not None:
             raise UsageError(
                 f"{label} has a hardware object already: {first!r};"
                 " share that one, or close() it first"
             )
-
-        def forget(reference: "weakref.ref[object]") -> None:
-            if _registry.get(key) is reference:
-                del _registry[key]
-
-        _registry[key] = weakref.ref(hardware, forget)
-        _serial += 1
-        return PhysicalMotor(label, _serial, lock)
+        motors.hardware[place] = weakref.ref(hardware)
+        return PhysicalMotor(label, next(_serials), lock)
 
 
-def release_physical_motor(key: Hashable, hardware: object) -> None:
-    """Unregister `hardware` for motor `key`; do nothing if it was not registered."""
-    with _registry_lock:
-        there = _registry.get(key)
-        if there is not None and there() is hardware:
-            del _registry[key]
-
-
-def bus_key(bus: "can.BusABC") -> tuple[Hashable, ...]:
-    """Return one key for all bus objects on one physical bus, however opened in this process."""
-    channel = getattr(bus, "channel_info", "unknown")
-    where: Hashable = bus if channel == "unknown" else (type(bus).__name__, channel)
-    return ("can", getattr(bus, "runtime", None), where)
+def release_physical_motor(home: object, place: Hashable, hardware: object) -> None:
+    """Unregister `hardware` for the motor at `place`; do nothing if it was not registered."""
+    motors = context_of(home).medium.part(_PhysicalMotors)
+    with motors.lock:
+        if motors.find(place) is hardware:
+            del motors.hardware[place]

@@ -1,4 +1,4 @@
-"""FIFO turns of parties, the basis of transactions and triggers.
+"""FIFO queues: turns of parties, the basis of transactions and triggers.
 
 A turn is short; an *exclusive* one may last as long as its holder likes (low-level access). Some
 objects are shared with other processes (the SYNC of a bus): then a turn also takes a lock between
@@ -12,6 +12,7 @@ from collections.abc import Hashable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Final, final
 
+from motorhil.motorapi.bus_context import context_of
 from motorhil.motorapi.errors import MotorBusyError, UsageError
 from motorhil.motorapi.locking.process_lock import LockHandle, ProcessLock
 from motorhil.motorapi.runtime.api import Runtime, wait_until
@@ -153,16 +154,22 @@ class FifoQueue:
         ticket.since_ns = runtime.now_ns()
 
 
-_triggers: Final["weakref.WeakValueDictionary[tuple[Runtime, Hashable], FifoQueue]"] = (
-    weakref.WeakValueDictionary()  # each exists while a party has it or waits for it
-)
-_triggers_lock: Final = threading.Lock()
+@final
+class _Triggers:
+    """The turns for the triggers in one runtime, by group."""
+
+    def __init__(self) -> None:
+        self.lock: Final = threading.Lock()
+        self.turns: Final[weakref.WeakValueDictionary[Hashable, FifoQueue]] = (
+            weakref.WeakValueDictionary()  # each exists while a party has it or waits for it
+        )
 
 
 def share_trigger(runtime: Runtime, group: Hashable, turns: FifoQueue) -> None:
     """Use `turns` for the trigger `group`, while they exist."""
-    with _triggers_lock:
-        _triggers[runtime, group] = turns
+    triggers = context_of(runtime).medium.part(_Triggers)
+    with triggers.lock:
+        triggers.turns[group] = turns
 
 
 def trigger_turns(runtime: Runtime, groups: Sequence[Hashable]) -> list[FifoQueue]:
@@ -172,11 +179,12 @@ def trigger_turns(runtime: Runtime, groups: Sequence[Hashable]) -> list[FifoQueu
     the same in all processes.
     """
     wanted: list[FifoQueue] = []
-    with _triggers_lock:
+    triggers = context_of(runtime).medium.part(_Triggers)
+    with triggers.lock:
         for group in dict.fromkeys(groups):
-            turns = _triggers.get((runtime, group))
+            turns = triggers.turns.get(group)
             if turns is None:
-                turns = _triggers[runtime, group] = FifoQueue(f"the trigger {group}")
+                turns = triggers.turns[group] = FifoQueue(f"the trigger {group}")
             if turns not in wanted:
                 wanted.append(turns)
     return sorted(wanted, key=_place_in_order)

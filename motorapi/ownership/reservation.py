@@ -31,14 +31,14 @@ def check_lease(lease_s: float | None) -> None:
 class Reservation:
     """A reserved motor, or all motors of a group, until the end of the block.
 
-    Attributes: names (of the motors, in the order of acquisition).
+    Attributes: names (of the motors, in the order of acquisition), claims (one per motor).
     """
 
-    __slots__ = ("_claims", "names")
+    __slots__ = ("claims", "names")
 
     def __init__(self, names: Sequence[str], claims: Sequence[Claim]) -> None:
         self.names: Final = tuple(names)
-        self._claims: Final = tuple(claims)
+        self.claims: Final = tuple(claims)
 
     def __repr__(self) -> str:
         lost_to = self.lost_to
@@ -48,37 +48,37 @@ class Reservation:
     @property
     def token(self) -> int:
         """The token of this ownership, greater than any earlier one (group: of the first)."""
-        return self._claims[0].token
+        return self.claims[0].token
 
     @property
     def tokens(self) -> tuple[int, ...]:
         """The token of each motor, in the order of `names`."""
-        return tuple(claim.token for claim in self._claims)
+        return tuple(claim.token for claim in self.claims)
 
     @classmethod
     def of_all(cls, parts: "Sequence[Reservation]") -> "Reservation":
         """Combine several reservations into one."""
         names = [name for part in parts for name in part.names]
-        claims = [claim for part in parts for claim in part._claims]  # noqa: SLF001 -- of its kind
+        claims = [claim for part in parts for claim in part.claims]
         return cls(names, claims)
 
     @property
     def is_held(self) -> bool:
         """True while it is neither lost nor released."""
-        return all(claim.is_held for claim in self._claims)
+        return all(claim.is_held for claim in self.claims)
 
     @property
     def members(self) -> "tuple[Reservation, ...]":
         """The reservation of each motor, in the order of `names`."""
         return tuple(
             Reservation((name,), (claim,))
-            for name, claim in zip(self.names, self._claims, strict=True)
+            for name, claim in zip(self.names, self.claims, strict=True)
         )
 
     @property
     def lost_to(self) -> str | None:
         """The new owner and its reason in words, or None."""
-        for claim in self._claims:
+        for claim in self.claims:
             if claim.lost_to is not None:
                 return claim.lost_to
         return None
@@ -89,5 +89,5 @@ class Reservation:
         Raises:
             MotorBusyError: it was taken over meanwhile.
         """
-        for claim in self._claims:
+        for claim in self.claims:
             claim.renew()

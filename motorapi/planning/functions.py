@@ -1,15 +1,16 @@
-"""Check of complex trajectories against value and derivative limits.
+"""Planning of motions that follow a function.
 
-Pure functions. The trajectory function reports its own extrema (exact for polynomials), so that no
-violation between two samples is missed. U is the unit of the control variable.
+*Complex trajectories* are checked against value and derivative limits. The function reports its own
+extrema (exact for polynomials), so that no violation between two samples is missed. U is the unit
+of the control variable.
 
-Planning of simple trajectories with one more limited derivative.
+*Simple trajectories with one more limited derivative* become functions. The paper, 3.3.1: "If
+necessary, we can use the same representation to bound the third derivative and represent a smoother
+motion." This means position with limited jerk, velocity with limited jerk, and torque with a
+limited change of its slope. So every motor that can follow a complex trajectory can follow them.
+The jerk_max of the model limits such requests; it does not limit motions without a request.
 
-The paper, 3.3.1: "If necessary, we can use the same representation to bound the third derivative
-and represent a smoother motion." This means position with limited jerk, velocity with limited jerk,
-and torque with a limited change of its slope. The curve is generated and becomes the function of
-the motion, so every motor that can follow a complex trajectory can follow it. The jerk_max of the
-model limits such requests; it does not limit motions without a request.
+Pure functions.
 """
 
 from dataclasses import replace

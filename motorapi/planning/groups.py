@@ -16,24 +16,20 @@ Source: field practice (Ruckig, `Synchronization::Phase`); the closed form follo
 Melchiorri (2008), ch. 3, for one profile over distance 1.
 """
 
-# ruff: noqa: SLF001 -- it works the hooks of motors, as motorhil.motorapi.execution does
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from sys import float_info
-from typing import TYPE_CHECKING, Final, final
+from typing import Final, final
 
 from motorhil.motorapi.commands import ControlMode, ControlVariable
 from motorhil.motorapi.errors import LimitError, UnsupportedError, UsageError
 from motorhil.motorapi.generation import shortest, stretched
+from motorhil.motorapi.logical_motor import LogicalMotor
 from motorhil.motorapi.motion import Motion
 from motorhil.motorapi.planning import single_axis as planning
 from motorhil.motorapi.planning.limits import ROUNDING
 from motorhil.motorapi.synchronization.quality import FaultReaction, Synchronization
 from motorhil.motorapi.trajectory import ComplexTrajectory
-
-if TYPE_CHECKING:
-    from motorhil.motorapi.motor import Motor
 
 _LEAST: Final = float_info.min
 
@@ -70,7 +66,7 @@ TIME: Final = Common()
 
 
 def synchronised(
-    motors: Sequence["Motor"], motions: Sequence[Motion], common: Common
+    motors: Sequence[LogicalMotor], motions: Sequence[Motion], common: Common
 ) -> list[Motion]:
     """Return the motions of one start with the common properties.
 
@@ -84,15 +80,13 @@ def synchronised(
     return _common_duration(motors, motions)
 
 
-def _common_duration(motors: Sequence["Motor"], motions: Sequence[Motion]) -> list[Motion]:
+def _common_duration(motors: Sequence[LogicalMotor], motions: Sequence[Motion]) -> list[Motion]:
     """Give every trajectory the duration of the slowest motor, after hardware rounding."""
     timed = [place for place, motion in enumerate(motions) if motion.duration_s is not None]
     result = list(motions)
     if not timed:
         return result
-    rounded = {
-        place: motors[place]._call(motors[place]._quantise, motions[place]) for place in timed
-    }
+    rounded = {place: motors[place].hooks.quantise(motions[place]) for place in timed}
     shortest_s = {place: planning.duration_of(rounded[place]) for place in timed}
     asked = _asked(motors, motions)
     duration_s = asked[0] if asked else max(shortest_s.values())
@@ -109,7 +103,7 @@ def _common_duration(motors: Sequence["Motor"], motions: Sequence[Motion]) -> li
     return result
 
 
-def _asked(motors: Sequence["Motor"], motions: Sequence[Motion]) -> tuple[float, str] | None:
+def _asked(motors: Sequence[LogicalMotor], motions: Sequence[Motion]) -> tuple[float, str] | None:
     """Return the duration requested by trajectories [s] and the first such motor, or None."""
     asked: dict[float, str] = {}
     for motor, motion in zip(motors, motions, strict=True):
@@ -130,7 +124,9 @@ def _fixed_duration_s(motion: Motion) -> float | None:
     return None if trajectory is None else trajectory.duration_s
 
 
-def _too_short(motor: "Motor", asked: tuple[float, str], shortest_s: float, why: str) -> LimitError:
+def _too_short(
+    motor: LogicalMotor, asked: tuple[float, str], shortest_s: float, why: str
+) -> LimitError:
     return LimitError(
         motor=motor.name,
         quantity="duration",
@@ -192,7 +188,9 @@ def _divided(limit: float, part: float) -> float:
     return limit / part if part > _LEAST else float("inf")
 
 
-def _in_phase(motors: Sequence["Motor"], motions: Sequence[Motion], common: Common) -> list[Motion]:
+def _in_phase(
+    motors: Sequence[LogicalMotor], motions: Sequence[Motion], common: Common
+) -> list[Motion]:
     """Put all motions on one straight line, with equal fractions covered at every instant."""
     for motor, motion in zip(motors, motions, strict=True):
         _require_line(motor, motion)
@@ -209,7 +207,7 @@ def _in_phase(motors: Sequence["Motor"], motions: Sequence[Motion], common: Comm
                 duration_s=None,
             )
         )
-        rounded.append(motor._call(motor._quantise, limited[-1]))
+        rounded.append(motor.hooks.quantise(limited[-1]))
     moving = [place for place, motion in enumerate(rounded) if motion.distance != 0.0]
     asked = _asked(motors, motions)
     result = [replace(motion, duration_s=0.0) for motion in limited]
@@ -248,7 +246,7 @@ def _slowest(moves: Sequence[Move]) -> int:
     return durations_s.index(max(durations_s))
 
 
-def _require_line(motor: "Motor", motion: Motion) -> None:
+def _require_line(motor: LogicalMotor, motion: Motion) -> None:
     """Require a simple position trajectory, which phase synchronisation can scale."""
     simple = motion.mode is ControlMode.TRAJECTORY and motion.variable is ControlVariable.POSITION
     if simple and motion.function is None and motion.argument is None:

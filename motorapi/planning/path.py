@@ -10,24 +10,20 @@ the distance, x_i the distance covered and v_i the maximum velocity of motor i:
     deviation of motor i    x_i - s D_i
 """
 
-# ruff: noqa: SLF001 -- it works the hooks of motors, as motorhil.motorapi.execution does
-
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING, Final, final
+from typing import Final, final
 
 from motorhil.motorapi.errors import MotorError
 from motorhil.motorapi.execution import Started
 from motorhil.motorapi.generation import Trapezoid, shortest
+from motorhil.motorapi.logical_motor import LogicalMotor
+from motorhil.motorapi.motion import Motion
+from motorhil.motorapi.runtime.api import Registration
 from motorhil.motorapi.state import MotorState
 from motorhil.motorapi.synchronization.quality import PathDeviation
-
-if TYPE_CHECKING:
-    from motorhil.motorapi.motion import Motion
-    from motorhil.motorapi.motor import Motor
-    from motorhil.motorapi.runtime.api import Registration
 
 LOOK_PERIOD_S: Final = 0.005
 """The period of the check for new measurements [s]."""
@@ -70,7 +66,7 @@ class Line:
         )
 
 
-def line_of(started: "Sequence[Started]") -> Line:
+def line_of(started: Sequence[Started]) -> Line:
     """Return the line of the quantised motions, all with a distance to cover."""
     return Line(
         tuple(one.quantised.start for one in started),
@@ -79,12 +75,12 @@ def line_of(started: "Sequence[Started]") -> Line:
     )
 
 
-def moving(started: "Sequence[Started]") -> "list[Started]":
+def moving(started: Sequence[Started]) -> list[Started]:
     """Return the motors with a distance to cover, within the resolution of the hardware."""
     return [one for one in started if one.quantised.distance != 0.0]
 
 
-def predicted(started: "Sequence[Started]") -> list[float]:
+def predicted(started: Sequence[Started]) -> list[float]:
     """Return the maximum deviation of each motor by rounding to hardware units [U].
 
     The result is exact: between the corners of all profiles the deviations are parabolas with known
@@ -113,12 +109,12 @@ def predicted(started: "Sequence[Started]") -> list[float]:
 
 
 def predicted_path(
-    motors: "Sequence[Motor]", motions: "Sequence[Motion]"
+    motors: Sequence[LogicalMotor], motions: Sequence[Motion]
 ) -> tuple[PathDeviation, ...]:
     """Return the deviation by rounding of each motor with a distance to cover."""
     started = moving(
         [
-            Started(motor, motion, motor._call(motor._quantise, motion))
+            Started(motor, motion, motor.hooks.quantise(motion))
             for motor, motion in zip(motors, motions, strict=True)
         ]
     )
@@ -159,7 +155,7 @@ class PathWatch:
         looked: called after each check.
     """
 
-    def __init__(self, started: "Sequence[Started]", looked: Callable[[], None]) -> None:
+    def __init__(self, started: Sequence[Started], looked: Callable[[], None]) -> None:
         self._started = started
         self._looked = looked
         self._members = moving(started)
@@ -183,7 +179,7 @@ class PathWatch:
             self._timer.cancel()
             self._timer = None
 
-    def leave(self, motor: "Motor") -> None:
+    def leave(self, motor: LogicalMotor) -> None:
         """Remove a motor that has left the line."""
         for place, one in enumerate(self._members):
             if one.motor is motor:
@@ -202,7 +198,7 @@ class PathWatch:
         """Compare new measurements of the motors with the line."""
         for one, kept in zip(self._members, self._kept, strict=True):
             try:
-                latest = one.motor.latest()
+                latest = one.motor.hooks.latest()
             except MotorError:  # the motor is gone: its failure is reported elsewhere
                 continue
             if latest is None or latest.position is None:
@@ -238,10 +234,10 @@ class PathWatch:
         }
         return tuple(self._of(one.motor, bound.get(one.motor.name)) for one in self._started)
 
-    def _of(self, motor: "Motor", most: float | None) -> PathDeviation:
+    def _of(self, motor: LogicalMotor, most: float | None) -> PathDeviation:
         if most is None:
             return PathDeviation(motor.name, None, "it has no way to go", predicted=0.0)
-        source = motor._call(motor._position_source)
+        source = motor.hooks.position_source()
         age_ns = self._age_ns.get(motor.name)
         return PathDeviation(
             motor.name,
@@ -252,7 +248,7 @@ class PathWatch:
         )
 
 
-def _interpolated(kept: "deque[tuple[int, float]]", at_ns: int) -> tuple[float, int] | None:
+def _interpolated(kept: deque[tuple[int, float]], at_ns: int) -> tuple[float, int] | None:
     """Return the position at an instant, and its distance to the nearer of two samples [ns]."""
     later: tuple[int, float] | None = None
     for sample in reversed(kept):

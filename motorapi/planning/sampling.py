@@ -1,9 +1,13 @@
-"""Demand of a trajectory at each instant, as one object to be sampled.
+"""Demand of a motion at each instant, as one object to be sampled.
 
 Drives that generate their own profile do not need it. Motors with set-points from the host
 (streamed, software servo, ideal) sample only this. No numpy: one value at a time, in plain floats.
+
+A trajectory is a `Demand` over its argument; `way_of` integrates a velocity trajectory. A set-point
+of velocity, torque or current that is approached at limited rates is a `Ramps` over time.
 """
 
+from collections.abc import Callable
 from math import inf
 from typing import TYPE_CHECKING, Protocol, final
 
@@ -46,10 +50,22 @@ def demand_of(motion: Motion) -> Demand:
     return _RampDemand(motion)
 
 
-def ramps(
-    start: float, target: float, growing: float, shrinking: float
-) -> list[tuple[float, float, float]]:
-    """Return (duration [s], initial value, rate) of each ramp from one value to another.
+def way_of(motion: Motion) -> Callable[[float], float]:
+    """Return the distance that a velocity trajectory covers up to an argument, in closed form."""
+    function, offset = motion.function, motion.offset
+    if function is None:
+        start, ramp = motion.start, _RampDemand(motion)
+        rate = ramp.first(ramp.initial_argument)
+        return lambda argument: (start + 0.5 * rate * argument) * argument
+    begin = motion.interval[0]
+    integral = function.integral()
+    before = integral.value(begin)
+    return lambda argument: integral.value(argument) - before + offset * (argument - begin)
+
+
+@final
+class Ramps:
+    """A value that changes to its target at limited rates: the demand of a set-point.
 
     Args:
         start: initial value.
@@ -57,15 +73,40 @@ def ramps(
         growing: maximum rate while the magnitude grows, > 0; inf: immediate.
         shrinking: maximum rate while the magnitude shrinks, first to 0 if the sign changes, > 0;
             inf: immediate.
+
+    Attributes:
+        duration_s: time until the target is reached [s].
     """
-    steps = [(start, target, growing if abs(target) > abs(start) else shrinking)]
-    if start * target < 0.0:
-        steps = [(start, 0.0, shrinking), (0.0, target, growing)]
-    return [
-        (abs(after - before) / rate, before, rate if after > before else -rate)
-        for before, after, rate in steps
-        if after != before and rate != inf
-    ]
+
+    __slots__ = ("_pieces", "_target", "duration_s")
+
+    def __init__(self, start: float, target: float, growing: float, shrinking: float) -> None:
+        steps = [(start, target, growing if abs(target) > abs(start) else shrinking)]
+        if start * target < 0.0:
+            steps = [(start, 0.0, shrinking), (0.0, target, growing)]
+        self._pieces = [  # (duration [s], initial value, rate)
+            (abs(after - before) / rate, before, rate if after > before else -rate)
+            for before, after, rate in steps
+            if after != before and rate != inf
+        ]
+        self._target = target
+        self.duration_s = sum([piece[0] for piece in self._pieces])
+
+    def at(self, elapsed_s: float) -> tuple[float, float] | None:
+        """Return the value and its rate at this time; None: the target is reached."""
+        for duration_s, before, rate in self._pieces:
+            if elapsed_s < duration_s:
+                return before + rate * elapsed_s, rate
+            elapsed_s -= duration_s
+        return None
+
+    def integral(self, elapsed_s: float, start: float) -> float:
+        """Return the integral of the value up to this time, from `start` on."""
+        for duration_s, before, rate in self._pieces:
+            spent_s = min(elapsed_s, duration_s)
+            start += (before + 0.5 * rate * spent_s) * spent_s
+            elapsed_s -= spent_s
+        return start + self._target * elapsed_s
 
 
 @final

@@ -20,8 +20,7 @@ from motorhil.motorapi.errors import LimitError, UnsupportedError, UsageError
 from motorhil.motorapi.generation import shortest, stretched
 from motorhil.motorapi.model import MotorModel
 from motorhil.motorapi.motion import Motion
-from motorhil.motorapi.planning import functions as function_planning
-from motorhil.motorapi.planning import functions as smooth_planning
+from motorhil.motorapi.planning import functions
 from motorhil.motorapi.planning.limits import ROUNDING, check_bounds, check_target
 from motorhil.motorapi.trajectory import ComplexTrajectory, Trajectory, TrapezoidalTrajectory
 
@@ -118,7 +117,7 @@ def check_trajectory(
     """
     if isinstance(trajectory, ComplexTrajectory):
         check_bounds(motor, model, variable, trajectory.limits, smooth=True)
-        function_planning.check(motor, model, variable, trajectory, argument)
+        functions.check(motor, model, variable, trajectory, argument)
         return
     if not isinstance(trajectory, TrapezoidalTrajectory):
         raise UsageError(
@@ -190,12 +189,12 @@ def plan_trajectory(
         StateError: it is absolute and the motor is not at its initial value.
     """
     if isinstance(trajectory, ComplexTrajectory):
-        return function_planning.plan(motor, model, variable, trajectory, argument, reference)
+        return functions.plan(motor, model, variable, trajectory, argument, reference)
     start = reference
     target = reference + trajectory.final
     if trajectory.initial is not None:
         start, target = trajectory.initial, trajectory.final
-        function_planning.require_at_start(motor, model, variable, start, reference)
+        functions.require_at_start(motor, model, variable, start, reference)
     if not (only_shape and trajectory.is_relative):
         for value in (start, target):
             check_target(motor, model, variable, value, trajectory.limits)
@@ -274,8 +273,8 @@ def _timed(
     motor: str, motion: Motion, trajectory: TrapezoidalTrajectory, distance: float, unit: str
 ) -> Motion:
     asked_s = trajectory.duration_s
-    if smooth_planning.asks_for_smoothness(motion.variable, trajectory):
-        motion = smooth_planning.smoothed(motor, motion, trajectory)
+    if functions.asks_for_smoothness(motion.variable, trajectory):
+        motion = functions.smoothed(motor, motion, trajectory)
     fastest_s = duration_of(motion)
     if asked_s is None:
         return replace(motion, duration_s=fastest_s)
@@ -320,7 +319,7 @@ def stretch(motion: Motion, duration_s: float) -> Motion:
     if motion.distance == 0.0:
         return replace(motion, duration_s=0.0)
     if motion.function is not None:
-        return smooth_planning.slowed(motion, duration_s)
+        return functions.slowed(motion, duration_s)
     if motion.variable is ControlVariable.POSITION:
         profile = stretched(motion.distance, duration_s, motion.acceleration, motion.deceleration)
         return replace(

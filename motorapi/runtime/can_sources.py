@@ -1,4 +1,6 @@
-"""Frame sources of the wall runtime, one per kind of python-can bus.
+"""CAN buses on the wall clock: their frames, and the condition of their controller.
+
+There is one kind of frame source per kind of python-can bus.
 
 A source yields Linux can_frame bytes and distinguishes own frames from others:
 
@@ -9,9 +11,8 @@ A source yields Linux can_frame bytes and distinguishes own frames from others:
 - Any other bus: through `recv` and `send`. Such a bus does not report transmission; a frame counts
   as transmitted when `send` returns.
 
-Bus condition from the host's CAN controller: error active, passive or bus-off.
-
-Error messages have the SocketCAN format: a can_frame of 8 bytes with ERR_FLAG in its identifier,
+The condition of a bus is that of the host's CAN controller: error active, passive or bus-off. Error
+messages have the SocketCAN format: a can_frame of 8 bytes with ERR_FLAG in its identifier,
 whose other bits are error classes. All listeners (`Runtime.listen`) receive them. They are not bus
 traffic: no node has sent them. An adaptation has one `BusStatus` per bus. The adaptation passes
 error messages to `hear`, and checks the status before it sends and while it waits:
@@ -46,7 +47,8 @@ _FRAME_SIZE: Final = 16
 _NEVER_NS: Final = -1
 _EFF: Final = 0x8000_0000
 _RTR: Final = 0x4000_0000
-_ERR: Final = 0x2000_0000
+ERROR_FLAG: Final = 0x2000_0000
+ERROR_BYTE: Final = 0x20  # in the last byte of an identifier
 _ERROR_CLASSES: Final = 0x3FF  # linux/can/error.h
 _ERROR_BYTES: Final = 8  # CAN_ERR_DLC
 # Linux: linux/socket.h, uapi/linux/can.h, uapi/linux/can/raw.h, asm-generic/socket.h
@@ -59,6 +61,17 @@ _FD_FRAME_SIZE: Final = 72
 _QUEUE_FULL_S: Final = 0.1
 _QUEUE_PAUSE_S: Final = 0.0005
 _TIMESPEC: Final = struct.Struct("@ll")
+# Error messages: linux/can/error.h
+_CONTROLLER: Final = 0x004
+_NO_ACKNOWLEDGE: Final = 0x020
+_BUS_OFF: Final = 0x040
+_RESTARTED: Final = 0x100
+_COUNTERS: Final = 0x200
+_RX_WARNING: Final = 0x04
+_TX_WARNING: Final = 0x08
+_RX_PASSIVE: Final = 0x10
+_TX_PASSIVE: Final = 0x20
+_ACTIVE: Final = 0x40
 
 
 class FrameSource(Protocol):
@@ -221,8 +234,8 @@ def _error_of(message: "can.Message") -> bytes:
     """
     data, classes = bytes(message.data), message.arbitration_id
     if message.is_extended_id or len(data) != _ERROR_BYTES or classes & ~_ERROR_CLASSES:
-        return _FRAME.pack(_ERR, _ERROR_BYTES, b"")
-    return _FRAME.pack(_ERR | classes, _ERROR_BYTES, data)
+        return _FRAME.pack(ERROR_FLAG, _ERROR_BYTES, b"")
+    return _FRAME.pack(ERROR_FLAG | classes, _ERROR_BYTES, data)
 
 
 @final
@@ -267,21 +280,6 @@ class _MessageSource:
 
     def close(self) -> None:
         pass
-
-
-ERROR_FLAG: Final = 0x2000_0000
-ERROR_BYTE: Final = 0x20  # in the last byte of an identifier
-
-_CONTROLLER: Final = 0x004
-_NO_ACKNOWLEDGE: Final = 0x020
-_BUS_OFF: Final = 0x040
-_RESTARTED: Final = 0x100
-_COUNTERS: Final = 0x200
-_RX_WARNING: Final = 0x04
-_TX_WARNING: Final = 0x08
-_RX_PASSIVE: Final = 0x10
-_TX_PASSIVE: Final = 0x20
-_ACTIVE: Final = 0x40
 
 
 @final

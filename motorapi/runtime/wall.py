@@ -3,13 +3,10 @@
 Callbacks (received frames, `every`) and the `done` conditions of waits run one at a time under one
 lock, which is released only during waits. So their shared data need no other lock, and no callback
 may wait. Any ordinary thread may use the runtime. There is one thread per bus with listeners, one
-for timers if there are any, and one per `spawn`; `close` ends them all.
+for timers if there are any, and one per `spawn`; `close` ends them all. A forked child is refused
+the buses and motors of its parent.
 
 Time is int ns since the runtime was created, by the monotonic clock.
-
-Periodic actions on the wall clock, in one thread while there are any.
-
-Refusal of inherited buses and motors in a forked child.
 """
 
 import atexit
@@ -22,6 +19,7 @@ from contextlib import contextmanager, suppress
 from heapq import heappop, heappush
 from typing import TYPE_CHECKING, Final, ParamSpec, final
 
+from motorhil.motorapi.bus_context import BusContext
 from motorhil.motorapi.errors import DeadlineExceeded, LinkError, UsageError
 from motorhil.motorapi.runtime.api import FrameListener, Runtime
 from motorhil.motorapi.runtime.can_sources import FrameSource, source_of
@@ -29,7 +27,14 @@ from motorhil.motorapi.runtime.can_sources import FrameSource, source_of
 if TYPE_CHECKING:
     import can
 
-_WALL_TIMERS_LOOK_AGAIN_S: Final = 0.1
+P = ParamSpec("P")
+
+_LOOK_AGAIN_S: Final = 0.01
+"""The delay after which a wait notices changes made by other threads outside of callbacks [s]."""
+_RECEIVE_S: Final = 0.1
+"""The delay after which a receiving thread notices that it has no listeners [s]."""
+_CLOSE_S: Final = 5.0
+_TIMERS_LOOK_S: Final = 0.1
 """The delay after which the thread notices that its last timer was cancelled [s]."""
 
 
@@ -114,7 +119,7 @@ class Timers:
                 due_ns, _, timer = self._heap[0]
                 now_ns = self._now_ns()
                 if due_ns > now_ns:
-                    self._changed.wait(min((due_ns - now_ns) / 1e9, _WALL_TIMERS_LOOK_AGAIN_S))
+                    self._changed.wait(min((due_ns - now_ns) / 1e9, _TIMERS_LOOK_S))
                     continue
                 heappop(self._heap)
                 missed = (now_ns - due_ns) // timer.period_ns
@@ -133,15 +138,6 @@ def refuse_fork(is_the_parents: bool) -> None:
             "these buses and motors were created in the parent process, which still uses them: "
             "create new ones in this process, or start it with 'spawn'"
         )
-
-
-P = ParamSpec("P")
-
-_LOOK_AGAIN_S: Final = 0.01
-"""The delay after which a wait notices changes made by other threads outside of callbacks [s]."""
-_RECEIVE_S: Final = 0.1
-"""The delay after which a receiving thread notices that it has no listeners [s]."""
-_CLOSE_S: Final = 5.0
 
 
 class _Closed(BaseException):
@@ -209,6 +205,7 @@ class WallRuntime:
     """The Runtime of real hardware, and of emulated hardware in other processes."""
 
     def __init__(self) -> None:
+        self.context: Final = BusContext()
         self._start_ns = time.monotonic_ns()
         self._changed = threading.Condition(threading.RLock())
         self._callback_thread: int | None = None

@@ -14,8 +14,8 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from math import isfinite
 from typing import TYPE_CHECKING, Final, final
-from weakref import WeakKeyDictionary
 
+from motorhil.motorapi.bus_context import context_of
 from motorhil.motorapi.errors import UsageError
 
 if TYPE_CHECKING:
@@ -184,7 +184,7 @@ def worst_of(messages: Sequence[PeriodicMessage]) -> tuple[PeriodicMessage, ...]
     found: dict[int, PeriodicMessage] = {}
     for message in messages:
         known = found.get(message.rank)
-        if known is not None:
+        if known is not None and known != message:
             message = replace(
                 message,
                 length=max(message.length, known.length),
@@ -217,9 +217,14 @@ class NodeTraffic:
     unknown: str = ""
 
 
-_declared: Final["WeakKeyDictionary[can.BusABC, CanTraffic]"] = WeakKeyDictionary()
-_own: Final["WeakKeyDictionary[can.BusABC, dict[int, NodeTraffic]]"] = WeakKeyDictionary()
-_streams: Final["WeakKeyDictionary[can.BusABC, dict[int, PeriodicMessage]]"] = WeakKeyDictionary()
+@final
+class _BusTraffic:
+    """The traffic known on one bus."""
+
+    def __init__(self) -> None:
+        self.declared: CanTraffic | None = None
+        self.nodes: Final[dict[int, NodeTraffic]] = {}
+        self.streams: Final[dict[int, PeriodicMessage]] = {}
 
 
 def declare_traffic(bus: "can.BusABC", traffic: CanTraffic | None) -> None:
@@ -232,42 +237,41 @@ def declare_traffic(bus: "can.BusABC", traffic: CanTraffic | None) -> None:
     Raises:
         UsageError: `traffic` is not a CanTraffic.
     """
-    if traffic is None:
-        _declared.pop(bus, None)
-    elif isinstance(traffic, CanTraffic):
-        _declared[bus] = traffic
-    else:
+    if not isinstance(traffic, CanTraffic | None):
         raise UsageError(f"{traffic!r} is not a CanTraffic")
+    _known(bus).declared = traffic
 
 
 def declared_traffic(bus: "can.BusABC") -> CanTraffic | None:
     """Return the declaration for this bus object, or None."""
-    return _declared.get(bus)
+    return _known(bus).declared
 
 
 def note_node(bus: "can.BusABC", node_id: int, traffic: NodeTraffic) -> None:
     """Record the traffic of a node that this program has configured."""
-    _own.setdefault(bus, {})[node_id] = traffic
+    _known(bus).nodes[node_id] = traffic
 
 
 def own_traffic(bus: "can.BusABC") -> tuple[NodeTraffic, ...]:
     """Return the traffic of all nodes that this program has configured on the bus, by node-ID."""
-    nodes = _own.get(bus, {})
-    return tuple(nodes[node_id] for node_id in sorted(nodes))
+    return tuple(traffic for _, traffic in sorted(_known(bus).nodes.items()))
 
 
 def note_stream(bus: "can.BusABC", can_id: int, message: PeriodicMessage | None) -> None:
     """Record the set-points that this program sends with this identifier; None: no more."""
     if message is None:
-        _streams.get(bus, {}).pop(can_id, None)
+        _known(bus).streams.pop(can_id, None)
     else:
-        _streams.setdefault(bus, {})[can_id] = message
+        _known(bus).streams[can_id] = message
 
 
 def streams(bus: "can.BusABC") -> tuple[PeriodicMessage, ...]:
     """Return the set-points that this program sends on the bus."""
-    sent = _streams.get(bus, {})
-    return tuple(sent[can_id] for can_id in sorted(sent))
+    return tuple(message for _, message in sorted(_known(bus).streams.items()))
+
+
+def _known(bus: "can.BusABC") -> _BusTraffic:
+    return context_of(bus).parts.part(_BusTraffic)
 
 
 def _is_whole(value: object) -> bool:

@@ -1,359 +1,514 @@
-"""Worst-case response times on a CAN bus.
+"""Worst-case response time of every message on a CAN bus.
 
-The analysis is that of Davis, Burns, Bril, Lukkien, "Controller Area Network (CAN) schedulability
-analysis: Refuted, revisited and revised" (Real-Time Systems 35, 2007). A frame of message m waits
-for one lower-priority frame already on the bus (blocking B). The frame also waits for
-higher-priority frames that arrive before it begins, and for earlier frames of its own message.
-Every instance in the busy period is examined: the first is not always the worst, which the older
-analysis missed.
+Davis, Burns, Bril & Lukkien, "Controller Area Network (CAN) schedulability analysis: Refuted,
+revisited and revised" (Real-Time Systems 35, 2007), for nodes that send by priority:
 
-    t     = B + sum over hp(m) and m of ceil((t + J) / T) C         the busy period
-    w(q)  = B + q C_m + sum over hp(m) of ceil((w(q) + J + tau) / T) C
-    R     = max over q of J_m + w(q) - q T_m + C_m                  tau: one bit
+    t     = E(t) + B + sum over hp(m) and m of n(t) C               the busy period
+    w(q)  = E(w + C) + B + q C + sum over hp(m) of n(w + tau) C     waiting time of instance q
+    R     = max over q of w(q) + C - (q T - J)
 
-This holds for periodic frames. A start of motors sends frames *once*, one after another;
-`longest_s` has a separate bound for them.
+B is the longest frame of lower priority. tau is one bit: a frame queued within it still takes part
+in the arbitration. n(t) = ceil((t + J) / T) is the number of frames in a time t. E is the cost of
+errors. With a known minimum distance d, n(t) is also at most ceil(t / d).
 
-All times are integer nanoseconds internally, rounded up. A frame has the maximum number of stuff
-bits, and the 3 bits of intermission in which no frame may begin.
+A node with one FIFO queue follows Davis, Kollmann, Pollex & Slomka (ECRTS 2011; Real-Time Systems
+49, 2013). Its messages M wait for everything more urgent than L, the least urgent of them. Their
+sufficient test has one frame of each of M in the queue, which is correct only if all are in time.
+Here a frame queued at `a` in a busy period of level L waits for all of M queued until then, and
+each such `a` is examined:
+
+    w(a)  = E(w + C) + B(L) + sum over M of n[0, a] C - C + sum over hp(L) not in M of n(w + tau) C
+    R     = max over a of w(a) + C - a + J
+
+Behind others in such a queue, a frame starts to compete up to f = max over a of w(a) - a after it
+was queued. Frames that compete in a time t were thus queued in t + f. The f of one node depends on
+that of others. They grow together until nothing changes, or one exceeds every period (then no bound
+is given). For M of one message this is the theory above. The bound is pessimistic: frames of other
+nodes between a message and L do not delay it once it is first in its queue.
+
+The error model is a burst, then a minimum distance. Each error costs the longest error frame and
+one retransmission, of the longest frame that can interfere. Source: Tindell, Burns & Wellings,
+Calculating Controller Area Network (CAN) message response times (1995), section 5: (n + ceil(t / T)
+- 1) (31 bits + C). The 31 bits are two consecutive flags of six bits, a delimiter of eight, and an
+intermission of three. The last eight are the suspended transmission of an error passive sender.
+
+All times are integer nanoseconds, rounded up. A frame has the maximum number of stuff bits, and the
+3 bits of intermission in which no frame may begin.
 """
 
-from collections.abc import Hashable, Sequence
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from itertools import groupby
-from math import ceil
+from enum import Enum
 from typing import Final, final
 
-from motorhil.motorapi.synchronization.bus_load import (
-    CanTraffic,
-    PeriodicMessage,
-    rank_of,
-    worst_of,
+from motorhil.motorapi.synchronization.bus_load import CanTraffic, PeriodicMessage, rank_of
+from motorhil.motorapi.synchronization.can_frame_length import (
+    INTERMISSION_BITS,
+    Bits,
+    bits_ns,
+    longest,
+    shortest,
 )
 
-INTERMISSION_BITS: Final = 3
-_STUFFED_BITS: Final = (34, 54)  # SOF to CRC without data, for 11 and 29 bits: may be stuffed
-_PLAIN_BITS: Final = 10 + INTERMISSION_BITS  # CRC delimiter, ACK, ACK delimiter, EOF
-_FD_TO_BRS_BITS: Final = (17, 36)  # CAN FD, SOF to BRS, for 11 and 29 bits
-_FD_STUFF_TO_BRS: Final = (3, 8)  # maximum: a run of five cannot end with FDF, res or BRS
-_FD_ESI_TO_DLC_BITS: Final = 5
-_FD_CHECK_BITS: Final = (27, 32)  # stuff count, CRC-17 or CRC-21, fixed stuff bits
-_FD_SHORT_CRC_BYTES: Final = 16
-_FIRST_SDO_RANK: Final = rank_of(0x580)
-_ROUNDS_MAX: Final = 10_000
-_INSTANCES_MAX: Final = 1_000
+RECOVERY_BITS: Final = 31
+_ROUNDS_MAX: Final = 100_000
+_INSTANCES_MAX: Final = 20_000
 
 
-def worst_frame_bits(length: int, *, extended: bool = False) -> int:
-    """Return the length of a frame with the maximum number of stuff bits, with intermission."""
-    stuffed = _STUFFED_BITS[extended] + 8 * length
-    return stuffed + (stuffed - 1) // 4 + _PLAIN_BITS
+class Arrival(Enum):
+    """The arrival pattern of a message."""
 
-
-def worst_frame_ns(message: PeriodicMessage, traffic: CanTraffic) -> int:
-    """Return the maximum duration of a frame of `message` on the bus of `traffic` [ns].
-
-    In CAN FD frames with a bit rate switch, only SOF to BRS and CRC delimiter to intermission use
-    the nominal bit rate, with the stuff bits possible there. Source: ISO 11898-1:2015, frame
-    formats. After BRS, as many dynamic stuff bits are counted as the remaining bits allow.
-    """
-    rate, fast = traffic.bitrate_bit_s, traffic.data_bitrate_bit_s
-    if not message.fd:
-        return bits_ns(worst_frame_bits(message.length, extended=message.extended), rate)
-    first = _FD_TO_BRS_BITS[message.extended]
-    stuffed = first + _FD_ESI_TO_DLC_BITS + 8 * message.length
-    stuff = (stuffed - 1) // 4
-    check = _FD_CHECK_BITS[message.length > _FD_SHORT_CRC_BYTES]
-    if not message.bit_rate_switch or fast is None:
-        return bits_ns(stuffed + stuff + check + _PLAIN_BITS, rate)
-    early = _FD_STUFF_TO_BRS[message.extended]
-    data = _FD_ESI_TO_DLC_BITS + 8 * message.length + stuff - early + check
-    return bits_ns(first + early + _PLAIN_BITS, rate) + bits_ns(data, fast)
-
-
-def least_frame_bits(length: int, *, extended: bool = False) -> int:
-    """Return the length of a frame without stuff bits, up to its end, without intermission."""
-    return _STUFFED_BITS[extended] + 8 * length + _PLAIN_BITS - INTERMISSION_BITS
-
-
-def bits_ns(bits: int, bitrate_bit_s: int) -> int:
-    """Return the duration of `bits` bits [ns], rounded up."""
-    return -(-bits * 1_000_000_000 // bitrate_bit_s)
+    PERIODIC = "periodic"  # once a period, delayed by its jitter at most
+    SPORADIC = "sporadic"  # limited in frequency only
 
 
 @final
 @dataclass(frozen=True, slots=True)
-class ResponseTime:
-    """Worst-case response time of a message, from the time when it should be queued.
+class Message:
+    """Frames with one identifier, from one sender.
 
     Attributes:
-        message: the message of the traffic.
-        response_s: to the end of its intermission, as in the theory [s]; None: no bound, because
-            messages of the same or higher priority fill the bus.
-        received_s: to its last bit, when receivers have it [s].
-        blocking_s: delay by one frame of lower priority [s].
-        busy_s: maximum duration of a busy period of this priority [s].
-        instance: index of the worst instance, from 0.
+        identifier, extended: 29 bits if extended.
+        length: maximum number of data bytes.
+        period_ns: distance between two frames, apart from the jitter [ns].
+        jitter_ns: maximum delay from the due time to queueing; for a sporadic message, how far a
+            burst runs ahead of the period [ns].
+        irregular_ns: how much closer than period and jitter allow some frames came [ns]; jitter for
+            other messages, but no delay of this one.
+        distance_ns: minimum distance between frames [ns]; 0: unknown.
+        deadline_ns: maximum response time from the due time (sporadic: from queueing) [ns]; None:
+            no deadline.
+        name: a description; "": unknown.
+        sender: the sending node; "": a node that sends nothing else.
+        fd, switched: a CAN FD frame; with a bit rate switch.
+        arrival: the arrival pattern.
+        movable: True if another identifier can be assigned to it.
+        source: the origin of these values, as a text.
+        bits: an upper bound of the length if payloads are known; None: the longest possible.
     """
 
-    message: PeriodicMessage
-    response_s: float | None
-    received_s: float | None
-    blocking_s: float
-    busy_s: float | None
-    instance: int
+    identifier: int
+    length: int
+    period_ns: int
+    jitter_ns: int = 0
+    irregular_ns: int = 0
+    distance_ns: int = 0
+    deadline_ns: int | None = None
+    extended: bool = False
+    name: str = ""
+    sender: str = ""
+    fd: bool = False
+    switched: bool = False
+    arrival: Arrival = Arrival.PERIODIC
+    movable: bool = True
+    source: str = ""
+    bits: Bits | None = None
+
+    @classmethod
+    def of(cls, message: PeriodicMessage) -> "Message":
+        """Return this traffic as input of the analysis; the period rounded down, the jitter up."""
+        return cls(
+            identifier=message.can_id,
+            length=message.length,
+            period_ns=max(1, floor_ns(message.period_s)),
+            jitter_ns=-floor_ns(-message.jitter_s),
+            extended=message.extended,
+            fd=message.fd,
+            switched=message.bit_rate_switch,
+        )
+
+    @property
+    def label(self) -> str:
+        """Its identifier as a text."""
+        return f"{self.identifier:08X}h" if self.extended else f"{self.identifier:03X}h"
+
+    @property
+    def rank(self) -> int:
+        """Its priority; the lower wins (ISO 11898-1: the 11-bit one of equal base identifiers)."""
+        return rank_of(self.identifier, extended=self.extended)
+
+    @property
+    def longest(self) -> Bits:
+        """Its maximum length."""
+        if self.bits is not None:
+            return self.bits
+        return longest(self.length, extended=self.extended, fd=self.fd, switched=self.switched)
+
+    @property
+    def shortest(self) -> Bits:
+        """Its minimum length with all of its data."""
+        return shortest(self.length, extended=self.extended, fd=self.fd, switched=self.switched)
 
 
-def response_times(traffic: CanTraffic) -> tuple[ResponseTime, ...]:
-    """Return the response time of every message, in order of priority.
-
-    Each sender transmits its frame of highest priority first.
-    """
-    ordered = sorted(_Timed.all_of(traffic), key=lambda one: one.rank)
-    return tuple(
-        _response(one, ordered[:place], ordered[place + 1 :], traffic.bitrate_bit_s)
-        for place, one in enumerate(ordered)
-    )
+def floor_ns(time_s: float) -> int:
+    """Return the time rounded down to whole ns [ns], tolerating floating-point errors."""
+    return int(round(time_s * 1e12) // 1000)
 
 
 @final
 @dataclass(frozen=True, slots=True)
-class _Timed:
-    """A message in integer nanoseconds, its period rounded down, its jitter rounded up."""
+class BusLoad:
+    """All messages on one bus.
 
-    message: PeriodicMessage
-    rank: int
-    takes_ns: int
-    period_ns: int
-    jitter_ns: int
+    Attributes:
+        name: name of the bus.
+        bitrate_bit_s: the nominal bit rate [bit/s].
+        data_bitrate_bit_s: the bit rate of CAN FD data [bit/s]; None: the nominal one.
+        messages: messages with distinct identifiers.
+        fifo: senders with one FIFO queue; all others send their most urgent message first.
+    """
+
+    name: str
+    bitrate_bit_s: int
+    messages: tuple[Message, ...]
+    data_bitrate_bit_s: int | None = None
+    fifo: frozenset[str] = frozenset()
 
     @classmethod
-    def all_of(cls, traffic: CanTraffic) -> "list[_Timed]":
-        return [
-            cls(
-                message,
-                message.rank,
-                worst_frame_ns(message, traffic),
-                max(1, int(round(message.period_s * 1e12) // 1000)),
-                -(-round(message.jitter_s * 1e12) // 1000),
-            )
-            for message in traffic.messages
-        ]
+    def of(cls, traffic: CanTraffic) -> "BusLoad":
+        """Return this traffic as input of the analysis."""
+        messages = tuple([Message.of(one) for one in traffic.messages])
+        return cls("", traffic.bitrate_bit_s, messages, traffic.data_bitrate_bit_s)
+
+    def takes_ns(self, message: Message) -> int:
+        """Return the maximum duration of a frame [ns]."""
+        return message.longest.time_ns(self.bitrate_bit_s, self.data_bitrate_bit_s)
+
+    def utilisation(self) -> float:
+        """Return the bus utilisation (0 to 1 and more) with the most stuff bits."""
+        return sum(self.takes_ns(one) / one.period_ns for one in self.messages)
+
+    def utilisation_unstuffed(self) -> float:
+        """Return the bus utilisation without stuff bits."""
+        rates = self.bitrate_bit_s, self.data_bitrate_bit_s
+        return sum(one.shortest.time_ns(*rates) / one.period_ns for one in self.messages)
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class ErrorModel:
+    """Bound on the number of errors.
+
+    Attributes:
+        burst: number of simultaneous errors.
+        interval_ns: minimum distance between later errors [ns]; None: no errors after the burst.
+    """
+
+    burst: int = 1
+    interval_ns: int | None = None
 
     def count(self, window_ns: int) -> int:
-        """Return the maximum number of frames queued in any window of this length."""
-        return -(-(window_ns + self.jitter_ns) // self.period_ns)
+        """Return the maximum number of errors in a window of this length."""
+        if self.interval_ns is None:
+            return self.burst
+        return self.burst + max(0, -(-window_ns // self.interval_ns) - 1)
 
 
-def _response(
-    one: _Timed, higher: Sequence[_Timed], lower: Sequence[_Timed], bitrate_bit_s: int
-) -> ResponseTime:
-    bit_ns = bits_ns(1, bitrate_bit_s)
-    blocking_ns = max((other.takes_ns for other in lower), default=0)
-    busy_ns = _busy_period_ns(blocking_ns, [*higher, one])
-    if busy_ns is None or one.count(busy_ns) > _INSTANCES_MAX:
-        return ResponseTime(one.message, None, None, blocking_ns / 1e9, None, 0)
-    worst_ns, instance = 0, 0
-    waited_ns = blocking_ns
-    for number in range(one.count(busy_ns)):
-        fixed_ns = blocking_ns + number * one.takes_ns
-        waited_ns = max(waited_ns, fixed_ns)
-        while True:
-            again_ns = fixed_ns + sum(
-                other.count(waited_ns + bit_ns) * other.takes_ns for other in higher
-            )
-            if again_ns <= waited_ns:
-                break
-            waited_ns = again_ns
-        response_ns = one.jitter_ns + waited_ns - number * one.period_ns + one.takes_ns
-        if response_ns > worst_ns:
-            worst_ns, instance = response_ns, number
-    gap_ns = INTERMISSION_BITS * 1_000_000_000 // bitrate_bit_s
-    return ResponseTime(
-        message=one.message,
-        response_s=worst_ns / 1e9,
-        received_s=(worst_ns - gap_ns) / 1e9,
-        blocking_s=blocking_ns / 1e9,
-        busy_s=busy_ns / 1e9,
-        instance=instance,
-    )
-
-
-def _busy_period_ns(blocking_ns: int, level: Sequence[_Timed]) -> int | None:
-    if sum(one.takes_ns / one.period_ns for one in level) >= 1.0:
-        return None
-    busy_ns = blocking_ns + sum(one.takes_ns for one in level)
-    for _ in range(_ROUNDS_MAX):
-        again_ns = blocking_ns + sum(one.count(busy_ns) * one.takes_ns for one in level)
-        if again_ns <= busy_ns:
-            return busy_ns
-        busy_ns = again_ns
-    return None
-
-
-def overload_of(traffic: CanTraffic) -> str:
-    """Return a description of the first message that may never be sent, or ""."""
-    for found in response_times(traffic):
-        if found.response_s is None:
-            return f"{found.message.name} and messages of higher priority may fill the bus"
-    return ""
-
-
-# --- frames that are sent once -------------------------------------------------------------------
+NO_ERRORS: Final = ErrorModel(burst=0)
 
 
 @final
 @dataclass(frozen=True, slots=True)
-class OneFrame:
-    """A frame that is sent once.
+class Response:
+    """The worst case of a message.
 
     Attributes:
-        can_id: its identifier, 11 bits.
-        length: data bytes.
-        mates: identifiers that may precede it in the queue of its sender, if another node sends it:
-            the TPDOs and the heartbeat of a node that answers an SDO.
+        message: the message.
+        takes_ns: duration of a frame [ns].
+        response_ns: response time to the end of the intermission, as in the theory [ns]; None:
+            unbounded.
+        received_ns: response time to the last bit, when receivers have the frame [ns].
+        blocking_ns: blocking by one frame of lower priority that has started [ns].
+        busy_ns: the longest busy period of its level [ns].
+        instance: index of the worst frame in that busy period, from 0.
     """
 
-    can_id: int
-    length: int
-    mates: tuple[int, ...] = ()
+    message: Message
+    takes_ns: int
+    response_ns: int | None
+    received_ns: int | None
+    blocking_ns: int
+    busy_ns: int | None
+    instance: int
+
+    @property
+    def is_in_time(self) -> bool | None:
+        """True if its deadline is always met; None if it has no deadline."""
+        if self.message.deadline_ns is None:
+            return None
+        return self.response_ns is not None and self.response_ns <= self.message.deadline_ns
+
+
+def response_times(load: BusLoad, errors: ErrorModel = NO_ERRORS) -> tuple[Response, ...]:
+    """Return the worst case of every message, the most urgent first."""
+    levels = _levels(load, errors)
+    return tuple(levels.response(flow) for flow in levels.flows)
+
+
+def are_in_time(load: BusLoad, errors: ErrorModel = NO_ERRORS) -> bool:
+    """Return True if every message with a deadline meets it."""
+    levels = _levels(load, errors)
+    timed = [flow for flow in levels.flows if flow.message.deadline_ns is not None]
+    return all(levels.response(flow).is_in_time for flow in reversed(timed))
+
+
+def response_between(
+    load: BusLoad,
+    higher: Iterable[Message],
+    message: Message,
+    lower: Iterable[Message],
+    errors: ErrorModel = NO_ERRORS,
+) -> Response:
+    """Return the worst case of one message between these others, without FIFO queues.
+
+    Args:
+        load: provides the bit rates.
+        higher: the more urgent messages.
+        message: the message itself.
+        lower: the less urgent messages.
+        errors: the error model.
+    """
+    flows = [Flow(one, 0, load.takes_ns(one)) for one in higher]
+    flows.append(own := Flow(message, 1, load.takes_ns(message)))
+    flows += [Flow(one, 2, load.takes_ns(one)) for one in lower]
+    return _Levels(flows, [], errors, load).response(own)
+
+
+def _levels(load: BusLoad, errors: ErrorModel) -> "_Levels":
+    flows = sorted((Flow.of(load, message) for message in load.messages), key=lambda f: f.rank)
+    queues: dict[str, list[Flow]] = {}
+    for flow in flows:
+        sender = flow.message.sender
+        if sender and sender in load.fifo:
+            queues.setdefault(sender, []).append(flow)
+    levels = _Levels(flows, [queue for queue in queues.values() if len(queue) > 1], errors, load)
+    levels.settle()
+    return levels
 
 
 @final
-@dataclass(frozen=True, slots=True)
-class Firing:
-    """The frames and delays of one trigger.
+@dataclass(slots=True)
+class Flow:
+    """A message as an event stream; `late_ns`: its delay in a shared queue, None: unbounded."""
 
-    Attributes:
-        bus: the bus of its frames; None: no frames.
-        traffic: the other traffic there, including that of this program and its nodes.
-        frames: sent in turn, each queued when the one before it has been received.
-        idle_s: maximum delay other than that of the bus [s].
-        latched_after: number of frames received when the first drive latches its command; the last
-            drive latches with the last frame.
-    """
-
-    bus: Hashable | None = None
-    traffic: CanTraffic | None = None
-    frames: tuple[OneFrame, ...] = ()
-    idle_s: float = 0.0
-    latched_after: int = 0
-
-    def rest(self) -> "Firing":
-        """Return the rest of the trigger after the first drive has latched its command."""
-        idle_s = self.idle_s if self.latched_after < len(self.frames) else 0.0
-        return Firing(self.bus, self.traffic, self.frames[self.latched_after :], idle_s)
-
-
-def longest_s(firings: Sequence[Firing]) -> float | None:
-    """Return the maximum total duration of all firings in turn [s], or None without a bound.
-
-    The window runs from the queuing of the first frame to the end of the last one. In it each bus
-    carries, beside the frames themselves: before each frame at most one frame of lower priority,
-    already on the bus; and of each message of higher priority as many frames as can arrive in the
-    window. Frames that arrived earlier count as if the window had begun earlier (the argument of
-    the critical instant), except one frame of this program that armed a drive just before. This
-    argument does not cover messages of lower priority than one of the frames, or than an SDO. For
-    each of those messages, the frames that may arrive during its own worst-case waiting time are
-    added.
-
-    The periodic frames of this program share the same queue. Each may precede one of our frames and
-    delays it until it has been sent itself, after all messages of higher priority. Frames queued
-    after the last frame do not delay it.
-
-    The argument holds for the whole window, and for each part of it. The smaller bound counts.
-    """
-    parts = [list(part) for _, part in groupby(firings, key=lambda one: one.bus)]
-    known = [_as_one_ns(firings)]
-    if len(parts) > 1:
-        each_ns = [_as_one_ns(part) for part in parts]
-        known.append(None if None in each_ns else sum(one for one in each_ns if one is not None))
-    found = [one for one in known if one is not None]
-    return min(found) / 1e9 if found else None
-
-
-def _as_one_ns(firings: Sequence[Firing]) -> int | None:
-    total_ns = sum(-(-round(one.idle_s * 1e12) // 1000) for one in firings)
-    buses = [_Bus.of(firings, bus) for bus in dict.fromkeys(one.bus for one in firings)]
-    present = [one for one in buses if one is not None]
-    if sum(one.share for one in present) >= 1.0:
-        return None
-    now_ns = total_ns + sum(one.fixed_ns for one in present)
-    for _ in range(_ROUNDS_MAX):
-        again_ns = total_ns + sum(one.load_ns(now_ns) for one in present)
-        if again_ns <= now_ns:
-            return now_ns
-        now_ns = again_ns
-    return None
-
-
-@final
-class _Bus:
-    """One bus, used by several firings."""
-
-    def __init__(self, traffic: CanTraffic, frames: Sequence[OneFrame], *, at_once: bool) -> None:
-        rate = traffic.bitrate_bit_s
-        messages = _Timed.all_of(traffic)
-        mates = {rank_of(can_id) for frame in frames for can_id in frame.mates}
-        queued = [one for one in messages if one.rank in traffic.queued or one.rank in mates]
-        last = max(rank_of(frame.can_id) for frame in frames)
-        level = max([last, *(one.rank for one in queued)])
-        self._before_ns = bits_ns(worst_frame_bits(8), rate) + bits_ns(1, rate)
-        self._counted: list[
-            tuple[_Timed, int, int]
-        ] = []  # (message, number that may wait, cost of each [ns])
-        ahead_ns = 0
-        for one, waiting in zip(messages, _waiting(traffic), strict=True):
-            if one in queued:
-                cost_ns = one.takes_ns + _lower_ns(messages, one.rank)
-                if at_once:  # later frames are queued behind it
-                    ahead_ns += waiting * cost_ns
-                else:
-                    self._counted.append((one, waiting, cost_ns))
-            elif one.rank < level:
-                is_urgent = one.rank < last and one.rank < _FIRST_SDO_RANK
-                self._counted.append((one, 0 if is_urgent else waiting, one.takes_ns))
-        self.share = sum(cost_ns / one.period_ns for one, _, cost_ns in self._counted)
-        self.fixed_ns = ahead_ns + sum(
-            bits_ns(worst_frame_bits(frame.length), rate)
-            + _lower_ns(messages, rank_of(frame.can_id))
-            for frame in frames
-        )
+    message: Message
+    rank: int
+    takes_ns: int
+    late_ns: int | None = 0
 
     @classmethod
-    def of(cls, firings: Sequence[Firing], bus: Hashable | None) -> "_Bus | None":
-        """Return the bus `bus` with the traffic of all firings there, or None without frames."""
-        here = [one for one in firings if one.bus == bus and one.frames]
-        known = [one.traffic for one in here if one.traffic is not None]
-        if bus is None or not known:
-            return None
-        queued: frozenset[int] = frozenset()
-        for one in known:
-            queued |= one.queued
-        messages = worst_of([message for one in known for message in one.messages])
-        first = known[0]
-        traffic = CanTraffic(first.bitrate_bit_s, messages, queued, first.data_bitrate_bit_s)
-        frames = [frame for one in here for frame in one.frames]
-        at_once = len(frames) == 1 and not any(one.idle_s for one in firings)
-        return cls(traffic, frames, at_once=at_once)
+    def of(cls, load: BusLoad, message: Message) -> "Flow":
+        """Return the message as it is sent on this bus."""
+        return cls(message, message.rank, load.takes_ns(message))
 
-    def load_ns(self, window_ns: int) -> int:
-        """Return the maximum load of the bus in a window of this length [ns]."""
-        seen_ns = window_ns + self._before_ns
-        return self.fixed_ns + sum(
-            (one.count(seen_ns) + waits) * cost_ns for one, waits, cost_ns in self._counted
+    def most(self, window_ns: int) -> int:
+        """Return the maximum number of frames queued in any window of this length."""
+        message = self.message
+        return -(-(window_ns + message.jitter_ns + message.irregular_ns) // message.period_ns)
+
+    def term(self) -> tuple[int, int, int, int, int]:
+        """Return period, earliness, lateness, distance and duration of a competing message."""
+        message = self.message
+        late_ns = self.late_ns or 0
+        early_ns = message.jitter_ns + message.irregular_ns + late_ns
+        return message.period_ns, early_ns, late_ns, message.distance_ns, self.takes_ns
+
+    def queued_by(self, at_ns: int) -> int:
+        """Return the maximum number queued from 0 to `at_ns`, both inclusive."""
+        message = self.message
+        early_ns = message.jitter_ns + message.irregular_ns
+        count = (at_ns + early_ns) // message.period_ns + 1
+        return min(count, at_ns // message.distance_ns + 1) if message.distance_ns else count
+
+    def queued_itself(self, at_ns: int) -> int:
+        """Return the same number if the last frame is queued at `at_ns`, with its full jitter."""
+        message = self.message
+        if message.arrival is Arrival.SPORADIC:
+            return self.queued_by(at_ns)
+        count = (at_ns + message.irregular_ns) // message.period_ns + 1
+        return min(count, at_ns // message.distance_ns + 1) if message.distance_ns else count
+
+    def moments(self, until_ns: int, *, itself: bool) -> Iterator[int]:
+        """Yield the times before `until_ns` at which `queued_by` (or `queued_itself`) grows."""
+        message = self.message
+        late_ns = message.jitter_ns if itself and message.arrival is Arrival.PERIODIC else 0
+        early_ns = message.jitter_ns + message.irregular_ns - late_ns
+        at_ns, number = 0, 0
+        while at_ns < until_ns:
+            yield at_ns
+            number += 1
+            at_ns = max(number * message.period_ns - early_ns, number * message.distance_ns)
+
+
+@final
+class _Levels:
+    """All messages of a bus, with the lateness caused by shared queues."""
+
+    def __init__(
+        self,
+        flows: list[Flow],
+        shared: list[list[Flow]],
+        errors: ErrorModel,
+        load: BusLoad,
+    ) -> None:
+        self.flows: Final = flows
+        self._shared = {id(flow): queue for queue in shared for flow in queue}
+        self.bit_ns: Final = bits_ns(1, load.bitrate_bit_s)
+        self._errors = errors
+        self._recovery_ns = bits_ns(RECOVERY_BITS, load.bitrate_bit_s)
+        self._late_max_ns = max((flow.message.period_ns for flow in flows), default=0)
+        self._gap_ns = INTERMISSION_BITS * 1_000_000_000 // load.bitrate_bit_s
+
+    def settle(self) -> None:
+        """Compute the lateness of every shared queue, to a fixed point."""
+        waiting = [flow for flow in self.flows if id(flow) in self._shared]
+        changed = bool(waiting)
+        while changed:
+            changed = False
+            for flow in waiting:
+                if flow.late_ns is None:
+                    continue
+                late_ns = self._lateness_ns(flow)
+                if late_ns != flow.late_ns:
+                    flow.late_ns = late_ns
+                    changed = True
+
+    def response(self, flow: Flow) -> Response:
+        """Return the worst case of one message."""
+        level = _Level(self, flow)
+        busy_ns = level.busy_ns()
+        worst_ns: int | None = None
+        instance = 0
+        if busy_ns is not None:
+            for number, (at_ns, waited_ns) in enumerate(level.instances(busy_ns)):
+                if waited_ns is None:
+                    worst_ns = None
+                    break
+                took_ns = waited_ns + flow.takes_ns - at_ns
+                if worst_ns is None or took_ns > worst_ns:
+                    worst_ns, instance = took_ns, number
+        if worst_ns is not None and flow.message.arrival is Arrival.PERIODIC:
+            worst_ns += flow.message.jitter_ns
+        return Response(
+            message=flow.message,
+            takes_ns=flow.takes_ns,
+            response_ns=worst_ns,
+            received_ns=None if worst_ns is None else worst_ns - self._gap_ns,
+            blocking_ns=level.blocking_ns,
+            busy_ns=None if worst_ns is None else busy_ns,
+            instance=instance,
         )
 
+    def _lateness_ns(self, flow: Flow) -> int | None:
+        level = _Level(self, flow)
+        busy_ns = level.busy_ns()
+        if busy_ns is None:
+            return None
+        late_ns = 0
+        for at_ns, waited_ns in level.instances(busy_ns, alone=False):
+            if waited_ns is None or waited_ns - at_ns > self._late_max_ns:
+                return None
+            late_ns = max(late_ns, waited_ns - at_ns)
+        return late_ns
 
-def _waiting(traffic: CanTraffic) -> list[int]:
-    """Return for each message how many of its frames may wait at any time (1 without a bound)."""
-    found = {one.message.rank: one.response_s for one in response_times(traffic)}
-    return [
-        max(1, ceil((found[message.rank] or 0.0) / message.period_s))
-        for message in traffic.messages
-    ]
+    def queue_of(self, flow: Flow) -> list[Flow]:
+        """Return the messages in the same queue as this one, or itself alone."""
+        return self._shared.get(id(flow), [flow])
+
+    def errors_ns(self, window_ns: int, longest_ns: int) -> int:
+        """Return the cost of errors in a window, where retransmissions take `longest_ns` [ns]."""
+        return self._errors.count(window_ns) * (self._recovery_ns + longest_ns)
+
+    def errors_share(self, longest_ns: int) -> float:
+        """Return the long-term share of the bus that errors take."""
+        interval_ns = self._errors.interval_ns
+        return 0.0 if interval_ns is None else (self._recovery_ns + longest_ns) / interval_ns
 
 
-def _lower_ns(messages: Sequence[_Timed], rank: int) -> int:
-    """Return the longest frame of lower priority than `rank` [ns]."""
-    return max((one.takes_ns for one in messages if one.rank > rank), default=0)
+@final
+class _Level:
+    """Everything that one message waits for."""
+
+    def __init__(self, levels: _Levels, flow: Flow) -> None:
+        self._levels = levels
+        self._flow = flow
+        self._queue = levels.queue_of(flow)
+        mates = {id(one) for one in self._queue}
+        last = self._queue[-1].rank
+        others = [one for one in levels.flows if id(one) not in mates]
+        self._higher = [one for one in others if one.rank < last]
+        self._terms = [one.term() for one in self._higher]
+        self.blocking_ns = max((one.takes_ns for one in others if one.rank > last), default=0)
+        self._longest_ns = max(one.takes_ns for one in (*self._queue, *self._higher))
+
+    def busy_ns(self) -> int | None:
+        """Return the longest busy period of this level [ns]; None: no bound is known."""
+        level = (*self._queue, *self._higher)
+        share = sum(one.takes_ns / one.message.period_ns for one in level)
+        if share + self._levels.errors_share(self._longest_ns) >= 1.0:
+            return None
+        if any(one.late_ns is None for one in self._higher):
+            return None
+        busy_ns = self._flow.takes_ns
+        for _ in range(_ROUNDS_MAX):
+            again_ns = self._levels.errors_ns(busy_ns, self._longest_ns) + self.blocking_ns
+            again_ns += self._competing_ns(busy_ns)
+            again_ns += sum(one.queued_by(busy_ns - 1) * one.takes_ns for one in self._queue)
+            if again_ns <= busy_ns:
+                return busy_ns
+            busy_ns = again_ns
+        return None
+
+    def instances(self, busy_ns: int, *, alone: bool = True) -> Iterator[tuple[int, int | None]]:
+        """Yield (latest queueing time, start time) of each frame that may be the worst [ns].
+
+        `alone` False: only frames that have others of their queue before them.
+        """
+        flow = self._flow
+        jitter_ns = flow.message.jitter_ns if flow.message.arrival is Arrival.PERIODIC else 0
+        until_ns = busy_ns + jitter_ns
+        moments: set[int] = set()
+        for one in self._queue:
+            moments.update(one.moments(until_ns, itself=one is flow))
+            if len(moments) > _INSTANCES_MAX:
+                yield 0, None
+                return
+        waited_ns: int | None = 0
+        for at_ns in sorted(moments):
+            before_ns = (flow.queued_itself(at_ns) - 1) * flow.takes_ns
+            before_ns += sum(
+                one.queued_by(min(at_ns, busy_ns)) * one.takes_ns
+                for one in self._queue
+                if one is not flow
+            )
+            assert waited_ns is not None
+            waited_ns = self._waited_ns(before_ns, waited_ns)
+            if alone or before_ns:
+                yield at_ns, waited_ns
+            if waited_ns is None:
+                return
+
+    def _competing_ns(self, window_ns: int) -> int:
+        """Return the duration of more urgent frames that start to compete in a half-open window."""
+        total_ns = 0
+        for period_ns, early_ns, late_ns, distance_ns, takes_ns in self._terms:
+            count = -(-(window_ns + early_ns) // period_ns)
+            if distance_ns:
+                least = -(-(window_ns + late_ns) // distance_ns)
+                if least < count:
+                    count = least
+            total_ns += count * takes_ns
+        return total_ns
+
+    def _waited_ns(self, before_ns: int, least_ns: int) -> int | None:
+        """Return the start time after `before_ns` of its queue, `least_ns` or later; or None."""
+        fixed_ns = self.blocking_ns + before_ns
+        waited_ns = max(least_ns, fixed_ns)
+        for _ in range(_ROUNDS_MAX):
+            again_ns = fixed_ns
+            again_ns += self._levels.errors_ns(waited_ns + self._flow.takes_ns, self._longest_ns)
+            again_ns += self._competing_ns(waited_ns + self._levels.bit_ns)
+            if again_ns <= waited_ns:
+                return waited_ns
+            waited_ns = again_ns
+        return None

@@ -1,19 +1,12 @@
-"""Synchronization of several motors: capability before, quality after a start.
+"""Synchronization of several motors: capability before, quality after a start."""
 
-A start has two steps. *Arming* prepares a motor so that one more signal starts its motion; it is
-complete only when the hardware has confirmed it (on CAN: seen on the wire). *Firing* is that
-signal. Motors whose hardware can share one signal (drives on one CAN bus: one SYNC) offer the same
-trigger group and are fired by one trigger; the others are fired in turn.
-"""
-
-from collections.abc import Hashable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum, IntEnum
-from typing import Protocol, final
+from typing import final
 
 from motorhil.motorapi.commands import as_number
 from motorhil.motorapi.errors import UsageError
-from motorhil.motorapi.synchronization.can_response_time import Firing, OneFrame
 
 
 @final
@@ -41,59 +34,6 @@ class FaultReaction(Enum):
     TOGETHER = "together"  # they slow down along the path, and come to rest together
     EACH = "each"  # each slows down as fast as its limits allow
     NONE = "none"  # they continue
-
-
-class Trigger(Protocol):
-    """The start of every motion armed for it. Equal triggers are fired once."""
-
-    def fire(self) -> None:
-        """Start the armed motions; return when the signal was transmitted."""
-
-    def __eq__(self, other: object, /) -> bool: ...
-
-    def __hash__(self) -> int: ...
-
-
-@final
-@dataclass(frozen=True, slots=True)
-class SyncOffer:
-    """The capability of one motor's hardware for a common start with others.
-
-    Attributes:
-        level: the means of a common start.
-        group: motors whose offers name an equal group (a bus) are fired by one trigger.
-        latency_s: minimum and maximum time from the latch of the command to the start of motion
-            [s]; None without a bound.
-        reason: the reason for the level, in words ("RPDO 1 has transmission type 255").
-        firing: frames and delays of `Trigger.fire`; None without a bound.
-        signals: index of the signal, after the first one of the trigger, that latches the command:
-            1 for the first step of a streamed set-point, latched by the second SYNC.
-        signal_s: minimum and maximum time from the first signal of the trigger to that one [s];
-            None without a bound. It is the same for motors with one trigger and equal `signals`.
-        burst: the frame sent with those of the others just after a signal, if signals come every
-            `period_s` [s] and cannot be delayed; None: armed earlier.
-        oscillator_ppm: maximum error of the drive's clock, either way [1e-6]; None: unknown.
-        end_s: minimum and maximum time from the planned end of the motion, by the drive's own
-            clock, to its end [s]; None without a bound.
-        no_firing_bound: reason for a missing bound of `firing` or `signal_s`, in words; else "".
-        no_start_bound: reason for a missing bound of `latency_s`; else "".
-        no_end_bound: reason for a missing bound of `oscillator_ppm` or `end_s`; else "".
-    """
-
-    level: SyncLevel
-    group: Hashable
-    latency_s: tuple[float, float] | None
-    reason: str
-    firing: Firing | None = None
-    signals: int = 0
-    signal_s: tuple[float, float] | None = (0.0, 0.0)
-    burst: OneFrame | None = None
-    period_s: float | None = None
-    oscillator_ppm: float | None = None
-    end_s: tuple[float, float] | None = None
-    no_firing_bound: str = ""
-    no_start_bound: str = ""
-    no_end_bound: str = ""
 
 
 @final

@@ -4,7 +4,7 @@ There are three figures, each based on the one before it:
 
 - *Command skew*: between the instants at which the first and the last drive latch their commands.
   One signal for all: 0. Several triggers, fired in turn: the maximum time of the later ones on the
-  bus (`motorhil.motorapi.synchronization.can_response_time.longest_s`), from the latch of the
+  bus (`motorhil.motorapi.synchronization.firing_time.longest_s`), from the latch of the
   first drive.
 - *Start skew*: also, between the latch and the start of motion, each drive waits for its own
   profile tick, at most one.
@@ -19,8 +19,8 @@ from dataclasses import dataclass, replace
 from math import ceil
 from typing import Final, final
 
-from motorhil.motorapi.synchronization.can_response_time import Firing, longest_s
-from motorhil.motorapi.synchronization.quality import SyncOffer
+from motorhil.motorapi.synchronization.firing_time import longest_s
+from motorhil.motorapi.synchronization.offer import Firing, SyncOffer
 
 _PPM: Final = 1e-6
 _FULL: Final = "higher priority traffic, or frames queued with it, may delay the start for ever"

@@ -75,6 +75,19 @@ PLANTS = [
         "oriental_az.hardware -> motorhil.motorapi.adaptations.leadshine.hardware",
     ),
     (
+        "adaptations",
+        "motorapi/adaptations/canopen/emcy.py",
+        "import motorhil.motorapi.adaptations.cia402.objects",
+        "canopen.emcy -> motorhil.motorapi.adaptations.cia402.objects",
+    ),
+    (
+        "adaptations",
+        "motorapi/adaptations/host_servo/node.py",
+        "import motorhil.motorapi.adaptations.cia402.node",
+        "host_servo.node -> motorhil.motorapi.adaptations.cia402.node",
+    ),
+    ("adaptations", "motorapi/adaptations/novelty.py", "", "novelty"),
+    (
         "modbus-without-can",
         "motorapi/adaptations/modbus/client.py",
         "import motorhil.motorapi.adaptations.canopen.bus",
@@ -116,7 +129,8 @@ PLANTS = [
         "motorhil.emulators.canopen.files.eds -> canopen",
     ),
     ("traces-alone", "traces/mcap/writer.py", "from time import time", "mcap.writer -> time"),
-    ("traces-alone", "traces/mcap/reader.py", "import mcap.reader", "mcap.reader -> mcap"),
+    ("mcap-in-tests", "traces/mcap/reader.py", "import mcap.reader", "mcap.reader -> mcap"),
+    ("mcap-in-tests", "harness/report/page.py", "import mcap", "report.page -> mcap"),
     ("waiting", "motorapi/motor.py", "import time", "motorhil.motorapi.motor -> time"),
     (
         "waiting",

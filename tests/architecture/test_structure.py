@@ -25,6 +25,8 @@ READ_A_CLOCK = (
     "tests/support/modbus/served.py",
     "tests/crosscheck/modbus/test_modbus_clients.py",
     "tests/properties/fuzz/__main__.py",
+    "tests/architecture/quick.py",
+    "tests/architecture/test_quick.py",
 )
 # Sleeping in virtual time is under test here; conftest.py fails tests that sleep on the wall.
 OF_VIRTUAL_SLEEP = "tests/unit/harness/virtual_time/stdlib/"

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from motorhil.motorapi import ControlMode, MotionInterrupted, TrapezoidalTrajectory
-from motorhil.motorapi.motor import Ending
+from motorhil.motorapi.outcome import Ending
 from tests.support.motors.kinds import KINDS, opened, true_position
 
 DURATION_S = 1.0

@@ -55,7 +55,7 @@ def use(motor, place, log):
                 break
             except MotorBusyError:
                 motor.runtime.wait_until(lambda: False, 0.002)
-        log.append((motor._run.since_ns, motor.runtime.now_ns(), motor.name, duration_s))
+        log.append((motor.logical.run.since_ns, motor.runtime.now_ns(), motor.name, duration_s))
 
 
 def check_log(log):
@@ -133,7 +133,7 @@ def test_motor_stopped_by_another_is_taken_over_at_rest(kind, timeout_s):
             with pytest.raises(MotionInterrupted, match="cem, which took the motor over"):
                 ben.wait_until_done(5)
             one_move(cem, 0.1, 0.5)
-        assert not cem._physical.ownership.is_orphan
+        assert not cem.logical.physical.ownership.is_orphan
 
 
 def test_rest_after_takeover_is_awaited_within_the_timeout(kind):

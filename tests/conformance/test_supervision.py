@@ -86,7 +86,7 @@ def test_misbehaviour_has_verdict_and_run_continues(supervisor, harm, result, se
         expected, lines = line_of(harm)
         assert (file, int(line) in lines) == (expected, True), where
     if harm == "exits":
-        assert supervisor.said == ("the adaptation's last words",)
+        assert supervisor.output == ("the adaptation's last words",)
 
 
 @pytest.mark.parametrize(
@@ -110,7 +110,7 @@ def test_target_that_is_not_a_function_is_wrong_usage():
 
 def test_error_while_reading_claims_is_reported_with_line():
     job = Job("tests.support.misbehaving_motors:shy", str(misbehaving.RIG))
-    with pytest.raises(RigError, match=r"misbehaving.py:\d+: PluginError: .*KeyError"):
+    with pytest.raises(RigError, match=r"misbehaving_motors.py:\d+: PluginError: .*KeyError"):
         _Worker(job.packed()).claims()
 
 

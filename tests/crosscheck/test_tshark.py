@@ -57,7 +57,7 @@ def run(tmp_path_factory: pytest.TempPathFactory, tshark: str) -> list[dict[str,
         rig.controllers["left"].stimulate("fault", 0x2310)
         rig.runtime.run_for(0.1)
         left.reset_fault()
-        left.hardware.link.nmt(0x81, 2)
+        left.hardware.node.bus.nmt(0x81, 2)
         rig.runtime.run_for(0.5)
     (folder / "run.pcap").write_bytes(capture(frames_of(folder / "run.mcap")))
     return dissected(tshark, folder / "run.pcap", (*COLUMNS, *FIELDS))

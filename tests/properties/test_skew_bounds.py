@@ -14,7 +14,7 @@ from hypothesis import event, given, settings
 from hypothesis import strategies as st
 
 from motorhil.harness.rig.rig import Rig
-from motorhil.motorapi.adaptations.canopen.bus import open_link, release_link
+from motorhil.motorapi.adaptations.canopen.bus import open_bus, release_bus
 from motorhil.motorapi.adaptations.canopen.bus_load import traffic_on
 from motorhil.motorapi.commands import ControlMode, ControlVariable
 from motorhil.motorapi.errors import UsageError
@@ -228,9 +228,9 @@ def test_event_driven_pdo_without_inhibit_time_has_no_bound(tmp_path: Path):
 def test_wall_time_has_no_bound_despite_a_declaration():
     with can.Bus(interface="virtual", channel="skew", receive_own_messages=True) as bus:
         declare_traffic(bus, CanTraffic(1_000_000))
-        link = open_link(bus, WallRuntime())
-        traffic, why = traffic_on(link)
-        release_link(link)
+        bus_end = open_bus(bus, WallRuntime())
+        traffic, why = traffic_on(bus_end.link)
+        release_bus(bus_end)
     assert traffic is None
     assert why == "on the wall clock the delays of this program have no bound"
 

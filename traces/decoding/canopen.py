@@ -4,12 +4,8 @@ It is independent of the emulators and of the motor interface. It knows the obje
 402, and of an EDS attached to the recording. It learns the contents of PDOs from the SDO traffic.
 To decode from the middle of a recording, feed it the beginning first.
 
-Source: CiA 301 (pre-defined connection set, NMT, error control, SYNC, TIME, EMCY, SDO, PDO).
-
-CANopen codes in words: NMT commands and states, SDO aborts, emergencies.
-
-Source: CiA 301, network management, SDO abort transfer protocol, emergency error codes; CiA 402-2
-for the emergencies of drives.
+Source: CiA 301 (pre-defined connection set, NMT, error control, SYNC, TIME, EMCY, SDO and its abort
+codes, PDO); CiA 402-2 for the emergencies of drives.
 """
 
 import struct
@@ -23,6 +19,24 @@ from motorhil.traces.decoding.objects import ObjectName, ObjectNames, axis_of, v
 from motorhil.traces.decoding.pdo import PdoKey, PdoMaps
 from motorhil.traces.decoding.sdo import SdoReader, SdoStep, Step
 
+_EFF: Final = 0x8000_0000
+_RTR: Final = 0x4000_0000
+_ERR: Final = 0x2000_0000
+_HEAD: Final = struct.Struct("<IB")
+_CONTROLWORD: Final = 0x6040
+_STATUSWORD: Final = 0x6041
+_MODE: Final = (0x6060, 0x6061)
+_DRIVES: Final = (402, 0xFFFF)
+"""Low word of the device type 1000h: a drive, or several devices with a profile each."""
+_RESETS: Final = (0x81, 0x82)
+_MOTION: Final = frozenset(
+    (
+        *(0x6042, 0x6043, 0x6044, 0x6062, 0x6063, 0x6064, 0x6069, 0x606B, 0x606C, 0x6071),
+        *(0x6074, 0x6077, 0x6078, 0x6079, 0x607A, 0x60C1, 0x60F4, 0x60FA, 0x60FC, 0x60FF),
+    )
+)
+"""Measured and demanded quantities of CiA 402."""
+SETPOINTS: Final = frozenset((0x607A, 0x60FF, 0x6071, 0x6042, 0x60C1))
 NMT_COMMANDS: Final = {
     0x01: "start",
     0x02: "stop",
@@ -32,6 +46,21 @@ NMT_COMMANDS: Final = {
 }
 NMT_STATES: Final = {0x00: "boot-up", 0x04: "stopped", 0x05: "operational", 0x7F: "pre-operational"}
 
+_TO_ALL: Final = {0x000: "NMT", 0x080: "SYNC", 0x100: "TIME"}
+_SERVICES: Final = {
+    1: "EMCY",
+    3: "TPDO 1",
+    4: "RPDO 1",
+    5: "TPDO 2",
+    6: "RPDO 2",
+    7: "TPDO 3",
+    8: "RPDO 3",
+    9: "TPDO 4",
+    10: "RPDO 4",
+    11: "SDO from",
+    12: "SDO to",
+    14: "heartbeat",
+}
 SDO_ABORTS: Final = {
     0x05030000: "toggle bit not alternated",
     0x05040000: "SDO protocol timed out",
@@ -130,26 +159,6 @@ def emergency_text(code: int) -> str:
     """Return an emergency error code in words, or its group's."""
     found = _EMERGENCIES.get(code) or _EMERGENCY_GROUPS.get(code >> 8)
     return found or _EMERGENCY_GROUPS.get(code >> 8 & 0xF0, "a code that is not in CiA 301")
-
-
-_EFF: Final = 0x8000_0000
-_RTR: Final = 0x4000_0000
-_ERR: Final = 0x2000_0000
-_HEAD: Final = struct.Struct("<IB")
-_CONTROLWORD: Final = 0x6040
-_STATUSWORD: Final = 0x6041
-_MODE: Final = (0x6060, 0x6061)
-_DRIVES: Final = (402, 0xFFFF)
-"""Low word of the device type 1000h: a drive, or several devices with a profile each."""
-_RESETS: Final = (0x81, 0x82)
-_MOTION: Final = frozenset(
-    (
-        *(0x6042, 0x6043, 0x6044, 0x6062, 0x6063, 0x6064, 0x6069, 0x606B, 0x606C, 0x6071),
-        *(0x6074, 0x6077, 0x6078, 0x6079, 0x607A, 0x60C1, 0x60F4, 0x60FA, 0x60FC, 0x60FF),
-    )
-)
-"""Measured and demanded quantities of CiA 402."""
-SETPOINTS: Final = frozenset((0x607A, 0x60FF, 0x6071, 0x6042, 0x60C1))
 
 
 @final
@@ -460,3 +469,24 @@ def _other(identifier: int, data: bytes, can_id: int) -> DecodedEvent:
         return DecodedEvent(Kind.OTHER, None, f"{what} remote frame")
     told = data.hex(" ").upper() or "no data"
     return DecodedEvent(Kind.OTHER, None, f"{what}: {told}", (Fact(what, data, told),))
+
+
+def usual_name(identifier: int, nodes: Mapping[int, str]) -> str:
+    """Return service and node of an identifier in words, or "" if the set does not define it.
+
+    Args:
+        identifier: an 11-bit identifier.
+        nodes: node names by node-ID.
+    """
+    if identifier in _TO_ALL:
+        return _TO_ALL[identifier]
+    function, node = identifier >> 7, identifier & 0x7F
+    what = _SERVICES.get(function)
+    if what is None or not node:
+        return ""
+    return f"{what} {nodes.get(node, f'node {node}')}"
+
+
+def is_sdo(identifier: int) -> bool:
+    """Return True for a request or response identifier of the default SDO channel."""
+    return 0x581 <= identifier <= 0x5FF or 0x601 <= identifier <= 0x67F

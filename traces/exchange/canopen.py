@@ -9,7 +9,7 @@ Source: CiA 301 (pre-defined connection set, SDO, PDO transmission types, NMT).
 """
 
 from bisect import bisect_right
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Final, final
 
@@ -28,9 +28,10 @@ from motorhil.traces.exchange.steps import (
     Turn,
     period_ns,
 )
-from motorhil.traces.formats.frames import EFF, ERR, RTR, Frame, classic
+from motorhil.traces.formats.frames import EFF, ERR, RTR, classic
 from motorhil.traces.schema import Direction
 
+SYNC_KEY: Final[Key] = ("sync", 0, b"")
 _CLASSIC_BYTES: Final = 16  # size of a can_frame
 _NMT: Final = 0x000
 _SYNCHRONOUS_MAX: Final = 240
@@ -49,9 +50,9 @@ class _Node:
     """A node whose exchange log is being built."""
 
     def __init__(self, bus: str, number: int, begin_ns: int) -> None:
-        self.tape = ExchangeLog(bus, number)
+        self.log = ExchangeLog(bus, number)
         self.command = Step(Role.COMMAND, START, begin_ns, "the recording begins")
-        self.tape.steps.append(self.command)
+        self.log.steps.append(self.command)
         self.sdo = SdoReader()
         self.dialogue: Step | None = None
         self.asked_ns = begin_ns
@@ -69,7 +70,7 @@ class _Node:
 
     def add(self, step: Step) -> None:
         """Add something sent to the node."""
-        self.tape.steps.append(step)
+        self.log.steps.append(step)
         if step.role is Role.COMMAND:
             self.commands += 1
             self.command = step
@@ -77,7 +78,7 @@ class _Node:
 
 
 @final
-class CanopenTapes:
+class CanopenExchanges:
     """Builds the exchange logs of one bus from its frames, in recorded order."""
 
     def __init__(
@@ -134,24 +135,24 @@ class CanopenTapes:
         else:
             self._other(time_ns, identifier, frame, direction)
 
-    def tapes(self) -> dict[int, ExchangeLog]:
+    def logs(self) -> dict[int, ExchangeLog]:
         """Return the logs of all nodes that have sent anything, by node-ID."""
         done: dict[int, ExchangeLog] = {}
         for number, node in sorted(self._nodes.items()):
             if not node.has_sent:
                 continue
             self._clear_up(node)
-            node.tape.steps = [
+            node.log.steps = [
                 step
-                for step in node.tape.steps
+                for step in node.log.steps
                 if step.role is Role.COMMAND or step.turns or step.answers
             ]
             for identifier, times in node.times_ns.items():
                 found = period_ns(times)
                 if found is not None:
-                    node.tape.periods_ns[identifier] = found
+                    node.log.periods_ns[identifier] = found
             _mark_periodic(node)
-            done[number] = node.tape
+            done[number] = node.log
         return done
 
     def _node(self, number: int) -> _Node:
@@ -206,7 +207,7 @@ class CanopenTapes:
                 continue
             if self.decoder.maps.sync_of(number) != identifier:
                 continue
-            node.tape.syncs.add(identifier)
+            node.log.syncs.add(identifier)
             role = Role.COMMAND if node.is_commanded else Role.POLL
             node.sync = Step(role, SYNC_KEY, time_ns, "SYNC")
             node.syncs += 1
@@ -240,7 +241,7 @@ class CanopenTapes:
             told = frame
             if self._any_set_point:
                 mask = self._mask(key)
-                masks = node.tape.masks.setdefault(identifier, [])
+                masks = node.log.masks.setdefault(identifier, [])
                 if not masks or masks[-1][1] != mask:
                     masks.append((node.commands, mask))
                 told = masked(frame, mask)
@@ -319,7 +320,7 @@ class CanopenTapes:
                     sync.answers.append(Sent(time_ns - sync.time_ns, frame))
                 else:
                     command.reactions.append(Sent(time_ns - command.time_ns, frame))
-        for step in node.tape.steps:
+        for step in node.log.steps:
             if len(step.reactions) > 1:
                 step.reactions.sort(key=_delay_of)
         node.unclear.clear()
@@ -330,10 +331,10 @@ def _mark_periodic(node: _Node) -> None:
 
     A boot-up is not periodic, although it has the identifier of heartbeats.
     """
-    for step in node.tape.steps:
+    for step in node.log.steps:
         for place, one in enumerate(step.reactions):
             identifier = int.from_bytes(one.data[:2], "little")
-            period = node.tape.periods_ns.get(identifier)
+            period = node.log.periods_ns.get(identifier)
             if period is None or (identifier >> 7 == 14 and not one.data[8]):
                 continue
             times, now_ns = node.times_ns[identifier], step.time_ns + one.delay_ns
@@ -342,9 +343,6 @@ def _mark_periodic(node: _Node) -> None:
             next_ns = times[behind] if behind < len(times) else 2 * now_ns - times[behind - 2]
             if 4 * (next_ns - now_ns) <= 5 * period:
                 step.reactions[place] = replace(one, goes_on=True)
-
-
-SYNC_KEY: Final[Key] = ("sync", 0, b"")
 
 
 def masked(frame: bytes, mask: bytes) -> bytes:
@@ -397,20 +395,6 @@ def sentence(step: Step, decoder: CanopenDecoder) -> str:
 def remote_key(identifier: int) -> Key:
     """Return the key of a remote frame."""
     return ("remote", identifier, b"")
-
-
-def canopen_tapes(
-    bus: str,
-    frames: Iterable[Frame],
-    begin_ns: int,
-    names: Mapping[int, str] | None = None,
-    objects: Mapping[int, ObjectNames] | None = None,
-) -> dict[int, ExchangeLog]:
-    """Return the exchange logs of the nodes in these frames of one bus, by node-ID."""
-    cutter = CanopenTapes(bus, begin_ns, names, objects)
-    for time_ns, _, frame, direction, sender in frames:
-        cutter.take(time_ns, frame, direction, sender)
-    return cutter.tapes()
 
 
 def _delay_of(sent: Sent) -> int:

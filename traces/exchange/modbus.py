@@ -46,7 +46,7 @@ def role_of(pdu: bytes) -> Role:
     return Role.COMMAND if pdu[0] in WRITES else Role.POLL
 
 
-def modbus_tapes(line: str, adus: Iterable[LineAdu], begin_ns: int) -> dict[int, ExchangeLog]:
+def modbus_logs(line: str, adus: Iterable[LineAdu], begin_ns: int) -> dict[int, ExchangeLog]:
     """Return the exchange logs of all units that have answered on this line, by unit."""
     decoder = ModbusDecoder()
     units: dict[int, _Unit] = {}
@@ -80,8 +80,8 @@ class _Unit:
     """
 
     def __init__(self, line: str, number: int, begin_ns: int) -> None:
-        self.tape = ExchangeLog(line, number)
-        self.tape.steps.append(Step(Role.COMMAND, START, begin_ns, "the recording begins"))
+        self.log = ExchangeLog(line, number)
+        self.log.steps.append(Step(Role.COMMAND, START, begin_ns, "the recording begins"))
         self.has_answered = False
         # transaction, step, time of the request, True if the unit was asked at once
         self._pending: list[tuple[int, Step, int, bool]] = []
@@ -92,7 +92,7 @@ class _Unit:
     def asked(self, complete_ns: int, adu: Adu, text: str, is_tcp: bool = False) -> None:
         step = Step(role_of(adu.pdu), request_key(adu.pdu), complete_ns, text)
         step.turns.append(Turn(bytes([adu.unit]) + adu.pdu))
-        self.tape.steps.append(step)
+        self.log.steps.append(step)
         if not (adu.transaction or is_tcp):  # a serial line: an unanswered request stays unanswered
             self._pending.clear()
         at_once = not self._pending and not self._is_held_up
@@ -135,7 +135,7 @@ class _Unit:
             turn.answers = [
                 replace(sent, delay_ns=min(sent.delay_ns, usual_ns)) for sent in turn.answers
             ]
-        return self.tape
+        return self.log
 
 
 def _fits(asked: bytes, told: bytes) -> bool:

@@ -5,8 +5,8 @@ from typing import Final, final
 
 from motorhil.traces.decoding.attached_rig import RecordedNames, names_of
 from motorhil.traces.decoding.canopen import CanopenDecoder
-from motorhil.traces.exchange.canopen import CanopenTapes
-from motorhil.traces.exchange.modbus import LineAdu, modbus_tapes
+from motorhil.traces.exchange.canopen import CanopenExchanges
+from motorhil.traces.exchange.modbus import LineAdu, modbus_logs
 from motorhil.traces.exchange.steps import ExchangeLog
 from motorhil.traces.formats.modbus import Adu, recorded_adu
 from motorhil.traces.mcap.reader import Trace
@@ -19,23 +19,23 @@ _RUN: Final = "run"
 
 @final
 @dataclass(frozen=True, slots=True)
-class RecordedTapes:
+class RecordedExchanges:
     """Everything that can be replayed.
 
     Attributes:
-        tapes: exchange logs by bus or line, and node-ID or unit.
+        logs: exchange logs by bus or line, and node-ID or unit.
         decoders: decoders of the CAN buses by name; they have seen the whole recording.
         tcp: the lines that are Modbus/TCP.
         cut: where the recording ends prematurely, in words; "": it is complete.
     """
 
-    tapes: dict[tuple[str, int], ExchangeLog]
+    logs: dict[tuple[str, int], ExchangeLog]
     decoders: dict[str, CanopenDecoder]
     tcp: frozenset[str] = frozenset()
     cut: str = ""
 
 
-def tapes_of(trace: Trace, any_set_point: bool = False) -> RecordedTapes:
+def exchanges_of(trace: Trace, any_set_point: bool = False) -> RecordedExchanges:
     """Return the exchange logs of a recording; of a cut one, as far as it goes.
 
     Args:
@@ -48,7 +48,7 @@ def tapes_of(trace: Trace, any_set_point: bool = False) -> RecordedTapes:
     names = names_of(trace.attachments)
     span = trace.span_ns() or (0, 0)
     begin_ns = 0 if _RUN in trace.metadata else span[0]
-    buses: dict[str, CanopenTapes] = {}
+    buses: dict[str, CanopenExchanges] = {}
     lines: dict[str, list[LineAdu]] = {}
     frames = FrameDecoder()
     for channel, time_ns, payload in trace.messages():
@@ -75,17 +75,17 @@ def tapes_of(trace: Trace, any_set_point: bool = False) -> RecordedTapes:
             continue
     found: dict[tuple[str, int], ExchangeLog] = {}
     for bus, cutter in buses.items():
-        found |= {(bus, number): tape for number, tape in cutter.tapes().items()}
+        found |= {(bus, number): log for number, log in cutter.logs().items()}
     for line, adus in lines.items():
-        units = modbus_tapes(line, adus, begin_ns)
-        found |= {(line, unit): tape for unit, tape in units.items()}
+        units = modbus_logs(line, adus, begin_ns)
+        found |= {(line, unit): log for unit, log in units.items()}
     tcp = frozenset(line for line, adus in lines.items() if any(one.is_tcp for one in adus))
     decoders = {bus: cutter.decoder for bus, cutter in buses.items()}
     cut = "" if trace.cut is None else str(trace.cut)
-    return RecordedTapes(found, decoders, tcp, cut)
+    return RecordedExchanges(found, decoders, tcp, cut)
 
 
-def _cutter(bus: str, begin_ns: int, names: RecordedNames, any_set_point: bool) -> CanopenTapes:
+def _cutter(bus: str, begin_ns: int, names: RecordedNames, any_set_point: bool) -> CanopenExchanges:
     nodes = {number: name for (where, number), name in names.nodes.items() if where == bus}
     objects = {number: known for (where, number), known in names.objects.items() if where == bus}
-    return CanopenTapes(bus, begin_ns, nodes, objects, any_set_point)
+    return CanopenExchanges(bus, begin_ns, nodes, objects, any_set_point)

@@ -17,6 +17,8 @@ from typing import Final, final
 Key = tuple[str, int, bytes]
 """Kind; object, identifier or command; data."""
 
+REGULAR_MIN: Final = 4
+"""The number of similar intervals from which on frames are periodic."""
 START: Final[Key] = ("start", 0, b"")
 """The key of the first step: the start of the recording."""
 
@@ -65,7 +67,7 @@ class Step:
         role: its effect.
         key: the key by which it is found.
         time_ns: its time in the recording.
-        text: a sentence; empty for a PDO, see `canopen_tapes.sentence`.
+        text: a sentence; empty for a PDO, see `exchange.canopen.sentence`.
         turns: the exchanges of an SDO transfer or a Modbus request; the first is the request.
         answers: the answers to a SYNC or a remote frame.
         reactions: frames the controller sends by itself after a command, until the next command.
@@ -103,10 +105,6 @@ class ExchangeLog:
     periods_ns: dict[int, int] = field(default_factory=dict)
     masks: dict[int, list[tuple[int, bytes]]] = field(default_factory=dict)
     syncs: set[int] = field(default_factory=set)
-
-
-REGULAR_MIN: Final = 4
-"""The number of similar intervals from which on frames are periodic."""
 
 
 def period_ns(times_ns: Sequence[int]) -> int | None:

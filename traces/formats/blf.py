@@ -1,23 +1,18 @@
-"""Reader for Vector BLF files: classic, CAN FD and error frames.
+"""Reader and writer for Vector BLF files: classic, CAN FD and error frames.
 
 Time stamps have a resolution of 10 us or 1 ns. A time is the sum of the file's start, taken as UTC,
 and the object's time. Without a start it is the object's time alone. Truncated or damaged parts are
 reported, and everything intact is read.
 
+The writer uses stamps of 1 ns, which count from the full millisecond of the earliest frame, and
+zlib containers. The content of an error frame is where python-can puts it: Linux's class in the
+identifier, and its data. python-can's own reader and writer keep stamps in floats (0.24 us today),
+and its reader stops at the first damage.
+
 Source: Vector, "Binary Logging Format" (also described by vector_blf, LGPL, by T. Lorenz);
-python-can 4.6.1, whose reader keeps stamps in floats (0.24 us today), and stops at the first
-damage.
-
-Writer for Vector BLF files: stamps of 1 ns, zlib containers.
-
-python-can's writer is not used, because it keeps stamps in floats (0.24 us today). Times count from
-the full millisecond of the earliest frame. The content of an error frame is where python-can puts
-it: Linux's class in the identifier, and its data.
-
-Source: as `motorhil.traces.formats.blf`; the flags of error frames, Wireshark, wiretap/blf.h.
+python-can 4.6.1; the flags of error frames, Wireshark, wiretap/blf.h.
 """
 
-import os
 import struct
 import zlib
 from collections.abc import Iterator, Sequence
@@ -25,6 +20,7 @@ from pathlib import Path
 from typing import BinaryIO, Final, final
 
 from motorhil.traces.errors import TraceError
+from motorhil.traces.files import unreadable
 from motorhil.traces.formats import frames as traffic
 from motorhil.traces.formats.frames import Fields, Findings, Frame
 from motorhil.traces.schema import Direction
@@ -39,7 +35,7 @@ _MESSAGE: Final = struct.Struct("<HBBI8s")  # channel, flags, DLC, identifier, d
 _FD_MESSAGE: Final = struct.Struct("<HBBIIBBB5x64s")
 _FD_MESSAGE_64: Final = struct.Struct("<BBBBIIIIIIIHBBI")
 _ERROR: Final = struct.Struct("<HHIBBBxIIH2x8s")
-_CONTAINER: Final = 10
+_CONTAINER_KIND: Final = 10
 _HEAD_MAX: Final = 1 << 16
 _OBJECT_MAX: Final = 1 << 28
 _INNER_MAX: Final = 1 << 22  # inside a container
@@ -48,6 +44,25 @@ _REMOTE: Final = 0x80
 _SENT: Final = 0x01
 _CORE_TOLD: Final = 2  # in an error frame: the controller's own error code is valid
 _CORE_SENT: Final = 0x1000
+_HEAD: Final = struct.Struct("<4sI8BQQII8H8H72x")
+_OBJECT_OUT: Final = struct.Struct("<4sHHIIIHHQ")  # with a head of version 1
+_CONTAINER_OUT: Final = struct.Struct("<4sHHIIH6xI4x")
+_MESSAGE_KIND: Final = 1
+_ERROR_KIND: Final = 73
+_FD_KIND: Final = 100
+_CONTENT_MAX: Final = 128 << 10  # bytes per container, as with Vector and python-can
+_NANOSECONDS: Final = 2
+_ZLIB: Final = 2
+_CORE_NOT_ACKNOWLEDGE: Final = 0x2000
+_CORE_OTHER, _CORE_UNACKNOWLEDGED = 3 << 6, 7 << 6
+_LINUX_UNACKNOWLEDGED: Final = 0x20
+_MS: Final = 1_000_000
+_CLASSIC_SIZE: Final = 16
+_MESSAGE_OBJECT: Final = struct.Struct("<24sQ8s8s")
+_MESSAGE_HEAD: Final = _OBJECT_OUT.pack(
+    *(_OBJECT, 32, 1, _OBJECT_OUT.size + _MESSAGE.size, _MESSAGE_KIND, _NANOSECONDS, 0, 0, 0)
+)[:24]
+_REMEMBERED: Final = 1 << 16
 
 
 def blf_frames(path: str, findings: Findings) -> Iterator[Frame]:
@@ -59,9 +74,9 @@ def blf_frames(path: str, findings: Findings) -> Iterator[Frame]:
     try:
         data = Path(path).read_bytes()
     except OSError as error:
-        raise TraceError(os.fspath(path), str(error.strerror).lower()) from error
+        raise unreadable(path, error) from error
     if data[:4] != MAGIC:
-        raise TraceError(os.fspath(path), "is not a BLF file")
+        raise TraceError(path, "is not a BLF file")
     if len(data) < _START_AT + _START.size:
         findings.problem(0, f"ends at byte {len(data)}, within its head")
         return
@@ -109,7 +124,7 @@ class _Objects:
                 )
             body = data[at : at + size]
             damage = len(self._findings.problems)
-            if kind == _CONTAINER:
+            if kind == _CONTAINER_KIND:
                 rest += self._content(body, max(head, _BASE.size), at)
             else:
                 rest += body
@@ -121,7 +136,7 @@ class _Objects:
             rest = rest[used:]
             if (
                 len(self._findings.problems) > damage
-                and kind == _CONTAINER
+                and kind == _CONTAINER_KIND
                 and at + size < len(data)
             ):
                 rest = b""  # a damaged size must not swallow the following containers
@@ -260,28 +275,6 @@ def _error(body: bytes, at: int) -> _Told:
     return channel, frame, _way(core & _CORE_SENT) if flags & _CORE_TOLD else Direction.UNKNOWN
 
 
-_HEAD: Final = struct.Struct("<4sI8BQQII8H8H72x")
-_OBJECT_OUT: Final = struct.Struct("<4sHHIIIHHQ")  # with a head of version 1
-_CONTAINER_OUT: Final = struct.Struct("<4sHHIIH6xI4x")
-_MESSAGE_KIND: Final = 1
-_CONTAINER_KIND: Final = 10
-_ERROR_KIND: Final = 73
-_FD_KIND: Final = 100
-_CONTENT_MAX: Final = 128 << 10  # bytes per container, as with Vector and python-can
-_NANOSECONDS: Final = 2
-_ZLIB: Final = 2
-_CORE_NOT_ACKNOWLEDGE: Final = 0x2000
-_CORE_OTHER, _CORE_UNACKNOWLEDGED = 3 << 6, 7 << 6
-_LINUX_UNACKNOWLEDGED: Final = 0x20
-_MS: Final = 1_000_000
-_CLASSIC_SIZE: Final = 16
-_MESSAGE_OBJECT: Final = struct.Struct("<24sQ8s8s")
-_MESSAGE_HEAD: Final = _OBJECT_OUT.pack(
-    *(b"LOBJ", 32, 1, _OBJECT_OUT.size + _MESSAGE.size, _MESSAGE_KIND, _NANOSECONDS, 0, 0, 0)
-)[:24]
-_REMEMBERED: Final = 1 << 16
-
-
 def write_blf(file: BinaryIO, buses: Sequence[str], first_ns: int, frames: Iterator[Frame]) -> None:
     """Write a BLF file; `first_ns` is the earliest log time. The file must be seekable."""
     writer = _Writer(file, first_ns)
@@ -316,7 +309,7 @@ class _Writer:
             kind, body = _object(traffic.fields(data), direction, channel)
             size = _OBJECT_OUT.size + len(body)  # always a multiple of 4, so no padding
             self._content += _OBJECT_OUT.pack(
-                b"LOBJ", 32, 1, size, kind, _NANOSECONDS, 0, 0, since_ns
+                _OBJECT, 32, 1, size, kind, _NANOSECONDS, 0, 0, since_ns
             )
             self._content += body
             if kind == _MESSAGE_KIND and len(self._known) < _REMEMBERED:
@@ -334,13 +327,13 @@ class _Writer:
         program = (0, 0, 0, 0, 2, 6, 8, 1)  # application unknown; version of the format
         sizes = (self._size, self._plain_size, self._objects, 0)
         times = (*_system_time(self._start_ns), *_system_time(self._last_ns))
-        self._file.write(_HEAD.pack(b"LOGG", _HEAD.size, *program, *sizes, *times))
+        self._file.write(_HEAD.pack(MAGIC, _HEAD.size, *program, *sizes, *times))
         self._file.seek(0, 2)
 
     def _put(self, content: bytearray) -> None:
         data = zlib.compress(content)
         size = _CONTAINER_OUT.size + len(data)
-        head = _CONTAINER_OUT.pack(b"LOBJ", 16, 1, size, _CONTAINER_KIND, _ZLIB, len(content))
+        head = _CONTAINER_OUT.pack(_OBJECT, 16, 1, size, _CONTAINER_KIND, _ZLIB, len(content))
         padding = bytes(size % 4)  # the format's own rule: size modulo 4
         self._file.write(head + data + padding)
         self._size += size + len(padding)

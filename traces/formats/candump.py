@@ -1,18 +1,16 @@
-"""Reader and writer for the output of `candump`, with and without `-L`.
+"""Reader and writer for the output of `candump`; reader for rows of car loggers.
 
-The reader accepts files as people keep them: without time stamps, with dates, without an interface,
-with comments after the rows or a command line before them, with two rows in one line, or cut in the
-middle of a row.
+candump's rows are read with and without `-L`, as people keep them: without time stamps, with dates,
+without an interface, with comments after the rows or a command line before them, with two rows in
+one line, or cut in the middle of a row.
 
-Source: can-utils, candump.c and lib.c (`sprint_canframe`, `sprint_long_canframe`).
-
-Reader for rows of car loggers: milliseconds, "x", identifier, data.
+Some car loggers write milliseconds, "x", identifier and data, all in hexadecimal. Only the value of
+an identifier shows if it has 11 or 29 bits:
 
   000000ADx089A0C020000000000000000
 
-All numbers are hexadecimal; only the value of an identifier shows if it has 11 or 29 bits.
-
-Source: recordings of UW Formula Motorsports (../shared/data/traffic/INDEX.md).
+Source: can-utils, candump.c and lib.c (`sprint_canframe`, `sprint_long_canframe`); recordings of UW
+Formula Motorsports.
 """
 
 import re
@@ -35,6 +33,7 @@ _DATE: Final = re.compile(r"(\d{4})-(\d\d)-(\d\d) (\d\d):(\d\d):(\d\d)(\.\d+)?")
 _BYTE: Final = re.compile(r"([0-9A-Fa-f]{2})(?:\s+|$)")
 _ROW_BEHIND: Final = re.compile(r"(?:\(|\S+\s+[0-9A-Fa-f]{3,8}\s+\[\d)")
 _REMOTE: Final = re.compile(r"([0-8])?(?:_([9A-Fa-f]))?$")
+_SD_ROW: Final = re.compile(r"([0-9A-Fa-f]{8})x([0-9A-Fa-f]{8})((?:[0-9A-Fa-f]{2}){0,8})$")
 _COMMENT: Final = ("#", "//", ";")
 _WAYS: Final = {"R": Direction.RECEIVED, "T": Direction.TRANSMITTED}
 
@@ -51,7 +50,7 @@ def looks_plain(line: str) -> bool:
 
 @final
 class CandumpReader:
-    """Reader of rows of both kinds, also mixed. Source: can-utils."""
+    """Reader of candump's rows of both kinds, also mixed."""
 
     name = "candump"
 
@@ -222,17 +221,14 @@ def log_row(frame: Frame, places: int = 6) -> str:
     return f"({_stamp(frame.time_ns, places)}) {bus} {_digits(told)}#{body}{way}\n"
 
 
-_ROW: Final = re.compile(r"([0-9A-Fa-f]{8})x([0-9A-Fa-f]{8})((?:[0-9A-Fa-f]{2}){0,8})$")
-
-
 def looks_like_sd_rows(line: str) -> bool:
-    """Return True for such a row."""
-    return _ROW.match(line.strip()) is not None
+    """Return True for a row of a car logger."""
+    return _SD_ROW.match(line.strip()) is not None
 
 
 @final
 class SdRowReader:
-    """Reader of such rows."""
+    """Reader of rows of car loggers."""
 
     name = "sd-rows"
 
@@ -241,7 +237,7 @@ class SdRowReader:
         stripped = line.strip()
         if not stripped:
             return ()
-        match = _ROW.match(stripped)
+        match = _SD_ROW.match(stripped)
         if match is None:
             raise ValueError("not a frame")
         findings.note(

@@ -1,13 +1,11 @@
 """Formats of CAN traffic: detection by content, reading, writing, and features.
 
-File endings are ignored on reading, because people keep candump's rows in .txt and .log alike.
-
-CAN traffic in our recordings: reading and writing.
+File endings are ignored on reading, because people keep candump's rows in .txt and .log alike. Our
+own recordings are one of the formats.
 """
 
 import os
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from enum import Flag, auto
 from io import TextIOBase, TextIOWrapper
@@ -16,11 +14,7 @@ from typing import BinaryIO, Final, final
 
 from motorhil.traces.errors import TraceError
 from motorhil.traces.files import refuse_pipe, unreadable
-from motorhil.traces.formats import asc, blf, candump, trc
-from motorhil.traces.formats import blf as blf_writing
-from motorhil.traces.formats import candump as sd_rows
-from motorhil.traces.formats import csv as csv_traffic
-from motorhil.traces.formats import pcap_can as socketcan_pcap
+from motorhil.traces.formats import asc, blf, candump, csv, pcap_can, trc
 from motorhil.traces.formats.frames import (
     ERR,
     RTR,
@@ -39,6 +33,8 @@ from motorhil.traces.schema import CAN_FRAME, Direction, FrameDecoder, Schema
 
 _PREFIX: Final = "/can/"
 _BATCH: Final = 8192
+_HEAD_BYTES: Final = 1 << 16
+_HEAD_LINES: Final = 200
 
 
 def recorded_frames(trace: Trace, findings: Findings) -> Iterator[Frame]:
@@ -99,10 +95,6 @@ def record_frames(
     return tuple(channels)
 
 
-_HEAD_BYTES: Final = 1 << 16
-_HEAD_LINES: Final = 200
-
-
 @final
 class Feature(Flag):
     """A feature of a recording that a format may be unable to store."""
@@ -147,7 +139,7 @@ class Format:
     name: str
     ending: str
     holds: Feature
-    write: "Callable[[BinaryIO, Survey, Iterator[Frame]], None]"
+    write: "Write"
 
 
 @final
@@ -197,60 +189,64 @@ class Survey:
         self.counts[feature] = self.counts.get(feature, 0) + 1
 
 
-def _write_candump(file: BinaryIO, survey: Survey, frames: Iterator[Frame]) -> None:
-    places = survey.places
-    with _as_text(file) as text:
-        text.writelines(candump.log_row(frame, places) for frame in frames)
+Write = Callable[[BinaryIO, Survey, Iterator[Frame]], None]
+"""A writer of these frames, which were surveyed before."""
 
 
-def _write_plain(file: BinaryIO, survey: Survey, frames: Iterator[Frame]) -> None:
-    places = survey.places
-    with _as_text(file) as text:
-        text.writelines(candump.plain_row(frame, places) for frame in frames)
+def _as_text(write: "Callable[[TextIOBase, Survey, Iterator[Frame]], None]") -> "Write":
+    """Return the writer of a text format as one of bytes."""
+
+    def write_bytes(file: BinaryIO, survey: Survey, frames: Iterator[Frame]) -> None:
+        text = TextIOWrapper(file, encoding="utf-8", newline="")
+        write(text, survey, frames)
+        text.flush()
+        text.detach()
+
+    return write_bytes
 
 
-def _write_trc(file: BinaryIO, survey: Survey, frames: Iterator[Frame]) -> None:
-    with _as_text(file) as text:
-        trc.write_trc(text, survey.buses, survey.lowest_ns, frames)
+def _rows(row: Callable[[Frame, int], str]) -> "Write":
+    """Return the writer of a format with a row per frame."""
 
+    def write(text: TextIOBase, survey: Survey, frames: Iterator[Frame]) -> None:
+        places = survey.places
+        text.writelines(row(one, places) for one in frames)
 
-def _write_asc(file: BinaryIO, survey: Survey, frames: Iterator[Frame]) -> None:
-    with _as_text(file) as text:
-        asc.write_asc(text, survey.buses, survey.lowest_ns, survey.places, frames)
-
-
-def _write_csv(file: BinaryIO, survey: Survey, frames: Iterator[Frame]) -> None:
-    with _as_text(file) as text:
-        csv_traffic.write_csv(text, survey.places, frames)
-
-
-def _write_blf(file: BinaryIO, survey: Survey, frames: Iterator[Frame]) -> None:
-    blf_writing.write_blf(file, survey.buses, survey.lowest_ns, frames)
-
-
-def _write_pcapng(file: BinaryIO, survey: Survey, frames: Iterator[Frame]) -> None:
-    socketcan_pcap.write_pcapng(file, survey.buses, frames)
-
-
-@contextmanager
-def _as_text(file: BinaryIO) -> Iterator[TextIOBase]:
-    text = TextIOWrapper(file, encoding="utf-8", newline="")
-    yield text
-    text.flush()
-    text.detach()
+    return _as_text(write)
 
 
 _NAMES: Final = Feature.BUS_NAMES | Feature.BLANKS
 _NUMBERED: Final = _NAMES | Feature.UNDIRECTED | Feature.SENDER | Feature.ERROR_FRAMES
 _NOT_PLAIN: Final = Feature.SENDER | Feature.BLANKS | Feature.UNDIRECTED
 WRITABLE: Final = (
-    Format("candump", ".log", _ALL & ~Feature.SENDER & ~Feature.BLANKS, _write_candump),
-    Format("candump-plain", ".txt", _ALL & ~_NOT_PLAIN, _write_plain),
-    Format("trc", ".trc", _ALL & ~_NUMBERED & ~Feature.NANOSECONDS, _write_trc),
-    Format("asc", ".asc", _ALL & ~_NUMBERED, _write_asc),
-    Format("blf", ".blf", _ALL & ~_NUMBERED | Feature.ERROR_FRAMES, _write_blf),
-    Format("csv", ".csv", _ALL & ~Feature.BLANKS, _write_csv),
-    Format("pcapng", ".pcapng", _ALL, _write_pcapng),
+    Format("candump", ".log", _ALL & ~Feature.SENDER & ~Feature.BLANKS, _rows(candump.log_row)),
+    Format("candump-plain", ".txt", _ALL & ~_NOT_PLAIN, _rows(candump.plain_row)),
+    Format(
+        *("trc", ".trc", _ALL & ~_NUMBERED & ~Feature.NANOSECONDS),
+        _as_text(
+            lambda file, seen, frames: trc.write_trc(file, seen.buses, seen.lowest_ns, frames)
+        ),
+    ),
+    Format(
+        *("asc", ".asc", _ALL & ~_NUMBERED),
+        _as_text(
+            lambda file, seen, frames: asc.write_asc(
+                file, seen.buses, seen.lowest_ns, seen.places, frames
+            )
+        ),
+    ),
+    Format(
+        *("blf", ".blf", _ALL & ~_NUMBERED | Feature.ERROR_FRAMES),
+        lambda file, seen, frames: blf.write_blf(file, seen.buses, seen.lowest_ns, frames),
+    ),
+    Format(
+        *("csv", ".csv", _ALL & ~Feature.BLANKS),
+        _as_text(lambda file, seen, frames: csv.write_csv(file, seen.places, frames)),
+    ),
+    Format(
+        *("pcapng", ".pcapng", _ALL),
+        lambda file, seen, frames: pcap_can.write_pcapng(file, seen.buses, frames),
+    ),
 )
 
 
@@ -284,7 +280,7 @@ class Source:
             yield from blf.blf_frames(self.path, findings)
             return
         if self.format == "pcap":
-            yield from socketcan_pcap.captured_frames(self.path, findings)
+            yield from pcap_can.captured_frames(self.path, findings)
             return
         try:
             with open(self.path, encoding="utf-8", errors="replace", newline="\n") as file:
@@ -297,14 +293,14 @@ _LINE_READERS: Final[dict[str, Callable[[], LineReader]]] = {
     "candump": candump.CandumpReader,
     "trc": trc.TrcReader,
     "asc": asc.AscReader,
-    "csv": csv_traffic.CsvReader,
-    "sd-rows": sd_rows.SdRowReader,
+    "csv": csv.CsvReader,
+    "sd-rows": candump.SdRowReader,
 }
 _LOOKS: Final[tuple[tuple[str, Callable[[str], bool]], ...]] = (
     ("trc", trc.looks_like_trc),
     ("asc", asc.looks_like_asc),
-    ("csv", csv_traffic.looks_like_csv),
-    ("sd-rows", sd_rows.looks_like_sd_rows),
+    ("csv", csv.looks_like_csv),
+    ("sd-rows", candump.looks_like_sd_rows),
     ("candump", candump.looks_like_log),
     ("candump", candump.looks_plain),
 )
@@ -327,7 +323,7 @@ def open_source(path: str | os.PathLike[str]) -> Source:
         return Source(name, "mcap")
     if head.startswith(blf.MAGIC):
         return Source(name, "blf")
-    if socketcan_pcap.is_capture(head):
+    if pcap_can.is_capture(head):
         return Source(name, "pcap")
     lines = head.decode("utf-8", errors="replace").splitlines()[:_HEAD_LINES]
     for line in lines:

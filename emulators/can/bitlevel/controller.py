@@ -4,10 +4,6 @@ Once per bit time the wire reads `drives` and calls `hear` with the sampled leve
 implements framing, arbitration and acknowledgement. `Reception` decodes other nodes' frames,
 `CanSignalling` handles errors and the time between frames, `Confinement` has the error counters.
 
-Source: ISO 11898-1, medium access control; Bosch CAN 2.0, chapters 3 and 7.
-
-CAN signalling outside of frames: error and overload frames, intermission.
-
 An error flag begins with the bit after the error was detected. The flag of a CRC error begins with
 the bit after the ACK delimiter.
 
@@ -22,15 +18,12 @@ Left open by the standard, decided here:
 - A passive transmitter without an acknowledgement counts by rule c when it sees a dominant bit in
   its flag.
 
-Source: ISO 11898-1, medium access control; Bosch CAN 2.0, chapters 3 and 7.
-
-Event log of a node, and its CAN controller's error messages.
-
 Error messages are those of a driver that reports each error: its type, its place, whether the node
 was sending, and the counters after it. A change of the node's error state is reported as Linux's
 `can_change_state` does. A bus-off node reports no counters: they would not fit.
 
-Source: Linux drivers/net/can/dev/dev.c; "can: do not report txerr and rxerr during bus-off" (2022)
+Source: ISO 11898-1, medium access control; Bosch CAN 2.0, chapters 3 and 7. Linux
+drivers/net/can/dev/dev.c; "can: do not report txerr and rxerr during bus-off" (2022)
 in its drivers.
 """
 
@@ -63,6 +56,35 @@ NOTE_STATE: Final = 5
 
 _TX: Final = (told.ERROR_ACTIVE, told.TX_WARNING, told.TX_PASSIVE)
 _RX: Final = (told.ERROR_ACTIVE, told.RX_WARNING, told.RX_PASSIVE)
+
+FLAG_BITS: Final = 6
+DELIMITER_BITS: Final = 8
+INTERMISSION_BITS: Final = 3
+_TOLERATED_BITS: Final = 8  # dominant bits after a flag: rule f
+
+# results of a bit
+BUSY: Final = 0
+FREE: Final = 1  # the intermission is over
+STARTED: Final = 2  # the intermission ended with a start of frame
+GONE: Final = 3  # the node is bus-off
+
+_ACTIVE_FLAG: Final = 0
+_PASSIVE_FLAG: Final = 1
+_OVERLOAD_FLAG: Final = 2
+_AFTER_FLAG: Final = 3  # its own flag is sent; it waits for a recessive bit
+_DELIMITER: Final = 4
+_INTERMISSION: Final = 5
+
+SUSPEND_BITS: Final = 8
+INTEGRATION_BITS: Final = 11  # recessive bits after which a node that comes back takes part
+
+# phases
+IDLE: Final = 0
+SENDING: Final = 1
+RECEIVING: Final = 2
+SIGNALLING: Final = 3
+INTEGRATING: Final = 4
+OFF: Final = 5
 
 
 @final
@@ -118,25 +140,6 @@ def state_message(confinement: Confinement) -> bytes:
         controller |= _RX[rx]
     counters = (confinement.tec, confinement.rec)
     return told.pack_error(told.CONTROLLER, controller=controller, counters=counters)
-
-
-FLAG_BITS: Final = 6
-DELIMITER_BITS: Final = 8
-INTERMISSION_BITS: Final = 3
-_TOLERATED_BITS: Final = 8  # dominant bits after a flag: rule f
-
-# results of a bit
-BUSY: Final = 0
-FREE: Final = 1  # the intermission is over
-STARTED: Final = 2  # the intermission ended with a start of frame
-GONE: Final = 3  # the node is bus-off
-
-_ACTIVE_FLAG: Final = 0
-_PASSIVE_FLAG: Final = 1
-_OVERLOAD_FLAG: Final = 2
-_AFTER_FLAG: Final = 3  # its own flag is sent; it waits for a recessive bit
-_DELIMITER: Final = 4
-_INTERMISSION: Final = 5
 
 
 @final
@@ -303,18 +306,6 @@ class CanSignalling:
         if level == DOMINANT:
             self.overload(told.INTERMISSION)
         return BUSY
-
-
-SUSPEND_BITS: Final = 8
-INTEGRATION_BITS: Final = 11  # recessive bits after which a node that comes back takes part
-
-# phases
-IDLE: Final = 0
-SENDING: Final = 1
-RECEIVING: Final = 2
-SIGNALLING: Final = 3
-INTEGRATING: Final = 4
-OFF: Final = 5
 
 
 @final

@@ -1,15 +1,12 @@
 """Bit sequence of a CAN frame on the wire.
 
-Source: ISO 11898-1, frame formats, CRC sequence, bit stuffing.
+CAN FD frames have stuff bits, a stuff count, and CRC-17 or CRC-21 as follows. From start of frame
+to the end of the data, an inverse bit follows five equal bits. At the end of the data a fixed stuff
+bit follows instead. This bit is not counted, even after five equal bits. From there one fixed stuff
+bit precedes every four bits of stuff count and CRC. The CRC covers the stuff count and all bits
+before it, dynamic stuff bits included, but no fixed ones.
 
-CAN FD frame checks: stuff bits, stuff count, CRC-17 and CRC-21.
-
-From start of frame to the end of the data, an inverse bit follows five equal bits. At the end of
-the data a fixed stuff bit follows instead. This bit is not counted, even after five equal bits.
-From there one fixed stuff bit precedes every four bits of stuff count and CRC. The CRC covers the
-stuff count and all bits before it, dynamic stuff bits included, but no fixed ones.
-
-Source: ISO 11898-1:2015, bit stuffing, CRC sequence.
+Source: ISO 11898-1:2015, frame formats, bit stuffing, CRC sequence.
 """
 
 from collections.abc import Sequence
@@ -59,6 +56,39 @@ _LONG: Final = (21, 0x102899)
 _STUFF_RUN: Final = 5
 # stuff bits modulo 8, in Gray code, with an even parity bit
 _STUFF_COUNTS: Final = (0b0000, 0b0011, 0b0110, 0b0101, 0b1100, 0b1111, 0b1010, 0b1001)
+
+DOMINANT: Final = 0
+RECESSIVE: Final = 1
+STUFF_RUN: Final = 5  # so many equal bits, then an inverse stuff bit
+
+# Places of the bits before the data, by their number without stuff bits.
+_IDENTIFIER: Final[tuple[int, ...]] = (
+    *(START_OF_FRAME,) * 1,
+    *(ID_28_21,) * 8,
+    *(ID_20_18,) * 3,
+    SRTR,
+    IDE,
+)
+_EXTENSION: Final[tuple[int, ...]] = (*(ID_17_13,) * 5, *(ID_12_5,) * 8, *(ID_4_0,) * 5, RTR)
+_DLC: Final[tuple[int, ...]] = (DLC,) * 4
+_FD_CONTROL: Final[tuple[int, ...]] = (*(RESERVED_0,) * 3, *_DLC)  # res, BRS, ESI
+_BASE_PLACES: Final[tuple[int, ...]] = (*_IDENTIFIER, RESERVED_0, *_DLC)
+_EXTENDED_PLACES: Final[tuple[int, ...]] = (
+    *_IDENTIFIER,
+    *_EXTENSION,
+    RESERVED_1,
+    RESERVED_0,
+    *_DLC,
+)
+_FD_BASE_PLACES: Final[tuple[int, ...]] = (*_IDENTIFIER, RESERVED_0, *_FD_CONTROL)
+_FD_EXTENDED_PLACES: Final[tuple[int, ...]] = (*_IDENTIFIER, *_EXTENSION, RESERVED_1, *_FD_CONTROL)
+_TAIL_PLACES: Final = (CRC_DELIMITER, ACK_SLOT, ACK_DELIMITER, *(END_OF_FRAME,) * 7)
+
+_RTR: Final = 12
+_EXTENDED_RTR: Final = 32
+_CRC_BITS: Final = 15
+_POLYNOMIAL: Final = 0x4599
+_FRAMES_KEPT: Final = 256  # then the cache is cleared; bounds memory to 0.7 MB
 
 
 def fd_crc_bits(length: int) -> int:
@@ -112,40 +142,6 @@ def fd_check_bits(levels: Sequence[int], stuff_bits: int, length: int) -> tuple[
     for shift in range(STUFF_COUNT_BITS - 1, -1, -1):
         crc = (crc << 1 ^ (polynomial if crc >> top ^ count >> shift & 1 else 0)) & mask
     return count << width | crc, STUFF_COUNT_BITS + width
-
-
-DOMINANT: Final = 0
-RECESSIVE: Final = 1
-STUFF_RUN: Final = 5  # so many equal bits, then an inverse stuff bit
-
-# Places of the bits before the data, by their number without stuff bits.
-_IDENTIFIER: Final[tuple[int, ...]] = (
-    *(START_OF_FRAME,) * 1,
-    *(ID_28_21,) * 8,
-    *(ID_20_18,) * 3,
-    SRTR,
-    IDE,
-)
-_EXTENSION: Final[tuple[int, ...]] = (*(ID_17_13,) * 5, *(ID_12_5,) * 8, *(ID_4_0,) * 5, RTR)
-_DLC: Final[tuple[int, ...]] = (DLC,) * 4
-_FD_CONTROL: Final[tuple[int, ...]] = (*(RESERVED_0,) * 3, *_DLC)  # res, BRS, ESI
-_BASE_PLACES: Final[tuple[int, ...]] = (*_IDENTIFIER, RESERVED_0, *_DLC)
-_EXTENDED_PLACES: Final[tuple[int, ...]] = (
-    *_IDENTIFIER,
-    *_EXTENSION,
-    RESERVED_1,
-    RESERVED_0,
-    *_DLC,
-)
-_FD_BASE_PLACES: Final[tuple[int, ...]] = (*_IDENTIFIER, RESERVED_0, *_FD_CONTROL)
-_FD_EXTENDED_PLACES: Final[tuple[int, ...]] = (*_IDENTIFIER, *_EXTENSION, RESERVED_1, *_FD_CONTROL)
-_TAIL_PLACES: Final = (CRC_DELIMITER, ACK_SLOT, ACK_DELIMITER, *(END_OF_FRAME,) * 7)
-
-_RTR: Final = 12
-_EXTENDED_RTR: Final = 32
-_CRC_BITS: Final = 15
-_POLYNOMIAL: Final = 0x4599
-_FRAMES_KEPT: Final = 256  # then the cache is cleared; bounds memory to 0.7 MB
 
 
 def place_of(number: int, extended: bool, crc_start: int, fd: bool = False) -> int:

@@ -1,4 +1,4 @@
-"""A wired-AND bus with its controllers, stepped bit by bit.
+"""Bit-by-bit simulation of a disturbed frame until all nodes agree again.
 
 While a node is in the data phase of a CAN FD frame, a step is a bit at the data rate. A node
 outside the data phase sends an error flag, waits for the bus to be idle, or takes the frame for a
@@ -7,10 +7,8 @@ begins with the first error flag; a node that joins it later does so with the re
 that waits for an idle bus hears a dominant level if any step of its bit had one. Without an error
 the grid begins where the data phase ends.
 
-Bit-by-bit simulation of a disturbed frame until all nodes agree again.
-
-A pure function. Bits are counted from 0, the start of frame. An event in a bit is known at the end
-of the bit, (bit + 1) bit times after the start of frame.
+`run_episode` is a pure function. Bits are counted from 0, the start of frame. An event in a bit is
+known at the end of the bit, (bit + 1) bit times after the start of frame.
 
 The simulation is causal. If two episodes differ only from some bit on (a disturbance that lasts
 longer, a node that leaves), all before that bit is equal. An episode may therefore be computed as
@@ -21,8 +19,6 @@ Bus-off nodes are not stations here; `recessive_runs` and `recessive_bits` tell 
 bits they count. Propagation delays are ignored: within one bit all nodes sample one level.
 
 Source: ISO 11898-1; `can_signalling` and `confinement` document their choices where it is open.
-
-Disturbances: nodes sample other levels than those on the wire.
 """
 
 from collections.abc import Sequence
@@ -52,6 +48,8 @@ from motorhil.emulators.can.error_confinement import Confinement
 from motorhil.emulators.can.frame import BRS, FD_FRAME_BYTES
 
 ALL_PORTS: Final = -1  # as a mask of 1 << port
+
+ALL_BITS: Final = 1 << 62
 
 
 class Effect(Enum):
@@ -368,7 +366,6 @@ class EventKind(Enum):
     STATE = NOTE_STATE  # its error state changed; the frame is an error message
 
 
-ALL_BITS: Final = 1 << 62
 _KINDS: Final = tuple(EventKind)  # by value; the values count from 0
 
 

@@ -1,4 +1,4 @@
-"""Fault plan of a CAN bus: rules, their firings, and their effects on the bus's traffic.
+"""Fault plan of a CAN bus: rules, their firings and effects.
 
 DROP, DELAY, DUPLICATE and CORRUPT are evaluated once per complete frame, ERROR once when a frame
 has begun. Rules are tried in order; the first that fires decides.

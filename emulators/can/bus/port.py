@@ -1,4 +1,4 @@
-"""A node of a CAN bus: its frames (`CanPort`), its participation (`Presence`), and deliveries.
+"""A node of a CAN bus: frames, participation, and deliveries.
 
 A node that comes back after a cut listens until it has heard 11 recessive bits in a row. A bus-off
 node waits until it has counted 128 such runs. Between frames the bus does not process single bits:

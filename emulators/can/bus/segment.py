@@ -1,4 +1,4 @@
-"""One wire of a CAN bus: arbitration, the nodes on it, and the fate of their frames.
+"""One wire of a CAN bus: nodes, arbitration, fate of frames.
 
 Arbitration (ISO 11898-1): every frame takes its exact length (`frame_length`). Nodes with a pending
 frame compete when the bus becomes free. Each frame is followed by 3 bits of intermission. A frame

@@ -6,17 +6,14 @@ $NODEID is the requested node-ID. The sections define the objects; lists and cou
 cause a warning. Every repair and omission causes a warning with file and line. A file without a
 plain meaning is refused with one line.
 
-Line reader for EDS and DCF files: sections, keys, line numbers.
-
 Files in the field are hand-edited, merged and saved by old editors. These defects are repaired with
 a warning: a text encoding other than UTF-8, an unresolved merge whose two sides mean the same, a
 key or section given twice with one meaning, a missing bracket, stray lines, comments behind a
 value. If two relevant statements contradict each other, the intended meaning is unknown: that is an
 `EdsError`.
 
-Values in EDS and DCF files (CiA 306, 4.5).
-
-Every function returns the value and a remark. A remark other than "" names a repair.
+Every function for values (CiA 306, 4.5) returns the value and a remark. A remark other than ""
+names a repair.
 """
 
 import re
@@ -68,6 +65,38 @@ _IDENTITY_KEYS: Final = (
 _SPELLING: Final = {key.lower(): key for key in _OBJECT_KEYS + _IDENTITY_KEYS}
 _OBJECT_NAMES: Final = frozenset(key.lower() for key in _OBJECT_KEYS)
 _IDENTITY_NAMES: Final = frozenset(key.lower() for key in _IDENTITY_KEYS)
+
+_NODE_ID: Final = re.compile(r"\$node_?id", re.IGNORECASE)
+_COMMENT: Final = re.compile(r"\s*(;|//|/\*|#|\().*$")
+_HEX: Final = re.compile(r"([+-]?)0x([0-9a-f]+)", re.IGNORECASE)
+_HEX_WITH_H: Final = re.compile(r"([+-]?)([0-9a-f]+)h", re.IGNORECASE)
+_DECIMAL: Final = re.compile(r"[+-]?[0-9]+")
+_WHOLE_REAL: Final = re.compile(r"([+-]?[0-9]+)[.,]0*")
+_WORDS: Final = {"true": 1, "false": 0, "yes": 1, "no": 0}
+
+_OBJECT: Final = re.compile(r"([0-9a-f]{4})(?:sub([0-9a-f]{1,2}))?")
+_LISTS: Final = ("mandatoryobjects", "optionalobjects", "manufacturerobjects")
+_DEFTYPE: Final = (0, 5, 6)  # NULL, DEFTYPE, DEFSTRUCT: objects without a value
+_DOMAIN: Final = 2
+_VAR: Final = 7
+_ARRAY: Final = 8
+_RECORD: Final = 9
+_ACCESS: Final = ("ro", "wo", "rw", "rwr", "rww", "const")
+_ACCESS_WORDS: Final = {
+    "r": "ro",
+    "w": "wo",
+    "readonly": "ro",
+    "writeonly": "wo",
+    "readwrite": "rw",
+    "r/w": "rw",
+    "rw/r": "rwr",
+    "rw/w": "rww",
+    "constant": "const",
+    "c": "const",
+}
+
+_FILES_KEPT: Final = 16
+_MAY_NAME_NODE_ID: Final = ("parametervalue", "defaultvalue", "lowlimit", "highlimit")
 
 
 @final
@@ -314,15 +343,6 @@ def _meaning(lines: list[_Line], section: str) -> dict[tuple[str, str], str]:
     return said
 
 
-_NODE_ID: Final = re.compile(r"\$node_?id", re.IGNORECASE)
-_COMMENT: Final = re.compile(r"\s*(;|//|/\*|#|\().*$")
-_HEX: Final = re.compile(r"([+-]?)0x([0-9a-f]+)", re.IGNORECASE)
-_HEX_WITH_H: Final = re.compile(r"([+-]?)([0-9a-f]+)h", re.IGNORECASE)
-_DECIMAL: Final = re.compile(r"[+-]?[0-9]+")
-_WHOLE_REAL: Final = re.compile(r"([+-]?[0-9]+)[.,]0*")
-_WORDS: Final = {"true": 1, "false": 0, "yes": 1, "no": 0}
-
-
 def parse_integer(text: str, node_id: int) -> tuple[int, bool, str]:
     """Return the number, whether it was written in hexadecimal, and a remark.
 
@@ -448,31 +468,7 @@ def type_name(data_type: int) -> str:
         return f"data type {data_type:X}h"
 
 
-_OBJECT: Final = re.compile(r"([0-9a-f]{4})(?:sub([0-9a-f]{1,2}))?")
-_LISTS: Final = ("mandatoryobjects", "optionalobjects", "manufacturerobjects")
-_DEFTYPE: Final = (0, 5, 6)  # NULL, DEFTYPE, DEFSTRUCT: objects without a value
-_DOMAIN: Final = 2
-_VAR: Final = 7
-_ARRAY: Final = 8
-_RECORD: Final = 9
-_ACCESS: Final = ("ro", "wo", "rw", "rwr", "rww", "const")
-_ACCESS_WORDS: Final = {
-    "r": "ro",
-    "w": "wo",
-    "readonly": "ro",
-    "writeonly": "wo",
-    "readwrite": "rw",
-    "r/w": "rw",
-    "rw/r": "rwr",
-    "rw/w": "rww",
-    "constant": "const",
-    "c": "const",
-}
 _NO_FIELD: Final = Field("", 0)
-
-
-_FILES_KEPT: Final = 16
-_MAY_NAME_NODE_ID: Final = ("parametervalue", "defaultvalue", "lowlimit", "highlimit")
 
 
 def read_eds(path: Path, node_id: int) -> DeviceDescription:

@@ -1,4 +1,4 @@
-"""Storing and restoring parameters (CiA 301, 7.5.2.13 and 7.5.2.14: 1010h, 1011h).
+"""Storing and restoring parameters (CiA 301, 1010h and 1011h).
 
 "save" written to 1010h:n stores the present values: all (1), of communication (2: 1000h to 1FFFh),
 of the application (3: 6000h to 9FFFh), of the manufacturer (4 and above: 2000h to 5FFFh). They are
@@ -9,7 +9,7 @@ signature is refused with 0800 0020h, without any effect.
 Only values that differ from the device's own defaults are stored, so an unchanged COB-ID still
 follows the node-ID. Set-points and commands are not parameters and are not stored.
 
-Text format of stored parameters, readable and protected by a CRC.
+The text format is readable and protected by a CRC:
 
     motorhil parameters 1
     identity 00000000 00000402      vendor-ID and product code (1018h:1, 1018h:2)
@@ -39,6 +39,22 @@ _FIRST: Final = "motorhil parameters 1"
 UNSET: Final = -1
 _NODE_IDS: Final = (*range(1, 128), 255)
 _BIT_TIMING_MAX: Final = 9  # CiA 305's table 0
+
+SAVE: Final = 0x6576_6173  # "save", little-endian
+LOAD: Final = 0x6461_6F6C  # "load"
+ON_COMMAND: Final = 1  # value of 1010h and 1011h: stored (restored) on command
+
+_ALL: Final = (0x1000, 0xFFFF)
+_RANGES: Final = (_ALL, (0x1000, 0x1FFF), (0x6000, 0x9FFF))  # of sub-indices 1 to 3
+_MANUFACTURER: Final = (0x2000, 0x5FFF)
+_LAST: Final = 0x7F
+
+# Errors, commands, set-points of CiA 402, outputs of CiA 401, counters' presets.
+_NO_PARAMETERS: Final = (
+    *(0x1001, 0x1003, 0x1010, 0x1011),
+    *(0x6040, 0x6042, 0x6071, 0x607A, 0x60B0, 0x60B1, 0x60B2, 0x60C1, 0x60FE, 0x60FF),
+    *(0x6200, 0x6411, 0x6810),
+)
 
 
 @final
@@ -120,23 +136,6 @@ class StoredParameters:
         else:
             index, _, subindex = key.partition(":")
             self.values[int(index, 16) << 8 | int(subindex, 16)] = bytes.fromhex(value)
-
-
-SAVE: Final = 0x6576_6173  # "save", little-endian
-LOAD: Final = 0x6461_6F6C  # "load"
-ON_COMMAND: Final = 1  # value of 1010h and 1011h: stored (restored) on command
-
-_ALL: Final = (0x1000, 0xFFFF)
-_RANGES: Final = (_ALL, (0x1000, 0x1FFF), (0x6000, 0x9FFF))  # of sub-indices 1 to 3
-_MANUFACTURER: Final = (0x2000, 0x5FFF)
-_LAST: Final = 0x7F
-
-# Errors, commands, set-points of CiA 402, outputs of CiA 401, counters' presets.
-_NO_PARAMETERS: Final = (
-    *(0x1001, 0x1003, 0x1010, 0x1011),
-    *(0x6040, 0x6042, 0x6071, 0x607A, 0x60B0, 0x60B1, 0x60B2, 0x60C1, 0x60FE, 0x60FF),
-    *(0x6200, 0x6411, 0x6810),
-)
 
 
 @final

@@ -1,4 +1,4 @@
-"""Base of the cyclic synchronous modes (csp, csv, cst): timing of set-points.
+"""Cyclic synchronous modes: position (csp), velocity (csv), torque (cst).
 
 A set-point takes effect with its RPDO (at SYNC for types 0 to 240). The demand changes linearly
 during the interpolation time period 60C2h. If that is 0 or absent, the time between the last two
@@ -8,17 +8,14 @@ The loss of SYNC is a fault if the rig sets `sync_lost_periods`, 60C2h states a 
 has been received. The fault occurs after that number of periods without SYNC, because the host has
 lost its clock. CiA 402 defines no error code for it; the rig can set one.
 
-Cyclic synchronous position mode (csp).
+In csp, a set-point that cannot be reached in time within 607Fh and 6080h is approached at that
+speed. The demand catches up with later set-points, as ABB's ACSM1 does in synchron control (dynamic
+limiter of the position reference). Meanwhile bit 11 is on and bit 12 off. A motor that falls behind
+causes a following error as usual. A halt ends within 607Dh, on a ramp steeper than 605Dh's if
+necessary: no motion under position control passes a software limit (Danfoss VLT servo drive ISD,
+607Dh).
 
-A set-point that cannot be reached in time within 607Fh and 6080h is approached at that speed. The
-demand catches up with later set-points, as ABB's ACSM1 does in synchron control (dynamic limiter of
-the position reference). Meanwhile bit 11 is on and bit 12 off. A motor that falls behind causes a
-following error as usual. A halt ends within 607Dh, on a ramp steeper than 605Dh's if necessary: no
-motion under position control passes a software limit (Danfoss VLT servo drive ISD, 607Dh).
-
-Cyclic synchronous velocity mode (csv): the host closes the position loop.
-
-Cyclic synchronous torque mode (cst): the drive closes only the current loop.
+In csv the host closes the position loop. In cst the drive closes only the current loop.
 """
 
 from typing import Final, final
@@ -40,6 +37,8 @@ _SPEED_LIMIT: Final = int(_C.MOTION_LIMITS | _C.FACTORS)
 _TARGET_POSITION: Final = int(_C.TARGET_POSITION)
 _VELOCITY_DEMAND: Final = int(_C.TARGET_VELOCITY | _C.OFFSETS)
 _TORQUE_DEMAND: Final = int(_C.TORQUE | _C.OFFSETS | _C.FACTORS | _C.MOTION_LIMITS)
+
+NEAREST: Final = 3  # direction: a target is never half a range away from one cycle to the next
 
 
 class CyclicMode(Mode):
@@ -125,9 +124,6 @@ class CyclicMode(Mode):
         if ticks > 0:
             self._last_target_ns = now_ns
             self._period_ns = min(PERIOD_MAX_NS, ticks * tick_ns)
-
-
-NEAREST: Final = 3  # direction: a target is never half a range away from one cycle to the next
 
 
 @final

@@ -1,4 +1,4 @@
-"""Homing mode (hm): finds the exact home position by switches and index pulse.
+"""Homing mode (hm): home position by switches and index pulse.
 
 Statusword bits 10, 12 and 13 (CiA 402-2, homing mode):
 

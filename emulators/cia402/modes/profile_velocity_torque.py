@@ -1,6 +1,7 @@
-"""Profile velocity mode (pv): 60FFh with the ramps 6083h and 6084h.
+"""Profile velocity (pv) and profile torque mode (tq).
 
-Profile torque mode (tq): 6071h on the ramp 6087h; 6080h limits the speed.
+In pv, 60FFh is reached on the ramps 6083h and 6084h. In tq, 6071h is reached on the ramp 6087h;
+6080h limits the speed.
 """
 
 from typing import Final, final

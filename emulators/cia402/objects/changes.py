@@ -6,6 +6,8 @@ from typing import Final, final
 from motorhil.emulators.canopen.codes import OK, AbortCode
 from motorhil.emulators.canopen.object_dictionary import ObjectDictionary
 
+_INVALID_VALUE: Final = int(AbortCode.INVALID_VALUE)
+
 
 class ObjectChange(IntFlag):
     """Kinds of objects that a drive applies after they were written.
@@ -31,7 +33,6 @@ class ObjectChange(IntFlag):
 
 
 _C = ObjectChange
-_INVALID_VALUE: Final = int(AbortCode.INVALID_VALUE)
 
 # index, sub-indices, kinds
 _WATCHED: Final = (

@@ -4,9 +4,8 @@ Objects in the EDS are bound to the drive. Objects missing there are invisible t
 act with the default stated where they are bound (CiA 402-2's, or derived from the motor). Related
 objects have a module: motion, torque, offsets, interpolation, windows, homing, option codes, gains.
 
-6502h, supported drive modes: only modes that are emulated.
-
-The bit of a mode is one less than its number in 6060h; bits 16 to 31 are manufacturer-specific.
+6502h, supported drive modes, shows only modes that are emulated. The bit of a mode is one less than
+its number in 6060h; bits 16 to 31 are manufacturer-specific.
 """
 
 from collections.abc import Sequence
@@ -40,6 +39,12 @@ _TARGETS: Final = (
     ("cst", 0x6071),
 )
 
+_D = DataType
+_CONTROLWORD: Final = int(ObjectChange.CONTROLWORD)
+_GAINS: Final = int(ObjectChange.GAINS)
+_MODE: Final = int(ObjectChange.MODE)
+POLARITIES: Final = frozenset((0, VELOCITY_POLARITY, POSITION_POLARITY, 0xC0))  # 607Eh
+
 
 def modes_with_target(od: ObjectDictionary) -> int:
     """Return the emulated modes whose target object exists, for an EDS without a 6502h."""
@@ -58,13 +63,6 @@ def honest_modes(stated: int, names: Sequence[str] | None) -> int:
         for name in names:
             wanted |= 1 << (EMULATED_MODES[name] - 1)
     return (stated & ~_STANDARD) | (wanted & _EMULATED)
-
-
-_D = DataType
-_CONTROLWORD: Final = int(ObjectChange.CONTROLWORD)
-_GAINS: Final = int(ObjectChange.GAINS)
-_MODE: Final = int(ObjectChange.MODE)
-POLARITIES: Final = frozenset((0, VELOCITY_POLARITY, POSITION_POLARITY, 0xC0))  # 607Eh
 
 
 @final

@@ -1,19 +1,16 @@
-"""The objects of interpolated position mode: sub-mode, data record, buffer (CiA 402-2).
-
-The objects of homing: 6098h, 6099h, 609Ah, 607Ch.
+"""The objects of interpolated position mode and of homing (CiA 402-2).
 
 The zero position is 607Ch beyond home, so the position of home is -607Ch. CiA 402-2 defines it this
 way, as do Elmo, Parker, Applied Motion, Fastech and Mitsubishi (MR-J5, Pr. PT08). KEB's F6 has the
 opposite sign.
 
-The homing methods of CiA 402-2 as one table.
-
-Every method ends by passing an edge of one switch in one direction, where the switch changes from
-`before` to the other state. Home is that edge, or the first index pulse after it in the same
-direction. `search` is the direction of the search if the switch is not active at the start. Methods
-7 to 14 and 23 to 30 can meet a limit switch first, and reverse there; their home switch is a cam in
-the middle. In 3 to 6 and 19 to 22 the home switch extends to the end of travel. 15, 16, 31 and 32
-are reserved; 36 and the negative ones are not emulated. 35 is obsolete and replaced by 37.
+HOMING_METHODS has the homing methods as one table. Every method ends by passing an edge of one
+switch in one direction, where the switch changes from `before` to the other state. Home is that
+edge, or the first index pulse after it in the same direction. `search` is the direction of the
+search if the switch is not active at the start. Methods 7 to 14 and 23 to 30 can meet a limit
+switch first, and reverse there; their home switch is a cam in the middle. In 3 to 6 and 19 to 22
+the home switch extends to the end of travel. 15, 16, 31 and 32 are reserved; 36 and the negative
+ones are not emulated. 35 is obsolete and replaced by 37.
 """
 
 from typing import Final, final
@@ -32,6 +29,32 @@ _RING: Final = 1
 _IP_DATA: Final = int(ObjectChange.IP_DATA)
 _LINEAR: Final = frozenset((0,))
 _D = DataType
+
+_LEFT: Final = -1
+_RIGHT: Final = 1
+_ON: Final = True
+_OFF: Final = False
+
+# Methods 1 to 14; 17 to 30 are the same without the index pulse.
+_BY_EDGE: Final = (
+    (NEGATIVE_LIMIT, _RIGHT, _ON, _LEFT, False),  # 1, 17
+    (POSITIVE_LIMIT, _LEFT, _ON, _RIGHT, False),  # 2, 18
+    (HOME_SWITCH, _LEFT, _ON, _RIGHT, False),  # 3, 19: positive home switch
+    (HOME_SWITCH, _RIGHT, _OFF, _RIGHT, False),  # 4, 20
+    (HOME_SWITCH, _RIGHT, _ON, _LEFT, False),  # 5, 21: negative home switch
+    (HOME_SWITCH, _LEFT, _OFF, _LEFT, False),  # 6, 22
+    (HOME_SWITCH, _LEFT, _ON, _RIGHT, True),  # 7, 23: left edge, from inside
+    (HOME_SWITCH, _RIGHT, _OFF, _RIGHT, True),  # 8, 24: left edge, from outside
+    (HOME_SWITCH, _LEFT, _OFF, _RIGHT, True),  # 9, 25: right edge, from outside
+    (HOME_SWITCH, _RIGHT, _ON, _RIGHT, True),  # 10, 26: right edge, from inside
+    (HOME_SWITCH, _RIGHT, _ON, _LEFT, True),  # 11, 27: the same four, starting to the left
+    (HOME_SWITCH, _LEFT, _OFF, _LEFT, True),  # 12, 28
+    (HOME_SWITCH, _RIGHT, _OFF, _LEFT, True),  # 13, 29
+    (HOME_SWITCH, _LEFT, _ON, _LEFT, True),  # 14, 30
+)
+
+_SWITCH_PART: Final = 4  # default 6099h:1 is 6081h divided by this
+_ZERO_PART: Final = 40  # default 6099h:2 is 6081h divided by this
 
 
 @final
@@ -106,12 +129,6 @@ class IpObjects:
         return len(self._records)
 
 
-_LEFT: Final = -1
-_RIGHT: Final = 1
-_ON: Final = True
-_OFF: Final = False
-
-
 @final
 class HomingMethod:
     """One row of the table.
@@ -136,25 +153,6 @@ class HomingMethod:
         self.index = index
 
 
-# Methods 1 to 14; 17 to 30 are the same without the index pulse.
-_BY_EDGE: Final = (
-    (NEGATIVE_LIMIT, _RIGHT, _ON, _LEFT, False),  # 1, 17
-    (POSITIVE_LIMIT, _LEFT, _ON, _RIGHT, False),  # 2, 18
-    (HOME_SWITCH, _LEFT, _ON, _RIGHT, False),  # 3, 19: positive home switch
-    (HOME_SWITCH, _RIGHT, _OFF, _RIGHT, False),  # 4, 20
-    (HOME_SWITCH, _RIGHT, _ON, _LEFT, False),  # 5, 21: negative home switch
-    (HOME_SWITCH, _LEFT, _OFF, _LEFT, False),  # 6, 22
-    (HOME_SWITCH, _LEFT, _ON, _RIGHT, True),  # 7, 23: left edge, from inside
-    (HOME_SWITCH, _RIGHT, _OFF, _RIGHT, True),  # 8, 24: left edge, from outside
-    (HOME_SWITCH, _LEFT, _OFF, _RIGHT, True),  # 9, 25: right edge, from outside
-    (HOME_SWITCH, _RIGHT, _ON, _RIGHT, True),  # 10, 26: right edge, from inside
-    (HOME_SWITCH, _RIGHT, _ON, _LEFT, True),  # 11, 27: the same four, starting to the left
-    (HOME_SWITCH, _LEFT, _OFF, _LEFT, True),  # 12, 28
-    (HOME_SWITCH, _RIGHT, _OFF, _LEFT, True),  # 13, 29
-    (HOME_SWITCH, _LEFT, _ON, _LEFT, True),  # 14, 30
-)
-
-
 def _table() -> dict[int, HomingMethod]:
     table: dict[int, HomingMethod] = {}
     for first, index in ((1, True), (17, False)):
@@ -168,10 +166,6 @@ def _table() -> dict[int, HomingMethod]:
 
 
 HOMING_METHODS: Final[dict[int, HomingMethod]] = _table()
-
-
-_SWITCH_PART: Final = 4  # default 6099h:1 is 6081h divided by this
-_ZERO_PART: Final = 40  # default 6099h:2 is 6081h divided by this
 
 
 @final

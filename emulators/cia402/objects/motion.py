@@ -1,13 +1,9 @@
-"""The objects of motion: targets, speeds, ramps and limits.
+"""The objects of motion: targets, speeds, ramps, limits, windows, option codes.
 
 All values are converted to increments and seconds. A value of 0 in a ramp means "not set": 6085h
 then falls back to 6084h, and that to 6083h.
 
-The windows for target reached, standstill, velocity and following error.
-
-Option codes for stopping the drive (CiA 402-2, 605Ah to 605Eh, 6007h).
-
-Meaning of their terms in this drive:
+The option codes (CiA 402-2, 605Ah to 605Eh, 6007h) tell how the drive stops. Their terms mean:
 
 - *slow-down ramp*: 6084h, or 609Ah if homing is halted. *Quick stop ramp*: 6085h. The demand
   decreases linearly.
@@ -37,6 +33,26 @@ _TARGET_VELOCITY: Final = int(ObjectChange.TARGET_VELOCITY)
 # range (bits 6 and 7); no other bit has an effect.
 _POSITIONING: Final = frozenset(origin | way << 6 for origin in range(3) for way in range(4))
 _D = DataType
+
+NO_WINDOW: Final = 0xFFFF_FFFF
+
+# Common to 605Ah, 605Dh and 605Eh; 605Ah has 5 to 8 for the same reactions, and then stays.
+COAST: Final = 0
+SLOW_DOWN_RAMP: Final = 1
+QUICK_STOP_RAMP: Final = 2
+CURRENT_LIMIT: Final = 3
+VOLTAGE_LIMIT: Final = 4
+STAYS: Final = 5  # from here on, 605Ah stays in QUICK STOP ACTIVE
+
+# Values that have an effect, and can therefore be written.
+_ALLOWED: Final = {
+    0x6007: frozenset(range(4)),
+    0x605A: frozenset(range(9)),
+    0x605B: frozenset(range(2)),
+    0x605C: frozenset(range(2)),
+    0x605D: frozenset(range(1, 5)),
+    0x605E: frozenset(range(5)),
+}
 
 
 @final
@@ -231,9 +247,6 @@ class MotionObjects:
         return OK
 
 
-NO_WINDOW: Final = 0xFFFF_FFFF
-
-
 @final
 class WindowObjects:
     """6065h to 6068h, 606Dh to 6070h."""
@@ -270,25 +283,6 @@ class WindowObjects:
             self._velocity_threshold.integer() * units.velocity_unit_inc_s,
             self._velocity_threshold_ms.integer() * MS,
         )
-
-
-# Common to 605Ah, 605Dh and 605Eh; 605Ah has 5 to 8 for the same reactions, and then stays.
-COAST: Final = 0
-SLOW_DOWN_RAMP: Final = 1
-QUICK_STOP_RAMP: Final = 2
-CURRENT_LIMIT: Final = 3
-VOLTAGE_LIMIT: Final = 4
-STAYS: Final = 5  # from here on, 605Ah stays in QUICK STOP ACTIVE
-
-# Values that have an effect, and can therefore be written.
-_ALLOWED: Final = {
-    0x6007: frozenset(range(4)),
-    0x605A: frozenset(range(9)),
-    0x605B: frozenset(range(2)),
-    0x605C: frozenset(range(2)),
-    0x605D: frozenset(range(1, 5)),
-    0x605E: frozenset(range(5)),
-}
 
 
 @final

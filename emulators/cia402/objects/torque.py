@@ -1,12 +1,11 @@
-"""The objects of torque and current, and their units.
+"""The objects of torque, servo gains, and offsets of the cyclic modes.
 
 Torque is that of the motor shaft, in 1/1000 of the rated torque 6076h [mN m]. Current is in 1/1000
 of the rated current 6075h [mA]. Only the motor's torque constant relates the two, so the torque is
 correct for any 6075h and 6076h. Where they are 0 or absent, the motor's values are used.
 
-Servo gains as objects: current (60F6h), velocity (60F9h), position loop (60FBh).
-
-CiA 402-2 leaves the contents of these three sets to the manufacturer. The meaning below therefore
+Servo gains are objects: current (60F6h), velocity (60F9h) and position loop (60FBh). CiA 402-2
+leaves the contents of these three sets to the manufacturer. The meaning below therefore
 applies only to a drive with our identity (1018h). In any other EDS they are plain numbers that can
 be stored and read.
 
@@ -24,8 +23,6 @@ object   sub  gain                         unit
 
 At power-on they show the tuned gains of the servo, rounded. The servo uses the exact value until a
 different value is written.
-
-Offsets of the cyclic modes, added to a set-point or fed forward.
 """
 
 from typing import Final, final
@@ -40,6 +37,21 @@ PERMILLE_MAX: Final = 0x7FFF  # INTEGER16
 SLOPE_DEFAULT: Final = 100_000  # 1/1000 of the rated torque per second: the full torque in 10 ms
 _UNSIGNED16_MAX: Final = 0xFFFF
 _D = DataType
+
+OUR_VENDOR: Final = 0x0000_0000
+OUR_PRODUCT: Final = 0x0000_0402
+
+# Index, sub-index and unit of each ServoGains attribute, in the order of the attributes.
+_PLACES: Final = (
+    (0x60FB, 1, 1e-3),
+    (0x60F9, 1, 1e-9),
+    (0x60F9, 2, 1e-9),
+    (0x60F6, 1, 1e-6),
+    (0x60F6, 2, 1e-3),
+    (0x60FB, 2, 1e-3),
+    (0x60FB, 3, 1e-12),
+)
+_UNSIGNED32_MAX: Final = 0xFFFF_FFFF
 
 
 @final
@@ -118,22 +130,6 @@ class TorqueObjects:
 
     def _per_permille_a(self) -> float:
         return self._torque_unit_mn_m() * 1e-6 / self._torque_n_m_a
-
-
-OUR_VENDOR: Final = 0x0000_0000
-OUR_PRODUCT: Final = 0x0000_0402
-
-# Index, sub-index and unit of each ServoGains attribute, in the order of the attributes.
-_PLACES: Final = (
-    (0x60FB, 1, 1e-3),
-    (0x60F9, 1, 1e-9),
-    (0x60F9, 2, 1e-9),
-    (0x60F6, 1, 1e-6),
-    (0x60F6, 2, 1e-3),
-    (0x60FB, 2, 1e-3),
-    (0x60FB, 3, 1e-12),
-)
-_UNSIGNED32_MAX: Final = 0xFFFF_FFFF
 
 
 @final
@@ -223,9 +219,6 @@ class ControlParameters:
         )
 
 
-_OFFSET_DATA: Final = DataType
-
-
 @final
 class OffsetObjects:
     """60B0h, 60B1h and 60B2h (CiA 402-2, cyclic synchronous modes)."""
@@ -233,9 +226,9 @@ class OffsetObjects:
     def __init__(self, od: ObjectDictionary, factors: FactorGroup, torque: TorqueObjects) -> None:
         self._factors = factors
         self._torque = torque
-        self._position = od.ensure(0x60B0, 0, _OFFSET_DATA.INTEGER32, 0)
-        self._velocity = od.ensure(0x60B1, 0, _OFFSET_DATA.INTEGER32, 0)
-        self._torque_offset = od.ensure(0x60B2, 0, _OFFSET_DATA.INTEGER16, 0)
+        self._position = od.ensure(0x60B0, 0, _D.INTEGER32, 0)
+        self._velocity = od.ensure(0x60B1, 0, _D.INTEGER32, 0)
+        self._torque_offset = od.ensure(0x60B2, 0, _D.INTEGER16, 0)
 
     def are_set(self) -> bool:
         """Return True if any offset is not 0."""

@@ -13,7 +13,7 @@ squared. Externally, a drive uses the units of its factor group (CiA 402-2, fact
 607Eh inverts positions (bit 7) and velocities (bit 6), but not torque. 607Bh defines a range in
 which positions repeat, as on a turntable, if it is smaller than 32 bits.
 
-Motor-dependent values for objects without a value in EDS and rig.
+`DriveDefaults` has the motor-dependent values for objects without a value in EDS and rig.
 """
 
 from dataclasses import dataclass
@@ -37,6 +37,9 @@ _SI_TURNS: Final[dict[int, Fraction]] = {
     0xB4: Fraction(1),  # revolution
 }
 _SI_SECONDS: Final[dict[int, int]] = {0x00: 1, 0x03: 1, 0x47: 60}
+
+_UNSIGNED32_MAX: Final = 0xFFFF_FFFF
+_GEAR_DIVISOR_MAX: Final = 10_000
 
 
 @final
@@ -218,10 +221,6 @@ def _rate_unit(
 def _power_of_ten(si: int) -> Fraction:
     exponent = (si >> 24 & 0xFF ^ 0x80) - 0x80
     return Fraction(10) ** exponent
-
-
-_UNSIGNED32_MAX: Final = 0xFFFF_FFFF
-_GEAR_DIVISOR_MAX: Final = 10_000
 
 
 def fill_factors(od: ObjectDictionary, plant: MotorPlant) -> None:

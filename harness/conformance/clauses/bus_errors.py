@@ -9,20 +9,22 @@ from motorhil.harness.conformance.bench import Ability, RigProtocol
 from motorhil.harness.conformance.clause import Level, clause, expect
 from motorhil.harness.conformance.clauses.helpers import (
     aim,
-    ending,
+    error_ending,
+    expect_moved,
+    expect_state,
     expect_usable,
     finish,
     long_move,
     modes_of,
     move,
     move_through,
-    place,
+    position_of,
     reached,
     rest_for,
     until_rest_s,
 )
 from motorhil.harness.rig.config.conformance import Capability
-from motorhil.motorapi import LinkError, Motor, MotorState
+from motorhil.motorapi import LinkError, MotorState
 
 _TO_PASSIVE = 24  # failures; the node then stays error passive for a while
 _TO_BUS_OFF = 32
@@ -40,21 +42,21 @@ _ERRORS = {Ability.BUS_ERRORS, Ability.AFRESH}
     bench=_ERRORS,
     source="errors, LinkError: the bus is off; motorapi.runtime; ISO 11898-1, fault confinement",
 )
-def a_host_off_the_bus_is_told_at_once_and_goes_on_afterwards(bench: RigProtocol) -> None:
+def host_bus_off_ends_wait_at_once(bench: RigProtocol) -> None:
     """In every mode, bus-off of the host ends the wait at once; the motor is usable afterwards."""
     for mode in modes_of(bench):
         motor = bench.motor
         with bench.strike(None, _TO_BUS_OFF) as struck:
             if mode.moves and mode.ends:
-                error = ending(bench, motor, mode, _AT_ONCE_S)
+                error = error_ending(bench, motor, mode, _AT_ONCE_S)
                 expect(
                     isinstance(error, LinkError),
-                    f"{mode.words}: host in bus-off; expected LinkError from"
+                    f"{mode.name}: host in bus-off; expected LinkError from"
                     f" the wait within {_AT_ONCE_S:g} s, got {error!r}",
                 )
             rest_for(bench, until_rest_s(bench, motor))  # a servo on the host coasts
             reached(struck() == _TO_BUS_OFF, "bus-off of the host")
-        expect_usable(bench, motor, f"{mode.words}, after bus-off of the host")
+        expect_usable(bench, motor, f"{mode.name}, after bus-off of the host")
 
 
 @clause(
@@ -64,16 +66,16 @@ def a_host_off_the_bus_is_told_at_once_and_goes_on_afterwards(bench: RigProtocol
     bench={*_ERRORS, Ability.TRUTH},
     source="Sharing and locking, at most once; ISO 11898-1: destroyed frames are repeated",
 )
-def a_noisy_bus_loses_no_move_and_doubles_none(bench: RigProtocol) -> None:
+def noisy_bus_makes_each_move_once(bench: RigProtocol) -> None:
     """On a bus with one wrong bit in ten thousand, every move is made once and reported done."""
     motor = bench.motor
     motor.enable()
     with bench.noise(_BIT_ERROR_RATE) as struck:
         for number in range(_MOVES):
-            before, way = place(bench, motor), 0.25 * long_move(bench) * (-1) ** (number // 2)
+            before, way = position_of(bench, motor), 0.25 * long_move(bench) * (-1) ** (number // 2)
             aim(motor, way, relative=True)
             finish(bench, motor)
-            _expect_moved(bench, motor, before, way, f"move {number + 1} on a noisy bus")
+            expect_moved(bench, motor, before, way, f"move {number + 1} on a noisy bus", 2.0)
         reached(struck() > 0, "a bit error on the bus")
 
 
@@ -84,7 +86,7 @@ def a_noisy_bus_loses_no_move_and_doubles_none(bench: RigProtocol) -> None:
     bench={*_ERRORS, Ability.TRUTH},
     source="ISO 11898-1: an error passive node takes part; CiA 301, EMCY 8120h",
 )
-def an_error_passive_node_is_none_that_has_failed(bench: RigProtocol) -> None:
+def error_passive_node_is_not_faulty(bench: RigProtocol) -> None:
     """With an error passive drive or host, the motor stays enabled, without fault, and moves."""
     for whose in ("drive", "host"):
         bench.afresh()
@@ -93,13 +95,12 @@ def an_error_passive_node_is_none_that_has_failed(bench: RigProtocol) -> None:
         with bench.strike(motor if whose == "drive" else None, _TO_PASSIVE) as struck:
             rest_for(bench, _BACK_S)
             reached(struck() == _TO_PASSIVE, f"an error passive {whose}")
-            state, fault = motor.state(), motor.fault()
-            what = f"{whose} error passive"
-            expect(state is MotorState.ENABLED, f"{what}: state is {state.value}; expected enabled")
+            what, fault = f"{whose} error passive", motor.fault()
+            expect_state(motor, MotorState.ENABLED, what)
             expect(fault is None, f"{what}: reported as fault: {fault}")
-            before, way = place(bench, motor), 0.25 * long_move(bench)
+            before, way = position_of(bench, motor), 0.25 * long_move(bench)
             move(bench, motor, way)
-            _expect_moved(bench, motor, before, way, what)
+            expect_moved(bench, motor, before, way, what, 2.0)
 
 
 @clause(
@@ -109,7 +110,7 @@ def an_error_passive_node_is_none_that_has_failed(bench: RigProtocol) -> None:
     bench={*_ERRORS, Ability.TRUTH},
     source="Sharing and locking, at most once; Linux: bus-off discards queued frames",
 )
-def whichever_frame_puts_the_host_off_the_bus_nothing_is_untrue(bench: RigProtocol) -> None:
+def bus_off_at_any_frame_moves_once_or_fails(bench: RigProtocol) -> None:
     """Whichever frame of a move puts the host in bus-off, the move is made once or fails."""
     hit = 0
     for skip in range(1, _FRAMES):
@@ -119,11 +120,3 @@ def whichever_frame_puts_the_host_off_the_bus_nothing_is_untrue(bench: RigProtoc
         strike = bench.strike(None, _TO_BUS_OFF, skip=skip)
         hit += move_through(bench, motor, strike, f"bus-off with frame {skip + 1} of a move")
     reached(hit > 0, "bus-off of the host")
-
-
-def _expect_moved(bench: RigProtocol, motor: Motor, before: float, way: float, what: str) -> None:
-    moved, unit = place(bench, motor) - before, motor.model.unit
-    expect(
-        abs(moved - way) <= 2.0 * bench.facts.window,
-        f"{what}: moved {moved:g} {unit}; one move of {way:g} {unit} was commanded",
-    )

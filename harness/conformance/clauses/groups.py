@@ -1,42 +1,43 @@
-"""L4: synchronised groups, and the reported quality of synchronization.
+"""L4: synchronised groups, the reported quality of synchronization, and failing members."""
 
-L4: groups with a member that refuses, is lost, or fails.
-"""
-
+from functools import partial
 from math import hypot
 
 from motorhil.harness.conformance.bench import Ability, RigProtocol
-from motorhil.harness.conformance.clause import Level, NotApplicable, Violated, clause, expect
+from motorhil.harness.conformance.clause import Level, NotApplicable, clause, expect
 from motorhil.harness.conformance.clauses.helpers import (
     BEGUN,
-    Course,
-    expect_made,
+    GroupPositions,
+    elapsed_s,
+    expect_group_moved,
+    expect_moved,
+    expect_raises,
     expect_rest,
     expect_unmoved,
+    failure_of,
     finish,
-    half,
-    looking_error_s,
+    finish_group,
+    follow,
+    half_move,
     midway_s,
     move,
     pair_of,
-    place,
-    places,
+    position_of,
+    positions_of,
     reached,
     rest_for,
-    run_to_the_end,
+    sampling_error_s,
     shortest_s,
-    smooth_way,
-    ways_of,
+    smooth_move,
+    trajectories_of,
 )
 from motorhil.harness.rig.config.conformance import Capability
 from motorhil.motorapi import (
-    ControlMode,
     FaultReaction,
     Motor,
-    MotorError,
     MotorGroup,
     MotorState,
-    PluginError,
+    SyncCapability,
     Synchronization,
     SynchronizationError,
     SyncLevel,
@@ -58,24 +59,24 @@ _FAR = 1e-6  # U: two skews that are not meant to differ
     bench=_TWO,
     source="requirement 5 of the paper; 3.4, Algorithm 2",
 )
-def a_group_begins_and_ends_together(bench: RigProtocol) -> None:
+def group_starts_and_ends_together(bench: RigProtocol) -> None:
     """All members begin within the reported bound, and end together, at their targets."""
-    way = half(bench)
+    way = half_move(bench)
     ways = (way, -way)
     group = pair_of(bench, *ways)
-    before = places(bench, group)
-    told = group.sync_capability()
-    course = Course(bench, group)
+    before = positions_of(bench, group)
+    predicted = group.sync_capability()
+    track = GroupPositions(bench, group)
     group.start()
-    run_to_the_end(bench, group)
-    course.end()
-    expect_made(bench, group, before, ways, "after Algorithm 2")
+    finish_group(bench, group)
+    track.end()
+    expect_group_moved(bench, group, before, ways, "after Algorithm 2")
     tolerance_s = bench.facts.time_tolerance_s
-    begun_s = tolerance_s if told.start_skew_s is None else told.start_skew_s
-    ended_s = tolerance_s if told.end_skew_s is None else told.end_skew_s
-    error_s = looking_error_s(bench, way, BEGUN)
+    begun_s = tolerance_s if predicted.start_skew_s is None else predicted.start_skew_s
+    ended_s = tolerance_s if predicted.end_skew_s is None else predicted.end_skew_s
+    error_s = sampling_error_s(bench, way, BEGUN)
     for share, bound_s, what in ((BEGUN, begun_s, "began"), (_ENDED, ended_s, "ended")):
-        skew_s = course.skew_s(share, ways)
+        skew_s = track.skew_s(share, ways)
         expect(skew_s is not None, f"not all members {what}")
         expect(
             (skew_s or 0.0) <= bound_s + error_s,
@@ -91,24 +92,21 @@ def a_group_begins_and_ends_together(bench: RigProtocol) -> None:
     bench=_TWO,
     source="requirement 5 of the paper: feedback on the quality of synchronization",
 )
-def the_quality_that_is_told_is_what_it_was(bench: RigProtocol) -> None:
+def sync_quality_is_as_measured(bench: RigProtocol) -> None:
     """Each member's start and end, and the skew, are reported as they were, or not at all."""
-    way = half(bench)
+    way = half_move(bench)
     ways = (way, -way)
     group = pair_of(bench, *ways)
-    try:
-        group.sync_quality()
-    except UsageError:
-        pass
-    else:
-        raise Violated("sync_quality() returned a value before the first start")
-    course = Course(bench, group)
+    expect_raises(
+        UsageError, group.sync_quality, "sync_quality() returned a value before the first start"
+    )
+    track = GroupPositions(bench, group)
     group.start()
-    run_to_the_end(bench, group)
-    course.end()
+    finish_group(bench, group)
+    track.end()
     quality, tolerance_s = group.sync_quality(), bench.facts.time_tolerance_s
-    seen_s = course.skew_s(BEGUN, ways) or 0.0
-    error_s = looking_error_s(bench, way, BEGUN) + bench.facts.latency_s[1]
+    seen_s = track.skew_s(BEGUN, ways) or 0.0
+    error_s = sampling_error_s(bench, way, BEGUN) + bench.facts.latency_s[1]
     expect(
         quality.start_skew_s is None or abs(quality.start_skew_s - seen_s) <= error_s,
         f"start skew: {quality.start_skew_s} s reported; {seen_s:.6f} s measured",
@@ -123,7 +121,7 @@ def the_quality_that_is_told_is_what_it_was(bench: RigProtocol) -> None:
             abs(took_s - least_s) <= tolerance_s + error_s,
             f"{name}: duration of {took_s:.6f} s reported; the motion takes {least_s:.6f} s",
         )
-        begun_ns = course.when(member, BEGUN, ways[member]) or 0.0
+        begun_ns = track.when(member, BEGUN, ways[member]) or 0.0
         expect(
             times.started_ns <= begun_ns + error_s * 1e9,
             f"{name}: start reported {(times.started_ns - begun_ns) / 1e9:.6f} s late",
@@ -137,25 +135,25 @@ def the_quality_that_is_told_is_what_it_was(bench: RigProtocol) -> None:
     bench=_TWO,
     source="paper 3.4: as fast as motors allow, at the same time; MotorGroup.start",
 )
-def a_group_takes_the_time_of_its_slowest(bench: RigProtocol) -> None:
+def group_takes_time_of_slowest_member(bench: RigProtocol) -> None:
     """Each group takes the time of its slowest member; it is done only when all members are."""
-    way = half(bench)
+    way = half_move(bench)
     ways = (0.25 * way, way)
     group = pair_of(bench, *ways)
-    before = places(bench, group)
+    before = positions_of(bench, group)
     least_s = shortest_s(bench.motors[1], way)
     group.start()
     begun_ns = bench.runtime.now_ns()
     rest_for(bench, 0.6 * least_s)
     expect(not group.is_done(), f"done was reported after {0.6 * least_s:.3f} of {least_s:.3f} s")
-    short = abs(place(bench, bench.motor) - before[0])
+    short = abs(position_of(bench, bench.motor) - before[0])
     expect(
         short < 0.95 * abs(ways[0]),
         f"{bench.motor.name} was at its target after 60 % of the common time",
     )
     group.wait_until_done(10.0)
-    took_s = (bench.runtime.now_ns() - begun_ns) / 1e9
-    expect_made(bench, group, before, ways, "when done was reported")
+    took_s = elapsed_s(bench, begun_ns)
+    expect_group_moved(bench, group, before, ways, "when done was reported")
     most_s = least_s + bench.facts.time_tolerance_s + 0.1 * least_s
     expect(took_s <= most_s, f"the group took {took_s:.3f} s; limit {most_s:.3f} s")
 
@@ -167,46 +165,47 @@ def a_group_takes_the_time_of_its_slowest(bench: RigProtocol) -> None:
     bench=_TWO,
     source="MotorGroup.synchronization NONE; MotorGroup.append, remove (paper 3.4)",
 )
-def a_group_forgets_no_member(bench: RigProtocol) -> None:
+def group_operations_reach_every_member(bench: RigProtocol) -> None:
     """Group operations act on every member, and on no motor that was removed."""
     first, second = bench.motors[:2]
-    way = half(bench)
+    way = half_move(bench)
     ways = (way, 0.25 * way)
     group = pair_of(bench, *ways)
     group.synchronization = Synchronization.NONE
-    before = places(bench, group)
+    before = positions_of(bench, group)
     group.start()
     second.wait_until_done(10.0)
     expect(not group.is_done(), f"done was reported while {first.name} moves")
     group.wait_until_done(10.0)
-    expect_made(bench, group, before, ways, "without synchronization, when done was reported")
-    way = 2.0 * half(bench)
-    group.set_trajectory(*ways_of(-way, -way))
+    expect_group_moved(
+        bench, group, before, ways, "without synchronization, when done was reported"
+    )
+    way = 2.0 * half_move(bench)
+    group.set_trajectory(*trajectories_of(-way, -way))
     for stop in (MotorGroup.stop, MotorGroup.halt):
         group.start()
         rest_for(bench, midway_s(first, way, 0.3))
-        before = places(bench, group)
+        before = positions_of(bench, group)
         stop(group)
         group.wait_until_done(10.0)
         for motor, was in zip(group, before, strict=True):
             what = f"after {stop.__name__}() of its group, {motor.name}"
             expect_rest(bench, motor, what)
-            moved = abs(place(bench, motor) - was)
+            moved = abs(position_of(bench, motor) - was)
             expect(moved < 0.5 * way, f"{what} moved on by {moved:g} of {way:g}")
-    _expect_one_alone(bench, group)
+    _expect_removal(bench, group)
 
 
-def _expect_one_alone(bench: RigProtocol, group: MotorGroup) -> None:
+def _expect_removal(bench: RigProtocol, group: MotorGroup) -> None:
     first, second = bench.motors[:2]
     group.remove(first)
-    before, way = place(bench, first), 0.25 * half(bench)
-    group.set_trajectory(*ways_of(way))
-    was = place(bench, second)
+    before, way = position_of(bench, first), 0.25 * half_move(bench)
+    group.set_trajectory(*trajectories_of(way))
+    was = position_of(bench, second)
     group.start()
     group.wait_until_done(10.0)
     expect_unmoved(bench, first, before, f"{first.name}, removed from the group")
-    moved = place(bench, second) - was
-    expect(abs(moved - way) <= bench.facts.window, f"a group of one moved {moved:g} of {way:g}")
+    expect_moved(bench, second, was, way, "a group of one")
 
 
 @clause(
@@ -216,9 +215,9 @@ def _expect_one_alone(bench: RigProtocol, group: MotorGroup) -> None:
     bench=_TWO,
     source="requirement 5 of the paper: feedback on the possible capability",
 )
-def what_is_asked_of_a_start_is_met_or_refused(bench: RigProtocol) -> None:
+def start_requirement_is_met_or_refused(bench: RigProtocol) -> None:
     """Every skew has a bound or a reason; a start that cannot meet a requirement is refused."""
-    way = half(bench)
+    way = half_move(bench)
     group = pair_of(bench, way, -way)
     can = group.sync_capability()
     for value, why, what in (
@@ -229,28 +228,30 @@ def what_is_asked_of_a_start_is_met_or_refused(bench: RigProtocol) -> None:
         expect(value is not None or bool(why), f"no bound on the skew {what}, and no reason")
         expect(value is None or value >= 0.0, f"a skew {what} of {value} s")
     expect(bool(can.reason), "sync_capability() has no reason for its level")
-    before = places(bench, group)
-    _expect_refused(group, SyncLevel(max(SyncLevel)) if can.level < max(SyncLevel) else None, None)
+    before = positions_of(bench, group)
+    if can.level < max(SyncLevel):
+        _expect_refused(group, can, SyncLevel(max(SyncLevel)), None)
     if can.start_skew_s is None or can.start_skew_s > 0.0:
         too_little = 3600.0 if can.start_skew_s is None else 0.5 * can.start_skew_s
-        _expect_refused(group, None, too_little)
+        _expect_refused(group, can, None, too_little)
     for motor, was in zip(group, before, strict=True):
         expect_unmoved(bench, motor, was, f"{motor.name}, after its group was refused")
     enough = None if can.start_skew_s is None else 1.01 * can.start_skew_s + _FAR
     group.start(require=can.level, max_skew_s=enough)
-    run_to_the_end(bench, group)
-    expect_made(bench, group, before, (way, -way), "with the reported capability as requirement")
+    finish_group(bench, group)
+    expect_group_moved(
+        bench, group, before, (way, -way), "with the reported capability as requirement"
+    )
 
 
-def _expect_refused(group: MotorGroup, level: SyncLevel | None, skew_s: float | None) -> None:
-    if level is None and skew_s is None:
-        return
-    asked = f"require={level}, max_skew_s={skew_s}"
-    try:
-        group.start(require=level, max_skew_s=skew_s)
-    except SynchronizationError:
-        return
-    raise Violated(f"start({asked}) was not refused; the capability is {group.sync_capability()}")
+def _expect_refused(
+    group: MotorGroup, can: SyncCapability, level: SyncLevel | None, skew_s: float | None
+) -> None:
+    expect_raises(
+        SynchronizationError,
+        partial(group.start, require=level, max_skew_s=skew_s),
+        f"start(require={level}, max_skew_s={skew_s}) was not refused; the capability is {can}",
+    )
 
 
 @clause(
@@ -260,19 +261,19 @@ def _expect_refused(group: MotorGroup, level: SyncLevel | None, skew_s: float | 
     bench=_TWO,
     source="Synchronization.PHASE: at every instant all have the same share of their distance",
 )
-def a_line_is_a_line(bench: RigProtocol) -> None:
+def phase_sync_stays_on_straight_line(bench: RigProtocol) -> None:
     """Phase-synchronised motors stay on a straight line, within the predicted deviation."""
-    way = half(bench)
+    way = half_move(bench)
     ways = (way, -0.4 * way)
     group = pair_of(bench, *ways)
     group.synchronization = Synchronization.PHASE
     can = group.sync_capability()
-    course = Course(bench, group)
+    track = GroupPositions(bench, group)
     group.start()
-    run_to_the_end(bench, group)
-    course.end()
+    finish_group(bench, group)
+    track.end()
     expect(len(can.path) == len(ways), f"a path of {len(can.path)} motors was predicted")
-    worst = _off_the_line(course, ways)
+    worst = _distance_from_line(track, ways)
     predicted = max(one.predicted or 0.0 for one in can.path)
     expect(
         predicted <= 2.0 * bench.facts.following,
@@ -285,16 +286,16 @@ def a_line_is_a_line(bench: RigProtocol) -> None:
         worst <= allowed,
         f"deviation from the line: {worst:.6g}; allowed are {allowed:.6g}",
     )
-    told = max(one.deviation or 0.0 for one in group.sync_quality().path)
-    expect(told <= 2.0 * allowed, f"deviation: {told:.6g} reported; {worst:.6g} measured")
+    reported = max(one.deviation or 0.0 for one in group.sync_quality().path)
+    expect(reported <= 2.0 * allowed, f"deviation: {reported:.6g} reported; {worst:.6g} measured")
 
 
-def _off_the_line(course: Course, ways: tuple[float, float]) -> float:
+def _distance_from_line(track: GroupPositions, ways: tuple[float, float]) -> float:
     """Return the largest distance of the motors from the line between start and end [U]."""
-    first, second = course.seen[0][1]
+    first, second = track.samples[0][1]
     length = hypot(*ways)
     return max(
-        abs((a - first) * ways[1] - (b - second) * ways[0]) / length for _, (a, b) in course.seen
+        abs((a - first) * ways[1] - (b - second) * ways[0]) / length for _, (a, b) in track.samples
     )
 
 
@@ -305,31 +306,31 @@ def _off_the_line(course: Course, ways: tuple[float, float]) -> float:
     bench={*_TWO, Ability.CUT, Ability.AFRESH},
     source="MotorGroup.start: if one refuses, none moves",
 )
-def if_one_cannot_be_armed_none_moves(bench: RigProtocol) -> None:
+def group_with_lost_member_does_not_move(bench: RigProtocol) -> None:
     """If one member does not answer when it is armed, no member moves, then or later."""
-    _require_cables_of_their_own(bench)
+    _require_separate_cables(bench)
     for lost in (1, 0):
         bench.afresh()
-        way = 0.5 * half(bench)
+        way = 0.5 * half_move(bench)
         group = pair_of(bench, way, -way)
         group.start()
         group.wait_until_done(10.0)  # both motors are now fully set up
         refusing, other = bench.motors[lost], bench.motors[1 - lost]
-        before = place(bench, other)
+        before = position_of(bench, other)
         is_one_signal = group.sync_capability().level >= SyncLevel.TRIGGERED
         with bench.cut(refusing):
             if not is_one_signal:  # else the others begin before its loss is known
                 rest_for(bench, bench.facts.lost_s)
-            told = _failure_of(group)
+            error = failure_of(group.start)
             rest_for(bench, bench.facts.lost_s)
-        expect(told is not None, f"{refusing.name} does not answer, but start() returned")
+        expect(error is not None, f"{refusing.name} does not answer, but start() returned")
         rest_for(bench, 1.0)
         expect_unmoved(bench, other, before, f"{refusing.name} refused: {other.name}")
-        _fire_once_more(bench, refusing)
+        _start_alone(bench, refusing)
         expect_unmoved(bench, other, before, f"{refusing.name} refused: later {other.name}")
 
 
-def _require_cables_of_their_own(bench: RigProtocol) -> None:
+def _require_separate_cables(bench: RigProtocol) -> None:
     first, second = bench.motors[:2]
     second.enable()
     with bench.cut(first):
@@ -338,25 +339,13 @@ def _require_cables_of_their_own(bench: RigProtocol) -> None:
             raise NotApplicable(f"{second.name} and {first.name} share a cable")
 
 
-def _failure_of(group: MotorGroup) -> MotorError | None:
-    try:
-        group.start()
-    except PluginError:
-        raise
-    except MotorError as error:
-        return error
-    return None
-
-
-def _fire_once_more(bench: RigProtocol, motor: Motor) -> None:
+def _start_alone(bench: RigProtocol, motor: Motor) -> None:
     """Start a motion of this motor alone, so that any common start signal is sent again."""
     motor.reset_fault()
     motor.enable()
-    way = 0.25 * half(bench)
+    way = 0.25 * half_move(bench)
     try:
-        motor.set_control_mode(ControlMode.TRAJECTORY)
-        motor.set_trajectory(smooth_way(motor, way))
-        motor.start()
+        follow(motor, smooth_move(motor, way))
     except UnsupportedError:
         move(bench, motor, way)
         return
@@ -370,31 +359,31 @@ def _fire_once_more(bench: RigProtocol, motor: Motor) -> None:
     bench={*_TWO, Ability.SILENCE_HOST, Ability.AFRESH},
     source="MotorHooks._arm: in the hardware, confirmed; decision 0010, arm, then fire",
 )
-def no_part_of_a_group_moves_on_alone(bench: RigProtocol) -> None:
+def lost_start_frame_moves_all_or_none(bench: RigProtocol) -> None:
     """Whichever frame of a common start is lost, all members move, or none and start() fails."""
     hit = 0
     for skip in range(_FRAMES):
         bench.afresh()
-        way = half(bench)
+        way = half_move(bench)
         group = pair_of(bench, 0.1 * way, -0.1 * way)
         group.start()
-        run_to_the_end(bench, group)  # both motors are now fully set up
-        group.set_trajectory(*ways_of(way, -way))
-        before = places(bench, group)
+        finish_group(bench, group)  # both motors are now fully set up
+        group.set_trajectory(*trajectories_of(way, -way))
+        before = positions_of(bench, group)
         with bench.silence_host(skip=skip, limit=1) as lost:
-            told = _failure_of(group)
+            error = failure_of(group.start)
             hit += lost()
         which = f"frame {skip + 1} of the host was lost"
-        if told is None:
-            run_to_the_end(bench, group)
-            expect_made(bench, group, before, (way, -way), which)
+        if error is None:
+            finish_group(bench, group)
+            expect_group_moved(bench, group, before, (way, -way), which)
             continue
         rest_for(bench, 1.0)
         for motor in group:
             expect_rest(bench, motor, f"{which}, start() failed: {motor.name}")
         first, second = bench.motors[:2]
-        rested = place(bench, first)
-        _fire_once_more(bench, second)
+        rested = position_of(bench, first)
+        _start_alone(bench, second)
         expect_unmoved(bench, first, rested, f"{which}, start() failed; later, {first.name}")
     reached(hit > 0, "the loss of a frame")
 
@@ -406,38 +395,32 @@ def no_part_of_a_group_moves_on_alone(bench: RigProtocol) -> None:
     bench={*_TWO, Ability.FAULT, Ability.AFRESH},
     source="FaultReaction; requirement 5, synchronised motions",
 )
-def a_fault_of_one_is_answered_as_was_set(bench: RigProtocol) -> None:
+def member_fault_causes_set_reaction(bench: RigProtocol) -> None:
     """If one member fails, the group fails, and the others react as set: stop or continue."""
     for reaction in FaultReaction:
         bench.afresh()
-        way = 3.0 * half(bench)
+        way = 3.0 * half_move(bench)
         group = pair_of(bench, way, -way)
         if reaction is FaultReaction.TOGETHER:
             group.synchronization = Synchronization.PHASE
         group.fault_reaction = reaction
         failing, other = bench.motors[:2]
-        before = place(bench, other)
+        before = position_of(bench, other)
         group.start()
         rest_for(bench, midway_s(other, way, 0.4))
         bench.fail(failing)
-        _expect_group_told(group, reaction)
+        error = failure_of(partial(group.wait_until_done, 10.0))
+        expect(
+            error is not None,
+            f"a member failed with reaction {reaction.name}, but its group reported done",
+        )
         rest_for(bench, shortest_s(other, way))
         expect_rest(
             bench, other, f"{failing.name} failed with reaction {reaction.name}: {other.name}"
         )
-        made = abs(place(bench, other) - before) / abs(way)
-        goes_on = reaction is FaultReaction.NONE
+        made = abs(position_of(bench, other) - before) / abs(way)
+        continues = reaction is FaultReaction.NONE
         expect(
-            goes_on is (made > 0.98),
+            continues is (made > 0.98),
             f"{failing.name} failed, {reaction.name}: {other.name} made {made:.0%}",
         )
-
-
-def _expect_group_told(group: MotorGroup, reaction: FaultReaction) -> None:
-    try:
-        group.wait_until_done(10.0)
-    except PluginError:
-        raise
-    except MotorError:
-        return
-    raise Violated(f"a member failed with reaction {reaction.name}, but its group reported done")

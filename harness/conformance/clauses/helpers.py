@@ -1,21 +1,18 @@
-"""Common actions of clauses: move a motor, wait, measure its position.
+"""Common steps of clauses: move motors and groups, measure them, check their state.
 
 U is the unit of the motor's position, rad or m. Expected profiles are computed here from a
 textbook, independently of the interface under test.
 
-All kinds of motion, for clauses that hold in each.
-
-Groups of two motors, and the true times of each member's motion.
-
-Where instants are compared, both distances have the same length. Then both motors make the same
+Where instants of a group are compared, its members move the same distance. Then they make the same
 profile, and reach each share of it at the same time.
 """
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
+from functools import partial
 from math import sqrt
-from typing import Final, final
+from typing import TYPE_CHECKING, Final, final
 
 from motorhil.harness.conformance.bench import Ability, Lost, RigProtocol
 from motorhil.harness.conformance.clause import NotApplicable, Violated, expect
@@ -28,14 +25,31 @@ from motorhil.motorapi import (
     Motor,
     MotorError,
     MotorGroup,
+    MotorState,
     PluginError,
     TrapezoidalTrajectory,
     UnsupportedError,
 )
 
+if TYPE_CHECKING:
+    from hypothesis import settings
+
 SAMPLE_S: Final = 0.005
+FINE_S: Final = 0.001
+BEGUN: Final = 0.05
+"""The share of its distance after which a motion has begun."""
+MOVING_S: Final = 0.4
+"""Time until a motion that began here is at full speed [s]."""
 _REST_S: Final = 0.05
 _SPARE_S: Final = 5.0
+_BACK_S: Final = 1.0
+_POLL_S: Final = 0.02
+_GROUP_TIMEOUT_S: Final = 10.0
+_LONG_MOVES: Final = 2.0  # long enough to be interrupted
+_SPEED: Final = 0.5  # of the model's maximum
+_TORQUE: Final = 0.06  # of the model's maximum: the motor must not run away
+_SPEED_SHARE: Final = 0.05  # allowed
+_CALM: Final = 0.5  # of the model's acceleration
 
 Sample = tuple[float, float]
 """(time since the first sample [s], position [U])."""
@@ -96,23 +110,23 @@ def trapezoid(
 
 def rest_for(bench: RigProtocol, duration_s: float) -> None:
     """Let this time pass [s]."""
-    bench.runtime.wait_until(_never, duration_s)
+    bench.runtime.wait_until(lambda: False, duration_s)
 
 
-def _never() -> bool:
-    return False
-
-
-def place(bench: RigProtocol, motor: Motor) -> float:
+def position_of(bench: RigProtocol, motor: Motor) -> float:
     """Return the motor's position [U]: the true one if the bench can see it."""
     if Ability.TRUTH in bench.abilities:
         return bench.true_position(motor)
     return motor.position()
 
 
-def follow(motor: Motor, trajectory: TrapezoidalTrajectory) -> None:
-    """Start a position trajectory."""
-    motor.set_control_mode(ControlMode.TRAJECTORY)
+def follow(
+    motor: Motor,
+    trajectory: TrapezoidalTrajectory | ComplexTrajectory,
+    variable: ControlVariable = ControlVariable.POSITION,
+) -> None:
+    """Start a trajectory."""
+    motor.set_control_mode(ControlMode.TRAJECTORY, variable)
     motor.set_trajectory(trajectory)
     motor.start()
 
@@ -126,16 +140,28 @@ def aim(
     motor.start()
 
 
-def turn(motor: Motor, velocity: float) -> None:
-    """Start a velocity set-point [U/s]."""
-    motor.set_control_mode(ControlMode.SETPOINT, ControlVariable.VELOCITY)
-    motor.set_setpoint(velocity)
+def drive(motor: Motor, variable: ControlVariable, value: float) -> None:
+    """Start a set-point of velocity [U/s], torque [N·m or N] or current [A]."""
+    motor.set_control_mode(ControlMode.SETPOINT, variable)
+    motor.set_setpoint(value)
     motor.start()
 
 
-def finish(bench: RigProtocol, motor: Motor, expected_s: float = 0.0) -> None:
-    """Wait until the motion is over, well beyond its expected duration."""
+def turn(motor: Motor, velocity: float) -> None:
+    """Start a velocity set-point [U/s]."""
+    drive(motor, ControlVariable.VELOCITY, velocity)
+
+
+def elapsed_s(bench: RigProtocol, since_ns: int) -> float:
+    """Return the time that has passed since then [s]."""
+    return (bench.runtime.now_ns() - since_ns) / 1e9
+
+
+def finish(bench: RigProtocol, motor: Motor, expected_s: float = 0.0) -> float:
+    """Wait until the motion is over, well beyond its expected duration; return the wait [s]."""
+    begun_ns = bench.runtime.now_ns()
     motor.wait_until_done(expected_s + bench.facts.time_tolerance_s + _SPARE_S)
+    return elapsed_s(bench, begun_ns)
 
 
 def move(bench: RigProtocol, motor: Motor, way: float) -> None:
@@ -144,68 +170,83 @@ def move(bench: RigProtocol, motor: Motor, way: float) -> None:
     finish(bench, motor, shortest_s(motor, way))
 
 
-def way_of_stopping(motor: Motor, velocity: float) -> float:
+def failure_of(*operations: Callable[[], object]) -> MotorError | None:
+    """Return the error that ends these operations, or None if they return.
+
+    Raises:
+        PluginError: the adaptation itself failed.
+    """
+    try:
+        for operation in operations:
+            operation()
+    except PluginError:
+        raise
+    except MotorError as error:
+        return error
+    return None
+
+
+def braking_distance(motor: Motor, velocity: float) -> float:
     """Return the braking distance from this velocity at the model's deceleration [U]."""
     return velocity**2 / (2.0 * motor.model.deceleration)
 
 
-def way_to_top_speed(motor: Motor) -> float:
+def distance_to_top_speed(motor: Motor) -> float:
     """Return the shortest move with a tenth of a second at the largest velocity [U]."""
     top = motor.model.velocity_max
     ramps_s = 0.5 * top * (1.0 / motor.model.acceleration_max + 1.0 / motor.model.deceleration)
     return top * (ramps_s + 0.1)
 
 
-def watched(bench: RigProtocol, motor: Motor, duration_s: float) -> list[Sample]:
+def sample_positions(bench: RigProtocol, motor: Motor, duration_s: float) -> list[Sample]:
     """Sample the position every `SAMPLE_S` for this duration, from now on."""
-    runtime = bench.runtime
-    begun_ns = runtime.now_ns()
-    taken: list[Sample] = []
+    begun_ns = bench.runtime.now_ns()
+    samples: list[Sample] = []
     while True:
-        at_s = (runtime.now_ns() - begun_ns) / 1e9
-        taken.append((at_s, place(bench, motor)))
+        at_s = elapsed_s(bench, begun_ns)
+        samples.append((at_s, position_of(bench, motor)))
         if at_s >= duration_s:
-            return taken
+            return samples
         rest_for(bench, SAMPLE_S)
 
 
-def fastest(taken: Sequence[Sample], over_s: float = 0.05) -> float:
+def fastest(samples: Sequence[Sample], over_s: float = 0.05) -> float:
     """Return the largest mean speed over any window of this length [U/s]."""
     top = 0.0
     first = 0
-    for at_s, position in taken:
-        while at_s - taken[first][0] > over_s:
+    for at_s, position in samples:
+        while at_s - samples[first][0] > over_s:
             first += 1
-        since_s = at_s - taken[first][0]
+        since_s = at_s - samples[first][0]
         if since_s >= 0.9 * over_s:
-            top = max(top, abs(position - taken[first][1]) / since_s)
+            top = max(top, abs(position - samples[first][1]) / since_s)
     return top
 
 
 def speed(bench: RigProtocol, motor: Motor, over_s: float) -> float:
     """Return the mean velocity over the given time from now [U/s]."""
-    begun_ns, before = bench.runtime.now_ns(), place(bench, motor)
+    begun_ns, before = bench.runtime.now_ns(), position_of(bench, motor)
     rest_for(bench, over_s)
-    return (place(bench, motor) - before) / ((bench.runtime.now_ns() - begun_ns) / 1e9)
+    return (position_of(bench, motor) - before) / elapsed_s(bench, begun_ns)
 
 
 def worst_deviation(
-    bench: RigProtocol, taken: Sequence[Sample], wanted: Callable[[float], float]
+    bench: RigProtocol, samples: Sequence[Sample], wanted: Callable[[float], float]
 ) -> float:
     """Return the largest deviation from `wanted`, for any start within the declared latency [U]."""
     early_s, late_s = bench.facts.latency_s
     worst = 0.0
-    for at_s, position in taken:
+    for at_s, position in samples:
         ends = wanted(at_s - late_s), wanted(at_s - early_s)
         worst = max(worst, min(ends) - position, position - max(ends))
     return worst
 
 
 def expect_tracks(
-    bench: RigProtocol, taken: Sequence[Sample], wanted: Callable[[float], float], what: str
+    bench: RigProtocol, samples: Sequence[Sample], wanted: Callable[[float], float], what: str
 ) -> None:
     """Check that every sample is within the declared following distance of `wanted`."""
-    worst, unit = worst_deviation(bench, taken, wanted), bench.motor.model.unit
+    worst, unit = worst_deviation(bench, samples, wanted), bench.motor.model.unit
     expect(
         worst <= bench.facts.following,
         f"{what}: {worst:.6g} {unit} off the demand; at most {bench.facts.following:g} {unit} "
@@ -213,22 +254,68 @@ def expect_tracks(
     )
 
 
+def expect_state(motor: Motor, wanted: MotorState, when: str) -> None:
+    """Check that the motor reports this state."""
+    state = motor.state()
+    expect(state is wanted, f"{when}: state is {state.value}; expected {wanted.value}")
+
+
+def expect_raises(
+    errors: type[Exception] | tuple[type[Exception], ...],
+    operation: Callable[[], object],
+    what: str,
+) -> None:
+    """Check that the operation raises one of these errors; others pass through."""
+    try:
+        operation()
+    except errors:
+        return
+    raise Violated(what)
+
+
 def expect_at(bench: RigProtocol, motor: Motor, target: float, what: str) -> None:
     """Check that the motor reports the target position."""
     unit, window = motor.model.unit, bench.facts.window
-    told = motor.position()
+    reported = motor.position()
     expect(
-        abs(told - target) <= window,
-        f"{what}: reports position {told:.6g} {unit}; expected {target:.6g} {unit} within "
+        abs(reported - target) <= window,
+        f"{what}: reports position {reported:.6g} {unit}; expected {target:.6g} {unit} within "
         f"{window:g}",
+    )
+
+
+def move_exactly(bench: RigProtocol, motor: Motor, way: float, what: str) -> None:
+    """Move by this distance; check that the motor reports its target."""
+    before = motor.position()
+    move(bench, motor, way)
+    expect_at(bench, motor, before + way, what)
+
+
+def expect_moved(
+    bench: RigProtocol, motor: Motor, before: float, way: float, what: str, windows: float = 1.0
+) -> None:
+    """Check that the motor has moved by this distance, within so many position windows."""
+    moved, unit = position_of(bench, motor) - before, motor.model.unit
+    expect(
+        abs(moved - way) <= windows * bench.facts.window,
+        f"{what}: {motor.name} moved {moved:g} {unit}; expected {way:g} {unit}",
+    )
+
+
+def expect_speed(bench: RigProtocol, motor: Motor, wanted: float, over_s: float, what: str) -> None:
+    """Check the mean velocity over the given time from now [U/s]."""
+    found, unit = speed(bench, motor, over_s), motor.model.unit
+    expect(
+        abs(found - wanted) <= _SPEED_SHARE * abs(wanted),
+        f"{what}: velocity {found:g} {unit}/s; expected {wanted:g} {unit}/s",
     )
 
 
 def expect_rest(bench: RigProtocol, motor: Motor, what: str) -> None:
     """Check that the motor does not move."""
-    before = place(bench, motor)
+    before = position_of(bench, motor)
     rest_for(bench, _REST_S)
-    moved = place(bench, motor) - before
+    moved = position_of(bench, motor) - before
     unit = motor.model.unit
     expect(
         abs(moved) <= bench.facts.window,
@@ -238,9 +325,23 @@ def expect_rest(bench: RigProtocol, motor: Motor, what: str) -> None:
 
 def expect_unmoved(bench: RigProtocol, motor: Motor, before: float, what: str) -> None:
     """Check that the motor is still at its former position."""
-    moved, unit = place(bench, motor) - before, motor.model.unit
+    moved, unit = position_of(bench, motor) - before, motor.model.unit
     expect(
         abs(moved) <= bench.facts.window, f"{what}: moved by {moved:.6g} {unit}; expected no motion"
+    )
+
+
+def quiet_settings(max_examples: int) -> "settings":
+    """Return Hypothesis settings that keep no database and report one example."""
+    from hypothesis import Phase, settings
+
+    return settings(
+        max_examples=max_examples,
+        deadline=None,
+        database=None,
+        print_blob=False,
+        report_multiple_bugs=False,
+        phases=(Phase.explicit, Phase.generate, Phase.shrink),
     )
 
 
@@ -261,36 +362,26 @@ def torque_of(motor: Motor, share: float) -> float:
     return share * motor.model.torque_max
 
 
-MOVING_S: Final = 0.4
-"""Time until a motion that began here is at full speed [s]."""
-_WAYS: Final = 2.0  # in long moves: long enough to be interrupted
-_SPEED: Final = 0.5  # of the model's maximum
-_TORQUE: Final = 0.06  # of the model's maximum: the motor must not run away
-_CALM: Final = 0.5  # of the model's acceleration
-_LOOK_S: Final = 0.02
-_BACK_S: Final = 1.0
-
-
 @final
 @dataclass(frozen=True, slots=True)
 class Mode:
     """One kind of motion.
 
     Attributes:
-        words: its name in messages.
+        name: its name in messages.
         capability: the capability that it needs; None: every motor can do it.
         begin: begins the motion with a motor of the bench.
         moves: whether the motor moves.
         ends: whether the motion ends by itself.
-        is_a_way: whether its duration is that of a distance of some long moves.
+        is_distance: whether its duration is that of a distance of some long moves.
     """
 
-    words: str
+    name: str
     capability: Capability | None
     begin: Callable[[RigProtocol, Motor], None]
     moves: bool = True
     ends: bool = True
-    is_a_way: bool = False
+    is_distance: bool = False
 
 
 def modes_of(bench: RigProtocol) -> Iterator[Mode]:
@@ -304,7 +395,7 @@ def modes_of(bench: RigProtocol) -> Iterator[Mode]:
     for mode in _MODES:
         if mode.capability in bench.facts.without or not _is_known(bench, mode):
             continue
-        if mode.is_a_way and is_over_soon(bench):
+        if mode.is_distance and is_over_soon(bench):
             continue
         bench.afresh()
         try:
@@ -317,7 +408,7 @@ def modes_of(bench: RigProtocol) -> Iterator[Mode]:
 
 def is_over_soon(bench: RigProtocol) -> bool:
     """Return whether position limits make the motion too short to be interrupted."""
-    return shortest_s(bench.motor, _WAYS * long_move(bench)) < 2.0 * MOVING_S
+    return shortest_s(bench.motor, _LONG_MOVES * long_move(bench)) < 2.0 * MOVING_S
 
 
 def _is_known(bench: RigProtocol, mode: Mode) -> bool:
@@ -328,7 +419,9 @@ def _is_known(bench: RigProtocol, mode: Mode) -> bool:
     return not needs_torque or bench.motor.model.torque_max is not None
 
 
-def ending(bench: RigProtocol, motor: Motor, mode: Mode, within_s: float) -> MotorError | None:
+def error_ending(
+    bench: RigProtocol, motor: Motor, mode: Mode, within_s: float
+) -> MotorError | None:
     """Return the error that ended a motion, or None if none came within `within_s` [s].
 
     Raises:
@@ -337,18 +430,13 @@ def ending(bench: RigProtocol, motor: Motor, mode: Mode, within_s: float) -> Mot
     end_ns = bench.runtime.now_ns() + round(within_s * 1e9)
     while True:
         left_s = (end_ns - bench.runtime.now_ns()) / 1e9
-        try:
-            motor.wait_until_done(max(left_s, 0.0))
-        except PluginError:
-            raise
-        except MotorError as error:
+        error = failure_of(partial(motor.wait_until_done, max(left_s, 0.0)))
+        if error is not None or mode.ends or left_s <= 0.0:
             return error
-        if mode.ends or left_s <= 0.0:
-            return None
-        rest_for(bench, min(_LOOK_S, left_s))
+        rest_for(bench, min(_POLL_S, left_s))
 
 
-def smooth_way(motor: Motor, way: float) -> ComplexTrajectory:
+def smooth_move(motor: Motor, way: float) -> ComplexTrajectory:
     """Return a cubic trajectory of this distance, from rest to rest, within the model's limits."""
     from motorhil.motorapi.functions import Polynomial
 
@@ -374,23 +462,19 @@ def expect_usable(bench: RigProtocol, motor: Motor, what: str) -> None:
     motor.reset_fault()
     motor.stop()  # a motor without a dead-man is still moving
     finish(bench, motor)
-    before = place(bench, motor)
+    before = position_of(bench, motor)
     motor.enable()
     rest_for(bench, 0.1)
     expect_unmoved(bench, motor, before, f"{what}: when enabled again")
     way, begun_ns = 0.25 * long_move(bench), bench.runtime.now_ns()
     move(bench, motor, way)
-    took_s = (bench.runtime.now_ns() - begun_ns) / 1e9
-    moved, unit = place(bench, motor) - before, motor.model.unit
+    took_s = elapsed_s(bench, begun_ns)
     least_s = shortest_s(motor, way) - bench.facts.time_tolerance_s
     expect(
         took_s >= least_s,
         f"{what}: the next move took {took_s:.3f} s; expected at least {least_s:.3f} s",
     )
-    expect(
-        abs(moved - way) <= 2.0 * bench.facts.window,
-        f"{what}: the next move was {moved:g} {unit}; expected {way:g} {unit}",
-    )
+    expect_moved(bench, motor, before, way, f"{what}: in the next move", 2.0)
 
 
 def move_through(
@@ -403,38 +487,29 @@ def move_through(
     Returns:
         How often the trouble struck.
     """
-    before, way = place(bench, motor), 0.25 * long_move(bench)
-    told: MotorError | None = None
+    before, way = position_of(bench, motor), 0.25 * long_move(bench)
+    duration_s = shortest_s(motor, way)
     with trouble as struck:
-        try:
-            aim(motor, way, relative=True)
-            finish(bench, motor, shortest_s(motor, way))
-        except PluginError:
-            raise
-        except MotorError as error:
-            told = error
+        error = failure_of(
+            lambda: aim(motor, way, relative=True), lambda: finish(bench, motor, duration_s)
+        )
         hit = struck()
-    if told is not None:
-        rest_for(
-            bench, shortest_s(motor, way) + _BACK_S
-        )  # the drive may have received the command all the same
-    moved, unit, window = place(bench, motor) - before, motor.model.unit, bench.facts.window
+    if error is None:
+        expect_moved(bench, motor, before, way, f"{what}: done was reported")
+        return hit
+    rest_for(bench, duration_s + _BACK_S)  # the drive may have received the command all the same
+    moved, unit, window = position_of(bench, motor) - before, motor.model.unit, bench.facts.window
     low, high = sorted((0.0, way))
     expect(
         low - window <= moved <= high + window,
         f"{what}: moved {moved:g} {unit}; one move of {way:g} {unit} was commanded",
     )
-    expect(
-        told is not None or abs(moved - way) <= window,
-        f"{what}: done was reported after {moved:g} {unit} of a move of {way:g} {unit}",
-    )
-    if told is not None:
-        expect_usable(bench, motor, what)
+    expect_usable(bench, motor, what)
     return hit
 
 
 def _aim(bench: RigProtocol, motor: Motor) -> None:
-    aim(motor, _WAYS * long_move(bench), relative=True)
+    aim(motor, _LONG_MOVES * long_move(bench), relative=True)
 
 
 def _turn(bench: RigProtocol, motor: Motor) -> None:
@@ -442,25 +517,20 @@ def _turn(bench: RigProtocol, motor: Motor) -> None:
 
 
 def _push(bench: RigProtocol, motor: Motor) -> None:
-    motor.set_control_mode(ControlMode.SETPOINT, ControlVariable.TORQUE)
-    motor.set_setpoint(torque_of(motor, _TORQUE))
-    motor.start()
+    drive(motor, ControlVariable.TORQUE, torque_of(motor, _TORQUE))
 
 
 def _follow(bench: RigProtocol, motor: Motor) -> None:
-    follow(motor, TrapezoidalTrajectory(_WAYS * long_move(bench)))
+    follow(motor, TrapezoidalTrajectory(_LONG_MOVES * long_move(bench)))
 
 
 def _speed_up(bench: RigProtocol, motor: Motor) -> None:
-    motor.set_control_mode(ControlMode.TRAJECTORY, ControlVariable.VELOCITY)
-    motor.set_trajectory(TrapezoidalTrajectory(_SPEED * motor.model.velocity_max))
-    motor.start()
+    final = _SPEED * motor.model.velocity_max
+    follow(motor, TrapezoidalTrajectory(final), ControlVariable.VELOCITY)
 
 
 def _stream(bench: RigProtocol, motor: Motor) -> None:
-    motor.set_control_mode(ControlMode.TRAJECTORY)
-    motor.set_trajectory(smooth_way(motor, _WAYS * long_move(bench)))
-    motor.start()
+    follow(motor, smooth_move(motor, _LONG_MOVES * long_move(bench)))
 
 
 def _seek(bench: RigProtocol, motor: Motor) -> None:
@@ -473,20 +543,15 @@ def _hold(bench: RigProtocol, motor: Motor) -> None:
 
 _C: Final = Capability
 _MODES: Final = (
-    Mode("a position set-point", _C.POSITION_SET_POINT, _aim, is_a_way=True),
+    Mode("a position set-point", _C.POSITION_SET_POINT, _aim, is_distance=True),
     Mode("a velocity set-point", _C.VELOCITY_SET_POINT, _turn, ends=False),
     Mode("a torque set-point", _C.TORQUE_SET_POINT, _push, ends=False),
-    Mode("a position trajectory", _C.POSITION_TRAJECTORY, _follow, is_a_way=True),
+    Mode("a position trajectory", _C.POSITION_TRAJECTORY, _follow, is_distance=True),
     Mode("a velocity trajectory", _C.VELOCITY_TRAJECTORY, _speed_up, ends=False),
-    Mode("a complex position trajectory", _C.COMPLEX_POSITION, _stream, is_a_way=True),
+    Mode("a complex position trajectory", _C.COMPLEX_POSITION, _stream, is_distance=True),
     Mode("homing", _C.HOMING, _seek),
     Mode("holding, enabled", None, _hold, moves=False, ends=False),
 )
-
-
-FINE_S: Final = 0.001
-BEGUN: Final = 0.05  # share of the distance
-_PATIENCE_S: Final = 10.0
 
 
 def pair_of(bench: RigProtocol, *ways: float) -> MotorGroup:
@@ -497,34 +562,34 @@ def pair_of(bench: RigProtocol, *ways: float) -> MotorGroup:
     return group
 
 
-def places(bench: RigProtocol, group: MotorGroup) -> list[float]:
+def positions_of(bench: RigProtocol, group: MotorGroup) -> list[float]:
     """Return the positions of all members [U]."""
-    return [place(bench, motor) for motor in group]
+    return [position_of(bench, motor) for motor in group]
 
 
-class Course:
+class GroupPositions:
     """Records the positions of a group's members from its creation; times are in ns."""
 
     def __init__(self, bench: RigProtocol, group: MotorGroup, period_s: float = FINE_S) -> None:
         self._bench, self._group = bench, group
-        self.seen: list[tuple[int, list[float]]] = []
-        self._timer = bench.runtime.every(period_s, self._look)
-        self._look()
+        self.samples: list[tuple[int, list[float]]] = []
+        self._timer = bench.runtime.every(period_s, self._sample)
+        self._sample()
 
-    def _look(self) -> None:
-        self.seen.append((self._bench.runtime.now_ns(), places(self._bench, self._group)))
+    def _sample(self) -> None:
+        self.samples.append((self._bench.runtime.now_ns(), positions_of(self._bench, self._group)))
 
     def end(self) -> None:
         """Stop recording."""
         self._timer.cancel()
-        self._look()
+        self._sample()
 
     def when(self, member: int, share: float, way: float) -> float | None:
         """Return the interpolated time when a member had made a share of its way [ns], or None."""
         goal = share * way
-        begin = self.seen[0][1][member]
-        before_ns, before = self.seen[0][0], 0.0
-        for now_ns, positions in self.seen:
+        begin = self.samples[0][1][member]
+        before_ns, before = self.samples[0][0], 0.0
+        for now_ns, positions in self.samples:
             made = positions[member] - begin
             if (made - goal) * (1.0 if way > 0.0 else -1.0) >= 0.0:
                 part = 1.0 if made == before else (goal - before) / (made - before)
@@ -539,31 +604,31 @@ class Course:
         return (max(known) - min(known)) / 1e9 if len(known) == len(times) else None
 
 
-def looking_error_s(bench: RigProtocol, way: float, share: float) -> float:
-    """Return the largest error of the difference of two times from `Course.when` [s]."""
+def sampling_error_s(bench: RigProtocol, way: float, share: float) -> float:
+    """Return the largest error of the difference of two times from `GroupPositions.when` [s]."""
     model = bench.motor.model
     slowest = min(model.acceleration_max, model.deceleration)
     speed = min(sqrt(2.0 * slowest * share * abs(way)), model.velocity_max)
     return 2.0 * bench.facts.following / speed + 2.0 * FINE_S
 
 
-def run_to_the_end(bench: RigProtocol, group: MotorGroup) -> None:
+def finish_group(bench: RigProtocol, group: MotorGroup) -> None:
     """Wait until the group is done, and until the motors have settled."""
-    group.wait_until_done(_PATIENCE_S)
+    group.wait_until_done(_GROUP_TIMEOUT_S)
     rest_for(bench, 10.0 * SAMPLE_S)
 
 
-def half(bench: RigProtocol) -> float:
+def half_move(bench: RigProtocol) -> float:
     """Return half the distance of a long move [U]."""
     return 0.5 * long_move(bench)
 
 
-def ways_of(*ways: float) -> list[TrapezoidalTrajectory]:
+def trajectories_of(*ways: float) -> list[TrapezoidalTrajectory]:
     """Return a trajectory for each distance."""
     return [TrapezoidalTrajectory(way) for way in ways]
 
 
-def expect_made(
+def expect_group_moved(
     bench: RigProtocol,
     group: MotorGroup,
     before: list[float],
@@ -572,8 +637,4 @@ def expect_made(
 ) -> None:
     """Check that each member has moved by its distance."""
     for motor, was, way in zip(group, before, ways, strict=True):
-        moved, unit = place(bench, motor) - was, motor.model.unit
-        expect(
-            abs(moved - way) <= bench.facts.window,
-            f"{what}: {motor.name} moved {moved:g} {unit} of {way:g} {unit}",
-        )
+        expect_moved(bench, motor, was, way, what)

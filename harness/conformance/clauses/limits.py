@@ -8,11 +8,12 @@ from motorhil.harness.conformance.clause import Level, Violated, clause, expect
 from motorhil.harness.conformance.clauses.helpers import (
     aim,
     expect_at,
+    expect_raises,
     expect_unmoved,
     finish,
     follow,
     long_move,
-    place,
+    position_of,
     rest_for,
     shortest_s,
 )
@@ -28,14 +29,15 @@ from motorhil.motorapi import (
     UsageError,
 )
 
-_LOOK_S = 0.2
+_WATCHED_S = 0.2
+_NOT_FINITE = (float("nan"), float("inf"), float("-inf"))
 
 
-def _refused(
+def _expect_refused(
     bench: RigProtocol, motor: Motor, what: str, command: Callable[[], None], *, quantity: str
 ) -> None:
     """Check that the command raises a complete LimitError, and that the motor does not move."""
-    before = place(bench, motor)
+    before = position_of(bench, motor)
     try:
         command()
     except LimitError as error:
@@ -46,7 +48,7 @@ def _refused(
         )
     else:
         raise Violated(f"{what} was not refused")
-    rest_for(bench, _LOOK_S)
+    rest_for(bench, _WATCHED_S)
     expect_unmoved(bench, motor, before, f"{what} was refused")
 
 
@@ -56,7 +58,7 @@ def _refused(
     needs={Capability.POSITION_SET_POINT, Capability.POSITION_TRAJECTORY},
     source="paper 3.2, limits on position; 3.3.1, derivative limits: ranges of the value",
 )
-def limits_of_position_are_kept_in_every_mode(bench: RigProtocol) -> None:
+def position_limit_is_kept_in_every_mode(bench: RigProtocol) -> None:
     """In every mode, targets beyond a position limit are refused; the limit itself is reached."""
     motor, limit = bench.motor, 0.3 * long_move(bench)
     expected_s = shortest_s(motor, 2.0 * limit)
@@ -77,7 +79,7 @@ def limits_of_position_are_kept_in_every_mode(bench: RigProtocol) -> None:
             ("a relative set-point", partial(to_setpoint, 1.01 * way, relative=True)),
             ("a trajectory", partial(along, 1.01 * way)),
         ):
-            _refused(bench, motor, f"{what} beyond {on:g}", command, quantity="position")
+            _expect_refused(bench, motor, f"{what} beyond {on:g}", command, quantity="position")
         to_setpoint(on - sign * little)
         finish(bench, motor, expected_s)
         to_setpoint(on)
@@ -92,7 +94,7 @@ def limits_of_position_are_kept_in_every_mode(bench: RigProtocol) -> None:
     Level.L2,
     source="paper 3.2, limits on velocity and acceleration are the model's, and constant",
 )
-def no_command_may_exceed_the_model(bench: RigProtocol) -> None:
+def command_beyond_model_limit_is_expect_refused(bench: RigProtocol) -> None:
     """In every supported mode, settings that exceed the model's limits are refused."""
     motor, model = bench.motor, bench.motor.model
     tops = {
@@ -103,34 +105,38 @@ def no_command_may_exceed_the_model(bench: RigProtocol) -> None:
     found = 0
     for variable, top in tops.items():
         for mode in ControlMode:
-            if top is None or not _can(motor, mode, variable):
+            if top is None or not _set_mode(motor, mode, variable):
                 continue
             found += 1
             for value in (1.001 * top, -1.001 * top):
                 what = f"a {mode.value} of {variable.value} of {value:g}"
-                _refused(bench, motor, what, partial(_set, motor, value), quantity=variable.value)
-    if not _can(motor, ControlMode.TRAJECTORY, ControlVariable.POSITION):
+                _expect_refused(
+                    bench, motor, what, partial(_start_value, motor, value), quantity=variable.value
+                )
+    if not _set_mode(motor, ControlMode.TRAJECTORY, ControlVariable.POSITION):
         expect(found > 0, "no mode of this motor has a limit to test")
         return
     way = 0.2 * long_move(bench)
     for quantity, limits in (
         ("velocity", DerivativeLimits(first=1.001 * model.velocity_max)),
-        ("acceleration", DerivativeLimits(second=1.001 * _steepest(motor))),
+        ("acceleration", DerivativeLimits(second=1.001 * _largest_ramp(motor))),
     ):
         trajectory = TrapezoidalTrajectory(way, limits=limits)
         what = f"a limit of {quantity} above the model's"
-        _refused(bench, motor, what, partial(motor.set_trajectory, trajectory), quantity=quantity)
+        _expect_refused(
+            bench, motor, what, partial(motor.set_trajectory, trajectory), quantity=quantity
+        )
     short_s = 0.9 * shortest_s(motor, way)
     hasty = TrapezoidalTrajectory(way, duration_s=short_s)
     what = f"a duration of {short_s:g} s"
-    _refused(bench, motor, what, lambda: motor.set_trajectory(hasty), quantity="duration")
+    _expect_refused(bench, motor, what, lambda: motor.set_trajectory(hasty), quantity="duration")
 
 
-def _steepest(motor: Motor) -> float:
+def _largest_ramp(motor: Motor) -> float:
     return max(motor.model.acceleration_max, motor.model.deceleration)
 
 
-def _can(motor: Motor, mode: ControlMode, variable: ControlVariable) -> bool:
+def _set_mode(motor: Motor, mode: ControlMode, variable: ControlVariable) -> bool:
     """Set this control mode; return whether the motor supports it."""
     try:
         motor.set_control_mode(mode, variable)
@@ -139,7 +145,7 @@ def _can(motor: Motor, mode: ControlMode, variable: ControlVariable) -> bool:
     return True
 
 
-def _set(motor: Motor, value: float) -> None:
+def _start_value(motor: Motor, value: float) -> None:
     if motor.control_mode is ControlMode.SETPOINT:
         motor.set_setpoint(value)
     else:
@@ -152,7 +158,7 @@ def _set(motor: Motor, value: float) -> None:
     Level.L2,
     source="paper 3.3: any control variable supported by the motor; UnsupportedError",
 )
-def what_it_cannot_do_is_refused(bench: RigProtocol) -> None:
+def unsupported_mode_is_refused_with_list(bench: RigProtocol) -> None:
     """Every mode either works, or is refused with the list of supported modes."""
     motor = bench.motor
     motor.enable()
@@ -184,29 +190,22 @@ def what_it_cannot_do_is_refused(bench: RigProtocol) -> None:
     needs={Capability.POSITION_SET_POINT},
     source="errors: UsageError is the caller's mistake, and nothing was sent",
 )
-def nonsense_is_refused(bench: RigProtocol) -> None:
+def invalid_command_is_expect_refused(bench: RigProtocol) -> None:
     """Invalid commands raise UsageError; the motor does not move, and is usable afterwards."""
     motor, way = bench.motor, 0.2 * long_move(bench)
-    before = place(bench, motor)
+    before = position_of(bench, motor)
     motor.set_control_mode(ControlMode.SETPOINT)
     nonsense: list[Callable[[], object]] = [
         motor.start,
-        *(lambda value=value: motor.set_setpoint(value) for value in _NO_NUMBERS),
+        *(lambda value=value: motor.set_setpoint(value) for value in _NOT_FINITE),
         lambda: motor.set_trajectory(TrapezoidalTrajectory(way)),
         lambda: motor.wait_until_done(-1.0),
         lambda: motor.home(1000),
     ]
     for number, command in enumerate(nonsense):
-        try:
-            command()
-        except UsageError:
-            continue
-        raise Violated(f"invalid command {number + 1} was not refused")
-    rest_for(bench, _LOOK_S)
+        expect_raises(UsageError, command, f"invalid command {number + 1} was not refused")
+    rest_for(bench, _WATCHED_S)
     expect_unmoved(bench, motor, before, "after invalid commands")
     aim(motor, way)
     finish(bench, motor, shortest_s(motor, way))
     expect_at(bench, motor, way, "after invalid commands")
-
-
-_NO_NUMBERS = (float("nan"), float("inf"), float("-inf"))

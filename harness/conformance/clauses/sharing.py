@@ -1,7 +1,4 @@
-"""L3: logical motors that share a physical motor: ownership and refusals.
-
-L3: several owners of one motor, in sequences chosen by Hypothesis.
-"""
+"""L3: logical motors that share a physical motor: ownership, refusals, random sequences."""
 
 from collections.abc import Callable
 from contextlib import suppress
@@ -11,14 +8,16 @@ from typing import Any, Final
 from motorhil.harness.conformance.bench import Ability, RigProtocol
 from motorhil.harness.conformance.clause import Level, NotApplicable, Violated, clause, expect
 from motorhil.harness.conformance.clauses.helpers import (
+    expect_moved,
     expect_rest,
+    expect_state,
     expect_unmoved,
     finish,
     follow,
     long_move,
     midway_s,
     move,
-    place,
+    position_of,
     reached,
     rest_for,
     shortest_s,
@@ -41,6 +40,8 @@ _SHARED = {Ability.SEVERAL_USERS}
 _MOVES = {Capability.POSITION_TRAJECTORY}
 _PATIENCE_S = 10.0
 _LEASE_S = 0.2
+_EXAMPLES: Final = 8
+_STEPS: Final = 15
 
 
 def _both(bench: RigProtocol) -> tuple[Motor, Motor]:
@@ -54,10 +55,10 @@ def _both(bench: RigProtocol) -> tuple[Motor, Motor]:
     bench={*_SHARED, Ability.TRUTH},
     source="requirement 4 of the paper: inform the users; MotorBusyError",
 )
-def while_one_moves_it_another_is_refused(bench: RigProtocol) -> None:
+def moving_motor_refuses_other_user(bench: RigProtocol) -> None:
     """While a motor moves for one user, commands of another are refused, naming the owner."""
     motor, other = _both(bench)
-    before, way = place(bench, motor), long_move(bench)
+    before, way = position_of(bench, motor), long_move(bench)
     follow(motor, TrapezoidalTrajectory(way))
     begun_ns = bench.runtime.now_ns()
     rest_for(bench, 0.3 * shortest_s(motor, way))
@@ -74,16 +75,11 @@ def while_one_moves_it_another_is_refused(bench: RigProtocol) -> None:
             f"held since {since_ns} ns; expected <= {begun_ns} ns",
         )
     finish(bench, motor, shortest_s(motor, way))
-    moved = place(bench, motor) - before
-    expect(abs(moved - way) <= bench.facts.window, f"{motor.name} moved {moved:g} of {way:g}")
-    was = place(bench, motor)
+    expect_moved(bench, motor, before, way, "the first user's motion")
+    before = position_of(bench, motor)
     other.start()  # the motor is free at once
     finish(bench, other, shortest_s(motor, way))
-    moved = place(bench, motor) - was
-    expect(
-        abs(moved + 0.5 * way) <= bench.facts.window,
-        f"{other.name} moved {moved:g}",
-    )
+    expect_moved(bench, motor, before, -0.5 * way, f"then started by {other.name}")
 
 
 def _prepare(motor: Motor, way: float, duration_s: float | None = None) -> None:
@@ -107,7 +103,7 @@ def _refusal_of(operation: Callable[[], object]) -> MotorBusyError | None:
     bench={*_SHARED, Ability.TRAFFIC},
     source="requirement 4; harness.sharing_tests: only the owner commands a motor",
 )
-def who_is_refused_sends_no_command(bench: RigProtocol) -> None:
+def refused_user_sends_no_command(bench: RigProtocol) -> None:
     """If a user without ownership is refused, no command of that user reaches the bus."""
     motor, other = _both(bench)
     with bench.commands_to(motor) as sent, motor.reserve("a clause"):
@@ -132,16 +128,16 @@ def who_is_refused_sends_no_command(bench: RigProtocol) -> None:
     bench=_SHARED,
     source="Sharing and locking: reading and stops are free; MotionInterrupted",
 )
-def anybody_may_look_and_stop(bench: RigProtocol) -> None:
+def any_user_may_read_and_stop(bench: RigProtocol) -> None:
     """Other users may read and stop a moving motor; its user learns which one stopped it."""
     motor, other = _both(bench)
-    begin, way = place(bench, motor), 2.0 * long_move(bench)
+    begin, way = position_of(bench, motor), 2.0 * long_move(bench)
     follow(motor, TrapezoidalTrajectory(way))
     rest_for(bench, midway_s(motor, way, 0.3))
-    differs = abs(other.position() - motor.position())
+    difference = abs(other.position() - motor.position())
     expect(
-        differs <= 0.1 * motor.model.velocity_max,
-        f"positions of {other.name} and {motor.name} differ by {differs:g}",
+        difference <= 0.1 * motor.model.velocity_max,
+        f"positions of {other.name} and {motor.name} differ by {difference:g}",
     )
     expect(other.state() is motor.state(), "the states of one motor differ")
     other.stop()
@@ -156,7 +152,7 @@ def anybody_may_look_and_stop(bench: RigProtocol) -> None:
         raise Violated(f"{other.name} stopped the motor, but {motor.name} reported done")
     finish(bench, other)
     expect_rest(bench, motor, f"stopped by {other.name}")
-    made = abs(place(bench, motor) - begin)
+    made = abs(position_of(bench, motor) - begin)
     expect(made < 0.95 * way, f"stopped by {other.name}, the motor moved {made:g} of {way:g}")
 
 
@@ -167,28 +163,23 @@ def anybody_may_look_and_stop(bench: RigProtocol) -> None:
     bench=_SHARED,
     source="paper 3.5: settings are local; start sets and starts in one atomic operation",
 )
-def each_moves_with_its_own_settings(bench: RigProtocol) -> None:
+def each_user_keeps_own_settings(bench: RigProtocol) -> None:
     """Each user's motions use that user's own settings, whatever other users set."""
     motor, other = _both(bench)
     way = 0.25 * long_move(bench)
     least_s = shortest_s(motor, way)
     durations = {motor: 2.0 * least_s, other: 4.0 * least_s}
     for user, side in ((motor, 1.0), (other, -1.0), (motor, 1.0), (other, -1.0)):
-        before = place(bench, motor)
+        before = position_of(bench, motor)
         _prepare(user, side * way, durations[user])
         _prepare(motor if user is other else other, 0.5 * way)  # never started
         user.start()
-        begun_ns = bench.runtime.now_ns()
-        finish(bench, user, durations[user])
-        took_s, moved = (bench.runtime.now_ns() - begun_ns) / 1e9, place(bench, motor) - before
+        took_s = finish(bench, user, durations[user])
         expect(
             abs(took_s - durations[user]) <= bench.facts.time_tolerance_s + 0.1 * durations[user],
             f"{user.name}: the move took {took_s:.3f} s; expected {durations[user]:.3f} s",
         )
-        expect(
-            abs(moved - side * way) <= bench.facts.window,
-            f"{user.name}: moved {moved:g}; expected {side * way:g}",
-        )
+        expect_moved(bench, motor, before, side * way, f"started by {user.name}")
 
 
 @clause(
@@ -198,7 +189,7 @@ def each_moves_with_its_own_settings(bench: RigProtocol) -> None:
     bench=_SHARED,
     source="requirement 4; Motor.reserve: only its user commands the motor inside the block",
 )
-def a_reservation_holds_and_lets_go(bench: RigProtocol) -> None:
+def reservation_lasts_for_its_block(bench: RigProtocol) -> None:
     """During its block, and no longer, a reservation keeps other users away."""
     motor, other = _both(bench)
     way = 0.1 * long_move(bench)
@@ -238,7 +229,7 @@ def _expect_free(bench: RigProtocol, user: Motor, when: str) -> None:
     bench={*_SHARED, Ability.TRUTH},
     source="Sharing and locking; Motor.start(timeout_s): waits its turn",
 )
-def who_comes_next_finds_it_at_rest(bench: RigProtocol) -> None:
+def next_user_gets_motor_at_rest(bench: RigProtocol) -> None:
     """While a motor slows down, no other user gets it; the next one gets it at rest."""
     motor, other = _both(bench)
     way = 3.0 * long_move(bench)
@@ -257,20 +248,20 @@ def who_comes_next_finds_it_at_rest(bench: RigProtocol) -> None:
     bench=_SHARED,
     source="Motor.start(timeout_s): first come, first served",
 )
-def who_asked_first_is_served_first(bench: RigProtocol) -> None:
+def users_are_served_in_order(bench: RigProtocol) -> None:
     """First come, first served: waiting users get the motor in the order of their requests."""
     motor, other = _both(bench)
     served: list[str] = []
     way = 0.2 * long_move(bench)
     follow(motor, TrapezoidalTrajectory(way))
 
-    def next_one() -> None:
+    def start_next() -> None:
         _prepare(other, -way)
         other.start(timeout_s=_PATIENCE_S)
         served.append(other.name)
         other.wait_until_done(_PATIENCE_S)
 
-    party = bench.runtime.spawn("next", next_one)
+    party = bench.runtime.spawn("next", start_next)
     rest_for(bench, 0.2 * shortest_s(motor, way))
     expect(not served, f"{other.name} got the motor while it moved for {motor.name}")
     finish(bench, motor, shortest_s(motor, way))
@@ -290,7 +281,7 @@ def who_asked_first_is_served_first(bench: RigProtocol) -> None:
     bench=_SHARED,
     source="Sharing and locking: leases, take_over; the next owner brings a moving motor to rest",
 )
-def what_is_taken_over_is_brought_to_rest(bench: RigProtocol) -> None:
+def takeover_brings_motor_to_rest(bench: RigProtocol) -> None:
     """On a takeover, the motor is brought to rest, and its former user loses the ownership."""
     motor, other = _both(bench)
     with motor.reserve("survey") as survey:
@@ -300,19 +291,19 @@ def what_is_taken_over_is_brought_to_rest(bench: RigProtocol) -> None:
             expect_rest(bench, motor, f"taken over by {other.name}")
             expect(not survey.is_held, "is_held is True after a takeover")
             _prepare(motor, long_move(bench))
-            before = place(bench, motor)
+            before = position_of(bench, motor)
             error = _refusal_of(motor.start)
             expect(error is not None, f"{motor.name} was started after a takeover")
             expect_unmoved(bench, motor, before, "after a start() of the former user")
             move(bench, other, 0.1 * long_move(bench))
     with motor.reserve("lease", lease_s=_LEASE_S) as lease:
-        expect(_refusal_of(lambda: _reserved(other)) is not None, "a valid lease was taken")
+        expect(_refusal_of(lambda: _reserve(other)) is not None, "a valid lease was taken")
         rest_for(bench, 2.0 * _LEASE_S)
-        _reserved(other)
+        _reserve(other)
         expect(not lease.is_held, "is_held is True after the lease expired and was taken")
 
 
-def _reserved(motor: Motor) -> None:
+def _reserve(motor: Motor) -> None:
     with motor.reserve("next"):
         pass
 
@@ -324,7 +315,7 @@ def _reserved(motor: Motor) -> None:
     bench=_SHARED,
     source="requirement 2 of the paper: no other part of the interface will have any effect",
 )
-def low_level_access_keeps_everybody_away(bench: RigProtocol) -> None:
+def low_level_access_refuses_other_users(bench: RigProtocol) -> None:
     """During low-level access, all other users are refused; afterwards the motor is as before."""
     motor, other = _both(bench)
     way = 0.1 * long_move(bench)
@@ -346,14 +337,10 @@ def low_level_access_keeps_everybody_away(bench: RigProtocol) -> None:
         else:
             _expect_all_refused(bench, other)
         expect(not sent, f"unused low-level access, but the bus had {', '.join(sent)}")
-    before = place(bench, motor)
+    before = position_of(bench, motor)
     other.start()
     finish(bench, other, shortest_s(motor, way))
-    moved = place(bench, motor) - before
-    expect(
-        abs(moved - way) <= bench.facts.window,
-        f"then {other.name} moved {moved:g} of {way:g}",
-    )
+    expect_moved(bench, motor, before, way, f"then started by {other.name}")
 
 
 def _expect_all_refused(bench: RigProtocol, other: Motor) -> None:
@@ -372,21 +359,16 @@ def _expect_all_refused(bench: RigProtocol, other: Motor) -> None:
     bench=_SHARED,
     source="paper 3.5: one hardware object, shared by all; Device.close",
 )
-def who_leaves_takes_nothing_along(bench: RigProtocol) -> None:
+def closed_motor_leaves_others_working(bench: RigProtocol) -> None:
     """After a logical motor is closed, even twice, the others work as before."""
     motor, other = _both(bench)
     move(bench, other, 0.1 * long_move(bench))
     for _ in range(2):
         other.close()
-    state = motor.state()
-    expect(state is MotorState.ENABLED, f"after another user was closed: state is {state.value}")
+    expect_state(motor, MotorState.ENABLED, "after another user was closed")
     move(bench, motor, 0.1 * long_move(bench))
     for _ in range(2):
         motor.close()
-
-
-_EXAMPLES: Final = 8
-_STEPS: Final = 15
 
 
 @clause(
@@ -396,7 +378,7 @@ _STEPS: Final = 15
     bench={Ability.SEVERAL_USERS, Ability.AFRESH},
     source="harness.sharing_tests: the history of every motor is that of one owner at a time",
 )
-def whatever_its_users_do_one_has_it_at_a_time(bench: RigProtocol) -> None:
+def motor_has_one_owner_at_a_time(bench: RigProtocol) -> None:
     """Whatever users start, reserve, stop, take over, or die of, one has the motor at a time."""
     from hypothesis import HealthCheck, Phase, seed, settings
     from hypothesis.errors import HypothesisException

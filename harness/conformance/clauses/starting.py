@@ -1,7 +1,4 @@
-"""L1: effects of start(), and its starting conditions.
-
-L1: the end of a motion: waiting, notification and progress.
-"""
+"""L1: effects and conditions of start(); the end of a motion, notification and progress."""
 
 from typing import TYPE_CHECKING, Final
 
@@ -9,29 +6,32 @@ from motorhil.harness.conformance.bench import Ability, RigProtocol
 from motorhil.harness.conformance.clause import Level, Violated, clause, expect
 from motorhil.harness.conformance.clauses.helpers import (
     aim,
+    braking_distance,
+    elapsed_s,
     expect_at,
+    expect_raises,
     expect_rest,
+    expect_speed,
     finish,
     follow,
     least_s,
     long_move,
-    place,
+    move,
+    quiet_settings,
     rest_for,
+    sample_positions,
     shortest_s,
     turn,
-    watched,
-    way_of_stopping,
 )
 from motorhil.harness.rig.config.conformance import Capability
 from motorhil.motorapi import (
-    ControlMode,
     DeadlineExceeded,
     DerivativeLimits,
     Motor,
     StateError,
     TrapezoidalTrajectory,
 )
-from motorhil.motorapi.motor import Ending, Outcome
+from motorhil.motorapi.outcome import Ending, Outcome
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -47,11 +47,10 @@ _TURN_RAD: Final = 6.3
     needs={Capability.POSITION_TRAJECTORY},
     source="Motor.start: starting again repeats the command",
 )
-def starting_again_repeats_the_command(bench: RigProtocol) -> None:
+def second_start_repeats_command(bench: RigProtocol) -> None:
     """On a second start, the command is repeated: a distance is moved once more."""
     motor, way = bench.motor, 0.2 * long_move(bench)
-    follow(motor, TrapezoidalTrajectory(way))
-    finish(bench, motor, shortest_s(motor, way))
+    move(bench, motor, way)
     motor.start()
     finish(bench, motor, shortest_s(motor, way))
     expect_at(bench, motor, 2.0 * way, f"after {way:g}, started twice")
@@ -63,7 +62,7 @@ def starting_again_repeats_the_command(bench: RigProtocol) -> None:
     needs={Capability.POSITION_TRAJECTORY},
     source="paper 3.5: start both sets the parameters to match the user's view and executes",
 )
-def each_start_has_the_settings_made_before_it(bench: RigProtocol) -> None:
+def start_uses_latest_settings(bench: RigProtocol) -> None:
     """Each motion uses the settings made before its own start, not earlier ones."""
     motor, model = bench.motor, bench.motor.model
     way, tolerance_s = 0.3 * long_move(bench), bench.facts.time_tolerance_s
@@ -75,12 +74,8 @@ def each_start_has_the_settings_made_before_it(bench: RigProtocol) -> None:
         )
         limits = DerivativeLimits(first=velocity, second=(-down, up))
         expected_s = least_s(way, velocity, up, down)
-        motor.set_control_mode(ControlMode.TRAJECTORY)
-        motor.set_trajectory(TrapezoidalTrajectory(way, limits=limits))
-        motor.start()
-        begun_ns = bench.runtime.now_ns()
-        finish(bench, motor, expected_s)
-        taken_s = (bench.runtime.now_ns() - begun_ns) / 1e9
+        follow(motor, TrapezoidalTrajectory(way, limits=limits))
+        taken_s = finish(bench, motor, expected_s)
         early_s, late_s = bench.facts.latency_s
         expect(
             early_s - tolerance_s <= taken_s - expected_s <= late_s + tolerance_s,
@@ -95,7 +90,7 @@ def each_start_has_the_settings_made_before_it(bench: RigProtocol) -> None:
     needs={Capability.POSITION_SET_POINT},
     source="Motor.start: during a motion, a set-point replaces one of its variable",
 )
-def a_set_point_replaces_another_in_mid_motion(bench: RigProtocol) -> None:
+def position_setpoint_replaces_previous(bench: RigProtocol) -> None:
     """During a motion, a new position set-point replaces the previous one at once."""
     motor, way = bench.motor, 2.0 * long_move(bench)
     aim(motor, way)
@@ -103,10 +98,10 @@ def a_set_point_replaces_another_in_mid_motion(bench: RigProtocol) -> None:
     left_at = motor.position()
     target = left_at + 0.3 * long_move(bench)
     aim(motor, target)
-    farthest = max(at for _, at in watched(bench, motor, shortest_s(motor, way)))
+    farthest = max(at for _, at in sample_positions(bench, motor, shortest_s(motor, way)))
     finish(bench, motor, shortest_s(motor, way))
     expect_at(bench, motor, target, f"after {way:g}, replaced by {target:g} half-way")
-    brakes = way_of_stopping(motor, motor.model.velocity_max)
+    brakes = braking_distance(motor, motor.model.velocity_max)
     expect(
         farthest <= max(target, left_at + brakes) + 0.15 * way,
         f"overshot to {farthest:.4g} {motor.model.unit} on the way to {target:.4g}",
@@ -125,22 +120,16 @@ def a_set_point_replaces_another_in_mid_motion(bench: RigProtocol) -> None:
     bench={Ability.TRUTH},
     source="Motor.start: a velocity set-point replaces another one",
 )
-def a_velocity_replaces_another(bench: RigProtocol) -> None:
+def velocity_setpoint_replaces_previous(bench: RigProtocol) -> None:
     """During a motion, a new velocity set-point replaces the previous one."""
-    motor, unit = bench.motor, bench.motor.model.unit
+    motor = bench.motor
     ramp_s = motor.model.velocity_max / motor.model.acceleration_max
     for share in (0.2, 0.5, -0.3):
         asked = share * motor.model.velocity_max
         turn(motor, asked)
         finish(bench, motor, 2.0 * ramp_s)
         rest_for(bench, 0.1)
-        before, begun_ns = place(bench, motor), bench.runtime.now_ns()
-        rest_for(bench, 0.3)
-        found = (place(bench, motor) - before) / ((bench.runtime.now_ns() - begun_ns) / 1e9)
-        expect(
-            abs(found - asked) <= 0.05 * abs(asked),
-            f"velocity {found:g} {unit}/s; expected the new set-point, {asked:g} {unit}/s",
-        )
+        expect_speed(bench, motor, asked, 0.3, "with a new set-point")
     motor.stop()
     finish(bench, motor)
     expect_rest(bench, motor, "after stop()")
@@ -152,19 +141,14 @@ def a_velocity_replaces_another(bench: RigProtocol) -> None:
     needs={Capability.POSITION_TRAJECTORY},
     source="Motor.start: everything else starts from rest; paper 3.3.3, only without errors",
 )
-def what_cannot_be_replaced_is_not_disturbed(bench: RigProtocol) -> None:
+def trajectory_refuses_another_and_continues(bench: RigProtocol) -> None:
     """During a trajectory, another one is refused, and the first one is not disturbed."""
     motor, way = bench.motor, 0.5 * long_move(bench)
     begin = motor.position()
     follow(motor, TrapezoidalTrajectory(way, duration_s=1.5 * shortest_s(motor, way)))
     rest_for(bench, 0.5 * shortest_s(motor, way))
     motor.set_trajectory(TrapezoidalTrajectory(-way))
-    try:
-        motor.start()
-    except StateError:
-        pass
-    else:
-        raise Violated("a second trajectory was started during the first one")
+    expect_raises(StateError, motor.start, "a second trajectory was started during the first one")
     finish(bench, motor, 1.5 * shortest_s(motor, way))
     expect_at(bench, motor, begin + way, "after the refusal of another trajectory")
 
@@ -178,31 +162,23 @@ def what_cannot_be_replaced_is_not_disturbed(bench: RigProtocol) -> None:
 )
 def any_target_is_reached(bench: RigProtocol) -> None:
     """Every target within the limits is reached, in sequence."""
-    from hypothesis import Phase, given, seed, settings
+    from hypothesis import given, seed
     from hypothesis import strategies as st
 
     low, high = _room(bench)
-    target = st.one_of(st.floats(low, high), st.floats(-1e-3, 1e-3).map(lambda share: share * high))
-    quiet = settings(
-        max_examples=_EXAMPLES,
-        deadline=None,
-        database=None,
-        print_blob=False,
-        report_multiple_bugs=False,
-        phases=(Phase.explicit, Phase.generate, Phase.shrink),
-    )
+    values = st.one_of(st.floats(low, high), st.floats(-1e-3, 1e-3).map(lambda share: share * high))
 
     @seed(bench.seed)
-    @quiet
-    @given(st.lists(target, min_size=1, max_size=2))
-    def any_list(targets: "Sequence[float]") -> None:
+    @quiet_settings(_EXAMPLES)
+    @given(st.lists(values, min_size=1, max_size=2))
+    def reach_all(targets: "Sequence[float]") -> None:
         bench.afresh()
-        for place_number, one in enumerate(targets):
-            aim(bench.motor, one)
+        for number, target in enumerate(targets):
+            aim(bench.motor, target)
             finish(bench, bench.motor, shortest_s(bench.motor, high - low))
-            expect_at(bench, bench.motor, one, f"target {place_number + 1} of {targets}")
+            expect_at(bench, bench.motor, target, f"target {number + 1} of {targets}")
 
-    any_list()
+    reach_all()
 
 
 def _room(bench: RigProtocol) -> tuple[float, float]:
@@ -221,7 +197,7 @@ def _room(bench: RigProtocol) -> tuple[float, float]:
     needs={Capability.POSITION_SET_POINT, Capability.POSITION_TRAJECTORY},
     source="requirement 1; Motor.wait_until_done: the last command",
 )
-def moves_of_no_way_are_moves(bench: RigProtocol) -> None:
+def tiny_move_is_done_at_once(bench: RigProtocol) -> None:
     """Zero or sub-resolution moves are done at once, and the next move is exact."""
     motor = bench.motor
     least = motor.model.resolution or 1e-6 * long_move(bench)
@@ -233,16 +209,13 @@ def moves_of_no_way_are_moves(bench: RigProtocol) -> None:
                 follow(motor, TrapezoidalTrajectory(tiny))
             else:
                 aim(motor, tiny, relative=True)
-            begun_ns = bench.runtime.now_ns()
-            finish(bench, motor)
-            taken_s = (bench.runtime.now_ns() - begun_ns) / 1e9
+            taken_s = finish(bench, motor)
             late_s = bench.facts.latency_s[1] + bench.facts.time_tolerance_s
             expect(
                 taken_s <= late_s,
                 f"a move of {tiny:g} {motor.model.unit} took {taken_s:.3f} s; limit {late_s:.3f} s",
             )
-        follow(motor, TrapezoidalTrajectory(way))
-        finish(bench, motor, shortest_s(motor, way))
+        move(bench, motor, way)
         expect_at(bench, motor, begin + way + 2.0 * tiny, f"after moves of {tiny:g}, by {way:g}")
 
 
@@ -253,7 +226,7 @@ def moves_of_no_way_are_moves(bench: RigProtocol) -> None:
     bench={Ability.TRUTH},
     source="paper 3.3.3: blocks until the motor finished; MotorHooks._is_done",
 )
-def done_is_neither_early_nor_late(bench: RigProtocol) -> None:
+def done_is_reported_at_rest_at_target(bench: RigProtocol) -> None:
     """Every wait ends soon after the motor is at rest at its target, and not before."""
     motor, tolerance_s = bench.motor, bench.facts.time_tolerance_s
     motor.enable()
@@ -266,7 +239,7 @@ def done_is_neither_early_nor_late(bench: RigProtocol) -> None:
         expect(not motor.is_done(), f"done was reported at the start of a move of {way:g}")
         finish(bench, motor, expected_s)
         left = begin + way - motor.position()
-        taken_s = (bench.runtime.now_ns() - begun_ns) / 1e9
+        taken_s = elapsed_s(bench, begun_ns)
         unit = motor.model.unit
         expect(
             abs(left) <= bench.facts.window,
@@ -285,7 +258,7 @@ def done_is_neither_early_nor_late(bench: RigProtocol) -> None:
     needs={Capability.POSITION_TRAJECTORY},
     source="Motor.wait_until_done: DeadlineExceeded, the motion continues",
 )
-def a_motion_goes_on_unwatched(bench: RigProtocol) -> None:
+def motion_continues_after_wait_timeout(bench: RigProtocol) -> None:
     """Every motion continues when a wait for it times out, and while no caller waits."""
     motor, way = bench.motor, long_move(bench)
     begin, expected_s = motor.position(), shortest_s(motor, way)
@@ -295,7 +268,7 @@ def a_motion_goes_on_unwatched(bench: RigProtocol) -> None:
         motor.wait_until_done(0.2 * expected_s)
     except DeadlineExceeded as error:
         expect(motor.name in error.awaited, f"the error does not name the motor: {error}")
-        waited_s = (bench.runtime.now_ns() - begun_ns) / 1e9
+        waited_s = elapsed_s(bench, begun_ns)
         expect(
             waited_s <= 0.2 * expected_s + bench.facts.time_tolerance_s,
             f"a wait of {0.2 * expected_s:.3f} s ended after {waited_s:.3f} s",
@@ -313,34 +286,34 @@ def a_motion_goes_on_unwatched(bench: RigProtocol) -> None:
     needs={Capability.POSITION_TRAJECTORY},
     source="Motor.on_done: called once, at the end of the last commanded motion",
 )
-def the_end_is_told_once(bench: RigProtocol) -> None:
+def on_done_is_called_once(bench: RigProtocol) -> None:
     """Callbacks of on_done() are called once, at the end of the motion, with its outcome."""
     motor, way = bench.motor, 0.4 * long_move(bench)
-    told: list[tuple[int, Outcome]] = []
+    calls: list[tuple[int, Outcome]] = []
     follow(motor, TrapezoidalTrajectory(way))
-    motor.on_done(lambda outcome: told.append((bench.runtime.now_ns(), outcome)))
-    expect(not told, "the end was notified at the start")
+    motor.on_done(lambda outcome: calls.append((bench.runtime.now_ns(), outcome)))
+    expect(not calls, "the end was notified at the start")
     finish(bench, motor, shortest_s(motor, way))
     done_ns = bench.runtime.now_ns()
     rest_for(bench, bench.facts.time_tolerance_s)
-    _expect_told(told, Ending.DONE, done_ns, bench.facts.time_tolerance_s)
-    told.clear()
+    _expect_one_call(calls, Ending.DONE, done_ns, bench.facts.time_tolerance_s)
+    calls.clear()
     follow(motor, TrapezoidalTrajectory(way))
-    motor.on_done(lambda outcome: told.append((bench.runtime.now_ns(), outcome)))
+    motor.on_done(lambda outcome: calls.append((bench.runtime.now_ns(), outcome)))
     rest_for(bench, 0.5 * shortest_s(motor, way))
     stopped_ns = bench.runtime.now_ns()
     motor.stop()
     finish(bench, motor)
     rest_for(bench, bench.facts.time_tolerance_s)
-    _expect_told(told, Ending.INTERRUPTED, stopped_ns, bench.facts.time_tolerance_s)
+    _expect_one_call(calls, Ending.INTERRUPTED, stopped_ns, bench.facts.time_tolerance_s)
 
 
-def _expect_told(
-    told: list[tuple[int, Outcome]], ending: Ending, at_ns: int, tolerance_s: float
+def _expect_one_call(
+    calls: list[tuple[int, Outcome]], ending: Ending, at_ns: int, tolerance_s: float
 ) -> None:
-    endings = ", ".join(outcome.ending.value for _, outcome in told) or "nothing"
-    expect([outcome.ending for _, outcome in told] == [ending], f"notified: {endings}")
-    off_s = (told[0][0] - at_ns) / 1e9
+    endings = ", ".join(outcome.ending.value for _, outcome in calls) or "nothing"
+    expect([outcome.ending for _, outcome in calls] == [ending], f"notified: {endings}")
+    off_s = (calls[0][0] - at_ns) / 1e9
     expect(abs(off_s) <= tolerance_s, f"the end was notified {off_s:.3f} s late")
 
 
@@ -350,7 +323,7 @@ def _expect_told(
     needs={Capability.POSITION_TRAJECTORY},
     source="Motor.progress: of the last commanded motion; None once it is over",
 )
-def progress_goes_from_nothing_to_all(bench: RigProtocol) -> None:
+def progress_grows_to_one_then_ends(bench: RigProtocol) -> None:
     """Progress grows from 0 to 1 along the distance, agrees with the time left, and then ends."""
     motor, way = bench.motor, 0.5 * long_move(bench)
     expect(motor.progress() is None, "progress() before the first command; expected None")
@@ -366,7 +339,7 @@ def _expect_progress(bench: RigProtocol, motor: Motor, way: float) -> None:
     while not motor.is_done():
         progress = motor.progress()
         if progress is not None:
-            since_s = (bench.runtime.now_ns() - begun_ns) / 1e9
+            since_s = elapsed_s(bench, begun_ns)
             seen.append((since_s, progress))
         motor.position()  # some motors report only when they are asked
         rest_for(bench, 0.1 * expected_s)

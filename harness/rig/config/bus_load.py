@@ -16,7 +16,7 @@ from motorhil.motorapi.synchronization.bus_load import (
     PeriodicMessage,
     worst_of,
 )
-from motorhil.motorapi.synchronization.can_response_time import worst_frame_ns
+from motorhil.motorapi.synchronization.can_response_time import BusLoad, Message
 from motorhil.settings import REQUIRED, Items, SettingError, TableOf, flag, number, text, whole
 
 if TYPE_CHECKING:
@@ -85,7 +85,9 @@ class MessageTable:
         if self.length not in FD_LENGTHS:
             padded = next(one for one in FD_LENGTHS if one > self.length)
             message = f"CAN FD frames cannot have {self.length} bytes"
-            raise SettingError(("length",), message, f"the frame is padded: write length = {padded}")
+            raise SettingError(
+                ("length",), message, f"the frame is padded: write length = {padded}"
+            )
 
     def message(self) -> PeriodicMessage:
         """Return the message as motorapi uses it."""
@@ -118,7 +120,7 @@ def check_messages(
         RigError: two messages are the same, or one does not fit the bus.
     """
     messages: list[PeriodicMessage] = []
-    traffic = CanTraffic(bitrate_bit_s, data_bitrate_bit_s=data_bitrate_bit_s)
+    load = BusLoad("", bitrate_bit_s, (), data_bitrate_bit_s)
     busy = 0.0
     for index, message in enumerate(one.message() for one in tables):
         path = (*bus.path, "message", index)
@@ -135,7 +137,7 @@ def check_messages(
                     "declare it once, with the shorter period and the greater length",
                 )
         messages.append(message)
-        busy += worst_frame_ns(message, traffic) / (message.period_s * 1e9)
+        busy += load.takes_ns(Message.of(message)) / (message.period_s * 1e9)
         if busy > 1.0:
             raise bus.source.error(
                 (*path, "period_s"),

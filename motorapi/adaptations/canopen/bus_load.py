@@ -12,22 +12,19 @@ from motorhil.motorapi.synchronization.bus_load import (
     own_traffic,
     streams,
 )
-from motorhil.motorapi.synchronization.can_response_time import (
-    Firing,
-    OneFrame,
-    longest_s,
-    overload_of,
-)
+from motorhil.motorapi.synchronization.firing_time import longest_s, overload_of
+from motorhil.motorapi.synchronization.offer import Firing, OneFrame
 
 if TYPE_CHECKING:
-    from motorhil.motorapi.adaptations.canopen.bus import CanopenLink
+    from motorhil.motorapi.adaptations.canopen.link import CanLink
+    from motorhil.motorapi.adaptations.canopen.sync import BusSync
 
 SYNC: Final = OneFrame(SYNC_ID, 0)
 FULL: Final = "more urgent or already queued frames may delay SYNC without limit"
 
 
 def traffic_on(
-    link: "CanopenLink",
+    link: "CanLink",
     sync_period_s: float | None = None,
     streamed: Sequence[PeriodicMessage] = (),
 ) -> tuple[CanTraffic | None, str]:
@@ -54,22 +51,22 @@ def traffic_on(
     return traffic, ""
 
 
-def sync_period(link: "CanopenLink") -> tuple[float | None, str]:
+def sync_period(sync: "BusSync") -> tuple[float | None, str]:
     """Return the period [s] of a SYNC that runs, or will once a servo here is enabled, or None.
 
     The second value names the producer of that SYNC.
     """
-    cyclic = link.cyclic_sync()
+    cyclic = sync.cyclic()
     if cyclic is not None:
         return cyclic.period_ns / 1e9, str(cyclic)
-    period_s = getattr(link.cycle, "period_s", None)
-    if isinstance(period_s, float):
+    period_s = sync.planned_s
+    if period_s is not None:
         return period_s, f"SYNC every {period_s * 1e3:g} ms belongs to servos of this program"
     return None, ""
 
 
 def period_on_wire_s(
-    link: "CanopenLink", traffic: CanTraffic, period_s: float
+    link: "CanLink", traffic: CanTraffic, period_s: float
 ) -> tuple[float, float] | None:
     """Return the shortest and longest time [s] between two SYNCs, as each may wait for the bus."""
     waits_s = longest_s([Firing(link.name, traffic, (SYNC,))])

@@ -7,13 +7,54 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Final, final
 
-from motorhil.motorapi.adaptations.cia402.objects import error_text
-
 _ERROR_CLASS: Final = 0xFF00  # 00xxh: an error is reset
 _COMMUNICATION: Final = 0x8100
 _OF_COMMUNICATION: Final = 0x11  # 1001h: generic, and communication
 # Errors of frames and the bus do not end a motion. Some drives repeat the first two endlessly.
 _MINOR: Final = (0x8210, 0x8220, 0x8120, 0x8140)
+
+
+# EMCY and 603Fh error codes (CiA 301; CiA 402-1, error codes)
+_ERRORS: Final = (
+    (0xFFFF, 0x2310, "continuous over-current"),
+    (0xFFFF, 0x2320, "short circuit or earth leakage"),
+    (0xFFFF, 0x3110, "mains over-voltage"),
+    (0xFFFF, 0x3120, "mains under-voltage"),
+    (0xFFFF, 0x3210, "DC link over-voltage"),
+    (0xFFFF, 0x3220, "DC link under-voltage"),
+    (0xFFFF, 0x4210, "device temperature"),
+    (0xFFFF, 0x4310, "drive temperature"),
+    (0xFFFF, 0x7121, "motor blocked"),
+    (0xFFFF, 0x7122, "motor error or commutation"),
+    (0xFFFF, 0x7300, "sensor"),
+    (0xFFFF, 0x7305, "incremental sensor 1"),
+    (0xFFFF, 0x8110, "CAN overrun"),
+    (0xFFFF, 0x8120, "CAN in error passive mode"),
+    (0xFFFF, 0x8130, "heartbeat or life guard error: the host was not heard"),
+    (0xFFFF, 0x8140, "recovered from bus-off"),
+    (0xFFFF, 0x8210, "PDO not processed due to length error"),
+    (0xFFFF, 0x8611, "following error"),
+    (0xFF00, 0x1000, "generic error"),
+    (0xF000, 0x2000, "current"),
+    (0xF000, 0x3000, "voltage"),
+    (0xF000, 0x4000, "temperature"),
+    (0xF000, 0x5000, "device hardware"),
+    (0xF000, 0x6000, "device software"),
+    (0xF000, 0x7000, "additional modules"),
+    (0xF000, 0x8000, "monitoring"),
+    (0xFF00, 0x9000, "external error"),
+    (0xFF00, 0xFF00, "device specific"),
+)
+
+
+def error_text(code: int) -> str:
+    """Return the text of an error code, from the most specific line of the standard's table."""
+    if code == 0:
+        return "error code not told"
+    for mask, value, text in _ERRORS:
+        if code & mask == value:
+            return text
+    return "unknown"
 
 
 @final

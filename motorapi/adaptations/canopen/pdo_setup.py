@@ -8,19 +8,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final, final
 
-from motorhil.motorapi.adaptations.canopen.sdo import SdoAborted
-from motorhil.motorapi.adaptations.cia402.node import DriveNode
+from motorhil.motorapi.adaptations.canopen.errors import SdoAborted
+from motorhil.motorapi.adaptations.canopen.node import CanopenNode
 
 SYNCHRONOUS: Final = 1  # acts at the next SYNC
 EVENT_DRIVEN: Final = 255
-
-CONTROLWORD: Final = 0x6040_0010
-TARGET_POSITION: Final = 0x607A_0020
-TARGET_VELOCITY: Final = 0x60FF_0020
-STATUSWORD: Final = 0x6041_0010
-POSITION: Final = 0x6064_0020
-VELOCITY: Final = 0x606C_0020
-TORQUE: Final = 0x6077_0010
 
 _INVALID: Final = 0x8000_0000
 _NO_RTR: Final = 0x4000_0000
@@ -77,7 +69,7 @@ class PdoFound:
         )
 
 
-def find_pdo(node: DriveNode, *, transmit: bool, number: int) -> PdoFound | None:
+def find_pdo(node: CanopenNode, *, transmit: bool, number: int) -> PdoFound | None:
     """Return a PDO of the drive, or None if it has none of that number."""
     index = (0x1800 if transmit else 0x1400) + number - 1
     cob_id = node.read_optional(index, 1)
@@ -105,7 +97,7 @@ class PdoSetUp:
         refusals: the settings that the drive refused, in words.
     """
 
-    def __init__(self, node: DriveNode) -> None:
+    def __init__(self, node: CanopenNode) -> None:
         self._node = node
         self._paused = False
         self.refusals: list[str] = []
@@ -150,13 +142,13 @@ class PdoSetUp:
 
     def finish(self) -> None:
         """Start the node (OPERATIONAL), and so its PDOs."""
-        self._node.link.nmt(0x01, self._node.node_id)
+        self._node.bus.nmt(0x01, self._node.node_id)
 
     def _pause(self) -> None:
         if not self._paused:
             self._node.sdo.check_writing()
             self._paused = True
-            self._node.link.nmt(0x80, self._node.node_id)
+            self._node.bus.nmt(0x80, self._node.node_id)
 
     def _identifier(self, wish: PdoWish, found: PdoFound) -> int:
         """Return the identifier of the PDO, or the predefined one (CiA 301) if it is invalid."""
@@ -201,7 +193,7 @@ class PdoSetUp:
         self._node.sdo.download(index, subindex, value.to_bytes(size, "little"))
 
 
-def usable_as_it_is(node: DriveNode, wanted: Sequence[int]) -> tuple[int, PdoFound] | None:
+def usable_as_it_is(node: CanopenNode, wanted: Sequence[int]) -> tuple[int, PdoFound] | None:
     """Return (identifier, TPDO) of an event-driven TPDO that contains all of `wanted`."""
     for number in range(1, _SLOTS + 1):
         found = find_pdo(node, transmit=True, number=number)

@@ -1,12 +1,7 @@
-"""canopen's SDO client, blocking in a Runtime.
-
-Importing this module loads canopen. `SdoChannel` describes the treatment of late and foreign
-answers.
-
-SDO transfers by canopen's client, waiting in a Runtime.
+"""SDO transfers by canopen's client, waiting in a Runtime.
 
 Importing this module loads canopen. canopen's client blocks on a queue and on the wall clock. Here
-it blocks in `Runtime.wait_until`, with a deadline of the runtime's time, and never accepts a stale
+it blocks in `Runtime.wait_until`, with a deadline of the runtime's time. It never accepts a stale
 answer:
 
 - An answer to another object or service, or with the toggle bit of the segment before, is counted
@@ -20,10 +15,6 @@ answer:
   evaluated. Until that answer has come, or a time limit has passed, no request is sent that it
   could seem to answer (a download of the same object). If such a transfer is already active, here
   or in another process that hears the request, its answer counts once both have been answered.
-
-A FIFO lock for exchanges with a device.
-
-Refusals and protocol violations of CANopen devices.
 """
 
 import struct
@@ -36,12 +27,13 @@ import canopen
 from canopen.sdo.client import SdoClient
 from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError
 
-from motorhil.motorapi.adaptations.canopen.bus import CanopenLink, Transmission, can_frame
+from motorhil.motorapi.adaptations.canopen.errors import ProtocolViolation, SdoAborted
+from motorhil.motorapi.adaptations.canopen.link import CanLink, Transmission, can_frame
+from motorhil.motorapi.adaptations.canopen.turn_lock import TurnLock
 from motorhil.motorapi.errors import (
     DeadlineExceeded,
     MotorBusyError,
     MotorError,
-    PeerError,
     UsageError,
 )
 from motorhil.motorapi.locking.process_lock import LockHandle, ProcessLock
@@ -50,138 +42,6 @@ from motorhil.motorapi.runtime.api import Runtime
 if TYPE_CHECKING:
     from motorhil.motorapi.ownership.fencing import Fence
     from motorhil.motorapi.ownership.physical_motor import PhysicalMotor
-
-
-@final
-class TurnLock:
-    """A lock that serves callers in order of arrival; waiting callers let time pass."""
-
-    def __init__(self, runtime: Runtime) -> None:
-        self._runtime = runtime
-        self._tickets: deque[object] = deque()
-
-    def take(self, timeout_s: float, awaited: str) -> object:
-        """Wait for the caller's turn, and return the ticket for `give_back`.
-
-        Raises:
-            DeadlineExceeded: others kept it for `timeout_s` [s]; `awaited` names the purpose.
-        """
-        ticket = object()
-        tickets = self._tickets
-        tickets.append(ticket)
-        if tickets[0] is ticket:
-            return ticket
-        try:
-            if self._runtime.wait_until(lambda: tickets[0] is ticket, timeout_s):
-                return ticket
-        except BaseException:
-            tickets.remove(ticket)
-            raise
-        tickets.remove(ticket)
-        raise DeadlineExceeded(
-            awaited=awaited, timeout_s=timeout_s, last_heard=f"{len(tickets)} others before it"
-        )
-
-    def give_back(self, ticket: object) -> None:
-        """Pass the turn to the next caller."""
-        self._tickets.remove(ticket)
-
-    @contextmanager
-    def turn(self, timeout_s: float, awaited: str) -> Iterator[None]:
-        """Run the block alone; raises as `take`."""
-        ticket = self.take(timeout_s, awaited)
-        try:
-            yield
-        finally:
-            self.give_back(ticket)
-
-
-# ruff: noqa: N818 -- the names say what happened, not that it is an error, as in motorhil.motorapi.errors
-
-
-# CiA 301, SDO abort codes.
-_ABORT_TEXT: Final[dict[int, str]] = {
-    0x0503_0000: "toggle bit not alternated",
-    0x0504_0000: "SDO protocol timed out",
-    0x0504_0001: "command specifier not valid or unknown",
-    0x0504_0002: "invalid block size",
-    0x0504_0003: "invalid sequence number",
-    0x0504_0004: "CRC error",
-    0x0504_0005: "out of memory",
-    0x0601_0000: "unsupported access to an object",
-    0x0601_0001: "attempt to read a write only object",
-    0x0601_0002: "attempt to write a read only object",
-    0x0602_0000: "object does not exist in the object dictionary",
-    0x0604_0041: "object cannot be mapped to the PDO",
-    0x0604_0042: "number and length of the objects to be mapped would exceed PDO length",
-    0x0604_0043: "general parameter incompatibility",
-    0x0604_0047: "general internal incompatibility in the device",
-    0x0606_0000: "access failed due to a hardware error",
-    0x0607_0010: "data type does not match, length of service parameter does not match",
-    0x0607_0012: "data type does not match, length of service parameter too high",
-    0x0607_0013: "data type does not match, length of service parameter too low",
-    0x0609_0011: "sub-index does not exist",
-    0x0609_0030: "invalid value for parameter",
-    0x0609_0031: "value of parameter written too high",
-    0x0609_0032: "value of parameter written too low",
-    0x0609_0036: "maximum value is less than minimum value",
-    0x060A_0023: "resource not available: SDO connection",
-    0x0800_0000: "general error",
-    0x0800_0020: "data cannot be transferred or stored to the application",
-    0x0800_0021: "data cannot be transferred or stored because of local control",
-    0x0800_0022: "data cannot be transferred or stored because of the present device state",
-    0x0800_0023: "object dictionary dynamic generation fails or none is present",
-    0x0800_0024: "no data available",
-}
-
-
-@final
-class SdoAborted(PeerError):
-    """The server aborted an SDO transfer (CiA 301, SDO abort transfer protocol).
-
-    The attributes hold the facts, so that a caller never parses the message: node_id 1..127, index
-    0..FFFFh, subindex 0..FFh, abort_code (unsigned 32 bit).
-    """
-
-    def __init__(self, *, node_id: int, index: int, subindex: int, abort_code: int) -> None:
-        self.node_id = node_id
-        self.index = index
-        self.subindex = subindex
-        self.abort_code = abort_code
-        text = _ABORT_TEXT.get(abort_code, "code not listed in CiA 301")
-        super().__init__(
-            f"node {node_id}: SDO {index:04X}h:{subindex:02X}h aborted: {text} ({abort_code:08X}h)"
-        )
-
-
-@final
-class ProtocolViolation(PeerError):
-    """The device sent an answer that the protocol does not allow.
-
-    Attributes: node_id, where ("SDO 6041h:00h"), problem (in words).
-    """
-
-    def __init__(self, *, node_id: int, where: str, problem: str) -> None:
-        self.node_id = node_id
-        self.where = where
-        self.problem = problem
-        super().__init__(f"node {node_id}: {where}: {problem}")
-
-
-@final
-class HomingFailed(PeerError):
-    """The drive reports a homing error (CiA 402-2, homing mode, statusword bit 13).
-
-    Attributes: motor (name), method, statusword.
-    """
-
-    def __init__(self, *, motor: str, method: int, statusword: int) -> None:
-        self.motor = motor
-        self.method = method
-        self.statusword = statusword
-        super().__init__(
-            f"{motor}: homing by method {method} ended with an error (statusword {statusword:04X}h)"
-        )
 
 
 _RTR: Final = 0x4000_0000
@@ -200,6 +60,10 @@ _UPLOAD: Final = 2
 _UPLOAD_SEGMENT: Final = 3
 _BLOCK_UPLOAD: Final = 5
 _BLOCK_DOWNLOAD: Final = 6
+_PLACE: Final = struct.Struct("<HB")  # index and sub-index
+_CONTROLWORD: Final = b"\x40\x60\x00"
+_TURN_TIMEOUT_S: Final = 10.0
+_OTHER_CLIENTS: Final = "another SDO client may be using this channel"
 REQUEST_ID: Final = 0x600
 RESPONSE_ID: Final = 0x580
 
@@ -208,7 +72,7 @@ RESPONSE_ID: Final = 0x580
 class LinkNetwork(canopen.Network):
     """canopen's network over a link: never connected, so it has no thread and no Notifier."""
 
-    def __init__(self, link: CanopenLink) -> None:
+    def __init__(self, link: CanLink) -> None:
         super().__init__()
         self._link = link
 
@@ -234,7 +98,7 @@ class _NothingKnown(canopen.ObjectDictionary):
 
 
 @final
-class NoAnswer(SdoCommunicationError):
+class NoAnswer(SdoCommunicationError):  # noqa: N818 -- the name says what happened
     """No answer came in time."""
 
 
@@ -242,11 +106,11 @@ class NoAnswer(SdoCommunicationError):
 class ChannelClient(SdoClient):
     """canopen's SDO client, blocking in the runtime instead of on the wall clock."""
 
-    def __init__(self, link: CanopenLink, node_id: int, timeout_s: float) -> None:
+    def __init__(self, link: CanLink, node_id: int, timeout_s: float) -> None:
         super().__init__(  # type: ignore[no-untyped-call]  # canopen's
             REQUEST_ID + node_id, RESPONSE_ID + node_id, _NothingKnown()
         )
-        self.network = link.network
+        self.network = LinkNetwork(link)
         self.timeout_s = timeout_s
         self.strays = 0
         self.booted = False
@@ -461,13 +325,6 @@ class ChannelClient(SdoClient):
         self._quarantine_ns = until_ns
 
 
-_PLACE: Final = struct.Struct("<HB")  # index and sub-index
-_CONTROLWORD: Final = b"\x40\x60\x00"
-_INITIATE_DOWNLOAD: Final = 1
-_TURN_TIMEOUT_S: Final = 10.0
-_OTHER_CLIENTS: Final = "another SDO client may be using this channel"
-
-
 @final
 class SdoChannel:
     """The default SDO channel of one node: 600h + node-ID there, 580h + node-ID back.
@@ -486,7 +343,7 @@ class SdoChannel:
     """
 
     def __init__(
-        self, link: CanopenLink, node_id: int, *, timeout_s: float, quarantine_s: float
+        self, link: CanLink, node_id: int, *, timeout_s: float, quarantine_s: float
     ) -> None:
         self.physical: PhysicalMotor | None = None
         self.process_lock: ProcessLock | None = None
@@ -591,7 +448,7 @@ class SdoChannel:
 
     def _asked_by_others(self, frame: bytes, time_ns: int) -> None:
         """Expect the answer to another program's stop, which may not have waited for our turn."""
-        if frame[8] >> 5 == _INITIATE_DOWNLOAD and frame[9:12] == _CONTROLWORD:
+        if frame[8] >> 5 == _DOWNLOAD and frame[9:12] == _CONTROLWORD:
             until_ns = self._link.runtime.now_ns() + self._quarantine_ns
             self._client.expect(_CONTROLWORD, until_ns)
 

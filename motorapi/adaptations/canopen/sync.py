@@ -14,51 +14,50 @@ A SYNC starts every set-point that waits in a drive, no matter who sends the SYN
 While the seat is free, the holder of the turn knows that none of our programs sends SYNC. A SYNC
 heard then comes from a foreign producer. The holder waits for one only on suspicion: if more SYNCs
 were heard since its last turn than the turns of others can explain.
-
-The role of SYNC producer on a bus, among links and processes.
-
-Marks of armed set-points, which outlive the process that armed them.
-
-A drive keeps a set-point that waits for SYNC after the program that sent it has died. The next SYNC
-on the bus, sent for other drives, would start that set-point. So each waiting set-point is marked
-by a lock between processes, which names the drive and the RPDO. The mark of a process that died
-stays. The next process that gets the bus's turn learns that the previous one died in it. Before it
-arms anything else, it overwrites the marked set-points by a halt, and latches the halt by a SYNC of
-its own.
-
-If another process has taken the drive since, that process cleared the drive itself when it found
-the ownership abandoned.
 """
 
 import re
-import weakref
 from collections import deque
-from collections.abc import Callable, Hashable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING, Final, final
 
-from motorhil.motorapi.adaptations.cia402.objects import ENABLE_OPERATION, HALT
+from motorhil.motorapi.adaptations.canopen.link import CanLink, Transmission, can_frame
+from motorhil.motorapi.bus_context import context_of
 from motorhil.motorapi.errors import LinkError, MotorBusyError, UsageError
 from motorhil.motorapi.locking.directory import LockDirectory, bus_name
 from motorhil.motorapi.locking.lock_status import list_locks, look
 from motorhil.motorapi.locking.process_lock import LockHandle, ProcessLock, can_share_time
-from motorhil.motorapi.ownership.physical_motor import bus_key
+from motorhil.motorapi.ownership.fencing import joint_fence
 from motorhil.motorapi.ownership.queue import FifoQueue, share_trigger
 from motorhil.motorapi.runtime.api import Registration, Runtime
 
 if TYPE_CHECKING:
-    from motorhil.motorapi.adaptations.canopen.bus import CanopenLink, Transmission
     from motorhil.motorapi.ownership.fencing import Fence
 
+SYNC_ID: Final = 0x080
 _OVERWRITTEN: Final = 2  # times: a frame may be lost
-_HALTED: Final = (ENABLE_OPERATION | HALT).to_bytes(2, "little") + bytes(4)
+
+
+WaitingSetPoint = tuple[int, int, bytes]
+"""A set-point that waits for SYNC: node-ID, identifier of its RPDO, and data that halt the node."""
 
 
 @final
 class ArmedMarks:
     """The set-points on one bus that wait for a SYNC, as other processes see them.
+
+    A node keeps a set-point that waits for SYNC after the program that sent it has died. The next
+    SYNC on the bus, sent for other nodes, would start that set-point. So each waiting set-point is
+    marked by a lock between processes, which names the node, the RPDO and the data that halt the
+    node. The mark of a process that died stays. The next process that gets the bus's turn learns
+    that the previous one died in it. Before it arms anything else, it overwrites the marked
+    set-points by their halt, and latches the halt by a SYNC of its own.
+
+    If another process has taken the node since, that process cleared it itself when it found the
+    ownership abandoned.
 
     Args:
         where: the name of the bus between processes, or None if no other process uses it.
@@ -68,63 +67,45 @@ class ArmedMarks:
     def __init__(self, where: str | None, name: str) -> None:
         self._where: Final = where
         self._name: Final = name
-        self._locks: dict[tuple[int, int], ProcessLock] = {}
+        self._locks: dict[tuple[int, int, bytes], ProcessLock] = {}
 
-    def mark(
-        self, link: "CanopenLink", node_id: int, can_id: int, owner: object
-    ) -> LockHandle | None:
-        """Mark an RPDO of the drive as waiting for SYNC, until the mark is released."""
+    def mark(self, runtime: Runtime, waiting: WaitingSetPoint, owner: object) -> LockHandle | None:
+        """Mark a set-point as waiting for SYNC, until the mark is released."""
         if self._where is None:
             return None
-        lock = self._lock(node_id, can_id)
-        return lock.acquire(link.runtime, "a set-point that waits for SYNC", 0.0, owner)
+        return self._lock(waiting).acquire(runtime, "a set-point that waits for SYNC", 0.0, owner)
 
-    def _lock(self, node_id: int, can_id: int) -> ProcessLock:
-        lock = self._locks.get((node_id, can_id))
+    def _lock(self, waiting: WaitingSetPoint) -> ProcessLock:
+        lock = self._locks.get(waiting)
         if lock is None:
-            name = f"{self._prefix}{node_id}-{can_id:03X}"
+            node_id, can_id, halt = waiting
+            name = f"{self._prefix}{node_id}-{can_id:03X}-{halt.hex()}"
             lock = ProcessLock(name, f"set-points waiting for SYNC in {self._name} node {node_id}")
-            self._locks[node_id, can_id] = lock
+            self._locks[waiting] = lock
         return lock
 
     @property
     def _prefix(self) -> str:
         return f"{self._where}-armed-"
 
-    def clear(self, link: "CanopenLink", own: int | None = None) -> None:
-        """Disarm set-points that dead processes have armed; the caller must have the turn.
+    def release(self, runtime: Runtime, left: Sequence[WaitingSetPoint]) -> None:
+        """Remove the marks that dead processes have left for these set-points."""
+        for one in left:
+            self._lock(one).acquire(runtime, "clearing the mark", 0.0, self).release()
 
-        Args:
-            link: the link to send on.
-            own: the node-ID of a drive that now belongs to the caller.
+    def left(self, own: int | None) -> list[WaitingSetPoint]:
+        """Return the set-points that dead processes have left waiting, also in our node `own`."""
+        return [] if self._where is None else list(self._left(own))
 
-        Raises:
-            LinkError: the bus does not accept the overwriting frames.
-        """
-        left = [] if self._where is None else list(self._left(own))
-        if not left:
-            return
-        if link.bus_sync.known() is None:  # A running cyclic SYNC has started them long ago.
-            from motorhil.motorapi.adaptations.canopen.bus import can_frame
-
-            frames = [can_frame(can_id, _HALTED) for _, can_id in left] * _OVERWRITTEN
-            link.confirmed([link.send_tracked(frame) for frame in frames])
-            link.confirmed([link.sync()])
-        for node_id, can_id in left:
-            self._lock(node_id, can_id).acquire(
-                link.runtime, "clearing the mark", 0.0, self
-            ).release()
-
-    def _left(self, own: int | None) -> Iterator[tuple[int, int]]:
-        """Yield (node-ID, identifier) of each set-point that a dead process has left armed."""
+    def _left(self, own: int | None) -> Iterator[WaitingSetPoint]:
         directory = LockDirectory()
         for view in list_locks(directory):
             if not view.name.startswith(self._prefix) or not view.abandoned:
                 continue
-            node_id, can_id = view.name.removeprefix(self._prefix).split("-")
+            node_id, can_id, halt = view.name.removeprefix(self._prefix).split("-")
             drive = look(directory, f"{self._where}-node{node_id}")
             if int(node_id) == own or (drive.abandoned and drive.holder is None):
-                yield int(node_id), int(can_id, 16)
+                yield int(node_id), int(can_id, 16), bytes.fromhex(halt)
 
 
 _EQUAL: Final = 0.1
@@ -243,19 +224,13 @@ class SharedBus:
         self.turns: Final = FifoQueue(f"SYNC of {name}", lock)
         self.seat: Final = ProducerSeat(seat_lock)
         self.marks: Final = ArmedMarks(where, name)
+        self.users = 0
 
 
-_buses: Final["weakref.WeakValueDictionary[Hashable, SharedBus]"] = weakref.WeakValueDictionary()
-
-
-def shared_bus(link: "CanopenLink") -> SharedBus:
+def shared_bus(link: CanLink) -> SharedBus:
     """Return the shared state of the link's bus, independent of the path by which it was opened."""
     where = bus_name(link.bus) if can_share_time(link.runtime) else None
-    key: Hashable = bus_key(link.bus) if where is None else where
-    bus = _buses.get(key)
-    if bus is None:
-        bus = _buses[key] = SharedBus(link.name, where)
-    return bus
+    return context_of(link.bus).medium.part(SharedBus, lambda: SharedBus(link.name, where))
 
 
 def median_ns(times_ns: tuple[int, ...]) -> int:
@@ -300,6 +275,19 @@ _SYNCS_A_TURN: Final = 2  # one fires; the other clears what was disarmed
 
 
 @final
+class _SyncUse:
+    """The use of a cyclic SYNC, until it is cancelled."""
+
+    def __init__(self, sync: "BusSync", action: Callable[[], None]) -> None:
+        self._sync = sync
+        self._action = action
+
+    def cancel(self) -> None:
+        """End the use; further calls do nothing."""
+        self._sync.leave(self._action)
+
+
+@final
 class BusSync:
     """SYNC as one link sends, hears and counts it.
 
@@ -307,13 +295,23 @@ class BusSync:
         turns: the exclusive turn for arming and firing, and for beginning a cyclic SYNC.
         marks: the marks of set-points that wait for a SYNC, for other processes.
         count: the number of SYNCs on the wire that were awaited here or sent by other links.
+        latching: the node-IDs of drives that may hold a set-point which a SYNC would start.
+        lost: whether a drive that was armed here was taken over. A halt of its new owner then waits
+            in the drive for a SYNC, and no SYNC is sent before the next arming.
+        planned_s: the period [s] of the cyclic SYNC that a user here will run when it is enabled,
+            or None.
     """
 
-    def __init__(self, link: "CanopenLink") -> None:
+    def __init__(self, link: CanLink, fences: "Mapping[int, Fence]") -> None:
         self._link: Final = link
         self._runtime: Final = link.runtime
         self._bus: Final = shared_bus(link)
-        self._frame: Final = link.sync_frame
+        self._bus.users += 1
+        self._frame: Final = can_frame(SYNC_ID, b"")
+        self._fences: Final = fences
+        self.latching: Final[set[int]] = set()
+        self.lost = False
+        self.planned_s: float | None = None
         self.turns: Final = self._bus.turns
         self.marks: Final = self._bus.marks
         share_trigger(link.runtime, link.name, self.turns)
@@ -331,6 +329,22 @@ class BusSync:
         self._turn = -1  # number of our last turn; -1: there was none
         self._foreign_ns = 0  # period of a known foreign producer; 0: none is known
         self._strays: deque[int] = deque(maxlen=_STRAYS_MAX)
+        link.handle(SYNC_ID, self._hear)  # a SYNC of another producer fires as well as ours
+        link.handle_sent(SYNC_ID, self._was_sent)
+        link.on_bus_off.append(self._bus_off)
+
+    def send(self) -> Transmission:
+        """Queue one SYNC; a caller that armed set-points must await their confirmation first.
+
+        Raises:
+            MotorBusyError: another program has taken over a motor that this SYNC would start.
+        """
+        fences = self._fences
+        fence = None
+        if fences and self.latching:
+            fence = joint_fence([fences[node] for node in sorted(self.latching) if node in fences])
+        self.lost = False
+        return self._link.send_tracked(self._frame, fence)
 
     # --- the running SYNC ------------------------------------------------------------------
 
@@ -425,12 +439,19 @@ class BusSync:
         """Latch overwritten set-points by a SYNC; return whether we got the turn."""
         with self.turns.at_once(self._runtime, "clearing overwritten set-points") as is_ours:
             if is_ours and self.known() is None:
-                self._link.confirmed([self._link.sync()])
+                self._link.confirmed([self.send()])
             return is_ours
 
     def _clear(self, own: int | None) -> None:
         self.turns.died = False
-        self.marks.clear(self._link, own)
+        left = self.marks.left(own)
+        if not left:
+            return
+        if self.known() is None:  # A running cyclic SYNC has started them long ago.
+            frames = [can_frame(can_id, halt) for _, can_id, halt in left] * _OVERWRITTEN
+            self._link.confirmed([self._link.send_tracked(frame) for frame in frames])
+            self._link.confirmed([self.send()])
+        self.marks.release(self._runtime, left)
 
     def _hears_another(self, last_ns: int, within_ns: int) -> bool:
         return self._runtime.wait_until(lambda: self._heard_ns != last_ns, within_ns / 1e9)
@@ -441,10 +462,19 @@ class BusSync:
         self,
         period_s: float,
         action: Callable[[], None],
-        lost: Lost | None,
+        lost: Lost | None = None,
         fence: FenceNow | None = None,
-    ) -> None:
-        """Run a cyclic SYNC, and call `action` just after each is queued or heard, as in `on_sync`.
+    ) -> Registration:
+        """Run a cyclic SYNC, and call `action` just after each is queued or heard.
+
+        SYNC is produced here, unless another program produces one of the same period on this bus.
+
+        Args:
+            period_s: the period of SYNC [s].
+            action: called once for each SYNC; it must not wait.
+            lost: called once when the SYNC is lost; the registration need not be cancelled then.
+            fence: returns the current fence of this user. No SYNC is sent while every user has lost
+                its motors.
 
         Raises:
             UsageError: SYNC runs with another period on this bus; names its producer.
@@ -456,10 +486,11 @@ class BusSync:
                 if self._period_ns is None:  # unless another thread was quicker
                     self._begin(period_ns)
                     self._users.append((action, lost, fence))
-                    return
+                    return _SyncUse(self, action)
         if self._period_ns != period_ns:
             raise self._other_period(self._period_ns or 0, "", period_ns)
         self._users.append((action, lost, fence))
+        return _SyncUse(self, action)
 
     def check(self, period_s: float) -> None:
         """Raise UsageError if a SYNC of another period is known to run on the bus."""
@@ -558,11 +589,11 @@ class BusSync:
             reason = f"no SYNC came for {silent_ns / 1e6:.0f} ms; it was produced by {who}"
             self._lose(LinkError(link=self._link.name, reason=reason))
 
-    def bus_off(self, error: LinkError) -> None:
+    def _bus_off(self) -> None:
         """Drop everything that waited for SYNC, because the bus is off."""
         self._sent = None
         self._at_next.clear()
-        self._lose(error)
+        self._lose(self._link.status.failure())
         self._bus.seat.give(self)
 
     def _lose(self, error: LinkError) -> None:
@@ -600,23 +631,22 @@ class BusSync:
 
     # --- SYNCs on the wire -----------------------------------------------------------------
 
-    @property
-    def is_awaited(self) -> bool:
-        """True if a callback waits for the next SYNC."""
-        return bool(self._at_next)
-
     def at_next(self, action: Callable[[int], None]) -> None:
         """Call `action` with the time [ns] of the next SYNC on the wire, from any producer."""
         self._at_next.append(action)
 
-    def passed(self, time_ns: int) -> None:
+    def _was_sent(self, frame: bytes, time_ns: int) -> None:
+        if self._at_next:
+            self._passed(time_ns)
+
+    def _passed(self, time_ns: int) -> None:
         """Report a SYNC on the wire to the waiting callbacks."""
         self.count += 1
         actions, self._at_next = self._at_next, []
         for action in actions:
             action(time_ns)
 
-    def hear(self, frame: bytes, time_ns: int) -> None:
+    def _hear(self, frame: bytes, time_ns: int) -> None:
         """Handle a SYNC on the wire that was not sent on this link."""
         self._heard.append(time_ns)
         self._heard_ns = time_ns
@@ -628,7 +658,7 @@ class BusSync:
             self._watch(period_ns)
             for action, _, _ in tuple(self._users):
                 action()
-        self.passed(time_ns)
+        self._passed(time_ns)
 
     def _stray(self, time_ns: int) -> None:
         """Handle a SYNC beside our own, which makes a drive take a set-point too early."""
@@ -645,3 +675,6 @@ class BusSync:
         self._at_next.clear()
         self._end()
         self._bus.seat.give(self)
+        self._bus.users -= 1
+        if self._bus.users == 0:
+            context_of(self._link.bus).medium.drop(self._bus)

@@ -2,35 +2,26 @@
 
 Only values that the drive does not have yet are written, so that a second program may join at any
 time.
-
-Traffic of a configured drive, and of this program for it.
 """
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final, final
 
-from motorhil.motorapi.adaptations.canopen.bus import HEARTBEAT_ID, STOPPED
+from motorhil.motorapi.adaptations.canopen.bus import HEARTBEAT_ID
 from motorhil.motorapi.adaptations.canopen.pdo_setup import (
-    CONTROLWORD,
     EVENT_DRIVEN,
-    POSITION,
-    STATUSWORD,
     SYNCHRONOUS,
-    TARGET_POSITION,
-    TARGET_VELOCITY,
-    TORQUE,
-    VELOCITY,
     PdoFound,
     PdoSetUp,
     PdoWish,
     usable_as_it_is,
 )
-from motorhil.motorapi.adaptations.canopen.sdo import SdoAborted
+from motorhil.motorapi.adaptations.canopen.sync import SYNC_ID
 from motorhil.motorapi.adaptations.cia402.node import DriveNode
 from motorhil.motorapi.adaptations.cia402.objects import Mode
 from motorhil.motorapi.adaptations.cia402.settings import HwOptions
-from motorhil.motorapi.errors import DeadlineExceeded, UsageError
+from motorhil.motorapi.errors import UsageError
 from motorhil.motorapi.synchronization.bus_load import NodeTraffic, PeriodicMessage, note_node
 
 _UNKNOWN_CLOCK_PPM: Final = 1000.0
@@ -70,10 +61,19 @@ def drive_traffic(
     )
 
 
+# Objects in PDO mappings: index, sub-index, bits.
+_CONTROLWORD: Final = 0x6040_0010
+_TARGET_POSITION: Final = 0x607A_0020
+_TARGET_VELOCITY: Final = 0x60FF_0020
+_STATUSWORD: Final = 0x6041_0010
+_POSITION: Final = 0x6064_0020
+_VELOCITY: Final = 0x606C_0020
+_TORQUE: Final = 0x6077_0010
+
 _PROFILE_402: Final = 0x0192
 _TPDOS: Final = 4
 _FIRST_STATUS_S: Final = 0.5
-_LATCHED_TARGETS: Final = (TARGET_POSITION, TARGET_VELOCITY)
+_LATCHED_TARGETS: Final = (_TARGET_POSITION, _TARGET_VELOCITY)
 
 
 @final
@@ -120,15 +120,15 @@ def bring_up(node: DriveNode, options: HwOptions) -> DriveFacts:
         PeerError: the drive refused an indispensable setting.
     """
     node.may_change_state()
-    identity = _identity(node, first_answer(node, options.connect_timeout_s))
+    identity = _identity(node)
     limitations: list[str] = []
     _set_up_dead_man(node, options, limitations)
     sync_id = node.read_optional(0x1005)
-    latched = sync_id is None or sync_id & 0x7FF == node.link.sync_id
+    latched = sync_id is None or sync_id & 0x7FF == SYNC_ID
     if not latched:
-        limitations.append(f"its SYNC is {sync_id or 0:03X}h, ours {node.link.sync_id:03X}h")
+        limitations.append(f"its SYNC is {sync_id or 0:03X}h, ours {SYNC_ID:03X}h")
     pdos = PdoSetUp(node)
-    control = pdos.configure(PdoWish(False, 1, (CONTROLWORD,), EVENT_DRIVEN))
+    control = pdos.configure(PdoWish(False, 1, (_CONTROLWORD,), EVENT_DRIVEN))
     if control is not None:
         node.listen_to_control(control[0])
     latched_ids = _latched_pdos(pdos) if latched else {}
@@ -154,33 +154,9 @@ def bring_up(node: DriveNode, options: HwOptions) -> DriveFacts:
     return facts
 
 
-def first_answer(node: DriveNode, timeout_s: float) -> int:
-    """Return 1000h, once the device answers; a booting device answers after its boot-up.
-
-    Raises:
-        DeadlineExceeded: it does not answer within `timeout_s` [s].
-    """
-    runtime = node.link.runtime
-    deadline_ns = runtime.now_ns() + round(timeout_s * 1e9)
-    while True:
-        if node.nmt_state == STOPPED:  # a stopped node answers no SDO (CiA 301, NMT states)
-            node.link.nmt(0x80, node.node_id)
-        try:
-            return node.read_int(0x1000)
-        except SdoAborted:
-            return _PROFILE_402  # any answer suffices
-        except DeadlineExceeded as error:
-            if runtime.now_ns() >= deadline_ns:
-                heard = "a boot-up" if node.boots else "nothing"
-                trouble = node.link.status.trouble()
-                raise DeadlineExceeded(
-                    awaited=f"{node.label}: any answer",
-                    timeout_s=timeout_s,
-                    last_heard=f"{heard}; {trouble}" if trouble else heard,
-                ) from error
-
-
-def _identity(node: DriveNode, device_type: int) -> Identity:
+def _identity(node: DriveNode) -> Identity:
+    answer = node.first_answer()
+    device_type = _PROFILE_402 if answer is None else answer
     if device_type & 0xFFFF not in (_PROFILE_402, 0):
         raise UsageError(
             f"{node.label} is not a CiA 402 drive: its device type 1000h is {device_type:08X}h"
@@ -199,13 +175,11 @@ def _modes(node: DriveNode) -> frozenset[Mode] | None:
 def _set_up_dead_man(node: DriveNode, options: HwOptions, limitations: list[str]) -> None:
     """Set up mutual supervision: 1017h there and here, 1016h and 6007h there."""
     if options.connection_loss is not None:
-        write_if_different(
-            node, 0x6007, 0, options.connection_loss, 2, limitations, "its reaction to our loss"
+        node.write_if_different(
+            (0x6007, 0), options.connection_loss, 2, limitations, "its reaction to our loss"
         )
-    write_if_different(
-        node,
-        0x1017,
-        0,
+    node.write_if_different(
+        (0x1017, 0),
         options.heartbeat_ms,
         2,
         limitations,
@@ -213,13 +187,11 @@ def _set_up_dead_man(node: DriveNode, options: HwOptions, limitations: list[str]
     )
     watched = node.read_optional(0x1016, 1)
     if not options.heartbeat_ms and watched and watched >> 16 == options.host_node_id:
-        write_if_different(node, 0x1016, 1, 0, 4, limitations, "the end of its supervision of us")
+        node.write_if_different((0x1016, 1), 0, 4, limitations, "the end of its supervision of us")
     if options.heartbeat_ms and options.heartbeat_timeout_ms:
         consumer = options.host_node_id << 16 | options.heartbeat_timeout_ms
-        write_if_different(
-            node,
-            0x1016,
-            1,
+        node.write_if_different(
+            (0x1016, 1),
             consumer,
             4,
             limitations,
@@ -229,32 +201,11 @@ def _set_up_dead_man(node: DriveNode, options: HwOptions, limitations: list[str]
             node.expect_heartbeat()
 
 
-def write_if_different(
-    node: DriveNode,
-    index: int,
-    subindex: int,
-    value: int,
-    size: int,
-    limitations: list[str],
-    meaning: str,
-) -> None:
-    """Write `value` in `size` bytes unless the object holds it; report a refusal in `limitations`.
-
-    `meaning` completes "it does not let us set ...".
-    """
-    if node.read_optional(index, subindex) == value:
-        return
-    try:
-        node.sdo.download(index, subindex, (value & (1 << 8 * size) - 1).to_bytes(size, "little"))
-    except SdoAborted as error:
-        limitations.append(f"it does not let us set {meaning} ({error})")
-
-
 def _latched_pdos(pdos: PdoSetUp) -> dict[int, int]:
     """Configure RPDO 2 and following, one per target; return `DriveFacts.latched_ids`."""
     identifiers: dict[int, int] = {}
     for number, target in enumerate(_LATCHED_TARGETS, 2):
-        made = pdos.configure(PdoWish(False, number, (CONTROLWORD, target), SYNCHRONOUS))
+        made = pdos.configure(PdoWish(False, number, (_CONTROLWORD, target), SYNCHRONOUS))
         if made is not None:
             identifiers[target >> 16] = made[0]
     return identifiers
@@ -264,15 +215,15 @@ def _status_pdo(node: DriveNode, pdos: PdoSetUp, options: HwOptions) -> tuple[in
     wish = PdoWish(
         True,
         1,
-        (STATUSWORD, POSITION),
+        (_STATUSWORD, _POSITION),
         EVENT_DRIVEN,
         inhibit_100us=round(options.status_inhibit_ms * 10),
         event_ms=options.status_period_ms,
     )
     return (
         pdos.configure(wish)
-        or usable_as_it_is(node, (STATUSWORD, POSITION))
-        or usable_as_it_is(node, (STATUSWORD,))
+        or usable_as_it_is(node, (_STATUSWORD, _POSITION))
+        or usable_as_it_is(node, (_STATUSWORD,))
     )
 
 
@@ -282,7 +233,7 @@ def _velocity_pdo(
     period_ms = options.velocity_period_ms
     if not period_ms:
         return None
-    for mapping in ((VELOCITY, TORQUE), (VELOCITY,)):
+    for mapping in ((_VELOCITY, _TORQUE), (_VELOCITY,)):
         wish = PdoWish(
             True, 2, mapping, EVENT_DRIVEN, inhibit_100us=period_ms * 10, event_ms=period_ms
         )

@@ -1,8 +1,7 @@
 """Commands to a drive by its controlword: power, modes, stops, set-points.
 
-All values are in the drive's own units.
-
-Repetition of a stop until the drive obeys, against lost frames.
+All values are in the drive's own units. A stop is repeated until the drive obeys, against lost
+frames.
 """
 
 import struct
@@ -10,9 +9,10 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import TYPE_CHECKING, Final, final
 
-from motorhil.motorapi.adaptations.canopen.bus import CanopenLink, Transmission, can_frame
+from motorhil.motorapi.adaptations.canopen.link import Transmission, can_frame
+from motorhil.motorapi.adaptations.canopen.object_access import ObjectAccess
+from motorhil.motorapi.adaptations.canopen.objects import encode
 from motorhil.motorapi.adaptations.cia402.node import DriveNode
-from motorhil.motorapi.adaptations.cia402.object_access import DriveObjects
 from motorhil.motorapi.adaptations.cia402.objects import (
     ACKNOWLEDGE,
     CHANGE_IMMEDIATELY,
@@ -22,17 +22,16 @@ from motorhil.motorapi.adaptations.cia402.objects import (
     FAULT_RESET,
     HALT,
     NEW_SET_POINT,
+    OBJECTS,
     QUICK_STOP,
     SHUTDOWN,
     SWITCH_ON,
     Mode,
     PdsState,
-    encode,
     is_off,
     shows_no_acknowledge,
     shows_no_fault,
     shows_no_reaction,
-    type_of,
 )
 from motorhil.motorapi.errors import DeadlineExceeded, LinkError, MotorBusyError, UnsupportedError
 
@@ -137,17 +136,21 @@ class DriveControl:
 
     They go by SDO where there is time to wait for the confirmation, else by RPDO. The bring-up sets
     `facts`. Every command except stops passes through `fence`.
+
+    Attributes:
+        node: the received state of the drive.
+        objects: the objects of the drive.
+        fence: the fence for frames that command the drive; None: no other process can take it over.
     """
 
-    def __init__(
-        self, link: CanopenLink, node: DriveNode, objects: DriveObjects, fence: "NodeFence | None"
-    ) -> None:
+    def __init__(self, node: DriveNode, objects: ObjectAccess, fence: "NodeFence | None") -> None:
         self.facts: DriveFacts | None = None
+        self.node: Final = node
+        self.objects: Final = objects
+        self.fence: Final = fence
         self._physical = objects.physical
-        self._fence = fence
-        self._link = link
-        self._node = node
-        self._objects = objects
+        self._link = node.link
+        self._sync = node.bus.sync
         self._mode: Mode | None = None
         self.is_halted = False  # stopped since `take_set_points`, by any program
         self._word: int | None = None  # the controlword commanded last
@@ -177,7 +180,7 @@ class DriveControl:
         """Write the controlword (6040h) by SDO, which confirms it."""
         self._end_repetition()
         self._word = word
-        self._objects.download(0x6040, 0, word.to_bytes(2, "little"), stops=stops)
+        self.objects.download(0x6040, 0, word.to_bytes(2, "little"), stops=stops)
 
     def send_controlword(self, word: int) -> Transmission | None:
         """Send the controlword by RPDO without waiting; return None if it was written by SDO."""
@@ -187,11 +190,11 @@ class DriveControl:
             return None
         self._end_repetition()
         self._word = word
-        return self._send(_CONTROL.pack(facts.control_id, 2, word), self._fence)
+        return self._send(_CONTROL.pack(facts.control_id, 2, word), self.fence)
 
     def _send(self, frame: bytes, fence: "Fence | None") -> Transmission:
         """Queue a frame for the bus; raises MotorBusyError as `PhysicalMotor.passage`."""
-        with self._physical.passage(self._node.label, of_holder=True):
+        with self._physical.passage(self.node.label, of_holder=True):
             return self._link.send_tracked(frame, fence)
 
     def enable(self) -> None:
@@ -201,7 +204,7 @@ class DriveControl:
             DeadlineExceeded: the drive did not follow a step.
             DeviceFault: the drive is in fault.
         """
-        node = self._node
+        node = self.node
         node.refresh()
         for _ in range(_STEPS_MAX):
             state = node.state
@@ -209,7 +212,7 @@ class DriveControl:
                 self.is_halted = False
                 return
             if state in (PdsState.FAULT, PdsState.FAULT_REACTION_ACTIVE):
-                raise node.fault_error(self._node.label)
+                raise node.fault_error(self.node.label)
             word = DISABLE_VOLTAGE if state is None else _NEXT_COMMAND.get(state)
             if word is not None:
                 self.write_controlword(word)
@@ -220,7 +223,7 @@ class DriveControl:
                 f"leaving state {before!r} on the way to operation enabled",
             )
         raise DeadlineExceeded(
-            awaited=f"{self._node.label}: operation enabled, in {_STEPS_MAX} steps",
+            awaited=f"{self.node.label}: operation enabled, in {_STEPS_MAX} steps",
             timeout_s=_STEPS_MAX * _STATE_TIMEOUT_S,
             last_heard=node.describe_status(),
         )
@@ -228,7 +231,7 @@ class DriveControl:
     def disable(self, *, stops: bool = False) -> None:
         """Switch the power stage off by disable voltage; with `stops`, without owning the drive."""
         self.write_controlword(DISABLE_VOLTAGE, stops=stops)
-        self._node.wait_for_status(is_off, _STATE_TIMEOUT_S, "power stage off")
+        self.node.wait_for_status(is_off, _STATE_TIMEOUT_S, "power stage off")
         self.is_halted = False
 
     def reset_fault(self) -> None:
@@ -237,7 +240,7 @@ class DriveControl:
         Raises:
             DeviceFault: its cause persists.
         """
-        node = self._node
+        node = self.node
         node.refresh()
         if not node.statusword & FAULT_BIT:
             return
@@ -247,7 +250,7 @@ class DriveControl:
         try:
             node.wait_for_status(shows_no_fault, _RESET_TIMEOUT_S, "fault reset")
         except DeadlineExceeded:
-            raise node.fault_error(self._node.label) from None
+            raise node.fault_error(self.node.label) from None
         finally:
             self.write_controlword(0)
 
@@ -269,11 +272,11 @@ class DriveControl:
         self._end_repetition()
         self._word = word
         control_id = None if self.facts is None else self.facts.control_id
-        send = stop_sender(self._node, self._physical, control_id, word)
+        send = stop_sender(self.node, self._physical, control_id, word)
         send(None)
         self._overwrite_latch(None)
         if watch is not None:
-            self._repetition = StopRepetition(self._node, watch, self._fence, send)
+            self._repetition = StopRepetition(self.node, watch, self.fence, send)
 
     def _end_repetition(self) -> None:
         if self._repetition is not None:
@@ -293,21 +296,21 @@ class DriveControl:
             modes = self.facts.modes if self.facts is not None and self.facts.modes else ()
             names = ", ".join(one.name for one in sorted(modes))
             raise UnsupportedError(
-                motor=self._node.label, feature=f"mode {mode.name}", supported=names
+                motor=self.node.label, feature=f"mode {mode.name}", supported=names
             )
-        if not self._objects.push(0x6060, mode) and self._mode is mode:
+        if not self.objects.push(0x6060, mode) and self._mode is mode:
             return
         self._mode = None
         deadline_ns = self._link.runtime.now_ns() + round(_MODE_TIMEOUT_S * 1e9)
         while True:
-            display = self._objects.read_int(0x6061)
+            display = self.objects.read_int(0x6061)
             if display == mode:
                 self._mode = mode
                 return
             if self._link.runtime.now_ns() >= deadline_ns:
-                self._objects.doubt(0x6060)
+                self.objects.doubt(0x6060)
                 raise DeadlineExceeded(
-                    awaited=f"{self._node.label}: mode {mode.name} in 6061h",
+                    awaited=f"{self.node.label}: mode {mode.name} in 6061h",
                     timeout_s=_MODE_TIMEOUT_S,
                     last_heard=f"mode {display}",
                 )
@@ -315,7 +318,7 @@ class DriveControl:
 
     def is_in(self, mode: Mode) -> bool:
         """Return whether 6061h confirmed this mode, and it cannot have changed since."""
-        return self._mode is mode and self._objects.is_believed(0x6060, mode)
+        return self._mode is mode and self.objects.is_believed(0x6060, mode)
 
     def take_set_points(self) -> None:
         """Clear bit 4 (pp) and await a low acknowledge; a halt lasts until the next set-point.
@@ -323,8 +326,8 @@ class DriveControl:
         From then on `is_halted` reports stops that came after this call.
         """
         self.write_controlword(self._holding_word())
-        if self._node.statusword & ACKNOWLEDGE or not self._node.status_is_cyclic:
-            self._node.wait_for_status(
+        if self.node.statusword & ACKNOWLEDGE or not self.node.status_is_cyclic:
+            self.node.wait_for_status(
                 shows_no_acknowledge, _ACKNOWLEDGE_TIMEOUT_S, "set-point acknowledge to fall"
             )
         self.is_halted = False
@@ -376,27 +379,27 @@ class DriveControl:
         """
         facts = self.facts
         if facts is None or index not in facts.latched_ids:
-            raise UnsupportedError(motor=self._node.label, feature="starting by SYNC")
+            raise UnsupportedError(motor=self.node.label, feature="starting by SYNC")
         word = ENABLE_OPERATION
         if index == 0x607A:
             word |= NEW_SET_POINT | CHANGE_IMMEDIATELY
         self._armed = self._latched = index
-        self._link.latching.add(self._node.node_id)
-        self._objects.doubt(index)
+        self._sync.latching.add(self.node.node_id)
+        self.objects.doubt(index)
         frame = _control_target(facts.latched_ids[index], word, index, target)
-        transmission = self._send(frame, self._fence)
+        transmission = self._send(frame, self.fence)
 
         def on_sync(time_ns: int) -> None:
             if self._armed is None:
                 return
             if transmission.time_ns is None:  # SYNC was before the frame: wait for the next one
-                self._link.at_next_sync(on_sync)
+                self._sync.at_next(on_sync)
                 return
             self._armed = None
             if fired is not None:
                 fired(time_ns)
 
-        self._link.at_next_sync(on_sync)
+        self._sync.at_next(on_sync)
         return transmission
 
     def send_armed_halt(self) -> Transmission | None:
@@ -408,7 +411,7 @@ class DriveControl:
             return None
         self._armed, self._latched, self.is_halted = None, 0x607A, True
         self._word = self._holding_word()
-        self._link.latching.add(self._node.node_id)
+        self._sync.latching.add(self.node.node_id)
         return self._overwrite_latch(None)[0]
 
     @property
@@ -419,7 +422,7 @@ class DriveControl:
     def has_started(self) -> None:
         """Record that the drive has started the armed target."""
         self._latched = None
-        self._link.latching.discard(self._node.node_id)
+        self._sync.latching.discard(self.node.node_id)
 
     def disarm(self) -> None:
         """Prevent the armed target from starting at any later SYNC.
@@ -430,17 +433,17 @@ class DriveControl:
         """
         self._armed = None
         try:
-            transmissions = self._overwrite_latch(self._fence) + self._overwrite_latch(self._fence)
+            transmissions = self._overwrite_latch(self.fence) + self._overwrite_latch(self.fence)
         except MotorBusyError:  # its new owner clears it; no SYNC for the others
             self.has_started()
-            self._link.lost = True
+            self._sync.lost = True
             return
         if not transmissions:
             return
         self._link.confirmed(transmissions)
         self.has_started()
-        if not self._link.latching and not self._link.lost and self._link.bus_sync.known() is None:
-            self._link.confirmed([self._link.sync()])
+        if not self._sync.latching and not self._sync.lost and self._sync.known() is None:
+            self._link.confirmed([self._sync.send()])
 
     def _overwrite_latch(self, fence: "Fence | None") -> list[Transmission]:
         """Overwrite the waiting target by the present controlword without a motion."""
@@ -454,8 +457,8 @@ class DriveControl:
         word &= ~(NEW_SET_POINT | CHANGE_IMMEDIATELY)
         sent = []
         for index in indices:
-            target = self._node.position_inc if index == 0x607A else 0
-            self._objects.doubt(index)
+            target = self.node.position_inc if index == 0x607A else 0
+            self.objects.doubt(index)
             frame = _control_target(facts.latched_ids[index], word, index, target)
             sent.append(self._send(frame, fence))
         return sent
@@ -463,7 +466,7 @@ class DriveControl:
 
 def _control_target(can_id: int, word: int, index: int, target: int) -> bytes:
     """Return the frame of an RPDO with controlword and target."""
-    data = encode(type_of(index, 0) or "i32", target)
+    data = encode(OBJECTS.type_of(index, 0) or "i32", target)
     return can_frame(can_id, word.to_bytes(2, "little") + data)
 
 

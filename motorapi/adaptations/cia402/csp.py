@@ -1,11 +1,9 @@
 """Streaming of set-points in cyclic synchronous position mode, one per SYNC.
 
-Set-points of a motion for a drive in csp, in increments.
-
-Cycle k is k set-point periods after the start. A period in which the host sends no SYNC does not
-count, so that set-points are never two steps apart. A trajectory over time is sampled at these
-times; another argument is read in each cycle. A velocity trajectory is followed by its integral:
-exactly over time, by the trapezoidal rule over another argument.
+Set-points are increments. Cycle k is k set-point periods after the start. A period in which the
+host sends no SYNC does not count, so that set-points are never two steps apart. A trajectory over
+time is sampled at these times; another argument is read in each cycle. A velocity trajectory is
+followed by its integral: exactly over time, by the trapezoidal rule over another argument.
 
 Another argument is not predictable. So its set-points are checked against the limits one by one:
 - no step of position beyond the velocity limit;
@@ -27,8 +25,9 @@ from contextlib import nullcontext, suppress
 from math import ceil
 from typing import TYPE_CHECKING, Final, final
 
-from motorhil.motorapi.adaptations.canopen.bus import Transmission
-from motorhil.motorapi.adaptations.canopen.sdo import SdoAborted
+from motorhil.motorapi.adaptations.canopen.errors import SdoAborted
+from motorhil.motorapi.adaptations.canopen.link import Transmission
+from motorhil.motorapi.adaptations.cia402.controlword import DriveControl
 from motorhil.motorapi.adaptations.cia402.objects import ENABLE_OPERATION, HALT, Mode, PdsState
 from motorhil.motorapi.adaptations.cia402.units import DriveUnits
 from motorhil.motorapi.commands import ControlVariable, as_number
@@ -42,13 +41,11 @@ from motorhil.motorapi.errors import (
 )
 from motorhil.motorapi.generation import Trapezoid, shortest
 from motorhil.motorapi.motion import Motion
-from motorhil.motorapi.planning.sampling import demand_of
+from motorhil.motorapi.planning.sampling import demand_of, way_of
 from motorhil.motorapi.synchronization.bus_load import PeriodicMessage, note_stream
 from motorhil.motorapi.trajectory import value_of
 
 if TYPE_CHECKING:
-    from motorhil.motorapi.adaptations.cia402.hardware import Cia402HwMotor
-    from motorhil.motorapi.functions.base import Function
     from motorhil.motorapi.ownership.fencing import BoundFence, Fence
     from motorhil.motorapi.runtime.api import Registration
 
@@ -67,7 +64,7 @@ class CspStream:
     drive's demand reaches the target of cycle k one period after SYNC k, at constant velocity.
 
     Args:
-        hardware: the hardware object of the drive.
+        control: the controls of the drive, which has been brought up.
         period_s: the period of SYNC: integer milliseconds.
         next_target: (cycle, from 1) -> target in increments, or None at the end of the stream.
         began: called with the time [ns] when SYNC 1 was on the wire.
@@ -92,7 +89,7 @@ class CspStream:
 
     def __init__(
         self,
-        hardware: "Cia402HwMotor",
+        control: DriveControl,
         period_s: float,
         next_target: Callable[[int], int | None],
         *,
@@ -101,13 +98,13 @@ class CspStream:
         at_once: bool = True,
         behind_inc: int | None = None,
     ) -> None:
-        facts = hardware.connect()
-        can_id = facts.latched_ids.get(0x607A)
+        facts = control.facts
+        can_id = None if facts is None else facts.latched_ids.get(0x607A)
         if can_id is None:
             raise UnsupportedError(
-                motor=hardware.label,
+                motor=control.node.label,
                 feature="csp streaming",
-                supported="; ".join(facts.limitations),
+                supported="" if facts is None else "; ".join(facts.limitations),
             )
         asked_ms = as_number(period_s) * 1e3
         period_ms = round(asked_ms) if 0.5 <= asked_ms < 1e3 else 0
@@ -115,9 +112,11 @@ class CspStream:
             raise UsageError(
                 f"period_s = {period_s}: must be integer milliseconds, 1 to 255 (60C2h)"
             )
-        self._hardware = hardware
-        self._link = hardware.link
-        self._link.bus_sync.check(period_s)
+        self._control = control
+        self._node = control.node
+        self._link = control.node.link
+        self._sync = control.node.bus.sync
+        self._sync.check(period_s)
         self._next_target = next_target
         self._tell_began = began
         self._tell_lost = lost
@@ -147,37 +146,37 @@ class CspStream:
             self.begin()
 
     def _set_up(self, period_ms: int) -> None:
-        hardware = self._hardware
+        objects = self._control.objects
         try:
             for subindex, value in ((1, period_ms), (2, -3)):
-                if hardware.objects.read_optional(0x60C2, subindex) not in (None, value):
-                    hardware.objects.push(0x60C2, value, subindex)
+                if objects.read_optional(0x60C2, subindex) not in (None, value):
+                    objects.push(0x60C2, value, subindex)
         except SdoAborted as error:
             raise UnsupportedError(
-                motor=hardware.label,
+                motor=self._node.label,
                 feature=f"a set-point every {period_ms} ms ({error})",
                 supported=self._own_period(),
             ) from error
         # The target must be at the drive's position before csp uses it.
-        held = hardware.objects.read_optional(0x6062)
-        self._target = hardware.objects.read_int(0x6064) if held is None else held
-        hardware.write(0x607A, self._target)
-        hardware.set_mode(Mode.CYCLIC_SYNC_POSITION)
+        held = objects.read_optional(0x6062)
+        self._target = objects.read_int(0x6064) if held is None else held
+        objects.write(0x607A, self._target)
+        self._control.set_mode(Mode.CYCLIC_SYNC_POSITION)
 
     def _own_period(self) -> str:
-        value = self._hardware.objects.read_optional(0x60C2, 1)
-        exponent = self._hardware.objects.read_optional(0x60C2, 2)
+        value = self._control.objects.read_optional(0x60C2, 1)
+        exponent = self._control.objects.read_optional(0x60C2, 2)
         return f"one every {value} x 10^{exponent} s (60C2h)"
 
     def begin(self) -> None:
         """Send cycle 0 and run SYNC; streams that begin together share every SYNC."""
         if self._registration is not None or self.ended:
             return
-        if self._hardware.fence is not None:
-            self._fence = self._hardware.fence.bound("set-points")
+        if self._control.fence is not None:
+            self._fence = self._control.fence.bound("set-points")
         self._last_sent = self._send()
         note_stream(self._link.bus, self._can_id, PeriodicMessage(self._can_id, 6, self.period_s))
-        self._registration = self._link.on_sync(
+        self._registration = self._sync.join(
             self.period_s, self._after_sync, self._sync_lost, lambda: self._fence
         )
 
@@ -190,7 +189,7 @@ class CspStream:
 
     def _stop_fence(self) -> "Fence | None":
         """Return the fence for a stop: any process may stop a drive, except one that lost it."""
-        fence = self._hardware.fence
+        fence = self._control.fence
         return fence if fence is not None and fence.is_owned else None
 
     def _after_sync(self) -> None:
@@ -202,9 +201,9 @@ class CspStream:
         if self._cycle == 0:
             self._begun_ns = now_ns
         elif self._cycle == 1:
-            self._link.at_next_sync(self._began)
+            self._sync.at_next(self._began)
         period_ns = self.period_s * 1e9
-        if self._link.bus_sync.is_producer:
+        if self._sync.is_producer:
             periods = round((now_ns - self._begun_ns) / period_ns)
             self.missed = max(self.missed, periods - self._cycle)
         elif self._cycle:  # the period of a foreign producer's clock
@@ -215,10 +214,10 @@ class CspStream:
             if self._word != ENABLE_OPERATION:
                 self._go_on_stopping()
                 return
-            if self._hardware.node.is_lost:
+            if self._node.is_lost:
                 self._fail()  # it may still hear us; the waiting caller gets the loss
                 return
-            if self._hardware.node.state is not PdsState.OPERATION_ENABLED:
+            if self._node.state is not PdsState.OPERATION_ENABLED:
                 self.cancel()  # A fault or another program: the drive no longer follows.
                 return
             if not self._is_followed(now_ns):
@@ -226,7 +225,7 @@ class CspStream:
                 return
             target = self._next_target(self._cycle)
             if target is None:
-                self._link.at_next_sync(self._was_latched)
+                self._sync.at_next(self._was_latched)
                 self.cancel()
                 return
             self._step = target - self._target
@@ -244,18 +243,18 @@ class CspStream:
 
     def _is_followed(self, now_ns: int) -> bool:
         """Return whether the drive moves while its set-points do; without SYNC it does not."""
-        position, (stood, target, since_ns) = self._hardware.node.position_inc, self._stood
+        position, (stood, target, since_ns) = self._node.position_inc, self._stood
         if position != stood or self._cycle == 1:
             self._stood = (position, self._target, now_ns)
             return True
         if self._behind_inc is None or now_ns - since_ns < _DEAF_NS:
             return True
-        is_told = self._hardware.node.status_is_cyclic
+        is_told = self._node.status_is_cyclic
         return not is_told or abs(self._target - target) <= self._behind_inc
 
     def _not_followed(self) -> LinkError:
         reason = "the drive stands still while its set-points move; is it blocked, or without SYNC?"
-        return LinkError(link=self._hardware.label, reason=reason)
+        return LinkError(link=self._node.label, reason=reason)
 
     def _fail(self) -> None:
         """Halt the drive on its ramp, from its present velocity."""
@@ -270,7 +269,7 @@ class CspStream:
         """Halt at once, by RPDO where possible, unless another program has taken the drive over."""
         fence = self._stop_fence()
         with suppress(MotorError), nullcontext() if fence is None else fence.passage():
-            self._hardware.control.send_halt()
+            self._control.send_halt()
 
     def _sync_lost(self, error: LinkError) -> None:
         """Halt the drive, as its SYNC has no producer, or two."""
@@ -289,7 +288,7 @@ class CspStream:
         """End the stream, as another program has taken the drive over."""
         self.error = error
         self.cancel()
-        self._hardware.node.news.grow()
+        self._node.news.grow()
 
     def stop(self, word: int) -> None:
         """Send this controlword, which the drive was given before, with all further set-points.
@@ -380,7 +379,7 @@ class StreamedMotion:
         self._period_s = period_s
         self._demand = demand_of(motion)
         self._argument = motion.argument
-        self._integral: Function | None = None
+        self._way: Callable[[float], float] | None = None
         self._before: tuple[float, float] | None = None  # the previous velocity and position
         self._held_inc = held_inc
         self._last_inc = held_inc
@@ -391,7 +390,7 @@ class StreamedMotion:
         if motion.variable is ControlVariable.VELOCITY:
             self._from = units.position(held_inc)
             if self._argument is None and motion.function is not None:
-                self._integral = motion.function.integral()
+                self._way = way_of(motion)
         else:
             self._from = motion.start
         self._scale = abs(units.increments(1.0))
@@ -493,18 +492,13 @@ class StreamedMotion:
         """Return the integral of a velocity trajectory, continued at its final velocity."""
         demand = self._demand
         self.velocity = demand.value(at)
-        integral = self._integral
-        if integral is None:
+        if self._way is None:
             velocity, position = self._before or (demand.value(at), self._from)
             position += 0.5 * (velocity + self.velocity) * self._period_s
             self._before = (self.velocity, position)
             return position
-        begin, end = demand.initial_argument, demand.final_argument
-        inside = min(at, end)
-        way = (
-            integral.value(inside) - integral.value(begin) + self._motion.offset * (inside - begin)
-        )
-        return self._from + way + (at - inside) * self.velocity
+        inside = min(at, demand.final_argument)
+        return self._from + self._way(inside) + (at - inside) * self.velocity
 
     def _beyond(self, quantity: str, value: float, limit: float) -> LimitError:
         argument = self._argument

@@ -13,30 +13,31 @@ import weakref
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Final, final
 
-from motorhil.motorapi.adaptations.canopen.bus import (
-    CanopenLink,
+from motorhil.motorapi.adaptations.canopen.bus import open_bus, release_bus
+from motorhil.motorapi.adaptations.canopen.emcy import Emergency
+from motorhil.motorapi.adaptations.canopen.link import (
+    CanLink,
     FrameInbox,
     Transmission,
     bus_label,
-    open_link,
     raw_frame,
-    release_link,
 )
-from motorhil.motorapi.adaptations.canopen.emcy import Emergency
-from motorhil.motorapi.adaptations.canopen.sdo import TurnLock
+from motorhil.motorapi.adaptations.canopen.node import node_locks
+from motorhil.motorapi.adaptations.canopen.object_access import ObjectAccess
+from motorhil.motorapi.adaptations.canopen.objects import Value
+from motorhil.motorapi.adaptations.canopen.turn_lock import TurnLock
 from motorhil.motorapi.adaptations.cia402.bringup import DriveFacts, bring_up
 from motorhil.motorapi.adaptations.cia402.controlword import DriveControl
 from motorhil.motorapi.adaptations.cia402.csp import CspStream
 from motorhil.motorapi.adaptations.cia402.node import DriveNode
-from motorhil.motorapi.adaptations.cia402.node_sharing import SharedNode, guarding, node_locks
-from motorhil.motorapi.adaptations.cia402.object_access import DriveObjects, ParameterStore
-from motorhil.motorapi.adaptations.cia402.objects import Mode, PdsState, Value
+from motorhil.motorapi.adaptations.cia402.node_sharing import SharedNode, guarding
+from motorhil.motorapi.adaptations.cia402.objects import Mode, PdsState
+from motorhil.motorapi.adaptations.cia402.parameters import ParameterStore
 from motorhil.motorapi.adaptations.cia402.settings import HwOptions
 from motorhil.motorapi.errors import LinkError, StateError, UsageError
 from motorhil.motorapi.ownership.physical_motor import (
     PhysicalMotor,
     RunStatus,
-    bus_key,
     register_physical_motor,
     release_physical_motor,
 )
@@ -104,29 +105,23 @@ class Cia402HwMotor:
         if self.options.heartbeat_ms and node_id == self.options.host_node_id:
             raise self._is_the_hosts()
         self._facts: DriveFacts | None = None
-        self._key = (*bus_key(bus), node_id)
         lock, sdo_lock = node_locks(bus, runtime, node_id, self.label)
         self.physical: Final[PhysicalMotor] = register_physical_motor(
-            self._key, self.label, self, lock
+            bus, node_id, self.label, self, lock
         )
         self._shared = SharedNode(self.physical, sdo_lock, runtime)
-        self.link: Final[CanopenLink] = open_link(bus, runtime)
-        if self.link.is_host(node_id):
-            release_link(self.link)
-            release_physical_motor(self._key, self)
+        canopen_bus = open_bus(bus, runtime)
+        if canopen_bus.is_host(node_id):
+            release_bus(canopen_bus)
+            release_physical_motor(bus, node_id, self)
             raise self._is_the_hosts()
-        self.node: Final = DriveNode(
-            self.link,
-            node_id,
-            sdo_timeout_s=self.options.sdo_timeout_s,
-            quarantine_s=self.options.sdo_quarantine_s,
-            heartbeat_timeout_ms=self.options.heartbeat_timeout_ms,
-        )
+        self.link: Final[CanLink] = canopen_bus.link
+        self.node: Final = DriveNode(canopen_bus, node_id, self.options)
         self.physical.news = self.node.news
         self.fence: Final = self._shared.attach(self.node, bus)
-        self.objects: Final = DriveObjects(self.node, self.physical)
+        self.objects: Final = ObjectAccess(self.node, self.physical)
         self._setting_up = TurnLock(runtime)
-        self.control: Final = DriveControl(self.link, self.node, self.objects, self.fence)
+        self.control: Final = DriveControl(self.node, self.objects, self.fence)
         self.users = 0
         self.quick_stopped = False
         self.stream: CspStream | None = None
@@ -134,7 +129,7 @@ class Cia402HwMotor:
         self._homed_at_boot: int | None = None
         self._is_doubted = False
         guard = guarding(runtime, self.physical, self.node, self.control, self.end_stream)
-        self._close = weakref.finalize(self, _let_go, self.link, self.node, self.options, guard)
+        self._close = weakref.finalize(self, _let_go, self.node, guard)
         self._close.atexit = False
 
     def _is_the_hosts(self) -> UsageError:
@@ -157,7 +152,7 @@ class Cia402HwMotor:
             done = watch is None or watch.ended_ns is not None
             status = RunStatus.DONE if done else RunStatus.GOING
             self.physical.end(f"close() of {self.label}", self.runtime.now_ns(), status)
-        release_physical_motor(self._key, self)
+        release_physical_motor(self.link.bus, self.node_id, self)
         if self.stream is not None:
             self.stream.cancel()
         self._facts = None
@@ -193,9 +188,7 @@ class Cia402HwMotor:
         ):
             if self._facts is not None and self._is_known:
                 return self._facts
-            if options.heartbeat_ms and not self.node.uses_host_heartbeat:
-                self.link.produce_heartbeat(options.host_node_id, options.heartbeat_ms)
-                self.node.uses_host_heartbeat = True
+            self.node.keep_host_heartbeat()
             self.objects.doubt()
             self.control.forget()
             self._facts = self.control.facts = None  # after a failure, the next call tries again
@@ -223,11 +216,11 @@ class Cia402HwMotor:
         return self.node.sdo.alone()
 
     def upload(self, index: int, subindex: int = 0) -> bytes:
-        """Return the bytes of an object; raises as `DriveObjects.upload`."""
+        """Return the bytes of an object; raises as `ObjectAccess.upload`."""
         return self.objects.upload(index, subindex)
 
     def download(self, index: int, subindex: int, data: bytes) -> None:
-        """Write `data` to an object; raises as `DriveObjects.upload`."""
+        """Write `data` to an object; raises as `ObjectAccess.upload`."""
         self.objects.download(index, subindex, data)
 
     def read(self, what: int | str, subindex: int = 0, kind: str | None = None) -> Value:
@@ -347,7 +340,8 @@ class Cia402HwMotor:
         self, period_s: float, next_target: Callable[[int], int | None]
     ) -> CspStream:
         """Stream `next_target(cycle)` in csp, one position per SYNC, until it returns None."""
-        self.stream = CspStream(self, period_s, next_target)
+        self.connect()
+        self.stream = CspStream(self.control, period_s, next_target)
         return self.stream
 
     def end_stream(self, word: int) -> None:
@@ -397,12 +391,8 @@ class Cia402HwMotor:
         self.control.forget()
 
 
-def _let_go(
-    link: CanopenLink, node: DriveNode, options: HwOptions, guard: "Registration | None"
-) -> None:
+def _let_go(node: DriveNode, guard: "Registration | None") -> None:
     if guard is not None:
         guard.cancel()
     node.close()
-    if node.uses_host_heartbeat:
-        link.release_heartbeat(options.host_node_id)
-    release_link(link)
+    release_bus(node.bus)

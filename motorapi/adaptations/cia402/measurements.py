@@ -2,6 +2,7 @@
 
 from typing import TYPE_CHECKING, Final, final
 
+from motorhil.motorapi.adaptations.canopen.emcy import error_text
 from motorhil.motorapi.adaptations.cia402.bringup import DriveFacts
 from motorhil.motorapi.adaptations.cia402.hardware import Cia402HwMotor
 from motorhil.motorapi.adaptations.cia402.objects import (
@@ -9,7 +10,6 @@ from motorhil.motorapi.adaptations.cia402.objects import (
     STATE_BITS,
     PdsState,
     decode_state,
-    error_text,
 )
 from motorhil.motorapi.adaptations.cia402.profile import DriveLimits, TorqueUnit, torque_unit
 from motorhil.motorapi.adaptations.cia402.units import DriveUnits, drive_units

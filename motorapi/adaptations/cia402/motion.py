@@ -9,42 +9,16 @@ The mode of operation for each command:
 | set-point or simple trajectory, torque   | tq   | target torque 6071h; slope 6087h          |
 | trajectory that is a function            | csp  | its first set-point, latched by SYNC      |
 
-Synchronous-start capability of a CiA 402 drive, and its time bounds.
-
-Measured begin and end of a CiA 402 drive's motion.
-
-Triggers that start an armed motion of a CiA 402 drive.
-
-Objects to write to a drive when a motion begins.
-
-They are the logical motor's parameters, and settings for this motion alone: a torque slope, a quick
-stop within the model's limit, the ramp of a halt. The drive gets its own values back afterwards.
-
-Joint start of set-points beside a cyclic SYNC, in one burst.
-
-Set-points cannot be armed one by one there: each would begin with the next SYNC. So all are
-prepared up to the one frame that is still to be sent. Then all frames are sent just after a SYNC,
-and have a period to pass the bus before the next SYNC latches them. If they have not passed by then
-(other traffic, a delayed frame), that SYNC *straddles* the burst. The drives whose frames have
-passed begin with it, the others with a later one. This is detected and counted, as each frame's
-time on the wire is known.
+Before a motion, settings of the logical motor and of this motion alone are written: a torque slope,
+a quick stop within the model's limit, the ramp of a halt. The drive gets its own values back
+afterwards. Motions of several drives begin together as `sync_start` describes.
 """
 
-from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Final, final
 
-from motorhil.motorapi.adaptations.canopen.bus import HEARTBEAT_ID, CanopenLink
-from motorhil.motorapi.adaptations.canopen.bus_load import (
-    FULL,
-    SYNC,
-    period_on_wire_s,
-    sync_period,
-    traffic_on,
-)
-from motorhil.motorapi.adaptations.canopen.sdo import SdoAborted
+from motorhil.motorapi.adaptations.canopen.errors import SdoAborted
 from motorhil.motorapi.adaptations.cia402.csp import CspStream, StreamedMotion
 from motorhil.motorapi.adaptations.cia402.hardware import Cia402HwMotor
 from motorhil.motorapi.adaptations.cia402.measurements import DriveReader
@@ -54,13 +28,13 @@ from motorhil.motorapi.adaptations.cia402.motion_status import (
     SetpointWatch,
     StreamWatch,
 )
-from motorhil.motorapi.adaptations.cia402.object_access import (
+from motorhil.motorapi.adaptations.cia402.objects import FAULT_BIT, Mode
+from motorhil.motorapi.adaptations.cia402.parameters import (
     HALT_OPTION,
     WINDOW_OFF,
     Cia402Parameters,
     Place,
 )
-from motorhil.motorapi.adaptations.cia402.objects import FAULT_BIT, Mode
 from motorhil.motorapi.adaptations.cia402.profile import (
     STEEPEST,
     DriveProfile,
@@ -73,172 +47,29 @@ from motorhil.motorapi.adaptations.cia402.profile import (
     ramp_s,
     torque_profile_of,
 )
+from motorhil.motorapi.adaptations.cia402.sync_start import (
+    ArmedGroup,
+    ArmedSetPoint,
+    ArmedStream,
+    SyncTrigger,
+    armed_group,
+    offer_of,
+)
 from motorhil.motorapi.commands import ControlVariable
-from motorhil.motorapi.errors import DeadlineExceeded, LinkError, StateError
+from motorhil.motorapi.errors import DeadlineExceeded, StateError
 from motorhil.motorapi.motion import Motion
-from motorhil.motorapi.synchronization.bus_load import PeriodicMessage
-from motorhil.motorapi.synchronization.can_response_time import Firing, OneFrame
-from motorhil.motorapi.synchronization.quality import MotionTimes, SyncLevel, SyncOffer, Trigger
+from motorhil.motorapi.synchronization.offer import SyncOffer, Trigger
+from motorhil.motorapi.synchronization.quality import MotionTimes
 
 if TYPE_CHECKING:
-    from motorhil.motorapi.adaptations.canopen.bus import Transmission
-    from motorhil.motorapi.adaptations.cia402.bringup import DriveFacts
-    from motorhil.motorapi.adaptations.cia402.controlword import DriveControl
-    from motorhil.motorapi.locking.process_lock import LockHandle
     from motorhil.motorapi.model import MotorModel
 
-_LATCHED: Final = {ControlVariable.POSITION: 0x607A, ControlVariable.VELOCITY: 0x60FF}
-_SET_POINT_BYTES: Final = 6
-_REQUEST_ID: Final = 0x600
-_REPLY_ID: Final = 0x580
-
-
-def offer_of(hardware: "Cia402HwMotor", variable: ControlVariable, *, streamed: bool) -> SyncOffer:
-    """Return how a motion of `variable` can begin together with others."""
-    facts, link = hardware.connect(), hardware.link
-    armed = facts.latched_ids.get(0x607A if streamed else _LATCHED.get(variable, 0))
-    if variable is ControlVariable.TORQUE:
-        reason = "6071h, target torque, is in no RPDO that SYNC latches"
-        return _alone(hardware, facts, variable, reason)
-    if armed is None:
-        reason = "; ".join(facts.limitations) or "it has no RPDO latched by SYNC"
-        return _alone(hardware, facts, variable, reason)
-    reason = f"RPDO {armed:03X}h is latched by SYNC"
-    if hardware.options.servo_period_ms is None:
-        reason += "; servo_period_ms, from the latch to the profile, is not known"
-    if streamed:
-        return _streamed(hardware, armed, reason)
-    period_s, why = sync_period(link)
-    if period_s is not None:
-        frame = OneFrame(armed, _SET_POINT_BYTES)
-        return _in_a_burst(hardware, frame, period_s, f"{reason}; {why}")
-    traffic, unbounded = traffic_on(link)
-    firing = None if traffic is None else Firing(link.name, traffic, (SYNC,), 0.0, 1)
-    return _offer(hardware, SyncLevel.TRIGGERED, link.name, reason, firing, unbounded)
-
-
-def _streamed(hardware: "Cia402HwMotor", can_id: int, reason: str) -> SyncOffer:
-    """Return the offer of a stream: SYNC 1 brings the present position, SYNC 2 the first step."""
-    link, period_s = hardware.link, hardware.options.set_point_period_ms / 1e3
-    set_points = PeriodicMessage(can_id, _SET_POINT_BYTES, period_s)
-    traffic, unbounded = traffic_on(link, period_s, (set_points,))
-    firing, signal_s = None, None
-    if traffic is not None:
-        firing = Firing(link.name, traffic, (SYNC, SYNC), 2.0 * period_s, 1)
-        signal_s = period_on_wire_s(link, traffic, period_s)
-    return _offer(
-        hardware,
-        SyncLevel.CYCLIC,
-        link.name,
-        reason,
-        firing,
-        unbounded,
-        signals=1,
-        signal_s=signal_s,
-        streamed=True,
-    )
-
-
-def _in_a_burst(
-    hardware: "Cia402HwMotor", frame: OneFrame, period_s: float, reason: str
-) -> SyncOffer:
-    """Return the offer beside a cyclic SYNC: frames go out just after one SYNC, for the next."""
-    link = hardware.link
-    traffic, unbounded = traffic_on(link, period_s)
-    # One SYNC to wait for, one that latches; further SYNCs of a straddling burst are in the skew.
-    firing, signal_s = None, None
-    if traffic is not None:
-        signal_s = period_on_wire_s(link, traffic, period_s)
-        firing = Firing(link.name, traffic, (SYNC, SYNC), 2.0 * period_s, 0)
-    return _offer(
-        hardware,
-        SyncLevel.TRIGGERED,
-        link.name,
-        reason,
-        firing,
-        unbounded,
-        signals=1,
-        signal_s=signal_s,
-        burst=frame,
-        period_s=period_s,
-    )
-
-
-def _alone(
-    hardware: "Cia402HwMotor", facts: "DriveFacts", variable: ControlVariable, reason: str
-) -> SyncOffer:
-    """Return the offer of a start by a controlword, or by a target effective when written."""
-    link, node_id = hardware.link, hardware.node_id
-    traffic, unbounded = traffic_on(link, sync_period(link)[0])
-    mates = [HEARTBEAT_ID + node_id]
-    if facts.status is not None:
-        mates.append(facts.status.cob_id & 0x7FF)
-    exchange = (
-        OneFrame(_REQUEST_ID + node_id, 8),
-        OneFrame(_REPLY_ID + node_id, 8, tuple(mates)),
-    )
-    frames: tuple[OneFrame, ...] = ()
-    exchanges = 0
-    if variable is not ControlVariable.POSITION:
-        frames, exchanges = exchange, 1
-    if facts.control_id is not None:
-        frames = (*frames, OneFrame(facts.control_id, 2))
-    else:
-        frames, exchanges = (*frames, *exchange), exchanges + 1
-    reply_ms = hardware.options.sdo_reply_ms
-    if exchanges and reply_ms is None and not unbounded:
-        unbounded = "the drive's SDO response time is not known (sdo_reply_ms)"
-    firing = None
-    if traffic is not None and not (exchanges and reply_ms is None):
-        idle_s = exchanges * (reply_ms or 0.0) / 1e3
-        firing = Firing(link.name, traffic, frames, idle_s, 1)
-    return _offer(hardware, SyncLevel.SEQUENTIAL, hardware.label, reason, firing, unbounded)
-
-
-def _offer(
-    hardware: "Cia402HwMotor",
-    level: SyncLevel,
-    group: str,
-    reason: str,
-    firing: Firing | None,
-    unbounded: str,
-    *,
-    signals: int = 0,
-    signal_s: tuple[float, float] | None = (0.0, 0.0),
-    burst: OneFrame | None = None,
-    period_s: float | None = None,
-    streamed: bool = False,
-) -> SyncOffer:
-    if firing is not None and signal_s is None:
-        unbounded = FULL
-    options = hardware.options
-    tick_ms, ppm = options.servo_period_ms, options.oscillator_ppm
-    latency_s = end_s = None
-    no_start = no_end = ""
-    if ppm is None:
-        no_end = "the accuracy of its clock is not known (oscillator_ppm)"
-    if tick_ms is None:
-        no_start = no_end = "its profile tick is not known (servo_period_ms)"
-    else:
-        latency_s = end_s = (0.0, tick_ms / 1e3 / (1.0 - (ppm or 0.0) * 1e-6))
-    if streamed:
-        end_s, no_end = None, "the duration of streamed set-points is not predicted"
-    return SyncOffer(
-        level=level,
-        group=group,
-        latency_s=latency_s,
-        reason=reason,
-        firing=firing,
-        signals=signals,
-        signal_s=signal_s,
-        burst=burst,
-        period_s=period_s,
-        oscillator_ppm=ppm,
-        end_s=end_s,
-        no_firing_bound=unbounded,
-        no_start_bound=no_start,
-        no_end_bound=no_end,
-    )
+_CONFIRM_TIMEOUT_S: Final = 0.5
+_RESEND_S: Final = 0.1
+_BEHIND: Final = 10.0  # start tolerances: no drive stands still that far behind its set-points
+_STOPPING_PERIODS: Final = 4
+POLL_S: Final = 0.01
+_LIVE: Final = {ControlVariable.VELOCITY: 0x60FF, ControlVariable.TORQUE: 0x6071}
 
 
 def times_of_stream(watch: "StreamWatch", stream: "CspStream | None") -> MotionTimes:
@@ -322,204 +153,6 @@ def window_of(
     return limits.window if own is None else (None if own == WINDOW_OFF else own)
 
 
-_PERIODS: Final = 4
-
-
-@final
-class ArmedSetPoint:
-    """A set-point of one drive that begins at a SYNC, with others.
-
-    Args:
-        link: the link of the bus.
-        control: the controls of the drive.
-        index: the object that holds the target: 607Ah, 60FFh.
-        target: the target in the drive's units.
-        fired: called with the time [ns] when that SYNC was on the wire.
-
-    Attributes:
-        latched_ns: the time of that SYNC; None: not yet.
-        place: the number of that SYNC, on this link.
-        straddles: the SYNCs between the first one of the group and this one's.
-        transmission: the frame; None: not sent yet.
-    """
-
-    def __init__(
-        self,
-        link: "CanopenLink",
-        control: "DriveControl",
-        index: int,
-        target: int,
-        fired: Callable[[int], None],
-    ) -> None:
-        self._link = link
-        self._control = control
-        self._index = index
-        self._target = target
-        self._fired = fired
-        self.place = 0
-        self._mark: LockHandle | None = None
-        self.transmission: Transmission | None = None
-        self.latched_ns: int | None = None
-        self.straddles = 0
-
-    def mark(self, node_id: int, can_id: int) -> None:
-        """Mark the set-point as waiting in this RPDO of the drive, for other processes."""
-        self._mark = self._link.bus_sync.marks.mark(self._link, node_id, can_id, self)
-
-    def unmark(self) -> None:
-        """Remove the mark: a SYNC has latched the set-point, or it was overwritten."""
-        mark, self._mark = self._mark, None
-        if mark is not None:
-            mark.release()
-
-    def send(self) -> None:
-        """Send the frame, unless the drive was stopped.
-
-        Raises:
-            LinkError: the bus does not accept the frame.
-            MotorBusyError: low-level access is active, or another program has taken the motor over.
-        """
-        if not self._control.is_halted:
-            self.transmission = self._control.send_armed(
-                self._index, self._target, fired=self._latched
-            )
-
-    def _latched(self, time_ns: int) -> None:
-        self.latched_ns = time_ns
-        self.place = self._link.bus_sync.count
-        self._fired(time_ns)
-
-    @property
-    def is_over(self) -> bool:
-        """True if no SYNC is awaited: the set-point was latched, or the drive stopped."""
-        return self.latched_ns is not None or not self._control.is_armed
-
-
-@final
-class Burst:
-    """The frames of several drives, sent one after another just after a SYNC."""
-
-    def __init__(self, link: "CanopenLink", armed: Sequence[ArmedSetPoint]) -> None:
-        self._link = link
-        self._armed = armed
-        self._error: Exception | None = None
-        self._is_sent = False
-        link.at_next_sync(self._send)
-
-    def _send(self, time_ns: int) -> None:
-        if self._is_sent:
-            return
-        self._is_sent = True
-        try:
-            for one in self._armed:
-                one.send()
-        except Exception as error:  # raised in the waiting call
-            self._error = error
-
-    def await_latched(self) -> None:
-        """Wait until all set-points have begun, or their drives were stopped.
-
-        Raises:
-            LinkError: the bus does not accept the frames, or no SYNC comes.
-            MotorBusyError: low-level access is active, or another program has taken a motor over.
-        """
-        link, armed = self._link, self._armed
-        if not self._comes(lambda: self._is_sent):
-            self._send(0)  # the producer of SYNC has ended: one of ours begins them
-        if self._error is not None:
-            raise self._error
-        link.confirmed([one.transmission for one in armed if one.transmission is not None])
-        if not self._comes(lambda: all(one.is_over for one in armed)):
-            link.confirmed([link.sync()])
-
-    def _comes(self, done: Callable[[], bool]) -> bool:
-        """Return whether `done` becomes true; False: the cyclic SYNC has ended.
-
-        Raises:
-            LinkError: a cyclic SYNC should run, but does not come.
-        """
-        link = self._link
-        runs = link.bus_sync.known()
-        period_s = 0.0 if runs is None else runs.period_ns / 1e9
-        end_ns = link.runtime.now_ns() + round((_FIRST_SYNC_S + _PERIODS * period_s) * 1e9)
-        while runs is not None:
-            if link.wait_until(done, _PERIODS * period_s):
-                return True
-            runs = link.bus_sync.known()
-            if runs is not None and link.runtime.now_ns() >= end_ns:
-                raise LinkError(link=link.name, reason=f"no SYNC was transmitted, but {runs}")
-        return done()
-
-
-def count_straddles(armed: Sequence[ArmedSetPoint]) -> None:
-    """Set `straddles` of each set-point: the number of SYNCs after the first one."""
-    latched = [one for one in armed if one.latched_ns is not None]
-    for one in latched:
-        one.straddles = one.place - min(other.place for other in latched)
-
-
-_FIRST_SYNC_S: Final = 0.5
-
-
-@final
-class SyncTrigger:
-    """One SYNC for all motors armed on a bus: it latches set-points and begins streams.
-
-    Args:
-        link: the link of the bus.
-        streams: the streams to begin. None: those of the group that is armed on this bus.
-    """
-
-    def __init__(self, link: CanopenLink, streams: "list[ArmedStream] | None" = None) -> None:
-        self._link = link
-        self._streams = link.armed_streams if streams is None else streams
-
-    def fire(self) -> None:
-        """Send SYNC and wait until it was on the wire; for streams, also the next one.
-
-        The second SYNC brings the first step of the streams.
-
-        Raises:
-            LinkError: SYNC was not transmitted in time.
-        """
-        link = self._link
-        streams = [one for one in self._streams if not one.stream.ended]
-        is_group = self._streams is link.armed_streams
-        self._streams.clear()
-        points = link.armed_set_points[:] if is_group else []
-        waiting = [one for one in points if one.transmission is None]
-        burst = Burst(link, waiting) if waiting else None
-        if streams:
-            self._begin(streams)
-        if burst is not None:
-            burst.await_latched()
-        elif not streams:
-            link.confirmed([link.sync()])
-        count_straddles(points)
-        for one in points:
-            one.unmark()
-        if is_group:
-            link.armed_set_points.clear()
-
-    def _begin(self, streams: "list[ArmedStream]") -> None:
-        link = self._link
-        # A trajectory that needs a shorter lead-in waits at its beginning for the longest one.
-        lead = max(one.motion.lead_in for one in streams)
-        for one in streams:
-            one.motion.lead = lead
-            one.stream.begin()
-        for one in streams:
-            begun = partial(_has_begun, one.stream)
-            if not link.wait_until(begun, _FIRST_SYNC_S + 3 * one.stream.period_s):
-                raise LinkError(link=link.name, reason="no SYNC was transmitted")
-
-    def __eq__(self, other: object, /) -> bool:
-        return isinstance(other, SyncTrigger) and other._streams is self._streams
-
-    def __hash__(self) -> int:
-        return id(self._streams)
-
-
 @final
 class SetPointTrigger:
     """The controlword that makes one drive accept its target position."""
@@ -560,27 +193,6 @@ class LiveTargetTrigger:
 
 
 @final
-@dataclass(frozen=True, slots=True)
-class ArmedStream:
-    """A stream of set-points that is ready to be sent."""
-
-    stream: CspStream
-    motion: StreamedMotion
-
-
-def _has_begun(stream: CspStream) -> bool:
-    return stream.started_ns is not None or stream.ended
-
-
-_CONFIRM_TIMEOUT_S: Final = 0.5
-_RESEND_S: Final = 0.1
-_BEHIND: Final = 10.0  # start tolerances: no drive stands still that far behind its set-points
-_STOPPING_PERIODS: Final = 4
-POLL_S: Final = 0.01
-_LIVE: Final = {ControlVariable.VELOCITY: 0x60FF, ControlVariable.TORQUE: 0x6071}
-
-
-@final
 class DriveMotions:
     """The motions of one logical motor in its drive, from arming to the end.
 
@@ -605,6 +217,7 @@ class DriveMotions:
         self._armed: CspStream | None = None  # the stream that begins, or began last
         self._point: ArmedSetPoint | None = None  # of the last group start
         self._together = False
+        self._group = armed_group(hardware.node.bus)
 
     @property
     def _set_point_period_s(self) -> float:
@@ -735,11 +348,12 @@ class DriveMotions:
                 raise
             if was_over and not watch.has_arrived:  # the last one goes with the SYNC just queued
                 last = None if streamed.velocity else stream.target
-                self._node.link.at_next_sync(partial(watch.arrive, last))
+                self._node.bus.sync.at_next(partial(watch.arrive, last))
             return target
 
+        hardware.connect()
         stream = CspStream(
-            hardware,
+            self._control,
             period_s,
             next_target,
             began=watch.begin,
@@ -753,11 +367,9 @@ class DriveMotions:
         self._reader.held = (None, 0.0)
         if not velocity:
             self._reader.held = (units.position_inc(motion.target), motion.target)
-        link, armed = self._node.link, ArmedStream(stream, streamed)
-        if not self._together:
-            return SyncTrigger(link, [armed])
-        link.armed_streams.append(armed)
-        return SyncTrigger(link)
+        armed = self._group if self._together else ArmedGroup()
+        armed.streams.append(ArmedStream(stream, streamed))
+        return SyncTrigger(self._node.bus, armed)
 
     def _check_ends(self, motion: Motion) -> None:
         """Check that the whole trajectory is within the drive's own software position limits."""
@@ -789,19 +401,19 @@ class DriveMotions:
 
     def _arm_latched(self, index: int, target: int, watch: SetpointWatch) -> Trigger:
         """Write the target for the next SYNC; while a cyclic SYNC runs, only prepare it."""
-        link = self._node.link
-        point = ArmedSetPoint(link, self._control, index, target, watch.begin)
+        bus, link, armed = self._node.bus, self._node.link, self._group
+        point = ArmedSetPoint(self._control, index, target, watch.begin)
         self._point = point
         # If a foreign SYNC has already begun some motors, the others do not wait for another.
-        has_begun = any(one.latched_ns is not None for one in link.armed_set_points)
-        link.armed_set_points.append(point)
-        cyclic = link.bus_sync.known() if has_begun else link.bus_sync.find_cyclic()
+        has_begun = any(one.latched_ns is not None for one in armed.set_points)
+        armed.set_points.append(point)
+        cyclic = bus.sync.known() if has_begun else bus.sync.find_cyclic()
         if cyclic is None:
-            point.mark(self._node.node_id, self._hardware.connect().latched_ids[index])
+            point.mark(self._hardware.connect().latched_ids[index])
             point.send()
             if point.transmission is not None:
                 link.confirmed([point.transmission])
-        return SyncTrigger(link)
+        return SyncTrigger(bus, armed)
 
     def _follow(self, watch: SetpointWatch | StreamWatch) -> None:
         self._before = self._node.watch
@@ -816,9 +428,8 @@ class DriveMotions:
         if stream is not None and stream.started_ns is None:
             stream.cancel()
         point, self._point = self._point, None
-        armed_set_points = self._node.link.armed_set_points
-        if point in armed_set_points:
-            armed_set_points.remove(point)
+        if point in self._group.set_points:
+            self._group.set_points.remove(point)
         try:
             self._control.disarm()
         finally:

@@ -1,4 +1,7 @@
-"""The adaptation of the motor interface to CiA 402 drives on CANopen.
+"""Logical motors on CiA 402 drives on CANopen.
+
+    hw = Cia402HwMotor(bus, node_id=3)
+    motor = Cia402Motor(hw, model=MotorModel.load("wheel.toml"))
 
 `DriveMotions` chooses the mode of operation for each motion; homing uses hm. A position set-point
 has no profile of its own, but a drive in pp makes one. It has the model's maximum accelerations,
@@ -9,36 +12,26 @@ csp, one set-point per SYNC.
 Several motors of one bus start together at a SYNC: their RPDOs (transmission type 1) hold the
 set-point until then. A single motor starts by an RPDO that acts at once, or by its own SYNC.
 
-CiA 402 drives on CANopen: the names that applications and rigs use.
-
-No other module of this package need be imported::
-
-    hw = Cia402HwMotor(bus, node_id=3)
-    motor = Cia402Motor(hw, model=MotorModel.load("wheel.toml"))
-
-Simultaneous stop of several drives of one bus, latched by one SYNC.
-
-Frames that act at once act one after another: on a full bus, the last of many drives would move on
-for a millisecond or more. So each drive gets its halt in the RPDO that SYNC latches, and SYNC
-follows when all of these were on the wire. Everything is sent from callbacks, without waiting.
-There are cases without a SYNC of ours: a start is being armed, a cyclic SYNC runs, or the bus does
-not report own frames. Then, or if SYNC does not come in time, each drive is halted by a frame that
-acts at once. The same frame also follows SYNC, as a frame may be lost.
+*Simultaneous stops* of several drives of one bus are latched by one SYNC. Frames that act at once
+act one after another: on a full bus, the last of many drives would move on for a millisecond or
+more. So each drive gets its halt in the RPDO that SYNC latches, and SYNC follows when all of these
+were on the wire. Everything is sent from callbacks, without waiting. There are cases without a SYNC
+of ours: a start is being armed, a cyclic SYNC runs, or the bus does not report own frames. Then, or
+if SYNC does not come in time, each drive is halted by a frame that acts at once. The same frame
+also follows SYNC, as a frame may be lost.
 """
 
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
 from typing import TYPE_CHECKING, Final, final
-from weakref import WeakKeyDictionary
 
-from motorhil.motorapi.adaptations.canopen.bus import CanopenLink, Transmission
-from motorhil.motorapi.adaptations.canopen.sdo import HomingFailed, SdoAborted
-from motorhil.motorapi.adaptations.canopen.sync import BusSync
+from motorhil.motorapi.adaptations.canopen.bus import CanopenBus
+from motorhil.motorapi.adaptations.canopen.errors import SdoAborted
+from motorhil.motorapi.adaptations.canopen.link import Transmission
 from motorhil.motorapi.adaptations.cia402.hardware import Cia402HwMotor
 from motorhil.motorapi.adaptations.cia402.measurements import DriveReader
 from motorhil.motorapi.adaptations.cia402.motion import POLL_S, DriveMotions
 from motorhil.motorapi.adaptations.cia402.motion_status import HomingWatch, RestWatch, StreamWatch
-from motorhil.motorapi.adaptations.cia402.object_access import Cia402Parameters
 from motorhil.motorapi.adaptations.cia402.objects import (
     DISABLE_VOLTAGE,
     ENABLE_OPERATION,
@@ -49,19 +42,20 @@ from motorhil.motorapi.adaptations.cia402.objects import (
     Mode,
     PdsState,
 )
+from motorhil.motorapi.adaptations.cia402.parameters import Cia402Parameters
 from motorhil.motorapi.adaptations.cia402.settings import Cia402Table, HwOptions
 from motorhil.motorapi.adaptations.cia402.units import DriveUnits
 from motorhil.motorapi.adaptations.registration import Shared, read_settings
 from motorhil.motorapi.commands import ControlMode, ControlVariable, Setpoint
-from motorhil.motorapi.errors import UnsupportedError, UsageError
+from motorhil.motorapi.errors import PeerError, UnsupportedError, UsageError
 from motorhil.motorapi.model import MotorModel
 from motorhil.motorapi.motion import Motion
 from motorhil.motorapi.motor import Motor
-from motorhil.motorapi.ownership.physical_motor import bus_key
 from motorhil.motorapi.planning.functions import asks_for_smoothness
 from motorhil.motorapi.runtime.api import Registration
 from motorhil.motorapi.state import Fault, Measurement, MotorState
-from motorhil.motorapi.synchronization.quality import MotionTimes, SyncOffer, Trigger
+from motorhil.motorapi.synchronization.offer import SyncOffer, Trigger
+from motorhil.motorapi.synchronization.quality import MotionTimes
 from motorhil.motorapi.trajectory import ComplexTrajectory, Trajectory
 
 if TYPE_CHECKING:
@@ -78,11 +72,27 @@ A late halt is worse than separate halts.
 
 
 @final
+class HomingFailed(PeerError):  # noqa: N818 -- the name says what happened, as in errors
+    """The drive reports a homing error (CiA 402-2, homing mode, statusword bit 13).
+
+    Attributes: motor (name), method, statusword.
+    """
+
+    def __init__(self, *, motor: str, method: int, statusword: int) -> None:
+        self.motor = motor
+        self.method = method
+        self.statusword = statusword
+        super().__init__(
+            f"{motor}: homing by method {method} ended with an error (statusword {statusword:04X}h)"
+        )
+
+
+@final
 class JointStop:
     """The joint halt of several drives of one bus in one group; a `Trigger`."""
 
-    def __init__(self, link: CanopenLink, turn: AbstractContextManager[bool]) -> None:
-        self._link = link
+    def __init__(self, bus: CanopenBus, turn: AbstractContextManager[bool]) -> None:
+        self._bus = bus
         self._turn = turn  # SYNC is ours until this context is left
         self._armed: list[tuple[Cia402HwMotor, RestWatch, Transmission]] = []
         self._timer: Registration | None = None
@@ -105,16 +115,16 @@ class JointStop:
 
     def fire(self) -> None:
         """Send SYNC when all frames were on the wire, without waiting."""
-        _open.pop(self._link.bus_sync, None)
+        self._bus.parts.drop(self)
         if self._armed:
-            self._timer = self._link.runtime.every(_LOOK_S, self._look)
+            self._timer = self._bus.link.runtime.every(_LOOK_S, self._look)
         else:
             self._turn.__exit__(None, None, None)
 
     def _look(self) -> None:
         self._looks += 1
         if self._sync is None and all(sent.time_ns is not None for _, _, sent in self._armed):
-            self._sync = self._link.sync()
+            self._sync = self._bus.sync.send()
         is_latched = self._sync is not None and self._sync.time_ns is not None
         if is_latched or self._looks >= _LOOKS_MAX:
             self._halt_at_once()
@@ -134,26 +144,19 @@ class JointStop:
             self._turn.__exit__(None, None, None)
 
 
-_open: "Final[WeakKeyDictionary[BusSync, JointStop]]" = WeakKeyDictionary()
-"""The joint stops that still accept drives, by `BusSync`.
-
-Compiled classes such as CanopenLink have no weak references; BusSync has them.
-"""
-
-
-def joint_stop_of(link: CanopenLink) -> JointStop | None:
+def joint_stop_of(bus: CanopenBus) -> JointStop | None:
     """Return the joint stop for a drive of this bus, or None if SYNC is not ours to send now."""
-    stop = _open.get(link.bus_sync)
+    stop = bus.parts.find(JointStop)
     if stop is not None:
         return stop
-    if not link.confirms or link.latching or link.cyclic_sync() is not None:
+    link, sync = bus.link, bus.sync
+    if not link.confirms or sync.latching or sync.cyclic() is not None:
         return None
-    turn = link.bus_sync.turns.at_once(link.runtime, f"a stop of several on {link.name}")
+    turn = sync.turns.at_once(link.runtime, f"a stop of several on {link.name}")
     if not turn.__enter__():
         turn.__exit__(None, None, None)
         return None
-    stop = _open[link.bus_sync] = JointStop(link, turn)
-    return stop
+    return bus.parts.part(JointStop, lambda: JointStop(bus, turn))
 
 
 _MODES: Final = {
@@ -234,7 +237,7 @@ class Cia402Motor(Motor):
             )
 
     def _sync_offer(self) -> SyncOffer:
-        command = self._command
+        command = self.logical.command
         streamed = command is not None and is_function(self.control_variable, command)
         return self._motions.offer(self.control_variable, streamed=streamed)
 
@@ -261,7 +264,7 @@ class Cia402Motor(Motor):
     def _connect(self) -> None:
         self._node.link.status.check()
         self._hardware.connect()
-        control, bus_sync = self._control, self._node.link.bus_sync
+        control, bus_sync = self._control, self._node.bus.sync
         if self._physical.ownership.is_orphan:
             control.may_be_armed = not bus_sync.clear(own=self._node.node_id)
         elif control.holds_halt and bus_sync.take_out():
@@ -389,7 +392,7 @@ class Cia402Motor(Motor):
             self._hardware.end_stream(ENABLE_OPERATION | HALT)
 
     def _stop_with_others(self) -> Trigger | None:
-        stop = joint_stop_of(self._node.link)
+        stop = joint_stop_of(self._node.bus)
         if stop is not None and stop.add(self._hardware):
             return stop
         self._stop()
@@ -442,7 +445,8 @@ def build(
     own = read_settings(Cia402Table, settings)
     options = own.part(HwOptions)
     hardware = _SHARED.get(
-        (*bus_key(bus), own.node_id),
+        bus,
+        own.node_id,
         lambda: Cia402HwMotor(bus, own.node_id, runtime=runtime, options=options),
         lambda built: built.options == options,
     )

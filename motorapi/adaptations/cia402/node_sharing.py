@@ -1,4 +1,4 @@
-"""Coordination of processes that use the same CANopen node.
+"""Coordination of processes that use the same drive.
 
 Two locks coordinate them. The lock of the drive grants its command (class `Ownership`). The second
 lock is held briefly, for one SDO transfer or one set-up, so that each process receives only its own
@@ -9,12 +9,10 @@ The drive watches the heartbeat of the host, not of one process. While any proce
 heartbeat, a drive keeps moving for a process that died. So the remaining processes watch the drive:
 when its owner has died and it moves, they halt it (`Guard`).
 
-Detection of stops that other programs command on the bus.
-
-Any process may stop a motor without owning it. The drive obeys, but does not report the stop. In pp
-it stands short of its target; in pv it shows *target reached* as it comes to rest. So the
-controlwords that other programs put on the bus are monitored, and the owner's motion is ended with
-an error. Controlwords sent by SDO are not detected.
+*Foreign stops*: any process may stop a motor without owning it. The drive obeys, but does not
+report the stop. In pp it stands short of its target; in pv it shows *target reached* as it comes to
+rest. So the controlwords that other programs put on the bus are monitored, and the owner's motion
+is ended with an error. Controlwords sent by SDO are not detected.
 """
 
 import logging
@@ -26,8 +24,7 @@ from weakref import WeakMethod
 from motorhil.motorapi.adaptations.cia402.motion_status import RestWatch
 from motorhil.motorapi.adaptations.cia402.objects import ENABLE_OPERATION, HALT, PdsState
 from motorhil.motorapi.errors import MotorError
-from motorhil.motorapi.locking.directory import bus_name
-from motorhil.motorapi.locking.process_lock import ProcessLock, can_share_time
+from motorhil.motorapi.locking.process_lock import ProcessLock
 from motorhil.motorapi.ownership.fencing import NodeFence, announce
 from motorhil.motorapi.ownership.physical_motor import PhysicalMotor
 
@@ -97,17 +94,6 @@ _STILL_INC: Final = 2
 _LOG: Final = logging.getLogger("motorapi")
 
 
-def node_locks(
-    bus: "can.BusABC", runtime: "Runtime", node_id: int, label: str
-) -> "tuple[ProcessLock, ProcessLock] | tuple[None, None]":
-    """Return the locks of the drive and of its SDO channel; None if the bus is not shared."""
-    where = bus_name(bus) if can_share_time(runtime) else None
-    if where is None:
-        return None, None
-    name = f"{where}-node{node_id}"
-    return ProcessLock(name, label), ProcessLock(f"{name}-sdo", f"the SDO channel of {label}")
-
-
 @final
 class SharedNode:
     """One drive, shared with other processes.
@@ -132,7 +118,7 @@ class SharedNode:
         if ownership.lock is None:
             return None
         fence = NodeFence(ownership.lock, ownership, self._runtime, bus, node.node_id)
-        sdo.fence = node.link.fences[node.node_id] = fence
+        sdo.fence = node.bus.fences[node.node_id] = fence
         announce(ownership, bus, node.node_id)
         return fence
 

@@ -5,12 +5,11 @@ duration only approximately. The neighbouring integers that come closest are tak
 exceeding a limit. A cruise velocity one step higher with flatter ramps is often better than one
 step lower.
 
-Torque units and torque motions of a CiA 402 drive.
-
-6071h, 6074h and 6077h count in 1/1000 of the motor's rated torque 6076h [mN m] at its shaft. Torque
-here is that of the output, where position is counted: times the gear ratio, from the motor model or
-else from 6091h. Friction and inertia in between are not subtracted. A linear motor has a force: 2
-pi times the motor's turns per metre, which the drive does not report. Nothing is guessed.
+*Torque*: 6071h, 6074h and 6077h count in 1/1000 of the motor's rated torque 6076h [mN m] at its
+shaft. Torque here is that of the output, where position is counted: times the gear ratio, from the
+motor model or else from 6091h. Friction and inertia in between are not subtracted. A linear motor
+has a force: 2 pi times the motor's turns per metre, which the drive does not report. Nothing is
+guessed.
 """
 
 from collections.abc import Callable

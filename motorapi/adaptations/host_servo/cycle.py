@@ -10,8 +10,6 @@ Or the outputs still wait for the bus then.
 A frame does not show which SYNC its counts belong to. Counts after the next SYNC are attributed to
 that one, until further counts come in the same cycle (`surplus`). On CAN they are one cycle old at
 most, as a node sends them in order.
-
-The trigger that starts servos on the host at the next SYNC.
 """
 
 import struct
@@ -19,13 +17,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, Protocol, final
 
-from motorhil.motorapi.adaptations.canopen.bus import CanopenLink, Transmission
+from motorhil.motorapi.adaptations.canopen.bus import CanopenBus
+from motorhil.motorapi.adaptations.canopen.link import Transmission
+from motorhil.motorapi.adaptations.canopen.node import CanopenNode
+from motorhil.motorapi.adaptations.host_servo.occupation import NodeOccupation
 from motorhil.motorapi.errors import DeadlineExceeded, LinkError, MotorBusyError, MotorError
 from motorhil.motorapi.ownership.physical_motor import PhysicalMotor
 
 if TYPE_CHECKING:
-    from motorhil.motorapi.adaptations.cia402.node import DriveNode
-    from motorhil.motorapi.adaptations.host_servo.node import NodeOccupation
     from motorhil.motorapi.locking.process_lock import LockHandle
     from motorhil.motorapi.ownership.fencing import Fence
     from motorhil.motorapi.runtime.api import Registration
@@ -102,10 +101,10 @@ class ChannelPair:
     def __init__(
         self,
         cycle: "Cycle",
-        node: "DriveNode",
+        node: CanopenNode,
         identifiers: tuple[int, int],
         misses_max: int,
-        occupation: "NodeOccupation",
+        occupation: NodeOccupation,
     ) -> None:
         self.identifiers: Final = identifiers
         self._axes: tuple[Axis | None, Axis | None] = (None, None)
@@ -288,11 +287,12 @@ class Cycle:
         armed: axes that one trigger starts together.
     """
 
-    def __init__(self, link: CanopenLink, period_s: float) -> None:
+    def __init__(self, bus: CanopenBus, period_s: float) -> None:
         self.period_s: Final = period_s
         self.count = 0
         self.armed: list[Axis] = []
-        self._link: Final = link
+        self._link: Final = bus.link
+        self._sync: Final = bus.sync
         self._pairs: tuple[ChannelPair, ...] = ()
         self._registration: Registration | None = None
         self._starts: list[tuple[tuple[Axis, ...], list[int]]] = []
@@ -308,7 +308,7 @@ class Cycle:
             UsageError: SYNC runs with another period on this bus.
         """
         if self._registration is None:
-            self._registration = self._link.on_sync(
+            self._registration = self._sync.join(
                 self.period_s, self._after_sync, self._sync_lost, self._fence
             )
         self._pairs = (*self._pairs, pair)
@@ -368,19 +368,29 @@ class Cycle:
                     axis.began(time_ns)
                 begun.append(time_ns)
 
-        self._link.at_next_sync(on_wire)
+        self._sync.at_next(on_wire)
 
 
-def cycle_of(link: CanopenLink, period_s: float) -> Cycle:
-    """Return the cycle of this link, made on first use.
+@final
+class _Cycles:
+    """The cycle of the servos on one bus."""
+
+    def __init__(self) -> None:
+        self.cycle: Cycle | None = None
+
+
+def cycle_of(bus: CanopenBus, period_s: float) -> Cycle:
+    """Return the cycle of this bus, made on first use.
 
     A different period yields a separate cycle, whose `join` is refused if SYNC runs.
     """
-    cycle = link.cycle
-    if not isinstance(cycle, Cycle) or (cycle.period_s != period_s and link.sync_period_ns is None):
-        link.cycle = cycle = Cycle(link, period_s)
+    cycles = bus.parts.part(_Cycles)
+    cycle = cycles.cycle
+    if cycle is None or (cycle.period_s != period_s and bus.sync.period_ns is None):
+        cycle = cycles.cycle = Cycle(bus, period_s)
+        bus.sync.planned_s = period_s
     elif cycle.period_s != period_s:
-        return Cycle(link, period_s)
+        return Cycle(bus, period_s)
     return cycle
 
 

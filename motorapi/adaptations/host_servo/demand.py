@@ -12,7 +12,7 @@ from typing import Final, final
 
 from motorhil.motorapi.commands import ControlMode, ControlVariable
 from motorhil.motorapi.motion import Motion
-from motorhil.motorapi.planning.sampling import Demand, demand_of, ramps
+from motorhil.motorapi.planning.sampling import Demand, Ramps, demand_of
 from motorhil.motorapi.trajectory import Argument, value_of
 
 POSITION: Final = 0
@@ -67,24 +67,14 @@ class Rated(Course):
         self, kind: int, start: float, target: float, growing: float, shrinking: float
     ) -> None:
         super().__init__(kind, target)
-        self._pieces = ramps(start, target, growing, shrinking)
-        self.is_over = not self._pieces
+        self._ramps = Ramps(start, target, growing, shrinking)
+        self.is_over = self._ramps.duration_s == 0.0
 
     def sample(self, elapsed_s: float, ahead_s: float) -> None:
         """Set the demand for `elapsed_s` after the start."""
-        left_s = elapsed_s
-        self.acceleration = 0.0
-        for duration_s, before, rate in self._pieces:
-            if left_s < duration_s:
-                self.value = before + rate * left_s
-                self._feed(rate)
-                return
-            left_s -= duration_s
-        self.value = self.target
-        self.is_over = True
-        self._feed(0.0)
-
-    def _feed(self, rate: float) -> None:
+        on_ramp = self._ramps.at(elapsed_s)
+        self.is_over = on_ramp is None
+        self.value, rate = (self.target, 0.0) if on_ramp is None else on_ramp
         if self.kind == VELOCITY:
             self.velocity = self.value
             self.acceleration = rate

@@ -1,4 +1,4 @@
-"""Central servo: the names that applications and rigs use.
+"""Logical motors with central servo: amplifier and encoder, servo on the host.
 
 The servo runs on the host, as on JPL's FIDO: trajectories are sampled and PID is computed once a
 cycle. The hardware is a plain torque amplifier and an encoder counter on a CANopen I/O node::
@@ -6,10 +6,6 @@ cycle. The hardware is a plain torque amplifier and an encoder counter on a CANo
     hw = AmplifierHwMotor(bus, node_id=3, channel=1, current_per_volt_a_v=0.8)
     gains = PidGains.tuned(60.0, current_per_acceleration=0.038)
     motor = SoftwareMotor(hw, MotorModel.load("wheel.toml"), gains)
-
-The adaptation of the motor interface to central servo.
-
-Trajectories are sampled, and PID is computed, on the host.
 
 | command                      | behaviour of the servo                                          |
 | ---------------------------- | --------------------------------------------------------------- |
@@ -40,10 +36,9 @@ from motorhil.motorapi.commands import ControlMode, ControlVariable, Setpoint, a
 from motorhil.motorapi.errors import DeviceFault, UnsupportedError, UsageError
 from motorhil.motorapi.motion import Motion
 from motorhil.motorapi.motor import Motor
-from motorhil.motorapi.ownership.physical_motor import bus_key
 from motorhil.motorapi.state import Fault, Measurement, MotorState
-from motorhil.motorapi.synchronization.can_response_time import Firing
-from motorhil.motorapi.synchronization.quality import MotionTimes, SyncLevel, SyncOffer, Trigger
+from motorhil.motorapi.synchronization.offer import Firing, SyncOffer, Trigger
+from motorhil.motorapi.synchronization.quality import MotionTimes, SyncLevel
 
 if TYPE_CHECKING:
     import can
@@ -426,7 +421,8 @@ def build(
         **{one.name: getattr(own, one.name) for one in fields(ServoParameters)}
     )
     hardware = _SHARED.get(
-        (*bus_key(bus), own.node_id, own.channel),
+        bus,
+        (own.node_id, own.channel),
         lambda: AmplifierHwMotor(
             *(bus, own.node_id, own.channel),
             current_per_volt_a_v=own.current_per_volt_a_v,

@@ -10,17 +10,7 @@ frames:
 | RPDO 2, 3  | 6411h, the outputs of channels 1 and 2, of 3 and 4         | latched by SYNC |
 | TPDO 2, 3  | 6820h, the counters of channels 1 and 2, of 3 and 4        | at SYNC         |
 
-Options of an I/O node with amplifiers, and its bring-up results.
-
-Traffic of a configured I/O node, and of this program for it.
-
-Occupation of an I/O node by the servos of one process.
-
-The outputs of a node share frames, and its digital outputs one byte. So a process that commands one
-of its motors commands the whole node. The node is occupied while a servo of this process is on, and
-while outputs are sent.
-
-Repeated switching-off of an amplifier, as a frame may be lost.
+An amplifier is switched off repeatedly until its node confirms it, as a frame may be lost.
 """
 
 from collections.abc import Callable, Iterator
@@ -28,24 +18,25 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, final
 
-from motorhil.motorapi.adaptations.canopen.bus import (
-    HEARTBEAT_ID,
-    can_frame,
-    open_link,
-    release_link,
+from motorhil.motorapi.adaptations.canopen.bus import HEARTBEAT_ID, open_bus, release_bus
+from motorhil.motorapi.adaptations.canopen.link import can_frame
+from motorhil.motorapi.adaptations.canopen.node import (
+    CanopenNode,
+    node_locks,
 )
+from motorhil.motorapi.adaptations.canopen.objects import COMMUNICATION_OBJECTS, ObjectTable
 from motorhil.motorapi.adaptations.canopen.pdo_setup import (
     EVENT_DRIVEN,
     SYNCHRONOUS,
     PdoSetUp,
     PdoWish,
 )
-from motorhil.motorapi.adaptations.canopen.sdo import TurnLock
-from motorhil.motorapi.adaptations.cia402.bringup import first_answer, write_if_different
-from motorhil.motorapi.adaptations.cia402.node import DriveNode
-from motorhil.motorapi.adaptations.cia402.node_sharing import node_locks
+from motorhil.motorapi.adaptations.canopen.sync import SYNC_ID
+from motorhil.motorapi.adaptations.canopen.turn_lock import TurnLock
 from motorhil.motorapi.adaptations.host_servo.cycle import Axis, ChannelPair, Cycle, cycle_of
+from motorhil.motorapi.adaptations.host_servo.occupation import NodeOccupation
 from motorhil.motorapi.adaptations.host_servo.settings import IoOptions
+from motorhil.motorapi.bus_context import context_of
 from motorhil.motorapi.errors import (
     DeadlineExceeded,
     LinkError,
@@ -53,19 +44,13 @@ from motorhil.motorapi.errors import (
     UnsupportedError,
     UsageError,
 )
-from motorhil.motorapi.locking.process_lock import this_process
-from motorhil.motorapi.ownership.claim import LockAction
-from motorhil.motorapi.ownership.fencing import BoundFence, Fence, NodeFence, tell_bus
-from motorhil.motorapi.ownership.physical_motor import bus_key
 from motorhil.motorapi.synchronization.bus_load import NodeTraffic, PeriodicMessage, note_node
 
 if TYPE_CHECKING:
-    from collections.abc import Hashable
-
     import can
 
     from motorhil.motorapi.adaptations.canopen.pdo_setup import PdoFound
-    from motorhil.motorapi.locking.process_lock import LockHandle, ProcessLock
+    from motorhil.motorapi.locking.process_lock import LockHandle
     from motorhil.motorapi.runtime.api import Runtime
 
 
@@ -121,81 +106,7 @@ def node_traffic(
     )
 
 
-@final
-class NodeOccupation:
-    """The occupation of one node by this process.
-
-    Attributes:
-        fence: the fence for frames that command the node; None: no other process can take it over.
-        outputs: the fence for the servos' own frames, under one occupation.
-    """
-
-    def __init__(self, lock: "ProcessLock | None", bus: "can.BusABC", node: "DriveNode") -> None:
-        self._lock: Final = lock
-        self._bus: Final = bus
-        self._node: Final = node
-        self._runtime: Final = node.link.runtime
-        self._token = 0
-        self.fence: Final = (
-            None if lock is None else NodeFence(lock, self, self._runtime, bus, node.node_id)
-        )
-        self.outputs: Fence | None = self.fence
-
-    @property
-    def is_here(self) -> bool:
-        """True if this process occupies the node."""
-        hold = None if self._lock is None else self._lock.hold
-        return hold is not None and hold.owner is self
-
-    def begin_write(self, asker: str = "") -> int:
-        """Begin a write under the lock; see class `Owned`."""
-        assert self._lock is not None
-        return self._lock.begin_write(asker)
-
-    def end_write(self) -> None:
-        """End a write; see `begin_write`."""
-        assert self._lock is not None
-        self._lock.end_write()
-
-    def occupy(self, *, take_over: bool = False) -> "LockHandle | None":
-        """Occupy the node for this process, until the returned handle is released.
-
-        Args:
-            take_over: take the node over from another process; its servo then ends.
-
-        Raises:
-            MotorBusyError: another process's servo runs on the node; the message names it.
-        """
-        lock = self._lock
-        if lock is None or self.fence is None:
-            return None
-        label = self._node.label
-        what = f"the servo of {label}"
-        hold = lock.acquire(self._runtime, what, owner=self, asker=label, take_over=take_over)
-        if hold.token != self._token:
-            self._token = hold.token
-            self.outputs = BoundFence(self.fence, hold)
-            action = LockAction.TAKEN_OVER if take_over else LockAction.TAKEN
-            process = this_process()
-            facts: dict[str, str | int] = {
-                "owner": what,
-                "program": process.program,
-                "pid": process.pid,
-            }
-            tell_bus(self._bus, self._node.node_id, action, hold.token, facts)
-        return hold
-
-    @contextmanager
-    def occupied(self, *, take_over: bool = False) -> Iterator[None]:
-        """Occupy the node inside the block, as `occupy` does."""
-        hold = self.occupy(take_over=take_over)
-        try:
-            yield
-        finally:
-            if hold is not None:
-                hold.release()
-
-
+_OBJECTS: Final = ObjectTable(COMMUNICATION_OBJECTS)
 INPUTS: Final = 0x6000
 OUTPUTS: Final = 0x6200
 ANALOGUE_OUTPUT: Final = 0x6411
@@ -224,27 +135,22 @@ class AmplifierNode:
         self, bus: "can.BusABC", node_id: int, runtime: "Runtime", options: IoOptions
     ) -> None:
         self.options: Final = options
-        self._key = (*bus_key(bus), node_id)
-        self.link: Final = open_link(bus, runtime)
-        if options.heartbeat_ms and (node_id == options.host_node_id or self.link.is_host(node_id)):
-            name = self.link.name
-            release_link(self.link)
+        canopen_bus = open_bus(bus, runtime)
+        self.link: Final = canopen_bus.link
+        if options.heartbeat_ms and (
+            node_id == options.host_node_id or canopen_bus.is_host(node_id)
+        ):
+            release_bus(canopen_bus)
             raise UsageError(
-                f"{name} node {node_id}: node {node_id} is also the host's node-ID; give the host"
-                " another host_node_id"
+                f"{self.link.name} node {node_id}: node {node_id} is also the host's node-ID; give"
+                " the host another host_node_id"
             )
-        self.node: Final = DriveNode(
-            self.link,
-            node_id,
-            sdo_timeout_s=options.sdo_timeout_s,
-            quarantine_s=options.sdo_quarantine_s,
-            heartbeat_timeout_ms=options.heartbeat_timeout_ms,
-        )
+        self.node: Final = CanopenNode(canopen_bus, node_id, options, _OBJECTS)
         locks = node_locks(bus, runtime, node_id, self.node.label)
-        self.occupation: Final = NodeOccupation(locks[0], bus, self.node)
+        self.occupation: Final = NodeOccupation(locks[0], self.node)
         self.node.sdo.process_lock = self._sdo_lock = locks[1]
         if self.occupation.fence is not None:
-            self.node.sdo.fence = self.link.fences[node_id] = self.occupation.fence
+            self.node.sdo.fence = canopen_bus.fences[node_id] = self.occupation.fence
         self.inputs = 0
         self.inputs_ns = -1
         self.users = 0
@@ -252,7 +158,7 @@ class AmplifierNode:
         self.on_inputs: list[Callable[[int], None]] = []
         self.on_facts: list[Callable[[IoFacts], None]] = []
         self.facts: IoFacts | None = None
-        self.cycle: Final[Cycle] = cycle_of(self.link, options.cycle_ms / 1e3)
+        self.cycle: Final[Cycle] = cycle_of(canopen_bus, options.cycle_ms / 1e3)
         self._pairs: tuple[ChannelPair, ...] = ()
         self._outputs = 0
         self._inputs_id: int | None = None
@@ -264,16 +170,15 @@ class AmplifierNode:
             return
         self.is_closed = True
         self.facts = None
-        if _NODES.get(self._key) is self:
-            del _NODES[self._key]
+        nodes = _nodes(self.link.bus)
+        if nodes.get(self.node.node_id) is self:
+            del nodes[self.node.node_id]
         for pair in self._pairs:
             pair.close()
         self.node.close()
         if self._inputs_id is not None:
             self.link.ignore(self._inputs_id)
-        if self.node.uses_host_heartbeat:
-            self.link.release_heartbeat(self.options.host_node_id)
-        release_link(self.link)
+        release_bus(self.node.bus)
 
     def place(self, channel: int, axis: Axis) -> ChannelPair:
         """Assign the channel to `axis`, and return its frames."""
@@ -379,22 +284,16 @@ class AmplifierNode:
             finally:
                 sdo.before_writing = None
 
-    def be_heard(self) -> None:
-        """Start the host's heartbeat for the node, which supervises it."""
-        if self.options.heartbeat_ms and not self.node.uses_host_heartbeat:
-            self.link.produce_heartbeat(self.options.host_node_id, self.options.heartbeat_ms)
-            self.node.uses_host_heartbeat = True
-
     def _bring_up(self) -> IoFacts:
         node, options = self.node, self.options
         node.may_change_state()
-        first_answer(node, options.connect_timeout_s)
+        node.first_answer()
         boot = node.boots
         channels = self._count_channels()
         sync_id = node.read_optional(0x1005)
-        if sync_id is not None and sync_id & 0x7FF != self.link.sync_id:
+        if sync_id is not None and sync_id & 0x7FF != SYNC_ID:
             raise UsageError(
-                f"{node.label}: its SYNC is {sync_id & 0x7FF:03X}h, ours {self.link.sync_id:03X}h"
+                f"{node.label}: its SYNC is {sync_id & 0x7FF:03X}h, ours {SYNC_ID:03X}h"
             )
         limitations: list[str] = []
         self._set_up_dead_man(channels, limitations)
@@ -471,19 +370,19 @@ class AmplifierNode:
         for index, wanted in ((0x6206, bits), (0x6207, 0)):
             found = node.read_optional(index, 1)
             value = (0 if found is None else found & ~bits) | wanted
-            write_if_different(
-                node, index, 1, value, 1, limitations, "the fault state of its outputs"
+            node.write_if_different(
+                (index, 1), value, 1, limitations, "the fault state of its outputs"
             )
         for channel in range(1, channels + 1):
             meaning = f"the fault state of output {channel}"
-            write_if_different(node, 0x6443, channel, 1, 1, limitations, meaning)
-            write_if_different(node, 0x6444, channel, 0, 4, limitations, meaning)
+            node.write_if_different((0x6443, channel), 1, 1, limitations, meaning)
+            node.write_if_different((0x6444, channel), 0, 4, limitations, meaning)
         what = "its heartbeat, so its loss is not detected"
-        write_if_different(node, 0x1017, 0, options.heartbeat_ms, 2, limitations, what)
+        node.write_if_different((0x1017, 0), options.heartbeat_ms, 2, limitations, what)
         if options.heartbeat_ms and options.heartbeat_timeout_ms:
             consumer = options.host_node_id << 16 | options.heartbeat_timeout_ms
             what = "its supervision of us, so it does not detect our loss"
-            write_if_different(node, 0x1016, 1, consumer, 4, limitations, what)
+            node.write_if_different((0x1016, 1), consumer, 4, limitations, what)
             if node.read_optional(0x1017) == options.heartbeat_ms:
                 node.expect_heartbeat()
 
@@ -499,7 +398,16 @@ class AmplifierNode:
             )
 
 
-_NODES: "Final[dict[Hashable, AmplifierNode]]" = {}
+@final
+class _Nodes:
+    """The I/O nodes on one bus, by node-ID."""
+
+    def __init__(self) -> None:
+        self.nodes: Final[dict[int, AmplifierNode]] = {}
+
+
+def _nodes(bus: "can.BusABC") -> dict[int, AmplifierNode]:
+    return context_of(bus).medium.part(_Nodes).nodes
 
 
 def open_node(
@@ -510,10 +418,10 @@ def open_node(
     Raises:
         UsageError: it is used with other options already.
     """
-    key = (*bus_key(bus), node_id)
-    io = _NODES.get(key)
+    nodes = _nodes(bus)
+    io = nodes.get(node_id)
     if io is None:
-        io = _NODES[key] = AmplifierNode(bus, node_id, runtime, options)
+        io = nodes[node_id] = AmplifierNode(bus, node_id, runtime, options)
     elif io.options != options:
         raise UsageError(
             f"{io.node.label} is used with other settings already; motors on one node share its"

@@ -6,8 +6,6 @@ unreachable velocity are frozen (anti-windup). All values are in increments of t
 and amperes; a positive current turns the motor towards higher counts. The servo has no clock: it
 runs once a cycle.
 
-Gains of a servo on the host, typed and immutable.
-
 Once a cycle, the servo computes the current for the amplifier:
 
     current = kp e + kd de/dt + integral of ki e dt

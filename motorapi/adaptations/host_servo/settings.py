@@ -3,14 +3,14 @@
 from dataclasses import dataclass, fields
 from typing import Any, ClassVar, final
 
-from motorhil.motorapi.adaptations.cia402.settings import LinkOptions
+from motorhil.motorapi.adaptations.canopen.settings import NodeOptions
 from motorhil.motorapi.adaptations.host_servo.servo import PidGains
 from motorhil.motorapi.errors import UsageError
 from motorhil.settings import REQUIRED, SettingError, TableOf, number, setting, text, whole
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class IoOptions(LinkOptions):
+class IoOptions(NodeOptions):
     """Settings of the host for an I/O node, shared by all motors on its channels.
 
     The host's heartbeat must differ from the one that drives watch: another process may send that

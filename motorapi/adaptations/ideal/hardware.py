@@ -1,9 +1,9 @@
 """Hardware class of an ideal motor, in memory without a bus."""
 
 from typing import TYPE_CHECKING, Final, final
-from weakref import WeakValueDictionary
 
 from motorhil.motorapi.adaptations.ideal.profiles import Course, Held, Ramped, Reading, course_of
+from motorhil.motorapi.bus_context import context_of
 from motorhil.motorapi.errors import LinkError, MotorError, UsageError
 from motorhil.motorapi.ownership.physical_motor import (
     PhysicalMotor,
@@ -50,9 +50,6 @@ class IdealTrigger:
             hardware.begin(now_ns)
 
 
-_shared_triggers: "Final[WeakValueDictionary[Runtime, IdealTrigger]]" = WeakValueDictionary()
-
-
 @final
 class IdealHwMotor:
     """A physical motor that follows its commands exactly: no mass, no friction, no delay.
@@ -88,13 +85,13 @@ class IdealHwMotor:
         self.label: Final = label
         self.initial_position: Final = position
         self.torque_constant: Final = torque_constant
-        self._key = ("ideal", runtime, label)
-        self.physical: Final[PhysicalMotor] = register_physical_motor(self._key, label, self)
+        self.physical: Final[PhysicalMotor] = register_physical_motor(
+            runtime, ("ideal", label), label, self
+        )
         self.physical.news = self._news = ChangeCounter()
-        trigger = _shared_triggers.get(runtime)
-        if trigger is None:
-            trigger = _shared_triggers[runtime] = IdealTrigger(runtime)
-        self.shared_trigger: Final = trigger
+        self.shared_trigger: Final = context_of(runtime).parts.part(
+            IdealTrigger, lambda: IdealTrigger(runtime)
+        )
         self.users = 0
         self.is_closed = False
         self.is_referenced = False
@@ -122,7 +119,7 @@ class IdealHwMotor:
         self._stand_still()
         self.is_closed = True
         self._news.grow()
-        release_physical_motor(self._key, self)
+        release_physical_motor(self.runtime, ("ideal", self.label), self)
 
     # --- state and measurements ------------------------------------------------------------
 

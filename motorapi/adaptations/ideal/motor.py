@@ -1,4 +1,4 @@
-"""Ideal motors: the names that applications and rigs use.
+"""Ideal motors: logical motors that follow their commands exactly.
 
 They are the reference for every other kind of motor, and the quickest way to try an application.
 There is no bus, no drive and no plant: commands are executed exactly and at once. See
@@ -6,8 +6,6 @@ There is no bus, no drive and no plant: commands are executed exactly and at onc
 
     hw = IdealHwMotor(runtime, "left wheel")
     motor = IdealMotor(hw, model=MotorModel.load("wheel.toml"))
-
-Adaptation of the motor interface to an ideal motor.
 
 | command                      | behaviour of the motor                                         |
 | ---------------------------- | -------------------------------------------------------------- |
@@ -34,8 +32,8 @@ from motorhil.motorapi.errors import DeviceFault, LinkError, UnsupportedError
 from motorhil.motorapi.motion import Motion
 from motorhil.motorapi.motor import Motor
 from motorhil.motorapi.state import Fault, Measurement, MotorState
-from motorhil.motorapi.synchronization.can_response_time import Firing
-from motorhil.motorapi.synchronization.quality import MotionTimes, SyncLevel, SyncOffer, Trigger
+from motorhil.motorapi.synchronization.offer import Firing, SyncOffer, Trigger
+from motorhil.motorapi.synchronization.quality import MotionTimes, SyncLevel
 from motorhil.settings import number, text
 
 if TYPE_CHECKING:
@@ -55,6 +53,9 @@ class IdealMotor(Motor):
         model: the limits of the motor.
         name: the name in messages and records. None: the model's name and the hardware's label.
         on_close: called once, when the motor is closed. The maker of the hardware object closes it.
+
+    Attributes:
+        hardware: the hardware object; tests inject faults there.
     """
 
     def __init__(
@@ -71,7 +72,7 @@ class IdealMotor(Motor):
             runtime=hardware.runtime,
             physical=hardware.physical,
         )
-        self._hardware = hardware
+        self.hardware: Final = hardware
         self._on_close = on_close
 
     def close(self) -> None:
@@ -79,11 +80,6 @@ class IdealMotor(Motor):
         on_close, self._on_close = self._on_close, None
         if on_close is not None:
             on_close()
-
-    @property
-    def hardware(self) -> IdealHwMotor:
-        """The hardware object; tests inject faults there."""
-        return self._hardware
 
     # --- capabilities ----------------------------------------------------------------------
 
@@ -95,7 +91,7 @@ class IdealMotor(Motor):
 
     def _sync_offer(self) -> SyncOffer:
         reason = "ideal motors of one runtime begin at the same nanosecond"
-        trigger = self._hardware.shared_trigger
+        trigger = self.hardware.shared_trigger
         return SyncOffer(
             *(SyncLevel.TRIGGERED, trigger, (0.0, 0.0), reason),
             firing=Firing(),
@@ -109,36 +105,36 @@ class IdealMotor(Motor):
     # --- connecting, state and measurements ------------------------------------------------
 
     def _connect(self) -> None:
-        if self._hardware.is_closed:
-            label = self._hardware.label
+        if self.hardware.is_closed:
+            label = self.hardware.label
             raise LinkError(link=label, reason="this hardware object is closed")
 
     def _read_state(self) -> MotorState:
-        return self._hardware.state
+        return self.hardware.state
 
     def _read_fault(self) -> Fault | None:
-        return self._hardware.fault
+        return self.hardware.fault
 
     def _read_referenced(self) -> bool:
-        return self._hardware.is_referenced
+        return self.hardware.is_referenced
 
     def _read_position(self) -> float:
-        return self._hardware.reading().position
+        return self.hardware.reading().position
 
     def _read_velocity(self) -> float:
-        return self._hardware.reading().velocity
+        return self.hardware.reading().velocity
 
     def _read_reference(self) -> float:
-        return self._hardware.reading().position
+        return self.hardware.reading().position
 
     def _read_torque(self) -> float:
-        return self._hardware.reading().torque
+        return self.hardware.reading().torque
 
     def _read_following_error(self) -> float:
         return 0.0
 
     def _latest(self) -> Measurement | None:
-        hardware = self._hardware
+        hardware = self.hardware
         position, velocity, torque = hardware.reading()
         now_ns = self.runtime.now_ns()
         return Measurement(now_ns, hardware.state, position, velocity, torque, 0.0)
@@ -147,39 +143,39 @@ class IdealMotor(Motor):
         return "the law of its motion"
 
     def _refresh(self) -> float | None:
-        return self._hardware.look_again_s()
+        return self.hardware.look_again_s()
 
     # --- power, fault, reference -----------------------------------------------------------
 
     def _enable(self) -> None:
-        self._hardware.enable()
+        self.hardware.enable()
 
     def _disable(self) -> None:
-        self._hardware.disable()
+        self.hardware.disable()
 
     def _reset_fault(self) -> None:
-        self._hardware.reset_fault()
+        self.hardware.reset_fault()
 
     def _home(self, method: int | None) -> None:
         if method not in _HERE_IS_ZERO:
             raise UnsupportedError(
                 motor=self.name, feature=f"homing by method {method}", supported="35 and 37"
             )
-        self._hardware.call_here(0.0)
+        self.hardware.call_here(0.0)
 
     # --- motion ----------------------------------------------------------------------------
 
     def _arm(self, motion: Motion, *, together: bool) -> Trigger:
-        return self._hardware.arm(motion, together=together)
+        return self.hardware.arm(motion, together=together)
 
     def _disarm(self) -> None:
-        self._hardware.disarm()
+        self.hardware.disarm()
 
     def _confirm(self, motion: Motion) -> None:
         """Do nothing, as the motion began when it was fired."""
 
     def _is_done(self) -> bool:
-        hardware = self._hardware
+        hardware = self.hardware
         fault = hardware.fault
         if fault is not None:
             raise DeviceFault(
@@ -191,16 +187,16 @@ class IdealMotor(Motor):
         return hardware.is_over
 
     def _stop(self) -> None:
-        self._hardware.slow_down(self.model.deceleration)
+        self.hardware.slow_down(self.model.deceleration)
 
     def _quick_stop(self) -> None:
-        self._hardware.slow_down(self.model.deceleration, quickly=True)
+        self.hardware.slow_down(self.model.deceleration, quickly=True)
 
     def _open_low_level(self) -> IdealHwMotor:
-        return self._hardware
+        return self.hardware
 
     def _motion_times(self) -> MotionTimes | None:
-        begun_ns, over_ns = self._hardware.motion_times_ns()
+        begun_ns, over_ns = self.hardware.motion_times_ns()
         if begun_ns is None:
             return None
         return MotionTimes(begun_ns, over_ns, "the law of its motion")
@@ -263,7 +259,8 @@ def build(
     axis = own.axis or name
     position, constant = own.position, own.torque_constant
     hardware = _SHARED.get(
-        (runtime, axis),
+        runtime,
+        axis,
         lambda: IdealHwMotor(
             runtime,
             axis,

@@ -7,14 +7,13 @@ cannot be predicted, it is also sampled at a fixed rate.
 U is the motor's unit of position: rad, or m if linear.
 """
 
-from collections.abc import Callable
 from math import inf
 from typing import Final, NamedTuple, Protocol, final
 
 from motorhil.motorapi.commands import ControlMode, ControlVariable
 from motorhil.motorapi.errors import MotorError, PluginError
 from motorhil.motorapi.motion import Motion
-from motorhil.motorapi.planning.sampling import Demand, demand_of, ramps
+from motorhil.motorapi.planning.sampling import Ramps, demand_of, way_of
 from motorhil.motorapi.trajectory import Argument, value_of
 
 _LONGEST_S: Final = 9.2e9
@@ -114,23 +113,18 @@ class Ramped(_Law):
     def __init__(
         self, begun_ns: int, now: Reading, target: float, speeding: float, slowing: float
     ) -> None:
-        pieces = ramps(now.velocity, target, speeding, slowing)
-        super().__init__(begun_ns, sum(piece[0] for piece in pieces), now.position)
-        self._pieces = pieces
+        ramps = Ramps(now.velocity, target, speeding, slowing)
+        super().__init__(begun_ns, ramps.duration_s, now.position)
+        self._ramps = ramps
         self._start = now.position
         self._target = target
 
     def at(self, now_ns: int) -> Reading:
         """Return the reading from pieces of constant acceleration, in closed form."""
-        left_s = self._elapsed_s(now_ns)
-        position = self._start
-        for duration_s, velocity, acceleration in self._pieces:
-            spent_s = min(left_s, duration_s)
-            position += (velocity + 0.5 * acceleration * spent_s) * spent_s
-            left_s -= spent_s
-            if left_s <= 0.0 and not self._is_over(now_ns):
-                return Reading(position, velocity + acceleration * spent_s)
-        return Reading(position + self._target * left_s, self._target)
+        elapsed_s = self._elapsed_s(now_ns)
+        position = self._ramps.integral(elapsed_s, self._start)
+        on_ramp = None if self._is_over(now_ns) else self._ramps.at(elapsed_s)
+        return Reading(position, self._target if on_ramp is None else on_ramp[0])
 
 
 @final
@@ -165,7 +159,7 @@ class Followed(_Law):
         self._motion = motion
         self._demand = demand
         self._constant = constant
-        self._way = _way_of(motion, demand)
+        self._way = way_of(motion) if motion.variable is ControlVariable.VELOCITY else None
 
     def at(self, now_ns: int) -> Reading:
         """Return the demand, and its derivative or integral, at `now_ns`."""
@@ -174,27 +168,15 @@ class Followed(_Law):
         if self._is_over(now_ns):
             argument = demand.final_argument
         value = demand.value(argument)
-        variable = self._motion.variable
-        if variable is ControlVariable.POSITION:
+        if self._motion.variable is ControlVariable.POSITION:
             velocity = 0.0 if self._is_over(now_ns) else demand.first(argument)
             return Reading(value, velocity)
-        if variable is ControlVariable.VELOCITY:
+        if self._way is not None:
             beyond_s = 0.0
             if self.over_ns is not None and now_ns > self.over_ns:
                 beyond_s = (now_ns - self.over_ns) / 1e9
             return Reading(self._now.position + self._way(argument) + value * beyond_s, value)
         return Reading(self._now.position, 0.0, value * self._constant)
-
-
-def _way_of(motion: Motion, demand: Demand) -> Callable[[float], float]:
-    """Return the distance that a velocity trajectory covers up to an argument, in closed form."""
-    start = demand.initial_argument
-    if motion.function is None:
-        rate = demand.first(start)
-        return lambda argument: (motion.start + 0.5 * rate * argument) * argument
-    integral = motion.function.integral()
-    before = integral.value(start)
-    return lambda argument: integral.value(argument) - before + motion.offset * (argument - start)
 
 
 @final

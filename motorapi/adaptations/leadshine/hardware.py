@@ -12,27 +12,27 @@ Source: the common subset of several independent public drivers for these drives
 """
 
 from dataclasses import replace
-from math import ceil, floor, pi
+from math import ceil, floor
 from typing import TYPE_CHECKING, Final, final
 
 from motorhil.motorapi.adaptations.modbus.client import ByteLine, Exchange
-from motorhil.motorapi.adaptations.modbus.polled_motor import (
+from motorhil.motorapi.adaptations.modbus.polled_hardware import (
+    BOOT_S,
+    HERE,
+    INT32_MAX,
     Poll,
-    PolledProgress,
+    PolledHardware,
     check_register,
-    gear,
     toward_zero,
 )
-from motorhil.motorapi.adaptations.modbus.unit import ModbusUnit, as_i32
+from motorhil.motorapi.adaptations.modbus.unit import as_i32
 from motorhil.motorapi.commands import ControlVariable
 from motorhil.motorapi.errors import StateError, UnsupportedError
-from motorhil.motorapi.model import MotionKind
 from motorhil.motorapi.motion import Motion
-from motorhil.motorapi.state import Fault, MotorState
+from motorhil.motorapi.state import MotorState
 
 if TYPE_CHECKING:
     from motorhil.motorapi.model import MotorModel
-    from motorhil.motorapi.ownership.physical_motor import PhysicalMotor
     from motorhil.motorapi.runtime.api import Runtime
 
 _PULSES: Final = 0x0001
@@ -65,94 +65,36 @@ _RESET_ALARM: Final = 0x1111
 
 # CiA 402 homing methods, and the drive's mode: switch and direction
 _HOMING: Final = {17: 0x0000, 18: 0x0001, 19: 0x0005, 21: 0x0004}
-_HERE: Final = (None, 35, 37)
-_BOOT_S: Final = 3.0
 _RPM_MAX: Final = 6000
 _RAMP_MAX: Final = 32767
-_INT32_MAX: Final = 0x7FFF_FFFF
 _ALARMS: Final = {0x01: "over-current", 0x02: "over-voltage", 0x20: "following error"}
 
 
 @final
-class LeadshineHwMotor:
-    """One PR-mode drive, shared by all logical motors and threads of a process.
-
-    Args:
-        line: the line of the drive.
-        unit: its server address.
-        runtime: the runtime to wait with.
-        timeout_s: the response timeout [s].
-
-    Raises:
-        UsageError: a hardware object for this drive exists already.
-    """
+class LeadshineHwMotor(PolledHardware):
+    """One PR-mode drive; see `PolledHardware`."""
 
     def __init__(
         self, line: ByteLine, unit: int, *, runtime: "Runtime", timeout_s: float = 0.2
     ) -> None:
-        self.registers: Final = ModbusUnit(line, unit, runtime, self, timeout_s)
-        self.progress: Final = PolledProgress()
-        self.users = 0
-        self._pulses = 0  # per turn of the motor; 0: not read yet
-        self._asked_at = (-1, 0)  # `standing` at that time
-        self._fault_since_ns = 0
+        super().__init__(line, unit, runtime=runtime, timeout_s=timeout_s)
         self._is_homed = False
         self._prepared: tuple[int, ...] = ()
         self._ramp_told = ((-1, 0), 0)  # `standing` at that time, and the ramp [ms]
-        self._stop: Exchange | None = None
-        self._quick_stopped = False
-
-    def __repr__(self) -> str:
-        return f"<LeadshineHwMotor {self.label}>"
-
-    @property
-    def runtime(self) -> "Runtime":
-        """The runtime to wait with."""
-        return self.registers.runtime
-
-    @property
-    def physical(self) -> "PhysicalMotor":
-        """The record of the physical motor."""
-        return self.registers.physical
-
-    @property
-    def label(self) -> str:
-        """The name of the hardware in messages."""
-        return self.registers.label
-
-    @property
-    def is_closed(self) -> bool:
-        """True if the hardware is closed."""
-        return self.registers.is_closed
 
     @property
     def is_referenced(self) -> bool:
         """True if the drive reports that it has been homed."""
         return self._is_homed
 
-    def close(self) -> None:
-        """Close the hardware; further calls do nothing."""
-        self.registers.close()
-
     # --- units ---------------------------------------------------------------------------------
 
-    def connect(self, model: "MotorModel") -> None:
-        """Read the pulses per turn, unless they are known."""
-        gear(model)
-        standing = self.registers.standing
-        if self._asked_at != standing:
-            is_known = bool(self._pulses)
-            self._pulses = self.registers.first_read(_PULSES, 0.0 if is_known else _BOOT_S)
-            self._asked_at = standing
-
-    def _per_unit(self, model: "MotorModel") -> float:
-        """Return the pulses per U."""
-        turns = 1.0 if model.kind is MotionKind.LINEAR else 1.0 / (2.0 * pi)
-        return gear(model) * turns * self._pulses
+    def _read_counts(self, standing: tuple[int, int]) -> float:
+        return self.registers.first_read(_PULSES, 0.0 if self._counts else BOOT_S)
 
     def _rpm_per_unit(self, model: "MotorModel") -> float:
         """Return the speed of the motor [rpm] at 1 U/s."""
-        return abs(self._per_unit(model)) / self._pulses * 60.0
+        return abs(self._per_unit(model)) / self._counts * 60.0
 
     # --- status ----------------------------------------------------------------------------------
 
@@ -165,7 +107,7 @@ class LeadshineHwMotor:
         speed = as_i32(0, registers.read(_SPEED, 2)[1])
         status = registers.read(_STATUS)[0]
         self._is_homed = bool(status & _HOMED)
-        fault = self._fault(status)
+        fault = self._fault(bool(status & _FAULT), _ALARMS)
         state = MotorState.STOPPED if self._quick_stopped else MotorState.ENABLED
         state = state if status & _ENABLED else MotorState.DISABLED
         rpm = speed - 0x10000 if speed & 0x8000 else speed
@@ -183,15 +125,8 @@ class LeadshineHwMotor:
             at_velocity=bool(status & _COMMAND_DONE),
         )
 
-    def _fault(self, status: int) -> Fault | None:
-        if not status & _FAULT:
-            self._fault_since_ns = 0
-            return None
-        code = self.registers.read(_ALARM)[0]
-        if not self._fault_since_ns:
-            self._fault_since_ns = self.runtime.now_ns()
-        text = _ALARMS.get(code, "see the drive's manual")
-        return Fault(code, text, self._fault_since_ns)
+    def _read_alarm(self) -> int:
+        return self.registers.read(_ALARM)[0]
 
     # --- power, fault, reference ------------------------------------------------------------------
 
@@ -203,7 +138,7 @@ class LeadshineHwMotor:
             raise StateError(
                 motor=self.label,
                 operation="enable",
-                state=f"the drive does not follow (alarm {self.registers.read(_ALARM)[0]:02X}h)",
+                state=f"the drive does not follow (alarm {self._read_alarm():02X}h)",
                 remedy="reset_fault() first",
             )
 
@@ -218,7 +153,7 @@ class LeadshineHwMotor:
 
     def home(self, method: int | None, motor: str) -> None:
         """Start homing: here (35, 37), or to a switch (17, 18: limit; 19, 21: home)."""
-        if method in _HERE:
+        if method in HERE:
             self.registers.write(_TRIGGER, _HERE_IS_ZERO)
             return
         mode = _HOMING.get(method or 0)
@@ -231,10 +166,6 @@ class LeadshineHwMotor:
         self.registers.write(_TRIGGER, _HOME)
 
     # --- motion -----------------------------------------------------------------------------------
-
-    def turn(self, model: "MotorModel") -> float:
-        """Return one turn of the motor in its model's units."""
-        return self._pulses / abs(self._per_unit(model))
 
     def quantised(self, motion: Motion, model: "MotorModel") -> Motion:
         """Return the motion in the drive's resolution."""
@@ -263,7 +194,7 @@ class LeadshineHwMotor:
             path = (_VELOCITY, 0, 0, speed, faster, slower, 0, _RUN)
         else:
             target = round(motion.target * per_unit)
-            check_register(self.label, "position", abs(target), _INT32_MAX, "pulses")
+            check_register(self.label, "position", abs(target), INT32_MAX, "pulses")
             speed = max(1, floor(motion.velocity * rpm_unit + 1e-9))
             check_register(self.label, "velocity", speed, _RPM_MAX, "rpm")
             path = (_ABSOLUTE, target >> 16, target, speed, faster, slower, 0, _RUN)
@@ -284,16 +215,8 @@ class LeadshineHwMotor:
         """Send the prepared motion, and start it by the same request."""
         self.registers.write(_PATH_0, *self._prepared)
 
-    def post_stop(self, quick: bool) -> None:
-        """Send a stop, and repeat it if the drive did not answer and still moves."""
-        self._stop = self.registers.post(_TRIGGER, _STOP)
-        self._quick_stopped |= quick
-
-    def _stop_again(self, is_moving: bool) -> None:
-        stop = self._stop
-        if stop is not None and stop.is_over:
-            lost = stop.error is not None and is_moving
-            self._stop = self.registers.post(_TRIGGER, _STOP) if lost else None
+    def _post_stop(self) -> Exchange:
+        return self.registers.post(_TRIGGER, _STOP)
 
 
 def _ramp_ms(rpm_s: float) -> int:

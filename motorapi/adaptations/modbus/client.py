@@ -5,24 +5,19 @@ provides time, silence and deadlines. No request is sent twice: a request whose 
 have been executed. A caller that cannot wait (a stop from inside a callback) *posts* its request.
 The request is sent as soon as the line is silent, before all others.
 
-On a serial line, a late answer looks like the answer to the next request. So after a request
-without an answer in time the line is in *quarantine*. The next request waits until the late answer
-has arrived completely (it is dropped), or a time limit has passed. Posted requests do not wait for
-that. On TCP the transaction identifier distinguishes answers, and the stream is read ADU by ADU.
+On a serial line, all bytes received since a request must be its answer, complete and with its check
+sum. A late answer looks like the answer to the next request. So after a request without an answer
+in time the line is in *quarantine*. The next request waits until the late answer has arrived
+completely (it is dropped), or a time limit has passed. Posted requests do not wait for that.
+
+On TCP the transaction identifier distinguishes answers, and the bytes are a stream of ADUs, each
+read from its header. So half of a late answer does no harm.
 
 A line may never be silent, or another process may hold it. The wait for such a line is limited: a
 caller gets an error, and a posted request is sent anyway.
 
-Modbus exchanges, and recognition of answers in the received bytes.
-
-pymodbus decodes. On a serial line, all bytes received since a request must be its answer, complete
-and with its check sum. On TCP, the bytes are a stream of ADUs, each read from its header. So half
-of a late answer does no harm.
-
 Source: MODBUS Messaging on TCP/IP Implementation Guide V1.0b, section 3.1.3 (MBAP); for the request
 fields repeated in a response, MODBUS Application Protocol V1.1b3, sections 6.3, 6.6 and 6.12.
-
-Errors of Modbus servers: refusals and invalid answers, below PeerError.
 """
 
 from collections import deque
@@ -30,7 +25,6 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import TYPE_CHECKING, Final, Protocol, final
 
-from pymodbus.client.mixin import ModbusClientMixin
 from pymodbus.exceptions import ModbusException
 from pymodbus.framer import FramerRTU, FramerSocket
 from pymodbus.pdu import DecodePDU, ModbusPDU
@@ -41,7 +35,13 @@ from pymodbus.pdu.register_message import (
     WriteSingleRegisterRequest,
 )
 
-from motorhil.motorapi.errors import DeadlineExceeded, LinkError, MotorError, PeerError
+from motorhil.motorapi.errors import (
+    DeadlineExceeded,
+    LinkError,
+    MotorBusyError,
+    MotorError,
+    PeerError,
+)
 from motorhil.motorapi.runtime.api import Registration, Runtime
 
 if TYPE_CHECKING:
@@ -51,6 +51,73 @@ if TYPE_CHECKING:
 _HEAD: Final = 7  # of MBAP, with the unit
 _LENGTHS: Final = range(2, 255)  # in MBAP: of the unit and a PDU
 _HEARD_MAX: Final = 512  # bytes; more than any answer
+_LOCKED_NS: Final = 1_000_000
+_AT_ONCE_S: Final = 1e-9
+_QUARANTINE_NS: Final = 500_000_000
+_PATIENCE_NS: Final = 2_000_000_000  # for the line, of a waiting caller
+_URGENT_NS: Final = 100_000_000  # for silence, of a posted request
+GATEWAY_TARGET_FAILED: Final = 0x0B
+"""The exception code of a gateway, for a unit that does not answer."""
+
+# MODBUS Application Protocol Specification V1.1b3, section 7
+_TEXT: Final = {
+    0x01: "illegal function",
+    0x02: "illegal data address",
+    0x03: "illegal data value",
+    0x04: "server device failure",
+    0x05: "acknowledge",
+    0x06: "server device busy",
+    0x08: "memory parity error",
+    0x0A: "gateway path unavailable",
+    GATEWAY_TARGET_FAILED: "gateway target device failed to respond",
+}
+
+
+@final
+class ModbusExceptionResponse(PeerError):  # noqa: N818 -- the specification's name
+    """The server refused a request (MODBUS Application Protocol V1.1b3, section 7).
+
+    Attributes: line, unit, function (its code), address (PDU's, None: the request has none),
+    exception_code.
+    """
+
+    def __init__(
+        self, *, line: str, unit: int, function: int, address: int | None, exception_code: int
+    ) -> None:
+        self.line = line
+        self.unit = unit
+        self.function = function
+        self.address = address
+        self.exception_code = exception_code
+        text = _TEXT.get(exception_code, "code not listed in the specification")
+        where = "" if address is None else f" at {address:04X}h"
+        super().__init__(
+            f"{line} unit {unit}: function {function:02X}h{where} refused: {text}"
+            f" ({exception_code:02X}h)"
+        )
+
+
+@final
+class ModbusProtocolViolation(PeerError):  # noqa: N818 -- what happened
+    """The received bytes are not an answer to the request.
+
+    Attributes: line, unit, problem (in words), heard (the bytes).
+    """
+
+    def __init__(self, *, line: str, unit: int, problem: str, heard: bytes) -> None:
+        self.line = line
+        self.unit = unit
+        self.problem = problem
+        self.heard = heard
+        shown = heard[:24].hex(" ").upper() + (" ..." if len(heard) > 24 else "")
+        super().__init__(f"{line} unit {unit}: {problem} ({shown})")
+
+
+def is_silence(error: Exception) -> bool:
+    """Return whether the error means that a unit does not answer, directly or behind a gateway."""
+    if isinstance(error, ModbusExceptionResponse):
+        return error.exception_code == GATEWAY_TARGET_FAILED
+    return isinstance(error, DeadlineExceeded)
 
 
 @final
@@ -174,80 +241,6 @@ def _decoded(framer: FramerRTU | FramerSocket, adu: bytes, exchange: Exchange) -
         return None
 
 
-# ruff: noqa: N818 -- the specification's names, and what happened
-
-
-GATEWAY_TARGET_FAILED: Final = 0x0B
-"""The exception code of a gateway, for a unit that does not answer."""
-
-# MODBUS Application Protocol Specification V1.1b3, section 7
-_TEXT: Final = {
-    0x01: "illegal function",
-    0x02: "illegal data address",
-    0x03: "illegal data value",
-    0x04: "server device failure",
-    0x05: "acknowledge",
-    0x06: "server device busy",
-    0x08: "memory parity error",
-    0x0A: "gateway path unavailable",
-    GATEWAY_TARGET_FAILED: "gateway target device failed to respond",
-}
-
-
-@final
-class ModbusExceptionResponse(PeerError):
-    """The server refused a request (MODBUS Application Protocol V1.1b3, section 7).
-
-    Attributes: line, unit, function (its code), address (PDU's, None: the request has none),
-    exception_code.
-    """
-
-    def __init__(
-        self, *, line: str, unit: int, function: int, address: int | None, exception_code: int
-    ) -> None:
-        self.line = line
-        self.unit = unit
-        self.function = function
-        self.address = address
-        self.exception_code = exception_code
-        text = _TEXT.get(exception_code, "code not listed in the specification")
-        where = "" if address is None else f" at {address:04X}h"
-        super().__init__(
-            f"{line} unit {unit}: function {function:02X}h{where} refused: {text}"
-            f" ({exception_code:02X}h)"
-        )
-
-
-@final
-class ModbusProtocolViolation(PeerError):
-    """The received bytes are not an answer to the request.
-
-    Attributes: line, unit, problem (in words), heard (the bytes).
-    """
-
-    def __init__(self, *, line: str, unit: int, problem: str, heard: bytes) -> None:
-        self.line = line
-        self.unit = unit
-        self.problem = problem
-        self.heard = heard
-        shown = heard[:24].hex(" ").upper() + (" ..." if len(heard) > 24 else "")
-        super().__init__(f"{line} unit {unit}: {problem} ({shown})")
-
-
-def is_silence(error: Exception) -> bool:
-    """Return whether the error means that a unit does not answer, directly or behind a gateway."""
-    if isinstance(error, ModbusExceptionResponse):
-        return error.exception_code == GATEWAY_TARGET_FAILED
-    return isinstance(error, DeadlineExceeded)
-
-
-_LOCKED_NS: Final = 1_000_000
-_AT_ONCE_S: Final = 1e-9
-_QUARANTINE_NS: Final = 500_000_000
-_PATIENCE_NS: Final = 2_000_000_000  # for the line, of a waiting caller
-_URGENT_NS: Final = 100_000_000  # for silence, of a posted request
-
-
 class ByteLine(Protocol):
     """A serial line or a TCP connection, as bytes."""
 
@@ -279,7 +272,7 @@ class ByteLine(Protocol):
 
 @final
 class ModbusLine:
-    """The host's end of one line; `open_line` returns a shared one.
+    """The host's end of one line, shared by its units.
 
     Attributes:
         strays: the number of answers that matched no request.
@@ -433,8 +426,6 @@ class ModbusLine:
         """Take the lock between processes; return False if another process holds it."""
         if self._lock is None or self._hold is not None:
             return True
-        from motorhil.motorapi.errors import MotorBusyError
-
         try:
             self._hold = self._lock.acquire(self.runtime, "a Modbus exchange", 0.0, self)
         except MotorBusyError:
@@ -554,21 +545,6 @@ class ModbusLine:
         self._unlock()
         for exchange in waiting:
             exchange.error, exchange.is_over = error, True
-
-
-@final
-class UnitClient(ModbusClientMixin[ModbusPDU]):
-    """pymodbus' client calls for one unit of a line, blocking in the runtime."""
-
-    def __init__(self, line: ModbusLine, unit: int, timeout_s: float) -> None:
-        super().__init__()  # type: ignore[no-untyped-call]  # pymodbus'
-        self.line: Final = line
-        self.unit: Final = unit
-        self.timeout_s: Final = timeout_s
-
-    def execute(self, no_response_expected: bool, request: ModbusPDU) -> ModbusPDU:
-        """Send a request and return its answer; raises as `ModbusLine.ask`."""
-        return self.line.ask(request, self.unit, self.timeout_s)
 
 
 if TYPE_CHECKING:  # mypy checks that these classes implement ByteLine

@@ -1,175 +1,49 @@
-"""The common part of adaptations to polled drives with registers.
+"""The logical motor of a polled drive with registers, and its builder.
 
-Such a drive makes its profiles itself, and sends nothing without a request. Its hardware object
-reports the status (`Poll`) and executes commands in the drive's own units; this module makes a
-motor of it. All targets are absolute, so that a command whose answer was lost can be verified, and
-is never executed twice.
-
-Rounding to the registers of a polled drive, without exceeding a limit.
-
-Shared part of the `build` functions of polled drives.
+The drive makes its profiles itself, and sends nothing without a request. This module follows its
+status while a motion is active, and makes a motor of its hardware object.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from enum import Enum
-from math import floor
-from typing import TYPE_CHECKING, Final, Protocol, TypeVar, final
+from typing import TYPE_CHECKING, Final, Generic, TypeVar, final
 
 from motorhil.motorapi.adaptations.modbus.client import is_silence
-from motorhil.motorapi.adaptations.registration import Shared
+from motorhil.motorapi.adaptations.modbus.polled_hardware import Poll, PolledHardware, Wanted
+from motorhil.motorapi.adaptations.registration import Shared, read_settings
 from motorhil.motorapi.commands import ControlMode, ControlVariable
 from motorhil.motorapi.errors import (
     DeviceFault,
-    LimitError,
     LinkError,
     MotionInterrupted,
     UnsupportedError,
-    UsageError,
 )
-from motorhil.motorapi.model import MotionKind
 from motorhil.motorapi.motion import Motion
 from motorhil.motorapi.motor import Motor
 from motorhil.motorapi.state import Fault, Measurement, MotorState
-from motorhil.motorapi.synchronization.quality import MotionTimes, SyncLevel, SyncOffer, Trigger
+from motorhil.motorapi.synchronization.offer import SyncOffer, Trigger
+from motorhil.motorapi.synchronization.quality import MotionTimes, SyncLevel
 from motorhil.settings import REQUIRED, number, text, whole
 
 if TYPE_CHECKING:
     from motorhil.motorapi.adaptations.modbus.client import ByteLine
-    from motorhil.motorapi.adaptations.modbus.unit import ModbusUnit
     from motorhil.motorapi.model import MotorModel
-    from motorhil.motorapi.ownership.physical_motor import PhysicalMotor
     from motorhil.motorapi.runtime.api import Runtime
 
 POLL_S: Final = 0.01
-_BEGIN_NS: Final = 100_000_000
-"""The time for which a drive may show an old status [ns]."""
+_BEGIN_NS: Final = 100_000_000  # for which a drive may show an old status
 _RESTS: Final = 2  # the values of one poll are not simultaneous
 _NEAR_TURNS: Final = 1 / 200  # a full step: no drive rounds a target by more
 _SUPPORTED: Final = (ControlVariable.POSITION, ControlVariable.VELOCITY)
 
-
-@final
-@dataclass(frozen=True, slots=True)
-class Poll:
-    """The status of a drive at `time_ns`, in SI units of the motor.
-
-    Attributes:
-        is_moving: whether an operation is active.
-        has_arrived: whether the last operation is over, and at its target.
-        at_velocity: whether the velocity is the commanded one.
-    """
-
-    time_ns: int
-    state: MotorState
-    fault: Fault | None
-    position: float
-    demand: float
-    velocity: float
-    is_moving: bool
-    has_arrived: bool
-    at_velocity: bool
+HardwareT = TypeVar("HardwareT", bound=PolledHardware)
 
 
 @final
-class Wanted(Enum):
-    """The condition that ends the active motion."""
-
-    ARRIVAL = "arrival"
-    VELOCITY = "velocity"
-    REST = "rest"
-
-
-@final
-class PolledProgress:
-    """The state of a physical motor, for all logical motors on it.
-
-    Attributes: poll (the last one since a command), wanted (None: no active motion), armed (the
-    value of `wanted` after the trigger), started_ns, ended_ns (of the last command), armed_at and
-    target (its target position or velocity; None: any), rests (consecutive polls without motion).
-    """
-
-    __slots__ = (
-        *("armed", "armed_at", "ended_ns", "poll", "rests", "started_ns", "target", "wanted"),
-    )
-
-    def __init__(self) -> None:
-        self.poll: Poll | None = None
-        self.wanted: Wanted | None = None
-        self.armed = Wanted.ARRIVAL
-        self.armed_at: float | None = None
-        self.target: float | None = None
-        self.rests = 0
-        self.started_ns: int | None = None
-        self.ended_ns: int | None = None
-
-
-class PolledHardware(Protocol):
-    """The interface of a polled drive's hardware object; all methods but the stops may wait."""
-
-    @property
-    def progress(self) -> PolledProgress:
-        """The state of its motor."""
-
-    @property
-    def runtime(self) -> "Runtime":
-        """The runtime to wait with."""
-
-    @property
-    def physical(self) -> "PhysicalMotor":
-        """The record of the physical motor."""
-
-    @property
-    def label(self) -> str:
-        """The name of the hardware in messages."""
-
-    @property
-    def is_closed(self) -> bool:
-        """True if the hardware is closed."""
-
-    @property
-    def is_referenced(self) -> bool:
-        """True if the drive reports that it is referenced."""
-
-    def connect(self, model: "MotorModel") -> None:
-        """Read the units of the drive; cheap if they are known."""
-
-    def poll(self, model: "MotorModel") -> Poll:
-        """Read the present status."""
-
-    def enable(self) -> None:
-        """Switch the motor current on; the motor holds its position."""
-
-    def disable(self) -> None:
-        """Switch the motor current off."""
-
-    def reset_fault(self) -> None:
-        """Reset the fault."""
-
-    def home(self, method: int | None, motor: str) -> None:
-        """Start homing."""
-
-    def quantised(self, motion: Motion, model: "MotorModel") -> Motion:
-        """Return the motion in the drive's resolution; requires `connect`."""
-
-    def turn(self, model: "MotorModel") -> float:
-        """Return one turn of the motor in its model's units; requires `connect`."""
-
-    def prepare(self, motion: Motion, model: "MotorModel") -> None:
-        """Prepare the motion, except for its trigger."""
-
-    def trigger(self) -> None:
-        """Start the prepared motion."""
-
-    def post_stop(self, quick: bool) -> None:
-        """Send a stop, without waiting and without owning the motor."""
-
-
-@final
-class _PolledTrigger:
+class _PolledTrigger(Generic[HardwareT]):
     """A trigger that starts one drive."""
 
-    def __init__(self, motor: "PolledMotor") -> None:
+    def __init__(self, motor: "PolledMotor[HardwareT]") -> None:
         self._motor = motor
 
     def fire(self) -> None:
@@ -177,7 +51,7 @@ class _PolledTrigger:
         self._motor.fire()
 
 
-class PolledMotor(Motor):
+class PolledMotor(Motor, Generic[HardwareT]):
     """The logical motor of a polled drive; each adaptation derives a class of its own name.
 
     Args:
@@ -185,11 +59,14 @@ class PolledMotor(Motor):
         model: the constants of the motor.
         name: the name in messages and records. None: the model's name and the place.
         on_close: called once, when the motor is closed.
+
+    Attributes:
+        hardware: the hardware object of the drive.
     """
 
     def __init__(
         self,
-        hardware: PolledHardware,
+        hardware: HardwareT,
         model: "MotorModel",
         *,
         name: str | None = None,
@@ -201,7 +78,7 @@ class PolledMotor(Motor):
             runtime=hardware.runtime,
             physical=hardware.physical,
         )
-        self._polled = hardware
+        self.hardware: Final = hardware
         self._on_close = on_close
 
     def close(self) -> None:
@@ -219,7 +96,7 @@ class PolledMotor(Motor):
         reason = "its line carries one request at a time: it is started by its own request"
         return SyncOffer(
             SyncLevel.SEQUENTIAL,
-            self._polled.label,
+            self.hardware.label,
             None,
             reason,
             no_firing_bound="the duration of a Modbus exchange is not bounded",
@@ -228,20 +105,20 @@ class PolledMotor(Motor):
         )
 
     def _quantise(self, motion: Motion) -> Motion:
-        return self._polled.quantised(motion, self.model)
+        return self.hardware.quantised(motion, self.model)
 
     # --- connecting, state and measurements -------------------------------------------------
 
     def _connect(self) -> None:
-        if self._polled.is_closed:
-            label = self._polled.label
+        if self.hardware.is_closed:
+            label = self.hardware.label
             raise LinkError(link=label, reason="this hardware object is closed")
-        self._polled.connect(self.model)
+        self.hardware.connect(self.model)
 
     def _poll(self) -> Poll:
         """Read the present status, for all logical motors on the drive."""
-        poll = self._polled.poll(self.model)
-        state = self._polled.progress
+        poll = self.hardware.poll(self.model)
+        state = self.hardware.progress
         state.poll = poll
         rests = poll.has_arrived or poll.state is MotorState.DISABLED
         state.rests = state.rests + 1 if rests else 0
@@ -262,7 +139,7 @@ class PolledMotor(Motor):
         return self._poll().fault
 
     def _read_referenced(self) -> bool:
-        return self._polled.is_referenced
+        return self.hardware.is_referenced
 
     def _read_position(self) -> float:
         return self._poll().position
@@ -271,7 +148,7 @@ class PolledMotor(Motor):
         return self._poll().velocity
 
     def _read_reference(self) -> float:
-        poll, told = self._poll(), self._polled.progress
+        poll, told = self._poll(), self.hardware.progress
         if poll.state is not MotorState.ENABLED:
             return poll.position
         if told.wanted is Wanted.ARRIVAL and told.target is not None and self._is_near(poll):
@@ -283,7 +160,7 @@ class PolledMotor(Motor):
         return poll.demand - poll.position
 
     def _latest(self) -> Measurement | None:
-        poll = self._polled.progress.poll
+        poll = self.hardware.progress.poll
         if poll is None:
             return None
         error = poll.demand - poll.position
@@ -296,14 +173,14 @@ class PolledMotor(Motor):
     # --- power, fault, reference ------------------------------------------------------------
 
     def _enable(self) -> None:
-        self._polled.enable()
+        self.hardware.enable()
 
     def _disable(self) -> None:
-        self._polled.disable()
-        self._polled.progress.wanted = None
+        self.hardware.disable()
+        self.hardware.progress.wanted = None
 
     def _reset_fault(self) -> None:
-        self._polled.reset_fault()
+        self.hardware.reset_fault()
         poll = self._poll()
         self._raise_fault(poll)
 
@@ -315,7 +192,7 @@ class PolledMotor(Motor):
             )
 
     def _home(self, method: int | None) -> None:
-        self._polled.home(method, self.name)
+        self.hardware.home(method, self.name)
         self._begun(Wanted.ARRIVAL)
 
     # --- motion -----------------------------------------------------------------------------
@@ -323,20 +200,20 @@ class PolledMotor(Motor):
     def _arm(self, motion: Motion, *, together: bool) -> Trigger:
         if motion.function is not None:
             raise UnsupportedError(motor=self.name, feature="a trajectory that is a function")
-        self._polled.prepare(motion, self.model)
+        self.hardware.prepare(motion, self.model)
         moves = motion.variable is ControlVariable.POSITION
-        self._polled.progress.armed = Wanted.ARRIVAL if moves else Wanted.VELOCITY
-        self._polled.progress.armed_at = motion.target
+        self.hardware.progress.armed = Wanted.ARRIVAL if moves else Wanted.VELOCITY
+        self.hardware.progress.armed_at = motion.target
         return _PolledTrigger(self)
 
     @final
     def fire(self) -> None:
         """Start the armed motion; for its trigger."""
-        self._polled.trigger()
-        self._begun(self._polled.progress.armed, self._polled.progress.armed_at)
+        self.hardware.trigger()
+        self._begun(self.hardware.progress.armed, self.hardware.progress.armed_at)
 
     def _begun(self, wanted: Wanted, target: float | None = None) -> None:
-        state = self._polled.progress
+        state = self.hardware.progress
         state.wanted = wanted
         state.target = target
         state.rests = 0
@@ -351,10 +228,10 @@ class PolledMotor(Motor):
         self._poll()
 
     def _is_done(self) -> bool:
-        state = self._polled.progress
+        state = self.hardware.progress
         poll = state.poll
-        if self._polled.is_closed:
-            raise LinkError(link=self._polled.label, reason="this hardware object is closed")
+        if self.hardware.is_closed:
+            raise LinkError(link=self.hardware.label, reason="this hardware object is closed")
         if poll is None:
             return state.wanted is None
         self._raise_fault(poll)
@@ -371,18 +248,18 @@ class PolledMotor(Motor):
 
     def _is_short(self, poll: Poll) -> bool:
         """Return whether the drive rests elsewhere than commanded, or at another velocity."""
-        state = self._polled.progress
+        state = self.hardware.progress
         if not poll.has_arrived or state.target is None:
             return False
         return state.target != 0.0 if state.wanted is Wanted.VELOCITY else not self._is_near(poll)
 
     def _is_near(self, poll: Poll) -> bool:
-        target, near = self._polled.progress.target, _NEAR_TURNS * self._polled.turn(self.model)
+        target, near = self.hardware.progress.target, _NEAR_TURNS * self.hardware.turn(self.model)
         return target is not None and abs(poll.demand - target) <= near
 
     def _refuse_interrupted(self, poll: Poll) -> None:
         """Raise MotionInterrupted if the drive or another program has ended the motion."""
-        state = self._polled.progress
+        state = self.hardware.progress
         began_ns = poll.time_ns if state.started_ns is None else state.started_ns
         moves = state.wanted in (Wanted.ARRIVAL, Wanted.VELOCITY)
         if not moves or poll.time_ns - began_ns < _BEGIN_NS or state.rests < _RESTS:
@@ -397,73 +274,24 @@ class PolledMotor(Motor):
 
     def _stop(self) -> None:
         self._begun(Wanted.REST)
-        self._polled.post_stop(quick=False)
+        self.hardware.post_stop(quick=False)
 
     def _quick_stop(self) -> None:
         self._begun(Wanted.REST)
-        self._polled.post_stop(quick=True)
+        self.hardware.post_stop(quick=True)
 
     def _open_low_level(self) -> object:
-        return self._polled
+        return self.hardware
 
     def _close_low_level(self) -> None:
-        self._polled.progress.poll = None
+        self.hardware.progress.poll = None
 
     def _motion_times(self) -> MotionTimes | None:
-        state = self._polled.progress
+        state = self.hardware.progress
         if state.started_ns is None:
             return None
         source = f"its trigger acknowledged; its status as polled every {POLL_S * 1e3:g} ms"
         return MotionTimes(state.started_ns, state.ended_ns, source)
-
-
-_ROUNDING: Final = 1e-9
-"""The tolerance below an integer that counts as the integer, so that rounding twice changes
-nothing.
-"""
-
-
-def gear(model: "MotorModel") -> float:
-    """Return the motor turns per turn of the output, or per metre.
-
-    Raises:
-        UsageError: the model does not define them.
-    """
-    if model.gear_ratio is None:
-        key = "motor_turns_per_m" if model.kind is MotionKind.LINEAR else "gear_ratio"
-        raise UsageError(
-            f"motor model {model.name}: {key} is not given; the drive counts pulses of the motor,"
-            f" so add it ({key} = 1.0, if there is no gear)"
-        )
-    return model.gear_ratio
-
-
-def toward_zero(value: float) -> int:
-    """Return the nearest integer towards 0."""
-    size = floor(abs(value) + _ROUNDING)
-    return size if value > 0 else -size
-
-
-def check_register(label: str, quantity: str, value: int, high: int, unit: str) -> None:
-    """Check that a register of the drive `label` can hold `value`.
-
-    Raises:
-        LimitError: the value is above `high`; the message gives the quantity in the drive's unit.
-    """
-    if value > high:
-        raise LimitError(
-            motor=label,
-            quantity=quantity,
-            value=value,
-            low=None,
-            high=high,
-            unit=unit,
-            reason="the range of the drive's register",
-        )
-
-
-BUS_KINDS: Final = ("modbus_rtu", "modbus_tcp")
-"""The `bus_kinds` of a `build` for Modbus drives: the kinds of bus they may be on."""
 
 
 @final
@@ -476,49 +304,50 @@ class PolledTable:
     timeout_s: float = number(0.2, 0.001, 60.0, "s", "Response timeout.")
 
 
-class ModbusHardware(Protocol):
-    """A hardware object of a Modbus drive, as far as building is concerned."""
-
-    users: int
-
-    @property
-    def registers(self) -> "ModbusUnit":
-        """The registers of the drive."""
-
-    @property
-    def label(self) -> str:
-        """The name of the hardware in messages."""
-
-    @property
-    def is_closed(self) -> bool:
-        """True if the hardware is closed."""
-
-    def close(self) -> None:
-        """Close the hardware; no motor can use it afterwards."""
-
-
-ModbusHardwareT = TypeVar("ModbusHardwareT", bound=ModbusHardware)
-
-
-def shared_hardware(
-    shared: Shared[ModbusHardwareT],
-    line: "ByteLine",
-    own: PolledTable,
-    make: Callable[[int, float], ModbusHardwareT],
-) -> ModbusHardwareT:
-    """Return the hardware object described by a settings table, and count one more user.
+@final
+class PolledBuilder(Generic[HardwareT]):
+    """The `build` of one make of polled drives (entry point `motorhil.adaptations`).
 
     Args:
-        shared: the existing hardware objects of this kind.
-        line: the line of the drive.
-        own: the table.
-        make: makes a hardware object from its server address and timeout [s].
-
-    Raises:
-        UsageError: another motor has other settings for the drive.
+        hardware: the class of the hardware.
+        motor: the class of the motor.
     """
-    return shared.get(
-        (id(line), own.unit),
-        lambda: make(own.unit, own.timeout_s),
-        lambda built: built.registers.timeout_s == own.timeout_s,
-    )
+
+    bus_kinds: Final = ("modbus_rtu", "modbus_tcp")
+
+    def __init__(self, hardware: type[HardwareT], motor: "type[PolledMotor[HardwareT]]") -> None:
+        self._hardware = hardware
+        self._motor = motor
+        self._shared: Shared[HardwareT] = Shared("drive")
+
+    def __call__(
+        self,
+        bus: "ByteLine",
+        settings: Mapping[str, object],
+        model: "MotorModel",
+        runtime: "Runtime",
+    ) -> PolledMotor[HardwareT]:
+        """Return the motor described by a settings table.
+
+        Args:
+            bus: the line of the drive.
+            settings: `unit`; `name` (None: the model's); `timeout_s`, the response timeout [s].
+            model: the motor model; its gear ratio must be given.
+            runtime: the runtime to wait with.
+
+        Raises:
+            UsageError: a setting is unknown, missing or invalid.
+        """
+        own = read_settings(PolledTable, settings)
+        hardware = self._shared.get(
+            bus,
+            own.unit,
+            lambda: self._hardware(bus, own.unit, runtime=runtime, timeout_s=own.timeout_s),
+            lambda built: built.registers.timeout_s == own.timeout_s,
+        )
+        return self._motor(
+            hardware,
+            model,
+            name=own.name,
+            on_close=lambda: self._shared.give_back(hardware),
+        )

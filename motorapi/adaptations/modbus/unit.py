@@ -4,7 +4,6 @@ Two locks coordinate processes, as on CAN: one for the ownership of the drive, o
 on its line.
 """
 
-from collections.abc import Hashable
 from typing import TYPE_CHECKING, Final, final
 
 from pymodbus.pdu.register_message import (
@@ -20,6 +19,7 @@ from motorhil.motorapi.adaptations.modbus.client import (
     ModbusProtocolViolation,
     is_silence,
 )
+from motorhil.motorapi.bus_context import context_of
 from motorhil.motorapi.errors import DeadlineExceeded, LinkError, MotorError, PeerError, UsageError
 from motorhil.motorapi.locking.directory import line_name
 from motorhil.motorapi.locking.process_lock import ProcessLock, can_share_time
@@ -34,15 +34,14 @@ if TYPE_CHECKING:
     from motorhil.motorapi.ownership.fencing import Owned
     from motorhil.motorapi.runtime.api import Runtime
 
-_LINES: Final[dict[int, ModbusLine]] = {}  # by id(line), which stays unique while we hold the line
-
 
 def _open(line: ByteLine, runtime: "Runtime") -> ModbusLine:
-    known = _LINES.get(id(line))
-    if known is None:
+    def make() -> ModbusLine:
         where = line_name(line) if can_share_time(runtime) else None
         lock = None if where is None else ProcessLock(f"{where}-exchange", f"the line {line.name}")
-        known = _LINES[id(line)] = ModbusLine(line, runtime, lock)
+        return ModbusLine(line, runtime, lock)
+
+    known = context_of(line).parts.part(ModbusLine, make)
     known.users += 1
     return known
 
@@ -50,7 +49,7 @@ def _open(line: ByteLine, runtime: "Runtime") -> ModbusLine:
 def _release(line: ModbusLine) -> None:
     line.users -= 1
     if line.users == 0:
-        _LINES.pop(id(line.line), None)
+        context_of(line.line).parts.drop(line)
         line.close()
 
 
@@ -84,8 +83,7 @@ class ModbusUnit:
         self.label: Final = f"{line.name} unit {unit}"
         where = line_name(line) if can_share_time(runtime) else None
         lock = None if where is None else ProcessLock(f"{where}-unit{unit}", self.label)
-        self._key: Hashable = (id(line) if where is None else where, unit)
-        self.physical: Final = register_physical_motor(self._key, self.label, hardware, lock)
+        self.physical: Final = register_physical_motor(line, unit, self.label, hardware, lock)
         self._hardware = hardware
         self.line: Final = _open(line, runtime)
         self.is_closed = False
@@ -95,7 +93,7 @@ class ModbusUnit:
         """Close the unit; further calls do nothing."""
         if not self.is_closed:
             self.is_closed = True
-            release_physical_motor(self._key, self._hardware)
+            release_physical_motor(self.line.line, self.unit, self._hardware)
             _release(self.line)
 
     def _require_open(self) -> None:

@@ -9,27 +9,27 @@ Source: an open-source master for these drives, and the description of the maker
 """
 
 from dataclasses import replace
-from math import floor, pi
+from math import floor
 from typing import TYPE_CHECKING, Final, final
 
 from motorhil.motorapi.adaptations.modbus.client import ByteLine, Exchange
-from motorhil.motorapi.adaptations.modbus.polled_motor import (
+from motorhil.motorapi.adaptations.modbus.polled_hardware import (
+    BOOT_S,
+    HERE,
+    INT32_MAX,
     Poll,
-    PolledProgress,
+    PolledHardware,
     check_register,
-    gear,
     toward_zero,
 )
-from motorhil.motorapi.adaptations.modbus.unit import ModbusUnit, words
+from motorhil.motorapi.adaptations.modbus.unit import words
 from motorhil.motorapi.commands import ControlVariable
 from motorhil.motorapi.errors import DeadlineExceeded, UnsupportedError
-from motorhil.motorapi.model import MotionKind
 from motorhil.motorapi.motion import Motion
-from motorhil.motorapi.state import Fault, MotorState
+from motorhil.motorapi.state import MotorState
 
 if TYPE_CHECKING:
     from motorhil.motorapi.model import MotorModel
-    from motorhil.motorapi.ownership.physical_motor import PhysicalMotor
     from motorhil.motorapi.runtime.api import Runtime
 
 _BLOCK: Final = 0x0058
@@ -57,12 +57,9 @@ _IS_ALARM: Final = 0x0080
 _MOVE: Final = 0x2000
 _IN_POSITION: Final = 0x4000
 
-_HERE: Final = (None, 35, 37)
 _FULL_CURRENT: Final = 1000
 _SPEED_MAX: Final = 4_000_000
 _RATE_MAX: Final = 1_000_000_000
-_INT32_MAX: Final = 0x7FFF_FFFF
-_BOOT_S: Final = 3.0
 _RELEASE_S: Final = 0.5
 _POLL_S: Final = 0.005
 _NEAR: Final = 0.02  # of the commanded speed
@@ -80,93 +77,38 @@ _ALARMS: Final = {
 
 
 @final
-class OrientalAzHwMotor:
-    """One AZ drive, shared by all logical motors and threads of a process.
-
-    Args:
-        line: the line of the drive.
-        unit: its server address.
-        runtime: the runtime to wait with.
-        timeout_s: the response timeout [s].
-
-    Raises:
-        UsageError: a hardware object for this drive exists already.
-    """
+class OrientalAzHwMotor(PolledHardware):
+    """One AZ drive; see `PolledHardware`."""
 
     def __init__(
         self, line: ByteLine, unit: int, *, runtime: "Runtime", timeout_s: float = 0.2
     ) -> None:
-        self.registers: Final = ModbusUnit(line, unit, runtime, self, timeout_s)
-        self.progress: Final = PolledProgress()
-        self.users = 0
-        self._steps = 0.0  # per turn of the motor; 0: not read yet
-        self._asked_at = (-1, 0)  # `standing` at that time
-        self._fault_since_ns = 0
+        super().__init__(line, unit, runtime=runtime, timeout_s=timeout_s)
         self._is_enabled = False  # by us: the drive excites its motor at power-on without a command
-        self._quick_stopped = False
         self._prepared: tuple[int, ...] = ()
         self._told: tuple[tuple[int, ...], ...] = ()  # the drive holds one of these blocks
         self._deceleration = 1_000_000
         self._hz: int | None = None  # commanded; None: a position motion
-        self._stop: Exchange | None = None
-
-    def __repr__(self) -> str:
-        return f"<OrientalAzHwMotor {self.label}>"
-
-    @property
-    def runtime(self) -> "Runtime":
-        """The runtime to wait with."""
-        return self.registers.runtime
-
-    @property
-    def physical(self) -> "PhysicalMotor":
-        """The record of the physical motor."""
-        return self.registers.physical
-
-    @property
-    def label(self) -> str:
-        """The name of the hardware in messages."""
-        return self.registers.label
-
-    @property
-    def is_closed(self) -> bool:
-        """True if the hardware is closed."""
-        return self.registers.is_closed
 
     @property
     def is_referenced(self) -> bool:
         """Always True: the encoder is absolute."""
         return True
 
-    def close(self) -> None:
-        """Close the hardware; further calls do nothing."""
-        self.registers.close()
-
     # --- units ---------------------------------------------------------------------------------
 
-    def connect(self, model: "MotorModel") -> None:
-        """Read the steps per turn, unless they are known."""
-        gear(model)
-        standing = self.registers.standing
-        if self._asked_at == standing:
-            return
-        if not self._steps:
-            self.registers.first_read(_OUTPUTS, _BOOT_S)
+    def _read_counts(self, standing: tuple[int, int]) -> float:
+        if not self._counts:
+            self.registers.first_read(_OUTPUTS, BOOT_S)
         a, b = self.registers.read_i32(_GEAR_A), self.registers.read_i32(_GEAR_B)
         if self._is_enabled and self._asked_at[1] != standing[1]:
             self._is_enabled = self._remembers()
-        self._steps = 1000.0 * b / a
-        self._asked_at = standing
+        return 1000.0 * b / a
 
     def _remembers(self) -> bool:
         """Return whether the drive holds our last block; a loss of power clears it."""
         held = tuple(self.registers.read(_BLOCK, _TRIGGER_AT))
         return held in [block[:_TRIGGER_AT] for block in self._told]
-
-    def _per_unit(self, model: "MotorModel") -> float:
-        """Return the steps per U."""
-        turns = 1.0 if model.kind is MotionKind.LINEAR else 1.0 / (2.0 * pi)
-        return gear(model) * turns * self._steps
 
     # --- status ----------------------------------------------------------------------------------
 
@@ -178,7 +120,7 @@ class OrientalAzHwMotor:
         demand = registers.read_i32(_DEMAND)
         speed = registers.read_i32(_SPEED)
         outputs = registers.read_i32(_OUTPUTS)
-        fault = self._fault(outputs)
+        fault = self._fault(bool(outputs & _IS_ALARM), _ALARMS)
         is_moving = bool(outputs & _MOVE)
         self._stop_again(is_moving)
         is_free = not outputs & (_READY | _MOVE)
@@ -204,14 +146,8 @@ class OrientalAzHwMotor:
             return True
         return abs(speed - hz) <= _COARSE_HZ and self.registers.read_i32(_SPEED_DEMAND) == hz
 
-    def _fault(self, outputs: int) -> Fault | None:
-        if not outputs & _IS_ALARM:
-            self._fault_since_ns = 0
-            return None
-        code = self.registers.read_i32(_ALARM)
-        if not self._fault_since_ns:
-            self._fault_since_ns = self.runtime.now_ns()
-        return Fault(code, _ALARMS.get(code, "see the drive's manual"), self._fault_since_ns)
+    def _read_alarm(self) -> int:
+        return self.registers.read_i32(_ALARM)
 
     # --- power, fault, reference ------------------------------------------------------------------
 
@@ -225,7 +161,7 @@ class OrientalAzHwMotor:
                 raise DeadlineExceeded(
                     awaited=f"{self.label}: READY",
                     timeout_s=_RELEASE_S,
-                    last_heard=f"alarm {self.registers.read_i32(_ALARM):02X}h",
+                    last_heard=f"alarm {self._read_alarm():02X}h",
                 )
             self.runtime.wait_until(lambda: False, _POLL_S)
         self._is_enabled = True
@@ -244,16 +180,12 @@ class OrientalAzHwMotor:
 
     def home(self, method: int | None, motor: str) -> None:
         """Define the present position as 0 (35, 37); an absolute encoder needs no search."""
-        if method not in _HERE:
+        if method not in HERE:
             feature = f"homing by method {method}"
             raise UnsupportedError(motor=motor, feature=feature, supported="35 and 37")
         self.registers.write(_PRESET, *words(1))
 
     # --- motion -----------------------------------------------------------------------------------
-
-    def turn(self, model: "MotorModel") -> float:
-        """Return one turn of the motor in its model's units."""
-        return self._steps / abs(self._per_unit(model))
 
     def quantised(self, motion: Motion, model: "MotorModel") -> Motion:
         """Return the motion in the drive's resolution."""
@@ -283,7 +215,7 @@ class OrientalAzHwMotor:
         else:
             kind, target = _ABSOLUTE, round(motion.target * per_unit)
             speed, self._hz = _down(motion.velocity * size), None
-            check_register(self.label, "position", abs(target), _INT32_MAX, "steps")
+            check_register(self.label, "position", abs(target), INT32_MAX, "steps")
         check_register(self.label, "velocity", abs(speed), _SPEED_MAX, "Hz")
         self._prepared = words(0, kind, target, speed, faster, slower, _FULL_CURRENT, 1)
         self._deceleration = slower
@@ -297,23 +229,12 @@ class OrientalAzHwMotor:
     def _tell(self, block: tuple[int, ...]) -> None:
         self._told = (*self._told[-1:], block)  # the one before, in case this one is lost
 
-    def post_stop(self, quick: bool) -> None:
-        """Send a stop, and repeat it if the drive did not answer and still moves."""
+    def _post_stop(self) -> Exchange:
         self._hz = None
-        self._quick_stopped |= quick
-        self._stop = self._post()
-
-    def _post(self) -> Exchange:
         slower = self._deceleration
         block = words(0, _DECELERATE, 0, 0, slower, slower, _FULL_CURRENT, 1)
         self._tell(block)
         return self.registers.post(_BLOCK, *block)
-
-    def _stop_again(self, is_moving: bool) -> None:
-        stop = self._stop
-        if stop is not None and stop.is_over:
-            lost = stop.error is not None and is_moving
-            self._stop = self._post() if lost else None
 
 
 def _down(value: float) -> int:

@@ -1,4 +1,4 @@
-"""The adaptation of the motor interface to AZ drives (Oriental Motor).
+"""Adaptation to AZ drives (Oriental Motor).
 
 | command                                  | request to the drive                               |
 | ---------------------------------------- | -------------------------------------------------- |
@@ -8,65 +8,15 @@
 | homing                                   | here is 0 (35, 37); its encoder is absolute        |
 """
 
-from collections.abc import Mapping
-from typing import TYPE_CHECKING, Final, final
+from typing import Final, final
 
-from motorhil.motorapi.adaptations.modbus.polled_motor import (
-    BUS_KINDS,
-    PolledMotor,
-    PolledTable,
-    shared_hardware,
-)
+from motorhil.motorapi.adaptations.modbus.polled_motor import PolledBuilder, PolledMotor
 from motorhil.motorapi.adaptations.oriental_az.hardware import OrientalAzHwMotor
-from motorhil.motorapi.adaptations.registration import Shared, read_settings
-
-if TYPE_CHECKING:
-    from motorhil.motorapi.adaptations.modbus.client import ByteLine
-    from motorhil.motorapi.model import MotorModel
-    from motorhil.motorapi.runtime.api import Runtime
-
-
-_SHARED: Final[Shared[OrientalAzHwMotor]] = Shared("drive")
 
 
 @final
-class OrientalAzMotor(PolledMotor):
+class OrientalAzMotor(PolledMotor[OrientalAzHwMotor]):
     """A logical motor on an AZ drive; any number of them may share one hardware object."""
 
-    @property
-    def hardware(self) -> OrientalAzHwMotor:
-        """The hardware object of the drive."""
-        assert isinstance(self._polled, OrientalAzHwMotor)
-        return self._polled
 
-
-def build(
-    bus: "ByteLine", settings: Mapping[str, object], model: "MotorModel", runtime: "Runtime"
-) -> OrientalAzMotor:
-    """Return the motor described by a settings table (entry point `motorhil.adaptations`).
-
-    Args:
-        bus: the line of the drive.
-        settings: `unit`; `name` (None: the model's); `timeout_s`, the response timeout [s].
-        model: the motor model; its gear ratio must be given.
-        runtime: the runtime to wait with.
-
-    Raises:
-        UsageError: a setting is unknown, missing or invalid.
-    """
-    own = read_settings(PolledTable, settings)
-    hardware = shared_hardware(
-        _SHARED,
-        bus,
-        own,
-        lambda unit, timeout_s: OrientalAzHwMotor(bus, unit, runtime=runtime, timeout_s=timeout_s),
-    )
-    return OrientalAzMotor(
-        hardware,
-        model,
-        name=own.name,
-        on_close=lambda: _SHARED.give_back(hardware),
-    )
-
-
-build.bus_kinds = BUS_KINDS  # type: ignore[attr-defined]  # a plugin's mark
+build: Final = PolledBuilder(OrientalAzHwMotor, OrientalAzMotor)

@@ -35,7 +35,7 @@ def low_level_access_closes():
     def wrong(close_low_level):
         def closed(self):
             close_low_level(self)
-            self._polled.close()
+            self.hardware.close()
 
         return closed
 

@@ -33,7 +33,7 @@ def set_point_taken_as_distance():
     """An absolute position is taken as a distance."""
 
     def wrong(motor, motion):
-        absolute = is_setpoint(motion, POSITION) and not motor._command.relative
+        absolute = is_setpoint(motion, POSITION) and not motor.logical.command.relative
         return replace(motion, target=motion.start + motion.target) if absolute else motion
 
     with motions_changed(IdealMotor, wrong):
@@ -46,7 +46,7 @@ def same_distance_is_not_sent_again():
     before = {}
 
     def wrong(motor, motion):
-        command = motor._command
+        command = motor.logical.command
         relative = isinstance(command, Setpoint) and command.relative
         value = command.value if relative else None
         known, before[motor] = before.get(motor), value
@@ -63,12 +63,12 @@ def a_velocity_ends_by_itself():
     def watched(fire):
         def fired(self):
             fire(self)
-            started_ns = self._polled.progress.started_ns
+            started_ns = self.hardware.progress.started_ns
 
             def over():
                 timer.cancel()
-                if self._polled.progress.started_ns == started_ns:
-                    self._polled.post_stop(quick=False)
+                if self.hardware.progress.started_ns == started_ns:
+                    self.hardware.post_stop(quick=False)
 
             motion = self.armed_motion
             if is_setpoint(motion, VELOCITY):
@@ -152,7 +152,7 @@ def as_fast_as_it_can():
     """A set-point without limits uses the speed of the hardware, not of the model."""
 
     def wrong(motor, motion):
-        free = is_setpoint(motion, POSITION) and motor._command.limits is None
+        free = is_setpoint(motion, POSITION) and motor.logical.command.limits is None
         return replace(motion, velocity=2.0 * motion.velocity) if free else motion
 
     with motions_changed(IdealMotor, wrong):

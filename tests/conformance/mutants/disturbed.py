@@ -1,9 +1,9 @@
 """Mistakes that show only with destroyed frames and error counters."""
 
-from motorhil.motorapi.adaptations.canopen.bus import CanopenLink, Transmissions
+from motorhil.motorapi.adaptations.canopen.emcy import error_text
+from motorhil.motorapi.adaptations.canopen.link import CanLink, Transmissions
 from motorhil.motorapi.adaptations.canopen.sdo import ChannelClient
 from motorhil.motorapi.adaptations.cia402.measurements import DriveReader
-from motorhil.motorapi.adaptations.cia402.objects import error_text
 from motorhil.motorapi.runtime.can_sources import BusCondition, BusStatus
 from motorhil.motorapi.state import Fault, MotorState
 from tests.conformance.mutants import mutant, replaced
@@ -130,7 +130,7 @@ def any_error_message_is_the_end():
         return told
 
     with (
-        replaced(CanopenLink, "_on_error", wrong),
+        replaced(CanLink, "_on_error", wrong),
         replaced(DriveReader, "fresh_state", offline),
     ):
         yield

@@ -67,7 +67,7 @@ def a_wait_that_runs_out_stops_the_motor():
                 wait(motors, timeout_s, answer)
             except DeadlineExceeded:
                 for one in motors:
-                    one._call(one._stop)
+                    one.hooks.stop()
                 raise
 
         return waited
@@ -123,7 +123,7 @@ def it_moves_only_while_asked():
             def look(timer):
                 if self.runtime.now_ns() - heard[0] > 200_000_000:
                     timer.cancel()
-                    self._polled.post_stop(quick=False)
+                    self.hardware.post_stop(quick=False)
 
         return fired
 

@@ -14,7 +14,7 @@ def a_fault_ends_a_motion_as_any_other_end():
 
     def wrong(is_done):
         def done(self):
-            poll = self._polled.progress.poll
+            poll = self.hardware.progress.poll
             return True if poll is not None and poll.fault is not None else is_done(self)
 
         return done
@@ -46,7 +46,7 @@ def bringing_up_resets_faults():
         def connected(self):
             connect(self)
             if self._poll().fault is not None:
-                self._polled.reset_fault()
+                self.hardware.reset_fault()
 
         return connected
 
@@ -76,7 +76,7 @@ def a_fault_is_told_from_memory():
 
     def forgetful(read_fault):
         def told(self):
-            return None if self._polled.progress.ended_ns is not None else read_fault(self)
+            return None if self.hardware.progress.ended_ns is not None else read_fault(self)
 
         return told
 

@@ -2,13 +2,13 @@
 
 from contextlib import suppress
 
-from motorhil.motorapi.adaptations.cia402 import bringup as drive_setup
+from motorhil.motorapi.adaptations.canopen.node import CanopenNode
+from motorhil.motorapi.adaptations.canopen.object_access import ObjectAccess
 from motorhil.motorapi.adaptations.cia402.csp import CspStream
 from motorhil.motorapi.adaptations.cia402.measurements import DriveReader
 from motorhil.motorapi.adaptations.cia402.motion_status import StreamWatch
 from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
 from motorhil.motorapi.adaptations.cia402.node import DriveNode
-from motorhil.motorapi.adaptations.cia402.object_access import DriveObjects
 from motorhil.motorapi.adaptations.leadshine.hardware import LeadshineHwMotor
 from motorhil.motorapi.adaptations.modbus.polled_motor import PolledMotor
 from motorhil.motorapi.errors import DeadlineExceeded, DeviceFault, LinkError
@@ -96,12 +96,12 @@ def _instead(index, change):
     """Write another value into an object during set-up."""
 
     def wrong(write):
-        def written(node, at, subindex, value, *args):
-            return write(node, at, subindex, change(value) if at == index else value, *args)
+        def written(node, place, value, *args):
+            return write(node, place, change(value) if place[0] == index else value, *args)
 
         return written
 
-    return replaced(drive_setup, "write_if_different", wrong)
+    return replaced(CanopenNode, "write_if_different", wrong)
 
 
 def _word_frame(can_id, word):
@@ -131,7 +131,7 @@ def goes_on_by_itself_when_it_is_heard_again():
                 elif was_lost:
                     was_lost.clear()
                     timer.cancel()
-                    node.link.nmt(0x01, node.node_id)
+                    node.bus.nmt(0x01, node.node_id)
                     for word in (*PREPARATION, NEW_SET_POINT):
                         frame = _word_frame(motor._hardware_facts.control_id, word)
                         node.link.send_tracked(frame, None)
@@ -171,18 +171,18 @@ def a_start_that_failed_is_tried_again_in_the_background():
                 return read(motor)
             except (DeadlineExceeded, LinkError):
                 node, facts = motor._node, motor._hardware.facts
-                way = motor._reader._units.increments(motor._command.value)
+                way = motor._reader._units.increments(motor.logical.command.value)
                 target = node.position_inc + round(way)
 
                 def again():
                     if node.lost_since_ns is not None:
                         return
-                    node.link.nmt(0x01, node.node_id)
+                    node.bus.nmt(0x01, node.node_id)
                     for word in (*PREPARATION, PREPARATION[-1]):
                         node.link.send_tracked(_word_frame(facts.control_id, word), None)
                     latched = facts.latched_ids[0x607A]
                     node.link.send_tracked(_target_frame(latched, NEW_SET_POINT, target), None)
-                    node.link.sync()
+                    node.bus.sync.send()
 
                 motor.runtime.every(0.2, again)
                 raise
@@ -202,7 +202,7 @@ def believes_what_it_wrote_before_a_restart():
             index is not None and doubt(objects, index, subindex)
         )
 
-    with replaced(DriveObjects, "doubt", wrong):
+    with replaced(ObjectAccess, "doubt", wrong):
         yield
 
 

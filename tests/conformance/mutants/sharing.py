@@ -3,12 +3,12 @@
 from contextlib import contextmanager
 
 from motorhil.motorapi import Motor, MotorBusyError
+from motorhil.motorapi.adaptations.canopen.object_access import ObjectAccess
 from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
-from motorhil.motorapi.adaptations.cia402.object_access import DriveObjects
 from motorhil.motorapi.adaptations.host_servo.hardware import AmplifierHwMotor
 from motorhil.motorapi.adaptations.ideal.motor import IdealMotor
 from motorhil.motorapi.adaptations.modbus.polled_motor import PolledMotor
-from motorhil.motorapi.motor import SharedMotor
+from motorhil.motorapi.logical_motor import LogicalMotor
 from motorhil.motorapi.ownership.physical_motor import PhysicalMotor, RunStatus
 from tests.conformance.mutants import mutant, replaced
 from tests.support.sharing.mutants import a_lock_without_fifo, no_fencing
@@ -21,8 +21,9 @@ def a_record_for_each_user():
     def wrong(make):
         def made(motor, hardware, *args, **kwargs):
             make(motor, hardware, *args, **kwargs)
-            motor._physical = PhysicalMotor(hardware.label, id(motor))
-            motor._physical.news = hardware.physical.news
+            physical = PhysicalMotor(hardware.label, id(motor))
+            physical.news = hardware.physical.news
+            motor._physical = motor.logical.physical = physical
 
         return made
 
@@ -34,17 +35,17 @@ def a_record_for_each_user():
 def prepared_before_it_is_asked_for():
     """A start sends its controlword before it has acquired the motor."""
 
-    def wrong(operation):
-        def begun(motor, name, *args):
+    def wrong(start):
+        def begun(motor, *args):
             can_id = 0x200 + motor._node.node_id
             head = can_id.to_bytes(4, "little") + bytes((2, 0, 0, 0))
-            if motor._physical.access is None:
+            if motor.logical.physical.access is None:
                 motor._control._send(head + bytes((0x0F, 0)) + bytes(6), None)
-            return operation(motor, name, *args)
+            return start(motor, *args)
 
         return begun
 
-    with replaced(Cia402Motor, "_operation", wrong):
+    with replaced(Cia402Motor, "start", wrong):
         yield
 
 
@@ -53,14 +54,14 @@ def a_stop_needs_the_lock():
     """A stop is obeyed only from the owner."""
 
     def wrong(bring):
-        def brought(motor, operation, hook):
-            run = motor._physical.run
-            if run is None or run.owner is motor or motor._physical.access is not None:
-                bring(motor, operation, hook)
+        def brought(motor, operation, stop):
+            run = motor.physical.run
+            if run is None or run.owner is motor or motor.physical.access is not None:
+                bring(motor, operation, stop)
 
         return brought
 
-    with replaced(Motor, "_bring_to_rest", wrong):
+    with replaced(LogicalMotor, "bring_to_rest", wrong):
         yield
 
 
@@ -95,7 +96,7 @@ def each_believes_what_it_wrote_itself():
 
         return believed
 
-    with replaced(DriveObjects, "_believes", wrong):
+    with replaced(ObjectAccess, "_believes", wrong):
         yield
 
 
@@ -137,7 +138,7 @@ def let_go_while_it_slows_down():
     def over(goes_on):
         return lambda motor, run: run.motion is not None and goes_on(motor, run)
 
-    with replaced(PhysicalMotor, "take", wrong), replaced(SharedMotor, "_goes_on", over):
+    with replaced(PhysicalMotor, "take", wrong), replaced(LogicalMotor, "goes_on", over):
         yield
 
 
@@ -151,7 +152,7 @@ def who_comes_last_is_served_first():
 @mutant("cia402", "SHARE-08")
 def an_orphan_goes_on():
     """A takeover does not bring the motor to rest."""
-    with replaced(SharedMotor, "_adopt", lambda _: lambda motor, timeout_s, asked_ns: None):
+    with replaced(LogicalMotor, "adopt", lambda _: lambda motor, timeout_s, asked_ns: None):
         yield
 
 
@@ -176,7 +177,7 @@ def the_last_one_shuts_the_door_every_time():
     def wrong(close):
         def closed(motor):
             close(motor)
-            motor._polled.close()
+            motor.hardware.close()
 
         return closed
 

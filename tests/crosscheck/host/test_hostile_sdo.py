@@ -9,7 +9,7 @@ from random import Random
 import pytest
 
 from motorhil.emulators.can.fault_rules import FaultKind, FaultRule
-from motorhil.motorapi.adaptations.canopen.sdo import ProtocolViolation, SdoAborted
+from motorhil.motorapi.adaptations.canopen.errors import ProtocolViolation, SdoAborted
 from motorhil.motorapi.errors import DeadlineExceeded, MotorError
 from tests.support.canopen.two_drives import stranger, two_drives
 

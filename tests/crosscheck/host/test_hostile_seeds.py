@@ -44,7 +44,8 @@ def test_group_with_one_percent_loss_arrives_or_stops(seed):
             before = demand(rig, "left"), demand(rig, "right")
             assert 0 <= before[0] <= 0.3 * INC_PER_RAD + 1
             assert -0.2 * INC_PER_RAD - 1 <= before[1] <= 0
-            rig.motors["left"].hardware.link.sync()  # any set-point still latched would start now
+            # Any set-point still latched would start now.
+            rig.motors["left"].hardware.node.bus.sync.send()
             rig.runtime.run_for(0.3)
             assert (demand(rig, "left"), demand(rig, "right")) == before
         else:

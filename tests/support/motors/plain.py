@@ -16,7 +16,8 @@ from motorhil.motorapi.ownership.physical_motor import (
     release_physical_motor,
 )
 from motorhil.motorapi.state import Fault, Measurement, MotorState
-from motorhil.motorapi.synchronization.quality import MotionTimes, SyncLevel, SyncOffer
+from motorhil.motorapi.synchronization.offer import SyncOffer
+from motorhil.motorapi.synchronization.quality import MotionTimes, SyncLevel
 
 MODEL = MotorModel(name="plain", velocity_max=2.0, acceleration_max=4.0)
 ABLE = {
@@ -69,9 +70,9 @@ class PlainHwMotor:
         self.runtime = runtime
         self.bus = bus if bus is not None else PlainBus()
         self.node = node
-        self.key = ("plain", runtime, self.bus.name, node)
+        self.place = (self.bus.name, node)
         label = f"{self.bus.name} node {node}"
-        self.physical = register_physical_motor(self.key, label, self, lock)
+        self.physical = register_physical_motor(runtime, self.place, label, self, lock)
         self.bus.hardware.append(self)
         self.acts_s = acts_s
         self.latency_s = latency_s
@@ -97,7 +98,7 @@ class PlainHwMotor:
         return f"PlainHwMotor({self.bus.name!r}, node={self.node})"
 
     def close(self):
-        release_physical_motor(self.key, self)
+        release_physical_motor(self.runtime, self.place, self)
 
     def act(self, name, *facts):
         """Perform one exchange on the bus, which takes time and may fail."""

@@ -22,7 +22,7 @@ def follow(motor, way=0.01):
 
 def heard(motor):
     told = []
-    motor._physical.ownership.listeners.append(told.append)
+    motor.ownership.listeners.append(told.append)
     return told
 
 

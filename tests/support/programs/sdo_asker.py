@@ -7,16 +7,16 @@ import sys
 
 import can
 
-from motorhil.motorapi.adaptations.canopen.bus import open_link
+from motorhil.motorapi.adaptations.canopen.bus import open_bus
+from motorhil.motorapi.adaptations.canopen.node import node_locks
 from motorhil.motorapi.adaptations.canopen.sdo import SdoChannel
-from motorhil.motorapi.adaptations.cia402.node_sharing import node_locks
 from motorhil.motorapi.runtime.wall import runtime_of
 
 
 def channel_of(bus, *, quarantine_s):
     """Return the SDO channel of node 1, as hardware objects have it."""
     runtime = runtime_of(bus)
-    channel = SdoChannel(open_link(bus, runtime), 1, timeout_s=30.0, quarantine_s=quarantine_s)
+    channel = SdoChannel(open_bus(bus, runtime).link, 1, timeout_s=30.0, quarantine_s=quarantine_s)
     channel.process_lock = node_locks(bus, runtime, 1, "node 1")[1]
     return channel
 

@@ -36,7 +36,7 @@ from motorhil.motorapi import (
 from motorhil.motorapi.adaptations.canopen.sdo import SdoChannel
 from motorhil.motorapi.adaptations.cia402.hardware import Cia402HwMotor
 from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
-from motorhil.motorapi.adaptations.cia402.object_access import Cia402Parameters
+from motorhil.motorapi.adaptations.cia402.parameters import Cia402Parameters
 from motorhil.motorapi.adaptations.cia402.settings import HwOptions
 
 PATIENT = HwOptions(

@@ -1,6 +1,6 @@
 """Published sets of messages for the tests of the analysis."""
 
-from motorhil.harness.analysis.message import BusLoad, Message
+from motorhil.motorapi.synchronization.can_response_time import BusLoad, Message
 
 MS = 1_000_000
 US = 1_000

@@ -12,8 +12,8 @@ from pathlib import Path
 from unittest.mock import patch
 
 from motorhil.motorapi import execution
+from motorhil.motorapi.adaptations.canopen.object_access import ObjectAccess
 from motorhil.motorapi.adaptations.cia402.motion import DriveMotions
-from motorhil.motorapi.adaptations.cia402.object_access import DriveObjects
 from motorhil.motorapi.locking.lock_file import LockFile
 from motorhil.motorapi.locking.process_lock import LockHandle
 from motorhil.motorapi.ownership.ownership import Ownership, WaitQueue
@@ -70,7 +70,7 @@ def a_group_that_starts_before_all_are_armed():
 
     def hasty(started, seen):
         for one in started:
-            one.motor._call(one.motor._arm, one.motion, together=False).fire()
+            one.motor.hooks.arm(one.motion, together=False).fire()
         return [Fired()]
 
     with patch.object(execution, "_arm", hasty):
@@ -81,7 +81,7 @@ def a_group_that_starts_before_all_are_armed():
 def a_start_that_pushes_settings_after_starting():
     """Send velocity and ramps of a motion only after its start."""
     late = []
-    arm, confirm, push = DriveMotions.arm, DriveMotions.confirm, DriveObjects.push
+    arm, confirm, push = DriveMotions.arm, DriveMotions.confirm, ObjectAccess.push
 
     def pushing(objects, index, value, *args, **kwargs):
         if late is not None and index in RAMPS and pushing.arming:
@@ -105,7 +105,7 @@ def a_start_that_pushes_settings_after_starting():
     with (
         patch.object(DriveMotions, "arm", arming),
         patch.object(DriveMotions, "confirm", confirming),
-        patch.object(DriveObjects, "push", pushing),
+        patch.object(ObjectAccess, "push", pushing),
     ):
         yield
 

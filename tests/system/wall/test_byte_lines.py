@@ -11,13 +11,14 @@ import tty
 
 import pytest
 
-from motorhil.motorapi.adaptations.modbus.client import ModbusLine, UnitClient
+from motorhil.motorapi.adaptations.modbus.client import ModbusLine
 from motorhil.motorapi.errors import LinkError
 from motorhil.motorapi.locking.directory import LockDirectory
 from motorhil.motorapi.locking.process_lock import ProcessLock
 from motorhil.motorapi.runtime.byte_streams import SerialLine, TcpLine
 from motorhil.motorapi.runtime.wall import WallRuntime
 from tests.support.modbus.bench import with_crc
+from tests.support.modbus.unit_client import UnitClient
 
 pytestmark = pytest.mark.wall
 

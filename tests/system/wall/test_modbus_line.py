@@ -5,12 +5,13 @@ import threading
 
 import pytest
 
-from motorhil.motorapi.adaptations.modbus.client import ModbusLine, UnitClient
+from motorhil.motorapi.adaptations.modbus.client import ModbusLine
 from motorhil.motorapi.errors import LinkError
 from motorhil.motorapi.locking.directory import LockDirectory
 from motorhil.motorapi.locking.process_lock import ProcessLock
 from motorhil.motorapi.runtime.byte_streams import TcpLine
 from motorhil.motorapi.runtime.wall import WallRuntime
+from tests.support.modbus.unit_client import UnitClient
 
 pytestmark = pytest.mark.wall
 

@@ -178,7 +178,7 @@ def test_any_python_can_interface_keeps_its_own_stamps(tmp_path):
         (("--on", "/nowhere/hub"), "no hub answers here"),
         (("--on", "nonsense:1"), "has no interface 'nonsense'; available:"),
         (("--on", "a b"), "names no bus"),
-        (("--on", "virtual:1", "--on", "virtual:1"), "is recorded already"),
+        (("--on", "virtual:1", "--on", "virtual:1"), "is named twice"),
         (("--on", "a=virtual:1", "--on", "a=virtual:2"), "the name a is used already, by a="),
     ],
 )

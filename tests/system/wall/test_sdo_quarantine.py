@@ -3,7 +3,7 @@
 import can
 import pytest
 
-from motorhil.motorapi.adaptations.canopen.bus import open_link, release_link
+from motorhil.motorapi.adaptations.canopen.bus import open_bus, release_bus
 from motorhil.motorapi.locking.directory import VARIABLE
 from motorhil.motorapi.runtime.wall import close_process_runtime, runtime_of
 from tests.support.line_programs import Program
@@ -75,7 +75,7 @@ def test_answer_to_a_killed_process_is_not_given_to_the_next(tmp_path, monkeypat
     server = SlowServer(3000 * MS)  # long enough for a kill and another request
     with serving(path, server), can.Bus(interface="emulated", channel=path) as bus:
         runtime = runtime_of(bus)
-        link = open_link(bus, runtime)
+        canopen = open_bus(bus, runtime)
         channel = channel_of(bus, quarantine_s=20.0)
         dies = Program("sdo_asker", path)
         try:
@@ -87,5 +87,5 @@ def test_answer_to_a_killed_process_is_not_given_to_the_next(tmp_path, monkeypat
             assert channel.upload(0x1018, 1) == (3).to_bytes(4, "little")
         finally:
             dies.end()
-            release_link(link)
+            release_bus(canopen)
             close_process_runtime()

@@ -20,7 +20,7 @@ def asked(runtime, motor, monkeypatch):
 
     monkeypatch.setattr(PlainMotor, "_is_done", counted)
     runtime.every(0.001, lambda: None)
-    motor._physical.news = ChangeCounter()
+    motor.logical.physical.news = ChangeCounter()
     motor.set_control_mode(ControlMode.SETPOINT)
     motor.set_setpoint(1.0)  # takes 1 s
     motor.start()
@@ -29,7 +29,7 @@ def asked(runtime, motor, monkeypatch):
 
 
 def tell(runtime, motor):
-    motor._physical.news.count += 1
+    motor.logical.physical.news.count += 1
 
 
 def test_change_is_examined_in_its_own_event(runtime, motor, asked):
@@ -46,7 +46,7 @@ def test_motor_without_changes_is_not_examined(motor, asked):
 
 
 def test_motor_without_a_counter_is_examined_at_every_event(runtime, motor, asked):
-    motor._physical.news = None
+    motor.logical.physical.news = None
     motor.wait_until_done(timeout_s=2.0)
     assert runtime.now_ns() == 1_000_000_000
     assert len(asked) > 900

@@ -17,7 +17,7 @@ from motorhil.motorapi import (
     UnsupportedError,
     UsageError,
 )
-from motorhil.motorapi.motor import Ending, Outcome
+from motorhil.motorapi.outcome import Ending, Outcome
 from motorhil.motorapi.runtime.api import ChangeCounter
 from tests.support.motors.plain import PlainMotor, fault_now
 
@@ -66,7 +66,7 @@ def test_past_end_is_reported_at_once_and_no_motion_raises(motor):
 @pytest.mark.parametrize("counted", [False, True])
 def test_stop_from_elsewhere_is_reported_immediately(runtime, hw, motor, counted):
     if counted:
-        motor._physical.news = ChangeCounter()
+        motor.logical.physical.news = ChangeCounter()
     other = PlainMotor(hw, name="other")
     follow(motor, 3.0)
     motor.start()
@@ -135,7 +135,7 @@ def test_cancelled_callback_is_not_called(runtime, motor, told):
     runtime.run_for(3.0)
     assert (len(told), len(also)) == (1, 0)
     registration.cancel()
-    assert motor._physical.bell.listeners == []
+    assert motor.logical.physical.bell.listeners == []
 
 
 def test_end_seen_by_two_threads_is_reported_once(runtime, motor):

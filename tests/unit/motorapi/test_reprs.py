@@ -78,8 +78,10 @@ def test_motor_repr_shows_its_state_and_activity(runtime, hw, motor):
     runtime.run_for(0.5)
     told = "on bus0 node 1: enabled, 0.5 rad; start() of m1 is active>"
     assert (repr(motor), repr(other)) == (f"<PlainMotor 'm1' {told}", f"<PlainMotor 'other' {told}")
-    assert repr(motor._physical) == "<PhysicalMotor bus0 node 1: start() of m1>"
-    assert repr(motor._run) == "<Run start() of m1 since 0.000000 s: not known to have ended>"
+    assert repr(motor.logical.physical) == "<PhysicalMotor bus0 node 1: start() of m1>"
+    assert repr(motor.logical.run) == (
+        "<Run start() of m1 since 0.000000 s: not known to have ended>"
+    )
     assert repr(motor.progress()) == (
         "<Progress of start() of m1: 0.500 s of 2.000 s, 16.7%, at 0.5 on the way to 3>"
     )

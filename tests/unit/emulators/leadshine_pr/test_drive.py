@@ -8,7 +8,7 @@ from math import pi
 import pytest
 
 from motorhil.emulators.controller import SettingError
-from motorhil.emulators.leadshine_pr.drive import build, registers
+from motorhil.emulators.leadshine_pr.drive import build
 from tests.support.modbus.bench import ModbusBench, Refused
 
 STATUS, TRIGGER, FEEDBACK, ALARM, CONTROL = 0x1003, 0x6002, 0x1014, 0x2203, 0x1801
@@ -304,7 +304,7 @@ def test_unsupported_request_is_refused(bench, pdu, code):
 
 
 def test_register_map_has_vendor_addresses():
-    rows = {row.name: row for row in registers()}
+    rows = {row.name: row for row in build.registers()}
     assert rows["path15_special"].address == 0x627F
     assert rows["path3_position"].address == 0x6219
     assert rows["input2_function"].address == 0x0149

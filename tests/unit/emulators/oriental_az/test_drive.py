@@ -8,7 +8,7 @@ from math import pi
 import pytest
 
 from motorhil.emulators.controller import SettingError
-from motorhil.emulators.oriental_az.drive import build, registers
+from motorhil.emulators.oriental_az.drive import build
 from tests.support.modbus.bench import ModbusBench, Refused
 
 BLOCK, TRIGGER, INPUTS, PULSES, OUTPUTS, ALARM = 0x0058, 0x0066, 0x007C, 0x0078, 0x007E, 0x0080
@@ -264,7 +264,7 @@ def test_unknown_operation_type_is_ignored_and_reported(bench):
 
 
 def test_register_map_has_addresses_of_block():
-    at = {row.name: row.address for row in registers()}
+    at = {row.name: row.address for row in build.registers()}
     assert [at[name] for name in ("operation_type", "speed", "trigger", "outputs", "alarm")] == [
         *(0x5A, 0x5E, 0x66, 0x7E, 0x80)
     ]

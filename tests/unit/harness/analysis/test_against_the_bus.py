@@ -19,8 +19,13 @@ from motorhil.emulators.can.controller_config import CanNode, FrameSupport, Queu
 from motorhil.emulators.can.fault_rules import FaultKind, FaultRule, FrameError
 from motorhil.emulators.can.frame import BRS, EFF_FLAG, FD_LENGTHS, can_id_of, pack, pack_fd
 from motorhil.emulators.can.frame_length import LENGTHS_MASK, frame_bits, measure, phases_of
-from motorhil.harness.analysis.message import INTERMISSION_BITS, Bits, BusLoad, Message, longest
-from motorhil.harness.analysis.response_time import ErrorModel, response_times
+from motorhil.motorapi.synchronization.can_frame_length import INTERMISSION_BITS, Bits, longest
+from motorhil.motorapi.synchronization.can_response_time import (
+    BusLoad,
+    ErrorModel,
+    Message,
+    response_times,
+)
 from tests.support.can.deliveries import run
 from tests.support.recordings.message_sets import MS, SAE_RATES, US, sae
 

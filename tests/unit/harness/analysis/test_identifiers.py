@@ -11,6 +11,7 @@ from motorhil.harness.analysis.advice import (
     ERRORS_MAX,
     at_rate,
     best_order,
+    more_errors_probability,
     propose,
     queues_that_help,
     rate_that_helps,
@@ -18,9 +19,14 @@ from motorhil.harness.analysis.advice import (
     tolerances,
     with_changes,
 )
-from motorhil.harness.analysis.message import BusLoad, Message
-from motorhil.harness.analysis.response_time import NO_ERRORS, ErrorModel, are_in_time
 from motorhil.harness.analysis.subject import is_canopen_reserved, reserves_nothing
+from motorhil.motorapi.synchronization.can_response_time import (
+    NO_ERRORS,
+    BusLoad,
+    ErrorModel,
+    Message,
+    are_in_time,
+)
 from tests.support.recordings.message_sets import MS, US, davis, sae
 
 
@@ -164,3 +170,12 @@ def test_late_probability_grows_with_bit_error_rate():
 @pytest.mark.parametrize("burst", [0, 1, 3])
 def test_sae_benchmark_tolerates_error_bursts(burst: int):
     assert are_in_time(sae(500_000), ErrorModel(burst))
+
+
+def test_more_errors_probability_equals_poisson_tail():
+    # 1000 bits at 1e-3: a Poisson number of mean 1.0005. Its tail by the series, to three digits.
+    assert more_errors_probability(0, 1000, 1e-3) == pytest.approx(0.6323, abs=1e-3)  # 1 - 0.999^n
+    assert more_errors_probability(0, 1000, 1e-3) == pytest.approx(1 - 0.999**1000, rel=1e-9)
+    assert more_errors_probability(2, 1000, 1e-3) == pytest.approx(0.0805, abs=1e-3)
+    assert more_errors_probability(3, 100, 1e-6) == pytest.approx(1e-16 / 24, rel=1e-3)
+    assert more_errors_probability(5, 100, 0.0) == 0.0

@@ -4,7 +4,7 @@ from hypothesis import event, given
 from hypothesis import strategies as st
 
 from motorhil.harness.analysis.measured import Heard, measured
-from motorhil.harness.analysis.message import Arrival, Message
+from motorhil.motorapi.synchronization.can_response_time import Arrival, Message
 from tests.support.recordings.message_sets import MS, US
 
 

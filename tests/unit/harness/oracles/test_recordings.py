@@ -78,7 +78,7 @@ def test_recording_with_missing_frames_is_not_broken():
             pass_ = Pass(RecordingContext(facts, names), ())
             for time_ns, bus, frame, _, _ in frames:
                 if draw() >= chance:
-                    pass_.hear(time_ns, bus, frame, "")
+                    pass_.take_frame(time_ns, bus, frame, "")
             pass_.imported("candump")
             findings = pass_.findings(None, None, None)
             assert Verdict.BROKEN not in verdicts(findings).values()

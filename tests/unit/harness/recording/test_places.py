@@ -1,6 +1,7 @@
 import can
 import pytest
 
+from motorhil.harness.python_can.messages import to_message
 from motorhil.harness.recording.sources import (
     HubClocks,
     Kind,
@@ -8,7 +9,6 @@ from motorhil.harness.recording.sources import (
     PlaceError,
     PythonCanTap,
     frame_of,
-    message_of,
     parse_place,
     refuse_twice,
     topic_name,
@@ -79,18 +79,20 @@ FRAMES = {
 
 
 @pytest.mark.parametrize("frame", FRAMES.values(), ids=FRAMES)
-def test_frame_of_inverts_message_of(frame):
-    assert frame_of(message_of(frame)) == frame
+def test_frame_of_inverts_to_message(frame):
+    assert frame_of(to_message(frame, 0, "can0", received=False)) == frame
 
 
-def test_message_of_fd_frame_has_python_can_attributes():
-    message = message_of(FRAMES["FD, BRS, ESI"])
+def test_to_message_of_fd_frame_has_python_can_attributes():
+    message = to_message(FRAMES["FD, BRS, ESI"], 0, "can0", received=False)
     expected = can.Message(
         arbitration_id=0x1FFF_FFFF,
         is_fd=True,
         bitrate_switch=True,
         error_state_indicator=True,
         data=bytes(range(64)),
+        channel="can0",
+        is_rx=False,
     )
     assert message.equals(expected, timestamp_delta=None)
     error = can.Message(arbitration_id=0x40, is_error_frame=True, is_extended_id=False, dlc=8,

@@ -7,7 +7,7 @@ import pytest
 
 from motorhil.harness.replay.host import DrivenRig, compared, drive
 from motorhil.harness.rig.rig import Rig
-from motorhil.traces.exchange.recording import tapes_of
+from motorhil.traces.exchange.recording import exchanges_of
 from motorhil.traces.formats.frames import classic
 from motorhil.traces.mcap.reader import read_trace
 from motorhil.traces.mcap.writer import TraceWriter
@@ -236,8 +236,8 @@ def test_other_set_points_pass_with_any_set_points(folder, say):
     """The first PDO to the I/O node has its set-points inverted."""
     path = FOLDER / "software.mcap"
     with read_trace(path) as trace:
-        (tape,) = tapes_of(trace, any_set_point=True).tapes.values()
-    (identifier, [(_, mask), *_]), *_ = tape.masks.items()
+        (log,) = exchanges_of(trace, any_set_point=True).logs.values()
+    (identifier, [(_, mask), *_]), *_ = log.masks.items()
     frames = [one for one in hosts_frames(path) if one[:2] == identifier.to_bytes(2, "little")]
     size = frames[0][4]
     data = bytes(a ^ b ^ 0xFF for a, b in zip(frames[0][8 : 8 + size], mask, strict=False))

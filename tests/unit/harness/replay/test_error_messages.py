@@ -7,7 +7,7 @@ from motorhil.harness.replay.host import DrivenRig, compared, drive
 from motorhil.harness.replay.rig import with_recorded
 from motorhil.harness.replay.verdict import unanswered
 from motorhil.harness.rig.rig import Rig
-from motorhil.traces.exchange.recording import tapes_of
+from motorhil.traces.exchange.recording import exchanges_of
 from motorhil.traces.formats.frames import ERR, classic
 from motorhil.traces.mcap.reader import read_trace
 from motorhil.traces.mcap.writer import TraceWriter
@@ -55,7 +55,7 @@ def told(tmp_path):
 
 def test_error_frames_do_not_change_recorded_devices(told, tmp_path):
     with golden("cia402") as path, read_trace(path) as plain, read_trace(told) as trace:
-        assert tapes_of(trace).tapes == tapes_of(plain).tapes
+        assert exchanges_of(trace).logs == exchanges_of(plain).logs
     again = tmp_path / "again.mcap"
     with Rig(with_recorded(described("cia402"), told), record=again) as rig:
         GOLDEN["cia402"][2](rig)

@@ -24,7 +24,7 @@ def test_servers_named_by_addresses_answer(plant):
         heard = []
         line.listen(lambda data, _: heard.append(data))
         core = rig.controllers["line_141_81_0_24_unit_255"].core
-        turn = next(step.turns[0] for step in core.player.tape.steps if step.turns)
+        turn = next(step.turns[0] for step in core.player.log.steps if step.turns)
         line.send(b"\0\7\0\0" + len(turn.asked).to_bytes(2, "big") + turn.asked)
         rig.runtime.run_for(1.0)
         assert unanswered(rig) == []
@@ -42,7 +42,7 @@ def test_slow_units_answer_through_a_patient_gateway(shared, tmp_path):
         line = rig.line("line_192_168_0_20")
         heard = []
         line.listen(lambda data, now_ns: heard.append((data[:2], data[7] & 0x80)))
-        steps = rig.controllers["unit_1"].core.player.tape.steps
+        steps = rig.controllers["unit_1"].core.player.log.steps
         first = {step.key: step.turns[0] for step in reversed(steps) if step.turns}
         delays = {key: turn.answers[0].delay_ns for key, turn in first.items() if turn.answers}
         slow = first[max(delays, key=lambda key: delays[key])]

@@ -1,7 +1,7 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from motorhil.harness.replay.player import Lateness
+from motorhil.harness.replay.frames import Lateness
 
 DELAYS = st.lists(st.integers(0, 2_000) | st.integers(0, 10**12), min_size=1, max_size=200)
 

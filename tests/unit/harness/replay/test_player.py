@@ -31,13 +31,13 @@ def poll(number, answer):
     )
 
 
-def tape(*steps, periods_ns=None):
+def log(*steps, periods_ns=None):
     first = Step(Role.COMMAND, START, 0, "")
     return ExchangeLog("can0", 1, [first, *steps], periods_ns or {})
 
 
 def played(*steps, periods_ns=None):
-    player = ExchangePlayer(tape(*steps, periods_ns=periods_ns))
+    player = ExchangePlayer(log(*steps, periods_ns=periods_ns))
     player.start(0)
     return player
 
@@ -94,7 +94,7 @@ def test_drive_is_silent_exactly_as_long_as_recorded():
     assert answers(player.poll(read, 299 * MS)) == []
     player = played(silent, there)
     assert answers(player.poll(read, 300 * MS)) == [b"here"]
-    recorded = tape(silent, there)
+    recorded = log(silent, there)
     recorded.steps[0].reactions.append(Sent(200 * MS, b"\1\7\0\0boot"))
     for now_ns, expected in ((200 * MS - 1, []), (200 * MS, [b"here"])):
         player = ExchangePlayer(recorded)

@@ -4,8 +4,8 @@ import pytest
 
 from motorhil.harness.replay.device_node import NO_DATA, RecordedNode, RecordedUnit
 from motorhil.traces.decoding.canopen import CanopenDecoder
-from motorhil.traces.exchange.canopen import CanopenTapes
-from motorhil.traces.exchange.modbus import modbus_tapes
+from motorhil.traces.exchange.canopen import CanopenExchanges
+from motorhil.traces.exchange.modbus import modbus_logs
 from motorhil.traces.formats.frames import BRS, RTR, Frame, classic, flexible, remote
 from motorhil.traces.schema import Direction
 from tests.unit.traces.exchange.test_exchange_logs import MS, adu, cut, frame
@@ -28,8 +28,8 @@ def asked(data):
 
 def node(*frames, boots=True):
     """Return node 6 from these frames, started and booted."""
-    tape = cut(*([BOOT] if boots else []), *frames)[6]
-    made = RecordedNode(tape, CanopenDecoder(), 6)
+    log = cut(*([BOOT] if boots else []), *frames)[6]
+    made = RecordedNode(log, CanopenDecoder(), 6)
     made.start(0)
     made.expire(0)
     made.take_output()
@@ -206,7 +206,7 @@ def with_crc(data):
 
 @pytest.fixture
 def unit():
-    tape = modbus_tapes(
+    log = modbus_logs(
         "rs485",
         [
             adu(1, ASK),
@@ -219,7 +219,7 @@ def unit():
         ],
         0,
     )[1]
-    made = RecordedUnit(tape, 1)
+    made = RecordedUnit(log, 1)
     made.start(0)
     return made
 
@@ -268,10 +268,10 @@ def test_unrecorded_request_is_refused_as_device_failure(unit):
 
 def flexible_node(data_bit_ns, frames):
     """Return node 6 of a 500 kbit/s recording with known senders."""
-    tapes = CanopenTapes("can0", 0, {6: "left"})
+    logs = CanopenExchanges("can0", 0, {6: "left"})
     for at_ns, sent in frames:
-        tapes.take(at_ns, sent, Direction.UNKNOWN, "left")
-    made = RecordedNode(tapes.tapes()[6], CanopenDecoder(), 6, 2_000, "", data_bit_ns)
+        logs.take(at_ns, sent, Direction.UNKNOWN, "left")
+    made = RecordedNode(logs.logs()[6], CanopenDecoder(), 6, 2_000, "", data_bit_ns)
     made.start(0)
     return made
 
@@ -303,4 +303,4 @@ def test_classical_node_omits_can_fd_frames_with_warning():
     assert one.take_events() == [
         ("warning", "1 CAN FD frames of node 6 are left out: it is classical")
     ]
-    assert len(flexible_node(500, frames).player.tape.steps[0].reactions) == 2
+    assert len(flexible_node(500, frames).player.log.steps[0].reactions) == 2

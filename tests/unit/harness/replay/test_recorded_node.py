@@ -3,7 +3,7 @@
 import struct
 
 from motorhil.harness.replay.device_node import RecordedNode
-from motorhil.traces.exchange.canopen import CanopenTapes
+from motorhil.traces.exchange.canopen import CanopenExchanges
 from motorhil.traces.formats.frames import EFF, RTR, classic
 from motorhil.traces.schema import Direction
 
@@ -15,10 +15,10 @@ READ_POSITION = bytes.fromhex("4064600000000000")
 
 def node(*frames, any_set_point=False):
     """Return node 1 of a recording of (ms, identifier, data)."""
-    cutter = CanopenTapes("can0", 0, None, None, any_set_point)
+    cutter = CanopenExchanges("can0", 0, None, None, any_set_point)
     for time_ms, can_id, data in frames:
         cutter.take(int(time_ms * MS), classic(can_id, data), Direction.UNKNOWN, "")
-    found = RecordedNode(cutter.tapes()[1], cutter.decoder, 1)
+    found = RecordedNode(cutter.logs()[1], cutter.decoder, 1)
     found.start(0)
     return found
 

@@ -7,10 +7,15 @@ from dataclasses import replace
 import pytest
 
 from motorhil.emulators.controller import ControllerContext, SettingError
-from motorhil.harness.replay.device_node import RecordedNode, RecordedUnit, build, recorded_tapes
+from motorhil.harness.replay.device_node import (
+    RecordedNode,
+    RecordedUnit,
+    build,
+    recorded_exchanges,
+)
 from motorhil.harness.replay.rig import own_rig, rig_in, with_recorded
 from motorhil.harness.rig.rig import installed_plugins
-from motorhil.traces.exchange.recording import tapes_of
+from motorhil.traces.exchange.recording import exchanges_of
 from motorhil.traces.exchange.steps import START
 from motorhil.traces.mcap.reader import read_trace
 from motorhil.traces.mcap.writer import TraceWriter
@@ -52,7 +57,7 @@ def test_node_on_two_buses_needs_recorded_bus(tmp_path):
         built(path, node_id=1)
     core = built(path, node_id=1, recorded_bus="can1")
     assert isinstance(core, RecordedNode)
-    assert core.player.tape.bus == "can1"
+    assert core.player.log.bus == "can1"
 
 
 def test_unit_and_node_with_equal_number_are_distinct(tmp_path):
@@ -65,7 +70,7 @@ def test_unit_and_node_with_equal_number_are_distinct(tmp_path):
     unit, node = built(path, unit=3), built(path, node_id=3)
     assert isinstance(unit, RecordedUnit)
     assert isinstance(node, RecordedNode)
-    assert (unit.player.tape.bus, node.player.tape.bus) == ("rs485", "can0")
+    assert (unit.player.log.bus, node.player.log.bus) == ("rs485", "can0")
     with pytest.raises(SettingError, match="no data of unit 4"):
         built(path, unit=4)
 
@@ -75,7 +80,7 @@ def test_frame_duration_follows_bit_rate(tmp_path, rate, bit_ns):
     """A boot-up frame 701h 00h: 52 bits without intermission, and at most 10 stuff bits."""
     path = recording(tmp_path / "a.mcap", ("can0", booted(1)))
     ((sent,),) = [
-        one.reactions for one in built(path, node_id=1, bitrate_bit_s=rate).player.tape.steps
+        one.reactions for one in built(path, node_id=1, bitrate_bit_s=rate).player.log.steps
     ]
     assert 52 * bit_ns <= sent.duration_ns <= 62 * bit_ns
 
@@ -84,18 +89,18 @@ def test_replaced_recording_is_read_again(tmp_path):
     """The new file has the same size."""
     path = recording(tmp_path / "a.mcap", ("can0", booted(1)))
     size = path.stat().st_size
-    assert list(recorded_tapes(path).tapes) == [("can0", 1)]
+    assert list(recorded_exchanges(path).logs) == [("can0", 1)]
     recording(path, ("can0", booted(2)))
     assert path.stat().st_size == size
     os.utime(path, ns=(1, 1))
-    assert list(recorded_tapes(path).tapes) == [("can0", 2)]
+    assert list(recorded_exchanges(path).logs) == [("can0", 2)]
 
 
 @pytest.mark.parametrize(("metadata", "begin_ns"), [({"run": {}}, 0), ({}, 1 * S)])
 def test_recording_starts_at_0_only_with_a_run(tmp_path, metadata, begin_ns):
     path = recording(tmp_path / "a.mcap", ("can0", booted(1)), metadata=metadata)
     with read_trace(path) as trace:
-        (first,) = tapes_of(trace).tapes["can0", 1].steps
+        (first,) = exchanges_of(trace).logs["can0", 1].steps
     assert (first.key, first.time_ns) == (START, begin_ns)
     assert [one.delay_ns for one in first.reactions] == [1 * S - begin_ns]
 
@@ -106,7 +111,7 @@ def test_invalid_messages_yield_no_logs(tmp_path):
         for topic, table in (("/can/can0", CAN_FRAME), ("/modbus/rs485", MODBUS_ADU)):
             writer.write(writer.channel(topic, Schema.of(table)), 1, b"\xff\xff\xff")
     with read_trace(path) as trace:
-        assert tapes_of(trace).tapes == {}
+        assert exchanges_of(trace).logs == {}
 
 
 def test_rig_in_without_rig_names_controllers_by_number(tmp_path):

@@ -27,7 +27,7 @@ def tell(rig, node, data):
 
 def commands(rig, name):
     """Return (index, request) of the controller's SDO writes."""
-    told = [step for step in players(rig)[name].tape.steps if step.role is Role.COMMAND]
+    told = [step for step in players(rig)[name].log.steps if step.role is Role.COMMAND]
     return [(number, step.turns[0].asked[8:16]) for number, step in enumerate(told) if step.turns]
 
 

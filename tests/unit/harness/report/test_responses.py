@@ -13,11 +13,11 @@ from motorhil.emulators.can.bus.port import confirms
 from motorhil.emulators.can.fault_rules import FaultKind, FaultRule
 from motorhil.emulators.can.frame import pack
 from motorhil.harness.analysis.from_recording import RecordedBus
-from motorhil.harness.analysis.response_time import ErrorModel, response_times
 from motorhil.harness.analysis.subject import Queues
 from motorhil.harness.cli.main import main
-from motorhil.harness.report.timelines import MESSAGES_MAX
+from motorhil.harness.report.responses import MESSAGES_MAX
 from motorhil.harness.rig.rig import Rig
+from motorhil.motorapi.synchronization.can_response_time import ErrorModel, response_times
 from motorhil.traces.formats.frames import BRS, flexible
 from motorhil.traces.mcap.writer import TraceWriter
 from motorhil.traces.schema import CAN_FRAME, Schema, encode_can_frame

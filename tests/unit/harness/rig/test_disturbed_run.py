@@ -52,9 +52,10 @@ from contextlib import closing
 
 import can
 
-from motorhil.motorapi import ControlMode, LinkError, Motor, MotorGroup, MotorModel,
-TrapezoidalTrajectory from motorhil.motorapi.adaptations.cia402.motor import Cia402HwMotor,
-Cia402Motor
+from motorhil.motorapi import (
+    ControlMode, LinkError, Motor, MotorGroup, MotorModel, TrapezoidalTrajectory
+)
+from motorhil.motorapi.adaptations.cia402.motor import Cia402HwMotor, Cia402Motor
 
 MODEL = MotorModel.load("wheels/wheel_model.toml")
 with (

@@ -19,8 +19,8 @@ from motorhil.harness.sharing_tests.relative_moves import (
     traffic_of,
 )
 from motorhil.motorapi import DeadlineExceeded
+from motorhil.motorapi.adaptations.canopen.object_access import ObjectAccess
 from motorhil.motorapi.adaptations.cia402.controlword import DriveControl
-from motorhil.motorapi.adaptations.cia402.object_access import DriveObjects
 from motorhil.motorapi.errors import MotorError
 from tests.support.sharing import movers
 
@@ -155,7 +155,7 @@ def test_relative_set_point_on_the_wire_is_detected(monkeypatch):
     CiA 402-2, profile position mode: each edge of bit 4 is a new set-point.
     """
 
-    def push(self, index, value, subindex=0, *, whole=DriveObjects.push):
+    def push(self, index, value, subindex=0, *, whole=ObjectAccess.push):
         if index == 0x607A:
             value -= self.read_int(0x6062)
         return whole(self, index, value, subindex)
@@ -164,7 +164,7 @@ def test_relative_set_point_on_the_wire_is_detected(monkeypatch):
         self.send_holding_word()
         return self.send_controlword(0x0F | 0x10 | 0x20 | 0x40)
 
-    monkeypatch.setattr(DriveObjects, "push", push)
+    monkeypatch.setattr(ObjectAccess, "push", push)
     monkeypatch.setattr(DriveControl, "send_set_point", send_set_point)
     mover = movers.by_rpdo()
     assert judge(mover, plan_of()).endings == {Ending.DONE: 2}

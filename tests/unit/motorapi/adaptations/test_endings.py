@@ -9,8 +9,7 @@ import pytest
 
 from motorhil.emulators.can.fault_rules import FaultKind, FaultRule
 from motorhil.harness.rig.rig import Rig
-from motorhil.motorapi.adaptations.canopen.sdo import HomingFailed
-from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
+from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor, HomingFailed
 from motorhil.motorapi.commands import ControlMode
 from motorhil.motorapi.errors import (
     DeviceFault,
@@ -19,7 +18,8 @@ from motorhil.motorapi.errors import (
     MotorError,
     PluginError,
 )
-from motorhil.motorapi.motor import Ending, Motor, Outcome
+from motorhil.motorapi.motor import Motor
+from motorhil.motorapi.outcome import Ending, Outcome
 from motorhil.motorapi.trajectory import TrapezoidalTrajectory
 from tests.support.motors.drive_rigs import drive
 

@@ -149,7 +149,7 @@ def test_group_wait_for_one_motor_renews_the_others(world):
             done.append(True)
 
     party = world.runtime.spawn("b", hold)
-    world.runtime.wait_until(lambda: b2._physical.ownership.is_here, LONG_S)
+    world.runtime.wait_until(lambda: b2.ownership.is_here, LONG_S)
     with MotorGroup(a1, a2).reserve("survey", timeout_s=LONG_S, lease_s=world.lease_s) as both:
         assert both.is_held
         assert both.names == ("a1", "a2")

@@ -150,7 +150,7 @@ def test_takeover_notifies_listeners(world, logical):
     a, b, *_ = logical
     told = heard(a)
     if world.kind == "strangers":
-        b._physical.ownership.listeners.append(told.append)
+        b.ownership.listeners.append(told.append)
     with a.reserve("survey") as first:
         with pytest.raises(MotorBusyError), b.reserve("impatient"):
             pass

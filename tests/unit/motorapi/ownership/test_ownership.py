@@ -279,8 +279,8 @@ def test_token_grows_when_another_process_had_the_motor(tmp_path):
     stranger = ProcessLock("m1", "motor 1", directory)  # as in another process
     hardware = object.__new__(type("Hardware", (), {}))
     lock = ProcessLock("m1", "motor 1", directory)
-    physical = register_physical_motor(("m1", tmp_path), "motor 1", hardware, lock)
     runtime = WallRuntime()
+    physical = register_physical_motor(runtime, "m1", "motor 1", hardware, lock)
     owner = SimpleNamespace(name="a", runtime=runtime)
     tokens = []
 

@@ -15,8 +15,8 @@ from motorhil.motorapi import (
     TrapezoidalTrajectory,
     UsageError,
 )
+from motorhil.motorapi.bus_context import context_of, physical_key
 from motorhil.motorapi.ownership.physical_motor import (
-    bus_key,
     register_physical_motor,
     release_physical_motor,
 )
@@ -62,7 +62,7 @@ def test_one_bus_has_one_key_however_often_opened():
         for channel in ("sharing-a", "sharing-a", "sharing-b")
     ]
     try:
-        keys = [bus_key(bus) for bus in buses]
+        keys = [physical_key(bus) for bus in buses]
     finally:
         for bus in buses:
             bus.shutdown()
@@ -72,15 +72,15 @@ def test_one_bus_has_one_key_however_often_opened():
         channel_info = "unknown"
 
     first, second = Nameless(), Nameless()
-    assert bus_key(first) == bus_key(first) != bus_key(second)
+    assert physical_key(first) is physical_key(second) is None
+    assert context_of(first).medium is not context_of(second).medium
 
 
 def test_release_of_an_unregistered_motor_does_nothing():
-    release_physical_motor(("nobody", 1), object())
-    mine = register_physical_motor(
-        "a key", "a label", test_release_of_an_unregistered_motor_does_nothing
-    )
-    release_physical_motor("a key", test_release_of_an_unregistered_motor_does_nothing)
+    bus = PlainBus()
+    release_physical_motor(bus, 1, object())
+    mine = register_physical_motor(bus, 1, "a label", bus)
+    release_physical_motor(bus, 1, bus)
     assert mine.label == "a label"
 
 

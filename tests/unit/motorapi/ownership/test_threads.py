@@ -18,7 +18,7 @@ from motorhil.motorapi import (
     TrapezoidalTrajectory,
     WallRuntime,
 )
-from motorhil.motorapi.motor import Ending
+from motorhil.motorapi.outcome import Ending
 from tests.support.motors.plain import PlainHwMotor, PlainMotor
 
 THREADS = 8

@@ -56,13 +56,17 @@ def motors_of(limits, steps=None):
     return motors
 
 
+def logical(motors):
+    return [motor.logical for motor in motors]
+
+
 def planned(motors, ways, common=PHASE, **options):
     for motor, way in zip(motors, ways, strict=True):
         motor.set_control_mode(ControlMode.TRAJECTORY)
         motor.set_trajectory(TrapezoidalTrajectory(way, **options))
-    motions = plan(motors, common)
+    motions = plan(logical(motors), common)
     return [
-        Started(motor, motion, motor._quantise(motion))
+        Started(motor.logical, motion, motor._quantise(motion))
         for motor, motion in zip(motors, motions, strict=True)
     ]
 
@@ -97,13 +101,14 @@ def test_motors_cover_equal_fractions_at_every_instant(members):
 
 @given(MEMBERS, st.lists(STEPS, min_size=6, max_size=6))
 def test_rounded_profiles_exceed_no_limit(members, steps):
-    found = planned(motors_of([limits for _, limits in members], steps), [w for w, _ in members])
-    for one in found:
-        model = one.motor.model
+    motors = motors_of([limits for _, limits in members], steps)
+    found = planned(motors, [w for w, _ in members])
+    for motor, one in zip(motors, found, strict=True):
+        model = motor.model
         made = one.quantised
         # A hardware step larger than the limit cannot be transmitted: refused elsewhere. 1e-11: the
         # hardware accepts values within floating-point error of a whole step.
-        velocity_step, ramp_step = one.motor.hw.steps[1:]
+        velocity_step, ramp_step = motor.hw.steps[1:]
         for value, limit, step in (
             (made.velocity, model.velocity_max, velocity_step),
             (made.acceleration, model.acceleration_max, ramp_step),
@@ -212,19 +217,19 @@ def test_requested_duration_holds_for_the_line():
     assert [one.motion.acceleration for one in found] == [2.0, 4.0]
     group = MotorGroup(*motors)
     group.set_trajectory(TrapezoidalTrajectory(1.0, duration_s=3.0), TrapezoidalTrajectory(-2.0))
-    found = plan(motors, PHASE)
+    found = plan(logical(motors), PHASE)
     assert [motion.duration_s for motion in found] == [3.0, 3.0]
     # v' = (a T - sqrt(a^2 T^2 - 4 a D)) / 2 = (12 - sqrt(144 - 32)) / 2 for the longer one
     assert found[1].velocity == pytest.approx((12 - 112**0.5) / 2, rel=1e-12)
     assert found[0].velocity == pytest.approx(found[1].velocity / 2, rel=1e-12)
     group.set_trajectory(TrapezoidalTrajectory(1.0, duration_s=1.2), TrapezoidalTrajectory(-2.0))
     with pytest.raises(LimitError, match=r"m1: duration 1.2 s, allowed is at least 1.5.*of m0"):
-        plan(motors, PHASE)
+        plan(logical(motors), PHASE)
     group.set_trajectory(
         TrapezoidalTrajectory(1.0, duration_s=2.0), TrapezoidalTrajectory(2.0, duration_s=3.0)
     )
     with pytest.raises(UsageError, match="durations differ"):
-        plan(motors, PHASE)
+        plan(logical(motors), PHASE)
 
 
 def test_command_limits_apply_to_the_line():
@@ -233,7 +238,7 @@ def test_command_limits_apply_to_the_line():
         motor.set_control_mode(ControlMode.TRAJECTORY)
     motors[0].set_trajectory(TrapezoidalTrajectory(1.0, limits=DerivativeLimits(first=0.25)))
     motors[1].set_trajectory(TrapezoidalTrajectory(2.0))
-    first, second = plan(motors, PHASE)
+    first, second = plan(logical(motors), PHASE)
     assert (first.velocity, second.velocity) == (0.25, 0.5)
 
 
@@ -244,7 +249,7 @@ def test_motion_without_a_scalable_profile_raises():
     motors[1].set_control_mode(ControlMode.SETPOINT, ControlVariable.VELOCITY)
     motors[1].set_setpoint(1.0)
     with pytest.raises(UnsupportedError, match=r"m1.*a setpoint of velocity in a phase-synchron"):
-        plan(motors, PHASE)
+        plan(logical(motors), PHASE)
 
 
 def test_reaction_together_without_a_path_raises():

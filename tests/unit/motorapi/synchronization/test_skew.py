@@ -3,8 +3,8 @@
 import pytest
 
 from motorhil.motorapi.synchronization.bus_load import CanTraffic, PeriodicMessage
-from motorhil.motorapi.synchronization.can_response_time import Firing, OneFrame
-from motorhil.motorapi.synchronization.quality import SyncLevel, SyncOffer
+from motorhil.motorapi.synchronization.offer import Firing, OneFrame, SyncOffer
+from motorhil.motorapi.synchronization.quality import SyncLevel
 from motorhil.motorapi.synchronization.skew import (
     Bound,
     Member,

@@ -2,8 +2,8 @@
 
 import pytest
 
-from motorhil.traces.exchange.canopen import CanopenTapes, remote_key
-from motorhil.traces.exchange.modbus import modbus_tapes
+from motorhil.traces.exchange.canopen import CanopenExchanges, remote_key
+from motorhil.traces.exchange.modbus import modbus_logs
 from motorhil.traces.exchange.steps import Role, period_ns
 from motorhil.traces.formats.frames import EFF, Frame, classic, remote
 from motorhil.traces.schema import Direction
@@ -48,18 +48,18 @@ def test_host_frame_with_node_identifier_is_not_nodes():
 
 
 def test_sync_producer_sends_sync_others_receive_it():
-    tapes = cut(
+    logs = cut(
         frame(0, 0x705, b"\0", "left"),
         frame(0, 0x706, b"\0", "right"),
         frame(10, 0x080, b"", "left"),
         frame(11, 0x186, b"\1", "right"),
         names={5: "left", 6: "right"},
     )
-    (first,) = tapes[5].steps
+    (first,) = logs[5].steps
     assert [(one.delay_ns, one.data) for one in first.reactions][1:] == [
         (10 * MS, classic(0x80, b""))
     ]
-    assert all(step.key[0] != "sync" for step in tapes[5].steps)
+    assert all(step.key[0] != "sync" for step in logs[5].steps)
 
 
 def test_reactions_are_in_order_of_arrival():
@@ -84,16 +84,16 @@ def test_pdo_within_2_ms_of_most_syncs_is_synchronous(delay_ms, every, by_sync):
 
 def test_remote_frame_is_poll_answered_by_next_frame():
     asked = Frame(10 * MS, "can0", remote(0x186, 1))
-    tapes = cut(BOOT, asked, frame(12, 0x186, b"\1"), frame(20, 0x186, b"\2"))
-    poll = tapes[6].steps[1]
+    logs = cut(BOOT, asked, frame(12, 0x186, b"\1"), frame(20, 0x186, b"\2"))
+    poll = logs[6].steps[1]
     assert (poll.role, poll.key) == (Role.POLL, remote_key(0x186))
     assert [(one.delay_ns, one.data[8]) for one in poll.answers] == [(2 * MS, 1)]
-    assert [one.data[8] for one in tapes[6].steps[0].reactions] == [0, 2]
+    assert [one.data[8] for one in logs[6].steps[0].reactions] == [0, 2]
 
 
 def test_set_point_bits_of_pdo_can_be_masked():
     """RPDO 1 of node 6: controlword (16 bits), modes of operation (8), target position (32)."""
-    tapes = CanopenTapes("can0", 0, any_set_point=True)
+    logs = CanopenExchanges("can0", 0, any_set_point=True)
     written = ("2f001600 00", "23001601 10004060", "23001602 08006060", "23001603 20007a60")
     frames = [BOOT]
     for number, request in enumerate((*written, "2f001600 03")):
@@ -107,11 +107,11 @@ def test_set_point_bits_of_pdo_can_be_masked():
         frame(60, 0x206, bytes.fromhex("1f000602000000")),
     ]
     for one in frames:
-        tapes.take(one.time_ns, one.frame, one.direction, one.sender)
-    tape = tapes.tapes()[6]
-    (((_, mask),),) = tape.masks.values()
+        logs.take(one.time_ns, one.frame, one.direction, one.sender)
+    log = logs.logs()[6]
+    (((_, mask),),) = log.masks.values()
     assert mask == bytes.fromhex("ffffff00000000ff")
-    told = [step.time_ns // MS for step in tape.steps if step.key[0] == "pdo"]
+    told = [step.time_ns // MS for step in log.steps if step.key[0] == "pdo"]
     assert told == [30, 50, 60]
 
 
@@ -128,7 +128,7 @@ def test_requests_that_write_are_commands(function):
     pdu = bytes([function, 0, 1, 0, 3])
     told = [adu(1, pdu), adu(4, pdu, to_server=False)]
     is_write = function in (0x05, 0x06, 0x0F, 0x10, 0x15, 0x16, 0x17)
-    assert modbus_tapes("rs485", told, 0)[1].steps[1].role is (
+    assert modbus_logs("rs485", told, 0)[1].steps[1].role is (
         Role.COMMAND if is_write else Role.POLL
     )
 
@@ -140,7 +140,7 @@ ANSWER = bytes.fromhex("0302022B")
 def answers(adus):
     """Return (delay [ns], last byte) of each answer of unit 1; None if there is none."""
     found = []
-    for step in modbus_tapes("line", adus, 0)[1].steps[1:]:
+    for step in modbus_logs("line", adus, 0)[1].steps[1:]:
         told = step.turns[0].answers
         found.append((told[0].delay_ns, told[0].data[-1]) if told else None)
     return found

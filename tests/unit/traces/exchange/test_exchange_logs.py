@@ -6,9 +6,9 @@ from collections import Counter
 import pytest
 
 from motorhil.harness.cli.main import main
-from motorhil.traces.exchange.canopen import canopen_tapes
-from motorhil.traces.exchange.modbus import LineAdu, modbus_tapes
-from motorhil.traces.exchange.recording import tapes_of
+from motorhil.traces.exchange.canopen import CanopenExchanges
+from motorhil.traces.exchange.modbus import LineAdu, modbus_logs
+from motorhil.traces.exchange.recording import exchanges_of
 from motorhil.traces.exchange.steps import START, Role
 from motorhil.traces.formats.frames import EFF, ERR, RTR, Findings, Frame, classic
 from motorhil.traces.formats.modbus import Adu
@@ -30,13 +30,21 @@ def frame(time_ms, can_id, data=b"", sender="", direction=Direction.UNKNOWN):
     return Frame(time_ms * MS, "can0", classic(can_id, data), direction, sender)
 
 
+def canopen_logs(bus, frames, begin_ns, names=None):
+    """Return the exchange logs of the nodes in these frames of one bus, by node-ID."""
+    exchanges = CanopenExchanges(bus, begin_ns, names)
+    for time_ns, _, frame, direction, sender in frames:
+        exchanges.take(time_ns, frame, direction, sender)
+    return exchanges.logs()
+
+
 def cut(*frames, names=None):
-    return canopen_tapes("can0", frames, 0, names)
+    return canopen_logs("can0", frames, 0, names)
 
 
-def sent(tape):
+def sent(log):
     """Yield all frames that the node sent, as (time, frame)."""
-    for step in tape.steps:
+    for step in log.steps:
         for one in (*step.answers, *step.reactions):
             yield step.time_ns + one.delay_ns, one.data
         for turn in step.turns:
@@ -50,9 +58,9 @@ def test_real_machine_frame_is_in_log_once(name, shared):
     findings = Findings()
     path = shared / "data" / "traffic" / name
     frames = list(open_source(path).frames(findings))
-    tapes = canopen_tapes(frames[0].bus, frames, frames[0].time_ns)
-    assert tapes
-    ours = Counter(data for tape in tapes.values() for _, data in sent(tape))
+    logs = canopen_logs(frames[0].bus, frames, frames[0].time_ns)
+    assert logs
+    ours = Counter(data for log in logs.values() for _, data in sent(log))
     plain = [one for one in frames if len(one.frame) == 16]
     told = Counter()
     asked = set()
@@ -73,15 +81,15 @@ def test_real_machine_frame_is_in_log_once(name, shared):
 def test_times_in_log_are_those_of_recording(name, shared):
     path = shared / "data" / "traffic" / name
     frames = list(open_source(path).frames(Findings()))
-    tapes = canopen_tapes(frames[0].bus, frames, frames[0].time_ns)
+    logs = canopen_logs(frames[0].bus, frames, frames[0].time_ns)
     there = {(one.time_ns, one.frame) for one in frames}
-    for tape in tapes.values():
-        for time_ns, data in sent(tape):
+    for log in logs.values():
+        for time_ns, data in sent(log):
             assert time_ns is None or (time_ns, data) in there
 
 
 def test_write_and_its_reactions():
-    tapes = cut(
+    logs = cut(
         frame(0, 0x701, b"\0"),
         frame(5, 0x601, bytes.fromhex("2b40600006000000")),
         frame(6, 0x581, bytes.fromhex("6040600000000000")),
@@ -90,7 +98,7 @@ def test_write_and_its_reactions():
         frame(21, 0x581, bytes.fromhex("4b41600031020000")),
         frame(29, 0x181, b"\x31\x02"),
     )
-    first, write, read = tapes[1].steps
+    first, write, read = logs[1].steps
     assert (first.key, first.role) == (START, Role.COMMAND)
     assert [(one.delay_ns, one.data[8:9]) for one in first.reactions] == [(0, b"\0")]
     assert (write.role, read.role) == (Role.COMMAND, Role.POLL)
@@ -116,7 +124,7 @@ def test_periodic_frames_are_marked():
 
 def test_segmented_upload_is_one_step_with_turns():
     """CiA 301: initiate upload with the size 9, two segments."""
-    tapes = cut(
+    logs = cut(
         frame(1, 0x602, bytes.fromhex("4008100000000000")),
         frame(2, 0x582, bytes.fromhex("4108100009000000")),
         frame(3, 0x602, bytes.fromhex("6000000000000000")),
@@ -126,7 +134,7 @@ def test_segmented_upload_is_one_step_with_turns():
         frame(9, 0x602, bytes.fromhex("4000100000000000")),
         frame(10, 0x582, bytes.fromhex("4300100092010200")),
     )
-    _, name, kind = tapes[2].steps
+    _, name, kind = logs[2].steps
     assert [turn.asked[8] for turn in name.turns] == [0x40, 0x60, 0x70]
     assert [len(turn.answers) for turn in name.turns] == [1, 1, 1]
     assert len(kind.turns) == 1
@@ -144,15 +152,15 @@ def set_up_tpdo(node, transmission_type):
 @pytest.mark.parametrize(("kind", "by_sync"), [(1, True), (240, True), (254, False), (255, False)])
 def test_only_synchronous_pdo_answers_sync(kind, by_sync):
     """CiA 301: transmission types 0 to 240 are synchronous."""
-    tapes = cut(
+    logs = cut(
         *set_up_tpdo(3, kind),
         frame(10, 0x80),
         frame(11, 0x183, b"\1"),
         frame(20, 0x80),
         frame(21, 0x183, b"\2"),
     )
-    answers = [one.data[8:9] for step in tapes[3].steps for one in step.answers]
-    reactions = [one.data[8:9] for step in tapes[3].steps for one in step.reactions]
+    answers = [one.data[8:9] for step in logs[3].steps for one in step.answers]
+    reactions = [one.data[8:9] for step in logs[3].steps for one in step.reactions]
     assert (answers, reactions) == (([b"\1", b"\2"], []) if by_sync else ([], [b"\1", b"\2"]))
 
 
@@ -162,16 +170,16 @@ def test_unknown_pdo_after_every_sync_is_synchronous():
         traffic += [frame(10 * number, 0x80), frame(10 * number + 1, 0x184, b"\1")]
         if number % 3 == 0:
             traffic.append(frame(10 * number + 5, 0x284, b"\2"))
-    tapes = cut(frame(0, 0x704, b"\0"), *traffic)
-    assert {one.data[:2] for step in tapes[4].steps for one in step.answers} == {b"\x84\x01"}
-    assert {one.data[:2] for step in tapes[4].steps for one in step.reactions} == {
+    logs = cut(frame(0, 0x704, b"\0"), *traffic)
+    assert {one.data[:2] for step in logs[4].steps for one in step.answers} == {b"\x84\x01"}
+    assert {one.data[:2] for step in logs[4].steps for one in step.reactions} == {
         b"\x84\x02",
         b"\x04\x07",
     }
 
 
 def test_sync_that_activates_set_point_is_command():
-    tapes = cut(
+    logs = cut(
         frame(0, 0x705, b"\0"),
         frame(10, 0x205, b"\x3f\x00"),
         frame(12, 0x80),
@@ -179,19 +187,19 @@ def test_sync_that_activates_set_point_is_command():
         frame(22, 0x80),
         frame(24, 0x185, b"\x37\x16"),
     )
-    kinds = [(step.role, step.key[0]) for step in tapes[5].steps]
+    kinds = [(step.role, step.key[0]) for step in logs[5].steps]
     command = Role.COMMAND
     assert kinds == [(command, "start"), (command, "pdo"), (command, "sync")]
-    assert [one.delay_ns for one in tapes[5].steps[-1].reactions] == [2 * MS, 12 * MS]
+    assert [one.delay_ns for one in logs[5].steps[-1].reactions] == [2 * MS, 12 * MS]
 
 
 def test_repeated_set_point_is_not_a_command():
-    tapes = cut(
+    logs = cut(
         frame(0, 0x706, b"\0"),
         *[frame(10 * n, 0x206, b"\x0f\0") for n in (1, 2, 3)],
         frame(40, 0x206, b"\x1f\0"),
     )
-    assert [step.key[2][1:3] for step in tapes[6].steps[1:]] == [b"\x0f\0", b"\x1f\0"]
+    assert [step.key[2][1:3] for step in logs[6].steps[1:]] == [b"\x0f\0", b"\x1f\0"]
 
 
 def test_sender_decides_owner_before_identifier():
@@ -218,7 +226,7 @@ def adu(time_ms, pdu, unit=1, to_server=True, transaction=0):
 
 def test_modbus_write_is_command_and_read_is_poll():
     """FC 06h and 03h, from the specification's own examples (sections 6.6 and 6.3)."""
-    tapes = modbus_tapes(
+    logs = modbus_logs(
         "rs485",
         [
             adu(1, bytes.fromhex("0600010003")),
@@ -228,7 +236,7 @@ def test_modbus_write_is_command_and_read_is_poll():
         ],
         0,
     )
-    _, write, read = tapes[1].steps
+    _, write, read = logs[1].steps
     assert (write.role, read.role) == (Role.COMMAND, Role.POLL)
     (answer,) = read.turns[0].answers
     assert answer.data == bytes.fromhex("010306022B00000064")
@@ -237,7 +245,7 @@ def test_modbus_write_is_command_and_read_is_poll():
 
 def test_broadcast_reaches_all_gateway_exception_none():
     """Exception 0Bh: gateway target device failed to respond."""
-    tapes = modbus_tapes(
+    logs = modbus_logs(
         "plant",
         [
             adu(1, bytes.fromhex("03006B0001"), unit=1, transaction=1),
@@ -248,9 +256,9 @@ def test_broadcast_reaches_all_gateway_exception_none():
         ],
         0,
     )
-    assert list(tapes) == [1]
-    assert [step.key[0] for step in tapes[1].steps] == ["start", "modbus", "modbus"]
-    assert tapes[1].steps[-1].turns[0].asked == bytes.fromhex("000600010003")
+    assert list(logs) == [1]
+    assert [step.key[0] for step in logs[1].steps] == ["start", "modbus", "modbus"]
+    assert logs[1].steps[-1].turns[0].asked == bytes.fromhex("000600010003")
 
 
 def on_tcp(*told):
@@ -261,16 +269,16 @@ def on_tcp(*told):
     ]
 
 
-def answered(tape):
+def answered(log):
     return [
         (step.turns[0].asked[1:].hex(), [one.data[1:].hex() for one in step.turns[0].answers])
-        for step in tape.steps[1:]
+        for step in log.steps[1:]
     ]
 
 
 def test_reused_transaction_leaves_request_unanswered():
     """As with the gateway whose client begins with transaction 0 on each connection."""
-    tapes = modbus_tapes(
+    logs = modbus_logs(
         "plant",
         on_tcp(
             *((1, "0400000001", True, 0), (2, "0400010001", True, 1), (9, "0402aaaa", False, 1)),
@@ -279,7 +287,7 @@ def test_reused_transaction_leaves_request_unanswered():
         ),
         0,
     )
-    assert answered(tapes[2]) == [
+    assert answered(logs[2]) == [
         ("0400000001", []),
         ("0400010001", ["0402aaaa"]),
         ("0400050001", ["04020055"]),
@@ -292,14 +300,14 @@ def test_real_gateway_answers_match_requests(shared, tmp_path):
     source = shared / "data" / "traffic" / "modbus_gateway_units1237_pipelined.pcap"
     assert main(["convert", str(source), "-o", str(tmp_path / "plant.mcap")]) == 0
     with read_trace(tmp_path / "plant.mcap") as trace:
-        tapes = tapes_of(trace).tapes.values()
-    turns = [step.turns[0] for tape in tapes for step in tape.steps[1:]]
+        logs = exchanges_of(trace).logs.values()
+    turns = [step.turns[0] for log in logs for step in log.steps[1:]]
     assert sum(len(turn.answers) for turn in turns) == 1592
     assert max(one.delay_ns for turn in turns for one in turn.answers) < 5_100 * MS
 
 
 def test_broadcast_counts_for_units_addressed_later():
-    tapes = modbus_tapes(
+    logs = modbus_logs(
         "rs485",
         [
             adu(1, bytes.fromhex("0600010003"), unit=0),
@@ -308,4 +316,4 @@ def test_broadcast_counts_for_units_addressed_later():
         ],
         0,
     )
-    assert [step.turns[0].asked[0] for step in tapes[4].steps[1:]] == [0, 4]
+    assert [step.turns[0].asked[0] for step in logs[4].steps[1:]] == [0, 4]

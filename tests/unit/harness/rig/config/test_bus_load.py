@@ -11,7 +11,7 @@ from motorhil.harness.rig.config.schema import rig_schema
 from motorhil.harness.rig.config.toml import RigError, Source
 from motorhil.harness.rig.rig import Rig
 from motorhil.motorapi.synchronization.bus_load import PeriodicMessage, declared_traffic
-from motorhil.motorapi.synchronization.can_response_time import worst_frame_ns
+from motorhil.motorapi.synchronization.can_response_time import BusLoad
 from tests.support.motors.drive_rigs import HEAD, drive
 
 SCHEMA = rig_schema()
@@ -162,7 +162,8 @@ def test_motorapi_gets_can_fd_messages_and_data_bit_rate(tmp_path: Path):
         traffic = declared_traffic(rig.bus("can0"))
     assert traffic is not None
     assert traffic.data_bitrate_bit_s == 5_000_000
-    assert worst_frame_ns(traffic.messages[0], traffic) == 33_000 + 679 * 200
+    load = BusLoad.of(traffic)
+    assert load.takes_ns(load.messages[0]) == 33_000 + 679 * 200
 
 
 def opened(tmp_path: Path, text: str) -> Rig:

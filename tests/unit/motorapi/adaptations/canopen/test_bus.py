@@ -1,19 +1,20 @@
 """The host's end of a bus: confirmation, SYNC, heartbeats, dispatch."""
 
+import gc
+import weakref
+
 import pytest
 
-from motorhil.motorapi.adaptations.canopen.bus import (
-    CanopenLink,
-    can_frame,
-    open_link,
-    release_link,
-)
+from motorhil.motorapi.adaptations.canopen.bus import CanopenBus, open_bus, release_bus
+from motorhil.motorapi.adaptations.canopen.link import CanLink, can_frame
+from motorhil.motorapi.bus_context import context_of
 from motorhil.motorapi.errors import LinkError, UsageError
+from motorhil.motorapi.synchronization.bus_load import CanTraffic, declare_traffic
 from tests.support.motors.scripted import FRAME_NS, MS, ScriptedBus, frame, text_of
 
 
-def link_on(bus: ScriptedBus) -> CanopenLink:
-    return CanopenLink(bus, bus.runtime)
+def link_on(bus: ScriptedBus) -> CanLink:
+    return CanLink(bus, bus.runtime)
 
 
 def test_can_frame_equals_linux_struct():
@@ -77,35 +78,35 @@ def test_frames_are_dispatched_by_identifier():
 
 def test_other_identifiers_reach_the_canopen_network():
     bus = ScriptedBus()
-    link = link_on(bus)
+    canopen = CanopenBus(bus, bus.runtime)
     heard: list[bytes] = []
-    link.network.subscribe(0x193, lambda can_id, data, time_s: heard.append(bytes(data)))
+    canopen.network.subscribe(0x193, lambda can_id, data, time_s: heard.append(bytes(data)))
     bus.deliver("193#0102")
     bus.runtime.run_for(0.01)
     assert heard == [b"\x01\x02"]
-    link.network.send_message(0x613, b"\x40")
+    canopen.network.send_message(0x613, b"\x40")
     assert bus.texts == ["613#40"]
 
 
 def test_host_heartbeat_is_sent_at_once_and_cyclically():
     bus = ScriptedBus()
-    link = link_on(bus)
-    link.produce_heartbeat(127, 100)
-    link.produce_heartbeat(127, 100)  # a second drive needs it too
+    canopen = CanopenBus(bus, bus.runtime)
+    canopen.produce_heartbeat(127, 100)
+    canopen.produce_heartbeat(127, 100)  # a second drive needs it too
     bus.runtime.run_for(0.25)
     assert bus.sent == [(0, "77F#05"), (100 * MS, "77F#05"), (200 * MS, "77F#05")]
-    link.release_heartbeat(127)
+    canopen.release_heartbeat(127)
     bus.runtime.run_for(0.1)
     assert len(bus.sent) == 4
-    link.release_heartbeat(127)
+    canopen.release_heartbeat(127)
     bus.runtime.run_for(1.0)
     assert len(bus.sent) == 4
 
 
 def test_failed_heartbeat_is_reported_once_until_recovery(monkeypatch):
     bus = ScriptedBus()
-    link = link_on(bus)
-    link.produce_heartbeat(127, 100)
+    canopen = CanopenBus(bus, bus.runtime)
+    canopen.produce_heartbeat(127, 100)
     tried = []
 
     def refuse(frame):
@@ -124,20 +125,21 @@ def test_failed_heartbeat_is_reported_once_until_recovery(monkeypatch):
 
 
 def test_second_host_heartbeat_period_is_refused():
-    link = link_on(ScriptedBus())
-    link.produce_heartbeat(127, 100)
+    bus = ScriptedBus()
+    canopen = CanopenBus(bus, bus.runtime)
+    canopen.produce_heartbeat(127, 100)
     with pytest.raises(UsageError, match="heartbeat of 100 ms already, so not of 50 ms"):
-        link.produce_heartbeat(127, 50)
+        canopen.produce_heartbeat(127, 50)
 
 
 def test_cyclic_sync_is_shared_and_ends_with_its_last_user():
     bus = ScriptedBus()
-    link = link_on(bus)
+    canopen = CanopenBus(bus, bus.runtime)
     turns: list[str] = []
-    one = link.on_sync(0.01, lambda: turns.append("one"))
-    two = link.on_sync(0.01, lambda: turns.append("two"))
+    one = canopen.sync.join(0.01, lambda: turns.append("one"))
+    two = canopen.sync.join(0.01, lambda: turns.append("two"))
     with pytest.raises(UsageError, match="SYNC runs every 10 ms already, so not every 20 ms"):
-        link.on_sync(0.02, lambda: None)
+        canopen.sync.join(0.02, lambda: None)
     bus.runtime.run_for(0.0251)
     assert bus.sent == [(10 * MS, "080#"), (20 * MS, "080#")]
     assert turns == ["one", "two", "one", "two"]
@@ -150,32 +152,42 @@ def test_cyclic_sync_is_shared_and_ends_with_its_last_user():
 @pytest.mark.parametrize("own", [True, False])
 def test_at_next_sync_reports_its_time_for_any_sender(own: bool):
     bus = ScriptedBus()
-    link = link_on(bus)
+    canopen = CanopenBus(bus, bus.runtime)
     told: list[int] = []
-    link.at_next_sync(told.append)
+    canopen.sync.at_next(told.append)
     if own:
-        link.sync()
+        canopen.sync.send()
     else:
         bus.deliver("080#", FRAME_NS)
     bus.runtime.run_for(0.01)
     assert told == [FRAME_NS]
-    link.sync()
+    canopen.sync.send()
     bus.runtime.run_for(0.01)
     assert told == [FRAME_NS]  # the next one only
 
 
 def test_link_of_a_bus_is_shared_until_its_last_release():
     bus = ScriptedBus()
-    link = open_link(bus, bus.runtime)
-    assert open_link(bus, bus.runtime) is link
-    link.produce_heartbeat(127, 100)
-    release_link(link)
-    assert open_link(bus, bus.runtime) is link
-    release_link(link)
-    release_link(link)
+    canopen = open_bus(bus, bus.runtime)
+    assert open_bus(bus, bus.runtime) is canopen
+    canopen.produce_heartbeat(127, 100)
+    release_bus(canopen)
+    assert open_bus(bus, bus.runtime) is canopen
+    release_bus(canopen)
+    release_bus(canopen)
     sent = len(bus.sent)
     bus.runtime.run_for(1.0)
     assert len(bus.sent) == sent  # nothing is active
-    other = open_link(bus, bus.runtime)
-    assert other is not link
-    release_link(other)
+    other = open_bus(bus, bus.runtime)
+    assert other is not canopen
+    release_bus(other)
+
+
+def test_bus_that_is_gone_leaves_nothing():
+    bus = ScriptedBus()
+    release_bus(open_bus(bus, bus.runtime))
+    declare_traffic(bus, CanTraffic(1_000_000))
+    kept = [weakref.ref(bus), weakref.ref(context_of(bus))]
+    del bus
+    gc.collect()
+    assert [one() for one in kept] == [None, None]

@@ -9,7 +9,7 @@ import pytest
 
 from motorhil.emulators.can.fault_rules import FaultKind, FaultRule
 from motorhil.harness.rig.rig import Rig
-from motorhil.motorapi.adaptations.canopen.bus import CanopenLink
+from motorhil.motorapi.adaptations.canopen.link import CanLink
 from motorhil.motorapi.commands import ControlMode
 from motorhil.motorapi.errors import DeadlineExceeded, LinkError
 from motorhil.motorapi.functions import Polynomial
@@ -117,7 +117,7 @@ def test_bus_off_ends_a_waiting_sdo_transfer_at_once(rig: Rig):
 
 def test_bus_off_shorter_than_a_step_is_noticed_by_waiters():
     bus = ScriptedBus(confirms=False)
-    link = CanopenLink(bus, bus.runtime)
+    link = CanLink(bus, bus.runtime)
     sent = link.send_tracked(frame("301#0F00"))
 
     def off_and_on(_now_ns: int) -> None:
@@ -132,7 +132,7 @@ def test_bus_off_shorter_than_a_step_is_noticed_by_waiters():
 
 def test_bus_off_drops_frames_without_late_confirmation():
     bus = ScriptedBus(confirms=False)
-    link = CanopenLink(bus, bus.runtime)
+    link = CanLink(bus, bus.runtime)
     lost = link.send_tracked(frame("080#"))
     bus.deliver(message(OFF))
     bus.deliver(message("20000100#0000000000000000"))
@@ -235,13 +235,13 @@ def test_error_frame_is_not_handled_as_data_frame(rig: Rig, classes: int):
     motor = motor_of(rig)
     motor.enable()
     node = motor.hardware.node
-    link = motor.hardware.link
+    bus = motor.hardware.node.bus
     heard: list[int] = []
-    link.network.subscribe(classes, lambda can_id, data, time_s: heard.append(can_id))
+    bus.network.subscribe(classes, lambda can_id, data, time_s: heard.append(can_id))
     with motor.low_level() as hardware, hardware.listen() as inbox:
-        before = (node.statusword, node.position_inc, node.malformed, link.bus_sync.count)
+        before = (node.statusword, node.position_inc, node.malformed, bus.sync.count)
         tell(rig, f"{0x2000_0000 | classes:08X}#FFFF0F0000FF0000")
-        after = (node.statusword, node.position_inc, node.malformed, link.bus_sync.count)
+        after = (node.statusword, node.position_inc, node.malformed, bus.sync.count)
         with pytest.raises(DeadlineExceeded):
             inbox.receive(0.0)
     assert (after, list(node.emergencies), heard) == (before, [], [])

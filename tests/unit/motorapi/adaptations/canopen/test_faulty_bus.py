@@ -98,7 +98,7 @@ def test_stop_during_group_start_leaves_no_motion_pending(
         except MotorError as error:
             event(type(error).__name__)  # then there is nothing to stop
         rig.runtime.run_for(0.3)
-        group[0].hardware.link.sync()  # anything still armed would start now
+        group[0].hardware.node.bus.sync.send()  # anything still armed would start now
         rig.runtime.run_for(0.05)
         before = [rig.controllers[name].snapshot()["position_inc"] for name in ("left", "right")]
         rig.runtime.run_for(0.1)

@@ -106,10 +106,10 @@ def test_one_sync_halts_all_and_demands_slow_at_one_tick(by_priority):
 def test_stop_beside_a_cyclic_sync_halts_each_separately():
     with opened(3) as (rig, group):
         started(rig, group)
-        link = group[0].hardware.link
-        cyclic = link.on_sync(0.01, lambda: None)
+        bus = group[0].hardware.node.bus
+        cyclic = bus.sync.join(0.01, lambda: None)
         rig.runtime.run_for(0.05)
-        assert joint_stop_of(link) is None
+        assert joint_stop_of(bus) is None
         heard = frames_on(rig)
         rig.controllers["m1"].stimulate("fault", 0x7500)
         rig.runtime.run_for(0.6)
@@ -137,8 +137,7 @@ def test_sync_after_a_joint_stop_starts_nothing():
         rig.runtime.run_for(0.8)
         others = MotorGroup(group[1], group[2])
         before = others.for_each(Motor.position)
-        link = group[1].hardware.link
-        link.sync()
+        group[1].hardware.node.bus.sync.send()
         rig.runtime.run_for(0.2)
         assert others.for_each(Motor.position) == pytest.approx(before, abs=1e-4)  # two increments
         others.set_trajectory(TrapezoidalTrajectory(-0.5), TrapezoidalTrajectory(-0.5))

@@ -2,14 +2,15 @@
 
 import pytest
 
-from motorhil.motorapi.adaptations.canopen.bus import CanopenLink
-from motorhil.motorapi.adaptations.canopen.sdo import ProtocolViolation, SdoAborted, SdoChannel
+from motorhil.motorapi.adaptations.canopen.errors import ProtocolViolation, SdoAborted
+from motorhil.motorapi.adaptations.canopen.link import CanLink
+from motorhil.motorapi.adaptations.canopen.sdo import SdoChannel
 from motorhil.motorapi.errors import DeadlineExceeded
 from tests.support.motors.scripted import FRAME_NS, MS, Answer, ScriptedBus, Transcript, frame
 
 
 def channel_to(bus: ScriptedBus, timeout_s: float = 0.3, quarantine_s: float = 1.0) -> SdoChannel:
-    link = CanopenLink(bus, bus.runtime)
+    link = CanLink(bus, bus.runtime)
     return SdoChannel(link, 2, timeout_s=timeout_s, quarantine_s=quarantine_s)
 
 

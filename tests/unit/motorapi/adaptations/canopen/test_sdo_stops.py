@@ -8,7 +8,7 @@ import pytest
 from motorhil.emulators.can.fault_rules import FaultKind, FaultRule
 from motorhil.emulators.cia402.settings import OWN_EDS
 from motorhil.harness.rig.rig import Rig
-from motorhil.motorapi.adaptations.canopen.bus import CanopenLink
+from motorhil.motorapi.adaptations.canopen.link import CanLink
 from motorhil.motorapi.adaptations.canopen.sdo import SdoChannel
 from motorhil.motorapi.errors import DeadlineExceeded, MotionInterrupted
 from tests.support.motors.drive_rigs import drive
@@ -118,7 +118,7 @@ GO = b"\x0f\0"
 
 
 def channel_to(bus: ScriptedBus) -> SdoChannel:
-    return SdoChannel(CanopenLink(bus, bus.runtime), 2, timeout_s=0.3, quarantine_s=1.0)
+    return SdoChannel(CanLink(bus, bus.runtime), 2, timeout_s=0.3, quarantine_s=1.0)
 
 
 def answering(table: dict[str, list[Answer]]):

@@ -56,7 +56,7 @@ def test_stream_of_equal_period_follows_other_hosts_sync(rig: Rig):
             stream = stream_of(motor)
             assert (stream.sent, stream.late, stream.missed) == (count, 0, 0)
         assert abs(position(rig, 2) - 0.4) < INCREMENT_RAD
-        assert first.hardware.link.cyclic_sync() is None
+        assert first.hardware.node.bus.sync.cyclic() is None
 
 
 def test_other_period_is_refused_and_names_the_producer(rig: Rig):
@@ -136,14 +136,14 @@ def test_second_producer_is_detected_and_drives_brake(rig: Rig):
             before = position(rig, 1)
             rig.runtime.run_for(0.5)
             assert abs(position(rig, 1) - before) < INCREMENT_RAD
-        assert motor.hardware.link.sync_period_ns is None
+        assert motor.hardware.node.bus.sync.period_ns is None
 
 
 def test_single_foreign_sync_is_tolerated(rig: Rig):
     with host_with(rig, 1) as (motor,), host_with(rig, 2) as (other,):
         set_function(motor, quintic(1.0, 1.0)).start()
         rig.runtime.run_for(0.5)
-        other.hardware.link.sync()
+        other.hardware.node.bus.sync.send()
         motor.wait_until_done(5)
 
 

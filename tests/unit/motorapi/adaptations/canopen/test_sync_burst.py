@@ -8,6 +8,7 @@ import pytest
 from motorhil.emulators.can.fault_rules import FaultKind, FaultRule
 from motorhil.harness.rig.rig import Rig
 from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
+from motorhil.motorapi.adaptations.cia402.sync_start import armed_group
 from motorhil.motorapi.commands import ControlMode, ControlVariable
 from motorhil.motorapi.errors import LinkError, MotionInterrupted, MotorError
 from motorhil.motorapi.group import MotorGroup
@@ -121,7 +122,7 @@ def test_regular_starts_of_another_host_are_not_cyclic_sync(rig: Rig):
         before_ns = rig.runtime.now_ns()
         group.start()
         assert rig.runtime.now_ns() - before_ns < 20 * MS  # does not wait for one: they took turns
-        assert motors[0].hardware.link.cyclic_sync() is None
+        assert motors[0].hardware.node.bus.sync.cyclic() is None
         assert group.sync_quality().command_skew_s == 0.0
         group.wait_until_done(5)
 
@@ -133,16 +134,16 @@ def test_burst_pushed_over_a_sync_straddles_and_reports_it(rig: Rig):
         can.Bus(interface="emulated", channel="can0") as loud,
     ):
         group = ready(*motors)
-        link = motors[0].hardware.link
+        bus = motors[0].hardware.node.bus
 
         def shout(time_ns: int) -> None:  # wins arbitration, for most of a period
-            if any(one.transmission is not None for one in link.armed_set_points):
+            if any(one.transmission is not None for one in armed_group(bus).set_points):
                 return
             for _ in range(6):
                 loud.send(can.Message(arbitration_id=0x081, data=bytes(8), is_extended_id=False))
-            link.at_next_sync(shout)
+            bus.sync.at_next(shout)
 
-        link.at_next_sync(shout)
+        bus.sync.at_next(shout)
         seen = BusEvidence(rig)
         group.start()
         group.wait_until_done(5)
@@ -160,19 +161,19 @@ def test_burst_after_a_delayed_sync_straddles_and_reports_it(rig: Rig):
     with host_with(rig, 1, 2, 3) as motors, foreign_sync(0.02):
         group = ready(*motors)
         rig.runtime.run_for(0.1)
-        link = motors[0].hardware.link
+        bus = motors[0].hardware.node.bus
         late = FaultRule(
             "late",
             FaultKind.DELAY,
             identifier=0x080,
-            ports=(str(link.bus._port.name),),
+            ports=(str(bus.link.bus._port.name),),
             limit=1,
             delay_ns=20 * MS - 150_000,  # the rest is too short for three frames
         )
         injected: list[int] = []
 
         def look() -> None:
-            if len(link.armed_set_points) == 3 and not injected:
+            if len(armed_group(bus).set_points) == 3 and not injected:
                 injected.append(rig.runtime.now_ns())
                 rig.faults.inject("can0", late)
 
@@ -194,7 +195,7 @@ def test_stop_between_arming_and_burst_leaves_nothing_armed(rig: Rig):
         stopped: list[int] = []
 
         def look() -> None:  # all is ready, and waits for a SYNC
-            if len(motors[0].hardware.link.armed_set_points) == 3 and not stopped:
+            if len(armed_group(motors[0].hardware.node.bus).set_points) == 3 and not stopped:
                 stopped.append(rig.runtime.now_ns())
                 group.stop()
 
@@ -214,10 +215,10 @@ def test_own_sync_begins_a_burst_when_the_producer_ends(rig: Rig):
         group = ready(*motors)
         streaming(fourth)
         rig.runtime.run_for(0.1)
-        link = motors[0].hardware.link
+        bus = motors[0].hardware.node.bus
 
         def look() -> None:
-            if len(link.armed_set_points) == 3 and fourth.hardware.stream is not None:
+            if len(armed_group(bus).set_points) == 3 and fourth.hardware.stream is not None:
                 fourth.hardware.stream.cancel()
 
         rig.runtime.every(0.0005, look)
@@ -238,7 +239,7 @@ def test_refused_set_point_leaves_nothing_armed(rig: Rig):
             group.start()
         rig.runtime.run_for(0.3)
         assert seen.fired() == []
-        assert motors[0].hardware.link.armed_set_points == []
+        assert armed_group(motors[0].hardware.node.bus).set_points == []
         rig.faults.lift("can0", "lose")
         group.start()
         group.wait_until_done(5)

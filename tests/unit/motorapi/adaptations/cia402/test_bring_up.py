@@ -7,7 +7,7 @@ from math import inf, nan
 import pytest
 
 from motorhil.harness.rig.rig import Rig
-from motorhil.motorapi.adaptations.canopen.sdo import SdoAborted
+from motorhil.motorapi.adaptations.canopen.errors import SdoAborted
 from motorhil.motorapi.adaptations.cia402.hardware import Cia402HwMotor
 from motorhil.motorapi.adaptations.cia402.objects import Mode, PdsState
 from motorhil.motorapi.adaptations.cia402.settings import HwOptions

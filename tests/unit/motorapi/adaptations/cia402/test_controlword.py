@@ -62,7 +62,7 @@ def test_arm_waits_until_its_frame_was_on_the_wire(rig: Rig):
     assert 0x301 in heard
     rig.runtime.run_for(0.3)
     assert position(rig) == 0
-    hw.link.sync()
+    hw.node.bus.sync.send()
     rig.runtime.run_for(0.3)
     assert position(rig) > 100
     hw.close()
@@ -74,7 +74,7 @@ def test_armed_target_does_not_start_after_a_halt(rig: Rig):
     hw.control.arm(0x607A, 20_000)
     hw.halt()
     rig.runtime.run_for(0.01)
-    hw.link.sync()
+    hw.node.bus.sync.send()
     rig.runtime.run_for(0.3)
     assert abs(position(rig)) <= 1
     hw.close()
@@ -85,7 +85,7 @@ def test_armed_target_does_not_start_after_disarm(rig: Rig):
     hw.control.take_set_points()
     hw.control.arm(0x607A, 20_000)
     hw.control.disarm()
-    hw.link.sync()
+    hw.node.bus.sync.send()
     rig.runtime.run_for(0.3)
     assert abs(position(rig)) <= 1
     hw.close()

@@ -95,7 +95,7 @@ def test_application_error_ends_the_stream_and_is_kept(rig: Rig):
     rig.runtime.run_for(0.1)
     assert stream.ended
     assert isinstance(stream.error, ZeroDivisionError)
-    assert hw.link.sync_period_ns is None
+    assert hw.node.bus.sync.period_ns is None
     hw.close()
 
 
@@ -103,5 +103,5 @@ def test_application_error_ends_the_stream_and_is_kept(rig: Rig):
 def test_period_outside_60c2h_is_refused(rig: Rig, period_s: float):
     hw = enabled(rig, 1)
     with pytest.raises(UsageError, match="integer milliseconds, 1 to 255"):
-        CspStream(hw, period_s, lambda cycle: 0)
+        CspStream(hw.control, period_s, lambda cycle: 0)
     hw.close()

@@ -37,10 +37,10 @@ def test_rounded_line_keeps_limits_and_five_increments():
         @example([0.004, 20.0, 0.0009266827130455925])
         def check(ways):
             group.set_trajectory(*map(TrapezoidalTrajectory, ways))
-            motions = plan(motors, Common(Synchronization.PHASE))
+            motions = plan([m.logical for m in motors], Common(Synchronization.PHASE))
             going = moving(
                 [
-                    Started(m, motion, m._quantise(motion))
+                    Started(m.logical, motion, m._quantise(motion))
                     for m, motion in zip(motors, motions, strict=True)
                 ]
             )

@@ -6,7 +6,7 @@ from math import tau
 import pytest
 
 from motorhil.harness.rig.rig import Rig
-from motorhil.motorapi.adaptations.canopen.sdo import HomingFailed
+from motorhil.motorapi.adaptations.cia402.motor import HomingFailed
 from motorhil.motorapi.errors import DeadlineExceeded
 from motorhil.motorapi.state import MotorState
 from tests.support.motors.drive_rigs import drive

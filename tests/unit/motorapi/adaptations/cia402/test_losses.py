@@ -67,7 +67,7 @@ def test_rebooted_drive_is_brought_up_again(rig: Rig):
     go_to(motor, 1.0)
     motor.wait_until_done(timeout_s=5)
     motor.home(37)
-    motor.hardware.link.nmt(0x81, 1)
+    motor.hardware.node.bus.nmt(0x81, 1)
     rig.runtime.run_for(0.5)
     assert not motor.is_referenced()
     go_to(motor, 0.25)
@@ -78,7 +78,7 @@ def test_drive_reboot_in_motion_raises_link_error(rig: Rig):
     motor = motor_of(rig)
     go_to(motor, 3.0)
     rig.runtime.run_for(0.2)
-    motor.hardware.link.nmt(0x81, 1)
+    motor.hardware.node.bus.nmt(0x81, 1)
     with pytest.raises(LinkError):
         motor.wait_until_done(timeout_s=5)
 
@@ -96,7 +96,7 @@ def test_drive_leaving_operational_raises_link_error(rig: Rig):
     motor = motor_of(rig)
     go_to(motor, 3.0)
     rig.runtime.run_for(0.2)
-    motor.hardware.link.nmt(0x80, 1)
+    motor.hardware.node.bus.nmt(0x80, 1)
     with pytest.raises(LinkError, match="NMT state is 7Fh"):
         motor.wait_until_done(timeout_s=5)
 

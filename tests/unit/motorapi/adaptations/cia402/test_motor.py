@@ -7,9 +7,8 @@ import pytest
 
 from motorhil.emulators.can.fault_rules import FaultKind, FaultRule
 from motorhil.harness.rig.rig import Rig
-from motorhil.motorapi.adaptations.canopen.sdo import HomingFailed
 from motorhil.motorapi.adaptations.cia402.hardware import Cia402HwMotor
-from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
+from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor, HomingFailed
 from motorhil.motorapi.adaptations.cia402.objects import PdsState
 from motorhil.motorapi.commands import ControlMode, ControlVariable, DerivativeLimits
 from motorhil.motorapi.errors import (
@@ -298,7 +297,7 @@ def test_armed_motion_without_start_is_disarmed(rig: Rig):
     rig.faults.inject("can0", lose)  # every SDO request to the right one
     with pytest.raises(DeadlineExceeded, match="node 2"):
         group.start()
-    left.hardware.link.sync()
+    left.hardware.node.bus.sync.send()
     rig.runtime.run_for(0.5)
     assert abs(truth(rig, "left")) <= WINDOW_RAD
 

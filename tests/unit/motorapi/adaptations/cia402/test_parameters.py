@@ -7,7 +7,7 @@ import pytest
 
 from motorhil.harness.rig.rig import Rig
 from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
-from motorhil.motorapi.adaptations.cia402.object_access import Cia402Parameters
+from motorhil.motorapi.adaptations.cia402.parameters import Cia402Parameters
 from motorhil.motorapi.commands import ControlMode
 from motorhil.motorapi.errors import LimitError, UnsupportedError, UsageError
 from motorhil.motorapi.state import MotorState
@@ -100,7 +100,7 @@ def test_parameters_are_written_again_after_a_drive_reset(rig: Rig):
     motor.set_parameters(Cia402Parameters(position_gains=(20_000,)))
     move(motor)
     motor.disable()
-    motor.hardware.link.nmt(0x81, 1)  # reset node restores the drive's own values
+    motor.hardware.node.bus.nmt(0x81, 1)  # reset node restores the drive's own values
     rig.runtime.run_for(1.0)
     move(motor)
     assert gain(motor) == 20_000

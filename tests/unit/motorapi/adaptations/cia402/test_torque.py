@@ -269,9 +269,9 @@ def test_torque_set_point_without_slope_is_a_step(rig: Rig):
     written = written_to_left(rig)
     push(motor, 3.0)
     assert ("6087", 0xFFFF_FFFF) in [(name, value & 0xFFFF_FFFF) for name, value in written]
-    assert motor._physical.run is not None
-    assert motor._physical.run.motion is not None
-    assert motor._physical.run.motion.slope == inf
+    assert motor.logical.physical.run is not None
+    assert motor.logical.physical.run.motion is not None
+    assert motor.logical.physical.run.motion.slope == inf
     motor.stop()
 
 

@@ -219,7 +219,7 @@ def test_silent_node_is_lost_by_its_heartbeat(open_rig: OpenRig):
     assert rig.runtime.now_ns() - lost_ns <= 301 * MS
     rig.runtime.run_for(0.01)
     assert not left.hardware.axis.is_powered
-    assert left.hardware.link.sync_period_ns is None
+    assert left.hardware.node.bus.sync.period_ns is None
 
 
 def test_misses_that_are_not_in_a_row_stop_nothing(open_rig: OpenRig):

@@ -109,10 +109,10 @@ def test_disable_removes_current_and_last_one_ends_sync(open_rig: OpenRig):
     assert left.state() is MotorState.DISABLED
     rig.runtime.run_for(0.1)
     assert rig.controllers["io"].snapshot()["ready"] == 0.0
-    assert left.hardware.link.sync_period_ns == 1_000_000
+    assert left.hardware.node.bus.sync.period_ns == 1_000_000
     right.disable()
     rig.runtime.run_for(0.1)
-    assert left.hardware.link.sync_period_ns is None
+    assert left.hardware.node.bus.sync.period_ns is None
     rig.controllers["io"].stimulate("load_torque_n_m", -3.0)
     rig.runtime.run_for(0.1)
     at = left.position()  # polled, as no cycle brings it

@@ -4,7 +4,6 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Final
 
 from motorhil.motorapi.adaptations.registration import Shared, read_settings
-from motorhil.motorapi.ownership.physical_motor import bus_key
 
 from motorhil_odrive.host.hardware import OdriveHwMotor
 from motorhil_odrive.host.motor import OdriveMotor
@@ -37,7 +36,8 @@ def build(
     own = read_settings(OdriveMotorTable, settings)
     options = own.part(OdriveOptions)
     hardware = _SHARED.get(
-        (*bus_key(bus), own.node_id),
+        bus,
+        own.node_id,
         lambda: OdriveHwMotor(bus, own.node_id, runtime=runtime, options=options),
         lambda built: built.options == options,
     )

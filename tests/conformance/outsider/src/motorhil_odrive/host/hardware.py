@@ -9,7 +9,7 @@ pass the fence (`motorhil.motorapi.ownership.fencing`) and low-level access
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Final, final
 
-from motorhil.motorapi.adaptations.canopen.sdo import TurnLock
+from motorhil.motorapi.adaptations.canopen.turn_lock import TurnLock
 from motorhil.motorapi.errors import DeadlineExceeded, LinkError, PeerError, UsageError
 from motorhil.motorapi.locking.directory import bus_name
 from motorhil.motorapi.locking.process_lock import ProcessLock, can_share_time
@@ -17,7 +17,6 @@ from motorhil.motorapi.ownership.fencing import NodeFence, announce
 from motorhil.motorapi.ownership.physical_motor import (
     PhysicalMotor,
     RunStatus,
-    bus_key,
     register_physical_motor,
     release_physical_motor,
 )
@@ -101,9 +100,8 @@ class OdriveHwMotor:
         self._connecting = TurnLock(self.runtime)
         where = bus_name(bus) if can_share_time(self.runtime) else None
         lock = None if where is None else ProcessLock(f"{where}-node{node_id}", self.label)
-        self._key = (*bus_key(bus), node_id)
         self.physical: Final[PhysicalMotor] = register_physical_motor(
-            self._key, self.label, self, lock
+            bus, node_id, self.label, self, lock
         )
         self.fence: Final = (
             None
@@ -136,7 +134,7 @@ class OdriveHwMotor:
         self.end_stream()
         self._every.cancel()
         self._wire.close()
-        release_physical_motor(self._key, self)
+        release_physical_motor(self._bus, self.node_id, self)
         self.heard.news.grow()
 
     def connect(self) -> None:

@@ -28,7 +28,8 @@ from motorhil.motorapi.motion import Motion
 from motorhil.motorapi.motor import Motor
 from motorhil.motorapi.planning.functions import asks_for_smoothness
 from motorhil.motorapi.state import Fault, Measurement, MotorState
-from motorhil.motorapi.synchronization.quality import MotionTimes, SyncLevel, SyncOffer, Trigger
+from motorhil.motorapi.synchronization.offer import SyncOffer, Trigger
+from motorhil.motorapi.synchronization.quality import MotionTimes, SyncLevel
 from motorhil.motorapi.trajectory import ComplexTrajectory, Trajectory
 
 from motorhil_odrive.host import messages as m

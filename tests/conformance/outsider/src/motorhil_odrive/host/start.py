@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Final, final
 
 from motorhil.motorapi.commands import ControlVariable
 from motorhil.motorapi.motion import Motion
-from motorhil.motorapi.planning.sampling import demand_of, ramps
+from motorhil.motorapi.planning.sampling import Ramps, demand_of
 
 from motorhil_odrive.host import messages as m
 from motorhil_odrive.host.stream import Stream
@@ -101,13 +101,10 @@ def profile(motion: Motion, before: float) -> tuple[Callable[[float], float], fl
     growing, shrinking = motion.slope, motion.slope
     if motion.variable is ControlVariable.VELOCITY:
         growing, shrinking = motion.acceleration, motion.deceleration
-    pieces = ramps(before, motion.target, growing, shrinking)
+    ramps = Ramps(before, motion.target, growing, shrinking)
 
     def value(at_s: float) -> float:
-        for duration_s, begin, rate in pieces:
-            if at_s < duration_s:
-                return begin + rate * at_s
-            at_s -= duration_s
-        return motion.target
+        on_ramp = ramps.at(at_s)
+        return motion.target if on_ramp is None else on_ramp[0]
 
-    return value, sum(duration_s for duration_s, _, _ in pieces)
+    return value, ramps.duration_s

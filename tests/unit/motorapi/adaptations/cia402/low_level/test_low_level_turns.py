@@ -8,7 +8,7 @@ from collections.abc import Callable
 import pytest
 
 from motorhil.harness.rig.rig import Rig
-from motorhil.motorapi.adaptations.canopen.sdo import SdoAborted
+from motorhil.motorapi.adaptations.canopen.errors import SdoAborted
 from motorhil.motorapi.adaptations.cia402.hardware import Cia402HwMotor
 from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
 from motorhil.motorapi.commands import ControlMode, ControlVariable
@@ -53,7 +53,7 @@ def other(motor: Cia402Motor) -> Cia402Motor:
 
 def test_access_during_own_motion_is_refused(rig: Rig, motor: Cia402Motor):
     go_to(motor, 1.0)
-    with pytest.raises(StateError, match=r"start\(\) of left goes on"), motor.low_level():
+    with pytest.raises(StateError, match=r"start\(\) of left is active"), motor.low_level():
         raise AssertionError("it was given")
     motor.wait_until_done(timeout_s=5)
     with motor.low_level():

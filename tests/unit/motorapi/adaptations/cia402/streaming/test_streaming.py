@@ -11,7 +11,7 @@ from motorhil.emulators.plant.presets import WHEEL_60W
 from motorhil.harness.rig.rig import Rig
 from motorhil.motorapi import MotorGroup, TrapezoidalTrajectory
 from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
-from motorhil.motorapi.adaptations.cia402.object_access import Cia402Parameters
+from motorhil.motorapi.adaptations.cia402.parameters import Cia402Parameters
 from motorhil.motorapi.commands import ControlMode, ControlVariable, DerivativeLimits
 from motorhil.motorapi.errors import StateError, UnsupportedError, UsageError
 from motorhil.motorapi.functions import Constant
@@ -232,7 +232,7 @@ def test_profile_after_a_stream_continues_from_its_end(rig: Rig):
     motor.start()
     motor.wait_until_done(timeout_s=3)
     assert rig.controllers["left"].snapshot()["demand_inc"] == round(1.25 * INC_PER_RAD)
-    assert motor.hardware.link.sync_period_ns is None
+    assert motor.hardware.node.bus.sync.period_ns is None
 
 
 def test_unstreamable_trajectory_is_refused_before_sending(rig: Rig):
@@ -252,7 +252,7 @@ def test_drive_without_csp_refuses_and_stays(open_rig: OpenRig):
     motor.enable()
     with pytest.raises(UnsupportedError, match="where the drive has csp"):
         set_function(motor, quintic(1.0, 1.0))
-    assert motor.hardware.link.sync_period_ns is None
+    assert motor.hardware.node.bus.sync.period_ns is None
 
 
 def test_stream_of_another_period_is_refused(open_rig: OpenRig):

@@ -90,7 +90,7 @@ def test_stop_with_lost_frames_comes_with_the_set_points(rig: Rig):
     motor.stop()
     rig.runtime.run_for(0.004)
     assert motor.hardware.stream.ended
-    assert motor.hardware.link.sync_period_ns is None
+    assert motor.hardware.node.bus.sync.period_ns is None
     assert motor.hardware.read("controlword") == 0x010F
     motor.wait_until_done(timeout_s=1)
 
@@ -117,7 +117,7 @@ def test_fault_in_mid_stream_ends_both(rig: Rig):
         motor.wait_until_done(timeout_s=2)
     rig.runtime.run_for(0.1)
     assert motor.hardware.stream.ended
-    assert motor.hardware.link.sync_period_ns is None
+    assert motor.hardware.node.bus.sync.period_ns is None
 
 
 def test_silent_drive_is_still_braked(rig: Rig):

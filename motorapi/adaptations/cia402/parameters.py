@@ -1,8 +1,4 @@
-"""A drive's object dictionary: typed access by name or index.
-
-Values already written are not written again.
-
-Gains and windows of a CiA 402 drive, kept per logical motor.
+"""Gains and windows of a CiA 402 drive, kept per logical motor.
 
 The paper, 3.2 and 3.5: parameters are what the application may modify, typed per adaptation. Those
 of one logical motor do not affect another, "even if both refer to the same piece of motor
@@ -10,145 +6,18 @@ hardware". So they are written at `start()`, where they differ from the drive's 
 that a logical motor leaves open are restored at its start to the drive's original values.
 """
 
-import difflib
 from dataclasses import dataclass, fields
 from math import isfinite
 from typing import TYPE_CHECKING, Final, final
 
-from motorhil.motorapi.adaptations.canopen.sdo import SdoAborted
+from motorhil.motorapi.adaptations.canopen.errors import SdoAborted
+from motorhil.motorapi.adaptations.canopen.object_access import ObjectAccess
 from motorhil.motorapi.adaptations.cia402.node import DriveNode
-from motorhil.motorapi.adaptations.cia402.objects import (
-    KINDS,
-    OBJECTS,
-    Value,
-    decode,
-    encode,
-    type_of,
-)
 from motorhil.motorapi.commands import as_number
 from motorhil.motorapi.errors import LimitError, UnsupportedError, UsageError
 
 if TYPE_CHECKING:
     from motorhil.motorapi.adaptations.cia402.units import DriveUnits
-    from motorhil.motorapi.ownership.physical_motor import PhysicalMotor
-
-
-@final
-class DriveObjects:
-    """Reads and writes by SDO, with a cache of written values while the motor keeps its owner."""
-
-    def __init__(self, node: "DriveNode", physical: "PhysicalMotor") -> None:
-        self._node: Final = node
-        self.physical: Final = physical
-        self._believed: dict[tuple[int, int], bytes] = {}
-        self._token = -1
-
-    def upload(self, index: int, subindex: int = 0) -> bytes:
-        """Return the bytes of an object, as the drive sends them.
-
-        Raises:
-            SdoAborted, DeadlineExceeded, ProtocolViolation: see `SdoChannel`.
-            LinkError: the drive is lost.
-        """
-        self._node.check_heard()
-        return self._node.sdo.upload(index, subindex)
-
-    def download(self, index: int, subindex: int, data: bytes, *, stops: bool = False) -> None:
-        """Write `data` to an object of the drive; with `stops`, without owning the motor.
-
-        Raises:
-            MotorBusyError: another program owns the drive now.
-            SdoAborted, DeadlineExceeded, ProtocolViolation, LinkError: as `upload`.
-        """
-        self._node.check_heard()
-        self._believed.pop((index, subindex), None)
-        self._node.sdo.download(index, subindex, data, stops=stops)
-
-    def read(self, what: int | str, subindex: int = 0, kind: str | None = None) -> Value:
-        """Return the value of an object; see `Cia402HwMotor.read`."""
-        index, subindex, kind = place_of(what, subindex, kind)
-        return decode(kind or "bytes", self.upload(index, subindex))
-
-    def read_int(self, what: int | str, subindex: int = 0) -> int:
-        """Return the integer in an object; raise UsageError if it does not hold one."""
-        value = self.read(what, subindex)
-        if not isinstance(value, int):
-            raise UsageError(
-                f"{self._node.label}: {what} does not hold an integer known to the standard"
-            )
-        return value
-
-    def read_optional(self, index: int, subindex: int = 0) -> int | None:
-        """Return the integer in an object, or None if the drive refuses to send it."""
-        self._node.check_heard()
-        return self._node.read_optional(index, subindex)
-
-    def write(
-        self, what: int | str, value: Value, subindex: int = 0, kind: str | None = None
-    ) -> None:
-        """Write a value to an object; see `Cia402HwMotor.write`."""
-        index, subindex, kind = place_of(what, subindex, kind)
-        if kind is None and not isinstance(value, bytes):
-            raise UsageError(
-                f"{index:04X}h:{subindex:02X}h is not in the standard: say kind=, one of"
-                f" {' '.join(KINDS)}, or give bytes"
-            )
-        self.download(index, subindex, encode(kind or "bytes", value))
-
-    def push(self, index: int, value: int, subindex: int = 0) -> bool:
-        """Write a value unless the drive is believed to have it; return whether it was written.
-
-        A written value is believed until the motor changes hands or boots.
-        """
-        return self.push_bytes(index, subindex, encode(type_of(index, subindex) or "u32", value))
-
-    def push_bytes(self, index: int, subindex: int, data: bytes) -> bool:
-        """Write encoded data as `push` does."""
-        if self._believes(index, subindex, data):
-            return False
-        self.download(index, subindex, data)
-        self._believed[index, subindex] = data
-        return True
-
-    def is_believed(self, index: int, value: int, subindex: int = 0) -> bool:
-        """Return whether this value was written, and the motor has not changed hands since."""
-        return self._believes(index, subindex, encode(type_of(index, subindex) or "u32", value))
-
-    def _believes(self, index: int, subindex: int, data: bytes) -> bool:
-        token = self.physical.token
-        if token != self._token:
-            self._believed.clear()
-            self._token = token
-        return self._believed.get((index, subindex)) == data
-
-    def doubt(self, index: int | None = None, subindex: int = 0) -> None:
-        """Forget the value written to an object, or (None) to any object."""
-        if index is None:
-            self._believed.clear()
-        else:
-            self._believed.pop((index, subindex), None)
-
-
-def place_of(what: int | str, subindex: int, kind: str | None) -> tuple[int, int, str | None]:
-    """Return (index, sub-index, data type) of an object by index or by the standard's name.
-
-    Raises:
-        UsageError: the name, the place or the type does not exist.
-    """
-    if kind is not None and (not isinstance(kind, str) or kind not in KINDS):
-        raise UsageError(f"kind = {kind!r}: give one of {', '.join(KINDS)}")
-    if not isinstance(subindex, int):
-        raise UsageError(f"sub-index {subindex!r}: it is 0 to FFh")
-    if not isinstance(what, int | str):
-        raise UsageError(f"{what!r} is not an object: give an index, or the standard's name")
-    if isinstance(what, int):
-        return what, subindex, kind or type_of(what, subindex)
-    known = OBJECTS.get(what)
-    if known is None:
-        near = difflib.get_close_matches(what, OBJECTS, 1)
-        hint = f"; did you mean {near[0]!r}?" if near else "; give its index"
-        raise UsageError(f"the standard has no object named {what!r}{hint}")
-    return known[0], known[1], kind or known[2]
 
 
 Place = tuple[int, int]
@@ -276,7 +145,7 @@ class ParameterStore:
     does not change hands.
     """
 
-    def __init__(self, node: DriveNode, objects: DriveObjects) -> None:
+    def __init__(self, node: DriveNode, objects: ObjectAccess) -> None:
         self._node = node
         self._objects = objects
         self._own: dict[Place, bytes] = {}  # before the first write

@@ -1,0 +1,289 @@
+"""The hardware object of a polled drive with registers, as far as all makes agree.
+
+Such a drive makes its profiles itself, and sends nothing without a request. Its hardware object
+reports the status (`Poll`) and executes commands in the drive's own units. All targets are
+absolute: a command whose answer was lost can be verified, and is never executed twice.
+
+Position is in counts (pulses, steps) of the motor. The drive holds the counts per turn of the
+motor, the motor model the turns of the motor per turn of the output. Values are rounded so that no
+limit is exceeded.
+"""
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import Enum
+from math import floor, pi
+from typing import TYPE_CHECKING, Final, final
+
+from motorhil.motorapi.adaptations.modbus.client import ByteLine, Exchange
+from motorhil.motorapi.adaptations.modbus.unit import ModbusUnit
+from motorhil.motorapi.errors import LimitError, UsageError
+from motorhil.motorapi.model import MotionKind
+from motorhil.motorapi.state import Fault, MotorState
+
+if TYPE_CHECKING:
+    from motorhil.motorapi.model import MotorModel
+    from motorhil.motorapi.motion import Motion
+    from motorhil.motorapi.ownership.physical_motor import PhysicalMotor
+    from motorhil.motorapi.runtime.api import Runtime
+
+BOOT_S: Final = 3.0
+"""The time within which a drive answers after power-on [s]."""
+INT32_MAX: Final = 0x7FFF_FFFF
+HERE: Final = (None, 35, 37)
+"""The homing methods that define the present position as 0."""
+_ROUNDING: Final = 1e-9  # below an integer: counts as the integer, so that rounding twice is safe
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Poll:
+    """The status of a drive at `time_ns`, in SI units of the motor.
+
+    Attributes:
+        is_moving: whether an operation is active.
+        has_arrived: whether the last operation is over, and at its target.
+        at_velocity: whether the velocity is the commanded one.
+    """
+
+    time_ns: int
+    state: MotorState
+    fault: Fault | None
+    position: float
+    demand: float
+    velocity: float
+    is_moving: bool
+    has_arrived: bool
+    at_velocity: bool
+
+
+@final
+class Wanted(Enum):
+    """The condition that ends the active motion."""
+
+    ARRIVAL = "arrival"
+    VELOCITY = "velocity"
+    REST = "rest"
+
+
+@final
+class PolledProgress:
+    """The state of a physical motor, for all logical motors on it.
+
+    Attributes: poll (the last one since a command), wanted (None: no active motion), armed (the
+    value of `wanted` after the trigger), started_ns, ended_ns (of the last command), armed_at and
+    target (its target position or velocity; None: any), rests (consecutive polls without motion).
+    """
+
+    __slots__ = (
+        *("armed", "armed_at", "ended_ns", "poll", "rests", "started_ns", "target", "wanted"),
+    )
+
+    def __init__(self) -> None:
+        self.poll: Poll | None = None
+        self.wanted: Wanted | None = None
+        self.armed = Wanted.ARRIVAL
+        self.armed_at: float | None = None
+        self.target: float | None = None
+        self.rests = 0
+        self.started_ns: int | None = None
+        self.ended_ns: int | None = None
+
+
+class PolledHardware(ABC):
+    """One polled drive, shared by all logical motors and threads of a process.
+
+    Each make derives a class with its registers. All methods but the stops may wait.
+
+    Args:
+        line: the line of the drive.
+        unit: its server address.
+        runtime: the runtime to wait with.
+        timeout_s: the response timeout [s].
+
+    Attributes:
+        registers: the registers of the drive.
+        progress: the state of its motor.
+        users: the number of motors built on it from settings; the last one closes it.
+
+    Raises:
+        UsageError: a hardware object for this drive exists already.
+    """
+
+    def __init__(
+        self, line: ByteLine, unit: int, *, runtime: "Runtime", timeout_s: float = 0.2
+    ) -> None:
+        self.registers: Final = ModbusUnit(line, unit, runtime, self, timeout_s)
+        self.progress: Final = PolledProgress()
+        self.users = 0
+        self._counts = 0.0  # per turn of the motor; 0: not read yet
+        self._asked_at = (-1, 0)  # `standing` at that time
+        self._fault_since_ns = 0
+        self._quick_stopped = False
+        self._stop: Exchange | None = None
+
+    def __repr__(self) -> str:
+        return f"<{type(self).__name__} {self.label}>"
+
+    @property
+    def runtime(self) -> "Runtime":
+        """The runtime to wait with."""
+        return self.registers.runtime
+
+    @property
+    def physical(self) -> "PhysicalMotor":
+        """The record of the physical motor."""
+        return self.registers.physical
+
+    @property
+    def label(self) -> str:
+        """The name of the hardware in messages."""
+        return self.registers.label
+
+    @property
+    def is_closed(self) -> bool:
+        """True if the hardware is closed."""
+        return self.registers.is_closed
+
+    def close(self) -> None:
+        """Close the hardware; further calls do nothing."""
+        self.registers.close()
+
+    # --- units ---------------------------------------------------------------------------------
+
+    @final
+    def connect(self, model: "MotorModel") -> None:
+        """Read the counts per turn, unless they are known."""
+        gear(model)
+        standing = self.registers.standing
+        if self._asked_at != standing:
+            self._counts = self._read_counts(standing)
+            self._asked_at = standing
+
+    @abstractmethod
+    def _read_counts(self, standing: tuple[int, int]) -> float:
+        """Read the counts per turn of the motor."""
+
+    def _per_unit(self, model: "MotorModel") -> float:
+        """Return the counts per U, signed."""
+        turns = 1.0 if model.kind is MotionKind.LINEAR else 1.0 / (2.0 * pi)
+        return gear(model) * turns * self._counts
+
+    @final
+    def turn(self, model: "MotorModel") -> float:
+        """Return one turn of the motor in its model's units; requires `connect`."""
+        return self._counts / abs(self._per_unit(model))
+
+    # --- status ----------------------------------------------------------------------------------
+
+    @property
+    @abstractmethod
+    def is_referenced(self) -> bool:
+        """True if the drive reports that it is referenced."""
+
+    @abstractmethod
+    def poll(self, model: "MotorModel") -> Poll:
+        """Read state, position, speed and demand, each in a separate request."""
+
+    @final
+    def _fault(self, is_set: bool, texts: Mapping[int, str]) -> Fault | None:
+        """Return the fault, if the status has one, with its code and the time of its detection."""
+        if not is_set:
+            self._fault_since_ns = 0
+            return None
+        code = self._read_alarm()
+        if not self._fault_since_ns:
+            self._fault_since_ns = self.runtime.now_ns()
+        return Fault(code, texts.get(code, "see the drive's manual"), self._fault_since_ns)
+
+    @abstractmethod
+    def _read_alarm(self) -> int:
+        """Read the alarm code."""
+
+    # --- power, fault, reference ------------------------------------------------------------------
+
+    @abstractmethod
+    def enable(self) -> None:
+        """Switch the motor current on; the motor holds its position."""
+
+    @abstractmethod
+    def disable(self) -> None:
+        """Switch the motor current off."""
+
+    @abstractmethod
+    def reset_fault(self) -> None:
+        """Reset the alarm, if its cause is gone."""
+
+    @abstractmethod
+    def home(self, method: int | None, motor: str) -> None:
+        """Start homing."""
+
+    # --- motion -----------------------------------------------------------------------------------
+
+    @abstractmethod
+    def quantised(self, motion: "Motion", model: "MotorModel") -> "Motion":
+        """Return the motion in the drive's resolution; requires `connect`."""
+
+    @abstractmethod
+    def prepare(self, motion: "Motion", model: "MotorModel") -> None:
+        """Prepare the motion, except for its trigger."""
+
+    @abstractmethod
+    def trigger(self) -> None:
+        """Send the prepared motion, and start it by the same request."""
+
+    def post_stop(self, quick: bool) -> None:
+        """Send a stop without waiting; repeat it if the drive did not answer and still moves."""
+        self._quick_stopped |= quick
+        self._stop = self._post_stop()
+
+    @abstractmethod
+    def _post_stop(self) -> Exchange:
+        """Send a stop, without waiting and without owning the motor."""
+
+    @final
+    def _stop_again(self, is_moving: bool) -> None:
+        stop = self._stop
+        if stop is not None and stop.is_over:
+            lost = stop.error is not None and is_moving
+            self._stop = self._post_stop() if lost else None
+
+
+def gear(model: "MotorModel") -> float:
+    """Return the motor turns per turn of the output, or per metre.
+
+    Raises:
+        UsageError: the model does not define them.
+    """
+    if model.gear_ratio is None:
+        key = "motor_turns_per_m" if model.kind is MotionKind.LINEAR else "gear_ratio"
+        raise UsageError(
+            f"motor model {model.name}: {key} is not given; the drive counts pulses of the motor,"
+            f" so add it ({key} = 1.0, if there is no gear)"
+        )
+    return model.gear_ratio
+
+
+def toward_zero(value: float) -> int:
+    """Return the nearest integer towards 0."""
+    size = floor(abs(value) + _ROUNDING)
+    return size if value > 0 else -size
+
+
+def check_register(label: str, quantity: str, value: int, high: int, unit: str) -> None:
+    """Check that a register of the drive `label` can hold `value`.
+
+    Raises:
+        LimitError: the value is above `high`; the message gives the quantity in the drive's unit.
+    """
+    if value > high:
+        raise LimitError(
+            motor=label,
+            quantity=quantity,
+            value=value,
+            low=None,
+            high=high,
+            unit=unit,
+            reason="the range of the drive's register",
+        )

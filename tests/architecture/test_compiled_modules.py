@@ -1,0 +1,114 @@
+"""Every module is compiled, or listed here with the reason why it is interpreted.
+
+A new module of a folder that setup.py names by glob is compiled. Any other new module fails here
+until it is listed below or in setup.py.
+"""
+
+import runpy
+
+from tests.support.checkout import CHECKOUT, PACKAGES
+
+INTERPRETED = {
+    "read once, when a rig opens": (
+        "emulators/canopen/files/eds.py",
+        "emulators/canopen/files/parameter_storage.py",
+        "emulators/cia401/settings.py",
+        "emulators/cia402/settings.py",
+        "emulators/firmware/servo_tables.py",
+        "emulators/plant/presets.py",
+        "motorapi/adaptations/canopen/pdo_setup.py",
+        "motorapi/adaptations/cia402/bringup.py",
+        "motorapi/adaptations/canopen/object_access.py",
+        "motorapi/adaptations/canopen/objects.py",
+        "motorapi/adaptations/cia402/parameters.py",
+        "motorapi/adaptations/host_servo/occupation.py",
+        "harness/rig/nonvolatile.py",
+        "harness/rig/rig.py",
+    ),
+    "messages that a run may not have at all": (
+        "emulators/canopen/lss.py",
+        "emulators/simulation/ownership_notice.py",
+        "harness/python_can/messages.py",
+        "motorapi/adaptations/canopen/emcy.py",
+        "traces/errors.py",
+    ),
+    "a command at a time, not a frame": (
+        "motorapi/adaptations/canopen/bus_load.py",
+        "motorapi/adaptations/canopen/sdo.py",
+        "motorapi/adaptations/canopen/sync.py",
+        "motorapi/adaptations/cia402/controlword.py",
+        "motorapi/adaptations/cia402/motion.py",
+        "motorapi/adaptations/cia402/node_sharing.py",
+        "motorapi/adaptations/cia402/profile.py",
+        "motorapi/adaptations/host_servo/node.py",
+    ),
+    "derives from interpreted classes, or is derived from": (
+        "harness/python_can/bus.py",
+        "harness/python_can/line.py",
+        "motorapi/adaptations/cia402/hardware.py",
+        "motorapi/adaptations/cia402/motor.py",
+        "motorapi/adaptations/host_servo/motor.py",
+    ),
+    "waits for wall time, sockets or files": (
+        "harness/python_can/hub_client.py",
+        "harness/recording/loop.py",
+        "harness/recording/socketcan.py",
+        "harness/virtual_time/interrupts.py",
+        "motorapi/runtime/byte_streams.py",
+        "motorapi/runtime/can_sources.py",
+        "motorapi/runtime/wall.py",
+    ),
+    "works on recordings, a chunk at a time": (
+        "harness/recording/conversion.py",
+        "harness/recording/ownership.py",
+        "harness/recording/sources.py",
+        "harness/recording/writer.py",
+        "traces/columns.py",
+        "traces/digest.py",
+        "traces/files.py",
+        "traces/mcap/reader.py",
+        "traces/mcap/records.py",
+        "traces/mcap/recovery.py",
+        "traces/mcap/writer.py",
+    ),
+}
+# Folders without a compiled module: settings, gateways, Modbus, the motor interface, all tools.
+FOLDERS = (
+    *("emulators", "emulators/gateways", "emulators/leadshine_pr", "emulators/modbus"),
+    *("emulators/oriental_az", "emulators/settings"),
+    *("harness", "harness/analysis", "harness/cli", "harness/conformance"),
+    *("harness/conformance/clauses", "harness/examples", "harness/oracles"),
+    *("harness/pytest_plugin", "harness/replay", "harness/report", "harness/rig/config"),
+    *("harness/sharing_tests", "harness/virtual_time/stdlib"),
+    *("motorapi", "motorapi/adaptations", "motorapi/adaptations/ideal"),
+    *("motorapi/adaptations/leadshine", "motorapi/adaptations/modbus"),
+    *("motorapi/adaptations/oriental_az", "motorapi/functions", "motorapi/generation"),
+    *("motorapi/locking", "motorapi/ownership", "motorapi/planning", "motorapi/synchronization"),
+    *("traces/decoding", "traces/exchange", "traces/formats", "traces/semantics"),
+)
+
+
+def compiled(monkeypatch):
+    """Return the modules that setup.py compiles."""
+    monkeypatch.chdir(CHECKOUT)
+    names = runpy.run_path("setup.py")["hot_modules"]()
+    return {name.removeprefix("motorhil/") for name in names}
+
+
+def test_interpreted_modules_are_listed_with_a_reason(monkeypatch):
+    modules = {
+        path.relative_to(CHECKOUT).as_posix()
+        for package in PACKAGES
+        for path in (CHECKOUT / package).rglob("*.py")
+        if path.name != "__init__.py"
+    }
+    found = {
+        name for name in modules - compiled(monkeypatch) if name.rpartition("/")[0] not in FOLDERS
+    }
+    listed = [name for names in INTERPRETED.values() for name in names]
+    assert sorted(found) == sorted(listed)
+
+
+def test_folders_listed_as_interpreted_have_no_compiled_module(monkeypatch):
+    folders = {name.rpartition("/")[0] for name in compiled(monkeypatch)}
+    assert folders.isdisjoint(FOLDERS)
