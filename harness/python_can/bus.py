@@ -59,11 +59,6 @@ _BACKLOG_MAX: Final = 65_536
 _OPEN: dict[str, "tuple[World, VirtualRuntime]"] = {}
 
 
-_STATE_AT: Final = 9  # data[1] of the message
-_PASSIVE: Final = RX_PASSIVE | TX_PASSIVE
-_ACTIVE: Final = RX_WARNING | TX_WARNING | ERROR_ACTIVE
-
-
 def is_error(frame: bytes) -> bool:
     """Return True for an error message of a CAN controller, False for a frame of the bus."""
     return bool(can_id_of(frame) & ERR_FLAG)
