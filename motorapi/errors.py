@@ -20,8 +20,6 @@ Attributes carry the facts, so that callers need not parse a message. Messages c
 unit and motor. All errors can be pickled. Adaptations add subclasses of `PeerError` only.
 """
 
-# ruff: noqa: N818 -- the names are the design's, and say what happened, not that it is an error
-
 from collections.abc import Callable
 from typing import final
 

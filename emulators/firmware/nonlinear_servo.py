@@ -322,7 +322,7 @@ def coupling(t: StepNumbers, twist: float, free: float, give: float) -> float:
     return torque
 
 
-def two_bodies(
+def two_bodies(  # noqa: C901, PLR0913 -- hot loop: calls and tuples cost a tick
     t: StepNumbers,
     on: bool,
     load: float,
@@ -470,7 +470,7 @@ def dc_link(t: ExtrasTables, v: float, source: float, power: float) -> float:
     return v1 if v1 > _DC_LINK_MIN_V else _DC_LINK_MIN_V
 
 
-def plant_tick(
+def plant_tick(  # noqa: PLR0913 -- hot loop: it passes its values on
     tables: ExtrasTables,
     index: int,
     on: bool,

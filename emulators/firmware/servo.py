@@ -211,7 +211,7 @@ def standing(count: float) -> State:
     )
 
 
-def run(
+def run(  # noqa: C901, PLR0913 -- hot loop: a call costs a row of the map
     table: TickTable,
     step_table: StepTable,
     current_steps: int,

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final, final
 from motorhil.emulators.can.controller_config import QueueOrder
 from motorhil.harness.analysis.advice import Reserved
 from motorhil.harness.analysis.subject import Queues, Subject, is_canopen_reserved, reserves_nothing
-from motorhil.harness.rig.config.bus_load import Declared, declared, heartbeats, syncs
+from motorhil.harness.rig.bus_load import Declared, declared, heartbeats, syncs
 from motorhil.harness.rig.rig import Rig
 from motorhil.motorapi.errors import MotorError
 from motorhil.motorapi.synchronization.bus_load import PeriodicMessage, own_traffic

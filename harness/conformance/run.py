@@ -50,8 +50,6 @@ from motorhil.motorapi.locking.lock_status import look
 if TYPE_CHECKING:
     from motorhil.harness.conformance.bench import RigProtocol
 
-# ruff: noqa: SLF001 -- the kit asks whether a hook is filled in
-
 
 _MODES: Final = {
     Capability.POSITION_SET_POINT: (ControlMode.SETPOINT, ControlVariable.POSITION),
@@ -241,7 +239,7 @@ class Watch:
 
     def _thread(self, ident: int) -> str:
         names = {thread.ident: thread.name for thread in threading.enumerate()}
-        frame = sys._current_frames().get(ident)
+        frame = sys._current_frames().get(ident)  # noqa: SLF001 -- documented, despite its name
         at = self.started.get(ident) or called_at(frame)
         return f"thread {names.get(ident, 'without a name')!r}, started at {at}"
 
@@ -313,7 +311,7 @@ def _opened_at() -> str:
 
 def _thread_ids() -> set[int]:
     """Return all threads, also those that the threading module has not started."""
-    return set(sys._current_frames())
+    return set(sys._current_frames())  # noqa: SLF001 -- documented, despite its name
 
 
 def _descriptors() -> dict[int, str]:

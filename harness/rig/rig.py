@@ -33,7 +33,7 @@ from motorhil.emulators.settings.tables import OscillatorTable
 from motorhil.emulators.simulation.event_queue import EventQueue
 from motorhil.emulators.simulation.world import World
 from motorhil.harness.plugins import ADAPTATIONS, CONTROLLERS, Plugin, installed, named
-from motorhil.harness.rig.config.bus_load import traffic_of
+from motorhil.harness.rig.bus_load import traffic_of
 from motorhil.harness.rig.config.buses import CAN, MODBUS_RTU, BusDescription, address_key
 from motorhil.harness.rig.config.derived import settings_with_model, with_timing
 from motorhil.harness.rig.config.rig_file import (
@@ -43,7 +43,6 @@ from motorhil.harness.rig.config.rig_file import (
     RigDescription,
     read_rig,
 )
-from motorhil.harness.rig.config.stimuli import schedule
 from motorhil.harness.rig.config.toml import (
     SEED_MAX,
     BrokenPluginError,
@@ -52,6 +51,7 @@ from motorhil.harness.rig.config.toml import (
     refuse_source,
 )
 from motorhil.harness.rig.nonvolatile import MemoryFiles
+from motorhil.harness.rig.stimuli import schedule
 from motorhil.harness.virtual_time.interrupts import interrupts_between_events
 from motorhil.harness.virtual_time.runtime import VirtualRuntime, WallPace
 from motorhil.motorapi.errors import FileError, UsageError

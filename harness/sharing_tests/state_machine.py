@@ -73,7 +73,6 @@ if TYPE_CHECKING:
     from motorhil.harness.virtual_time.runtime import VirtualParty, VirtualRuntime
     from motorhil.motorapi.ownership.reservation import Reservation
 
-# ruff: noqa: SLF001 -- the harness looks at who has a motor, and lets arming fail
 
 MakeRig = Callable[[], Rig]
 
@@ -513,9 +512,9 @@ class Watch:
         self.refuses = False
         self.was_armed = False
         self.fired: Callable[[], None] = lambda: None
-        self._arm = motor._arm
+        self._arm = motor._arm  # noqa: SLF001 -- it lets arming fail, as a vendor would
         self._known: list[_WatchedTrigger] = []  # a common trigger stays a single one
-        motor._arm = self._watched_arm  # type: ignore[method-assign]
+        motor._arm = self._watched_arm  # type: ignore[method-assign]  # noqa: SLF001 -- likewise
 
     def begin(
         self, fired: Callable[[], None], known: list[_WatchedTrigger], *, refuses: bool
@@ -750,7 +749,7 @@ class OwnershipMachine(SharingMachine):
         shared = [motors for motors in self.stage.physical_motors() if len(motors) > 1]
         if not shared:
             raise SharingViolated("no motor of the rig has two logical motors; use shared_rig()")
-        self.label = shared[0][0]._physical.label
+        self.label = shared[0][0].logical.physical.label
         self.owners: list[Owner] = []
         for number, motor in enumerate(shared[0]):
             self.owners.append(Owner(motor.name, motor, self.label, number, self.stage))

@@ -382,7 +382,7 @@ class VirtualRuntime:
                 deadline_ns = waiter.deadline_ns
         return deadline_ns
 
-    def _run_to_next_turn(self, deadline_ns: int) -> Waiter:
+    def _run_to_next_turn(self, deadline_ns: int) -> Waiter:  # noqa: C901 -- hot loop: every event passes here
         """Run events until a party can continue; no timeout expires before `deadline_ns`."""
         queue = self.queue
         stuck_ns = queue.now_ns + _STUCK_NS

@@ -1,7 +1,5 @@
 """Refusals and protocol violations of CANopen devices."""
 
-# ruff: noqa: N818 -- the names say what happened, not that it is an error, as in motorhil.motorapi.errors
-
 from typing import Final, final
 
 from motorhil.motorapi.errors import PeerError
