@@ -10,6 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol, final
 
+from motorhil.settings import SettingError as SettingError
+
 
 class Controller(Protocol):
     """A sans-I/O node on a medium. Third parties may implement it, without inheritance."""
@@ -131,17 +133,3 @@ class ControllerContext:
     def stream(self) -> str:
         """Return the name of the controller's random streams: the seed and its name."""
         return f"{self.seed}:{self.name}"
-
-
-@final
-class SettingError(Exception):
-    """A value in a settings table is wrong; the reader of the table adds file and line.
-
-    Attributes: path, the keys down to the value; remedy, a correct value or action.
-    """
-
-    def __init__(self, path: tuple[str, ...], message: str, remedy: str = "") -> None:
-        self.path = path
-        self.message = message
-        self.remedy = remedy
-        super().__init__(f"{'.'.join(path)}: {message}" + (f"; {remedy}" if remedy else ""))

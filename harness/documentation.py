@@ -21,11 +21,12 @@ import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import redirect_stdout
 from importlib import import_module
-from importlib.resources import files
 from pathlib import Path
 from types import ModuleType
 from typing import Any, Final
 from unittest.mock import patch
+
+from motorhil.harness.rig.config.schema import rig_schema
 
 _LINK: Final = re.compile(r"\]\(([^)#\s]+\.md)\)")
 _MODULES: Final = (
@@ -115,10 +116,7 @@ def _fenced(text: str) -> Iterator[str]:
 
 def rig_page() -> str:
     """Return the page of all tables and keys of the rig file."""
-    schema = json.loads(
-        files("motorhil.harness").joinpath("rig.schema.json").read_text(encoding="utf-8")
-    )
-    return schema_page(schema, "Keys of the rig file")
+    return schema_page(rig_schema(), "Keys of the rig file")
 
 
 def schema_page(schema: Mapping[str, Any], title: str) -> str:

@@ -31,6 +31,11 @@ from typing import Any, Final, final
 
 CONTROLLERS: Final = "motorhil.controllers"
 ADAPTATIONS: Final = "motorhil.adaptations"
+SETTINGS: Final = {
+    CONTROLLERS: "motorhil.controller_settings",
+    ADAPTATIONS: "motorhil.adaptation_settings",
+}
+"""The group in which the plugins of a group declare their tables (`motorhil.settings`)."""
 _TARGET: Final = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_][\w.]*", re.ASCII)
 
 
@@ -85,7 +90,7 @@ def named(group: str, name: str) -> Plugin:
     return installed(group)[name]
 
 
-@lru_cache(maxsize=2)
+@lru_cache(maxsize=4)
 def _entry_points(group: str, path: tuple[str, ...]) -> metadata.EntryPoints:
     """Return the entry points along `path` (sys.path); cached, because the search takes ms."""
     return metadata.entry_points(group=group)

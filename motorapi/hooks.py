@@ -99,6 +99,12 @@ class Hooks:
     open_low_level: Callable[[], object]
     close_low_level: Callable[[], None]
 
+    @classmethod
+    def of(cls, motor: "MotorHooks") -> "Hooks":
+        """Return the hooks of a motor; each field has the name of its hook."""
+        names = [field.name for field in fields(cls)]
+        return cls(type(motor).__qualname__, *(_guarded(motor, f"_{name}") for name in names[1:]))
+
     def fire(self, trigger: Trigger) -> None:
         """Fire a trigger that one of the hooks returned."""
         try:
@@ -107,6 +113,21 @@ class Hooks:
             raise
         except Exception as error:
             raise PluginError(plugin=self.plugin, where="fire", problem=repr(error)) from error
+
+
+def _guarded(motor: "MotorHooks", name: str) -> Any:
+    """Return a call of the hook, which is looked up by its name each time."""
+
+    def call(*args: Any, **kwargs: Any) -> Any:
+        try:
+            return getattr(motor, name)(*args, **kwargs)
+        except MotorError:
+            raise
+        except Exception as error:
+            plugin = type(motor).__qualname__
+            raise PluginError(plugin=plugin, where=name, problem=repr(error)) from error
+
+    return call
 
 
 class MotorHooks(Device, ABC):
@@ -347,25 +368,3 @@ class MotorHooks(Device, ABC):
 
         Must neither wait nor send.
         """
-
-    # ---- for the rest of the interface ----
-
-    @final
-    def _all_hooks(self) -> Hooks:
-        """Return all hooks, guarded; each field of `Hooks` has the name of its hook."""
-        names = [field.name for field in fields(Hooks)]
-        return Hooks(type(self).__qualname__, *(self._guarded(f"_{name}") for name in names[1:]))
-
-    def _guarded(self, name: str) -> Any:
-        """Return a call of the hook, which is looked up by its name each time."""
-
-        def call(*args: Any, **kwargs: Any) -> Any:
-            try:
-                return getattr(self, name)(*args, **kwargs)
-            except MotorError:
-                raise
-            except Exception as error:
-                plugin = type(self).__qualname__
-                raise PluginError(plugin=plugin, where=name, problem=repr(error)) from error
-
-        return call

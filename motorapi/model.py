@@ -28,15 +28,27 @@ opposite direction of counting has increments < 0.
 import json
 import tomllib
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields
-from difflib import get_close_matches
+from dataclasses import dataclass
 from enum import Enum
-from math import isfinite, tau
+from math import tau
+from numbers import Real
 from pathlib import Path
-from typing import Final, Self, final
+from typing import Any, Final, Self, final
 
 from motorhil.motorapi.commands import ControlVariable, as_number, given
 from motorhil.motorapi.errors import FileError, UsageError
+from motorhil.settings import (
+    REQUIRED,
+    Member,
+    Number,
+    SettingError,
+    Text,
+    declaration,
+    flag,
+    number,
+    setting,
+)
+from motorhil.settings import given as given_in
 
 
 @final
@@ -49,31 +61,20 @@ class MotionKind(Enum):
 
 _UNIT: Final = {MotionKind.ROTARY: "rad", MotionKind.LINEAR: "m"}
 _TOLERANCE: Final = {MotionKind.ROTARY: 0.01, MotionKind.LINEAR: 0.0001}
-_NUMBER_KEYS: Final = {
-    "velocity_max": "velocity_max_{u}_s",
-    "acceleration_max": "acceleration_max_{u}_s2",
-    "deceleration_max": "deceleration_max_{u}_s2",
-    "jerk_max": "jerk_max_{u}_s3",
-    "torque_max": "torque_max_n_m",
-    "current_max": "current_max_a",
-    "position_min": "position_min_{u}",
-    "position_max": "position_max_{u}",
-    "position_tolerance": "position_tolerance_{u}",
-    "gear_ratio": "gear_ratio",
-    "encoder_increments_rev": "encoder_increments_rev",
-    "increments_per_unit": "increments_per_{u}",
-    "velocity_unit": "velocity_unit_{u}_s",
-    "acceleration_unit": "acceleration_unit_{u}_s2",
-}
-_REQUIRED: Final = ("velocity_max", "acceleration_max")
-_INTEGER_MAX: Final = 2**63 - 1
 _FILE_REMEDY: Final = "name a motor model, a TOML file"
 _TOML_REMEDY: Final = "a line reads key = value, as in velocity_max_rad_s = 6.0"
-_SIGNED: Final = ("position_min", "position_max", "gear_ratio", "increments_per_unit")
-_NOT_ZERO: Final = ("gear_ratio", "increments_per_unit")
-_OF_LINEAR: Final = {"torque_max": "force_max_n", "gear_ratio": "motor_turns_per_m"}
 _SAME: Final = 1e-6
 """The permitted relative deviation of increments from gear and encoder, for rounded models."""
+
+
+def _limit(
+    name: str, unit: str, doc: str, default: float | None = None, of_linear: str = ""
+) -> Any:
+    return number(default, 0, unit=unit, doc=doc, name=name, of_linear=of_linear, above=True)
+
+
+def _ratio(name: str, doc: str, of_linear: str = "") -> Any:
+    return number(None, doc=doc, name=name, of_linear=of_linear, not_zero=True)
 
 
 @final
@@ -88,41 +89,82 @@ class MotorModel:
             text.
     """
 
-    name: str
-    kind: MotionKind = MotionKind.ROTARY
-    velocity_max: float  # [U/s]
-    acceleration_max: float  # [U/s²]
-    deceleration_max: float | None = None  # [U/s²]; None: as acceleration_max
-    jerk_max: float | None = None  # [U/s³]
-    torque_max: float | None = None  # [N·m], linear: [N]
-    current_max: float | None = None  # [A]
-    position_min: float | None = None  # [U]
-    position_max: float | None = None  # [U]
-    position_tolerance: float | None = None  # [U]; see start_tolerance
-    gear_ratio: float | None = None  # motor turns per turn of the output (linear: per m), signed
-    encoder_increments_rev: float | None = None  # per turn of the motor
-    increments_per_unit: float | None = None  # position increments of the drive per U, signed
-    velocity_unit: float | None = None  # value of 1 in the drive's velocity objects [U/s]
-    acceleration_unit: float | None = None  # value of 1 in its acceleration objects [U/s²]
-    requires_referencing: bool = False
+    name: str = setting(
+        "motor", Text(is_printable=True, shown='"wheel"'), "Name in messages; absent: the file's."
+    )
+    kind: MotionKind = setting(
+        MotionKind.ROTARY, Member(MotionKind, "kind of motor"), "Rotary or linear."
+    )
+    velocity_max: float = _limit("velocity_max_{u}_s", "{u}/s", "Velocity limit.", REQUIRED)
+    acceleration_max: float = _limit(
+        "acceleration_max_{u}_s2", "{u}/s²", "Acceleration limit.", REQUIRED
+    )
+    deceleration_max: float | None = _limit(
+        "deceleration_max_{u}_s2", "{u}/s²", "Deceleration limit; absent: as acceleration."
+    )
+    jerk_max: float | None = _limit("jerk_max_{u}_s3", "{u}/s³", "Jerk limit; absent: none.")
+    torque_max: float | None = _limit(
+        "torque_max_n_m", "", "Torque limit [N·m], or force limit [N].", of_linear="force_max_n"
+    )
+    current_max: float | None = _limit("current_max_a", "A", "Current limit.")
+    position_min: float | None = number(
+        None, unit="{u}", doc="Lower limit of commanded positions.", name="position_min_{u}"
+    )
+    position_max: float | None = number(
+        None, unit="{u}", doc="Upper limit of commanded positions.", name="position_max_{u}"
+    )
+    position_tolerance: float | None = _limit(
+        "position_tolerance_{u}", "{u}", "Distance at which an absolute trajectory may start."
+    )
+    gear_ratio: float | None = _ratio(
+        "gear_ratio", "Motor turns per turn (per m); below 0: reversing.", "motor_turns_per_m"
+    )
+    encoder_increments_rev: float | None = _limit(
+        "encoder_increments_rev", "", "Increments of the encoder per motor turn."
+    )
+    increments_per_unit: float | None = _ratio(
+        "increments_per_{u}", "Position increments of the drive; absent: of gear and encoder."
+    )
+    velocity_unit: float | None = _limit(
+        "velocity_unit_{u}_s", "{u}/s", "Velocity that 1 means in the drive's objects."
+    )
+    acceleration_unit: float | None = _limit(
+        "acceleration_unit_{u}_s2", "{u}/s²", "Acceleration that 1 means in its objects."
+    )
+    requires_referencing: bool = flag(False, "Absolute targets only after homing.")
 
     def __post_init__(self) -> None:
-        if not _is_name(self.name):
-            raise UsageError(f"motor model: its name is {self.name!r}, not printable text")
-        for field in _NUMBER_KEYS:
-            problem = _problem(field, getattr(self, field))
-            if problem:
-                raise UsageError(f"motor model {self.name}: {field} {problem}")
-        if _is_empty(self.position_min, self.position_max):
-            raise UsageError(f"motor model {self.name}: position_min is not below position_max")
-        made = _increments(self.kind, self.gear_ratio, self.encoder_increments_rev)
+        try:
+            self._check()
+        except SettingError as error:
+            name = self.name
+            if not isinstance(name, str) or not name.isprintable():
+                name = repr(name)
+            raise UsageError(f"motor model {name}: {error}") from error
         if self.increments_per_unit is None:
+            made = _increments(self.kind, self.gear_ratio, self.encoder_increments_rev)
             object.__setattr__(self, "increments_per_unit", made)
-        elif _differ(self.increments_per_unit, made):
-            raise UsageError(
-                f"motor model {self.name}: increments_per_unit is "
-                f"{self.increments_per_unit:g}, but gear_ratio and encoder_increments_rev give "
-                f"{made:g}"
+
+    def _check(self) -> None:
+        declared = declaration(MotorModel)
+        for name, key in declared.keys.items():
+            value = getattr(self, name)
+            if isinstance(key.kind, Number) and isinstance(value, Real):
+                value = as_number(value)  # of numpy, too
+            if value is not None or name not in declared.defaults:
+                key.kind.read(value, (name,))
+        low, high = self.position_min, self.position_max
+        if low is not None and high is not None and not low < high:
+            message = f"{low:g} is not below position_max, {high:g}"
+            raise SettingError(("position_min",), message, "exchange or correct them")
+        given, made = self.increments_per_unit, None
+        if given is not None:
+            made = _increments(self.kind, self.gear_ratio, self.encoder_increments_rev)
+        if given is not None and made is not None and abs(given - made) > _SAME * abs(made):
+            raise SettingError(
+                ("increments_per_unit",),
+                f"is not {made:.10g}, which gear_ratio and encoder_increments_rev make",
+                "leave it out, or correct one of them",
             )
 
     def __repr__(self) -> str:
@@ -214,139 +256,39 @@ class MotorModel:
         Raises:
             FileError: a key or value is invalid.
         """
-        reader = _Reader(table, path, line_of)
-        kind = reader.kind()
-        keys = _keys(kind)
-        reader.refuse_unknown(keys)
-        values = {field: reader.number(key, field) for key, field in keys.items()}
-        for field in _REQUIRED:
-            if values[field] is None:
-                key = _key_of(field, kind)
-                raise reader.error(key, "is missing", "every motor needs this limit: add it")
-        if _is_empty(values["position_min"], values["position_max"]):
-            key = _key_of("position_min", kind)
-            raise reader.error(key, "is not below position_max", "exchange or correct them")
-        made = _increments(kind, values["gear_ratio"], values["encoder_increments_rev"])
-        if _differ(values["increments_per_unit"], made):
-            key = _key_of("increments_per_unit", kind)
-            problem = f"is not {made:.10g}, the value from gear and encoder_increments_rev"
-            raise reader.error(key, problem, "leave it out, or correct one of them")
-        name = reader.text("name", default_name)
-        referencing = reader.flag("requires_referencing")
-        velocity, acceleration = values.pop("velocity_max"), values.pop("acceleration_max")
-        assert velocity is not None
-        assert acceleration is not None
-        return cls(
-            name=name,
-            kind=kind,
-            velocity_max=velocity,
-            acceleration_max=acceleration,
-            requires_referencing=referencing,
-            **values,
+        unit = _UNIT[MotionKind.LINEAR if table.get("kind") == "linear" else MotionKind.ROTARY]
+        try:
+            values = {"name": default_name, **given_in(cls, table, unit=unit)}
+            return cls(**values)
+        except SettingError as error:
+            key, problem, remedy = str(error.path[0]), error.message, error.remedy
+        except UsageError as error:
+            cause = error.__cause__
+            assert isinstance(cause, SettingError)
+            key = _key_of(str(cause.path[0]), unit)
+            problem, remedy = cause.message, cause.remedy
+        raise FileError(
+            path=path,
+            line=line_of(key) if key in table else None,
+            key=key if key.isprintable() else repr(key),
+            problem=problem,
+            remedy=remedy,
         )
 
     def save(self, path: str | Path) -> None:
         """Write the model to the TOML file `path`; `load` returns an equal one."""
         lines = [f"name = {_quoted(self.name)}", f"kind = {_quoted(self.kind.value)}"]
-        for field in fields(self):
-            if field.name in _NUMBER_KEYS:
-                value = getattr(self, field.name)
-                if value is not None:
-                    lines.append(f"{_key_of(field.name, self.kind)} = {float(value)!r}")
+        for name, key in declaration(MotorModel).keys.items():
+            value = getattr(self, name)
+            if isinstance(key.kind, Number) and value is not None:
+                lines.append(f"{key.name_for(name, self.unit)} = {float(value)!r}")
         if self.requires_referencing:
             lines.append("requires_referencing = true")
         Path(path).write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
-@final
-class _Reader:
-    """Reader of one table, key by key; every error names file, line, key and remedy."""
-
-    def __init__(
-        self, table: Mapping[str, object], path: str, line_of: Callable[[str], int | None]
-    ) -> None:
-        self._table = table
-        self._path = path
-        self._line_of = line_of
-
-    def error(self, key: str, problem: str, remedy: str) -> FileError:
-        line = self._line_of(key) if key in self._table else None
-        name = key if key.isprintable() else repr(key)
-        return FileError(path=self._path, line=line, key=name, problem=problem, remedy=remedy)
-
-    def kind(self) -> MotionKind:
-        word = self.text("kind", MotionKind.ROTARY.value)
-        for kind in MotionKind:
-            if kind.value == word:
-                return kind
-        raise self.error("kind", f"{word!r} is not a kind of motor", 'write "rotary" or "linear"')
-
-    def refuse_unknown(self, number_keys: Mapping[str, str]) -> None:
-        known = ("name", "kind", *number_keys, "requires_referencing")
-        for key in self._table:
-            if key not in known:
-                near = get_close_matches(key, known, n=1)
-                remedy = f"did you mean {near[0]}?" if near else f"known are {', '.join(known)}"
-                raise self.error(key, "unknown key of a motor model", remedy)
-
-    def number(self, key: str, field: str) -> float | None:
-        value = self._table.get(key)
-        if value is None:
-            return None
-        if isinstance(value, bool) or not isinstance(value, int | float):
-            raise self.error(key, f"{value!r} is not a number", "write a number, without a unit")
-        if isinstance(value, int) and abs(value) > _INTEGER_MAX:
-            raise self.error(key, "is an integer of more than 64 bits", "write a shorter one")
-        problem = _problem(field, float(value))
-        if problem:
-            raise self.error(key, problem, "correct it, or leave the key out")
-        return float(value)
-
-    def text(self, key: str, default: str) -> str:
-        value = self._table.get(key, default)
-        if not isinstance(value, str) or not value:
-            raise self.error(key, f"{value!r} is not a text", 'write it in quotes, as in "wheel"')
-        if not _is_name(value):
-            raise self.error(key, f"{value!r} cannot be printed", "use letters, digits and spaces")
-        return value
-
-    def flag(self, key: str) -> bool:
-        value = self._table.get(key, False)
-        if not isinstance(value, bool):
-            raise self.error(key, f"{value!r} is not a truth value", "write true or false")
-        return value
-
-
-def _key_of(field: str, kind: MotionKind) -> str:
-    if kind is MotionKind.LINEAR and field in _OF_LINEAR:
-        return _OF_LINEAR[field]
-    return _NUMBER_KEYS[field].format(u=_UNIT[kind])
-
-
-def _keys(kind: MotionKind) -> dict[str, str]:
-    return {_key_of(field, kind): field for field in _NUMBER_KEYS}
-
-
-def _problem(field: str, value: float | None) -> str:
-    """Return the problem of a number in words, or ""."""
-    if value is None:
-        return ""
-    number = as_number(value)
-    if not isfinite(number):
-        return f"is {value}, not a finite number"
-    if field in _NOT_ZERO and number == 0.0:
-        return "is 0"
-    if field not in _SIGNED and number <= 0.0:
-        return f"is {number:g}, not > 0"
-    return ""
-
-
-def _is_name(text: object) -> bool:
-    return isinstance(text, str) and bool(text) and text.isprintable()
-
-
-def _is_empty(low: float | None, high: float | None) -> bool:
-    return low is not None and high is not None and not low < high
+def _key_of(field: str, unit: str) -> str:
+    return declaration(MotorModel).keys[field].name_for(field, unit)
 
 
 def _increments(kind: MotionKind, gear: float | None, encoder: float | None) -> float | None:
@@ -354,12 +296,6 @@ def _increments(kind: MotionKind, gear: float | None, encoder: float | None) -> 
     if gear is None or encoder is None:
         return None
     return gear * encoder / (tau if kind is MotionKind.ROTARY else 1.0)
-
-
-def _differ(given: float | None, made: float | None) -> bool:
-    if given is None or made is None:
-        return False
-    return abs(given - made) > _SAME * abs(made)
 
 
 def _line_of(text: str, key: str) -> int | None:

@@ -44,7 +44,7 @@ from motorhil.motorapi.errors import (
     UsageError,
 )
 from motorhil.motorapi.execution import start_together, wait_for_all
-from motorhil.motorapi.hooks import MotorHooks
+from motorhil.motorapi.hooks import Hooks, MotorHooks
 from motorhil.motorapi.logical_motor import LogicalMotor, check_timeout
 from motorhil.motorapi.model import MotorModel
 from motorhil.motorapi.outcome import DoneNotice, Outcome, Progress
@@ -79,7 +79,7 @@ class Motor(MotorHooks):
         self, *, name: str, model: MotorModel, runtime: Runtime, physical: PhysicalMotor
     ) -> None:
         super().__init__(name=name, model=model, runtime=runtime, physical=physical)
-        self._logical = LogicalMotor(name, model, runtime, physical, self._all_hooks())
+        self._logical = LogicalMotor(name, model, runtime, physical, Hooks.of(self))
         self._hooks = self._logical.hooks
 
     def __init_subclass__(cls) -> None:

@@ -14,6 +14,7 @@ from typing import Any, Final, final
 import numpy as np
 from numpy.typing import NDArray
 
+from motorhil.traces.can_frame import FDF
 from motorhil.traces.mcap.reader import Cut, Trace, TraceMessage, read_trace
 from motorhil.traces.mcap.records import MESSAGE
 from motorhil.traces.schema import CAN_FRAME, FrameDecoder, can_frame_prefix
@@ -29,7 +30,6 @@ _PADDING: Final = bytes(2 * 8 * _WORDS + 8)  # keeps every word within the buffe
 _PAYLOAD_MAX: Final = 0xFFFF
 _NOT_ALIKE: Final = b"\xff"  # no payload of our writer begins with it
 _REMEMBERED: Final = 1 << 16
-_FDF: Final = 4
 _ROUNDS: Final = 8  # senders and lengths per identifier; the rest is decoded one by one
 _LENGTH: Final = struct.Struct("<Q")
 _FRAME_HEAD: Final = struct.Struct("<IBB")
@@ -323,7 +323,7 @@ class _Reader:
             told = self._row(int(chunk.time_ns[index]), int(chunk.bus[index]), chunk.one(index))
             if told is not None:
                 rows[index], contents[index] = told
-        data = chunk.data(begin, size, 8 if (rows["flags"] & _FDF).any() else 1)
+        data = chunk.data(begin, size, 8 if (rows["flags"] & FDF).any() else 1)
         for index, content in contents.items():
             data[index, : len(content)] = np.frombuffer(content, np.uint8)
         if len(contents) < len(left):

@@ -13,9 +13,7 @@
 meaning.
 
 The most frequent messages are packed by hand: no object is created except for the resulting bytes.
-A CAN frame has Linux's layout: `struct can_frame` (16 bytes) or `struct canfd_frame` (72 bytes,
-with CANFD_FDF set in its flags). It consists of can_id with EFF, RTR and ERR bits, length, flags
-(FD only), two reserved bytes, and data padded to 8 or 64. Source: linux/can.h.
+A CAN frame has Linux's layout; see `traces.can_frame`.
 """
 
 import re
@@ -25,6 +23,18 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import Final, final
 
+from motorhil.traces.can_frame import (
+    BRS,
+    CAN_FRAME_SIZE,
+    CANFD_FRAME_SIZE,
+    EFF,
+    EFF_MASK,
+    ERR,
+    ESI,
+    FDF,
+    RTR,
+    SFF_MASK,
+)
 from motorhil.traces.protobuf import (
     Enumeration,
     Field,
@@ -37,16 +47,6 @@ from motorhil.traces.protobuf import (
     varint,
 )
 
-CAN_FRAME_SIZE: Final = 16
-CANFD_FRAME_SIZE: Final = 72
-_EFF: Final = 0x8000_0000
-_RTR: Final = 0x4000_0000
-_ERR: Final = 0x2000_0000
-_SFF_MASK: Final = 0x7FF
-_EFF_MASK: Final = 0x1FFF_FFFF
-_BRS: Final = 0x01
-_ESI: Final = 0x02
-_FDF: Final = 0x04
 _HEADER: Final = struct.Struct("<IBBxx")
 _DOUBLE: Final = struct.Struct("<d")
 _ID_FIELD: Final = struct.Struct("<BI")
@@ -293,28 +293,26 @@ def can_frame_prefix(header: bytes, size: int, sender: bytes, direction: int) ->
     if length > size - 8:
         raise ValueError(f"length {length} in a CAN frame with room for {size - 8}")
     fd = size == CANFD_FRAME_SIZE
-    if fd and not flags & _FDF:
+    if fd and not flags & FDF:
         raise ValueError("a canfd_frame without CANFD_FDF (04h) in its flags")
-    out = bytearray(
-        _ID_FIELD.pack(_ID, can_id & (_EFF_MASK if can_id & (_EFF | _ERR) else _SFF_MASK))
-    )
-    if can_id & _EFF:
+    out = bytearray(_ID_FIELD.pack(_ID, can_id & (EFF_MASK if can_id & (EFF | ERR) else SFF_MASK)))
+    if can_id & EFF:
         out += _EXTENDED
-    if can_id & _RTR:
+    if can_id & RTR:
         out += _REMOTE
-    if can_id & _ERR:
+    if can_id & ERR:
         out += _ERROR
     if fd:
         out += _FD_SET
-        if flags & _BRS:
+        if flags & BRS:
             out += _BRS_SET
-        if flags & _ESI:
+        if flags & ESI:
             out += _ESI_SET
     if direction:
         out += _DIRECTION + varint(direction)
     if sender:
         out += delimited(9, sender)
-    if can_id & _RTR:
+    if can_id & RTR:
         if length:
             out += _REMOTE_LENGTH + varint(length)
         length = 0  # a remote frame requests data and has none
@@ -354,12 +352,12 @@ def decode_can_frame(payload: bytes) -> RecordedFrame:
     assert isinstance(direction, int)
     assert isinstance(asked, int)
     flags = 0
-    for bit, name in ((_FDF, "fd"), (_BRS, "brs"), (_ESI, "esi")):
+    for bit, name in ((FDF, "fd"), (BRS, "brs"), (ESI, "esi")):
         flags |= bit if fields.get(name) else 0
-    for bit, name in ((_EFF, "extended"), (_RTR, "remote"), (_ERR, "error")):
+    for bit, name in ((EFF, "extended"), (RTR, "remote"), (ERR, "error")):
         can_id |= bit if fields.get(name) else 0
-    room = 64 if flags & _FDF else 8
-    length = asked if can_id & _RTR else len(data)
+    room = 64 if flags & FDF else 8
+    length = asked if can_id & RTR else len(data)
     if max(length, len(data)) > room:
         raise ValueError(f"a CanFrame of {max(length, len(data))} bytes with room for {room}")
     return RecordedFrame(

@@ -45,11 +45,8 @@ _ERROR: Final = 8  # increment for an error that is the node's own fault
 _REC_RECOVERED: Final = 127
 
 # classes: bits of the identifier
-TX_TIMEOUT: Final = 0x001
-ARBITRATION_LOST: Final = 0x002  # data[0]: in which bit
 CONTROLLER: Final = 0x004  # data[1]
 PROTOCOL: Final = 0x008  # data[2], data[3]
-TRANSCEIVER: Final = 0x010  # data[4]
 NO_ACKNOWLEDGE: Final = 0x020
 MESSAGE_BUS_OFF: Final = 0x040
 BUS_ERROR: Final = 0x080
@@ -57,8 +54,6 @@ RESTARTED: Final = 0x100
 COUNTERS: Final = 0x200  # data[6]: TEC, data[7]: REC
 
 # data[1]: the controller's state
-RX_OVERFLOW: Final = 0x01
-TX_OVERFLOW: Final = 0x02
 RX_WARNING: Final = 0x04
 TX_WARNING: Final = 0x08
 RX_PASSIVE: Final = 0x10
@@ -72,11 +67,9 @@ STUFF_ERROR: Final = 0x04
 BIT0_ERROR: Final = 0x08  # a dominant bit could not be sent
 BIT1_ERROR: Final = 0x10  # a recessive bit could not be sent
 OVERLOAD: Final = 0x20
-ACTIVE_ANNOUNCED: Final = 0x40
 TRANSMITTING: Final = 0x80  # the node was sending
 
 # data[3]: place
-UNSPECIFIED: Final = 0x00
 START_OF_FRAME: Final = 0x03
 ID_28_21: Final = 0x02
 ID_20_18: Final = 0x06
@@ -99,7 +92,6 @@ INTERMISSION: Final = 0x12
 # Linux has no names for these; its driver hands on the chip's value (SJA1000, error code capture).
 ACTIVE_FLAG: Final = 0x11
 TOLERATED: Final = 0x13  # dominant bits after a flag
-PASSIVE_FLAG: Final = 0x16
 DELIMITER: Final = 0x17  # of an error or overload frame
 OVERLOAD_FLAG: Final = 0x1C
 

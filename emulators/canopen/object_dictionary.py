@@ -198,8 +198,7 @@ class Variable:
         name: str = "",
         access: str = "rw",
         pdo_mappable: bool = False,
-        low: int | None = None,
-        high: int | None = None,
+        limits: tuple[int | None, int | None] = (None, None),
         default: Value | None = None,
     ) -> None:
         if access not in _ACCESS:
@@ -212,8 +211,7 @@ class Variable:
         self.pdo_mappable = pdo_mappable
         self.follows_node_id = False
         self.bits = length_bits(data_type)
-        self.low: int | None = low
-        self.high: int | None = high
+        self.low, self.high = limits
         self.has_default = default is not None
         self.default: Value = zero(data_type) if default is None else default
         encode(data_type, self.default)

@@ -7,50 +7,135 @@ differ for channel 2, and so on.
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Final, final
+from typing import Any, Final, final
 
-from motorhil.emulators.controller import SettingError
 from motorhil.emulators.firmware.servo_tables import ServoGains
 from motorhil.emulators.plant.dc_motor import MotorPlant
 from motorhil.emulators.plant.oscillator import Oscillator
 from motorhil.emulators.settings.tables import (
-    KeyPath,
+    PLANT,
+    CanopenTable,
     ObjectValue,
-    duration_ns,
-    eds_in,
-    flag,
-    initial_position_rad,
-    memory_file_in,
-    node_id_in,
-    number,
-    objects_of,
-    oscillator_in,
+    OscillatorTable,
+    TimingTable,
+    check_position,
+    ns,
     plant_of,
+)
+from motorhil.settings import (
+    KeyPath,
+    SettingError,
+    TableOf,
+    TablesByKey,
+    declaration,
+    number,
+    read,
     refuse_unknown,
-    table_in,
+    setting,
+    table,
     whole,
 )
 
 OWN_EDS: Final = Path(__file__).parents[1] / "eds" / "motorhil_cia401.eds"
 CHANNELS_MAX: Final = 4
 
-KEYS: Final = (
-    *(
-        "node_id",
-        "node_id_by_lss",
-        "eds",
-        "nonvolatile_memory",
-        "channels",
-        "plant",
-        "amplifier",
-        "channel",
-    ),
-    *("oscillator", "timing", "objects", "initial_position_rad"),
-)
-TIMING_KEYS: Final = ("boot_up_s", "sdo_reply_s")
-CHANNEL_KEYS: Final = ("plant", "amplifier", "initial_position_rad")
-GAIN_KEYS: Final = ("current_kp_v_a", "current_ki_v_a_s")
-AMPLIFIER_KEYS: Final = ("current_per_volt_a_v", "enable_s", "tick_s", "current_steps", *GAIN_KEYS)
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class AmplifierTable:
+    """An amplifier in current mode, and the counter of the encoder."""
+
+    current_per_volt_a_v: float | None = number(
+        None, 1e-6, 1e6, "A/V", "Current per input voltage; absent: 10 V for current_max_a."
+    )
+    enable_s: float = number(0.005, 0, 3600, "s", "From the enable input to ready.")
+    tick_s: float = number(0.000_25, 1e-6, 1.0, "s", "Sampling period of input and encoder.")
+    current_steps: int = whole(5, 1, 1000, "", "Current loop steps in each of these periods.")
+    current_kp_v_a: float | None = number(None, 0, 1e12, "V/A", "Gain; absent: tuned.")
+    current_ki_v_a_s: float | None = number(None, 0, 1e12, "V/(A·s)", "Gain; absent: tuned.")
+
+    def channel(self, plant: MotorPlant, position_rad: float, path: KeyPath) -> "ChannelSettings":
+        """Return a channel with this amplifier.
+
+        Raises:
+            SettingError: the steps do not divide the period.
+        """
+        tick_ns, steps = ns(self.tick_s), self.current_steps
+        if tick_ns % steps or tick_ns < steps * 1000:
+            message = f"{steps} steps do not divide {tick_ns} ns into whole ns of at least 1000"
+            raise SettingError((*path, "current_steps"), f"{message} each", "usual: 5")
+        gains = {"current_kp_v_a": self.current_kp_v_a, "current_ki_v_a_s": self.current_ki_v_a_s}
+        own = {name: gain for name, gain in gains.items() if gain is not None}
+        scale_a_v = self.current_per_volt_a_v
+        return ChannelSettings(
+            plant=plant,
+            gains=replace(ServoGains.tuned(plant, tick_ns, steps), **own),
+            current_per_volt_a_v=plant.current_max_a / 10.0 if scale_a_v is None else scale_a_v,
+            enable_ns=ns(self.enable_s),
+            tick_ns=tick_ns,
+            current_steps=steps,
+            initial_position_rad=position_rad,
+        )
+
+
+_AMPLIFIER: Final = declaration(AmplifierTable)
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class ChannelTable:
+    """Settings of one channel that differ from those of the node."""
+
+    plant: Mapping[str, Any] = table(PLANT, "The channel's plant.")
+    amplifier: Mapping[str, Any] = table(_AMPLIFIER, "The channel's amplifier.")
+    initial_position_rad: float | None = number(
+        None, -1e9, 1e9, "rad", "Position of the channel's output at power-on."
+    )
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class NodeTable(CanopenTable):
+    """A CiA 401 I/O node with torque amplifiers, motors and encoder counters."""
+
+    channels: int = whole(1, 1, CHANNELS_MAX, "", "Number of amplifiers, motors and counters.")
+    plant: Mapping[str, Any] = table(PLANT, "The plant of every channel.")
+    amplifier: Mapping[str, Any] = table(_AMPLIFIER, "The amplifier of every channel.")
+    channel: Mapping[str, ChannelTable] = setting(
+        {}, TablesByKey(TableOf(ChannelTable)), "Settings of single channels, by number."
+    )
+    oscillator: OscillatorTable = table(OscillatorTable, "The clock of the node.")
+    timing: TimingTable = table(TimingTable, "Delays of the node.")
+    initial_position_rad: float = number(
+        0.0, -1e9, 1e9, "rad", "Position of the output at power-on."
+    )
+
+    def channel_settings(self) -> tuple["ChannelSettings", ...]:
+        """Return the settings of all channels.
+
+        Raises:
+            SettingError: values do not go together, or a channel does not exist.
+        """
+        names = tuple(str(place) for place in range(1, self.channels + 1))
+        refuse_unknown(self.channel, names, ("channel",))
+        return tuple(self._channel(name) for name in names)
+
+    def _channel(self, name: str) -> "ChannelSettings":
+        path = ("channel", name)
+        own = self.channel.get(name, ChannelTable())
+        plant = plant_of(self.plant)
+        if own.plant:
+            base = {} if "preset" in own.plant else self.plant
+            plant = plant_of({**base, **own.plant}, (*path, "plant"))
+        position_rad = own.initial_position_rad
+        if position_rad is None:
+            check_position(self.initial_position_rad, plant)
+            position_rad = self.initial_position_rad
+        else:
+            check_position(position_rad, plant, path)
+        AmplifierTable(**self.amplifier).channel(plant, 0.0, ("amplifier",))  # by its own keys
+        amplifier = AmplifierTable(**{**self.amplifier, **own.amplifier})
+        return amplifier.channel(plant, position_rad, (*path, "amplifier"))
 
 
 @final
@@ -110,69 +195,15 @@ def read_settings(table: Mapping[str, object], folder: Path, stream: str = "") -
     Raises:
         SettingError: a key is unknown, or a value is missing or wrong.
     """
-    refuse_unknown(table, KEYS, ())
-    node_id = node_id_in(table)
-    count = whole(table.get("channels", 1), ("channels",), 1, CHANNELS_MAX)
-    several = table_in(table, "channel")
-    names = tuple(str(place) for place in range(1, count + 1))
-    refuse_unknown(several, names, ("channel",))
-    timing = table_in(table, "timing")
-    refuse_unknown(timing, TIMING_KEYS, ("timing",))
+    own = read(NodeTable, table)
     return NodeSettings(
-        node_id=node_id,
-        eds=eds_in(table, folder, OWN_EDS),
-        nonvolatile_memory=memory_file_in(table),
-        node_id_by_lss=flag(table, "node_id_by_lss"),
-        channels=tuple(_channel(table, several, name) for name in names),
-        oscillator=oscillator_in(table, stream),
-        boot_up_ns=duration_ns(timing, "boot_up_s", 0.3, ("timing",)),
-        sdo_reply_ns=duration_ns(timing, "sdo_reply_s", 0.001, ("timing",)),
-        objects=objects_of(table_in(table, "objects")),
-    )
-
-
-def _channel(
-    table: Mapping[str, object], several: Mapping[str, object], name: str
-) -> ChannelSettings:
-    path = ("channel", name)
-    own = table_in(several, name, ("channel",))
-    refuse_unknown(own, CHANNEL_KEYS, path)
-    common_plant = table_in(table, "plant")
-    plant = plant_of(common_plant)
-    own_plant = table_in(own, "plant", path)
-    if own_plant:
-        base = {} if "preset" in own_plant else common_plant
-        plant = plant_of({**base, **own_plant}, (*path, "plant"))
-    common = table_in(table, "amplifier")
-    _amplifier(common, ("amplifier",), plant, 0.0)  # reports errors by their own key
-    amplifier: Mapping[str, object] = {**common, **table_in(own, "amplifier", path)}
-    from_own = "initial_position_rad" in own
-    position_rad = initial_position_rad(own if from_own else table, plant, path if from_own else ())
-    return _amplifier(amplifier, (*path, "amplifier"), plant, position_rad)
-
-
-def _amplifier(
-    table: Mapping[str, object], path: KeyPath, plant: MotorPlant, position_rad: float
-) -> ChannelSettings:
-    refuse_unknown(table, AMPLIFIER_KEYS, path)
-    tick_ns = duration_ns(table, "tick_s", 0.000_25, path, 1e-6, 1.0)
-    steps = whole(table.get("current_steps", 5), (*path, "current_steps"), 1, 1000)
-    if tick_ns % steps or tick_ns < steps * 1000:
-        message = f"{steps} steps do not divide {tick_ns} ns into whole ns of at least 1000 each"
-        raise SettingError((*path, "current_steps"), message, "usual: 5")
-    given = {key: number(table[key], (*path, key), 0, 1e12) for key in GAIN_KEYS if key in table}
-    full_scale = plant.current_max_a / 10.0
-    return ChannelSettings(
-        plant=plant,
-        gains=replace(ServoGains.tuned(plant, tick_ns, steps), **given),
-        current_per_volt_a_v=number(
-            table.get("current_per_volt_a_v", full_scale),
-            (*path, "current_per_volt_a_v"),
-            1e-6,
-            1e6,
-        ),
-        enable_ns=duration_ns(table, "enable_s", 0.005, path),
-        tick_ns=tick_ns,
-        current_steps=steps,
-        initial_position_rad=position_rad,
+        node_id=own.node_id,
+        eds=own.eds_path(folder, OWN_EDS),
+        nonvolatile_memory=own.nonvolatile_memory,
+        node_id_by_lss=own.node_id_by_lss,
+        channels=own.channel_settings(),
+        oscillator=own.oscillator.oscillator(stream),
+        boot_up_ns=ns(own.timing.boot_up_s),
+        sdo_reply_ns=ns(own.timing.sdo_reply_s),
+        objects=own.object_values(),
     )

@@ -14,12 +14,11 @@ All are off by default. They are added when the drive is built, around the parts
 drive without quirks is the same object as without this module.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Final, final
+from typing import Any, ClassVar, Final, final
 
-from motorhil.emulators.controller import SettingError
 from motorhil.emulators.firmware.digital_inputs import (
     FAR,
     HOME_SWITCH,
@@ -34,25 +33,38 @@ from motorhil.emulators.firmware.servo_tables import ServoGains
 from motorhil.emulators.plant.dc_motor import PI, MotorPlant
 from motorhil.emulators.plant.oscillator import IDEAL, Oscillator
 from motorhil.emulators.plant.presets import PRESETS
-from motorhil.emulators.settings.motor import MOTOR_KEYS, motor_in
+from motorhil.emulators.settings.motor import MotorTable
 from motorhil.emulators.settings.protection import (
     DEFAULT_PROTECTION,
     ProtectionSettings,
+    ProtectionTable,
     protection_of,
 )
 from motorhil.emulators.settings.tables import (
     DEFAULT_PRESET,
+    CanopenTable,
     ObjectValue,
-    duration_ns,
-    eds_in,
+    TimingTable,
+    ns,
+)
+from motorhil.settings import (
+    Declaration,
+    Items,
+    Key,
+    KeyPath,
+    Number,
+    Rule,
+    Schema,
+    SettingError,
+    Text,
     flag,
-    memory_file_in,
-    nearest,
-    node_id_in,
+    given,
+    kind_of,
     number,
-    objects_of,
-    refuse_unknown,
-    table_in,
+    read,
+    setting,
+    shown,
+    table,
     whole,
 )
 
@@ -62,50 +74,89 @@ _RANGES: Final = (
     ("touch_probe_1_from_rad", "touch_probe_1_to_rad", TOUCH_PROBE_1),
     ("touch_probe_2_from_rad", "touch_probe_2_to_rad", TOUCH_PROBE_2),
 )
-SWITCH_KEYS: Final = (
-    "negative_limit_rad",
-    "positive_limit_rad",
-    *(key for low, high, _ in _RANGES for key in (low, high)),
-    "index_rad",
-    "index_pulse",
-)
 _NAMES: Final = {bit: name for name, bit in STIMULI.items()}
 _PATH: Final = ("switches",)
-_PLACE_MAX_RAD: Final = 1e9
 
 
-def switches_in(
-    table: Mapping[str, object], plant: MotorPlant
-) -> tuple[tuple[Switch, ...], int | None]:
-    """Return the switches of a table `switches` and the index pulse's count, in increments.
+def _position(doc: str) -> Any:
+    return number(None, -1e9, 1e9, "rad", doc)
 
-    Edges lie at the nearest change of the encoder's count, at most half an increment away.
 
-    Raises:
-        SettingError: a key is unknown, or a value is wrong.
-    """
-    refuse_unknown(table, SWITCH_KEYS, _PATH)
-    inc_rad = plant.encoder_increments_rev * plant.gear_ratio / (2.0 * PI)
-    negative = _count(table, "negative_limit_rad", inc_rad, -FAR)
-    positive = _count(table, "positive_limit_rad", inc_rad, FAR)
-    if negative >= positive:
-        message = f"{table['positive_limit_rad']} rad is not above the negative limit switch"
-        remedy = "the negative one is active below its position, the positive one above"
-        raise SettingError((*_PATH, "positive_limit_rad"), message, remedy)
-    switches: list[Switch] = []
-    if negative > -FAR:
-        switches.append(Switch(NEGATIVE_LIMIT, -FAR, negative))
-    if positive < FAR:
-        switches.append(Switch(POSITIVE_LIMIT, positive, FAR))
-    for low_key, high_key, bit in _RANGES:
-        if low_key in table or high_key in table:
-            low, high = _count(table, low_key, inc_rad, -FAR), _count(table, high_key, inc_rad, FAR)
+@final
+@dataclass(frozen=True, kw_only=True)
+class SwitchesTable:
+    """Digital inputs along the output, by positions of the plant."""
+
+    negative_limit_rad: float | None = _position("Negative limit switch: active below.")
+    positive_limit_rad: float | None = _position("Positive limit switch: active from here on.")
+    home_from_rad: float | None = _position("Home switch: active from here on; absent: all below.")
+    home_to_rad: float | None = _position("Home switch: active up to here; absent: all above.")
+    touch_probe_1_from_rad: float | None = _position("Input of touch probe 1: active from here on.")
+    touch_probe_1_to_rad: float | None = _position("Input of touch probe 1: active up to here.")
+    touch_probe_2_from_rad: float | None = _position("Input of touch probe 2: active from here on.")
+    touch_probe_2_to_rad: float | None = _position("Input of touch probe 2: active up to here.")
+    index_rad: float = number(
+        0.0, -2.0 * PI, 2.0 * PI, "rad", "Motor angle of the encoder's index pulse, once a turn."
+    )
+    index_pulse: bool = flag(True, "The encoder has an index pulse.")
+
+    RULES: ClassVar = (
+        Rule(
+            "index_pulse",
+            (False,),
+            refused=("index_rad",),
+            message="the encoder has no index pulse",
+            remedy="take one of them out",
+        ),
+    )
+
+    def switches(self, plant: MotorPlant) -> tuple[Switch, ...]:
+        """Return the switches, in increments.
+
+        Edges lie at the nearest change of the encoder's count, at most half an increment away.
+
+        Raises:
+            SettingError: a range is empty, or does not fit 32 bits.
+        """
+        inc_rad = plant.encoder_increments_rev * plant.gear_ratio / (2.0 * PI)
+        negative = self._count("negative_limit_rad", inc_rad, -FAR)
+        positive = self._count("positive_limit_rad", inc_rad, FAR)
+        if negative >= positive:
+            message = f"{self.positive_limit_rad} rad is not above the negative limit switch"
+            remedy = "the negative one is active below its position, the positive one above"
+            raise SettingError((*_PATH, "positive_limit_rad"), message, remedy)
+        switches: list[Switch] = []
+        if negative > -FAR:
+            switches.append(Switch(NEGATIVE_LIMIT, -FAR, negative))
+        if positive < FAR:
+            switches.append(Switch(POSITIVE_LIMIT, positive, FAR))
+        for low_key, high_key, bit in _RANGES:
+            low = self._count(low_key, inc_rad, -FAR)
+            high = self._count(high_key, inc_rad, FAR)
             if low >= high:
-                message = f"{table[high_key]} rad is not above {low_key}"
+                message = f"{getattr(self, high_key)} rad is not above {low_key}"
                 remedy = f"at least an increment of {1.0 / inc_rad:.3g} rad"
                 raise SettingError((*_PATH, high_key), message, remedy)
-            switches.append(Switch(bit, low, high))
-    return tuple(switches), _index(table, plant)
+            if (low, high) != (-FAR, FAR):
+                switches.append(Switch(bit, low, high))
+        return tuple(switches)
+
+    def _count(self, key: str, inc_rad: float, absent: int) -> int:
+        place_rad = getattr(self, key)
+        if place_rad is None:
+            return absent
+        place = place_rad * inc_rad
+        if abs(place) >= 1 << 31:
+            message = f"{place:.0f} increments do not fit 32 bits"
+            remedy = f"at most {(1 << 31) / inc_rad:g} rad either way"
+            raise SettingError((*_PATH, key), message, remedy)
+        return int((place + 0.5) // 1.0)
+
+    def index_count(self, plant: MotorPlant) -> int | None:
+        """Return the count of the index pulse within a turn; None: there is none."""
+        turn = plant.encoder_increments_rev
+        count = int((self.index_rad * turn / (2.0 * PI) + 0.5) // 1.0) % turn
+        return count if self.index_pulse else None
 
 
 def out_of_reach(switches: tuple[Switch, ...], plant: MotorPlant) -> list[str]:
@@ -122,36 +173,6 @@ def out_of_reach(switches: tuple[Switch, ...], plant: MotorPlant) -> list[str]:
         if one.low > high_rad * inc_rad or one.high <= low_rad * inc_rad
     ]
 
-
-def _count(table: Mapping[str, object], key: str, inc_rad: float, absent: int) -> int:
-    if key not in table:
-        return absent
-    place = number(table[key], (*_PATH, key), -_PLACE_MAX_RAD, _PLACE_MAX_RAD) * inc_rad
-    if abs(place) >= 1 << 31:
-        message = f"{place:.0f} increments do not fit 32 bits"
-        remedy = f"at most {(1 << 31) / inc_rad:g} rad either way"
-        raise SettingError((*_PATH, key), message, remedy)
-    return int((place + 0.5) // 1.0)
-
-
-def _index(table: Mapping[str, object], plant: MotorPlant) -> int | None:
-    there = table.get("index_pulse", True)
-    if not isinstance(there, bool):
-        message = f"{there!r} is not true or false"
-        raise SettingError((*_PATH, "index_pulse"), message, "write it without quotes")
-    if not there:
-        if "index_rad" in table:
-            message = "the encoder has no index pulse"
-            raise SettingError((*_PATH, "index_rad"), message, "take one of them out")
-        return None
-    angle = number(table.get("index_rad", 0.0), (*_PATH, "index_rad"), -2.0 * PI, 2.0 * PI)
-    turn = plant.encoder_increments_rev
-    return int((angle * turn / (2.0 * PI) + 0.5) // 1.0) % turn
-
-
-_NS_PER_S: Final = 1_000_000_000
-_QUIRK_PATH: Final = ("quirks",)
-_TIME_MAX_S: Final = 3600.0
 
 Quirks = Mapping[str, Mapping[str, float]]
 """The enabled quirks, each with all its parameters."""
@@ -243,52 +264,68 @@ CATALOGUE: Final = (
         {"max_s": 0.095},
     ),
 )
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class _OnOff:
+    """True, false, or a table of parameters."""
+
+    parameters: Declaration
+
+    def read(self, value: object, path: KeyPath) -> object:
+        if isinstance(value, bool):
+            return {} if value else None
+        if not isinstance(value, Mapping):
+            message = f"must be true, false or a table, but is {kind_of(value)} ({shown(value)})"
+            names = ", ".join(self.parameters.keys) or "nothing"
+            raise SettingError(path, message, f"true, or a table of: {names}")
+        return given(self.parameters, value, path)
+
+    def schema(self) -> Schema:
+        return {"oneOf": [{"type": "boolean"}, {"$ref": self.parameters}]}
+
+    def example(self) -> str:
+        return "true"
+
+
+def _switched(quirk: Quirk) -> Key:
+    keys = {key: Key(Number(0, 3600.0, "s"), "") for key in quirk.parameters}
+    own = Declaration(f"quirk_{quirk.name}", f"Parameters: {quirk.what}.", keys, quirk.parameters)
+    return Key(_OnOff(own), f"{quirk.what[0].upper()}{quirk.what[1:]}.")
+
+
 _BY_NAME: Final = {quirk.name: quirk for quirk in CATALOGUE}
+QUIRKS: Final = Declaration(
+    "quirks",
+    "Quirks by name; true, or a table with parameters.",
+    {quirk.name: _switched(quirk) for quirk in CATALOGUE},
+    dict.fromkeys(_BY_NAME),
+)
 
 
-def quirks_of(value: object) -> Quirks:
-    """Return the quirks that a rig asks for.
+@final
+class _Quirks:
+    """A list of quirks by name, or a table of them with their parameters."""
 
-    Args:
-        value: a list of names, or a table of names with their parameters.
+    _NAMES: Final = Items(Text(tuple(_BY_NAME), "quirk"), shown=f'["{CATALOGUE[0].name}"]')
 
-    Raises:
-        SettingError: a quirk or parameter does not exist, or its value is wrong.
-    """
-    if isinstance(value, list):
-        names = [_hashable(name) for name in value]
-        for name in names:
-            if names.count(name) > 1:
-                raise SettingError(_QUIRK_PATH, f"{name} is listed twice", "take one out")
-        asked: Mapping[object, object] = dict.fromkeys(names, True)
-    elif isinstance(value, Mapping):
-        asked = value
-    else:
-        example = value if value in _BY_NAME else CATALOGUE[0].name
-        raise SettingError(_QUIRK_PATH, f"{value!r} is not a list of names", f'["{example}"]')
-    on: dict[str, Mapping[str, float]] = {}
-    for name, given in asked.items():
-        quirk = _BY_NAME.get(name) if isinstance(name, str) else None
-        if quirk is None:
-            remedy = f"{nearest(name, tuple(_BY_NAME))}; motorhil list quirks shows them"
-            raise SettingError(_QUIRK_PATH, f"there is no quirk {name!r}", remedy)
-        path = (*_QUIRK_PATH, quirk.name)
-        if given is False:
-            continue
-        if given is not True and not isinstance(given, Mapping):
-            remedy = "true, or a table of: " + (", ".join(quirk.parameters) or "nothing")
-            raise SettingError(path, f"{given!r} is not a valid value", remedy)
-        own = given if isinstance(given, Mapping) else {}
-        refuse_unknown(own, tuple(quirk.parameters), path)
-        on[quirk.name] = {
-            key: number(own.get(key, default), (*path, key), 0, _TIME_MAX_S)
-            for key, default in quirk.parameters.items()
+    def read(self, value: object, path: KeyPath) -> Quirks:
+        if isinstance(value, Mapping):
+            asked = given(QUIRKS, value, path)
+        else:
+            asked = {name: {} for name in self._NAMES.read(value, path)}
+        return {
+            name: {**_BY_NAME[name].parameters, **own}
+            for name, own in asked.items()
+            if own is not None
         }
-    return on
 
+    def schema(self) -> Schema:
+        return {"oneOf": [self._NAMES.schema(), {"$ref": QUIRKS}]}
 
-def _hashable(name: object) -> object:
-    return name if isinstance(name, str) else repr(name)
+    def example(self) -> str:
+        return self._NAMES.example()
 
 
 def told(quirks: Quirks) -> list[str]:
@@ -307,7 +344,7 @@ def boot_up_later_ns(quirks: Quirks) -> int:
 
 def parameter_ns(quirks: Quirks, name: str, key: str) -> int:
     """Return a parameter of a quirk [ns]; 0 if the quirk is off."""
-    return round(quirks.get(name, {}).get(key, 0.0) * _NS_PER_S)
+    return ns(quirks.get(name, {}).get(key, 0.0))
 
 
 OWN_EDS: Final = Path(__file__).parents[1] / "eds" / "motorhil_cia402.eds"
@@ -324,24 +361,68 @@ EMULATED_MODES: Final[dict[str, int]] = {
 SYNC_LOST_PERIODS: Final = 0
 SYNC_LOST_CODE: Final = 0xFF64
 
-_KEYS: Final = (
-    "node_id",
-    "eds",
-    *MOTOR_KEYS,
-    "timing",
-    "units",
-    "objects",
-    "supported_modes",
-    "nonvolatile_memory",
-    "node_id_by_lss",
-    "protection",
-    "quirks",
-    "cyclic",
-    "switches",
-)
-_TIMING_KEYS: Final = ("boot_up_s", "sdo_reply_s", "enable_s")
-_CYCLIC_KEYS: Final = ("sync_lost_periods", "sync_lost_code")
-_UNIT_KEYS: Final = ("position_unit_inc", "velocity_unit_inc_s", "acceleration_unit_inc_s2")
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class DriveTimingTable(TimingTable):
+    """Delays of a drive."""
+
+    enable_s: float = number(0.02, 0, 3600, "s", "From switched on to operation enabled.")
+
+
+def _unit(per: str) -> Any:
+    return number(None, 1e-12, 1e12, "", f"Increments{per} that 1 means in the drive's objects.")
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class UnitsTable:
+    """Units of the drive's objects, where the EDS does not say, or says otherwise."""
+
+    position_unit_inc: float | None = _unit("")
+    velocity_unit_inc_s: float | None = _unit(" per second")
+    acceleration_unit_inc_s2: float | None = _unit(" per second squared")
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class CyclicTable:
+    """Reaction of the cyclic modes to missing SYNC, if 60C2h states its period."""
+
+    sync_lost_periods: int = whole(
+        SYNC_LOST_PERIODS, 0, 1000, "", "Periods without SYNC that are a fault; 0: no fault."
+    )
+    sync_lost_code: int = whole(SYNC_LOST_CODE, 1, 0xFFFF, "", "Error code of that fault.")
+
+    RULES: ClassVar = (
+        Rule(
+            "sync_lost_periods",
+            (0,),
+            refused=("sync_lost_code",),
+            message="has no effect without sync_lost_periods",
+            remedy="add sync_lost_periods = 5",
+        ),
+    )
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class DriveTable(CanopenTable, MotorTable):
+    """A CiA 402 drive."""
+
+    timing: DriveTimingTable = table(DriveTimingTable, "Delays of the drive.")
+    units: UnitsTable = table(UnitsTable, "Units of the drive's objects.")
+    supported_modes: tuple[str, ...] | None = setting(
+        None,
+        Items(Text(tuple(EMULATED_MODES), "mode"), least=1, shown='["pp", "pv"]'),
+        "Modes of operation; absent: those of the EDS, else all emulated ones.",
+    )
+    protection: ProtectionTable = table(ProtectionTable, "When the drive disables itself.")
+    quirks: Quirks = setting(
+        {}, _Quirks(), "Deviations from the standards; see `motorhil list quirks`."
+    )
+    cyclic: CyclicTable = table(CyclicTable, "Reaction to missing SYNC.")
+    switches: SwitchesTable = table(SwitchesTable, "Digital inputs along the output.")
 
 
 @final
@@ -406,82 +487,38 @@ def read_settings(table: Mapping[str, object], folder: Path, stream: str = "") -
     """Read the settings of a rig's table.
 
     Args:
-        table: the controller's table.
-        folder: the start of relative paths.
-        stream: the name of the stream of random draws.
+        table: the table.
+        folder: relative paths start here.
+        stream: the random stream of the clock.
 
     Raises:
         SettingError: a key is unknown, or a value is missing or wrong.
     """
-    refuse_unknown(table, _KEYS, ())
-    node_id = node_id_in(table)
-    motor = motor_in(table, stream)
-    plant = motor.plant
-    timing = table_in(table, "timing")
-    refuse_unknown(timing, _TIMING_KEYS, ("timing",))
-    units = table_in(table, "units")
-    refuse_unknown(units, _UNIT_KEYS, ("units",))
-    quirks = quirks_of(table.get("quirks", []))
-    boot_up_ns = duration_ns(timing, "boot_up_s", 0.3, ("timing",))
-    cyclic = table_in(table, "cyclic")
-    refuse_unknown(cyclic, _CYCLIC_KEYS, ("cyclic",))
-    if "sync_lost_code" in cyclic and not cyclic.get("sync_lost_periods"):
-        path = ("cyclic", "sync_lost_code")
-        raise SettingError(
-            path, "has no effect without sync_lost_periods", "add sync_lost_periods = 5"
-        )
-    switches, index_count = switches_in(table_in(table, "switches"), plant)
+    own = read(DriveTable, table)
+    motor = own.motor(stream)
     return DriveSettings(
-        node_id=node_id,
-        eds=eds_in(table, folder, OWN_EDS),
-        nonvolatile_memory=memory_file_in(table),
-        node_id_by_lss=flag(table, "node_id_by_lss"),
-        plant=plant,
+        node_id=own.node_id,
+        eds=own.eds_path(folder, OWN_EDS),
+        nonvolatile_memory=own.nonvolatile_memory,
+        node_id_by_lss=own.node_id_by_lss,
+        plant=motor.plant,
         gains=motor.gains,
         tick_ns=motor.tick_ns,
         current_steps=motor.current_steps,
         oscillator=motor.oscillator,
-        boot_up_ns=boot_up_ns + boot_up_later_ns(quirks),
-        sdo_reply_ns=duration_ns(timing, "sdo_reply_s", 0.001, ("timing",)),
-        enable_ns=duration_ns(timing, "enable_s", 0.02, ("timing",)),
-        position_unit_inc=_positive(units, "position_unit_inc"),
-        velocity_unit_inc_s=_positive(units, "velocity_unit_inc_s"),
-        acceleration_unit_inc_s2=_positive(units, "acceleration_unit_inc_s2"),
-        objects=objects_of(table_in(table, "objects")),
-        supported_modes=_modes(table),
+        boot_up_ns=ns(own.timing.boot_up_s) + boot_up_later_ns(own.quirks),
+        sdo_reply_ns=ns(own.timing.sdo_reply_s),
+        enable_ns=ns(own.timing.enable_s),
+        position_unit_inc=own.units.position_unit_inc,
+        velocity_unit_inc_s=own.units.velocity_unit_inc_s,
+        acceleration_unit_inc_s2=own.units.acceleration_unit_inc_s2,
+        objects=own.object_values(),
+        supported_modes=own.supported_modes,
         initial_position_rad=motor.initial_position_rad,
-        protection=protection_of(table_in(table, "protection"), plant),
-        quirks=quirks,
-        sync_lost_periods=_whole(cyclic, "sync_lost_periods", SYNC_LOST_PERIODS, 0, 1000),
-        sync_lost_code=_whole(cyclic, "sync_lost_code", SYNC_LOST_CODE, 1, 0xFFFF),
-        switches=switches,
-        index_count=index_count,
+        protection=protection_of(own.protection, motor.plant),
+        quirks=own.quirks,
+        sync_lost_periods=own.cyclic.sync_lost_periods,
+        sync_lost_code=own.cyclic.sync_lost_code,
+        switches=own.switches.switches(motor.plant),
+        index_count=own.switches.index_count(motor.plant),
     )
-
-
-def _modes(table: Mapping[str, object]) -> tuple[str, ...] | None:
-    value = table.get("supported_modes")
-    if value is None:
-        return None
-    path = ("supported_modes",)
-    known = f"known: {', '.join(EMULATED_MODES)}"
-    if isinstance(value, str) or not isinstance(value, Sequence) or not value:
-        raise SettingError(path, f"{value!r} is not a list of modes", f'["pp", "pv"]; {known}')
-    names: list[str] = []
-    for name in value:
-        if not isinstance(name, str) or name not in MODES:
-            raise SettingError(path, f"there is no mode {name!r}", known)
-        if name not in EMULATED_MODES:
-            raise SettingError(path, f"mode {name} is not emulated", known)
-        if name in names:
-            raise SettingError(path, f"mode {name} is listed twice", "take one out")
-        names.append(name)
-    return tuple(names)
-
-
-def _whole(table: Mapping[str, object], key: str, default: int, low: int, high: int) -> int:
-    return whole(table[key], ("cyclic", key), low, high) if key in table else default
-
-
-def _positive(table: Mapping[str, object], key: str) -> float | None:
-    return number(table[key], ("units", key), 1e-12, 1e12) if key in table else None

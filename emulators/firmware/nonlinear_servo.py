@@ -489,7 +489,7 @@ def plant_tick(
 
     The results are current, integrator, rotor, load, DC link and mean square current. The voltage
     is clipped to the DC link's, and the integrator then grows only back towards the inside, as in
-    `current_loop.steps`. The current of a motor at standstill is computed as deviations from its
+    `servo.steps`. The current of a motor at standstill is computed as deviations from its
     steady state.
 
     The function is long on purpose: it passes all its values on to `two_bodies`.

@@ -8,8 +8,8 @@ moves exactly as its differential equations say while voltage and external torqu
 maps are matrix exponentials, as for a linear plant. Position-dependent torques are handled in two
 ways.
 
-The spring of the coupling acts with its mean over the substep (see `extras_step.coupling`), which
-is stable for any stiffness. Its oscillation comes out too slow by (omega h)^2 / 24. A plant is
+The spring acts with its mean over the substep (see `nonlinear_servo.coupling`), which is stable for
+any stiffness. Its oscillation comes out too slow by (omega h)^2 / 24. A plant is
 refused if omega h would exceed `OMEGA_H_MAX` even with `SUBSTEPS_MAX` substeps.
 
 Waves (cogging, gravity) act with their value at the start of the substep. A spring as stiff as the
@@ -31,7 +31,7 @@ from motorhil.emulators.plant.nonlinear import NEVER_RAD, REFERENCE_C
 
 OMEGA_H_MAX: Final = 0.5
 SUBSTEPS_MAX: Final = 16
-WAVE_STEEPEST: Final = 6.4  # slope of extras_step.wave, per period
+WAVE_STEEPEST: Final = 6.4  # slope of `wave`, per period
 SLOW_S: Final = 0.02  # interval of temperature and I2t updates [s]
 STEPS_OF_TEMPERATURE: Final = 4.0  # resistance steps per kelvin
 _HEAT_COUNTS: Final = float(1 << 26)  # counts of i^2 at the largest current
@@ -48,7 +48,7 @@ Conditions = tuple[float, float, float, float, float, float, float, float, float
 
 @final
 class StepNumbers:
-    """Constants of one substep at one winding temperature; `extras_step` uses the names."""
+    """Constants of one substep at one winding temperature; `nonlinear_servo` uses the names."""
 
     def __init__(self, plant: MotorPlant, h: float, step_s: float, resistance_ohm: float) -> None:
         """Compute all constants; the function is long because it is a list of numbers."""

@@ -55,7 +55,7 @@ FED: Final = 4  # POSITION with the pieces' velocities fed forward unchanged
 # velocity loop, current demand; counts of this tick and the three before; position and velocity
 # demand; measured velocity; flags; ticks in the target window, beyond the following error window,
 # below the speed threshold, in the velocity window (each counts up to its limit); the additional
-# state of a nonlinear plant (see extras_servo; empty for a linear one).
+# state of a nonlinear plant (see nonlinear_servo; empty for a linear one).
 State = tuple[
     bool,
     float,

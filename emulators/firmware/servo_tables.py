@@ -11,7 +11,7 @@ on the state alone.
 The step, with voltage v held by the power stage for one period h of the current loop:
 
   e = current demand - current;  v = kp e + u;  u grows by ki h e   (u: the integrator [V])
-  current, speed, position: exact, from plant.discretisation
+  current, speed, position: exact, from `dc_motor.sample`
 
 A tick's map acts on z = (current, u, speed, position, current demand, torque).
 
@@ -33,7 +33,7 @@ from motorhil.emulators.plant.dc_motor import (
     sample,
 )
 
-# Flat tuples, in the order in which servo.run and current_loop.steps unpack them.
+# Flat tuples, in the order in which servo.run and servo.steps unpack them.
 TickTable = tuple[float, ...]
 StepTable = tuple[float, ...]
 LoadTable = tuple[float, ...]
@@ -133,7 +133,7 @@ class ServoTables:
 
     Attributes:
         tick: the table for each call of `servo.run`.
-        step: the table for single steps (`current_loop.steps`).
+        step: the table for single steps (`servo.steps`).
         current_steps: steps of the current loop in a servo tick.
     """
 

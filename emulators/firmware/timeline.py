@@ -16,8 +16,7 @@ may depend on commands, but not on readers.
 
 from typing import Final, final
 
-from motorhil.emulators.firmware import nonlinear_servo as extras_servo
-from motorhil.emulators.firmware import servo
+from motorhil.emulators.firmware import nonlinear_servo, servo
 from motorhil.emulators.firmware.nonlinear_tables import Conditions, ExtrasTables
 from motorhil.emulators.firmware.servo_tables import LoadTable, ServoTables, StepTable, TickTable
 
@@ -160,7 +159,7 @@ class Timeline:
         self, tick: int, state: servo.State, ticks: int, watch: bool
     ) -> tuple[servo.State, int, bool]:
         if self._extras is not None:
-            return extras_servo.run(
+            return nonlinear_servo.run(
                 self._extras,
                 self._conditions,
                 self._windows,
@@ -226,7 +225,7 @@ class Timeline:
     def _learn(self) -> None:
         """Run ahead further next time, or wait less, because the last run ahead was useful."""
         if self._extras is not None:
-            is_still = extras_servo.is_still(self.state)
+            is_still = nonlinear_servo.is_still(self.state)
             self._still = min(_STILL_MIN + 2 * self._still, _STILL_MAX) if is_still else 0
         if self._wait > 0:
             self._wait -= 1

@@ -10,13 +10,19 @@ switch the search continues until it is stopped, as in the real drive.
 """
 
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from enum import Enum
 from typing import Final, final
 
 from motorhil.emulators.firmware import flags as f
 from motorhil.emulators.firmware.axis import NEVER_NS
 from motorhil.emulators.leadshine_pr import registers as r
-from motorhil.emulators.modbus.drive import DriveBuilder, ModbusDrive, ModbusDriveSettings
+from motorhil.emulators.modbus.drive import (
+    DriveBuilder,
+    ModbusDrive,
+    ModbusDriveSettings,
+    ModbusDriveTable,
+)
 from motorhil.emulators.modbus.registers import RegisterBank
 from motorhil.emulators.modbus.server import Identification
 
@@ -389,4 +395,10 @@ class LeadshinePr(ModbusDrive):
         return {"status": float(self.status()), "path": float(self._path)}
 
 
-build: Final = DriveBuilder(LeadshinePr, r.ROWS)
+@final
+@dataclass(frozen=True, kw_only=True)
+class LeadshineTable(ModbusDriveTable):
+    """A PR-mode drive (Leadshine) on a Modbus line."""
+
+
+build: Final = DriveBuilder(LeadshinePr, r.ROWS, LeadshineTable)

@@ -6,10 +6,10 @@ A `DriveBuilder` makes it an entry point.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Final, final
+from dataclasses import dataclass
+from typing import Any, Final, final
 
-from motorhil.emulators.controller import Controller, ControllerContext, SettingError
+from motorhil.emulators.controller import Controller, ControllerContext
 from motorhil.emulators.firmware.axis import NEVER_NS
 from motorhil.emulators.firmware.clock import on_own_time
 from motorhil.emulators.firmware.servo_tables import ServoGains
@@ -19,13 +19,81 @@ from motorhil.emulators.modbus.rtu import RtuUnit
 from motorhil.emulators.modbus.server import Diagnostics, Identification, ModbusServer
 from motorhil.emulators.plant.dc_motor import PI, RANGES, MotorPlant
 from motorhil.emulators.plant.oscillator import IDEAL, Oscillator
-from motorhil.emulators.settings.motor import MOTOR_KEYS, axis_of, motor_in
-from motorhil.emulators.settings.tables import duration_ns, number, refuse_unknown, table_in, whole
+from motorhil.emulators.settings.motor import MotorTable, axis_of
+from motorhil.emulators.settings.tables import ns
+from motorhil.settings import (
+    REQUIRED,
+    Number,
+    SettingError,
+    TablesByKey,
+    number,
+    read,
+    setting,
+    table,
+    whole,
+)
 
-KEYS: Final = ("unit", *MOTOR_KEYS, "timing", "registers", "switches")
-TIMING_KEYS: Final = ("boot_up_s", "reply_s")
-SWITCH_KEYS: Final = ("home_rad", "limit_forward_rad", "limit_backward_rad")
 _RAD_MAX: Final = 1e9
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class ModbusTimingTable:
+    """Delays of the drive."""
+
+    boot_up_s: float = number(0.5, 0, 3600, "s", "From power-on until it responds.")
+    reply_s: float = number(0.002, 0, 3600, "s", "From the end of a request to its response.")
+
+
+def _switch(doc: str) -> Any:
+    return number(None, -_RAD_MAX, _RAD_MAX, "rad", f"{doc}: closed from this position on.")
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class ModbusSwitchesTable:
+    """Switches of the drive, by positions of the output."""
+
+    home_rad: float | None = _switch("Home switch")
+    limit_forward_rad: float | None = _switch("Forward limit switch")
+    limit_backward_rad: float | None = _switch("Backward limit switch")
+
+
+@dataclass(frozen=True, kw_only=True)
+class ModbusDriveTable(MotorTable):
+    """Keys of every Modbus drive; the table of a make derives from it."""
+
+    unit: int = whole(REQUIRED, UNITS[0], UNITS[-1], "", "Its server address.", example="1")
+    timing: ModbusTimingTable = table(ModbusTimingTable, "Delays of the drive.")
+    registers: Mapping[str, int] = setting(
+        {},
+        TablesByKey(Number(-(1 << 31), (1 << 32) - 1, is_whole=True)),
+        'Power-on values, by name or address ("6200h"); see `motorhil list registers`.',
+    )
+    switches: ModbusSwitchesTable = table(ModbusSwitchesTable, "Switches of the drive.")
+
+    def settings(self, stream: str) -> "ModbusDriveSettings":
+        """Return the settings of the drive; random clock values come from `stream`.
+
+        Raises:
+            SettingError: values do not go together.
+        """
+        motor = self.motor(stream)
+        return ModbusDriveSettings(
+            unit=self.unit,
+            plant=motor.plant,
+            gains=motor.gains,
+            tick_ns=motor.tick_ns,
+            current_steps=motor.current_steps,
+            oscillator=motor.oscillator,
+            boot_up_ns=ns(self.timing.boot_up_s),
+            reply_ns=ns(self.timing.reply_s),
+            registers=tuple(self.registers.items()),
+            home_rad=self.switches.home_rad,
+            limit_forward_rad=self.switches.limit_forward_rad,
+            limit_backward_rad=self.switches.limit_backward_rad,
+            initial_position_rad=motor.initial_position_rad,
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -60,55 +128,7 @@ class ModbusDriveSettings:
     limit_forward_rad: float | None = None
     limit_backward_rad: float | None = None
     initial_position_rad: float = 0.0
-    options: Mapping[str, bool] = field(default_factory=dict)
-
-
-def _read_settings(
-    table: Mapping[str, object], context: ControllerContext, options: Mapping[str, bool]
-) -> ModbusDriveSettings:
-    refuse_unknown(table, (*KEYS, *options), ())
-    if "unit" not in table:
-        raise SettingError(("unit",), "is missing", "a number 1..247")
-    motor = motor_in(table, context.stream())
-    timing = table_in(table, "timing")
-    refuse_unknown(timing, TIMING_KEYS, ("timing",))
-    switches = table_in(table, "switches")
-    refuse_unknown(switches, SWITCH_KEYS, ("switches",))
-    return ModbusDriveSettings(
-        unit=whole(table["unit"], ("unit",), UNITS[0], UNITS[-1]),
-        plant=motor.plant,
-        gains=motor.gains,
-        tick_ns=motor.tick_ns,
-        current_steps=motor.current_steps,
-        oscillator=motor.oscillator,
-        boot_up_ns=duration_ns(timing, "boot_up_s", 0.5, ("timing",)),
-        reply_ns=duration_ns(timing, "reply_s", 0.002, ("timing",)),
-        registers=_registers(table_in(table, "registers")),
-        home_rad=_switch(switches, "home_rad"),
-        limit_forward_rad=_switch(switches, "limit_forward_rad"),
-        limit_backward_rad=_switch(switches, "limit_backward_rad"),
-        initial_position_rad=motor.initial_position_rad,
-        options={key: _option(table, key, default) for key, default in options.items()},
-    )
-
-
-def _option(table: Mapping[str, object], key: str, default: bool) -> bool:
-    value = table.get(key, default)
-    if not isinstance(value, bool):
-        remedy = f"{str(default).lower()}, the default"
-        raise SettingError((key,), f"{value!r} is neither true nor false", remedy)
-    return value
-
-
-def _registers(table: Mapping[str, object]) -> tuple[tuple[str, int], ...]:
-    return tuple(
-        (key, whole(value, ("registers", key), -(1 << 31), (1 << 32) - 1))
-        for key, value in table.items()
-    )
-
-
-def _switch(table: Mapping[str, object], key: str) -> float | None:
-    return number(table[key], ("switches", key), -_RAD_MAX, _RAD_MAX) if key in table else None
+    trigger_auto_clear: bool = True
 
 
 class ModbusDrive:
@@ -347,7 +367,7 @@ class DriveBuilder:
     Args:
         make: the class of the drive.
         rows: its register map, for display.
-        options: the boolean keys of this make in a rig, with their defaults.
+        table: its table in a rig.
     """
 
     bus_kinds: Final = ("modbus_rtu", "modbus_tcp")
@@ -356,11 +376,11 @@ class DriveBuilder:
         self,
         make: Callable[[ModbusDriveSettings], ModbusDrive],
         rows: tuple[Register, ...],
-        options: Mapping[str, bool] | None = None,
+        table: type[ModbusDriveTable],
     ) -> None:
         self._make = make
         self._rows = rows
-        self._options = options or {}
+        self._table = table
 
     def registers(self) -> tuple[Register, ...]:
         """Return the register map, for display."""
@@ -376,5 +396,5 @@ class DriveBuilder:
         Raises:
             SettingError: a key is unknown, or a value is missing or wrong; names the keys.
         """
-        read = _read_settings(settings, context, self._options)
-        return on_own_time(self._make(read), read.oscillator)
+        own = read(self._table, settings).settings(context.stream())
+        return on_own_time(self._make(own), own.oscillator)

@@ -15,6 +15,7 @@ Source: MODBUS Messaging on TCP/IP Implementation Guide V1.0b, sections 3.1.3, 4
 
 from collections import deque
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Final, final
 
 from motorhil.emulators.modbus.codes import (
@@ -83,15 +84,15 @@ class MbapStream:
 
 
 @final
+@dataclass(slots=True, eq=False)
 class _Pending:
     """A pending request."""
 
-    def __init__(self, connection: int, request: Request, due_ns: int) -> None:
-        self.connection = connection
-        self.transaction = request[0]
-        self.asked_unit = request[1]
-        self.pdu = request[2]
-        self.due_ns = due_ns
+    connection: int
+    transaction: int
+    asked_unit: int
+    pdu: bytes
+    due_ns: int
 
 
 @final
@@ -133,7 +134,7 @@ class TcpGateway:
         self.requests += 1
         unit = self._unit(request[1])
         queue = self._queues[unit]
-        queue.append(_Pending(connection, request, now_ns + self._timeout_ns))
+        queue.append(_Pending(connection, *request, now_ns + self._timeout_ns))
         return (unit, request[2]) if len(queue) == 1 and unit not in self._owed_until_ns else None
 
     def knows(self, asked_unit: int) -> bool:

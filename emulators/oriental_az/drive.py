@@ -8,21 +8,27 @@ Its encoder is absolute: the drive knows its position from power-on, also after 
 """
 
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from typing import Final, final
 
 from motorhil.emulators.firmware import flags as f
 from motorhil.emulators.firmware.axis import NEVER_NS
-from motorhil.emulators.modbus.drive import DriveBuilder, ModbusDrive, ModbusDriveSettings
+from motorhil.emulators.modbus.drive import (
+    DriveBuilder,
+    ModbusDrive,
+    ModbusDriveSettings,
+    ModbusDriveTable,
+)
 from motorhil.emulators.modbus.registers import RegisterBank
 from motorhil.emulators.modbus.server import Identification
 from motorhil.emulators.oriental_az import registers as r
+from motorhil.settings import flag
 
 _FUNCTIONS: Final = (0x03, 0x06, 0x08, 0x10, 0x17)
 _AUTO_OFF_NS: Final = 4_000_000
 _MS: Final = 1_000_000
 _HOME_SPEED_HZ: Final = 5000  # of ZHOME
 _DEVIATION_TURNS: Final = 3.0
-_CLEARS: Final = "trigger_auto_clear"
 """The key of the drive parameter of that name, whose address is not known."""
 
 
@@ -36,7 +42,7 @@ class OrientalAz(ModbusDrive):
     def __init__(self, settings: ModbusDriveSettings) -> None:
         names = {0: "motorhil", 1: "AZ drive", 2: "1.0"}
         super().__init__(settings, RegisterBank(r.ROWS), Identification(names), _FUNCTIONS)
-        self._clears_trigger = settings.options[_CLEARS]  # after execution
+        self._clears_trigger = settings.trigger_auto_clear  # after execution
         self._auto_off_ns = NEVER_NS
         self._inputs = 0  # both words, previous state
         self._is_home = False
@@ -271,4 +277,16 @@ class OrientalAz(ModbusDrive):
         return {"outputs": float(self.outputs()), "alarm": float(self.bank["alarm"])}
 
 
-build: Final = DriveBuilder(OrientalAz, r.ROWS, {_CLEARS: True})
+@final
+@dataclass(frozen=True, kw_only=True)
+class OrientalTable(ModbusDriveTable):
+    """An AZ drive (Oriental Motor) with direct data operation on a Modbus line."""
+
+    trigger_auto_clear: bool = flag(True, "The drive resets its trigger after each operation.")
+
+    def settings(self, stream: str) -> ModbusDriveSettings:
+        """Return the settings of the drive; random clock values come from `stream`."""
+        return replace(super().settings(stream), trigger_auto_clear=self.trigger_auto_clear)
+
+
+build: Final = DriveBuilder(OrientalAz, r.ROWS, OrientalTable)

@@ -3,65 +3,88 @@
 Third-party controllers may use this module like our own. They bring the protocol, and support every
 motor that a rig can describe, with the same keys:
 
-    motor = motor_in(table, context.stream())           # of the keys MOTOR_KEYS
+    class MyTable(MotorTable): ...                      # its own keys (motorhil.settings)
+    motor = read(MyTable, table).motor(context.stream())
     axis = axis_of(motor, motor.oscillator.rate())      # motorhil.emulators.firmware.axis
     return on_own_time(controller, motor.oscillator)    # motorhil.emulators.firmware.clock
 """
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
-from typing import Final, Protocol, final
+from typing import Any, Final, Protocol, final
 
-from motorhil.emulators.controller import SettingError
 from motorhil.emulators.firmware.axis import Axis
 from motorhil.emulators.firmware.nonlinear_tables import substeps_for
 from motorhil.emulators.firmware.servo_tables import ServoGains
 from motorhil.emulators.plant.dc_motor import MotorPlant
 from motorhil.emulators.plant.oscillator import Oscillator
 from motorhil.emulators.settings.tables import (
-    duration_ns,
-    initial_position_rad,
-    number,
-    oscillator_in,
+    PLANT,
+    OscillatorTable,
+    check_position,
+    ns,
     plant_of,
-    refuse_unknown,
-    table_in,
-    whole,
 )
+from motorhil.settings import SettingError, number, table, whole
 
-_KEYS: Final = ("tick_s", "current_steps")
-
-
-def servo_of(table: Mapping[str, object], plant: MotorPlant) -> tuple[int, int, ServoGains]:
-    """Return (servo period [ns], current loop steps in each, gains) of a table `servo`.
-
-    Missing gains are tuned for the plant.
-
-    Raises:
-        SettingError: a key is unknown, or a value is wrong.
-    """
-    names = tuple(field.name for field in fields(ServoGains))
-    refuse_unknown(table, (*_KEYS, *names), ("servo",))
-    tick_ns = duration_ns(table, "tick_s", 0.001, ("servo",), 1e-6, 1.0)
-    steps = whole(table.get("current_steps", 10), ("servo", "current_steps"), 1, 1000)
-    if tick_ns % steps:
-        message = f"{steps} steps do not divide a servo period of {tick_ns} ns"
-        raise SettingError(("servo", "current_steps"), message, "usual: 10")
-    if tick_ns < steps * 1000:
-        message = f"{steps} steps in a servo period of {tick_ns} ns are shorter than a microsecond"
-        raise SettingError(
-            ("servo", "current_steps"), f"{message} each", "a longer tick_s, or fewer steps"
-        )
-    try:
-        substeps_for(plant, tick_ns / (1e9 * steps))
-    except ValueError as error:
-        name, _, text = str(error).partition(" = ")
-        raise SettingError(("plant", name), text) from error
-    given = {name: number(table[name], ("servo", name), 0, 1e12) for name in names if name in table}
-    return tick_ns, steps, replace(ServoGains.tuned(plant, tick_ns, steps), **given)
+_GAIN_MAX: Final = 1e12
 
 
-MOTOR_KEYS: Final = ("plant", "servo", "oscillator", "initial_position_rad")
+def _gain(unit: str, doc: str) -> Any:
+    return number(None, 0, _GAIN_MAX, unit, doc)
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class ServoTable:
+    """The servo: its periods, and gains in place of those tuned for the plant."""
+
+    tick_s: float = number(0.001, 1e-6, 1.0, "s", "Servo period.")
+    current_steps: int = whole(10, 1, 1000, "", "Current loop steps in each servo period.")
+    position_kp_1_s: float | None = _gain("1/s", "Velocity per following error.")
+    velocity_kp_a_s_inc: float | None = _gain("A·s/inc", "Current per velocity error.")
+    velocity_ki_a_inc: float | None = _gain("A/inc", "Growth of that current.")
+    current_kp_v_a: float | None = _gain("V/A", "Voltage per current error.")
+    current_ki_v_a_s: float | None = _gain("V/(A·s)", "Growth of that voltage.")
+    velocity_feedforward: float | None = _gain("", "Share of the demand's velocity passed on.")
+    acceleration_feedforward_a_s2_inc: float | None = _gain(
+        "A·s²/inc", "Current per acceleration of the demand."
+    )
+
+    def tick_ns(self) -> int:
+        """Return the servo period [ns], a whole number of current loop steps.
+
+        Raises:
+            SettingError: it is not.
+        """
+        tick_ns, steps = ns(self.tick_s), self.current_steps
+        if tick_ns % steps:
+            message = f"{steps} steps do not divide a servo period of {tick_ns} ns"
+            raise SettingError(("servo", "current_steps"), message, "usual: 10")
+        if tick_ns < steps * 1000:
+            message = f"{steps} steps in a servo period of {tick_ns} ns are shorter than a"
+            raise SettingError(
+                ("servo", "current_steps"),
+                f"{message} microsecond each",
+                "a longer tick_s, or fewer steps",
+            )
+        return tick_ns
+
+    def gains(self, plant: MotorPlant) -> ServoGains:
+        """Return the gains; those that are not given are tuned for the plant.
+
+        Raises:
+            SettingError: the plant is too fast for the steps of the servo.
+        """
+        tick_ns = self.tick_ns()
+        try:
+            substeps_for(plant, tick_ns / (1e9 * self.current_steps))
+        except ValueError as error:
+            name, _, text = str(error).partition(" = ")
+            raise SettingError(("plant", name), text) from error
+        own = {one.name: getattr(self, one.name) for one in fields(ServoGains)}
+        tuned = ServoGains.tuned(plant, tick_ns, self.current_steps)
+        return replace(tuned, **{name: gain for name, gain in own.items() if gain is not None})
 
 
 @final
@@ -84,22 +107,34 @@ class MotorSettings:
     initial_position_rad: float
 
 
-def motor_in(table: Mapping[str, object], stream: str) -> MotorSettings:
-    """Read the motor in a controller's table; random clock values come from `stream`.
+@dataclass(frozen=True, kw_only=True)
+class MotorTable:
+    """Keys of every controller with one motor; a controller's own table derives from it."""
 
-    Raises:
-        SettingError: a key inside is unknown, or a value is wrong.
-    """
-    plant = plant_of(table_in(table, "plant"))
-    tick_ns, current_steps, gains = servo_of(table_in(table, "servo"), plant)
-    return MotorSettings(
-        plant=plant,
-        gains=gains,
-        tick_ns=tick_ns,
-        current_steps=current_steps,
-        oscillator=oscillator_in(table, stream),
-        initial_position_rad=initial_position_rad(table, plant),
+    plant: Mapping[str, Any] = table(PLANT, "The motor behind the drive.")
+    servo: ServoTable = table(ServoTable, "The servo of the drive.")
+    oscillator: OscillatorTable = table(OscillatorTable, "The clock of the controller.")
+    initial_position_rad: float = number(
+        0.0, -1e9, 1e9, "rad", "Position of the output at power-on."
     )
+
+    def motor(self, stream: str) -> MotorSettings:
+        """Return the motor; random clock values come from `stream`.
+
+        Raises:
+            SettingError: values do not go together.
+        """
+        plant = plant_of(self.plant)
+        gains = self.servo.gains(plant)
+        check_position(self.initial_position_rad, plant)
+        return MotorSettings(
+            plant=plant,
+            gains=gains,
+            tick_ns=self.servo.tick_ns(),
+            current_steps=self.servo.current_steps,
+            oscillator=self.oscillator.oscillator(stream),
+            initial_position_rad=self.initial_position_rad,
+        )
 
 
 class Motorised(Protocol):

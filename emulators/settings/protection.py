@@ -1,27 +1,15 @@
 """Protection settings of a drive in a rig: the table `protection`."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Final, final
+from dataclasses import dataclass, fields
+from typing import Any, ClassVar, Final, final
 
-from motorhil.emulators.controller import SettingError
 from motorhil.emulators.plant.dc_motor import MotorPlant
-from motorhil.emulators.settings.tables import number, refuse_unknown, whole
+from motorhil.settings import Rule, SettingError, number, whole, word
 
-STO_REACTIONS: Final = ("disable", "fault")
 STO_ERROR: Final = 0x8A88
 TEMPERATURE_RANGE_C: Final = (-273.15, 1000.0)
-PROTECTION_KEYS: Final = (
-    *("sto", "sto_error_code"),
-    *("device_temperature_warning_c", "device_temperature_max_c"),
-    *("winding_temperature_warning_c", "winding_temperature_max_c"),
-    *("over_voltage_v", "under_voltage_v", "i2t_warning"),
-)
-VOLTAGE_RANGE_V: Final = (0.0, 1e6)
 OVER_VOLTAGE: Final = 1.25  # of the supply's own voltage
 UNDER_VOLTAGE: Final = 0.7
-_WINDING_KEYS: Final = ("winding_temperature_warning_c", "winding_temperature_max_c")
-_VOLTAGE_KEYS: Final = ("over_voltage_v", "under_voltage_v")
 _PATH: Final = ("protection",)
 
 
@@ -51,82 +39,101 @@ class ProtectionSettings:
 DEFAULT_PROTECTION: Final = ProtectionSettings()
 
 
-def protection_of(table: Mapping[str, object], plant: MotorPlant) -> ProtectionSettings:
-    """Read the settings from a table `protection` of a drive with this plant.
+def _celsius(default_c: float | None, doc: str) -> Any:
+    return number(default_c, *TEMPERATURE_RANGE_C, "C", doc)
 
-    Raises:
-        SettingError: a key is unknown, a value is wrong, or the plant lacks the quantity.
-    """
-    refuse_unknown(table, PROTECTION_KEYS, _PATH)
-    reaction = table.get("sto", "disable")
-    if reaction not in STO_REACTIONS:
-        known = " or ".join(f'"{one}"' for one in STO_REACTIONS)
-        raise SettingError((*_PATH, "sto"), f"{reaction!r} is not a reaction", f"write {known}")
-    code = whole(table.get("sto_error_code", STO_ERROR), (*_PATH, "sto_error_code"), 0x1000, 0xFFFF)
-    if reaction == "disable" and "sto_error_code" in table:
-        raise SettingError(
-            (*_PATH, "sto_error_code"),
-            "has no effect, because sto is not a fault",
-            'write sto = "fault", too',
-        )
-    _refuse_idle(table, plant)
-    own = DEFAULT_PROTECTION
-    over_v = _volts(table, "over_voltage_v", OVER_VOLTAGE * plant.supply_v)
-    under_v = _volts(table, "under_voltage_v", UNDER_VOLTAGE * plant.supply_v)
-    if under_v >= over_v:
-        key = "under_voltage_v" if "under_voltage_v" in table else "over_voltage_v"
-        message = f"under-voltage at {under_v:g} V is not below over-voltage at {over_v:g} V"
-        raise SettingError((*_PATH, key), message, f"the supply's own is {plant.supply_v:g} V")
-    device_c = _temperatures(
-        table, "device", own.device_temperature_warning_c, own.device_temperature_max_c
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class ProtectionTable:
+    """When the drive disables itself, and how."""
+
+    sto: str = word(
+        "disable",
+        ("disable", "fault"),
+        "reaction",
+        "Reaction to safe torque off: the drive is only disabled, or has a fault.",
     )
-    winding_c = _temperatures(
-        table, "winding", own.winding_temperature_warning_c, own.winding_temperature_max_c
+    sto_error_code: int = whole(STO_ERROR, 0x1000, 0xFFFF, "", "Error code of that fault.")
+    device_temperature_warning_c: float = _celsius(75.0, "From here on statusword bit 7 is set.")
+    device_temperature_max_c: float = _celsius(85.0, "From here on it is a fault, 4210h.")
+    winding_temperature_warning_c: float | None = _celsius(
+        None, "From here on the drive warns, if the plant has a thermal model; absent: 110 C."
     )
-    return ProtectionSettings(
-        sto_error_code=code if reaction == "fault" else 0,
-        device_temperature_warning_c=device_c[0],
-        device_temperature_max_c=device_c[1],
-        winding_temperature_warning_c=winding_c[0],
-        winding_temperature_max_c=winding_c[1],
-        over_voltage_v=over_v,
-        under_voltage_v=under_v,
-        i2t_warning=number(
-            table.get("i2t_warning", own.i2t_warning), (*_PATH, "i2t_warning"), 0, 1
+    winding_temperature_max_c: float | None = _celsius(
+        None, "From here on it is a fault, 4310h; absent: 125 C."
+    )
+    over_voltage_v: float | None = number(
+        None, 0.0, 1e6, "V", "DC link voltage of fault 3210h; absent: 1.25 times supply_v."
+    )
+    under_voltage_v: float | None = number(
+        None,
+        0.0,
+        1e6,
+        "V",
+        "DC link voltage below which, with motor current, it is fault 3220h; absent: 0.7 times"
+        " supply_v.",
+    )
+    i2t_warning: float | None = number(
+        None,
+        0,
+        1,
+        "",
+        "Fill level of the I2t integrator for a warning, if the plant has an I2t model; full is"
+        " fault 2310h. Absent: 0.8.",
+    )
+
+    RULES: ClassVar = (
+        Rule(
+            "sto",
+            ("fault",),
+            otherwise=True,
+            refused=("sto_error_code",),
+            message="has no effect, because sto is not a fault",
+            remedy='write sto = "fault", too',
         ),
     )
 
 
-def _refuse_idle(table: Mapping[str, object], plant: MotorPlant) -> None:
+def protection_of(table: ProtectionTable, plant: MotorPlant) -> ProtectionSettings:
+    """Return the protection of a drive with this plant.
+
+    Raises:
+        SettingError: two values do not go together, or the plant lacks the quantity.
+    """
+    _refuse_idle(table, plant)
+    usual_v = {"over_voltage_v": OVER_VOLTAGE, "under_voltage_v": UNDER_VOLTAGE}
+    values: dict[str, Any] = {}
+    for one in fields(ProtectionSettings):
+        value = getattr(table, one.name)
+        if value is None:
+            value = usual_v[one.name] * plant.supply_v if one.name in usual_v else one.default
+        values[one.name] = value
+    over_v, under_v = values["over_voltage_v"], values["under_voltage_v"]
+    if under_v >= over_v:
+        key = "under_voltage_v" if table.under_voltage_v is not None else "over_voltage_v"
+        message = f"under-voltage at {under_v:g} V is not below over-voltage at {over_v:g} V"
+        raise SettingError((*_PATH, key), message, f"the supply's own is {plant.supply_v:g} V")
+    for whose in ("device", "winding"):
+        key = f"{whose}_temperature_warning_c"
+        max_c = values[f"{whose}_temperature_max_c"]
+        if values[key] > max_c:
+            message = f"{values[key]:g} C is above the maximum, {max_c:g} C"
+            raise SettingError((*_PATH, key), message, f"{key} = {max_c:g} at most")
+    code = table.sto_error_code if table.sto == "fault" else 0
+    return ProtectionSettings(**{**values, "sto_error_code": code})
+
+
+def _refuse_idle(table: ProtectionTable, plant: MotorPlant) -> None:
     """Refuse a threshold of a quantity that the plant lacks; it would never be reached."""
     extras = plant.extras
+    winding = ("winding_temperature_warning_c", "winding_temperature_max_c")
     for keys, has, remedy in (
-        (_WINDING_KEYS, extras.has_heat(), "thermal_resistance_winding_housing_k_w and others"),
-        (_VOLTAGE_KEYS, extras.is_any(), "source_resistance_ohm"),
+        (winding, extras.has_heat(), "thermal_resistance_winding_housing_k_w and others"),
+        (("over_voltage_v", "under_voltage_v"), extras.is_any(), "source_resistance_ohm"),
         (("i2t_warning",), extras.has_i2t(), "i2t_continuous_a, i2t_peak_a and i2t_peak_s"),
     ):
         for key in keys:
-            if key in table and not has:
+            if getattr(table, key) is not None and not has:
                 message = "the plant does not model this quantity"
                 raise SettingError((*_PATH, key), message, f"give the plant {remedy}")
-
-
-def _temperatures(
-    table: Mapping[str, object], whose: str, warning_c: float, max_c: float
-) -> tuple[float, float]:
-    """Return the temperatures for a warning and for a fault."""
-    key = f"{whose}_temperature_warning_c"
-    warning_c = _celsius(table, key, warning_c)
-    max_c = _celsius(table, f"{whose}_temperature_max_c", max_c)
-    if warning_c > max_c:
-        message = f"{warning_c:g} C is above the maximum, {max_c:g} C"
-        raise SettingError((*_PATH, key), message, f"{key} = {max_c:g} at most")
-    return warning_c, max_c
-
-
-def _celsius(table: Mapping[str, object], key: str, default_c: float) -> float:
-    return number(table.get(key, default_c), (*_PATH, key), *TEMPERATURE_RANGE_C)
-
-
-def _volts(table: Mapping[str, object], key: str, default_v: float) -> float:
-    return number(table.get(key, default_v), (*_PATH, key), *VOLTAGE_RANGE_V)

@@ -1,39 +1,52 @@
-"""Readers for settings tables of emulated controllers, with checks of every key.
+"""Settings that several kinds of emulated controllers share: clock, CANopen node, plant.
 
-A wrong key or value is a `SettingError` with the keys down to it and the expected value. The reader
-of the file adds file and line.
+A controller's table is a class of settings (`motorhil.settings`) that derives from these. A wrong
+key or value is a SettingError with the keys down to it; the reader of the file adds file and line.
 """
 
-import difflib
 import hashlib
 import re
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Final, final
+from typing import Any, ClassVar, Final, final
 
-from motorhil.emulators.controller import SettingError
 from motorhil.emulators.plant.dc_motor import PI, RANGES, MotorPlant
-from motorhil.emulators.plant.nonlinear import EXTRAS, NO_EXTRAS, PlantExtras
+from motorhil.emulators.plant.nonlinear import NO_EXTRAS, PlantExtras
 from motorhil.emulators.plant.nonlinear import RANGES as EXTRAS_RANGES
 from motorhil.emulators.plant.oscillator import Oscillator
 from motorhil.emulators.plant.presets import PRESETS
+from motorhil.settings import (
+    REQUIRED,
+    Declaration,
+    Key,
+    KeyPath,
+    Number,
+    Rule,
+    Schema,
+    SettingError,
+    TablesByKey,
+    Text,
+    flag,
+    given,
+    kind_of,
+    number,
+    setting,
+    text,
+    whole,
+)
 
 DEFAULT_PRESET: Final = "wheel_60w"
-OSCILLATOR_KEYS: Final = ("ppm", "ppm_max", "phase_s", "phase_max_s", "jitter_s")
-PPM_MAX: Final = 100_000.0
-PHASE_MAX_S: Final = 1.0
-JITTER_MAX_S: Final = 0.1
-
+NODE_ID_MAX: Final = 127
 _NS_PER_S: Final = 1_000_000_000
+_OBJECT: Final = re.compile("([0-9A-Fa-f]{4})[hH]?(?::(?:([0-9]{1,3})|([0-9A-Fa-f]{1,2})[hH]))?")
 _OPTIONAL: Final[dict[str, float]] = {
     "viscous_friction_n_m_s_rad": 0.0,
     "gear_ratio": 1.0,
     "load_inertia_kg_m2": 0.0,
     "load_torque_n_m": 0.0,
 }
-_LINEAR: Final = tuple(f.name for f in fields(MotorPlant) if f.name != "extras")
-_DATA_SHEET: Final = tuple(name for name in _LINEAR if name not in _OPTIONAL)
+_DATA_SHEET: Final = tuple(name for name in RANGES if name not in _OPTIONAL)
 # Settings without effect unless one of these is also given.
 _SUPPLY: Final = ("source_resistance_ohm",)
 _COMPANIONS: Final[dict[str, tuple[str, ...]]] = {
@@ -51,10 +64,145 @@ _COMPANIONS: Final[dict[str, tuple[str, ...]]] = {
     "i2t_peak_s": ("i2t_peak_a",),
 }
 _WHOLE: Final = ("encoder_increments_rev", "cogging_periods_rev")
-_OBJECT: Final = re.compile("([0-9A-Fa-f]{4})[hH]?(?::(?:([0-9]{1,3})|([0-9A-Fa-f]{1,2})[hH]))?")
+_PLANT_DOCS: Final = {  # key: unit, description; the limits are those of the physics
+    "resistance_ohm": ("ohm", "Terminal resistance."),
+    "inductance_h": ("H", "Terminal inductance."),
+    "torque_constant_n_m_a": ("N·m/A", "Torque per current, and back-EMF per speed."),
+    "rotor_inertia_kg_m2": ("kg·m²", "Inertia of the motor alone."),
+    "gear_ratio": ("", "Motor turns per output turn."),
+    "load_inertia_kg_m2": ("kg·m²", "Inertia at the output."),
+    "viscous_friction_n_m_s_rad": ("N·m·s/rad", "Viscous friction at the motor."),
+    "coulomb_friction_n_m": (
+        "N·m",
+        "Coulomb friction at the motor; with 0 a powered axis never comes to exact rest.",
+    ),
+    "encoder_increments_rev": ("", "Increments (quadrature edges) per motor turn."),
+    "supply_v": ("V", "Voltage that the power stage can apply to the motor."),
+    "current_max_a": ("A", "Current that the power stage allows."),
+    "load_torque_n_m": (
+        "N·m",
+        "Constant torque at the output; positive acts towards negative positions.",
+    ),
+    "backlash_rad": ("rad", "Backlash of the gear from flank to flank, at the output."),
+    "coupling_stiffness_n_m_rad": (
+        "N·m/rad",
+        "Stiffness of gear and shaft, at the output; 0: rigid, or with backlash as stiff as can"
+        " be computed.",
+    ),
+    "coupling_damping_n_m_s_rad": ("N·m·s/rad", "Damping of gear and shaft, at the output."),
+    "output_coulomb_friction_n_m": ("N·m", "Coulomb friction of the load, at the output."),
+    "output_viscous_friction_n_m_s_rad": ("N·m·s/rad", "Viscous friction of the load."),
+    "stop_low_rad": ("rad", "Lower end of travel, at the output."),
+    "stop_high_rad": ("rad", "Upper end of travel, at the output."),
+    "stop_restitution": ("", "Share of its speed with which the load rebounds from an end."),
+    "static_friction_n_m": (
+        "N·m",
+        "Friction at standstill; 0: the Coulomb friction.",
+    ),
+    "stribeck_speed_rad_s": (
+        "rad/s",
+        "Speed at which static friction has fallen halfway to Coulomb friction, at the motor.",
+    ),
+    "cogging_torque_n_m": ("N·m", "Amplitude of the cogging torque, at the motor."),
+    "cogging_periods_rev": ("", "Periods of the cogging torque per motor turn."),
+    "gravity_torque_n_m": (
+        "N·m",
+        "Amplitude of a pendulum's torque, at the output; positive pulls to gravity_zero_rad.",
+    ),
+    "gravity_zero_rad": ("rad", "Position at which the pendulum hangs, at the output."),
+    "source_resistance_ohm": (
+        "ohm",
+        "Resistance of the supply; 0: ideal. Above 0 the load changes the DC link voltage.",
+    ),
+    "dc_link_capacitance_f": ("F", "Capacitance of the DC link."),
+    "dc_link_bleed_ohm": ("ohm", "Bleed resistor of the DC link; 0: none."),
+    "chopper_threshold_v": ("V", "Voltage above which the brake chopper takes current."),
+    "chopper_resistance_ohm": ("ohm", "Resistance of the brake chopper; 0: none."),
+    "thermal_resistance_winding_housing_k_w": (
+        "K/W",
+        "Thermal resistance from winding to housing; the four thermal numbers go together.",
+    ),
+    "thermal_resistance_housing_ambient_k_w": ("K/W", "Thermal resistance to the air."),
+    "thermal_time_constant_winding_s": ("s", "Thermal time constant of the winding."),
+    "thermal_time_constant_motor_s": ("s", "Thermal time constant of the housing."),
+    "ambient_c": ("C", "Temperature of the air, and of the motor at power-on."),
+    "copper_coefficient_1_k": (
+        "1/K",
+        "Increase of the resistance relative to 25 C; copper: 0.0039.",
+    ),
+    "i2t_continuous_a": ("A", "Continuous current of the I2t model."),
+    "i2t_peak_a": ("A", "Current allowed from rest for i2t_peak_s; 0: no I2t model."),
+    "i2t_peak_s": ("s", "Duration of that current."),
+}
 
-KeyPath = tuple[str, ...]
-"""The keys down to a table or a value."""
+
+def _plant_keys() -> dict[str, Key]:
+    keys = {"preset": Key(Text(tuple(PRESETS), "preset"), "A plant by name, to start from.")}
+    for name, (low, high) in {**RANGES, **EXTRAS_RANGES}.items():
+        unit, doc = _PLANT_DOCS[name]
+        keys[name] = Key(Number(low, high, unit, is_whole=name in _WHOLE), doc)
+    return keys
+
+
+PLANT: Final = Declaration(
+    "plant",
+    "The motor, its gear and its load: a preset, all data-sheet numbers, or a preset and some.",
+    _plant_keys(),
+    {
+        **dict.fromkeys(("preset", *_DATA_SHEET)),
+        **_OPTIONAL,
+        **{name: getattr(NO_EXTRAS, name) for name in EXTRAS_RANGES},
+    },
+)
+"""The table of a plant; the values that it gives, by key, go to `plant_of`."""
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class OscillatorTable:
+    """The controller's own clock, by which it measures all its times; absent, it is exact."""
+
+    ppm: float = number(0.0, -100_000.0, 100_000.0, "ppm", "How much too fast the clock runs.")
+    ppm_max: float = number(0.0, 0, 100_000.0, "ppm", "Random rate error, either way, at most.")
+    phase_s: float = number(0.0, 0, 1.0, "s", "Offset of the clock.")
+    phase_max_s: float = number(0.0, 0, 1.0, "s", "Random offset of the clock, at most.")
+    jitter_s: float = number(0.0, 0, 0.1, "s", "Random lateness of each timed action, at most.")
+
+    RULES: ClassVar = (
+        Rule(
+            "ppm",
+            refused=("ppm_max",),
+            message="has no effect, because ppm is given",
+            remedy="remove one of them",
+        ),
+        Rule(
+            "phase_s",
+            refused=("phase_max_s",),
+            message="has no effect, because phase_s is given",
+            remedy="remove one of them",
+        ),
+    )
+
+    def oscillator(self, stream: str) -> Oscillator:
+        """Return the oscillator; `_max` keys draw from `stream` (seed and name)."""
+        ppm, phase_s = self.ppm, self.phase_s
+        if self.ppm_max:
+            ppm = self.ppm_max * (2.0 * _drawn(f"{stream}:oscillator:ppm") - 1.0)
+        if self.phase_max_s:
+            phase_s = self.phase_max_s * _drawn(f"{stream}:oscillator:phase")
+        jitter_ns = ns(self.jitter_s)
+        jitter_seed = int(_drawn(f"{stream}:oscillator:jitter") * 2.0**53) if jitter_ns else 0
+        return Oscillator(round(ppm * 1e6), ns(phase_s), jitter_ns, jitter_seed)
+
+
+def _drawn(stream: str) -> float:
+    """Return the number of the stream with this name, 0.0 <= x < 1.0."""
+    return (int.from_bytes(hashlib.sha256(stream.encode()).digest()[:8], "big") >> 11) / 2.0**53
+
+
+def ns(seconds: float) -> int:
+    """Return a time in [ns]."""
+    return round(seconds * _NS_PER_S)
 
 
 @final
@@ -68,140 +216,101 @@ class ObjectValue:
     value: int | float | str
 
 
-def table_in(table: Mapping[str, object], key: str, path: KeyPath = ()) -> Mapping[str, object]:
-    """Return the table of that key, or an empty one if it is absent."""
-    value = table.get(key, {})
-    if not isinstance(value, Mapping):
-        place = ".".join(("controller", "NAME", *path, key))
-        raise SettingError((*path, key), f"{value!r} is not a table", f"write [{place}]")
-    return value
+@final
+class _Scalar:
+    """A number or a text: the value of an object."""
+
+    def read(self, value: object, path: KeyPath) -> int | float | str:
+        if isinstance(value, bool) or not isinstance(value, int | float | str):
+            message = f"must be a number or a string, but is {kind_of(value)}"
+            raise SettingError(path, message, "a number, or a text for a string")
+        return value
+
+    def schema(self) -> Schema:
+        return {"type": ["number", "string"]}
+
+    def example(self) -> str:
+        return ""
 
 
-def refuse_unknown(table: Mapping[str, object], known: Sequence[str], path: KeyPath) -> None:
-    """Refuse the first key that is not `known`, with a suggestion (SettingError)."""
-    for key in table:
-        if key not in known:
-            raise SettingError((*path, key), "is not known", nearest(key, known))
+@dataclass(frozen=True, kw_only=True)
+class TimingTable:
+    """Delays of a CANopen controller."""
+
+    boot_up_s: float = number(0.3, 0, 3600, "s", "From power-on to the boot-up message.")
+    sdo_reply_s: float = number(0.001, 0, 3600, "s", "From an SDO request to its response.")
 
 
-def nearest(name: object, known: Sequence[str]) -> str:
-    """Return a remedy: the known name most similar to `name`, and all known names."""
-    if not known:
-        return "remove it; no keys are allowed here"
-    close = [one for one in known if isinstance(name, str) and name and one.startswith(name)]
-    close = close or difflib.get_close_matches(str(name), known, n=1)
-    guess = f"did you mean {close[0]}? " if close else ""
-    return f"{guess}known: {', '.join(known)}"
+@dataclass(frozen=True, kw_only=True)
+class CanopenTable:
+    """Keys of every CANopen controller."""
 
+    node_id: int = whole(REQUIRED, 1, NODE_ID_MAX, "", "Its node-ID.", example="1")
+    node_id_by_lss: bool = flag(False, "It has no node-ID until LSS (CiA 305) gives it one.")
+    eds: str | None = text(
+        None, "EDS file of its object dictionary, from the rig's folder on.", example='"drive.eds"'
+    )
+    nonvolatile_memory: str | None = text(
+        None,
+        "File of its nonvolatile data; absent, the data last as long as the rig is open.",
+        example='"drive.parameters"',
+    )
+    objects: Mapping[str, Any] = setting(
+        {},
+        TablesByKey(
+            _Scalar(),
+            _OBJECT.pattern,
+            "is not an object",
+            'like "6065h" or "1A00h:1"',
+        ),
+        "Power-on values that replace those of the EDS, by object.",
+    )
 
-def number(value: object, path: KeyPath, low: float, high: float) -> float:
-    """Return the value if it is a number from `low` to `high`."""
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise SettingError(path, f"{value!r} is not a number", f"{low:g}..{high:g}, without quotes")
-    if not low <= value <= high:
-        raise SettingError(path, f"{value} is outside {low:g}..{high:g}")
-    return float(value)
+    def eds_path(self, folder: Path, own: Path) -> Path:
+        """Return the EDS, relative to `folder`, or `own` if none is named.
 
+        Raises:
+            SettingError: there is no such file.
+        """
+        if self.eds is None:
+            return own
+        path = folder / self.eds
+        if not path.is_file():
+            remedy = "check the path, or leave eds out to use the built-in one"
+            raise SettingError(("eds",), f"file {path} not found", remedy)
+        return path
 
-def whole(value: object, path: KeyPath, low: int, high: int) -> int:
-    """Return the value if it is a whole number from `low` to `high`."""
-    if isinstance(value, bool) or not isinstance(value, int):
-        raise SettingError(path, f"{value!r} is not a whole number", f"{low}..{high}")
-    if not low <= value <= high:
-        raise SettingError(path, f"{value} is outside {low}..{high}")
-    return value
+    def object_values(self) -> tuple[ObjectValue, ...]:
+        """Return the power-on values of objects.
 
-
-def duration_ns(
-    table: Mapping[str, object],
-    key: str,
-    default_s: float,
-    path: KeyPath,
-    low_s: float = 0,
-    high_s: float = 3600,
-) -> int:
-    """Return the time of that key, given in seconds, in [ns]."""
-    value = number(table.get(key, default_s), (*path, key), low_s, high_s)
-    return round(value * _NS_PER_S)
-
-
-def oscillator_in(table: Mapping[str, object], stream: str) -> Oscillator:
-    """Read the controller's own clock; `_max` keys draw from `stream` (seed and name)."""
-    own = table_in(table, "oscillator")
-    path = ("oscillator",)
-    refuse_unknown(own, OSCILLATOR_KEYS, path)
-    for drawn, given in (("ppm_max", "ppm"), ("phase_max_s", "phase_s")):
-        if drawn in own and given in own:
-            message = f"has no effect, because {given} is given"
-            raise SettingError((*path, drawn), message, "remove one of them")
-    ppm = number(own.get("ppm", 0.0), (*path, "ppm"), -PPM_MAX, PPM_MAX)
-    ppm_max = number(own.get("ppm_max", 0.0), (*path, "ppm_max"), 0, PPM_MAX)
-    phase_s = number(own.get("phase_s", 0.0), (*path, "phase_s"), 0, PHASE_MAX_S)
-    phase_max_s = number(own.get("phase_max_s", 0.0), (*path, "phase_max_s"), 0, PHASE_MAX_S)
-    if ppm_max:
-        ppm = ppm_max * (2.0 * _drawn(f"{stream}:oscillator:ppm") - 1.0)
-    if phase_max_s:
-        phase_s = phase_max_s * _drawn(f"{stream}:oscillator:phase")
-    jitter_ns = duration_ns(own, "jitter_s", 0.0, path, 0, JITTER_MAX_S)
-    jitter_seed = int(_drawn(f"{stream}:oscillator:jitter") * 2.0**53) if jitter_ns else 0
-    return Oscillator(round(ppm * 1e6), round(phase_s * _NS_PER_S), jitter_ns, jitter_seed)
-
-
-def _drawn(stream: str) -> float:
-    """Return the number of the stream with this name, 0.0 <= x < 1.0."""
-    return (int.from_bytes(hashlib.sha256(stream.encode()).digest()[:8], "big") >> 11) / 2.0**53
-
-
-def node_id_in(table: Mapping[str, object]) -> int:
-    """Return the node-ID, which is required."""
-    if "node_id" not in table:
-        raise SettingError(("node_id",), "is missing", "a number 1..127")
-    return whole(table["node_id"], ("node_id",), 1, 127)
-
-
-def flag(table: Mapping[str, object], key: str) -> bool:
-    """Return the boolean value of that key, or False if it is absent."""
-    value = table.get(key, False)
-    if not isinstance(value, bool):
-        raise SettingError((key,), f"{value!r} is neither true nor false", f"{key} = true")
-    return value
-
-
-def eds_in(table: Mapping[str, object], folder: Path, own: Path) -> Path:
-    """Return the EDS named in the table, relative to `folder`, or `own` if it is absent."""
-    value = table.get("eds")
-    if value is None:
-        return own
-    if not isinstance(value, str) or not value:
-        raise SettingError(("eds",), f"{value!r} is not a path", 'a file name: eds = "drive.eds"')
-    path = folder / value
-    if not path.is_file():
-        raise SettingError(
-            ("eds",),
-            f"file {path} not found",
-            "check the path, or leave eds out to use the built-in one",
-        )
-    return path
-
-
-def memory_file_in(table: Mapping[str, object]) -> str | None:
-    """Return the file for nonvolatile data that the table names, or None."""
-    value = table.get("nonvolatile_memory")
-    if value is not None and (not isinstance(value, str) or not value):
-        remedy = 'a file name: nonvolatile_memory = "drive.parameters"'
-        raise SettingError(("nonvolatile_memory",), f"{value!r} is not a path", remedy)
-    return value
+        Raises:
+            SettingError: an object is out of range, or given twice.
+        """
+        entries: dict[tuple[int, int], ObjectValue] = {}
+        for key, value in self.objects.items():
+            found = _OBJECT.fullmatch(key)
+            assert found is not None
+            index, decimal, hexadecimal = found.groups()
+            place = (int(index, 16), int(hexadecimal, 16) if hexadecimal else int(decimal or "0"))
+            if place[0] < 0x1000 or place[1] > 254:
+                message = "is not an object"
+                raise SettingError(("objects", key), message, "1000h..FFFFh, sub-index 0..254")
+            if place in entries:
+                raise SettingError(("objects", key), "is given twice", "remove one")
+            entries[place] = ObjectValue(key, *place, value)
+        return tuple(entries.values())
 
 
 def plant_of(table: Mapping[str, object], path: KeyPath = ("plant",)) -> MotorPlant:
-    """Return the motor of a plant table: a preset, all its numbers, or a preset and some."""
-    refuse_unknown(table, ("preset", *_LINEAR, *EXTRAS), path)
-    preset = table.get("preset")
-    if preset is not None and (not isinstance(preset, str) or preset not in PRESETS):
-        remedy = nearest(preset, tuple(PRESETS))
-        raise SettingError((*path, "preset"), f"there is no preset {preset!r}", remedy)
-    numbers = _numbers(table, RANGES, path)
-    base = PRESETS[preset] if isinstance(preset, str) else PRESETS[DEFAULT_PRESET]
+    """Return the motor of a plant table: a preset, all its numbers, or a preset and some.
+
+    Raises:
+        SettingError: a key is unknown, a value is wrong, or numbers are missing.
+    """
+    values = given(PLANT, table, path)
+    preset = values.pop("preset", None)
+    numbers = {name: value for name, value in values.items() if name in RANGES}
+    base = PRESETS[DEFAULT_PRESET if preset is None else preset]
     needed = [name for name in _DATA_SHEET if name not in numbers]
     if preset is None and numbers and needed:
         raise SettingError(
@@ -211,14 +320,14 @@ def plant_of(table: Mapping[str, object], path: KeyPath = ("plant",)) -> MotorPl
         )
     if preset is None and numbers:
         base = replace(base, **_OPTIONAL)  # type: ignore[arg-type]  # names of its own fields
+    more = {name: value for name, value in values.items() if name in EXTRAS_RANGES}
     try:
-        more = _numbers(table, EXTRAS_RANGES, path)
-        extras: PlantExtras = replace(base.extras, **more)  # type: ignore[arg-type]  # likewise
+        extras = replace(base.extras, **more)
         _refuse_idle(more, extras, path)
-        return replace(base, **numbers, extras=extras)  # type: ignore[arg-type]  # checked above
+        return replace(base, **numbers, extras=extras)
     except ValueError as error:
-        name, _, text = str(error).partition(" = ")
-        raise SettingError((*path, name), text) from error
+        name, _, problem = str(error).partition(" = ")
+        raise SettingError((*path, name), problem) from error
 
 
 def _refuse_idle(more: Mapping[str, float], extras: PlantExtras, path: KeyPath) -> None:
@@ -230,25 +339,13 @@ def _refuse_idle(more: Mapping[str, float], extras: PlantExtras, path: KeyPath) 
             raise SettingError((*path, name), message, "add it to the plant")
 
 
-def _numbers(
-    table: Mapping[str, object], ranges: Mapping[str, tuple[float, float]], path: KeyPath
-) -> dict[str, float]:
-    """Return the values of these keys in the table."""
-    return {
-        name: whole(table[name], (*path, name), int(low), int(high))
-        if name in _WHOLE
-        else number(table[name], (*path, name), low, high)
-        for name, (low, high) in ranges.items()
-        if name in table
-    }
+def check_position(position_rad: float, plant: MotorPlant, path: KeyPath = ()) -> None:
+    """Check the position of the output at power-on: within the stops and 32 bits of increments.
 
-
-def initial_position_rad(
-    table: Mapping[str, object], plant: MotorPlant, path: KeyPath = ()
-) -> float:
-    """Return the position of the output at power-on [rad]; within 32 bits of increments."""
+    Raises:
+        SettingError: it is not.
+    """
     path = (*path, "initial_position_rad")
-    position_rad = number(table.get("initial_position_rad", 0.0), path, -1e9, 1e9)
     low_rad, high_rad = plant.extras.stop_low_rad, plant.extras.stop_high_rad
     if not low_rad <= position_rad <= high_rad:
         message = f"{position_rad} rad is beyond the plant's end stops"
@@ -258,26 +355,3 @@ def initial_position_rad(
         message = f"{position_rad * inc_rad:.0f} increments do not fit 32 bits"
         limit_rad = (1 << 31) / inc_rad
         raise SettingError(path, message, f"at most {limit_rad:g} rad in either direction")
-    return position_rad
-
-
-def objects_of(table: Mapping[str, object]) -> tuple[ObjectValue, ...]:
-    """Return the power-on values of objects in a table named `objects`."""
-    entries: dict[tuple[int, int], ObjectValue] = {}
-    for key, value in table.items():
-        path = ("objects", key)
-        found = _OBJECT.fullmatch(key)
-        if found is None:
-            raise SettingError(path, "is not an object", 'like "6065h" or "1A00h:1"')
-        index, decimal, hexadecimal = found.groups()
-        place = (int(index, 16), int(hexadecimal, 16) if hexadecimal else int(decimal or "0"))
-        if place[0] < 0x1000 or place[1] > 254:
-            raise SettingError(path, "is not an object", "1000h..FFFFh, sub-index 0..254")
-        if isinstance(value, bool) or not isinstance(value, int | float | str):
-            raise SettingError(
-                path, f"{value!r} is not a value", "a number, or a text for a string"
-            )
-        if place in entries:
-            raise SettingError(path, "is given twice", "remove one")
-        entries[place] = ObjectValue(key, *place, value)
-    return tuple(entries.values())

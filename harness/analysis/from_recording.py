@@ -19,10 +19,11 @@ from motorhil.harness.analysis.subject import (
 )
 from motorhil.motorapi.synchronization.can_frame_length import Bits
 from motorhil.motorapi.synchronization.can_response_time import Arrival, BusLoad, Message
+from motorhil.traces.can_frame import BRS, EFF, EFF_MASK, ERR, RTR
 from motorhil.traces.decoding.attached_rig import RecordedNames, RigFacts, facts_of, names_of
 from motorhil.traces.decoding.canopen import is_sdo, usual_name
 from motorhil.traces.errors import TraceError
-from motorhil.traces.formats.frames import BRS, EFF, EFF_MASK, ERR, RTR, Findings
+from motorhil.traces.formats.frames import Findings
 from motorhil.traces.formats.registry import Source, open_source
 from motorhil.traces.mcap.reader import read_trace
 

@@ -16,7 +16,8 @@ from typing import TYPE_CHECKING, Final
 
 from motorhil.harness.cli.main import FAILED, NOT_JUDGED, PASSED, WRONG_USAGE
 from motorhil.harness.cli.options import add_seed
-from motorhil.harness.rig.config.toml import RigError, listed, nearest, one_line
+from motorhil.harness.rig.config.toml import RigError, one_line
+from motorhil.settings import listed, nearest
 
 if TYPE_CHECKING:
     from motorhil.harness.conformance.examination import Finding

@@ -4,12 +4,12 @@ import argparse
 import json
 import sys
 import textwrap
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
 from motorhil.harness.cli.main import FAILED, NOT_JUDGED, PASSED, WRONG_USAGE
-from motorhil.harness.cli.options import print_table, time_ns
+from motorhil.harness.cli.options import print_table, reading_progress, time_ns
 from motorhil.harness.oracles.base import Finding, Verdict
 from motorhil.harness.oracles.facts import Facts, read_limits, read_rig
 from motorhil.harness.oracles.judge import CATALOGUE, IDS, is_sound, judge
@@ -78,7 +78,7 @@ def run(options: argparse.Namespace) -> int:
         only=options.only,
         from_ns=options.from_ns,
         to_ns=options.to_ns,
-        progress=_progress(),
+        progress=reading_progress(),
         note=lambda text: print(f"motorhil judge: {options.file}: {text}", file=sys.stderr),
     )
     _note_truncation(options.file)
@@ -132,15 +132,3 @@ def _note_truncation(path: str) -> None:
         with read_trace(path) as trace:
             if trace.cut is not None:
                 print(f"motorhil judge: {path}: {trace.cut}", file=sys.stderr)
-
-
-def _progress() -> Callable[[int], None] | None:
-    """Return a callback that shows the progress on a terminal, or None if there is none."""
-    if not sys.stderr.isatty():
-        return None
-
-    def show(count: int) -> None:
-        if not count % 200_000:
-            print(f"{count:,} messages read", file=sys.stderr, flush=True)
-
-    return show

@@ -1,10 +1,11 @@
-"""Options and tables that several verbs share.
+"""Options, tables and progress that several verbs share.
 
 Errors of numbers name the limits and the unit.
 """
 
 import argparse
 import math
+import sys
 from collections.abc import Callable, Collection, Sequence
 from typing import Final
 
@@ -94,8 +95,7 @@ def seed(text: str) -> int:
     return value
 
 
-_NAME: Final = f"seed (0 to {SEED_MAX})"
-seed.__name__ = _NAME  # argparse uses it in the error for an invalid value
+seed.__name__ = f"seed (0 to {SEED_MAX})"  # argparse uses it in the error for an invalid value
 
 
 def print_table(
@@ -109,3 +109,15 @@ def print_table(
             for column, (cell, width) in enumerate(zip(row, widths, strict=True))
         ]
         print("  ".join(cells).rstrip())
+
+
+def reading_progress() -> Callable[[int], None] | None:
+    """Return a callback that shows the number of messages read, or None without a terminal."""
+    if not sys.stderr.isatty():
+        return None
+
+    def show(count: int) -> None:
+        if not count % 200_000:
+            print(f"{count:,} messages read", file=sys.stderr, flush=True)
+
+    return show

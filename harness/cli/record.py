@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
 _NS: Final = 1_000_000_000
 _MIB: Final = 1 << 20
+PERIOD_NS: Final = 250_000_000
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -224,9 +225,6 @@ def _summarize(
 
 def _scaled(value: float | None, unit: int) -> int | None:
     return None if value is None else max(1, round(value * unit))
-
-
-PERIOD_NS: Final = 250_000_000
 
 
 @final

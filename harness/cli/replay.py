@@ -51,6 +51,10 @@ _OF_MODES: Final = {
 }
 """Options that apply only to some modes: their attribute and these modes."""
 _FACTOR: Final = real(1e-3, 1e6)
+_SHOWN = 20
+_NS: Final = 1_000_000_000
+_SHOW_NS: Final = 250_000_000
+_TRAFFIC_SHOWN: Final = 3
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -211,9 +215,6 @@ def _repeat_command(options: argparse.Namespace, rig: "Rig", words: list[str]) -
     return shlex.join([*command, "--", *words] if words else command)
 
 
-_SHOWN = 20
-
-
 def replay_as_host(options: argparse.Namespace) -> int:
     """Return exit status 0 if the devices behaved as recorded, otherwise 1.
 
@@ -362,11 +363,6 @@ def _facts(
             for one in done.missed
         ],
     }
-
-
-_NS: Final = 1_000_000_000
-_SHOW_NS: Final = 250_000_000
-_TRAFFIC_SHOWN: Final = 3
 
 
 def replay_traffic(options: argparse.Namespace) -> int:

@@ -3,12 +3,12 @@
 import argparse
 import os
 import sys
-from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
 from motorhil.harness.cli.main import PASSED
+from motorhil.harness.cli.options import reading_progress
 from motorhil.traces.errors import TraceError
 from motorhil.traces.files import whole_file
 from motorhil.traces.mcap.reader import Trace, read_trace
@@ -50,7 +50,7 @@ def run(options: argparse.Namespace) -> int:
     with read_trace(options.file) as trace:
         _refuse_lost(options.file, target, options.foxglove_layout)
         rates, data_rates = dict(options.bitrate), dict(options.data_bitrate)
-        found = collect(trace, rates, _progress(), data_rates)
+        found = collect(trace, rates, reading_progress(), data_rates)
         title = options.title or Path(options.file).name
         document, packed = document_of(trace, found, title)
         page = render(document, packed)
@@ -87,22 +87,10 @@ def _write(target: Path, text: str) -> None:
         file.write(text.encode())
 
 
-def _progress() -> Callable[[int], None] | None:
-    """Return a callback that shows the progress on a terminal, or None if there is none."""
-    if not sys.stderr.isatty():
-        return None
-
-    def told(count: int) -> None:
-        if not count % 200_000:
-            print(f"{count:,} messages read", file=sys.stderr, flush=True)
-
-    return told
-
-
-def add_bit_rates(parser: argparse.ArgumentParser, told: str) -> None:
-    """Add options for nominal bit rates (with help text `told`) and data bit rates of CAN FD."""
+def add_bit_rates(parser: argparse.ArgumentParser, help_text: str) -> None:
+    """Add options for nominal bit rates (with this help text) and data bit rates of CAN FD."""
     data = "bit rate of the data phase of CAN FD"
-    for option, text in (("--bitrate", told), ("--data-bitrate", data)):
+    for option, text in (("--bitrate", help_text), ("--data-bitrate", data)):
         parser.add_argument(
             option, action="append", type=bus_rate, default=[], metavar="BUS=RATE", help=text
         )

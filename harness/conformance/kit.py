@@ -24,6 +24,14 @@ _MODULES: Final = (
     "bus_errors",
 )
 """The modules of `motorhil.harness.conformance.clauses`, one for each topic."""
+_HEAD: Final = """\
+# What an adaptation promises
+
+Made by `make clauses` from `harness/conformance/clauses`: {count} clauses, which `motorhil conform`
+checks. A clause is applicable if the adaptation claims the capabilities under *claims*, and the
+bench has the abilities under *bench*. All other clauses apply to every motor. An id is never
+reused.
+"""
 
 
 def all_clauses() -> Mapping[str, Clause]:
@@ -33,16 +41,6 @@ def all_clauses() -> Mapping[str, Clause]:
     places = {name: place for place, name in enumerate(registered())}
     ordered = sorted(registered().values(), key=lambda one: (one.level, places[one.id]))
     return {one.id: one for one in ordered}
-
-
-_HEAD: Final = """\
-# What an adaptation promises
-
-Made by `make clauses` from `harness/conformance/clauses`: {count} clauses, which `motorhil conform`
-checks. A clause is applicable if the adaptation claims the capabilities under *claims*, and the
-bench has the abilities under *bench*. All other clauses apply to every motor. An id is never
-reused.
-"""
 
 
 def page() -> str:

@@ -16,8 +16,12 @@ from motorhil.harness.conformance.run import home_of
 from motorhil.harness.plugins import ADAPTATIONS, installed, is_target, named
 from motorhil.harness.rig.config.conformance import NOTHING_DECLARED, Facts
 from motorhil.harness.rig.config.rig_file import RigDescription, read_rig
-from motorhil.harness.rig.config.toml import BrokenPluginError, RigError, a_kind_of, listed, nearest
+from motorhil.harness.rig.config.toml import BrokenPluginError, RigError, a_kind_of
 from motorhil.harness.rig.rig import describe, installed_plugins
+from motorhil.settings import listed, nearest
+
+_LIVE_DEADLINE_S: Final = 120.0
+OWN_RIGS: Final = Path(__file__).parent / "rigs"
 
 
 @final
@@ -46,12 +50,6 @@ class Job:
     def unpacked(cls, values: Mapping[str, Any]) -> Self:
         """Return the job from the values of `packed`."""
         return cls(**{**values, "on": tuple(values["on"])})
-
-
-_LIVE_DEADLINE_S: Final = 120.0
-
-
-OWN_RIGS: Final = Path(__file__).parent / "rigs"
 
 
 @final

@@ -22,6 +22,15 @@ MS: Final = 1_000_000
 SETTLE_NS: Final = 100 * MS
 """A sample may be older than the word beside it by a PDO's waiting time, and a servo settles."""
 _S: Final = 1_000_000_000
+STATUSWORD: Final = 0x6041
+CONTROLWORD: Final = 0x6040
+MODE: Final = 0x6060
+MODE_DISPLAY: Final = 0x6061
+# States of the PDS FSA, with the numbers of `motorhil.traces.decoding.cia402.STATES`.
+NOT_READY, DISABLED, READY, SWITCHED_ON, ENABLED, QUICK_STOP, REACTION, FAULT = range(8)
+TARGET_REACHED: Final = 0x0400
+BIT_12: Final = 0x1000
+BIT_13: Final = 0x2000
 
 
 @final
@@ -107,17 +116,6 @@ class Finding:
 
 Place = tuple[str, int, int]
 """Bus, node, axis from 1."""
-
-STATUSWORD: Final = 0x6041
-CONTROLWORD: Final = 0x6040
-MODE: Final = 0x6060
-MODE_DISPLAY: Final = 0x6061
-
-# States of the PDS FSA, with the numbers of `motorhil.traces.decoding.cia402.STATES`.
-NOT_READY, DISABLED, READY, SWITCHED_ON, ENABLED, QUICK_STOP, REACTION, FAULT = range(8)
-TARGET_REACHED: Final = 0x0400
-BIT_12: Final = 0x1000
-BIT_13: Final = 0x2000
 
 
 @final

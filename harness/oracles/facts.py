@@ -28,26 +28,43 @@ from typing import Any, Final, final
 
 from motorhil.harness.rig.config.toml import Table, read_source
 from motorhil.harness.rig.recording import named_files
+from motorhil.settings import Declaration, Key, Number, Rule, Text, given
 from motorhil.traces.decoding.attached_rig import MotorFacts, facts_of
 from motorhil.traces.mcap.records import Attachment
 
 _FREE: Final = float("inf")
-_PLACE_KEYS: Final = ("bus", "node_id", "axis", "controller")
-_PLAIN_KEYS: Final = (
+_LIMIT_KEYS: Final = (
     *("torque_max_n_m", "force_max_n", "current_max_a"),
     *("position_min_inc", "position_max_inc", "following_error_max_inc"),
     *("velocity_max_raw", "torque_max_permille"),
-)
-_UNIT_KEYS: Final = (
     *("position_min_{u}", "position_max_{u}", "velocity_max_{u}_s", "acceleration_max_{u}_s2"),
     *("following_error_max_{u}", "increments_per_{u}", "velocity_unit_{u}_s"),
 )
-_KEYS: Final = (
-    *_PLACE_KEYS,
-    *(key.format(u=unit) for key in _UNIT_KEYS for unit in ("rad", "m")),
-    *_PLAIN_KEYS,
-)
 _SIGNED: Final = ("position_m", "increments_per_")
+
+
+def _limit_key(name: str) -> Key:
+    of_scale = name.startswith("increments_per_")
+    low = -_FREE if name.startswith(_SIGNED) else 0.0
+    return Key(Number(low, not_zero=of_scale), "A limit of measured values.", name)
+
+
+_LIMITS: Final = Declaration(
+    "limits",
+    "Limits of one motor's measured values.",
+    {
+        "bus": Key(Text(shown='"can0"'), "Its bus."),
+        "node_id": Key(Number(1, 127, is_whole=True, shown="1"), "Its node-ID."),
+        "axis": Key(Number(1, 8, is_whole=True), "Its axis."),
+        "controller": Key(Text(), "The controller with its truth."),
+        **{name: _limit_key(name) for name in _LIMIT_KEYS},
+    },
+    {"bus": None, "node_id": None, "axis": 1, "controller": None, **dict.fromkeys(_LIMIT_KEYS)},
+    (
+        Rule("bus", required=("node_id",), remedy="write node_id = 1"),
+        Rule("node_id", required=("bus",), remedy='write bus = "can0"'),
+    ),
+)
 
 
 @final
@@ -203,25 +220,17 @@ def read_limits(path: Path) -> dict[str, Subject]:
 
 
 def _limits_of(name: str, table: Table) -> Subject:
-    table.refuse_unknown(_KEYS)
-    limits: dict[str, float] = {}
-    for key in table.values:
-        if key not in _PLACE_KEYS:
-            low = -_FREE if key.startswith(_SIGNED) else 0.0
-            limits[key] = table.number(key, low=low, high=_FREE)
     unit = _unit_of(table)
+    with table.source.with_lines():
+        values = given(_LIMITS, table.values, table.path, unit=unit)
     place = None
-    if table.has("bus") or table.has("node_id"):
-        bus = table.text("bus", example='"can0"')
-        node = table.integer("node_id", low=1, high=127, example="1")
-        place = (bus, node, table.integer("axis", 1, low=1, high=8))
-    controller = table.text("controller") if table.has("controller") else None
-    scale = limits.pop(f"increments_per_{unit}", None) if unit else None
-    if scale == 0:
-        raise table.error(
-            f"increments_per_{unit}", "is 0", "write the number of increments per unit"
-        )
-    velocity_unit = limits.pop(f"velocity_unit_{unit}_s", None) if unit else None
+    if "bus" in values:
+        place = (values.pop("bus"), values.pop("node_id"), values.pop("axis", 1))
+    values.pop("axis", None)
+    controller = values.pop("controller", None)
+    limits: dict[str, float] = {key.replace("{u}", unit): value for key, value in values.items()}
+    scale = limits.pop(f"increments_per_{unit}", None)
+    velocity_unit = limits.pop(f"velocity_unit_{unit}_s", None)
     if not limits:
         remedy = "write velocity_max_rad_s = 2.0, or another limit"
         raise table.source.error(table.path, "has no limit", remedy)
@@ -241,4 +250,4 @@ def _unit_of(table: Table) -> str:
 
 
 def _has_unit(key: str, unit: str) -> bool:
-    return any(key == pattern.format(u=unit) for pattern in _UNIT_KEYS)
+    return any(key == pattern.format(u=unit) for pattern in _LIMIT_KEYS if "{u}" in pattern)

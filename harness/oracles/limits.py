@@ -57,13 +57,13 @@ class _Limit(Oracle, ABC):
         name: str,
         what: str,
         value: float,
-        low: float | None,
-        high: float | None,
+        limits: tuple[float | None, float | None],
         unit: str,
         allowed: float = 0.0,
     ) -> None:
         """Examine a value; it breaks the promise if it exceeds a limit by more than `allowed`."""
         bus, node, number = axis.place if axis is not None else ("", 0, 1)
+        low, high = limits
         if (low is None and high is None) or not self.examine(time_ns, bus):
             return
         limit = high
@@ -101,7 +101,7 @@ class _Limit(Oracle, ABC):
         """Examine a value in SI units against a file of limits."""
         suffix, unit = self.si_unit_of(one)
         text = f"{self.quantity.replace('_', ' ')}, {what}"
-        self.compare(time_ns, axis, one.name, text, value, *self.limits_of(one, suffix), unit)
+        self.compare(time_ns, axis, one.name, text, value, self.limits_of(one, suffix), unit)
 
     @abstractmethod
     def si_unit_of(self, one: Subject) -> tuple[str, str]:
@@ -164,14 +164,14 @@ class PositionLimit(_Limit):
         low, high = one.commanded.get("position_min"), one.commanded.get("position_max")
         slack = 1.0 / abs(one.increments_per_unit)
         what = "target position 607Ah"
-        self.compare(time_ns, axis, one.name, what, position, low, high, one.unit, slack)
+        self.compare(time_ns, axis, one.name, what, position, (low, high), one.unit, slack)
 
     def _actual(self, time_ns: int, axis: Axis, value: int) -> None:
         one = axis.subject
         if one is not None and one.limits:
             self.compare(
                 *(time_ns, axis, one.name, "position actual value 6064h"),
-                *(float(value), *self.limits_of(one, "inc"), "inc"),
+                *(float(value), self.limits_of(one, "inc"), "inc"),
             )
             if one.increments_per_unit:
                 what = "position actual value 6064h"
@@ -186,7 +186,7 @@ class PositionLimit(_Limit):
         slack = window if window < _OFF else 0
         slack += abs(axis.objects.get((0x607C, 0), 0)) + (high - low) // 100
         what = "position actual value 6064h beyond 607Dh"
-        self.compare(time_ns, axis, axis.name, what, value, low, high, "inc", slack)
+        self.compare(time_ns, axis, axis.name, what, value, (low, high), "inc", slack)
 
 
 @final
@@ -222,7 +222,7 @@ class VelocityLimit(_Limit):
                 slack = limit * (_EXACT - 1) + unit
                 speed = abs(value) * unit
                 name = f"{one.unit}/s"
-                self.compare(time_ns, axis, one.name, what, speed, None, limit, name, slack)
+                self.compare(time_ns, axis, one.name, what, speed, (None, limit), name, slack)
         elif index == 0x606C and not is_written:
             self._actual(time_ns, axis, value)
 
@@ -230,7 +230,7 @@ class VelocityLimit(_Limit):
         one, what = axis.subject, "velocity actual value 606Ch"
         if one is not None and one.limits:
             self.compare(
-                time_ns, axis, one.name, what, value, *self.limits_of(one, "raw"), "as 606Ch"
+                time_ns, axis, one.name, what, value, self.limits_of(one, "raw"), "as 606Ch"
             )
             if one.velocity_unit:
                 self.measured(time_ns, axis, one, what, value * one.velocity_unit)
@@ -310,7 +310,7 @@ class AccelerationLimit(_Limit):
         unit = abs(one.acceleration_unit)
         slack = limit * (_EXACT - 1) + unit
         name = f"{one.unit}/s2"
-        self.compare(time_ns, axis, one.name, what, value * unit, None, limit, name, slack)
+        self.compare(time_ns, axis, one.name, what, value * unit, (None, limit), name, slack)
 
     def truth(self, time_ns: int, controller: str, values: Mapping[str, float]) -> None:
         """Examine the mean between two snapshots, which never exceeds the maximum."""
@@ -365,7 +365,9 @@ class TorqueLimit(_Limit):
             current = values.get(one.truth_key("current_a"))
             limit = one.limits.get("current_max_a")
             if current is not None and limit is not None:
-                self.compare(time_ns, None, one.name, "current, truth", current, -limit, limit, "A")
+                self.compare(
+                    time_ns, None, one.name, "current, truth", current, (-limit, limit), "A"
+                )
 
     def value(
         self, time_ns: int, axis: Axis, index: int, subindex: int, value: int, is_written: bool
@@ -383,7 +385,7 @@ class TorqueLimit(_Limit):
         one, what = axis.subject, f"{'torque' if index == 0x6077 else 'current'} {index:04X}h"
         if one is not None and index == 0x6077:
             limits = self.limits_of(one, "permille")
-            self.compare(time_ns, axis, one.name, what, value, *limits, "permille")
+            self.compare(time_ns, axis, one.name, what, value, limits, "permille")
         key = (axis.place, index - 5)  # 6072h limits 6077h, 6073h limits 6078h
         limit = self._limit.get(key)
         if not limit:
@@ -392,4 +394,4 @@ class TorqueLimit(_Limit):
         if time_ns < until_ns:
             limit = max(limit, old)
         slack = 0.05 * limit + 20
-        self.compare(time_ns, axis, axis.name, what, value, -limit, limit, "permille", slack)
+        self.compare(time_ns, axis, axis.name, what, value, (-limit, limit), "permille", slack)

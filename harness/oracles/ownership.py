@@ -9,7 +9,7 @@ from typing import Final
 
 from motorhil.harness.oracles.base import Finding, Verdict, Violation
 from motorhil.harness.sharing_tests.bus_evidence import BusFrame, commanded_node, judge_frames
-from motorhil.traces.formats.frames import fields
+from motorhil.traces.can_frame import fields
 from motorhil.traces.mcap.reader import Trace
 from motorhil.traces.schema import CAN_FRAME, FrameDecoder
 from motorhil.traces.semantics.ownership import motor_of, read_ownership

@@ -52,10 +52,11 @@ if TYPE_CHECKING:
     from motorhil.motorapi.errors import MotorBusyError
     from motorhil.motorapi.runtime.api import FrameListener, Registration
 
-
 _STATE_AT: Final = 9  # data[1] of the message
 _PASSIVE: Final = RX_PASSIVE | TX_PASSIVE
 _ACTIVE: Final = RX_WARNING | TX_WARNING | ERROR_ACTIVE
+_BACKLOG_MAX: Final = 65_536
+_OPEN: dict[str, "tuple[World, VirtualRuntime]"] = {}
 
 
 def is_error(frame: bytes) -> bool:
@@ -73,10 +74,6 @@ def state_after(message: bytes, before: BusState) -> BusState:
     if classes & RESTARTED or (classes & CONTROLLER and message[_STATE_AT] & _ACTIVE):
         return BusState.ACTIVE
     return before
-
-
-_BACKLOG_MAX: Final = 65_536
-_OPEN: dict[str, "tuple[World, VirtualRuntime]"] = {}
 
 
 def open_rig(world: "World", runtime: "VirtualRuntime") -> None:

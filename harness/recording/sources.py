@@ -16,16 +16,7 @@ import can
 from can import CanError
 
 from motorhil.harness.python_can.hub_client import HubLink
-from motorhil.traces.formats.frames import (
-    BRS,
-    EFF,
-    ERR,
-    ESI,
-    RTR,
-    classic,
-    flexible,
-    remote,
-)
+from motorhil.traces.can_frame import BRS, EFF, ERR, ESI, RTR, classic, flexible, remote
 from motorhil.traces.mcap.chunk import Entry
 
 POLLED: Final = -1

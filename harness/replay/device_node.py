@@ -19,19 +19,20 @@ Serial Line V1.02, section 2; Application Protocol V1.1b3, section 7.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path
-from typing import Final, final
+from typing import ClassVar, Final, final
 
 from motorhil.emulators.can.frame import FRAME_BYTES
-from motorhil.emulators.controller import Controller, ControllerContext, SettingError
+from motorhil.emulators.controller import Controller, ControllerContext
 from motorhil.emulators.modbus.rtu import crc16, with_crc
-from motorhil.emulators.settings.tables import refuse_unknown, whole
 from motorhil.harness.replay.frames import duration_ns
 from motorhil.harness.replay.player import ExchangePlayer
 from motorhil.harness.rig.config.buses import BUS_KINDS, NODE_MAX, UNIT_MAX
+from motorhil.settings import REQUIRED, Rule, SettingError, read, text, whole, word
+from motorhil.traces.can_frame import EFF, ERR, RTR, classic
 from motorhil.traces.decoding.canopen import CanopenDecoder
 from motorhil.traces.decoding.modbus import ModbusDecoder
 from motorhil.traces.errors import TraceError
@@ -48,16 +49,10 @@ from motorhil.traces.exchange.canopen import (
 from motorhil.traces.exchange.modbus import request_key, role_of
 from motorhil.traces.exchange.recording import RecordedExchanges, exchanges_of
 from motorhil.traces.exchange.steps import ExchangeLog, Key, Role, Sent, Step
-from motorhil.traces.formats.frames import EFF, ERR, RTR, classic
 from motorhil.traces.formats.modbus import Adu
 from motorhil.traces.mcap.reader import read_trace
 
 KIND: Final = "recorded"
-_KEYS: Final = (
-    *("node_id", "unit", "recording", "recorded_bus", "recorded_unit"),
-    *("bitrate_bit_s", "data_bitrate_bit_s", "set_points"),
-)
-_BYTE_MAX: Final = 255
 SET_POINTS: Final = ("exact", "any")
 _RATE_MAX: Final = 1_000_000
 _DATA_RATE_MAX: Final = 20_000_000
@@ -409,6 +404,35 @@ class RecordedUnit(RecordedController):
         return None
 
 
+@final
+@dataclass(frozen=True, kw_only=True)
+class RecordedTable:
+    """A controller that a recording stands in for."""
+
+    recording: str = text(
+        REQUIRED, "The recording, from the rig's folder on.", example='"bench.mcap"'
+    )
+    node_id: int | None = whole(None, 1, NODE_MAX, "", "Its node-ID, on a CAN bus.")
+    unit: int | None = whole(None, 1, UNIT_MAX, "", "Its server address, on a line.")
+    recorded_bus: str | None = text(None, "Its bus in the recording, if there are several.")
+    recorded_unit: int | None = whole(None, 0, 255, "", "Its address there; absent: unit.")
+    set_points: str = word("exact", SET_POINTS, "comparison", "Comparison of set-points.")
+    bitrate_bit_s: int = whole(_RATE_MAX, 1000, _RATE_MAX, "bit/s", "Bit rate of its frames.")
+    data_bitrate_bit_s: int | None = whole(
+        None, 1000, _DATA_RATE_MAX, "bit/s", "Bit rate of the data of its CAN FD frames."
+    )
+
+    RULES: ClassVar = (
+        Rule("unit", otherwise=True, required=("node_id",), remedy="write node_id, or unit"),
+    )
+
+    def __post_init__(self) -> None:
+        """Refuse a data bit rate below the nominal one (SettingError)."""
+        if (self.data_bitrate_bit_s or self.bitrate_bit_s) < self.bitrate_bit_s:
+            message = f"{self.data_bitrate_bit_s} bit/s is below {self.bitrate_bit_s} bit/s"
+            raise SettingError(("data_bitrate_bit_s",), message, "exchange them")
+
+
 def build(settings: Mapping[str, object], context: ControllerContext) -> Controller:
     """Build the controller that a rig describes.
 
@@ -419,55 +443,38 @@ def build(settings: Mapping[str, object], context: ControllerContext) -> Control
     Raises:
         SettingError: a key or value is wrong, or the recording has no such controller.
     """
-    refuse_unknown(settings, _KEYS, ())
-    is_unit = "unit" in settings
-    key = "unit" if is_unit else "node_id"
-    if key not in settings:
-        raise SettingError((key,), "is missing", "node_id = 1, or on a line unit = 1")
-    number = whole(settings[key], (key,), 1, UNIT_MAX if is_unit else NODE_MAX)
-    path, found = _recording(settings, context.folder)
+    own = read(RecordedTable, settings)
+    is_unit = own.unit is not None
+    number = own.node_id if own.unit is None else own.unit
+    assert number is not None
+    path, found = _recording(own, context.folder)
     recorded = number
-    if is_unit and "recorded_unit" in settings:  # TCP servers may use 0 or 255
-        recorded = whole(settings["recorded_unit"], ("recorded_unit",), 0, _BYTE_MAX)
-    log = _log(path, found, settings.get("recorded_bus"), recorded, is_unit)
+    if is_unit and own.recorded_unit is not None:  # TCP servers may use 0 or 255
+        recorded = own.recorded_unit
+    log = _log(path, found, own.recorded_bus, recorded, is_unit)
     note = ""
     if found.cut and log is next(iter(found.logs.values())):  # reported only once
         note = f"{path} is {found.cut}; commands behind that are not in it"
     if is_unit:
         return RecordedUnit(log, number, note)
-    rate = whole(settings.get("bitrate_bit_s", _RATE_MAX), ("bitrate_bit_s",), 1000, _RATE_MAX)
-    data_bit_ns = 0
-    key = "data_bitrate_bit_s"
-    if key in settings:
-        data_bit_ns = 1_000_000_000 // whole(settings[key], (key,), rate, _DATA_RATE_MAX)
-    decoder = found.decoders[log.bus]
-    return RecordedNode(log, decoder, number, 1_000_000_000 // rate, note, data_bit_ns)
+    data_bit_ns = 0 if own.data_bitrate_bit_s is None else 1_000_000_000 // own.data_bitrate_bit_s
+    decoder, bit_ns = found.decoders[log.bus], 1_000_000_000 // own.bitrate_bit_s
+    return RecordedNode(log, decoder, number, bit_ns, note, data_bit_ns)
 
 
 build.bus_kinds = BUS_KINDS  # type: ignore[attr-defined]  # how a plugin says where it can be
 
 
-def _recording(settings: Mapping[str, object], folder: Path) -> tuple[Path, RecordedExchanges]:
-    value = settings.get("recording")
-    if not isinstance(value, str):
-        raise SettingError(("recording",), "is missing or not a text", 'recording = "bench.mcap"')
-    path = folder / value
+def _recording(own: RecordedTable, folder: Path) -> tuple[Path, RecordedExchanges]:
+    path = folder / own.recording
     try:
-        return path, recorded_exchanges(path, _any_set_point(settings))
+        return path, recorded_exchanges(path, own.set_points == SET_POINTS[1])
     except OSError as error:
         reason = (error.strerror or str(error)).lower()
         remedy = "paths are relative to the rig's folder"
         raise SettingError(("recording",), f"{path}: {reason}", remedy) from None
     except TraceError as error:
         raise SettingError(("recording",), str(error)) from None
-
-
-def _any_set_point(settings: Mapping[str, object]) -> bool:
-    value = settings.get("set_points", SET_POINTS[0])
-    if value not in SET_POINTS:
-        words = " or ".join(f'"{one}"' for one in SET_POINTS)
-        raise SettingError(("set_points",), f"{value!r} is not known", f"write {words}")
-    return value == SET_POINTS[1]
 
 
 def recorded_exchanges(path: Path, any_set_point: bool = False) -> RecordedExchanges:
@@ -489,7 +496,7 @@ def _exchanges(path: Path, modified_ns: int, size: int, any_set_point: bool) -> 
 
 
 def _log(
-    path: Path, found: RecordedExchanges, bus: object, number: int, is_unit: bool
+    path: Path, found: RecordedExchanges, bus: str | None, number: int, is_unit: bool
 ) -> ExchangeLog:
     word = "unit" if is_unit else "node"
     fitting = {

@@ -14,9 +14,10 @@ from typing import Final, Protocol, final
 
 from motorhil.emulators.can.frame_length import INTERMISSION_BITS, LENGTHS_MASK, measure, phases_of
 from motorhil.motorapi.runtime.api import Runtime
+from motorhil.traces.can_frame import EFF_MASK, ERR
 from motorhil.traces.decoding.canopen import CanopenDecoder
 from motorhil.traces.decoding.events import Kind
-from motorhil.traces.formats.frames import EFF_MASK, ERR, NS, Frame
+from motorhil.traces.formats.frames import NS, Frame
 
 STUCK_S: Final = 2.0
 _CLASSIC_SIZE: Final = 16

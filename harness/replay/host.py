@@ -17,6 +17,7 @@ from motorhil.harness.replay.frames import duration_ns, never
 from motorhil.harness.replay.verdict import meaning_in
 from motorhil.harness.rig.config.toml import RigError
 from motorhil.motorapi.runtime.api import Runtime
+from motorhil.traces.can_frame import classic
 from motorhil.traces.exchange.host import (
     ANSWER,
     HostStep,
@@ -26,7 +27,6 @@ from motorhil.traces.exchange.host import (
     answer_size,
     host_of,
 )
-from motorhil.traces.formats.frames import classic
 from motorhil.traces.mcap.reader import read_trace
 from motorhil.traces.semantics.diff import (
     Difference,

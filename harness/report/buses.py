@@ -15,6 +15,7 @@ from motorhil.harness.analysis.from_recording import RecordedBus
 from motorhil.harness.analysis.subject import Queues, Subject
 from motorhil.harness.report.incidents import Incidents, Severity
 from motorhil.harness.report.series import Steps, Track
+from motorhil.traces.can_frame import EFF, ERR, RTR
 from motorhil.traces.decoding.attached_rig import RecordedNames
 from motorhil.traces.decoding.can_errors import ControllerState, bus_error
 from motorhil.traces.decoding.canopen import NMT_STATES, CanopenDecoder, usual_name
@@ -30,9 +31,6 @@ Place = tuple[str, int, int]
 """Bus, node or unit, axis from 1."""
 LABELS_MAX: Final = 4_000
 """Limit of distinguished identifiers on one bus."""
-_EFF: Final = 0x8000_0000
-_RTR: Final = 0x4000_0000
-_ERR: Final = 0x2000_0000
 _SYNC: Final = 0x080
 _HEAD: Final = struct.Struct("<IBB")
 
@@ -302,12 +300,12 @@ class CanBus:
         """
         frame, _, sender = self._frames.decode(payload)
         can_id, length, _ = _HEAD.unpack_from(frame)
-        if can_id & _ERR:
+        if can_id & ERR:
             self._recorded.take(time_ns, frame, sender)
             self._error(time_ns, frame, sender)
             return
         self._weigh(time_ns, can_id, frame, sender)
-        if can_id & (_EFF | _RTR) or len(frame) != 16:
+        if can_id & (EFF | RTR) or len(frame) != 16:
             return
         function = can_id >> 7
         if function == 14 and length == 1:
@@ -353,11 +351,11 @@ class CanBus:
 
     def _new_label(self, can_id: int) -> int:
         identifier = can_id & 0x1FFF_FFFF
-        text = f"{identifier:08X}h" if can_id & _EFF else f"{identifier:03X}h"
-        rank = identifier << 2 | 1 if can_id & _EFF else identifier << 20
-        if can_id & _RTR:
+        text = f"{identifier:08X}h" if can_id & EFF else f"{identifier:03X}h"
+        rank = identifier << 2 | 1 if can_id & EFF else identifier << 20
+        if can_id & RTR:
             return self.traffic.label(f"{text} remote", rank + 1)
-        name = "" if can_id & _EFF else usual_name(identifier, self._node_names)
+        name = "" if can_id & EFF else usual_name(identifier, self._node_names)
         return self.traffic.label(text, rank, name)
 
     # ---------------------------------------------------------------------------------- nodes

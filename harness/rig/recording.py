@@ -28,6 +28,8 @@ _NAMING: Final = (
     ("controller", "eds", "text/plain"),
     ("controller", "nonvolatile_memory", "text/plain"),
 )
+_IN_TRANSIT = 8  # frames, and the silences after them
+_START, _END = 1, 2  # motorhil.GroupSync.Phase
 
 
 def named_files(rig: Mapping[str, object]) -> list[tuple[str, str]]:
@@ -71,10 +73,6 @@ def _contents(paths: Iterable[tuple[object, str]]) -> list[tuple[str, str, bytes
             seen.append(path)
             files.append((path.name, media_type, path.read_bytes()))
     return files
-
-
-_IN_TRANSIT = 8  # frames, and the silences after them
-_START, _END = 1, 2  # motorhil.GroupSync.Phase
 
 
 def start_recording(

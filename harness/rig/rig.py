@@ -29,7 +29,7 @@ from motorhil.emulators.controller import Controller, ControllerContext, Setting
 from motorhil.emulators.media.byte_pipe import BytePipe
 from motorhil.emulators.media.serial_faults import SerialFaultPlan, SerialFaultRule
 from motorhil.emulators.media.serial_line import SerialLine
-from motorhil.emulators.settings.tables import oscillator_in
+from motorhil.emulators.settings.tables import OscillatorTable
 from motorhil.emulators.simulation.event_queue import EventQueue
 from motorhil.emulators.simulation.world import World
 from motorhil.harness.plugins import ADAPTATIONS, CONTROLLERS, Plugin, installed, named
@@ -57,6 +57,7 @@ from motorhil.harness.virtual_time.runtime import VirtualRuntime, WallPace
 from motorhil.motorapi.errors import FileError, UsageError
 from motorhil.motorapi.model import MotorModel
 from motorhil.motorapi.synchronization.bus_load import declare_traffic
+from motorhil.settings import read
 
 if TYPE_CHECKING:
     from motorhil.harness.python_can.bus import EmulatedBus
@@ -67,6 +68,8 @@ if TYPE_CHECKING:
     from motorhil.motorapi.runtime.api import Runtime
 
 T = TypeVar("T")
+_OF_MOTORS: Final = ("close", "latest", "ownership")
+"""Attributes by which a rig recognises a motor; wrappers of motors have them too."""
 
 
 @final
@@ -291,7 +294,8 @@ def own_clocks(description: "RigDescription", bus: str, seed: int) -> dict[str, 
     for controller in description.controllers.values():
         if controller.bus == bus and "oscillator" in controller.settings:
             with suppress(SettingError):  # reported with its line when the controller is built
-                own = oscillator_in(controller.settings, f"{seed}:{controller.name}")
+                table = read(OscillatorTable, controller.settings["oscillator"])
+                own = table.oscillator(f"{seed}:{controller.name}")
                 if own.error_1e12:
                     clocks[controller.name] = own.error_1e12
     return clocks
@@ -332,10 +336,6 @@ def _model(description: RigDescription, motor: str) -> MotorModel:
             at = (*path, key) if key else path
             raise description.error(at, error.problem, error.remedy) from None
         raise RigError(error.path, error.problem, error.remedy, line=error.line, key=key) from None
-
-
-_OF_MOTORS: Final = ("close", "latest", "ownership")
-"""Attributes by which a rig recognises a motor; wrappers of motors have them too."""
 
 
 @final
@@ -435,6 +435,10 @@ class RigPlugins:
             try:
                 built: Motor = build(link, settings, model, runtime)
             except UsageError as error:
+                cause = error.__cause__
+                if isinstance(cause, SettingError):
+                    wrong = cause.below(place)
+                    raise description.error(wrong.path, wrong.message, wrong.remedy) from error
                 word = str(error).partition(" ")[0].rstrip(":")  # usually the wrong key
                 path = (*place, word) if word in settings else place
                 raise description.error(path, str(error), "correct its settings") from error

@@ -23,6 +23,8 @@ from enum import Enum
 from itertools import pairwise
 from typing import Final, final
 
+FOREVER_NS: Final = 1 << 62
+
 
 class SharingViolated(AssertionError):  # noqa: N818 -- it says what happened, as a verdict does
     """A violated rule of motor sharing; the message names the uses."""
@@ -161,9 +163,6 @@ class History:
     def uses(self) -> tuple[Use, ...]:
         """Return all uses; incomplete ones of the dead end with their death."""
         return ended_by_death(self._uses)
-
-
-FOREVER_NS: Final = 1 << 62
 
 
 def ended_by_death(uses: Iterable[Use]) -> tuple[Use, ...]:

@@ -55,6 +55,13 @@ _SAMPLE_S: Final = 0.002
 _MOVE_TIMEOUT_S: Final = 10.0
 _REST_S: Final = 0.05
 _RPDOS: Final = range(0x200, 0x580)  # commands from hosts to controllers (CiA 301)
+KINDS: Final = (FaultKind.DROP, FaultKind.DELAY, FaultKind.DUPLICATE)
+RULES_MAX: Final = 3
+MOVES_MAX: Final = 3
+_STARTED_NS: Final = 20_000_000
+_STARTING_MS: Final = 60
+_WHOLE_MS: Final = 2000
+_MS: Final = 1_000_000
 
 
 class MadeMoreThanOnce(AssertionError):  # noqa: N818 -- it says what happened, as a verdict does
@@ -345,16 +352,6 @@ class _Repeats:
         self._last[bus, can_id] = frame
 
 
-KINDS: Final = (FaultKind.DROP, FaultKind.DELAY, FaultKind.DUPLICATE)
-RULES_MAX: Final = 3
-MOVES_MAX: Final = 3
-
-_STARTED_NS: Final = 20_000_000
-_STARTING_MS: Final = 60
-_WHOLE_MS: Final = 2000
-_MS: Final = 1_000_000
-
-
 @final
 @dataclass(frozen=True, slots=True)
 class Traffic:
@@ -429,8 +426,7 @@ def _plans(mover: Mover, traffic: Traffic) -> st.SearchStrategy[Plan]:
         st.sampled_from(KINDS),
         st.sampled_from([None, *traffic.identifiers]),
         st.sampled_from([None, HOST]),
-        begins_ms,
-        st.none() | st.integers(1, _WHOLE_MS),
+        st.tuples(begins_ms, st.none() | st.integers(1, _WHOLE_MS)),
         st.sampled_from([1.0, 0.5, 0.1, 0.02]),
         st.integers(0, 5) | st.integers(0, traffic.starting),
         st.sampled_from([1, 2, 5, None]),
@@ -447,13 +443,13 @@ def _rule(
     kind: FaultKind,
     identifier: int | None,
     sender: str | None,
-    from_ms: int,
-    length_ms: int | None,
+    period_ms: tuple[int, int | None],
     probability: float,
     skip: int,
     limit: int | None,
     delay_ns: int,
 ) -> FaultRule:
+    from_ms, length_ms = period_ms
     from_ns = from_ms * _MS
     return FaultRule(
         kind.value,

@@ -53,6 +53,8 @@ OVER_AT: Final = 0
 INSIDE_AT: Final = 8
 _VALUE_AT: Final = 16
 _PATIENCE_S: Final = 10.0
+_DRIVER_TIMEOUT_S: Final = 60.0
+_TAKEN: Final = (LockAction.TAKEN, LockAction.BROKEN, LockAction.TAKEN_OVER)
 
 
 @final
@@ -174,17 +176,13 @@ def _command(desk: Desk, lock: ProcessLock, value: int) -> None:
     read.returned(value=desk.value)
 
 
-_DRIVER_TIMEOUT_S: Final = 60.0
-_TAKEN: Final = (LockAction.TAKEN, LockAction.BROKEN, LockAction.TAKEN_OVER)
-
-
 def drives(desk: Desk) -> list[Motor]:
     """Return a motor for each drive of facts["node_ids"], on the bus of facts["channel"]."""
     import can
 
-    from motorhil.motorapi.adaptations.cia402.bringup import HwOptions
     from motorhil.motorapi.adaptations.cia402.hardware import Cia402HwMotor
     from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
+    from motorhil.motorapi.adaptations.cia402.settings import HwOptions
 
     patient = HwOptions(heartbeat_timeout_ms=10_000, sdo_timeout_s=10.0, connect_timeout_s=30.0)
     interface = str(desk.facts.get("interface", "emulated"))

@@ -32,6 +32,12 @@ if TYPE_CHECKING:
     from motorhil.motorapi.runtime.api import FrameListener, Registration
 
 UNKNOWN: Final = 0
+_NEVER: Final = -1
+_END_NS: Final = 2 * 10**18  # 63 years: controllers treat later times (2**61 ns) as never
+_STUCK_NS: Final = 3600 * 10**9  # limit for parties that wait only for one another
+_POLLS_MAX: Final = 1_000_000
+_SIGNAL_TURNS: Final = 256  # compiled code must check for signals now and then
+GRACE_S: Final = 1.0  # wall time for a party to reach its next wait, or to end
 
 
 class Cancelled(BaseException):
@@ -120,14 +126,6 @@ class Periodic:
     def cancel(self) -> None:
         """Stop the repetition."""
         self._alarm.set(None)
-
-
-_NEVER: Final = -1
-_END_NS: Final = 2 * 10**18  # 63 years: controllers treat later times (2**61 ns) as never
-_STUCK_NS: Final = 3600 * 10**9  # limit for parties that wait only for one another
-_POLLS_MAX: Final = 1_000_000
-_LOOK_UP_TURNS: Final = 256  # compiled code must check for signals now and then
-GRACE_S: Final = 1.0  # wall time for a party to reach its next wait, or to end
 
 
 class _Port(Protocol):
@@ -390,7 +388,7 @@ class VirtualRuntime:
         stuck_ns = queue.now_ns + _STUCK_NS
         while True:
             self._turns += 1
-            if self._turns % _LOOK_UP_TURNS == 0:
+            if self._turns % _SIGNAL_TURNS == 0:
                 threading.current_thread()  # interpreted code: signal handlers run there
             if self._interrupted:
                 self._interrupted = False

@@ -3,13 +3,14 @@
 Third parties may use them for adaptations of their own.
 """
 
-from collections.abc import Callable, Collection, Hashable, Mapping
-from difflib import get_close_matches
+from collections.abc import Callable, Hashable, Mapping
+from dataclasses import dataclass, fields
 from typing import Final, Generic, Protocol, TypeVar, cast, final
 from weakref import WeakValueDictionary
 
 from motorhil.motorapi.bus_context import context_of
 from motorhil.motorapi.errors import UsageError
+from motorhil.settings import SettingError, check, read
 
 
 class Hardware(Protocol):
@@ -95,26 +96,46 @@ class Shared(Generic[HardwareT]):
             hardware.close()
 
 
-def refuse_unknown(table: Mapping[str, object], known: Collection[str], what: str) -> None:
-    """Raise UsageError if a key is not known; `what` names the kind of key in the message."""
-    for key in table:
-        if key not in known:
-            near = get_close_matches(key, known, 1)
-            hint = f"did you mean {near[0]}?" if near else f"known: {', '.join(known)}"
-            raise UsageError(f"{key} is not a {what}; {hint}")
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Options:
+    """Base of options: a class of settings whose objects applications make as well."""
+
+    def __post_init__(self) -> None:
+        """Check the options.
+
+        Raises:
+            UsageError: an option has the wrong type or is out of range.
+        """
+        try:
+            check(self)
+            self.check_together()
+        except SettingError as error:
+            raise UsageError(str(error)) from error
+
+    def check_together(self) -> None:
+        """Check what concerns several options (SettingError); none by default."""
+
+    def part(self, of: "type[OptionsT]") -> "OptionsT":
+        """Return the options of a class from which that of this object derives."""
+        return of(**{one.name: getattr(self, one.name) for one in fields(of)})
 
 
-def as_name(value: object) -> str | None:
-    """Return the name of a motor in a table, or None if none is given."""
-    return None if value is None else str(value)
+OptionsT = TypeVar("OptionsT", bound=Options)
+T = TypeVar("T")
 
 
-def number(key: str, value: object) -> float:
-    """Return the number of this key, integer or not.
+def read_settings(of: type[T], table: Mapping[str, object], unit: str = "") -> T:
+    """Return the settings in a table.
+
+    Args:
+        of: the class of the settings.
+        table: the table.
+        unit: the unit of positions, "rad" or "m", if keys depend on it.
 
     Raises:
-        UsageError: the value is not a number.
+        UsageError: a setting is unknown, missing or invalid; its cause is the SettingError.
     """
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise UsageError(f"{key} = {value!r}: must be a number")
-    return value
+    try:
+        return read(of, table, unit=unit)
+    except SettingError as error:
+        raise UsageError(str(error)) from error

@@ -73,7 +73,7 @@ Piece: TypeAlias = tuple[float, float, float, float, float, float, float]
 derivative [U/s], second derivative [U/s²]); times are relative to the beginning of the profile.
 """
 
-Task: TypeAlias = tuple[float, float, float, float, float, float, float, float, float, float]
+_Task: TypeAlias = tuple[float, float, float, float, float, float, float, float, float, float]
 """A motion, mirrored if necessary so that its excess is >= 0: (sign, excess, initial velocity,
 final velocity, low, high, rise, fall, back_rise, back_fall). The sign is -1 if mirrored, (low,
 high) is the velocity range, and the magnitudes of the acceleration in forward and backward motion
@@ -264,17 +264,17 @@ def trapezoid(
         UsageError: a number is not finite, a boundary velocity lies outside the limits, or no
             motion (of that duration) exists; the message lists the possible durations.
     """
-    task = task_of(final, limits, initial, initial_velocity, final_velocity)
+    task = _task_of(final, limits, initial, initial_velocity, final_velocity)
     if not isfinite(initial_argument):
         raise UsageError(f"the initial argument is {initial_argument}, not a finite number")
     pieces: tuple[Piece, ...]
     if duration_s is not None:
-        pieces = pieces_lasting(task, duration_s, initial, final)
+        pieces = _pieces_lasting(task, duration_s, initial, final)
         return Profile(initial_argument, initial_velocity, final_velocity, pieces)
-    peak, up, down, hold_s = peak_of(task)
+    peak, up, down, hold_s = _shortest_peak(task)
     sign, _, begin, end, _, _, rise, fall, _, _ = task
     if begin >= 0.0 <= end and up > 0.0 < down and rise < inf > fall:
-        # One ramp up and one down, the common case: the same as `assembled`, without a list.
+        # One ramp up and one down, the common case: the same as `_assembled`, without a list.
         t1 = up / rise
         t2 = t1 + hold_s
         t3 = t2 + down / fall
@@ -288,17 +288,17 @@ def trapezoid(
         else:
             pieces = ((0.0, t1, initial, x2, initial_velocity, top, sign * rise), last)
     else:
-        pieces = assembled(task, peak, up, down, hold_s, initial, final)
+        pieces = _assembled(task, peak, up, down, hold_s, initial, final)
     return Profile(initial_argument, initial_velocity, final_velocity, pieces)
 
 
-def task_of(
+def _task_of(
     final: float,
     limits: ProfileLimits,
     initial: float,
     initial_velocity: float,
     final_velocity: float,
-) -> Task:
+) -> _Task:
     """Return the motion in the direction in which its excess is >= 0.
 
     Raises:
@@ -339,7 +339,7 @@ def task_of(
     )  # fmt: skip
 
 
-def peak_of(task: Task) -> tuple[float, float, float, float]:
+def _shortest_peak(task: _Task) -> tuple[float, float, float, float]:
     """Return (peak, velocity gain to it, velocity loss after it, duration of the plateau [s]).
 
     Raises:
@@ -366,8 +366,8 @@ def peak_of(task: Task) -> tuple[float, float, float, float]:
     return peak, (greater - initial) + gain, (greater - final) + gain, hold_s
 
 
-def assembled(
-    task: Task,
+def _assembled(
+    task: _Task,
     peak: float,
     up: float,
     down: float,
@@ -514,13 +514,13 @@ def possible_durations(
     Raises:
         UsageError: as for `trapezoid`.
     """
-    return _possible(task_of(final, limits, initial, initial_velocity, final_velocity))
+    return _possible(_task_of(final, limits, initial, initial_velocity, final_velocity))
 
 
-def pieces_lasting(
-    task: Task, duration_s: float, initial: float, final: float
+def _pieces_lasting(
+    task: _Task, duration_s: float, initial: float, final: float
 ) -> tuple[Piece, ...]:
-    """Return the pieces of the motion of this duration; see `assembled` for the arguments.
+    """Return the pieces of the motion of this duration; see `_assembled`.
 
     Raises:
         UsageError: the duration is not finite and >= 0, or not possible.
@@ -529,15 +529,15 @@ def pieces_lasting(
         raise UsageError(f"the duration is {duration_s} s, not a finite number >= 0")
     duration_s = _allowed(task, duration_s)
     if duration_s <= _shortest_s(task):
-        return assembled(task, *peak_of(task), initial, final)
+        return _assembled(task, *_shortest_peak(task), initial, final)
     _, _, begin, end, low, high, *_ = task
-    peak = min(max(_peak(task, duration_s - _ramp_s(task, begin, end)), low), high)
+    peak = min(max(_peak_lasting(task, duration_s - _ramp_s(task, begin, end)), low), high)
     hold_s = duration_s - _ramp_s(task, begin, peak) - _ramp_s(task, peak, end)
-    pieces = assembled(task, peak, peak - begin, peak - end, max(hold_s, 0.0), initial, final)
+    pieces = _assembled(task, peak, peak - begin, peak - end, max(hold_s, 0.0), initial, final)
     return (*pieces[:-1], (pieces[-1][0], duration_s, *pieces[-1][2:]))
 
 
-def _peak(task: Task, spare_s: float) -> float:
+def _peak_lasting(task: _Task, spare_s: float) -> float:
     """Return the peak with which the motion takes `spare_s` longer than the direct ramp."""
     _, excess, begin, end, _, _, rise, fall, back_rise, back_fall = task
     least, most = (begin, end) if begin < end else (end, begin)
@@ -566,7 +566,7 @@ def _root(rest: float, slope: float, bend: float) -> float:
     return 2.0 * rest / (slope + sqrt(max(square, 0.0)))
 
 
-def _possible(task: Task) -> tuple[Range, ...]:
+def _possible(task: _Task) -> tuple[Range, ...]:
     _, excess, begin, end, low, _, rise, fall, back_rise, back_fall = task
     direct_s, shortest_s = _ramp_s(task, begin, end), _shortest_s(task)
     least = min(begin, end)
@@ -587,7 +587,7 @@ def _possible(task: Task) -> tuple[Range, ...]:
     return ((shortest_s, first_s), (direct_s + k * least + ramps_s + back_s, inf))
 
 
-def _allowed(task: Task, duration_s: float) -> float:
+def _allowed(task: _Task, duration_s: float) -> float:
     """Return the duration, or the possible one within rounding of it."""
     ranges = _possible(task)
     for low, high in ranges:
@@ -606,14 +606,14 @@ def _allowed(task: Task, duration_s: float) -> float:
     raise UsageError(f"this motion cannot take {duration_s:g} s, only {told}: {why}")
 
 
-def _shortest_s(task: Task) -> float:
+def _shortest_s(task: _Task) -> float:
     _, excess, _, _, _, high, rise, fall, _, _ = task
     if excess > 0.0 and high == rise == fall == inf:
         return 0.0  # all longer durations are possible
-    return assembled(task, *peak_of(task), 0.0, 0.0)[-1][1]
+    return _assembled(task, *_shortest_peak(task), 0.0, 0.0)[-1][1]
 
 
-def _ramp_s(task: Task, begin: float, end: float) -> float:
+def _ramp_s(task: _Task, begin: float, end: float) -> float:
     """Return the duration of a ramp [s]."""
     _, _, _, _, _, _, rise, fall, back_rise, back_fall = task
     forward, backward = (rise, back_rise) if end > begin else (fall, back_fall)

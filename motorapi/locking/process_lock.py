@@ -331,7 +331,7 @@ def _plain_wait(runtime: Runtime, done: Callable[[], bool], timeout_s: float | N
 
 
 @final
-class _LockRequest(NamedTuple):
+class LockRequest(NamedTuple):
     """A lock request; see the arguments of `ProcessLock.acquire`."""
 
     runtime: Runtime
@@ -354,7 +354,7 @@ class _Acquisition:
     def __init__(
         self,
         file: LockFile,
-        request: _LockRequest,
+        request: LockRequest,
         watcher: QueueWatcher,
         mutex: threading.Lock,
         look: Callable[[], LockView],
@@ -567,7 +567,7 @@ class ProcessLock:
             try:
                 takeover: TakeoverAttempt | None = None
                 if take_over or not file.take_at_once():
-                    request = _LockRequest(
+                    request = LockRequest(
                         runtime,
                         timeout_s,
                         asker or self.label,
@@ -590,7 +590,7 @@ class ProcessLock:
                 raise
             file.close()  # the file was removed: new requests use a new file
 
-    def _take(self, file: LockFile, request: _LockRequest) -> TakeoverAttempt | None:
+    def _take(self, file: LockFile, request: LockRequest) -> TakeoverAttempt | None:
         """Acquire by waiting; return the takeover, if any. Raise MotorBusyError on timeout."""
         acquisition = _Acquisition(file, request, self._watcher, self._mutex, self.look)
         acquisition.take()

@@ -50,21 +50,21 @@ class Losable(Protocol):
 class OwnershipRequest:
     """An ownership request; see `Ownership.owned`."""
 
-    __slots__ = ("asked_ns", "lease_s", "owner", "patience", "purpose", "take_over", "who")
+    __slots__ = ("asked_ns", "lease_s", "owner", "policy", "purpose", "take_over", "who")
 
     def __init__(
         self,
         owner: Owner,
         who: str,
         purpose: str,
-        patience: "AcquirePolicy | None",
+        policy: "AcquirePolicy | None",
         lease_s: float | None = None,
         take_over: bool = False,
     ) -> None:
         self.owner: Final = owner
         self.who: Final = who
         self.purpose: Final = purpose
-        self.patience: Final = patience
+        self.policy: Final = policy
         self.lease_s: Final = lease_s
         self.take_over: Final = take_over
         self.asked_ns: Final = owner.runtime.now_ns()

@@ -95,10 +95,10 @@ class WaitQueue:
     Attributes: token (of the last owner).
     """
 
-    def __init__(self, claims: "Ownership", teller: OwnershipNotifier) -> None:
+    def __init__(self, claims: "Ownership", notifier: OwnershipNotifier) -> None:
         self.token = 0
         self._claims: Final = claims
-        self._teller: Final = teller
+        self._notifier: Final = notifier
         self._places: deque[OwnershipRequest] = deque()
 
     def take(self, asked: OwnershipRequest) -> tuple[Claim, LockAction, str]:
@@ -107,25 +107,25 @@ class WaitQueue:
         Raises:
             MotorBusyError: another owner holds it, or waits for it, beyond the timeout.
         """
-        patience, taken = asked.patience, _Taken()
+        policy, taken = asked.policy, _Taken()
 
         def is_taken() -> bool:
             return self._is_taken(asked, taken)
 
         while not is_taken():
-            if patience is None or asked.take_over:
+            if policy is None or asked.take_over:
                 busy = self._busy(asked.owner, None)
                 if busy is None:
                     continue  # the holder or waiter has finished meanwhile
                 raise busy
             self._places.append(asked)
             try:
-                self._teller.tell(LockAction.WAITING, asked, self._in_front(patience))
-                timeout_s = patience.timeout_s
-                if not patience.until(
+                self._notifier.tell(LockAction.WAITING, asked, self._in_front(policy))
+                timeout_s = policy.timeout_s
+                if not policy.until(
                     asked.owner.runtime, is_taken, timeout_s, self._look_s, self._claims
                 ):
-                    busy = self._busy(asked.owner, patience)
+                    busy = self._busy(asked.owner, policy)
                     assert busy is not None, "its own place must be in the queue"
                     raise busy
             finally:
@@ -145,8 +145,8 @@ class WaitQueue:
                 return False
             if self._places and self._places[0] is not asked:
                 return False
-            patience = asked.patience
-            if held is None and patience is not None and patience.in_the_way() is not None:
+            policy = asked.policy
+            if held is None and policy is not None and policy.in_the_way() is not None:
                 return False
         claim = self._claims.replace(held, asked, self.token + 1)
         if claim is None:
@@ -163,12 +163,12 @@ class WaitQueue:
         left_s = None if held is None else held.left_s
         return _LOOK_S if left_s is None else min(_LOOK_S, max(left_s, 1e-9))
 
-    def _busy(self, owner: Owner, patience: "AcquirePolicy | None") -> MotorBusyError | None:
+    def _busy(self, owner: Owner, policy: "AcquirePolicy | None") -> MotorBusyError | None:
         """Return the error that names the owner or first waiter; None: there is none any more."""
         held = self._claims.held
         if held is not None:
             return held.busy(owner.name)
-        in_the_way = None if patience is None else patience.in_the_way()
+        in_the_way = None if policy is None else policy.in_the_way()
         if in_the_way is not None:
             return in_the_way
         try:
@@ -178,12 +178,12 @@ class WaitQueue:
         holder = f"{first.who}, which waits for it,"
         return MotorBusyError(motor=owner.name, holder=holder, since_ns=first.asked_ns)
 
-    def _in_front(self, patience: "AcquirePolicy") -> str:
+    def _in_front(self, policy: "AcquirePolicy") -> str:
         """Return the name of the owner or waiter in front."""
         held = self._claims.held
         if held is not None:
             return held.who
-        in_the_way = patience.in_the_way()
+        in_the_way = policy.in_the_way()
         return "" if in_the_way is None else in_the_way.holder
 
 
@@ -237,12 +237,12 @@ class Ownership:
         self.lock: Final = lock
         self.absences = 0
         self.is_orphan = False
-        self._teller: Final = OwnershipNotifier()
-        self.listeners: Final = self._teller.listeners
+        self._notifier: Final = OwnershipNotifier()
+        self.listeners: Final = self._notifier.listeners
         self._interrupt: Final = interrupt
         self._held: Claim | None = None
         self._lost: list[Claim] = []  # until their owners have released them
-        self._row: Final = WaitQueue(self, self._teller)
+        self._row: Final = WaitQueue(self, self._notifier)
         self._mutex = threading.Lock()  # never held during a wait
         self._keeper: OwnershipKeepAlive | None = None
         self._set_up = object()  # the owner during the set-up of a drive for readers
@@ -263,7 +263,7 @@ class Ownership:
         owner: Owner,
         who: str,
         purpose: str = "",
-        patience: AcquirePolicy | None = None,
+        policy: AcquirePolicy | None = None,
         *,
         lease_s: float | None = None,
         take_over: bool = False,
@@ -275,20 +275,20 @@ class Ownership:
             owner: the logical motor.
             who: its activity, in words.
             purpose: its purpose, in words.
-            patience: policy for the wait for others; None: do not wait.
+            policy: of the wait for others; None: do not wait.
             lease_s: others may take it over after this time without use [s]; None: as before.
             take_over: take it from its owner.
             afresh: acquire it again, although it was lost and the lost claim is not yet released.
 
         Raises:
-            MotorBusyError: another owner holds it, or held it until the timeout of `patience`.
+            MotorBusyError: another owner holds it, or held it until the timeout of `policy`.
         """
         before = self._held
-        asked = OwnershipRequest(owner, who, purpose, patience, lease_s, take_over)
+        asked = OwnershipRequest(owner, who, purpose, policy, lease_s, take_over)
         try:
             claim = self._take(asked, afresh)
         except MotorBusyError as error:
-            self._teller.tell(LockAction.REFUSED, asked, error.holder, since_ns=asked.asked_ns)
+            self._notifier.tell(LockAction.REFUSED, asked, error.holder, since_ns=asked.asked_ns)
             raise
         outer_s = claim.lease_s if claim is before else None
         try:
@@ -304,10 +304,10 @@ class Ownership:
             self.give(claim)
 
     def take(
-        self, owner: Owner, who: str, purpose: str = "", patience: AcquirePolicy | None = None
+        self, owner: Owner, who: str, purpose: str = "", policy: AcquirePolicy | None = None
     ) -> Claim:
         """Own the motor until `give`. As `owned`."""
-        return self._take(OwnershipRequest(owner, who, purpose, patience), False)
+        return self._take(OwnershipRequest(owner, who, purpose, policy), False)
 
     def _take(self, asked: OwnershipRequest, afresh: bool) -> Claim:
         self.look()
@@ -320,7 +320,7 @@ class Ownership:
         else:
             claim, action, before = self._take_lock(self.lock, asked)
         if action is not None:
-            self._teller.tell(action, claim, before, since_ns=asked.asked_ns)
+            self._notifier.tell(action, claim, before, since_ns=asked.asked_ns)
         return claim
 
     def _again(self, owner: Owner, afresh: bool) -> Claim | None:
@@ -362,13 +362,13 @@ class Ownership:
     def _take_lock(
         self, lock: ProcessLock, asked: OwnershipRequest
     ) -> tuple[Claim, LockAction | None, str]:
-        owner, patience, runtime = asked.owner, asked.patience, asked.owner.runtime
+        owner, policy, runtime = asked.owner, asked.policy, asked.owner.runtime
         held = self._held
-        timeout_s = 0.0 if patience is None else patience.timeout_s
+        timeout_s = 0.0 if policy is None else policy.timeout_s
         may_take = asked.take_over or (held is not None and held.left_s == 0.0)
-        if patience is None and held is not None and held.is_held and not may_take:
+        if policy is None and held is not None and held.is_held and not may_take:
             raise held.busy(owner.name)
-        if patience is None and lock.hold is not None and lock.hold.owner is self._set_up:
+        if policy is None and lock.hold is not None and lock.hold.owner is self._set_up:
             timeout_s = _SET_UP_TIMEOUT_S
         words = f"{asked.purpose} ({asked.who})" if asked.purpose else asked.who
         hold = lock.acquire(
@@ -377,7 +377,7 @@ class Ownership:
             timeout_s,
             owner,
             asker=owner.name,
-            wait=None if patience is None else self._waiting(patience, asked, lock),
+            wait=None if policy is None else self._waiting(policy, asked, lock),
             lease_s=asked.lease_s,
             take_over=asked.take_over,
         )
@@ -396,15 +396,15 @@ class Ownership:
         return claim, action_of(hold), hold.taken_from
 
     def _waiting(
-        self, patience: AcquirePolicy, asked: OwnershipRequest, lock: ProcessLock
+        self, policy: AcquirePolicy, asked: OwnershipRequest, lock: ProcessLock
     ) -> "Callable[[Runtime, Callable[[], bool], float | None], bool]":
         """Return the wait function for the lock, which notifies the listeners first."""
 
         def wait(runtime: "Runtime", done: Callable[[], bool], timeout_s: float | None) -> bool:
             if self.listeners:
                 holder = lock.look().holder
-                self._teller.tell(LockAction.WAITING, asked, "" if holder is None else holder.who)
-            return patience.until(runtime, done, timeout_s, of=self)
+                self._notifier.tell(LockAction.WAITING, asked, "" if holder is None else holder.who)
+            return policy.until(runtime, done, timeout_s, of=self)
 
         return wait
 
@@ -433,7 +433,7 @@ class Ownership:
             if claim.reasons:
                 self._lost.append(claim)
         self._interrupt(str(loss), claim.owner.runtime.now_ns(), claim.owner, None)
-        self._teller.tell(LockAction.LOST, claim, loss.who, since_ns=claim.since_ns)
+        self._notifier.tell(LockAction.LOST, claim, loss.who, since_ns=claim.since_ns)
 
     def is_lost_by(self, owner: object) -> bool:
         """Return True if `owner` has lost the motor, and neither released nor retaken it."""
@@ -492,7 +492,7 @@ class Ownership:
         if claim.hold is not None:
             claim.hold.release()
         if claim.lost_to is None:
-            self._teller.tell(LockAction.RELEASED, claim, since_ns=claim.since_ns)
+            self._notifier.tell(LockAction.RELEASED, claim, since_ns=claim.since_ns)
 
     # ---- writing ----
 
@@ -572,7 +572,7 @@ class Ownership:
             hold = self.lock.acquire(runtime, asked.who, owner=self._set_up, asker=label)
             claim = Claim(asked, hold, hold.token, self)
             action = action_of(hold)
-            self._teller.tell(action, claim, hold.taken_from, since_ns=asked.asked_ns)
+            self._notifier.tell(action, claim, hold.taken_from, since_ns=asked.asked_ns)
             self._note(hold)
 
         try:
@@ -580,4 +580,4 @@ class Ownership:
         finally:
             if claim is not None and claim.hold is not None:
                 claim.hold.release()
-                self._teller.tell(LockAction.RELEASED, claim, since_ns=claim.since_ns)
+                self._notifier.tell(LockAction.RELEASED, claim, since_ns=claim.since_ns)

@@ -238,7 +238,7 @@ class PhysicalMotor:
         if not wait_until(runtime, is_granted, timeout_s):
             holder = "a party that reads or stops it"
             raise MotorBusyError(motor=self.label, holder=holder, since_ns=ticket.since_ns)
-        self._count_news()
+        self.bell.grow()
 
     def revoke(self, ticket: Ticket) -> None:
         """End low-level access; all knowledge of the motor is discarded."""
@@ -268,14 +268,14 @@ class PhysicalMotor:
         if run is not None and run.interrupted_by is None:
             if status is RunStatus.DONE and run.ends:
                 run.finished = True
-                self._count_news()
+                self.bell.grow()
             going_on = status is not RunStatus.FAILED and not run.finished
             if going_on and run.owner is not owner:
                 if taken_over_ns is None:
                     raise MotorBusyError(motor=motor, holder=run.name, since_ns=run.since_ns)
                 self.ownership.is_orphan = True
                 run.interrupt(f"{motor}, which took the motor over", taken_over_ns)
-                self._count_news()
+                self.bell.grow()
         if self._owner is not owner or self._absences != self.ownership.absences:
             self._owner = owner
             self._absences = self.ownership.absences
@@ -285,13 +285,13 @@ class PhysicalMotor:
         """Make `run` the active motion; an earlier one that has not ended is interrupted."""
         self._settle(run.name, run.since_ns, status)
         self.run = run
-        self._count_news()
+        self.bell.grow()
 
     def end(self, by: str, now_ns: int, status: RunStatus) -> None:
         """End the active motion; it is interrupted by `by`, if it has not ended."""
         if self._settle(by, now_ns, status):
             self.run = None
-            self._count_news()
+            self.bell.grow()
 
     def fail(self, error: MotorError, now_ns: int) -> None:
         """End the active motion with `error`."""
@@ -299,7 +299,7 @@ class PhysicalMotor:
         if run is not None:
             run.fail(error, now_ns)
             self.run = None
-            self._count_news()
+            self.bell.grow()
 
     def _end_run_of(self, by: str, now_ns: int, loser: object, taker: object) -> bool:
         """End the motion of a former owner after a takeover. Return True if there was one.
@@ -318,7 +318,7 @@ class PhysicalMotor:
         if loser is not None and run.owner is not loser:
             return False
         run.interrupt(by, now_ns)
-        self._count_news()
+        self.bell.grow()
         return True
 
     def stopped_elsewhere(self, by: str, now_ns: int) -> bool:
@@ -334,9 +334,6 @@ class PhysicalMotor:
             run.finished = True
         run.interrupt(by, now_ns)
         return True
-
-    def _count_news(self) -> None:
-        self.bell.grow()
 
 
 _serials: Final = itertools.count(1)

@@ -1,12 +1,18 @@
 """Checks of clauses in this process: times, and the causes of errors."""
 
+from pathlib import Path
+
 import pytest
 
 from motorhil.harness.conformance.clause import Result
 from motorhil.harness.conformance.kit import all_clauses
 from motorhil.harness.conformance.run import run_clause
 from motorhil.harness.rig.config.toml import BrokenPluginError, RigError
+from tests.conformance.mutants import MUTANTS
+from tests.conformance.mutants.everyone import MODULES
 from tests.support.kit_benches import claims, opener
+
+assert MODULES
 
 
 def test_check_with_afresh_ends_at_same_time_if_recorded(tmp_path):
@@ -30,3 +36,11 @@ def test_rig_error_ends_run_but_plugin_error_fails_clause():
         run_clause(one, raising(RigError))
     verdict = run_clause(one, raising(BrokenPluginError))
     assert (verdict.result, "is wrong" in verdict.seen) == (Result.CRASHED, True)
+
+
+def test_violation_raised_by_a_helper_is_placed_in_its_clause():
+    mutant = MUTANTS["absolute_taken_as_distance"]
+    with mutant.plant():
+        verdict = run_clause(all_clauses()["TRAJ-01"], opener(mutant.kind))
+    assert verdict.result is Result.FAILED
+    assert Path(verdict.place.rpartition(":")[0]).name == "trajectories.py"

@@ -9,9 +9,11 @@ from hypothesis import event, given
 from hypothesis import strategies as st
 
 from motorhil.harness.recording.conversion import convert
+from motorhil.traces import can_frame
+from motorhil.traces.can_frame import classic, flexible, remote
 from motorhil.traces.digest import digest
 from motorhil.traces.formats import frames as traffic
-from motorhil.traces.formats.frames import Frame, classic, flexible, remote
+from motorhil.traces.formats.frames import Frame
 from motorhil.traces.formats.registry import WRITABLE, Feature, record_frames
 from motorhil.traces.schema import Direction
 
@@ -25,8 +27,8 @@ SINCE_NS = st.integers(0, 10**6) | st.integers(0, 10**10) | st.integers(0, 10**1
 @st.composite
 def identifiers(draw):
     if draw(st.booleans()):
-        return draw(st.integers(0, traffic.SFF_MASK))
-    return draw(st.integers(0, traffic.EFF_MASK)) | traffic.EFF
+        return draw(st.integers(0, can_frame.SFF_MASK))
+    return draw(st.integers(0, can_frame.EFF_MASK)) | can_frame.EFF
 
 
 @st.composite
@@ -38,12 +40,12 @@ def contents(draw, holds):
     if kind == "REMOTE":
         return remote(draw(identifiers()), draw(st.integers(0, 8)))
     if kind == "FD":
-        size = draw(st.sampled_from(traffic.FD_LENGTHS))
+        size = draw(st.sampled_from(can_frame.FD_LENGTHS))
         data = draw(st.binary(min_size=size, max_size=size))
         return flexible(draw(identifiers()), draw(st.integers(0, 3)), data)
     if kind == "ERROR_FRAMES":  # Linux has 8 bytes in each
-        told = draw(st.integers(0, traffic.EFF_MASK))
-        return classic(told | traffic.ERR, draw(st.binary(min_size=8, max_size=8)))
+        told = draw(st.integers(0, can_frame.EFF_MASK))
+        return classic(told | can_frame.ERR, draw(st.binary(min_size=8, max_size=8)))
     return classic(draw(identifiers()), draw(st.binary(max_size=8)))
 
 
@@ -114,14 +116,14 @@ def told(message):
 
 
 def expected(frame):
-    one = traffic.fields(frame.frame)
-    is_error = one.can_id & traffic.ERR != 0
-    flags = one.fd, one.flags & traffic.BRS != 0, one.flags & traffic.ESI != 0
+    one = can_frame.fields(frame.frame)
+    is_error = one.can_id & can_frame.ERR != 0
+    flags = one.fd, one.flags & can_frame.BRS != 0, one.flags & can_frame.ESI != 0
     return (
         traffic.bus_number(frame.bus) - 1,
         one.identifier,
-        one.can_id & traffic.EFF != 0,
-        one.can_id & traffic.RTR != 0,
+        one.can_id & can_frame.EFF != 0,
+        one.can_id & can_frame.RTR != 0,
         is_error,
         flags,
         one.length,

@@ -12,6 +12,7 @@ import struct
 from collections.abc import Mapping
 from typing import Final, final
 
+from motorhil.traces.can_frame import EFF, ERR, RTR
 from motorhil.traces.decoding.can_errors import bus_error
 from motorhil.traces.decoding.cia402 import controlword_text, mode_text, statusword_text
 from motorhil.traces.decoding.events import CONTROLLER, FOREIGN, DecodedEvent, Fact, Kind
@@ -19,9 +20,6 @@ from motorhil.traces.decoding.objects import ObjectName, ObjectNames, axis_of, v
 from motorhil.traces.decoding.pdo import PdoKey, PdoMaps
 from motorhil.traces.decoding.sdo import SdoReader, SdoStep, Step
 
-_EFF: Final = 0x8000_0000
-_RTR: Final = 0x4000_0000
-_ERR: Final = 0x2000_0000
 _HEAD: Final = struct.Struct("<IB")
 _CONTROLWORD: Final = 0x6040
 _STATUSWORD: Final = 0x6041
@@ -203,13 +201,13 @@ class CanopenDecoder:
     def decode(self, frame: bytes, sender: str = "") -> DecodedEvent:
         """Decode a can_frame or canfd_frame; `sender` is the origin of an error message."""
         can_id, length = _HEAD.unpack_from(frame)
-        if can_id & _ERR:
+        if can_id & ERR:
             return self._bus_error(frame, sender)
         data = frame[8 : 8 + length]
         identifier = can_id & 0x1FFF_FFFF
         if len(frame) != 16:
             return _flexible(identifier, data, can_id, frame[5])
-        if can_id & (_EFF | _RTR):
+        if can_id & (EFF | RTR):
             return _other(identifier, data, can_id)
         node, function = identifier & 0x7F, identifier >> 7
         if identifier == 0:
@@ -460,12 +458,12 @@ def _flexible(identifier: int, data: bytes, can_id: int, flags: int) -> DecodedE
 
 
 def _foreign(identifier: int, can_id: int) -> str:
-    return f"{FOREIGN}{identifier:0{8 if can_id & _EFF else 3}X}h"
+    return f"{FOREIGN}{identifier:0{8 if can_id & EFF else 3}X}h"
 
 
 def _other(identifier: int, data: bytes, can_id: int) -> DecodedEvent:
     what = _foreign(identifier, can_id)
-    if can_id & _RTR:
+    if can_id & RTR:
         return DecodedEvent(Kind.OTHER, None, f"{what} remote frame")
     told = data.hex(" ").upper() or "no data"
     return DecodedEvent(Kind.OTHER, None, f"{what}: {told}", (Fact(what, data, told),))

@@ -13,6 +13,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Final, final
 
+from motorhil.traces.can_frame import EFF, ERR, RTR, classic
 from motorhil.traces.decoding.canopen import SETPOINTS, CanopenDecoder
 from motorhil.traces.decoding.events import DecodedEvent
 from motorhil.traces.decoding.objects import ObjectNames, axis_of
@@ -28,7 +29,6 @@ from motorhil.traces.exchange.steps import (
     Turn,
     period_ns,
 )
-from motorhil.traces.formats.frames import EFF, ERR, RTR, classic
 from motorhil.traces.schema import Direction
 
 SYNC_KEY: Final[Key] = ("sync", 0, b"")

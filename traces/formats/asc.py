@@ -12,6 +12,7 @@ from collections.abc import Iterator, Sequence
 from io import TextIOBase
 from typing import Final, final
 
+from motorhil.traces import can_frame
 from motorhil.traces.formats import frames as traffic
 from motorhil.traces.formats.frames import NS, Findings, Frame
 from motorhil.traces.schema import Direction
@@ -113,7 +114,7 @@ class AscReader:
         if len(parts) > 1 and parts[1] == "ErrorFrame":
             findings.note("error frames do not state the cause; read as bus errors")
             way = _WAYS.get(parts[2], Direction.UNKNOWN) if len(parts) > 2 else Direction.UNKNOWN
-            return Frame(time_ns, bus, traffic.classic(traffic.ERR | 0x80, bytes(8)), way)
+            return Frame(time_ns, bus, can_frame.classic(can_frame.ERR | 0x80, bytes(8)), way)
         if len(parts) > 1 and parts[1].startswith(_EVENTS):
             findings.comments += 1
             return None
@@ -125,17 +126,17 @@ class AscReader:
         can_id, way = self._identifier(parts[1]), _WAYS[parts[2]]
         length = _length(parts[4]) if len(parts) > 4 else None
         if parts[3] == "r":
-            return Frame(time_ns, bus, traffic.remote(can_id, length or 0), way)
+            return Frame(time_ns, bus, can_frame.remote(can_id, length or 0), way)
         if length is None:
             raise ValueError("ends in the middle")
         data = self._bytes(parts[5:], min(length, 8))
-        return Frame(time_ns, bus, traffic.classic(can_id, data), way)
+        return Frame(time_ns, bus, can_frame.classic(can_id, data), way)
 
     def _fd_row(self, parts: list[str], time_ns: int) -> Frame:
         if len(parts) < 7 or parts[1] not in _WAYS:
             raise ValueError("ends in the middle" if len(parts) < 7 else "not a frame")
         if parts[2] == "ErrorFrame":
-            return Frame(time_ns, _bus(parts[0]), traffic.classic(traffic.ERR | 0x80, bytes(8)))
+            return Frame(time_ns, _bus(parts[0]), can_frame.classic(can_frame.ERR | 0x80, bytes(8)))
         can_id, way = self._identifier(parts[2]), _WAYS[parts[1]]
         # 4: after a symbolic name
         at = 3 if parts[3] in ("0", "1") and parts[4] in ("0", "1") else 4
@@ -150,12 +151,12 @@ class AscReader:
         behind = rest[length : length + 3]
         flags = int(behind[2], 16) if len(behind) == 3 else _EDL
         if flags & _RTR_FLAG:
-            frame = traffic.remote(can_id, _length(parts[at + 2]))
+            frame = can_frame.remote(can_id, _length(parts[at + 2]))
         elif flags & _EDL:
-            bits = (traffic.BRS if brs == "1" else 0) | (traffic.ESI if esi == "1" else 0)
-            frame = traffic.flexible(can_id, bits, data)
+            bits = (can_frame.BRS if brs == "1" else 0) | (can_frame.ESI if esi == "1" else 0)
+            frame = can_frame.flexible(can_id, bits, data)
         else:
-            frame = traffic.classic(can_id, data)
+            frame = can_frame.classic(can_id, data)
         return Frame(time_ns, _bus(parts[0]), frame, way)
 
     def _identifier(self, digits: str) -> int:
@@ -164,9 +165,9 @@ class AscReader:
             can_id = int(digits[:-1] if extended else digits, self._base)
         except ValueError:
             raise ValueError(f"not an identifier: {digits!r}") from None
-        if not 0 <= can_id <= (traffic.EFF_MASK if extended else traffic.SFF_MASK):
+        if not 0 <= can_id <= (can_frame.EFF_MASK if extended else can_frame.SFF_MASK):
             raise ValueError(f"identifier {digits} is too large")
-        return can_id | traffic.EFF if extended else can_id
+        return can_id | can_frame.EFF if extended else can_id
 
     def _bytes(self, parts: list[str], length: int) -> bytes:
         if len(parts) < length:
@@ -225,18 +226,18 @@ def write_asc(
 
 
 def _row(frame: Frame, channel: int) -> str:
-    told = traffic.fields(frame.frame)
+    told = can_frame.fields(frame.frame)
     way = "Tx" if frame.direction is Direction.TRANSMITTED else "Rx"
-    digits = f"{told.identifier:X}{'x' if told.can_id & traffic.EFF else ''}"
+    digits = f"{told.identifier:X}{'x' if told.can_id & can_frame.EFF else ''}"
     data = told.data.hex(" ").upper()
-    if told.can_id & traffic.ERR:
+    if told.can_id & can_frame.ERR:
         return f"{channel}  ErrorFrame"
-    if told.can_id & traffic.RTR:
+    if told.can_id & can_frame.RTR:
         return f"{channel}  {digits:<15} {way}   r {told.length:x}"
     if not told.fd:
         return f"{channel}  {digits:<15} {way}   d {told.length:x} {data}".rstrip()
-    brs, esi = told.flags & traffic.BRS, (told.flags & traffic.ESI) >> 1
-    dlc = next(n for n in range(16) if traffic.FD_LENGTHS[n] >= told.length)
+    brs, esi = told.flags & can_frame.BRS, (told.flags & can_frame.ESI) >> 1
+    dlc = next(n for n in range(16) if can_frame.FD_LENGTHS[n] >= told.length)
     flags = _EDL | (_BRS_FLAG if brs else 0) | (_ESI_FLAG if esi else 0)
     head = f"CANFD {channel:3d} {way} {digits:>10} {'':>33}{brs} {esi} {dlc:x} {told.length:2d}"
     # after the data: duration, length in bits, flags, CRC, bit timing; only the flags are known

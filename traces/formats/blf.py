@@ -19,10 +19,12 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import BinaryIO, Final, final
 
+from motorhil.traces import can_frame
+from motorhil.traces.can_frame import Fields
 from motorhil.traces.errors import TraceError
 from motorhil.traces.files import unreadable
 from motorhil.traces.formats import frames as traffic
-from motorhil.traces.formats.frames import Fields, Findings, Frame
+from motorhil.traces.formats.frames import Findings, Frame
 from motorhil.traces.schema import Direction
 
 MAGIC: Final = b"LOGG"
@@ -214,7 +216,7 @@ class _Objects:
         if kind == 2:
             self._findings.note("error frames do not state the cause; read as bus errors")
             (channel,) = struct.unpack_from("<H", body, 32)
-            error = traffic.classic(traffic.ERR | 0x80, bytes(8))
+            error = can_frame.classic(can_frame.ERR | 0x80, bytes(8))
             return Frame(time_ns, f"can{max(0, channel - 1)}", error)
         if kind == 73:
             self._findings.note(
@@ -228,7 +230,7 @@ _Told = tuple[int, bytes, Direction]  # channel, frame, direction
 
 
 def _can_id(told: int) -> int:
-    return told & traffic.EFF_MASK | (traffic.EFF if told & _EXTENDED else 0)
+    return told & can_frame.EFF_MASK | (can_frame.EFF if told & _EXTENDED else 0)
 
 
 def _way(sent: int) -> Direction:
@@ -240,13 +242,13 @@ def _message(body: bytes, at: int) -> _Told:
     can_id = _can_id(can_id)
     length = min(dlc, 8)
     if flags & _REMOTE:
-        return channel, traffic.remote(can_id, length), _way(flags & _SENT)
-    return channel, traffic.classic(can_id, data[:length]), _way(flags & _SENT)
+        return channel, can_frame.remote(can_id, length), _way(flags & _SENT)
+    return channel, can_frame.classic(can_id, data[:length]), _way(flags & _SENT)
 
 
 def _fd_message(body: bytes, at: int) -> _Told:
     channel, flags, dlc, can_id, _, _, fd_flags, valid, data = _FD_MESSAGE.unpack_from(body, at)
-    bits = (traffic.BRS if fd_flags & 2 else 0) | (traffic.ESI if fd_flags & 4 else 0)
+    bits = (can_frame.BRS if fd_flags & 2 else 0) | (can_frame.ESI if fd_flags & 4 else 0)
     frame = _either(_can_id(can_id), flags & _REMOTE, fd_flags & 1, bits, dlc, data[:valid])
     return channel, frame, _way(flags & _SENT)
 
@@ -257,21 +259,21 @@ def _fd_message_64(body: bytes, at: int) -> _Told:
     begin = at + _FD_MESSAGE_64.size
     # More bytes can be declared valid than exist; they are zero (CANoe; python-can, issue 1905).
     data = body[begin : min(begin + valid, extra or len(body))].ljust(valid, b"\0")
-    bits = (traffic.BRS if flags & 0x2000 else 0) | (traffic.ESI if flags & 0x4000 else 0)
+    bits = (can_frame.BRS if flags & 0x2000 else 0) | (can_frame.ESI if flags & 0x4000 else 0)
     frame = _either(_can_id(can_id), flags & 0x10, flags & 0x1000, bits, dlc, data)
     return channel, frame, _way(sent)
 
 
 def _either(can_id: int, remote: int, fd: int, bits: int, dlc: int, data: bytes) -> bytes:
     if remote:
-        return traffic.remote(can_id, min(dlc, 8))
-    return traffic.flexible(can_id, bits, data) if fd else traffic.classic(can_id, data)
+        return can_frame.remote(can_id, min(dlc, 8))
+    return can_frame.flexible(can_id, bits, data) if fd else can_frame.classic(can_id, data)
 
 
 def _error(body: bytes, at: int) -> _Told:
     told = _ERROR.unpack_from(body, at)
     channel, flags, can_id, core, data = told[0], told[2], told[7], told[8], told[9]
-    frame = traffic.classic(traffic.ERR | can_id & traffic.EFF_MASK, data)
+    frame = can_frame.classic(can_frame.ERR | can_id & can_frame.EFF_MASK, data)
     return channel, frame, _way(core & _CORE_SENT) if flags & _CORE_TOLD else Direction.UNKNOWN
 
 
@@ -306,7 +308,7 @@ class _Writer:
         if begins is not None:  # same as an earlier message except for time and data
             self._content += _MESSAGE_OBJECT.pack(_MESSAGE_HEAD, since_ns, begins, data[8:])
         else:
-            kind, body = _object(traffic.fields(data), direction, channel)
+            kind, body = _object(can_frame.fields(data), direction, channel)
             size = _OBJECT_OUT.size + len(body)  # always a multiple of 4, so no padding
             self._content += _OBJECT_OUT.pack(
                 _OBJECT, 32, 1, size, kind, _NANOSECONDS, 0, 0, since_ns
@@ -343,14 +345,14 @@ class _Writer:
 def _object(told: Fields, direction: Direction, channel: int) -> tuple[int, bytes]:
     """Return the kind and the content of the object for a frame."""
     sent = direction is Direction.TRANSMITTED
-    if told.can_id & traffic.ERR:
+    if told.can_id & can_frame.ERR:
         return _ERROR_KIND, _error_frame(told, direction, channel)
-    can_id = told.identifier | (_EXTENDED if told.can_id & traffic.EFF else 0)
-    flags = (_REMOTE if told.can_id & traffic.RTR else 0) | (_SENT if sent else 0)
+    can_id = told.identifier | (_EXTENDED if told.can_id & can_frame.EFF else 0)
+    flags = (_REMOTE if told.can_id & can_frame.RTR else 0) | (_SENT if sent else 0)
     if not told.fd:
         return _MESSAGE_KIND, _MESSAGE.pack(channel, flags, told.length, can_id, told.data)
-    dlc = next(n for n in range(16) if traffic.FD_LENGTHS[n] >= told.length)
-    bits = 1 | (2 if told.flags & traffic.BRS else 0) | (4 if told.flags & traffic.ESI else 0)
+    dlc = next(n for n in range(16) if can_frame.FD_LENGTHS[n] >= told.length)
+    bits = 1 | (2 if told.flags & can_frame.BRS else 0) | (4 if told.flags & can_frame.ESI else 0)
     body = _FD_MESSAGE.pack(channel, flags, dlc, can_id, 0, 0, bits, told.length, told.data)
     return _FD_KIND, body
 

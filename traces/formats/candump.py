@@ -17,6 +17,7 @@ import re
 from collections.abc import Sequence
 from typing import Final, final
 
+from motorhil.traces import can_frame
 from motorhil.traces.formats import frames as traffic
 from motorhil.traces.formats.frames import Findings, Frame, shown
 from motorhil.traces.schema import Direction
@@ -76,7 +77,7 @@ class CandumpReader:
 
     def _with_rest(self, found: list[Frame], rest: str, findings: Findings) -> list[Frame]:
         """Handle the text after a row: nothing, a comment, or another row."""
-        self._after_error = bool(traffic.fields(found[-1].frame).can_id & traffic.ERR)
+        self._after_error = bool(can_frame.fields(found[-1].frame).can_id & can_frame.ERR)
         if not rest or rest in ("ERRORFRAME",) or rest.startswith("'"):
             return found
         if _ROW_BEHIND.match(rest):
@@ -106,11 +107,13 @@ class CandumpReader:
         can_id, length, rest = traffic.identifier(digits), int(count), rest or ""
         fd = len(count) > 1
         if rest.startswith("remote request"):
-            frame, rest = traffic.remote(can_id, length), rest[len("remote request") :].strip()
+            frame, rest = can_frame.remote(can_id, length), rest[len("remote request") :].strip()
         else:
             data, rest = _bytes(rest, length)
-            flags = (traffic.BRS if brs == "B" else 0) | (traffic.ESI if esi == "E" else 0)
-            frame = traffic.flexible(can_id, flags, data) if fd else traffic.classic(can_id, data)
+            flags = (can_frame.BRS if brs == "B" else 0) | (can_frame.ESI if esi == "E" else 0)
+            frame = (
+                can_frame.flexible(can_id, flags, data) if fd else can_frame.classic(can_id, data)
+            )
             if fd and brs is None:
                 findings.note("BRS and ESI of CAN FD frames are not stated; read as not set")
         time_ns = _stamp_ns(stamp) if stamp else 0
@@ -161,15 +164,15 @@ def _log_frame(can_id: int, body: str) -> bytes:
     if body.startswith("#"):
         if len(body) < 2:
             raise ValueError("a CAN FD frame without flags")
-        return traffic.flexible(can_id, int(body[1], 16), _packed(body[2:]))
+        return can_frame.flexible(can_id, int(body[1], 16), _packed(body[2:]))
     if body[:1] in ("R", "r"):
         match = _REMOTE.match(body[1:])
         if match is None:
             raise ValueError("a remote frame with an invalid length")
-        return traffic.remote(can_id, int(match[1] or 0))
+        return can_frame.remote(can_id, int(match[1] or 0))
     if ":" in body:
         raise ValueError("a CAN XL frame")
-    return traffic.classic(can_id, _packed(body.partition("_")[0]))
+    return can_frame.classic(can_id, _packed(body.partition("_")[0]))
 
 
 def _packed(digits: str) -> bytes:
@@ -181,24 +184,24 @@ def _packed(digits: str) -> bytes:
 
 def plain_row(frame: Frame, places: int = 6) -> str:
     """Return a row of `candump -t a -x`; an unknown direction becomes RX."""
-    told = traffic.fields(frame.frame)
+    told = can_frame.fields(frame.frame)
     fd = told.fd
     way = "TX" if frame.direction is Direction.TRANSMITTED else "RX"
-    brs = "B" if fd and told.flags & traffic.BRS else "-"
-    esi = "E" if fd and told.flags & traffic.ESI else "-"
+    brs = "B" if fd and told.flags & can_frame.BRS else "-"
+    esi = "E" if fd and told.flags & can_frame.ESI else "-"
     count = f"{told.length:02d}" if fd else str(told.length)
-    data = "remote request" if told.can_id & traffic.RTR else told.data.hex(" ").upper()
-    if told.can_id & traffic.ERR:
+    data = "remote request" if told.can_id & can_frame.RTR else told.data.hex(" ").upper()
+    if told.can_id & can_frame.ERR:
         data += "   ERRORFRAME"
     bus = traffic.one_word(frame.bus)
     head = f" ({_stamp(frame.time_ns, places)})  {bus}  {way} {brs} {esi}  {_digits(told)}"
     return f"{head}   [{count}]  {data}".rstrip() + "\n"
 
 
-def _digits(told: traffic.Fields) -> str:
-    if told.can_id & traffic.ERR:
-        return f"{told.identifier | traffic.ERR:08X}"
-    return f"{told.identifier:0{8 if told.can_id & traffic.EFF else 3}X}"
+def _digits(told: can_frame.Fields) -> str:
+    if told.can_id & can_frame.ERR:
+        return f"{told.identifier | can_frame.ERR:08X}"
+    return f"{told.identifier:0{8 if told.can_id & can_frame.EFF else 3}X}"
 
 
 def _stamp(time_ns: int, places: int) -> str:
@@ -208,9 +211,9 @@ def _stamp(time_ns: int, places: int) -> str:
 
 def log_row(frame: Frame, places: int = 6) -> str:
     """Return a row of `candump -L`, with microseconds, or with nanoseconds like -N."""
-    told = traffic.fields(frame.frame)
+    told = can_frame.fields(frame.frame)
     can_id = told.can_id
-    if can_id & traffic.RTR:
+    if can_id & can_frame.RTR:
         body = f"R{told.length}" if told.length else "R"
     elif told.fd:
         body = f"#{told.flags & 3:X}{told.data.hex().upper()}"
@@ -244,9 +247,9 @@ class SdRowReader:
             "identifiers up to 7FFh are read as 11 bits; the rows do not state the format"
         )
         can_id = int(match[2], 16)
-        if can_id > traffic.EFF_MASK:
+        if can_id > can_frame.EFF_MASK:
             raise ValueError(f"identifier {match[2]} has more than 29 bits")
-        if can_id > traffic.SFF_MASK:
-            can_id |= traffic.EFF
-        frame = traffic.classic(can_id, bytes.fromhex(match[3]))
+        if can_id > can_frame.SFF_MASK:
+            can_id |= can_frame.EFF
+        frame = can_frame.classic(can_id, bytes.fromhex(match[3]))
         return (Frame(int(match[1], 16) * 1_000_000, "can0", frame),)

@@ -15,6 +15,7 @@ from collections.abc import Callable, Iterator, Sequence
 from io import StringIO, TextIOBase
 from typing import Final, final
 
+from motorhil.traces import can_frame
 from motorhil.traces.formats import frames as traffic
 from motorhil.traces.formats.frames import Findings, Frame
 from motorhil.traces.schema import Direction
@@ -94,9 +95,9 @@ def _hexadecimal(text: str) -> int:
 
 def _can_id(text: str, extended: bool) -> int:
     can_id = _hexadecimal(text)
-    if not 0 <= can_id <= (traffic.EFF_MASK if extended else traffic.SFF_MASK):
+    if not 0 <= can_id <= (can_frame.EFF_MASK if extended else can_frame.SFF_MASK):
         raise ValueError(f"identifier {text} is too large")
-    return can_id | traffic.EFF if extended else can_id
+    return can_id | can_frame.EFF if extended else can_id
 
 
 def _number(text: str) -> int:
@@ -109,7 +110,7 @@ def _ours(row: Row) -> Frame:
     kind, direction = row["kind"], _WAYS[row["direction"]]
     time_ns, bus, sender = traffic.decimal_ns(row["time_s"]), row["bus"], row["sender"]
     if kind == "error":
-        can_id = _can_id(row["id"], True) & ~traffic.EFF | traffic.ERR
+        can_id = _can_id(row["id"], True) & ~can_frame.EFF | can_frame.ERR
     else:
         can_id = _can_id(row["id"], _YES[row["extended"]])
     length = _number(row["length"])
@@ -119,13 +120,13 @@ def _ours(row: Row) -> Frame:
         raise ValueError("the data is not a sequence of bytes") from None
     if kind != "remote" and len(data) != length:
         raise ValueError(f"{len(data)} of {length} bytes")
-    flags = (traffic.BRS if _YES[row["brs"]] else 0) | (traffic.ESI if _YES[row["esi"]] else 0)
+    flags = (can_frame.BRS if _YES[row["brs"]] else 0) | (can_frame.ESI if _YES[row["esi"]] else 0)
     if kind == "remote":
-        frame = traffic.remote(can_id, length)
+        frame = can_frame.remote(can_id, length)
     elif kind == "fd":
-        frame = traffic.flexible(can_id, flags, data)
+        frame = can_frame.flexible(can_id, flags, data)
     elif kind in ("data", "error"):
-        frame = traffic.classic(can_id, data)
+        frame = can_frame.classic(can_id, data)
     else:
         raise ValueError(f"not a kind of frame: {kind!r}")
     return Frame(time_ns, bus, frame, direction, sender)
@@ -138,13 +139,13 @@ def _python_can(row: Row) -> Frame:
         raise ValueError("the data is not base64") from None
     can_id = _can_id(row["arbitration_id"], _YES[row["extended"].lower()])
     if _YES[row["error"].lower()]:
-        frame = traffic.classic(traffic.ERR | can_id & traffic.EFF_MASK, data.ljust(8, b"\0"))
+        frame = can_frame.classic(can_frame.ERR | can_id & can_frame.EFF_MASK, data.ljust(8, b"\0"))
     elif _YES[row["remote"].lower()]:
-        frame = traffic.remote(can_id, _number(row["dlc"]))
+        frame = can_frame.remote(can_id, _number(row["dlc"]))
     elif len(data) > 8:
-        frame = traffic.flexible(can_id, 0, data)
+        frame = can_frame.flexible(can_id, 0, data)
     else:
-        frame = traffic.classic(can_id, data)
+        frame = can_frame.classic(can_id, data)
     return Frame(traffic.decimal_ns(row["timestamp"]), "can0", frame)
 
 
@@ -152,7 +153,7 @@ def _savvycan(row: Row) -> Frame:
     length = _number(row["len"])
     data = bytes(_byte(row[f"d{n}"]) for n in range(1, length + 1))
     can_id = _can_id(row["id"], _YES[row["extended"].lower()])
-    frame = traffic.classic(can_id, data) if length <= 8 else traffic.flexible(can_id, 0, data)
+    frame = can_frame.classic(can_id, data) if length <= 8 else can_frame.flexible(can_id, 0, data)
     direction = _SAVVY_WAYS.get(row.get("dir", "").lower(), Direction.UNKNOWN)
     bus = f"can{_number(row['bus'])}"
     return Frame(traffic.decimal_ns(row["time stamp"], 3), bus, frame, direction)
@@ -171,21 +172,21 @@ def write_csv(file: TextIOBase, places: int, frames: Iterator[Frame]) -> None:
     rows = csv.writer(buffer, lineterminator="\n")
     file.write(",".join(COLUMNS) + "\n")
     for frame in frames:
-        told = traffic.fields(frame.frame)
+        told = can_frame.fields(frame.frame)
         kind = "fd" if told.fd else "data"
-        if told.can_id & traffic.ERR:
+        if told.can_id & can_frame.ERR:
             kind = "error"
-        elif told.can_id & traffic.RTR:
+        elif told.can_id & can_frame.RTR:
             kind = "remote"
         rows.writerow(
             (
                 traffic.decimal(frame.time_ns, places),
                 traffic.one_word(frame.bus),
                 f"{told.identifier:X}",
-                int(told.can_id & traffic.EFF != 0),
+                int(told.can_id & can_frame.EFF != 0),
                 kind,
-                int(told.flags & traffic.BRS != 0),
-                int(told.flags & traffic.ESI != 0),
+                int(told.flags & can_frame.BRS != 0),
+                int(told.flags & can_frame.ESI != 0),
                 frame.direction.name.lower(),
                 frame.sender,
                 told.length,

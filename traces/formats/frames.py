@@ -5,27 +5,15 @@ integers from the source's digits to the target's.
 """
 
 import re
-import struct
 from collections.abc import Iterable, Iterator, Sequence
 from functools import cache
 from typing import Final, NamedTuple, Protocol, final
 
+from motorhil.traces.can_frame import EFF, EFF_MASK, ERR, SFF_MASK
 from motorhil.traces.schema import Direction
 
 NS: Final = 1_000_000_000
-EFF: Final = 0x8000_0000
-RTR: Final = 0x4000_0000
-ERR: Final = 0x2000_0000
-EFF_MASK: Final = 0x1FFF_FFFF
-SFF_MASK: Final = 0x7FF
-BRS: Final = 1
-ESI: Final = 2
-FDF: Final = 4
-FD_LENGTHS: Final = (*range(9), 12, 16, 20, 24, 32, 48, 64)  # by DLC
 TIME_MAX: Final = (1 << 64) - 1  # an MCAP log time has 64 bits
-_CLASSIC: Final = struct.Struct("<IB3x8s")
-_FD: Final = struct.Struct("<IBB2x64s")
-_HEAD: Final = struct.Struct("<IBB")
 _BUS_NUMBER: Final = re.compile(r"can(0|[1-9]\d{0,4})")
 
 
@@ -37,21 +25,6 @@ class Frame(NamedTuple):
     frame: bytes
     direction: Direction = Direction.UNKNOWN
     sender: str = ""
-
-
-class Fields(NamedTuple):
-    """The fields of a frame. `length` is that of its data, or the DLC of a remote frame."""
-
-    can_id: int
-    length: int
-    flags: int
-    data: bytes
-    fd: bool
-
-    @property
-    def identifier(self) -> int:
-        """The identifier without its flags; for an error frame, the error class."""
-        return self.can_id & (EFF_MASK if self.can_id & (EFF | ERR) else SFF_MASK)
 
 
 class Problem(NamedTuple):
@@ -140,46 +113,6 @@ def shown(line: str, width: int = 60) -> str:
     return f"'{text}'" if len(text) <= width else f"'{text[:width]}...'"
 
 
-def classic(can_id: int, data: bytes) -> bytes:
-    """Return a data or error frame.
-
-    Raises:
-        ValueError: the values are not possible.
-    """
-    if len(data) > 8:
-        raise ValueError(f"{len(data)} bytes in a classic frame")
-    return _CLASSIC.pack(_checked(can_id), len(data), data)
-
-
-def remote(can_id: int, length: int) -> bytes:
-    """Return a remote frame that requests `length` bytes.
-
-    Raises:
-        ValueError: the values are not possible.
-    """
-    if not 0 <= length <= 15:
-        raise ValueError(f"a remote frame with DLC {length}")
-    return _CLASSIC.pack(_checked(can_id) | RTR, min(length, 8), b"")
-
-
-def flexible(can_id: int, flags: int, data: bytes) -> bytes:
-    """Return a CAN FD frame; flags are BRS and ESI.
-
-    Raises:
-        ValueError: the values are not possible.
-    """
-    if len(data) > 64:
-        raise ValueError(f"{len(data)} bytes in a CAN FD frame")
-    return _FD.pack(_checked(can_id), len(data), flags & (BRS | ESI) | FDF, data)
-
-
-def _checked(can_id: int) -> int:
-    limit = EFF_MASK if can_id & (EFF | ERR) else SFF_MASK
-    if can_id & EFF_MASK > limit:
-        raise ValueError(f"identifier {can_id & EFF_MASK:X}h needs 29 bits")
-    return can_id
-
-
 def identifier(digits: str) -> int:
     """Return a can_id: up to four digits 11 bit, more digits 29 bit or an error class.
 
@@ -192,14 +125,6 @@ def identifier(digits: str) -> int:
     if value > EFF_MASK:
         raise ValueError(f"identifier {digits} has more than 29 bits")
     return value | EFF if len(digits) > 4 or value > SFF_MASK else value
-
-
-def fields(frame: bytes) -> Fields:
-    """Return the fields of a can_frame or canfd_frame."""
-    can_id, length, flags = _HEAD.unpack_from(frame)
-    fd = len(frame) > 16
-    data = b"" if can_id & RTR else frame[8 : 8 + length]
-    return Fields(can_id, length, flags if fd else 0, data, fd)
 
 
 def decimal_ns(text: str, digits: int = 9) -> int:

@@ -11,7 +11,7 @@ import struct
 from collections.abc import Iterator, Sequence
 from typing import BinaryIO, Final
 
-from motorhil.traces.formats import frames as traffic
+from motorhil.traces import can_frame
 from motorhil.traces.formats.frames import Findings, Frame
 from motorhil.traces.formats.pcap import MAGIC, PCAP, Capture, Packet, PcapngWriter
 from motorhil.traces.schema import Direction
@@ -78,14 +78,14 @@ def _frame(content: bytes, missing: int) -> bytes:
     if len(content) < 8:
         raise ValueError(f"{len(content)} bytes are not a CAN frame")
     can_id, length, flags = _HEAD.unpack_from(content)
-    fd = bool(flags & traffic.FDF) or len(content) > 16
+    fd = bool(flags & can_frame.FDF) or len(content) > 16
     data = content[8 : 8 + length]
-    if can_id & traffic.RTR:
-        return traffic.remote(can_id & ~traffic.RTR, length)
+    if can_id & can_frame.RTR:
+        return can_frame.remote(can_id & ~can_frame.RTR, length)
     if len(data) < length:
         cut = ", which were not captured" if missing else ""
         raise ValueError(f"{len(data)} of {length} bytes{cut}")
-    return traffic.flexible(can_id, flags, data) if fd else traffic.classic(can_id, data)
+    return can_frame.flexible(can_id, flags, data) if fd else can_frame.classic(can_id, data)
 
 
 def write_pcapng(file: BinaryIO, buses: Sequence[str], frames: Iterator[Frame]) -> None:
@@ -93,8 +93,8 @@ def write_pcapng(file: BinaryIO, buses: Sequence[str], frames: Iterator[Frame]) 
     writer = PcapngWriter(file)
     which = {bus: writer.interface(_SOCKETCAN, bus) for bus in buses}
     for time_ns, bus, frame, direction, sender in frames:
-        told = traffic.fields(frame)
-        size = 8 if told.can_id & traffic.RTR else 8 + told.length
+        told = can_frame.fields(frame)
+        size = 8 if told.can_id & can_frame.RTR else 8 + told.length
         content = _HEAD.pack(told.can_id, told.length, told.flags) + frame[8:size]
         if not told.fd:
             content = content.ljust(16, b"\0")

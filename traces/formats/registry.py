@@ -12,12 +12,11 @@ from io import TextIOBase, TextIOWrapper
 from pathlib import Path
 from typing import BinaryIO, Final, final
 
+from motorhil.traces.can_frame import ERR, RTR
 from motorhil.traces.errors import TraceError
 from motorhil.traces.files import refuse_pipe, unreadable
 from motorhil.traces.formats import asc, blf, candump, csv, pcap_can, trc
 from motorhil.traces.formats.frames import (
-    ERR,
-    RTR,
     Findings,
     Frame,
     LineReader,

@@ -12,6 +12,7 @@ from functools import lru_cache
 from io import TextIOBase
 from typing import Final, NamedTuple, final
 
+from motorhil.traces import can_frame
 from motorhil.traces.formats import frames as traffic
 from motorhil.traces.formats.frames import NS, Findings, Frame
 from motorhil.traces.schema import Direction
@@ -27,9 +28,9 @@ _KINDS: Final = {  # types of 2.x rows that are frames: (CAN FD, its flags)
     "DT": (False, 0),
     "RR": (False, 0),
     "FD": (True, 0),
-    "FB": (True, traffic.BRS),
-    "FE": (True, traffic.BRS | traffic.ESI),
-    "BI": (True, traffic.ESI),
+    "FB": (True, can_frame.BRS),
+    "FE": (True, can_frame.BRS | can_frame.ESI),
+    "BI": (True, can_frame.ESI),
 }
 _OTHER_KINDS: Final = {
     "ST": "the state of the interface",
@@ -98,9 +99,9 @@ class TrcReader:
         if fd and columns.is_dlc:
             if length > 15:
                 raise ValueError(f"DLC {length}")
-            length = traffic.FD_LENGTHS[length]
+            length = can_frame.FD_LENGTHS[length]
         if kind == "RR":
-            data = traffic.remote(can_id, length)
+            data = can_frame.remote(can_id, length)
         else:
             text = row[columns.data] if told > columns.data else ""
             if not fd and 8 < length < 16 and len(text) > 23:  # a DLC above 8 means 8 bytes
@@ -108,7 +109,9 @@ class TrcReader:
                 text = text[:23]
             content = _data(text, length if fd else min(length, 8))
             data = (
-                traffic.flexible(can_id, flags, content) if fd else traffic.classic(can_id, content)
+                can_frame.flexible(can_id, flags, content)
+                if fd
+                else can_frame.classic(can_id, content)
             )
         return Frame(
             self._start_ns + traffic.decimal_ns(row[columns.offset], 6),
@@ -165,9 +168,9 @@ def _row_1(line: str, start_ns: int) -> Frame:
         raise ValueError("not a frame but the state of the interface")
     can_id, length, rest = _identifier(digits), _number(count), (rest or "").strip()
     if rest.startswith("RTR"):
-        frame = traffic.remote(can_id, length)
+        frame = can_frame.remote(can_id, length)
     else:
-        frame = traffic.classic(can_id, _data(rest, length))
+        frame = can_frame.classic(can_id, _data(rest, length))
     direction = _WAYS[kind] if kind else Direction.UNKNOWN
     time_ns = start_ns + traffic.decimal_ns(stamp, 6)
     return Frame(time_ns, f"can{int(bus or 1) - 1}", frame, direction)
@@ -180,9 +183,9 @@ def _identifier(digits: str) -> int:
         can_id = int(digits, 16)
     except ValueError:
         raise ValueError(f"not an identifier: {digits!r}") from None
-    if can_id > traffic.EFF_MASK:
+    if can_id > can_frame.EFF_MASK:
         raise ValueError(f"identifier {digits} has more than 29 bits")
-    return can_id | traffic.EFF if len(digits) > 4 else can_id
+    return can_id | can_frame.EFF if len(digits) > 4 else can_id
 
 
 def _number(digits: str) -> int:
@@ -243,12 +246,12 @@ def write_trc(
     file.writelines(line + "\r\n" for line in lines)
     number = 0
     for frame in frames:
-        told = traffic.fields(frame.frame)
-        if told.can_id & traffic.ERR:
+        told = can_frame.fields(frame.frame)
+        if told.can_id & can_frame.ERR:
             continue
         number += 1
-        kind = "RR" if told.can_id & traffic.RTR else _NAMES[told.flags & 3] if told.fd else "DT"
-        digits = f"{told.identifier:0{8 if told.can_id & traffic.EFF else 4}X}"
+        kind = "RR" if told.can_id & can_frame.RTR else _NAMES[told.flags & 3] if told.fd else "DT"
+        digits = f"{told.identifier:0{8 if told.can_id & can_frame.EFF else 4}X}"
         way = "Tx" if frame.direction is Direction.TRANSMITTED else "Rx"
         offset = traffic.decimal(frame.time_ns - start_ns, 3, NS // 1000)
         data = f" {told.data.hex(' ').upper()}" if told.data else ""

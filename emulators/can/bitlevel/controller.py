@@ -392,10 +392,6 @@ class CanStation:
             return wire is not None and wire.fast_from <= self._position < wire.fast_to
         return self.phase == RECEIVING and self._reception.fast
 
-    def is_signalling(self) -> bool:
-        """Return whether it sends an error or overload frame, or is in intermission."""
-        return self.phase == SIGNALLING
-
     def is_after_flag(self) -> bool:
         """Return whether it waits for a recessive bit after its flag."""
         return self.phase == SIGNALLING and self._signalling.is_after_flag()

@@ -193,11 +193,10 @@ class WireFrame:
         arbitration_end: the last bit of the arbitration field, RTR.
         is_fd: it is a CAN FD frame.
         fast_from: the first bit that counts as one at the data rate, the one after BRS.
-        fast_to: the first one after them, after the CRC delimiter (as in `can_bits`); the same if
-            there are none.
+        fast_to: the first bit after those, behind the CRC delimiter; `fast_from` if there are none.
 
     Raises:
-        ValueError: as for `can_bits.measure`, or for `pack_fd`.
+        ValueError: as for `frame_length.measure`, or for `pack_fd`.
     """
 
     def __init__(self, frame: bytes) -> None:

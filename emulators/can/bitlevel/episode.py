@@ -18,7 +18,7 @@ because under heavy noise nodes may not agree for hours.
 Bus-off nodes are not stations here; `recessive_runs` and `recessive_bits` tell how many recessive
 bits they count. Propagation delays are ignored: within one bit all nodes sample one level.
 
-Source: ISO 11898-1; `can_signalling` and `confinement` document their choices where it is open.
+Source: ISO 11898-1; `controller` and `error_confinement` document their choices where it is open.
 """
 
 from collections.abc import Sequence

@@ -1,5 +1,6 @@
 """Description of a device, independent of the file format."""
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import final
 
@@ -7,48 +8,29 @@ from motorhil.emulators.canopen.object_dictionary import ObjectDictionary, Value
 
 
 @final
+@dataclass(frozen=True, slots=True)
 class VariableDescription:
     """The description of one sub-index in a file, at `line`; `default` None: not stated.
 
     `follows_node_id`: the default is an offset to $NODEID.
     """
 
-    def __init__(
-        self,
-        index: int,
-        subindex: int,
-        name: str,
-        data_type: int,
-        access: str,
-        pdo_mappable: bool,
-        limits: tuple[int | None, int | None],
-        default: Value | None,
-        line: int,
-        follows_node_id: bool = False,
-    ) -> None:
-        self.index = index
-        self.subindex = subindex
-        self.name = name
-        self.data_type = data_type
-        self.access = access
-        self.pdo_mappable = pdo_mappable
-        self.low, self.high = limits
-        self.default = default
-        self.line = line
-        self.follows_node_id = follows_node_id
+    index: int
+    subindex: int
+    name: str
+    data_type: int
+    access: str
+    pdo_mappable: bool
+    limits: tuple[int | None, int | None]
+    default: Value | None
+    line: int
+    follows_node_id: bool = False
 
     def variable(self) -> Variable:
         """Return a new variable as described."""
         variable = Variable(
-            self.index,
-            self.subindex,
-            self.data_type,
-            self.name,
-            self.access,
-            self.pdo_mappable,
-            self.low,
-            self.high,
-            self.default,
+            *(self.index, self.subindex, self.data_type, self.name, self.access),
+            *(self.pdo_mappable, self.limits, self.default),
         )
         variable.follows_node_id = self.follows_node_id
         return variable

@@ -48,6 +48,13 @@ from motorhil.motorapi import (
 )
 
 _NOTICED_S = 0.3
+_PLACES: Final = 12
+_LENGTHS_S: Final = (0.3, 0.02)
+_ONCE: Final = 1.5  # of the distance: the motor may coast after the failure
+_BOUND_S: Final = 10.0
+_ERRORS: Final = (LinkError, PeerError, DeadlineExceeded, DeviceFault)
+_HERE = 37
+_NO_METHOD = 77  # reserved in CiA 402-2
 
 
 def _raised(what: str, operation: Callable[[], object]) -> DeviceFault:
@@ -191,13 +198,6 @@ def fault_ends_motion_in_every_mode(bench: RigProtocol) -> None:
         expect_usable(bench, motor, f"{mode.name}, after a fault")
 
 
-_PLACES: Final = 12
-_LENGTHS_S: Final = (0.3, 0.02)
-_ONCE: Final = 1.5  # of the distance: the motor may coast after the failure
-_BOUND_S: Final = 10.0
-_ERRORS: Final = (LinkError, PeerError, DeadlineExceeded, DeviceFault)
-
-
 @clause(
     "HEAR-01",
     Level.L2,
@@ -315,10 +315,6 @@ def _wait_until_it_answers(bench: RigProtocol, motor: Motor) -> None:
         else:
             return
     motor.enable()
-
-
-_HERE = 37
-_NO_METHOD = 77  # reserved in CiA 402-2
 
 
 @clause(

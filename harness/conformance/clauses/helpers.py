@@ -53,6 +53,7 @@ _CALM: Final = 0.5  # of the model's acceleration
 
 Sample = tuple[float, float]
 """(time since the first sample [s], position [U])."""
+_C: Final = Capability
 
 
 def long_move(bench: RigProtocol) -> float:
@@ -541,7 +542,6 @@ def _hold(bench: RigProtocol, motor: Motor) -> None:
     motor.enable()
 
 
-_C: Final = Capability
 _MODES: Final = (
     Mode("a position set-point", _C.POSITION_SET_POINT, _aim, is_distance=True),
     Mode("a velocity set-point", _C.VELOCITY_SET_POINT, _turn, ends=False),

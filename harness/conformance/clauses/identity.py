@@ -20,6 +20,10 @@ from motorhil.harness.rig.config.conformance import Capability
 from motorhil.motorapi import DerivativeLimits, Motor, MotorState, TrapezoidalTrajectory
 
 _HOLDS = 0.3  # of the largest torque
+_VELOCITY_SHARE = 0.05
+_TORQUE_SHARE = 0.1
+_SAMPLE_S = 0.01
+_SAMPLES = 10
 
 
 @clause(
@@ -146,12 +150,6 @@ def enabled_holds_load_and_disabled_gives_way(bench: RigProtocol) -> None:
         moved > 10.0 * bench.facts.window,
         f"disabled, the motor still holds {_HOLDS:.0%} of its torque: the power stage is on",
     )
-
-
-_VELOCITY_SHARE = 0.05
-_TORQUE_SHARE = 0.1
-_SAMPLE_S = 0.01
-_SAMPLES = 10
 
 
 @clause(

@@ -5,9 +5,9 @@ no others. With a declaration the traffic on that bus is known, and motorapi can
 a start. A declaration does not send anything.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final, final
+from typing import TYPE_CHECKING, ClassVar, Final, final
 
 from motorhil.harness.rig.config.toml import Table
 from motorhil.motorapi.synchronization.bus_load import (
@@ -17,18 +17,13 @@ from motorhil.motorapi.synchronization.bus_load import (
     worst_of,
 )
 from motorhil.motorapi.synchronization.can_response_time import BusLoad, Message
+from motorhil.settings import REQUIRED, Items, SettingError, TableOf, flag, number, text, whole
 
 if TYPE_CHECKING:
     from motorhil.harness.rig.config.rig_file import ControllerDescription, RigDescription
 
-MESSAGE_KEYS: Final = (
-    *("identifier", "length", "period_s", "jitter_s", "extended", "deadline_s", "sender"),
-    *("fd", "bit_rate_switch"),
-)
 _SFF_MAX: Final = 0x7FF
 _EFF_MAX: Final = 0x1FFF_FFFF
-_PERIOD_MIN_S: Final = 1e-6
-_TIME_MAX_S: Final = 1e6
 _CLASSICAL_MAX: Final = 8
 _BOOT_UP_S: Final = 1.0  # between two boots of a node without heartbeat
 _HEARTBEAT_ID: Final = 0x700
@@ -39,45 +34,113 @@ _SYNC_COUNTER: Final = 0x1019
 _SENDS_SYNC: Final = 1 << 30
 
 
-def read_messages(
-    bus: Table, bitrate_bit_s: int, data_bitrate_bit_s: int | None
-) -> tuple[PeriodicMessage, ...] | None:
-    """Read the messages that others send on a bus; None if its traffic is not declared.
+@final
+@dataclass(frozen=True, kw_only=True)
+class MessageTable:
+    """Frames with one identifier, of one sender."""
+
+    identifier: int = whole(REQUIRED, 0, _EFF_MAX, "", "11 bits, or 29.", example="0x181")
+    length: int = whole(REQUIRED, 0, FD_LENGTHS[-1], "bytes", "Data length.", example="8")
+    period_s: float = number(
+        REQUIRED, 1e-6, 1e6, "s", "Shortest time between two of them.", example="0.01"
+    )
+    jitter_s: float = number(0.0, 0.0, 1e6, "s", "Largest delay before one is queued.")
+    extended: bool = flag(False, "The identifier has 29 bits.")
+    deadline_s: float | None = number(
+        None, 1e-6, 1e6, "s", "Largest permitted response time; absent: the period."
+    )
+    sender: str | None = text(
+        None, "Node in whose queue it waits; absent: a queue of its own.", example='"battery"'
+    )
+    fd: bool = flag(False, "A CAN FD frame.")
+    bit_rate_switch: bool = flag(False, "Its data have the data bit rate (BRS).")
+
+    SCHEMA: ClassVar = {
+        "if": {"properties": {"fd": {"const": True}}, "required": ["fd"]},
+        "then": {"properties": {"length": {"enum": list(FD_LENGTHS)}}},
+        "else": {
+            "properties": {
+                "length": {"maximum": _CLASSICAL_MAX},
+                "bit_rate_switch": {"const": False},
+            }
+        },
+        "anyOf": [
+            {"properties": {"identifier": {"maximum": _SFF_MAX}}},
+            {"properties": {"extended": {"const": True}}, "required": ["extended"]},
+        ],
+    }
+
+    def __post_init__(self) -> None:
+        """Refuse what no frame can be (SettingError)."""
+        if self.identifier > _SFF_MAX and not self.extended:
+            message = f"{self.identifier} is out of range"
+            remedy = f"allowed: 0 to {_SFF_MAX}, or extended = true"
+            raise SettingError(("identifier",), message, remedy)
+        if self.bit_rate_switch and not self.fd:
+            message = "only CAN FD frames can switch the bit rate"
+            raise SettingError(("bit_rate_switch",), message, "write fd = true, or remove it")
+        if self.length > _CLASSICAL_MAX and not self.fd:
+            message = f"{self.length} bytes is out of range; allowed: 0 to {_CLASSICAL_MAX} bytes"
+            raise SettingError(("length",), message, "with fd = true (CAN FD) up to 64 bytes")
+        if self.length not in FD_LENGTHS:
+            padded = next(one for one in FD_LENGTHS if one > self.length)
+            message = f"CAN FD frames cannot have {self.length} bytes"
+            raise SettingError(
+                ("length",), message, f"the frame is padded: write length = {padded}"
+            )
+
+    def message(self) -> PeriodicMessage:
+        """Return the message as motorapi uses it."""
+        return PeriodicMessage(
+            can_id=self.identifier,
+            length=self.length,
+            period_s=self.period_s,
+            jitter_s=self.jitter_s,
+            extended=self.extended,
+            fd=self.fd,
+            bit_rate_switch=self.bit_rate_switch,
+        )
+
+
+MESSAGES: Final = Items(TableOf(MessageTable), unique=False)
+
+
+def check_messages(
+    bus: Table, tables: Sequence[MessageTable], bitrate_bit_s: int, data_bitrate_bit_s: int | None
+) -> tuple[PeriodicMessage, ...]:
+    """Return the messages that others send on a bus.
 
     Args:
-        bus: its table.
-        bitrate_bit_s: bit rate of the bus [bit/s].
-        data_bitrate_bit_s: bit rate of its CAN FD data [bit/s]; None for classical CAN.
+        bus: the bus's table.
+        tables: its messages.
+        bitrate_bit_s: the nominal bit rate.
+        data_bitrate_bit_s: the bit rate of the data of CAN FD frames; None on a classical bus.
 
     Raises:
-        RigError: the first error in them.
+        RigError: two messages are the same, or one does not fit the bus.
     """
-    if not bus.has("message"):
-        return None
     messages: list[PeriodicMessage] = []
     load = BusLoad("", bitrate_bit_s, (), data_bitrate_bit_s)
     busy = 0.0
-    for table in bus.listed_tables("message"):
-        message = _declared(table).message
+    for index, message in enumerate(one.message() for one in tables):
+        path = (*bus.path, "message", index)
         if message.fd and data_bitrate_bit_s is None:
-            raise table.error(
-                "fd",
-                f'bus "{bus.path[-1]}" is classical CAN',
-                "give it a data_bitrate_bit_s, or remove fd",
-            )
+            problem = f'bus "{bus.path[-1]}" is classical CAN'
+            remedy = "give it a data_bitrate_bit_s, or remove fd"
+            raise bus.source.error((*path, "fd"), problem, remedy)
         for place, other in enumerate(messages):
             if other.rank == message.rank:
                 line = bus.source.line((*bus.path, "message", place))
-                raise table.error(
-                    "identifier",
+                raise bus.source.error(
+                    (*path, "identifier"),
                     f"{message.name} is already declared (line {line})",
                     "declare it once, with the shorter period and the greater length",
                 )
         messages.append(message)
         busy += load.takes_ns(Message.of(message)) / (message.period_s * 1e9)
         if busy > 1.0:
-            raise table.error(
-                "period_s",
+            raise bus.source.error(
+                (*path, "period_s"),
                 f"the messages up to this one take {busy:.0%} of the bus",
                 "use a longer period, or a higher bit rate",
             )
@@ -109,49 +172,16 @@ def declared(description: "RigDescription", bus: str) -> tuple[Declared, ...] | 
     table = description.source.root().table("bus").table(bus)
     if not table.has("message"):
         return None
-    return tuple(_declared(one) for one in table.listed_tables("message"))
-
-
-def _declared(table: Table) -> Declared:
-    message = _message(table)
-    deadline_s = table.number(
-        "deadline_s", message.period_s, low=_PERIOD_MIN_S, high=_TIME_MAX_S, unit="s"
+    with table.source.with_lines():
+        tables = MESSAGES.read(table.values["message"], (*table.path, "message"))
+    return tuple(
+        Declared(
+            one.message(),
+            one.period_s if one.deadline_s is None else one.deadline_s,
+            one.sender or "",
+        )
+        for one in tables
     )
-    sender = table.text("sender", example='"battery"') if table.has("sender") else ""
-    return Declared(message, deadline_s, sender)
-
-
-def _message(table: Table) -> PeriodicMessage:
-    table.refuse_unknown(MESSAGE_KEYS)
-    extended = table.flag("extended", False)
-    high = _EFF_MAX if extended else _SFF_MAX
-    fd, switched = table.flag("fd", False), table.flag("bit_rate_switch", False)
-    if switched and not fd:
-        message = "only CAN FD frames can switch the bit rate"
-        raise table.error("bit_rate_switch", message, "write fd = true, or remove it")
-    return PeriodicMessage(
-        can_id=table.integer("identifier", low=0, high=high, example="0x181"),
-        length=_length(table, fd),
-        period_s=table.number(
-            "period_s", low=_PERIOD_MIN_S, high=_TIME_MAX_S, unit="s", example="0.01"
-        ),
-        jitter_s=table.number("jitter_s", 0.0, low=0.0, high=_TIME_MAX_S, unit="s"),
-        extended=extended,
-        fd=fd,
-        bit_rate_switch=switched,
-    )
-
-
-def _length(table: Table, fd: bool) -> int:
-    length = table.integer("length", low=0, high=FD_LENGTHS[-1], unit="bytes", example="8")
-    if length > _CLASSICAL_MAX and not fd:
-        message = f"{length} bytes is out of range; allowed: 0 to {_CLASSICAL_MAX} bytes"
-        raise table.error("length", message, "with fd = true (CAN FD) up to 64 bytes")
-    if length not in FD_LENGTHS:
-        padded = next(one for one in FD_LENGTHS if one > length)
-        message = f"CAN FD frames cannot have {length} bytes"
-        raise table.error("length", message, f"the frame is padded: write length = {padded}")
-    return length
 
 
 def traffic_of(description: "RigDescription", bus: str) -> CanTraffic | None:

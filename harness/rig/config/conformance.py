@@ -1,36 +1,28 @@
 """The `[conformance]` table of a rig file: its facts about the bench.
 
-    [conformance]
-    motors = ["left", "right"]          # under test; default: the first group, or all of one kind
-    window_rad = 0.001                  # largest distance from the target at rest
-    following_rad = 0.0005              # largest distance from the trajectory
-    latency_s = [0.0, 0.001]            # from the reported start to the start of motion
-    time_tolerance_s = 0.05             # tolerance of the reported time of any end
-    dead_man_s = 0.5                    # within which a drive must notice that the host is lost
-    brake_s = 1.0                       # and the time to rest after that, from any motion
-    lost_s = 0.5                        # within which a host reports that a drive is lost
-    long_move_rad = 1.0                 # a move that takes about a second
-    deadline_s = 30.0                   # for one clause, in wall time; on a real bench 120
-    fault_stimulus = "fault"            # stimulus that causes a controller fault
-    fault_code = 0x2310                 # and the error code of that fault
-    fault_value = 1.0                   # value of the stimulus, if this is not the code
-    fault_over_value = 0.0              # its value a moment later, so that the cause is gone
-    seeking_method = 17                 # a homing method that seeks a switch and finds none
-    claims = ["homing"]                 # capabilities that the motor cannot claim itself
-
-    [conformance.without]               # capabilities that are not claimed, and why
-    homing = "no switches on this bench"
-
-A linear motor uses m in place of rad.
+The keys are declared here; `docs/reference/rig-file.md` lists them.
 """
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
 from types import MappingProxyType
-from typing import Final, final
+from typing import Any, Final, final
 
 from motorhil.harness.rig.config.toml import Table
+from motorhil.settings import (
+    Declaration,
+    Items,
+    Key,
+    Number,
+    SettingError,
+    Text,
+    number,
+    setting,
+    table,
+    text,
+    whole,
+)
 
 
 @final
@@ -61,32 +53,85 @@ class Capability(Enum):
         return self.name.lower()
 
 
-CONFORMANCE_KEYS: Final = (
-    "motors",
-    *(f"{name}_{unit}" for name in ("window", "following", "long_move") for unit in ("rad", "m")),
-    "latency_s",
-    "time_tolerance_s",
-    "dead_man_s",
-    "brake_s",
-    "lost_s",
-    "deadline_s",
-    "fault_stimulus",
-    "fault_code",
-    "fault_value",
-    "fault_over_value",
-    "seeking_method",
-    "claims",
-    "without",
-)
-
-
 _BY_KEY: Final = {capability.key: capability for capability in Capability}
-
-
 _LENGTH_MAX: Final = 1e6
-
-
 _TIME_MAX_S: Final = 3600.0
+
+
+def _length(name: str, doc: str) -> Any:
+    return number(None, 1e-12, _LENGTH_MAX, "{u}", doc, name=f"{name}_{{u}}", example="0.001")
+
+
+def _time(default_s: float | None, doc: str) -> Any:
+    return number(default_s, 1e-9, _TIME_MAX_S, "s", doc, example="0.1")
+
+
+def _stimulus(doc: str) -> Any:
+    return number(None, -_LENGTH_MAX, _LENGTH_MAX, "", doc, example="1.0")
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class ConformanceTable:
+    """Facts about the motors under test, for `motorhil conform`."""
+
+    motors: tuple[str, ...] = setting(
+        (),
+        Items(Text(), shown='["left"]'),
+        "The motors under test; absent: all of the adaptation in question, else the first group.",
+    )
+    window: float | None = _length("window", "Largest distance from the target at rest.")
+    following: float | None = _length("following", "Largest distance from the trajectory.")
+    long_move: float | None = _length("long_move", "A move that takes about a second.")
+    latency_s: tuple[float, ...] = setting(
+        (0.0, 0.02),
+        Items(
+            Number(-_TIME_MAX_S, 10.0, "s"),
+            least=2,
+            most=2,
+            unique=False,
+            shown="[0.0, 0.001]",
+        ),
+        "From the reported start to the start of motion, minimum and maximum [s].",
+    )
+    time_tolerance_s: float = _time(0.1, "Tolerance of the reported time of any end.")
+    dead_man_s: float = _time(1.0, "Within which a drive notices that its host is lost.")
+    brake_s: float | None = _time(None, "Time to rest after that; absent: from the model.")
+    lost_s: float = _time(1.0, "Within which a host reports that a drive is lost.")
+    deadline_s: float = _time(30.0, "Deadline of one clause, in wall time.")
+    fault_stimulus: str = text("fault", "Stimulus that causes a controller fault.")
+    fault_code: int = whole(0x2310, 1, 0xFFFF_FFFF, "", "Error code of that fault.")
+    fault_value: float | None = _stimulus("Value of the stimulus; absent: the code.")
+    fault_over_value: float | None = _stimulus("Its value a moment later; absent: not needed.")
+    seeking_method: int | None = whole(
+        None, -128, 127, "", "Homing method that runs until it is ended; absent: none is known."
+    )
+    claims: tuple[str, ...] = setting(
+        (),
+        Items(Text(tuple(_BY_KEY), "capability"), shown='["homing"]'),
+        "Capabilities that the motor cannot claim itself.",
+    )
+    without: Mapping[str, str] = table(
+        Declaration(
+            "without",
+            "Capabilities that are not claimed, and why.",
+            {
+                key: Key(Text(shown='"no switches on this bench"'), f"Why not {one.value}.")
+                for key, one in _BY_KEY.items()
+            },
+            dict.fromkeys(_BY_KEY),
+        ),
+        "Capabilities that are not claimed, and why.",
+    )
+
+    def __post_init__(self) -> None:
+        """Refuse times in the wrong order, and reasons without words (SettingError)."""
+        if self.latency_s[0] > self.latency_s[1]:
+            message = "is not a list of two times [s], minimum first"
+            raise SettingError(("latency_s",), message, "write latency_s = [0.0, 0.001]")
+        for name, reason in self.without.items():
+            if not reason.strip():
+                raise SettingError(("without", name), "has an empty reason", "state the reason")
 
 
 @final
@@ -146,39 +191,39 @@ def read_facts(table: Table, motors: tuple[str, ...]) -> Facts:
     Raises:
         RigError: the first error in the table.
     """
-    table.refuse_unknown(CONFORMANCE_KEYS)
-    usual = NOTHING_DECLARED
-    named = table.texts("motors", (), example='["left"]')
-    for place, name in enumerate(named):
-        if name not in motors:
-            raise table.source.no_such((*table.path, "motors", place), name, motors, "motor")
-        if name in named[:place]:
-            path = (*table.path, "motors", place)
-            raise table.source.error(path, f'"{name}" is listed twice', "name each motor once")
-    unit = _unit(table)
-    claimed = _claimed(table)
+    usual, unit = NOTHING_DECLARED, _unit(table)
+    own = table.read(ConformanceTable, unit=unit)
+    for place, name in enumerate(own.motors):
+        table.require("motors", name, motors, "motor", place)
+    at = f"{table.source.path}:"
+    claimed = {
+        _BY_KEY[name]: f"{at}{table.source.line((*table.path, 'claims', place))}"
+        for place, name in enumerate(own.claims)
+    }
+    for name in own.without:
+        if _BY_KEY[name] in claimed:
+            problem = f"is claimed at {claimed[_BY_KEY[name]]}"
+            raise table.table("without").error(name, problem, "remove one of them")
     return Facts(
-        motors=named,
+        motors=own.motors,
         unit=unit,
-        window=_length(table, "window", unit, usual.window),
-        following=_length(table, "following", unit, usual.following),
-        long_move=_long_move(table, unit),
-        latency_s=_latency(table, usual.latency_s),
-        time_tolerance_s=_time(table, "time_tolerance_s", usual.time_tolerance_s),
-        dead_man_s=_time(table, "dead_man_s", usual.dead_man_s),
-        brake_s=_time(table, "brake_s", 1.0) if table.has("brake_s") else None,
-        lost_s=_time(table, "lost_s", usual.lost_s),
-        deadline_s=_time(table, "deadline_s", usual.deadline_s),
-        fault_stimulus=table.text("fault_stimulus", usual.fault_stimulus),
-        fault_code=table.integer("fault_code", usual.fault_code, low=1, high=0xFFFF_FFFF),
-        fault_value=_value(table, "fault_value"),
-        fault_over_value=_value(table, "fault_over_value"),
-        seeking_method=table.integer("seeking_method", 0, low=-128, high=127)
-        if table.has("seeking_method")
-        else None,
+        window=usual.window if own.window is None else own.window,
+        following=usual.following if own.following is None else own.following,
+        long_move=own.long_move,
+        latency_s=(own.latency_s[0], own.latency_s[1]),
+        time_tolerance_s=own.time_tolerance_s,
+        dead_man_s=own.dead_man_s,
+        brake_s=own.brake_s,
+        lost_s=own.lost_s,
+        deadline_s=own.deadline_s,
+        fault_stimulus=own.fault_stimulus,
+        fault_code=own.fault_code,
+        fault_value=own.fault_value,
+        fault_over_value=own.fault_over_value,
+        seeking_method=own.seeking_method,
         claims=tuple(claimed),
         claimed_at=MappingProxyType(claimed),
-        without=_without(table.table("without"), claimed),
+        without=MappingProxyType({_BY_KEY[name]: why for name, why in own.without.items()}),
     )
 
 
@@ -193,67 +238,3 @@ def _unit(table: Table) -> str:
     if len(found) == 2:
         raise table.error(found["m"], f"is in m, {found['rad']} in rad", "a motor has one unit")
     return next(iter(found), "")
-
-
-def _length(table: Table, name: str, unit: str, default: float) -> float:
-    key = f"{name}_{unit or 'rad'}"
-    return table.number(key, default, low=1e-12, high=_LENGTH_MAX, unit=unit, example="0.001")
-
-
-def _long_move(table: Table, unit: str) -> float | None:
-    return _length(table, "long_move", unit, 1.0) if table.has(f"long_move_{unit}") else None
-
-
-def _value(table: Table, key: str) -> float | None:
-    if not table.has(key):
-        return None
-    return table.number(key, 0.0, low=-_LENGTH_MAX, high=_LENGTH_MAX, example="1.0")
-
-
-def _time(table: Table, key: str, default: float) -> float:
-    return table.number(key, default, low=1e-9, high=_TIME_MAX_S, unit="s", example="0.1")
-
-
-def _latency(table: Table, default: tuple[float, float]) -> tuple[float, float]:
-    if not table.has("latency_s"):
-        return default
-    value = table.values["latency_s"]
-    numbers = isinstance(value, list) and [
-        float(one) for one in value if isinstance(one, int | float) and not isinstance(one, bool)
-    ]
-    if not numbers or len(numbers) != 2 or not -_TIME_MAX_S <= numbers[0] <= numbers[1] <= 10.0:
-        raise table.error(
-            "latency_s",
-            "is not a list of two times [s], minimum first",
-            "write latency_s = [0.0, 0.001]",
-        )
-    return numbers[0], numbers[1]
-
-
-def _capability(table: Table, name: str, path: tuple[str | int, ...]) -> Capability:
-    if name not in _BY_KEY:
-        raise table.source.no_such(path, name, list(_BY_KEY), "capability")
-    return _BY_KEY[name]
-
-
-def _claimed(table: Table) -> dict[Capability, str]:
-    """Return the capabilities that the rig claims, with their places in its file."""
-    claimed = {}
-    for place, name in enumerate(table.texts("claims", (), example='["homing"]')):
-        path = (*table.path, "claims", place)
-        at = f"{table.source.path}:{table.source.line(path)}"
-        claimed[_capability(table, name, path)] = at
-    return claimed
-
-
-def _without(table: Table, claimed: Mapping[Capability, str]) -> Mapping[Capability, str]:
-    table.refuse_unknown(tuple(_BY_KEY))
-    reasons = {}
-    for name in table.values:
-        reason = table.text(name, example='"no switches on this bench"')
-        if not reason.strip():
-            raise table.error(name, "has an empty reason", "state the reason")
-        if _BY_KEY[name] in claimed:
-            raise table.error(name, f"is claimed at {claimed[_BY_KEY[name]]}", "remove one of them")
-        reasons[_BY_KEY[name]] = reason
-    return MappingProxyType(reasons)

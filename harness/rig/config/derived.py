@@ -14,7 +14,8 @@ gives itself take precedence.
 """
 
 from collections.abc import Mapping
-from typing import Final
+from dataclasses import dataclass
+from typing import Final, final
 
 from motorhil.emulators.cia402.drive import Cia402Drive
 from motorhil.emulators.cia402.quirks import QuirkyWire
@@ -28,8 +29,8 @@ from motorhil.harness.rig.config.rig_file import (
     RigDescription,
     replaced,
 )
-from motorhil.harness.rig.config.toml import KeyPath, dotted
 from motorhil.motorapi.model import MotionKind, MotorModel
+from motorhil.settings import KeyPath, dotted, flag, read
 
 _TURN_RAD: Final = 6.283185307179586
 _WHOLE_TOLERANCE: Final = 1e-3  # increments per turn: models are written with a few digits
@@ -155,6 +156,17 @@ def _gear_ratio(plant: Mapping[str, object]) -> float:
     return float(value) if isinstance(value, int | float) and value > 0 else 1.0
 
 
+@final
+@dataclass(frozen=True, kw_only=True)
+class TimingTable:
+    """Keys of a motor that the harness reads itself."""
+
+    timing_from_controller: bool = flag(
+        False,
+        "Take missing timing from the emulated drive. A mistake there is then on both sides.",
+    )
+
+
 ASKED: Final = "timing_from_controller"
 _KIND: Final = "cia402"
 
@@ -173,11 +185,11 @@ def with_timing(
         RigError: there is no suitable drive, or the key is not true or false.
     """
     settings = {key: value for key, value in motor.settings.items() if key != ASKED}
-    asked = motor.settings.get(ASKED, False)
     path = ("motor", motor.name, ASKED)
-    if not isinstance(asked, bool):
-        raise description.error(path, f"must be true or false, but is {asked!r}", f"{ASKED} = true")
-    if not asked:
+    with description.source.with_lines():
+        given = {ASKED: motor.settings[ASKED]} if ASKED in motor.settings else {}
+        asked = read(TimingTable, given, path[:-1])
+    if not asked.timing_from_controller:
         return settings, ""
     core = controller
     while isinstance(core, OwnTime | LateWakes | QuirkyWire):

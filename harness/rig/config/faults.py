@@ -5,11 +5,9 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Final, final
+from typing import Any, ClassVar, Final, final
 
 from motorhil.emulators.can.fault_rules import (
-    LASTING,
-    PARTING,
     RATE_MAX,
     FaultKind,
     FaultRule,
@@ -21,127 +19,238 @@ from motorhil.emulators.media.serial_faults import SerialFaultKind, SerialFaultR
 from motorhil.emulators.simulation.can_network import HOST as INTERFACE
 from motorhil.harness.rig.config.buses import MODBUS_TCP, BusDescription
 from motorhil.harness.rig.config.toml import Table
-
-LINE_FAULT_KINDS: Final = tuple(kind.value for kind in SerialFaultKind)
-_ON_TCP: Final = ("lose", "delay", "truncate", "pause")
-LINE_KEYS: Final = ("unit", "function", "after", "noise")
-"""Keys of faults on lines that faults on CAN buses lack."""
-_COMMON: Final = (
-    *("name", "bus", "kind", "sender", "from_s", "until_s"),
-    *("probability", "skip", "limit"),
+from motorhil.settings import (
+    REQUIRED,
+    HexBytes,
+    Items,
+    Rule,
+    SettingError,
+    Text,
+    declaration,
+    flag,
+    listed,
+    nearest,
+    number,
+    setting,
+    text,
+    whole,
+    word,
 )
-_OF_KIND: Final = {
-    "delay": ("delay_s",),
-    "pause": ("delay_s", "after"),
-    "repeat": ("delay_s",),
-    "truncate": ("after",),
-    "corrupt": ("flip",),
-    "noise": ("noise",),
-}
-_TIME_MAX_S: Final = 1e9
-_ADU_MAX: Final = 260
-
-
-def read_line_fault(
-    name: str, table: Table, ports: Sequence[str], bus: BusDescription
-) -> SerialFaultRule:
-    """Read the fault rule of a table; `ports` are the names of the ports on the line.
-
-    Raises:
-        RigError: the first error in it.
-    """
-    kinds = _ON_TCP if bus.kind == MODBUS_TCP else LINE_FAULT_KINDS
-    kind = table.one_of("kind", kinds, "fault kind")
-    known = (*_COMMON, "unit", "function", *_OF_KIND.get(kind, ()))
-    for key in table.values:
-        if key not in known:
-            of = [one for one, keys in _OF_KIND.items() if key in keys]
-            what = f'belongs to kind "{of[0]}"' if of else f'bus "{bus.name}" is a line'
-            raise table.error(key, what, "take it out")
-    if kind == "noise" and not table.has("noise"):
-        raise table.missing("noise", 'write the bytes to send first, in hex: noise = "FF 00"')
-    start_s, end_s = read_times(table)
-    delay_s = 0.0
-    if "delay_s" in known:
-        delay_s = table.number("delay_s", low=1e-9, high=1e6, unit="s", example="0.01")
-    after = 0
-    if "after" in known:
-        after = table.integer("after", low=1, high=_ADU_MAX, unit="characters", example="3")
-    return SerialFaultRule(
-        name=table.text("name", name),
-        kind=SerialFaultKind(kind),
-        sender=table.name_of("sender", ports, "controller") if table.has("sender") else None,
-        unit=_optional(table, "unit", 255),
-        function=_optional(table, "function", 127),
-        from_ns=round(start_s * 1e9),
-        until_ns=None if end_s is None else round(end_s * 1e9),
-        probability=table.number("probability", 1.0, low=0.0, high=1.0),
-        skip=table.integer("skip", 0, low=0, high=_COUNT_MAX),
-        limit=table.integer("limit", low=1, high=_COUNT_MAX) if table.has("limit") else None,
-        delay_ns=round(delay_s * 1e9),
-        after=after,
-        flip=read_hex(table, "flip", _ADU_MAX, must_change=True),
-        noise=read_hex(table, "noise", _ADU_MAX, must_change=False),
-    )
-
-
-def _optional(table: Table, key: str, high: int) -> int | None:
-    return table.integer(key, low=0, high=high) if table.has(key) else None
-
-
-def read_times(table: Table) -> tuple[float, float | None]:
-    """Return (from_s, until_s) of a fault [s]; until_s is None if the fault has no end."""
-    start_s = table.number("from_s", 0.0, low=0.0, high=_TIME_MAX_S, unit="s")
-    if not table.has("until_s"):
-        return start_s, None
-    end_s = table.number("until_s", low=0.0, high=_TIME_MAX_S, unit="s")
-    if not end_s > start_s:
-        raise table.error(
-            "until_s", f"{end_s} s is not after from_s = {start_s} s", "exchange them"
-        )
-    return start_s, end_s
-
-
-def read_hex(table: Table, key: str, longest: int, *, must_change: bool) -> bytes:
-    """Return the bytes of a hex text, or b"" if the key is absent."""
-    if not table.has(key):
-        return b""
-    text = table.text(key)
-    example = f'write hex bytes, first byte first: {key} = "00 FF"'
-    try:
-        data = bytes.fromhex(text)
-    except ValueError:
-        raise table.error(key, f'not hex bytes ("{text}")', example) from None
-    if not data or len(data) > longest or (must_change and not any(data)):
-        change = ", and change a bit" if must_change else ""
-        raise table.error(key, f"must be 1 to {longest} bytes{change}", example)
-    return data
-
 
 HOST: Final = INTERFACE  # name of the application's ports on every bus
 KINDS: Final = tuple(kind.value for kind in FaultKind)
-FAULT_KEYS: Final = (
-    *("name", "bus", "kind", "identifier", "identifier_mask", "extended", "sender", "nodes"),
-    *("from_s", "until_s", "probability", "skip", "limit", "delay_s", "flip"),
+LINE_FAULT_KINDS: Final = tuple(kind.value for kind in SerialFaultKind)
+_ON_TCP: Final = ("lose", "delay", "truncate", "pause")
+_LINE_KEYS: Final = ("unit", "function", "after", "noise")
+_CAN_KEYS: Final = (
+    *("identifier", "identifier_mask", "extended", "nodes"),
     *("bit", "error", "bit_error_rate", "data", "level"),
 )
-ERRORS: Final = tuple(error.value for error in FrameError)
-LEVELS: Final = tuple(level.value for level in WireLevel)
-BIT_MAX: Final = 1023
-RATE_MIN: Final = 1e-12
-_OWNERS: Final = {
-    "delay_s": FaultKind.DELAY,
-    "flip": FaultKind.CORRUPT,
-    "bit": FaultKind.ERROR,
-    "error": FaultKind.ERROR,
-    "bit_error_rate": FaultKind.NOISE,
-    "data": FaultKind.BABBLE,
-    "level": FaultKind.SHORT,
-}
 _CONDITIONS: Final = ("probability", "skip", "limit")
 _SFF_MASK: Final = 0x7FF
 _DATA_MAX: Final = 8
+_ADU_MAX: Final = 260
 _COUNT_MAX: Final = 2**31
+
+
+def _only(kinds: tuple[str, ...], *keys: str) -> Rule:
+    message = f'belongs to kind "{kinds[0]}"'
+    return Rule("kind", kinds, otherwise=True, refused=keys, message=message)
+
+
+def _lasting(*kinds: str, refused: tuple[str, ...]) -> Rule:
+    message = f"a {' or '.join(kinds)} has no condition but its time"
+    return Rule("kind", kinds, refused=(*_CONDITIONS, *refused), message=message)
+
+
+def _needs(kinds: tuple[str, ...], key: str, example: str) -> Rule:
+    return Rule("kind", kinds, required=(key,), remedy=f"write {key} = {example}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class FaultBusTable:
+    """Where a fault is, and what happens there."""
+
+    bus: str = text(REQUIRED, "The bus or line.", example='"can0"')
+    kind: str = word(
+        REQUIRED, dict.fromkeys((*KINDS, *LINE_FAULT_KINDS)), "fault kind", "What happens."
+    )
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class FaultTable(FaultBusTable):
+    """A fault of a bus or a line, each time that it matches."""
+
+    name: str | None = text(None, "Its name; absent: its number.")
+    identifier: int | None = whole(
+        None, 0, EFF_MASK, "", "Frames with this identifier; absent: all.", example="0x181"
+    )
+    identifier_mask: int = whole(EFF_MASK, 0, EFF_MASK, "", "Bits of it that matter.")
+    extended: bool = flag(False, "The identifier has 29 bits.")
+    sender: str | None = text(
+        None, 'Frames of this controller, or of the "host"; absent: of all.', example='"left"'
+    )
+    nodes: tuple[str, ...] = setting(
+        (), Items(Text(), least=1, shown='["left"]'), "Nodes that the fault concerns; absent: all."
+    )
+    from_s: float = number(0.0, 0.0, 1e9, "s", "From this time of the rig on.")
+    until_s: float | None = number(None, 0.0, 1e9, "s", "Until this time; absent: for ever.")
+    probability: float = number(1.0, 0.0, 1.0, "", "Probability that it happens to a match.")
+    skip: int = whole(0, 0, _COUNT_MAX, "", "Matches that it spares at first.")
+    limit: int | None = whole(None, 1, _COUNT_MAX, "", "Times that it happens; absent: no limit.")
+    delay_s: float | None = number(None, 1e-9, 1e6, "s", "How much later.", example="0.01")
+    flip: bytes | None = setting(
+        None, HexBytes(_ADU_MAX, must_change=True), "Bits to invert in the data, in hex."
+    )
+    bit: int | None = whole(None, 0, 1023, "", "Bit of the frame that is destroyed.", example="20")
+    error: str | None = word(None, [one.value for one in FrameError], "error", "Its error.")
+    bit_error_rate: float | None = number(
+        None, 1e-12, RATE_MAX, "", "Probability that a bit is inverted.", example="1e-6"
+    )
+    data: bytes | None = setting(None, HexBytes(_DATA_MAX), "Data of a babbling node, in hex.")
+    level: str | None = word(None, [one.value for one in WireLevel], "level", "Level of a short.")
+    unit: int | None = whole(None, 0, 255, "", "Transmissions to and from this unit.")
+    function: int | None = whole(None, 0, 127, "", "Transmissions with this function code.")
+    after: int | None = whole(
+        None, 1, _ADU_MAX, "characters", "Characters before it happens.", example="3"
+    )
+    noise: bytes | None = setting(None, HexBytes(_ADU_MAX), "Bytes to send first, in hex.")
+
+    RULES: ClassVar = (
+        _only(("delay", "pause", "repeat"), "delay_s"),
+        _only(("corrupt",), "flip"),
+        _only(("error",), "bit", "error"),
+        _only(("noise",), "bit_error_rate", "noise"),
+        _only(("babble",), "data"),
+        _only(("short",), "level"),
+        _only(("truncate", "pause"), "after"),
+        _needs(("delay", "pause", "repeat"), "delay_s", "0.01"),
+        _needs(("truncate", "pause"), "after", "3"),
+        _needs(("short",), "level", '"dominant"'),
+        _needs(("babble",), "identifier", "0x080"),
+        _needs(("babble",), "sender", '"left"'),
+        _needs(("cut", "split"), "nodes", '["left"]: those that lose the bus'),
+        Rule(
+            "kind",
+            ("error",),
+            required=("bit", "error"),
+            remedy='write bit = 20, or error = "crc"',
+        ),
+        Rule(
+            "bit",
+            refused=("error",),
+            message="an error has a bit or an error, not both",
+            remedy="take one out",
+        ),
+        Rule(
+            "kind",
+            ("noise",),
+            required=("bit_error_rate", "noise"),
+            remedy='write bit_error_rate = 1e-6, or on a line noise = "FF 00"',
+        ),
+        _lasting("cut", "split", refused=("identifier", "sender")),
+        _lasting("short", refused=("identifier", "sender")),
+        _lasting("babble", refused=("nodes",)),
+        Rule(
+            "kind",
+            ("babble",),
+            refused=("identifier_mask",),
+            message="a babble sends one identifier",
+            remedy="take it out",
+        ),
+        Rule(
+            "bit_error_rate",
+            refused=(*_CONDITIONS, "identifier", "sender", "noise"),
+            message="a noise has no condition but its time",
+            remedy="take it out",
+        ),
+        Rule(
+            "identifier",
+            otherwise=True,
+            refused=("identifier_mask", "extended"),
+            message="goes with an identifier",
+            remedy="write identifier = 0x181",
+        ),
+        Rule(
+            "kind",
+            tuple(kind for kind in LINE_FAULT_KINDS if kind not in KINDS),
+            refused=_CAN_KEYS,
+            message="is for CAN buses",
+            remedy="take it out",
+        ),
+        Rule(
+            "kind",
+            tuple(kind for kind in KINDS if kind not in LINE_FAULT_KINDS),
+            refused=_LINE_KEYS,
+            message="is for Modbus lines",
+            remedy="take it out",
+        ),
+        Rule("noise", refused=_CAN_KEYS, message="is for CAN buses", remedy="take it out"),
+    )
+    SCHEMA: ClassVar = {
+        "anyOf": [
+            {"properties": {"identifier": {"maximum": _SFF_MASK}}},
+            {"properties": {"extended": {"const": True}}, "required": ["extended"]},
+        ],
+    }
+
+    def __post_init__(self) -> None:
+        """Refuse an identifier with too many bits, and an end before the start (SettingError)."""
+        if not self.extended and (self.identifier or 0) > _SFF_MASK:
+            remedy = f"allowed: 0 to {_SFF_MASK}, or extended = true"
+            raise SettingError(("identifier",), f"{self.identifier} is out of range", remedy)
+        if self.until_s is not None and not self.until_s > self.from_s:
+            message = f"{self.until_s} s is not after from_s = {self.from_s} s"
+            raise SettingError(("until_s",), message, "exchange them")
+
+    def common(self) -> dict[str, Any]:
+        """Return the arguments of rules for CAN buses and for lines."""
+        return {
+            "sender": self.sender,
+            "from_ns": round(self.from_s * 1e9),
+            "until_ns": None if self.until_s is None else round(self.until_s * 1e9),
+            "probability": self.probability,
+            "skip": self.skip,
+            "limit": self.limit,
+            "delay_ns": round((self.delay_s or 0.0) * 1e9),
+            "flip": self.flip or b"",
+        }
+
+    def frame_rule(self, name: str) -> FaultRule:
+        """Return the rule for a CAN bus.
+
+        Raises:
+            ValueError: the values do not go together.
+        """
+        identifier = self.identifier
+        own: dict[str, Any] = {"bit": self.bit, "bit_error_rate": self.bit_error_rate}
+        own["error"] = None if self.error is None else FrameError(self.error)
+        own["level"] = None if self.level is None else WireLevel(self.level)
+        own["data"] = self.data
+        if identifier is not None and self.extended:
+            identifier |= EFF_FLAG
+        return FaultRule(
+            name=name,
+            kind=FaultKind(self.kind),
+            identifier=identifier,
+            mask=EFF_FLAG | self.identifier_mask,
+            ports=self.nodes,
+            **self.common(),
+            **{key: value for key, value in own.items() if value is not None},
+        )
+
+    def line_rule(self, name: str) -> SerialFaultRule:
+        """Return the rule for a line."""
+        return SerialFaultRule(
+            name=name,
+            kind=SerialFaultKind(self.kind),
+            unit=self.unit,
+            function=self.function,
+            after=self.after or 0,
+            noise=self.noise or b"",
+            **self.common(),
+        )
 
 
 @final
@@ -164,8 +273,8 @@ def read_faults(
         RigError: the first error in them.
     """
     faults: list[FaultDescription] = []
-    for number, table in enumerate(root.listed_tables("fault"), 1):
-        fault = _fault(number, table, controllers, buses)
+    for index, table in enumerate(root.listed_tables("fault"), 1):
+        fault = _fault(index, table, controllers, buses)
         if fault.rule.name in [other.rule.name for other in faults]:
             raise table.error("name", f'"{fault.rule.name}" is a fault already', "rename one")
         faults.append(fault)
@@ -173,121 +282,39 @@ def read_faults(
 
 
 def _fault(
-    number: int,
+    index: int,
     table: Table,
     controllers: Mapping[str, Sequence[str]],
     buses: Mapping[str, BusDescription],
 ) -> FaultDescription:
-    table.refuse_unknown((*FAULT_KEYS, *LINE_KEYS))
-    bus = table.name_of("bus", list(controllers), "bus")
-    if buses[bus].is_line:
-        ports = (HOST, *controllers[bus])
-        return FaultDescription(bus, read_line_fault(f"fault {number}", table, ports, buses[bus]))
-    for key in LINE_KEYS:
+    table.refuse_unknown(tuple(declaration(FaultTable).keys))
+    on = table.part(FaultBusTable)
+    table.require("bus", on.bus, list(controllers))
+    bus = buses[on.bus]
+    kinds = KINDS
+    if bus.is_line:
+        kinds = _ON_TCP if bus.kind == MODBUS_TCP else LINE_FAULT_KINDS
+    if on.kind not in kinds:
+        problem = f'unknown fault kind "{on.kind}" (known: {listed(kinds)})'
+        raise table.error("kind", problem, nearest(on.kind, kinds))
+    for key in _CAN_KEYS if bus.is_line else _LINE_KEYS:
         if table.has(key):
-            raise table.error(key, f'bus "{bus}" is not a line', "remove it: it is for Modbus")
-    kind = FaultKind(table.one_of("kind", KINDS, "fault kind"))
-    for key, owner in _OWNERS.items():
-        if table.has(key) and kind is not owner:
-            raise table.error(key, f'belongs to kind "{owner.value}"', "take it out")
-    if kind in LASTING:
-        _refuse_conditions(table, kind)
-    if kind is FaultKind.ERROR and table.has("bit") is table.has("error"):
-        if not table.has("bit"):
-            raise table.missing("bit", 'write bit = 20, or error = "crc"')
-        raise table.error("error", "an error has a bit or an error, not both", "take one out")
-    identifier, mask = _identifier(table)
-    ports = (HOST, *controllers[bus], *buses[bus].silent)
-    nodes = _nodes(table, ports)
-    start_s, end_s = read_times(table)
-    delay_s = 0.0
-    if kind is FaultKind.DELAY:
-        delay_s = table.number("delay_s", low=1e-9, high=1e6, unit="s", example="0.01")
+            problem = f'bus "{on.bus}" is {"" if bus.is_line else "not "}a line'
+            remedy = "take it out" if bus.is_line else "remove it: it is for Modbus"
+            raise table.error(key, problem, remedy)
+    own = table.read(FaultTable)
+    name = own.name or f"fault {index}"
+    ports = (HOST, *controllers[own.bus], *bus.silent)
+    if own.sender is not None:
+        table.require("sender", own.sender, ports, "controller")
+    for place, node in enumerate(own.nodes):
+        table.require("nodes", node, ports, "controller", place)
+    if bus.is_line:
+        return FaultDescription(own.bus, own.line_rule(name))
+    if own.flip is not None and len(own.flip) > _DATA_MAX:
+        problem = f"must be 1 to {_DATA_MAX} bytes, and change a bit"
+        raise table.error("flip", problem, 'write flip = "00 FF"')
     try:
-        rule = FaultRule(
-            name=table.text("name", f"fault {number}"),
-            kind=kind,
-            identifier=identifier,
-            mask=mask,
-            sender=table.name_of("sender", ports, "controller") if table.has("sender") else None,
-            ports=nodes,
-            from_ns=round(start_s * 1e9),
-            until_ns=None if end_s is None else round(end_s * 1e9),
-            probability=table.number("probability", 1.0, low=0.0, high=1.0),
-            skip=table.integer("skip", 0, low=0, high=_COUNT_MAX),
-            limit=_limit(table),
-            delay_ns=round(delay_s * 1e9),
-            flip=read_hex(table, "flip", _DATA_MAX, must_change=True),
-            **_own(table, kind),
-        )
+        return FaultDescription(own.bus, own.frame_rule(name))
     except ValueError as error:
         raise table.source.error(table.path, str(error), "see the keys of [[fault]]") from None
-    return FaultDescription(bus, rule)
-
-
-def _nodes(table: Table, ports: Sequence[str]) -> tuple[str, ...]:
-    nodes = table.texts("nodes", (), example='["left"]')
-    for index, node in enumerate(nodes):
-        path = (*table.path, "nodes", index)
-        if node not in ports:
-            raise table.source.no_such(path, node, ports, "controller")
-        if node in nodes[:index]:
-            raise table.source.error(path, f'"{node}" is named twice', "take one out")
-    return nodes
-
-
-def _refuse_conditions(table: Table, kind: FaultKind) -> None:
-    """Refuse conditions of a lasting fault other than its time and the nodes it concerns."""
-    if kind in PARTING and not table.values.get("nodes"):
-        raise table.error(
-            "nodes",
-            f"a {kind.value} must name the nodes that lose the bus",
-            'write nodes = ["left"]',
-        )
-    refused = list(_CONDITIONS)
-    if kind is FaultKind.BABBLE:
-        for key, example in (("identifier", "0x080"), ("sender", '"left"')):
-            if not table.has(key):
-                raise table.missing(key, f"write {key} = {example}")
-        if table.has("identifier_mask"):
-            raise table.error("identifier_mask", "a babble sends one identifier", "take it out")
-    else:
-        refused += ["identifier", "sender"]
-    if kind is FaultKind.BABBLE:
-        refused.append("nodes")
-    for key in refused:
-        if table.has(key):
-            raise table.error(key, f"a {kind.value} has no condition but its time", "take it out")
-
-
-def _own(table: Table, kind: FaultKind) -> dict[str, Any]:
-    """Return the arguments that only this kind of fault has."""
-    if kind is FaultKind.ERROR and table.has("bit"):
-        return {"bit": table.integer("bit", low=0, high=BIT_MAX, example="20")}
-    if kind is FaultKind.ERROR:
-        return {"error": FrameError(table.one_of("error", ERRORS, "error"))}
-    if kind is FaultKind.NOISE:
-        rate = table.number("bit_error_rate", low=RATE_MIN, high=RATE_MAX, example="1e-6")
-        return {"bit_error_rate": rate}
-    if kind is FaultKind.SHORT:
-        return {"level": WireLevel(table.one_of("level", LEVELS, "level"))}
-    if kind is FaultKind.BABBLE:
-        return {"data": read_hex(table, "data", _DATA_MAX, must_change=False)}
-    return {}
-
-
-def _identifier(table: Table) -> tuple[int | None, int]:
-    extended = table.flag("extended", False)
-    high = EFF_MASK if extended else _SFF_MASK
-    mask = EFF_FLAG | table.integer("identifier_mask", EFF_MASK, low=0, high=EFF_MASK)
-    if not table.has("identifier"):
-        for key in ("identifier_mask", "extended"):
-            if table.has(key):
-                raise table.error(key, "goes with an identifier", "write identifier = 0x181")
-        return None, mask
-    identifier = table.integer("identifier", low=0, high=high, example="0x181")
-    return identifier | (EFF_FLAG if extended else 0), mask
-
-
-def _limit(table: Table) -> int | None:
-    return table.integer("limit", low=1, high=_COUNT_MAX) if table.has("limit") else None

@@ -2,7 +2,7 @@
 
 A rig is TOML. This module checks its structure, and every name that refers to another one. The
 settings of a controller or motor are checked by its builder; errors in them still report their line
-(`RigDescription.source`). `rig.schema.json` describes the same for editors.
+(`RigDescription.source`). `motorhil.harness.rig.config.schema` describes the same for editors.
 
     [rig]                       name, seed
     [bus.NAME]                  kind = "can", bitrate_bit_s; or a line (see BusDescription)
@@ -21,12 +21,13 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
-from typing import Final, final
+from typing import ClassVar, Final, final
 
 from motorhil.harness.plugins import is_target
 from motorhil.harness.rig.config.buses import (
     NODE_MAX,
     UNIT_MAX,
+    AddressTable,
     BusDescription,
     address_key,
     read_address,
@@ -38,21 +39,116 @@ from motorhil.harness.rig.config.faults import HOST, FaultDescription, read_faul
 from motorhil.harness.rig.config.stimuli import StimulusDescription, read_stimuli
 from motorhil.harness.rig.config.toml import (
     SEED_MAX,
-    KeyPath,
     RigError,
     Source,
     Table,
-    listed,
     one_line,
     read_source,
 )
+from motorhil.motorapi.model import MotorModel
+from motorhil.settings import (
+    REQUIRED,
+    Items,
+    KeyPath,
+    Schema,
+    Text,
+    declaration,
+    flag,
+    listed,
+    nearest,
+    setting,
+    text,
+    whole,
+)
 
-RIG_KEYS: Final = ("name", "seed")
-GROUP_KEYS: Final = ("motors",)
 TOP_KEYS: Final = (
     *("rig", "bus", "controller", "motor", "group", "fault", "stimulus", "conformance"),
 )
 
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class RigTable:
+    """The rig as a whole."""
+
+    name: str | None = setting(
+        None, Text(shown='"my rig"', is_printable=True), "Its name; absent: the file's."
+    )
+    seed: int = whole(0, 0, SEED_MAX, "", "Seed of all random numbers of a run.", example="1")
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class FromModelTable:
+    """What the harness adds to the table of a plant."""
+
+    from_motor_model: bool = flag(
+        False,
+        "Take missing values from the motor's model. A mistake there is then on both sides, and"
+        " hides itself.",
+    )
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class ControllerTable(AddressTable):
+    """An emulated controller; further keys are those of its kind."""
+
+    kind: str = text(REQUIRED, "Its kind: see `motorhil list controllers`.", example='"cia402"')
+    bus: str = text(REQUIRED, "The bus or line that it is on.", example='"can0"')
+
+
+@final
+class _Model:
+    """A file's name, or a table."""
+
+    def read(self, value: object, path: KeyPath) -> object:
+        if isinstance(value, Mapping):
+            return MappingProxyType(dict(value))
+        return Text(shown='"motor.toml"').read(value, path)
+
+    def schema(self) -> Schema:
+        return {"oneOf": [Text().schema(), {"$ref": declaration(MotorModel)}]}
+
+    def example(self) -> str:
+        return '"motor.toml"'
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class MotorTable(AddressTable):
+    """A motor as the application sees it; further keys are those of its adaptation."""
+
+    adaptation: str = text(
+        REQUIRED, "What drives it: see `motorhil list adaptations`.", example='"cia402"'
+    )
+    controller: str | None = text(
+        None, "The emulated controller behind it, on whose bus it is.", example='"left"'
+    )
+    bus: str | None = text(None, "Instead of a controller: its bus or line.", example='"can0"')
+    model: str | Mapping[str, object] = setting(
+        REQUIRED, _Model(), "Its motor model: a file, from the rig's folder on, or a table."
+    )
+
+    SCHEMA: ClassVar = {
+        "if": {"required": ["controller"]},
+        "then": {"properties": {"bus": False, "node_id": False, "unit": False}},
+        "properties": {"name": False},
+    }
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class GroupTable:
+    """Motors that move together."""
+
+    motors: tuple[str, ...] = setting(
+        REQUIRED, Items(Text(), least=1, shown='["left", "right"]'), "Their names."
+    )
+
+
+RESERVED: Final = HOST
+"""The name of the application's ports on every bus; controllers cannot have it."""
 _NEW_REMEDY: Final = "check the path, or write a new rig: motorhil new DIR"
 
 
@@ -181,8 +277,7 @@ def parse_rig(source: Source, known: Known) -> RigDescription:
     """
     root = source.root()
     root.refuse_unknown(TOP_KEYS, "table")
-    rig = root.table("rig")
-    rig.refuse_unknown(RIG_KEYS)
+    rig = root.table("rig").read(RigTable)
     buses = {name: read_bus(name, table) for name, table in _named(root, "bus")}
     if not buses and _needs_bus(root, known):
         raise source.error((), "the rig has no bus", "add [bus.can0]")
@@ -198,8 +293,8 @@ def parse_rig(source: Source, known: Known) -> RigDescription:
     }
     groups = {name: _group(name, table, motors) for name, table in _named(root, "group")}
     return RigDescription(
-        name=_rig_name(rig),
-        seed=rig.integer("seed", 0, low=0, high=SEED_MAX, example="1"),
+        name=one_line(source.path.stem) if rig.name is None else rig.name,
+        seed=rig.seed,
         buses=MappingProxyType(buses),
         controllers=MappingProxyType(controllers),
         motors=MappingProxyType(motors),
@@ -220,15 +315,6 @@ def _needs_bus(root: Table, known: Known) -> bool:
     return any(isinstance(name, str) and known.needs_bus(name) for name in named)
 
 
-def _rig_name(rig: Table) -> str:
-    name = rig.text("name", rig.source.path.stem, '"my rig"')
-    if rig.has("name") and not name.isprintable():
-        raise rig.error(
-            "name", "contains a character that cannot be printed", "write one line of text"
-        )
-    return one_line(name)
-
-
 def _named(root: Table, key: str) -> "list[tuple[str, Table]]":
     """Return the tables [key.NAME]."""
     outer = root.table(key)
@@ -242,13 +328,14 @@ def _named(root: Table, key: str) -> "list[tuple[str, Table]]":
 def _controller(
     name: str, table: Table, buses: Mapping[str, BusDescription], known: Known
 ) -> ControllerDescription:
-    kind = _plugin(table, "kind", known.controllers, "controller kind")
-    bus = table.name_of("bus", list(buses), "bus")
+    own = table.part(ControllerTable)
+    _check_plugin(table, "kind", own.kind, known.controllers, "controller kind")
+    table.require("bus", own.bus, list(buses))
     settings = _without(table, ("kind", "bus"))
     asking: list[KeyPath] = []
     for plant in _plants(table):
         path = plant.path[len(table.path) :]
-        if plant.flag("from_motor_model", False):
+        if plant.part(FromModelTable).from_motor_model:
             asking.append(path)
         if plant.has("from_motor_model"):
             settings = replaced(settings, path, _without(plant, ("from_motor_model",)))
@@ -256,14 +343,15 @@ def _controller(
         raise table.source.error(
             table.path, "is reserved for the application's ports on a bus", "rename it"
         )
-    address = read_address(table, buses[bus])
-    return ControllerDescription(name, kind, bus, address, settings, tuple(asking))
+    address = read_address(table, buses[own.bus])
+    return ControllerDescription(name, own.kind, own.bus, address, settings, tuple(asking))
 
 
-def _plugin(table: Table, key: str, known: Sequence[str], what: str) -> str:
-    """Read the name of a plugin, or "package.module:function" of one that is not installed."""
-    name = table.values.get(key)
-    return name if isinstance(name, str) and is_target(name) else table.one_of(key, known, what)
+def _check_plugin(table: Table, key: str, name: str, known: Sequence[str], what: str) -> None:
+    """Refuse a name that is neither a plugin's nor "package.module:function" (RigError)."""
+    if not is_target(name) and name not in known:
+        message = f'unknown {what} "{name}" (known: {listed(known)})'
+        raise table.error(key, message, nearest(name, known))
 
 
 def _plants(table: Table) -> list[Table]:
@@ -298,47 +386,51 @@ def _motor(
 ) -> MotorDescription:
     if table.has("name"):
         raise table.error("name", f'the motor has the name of its table, "{name}"', "take it out")
-    adaptation = _plugin(table, "adaptation", known.adaptations, "adaptation")
-    bus, node_id, controller = _place(table, adaptation, buses, controllers, known)
+    own = table.part(MotorTable)
+    adaptation = own.adaptation
+    _check_plugin(table, "adaptation", adaptation, known.adaptations, "adaptation")
+    bus, node_id, controller = _place(table, own, buses, controllers, known)
     settings = _without(table, ("adaptation", "controller", "bus", "node_id", "unit", "model"))
-    return MotorDescription(name, adaptation, bus, node_id, controller, _model(table), settings)
+    return MotorDescription(
+        name, adaptation, bus, node_id, controller, _model(table, own), settings
+    )
 
 
 def _place(
     table: Table,
-    adaptation: str,
+    own: MotorTable,
     buses: Mapping[str, BusDescription],
     controllers: Mapping[str, ControllerDescription],
     known: Known,
 ) -> tuple[str | None, int | None, str | None]:
     """Return (bus, node_id, controller) of a motor."""
-    needs_bus = known.needs_bus(adaptation)
+    needs_bus = known.needs_bus(own.adaptation)
     if needs_bus is False:
         for key in ("controller", "bus", "node_id", "unit"):
             if table.has(key):
-                problem = f'a motor of adaptation "{adaptation}" is not on a bus'
+                problem = f'a motor of adaptation "{own.adaptation}" is not on a bus'
                 raise table.error(key, problem, f"take out {key}")
         return None, None, None
-    if table.has("controller"):
-        controller = table.name_of("controller", list(controllers), "controller")
+    if own.controller is not None:
+        table.require("controller", own.controller, list(controllers))
         for key in ("bus", "node_id", "unit"):
             if table.has(key):
                 raise table.error(key, "follows from the controller", f"take out {key}")
-        described = controllers[controller]
-        return described.bus, described.node_id, controller
-    if table.has("bus"):
-        bus = table.name_of("bus", list(buses), "bus")
-        return bus, read_address(table, buses[bus]), None
+        described = controllers[own.controller]
+        return described.bus, described.node_id, own.controller
+    if own.bus is not None:
+        table.require("bus", own.bus, list(buses))
+        return own.bus, read_address(table, buses[own.bus]), None
     if needs_bus is None:
         return None, None, None
     known_names = listed(controllers)
     raise table.missing("controller", f"name one ({known_names}), or write bus and node_id")
 
 
-def _model(table: Table) -> Path | Mapping[str, object]:
-    if isinstance(table.values.get("model"), dict):
-        return MappingProxyType(dict(table.table("model").values))
-    path = table.source.path.parent / table.text("model", example='"motor.toml"')
+def _model(table: Table, own: MotorTable) -> Path | Mapping[str, object]:
+    if not isinstance(own.model, str):
+        return own.model
+    path = table.source.path.parent / own.model
     if not _is_file(path):
         raise table.error("model", f"no such file: {path}", "paths start at the rig's folder")
     return path
@@ -352,16 +444,9 @@ def _is_file(path: Path) -> bool:
 
 
 def _group(name: str, table: Table, motors: Mapping[str, MotorDescription]) -> GroupDescription:
-    table.refuse_unknown(GROUP_KEYS)
-    members = table.texts("motors", example='["left", "right"]')
-    if not members:
-        raise table.error("motors", "is empty", f"name motors of this rig: {listed(motors)}")
+    members = table.read(GroupTable).motors
     for index, member in enumerate(members):
-        path = (*table.path, "motors", index)
-        if member not in motors:
-            raise table.source.no_such(path, member, list(motors), "motor")
-        if member in members[:index]:
-            raise table.source.error(path, f'"{member}" is in the group twice', "take one out")
+        table.require("motors", member, list(motors), "motor", index)
     return GroupDescription(name, members)
 
 

@@ -9,13 +9,13 @@ from typing import Final
 from motorhil.harness.rig.config.toml import RigError
 
 EXAMPLES: Final = Path(__file__).resolve().parents[2] / "examples"
-SCHEMA: Final = Path(__file__).parents[2] / "rig.schema.json"
+_SCHEMA: Final = "rig.schema.json"
+_NO_SCHEMA: Final = "# Completion in an editor: see rig.schema.json, which `motorhil new` writes.\n"
 _START: Final = "two_wheels"  # the example that a new rig starts from
 _FILES: Final = (  # (name among the examples, name in the new folder)
     (f"{_START}.toml", "rig.toml"),
     ("wheel_model.toml", "wheel_model.toml"),
     (f"{_START}.py", "drive.py"),
-    ("../rig.schema.json", "rig.schema.json"),
 )
 _CI: Final = EXAMPLES / "ci"
 _HELPER: Final = "vcan-or-hub"
@@ -60,13 +60,15 @@ def write_new_rig(folder: Path, ci: str | None = None) -> list[Path]:
 
 
 def _rig(folder: Path) -> dict[Path, str]:
+    from motorhil.harness.rig.config.schema import schema_text  # loads all plugins' tables
+
     texts = {folder / new: (EXAMPLES / old).read_text("utf-8") for old, new in _FILES}
     texts[folder / "rig.toml"] = texts[folder / "rig.toml"].replace(
-        f"#:schema ../{SCHEMA.name}", f"#:schema ./{SCHEMA.name}"
+        _NO_SCHEMA, f"#:schema ./{_SCHEMA}\n"
     )
     for old, new in _FILES:  # the script names the files beside it
         texts[folder / "drive.py"] = texts[folder / "drive.py"].replace(old, new)
-    return texts
+    return {**texts, folder / _SCHEMA: schema_text()}
 
 
 def _job(kind: str, folder: Path) -> dict[Path, str]:

@@ -2,18 +2,28 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final, final
+from typing import TYPE_CHECKING, final
 
 from motorhil.emulators.controller import Controller
 from motorhil.emulators.simulation.world import World
-from motorhil.harness.rig.config.toml import KeyPath, Table
+from motorhil.harness.rig.config.toml import Table
+from motorhil.settings import REQUIRED, KeyPath, number, text
 
 if TYPE_CHECKING:
     from motorhil.harness.rig.config.rig_file import ControllerDescription, RigDescription
 
-STIMULUS_KEYS: Final = ("controller", "name", "value", "at_s")
-_VALUE_MAX: Final = 1e12
-_TIME_MAX_S: Final = 1e9
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class StimulusTable:
+    """A physical input of a controller, and when it changes."""
+
+    controller: str = text(REQUIRED, "The controller.")
+    name: str = text(
+        REQUIRED, "The input; a wrong one is answered with the known ones.", example='"sto"'
+    )
+    value: float = number(REQUIRED, -1e12, 1e12, "", "Its value from then on.", example="1")
+    at_s: float = number(REQUIRED, 0.0, 1e9, "s", "When, in the rig's time.", example="1.5")
 
 
 @final
@@ -41,15 +51,10 @@ def read_stimuli(root: Table, controllers: Sequence[str]) -> tuple[StimulusDescr
 
 
 def _stimulus(table: Table, controllers: Sequence[str]) -> StimulusDescription:
-    table.refuse_unknown(STIMULUS_KEYS)
-    at_s = table.number("at_s", low=0.0, high=_TIME_MAX_S, unit="s", example="1.5")
-    return StimulusDescription(
-        controller=table.name_of("controller", controllers, "controller"),
-        name=table.text("name", example='"sto"'),
-        value=table.number("value", low=-_VALUE_MAX, high=_VALUE_MAX, example="1"),
-        at_ns=round(at_s * 1e9),
-        path=table.path,
-    )
+    own = table.read(StimulusTable)
+    table.require("controller", own.controller, controllers)
+    at_ns = round(own.at_s * 1e9)
+    return StimulusDescription(own.controller, own.name, own.value, at_ns, table.path)
 
 
 @final

@@ -14,18 +14,29 @@ Changes of one table in a rig's text, which recordings contain.
 Wording of keys, names and values in messages: short, one line.
 """
 
-import difflib
-import math
 import re
 import tomllib
-from collections.abc import Collection, Iterable, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Final, final
+from typing import Final, TypeVar, final
 
-KeyPath = tuple[str | int, ...]
+from motorhil.settings import (
+    BARE_KEY,
+    KeyPath,
+    SettingError,
+    as_table,
+    as_tables,
+    declaration,
+    dotted,
+    listed,
+    nearest,
+    read,
+    refuse_unknown,
+)
 
-BARE_KEY: Final = re.compile(r"[A-Za-z0-9_-]+")
+T = TypeVar("T")
+
 _PLAIN_VALUE: Final = re.compile(r"[^,\]}#\n]+")  # number, boolean, date: ends before any of these
 _SPACE: Final = re.compile(r"[ \t]*")
 _SPACE_LINES_COMMENTS: Final = re.compile(r"(?:[ \t\n]|#[^\n]*)*")
@@ -197,48 +208,6 @@ def with_table(text: str, table: str, lines: str, without: Collection[str]) -> s
     return before + head + lines + "".join(kept) + behind
 
 
-_SHOWN_MAX: Final = 60
-
-
-def dotted(path: KeyPath) -> str:
-    """Return the path as people write it: keys joined by dots, list items in brackets."""
-    text = ""
-    for key in path:
-        if isinstance(key, int):
-            text += f"[{key}]"
-        else:
-            quoted = key if BARE_KEY.fullmatch(key) else repr(key)
-            text += f".{quoted}" if text else quoted
-    return text
-
-
-def listed(names: Iterable[str]) -> str:
-    """Return the names separated by commas, or "none"."""
-    return ", ".join(names) or "none"
-
-
-def nearest(name: str, known: Sequence[str]) -> str:
-    """Return a remedy: the known name most similar to `name`, or to remove it."""
-    for candidate in known:  # a missing unit is the likeliest mistake
-        if candidate.startswith(f"{name}_"):
-            return f"did you mean {candidate}?"
-    found = difflib.get_close_matches(name.lower(), [k.lower() for k in known], 1, 0.6)
-    for candidate in known:
-        if found and candidate.lower() == found[0]:
-            return f"did you mean {candidate}?"
-    return "take it out, or use one of these"
-
-
-def kind_of(value: object) -> str:
-    """Return TOML's word for the type of this value, with its article."""
-    if isinstance(value, bool):
-        return "a boolean"
-    for kind, name in _KINDS:
-        if isinstance(value, kind):
-            return name
-    return "a date or time"
-
-
 def a_kind_of(value: object) -> str:
     """Return Python's word for it, with its article: "None", "the class Motor", "a 'str'"."""
     if value is None:
@@ -248,32 +217,13 @@ def a_kind_of(value: object) -> str:
     )
 
 
-_KINDS: Final = (
-    (str, "a string"),
-    (int, "an integer"),
-    (float, "a float"),
-    (dict, "a table"),
-    (list, "an array"),
-)
-
-
-def shown(value: object) -> str:
-    """Return a value as TOML writes it, shortened."""
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, dict | list):
-        return "1 entry" if len(value) == 1 else f"{len(value)} entries"
-    text = f'"{value}"' if isinstance(value, str) else str(value)
-    return text if len(text) <= _SHOWN_MAX else text[: _SHOWN_MAX - 3] + "..."
-
-
 def one_line(text: str) -> str:
     """Return the text with every non-printable character as an escape."""
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
 
 
 _REQUIRED: Final = object()
-_NAME: Final = re.compile(r"[A-Za-z][A-Za-z0-9_-]*")
+NAME: Final = re.compile(r"[A-Za-z][A-Za-z0-9_-]*")
 SEED_MAX: Final = 2**32 - 1
 _INTEGER_MAX: Final = 2**63 - 1  # TOML 1.0, "Integer": 64-bit signed is what all must accept
 
@@ -385,6 +335,14 @@ class Source:
         """Return the RigError for the value at `path`."""
         return kind(self.path, message, remedy, line=self.line(path), key=dotted(path))
 
+    @contextmanager
+    def with_lines(self) -> Iterator[None]:
+        """Raise a SettingError of the body as a RigError with its line."""
+        try:
+            yield
+        except SettingError as error:
+            raise self.error(error.path, error.message, error.remedy) from None
+
     def no_such(self, path: KeyPath, name: str, known: Sequence[str], what: str) -> RigError:
         """Return the RigError for a name at `path` that refers to nothing."""
         remedy = nearest(name, known)
@@ -426,13 +384,29 @@ class Table:
         self.path = path
         self.values = values
 
+    def read(self, of: type[T], *, unit: str = "") -> T:
+        """Return the table as an object of a class of settings (RigError)."""
+        with self.source.with_lines():
+            return read(of, self.values, self.path, unit=unit)
+
+    def part(self, of: type[T]) -> T:
+        """Return those keys that a class of settings declares; other keys are another's."""
+        names = declaration(of).names()
+        own = {key: value for key, value in self.values.items() if key in names}
+        return Table(self.source, self.path, own).read(of)
+
     def refuse_unknown(self, known: Sequence[str], what: str = "key") -> None:
         """Raise RigError for the first key that is not `known`, suggesting the nearest."""
-        for key in self.values:
-            if key not in known:
-                raise self.error(
-                    key, f"unknown {what} (known: {listed(known)})", nearest(key, known)
-                )
+        with self.source.with_lines():
+            refuse_unknown(self.values, known, self.path, what)
+
+    def require(
+        self, key: str, name: str, known: Sequence[str], what: str = "", index: int | None = None
+    ) -> None:
+        """Refuse a name that refers to nothing: the value of a key, or of its item `index`."""
+        if name not in known:
+            path = (*self.path, key) if index is None else (*self.path, key, index)
+            raise self.source.no_such(path, name, known, what or key)
 
     def error(self, key: str, message: str, remedy: str = "") -> RigError:
         """Return the RigError for one of the table's keys."""
@@ -440,7 +414,7 @@ class Table:
 
     def refuse_no_name(self, key: str) -> None:
         """Raise RigError for a key that is not a plain name; topics of the record contain it."""
-        if not _NAME.fullmatch(key):
+        if not NAME.fullmatch(key):
             remedy = "use a letter, then letters, digits, - and _ only"
             raise self.error(key, "is not a name", remedy)
 
@@ -455,136 +429,18 @@ class Table:
         """Return True if the key is present."""
         return key in self.values
 
-    def text(self, key: str, default: object = _REQUIRED, example: str = "") -> str:
-        """Return a non-empty string."""
-        value = self._get(key, default, example)
-        if not isinstance(value, str):
-            raise self._wrong_type(key, "a string", value, example)
-        if not value:
-            raise self.error(key, "is empty", _write(key, example))
-        return value
-
-    def one_of(self, key: str, known: Sequence[str], what: str, default: object = _REQUIRED) -> str:
-        """Return a word out of `known`; `what` describes them in errors."""
-        value = self.text(key, default, _alternatives(known))
-        if value not in known:
-            message = f'unknown {what} "{value}" (known: {listed(known)})'
-            raise self.error(key, message, nearest(value, known))
-        return value
-
-    def name_of(self, key: str, known: Sequence[str], what: str) -> str:
-        """Return the name of something else in the file; `what` describes it in errors."""
-        value = self.text(key, example=_alternatives(known))
-        if value not in known:
-            raise self.source.no_such((*self.path, key), value, known, what)
-        return value
-
-    def flag(self, key: str, default: object = _REQUIRED) -> bool:
-        """Return a boolean."""
-        value = self._get(key, default, "true")
-        if not isinstance(value, bool):
-            raise self._wrong_type(key, "true or false", value, "true")
-        return value
-
-    def integer(
-        self,
-        key: str,
-        default: object = _REQUIRED,
-        *,
-        low: int,
-        high: int,
-        unit: str = "",
-        example: str = "",
-    ) -> int:
-        """Return an integer from `low` to `high`, both included."""
-        value = self._get(key, default, example)
-        if not isinstance(value, int) or isinstance(value, bool):
-            raise self._wrong_type(key, "an integer" + _bracketed(unit), value, example)
-        self._check_range(key, value, low, high, unit)
-        return value
-
-    def number(
-        self,
-        key: str,
-        default: object = _REQUIRED,
-        *,
-        low: float,
-        high: float,
-        unit: str = "",
-        example: str = "",
-    ) -> float:
-        """Return a finite number from `low` to `high`, both included."""
-        value = self._get(key, default, example)
-        if not isinstance(value, int | float) or isinstance(value, bool):
-            raise self._wrong_type(key, "a number" + _bracketed(unit), value, example)
-        self._check_range(key, value, low, high, unit)
-        return float(value)
-
-    def texts(self, key: str, default: object = _REQUIRED, example: str = "") -> tuple[str, ...]:
-        """Return a list of strings as a tuple."""
-        value = self._get(key, default, example)
-        if not isinstance(value, list | tuple):
-            raise self._wrong_type(key, "a list of strings", value, example)
-        for index, item in enumerate(value):
-            if not isinstance(item, str):
-                path = (*self.path, key, index)
-                raise self.source.error(path, f"must be a string ({shown(item)})", example)
-        return tuple(value)
-
     def table(self, key: str) -> "Table":
         """Return a table, or an empty one if the key is absent."""
-        value = self.values.get(key, {})
-        if not isinstance(value, dict):
-            raise self._wrong_type(
-                key, "a table", value, "", f"write [{dotted((*self.path, key))}]"
-            )
-        return Table(self.source, (*self.path, key), value)
+        path = (*self.path, key)
+        with self.source.with_lines():
+            return Table(self.source, path, as_table(self.values.get(key, {}), path))
 
     def listed_tables(self, key: str) -> "list[Table]":
         """Return the tables of an array of tables, or [] if the key is absent."""
-        value = self.values.get(key, [])
-        remedy = f"write [[{dotted((*self.path, key))}]]"
-        if not isinstance(value, list):
-            raise self._wrong_type(key, "an array of tables", value, "", remedy)
-        for index, item in enumerate(value):
-            if not isinstance(item, dict):
-                path = (*self.path, key, index)
-                raise self.source.error(path, f"must be a table ({shown(item)})", remedy)
-        return [Table(self.source, (*self.path, key, n), item) for n, item in enumerate(value)]
-
-    def _get(self, key: str, default: object, example: str) -> object:
-        value = self.values.get(key, default)
-        if value is _REQUIRED:
-            raise self.missing(key, _write(key, example))
-        return value
-
-    def _check_range(self, key: str, value: float, low: float, high: float, unit: str) -> None:
-        if isinstance(value, float) and not math.isfinite(value):
-            raise self.error(key, f"must be finite ({value})", f"write {low} to {high}")
-        if not low <= value <= high:
-            unit = f" {unit}" if unit else ""
-            limit = f"{shown(low)} to {shown(high)}{unit}"
-            if math.isinf(high):
-                limit = f"{shown(low)}{unit} or more"
-            raise self.error(key, f"{shown(value)}{unit} is out of range", f"allowed: {limit}")
-
-    def _wrong_type(
-        self, key: str, wanted: str, value: object, example: str, remedy: str = ""
-    ) -> RigError:
-        message = f"must be {wanted}, but is {kind_of(value)} ({shown(value)})"
-        return self.error(key, message, remedy or _write(key, example))
-
-
-def _write(key: str, example: str) -> str:
-    return f"write {key} = {example}" if example else ""
-
-
-def _alternatives(known: Sequence[str]) -> str:
-    return " or ".join(f'"{name}"' for name in known[:4])
-
-
-def _bracketed(unit: str) -> str:
-    return f" [{unit}]" if unit else ""
+        path = (*self.path, key)
+        with self.source.with_lines():
+            tables = as_tables(self.values.get(key, []), path)
+        return [Table(self.source, (*path, index), item) for index, item in enumerate(tables)]
 
 
 def _syntax_error(text: str, source: str) -> tuple[str, int]:

@@ -57,6 +57,38 @@ if TYPE_CHECKING:
 
 _Names = Mapping[int, tuple[object, object]]
 _Methods = list[tuple[type, str, object]]
+_COPY: Final = "the new process would have its own copy of the rig, with its own time"
+_SOCKET: Final = "it blocks in the operating system, and with it all threads of the program"
+_PROCESSES: Final = "it is for processes, and blocks in the operating system"
+_ALARM: Final = "it uses the wall clock, not the rig's clock"
+_THREADS: Final = "use threads (concurrent.futures.ThreadPoolExecutor)"
+_TIMER: Final = "use threading.Timer"
+_POLL: Final = "poll with a timeout of 0, and sleep in between"
+_FUNCTIONS: Final = (
+    (os.fork, "os.fork", _COPY, _THREADS),
+    (os.forkpty, "os.forkpty", _COPY, _THREADS),
+    (select.poll, "select.poll", _SOCKET, _POLL),
+    (select.epoll, "select.epoll", _SOCKET, _POLL),
+    (signal.alarm, "signal.alarm", _ALARM, _TIMER),
+    (signal.setitimer, "signal.setitimer", _ALARM, _TIMER),
+    (signal.pause, "signal.pause", _SOCKET, "sleep until a flag is set"),
+    (signal.sigwait, "signal.sigwait", _SOCKET, "sleep until a flag is set"),
+    (signal.sigwaitinfo, "signal.sigwaitinfo", _SOCKET, "sleep until a flag is set"),
+    (signal.sigtimedwait, "signal.sigtimedwait", _SOCKET, "sleep until a flag is set"),
+)
+_OF_PROCESSES: Final = (
+    *("Barrier", "BoundedSemaphore", "Condition", "Event", "JoinableQueue", "Lock", "Manager"),
+    *("Pipe", "Pool", "Queue", "RLock", "Semaphore", "SimpleQueue"),
+)
+_LOOPS: Final = (
+    (asyncio.Runner, "__enter__"),  # by asyncio.run: before there is anything to close
+    (asyncio.Runner, "run"),
+    (asyncio.BaseEventLoop, "run_until_complete"),
+    (asyncio.BaseEventLoop, "run_forever"),
+)
+_RECEIVING: Final = (
+    *("accept", "recv", "recv_into", "recvfrom", "recvfrom_into", "recvmsg", "recvmsg_into"),
+)
 
 
 @final
@@ -160,41 +192,6 @@ def _seeded(seed: int) -> Iterator[None]:
         yield
     finally:
         random.setstate(before)
-
-
-_COPY: Final = "the new process would have its own copy of the rig, with its own time"
-_SOCKET: Final = "it blocks in the operating system, and with it all threads of the program"
-_PROCESSES: Final = "it is for processes, and blocks in the operating system"
-_ALARM: Final = "it uses the wall clock, not the rig's clock"
-_THREADS: Final = "use threads (concurrent.futures.ThreadPoolExecutor)"
-_TIMER: Final = "use threading.Timer"
-_POLL: Final = "poll with a timeout of 0, and sleep in between"
-
-_FUNCTIONS: Final = (
-    (os.fork, "os.fork", _COPY, _THREADS),
-    (os.forkpty, "os.forkpty", _COPY, _THREADS),
-    (select.poll, "select.poll", _SOCKET, _POLL),
-    (select.epoll, "select.epoll", _SOCKET, _POLL),
-    (signal.alarm, "signal.alarm", _ALARM, _TIMER),
-    (signal.setitimer, "signal.setitimer", _ALARM, _TIMER),
-    (signal.pause, "signal.pause", _SOCKET, "sleep until a flag is set"),
-    (signal.sigwait, "signal.sigwait", _SOCKET, "sleep until a flag is set"),
-    (signal.sigwaitinfo, "signal.sigwaitinfo", _SOCKET, "sleep until a flag is set"),
-    (signal.sigtimedwait, "signal.sigtimedwait", _SOCKET, "sleep until a flag is set"),
-)
-_OF_PROCESSES: Final = (
-    *("Barrier", "BoundedSemaphore", "Condition", "Event", "JoinableQueue", "Lock", "Manager"),
-    *("Pipe", "Pool", "Queue", "RLock", "Semaphore", "SimpleQueue"),
-)
-_LOOPS: Final = (
-    (asyncio.Runner, "__enter__"),  # by asyncio.run: before there is anything to close
-    (asyncio.Runner, "run"),
-    (asyncio.BaseEventLoop, "run_until_complete"),
-    (asyncio.BaseEventLoop, "run_forever"),
-)
-_RECEIVING: Final = (
-    *("accept", "recv", "recv_into", "recvfrom", "recvfrom_into", "recvmsg", "recvmsg_into"),
-)
 
 
 def _refuse(name: str, why: str, remedy: str) -> None:

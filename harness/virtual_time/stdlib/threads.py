@@ -44,6 +44,9 @@ _SPIN_LOOK_NS: Final = 10_000
 _BILL_NS: Final = 1_000_000
 _SPIN_BILLS: Final = 10
 _REPORTED_BILLS: Final = 1_000
+_FOR_EVER: Final = -1
+_ROUNDS: Final = 3  # attempts to end a thread that continues
+_GRACE_S: Final = 10.0  # in the rig's time, for each attempt
 
 
 @final
@@ -200,9 +203,6 @@ def whereabouts(party: VirtualParty) -> str:
     if party.held_up_by not in (None, party):  # a party takes a condition's lock from itself
         words.append(f", held up by {party.held_up_by.name}")
     return "".join(words)
-
-
-_FOR_EVER: Final = -1
 
 
 @final
@@ -383,8 +383,6 @@ class RLock:
         return f"<RLock in virtual time, held {self._count} times, at {id(self):#x}>"
 
 
-_ROUNDS: Final = 3  # attempts to end a thread that continues
-_GRACE_S: Final = 10.0  # in the rig's time, for each attempt
 _parties: "weakref.WeakKeyDictionary[Thread, VirtualParty]" = weakref.WeakKeyDictionary()
 _start = Thread.start
 _join = Thread.join

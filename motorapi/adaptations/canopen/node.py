@@ -5,14 +5,15 @@
 
 import struct
 from collections import deque
-from typing import TYPE_CHECKING, Final, Protocol
+from typing import TYPE_CHECKING, Final
 
 from motorhil.motorapi.adaptations.canopen.bus import HEARTBEAT_ID, OPERATIONAL, STOPPED, CanopenBus
 from motorhil.motorapi.adaptations.canopen.emcy import Emergency, last_error, standing_error
 from motorhil.motorapi.adaptations.canopen.errors import SdoAborted
 from motorhil.motorapi.adaptations.canopen.objects import ObjectTable, Value, decode
 from motorhil.motorapi.adaptations.canopen.sdo import SdoChannel
-from motorhil.motorapi.errors import DeadlineExceeded, LinkError, UsageError
+from motorhil.motorapi.adaptations.canopen.settings import NodeOptions
+from motorhil.motorapi.errors import DeadlineExceeded, LinkError
 from motorhil.motorapi.locking.directory import bus_name
 from motorhil.motorapi.locking.process_lock import ProcessLock, can_share_time
 from motorhil.motorapi.runtime.api import ChangeCounter
@@ -28,78 +29,6 @@ _PRE_OPERATIONAL: Final = 0x80
 _LOST_REMEDY: Final = "check its power and cable, and the load of the bus"
 _EMCY: Final = struct.Struct("<8xHB5s")
 _EMERGENCIES_MAX: Final = 100
-
-
-class NodeOptions(Protocol):
-    """The settings of the host for a node."""
-
-    @property
-    def host_node_id(self) -> int:
-        """The node-ID under which the host sends its heartbeat."""
-
-    @property
-    def heartbeat_ms(self) -> int:
-        """The period of both heartbeats; 0: no heartbeats."""
-
-    @property
-    def heartbeat_timeout_ms(self) -> int:
-        """The silence after which either side regards the other as lost."""
-
-    @property
-    def status_period_ms(self) -> int:
-        """The period of the node's status; 0: on change only."""
-
-    @property
-    def connect_timeout_s(self) -> float:
-        """The longest time for the node to boot."""
-
-    @property
-    def sdo_timeout_s(self) -> float:
-        """The longest time for an SDO response."""
-
-    @property
-    def sdo_quarantine_s(self) -> float:
-        """The time after an unanswered request in which a late response may still arrive."""
-
-
-WholeRange = tuple[int, int, str]
-"""Lowest and highest value, and unit."""
-
-_WHOLE: Final[dict[str, WholeRange]] = {
-    "host_node_id": (1, 127, ""),
-    "heartbeat_ms": (0, 65535, " ms"),  # 1017h
-    "heartbeat_timeout_ms": (0, 65535, " ms"),  # 1016h
-    "status_period_ms": (0, 65535, " ms"),  # 1800h:05h
-}
-_TIMEOUTS: Final = ("connect_timeout_s", "sdo_timeout_s", "sdo_quarantine_s")
-_TIMEOUT_MAX_S: Final = 3600
-
-
-def check_whole(name: str, value: object, allowed: WholeRange) -> None:
-    """Raise UsageError if a setting is not an integer in its range."""
-    low, high, unit = allowed
-    if not isinstance(value, int) or not low <= value <= high:
-        raise UsageError(f"{name} = {value!r}: must be an integer, {low} to {high}{unit}")
-
-
-def check_node_options(options: NodeOptions) -> None:
-    """Check the settings that all kinds of node have.
-
-    Raises:
-        UsageError: a setting has the wrong type or is out of range.
-    """
-    for name, allowed in _WHOLE.items():
-        check_whole(name, getattr(options, name), allowed)
-    for name in _TIMEOUTS:
-        value = getattr(options, name)
-        if not isinstance(value, int | float) or not 0 < value <= _TIMEOUT_MAX_S:
-            limit = f"> 0 s, and at most {_TIMEOUT_MAX_S} s"
-            raise UsageError(f"{name} = {value!r}: must be {limit}")
-    if 0 < options.heartbeat_timeout_ms <= options.heartbeat_ms:
-        raise UsageError(
-            f"heartbeat_timeout_ms = {options.heartbeat_timeout_ms}: must be longer than"
-            f" heartbeat_ms = {options.heartbeat_ms}, better three times as long"
-        )
 
 
 class CanopenNode:

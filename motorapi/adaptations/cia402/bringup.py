@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from typing import Final, final
 
 from motorhil.motorapi.adaptations.canopen.bus import HEARTBEAT_ID
-from motorhil.motorapi.adaptations.canopen.node import check_node_options, check_whole
 from motorhil.motorapi.adaptations.canopen.pdo_setup import (
     EVENT_DRIVEN,
     SYNCHRONOUS,
@@ -21,6 +20,7 @@ from motorhil.motorapi.adaptations.canopen.pdo_setup import (
 from motorhil.motorapi.adaptations.canopen.sync import SYNC_ID
 from motorhil.motorapi.adaptations.cia402.node import DriveNode
 from motorhil.motorapi.adaptations.cia402.objects import Mode
+from motorhil.motorapi.adaptations.cia402.settings import HwOptions
 from motorhil.motorapi.errors import UsageError
 from motorhil.motorapi.synchronization.bus_load import NodeTraffic, PeriodicMessage, note_node
 
@@ -74,81 +74,6 @@ _PROFILE_402: Final = 0x0192
 _TPDOS: Final = 4
 _FIRST_STATUS_S: Final = 0.5
 _LATCHED_TARGETS: Final = (_TARGET_POSITION, _TARGET_VELOCITY)
-
-
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class HwOptions:
-    """The settings of a hardware object for its drive; the defaults suit most drives.
-
-    Attributes:
-        host_node_id: the node-ID under which the host sends its heartbeat.
-        heartbeat_ms: the period of the drive's and the host's heartbeats; 0: no heartbeats.
-        heartbeat_timeout_ms: the silence after which either side regards the other as lost.
-        status_period_ms: the period with which the drive sends statusword and position; 0: on
-            change only.
-        status_inhibit_ms: the shortest time between two of these messages.
-        velocity_period_ms: the period with which the drive sends velocity and torque; 0: they are
-            polled.
-        connection_loss: the drive's reaction to the loss of the host (6007h): 1 fault, 2 disable
-            voltage, 3 quick stop (the next program need not reset a fault); None leaves the drive's
-            setting.
-        servo_period_ms: the drive's profile tick, for predicting skew; None: not known.
-        oscillator_ppm: the tolerance of the drive's clock in either direction [1e-6]; likewise.
-        sdo_reply_ms: the drive's longest SDO response time; likewise.
-        set_point_period_ms: the period of set-points (SYNCs) that the host streams to the drive;
-            the same for all drives of a bus.
-        connect_timeout_s: the longest time for the drive to boot.
-        sdo_timeout_s: the longest time for an SDO response.
-        sdo_quarantine_s: the time after an unanswered request in which a late response may still
-            arrive.
-    """
-
-    host_node_id: int = 127
-    heartbeat_ms: int = 100
-    heartbeat_timeout_ms: int = 300
-    status_period_ms: int = 20
-    status_inhibit_ms: float = 2.0
-    velocity_period_ms: int = 0
-    connection_loss: int | None = 3
-    servo_period_ms: float | None = None
-    oscillator_ppm: float | None = None
-    sdo_reply_ms: float | None = None
-    set_point_period_ms: int = 5
-    connect_timeout_s: float = 3.0
-    sdo_timeout_s: float = 0.3
-    sdo_quarantine_s: float = 1.0
-
-    def __post_init__(self) -> None:
-        """Refuse invalid options.
-
-        Raises:
-            UsageError: an option has the wrong type or is out of range.
-        """
-        check_node_options(self)
-        for name, allowed in _WHOLE.items():
-            value = getattr(self, name)
-            if value is not None or name != "connection_loss":
-                check_whole(name, value, allowed)
-        for name, (highest, of, optional) in _NUMBERS.items():
-            value = getattr(self, name)
-            if value is None and optional:
-                continue
-            if not isinstance(value, int | float) or not 0 <= value <= highest:
-                raise UsageError(f"{name} = {value!r}: must be 0 to {highest:g} {of}")
-
-
-_WHOLE: Final = {  # lowest, highest, unit
-    "velocity_period_ms": (0, 65535, " ms"),
-    "set_point_period_ms": (1, 255, " ms"),  # 60C2h
-    "connection_loss": (-32768, 3, ""),  # 6007h; negative values are manufacturer-specific
-}
-_NUMBERS: Final = {  # highest, unit, whether None is allowed
-    "status_inhibit_ms": (6553.5, "ms", False),  # 1800h:03h
-    "servo_period_ms": (1000.0, "ms", True),
-    "oscillator_ppm": (100_000.0, "ppm", True),
-    "sdo_reply_ms": (60_000.0, "ms", True),
-}
 
 
 @final

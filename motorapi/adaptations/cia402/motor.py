@@ -23,13 +23,11 @@ also follows SYNC, as a frame may be lost.
 
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
-from dataclasses import fields
 from typing import TYPE_CHECKING, Final, final
 
 from motorhil.motorapi.adaptations.canopen.bus import CanopenBus
 from motorhil.motorapi.adaptations.canopen.errors import SdoAborted
 from motorhil.motorapi.adaptations.canopen.link import Transmission
-from motorhil.motorapi.adaptations.cia402.bringup import HwOptions
 from motorhil.motorapi.adaptations.cia402.hardware import Cia402HwMotor
 from motorhil.motorapi.adaptations.cia402.measurements import DriveReader
 from motorhil.motorapi.adaptations.cia402.motion import POLL_S, DriveMotions
@@ -45,8 +43,9 @@ from motorhil.motorapi.adaptations.cia402.objects import (
     PdsState,
 )
 from motorhil.motorapi.adaptations.cia402.parameters import Cia402Parameters
+from motorhil.motorapi.adaptations.cia402.settings import Cia402Table, HwOptions
 from motorhil.motorapi.adaptations.cia402.units import DriveUnits
-from motorhil.motorapi.adaptations.registration import Shared, as_name, number, refuse_unknown
+from motorhil.motorapi.adaptations.registration import Shared, read_settings
 from motorhil.motorapi.commands import ControlMode, ControlVariable, Setpoint
 from motorhil.motorapi.errors import PeerError, UnsupportedError, UsageError
 from motorhil.motorapi.model import MotorModel
@@ -424,8 +423,6 @@ def _check_parts(hardware: object, model: object) -> None:
         raise UsageError(f"Cia402Motor({hardware!r}, {model!r}): give {wanted}")
 
 
-_OPTIONS: Final = tuple(field.name for field in fields(HwOptions))
-_KEYS: Final = ("name", "node_id", *_OPTIONS)
 _SHARED: Final[Shared[Cia402HwMotor]] = Shared("drive")
 
 
@@ -445,25 +442,17 @@ def build(
     Raises:
         UsageError: a setting is unknown, missing or invalid.
     """
-    refuse_unknown(settings, _KEYS, "setting of a cia402 motor")
-    node_id = settings.get("node_id")
-    if not isinstance(node_id, int) or isinstance(node_id, bool):
-        raise UsageError(f"node_id = {node_id!r}: must be a node-ID, 1 to 127")
-    given = {
-        key: None if value is None else number(key, value)
-        for key, value in settings.items()
-        if key in _OPTIONS
-    }
-    options = HwOptions(**given)  # type: ignore[arg-type]  # HwOptions checks them
+    own = read_settings(Cia402Table, settings)
+    options = own.part(HwOptions)
     hardware = _SHARED.get(
         bus,
-        node_id,
-        lambda: Cia402HwMotor(bus, node_id, runtime=runtime, options=options),
+        own.node_id,
+        lambda: Cia402HwMotor(bus, own.node_id, runtime=runtime, options=options),
         lambda built: built.options == options,
     )
     return Cia402Motor(
         hardware,
         model,
-        name=as_name(settings.get("name")),
+        name=own.name,
         on_close=lambda: _SHARED.give_back(hardware),
     )

@@ -9,7 +9,8 @@ from typing import Final, final
 
 from motorhil.motorapi.adaptations.canopen.bus import CanopenBus
 from motorhil.motorapi.adaptations.canopen.emcy import error_text
-from motorhil.motorapi.adaptations.canopen.node import CanopenNode, NodeOptions
+from motorhil.motorapi.adaptations.canopen.node import CanopenNode
+from motorhil.motorapi.adaptations.canopen.settings import NodeOptions
 from motorhil.motorapi.adaptations.cia402.motion_status import MotionWatch
 from motorhil.motorapi.adaptations.cia402.objects import (
     ENABLED_MASK,

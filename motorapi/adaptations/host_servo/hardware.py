@@ -30,10 +30,10 @@ from motorhil.motorapi.adaptations.host_servo.node import (
     READY,
     AmplifierNode,
     IoFacts,
-    IoOptions,
     open_node,
 )
 from motorhil.motorapi.adaptations.host_servo.servo import Servo, ServoLimits
+from motorhil.motorapi.adaptations.host_servo.settings import IoOptions
 from motorhil.motorapi.commands import as_number
 from motorhil.motorapi.errors import (
     DeadlineExceeded,

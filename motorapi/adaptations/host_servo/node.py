@@ -22,7 +22,6 @@ from motorhil.motorapi.adaptations.canopen.bus import HEARTBEAT_ID, open_bus, re
 from motorhil.motorapi.adaptations.canopen.link import can_frame
 from motorhil.motorapi.adaptations.canopen.node import (
     CanopenNode,
-    check_node_options,
     node_locks,
 )
 from motorhil.motorapi.adaptations.canopen.objects import COMMUNICATION_OBJECTS, ObjectTable
@@ -36,6 +35,7 @@ from motorhil.motorapi.adaptations.canopen.sync import SYNC_ID
 from motorhil.motorapi.adaptations.canopen.turn_lock import TurnLock
 from motorhil.motorapi.adaptations.host_servo.cycle import Axis, ChannelPair, Cycle, cycle_of
 from motorhil.motorapi.adaptations.host_servo.occupation import NodeOccupation
+from motorhil.motorapi.adaptations.host_servo.settings import IoOptions
 from motorhil.motorapi.bus_context import context_of
 from motorhil.motorapi.errors import (
     DeadlineExceeded,
@@ -52,56 +52,6 @@ if TYPE_CHECKING:
     from motorhil.motorapi.adaptations.canopen.pdo_setup import PdoFound
     from motorhil.motorapi.locking.process_lock import LockHandle
     from motorhil.motorapi.runtime.api import Runtime
-
-
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class IoOptions:
-    """The settings of the host for an I/O node, shared by all motors on its channels.
-
-    Attributes:
-        cycle_ms: the period of the servo, and of SYNC.
-        misses_max: the number of consecutive missed cycles that stops a motor.
-        counter: the index of the object with the counters; 6820h: CiA 406 beside CiA 401.
-        host_node_id: the node-ID of the host's heartbeat, sent since the first motor was enabled.
-            It must differ from the one that drives watch: another process may send that heartbeat
-            as well, and the death of a servo would not be detected.
-        heartbeat_ms, heartbeat_timeout_ms, connect_timeout_s, sdo_timeout_s, sdo_quarantine_s: as
-            in HwOptions.
-        status_period_ms: the period with which the node sends its digital inputs; 0: on change
-            only.
-        amplifier_tick_ms: the period with which an amplifier samples its input, for predicting
-            skew; None: not known.
-    """
-
-    cycle_ms: float = 1.0
-    misses_max: int = 10
-    counter: int = 0x6820
-    host_node_id: int = 126
-    heartbeat_ms: int = 100
-    heartbeat_timeout_ms: int = 300
-    status_period_ms: int = 20
-    connect_timeout_s: float = 3.0
-    sdo_timeout_s: float = 0.3
-    sdo_quarantine_s: float = 1.0
-    amplifier_tick_ms: float | None = None
-
-    def __post_init__(self) -> None:
-        """Refuse invalid options.
-
-        Raises:
-            UsageError: an option has the wrong type or is out of range.
-        """
-        if not isinstance(self.cycle_ms, int | float) or not 0.1 <= self.cycle_ms <= 1000.0:
-            raise UsageError(f"cycle_ms = {self.cycle_ms!r}: must be 0.1 to 1000 ms")
-        if not isinstance(self.misses_max, int) or not 1 <= self.misses_max <= 1_000_000:
-            raise UsageError(f"misses_max = {self.misses_max!r}: must be an integer >= 1")
-        if not isinstance(self.counter, int) or not 0x2000 <= self.counter <= 0x9FFF:
-            raise UsageError(f"counter = {self.counter!r}: must be an index, 2000h to 9FFFh")
-        tick_ms = self.amplifier_tick_ms
-        if tick_ms is not None and not (isinstance(tick_ms, int | float) and 0 <= tick_ms <= 1000):
-            raise UsageError(f"amplifier_tick_ms = {tick_ms!r}: must be 0 to 1000 ms")
-        check_node_options(self)
 
 
 @final

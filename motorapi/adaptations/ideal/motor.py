@@ -22,19 +22,19 @@ the shaft is held: the motor exerts torque and stands still.
 """
 
 from collections.abc import Callable, Mapping
-from math import isfinite
-from typing import TYPE_CHECKING, Final, final
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar, Final, final
 
 from motorhil.motorapi.adaptations.ideal.hardware import IdealHwMotor
-from motorhil.motorapi.adaptations.registration import Shared, refuse_unknown
-from motorhil.motorapi.commands import ControlMode, ControlVariable, Setpoint, as_number
-from motorhil.motorapi.errors import DeviceFault, LinkError, UnsupportedError, UsageError
-from motorhil.motorapi.model import MotionKind
+from motorhil.motorapi.adaptations.registration import Shared, read_settings
+from motorhil.motorapi.commands import ControlMode, ControlVariable, Setpoint
+from motorhil.motorapi.errors import DeviceFault, LinkError, UnsupportedError
 from motorhil.motorapi.motion import Motion
 from motorhil.motorapi.motor import Motor
 from motorhil.motorapi.state import Fault, Measurement, MotorState
 from motorhil.motorapi.synchronization.offer import Firing, SyncOffer, Trigger
 from motorhil.motorapi.synchronization.quality import MotionTimes, SyncLevel
+from motorhil.settings import number, text
 
 if TYPE_CHECKING:
     from motorhil.motorapi.model import MotorModel
@@ -202,11 +202,38 @@ class IdealMotor(Motor):
         return MotionTimes(begun_ns, over_ns, "the law of its motion")
 
 
-_KEYS: Final = {
-    MotionKind.ROTARY: ("position_rad", "torque_constant_n_m_a"),
-    MotionKind.LINEAR: ("position_m", "torque_constant_n_a"),
-}
 _SHARED: Final[Shared[IdealHwMotor]] = Shared("axis")
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class IdealTable:
+    """An ideal motor, not on any bus: it executes every command exactly and at once."""
+
+    name: str | None = text(None, "Name of the motor; absent: the model's.")
+    axis: str | None = text(
+        None, "Motors of one axis are one physical motor; absent: the motor's name."
+    )
+    position: float | None = number(
+        None, unit="{u}", doc="Initial position; absent: 0.", name="position_{u}"
+    )
+    torque_constant: float | None = number(
+        None,
+        0,
+        doc="Torque [N·m], or force [N], per current [A]; absent: 1.",
+        name="torque_constant_n_m_a",
+        of_linear="torque_constant_n_a",
+        above=True,
+    )
+
+    SCHEMA: ClassVar = {
+        "not": {
+            "anyOf": [
+                {"required": ["position_rad", "position_m"]},
+                {"required": ["torque_constant_n_m_a", "torque_constant_n_a"]},
+            ]
+        }
+    }
 
 
 def build(
@@ -227,17 +254,10 @@ def build(
     Raises:
         UsageError: a setting is unknown or invalid.
     """
-    position_key, constant_key = _KEYS[model.kind]
-    known = ("name", "axis", position_key, constant_key)
-    refuse_unknown(settings, known, f"setting of an ideal {model.kind.value} motor")
-    name = settings.get("name", model.name)
-    axis = settings.get("axis", name)
-    if not isinstance(name, str) or not isinstance(axis, str) or not axis:
-        raise UsageError(f"axis = {axis!r}: must be a name")
-    position = _number(settings, position_key)
-    constant = _number(settings, constant_key)
-    if constant is not None and constant <= 0.0:
-        raise UsageError(f"{constant_key} = {constant:g}: must be > 0")
+    own = read_settings(IdealTable, settings, model.unit)
+    name = own.name or model.name
+    axis = own.axis or name
+    position, constant = own.position, own.torque_constant
     hardware = _SHARED.get(
         runtime,
         axis,
@@ -255,13 +275,3 @@ def build(
 
 
 build.needs_bus = False  # type: ignore[attr-defined]  # what a rig asks of every adaptation
-
-
-def _number(settings: Mapping[str, object], key: str) -> float | None:
-    value = settings.get(key)
-    if value is None:
-        return None
-    number = as_number(value)
-    if isinstance(value, bool) or not isfinite(number):
-        raise UsageError(f"{key} = {value!r}: must be a finite number")
-    return number

@@ -19,4 +19,4 @@ class LeadshineMotor(PolledMotor[LeadshineHwMotor]):
     """A logical motor on a PR-mode drive; any number of them may share one hardware object."""
 
 
-build: Final = PolledBuilder("a leadshine motor", LeadshineHwMotor, LeadshineMotor)
+build: Final = PolledBuilder(LeadshineHwMotor, LeadshineMotor)

@@ -23,6 +23,7 @@ fields repeated in a response, MODBUS Application Protocol V1.1b3, sections 6.3,
 from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, Protocol, final
 
 from pymodbus.exceptions import ModbusException
@@ -121,35 +122,24 @@ def is_silence(error: Exception) -> bool:
 
 
 @final
+@dataclass(slots=True, eq=False)
 class Exchange:
-    """A request and, once it is over, its answer or its error."""
+    """A request and, once it is over, its answer or its error.
 
-    __slots__ = (
-        "answer",
-        "asked_ns",
-        "error",
-        "is_over",
-        "is_posted",
-        "owned",
-        "request",
-        "timeout_s",
-        "transaction",
-        "unit",
-    )
+    Attributes:
+        owned: must be ours when the request is sent; None: not required.
+    """
 
-    def __init__(
-        self, request: ModbusPDU, unit: int, timeout_s: float, owned: "Owned | None" = None
-    ) -> None:
-        self.request: Final = request
-        self.unit: Final = unit
-        self.timeout_s: Final = timeout_s
-        self.owned: Final = owned  # must be ours when the request is sent; None: not required
-        self.transaction = 0
-        self.asked_ns = 0
-        self.is_posted = False
-        self.answer: ModbusPDU | None = None
-        self.error: MotorError | None = None
-        self.is_over = False
+    request: ModbusPDU
+    unit: int
+    timeout_s: float
+    owned: "Owned | None" = None
+    transaction: int = 0
+    asked_ns: int = 0
+    is_posted: bool = False
+    answer: ModbusPDU | None = None
+    error: MotorError | None = None
+    is_over: bool = False
 
 
 def answers(answer: ModbusPDU, request: ModbusPDU) -> bool:

@@ -68,27 +68,27 @@ class Wanted(Enum):
 
 
 @final
+@dataclass(slots=True)
 class PolledProgress:
     """The state of a physical motor, for all logical motors on it.
 
-    Attributes: poll (the last one since a command), wanted (None: no active motion), armed (the
-    value of `wanted` after the trigger), started_ns, ended_ns (of the last command), armed_at and
-    target (its target position or velocity; None: any), rests (consecutive polls without motion).
+    Attributes:
+        poll: the last status since a command.
+        wanted: the condition that ends the active motion; None: no active motion.
+        armed, armed_at: `wanted` and `target` after the trigger.
+        target: the target position or velocity; None: any.
+        rests: number of consecutive polls without motion.
+        started_ns, ended_ns: of the last command.
     """
 
-    __slots__ = (
-        *("armed", "armed_at", "ended_ns", "poll", "rests", "started_ns", "target", "wanted"),
-    )
-
-    def __init__(self) -> None:
-        self.poll: Poll | None = None
-        self.wanted: Wanted | None = None
-        self.armed = Wanted.ARRIVAL
-        self.armed_at: float | None = None
-        self.target: float | None = None
-        self.rests = 0
-        self.started_ns: int | None = None
-        self.ended_ns: int | None = None
+    poll: Poll | None = None
+    wanted: Wanted | None = None
+    armed: Wanted = Wanted.ARRIVAL
+    armed_at: float | None = None
+    target: float | None = None
+    rests: int = 0
+    started_ns: int | None = None
+    ended_ns: int | None = None
 
 
 class PolledHardware(ABC):

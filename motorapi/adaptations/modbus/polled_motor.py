@@ -5,24 +5,25 @@ status while a motion is active, and makes a motor of its hardware object.
 """
 
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, Generic, TypeVar, final
 
 from motorhil.motorapi.adaptations.modbus.client import is_silence
 from motorhil.motorapi.adaptations.modbus.polled_hardware import Poll, PolledHardware, Wanted
-from motorhil.motorapi.adaptations.registration import Shared, as_name, number, refuse_unknown
+from motorhil.motorapi.adaptations.registration import Shared, read_settings
 from motorhil.motorapi.commands import ControlMode, ControlVariable
 from motorhil.motorapi.errors import (
     DeviceFault,
     LinkError,
     MotionInterrupted,
     UnsupportedError,
-    UsageError,
 )
 from motorhil.motorapi.motion import Motion
 from motorhil.motorapi.motor import Motor
 from motorhil.motorapi.state import Fault, Measurement, MotorState
 from motorhil.motorapi.synchronization.offer import SyncOffer, Trigger
 from motorhil.motorapi.synchronization.quality import MotionTimes, SyncLevel
+from motorhil.settings import REQUIRED, number, text, whole
 
 if TYPE_CHECKING:
     from motorhil.motorapi.adaptations.modbus.client import ByteLine
@@ -34,8 +35,6 @@ _BEGIN_NS: Final = 100_000_000  # for which a drive may show an old status
 _RESTS: Final = 2  # the values of one poll are not simultaneous
 _NEAR_TURNS: Final = 1 / 200  # a full step: no drive rounds a target by more
 _SUPPORTED: Final = (ControlVariable.POSITION, ControlVariable.VELOCITY)
-_KEYS: Final = ("name", "unit", "timeout_s")
-_TIMEOUT_S: Final = 0.2
 
 HardwareT = TypeVar("HardwareT", bound=PolledHardware)
 
@@ -296,21 +295,27 @@ class PolledMotor(Motor, Generic[HardwareT]):
 
 
 @final
+@dataclass(frozen=True, kw_only=True)
+class PolledTable:
+    """A motor behind a drive on a Modbus line."""
+
+    unit: int = whole(REQUIRED, 1, 247, "", "Server address of the drive.", example="1")
+    name: str | None = text(None, "Name of the motor; absent: the model's.")
+    timeout_s: float = number(0.2, 0.001, 60.0, "s", "Response timeout.")
+
+
+@final
 class PolledBuilder(Generic[HardwareT]):
     """The `build` of one make of polled drives (entry point `motorhil.adaptations`).
 
     Args:
-        kind: the kind of motor in messages: "a leadshine motor".
         hardware: the class of the hardware.
         motor: the class of the motor.
     """
 
     bus_kinds: Final = ("modbus_rtu", "modbus_tcp")
 
-    def __init__(
-        self, kind: str, hardware: type[HardwareT], motor: "type[PolledMotor[HardwareT]]"
-    ) -> None:
-        self._kind = kind
+    def __init__(self, hardware: type[HardwareT], motor: "type[PolledMotor[HardwareT]]") -> None:
         self._hardware = hardware
         self._motor = motor
         self._shared: Shared[HardwareT] = Shared("drive")
@@ -333,22 +338,16 @@ class PolledBuilder(Generic[HardwareT]):
         Raises:
             UsageError: a setting is unknown, missing or invalid.
         """
-        refuse_unknown(settings, _KEYS, f"setting of {self._kind}")
-        unit = settings.get("unit")
-        if not isinstance(unit, int) or isinstance(unit, bool):
-            raise UsageError(f"unit = {unit!r}: must be a server address, 1 to 247")
-        timeout_s = number("timeout_s", settings.get("timeout_s", _TIMEOUT_S))
-        if not 0.001 <= timeout_s <= 60.0:
-            raise UsageError(f"timeout_s = {timeout_s:g}: must be 0.001 to 60 s")
+        own = read_settings(PolledTable, settings)
         hardware = self._shared.get(
             bus,
-            unit,
-            lambda: self._hardware(bus, unit, runtime=runtime, timeout_s=timeout_s),
-            lambda built: built.registers.timeout_s == timeout_s,
+            own.unit,
+            lambda: self._hardware(bus, own.unit, runtime=runtime, timeout_s=own.timeout_s),
+            lambda built: built.registers.timeout_s == own.timeout_s,
         )
         return self._motor(
             hardware,
             model,
-            name=as_name(settings.get("name")),
+            name=own.name,
             on_close=lambda: self._shared.give_back(hardware),
         )

@@ -19,4 +19,4 @@ class OrientalAzMotor(PolledMotor[OrientalAzHwMotor]):
     """A logical motor on an AZ drive; any number of them may share one hardware object."""
 
 
-build: Final = PolledBuilder("an oriental_az motor", OrientalAzHwMotor, OrientalAzMotor)
+build: Final = PolledBuilder(OrientalAzHwMotor, OrientalAzMotor)

@@ -73,7 +73,7 @@ def put(
     low: int | None = None,
     high: int | None = None,
 ) -> Variable:
-    return od.add(Variable(index, subindex, data_type, "", access, mappable, low, high, default))
+    return od.add(Variable(index, subindex, data_type, "", access, mappable, (low, high), default))
 
 
 def put_pdo(

@@ -8,7 +8,8 @@ import pytest
 
 from motorhil.harness.recording.sources import PlaceError, parse_place, places_of_buses
 from motorhil.harness.replay.real_bus import DrivenBuses
-from motorhil.traces.formats.frames import Findings, classic
+from motorhil.traces.can_frame import classic
+from motorhil.traces.formats.frames import Findings
 from motorhil.traces.formats.registry import recorded_frames
 from motorhil.traces.mcap.reader import read_trace
 from motorhil.traces.mcap.records import MAGIC

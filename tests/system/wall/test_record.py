@@ -13,7 +13,8 @@ from motorhil.harness.cli.main import main
 from motorhil.harness.recording.loop import RecordingLoop
 from motorhil.harness.recording.sources import PythonCanTap, parse_place
 from motorhil.harness.recording.writer import Pump, Series, opener
-from motorhil.traces.formats.frames import Findings, Frame, classic
+from motorhil.traces.can_frame import classic
+from motorhil.traces.formats.frames import Findings, Frame
 from motorhil.traces.formats.registry import record_frames, recorded_frames
 from motorhil.traces.mcap.reader import read_trace
 from tests.system.wall.hub.test_hub import serving

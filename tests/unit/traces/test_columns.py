@@ -9,9 +9,10 @@ from hypothesis import event, given
 from hypothesis import strategies as st
 from mcap.writer import CompressionType, IndexType, Writer
 
+from motorhil.traces.can_frame import FDF, classic, flexible
 from motorhil.traces.columns import read_can_arrays
 from motorhil.traces.errors import TraceError
-from motorhil.traces.formats.frames import FDF, Findings, Frame, classic, flexible
+from motorhil.traces.formats.frames import Findings, Frame
 from motorhil.traces.formats.registry import Feature, record_frames, recorded_frames
 from motorhil.traces.mcap import records
 from motorhil.traces.mcap.reader import read_trace

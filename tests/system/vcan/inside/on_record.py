@@ -12,7 +12,8 @@ import can
 from motorhil.harness.cli.main import main
 from motorhil.harness.recording.socketcan import SocketCanTap
 from motorhil.harness.recording.sources import parse_place
-from motorhil.traces.formats.frames import ERR, Findings, Frame, classic, flexible
+from motorhil.traces.can_frame import ERR, classic, flexible
+from motorhil.traces.formats.frames import Findings, Frame
 from motorhil.traces.formats.registry import record_frames, recorded_frames
 from motorhil.traces.mcap.reader import read_trace
 from motorhil.traces.schema import Direction

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from motorhil.emulators.can import frame_length as can_bits
+from motorhil.emulators.can import frame_length
 from motorhil.emulators.can.frame import (
     BRS,
     EFF_FLAG,
@@ -189,5 +189,5 @@ def test_header_cache_is_bounded_without_effect_on_results():
     for identifier in range(9000):
         measure(pack_fd(identifier | EFF_FLAG))
     assert [measure(pack_fd(identifier)) for identifier in range(0x10)] == before
-    assert len(can_bits._fd_headers) <= 4096
-    assert len(can_bits._frames) <= 8192
+    assert len(frame_length._fd_headers) <= 4096
+    assert len(frame_length._frames) <= 8192

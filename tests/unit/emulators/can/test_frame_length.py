@@ -2,7 +2,7 @@ import pytest
 from hypothesis import event, example, given
 from hypothesis import strategies as st
 
-from motorhil.emulators.can import frame_length as can_bits
+from motorhil.emulators.can import frame_length
 from motorhil.emulators.can.frame import EFF_FLAG, ERR_FLAG, RTR_FLAG, can_id_of, pack, pack_remote
 from motorhil.emulators.can.frame_length import arbitration_key, can_id_of_key, frame_bits
 from tests.support.can import frame_bits as wire
@@ -141,7 +141,7 @@ def test_header_cache_is_bounded_without_effect_on_results():
     for identifier in range(5000):
         frame_bits(pack(identifier | EFF_FLAG))
     assert [frame_bits(pack(identifier)) for identifier in range(0x10)] == before
-    assert len(can_bits._headers) <= 4096
+    assert len(frame_length._headers) <= 4096
 
 
 @given(st.integers(0, 0x7FF), st.integers(0, 8))

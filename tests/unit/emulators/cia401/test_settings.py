@@ -42,42 +42,51 @@ def test_channels_share_common_settings_and_override_them():
 @pytest.mark.parametrize(
     ("table", "text"),
     [
-        ({"node_id": 0}, "node_id: 0 is outside 1..127"),
-        ({"node_id": None}, "node_id: None is not a whole number"),
-        ({"chanels": 2}, "chanels: is not known; did you mean channels?"),
-        ({"channels": 5}, "channels: 5 is outside 1..4"),
-        ({"channel": {"2": {}}}, "channel.2: is not known; known: 1"),
-        ({"channel": {"1": 3}}, "channel.1: 3 is not a table; write [controller.NAME.channel.1]"),
-        ({"channel": {"1": {"servo": {}}}}, "channel.1.servo: is not known"),
+        ({"node_id": 0}, "node_id: 0 is out of range; allowed: 1 to 127"),
+        (
+            {"node_id": None},
+            "node_id: must be an integer, but is a date or time (None); write node_id = 1",
+        ),
+        ({"chanels": 2}, "chanels: unknown key"),
+        ({"channels": 5}, "channels: 5 is out of range; allowed: 1 to 4"),
+        ({"channel": {"2": {}}}, "channel.2: unknown key"),
+        (
+            {"channel": {"1": 3}},
+            "channel.1: must be a table, but is an integer (3); write [channel.1]",
+        ),
+        ({"channel": {"1": {"servo": {}}}}, "channel.1.servo: unknown key"),
         (
             {"channel": {"1": {"plant": {"preset": "tank"}}}},
-            "channel.1.plant.preset: there is no preset 'tank'",
+            'channel.1.plant.preset: unknown preset "tank"',
         ),
         ({"plant": {"gear_ratio": 3}}, "plant: resistance_ohm, inductance_h"),
         (
             {"amplifier": {"current_per_volt_a_v": 0}},
-            "amplifier.current_per_volt_a_v: 0 is outside 1e-06..1e+06",
+            "amplifier.current_per_volt_a_v: 0 A/V is out of range; allowed: 1e-06 to 1e+06 A/V",
         ),
-        ({"amplifier": {"gain": 1}}, "amplifier.gain: is not known"),
+        ({"amplifier": {"gain": 1}}, "amplifier.gain: unknown key"),
         ({"amplifier": {"current_steps": 3}}, "3 steps do not divide 250000 ns"),
         (
             {"channel": {"1": {"amplifier": {"enable_s": -1}}}},
-            "channel.1.amplifier.enable_s: -1 is outside 0..3600",
+            "channel.1.amplifier.enable_s: -1 s is out of range; allowed: 0 to 3600 s",
         ),
         (
             {"channel": {"1": {"initial_position_rad": 1e9}}},
             "channel.1.initial_position_rad: 21",
         ),
-        ({"timing": {"boot_s": 3}}, "timing.boot_s: is not known; did you mean boot_up_s?"),
+        ({"timing": {"boot_s": 3}}, "timing.boot_s: unknown key"),
         ({"eds": "none.eds"}, "eds: file "),
         (
             {"eds": str(DRIVE_EDS)},
             "has no 6000h:1, 6200h:1, 6411h:1, 6820h:1: it is not the EDS",
         ),
-        ({"objects": {"6443h:2": 0}}, "objects.6443h:2: motorhil_cia401.eds has no such object"),
-        ({"objects": {"6443h:1": 2}}, "objects.6443h:1: 2 is outside 0..1"),
-        ({"objects": {"6443h:1": 0.5}}, "objects.6443h:1: 0.5 is not a whole number"),
-        ({"objects": {"6443h:1": "x"}}, "objects.6443h:1: 'x' is not a number"),
+        (
+            {"objects": {"6443h:2": 0}},
+            "objects.'6443h:2': motorhil_cia401.eds has no such object; leave it out",
+        ),
+        ({"objects": {"6443h:1": 2}}, "objects.'6443h:1': 2 is outside 0..1"),
+        ({"objects": {"6443h:1": 0.5}}, "objects.'6443h:1': 0.5 is not a whole number"),
+        ({"objects": {"6443h:1": "x"}}, "objects.'6443h:1': 'x' is not a number"),
     ],
 )
 def test_wrong_setting_is_refused_by_name(table, text):

@@ -366,9 +366,17 @@ def test_every_drive_accepts_nonlinear_plant(kind):
 @pytest.mark.parametrize(
     ("table", "key", "told"),
     [
-        ({"backlash_rad": -1}, "backlash_rad", "-1 is outside 0..6.2832"),
+        (
+            {"backlash_rad": -1},
+            "backlash_rad",
+            "plant.backlash_rad: -1 rad is out of range; allowed: 0 to 6.2832 rad",
+        ),
         ({"backlash": 0.1}, "backlash", "did you mean backlash_rad?"),
-        ({"cogging_periods_rev": 1.5}, "cogging_periods_rev", "not a whole number"),
+        (
+            {"cogging_periods_rev": 1.5},
+            "cogging_periods_rev",
+            "plant.cogging_periods_rev: must be an integer, but is a float (1.5)",
+        ),
         ({"stop_low_rad": 2.0, "stop_high_rad": 1.0}, "stop_low_rad", "not below stop_high_rad"),
         (
             {"thermal_time_constant_winding_s": 2.0},

@@ -19,7 +19,7 @@ from motorhil.emulators.firmware.servo import steps
 from motorhil.emulators.firmware.servo_tables import ServoGains, ServoTables
 from motorhil.emulators.plant.nonlinear import PlantExtras
 from motorhil.emulators.plant.presets import WHEEL_60W
-from motorhil.emulators.settings.motor import servo_of
+from motorhil.emulators.settings.motor import ServoTable
 from tests.support.repetition import examples
 
 MS = 1_000_000
@@ -338,11 +338,11 @@ def test_winding_has_time_constant_of_data_sheet():
 def test_too_stiff_coupling_is_refused_with_limit():
     plant = with_extras(coupling_stiffness_n_m_rad=1e9)
     with pytest.raises(SettingError) as caught:
-        servo_of({}, plant)
+        ServoTable().gains(plant)
     assert caught.value.path == ("plant", "coupling_stiffness_n_m_rad")
     text = str(caught.value)
     limit = float(text.partition("at most ")[2].split(" ", 1)[0])
     assert "tick_s" in text
-    servo_of({}, with_extras(coupling_stiffness_n_m_rad=limit * 0.99))
+    ServoTable().gains(with_extras(coupling_stiffness_n_m_rad=limit * 0.99))
     with pytest.raises(SettingError):
-        servo_of({}, with_extras(coupling_stiffness_n_m_rad=limit * 1.01))
+        ServoTable().gains(with_extras(coupling_stiffness_n_m_rad=limit * 1.01))

@@ -13,7 +13,8 @@ import pytest
 from motorhil import harness
 from motorhil.emulators.can.frame import pack
 from motorhil.harness.cli.main import main
-from motorhil.traces.formats.frames import BRS, Frame, flexible
+from motorhil.traces.can_frame import BRS, flexible
+from motorhil.traces.formats.frames import Frame
 from motorhil.traces.formats.registry import record_frames
 from motorhil.traces.mcap.writer import TraceWriter
 from motorhil.traces.schema import CAN_FRAME, Direction, Schema, encode_can_frame

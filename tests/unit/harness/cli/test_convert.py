@@ -4,7 +4,8 @@ import json
 
 import pytest
 
-from motorhil.traces.formats.frames import Frame, classic
+from motorhil.traces.can_frame import classic
+from motorhil.traces.formats.frames import Frame
 from motorhil.traces.formats.registry import record_frames
 from motorhil.traces.mcap.writer import TraceWriter
 from motorhil.traces.protobuf import encode

@@ -12,8 +12,9 @@ from motorhil.emulators.can.bitlevel.episode import (
 from motorhil.emulators.can.frame import pack
 from motorhil.harness.oracles.base import Verdict
 from motorhil.harness.oracles.judge import judge
+from motorhil.traces.can_frame import ERR, classic
 from motorhil.traces.decoding.can_errors import ControllerState, bus_error
-from motorhil.traces.formats.frames import ERR, Frame, classic
+from motorhil.traces.formats.frames import Frame
 from motorhil.traces.formats.registry import record_frames
 from motorhil.traces.schema import Direction
 

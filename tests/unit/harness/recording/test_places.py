@@ -13,7 +13,7 @@ from motorhil.harness.recording.sources import (
     refuse_twice,
     topic_name,
 )
-from motorhil.traces.formats.frames import classic, flexible, remote
+from motorhil.traces.can_frame import classic, flexible, remote
 
 NOW_S = 1_800_000_000
 

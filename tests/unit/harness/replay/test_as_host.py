@@ -7,8 +7,8 @@ import pytest
 
 from motorhil.harness.replay.host import DrivenRig, compared, drive
 from motorhil.harness.rig.rig import Rig
+from motorhil.traces.can_frame import classic
 from motorhil.traces.exchange.recording import exchanges_of
-from motorhil.traces.formats.frames import classic
 from motorhil.traces.mcap.reader import read_trace
 from motorhil.traces.mcap.writer import TraceWriter
 from motorhil.traces.schema import CAN_FRAME, Direction, Schema, decode_can_frame

@@ -1,7 +1,7 @@
 """Bus listener of a replayed host around a reset."""
 
 from motorhil.harness.replay.host import ReceiveQueue
-from motorhil.traces.formats.frames import classic
+from motorhil.traces.can_frame import classic
 
 RESET = classic(0, b"\x81\x00")
 BOOT_UP = classic(0x701, b"\x00")

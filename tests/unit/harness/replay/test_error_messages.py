@@ -7,8 +7,8 @@ from motorhil.harness.replay.host import DrivenRig, compared, drive
 from motorhil.harness.replay.rig import with_recorded
 from motorhil.harness.replay.verdict import unanswered
 from motorhil.harness.rig.rig import Rig
+from motorhil.traces.can_frame import ERR, classic
 from motorhil.traces.exchange.recording import exchanges_of
-from motorhil.traces.formats.frames import ERR, classic
 from motorhil.traces.mcap.reader import read_trace
 from motorhil.traces.mcap.writer import TraceWriter
 from motorhil.traces.schema import Direction, encode_can_frame

@@ -3,8 +3,8 @@
 import pytest
 
 from motorhil.harness.replay.host import HostPlayer
+from motorhil.traces.can_frame import classic
 from motorhil.traces.exchange.host import ANSWER, HostStep, Listener, Told
-from motorhil.traces.formats.frames import classic
 
 MS = 1_000_000
 PATIENCE = 2_000 * MS  # the default of `replay --patience`

@@ -3,10 +3,11 @@
 import pytest
 
 from motorhil.harness.replay.device_node import NO_DATA, RecordedNode, RecordedUnit
+from motorhil.traces.can_frame import BRS, RTR, classic, flexible, remote
 from motorhil.traces.decoding.canopen import CanopenDecoder
 from motorhil.traces.exchange.canopen import CanopenExchanges
 from motorhil.traces.exchange.modbus import modbus_logs
-from motorhil.traces.formats.frames import BRS, RTR, Frame, classic, flexible, remote
+from motorhil.traces.formats.frames import Frame
 from motorhil.traces.schema import Direction
 from tests.unit.traces.exchange.test_exchange_logs import MS, adu, cut, frame
 

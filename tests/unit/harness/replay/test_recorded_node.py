@@ -3,8 +3,8 @@
 import struct
 
 from motorhil.harness.replay.device_node import RecordedNode
+from motorhil.traces.can_frame import EFF, RTR, classic
 from motorhil.traces.exchange.canopen import CanopenExchanges
-from motorhil.traces.formats.frames import EFF, RTR, classic
 from motorhil.traces.schema import Direction
 
 MS = 1_000_000

@@ -22,7 +22,8 @@ from motorhil.harness.replay.frames import (
 from motorhil.harness.rig.config.scaffold import EXAMPLES
 from motorhil.harness.rig.rig import Rig
 from motorhil.harness.virtual_time.runtime import VirtualRuntime
-from motorhil.traces.formats.frames import ERR, Findings, Frame, flexible
+from motorhil.traces.can_frame import ERR, flexible
+from motorhil.traces.formats.frames import Findings, Frame
 from motorhil.traces.formats.registry import record_frames, recorded_frames
 from motorhil.traces.mcap.reader import read_trace
 from motorhil.traces.schema import Direction

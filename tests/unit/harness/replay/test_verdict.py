@@ -6,8 +6,8 @@ from motorhil.harness.replay.host import DrivenRig
 from motorhil.harness.replay.rig import with_recorded
 from motorhil.harness.replay.verdict import players, summary, unanswered
 from motorhil.harness.rig.rig import Rig
+from motorhil.traces.can_frame import classic
 from motorhil.traces.exchange.steps import Role
-from motorhil.traces.formats.frames import classic
 from tests.support.golden import described, golden
 
 UNKNOWN = bytes.fromhex("4018100700000000")

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from motorhil.harness.cli.main import main
 from motorhil.harness.report.series import cells, extremes
-from motorhil.traces.formats.frames import BRS, flexible
+from motorhil.traces.can_frame import BRS, flexible
 from motorhil.traces.mcap.writer import TraceWriter
 from motorhil.traces.schema import (
     CAN_FRAME,

@@ -18,7 +18,7 @@ from motorhil.harness.cli.main import main
 from motorhil.harness.report.responses import MESSAGES_MAX
 from motorhil.harness.rig.rig import Rig
 from motorhil.motorapi.synchronization.can_response_time import ErrorModel, response_times
-from motorhil.traces.formats.frames import BRS, flexible
+from motorhil.traces.can_frame import BRS, flexible
 from motorhil.traces.mcap.writer import TraceWriter
 from motorhil.traces.schema import CAN_FRAME, Schema, encode_can_frame
 from tests.support.can.deliveries import run

@@ -11,8 +11,8 @@ import pytest
 
 from motorhil.harness.recording.conversion import convert
 from motorhil.harness.rig.config.scaffold import write_new_rig
+from motorhil.traces import can_frame
 from motorhil.traces.digest import digest
-from motorhil.traces.formats import frames as traffic
 from motorhil.traces.formats.frames import Findings
 from motorhil.traces.formats.registry import WRITABLE, Feature, open_source
 from motorhil.traces.schema import Direction
@@ -205,7 +205,7 @@ def test_traffic_replay_needs_a_can_fd_bus(say):
     assert f"{sized} frames of can0 are CAN FD, which this bus does not carry" in err
 
 
-NO_WORDS = traffic.classic(traffic.ERR | 0x80, bytes(8))  # a bus error without details
+NO_WORDS = can_frame.classic(can_frame.ERR | 0x80, bytes(8))  # a bus error without details
 
 
 def without(feature, form, one):

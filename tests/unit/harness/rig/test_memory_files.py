@@ -133,7 +133,7 @@ def test_truncated_file_is_reported_and_defaults_are_used(tmp_path):
     [
         (RIG.replace('"left.parameters"', '"no/such/folder"'), "does not exist; create the folder"),
         (RIG.replace('"left.parameters"', '"."'), "cannot be read"),
-        (RIG.replace('"left.parameters"', "5"), "5 is not a path"),
+        (RIG.replace('"left.parameters"', "5"), "must be a string, but is an integer (5)"),
         (RIG + 'nonvolatile_memory = "left.parameters"\n', 'memory of controller "left" already'),
     ],
 )

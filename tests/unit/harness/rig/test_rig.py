@@ -171,8 +171,8 @@ def test_second_rig_with_the_same_bus_is_refused(write):
         (
             "velocity_max_rad_s = 6.0",
             "velocity_max_rad_s = -6.0",
-            "rig.toml:18: motor.left.model.velocity_max_rad_s: is -6, not > 0; correct it, "
-            "or leave the key out",
+            "rig.toml:18: motor.left.model.velocity_max_rad_s: -6.0 rad/s is out of range; "
+            "allowed: more than 0 rad/s",
         ),
     ],
 )
@@ -184,7 +184,7 @@ def test_plugin_error_is_reported_with_its_line(write, old, new, told):
 def test_model_file_error_is_reported_with_its_line(write, bench):
     path = write(GOOD)
     (bench / "wheel.toml").write_text("velocity_max_rad_s = 5\nacceleration_max = 3\n")
-    assert refusal(path).startswith("wheel.toml:2: acceleration_max: unknown key of a motor model")
+    assert refusal(path).startswith("wheel.toml:2: acceleration_max: unknown key")
 
 
 def test_adaptation_error_is_reported_with_the_motors_line(write):

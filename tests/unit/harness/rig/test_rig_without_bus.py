@@ -105,9 +105,17 @@ def test_ideal_motors_and_drives_share_a_rig_and_a_group(folder):
 @pytest.mark.parametrize(
     ("old", "new", "told"),
     [
-        ("position_rad = 0.25", "position_m = 0.25", "6: motor.left.position_m: position_m is"),
+        (
+            "position_rad = 0.25",
+            "position_m = 0.25",
+            "6: motor.left.position_m: unknown key (known: name, axis, position_rad,",
+        ),
         ("position_rad = 0.25", 'bus = "can0"', "6: motor.left.bus: a motor of adaptation"),
-        ("position_rad = 0.25", "axes = 1", "6: motor.left.axes: axes is not a setting of an"),
+        (
+            "position_rad = 0.25",
+            "axes = 1",
+            "6: motor.left.axes: unknown key (known: name, axis, position_rad,",
+        ),
     ],
 )
 def test_wrong_ideal_motor_setting_is_reported_with_its_line(folder, old, new, told):

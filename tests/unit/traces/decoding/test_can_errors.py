@@ -10,10 +10,11 @@ from hypothesis import strategies as st
 
 from motorhil.harness.cli.main import main
 from motorhil.harness.replay.verdict import meaning_in
+from motorhil.traces.can_frame import ERR, classic, flexible
 from motorhil.traces.decoding.can_errors import bus_error
 from motorhil.traces.decoding.canopen import CanopenDecoder
 from motorhil.traces.decoding.narrative import Story
-from motorhil.traces.formats.frames import ERR, Frame, classic, flexible
+from motorhil.traces.formats.frames import Frame
 from motorhil.traces.formats.pcap_can import write_pcapng
 from motorhil.traces.mcap.reader import read_trace
 from motorhil.traces.mcap.writer import TraceWriter

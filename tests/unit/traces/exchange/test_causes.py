@@ -2,10 +2,11 @@
 
 import pytest
 
+from motorhil.traces.can_frame import EFF, classic, remote
 from motorhil.traces.exchange.canopen import CanopenExchanges, remote_key
 from motorhil.traces.exchange.modbus import modbus_logs
 from motorhil.traces.exchange.steps import Role, period_ns
-from motorhil.traces.formats.frames import EFF, Frame, classic, remote
+from motorhil.traces.formats.frames import Frame
 from motorhil.traces.schema import Direction
 from tests.unit.traces.exchange.test_exchange_logs import MS, adu, cut, frame
 

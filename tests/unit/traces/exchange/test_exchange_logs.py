@@ -6,11 +6,12 @@ from collections import Counter
 import pytest
 
 from motorhil.harness.cli.main import main
+from motorhil.traces.can_frame import EFF, ERR, RTR, classic
 from motorhil.traces.exchange.canopen import CanopenExchanges
 from motorhil.traces.exchange.modbus import LineAdu, modbus_logs
 from motorhil.traces.exchange.recording import exchanges_of
 from motorhil.traces.exchange.steps import START, Role
-from motorhil.traces.formats.frames import EFF, ERR, RTR, Findings, Frame, classic
+from motorhil.traces.formats.frames import Findings, Frame
 from motorhil.traces.formats.modbus import Adu
 from motorhil.traces.formats.registry import open_source
 from motorhil.traces.mcap.reader import read_trace

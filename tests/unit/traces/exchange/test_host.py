@@ -4,8 +4,8 @@ import struct
 
 import pytest
 
+from motorhil.traces.can_frame import ERR, classic
 from motorhil.traces.exchange.host import ANSWER, HostCutter, Listener, answer_size
-from motorhil.traces.formats.frames import ERR, classic
 from motorhil.traces.formats.modbus import Adu
 from motorhil.traces.schema import Direction
 

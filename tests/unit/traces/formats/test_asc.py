@@ -3,13 +3,14 @@
 import can
 import pytest
 
-from motorhil.traces.formats import frames as traffic
+from motorhil.traces import can_frame
+from motorhil.traces.can_frame import classic, flexible, remote
 from motorhil.traces.formats.asc import AscReader
-from motorhil.traces.formats.frames import Findings, classic, flexible, read_lines, remote
+from motorhil.traces.formats.frames import Findings, read_lines
 from motorhil.traces.schema import Direction
 
 R, T, U = Direction.RECEIVED, Direction.TRANSMITTED, Direction.UNKNOWN
-EXT = 0x18EBFF00 | traffic.EFF
+EXT = 0x18EBFF00 | can_frame.EFF
 
 
 def read(*lines):
@@ -27,7 +28,7 @@ def read(*lines):
         ("0.5 1  64              Rx   r", "can0", remote(0x64, 0), R),
         ("0.5 1  64              Rx   r 8 Length = 0 BitCount = 64 ID = 100x", "can0",
          remote(0x64, 8), R),
-        ("0.5 1  ErrorFrame", "can0", classic(traffic.ERR | 0x80, bytes(8)), U),
+        ("0.5 1  ErrorFrame", "can0", classic(can_frame.ERR | 0x80, bytes(8)), U),
         ("0.5 CANFD   1 Rx   4EE   Name_1  1 0 f 64 " + "a1 " * 64 + "0 0 303000 0 0", "can0",
          flexible(0x4EE, 1, b"\xa1" * 64), R),
         ("0.5 CANFD   1 Tx 18EBFF00x  0 1 2  2 01 02  130 4 1000 0 0", "can0",
@@ -108,7 +109,7 @@ def test_file_of_python_can_is_read(tmp_path):
     found = [(f.time_ns - first_ns, f.bus, f.frame, f.direction) for f in frames]
     assert found == [
         (0, "can0", classic(0x123, b"\1\2"), R),
-        (250_000_000, "can1", classic(0x1ABCDEF | traffic.EFF, bytes(8)), T),
+        (250_000_000, "can1", classic(0x1ABCDEF | can_frame.EFF, bytes(8)), T),
         (500_000_000, "can0", remote(0x7, 3), R),
         (1_000_000_000, "can0", flexible(0x8, 1, bytes(12)), R),
     ]

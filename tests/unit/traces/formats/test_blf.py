@@ -7,9 +7,11 @@ import subprocess
 import can
 import pytest
 
+from motorhil.traces import can_frame
+from motorhil.traces.can_frame import classic, flexible, remote
 from motorhil.traces.formats import frames as traffic
 from motorhil.traces.formats.blf import blf_frames, write_blf
-from motorhil.traces.formats.frames import Findings, Frame, classic, flexible, remote
+from motorhil.traces.formats.frames import Findings, Frame
 from motorhil.traces.formats.registry import open_source
 from motorhil.traces.schema import Direction
 
@@ -24,10 +26,10 @@ MESSAGES = [
 ]
 FRAMES = [
     (START * 10**9, "can0", classic(0x123, b"\1\2"), R),
-    (START * 10**9 + 250_000_000, "can1", classic(0x1ABCDEF | traffic.EFF, bytes(8)), T),
+    (START * 10**9 + 250_000_000, "can1", classic(0x1ABCDEF | can_frame.EFF, bytes(8)), T),
     (START * 10**9 + 500_000_000, "can0", remote(0x7, 3), R),
     (START * 10**9 + 750_000_000, "can0", flexible(0x8, 1, bytes(12)), R),
-    (START * 10**9 + 1_000_000_000, "can0", classic(traffic.ERR | 0x44, bytes(range(8))), U),
+    (START * 10**9 + 1_000_000_000, "can0", classic(can_frame.ERR | 0x44, bytes(range(8))), U),
 ]
 
 
@@ -128,7 +130,7 @@ def test_tshark_reads_written_file(path):
     frames = [
         *(Frame(*frame) for frame in FRAMES[:3]),
         Frame(START * 10**9 + 999_999_999, "can2", sent, T),
-        Frame(START * 10**9 + 1_000_000_001, "can0", classic(traffic.ERR | 0x20, bytes(8)), R),
+        Frame(START * 10**9 + 1_000_000_001, "can0", classic(can_frame.ERR | 0x20, bytes(8)), R),
     ]
     with path.open("wb") as file:
         write_blf(file, ["can0", "can1", "can2"], frames[0].time_ns, iter(frames))

@@ -6,9 +6,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from motorhil.traces import can_frame
+from motorhil.traces.can_frame import classic, flexible, remote
 from motorhil.traces.formats import frames as traffic
 from motorhil.traces.formats.candump import CandumpReader, log_row, plain_row
-from motorhil.traces.formats.frames import Findings, Frame, classic, flexible, read_lines, remote
+from motorhil.traces.formats.frames import Findings, Frame, read_lines
 from motorhil.traces.schema import Direction
 
 
@@ -24,7 +26,7 @@ def one(line):
     return frames[0]
 
 
-EXT = 0x12345678 | traffic.EFF
+EXT = 0x12345678 | can_frame.EFF
 R, T = Direction.RECEIVED, Direction.TRANSMITTED
 
 
@@ -34,7 +36,7 @@ R, T = Direction.RECEIVED, Direction.TRANSMITTED
         ("(1345212884.318850) can0 123#0102", 1345212884318850000, classic(0x123, b"\1\2")),
         ("(1345212884.318850123) can0 123#", 1345212884318850123, classic(0x123, b"")),
         ("(1.5) can0 12345678#11.22", 1_500_000_000, classic(EXT, b"\x11\x22")),
-        ("(0.0) can0 00000123#11", 0, classic(0x123 | traffic.EFF, b"\x11")),
+        ("(0.0) can0 00000123#11", 0, classic(0x123 | can_frame.EFF, b"\x11")),
         ("(0.0) can0 123#R", 0, remote(0x123, 0)),
         ("(0.0) can0 123#R5", 0, remote(0x123, 5)),
         ("(0.0) can0 123##3AABB", 0, flexible(0x123, 3, b"\xaa\xbb")),
@@ -144,14 +146,14 @@ def test_missing_or_backward_stamps_are_counted():
     assert findings.largest_step_back_ns == 7 * 10**9
 
 
-IDENTIFIERS = st.integers(0, 0x7FF) | st.integers(0, 0x1FFFFFFF).map(lambda n: n | traffic.EFF)
+IDENTIFIERS = st.integers(0, 0x7FF) | st.integers(0, 0x1FFFFFFF).map(lambda n: n | can_frame.EFF)
 FRAMES = (
     st.builds(classic, IDENTIFIERS, st.binary(max_size=8))
     | st.builds(remote, IDENTIFIERS, st.integers(0, 8))
     | st.builds(flexible, IDENTIFIERS, st.integers(0, 3), st.binary(max_size=64))
     | st.builds(
         classic,
-        st.integers(0, 0x1FFFFFFF).map(lambda n: n | traffic.ERR),
+        st.integers(0, 0x1FFFFFFF).map(lambda n: n | can_frame.ERR),
         st.binary(min_size=8, max_size=8),
     )
 )
@@ -194,7 +196,7 @@ def test_dates_match_standard_library(time_ns):
          " (0000000000.000000)  can0  RX - -  701   [3]  remote request\n"),
         (Frame(0, "can0", flexible(0x77, 3, b"\xff"), R),
          " (0000000000.000000)  can0  RX B E  077   [01]  FF\n"),
-        (Frame(0, "can0", classic(traffic.ERR | 4, bytes(8)), R),
+        (Frame(0, "can0", classic(can_frame.ERR | 4, bytes(8)), R),
          " (0000000000.000000)  can0  RX - -  20000004   [8]"
          "  00 00 00 00 00 00 00 00   ERRORFRAME\n"),
     ],

@@ -3,9 +3,10 @@
 import can
 import pytest
 
-from motorhil.traces.formats import frames as traffic
+from motorhil.traces import can_frame
+from motorhil.traces.can_frame import classic, flexible, remote
 from motorhil.traces.formats.csv import COLUMNS, CsvReader
-from motorhil.traces.formats.frames import Findings, classic, flexible, read_lines, remote
+from motorhil.traces.formats.frames import Findings, read_lines
 from motorhil.traces.schema import Direction
 
 OURS = ",".join(COLUMNS)
@@ -34,7 +35,7 @@ def test_python_can_table_is_read(tmp_path):
     second = 1_700_000_000 * 10**9
     assert [(frame.time_ns - second, frame.frame) for frame in frames] == [
         (250_000_000, classic(0x123, b"\1\2")),
-        (500_000_000, remote(0x1ABCDEF | traffic.EFF, 3)),
+        (500_000_000, remote(0x1ABCDEF | can_frame.EFF, 3)),
         (750_000_000, flexible(0x7, 0, bytes(12))),
     ]
 
@@ -46,7 +47,7 @@ def test_savvycan_table_has_microseconds():
     assert [tuple(frame)[:4] for frame in frames] == [
         (166_064_000_000, "can0", classic(0x21A, bytes.fromhex("FE3612FE690507AD")),
          Direction.RECEIVED),
-        (166_064_001_000, "can1", classic(0x1ABCDEF0 | traffic.EFF, b"\xff"),
+        (166_064_001_000, "can1", classic(0x1ABCDEF0 | can_frame.EFF, b"\xff"),
          Direction.TRANSMITTED),
     ]  # fmt: skip
 

@@ -4,10 +4,11 @@ import can
 import pytest
 
 from motorhil.harness.recording.conversion import convert
+from motorhil.traces import can_frame
+from motorhil.traces.can_frame import classic, flexible, remote
 from motorhil.traces.digest import digest
 from motorhil.traces.errors import TraceError
-from motorhil.traces.formats import frames as traffic
-from motorhil.traces.formats.frames import Findings, Frame, classic, flexible, remote
+from motorhil.traces.formats.frames import Findings, Frame
 from motorhil.traces.formats.registry import (
     IN_WORDS,
     WRITABLE,
@@ -22,12 +23,12 @@ from tests.support.recordings.written import write
 
 SINCE_1970_NS = 1_700_000_000_123_456_000
 R, T = Direction.RECEIVED, Direction.TRANSMITTED
-EXT = 0x1ABCDEF0 | traffic.EFF
+EXT = 0x1ABCDEF0 | can_frame.EFF
 FORMAT_OF = {form.ending: form.name for form in WRITABLE}
 BASE = [
     Frame(SINCE_1970_NS, "can0", classic(0x123, b"\1\2\3"), R),
     Frame(SINCE_1970_NS + 1000, "can1", classic(EXT, bytes(range(8))), R),
-    Frame(SINCE_1970_NS + 999_000, "can0", classic(0x10 | traffic.EFF, b""), R),
+    Frame(SINCE_1970_NS + 999_000, "can0", classic(0x10 | can_frame.EFF, b""), R),
     Frame(SINCE_1970_NS + 3_600_000_000_000, "can0", classic(0x7FF, b"\xff"), R),
 ]
 WITH = {
@@ -49,8 +50,8 @@ WITH = {
         for size in (0, 7, 8, 12, 64)
     ],
     Feature.ERROR_FRAMES: [
-        Frame(SINCE_1970_NS, "can0", classic(traffic.ERR | 0x44, bytes(range(8))), R),
-        Frame(SINCE_1970_NS, "can0", classic(traffic.ERR | 0x88, bytes(8)), R),
+        Frame(SINCE_1970_NS, "can0", classic(can_frame.ERR | 0x44, bytes(range(8))), R),
+        Frame(SINCE_1970_NS, "can0", classic(can_frame.ERR | 0x88, bytes(8)), R),
     ],
 }
 
@@ -140,12 +141,12 @@ def test_python_can_reads_written_file(tmp_path, ending):
     options = {"relative_timestamp": False} if ending == ".asc" else {}
     with can.LogReader(tmp_path / f"b{ending}", **options) as reader:
         found = list(reader)
-    told = [traffic.fields(frame.frame) for frame in frames]
+    told = [can_frame.fields(frame.frame) for frame in frames]
     assert [message.arbitration_id for message in found] == [one.identifier for one in told]
     assert [bytes(message.data) for message in found] == [one.data for one in told]
     assert [message.is_rx for message in found] == [frame.direction is R for frame in frames]
     assert [message.is_remote_frame for message in found] == [
-        one.can_id & traffic.RTR != 0 for one in told
+        one.can_id & can_frame.RTR != 0 for one in told
     ]
     assert [message.dlc for message in found] == [one.length for one in told]
     # its stamps are floats, and it treats the date in an ASC file as local time

@@ -11,9 +11,10 @@ from hypothesis import event, given
 from hypothesis import strategies as st
 
 from motorhil.harness.recording.conversion import MODBUS_PCAPNG, convert
+from motorhil.traces.can_frame import classic
 from motorhil.traces.digest import digest
 from motorhil.traces.errors import TraceError
-from motorhil.traces.formats.frames import Frame, classic
+from motorhil.traces.formats.frames import Frame
 from motorhil.traces.formats.modbus import RecordedAdu
 from motorhil.traces.formats.pcap import Capture
 from motorhil.traces.formats.pcap_modbus import AduFeature, record_adus

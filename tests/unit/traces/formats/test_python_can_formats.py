@@ -7,8 +7,9 @@ import can
 import pytest
 
 from motorhil.harness.recording.conversion import convert
-from motorhil.traces.formats import frames as traffic
-from motorhil.traces.formats.frames import ERR, Findings, Frame, classic, flexible
+from motorhil.traces import can_frame
+from motorhil.traces.can_frame import ERR, classic, flexible
+from motorhil.traces.formats.frames import Findings, Frame
 from motorhil.traces.formats.registry import WRITABLE, open_source, record_frames
 from motorhil.traces.schema import Direction
 
@@ -18,7 +19,7 @@ FORMAT_OF = {form.ending: form.name for form in WRITABLE}
 FD = [
     Frame((n + 1) * S, "can0", flexible(can_id, flags, bytes(range(size))), R)
     for n, (can_id, flags, size) in enumerate(
-        [(0x123, 0, 8), (0x123, 1, 12), (0x7FF, 3, 64), (0x1ABCDEF0 | traffic.EFF, 1, 48)]
+        [(0x123, 0, 8), (0x123, 1, 12), (0x7FF, 3, 64), (0x1ABCDEF0 | can_frame.EFF, 1, 48)]
     )
 ]
 ERRORS = [
@@ -36,10 +37,10 @@ def facts(message):
 
 
 def facts_of(frame):
-    told = traffic.fields(frame.frame)
-    flags = told.fd, bool(told.flags & traffic.BRS), bool(told.flags & traffic.ESI)
+    told = can_frame.fields(frame.frame)
+    flags = told.fd, bool(told.flags & can_frame.BRS), bool(told.flags & can_frame.ESI)
     is_error = bool(told.can_id & ERR)
-    return told.identifier, bool(told.can_id & traffic.EFF), is_error, flags, told.data
+    return told.identifier, bool(told.can_id & can_frame.EFF), is_error, flags, told.data
 
 
 def message_of(frame):
@@ -99,7 +100,7 @@ def test_error_frames_of_python_can_are_read(tmp_path, ending):
     found = list(open_source(tmp_path / f"a{ending}").frames(findings))
     assert findings.problems == []
     left = WRITTEN[ending]
-    wanted = [traffic.fields(frame.frame) for frame in ERRORS]
+    wanted = [can_frame.fields(frame.frame) for frame in ERRORS]
     assert [frame.frame for frame in found] == [
         classic(ERR | one[0], one[1]) for one in (left(w.identifier, w.data) for w in wanted)
     ]

@@ -6,14 +6,16 @@ import subprocess
 
 import pytest
 
+from motorhil.traces import can_frame
+from motorhil.traces.can_frame import classic, flexible, remote
 from motorhil.traces.formats import frames as traffic
-from motorhil.traces.formats.frames import Findings, Frame, classic, flexible, remote
+from motorhil.traces.formats.frames import Findings, Frame
 from motorhil.traces.formats.pcap_can import captured_frames, write_pcapng
 from motorhil.traces.schema import Direction
 from tests.support.recordings.captures import block, enhanced, interface, pcap, section
 
 R, T, U = Direction.RECEIVED, Direction.TRANSMITTED, Direction.UNKNOWN
-EXT = 0x1ABCDEF0 | traffic.EFF
+EXT = 0x1ABCDEF0 | can_frame.EFF
 CLASSIC = bytes.fromhex("00000123 02 000000 0102 000000000000")
 FD = bytes.fromhex("9ABCDEF0 0C 050000") + bytes(range(12))
 RTR = bytes.fromhex("40000123 03 000000")
@@ -82,7 +84,7 @@ def test_tshark_reads_written_file(tmp_path):
         Frame(1_700_000_002_000_000_000, "can0", remote(0x701, 1)),
         Frame(1_700_000_003_000_000_000, "can0", flexible(0x77, 1, bytes(range(12))), R),
         Frame(1_700_000_003_000_000_001, "drive", flexible(EXT, 2, bytes(64)), T),
-        Frame(1_700_000_004_000_000_000, "can0", classic(traffic.ERR | 4, bytes(8)), R),
+        Frame(1_700_000_004_000_000_000, "can0", classic(can_frame.ERR | 4, bytes(8)), R),
     ]
     with path.open("wb") as file:
         write_pcapng(file, ["can0", "drive"], iter(told))

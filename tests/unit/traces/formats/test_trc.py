@@ -2,13 +2,14 @@
 
 import pytest
 
-from motorhil.traces.formats import frames as traffic
-from motorhil.traces.formats.frames import Findings, classic, flexible, read_lines, remote
+from motorhil.traces import can_frame
+from motorhil.traces.can_frame import classic, flexible, remote
+from motorhil.traces.formats.frames import Findings, read_lines
 from motorhil.traces.formats.trc import TrcReader
 from motorhil.traces.schema import Direction
 
 R, T, U = Direction.RECEIVED, Direction.TRANSMITTED, Direction.UNKNOWN
-EXT = 0x18FFEF00 | traffic.EFF
+EXT = 0x18FFEF00 | can_frame.EFF
 HEAD_2 = (";$FILEVERSION=2.1", ";$STARTTIME=25570.5", ";$COLUMNS=N,O,T,B,I,d,R,L,D")
 DAY_AND_HALF_NS = 129_600 * 10**9
 

@@ -5,8 +5,9 @@ import struct
 from hypothesis import event, given
 from hypothesis import strategies as st
 
+from motorhil.traces.can_frame import classic
 from motorhil.traces.decoding.narrative import Story, telling
-from motorhil.traces.formats.frames import Frame, classic
+from motorhil.traces.formats.frames import Frame
 from motorhil.traces.formats.registry import record_frames
 from motorhil.traces.mcap.reader import read_trace
 from motorhil.traces.mcap.writer import TraceWriter

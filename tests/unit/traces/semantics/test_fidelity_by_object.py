@@ -4,8 +4,8 @@ import pytest
 
 from motorhil.harness.cli.main import main
 from motorhil.harness.replay.host import compared
+from motorhil.traces.can_frame import RTR, classic
 from motorhil.traces.exchange.host import HostCutter, Listener, answer_size
-from motorhil.traces.formats.frames import RTR, classic
 from motorhil.traces.schema import Direction
 from motorhil.traces.semantics.diff import Tolerance
 

@@ -34,8 +34,7 @@ DefaultValue=$NODEID+0x200
 def facts(description: DeviceDescription) -> list[object]:
     device = [getattr(description, name) for name in vars_of(description) if name != "objects"]
     return device + [
-        [getattr(one, name) for name in (*vars_of(one), "low", "high")]
-        for one in description.objects
+        [getattr(one, name) for name in (*vars_of(one), "limits")] for one in description.objects
     ]
 
 

@@ -75,7 +75,7 @@ def test_types_access_mapping_and_limits_equal_canopen(path, device):
         assert ours.pdo_mappable == other.pdo_mappable, place
         assert ours.name == other.name, place
         if is_integer(ours.data_type):
-            assert (ours.low, ours.high) == (other.min, other.max), place
+            assert ours.limits == (other.min, other.max), place
 
 
 def test_values_equal_canopen_except_twos_complement(path, device):

@@ -106,22 +106,22 @@ REFUSALS = [
     ("one_shot = true", "one_shot = 1", "7: bus.can0.node.left.one_shot: must be true or false, "
      "but is an integer (1); write one_shot = true"),
     ("recovery_s = 0.5", "recovery_s = -1", "8: bus.can0.node.left.recovery_s: -1 s is out of "
-     "range; allowed: 0.0 to 1000000.0 s"),
+     "range; allowed: 0 to 1e+06 s"),
     ("recovery_s = 0.5", 'recovery_s = "never"', "8: bus.can0.node.left.recovery_s: must be a "
      'number [s], but is a string ("never"); write recovery_s = 0.1, or "command"'),
     ("recovery_s = 0.5", 'recovery = "command"', "8: bus.can0.node.left.recovery: unknown key "
      "(known: queue, frames, one_shot, recovery_s, error_reporting, oscillator_ppm, time_quanta, "
      "sample_point, jump_width, silent); did you mean recovery_s?"),
     ("oscillator_ppm = 50.0", "oscillator_ppm = 1e6", "10: bus.can0.node.left.oscillator_ppm: "
-     "1000000.0 ppm is out of range; allowed: -100000.0 to 100000.0 ppm"),
+     "1000000.0 ppm is out of range; allowed: -100000 to 100000 ppm"),
     ("time_quanta = 20\nsample_point = 16\n", "time_quanta = 10\n", "11: bus.can0.node.left."
      "time_quanta: 10 quanta leave no room for the usual sample point, 14; write sample_point = 8"),
     ("sample_point = 16", "sample_point = 0", "12: bus.can0.node.left.sample_point: 0 quanta is "
-     "out of range; allowed: 2 to 19 quanta"),
+     "out of range; allowed: 2 to 399 quanta"),
     ("sample_point = 16", "sample_point = 20", "12: bus.can0.node.left.sample_point: 20 quanta is "
      "out of range; allowed: 2 to 19 quanta"),
     ("sample_point = 16", "sample_point = 0.8", "12: bus.can0.node.left.sample_point: must be an "
-     "integer [quanta], but is a float (0.8)"),
+     "integer [quanta], but is a float (0.8); allowed: 2 to 399 quanta"),
     ("jump_width = 4", "jump_width = 5", "13: bus.can0.node.left.jump_width: 5 quanta behind the "
      "sample point is out of range; allowed: 1 to 4 quanta behind the sample point"),
     ("[bus.can0.node.ear]", '[bus.can0.node."an ear"]', "16: bus.can0.node.'an ear': is not a "
@@ -133,15 +133,15 @@ REFUSALS = [
      "error, not both; take one out"),
     ('["left", "ear"]', '["left", "eir"]', '27: fault[0].nodes[1]: there is no controller "eir" '
      "(known: host, left, ear); did you mean ear?"),
-    ('["left", "ear"]', '["left", "left"]', '27: fault[0].nodes[1]: "left" is named twice; take '
+    ('["left", "ear"]', '["left", "left"]', '27: fault[0].nodes[1]: "left" is there twice; take '
      "one out"),
     ("1e-6", "0", "36: fault[2].bit_error_rate: 0 is out of range; allowed: 1e-12 to 0.1"),
     ("identifier = 0x080\n", "identifier = 0x080\nidentifier_mask = 1\n", "43: fault[3]."
      "identifier_mask: a babble sends one identifier; take it out"),
     ('"dominant"', '"low"', '48: fault[4].level: unknown level "low" (known: dominant, recessive); '
      "take it out, or use one of these"),
-    ('nodes = ["left"]\n', "", "51: fault[5].nodes: a split must name the nodes that lose the "
-     'bus; write nodes = ["left"]'),
+    ('nodes = ["left"]\n', "", "51: fault[5].nodes: is missing; write nodes = "
+     '["left"]: those that lose the bus'),
 ]  # fmt: skip
 
 

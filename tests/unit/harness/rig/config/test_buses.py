@@ -80,12 +80,13 @@ REFUSALS = [
     (
         "baud_bit_s = 115_200",
         "bitrate_bit_s = 115_200",
-        '3: bus.rs485.bitrate_bit_s: belongs to kind "can"; this bus is of kind "modbus_rtu"',
+        '3: bus.rs485.bitrate_bit_s: belongs to kind "can"; take it out, or write kind = "can"',
     ),
     (
         "baud_bit_s = 115_200",
         "baud = 115_200",
-        "3: bus.rs485.baud: unknown key (known: kind, baud_bit_s, parity, stop_bits);"
+        "3: bus.rs485.baud: unknown key (known: kind, bitrate_bit_s, data_bitrate_bit_s, message, "
+        "node, baud_bit_s, parity, stop_bits, latency_s, timeout_s);"
         " did you mean baud_bit_s?",
     ),
     (

@@ -1,6 +1,5 @@
 """The CiA 402 drive in a rig file; mistakes give one line."""
 
-import json
 import os
 import signal
 import tomllib
@@ -12,12 +11,12 @@ import pytest
 from hypothesis import event, given
 from hypothesis import strategies as st
 
-from motorhil import harness
 from motorhil.harness.rig.config.rig_file import parse_rig
+from motorhil.harness.rig.config.schema import rig_schema
 from motorhil.harness.rig.config.toml import RigError, Source, one_line
 from motorhil.harness.rig.rig import Rig, installed_plugins
 
-SCHEMA = json.loads((Path(harness.__file__).parent / "rig.schema.json").read_text())
+SCHEMA = rig_schema()
 VALIDATOR = jsonschema.Draft202012Validator(SCHEMA)
 
 GOOD = """\

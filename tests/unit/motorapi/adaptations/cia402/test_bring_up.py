@@ -8,9 +8,9 @@ import pytest
 
 from motorhil.harness.rig.rig import Rig
 from motorhil.motorapi.adaptations.canopen.errors import SdoAborted
-from motorhil.motorapi.adaptations.cia402.bringup import HwOptions
 from motorhil.motorapi.adaptations.cia402.hardware import Cia402HwMotor
 from motorhil.motorapi.adaptations.cia402.objects import Mode, PdsState
+from motorhil.motorapi.adaptations.cia402.settings import HwOptions
 from motorhil.motorapi.commands import ControlMode
 from motorhil.motorapi.errors import DeadlineExceeded, LinkError, MotionInterrupted, UsageError
 from motorhil.motorapi.state import MotorState
@@ -262,18 +262,42 @@ def test_bring_up_of_a_non_drive_is_refused():
 @pytest.mark.parametrize(
     ("wrong", "text"),
     [
-        ({"host_node_id": 0}, "host_node_id = 0: must be an integer, 1 to 127"),
-        ({"heartbeat_ms": 70_000}, "heartbeat_ms = 70000: must be an integer, 0 to 65535 ms"),
-        ({"heartbeat_ms": 1.5}, "heartbeat_ms = 1.5: must be an integer, 0 to 65535 ms"),
-        ({"heartbeat_ms": 300}, "must be longer than heartbeat_ms = 300"),
-        ({"velocity_period_ms": -1}, "velocity_period_ms = -1: must be an integer, 0 to"),
-        ({"status_inhibit_ms": nan}, "status_inhibit_ms = nan: must be 0 to 6553.5 ms"),
-        ({"status_inhibit_ms": 6553.6}, "status_inhibit_ms = 6553.6: must be 0 to 6553.5 ms"),
-        ({"connection_loss": 99}, "connection_loss = 99: must be an integer, -32768 to 3"),
-        ({"servo_period_ms": -1}, "servo_period_ms = -1: must be 0 to 1000 ms"),
-        ({"sdo_timeout_s": 0.0}, "sdo_timeout_s = 0.0: must be > 0 s"),
-        ({"connect_timeout_s": inf}, "connect_timeout_s = inf: must be > 0 s, and at most 3600 s"),
-        ({"connect_timeout_s": "3"}, "connect_timeout_s = '3': must be > 0 s"),
+        ({"host_node_id": 0}, "host_node_id: 0 is out of range; allowed: 1 to 127"),
+        (
+            {"heartbeat_ms": 70_000},
+            "heartbeat_ms: 70000 ms is out of range; allowed: 0 to 65535 ms",
+        ),
+        (
+            {"heartbeat_ms": 1.5},
+            r"heartbeat_ms: must be an integer \[ms\], but is a float \(1\.5\)",
+        ),
+        (
+            {"heartbeat_ms": 300},
+            "heartbeat_timeout_ms: 300 ms is not longer than heartbeat_ms = 300 ms",
+        ),
+        (
+            {"velocity_period_ms": -1},
+            "velocity_period_ms: -1 ms is out of range; allowed: 0 to 65535 ms",
+        ),
+        (
+            {"status_inhibit_ms": nan},
+            r"status_inhibit_ms: must be finite \(nan\); allowed: 0 to 6553\.5 ms",
+        ),
+        (
+            {"status_inhibit_ms": 6553.6},
+            r"status_inhibit_ms: 6553\.6 ms is out of range; allowed: 0 to 6553\.5 ms",
+        ),
+        ({"connection_loss": 99}, "connection_loss: 99 is out of range; allowed: -32768 to 3"),
+        ({"servo_period_ms": -1}, "servo_period_ms: -1 ms is out of range; allowed: 0 to 1000 ms"),
+        (
+            {"sdo_timeout_s": 0.0},
+            r"sdo_timeout_s: 0\.0 s is out of range; allowed: more than 0, up to 3600 s",
+        ),
+        ({"connect_timeout_s": inf}, r"connect_timeout_s: must be finite \(inf\)"),
+        (
+            {"connect_timeout_s": "3"},
+            r'connect_timeout_s: must be a number \[s\], but is a string \("3"\)',
+        ),
     ],
 )
 def test_invalid_hw_options_are_refused(wrong: dict[str, float], text: str):
@@ -344,10 +368,13 @@ acceleration_max_rad_s2 = 10.0
     [
         (
             "heartbeat = 100",
-            "heartbeat is not a setting of a cia402 motor; did you mean heartbeat_ms",
+            r"motor\.left\.heartbeat: unknown key",
         ),
-        ('heartbeat_ms = "fast"', "heartbeat_ms = 'fast': must be a number"),
-        ("sdo_timeout_s = -1", "sdo_timeout_s = -1: must be > 0 s"),
+        (
+            'heartbeat_ms = "fast"',
+            r'motor\.left\.heartbeat_ms: must be an integer \[ms\], but is a string \("fast"\)',
+        ),
+        ("sdo_timeout_s = -1", r"motor\.left\.sdo_timeout_s: -1 s is out of range"),
     ],
 )
 def test_invalid_settings_error_names_the_remedy(open_rig: OpenRig, setting: str, text: str):

@@ -8,8 +8,8 @@ from motorhil.harness.rig.config.toml import RigError
 from motorhil.harness.rig.rig import Rig
 from motorhil.motorapi.adaptations.host_servo.hardware import AmplifierHwMotor
 from motorhil.motorapi.adaptations.host_servo.motor import ServoParameters, SoftwareMotor
-from motorhil.motorapi.adaptations.host_servo.node import IoOptions
 from motorhil.motorapi.adaptations.host_servo.servo import PidGains
+from motorhil.motorapi.adaptations.host_servo.settings import IoOptions
 from motorhil.motorapi.errors import UsageError
 from motorhil.motorapi.model import MotorModel
 from tests.support.motors.software_rigs import motor, one
@@ -20,24 +20,68 @@ OpenRig = Callable[..., Rig]
 @pytest.mark.parametrize(
     ("old", "new", "told"),
     [
-        ("current_per_volt_a_v = 0.8", "", "current_per_volt_a_v is missing"),
-        ("current_per_volt_a_v = 0.8", "current_per_volt_a_v = 0", "a number of A/V, not 0"),
+        ("current_per_volt_a_v = 0.8", "", r"motor\.left\.current_per_volt_a_v: is missing"),
+        (
+            "current_per_volt_a_v = 0.8",
+            "current_per_volt_a_v = 0",
+            r"motor\.left\.current_per_volt_a_v: 0 A/V is out of range",
+        ),
         ("current_per_volt_a_v = 0.8", 'current_per_volt_a_v = "x"', "must be a number"),
-        ("channel = 1", "channel = 5", "a node's channels are 1 to 4"),
-        ("channel = 1", "channel = 1.0", "channel = 1.0: must be an integer"),
-        ("channel = 1", "chanel = 1", "chanel is not a setting .*; did you mean channel"),
-        ("bandwidth_rad_s = 60.0", "", "gains: kp_a_rad is missing"),
-        ("bandwidth_rad_s = 60.0", "kp_a_m = 3.0", "kp_a_m is not a gain; did you mean kp_a_rad"),
-        ("bandwidth_rad_s = 60.0", "bandwidth_rad_s = 0.0", "bandwidth_rad_s is 0.0"),
-        ("acceleration_feed", "# ", "bandwidth_rad_s needs acceleration_feedforward_a_s2_rad"),
-        ("friction_feedforward_a = 0.", "friction_feedforward_a = -0.", "not a number >= 0"),
+        ("channel = 1", "channel = 5", r"motor\.left\.channel: 5 is out of range; allowed: 1 to 4"),
+        (
+            "channel = 1",
+            "channel = 1.0",
+            r"motor\.left\.channel: must be an integer, but is a float \(1\.0\)",
+        ),
+        ("channel = 1", "chanel = 1", r"motor\.left\.chanel: unknown key"),
+        ("bandwidth_rad_s = 60.0", "", r"motor\.left\.gains\.kp_a_rad: is missing"),
+        ("bandwidth_rad_s = 60.0", "kp_a_m = 3.0", r"motor\.left\.gains\.kp_a_m: unknown key"),
+        (
+            "bandwidth_rad_s = 60.0",
+            "bandwidth_rad_s = 0.0",
+            r"motor\.left\.gains\.bandwidth_rad_s: 0\.0 rad/s is out of range",
+        ),
+        (
+            "acceleration_feed",
+            "# ",
+            r"motor\.left\.gains\.acceleration_feedforward_a_s2_rad: is missing: bandwidth_rad_s",
+        ),
+        (
+            "friction_feedforward_a = 0.",
+            "friction_feedforward_a = -0.",
+            r"motor\.left\.gains\.friction_feedforward_a: -0\.15444015444015444 A is out of range",
+        ),
         ("increments_per_rad", "#", "does not define increments_per_rad"),
-        ("channel = 1", "cycle_ms = 0.01", r"cycle_ms = 0\.01: must be 0\.1 to 1000 ms"),
-        ("channel = 1", "misses_max = 0", "misses_max = 0: must be an integer"),
-        ("channel = 1", "counter = 1", "counter = 1: must be an index"),
-        ("channel = 1", "heartbeat_timeout_ms = 50", "must be longer than heartbeat_ms"),
-        ("channel = 1", "settle_s = 0", "settle_s = 0: must be a number > 0"),
-        ("channel = 1", "position_window_rad = nan", "position_window = nan: must be"),
+        (
+            "channel = 1",
+            "cycle_ms = 0.01",
+            r"motor\.left\.cycle_ms: 0\.01 ms is out of range; allowed: 0\.1 to 1000 ms",
+        ),
+        (
+            "channel = 1",
+            "misses_max = 0",
+            r"motor\.left\.misses_max: 0 is out of range; allowed: 1 to 1000000",
+        ),
+        (
+            "channel = 1",
+            "counter = 1",
+            r"motor\.left\.counter: 1 is out of range; allowed: 8192 to 40959",
+        ),
+        (
+            "channel = 1",
+            "heartbeat_timeout_ms = 50",
+            r"motor\.left\.heartbeat_timeout_ms: 50 ms is not longer than heartbeat_ms = 100 ms",
+        ),
+        (
+            "channel = 1",
+            "settle_s = 0",
+            r"motor\.left\.settle_s: 0 s is out of range; allowed: more than 0 s",
+        ),
+        (
+            "channel = 1",
+            "position_window_rad = nan",
+            r"motor\.left\.position_window_rad: must be finite \(nan\)",
+        ),
     ],
 )
 def test_invalid_rig_setting_is_reported_with_its_place(

@@ -248,13 +248,31 @@ def test_waiting_at_rest_in_a_reserved_motor_lets_time_pass(runtime):
 @pytest.mark.parametrize(
     ("settings", "told"),
     [
-        ({"axes": "x"}, "axes is not a setting of an ideal rotary motor; did you mean axis?"),
-        ({"node_id": 1}, "node_id is not a setting"),
-        ({"position_m": 1.0}, "position_m is not a setting of an ideal rotary motor"),
-        ({"position_rad": "far"}, "position_rad = 'far': must be a finite number"),
-        ({"position_rad": True}, "position_rad = True: must be a finite number"),
-        ({"torque_constant_n_m_a": 0}, "torque_constant_n_m_a = 0: must be > 0"),
-        ({"axis": 3}, "axis = 3: must be a name"),
+        (
+            {"axes": "x"},
+            "axes: unknown key (known: name, axis, position_rad, torque_constant_n_m_a); did you",
+        ),
+        (
+            {"node_id": 1},
+            "node_id: unknown key (known: name, axis, position_rad, torque_constant_n_m_a); take",
+        ),
+        (
+            {"position_m": 1.0},
+            "position_m: unknown key (known: name, axis, position_rad, torque_constant_n_m_a)",
+        ),
+        (
+            {"position_rad": "far"},
+            'position_rad: must be a number [rad], but is a string ("far"); allowed: any finite',
+        ),
+        (
+            {"position_rad": True},
+            "position_rad: must be a number [rad], but is a boolean (true); allowed: any finite",
+        ),
+        (
+            {"torque_constant_n_m_a": 0},
+            "torque_constant_n_m_a: 0 is out of range; allowed: more than 0",
+        ),
+        ({"axis": 3}, "axis: must be a string, but is an integer (3)"),
     ],
 )
 def test_invalid_setting_is_named(runtime, settings, told):

@@ -4,18 +4,42 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final, final
 
-from motorhil.emulators.controller import ControllerContext, SettingError
-from motorhil.emulators.settings.motor import MOTOR_KEYS, MotorSettings, motor_in
-from motorhil.emulators.settings.tables import duration_ns, number, refuse_unknown, table_in, whole
+from motorhil.emulators.controller import ControllerContext
+from motorhil.emulators.settings.motor import MotorSettings, MotorTable
+from motorhil.emulators.settings.tables import ns
+from motorhil.settings import REQUIRED, number, read, table, whole
 
 NODE_ID_MAX: Final = 0x3E
-_TIMING: Final = ("boot_up_s", "heartbeat_s", "encoder_s", "calibration_s")
-_CONFIG: Final = {  # key: default, lowest, highest
-    "watchdog_s": (0.0, 0.0, 3600.0),
-    "velocity_ramp_rev_s2": (1.0, 1e-6, 1e9),
-    "torque_ramp_n_m_s": (0.01, 1e-9, 1e9),
-    "homing_speed_rev_s": (0.25, 1e-6, 1e4),
-}
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class TimingTable:
+    """Times of the drive."""
+
+    boot_up_s: float = number(0.5, 0, 3600, "s", "From power-on to the first heartbeat.")
+    heartbeat_s: float = number(0.1, 0, 3600, "s", "Period of 01h; 0: only on request.")
+    encoder_s: float = number(0.01, 0, 3600, "s", "Period of 09h; 0: only on request.")
+    calibration_s: float = number(2.0, 0, 3600, "s", "Duration of every calibration.")
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class OdriveTable(MotorTable):
+    """An ODrive."""
+
+    node_id: int = whole(REQUIRED, 0, NODE_ID_MAX, "", "Its node-ID.", example="1")
+    serial_number: int = whole(1, 1, (1 << 48) - 1, "", "Its serial number.")
+    timing: TimingTable = table(TimingTable, "Times of the drive.")
+    watchdog_s: float = number(
+        0.0, 0, 3600, "s", "It disarms after this time without a message; 0: never."
+    )
+    velocity_ramp_rev_s2: float = number(1.0, 1e-6, 1e9, "rev/s²", "Ramp of VEL_RAMP.")
+    torque_ramp_n_m_s: float = number(0.01, 1e-9, 1e9, "N·m/s", "Ramp of TORQUE_RAMP.")
+    homing_speed_rev_s: float = number(0.25, 1e-6, 1e4, "rev/s", "Speed towards the end stop.")
+    min_endstop_rad: float | None = number(
+        None, -1e9, 1e9, "rad", "Output position of its end stop switch; absent: no switch."
+    )
 
 
 @final
@@ -58,30 +82,18 @@ def read_settings(table: Mapping[str, object], context: ControllerContext) -> Od
     Raises:
         SettingError: a key is unknown, or a value is missing or wrong.
     """
-    known = ("node_id", "serial_number", *MOTOR_KEYS, "timing", *_CONFIG, "min_endstop_rad")
-    refuse_unknown(table, known, ())
-    if "node_id" not in table:
-        raise SettingError(("node_id",), "is missing", f"a number 0..{NODE_ID_MAX}")
-    timing = table_in(table, "timing")
-    refuse_unknown(timing, _TIMING, ("timing",))
-    config = {
-        key: number(table.get(key, default), (key,), low, high)
-        for key, (default, low, high) in _CONFIG.items()
-    }
-    endstop = table.get("min_endstop_rad")
+    own = read(OdriveTable, table)
     return OdriveSettings(
-        node_id=whole(table["node_id"], ("node_id",), 0, NODE_ID_MAX),
-        serial_number=whole(table.get("serial_number", 1), ("serial_number",), 1, (1 << 48) - 1),
-        motor=motor_in(table, context.stream()),
-        boot_up_ns=duration_ns(timing, "boot_up_s", 0.5, ("timing",)),
-        heartbeat_ns=duration_ns(timing, "heartbeat_s", 0.1, ("timing",)),
-        encoder_ns=duration_ns(timing, "encoder_s", 0.01, ("timing",)),
-        calibration_ns=duration_ns(timing, "calibration_s", 2.0, ("timing",)),
-        watchdog_ns=round(config["watchdog_s"] * 1e9),
-        velocity_ramp_rev_s2=config["velocity_ramp_rev_s2"],
-        torque_ramp_n_m_s=config["torque_ramp_n_m_s"],
-        homing_speed_rev_s=config["homing_speed_rev_s"],
-        min_endstop_rad=None
-        if endstop is None
-        else number(endstop, ("min_endstop_rad",), -1e9, 1e9),
+        node_id=own.node_id,
+        serial_number=own.serial_number,
+        motor=own.motor(context.stream()),
+        boot_up_ns=ns(own.timing.boot_up_s),
+        heartbeat_ns=ns(own.timing.heartbeat_s),
+        encoder_ns=ns(own.timing.encoder_s),
+        calibration_ns=ns(own.timing.calibration_s),
+        watchdog_ns=ns(own.watchdog_s),
+        velocity_ramp_rev_s2=own.velocity_ramp_rev_s2,
+        torque_ramp_n_m_s=own.torque_ramp_n_m_s,
+        homing_speed_rev_s=own.homing_speed_rev_s,
+        min_endstop_rad=own.min_endstop_rad,
     )

@@ -21,6 +21,7 @@ from motorhil.motorapi.commands import ControlMode
 from motorhil.motorapi.errors import MotorBusyError, MotorError
 from motorhil.motorapi.functions import Sine
 from motorhil.motorapi.group import MotorGroup
+from motorhil.motorapi.logical_motor import LogicalMotor
 from motorhil.motorapi.ownership.physical_motor import PhysicalMotor
 from motorhil.motorapi.trajectory import ComplexTrajectory, TrapezoidalTrajectory
 from tests.support.motors.drive_rigs import HEAD, drive
@@ -277,6 +278,6 @@ def test_each_removed_gate_is_detected_on_the_bus(gate: str, monkeypatch: pytest
     elif gate == "require_not_held_elsewhere":
         monkeypatch.setattr(PhysicalMotor, gate, lambda self: None)
     else:
-        monkeypatch.setattr("motorhil.motorapi.motor._is_at_rest", lambda motor, patient: True)
+        monkeypatch.setattr(LogicalMotor, "_is_at_rest", lambda motor, patient: True)
         monkeypatch.setattr(PhysicalMotor, "passage", open_passage)
     assert run(BUSY).intrusions() != []

@@ -1,0 +1,155 @@
+"""Settings of the host for an I/O node, and of a servo that runs on the host."""
+
+from dataclasses import dataclass, fields
+from typing import Any, ClassVar, final
+
+from motorhil.motorapi.adaptations.canopen.settings import NodeOptions
+from motorhil.motorapi.adaptations.host_servo.servo import PidGains
+from motorhil.motorapi.errors import UsageError
+from motorhil.settings import REQUIRED, SettingError, TableOf, number, setting, text, whole
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class IoOptions(NodeOptions):
+    """Settings of the host for an I/O node, shared by all motors on its channels.
+
+    The host's heartbeat must differ from the one that drives watch: another process may send that
+    heartbeat as well, and the death of a servo would not be detected.
+    """
+
+    host_node_id: int = whole(
+        126, 1, 127, "", "Node-ID of the host's heartbeat; not the one that drives watch."
+    )
+    cycle_ms: float = number(1.0, 0.1, 1000.0, "ms", "Period of the servo, and of SYNC.")
+    misses_max: int = whole(
+        10, 1, 1_000_000, "", "Number of consecutive missed cycles that stops a motor."
+    )
+    counter: int = whole(
+        0x6820, 0x2000, 0x9FFF, "", "Index of the counters; 6820h: CiA 406 beside CiA 401."
+    )
+    amplifier_tick_ms: float | None = number(
+        None,
+        0,
+        1000.0,
+        "ms",
+        "Sampling period of an amplifier, for predicting skew; absent: not known.",
+    )
+
+
+def _gain(default: float | None, name: str, unit: str, doc: str) -> Any:
+    return number(default, 0, unit=unit, doc=doc, name=name)
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class GainsTable:
+    """Gains of the servo: each by itself, or tuned for a bandwidth."""
+
+    bandwidth_rad_s: float | None = number(
+        None,
+        0,
+        unit="rad/s",
+        doc="Gains that put all three poles here; needs the acceleration feed-forward. Other gains"
+        " replace them.",
+        above=True,
+    )
+    kp: float | None = _gain(None, "kp_a_{u}", "A/{u}", "Current per error.")
+    ki: float | None = _gain(None, "ki_a_{u}_s", "A/({u}·s)", "Growth of that current.")
+    kd: float | None = _gain(None, "kd_a_s_{u}", "A·s/{u}", "Current per rate of the error.")
+    velocity_feedforward: float | None = _gain(
+        None, "velocity_feedforward_a_s_{u}", "A·s/{u}", "Current per demanded velocity."
+    )
+    acceleration_feedforward: float | None = _gain(
+        None,
+        "acceleration_feedforward_a_s2_{u}",
+        "A·s²/{u}",
+        "Current per demanded acceleration: of the motor and its load.",
+    )
+    friction_feedforward: float | None = _gain(
+        None, "friction_feedforward_a", "A", "Current against Coulomb friction."
+    )
+    derivative_filter_s: float | None = _gain(
+        None, "", "s", "Time constant of a low-pass filter for the rate of the error."
+    )
+
+    SCHEMA: ClassVar = {
+        "anyOf": [{"required": [key]} for key in ("kp_a_rad", "kp_a_m", "bandwidth_rad_s")]
+    }
+
+    def gains(self, unit: str) -> PidGains:
+        """Return the gains, for positions in this unit.
+
+        Raises:
+            UsageError: a gain is missing, or not valid.
+        """
+        names = [one.name for one in fields(PidGains)]
+        given = {name: getattr(self, name) for name in names if getattr(self, name) is not None}
+        inertia = f"acceleration_feedforward_a_s2_{unit}"
+        if self.bandwidth_rad_s is None:
+            if "kp" not in given:
+                remedy = f"give it, or bandwidth_rad_s with {inertia}"
+                raise _missing(f"kp_a_{unit}", "is missing", remedy)
+            return PidGains(**given)
+        if "acceleration_feedforward" not in given:
+            message = "is missing: bandwidth_rad_s needs it"
+            remedy = "write the current per acceleration of the motor"
+            raise _missing(inertia, message, remedy)
+        tuned = PidGains.tuned(self.bandwidth_rad_s, given.pop("acceleration_feedforward"))
+        return PidGains(**{**{name: getattr(tuned, name) for name in names}, **given})
+
+
+def _missing(key: str, message: str, remedy: str) -> UsageError:
+    cause = SettingError(("gains", key), message, remedy)
+    error = UsageError(str(cause))
+    error.__cause__ = cause
+    return error
+
+
+def _positive(default: float | None, unit: str, doc: str, **own: Any) -> Any:
+    return number(default, 0, unit=unit, doc=doc, above=True, **own)
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HostServoTable(IoOptions):
+    """A motor whose servo runs on the host, with an amplifier and an encoder on an I/O node."""
+
+    node_id: int = whole(REQUIRED, 1, 127, "", "Node-ID of the I/O node.", example="1")
+    name: str | None = text(None, "Name of the motor; absent: the model's.")
+    channel: int = whole(1, 1, 4, "", "Channel of the node.")
+    current_per_volt_a_v: float = number(
+        REQUIRED,
+        unit="A/V",
+        doc="Current of the amplifier per volt; below 0: positive current turns to lower counts.",
+        example="0.8",
+        not_zero=True,
+    )
+    torque_constant: float | None = _positive(
+        None,
+        "",
+        "Torque [N·m], or force [N], at the output per current [A].",
+        name="torque_constant_n_m_a",
+        of_linear="torque_constant_n_a",
+    )
+    gains: GainsTable = setting(REQUIRED, TableOf(GainsTable), "Gains of the servo.")
+    position_window: float | None = _positive(
+        None,
+        "{u}",
+        "Distance within which a target counts as reached; absent: ten increments.",
+        name="position_window_{u}",
+    )
+    settle_s: float = _positive(0.02, "s", "Time for which it must be within that window.")
+    following_error_window: float | None = _positive(
+        None,
+        "{u}",
+        "Following error that stops a motion; inf: none; absent: ten times the start tolerance.",
+        name="following_error_window_{u}",
+        may_be_inf=True,
+    )
+    following_error_s: float = _positive(0.01, "s", "Time for which it must be exceeded.")
+    quick_stop_deceleration: float | None = _positive(
+        None,
+        "{u}/s²",
+        "Deceleration of a quick stop; absent: that of the model.",
+        name="quick_stop_deceleration_{u}_s2",
+    )
