@@ -19,6 +19,7 @@ from motorhil.motorapi.errors import (
 )
 from tests.support.canopen.drive_wire import frame
 from tests.support.canopen.two_drives import INC_PER_RAD, demand, is_at_rest, moving, two_drives
+from tests.support.repetition import examples
 
 SECOND = 1_000_000_000
 RIGHT_ERRORS = (DeadlineExceeded, DeviceFault, LinkError, MotionInterrupted)
@@ -32,7 +33,7 @@ def group_of(rig) -> MotorGroup:
     return group
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", range(examples(4)))
 def test_group_with_one_percent_loss_arrives_or_stops(seed):
     with two_drives(ONE_PERCENT, seed=seed) as rig:
         try:
@@ -54,7 +55,7 @@ def test_group_with_one_percent_loss_arrives_or_stops(seed):
         assert rig.runtime.now_ns() < 60 * SECOND
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", range(examples(4)))
 def test_wheel_with_one_percent_loss_turns_and_stops(seed):
     with two_drives(ONE_PERCENT, seed=seed) as rig:
         motor = rig.motors["left"]
@@ -73,7 +74,7 @@ def test_wheel_with_one_percent_loss_turns_and_stops(seed):
         assert is_at_rest(rig, "left")
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(examples(3)))
 def test_calls_end_with_one_percent_loss(seed):
     with two_drives(ONE_PERCENT, seed=seed) as rig:
         motor = rig.motors["left"]
@@ -98,7 +99,7 @@ def test_calls_end_with_one_percent_loss(seed):
 
 
 @pytest.mark.parametrize("command", ["81", "82", "02", "80"])
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(examples(2)))
 def test_drive_is_usable_after_reset_or_stop_at_any_moment(command, seed):
     with two_drives(seed=seed) as rig:
         motor = rig.motors["left"]
@@ -169,7 +170,7 @@ def test_single_false_statusword_ends_wait_only_with_error():
         with pytest.raises(MotionInterrupted):
             motor.wait_until_done(5)
         rig.runtime.run_for(0.02)
-        with pytest.raises(MotorError, match="goes on"):  # the motion continues
+        with pytest.raises(MotorError, match="is active"):  # the motion continues
             motor.start()
         motor.wait_until_done(5)
         assert demand(rig) == pytest.approx(INC_PER_RAD, abs=1)

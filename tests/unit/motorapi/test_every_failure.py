@@ -1,6 +1,7 @@
 """Every failure of every call is in the error tree, whatever a hook or callback raises."""
 
 import struct
+from dataclasses import fields
 
 import can
 import pytest
@@ -18,14 +19,10 @@ from motorhil.motorapi import (
     UsageError,
     WallRuntime,
 )
-from motorhil.motorapi.hooks import MotorHooks
+from motorhil.motorapi.hooks import Hooks
 from tests.support.motors.plain import PlainBus, PlainHwMotor, PlainMotor
 
-HOOKS = sorted(
-    name
-    for name in vars(MotorHooks)
-    if name.startswith("_") and not name.startswith("__") and callable(vars(MotorHooks)[name])
-)
+HOOKS = sorted(f"_{field.name}" for field in fields(Hooks) if field.name != "plugin")
 RAISED = (
     KeyError("planted"),
     OSError(19, "No such device"),

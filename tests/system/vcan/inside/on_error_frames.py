@@ -9,8 +9,8 @@ import can
 import pytest
 
 from motorhil.emulators.gateways.socketcan import SocketCanGateway, link_kind
+from tests.support.can.error_bus import ErrorBench
 from tests.support.can.error_frames import NO_ACK, PASSIVE, ErrorFrames, message
-from tests.support.error_bus import ErrorBench
 
 
 class VcanBench(ErrorBench):

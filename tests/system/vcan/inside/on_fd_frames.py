@@ -12,8 +12,8 @@ from motorhil.emulators.gateways.hub import HubServer
 from motorhil.emulators.gateways.socketcan import SocketCanError, SocketCanGateway, link_mtu
 from motorhil.emulators.simulation.event_queue import EventQueue
 from motorhil.emulators.simulation.world import World
+from tests.support.can.error_bus import ErrorBench
 from tests.support.can.fd_frames import FdFrames, fd_message
-from tests.support.error_bus import ErrorBench
 
 CAN_MTU = 16
 SIOCSIFFLAGS = 0x8914

@@ -8,8 +8,8 @@ import can
 import pytest
 
 from motorhil.emulators.gateways.hub import HubServer
+from tests.support.can.error_bus import ErrorBench
 from tests.support.can.error_frames import PASSIVE, ErrorFrames
-from tests.support.error_bus import ErrorBench
 
 pytestmark = pytest.mark.wall
 

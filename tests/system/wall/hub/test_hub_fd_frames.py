@@ -13,8 +13,8 @@ from motorhil.emulators.simulation.ownership_notice import GREETING
 from motorhil.harness.python_can.hub_client import HubLink
 from motorhil.harness.recording.sources import HubClocks, HubTap, parse_place
 from motorhil.harness.replay.real_bus import HubSink
+from tests.support.can.error_bus import ErrorBench
 from tests.support.can.fd_frames import FdFrames, classical, fd_message
-from tests.support.error_bus import ErrorBench
 
 pytestmark = pytest.mark.wall
 
