@@ -13,9 +13,9 @@ import can
 
 from motorhil.harness.examples.rover_kinematics import WHEELS
 from motorhil.motorapi import Motor, MotorModel
+from motorhil.motorapi.adaptations.cia402.bringup import HwOptions
 from motorhil.motorapi.adaptations.cia402.hardware import Cia402HwMotor
 from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
-from motorhil.motorapi.adaptations.cia402.settings import HwOptions
 
 PLACES = {
     **{f"drive_{name}": ("can0", node_id, "wheel") for node_id, name in enumerate(WHEELS, 1)},

@@ -180,9 +180,9 @@ def drives(desk: Desk) -> list[Motor]:
     """Return a motor for each drive of facts["node_ids"], on the bus of facts["channel"]."""
     import can
 
+    from motorhil.motorapi.adaptations.cia402.bringup import HwOptions
     from motorhil.motorapi.adaptations.cia402.hardware import Cia402HwMotor
     from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
-    from motorhil.motorapi.adaptations.cia402.settings import HwOptions
 
     patient = HwOptions(heartbeat_timeout_ms=10_000, sdo_timeout_s=10.0, connect_timeout_s=30.0)
     interface = str(desk.facts.get("interface", "emulated"))

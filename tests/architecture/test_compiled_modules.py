@@ -16,7 +16,6 @@ INTERPRETED = {
         "emulators/cia402/settings.py",
         "emulators/firmware/servo_tables.py",
         "motorapi/adaptations/canopen/settings.py",
-        "motorapi/adaptations/cia402/settings.py",
         "motorapi/adaptations/host_servo/settings.py",
         "emulators/plant/presets.py",
         "motorapi/adaptations/canopen/pdo_setup.py",

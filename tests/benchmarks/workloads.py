@@ -89,8 +89,8 @@ def _csp_rig(folder: str, drives: int) -> str:
 
 def _enabled(rig, drives: int, **options):  # type: ignore[no-untyped-def]
     """Return the hardware objects of all enabled drives; TPDO 1 (6041h, 6064h) is of type 1."""
+    from motorhil.motorapi.adaptations.cia402.bringup import HwOptions
     from motorhil.motorapi.adaptations.cia402.hardware import Cia402HwMotor
-    from motorhil.motorapi.adaptations.cia402.settings import HwOptions
 
     bus = rig.bus("can0")
     hardware = []

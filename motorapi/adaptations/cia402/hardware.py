@@ -26,14 +26,13 @@ from motorhil.motorapi.adaptations.canopen.node import node_locks
 from motorhil.motorapi.adaptations.canopen.object_access import ObjectAccess
 from motorhil.motorapi.adaptations.canopen.objects import Value
 from motorhil.motorapi.adaptations.canopen.turn_lock import TurnLock
-from motorhil.motorapi.adaptations.cia402.bringup import DriveFacts, bring_up
+from motorhil.motorapi.adaptations.cia402.bringup import DriveFacts, HwOptions, bring_up
 from motorhil.motorapi.adaptations.cia402.controlword import DriveControl
 from motorhil.motorapi.adaptations.cia402.csp import CspStream
 from motorhil.motorapi.adaptations.cia402.node import DriveNode
 from motorhil.motorapi.adaptations.cia402.node_sharing import SharedNode, guarding
 from motorhil.motorapi.adaptations.cia402.objects import Mode, PdsState
 from motorhil.motorapi.adaptations.cia402.parameters import ParameterStore
-from motorhil.motorapi.adaptations.cia402.settings import HwOptions
 from motorhil.motorapi.errors import LinkError, StateError, UsageError
 from motorhil.motorapi.ownership.physical_motor import (
     PhysicalMotor,

@@ -28,6 +28,7 @@ from typing import TYPE_CHECKING, Final, final
 from motorhil.motorapi.adaptations.canopen.bus import CanopenBus
 from motorhil.motorapi.adaptations.canopen.errors import SdoAborted
 from motorhil.motorapi.adaptations.canopen.link import Transmission
+from motorhil.motorapi.adaptations.cia402.bringup import Cia402Table, HwOptions
 from motorhil.motorapi.adaptations.cia402.hardware import Cia402HwMotor
 from motorhil.motorapi.adaptations.cia402.measurements import DriveReader
 from motorhil.motorapi.adaptations.cia402.motion import POLL_S, DriveMotions
@@ -43,7 +44,6 @@ from motorhil.motorapi.adaptations.cia402.objects import (
     PdsState,
 )
 from motorhil.motorapi.adaptations.cia402.parameters import Cia402Parameters
-from motorhil.motorapi.adaptations.cia402.settings import Cia402Table, HwOptions
 from motorhil.motorapi.adaptations.cia402.units import DriveUnits
 from motorhil.motorapi.adaptations.registration import Shared, read_settings
 from motorhil.motorapi.commands import ControlMode, ControlVariable, Setpoint

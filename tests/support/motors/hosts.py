@@ -8,9 +8,9 @@ import can
 import canopen
 
 from motorhil.harness.rig.rig import Rig
+from motorhil.motorapi.adaptations.cia402.bringup import HwOptions
 from motorhil.motorapi.adaptations.cia402.hardware import Cia402HwMotor
 from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
-from motorhil.motorapi.adaptations.cia402.settings import HwOptions
 from motorhil.motorapi.group import MotorGroup
 from motorhil.motorapi.model import MotorModel
 

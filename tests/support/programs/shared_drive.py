@@ -34,10 +34,10 @@ from motorhil.motorapi import (
     MotorModel,
 )
 from motorhil.motorapi.adaptations.canopen.sdo import SdoChannel
+from motorhil.motorapi.adaptations.cia402.bringup import HwOptions
 from motorhil.motorapi.adaptations.cia402.hardware import Cia402HwMotor
 from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
 from motorhil.motorapi.adaptations.cia402.parameters import Cia402Parameters
-from motorhil.motorapi.adaptations.cia402.settings import HwOptions
 
 PATIENT = HwOptions(
     heartbeat_timeout_ms=10_000,

@@ -27,9 +27,9 @@ from motorhil.motorapi import (
     MotorGroup,
     MotorModel,
 )
+from motorhil.motorapi.adaptations.cia402.bringup import HwOptions
 from motorhil.motorapi.adaptations.cia402.hardware import Cia402HwMotor
 from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
-from motorhil.motorapi.adaptations.cia402.settings import HwOptions
 from motorhil.motorapi.adaptations.cia402.sync_start import SyncTrigger
 from motorhil.motorapi.functions import Polynomial
 from motorhil.motorapi.ownership import queue as turns

@@ -11,9 +11,9 @@ from contextlib import suppress
 import can
 
 from motorhil.motorapi import ControlMode, MotorBusyError, MotorModel, TrapezoidalTrajectory
+from motorhil.motorapi.adaptations.cia402.bringup import HwOptions
 from motorhil.motorapi.adaptations.cia402.hardware import Cia402HwMotor
 from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
-from motorhil.motorapi.adaptations.cia402.settings import HwOptions
 
 PATIENT = HwOptions(heartbeat_timeout_ms=10_000, sdo_timeout_s=10.0, connect_timeout_s=30.0)
 WAIT_S = 120.0

@@ -9,9 +9,9 @@ import pytest
 from motorhil.emulators.cia402.drive import build
 from motorhil.emulators.controller import ControllerContext
 from motorhil.motorapi import MotorModel, WallRuntime
+from motorhil.motorapi.adaptations.cia402.bringup import HwOptions
 from motorhil.motorapi.adaptations.cia402.hardware import Cia402HwMotor
 from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
-from motorhil.motorapi.adaptations.cia402.settings import HwOptions
 from tests.support.motors.streaming import quintic, set_function
 from tests.system.wall.hub.test_hub import serving
 

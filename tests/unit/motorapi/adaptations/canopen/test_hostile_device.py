@@ -10,9 +10,9 @@ from hypothesis import event, example, given
 from hypothesis import strategies as st
 
 from motorhil.motorapi.adaptations.canopen.errors import SdoAborted
+from motorhil.motorapi.adaptations.cia402.bringup import HwOptions
 from motorhil.motorapi.adaptations.cia402.hardware import Cia402HwMotor
 from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
-from motorhil.motorapi.adaptations.cia402.settings import HwOptions
 from motorhil.motorapi.errors import DeadlineExceeded, LinkError, MotorError, UsageError
 from motorhil.motorapi.model import MotorModel
 from tests.support.motors.scripted import MS, Answer, ScriptedBus, Transcript, frame

@@ -8,9 +8,9 @@ import pytest
 
 from motorhil.harness.rig.rig import Rig
 from motorhil.motorapi.adaptations.canopen.errors import SdoAborted
+from motorhil.motorapi.adaptations.cia402.bringup import HwOptions
 from motorhil.motorapi.adaptations.cia402.hardware import Cia402HwMotor
 from motorhil.motorapi.adaptations.cia402.objects import Mode, PdsState
-from motorhil.motorapi.adaptations.cia402.settings import HwOptions
 from motorhil.motorapi.commands import ControlMode
 from motorhil.motorapi.errors import DeadlineExceeded, LinkError, MotionInterrupted, UsageError
 from motorhil.motorapi.state import MotorState
