@@ -33,6 +33,7 @@ COMPILED = (
     "harness/python_can/receive_queue.py",
     "harness/recording/recorder.py",
     "harness/rig/recording.py",
+    "traces/schema.py",
     "traces/can_frame.py",
     "traces/mcap/chunk.py",
     "traces/protobuf.py",

@@ -175,8 +175,8 @@ def bring_up(node: DriveNode, options: HwOptions) -> DriveFacts:
         node.listen_to_control(control[0])
     latched_ids = _latched_pdos(pdos) if latched else {}
     status = _status_pdo(node, pdos, options)
-    for number in range(3 if options.velocity_period_ms else 2, _TPDOS + 1):
-        pdos.switch_off(number, keep=None if status is None else status[0])
+    for place in range(3 if options.velocity_period_ms else 2, _TPDOS + 1):
+        pdos.switch_off(place, keep=None if status is None else status[0])
     limitations += pdos.refusals
     if status is not None:
         node.listen_to_tpdo(status[0], status[1].mapping)
@@ -246,8 +246,8 @@ def _set_up_dead_man(node: DriveNode, options: HwOptions, limitations: list[str]
 def _latched_pdos(pdos: PdoSetUp) -> dict[int, int]:
     """Configure RPDO 2 and following, one per target; return `DriveFacts.latched_ids`."""
     identifiers: dict[int, int] = {}
-    for number, target in enumerate(_LATCHED_TARGETS, 2):
-        made = pdos.configure(PdoWish(False, number, (_CONTROLWORD, target), SYNCHRONOUS))
+    for place, target in enumerate(_LATCHED_TARGETS, 2):
+        made = pdos.configure(PdoWish(False, place, (_CONTROLWORD, target), SYNCHRONOUS))
         if made is not None:
             identifiers[target >> 16] = made[0]
     return identifiers
