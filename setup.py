@@ -41,7 +41,6 @@ COMPILED = (
     "motorapi/adaptations/canopen/emcy.py",
     "motorapi/adaptations/canopen/link.py",
     "motorapi/adaptations/canopen/node.py",
-    "motorapi/adaptations/canopen/objects.py",
     "motorapi/adaptations/cia402/csp.py",
     "motorapi/adaptations/cia402/measurements.py",
     "motorapi/adaptations/cia402/motion_status.py",

@@ -84,7 +84,9 @@ def wait_until(runtime: Runtime, done: Callable[[], bool], timeout_s: float | No
         if place is not None:
             code = place.tb_frame.f_code
             plugin, where = code.co_qualname, f"{code.co_filename}:{place.tb_lineno}"
-        raise PluginError(plugin=plugin, where=where, problem=repr(error)) from error
+        failed = PluginError(plugin=plugin, where=where, problem=repr(error))
+        failed.__cause__ = error  # mypyc ignores "from"
+        raise failed from error
 
 
 LOOK_PERIOD_S: Final = 0.01

@@ -37,6 +37,7 @@ INTERPRETED = {
     ),
     "a command at a time, not a frame": (
         "motorapi/adaptations/canopen/bus_load.py",
+        "motorapi/adaptations/canopen/objects.py",
         "motorapi/adaptations/canopen/sdo.py",
         "motorapi/adaptations/canopen/turn_lock.py",
         "motorapi/adaptations/cia402/sync_start.py",

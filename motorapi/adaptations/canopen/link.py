@@ -290,7 +290,7 @@ class RawFrame:
     extended: bool = False
 
 
-def raw_frame(can_id: int, data: bytes, *, extended: bool) -> bytes:
+def raw_frame(can_id: object, data: object, *, extended: bool) -> bytes:
     """Return the Linux can_frame with an identifier of 11 bits (29 if `extended`) and 0 to 8 bytes.
 
     Raises:

@@ -20,7 +20,7 @@ from motorhil.motorapi.ownership.physical_motor import (
 from motorhil.motorapi.state import Fault, MotorState
 
 if TYPE_CHECKING:
-    from motorhil.motorapi.adaptations.host_servo.servo import PidGains
+    from motorhil.motorapi.adaptations.host_servo.settings import PidGains
     from motorhil.motorapi.locking.process_lock import LockHandle
 
 

@@ -57,7 +57,7 @@ from motorhil.motorapi.state import MotorState
 if TYPE_CHECKING:
     import can
 
-    from motorhil.motorapi.adaptations.host_servo.servo import PidGains
+    from motorhil.motorapi.adaptations.host_servo.settings import PidGains
     from motorhil.motorapi.ownership.claim import OwnershipEvent
     from motorhil.motorapi.runtime.api import Runtime
     from motorhil.motorapi.synchronization.offer import Trigger

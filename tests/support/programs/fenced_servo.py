@@ -14,8 +14,7 @@ import can
 from motorhil.motorapi import MotorModel
 from motorhil.motorapi.adaptations.host_servo.hardware import AmplifierHwMotor
 from motorhil.motorapi.adaptations.host_servo.motor import ServoParameters, SoftwareMotor
-from motorhil.motorapi.adaptations.host_servo.servo import PidGains
-from motorhil.motorapi.adaptations.host_servo.settings import IoOptions
+from motorhil.motorapi.adaptations.host_servo.settings import IoOptions, PidGains
 from motorhil.motorapi.ownership.fencing import BoundFence, NodeFence
 
 PATIENT = IoOptions(

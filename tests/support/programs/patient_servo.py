@@ -20,8 +20,7 @@ from motorhil.motorapi import (
 )
 from motorhil.motorapi.adaptations.host_servo.hardware import AmplifierHwMotor
 from motorhil.motorapi.adaptations.host_servo.motor import ServoParameters, SoftwareMotor
-from motorhil.motorapi.adaptations.host_servo.servo import PidGains
-from motorhil.motorapi.adaptations.host_servo.settings import IoOptions
+from motorhil.motorapi.adaptations.host_servo.settings import IoOptions, PidGains
 
 PATIENT = IoOptions(
     cycle_ms=20,

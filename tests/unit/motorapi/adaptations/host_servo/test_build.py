@@ -8,8 +8,7 @@ from motorhil.harness.rig.config.toml import RigError
 from motorhil.harness.rig.rig import Rig
 from motorhil.motorapi.adaptations.host_servo.hardware import AmplifierHwMotor
 from motorhil.motorapi.adaptations.host_servo.motor import ServoParameters, SoftwareMotor
-from motorhil.motorapi.adaptations.host_servo.servo import PidGains
-from motorhil.motorapi.adaptations.host_servo.settings import IoOptions
+from motorhil.motorapi.adaptations.host_servo.settings import IoOptions, PidGains
 from motorhil.motorapi.errors import UsageError
 from motorhil.motorapi.model import MotorModel
 from tests.support.motors.software_rigs import motor, one

@@ -7,7 +7,7 @@ import pytest
 
 from motorhil.harness.rig.rig import Rig
 from motorhil.motorapi.adaptations.host_servo.motor import SoftwareMotor
-from motorhil.motorapi.adaptations.host_servo.servo import PidGains
+from motorhil.motorapi.adaptations.host_servo.settings import PidGains
 from motorhil.motorapi.commands import ControlMode, ControlVariable, DerivativeLimits
 from motorhil.motorapi.errors import PluginError, UnsupportedError
 from motorhil.motorapi.functions import Polynomial

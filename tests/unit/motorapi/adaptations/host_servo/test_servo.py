@@ -20,7 +20,8 @@ from motorhil.motorapi.adaptations.host_servo.demand import (
     Tracked,
     course_of,
 )
-from motorhil.motorapi.adaptations.host_servo.servo import PidGains, Servo, ServoLimits
+from motorhil.motorapi.adaptations.host_servo.servo import Servo, ServoLimits
+from motorhil.motorapi.adaptations.host_servo.settings import PidGains
 from motorhil.motorapi.commands import ControlMode, ControlVariable
 from motorhil.motorapi.errors import PluginError, UsageError
 from motorhil.motorapi.motion import Motion
