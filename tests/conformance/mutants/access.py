@@ -1,9 +1,9 @@
 """Mistakes in homing, low-level access and closing."""
 
-from motorhil.motorapi import motor as low_level
 from motorhil.motorapi.adaptations.ideal.hardware import IdealHwMotor
 from motorhil.motorapi.adaptations.ideal.motor import IdealMotor
 from motorhil.motorapi.adaptations.modbus.polled_motor import PolledMotor
+from motorhil.motorapi.logical_motor import LogicalMotor
 from tests.conformance.mutants import mutant, replaced
 
 
@@ -46,7 +46,7 @@ def low_level_access_closes():
 @mutant("ideal", "LOW-02")
 def low_level_access_in_mid_motion():
     """A reached velocity counts as done, so low-level access is granted while the motor moves."""
-    with replaced(low_level, "_is_at_rest", lambda at_rest: lambda motor, *, patient: True):
+    with replaced(LogicalMotor, "_is_at_rest", lambda at_rest: lambda motor, *, patient: True):
         yield
 
 
