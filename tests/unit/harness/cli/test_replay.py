@@ -167,9 +167,9 @@ def test_rig_may_have_one_recorded_controller(folder, say):
     [
         ('recording = "none.mcap"', "no such file"),
         ('recording = "other.toml"', "is not an MCAP file"),
-        ("", "is missing or not a text"),
+        ("", "recording: is missing; write recording = "),
         ('recording = "bench.mcap"\nrecorded_bus = "can7"', "no data of node 1 on can7"),
-        ('recording = "bench.mcap"\nplant = {}', "is not known"),
+        ('recording = "bench.mcap"\nplant = {}', "plant: unknown key"),
     ],
 )
 def test_wrong_recorded_table_is_reported_with_line(folder, say, line, told):
