@@ -172,14 +172,14 @@ def test_refused_setting_raises_rig_error(tmp_path):
     rig = tmp_path / "rig.toml"
     rig.write_text((RIGS / "ideal.toml").read_text().replace('axis = "left"', "axis = 3"))
     opener = Target(Job("", str(rig))).opener()
-    with pytest.raises(RigError, match=r"rig.toml:\d+: motor.left.axis: axis = 3: must be a name"):
+    with pytest.raises(RigError, match=r"rig.toml:\d+: motor.left.axis: must be a string"):
         run_clause(all_clauses()["STATE-01"], opener)
 
 
 @pytest.mark.parametrize(
     ("old", "new", "told"),
     [
-        ('motors = ["left", "right"]\nw', 'motors = ["left", "left"]\nw', 'left" is listed twice'),
+        ('motors = ["left", "right"]\nw', 'motors = ["left", "left"]\nw', 'left" is there twice'),
         ("[conformance.without]", 'claims = ["dead_man"]\n[conformance.without]', "is claimed at "),
     ],
 )
