@@ -110,7 +110,7 @@ LIMITS = {  # contents of the file, message
     '[motor.left]\nvelocity_max_rad_s = "1"\n': "must be a number, but is a string",
     "[motor.left]\nbus = 'can0'\nvelocity_max_rad_s = 1\n": "motor.left.node_id: is missing",
     "[motor.left]\nposition_max_rad = 1\nvelocity_max_m_s = 1\n": "is in m, but other keys",
-    "[motor.left]\nposition_max_rad = 1\nincrements_per_rad = 0\n": "increments_per_rad: 0 is out of range",
+    "[motor.left]\nposition_max_rad = 1\nincrements_per_rad = 0\n": "0 is out of range",
     "[motor.left]\nbus = 'can0'\nnode_id = 1\n": "motor.left: has no limit",
     "": "motor: is missing",
     "motor = 3\n": "must be a table",
