@@ -7,10 +7,15 @@ from typing import Any
 
 import pytest
 from hypothesis import HealthCheck, settings
+from hypothesis.internal.conjecture import providers
+from hypothesis.internal.constants_ast import Constants
 
 from motorhil import emulators
 from motorhil.harness.version import cores_are_compiled
 from tests.support.dissector import collect_sent, complaints, tshark
+
+# Examples must not depend on which modules other tests of the same process have imported.
+providers._get_local_constants = Constants
 
 settings.register_profile(
     "ci",
