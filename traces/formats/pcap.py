@@ -83,7 +83,7 @@ class _Interface:
 @final
 @dataclass(slots=True)
 class _Section:
-    """What the blocks of a section need of those before them."""
+    """State that the blocks of a section need from those before them."""
 
     order: str
     ours: bool

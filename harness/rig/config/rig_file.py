@@ -80,7 +80,7 @@ class RigTable:
 @final
 @dataclass(frozen=True, kw_only=True)
 class FromModelTable:
-    """What the harness adds to the table of a plant."""
+    """Keys that the harness adds to the table of a plant."""
 
     from_motor_model: bool = flag(
         False,
