@@ -264,7 +264,7 @@ class Owner(Party):
         else:
             self.lease_s = lease_s
             self.used_ns = self._called_ns
-            self.is_lost = False
+            self.is_lost = self.reservation.lost_to is not None  # taken over while it was prepared
             self._note_taken(note, kind)
 
     def start(self, timeout_s: float | None, wait: bool) -> None:

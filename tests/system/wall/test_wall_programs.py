@@ -8,8 +8,7 @@ import pytest
 
 from motorhil.emulators.gateways.loop import WallLoop
 from motorhil.emulators.simulation.event_queue import EventQueue
-from motorhil.harness.cli.processes import StopSignals
-from motorhil.harness.cli.serve import Program
+from motorhil.harness.cli.processes import Program, StopSignals
 
 pytestmark = pytest.mark.wall
 

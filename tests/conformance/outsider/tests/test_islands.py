@@ -20,8 +20,8 @@ def imports(folder):
 @pytest.mark.parametrize(
     ("side", "allowed"),
     [
-        ("emulated", ("motorhil.emulators", "motorhil_odrive.emulated")),
-        ("host", ("motorhil.motorapi", "can", "motorhil_odrive.host")),
+        ("emulated", ("motorhil.emulators", "motorhil.settings", "motorhil_odrive.emulated")),
+        ("host", ("motorhil.motorapi", "motorhil.settings", "can", "motorhil_odrive.host")),
     ],
 )
 def test_each_side_imports_only_its_own_packages(side, allowed):
