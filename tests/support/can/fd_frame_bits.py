@@ -88,6 +88,25 @@ def on_the_wire(frame: FdFields, divide: bool = True) -> str:
     return sent + TAIL
 
 
+def takes_protocol_exception(heard: str) -> bool:
+    """Return whether a CAN FD node that hears these levels meets FDF and res both recessive.
+
+    It takes them for a format of the future and waits for an idle bus, without an error flag.
+    Source: ISO 11898-1:2015, protocol exception event.
+    """
+    header = run = ""
+    for level in heard.lstrip("1"):
+        if len(run) == 5:
+            if level in run:
+                break
+            run = level
+            continue
+        run = run + level if level in run else level
+        header += level
+    fdf = 33 if header[13:14] == "1" else 14
+    return header[fdf : fdf + 2] == "11"
+
+
 def data_phase(frame: FdFields, divide: bool = True) -> tuple[int, int]:
     """Return the first bit that counts as one at the data rate, and the first one after them.
 

@@ -1,7 +1,7 @@
 """CAN FD frames on the wire, with and without errors."""
 
 import pytest
-from hypothesis import event, given
+from hypothesis import event, example, given
 from hypothesis import strategies as st
 
 from motorhil.emulators.can import error_confinement as told
@@ -332,6 +332,9 @@ def test_tolerant_controller_detects_activity_in_data_phase(turn):
 
 
 @given(fd_fields(), st.integers(0, 700), st.integers(-1, 7), st.sampled_from([1, 2, 4, 5, 8]))
+@example(FdFields(32016, True, False, False, b""), 38, 0b010, 2)  # res, at one receiver
+@example(FdFields(32016, True, False, False, b""), 38, 0b110, 2)  # res, at both: no ACK
+@example(FdFields(131, False, True, False, bytes(4)), 0, 0b010, 5)  # a start read one bit late
 def test_flip_anywhere_loses_no_frame_unnoticed(frame, bit, ports, ratio):
     stations = [
         Station(0, (frame.can_frame(),), support=FD),
@@ -344,9 +347,17 @@ def test_flip_anywhere_loses_no_frame_unnoticed(frame, bit, ports, ratio):
     failed = [e for e in episode.events if e.kind in (EventKind.FAILED, EventKind.LOST)]
     got = [e.port for e in episode.events if e.kind is EventKind.ACCEPTED]
     assert len(sent) + len(failed) == 1
+    levels = wire_fd.on_the_wire(frame)
+    levels = levels[:-9] + "0" + levels[-8:]  # the other receiver's ACK
+    heard = levels[:bit] + levels[bit : bit + 1].translate({48: "1", 49: "0"}) + levels[bit + 1 :]
+    first, after = wire_fd.data_phase(frame)  # until BRS a receiver samples at the nominal rate
+    slow = heard[:first] + heard[first:after][ratio - 1 :: ratio] + heard[after:]
+    excepted = wire_fd.takes_protocol_exception(slow)
     if sent:
         # a dominant ACK delimiter at one node delays its end of frame by a bit
-        assert sorted(got) == [1, 2]
+        unaware = [port for port in (1, 2) if excepted and ports >> port & 1]
+        assert sorted(got + unaware) == [1, 2]
+        event("unnoticed" if unaware else "noticed")
     assert all(e.frame == frame.can_frame() for e in episode.events if e.kind is EventKind.ACCEPTED)
     assert episode.bits < len(wire_fd.on_the_wire(frame)) + 60
     event("sent" if sent else "failed")
