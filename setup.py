@@ -104,7 +104,10 @@ class EveryCore(build_ext):
         works = [(ext, source) for ext in stale for source in ext.sources]
         works.sort(key=lambda work: -Path(work[1]).stat().st_size)  # longest compilation first
         objects: dict[str, list[str]] = {}
-        with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as pool:
+        cores = self.parallel = len(os.sched_getaffinity(0))  # for linking as well
+        if works:
+            self._precompile_header(works[0][0])
+        with ThreadPoolExecutor(cores) as pool:
             for source, made in pool.map(self._compiled, works):
                 objects[source] = made
                 if len(objects) % 25 == 0 or len(objects) == len(works):
@@ -117,13 +120,21 @@ class EveryCore(build_ext):
     def _stale(self, ext: Extension) -> bool:
         return newer_group(ext.sources + ext.depends, self.get_ext_fullpath(ext.name), "newer")
 
+    def _precompile_header(self, ext: Extension) -> None:
+        """Let GCC read what every C file includes once; it takes the result in its place."""
+        (header,) = Path("build").glob("__native_internal_*.h")
+        self._included = ["-include", str(header)]
+        flags = [f"-I{folder}" for folder in self.compiler.include_dirs + ext.include_dirs]
+        command = [*self.compiler.compiler_so, *flags, *ext.extra_compile_args]
+        self.spawn([*command, "-x", "c-header", "-c", str(header), "-o", f"{header}.gch"])
+
     def _compiled(self, work: tuple[Extension, str]) -> tuple[str, list[str]]:
         ext, source = work
         return source, self.compiler.compile(
             [source],
             output_dir=self.build_temp,
             include_dirs=ext.include_dirs,
-            extra_postargs=ext.extra_compile_args,
+            extra_postargs=[*ext.extra_compile_args, *self._included],
             depends=ext.depends,
         )
 
