@@ -11,6 +11,7 @@ from tests.architecture.structure import (
     single_importers,
     wide_folders,
 )
+from tests.benchmarks.shares import LAYERS
 from tests.support.checkout import CHECKOUT, PACKAGES, sources
 
 TESTS = CHECKOUT / "tests"
@@ -162,3 +163,14 @@ def test_sleep_and_clock_are_found(text):
 
 def test_all_four_packages_are_read():
     assert {path.relative_to(CHECKOUT).parts[0] for path in sources()} == set(PACKAGES)
+
+
+def test_layers_of_the_profile_have_sources():
+    files = [f"/{name}" for name in names()]
+    ours = [
+        part
+        for _, parts in LAYERS
+        for part in parts
+        if part.startswith(("/emulators/", "/harness/"))
+    ]
+    assert [part for part in ours if not any(part in file for file in files)] == []

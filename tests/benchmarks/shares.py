@@ -20,14 +20,14 @@ from typing import Final
 from tests.benchmarks.native_shares import native_shares
 from tests.benchmarks.workloads import WORKLOADS
 
-_LAYERS: Final = (  # the first layer whose part is in a file's path counts
+LAYERS: Final = (  # the first layer whose part is in a file's path counts
     ("plant", ("/emulators/plant/",)),
     ("firmware", ("/emulators/firmware/",)),
     ("drive protocol", ("/emulators/canopen/", "/emulators/cia401/", "/emulators/cia402/")),
-    ("bus", ("/emulators/media/", "/emulators/can_segment.py", "/emulators/segment.py")),
-    ("event queue, world", ("/emulators/",)),
-    ("recorder", ("/traces/", "/harness/recorder.py", "/harness/rig_recording.py", "/zstandard/")),
-    ("virtual time", ("/harness/virtual_time.py", "/harness/parties.py", "/harness/bus_ears.py")),
+    ("bus", ("/emulators/can/", "/emulators/media/", "/emulators/gateways/")),
+    ("event queue, networks", ("/emulators/",)),
+    ("recorder", ("/traces/", "/harness/recording/", "/harness/rig/recording.py", "/zstandard/")),
+    ("virtual time", ("/harness/virtual_time/", "/harness/python_can/")),
     ("rig, application, workload", ("/harness/", "/tests/benchmarks/")),
     ("motor interface", ("/motorapi/",)),
     ("host libraries", ("/canopen/", "/can/", "/pymodbus/")),
@@ -77,7 +77,7 @@ def shares(stats: pstats.Stats) -> Counter[str]:
 
 def layer_of(file: str) -> str:
     """Return the layer that a source file belongs to."""
-    for layer, parts in _LAYERS:
+    for layer, parts in LAYERS:
         if any(part in file for part in parts):
             return layer
     return _REST
