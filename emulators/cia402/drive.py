@@ -48,7 +48,7 @@ from motorhil.emulators.cia402.faults import (
     told,
 )
 from motorhil.emulators.cia402.objects.dictionary import DriveObjects
-from motorhil.emulators.cia402.objects.units import limited
+from motorhil.emulators.cia402.objects.units import Units, limited
 from motorhil.emulators.cia402.power_drive import NO_FAULT, PowerDrive
 from motorhil.emulators.cia402.quirks import QuirkyWire, deviate, wire_quirks
 from motorhil.emulators.cia402.settings import (
@@ -418,6 +418,10 @@ class Cia402Drive:
         ] = {}  # the last snapshot, for this state, mode, rest and inputs:
         self._truth_of: tuple[int, int, int, int] = (0, 0, -1, 0)
 
+    def units(self) -> Units:
+        """Return the present units of its objects."""
+        return self._objects.units
+
     # --- Controller
 
     def start(self, now_ns: int) -> None:
@@ -726,6 +730,7 @@ def build_drive(settings: DriveSettings, memory: NonvolatileMemory | None = None
         events.append(("info", settings.oscillator.told()))
     events += [("info", line) for line in told_of_quirk_catalogue(settings.quirks)]
     events += [("warning", line) for line in out_of_reach(settings.switches, settings.plant)]
+    events += [("warning", line) for line in settings.plant.doubts()]
     stated = od.integer(0x6502, 0, 0)
     _set_objects(od, settings)
     if settings.supported_modes is None:

@@ -167,7 +167,7 @@ class ModbusDrive:
         self.is_powered = False
         self.now_ns = 0  # of the current call, for readers and writers of registers
         self._ready_ns = NEVER_NS
-        self._events: list[tuple[str, str]] = []
+        self._events: list[tuple[str, str]] = [("warning", line) for line in plant.doubts()]
         self._set_registers()
         if not settings.oscillator.is_ideal():
             self.tell("info", settings.oscillator.told())

@@ -3,10 +3,16 @@
 import argparse
 import json
 import sys
+from collections.abc import Mapping
+from itertools import groupby
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from motorhil.harness.cli.main import PASSED, WRONG_USAGE
 from motorhil.harness.rig.config.toml import RigError
+
+if TYPE_CHECKING:
+    from motorhil.harness.rig.config.units import Comparison
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -27,6 +33,7 @@ def run(options: argparse.Namespace) -> int:
         with Rig.open(options.rig) as rig:
             rig.build_motors()
             notes = rig.notes
+            units = {motor: rig.compared_units(motor) for motor in rig.description.motors}
             counts = {
                 "buses": len(rig.description.buses),
                 "controllers": len(rig.description.controllers),
@@ -42,13 +49,28 @@ def run(options: argparse.Namespace) -> int:
         print(json.dumps({"right": False, **_facts(error)}))
         return WRONG_USAGE
     if options.json:
-        print(json.dumps({"right": True, "name": name, **counts, "notes": notes}))
+        print(json.dumps({"right": True, "name": name, **counts, **_told(units), "notes": notes}))
         return PASSED
     for note in notes:
         print(note, file=sys.stderr)
+    for text, motors in groupby(units, lambda motor: str(units[motor][0]) if units[motor] else ""):
+        if text:
+            print(f"{', '.join(motors)}: {text}")
     parts = [f"{count} {_form(word, count)}" for word, count in counts.items() if count]
     print(f"{options.rig}: {name}: {', '.join(parts)}")
     return PASSED
+
+
+def _told(units: "Mapping[str, tuple[Comparison, ...]]") -> dict[str, object]:
+    return {
+        "units": {
+            motor: [
+                {"quantity": one.quantity, "unit": one.unit, "motor": one.motor, "drive": one.drive}
+                for one in found
+            ]
+            for motor, found in units.items()
+        }
+    }
 
 
 def _facts(error: RigError) -> dict[str, object]:

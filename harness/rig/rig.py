@@ -50,6 +50,7 @@ from motorhil.harness.rig.config.toml import (
     a_kind_of,
     refuse_source,
 )
+from motorhil.harness.rig.config.units import Comparison, compare_units, require_units
 from motorhil.harness.rig.nonvolatile import MemoryFiles
 from motorhil.harness.rig.stimuli import schedule
 from motorhil.harness.virtual_time.interrupts import interrupts_between_events
@@ -492,6 +493,7 @@ class Rig:
             self._add_controllers()
             schedule(description, self.world, self._build_controller)
             self.notes += [f"{name}: {level}: {text}" for _, level, name, text in started]
+            self.notes += [note for bus in description.buses.values() for note in bus.doubts()]
             self.notes += [note for bus in description.buses for note in self._destroyers(bus)]
             if record is not None:
                 self._record(record, started, cleanup)
@@ -561,10 +563,23 @@ class Rig:
         Raises:
             RigError: a motor cannot be built as the rig describes it.
         """
-        for name in self.motors:
+        for name, motor in self.description.motors.items():
             self.motors[name]
+            controller = self._controller_of(motor)
+            require_units(self.description, motor, self._models[name], controller)
         for name in self.groups:
             self.groups[name]
+
+    def compared_units(self, motor: str) -> tuple[Comparison, ...]:
+        """Return the units of a motor beside those of its emulated drive, as far as known.
+
+        Raises:
+            KeyError: the rig has no such motor.
+            RigError: they contradict each other.
+        """
+        described = self.description.motors[motor]
+        controller = self._controller_of(described)
+        return compare_units(self.description, described, self._models[motor], controller)
 
     def close(self) -> None:
         """End all parties, close motors and buses, and complete the record."""
@@ -682,15 +697,19 @@ class Rig:
     def _controller(self, name: str) -> RigController:
         return RigController(name, self.world.controller(name), self.world)
 
+    def _controller_of(self, motor: MotorDescription) -> Controller | None:
+        return None if motor.controller is None else self.world.controller(motor.controller)
+
     def _motor(self, name: str) -> "Motor":
         motor = self.description.motors[name]
-        controller = None if motor.controller is None else self.world.controller(motor.controller)
+        controller = self._controller_of(motor)
         built, close, note = self._plugins.motor(
             name, self._models[name], self.runtime, self._link, controller
         )
         self._in_use.callback(close)
         if note:
             self.notes.append(note)
+        self.compared_units(name)
         if self.recording is not None:
             from motorhil.harness.rig.recording import watch_motor
 

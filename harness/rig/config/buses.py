@@ -41,6 +41,7 @@ LINES: Final = (MODBUS_RTU, MODBUS_TCP)
 PARITIES: Final = ("E", "O", "N")
 BY_COMMAND: Final = "command"
 
+CAN_BITRATE_BIT_S: Final = 10_000  # CiA 301, lowest bit rate
 NODE_MAX: Final = 127
 UNIT_MAX: Final = 247
 
@@ -254,6 +255,16 @@ class BusDescription:
     def is_line(self) -> bool:
         """True for a Modbus line, whose controllers have units instead of node-IDs."""
         return self.kind in LINES
+
+    def doubts(self) -> list[str]:
+        """Return what is permitted but hardly meant, one line each."""
+        if self.is_line or self.bitrate_bit_s >= CAN_BITRATE_BIT_S:
+            return []
+        return [
+            f"{self.name}: warning: bitrate_bit_s = {self.bitrate_bit_s} is below"
+            f" {CAN_BITRATE_BIT_S} bit/s, the lowest of CiA 301; {self.bitrate_bit_s}_000 was"
+            " probably meant"
+        ]
 
     def destroyers(self, controllers: Sequence[str]) -> list[str]:
         """Return the nodes that destroy CAN FD frames of this bus; none on a classical bus.

@@ -191,9 +191,7 @@ def with_timing(
         asked = read(TimingTable, given, path[:-1])
     if not asked.timing_from_controller:
         return settings, ""
-    core = controller
-    while isinstance(core, OwnTime | LateWakes | QuirkyWire):
-        core = core.inner
+    core = None if controller is None else core_of(controller)
     if motor.adaptation != _KIND or motor.controller is None or not isinstance(core, Cia402Drive):
         raise description.error(
             path, "its controller is not an emulated CiA 402 drive of this rig", "take it out"
@@ -208,6 +206,13 @@ def with_timing(
         f' controller "{motor.controller}": a mistake in it is on both sides'
     )
     return {**settings, **taken}, note
+
+
+def core_of(controller: Controller) -> Controller:
+    """Return the controller without what deviates its clock or its wire."""
+    while isinstance(controller, OwnTime | LateWakes | QuirkyWire):
+        controller = controller.inner
+    return controller
 
 
 def _numbers(drive: DriveSettings, oscillator: Mapping[str, object]) -> dict[str, float]:

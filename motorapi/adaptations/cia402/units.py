@@ -63,17 +63,17 @@ class DriveUnits:
 
     def _position(self) -> float:
         if self.increments_per_unit is None:
-            raise _missing(self.motor, "increments_per_unit", self.sources[0])
+            raise _missing(self.motor, f"increments_per_{self.unit}", self.sources[0])
         return self.increments_per_unit
 
     def _velocity(self) -> float:
         if self.velocity_unit is None:
-            raise _missing(self.motor, "velocity_unit", self.sources[1])
+            raise _missing(self.motor, f"velocity_unit_{self.unit}_s", self.sources[1])
         return self.velocity_unit
 
     def _acceleration(self) -> float:
         if self.acceleration_unit is None:
-            raise _missing(self.motor, "acceleration_unit", self.sources[2])
+            raise _missing(self.motor, f"acceleration_unit_{self.unit}_s2", self.sources[2])
         return self.acceleration_unit
 
     def require_all(self) -> None:
