@@ -130,10 +130,13 @@ class HostCutter:
         self.unsent = 0
         self._sent: list[HostStep] = []
         self._told: list[Told] = []
+        self._free_ns: dict[str, int] = {}  # by bus: the end of its last frame
 
     def take_frame(self, time_ns: int, bus: str, frame: bytes, direction: Direction) -> None:
         """Take a frame that was complete on a CAN bus."""
         said = self._listener.decode(bus, frame)
+        free_ns = self._free_ns.get(bus, 0)
+        self._free_ns[bus] = max(free_ns, time_ns)
         is_remote = bool(int.from_bytes(frame[:4], "little") & RTR)
         is_hosts = direction is Direction.TRANSMITTED or (
             direction is Direction.UNKNOWN and (is_remote or said.kind in _FROM_HOST)
@@ -142,7 +145,8 @@ class HostCutter:
             self._told += self._listener.told(time_ns, bus, said)
         elif not int.from_bytes(frame[:4], "little") & ERR:
             try:
-                start_ns = time_ns - self._length_ns(bus, frame)
+                # A bus carries one frame after the other, also where the stamps are too coarse.
+                start_ns = max(time_ns - self._length_ns(bus, frame), free_ns)
             except ValueError:  # CAN FD, or an invalid frame
                 self.unsent += 1
                 return

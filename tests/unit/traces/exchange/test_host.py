@@ -45,8 +45,29 @@ def test_step_waits_for_reports_since_previous_step():
     assert (first.start_ns, first.end_ns) == (10 * MS - LENGTH, 10 * MS)
 
 
-def test_report_during_a_frame_belongs_to_next_step():
-    first, second = cut((10, TAKEN), (10, WRITE), (20, WRITE))
+def test_report_during_a_frame_of_another_bus_belongs_to_next_step():
+    cutter = HostCutter(Listener({}), lambda bus, frame: LENGTH)
+    for time_ms, bus, (direction, identifier, data) in (
+        (10, "can1", TAKEN),
+        (10, "can0", WRITE),
+        (20, "can0", WRITE),
+    ):
+        cutter.take_frame(time_ms * MS, bus, classic(identifier, bytes.fromhex(data)), direction)
+    first, second = cutter.steps()
+    assert [waits(first), waits(second)] == [[], [10]]
+
+
+def test_order_of_equal_stamps_is_that_of_the_recording():
+    # A log of one stamp: four controlwords, the shortest frame last.
+    cutter = HostCutter(Listener({}), lambda bus, frame: LENGTH - frame[8])
+    words = ("8f00", "0e00", "0700", "0f00")
+    for word in words:
+        cutter.take_frame(0, "can0", classic(0x205, bytes.fromhex(word)), HOST)
+    assert [step.frame[8:10].hex() for step in cutter.steps()] == list(words)
+
+
+def test_answer_of_the_same_stamp_is_awaited_by_the_next_step():
+    first, second = cut((10, WRITE), (10, TAKEN), (10, WRITE))
     assert [waits(first), waits(second)] == [[], [10]]
 
 
