@@ -58,6 +58,7 @@ class Packet(NamedTuple):
         direction: its direction, as far as the file has it.
         ours: True if we wrote the file.
         sender: its sender in a file that we wrote; None: unknown.
+        order: "<" or ">", the byte order of the machine that captured.
     """
 
     number: int
@@ -69,6 +70,7 @@ class Packet(NamedTuple):
     direction: Direction = Direction.UNKNOWN
     ours: bool = False
     sender: str | None = None
+    order: str = ">"
 
 
 @final
@@ -151,7 +153,7 @@ class Capture:
             number += 1
             time_ns = seconds * _NS + fraction * fraction_ns
             missing = max(0, original - size)
-            yield Packet(number, time_ns, link_type, data[begin:at], missing)
+            yield Packet(number, time_ns, link_type, data[begin:at], missing, order=order)
 
     # ---- pcapng ----
 
@@ -220,7 +222,7 @@ class Capture:
         data, missing = body[begin : begin + size], max(0, original - size)
         return Packet(
             *(number, time_ns, interface.link_type, data, missing),
-            *(interface.name, way, section.ours, sender),
+            *(interface.name, way, section.ours, sender, order),
         )
 
 

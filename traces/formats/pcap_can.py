@@ -1,8 +1,8 @@
 """CAN frames in packet captures of SocketCAN; reads pcap and pcapng, writes pcapng.
 
 Linux's frames with the identifier in network byte order are link type 227. In captures of "any" or
-cooked ones they follow a head. Only pcapng contains a packet's interface and direction; only our
-files contain the sender.
+cooked ones they follow a head, and the identifier has the byte order of the machine that captured.
+Only pcapng contains a packet's interface and direction; only our files contain the sender.
 
 Source: LINKTYPE_CAN_SOCKETCAN, LINKTYPE_LINUX_SLL, tcpdump.org; draft-ietf-opsawg-pcapng.
 """
@@ -21,7 +21,7 @@ _SOCKETCAN: Final = 227
 _COOKED: Final = 113
 _COOKED_2: Final = 276
 _PROTOCOLS: Final = (0x000C, 0x000D)  # ETH_P_CAN, ETH_P_CANFD
-_HEAD: Final = struct.Struct(">IBB2x")
+_HEADS: Final = {order: struct.Struct(order + "IBB2x") for order in "<>"}
 
 
 def is_capture(head: bytes) -> bool:
@@ -43,7 +43,8 @@ def captured_frames(path: str, findings: Findings) -> Iterator[Frame]:
             if content is None:
                 others += 1
                 continue
-            frame = _frame(content, packet.missing)
+            head = _HEADS[">" if packet.link_type == _SOCKETCAN else packet.order]
+            frame = _frame(content, head, packet.missing)
         except ValueError as error:
             findings.problem(packet.number, f"{error}, in packet {packet.number}")
             continue
@@ -74,10 +75,10 @@ def _can_part(packet: Packet) -> tuple[bytes | None, Direction]:
     return data[size:], Direction.TRANSMITTED if kind == 4 else Direction.RECEIVED
 
 
-def _frame(content: bytes, missing: int) -> bytes:
+def _frame(content: bytes, head: struct.Struct, missing: int) -> bytes:
     if len(content) < 8:
         raise ValueError(f"{len(content)} bytes are not a CAN frame")
-    can_id, length, flags = _HEAD.unpack_from(content)
+    can_id, length, flags = head.unpack_from(content)
     fd = bool(flags & can_frame.FDF) or len(content) > 16
     data = content[8 : 8 + length]
     if can_id & can_frame.RTR:
@@ -95,7 +96,7 @@ def write_pcapng(file: BinaryIO, buses: Sequence[str], frames: Iterator[Frame]) 
     for time_ns, bus, frame, direction, sender in frames:
         told = can_frame.fields(frame)
         size = 8 if told.can_id & can_frame.RTR else 8 + told.length
-        content = _HEAD.pack(told.can_id, told.length, told.flags) + frame[8:size]
+        content = _HEADS[">"].pack(told.can_id, told.length, told.flags) + frame[8:size]
         if not told.fd:
             content = content.ljust(16, b"\0")
         writer.packet(which[bus], time_ns, content, direction, sender or None)

@@ -39,14 +39,33 @@ def test_pcap_of_socketcan_is_read(tmp_path):
     ]
 
 
-def test_cooked_capture_has_directions(tmp_path):
-    def cooked(kind, protocol):
-        return struct.pack(">HHH8sH", kind, 280, 0, b"", protocol) + CLASSIC
+def cooked(link_type, order, kind, protocol):
+    """Return a packet of SLL or SLL2: its identifier is in the order of the capturing machine."""
+    if link_type == 113:
+        head = struct.pack(">HHH8sH", kind, 280, 0, b"", protocol)
+    else:
+        head = struct.pack(">HHIHBB8s", protocol, 0, 1, 280, kind, 0, b"")
+    if protocol == 0x0D:
+        return head + struct.pack(order + "IBB2x64s", 0x123, 12, 0, bytes(range(12)))
+    return head + struct.pack(order + "IB3x8s", 0x123, 2, b"\1\2")
 
-    packets = [(1, 0, cooked(1, 0x0C)), (2, 0, cooked(4, 0x0C)), (3, 0, cooked(0, 0x0800))]
-    frames, findings = read(tmp_path, pcap(packets, link_type=113))
-    assert [frame[3] for frame in frames] == [R, T]
+
+@pytest.mark.parametrize("link_type", [113, 276])
+@pytest.mark.parametrize("order", ["<", ">"])
+def test_cooked_capture_has_directions(tmp_path, link_type, order):
+    kinds = [(1, 0x0C), (4, 0x0D), (0, 0x0800)]
+    packets = [(at, 0, cooked(link_type, order, *one)) for at, one in enumerate(kinds)]
+    data = pcap(packets, link_type=link_type, order=order)
+    frames, findings = read(tmp_path, data)
+    assert [frame[2:] for frame in frames] == [
+        (classic(0x123, b"\1\2"), R),
+        (flexible(0x123, 0, bytes(range(12))), T),
+    ]
     assert findings.notes == ["1 packets are not CAN frames, and are omitted"]
+    if shutil.which("tshark") is not None:
+        path = tmp_path / "some.pcap"
+        told = subprocess.run(["tshark", "-r", path], capture_output=True, text=True, check=True)
+        assert told.stdout.count("(0x123)") == 2
 
 
 @pytest.mark.parametrize("order", ["<", ">"])
