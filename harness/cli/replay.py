@@ -40,6 +40,7 @@ _OF_MODES: Final = {
     "--bitrate": ("bitrate", ("host", "traffic")),
     "--speed": ("speed", ("host", "traffic")),
     "--json": ("json", ("host", "traffic")),
+    "--partial": ("partial", ("device",)),
     "--reset": ("reset", ("host",)),
     "--all": ("all", ("host",)),
     "--bus": ("bus", ("traffic",)),
@@ -80,6 +81,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         choices=("exact", "any"),
         default="exact",
         help="any: set-points in PDOs may differ (device)",
+    )
+    parser.add_argument(
+        "--partial",
+        action="store_true",
+        help="SCRIPT may leave out commands of the recording, or end before it (device)",
     )
     parser.add_argument(
         "--realtime", action="store_true", help="run at most as fast as the wall clock"
@@ -174,7 +180,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def replay_as_device(options: argparse.Namespace) -> int:
-    """Return the script's exit status; 1 if it raised or sent an unanswerable command.
+    """Return the script's exit status; 1 if it raised, or its commands were not the recorded ones.
 
     Raises:
         RigError: the recording, the rig or the script cannot be used.
@@ -187,7 +193,8 @@ def replay_as_device(options: argparse.Namespace) -> int:
     rig = Rig(
         _described(options), seed=options.seed, realtime=options.realtime, record=options.output
     )
-    status = run_judged(rig, script, words, "replay")
+    whole = script is not None and not options.partial
+    status = run_judged(rig, script, words, "replay", whole)
     if status != PASSED and script is not None:
         print(f"again: {_repeat_command(options, rig, words)}", file=sys.stderr)
     return status
@@ -206,6 +213,8 @@ def _repeat_command(options: argparse.Namespace, rig: "Rig", words: list[str]) -
     command += ["--seed", str(rig.seed)]
     if options.rig is not None:
         command += ["--rig", str(options.rig)]
+    if options.partial:
+        command.append("--partial")
     if options.set_points != "exact":
         command += ["--set-points", options.set_points]
     if options.realtime:

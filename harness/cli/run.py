@@ -185,24 +185,33 @@ def _run(rig: "Rig", script: Script, main: ModuleType) -> int:
     return 0
 
 
-def run_judged(rig: "Rig", script: Script | None, words: Sequence[str], verb: str) -> int:
+def run_judged(
+    rig: "Rig", script: Script | None, words: Sequence[str], verb: str, whole: bool = False
+) -> int:
     """Run the program, or a prompt, with the rig open around it; then close the rig.
+
+    Args:
+        rig: the rig.
+        script: the program; None: a prompt.
+        words: its arguments.
+        verb: the name of the verb on stderr.
+        whole: True if it must send all commands that recorded controllers have.
 
     Returns:
         The program's exit status; 1 if it raised, or if recorded controllers could not answer its
-        requests. The latter is reported on stderr in the name of `verb`.
+        requests, or missed some. What was missed is told on stderr.
 
     Raises:
         RigError, TraceError, BrokenPipeError: errors of the rig, its record or the output.
     """
-    from motorhil.harness.replay.verdict import summary, unanswered
+    from motorhil.harness.replay.verdict import never_came, summary, unanswered
 
     try:
         with rig:
             status = run_prompt(rig) if script is None else run_script(rig, script, words)
             for line in summary(rig):
                 print(f"motorhil {verb}: {line}", file=sys.stderr)
-            return status or int(bool(unanswered(rig)))
+            return status or int(bool(unanswered(rig) or (whole and never_came(rig))))
     except (RigError, TraceError, BrokenPipeError):
         raise
     except Exception as error:  # of a party without a join, or while closing resources

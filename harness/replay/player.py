@@ -165,17 +165,9 @@ class ExchangePlayer:
         """Return the last answers as sentences, oldest first."""
         return tuple(self._before)
 
-    def left(self) -> list[Step]:
-        """Return the recorded commands before the last one found that never came."""
-        return [
-            self._steps[number]
-            for number in self._commands
-            if not self._used[number] and number < self._place
-        ]
-
-    def to_come(self) -> int:
-        """Return the number of recorded commands after the last one found."""
-        return len(self._commands) - self._next
+    def never_came(self) -> list[Step]:
+        """Return the recorded commands that no command has matched, in recorded order."""
+        return [self._steps[number] for number in self._commands if not self._used[number]]
 
     # ------------------------------------------------------------------------- transmission
 

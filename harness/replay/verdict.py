@@ -4,15 +4,18 @@ import re
 import sys
 from collections.abc import Iterator
 from os import PathLike
-from typing import TYPE_CHECKING, NamedTuple, final
+from typing import TYPE_CHECKING, Final, NamedTuple, final
 
 from motorhil.harness.replay.device_node import RecordedNode, RecordedUnit
 from motorhil.harness.replay.player import ExchangePlayer, Mismatch
+from motorhil.traces.exchange.steps import Step
 from motorhil.traces.mcap.reader import read_trace
 from motorhil.traces.semantics.model import Meaning, meaning_of
 
 if TYPE_CHECKING:
     from motorhil.harness.rig.rig import Rig
+
+_SHOWN: Final = 5
 
 
 @final
@@ -46,6 +49,12 @@ def unanswered(rig: "Rig") -> list[Unanswered]:
     return sorted(found, key=_when)
 
 
+def never_came(rig: "Rig") -> list[tuple[str, Step]]:
+    """Return the recorded commands that the application never sent, with controllers, by time."""
+    found = [(name, step) for name, player in players(rig).items() for step in player.never_came()]
+    return sorted(found, key=lambda one: one[1].time_ns)
+
+
 def summary(rig: "Rig", failure: str = "") -> Iterator[str]:
     """Yield the lines of a summary; none if the rig has no recorded controllers.
 
@@ -72,13 +81,12 @@ def summary(rig: "Rig", failure: str = "") -> Iterator[str]:
         if re.search(rf"\b{re.escape(name)}\b", failure):
             for text in player.answered_last():
                 yield f"  {name} answered last: {text}"
-    left = {name: len(player.left()) for name, player in known.items() if player.left()}
-    if left:
-        told_of = ", ".join(f"{name} {count}" for name, count in left.items())
-        yield f"commands of the recording that were not sent: {told_of}"
-    rest = sum(player.to_come() for player in known.values())
-    if rest:
-        yield f"the recording has {rest} more command{'s' if rest > 1 else ''}"
+    missing = never_came(rig)
+    if missing:
+        count = f"{len(missing)} command{'s' if len(missing) > 1 else ''}"
+        yield f"{count} of the recording never came; first:"
+        for name, step in missing[:_SHOWN]:
+            yield f"  {name}, at {step.time_ns / 1e9:.6f} s of it: {step.text}"
 
 
 def _when(one: Unanswered) -> int:

@@ -242,6 +242,6 @@ def test_other_set_points_pass_with_any_set_points(folder, say):
     size = frames[0][4]
     data = bytes(a ^ b ^ 0xFF for a, b in zip(frames[0][8 : 8 + size], mask, strict=False))
     (folder / "stream.py").write_text(STREAM.format(identifier=identifier, data=data.hex()))
-    words = ("replay", str(path), "--as", "device", "stream.py")
+    words = ("replay", str(path), "--as", "device", "--partial", "stream.py")
     assert say(*words)[0] == 1
     assert say(*words, "--set-points", "any")[0] == 0

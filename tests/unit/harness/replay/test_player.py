@@ -129,8 +129,7 @@ def test_skipped_command_may_come_later():
     player = played(command(1), command(2), command(3))
     for number in (1, 3, 2):
         assert player.command(key(number), 0) is not None
-    assert player.left() == []
-    assert player.to_come() == 0
+    assert player.never_came() == []
 
 
 def test_command_beyond_look_ahead_is_not_found():
@@ -262,7 +261,8 @@ def test_any_host_finds_each_command_once(count, host):
         due_ns = player.next_deadline_ns()
         assert due_ns is None or due_ns >= now_ns - 30 * MS
     assert len(found) == len(set(found)) == player.matched
-    assert sorted(set(range(1, following)) - set(found)) == [one.key[1] for one in player.left()]
+    never = sorted(set(range(1, count + 1)) - set(found))
+    assert never == [one.key[1] for one in player.never_came()]
     event(f"found {min(len(found), 5)}{'+' if len(found) > 5 else ''}")
 
 
@@ -273,4 +273,4 @@ def test_recorded_host_finds_every_command(count):
     for number in range(1, count + 1):
         assert player.is_next(key(number))
         assert player.command(key(number), number) is steps[number - 1]
-    assert (player.matched, player.left(), player.to_come()) == (count, [], 0)
+    assert (player.matched, player.never_came()) == (count, [])
