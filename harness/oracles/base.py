@@ -207,6 +207,7 @@ class RecordingContext:
         self.buses: dict[str, bool] = {}
         self.seen_nodes: dict[tuple[str, int], None] = {}
         self.unmapped: dict[tuple[str, int], int] = {}
+        self._devices: set[tuple[str, int]] = set(names.nodes)
         self._from_ns = from_ns
         self._to_ns = to_ns
         self._subjects = {one.place: one for one in facts.motors.values() if one.place is not None}
@@ -216,6 +217,16 @@ class RecordingContext:
         return (self._from_ns is None or time_ns >= self._from_ns) and (
             self._to_ns is None or time_ns < self._to_ns
         )
+
+    def saw(self, bus: str, node: int, is_device: bool = True) -> None:
+        """Note a message of a node; heartbeats alone do not make it a device."""
+        self.seen_nodes[bus, node] = None
+        if is_device:
+            self._devices.add((bus, node))
+
+    def is_program(self, bus: str, node: int) -> bool:
+        """Return True for a node that sent nothing but heartbeats so far, as a host's program."""
+        return (bus, node) not in self._devices
 
     def axis(self, place: Place) -> Axis:
         """Return the axis at a place, created if necessary."""

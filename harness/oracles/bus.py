@@ -122,7 +122,7 @@ class BusListener:
             return None
         for node, is_sent, _ in keys:
             if is_sent:
-                self._context.seen_nodes[self._name, node] = None
+                self._context.saw(self._name, node)
             elif self._decoder.maps.objects((node, is_sent, _)) is None:
                 self._context.unmapped[self._name, node] = identifier
         parts: list[_Part] = []
@@ -157,7 +157,7 @@ class BusListener:
             for hook in self._on_sync:
                 hook(time_ns, self._name, can_id)
         elif function == 1 and node and length == 8:
-            self._context.seen_nodes[self._name, node] = None
+            self._context.saw(self._name, node)
             code = int.from_bytes(frame[8:10], "little")
             for oracle in self._oracles:
                 oracle.emergency(time_ns, self._name, node, code)
@@ -173,7 +173,7 @@ class BusListener:
         elif state in NMT_STATES:
             for hook in self._on_heartbeat:
                 hook(time_ns, self._name, node, state)
-        self._context.seen_nodes[self._name, node] = None
+        self._context.saw(self._name, node, is_device=frame[8] == 0)
 
     def _nmt(self, time_ns: int, event: DecodedEvent) -> None:
         command = event.facts[0].value
@@ -199,7 +199,7 @@ class BusListener:
         for oracle in self._oracles:
             oracle.sdo(time_ns, self._name, event, data)
         if not is_request:
-            self._context.seen_nodes[self._name, node] = None
+            self._context.saw(self._name, node)
         index = event.index
         if index is None:
             return

@@ -25,10 +25,12 @@ _CERTAIN: Final = 10
 _SAMPLES: Final = 8
 _LATE: Final = 1.5
 _RESETS: Final = (0x81, 0x82)
+_UNTIL_END: Final = "until the recording ends"
 _ASKED_MAX: Final = 16
 _TIMED_OUT: Final = 0x0504_0000
 _INVALID: Final = 0x8000_0000
 _NODE_FUNCTIONS: Final = (1, 3, 5, 7, 9, 11, 14)  # functions: EMCY, TPDOs, SDO answers, heartbeat
+_HEARTBEAT: Final = 14
 
 _SYNC_SAMPLES: Final = 64
 _REGULAR: Final = 0.8
@@ -129,6 +131,12 @@ class Heartbeats(Oracle):
         limit_ns = int(_LATE * beat.period_ns) + 20 * MS
         if gap_ns <= limit_ns:
             return
+        is_end = since == _UNTIL_END
+        if self.context.is_program(bus, node) and (is_end or gap_ns > _CERTAIN * beat.period_ns):
+            self.cannot(
+                f"{bus} node {node} sent heartbeats alone, as a program does, and may have ended"
+            )
+            return
         text = f"no heartbeat {since}, {gap_ns / 1e9:.3f} s"
         numbers = (gap_ns / 1e6, limit_ns / 1e6, "ms")
         found = self.context.violation_of(time_ns, text, (bus, node), *numbers)
@@ -149,7 +157,7 @@ class Heartbeats(Oracle):
         for (bus, node), beat in self._beats.items():
             if beat.period_ns and self.context.judges(time_ns):
                 gap_ns = time_ns - beat.last_ns
-                self._judge(time_ns, bus, node, beat, gap_ns, "until the recording ends")
+                self._judge(time_ns, bus, node, beat, gap_ns, _UNTIL_END)
 
 
 @final
@@ -273,9 +281,11 @@ class OneSender(Oracle):
         """Examine a change of sender; the return of an earlier sender proves two senders."""
         if identifier >> 7 not in _NODE_FUNCTIONS or not identifier & 0x7F:
             return
+        node = identifier & 0x7F
+        if identifier >> 7 == _HEARTBEAT and self.context.is_program(bus, node):
+            return  # programs of one host share its node-ID
         if not self.examine(time_ns, bus) or not before:
             return
-        node = identifier & 0x7F
         known = self._before.setdefault((bus, identifier), {})
         known[before] = None
         if now in known:

@@ -58,6 +58,19 @@ FINE = {
 }
 
 
+def test_programs_of_one_host_may_share_a_heartbeat_and_end(tmp_path):
+    """No device has node-ID 127: two programs send 77Fh until 900 ms, and end."""
+    beats = [(ms, 0x77F, b"\x05", f"program[{ms // 50 % 2}]") for ms in range(50, 900, 50)]
+    findings = findings_of(record(tmp_path / "one.mcap", with_more(*beats), locks=LOCKS))
+    assert {one.oracle: str(one.first) for one in findings.values() if one.first} == {}
+
+
+def test_device_may_not_share_its_heartbeat(tmp_path):
+    """A node that has answered or booted is a device, and its sender is its own."""
+    frames = with_more((650, 0x701, b"\x05", "ghost"))
+    assert findings_of(record(tmp_path / "one.mcap", frames))["one-sender"].first is not None
+
+
 @pytest.mark.parametrize("name", FINE)
 def test_allowed_behaviour_is_not_broken(tmp_path, name):
     findings = findings_of(record(tmp_path / "one.mcap", FINE[name], locks=LOCKS))
