@@ -147,7 +147,7 @@ class PowerDrive:
         self._guard.written(what)
         if what & _MODE and self._objects.mode != self.mode:
             self._switch_mode(now_ns)
-        if self.fsa.state is PdsState.OPERATION_ENABLED and self._at_rest == NO_TRANSITION:
+        if self._mode_works():
             self._active.written(what, now_ns)
         if what & _CONTROLWORD:
             self._write_controlword(self._objects.controlword, now_ns)
@@ -177,7 +177,7 @@ class PowerDrive:
         if self._at_rest != NO_TRANSITION and axis.stands():
             self._take(self._at_rest, now_ns)
             self._obey_level(now_ns)
-        elif state is PdsState.OPERATION_ENABLED:
+        elif self._mode_works():
             active = self._active
             active.settle(now_ns)
             if active.lost:
@@ -191,7 +191,7 @@ class PowerDrive:
     def saw(self, edges: list[Edge]) -> None:
         """Handle edges of digital inputs."""
         self.touch_probe.sees(edges)
-        if self.fsa.state is PdsState.OPERATION_ENABLED and self._at_rest == NO_TRANSITION:
+        if self._mode_works():
             self._active.sees(edges)
         self._guard.sees(edges)
 
@@ -201,9 +201,16 @@ class PowerDrive:
         is_on = state in _RUNNING_STATES or state is PdsState.FAULT_REACTION_ACTIVE
         return is_on or self.is_watched or self.inputs.is_gated
 
+    def _mode_works(self) -> bool:
+        """Return True if the mode moves the motor, which is not being stopped or disabled."""
+        return self.fsa.state is PdsState.OPERATION_ENABLED and self._at_rest == NO_TRANSITION
+
     def deadline_ns(self) -> int:
-        """Return when `settle` must be called at the latest [ns], or NEVER; ignores flags."""
-        wake_ns = self._active.wake_ns()
+        """Return when `settle` must be called at the latest [ns], or NEVER; ignores flags.
+
+        The mode is woken only where `settle` asks it.
+        """
+        wake_ns = self._active.wake_ns() if self._mode_works() else NEVER
         return wake_ns if wake_ns < self._enable_due_ns else self._enable_due_ns
 
     def fault(self, code: int, now_ns: int) -> None:
@@ -290,7 +297,7 @@ class PowerDrive:
         elif command is not None:
             self._enable_due_ns = NEVER
         self._advance(command, now_ns)
-        if fsa.state is PdsState.OPERATION_ENABLED and self._at_rest == NO_TRANSITION:
+        if self._mode_works():
             self._active.obey(word, word & ~previous, now_ns)
 
     def _obey_level(self, now_ns: int) -> None:
@@ -382,7 +389,7 @@ class PowerDrive:
     def _switch_mode(self, now_ns: int) -> None:
         self._active.leave()
         self._select(self._objects.mode)
-        if self.fsa.state is PdsState.OPERATION_ENABLED and self._at_rest == NO_TRANSITION:
+        if self._mode_works():
             if self._active is self._no_mode:
                 self._axis.ramp_to_rest(self._objects.motion.deceleration_inc_s2())
             self._active.enter(self.fsa.controlword, now_ns)

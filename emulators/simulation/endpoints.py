@@ -1,12 +1,14 @@
 """Segments and endpoints of a world, and their overseer."""
 
 from collections.abc import Callable, Mapping
-from typing import final
+from typing import Final, final
 
 from motorhil.emulators.can.frame import ERR_FLAG
 from motorhil.emulators.controller import Controller
 from motorhil.emulators.simulation.event_queue import UNSET, EventQueue
 
+STUCK: Final = 1000
+"""How often a controller may be called at one time, by its own wish."""
 HostListener = Callable[[bytes, int, bool], None]
 
 
@@ -57,6 +59,17 @@ class Endpoint:
         """Handle an error message of its CAN controller (`error_message`)."""
 
 
+class StuckControllerError(RuntimeError):
+    """A controller whose deadline does not move on, so that time would stand still for ever."""
+
+    def __init__(self, name: str, now_ns: int) -> None:
+        super().__init__(
+            f"controller {name}: after `expire` at {now_ns / 1e9:.9f} s it asked {STUCK} times to"
+            " be called at that time or before; `next_deadline_ns` must be later once `expire` has"
+            " handled what is due; this is a defect of the controller: report it to its author"
+        )
+
+
 @final
 class ControllerSlot(Endpoint):
     """A controller's place in the world: its port, its alarm, its sample state."""
@@ -71,6 +84,8 @@ class ControllerSlot(Endpoint):
         self._alarm = world.queue.alarm(self._expire)
         self._wants_sent = controller.wants_sent()
         self._revision = controller.identifiers_revision()
+        self._expired_ns = UNSET
+        self._again = 0  # how often it was called at that time without moving on
         self.touched = False
         self.sample: Mapping[str, float] = {}
 
@@ -92,6 +107,13 @@ class ControllerSlot(Endpoint):
             self.settle(now_ns)
 
     def _expire(self, now_ns: int) -> None:
+        if now_ns == self._expired_ns:
+            self._again += 1
+            if self._again == STUCK:
+                raise StuckControllerError(self.name, now_ns)
+        else:
+            self._expired_ns = now_ns
+            self._again = 0
         self.controller.expire(now_ns)
         self.settle(now_ns)
 

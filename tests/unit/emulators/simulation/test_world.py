@@ -5,6 +5,7 @@ import pytest
 from motorhil.emulators.can.bus.bus import CanBus
 from motorhil.emulators.can.bus.fault_plan import FaultPlan
 from motorhil.emulators.can.fault_rules import FaultKind, FaultRule
+from motorhil.emulators.simulation.endpoints import StuckControllerError
 from motorhil.emulators.simulation.event_queue import EventQueue
 from motorhil.emulators.simulation.world import World
 
@@ -180,3 +181,16 @@ def test_samples_are_taken_only_while_truth_changes():
     queue.run_until(2000 * MS)
     assert samples == [(0, 0.0), (1020 * MS, 1.0)]
     assert queue.next_time_ns() is None
+
+
+class Stuck(Echo):
+    """A controller that asks to be called in the past, whatever it is told."""
+
+    def next_deadline_ns(self):
+        return 5
+
+
+def test_deadline_that_does_not_move_on_is_refused_by_name():
+    queue, _ = world_with(Stuck(0x101, 0))
+    with pytest.raises(StuckControllerError, match=r"controller c0: .* at 0\.000000005 s .*defect"):
+        queue.run_until(10)

@@ -89,3 +89,15 @@ def test_late_sync_within_the_time_is_accepted():
         bench.sync()
         bench.run(10 * MS)
     assert bench.truth("state") == PdsState.OPERATION_ENABLED
+
+
+@pytest.mark.parametrize("mode", CYCLIC)
+@pytest.mark.parametrize("word", [0x02, 0x0B, 0x07, 0x06])  # quick stop, with 605Ah; 605Ch; 605Bh
+def test_missing_sync_ends_no_stop_and_no_disabling(mode, word):
+    """The mode is at work in OPERATION ENABLED only; elsewhere its deadline means nothing."""
+    bench = running(mode, objects={"60FFh": 40_000, "605Ah": 6, "605Ch": 1, "605Bh": 1})
+    bench.controlword(word)
+    for _ in range(100):
+        bench.run(10 * MS)
+    assert bench.truth("state") not in (PdsState.FAULT_REACTION_ACTIVE, PdsState.FAULT)
+    assert bench.truth("velocity_rad_s") == 0.0
