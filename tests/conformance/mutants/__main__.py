@@ -1,7 +1,8 @@
 """`make mutants`: runs all mutants against all clauses, and writes the table.
 
-The exit status is 1 if a mutant survives, or is not killed by a clause it names. The exit status is
-also 1 if a clause kills no mutant alone, and `stays` gives no reason for it.
+The exit status is 1 if a mutant survives, is not killed by a clause it names, or crashes: then it
+was written for code that has changed since, and proves nothing. It is also 1 if a clause kills no
+mutant alone, and `stays` gives no reason for it.
 """
 
 import os
@@ -10,6 +11,7 @@ from collections.abc import Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
+from motorhil.harness.conformance.clause import Result
 from motorhil.harness.conformance.kit import all_clauses
 from motorhil.harness.conformance.run import run_clauses
 from tests.conformance.mutants import MUTANTS
@@ -18,16 +20,19 @@ from tests.conformance.mutants.stays import WHY_IT_STAYS
 from tests.support.kit_benches import opener
 
 assert MODULES
+_OWN = "tests/conformance/mutants/"
 PAGE = Path(__file__).with_name("KILLS.md")
 Kills = dict[str, tuple[str, ...]]
 
 
-def killers_of(name: str) -> tuple[str, tuple[str, ...]]:
-    """Return a mutant and the clauses that kill it."""
+def killers_of(name: str) -> tuple[str, tuple[str, ...], str]:
+    """Return a mutant, the clauses that kill it, and its own first crash, or ""."""
     mutant = MUTANTS[name]
     with mutant.plant():
         verdicts = list(run_clauses(all_clauses().values(), opener(mutant.kind)))
-    return name, tuple(one.clause for one in verdicts if not one.result.is_good)
+    crashes = [one for one in verdicts if one.result is Result.CRASHED and _OWN in one.place]
+    crash = f"{crashes[0].place}: {crashes[0].seen}" if crashes else ""
+    return name, tuple(one.clause for one in verdicts if not one.result.is_good), crash
 
 
 def killed_alone(kills: Kills) -> dict[str, list[str]]:
@@ -84,15 +89,18 @@ def main(names: Iterable[str]) -> int:
     """Run the mutants and print the table; write it if all mutants were run."""
     chosen = list(names) or list(MUTANTS)
     kills: Kills = {}
+    crashed = []
     with ProcessPoolExecutor(os.cpu_count()) as pool:
-        for name, clauses in pool.map(killers_of, chosen):
+        for name, clauses, crash in pool.map(killers_of, chosen):
             kills[name] = clauses
+            if crash:
+                crashed.append(f"{name} is out of date: {crash}")
             print(f"{name}: {', '.join(clauses) or 'SURVIVES'}", flush=True)
     text = "\n".join(page(kills)) + "\n"
     if chosen == list(MUTANTS):
         PAGE.write_text(text)
     print(text)
-    wrong = list(complaints(kills))
+    wrong = [*crashed, *complaints(kills)]
     for line in wrong:
         print(line, file=sys.stderr)
     return int(bool(wrong))

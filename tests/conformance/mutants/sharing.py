@@ -36,12 +36,12 @@ def prepared_before_it_is_asked_for():
     """A start sends its controlword before it has acquired the motor."""
 
     def wrong(start):
-        def begun(motor, *args):
+        def begun(motor, *args, **options):
             can_id = 0x200 + motor._node.node_id
             head = can_id.to_bytes(4, "little") + bytes((2, 0, 0, 0))
             if motor.logical.physical.access is None:
                 motor._control._send(head + bytes((0x0F, 0)) + bytes(6), None)
-            return start(motor, *args)
+            return start(motor, *args, **options)
 
         return begun
 

@@ -24,5 +24,4 @@ WHY_IT_STAYS: dict[str, str] = {
     "LOST-09": "HEAR-01 loses answers only; this one any frame of a move, one by one",
     "HEAR-03": "LOST-04 and LOST-09 lose a motion, this one a motor at rest",
     "BUS-02": "noise strikes at random, and duplicates frames that no other clause duplicates",
-    "SHARE-02": "BUS-01 meets early commands in another way; this clause names the mistake",
 }
