@@ -5,6 +5,7 @@ import json
 import sys
 import textwrap
 from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Final
 
@@ -13,10 +14,12 @@ from motorhil.harness.cli.options import print_table, reading_progress, time_ns
 from motorhil.harness.oracles.base import Finding, Verdict
 from motorhil.harness.oracles.facts import Facts, read_limits, read_rig
 from motorhil.harness.oracles.judge import CATALOGUE, IDS, is_sound, judge
+from motorhil.harness.oracles.seen import Seen
 from motorhil.traces.formats.registry import open_source
 from motorhil.traces.mcap.reader import read_trace
 
 _WIDTH: Final = 100
+_SHOWN: Final = 20
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -72,6 +75,7 @@ def run(options: argparse.Namespace) -> int:
         facts = facts.with_more(read_limits(options.limits))
     if options.rig is not None:
         facts = facts.with_more(read_rig(options.rig))
+    seen = Seen()
     findings = judge(
         options.file,
         facts,
@@ -80,16 +84,48 @@ def run(options: argparse.Namespace) -> int:
         to_ns=options.to_ns,
         progress=reading_progress(),
         note=lambda text: print(f"motorhil judge: {options.file}: {text}", file=sys.stderr),
+        seen=seen,
     )
     _note_truncation(options.file)
+    if options.limits is not None and (strangers := _strangers(facts, seen)):
+        print(f"{options.limits}: {strangers}", file=sys.stderr)
+        return WRONG_USAGE
     verdict, status = _sum(findings)
     if options.json:
         tables = [finding.as_table() for finding in findings]
-        print(json.dumps({"file": options.file, "verdict": verdict, "findings": tables}))
+        incidents = [asdict(one) for one in seen.incidents]
+        told = {"file": options.file, "verdict": verdict, "seen": incidents, "findings": tables}
+        print(json.dumps(told))
     else:
         _print(findings)
-        print(f"{options.file}: {verdict}: {_counts(findings)}")
+        for incident in seen.incidents[:_SHOWN]:
+            print(f"seen: {incident}")
+        if len(seen.incidents) > _SHOWN:
+            print(f"seen: {len(seen.incidents) - _SHOWN} more; --json has all")
+        print(f"{options.file}: {verdict}: {_counts(findings)}{_count_of(seen)}")
     return status
+
+
+def _strangers(facts: Facts, seen: Seen) -> str:
+    """Return an error about motors with limits that the recording does not have, or ""."""
+    known = ", ".join(sorted(seen.motors)) or "none"
+    for name, motor in facts.motors.items():
+        if motor.place is not None:
+            bus, node = motor.place[:2]
+            if motor.limits and (bus, node) not in seen.places:
+                return f"motor.{name}: nothing of {bus} node {node} is in the recording"
+        elif motor.limits and motor.controller is None and name not in seen.motors:
+            return (
+                f"motor.{name}: the recording has no such motor (it has: {known}); name one of"
+                " them, or give its bus and node_id"
+            )
+    return ""
+
+
+def _count_of(seen: Seen) -> str:
+    """Return the number of faults, limits and alarms, for the last line."""
+    count = sum(one.times for one in seen.incidents)
+    return f"; {count} incident{'s' if count != 1 else ''} seen" if count else ""
 
 
 def _sum(findings: Sequence[Finding]) -> tuple[str, int]:

@@ -33,6 +33,7 @@ from motorhil.harness.oracles.network import (
     OneSender,
     SyncPeriod,
 )
+from motorhil.harness.oracles.seen import Incidents, Seen
 from motorhil.harness.oracles.state_machine import StateMachine
 from motorhil.traces.decoding.attached_rig import RecordedNames, names_of
 from motorhil.traces.formats.frames import Findings as Reading
@@ -47,6 +48,7 @@ from motorhil.traces.schema import (
     LOG,
     MOTOR_LOCK,
     FrameDecoder,
+    Level,
     LockAction,
     TruthDecoder,
     truth_message_of,
@@ -79,6 +81,7 @@ def judge(
     to_ns: int | None = None,
     progress: Callable[[int], None] | None = None,
     note: Callable[[str], None] | None = None,
+    seen: Seen | None = None,
 ) -> list[Finding]:
     """Return the findings of all oracles in the order of IDS.
 
@@ -93,20 +96,23 @@ def judge(
         to_ns: events before this time are judged [ns].
         progress: called from time to time with the number of messages read.
         note: called at the end with each remark about skipped data.
+        seen: filled with faults, limits and alarms that the recording shows, whatever the verdict.
 
     Raises:
         TraceError: it cannot be read, has an unknown format, or is damaged.
     """
     facts = Facts() if facts is None else facts
     if isinstance(recording, Trace):
-        return _judge_trace(recording, facts, only, from_ns, to_ns, progress, note)
+        return _judge_trace(recording, facts, only, (from_ns, to_ns), progress, note, seen)
     source = open_source(recording)
     if source.format == "mcap":
         with read_trace(recording) as trace:
-            return _judge_trace(trace, facts, only, from_ns, to_ns, progress, note)
-    pass_ = Pass(RecordingContext(facts, RecordedNames(), from_ns, to_ns), only)
+            return _judge_trace(trace, facts, only, (from_ns, to_ns), progress, note, seen)
+    context = RecordingContext(facts, RecordedNames(), from_ns, to_ns)
+    pass_ = Pass(context, only, None if seen is None else Incidents(context))
     pass_.frames_of(source, progress)
     pass_.report_unjudged(note)
+    pass_.saw(seen)
     return pass_.findings(None, from_ns, to_ns)
 
 
@@ -120,15 +126,20 @@ def _judge_trace(
     trace: Trace,
     facts: Facts,
     only: Collection[str],
-    from_ns: int | None,
-    to_ns: int | None,
+    span_ns: tuple[int | None, int | None],
     progress: Callable[[int], None] | None,
     note: Callable[[str], None] | None,
+    seen: Seen | None,
 ) -> list[Finding]:
-    facts = facts.with_more(subjects_in(trace.attachments))
-    pass_ = Pass(RecordingContext(facts, names_of(trace.attachments), from_ns, to_ns), only)
+    from_ns, to_ns = span_ns
+    own = subjects_in(trace.attachments)
+    context = RecordingContext(facts.with_more(own), names_of(trace.attachments), from_ns, to_ns)
+    pass_ = Pass(context, only, None if seen is None else Incidents(context))
     pass_.messages_of(trace, to_ns, progress)
     pass_.report_unjudged(note)
+    if seen is not None:
+        seen.motors.update(own)
+    pass_.saw(seen)
     return pass_.findings(trace, from_ns, to_ns)
 
 
@@ -136,10 +147,15 @@ def _judge_trace(
 class Pass:
     """Dispatcher of messages to the oracles."""
 
-    def __init__(self, context: RecordingContext, only: Collection[str]) -> None:
+    def __init__(
+        self, context: RecordingContext, only: Collection[str], incidents: Incidents | None = None
+    ) -> None:
         self._context = context
         self._only = only
-        self._oracles = [one(context) for one in ORACLES if not only or one.id in only]
+        self._judges = [one(context) for one in ORACLES if not only or one.id in only]
+        self._incidents = incidents
+        self._oracles = self._judges if incidents is None else [*self._judges, incidents]
+        self._motors: set[str] = set()  # with a state of their own in the recording
         self._buses: dict[str, BusListener] = {}
         self._handlers: dict[int, _Handler | None] = {}
         self._last_ns = 0
@@ -195,7 +211,7 @@ class Pass:
         """Return the findings of all oracles."""
         for oracle in self._oracles:
             oracle.end(self._last_ns)
-        found = [oracle.finding() for oracle in self._oracles]
+        found = [oracle.finding() for oracle in self._judges]
         if not self._only or ownership.ID in self._only:
             motors = self._context.facts.motors.values()
             places = {one.name: one.place[:2] for one in motors if one.place is not None}
@@ -207,6 +223,13 @@ class Pass:
         for bus, listener in self._buses.items():
             if note is not None and listener.fd_frames:
                 note(f"{listener.fd_frames} CAN FD frames of {bus} are not judged")
+
+    def saw(self, seen: Seen | None) -> None:
+        """Fill in what the recording showed."""
+        if seen is not None and self._incidents is not None:
+            seen.incidents = self._incidents.incidents()
+            seen.places.update(self._context.seen_nodes)
+            seen.motors |= self._motors
 
     def imported(self, origin: str) -> None:
         """Note that a foreign recording may be incomplete."""
@@ -230,6 +253,7 @@ class Pass:
         if schema.name == CAN_FRAME.name:
             return self._frames(channel.topic.removeprefix("/can/"))
         if schema.name == JOINT_STATE.name and len(parts) == 3:
+            self._motors.add(parts[1])
             return lambda time_ns, payload: self._motion(parts[1], time_ns, payload)
         if schema.name == MOTOR_LOCK.name and len(parts) == 3:
             return lambda time_ns, payload: self._lock(parts[1], time_ns, payload)
@@ -275,5 +299,9 @@ class Pass:
             oracle.group(time_ns, motors, values.get("phase") == _START)
 
     def _event(self, time_ns: int, payload: bytes) -> None:
-        if str(decode(LOG, payload).get("message", "")).endswith(_LOST):
+        values = decode(LOG, payload)
+        text = str(values.get("message", ""))
+        if text.endswith(_LOST):
             self._context.gaps["frames were lost while it was recorded"] = None
+        elif self._incidents is not None and values.get("level") == Level.ERROR:
+            self._incidents.event(time_ns, str(values.get("name", "")), text)

@@ -27,9 +27,8 @@ def test_sound_recording_passes_with_counts(say, sound):
     lines = out.splitlines()
     assert lines[0] == "oracle              verdict          looked at"
     assert "pds-legal           held                     6" in lines
-    assert lines[-1] == (
-        f"{sound}: sound, as far as it could be judged: 15 held, 1 could not judge"
-    )
+    verdict = "sound, as far as it could be judged: 15 held, 1 could not judge; 2 incidents seen"
+    assert lines[-1] == f"{sound}: {verdict}"
 
 
 def test_broken_recording_fails_with_first_violation(say, broken):
@@ -38,7 +37,9 @@ def test_broken_recording_fails_with_first_violation(say, broken):
     assert out.splitlines()[2:] == [
         "pds-legal: 0.420000000 s can0 node 1 (wheel): switch on disabled, then ready to switch on"
         " (statusword 0231h), after no command that leads there; 1 more",
-        f"{broken}: broken: 1 broken",
+        "seen: can0 node 1 (wheel): EMCY 8611h following error at 1.401000 s",
+        "seen: can0 node 1 (wheel): fault (6041h) at 1.402000 s",
+        f"{broken}: broken: 1 broken; 2 incidents seen",
     ]
     assert say("judge", broken, "--to", "0.4", "--only", "pds-legal")[0] == 3
     assert say("judge", broken, "--from", "0.43", "--to", "1.5", "--only", "pds-legal")[0] == 0
