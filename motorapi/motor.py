@@ -137,11 +137,13 @@ class Motor(MotorHooks):
     ) -> None:
         """Set the form of commands and the commanded quantity. Nothing is sent.
 
-        A command for another mode or variable is discarded.
+        A command for another mode or variable is discarded. So is any command if the mode is
+        refused; the present mode is then kept.
 
         Raises:
             UnsupportedError: this motor does not support them.
         """
+        before, self._logical.command = self._logical.command, None
         if not isinstance(mode, ControlMode) or not isinstance(variable, ControlVariable):
             raise UsageError(
                 f"{self.name}: control mode {mode!r}, {variable!r}: give a ControlMode and a"
@@ -156,8 +158,8 @@ class Motor(MotorHooks):
             )
             asked = f"{mode.value} of {variable.value}"
             raise UnsupportedError(motor=self.name, feature=asked, supported=able)
-        if (mode, variable) != (self._logical.mode, self._logical.variable):
-            self._logical.command = None
+        if (mode, variable) == (self._logical.mode, self._logical.variable):
+            self._logical.command = before
         self._logical.mode = mode
         self._logical.variable = variable
 
@@ -166,6 +168,8 @@ class Motor(MotorHooks):
         self, value: float, relative: bool = False, limits: DerivativeLimits | None = None
     ) -> None:
         """Set the target of start(). Nothing is sent.
+
+        A refused target discards the former command: start() then refuses, too.
 
         Args:
             value: the target, in the unit of the control variable (position: U).
@@ -176,6 +180,7 @@ class Motor(MotorHooks):
             StateError: the control mode is not SETPOINT.
             LimitError: the target or a limit exceeds that of the model.
         """
+        self._logical.command = None  # start() executes only what was accepted last
         self._require_mode(ControlMode.SETPOINT, "set_setpoint")
         setpoint = Setpoint(value, relative, limits)
         planning.check_setpoint(self.name, self.model, self._logical.variable, setpoint)
@@ -186,6 +191,8 @@ class Motor(MotorHooks):
     def set_trajectory(self, trajectory: Trajectory, argument: "Argument | None" = None) -> None:
         """Set the trajectory of start(). Nothing is sent.
 
+        A refused trajectory discards the former command: start() then refuses, too.
+
         Args:
             trajectory: simple (TrapezoidalTrajectory) or complex (ComplexTrajectory).
             argument: the argument of a complex one; None: time since the start [s].
@@ -195,6 +202,7 @@ class Motor(MotorHooks):
             LimitError: a boundary value, a limit or the duration exceeds the ability of the motor.
             UnsupportedError: the motor cannot follow a trajectory of that kind.
         """
+        self._logical.command = None  # start() executes only what was accepted last
         self._require_mode(ControlMode.TRAJECTORY, "set_trajectory")
         require_argument(self.name, argument)
         planning.check_trajectory(
