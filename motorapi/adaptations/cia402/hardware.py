@@ -191,10 +191,13 @@ class Cia402HwMotor:
             self.objects.doubt()
             self.control.forget()
             self._facts = self.control.facts = None  # after a failure, the next call tries again
-            with self._shared.setting_up(self.node.sdo, 4 * options.connect_timeout_s):
-                self._is_doubted = False
-                self._facts = self.control.facts = bring_up(self.node, options)
-            return self._facts
+            facts = self._shared.set_up(self.node.sdo, options.connect_timeout_s, self._bring_up)
+            self._facts = self.control.facts = facts
+            return facts
+
+    def _bring_up(self) -> DriveFacts:
+        self._is_doubted = False
+        return bring_up(self.node, self.options)
 
     @property
     def _is_known(self) -> bool:
