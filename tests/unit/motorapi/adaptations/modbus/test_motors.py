@@ -25,6 +25,7 @@ from motorhil.motorapi.errors import (
     DeadlineExceeded,
     DeviceFault,
     LimitError,
+    MotorBusyError,
     MotorError,
     UnsupportedError,
     UsageError,
@@ -58,6 +59,18 @@ def go_to(motor, position, **words):
     motor.set_control_mode(ControlMode.SETPOINT)
     motor.set_setpoint(position, **words)
     motor.start()
+
+
+def test_registers_of_a_moving_or_reserved_motor_are_not_written(rig):
+    mast = rig.motors["mast"]
+    registers = mast.hardware.registers
+    go_to(mast, 1.0)
+    with pytest.raises(MotorBusyError, match=r"held by start\(\) of mast .*low_level\(\)"):
+        registers.write(0x6002, 0x0040)
+    mast.wait_until_done(20)
+    with mast.reserve("survey"), pytest.raises(MotorBusyError, match="for survey"):
+        registers.write(0x6002, 0x0040)
+    assert abs(mast.position() - 1.0) < RESOLUTION
 
 
 def test_position_set_point_is_reached(rig):
