@@ -321,6 +321,19 @@ class LogicalMotor:
             run.finished = True
         return True
 
+    def is_done(self) -> bool:
+        """Return True if a wait for the last command would return at once; raise as it does.
+
+        A drive that must be polled is asked, except inside callbacks, which cannot wait.
+        """
+        run = self.run
+        if run is not None and not run.is_over and not self.runtime.is_in_callback():
+            self.refresh()
+        if not self.look(run):
+            return False
+        self.raise_callback_error()
+        return True
+
     def _raise_interruption(self, run: ActiveMotion) -> None:
         if run.interrupted_by is not None:
             if run.error is not None:

@@ -289,11 +289,12 @@ class Motor(MotorHooks):
 
     @final
     def is_done(self) -> bool:
-        """Return True if `wait_until_done` would return at once; raises as it does."""
-        done = self._logical.look(self._logical.run)
-        if done:
-            self._logical.raise_callback_error()
-        return done
+        """Return True if `wait_until_done` would return at once; raises as it does.
+
+        A drive that must be polled is asked. In callbacks and in conditions of a wait, which cannot
+        wait for the answer, its last status received counts.
+        """
+        return self._logical.is_done()
 
     @final
     def on_done(self, callback: Callable[[Outcome], object]) -> "Registration":
