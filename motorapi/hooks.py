@@ -223,8 +223,9 @@ class MotorHooks(Device, ABC):
     def _read_reference(self) -> float:
         """Return the position that the controller holds or passes now [U]: the demand.
 
-        With the power stage off, the measured position. Relative motions start from here, so that
-        servo errors do not accumulate.
+        With the power stage off, the measured position; so, too, in the motion of a set-point that
+        the hardware makes without a profile: its demand is the target at once. Relative motions
+        start from here, so that servo errors do not accumulate.
         """
 
     def _read_torque(self) -> float:
