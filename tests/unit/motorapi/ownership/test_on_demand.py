@@ -66,7 +66,7 @@ def test_owner_in_a_removed_lock_file_is_told_of_the_next(tmp_path, is_released)
                 if is_released:
                     b.enable()
                 else:
-                    with pytest.raises(MotionInterrupted, match="rescue.*its lock file had been"):
+                    with pytest.raises(MotionInterrupted, match=r"rescue.*its lock file had been"):
                         a.wait_until_done(LONG_S)
             with pytest.raises(MotionInterrupted, match="its lock file had been removed"):
                 a.wait_until_done(LONG_S)
