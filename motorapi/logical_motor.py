@@ -54,6 +54,35 @@ from motorhil.motorapi.trajectory import Argument, Trajectory
 
 _ADOPTION_S: Final = 30.0
 """The timeout for the rest of a motor that was left moving [s]."""
+_COAST_LOOK_S: Final = 0.02
+"""The time between two readings of the position of a motor without power [s]."""
+_COAST_STILL_S: Final = 0.05
+"""The time for which the position of a motor without power must be constant [s]."""
+_COAST_SHARE: Final = 1e-3
+"""The velocity up to which a motor without power counts as at rest, as a share of its maximum."""
+
+
+@final
+class _Coast:
+    """The rest of a motor without power, found from its positions.
+
+    Attributes:
+        rests: True if it has come to rest.
+    """
+
+    def __init__(self, model: MotorModel) -> None:
+        self.rests = False
+        still = _COAST_SHARE * model.velocity_max * _COAST_STILL_S
+        self._still: Final = max(still, 2.0 * (model.resolution or 0.0))
+        self._place: float | None = None
+        self._since_ns = 0
+
+    def see(self, position: float, now_ns: int) -> bool:
+        """Process a position [U] read at this time. Return `rests`."""
+        if self._place is None or abs(position - self._place) > self._still:
+            self._place, self._since_ns = position, now_ns
+        self.rests = now_ns - self._since_ns >= round(_COAST_STILL_S * 1e9)
+        return self.rests
 
 
 @final
@@ -90,6 +119,7 @@ class LogicalMotor:
         self.command: Setpoint | Trajectory | None = None
         self.argument: Argument | None = None
         self.run: ActiveMotion | None = None
+        self._coast = _Coast(model)
         self._callback_error: PluginError | None = None
         self._held_hardware: tuple[Ticket, object] | None = None
 
@@ -135,6 +165,7 @@ class LogicalMotor:
             status = self.status()
             self.hooks.connect()
             stop()
+            self._coast = _Coast(self.model)
             self.run = ActiveMotion(
                 f"{operation}() of {self.name}", self, self.runtime.now_ns(), None
             )
@@ -212,11 +243,28 @@ class LogicalMotor:
         return self.refresh()
 
     def refresh(self) -> float | None:
-        """Call the hook; during low-level access only return the check interval [s]."""
+        """Call the hook; during low-level access only return the check interval [s].
+
+        A drive without power does not report the rest of its motor. So its position is read.
+        """
         if self.physical.access is not None:
             return LOOK_PERIOD_S
         with self.physical.passage(self.name):
-            return self.hooks.refresh()
+            pause_s = self.hooks.refresh()
+            run = self.run
+            if run is None or run.is_over or not self._is_without_power(run):
+                return pause_s
+            coast = self._coast
+            if not coast.rests and coast.see(self.hooks.read_position(), self.runtime.now_ns()):
+                self.physical.bell.grow()
+            return _COAST_LOOK_S if pause_s is None else min(pause_s, _COAST_LOOK_S)
+
+    def _is_without_power(self, run: ActiveMotion) -> bool:
+        """Return True if `run` is a stop, and the power stage was off when heard last."""
+        if run.motion is not None:
+            return False
+        latest = self.hooks.latest()
+        return latest is not None and latest.state is MotorState.DISABLED
 
     # ---- conditions of an operation ----
 
@@ -314,6 +362,8 @@ class LogicalMotor:
             return True
         self._raise_interruption(run)
         if not self.hooks.is_done():
+            return False
+        if run is self.run and not self._coast.rests and self._is_without_power(run):
             return False
         self.physical.ownership.notice(run.owner)
         self._raise_interruption(run)  # rest may be the result of the next command

@@ -302,7 +302,8 @@ class Motor(MotorHooks):
 
         The call is immediate if it has ended already; else it happens in the event that ends it,
         whatever the outcome. Like any callback it must neither wait nor start anything that waits.
-        A motor that must be polled reports only while a caller waits for it.
+        A motor that must be polled reports only while a caller waits for it; so does the stop of a
+        motor without power.
 
         Returns:
             A registration that cancels it.
@@ -349,6 +350,8 @@ class Motor(MotorHooks):
     @final
     def stop(self) -> None:
         """Slow down and end the motion; wait_until_done() waits for rest.
+
+        A motor without power coasts. It is at rest when its position has been constant for 50 ms.
 
         A stop needs no ownership, and may be called from a callback, as may `quick_stop` and
         `halt`.

@@ -342,8 +342,8 @@ def setting_ends_what_goes_on():
     def eager(check):
         def checked(self, variable, command):
             check(self, variable, command)
-            if not isinstance(command, Setpoint) and not self._hardware.is_over:
-                self._hardware.slow_down(self.model.deceleration)
+            if not isinstance(command, Setpoint) and not self.hardware.is_over:
+                self.hardware.slow_down(self.model.deceleration)
 
         return checked
 

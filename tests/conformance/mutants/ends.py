@@ -22,8 +22,8 @@ def late_from_above():
             backwards = motion is not None and motion.distance < -0.5
             if not backwards or not is_done(self):
                 return is_done(self)
-            self._hardware._news.count += 1
-            return self._hardware._course.over_ns + 500_000_000 <= self.runtime.now_ns()
+            self.hardware._news.count += 1
+            return self.hardware._course.over_ns + 500_000_000 <= self.runtime.now_ns()
 
         return done
 
@@ -99,7 +99,7 @@ def it_has_always_just_begun():
     def wrong(times):
         def told(self):
             found = times(self)
-            if found is None or self._hardware.is_over:
+            if found is None or self.hardware.is_over:
                 return found
             return replace(found, started_ns=self.runtime.now_ns())
 

@@ -8,13 +8,21 @@ from motorhil.motorapi.adaptations.ideal.motor import IdealMotor
 from motorhil.motorapi.adaptations.ideal.profiles import Held
 from motorhil.motorapi.adaptations.leadshine.hardware import LeadshineHwMotor
 from motorhil.motorapi.commands import ControlMode, ControlVariable
+from motorhil.motorapi.logical_motor import LogicalMotor
 from motorhil.motorapi.state import MotorState
 from tests.conformance.mutants import motions_changed, mutant, replaced
 
 
+@mutant("software", "STOP-09")
+def no_power_is_taken_for_rest():
+    """A stop of a motor without power is done at once, although it coasts."""
+    with replaced(LogicalMotor, "_is_without_power", lambda off: lambda self, run: False):
+        yield
+
+
 def power_off_at_rest(self):
     """Switch the power off when the motor has slowed down to rest."""
-    hardware = self._hardware
+    hardware = self.hardware
     hardware.slow_down(self.model.deceleration)
     course = hardware._course
 
@@ -29,7 +37,7 @@ def power_off_at_rest(self):
 
 
 def plain_stop(self):
-    self._hardware.slow_down(self.model.deceleration)
+    self.hardware.slow_down(self.model.deceleration)
 
 
 @contextmanager
@@ -70,8 +78,8 @@ def a_stop_as_hard_as_can_be():
     """A stop decelerates ten times as fast as the model allows."""
 
     def hard(self):
-        self._hardware._motion = None
-        self._hardware.slow_down(10.0 * self.model.deceleration)
+        self.hardware._motion = None
+        self.hardware.slow_down(10.0 * self.model.deceleration)
 
     with only("_stop", hard):
         yield
@@ -82,7 +90,7 @@ def a_halt_ends_profiles_only():
     """A halt ends position profiles only, and otherwise does nothing."""
 
     def wrong(self):
-        motion = self._hardware._motion
+        motion = self.hardware._motion
         if motion is None or motion.variable is not ControlVariable.VELOCITY:
             plain_stop(self)
 
@@ -95,7 +103,7 @@ def a_second_stop_lifts_the_first():
     """The stop bit is toggled: a second stop before rest lets the motor continue."""
 
     def wrong(self):
-        hardware = self._hardware
+        hardware = self.hardware
         stops = getattr(hardware, "stopping", None)
         if stops is not None and stops[0] is hardware._course and not hardware.is_over:
             course, motion = stops[1]
