@@ -75,10 +75,13 @@ class _Coast:
         still = _COAST_SHARE * model.velocity_max * _COAST_STILL_S
         self._still: Final = max(still, 2.0 * (model.resolution or 0.0))
         self._place: float | None = None
-        self._since_ns = 0
+        self._since_ns = self._seen_ns = 0
 
     def see(self, position: float, now_ns: int) -> bool:
         """Process a position [U] read at this time. Return `rests`."""
+        if now_ns < self._seen_ns:
+            return self.rests  # heard before the last one that was read
+        self._seen_ns = now_ns
         if self._place is None or abs(position - self._place) > self._still:
             self._place, self._since_ns = position, now_ns
         self.rests = now_ns - self._since_ns >= round(_COAST_STILL_S * 1e9)
@@ -252,19 +255,26 @@ class LogicalMotor:
         with self.physical.passage(self.name):
             pause_s = self.hooks.refresh()
             run = self.run
-            if run is None or run.is_over or not self._is_without_power(run):
+            if run is None or run.is_over or not self.coasts(run):
                 return pause_s
-            coast = self._coast
-            if not coast.rests and coast.see(self.hooks.read_position(), self.runtime.now_ns()):
-                self.physical.bell.grow()
+            self._see_coasting(self.hooks.read_position(), self.runtime.now_ns())
             return _COAST_LOOK_S if pause_s is None else min(pause_s, _COAST_LOOK_S)
 
-    def _is_without_power(self, run: ActiveMotion) -> bool:
-        """Return True if `run` is a stop, and the power stage was off when heard last."""
-        if run.motion is not None:
+    def coasts(self, run: ActiveMotion) -> bool:
+        """Return True if `run` is the last stop, without power, and rest was not found yet."""
+        if run is not self.run or run.motion is not None or self._coast.rests:
             return False
         latest = self.hooks.latest()
-        return latest is not None and latest.state is MotorState.DISABLED
+        if latest is None or latest.state is not MotorState.DISABLED:
+            return False
+        if latest.position is not None:
+            self._see_coasting(latest.position, latest.time_ns)
+        return not self._coast.rests
+
+    def _see_coasting(self, position: float, now_ns: int) -> None:
+        """Process a position of a motor without power; report its rest to all that wait."""
+        if not self._coast.rests and self._coast.see(position, now_ns):
+            self.physical.bell.grow()
 
     # ---- conditions of an operation ----
 
@@ -363,7 +373,7 @@ class LogicalMotor:
         self._raise_interruption(run)
         if not self.hooks.is_done():
             return False
-        if run is self.run and not self._coast.rests and self._is_without_power(run):
+        if self.coasts(run):
             return False
         self.physical.ownership.notice(run.owner)
         self._raise_interruption(run)  # rest may be the result of the next command

@@ -302,8 +302,7 @@ class Motor(MotorHooks):
 
         The call is immediate if it has ended already; else it happens in the event that ends it,
         whatever the outcome. Like any callback it must neither wait nor start anything that waits.
-        A motor that must be polled reports only while a caller waits for it; so does the stop of a
-        motor without power.
+        A motor that must be polled reports only while a caller waits for it.
 
         Returns:
             A registration that cancels it.
@@ -327,7 +326,7 @@ class Motor(MotorHooks):
             self.__logical.callback_failed,
             f"on_done of {self.name}",
         )
-        notice.begin(self.runtime, self.__logical.physical)
+        notice.begin(self.runtime, self.__logical.physical, polls=self.__logical.coasts(run))
         return notice
 
     @final

@@ -16,7 +16,7 @@ from tests.conformance.mutants import motions_changed, mutant, replaced
 @mutant("software", "STOP-09")
 def no_power_is_taken_for_rest():
     """A stop of a motor without power is done at once, although it coasts."""
-    with replaced(LogicalMotor, "_is_without_power", lambda off: lambda self, run: False):
+    with replaced(LogicalMotor, "coasts", lambda coasts: lambda self, run: False):
         yield
 
 
