@@ -16,20 +16,20 @@ class Device:
     """A named object that lives in a runtime. Leaving a `with` block closes it."""
 
     def __init__(self, name: str, runtime: Runtime) -> None:
-        self._name = name
-        self._runtime = runtime
+        self.__name = name
+        self.__runtime = runtime
 
     @property
     @final
     def name(self) -> str:
         """The name in messages and recordings."""
-        return self._name
+        return self.__name
 
     @property
     @final
     def runtime(self) -> Runtime:
         """The runtime in which this device waits."""
-        return self._runtime
+        return self.__runtime
 
     def close(self) -> None:
         """Release the device; closing again does nothing."""
@@ -48,7 +48,7 @@ class Device:
         self.close()
 
     def __repr__(self) -> str:
-        return f"<{type(self).__name__} {self._name!r}>"
+        return f"<{type(self).__name__} {self.__name!r}>"
 
 
 class DeviceGroup(Generic[D]):

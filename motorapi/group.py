@@ -408,20 +408,21 @@ class MotorGroup(DeviceGroup[Motor]):
     def set_trajectory(self, *trajectories: Trajectory) -> None:
         """Set the trajectory of each motor, in the order of appending; all of them or none.
 
+        If one is refused, the former commands of all are discarded: start() then refuses, too.
+
         Raises:
             UsageError: the number of trajectories is not that of motors, or one is impossible.
         """
-        if len(trajectories) != len(self):
-            raise UsageError(
-                f"{len(trajectories)} trajectories for {len(self)} motors: give one for each"
-            )
-        before = [(motor.logical.command, motor.logical.argument) for motor in self]
         try:
+            if len(trajectories) != len(self):
+                raise UsageError(
+                    f"{len(trajectories)} trajectories for {len(self)} motors: give one for each"
+                )
             for motor, trajectory in zip(self, trajectories, strict=True):
                 motor.set_trajectory(trajectory)
         except MotorError:
-            for motor, command in zip(self, before, strict=True):
-                motor.logical.command, motor.logical.argument = command
+            for motor in self:
+                motor.logical.command = None
             raise
 
     @property

@@ -29,6 +29,9 @@ The hardware object belongs to the adaptation. These requirements apply:
   `motorhil.motorapi.synchronization.bus_load.note_node` and `note_stream`. Otherwise skew bounds of
   others on that bus are wrong.
 
+An adaptation may use any private name except those of the hooks and `_physical`. The interface
+keeps its own state under names of another form.
+
 A motor may be left moving, by a process that died or lost the motor to a takeover. Such a motor is
 brought to rest by `_stop`, `_refresh` and `_is_done` before its next owner commands it.
 """
@@ -137,14 +140,14 @@ class MotorHooks(Device, ABC):
         self, *, name: str, model: MotorModel, runtime: Runtime, physical: PhysicalMotor
     ) -> None:
         super().__init__(name, runtime)
-        self._model = model
+        self.__model = model
         self._physical = physical
 
     @property
     @final
     def model(self) -> MotorModel:
         """The constant properties of this motor."""
-        return self._model
+        return self.__model
 
     # ---- capabilities of the hardware: answered at once, without the bus ----
 
@@ -223,8 +226,9 @@ class MotorHooks(Device, ABC):
     def _read_reference(self) -> float:
         """Return the position that the controller holds or passes now [U]: the demand.
 
-        With the power stage off, the measured position. Relative motions start from here, so that
-        servo errors do not accumulate.
+        With the power stage off, the measured position; so, too, in the motion of a set-point that
+        the hardware makes without a profile: its demand is the target at once. Relative motions
+        start from here, so that servo errors do not accumulate.
         """
 
     def _read_torque(self) -> float:

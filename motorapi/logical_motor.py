@@ -54,6 +54,38 @@ from motorhil.motorapi.trajectory import Argument, Trajectory
 
 _ADOPTION_S: Final = 30.0
 """The timeout for the rest of a motor that was left moving [s]."""
+_COAST_LOOK_S: Final = 0.02
+"""The time between two readings of the position of a motor without power [s]."""
+_COAST_STILL_S: Final = 0.05
+"""The time for which the position of a motor without power must be constant [s]."""
+_COAST_SHARE: Final = 1e-3
+"""The velocity up to which a motor without power counts as at rest, as a share of its maximum."""
+
+
+@final
+class _Coast:
+    """The rest of a motor without power, found from its positions.
+
+    Attributes:
+        rests: True if it has come to rest.
+    """
+
+    def __init__(self, model: MotorModel) -> None:
+        self.rests = False
+        still = _COAST_SHARE * model.velocity_max * _COAST_STILL_S
+        self._still: Final = max(still, 2.0 * (model.resolution or 0.0))
+        self._place: float | None = None
+        self._since_ns = self._seen_ns = 0
+
+    def see(self, position: float, now_ns: int) -> bool:
+        """Process a position [U] read at this time. Return `rests`."""
+        if now_ns < self._seen_ns:
+            return self.rests  # heard before the last one that was read
+        self._seen_ns = now_ns
+        if self._place is None or abs(position - self._place) > self._still:
+            self._place, self._since_ns = position, now_ns
+        self.rests = now_ns - self._since_ns >= round(_COAST_STILL_S * 1e9)
+        return self.rests
 
 
 @final
@@ -90,6 +122,7 @@ class LogicalMotor:
         self.command: Setpoint | Trajectory | None = None
         self.argument: Argument | None = None
         self.run: ActiveMotion | None = None
+        self._coast = _Coast(model)
         self._callback_error: PluginError | None = None
         self._held_hardware: tuple[Ticket, object] | None = None
 
@@ -135,6 +168,7 @@ class LogicalMotor:
             status = self.status()
             self.hooks.connect()
             stop()
+            self._coast = _Coast(self.model)
             self.run = ActiveMotion(
                 f"{operation}() of {self.name}", self, self.runtime.now_ns(), None
             )
@@ -212,11 +246,35 @@ class LogicalMotor:
         return self.refresh()
 
     def refresh(self) -> float | None:
-        """Call the hook; during low-level access only return the check interval [s]."""
+        """Call the hook; during low-level access only return the check interval [s].
+
+        A drive without power does not report the rest of its motor. So its position is read.
+        """
         if self.physical.access is not None:
             return LOOK_PERIOD_S
         with self.physical.passage(self.name):
-            return self.hooks.refresh()
+            pause_s = self.hooks.refresh()
+            run = self.run
+            if run is None or run.is_over or not self.coasts(run):
+                return pause_s
+            self._see_coasting(self.hooks.read_position(), self.runtime.now_ns())
+            return _COAST_LOOK_S if pause_s is None else min(pause_s, _COAST_LOOK_S)
+
+    def coasts(self, run: ActiveMotion) -> bool:
+        """Return True if `run` is the last stop, without power, and rest was not found yet."""
+        if run is not self.run or run.motion is not None or self._coast.rests:
+            return False
+        latest = self.hooks.latest()
+        if latest is None or latest.state is not MotorState.DISABLED:
+            return False
+        if latest.position is not None:
+            self._see_coasting(latest.position, latest.time_ns)
+        return not self._coast.rests
+
+    def _see_coasting(self, position: float, now_ns: int) -> None:
+        """Process a position of a motor without power; report its rest to all that wait."""
+        if not self._coast.rests and self._coast.see(position, now_ns):
+            self.physical.bell.grow()
 
     # ---- conditions of an operation ----
 
@@ -315,10 +373,25 @@ class LogicalMotor:
         self._raise_interruption(run)
         if not self.hooks.is_done():
             return False
+        if self.coasts(run):
+            return False
         self.physical.ownership.notice(run.owner)
         self._raise_interruption(run)  # rest may be the result of the next command
         if run.ends:
             run.finished = True
+        return True
+
+    def is_done(self) -> bool:
+        """Return True if a wait for the last command would return at once; raise as it does.
+
+        A drive that must be polled is asked, except inside callbacks, which cannot wait.
+        """
+        run = self.run
+        if run is not None and not run.is_over and not self.runtime.is_in_callback():
+            self.refresh()
+        if not self.look(run):
+            return False
+        self.raise_callback_error()
         return True
 
     def _raise_interruption(self, run: ActiveMotion) -> None:

@@ -79,8 +79,8 @@ class Motor(MotorHooks):
         self, *, name: str, model: MotorModel, runtime: Runtime, physical: PhysicalMotor
     ) -> None:
         super().__init__(name=name, model=model, runtime=runtime, physical=physical)
-        self._logical = LogicalMotor(name, model, runtime, physical, Hooks.of(self))
-        self._hooks = self._logical.hooks
+        self.__logical = LogicalMotor(name, model, runtime, physical, Hooks.of(self))
+        self.__hooks = self.__logical.hooks
 
     def __init_subclass__(cls) -> None:
         super().__init_subclass__()
@@ -93,7 +93,7 @@ class Motor(MotorHooks):
                 )
 
     def __repr__(self) -> str:
-        logical = self._logical
+        logical = self.__logical
         physical = logical.physical
         text = f"<{type(self).__name__} {self.name!r} on {physical.label}"
         try:
@@ -115,7 +115,7 @@ class Motor(MotorHooks):
     @final
     def logical(self) -> LogicalMotor:
         """The state behind these methods, for groups and tools."""
-        return self._logical
+        return self.__logical
 
     # ---- settings, kept here until start() ----
 
@@ -123,13 +123,13 @@ class Motor(MotorHooks):
     @final
     def control_mode(self) -> ControlMode | None:
         """The form of commands; None until `set_control_mode`."""
-        return self._logical.mode
+        return self.__logical.mode
 
     @property
     @final
     def control_variable(self) -> ControlVariable:
         """The commanded quantity."""
-        return self._logical.variable
+        return self.__logical.variable
 
     @final
     def set_control_mode(
@@ -137,35 +137,39 @@ class Motor(MotorHooks):
     ) -> None:
         """Set the form of commands and the commanded quantity. Nothing is sent.
 
-        A command for another mode or variable is discarded.
+        A command for another mode or variable is discarded. So is any command if the mode is
+        refused; the present mode is then kept.
 
         Raises:
             UnsupportedError: this motor does not support them.
         """
+        before, self.__logical.command = self.__logical.command, None
         if not isinstance(mode, ControlMode) or not isinstance(variable, ControlVariable):
             raise UsageError(
                 f"{self.name}: control mode {mode!r}, {variable!r}: give a ControlMode and a"
                 " ControlVariable, as ControlMode.SETPOINT, ControlVariable.VELOCITY"
             )
-        if not self._hooks.supports(mode, variable):
+        if not self.__hooks.supports(mode, variable):
             able = ", ".join(
                 f"{m.value} of {v.value}"
                 for m in ControlMode
                 for v in ControlVariable
-                if self._hooks.supports(m, v)
+                if self.__hooks.supports(m, v)
             )
             asked = f"{mode.value} of {variable.value}"
             raise UnsupportedError(motor=self.name, feature=asked, supported=able)
-        if (mode, variable) != (self._logical.mode, self._logical.variable):
-            self._logical.command = None
-        self._logical.mode = mode
-        self._logical.variable = variable
+        if (mode, variable) == (self.__logical.mode, self.__logical.variable):
+            self.__logical.command = before
+        self.__logical.mode = mode
+        self.__logical.variable = variable
 
     @final
     def set_setpoint(
         self, value: float, relative: bool = False, limits: DerivativeLimits | None = None
     ) -> None:
         """Set the target of start(). Nothing is sent.
+
+        A refused target discards the former command: start() then refuses, too.
 
         Args:
             value: the target, in the unit of the control variable (position: U).
@@ -176,15 +180,18 @@ class Motor(MotorHooks):
             StateError: the control mode is not SETPOINT.
             LimitError: the target or a limit exceeds that of the model.
         """
-        self._require_mode(ControlMode.SETPOINT, "set_setpoint")
+        self.__logical.command = None  # start() executes only what was accepted last
+        self.__require_mode(ControlMode.SETPOINT, "set_setpoint")
         setpoint = Setpoint(value, relative, limits)
-        planning.check_setpoint(self.name, self.model, self._logical.variable, setpoint)
-        self._hooks.check_command(self._logical.variable, setpoint)
-        self._logical.command = replace(setpoint, value=float(value))
+        planning.check_setpoint(self.name, self.model, self.__logical.variable, setpoint)
+        self.__hooks.check_command(self.__logical.variable, setpoint)
+        self.__logical.command = replace(setpoint, value=float(value))
 
     @final
     def set_trajectory(self, trajectory: Trajectory, argument: "Argument | None" = None) -> None:
         """Set the trajectory of start(). Nothing is sent.
+
+        A refused trajectory discards the former command: start() then refuses, too.
 
         Args:
             trajectory: simple (TrapezoidalTrajectory) or complex (ComplexTrajectory).
@@ -195,14 +202,15 @@ class Motor(MotorHooks):
             LimitError: a boundary value, a limit or the duration exceeds the ability of the motor.
             UnsupportedError: the motor cannot follow a trajectory of that kind.
         """
-        self._require_mode(ControlMode.TRAJECTORY, "set_trajectory")
+        self.__logical.command = None  # start() executes only what was accepted last
+        self.__require_mode(ControlMode.TRAJECTORY, "set_trajectory")
         require_argument(self.name, argument)
         planning.check_trajectory(
-            self.name, self.model, self._logical.variable, trajectory, argument
+            self.name, self.model, self.__logical.variable, trajectory, argument
         )
-        self._hooks.check_command(self._logical.variable, trajectory)
-        self._logical.command = trajectory
-        self._logical.argument = argument
+        self.__hooks.check_command(self.__logical.variable, trajectory)
+        self.__logical.command = trajectory
+        self.__logical.argument = argument
 
     # ---- motion ----
 
@@ -227,7 +235,7 @@ class Motor(MotorHooks):
             DeviceFault: the drive reports a fault: reset_fault() first.
             MotionInterrupted: another party stopped the motor meanwhile.
         """
-        start_together((self._logical,), timeout_s)
+        start_together((self.__logical,), timeout_s)
 
     @final
     def reserve(
@@ -260,7 +268,7 @@ class Motor(MotorHooks):
         check_take_over(take_over)
         if not isinstance(purpose, str):
             raise UsageError(f"{self.name}: purpose {purpose!r} is not text; describe it in words")
-        return self._logical.reserve(purpose, check_timeout(timeout_s), lease_s, take_over)
+        return self.__logical.reserve(purpose, check_timeout(timeout_s), lease_s, take_over)
 
     @final
     def wait_until_done(self, timeout_s: float | None = None) -> None:
@@ -277,15 +285,16 @@ class Motor(MotorHooks):
             DeviceFault: the drive has a fault.
             LinkError: the drive no longer responds.
         """
-        wait_for_all((self._logical,), timeout_s)
+        wait_for_all((self.__logical,), timeout_s)
 
     @final
     def is_done(self) -> bool:
-        """Return True if `wait_until_done` would return at once; raises as it does."""
-        done = self._logical.look(self._logical.run)
-        if done:
-            self._logical.raise_callback_error()
-        return done
+        """Return True if `wait_until_done` would return at once; raises as it does.
+
+        A drive that must be polled is asked. In callbacks and in conditions of a wait, which cannot
+        wait for the answer, its last status received counts.
+        """
+        return self.__logical.is_done()
 
     @final
     def on_done(self, callback: Callable[[Outcome], object]) -> "Registration":
@@ -303,7 +312,7 @@ class Motor(MotorHooks):
         """
         if not callable(callback):
             raise UsageError(f"{self.name}: on_done({callback!r}): not callable; give a function")
-        run = self._logical.run
+        run = self.__logical.run
         if run is None:
             raise StateError(
                 motor=self.name,
@@ -312,12 +321,12 @@ class Motor(MotorHooks):
                 remedy="call start() first, then on_done() reports the end of that motion",
             )
         notice = DoneNotice(
-            lambda: self._logical.outcome(run),
+            lambda: self.__logical.outcome(run),
             callback,
-            self._logical.callback_failed,
+            self.__logical.callback_failed,
             f"on_done of {self.name}",
         )
-        notice.begin(self.runtime, self._logical.physical)
+        notice.begin(self.runtime, self.__logical.physical, polls=self.__logical.coasts(run))
         return notice
 
     @final
@@ -327,34 +336,36 @@ class Motor(MotorHooks):
         This neither waits nor sends, so callbacks may call it. A command of velocity, torque or
         current continues after it was reached, and so does its progress.
         """
-        run = self._logical.run
+        run = self.__logical.run
         if run is None or run.is_over:
             return None
         try:
-            if self._logical.look(run) and run.ends:
+            if self.__logical.look(run) and run.ends:
                 return None
         except MotorError:
             return None
-        return self._logical.progress(run)
+        return self.__logical.progress(run)
 
     @final
     def stop(self) -> None:
         """Slow down and end the motion; wait_until_done() waits for rest.
 
+        A motor without power coasts. It is at rest when its position has been constant for 50 ms.
+
         A stop needs no ownership, and may be called from a callback, as may `quick_stop` and
         `halt`.
         """
-        self._logical.bring_to_rest("stop", self._hooks.stop)
+        self.__logical.bring_to_rest("stop", self.__hooks.stop)
 
     @final
     def quick_stop(self) -> None:
         """Stop by the quick stop of the drive; the motor moves again only after enable()."""
-        self._logical.bring_to_rest("quick_stop", self._hooks.quick_stop)
+        self.__logical.bring_to_rest("quick_stop", self.__hooks.quick_stop)
 
     @final
     def halt(self) -> None:
         """Stop according to the halt option of the drive, and end the motion."""
-        self._logical.bring_to_rest("halt", self._hooks.halt)
+        self.__logical.bring_to_rest("halt", self.__hooks.halt)
 
     # ---- power, fault, reference ----
 
@@ -365,17 +376,17 @@ class Motor(MotorHooks):
         Raises:
             DeviceFault: the drive reports a fault: reset_fault() first.
         """
-        with self._logical.operation("enable"):
-            if self._logical.require_no_fault() is not MotorState.ENABLED:
-                self._hooks.enable()
+        with self.__logical.operation("enable"):
+            if self.__logical.require_no_fault() is not MotorState.ENABLED:
+                self.__hooks.enable()
 
     @final
     def disable(self) -> None:
         """Switch off the power stage and end the motion; a moving motor coasts."""
-        with self._logical.operation("disable"):
-            status = self._logical.status()
-            self._hooks.disable()
-            self._logical.physical.end(f"disable() of {self.name}", self.runtime.now_ns(), status)
+        with self.__logical.operation("disable"):
+            status = self.__logical.status()
+            self.__hooks.disable()
+            self.__logical.physical.end(f"disable() of {self.name}", self.runtime.now_ns(), status)
 
     @final
     def reset_fault(self) -> None:
@@ -384,13 +395,13 @@ class Motor(MotorHooks):
         Raises:
             DeviceFault: its cause persists.
         """
-        with self._logical.operation("reset_fault"):
-            fault = self._hooks.read_fault()
+        with self.__logical.operation("reset_fault"):
+            fault = self.__hooks.read_fault()
             if fault is None:
                 return
-            self._hooks.reset_fault()
+            self.__hooks.reset_fault()
             by = f"fault {fault.code:04X}h"
-            self._logical.physical.end(by, self.runtime.now_ns(), RunStatus.FAILED)
+            self.__logical.physical.end(by, self.runtime.now_ns(), RunStatus.FAILED)
 
     @final
     def home(
@@ -413,22 +424,22 @@ class Motor(MotorHooks):
             what = f"homing method {method!r}"
             raise UsageError(f"{self.name}: {what}: CiA 402 numbers them -128 to 127")
         check_timeout(timeout_s)
-        with self._logical.operation("home"):
-            self._logical.require_rest("home")
-            if self._logical.require_no_fault() is not MotorState.ENABLED:
-                self._hooks.enable()
-            self._logical.begin("home", None)
+        with self.__logical.operation("home"):
+            self.__logical.require_rest("home")
+            if self.__logical.require_no_fault() is not MotorState.ENABLED:
+                self.__hooks.enable()
+            self.__logical.begin("home", None)
             try:
-                self._hooks.home(method)
+                self.__hooks.home(method)
             except BaseException as error:
-                self._logical.physical.end(f"{error!r}", self.runtime.now_ns(), RunStatus.FAILED)
+                self.__logical.physical.end(f"{error!r}", self.runtime.now_ns(), RunStatus.FAILED)
                 raise
         if not wait:
             return
         try:
             self.wait_until_done(timeout_s)
         except BaseException:
-            if not self._logical.physical.ownership.is_lost_by(self._logical):
+            if not self.__logical.physical.ownership.is_lost_by(self.__logical):
                 self.stop()
             raise
 
@@ -438,15 +449,15 @@ class Motor(MotorHooks):
     @final
     def ownership(self) -> Ownership:
         """The ownership of the physical motor; its `listeners` receive its events."""
-        return self._logical.physical.ownership
+        return self.__logical.physical.ownership
 
     @final
     def state(self) -> MotorState:
         """Return the state; OFFLINE if the motor does not respond."""
-        access = self._logical.physical.access
+        access = self.__logical.physical.access
         if access is None:
-            with self._logical.physical.passage(self.name):
-                return self._hooks.read_state()
+            with self.__logical.physical.passage(self.name):
+                return self.__hooks.read_state()
         latest = self.latest()
         if latest is None:
             raise access.busy(self.name)
@@ -455,10 +466,10 @@ class Motor(MotorHooks):
     @final
     def fault(self) -> Fault | None:
         """Return the fault reported by the drive, or None."""
-        access = self._logical.physical.access
+        access = self.__logical.physical.access
         if access is None:
-            with self._logical.physical.passage(self.name):
-                return self._hooks.read_fault()
+            with self.__logical.physical.passage(self.name):
+                return self.__hooks.read_fault()
         latest = self.latest()
         if latest is None or latest.state is MotorState.FAULT:
             raise access.busy(self.name)  # only a request could tell the fault
@@ -467,39 +478,39 @@ class Motor(MotorHooks):
     @final
     def is_referenced(self) -> bool:
         """Return True if position 0 is that of the model."""
-        with self._logical.physical.passage(self.name):
-            self._hooks.connect()
-            return self._hooks.read_referenced()
+        with self.__logical.physical.passage(self.name):
+            self.__hooks.connect()
+            return self.__hooks.read_referenced()
 
     @final
     def position(self) -> float:
         """Return the measured position [U]."""
-        return self._measured(self._hooks.read_position, lambda latest: latest.position)
+        return self.__measured(self.__hooks.read_position, lambda latest: latest.position)
 
     @final
     def velocity(self) -> float:
         """Return the measured velocity [U/s]."""
-        return self._measured(self._hooks.read_velocity, lambda latest: latest.velocity)
+        return self.__measured(self.__hooks.read_velocity, lambda latest: latest.velocity)
 
     @final
     def torque(self) -> float:
         """Return the measured torque [N·m], or force [N]."""
-        return self._measured(self._hooks.read_torque, lambda latest: latest.torque)
+        return self.__measured(self.__hooks.read_torque, lambda latest: latest.torque)
 
     @final
     def following_error(self) -> float:
         """Return demand minus actual position [U]."""
-        return self._measured(
-            self._hooks.read_following_error, lambda latest: latest.following_error
+        return self.__measured(
+            self.__hooks.read_following_error, lambda latest: latest.following_error
         )
 
     @final
     def latest(self) -> Measurement | None:
         """Return the last measurement received; nothing is sent, so callbacks may call this."""
-        return self._hooks.latest()
+        return self.__hooks.latest()
 
     @final
-    def _measured(
+    def __measured(
         self, read: Callable[[], float], heard: Callable[[Measurement], float | None]
     ) -> float:
         """Return a measured value; during low-level access, the last one received.
@@ -507,10 +518,10 @@ class Motor(MotorHooks):
         Raises:
             MotorBusyError: low-level access is active, and no value was received.
         """
-        access = self._logical.physical.access
+        access = self.__logical.physical.access
         if access is None:
-            with self._logical.physical.passage(self.name):
-                self._hooks.connect()
+            with self.__logical.physical.passage(self.name):
+                self.__hooks.connect()
                 return read()
         latest = self.latest()
         value = None if latest is None else heard(latest)
@@ -540,14 +551,14 @@ class Motor(MotorHooks):
             StateError: a motion of this one is active.
             UnsupportedError: the adaptation does not offer its hardware object.
         """
-        return self._logical.low_level(check_timeout(timeout_s))
+        return self.__logical.low_level(check_timeout(timeout_s))
 
     # ---- internal ----
 
     @final
-    def _require_mode(self, mode: ControlMode, operation: str) -> None:
-        if self._logical.mode is not mode:
-            found = "not set" if self._logical.mode is None else self._logical.mode.name
+    def __require_mode(self, mode: ControlMode, operation: str) -> None:
+        if self.__logical.mode is not mode:
+            found = "not set" if self.__logical.mode is None else self.__logical.mode.name
             raise StateError(
                 motor=self.name,
                 operation=operation,

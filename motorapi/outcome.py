@@ -128,9 +128,12 @@ class DoneNotice:
         self._listeners: list[Callable[[], None]] = []
         self._timer: Registration | None = None
 
-    def begin(self, runtime: "Runtime", physical: "PhysicalMotor") -> None:
-        """Examine the motion at every change from now on, and now: it may have ended already."""
-        if physical.news is None:
+    def begin(self, runtime: "Runtime", physical: "PhysicalMotor", *, polls: bool) -> None:
+        """Examine the motion at every change from now on, and now: it may have ended already.
+
+        With `polls`, or if nothing counts the changes, it is also examined periodically.
+        """
+        if polls or physical.news is None:
             self._timer = runtime.every(LOOK_PERIOD_S, self.look)
         self._listeners = physical.bell.listeners
         self._listeners.append(self.look)

@@ -41,7 +41,7 @@ class Piecewise(Function):
         UsageError: an argument violates these conditions.
     """
 
-    __slots__ = ("_high", "_inner", "_low", "_rows", "_table", "breaks", "pieces")
+    __slots__ = ("_derived", "_high", "_inner", "_low", "_rows", "_table", "breaks", "pieces")
 
     breaks: tuple[float, ...]
     pieces: tuple[Function, ...]
@@ -50,6 +50,7 @@ class Piecewise(Function):
     _inner: tuple[float, ...]
     _rows: tuple[Horner, ...]  # () unless all pieces are polynomials
     _table: PieceTable | None  # created on first use
+    _derived: dict[int, Function]  # derivatives by order, created on first use
 
     def __init__(self, breaks: Iterable[float], pieces: Iterable[Function]) -> None:
         try:
@@ -69,6 +70,7 @@ class Piecewise(Function):
             _inner=edges[1:-1],
             _rows=rows if len(rows) == len(flat) else (),
             _table=None,
+            _derived={},
         )
 
     @classmethod
@@ -145,7 +147,11 @@ class Piecewise(Function):
         return self._table
 
     def _derivative(self, order: int) -> Function:
-        return Piecewise(self.breaks, [piece.derivative(order) for piece in self.pieces])
+        found = self._derived.get(order)  # a start asks for the same ones several times
+        if found is None:
+            found = Piecewise(self.breaks, [piece.derivative(order) for piece in self.pieces])
+            self._derived[order] = found
+        return found
 
     def integral(self) -> Function:
         """Return the continuous integral, with polynomial pieces about their left breaks."""

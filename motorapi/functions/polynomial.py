@@ -201,5 +201,7 @@ def polynomial(coefficients: Iterable[float], about: float) -> Polynomial:
     numbers = tuple(coefficients)
     if not all(isfinite(c) for c in numbers):
         raise UsageError(f"a polynomial about {about!r} would have coefficients beyond 1.8e308")
-    made = Polynomial(numbers, about)
-    return Constant(made.coefficients[0]) if made.degree == 0 else made
+    count = len(numbers)
+    while count > 1 and numbers[count - 1] == 0.0:
+        count -= 1
+    return Constant(numbers[0]) if count == 1 else Polynomial(numbers[:count], about)

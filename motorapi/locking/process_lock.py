@@ -213,7 +213,14 @@ class LockHandle:
             self.end_write()
 
     def use(self) -> None:
-        """Restart the lease if it is due; without a lease do nothing."""
+        """Restart the lease if it is due; notice the removal of the lock file.
+
+        Raises:
+            MotorBusyError: the lock was taken over, or acquired in a new file after a removal.
+        """
+        file = self._file
+        if self._depth > 0 and not file.is_closed and file.is_gone and self._is_replaced():
+            raise self._refused("")
         if self._lease_ns and time.monotonic_ns() >= self._renew_ns:
             self.renew()
 
@@ -273,7 +280,7 @@ class LockHandle:
             os.sched_yield()
 
     def _is_replaced(self) -> bool:
-        """Return True if another process holds the lock through a new file after a removal."""
+        """Return True if another process has acquired the lock in a new file after a removal."""
         if self._loss is None:
             self._loss = self._lock.loss_by_removal()
         return self._loss is not None
@@ -652,8 +659,10 @@ class ProcessLock:
 
     def loss_by_removal(self) -> Loss | None:
         """Return the loss to a process with a new file, after the old file was removed, or None."""
-        holder = self.look().holder
-        return None if holder is None else _loss(holder, "its lock file had been removed")
+        view, reason = self.look(), "its lock file had been removed"
+        if view.holder is not None:
+            return _loss(view.holder, reason)
+        return Loss("a process that has released it", "", reason) if view.token else None
 
     def give_back(self, file: LockFile) -> None:
         """Release all locks of this open file; it is kept for the next acquisition."""

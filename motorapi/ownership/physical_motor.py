@@ -14,6 +14,9 @@ record. The record separates four things:
   at once meanwhile. Access without a transaction (readings, stops, polling waits) is refused as
   well: it goes through a *passage*, and low-level access is granted only without active passages.
 
+Commands by the hardware object itself, outside of an operation and of low-level access, are refused
+while a logical motor of this process has the motor (`PhysicalMotor.require_free`).
+
 They build on *ownership* (`motorhil.motorapi.ownership.ownership`): by one logical motor, for an
 operation, a reservation or low-level access. On a bus that other processes can open it excludes
 them as well, also while a motion is active. The token grows when one of them had the motor in
@@ -26,7 +29,7 @@ import weakref
 from collections.abc import Hashable
 from contextlib import AbstractContextManager
 from enum import Enum
-from typing import Final, final
+from typing import Final, Protocol, final
 
 from motorhil.motorapi.bus_context import context_of
 from motorhil.motorapi.commands import ControlVariable
@@ -42,6 +45,10 @@ _NO_STOP: Final = (
     " it through the hardware object, and the drive's own dead-man still holds"
 )
 
+_DIRECTLY: Final = (
+    "command it by the hardware object inside `with motor.low_level() as hardware:` of its holder"
+)
+
 
 @final
 class RunStatus(Enum):
@@ -50,6 +57,13 @@ class RunStatus(Enum):
     GOING = "going"
     DONE = "done"
     FAILED = "failed"
+
+
+class MotionOwner(Protocol):
+    """A party that begins motions (a logical motor)."""
+
+    def goes_on(self, run: "ActiveMotion") -> bool:
+        """Return True if `run` is the active motion and has not ended."""
 
 
 @final
@@ -67,7 +81,7 @@ class ActiveMotion:
         "since_ns",
     )
 
-    def __init__(self, name: str, owner: object, since_ns: int, motion: Motion | None) -> None:
+    def __init__(self, name: str, owner: MotionOwner, since_ns: int, motion: Motion | None) -> None:
         self.name: Final = name
         self.owner: Final = owner
         self.since_ns: Final = since_ns
@@ -204,6 +218,28 @@ class PhysicalMotor:
         access = self.access
         if access is not None and access.thread != threading.get_ident():
             raise access.busy(self.label)
+
+    def require_free(self) -> None:
+        """Require that a caller of the hardware object, outside of all motors, may command it.
+
+        Operations and low-level access of the calling thread may.
+
+        Raises:
+            MotorBusyError: a logical motor of this process has reserved it, or moves it.
+        """
+        if self.is_held_here or self._turns.is_mine:
+            return
+        self.ownership.look()
+        held, run = self.ownership.held, self.run
+        if held is not None and held.is_held:
+            holder, since_ns, purpose = held.who, held.since_ns, held.purpose
+        elif run is not None and run.owner.goes_on(run):
+            holder, since_ns, purpose = run.name, run.since_ns, ""
+        else:
+            return
+        raise MotorBusyError(
+            motor=self.label, holder=holder, since_ns=since_ns, purpose=purpose, remedy=_DIRECTLY
+        )
 
     def interrupt(self, motor: str) -> AbstractContextManager[None]:
         """Notify a start in progress of a stop inside the block.

@@ -52,6 +52,9 @@ class Runtime(Protocol):
             UsageError: called inside a callback, or in a thread unknown to the runtime.
         """
 
+    def is_in_callback(self) -> bool:
+        """Return True inside a callback or a condition of a wait, where waiting is refused."""
+
     def every(self, period_s: float, action: Callable[[], None]) -> Registration:
         """Run `action` every `period_s` [s], first after one period; it must not wait."""
 

@@ -256,6 +256,10 @@ class WallRuntime:
                     pause_s = min(pause_s, left_ns / 1e9)
                 self._changed.wait(pause_s)
 
+    def is_in_callback(self) -> bool:
+        """Return True inside a callback or a condition of a wait, where waiting is refused."""
+        return self._callback_thread == threading.get_ident()
+
     def wake(self) -> None:
         """Make all waits check their conditions, after a change outside of any callback."""
         with self._changed:
@@ -357,7 +361,7 @@ class WallRuntime:
     # --- callbacks, one at a time ------------------------------------------------------------
 
     def _refuse_in_callback(self) -> None:
-        if self._callback_thread == threading.get_ident():
+        if self.is_in_callback():
             raise UsageError(
                 "waiting inside a callback: no frame is received until the callback returns; "
                 "set a flag there and wait for it outside, or start a party with runtime.spawn"
@@ -406,7 +410,7 @@ class WallRuntime:
 
     def _deliver_pending(self) -> None:
         """Report all frames received or transmitted so far, in order; not inside a callback."""
-        if self._callback_thread == threading.get_ident():
+        if self.is_in_callback():
             return  # the caller of this callback delivers them afterwards
         with self._changed:
             while self._pending:

@@ -338,13 +338,14 @@ def test_motor_names_supported_modes_and_refuses_others(kind, rig, mode, variabl
     if mode is SETPOINT:
         motor.set_setpoint(0.5)
     else:
-        motor.set_trajectory(TrapezoidalTrajectory(0.5, duration_s=1.0))
         complex_one = ComplexTrajectory(SHAPE.scaled(1.0) * 0.25, relative=True)
+        motor.set_trajectory(TrapezoidalTrajectory(0.5, duration_s=1.0))
         if variable in kind.complex:
             motor.set_trajectory(complex_one)
         else:
             with pytest.raises(UnsupportedError):
                 motor.set_trajectory(complex_one)
+            motor.set_trajectory(TrapezoidalTrajectory(0.5, duration_s=1.0))
     assert motor.state().value == "enabled"
     assert true_position(rig, "left") == 0.0
     motor.start()

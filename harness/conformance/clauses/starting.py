@@ -341,7 +341,6 @@ def _expect_progress(bench: RigProtocol, motor: Motor, way: float) -> None:
         if progress is not None:
             since_s = elapsed_s(bench, begun_ns)
             seen.append((since_s, progress))
-        motor.position()  # some motors report only when they are asked
         rest_for(bench, 0.1 * expected_s)
         expect(len(seen) < 30, "the motion does not end")
     expect(motor.progress() is None, "progress() after the end of the motion; expected None")

@@ -41,6 +41,7 @@ from motorhil.motorapi import (
 
 _EXAMPLES: Final = 6
 _SHARE: Final = 0.5
+_COAST_S: Final = 30.0
 
 
 def _stop_halfway(
@@ -304,3 +305,22 @@ def disable_ends_motion(bench: RigProtocol) -> None:
     rest_for(bench, 0.5)
     expect_unmoved(bench, motor, held, "enabled again after disable() during a motion")
     move_exactly(bench, motor, 0.1 * way, "moved after disable() and enable()")
+
+
+@clause(
+    "STOP-09",
+    Level.L2,
+    needs={Capability.VELOCITY_SET_POINT},
+    source="Motor.stop: wait_until_done waits for rest; paper 3.3.3: blocks until it finished",
+)
+def stop_without_power_is_done_at_rest(bench: RigProtocol) -> None:
+    """A stop of a motor that coasts without power is done when it is at rest, and not before."""
+    motor = bench.motor
+    for share in (0.6, -0.6):
+        turn(motor, share * motor.model.velocity_max)
+        finish(bench, motor, 2.0 * motor.model.velocity_max / motor.model.acceleration_max)
+        motor.disable()
+        motor.stop()
+        finish(bench, motor, _COAST_S)
+        expect_rest(bench, motor, "stop() after disable() was reported done")
+        expect_state(motor, MotorState.DISABLED, "after disable() and stop()")

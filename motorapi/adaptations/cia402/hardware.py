@@ -191,10 +191,13 @@ class Cia402HwMotor:
             self.objects.doubt()
             self.control.forget()
             self._facts = self.control.facts = None  # after a failure, the next call tries again
-            with self._shared.setting_up(self.node.sdo, 4 * options.connect_timeout_s):
-                self._is_doubted = False
-                self._facts = self.control.facts = bring_up(self.node, options)
-            return self._facts
+            facts = self._shared.set_up(self.node.sdo, options.connect_timeout_s, self._bring_up)
+            self._facts = self.control.facts = facts
+            return facts
+
+    def _bring_up(self) -> DriveFacts:
+        self._is_doubted = False
+        return bring_up(self.node, self.options)
 
     @property
     def _is_known(self) -> bool:
@@ -219,7 +222,8 @@ class Cia402HwMotor:
         return self.objects.upload(index, subindex)
 
     def download(self, index: int, subindex: int, data: bytes) -> None:
-        """Write `data` to an object; raises as `ObjectAccess.upload`."""
+        """Write `data` to an object; raises as `ObjectAccess.upload`, and as `write`."""
+        self.physical.require_free()
         self.objects.download(index, subindex, data)
 
     def read(self, what: int | str, subindex: int = 0, kind: str | None = None) -> Value:
@@ -240,7 +244,10 @@ class Cia402HwMotor:
 
         Raises:
             UsageError: the value does not fit its type, or the type is not known.
+            MotorBusyError: a motor on this object has reserved or moves it, and this is neither one
+                of its operations nor low-level access.
         """
+        self.physical.require_free()
         self.objects.write(what, value, subindex, kind)
 
     def send_frame(self, can_id: int, data: bytes = b"", *, extended: bool = False) -> Transmission:
@@ -253,9 +260,10 @@ class Cia402HwMotor:
 
         Raises:
             UsageError: the identifier or the data is not valid.
-            MotorBusyError: another thread has low-level access.
+            MotorBusyError: another thread has low-level access; or as `write`.
             LinkError: the bus does not accept the frame.
         """
+        self.physical.require_free()
         frame = raw_frame(can_id, data, extended=extended)
         with self.physical.passage(self.label, of_holder=True):
             return self.link.send_tracked(frame, self.fence)
@@ -304,6 +312,7 @@ class Cia402HwMotor:
 
     def enable(self) -> None:
         """Enable operation; see `DriveControl.enable`."""
+        self.physical.require_free()
         self.connect()
         self.control.enable()
 
@@ -314,6 +323,7 @@ class Cia402HwMotor:
 
     def reset_fault(self) -> None:
         """Reset the fault; see `DriveControl.reset_fault`."""
+        self.physical.require_free()
         self.connect()
         self.control.reset_fault()
 
@@ -339,6 +349,7 @@ class Cia402HwMotor:
         self, period_s: float, next_target: Callable[[int], int | None]
     ) -> CspStream:
         """Stream `next_target(cycle)` in csp, one position per SYNC, until it returns None."""
+        self.physical.require_free()
         self.connect()
         self.stream = CspStream(self.control, period_s, next_target)
         return self.stream

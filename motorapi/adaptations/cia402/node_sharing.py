@@ -23,7 +23,7 @@ from weakref import WeakMethod
 
 from motorhil.motorapi.adaptations.cia402.motion_status import RestWatch
 from motorhil.motorapi.adaptations.cia402.objects import ENABLE_OPERATION, HALT, PdsState
-from motorhil.motorapi.errors import MotorError
+from motorhil.motorapi.errors import MotorBusyError, MotorError
 from motorhil.motorapi.locking.process_lock import ProcessLock
 from motorhil.motorapi.ownership.fencing import NodeFence, announce
 from motorhil.motorapi.ownership.physical_motor import PhysicalMotor
@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     import can
 
     from motorhil.motorapi.adaptations.canopen.sdo import SdoChannel
+    from motorhil.motorapi.adaptations.cia402.bringup import DriveFacts
     from motorhil.motorapi.adaptations.cia402.controlword import DriveControl
     from motorhil.motorapi.adaptations.cia402.node import DriveNode
     from motorhil.motorapi.runtime.api import Registration, Runtime
@@ -90,6 +91,8 @@ def heed_stops(
 
 
 LOOK_PERIOD_S: Final = 0.1
+_AGAIN_S: Final = 0.02
+"""The time between two attempts of a reader to find a drive set up by its owner [s]."""
 _STILL_INC: Final = 2
 _LOG: Final = logging.getLogger("motorapi")
 
@@ -127,8 +130,35 @@ class SharedNode:
         """True if no other process has owned the drive since it was set up here."""
         return self._absences == self._physical.ownership.absences
 
+    def set_up(
+        self, sdo: "SdoChannel", timeout_s: float, bring_up: "Callable[[], DriveFacts]"
+    ) -> "DriveFacts":
+        """Return the result of `bring_up`, which sets the drive up for all processes.
+
+        A reader, or a stop, of a drive that its owner has not set up yet waits for the owner: only
+        the owner may write.
+
+        Args:
+            sdo: the SDO channel of the drive.
+            timeout_s: timeout for the owner [s], and four times of it for other readers.
+            bring_up: reads the drive, and writes where its settings differ.
+
+        Raises:
+            MotorBusyError: the owner, another process, has not set the drive up in time.
+        """
+        runtime = self._runtime
+        end_ns = runtime.now_ns() + round(timeout_s * 1e9)
+        while True:
+            try:
+                with self._setting_up(sdo, 4 * timeout_s):
+                    return bring_up()
+            except MotorBusyError:
+                if self._physical.ownership.is_here or runtime.now_ns() >= end_ns:
+                    raise
+            runtime.wait_until(lambda: False, _AGAIN_S)
+
     @contextmanager
-    def setting_up(self, sdo: "SdoChannel", timeout_s: float) -> Iterator[None]:
+    def _setting_up(self, sdo: "SdoChannel", timeout_s: float) -> Iterator[None]:
         """Exclude other processes from setting up the drive, and permit the block to write.
 
         Raises:

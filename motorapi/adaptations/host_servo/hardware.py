@@ -230,7 +230,8 @@ class AmplifierHwMotor:
         return self.objects.upload(index, subindex)
 
     def download(self, index: int, subindex: int, data: bytes) -> None:
-        """Write `data` to an object of the node; raises as `ObjectAccess.upload`."""
+        """Write `data` to an object of the node; raises as `Cia402HwMotor.download`."""
+        self.physical.require_free()
         self.objects.download(index, subindex, data)
 
     def read(self, what: int | str, subindex: int = 0, kind: str | None = None) -> Value:
@@ -241,10 +242,12 @@ class AmplifierHwMotor:
         self, what: int | str, value: Value, subindex: int = 0, kind: str | None = None
     ) -> None:
         """Write a value to an object of the node; see `Cia402HwMotor.write`."""
+        self.physical.require_free()
         self.objects.write(what, value, subindex, kind)
 
     def send_frame(self, can_id: int, data: bytes = b"", *, extended: bool = False) -> Transmission:
         """Queue a frame of the caller; see `Cia402HwMotor.send_frame`."""
+        self.physical.require_free()
         frame = raw_frame(can_id, data, extended=extended)
         with self.physical.passage(self.label, of_holder=True):
             return self.link.send_tracked(frame, self.io.occupation.fence)

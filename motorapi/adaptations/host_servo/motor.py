@@ -258,6 +258,8 @@ class SoftwareMotor(Motor):
         course = hardware.servo.course
         if course is None:
             return self._read_position()
+        if course.is_step and not hardware.axis.is_over:
+            return self._read_position()  # a step has no profile: its demand is the target at once
         demand = course.target if course.is_over else hardware.servo.demand
         # Return the target as commanded while the servo holds it: rounding must not accumulate.
         return self._held[1] if demand == self._held[0] else demand / self._scale

@@ -156,9 +156,11 @@ class ModbusUnit:
         Writes are commands: they are sent only while this process owns the motor, if other
         processes can own it.
 
-        Raises: as `ModbusLine.ask`; MotorBusyError if the motor was taken over.
+        Raises: as `ModbusLine.ask`; MotorBusyError if the motor was taken over, or if a motor on
+            this unit has reserved or moves it, and this is not one of its operations.
         """
         self._require_open()
+        self.physical.require_free()
         request = self._request(address, values)
         self._ask(request, self.physical.ownership)
 

@@ -159,6 +159,23 @@ def as_fast_as_it_can():
         yield
 
 
+@mutant("software", "SET-09")
+def distances_count_from_the_last_target():
+    """A distance that replaces a set-point in motion counts from the target of that one."""
+
+    def wrong(read):
+        def wronged(self):
+            run = self.logical.physical.run
+            before = None if run is None else run.motion
+            moves = before is not None and is_setpoint(before, POSITION)
+            return before.target if moves and not self._is_done() else read(self)
+
+        return wronged
+
+    with replaced(SoftwareMotor, "_read_reference", wrong):
+        yield
+
+
 @mutant("ideal", "TRAJ-01")
 def absolute_taken_as_distance():
     """The final value of an absolute trajectory is taken as a distance."""

@@ -8,6 +8,7 @@ WHY_IT_STAYS: dict[str, str] = {
     "LOST-03": "likewise, and the drive's state tells a living host of the loss",
     "LOST-10": "it tests instants that the others do not choose",
     "LOST-06": "a drive that falls to PRE-OPERATIONAL is safe from late commands; others are not",
+    "ID-02": "a latest() that waits also breaks the wait for a stop; this clause names the mistake",
     "SET-01": "the paper's own example; any mistake that breaks it breaks another clause, too",
     "UNIT-01": "a wrong unit breaks every motion; this clause comes first, and names the mistake",
     "ID-01": "members that move one another also break groups; this clause names the mistake",

@@ -8,8 +8,16 @@ from motorhil.motorapi.adaptations.ideal.motor import IdealMotor
 from motorhil.motorapi.adaptations.ideal.profiles import Held
 from motorhil.motorapi.adaptations.leadshine.hardware import LeadshineHwMotor
 from motorhil.motorapi.commands import ControlMode, ControlVariable
+from motorhil.motorapi.logical_motor import LogicalMotor
 from motorhil.motorapi.state import MotorState
 from tests.conformance.mutants import motions_changed, mutant, replaced
+
+
+@mutant("software", "STOP-09")
+def no_power_is_taken_for_rest():
+    """A stop of a motor without power is done at once, although it coasts."""
+    with replaced(LogicalMotor, "coasts", lambda coasts: lambda self, run: False):
+        yield
 
 
 def power_off_at_rest(self):

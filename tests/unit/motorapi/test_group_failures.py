@@ -126,15 +126,27 @@ def test_stop_tries_every_motor_and_then_raises(pair):
         group.wait_until_done()
 
 
-def test_trajectories_are_set_for_all_or_none(pair):
+@pytest.mark.parametrize(
+    ("refused", "kind"),
+    [
+        ((TrapezoidalTrajectory(5.0),), UsageError),
+        ((TrapezoidalTrajectory(5.0), TrapezoidalTrajectory(5.0, duration_s=0.1)), LimitError),
+    ],
+)
+def test_refused_trajectories_leave_nothing_to_start(pair, refused, kind):
     group = group_of(pair, 1.0, 2.0)
-    with pytest.raises(UsageError, match="1 trajectories for 2 motors"):
-        group.set_trajectory(TrapezoidalTrajectory(5.0))
-    with pytest.raises(LimitError):
-        group.set_trajectory(TrapezoidalTrajectory(5.0), TrapezoidalTrajectory(5.0, duration_s=0.1))
     group.start()
     group.wait_until_done()
+    with pytest.raises(kind):
+        group.set_trajectory(*refused)
+    for start in (group.start, pair[0].start, pair[1].start):
+        with pytest.raises(StateError, match="there is nothing to start"):
+            start()
     assert [motor.position() for motor in pair] == [1.0, 2.0]
+    group.set_trajectory(TrapezoidalTrajectory(1.0), TrapezoidalTrajectory(2.0))
+    group.start()
+    group.wait_until_done()
+    assert [motor.position() for motor in pair] == [2.0, 4.0]
 
 
 def test_members_are_unique_devices_of_one_runtime(runtime, pair):

@@ -113,15 +113,51 @@ def test_start_without_a_command_raises_and_sends_nothing(motor, hw):
 def test_command_of_another_mode_is_refused_and_discarded(motor):
     with pytest.raises(StateError, match=r"ControlMode\.SETPOINT"):
         motor.set_setpoint(1.0)
-    aim(motor, 1.0)
+    motor.set_control_mode(SETPOINT)
     with pytest.raises(StateError, match=r"its control mode is SETPOINT"):
         motor.set_trajectory(TrapezoidalTrajectory(1.0))
+    motor.set_setpoint(1.0)
     motor.set_control_mode(SETPOINT)  # the same mode again changes nothing
     motor.start()
     motor.wait_until_done()
     motor.set_control_mode(SETPOINT, VELOCITY)
     with pytest.raises(StateError, match="nothing to start"):
         motor.start()
+
+
+@pytest.mark.parametrize(
+    "refused",
+    [
+        lambda motor: motor.set_setpoint(float("nan")),
+        lambda motor: motor.set_setpoint(2.0, relative=True, limits=DerivativeLimits(third=1.0)),
+        lambda motor: motor.set_trajectory(TrapezoidalTrajectory(2.0)),
+        lambda motor: motor.set_control_mode(TRAJECTORY, ControlVariable.CURRENT),
+        lambda motor: motor.set_control_mode("trajectory"),
+    ],
+)
+def test_start_after_a_refused_setting_does_not_move(motor, hw, refused):
+    aim(motor, 1.0, relative=True)
+    motor.start()
+    motor.wait_until_done()
+    with pytest.raises(UsageError):
+        refused(motor)
+    with pytest.raises(StateError, match="there is nothing to start"):
+        motor.start()
+    assert motor.position() == 1.0
+    assert asked(hw).count("_arm") == 1
+    motor.set_setpoint(0.5)
+    motor.start()
+    motor.wait_until_done()
+    assert motor.position() == 0.5
+
+
+def test_start_after_a_refused_trajectory_does_not_move(motor, hw):
+    follow(motor, 1.0)
+    with pytest.raises(LimitError):
+        motor.set_trajectory(TrapezoidalTrajectory(1.0, duration_s=0.01))
+    with pytest.raises(StateError, match="there is nothing to start"):
+        motor.start()
+    assert hw.log == []
 
 
 def test_unsupported_command_raises_when_set(motor):

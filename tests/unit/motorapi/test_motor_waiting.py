@@ -269,6 +269,33 @@ def test_public_methods_cannot_be_overridden():
                 pass
 
 
+OWN_NAMES = (
+    *("_name", "_runtime", "_model", "_logical", "_hooks", "_command", "_mode", "_variable"),
+    *("_run", "_owner", "_operation", "_status", "_begin", "_measured", "_require_mode"),
+)
+
+
+def test_adaptation_may_use_private_names_of_its_own(hw):
+    class Own(PlainMotor):
+        def __init__(self, hw):
+            super().__init__(hw)
+            for name in OWN_NAMES:
+                setattr(self, name, "own")
+
+        def _measured(self):
+            raise AssertionError
+
+        _require_mode = _status = _begin = _operation = _measured
+
+    motor = Own(hw)
+    aim(motor, 1.0)
+    motor.start()
+    motor.wait_until_done()
+    assert (motor.name, motor.position()) == ("m1", 1.0)
+    assert motor.logical.name == "m1"
+    assert {getattr(motor, name) for name in OWN_NAMES} == {"own"}
+
+
 def test_homing_waits_if_requested(runtime, motor, hw):
     motor.home(35, wait=False)
     motor.wait_until_done()

@@ -72,6 +72,16 @@ def test_motion_excludes_others_until_it_is_over(programs, views):
     assert drive.ask("position") == "at 2.000"
 
 
+def test_reading_and_stopping_wait_for_the_owner_to_set_up(programs):
+    owner, reader, stopper = programs("owner", "reader", "stopper")
+    assert owner.ask("reserve survey") == "reserved"  # nobody has set the drive up yet
+    reader.say("position")
+    stopper.say("stop")
+    assert not owner.ask("run 1.0").startswith("busy ")  # the stop may come during the start
+    assert reader.hear().startswith("at ")
+    assert stopper.hear() == "stopped"
+
+
 def test_unawaited_homing_is_released_at_its_end(programs, views):
     mast, drive = programs("mast", "drive")
     assert mast.ask("move 0.2") == "started"

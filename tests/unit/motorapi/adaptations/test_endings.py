@@ -5,6 +5,7 @@ Times are those of the bus record (ends of frames), in virtual time: they agree 
 
 from collections.abc import Callable
 
+import can
 import pytest
 
 from motorhil.emulators.can.fault_rules import FaultKind, FaultRule
@@ -56,6 +57,11 @@ class Heard:
             and time_ns >= after_ns
             and wanted(int.from_bytes(data[:2], "little"))
         )
+
+
+def send_foreign(rig: Rig, can_id: int, data: bytes) -> None:
+    """Send a frame as another program does that knows nothing of the motors here."""
+    rig.bus("can0").send(can.Message(arbitration_id=can_id, data=data, is_extended_id=False))
 
 
 class Endings:
@@ -133,8 +139,8 @@ def test_stop_by_another_motor_ends_a_motion_at_once(rig: Rig, how: Callable[[Mo
 
 def test_foreign_switch_off_ends_a_motion(rig: Rig):
     """The frames come from another host: only the drive's reaction is visible to this process."""
-    motor, heard, endings = moving(rig)
-    motor.hardware.send_frame(0x201, b"\0\0")  # disable voltage, not by the interface
+    _motor, heard, endings = moving(rig)
+    send_foreign(rig, 0x201, b"\0\0")  # disable voltage, not by the interface
     ended_ns, error = endings.within(1.0)
     assert ended_ns == heard.first_status(lambda word: word & STATE != OPERATION_ENABLED)
     assert isinstance(error, MotionInterrupted)
@@ -164,8 +170,8 @@ def test_lost_drive_ends_a_motion_within_heartbeat_time(rig: Rig):
 
 def test_drive_reboot_ends_a_motion_at_its_boot_up(open_rig: OpenRig):
     rig = open_rig(drive("left", 1, controller="timing.boot_up_s = 0.1"))  # before a loss
-    motor, heard, endings = moving(rig)
-    motor.hardware.send_frame(0x000, bytes((0x81, 1)))  # CiA 301, NMT: reset node
+    _motor, heard, endings = moving(rig)
+    send_foreign(rig, 0x000, bytes((0x81, 1)))  # CiA 301, NMT: reset node
     ended_ns, error = endings.within(1.0)
     booted_ns = next(
         time_ns for time_ns, can_id, data in heard.frames if (can_id, data) == (HEARTBEAT, b"\0")
@@ -176,8 +182,8 @@ def test_drive_reboot_ends_a_motion_at_its_boot_up(open_rig: OpenRig):
 
 
 def test_drive_leaving_operational_ends_a_motion_at_heartbeat(rig: Rig):
-    motor, heard, endings = moving(rig)
-    motor.hardware.send_frame(0x000, bytes((0x02, 1)))  # CiA 301, NMT: stop
+    _motor, heard, endings = moving(rig)
+    send_foreign(rig, 0x000, bytes((0x02, 1)))  # CiA 301, NMT: stop
     ended_ns, error = endings.within(1.0)
     told_ns = next(
         time_ns for time_ns, can_id, data in heard.frames if (can_id, data) == (HEARTBEAT, b"\4")

@@ -1,5 +1,7 @@
 """Derivatives of every kind and order, against power series and exact arithmetic."""
 
+import pickle
+
 import numpy as np
 import pytest
 from hypothesis import assume, event, given
@@ -142,3 +144,14 @@ def test_derivatives_exist_everywhere_in_the_domain():
         for order in range(8):
             for x in (LOW, 0.0, HIGH):
                 function.derivative(order).value(x)
+
+
+def test_derivatives_of_many_pieces_are_made_once():
+    x = [0.5 * k for k in range(200)]
+    curve = Sampled(x, [(k % 7) * 0.25 for k in range(200)])
+    for order in (1, 2, 3):
+        assert curve.derivative(order) is curve.derivative(order)
+    again = pickle.loads(pickle.dumps(curve))
+    assert again == curve
+    assert again.derivative(2) == curve.derivative(2)
+    assert again.derivative(2) is not curve.derivative(2)

@@ -3,6 +3,7 @@
 import pytest
 
 from motorhil.motorapi import (
+    DeadlineExceeded,
     LockAction,
     MotionInterrupted,
     MotorBusyError,
@@ -10,7 +11,11 @@ from motorhil.motorapi import (
     StateError,
     TrapezoidalTrajectory,
     UsageError,
+    WallRuntime,
 )
+from motorhil.motorapi.locking.directory import LockDirectory
+from motorhil.motorapi.locking.process_lock import ProcessLock
+from tests.support.motors.plain import PlainBus, PlainHwMotor, PlainMotor
 from tests.support.motors.takeover_owners import LONG_S, actions, follow, heard, rove
 
 
@@ -38,6 +43,38 @@ def test_takeover_on_demand_refuses_the_loser_by_name(world, logical):
     a.enable()
     a.start()
     a.stop()
+
+
+@pytest.mark.parametrize("is_released", [False, True])
+def test_owner_in_a_removed_lock_file_is_told_of_the_next(tmp_path, is_released):
+    runtime, directory = WallRuntime(), LockDirectory(tmp_path)
+
+    def motor(name):
+        lock = ProcessLock("m1", "motor 1", directory)
+        return PlainMotor(PlainHwMotor(runtime, 1, PlainBus(f"of {name}"), lock=lock), name=name)
+
+    a, b = motor("a"), motor("b")
+    try:
+        follow(a)
+        a.set_trajectory(TrapezoidalTrajectory(0.01, duration_s=2 * LONG_S))
+        with a.reserve("survey") as reservation:
+            a.start()
+            (tmp_path / "m1").unlink()
+            with pytest.raises(DeadlineExceeded):
+                a.wait_until_done(0.2)  # no other process has it
+            with b.reserve("rescue"):
+                if is_released:
+                    b.enable()
+                else:
+                    with pytest.raises(MotionInterrupted, match=r"rescue.*its lock file had been"):
+                        a.wait_until_done(LONG_S)
+            with pytest.raises(MotionInterrupted, match="its lock file had been removed"):
+                a.wait_until_done(LONG_S)
+            assert not reservation.is_held
+            with pytest.raises(MotorBusyError, match="its lock file had been removed"):
+                a.start()
+    finally:
+        runtime.close()
 
 
 def test_takeover_interrupts_the_motion_and_brings_to_rest(world, logical):

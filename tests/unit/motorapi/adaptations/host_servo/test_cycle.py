@@ -6,6 +6,7 @@ import pytest
 
 from motorhil.emulators.can.fault_rules import FaultKind, FaultRule
 from motorhil.harness.rig.rig import Rig
+from motorhil.motorapi.adaptations.canopen.link import can_frame
 from motorhil.motorapi.errors import DeadlineExceeded, DeviceFault, LinkError, UsageError
 from motorhil.motorapi.state import MotorState
 from motorhil.motorapi.trajectory import TrapezoidalTrajectory
@@ -238,7 +239,7 @@ def test_rebooted_node_is_brought_up_again(open_rig: OpenRig):
     left.wait_until_done(2)
     left.home()
     moving(rig)
-    left.hardware.send_frame(0x000, b"\x81\x01")  # NMT: reset node
+    left.hardware.link.send(can_frame(0x000, b"\x81\x01"))  # NMT: reset node
     with pytest.raises(LinkError):
         left.wait_until_done(3)
     rig.runtime.run_for(2.0)

@@ -25,6 +25,7 @@ from motorhil.motorapi.errors import (
     DeadlineExceeded,
     DeviceFault,
     LimitError,
+    MotorBusyError,
     MotorError,
     UnsupportedError,
     UsageError,
@@ -60,6 +61,37 @@ def go_to(motor, position, **words):
     motor.start()
 
 
+def test_asking_alone_finds_the_end_of_a_motion(rig):
+    mast = rig.motors["mast"]
+    go_to(mast, 0.5)
+    begun_ns = rig.runtime.now_ns()
+    while not mast.is_done():
+        run_s(rig, 0.1)
+        assert rig.runtime.now_ns() - begun_ns < 5_000_000_000
+    assert truth(rig)["position_rad"] == pytest.approx(0.5, abs=RESOLUTION)
+    mast.stop()
+    assert MotorGroup(mast).is_done()
+
+
+def test_asking_inside_a_condition_does_not_wait(rig):
+    mast = rig.motors["mast"]
+    go_to(mast, 0.5)
+    assert not rig.runtime.wait_until(mast.is_done, 3.0)  # the last status received: it moves
+    assert mast.is_done()
+
+
+def test_registers_of_a_moving_or_reserved_motor_are_not_written(rig):
+    mast = rig.motors["mast"]
+    registers = mast.hardware.registers
+    go_to(mast, 1.0)
+    with pytest.raises(MotorBusyError, match=r"held by start\(\) of mast .*low_level\(\)"):
+        registers.write(0x6002, 0x0040)
+    mast.wait_until_done(20)
+    with mast.reserve("survey"), pytest.raises(MotorBusyError, match="for survey"):
+        registers.write(0x6002, 0x0040)
+    assert abs(mast.position() - 1.0) < RESOLUTION
+
+
 def test_position_set_point_is_reached(rig):
     mast = rig.motors["mast"]
     go_to(mast, 0.5)
@@ -91,7 +123,6 @@ def test_model_limits_are_kept(rig):
     go_to(mast, 2.0)
     while not mast.is_done():
         run_s(rig, 0.01)
-        mast.position()
         fastest = max(fastest, truth(rig)["velocity_rad_s"])
     assert 1.9 < fastest < 2.05
     with pytest.raises(LimitError):

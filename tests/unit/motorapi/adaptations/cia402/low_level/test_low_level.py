@@ -6,6 +6,7 @@ Source: the paper, Requirement 2.
 import pytest
 
 from motorhil.harness.rig.rig import Rig
+from motorhil.motorapi.adaptations.cia402.hardware import Cia402HwMotor
 from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
 from motorhil.motorapi.commands import ControlMode
 from motorhil.motorapi.errors import DeadlineExceeded, MotorBusyError, MotorError, UsageError
@@ -137,6 +138,53 @@ def test_stop_from_a_callback_of_the_holder_is_refused(
     assert len(refused) >= 5
     assert {type(error) for error in refused} == {MotorBusyError}
     assert [can_id for _, can_id, _ in sent] == [0x601] * 5
+
+
+BY_THE_OBJECT = (
+    lambda hw: hw.write(0x6040, 0x0006),
+    lambda hw: hw.download(0x6040, 0, b"\x06\0"),
+    lambda hw: hw.send_frame(0x201, b"\x06\0"),
+    Cia402HwMotor.enable,
+    Cia402HwMotor.reset_fault,
+    lambda hw: hw.stream_positions(0.01, lambda cycle: None),
+)
+
+
+def test_hardware_object_leaves_a_moving_motor_alone(
+    rig: Rig, motor: Cia402Motor, other: Cia402Motor
+):
+    go_to(motor, 0.5)
+    sent = sent_on(rig)
+    for act in BY_THE_OBJECT:
+        with pytest.raises(MotorBusyError, match=r"held by start\(\) of left .*low_level\(\)"):
+            act(other.hardware)
+    assert other.hardware.read("modes_of_operation_display") == 1  # reading is free: pp
+    # CiA 301, SDO upload of 6061h; the controlword without new set-point ends the handshake
+    assert {data for _, _, data in sent} <= {bytes.fromhex("4061600000000000"), b"\x0f\0"}
+    motor.wait_until_done(5)
+    assert abs(motor.position() - 0.5) < 0.001
+
+
+def test_hardware_object_leaves_a_reserved_motor_alone(
+    rig: Rig, motor: Cia402Motor, other: Cia402Motor
+):
+    with motor.reserve("survey"):
+        for act in BY_THE_OBJECT:
+            with pytest.raises(MotorBusyError, match=r"held by reserve\(\) of left for survey"):
+                act(other.hardware)
+        with motor.low_level() as hardware:
+            hardware.write(0x6065, 4321)
+        go_to(motor, 0.1)
+        motor.wait_until_done(5)
+    other.hardware.write(0x6065, 1234)  # a free motor
+    assert other.hardware.read(0x6065) == 1234
+
+
+def test_hardware_object_halts_a_moving_motor(motor: Cia402Motor, other: Cia402Motor):
+    go_to(motor, 5.0)
+    other.hardware.halt()  # a stop needs no ownership
+    motor.runtime.wait_until(lambda: False, 3.0)
+    assert motor.velocity() == 0.0
 
 
 def test_hardware_object_is_refused_to_another_thread(rig: Rig, motor: Cia402Motor):
