@@ -291,6 +291,7 @@ class DriveMotions:
         return SetPointTrigger(self._hardware, watch)
 
     def _arm_velocity(self, motion: Motion, profile: DriveProfile) -> Trigger:
+        units = self._reader.known()[0]
         if not self._control.is_in(Mode.PROFILE_VELOCITY):
             self._objects.write(0x60FF, 0)  # an old target would take effect at once
             self._control.set_mode(Mode.PROFILE_VELOCITY)
@@ -298,7 +299,7 @@ class DriveMotions:
         change = abs(motion.target - self._reader.velocity())
         slowest = min(motion.acceleration, motion.deceleration)
         self._control.keep_halt()
-        watch = _live_watch(round(change / slowest * 1e9))
+        watch = _live_watch(change / slowest, as_motion(motion, profile, units).duration_s)
         self._follow(watch)
         if self._can_arm(0x60FF):
             return self._arm_latched(0x60FF, profile.target, watch)
@@ -316,8 +317,8 @@ class DriveMotions:
             with suppress(SdoAborted):  # A drive with a steepest slope of its own keeps that.
                 self._objects.push(0x6087, STEEPEST)
         self._control.keep_halt()
-        expected_ns = round(ramp_s(motion, profile, unit) * 1e9)
-        watch = _live_watch(max(expected_ns, SETTLE_NS))
+        made_s = as_torque_motion(motion, profile, unit).duration_s
+        watch = _live_watch(max(ramp_s(motion, profile, unit), SETTLE_NS / 1e9), made_s)
         self._follow(watch)
         return LiveTargetTrigger(self._hardware, watch, 0x6071, profile.target)
 
@@ -511,14 +512,18 @@ class DriveMotions:
         return times_of_set_point(watch, self._point, together=self._together)
 
 
-def _live_watch(expected_ns: int) -> SetpointWatch:
-    """Return the watch of a target that has neither acknowledge nor position."""
+def _live_watch(expected_s: float, duration_s: float | None) -> SetpointWatch:
+    """Return the watch of a target that has neither acknowledge nor position.
+
+    `duration_s` is that of a trajectory; None for a set-point, which ends within the window.
+    """
     return SetpointWatch(
         commanded_ns=None,
-        expected_ns=expected_ns,
+        expected_ns=round(expected_s * 1e9),
         acknowledged=False,
         target_inc=None,
         tolerance_inc=None,
+        lasts_ns=0 if duration_s is None else round(duration_s * 1e9),
     )
 
 

@@ -42,6 +42,9 @@ class SetpointWatch:
     way there, as an old frame may be delayed. The bit may never be seen low: a move of zero length,
     a drive that shows it late, lost frames. As some drives show the old bit for a while, the motion
     is then over once its own duration has passed and the position is at the target.
+
+    The ramp of a trajectory lasts for `lasts_ns`. The bit cannot shorten it: a drive sets the bit
+    once velocity or torque is within its window, long before the end of a slow ramp.
     """
 
     def __init__(
@@ -53,6 +56,7 @@ class SetpointWatch:
         target_inc: int | None,
         tolerance_inc: int | None,
         distance_inc: int = 0,
+        lasts_ns: int = 0,
     ) -> None:
         self.started_ns: int | None = None
         self.ended_ns: int | None = None
@@ -64,7 +68,9 @@ class SetpointWatch:
         self._target_inc = target_inc
         self._tolerance_inc = tolerance_inc
         self._near_inc = max(tolerance_inc or 0, abs(distance_inc) // _NEAR)
+        self._lasts_ns = lasts_ns
         self._seen_low = False
+        self._reached_ns: int | None = None  # since when the drive shows that it is there
 
     def begin(self, time_ns: int) -> None:
         """Record the time when the command was on the wire."""
@@ -83,16 +89,23 @@ class SetpointWatch:
             return
         if not statusword & TARGET_REACHED:
             self._seen_low = True
+            self._reached_ns = None
         elif self._seen_low:
             if self._is_within(self._near_inc, position_inc):
-                self._end(time_ns)
+                self._reach(time_ns)
         elif time_ns >= self.started_ns + self._expected_ns:
             within = self._tolerance_inc
             if within is None or self._is_within(within, position_inc):
-                self._end(time_ns)
+                self._reach(time_ns)
 
-    def _end(self, time_ns: int) -> None:
-        self.ended_ns = time_ns
+    def _reach(self, time_ns: int) -> None:
+        """End the motion, but not before the end of its ramp."""
+        if self._reached_ns is None:
+            self._reached_ns = time_ns
+        ramp_end_ns = (self.commanded_ns or 0) + self._lasts_ns
+        if time_ns < ramp_end_ns:
+            return
+        self.ended_ns = max(self._reached_ns, ramp_end_ns)
         if self.on_end is not None:
             self.on_end()
 

@@ -110,6 +110,38 @@ def test_target_velocity_begins_when_on_the_wire():
     assert (watch.started_ns, watch.ended_ns) == (4 * MS, 50 * MS)
 
 
+def ramp(lasts_ms: int) -> SetpointWatch:
+    watch = SetpointWatch(
+        commanded_ns=None,
+        expected_ns=0,
+        acknowledged=False,
+        target_inc=None,
+        tolerance_inc=None,
+        lasts_ns=lasts_ms * MS,
+    )
+    watch.begin(3 * MS)
+    return watch
+
+
+def test_ramp_within_its_window_is_not_over_early():
+    watch = ramp(100)
+    watch.see(MOVING, 0, 4 * MS)
+    watch.see(REACHED, 0, 50 * MS)  # within the velocity window 606Dh
+    watch.see(REACHED, 0, 103 * MS - 1)
+    assert watch.ended_ns is None
+    watch.see(REACHED, 0, 120 * MS)
+    assert watch.ended_ns == 103 * MS
+
+
+def test_ramp_reached_late_is_over_when_reached():
+    watch = ramp(100)
+    watch.see(REACHED, 0, 50 * MS)
+    watch.see(MOVING, 0, 60 * MS)  # it has left the window again
+    watch.see(MOVING, 0, 110 * MS)
+    watch.see(REACHED, 0, 115 * MS)
+    assert watch.ended_ns == 115 * MS
+
+
 def test_rest_needs_the_bit_and_standstill():
     watch = RestWatch(commanded_ns=0, needs_bit=True)
     watch.see(REACHED, 0, 0)  # pv: at speed, the bit means that the velocity is reached
