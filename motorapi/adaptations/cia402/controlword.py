@@ -24,6 +24,7 @@ from motorhil.motorapi.adaptations.cia402.objects import (
     NEW_SET_POINT,
     OBJECTS,
     QUICK_STOP,
+    RELATIVE,
     SHUTDOWN,
     SWITCH_ON,
     Mode,
@@ -154,6 +155,7 @@ class DriveControl:
         self._mode: Mode | None = None
         self.is_halted = False  # stopped since `take_set_points`, by any program
         self._word: int | None = None  # the controlword commanded last
+        self._relative = 0  # bit 6 of the next set-point
         self._repetition: StopRepetition | None = None
         self._armed: int | None = None  # index of the target that the next SYNC latches
         self._latched: int | None = None  # the same, until the drive has shown that it has started
@@ -166,6 +168,7 @@ class DriveControl:
         self._word = None
         self._mode = None
         self.is_halted = False
+        self._relative = 0
         self._armed = None
         self.has_started()
 
@@ -320,11 +323,13 @@ class DriveControl:
         """Return whether 6061h confirmed this mode, and it cannot have changed since."""
         return self._mode is mode and self.objects.is_believed(0x6060, mode)
 
-    def take_set_points(self) -> None:
+    def take_set_points(self, *, relative: bool = False) -> None:
         """Clear bit 4 (pp) and await a low acknowledge; a halt lasts until the next set-point.
 
-        From then on `is_halted` reports stops that came after this call.
+        From then on `is_halted` reports stops that came after this call. With `relative`, the next
+        target is a distance from where 60F2h says.
         """
+        self._relative = RELATIVE if relative else 0
         self.write_controlword(self._holding_word())
         if self.node.statusword & ACKNOWLEDGE or not self.node.status_is_cyclic:
             self.node.wait_for_status(
@@ -353,7 +358,7 @@ class DriveControl:
         """
         word = self._holding_word()
         if not self.is_halted:
-            word |= NEW_SET_POINT | CHANGE_IMMEDIATELY
+            word |= NEW_SET_POINT | CHANGE_IMMEDIATELY | self._relative
         return self.send_controlword(word)
 
     def send_holding_word(self) -> Transmission | None:
@@ -382,7 +387,7 @@ class DriveControl:
             raise UnsupportedError(motor=self.node.label, feature="starting by SYNC")
         word = ENABLE_OPERATION
         if index == 0x607A:
-            word |= NEW_SET_POINT | CHANGE_IMMEDIATELY
+            word |= NEW_SET_POINT | CHANGE_IMMEDIATELY | self._relative
         self._armed = self._latched = index
         self._sync.latching.add(self.node.node_id)
         self.objects.doubt(index)
@@ -454,10 +459,10 @@ class DriveControl:
             self.may_be_armed, self.holds_halt = False, True
             indices = [*facts.latched_ids] * 2
         word = self._holding_word() if self._word is None else self._word
-        word &= ~(NEW_SET_POINT | CHANGE_IMMEDIATELY)
+        word &= ~(NEW_SET_POINT | CHANGE_IMMEDIATELY | RELATIVE)
         sent = []
         for index in indices:
-            target = self.node.position_inc if index == 0x607A else 0
+            target = self.node.counter if index == 0x607A else 0
             self.objects.doubt(index)
             frame = _control_target(facts.latched_ids[index], word, index, target)
             sent.append(self._send(frame, fence))

@@ -50,6 +50,8 @@ if TYPE_CHECKING:
     from motorhil.motorapi.runtime.api import Registration
 
 _SETPOINT: Final = struct.Struct("<IB3xHi2x")
+_HALF: Final = 0x8000_0000
+_SPAN: Final = 0x1_0000_0000
 _DEAF_NS: Final = 250_000_000
 """The time [ns] without movement after which a drive does not follow its moving set-points."""
 _LAST_WORDS: Final = 2  # set-points that bring a stop, in case one is lost
@@ -159,8 +161,9 @@ class CspStream:
             ) from error
         # The target must be at the drive's position before csp uses it.
         held = objects.read_optional(0x6062)
-        self._target = objects.read_int(0x6064) if held is None else held
-        objects.write(0x607A, self._target)
+        held = objects.read_int(0x6064) if held is None else held
+        self._target = self._node.on_from(held)
+        objects.write(0x607A, held)
         self._control.set_mode(Mode.CYCLIC_SYNC_POSITION)
 
     def _own_period(self) -> str:
@@ -181,7 +184,8 @@ class CspStream:
         )
 
     def _send(self) -> Transmission:
-        frame = _SETPOINT.pack(self._can_id, 6, self._word, self._target)
+        counter = (self._target + _HALF) % _SPAN - _HALF  # 607Ah wraps as the drive's counter
+        frame = _SETPOINT.pack(self._can_id, 6, self._word, counter)
         fence: Fence | None = self._fence
         if fence is not None and self._word != ENABLE_OPERATION:
             fence = self._stop_fence()

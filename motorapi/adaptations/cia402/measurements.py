@@ -149,6 +149,7 @@ class DriveReader:
             if demand is not None:
                 # Return the target as commanded while the drive holds it: rounding must not
                 # accumulate.
+                demand = self._node.on_from(demand)
                 return self.held[1] if demand == self.held[0] else self.units.position(demand)
         return self.position()
 
@@ -164,7 +165,8 @@ class DriveReader:
         """Return the following error, demand minus actual position [U]."""
         error = self._objects.read_optional(0x60F4)
         if error is None:
-            return self.reference() - self.units.position(self._objects.read_int(0x6064))
+            position_inc = self._node.on_from(self._objects.read_int(0x6064))
+            return self.reference() - self.units.position(position_inc)
         return self.units.position(error)
 
     def position_source(self) -> str:

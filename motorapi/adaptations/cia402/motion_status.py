@@ -65,12 +65,18 @@ class SetpointWatch:
         self.commanded_ns = commanded_ns
         self._expected_ns = expected_ns
         self._needs_acknowledge = acknowledged
-        self._target_inc = target_inc
+        self.target_inc: Final = target_inc
         self._tolerance_inc = tolerance_inc
         self._near_inc = max(tolerance_inc or 0, abs(distance_inc) // _NEAR)
         self._lasts_ns = lasts_ns
         self._seen_low = False
         self._reached_ns: int | None = None  # since when the drive shows that it is there
+
+    @property
+    def is_under_way(self) -> bool:
+        """True if the drive is on its way to a target position."""
+        begun = self.started_ns is not None
+        return begun and self.ended_ns is None and self.target_inc is not None
 
     def begin(self, time_ns: int) -> None:
         """Record the time when the command was on the wire."""
@@ -110,7 +116,7 @@ class SetpointWatch:
             self.on_end()
 
     def _is_within(self, within_inc: int, position_inc: int) -> bool:
-        target_inc = self._target_inc
+        target_inc = self.target_inc
         return target_inc is None or abs(position_inc - target_inc) <= within_inc
 
 

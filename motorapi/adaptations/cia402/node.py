@@ -1,6 +1,10 @@
 """Received state of one drive: its status, beside that of a CANopen node.
 
 The TPDO decoder is the hot path: one call per frame, straight from the link's dispatch.
+
+*Counter wraps.* The drive counts its position in 32 bits, and a wheel rolls beyond them. The host
+counts on: two positions in a row are always less than half of the 32 bits apart. So `position_inc`
+never wraps, and targets are converted to the drive's counter at the edge to the wire.
 """
 
 import struct
@@ -25,6 +29,9 @@ from motorhil.motorapi.errors import DeadlineExceeded, DeviceFault, MotionInterr
 _STATUS_POSITION: Final = struct.Struct("<8xHi").unpack_from
 _STATUSWORD: Final = 0x6041
 _POSITION: Final = 0x6064
+_HALF: Final = 0x8000_0000
+_SPAN: Final = 0x1_0000_0000  # positions of a counter of 32 bits
+_NEAR_WRAP: Final = 0x10_0000  # where a following error may straddle the end of the counter
 _POLL_S: Final = 0.002
 
 
@@ -34,6 +41,8 @@ class DriveNode(CanopenNode):
 
     Attributes:
         statusword, position_inc, status_ns: the last status and its time (-1: none yet).
+            The position does not wrap with the drive's counter.
+        counter: the last 6064h.
         values: other objects that TPDOs brought, by (index, sub-index).
         status_is_cyclic: whether a TPDO repeats the status.
         watch: the observer of the last command, or None.
@@ -44,6 +53,8 @@ class DriveNode(CanopenNode):
         super().__init__(bus, node_id, options, OBJECTS)
         self.statusword = 0
         self.position_inc = 0
+        self.counter = 0
+        self._wrapped_inc = 0  # a multiple of the counter's span: what its wraps have lost
         self.status_ns = -1
         self.values: Final[dict[tuple[int, int], int]] = {}
         self.status_is_cyclic = False
@@ -77,12 +88,16 @@ class DriveNode(CanopenNode):
         if frame[4] != 6:
             self.malformed += 1
             return
-        word, position_inc = _STATUS_POSITION(frame)
-        self.take_status(word, position_inc, time_ns)
+        word, counter = _STATUS_POSITION(frame)
+        self.take_status(word, counter, time_ns)
 
-    def take_status(self, word: int, position_inc: int, time_ns: int) -> None:
-        """Store a received status, from TPDO or SDO."""
-        self.position_inc = position_inc
+    def take_status(self, word: int, counter: int, time_ns: int) -> None:
+        """Store a received status, from TPDO or SDO; `counter` is 6064h."""
+        step = counter - self.counter
+        if not -_HALF <= step < _HALF:
+            self._wrap(step)
+        self.counter = counter
+        self.position_inc = position_inc = counter + self._wrapped_inc
         self.status_ns = time_ns
         if word != self._word:
             self._new_statusword(word, time_ns)
@@ -97,6 +112,31 @@ class DriveNode(CanopenNode):
         else:
             self.fault_since_ns = None
         self.news.grow()
+
+    # --- position counter ---------------------------------------------------------------------
+
+    def count_anew(self) -> None:
+        """Take the drive's counter as the position: it was homed, or has booted."""
+        self._wrapped_inc = 0
+        self.position_inc = self.counter
+
+    def _wrap(self, step: int) -> None:
+        """Count a wrap of the drive's counter, which has changed by `step`."""
+        if self.status_ns >= 0:
+            self._wrapped_inc += _SPAN if step < 0 else -_SPAN
+
+    def on_from(self, counter: int) -> int:
+        """Return a value of the drive's counter (6062h, 6064h) as a position, which never wraps."""
+        return self.position_inc + (counter - self.counter + _HALF) % _SPAN - _HALF
+
+    def is_within_counter(self, target_inc: int) -> bool:
+        """Return whether the drive understands the position as an absolute target.
+
+        After a wrap, drives differ: some take 607Ah for a position of the present turn of their
+        counter, others for one of the first.
+        """
+        near = -_HALF + _NEAR_WRAP <= self.position_inc < _HALF - _NEAR_WRAP
+        return near and not self._wrapped_inc and -_HALF < target_inc < _HALF
 
     # --- interpretation ------------------------------------------------------------------
 
@@ -134,8 +174,8 @@ class DriveNode(CanopenNode):
     def poll_status(self) -> None:
         """Read statusword and position by SDO."""
         word = self.read_int(_STATUSWORD)
-        position_inc = self.read_int(_POSITION)
-        self.take_status(word, position_inc, self.link.runtime.now_ns())
+        counter = self.read_int(_POSITION)
+        self.take_status(word, counter, self.link.runtime.now_ns())
 
     def wait_for_status(self, wanted: Callable[[int], bool], timeout_s: float, awaited: str) -> int:
         """Return the first statusword for which `wanted` is true, from TPDOs or by SDO polling.
@@ -198,7 +238,7 @@ class TpdoDecoder:
         if frame[4] != self._length:
             node.malformed += 1
             return
-        word, position_inc, at = node.statusword, node.position_inc, 8
+        word, counter, at = node.statusword, node.counter, 8
         has_status = False
         for key, size in self._fields:
             kind = node.objects.type_of(*key) or "u32"
@@ -207,9 +247,8 @@ class TpdoDecoder:
             if key == (_STATUSWORD, 0):
                 word, has_status = raw, True
             elif key == (_POSITION, 0):
-                position_inc = raw
-                node.position_inc = raw
+                counter = raw
             else:
                 node.values[key] = raw
         if has_status:
-            node.take_status(word, position_inc, time_ns)
+            node.take_status(word, counter, time_ns)
