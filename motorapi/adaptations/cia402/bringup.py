@@ -289,14 +289,17 @@ def _velocity_pdo(
 def _await_first_status(node: DriveNode, facts: DriveFacts, options: HwOptions) -> None:
     """Await the first status: by TPDO if the drive sends it cyclically, else by SDO."""
     status = facts.status
-    node.status_is_cyclic = status is not None and bool(status.event_ms)
+    period_ms = 0
+    if status is not None and _POSITION in status.mapping:
+        period_ms = status.event_ms or 0
+    node.expect_status(period_ms)
     if node.status_is_cyclic:
         seen_ns = node.status_ns
         heard = node.link.wait_until(
             lambda: node.status_ns != seen_ns,
             max(_FIRST_STATUS_S, 3 * options.status_period_ms / 1e3),
         )
-        node.status_is_cyclic = heard
+        node.expect_status(period_ms if heard else 0)
     if not node.status_is_cyclic:
         node.poll_status()
     node.stays_operational()

@@ -189,7 +189,8 @@ class DriveReader:
             raw = node.values.get((0x606C, 0))
             if raw is not None and units.velocity_unit is not None:
                 velocity = units.velocity(raw)
-        return Measurement(node.status_ns, self.state(), position, velocity)
+        state = MotorState.OFFLINE if node.is_old else self.state()
+        return Measurement(node.status_ns, state, position, velocity)
 
 
 def _read_limits(hardware: Cia402HwMotor) -> DriveLimits:

@@ -306,10 +306,11 @@ class Cia402Motor(Motor):
         return self._reader.position_source()
 
     def _refresh(self) -> float | None:
-        if self._node.status_is_cyclic:
-            return None
-        if not self._node.is_lost:
-            self._node.poll_status()
+        node = self._node
+        if node.status_is_cyclic and not node.is_missed:
+            return node.patience_s
+        if not node.is_lost:
+            node.poll_status()
         return POLL_S
 
     # --- power, fault, reference --------------------------------------------------------------

@@ -5,6 +5,9 @@ The TPDO decoder is the hot path: one call per frame, straight from the link's d
 *Counter wraps.* The drive counts its position in 32 bits, and a wheel rolls beyond them. The host
 counts on: two positions in a row are always less than half of the 32 bits apart. So `position_inc`
 never wraps, and targets are converted to the drive's counter at the edge to the wire.
+
+*Missing TPDOs.* A drive may be alive by its heartbeat while its status TPDO does not arrive: one
+identifier is filtered, or sent by a second node. A status that is too old is read by SDO instead.
 """
 
 import struct
@@ -33,6 +36,8 @@ _HALF: Final = 0x8000_0000
 _SPAN: Final = 0x1_0000_0000  # positions of a counter of 32 bits
 _NEAR_WRAP: Final = 0x10_0000  # where a following error may straddle the end of the counter
 _POLL_S: Final = 0.002
+_YOUNG_PERIODS: Final = 5
+_YOUNG_MS: Final = 100  # at least, as a busy bus or host delays TPDOs
 
 
 @final
@@ -43,8 +48,9 @@ class DriveNode(CanopenNode):
         statusword, position_inc, status_ns: the last status and its time (-1: none yet).
             The position does not wrap with the drive's counter.
         counter: the last 6064h.
+        told_ns: the time of the last TPDO with status and position.
         values: other objects that TPDOs brought, by (index, sub-index).
-        status_is_cyclic: whether a TPDO repeats the status.
+        status_is_cyclic: whether a TPDO repeats the status, with the position.
         watch: the observer of the last command, or None.
         on_control: called with controlwords of other programs, or None.
     """
@@ -58,6 +64,9 @@ class DriveNode(CanopenNode):
         self.status_ns = -1
         self.values: Final[dict[tuple[int, int], int]] = {}
         self.status_is_cyclic = False
+        self.told_ns = -1
+        self._young_ns = 0
+        self._present_ns = 0
         self.watch: MotionWatch | None = None
         self.fault_since_ns: int | None = None
         self.on_control: Callable[[bytes, int], None] | None = None
@@ -89,6 +98,7 @@ class DriveNode(CanopenNode):
             self.malformed += 1
             return
         word, counter = _STATUS_POSITION(frame)
+        self.told_ns = time_ns
         self.take_status(word, counter, time_ns)
 
     def take_status(self, word: int, counter: int, time_ns: int) -> None:
@@ -103,6 +113,11 @@ class DriveNode(CanopenNode):
             self._new_statusword(word, time_ns)
         if self.watch is not None:
             self.watch.see(word, position_inc, time_ns)  # the watch reports an end
+
+    def take_statusword(self, word: int, time_ns: int) -> None:
+        """Store a statusword that came without a position; a motion is judged by both."""
+        if word != self._word:
+            self._new_statusword(word, time_ns)
 
     def _new_statusword(self, word: int, time_ns: int) -> None:
         self._word = self.statusword = word
@@ -166,9 +181,42 @@ class DriveNode(CanopenNode):
 
     # --- waiting ---------------------------------------------------------------------------
 
+    def expect_status(self, period_ms: int) -> None:
+        """Take the status from a TPDO of this period; 0: it is read by SDO."""
+        self.status_is_cyclic = period_ms > 0
+        young_ms = max(_YOUNG_MS, _YOUNG_PERIODS * period_ms)
+        # a silent drive is reported as lost by its heartbeat, before its status is missed
+        present_ms = max(young_ms, self._heartbeat_timeout_ms + 2 * period_ms)
+        self._young_ns, self._present_ns = young_ms * 1_000_000, present_ms * 1_000_000
+
+    @property
+    def is_told(self) -> bool:
+        """True if a TPDO repeats the status, and the last one is young."""
+        return self.status_is_cyclic and self._silent_ns <= self._young_ns
+
+    @property
+    def is_missed(self) -> bool:
+        """True if the TPDO that repeats the status has stayed away."""
+        return self.status_is_cyclic and self._silent_ns > self._present_ns
+
+    @property
+    def is_old(self) -> bool:
+        """True if the TPDO has stayed away, and the status was not read by SDO either."""
+        age_ns = self.link.runtime.now_ns() - self.status_ns
+        return self.status_is_cyclic and age_ns > self._present_ns
+
+    @property
+    def _silent_ns(self) -> int:
+        return self.link.runtime.now_ns() - self.told_ns
+
+    @property
+    def patience_s(self) -> float:
+        """The time for which a wait relies on TPDOs, from the last one on [s]."""
+        return max(0, self._present_ns - self._silent_ns + 1) / 1e9
+
     def refresh(self) -> None:
-        """Read statusword and position, unless a TPDO repeats them."""
-        if not self.status_is_cyclic:
+        """Read statusword and position, unless a TPDO has brought them lately."""
+        if not self.is_told:
             self.poll_status()
 
     def poll_status(self) -> None:
@@ -191,10 +239,11 @@ class DriveNode(CanopenNode):
             return self.lost_since_ns is not None or wanted(self.statusword)
 
         while True:
-            if not self.status_is_cyclic:
+            is_told = self.is_told
+            if not is_told:
                 self.poll_status()
             left_s = max(0, deadline_ns - runtime.now_ns()) / 1e9
-            pause_s = left_s if self.status_is_cyclic else min(_POLL_S, left_s)
+            pause_s = min(self._young_ns / 1e9 if is_told else _POLL_S, left_s)
             over = self.link.wait_until(is_over, pause_s)
             self.check_link()
             if over:
@@ -231,6 +280,7 @@ class TpdoDecoder:
             ((entry >> 16, entry >> 8 & 0xFF), (entry & 0xFF) // 8) for entry in mapping
         )
         self._length = sum(size for _, size in self._fields)
+        self._has_position = any(key == (_POSITION, 0) for key, _ in self._fields)
 
     def decode(self, frame: bytes, time_ns: int) -> None:
         """Decode a frame of this TPDO."""
@@ -250,5 +300,8 @@ class TpdoDecoder:
                 counter = raw
             else:
                 node.values[key] = raw
-        if has_status:
+        if has_status and self._has_position:
+            node.told_ns = time_ns
             node.take_status(word, counter, time_ns)
+        elif has_status:
+            node.take_statusword(word, time_ns)
