@@ -12,13 +12,14 @@ from motorhil.motorapi.adaptations.cia402.objects import (
     HOMING_ATTAINED,
     HOMING_ERROR,
     TARGET_REACHED,
+    is_off,
 )
 
 SETTLE_NS: Final = 20_000_000
 """The time for which a drive may show old bits [ns]; longer than any servo tick and TPDO latency.
 """
 
-_STILL_INC: Final = 2
+STILL_INC: Final = 2
 _NEAR: Final = 4  # divisor of the distance: "most of the way"
 
 
@@ -122,11 +123,15 @@ class SetpointWatch:
 
 @final
 class RestWatch:
-    """Any stop: over when the drive reports it and the position stands still."""
+    """Any stop: over when the drive reports it and the position stands still.
 
-    def __init__(self, *, commanded_ns: int, needs_bit: bool) -> None:
+    A motor without power coasts. Then the drive has nothing to report, and only the position shows
+    the end. If the motor `stands` already, its stop is over at once.
+    """
+
+    def __init__(self, *, commanded_ns: int, needs_bit: bool, stands: bool = False) -> None:
         self.started_ns: int | None = commanded_ns
-        self.ended_ns: int | None = None
+        self.ended_ns: int | None = commanded_ns if stands else None
         self.failed = False
         self.on_end: Callable[[], None] | None = None
         self._commanded_ns = commanded_ns
@@ -139,11 +144,11 @@ class RestWatch:
         if time_ns < self._commanded_ns or self.ended_ns is not None:
             return
         before = self._position_inc
-        if before is None or abs(position_inc - before) > _STILL_INC:
+        if before is None or abs(position_inc - before) > STILL_INC:
             self._position_inc = position_inc
             self._still_since_ns = time_ns
         elif time_ns - self._still_since_ns >= SETTLE_NS and (
-            statusword & TARGET_REACHED or not self._needs_bit
+            statusword & TARGET_REACHED or not self._needs_bit or is_off(statusword)
         ):
             self.ended_ns = time_ns
             if self.on_end is not None:
@@ -202,7 +207,7 @@ class StreamWatch:
         if self.ended_ns is not None:
             return
         before = self._position_inc
-        if before is None or abs(position_inc - before) > _STILL_INC:
+        if before is None or abs(position_inc - before) > STILL_INC:
             self._position_inc = position_inc
             self._still_since_ns = time_ns
         stands = time_ns - self._still_since_ns >= SETTLE_NS

@@ -370,10 +370,7 @@ class Cia402Motor(Motor):
             node.check_link()
             if node.statusword & FAULT_BIT:
                 raise node.fault_error(self.name)
-            state = node.state
-            if state in (PdsState.OPERATION_ENABLED, PdsState.QUICK_STOP_ACTIVE):
-                return watch.ended_ns is not None
-            return True  # the power stage is off: there is no deceleration to await
+            return watch.ended_ns is not None
         node.check_motion(self.name)
         if watch.failed and isinstance(watch, HomingWatch):
             method = 0 if watch.method is None else watch.method
@@ -386,11 +383,20 @@ class Cia402Motor(Motor):
         # In csp no bit shows the standstill of a halted drive; another process may have left that
         # mode.
         needs_bit = any(self._control.is_in(mode) for mode in _SHOWS_REST)
-        watch = RestWatch(commanded_ns=self.runtime.now_ns(), needs_bit=needs_bit)
-        self._hardware.follow(watch)
+        watch = self._watch_rest(needs_bit=needs_bit)
         if self._node.state is PdsState.OPERATION_ENABLED:
             self._control.send_halt(watch)
             self._hardware.end_stream(ENABLE_OPERATION | HALT)
+
+    def _watch_rest(self, *, needs_bit: bool) -> RestWatch:
+        """Follow the motor until it is at rest."""
+        watch = RestWatch(
+            commanded_ns=self.runtime.now_ns(),
+            needs_bit=needs_bit,
+            stands=self._node.stands_without_power,
+        )
+        self._hardware.follow(watch)
+        return watch
 
     def _stop_with_others(self) -> Trigger | None:
         stop = joint_stop_of(self._node.bus)
@@ -400,8 +406,7 @@ class Cia402Motor(Motor):
         return stop
 
     def _quick_stop(self) -> None:
-        watch = RestWatch(commanded_ns=self.runtime.now_ns(), needs_bit=False)
-        self._hardware.follow(watch)
+        watch = self._watch_rest(needs_bit=False)
         if self._node.state is PdsState.OPERATION_ENABLED:
             self._hardware.quick_stopped = True
             self._control.send_quick_stop(watch)

@@ -18,7 +18,7 @@ from motorhil.motorapi.adaptations.canopen.bus import CanopenBus
 from motorhil.motorapi.adaptations.canopen.emcy import error_text
 from motorhil.motorapi.adaptations.canopen.node import CanopenNode
 from motorhil.motorapi.adaptations.canopen.settings import NodeOptions
-from motorhil.motorapi.adaptations.cia402.motion_status import MotionWatch
+from motorhil.motorapi.adaptations.cia402.motion_status import SETTLE_NS, STILL_INC, MotionWatch
 from motorhil.motorapi.adaptations.cia402.objects import (
     ENABLED_MASK,
     ENABLED_VALUE,
@@ -26,6 +26,7 @@ from motorhil.motorapi.adaptations.cia402.objects import (
     OBJECTS,
     PdsState,
     decode_state,
+    is_off,
 )
 from motorhil.motorapi.errors import DeadlineExceeded, DeviceFault, MotionInterrupted
 
@@ -64,6 +65,8 @@ class DriveNode(CanopenNode):
         self.status_ns = -1
         self.values: Final[dict[tuple[int, int], int]] = {}
         self.status_is_cyclic = False
+        self._stood_inc = 0  # the position at its last change,
+        self._stood_ns = 0  # and the time
         self.told_ns = -1
         self._young_ns = 0
         self._present_ns = 0
@@ -109,6 +112,9 @@ class DriveNode(CanopenNode):
         self.counter = counter
         self.position_inc = position_inc = counter + self._wrapped_inc
         self.status_ns = time_ns
+        if not -STILL_INC <= position_inc - self._stood_inc <= STILL_INC:
+            self._stood_inc = position_inc
+            self._stood_ns = time_ns
         if word != self._word:
             self._new_statusword(word, time_ns)
         if self.watch is not None:
@@ -159,6 +165,12 @@ class DriveNode(CanopenNode):
     def state(self) -> PdsState | None:
         """The state in the last statusword, or None if it shows none."""
         return decode_state(self.statusword)
+
+    @property
+    def stands_without_power(self) -> bool:
+        """True if the power stage is off, and the motor has not moved lately."""
+        stood_ns = self.status_ns - self._stood_ns
+        return is_off(self.statusword) and self.is_told and stood_ns >= SETTLE_NS
 
     def check_motion(self, motor: str) -> None:
         """Raise the error that ends a motion from outside; see `Motor._is_done`."""

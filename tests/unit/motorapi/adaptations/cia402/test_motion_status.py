@@ -162,6 +162,15 @@ def test_rest_after_quick_stop_is_seen_by_position():
     assert watch.ended_ns == 40 * MS + SETTLE_NS
 
 
+def test_rest_without_power_is_seen_by_position():
+    watch = RestWatch(commanded_ns=0, needs_bit=True)
+    for time_ms in range(0, 100, 10):
+        watch.see(0x0250, 80 * time_ms, time_ms * MS)  # switch on disabled: the motor coasts
+        assert watch.ended_ns is None
+    watch.see(0x0250, 7201, 90 * MS + SETTLE_NS)
+    assert watch.ended_ns == 90 * MS + SETTLE_NS
+
+
 @pytest.mark.parametrize("error", [False, True])
 def test_old_homing_attained_is_ignored_until_seen_low(error: bool):
     homed: list[bool] = []

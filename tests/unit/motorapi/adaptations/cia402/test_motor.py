@@ -202,6 +202,25 @@ def test_stop_rests_short_of_target_and_nothing_resumes(rig: Rig):
     assert abs(truth(rig) - (at - 0.5)) <= WINDOW_RAD
 
 
+@pytest.mark.parametrize("way", [Motor.stop, Motor.quick_stop, Motor.halt])
+@pytest.mark.parametrize("first", [Motor.disable, Motor.quick_stop])
+def test_stop_without_power_is_done_when_it_has_coasted(rig: Rig, first, way):
+    motor = motor_of(rig)
+    motor.set_control_mode(ControlMode.SETPOINT, ControlVariable.VELOCITY)
+    motor.set_setpoint(2.0)
+    motor.start()
+    motor.wait_until_done(timeout_s=5)
+    first(motor)
+    way(motor)
+    assert not motor.is_done()
+    motor.wait_until_done(timeout_s=10)
+    assert abs(rig.controllers["left"].snapshot()["velocity_rad_s"]) <= 0.01
+    with suppress(UsageError):  # after a quick stop
+        motor.enable()
+    go_to(motor, 0.5)
+    motor.wait_until_done(timeout_s=10)
+
+
 def test_stop_from_a_callback_ends_the_other_wait(rig: Rig):
     motor = motor_of(rig)
     other = Cia402Motor(motor.hardware, motor.model, name="other")
