@@ -257,7 +257,11 @@ class CspStream:
         return not is_told or abs(self._target - target) <= self._behind_inc
 
     def _not_followed(self) -> LinkError:
-        reason = "the drive stands still while its set-points move; is it blocked, or without SYNC?"
+        if self._node.is_told:
+            reason = "the drive stands still while its set-points move; "
+            reason += "is it blocked, or without SYNC?"
+        else:
+            reason = "the TPDO with its status does not arrive while its set-points move"
         return LinkError(link=self._node.label, reason=reason)
 
     def _fail(self) -> None:

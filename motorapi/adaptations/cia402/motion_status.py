@@ -20,6 +20,7 @@ SETTLE_NS: Final = 20_000_000
 """
 
 STILL_INC: Final = 2
+_SHORT_NS: Final = 500_000_000
 _NEAR: Final = 4  # divisor of the distance: "most of the way"
 
 
@@ -46,6 +47,9 @@ class SetpointWatch:
 
     The ramp of a trajectory lasts for `lasts_ns`. The bit cannot shorten it: a drive sets the bit
     once velocity or torque is within its window, long before the end of a slow ramp.
+
+    A drive that stands short of its target and shows *target reached* was halted, or its target
+    limited. The motion has then `failed`.
     """
 
     def __init__(
@@ -68,10 +72,12 @@ class SetpointWatch:
         self._needs_acknowledge = acknowledged
         self.target_inc: Final = target_inc
         self._tolerance_inc = tolerance_inc
-        self._near_inc = max(tolerance_inc or 0, abs(distance_inc) // _NEAR)
+        self._near_inc = max(STILL_INC, tolerance_inc or 0, abs(distance_inc) // _NEAR)
         self._lasts_ns = lasts_ns
         self._seen_low = False
         self._reached_ns: int | None = None  # since when the drive shows that it is there
+        self._short_ns: int | None = None  # since when it stands elsewhere, with the bit
+        self._short_inc = 0
 
     @property
     def is_under_way(self) -> bool:
@@ -96,14 +102,34 @@ class SetpointWatch:
             return
         if not statusword & TARGET_REACHED:
             self._seen_low = True
-            self._reached_ns = None
+            self._reached_ns = self._short_ns = None
         elif self._seen_low:
             if self._is_within(self._near_inc, position_inc):
                 self._reach(time_ns)
+            else:
+                self._fall_short(position_inc, time_ns)
         elif time_ns >= self.started_ns + self._expected_ns:
             within = self._tolerance_inc
             if within is None or self._is_within(within, position_inc):
                 self._reach(time_ns)
+            else:
+                self._fall_short(position_inc, time_ns)
+
+    def _fall_short(self, position_inc: int, time_ns: int) -> None:
+        """Fail if the drive stands here with the bit, for a while after the end of its profile.
+
+        Before that end it may be on its way: slowly, and with the bit if its window is off.
+        """
+        assert self.started_ns is not None
+        if time_ns < self.started_ns + self._expected_ns:
+            return
+        if self._short_ns is None or abs(position_inc - self._short_inc) > STILL_INC:
+            self._short_inc, self._short_ns = position_inc, time_ns
+        elif time_ns - self._short_ns >= _SHORT_NS:
+            self.failed = True
+            self.ended_ns = time_ns
+            if self.on_end is not None:
+                self.on_end()
 
     def _reach(self, time_ns: int) -> None:
         """End the motion, but not before the end of its ramp."""

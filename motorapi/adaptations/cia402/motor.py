@@ -32,7 +32,12 @@ from motorhil.motorapi.adaptations.cia402.bringup import Cia402Table, HwOptions
 from motorhil.motorapi.adaptations.cia402.hardware import Cia402HwMotor
 from motorhil.motorapi.adaptations.cia402.measurements import DriveReader
 from motorhil.motorapi.adaptations.cia402.motion import POLL_S, DriveMotions
-from motorhil.motorapi.adaptations.cia402.motion_status import HomingWatch, RestWatch, StreamWatch
+from motorhil.motorapi.adaptations.cia402.motion_status import (
+    HomingWatch,
+    RestWatch,
+    SetpointWatch,
+    StreamWatch,
+)
 from motorhil.motorapi.adaptations.cia402.objects import (
     DISABLE_VOLTAGE,
     ENABLE_OPERATION,
@@ -47,7 +52,7 @@ from motorhil.motorapi.adaptations.cia402.parameters import Cia402Parameters
 from motorhil.motorapi.adaptations.cia402.units import DriveUnits
 from motorhil.motorapi.adaptations.registration import Shared, read_settings
 from motorhil.motorapi.commands import ControlMode, ControlVariable, Setpoint
-from motorhil.motorapi.errors import PeerError, UnsupportedError, UsageError
+from motorhil.motorapi.errors import MotionInterrupted, PeerError, UnsupportedError, UsageError
 from motorhil.motorapi.model import MotorModel
 from motorhil.motorapi.motion import Motion
 from motorhil.motorapi.motor import Motor
@@ -375,6 +380,10 @@ class Cia402Motor(Motor):
         if watch.failed and isinstance(watch, HomingWatch):
             method = 0 if watch.method is None else watch.method
             raise HomingFailed(motor=self.name, method=method, statusword=node.statusword)
+        if watch.failed and isinstance(watch, SetpointWatch):
+            by = "the drive, which stands short of its target and shows target reached; was it"
+            by += " halted by an input or another master, or its target limited (607Dh)?"
+            raise MotionInterrupted(motor=self.name, by=by, at_ns=watch.ended_ns or 0)
         if watch.ended_ns is not None and isinstance(watch, StreamWatch) and watch.error:
             raise watch.error
         return watch.ended_ns is not None

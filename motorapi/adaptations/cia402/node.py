@@ -53,7 +53,7 @@ class DriveNode(CanopenNode):
         values: other objects that TPDOs brought, by (index, sub-index).
         status_is_cyclic: whether a TPDO repeats the status, with the position.
         watch: the observer of the last command, or None.
-        on_control: called with controlwords of other programs, or None.
+        on_control: called with (controlword, time_ns) of other programs, or None.
     """
 
     def __init__(self, bus: CanopenBus, node_id: int, options: NodeOptions) -> None:
@@ -72,7 +72,7 @@ class DriveNode(CanopenNode):
         self._present_ns = 0
         self.watch: MotionWatch | None = None
         self.fault_since_ns: int | None = None
-        self.on_control: Callable[[bytes, int], None] | None = None
+        self.on_control: Callable[[int, int], None] | None = None
         self._word = -1
 
     def close(self) -> None:
@@ -92,9 +92,12 @@ class DriveNode(CanopenNode):
 
     def listen_to_control(self, can_id: int) -> None:
         """Pass controlwords that others send in RPDO `can_id` to `on_control`."""
-        if self.on_control is not None:
-            self.link.handle(can_id, self.on_control)
-            self._heard_ids.append(can_id)
+        self.link.handle(can_id, self._on_control)
+        self._heard_ids.append(can_id)
+
+    def _on_control(self, frame: bytes, time_ns: int) -> None:
+        if frame[4] >= 2 and self.on_control is not None:
+            self.on_control(int.from_bytes(frame[8:10], "little"), time_ns)
 
     def _on_status_position(self, frame: bytes, time_ns: int) -> None:
         if frame[4] != 6:

@@ -110,6 +110,34 @@ def test_target_velocity_begins_when_on_the_wire():
     assert (watch.started_ns, watch.ended_ns) == (4 * MS, 50 * MS)
 
 
+def test_drive_at_rest_short_of_its_target_has_failed():
+    watch = set_point()
+    watch.see(ACK, 0, 7 * MS)
+    watch.see(MOVING, 300, 50 * MS)
+    watch.see(REACHED, 503, 60 * MS)  # may still be on its slow way, for 100 ms
+    watch.see(REACHED, 500, 200 * MS)
+    watch.see(REACHED, 503, 400 * MS)  # it still moves
+    watch.see(REACHED, 503, 900 * MS - 1)
+    assert watch.ended_ns is None
+    watch.see(REACHED, 503, 900 * MS)
+    assert (watch.failed, watch.ended_ns) == (True, 900 * MS)
+
+
+def test_short_move_without_window_may_rest_beside_its_target():
+    watch = SetpointWatch(
+        commanded_ns=None,
+        expected_ns=30 * MS,
+        acknowledged=True,
+        target_inc=-5538,
+        tolerance_inc=None,
+        distance_inc=3,
+    )
+    watch.begin(5 * MS)
+    watch.see(ACK, -5541, 7 * MS)
+    watch.see(REACHED, -5539, 40 * MS)
+    assert (watch.failed, watch.ended_ns) == (False, 40 * MS)
+
+
 def ramp(lasts_ms: int) -> SetpointWatch:
     watch = SetpointWatch(
         commanded_ns=None,
