@@ -227,6 +227,20 @@ def test_torque_sign_follows_the_counting_direction(open_rig: OpenRig):
     motor.stop()
 
 
+@pytest.mark.parametrize("scale", ["", "increments_per_rad = -21008.45249"])
+def test_torque_and_position_agree_under_polarity(open_rig: OpenRig, scale: str):
+    """607Eh bits 6 and 7 invert velocities and positions, but not torque (CiA 402-2)."""
+    polarity = HEAVY + '\nobjects = { "607Eh" = 0xC0 }'
+    rig = open_rig(drive("left", 1, polarity, model=scale))
+    motor = motor_of(rig)
+    push(motor, 4.0)
+    rig.runtime.run_for(0.2)
+    assert motor.torque() > 0.0
+    assert motor.velocity() > 0.0
+    assert motor.position() > 0.0
+    motor.stop()
+
+
 def test_linear_motor_has_a_force(open_rig: OpenRig):
     """F = 2 pi n T with n turns of the motor per metre: 200 turns make 1256.6 N of 1 N·m."""
     rig = open_rig(drive("left", 1, HEAVY))
