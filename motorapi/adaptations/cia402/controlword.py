@@ -123,6 +123,11 @@ _RESET_TIMEOUT_S: Final = 0.5
 _POLL_S: Final = 0.002
 _STEPS_MAX: Final = 8
 _CONTROL: Final = struct.Struct("<IB3xH6x")
+_TARGETS: Final = {
+    Mode.PROFILE_POSITION: 0x607A,
+    Mode.PROFILE_VELOCITY: 0x60FF,
+    Mode.CYCLIC_SYNC_POSITION: 0x607A,
+}
 _NEXT_COMMAND: Final = {
     PdsState.SWITCH_ON_DISABLED: SHUTDOWN,
     PdsState.READY_TO_SWITCH_ON: SWITCH_ON,
@@ -173,9 +178,21 @@ class DriveControl:
         self.has_started()
 
     def supports(self, mode: Mode) -> bool:
-        """Return whether 6502h contains the mode; True while that is not known."""
+        """Return whether the drive has the mode (6502h) and its target; True while not known."""
         facts = self.facts
-        return facts is None or facts.modes is None or mode in facts.modes
+        if facts is None:
+            return True
+        has_target = _TARGETS.get(mode) not in facts.missing
+        return has_target and (facts.modes is None or mode in facts.modes)
+
+    def require(self, mode: Mode) -> None:
+        """Raise UnsupportedError unless the drive supports the mode."""
+        if not self.supports(mode):
+            modes = self.facts.modes if self.facts is not None and self.facts.modes else ()
+            names = ", ".join(one.name for one in sorted(modes) if self.supports(one))
+            raise UnsupportedError(
+                motor=self.node.label, feature=f"mode {mode.name}", supported=names
+            )
 
     # --- power ---------------------------------------------------------------------------
 
@@ -292,15 +309,10 @@ class DriveControl:
         """Set the mode of operation, confirmed by 6061h.
 
         Raises:
-            UnsupportedError: 6502h does not contain the mode.
+            UnsupportedError: the drive does not support the mode.
             DeadlineExceeded: 6061h did not follow.
         """
-        if not self.supports(mode):
-            modes = self.facts.modes if self.facts is not None and self.facts.modes else ()
-            names = ", ".join(one.name for one in sorted(modes))
-            raise UnsupportedError(
-                motor=self.node.label, feature=f"mode {mode.name}", supported=names
-            )
+        self.require(mode)
         if not self.objects.push(0x6060, mode) and self._mode is mode:
             return
         self._mode = None

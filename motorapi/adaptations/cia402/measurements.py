@@ -1,5 +1,6 @@
 """State, fault, measurements and limits of a drive, in SI units."""
 
+from copy import copy
 from typing import TYPE_CHECKING, Final, final
 
 from motorhil.motorapi.adaptations.canopen.emcy import error_text
@@ -51,6 +52,7 @@ class DriveReader:
         self._units: DriveUnits | None = None
         self._limits: DriveLimits | None = None
         self._torque: TorqueUnit | None = None
+        self._no_torque: UnsupportedError | None = None
 
     def known(self) -> tuple[DriveUnits, DriveLimits]:
         """Return units and limits, read from the drive once after each bring-up.
@@ -62,7 +64,7 @@ class DriveReader:
         if self._units is None or self._limits is None or facts is not self._facts:
             self._units = drive_units(self._motor, self._model, self._objects.read_optional)
             self._limits = _read_limits(self._hardware)
-            self._torque = None
+            self._torque = self._no_torque = None
             self._facts = facts
         return self._units, self._limits
 
@@ -76,9 +78,18 @@ class DriveReader:
         unit = self._torque
         if unit is None:
             read = self._objects.read_optional
-            unit = torque_unit(self._motor, self._model, units.increments(1.0), read)
+            try:
+                unit = torque_unit(self._motor, self._model, units.increments(1.0), read)
+            except UnsupportedError as error:
+                self._no_torque = error
+                raise
             self._torque = unit
         return unit
+
+    def check_torque(self) -> None:
+        """Raise the error of `torque_unit` again, without asking the drive."""
+        if self._no_torque is not None:
+            raise copy(self._no_torque)
 
     @property
     def units(self) -> DriveUnits:

@@ -327,6 +327,7 @@ class DriveMotions:
 
     def _arm_velocity(self, motion: Motion, profile: DriveProfile) -> Trigger:
         units = self._reader.known()[0]
+        self._control.require(Mode.PROFILE_VELOCITY)
         if not self._control.is_in(Mode.PROFILE_VELOCITY):
             self._objects.write(0x60FF, 0)  # an old target would take effect at once
             self._control.set_mode(Mode.PROFILE_VELOCITY)

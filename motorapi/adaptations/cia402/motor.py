@@ -232,6 +232,8 @@ class Cia402Motor(Motor):
         return drive_mode is not None and self._control.supports(drive_mode)
 
     def _check_command(self, variable: ControlVariable, command: Setpoint | Trajectory) -> None:
+        if variable is ControlVariable.TORQUE:
+            self._reader.check_torque()
         if not is_function(variable, command):
             return
         if variable not in _STREAMED or not self._control.supports(Mode.CYCLIC_SYNC_POSITION):

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from math import inf
+from pathlib import Path
 
 import pytest
 
@@ -307,3 +308,43 @@ def test_drive_with_a_slope_maximum_keeps_its_own(open_rig: OpenRig, tmp_path):
     with pytest.raises(UnsupportedError, match="6087h = "):
         push(motor, 3.0, slope=1e5)
     motor.stop()
+
+
+def without(tmp_path: Path, index: str) -> str:
+    """Return controller settings with an EDS that lacks an object."""
+    head, _, rest = OWN_EDS.read_text().partition(f"[{index}]\n")
+    eds = tmp_path / f"{index}.eds"
+    kept = [line for line in head.splitlines() if not line.endswith(f"=0x{index}")]
+    eds.write_text("\n".join([*kept, rest[rest.index("\n[") :]]))
+    return f'eds = "{eds}"\n{HEAVY}'
+
+
+def test_torque_without_rated_torque_is_refused_when_set_again(open_rig: OpenRig, tmp_path):
+    rig = open_rig(drive("left", 1, without(tmp_path, "6076")))
+    motor = motor_of(rig)
+    with pytest.raises(UnsupportedError, match="6076h"):
+        push(motor, 3.0)
+    with pytest.raises(UnsupportedError, match="6076h"):
+        motor.set_setpoint(2.0)
+
+
+def test_velocity_without_its_target_is_refused_when_set(open_rig: OpenRig, tmp_path):
+    rig = open_rig(drive("left", 1, without(tmp_path, "60FF")))
+    motor = motor_of(rig)
+    motor.enable()
+    with pytest.raises(UnsupportedError, match="setpoint of velocity; it supports"):
+        motor.set_control_mode(ControlMode.SETPOINT, ControlVariable.VELOCITY)
+    motor.set_control_mode(ControlMode.SETPOINT)
+    motor.set_setpoint(0.1)
+    motor.start()
+    motor.wait_until_done(timeout_s=5)
+
+
+def test_velocity_without_its_target_is_refused_at_the_first_start(open_rig: OpenRig, tmp_path):
+    rig = open_rig(drive("left", 1, without(tmp_path, "60FF")))
+    motor = motor_of(rig)
+    motor.set_control_mode(ControlMode.SETPOINT, ControlVariable.VELOCITY)  # not connected yet
+    motor.set_setpoint(1.0)
+    told = "mode PROFILE_VELOCITY; it supports PROFILE_POSITION, PROFILE_TORQUE"
+    with pytest.raises(UnsupportedError, match=told):
+        motor.start()
