@@ -54,6 +54,9 @@ _HALF: Final = 0x8000_0000
 _SPAN: Final = 0x1_0000_0000
 _DEAF_NS: Final = 250_000_000
 """The time [ns] without movement after which a drive does not follow its moving set-points."""
+_STUCK_NS: Final = 1_000_000_000
+"""The time [ns] after which less suffices: slow set-points take long to get far ahead."""
+_FAR: Final = 10
 _LAST_WORDS: Final = 2  # set-points that bring a stop, in case one is lost
 
 
@@ -73,7 +76,8 @@ class CspStream:
         lost: called with the error when the cyclic SYNC is lost.
         at_once: False: nothing is sent before `begin`.
         behind_inc: the distance in increments that the set-points may move while the drive stands
-            still. Beyond it the drive does not follow, and is reported as lost. None: no check.
+            still. Beyond it the drive does not follow, and is reported as lost. After a second, a
+            tenth of it suffices. None: no check.
 
     Attributes:
         sent: the number of set-points sent.
@@ -251,10 +255,11 @@ class CspStream:
         if position != stood or self._cycle == 1:
             self._stood = (position, self._target, now_ns)
             return True
-        if self._behind_inc is None or now_ns - since_ns < _DEAF_NS:
+        stood_ns = now_ns - since_ns
+        if self._behind_inc is None or stood_ns < _DEAF_NS or not self._node.status_is_cyclic:
             return True
-        is_told = self._node.status_is_cyclic
-        return not is_told or abs(self._target - target) <= self._behind_inc
+        behind_inc = self._behind_inc if stood_ns < _STUCK_NS else self._behind_inc // _FAR
+        return abs(self._target - target) <= behind_inc
 
     def _not_followed(self) -> LinkError:
         if self._node.is_told:
