@@ -30,7 +30,6 @@ from motorhil.motorapi.adaptations.cia402.objects import (
     Mode,
     PdsState,
     is_off,
-    shows_no_acknowledge,
     shows_no_fault,
     shows_no_reaction,
 )
@@ -161,6 +160,7 @@ class DriveControl:
         self.is_halted = False  # stopped since `take_set_points`, by any program
         self._word: int | None = None  # the controlword commanded last
         self._relative = 0  # bit 6 of the next set-point
+        self.acknowledge_at_rest = 0  # set-point acknowledge while there is nothing to acknowledge
         self._repetition: StopRepetition | None = None
         self._armed: int | None = None  # index of the target that the next SYNC latches
         self._latched: int | None = None  # the same, until the drive has shown that it has started
@@ -338,15 +338,24 @@ class DriveControl:
     def take_set_points(self, *, relative: bool = False) -> None:
         """Clear bit 4 (pp) and await a low acknowledge; a halt lasts until the next set-point.
 
+        Some drives show an inverted acknowledge: a bit that stays is then the level of rest.
         From then on `is_halted` reports stops that came after this call. With `relative`, the next
         target is a distance from where 60F2h says.
         """
         self._relative = RELATIVE if relative else 0
         self.write_controlword(self._holding_word())
-        if self.node.statusword & ACKNOWLEDGE or not self.node.status_is_cyclic:
-            self.node.wait_for_status(
-                shows_no_acknowledge, _ACKNOWLEDGE_TIMEOUT_S, "set-point acknowledge to fall"
-            )
+        node, rest = self.node, self.acknowledge_at_rest
+        if node.statusword & ACKNOWLEDGE != rest or not node.status_is_cyclic:
+            try:
+                node.wait_for_status(
+                    lambda word: word & ACKNOWLEDGE == rest,
+                    _ACKNOWLEDGE_TIMEOUT_S,
+                    "set-point acknowledge to fall",
+                )
+            except DeadlineExceeded:
+                if node.statusword & ACKNOWLEDGE == rest:
+                    raise
+                self.acknowledge_at_rest ^= ACKNOWLEDGE
         self.is_halted = False
 
     def keep_halt(self) -> None:

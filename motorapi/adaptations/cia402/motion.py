@@ -316,6 +316,7 @@ class DriveMotions:
             target_inc=profile.target,
             tolerance_inc=self._window(),
             distance_inc=profile.target - self._node.position_inc,
+            acknowledge_at_rest=self._control.acknowledge_at_rest,
         )
         self._follow(watch)
         self._reader.held = (profile.target, motion.target)

@@ -62,6 +62,7 @@ class SetpointWatch:
         tolerance_inc: int | None,
         distance_inc: int = 0,
         lasts_ns: int = 0,
+        acknowledge_at_rest: int = 0,
     ) -> None:
         self.started_ns: int | None = None
         self.ended_ns: int | None = None
@@ -70,6 +71,7 @@ class SetpointWatch:
         self.commanded_ns = commanded_ns
         self._expected_ns = expected_ns
         self._needs_acknowledge = acknowledged
+        self._acknowledge_at_rest = acknowledge_at_rest
         self.target_inc: Final = target_inc
         self._tolerance_inc = tolerance_inc
         self._near_inc = max(STILL_INC, tolerance_inc or 0, abs(distance_inc) // _NEAR)
@@ -93,7 +95,8 @@ class SetpointWatch:
     def see(self, statusword: int, position_inc: int, time_ns: int) -> None:
         """Evaluate a statusword, with the position sampled with it."""
         if self.started_ns is None:
-            if self._needs_acknowledge and not statusword & ACKNOWLEDGE:
+            acknowledge = statusword & ACKNOWLEDGE
+            if self._needs_acknowledge and acknowledge == self._acknowledge_at_rest:
                 return
             if self.commanded_ns is None or time_ns <= self.commanded_ns:
                 return

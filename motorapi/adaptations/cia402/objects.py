@@ -200,8 +200,3 @@ def shows_no_reaction(word: int) -> bool:
 def shows_no_fault(word: int) -> bool:
     """Return whether a statusword shows no fault."""
     return not word & FAULT_BIT
-
-
-def shows_no_acknowledge(word: int) -> bool:
-    """Return whether a statusword shows no set-point acknowledge (pp)."""
-    return not word & ACKNOWLEDGE
