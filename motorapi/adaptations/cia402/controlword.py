@@ -308,6 +308,8 @@ class DriveControl:
     def set_mode(self, mode: Mode) -> None:
         """Set the mode of operation, confirmed by 6061h.
 
+        Some drives hold their mode under halt. The halt is then released, so that nothing moves.
+
         Raises:
             UnsupportedError: the drive does not support the mode.
             DeadlineExceeded: 6061h did not follow.
@@ -316,20 +318,54 @@ class DriveControl:
         if not self.objects.push(0x6060, mode) and self._mode is mode:
             return
         self._mode = None
+        display = self._await_mode(mode)
+        if display != mode and self._release_halt(display, mode):
+            self.objects.write(0x6060, mode)
+            display = self._await_mode(mode)
+        if display != mode:
+            self.objects.doubt(0x6060)
+            raise DeadlineExceeded(
+                awaited=f"{self.node.label}: mode {mode.name} in 6061h",
+                timeout_s=_MODE_TIMEOUT_S,
+                last_heard=f"mode {display}",
+            )
+        self.objects.push(0x6060, mode)
+        self._mode = mode
+
+    def _await_mode(self, mode: Mode) -> int:
+        """Return 6061h, once it shows the mode or the time is over."""
         deadline_ns = self._link.runtime.now_ns() + round(_MODE_TIMEOUT_S * 1e9)
         while True:
             display = self.objects.read_int(0x6061)
-            if display == mode:
-                self._mode = mode
-                return
-            if self._link.runtime.now_ns() >= deadline_ns:
-                self.objects.doubt(0x6060)
-                raise DeadlineExceeded(
-                    awaited=f"{self.node.label}: mode {mode.name} in 6061h",
-                    timeout_s=_MODE_TIMEOUT_S,
-                    last_heard=f"mode {display}",
-                )
+            if display == mode or self._link.runtime.now_ns() >= deadline_ns:
+                return display
             self._link.runtime.wait_until(_never, _POLL_S)
+
+    def _release_halt(self, display: int, mode: Mode) -> bool:
+        """Release a halt in the mode that 6061h shows; return whether nothing moved by that.
+
+        The target of that mode becomes the present demand, or standstill. With a torque target, a
+        released load would drop.
+        """
+        node, objects = self.node, self.objects
+        is_halted = self._word is None or self._word & HALT
+        held = objects.read_optional(0x6062)
+        if not is_halted or mode is Mode.PROFILE_TORQUE or held is None:
+            return False
+        if display in (Mode.PROFILE_POSITION, Mode.CYCLIC_SYNC_POSITION):
+            if not node.is_within_counter(node.on_from(held)):
+                return False
+            objects.write(0x607A, held)
+        elif display == Mode.PROFILE_VELOCITY:
+            objects.write(0x60FF, 0)
+        elif display != Mode.HOMING:
+            return False
+        if display == Mode.PROFILE_POSITION:
+            word = ENABLE_OPERATION | HALT
+            self.write_controlword(word)
+            self.write_controlword(word | NEW_SET_POINT | CHANGE_IMMEDIATELY)
+        self.release()
+        return True
 
     def is_in(self, mode: Mode) -> bool:
         """Return whether 6061h confirmed this mode, and it cannot have changed since."""

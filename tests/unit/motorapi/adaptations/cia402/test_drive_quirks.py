@@ -3,8 +3,11 @@
 import pytest
 
 from motorhil.emulators.cia402.settings import CATALOGUE
+from motorhil.motorapi.commands import ControlMode, ControlVariable
 from motorhil.motorapi.errors import DeadlineExceeded
+from motorhil.motorapi.trajectory import ComplexTrajectory
 from tests.support.motors.drive_rigs import drive
+from tests.support.motors.streaming import quintic
 from tests.support.motors.wheels import WINDOW_RAD, go_to, motor_of, truth
 
 SURVIVED = {
@@ -71,3 +74,31 @@ def test_inverted_acknowledge_is_learnt_once(open_rig):
         assert (rig.runtime.now_ns() - begun_ns) / 1e9 < longest_s
         motor.wait_until_done(timeout_s=5)
         assert truth(rig) == pytest.approx(target, abs=WINDOW_RAD)
+
+
+def test_mode_held_under_halt_is_changed_without_a_motion(open_rig):
+    """Drives of ros2_canopen's users ignore 6060h under halt."""
+    rig = open_rig(drive("left", 2, controller="quirks.halt_holds_mode = true"))
+    motor = motor_of(rig)
+
+    def stopped() -> float:
+        rig.runtime.run_for(0.3)
+        motor.stop()
+        motor.wait_until_done(timeout_s=5)
+        return truth(rig)
+
+    for speed in (1.0, -1.0):
+        go_to(motor, 2.0 * speed)
+        at = stopped()
+        motor.set_control_mode(ControlMode.SETPOINT, ControlVariable.VELOCITY)
+        motor.set_setpoint(-speed)
+        motor.start()  # not on to the target first
+        assert truth(rig) == pytest.approx(at, abs=0.01)
+        at = stopped()
+        motor.set_control_mode(ControlMode.TRAJECTORY)
+        motor.set_trajectory(ComplexTrajectory(quintic(speed, 2.0), relative=True))
+        motor.start()
+        rig.runtime.run_for(0.2)
+        assert truth(rig) == pytest.approx(at, abs=0.02)
+        stopped()
+        motor.home(37)
