@@ -274,7 +274,8 @@ class Motor(MotorHooks):
     def wait_until_done(self, timeout_s: float | None = None) -> None:
         """Wait until the last command (motion, homing or stop), if any, has ended.
 
-        A velocity, torque or current set-point is done when it is reached, and continues.
+        A velocity, torque or current set-point is done when it is reached, and continues. A
+        trajectory of them is done at the end of its ramp.
 
         Args:
             timeout_s: [s]; None: no timeout.

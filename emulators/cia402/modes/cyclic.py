@@ -24,6 +24,7 @@ from motorhil.emulators.canopen.outbox import NEVER
 from motorhil.emulators.cia402.modes.base import Mode
 from motorhil.emulators.cia402.objects.changes import ObjectChange
 from motorhil.emulators.cia402.objects.dictionary import DriveObjects
+from motorhil.emulators.cia402.objects.motion import FAR_INC
 from motorhil.emulators.cia402.state_machine import CW_HALT, FOLLOWING_ERROR, FOLLOWS_COMMAND
 from motorhil.emulators.firmware import flags as f
 from motorhil.emulators.firmware.axis import Axis
@@ -133,6 +134,7 @@ class CyclicPosition(CyclicMode):
     def __init__(self, axis: Axis, objects: DriveObjects, tick_ns: int) -> None:
         super().__init__(axis, objects, tick_ns)
         self._has_offsets: bool = False
+        self._last_inc: int = 0  # the last target
         self._speed_max_inc_s: float = 0.0
         self._caught_up_ns: int = NEVER  # when a set-point that was too fast is reached
 
@@ -140,6 +142,7 @@ class CyclicPosition(CyclicMode):
         """Bring the motor to rest until a target is written."""
         super().enter(word, now_ns)
         self._has_offsets = self.objects.offsets.are_set()
+        self._last_inc = self.axis.demand_inc()
         self._speed_max_inc_s = self.objects.motion.velocity_max_inc_s()
         self._caught_up_ns = NEVER
         self.axis.ramp_to_rest(self.objects.motion.deceleration_inc_s2())
@@ -160,8 +163,9 @@ class CyclicPosition(CyclicMode):
         objects = self.objects
         motion = objects.motion
         target = motion.target_position_inc()
-        if objects.units.range_size:
+        if objects.units.range_size or not -FAR_INC < target - self._last_inc < FAR_INC:
             target = motion.target_near_inc(self.axis.demand_inc(), NEAREST)
+        self._last_inc = target
         if self._has_offsets:
             target += objects.offsets.position_inc()
         allowed = motion.within_limits_inc(target)

@@ -26,6 +26,7 @@ from motorhil.emulators.firmware.axis import Axis
 from motorhil.emulators.plant.dc_motor import MotorPlant
 
 _UNLIMITED: Final = 0xFFFF_FFFF
+FAR_INC: Final = 1 << 30  # nearer targets are in the same turn of the position counter
 _NO_SPEED: Final = 1e300
 _TARGET_POSITION: Final = int(ObjectChange.TARGET_POSITION)
 _TARGET_VELOCITY: Final = int(ObjectChange.TARGET_VELOCITY)
@@ -114,10 +115,12 @@ class MotionObjects:
         return self._factors.units.position_inc(self.target_position_raw)
 
     def target_near_inc(self, demand_inc: int, way: int) -> int:
-        """Return 607Ah on an axis with a position range (607Bh), relative to the present demand."""
+        """Return 607Ah in the present turn of the position range (607Bh), or of the 32 bits."""
         units = self._factors.units
         if units.range_size == 0:
-            return units.position_inc(self.target_position_raw)
+            target_inc = units.position_inc(self.target_position_raw)
+            if -FAR_INC < target_inc - demand_inc < FAR_INC:
+                return target_inc
         return units.turned_inc(self.target_position_raw, demand_inc, way)
 
     def target_velocity_inc_s(self) -> float:

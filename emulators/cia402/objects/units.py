@@ -38,6 +38,7 @@ _SI_TURNS: Final[dict[int, Fraction]] = {
 }
 _SI_SECONDS: Final[dict[int, int]] = {0x00: 1, 0x03: 1, 0x47: 60}
 
+_SPAN: Final = 1 << 32
 _UNSIGNED32_MAX: Final = 0xFFFF_FFFF
 _GEAR_DIVISOR_MAX: Final = 10_000
 
@@ -89,11 +90,15 @@ class Units:
     def turned_inc(self, raw: int, demand_inc: int, way: int) -> int:
         """Return the range position `raw` in increments, relative to the present demand.
 
+        Without a range, positions repeat after 32 bits, as 6064h does.
+
         `way` (60F2h, rotary axis): 0 in the same turn, 1 below, 2 above, 3 the nearest.
         """
-        size = self.range_size
+        size, low = self.range_size, self.range_low
+        if size == 0:
+            size, low = _SPAN, -_SPAN // 2
         demand = self._raw(demand_inc)
-        target = raw + (demand - self.range_low) // size * size
+        target = raw + (demand - low) // size * size
         if way == 1 and target > demand:
             target -= size
         elif way == 2 and target < demand:

@@ -4,6 +4,7 @@ from typing import Final, final
 
 from motorhil.motorapi.errors import PeerError
 
+NO_SUCH_OBJECT: Final = 0x0602_0000
 # CiA 301, SDO abort codes.
 _ABORT_TEXT: Final[dict[int, str]] = {
     0x0503_0000: "toggle bit not alternated",
@@ -16,7 +17,7 @@ _ABORT_TEXT: Final[dict[int, str]] = {
     0x0601_0000: "unsupported access to an object",
     0x0601_0001: "attempt to read a write only object",
     0x0601_0002: "attempt to write a read only object",
-    0x0602_0000: "object does not exist in the object dictionary",
+    NO_SUCH_OBJECT: "object does not exist in the object dictionary",
     0x0604_0041: "object cannot be mapped to the PDO",
     0x0604_0042: "number and length of the objects to be mapped would exceed PDO length",
     0x0604_0043: "general parameter incompatibility",

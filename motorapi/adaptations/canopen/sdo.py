@@ -340,6 +340,7 @@ class SdoChannel:
             permitted.
         fence: the fence that permits downloads only while the node is owned; None: no other process
             can take it over.
+        on_control: called with controlwords (6040h) that other programs write, or None.
     """
 
     def __init__(
@@ -349,6 +350,7 @@ class SdoChannel:
         self.process_lock: ProcessLock | None = None
         self.before_writing: Callable[[], None] | None = None
         self.fence: Fence | None = None
+        self.on_control: Callable[[int, int], None] | None = None
         self._link = link
         self._node_id = node_id
         self._quarantine_ns = round(quarantine_s * 1e9)
@@ -451,6 +453,8 @@ class SdoChannel:
         if frame[8] >> 5 == _DOWNLOAD and frame[9:12] == _CONTROLWORD:
             until_ns = self._link.runtime.now_ns() + self._quarantine_ns
             self._client.expect(_CONTROLWORD, until_ns)
+            if self.on_control is not None:
+                self.on_control(int.from_bytes(frame[12:14], "little"), time_ns)
 
     def check_writing(self) -> None:
         """Raise MotorBusyError if the node is being set up, and another process owns it."""

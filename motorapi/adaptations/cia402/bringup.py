@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import Any, Final, final
 
 from motorhil.motorapi.adaptations.canopen.bus import HEARTBEAT_ID
+from motorhil.motorapi.adaptations.canopen.errors import NO_SUCH_OBJECT, SdoAborted
 from motorhil.motorapi.adaptations.canopen.pdo_setup import (
     EVENT_DRIVEN,
     SYNCHRONOUS,
@@ -142,6 +143,7 @@ class DriveFacts:
         latched_ids: the identifiers of the RPDOs with controlword and a target, latched at SYNC, by
             the index of the target (607Ah, 60FFh). Targets without such an RPDO are missing.
         status: the TPDO that sends the statusword; None: it is polled by SDO.
+        missing: the target objects that this drive does not have.
         limitations: the functions that this drive lacks or refuses, in words.
     """
 
@@ -150,6 +152,7 @@ class DriveFacts:
     control_id: int | None
     latched_ids: Mapping[int, int]
     status: PdoFound | None
+    missing: frozenset[int]
     limitations: tuple[str, ...]
 
 
@@ -188,6 +191,7 @@ def bring_up(node: DriveNode, options: HwOptions) -> DriveFacts:
         control_id=None if control is None else control[0],
         latched_ids=latched_ids,
         status=None if status is None else status[1],
+        missing=_missing(node, latched_ids),
         limitations=tuple(limitations),
     )
     tpdos = [made for made in (status, velocity) if made is not None]
@@ -253,6 +257,19 @@ def _latched_pdos(pdos: PdoSetUp) -> dict[int, int]:
     return identifiers
 
 
+def _missing(node: DriveNode, latched_ids: Mapping[int, int]) -> frozenset[int]:
+    """Return the targets that the drive lacks; one in an RPDO exists."""
+    missing = set()
+    for index in (target >> 16 for target in _LATCHED_TARGETS):
+        if index not in latched_ids:
+            try:
+                node.read_int(index)
+            except SdoAborted as error:
+                if error.abort_code == NO_SUCH_OBJECT:  # another may be write only
+                    missing.add(index)
+    return frozenset(missing)
+
+
 def _status_pdo(node: DriveNode, pdos: PdoSetUp, options: HwOptions) -> tuple[int, PdoFound] | None:
     wish = PdoWish(
         True,
@@ -289,14 +306,17 @@ def _velocity_pdo(
 def _await_first_status(node: DriveNode, facts: DriveFacts, options: HwOptions) -> None:
     """Await the first status: by TPDO if the drive sends it cyclically, else by SDO."""
     status = facts.status
-    node.status_is_cyclic = status is not None and bool(status.event_ms)
+    period_ms = 0
+    if status is not None and _POSITION in status.mapping:
+        period_ms = status.event_ms or 0
+    node.expect_status(period_ms)
     if node.status_is_cyclic:
         seen_ns = node.status_ns
         heard = node.link.wait_until(
             lambda: node.status_ns != seen_ns,
             max(_FIRST_STATUS_S, 3 * options.status_period_ms / 1e3),
         )
-        node.status_is_cyclic = heard
+        node.expect_status(period_ms if heard else 0)
     if not node.status_is_cyclic:
         node.poll_status()
     node.stays_operational()

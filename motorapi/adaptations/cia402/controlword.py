@@ -24,12 +24,12 @@ from motorhil.motorapi.adaptations.cia402.objects import (
     NEW_SET_POINT,
     OBJECTS,
     QUICK_STOP,
+    RELATIVE,
     SHUTDOWN,
     SWITCH_ON,
     Mode,
     PdsState,
     is_off,
-    shows_no_acknowledge,
     shows_no_fault,
     shows_no_reaction,
 )
@@ -122,6 +122,11 @@ _RESET_TIMEOUT_S: Final = 0.5
 _POLL_S: Final = 0.002
 _STEPS_MAX: Final = 8
 _CONTROL: Final = struct.Struct("<IB3xH6x")
+_TARGETS: Final = {
+    Mode.PROFILE_POSITION: 0x607A,
+    Mode.PROFILE_VELOCITY: 0x60FF,
+    Mode.CYCLIC_SYNC_POSITION: 0x607A,
+}
 _NEXT_COMMAND: Final = {
     PdsState.SWITCH_ON_DISABLED: SHUTDOWN,
     PdsState.READY_TO_SWITCH_ON: SWITCH_ON,
@@ -154,6 +159,8 @@ class DriveControl:
         self._mode: Mode | None = None
         self.is_halted = False  # stopped since `take_set_points`, by any program
         self._word: int | None = None  # the controlword commanded last
+        self._relative = 0  # bit 6 of the next set-point
+        self.acknowledge_at_rest = 0  # set-point acknowledge while there is nothing to acknowledge
         self._repetition: StopRepetition | None = None
         self._armed: int | None = None  # index of the target that the next SYNC latches
         self._latched: int | None = None  # the same, until the drive has shown that it has started
@@ -166,13 +173,26 @@ class DriveControl:
         self._word = None
         self._mode = None
         self.is_halted = False
+        self._relative = 0
         self._armed = None
         self.has_started()
 
     def supports(self, mode: Mode) -> bool:
-        """Return whether 6502h contains the mode; True while that is not known."""
+        """Return whether the drive has the mode (6502h) and its target; True while not known."""
         facts = self.facts
-        return facts is None or facts.modes is None or mode in facts.modes
+        if facts is None:
+            return True
+        has_target = _TARGETS.get(mode) not in facts.missing
+        return has_target and (facts.modes is None or mode in facts.modes)
+
+    def require(self, mode: Mode) -> None:
+        """Raise UnsupportedError unless the drive supports the mode."""
+        if not self.supports(mode):
+            modes = self.facts.modes if self.facts is not None and self.facts.modes else ()
+            names = ", ".join(one.name for one in sorted(modes) if self.supports(one))
+            raise UnsupportedError(
+                motor=self.node.label, feature=f"mode {mode.name}", supported=names
+            )
 
     # --- power ---------------------------------------------------------------------------
 
@@ -288,48 +308,90 @@ class DriveControl:
     def set_mode(self, mode: Mode) -> None:
         """Set the mode of operation, confirmed by 6061h.
 
+        Some drives hold their mode under halt. The halt is then released, so that nothing moves.
+
         Raises:
-            UnsupportedError: 6502h does not contain the mode.
+            UnsupportedError: the drive does not support the mode.
             DeadlineExceeded: 6061h did not follow.
         """
-        if not self.supports(mode):
-            modes = self.facts.modes if self.facts is not None and self.facts.modes else ()
-            names = ", ".join(one.name for one in sorted(modes))
-            raise UnsupportedError(
-                motor=self.node.label, feature=f"mode {mode.name}", supported=names
-            )
+        self.require(mode)
         if not self.objects.push(0x6060, mode) and self._mode is mode:
             return
         self._mode = None
+        display = self._await_mode(mode)
+        if display != mode and self._release_halt(display, mode):
+            self.objects.write(0x6060, mode)
+            display = self._await_mode(mode)
+        if display != mode:
+            self.objects.doubt(0x6060)
+            raise DeadlineExceeded(
+                awaited=f"{self.node.label}: mode {mode.name} in 6061h",
+                timeout_s=_MODE_TIMEOUT_S,
+                last_heard=f"mode {display}",
+            )
+        self.objects.push(0x6060, mode)
+        self._mode = mode
+
+    def _await_mode(self, mode: Mode) -> int:
+        """Return 6061h, once it shows the mode or the time is over."""
         deadline_ns = self._link.runtime.now_ns() + round(_MODE_TIMEOUT_S * 1e9)
         while True:
             display = self.objects.read_int(0x6061)
-            if display == mode:
-                self._mode = mode
-                return
-            if self._link.runtime.now_ns() >= deadline_ns:
-                self.objects.doubt(0x6060)
-                raise DeadlineExceeded(
-                    awaited=f"{self.node.label}: mode {mode.name} in 6061h",
-                    timeout_s=_MODE_TIMEOUT_S,
-                    last_heard=f"mode {display}",
-                )
+            if display == mode or self._link.runtime.now_ns() >= deadline_ns:
+                return display
             self._link.runtime.wait_until(_never, _POLL_S)
+
+    def _release_halt(self, display: int, mode: Mode) -> bool:
+        """Release a halt in the mode that 6061h shows; return whether nothing moved by that.
+
+        The target of that mode becomes the present demand, or standstill. With a torque target, a
+        released load would drop.
+        """
+        node, objects = self.node, self.objects
+        is_halted = self._word is None or self._word & HALT
+        held = objects.read_optional(0x6062)
+        if not is_halted or mode is Mode.PROFILE_TORQUE or held is None:
+            return False
+        if display in (Mode.PROFILE_POSITION, Mode.CYCLIC_SYNC_POSITION):
+            if not node.is_within_counter(node.on_from(held)):
+                return False
+            objects.write(0x607A, held)
+        elif display == Mode.PROFILE_VELOCITY:
+            objects.write(0x60FF, 0)
+        elif display != Mode.HOMING:
+            return False
+        if display == Mode.PROFILE_POSITION:
+            word = ENABLE_OPERATION | HALT
+            self.write_controlword(word)
+            self.write_controlword(word | NEW_SET_POINT | CHANGE_IMMEDIATELY)
+        self.release()
+        return True
 
     def is_in(self, mode: Mode) -> bool:
         """Return whether 6061h confirmed this mode, and it cannot have changed since."""
         return self._mode is mode and self.objects.is_believed(0x6060, mode)
 
-    def take_set_points(self) -> None:
+    def take_set_points(self, *, relative: bool = False) -> None:
         """Clear bit 4 (pp) and await a low acknowledge; a halt lasts until the next set-point.
 
-        From then on `is_halted` reports stops that came after this call.
+        Some drives show an inverted acknowledge: a bit that stays is then the level of rest.
+        From then on `is_halted` reports stops that came after this call. With `relative`, the next
+        target is a distance from where 60F2h says.
         """
+        self._relative = RELATIVE if relative else 0
         self.write_controlword(self._holding_word())
-        if self.node.statusword & ACKNOWLEDGE or not self.node.status_is_cyclic:
-            self.node.wait_for_status(
-                shows_no_acknowledge, _ACKNOWLEDGE_TIMEOUT_S, "set-point acknowledge to fall"
-            )
+        node, rest = self.node, self.acknowledge_at_rest
+        if node.statusword & ACKNOWLEDGE != rest or not node.status_is_cyclic:
+            try:
+                node.wait_for_status(
+                    lambda word: word & ACKNOWLEDGE == rest,
+                    _ACKNOWLEDGE_TIMEOUT_S,
+                    "set-point acknowledge to fall",
+                )
+            except DeadlineExceeded:
+                if node.statusword & ACKNOWLEDGE == rest:
+                    raise
+                self.acknowledge_at_rest ^= ACKNOWLEDGE
         self.is_halted = False
 
     def keep_halt(self) -> None:
@@ -353,7 +415,7 @@ class DriveControl:
         """
         word = self._holding_word()
         if not self.is_halted:
-            word |= NEW_SET_POINT | CHANGE_IMMEDIATELY
+            word |= NEW_SET_POINT | CHANGE_IMMEDIATELY | self._relative
         return self.send_controlword(word)
 
     def send_holding_word(self) -> Transmission | None:
@@ -382,7 +444,7 @@ class DriveControl:
             raise UnsupportedError(motor=self.node.label, feature="starting by SYNC")
         word = ENABLE_OPERATION
         if index == 0x607A:
-            word |= NEW_SET_POINT | CHANGE_IMMEDIATELY
+            word |= NEW_SET_POINT | CHANGE_IMMEDIATELY | self._relative
         self._armed = self._latched = index
         self._sync.latching.add(self.node.node_id)
         self.objects.doubt(index)
@@ -454,10 +516,10 @@ class DriveControl:
             self.may_be_armed, self.holds_halt = False, True
             indices = [*facts.latched_ids] * 2
         word = self._holding_word() if self._word is None else self._word
-        word &= ~(NEW_SET_POINT | CHANGE_IMMEDIATELY)
+        word &= ~(NEW_SET_POINT | CHANGE_IMMEDIATELY | RELATIVE)
         sent = []
         for index in indices:
-            target = self.node.position_inc if index == 0x607A else 0
+            target = self.node.counter if index == 0x607A else 0
             self.objects.doubt(index)
             frame = _control_target(facts.latched_ids[index], word, index, target)
             sent.append(self._send(frame, fence))

@@ -50,8 +50,13 @@ if TYPE_CHECKING:
     from motorhil.motorapi.runtime.api import Registration
 
 _SETPOINT: Final = struct.Struct("<IB3xHi2x")
+_HALF: Final = 0x8000_0000
+_SPAN: Final = 0x1_0000_0000
 _DEAF_NS: Final = 250_000_000
 """The time [ns] without movement after which a drive does not follow its moving set-points."""
+_STUCK_NS: Final = 1_000_000_000
+"""The time [ns] after which less suffices: slow set-points take long to get far ahead."""
+_FAR: Final = 10
 _LAST_WORDS: Final = 2  # set-points that bring a stop, in case one is lost
 
 
@@ -71,7 +76,8 @@ class CspStream:
         lost: called with the error when the cyclic SYNC is lost.
         at_once: False: nothing is sent before `begin`.
         behind_inc: the distance in increments that the set-points may move while the drive stands
-            still. Beyond it the drive does not follow, and is reported as lost. None: no check.
+            still. Beyond it the drive does not follow, and is reported as lost. After a second, a
+            tenth of it suffices. None: no check.
 
     Attributes:
         sent: the number of set-points sent.
@@ -159,8 +165,9 @@ class CspStream:
             ) from error
         # The target must be at the drive's position before csp uses it.
         held = objects.read_optional(0x6062)
-        self._target = objects.read_int(0x6064) if held is None else held
-        objects.write(0x607A, self._target)
+        held = objects.read_int(0x6064) if held is None else held
+        self._target = self._node.on_from(held)
+        objects.write(0x607A, held)
         self._control.set_mode(Mode.CYCLIC_SYNC_POSITION)
 
     def _own_period(self) -> str:
@@ -181,7 +188,8 @@ class CspStream:
         )
 
     def _send(self) -> Transmission:
-        frame = _SETPOINT.pack(self._can_id, 6, self._word, self._target)
+        counter = (self._target + _HALF) % _SPAN - _HALF  # 607Ah wraps as the drive's counter
+        frame = _SETPOINT.pack(self._can_id, 6, self._word, counter)
         fence: Fence | None = self._fence
         if fence is not None and self._word != ENABLE_OPERATION:
             fence = self._stop_fence()
@@ -247,13 +255,18 @@ class CspStream:
         if position != stood or self._cycle == 1:
             self._stood = (position, self._target, now_ns)
             return True
-        if self._behind_inc is None or now_ns - since_ns < _DEAF_NS:
+        stood_ns = now_ns - since_ns
+        if self._behind_inc is None or stood_ns < _DEAF_NS or not self._node.status_is_cyclic:
             return True
-        is_told = self._node.status_is_cyclic
-        return not is_told or abs(self._target - target) <= self._behind_inc
+        behind_inc = self._behind_inc if stood_ns < _STUCK_NS else self._behind_inc // _FAR
+        return abs(self._target - target) <= behind_inc
 
     def _not_followed(self) -> LinkError:
-        reason = "the drive stands still while its set-points move; is it blocked, or without SYNC?"
+        if self._node.is_told:
+            reason = "the drive stands still while its set-points move; "
+            reason += "is it blocked, or without SYNC?"
+        else:
+            reason = "the TPDO with its status does not arrive while its set-points move"
         return LinkError(link=self._node.label, reason=reason)
 
     def _fail(self) -> None:

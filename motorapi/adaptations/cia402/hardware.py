@@ -170,6 +170,7 @@ class Cia402HwMotor:
     def was_homed(self) -> None:
         """Record a successful homing."""
         self._homed_at_boot = self.node.boots
+        self.node.count_anew()
 
     # --- bringing up ---------------------------------------------------------------------
 
@@ -188,6 +189,8 @@ class Cia402HwMotor:
             if self._facts is not None and self._is_known:
                 return self._facts
             self.node.keep_host_heartbeat()
+            if self.node.has_booted:
+                self.node.count_anew()
             self.objects.doubt()
             self.control.forget()
             self._facts = self.control.facts = None  # after a failure, the next call tries again
@@ -289,7 +292,7 @@ class Cia402HwMotor:
 
     @property
     def position_inc(self) -> int:
-        """The last position received, in increments."""
+        """The last position received, in increments; it does not wrap with the drive's counter."""
         return self.node.position_inc
 
     @property

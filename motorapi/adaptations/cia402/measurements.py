@@ -1,5 +1,6 @@
 """State, fault, measurements and limits of a drive, in SI units."""
 
+from copy import copy
 from typing import TYPE_CHECKING, Final, final
 
 from motorhil.motorapi.adaptations.canopen.emcy import error_text
@@ -51,6 +52,7 @@ class DriveReader:
         self._units: DriveUnits | None = None
         self._limits: DriveLimits | None = None
         self._torque: TorqueUnit | None = None
+        self._no_torque: UnsupportedError | None = None
 
     def known(self) -> tuple[DriveUnits, DriveLimits]:
         """Return units and limits, read from the drive once after each bring-up.
@@ -62,7 +64,7 @@ class DriveReader:
         if self._units is None or self._limits is None or facts is not self._facts:
             self._units = drive_units(self._motor, self._model, self._objects.read_optional)
             self._limits = _read_limits(self._hardware)
-            self._torque = None
+            self._torque = self._no_torque = None
             self._facts = facts
         return self._units, self._limits
 
@@ -76,9 +78,18 @@ class DriveReader:
         unit = self._torque
         if unit is None:
             read = self._objects.read_optional
-            unit = torque_unit(self._motor, self._model, units.increments(1.0), read)
+            try:
+                unit = torque_unit(self._motor, self._model, units.increments(1.0), read)
+            except UnsupportedError as error:
+                self._no_torque = error
+                raise
             self._torque = unit
         return unit
+
+    def check_torque(self) -> None:
+        """Raise the error of `torque_unit` again, without asking the drive."""
+        if self._no_torque is not None:
+            raise copy(self._no_torque)
 
     @property
     def units(self) -> DriveUnits:
@@ -149,6 +160,7 @@ class DriveReader:
             if demand is not None:
                 # Return the target as commanded while the drive holds it: rounding must not
                 # accumulate.
+                demand = self._node.on_from(demand)
                 return self.held[1] if demand == self.held[0] else self.units.position(demand)
         return self.position()
 
@@ -164,7 +176,8 @@ class DriveReader:
         """Return the following error, demand minus actual position [U]."""
         error = self._objects.read_optional(0x60F4)
         if error is None:
-            return self.reference() - self.units.position(self._objects.read_int(0x6064))
+            position_inc = self._node.on_from(self._objects.read_int(0x6064))
+            return self.reference() - self.units.position(position_inc)
         return self.units.position(error)
 
     def position_source(self) -> str:
@@ -187,7 +200,8 @@ class DriveReader:
             raw = node.values.get((0x606C, 0))
             if raw is not None and units.velocity_unit is not None:
                 velocity = units.velocity(raw)
-        return Measurement(node.status_ns, self.state(), position, velocity)
+        state = MotorState.OFFLINE if node.is_old else self.state()
+        return Measurement(node.status_ns, state, position, velocity)
 
 
 def _read_limits(hardware: Cia402HwMotor) -> DriveLimits:

@@ -9,6 +9,9 @@ The mode of operation for each command:
 | set-point or simple trajectory, torque   | tq   | target torque 6071h; slope 6087h          |
 | trajectory that is a function            | csp  | its first set-point, latched by SYNC      |
 
+A set-point in pp is an absolute target while the drive's position counter has not wrapped. Beyond
+its 32 bits it is a distance, which every drive understands alike (controlword bit 6).
+
 Before a motion, settings of the logical motor and of this motion alone are written: a torque slope,
 a quick stop within the model's limit, the ramp of a halt. The drive gets its own values back
 afterwards. Motions of several drives begin together as `sync_start` describes.
@@ -31,6 +34,7 @@ from motorhil.motorapi.adaptations.cia402.motion_status import (
 from motorhil.motorapi.adaptations.cia402.objects import FAULT_BIT, Mode
 from motorhil.motorapi.adaptations.cia402.parameters import (
     HALT_OPTION,
+    POSITIONING_OPTION,
     WINDOW_OFF,
     Cia402Parameters,
     Place,
@@ -69,6 +73,7 @@ _RESEND_S: Final = 0.1
 _BEHIND: Final = 10.0  # start tolerances: no drive stands still that far behind its set-points
 _STOPPING_PERIODS: Final = 4
 POLL_S: Final = 0.01
+_PREVIOUS_TARGET, _DEMAND, _ACTUAL = range(3)  # 60F2h, bits 0 and 1: where a distance begins
 _LIVE: Final = {ControlVariable.VELOCITY: 0x60FF, ControlVariable.TORQUE: 0x6071}
 
 
@@ -256,25 +261,54 @@ class DriveMotions:
                 remedy="stop() first",
             )
         wanted = settings_of(motion, self.parameters, self._hardware, self._reader)
-        self._hardware.parameters.apply(self._motor, wanted)
         if motion.function is not None:
+            self._hardware.parameters.apply(self._motor, wanted)
             return self._arm_stream(motion)
         if motion.variable is ControlVariable.TORQUE:
+            self._hardware.parameters.apply(self._motor, wanted)
             return self._arm_torque(motion)
         units, limits = self._reader.known()
         profile = profile_of(motion, self._model, units, limits)
+        origin_inc = None
+        if motion.variable is ControlVariable.POSITION:
+            origin_inc = self._origin(profile.target, wanted)
+        self._hardware.parameters.apply(self._motor, wanted)
         check_limits(self._motor, profile, units, limits)
         if motion.variable is ControlVariable.VELOCITY:
             return self._arm_velocity(motion, profile)
-        return self._arm_position(motion, profile)
+        return self._arm_position(motion, profile, origin_inc)
 
-    def _arm_position(self, motion: Motion, profile: DriveProfile) -> Trigger:
+    def _origin(self, target_inc: int, wanted: dict[Place, int]) -> int | None:
+        """Return where a distance to the target begins; None: the target is absolute.
+
+        60F2h, if the drive has it, gets its value in `wanted`. Without it, a distance begins at the
+        previous target, which a drive at rest holds.
+        """
+        node = self._node
+        if node.is_within_counter(target_inc):
+            return None
+        watch = node.watch
+        demand = self._objects.read_optional(0x6062)
+        origin_inc, code = node.position_inc, _ACTUAL
+        if isinstance(watch, SetpointWatch) and watch.is_under_way and not self._control.is_halted:
+            origin_inc, code = watch.target_inc or 0, _PREVIOUS_TARGET
+        elif demand is not None:
+            origin_inc, code = node.on_from(demand), _DEMAND
+        self._reader.known()[0].require_distance(target_inc - origin_inc)
+        option = self._objects.read_optional(POSITIONING_OPTION)
+        if option is not None:
+            wanted[POSITIONING_OPTION, 0] = option & ~3 | code
+        return origin_inc
+
+    def _arm_position(
+        self, motion: Motion, profile: DriveProfile, origin_inc: int | None
+    ) -> Trigger:
         units, limits = self._reader.known()
         check_target(self._motor, profile.target, units, limits)
         self._control.set_mode(Mode.PROFILE_POSITION)
         self._push_ramps(profile.acceleration, profile.deceleration)
         self._objects.push(0x6081, profile.speed)
-        self._control.take_set_points()
+        self._control.take_set_points(relative=origin_inc is not None)
         watch = SetpointWatch(
             commanded_ns=None,
             expected_ns=round(expected_s(motion, profile, units) * 1e9),
@@ -282,15 +316,19 @@ class DriveMotions:
             target_inc=profile.target,
             tolerance_inc=self._window(),
             distance_inc=profile.target - self._node.position_inc,
+            acknowledge_at_rest=self._control.acknowledge_at_rest,
         )
         self._follow(watch)
         self._reader.held = (profile.target, motion.target)
+        target = profile.target - (origin_inc or 0)
         if self._can_arm(0x607A):
-            return self._arm_latched(0x607A, profile.target, watch)
-        self._objects.push(0x607A, profile.target)
+            return self._arm_latched(0x607A, target, watch)
+        self._objects.push(0x607A, target)
         return SetPointTrigger(self._hardware, watch)
 
     def _arm_velocity(self, motion: Motion, profile: DriveProfile) -> Trigger:
+        units = self._reader.known()[0]
+        self._control.require(Mode.PROFILE_VELOCITY)
         if not self._control.is_in(Mode.PROFILE_VELOCITY):
             self._objects.write(0x60FF, 0)  # an old target would take effect at once
             self._control.set_mode(Mode.PROFILE_VELOCITY)
@@ -298,7 +336,7 @@ class DriveMotions:
         change = abs(motion.target - self._reader.velocity())
         slowest = min(motion.acceleration, motion.deceleration)
         self._control.keep_halt()
-        watch = _live_watch(round(change / slowest * 1e9))
+        watch = _live_watch(change / slowest, as_motion(motion, profile, units).duration_s)
         self._follow(watch)
         if self._can_arm(0x60FF):
             return self._arm_latched(0x60FF, profile.target, watch)
@@ -316,8 +354,8 @@ class DriveMotions:
             with suppress(SdoAborted):  # A drive with a steepest slope of its own keeps that.
                 self._objects.push(0x6087, STEEPEST)
         self._control.keep_halt()
-        expected_ns = round(ramp_s(motion, profile, unit) * 1e9)
-        watch = _live_watch(max(expected_ns, SETTLE_NS))
+        made_s = as_torque_motion(motion, profile, unit).duration_s
+        watch = _live_watch(max(ramp_s(motion, profile, unit), SETTLE_NS / 1e9), made_s)
         self._follow(watch)
         return LiveTargetTrigger(self._hardware, watch, 0x6071, profile.target)
 
@@ -511,14 +549,18 @@ class DriveMotions:
         return times_of_set_point(watch, self._point, together=self._together)
 
 
-def _live_watch(expected_ns: int) -> SetpointWatch:
-    """Return the watch of a target that has neither acknowledge nor position."""
+def _live_watch(expected_s: float, duration_s: float | None) -> SetpointWatch:
+    """Return the watch of a target that has neither acknowledge nor position.
+
+    `duration_s` is that of a trajectory; None for a set-point, which ends within the window.
+    """
     return SetpointWatch(
         commanded_ns=None,
-        expected_ns=expected_ns,
+        expected_ns=round(expected_s * 1e9),
         acknowledged=False,
         target_inc=None,
         tolerance_inc=None,
+        lasts_ns=0 if duration_s is None else round(duration_s * 1e9),
     )
 
 

@@ -32,7 +32,12 @@ from motorhil.motorapi.adaptations.cia402.bringup import Cia402Table, HwOptions
 from motorhil.motorapi.adaptations.cia402.hardware import Cia402HwMotor
 from motorhil.motorapi.adaptations.cia402.measurements import DriveReader
 from motorhil.motorapi.adaptations.cia402.motion import POLL_S, DriveMotions
-from motorhil.motorapi.adaptations.cia402.motion_status import HomingWatch, RestWatch, StreamWatch
+from motorhil.motorapi.adaptations.cia402.motion_status import (
+    HomingWatch,
+    RestWatch,
+    SetpointWatch,
+    StreamWatch,
+)
 from motorhil.motorapi.adaptations.cia402.objects import (
     DISABLE_VOLTAGE,
     ENABLE_OPERATION,
@@ -47,7 +52,7 @@ from motorhil.motorapi.adaptations.cia402.parameters import Cia402Parameters
 from motorhil.motorapi.adaptations.cia402.units import DriveUnits
 from motorhil.motorapi.adaptations.registration import Shared, read_settings
 from motorhil.motorapi.commands import ControlMode, ControlVariable, Setpoint
-from motorhil.motorapi.errors import PeerError, UnsupportedError, UsageError
+from motorhil.motorapi.errors import MotionInterrupted, PeerError, UnsupportedError, UsageError
 from motorhil.motorapi.model import MotorModel
 from motorhil.motorapi.motion import Motion
 from motorhil.motorapi.motor import Motor
@@ -227,6 +232,8 @@ class Cia402Motor(Motor):
         return drive_mode is not None and self._control.supports(drive_mode)
 
     def _check_command(self, variable: ControlVariable, command: Setpoint | Trajectory) -> None:
+        if variable is ControlVariable.TORQUE:
+            self._reader.check_torque()
         if not is_function(variable, command):
             return
         if variable not in _STREAMED or not self._control.supports(Mode.CYCLIC_SYNC_POSITION):
@@ -306,10 +313,11 @@ class Cia402Motor(Motor):
         return self._reader.position_source()
 
     def _refresh(self) -> float | None:
-        if self._node.status_is_cyclic:
-            return None
-        if not self._node.is_lost:
-            self._node.poll_status()
+        node = self._node
+        if node.status_is_cyclic and not node.is_missed:
+            return node.patience_s
+        if not node.is_lost:
+            node.poll_status()
         return POLL_S
 
     # --- power, fault, reference --------------------------------------------------------------
@@ -369,14 +377,15 @@ class Cia402Motor(Motor):
             node.check_link()
             if node.statusword & FAULT_BIT:
                 raise node.fault_error(self.name)
-            state = node.state
-            if state in (PdsState.OPERATION_ENABLED, PdsState.QUICK_STOP_ACTIVE):
-                return watch.ended_ns is not None
-            return True  # the power stage is off: there is no deceleration to await
+            return watch.ended_ns is not None
         node.check_motion(self.name)
         if watch.failed and isinstance(watch, HomingWatch):
             method = 0 if watch.method is None else watch.method
             raise HomingFailed(motor=self.name, method=method, statusword=node.statusword)
+        if watch.failed and isinstance(watch, SetpointWatch):
+            by = "the drive, which stands short of its target and shows target reached; was it"
+            by += " halted by an input or another master, or its target limited (607Dh)?"
+            raise MotionInterrupted(motor=self.name, by=by, at_ns=watch.ended_ns or 0)
         if watch.ended_ns is not None and isinstance(watch, StreamWatch) and watch.error:
             raise watch.error
         return watch.ended_ns is not None
@@ -385,11 +394,20 @@ class Cia402Motor(Motor):
         # In csp no bit shows the standstill of a halted drive; another process may have left that
         # mode.
         needs_bit = any(self._control.is_in(mode) for mode in _SHOWS_REST)
-        watch = RestWatch(commanded_ns=self.runtime.now_ns(), needs_bit=needs_bit)
-        self._hardware.follow(watch)
+        watch = self._watch_rest(needs_bit=needs_bit)
         if self._node.state is PdsState.OPERATION_ENABLED:
             self._control.send_halt(watch)
             self._hardware.end_stream(ENABLE_OPERATION | HALT)
+
+    def _watch_rest(self, *, needs_bit: bool) -> RestWatch:
+        """Follow the motor until it is at rest."""
+        watch = RestWatch(
+            commanded_ns=self.runtime.now_ns(),
+            needs_bit=needs_bit,
+            stands=self._node.stands_without_power,
+        )
+        self._hardware.follow(watch)
+        return watch
 
     def _stop_with_others(self) -> Trigger | None:
         stop = joint_stop_of(self._node.bus)
@@ -399,8 +417,7 @@ class Cia402Motor(Motor):
         return stop
 
     def _quick_stop(self) -> None:
-        watch = RestWatch(commanded_ns=self.runtime.now_ns(), needs_bit=False)
-        self._hardware.follow(watch)
+        watch = self._watch_rest(needs_bit=False)
         if self._node.state is PdsState.OPERATION_ENABLED:
             self._hardware.quick_stopped = True
             self._control.send_quick_stop(watch)

@@ -9,10 +9,11 @@ The drive watches the heartbeat of the host, not of one process. While any proce
 heartbeat, a drive keeps moving for a process that died. So the remaining processes watch the drive:
 when its owner has died and it moves, they halt it (`Guard`).
 
-*Foreign stops*: any process may stop a motor without owning it. The drive obeys, but does not
-report the stop. In pp it stands short of its target; in pv it shows *target reached* as it comes to
-rest. So the controlwords that other programs put on the bus are monitored, and the owner's motion
-is ended with an error. Controlwords sent by SDO are not detected.
+*Foreign stops*: any process may stop a motor without owning it, and so may another master on the
+bus. The drive obeys, but does not report the stop. In pp it stands short of its target; in pv it
+shows *target reached* as it comes to rest. So the controlwords that other programs put on the bus,
+by RPDO or by SDO, are monitored, and the owner's motion is ended with an error. A new set-point of
+another master ends it too.
 """
 
 import logging
@@ -22,7 +23,13 @@ from typing import TYPE_CHECKING, Final, final
 from weakref import WeakMethod
 
 from motorhil.motorapi.adaptations.cia402.motion_status import RestWatch
-from motorhil.motorapi.adaptations.cia402.objects import ENABLE_OPERATION, HALT, PdsState
+from motorhil.motorapi.adaptations.cia402.objects import (
+    ENABLE_OPERATION,
+    HALT,
+    NEW_SET_POINT,
+    Mode,
+    PdsState,
+)
 from motorhil.motorapi.errors import MotorBusyError, MotorError
 from motorhil.motorapi.locking.process_lock import ProcessLock
 from motorhil.motorapi.ownership.fencing import NodeFence, announce
@@ -57,18 +64,20 @@ class ForeignStops:
         self._control = control
         self._end_stream = end_stream
 
-    def heard(self, frame: bytes, time_ns: int) -> None:
-        """Handle a frame of another program that carries a controlword for the drive."""
-        word = int.from_bytes(frame[8:10], "little")
-        if frame[4] < 2 or word & _LOOKED_AT == _GOES_ON:
-            return
+    def heard(self, word: int, time_ns: int) -> None:
+        """Handle a controlword of another program for the drive."""
+        told = "to stop"
+        if word & _LOOKED_AT == _GOES_ON:
+            if not word & NEW_SET_POINT or not self._control.is_in(Mode.PROFILE_POSITION):
+                return
+            told = "to move elsewhere"
         if isinstance(self._node.watch, RestWatch):
             return  # a stop is already in progress
         physical = self._physical
         run = physical.run
         if run is not None:
             physical.ownership.notice(run.owner)  # so that an error names a new owner
-        by = f"another program, which told the drive to stop (controlword {word:04X}h)"
+        by = f"another program, which told the drive {told} (controlword {word:04X}h)"
         if not physical.stopped_elsewhere(by, time_ns):
             return
         self._control.is_halted = True
@@ -87,7 +96,8 @@ def heed_stops(
 
     `end_stream`, a bound method, ends streamed set-points.
     """
-    node.on_control = ForeignStops(physical, node, control, WeakMethod(end_stream)).heard
+    heard = ForeignStops(physical, node, control, WeakMethod(end_stream)).heard
+    node.on_control = node.sdo.on_control = heard
 
 
 LOOK_PERIOD_S: Final = 0.1
@@ -225,8 +235,8 @@ def guarding(
     control: "DriveControl",
     end_stream: Callable[[int], None],
 ) -> "Registration | None":
-    """Start a guard of the drive and heed foreign stops, if other processes can have the drive."""
+    """Heed foreign stops, and start a guard of the drive if other processes can have it."""
+    heed_stops(physical, node, control, end_stream)
     if physical.ownership.lock is None:
         return None
-    heed_stops(physical, node, control, end_stream)
     return runtime.every(LOOK_PERIOD_S, Guard(physical, node, control).look)

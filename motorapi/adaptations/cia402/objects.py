@@ -70,6 +70,7 @@ SWITCH_ON: Final = 0x0007
 ENABLE_OPERATION: Final = 0x000F
 NEW_SET_POINT: Final = 0x0010  # hm: homing operation start; ip: enable interpolation
 CHANGE_IMMEDIATELY: Final = 0x0020
+RELATIVE: Final = 0x0040  # pp: the target is a distance
 FAULT_RESET: Final = 0x0080
 HALT: Final = 0x0100
 
@@ -172,6 +173,7 @@ OBJECTS: Final = ObjectTable(
         "interpolation_period_index": (0x60C2, 2, "i8"),
         "max_acceleration": (0x60C5, 0, "u32"),
         "max_deceleration": (0x60C6, 0, "u32"),
+        "positioning_option_code": (0x60F2, 0, "u16"),
         "positive_torque_limit_value": (0x60E0, 0, "u16"),
         "negative_torque_limit_value": (0x60E1, 0, "u16"),
         "following_error_actual_value": (0x60F4, 0, "i32"),
@@ -198,8 +200,3 @@ def shows_no_reaction(word: int) -> bool:
 def shows_no_fault(word: int) -> bool:
     """Return whether a statusword shows no fault."""
     return not word & FAULT_BIT
-
-
-def shows_no_acknowledge(word: int) -> bool:
-    """Return whether a statusword shows no set-point acknowledge (pp)."""
-    return not word & ACKNOWLEDGE

@@ -25,6 +25,7 @@ Place = tuple[int, int]
 
 _GAINS: Final = {"current_gains": 0x60F6, "velocity_gains": 0x60F9, "position_gains": 0x60FB}
 WINDOW_OFF: Final = 0xFFFF_FFFF  # 6065h, 6067h
+POSITIONING_OPTION: Final = 0x60F2
 HALT_OPTION: Final = 0x605D  # a drive may support only one value
 _TIME_MAX_S: Final = 65.535  # in ms, 16 bits
 
@@ -133,6 +134,16 @@ def _window(name: str, window: float, units: "DriveUnits") -> int:
             high=None,
             unit=units.unit,
             reason="the drive counts whole increments",
+        )
+    if increments >= WINDOW_OFF:
+        raise LimitError(
+            motor=units.motor,
+            quantity=name,
+            value=window,
+            low=None,
+            high=abs(units.position(WINDOW_OFF - 1)),
+            unit=units.unit,
+            reason="the drive's object has 32 bits",
         )
     return increments
 

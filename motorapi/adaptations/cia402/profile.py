@@ -9,7 +9,7 @@ step lower.
 shaft. Torque here is that of the output, where position is counted: times the gear ratio, from the
 motor model or else from 6091h. Friction and inertia in between are not subtracted. A linear motor
 has a force: 2 pi times the motor's turns per metre, which the drive does not report. Nothing is
-guessed.
+guessed. Polarity (607Eh) inverts positions and velocities, but not torque.
 """
 
 from collections.abc import Callable
@@ -287,6 +287,7 @@ ReadObject = Callable[[int, int], int | None]
 
 _INT16_MAX: Final = 0x7FFF
 _UINT32_MAX: Final = 0xFFFF_FFFF
+_POSITION_POLARITY: Final = 0x80
 STEEPEST: Final = _UINT32_MAX  # 6087h: no ramp requested
 
 
@@ -370,11 +371,12 @@ def torque_unit(
             reason = "the drive does not report its gear ratio, 6091h; write gear_ratio into the"
             raise _unsupported(motor, f"{reason} motor model")
         gear = turns / shaft
+    is_inverted = (read(0x607E, 0) or 0) & _POSITION_POLARITY != 0
     return TorqueUnit(
         motor=motor,
         unit="N·m" if model.kind is MotionKind.ROTARY else "N",
         size=rated * 1e-6 * gear,
-        sign=-1 if increments_per_unit < 0.0 else 1,
+        sign=-1 if (increments_per_unit < 0.0) is not is_inverted else 1,
         limits=(_limit(read, 0x60E0), _limit(read, 0x60E1)),
         has_slope=read(0x6087, 0) is not None,
     )

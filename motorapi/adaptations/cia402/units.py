@@ -110,25 +110,27 @@ class DriveUnits:
         return distance * self._position()
 
     def position_inc(self, position: float) -> int:
-        """Return the nearest increment to a position [U].
+        """Return the nearest increment to a position [U]; it may exceed the drive's 32 bits."""
+        return round(position * self._position())
+
+    def require_distance(self, distance_inc: int) -> None:
+        """Require that a move fits the drive.
 
         Raises:
             LimitError: it does not fit the drive's 32 bits.
         """
-        scale = self._position()
-        raw = round(position * scale)
-        if not -_INT32_MAX <= raw <= _INT32_MAX:
-            reach = _INT32_MAX / abs(scale)
-            raise LimitError(
-                motor=self.motor,
-                quantity="position",
-                value=position,
-                low=-reach,
-                high=reach,
-                unit=self.unit,
-                reason="607Ah has 32 bits",
-            )
-        return raw
+        if -_INT32_MAX <= distance_inc <= _INT32_MAX:
+            return
+        reach = _INT32_MAX / abs(self._position())
+        raise LimitError(
+            motor=self.motor,
+            quantity="distance of one move",
+            value=self.position(distance_inc),
+            low=-reach,
+            high=reach,
+            unit=self.unit,
+            reason="607Ah has 32 bits",
+        )
 
     # --- velocity and acceleration
 

@@ -21,7 +21,7 @@ from motorhil.harness.sharing_tests.relative_moves import (
 from motorhil.motorapi import DeadlineExceeded
 from motorhil.motorapi.adaptations.canopen.object_access import ObjectAccess
 from motorhil.motorapi.adaptations.cia402.controlword import DriveControl
-from motorhil.motorapi.errors import MotorError
+from motorhil.motorapi.errors import LinkError, MotorError
 from tests.support.sharing import movers
 
 SDO_REQUEST, SDO_ANSWER, TPDO, RPDO = 0x601, 0x581, 0x181, 0x201
@@ -138,7 +138,7 @@ def test_blind_restart_after_timeout_is_detected(mover):
     def blindly(rig, distance):
         try:
             mover.move(rig, distance)
-        except DeadlineExceeded:
+        except (DeadlineExceeded, LinkError):
             rig.runtime.run_for(0.5)
             mover.move(rig, distance)
 
@@ -173,11 +173,12 @@ def test_relative_set_point_on_the_wire_is_detected(monkeypatch):
 
 
 def hard_plans(mover):
-    """Yield plans with lost answers: each SDO answer in turn, or all TPDOs."""
+    """Yield plans with lost answers: each SDO answer in turn, or all TPDOs and an SDO answer."""
     identifiers = traffic_of(mover).identifiers
     if TPDO in identifiers:
-        yield plan_of(FaultRule("mute", FaultKind.DROP, identifier=TPDO, until_ns=10_300_000_000))
         yield from (plan_of(lost(TPDO, place=place, count=100)) for place in range(6))
+        mute = FaultRule("mute", FaultKind.DROP, identifier=TPDO, until_ns=10_900_000_000)
+        yield from (plan_of(mute, lost(SDO_ANSWER, place=place)) for place in range(0, 60, 2))
     yield from (plan_of(lost(SDO_ANSWER, place=place)) for place in range(60))
 
 

@@ -7,6 +7,7 @@ import pytest
 
 from motorhil.emulators.canopen.object_dictionary import ObjectDictionary
 from motorhil.emulators.cia402.objects.dictionary import DriveObjects
+from motorhil.emulators.cia402.objects.units import Units
 from motorhil.emulators.cia402.settings import read_settings
 from tests.support.cia402.bench import MS, NODE, Bench
 
@@ -238,6 +239,22 @@ def test_csp_moves_across_the_wrap_of_607bh():
     bench.run(20 * MS)
     assert bench.truth("demand_inc") == 2_700
     assert bench.read(0x6062) == 700
+
+
+@pytest.mark.parametrize(
+    ("raw", "demand_inc", "way", "target_inc"),
+    [
+        (-(1 << 31) + 50, (1 << 31) + 100, 0, (1 << 31) + 50),  # shown as -2^31 + 100
+        ((1 << 31) - 9, -(1 << 31) - 20, 0, -(1 << 31) - 9),
+        (-(1 << 31) + 3, (1 << 31) - 5, 3, (1 << 31) + 3),
+        (5, -7, 0, 5),
+        (2_000_000_000, -2_000_000_000, 0, 2_000_000_000),  # the long way, as a linear axis
+    ],
+)
+def test_positions_repeat_after_32_bits(raw, demand_inc, way, target_inc):
+    units = Units(1, 1, 1.0, 1.0)
+    assert units.turned_inc(raw, demand_inc, way) == target_inc
+    assert units.position_raw(target_inc) == raw
 
 
 def test_following_error_does_not_wrap():

@@ -1,14 +1,20 @@
 """Interrupted motions of a CiA 402 motor: faults, lost drives, lost hosts."""
 
 from collections.abc import Callable
+from contextlib import suppress
 
+import can
 import pytest
 
 from motorhil.emulators.can.fault_rules import FaultKind, FaultRule
 from motorhil.harness.rig.rig import Rig
+from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
+from motorhil.motorapi.commands import ControlMode, ControlVariable
 from motorhil.motorapi.errors import DeviceFault, LinkError, MotionInterrupted
 from motorhil.motorapi.state import MotorState
+from motorhil.motorapi.trajectory import ComplexTrajectory, TrapezoidalTrajectory
 from tests.support.motors.drive_rigs import drive
+from tests.support.motors.streaming import quintic
 from tests.support.motors.wheels import MS, WINDOW_RAD, frames_on, go_to, motor_of, truth
 
 OpenRig = Callable[..., Rig]
@@ -90,6 +96,73 @@ def test_foreign_switch_off_interrupts_the_motion(rig: Rig):
     motor.hardware.control.send_controlword(0x0000)
     with pytest.raises(MotionInterrupted, match="switch on disabled"):
         motor.wait_until_done(timeout_s=5)
+
+
+def by_rpdo(word: int) -> can.Message:
+    return can.Message(arbitration_id=0x201, data=word.to_bytes(2, "little"), is_extended_id=False)
+
+
+def by_sdo(word: int) -> can.Message:
+    data = bytes.fromhex("2B 40 60 00") + word.to_bytes(2, "little") + bytes(2)  # CiA 301: 2 bytes
+    return can.Message(arbitration_id=0x601, data=data, is_extended_id=False)
+
+
+def begin(motor: Cia402Motor, kind: str) -> None:
+    if kind == "pp":
+        go_to(motor, 3.0)
+        return
+    variable = ControlVariable.POSITION if kind == "csp" else ControlVariable.VELOCITY
+    motor.set_control_mode(ControlMode.TRAJECTORY, variable)
+    motor.set_trajectory(
+        ComplexTrajectory(quintic(2.0, 3.0))
+        if kind == "csp"
+        else TrapezoidalTrajectory(2.0, duration_s=2.0)
+    )
+    motor.start()
+
+
+@pytest.mark.parametrize("message", [by_rpdo, by_sdo])
+@pytest.mark.parametrize(
+    ("word", "told"),
+    [
+        (0x010F, "to stop"),  # halt
+        (0x0007, "to stop"),  # disable operation
+        (0x003F, "to move elsewhere"),  # new set-point, change immediately
+    ],
+)
+@pytest.mark.parametrize("kind", ["pp", "pv", "csp"])
+def test_another_masters_command_interrupts_the_motion(rig: Rig, kind, word, told, message):
+    motor = motor_of(rig)
+    begin(motor, kind)
+    rig.runtime.run_for(0.3)
+    with can.Bus(interface="emulated", channel="can0") as bus:
+        bus.send(message(word))
+        rig.runtime.run_for(0.001)
+        if word == 0x003F and kind != "pp":  # these bits have no meaning there
+            motor.wait_until_done(timeout_s=5)
+            return
+        by = rf"another program, which told the drive {told} \(controlword {word:04X}h\)"
+        with pytest.raises(MotionInterrupted, match=by):
+            motor.wait_until_done()
+    motor.stop()
+    with suppress(MotionInterrupted):
+        motor.wait_until_done(timeout_s=5)
+    go_to(motor, 0.5)
+    motor.wait_until_done(timeout_s=5)
+    assert abs(truth(rig) - 0.5) <= WINDOW_RAD
+
+
+def test_halt_that_was_not_heard_interrupts_the_motion(rig: Rig):
+    motor = motor_of(rig)
+    go_to(motor, 3.0)
+    rig.runtime.run_for(0.2)
+    motor.hardware.control.send_controlword(0x010F)  # as an input of the drive would
+    with pytest.raises(MotionInterrupted, match="stands short of its target"):
+        motor.wait_until_done()
+    # begun at 0.46 s, 1.3 s of motion, half a second at rest, and a status period
+    assert rig.runtime.now_ns() <= 2_300 * MS
+    go_to(motor, 0.1)
+    motor.wait_until_done(timeout_s=5)
 
 
 def test_drive_leaving_operational_raises_link_error(rig: Rig):

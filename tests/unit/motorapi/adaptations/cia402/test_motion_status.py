@@ -110,6 +110,66 @@ def test_target_velocity_begins_when_on_the_wire():
     assert (watch.started_ns, watch.ended_ns) == (4 * MS, 50 * MS)
 
 
+def test_drive_at_rest_short_of_its_target_has_failed():
+    watch = set_point()
+    watch.see(ACK, 0, 7 * MS)
+    watch.see(MOVING, 300, 50 * MS)
+    watch.see(REACHED, 503, 60 * MS)  # may still be on its slow way, for 100 ms
+    watch.see(REACHED, 500, 200 * MS)
+    watch.see(REACHED, 503, 400 * MS)  # it still moves
+    watch.see(REACHED, 503, 900 * MS - 1)
+    assert watch.ended_ns is None
+    watch.see(REACHED, 503, 900 * MS)
+    assert (watch.failed, watch.ended_ns) == (True, 900 * MS)
+
+
+def test_short_move_without_window_may_rest_beside_its_target():
+    watch = SetpointWatch(
+        commanded_ns=None,
+        expected_ns=30 * MS,
+        acknowledged=True,
+        target_inc=-5538,
+        tolerance_inc=None,
+        distance_inc=3,
+    )
+    watch.begin(5 * MS)
+    watch.see(ACK, -5541, 7 * MS)
+    watch.see(REACHED, -5539, 40 * MS)
+    assert (watch.failed, watch.ended_ns) == (False, 40 * MS)
+
+
+def ramp(lasts_ms: int) -> SetpointWatch:
+    watch = SetpointWatch(
+        commanded_ns=None,
+        expected_ns=0,
+        acknowledged=False,
+        target_inc=None,
+        tolerance_inc=None,
+        lasts_ns=lasts_ms * MS,
+    )
+    watch.begin(3 * MS)
+    return watch
+
+
+def test_ramp_within_its_window_is_not_over_early():
+    watch = ramp(100)
+    watch.see(MOVING, 0, 4 * MS)
+    watch.see(REACHED, 0, 50 * MS)  # within the velocity window 606Dh
+    watch.see(REACHED, 0, 103 * MS - 1)
+    assert watch.ended_ns is None
+    watch.see(REACHED, 0, 120 * MS)
+    assert watch.ended_ns == 103 * MS
+
+
+def test_ramp_reached_late_is_over_when_reached():
+    watch = ramp(100)
+    watch.see(REACHED, 0, 50 * MS)
+    watch.see(MOVING, 0, 60 * MS)  # it has left the window again
+    watch.see(MOVING, 0, 110 * MS)
+    watch.see(REACHED, 0, 115 * MS)
+    assert watch.ended_ns == 115 * MS
+
+
 def test_rest_needs_the_bit_and_standstill():
     watch = RestWatch(commanded_ns=0, needs_bit=True)
     watch.see(REACHED, 0, 0)  # pv: at speed, the bit means that the velocity is reached
@@ -128,6 +188,15 @@ def test_rest_after_quick_stop_is_seen_by_position():
     assert watch.ended_ns is None
     watch.see(0x0217, 80, 40 * MS + SETTLE_NS)
     assert watch.ended_ns == 40 * MS + SETTLE_NS
+
+
+def test_rest_without_power_is_seen_by_position():
+    watch = RestWatch(commanded_ns=0, needs_bit=True)
+    for time_ms in range(0, 100, 10):
+        watch.see(0x0250, 80 * time_ms, time_ms * MS)  # switch on disabled: the motor coasts
+        assert watch.ended_ns is None
+    watch.see(0x0250, 7201, 90 * MS + SETTLE_NS)
+    assert watch.ended_ns == 90 * MS + SETTLE_NS
 
 
 @pytest.mark.parametrize("error", [False, True])

@@ -128,6 +128,34 @@ def test_velocity_is_reached_kept_and_stopped(rig: Rig):
     assert motor.state() is MotorState.ENABLED
 
 
+def test_velocity_trajectory_is_done_at_its_end(rig: Rig):
+    """The drive's own velocity window of 0.095 rad/s is reached long before."""
+    motor = motor_of(rig)
+    motor.set_control_mode(ControlMode.TRAJECTORY, ControlVariable.VELOCITY)
+    motor.set_trajectory(TrapezoidalTrajectory(0.2, duration_s=2.0))
+    motor.start()
+    begun_ns = rig.runtime.now_ns()
+    motor.wait_until_done(timeout_s=5)
+    # a confirmation of the start before, and the period of the drive's status after it
+    assert 1.95 <= (rig.runtime.now_ns() - begun_ns) / 1e9 <= 2.025
+    assert rig.controllers["left"].snapshot()["velocity_rad_s"] == pytest.approx(0.2, abs=0.02)
+
+
+def test_velocity_trajectories_of_a_group_end_together(rig: Rig):
+    group = MotorGroup(rig.motors["left"], rig.motors["right"])
+    group.for_each(Motor.set_control_mode, ControlMode.TRAJECTORY, ControlVariable.VELOCITY)
+    group.set_trajectory(
+        TrapezoidalTrajectory(0.2, duration_s=2.0), TrapezoidalTrajectory(2.5, duration_s=2.0)
+    )
+    group.start()
+    group.wait_until_done(timeout_s=5)
+    quality = group.sync_quality()
+    assert quality.end_skew_s is not None
+    assert quality.end_skew_s <= quality.predicted_end_skew_s + 0.005  # servo, and status period
+    group.stop()
+    group.wait_until_done(timeout_s=5)
+
+
 def test_old_target_velocity_never_takes_effect(rig: Rig):
     motor = motor_of(rig)
     motor.set_control_mode(ControlMode.SETPOINT, ControlVariable.VELOCITY)
@@ -172,6 +200,25 @@ def test_stop_rests_short_of_target_and_nothing_resumes(rig: Rig):
     assert truth(rig) < at
     motor.wait_until_done(timeout_s=5)
     assert abs(truth(rig) - (at - 0.5)) <= WINDOW_RAD
+
+
+@pytest.mark.parametrize("way", [Motor.stop, Motor.quick_stop, Motor.halt])
+@pytest.mark.parametrize("first", [Motor.disable, Motor.quick_stop])
+def test_stop_without_power_is_done_when_it_has_coasted(rig: Rig, first, way):
+    motor = motor_of(rig)
+    motor.set_control_mode(ControlMode.SETPOINT, ControlVariable.VELOCITY)
+    motor.set_setpoint(2.0)
+    motor.start()
+    motor.wait_until_done(timeout_s=5)
+    first(motor)
+    way(motor)
+    assert not motor.is_done()
+    motor.wait_until_done(timeout_s=10)
+    assert abs(rig.controllers["left"].snapshot()["velocity_rad_s"]) <= 0.01
+    with suppress(UsageError):  # after a quick stop
+        motor.enable()
+    go_to(motor, 0.5)
+    motor.wait_until_done(timeout_s=10)
 
 
 def test_stop_from_a_callback_ends_the_other_wait(rig: Rig):

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from math import inf
+from pathlib import Path
 
 import pytest
 
@@ -227,6 +228,20 @@ def test_torque_sign_follows_the_counting_direction(open_rig: OpenRig):
     motor.stop()
 
 
+@pytest.mark.parametrize("scale", ["", "increments_per_rad = -21008.45249"])
+def test_torque_and_position_agree_under_polarity(open_rig: OpenRig, scale: str):
+    """607Eh bits 6 and 7 invert velocities and positions, but not torque (CiA 402-2)."""
+    polarity = HEAVY + '\nobjects = { "607Eh" = 0xC0 }'
+    rig = open_rig(drive("left", 1, polarity, model=scale))
+    motor = motor_of(rig)
+    push(motor, 4.0)
+    rig.runtime.run_for(0.2)
+    assert motor.torque() > 0.0
+    assert motor.velocity() > 0.0
+    assert motor.position() > 0.0
+    motor.stop()
+
+
 def test_linear_motor_has_a_force(open_rig: OpenRig):
     """F = 2 pi n T with n turns of the motor per metre: 200 turns make 1256.6 N of 1 N·m."""
     rig = open_rig(drive("left", 1, HEAVY))
@@ -293,3 +308,43 @@ def test_drive_with_a_slope_maximum_keeps_its_own(open_rig: OpenRig, tmp_path):
     with pytest.raises(UnsupportedError, match="6087h = "):
         push(motor, 3.0, slope=1e5)
     motor.stop()
+
+
+def without(tmp_path: Path, index: str) -> str:
+    """Return controller settings with an EDS that lacks an object."""
+    head, _, rest = OWN_EDS.read_text().partition(f"[{index}]\n")
+    eds = tmp_path / f"{index}.eds"
+    kept = [line for line in head.splitlines() if not line.endswith(f"=0x{index}")]
+    eds.write_text("\n".join([*kept, rest[rest.index("\n[") :]]))
+    return f'eds = "{eds}"\n{HEAVY}'
+
+
+def test_torque_without_rated_torque_is_refused_when_set_again(open_rig: OpenRig, tmp_path):
+    rig = open_rig(drive("left", 1, without(tmp_path, "6076")))
+    motor = motor_of(rig)
+    with pytest.raises(UnsupportedError, match="6076h"):
+        push(motor, 3.0)
+    with pytest.raises(UnsupportedError, match="6076h"):
+        motor.set_setpoint(2.0)
+
+
+def test_velocity_without_its_target_is_refused_when_set(open_rig: OpenRig, tmp_path):
+    rig = open_rig(drive("left", 1, without(tmp_path, "60FF")))
+    motor = motor_of(rig)
+    motor.enable()
+    with pytest.raises(UnsupportedError, match="setpoint of velocity; it supports"):
+        motor.set_control_mode(ControlMode.SETPOINT, ControlVariable.VELOCITY)
+    motor.set_control_mode(ControlMode.SETPOINT)
+    motor.set_setpoint(0.1)
+    motor.start()
+    motor.wait_until_done(timeout_s=5)
+
+
+def test_velocity_without_its_target_is_refused_at_the_first_start(open_rig: OpenRig, tmp_path):
+    rig = open_rig(drive("left", 1, without(tmp_path, "60FF")))
+    motor = motor_of(rig)
+    motor.set_control_mode(ControlMode.SETPOINT, ControlVariable.VELOCITY)  # not connected yet
+    motor.set_setpoint(1.0)
+    told = "mode PROFILE_VELOCITY; it supports PROFILE_POSITION, PROFILE_TORQUE"
+    with pytest.raises(UnsupportedError, match=told):
+        motor.start()

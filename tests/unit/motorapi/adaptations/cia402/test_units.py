@@ -91,11 +91,12 @@ def test_metres_must_come_from_the_model():
         units_of(TOLD, kind=MotionKind.LINEAR).require_all()
 
 
-def test_position_beyond_32_bits_is_refused():
+def test_only_the_distance_of_a_move_has_32_bits():
     units = units_of({}, increments_per_unit=1e6, velocity_unit=1.0, acceleration_unit=1.0)
-    assert units.position_inc(2147.483647) == 0x7FFF_FFFF
+    assert units.position_inc(2147.483648) == 0x8000_0000
+    units.require_distance(0x7FFF_FFFF)
     with pytest.raises(LimitError, match="607Ah has 32 bits"):
-        units.position_inc(2147.483648)
+        units.require_distance(0x8000_0000)
 
 
 @given(st.floats(1e-6, 1e6), st.floats(1e-6, 1e3))

@@ -159,3 +159,17 @@ def test_disable_ends_the_stream(rig: Rig):
     rig.runtime.run_for(0.1)
     assert motor.state() is MotorState.DISABLED
     assert motor.hardware.stream.ended
+
+
+@pytest.mark.parametrize("distance", [0.1, 0.5])
+def test_lost_sync_of_a_slow_stream_is_noticed_by_time(rig: Rig, distance: float):
+    """The first one moves at 0.03 rad/s only."""
+    motor = set_function(motor_of(rig), quintic(distance, 6.0))
+    motor.start()
+    rig.runtime.run_for(2.0)
+    now_ns = rig.runtime.now_ns()
+    lost = FaultRule("deaf", FaultKind.DROP, identifier=0x080, ports=("left",), from_ns=now_ns)
+    rig.faults.inject("can0", lost)
+    with pytest.raises(LinkError, match="stands still while its set-points move"):
+        motor.wait_until_done(timeout_s=5)
+    assert rig.runtime.now_ns() - now_ns <= 1_300 * MS  # a second at rest, after the servo settled
