@@ -90,7 +90,9 @@ class LeadshineHwMotor(PolledHardware):
     # --- units ---------------------------------------------------------------------------------
 
     def _read_counts(self, standing: tuple[int, int]) -> float:
-        return self.registers.first_read(_PULSES, 0.0 if self._counts else BOOT_S)
+        if self._counts:
+            return self.registers.read(_PULSES)[0]
+        return self.registers.first_read(_PULSES, BOOT_S)
 
     def _rpm_per_unit(self, model: "MotorModel") -> float:
         """Return the speed of the motor [rpm] at 1 U/s."""
