@@ -75,8 +75,9 @@ class PolledProgress:
     Attributes:
         poll: the last status since a command.
         wanted: the condition that ends the active motion; None: no active motion.
-        armed, armed_at: `wanted` and `target` after the trigger.
+        armed, armed_at, armed_s: `wanted`, `target` and the least duration after the trigger.
         target: the target position or velocity; None: any.
+        least_ns: the time before which the motion cannot end.
         rests: number of consecutive polls without motion.
         started_ns, ended_ns: of the last command.
     """
@@ -85,7 +86,9 @@ class PolledProgress:
     wanted: Wanted | None = None
     armed: Wanted = Wanted.ARRIVAL
     armed_at: float | None = None
+    armed_s: float = 0.0
     target: float | None = None
+    least_ns: int = 0
     rests: int = 0
     started_ns: int | None = None
     ended_ns: int | None = None

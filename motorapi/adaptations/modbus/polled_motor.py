@@ -204,23 +204,28 @@ class PolledMotor(Motor, Generic[HardwareT]):
         if motion.function is not None:
             raise UnsupportedError(motor=self.name, feature="a trajectory that is a function")
         self.hardware.prepare(motion, self.model)
+        state = self.hardware.progress
         moves = motion.variable is ControlVariable.POSITION
-        self.hardware.progress.armed = Wanted.ARRIVAL if moves else Wanted.VELOCITY
-        self.hardware.progress.armed_at = motion.target
+        state.armed = Wanted.ARRIVAL if moves else Wanted.VELOCITY
+        state.armed_at = motion.target
+        before = 0.0 if state.poll is None else state.poll.velocity
+        state.armed_s = 0.0 if moves else _ramp_s(motion, before)
         return _PolledTrigger(self)
 
     @final
     def fire(self) -> None:
         """Start the armed motion; for its trigger."""
         self.hardware.trigger()
-        self._begun(self.hardware.progress.armed, self.hardware.progress.armed_at)
+        state = self.hardware.progress
+        self._begun(state.armed, state.armed_at, state.armed_s)
 
-    def _begun(self, wanted: Wanted, target: float | None = None) -> None:
+    def _begun(self, wanted: Wanted, target: float | None = None, least_s: float = 0.0) -> None:
         state = self.hardware.progress
         state.wanted = wanted
         state.target = target
         state.rests = 0
         state.started_ns = self.runtime.now_ns()
+        state.least_ns = state.started_ns + round(least_s * 1e9)
         state.ended_ns = None
         state.poll = None
 
@@ -242,7 +247,9 @@ class PolledMotor(Motor, Generic[HardwareT]):
         done = {
             None: True,
             Wanted.ARRIVAL: poll.has_arrived and not self._is_short(poll),
-            Wanted.VELOCITY: poll.at_velocity and not self._is_short(poll),
+            Wanted.VELOCITY: poll.at_velocity
+            and poll.time_ns >= state.least_ns
+            and not self._is_short(poll),
             Wanted.REST: not poll.is_moving,
         }[state.wanted]
         if done and state.ended_ns is None:
@@ -295,6 +302,16 @@ class PolledMotor(Motor, Generic[HardwareT]):
             return None
         source = f"its trigger acknowledged; its status as polled every {POLL_S * 1e3:g} ms"
         return MotionTimes(state.started_ns, state.ended_ns, source)
+
+
+def _ramp_s(motion: Motion, before: float) -> float:
+    """Return the duration of a change of velocity, as the drive's window may be wide."""
+    if motion.duration_s is not None:
+        return motion.duration_s
+    turns = before * motion.target < 0.0
+    slower = abs(before) if turns else max(0.0, abs(before) - abs(motion.target))
+    faster = abs(motion.target) if turns else max(0.0, abs(motion.target) - abs(before))
+    return slower / motion.deceleration + faster / motion.acceleration
 
 
 @final

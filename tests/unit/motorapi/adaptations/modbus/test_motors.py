@@ -11,6 +11,7 @@ from motorhil.emulators.media.serial_faults import SerialFaultKind, SerialFaultR
 from motorhil.motorapi import (
     ControlMode,
     ControlVariable,
+    DerivativeLimits,
     MotorGroup,
     MotorState,
     SyncLevel,
@@ -112,6 +113,29 @@ def test_velocity_set_point_continues_until_stopped(rig, way):
     assert abs(truth(rig)["velocity_rad_s"]) < 0.01
     run_s(rig, 0.1)
     assert truth(rig)["velocity_rad_s"] == 0.0
+
+
+@pytest.mark.parametrize("velocity", [1.0, 0.02])
+def test_velocity_trajectory_ends_after_its_duration(rig, velocity):
+    mast = rig.motors["mast"]
+    mast.enable()
+    mast.set_control_mode(ControlMode.TRAJECTORY, ControlVariable.VELOCITY)
+    mast.set_trajectory(TrapezoidalTrajectory(velocity, duration_s=4.0))
+    mast.start()
+    begun_ns = rig.runtime.now_ns()
+    mast.wait_until_done(6)
+    assert (rig.runtime.now_ns() - begun_ns) / 1e9 == pytest.approx(4.0, abs=0.06)
+    assert truth(rig)["velocity_rad_s"] == pytest.approx(velocity, abs=0.003)
+
+
+def test_reversal_of_velocity_is_done_when_reached(rig):
+    mast = rig.motors["mast"]
+    mast.set_control_mode(ControlMode.SETPOINT, ControlVariable.VELOCITY)
+    for velocity in (0.05, -0.05, -0.01):
+        mast.set_setpoint(velocity, limits=DerivativeLimits(first=0.05))
+        mast.start()
+        mast.wait_until_done(5)
+        assert truth(rig)["velocity_rad_s"] == pytest.approx(velocity, abs=0.006)
 
 
 def test_stop_in_motion_rests_short_of_the_target(rig):
