@@ -74,6 +74,7 @@ class PolledProgress:
 
     Attributes:
         poll: the last status since a command.
+        last: the last status, also from before the command.
         wanted: the condition that ends the active motion; None: no active motion.
         armed, armed_at, armed_s: `wanted`, `target` and the least duration after the trigger.
         target: the target position or velocity; None: any.
@@ -83,6 +84,7 @@ class PolledProgress:
     """
 
     poll: Poll | None = None
+    last: Poll | None = None
     wanted: Wanted | None = None
     armed: Wanted = Wanted.ARRIVAL
     armed_at: float | None = None

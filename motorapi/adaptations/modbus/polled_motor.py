@@ -122,7 +122,7 @@ class PolledMotor(Motor, Generic[HardwareT]):
         poll = self.hardware.poll(self.model)
         if registers.silences != silences:  # the drive may have lost its power in between
             poll = self.hardware.poll(self.model)
-        state.poll = poll
+        state.poll = state.last = poll
         rests = poll.has_arrived or poll.state is MotorState.DISABLED
         state.rests = state.rests + 1 if rests else 0
         news = self._physical.news
@@ -163,7 +163,7 @@ class PolledMotor(Motor, Generic[HardwareT]):
         return poll.demand - poll.position
 
     def _latest(self) -> Measurement | None:
-        poll = self.hardware.progress.poll
+        poll = self.hardware.progress.last
         if poll is None:
             return None
         error = poll.demand - poll.position
@@ -294,7 +294,8 @@ class PolledMotor(Motor, Generic[HardwareT]):
         return self.hardware
 
     def _close_low_level(self) -> None:
-        self.hardware.progress.poll = None
+        state = self.hardware.progress
+        state.poll = state.last = None
 
     def _motion_times(self) -> MotionTimes | None:
         state = self.hardware.progress

@@ -9,10 +9,12 @@ from hypothesis import strategies as st
 
 from motorhil.emulators.media.serial_faults import SerialFaultKind, SerialFaultRule
 from motorhil.motorapi import (
+    ComplexTrajectory,
     ControlMode,
     ControlVariable,
     DerivativeLimits,
     MotorGroup,
+    MotorPosition,
     MotorState,
     SyncLevel,
     TrapezoidalTrajectory,
@@ -30,6 +32,7 @@ from motorhil.motorapi.errors import (
     UnsupportedError,
     UsageError,
 )
+from motorhil.motorapi.functions import Polynomial
 from tests.support.modbus.rigs import (
     ADAPTATIONS,
     LINES,
@@ -136,6 +139,32 @@ def test_reversal_of_velocity_is_done_when_reached(rig):
         mast.start()
         mast.wait_until_done(5)
         assert truth(rig)["velocity_rad_s"] == pytest.approx(velocity, abs=0.006)
+
+
+FOLLOWER = """\
+[motor.follower]
+adaptation = "ideal"
+axis = "follower"
+[motor.follower.model]
+velocity_max_rad_s = 2.0
+acceleration_max_rad_s2 = 1000.0
+"""
+
+
+def test_follower_of_a_polled_leader_continues_at_its_start(adaptation):
+    with opened(text(adaptation) + FOLLOWER) as rig:
+        mast, follower = rig.motors["mast"], rig.motors["follower"]
+        mast.enable()
+        follower.enable()
+        assert mast.position() == 0.0
+        follower.set_control_mode(ControlMode.TRAJECTORY)
+        gear = ComplexTrajectory(Polynomial((0.0, 0.5)), 0.0, 1.0)
+        follower.set_trajectory(gear, MotorPosition(mast))
+        follower.start()
+        for target in (0.4, 0.8):
+            go_to(mast, target)
+            mast.wait_until_done(5)
+            assert follower.position() == pytest.approx(target / 2, abs=RESOLUTION)
 
 
 def test_stop_in_motion_rests_short_of_the_target(rig):
