@@ -26,7 +26,7 @@ names the holder.
 """
 
 from collections.abc import Callable
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, suppress
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final, final
 
@@ -281,8 +281,15 @@ class Motor(MotorHooks):
 
     @final
     def is_done(self) -> bool:
-        """Return True if `wait_until_done` would return at once; raises as it does."""
-        done = self._logical.look(self._logical.run)
+        """Return True if `wait_until_done` would return at once; raises as it does.
+
+        A motor that must be polled is asked, except in a callback, where its last status counts.
+        """
+        run = self._logical.run
+        if run is not None and not run.is_over:
+            with suppress(UsageError):  # in a callback, which cannot wait for an answer
+                self._logical.refresh()
+        done = self._logical.look(run)
         if done:
             self._logical.raise_callback_error()
         return done

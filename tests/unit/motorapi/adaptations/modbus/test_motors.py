@@ -95,7 +95,6 @@ def test_model_limits_are_kept(rig):
     go_to(mast, 2.0)
     while not mast.is_done():
         run_s(rig, 0.01)
-        mast.position()
         fastest = max(fastest, truth(rig)["velocity_rad_s"])
     assert 1.9 < fastest < 2.05
     with pytest.raises(LimitError):
@@ -139,6 +138,19 @@ def test_reversal_of_velocity_is_done_when_reached(rig):
         mast.start()
         mast.wait_until_done(5)
         assert truth(rig)["velocity_rad_s"] == pytest.approx(velocity, abs=0.006)
+
+
+def test_asking_for_the_end_looks_at_the_drive(rig):
+    mast = rig.motors["mast"]
+    go_to(mast, 0.2)
+    assert not mast.is_done()
+    run_s(rig, 3.0)
+    in_callback = []
+    timer = rig.runtime.every(0.01, lambda: in_callback.append(mast.is_done()))
+    run_s(rig, 0.015)
+    timer.cancel()
+    assert in_callback == [False]  # it cannot wait there
+    assert mast.is_done()
 
 
 FOLLOWER = """\
