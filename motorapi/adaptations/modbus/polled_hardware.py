@@ -80,6 +80,7 @@ class PolledProgress:
         target: the target position or velocity; None: any.
         least_ns: the time before which the motion cannot end.
         rests: number of consecutive polls without motion.
+        anchor: the first status at about the present position.
         started_ns, ended_ns: of the last command.
     """
 
@@ -92,6 +93,7 @@ class PolledProgress:
     target: float | None = None
     least_ns: int = 0
     rests: int = 0
+    anchor: Poll | None = None
     started_ns: int | None = None
     ended_ns: int | None = None
 

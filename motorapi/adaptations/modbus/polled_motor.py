@@ -34,6 +34,9 @@ POLL_S: Final = 0.01
 _BEGIN_NS: Final = 100_000_000  # for which a drive may show an old status
 _RESTS: Final = 2  # the values of one poll are not simultaneous
 _NEAR_TURNS: Final = 1 / 200  # a full step: no drive rounds a target by more
+_SLOW_TURNS_S: Final = 1 / 20  # of the motor: at rest, by the drive's integer rpm
+_STILL_TURNS: Final = 1 / 500  # or it stays within that distance ...
+_STILL_NS: Final = 50_000_000  # ... for that time, as some drives measure speed coarsely
 _SUPPORTED: Final = (ControlVariable.POSITION, ControlVariable.VELOCITY)
 
 HardwareT = TypeVar("HardwareT", bound=PolledHardware)
@@ -125,6 +128,9 @@ class PolledMotor(Motor, Generic[HardwareT]):
         state.poll = state.last = poll
         rests = poll.has_arrived or poll.state is MotorState.DISABLED
         state.rests = state.rests + 1 if rests else 0
+        still = _STILL_TURNS * self.hardware.turn(self.model)
+        if state.anchor is None or abs(poll.position - state.anchor.position) > still:
+            state.anchor = poll
         news = self._physical.news
         if news is not None:
             news.grow()
@@ -224,6 +230,7 @@ class PolledMotor(Motor, Generic[HardwareT]):
         state.wanted = wanted
         state.target = target
         state.rests = 0
+        state.anchor = None
         state.started_ns = self.runtime.now_ns()
         state.least_ns = state.started_ns + round(least_s * 1e9)
         state.ended_ns = None
@@ -250,11 +257,18 @@ class PolledMotor(Motor, Generic[HardwareT]):
             Wanted.VELOCITY: poll.at_velocity
             and poll.time_ns >= state.least_ns
             and not self._is_short(poll),
-            Wanted.REST: not poll.is_moving,
+            Wanted.REST: not poll.is_moving and self._is_still(poll),
         }[state.wanted]
         if done and state.ended_ns is None:
             state.ended_ns = poll.time_ns
         return done
+
+    def _is_still(self, poll: Poll) -> bool:
+        """Return whether the motor itself rests; without current it coasts."""
+        if abs(poll.velocity) <= _SLOW_TURNS_S * self.hardware.turn(self.model):
+            return True
+        anchor = self.hardware.progress.anchor
+        return anchor is not None and poll.time_ns - anchor.time_ns >= _STILL_NS
 
     def _is_short(self, poll: Poll) -> bool:
         """Return whether the drive rests elsewhere than commanded, or at another velocity."""

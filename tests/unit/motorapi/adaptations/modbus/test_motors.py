@@ -179,6 +179,19 @@ def test_follower_of_a_polled_leader_continues_at_its_start(adaptation):
             assert follower.position() == pytest.approx(target / 2, abs=RESOLUTION)
 
 
+def test_stop_of_a_coasting_motor_ends_at_rest(rig):
+    mast = rig.motors["mast"]
+    mast.set_control_mode(ControlMode.SETPOINT, ControlVariable.VELOCITY)
+    mast.set_setpoint(2.0)
+    mast.start()
+    mast.wait_until_done(5)
+    mast.disable()
+    assert truth(rig)["velocity_rad_s"] > 1.5
+    mast.stop()
+    mast.wait_until_done(5)
+    assert truth(rig)["velocity_rad_s"] == pytest.approx(0.0, abs=0.01)
+
+
 def test_stop_in_motion_rests_short_of_the_target(rig):
     mast = rig.motors["mast"]
     go_to(mast, 2.0)
