@@ -27,7 +27,7 @@ from motorhil.motorapi.adaptations.modbus.polled_hardware import (
 )
 from motorhil.motorapi.adaptations.modbus.unit import as_i32
 from motorhil.motorapi.commands import ControlVariable
-from motorhil.motorapi.errors import StateError, UnsupportedError
+from motorhil.motorapi.errors import PeerError, StateError, UnsupportedError
 from motorhil.motorapi.motion import Motion
 from motorhil.motorapi.state import MotorState
 
@@ -90,9 +90,15 @@ class LeadshineHwMotor(PolledHardware):
     # --- units ---------------------------------------------------------------------------------
 
     def _read_counts(self, standing: tuple[int, int]) -> float:
-        if self._counts:
-            return self.registers.read(_PULSES)[0]
-        return self.registers.first_read(_PULSES, BOOT_S)
+        registers = self.registers
+        known = self._counts > 0.0
+        pulses = registers.read(_PULSES)[0] if known else registers.first_read(_PULSES, BOOT_S)
+        if pulses == 0:
+            raise PeerError(
+                f"{self.label}: 0 pulses per revolution (0001h) give no scale; expected at least"
+                " 200; set them in the drive"
+            )
+        return pulses
 
     def _rpm_per_unit(self, model: "MotorModel") -> float:
         """Return the speed of the motor [rpm] at 1 U/s."""

@@ -24,7 +24,7 @@ from motorhil.motorapi.adaptations.modbus.polled_hardware import (
 )
 from motorhil.motorapi.adaptations.modbus.unit import words
 from motorhil.motorapi.commands import ControlVariable
-from motorhil.motorapi.errors import DeadlineExceeded, UnsupportedError
+from motorhil.motorapi.errors import DeadlineExceeded, PeerError, UnsupportedError
 from motorhil.motorapi.motion import Motion
 from motorhil.motorapi.state import MotorState
 
@@ -46,6 +46,7 @@ _PRESET: Final = 0x018A
 _GEAR_A: Final = 0x0380
 _GEAR_B: Final = 0x0382
 
+_GEAR_MAX: Final = 65_535
 _ABSOLUTE: Final = 1
 _CONTINUOUS: Final = 16
 _DECELERATE: Final = 0
@@ -101,6 +102,11 @@ class OrientalAzHwMotor(PolledHardware):
         if not self._counts:
             self.registers.first_read(_OUTPUTS, BOOT_S)
         a, b = self.registers.read_i32(_GEAR_A), self.registers.read_i32(_GEAR_B)
+        if not (1 <= a <= _GEAR_MAX and 1 <= b <= _GEAR_MAX):
+            raise PeerError(
+                f"{self.label}: its electronic gear A = {a} (0380h), B = {b} (0382h) gives no"
+                f" scale; expected 1 to {_GEAR_MAX}; set both in the drive"
+            )
         if self._is_enabled and self._asked_at[1] != standing[1]:
             self._is_enabled = self._remembers()
         return 1000.0 * b / a
