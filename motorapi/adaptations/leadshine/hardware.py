@@ -19,7 +19,6 @@ from motorhil.motorapi.adaptations.modbus.client import ByteLine, Exchange
 from motorhil.motorapi.adaptations.modbus.polled_hardware import (
     BOOT_S,
     HERE,
-    INT32_MAX,
     Poll,
     PolledHardware,
     check_register,
@@ -110,8 +109,9 @@ class LeadshineHwMotor(PolledHardware):
         """Read state, position, speed and demand, each in a separate request."""
         self.connect(model)
         registers, per_unit = self.registers, self._per_unit(model)
-        position = registers.read_i32(_POSITION)
-        demand = registers.read_i32(_DEMAND)
+        position, demand = self._continued(
+            registers.read_i32(_POSITION), registers.read_i32(_DEMAND)
+        )
         speed = as_i32(0, registers.read(_SPEED, 2)[1])
         status = registers.read(_STATUS)[0]
         self._is_homed = bool(status & _HOMED)
@@ -162,6 +162,7 @@ class LeadshineHwMotor(PolledHardware):
     def home(self, method: int | None, motor: str) -> None:
         """Start homing: here (35, 37), or to a switch (17, 18: limit; 19, 21: home)."""
         if method in HERE:
+            self._recounts = True
             self.registers.write(_TRIGGER, _HERE_IS_ZERO)
             return
         mode = _HOMING.get(method or 0)
@@ -170,6 +171,7 @@ class LeadshineHwMotor(PolledHardware):
             raise UnsupportedError(
                 motor=motor, feature=f"homing by method {method}", supported=known
             )
+        self._recounts = True
         self.registers.write(_HOMING_MODE, mode)
         self.registers.write(_TRIGGER, _HOME)
 
@@ -193,6 +195,7 @@ class LeadshineHwMotor(PolledHardware):
     def prepare(self, motion: Motion, model: "MotorModel") -> None:
         """Prepare the request for path 0; send nothing but a changed ramp for stops."""
         self.connect(model)
+        self._recounts = False
         rpm_unit, per_unit = self._rpm_per_unit(model), self._per_unit(model)
         faster, slower = self._ramps(motion, rpm_unit)
         if motion.variable is ControlVariable.VELOCITY:
@@ -201,8 +204,7 @@ class LeadshineHwMotor(PolledHardware):
             check_register(self.label, "velocity", abs(speed), _RPM_MAX, "rpm")
             path = (_VELOCITY, 0, 0, speed, faster, slower, 0, _RUN)
         else:
-            target = round(motion.target * per_unit)
-            check_register(self.label, "position", abs(target), INT32_MAX, "pulses")
+            target = self._target(round(motion.target * per_unit), "pulses")
             speed = max(1, floor(motion.velocity * rpm_unit + 1e-9))
             check_register(self.label, "velocity", speed, _RPM_MAX, "rpm")
             path = (_ABSOLUTE, target >> 16, target, speed, faster, slower, 0, _RUN)

@@ -16,7 +16,6 @@ from motorhil.motorapi.adaptations.modbus.client import ByteLine, Exchange
 from motorhil.motorapi.adaptations.modbus.polled_hardware import (
     BOOT_S,
     HERE,
-    INT32_MAX,
     Poll,
     PolledHardware,
     check_register,
@@ -122,8 +121,9 @@ class OrientalAzHwMotor(PolledHardware):
         """Read state, position, speed and demand, each in a separate request."""
         self.connect(model)
         registers, per_unit = self.registers, self._per_unit(model)
-        position = registers.read_i32(_POSITION)
-        demand = registers.read_i32(_DEMAND)
+        position, demand = self._continued(
+            registers.read_i32(_POSITION), registers.read_i32(_DEMAND)
+        )
         speed = registers.read_i32(_SPEED)
         outputs = registers.read_i32(_OUTPUTS)
         fault = self._fault(bool(outputs & _IS_ALARM), _ALARMS)
@@ -189,6 +189,7 @@ class OrientalAzHwMotor(PolledHardware):
         if method not in HERE:
             feature = f"homing by method {method}"
             raise UnsupportedError(motor=motor, feature=feature, supported="35 and 37")
+        self._recounts = True
         self.registers.write(_PRESET, *words(1))
 
     # --- motion -----------------------------------------------------------------------------------
@@ -210,6 +211,7 @@ class OrientalAzHwMotor(PolledHardware):
     def prepare(self, motion: Motion, model: "MotorModel") -> None:
         """Prepare the block; nothing is sent yet."""
         self.connect(model)
+        self._recounts = False
         per_unit = self._per_unit(model)
         size = abs(per_unit)
         faster, slower = _down(motion.acceleration * size), _down(motion.deceleration * size)
@@ -219,9 +221,8 @@ class OrientalAzHwMotor(PolledHardware):
             kind, target, speed = _CONTINUOUS, 0, way * toward_zero(motion.target * size)
             self._hz = speed
         else:
-            kind, target = _ABSOLUTE, round(motion.target * per_unit)
+            kind, target = _ABSOLUTE, self._target(round(motion.target * per_unit), "steps")
             speed, self._hz = _down(motion.velocity * size), None
-            check_register(self.label, "position", abs(target), INT32_MAX, "steps")
         check_register(self.label, "velocity", abs(speed), _SPEED_MAX, "Hz")
         self._prepared = words(0, kind, target, speed, faster, slower, _FULL_CURRENT, 1)
         self._deceleration = slower

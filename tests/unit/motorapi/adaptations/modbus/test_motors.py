@@ -153,6 +153,36 @@ def test_asking_for_the_end_looks_at_the_drive(rig):
     assert mast.is_done()
 
 
+@pytest.mark.parametrize("way", [1, -1])
+def test_wrap_of_the_drives_counter_does_not_show(way):
+    wide = text().replace("position_min_rad = -6.0\nposition_max_rad = 6.0\n", "")
+    near = f"registers = {{ zero_position = {way * 2_147_300_000} }}\n[motor.mast]"
+    with opened(wide.replace("[motor.mast]", near)) as rig:
+        mast = rig.motors["mast"]
+        mast.home(19, timeout_s=20)
+        offset = mast.position() - truth(rig)["position_rad"]
+        assert mast.position() == pytest.approx(way * 2_147_300_000 / 1e6 * 2 * pi, abs=0.1)
+        mast.set_control_mode(ControlMode.SETPOINT, ControlVariable.VELOCITY)
+        mast.set_setpoint(way * 1.0)
+        mast.start()
+        before = mast.position()
+        for _ in range(15):  # the counter wraps after 1.2 rad
+            run_s(rig, 0.2)
+            now = mast.position()
+            assert -0.01 < way * (now - before) < 0.3
+            before = now
+        mast.stop()
+        mast.wait_until_done(5)
+        begin = truth(rig)["position_rad"]
+        for distance in (0.5, -0.2):
+            go_to(mast, way * distance, relative=True)
+            mast.wait_until_done(5)
+        assert truth(rig)["position_rad"] - begin == pytest.approx(way * 0.3, abs=0.02)
+        assert mast.position() - offset == pytest.approx(truth(rig)["position_rad"], abs=RESOLUTION)
+        mast.home(37)
+        assert mast.position() == pytest.approx(0.0, abs=RESOLUTION)
+
+
 FOLLOWER = """\
 [motor.follower]
 adaptation = "ideal"
