@@ -36,6 +36,7 @@ if TYPE_CHECKING:
 
 _PULSES: Final = 0x0001
 _ENABLE: Final = 0x000F
+_PEAK_CURRENT: Final = 0x0191  # 0.1 A
 _STATUS: Final = 0x1003
 _POSITION: Final = 0x1014  # i32; 1046h: speed
 _SPEED: Final = 0x1046
@@ -80,6 +81,8 @@ class LeadshineHwMotor(PolledHardware):
         self._is_homed = False
         self._prepared: tuple[int, ...] = ()
         self._ramp_told = ((-1, 0), 0)  # `standing` at that time, and the ramp [ms]
+        self._own_current: int | None = None  # of the drive, before the first write
+        self._current_told = ((-1, 0), 0)  # `standing` at that time, and the current
 
     @property
     def is_referenced(self) -> bool:
@@ -214,6 +217,23 @@ class LeadshineHwMotor(PolledHardware):
             self._ramp_told = ramp
         self._prepared = path
         self._stop = None
+
+    def limit_current(self, tenths_a: int | None) -> None:
+        """Set the peak current [0.1 A]; None: the drive's own value."""
+        if tenths_a is None and self._own_current is None:
+            return
+        if self._own_current is None:
+            self._own_current = self.registers.read(_PEAK_CURRENT)[0]
+        wanted = self._own_current if tenths_a is None else tenths_a
+        told = self.registers.standing, wanted
+        if self._current_told != told:
+            self.registers.write(_PEAK_CURRENT, wanted)
+            self._current_told = told
+
+    def forget(self) -> None:
+        """Forget the last status and the drive's own peak current."""
+        super().forget()
+        self._own_current = None
 
     def _ramps(self, motion: Motion, rpm_unit: float) -> tuple[int, int]:
         return (

@@ -259,6 +259,10 @@ class PolledHardware(ABC):
     def home(self, method: int | None, motor: str) -> None:
         """Start homing."""
 
+    def forget(self) -> None:
+        """Forget values of the drive that other programs may have changed; sends nothing."""
+        self.progress.poll = self.progress.last = None
+
     # --- motion -----------------------------------------------------------------------------------
 
     @abstractmethod

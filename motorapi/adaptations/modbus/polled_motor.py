@@ -209,6 +209,7 @@ class PolledMotor(Motor, Generic[HardwareT]):
     def _arm(self, motion: Motion, *, together: bool) -> Trigger:
         if motion.function is not None:
             raise UnsupportedError(motor=self.name, feature="a trajectory that is a function")
+        self._apply_parameters()
         self.hardware.prepare(motion, self.model)
         state = self.hardware.progress
         moves = motion.variable is ControlVariable.POSITION
@@ -217,6 +218,9 @@ class PolledMotor(Motor, Generic[HardwareT]):
         before = 0.0 if state.poll is None else state.poll.velocity
         state.armed_s = 0.0 if moves else _ramp_s(motion, before)
         return _PolledTrigger(self)
+
+    def _apply_parameters(self) -> None:
+        """Bring the drive's tunable values to those of this motor; a make overrides it."""
 
     @final
     def fire(self) -> None:
@@ -308,8 +312,7 @@ class PolledMotor(Motor, Generic[HardwareT]):
         return self.hardware
 
     def _close_low_level(self) -> None:
-        state = self.hardware.progress
-        state.poll = state.last = None
+        self.hardware.forget()
 
     def _motion_times(self) -> MotionTimes | None:
         state = self.hardware.progress

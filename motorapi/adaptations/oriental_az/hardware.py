@@ -57,7 +57,7 @@ _IS_ALARM: Final = 0x0080
 _MOVE: Final = 0x2000
 _IN_POSITION: Final = 0x4000
 
-_FULL_CURRENT: Final = 1000
+_FULL_CURRENT: Final = 1000  # in 0.1 % of the base current
 _SPEED_MAX: Final = 4_000_000
 _RATE_MAX: Final = 1_000_000_000
 _RELEASE_S: Final = 0.5
@@ -88,6 +88,7 @@ class OrientalAzHwMotor(PolledHardware):
         self._prepared: tuple[int, ...] = ()
         self._told: tuple[tuple[int, ...], ...] = ()  # the drive holds one of these blocks
         self._deceleration = 1_000_000
+        self._current = _FULL_CURRENT
         self._hz: int | None = None  # commanded; None: a position motion
 
     @property
@@ -208,6 +209,10 @@ class OrientalAzHwMotor(PolledHardware):
         target = round(motion.target * per_unit) / per_unit
         return replace(changed, velocity=_down(motion.velocity * size) / size, target=target)
 
+    def limit_current(self, per_mille: int | None) -> None:
+        """Set the current of the next block [0.1 % of the base current]; None: all of it."""
+        self._current = _FULL_CURRENT if per_mille is None else per_mille
+
     def prepare(self, motion: Motion, model: "MotorModel") -> None:
         """Prepare the block; nothing is sent yet."""
         self.connect(model)
@@ -224,7 +229,7 @@ class OrientalAzHwMotor(PolledHardware):
             kind, target = _ABSOLUTE, self._target(round(motion.target * per_unit), "steps")
             speed, self._hz = _down(motion.velocity * size), None
         check_register(self.label, "velocity", abs(speed), _SPEED_MAX, "Hz")
-        self._prepared = words(0, kind, target, speed, faster, slower, _FULL_CURRENT, 1)
+        self._prepared = words(0, kind, target, speed, faster, slower, self._current, 1)
         self._deceleration = slower
         self._stop = None
 
@@ -239,7 +244,7 @@ class OrientalAzHwMotor(PolledHardware):
     def _post_stop(self) -> Exchange:
         self._hz = None
         slower = self._deceleration
-        block = words(0, _DECELERATE, 0, 0, slower, slower, _FULL_CURRENT, 1)
+        block = words(0, _DECELERATE, 0, 0, slower, slower, self._current, 1)
         self._tell(block)
         return self.registers.post(_BLOCK, *block)
 
