@@ -5,6 +5,7 @@ import errno
 import os
 import socket
 import stat
+import time
 from collections import deque
 from collections.abc import Sequence
 from pathlib import Path
@@ -14,6 +15,7 @@ from motorhil.emulators.can.frame import FD_FRAME_BYTES, FRAME_BYTES, padded_fd
 from motorhil.emulators.gateways.loop import Source
 from motorhil.emulators.simulation.endpoints import HostPort
 from motorhil.emulators.simulation.ownership_notice import (
+    CLOCK,
     FD_GREETING,
     FENCED,
     FENCED_SIZE,
@@ -72,8 +74,11 @@ def _words(resource: int) -> str:
 class _Client:
     """One connected process: its port on a bus, and its unread records."""
 
-    def __init__(self, connection: socket.socket, world: World, fences: _Fences) -> None:
+    def __init__(
+        self, connection: socket.socket, world: World, fences: _Fences, begin_ns: int
+    ) -> None:
         self.connection = connection
+        self._begin_ns = begin_ns  # the world's time 0, since 1970
         self.lost = ""  # reason for disconnecting, or ""
         self._world = world
         self._fences = fences
@@ -181,6 +186,7 @@ class _Client:
             return False
         self._fd = fd
         self._send(WELCOME + bus.encode())
+        self._send(pack_told(CLOCK, self._begin_ns, b""))
         self._bus = bus
         self._port = self._world.add_host(bus, words[3], self._tell, self._tell_error)
         return True
@@ -240,6 +246,7 @@ class HubServer:
         self._world = world
         self._fences = _Fences()
         self._clients: dict[socket.socket, _Client] = {}
+        self._begin_ns = 0  # the world's time 0, since 1970; the same for all clients
         if "#" in str(self.path):
             raise HubError(
                 f"{self.path}: '#' is not allowed, because clients write PATH#BUS; choose "
@@ -306,7 +313,9 @@ class HubServer:
         except OSError:  # it has left again, or the descriptors are used up: it waits
             return
         connection.setblocking(False)
-        client = _Client(connection, self._world, self._fences)
+        if not self._begin_ns:
+            self._begin_ns = time.time_ns() - self._world.queue.now_ns
+        client = _Client(connection, self._world, self._fences, self._begin_ns)
         if len(self._clients) < CLIENTS_MAX:
             self._clients[connection] = client
         else:

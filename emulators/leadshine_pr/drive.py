@@ -245,9 +245,11 @@ class LeadshinePr(ModbusDrive):
         self._path, self._command_done, self._path_done = path, False, False
         self._is_positioning = kind == r.POSITIONING
         if kind == r.POSITIONING:
-            target = self.inc(bank[f"path{path}_position"])
+            pulses = bank[f"path{path}_position"]
             if mode & r.RELATIVE:
-                target += axis.demand_inc()
+                target = self.inc(pulses) + axis.demand_inc()
+            else:
+                target = self.inc(pulses + self.wraps(self.pulses(axis.demand_inc())))
             axis.move_to(target, self.inc_s(abs(speed)), faster, slower)
         elif kind == r.VELOCITY:
             axis.run_at(self._sign() * self.inc_s(speed), faster, slower)

@@ -4,8 +4,9 @@ Each connection has two directions. Data arrive one latency after they were sent
 one piece unless a fault splits them.
 
 Faults: PAUSE splits the data and delays the rest. DELAY delays the data and all that follow. LOSE
-and TRUNCATE break the connection: nothing arrives in that direction any more. REPEAT and NOISE do
-not exist in TCP and have no effect.
+discards these data only, as a gateway does whose serial line loses a frame. TRUNCATE breaks the
+connection: nothing arrives in that direction any more. REPEAT and NOISE do not exist in TCP and
+have no effect.
 """
 
 from heapq import heappop, heappush
@@ -67,29 +68,33 @@ class BytePipe:
 
     def submit(
         self, connection: int, to_server: bool, data: bytes, now_ns: int, sender: str | None = None
-    ) -> None:
-        """Send bytes; `sender` is the device behind that end, for fault rules."""
+    ) -> bytes:
+        """Send bytes and return those that arrive, unless the connection is closed before.
+
+        `sender` is the device behind that end, for fault rules.
+        """
         way = self._ways[connection][0 if to_server else 1]
         if way.is_broken or not data:
-            return
+            return b""
         fate: Fate = (data, 0, 0, 0, True)
         if self._plan is not None:
             fate = self._plan.fates(data, sender or way.name, now_ns, _MBAP)[0]
         sent, later_ns, pause_after, pause_ns, is_heard = fate
         if not is_heard:
-            way.is_broken = True
-            return
+            return b""
+        if len(sent) > len(data):  # noise does not exist in TCP
+            sent = data
         at_ns = max(now_ns + self._latency_ns + later_ns, way.free_ns)
         if pause_ns and 0 < pause_after < len(sent):
             self._put(sent[:pause_after], at_ns, connection, to_server)
             at_ns += pause_ns
             self._put(sent[pause_after:], at_ns, connection, to_server)
         else:
-            whole = sent if len(sent) <= len(data) else data
-            self._put(whole, at_ns, connection, to_server)
+            self._put(sent, at_ns, connection, to_server)
         way.free_ns = at_ns
         if len(sent) < len(data):
             way.is_broken = True
+        return sent
 
     def _put(self, data: bytes, due_ns: int, connection: int, to_server: bool) -> None:
         self._turn += 1

@@ -214,6 +214,10 @@ class ModbusDrive:
         """Report an event for the record."""
         self._events.append((level, text))
 
+    def wraps(self, counts: int) -> int:
+        """Return by how much its position registers of 32 bits differ from the true position."""
+        return (counts + (1 << 31)) >> 32 << 32
+
     # --- switches -------------------------------------------------------------------------------
 
     def home_closed(self) -> bool:

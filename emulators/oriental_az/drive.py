@@ -152,11 +152,13 @@ class OrientalAz(ModbusDrive):
         elif kind == r.CONTINUOUS:
             axis.run_at(self.inc_s(data["speed"]), self.inc_s(data["rate"]), slower)
         else:
-            target = self.inc(data["position"])
+            steps = data["position"]
             if kind == r.RELATIVE_TO_COMMAND:
-                target += axis.demand_inc()
+                target = self.inc(steps) + axis.demand_inc()
             elif kind == r.RELATIVE_TO_FEEDBACK:
-                target += axis.position_inc()
+                target = self.inc(steps) + axis.position_inc()
+            else:
+                target = self.inc(steps + self.wraps(self.steps(axis.demand_inc())))
             self._go(target, abs(data["speed"]), data["rate"], slower)
 
     def _go(self, target_inc: int, hz: int, rate_hz_s: int, slower: float) -> None:

@@ -20,6 +20,7 @@ Binary records follow:
                     SENT    | time_ns | frame                               an own one, transmitted
                     STALE   | resource | token | who (UTF-8)
                     TOLD    | time_ns | can_frame       an error message of the client's own port
+                    CLOCK   | time_ns               once, first: the hub's time 0, since 1970 (UTC)
 
 A client that sends a frame that no bus can carry receives `refused REASON`, and is disconnected.
 Kinds 16 and up are reserved for sharing one virtual clock later; a receiver ignores unknown kinds.
@@ -46,6 +47,7 @@ FENCED: Final = 4
 OWNS: Final = 5
 STALE: Final = 6
 TOLD: Final = 7
+CLOCK: Final = 8
 RECORD_MAX: Final = 512
 FENCED_SIZE: Final = 27
 
@@ -91,7 +93,7 @@ def pack_submit(frame: bytes) -> bytes:
 
 
 def pack_told(kind: int, time_ns: int, frame: bytes) -> bytes:
-    """Pack a frame on the bus at `time_ns` (HEARD or SENT), or an error message (TOLD)."""
+    """Pack a frame on the bus at `time_ns` (HEARD or SENT), an error message (TOLD), or CLOCK."""
     return _HEAD.pack(kind, time_ns) + frame
 
 

@@ -220,8 +220,9 @@ class TcpSegment(LineSegment):
 
     def _send_back(self, connection: int, adu: bytes, now_ns: int, sender: str) -> None:
         if connection != GONE:
-            self._tap(now_ns, sender, adu)
-            self._pipe.submit(connection, False, adu, now_ns, sender)
+            sent = self._pipe.submit(connection, False, adu, now_ns, sender)
+            if sent:
+                self._tap(now_ns, sender, sent, spoiled=len(sent) < len(adu))
 
     def _ask_next(self, unit: int, now_ns: int) -> None:
         pdu = self.gateway.next_for(unit, now_ns)
@@ -264,6 +265,6 @@ class TcpSegment(LineSegment):
             host.deliver(b"", now_ns)  # the end of the stream
             host.close()
 
-    def _tap(self, now_ns: int, sender: str, adu: bytes) -> None:
+    def _tap(self, now_ns: int, sender: str, adu: bytes, spoiled: bool = False) -> None:
         for tap in self.taps:
-            tap(self.name, now_ns, now_ns, now_ns, sender, adu, False)
+            tap(self.name, now_ns, now_ns, now_ns, sender, adu, spoiled)

@@ -3,7 +3,8 @@
 `channel` is the name of a bus of the rig that is open in this process ("can0"). Alternatively it is
 the path of the socket that `motorhil serve --socket` created. A program written for python-can
 needs no other change. In a rig of this process, `recv` and `send_periodic` use the rig's time; over
-a socket they use wall time. The bus passes every frame to the program's receive queue.
+a socket they use wall time, and stamps count from 1970. The bus passes every frame to the program's
+receive queue.
 
 CAN FD works as with SocketCAN: a connection opened without `fd=True` neither sends nor receives CAN
 FD frames. The bus must be an FD bus (`data_bitrate_bit_s`).
@@ -302,6 +303,7 @@ class EmulatedBus(can.BusABC):
             if is_error_frame:
                 self._state = state_after(frame, self._state)
             if not self._ignores_errors if is_error_frame else self._own or not transmitted:
+                time_ns += self._hub.begin_ns
                 return to_message(
                     frame, time_ns, self.channel, received=not transmitted
                 ), is_error_frame

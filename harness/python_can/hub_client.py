@@ -12,6 +12,7 @@ from typing import Final, final
 from can import CanInitializationError, CanOperationError
 
 from motorhil.emulators.simulation.ownership_notice import (
+    CLOCK,
     FD_GREETING,
     GREETING,
     HEARD,
@@ -30,6 +31,7 @@ from motorhil.emulators.simulation.ownership_notice import (
 )
 
 _GREETING_TIMEOUT_S: Final = 5.0
+_CLOCK_TIMEOUT_S: Final = 0.2  # it follows the greeting at once
 
 
 @final
@@ -38,6 +40,7 @@ class HubLink:
 
     Attributes:
         fd: True if CAN FD frames are received.
+        begin_ns: the hub's time 0, since 1970 [ns]; 0 from an older hub.
         stale: tokens that the hub refused: resource -> (the greater token, its owner).
     """
 
@@ -51,6 +54,7 @@ class HubLink:
             CanInitializationError: no hub answers there, or it refuses the connection; says why.
         """
         self.fd = fd
+        self.begin_ns = 0
         self.stale: dict[int, tuple[int, str]] = {}
         path, _, bus = channel.partition("#")
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
@@ -75,6 +79,15 @@ class HubLink:
         self.bus = answer[len(WELCOME) :].decode()
         self.path = path
         self._socket.setblocking(True)
+        self._take_clock()
+
+    def _take_clock(self) -> None:
+        """Read the hub's clock, so that the socket is readable only for frames."""
+        with suppress(OSError):  # the hub has closed the connection: the next receive says so
+            if not select.select([self._socket], [], [], _CLOCK_TIMEOUT_S)[0]:
+                return  # an older hub, which does not send it
+            if self._socket.recv(1, socket.MSG_PEEK) == bytes((CLOCK,)):
+                self.begin_ns = unpack_told(self._read())[1]
 
     @classmethod
     def with_all(cls, channel: str) -> "HubLink":

@@ -19,7 +19,6 @@ from motorhil.motorapi.adaptations.modbus.client import ByteLine, Exchange
 from motorhil.motorapi.adaptations.modbus.polled_hardware import (
     BOOT_S,
     HERE,
-    INT32_MAX,
     Poll,
     PolledHardware,
     check_register,
@@ -27,7 +26,7 @@ from motorhil.motorapi.adaptations.modbus.polled_hardware import (
 )
 from motorhil.motorapi.adaptations.modbus.unit import as_i32
 from motorhil.motorapi.commands import ControlVariable
-from motorhil.motorapi.errors import StateError, UnsupportedError
+from motorhil.motorapi.errors import PeerError, StateError, UnsupportedError
 from motorhil.motorapi.motion import Motion
 from motorhil.motorapi.state import MotorState
 
@@ -37,6 +36,7 @@ if TYPE_CHECKING:
 
 _PULSES: Final = 0x0001
 _ENABLE: Final = 0x000F
+_PEAK_CURRENT: Final = 0x0191  # 0.1 A
 _STATUS: Final = 0x1003
 _POSITION: Final = 0x1014  # i32; 1046h: speed
 _SPEED: Final = 0x1046
@@ -81,6 +81,8 @@ class LeadshineHwMotor(PolledHardware):
         self._is_homed = False
         self._prepared: tuple[int, ...] = ()
         self._ramp_told = ((-1, 0), 0)  # `standing` at that time, and the ramp [ms]
+        self._own_current: int | None = None  # of the drive, before the first write
+        self._current_told = ((-1, 0), 0)  # `standing` at that time, and the current
 
     @property
     def is_referenced(self) -> bool:
@@ -90,7 +92,15 @@ class LeadshineHwMotor(PolledHardware):
     # --- units ---------------------------------------------------------------------------------
 
     def _read_counts(self, standing: tuple[int, int]) -> float:
-        return self.registers.first_read(_PULSES, 0.0 if self._counts else BOOT_S)
+        registers = self.registers
+        known = self._counts > 0.0
+        pulses = registers.read(_PULSES)[0] if known else registers.first_read(_PULSES, BOOT_S)
+        if pulses == 0:
+            raise PeerError(
+                f"{self.label}: 0 pulses per revolution (0001h) give no scale; expected at least"
+                " 200; set them in the drive"
+            )
+        return pulses
 
     def _rpm_per_unit(self, model: "MotorModel") -> float:
         """Return the speed of the motor [rpm] at 1 U/s."""
@@ -102,8 +112,9 @@ class LeadshineHwMotor(PolledHardware):
         """Read state, position, speed and demand, each in a separate request."""
         self.connect(model)
         registers, per_unit = self.registers, self._per_unit(model)
-        position = registers.read_i32(_POSITION)
-        demand = registers.read_i32(_DEMAND)
+        position, demand = self._continued(
+            registers.read_i32(_POSITION), registers.read_i32(_DEMAND)
+        )
         speed = as_i32(0, registers.read(_SPEED, 2)[1])
         status = registers.read(_STATUS)[0]
         self._is_homed = bool(status & _HOMED)
@@ -154,6 +165,7 @@ class LeadshineHwMotor(PolledHardware):
     def home(self, method: int | None, motor: str) -> None:
         """Start homing: here (35, 37), or to a switch (17, 18: limit; 19, 21: home)."""
         if method in HERE:
+            self._recounts = True
             self.registers.write(_TRIGGER, _HERE_IS_ZERO)
             return
         mode = _HOMING.get(method or 0)
@@ -162,6 +174,7 @@ class LeadshineHwMotor(PolledHardware):
             raise UnsupportedError(
                 motor=motor, feature=f"homing by method {method}", supported=known
             )
+        self._recounts = True
         self.registers.write(_HOMING_MODE, mode)
         self.registers.write(_TRIGGER, _HOME)
 
@@ -185,6 +198,7 @@ class LeadshineHwMotor(PolledHardware):
     def prepare(self, motion: Motion, model: "MotorModel") -> None:
         """Prepare the request for path 0; send nothing but a changed ramp for stops."""
         self.connect(model)
+        self._recounts = False
         rpm_unit, per_unit = self._rpm_per_unit(model), self._per_unit(model)
         faster, slower = self._ramps(motion, rpm_unit)
         if motion.variable is ControlVariable.VELOCITY:
@@ -193,8 +207,7 @@ class LeadshineHwMotor(PolledHardware):
             check_register(self.label, "velocity", abs(speed), _RPM_MAX, "rpm")
             path = (_VELOCITY, 0, 0, speed, faster, slower, 0, _RUN)
         else:
-            target = round(motion.target * per_unit)
-            check_register(self.label, "position", abs(target), INT32_MAX, "pulses")
+            target = self._target(round(motion.target * per_unit), "pulses")
             speed = max(1, floor(motion.velocity * rpm_unit + 1e-9))
             check_register(self.label, "velocity", speed, _RPM_MAX, "rpm")
             path = (_ABSOLUTE, target >> 16, target, speed, faster, slower, 0, _RUN)
@@ -204,6 +217,23 @@ class LeadshineHwMotor(PolledHardware):
             self._ramp_told = ramp
         self._prepared = path
         self._stop = None
+
+    def limit_current(self, tenths_a: int | None) -> None:
+        """Set the peak current [0.1 A]; None: the drive's own value."""
+        if tenths_a is None and self._own_current is None:
+            return
+        if self._own_current is None:
+            self._own_current = self.registers.read(_PEAK_CURRENT)[0]
+        wanted = self._own_current if tenths_a is None else tenths_a
+        told = self.registers.standing, wanted
+        if self._current_told != told:
+            self.registers.write(_PEAK_CURRENT, wanted)
+            self._current_told = told
+
+    def forget(self) -> None:
+        """Forget the last status and the drive's own peak current."""
+        super().forget()
+        self._own_current = None
 
     def _ramps(self, motion: Motion, rpm_unit: float) -> tuple[int, int]:
         return (

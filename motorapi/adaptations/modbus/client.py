@@ -8,7 +8,8 @@ The request is sent as soon as the line is silent, before all others.
 On a serial line, all bytes received since a request must be its answer, complete and with its check
 sum. A late answer looks like the answer to the next request. So after a request without an answer
 in time the line is in *quarantine*. The next request waits until the late answer has arrived
-completely (it is dropped), or a time limit has passed. Posted requests do not wait for that.
+completely (it is dropped), or a time limit has passed. Posted requests do not wait for that, and
+do not end it: the late answer may still follow the answer to the posted request.
 
 On TCP the transaction identifier distinguishes answers, and the bytes are a stream of ADUs, each
 read from its header. So half of a late answer does no harm.
@@ -284,7 +285,7 @@ class ModbusLine:
         self._transaction = 0
         self._idle_ns = 0  # end of the last exchange, with its quarantine
         self._silent_ns = 0  # end of the required silence
-        self._owed: Exchange | None = None  # its late answer may still come ...
+        self._owed: list[Exchange] = []  # their late answers may still come ...
         self._owed_until_ns = 0  # ... until then
         self._timer: Registration | None = None
         self._registration = line.listen(self._hear)
@@ -362,7 +363,8 @@ class ModbusLine:
             self._set_timer(wait_ns / 1e9, self._go_on)
             return
         exchange = self._active = self._queue.popleft()
-        self._owed = None
+        if not exchange.is_posted or self._owed_until_ns <= self.runtime.now_ns():
+            self._owed.clear()
         self._reader.begin()
         self._transaction = exchange.transaction = self._transaction % 0xFFFF + 1
         exchange.request.dev_id = exchange.unit
@@ -396,7 +398,7 @@ class ModbusLine:
         silent_ns = self._silent_ns
         if exchange.is_posted:
             silent_ns = min(silent_ns, since_ns + _URGENT_NS)
-        elif self._owed is not None:
+        elif self._owed:
             silent_ns = max(silent_ns, self._owed_until_ns)
         if silent_ns <= now_ns and self._take_lock():
             return 0
@@ -471,7 +473,8 @@ class ModbusLine:
             self._fail_all(LinkError(link=self.name, reason="the connection has ended"))
             return
         self._silent_ns = time_ns + self.line.silence_ns
-        exchange, owed = self._active, None if self._is_tcp else self._owed
+        exchange = self._active
+        owed = self._owed[0] if len(self._owed) == 1 else None  # of several, their order is unknown
         answer = self._reader.feed(data, exchange or owed)
         if exchange is None:
             self.strays += 1
@@ -479,6 +482,10 @@ class ModbusLine:
                 self._leave_quarantine()
         elif answer is not None and answers(answer, exchange.request):
             self._end(exchange, answer, None)
+        elif owed is not None and self._reader.feed(b"", owed) is not None:
+            self.strays += 1  # the late answer, before that to the posted request
+            self._owed.clear()
+            self._reader.begin()
 
     def _too_late(self) -> None:
         exchange = self._active
@@ -497,13 +504,14 @@ class ModbusLine:
                 last_heard="nothing",
             )
         if not self._is_tcp:
-            self._owed = exchange
+            self._owed.append(exchange)
             self._owed_until_ns = self.runtime.now_ns() + _QUARANTINE_NS
         self._end(exchange, None, error)
 
     def _end(self, exchange: Exchange, answer: ModbusPDU | None, error: MotorError | None) -> None:
         self._active = None
-        self._idle_ns = self.runtime.now_ns() if self._owed is None else self._owed_until_ns
+        now_ns = self.runtime.now_ns()
+        self._idle_ns = self._owed_until_ns if self._owed else now_ns
         self._end_timer()
         if isinstance(answer, ExceptionResponse):
             address = getattr(exchange.request, "address", None)
@@ -515,14 +523,14 @@ class ModbusLine:
                 exception_code=answer.exception_code,
             )
         exchange.answer, exchange.error, exchange.is_over = answer, error, True
-        if self._owed is None:
+        if not self._owed:
             self._unlock()
         elif not self._queue:
-            self._set_timer(_QUARANTINE_NS / 1e9, self._leave_quarantine)
+            self._set_timer((self._owed_until_ns - now_ns) / 1e9, self._leave_quarantine)
         self._go_on()
 
     def _leave_quarantine(self) -> None:
-        self._owed = None
+        self._owed.clear()
         self._end_timer()
         self._unlock()
         self._go_on()

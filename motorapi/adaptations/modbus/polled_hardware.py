@@ -7,6 +7,9 @@ absolute: a command whose answer was lost can be verified, and is never executed
 Position is in counts (pulses, steps) of the motor. The drive holds the counts per turn of the
 motor, the motor model the turns of the motor per turn of the output. Values are rounded so that no
 limit is exceeded.
+
+The drive's counter has 32 bits and wraps around; positions here do not. They differ by a multiple
+of 2^32 counts, which each status updates. So a status is needed at least every 500 s of motion.
 """
 
 from abc import ABC, abstractmethod
@@ -74,19 +77,26 @@ class PolledProgress:
 
     Attributes:
         poll: the last status since a command.
+        last: the last status, also from before the command.
         wanted: the condition that ends the active motion; None: no active motion.
-        armed, armed_at: `wanted` and `target` after the trigger.
+        armed, armed_at, armed_s: `wanted`, `target` and the least duration after the trigger.
         target: the target position or velocity; None: any.
+        least_ns: the time before which the motion cannot end.
         rests: number of consecutive polls without motion.
+        anchor: the first status at about the present position.
         started_ns, ended_ns: of the last command.
     """
 
     poll: Poll | None = None
+    last: Poll | None = None
     wanted: Wanted | None = None
     armed: Wanted = Wanted.ARRIVAL
     armed_at: float | None = None
+    armed_s: float = 0.0
     target: float | None = None
+    least_ns: int = 0
     rests: int = 0
+    anchor: Poll | None = None
     started_ns: int | None = None
     ended_ns: int | None = None
 
@@ -122,6 +132,8 @@ class PolledHardware(ABC):
         self._fault_since_ns = 0
         self._quick_stopped = False
         self._stop: Exchange | None = None
+        self._position = 0  # in counts, continued beyond the 32 bits of the drive
+        self._recounts = False  # the drive sets its counter: not a wrap
 
     def __repr__(self) -> str:
         return f"<{type(self).__name__} {self.label}>"
@@ -175,6 +187,34 @@ class PolledHardware(ABC):
         """Return one turn of the motor in its model's units; requires `connect`."""
         return self._counts / abs(self._per_unit(model))
 
+    @final
+    def _continued(self, position: int, demand: int) -> tuple[int, int]:
+        """Return position and demand [counts] without the wraps of the drive's counter."""
+        before = position if self._recounts else self._position
+        self._position = before + as_signed(position - before)
+        return self._position, self._position + as_signed(demand - position)
+
+    @final
+    def _target(self, counts: int, unit: str) -> int:
+        """Return the drive's own number for a target [counts].
+
+        Raises:
+            LimitError: the drive's counter wraps around between here and there.
+        """
+        wraps = self._position - as_signed(self._position)
+        if not -INT32_MAX <= counts - wraps <= INT32_MAX:
+            raise LimitError(
+                motor=self.label,
+                quantity="position",
+                value=counts,
+                low=wraps - INT32_MAX,
+                high=wraps + INT32_MAX,
+                unit=unit,
+                reason="the drive's counter wraps around in between; cross it at a velocity, or"
+                " call home(37) at rest",
+            )
+        return counts - wraps
+
     # --- status ----------------------------------------------------------------------------------
 
     @property
@@ -219,6 +259,10 @@ class PolledHardware(ABC):
     def home(self, method: int | None, motor: str) -> None:
         """Start homing."""
 
+    def forget(self) -> None:
+        """Forget values of the drive that other programs may have changed; sends nothing."""
+        self.progress.poll = self.progress.last = None
+
     # --- motion -----------------------------------------------------------------------------------
 
     @abstractmethod
@@ -248,6 +292,11 @@ class PolledHardware(ABC):
         if stop is not None and stop.is_over:
             lost = stop.error is not None and is_moving
             self._stop = self._post_stop() if lost else None
+
+
+def as_signed(value: int) -> int:
+    """Return the value as a counter of 32 bits holds it."""
+    return ((value + (1 << 31)) & 0xFFFF_FFFF) - (1 << 31)
 
 
 def gear(model: "MotorModel") -> float:

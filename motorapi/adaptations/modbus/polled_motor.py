@@ -34,6 +34,9 @@ POLL_S: Final = 0.01
 _BEGIN_NS: Final = 100_000_000  # for which a drive may show an old status
 _RESTS: Final = 2  # the values of one poll are not simultaneous
 _NEAR_TURNS: Final = 1 / 200  # a full step: no drive rounds a target by more
+_SLOW_TURNS_S: Final = 1 / 20  # of the motor: at rest, by the drive's integer rpm
+_STILL_TURNS: Final = 1 / 500  # or it stays within that distance ...
+_STILL_NS: Final = 50_000_000  # ... for that time, as some drives measure speed coarsely
 _SUPPORTED: Final = (ControlVariable.POSITION, ControlVariable.VELOCITY)
 
 HardwareT = TypeVar("HardwareT", bound=PolledHardware)
@@ -117,11 +120,17 @@ class PolledMotor(Motor, Generic[HardwareT]):
 
     def _poll(self) -> Poll:
         """Read the present status, for all logical motors on the drive."""
+        registers, state = self.hardware.registers, self.hardware.progress
+        silences = registers.silences
         poll = self.hardware.poll(self.model)
-        state = self.hardware.progress
-        state.poll = poll
+        if registers.silences != silences:  # the drive may have lost its power in between
+            poll = self.hardware.poll(self.model)
+        state.poll = state.last = poll
         rests = poll.has_arrived or poll.state is MotorState.DISABLED
         state.rests = state.rests + 1 if rests else 0
+        still = _STILL_TURNS * self.hardware.turn(self.model)
+        if state.anchor is None or abs(poll.position - state.anchor.position) > still:
+            state.anchor = poll
         news = self._physical.news
         if news is not None:
             news.grow()
@@ -160,7 +169,7 @@ class PolledMotor(Motor, Generic[HardwareT]):
         return poll.demand - poll.position
 
     def _latest(self) -> Measurement | None:
-        poll = self.hardware.progress.poll
+        poll = self.hardware.progress.last
         if poll is None:
             return None
         error = poll.demand - poll.position
@@ -200,24 +209,34 @@ class PolledMotor(Motor, Generic[HardwareT]):
     def _arm(self, motion: Motion, *, together: bool) -> Trigger:
         if motion.function is not None:
             raise UnsupportedError(motor=self.name, feature="a trajectory that is a function")
+        self._apply_parameters()
         self.hardware.prepare(motion, self.model)
+        state = self.hardware.progress
         moves = motion.variable is ControlVariable.POSITION
-        self.hardware.progress.armed = Wanted.ARRIVAL if moves else Wanted.VELOCITY
-        self.hardware.progress.armed_at = motion.target
+        state.armed = Wanted.ARRIVAL if moves else Wanted.VELOCITY
+        state.armed_at = motion.target
+        before = 0.0 if state.poll is None else state.poll.velocity
+        state.armed_s = 0.0 if moves else _ramp_s(motion, before)
         return _PolledTrigger(self)
+
+    def _apply_parameters(self) -> None:
+        """Bring the drive's tunable values to those of this motor; a make overrides it."""
 
     @final
     def fire(self) -> None:
         """Start the armed motion; for its trigger."""
         self.hardware.trigger()
-        self._begun(self.hardware.progress.armed, self.hardware.progress.armed_at)
+        state = self.hardware.progress
+        self._begun(state.armed, state.armed_at, state.armed_s)
 
-    def _begun(self, wanted: Wanted, target: float | None = None) -> None:
+    def _begun(self, wanted: Wanted, target: float | None = None, least_s: float = 0.0) -> None:
         state = self.hardware.progress
         state.wanted = wanted
         state.target = target
         state.rests = 0
+        state.anchor = None
         state.started_ns = self.runtime.now_ns()
+        state.least_ns = state.started_ns + round(least_s * 1e9)
         state.ended_ns = None
         state.poll = None
 
@@ -239,12 +258,21 @@ class PolledMotor(Motor, Generic[HardwareT]):
         done = {
             None: True,
             Wanted.ARRIVAL: poll.has_arrived and not self._is_short(poll),
-            Wanted.VELOCITY: poll.at_velocity and not self._is_short(poll),
-            Wanted.REST: not poll.is_moving,
+            Wanted.VELOCITY: poll.at_velocity
+            and poll.time_ns >= state.least_ns
+            and not self._is_short(poll),
+            Wanted.REST: not poll.is_moving and self._is_still(poll),
         }[state.wanted]
         if done and state.ended_ns is None:
             state.ended_ns = poll.time_ns
         return done
+
+    def _is_still(self, poll: Poll) -> bool:
+        """Return whether the motor itself rests; without current it coasts."""
+        if abs(poll.velocity) <= _SLOW_TURNS_S * self.hardware.turn(self.model):
+            return True
+        anchor = self.hardware.progress.anchor
+        return anchor is not None and poll.time_ns - anchor.time_ns >= _STILL_NS
 
     def _is_short(self, poll: Poll) -> bool:
         """Return whether the drive rests elsewhere than commanded, or at another velocity."""
@@ -284,7 +312,7 @@ class PolledMotor(Motor, Generic[HardwareT]):
         return self.hardware
 
     def _close_low_level(self) -> None:
-        self.hardware.progress.poll = None
+        self.hardware.forget()
 
     def _motion_times(self) -> MotionTimes | None:
         state = self.hardware.progress
@@ -292,6 +320,16 @@ class PolledMotor(Motor, Generic[HardwareT]):
             return None
         source = f"its trigger acknowledged; its status as polled every {POLL_S * 1e3:g} ms"
         return MotionTimes(state.started_ns, state.ended_ns, source)
+
+
+def _ramp_s(motion: Motion, before: float) -> float:
+    """Return the duration of a change of velocity, as the drive's window may be wide."""
+    if motion.duration_s is not None:
+        return motion.duration_s
+    turns = before * motion.target < 0.0
+    slower = abs(before) if turns else max(0.0, abs(before) - abs(motion.target))
+    faster = abs(motion.target) if turns else max(0.0, abs(motion.target) - abs(before))
+    return slower / motion.deceleration + faster / motion.acceleration
 
 
 @final

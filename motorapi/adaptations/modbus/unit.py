@@ -1,5 +1,8 @@
 """The registers of one Modbus drive, and the ownership of its motor.
 
+A read without a valid answer is repeated; reading has no effect, and the line separates late
+answers from the next. A write is sent once, as it may have been executed.
+
 Two locks coordinate processes, as on CAN: one for the ownership of the drive, one for the exchanges
 on its line.
 """
@@ -33,6 +36,9 @@ if TYPE_CHECKING:
 
     from motorhil.motorapi.ownership.fencing import Owned
     from motorhil.motorapi.runtime.api import Runtime
+
+_READS_MAX: Final = 3  # of the same registers
+_READ_NS: Final = 2_000_000_000  # after this time a read is not repeated
 
 
 def _open(line: ByteLine, runtime: "Runtime") -> ModbusLine:
@@ -88,6 +94,7 @@ class ModbusUnit:
         self.line: Final = _open(line, runtime)
         self.is_closed = False
         self.silences = 0  # number of missing answers; each may mean a loss of power
+        self._answers = False  # False: reads are not repeated until the drive answers
 
     def close(self) -> None:
         """Close the unit; further calls do nothing."""
@@ -110,19 +117,36 @@ class ModbusUnit:
 
     def _ask(self, request: "ModbusPDU", owned: "Owned | None" = None) -> "ModbusPDU":
         try:
-            return self.line.ask(request, self.unit, self.timeout_s, owned)
+            answer = self.line.ask(request, self.unit, self.timeout_s, owned)
         except MotorError as error:
             self.silences += is_silence(error)
             raise
+        self._answers = True
+        return answer
 
     def read(self, address: int, count: int = 1) -> list[int]:
         """Return the contents of holding registers, 0 to FFFFh each.
 
+        A drive that answered before is asked up to three times, within 2 s.
+
         Raises: as `ModbusLine.ask`.
         """
+        end_ns = self.runtime.now_ns() + _READ_NS
+        left = _READS_MAX if self._answers else 1
+        while True:
+            left -= 1
+            try:
+                return self._read_once(address, count)
+            except (DeadlineExceeded, PeerError) as error:
+                if not _is_lost(error):
+                    raise
+                if not left or self.runtime.now_ns() >= end_ns:
+                    self._answers = False
+                    raise
+
+    def _read_once(self, address: int, count: int) -> list[int]:
         self._require_open()
-        request = ReadHoldingRegistersRequest(address=address, count=count)
-        answer = self._ask(request)
+        answer = self._ask(ReadHoldingRegistersRequest(address=address, count=count))
         if len(answer.registers) != count:
             raise ModbusProtocolViolation(
                 line=self.line.name,
@@ -140,10 +164,9 @@ class ModbusUnit:
         end_ns = self.runtime.now_ns() + round(patience_s * 1e9)
         while True:
             try:
-                return self.read(address)[0]
+                return self._read_once(address, 1)[0]
             except (DeadlineExceeded, PeerError) as error:
-                is_odd = isinstance(error, ModbusProtocolViolation)
-                if not (is_odd or is_silence(error)) or self.runtime.now_ns() >= end_ns:
+                if not _is_lost(error) or self.runtime.now_ns() >= end_ns:
                     raise
 
     def read_i32(self, address: int) -> int:
@@ -174,6 +197,11 @@ class ModbusUnit:
             return WriteSingleRegisterRequest(address=address, registers=[values[0] & 0xFFFF])
         registers = [value & 0xFFFF for value in values]
         return WriteMultipleRegistersRequest(address=address, registers=registers)
+
+
+def _is_lost(error: MotorError) -> bool:
+    """Return whether the error means that the answer was lost or spoiled."""
+    return isinstance(error, ModbusProtocolViolation) or is_silence(error)
 
 
 def as_i32(upper: int, lower: int) -> int:

@@ -16,7 +16,6 @@ from motorhil.motorapi.adaptations.modbus.client import ByteLine, Exchange
 from motorhil.motorapi.adaptations.modbus.polled_hardware import (
     BOOT_S,
     HERE,
-    INT32_MAX,
     Poll,
     PolledHardware,
     check_register,
@@ -24,7 +23,7 @@ from motorhil.motorapi.adaptations.modbus.polled_hardware import (
 )
 from motorhil.motorapi.adaptations.modbus.unit import words
 from motorhil.motorapi.commands import ControlVariable
-from motorhil.motorapi.errors import DeadlineExceeded, UnsupportedError
+from motorhil.motorapi.errors import DeadlineExceeded, PeerError, UnsupportedError
 from motorhil.motorapi.motion import Motion
 from motorhil.motorapi.state import MotorState
 
@@ -46,6 +45,7 @@ _PRESET: Final = 0x018A
 _GEAR_A: Final = 0x0380
 _GEAR_B: Final = 0x0382
 
+_GEAR_MAX: Final = 65_535
 _ABSOLUTE: Final = 1
 _CONTINUOUS: Final = 16
 _DECELERATE: Final = 0
@@ -57,7 +57,7 @@ _IS_ALARM: Final = 0x0080
 _MOVE: Final = 0x2000
 _IN_POSITION: Final = 0x4000
 
-_FULL_CURRENT: Final = 1000
+_FULL_CURRENT: Final = 1000  # in 0.1 % of the base current
 _SPEED_MAX: Final = 4_000_000
 _RATE_MAX: Final = 1_000_000_000
 _RELEASE_S: Final = 0.5
@@ -88,6 +88,7 @@ class OrientalAzHwMotor(PolledHardware):
         self._prepared: tuple[int, ...] = ()
         self._told: tuple[tuple[int, ...], ...] = ()  # the drive holds one of these blocks
         self._deceleration = 1_000_000
+        self._current = _FULL_CURRENT
         self._hz: int | None = None  # commanded; None: a position motion
 
     @property
@@ -101,6 +102,11 @@ class OrientalAzHwMotor(PolledHardware):
         if not self._counts:
             self.registers.first_read(_OUTPUTS, BOOT_S)
         a, b = self.registers.read_i32(_GEAR_A), self.registers.read_i32(_GEAR_B)
+        if not (1 <= a <= _GEAR_MAX and 1 <= b <= _GEAR_MAX):
+            raise PeerError(
+                f"{self.label}: its electronic gear A = {a} (0380h), B = {b} (0382h) gives no"
+                f" scale; expected 1 to {_GEAR_MAX}; set both in the drive"
+            )
         if self._is_enabled and self._asked_at[1] != standing[1]:
             self._is_enabled = self._remembers()
         return 1000.0 * b / a
@@ -116,8 +122,9 @@ class OrientalAzHwMotor(PolledHardware):
         """Read state, position, speed and demand, each in a separate request."""
         self.connect(model)
         registers, per_unit = self.registers, self._per_unit(model)
-        position = registers.read_i32(_POSITION)
-        demand = registers.read_i32(_DEMAND)
+        position, demand = self._continued(
+            registers.read_i32(_POSITION), registers.read_i32(_DEMAND)
+        )
         speed = registers.read_i32(_SPEED)
         outputs = registers.read_i32(_OUTPUTS)
         fault = self._fault(bool(outputs & _IS_ALARM), _ALARMS)
@@ -183,6 +190,7 @@ class OrientalAzHwMotor(PolledHardware):
         if method not in HERE:
             feature = f"homing by method {method}"
             raise UnsupportedError(motor=motor, feature=feature, supported="35 and 37")
+        self._recounts = True
         self.registers.write(_PRESET, *words(1))
 
     # --- motion -----------------------------------------------------------------------------------
@@ -201,9 +209,14 @@ class OrientalAzHwMotor(PolledHardware):
         target = round(motion.target * per_unit) / per_unit
         return replace(changed, velocity=_down(motion.velocity * size) / size, target=target)
 
+    def limit_current(self, per_mille: int | None) -> None:
+        """Set the current of the next block [0.1 % of the base current]; None: all of it."""
+        self._current = _FULL_CURRENT if per_mille is None else per_mille
+
     def prepare(self, motion: Motion, model: "MotorModel") -> None:
         """Prepare the block; nothing is sent yet."""
         self.connect(model)
+        self._recounts = False
         per_unit = self._per_unit(model)
         size = abs(per_unit)
         faster, slower = _down(motion.acceleration * size), _down(motion.deceleration * size)
@@ -213,11 +226,10 @@ class OrientalAzHwMotor(PolledHardware):
             kind, target, speed = _CONTINUOUS, 0, way * toward_zero(motion.target * size)
             self._hz = speed
         else:
-            kind, target = _ABSOLUTE, round(motion.target * per_unit)
+            kind, target = _ABSOLUTE, self._target(round(motion.target * per_unit), "steps")
             speed, self._hz = _down(motion.velocity * size), None
-            check_register(self.label, "position", abs(target), INT32_MAX, "steps")
         check_register(self.label, "velocity", abs(speed), _SPEED_MAX, "Hz")
-        self._prepared = words(0, kind, target, speed, faster, slower, _FULL_CURRENT, 1)
+        self._prepared = words(0, kind, target, speed, faster, slower, self._current, 1)
         self._deceleration = slower
         self._stop = None
 
@@ -232,7 +244,7 @@ class OrientalAzHwMotor(PolledHardware):
     def _post_stop(self) -> Exchange:
         self._hz = None
         slower = self._deceleration
-        block = words(0, _DECELERATE, 0, 0, slower, slower, _FULL_CURRENT, 1)
+        block = words(0, _DECELERATE, 0, 0, slower, slower, self._current, 1)
         self._tell(block)
         return self.registers.post(_BLOCK, *block)
 

@@ -2,6 +2,7 @@
 
 import os
 import sys
+import time
 from pathlib import Path
 
 import can
@@ -32,7 +33,7 @@ class HubBench(ErrorBench):
         self.tell_node(self._names[bus], message)
 
     def now_s(self):
-        return self.world.queue.now_ns / 1e9
+        return time.time()
 
 
 @pytest.fixture

@@ -197,6 +197,24 @@ def test_requests_beyond_queue_limit_are_refused():
     assert (answered, refused) == ({*range(64)}, {64, 65, 66, 67})
 
 
+def test_lost_and_spoiled_answers_on_tcp_are_recorded_as_heard():
+    lose = SerialFaultRule("lose", SerialFaultKind.LOSE, sender="unit1", limit=1)
+    flip = SerialFaultRule(
+        "flip", SerialFaultKind.CORRUPT, sender="unit1", flip=b"\0" * 9 + b"\x01", limit=1
+    )
+    world, _ = a_world(lose, flip, tcp=True)
+    told: list[bytes] = []
+    world.tap_lines(lambda *facts: told.append(facts[5]) if facts[4] == "unit1" else None)
+    heard: Heard = []
+    host = world.add_line_host("line", "host", listener(heard))
+    for number in (1, 2, 3):
+        host.send(adu(number, 1, bytes.fromhex("03 0001 0001")))
+        world.queue.run_until(number * 100 * MS)
+    expected = [adu(2, 1, bytes.fromhex("03 02 0165")), adu(3, 1, bytes.fromhex("03 02 0065"))]
+    assert [data for _, data, _ in heard] == expected
+    assert told == expected
+
+
 def test_two_connections_get_their_own_responses():
     world, _ = a_world(tcp=True)
     first: Heard = []
@@ -262,15 +280,8 @@ def test_request_may_be_split_anywhere(after):
     assert plan.fired() == {"split": 2}
 
 
-@pytest.mark.parametrize("kind", ["lose", "truncate"])
-def test_breaking_fault_ends_its_direction(kind):
-    rule = SerialFaultRule(
-        "broken",
-        SerialFaultKind(kind),
-        sender="host",
-        limit=1,
-        after=3 if kind == "truncate" else 0,
-    )
+def test_truncated_data_end_their_direction():
+    rule = SerialFaultRule("broken", SerialFaultKind.TRUNCATE, sender="host", limit=1, after=3)
     world, _ = a_world(rule, tcp=True)
     heard: Heard = []
     host = world.add_line_host("line", "host", listener(heard))

@@ -198,6 +198,27 @@ def test_posted_request_does_not_wait_for_a_late_answer(runtime):
     assert line.sent[-1][0] - began_ns < MS
 
 
+@pytest.mark.parametrize("late_s", [0.21, 0.25], ids=["before", "after"])
+def test_late_answer_around_a_posted_one_is_not_the_next(runtime, late_s):
+    def answer(line, number):
+        if number == 1:
+            line.hear_after(late_s, rtu(1111))
+        elif number == 2:
+            line.hear_after(0.02, with_crc(bytes.fromhex("01 06 0010 0005")))
+        else:
+            line.hear_after(NEXT_S, rtu(2222))
+
+    _, modbus = on(runtime, answer)
+    with pytest.raises(DeadlineExceeded):
+        read(modbus)
+    stop = modbus.post(WRITE, 1, TIMEOUT_S)
+    runtime.run_for(0.022)
+    assert stop.is_over
+    assert stop.error is None
+    assert read(modbus) == [2222]
+    assert modbus.strays == 1
+
+
 def test_request_behind_many_unanswered_ones_gets_its_turn(runtime):
     def answer(line, number):
         if line.sent[-1][1][0] == 9:

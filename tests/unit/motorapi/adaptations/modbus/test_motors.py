@@ -9,9 +9,12 @@ from hypothesis import strategies as st
 
 from motorhil.emulators.media.serial_faults import SerialFaultKind, SerialFaultRule
 from motorhil.motorapi import (
+    ComplexTrajectory,
     ControlMode,
     ControlVariable,
+    DerivativeLimits,
     MotorGroup,
+    MotorPosition,
     MotorState,
     SyncLevel,
     TrapezoidalTrajectory,
@@ -30,6 +33,7 @@ from motorhil.motorapi.errors import (
     UnsupportedError,
     UsageError,
 )
+from motorhil.motorapi.functions import Polynomial
 from tests.support.modbus.rigs import (
     ADAPTATIONS,
     LINES,
@@ -143,6 +147,111 @@ def test_velocity_set_point_continues_until_stopped(rig, way):
     assert abs(truth(rig)["velocity_rad_s"]) < 0.01
     run_s(rig, 0.1)
     assert truth(rig)["velocity_rad_s"] == 0.0
+
+
+@pytest.mark.parametrize("velocity", [1.0, 0.02])
+def test_velocity_trajectory_ends_after_its_duration(rig, velocity):
+    mast = rig.motors["mast"]
+    mast.enable()
+    mast.set_control_mode(ControlMode.TRAJECTORY, ControlVariable.VELOCITY)
+    mast.set_trajectory(TrapezoidalTrajectory(velocity, duration_s=4.0))
+    mast.start()
+    begun_ns = rig.runtime.now_ns()
+    mast.wait_until_done(6)
+    assert (rig.runtime.now_ns() - begun_ns) / 1e9 == pytest.approx(4.0, abs=0.06)
+    assert truth(rig)["velocity_rad_s"] == pytest.approx(velocity, abs=0.003)
+
+
+def test_reversal_of_velocity_is_done_when_reached(rig):
+    mast = rig.motors["mast"]
+    mast.set_control_mode(ControlMode.SETPOINT, ControlVariable.VELOCITY)
+    for velocity in (0.05, -0.05, -0.01):
+        mast.set_setpoint(velocity, limits=DerivativeLimits(first=0.05))
+        mast.start()
+        mast.wait_until_done(5)
+        assert truth(rig)["velocity_rad_s"] == pytest.approx(velocity, abs=0.006)
+
+
+def test_asking_for_the_end_looks_at_the_drive(rig):
+    mast = rig.motors["mast"]
+    go_to(mast, 0.2)
+    assert not mast.is_done()
+    run_s(rig, 3.0)
+    in_callback = []
+    timer = rig.runtime.every(0.01, lambda: in_callback.append(mast.is_done()))
+    run_s(rig, 0.015)
+    timer.cancel()
+    assert in_callback == [False]  # it cannot wait there
+    assert mast.is_done()
+
+
+@pytest.mark.parametrize("way", [1, -1])
+def test_wrap_of_the_drives_counter_does_not_show(way):
+    wide = text().replace("position_min_rad = -6.0\nposition_max_rad = 6.0\n", "")
+    near = f"registers = {{ zero_position = {way * 2_147_300_000} }}\n[motor.mast]"
+    with opened(wide.replace("[motor.mast]", near)) as rig:
+        mast = rig.motors["mast"]
+        mast.home(19, timeout_s=20)
+        offset = mast.position() - truth(rig)["position_rad"]
+        assert mast.position() == pytest.approx(way * 2_147_300_000 / 1e6 * 2 * pi, abs=0.1)
+        mast.set_control_mode(ControlMode.SETPOINT, ControlVariable.VELOCITY)
+        mast.set_setpoint(way * 1.0)
+        mast.start()
+        before = mast.position()
+        for _ in range(15):  # the counter wraps after 1.2 rad
+            run_s(rig, 0.2)
+            now = mast.position()
+            assert -0.01 < way * (now - before) < 0.3
+            before = now
+        mast.stop()
+        mast.wait_until_done(5)
+        begin = truth(rig)["position_rad"]
+        for distance in (0.5, -0.2):
+            go_to(mast, way * distance, relative=True)
+            mast.wait_until_done(5)
+        assert truth(rig)["position_rad"] - begin == pytest.approx(way * 0.3, abs=0.02)
+        assert mast.position() - offset == pytest.approx(truth(rig)["position_rad"], abs=RESOLUTION)
+        mast.home(37)
+        assert mast.position() == pytest.approx(0.0, abs=RESOLUTION)
+
+
+FOLLOWER = """\
+[motor.follower]
+adaptation = "ideal"
+axis = "follower"
+[motor.follower.model]
+velocity_max_rad_s = 2.0
+acceleration_max_rad_s2 = 1000.0
+"""
+
+
+def test_follower_of_a_polled_leader_continues_at_its_start(adaptation):
+    with opened(text(adaptation) + FOLLOWER) as rig:
+        mast, follower = rig.motors["mast"], rig.motors["follower"]
+        mast.enable()
+        follower.enable()
+        assert mast.position() == 0.0
+        follower.set_control_mode(ControlMode.TRAJECTORY)
+        gear = ComplexTrajectory(Polynomial((0.0, 0.5)), 0.0, 1.0)
+        follower.set_trajectory(gear, MotorPosition(mast))
+        follower.start()
+        for target in (0.4, 0.8):
+            go_to(mast, target)
+            mast.wait_until_done(5)
+            assert follower.position() == pytest.approx(target / 2, abs=RESOLUTION)
+
+
+def test_stop_of_a_coasting_motor_ends_at_rest(rig):
+    mast = rig.motors["mast"]
+    mast.set_control_mode(ControlMode.SETPOINT, ControlVariable.VELOCITY)
+    mast.set_setpoint(2.0)
+    mast.start()
+    mast.wait_until_done(5)
+    mast.disable()
+    assert truth(rig)["velocity_rad_s"] > 1.5
+    mast.stop()
+    mast.wait_until_done(5)
+    assert truth(rig)["velocity_rad_s"] == pytest.approx(0.0, abs=0.01)
 
 
 def test_stop_in_motion_rests_short_of_the_target(rig):
@@ -313,6 +422,38 @@ def test_each_failure_has_its_error_and_next_request_works(rule, error):
         assert mast.position() == pytest.approx(0.0, abs=RESOLUTION)
 
 
+@pytest.mark.parametrize("line", list(LINES))
+@pytest.mark.parametrize("kind", ["lose", "corrupt"])
+def test_spoiled_readings_do_not_fail_moves(adaptation, line, kind):
+    with opened(text(adaptation, line)) as rig:
+        mast = rig.motors["mast"]
+        mast.enable()
+        spoiled = SerialFaultRule(
+            "spoiled", SerialFaultKind(kind), sender="mast", function=3, probability=0.02
+        )
+        rig.faults.inject("line", spoiled)
+        for target in (0.5, -0.5, 0.2):
+            go_to(mast, target)
+            mast.wait_until_done(15)
+            assert truth(rig)["position_rad"] == pytest.approx(target, abs=RESOLUTION)
+        assert rig.faults.fired()["spoiled"] > 3
+
+
+def test_unreachable_drive_is_asked_once_per_reading():
+    with opened() as rig:
+        mast = rig.motors["mast"]
+        mast.enable()
+        rig.controllers["mast"].stimulate("power", 0)
+        registers = mast.hardware.registers
+        silences = []
+        for _ in range(3):
+            before = registers.silences
+            with pytest.raises(DeadlineExceeded):
+                registers.read(0x1003)
+            silences.append(registers.silences - before)
+        assert silences == [3, 1, 1]
+
+
 def test_late_answer_never_answers_the_next_request():
     with opened() as rig:
         mast = rig.motors["mast"]
@@ -322,8 +463,7 @@ def test_late_answer_never_answers_the_next_request():
             "late", SerialFaultKind.DELAY, sender="mast", delay_ns=250_000_000, limit=1
         )
         rig.faults.inject("line", late)
-        with pytest.raises(DeadlineExceeded):
-            unit.read(0x0001)  # 10000
+        assert unit.read(0x0001) == [10_000]  # asked twice
         assert unit.read(0x600F) == [200]
         assert unit.line.strays == 1
 
