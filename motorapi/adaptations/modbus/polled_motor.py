@@ -120,11 +120,8 @@ class PolledMotor(Motor, Generic[HardwareT]):
 
     def _poll(self) -> Poll:
         """Read the present status, for all logical motors on the drive."""
-        registers, state = self.hardware.registers, self.hardware.progress
-        silences = registers.silences
         poll = self.hardware.poll(self.model)
-        if registers.silences != silences:  # the drive may have lost its power in between
-            poll = self.hardware.poll(self.model)
+        state = self.hardware.progress
         state.poll = state.last = poll
         rests = poll.has_arrived or poll.state is MotorState.DISABLED
         state.rests = state.rests + 1 if rests else 0

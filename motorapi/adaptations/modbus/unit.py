@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from motorhil.motorapi.ownership.fencing import Owned
     from motorhil.motorapi.runtime.api import Runtime
 
-_READS_MAX: Final = 3  # of the same registers
+_READS_MAX: Final = 2  # of the same registers
 _READ_NS: Final = 2_000_000_000  # after this time a read is not repeated
 
 
@@ -93,7 +93,7 @@ class ModbusUnit:
         self._hardware = hardware
         self.line: Final = _open(line, runtime)
         self.is_closed = False
-        self.silences = 0  # number of missing answers; each may mean a loss of power
+        self.silences = 0  # requests without answer; each may mean a loss of power
         self._answers = False  # False: reads are not repeated until the drive answers
 
     def close(self) -> None:
@@ -127,7 +127,7 @@ class ModbusUnit:
     def read(self, address: int, count: int = 1) -> list[int]:
         """Return the contents of holding registers, 0 to FFFFh each.
 
-        A drive that answered before is asked up to three times, within 2 s.
+        A drive that answered before is asked once more, within 2 s.
 
         Raises: as `ModbusLine.ask`.
         """
@@ -142,11 +142,14 @@ class ModbusUnit:
                     raise
                 if not left or self.runtime.now_ns() >= end_ns:
                     self._answers = False
+                    self.silences += is_silence(error)
                     raise
 
     def _read_once(self, address: int, count: int) -> list[int]:
         self._require_open()
-        answer = self._ask(ReadHoldingRegistersRequest(address=address, count=count))
+        request = ReadHoldingRegistersRequest(address=address, count=count)
+        answer = self.line.ask(request, self.unit, self.timeout_s)
+        self._answers = True
         if len(answer.registers) != count:
             raise ModbusProtocolViolation(
                 line=self.line.name,
@@ -166,6 +169,7 @@ class ModbusUnit:
             try:
                 return self._read_once(address, 1)[0]
             except (DeadlineExceeded, PeerError) as error:
+                self.silences += is_silence(error)
                 if not _is_lost(error) or self.runtime.now_ns() >= end_ns:
                     raise
 

@@ -429,14 +429,14 @@ def test_spoiled_readings_do_not_fail_moves(adaptation, line, kind):
         mast = rig.motors["mast"]
         mast.enable()
         spoiled = SerialFaultRule(
-            "spoiled", SerialFaultKind(kind), sender="mast", function=3, probability=0.02
+            "spoiled", SerialFaultKind(kind), sender="mast", function=3, probability=0.01
         )
         rig.faults.inject("line", spoiled)
         for target in (0.5, -0.5, 0.2):
             go_to(mast, target)
             mast.wait_until_done(15)
             assert truth(rig)["position_rad"] == pytest.approx(target, abs=RESOLUTION)
-        assert rig.faults.fired()["spoiled"] > 3
+        assert rig.faults.fired()["spoiled"] > 2
 
 
 def test_unreachable_drive_is_asked_once_per_reading():
@@ -445,13 +445,14 @@ def test_unreachable_drive_is_asked_once_per_reading():
         mast.enable()
         rig.controllers["mast"].stimulate("power", 0)
         registers = mast.hardware.registers
-        silences = []
+        took_s = []
         for _ in range(3):
-            before = registers.silences
+            begun_ns = rig.runtime.now_ns()
             with pytest.raises(DeadlineExceeded):
                 registers.read(0x1003)
-            silences.append(registers.silences - before)
-        assert silences == [3, 1, 1]
+            took_s.append((rig.runtime.now_ns() - begun_ns) / 1e9)
+        # 0.2 s for an answer; before each further request, 0.5 s for a late one
+        assert took_s == pytest.approx([0.9, 0.7, 0.7], abs=0.02)
 
 
 def test_late_answer_never_answers_the_next_request():
