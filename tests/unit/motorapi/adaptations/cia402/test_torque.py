@@ -187,7 +187,11 @@ def test_torque_limits_may_differ_by_direction(open_rig: OpenRig):
     ("controller", "model", "reason"),
     [
         ('objects = { "6076h" = 0 }', "", "rated torque, 6076h"),
-        ('objects = { "6091h:1" = 0 }', "increments_per_rad = 21008.0", "gear ratio, 6091h"),
+        (
+            'objects = { "6091h:1" = 0, "6092h:1" = 2000 }',
+            "increments_per_rad = 21008.0",
+            "gear ratio, 6091h",
+        ),
     ],
 )
 def test_unknown_torque_units_are_not_guessed(
@@ -206,7 +210,7 @@ def test_model_gear_precedes_the_drives_gear(open_rig: OpenRig):
         drive(
             "left",
             1,
-            'objects = { "6091h:1" = 1 }',
+            'objects = { "6091h:1" = 1, "6092h:1" = 2000 }',
             model="gear_ratio = 66.0\nencoder_increments_rev = 2000",
         )
     )

@@ -55,15 +55,15 @@ def test_si_unit_objects_give_all_units():
 @pytest.mark.parametrize(
     ("change", "missing", "why"),
     [
-        ({(0x6092, 1): 1}, "increments_per_unit", "6092h is 1/1"),
-        ({(0x6092, 1): None, (0x608F, 1): None}, "increments_per_unit", "lacks the factor objects"),
-        ({(0x6092, 1): None, (0x608F, 1): 1}, "increments_per_unit", "608Fh is 1/1"),
-        ({(0x6096, 1): 60}, "velocity_unit", "6096h is 60, which vendors read both ways"),
-        ({(0x6096, 1): None}, "velocity_unit", "lacks the factor object 6096h"),
-        ({(0x608C, 0): 0xA4}, "velocity_unit", "608Ch = A4h names a unit of its own"),
-        ({(0x60A9, 0): 0x00B4_4700}, "acceleration_unit", "none of acceleration"),
-        ({(0x60A9, 0): 0x0001_0300}, "velocity_unit", "not turns, degrees or radians"),
-        ({(0x6097, 1): 2}, "acceleration_unit", "6097h is 2"),
+        ({(0x6092, 1): 1}, "increments_per_rad", "6092h is 1/1"),
+        ({(0x6092, 1): None, (0x608F, 1): None}, "increments_per_rad", "lacks the factor objects"),
+        ({(0x6092, 1): None, (0x608F, 1): 1}, "increments_per_rad", "608Fh is 1/1"),
+        ({(0x6096, 1): 60}, "velocity_unit_rad_s", "6096h is 60, which vendors read both ways"),
+        ({(0x6096, 1): None}, "velocity_unit_rad_s", "lacks the factor object 6096h"),
+        ({(0x608C, 0): 0xA4}, "velocity_unit_rad_s", "608Ch = A4h names a unit of its own"),
+        ({(0x60A9, 0): 0x00B4_4700}, "acceleration_unit_rad_s2", "none of acceleration"),
+        ({(0x60A9, 0): 0x0001_0300}, "velocity_unit_rad_s", "not turns, degrees or radians"),
+        ({(0x6097, 1): 2}, "acceleration_unit_rad_s2", "6097h is 2"),
     ],
 )
 def test_ambiguous_units_are_required_of_the_model(
