@@ -8,9 +8,12 @@ nanoseconds on one timeline that starts at 0.
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol, final
+from typing import Final, Protocol, final
 
 from motorhil.settings import SettingError as SettingError
+
+STUCK: Final = 1000
+"""How often a controller may be called at one time, by its own wish."""
 
 
 class Controller(Protocol):
@@ -58,6 +61,17 @@ class Controller(Protocol):
 
     def identifiers_revision(self) -> int:
         """Return a number that increases with every change of `identifiers`."""
+
+
+class StuckControllerError(RuntimeError):
+    """A controller whose deadline does not move on, so that time would stand still for ever."""
+
+    def __init__(self, name: str, now_ns: int) -> None:
+        super().__init__(
+            f"controller {name}: after `expire` at {now_ns / 1e9:.9f} s it asked {STUCK} times to"
+            " be called at that time or before; `next_deadline_ns` must be later once `expire` has"
+            " handled what is due; this is a defect of the controller: report it to its author"
+        )
 
 
 class NonvolatileMemory(Protocol):

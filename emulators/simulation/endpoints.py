@@ -1,14 +1,12 @@
 """Segments and endpoints of a world, and their overseer."""
 
 from collections.abc import Callable, Mapping
-from typing import Final, final
+from typing import final
 
 from motorhil.emulators.can.frame import ERR_FLAG
-from motorhil.emulators.controller import Controller
+from motorhil.emulators.controller import STUCK, Controller, StuckControllerError
 from motorhil.emulators.simulation.event_queue import UNSET, EventQueue
 
-STUCK: Final = 1000
-"""How often a controller may be called at one time, by its own wish."""
 HostListener = Callable[[bytes, int, bool], None]
 
 
@@ -57,17 +55,6 @@ class Endpoint:
 
     def told(self, message: bytes, now_ns: int) -> None:
         """Handle an error message of its CAN controller (`error_message`)."""
-
-
-class StuckControllerError(RuntimeError):
-    """A controller whose deadline does not move on, so that time would stand still for ever."""
-
-    def __init__(self, name: str, now_ns: int) -> None:
-        super().__init__(
-            f"controller {name}: after `expire` at {now_ns / 1e9:.9f} s it asked {STUCK} times to"
-            " be called at that time or before; `next_deadline_ns` must be later once `expire` has"
-            " handled what is due; this is a defect of the controller: report it to its author"
-        )
 
 
 @final

@@ -11,6 +11,7 @@ from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
 from motorhil.motorapi.adaptations.cia402.node import DriveNode
 from motorhil.motorapi.adaptations.leadshine.hardware import LeadshineHwMotor
 from motorhil.motorapi.adaptations.modbus.polled_motor import PolledMotor
+from motorhil.motorapi.commands import Setpoint
 from motorhil.motorapi.errors import DeadlineExceeded, DeviceFault, LinkError
 from tests.conformance.mutants import mutant, replaced
 
@@ -165,8 +166,11 @@ def a_start_that_failed_is_tried_again_in_the_background():
             try:
                 return read(motor)
             except (DeadlineExceeded, LinkError):
+                command = motor.logical.command
+                if not isinstance(command, Setpoint):
+                    raise
                 node, facts = motor._node, motor._hardware.facts
-                way = motor._reader._units.increments(motor.logical.command.value)
+                way = motor._reader._units.increments(command.value)
                 target = node.position_inc + round(way)
 
                 def again():

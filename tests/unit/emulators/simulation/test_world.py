@@ -5,7 +5,7 @@ import pytest
 from motorhil.emulators.can.bus.bus import CanBus
 from motorhil.emulators.can.bus.fault_plan import FaultPlan
 from motorhil.emulators.can.fault_rules import FaultKind, FaultRule
-from motorhil.emulators.simulation.endpoints import StuckControllerError
+from motorhil.emulators.controller import StuckControllerError
 from motorhil.emulators.simulation.event_queue import EventQueue
 from motorhil.emulators.simulation.world import World
 
