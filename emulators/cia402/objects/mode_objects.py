@@ -184,7 +184,8 @@ class HomingObjects:
         self._motion = motion
         self._home_offset = ensure(0x607C, 0, _D.INTEGER32, 0)
         self._method = ensure(0x6098, 0, _D.INTEGER8, 37)
-        self._method.writer = Choice(frozenset(HOMING_METHODS)).write
+        # 0, no method, is what most vendors' files begin with; homing then fails at its start.
+        self._method.writer = Choice(frozenset((0, *HOMING_METHODS))).write
         velocity = defaults.velocity
         self._switch_speed = ensure(0x6099, 1, _D.UNSIGNED32, max(1, velocity // _SWITCH_PART))
         self._zero_speed = ensure(0x6099, 2, _D.UNSIGNED32, max(1, velocity // _ZERO_PART))

@@ -101,7 +101,8 @@ class TorqueObjects:
     def limits_a(self) -> tuple[float, float]:
         """Return the forward and backward current limits: 6073h, 6072h, 60E0h, 60E1h [A]."""
         unit, most = self._per_permille_a(), self.maximum.integer()
-        positive, negative = self.positive.integer(), self.negative.integer()
+        positive = self.positive.integer()
+        negative = abs(self.negative.integer())  # some vendors' 60E1h has a sign
         current_a = self.maximum_current.integer() * self._rated_ma() * 1e-6
         return min(min(most, positive) * unit, current_a), min(
             min(most, negative) * unit, current_a

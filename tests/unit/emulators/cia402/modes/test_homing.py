@@ -116,13 +116,15 @@ def test_halt_interrupts_homing(bench):
 
 
 def test_methods_without_behaviour_are_rejected(bench):
-    for method in (0, 15, 16, 31, 32, 36, -1):
+    for method in (15, 16, 31, 32, 36, -1):
         assert bench.write(0x6098, 0, method, 1) == 0x0609_0030
     assert bench.read(0x6098) == 37
+    assert bench.write(0x6098, 0, 0, 1) == 0
 
 
-def test_method_from_the_file_fails_as_a_homing_error():
-    bench = Bench(objects={"6098h": 36})
+@pytest.mark.parametrize("method", [0, 36])  # 0, no method: the default of 8 of 17 vendors' files
+def test_method_from_the_file_fails_as_a_homing_error(method):
+    bench = Bench(objects={"6098h": method})
     bench.enable(mode=6)
     bench.run(10 * MS)
     bench.controlword(0x1F)

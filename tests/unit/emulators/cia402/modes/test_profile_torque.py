@@ -5,6 +5,7 @@ from fractions import Fraction
 
 import pytest
 
+from motorhil.emulators.cia402.settings import OWN_EDS
 from motorhil.emulators.plant.presets import WHEEL_60W
 from tests.support.cia402.bench import MS, NODE, Bench
 
@@ -117,6 +118,24 @@ def test_each_direction_has_its_own_limit(bench):
     bench.set(0x6072, 0, 100, 2)
     bench.run(30 * MS)
     assert bench.read(0x6074) == -100
+
+
+def test_negative_limit_may_have_a_sign(tmp_path):
+    """Elmo's 60E1h is a negative number of 16 bits."""
+    own = OWN_EDS.read_text()
+    before = "[60E1]\nParameterName=Negative torque limit value\nObjectType=0x7\nDataType=0x0006"
+    assert before in own
+    signed = own.replace(before, before[:-1] + "3").replace(
+        "AccessType=rw\nDefaultValue=65535\nPDOMapping=1\n\n[60E3]",
+        "AccessType=rw\nDefaultValue=-250\nPDOMapping=1\n\n[60E3]",
+    )
+    (tmp_path / "signed.eds").write_text(signed)
+    bench = new_bench(folder=tmp_path, eds="signed.eds")
+    bench.enable(mode=4)
+    assert bench.read(0x60E1) == -250
+    bench.set(0x6071, 0, -800, 2)
+    bench.run(30 * MS)
+    assert bench.read(0x6074) == -250
 
 
 def test_max_torque_limits_position_control_too():
