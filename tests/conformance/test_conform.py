@@ -50,7 +50,7 @@ def runs(tmp_path_factory):
     for seed in (1, 2):
         folder = tmp_path_factory.mktemp("conform")
         rig = folder / "rig.toml"
-        rig.write_text((RIGS / "cia402.toml").read_text().replace("66.0", "33.0", 1))
+        rig.write_text((RIGS / "cia402.toml").read_text().replace("66.0", "-66.0", 1))
         words = ["--rig", str(rig), "--clause", "UNIT-01", "--clause", "STATE-01"]
         for kind in ("json", "junit", "html"):
             words += [f"--{kind}", str(folder / f"found.{kind}")]
@@ -213,7 +213,7 @@ def test_adaptation_with_own_rig_is_tested_on_it():
 
 def test_record_folder_that_cannot_be_created_is_reported(tmp_path, capfd):
     rig = tmp_path / "rig.toml"
-    rig.write_text((RIGS / "cia402.toml").read_text().replace("66.0", "33.0", 1))
+    rig.write_text((RIGS / "cia402.toml").read_text().replace("66.0", "-66.0", 1))
     words = ("--rig", str(rig), "--clause", "UNIT-01", "-o", str(rig / "x"))
     assert main(["conform", *words]) == 2
     assert "rig.toml/x: cannot be created: Not a directory" in capfd.readouterr().err
