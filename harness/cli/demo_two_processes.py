@@ -267,16 +267,31 @@ def _print_owners(
     print(f"\nwho had {SHARED}, and its commands (RPDOs) on the bus, by the record alone:")
     head = ("from s", "to s", "program", "pid", "what for", "commands", "and then it")
     print_table(head, rows, words=(2, 4, 6))
-    others = sum(count for (_, is_owners), count in commands.items() if not is_owners)
-    wrong = list(record.contradictions)
-    if others:
-        wrong.append(f"{others} commands do not belong to the owner of {SHARED} at their time")
+    wrong = [*record.contradictions, *_foreign(record, sent, commands)]
     died = [place for place, one in enumerate(tenures) if one.ended is Ended.DIED]
     if len(died) != 1 or tenures[died[0]].pid != mast.pid:
         wrong.append(f"the record does not show that {mast.file} died with {SHARED}")
     elif any(one.pid != driving.pid for one in tenures[died[0] + 1 :]):
         wrong.append(f"the record shows another owner than {driving.file} afterwards")
     return wrong
+
+
+def _foreign(
+    record: OwnershipRecord,
+    sent: Iterable[tuple[int, str]],
+    commands: "Counter[tuple[Tenure | None, bool]]",
+) -> Iterator[str]:
+    """Yield a message about commands of others than the owner, with the first suspect."""
+    count = sum(count for (_, is_owners), count in commands.items() if not is_owners)
+    for time_ns, sender in sent if count else ():
+        owner = record.owner_at(SHARED, time_ns)
+        if owner is None or owner.sender != sender:
+            yield (
+                f"{count} commands do not belong to the owner of {SHARED} at their time; at "
+                f"{time_ns / 1e9:.6f} s {sender} sends one, and the owner is "
+                f"{'nobody' if owner is None else owner}"
+            )
+            return
 
 
 def commands_by_tenure(

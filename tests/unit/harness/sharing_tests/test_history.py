@@ -1,5 +1,7 @@
 """Histories: notes of uses, and checks of the notes alone."""
 
+from dataclasses import replace
+
 from motorhil.harness.sharing_tests.history import (
     FOREVER_NS,
     Action,
@@ -67,6 +69,25 @@ def test_tokens_must_grow_with_every_owner():
     one, two, three = taken("a", 0, 1, 1), taken("b", 2, 3, 2), taken("a", 4, 5, 2)
     assert tokens_that_did_not_grow((one, two)) == []
     assert tokens_that_did_not_grow((one, two, three)) == [(two, three)]
+
+
+def test_tokens_of_overlapping_grants_have_no_order_of_reports():
+    paused = taken("a", 0, 9, 1)  # it got the motor first, and reports it after the next owner
+    assert tokens_that_did_not_grow((paused, taken("b", 1, 5, 2))) == []
+
+
+def test_executed_command_proves_that_no_other_got_the_motor_since():
+    waited = taken("a", 0, 9, 1)
+    other = taken("b", 1, 5, 2)
+    command = Use("a", "m", Action.COMMAND, 10, 11)
+    assert tokens_that_did_not_grow((waited, other, command)) == [(other, waited)]
+    lost = replace(command, answer=Answer.LOST)
+    assert tokens_that_did_not_grow((waited, other, lost)) == []
+
+
+def test_two_grants_have_no_token_in_common():
+    one, two = taken("a", 0, 9, 1), taken("b", 1, 5, 1)
+    assert tokens_that_did_not_grow((one, two)) == [(two, one)]
 
 
 def test_worst_gap_includes_begin_and_end():
