@@ -47,6 +47,7 @@ if TYPE_CHECKING:
 
 SHARED: Final = "pan"
 ERROR_MAX_RAD: Final = 0.002  # largest acceptable position error of a motor at the end
+_HALT: Final = 0x01  # bit 8 of the controlword (CiA 402), in the first RPDO's second byte
 MOVES_RAD_S: Final = 0.1  # a faster motor is in the middle of a move
 LONGEST_NS: Final = 120_000_000_000
 _FOLDER: Final = "motorhil-demo-"
@@ -278,12 +279,12 @@ def _print_owners(
 
 def _foreign(
     record: OwnershipRecord,
-    sent: Iterable[tuple[int, str]],
+    sent: Iterable[tuple[int, str, bool]],
     commands: "Counter[tuple[Tenure | None, bool]]",
 ) -> Iterator[str]:
     """Yield a message about commands of others than the owner, with the first suspect."""
     count = sum(count for (_, is_owners), count in commands.items() if not is_owners)
-    for time_ns, sender in sent if count else ():
+    for time_ns, sender, _ in sent if count else ():
         owner = record.owner_at(SHARED, time_ns)
         if owner is None or owner.sender != sender:
             yield (
@@ -295,9 +296,12 @@ def _foreign(
 
 
 def commands_by_tenure(
-    record: OwnershipRecord, sent: Iterable[tuple[int, str]]
+    record: OwnershipRecord, sent: Iterable[tuple[int, str, bool]]
 ) -> Counter[tuple[Tenure | None, bool]]:
-    """Count commands (time, sender) of the shared motor by (tenure, sent by its owner).
+    """Count commands (time, sender, is a halt) of the shared motor by (tenure, sent by its owner).
+
+    A motor that moves for a program that died is halted by any program that remains, before the
+    motor has a new owner. Such a halt is nobody's command, and does not count.
 
     The CAN controller of a program still transmits what the program sent just before it died. Until
     its successor commands for the first time, such frames count for the dead program, as does the
@@ -306,8 +310,10 @@ def commands_by_tenure(
     tenures = record.tenures.get(SHARED, ())
     heirs = {after: dead for dead, after in pairwise(tenures) if dead.ended is Ended.DIED}
     commands: Counter[tuple[Tenure | None, bool]] = Counter()
-    for time_ns, sender in sent:
+    for time_ns, sender, is_halt in sent:
         owner = record.owner_at(SHARED, time_ns)
+        if is_halt and owner is not None and owner.ended is Ended.DIED and owner.sender != sender:
+            continue
         dead = None if owner is None else heirs.get(owner)
         if dead is not None and dead.sender == sender and not commands[owner, True]:
             owner = dead
@@ -315,10 +321,13 @@ def commands_by_tenure(
     return commands
 
 
-def _received_by(trace: Trace, bus: str, node_id: int) -> Iterator[tuple[int, str]]:
-    """Yield (time [ns], sender) of each RPDO of a node (CiA 301: 200h to 500h + node-ID)."""
-    for _, time_ns, data in trace.messages([f"/can/{bus}"]):
-        frame = decode(CAN_FRAME, data)
+def _received_by(trace: Trace, bus: str, node_id: int) -> Iterator[tuple[int, str, bool]]:
+    """Yield (time [ns], sender, is a halt) of each RPDO of a node (CiA 301: 200h to 500h + ID)."""
+    for _, time_ns, message in trace.messages([f"/can/{bus}"]):
+        frame = decode(CAN_FRAME, message)
         can_id = -1 if frame.get("error") else frame.get("id", 0)  # a class
         if can_id in [0x200 + node_id, 0x300 + node_id, 0x400 + node_id, 0x500 + node_id]:
-            yield time_ns, str(frame.get("sender", ""))
+            data = frame.get("data")
+            word = data if isinstance(data, bytes) and can_id == 0x200 + node_id else b""
+            halts = bool(word[1:2]) and bool(word[1] & _HALT)
+            yield time_ns, str(frame.get("sender", "")), halts

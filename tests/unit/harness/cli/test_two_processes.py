@@ -25,23 +25,35 @@ def table(events, sent):
     [
         (
             [TAKEN, BROKEN],
-            [(12, "mast[4]"), (21, "mast[4]"), (22, "driving[5]")],
+            [(12, "mast[4]", False), (21, "mast[4]", False), (22, "driving[5]", False)],
             {("mast", True): 2, ("driving", True): 1},
         ),
         (
             [TAKEN, BROKEN],
-            [(21, "driving[5]"), (22, "mast[4]")],
+            [(21, "driving[5]", False), (22, "mast[4]", False)],
             {("driving", True): 1, ("driving", False): 1},
         ),
         (
             [TAKEN, BROKEN],
-            [(21, "host"), (22, "driving[5]")],
+            [(21, "host", False), (22, "driving[5]", False)],
             {("driving", True): 1, ("driving", False): 1},
         ),
-        ([TAKEN, RELEASED, BROKEN], [(21, "mast[4]")], {("driving", False): 1}),
-        ([TAKEN, BROKEN], [(9, "mast[4]")], {(None, False): 1}),
+        ([TAKEN, RELEASED, BROKEN], [(21, "mast[4]", False)], {("driving", False): 1}),
+        ([TAKEN, BROKEN], [(9, "mast[4]", False)], {(None, False): 1}),
+        ([TAKEN, BROKEN], [(12, "mast[4]", False), (19, "driving[5]", True)], {("mast", True): 1}),
+        ([TAKEN, BROKEN], [(19, "driving[5]", False)], {("mast", False): 1}),
+        ([TAKEN, BROKEN], [(21, "host", True)], {("driving", False): 1}),
     ],
-    ids=["in its controller yet", "after its heir's", "a stranger's", "given back", "nobody's"],
+    ids=[
+        "in its controller yet",
+        "after its heir's",
+        "a stranger's",
+        "given back",
+        "nobody's",
+        "a guard's halt",
+        "a motion before its owner's end",
+        "a stranger's halt",
+    ],
 )
 def test_dead_owners_frames_are_its_own_until_the_next_commands(events, sent, counted):
     assert table(events, sent) == counted
