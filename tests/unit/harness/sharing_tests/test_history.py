@@ -1,7 +1,5 @@
 """Histories: notes of uses, and checks of the notes alone."""
 
-from dataclasses import replace
-
 from motorhil.harness.sharing_tests.history import (
     FOREVER_NS,
     Action,
@@ -76,13 +74,14 @@ def test_tokens_of_overlapping_grants_have_no_order_of_reports():
     assert tokens_that_did_not_grow((paused, taken("b", 1, 5, 2))) == []
 
 
-def test_executed_command_proves_that_no_other_got_the_motor_since():
-    waited = taken("a", 0, 9, 1)
-    other = taken("b", 1, 5, 2)
-    command = Use("a", "m", Action.COMMAND, 10, 11)
-    assert tokens_that_did_not_grow((waited, other, command)) == [(other, waited)]
-    lost = replace(command, answer=Answer.LOST)
-    assert tokens_that_did_not_grow((waited, other, lost)) == []
+def test_command_without_fencing_says_nothing_of_the_tokens():
+    unfenced = Use("a", "m", Action.COMMAND, 10, 11)  # executed after b got the motor
+    assert tokens_that_did_not_grow((taken("a", 0, 9, 1), taken("b", 1, 5, 2), unfenced)) == []
+
+
+def test_token_shrinks_between_owners_that_never_waited_for_each_other():
+    one, two = taken("a", 0, 1, 2), taken("b", 2, 3, 1)
+    assert tokens_that_did_not_grow((one, two)) == [(one, two)]
 
 
 def test_two_grants_have_no_token_in_common():
