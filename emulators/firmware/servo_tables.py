@@ -47,6 +47,7 @@ _TORQUE: Final = 5
 
 _DOUBLINGS: Final = 40
 _SLACK: Final = 1.0 + 1e-9  # guards must hold in rounded arithmetic too
+_LEAST: Final = 1e-6  # a guard of 0, as of a current loop without gains, bounds nothing
 
 
 @final
@@ -231,8 +232,8 @@ class ServoTables:
             end = path[count][_SPEED]
             bends.append(max(abs(z[_SPEED] - end * j / count) for j, z in enumerate(path)))
         per_ampere = k / inertia  # a current error e accelerates as well
-        first = (voltages[0] + voltages[2] * per_ampere) * _SLACK
-        second = max(voltages[1], 1e-6) * _SLACK
+        first = max(voltages[0] + voltages[2] * per_ampere, _LEAST) * _SLACK
+        second = max(voltages[1], _LEAST) * _SLACK
         bend = max((bends[0] + bends[2] * per_ampere) / first, bends[1] / second) * _SLACK
         return (first, second, voltages[2]), (bend, bends[2])
 
@@ -245,8 +246,8 @@ class ServoTables:
         blocked = self._blocked_powers[-1]
         steps = self._blocked_powers[: self.current_steps]
         kp = self._kp
-        volts_e = max(abs(kp * power[0][0] + power[1][0]) for power in steps) * _SLACK
-        volts_s = max(abs(kp * power[0][1] + power[1][1]) for power in steps) * _SLACK
+        volts_e = max(_LEAST, *(abs(kp * power[0][0] + power[1][0]) for power in steps)) * _SLACK
+        volts_s = max(_LEAST, *(abs(kp * power[0][1] + power[1][1]) for power in steps)) * _SLACK
         amperes = _SLACK * max(
             max(abs(power[0][0]) for power in self._blocked_powers) / volts_e,
             max(abs(power[0][1]) for power in self._blocked_powers) / volts_s,

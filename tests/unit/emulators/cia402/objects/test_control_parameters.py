@@ -52,6 +52,24 @@ def test_unstable_gain_is_rejected_and_changes_nothing():
     assert bench.write(0x60FB, 2, 2001, 4) == 0x0609_0031  # feed-forward: value too high
 
 
+@pytest.mark.parametrize("moving", [False, True])
+def test_current_loop_without_gains_ends_in_a_following_error(moving):
+    bench = Bench()
+    bench.enable(mode=1)
+    if moving:
+        bench.set(0x607A, 0, 60_000, 4)
+        bench.controlword(0x5F)
+        bench.run(300 * MS)
+    bench.set(0x60F6, 1, 0, 4)
+    bench.set(0x60F6, 2, 0, 4)
+    if not moving:
+        bench.set(0x607A, 0, 60_000, 4)
+        bench.controlword(0x5F)
+    bench.run(1_500 * MS)
+    assert bench.statusword() & 0x4F == 0x08  # fault
+    assert bench.read(0x603F, signed=False) == 0x8611  # following error (CiA 402-2)
+
+
 def test_reset_node_restores_the_initial_gains():
     bench = Bench()
     bench.boot()
