@@ -14,7 +14,7 @@ import os
 import threading
 from collections.abc import Callable, Hashable
 from typing import Final, TypeVar, cast, final
-from weakref import WeakKeyDictionary
+from weakref import WeakKeyDictionary, WeakValueDictionary
 
 PartT = TypeVar("PartT")
 _AF_CAN: Final = 29  # linux/socket.h
@@ -60,7 +60,10 @@ class BusContext:
         self.key: Final = key
 
 
-_contexts: "Final[WeakKeyDictionary[object, BusContext]]" = WeakKeyDictionary()
+# A context refers to its bus through its parts; the bus keeps it, so that both can go together.
+_ATTRIBUTE: Final = "_motorhil_context"
+_slotted: "Final[WeakKeyDictionary[object, BusContext]]" = WeakKeyDictionary()
+_media: "Final[WeakValueDictionary[Hashable, Parts]]" = WeakValueDictionary()
 _lock: Final = threading.Lock()
 
 
@@ -73,12 +76,16 @@ def context_of(home: object) -> BusContext:
     if isinstance(own, BusContext):
         return own
     with _lock:
-        context = _contexts.get(home)
+        context = getattr(home, _ATTRIBUTE, None) or _slotted.get(home)
         if context is None:
             key = physical_key(home)
-            same = (one.medium for one in _contexts.values() if one.key == key)
-            medium = None if key is None else next(same, None)
-            context = _contexts[home] = BusContext(medium, key)
+            context = BusContext(None if key is None else _media.get(key), key)
+            if key is not None:
+                _media[key] = context.medium
+            try:
+                setattr(home, _ATTRIBUTE, context)
+            except AttributeError:
+                _slotted[home] = context
         return context
 
 
@@ -107,4 +114,4 @@ def physical_key(home: object) -> Hashable:
     if isinstance(address, tuple):
         return ("tcp", *address)
     info = getattr(home, "channel_info", "unknown")
-    return None if info == "unknown" else (runtime, type(home).__name__, str(info))
+    return None if info == "unknown" else (id(runtime), type(home).__name__, str(info))

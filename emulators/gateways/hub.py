@@ -36,7 +36,8 @@ from motorhil.emulators.simulation.ownership_notice import (
 )
 from motorhil.emulators.simulation.world import World
 
-_BACKLOG_MAX: Final = 1_000_000
+_BACKLOG_MAX: Final = 131_072  # frames of about 100 bytes; 15 s at a full bus of 1 Mbit/s
+_QUEUE_MAX: Final = 1024  # frames of a client that wait for the bus; its further ones wait in it
 _SUBMIT_SIZE: Final = 1 + FRAME_BYTES
 _FD_SUBMIT_SIZE: Final = 1 + FD_FRAME_BYTES
 _TAKING: Final = (1, 5, 6)  # actions of a notice that begin an ownership
@@ -91,7 +92,7 @@ class _Client:
 
     def readable(self) -> bool:
         """Process its input; return False once it has disconnected."""
-        while True:
+        while not self.is_full():
             try:
                 record = self.connection.recv(RECORD_MAX)
             except BlockingIOError:
@@ -105,6 +106,11 @@ class _Client:
                     return False
             elif not self._take(self._port, record):
                 return False
+        return True
+
+    def is_full(self) -> bool:
+        """Return whether its frames must wait before the hub, because the bus is behind."""
+        return self._port is not None and self._port.pending() >= _QUEUE_MAX
 
     def _take(self, port: HostPort, record: bytes) -> bool:
         """Process a record; return False if the client must be disconnected."""
@@ -184,11 +190,15 @@ class _Client:
         if refusal:
             self.refuse(refusal)
             return False
+        try:
+            self._port = self._world.add_host(bus, words[3], self._tell, self._tell_error)
+        except ValueError as error:
+            self.refuse(str(error))
+            return False
         self._fd = fd
         self._send(WELCOME + bus.encode())
         self._send(pack_told(CLOCK, self._begin_ns, b""))
         self._bus = bus
-        self._port = self._world.add_host(bus, words[3], self._tell, self._tell_error)
         return True
 
     def _tell(self, frame: bytes, time_ns: int, transmitted: bool) -> None:
@@ -231,9 +241,10 @@ class _Client:
 class HubServer:
     """A Gateway: processes connect to `path` and get a port on a bus of the world.
 
-    Delivery is lossless: unread frames wait for a client, up to a million. A client that lags
-    further is disconnected; it never sees gaps. Frames of a client that has lost its motor are
-    refused (fencing, see `hub_protocol`).
+    Delivery is lossless: unread frames wait for a client, up to 131,072. A client that lags
+    further is disconnected; it never sees gaps. A client that sends faster than the bus waits in
+    its `send` as soon as 1,024 of its frames are queued. Frames of a client that has lost its motor
+    are refused (fencing, see `hub_protocol`).
     """
 
     def __init__(self, path: str | Path, world: World) -> None:
@@ -296,7 +307,8 @@ class HubServer:
             client.flush()
             if client.lost:
                 self._drop(connection)
-        return [self._listener, *self._clients]
+        reading = [one for one, client in self._clients.items() if not client.is_full()]
+        return [self._listener, *reading]
 
     def readable(self, source: Source) -> None:
         """Handle a new, active or departing client."""

@@ -2,20 +2,26 @@
 
 from array import array
 from bisect import bisect_right
-from typing import final
+from typing import Final, final
+
+ENTRIES_MAX: Final = 1 << 18  # 4 MB
 
 
 @final
 class BusyTime:
     """The busy time of a medium, as a list of periods.
 
-    Grows by 16 bytes per busy period; adjacent periods are merged. A CAN bus without pauses costs
-    nothing per frame, one with a pause after every frame 16 bytes per frame.
+    Adjacent periods are merged. A CAN bus without pauses costs nothing per frame, one with a pause
+    after every frame 16 bytes per frame, up to 4 MB. Beyond that, every other entry of the older
+    half is dropped. The totals stay exact, and so do windows in the newer half. An older window is
+    exact between entries; inside of one, the busy time counts as evenly spread.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, entries_max: int = ENTRIES_MAX) -> None:
+        self._entries_max = entries_max
         self._ends_ns = array("q")  # of the periods before the last one
         self._sums_ns = array("q")  # busy time from 0 to each of these ends
+        self._spread = 0  # number of entries, from the first on, that stand for several periods
         self._start_ns = 0  # of the last period
         self._end_ns = 0
         self._before_ns = 0  # busy time before the last period
@@ -27,9 +33,18 @@ class BusyTime:
             before_ns = self._before_ns + last_end_ns - self._start_ns
             self._ends_ns.append(last_end_ns)
             self._sums_ns.append(before_ns)
+            if len(self._ends_ns) > self._entries_max:
+                self._thin()
             self._before_ns = before_ns
             self._start_ns = start_ns
         self._end_ns = end_ns
+
+    def _thin(self) -> None:
+        """Drop every other entry of the older half."""
+        half = self._entries_max // 2
+        self._ends_ns = self._ends_ns[1:half:2] + self._ends_ns[half:]
+        self._sums_ns = self._sums_ns[1:half:2] + self._sums_ns[half:]
+        self._spread = half // 2
 
     def busy_ns(self, until_ns: int | None = None) -> int:
         """Return the busy time from 0 to `until_ns`, or in total [ns]."""
@@ -55,8 +70,8 @@ class BusyTime:
     def peak_load(self, window_ns: int) -> float:
         """Return the highest load of any window of this length, 0.0 to 1.0, wherever it begins.
 
-        The result is exact, because a fullest window ends where a period ends. Takes time in
-        proportion to the number of periods, about half a second per million.
+        The result is exact, because a fullest window ends where a period ends; where old entries
+        were dropped, a window's busy time may be off by what two entries stand for, either way.
 
         Raises:
             ValueError: window_ns is not above 0.
@@ -80,5 +95,9 @@ class BusyTime:
         if index == len(self._ends_ns):
             return self._before_ns
         before_ns = self._sums_ns[index - 1] if index else 0
+        if index < self._spread:
+            begin_ns = self._ends_ns[index - 1] if index else 0
+            part_ns = (self._sums_ns[index] - before_ns) * max(0, until_ns - begin_ns)
+            return before_ns + part_ns // (self._ends_ns[index] - begin_ns)
         start_ns = self._ends_ns[index] - (self._sums_ns[index] - before_ns)
         return before_ns + max(0, until_ns - start_ns)

@@ -38,6 +38,7 @@ class BusSegment(Segment):
         self._routes: dict[bytes, list[Endpoint]] = {}  # by the bytes of the identifier
         self._everything: list[Endpoint] = []  # receivers of identifiers without a route
         self._routes_valid = False
+        self._vacant: list[int] = []  # ports of programs that have left
         self.taps: list[FrameTap] = []
         self._settle(world.queue.now_ns)
 
@@ -65,10 +66,16 @@ class BusSegment(Segment):
     def claim_host(self, name: str) -> int:
         """Return the port for an application of this name: the host's interface, or a new one."""
         interface = self._interface
-        if interface is None or name != HOST:
-            return self.attach_host(self.free_name(name))
-        self._interface = None
-        return interface.port
+        if interface is not None and name == HOST:
+            self._interface = None
+            return interface.port
+        names = self.bus.port_names()
+        for number in sorted(self._vacant, key=lambda one: names[one] != name):
+            new_name = name if names[number] == name else self.free_name(name)
+            if self.bus.hand_over(number, new_name, self.queue.now_ns):
+                self._vacant.remove(number)
+                return number
+        return self.attach_host(self.free_name(name))
 
     def join(self, endpoint: Endpoint) -> None:
         """Add the endpoint; its port was attached last, or was reserved."""
@@ -90,7 +97,7 @@ class BusSegment(Segment):
 
     def free_name(self, wish: str) -> str:
         """Return the wanted name, with a number appended if it is taken."""
-        taken = [endpoint.name for endpoint in self._by_port]
+        taken = set(self.bus.port_names())
         name = wish
         number = 1
         while name in taken:
@@ -102,7 +109,12 @@ class BusSegment(Segment):
         """Stop deliveries to the endpoint."""
         if endpoint in self._listeners:
             self._listeners.remove(endpoint)
+            self._vacant.append(endpoint.port)
         self._routes_valid = False
+
+    def pending(self, port: int) -> int:
+        """Return the number of frames of this port that are not yet sent."""
+        return self.bus.pending(port)
 
     def forget_routes(self) -> None:
         """Rebuild the routes because a controller listens to other identifiers."""

@@ -37,7 +37,11 @@ class Segment:
         """Rebuild the routes because a controller listens to other identifiers."""
 
     def remove_listener(self, endpoint: "Endpoint") -> None:
-        """Stop deliveries to the endpoint."""
+        """Stop deliveries to the endpoint; its port may be used again."""
+
+    def pending(self, port: int) -> int:
+        """Return the number of frames of this port that are not yet sent."""
+        return 0
 
 
 class Endpoint:
@@ -163,6 +167,10 @@ class HostPort(Endpoint):
     def send(self, frame: bytes) -> None:
         """Queue the frame for the bus."""
         self._segment.submit(self.port, frame, self._segment.queue.now_ns)
+
+    def pending(self) -> int:
+        """Return the number of its frames that are not yet sent."""
+        return self._segment.pending(self.port)
 
     def close(self) -> None:
         """Stop deliveries to the application; queued frames are still sent."""

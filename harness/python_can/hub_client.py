@@ -31,6 +31,7 @@ from motorhil.emulators.simulation.ownership_notice import (
 )
 
 _GREETING_TIMEOUT_S: Final = 5.0
+SEND_TIMEOUT_S: Final = 5.0  # a paused hub reads nothing
 _CLOCK_TIMEOUT_S: Final = 0.2  # it follows the greeting at once
 
 
@@ -106,10 +107,10 @@ class HubLink:
         return self._socket.fileno()
 
     def send(self, frame: bytes) -> None:
-        """Send the frame to the hub, which queues it for the bus.
+        """Send the frame to the hub, which queues it for the bus; wait while its queue is full.
 
         Raises:
-            CanOperationError: the hub has closed the connection.
+            CanOperationError: the hub has closed the connection, or has not read for 5 s.
         """
         self._send(pack_submit(frame))
 
@@ -123,8 +124,28 @@ class HubLink:
 
     def _send(self, record: bytes) -> None:
         try:
-            self._socket.send(record)
+            self._socket.send(record, socket.MSG_DONTWAIT)
+            return
+        except BlockingIOError:
+            pass
         except OSError as error:
+            raise self._closed_error() from error
+        self._send_later(record, time.monotonic() + SEND_TIMEOUT_S)
+
+    def _send_later(self, record: bytes, deadline_s: float) -> None:
+        """Send as soon as the hub has read enough of what it was sent."""
+        try:
+            while True:
+                left_s = max(0.0, deadline_s - time.monotonic())
+                if not select.select([], [self._socket], [], left_s)[1]:
+                    raise CanOperationError(
+                        f"{self.path}: the hub has read nothing for {SEND_TIMEOUT_S:g} s, and its "
+                        "queue is full; is it stopped or paused?"
+                    )
+                with suppress(BlockingIOError):
+                    self._socket.send(record, socket.MSG_DONTWAIT)
+                    return
+        except (OSError, ValueError) as error:
             raise self._closed_error() from error
 
     def receive(self, timeout_s: float | None) -> tuple[bytes, int, bool] | None:

@@ -127,6 +127,31 @@ class CanBus(CanSegment):
         self._settle()
         return number
 
+    def hand_over(self, number: int, name: str, now_ns: int) -> bool:
+        """Give a port that is no longer used to another program; return False if it must wait.
+
+        It must wait while a frame of the port is pending or delayed, its CAN controller does not
+        take part, or a rule has put the new name on another wire. The error counters stay.
+
+        Raises:
+            ValueError: another port has the name.
+        """
+        node = self._nodes[number]
+        busy = self.pending(number) or self._seam.is_late(number) or node.role is not Role.ON
+        if busy or self._place_of(name) != self._places[number]:
+            return False
+        if name == node.name:
+            return True
+        if name in self.port_names():
+            raise ValueError(f"bus {self.name}: there is already a port named {name}")
+        for port in (segment.port(number) for segment in self._segments()):
+            port.name = name
+        node.name = name
+        self._seam.rename(number, name)
+        self._spread_rules(now_ns)
+        self._settle()
+        return True
+
     def next_deadline_ns(self) -> int | None:
         """Return the time of the next completion or fault [ns], or None if nothing is pending."""
         due_ns = self.deadline_ns()

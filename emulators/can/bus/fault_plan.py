@@ -317,6 +317,14 @@ class FaultSeam:
         """Add the next port, with this name."""
         self._names.append(name)
 
+    def rename(self, number: int, name: str) -> None:
+        """Give the port another name."""
+        self._names[number] = name
+
+    def is_late(self, number: int) -> bool:
+        """Return whether a delayed frame of this port is still to be heard."""
+        return any(port == number for _, _, _, port, _ in self._late)
+
     def next_ns(self) -> int:
         """Return when a rule changes or a late frame is heard; NEVER_NS if nothing is due."""
         if not self._late:

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Final
 from motorhil.motorapi.adaptations.canopen.bus import HEARTBEAT_ID, OPERATIONAL, STOPPED, CanopenBus
 from motorhil.motorapi.adaptations.canopen.emcy import Emergency, last_error, standing_error
 from motorhil.motorapi.adaptations.canopen.errors import SdoAborted
-from motorhil.motorapi.adaptations.canopen.objects import ObjectTable, Value, decode
-from motorhil.motorapi.adaptations.canopen.sdo import SdoChannel
+from motorhil.motorapi.adaptations.canopen.objects import ObjectTable, Value
+from motorhil.motorapi.adaptations.canopen.sdo import SdoChannel, decode_answer
 from motorhil.motorapi.adaptations.canopen.settings import NodeOptions
 from motorhil.motorapi.errors import DeadlineExceeded, LinkError
 from motorhil.motorapi.locking.directory import bus_name
@@ -268,10 +268,16 @@ class CanopenNode:
     # --- objects ---------------------------------------------------------------------------
 
     def read(self, index: int, subindex: int = 0) -> Value:
-        """Return the value of an object of the standard, read by SDO."""
-        return decode(
-            self.objects.type_of(index, subindex) or "u32", self.sdo.upload(index, subindex)
-        )
+        """Return the value of an object, read by SDO; one unknown to the standard is unsigned.
+
+        Raises:
+            ProtocolViolation: the answer is shorter than the object's data type.
+        """
+        data = self.sdo.upload(index, subindex)
+        kind = self.objects.type_of(index, subindex)
+        if kind is None:
+            return int.from_bytes(data[:4], "little")
+        return decode_answer(self.node_id, (index, subindex), kind, data)
 
     def read_int(self, index: int, subindex: int = 0) -> int:
         """Return the integer in an object, read by SDO."""

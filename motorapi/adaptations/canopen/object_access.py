@@ -6,7 +6,8 @@ Values already written are not written again.
 from typing import TYPE_CHECKING, Final, final
 
 from motorhil.motorapi.adaptations.canopen.node import CanopenNode
-from motorhil.motorapi.adaptations.canopen.objects import KINDS, Value, decode, encode
+from motorhil.motorapi.adaptations.canopen.objects import KINDS, Value, encode
+from motorhil.motorapi.adaptations.canopen.sdo import decode_answer
 from motorhil.motorapi.errors import UsageError
 
 if TYPE_CHECKING:
@@ -47,7 +48,8 @@ class ObjectAccess:
     def read(self, what: int | str, subindex: int = 0, kind: str | None = None) -> Value:
         """Return the value of an object; see `ObjectTable.find`."""
         index, subindex, kind = self._node.objects.find(what, subindex, kind)
-        return decode(kind or "bytes", self.upload(index, subindex))
+        data = self.upload(index, subindex)
+        return decode_answer(self._node.node_id, (index, subindex), kind or "bytes", data)
 
     def read_int(self, what: int | str, subindex: int = 0) -> int:
         """Return the integer in an object; raise UsageError if it does not hold one."""

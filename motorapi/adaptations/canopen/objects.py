@@ -29,9 +29,12 @@ KINDS: Final = (*_FORMATS, "string", "bytes")
 
 
 def decode(kind: str, data: bytes) -> Value:
-    """Return the value of `data` read from the device; a wrong length is cut or extended.
+    """Return the value of `data` read from the device.
 
-    Some devices answer with four bytes for every type, or with fewer.
+    Some devices answer with four bytes for every type: what is beyond the type is cut.
+
+    Raises:
+        ValueError: the data is shorter than the type; missing bytes are not made up.
     """
     if kind == "string":
         return data.rstrip(b"\0").decode("utf-8", "replace")
@@ -39,8 +42,10 @@ def decode(kind: str, data: bytes) -> Value:
         return data
     form = _FORMATS[kind]
     if len(data) < form.size:
-        fill = b"\xff" if kind[0] == "i" and data and data[-1] & 0x80 else b"\0"
-        data = data + fill * (form.size - len(data))
+        sent = f"{len(data)} byte" + "s" * (len(data) != 1)
+        raise ValueError(
+            f"{sent} ({data.hex(' ').upper()}) for the data type {kind}, of {form.size}"
+        )
     value: int | float = form.unpack_from(data)[0]
     return value
 

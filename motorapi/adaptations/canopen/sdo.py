@@ -24,11 +24,12 @@ from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING, Final, final
 
 import canopen
-from canopen.sdo.client import SdoClient
+from canopen.sdo.client import ReadableStream, SdoClient
 from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError
 
 from motorhil.motorapi.adaptations.canopen.errors import ProtocolViolation, SdoAborted
 from motorhil.motorapi.adaptations.canopen.link import CanLink, Transmission, can_frame
+from motorhil.motorapi.adaptations.canopen.objects import Value, decode
 from motorhil.motorapi.adaptations.canopen.turn_lock import TurnLock
 from motorhil.motorapi.errors import (
     DeadlineExceeded,
@@ -129,6 +130,15 @@ class ChannelClient(SdoClient):
         self._held: list[bytes] = []  # answers that may be such ones
 
     # --- canopen's hooks
+
+    def upload(self, index: int, subindex: int = 0) -> bytes:
+        """Return the bytes of an object; an answer must have the length that it announces."""
+        stream = ReadableStream(self, index, subindex)  # type: ignore[no-untyped-call]  # canopen's
+        data: bytes = stream.read()  # type: ignore[no-untyped-call]  # canopen's
+        announced: int | None = stream.size
+        if announced is not None and announced != len(data):
+            raise SdoCommunicationError(f"{len(data)} bytes came of {announced} announced")
+        return data
 
     def request_response(self, sdo_request: bytes | bytearray) -> bytes:
         """Send a request once and return its answer; the caller may repeat it after quarantine.
@@ -542,3 +552,15 @@ class SdoChannel:
 
 def _where(index: int, subindex: int) -> str:
     return f"SDO {index:04X}h:{subindex:02X}h"
+
+
+def decode_answer(node_id: int, place: tuple[int, int], kind: str, data: bytes) -> Value:
+    """Return the value of an answer to an upload.
+
+    Raises:
+        ProtocolViolation: the answer is shorter than the data type.
+    """
+    try:
+        return decode(kind, data)
+    except ValueError as error:
+        raise ProtocolViolation(node_id=node_id, where=_where(*place), problem=str(error)) from None

@@ -81,3 +81,14 @@ def test_forked_child_can_look_contexts_up():
         context_of(Bus())
         os._exit(0)
     assert os.waitpid(child, 0)[1] == 0
+
+
+def test_bus_that_its_own_parts_refer_to_can_go():
+    def use() -> weakref.ref[Bus]:
+        bus = Bus("referred to")
+        context_of(bus).parts.part(dict, lambda: {"bus": bus})
+        return weakref.ref(bus)
+
+    gone = use()
+    gc.collect()
+    assert gone() is None

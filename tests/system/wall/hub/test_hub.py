@@ -198,6 +198,44 @@ def test_client_beyond_the_maximum_is_refused(path, monkeypatch):
         assert bytes(bus.recv(30.0).data) == b"\x2a"
 
 
+def test_client_that_only_sends_waits_for_the_bus(path):
+    with (
+        serving(path) as world,
+        can.Bus(interface="emulated", channel=path) as greedy,
+        can.Bus(interface="emulated", channel=path) as witness,
+    ):
+        port = 0
+        most = 0
+        for number in range(4000):
+            greedy.send(message(0x100, number.to_bytes(2, "little")))
+            most = max(most, world.bus("can0").pending(port))
+        heard = [witness.recv(30.0) for _ in range(4000)]
+    assert [int.from_bytes(one.data, "little") for one in heard] == list(range(4000))
+    assert 0 < most <= 1024
+
+
+def test_paused_hub_ends_the_wait_of_a_sender(path, monkeypatch):
+    monkeypatch.setattr("motorhil.harness.python_can.hub_client.SEND_TIMEOUT_S", 0.05)
+    queue = EventQueue()
+    world = World(queue)
+    world.add_bus(CanBus("can0", 1_000_000))
+    loop = WallLoop(queue)
+    loop.add(HubServer(path, world))
+    stop = threading.Event()
+    thread = threading.Thread(target=loop.run, args=(stop.is_set,))
+    thread.start()
+    with contextlib.closing(loop), can.Bus(interface="emulated", channel=path) as bus:
+        stop.set()
+        thread.join()
+        with pytest.raises(can.CanOperationError, match=r"read nothing for 0\.05 s"):
+            flood(bus)
+
+
+def flood(bus):
+    for _ in range(100_000):
+        bus.send(message(0x100))
+
+
 def test_path_that_looks_like_path_and_bus_is_refused(tmp_path):
     world = World(EventQueue())
     world.add_bus(CanBus("can0"))

@@ -1,5 +1,7 @@
+from itertools import pairwise
+
 import pytest
-from hypothesis import given
+from hypothesis import event, given
 from hypothesis import strategies as st
 
 from motorhil.emulators.media.load import BusyTime
@@ -8,9 +10,9 @@ from motorhil.emulators.media.load import BusyTime
 PERIODS = st.lists(st.tuples(st.integers(0, 5), st.integers(1, 6)), max_size=12)
 
 
-def _fill(periods: list[tuple[int, int]]) -> tuple[BusyTime, list[bool]]:
+def _fill(periods: list[tuple[int, int]], entries_max: int = 1000) -> tuple[BusyTime, list[bool]]:
     """Return the same data twice: as periods, and as one flag per nanosecond."""
-    busy = BusyTime()
+    busy = BusyTime(entries_max)
     flags: list[bool] = []
     for gap, length in periods:
         flags += [False] * gap
@@ -64,3 +66,26 @@ def test_empty_window_has_no_load(until_ns):
 def test_empty_window_has_no_peak():
     with pytest.raises(ValueError, match="0 ns is empty"):
         BusyTime().peak_load(0)
+
+
+@given(
+    st.lists(st.tuples(st.integers(1, 5), st.integers(1, 6)), min_size=20, max_size=80),
+    st.integers(1, 60),
+)
+def test_bounded_memory_keeps_the_totals_and_bounds_the_error(periods, window_ns):
+    busy, flags = _fill(periods, 8)
+    ends_ns = list(busy._ends_ns)
+    assert len(ends_ns) <= 8
+    event(f"entries for several periods: {busy._spread}")
+    assert busy.busy_ns() == sum(flags)
+    for end_ns in ends_ns:  # exact between entries
+        assert busy.busy_ns(end_ns) == sum(flags[:end_ns])
+    for at in range(ends_ns[busy._spread - 1] if busy._spread else 0, len(flags)):
+        assert busy.busy_ns(at) == sum(flags[:at])  # and wherever the periods are kept
+    counts = [busy.busy_ns(at) for at in range(len(flags))]
+    assert all(0 <= later - earlier <= 1 for earlier, later in pairwise(counts))
+    padded = [False] * window_ns + flags
+    exact_ns = max(sum(padded[at : at + window_ns]) for at in range(len(padded)))
+    sums_ns = [0, *(sum(flags[:end_ns]) for end_ns in ends_ns)]
+    most_ns = max(later - earlier for earlier, later in pairwise(sums_ns))
+    assert abs(round(busy.peak_load(window_ns) * window_ns) - exact_ns) <= 2 * most_ns

@@ -167,6 +167,49 @@ def test_closed_host_hears_nothing():
     assert heard == []
 
 
+def test_programs_may_come_and_go_without_end():
+    queue, world = world_with(Echo(0x180))
+    heard = []
+    for number in range(5000):
+        world.add_host("can0", f"program-{number}", lambda *what: None).close()
+    last = world.add_host("can0", "last", lambda *what: heard.append(what))
+    last.send(frame(0x100))
+    queue.run_until(10 * MS)
+    assert [one[0][:2] for one in heard] == [b"\x00\x01", b"\x80\x01"]
+    assert world.bus("can0").port_names()[last.port] == last.name == "last"
+    assert len(world.bus("can0").port_names()) <= 4
+
+
+def test_port_waits_for_its_last_frame_before_its_next_user():
+    queue, world = world_with(Echo(0x180))
+    senders = []
+    world.tap_frames(lambda bus, now_ns, sender, data: senders.append(sender))
+    first = world.add_host("can0", "first", lambda *what: None)
+    for _ in range(3):
+        first.send(frame(0x200))
+    first.close()
+    second = world.add_host("can0", "second", lambda *what: None)
+    assert second.port != first.port
+    queue.run_until(10 * MS)
+    assert senders == ["first"] * 3
+    assert world.add_host("can0", "first", lambda *what: None).port == first.port
+
+
+def test_rule_applies_to_the_name_and_not_to_the_port():
+    queue = EventQueue()
+    world = World(queue)
+    rule = FaultRule("lose", FaultKind.DROP, sender="bad")
+    world.add_bus(CanBus("can0", 1_000_000, FaultPlan([rule], lambda: 0.0)))
+    heard = []
+    world.add_host("can0", "witness", lambda *what: heard.append(what))
+    for name, value in (("bad", 1), ("good", 2), ("bad", 3), ("good", 4)):
+        host = world.add_host("can0", name, lambda *what: None)
+        host.send(frame(0x100, bytes((value,))))
+        queue.run_until(queue.now_ns + MS)
+        host.close()
+    assert [one[0][8] for one in heard] == [2, 4]
+
+
 def test_samples_are_taken_only_while_truth_changes():
     echo = Echo(0x180)
     queue, world = world_with(echo)

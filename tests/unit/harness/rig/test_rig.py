@@ -1,18 +1,23 @@
+import gc
 import os
 import signal
 import threading
 import time
+import weakref
+from pathlib import Path
 
 import can
 import pytest
 
 from motorhil.emulators.can.fault_rules import FaultKind, FaultRule
+from motorhil.harness.examples import two_wheels
 from motorhil.harness.python_can.bus import EmulatedBus
 from motorhil.harness.rig.config.toml import RigError
 from motorhil.harness.rig.rig import Rig
 from tests.support.plugin_rigs import FAULT, GOOD, WHEEL
 
 MS = 1_000_000
+TWO_WHEELS = Path(two_wheels.__file__).with_name("two_wheels.toml")
 
 
 @pytest.fixture
@@ -337,3 +342,16 @@ def test_invalid_seed_is_refused(bench):
     (bench / "wheel.toml").write_text(WHEEL)
     with pytest.raises(RigError, match="seed -3 is not within 0 to"):
         Rig.open(bench / "rig.toml", seed=-3)
+
+
+def test_used_rig_leaves_nothing_in_memory(tmp_path):
+    left = []
+    for number in range(3):
+        with Rig.open(TWO_WHEELS, record=tmp_path / f"{number}.mcap") as rig:
+            motor = next(iter(rig.motors.values()))
+            motor.enable()
+            motor.disable()
+            left += [weakref.ref(motor), weakref.ref(rig)]
+        del rig, motor
+    gc.collect()
+    assert [one() for one in left] == [None] * 6

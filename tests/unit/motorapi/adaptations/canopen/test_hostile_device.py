@@ -9,7 +9,7 @@ import pytest
 from hypothesis import event, example, given
 from hypothesis import strategies as st
 
-from motorhil.motorapi.adaptations.canopen.errors import SdoAborted
+from motorhil.motorapi.adaptations.canopen.errors import ProtocolViolation, SdoAborted
 from motorhil.motorapi.adaptations.cia402.bringup import HwOptions
 from motorhil.motorapi.adaptations.cia402.hardware import Cia402HwMotor
 from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
@@ -182,3 +182,15 @@ def test_wrong_argument_at_the_prompt_is_refused(
     assert bus.sent == []
     with suppress(MotorError):
         hardware.close()
+
+
+def test_missing_bytes_of_an_answer_are_not_made_up():
+    def peer(request: bytes) -> Iterable[Answer]:
+        if request[8:12] == b"\x40\x00\x10\x00":
+            yield MS, frame("585#4B00100092010000")  # 2 of the 4 bytes of 1000h
+
+    with pytest.raises(ProtocolViolation) as caught:
+        Cia402HwMotor(ScriptedBus(peer), 5, options=OPTIONS).connect()
+    assert str(caught.value) == (
+        "node 5: SDO 1000h:00h: 2 bytes (92 01) for the data type u32, of 4"
+    )

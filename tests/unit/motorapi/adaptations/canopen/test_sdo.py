@@ -182,6 +182,19 @@ def test_repeated_segment_is_not_the_next_one():
     assert channel.strays == 1
 
 
+@pytest.mark.parametrize(
+    ("segments", "problem"),
+    [
+        ({0x40: "582#410810000A000000", 0x60: "582#0D54000000000000"}, "1 bytes came of 10"),
+        ({0x40: "582#4108100002000000", 0x60: "582#0154696E79204E6F"}, "7 bytes came of 2"),
+    ],
+)
+def test_answer_of_another_length_than_announced_is_a_violation(segments, problem):
+    bus = ScriptedBus(lambda data: [(MS, frame(segments[data[8]]))] if data[8] in segments else [])
+    with pytest.raises(ProtocolViolation, match=f"1008h:00h: {problem} announced"):
+        channel_to(bus).upload(0x1008)
+
+
 def test_boot_up_ends_waiting_and_quarantine():
     bus = ScriptedBus(answers((-1, 0), (1 * MS, 222)))
     channel = channel_to(bus)
