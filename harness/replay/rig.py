@@ -123,17 +123,23 @@ def own_rig(recording: Path, known: Known, folder: Path | None = None) -> "RigDe
 def _own_rig(
     recording: Path, attachments: list[Attachment], known: Known, folder: Path
 ) -> "RigDescription | None":
-    """Read the first attached rig file; its motor models stay as tables, not as files."""
+    """Read the first attached rig file; its motor models stay as tables, not as files.
+
+    The recording may be anybody's. Its rig runs no code but that of plugins, and the files that it
+    names are those of the recording, wherever they were: they stay within `folder`.
+    """
     files = {one.name.rpartition("/")[2]: one for one in attachments}
+    files = {name: one for name, one in files.items() if name not in ("", ".", "..")}
     for name, attached in files.items():
         rig = rig_of(attached.data)
         if rig is None:
             continue
         home = Path(folder, *(["in"] * _DEPTH))
-        for place, contents in _places(rig, files).items():
+        text, moved = _moved(attached.data, rig, recording / name)
+        for place, contents in _places(rig, moved, files).items():
             _write(home / place, contents)
         try:
-            found = read_rig(_write(home / name, attached.data), known)
+            found = read_rig(_write(home / name, text), replace(known, takes_targets=False))
         except RigError as error:
             what = error.message.replace(f"{home}/", "")
             raise RigError(
@@ -166,14 +172,31 @@ def _table(model: Path | Mapping[str, object]) -> Mapping[str, object]:
     return tomllib.loads(model.read_text("utf-8")) if isinstance(model, Path) else model
 
 
-def _places(rig: Mapping[str, object], files: Mapping[str, Attachment]) -> dict[str, bytes]:
+def _moved(text: bytes, rig: Mapping[str, object], where: Path) -> tuple[bytes, dict[str, str]]:
+    """Return the rig's text with the files outside of its folders moved, and their new names."""
+    moved: dict[str, str] = {}
+    for named, _ in named_files(rig):
+        place = PurePosixPath(named)
+        if place.is_absolute() or place.parts.count("..") > _DEPTH:
+            moved[named] = f"moved-{len(moved)}/{place.name or 'file'}"
+    for named, name in moved.items():
+        for quote in (b'"', b"'"):
+            text = text.replace(quote + named.encode() + quote, b'"%s"' % name.encode())
+    if any(named in moved for named, _ in named_files(tomllib.loads(text.decode()))):
+        what = f"names the file {next(iter(moved))!r}, in a spelling that cannot be moved"
+        raise RigError(where, what, "give a rig file instead")
+    return text, moved
+
+
+def _places(
+    rig: Mapping[str, object], moved: Mapping[str, str], files: Mapping[str, Attachment]
+) -> dict[str, bytes]:
     """Return the attached files by the path under which the rig expects them."""
     found: dict[str, bytes] = {}
     for named, _ in named_files(rig):
-        place = PurePosixPath(named)
-        attached = files.get(place.name)
-        if not place.is_absolute() and attached is not None and place.parts.count("..") <= _DEPTH:
-            found[named] = attached.data
+        attached = files.get(PurePosixPath(named).name)
+        if attached is not None:
+            found[moved.get(named, named)] = attached.data
     return found
 
 

@@ -253,11 +253,14 @@ class Known:
         controllers, adaptations: names of the plugins.
         needs_bus: returns True if motors of this adaptation are on a bus, or None if the adaptation
             cannot be loaded; the error is then reported when the motor is built.
+        takes_targets: True if the rig may also name code, "package.module:function"; not if the
+            rig comes from elsewhere, in a recording.
     """
 
     controllers: tuple[str, ...]
     adaptations: tuple[str, ...]
     needs_bus: Callable[[str], bool | None] = _all_need_one
+    takes_targets: bool = True
 
 
 def read_rig(path: Path, known: Known) -> RigDescription:
@@ -329,7 +332,7 @@ def _controller(
     name: str, table: Table, buses: Mapping[str, BusDescription], known: Known
 ) -> ControllerDescription:
     own = table.part(ControllerTable)
-    _check_plugin(table, "kind", own.kind, known.controllers, "controller kind")
+    _check_plugin(table, "kind", own.kind, known, known.controllers)
     table.require("bus", own.bus, list(buses))
     settings = _without(table, ("kind", "bus"))
     asking: list[KeyPath] = []
@@ -347,11 +350,19 @@ def _controller(
     return ControllerDescription(name, own.kind, own.bus, address, settings, tuple(asking))
 
 
-def _check_plugin(table: Table, key: str, name: str, known: Sequence[str], what: str) -> None:
+def _check_plugin(table: Table, key: str, name: str, known: Known, names: Sequence[str]) -> None:
     """Refuse a name that is neither a plugin's nor "package.module:function" (RigError)."""
-    if not is_target(name) and name not in known:
-        message = f'unknown {what} "{name}" (known: {listed(known)})'
-        raise table.error(key, message, nearest(name, known))
+    if is_target(name):
+        if not known.takes_targets:
+            raise table.error(
+                key,
+                f'"{name}" names code to run, which a recording may not',
+                "name a rig file of your own",
+            )
+    elif name not in names:
+        what = "controller kind" if key == "kind" else key
+        message = f'unknown {what} "{name}" (known: {listed(names)})'
+        raise table.error(key, message, nearest(name, names))
 
 
 def _plants(table: Table) -> list[Table]:
@@ -388,7 +399,7 @@ def _motor(
         raise table.error("name", f'the motor has the name of its table, "{name}"', "take it out")
     own = table.part(MotorTable)
     adaptation = own.adaptation
-    _check_plugin(table, "adaptation", adaptation, known.adaptations, "adaptation")
+    _check_plugin(table, "adaptation", adaptation, known, known.adaptations)
     bus, node_id, controller = _place(table, own, buses, controllers, known)
     settings = _without(table, ("adaptation", "controller", "bus", "node_id", "unit", "model"))
     return MotorDescription(

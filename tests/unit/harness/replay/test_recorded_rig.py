@@ -3,6 +3,7 @@
 import os
 import tomllib
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
@@ -14,6 +15,7 @@ from motorhil.harness.replay.device_node import (
     recorded_exchanges,
 )
 from motorhil.harness.replay.rig import own_rig, rig_in, with_recorded
+from motorhil.harness.rig.config.toml import RigError
 from motorhil.harness.rig.rig import installed_plugins
 from motorhil.traces.exchange.recording import exchanges_of
 from motorhil.traces.exchange.steps import START
@@ -165,3 +167,51 @@ def test_motor_model_is_found_at_any_path(tmp_path, place):
     found = own_rig(path, installed_plugins())
     assert found.motors["left"].model == text
     assert found.source.error(("controller", "left", "kind"), "is wrong").line == 7
+
+
+@pytest.mark.parametrize(
+    ("key", "line"),
+    [
+        ("controller.left.kind", b'kind = "%s"'),
+        ("motor.left.adaptation", b'adaptation = "%s"'),
+    ],
+)
+def test_recording_names_no_code_to_run(tmp_path, key, line):
+    text = RIG.replace(line % b"cia402", line % b"os:abort") % b"wheel.toml"
+    path = recording(tmp_path / "a.mcap", attached=[("far.toml", text)])
+    with pytest.raises(RigError) as caught:
+        own_rig(path, installed_plugins())
+    assert caught.value.key == key
+    assert '"os:abort" names code to run, which a recording may not' in str(caught.value)
+    assert str(caught.value).endswith("; give a rig file instead")
+
+
+@pytest.mark.parametrize("quote", [b'"', b"'"])
+@pytest.mark.parametrize("place", ["/etc/motorhil.txt", "{}/memory.txt", "../" * 70 + "memory.txt"])
+def test_files_that_a_recording_names_stay_within_its_folder(tmp_path, place, quote):
+    place = place.format(tmp_path)
+    added = b"nonvolatile_memory = " + quote + place.encode() + quote
+    text = RIG.replace(b"node_id = 1\n", b"node_id = 1\n" + added + b"\n") % place.encode()
+    model = b'unit = "rad"\nvelocity_max_rad_s = 1.0\n'
+    attached = [("far.toml", text), (place.rpartition("/")[2], model)]
+    path = recording(tmp_path / "a.mcap", attached=attached)
+    home = tmp_path / "home"
+    found = own_rig(path, installed_plugins(), home)
+    memory = Path(found.controllers["left"].settings["nonvolatile_memory"])
+    assert memory.resolve().is_relative_to(home)
+    assert memory.read_bytes() == model
+    assert found.motors["left"].model == {"unit": "rad", "velocity_max_rad_s": 1.0}
+    assert found.attached[0][0] == place.rpartition("/")[2]
+
+
+def test_file_name_in_another_spelling_is_refused(tmp_path):
+    text = RIG % rb"\u002fetc/wheel.toml"
+    path = recording(tmp_path / "a.mcap", attached=[("far.toml", text)])
+    with pytest.raises(RigError, match=r"names the file '/etc/wheel\.toml', in a spelling"):
+        own_rig(path, installed_plugins())
+
+
+@pytest.mark.parametrize("name", ["..", ".", ""])
+def test_attachment_without_a_file_name_is_left_out(tmp_path, name):
+    path = recording(tmp_path / "a.mcap", attached=[(name, RIG % b"wheel.toml")])
+    assert own_rig(path, installed_plugins()) is None
