@@ -183,6 +183,11 @@ class World(Overseer):
         for segment in self._segments.values():
             segment.taps.append(on_frame)
 
+    def untap_frames(self, on_frame: FrameTap) -> None:
+        """End the calls of a function given to `tap_frames`."""
+        for segment in self._segments.values():
+            segment.taps.remove(on_frame)
+
     def tap_lines(self, on_adu: LineTap) -> None:
         """Call `on_adu` for every complete ADU on a line; see `LineTap`."""
         for line in self._lines.values():

@@ -5,7 +5,7 @@ import sys
 from pathlib import Path
 
 from motorhil.harness.cli.main import PASSED
-from motorhil.harness.rig.config.scaffold import CI_FILES, write_new_rig
+from motorhil.harness.rig.config.scaffold import CI_FILES, requirement, write_new_rig
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -25,8 +25,15 @@ def run(options: argparse.Namespace) -> int:
     Raises:
         RigError: the files exist already, or cannot be written.
     """
+    has_requirements = Path("requirements.txt").exists()
     for path in write_new_rig(options.folder, options.ci):
         print(path)
     rig, script = options.folder / "rig.toml", options.folder / "drive.py"
-    print(f"next: motorhil run {rig} {script}", file=sys.stderr)
+    if script.exists():
+        print(f"next: motorhil run {rig} {script}", file=sys.stderr)
+    line, command = requirement()
+    if options.ci is not None and has_requirements:
+        print(f"requirements.txt: was there; it must install {line} and pytest", file=sys.stderr)
+    if options.ci is not None and command:
+        print(f"before you push, commit what this makes: {command}", file=sys.stderr)
     return PASSED

@@ -24,6 +24,7 @@ from motorhil.harness.cli.main import FAILED, PASSED, WRONG_USAGE
 from motorhil.harness.cli.options import add_seed
 from motorhil.harness.cli.processes import StopSignals
 from motorhil.harness.recording.ownership import LockLooks, LockWriter
+from motorhil.harness.replay.device_node import KIND as RECORDED
 from motorhil.harness.replay.verdict import summary, unanswered
 from motorhil.harness.rig.config.buses import MODBUS_RTU, MODBUS_TCP, BusDescription
 from motorhil.harness.rig.config.toml import RigError
@@ -32,6 +33,7 @@ from motorhil.harness.rig.rig import Rig
 _PORT_MAX: Final = 65_535
 _NOT_FOUND: Final = 127
 _GRACE_S: Final = 3.0
+_BOOT_NS: Final = 2_000_000_000  # no emulated node takes longer
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -70,7 +72,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--any-address",
         action="store_true",
-        help="allow --modbus-tcp addresses that other machines can reach",
+        help="allow --modbus-tcp addresses that other machines can reach; whoever reaches one can "
+        "move the motors",
     )
     add_seed(parser)
     parser.add_argument(
@@ -96,12 +99,14 @@ def run(options: argparse.Namespace) -> int:
         try:
             lines = _open_lines(rig, loop, options)
             endpoints = _open_buses(rig, loop, options, cleanup)
+            _warn_of_addresses(rig, lines, options)
         except (HubError, SocketCanError, ModbusPtyError, ModbusSocketError) as error:
             print(f"motorhil serve: {error}", file=sys.stderr)
             return WRONG_USAGE
         _record_locks(rig, endpoints, cleanup)
         service = _Service(loop, cleanup.enter_context(StopSignals(loop)))
         if options.rest:
+            _let_boot(rig)
             status = service.run_command(options.rest, _environment(endpoints, lines))
             verdict = _report_unanswered(rig)
             return status or verdict
@@ -115,6 +120,46 @@ def run(options: argparse.Namespace) -> int:
             f"stopped; an event was at most {loop.late_ns_max / 1e6:.1f} ms late", file=sys.stderr
         )
         return _report_unanswered(rig)
+
+
+def _warn_of_addresses(rig: Rig, lines: dict[str, list[str]], options: argparse.Namespace) -> None:
+    """Say who can move the motors at addresses that other machines can reach."""
+    buses = rig.description.buses
+    for name, places in lines.items():
+        if options.any_address and buses[name].kind == MODBUS_TCP:
+            for place in places:
+                print(
+                    f"motorhil serve: {name}: whoever reaches {place} can move the motors; Modbus "
+                    "has no passwords",
+                    file=sys.stderr,
+                )
+
+
+def _let_boot(rig: Rig) -> None:
+    """Advance the rig's time until its nodes have booted, so that a command finds them.
+
+    Nodes from a recording boot when they did there.
+    """
+    missing = {
+        (one.bus, 0x700 + one.node_id)
+        for one in rig.description.controllers.values()
+        if one.bus in rig.world.bus_names() and one.node_id is not None and one.kind != RECORDED
+    }
+
+    def heard(bus: str, now_ns: int, sender: str, frame: bytes) -> None:
+        missing.discard((bus, int.from_bytes(frame[:4], "little")))
+
+    queue = rig.world.queue
+    end_ns = queue.now_ns + _BOOT_NS
+    rig.world.tap_frames(heard)
+    try:
+        while missing:
+            due_ns = queue.next_time_ns()
+            if due_ns is None or due_ns > end_ns:
+                break
+            queue.run_next()
+    finally:
+        rig.world.untap_frames(heard)
 
 
 def _report_unanswered(rig: Rig) -> int:

@@ -1,10 +1,14 @@
 """Shipped examples, and new rigs with CI jobs made from them."""
 
+import json
+import re
 import shlex
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
+from importlib import metadata
 from pathlib import Path
 from typing import Final
+from urllib.parse import unquote, urlsplit
 
 from motorhil.harness.rig.config.toml import RigError
 
@@ -19,6 +23,13 @@ _FILES: Final = (  # (name among the examples, name in the new folder)
 )
 _CI: Final = EXAMPLES / "ci"
 _HELPER: Final = "vcan-or-hub"
+_FIRST_TEST: Final = "first_test.txt"
+_TEST: Final = "test_motors.py"
+_REQUIREMENTS: Final = "requirements.txt"
+_WHEELS: Final = "vendor"
+_PROGRAM_STEP: Final = re.compile(  # of either job
+    r"      - name: A program in real time.*\n.*\n\n|    - bash [.]ci/vcan-or-hub.*\n"
+)
 CI_FILES: Final = {"github": ".github/workflows/motors.yml", "gitlab": ".gitlab-ci.yml"}
 
 
@@ -41,8 +52,8 @@ def write_new_rig(folder: Path, ci: str | None = None) -> list[Path]:
 
     Args:
         folder: the folder; created if missing.
-        ci: also write this CI job, one of CI_FILES, into the current folder; an existing rig in
-            `folder` then stays as it is.
+        ci: also write this CI job, one of CI_FILES, into the current folder, with a test and a
+            requirements.txt if there are none; an existing rig in `folder` stays as it is.
 
     Returns:
         The files written.
@@ -52,7 +63,7 @@ def write_new_rig(folder: Path, ci: str | None = None) -> list[Path]:
     """
     is_there = ci is not None and (folder / "rig.toml").exists()
     rig = {} if is_there else _rig(folder)
-    job = {} if ci is None else _job(ci, folder)
+    job = {} if ci is None else _job(ci, folder, is_new=not is_there)
     _refuse_existing(rig, "name another folder: motorhil new DIR")
     _refuse_existing(job, f"take what you need from {_CI}")
     _write(folder, rig | job)
@@ -71,8 +82,37 @@ def _rig(folder: Path) -> dict[Path, str]:
     return {**texts, folder / _SCHEMA: schema_text()}
 
 
-def _job(kind: str, folder: Path) -> dict[Path, str]:
-    """Return the CI job that runs tests with the folder's rig, and its helper script."""
+def requirement() -> tuple[str, str]:
+    """Return the line that installs this motorhil elsewhere, and a command to run before.
+
+    It is installed from where it was installed from here (direct_url.json, PEP 610). If that is a
+    folder of this machine, the command makes a wheel of it, to be committed; else there is none.
+    """
+    here = metadata.distribution("motorhil")
+    origin = json.loads(here.read_text("direct_url.json") or "{}")
+    url = str(origin.get("url", ""))
+    vcs = origin.get("vcs_info")
+    if vcs is not None:
+        return f"motorhil @ {vcs['vcs']}+{url}@{vcs['commit_id']}", ""
+    if not url:
+        return f"motorhil=={here.version}", ""
+    if not url.startswith("file:"):
+        return f"motorhil @ {url}", ""
+    source = shlex.quote(unquote(urlsplit(url).path))
+    wheel = f"./{_WHEELS}/motorhil-{here.version}-py3-none-any.whl"
+    return wheel, f"python -m pip wheel --no-deps --wheel-dir {_WHEELS} {source}"
+
+
+def has_tests(folder: Path) -> bool:
+    """Return whether pytest finds a test in the folder, the current one, or its `tests`."""
+    return any(any(one.glob("test_*.py")) for one in (folder, Path(), Path("tests")))
+
+
+def _job(kind: str, folder: Path, *, is_new: bool) -> dict[Path, str]:
+    """Return the CI job that runs tests with the folder's rig, and what the job needs.
+
+    The step with the rig's program is left out if a rig that exists has none.
+    """
     try:
         place = folder.resolve().relative_to(Path.cwd())
     except ValueError:
@@ -82,12 +122,24 @@ def _job(kind: str, folder: Path) -> dict[Path, str]:
             "change to its parent folder first",
         ) from None
     job = (_CI / f"{kind}.yml").read_text("utf-8")
+    has_program = is_new or (folder / "drive.py").exists()
+    if not has_program:
+        job = _PROGRAM_STEP.sub("", job)
+    texts: dict[Path, str] = {}
+    if has_program:
+        texts[Path(".ci", _HELPER)] = (_CI / _HELPER).read_text("utf-8")
+    if not has_tests(folder):
+        texts[folder / _TEST] = (_CI / _FIRST_TEST).read_text("utf-8")
+    if not Path(_REQUIREMENTS).exists():
+        texts[Path(_REQUIREMENTS)] = f"{requirement()[0]}\npytest>=8\n"
+    job_file = Path(CI_FILES[kind])
+    texts = {job_file: job, **texts}
     for name in ("rig.toml", "drive.py"):
-        job = job.replace(f"wheels/{name}", shlex.quote((place / name).as_posix()))
-    return {
-        Path(CI_FILES[kind]): job,
-        Path(".ci", _HELPER): (_CI / _HELPER).read_text("utf-8"),
-    }
+        named = shlex.quote((place / name).as_posix())
+        for path in (job_file, folder / _TEST):
+            if path in texts:
+                texts[path] = texts[path].replace(f"wheels/{name}", named)
+    return texts
 
 
 def _refuse_existing(paths: Iterable[Path], remedy: str) -> None:

@@ -1,6 +1,7 @@
 """Contents of the wheel that users install."""
 
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -77,3 +78,34 @@ def test_report_works_from_the_wheel_alone(installed, tmp_path):
 
 def test_source_digest_does_not_depend_on_the_place(installed):
     assert f"source {source_digest()} in " in installed("--version").stdout
+
+
+def test_first_push_finds_all_that_its_job_needs(wheel, tmp_path, monkeypatch):
+    """The job's steps, in a folder that only `motorhil new` and the printed command have filled."""
+    monkeypatch.chdir(tmp_path)
+    start = "from motorhil.harness.cli.main import main; import sys; sys.exit(main(sys.argv[1:]))"
+    new = [sys.executable, "-c", start, "new", "wheels", "--ci", "gitlab"]
+    done = subprocess.run(new, capture_output=True, text=True, check=True, timeout=60)
+    assert "commit what this makes: python -m pip wheel --no-deps --wheel-dir vendor " in done.stderr
+    Path("vendor").mkdir()
+    shutil.copy(wheel, "vendor")
+    own, *others = Path("requirements.txt").read_text().splitlines()
+    assert others == ["pytest>=8"]
+    install = [sys.executable, "-m", "pip", "install", "--quiet", "--no-index", "--no-deps"]
+    install += ["--disable-pip-version-check", "--target", "site", own]
+    subprocess.run(install, check=True, timeout=120)
+    job = Path(".gitlab-ci.yml").read_text()
+    commands = re.findall(r"^    - (pytest .*|bash .*)$", job, re.MULTILINE)
+    assert len(commands) == 2
+    path = f"{tmp_path}/bin:{Path(sys.executable).parent}:{os.environ['PATH']}"
+    Path("bin").mkdir()
+    Path("bin/motorhil").write_text(f"#!{sys.executable}\n{start}\n")
+    Path("bin/motorhil").chmod(0o755)
+    site = {"PATH": path, "PYTHONPATH": f"{tmp_path}/site", "HOME": str(tmp_path)}
+    for command in commands:
+        ran = subprocess.run(
+            ["bash", "-ec", command], env=site, capture_output=True, text=True, timeout=120
+        )
+        assert ran.returncode == 0, ran.stdout + ran.stderr
+    assert "right is at 3.1416 rad" in ran.stdout
+    assert Path("out/junit.xml").exists()

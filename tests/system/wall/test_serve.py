@@ -11,6 +11,7 @@ import pytest
 
 from motorhil.harness.rig.config.scaffold import EXAMPLES
 from motorhil.traces.mcap.reader import read_trace
+from motorhil.traces.schema import decode_can_frame
 
 pytestmark = pytest.mark.wall
 
@@ -226,3 +227,25 @@ def test_terminated_replay_leaves_no_folder(tmp_path):
     assert process.returncode == 143, err
     assert "Traceback" not in err
     assert list(left.iterdir()) == []
+
+
+def test_command_starts_when_the_drives_have_booted(tmp_path):
+    record = tmp_path / "boot.mcap"
+    assert motorhil("serve", RIG, "-o", str(record), "--", "true").returncode == 0
+    with read_trace(record) as trace:
+        heard = [
+            int.from_bytes(decode_can_frame(data).frame[:4], "little")
+            for channel, _, data in trace.messages()
+            if "can" in channel.topic
+        ]
+    assert {0x701, 0x702} <= set(heard)
+
+
+def test_address_that_others_reach_is_announced(tmp_path):
+    rig = tmp_path / "rig.toml"
+    rig.write_text('[rig]\n[bus.line]\nkind = "modbus_tcp"\n')
+    options = ("--modbus-tcp", "127.0.0.1:0", "--any-address")
+    done = motorhil("serve", str(rig), *options, "--", "true")
+    told = one_line(done.stderr)
+    assert told.startswith("motorhil serve: line: whoever reaches 127.0.0.1:")
+    assert told.endswith("can move the motors; Modbus has no passwords")

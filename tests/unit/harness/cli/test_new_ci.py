@@ -1,14 +1,16 @@
 """The option `new --ci`: its jobs run, and their helper chooses the bus."""
 
+import json
 import re
 import shutil
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
-from motorhil.harness.rig.config.scaffold import CI_FILES, EXAMPLES
+from motorhil.harness.rig.config.scaffold import CI_FILES, EXAMPLES, requirement
 from tests.support.checkout import CHECKOUT
 
 HELPER = EXAMPLES / "ci" / "vcan-or-hub"
@@ -46,7 +48,7 @@ def programs(folder, **texts):
 def test_job_is_written_for_new_or_existing_rig(bench, say):
     status, out, _ = say("new", "my wheels", "--ci", "github")
     assert status == 0
-    assert out.splitlines()[-2:] == list(CI)
+    assert out.splitlines()[-4:] == [*CI, "my wheels/test_motors.py", "requirements.txt"]
     job = Path(CI[0]).read_text()
     assert "pytest --rig='my wheels/rig.toml' --junitxml=" in job
     assert "bash .ci/vcan-or-hub 'my wheels/rig.toml' --on vcan0 -o" in job
@@ -61,6 +63,49 @@ def test_job_is_written_for_new_or_existing_rig(bench, say):
     Path(CI[1]).unlink()
     assert say("new", "my wheels", "--ci", "gitlab")[:2] == (0, f"{CI_FILES['gitlab']}\n{CI[1]}\n")
     assert Path("my wheels/rig.toml").read_text() == "mine"
+
+
+@pytest.mark.parametrize("kind", CI_FILES)
+def test_job_names_only_files_that_exist(bench, say, kind):
+    Path("own").mkdir()
+    Path("own/rig.toml").write_text("mine")
+    Path("requirements.txt").write_text("pytest\n")
+    status, out, err = say("new", "own", "--ci", kind)
+    assert (status, out.splitlines()) == (0, [CI_FILES[kind], "own/test_motors.py"])
+    assert err.startswith("requirements.txt: was there; it must install ")
+    job = Path(CI_FILES[kind]).read_text()
+    for name in ("drive.py", "vcan-or-hub", "wheels/"):
+        assert name not in job
+    assert "pytest --rig=own/rig.toml" in job
+    assert "--rig=own/rig.toml" in Path("own/test_motors.py").read_text()
+
+
+ORIGINS = {
+    "an index": (None, "motorhil==0.1.0"),
+    "a repository": (
+        {"url": "https://h/m.git", "vcs_info": {"vcs": "git", "commit_id": "0a1b"}},
+        "motorhil @ git+https://h/m.git@0a1b",
+    ),
+    "a file elsewhere": (
+        {"url": "https://h/m.whl", "archive_info": {}},
+        "motorhil @ https://h/m.whl",
+    ),
+    "a folder here": (
+        {"url": "file:///a%20b/m", "dir_info": {"editable": True}},
+        "./vendor/motorhil-0.1.0-py3-none-any.whl",
+    ),
+}
+
+
+@pytest.mark.parametrize(("origin", "line"), ORIGINS.values(), ids=ORIGINS)
+def test_requirement_is_where_motorhil_came_from(monkeypatch, origin, line):
+    text = None if origin is None else json.dumps(origin)
+    here = SimpleNamespace(version="0.1.0", read_text=lambda name: text)
+    monkeypatch.setattr("importlib.metadata.distribution", lambda name: here)
+    found, command = requirement()
+    assert found == line
+    built = "python -m pip wheel --no-deps --wheel-dir vendor '/a b/m'"
+    assert command == (built if line.startswith("./") else "")
 
 
 def test_job_that_cannot_be_written_leaves_no_files(bench, say):
@@ -86,7 +131,7 @@ def test_both_jobs_run_the_same_commands():
 @pytest.mark.wall
 def test_job_runs(bench, say, tmp_path):
     say("new", "wheels", "--ci", "github")
-    Path("test_wheels.py").write_text(FAILING_TEST)
+    Path("wheels/test_motors.py").write_text(FAILING_TEST)
     Path("wheels/drive.py").write_text(PROGRAM)
     refused = dict.fromkeys(("ip", "modprobe", "apt_get", "sudo"), "exit 1")
     none = programs(tmp_path / "none", **refused)
