@@ -11,10 +11,13 @@ import errno
 import os
 import sys
 from collections.abc import Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass
 from importlib import import_module
 from importlib.util import find_spec
 from typing import Final, final
+
+from motorhil.harness.cli.printable import printable, printable_streams
 
 PASSED: Final = 0
 FAILED: Final = 1  # the thing under test failed
@@ -33,6 +36,7 @@ class _Verb:
     help: str
     module: str
     takes_rest: bool = False
+    is_terminal: bool = False  # it prints what programs print, or progress on one line
 
     def exists(self) -> bool:
         return find_spec(self.module) is not None
@@ -43,23 +47,33 @@ _VERBS: Final = (
         "demo",
         "a six-wheel rover drives, crabs and turns on emulated drives",
         "motorhil.harness.cli.demo",
+        is_terminal=True,
     ),
     _Verb("new", "write a working rig, and a script that drives it", "motorhil.harness.cli.new"),
     _Verb(
         "check", "check a rig file: print its errors, or its contents", "motorhil.harness.cli.check"
     ),
     _Verb(
-        "run", "run a script, or a prompt, with a rig around it", "motorhil.harness.cli.run", True
+        "run",
+        "run a script, or a prompt, with a rig around it",
+        "motorhil.harness.cli.run",
+        takes_rest=True,
+        is_terminal=True,
     ),
     _Verb(
-        "serve", "run a rig in real time for other processes", "motorhil.harness.cli.serve", True
+        "serve",
+        "run a rig in real time for other processes",
+        "motorhil.harness.cli.serve",
+        takes_rest=True,
+        is_terminal=True,
     ),
-    _Verb("record", "record live CAN buses", "motorhil.harness.cli.record"),
+    _Verb("record", "record live CAN buses", "motorhil.harness.cli.record", is_terminal=True),
     _Verb(
         "replay",
         "let a recording stand in for devices or host",
         "motorhil.harness.cli.replay",
-        True,
+        takes_rest=True,
+        is_terminal=True,
     ),
     _Verb("recover", "repair a cut or damaged recording", "motorhil.harness.cli.recover"),
     _Verb("show", "print a recording as sentences", "motorhil.harness.cli.show"),
@@ -68,6 +82,7 @@ _VERBS: Final = (
         "conform",
         "check whether an adaptation fulfils the motor interface",
         "motorhil.harness.cli.conform",
+        is_terminal=True,
     ),
     _Verb(
         "judge",
@@ -173,11 +188,12 @@ def _run_verb(verb: _Verb, words: list[str]) -> int:
         words, rest = words[:cut], words[cut + 1 :]
     options = parser.parse_intermixed_args(words)
     options.rest = rest
-    try:
-        status: int = module.run(options)
-    except (RigError, TraceError) as error:
-        print(error, file=sys.stderr)
-        return WRONG_USAGE
+    with nullcontext() if verb.is_terminal else printable_streams():
+        try:
+            status: int = module.run(options)
+        except (RigError, TraceError) as error:
+            print(printable(str(error)), file=sys.stderr)
+            return WRONG_USAGE
     return status
 
 

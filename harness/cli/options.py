@@ -9,7 +9,7 @@ import sys
 from collections.abc import Callable, Collection, Sequence
 from typing import Final
 
-from motorhil.harness.rig.config.toml import SEED_MAX
+from motorhil.harness.rig.config.toml import SEED_MAX, one_line
 
 _NS: Final = 1_000_000_000
 _NS_MAX: Final = 2**64 - 1  # MCAP's log time
@@ -108,7 +108,8 @@ def print_table(
             cell.ljust(width) if column in words else cell.rjust(width)
             for column, (cell, width) in enumerate(zip(row, widths, strict=True))
         ]
-        print("  ".join(cells).rstrip())
+        text = "  ".join(cells).rstrip()
+        print(text if text.isprintable() else one_line(text))
 
 
 def reading_progress() -> Callable[[int], None] | None:

@@ -27,11 +27,12 @@ import can
 from can.interfaces import BACKENDS
 
 from motorhil.harness.cli.main import PASSED
-from motorhil.harness.cli.options import add_seed
+from motorhil.harness.cli.options import add_seed, time_ns
 from motorhil.harness.python_can.bus import EmulatedBus, bus_names
 from motorhil.harness.rig.config.toml import RigError
 from motorhil.harness.rig.rig import NoSuchName
 from motorhil.harness.virtual_time.interrupts import exit_handlers
+from motorhil.harness.virtual_time.standstill import Standstill, line_in, watched
 from motorhil.harness.virtual_time.stdlib.install import in_virtual_time
 from motorhil.harness.virtual_time.stdlib.threads import join_executors
 from motorhil.traces.errors import TraceError
@@ -61,7 +62,8 @@ the script.
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of `run`."""
     parser.usage = (
-        "motorhil run [-h] [--realtime] [--seed N] [-o FILE] RIG [SCRIPT [ARGS ...]] [-- ARGS ...]"
+        "motorhil run [-h] [--realtime] [--seed N] [--until S] [-o FILE] RIG [SCRIPT [ARGS ...]] "
+        "[-- ARGS ...]"
     )
     parser.epilog = _EPILOG
     parser.add_argument(
@@ -78,6 +80,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--realtime", action="store_true", help="run at most as fast as the wall clock"
     )
     add_seed(parser)
+    parser.add_argument(
+        "--until",
+        type=time_ns,
+        metavar="S",
+        help="end the script at S seconds of the rig's time, as Ctrl-C would; exit status 0",
+    )
     parser.add_argument("-o", "--output", type=Path, metavar="FILE", help="record to FILE (MCAP)")
 
 
@@ -89,6 +97,10 @@ def run(options: argparse.Namespace) -> int:
     """
     from motorhil.harness.rig.rig import Rig
 
+    if options.rig.suffix == ".py":
+        raise RigError(
+            options.rig, "is a Python program, not a rig", "name the rig first: run RIG SCRIPT"
+        )
     words = [*options.args, *(options.rest or ())]
     script = None if options.script is None else read_script(options.script)
     if script is None and words:
@@ -96,16 +108,44 @@ def run(options: argparse.Namespace) -> int:
     rig = Rig.open(options.rig, seed=options.seed, realtime=options.realtime, record=options.output)
     for note in rig.notes:
         print(note, file=sys.stderr)
-    status = run_judged(rig, script, words, "run")
+    end = _End(rig, options.until)
+    try:
+        status = run_judged(rig, script, words, "run")
+    except KeyboardInterrupt:
+        if not end.is_reached:
+            raise
+        status = PASSED
     if status != PASSED and script is not None:
         print(f"again: {_repeat_command(options, rig, words)}", file=sys.stderr)
     return status
+
+
+@final
+class _End:
+    """The end of a run at a time of the rig [ns], or none.
+
+    Attributes:
+        is_reached: True once it has ended the script.
+    """
+
+    def __init__(self, rig: "Rig", until_ns: int | None) -> None:
+        self.is_reached = False
+        self._runtime = rig.runtime
+        self._alarm = rig.runtime.queue.alarm(self._expire)
+        self._alarm.set(until_ns)
+
+    def _expire(self, now_ns: int) -> None:
+        self.is_reached = True
+        self._runtime.interrupt()
+        self._alarm.set(now_ns + 1_000_000_000)  # a script may go on after the first
 
 
 def _repeat_command(options: argparse.Namespace, rig: "Rig", words: list[str]) -> str:
     command = ["motorhil", "run", str(options.rig), options.script, "--seed", str(rig.seed)]
     if options.realtime:
         command.append("--realtime")
+    if options.until is not None:
+        command += ["--until", f"{options.until / 1e9:.9g}"]
     if options.output is not None:
         command += ["-o", str(options.output)]
     if words:
@@ -208,7 +248,13 @@ def run_judged(
 
     try:
         with rig:
-            status = run_prompt(rig) if script is None else run_script(rig, script, words)
+            if script is None:
+                status = run_prompt(rig)
+            else:
+                tell = partial(print, f"motorhil {verb}:", file=sys.stderr)
+                watch = Standstill(rig.runtime, line_in(script.name), tell)
+                with watched(watch):
+                    status = run_script(rig, script, words)
             for line in summary(rig):
                 print(f"motorhil {verb}: {line}", file=sys.stderr)
             return status or int(bool(unanswered(rig) or (whole and never_came(rig))))

@@ -10,6 +10,7 @@ from typing import Final, final
 
 from motorhil.harness.cli.main import PASSED
 from motorhil.harness.cli.options import identifier, time_ns, whole
+from motorhil.harness.rig.config.toml import one_line
 from motorhil.traces.decoding.events import PERIODIC, Fact, Kind
 from motorhil.traces.decoding.narrative import Line, Story
 from motorhil.traces.mcap.reader import Trace, read_trace
@@ -117,7 +118,8 @@ def _wait() -> None:
 
 def text_of(line: Line) -> str:
     """Return a line as text: time [s], place, sentence."""
-    return f"{line.time_ns // _NS:5d}.{line.time_ns % _NS:09d}  {line.place:<8}  {line.text}"
+    text = f"{line.time_ns // _NS:5d}.{line.time_ns % _NS:09d}  {line.place:<8}  {line.text}"
+    return text if text.isprintable() else one_line(text)
 
 
 def facts_of(line: Line) -> dict[str, object]:

@@ -85,9 +85,12 @@ def open_rig(world: "World", runtime: "VirtualRuntime") -> None:
     """
     for name in world.bus_names():
         if name in _OPEN:
+            remedy = "close that rig first"
+            if _runs_in_virtual_time():
+                remedy += "; a program that opens its own rig is run by python, not by motorhil run"
             raise CanInitializationError(
                 f"bus {name!r}: another rig that is open in this process has a bus of that "
-                "name; close that rig first"
+                f"name; {remedy}"
             )
     for name in world.bus_names():
         _OPEN[name] = (world, runtime)
@@ -111,10 +114,14 @@ def _overtaken(motor: str, token: int, newer: tuple[int, str]) -> "MotorBusyErro
     return MotorBusyError(motor=motor, holder=newer[1], since_ns=0, since=since)
 
 
-def _refuse_in_virtual_time(channel: str) -> None:
+def _runs_in_virtual_time() -> bool:
     from motorhil.harness.virtual_time.stdlib.threads import program_here  # only for programs
 
-    if program_here() is not None:
+    return program_here() is not None
+
+
+def _refuse_in_virtual_time(channel: str) -> None:
+    if _runs_in_virtual_time():
         raise CanInitializationError(
             f"channel {channel!r} is a socket in wall time, but this program runs in virtual "
             "time; join a bus of the rig by its name, or run the program with 'motorhil serve "

@@ -294,6 +294,18 @@ class VirtualRuntime:
         self._interrupted = True
         return True
 
+    def progress(self) -> tuple[int, int]:
+        """Return the time [ns] and a count of turns: equal twice, nothing has happened between."""
+        return self.queue.now_ns, self._turns
+
+    def running(self) -> VirtualParty | None:
+        """Return the party that runs its own code; None while the world runs, or all wait."""
+        if self._pumping:
+            return None
+        waiting = [waiter.party for waiter in self._waiters]
+        running = [party for party in list(self._parties.values()) if party not in waiting]
+        return running[0] if running else None
+
     def end(self, party: VirtualParty) -> None:
         """End the party in its present wait, as all parties end when the run is over."""
         party.is_ending = True

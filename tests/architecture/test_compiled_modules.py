@@ -62,6 +62,7 @@ INTERPRETED = {
         "harness/recording/loop.py",
         "harness/recording/socketcan.py",
         "harness/virtual_time/interrupts.py",
+        "harness/virtual_time/standstill.py",
         "motorapi/runtime/byte_streams.py",
         "motorapi/runtime/can_sources.py",
         "motorapi/runtime/wall.py",

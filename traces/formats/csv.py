@@ -108,7 +108,8 @@ def _number(text: str) -> int:
 
 def _ours(row: Row) -> Frame:
     kind, direction = row["kind"], _WAYS[row["direction"]]
-    time_ns, bus, sender = traffic.decimal_ns(row["time_s"]), row["bus"], row["sender"]
+    time_ns, bus = traffic.decimal_ns(row["time_s"]), row["bus"]
+    sender = row["sender"].removeprefix("'")
     if kind == "error":
         can_id = _can_id(row["id"], True) & ~can_frame.EFF | can_frame.ERR
     else:
@@ -166,6 +167,14 @@ def _byte(text: str) -> int:
     return value
 
 
+def _text(cell: str) -> str:
+    """Return a name as a cell that a spreadsheet does not take for a formula.
+
+    The mark is a leading apostrophe, which names that begin with one get, too.
+    """
+    return f"'{cell}" if cell.startswith(("=", "+", "-", "@", "'", "\t", "\r")) else cell
+
+
 def write_csv(file: TextIOBase, places: int, frames: Iterator[Frame]) -> None:
     """Write our own table."""
     buffer = StringIO()
@@ -188,7 +197,7 @@ def write_csv(file: TextIOBase, places: int, frames: Iterator[Frame]) -> None:
                 int(told.flags & can_frame.BRS != 0),
                 int(told.flags & can_frame.ESI != 0),
                 frame.direction.name.lower(),
-                frame.sender,
+                _text(frame.sender),
                 told.length,
                 told.data.hex(),
             )

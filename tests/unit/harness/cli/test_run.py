@@ -7,6 +7,7 @@ import time
 import pytest
 
 from motorhil.traces.digest import digest
+from motorhil.traces.mcap.reader import read_trace
 from tests.support.command_line import beside, environment, in_another_process
 from tests.support.plugin_rigs import SCRIPT
 
@@ -345,3 +346,46 @@ def test_prompt_traceback_has_only_user_lines(rig):
         "ZeroDivisionError: division by zero",
     ]
     assert "SyntaxError: invalid syntax" in told[-2:]
+
+
+ENDLESS = """
+import can
+with can.Bus() as bus:
+    try:
+        for message in bus:
+            pass
+    finally:
+        print("ended")
+"""
+
+
+def test_until_ends_an_endless_script_as_ctrl_c_would(rig, say, interruptible):
+    (rig / "script.py").write_text(ENDLESS)
+    assert say("run", "rig.toml", "script.py", "--until", "2.5", "-o", "x.mcap") == (
+        *(0, "ended\n"),
+        "",
+    )
+    with read_trace("x.mcap") as trace:
+        assert trace.span_ns()[1] <= 2_500_000_000
+
+
+def test_until_ends_a_script_that_goes_on_after_ctrl_c(rig, say):
+    again = (
+        "try:\n    while True: time.sleep(1)\nexcept KeyboardInterrupt:\n    print(time.time())\n"
+    )
+    (rig / "script.py").write_text(f"import time\n{again}{again}")
+    assert say("run", "rig.toml", "script.py", "--until", "2.5")[0] == 0
+
+
+def test_rig_and_script_in_the_wrong_order_are_told(rig, say):
+    assert say("run", "script.py", "rig.toml") == (
+        *(2, ""),
+        "script.py: is a Python program, not a rig; name the rig first: run RIG SCRIPT\n",
+    )
+
+
+def test_script_with_its_own_rig_is_told_how_it_is_run(rig, say):
+    (rig / "script.py").write_text("from motorhil import Rig\nwith Rig.open('rig.toml'): pass\n")
+    status, _, err = say("run", "rig.toml", "script.py")
+    assert status == 1
+    assert "a program that opens its own rig is run by python, not by motorhil run" in err

@@ -1,12 +1,15 @@
 """CSV tables: ours, python-can's, SavvyCAN's. Sources: can/io/csv.py; framefileio.cpp."""
 
+import csv
+from io import StringIO
+
 import can
 import pytest
 
 from motorhil.traces import can_frame
 from motorhil.traces.can_frame import classic, flexible, remote
-from motorhil.traces.formats.csv import COLUMNS, CsvReader
-from motorhil.traces.formats.frames import Findings, read_lines
+from motorhil.traces.formats.csv import COLUMNS, CsvReader, write_csv
+from motorhil.traces.formats.frames import Findings, Frame, read_lines
 from motorhil.traces.schema import Direction
 
 OURS = ",".join(COLUMNS)
@@ -74,3 +77,15 @@ def test_unreadable_row_is_reported_with_line(head, row, why):
     ((line, text),) = findings.problems
     assert line == 2
     assert why in text
+
+
+@pytest.mark.parametrize("name", ["=1+1", "+1", "-1", "@SUM(A1)", "'quoted", "\ttab", "left"])
+def test_sender_is_no_formula_of_a_spreadsheet_and_returns(name):
+    told = StringIO()
+    frame = Frame(1_000, "can0", classic(0x123, b"\0"), Direction.RECEIVED, name)
+    write_csv(told, 9, iter([frame]))
+    head, row = told.getvalue().splitlines()
+    cell = next(csv.reader([row]))[head.split(",").index("sender")]
+    assert cell[0] not in "=+-@\t\r"
+    reader, findings = CsvReader(), Findings()
+    assert [one for line in (head, row) for one in reader.take(line, findings)] == [frame]
