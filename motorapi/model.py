@@ -215,6 +215,8 @@ class MotorModel:
         """
         text, line = "", None
         try:
+            if Path(path).is_char_device():
+                raise OSError("it is a device, which may have no end")
             text = Path(path).read_text(encoding="utf-8-sig")
             table = tomllib.loads(text)
         except tomllib.TOMLDecodeError as error:

@@ -65,17 +65,30 @@ def whole_file(target: str, remedy: str = "") -> Iterator[BinaryIO]:
         what = f"is {kind}, and would be replaced by a file"
         raise TraceError(target, what, remedy="name a file")
     place = os.path.realpath(target)
-    part = f"{place}.part"
+    part = ""
     try:
-        with open(part, "wb") as file:
+        with _new_beside(place) as file:
+            part = file.name
             yield file
         os.replace(part, place)
+        part = ""
     except OSError as error:
         what = f"cannot be written: {reason(error)}"
         raise TraceError(target, what, remedy=remedy) from error
     finally:
-        with suppress(OSError):
-            os.remove(part)
+        if part:
+            with suppress(OSError):
+                os.remove(part)
+
+
+def _new_beside(place: str) -> BinaryIO:
+    """Create a file beside this place, and none of somebody's: PLACE.part, PLACE.2.part, ..."""
+    number = 1
+    while True:
+        try:
+            return open(f"{place}.{number}.part" if number > 1 else f"{place}.part", "xb")
+        except FileExistsError:
+            number += 1
 
 
 def _kind_of(
@@ -86,6 +99,25 @@ def _kind_of(
     except (OSError, ValueError):  # opening the file reports the reason
         return None
     return next((words for is_it, words in kinds if is_it(mode)), None)
+
+
+def refuse_others(path: str, magic: bytes) -> None:
+    """Refuse to replace a file that does not begin with `magic`, or that is being written.
+
+    Raises:
+        TraceError: the file is another one, or cannot be read.
+    """
+    try:
+        descriptor = os.open(path, os.O_RDWR)
+    except FileNotFoundError:
+        return
+    except OSError as error:
+        raise TraceError(path, f"cannot be written: {reason(error)}") from error
+    try:
+        if stat.S_ISREG(os.fstat(descriptor).st_mode):
+            _check_ours(path, descriptor, magic)
+    finally:
+        os.close(descriptor)
 
 
 def create(path: str, magic: bytes) -> io.RawIOBase:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Final, final
 
 from motorhil.traces.errors import TraceError
-from motorhil.traces.files import whole_file
+from motorhil.traces.files import refuse_others, whole_file
 from motorhil.traces.formats.frames import Findings
 from motorhil.traces.formats.modbus import RecordedAdu, all_adus
 from motorhil.traces.formats.pcap_modbus import AduFeature, ModbusExport, captured_adus, record_adus
@@ -23,6 +23,7 @@ from motorhil.traces.formats.registry import (
     record_frames,
 )
 from motorhil.traces.mcap.reader import read_trace
+from motorhil.traces.mcap.records import MAGIC
 
 MODBUS_PCAPNG: Final = "modbus-pcapng"
 _WITH_MODBUS: Final = ("mcap", "pcap")
@@ -96,13 +97,18 @@ def convert(source_path: str, target: str, name: str, overwrite: bool = False) -
     lost: dict[Feature, int] = {}
     if format_ is None:
         told = {"source": Path(source.path).name, "format": source.format}
-        buses = record_frames(target, frames, {"convert": told})
+        refuse_others(target, MAGIC)
+        with whole_file(target) as file:
+            buses = record_frames(file, frames, {"convert": told})
     else:
         survey = Survey()
         for frame in frames:
             survey.add(frame)
         with whole_file(target) as file:
-            format_.write(file, survey, source.frames(Findings()))
+            format_.write(file, survey, source.frames(again := Findings()))
+            if again.frames != findings.frames:
+                what = f"changed while it was read: {findings.frames} frames, then {again.frames}"
+                raise TraceError(source_path, what, remedy="convert it again, or a copy of it")
         buses = tuple(survey.buses)
         lost = {what: n for what, n in survey.counts.items() if what not in format_.holds}
     return Conversion(source, target, name, findings, buses, lost)
@@ -119,7 +125,9 @@ def _convert_modbus(source: Source, target: str, name: str) -> Conversion:
     adus = chain((first,), adus)
     if name == "mcap":
         told = {"source": Path(source.path).name, "format": f"Modbus in {source.format}"}
-        lines = record_adus(target, adus, {"convert": told})
+        refuse_others(target, MAGIC)
+        with whole_file(target) as file:
+            lines = record_adus(file, adus, {"convert": told})
         return Conversion(source, target, name, findings, lines, {}, True)
     if name not in ("pcapng", MODBUS_PCAPNG):
         remedy = "convert it to mcap or pcapng"

@@ -39,6 +39,7 @@ All times are integer nanoseconds, rounded up. A frame has the maximum number of
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from enum import Enum
+from itertools import islice
 from typing import Final, final
 
 from motorhil.motorapi.synchronization.bus_load import CanTraffic, PeriodicMessage, rank_of
@@ -53,6 +54,7 @@ from motorhil.motorapi.synchronization.can_frame_length import (
 RECOVERY_BITS: Final = 31
 _ROUNDS_MAX: Final = 100_000
 _INSTANCES_MAX: Final = 20_000
+_WORK_MAX: Final = 10_000_000  # competing messages looked at for one bus: some seconds
 
 
 class Arrival(Enum):
@@ -358,6 +360,16 @@ class _Levels:
         self._recovery_ns = bits_ns(RECOVERY_BITS, load.bitrate_bit_s)
         self._late_max_ns = max((flow.message.period_ns for flow in flows), default=0)
         self._gap_ns = INTERMISSION_BITS * 1_000_000_000 // load.bitrate_bit_s
+        self._work_left = _WORK_MAX
+
+    def works_on(self, count: int) -> bool:
+        """Return whether `count` more competing messages may be looked at.
+
+        Jitters and periods that nobody has, as in a damaged recording, would take for ever. What is
+        not computed has no known bound.
+        """
+        self._work_left -= count
+        return self._work_left > 0
 
     def settle(self) -> None:
         """Compute the lateness of every shared queue, to a fixed point."""
@@ -451,6 +463,8 @@ class _Level:
             return None
         busy_ns = self._flow.takes_ns
         for _ in range(_ROUNDS_MAX):
+            if not self._levels.works_on(len(level)):
+                return None
             again_ns = self._levels.errors_ns(busy_ns, self._longest_ns) + self.blocking_ns
             again_ns += self._competing_ns(busy_ns)
             again_ns += sum(one.queued_by(busy_ns - 1) * one.takes_ns for one in self._queue)
@@ -469,7 +483,8 @@ class _Level:
         until_ns = busy_ns + jitter_ns
         moments: set[int] = set()
         for one in self._queue:
-            moments.update(one.moments(until_ns, itself=one is flow))
+            some = islice(one.moments(until_ns, itself=one is flow), _INSTANCES_MAX + 1)
+            moments.update(some)
             if len(moments) > _INSTANCES_MAX:
                 yield 0, None
                 return
@@ -505,6 +520,8 @@ class _Level:
         fixed_ns = self.blocking_ns + before_ns
         waited_ns = max(least_ns, fixed_ns)
         for _ in range(_ROUNDS_MAX):
+            if not self._levels.works_on(len(self._terms) + 1):
+                return None
             again_ns = fixed_ns
             again_ns += self._levels.errors_ns(waited_ns + self._flow.takes_ns, self._longest_ns)
             again_ns += self._competing_ns(waited_ns + self._levels.bit_ns)

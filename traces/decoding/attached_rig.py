@@ -197,7 +197,7 @@ def _by_gear(model: Table, unit: str) -> float | None:
 def _toml(data: bytes) -> Table | None:
     try:
         return tomllib.loads(data.decode())
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError):
+    except (ValueError, RecursionError):  # not TOML, a number of 5,000 digits, nested too deeply
         return None
 
 

@@ -41,6 +41,7 @@ _CONTAINER_KIND: Final = 10
 _HEAD_MAX: Final = 1 << 16
 _OBJECT_MAX: Final = 1 << 28
 _INNER_MAX: Final = 1 << 22  # inside a container
+_CONTAINER_MAX: Final = 1 << 26  # uncompressed
 _EXTENDED: Final = 0x8000_0000
 _REMOTE: Final = 0x80
 _SENT: Final = 0x01
@@ -168,7 +169,11 @@ class _Objects:
         out = bytearray()
         try:
             for begin in range(0, len(stored), 512):
-                out += unpacker.decompress(stored[begin : begin + 512])
+                out += unpacker.decompress(stored[begin : begin + 512], _CONTAINER_MAX)
+                if len(out) > _CONTAINER_MAX:
+                    what = f"a container at byte {at} has more than {_CONTAINER_MAX} bytes"
+                    self._findings.problem(self._number, what)
+                    break
         except zlib.error as error:
             self._findings.note("frames of a damaged container may be wrong")
             self._findings.problem(self._number, f"a container at byte {at} is damaged ({error})")

@@ -339,7 +339,7 @@ def _recorded(
 
 
 def record_adus(
-    target: str, found: Iterator[RecordedAdu], metadata: dict[str, dict[str, str]]
+    target: str | BinaryIO, found: Iterator[RecordedAdu], metadata: dict[str, dict[str, str]]
 ) -> tuple[str, ...]:
     """Record these ADUs in this order; return the lines.
 

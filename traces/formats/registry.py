@@ -67,7 +67,9 @@ def recorded_frames(trace: Trace, findings: Findings) -> Iterator[Frame]:
 
 
 def record_frames(
-    target: str | os.PathLike[str], frames: Iterable[Frame], metadata: dict[str, dict[str, str]]
+    target: str | os.PathLike[str] | BinaryIO,
+    frames: Iterable[Frame],
+    metadata: dict[str, dict[str, str]],
 ) -> tuple[str, ...]:
     """Record these frames in this order; return the buses.
 

@@ -52,6 +52,7 @@ FOOTER_BODY: Final = struct.Struct("<QQI")
 UINT16: Final = struct.Struct("<H")
 UINT32: Final = struct.Struct("<I")
 UINT64: Final = struct.Struct("<Q")
+CHUNK_MAX: Final = 1 << 28  # bytes of an uncompressed chunk; writers make them of 1 to 64 MiB
 _PIECE: Final = 4096  # bytes of a cut chunk to decompress at once
 
 
@@ -276,16 +277,24 @@ class CompressionError(Exception):
 def decompress(compression: str, data: bytes, size: int) -> bytes:
     """Return the `size` uncompressed bytes of `data`.
 
+    No more than `size` bytes are made, whatever the compressed data would become.
+
     Raises:
-        CompressionError: the data is damaged, or the compression unknown.
+        CompressionError: the data is damaged, larger than `size` or CHUNK_MAX, or the compression
+            unknown.
     """
+    if size > CHUNK_MAX:
+        raise CompressionError(f"{size} bytes; at most {CHUNK_MAX} bytes are read at once")
     try:
         if compression == "zstd":
-            content = zstandard.ZstdDecompressor().decompress(data, max_output_size=size)
+            declared = zstandard.get_frame_parameters(data).content_size
+            if size < declared < zstandard.CONTENTSIZE_UNKNOWN:  # it would be made, all the same
+                raise CompressionError(f"{declared} bytes; expected {size}")
+            content = zstandard.ZstdDecompressor().decompress(data, max_output_size=size or 1)
         elif compression == "lz4":
             import lz4.frame  # type: ignore[import-untyped]  # it has no types
 
-            content = bytes(lz4.frame.decompress(data))
+            content = bytes(lz4.frame.LZ4FrameDecompressor().decompress(data, size + 1))
         elif compression:
             raise CompressionError(f"{compression!r} is not a known compression")
         else:
@@ -305,9 +314,13 @@ def salvage(compression: str, data: bytes) -> bytes:
         return b""
     stream = zstandard.ZstdDecompressor().decompressobj()
     out: list[bytes] = []
+    size = 0
     try:
         for start in range(0, len(data), _PIECE):
             out.append(stream.decompress(data[start : start + _PIECE]))
+            size += len(out[-1])
+            if size > CHUNK_MAX:
+                break
     except zstandard.ZstdError:  # the end is not only missing but overwritten
         pass
     return b"".join(out)

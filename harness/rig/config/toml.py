@@ -357,6 +357,8 @@ def read_source(path: Path, remedy: str) -> Source:
     Raises:
         RigError: the file is missing (`remedy` says what to do), not readable, or not UTF-8.
     """
+    if path.is_char_device() or path.is_block_device():
+        raise RigError(path, "is a device, which may have no end", "name a file")
     try:
         return Source(path, path.read_bytes().decode("utf-8-sig"))
     except FileNotFoundError:

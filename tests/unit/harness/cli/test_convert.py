@@ -115,3 +115,39 @@ def test_modbus_adus_are_extracted_from_mixed_recording(folder, say):
     assert say("convert", "again.mcap", "-o", "x.log")[2] == (
         "again.mcap: holds Modbus, which candump cannot; convert it to mcap or pcapng\n"
     )
+
+
+def test_source_that_changes_between_two_readings_is_refused(folder, say, monkeypatch):
+    from motorhil.harness.recording import conversion
+
+    (folder / "short.log").write_text("(0.000001) can0 123#00\n" * 3)
+    survey = conversion.Survey
+
+    def surveyed():
+        (folder / "short.log").write_text("")
+        return survey()
+
+    monkeypatch.setattr(conversion, "Survey", surveyed)
+    assert say("convert", "short.log", "-o", "x.csv") == (
+        *(2, ""),
+        "short.log: changed while it was read: 3 frames, then 0; convert it again, or a copy of "
+        "it\n",
+    )
+    assert not (folder / "x.csv").exists()
+
+
+@pytest.mark.parametrize("target", ["x.csv", "x.mcap"])
+def test_part_of_somebody_else_is_kept(folder, say, target):
+    (folder / f"{target}.part").write_text("mine")
+    assert say("convert", "in.txt", "-o", target)[0] == 0
+    assert (folder / f"{target}.part").read_text() == "mine"
+    assert not (folder / f"{target}.2.part").exists()
+
+
+def test_interrupted_conversion_leaves_no_recording(folder, say, monkeypatch):
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("motorhil.traces.mcap.writer.TraceWriter.extend", interrupted)
+    assert say("convert", "in.txt", "-o", "x.mcap")[0] == 130
+    assert not list(folder.glob("x.mcap*"))

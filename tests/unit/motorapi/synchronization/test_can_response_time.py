@@ -141,3 +141,20 @@ def test_jitter_permits_several_frames_at_once():
     shaken = CanTraffic(1_000_000, (replace(one, jitter_s=0.002), PeriodicMessage(2, 8, 0.1)))
     assert response_times(BusLoad.of(plain))[1].response_ns == 270_000
     assert response_times(BusLoad.of(shaken))[1].response_ns == 540_000
+
+
+def test_jitters_that_nobody_has_are_not_computed_for_ever():
+    """As from the time stamps of a damaged recording: it took more than any test may."""
+    hour_ns = 3_600_000_000_000
+    load = BusLoad(
+        "can0",
+        500_000,
+        (
+            Message(0x100, 8, 1_000_000, jitter_ns=1000 * hour_ns),
+            Message(0x101, 8, 200_000_003, irregular_ns=900 * hour_ns),
+            Message(0x102, 8, 2_000_000, jitter_ns=7 * hour_ns, sender="a"),
+            Message(0x103, 8, 3_000_001, jitter_ns=5 * hour_ns, sender="a"),
+        ),
+        fifo=frozenset({"a"}),
+    )
+    assert [one.response_ns for one in response_times(load)][2:] == [None] * 2
