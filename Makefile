@@ -19,7 +19,7 @@ DOCUMENTS := tests/architecture/test_docs_links.py tests/architecture/test_docs_
 test test-compiled: export PYTHONDONTWRITEBYTECODE :=
 test test-compiled: export PYTHONPYCACHEPREFIX := $(CURDIR)/build/bytecode
 
-.PHONY: demo docs wheel quick test check bench bench-against fuzz mutants clauses golden format clean compiled build-compiled test-compiled
+.PHONY: help demo docs wheel quick test check bench bench-against fuzz mutants clauses golden format clean compiled build-compiled test-compiled
 
 # It takes a second, compiling a minute or more: so nobody waits for compiled cores the first time.
 # What could not be built is not tried again before something has changed.
@@ -147,3 +147,6 @@ test-compiled: compiled  ## the tests again, against the compiled cores
 
 clean:  ## removes all that the other targets have made
 	rm -rf $(VENV) .venv-compiled .venv-docs build dist out *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis
+
+help:  ## lists the targets
+	@sed -n 's/^\([a-z-]*\):[^#]*## \(.*\)/\1\t\2/p' Makefile | expand -t 16

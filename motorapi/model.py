@@ -62,6 +62,7 @@ class MotionKind(Enum):
 _UNIT: Final = {MotionKind.ROTARY: "rad", MotionKind.LINEAR: "m"}
 _TOLERANCE: Final = {MotionKind.ROTARY: 0.01, MotionKind.LINEAR: 0.0001}
 _FILE_REMEDY: Final = "name a motor model, a TOML file"
+_CHARACTERS_MAX: Final = 16_000_000
 _TOML_REMEDY: Final = "a line reads key = value, as in velocity_max_rad_s = 6.0"
 _SAME: Final = 1e-6
 """The permitted relative deviation of increments from gear and encoder, for rounded models."""
@@ -215,9 +216,10 @@ class MotorModel:
         """
         text, line = "", None
         try:
-            if Path(path).is_char_device():
-                raise OSError("it is a device, which may have no end")
-            text = Path(path).read_text(encoding="utf-8-sig")
+            with Path(path).open(encoding="utf-8-sig") as file:  # a device may have no end
+                text = file.read(_CHARACTERS_MAX + 1)
+            if len(text) > _CHARACTERS_MAX:
+                raise ValueError(f"more than {_CHARACTERS_MAX // 1_000_000} MB, so it is no model")
             table = tomllib.loads(text)
         except tomllib.TOMLDecodeError as error:
             problem, remedy = f"not TOML: {error}", _TOML_REMEDY

@@ -13,6 +13,7 @@ import sys
 from collections.abc import Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
+from difflib import get_close_matches
 from importlib import import_module
 from importlib.util import find_spec
 from typing import Final, final
@@ -162,6 +163,9 @@ def _obey(words: list[str]) -> int:
     commands = top.add_subparsers(metavar="VERB", dest="verb")
     for verb in verbs.values():
         commands.add_parser(verb.name, help=verb.help, add_help=False)
+    if words[:1] == ["help"]:
+        words = [*words[1:2], "--help"]
+    _refuse_unknown(words[:1], list(verbs))
     options = top.parse_args(words[:1])
     if options.version:
         return _print_version()
@@ -169,6 +173,16 @@ def _obey(words: list[str]) -> int:
         top.print_help(sys.stderr)
         return WRONG_USAGE
     return _run_verb(verbs[options.verb], words[1:])
+
+
+def _refuse_unknown(words: list[str], verbs: list[str]) -> None:
+    """Leave with the nearest verb if the word is none."""
+    for word in words:
+        if not word.startswith("-") and word not in verbs:
+            near = get_close_matches(word, verbs, 1, 0.5)
+            hint = f"did you mean 'motorhil {near[0]}'?" if near else "see 'motorhil help'"
+            print(f"motorhil: {printable(word)!r} is not a verb; {hint}", file=sys.stderr)
+            raise SystemExit(WRONG_USAGE)
 
 
 def _run_verb(verb: _Verb, words: list[str]) -> int:

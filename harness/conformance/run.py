@@ -51,6 +51,7 @@ if TYPE_CHECKING:
     from motorhil.harness.conformance.bench import RigProtocol
 
 
+_OPTIONAL: Final = ("hypothesis",)  # that some clauses need and motorhil does not
 _MODES: Final = {
     Capability.POSITION_SET_POINT: (ControlMode.SETPOINT, ControlVariable.POSITION),
     Capability.VELOCITY_SET_POINT: (ControlMode.SETPOINT, ControlVariable.VELOCITY),
@@ -442,6 +443,9 @@ class _Judge:
             raise error
         if isinstance(error, NotApplicable):
             return Verdict(self._one.id, Result.NOT_APPLICABLE, f"{error}")
+        if isinstance(error, ModuleNotFoundError) and error.name in _OPTIONAL:
+            why = f"{error.name} is not installed; pip install {error.name}"
+            return Verdict(self._one.id, Result.NOT_APPLICABLE, why)
         if isinstance(error, LimitError) and self._is_no_room(error):
             why = f"no room for this move: {error}; a shorter long_move may fit"
             return Verdict(self._one.id, Result.NOT_APPLICABLE, why)

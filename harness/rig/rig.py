@@ -241,6 +241,9 @@ class Named(Mapping[str, T], Generic[T]):
             self._made[name] = self._make(name)
         return self._made[name]
 
+    def __repr__(self) -> str:
+        return f"<{self._kind}s of the rig: {', '.join(self._names) or 'none'}>"
+
     def __contains__(self, name: object) -> bool:
         return name in self._names
 

@@ -1,5 +1,7 @@
 """Correct motors that differ from the kit's motors do not fail."""
 
+import sys
+
 import pytest
 
 from motorhil.harness.conformance.clause import Result
@@ -48,6 +50,15 @@ def test_clause_without_room_is_not_applicable(tmp_path, clause):
     verdict = verdict_of(clause, opener_of(tmp_path, NARROW))
     assert verdict.result is Result.NOT_APPLICABLE, verdict.seen
     assert "-0.1 to 0.1 rad" in verdict.seen
+
+
+def test_clause_whose_package_is_not_installed_is_not_applicable(tmp_path, monkeypatch):
+    for name in ("hypothesis", "hypothesis.errors"):
+        monkeypatch.setitem(sys.modules, name, None)
+    monkeypatch.delitem(sys.modules, "motorhil.harness.sharing_tests.state_machine", raising=False)
+    verdict = verdict_of("SHARE-11", opener_of(tmp_path, (_ACCELERATION, _ACCELERATION)))
+    assert verdict.result is Result.NOT_APPLICABLE, verdict.seen
+    assert verdict.seen == "hypothesis is not installed; pip install hypothesis"
 
 
 @pytest.mark.parametrize(

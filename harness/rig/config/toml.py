@@ -225,6 +225,7 @@ def one_line(text: str) -> str:
 _REQUIRED: Final = object()
 NAME: Final = re.compile(r"[A-Za-z][A-Za-z0-9_-]*")
 SEED_MAX: Final = 2**32 - 1
+_BYTES_MAX: Final = 16_000_000
 _INTEGER_MAX: Final = 2**63 - 1  # TOML 1.0, "Integer": 64-bit signed is what all must accept
 
 
@@ -357,10 +358,13 @@ def read_source(path: Path, remedy: str) -> Source:
     Raises:
         RigError: the file is missing (`remedy` says what to do), not readable, or not UTF-8.
     """
-    if path.is_char_device() or path.is_block_device():
-        raise RigError(path, "is a device, which may have no end", "name a file")
     try:
-        return Source(path, path.read_bytes().decode("utf-8-sig"))
+        with path.open("rb") as file:  # a device may have no end
+            data = file.read(_BYTES_MAX + 1)
+        if len(data) > _BYTES_MAX:
+            what = f"has more than {_BYTES_MAX // 1_000_000} MB, so it is no rig"
+            raise RigError(path, what, "name a rig file")
+        return Source(path, data.decode("utf-8-sig"))
     except FileNotFoundError:
         raise RigError(path, "no such file", remedy) from None
     except IsADirectoryError:

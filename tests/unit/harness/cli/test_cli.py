@@ -41,7 +41,7 @@ def test_version_names_cores_and_source(say):
     assert "pure Python cores, source " in out or "compiled cores, source " in out
 
 
-@pytest.mark.parametrize("words", [(), ("no-such-verb",), ("-x",), ("run",), ("list", "nonsense")])
+@pytest.mark.parametrize("words", [(), ("-x",), ("run",), ("list", "nonsense")])
 def test_wrong_usage_is_reported_on_stderr_with_status_2(say, words):
     status, out, err = say(*words)
     assert (status, out) == (2, "")
@@ -346,3 +346,26 @@ def test_group_of_two_motors_on_one_drive_is_reported(bench, say):
         f"rig.toml:{line}: group.both.motors[1]: right and left are the same physical motor, "
         "can0 node 1: a group can move it only once; remove one of them\n"
     )
+
+
+@pytest.mark.parametrize("words", [("help",), ("--help",)])
+def test_help_lists_the_verbs(say, words):
+    status, out, _ = say(*words)
+    assert status == 0
+    assert "judge" in out
+
+
+def test_help_of_a_verb_is_that_verbs(say):
+    assert say("help", "show") == say("show", "--help")
+
+
+@pytest.mark.parametrize(
+    ("word", "hint"),
+    [
+        ("jugde", "did you mean 'motorhil judge'?"),
+        ("reply", "did you mean 'motorhil replay'?"),
+        ("xyzzy", "see 'motorhil help'"),
+    ],
+)
+def test_unknown_verb_is_one_line_with_the_nearest(say, word, hint):
+    assert say(word) == (2, "", f"motorhil: {word!r} is not a verb; {hint}\n")

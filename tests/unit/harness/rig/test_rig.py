@@ -355,3 +355,9 @@ def test_used_rig_leaves_nothing_in_memory(tmp_path):
         del rig, motor
     gc.collect()
     assert [one() for one in left] == [None] * 6
+
+
+def test_motors_of_a_rig_are_printed_by_name():
+    with Rig.open(TWO_WHEELS) as rig:
+        assert repr(rig.motors) == "<motors of the rig: left, right>"
+        assert repr(rig.groups).startswith("<groups of the rig: ")

@@ -10,10 +10,10 @@ from motorhil.motorapi.model import MotorModel
 def test_device_is_no_rig(say, verb):
     assert say(verb, "/dev/zero") == (
         *(2, ""),
-        "/dev/zero: is a device, which may have no end; name a file\n",
+        "/dev/zero: has more than 16 MB, so it is no rig; name a rig file\n",
     )
 
 
 def test_device_is_no_motor_model():
-    with pytest.raises(FileError, match="it is a device, which may have no end"):
+    with pytest.raises(FileError, match="more than 16 MB, so it is no model"):
         MotorModel.load("/dev/zero")

@@ -7,6 +7,7 @@ import pytest
 from motorhil.emulators.can.fault_rules import FaultKind, FaultRule
 from motorhil.harness.rig.rig import Rig
 from motorhil.motorapi.adaptations.canopen.bus import open_bus, release_bus
+from motorhil.motorapi.adaptations.canopen.errors import SdoAborted
 from motorhil.motorapi.adaptations.canopen.link import can_frame
 from motorhil.motorapi.adaptations.cia402.bringup import HwOptions
 from motorhil.motorapi.adaptations.cia402.motion_status import RestWatch
@@ -18,6 +19,7 @@ from tests.support.motors.drive_rigs import drive
 from tests.support.motors.wheels import MS, WINDOW_RAD, go_to, motor_of, truth
 
 OpenRig = Callable[..., Rig]
+POSITION_ENTRY = bytes.fromhex("20006460")  # 6064h in a mapping, 32 bits
 
 
 @pytest.fixture
@@ -111,3 +113,28 @@ def test_statusword_without_position_shows_no_standstill(rig: Rig):
     assert node.watch.ended_ns is None
     node.close()
     release_bus(bus)
+
+
+@pytest.mark.parametrize("times", [1, 1000])
+def test_position_that_is_not_mapped_is_read_by_sdo(rig: Rig, times: int):
+    """Whether the drive refuses to map 6064h, or aborts once while its PDOs are set up."""
+    motor = motor_of(rig)
+    sdo = motor.hardware.node.sdo
+    download = sdo.download
+    refused: list[int] = []
+
+    def refusing(index: int, subindex: int, data: bytes, *, stops: bool = False) -> None:
+        if data == POSITION_ENTRY and len(refused) < times:
+            refused.append(index)
+            raise SdoAborted(node_id=1, index=index, subindex=subindex, abort_code=0x0604_0041)
+        download(index, subindex, data, stops=stops)
+
+    sdo.download = refusing  # type: ignore[method-assign]
+    motor.enable()
+    go_to(motor, 2.0)
+    assert refused
+    for _ in range(6):
+        rig.runtime.run_for(0.15)
+        assert motor.position() == pytest.approx(truth(rig), abs=0.01)
+    motor.wait_until_done(timeout_s=5)
+    assert truth(rig) == pytest.approx(2.0, abs=WINDOW_RAD)
