@@ -10,10 +10,10 @@ from typing import Final
 from motorhil.harness.cli.main import FAILED, PASSED
 from motorhil.harness.cli.options import real, whole
 from motorhil.harness.cli.show import text_of
+from motorhil.harness.recording.conversion import open_recording
 from motorhil.harness.replay.verdict import meaning_in
 from motorhil.traces.decoding.narrative import Line, Story
 from motorhil.traces.digest import first_mismatch
-from motorhil.traces.mcap.reader import read_trace
 from motorhil.traces.semantics.diff import Difference, Tolerance, differences
 from motorhil.traces.semantics.model import Meaning
 
@@ -27,8 +27,8 @@ _NO_EVENTS: Final = "no event of known meaning; use --exact to compare bytes"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of `diff`."""
     usual = Tolerance()
-    parser.add_argument("first", metavar="A", help="a recording (MCAP)")
-    parser.add_argument("second", metavar="B", help="another recording (MCAP)")
+    parser.add_argument("first", metavar="A", help="a recording of any format")
+    parser.add_argument("second", metavar="B", help="another one")
     parser.add_argument(
         "--exact", action="store_true", help="compare bytes and times of all messages"
     )
@@ -104,7 +104,7 @@ def _print_difference(options: argparse.Namespace, difference: Difference) -> No
 def _around(path: str, difference: Difference, time_ns: int, count: int) -> Sequence[Line]:
     before: deque[Line] = deque(maxlen=count)
     after: list[Line] = []
-    with read_trace(path) as trace:
+    with open_recording(path) as trace:
         story = Story(trace)
         begin_ns = max(0, time_ns - _AROUND_NS)
         for line in story.lines(begin_ns, time_ns + _AROUND_NS):

@@ -13,6 +13,7 @@ import sys
 import tempfile
 from contextlib import ExitStack
 from fractions import Fraction
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -60,7 +61,7 @@ _TRAFFIC_SHOWN: Final = 3
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of `replay`."""
-    parser.add_argument("file", type=Path, metavar="FILE", help="a recording (MCAP)")
+    parser.add_argument("file", type=Path, metavar="FILE", help="a recording of any format")
     parser.add_argument(
         *("--as",),
         required=True,
@@ -159,6 +160,7 @@ def run(options: argparse.Namespace) -> int:
     Raises:
         RigError, TraceError: a file cannot be used.
     """
+    from motorhil.harness.recording.conversion import as_mcap
     from motorhil.harness.rig.config.toml import refuse_source
 
     if options.mode != "traffic" and options.speed == math.inf:
@@ -175,7 +177,10 @@ def run(options: argparse.Namespace) -> int:
         return WRONG_USAGE
     if options.output is not None:
         refuse_source(options.file, options.output)
-    status: int = _MODES[options.mode](options)
+    options.named = options.file
+    tell = partial(print, "motorhil replay:", file=sys.stderr)
+    with as_mcap(options.file, tell) as options.file:
+        status: int = _MODES[options.mode](options)
     return status
 
 
@@ -209,7 +214,7 @@ def _described(options: argparse.Namespace) -> "RigDescription":
 
 
 def _repeat_command(options: argparse.Namespace, rig: "Rig", words: list[str]) -> str:
-    command = ["motorhil", "replay", str(options.file), "--as", "device", options.script]
+    command = ["motorhil", "replay", str(options.named), "--as", "device", options.script]
     command += ["--seed", str(rig.seed)]
     if options.rig is not None:
         command += ["--rig", str(options.rig)]

@@ -4,6 +4,7 @@ import argparse
 import os
 import sys
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import Final
 
@@ -11,14 +12,14 @@ from motorhil.harness.cli.main import PASSED
 from motorhil.harness.cli.options import reading_progress
 from motorhil.traces.errors import TraceError
 from motorhil.traces.files import whole_file
-from motorhil.traces.mcap.reader import Trace, read_trace
+from motorhil.traces.mcap.reader import Trace
 
 _KILO: Final = {"k": 1_000, "M": 1_000_000}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of `report`."""
-    parser.add_argument("file", metavar="FILE", help="a recording (MCAP)")
+    parser.add_argument("file", metavar="FILE", help="a recording of any format")
     parser.add_argument(
         "-o",
         "--output",
@@ -42,12 +43,14 @@ def run(options: argparse.Namespace) -> int:
     Raises:
         TraceError: the recording cannot be read, is damaged, or the page cannot be written.
     """
+    from motorhil.harness.recording.conversion import open_recording
     from motorhil.harness.report.collect import collect
     from motorhil.harness.report.document import document_of
     from motorhil.harness.report.page import render
 
     target = options.output or Path(options.file).with_suffix(".html")
-    with read_trace(options.file) as trace:
+    tell = partial(print, "motorhil report:", file=sys.stderr)
+    with open_recording(options.file, tell) as trace:
         _refuse_lost(options.file, target, options.foxglove_layout)
         rates, data_rates = dict(options.bitrate), dict(options.data_bitrate)
         found = collect(trace, rates, reading_progress(), data_rates)

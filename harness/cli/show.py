@@ -6,14 +6,16 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import nullcontext, suppress
+from functools import partial
 from typing import Final, final
 
 from motorhil.harness.cli.main import PASSED
 from motorhil.harness.cli.options import identifier, time_ns, whole
+from motorhil.harness.recording.conversion import open_recording
 from motorhil.harness.rig.config.toml import one_line
 from motorhil.traces.decoding.events import PERIODIC, Fact, Kind
 from motorhil.traces.decoding.narrative import Line, Story
-from motorhil.traces.mcap.reader import Trace, read_trace
+from motorhil.traces.mcap.reader import Trace
 from motorhil.traces.protobuf import Value
 
 _NS: Final = 1_000_000_000
@@ -22,7 +24,7 @@ _POLL_S: Final = 0.2  # a recorder writes once a second
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of `show`."""
-    parser.add_argument("file", metavar="FILE", help="a recording (MCAP)")
+    parser.add_argument("file", metavar="FILE", help="a recording of any format")
     parser.add_argument("--from", type=time_ns, dest="from_ns", metavar="S", help="from this time")
     parser.add_argument("--to", type=time_ns, dest="to_ns", metavar="S", help="before this time")
     parser.add_argument(
@@ -65,7 +67,8 @@ def run(options: argparse.Namespace) -> int:
     Raises:
         TraceError: the file cannot be read, or is damaged.
     """
-    with read_trace(options.file) as trace:
+    tell = partial(print, "motorhil show:", file=sys.stderr)
+    with open_recording(options.file, tell) as trace:
         story = Story(trace)
         wanted = _Filter(options, story)
         from_ns = options.from_ns

@@ -1,12 +1,13 @@
 """Conversion of recorded traffic between formats, with an account of losses."""
 
 import os
-from collections.abc import Iterator, Mapping
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
-from typing import Final, final
+from tempfile import TemporaryDirectory, TemporaryFile
+from typing import BinaryIO, Final, cast, final
 
 from motorhil.traces.errors import TraceError
 from motorhil.traces.files import refuse_others, whole_file
@@ -22,7 +23,7 @@ from motorhil.traces.formats.registry import (
     open_source,
     record_frames,
 )
-from motorhil.traces.mcap.reader import read_trace
+from motorhil.traces.mcap.reader import Trace, read_trace
 from motorhil.traces.mcap.records import MAGIC
 
 MODBUS_PCAPNG: Final = "modbus-pcapng"
@@ -112,6 +113,69 @@ def convert(source_path: str, target: str, name: str, overwrite: bool = False) -
         buses = tuple(survey.buses)
         lost = {what: n for what, n in survey.counts.items() if what not in format_.holds}
     return Conversion(source, target, name, findings, buses, lost)
+
+
+def open_recording(
+    path: str | os.PathLike[str], note: Callable[[str], None] | None = None
+) -> Trace:
+    """Open a recording of any format; one that is not MCAP is converted in an unnamed file.
+
+    Args:
+        path: the file.
+        note: called with what was read as which format, if it was converted.
+
+    Raises:
+        TraceError: the file cannot be read, is damaged, or has no frames.
+    """
+    name = os.fspath(path)
+    if _is_mcap_or_nothing(name):
+        return read_trace(path)
+    source = open_source(path)
+    findings = Findings()
+    file = TemporaryFile()  # noqa: SIM115 -- the Trace closes it
+    try:
+        with os.fdopen(os.dup(file.fileno()), "wb") as target:
+            told = {"convert": {"source": Path(name).name, "format": source.format}}
+            if not record_frames(target, source.frames(findings), told):
+                raise TraceError(name, f"no frame can be read as {source.format}")
+        if note is not None:
+            unread = f", {len(findings.problems)} not readable" if findings.problems else ""
+            note(f"{name}: {findings.frames} frames, read as {source.format}{unread}")
+        return Trace(name, cast("BinaryIO", file))
+    except BaseException:
+        file.close()
+        raise
+
+
+@contextmanager
+def as_mcap(path: Path, note: Callable[[str], None]) -> Iterator[Path]:
+    """Provide a recording of any format as an MCAP file, in a temporary folder if it is another.
+
+    Raises:
+        TraceError: as `convert`.
+    """
+    if _is_mcap_or_nothing(str(path)):
+        yield path
+        return
+    with TemporaryDirectory(prefix="motorhil-") as folder:
+        target = Path(folder) / f"{path.name}.mcap"
+        done = convert(str(path), str(target), "mcap")
+        unread = f", {len(done.findings.problems)} not readable" if done.findings.problems else ""
+        unit = "ADUs" if done.is_modbus else "frames"
+        note(f"{path}: {done.findings.frames} {unit}, read as {done.source.format}{unread}")
+        yield target
+
+
+def _is_mcap_or_nothing(name: str) -> bool:
+    """Return whether the reader of MCAP files should report what is wrong with this file."""
+    try:
+        if not os.path.isfile(name):
+            return True
+        with open(name, "rb") as file:
+            head = file.read(len(MAGIC))
+    except OSError:
+        return True
+    return not head or MAGIC.startswith(head[:5])
 
 
 def _convert_modbus(source: Source, target: str, name: str) -> Conversion:

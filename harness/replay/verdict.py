@@ -3,13 +3,14 @@
 import re
 import sys
 from collections.abc import Iterator
+from functools import partial
 from os import PathLike
 from typing import TYPE_CHECKING, Final, NamedTuple, final
 
+from motorhil.harness.recording.conversion import open_recording
 from motorhil.harness.replay.device_node import RecordedNode, RecordedUnit
 from motorhil.harness.replay.player import ExchangePlayer, Mismatch
 from motorhil.traces.exchange.steps import Step
-from motorhil.traces.mcap.reader import read_trace
 from motorhil.traces.semantics.model import Meaning, meaning_of
 
 if TYPE_CHECKING:
@@ -99,7 +100,8 @@ def meaning_in(path: str | PathLike[str], verb: str) -> Meaning:
     Raises:
         TraceError: the recording cannot be read, or is damaged.
     """
-    with read_trace(path) as trace:
+    tell = partial(print, f"motorhil {verb}:", file=sys.stderr)
+    with open_recording(path, tell) as trace:
         meaning = meaning_of(trace)
         if trace.cut is not None:
             print(f"motorhil {verb}: {path}: {trace.cut}", file=sys.stderr)

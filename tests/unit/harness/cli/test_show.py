@@ -153,7 +153,7 @@ def test_command_line_has_verb_show(capsys, recording, tmp_path):
     assert main(["diff", recording, recording]) == 0
     (tmp_path / "none.mcap").write_bytes(b"candump?")
     assert main(["show", str(tmp_path / "none.mcap")]) == 2
-    assert "not an MCAP file" in capsys.readouterr().err
+    assert "holds no CAN traffic in a format known here" in capsys.readouterr().err
 
 
 def test_empty_result_is_reported_with_reason(capsys, recording, tmp_path):

@@ -46,7 +46,7 @@ def test_page_without_output_option_is_beside_recording(tmp_path, capsys):
     ("words", "told"),
     [
         (["absent.mcap"], "absent.mcap: cannot be read: no such file"),
-        (["text.txt"], "text.txt: is not an MCAP file"),
+        (["text.txt"], "text.txt: holds no CAN traffic in a format known here"),
         (["a.mcap", "-o", "a.mcap"], "a.mcap: is the recording itself"),
         (["a.mcap", "--foxglove-layout", "a.mcap"], "a.mcap: is the recording itself"),
         (["a.mcap", "-o", "no/folder.html"], "no/folder.html: cannot be written: no such file"),
