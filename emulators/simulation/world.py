@@ -136,9 +136,14 @@ class World(Overseer):
         return self._slots[name].controller
 
     def stimulate(self, name: str, stimulus: str, value: float) -> None:
-        """Set a physical input of the controller."""
+        """Set a physical input of the controller, and report it.
+
+        Raises:
+            ValueError: the input does not exist, or cannot have this value.
+        """
         slot = self._slots[name]
         slot.controller.stimulate(stimulus, value, self.queue.now_ns)
+        self.report(self.queue.now_ns, "info", name, f"stimulus {stimulus} = {value:g}")
         slot.settle(self.queue.now_ns)
 
     def inject(self, bus: str, rule: FaultRule) -> None:

@@ -63,6 +63,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the results as JSON")
     parser.add_argument("--junit", type=Path, metavar="FILE", help="write the results as JUnit XML")
     parser.add_argument("--html", type=Path, metavar="FILE", help="write the results as HTML")
+    parser.add_argument(
+        "--fail-fast", action="store_true", help="end after the first clause that is not fulfilled"
+    )
     parser.add_argument("--list", action="store_true", help="print the clauses, and check none")
 
 
@@ -172,14 +175,17 @@ def _outcome(options: argparse.Namespace, supervisor: "Supervisor") -> "Outcome"
     chosen = _chosen(options, supervisor.loaded.clauses)
     examiner = Examiner(supervisor, _command(options), options.output, is_live=bool(options.on))
     findings: list[Finding] = []
+    first_of: dict[tuple[str, str, str], str] = {}
     first_s = 0.0
     for number, promise in enumerate(chosen, 1):
         _progress(f"{promise.id} ({number} of {len(chosen)})")
         finding = examiner.examine(promise)
         first_s = first_s or _running_s()
         _progress("")
-        _print_finding(finding)
+        _print_finding(finding, first_of)
         findings.append(finding)
+        if options.fail_fast and not finding.verdict.result.is_good:
+            break
     try:
         claims = supervisor.claims()
     except CannotTestError as error:
@@ -215,11 +221,25 @@ def _progress(text: str) -> None:
         print(f"\r\033[K{text}", end="", file=sys.stderr, flush=True)
 
 
-def _print_finding(one: "Finding") -> None:
+def _print_finding(one: "Finding", first_of: dict[tuple[str, str, str], str]) -> None:
+    """Print a finding; of one that was seen before, at the same place, only where.
+
+    Args:
+        one: the finding.
+        first_of: the first clause of each bad finding so far, which this one is added to.
+    """
     from motorhil.harness.conformance.results import more_of
 
     verdict = one.verdict
     text = verdict.seen or one.promise.promise
+    first = one.promise.id
+    if not verdict.result.is_good:
+        key = (verdict.result.value, verdict.seen, verdict.place)
+        first = first_of.setdefault(key, first)
+    if first != one.promise.id:
+        print(f"{one.promise.id:<10}{verdict.result.value:<15}{'':>10}  the same as {first}")
+        sys.stdout.flush()
+        return
     print(
         f"{one.promise.id:<10}{verdict.result.value:<15}{verdict.time_ns / 1e9:8.3f} s"
         f"  {one_line(text)}"

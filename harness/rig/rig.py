@@ -88,7 +88,7 @@ class RigController:
         self._world = world
 
     def stimulate(self, stimulus: str, value: float) -> None:
-        """Set a physical input (load, switch) to this value from now on.
+        """Set a physical input (load, switch) to this value from now on; it is recorded.
 
         Raises:
             ValueError: the input does not exist; names the known ones.

@@ -18,9 +18,8 @@ class _Occurrence:
         self._stimulus = stimulus
 
     def happen(self, now_ns: int) -> None:
-        """Report the stimulus and apply it."""
+        """Apply the stimulus."""
         one = self._stimulus
-        self._world.report(now_ns, "info", one.controller, f"stimulus {one.name} = {one.value:g}")
         self._world.stimulate(one.controller, one.name, one.value)
 
 

@@ -261,3 +261,33 @@ def test_not_applicable_clause_has_reason():
     described = bench_description(describe(RIGS / "ideal.toml"), None)
     verdict = run_clause(clause, lambda: RigBench(described, 1))
     assert (verdict.result, verdict.seen) == (Result.NOT_APPLICABLE, "there is one motor only")
+
+
+THREE = ("--clause", "STATE-01", "--clause", "STOP-07", "--clause", "LOW-01")
+
+
+@pytest.fixture
+def with_a_bug(tmp_path, monkeypatch):
+    monkeypatch.setenv("MISBEHAVE", str(tmp_path / "harm"))
+    monkeypatch.chdir(ROOT)
+    (tmp_path / "harm").write_text("has_a_bug")
+    return ("--adaptation", MISBEHAVING, "-o", str(tmp_path / "records"))
+
+
+def test_one_bug_is_told_once(with_a_bug, capfd):
+    assert main(["conform", *with_a_bug, *THREE]) == 1
+    out = capfd.readouterr().out
+    assert out.count("a bug of the motor") == 1
+    crashed = [line for line in out.splitlines() if " crashed " in line and line[:1].isupper()]
+    assert len(crashed) > 1
+    first = crashed[0].split()[0]
+    assert all(line.endswith(f"  the same as {first}") for line in crashed[1:])
+
+
+def test_fail_fast_ends_after_the_first_bad_clause(with_a_bug, capfd, tmp_path):
+    found = tmp_path / "found.json"
+    assert main(["conform", *with_a_bug, *THREE, "--fail-fast", "--json", str(found)]) == 1
+    results = [one["result"] for one in json.loads(found.read_text())["clauses"]]
+    assert results[-1] == "crashed"
+    assert set(results[:-1]) <= {"passed", "not applicable"}
+    assert len(results) < 3

@@ -149,3 +149,7 @@ def says_so_and_works_for_ever(motor):
     told.write_text(str(os.getpid()))
     told.rename(f"{os.environ['MISBEHAVE']}.at")
     works_for_ever(motor)
+
+
+def has_a_bug(motor):
+    raise LookupError("a bug of the motor")

@@ -41,3 +41,14 @@ def test_invalid_stimulus_is_refused_before_the_run(opened):
     wrong = STIMULUS.format(1, 2).replace("load_torque_n_m", "lead")
     with pytest.raises(RigError, match=r"rig.toml:24: stimulus\[0\]: .*known: load_torque_n_m"):
         opened(wrong)
+
+
+def test_stimulus_from_python_is_reported_as_well(opened):
+    with opened("") as rig:
+        told = []
+        rig.world.tap_events(lambda *event: told.append(event))
+        rig.runtime.run_for(0.05)
+        rig.controllers["left"].stimulate("load_torque_n_m", 0.5)
+        with pytest.raises(ValueError, match="load_torque_n_m"):
+            rig.controllers["left"].stimulate("no_such", 1.0)
+        assert told == [(50_000_000, "info", "left", "stimulus load_torque_n_m = 0.5")]
