@@ -135,7 +135,7 @@ def test_as_host_with_missing_drive_reports_it(folder, say):
     ("words", "told"),
     [
         (("none.mcap", "--as", "device"), "none.mcap"),
-        (("text.mcap", "--as", "host"), "is not an MCAP file"),
+        (("text.mcap", "--as", "host"), "formats are mcap, "),
         (("bench.mcap", "--as", "host", "--rig", "missing.toml"), "missing.toml"),
         (("bench.mcap", "--as", "device", "missing.py"), "missing.py"),
         (("bench.mcap", "--as", "host", "-o", "nowhere/x.mcap"), "nowhere"),
