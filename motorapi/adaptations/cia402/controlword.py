@@ -344,21 +344,26 @@ class DriveControl:
     def _release_halt(self, display: int, mode: Mode) -> bool:
         """Release a halt in the mode that 6061h shows; return whether nothing moved by that.
 
-        The target of that mode becomes the present demand, or standstill. With a torque target, a
-        released load would drop.
+        The target of that mode becomes the present demand, or standstill. In tq it becomes the
+        present torque, as without it a load would drop.
         """
         node, objects = self.node, self.objects
         is_halted = self._word is None or self._word & HALT
         held = objects.read_optional(0x6062)
-        if not is_halted or mode is Mode.PROFILE_TORQUE or held is None:
+        if not is_halted or held is None:
             return False
+        if Mode.PROFILE_TORQUE in (mode, display):
+            torque = objects.read_optional(0x6077)
+            if torque is None:
+                return False
+            objects.write(0x6071, torque)
         if display in (Mode.PROFILE_POSITION, Mode.CYCLIC_SYNC_POSITION):
             if not node.is_within_counter(node.on_from(held)):
                 return False
             objects.write(0x607A, held)
         elif display == Mode.PROFILE_VELOCITY:
             objects.write(0x60FF, 0)
-        elif display != Mode.HOMING:
+        elif display not in (Mode.HOMING, Mode.PROFILE_TORQUE):
             return False
         if display == Mode.PROFILE_POSITION:
             word = ENABLE_OPERATION | HALT

@@ -57,6 +57,8 @@ _DEAF_NS: Final = 250_000_000
 _STUCK_NS: Final = 1_000_000_000
 """The time [ns] after which less suffices: slow set-points take long to get far ahead."""
 _FAR: Final = 10
+_STIRS: Final = 8
+"""A drive that makes less than this part of its set-points' way only oscillates."""
 _LAST_WORDS: Final = 2  # set-points that bring a stop, in case one is lost
 
 
@@ -252,7 +254,8 @@ class CspStream:
     def _is_followed(self, now_ns: int) -> bool:
         """Return whether the drive moves while its set-points do; without SYNC it does not."""
         position, (stood, target, since_ns) = self._node.position_inc, self._stood
-        if position != stood or self._cycle == 1:
+        made_inc = _STIRS * abs(position - stood)  # a drive that stands still may oscillate
+        if self._cycle == 1 or made_inc > abs(self._target - target) or self._target == target:
             self._stood = (position, self._target, now_ns)
             return True
         stood_ns = now_ns - since_ns

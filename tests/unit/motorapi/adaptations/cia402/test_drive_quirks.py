@@ -102,3 +102,20 @@ def test_mode_held_under_halt_is_changed_without_a_motion(open_rig):
         assert truth(rig) == pytest.approx(at, abs=0.02)
         stopped()
         motor.home(37)
+
+
+def test_mode_held_under_halt_is_changed_to_torque_and_back(open_rig):
+    quirk = "quirks.halt_holds_mode = true"
+    rig = open_rig(drive("left", 2, controller=quirk, model="gear_ratio = 66.0"))
+    motor = motor_of(rig)
+    for target in (0.3, 0.6):
+        go_to(motor, target)
+        motor.stop()
+        motor.wait_until_done(timeout_s=5)
+        motor.set_control_mode(ControlMode.SETPOINT, ControlVariable.TORQUE)
+        motor.set_setpoint(0.5)
+        motor.start()
+        rig.runtime.run_for(0.1)
+        assert motor.torque() == pytest.approx(0.5, abs=0.05)
+        motor.stop()
+        motor.wait_until_done(timeout_s=5)

@@ -1,5 +1,6 @@
 """Premature ends of streams: stops, faults and losses."""
 
+from collections.abc import Callable
 from itertools import pairwise
 
 import pytest
@@ -10,6 +11,7 @@ from motorhil.motorapi import MotorGroup
 from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
 from motorhil.motorapi.errors import DeviceFault, LinkError, MotionInterrupted
 from motorhil.motorapi.state import MotorState
+from tests.support.motors.drive_rigs import drive
 from tests.support.motors.streaming import (
     INC_PER_RAD,
     LEFT,
@@ -173,3 +175,21 @@ def test_lost_sync_of_a_slow_stream_is_noticed_by_time(rig: Rig, distance: float
     with pytest.raises(LinkError, match="stands still while its set-points move"):
         motor.wait_until_done(timeout_s=5)
     assert rig.runtime.now_ns() - now_ns <= 1_300 * MS  # a second at rest, after the servo settled
+
+
+def test_lost_sync_of_an_oscillating_drive_is_noticed(open_rig: Callable[..., Rig]):
+    """Behind an elastic gear with backlash, the encoder changes although the motor stands."""
+    plant = (
+        'plant = { preset = "wheel_60w", backlash_rad = 0.0003, coupling_stiffness_n_m_rad = '
+        "2000.0, coupling_damping_n_m_s_rad = 5.0 }"
+    )
+    rig = open_rig(drive("left", 2, controller=plant))
+    motor = set_function(motor_of(rig), quintic(3.0, 6.0))
+    motor.start()
+    rig.runtime.run_for(2.0)
+    now_ns = rig.runtime.now_ns()
+    lost = FaultRule("deaf", FaultKind.DROP, identifier=0x080, ports=("left",), from_ns=now_ns)
+    rig.faults.inject("can0", lost)
+    with pytest.raises(LinkError, match="stands still while its set-points move"):
+        motor.wait_until_done(timeout_s=5)
+    assert rig.runtime.now_ns() - now_ns <= 400 * MS
