@@ -16,10 +16,11 @@ from motorhil.harness.rig.config.conformance import Facts
 from motorhil.harness.rig.config.faults import HOST
 from motorhil.harness.rig.config.rig_file import RigDescription
 from motorhil.harness.rig.config.toml import RigError
+from motorhil.harness.rig.config.units import units_per_plant_rad
 from motorhil.harness.rig.rig import Rig
 from motorhil.harness.sharing_tests.bus_evidence import commanded_node
 from motorhil.harness.virtual_time.runtime import VirtualRuntime
-from motorhil.motorapi import Motor
+from motorhil.motorapi import Motor, UsageError
 
 SECOND_USER: Final = "another"
 _FAULT_NS: Final = 50_000_000
@@ -99,6 +100,7 @@ class RigBench:
         self._switch_on()
 
     def _switch_on(self) -> None:
+        self._scales: dict[str, float] = {}
         self.rig = Rig(self._description, seed=self.seed, record=self._record)
         self.rig.world.queue.alarm(self._time_is_up).set(round(self._limit_s * 1e9))
 
@@ -163,13 +165,15 @@ class RigBench:
     # --- observations and actions ---------------------------------------------------------
 
     def true_position(self, motor: Motor) -> float:
-        """Return the position of the motor's plant [rad], or of an ideal motor."""
+        """Return the position of the motor's plant [U], or of an ideal motor."""
         truth = self._truth(motor)
-        return truth["position_rad"] if truth else motor.position()
+        if not truth:
+            return motor.position()
+        return truth["position_rad"] * self._units_per_rad(motor)
 
     def load(self, motor: Motor, torque_n_m: float) -> None:
-        """Apply this load torque from now on."""
-        self._stimulate(motor, "load_torque_n_m", torque_n_m)
+        """Apply this load torque [N·m], or force [N], from now on."""
+        self._stimulate(motor, "load_torque_n_m", torque_n_m * self._units_per_rad(motor))
 
     def fail(self, motor: Motor) -> int:
         """Cause a short fault in the motor's drive; return its error code."""
@@ -311,6 +315,18 @@ class RigBench:
         prefix = self._prefix(motor)
         truth = self.rig.controllers[described.controller].snapshot()
         return {name.removeprefix(prefix): truth[name] for name in truth if name.startswith(prefix)}
+
+    def _units_per_rad(self, motor: Motor) -> float:
+        """Return the motor's units per radian of its plant [U/rad], as they were at power-on."""
+        name = physical_name(motor)
+        if name not in self._scales:
+            core = self.rig.controllers[self._controller(motor)].core
+            try:
+                scale = units_per_plant_rad(self._description.motors[name], motor.model, core)
+            except UsageError as error:
+                raise NotApplicable(str(error)) from None
+            self._scales[name] = scale
+        return self._scales[name]
 
     def _stimulate(self, motor: Motor, name: str, value: float) -> None:
         try:

@@ -13,7 +13,7 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
@@ -40,6 +40,8 @@ from motorhil.motorapi import (
     PluginError,
     Setpoint,
     SyncLevel,
+    Trajectory,
+    TrapezoidalTrajectory,
     UnsupportedError,
     UsageError,
 )
@@ -63,10 +65,10 @@ _MODES: Final = {
 }
 _SLOW: Final = (Capability.COMPLEX_POSITION, Capability.COMPLEX_VELOCITY)
 """Capabilities whose check imports numpy, which takes longer than the first verdicts."""
-_HOOKS: Final = {
-    Capability.MEASURED_TORQUE: "_read_torque",
-    Capability.MEASURED_FOLLOWING_ERROR: "_read_following_error",
-    Capability.LOW_LEVEL: "_open_low_level",
+_OPEN: Final = "_open_low_level"
+_READINGS: Final = {
+    Capability.MEASURED_TORQUE: Motor.torque,
+    Capability.MEASURED_FOLLOWING_ERROR: Motor.following_error,
 }
 _SETTLE_S: Final = 0.25
 _POLL_S: Final = 0.01
@@ -100,7 +102,8 @@ class Claims:
         if capability not in self._known:
             found: dict[Capability, str] = {}
             with self._open() as bench:
-                for one in Capability:
+                bench.motor.logical.hooks.connect()  # what its drive lacks, it does not claim
+                for one in dict.fromkeys((*_READINGS, *Capability)):  # reading shows more units
                     if (one in _SLOW) is not (capability in _SLOW):
                         continue
                     try:
@@ -122,12 +125,17 @@ def _why_not(motor: Motor, facts: Facts, capability: Capability) -> str:
 
 def _claims(motor: Motor, capability: Capability) -> bool:
     if capability in _MODES:
-        return motor.logical.hooks.supports(*_MODES[capability])
-    if capability in _HOOKS:
-        hook = _HOOKS[capability]
-        return getattr(type(motor), hook) is not getattr(MotorHooks, hook)
+        mode, variable = _MODES[capability]
+        if not motor.logical.hooks.supports(mode, variable):
+            return False
+        if mode is ControlMode.TRAJECTORY:
+            return _accepts(motor, variable, TrapezoidalTrajectory(0.0, duration_s=1.0))
+        return _accepts(motor, variable, Setpoint(0.0, variable is ControlVariable.POSITION))
+    if capability in _READINGS:
+        return _reads(_READINGS[capability], motor)
+    if capability is Capability.LOW_LEVEL:
+        return getattr(type(motor), _OPEN) is not getattr(MotorHooks, _OPEN)
     if capability is Capability.COMMON_TRIGGER:
-        motor.logical.hooks.connect()
         return motor.logical.hooks.sync_offer().level >= SyncLevel.TRIGGERED
     if capability is Capability.COMPLEX_POSITION:
         return _takes_functions(motor, ControlVariable.POSITION)
@@ -136,6 +144,14 @@ def _claims(motor: Motor, capability: Capability) -> bool:
     if capability is Capability.LIMITED_SET_POINT:
         return _takes_limits(motor)
     return True  # faults, and what only the rig can know: claimed unless it is in `without`
+
+
+def _reads(read: Callable[[Motor], float], motor: Motor) -> bool:
+    try:
+        read(motor)
+    except UnsupportedError:
+        return False
+    return True
 
 
 def _takes_functions(motor: Motor, variable: ControlVariable) -> bool:
@@ -155,9 +171,7 @@ def _takes_limits(motor: Motor) -> bool:
     return _accepts(motor, ControlVariable.POSITION, Setpoint(0.0, True, slow))
 
 
-def _accepts(
-    motor: Motor, variable: ControlVariable, command: Setpoint | ComplexTrajectory
-) -> bool:
+def _accepts(motor: Motor, variable: ControlVariable, command: Setpoint | Trajectory) -> bool:
     try:
         motor.logical.hooks.check_command(variable, command)
     except UnsupportedError:

@@ -43,6 +43,10 @@ def conform(*words, seed):
     )
 
 
+TIGHT = "window_rad = 0.001", "window_rad = 1e-9"
+"""A position window that no motor can keep, for a clause that fails."""
+
+
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory):
     """Two runs of two clauses, one of which fails, in folders of their own: (process, folder)."""
@@ -50,7 +54,7 @@ def runs(tmp_path_factory):
     for seed in (1, 2):
         folder = tmp_path_factory.mktemp("conform")
         rig = folder / "rig.toml"
-        rig.write_text((RIGS / "cia402.toml").read_text().replace("66.0", "-66.0", 1))
+        rig.write_text((RIGS / "cia402.toml").read_text().replace(*TIGHT))
         words = ["--rig", str(rig), "--clause", "UNIT-01", "--clause", "STATE-01"]
         for kind in ("json", "junit", "html"):
             words += [f"--{kind}", str(folder / f"found.{kind}")]
@@ -213,7 +217,7 @@ def test_adaptation_with_own_rig_is_tested_on_it():
 
 def test_record_folder_that_cannot_be_created_is_reported(tmp_path, capfd):
     rig = tmp_path / "rig.toml"
-    rig.write_text((RIGS / "cia402.toml").read_text().replace("66.0", "-66.0", 1))
+    rig.write_text((RIGS / "cia402.toml").read_text().replace(*TIGHT))
     words = ("--rig", str(rig), "--clause", "UNIT-01", "-o", str(rig / "x"))
     assert main(["conform", *words]) == 2
     assert "rig.toml/x: cannot be created: Not a directory" in capfd.readouterr().err

@@ -10,7 +10,7 @@ from motorhil.harness.conformance.rig_bench import RigBench, bench_description
 from motorhil.harness.conformance.run import Claims, run_clause
 from motorhil.harness.rig.config.rig_file import read_rig
 from motorhil.harness.rig.rig import installed_plugins
-from tests.support.kit_benches import RIGS
+from tests.support.correct_variants import VARIANTS, VENDORS, of_vendor, text_of
 
 CLAUSES = all_clauses()
 _ACCELERATION = "acceleration_max_rad_s2 = 4.0"
@@ -18,15 +18,50 @@ _TORQUE = "torque_max_n_m = 5.0"
 _LONG = "long_move_rad = 1.0"
 
 
-def opener_of(folder, *changes):
+_STRIDE = 16
+
+
+def opener_of(folder, *changes, seed=1):
     """Return an opener of the kit's CiA 402 bench with these changes of its text."""
-    text = (RIGS / "cia402.toml").read_text()
-    for before, after in changes:
-        assert before in text
-        text = text.replace(before, after)
-    (folder / "rig.toml").write_text(text)
+    (folder / "rig.toml").write_text(text_of(changes))
     described = bench_description(read_rig(folder / "rig.toml", installed_plugins()), "cia402")
-    return lambda: RigBench(described, 1)
+    return lambda: RigBench(described, seed)
+
+
+def accusations(opener, names):
+    """Return what the clauses of these names say against the motor of this bench."""
+    claims = Claims(opener)
+    verdicts = [run_clause(CLAUSES[name], opener, claims) for name in names]
+    return [f"{one.clause}: {one.seen}" for one in verdicts if not one.result.is_good]
+
+
+def slice_of(number):
+    """Return clauses for variant `number`; together the variants meet every clause, most twice."""
+    return list(CLAUSES)[number % _STRIDE :: _STRIDE]
+
+
+def test_variants_cover_every_clause():
+    assert {name for number in range(len(VARIANTS)) for name in slice_of(number)} == set(CLAUSES)
+
+
+@pytest.mark.parametrize("name", VARIANTS)
+def test_variant_is_not_accused(tmp_path, name):
+    names = slice_of(list(VARIANTS).index(name))
+    assert accusations(opener_of(tmp_path, *VARIANTS[name]), names) == []
+
+
+@pytest.mark.data
+@pytest.mark.parametrize("file", VENDORS)
+def test_vendor_drive_is_not_accused(tmp_path, shared, file):
+    names = slice_of(VENDORS.index(file))
+    assert accusations(opener_of(tmp_path, *of_vendor(shared / "data" / "eds" / file)), names) == []
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("seed", range(1, 51))
+@pytest.mark.parametrize("name", VARIANTS)
+def test_variant_is_never_accused(tmp_path, name, seed):
+    assert accusations(opener_of(tmp_path, *VARIANTS[name], seed=seed), CLAUSES) == []
 
 
 def verdict_of(clause, opener):

@@ -43,13 +43,14 @@ _PUSH_S = 0.25
 def algorithm_1_ends_at_1_then_2(bench: RigProtocol) -> None:
     """Algorithm 1 of the paper, from a quarter, ends at 1 by its set-point and then at 2."""
     motor, one = bench.motor, 0.5 * long_move(bench)
-    aim(motor, 0.25 * one)
+    origin = motor.position()
+    aim(motor, origin + 0.25 * one)
     finish(bench, motor, shortest_s(motor, one))
-    aim(motor, one)
+    aim(motor, origin + one)
     finish(bench, motor, shortest_s(motor, one))
-    expect_at(bench, motor, one, "after its set-point")
+    expect_at(bench, motor, origin + one, "after its set-point")
     move(bench, motor, one)
-    expect_at(bench, motor, 2.0 * one, "after its trajectory")
+    expect_at(bench, motor, origin + 2.0 * one, "after its trajectory")
 
 
 @clause(
@@ -155,10 +156,11 @@ def setpoint_velocity_limit_is_kept(bench: RigProtocol) -> None:
 )
 def setting_has_no_effect_before_start(bench: RigProtocol) -> None:
     """Before start(), new settings do nothing: the motor does not move and is not enabled."""
-    motor = bench.motor
-    before, state = position_of(bench, motor), motor.state()
+    motor, way = bench.motor, 0.25 * long_move(bench)
+    origin, state = motor.position(), motor.state()
+    before = position_of(bench, motor)
     motor.set_control_mode(ControlMode.SETPOINT)
-    motor.set_setpoint(0.25 * long_move(bench))
+    motor.set_setpoint(origin + way)
     rest_for(bench, 0.3)
     expect_unmoved(bench, motor, before, "after set_setpoint()")
     found = motor.state()
@@ -167,10 +169,10 @@ def setting_has_no_effect_before_start(bench: RigProtocol) -> None:
         f"set_setpoint() changed the state from {state.value} to {found.value}",
     )
     motor.start()
-    finish(bench, motor, shortest_s(motor, 0.25 * long_move(bench)))
-    motor.set_setpoint(0.0)
+    finish(bench, motor, shortest_s(motor, way))
+    motor.set_setpoint(origin)
     rest_for(bench, 0.3)
-    expect_at(bench, motor, 0.25 * long_move(bench), "with a new set-point, not started")
+    expect_at(bench, motor, origin + way, "with a new set-point, not started")
 
 
 @clause(

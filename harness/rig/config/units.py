@@ -3,15 +3,20 @@
 A host that takes another gear or resolution than the drive has reads a wrong position, and each
 side agrees with itself: nothing else in a run would notice. So both are compared before anything
 moves. Metres are not compared, as the plant turns.
+
+A bench that shows a motor's true position needs the opposite: the motor's units per radian of the
+plant, with the direction that the model states.
 """
 
 from dataclasses import dataclass
-from math import pi
+from math import copysign, pi
 from typing import Final, final
 
+from motorhil.emulators.cia401.node import IoNode
 from motorhil.emulators.cia402.drive import Cia402Drive
 from motorhil.emulators.controller import Controller
 from motorhil.emulators.modbus.drive import ModbusDrive
+from motorhil.emulators.plant.dc_motor import MotorPlant
 from motorhil.harness.rig.config.derived import core_of
 from motorhil.harness.rig.config.rig_file import MotorDescription, RigDescription
 from motorhil.motorapi.adaptations.cia402.units import DriveUnits, drive_units
@@ -108,6 +113,45 @@ def require_units(
     except UsageError as error:
         remedy = "a motor model is a TOML file, or the table `model` of the motor"
         raise description.error(("motor", motor.name), str(error), remedy) from error
+
+
+def units_per_plant_rad(
+    motor: MotorDescription, model: MotorModel, controller: Controller
+) -> float:
+    """Return the motor's units per radian at the output of its plant [U/rad].
+
+    A rotary motor turns as its plant does, whatever gear its model states, so that a wrong gear
+    shows. Its direction, and the metres of a linear motor, are known from the model alone.
+
+    Raises:
+        UsageError: the model of a linear motor states no ratio.
+    """
+    core, scale = core_of(controller), model.increments_per_unit
+    if isinstance(core, Cia402Drive):
+        scale = _assumed(motor.name, model, core).increments_per_unit
+        if scale is not None:
+            scale *= core.units().position_numerator  # < 0: 607Eh inverts the drive's positions
+    if scale is None:
+        scale = model.gear_ratio
+    if model.kind is MotionKind.ROTARY:
+        return 1.0 if scale is None else copysign(1.0, scale)
+    plant = _plant_of(motor, core)
+    if model.gear_ratio is None or scale is None or plant is None:
+        raise UsageError(
+            f"{motor.name}: the true position is not known in m; expected the motor's turns per m"
+            " in its model, and a plant with a gear; write motor_turns_per_m into the model"
+        )
+    return copysign(plant.gear_ratio / _TURN_RAD / model.gear_ratio, scale)
+
+
+def _plant_of(motor: MotorDescription, core: Controller) -> MotorPlant | None:
+    if isinstance(core, Cia402Drive | ModbusDrive):
+        return core.settings.plant
+    if isinstance(core, IoNode):
+        channel = motor.settings.get("channel", 1)
+        assert isinstance(channel, int)
+        return core.settings.channels[channel - 1].plant
+    return None
 
 
 def _assumed(name: str, model: MotorModel, core: Cia402Drive) -> DriveUnits:
