@@ -192,3 +192,26 @@ def test_single_heartbeat_is_sent_once():
     player = started(step(5, is_free=True), step(400, answer(390)))
     assert len(player.take(5 * MS)) == 1
     assert player.take(1_000 * MS) == []
+
+
+def test_boot_up_before_a_reset_does_not_answer_it():
+    """A drive that boots by itself boots again after the host's reset."""
+    reset = HostStep(10 * MS, 11 * MS, "can0", classic(0, b"\x81\0"), "reset", [])
+    player = started(reset, step(30, state(20, BOOTED)))
+    player.heard("can0", BOOTED, 5 * MS, False)
+    assert player.take(10 * MS) == [("can0", reset.frame)]
+    assert player.take(40 * MS) == []
+    player.heard("can0", BOOTED, 60 * MS, False)
+    assert len(player.take(70 * MS)) == 1
+    assert player.missed == []
+
+
+def test_report_before_the_start_does_not_count():
+    player = HostPlayer([step(0, state(0, OPERATIONAL))], Listener({}))
+    player.heard("can0", BOOTED, 1 * MS, False)
+    player.heard("can0", OPERATIONAL, 2 * MS, False)
+    assert player.booted == {("can0", 5)}
+    player.start(10 * MS)
+    assert player.take(20 * MS) == []
+    player.heard("can0", OPERATIONAL, 30 * MS, False)
+    assert len(player.take(30 * MS)) == 1
