@@ -465,7 +465,7 @@ def _join(interface: str, channel: Any = None, **options: Any) -> can.BusABC:
             f"{', '.join(known) or 'none'}); name one [bus.{name}], or run the program in wall "
             "time: motorhil serve RIG -- python SCRIPT"
         )
-    return EmulatedBus(name, **options)
+    return EmulatedBus(name, told_channel=channel, **options)
 
 
 def _bus_of(channel: str) -> str:

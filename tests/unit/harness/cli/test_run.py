@@ -389,3 +389,32 @@ def test_script_with_its_own_rig_is_told_how_it_is_run(rig, say):
     status, _, err = say("run", "rig.toml", "script.py")
     assert status == 1
     assert "a program that opens its own rig is run by python, not by motorhil run" in err
+
+
+REPLACED = """\
+import can
+with can.Bus(interface={interface!r}, channel={channel!r}) as bus:
+    print(repr(bus.recv(1.0).channel))
+"""
+
+
+@pytest.mark.parametrize(
+    ("interface", "channel"), [("socketcan", "can0"), ("socketcan", 0), ("slcan", "/dev/can0")]
+)
+def test_messages_have_the_channel_of_the_replaced_bus(tmp_path, say, interface, channel):
+    """The boot-up of the drive arrives; the bus of the rig is can0."""
+    (tmp_path / "rig.toml").write_text(DRIVE)
+    program = tmp_path / "program.py"
+    program.write_text(REPLACED.format(interface=interface, channel=channel))
+    status, out, err = say("run", str(tmp_path / "rig.toml"), str(program))
+    assert (status, out) == (0, f"{channel!r}\n"), err
+
+
+DRIVE = """\
+bus.can0.bitrate_bit_s = 1_000_000
+[controller.left]
+kind = "cia402"
+bus = "can0"
+node_id = 1
+plant = { preset = "wheel_60w" }
+"""
