@@ -2,7 +2,7 @@
 
 import pytest
 
-from motorhil.harness.replay.host import HostPlayer
+from motorhil.harness.replay.host import HostPlayer, ReceiveQueue
 from motorhil.traces.can_frame import classic
 from motorhil.traces.exchange.host import ANSWER, HostStep, Listener, Told
 
@@ -215,3 +215,27 @@ def test_report_before_the_start_does_not_count():
     assert player.take(20 * MS) == []
     player.heard("can0", OPERATIONAL, 30 * MS, False)
     assert len(player.take(30 * MS)) == 1
+
+
+RESET = classic(0, b"\x81\x00")
+NODE_1_BOOTED = classic(0x701, b"\x00")
+
+
+def test_ears_ignore_boot_up_before_own_reset():
+    heard = []
+    ears = ReceiveQueue(lambda *what: heard.append(what), RESET)
+    told = [
+        (NODE_1_BOOTED, 1, False),
+        (RESET, 2, False),
+        (RESET, 3, True),
+        (NODE_1_BOOTED, 4, False),
+    ]
+    for one in told:  # a foreign reset does not count
+        ears.heard(*one)
+    assert heard == told[2:]
+
+
+def test_ears_without_reset_hear_everything():
+    heard = []
+    ReceiveQueue(lambda *what: heard.append(what), None).heard(NODE_1_BOOTED, 1, False)
+    assert heard == [(NODE_1_BOOTED, 1, False)]
