@@ -115,6 +115,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="tolerance of a quantity, as a share of its range (host; default 0.01)",
     )
     parser.add_argument("--reset", action="store_true", help="reset all nodes first (host)")
+    parser.add_argument("--all", action="store_true", help="print all differences, not only 20")
+    _add_host_node(parser)
+    _add_traffic(parser)
+    parser.add_argument("--json", action="store_true", help="print JSON")
+
+
+def _add_host_node(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--host-node",
         action="append",
@@ -123,9 +130,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         help="node-ID of the recorded host itself, whose heartbeats are not a device's (host)",
     )
-    parser.add_argument("--all", action="store_true", help="print all differences, not only 20")
-    _add_traffic(parser)
-    parser.add_argument("--json", action="store_true", help="print JSON")
 
 
 def _add_traffic(parser: argparse.ArgumentParser) -> None:
