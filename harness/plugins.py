@@ -27,6 +27,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib import metadata
+from importlib.util import find_spec
+from pathlib import Path
 from typing import Any, Final, final
 
 CONTROLLERS: Final = "motorhil.controllers"
@@ -88,6 +90,22 @@ def named(group: str, name: str) -> Plugin:
     if is_target(name):
         return Plugin(name, name, metadata.EntryPoint(name, name, group))
     return installed(group)[name]
+
+
+def own_eds(target: str) -> Path | None:
+    """Return the EDS file shipped in a controller package's folder `eds`, or None.
+
+    The controller's module is not imported: the file is `package/eds/*_NAME.eds` for
+    `package.NAME.module:function`.
+    """
+    package, _, name = target.partition(":")[0].rpartition(".")[0].rpartition(".")
+    spec = find_spec(package) if package else None
+    if spec is None or not spec.submodule_search_locations:
+        return None
+    for folder in spec.submodule_search_locations:
+        for path in sorted((Path(folder) / "eds").glob(f"*_{name}.eds")):
+            return path
+    return None
 
 
 @lru_cache(maxsize=4)

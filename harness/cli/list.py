@@ -8,14 +8,13 @@ import argparse
 import json
 import sys
 from collections.abc import Callable, Iterator, Sequence
-from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from motorhil.emulators.cia402.settings import CATALOGUE
 from motorhil.harness.cli.main import PASSED, WRONG_USAGE
 from motorhil.harness.cli.options import print_table
-from motorhil.harness.plugins import ADAPTATIONS, CONTROLLERS, installed
+from motorhil.harness.plugins import ADAPTATIONS, CONTROLLERS, installed, own_eds
 from motorhil.motorapi.errors import UsageError
 from motorhil.motorapi.locking.directory import LockDirectory
 from motorhil.motorapi.locking.lock_status import LockView, Occupant, look
@@ -249,22 +248,6 @@ def _plugins(group: str) -> list[dict[str, str]]:
             entry["eds"] = str(eds)
         listing.append(entry)
     return listing
-
-
-def own_eds(target: str) -> Path | None:
-    """Return the EDS file shipped in a controller package's folder `eds`, or None.
-
-    The controller's module is not imported: the file is `package/eds/*_NAME.eds` for
-    `package.NAME.module:function`.
-    """
-    package, _, name = target.partition(":")[0].rpartition(".")[0].rpartition(".")
-    spec = find_spec(package) if package else None
-    if spec is None or not spec.submodule_search_locations:
-        return None
-    for folder in spec.submodule_search_locations:
-        for path in sorted((Path(folder) / "eds").glob(f"*_{name}.eds")):
-            return path
-    return None
 
 
 def _examples() -> list[dict[str, str]]:

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     from motorhil.harness.replay.frames import Choice, Replayed, Sink, Survey
-    from motorhil.harness.replay.host import HostPlayer
+    from motorhil.harness.replay.host import HostPlayer, HostReplay, Pace
     from motorhil.harness.rig.config.rig_file import RigDescription
     from motorhil.harness.rig.rig import Rig
     from motorhil.motorapi.runtime.api import Runtime
@@ -43,6 +43,7 @@ _OF_MODES: Final = {
     "--json": ("json", ("host", "traffic")),
     "--partial": ("partial", ("device",)),
     "--reset": ("reset", ("host",)),
+    "--host-node": ("host_node", ("host",)),
     "--all": ("all", ("host",)),
     "--bus": ("bus", ("traffic",)),
     "--id": ("id", ("traffic",)),
@@ -115,8 +116,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--reset", action="store_true", help="reset all nodes first (host)")
     parser.add_argument("--all", action="store_true", help="print all differences, not only 20")
+    _add_host_node(parser)
     _add_traffic(parser)
     parser.add_argument("--json", action="store_true", help="print JSON")
+
+
+def _add_host_node(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--host-node",
+        action="append",
+        type=whole(1, 127),
+        default=[],
+        metavar="N",
+        help="node-ID of the recorded host itself, whose heartbeats are not a device's (host)",
+    )
 
 
 def _add_traffic(parser: argparse.ArgumentParser) -> None:
@@ -180,7 +193,12 @@ def run(options: argparse.Namespace) -> int:
     options.named = options.file
     tell = partial(print, "motorhil replay:", file=sys.stderr)
     with as_mcap(options.file, tell) as options.file:
-        status: int = _MODES[options.mode](options)
+        try:
+            status: int = _MODES[options.mode](options)
+        except RigError as error:  # the user knows only the file that was converted
+            if error.line is not None or error.key or Path(error.file).name != options.file.name:
+                raise
+            raise RigError(options.named, error.message, error.remedy) from None
     return status
 
 
@@ -237,13 +255,24 @@ def replay_as_host(options: argparse.Namespace) -> int:
         TraceError: the recording cannot be read, or the new one cannot be written.
     """
     from motorhil.harness.recording.sources import PlaceError
-    from motorhil.harness.replay.host import compared
+    from motorhil.harness.replay.host import compared, prepared
+    from motorhil.harness.rig.config.buses import CAN
     from motorhil.traces.semantics.diff import Tolerance
 
-    with ends_by_signal(), tempfile.TemporaryDirectory(prefix="motorhil-") as folder:
-        live = options.output or Path(folder, "live.mcap")
+    notes: list[str] = []
+    with ends_by_signal(), ExitStack() as cleanup:
+        folder = Path(cleanup.enter_context(tempfile.TemporaryDirectory(prefix="motorhil-")))
+        live = options.output or folder / "live.mcap"
         try:
-            done = _on_buses(options, live) if options.on else _on_rig(options, live, Path(folder))
+            buses: list[str] = []
+            description = None if options.on else _described_host(options, folder)
+            if description is not None:
+                buses = [bus for bus, one in description.buses.items() if one.kind == CAN]
+            options.file = cleanup.enter_context(prepared(options.file, buses, notes))
+            if description is None:
+                done = _on_buses(options, live)
+            else:
+                done = _on_rig(options, description, live)
         except PlaceError as error:
             print(f"motorhil replay: {error}", file=sys.stderr)
             return WRONG_USAGE
@@ -251,31 +280,35 @@ def replay_as_host(options: argparse.Namespace) -> int:
             print(f"motorhil replay: {error}", file=sys.stderr)
             return FAILED
         found, differing = compared(
-            options.file, live, done.pairs, Tolerance(share=options.tolerance)
+            *(options.file, live, done.player.pairs),
+            *(Tolerance(share=options.tolerance), done.reading),
         )
-    if done.unsent:
+    for note in (*notes, *done.notes):
+        print(f"motorhil replay: {options.named}: {note}", file=sys.stderr)
+    player = done.player
+    if player.unsent:
         what = "cannot be sent on a classical bus (CAN FD, or malformed)"
-        print(f"{options.file}: {done.unsent} frames of the host {what}", file=sys.stderr)
+        print(f"{options.named}: {player.unsent} frames of the host {what}", file=sys.stderr)
     if options.json:
-        print(json.dumps(_facts(done, found, differing)))
+        print(json.dumps(_facts(player, found, differing)))
     else:
-        _print_host_result(options, done, found, differing)
-    return FAILED if differing or done.missed else PASSED
+        _print_host_result(options, player, found, differing)
+    return FAILED if differing or player.missed else PASSED
 
 
-def _on_rig(options: argparse.Namespace, live: Path, folder: Path) -> "HostPlayer":
+def _on_rig(options: argparse.Namespace, description: "RigDescription", live: Path) -> "HostReplay":
     """Drive emulated devices, in virtual time or in real time."""
-    from motorhil.harness.replay.host import DrivenRig, drive
+    from motorhil.harness.replay.host import DrivenRig, bench_of, drive
     from motorhil.harness.rig.rig import Rig
 
-    description = _described_host(options, folder)
     with Rig(description, seed=options.seed, realtime=options.realtime, record=live) as rig:
         for note in rig.notes:
             print(note, file=sys.stderr)
-        return drive(DrivenRig(rig), options.file, *_pace(options))
+        bench = bench_of(description)
+        return drive(DrivenRig(rig), options.file, _pace(options), options.host_node, bench)
 
 
-def _on_buses(options: argparse.Namespace, live: Path) -> "HostPlayer":
+def _on_buses(options: argparse.Namespace, live: Path) -> "HostReplay":
     """Drive devices on buses outside the rig, in wall time."""
     from motorhil.harness.recording.sources import PlaceError, places_of_buses
     from motorhil.harness.replay.host import drive
@@ -289,11 +322,13 @@ def _on_buses(options: argparse.Namespace, live: Path) -> "HostPlayer":
     buses = [topic.removeprefix("/can/") for topic in topics if topic.startswith("/can/")]
     places = places_of_buses(options.on, buses or ["can0"])
     with DrivenBuses(places, options.bitrate, live, options.file) as driven:
-        return drive(driven, options.file, *_pace(options))
+        return drive(driven, options.file, _pace(options), options.host_node)
 
 
-def _pace(options: argparse.Namespace) -> tuple[float, int, bool]:
-    return options.speed or 1.0, round(options.patience * 1e9), options.reset
+def _pace(options: argparse.Namespace) -> "Pace":
+    from motorhil.harness.replay.host import Pace
+
+    return Pace(options.speed or 1.0, round(options.patience * 1e9), options.reset)
 
 
 def _described_host(options: argparse.Namespace, folder: Path) -> "RigDescription":

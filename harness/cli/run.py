@@ -196,7 +196,7 @@ def run_script(rig: "Rig", script: Script, words: Sequence[str]) -> int:
     with (
         _as_main(main, script, words),
         bus_settings(rig),
-        _Threads(script.name) as threads,
+        _Threads(rig, script.name) as threads,
         in_virtual_time(rig),
         exit_handlers() as handlers,
     ):
@@ -257,7 +257,10 @@ def run_judged(
                     status = run_script(rig, script, words)
             for line in summary(rig):
                 print(f"motorhil {verb}: {line}", file=sys.stderr)
-            return status or int(bool(unanswered(rig) or (whole and never_came(rig))))
+            status = status or int(bool(unanswered(rig) or (whole and never_came(rig))))
+        if rig.recording is not None and rig.recording.error is not None:
+            raise rig.recording.error  # the program may have handled it
+        return status
     except (RigError, TraceError, BrokenPipeError):
         raise
     except Exception as error:  # of a party without a join, or while closing resources
@@ -273,8 +276,9 @@ class _Threads:
         failed: True if a thread raised an exception.
     """
 
-    def __init__(self, script: str) -> None:
+    def __init__(self, rig: "Rig", script: str) -> None:
         self.failed = False
+        self._rig = rig
         self._script = script
         self._before = threading.enumerate()
         self._hook = threading.excepthook
@@ -287,6 +291,9 @@ class _Threads:
         threading.excepthook = self._hook
 
     def _report(self, raised: threading.ExceptHookArgs) -> None:
+        recording = self._rig.recording
+        if recording is not None and raised.exc_value is recording.error:
+            return  # the record failed, not the program; `run_judged` reports it
         if raised.exc_value is not None and not isinstance(raised.exc_value, SystemExit):
             self.failed = True
             print_error(raised.exc_value, self._script)
@@ -465,7 +472,7 @@ def _join(interface: str, channel: Any = None, **options: Any) -> can.BusABC:
             f"{', '.join(known) or 'none'}); name one [bus.{name}], or run the program in wall "
             "time: motorhil serve RIG -- python SCRIPT"
         )
-    return EmulatedBus(name, **options)
+    return EmulatedBus(name, told_channel=channel, **options)
 
 
 def _bus_of(channel: str) -> str:

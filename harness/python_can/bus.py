@@ -6,6 +6,9 @@ needs no other change. In a rig of this process, `recv` and `send_periodic` use 
 a socket they use wall time, and stamps count from 1970. The bus passes every frame to the program's
 receive queue.
 
+A received message's `channel` is the `channel` of `can.Bus`, as with python-can's `virtual` and
+`socketcan`. If `motorhil run` replaces another interface, it is the channel of that interface.
+
 CAN FD works as with SocketCAN: a connection opened without `fd=True` neither sends nor receives CAN
 FD frames. The bus must be an FD bus (`data_bitrate_bit_s`).
 
@@ -148,15 +151,25 @@ class _Subscription:
 class EmulatedBus(can.BusABC):
     """One application's connection to an emulated bus, in virtual time or through a socket.
 
+    Args:
+        channel: the name of a bus, or a hub's socket.
+        can_filters: the filters of received messages.
+        told_channel: the channel of received messages; None: `channel` itself.
+        receive_own_messages: True to receive messages of this object too.
+        ignore_rx_error_frames: True to receive no error frames.
+        fd: True to send and receive CAN FD frames.
+
     Attributes:
+        channel: the name of the bus or the hub's socket.
         runtime: the rig's Runtime if the rig is in this process; absent over a socket.
     """
 
     def __init__(
         self,
-        channel: str = "can0",
+        channel: Any = "can0",  # Any: a text, or a path object
         can_filters: can.typechecking.CanFilters | None = None,
         *,
+        told_channel: Any = None,  # Any: a channel of any interface
         receive_own_messages: bool = False,
         ignore_rx_error_frames: bool = False,
         fd: bool = False,
@@ -164,6 +177,7 @@ class EmulatedBus(can.BusABC):
     ) -> None:
         self.channel_info = f"emulated bus {channel}"
         self.channel = str(channel)
+        self._told_channel = channel if told_channel is None else told_channel
         self._own = receive_own_messages
         self._ignores_errors = ignore_rx_error_frames
         self._state = BusState.ACTIVE
@@ -290,7 +304,7 @@ class EmulatedBus(can.BusABC):
             if not self.runtime.wait_until(self._queue.has_frame, left_s):
                 return None
             frame, time_ns, transmitted = self._queue.backlog.popleft()
-            message = to_message(frame, time_ns, self.channel, received=not transmitted)
+            message = to_message(frame, time_ns, self._told_channel, received=not transmitted)
             if message.is_error_frame:
                 if not self._ignores_errors:
                     return message
@@ -311,9 +325,8 @@ class EmulatedBus(can.BusABC):
                 self._state = state_after(frame, self._state)
             if not self._ignores_errors if is_error_frame else self._own or not transmitted:
                 time_ns += self._hub.begin_ns
-                return to_message(
-                    frame, time_ns, self.channel, received=not transmitted
-                ), is_error_frame
+                message = to_message(frame, time_ns, self._told_channel, received=not transmitted)
+                return message, is_error_frame
 
     def _receive_error(self, message: bytes, time_ns: int, _: bool) -> None:
         self._state = state_after(message, self._state)

@@ -5,7 +5,7 @@ kernel does the same for python-can's SocketCAN interface.
 """
 
 import struct
-from typing import Final
+from typing import Any, Final
 
 from can import CanOperationError, Message
 
@@ -70,8 +70,15 @@ def _to_fd_frame(message: Message, can_id: int) -> bytes:
     return pack_fd(can_id, bytes(message.data).ljust(length, b"\0"), flags)
 
 
-def to_message(frame: bytes, time_ns: int, channel: str, received: bool) -> Message:
-    """Return a Linux can_frame or canfd_frame as a python-can message."""
+def to_message(frame: bytes, time_ns: int, channel: Any, received: bool) -> Message:
+    """Return a Linux can_frame or canfd_frame as a python-can message.
+
+    Args:
+        frame: the frame.
+        time_ns: its time stamp [ns].
+        channel: the channel that the user gave to `can.Bus`, of any type.
+        received: False for a message of the same bus object.
+    """
     fd = len(frame) == FD_FRAME_BYTES
     if fd:
         can_id, length, flags, data = _FD_FRAME.unpack(frame)

@@ -5,29 +5,46 @@ arrived again. Then the recorded pause is kept after the last of these observati
 host's last frame. An observation that does not arrive within the patience after its time is missed.
 The player notes it and continues, as a human operator would. The host's own heartbeat waits for
 nothing, and continues while there are steps to send.
+
+A recording may begin when its devices had booted already. The player then waits until the live
+devices have booted, and both sides are compared from the host's first frame on. Both are decoded
+with the same names and objects: those of the recording, completed by those of the rig.
 """
 
-from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Final, Protocol, final
 
 from motorhil.emulators.can.frame import FRAME_BYTES
+from motorhil.harness.plugins import CONTROLLERS, named, own_eds
 from motorhil.harness.replay.frames import duration_ns, never
 from motorhil.harness.replay.verdict import meaning_in
+from motorhil.harness.rig.config.buses import CAN
 from motorhil.harness.rig.config.toml import RigError
 from motorhil.motorapi.runtime.api import Runtime
 from motorhil.traces.can_frame import classic
+from motorhil.traces.decoding.attached_rig import RecordedNames, names_of, rig_in
+from motorhil.traces.decoding.canopen import CanopenDecoder
+from motorhil.traces.decoding.events import Kind
+from motorhil.traces.decoding.narrative import Line
+from motorhil.traces.decoding.objects import ObjectNames
 from motorhil.traces.exchange.host import (
     ANSWER,
+    HostSide,
     HostStep,
+    HostSurvey,
     Listener,
     Subject,
     Told,
     answer_size,
     host_of,
+    survey_of,
 )
-from motorhil.traces.mcap.reader import read_trace
+from motorhil.traces.mcap.reader import Trace, read_trace
+from motorhil.traces.mcap.writer import TraceWriter
 from motorhil.traces.semantics.diff import (
     Difference,
     ObjectFidelity,
@@ -39,12 +56,19 @@ from motorhil.traces.semantics.diff import (
 )
 
 if TYPE_CHECKING:
+    from motorhil.harness.rig.config.rig_file import RigDescription
     from motorhil.harness.rig.rig import Rig
 
+PITCH_NS: Final = 1_000_000
+"""The distance of recorded frames without time stamps [ns]."""
 PATIENCE_NS: Final = 2_000_000_000
 _NEVER_NS: Final = 1 << 62
 _RESET_ALL: Final = classic(0, b"\x81\x00")
 """The frame of NMT service "reset node" to all nodes (CiA 301)."""
+_NMT_START: Final = 1
+_RESETS: Final = (0x81, 0x82)
+_STARTED_S: Final = 0.05
+"""How long devices may need to become operational [s]."""
 _TAIL_S: Final = 0.1
 """How long to listen after the end of the recording [s], since devices may be slower now."""
 _SDO_REQUEST: Final = 12  # function code of the pre-defined connection set
@@ -108,6 +132,7 @@ class HostPlayer:
         unsent: number of recorded host frames that cannot be sent (CAN FD, malformed).
         missed: the observations that did not arrive.
         pairs: (recorded time, live time) of frames that were on their bus [ns].
+        booted: buses and node-IDs of the devices that have booted.
     """
 
     def __init__(
@@ -123,6 +148,7 @@ class HostPlayer:
         self.unsent = 0
         self.missed: list[Missed] = []
         self.pairs: list[tuple[int, int]] = []
+        self.booted: set[tuple[str, int]] = set()
         self._steps = [step for step in steps if not step.is_free]
         free: dict[tuple[str, bytes], list[HostStep]] = {}
         for step in steps:
@@ -140,10 +166,12 @@ class HostPlayer:
         self._given_up: set[Subject] = set()  # subjects whose answers may still arrive late
         self._in_flight: list[HostStep] = []
         self._waits: list[Told] = []
+        self._is_started = False
         self._begin()
 
     def start(self, now_ns: int) -> None:
-        """Start the playback at `now_ns`."""
+        """Start the playback at `now_ns`; what was heard before does not count as a report."""
+        self._is_started = True
         begin_ns = self._anchor[0]
         self._anchor = (begin_ns, now_ns)
         self._waiting_since_ns = now_ns
@@ -164,7 +192,12 @@ class HostPlayer:
                     break
             self._listener.decode(bus, frame)
             return
-        for told in self._listener.told(now_ns, bus, self._listener.decode(bus, frame)):
+        said = self._listener.decode(bus, frame)
+        if said.kind is Kind.BOOT and said.node is not None:
+            self.booted.add((bus, said.node))
+        if not self._is_started:
+            return
+        for told in self._listener.told(now_ns, bus, said):
             self._told.setdefault(told.subject, []).append(told)
 
     def answered(self, line: str, unit: int, now_ns: int) -> None:
@@ -196,6 +229,7 @@ class HostPlayer:
                 break
             step = self._steps[self.sent]
             self._forget_late(step)
+            self._forget_before_reset(step)
             out.append((step.bus, step.frame))
             if step.bus in self._lines:  # a line does not report the end of transmission
                 self._is_out(step, now_ns + step.end_ns - step.start_ns)
@@ -267,6 +301,16 @@ class HostPlayer:
             self._seen[subject] = len(self._told[subject])
             self._given_up.discard(subject)
 
+    def _forget_before_reset(self, step: HostStep) -> None:
+        """Discard all reports of nodes that the host resets now."""
+        if step.bus in self._lines or int.from_bytes(step.frame[:4], "little") or step.frame[4] < 2:
+            return
+        command, node = step.frame[8:10]
+        if command in _RESETS:
+            for subject, heard in self._told.items():
+                if subject[0] == step.bus and node in (0, subject[1]):
+                    self._seen[subject] = len(heard)
+
     def _know(self, recorded_ns: int, live_ns: int) -> None:
         """Set the pair of recorded and live time from which pauses are counted."""
         if recorded_ns >= self._anchor[0]:
@@ -324,60 +368,204 @@ class Driven(Protocol):
         """Connect the player to a bus or line, from its own frame `opening` on; None: at once."""
 
 
+@final
+@dataclass(frozen=True, slots=True)
+class Pace:
+    """The pace of a replayed host.
+
+    Attributes:
+        speed: factor by which the host's pauses are shorter than recorded.
+        patience_ns: how much longer than recorded the player waits for an answer [ns].
+        reset: reset all nodes by NMT first, so that nodes that run already boot again.
+    """
+
+    speed: float = 1.0
+    patience_ns: int = PATIENCE_NS
+    reset: bool = False
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Bench:
+    """The known facts about the devices of a rig.
+
+    Attributes:
+        names: names and objects of its controllers.
+        nodes: buses and node-IDs of its CAN controllers.
+    """
+
+    names: RecordedNames
+    nodes: frozenset[tuple[str, int]]
+
+
+def bench_of(description: "RigDescription") -> Bench:
+    """Return the facts of a rig; a controller without an EDS has the file of its plugin."""
+    names, nodes = RecordedNames(), set()
+    for one in description.controllers.values():
+        if one.node_id is None:
+            continue
+        place = one.bus, one.node_id
+        names.nodes[place] = one.name
+        if description.buses[one.bus].kind != CAN:
+            continue
+        nodes.add(place)
+        given = one.settings.get("eds")
+        path = own_eds(named(CONTROLLERS, one.kind).target)
+        if isinstance(given, str):
+            path = description.folder / given
+        if path is not None and path.is_file():
+            text = path.read_bytes().decode("cp1252", errors="replace")
+            names.objects[place] = ObjectNames(text)
+    return Bench(names, frozenset(nodes))
+
+
+@contextmanager
+def prepared(recording: Path, buses: Sequence[str], notes: list[str]) -> Iterator[Path]:
+    """Provide a recording whose frames have times, and whose bus is one of these, if possible.
+
+    Frames without time stamps get a pitch in their order. If a recording without a rig has one CAN
+    bus, and there is only one here, it has that one's name.
+
+    Args:
+        recording: a recording (MCAP).
+        buses: the CAN buses of the devices.
+        notes: list of remarks to which changes are added.
+
+    Raises:
+        TraceError: the recording cannot be read.
+    """
+    with read_trace(recording) as trace:
+        topics = {channel.topic for channel in trace.channels.values()}
+        recorded = sorted(one for one in topics if one.startswith("/can/"))
+        span_ns = trace.span_ns()
+        has_lines = any(one.startswith("/modbus/") for one in topics)
+        has_rig = any(rig_in(one.data) for one in trace.attachments)
+        renamed = {}
+        if len(recorded) == len(buses) == 1 and not has_rig:
+            name = recorded[0].removeprefix("/can/")
+            if name != buses[0]:
+                renamed = {recorded[0]: f"/can/{buses[0]}"}
+                notes.append(f"bus {name} is replayed on {buses[0]}")
+        pitch_ns = 0
+        if recorded and not has_lines and span_ns is not None and span_ns[0] == span_ns[1]:
+            pitch_ns = PITCH_NS
+            notes.append(
+                f"the frames have no time stamps; they are taken as {pitch_ns / 1e6:g} ms apart, "
+                "so pauses of the host are unknown"
+            )
+        if not renamed and not pitch_ns:
+            yield recording
+            return
+        with TemporaryDirectory(prefix="motorhil-") as folder:
+            target = Path(folder, recording.name)
+            with TraceWriter(target, trace.metadata) as writer:
+                _copy(trace, writer, renamed, pitch_ns)
+            yield target
+
+
+def _copy(trace: Trace, writer: TraceWriter, renamed: Mapping[str, str], pitch_ns: int) -> None:
+    for one in trace.attachments:
+        writer.attach(one.name, one.data, one.media_type, one.log_time_ns)
+    channels: dict[int, int] = {}
+    for place, (channel, time_ns, payload) in enumerate(trace.messages()):
+        if channel.schema is None:
+            continue
+        if channel.number not in channels:
+            topic = renamed.get(channel.topic, channel.topic)
+            channels[channel.number] = writer.channel(topic, channel.schema, channel.metadata)
+        writer.write(channels[channel.number], time_ns + place * pitch_ns, payload)
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """How to read a recording and its replay alike.
+
+    Attributes:
+        names: names and objects of the nodes; None: each file's own.
+        side: the criterion for frames of the recorded host; None: the purpose of each frame, in
+            both files.
+        strangers: buses and node-IDs that the recording does not know, and that are not compared.
+        from_ns: the times from which the recording and its replay are compared [ns].
+    """
+
+    names: RecordedNames | None = None
+    side: HostSide | None = None
+    strangers: frozenset[tuple[str, int]] = frozenset()
+    from_ns: tuple[int, int] = (0, 0)
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class HostReplay:
+    """A finished replay of a host.
+
+    Attributes:
+        player: the player of the host.
+        reading: how to compare the recording with the replay.
+        notes: remarks for the user: the host's own node-ID, a lead-in, missing devices.
+    """
+
+    player: HostPlayer
+    reading: Reading
+    notes: Sequence[str]
+
+
 def drive(
     driven: Driven,
     recording: Path,
-    speed: float = 1.0,
-    patience_ns: int = PATIENCE_NS,
-    reset: bool = False,
-) -> HostPlayer:
+    pace: Pace | None = None,
+    host_nodes: Collection[int] = (),
+    bench: Bench | None = None,
+) -> HostReplay:
     """Send everything the recorded host sent to the devices.
 
     Args:
         driven: the buses and lines of the devices.
         recording: a recording with a host in it.
-        speed: factor by which the host's pauses are shorter than recorded.
-        patience_ns: how much longer than recorded the player waits for an answer [ns].
-        reset: reset all nodes by NMT first, so that nodes that run already boot again.
+        pace: speed, patience and reset; None: as recorded.
+        host_nodes: the host's own node-IDs, besides those that the recording shows.
+        bench: the facts about the devices; None: unknown.
 
     Raises:
         TraceError: the recording cannot be read.
         RigError: the recording has no host, or it uses a bus or line that is missing.
     """
-    buses, lines = driven.buses, driven.lines
-    bits_ns = {bus: driven.bit_times_ns(bus) for bus in buses}
-
-    def length_ns(bus: str, frame: bytes) -> int:
-        bit_ns, data_bit_ns = bits_ns.get(bus, (1000, 1000))
-        if len(frame) > FRAME_BYTES and not data_bit_ns:
-            raise ValueError("a classical bus does not carry CAN FD frames")
-        return duration_ns(frame, bit_ns, data_bit_ns)
-
+    pace = pace or Pace()
+    present = None if bench is None else bench.nodes
+    notes: list[str] = []
     with read_trace(recording) as trace:
-        steps, unsent = host_of(trace, Listener({}), length_ns)
+        found = survey_of(trace)
+        names = names_of(trace.attachments)
+        if bench is not None:
+            names = names.completed_by(bench.names)
+        side = _side_of(found, host_nodes, present, notes)
+        steps, unsent = host_of(trace, _listener(names, driven.buses), _lengths(driven), side)
         first_ns, end_ns = trace.span_ns() or (0, 0)
-        begin_ns = 0 if "run" in trace.metadata else first_ns
-    if not steps:
-        raise RigError(
-            recording, "holds no frame of a host", "give a recording with commands to devices"
-        )
-    used = list(dict.fromkeys(step.bus for step in steps))
-    for bus in used:
-        if bus not in (*buses, *lines):
-            known = ", ".join((*buses, *lines))
-            problem = (
-                f"the recorded host sends on {bus!r}, but {driven.what} has no such bus or line"
-            )
-            raise RigError(recording, problem, f"available: {known}")
-    player = HostPlayer(steps, Listener({}), begin_ns, lines, speed, patience_ns)
+        is_run = "run" in trace.metadata  # from power-on
+        begin_ns = 0 if is_run else first_ns
+    used = _used_by(steps, driven, recording)
+    awaited = set() if is_run else _to_boot(found, pace.reset, side, present)
+    _wait_once_for_missing(steps, present, driven.buses)
+    if awaited:
+        begin_ns = _without_beginning(steps)
+    player = HostPlayer(
+        *(steps, _listener(names, driven.buses), begin_ns, driven.lines),
+        *(pace.speed, pace.patience_ns),
+    )
     player.unsent = unsent
     runtime = driven.runtime
-    resets = [one for one in used if reset and one in buses]
-    for name in used:  # messages from before the reset do not count as answers
+    resets = [one for one in used if pace.reset and one in driven.buses]
+    for name in driven.buses if awaited else used:
+        # Messages from before the reset do not count as answers.
         driven.listen(name, player, _RESET_ALL if name in resets else None)
     for bus in resets:
         driven.send(bus, _RESET_ALL)
-    player.start(runtime.now_ns())
+    if awaited:
+        _lead_in(driven, player, awaited, pace.patience_ns, notes)
+        _start_nodes(driven, awaited.intersection(found.operational()), notes)
+    began_ns = runtime.now_ns()
+    player.start(began_ns)
     while not player.is_over():
         for bus, frame in player.take(runtime.now_ns()):
             driven.send(bus, frame)
@@ -386,7 +574,147 @@ def drive(
             left_s = max(0, due_ns - runtime.now_ns()) / 1e9
             runtime.wait_until(_changed(player, due_ns), left_s)
     runtime.wait_until(never, max(0, end_ns - steps[-1].end_ns) / 1e9 + _TAIL_S)
-    return player
+    from_ns = (begin_ns, began_ns + 1) if awaited else (0, 0)
+    strangers = frozenset(present or ()) - {*found.running(), *found.nodes()}
+    if strangers:
+        notes.append(f"not in the recording, so not compared: {_listed(strangers)}")
+    return HostReplay(player, Reading(names, side, strangers, from_ns), notes)
+
+
+def _side_of(
+    found: HostSurvey,
+    host_nodes: Collection[int],
+    present: Collection[tuple[str, int]] | None,
+    notes: list[str],
+) -> HostSide:
+    """Return the criterion for frames of the host, and note its node-IDs and missing devices."""
+    own = [node for _, node in found.hosts_own(present)]
+    nodes = frozenset((*host_nodes, *own))
+    if not found.by_direction():
+        notes.extend(
+            f"node {node} is taken as the host's own: it sends only heartbeats, and no device has "
+            "this node-ID"
+            for node in sorted(nodes - {*host_nodes})
+        )
+    missing = [] if present is None else [one for one in found.nodes() if one not in present]
+    missing = [(bus, node) for bus, node in missing if node not in nodes]
+    if missing:
+        listed = _listed(missing)
+        notes.append(f"the rig lacks recorded devices, which count as disagreement: {listed}")
+    return HostSide(found.by_direction(), nodes)
+
+
+def _listener(names: RecordedNames, buses: Sequence[str]) -> Listener:
+    """Return a listener that knows the nodes of these buses."""
+    decoders = {}
+    for bus in buses:
+        nodes = {node: name for (where, node), name in names.nodes.items() if where == bus}
+        objects = {node: one for (where, node), one in names.objects.items() if where == bus}
+        decoders[bus] = CanopenDecoder(nodes, objects)
+    return Listener(decoders)
+
+
+def _lengths(driven: Driven) -> Callable[[str, bytes], int]:
+    """Return a function that gives the duration of a frame on a bus [ns]."""
+    bits_ns = {bus: driven.bit_times_ns(bus) for bus in driven.buses}
+
+    def length_ns(bus: str, frame: bytes) -> int:
+        bit_ns, data_bit_ns = bits_ns.get(bus, (1000, 1000))
+        if len(frame) > FRAME_BYTES and not data_bit_ns:
+            raise ValueError("a classical bus does not carry CAN FD frames")
+        return duration_ns(frame, bit_ns, data_bit_ns)
+
+    return length_ns
+
+
+def _used_by(steps: Sequence[HostStep], driven: Driven, recording: Path) -> list[str]:
+    """Return the buses and lines that the host uses, if all are there."""
+    if all(step.is_free for step in steps):
+        what = "holds only heartbeats of a host" if steps else "holds no frame of a host"
+        raise RigError(recording, what, "give a recording with commands to devices")
+    used = list(dict.fromkeys(step.bus for step in steps))
+    for bus in used:
+        if bus not in (*driven.buses, *driven.lines):
+            known = ", ".join((*driven.buses, *driven.lines))
+            problem = (
+                f"the recorded host sends on {bus!r}, but {driven.what} has no such bus or line"
+            )
+            raise RigError(recording, problem, f"available: {known}")
+    return used
+
+
+def _to_boot(
+    found: HostSurvey, reset: bool, side: HostSide, present: Collection[tuple[str, int]] | None
+) -> set[tuple[str, int]]:
+    """Return the devices that must boot before the host, since they ran in the recording.
+
+    Devices of a rig boot at its start, others only after a reset.
+    """
+    if present is None and not reset:
+        return set()
+    running = {place for place in found.running() if place[1] not in side.nodes}
+    if present is None:
+        return running
+    # All of a rig boot at its start, also those that the recording does not know.
+    return set(present) if running.intersection(present) else set()
+
+
+def _wait_once_for_missing(
+    steps: Sequence[HostStep], present: Collection[tuple[str, int]] | None, buses: Sequence[str]
+) -> None:
+    """Drop all waits but the first one for each device that the rig lacks."""
+    if present is None:
+        return
+    gone: set[tuple[str, int]] = set()
+    for step in steps:
+        waits, step.waits = step.waits, []
+        for one in waits:
+            place = one.subject[:2]
+            is_missing = place[0] in buses and place not in present
+            if is_missing and place in gone:
+                continue
+            if is_missing:
+                gone.add(place)
+            step.waits.append(one)
+
+
+def _without_beginning(steps: Sequence[HostStep]) -> int:
+    """Drop the reports before the host's first frame, and return the start of that frame [ns]."""
+    first = next((step for step in steps if not step.is_free), steps[0])
+    first.waits = []
+    return min(first.start_ns, steps[0].start_ns)
+
+
+def _lead_in(
+    driven: Driven,
+    player: HostPlayer,
+    awaited: set[tuple[str, int]],
+    patience_ns: int,
+    notes: list[str],
+) -> None:
+    """Wait until these devices have booted, at most as long as the player is patient."""
+    began_ns = driven.runtime.now_ns()
+    driven.runtime.wait_until(lambda: awaited <= player.booted, patience_ns / 1e9)
+    took_s = (driven.runtime.now_ns() - began_ns) / 1e9
+    note = f"the recording begins after its devices had booted; the host waited {took_s:.3f} s"
+    silent = sorted(awaited - player.booted)
+    if silent:
+        note += f", but {_listed(silent)} did not boot within the patience"
+    notes.append(note)
+
+
+def _start_nodes(driven: Driven, nodes: set[tuple[str, int]], notes: list[str]) -> None:
+    """Start devices that were operational when the recording began."""
+    if not nodes:
+        return
+    for bus, node in sorted(nodes):
+        driven.send(bus, classic(0, bytes((_NMT_START, node))))
+    driven.runtime.wait_until(never, _STARTED_S)
+    notes.append(f"operational when the recording began, so started by NMT: {_listed(nodes)}")
+
+
+def _listed(nodes: Iterable[tuple[str, int]]) -> str:
+    return ", ".join(f"{bus} node {node}" for bus, node in sorted(nodes))
 
 
 def _changed(player: HostPlayer, due_ns: int) -> Callable[[], bool]:
@@ -451,14 +779,48 @@ class DrivenRig:
 
 
 def compared(
-    recording: Path, live: Path, pairs: list[tuple[int, int]], tolerance: Tolerance
+    recording: Path,
+    live: Path,
+    pairs: list[tuple[int, int]],
+    tolerance: Tolerance,
+    reading: Reading | None = None,
 ) -> tuple[list[ObjectFidelity], list[Difference]]:
     """Compare the live devices with the recorded ones: fidelity by object, and differences.
+
+    Args:
+        recording: the recording of the host.
+        live: the recording of its replay.
+        pairs: (recorded time, live time) of frames in both [ns].
+        tolerance: the tolerances of motion.
+        reading: how to read both; None: whole, each with its own names.
 
     Raises:
         TraceError: one of the files cannot be read.
     """
-    first, second = (told_by_nodes(meaning_in(path, "replay")) for path in (recording, live))
+    reading = reading or Reading()
+    side = reading.side or HostSide(by_direction=False)
+    foreign = reading.side is None or side.by_direction
+    sides = side, side if reading.side is None else replace(side, by_direction=True)
+    first, second = (
+        told_by_nodes(
+            meaning_in(path, "replay", reading.names, _reports(side, reading, from_ns)), foreign
+        )
+        for path, side, from_ns in zip((recording, live), sides, reading.from_ns, strict=True)
+    )
     if pairs:
         first = retimed(first, pairs)
     return fidelity(first, second, tolerance), differences(first, second, tolerance)
+
+
+def _reports(side: HostSide, reading: Reading, from_ns: int) -> Callable[[Line], bool]:
+    """Return a function that selects the messages of known devices, from a time on [ns]."""
+
+    def is_report(line: Line) -> bool:
+        if line.time_ns < from_ns:
+            return False
+        if line.said is None or line.identifier is None:  # not a frame of a CAN bus
+            return True
+        is_stranger = (line.place, line.said.node) in reading.strangers
+        return not is_stranger and not side.sent(line.said, line.direction)
+
+    return is_report

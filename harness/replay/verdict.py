@@ -2,7 +2,7 @@
 
 import re
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import partial
 from os import PathLike
 from typing import TYPE_CHECKING, Final, NamedTuple, final
@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Final, NamedTuple, final
 from motorhil.harness.recording.conversion import open_recording
 from motorhil.harness.replay.device_node import RecordedNode, RecordedUnit
 from motorhil.harness.replay.player import ExchangePlayer, Mismatch
+from motorhil.traces.decoding.attached_rig import RecordedNames
+from motorhil.traces.decoding.narrative import Line
 from motorhil.traces.exchange.steps import Step
 from motorhil.traces.semantics.model import Meaning, meaning_of
 
@@ -94,15 +96,26 @@ def _when(one: Unanswered) -> int:
     return one.mismatch.time_ns
 
 
-def meaning_in(path: str | PathLike[str], verb: str) -> Meaning:
+def meaning_in(
+    path: str | PathLike[str],
+    verb: str,
+    names: RecordedNames | None = None,
+    is_report: Callable[[Line], bool] | None = None,
+) -> Meaning:
     """Return the recording's meaning; report a cut recording on stderr in the verb's name.
+
+    Args:
+        path: the recording.
+        verb: the verb of the command line.
+        names: as of `meaning_of`.
+        is_report: as of `meaning_of`.
 
     Raises:
         TraceError: the recording cannot be read, or is damaged.
     """
     tell = partial(print, f"motorhil {verb}:", file=sys.stderr)
     with open_recording(path, tell) as trace:
-        meaning = meaning_of(trace)
+        meaning = meaning_of(trace, names, is_report)
         if trace.cut is not None:
             print(f"motorhil {verb}: {path}: {trace.cut}", file=sys.stderr)
     return meaning

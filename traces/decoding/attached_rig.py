@@ -85,6 +85,18 @@ class RecordedNames:
     motors: dict[str, tuple[str, int]] = field(default_factory=dict)
     objects: dict[tuple[str, int], ObjectNames] = field(default_factory=dict)
 
+    def completed_by(self, other: "RecordedNames") -> "RecordedNames":
+        """Return these names, and those of `other` where they say nothing."""
+        known = self.objects
+        more = {
+            (bus, number): objects
+            for (bus, number), objects in other.objects.items()
+            if ("", number) not in known  # bus "" stands for every bus
+        }
+        return RecordedNames(
+            {**other.nodes, **self.nodes}, {**other.motors, **self.motors}, {**more, **known}
+        )
+
 
 def rig_in(data: bytes) -> Table | None:
     """Parse an attached rig; None if the file is something else (a motor model, an EDS)."""

@@ -322,7 +322,8 @@ class CanopenDecoder:
         elif step.step is Step.ABORT:
             what = "read" if step.upload else "write"
             subject = f"{what} of {place_text(step.index or 0, step.subindex or 0)} aborted"
-            facts = (Fact(subject, step.abort_code, abort_text(step.abort_code)),)
+            told = abort_text(step.abort_code)
+            facts = (Fact(subject, step.abort_code, told, told_to=not from_server),)
         text = self._sdo_text(node, step, from_server)
         return DecodedEvent(kind, number, text, facts, step.index, step.subindex)
 
@@ -402,8 +403,8 @@ class CanopenDecoder:
             what = f"{name} TPDO {which}" if transmitted else f"RPDO {which} to {name}"
             if objects is None:
                 told = data.hex(" ").upper() or "no data"
-                unknown = Fact(f"{'T' if transmitted else 'R'}PDO {which}", data, told)
-                facts.append(unknown)
+                subject = f"{'T' if transmitted else 'R'}PDO {which}"
+                facts.append(Fact(subject, data, told, told_to=not transmitted))
                 parts.append(f"{what}: {told} (its mapping is not in the recording)")
                 continue
             values = self._mapped(node, objects, data, not transmitted)
@@ -421,9 +422,8 @@ class CanopenDecoder:
         at = 0
         for index, subindex, bits in objects:
             if at + bits > 8 * len(data):
-                facts.append(
-                    Fact(place_text(index, subindex), b"", "missing: the PDO is too short")
-                )
+                missing = "missing: the PDO is too short"
+                facts.append(Fact(place_text(index, subindex), b"", missing, told_to))
                 break
             value = raw >> at & (1 << bits) - 1
             at += bits

@@ -22,6 +22,7 @@ from motorhil.traces.schema import (
     LOG,
     MODBUS_ADU,
     MOTOR_LOCK,
+    Direction,
     FrameDecoder,
     Level,
     LockAction,
@@ -69,6 +70,7 @@ class Line:
         text: a sentence.
         said: the decoded content; None: not traffic.
         identifier: of a CAN frame; else None.
+        direction: of a CAN frame, if recorded.
         names: names of the motors and controllers concerned.
         values: the message's own fields; none for a CAN frame.
     """
@@ -81,14 +83,16 @@ class Line:
     identifier: int | None = None
     names: tuple[str, ...] = ()
     values: tuple[tuple[str, Value], ...] = ()
+    direction: Direction = Direction.UNKNOWN
 
 
 @final
 class Story:
     """Describes an open recording in words; read it from front to back (decoders have state)."""
 
-    def __init__(self, trace: Trace) -> None:
-        self.names: RecordedNames = names_of(trace.attachments)
+    def __init__(self, trace: Trace, names: RecordedNames | None = None) -> None:
+        """Start before the first message, with these names; None: those in the recording."""
+        self.names = names_of(trace.attachments) if names is None else names
         self._trace = trace
         self._has_learned = False
         self._buses: dict[str, CanopenDecoder] = {}
@@ -167,12 +171,13 @@ class Story:
             nodes = {n: name for (b, n), name in self.names.nodes.items() if b == bus}
             objects = {n: names for (b, n), names in self.names.objects.items() if b == bus}
             decoder = self._buses[bus] = CanopenDecoder(nodes, objects)
-        frame, _, sender = self._decode_frame(payload)
+        frame, direction, sender = self._decode_frame(payload)
         said = decoder.decode(frame, sender)
         identifier = None  # None for an error message: its bits are not an identifier
         if said.kind is not Kind.BUS_ERROR:
             identifier = int.from_bytes(frame[:4], "little") & _ID_MASK
-        return Line(time_ns, topic, bus, said.text, said, identifier, self._about(bus, said.node))
+        about = self._about(bus, said.node)
+        return Line(time_ns, topic, bus, said.text, said, identifier, about, direction=direction)
 
     def _modbus(self, time_ns: int, topic: str, name: str, fields: dict[str, Value]) -> Line:
         decoder = self._lines.get(name)

@@ -7,16 +7,20 @@ are. It keeps the time that passed after the last of them.
 States of a node are its boot-up, NMT state, emergencies, and the statusword bits that a host waits
 for. Measured quantities are not states: they differ from run to run.
 
+The direction of a frame separates host and devices, if the recorder was the host or a device. A
+monitor marks every frame as received, and a recorder beside both programs every frame as sent.
+Then the purpose of a frame decides.
+
 Source: CiA 301; CiA 402-2, statusword (bits 0 to 3, 5, 6: state; 10: target reached; 12, 13:
 mode-specific).
 """
 
 from bisect import bisect_right
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Final, NamedTuple, final
 
-from motorhil.traces.can_frame import ERR, RTR
+from motorhil.traces.can_frame import EFF, ERR, RTR
 from motorhil.traces.decoding.canopen import CanopenDecoder
 from motorhil.traces.decoding.events import DecodedEvent, Kind
 from motorhil.traces.decoding.modbus import ModbusDecoder
@@ -35,6 +39,13 @@ _RTU_REST: Final = 2  # bytes of a check sum
 _OBJECTS_AT: Final = 8  # in a read device identification answer
 STATUSWORD_MASK: Final = 0x346F
 _STATUSWORD: Final = 0x6041
+_NMT: Final = 0  # function codes of the pre-defined connection set
+_SDO_REQUEST: Final = 12
+_ERROR_CONTROL: Final = 14
+_TPDOS: Final = (3, 5, 7, 9)
+_FUNCTIONS_OF_NODES: Final = (1, *_TPDOS, 11, _ERROR_CONTROL)
+_OPERATIONAL: Final = 5  # an NMT state
+_RESETS: Final = (0x81, 0x82)
 _FROM_HOST: Final = (Kind.NMT, Kind.SYNC, Kind.TIME, Kind.RPDO, Kind.SDO_REQUEST)
 _FROM_NODE: Final = (Kind.TPDO, Kind.SDO_RESPONSE, Kind.EMERGENCY, Kind.HEARTBEAT, Kind.BOOT)
 
@@ -71,6 +82,168 @@ class HostStep:
     text: str
     waits: list[Told] = field(default_factory=list)
     is_free: bool = False
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class HostSide:
+    """The criterion for frames of the host in one recording.
+
+    Attributes:
+        by_direction: True if the recorded direction separates host and devices.
+        nodes: the host's own node-IDs; their heartbeats are the host's.
+    """
+
+    by_direction: bool = True
+    nodes: frozenset[int] = frozenset()
+
+    def sent(self, said: DecodedEvent, direction: Direction, is_remote: bool = False) -> bool:
+        """Return True if the frame is the host's. Devices do not send remote frames."""
+        if self.by_direction and direction is not Direction.UNKNOWN:
+            return direction is Direction.TRANSMITTED
+        if said.kind in (Kind.HEARTBEAT, Kind.BOOT):
+            return said.node in self.nodes
+        return is_remote or said.kind in _FROM_HOST
+
+
+@final
+@dataclass(slots=True)
+class _Sign:
+    """The first frame of one node-ID, and the purposes of its frames."""
+
+    boots_first: bool = False
+    runs_first: bool = False  # operational before any NMT command to it
+    beats: bool = False
+    is_commanded: bool = False  # by NMT
+    is_reset: bool = False
+    talks: bool = False
+    is_addressed: bool = False
+    beats_sent: int = 0
+
+
+@final
+class HostSurvey:
+    """A first look at a recording: directions, and the services of each node-ID.
+
+    Attributes:
+        directions: the directions of frames on CAN buses.
+    """
+
+    def __init__(self) -> None:
+        self.directions: set[Direction] = set()
+        self._signs: dict[tuple[str, int], _Sign] = {}
+        # Buses with an NMT command to all nodes; True: a reset.
+        self._commanded: dict[str, bool] = {}
+
+    def take(self, bus: str, frame: bytes, direction: Direction) -> None:
+        """Take a frame of a CAN bus."""
+        can_id = int.from_bytes(frame[:4], "little")
+        if can_id & ERR:
+            return
+        self.directions.add(direction)
+        if can_id & (EFF | RTR):
+            return
+        function, node = can_id >> 7, can_id & 0x7F
+        if function == _NMT and not node and frame[4] > 1:
+            self._command(bus, frame[9], frame[8] in _RESETS)
+        elif node and function == _SDO_REQUEST:
+            self._sign(bus, node).is_addressed = True
+        elif node and function in _FUNCTIONS_OF_NODES:
+            self._sent(self._sign(bus, node), function, frame, direction)
+
+    def _command(self, bus: str, node: int, resets: bool) -> None:
+        if node:
+            signs = [self._sign(bus, node)]
+            signs[0].is_addressed = True
+        else:
+            self._commanded[bus] = self._commanded.get(bus, False) or resets
+            signs = [sign for (where, _), sign in self._signs.items() if where == bus]
+        for sign in signs:
+            sign.is_commanded = True
+            sign.is_reset = sign.is_reset or resets
+
+    @staticmethod
+    def _sent(sign: _Sign, function: int, frame: bytes, direction: Direction) -> None:
+        is_first = not (sign.beats or sign.talks)
+        if function == _ERROR_CONTROL:
+            runs = frame[8] & 0x7F == _OPERATIONAL
+            boots = is_first and not frame[8] and not sign.is_reset
+            sign.boots_first = sign.boots_first or boots
+            sign.beats = True
+            sign.beats_sent += direction is Direction.TRANSMITTED
+        else:
+            runs = function in _TPDOS
+            sign.talks = True
+        sign.runs_first = sign.runs_first or (runs and not sign.is_commanded)
+
+    def _sign(self, bus: str, node: int) -> _Sign:
+        found = self._signs.get((bus, node))
+        if found is None:
+            told = self._commanded.get(bus)
+            found = _Sign(is_commanded=told is not None, is_reset=bool(told))
+            self._signs[bus, node] = found
+        return found
+
+    def by_direction(self) -> bool:
+        """Return True if the recorded directions separate host and devices."""
+        both = {Direction.TRANSMITTED, Direction.RECEIVED} <= self.directions
+        devices = any(sign.talks for sign in self._signs.values())
+        return both or (Direction.TRANSMITTED in self.directions and not devices)
+
+    def nodes(self) -> list[tuple[str, int]]:
+        """Return the buses and node-IDs of all that sent a frame of a device, in order."""
+        return sorted(key for key, sign in self._signs.items() if sign.beats or sign.talks)
+
+    def running(self) -> list[tuple[str, int]]:
+        """Return those that can have been running when the recording began.
+
+        Their first frame is not a boot-up, or it follows a reset by the host. A node-ID that was
+        only addressed is one of them.
+        """
+        return sorted(key for key, sign in self._signs.items() if not sign.boots_first)
+
+    def operational(self) -> list[tuple[str, int]]:
+        """Return those that were operational before any recorded NMT command."""
+        return sorted(key for key, sign in self._signs.items() if sign.runs_first)
+
+    def hosts_own(self, present: Collection[tuple[str, int]] | None) -> list[tuple[str, int]]:
+        """Return the node-IDs that belong to the host.
+
+        Their heartbeats are sent, not received. If directions are unknown, these node-IDs send
+        heartbeats alone, nothing is sent to them, and no device has them.
+
+        Args:
+            present: buses and node-IDs of the devices; None: unknown.
+        """
+        known = self.by_direction()
+        return sorted(
+            key
+            for key, sign in self._signs.items()
+            if sign.beats
+            and not sign.talks
+            and (
+                sign.beats_sent > 0
+                if known
+                else present is not None and key not in present and not sign.is_addressed
+            )
+        )
+
+
+def survey_of(trace: Trace) -> HostSurvey:
+    """Return the survey of a recording; of a cut one, as far as it goes.
+
+    Raises:
+        TraceError: the recording is damaged.
+    """
+    found, frames = HostSurvey(), FrameDecoder()
+    for channel, _, payload in trace.messages():
+        if channel.schema is not None and channel.schema.name == CAN_FRAME.name:
+            try:
+                frame, direction, _ = frames.decode(payload)
+            except ValueError:  # an invalid message
+                continue
+            found.take(channel.topic.rpartition("/")[2], frame, direction)
+    return found
 
 
 @final
@@ -114,22 +287,29 @@ class Listener:
 class HostCutter:
     """Extracts the frames of the host from a recording, in order.
 
-    The direction shows if a frame is the host's; if it is unknown, the purpose decides.
-
     Args:
         listener: the listener that hears the recording.
         length_ns: duration of a frame on a CAN bus [ns]; ValueError: impossible on that bus.
+        side: the criterion for frames of the host.
 
     Attributes:
         unsent: number of host frames that cannot be sent again.
     """
 
-    def __init__(self, listener: Listener, length_ns: Callable[[str, bytes], int]) -> None:
+    def __init__(
+        self,
+        listener: Listener,
+        length_ns: Callable[[str, bytes], int],
+        side: HostSide | None = None,
+    ) -> None:
         self._listener = listener
         self._length_ns = length_ns
+        self._side = side or HostSide()
         self.unsent = 0
-        self._sent: list[HostStep] = []
-        self._told: list[Told] = []
+        # Each with its place in the recording, because stamps can be equal.
+        self._sent: list[tuple[int, HostStep]] = []
+        self._told: list[tuple[int, Told]] = []
+        self._place = 0
         self._free_ns: dict[str, int] = {}  # by bus: the end of its last frame
 
     def take_frame(self, time_ns: int, bus: str, frame: bytes, direction: Direction) -> None:
@@ -137,12 +317,11 @@ class HostCutter:
         said = self._listener.decode(bus, frame)
         free_ns = self._free_ns.get(bus, 0)
         self._free_ns[bus] = max(free_ns, time_ns)
+        self._place += 1
         is_remote = bool(int.from_bytes(frame[:4], "little") & RTR)
-        is_hosts = direction is Direction.TRANSMITTED or (
-            direction is Direction.UNKNOWN and (is_remote or said.kind in _FROM_HOST)
-        )
-        if not is_hosts:
-            self._told += self._listener.told(time_ns, bus, said)
+        if not self._side.sent(said, direction, is_remote):
+            told = self._listener.told(time_ns, bus, said)
+            self._told += [(self._place, one) for one in told]
         elif not int.from_bytes(frame[:4], "little") & ERR:
             try:
                 # A bus carries one frame after the other, also where the stamps are too coarse.
@@ -151,35 +330,38 @@ class HostCutter:
                 self.unsent += 1
                 return
             free = said.kind in (Kind.HEARTBEAT, Kind.BOOT)
-            self._sent.append(HostStep(start_ns, time_ns, bus, frame, said.text, is_free=free))
+            step = HostStep(start_ns, time_ns, bus, frame, said.text, is_free=free)
+            self._sent.append((self._place, step))
 
     def take_adu(self, start_ns: int, line: str, data: bytes, adu: Adu, text: str) -> None:
         """Take an ADU of a line; `data` is all of it as on the wire."""
+        self._place += 1
         if adu.to_server:
-            self._sent.append(HostStep(start_ns, adu.time_ns, line, data, text))
+            self._sent.append((self._place, HostStep(start_ns, adu.time_ns, line, data, text)))
         else:
-            self._told.append(Told(adu.time_ns, (line, adu.unit, ANSWER), True, text))
+            told = Told(adu.time_ns, (line, adu.unit, ANSWER), True, text)
+            self._told.append((self._place, told))
 
     def steps(self) -> list[HostStep]:
         """Return the frames of the host, in the order in which they began."""
         steps = sorted(self._sent, key=_start_of)
         told = sorted(self._told, key=_time_of)
         first = 0
-        for step in steps:
+        for place, step in steps:
             if step.is_free:
                 continue
-            behind = bisect_right(told, step.start_ns, first, key=_time_of)
-            step.waits = told[first:behind]
+            behind = bisect_right(told, (step.start_ns, place), first, key=_time_of)
+            step.waits = [one for _, one in told[first:behind]]
             first = behind
-        return steps
+        return [step for _, step in steps]
 
 
-def _start_of(step: HostStep) -> int:
-    return step.start_ns
+def _start_of(sent: tuple[int, HostStep]) -> tuple[int, int]:
+    return sent[1].start_ns, sent[0]
 
 
-def _time_of(told: Told) -> int:
-    return told.time_ns
+def _time_of(told: tuple[int, Told]) -> tuple[int, int]:
+    return told[1].time_ns, told[0]
 
 
 def _is_hex(text: str) -> bool:
@@ -195,7 +377,10 @@ class RecordedHost(NamedTuple):
 
 
 def host_of(
-    trace: Trace, listener: Listener, length_ns: Callable[[str, bytes], int]
+    trace: Trace,
+    listener: Listener,
+    length_ns: Callable[[str, bytes], int],
+    side: HostSide | None = None,
 ) -> RecordedHost:
     """Return the frames of the host; of a cut recording, as far as it goes.
 
@@ -203,11 +388,12 @@ def host_of(
         trace: the recording.
         listener: the listener that hears it.
         length_ns: duration of a frame on a CAN bus [ns]; ValueError: impossible on that bus.
+        side: the criterion for frames of the host; None: directions are reliable.
 
     Raises:
         TraceError: the recording is damaged.
     """
-    cutter = HostCutter(listener, length_ns)
+    cutter = HostCutter(listener, length_ns, side)
     frames = FrameDecoder()
     lines: dict[str, ModbusDecoder] = {}
     for channel, time_ns, payload in trace.messages():

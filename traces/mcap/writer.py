@@ -350,24 +350,29 @@ class TraceWriter:
         Raises:
             TraceError: always.
         """
-        reach = "nothing yet"
-        if self._summary.chunk_indexes:
-            reach = f"up to {self._summary.last_ns / 1e9:.3f} s"
-        self.error = TraceError(
-            self.path,
-            f"cannot be written: {reason(cause)}; the recording holds {reach}",
-            remedy="free space there, or record to another place",
-        )
         whole = self._summary.ending(self._offset, self._crc)
+        is_complete = False
         for ending in (whole, self._short_ending(), b""):
             try:
                 self._file.seek(self._offset)
                 self._file.truncate()
                 if self._file.write(ending) == len(ending):
                     self._file.flush()
+                    is_complete = bool(ending)
                     break
             except OSError:  # the file stays cut, which our reader accepts
                 continue
+        reach = "nothing yet"
+        remedy = "free space there, or record to another place"
+        if self._summary.chunk_indexes:
+            reach = f"up to {self._summary.last_ns / 1e9:.3f} s"
+            if not is_complete:
+                remedy += "; its end is missing: motorhil recover adds it"
+        self.error = TraceError(
+            self.path,
+            f"cannot be written: {reason(cause)}; the recording holds {reach}",
+            remedy=remedy,
+        )
         self._release()
         raise self.error from cause
 

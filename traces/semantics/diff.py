@@ -206,12 +206,15 @@ class ObjectFidelity:
         return self.agreeing / self.of if self.of else 1.0
 
 
-def told_by_nodes(meaning: Meaning) -> Meaning:
+def told_by_nodes(meaning: Meaning, foreign: bool = True) -> Meaning:
     """Return only the reports of devices, without commands and other records.
 
-    Error messages are not reports of devices, but of the bus. Frames of an unknown protocol cannot
-    be assigned by their identifier, and can be a device's. They are kept, because those of the host
-    are in both recordings.
+    Error messages are not reports of devices, but of the bus.
+
+    Args:
+        meaning: the meaning of a recording.
+        foreign: True to compare frames of an unknown protocol too. Their identifiers do not show
+            the sender. So they are only counted if the recorded direction is unknown.
     """
     kept = Meaning()
     kept.messages = meaning.messages
@@ -221,10 +224,13 @@ def told_by_nodes(meaning: Meaning) -> Meaning:
         for key, items in meaning.items.items()
         if key[2] != COMMANDS
         and not key[2].startswith(CONTROLLER)
-        and (key[1] is not None or key[2].startswith(FOREIGN))
+        and (key[1] is not None or (foreign and key[2].startswith(FOREIGN)))
     }
     kept.motions = {key: series for key, series in meaning.motions.items() if key[1] is not None}
     kept.unheeded = {key: count for key, count in meaning.unheeded.items() if count}
+    if not foreign:
+        strangers = [key for key in meaning.items if key[2].startswith(FOREIGN)]
+        kept.unheeded |= {key: len(meaning.items[key]) for key in strangers}
     return kept
 
 

@@ -5,9 +5,11 @@ and source of events has an order of its own, so frames of unrelated nodes can c
 Commands to one node keep their order.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final, final
 
+from motorhil.traces.decoding.attached_rig import RecordedNames
 from motorhil.traces.decoding.events import PERIODIC, DecodedEvent, Fact, Kind
 from motorhil.traces.decoding.narrative import Line, Story
 from motorhil.traces.decoding.objects import axis_of
@@ -47,7 +49,9 @@ class Meaning:
         messages: number of messages read.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, of_devices: bool = False) -> None:
+        """Start empty; `of_devices` leaves out commands to nodes."""
+        self._of_devices = of_devices
         self.items: dict[Key, list[Item]] = {}
         self.motions: dict[Key, tuple[list[int], list[float]]] = {}
         self.unheeded: dict[Key, int] = {}
@@ -82,6 +86,8 @@ class Meaning:
         elif said.kind in (Kind.OTHER, Kind.BUS_ERROR):
             who = ""
         for fact in said.facts:
+            if fact.told_to and self._of_devices:
+                continue
             subject = COMMANDS if fact.told_to else fact.subject
             key: Key = (line.place, said.node, subject)
             label = ", ".join(part for part in (line.place, who, subject) if part)
@@ -126,20 +132,30 @@ _TELLING: Final = ("action", "owner", "holder", "phase", "motor", "method", "lev
 """Fields of locks, groups and events that are not times and do not vary from run to run."""
 
 
-def meaning_of(trace: Trace) -> Meaning:
+def meaning_of(
+    trace: Trace,
+    names: RecordedNames | None = None,
+    is_report: Callable[[Line], bool] | None = None,
+) -> Meaning:
     """Return the meaning of a recording; of a cut one, as far as it goes.
+
+    Args:
+        trace: the recording.
+        names: names and objects of its nodes; None: those in the recording.
+        is_report: returns True for the lines to take, and the result has only the reports in them;
+            None: all lines, with commands.
 
     Raises:
         TraceError: the recording is damaged.
     """
-    story, meaning = Story(trace), Meaning()
+    story, meaning = Story(trace, names), Meaning(of_devices=is_report is not None)
     for message in trace.messages():
         meaning.messages += 1
         if message[0].topic.endswith("/state"):
             _take_state(meaning, message)
             continue
         line = story.line(message)
-        if line is not None:
+        if line is not None and (is_report is None or is_report(line)):
             meaning.take(line, story.names.nodes)
     return meaning
 

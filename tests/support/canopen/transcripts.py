@@ -88,7 +88,7 @@ def played(transcript: Transcript, shared: Path, folder: Path) -> tuple[dict[str
         for told in transcript.first:
             stranger.send(frame(told))
         world.runtime.run_for(BOOTED_S / 2)
-        player = drive(DrivenRig(world), theirs)
+        player = drive(DrivenRig(world), theirs).player
     plain = _without_rig(ours, folder)
     fidelities, differences = compared(theirs, plain, player.pairs, Tolerance())
     found = {

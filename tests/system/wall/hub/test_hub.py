@@ -3,6 +3,7 @@ import os
 import socket
 import threading
 import time
+from pathlib import Path
 
 import can
 import pytest
@@ -54,6 +55,19 @@ def test_program_talks_to_a_controller_in_another_loop(path):
         bus.send(message(0x100, b"\x2a"))
         answer = bus.recv(30.0)
     assert (answer.arbitration_id, bytes(answer.data), answer.is_rx) == (0x180, b"\x2a", True)
+
+
+@pytest.mark.parametrize("spelling", [str, Path, "{}#can0".format])
+def test_messages_have_the_channel_of_the_bus_object(path, spelling):
+    channel = spelling(path)
+    with (
+        serving(path, Echo(0x180)),
+        can.Bus(interface="emulated", channel=channel, receive_own_messages=True) as bus,
+    ):
+        bus.send(message(0x100))
+        own, answer = bus.recv(30.0), bus.recv(30.0)
+    assert (own.is_rx, answer.is_rx) == (False, True)
+    assert own.channel is answer.channel is channel
 
 
 def test_all_clients_receive_all_frames_in_one_order(path):

@@ -128,7 +128,7 @@ def test_as_host_with_missing_drive_reports_it(folder, say):
     rig = other_rig(folder, ("node_id = 2", "node_id = 3"))
     status, out, _ = say("replay", "bench.mcap", "--as", "host", "--rig", rig, "--patience", "0.2")
     assert status == 1
-    assert "waited in vain: node 2 has booted" in out
+    assert "waited in vain: right (2) has booted" in out
 
 
 @pytest.mark.parametrize(

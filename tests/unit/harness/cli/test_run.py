@@ -389,3 +389,73 @@ def test_script_with_its_own_rig_is_told_how_it_is_run(rig, say):
     status, _, err = say("run", "rig.toml", "script.py")
     assert status == 1
     assert "a program that opens its own rig is run by python, not by motorhil run" in err
+
+
+REPLACED = """\
+import can
+with can.Bus(interface={interface!r}, channel={channel!r}) as bus:
+    print(repr(bus.recv(1.0).channel))
+"""
+
+
+@pytest.mark.parametrize(
+    ("interface", "channel"), [("socketcan", "can0"), ("socketcan", 0), ("slcan", "/dev/can0")]
+)
+def test_messages_have_the_channel_of_the_replaced_bus(tmp_path, say, interface, channel):
+    """The boot-up of the drive arrives; the bus of the rig is can0."""
+    (tmp_path / "rig.toml").write_text(DRIVE)
+    program = tmp_path / "program.py"
+    program.write_text(REPLACED.format(interface=interface, channel=channel))
+    status, out, err = say("run", str(tmp_path / "rig.toml"), str(program))
+    assert (status, out) == (0, f"{channel!r}\n"), err
+
+
+DRIVE = """\
+bus.can0.bitrate_bit_s = 1_000_000
+[controller.left]
+kind = "cia402"
+bus = "can0"
+node_id = 1
+plant = { preset = "wheel_60w" }
+"""
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        "import time\ntime.sleep(6)\n",
+        # The program handles the error itself.
+        "import time\nfor _ in range(6):\n    try:\n        time.sleep(1)\n"
+        "    except Exception:\n        pass\n",
+        # A thread of a library meets it first.
+        "import canopen, time\nnetwork = canopen.Network()\nnetwork.connect()\n"
+        "network.send_periodic(0x701, b'5', 0.01)\ntime.sleep(6)\n",
+        "import threading, time\nthreading.Thread(target=time.sleep, args=(6,)).start()\n",
+    ],
+    ids=["main", "handled", "canopen", "thread"],
+)
+@pytest.mark.parametrize("room", [3_000, 12_000])
+def test_full_disk_is_reported_once_with_what_was_saved(tmp_path, body, room):
+    moving = DRIVE + 'objects = { "1017h" = 10 }\n'  # a heartbeat every 10 ms
+    (tmp_path / "rig.toml").write_text(moving)
+    (tmp_path / "program.py").write_text(body)
+    path = tmp_path / "full.mcap"
+    limited = (
+        "import resource, sys; from motorhil.harness.cli.main import main;"
+        f"resource.setrlimit(resource.RLIMIT_FSIZE, ({room}, {room}));"
+        "sys.exit(main(sys.argv[1:]))"
+    )
+    words = ["run", str(tmp_path / "rig.toml"), str(tmp_path / "program.py"), "-o", str(path)]
+    done = subprocess.run(
+        [sys.executable, "-c", limited, *words], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 2, done.stderr
+    assert "motorhil.traces" not in done.stderr
+    (line,) = [line for line in done.stderr.splitlines() if str(path) in line]
+    with read_trace(path) as trace:
+        last_ns = max((time_ns for _, time_ns, _ in trace.messages()), default=None)
+    saved = "nothing yet" if last_ns is None else f"up to {last_ns / 1e9:.3f} s"
+    assert line == (
+        f"{path}: cannot be written: file too large; the recording holds {saved}; "
+        "free space there, or record to another place"
+    )

@@ -46,6 +46,25 @@ def test_answer_arrives_in_the_rigs_time(rig):
     assert 1 * MS < rig.now_ns() < 2 * MS
 
 
+@pytest.mark.parametrize("interface", ["emulated", "virtual"])
+@pytest.mark.parametrize("own", [True, False])
+def test_messages_have_the_channel_of_the_bus_object(rig, interface, own):
+    """python-can's `virtual` is the reference for both directions."""
+
+    class Name(str):
+        """A channel that is equal to, but not the same as, the name of a bus."""
+
+        __slots__ = ()
+
+    channel = Name("can1")
+    options = {"interface": interface, "channel": channel}
+    with can.Bus(**options, receive_own_messages=own) as bus, can.Bus(**options) as other:
+        (bus if own else other).send(message(0x123))
+        heard = bus.recv(1.0)
+    assert heard.channel is channel
+    assert heard.is_rx is not own
+
+
 def test_recv_timeout_is_exact_in_the_rigs_time(rig):
     with emulated() as bus:
         assert bus.recv(0.1) is None

@@ -42,7 +42,7 @@ def recording(path, times_ns, metadata):
 def driven(folder, path, bitrate_bit_s, **options):
     (folder / "empty.toml").write_text(EMPTY.format(bitrate_bit_s))
     with Rig.open(folder / "empty.toml") as rig:
-        return drive(DrivenRig(rig), path, **options)
+        return drive(DrivenRig(rig), path, **options).player
 
 
 @pytest.mark.parametrize("bitrate_bit_s", [125_000, 1_000_000])

@@ -67,7 +67,7 @@ def test_error_frames_do_not_change_recorded_devices(told, tmp_path):
 def test_error_frames_are_not_awaited_or_sent_by_the_host(told, tmp_path):
     live = tmp_path / "live.mcap"
     with Rig(described("cia402"), record=live) as rig:
-        player = drive(DrivenRig(rig), told)
+        player = drive(DrivenRig(rig), told).player
     objects, differing = compared(told, live, player.pairs, Tolerance())
     assert (player.missed, differing) == ([], [])
     assert {one.label: one.share for one in objects if one.share < 1.0} == {}

@@ -58,7 +58,7 @@ def test_as_host_objects_agree_with_the_recording(name, tmp_path):
     with golden(name) as path:
         live = tmp_path / "live.mcap"
         with Rig(described(name), record=live) as rig:
-            player = drive(DrivenRig(rig), path)
+            player = drive(DrivenRig(rig), path).player
         objects, differing = compared(path, live, player.pairs, Tolerance())
         if name == "overload":  # the frames do not show the missing load
             assert any("emergency" in one.label for one in differing)

@@ -2,7 +2,7 @@
 
 import pytest
 
-from motorhil.harness.replay.host import HostPlayer
+from motorhil.harness.replay.host import HostPlayer, ReceiveQueue
 from motorhil.traces.can_frame import classic
 from motorhil.traces.exchange.host import ANSWER, HostStep, Listener, Told
 
@@ -192,3 +192,50 @@ def test_single_heartbeat_is_sent_once():
     player = started(step(5, is_free=True), step(400, answer(390)))
     assert len(player.take(5 * MS)) == 1
     assert player.take(1_000 * MS) == []
+
+
+def test_boot_up_before_a_reset_does_not_answer_it():
+    """A drive that boots by itself boots again after the host's reset."""
+    reset = HostStep(10 * MS, 11 * MS, "can0", classic(0, b"\x81\0"), "reset", [])
+    player = started(reset, step(30, state(20, BOOTED)))
+    player.heard("can0", BOOTED, 5 * MS, False)
+    assert player.take(10 * MS) == [("can0", reset.frame)]
+    assert player.take(40 * MS) == []
+    player.heard("can0", BOOTED, 60 * MS, False)
+    assert len(player.take(70 * MS)) == 1
+    assert player.missed == []
+
+
+def test_report_before_the_start_does_not_count():
+    player = HostPlayer([step(0, state(0, OPERATIONAL))], Listener({}))
+    player.heard("can0", BOOTED, 1 * MS, False)
+    player.heard("can0", OPERATIONAL, 2 * MS, False)
+    assert player.booted == {("can0", 5)}
+    player.start(10 * MS)
+    assert player.take(20 * MS) == []
+    player.heard("can0", OPERATIONAL, 30 * MS, False)
+    assert len(player.take(30 * MS)) == 1
+
+
+RESET = classic(0, b"\x81\x00")
+NODE_1_BOOTED = classic(0x701, b"\x00")
+
+
+def test_ears_ignore_boot_up_before_own_reset():
+    heard = []
+    ears = ReceiveQueue(lambda *what: heard.append(what), RESET)
+    told = [
+        (NODE_1_BOOTED, 1, False),
+        (RESET, 2, False),
+        (RESET, 3, True),
+        (NODE_1_BOOTED, 4, False),
+    ]
+    for one in told:  # a foreign reset does not count
+        ears.heard(*one)
+    assert heard == told[2:]
+
+
+def test_ears_without_reset_hear_everything():
+    heard = []
+    ReceiveQueue(lambda *what: heard.append(what), None).heard(NODE_1_BOOTED, 1, False)
+    assert heard == [(NODE_1_BOOTED, 1, False)]

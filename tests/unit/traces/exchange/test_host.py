@@ -5,7 +5,7 @@ import struct
 import pytest
 
 from motorhil.traces.can_frame import ERR, classic
-from motorhil.traces.exchange.host import ANSWER, HostCutter, Listener, answer_size
+from motorhil.traces.exchange.host import ANSWER, HostCutter, HostSurvey, Listener, answer_size
 from motorhil.traces.formats.modbus import Adu
 from motorhil.traces.schema import Direction
 
@@ -190,3 +190,66 @@ def test_answer_size_follows_from_its_beginning(function):
 
 def test_answer_size_of_unknown_function_is_none():
     assert answer_size(bytes.fromhex("052b0e0101"), False) is None
+
+
+def surveyed(*told):
+    survey = HostSurvey()
+    for direction, identifier, data in told:
+        survey.take("can0", classic(identifier, bytes.fromhex(data)), direction)
+    return survey
+
+
+@pytest.mark.parametrize(
+    ("directions", "is_known"),
+    [
+        ((HOST, NODE), True),
+        ((NODE, NODE), False),  # a monitor receives all
+        ((HOST, HOST), False),  # both programs run beside the recorder
+        ((NOBODY, NOBODY), False),
+    ],
+)
+def test_directions_separate_host_only_if_both_occur(directions, is_known):
+    ask, answer = directions
+    survey = surveyed((ask, 0x605, "4000100000000000"), (answer, 0x585, "4300100092010200"))
+    assert survey.by_direction() is is_known
+
+
+BEAT = (NOBODY, 0x701, "05")
+
+
+@pytest.mark.parametrize(
+    ("told", "present", "own"),
+    [
+        ([BEAT], [], [1]),
+        ([BEAT], [("can0", 1)], []),  # a device has it
+        ([BEAT], None, []),  # the devices are unknown
+        ([BEAT, (NOBODY, 0x081, "1081010000000000")], [], []),  # an emergency
+        ([BEAT, (NOBODY, 0x601, "4000100000000000")], [], []),  # it is asked
+        ([BEAT, (NOBODY, 0x000, "0101")], [], []),
+        ([(HOST, 0x701, "05"), (NODE, 0x705, "05")], None, [1]),
+    ],
+)
+def test_hosts_own_node_only_sends_heartbeats(told, present, own):
+    assert surveyed(*told).hosts_own(present) == [("can0", node) for node in own]
+
+
+@pytest.mark.parametrize(
+    ("told", "running", "operational"),
+    [
+        ([(NODE, 0x705, "00"), (NODE, 0x705, "05")], False, True),
+        ([(NODE, 0x705, "7f")], True, False),
+        ([(NODE, 0x185, "3102")], True, True),
+        ([(HOST, 0x000, "0105"), (NODE, 0x185, "3102")], True, False),  # started by the host
+        ([(HOST, 0x000, "8100"), (NODE, 0x705, "00")], True, False),  # booted by the host
+        ([(HOST, 0x605, "4000100000000000")], True, False),  # silent
+    ],
+)
+def test_survey_tells_what_ran_before_the_recording(told, running, operational):
+    survey = surveyed(*told)
+    assert (survey.running() != [], survey.operational() != []) == (running, operational)
+
+
+def test_answer_with_the_stamp_of_its_request_is_not_awaited_by_it():
+    """Stamps of whole seconds; the earlier frame occupies the bus until the stamp."""
+    first, second, third = cut((10, WRITE), (10, TAKEN), (10, WRITE), (10, TAKEN), (10, WRITE))
+    assert [len(one.waits) for one in (first, second, third)] == [0, 1, 1]

@@ -83,7 +83,8 @@ def test_full_disk_with_space_for_ending_is_valid_file(tmp_path, room_left, endi
     for second in range(3):
         recording.fill(1000, MS, first=1000 * second).writer.flush()
     disk = SmallDisk(len(endless.getvalue()) + room_left)
-    seconds_until_full(disk, 1000)
+    _, error = seconds_until_full(disk, 1000)
+    assert error.remedy.endswith("motorhil recover adds it") is (ending == "none")
     cut, found = frames_in(disk.getvalue(), tmp_path / "a.mcap")
     assert len(found) == 2700
     if ending == "none":
