@@ -36,6 +36,7 @@ from motorhil.harness.plugins import ADAPTATIONS, CONTROLLERS, Plugin, installed
 from motorhil.harness.rig.bus_load import traffic_of
 from motorhil.harness.rig.config.buses import CAN, MODBUS_RTU, BusDescription, address_key
 from motorhil.harness.rig.config.derived import settings_with_model, with_timing
+from motorhil.harness.rig.config.plausibility import doubts_of
 from motorhil.harness.rig.config.rig_file import (
     ControllerDescription,
     Known,
@@ -496,7 +497,7 @@ class Rig:
             self._add_controllers()
             schedule(description, self.world, self._build_controller)
             self.notes += [f"{name}: {level}: {text}" for _, level, name, text in started]
-            self.notes += [note for bus in description.buses.values() for note in bus.doubts()]
+            self._doubt(started)
             self.notes += [note for bus in description.buses for note in self._destroyers(bus)]
             if record is not None:
                 self._record(record, started, cleanup)
@@ -650,6 +651,16 @@ class Rig:
             if not callable(getattr(core, "next_deadline_ns", None)):
                 raise TypeError(f"it built {a_kind_of(core)}, which is not a controller")
             return core
+
+    def _doubt(self, started: list[tuple[int, str, str, str]]) -> None:
+        """Note implausible values; recordings get those of controllers as events."""
+        names = self.description.controllers
+        cores = {name: self.world.controller(name) for name in names}
+        for one in doubts_of(self.description, self._models, cores):
+            self.notes.append(str(one))
+            path = one.doubt.path
+            if path[:1] == ("controller",):
+                started.append((0, str(path[1]), "warning", one.text))
 
     def _record(
         self, target: Path, started: list[tuple[int, str, str, str]], cleanup: ExitStack
