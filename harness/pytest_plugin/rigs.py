@@ -168,6 +168,7 @@ class RigOfTest:
         if self._is_closed:
             return
         self._is_closed = True
+        self.rig.take_forgotten()  # a test may end where it likes
         try:
             self._stack.close()
         except (RigError, TraceError) as error:
@@ -226,7 +227,7 @@ class RigOfTest:
             record = record.relative_to(here)
         now_s = self.rig.runtime.now_ns() / 1e9
         yield f"record: {shlex.quote(str(record))}, seed {self.rig.seed}, failed at {now_s:.6f} s"
-        yield from (f"note:   {note}" for note in self.rig.notes)
+        yield from (f"note:   {note}" for note in (*self.rig.notes, *self.rig.take_forgotten()))
         yield f"look:   motorhil show {shlex.quote(str(record))} --last 1"
         yield f"again:  {self._repeat_command()}"
 

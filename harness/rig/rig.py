@@ -11,6 +11,7 @@ the rig file that uses them.
 """
 
 import traceback
+import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, replace
@@ -506,6 +507,7 @@ class Rig:
             self._open_door(cleanup)
             self._cleanup = cleanup.pop_all()
         self._in_use = ExitStack()  # resources of applications; closed before the rest
+        self._warns_at_end = False
         self.faults = RigFaults(self.world)
         self.controllers: Mapping[str, RigController] = Named(
             "controller", description.controllers, self._controller
@@ -513,6 +515,7 @@ class Rig:
         buses = description.buses.values()
         self._buses = Named("bus", [bus.name for bus in buses if not bus.is_line], self._bus)
         self._lines = Named("line", [bus.name for bus in buses if bus.is_line], self._line)
+        self._made: dict[str, Motor] = {}
         self.motors: Mapping[str, Motor] = Named("motor", description.motors, self._motor)
         self.groups: Mapping[str, MotorGroup] = Named("group", description.groups, self._group)
 
@@ -535,15 +538,17 @@ class Rig:
         Raises:
             RigError: the rig cannot be used as it is written; nothing is left open.
         """
+        from motorhil.harness.virtual_time.stdlib.clocks import sleep_watched
+
         description = describe(Path(path))
         if seed is not None and not 0 <= seed <= SEED_MAX:
             raise RigError(path, f"seed {seed} is not within 0 to {SEED_MAX}", "use another seed")
-        return cls(
-            description,
-            seed=seed,
-            realtime=realtime,
-            record=None if record is None else Path(record),
-        )
+        target = None if record is None else Path(record)
+        rig = cls(description, seed=seed, realtime=realtime, record=target)
+        rig._warns_at_end = True
+        if not realtime:
+            rig._in_use.enter_context(sleep_watched(rig.runtime))
+        return rig
 
     def bus(self, name: str) -> "EmulatedBus":
         """Return the application's own connection to a bus, a python-can bus.
@@ -585,6 +590,12 @@ class Rig:
         controller = self._controller_of(described)
         return compare_units(self.description, described, self._models[motor], controller)
 
+    def take_forgotten(self) -> list[str]:
+        """Return sentences about commands that were never started; the end then omits them."""
+        self._warns_at_end = False
+        logical = [getattr(motor, "logical", None) for motor in self._made.values()]
+        return [text for one in logical if one is not None and (text := one.forgotten())]
+
     def close(self) -> None:
         """End all parties, close motors and buses, and complete the record."""
         with self._cleanup, self._in_use:
@@ -599,7 +610,10 @@ class Rig:
         error: BaseException | None,
         traceback: TracebackType | None,
     ) -> None:
+        forgotten = self.take_forgotten() if error is None and self._warns_at_end else []
         self.close()
+        for text in forgotten:
+            warnings.warn(text, stacklevel=2)
 
     # --- construction --------------------------------------------------------------------------
 
@@ -721,6 +735,7 @@ class Rig:
             name, self._models[name], self.runtime, self._link, controller
         )
         self._in_use.callback(close)
+        self._made[name] = built
         if note:
             self.notes.append(note)
         self.compared_units(name)
