@@ -6,11 +6,13 @@ import sys
 import textwrap
 from collections.abc import Sequence
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Final
 
 from motorhil.harness.cli.main import FAILED, NOT_JUDGED, PASSED, WRONG_USAGE
-from motorhil.harness.cli.options import print_table, reading_progress, time_ns
+from motorhil.harness.cli.options import print_table, reading_progress
+from motorhil.harness.cli.times import add_span, span_in, span_of
 from motorhil.harness.oracles.base import Finding, Verdict
 from motorhil.harness.oracles.facts import Facts, read_limits, read_rig
 from motorhil.harness.oracles.judge import CATALOGUE, IDS, is_sound, judge
@@ -52,8 +54,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="the recording has every frame of its buses: missing frames count",
     )
-    parser.add_argument("--from", type=time_ns, dest="from_ns", metavar="S", help="from this time")
-    parser.add_argument("--to", type=time_ns, dest="to_ns", metavar="S", help="before this time")
+    add_span(parser)
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 
 
@@ -75,15 +76,17 @@ def run(options: argparse.Namespace) -> int:
         facts = facts.with_more(read_limits(options.limits))
     if options.rig is not None:
         facts = facts.with_more(read_rig(options.rig))
+    tell = partial(print, "motorhil judge:", file=sys.stderr)
+    from_ns, to_ns = span_of(options, options.file, span_in(options.file, options), tell)
     seen = Seen()
     findings = judge(
         options.file,
         facts,
         only=options.only,
-        from_ns=options.from_ns,
-        to_ns=options.to_ns,
+        from_ns=from_ns,
+        to_ns=to_ns,
         progress=reading_progress(),
-        note=lambda text: print(f"motorhil judge: {options.file}: {text}", file=sys.stderr),
+        note=lambda text: tell(f"{options.file}: {text}"),
         seen=seen,
     )
     _note_truncation(options.file)
