@@ -1,6 +1,7 @@
 """The verb `new`: creates a rig, its script, and CI jobs."""
 
 import argparse
+import shlex
 import sys
 from pathlib import Path
 
@@ -10,13 +11,21 @@ from motorhil.harness.rig.config.scaffold import CI_FILES, requirement, write_ne
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of `new`."""
-    parser.add_argument("folder", type=Path, metavar="DIR", help="the folder; created if missing")
+    parser.add_argument(
+        "folder", type=_folder, metavar="DIR", help="the folder; created if missing"
+    )
     parser.add_argument(
         "--ci",
         choices=list(CI_FILES),
         help=f"also write a CI job into the current folder: {' or '.join(CI_FILES.values())}; "
         "an existing rig in DIR is kept",
     )
+
+
+def _folder(text: str) -> Path:
+    if not text:
+        raise argparse.ArgumentTypeError("an empty name; name a folder, or . for this one")
+    return Path(text)
 
 
 def run(options: argparse.Namespace) -> int:
@@ -30,7 +39,7 @@ def run(options: argparse.Namespace) -> int:
         print(path)
     rig, script = options.folder / "rig.toml", options.folder / "drive.py"
     if script.exists():
-        print(f"next: motorhil run {rig} {script}", file=sys.stderr)
+        print(f"next: {shlex.join(['motorhil', 'run', str(rig), str(script)])}", file=sys.stderr)
     line, command = requirement()
     if options.ci is not None and has_requirements:
         print(f"requirements.txt: was there; it must install {line} and pytest", file=sys.stderr)
