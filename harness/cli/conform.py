@@ -6,10 +6,12 @@ recorded.
 """
 
 import argparse
+import json
 import os
 import sys
 import time
 from collections.abc import Callable, Sequence
+from contextlib import nullcontext, redirect_stdout
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -28,6 +30,7 @@ _MORE: Final = """\
 Without --rig the adaptation is checked on the rig that comes with it. Exit status: 0 all claims
 are kept, 1 one is not, 2 wrong usage, 3 no clause was applicable.
 """
+_STDOUT: Final = Path("-")
 _RECORDS: Final = Path("out", "conform")
 
 
@@ -60,7 +63,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="DIR",
         help=f"folder for the records of failed clauses (default {_RECORDS})",
     )
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write the results as JSON")
+    parser.add_argument(
+        "--json",
+        type=Path,
+        nargs="?",
+        const=_STDOUT,
+        metavar="FILE",
+        help="print JSON, or write it to FILE",
+    )
     parser.add_argument("--junit", type=Path, metavar="FILE", help="write the results as JUnit XML")
     parser.add_argument("--html", type=Path, metavar="FILE", help="write the results as HTML")
     parser.add_argument(
@@ -97,14 +107,15 @@ def run(options: argparse.Namespace) -> int:
             file=sys.stderr,
         )
         return WRONG_USAGE
-    files = [one for one in (options.json, options.junit, options.html) if one is not None]
-    for file in files:
-        _require_writable(file)
+    for file in (options.json, options.junit, options.html):
+        if file is not None and file != _STDOUT:
+            _require_writable(file)
     if os.getcwd() not in sys.path:
         sys.path.insert(0, os.getcwd())  # finds modules that are not installed yet
     job = Job(options.adaptation or "", options.rig or "", options.seed, tuple(options.on or ()))
+    words = redirect_stdout(sys.stderr) if options.json == _STDOUT else nullcontext()
     try:
-        with ends_by_signal(), Supervisor(job) as supervisor:
+        with ends_by_signal(), Supervisor(job) as supervisor, words:
             outcome = _outcome(options, supervisor)
     except WrongJobError as error:
         print(error, file=sys.stderr)
@@ -113,7 +124,8 @@ def run(options: argparse.Namespace) -> int:
         print(f"motorhil conform: {error}", file=sys.stderr)
         return FAILED
     _write(options, outcome)
-    _print_summary(outcome)
+    if options.json != _STDOUT:
+        _print_summary(outcome)
     if outcome.is_empty:
         print("motorhil conform: no clause was applicable, so nothing was tested", file=sys.stderr)
         return NOT_JUDGED
@@ -162,7 +174,11 @@ def _list(options: argparse.Namespace) -> int:
 
     known = [Promise(one.id, one.level, one.promise, one.source) for one in all_clauses().values()]
     rows = [(one.id, f"L{one.level}", one.promise, one.source) for one in _chosen(options, known)]
-    print_table(("clause", "level", "promise", "source"), rows, words=(0, 1, 2, 3))
+    head = ("clause", "level", "promise", "source")
+    if options.json is not None:
+        print(json.dumps([dict(zip(head, row, strict=True)) for row in rows]))
+        return PASSED
+    print_table(head, rows, words=(0, 1, 2, 3))
     return PASSED
 
 
@@ -283,6 +299,9 @@ def _write(options: argparse.Namespace, outcome: "Outcome") -> None:
     )
     for file, text in texts:
         if file is None:
+            continue
+        if file == _STDOUT:
+            print(text(outcome).rstrip())
             continue
         try:
             file.write_text(text(outcome), encoding="utf-8")

@@ -66,7 +66,7 @@ def run(options: argparse.Namespace) -> int:
         TraceError: the recording cannot be read, or is damaged.
     """
     if options.list:
-        _list(options.only)
+        _list(options.only, options.json)
         return PASSED
     if options.file is None:
         print("motorhil judge: name a recording, or use --list", file=sys.stderr)
@@ -157,12 +157,16 @@ def _print(findings: Sequence[Finding]) -> None:
             print(f"{one.oracle}: {one.reason}")
 
 
-def _list(only: Sequence[str]) -> None:
-    for name, promise, source, needs in CATALOGUE:
-        if not only or name in only:
-            print(name)
-            for text in (promise, f"source: {source}", f"cannot judge: {needs}"):
-                print(textwrap.indent(textwrap.fill(text, _WIDTH), "    "))
+def _list(only: Sequence[str], as_json: bool) -> None:
+    chosen = [one for one in CATALOGUE if not only or one[0] in only]
+    if as_json:
+        head = ("oracle", "promise", "source", "cannot_judge")
+        print(json.dumps([dict(zip(head, one, strict=True)) for one in chosen]))
+        return
+    for name, promise, source, needs in chosen:
+        print(name)
+        for text in (promise, f"source: {source}", f"cannot judge: {needs}"):
+            print(textwrap.indent(textwrap.fill(text, _WIDTH), "    "))
 
 
 def _note_truncation(path: str) -> None:
