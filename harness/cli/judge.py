@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Final
 
 from motorhil.harness.cli.main import FAILED, NOT_JUDGED, PASSED, WRONG_USAGE
-from motorhil.harness.cli.options import print_table, reading_progress
+from motorhil.harness.cli.options import add_max_memory, print_table, reading_progress
 from motorhil.harness.cli.times import add_span, span_in, span_of
 from motorhil.harness.oracles.base import Finding, Verdict
 from motorhil.harness.oracles.facts import Facts, read_limits, read_rig
@@ -55,6 +55,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="the recording has every frame of its buses: missing frames count",
     )
     add_span(parser)
+    add_max_memory(parser)
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 
 
@@ -77,10 +78,12 @@ def run(options: argparse.Namespace) -> int:
     if options.rig is not None:
         facts = facts.with_more(read_rig(options.rig))
     tell = partial(print, "motorhil judge:", file=sys.stderr)
-    from_ns, to_ns = span_of(options, options.file, span_in(options.file, options), tell)
+    from_ns, to_ns = span_of(
+        options, options.file, span_in(options.file, options, options.max_memory), tell
+    )
     seen = Seen()
     findings = judge(
-        options.file,
+        open_source(options.file, options.max_memory),
         facts,
         only=options.only,
         from_ns=from_ns,

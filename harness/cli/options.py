@@ -10,6 +10,7 @@ from collections.abc import Callable, Collection, Sequence
 from typing import Final
 
 from motorhil.harness.rig.config.toml import SEED_MAX, one_line
+from motorhil.traces.files import MEMORY_MAX
 
 _NS: Final = 1_000_000_000
 _NS_MAX: Final = 2**64 - 1  # MCAP's log time
@@ -76,6 +77,22 @@ def _no_time(text: str) -> argparse.ArgumentTypeError:
 def _wrong(text: str, what: str, low: float, high: float, unit: str) -> argparse.ArgumentTypeError:
     words = f"{text!r} is not {what} from {low:g} to {high:g} {unit}".rstrip()
     return argparse.ArgumentTypeError(words)
+
+
+def add_max_memory(parser: argparse.ArgumentParser) -> None:
+    """Add `--max-memory MIB`; the value is in bytes."""
+    parser.add_argument(
+        "--max-memory",
+        type=_mebibytes,
+        default=MEMORY_MAX,
+        metavar="MIB",
+        help="most memory for one compressed piece of a file (default"
+        f" {MEMORY_MAX >> 20} MiB); a hostile file would take any",
+    )
+
+
+def _mebibytes(text: str) -> int:
+    return whole(1, 1 << 20, "MiB")(text) << 20
 
 
 def add_seed(parser: argparse.ArgumentParser) -> None:

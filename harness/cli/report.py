@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Final
 
 from motorhil.harness.cli.main import PASSED
-from motorhil.harness.cli.options import reading_progress
+from motorhil.harness.cli.options import add_max_memory, reading_progress
 from motorhil.traces.errors import TraceError
 from motorhil.traces.files import whole_file
 
@@ -36,6 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="also write a layout for Foxglove with the motors and controllers of this recording",
     )
     parser.add_argument("--json", action="store_true", help="print JSON")
+    add_max_memory(parser)
 
 
 def run(options: argparse.Namespace) -> int:
@@ -52,7 +53,7 @@ def run(options: argparse.Namespace) -> int:
 
     target = options.output or Path(options.file).with_suffix(".html")
     tell = partial(print, "motorhil report:", file=sys.stderr)
-    with open_recording(options.file, tell) as trace:
+    with open_recording(options.file, tell, options.max_memory) as trace:
         _refuse_lost(options.file, target, options.foxglove_layout)
         rates, data_rates = dict(options.bitrate), dict(options.data_bitrate)
         found = collect(trace, rates, reading_progress(), data_rates)

@@ -10,7 +10,7 @@ from functools import partial
 from typing import Final, final
 
 from motorhil.harness.cli.main import PASSED
-from motorhil.harness.cli.options import identifier, whole
+from motorhil.harness.cli.options import add_max_memory, identifier, whole
 from motorhil.harness.cli.times import add_span, span_of
 from motorhil.harness.recording.conversion import open_recording
 from motorhil.harness.rig.config.toml import one_line
@@ -27,6 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of `show`."""
     parser.add_argument("file", metavar="FILE", help="a recording of any format")
     add_span(parser)
+    add_max_memory(parser)
     parser.add_argument(
         "--bus", action="append", metavar="NAME", help="only this bus or line; may be repeated"
     )
@@ -65,7 +66,7 @@ def run(options: argparse.Namespace) -> int:
         TraceError: the file cannot be read, or is damaged.
     """
     tell = partial(print, "motorhil show:", file=sys.stderr)
-    with open_recording(options.file, tell) as trace:
+    with open_recording(options.file, tell, options.max_memory) as trace:
         story = Story(trace)
         wanted = _Filter(options, story)
         later = (lambda text: None) if options.follow else tell

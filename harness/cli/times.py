@@ -13,6 +13,7 @@ from typing import Final, final
 from motorhil.harness.cli.options import time_ns
 from motorhil.harness.recording.conversion import open_recording
 from motorhil.traces.errors import TraceError
+from motorhil.traces.files import MEMORY_MAX
 
 _NS: Final = 1_000_000_000
 _DATED_NS: Final = 100_000_000 * _NS  # of 1973: no rig runs so long, and no bus was CAN before
@@ -81,7 +82,7 @@ def has_span(options: argparse.Namespace) -> bool:
     return any(one is not None for one in (options.from_at, options.to_at, options.last_ns))
 
 
-def span_in(path: str, options: argparse.Namespace) -> Span | None:
+def span_in(path: str, options: argparse.Namespace, memory_max: int = MEMORY_MAX) -> Span | None:
     """Return the span of a recording [ns] if a part of it is asked for; None: not asked, or empty.
 
     Raises:
@@ -89,7 +90,7 @@ def span_in(path: str, options: argparse.Namespace) -> Span | None:
     """
     if not has_span(options):
         return None
-    with open_recording(path) as trace:
+    with open_recording(path, None, memory_max) as trace:
         return trace.span_ns()
 
 
