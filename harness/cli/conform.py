@@ -17,7 +17,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from motorhil.harness.cli.main import FAILED, NOT_JUDGED, PASSED, WRONG_USAGE
-from motorhil.harness.cli.options import add_seed
+from motorhil.harness.cli.options import add_color, add_seed
+from motorhil.harness.cli.printable import coloured, has_colours
 from motorhil.harness.rig.config.toml import RigError, one_line
 from motorhil.settings import listed, nearest
 
@@ -77,6 +78,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--fail-fast", action="store_true", help="end after the first clause that is not fulfilled"
     )
     parser.add_argument("--list", action="store_true", help="print the clauses, and check none")
+    add_color(parser)
 
 
 def level_of(text: str) -> int:
@@ -198,7 +200,7 @@ def _outcome(options: argparse.Namespace, supervisor: "Supervisor") -> "Outcome"
         finding = examiner.examine(promise)
         first_s = first_s or _running_s()
         _progress("")
-        _print_finding(finding, first_of)
+        _print_finding(finding, first_of, has_colours(options.color, sys.stdout))
         findings.append(finding)
         if options.fail_fast and not finding.verdict.result.is_good:
             break
@@ -237,29 +239,32 @@ def _progress(text: str) -> None:
         print(f"\r\033[K{text}", end="", file=sys.stderr, flush=True)
 
 
-def _print_finding(one: "Finding", first_of: dict[tuple[str, str, str], str]) -> None:
+def _print_finding(
+    one: "Finding", first_of: dict[tuple[str, str, str], str], in_colours: bool
+) -> None:
     """Print a finding; of one that was seen before, at the same place, only where.
 
     Args:
         one: the finding.
         first_of: the first clause of each bad finding so far, which this one is added to.
+        in_colours: the result has its colour.
     """
     from motorhil.harness.conformance.results import more_of
 
     verdict = one.verdict
     text = verdict.seen or one.promise.promise
     first = one.promise.id
+    result = f"{verdict.result.value:<15}"
+    if in_colours:
+        result = coloured(verdict.result.value, result)
     if not verdict.result.is_good:
         key = (verdict.result.value, verdict.seen, verdict.place)
         first = first_of.setdefault(key, first)
     if first != one.promise.id:
-        print(f"{one.promise.id:<10}{verdict.result.value:<15}{'':>10}  the same as {first}")
+        print(f"{one.promise.id:<10}{result}{'':>10}  the same as {first}")
         sys.stdout.flush()
         return
-    print(
-        f"{one.promise.id:<10}{verdict.result.value:<15}{verdict.time_ns / 1e9:8.3f} s"
-        f"  {one_line(text)}"
-    )
+    print(f"{one.promise.id:<10}{result}{verdict.time_ns / 1e9:8.3f} s  {one_line(text)}")
     for line in more_of(one):
         print(f"{'':<10}{one_line(line)}")
     sys.stdout.flush()

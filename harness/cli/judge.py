@@ -11,7 +11,8 @@ from pathlib import Path
 from typing import Final
 
 from motorhil.harness.cli.main import FAILED, NOT_JUDGED, PASSED, WRONG_USAGE
-from motorhil.harness.cli.options import add_max_memory, print_table, reading_progress
+from motorhil.harness.cli.options import add_color, add_max_memory, print_table, reading_progress
+from motorhil.harness.cli.printable import has_colours
 from motorhil.harness.cli.times import add_span, span_in, span_of
 from motorhil.harness.oracles.base import Finding, Verdict
 from motorhil.harness.oracles.facts import Facts, read_limits, read_rig
@@ -56,6 +57,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_span(parser)
     add_max_memory(parser)
+    add_color(parser)
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 
 
@@ -103,7 +105,7 @@ def run(options: argparse.Namespace) -> int:
         told = {"file": options.file, "verdict": verdict, "seen": incidents, "findings": tables}
         print(json.dumps(told))
     else:
-        _print(findings)
+        _print(findings, has_colours(options.color, sys.stdout))
         for incident in seen.incidents[:_SHOWN]:
             print(f"seen: {incident}")
         if len(seen.incidents) > _SHOWN:
@@ -148,9 +150,9 @@ def _counts(findings: Sequence[Finding]) -> str:
     return ", ".join(f"{count} {word}" for count, word in counts if count)
 
 
-def _print(findings: Sequence[Finding]) -> None:
+def _print(findings: Sequence[Finding], in_colours: bool) -> None:
     rows = [(one.oracle, one.verdict.value, str(one.looked)) for one in findings]
-    print_table(("oracle", "verdict", "looked at"), rows, words=(0, 1))
+    print_table(("oracle", "verdict", "looked at"), rows, (0, 1), in_colours)
     for one in findings:
         if one.first is not None:
             more = f"; {one.further} more" if one.further else ""
