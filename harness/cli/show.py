@@ -69,8 +69,8 @@ def run(options: argparse.Namespace) -> int:
     with open_recording(options.file, tell, options.max_memory) as trace:
         story = Story(trace)
         wanted = _Filter(options, story)
-        later = (lambda text: None) if options.follow else tell
-        from_ns, to_ns = span_of(options, str(trace.path), trace.span_ns(), later)
+        outside: list[str] = []
+        from_ns, to_ns = span_of(options, trace.path, trace.span_ns(), outside.append)
         lines = story.lines(from_ns, to_ns)
         if options.follow:
             lines = followed(trace, story, from_ns, to_ns, _wait)
@@ -83,7 +83,7 @@ def run(options: argparse.Namespace) -> int:
                     print(json.dumps(facts_of(line)) if options.json else text_of(line))
         _warn(trace)
         if not shown:
-            print(f"motorhil show: {trace.path}: {_nothing(trace, seen)}", file=sys.stderr)
+            tell(outside[0] if outside else f"{trace.path}: {_nothing(trace, seen)}")
         for name in options.motor or ():
             if name not in wanted.met:
                 print(f"motorhil show: no events of motor {name}", file=sys.stderr)
