@@ -1,4 +1,5 @@
 import json
+import re
 import resource
 import shlex
 import subprocess
@@ -27,7 +28,7 @@ def test_help_imports_no_large_library():
 def test_help_lists_verbs_and_each_verb_has_help(say):
     status, out, _ = say("--help")
     assert status == 0
-    verbs = [line.split()[0] for line in out.splitlines() if line.startswith("    ")]
+    verbs = re.findall(r"^ {4}(\w+)", out, re.MULTILINE)
     assert {"new", "check", "run", "list"} <= set(verbs)
     for verb in verbs:
         status, out, _ = say(verb, "--help")

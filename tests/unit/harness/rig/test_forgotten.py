@@ -4,7 +4,6 @@ import io
 import re
 import subprocess
 import sys
-import time
 import warnings
 
 import pytest
@@ -34,6 +33,11 @@ with Rig.open("rig.toml") as rig:
     sleep(0.001)
     sleep(0.001)
 """
+# A program's own lines; nothing here waits for longer than a microsecond of the wall.
+PAUSES = compile("import time\ndef pause(s): time.sleep(s)\n", "program.py", "exec")
+PROGRAM = {"__name__": "program"}
+exec(PAUSES, PROGRAM)
+pause = PROGRAM["pause"]
 FORGOTTEN = "wheel: its set-point was set, but not started; start() begins it"
 
 
@@ -105,13 +109,13 @@ def test_sleep_beside_virtual_time_is_told_once(path):
     with warnings.catch_warnings(record=True) as told, Rig.open(path) as rig:
         warnings.simplefilter("always")
         for _ in range(2):
-            time.sleep(1e-6)
+            pause(1e-6)
         assert rig.runtime.now_ns() == 0
     (one,) = told
     assert "lets no virtual time pass in the open rig; write rig.runtime.run_for(1e-06)" in str(
         one.message
     )
-    assert one.filename == __file__
+    assert one.filename == "program.py"
 
 
 def test_imported_name_of_sleep_is_told_in_a_program(path):
@@ -122,16 +126,16 @@ def test_imported_name_of_sleep_is_told_in_a_program(path):
 
 
 def test_sleep_of_paced_and_replaced_time_is_no_mistake(path):
-    original = time.sleep
+    original = PROGRAM["time"].sleep
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         with Rig.open(path, realtime=True):
-            time.sleep(1e-6)
+            pause(1e-6)
         with Rig.open(path) as rig, in_virtual_time(rig):
-            time.sleep(2.0)
+            pause(2.0)
             assert rig.runtime.now_ns() == 2_000_000_000
-        time.sleep(1e-6)
-    assert time.sleep is original
+        pause(1e-6)
+    assert PROGRAM["time"].sleep is original
 
 
 def test_endless_loop_over_messages_is_told_once(path):
