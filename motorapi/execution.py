@@ -8,6 +8,7 @@ fails, every motor of the start is stopped. A start of one motor is the start of
 wait for several motors has one deadline.
 """
 
+import warnings
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -52,8 +53,13 @@ def wait_for_all(
         DeadlineExceeded: not within `timeout_s` [s]; names the motors that are not done. Nothing is
             stopped.
         MotorError: the failure of a motion.
+
+    A motor that has a command, which was not started, and no motion is the subject of a warning.
     """
     timeout_s = check_timeout(timeout_s)
+    for motor in motors:
+        if (motor.run is None or motor.run.is_over) and (text := motor.forgotten()):
+            warnings.warn(f"{text}, and this wait has nothing to wait for", stacklevel=3)
     members = [_Member(motor) for motor in motors]
     awaited = [Awaited(one.motor.physical.news, one.is_over) for one in members]
     waiting = Waiting(awaited)
@@ -174,7 +180,7 @@ def start_together(
     """
     timeout_s = check_timeout(timeout_s)
     for motor in motors:
-        _require_command(motor)
+        motor.asked = _require_command(motor)
     asked_ns = motors[0].runtime.now_ns()
     with ExitStack() as held:
         for motor in sorted(motors, key=lambda motor: motor.physical.order):

@@ -100,6 +100,7 @@ class LogicalMotor:
         hooks: the adaptation.
         mode, variable: the form of commands (None: not set yet), and the commanded quantity.
         command: what the next start begins, or None.
+        asked: the command of the last start, whether it succeeded or not; None before the first.
         argument: the argument of a complex trajectory; None: time.
         run: the last motion begun here, or None.
     """
@@ -120,11 +121,20 @@ class LogicalMotor:
         self.mode: ControlMode | None = None
         self.variable = ControlVariable.POSITION
         self.command: Setpoint | Trajectory | None = None
+        self.asked: Setpoint | Trajectory | None = None
         self.argument: Argument | None = None
         self.run: ActiveMotion | None = None
         self._coast = _Coast(model)
         self._callback_error: PluginError | None = None
         self._held_hardware: tuple[Ticket, object] | None = None
+
+    def forgotten(self) -> str:
+        """Return a sentence about a command that was set but not started, or an empty text."""
+        command = self.command
+        if command is None or command is self.asked:
+            return ""
+        noun = "set-point" if isinstance(command, Setpoint) else "trajectory"
+        return f"{self.name}: its {noun} was set, but not started; start() begins it"
 
     # ---- operations ----
 

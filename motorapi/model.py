@@ -69,13 +69,13 @@ _SAME: Final = 1e-6
 
 
 def _limit(
-    name: str, unit: str, doc: str, default: float | None = None, of_linear: str = ""
+    name: str, unit: str, doc: str, default: float | None = None, of_linear: str = "", **own: Any
 ) -> Any:
-    return number(default, 0, unit=unit, doc=doc, name=name, of_linear=of_linear, above=True)
+    return number(default, 0, unit=unit, doc=doc, name=name, of_linear=of_linear, above=True, **own)
 
 
-def _ratio(name: str, doc: str, of_linear: str = "") -> Any:
-    return number(None, doc=doc, name=name, of_linear=of_linear, not_zero=True)
+def _ratio(name: str, doc: str, of_linear: str = "", **own: Any) -> Any:
+    return number(None, doc=doc, name=name, of_linear=of_linear, not_zero=True, **own)
 
 
 @final
@@ -96,41 +96,102 @@ class MotorModel:
     kind: MotionKind = setting(
         MotionKind.ROTARY, Member(MotionKind, "kind of motor"), "Rotary or linear."
     )
-    velocity_max: float = _limit("velocity_max_{u}_s", "{u}/s", "Velocity limit.", REQUIRED)
+    velocity_max: float = _limit(
+        "velocity_max_{u}_s",
+        "{u}/s",
+        "Velocity limit.",
+        REQUIRED,
+        plausible=(1e-3, 2e3),
+        plausible_m=(1e-5, 50.0),
+    )
     acceleration_max: float = _limit(
-        "acceleration_max_{u}_s2", "{u}/s²", "Acceleration limit.", REQUIRED
+        "acceleration_max_{u}_s2",
+        "{u}/s²",
+        "Acceleration limit.",
+        REQUIRED,
+        plausible=(1e-3, 1e6),
+        plausible_m=(1e-4, 1e3),
     )
     deceleration_max: float | None = _limit(
-        "deceleration_max_{u}_s2", "{u}/s²", "Deceleration limit; absent: as acceleration."
+        "deceleration_max_{u}_s2",
+        "{u}/s²",
+        "Deceleration limit; absent: as acceleration.",
+        plausible=(1e-3, 1e6),
+        plausible_m=(1e-4, 1e3),
     )
-    jerk_max: float | None = _limit("jerk_max_{u}_s3", "{u}/s³", "Jerk limit; absent: none.")
+    jerk_max: float | None = _limit(
+        "jerk_max_{u}_s3",
+        "{u}/s³",
+        "Jerk limit; absent: none.",
+        plausible=(1e-3, 1e9),
+        plausible_m=(1e-4, 1e6),
+    )
     torque_max: float | None = _limit(
-        "torque_max_n_m", "", "Torque limit [N·m], or force limit [N].", of_linear="force_max_n"
+        "torque_max_n_m",
+        "",
+        "Torque limit [N·m], or force limit [N].",
+        of_linear="force_max_n",
+        plausible=(1e-5, 1e5),
+        plausible_m=(1e-3, 1e6),
     )
-    current_max: float | None = _limit("current_max_a", "A", "Current limit.")
+    current_max: float | None = _limit(
+        "current_max_a", "A", "Current limit.", plausible=(0.01, 1e3)
+    )
     position_min: float | None = number(
-        None, unit="{u}", doc="Lower limit of commanded positions.", name="position_min_{u}"
+        None,
+        unit="{u}",
+        doc="Lower limit of commanded positions.",
+        name="position_min_{u}",
+        plausible=(1e-7, 1e6),
+        plausible_m=(1e-9, 1e4),
     )
     position_max: float | None = number(
-        None, unit="{u}", doc="Upper limit of commanded positions.", name="position_max_{u}"
+        None,
+        unit="{u}",
+        doc="Upper limit of commanded positions.",
+        name="position_max_{u}",
+        plausible=(1e-7, 1e6),
+        plausible_m=(1e-9, 1e4),
     )
     position_tolerance: float | None = _limit(
-        "position_tolerance_{u}", "{u}", "Distance at which an absolute trajectory may start."
+        "position_tolerance_{u}",
+        "{u}",
+        "Distance at which an absolute trajectory may start.",
+        plausible=(1e-7, 7.0),
+        plausible_m=(1e-9, 0.5),
     )
     gear_ratio: float | None = _ratio(
-        "gear_ratio", "Motor turns per turn (per m); below 0: reversing.", "motor_turns_per_m"
+        "gear_ratio",
+        "Motor turns per turn (per m); below 0: reversing.",
+        "motor_turns_per_m",
+        plausible=(0.01, 1e4),
+        plausible_m=(0.1, 1e5),
     )
     encoder_increments_rev: float | None = _limit(
-        "encoder_increments_rev", "", "Increments of the encoder per motor turn."
+        "encoder_increments_rev",
+        "",
+        "Increments of the encoder per motor turn.",
+        plausible=(4, 1 << 27),
     )
     increments_per_unit: float | None = _ratio(
-        "increments_per_{u}", "Position increments of the drive; absent: of gear and encoder."
+        "increments_per_{u}",
+        "Position increments of the drive; absent: of gear and encoder.",
+        plausible=(0.1, 1e12),
+        plausible_m=(1.0, 1e12),
     )
     velocity_unit: float | None = _limit(
-        "velocity_unit_{u}_s", "{u}/s", "Velocity that 1 means in the drive's objects."
+        "velocity_unit_{u}_s",
+        "{u}/s",
+        "Velocity that 1 means in the drive's objects.",
+        plausible=(1e-12, 100.0),
+        plausible_m=(1e-13, 1.0),
     )
     acceleration_unit: float | None = _limit(
-        "acceleration_unit_{u}_s2", "{u}/s²", "Acceleration that 1 means in its objects."
+        "acceleration_unit_{u}_s2",
+        "{u}/s²",
+        "Acceleration that 1 means in its objects.",
+        plausible=(1e-12, 1e4),
+        plausible_m=(1e-13, 100.0),
     )
     requires_referencing: bool = flag(False, "Absolute targets only after homing.")
 

@@ -274,6 +274,8 @@ class Motor(MotorHooks):
     def wait_until_done(self, timeout_s: float | None = None) -> None:
         """Wait until the last command (motion, homing or stop), if any, has ended.
 
+        A command that was set but not started is no reason to wait; a Python warning names it.
+
         A velocity, torque or current set-point is done when it is reached, and continues. A
         trajectory of them is done at the end of its ramp.
 

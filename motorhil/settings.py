@@ -31,6 +31,25 @@ _SHOWN_MAX: Final = 60
 _INTEGER_MAX: Final = 2**63 - 1  # TOML 1.0, "Integer": 64-bit signed is what all must accept
 _KEY: Final = "setting"
 _UNIT: Final = "{u}"
+_SLIPS: Final = {  # what values in the unit on the left are often written in, and its size
+    "s": (("ms", 1e-3), ("µs", 1e-6)),
+    "ms": (("s", 1e3), ("µs", 1e-3)),
+    "bit/s": (("kbit/s", 1e3), ("Mbit/s", 1e6)),
+    "rad": (("degrees", math.pi / 180.0),),
+    "rad/s": (("rpm", math.pi / 30.0), ("degrees/s", math.pi / 180.0)),
+    "rad/s²": (("rpm/s", math.pi / 30.0), ("degrees/s²", math.pi / 180.0)),
+    "m": (("mm", 1e-3),),
+    "m/s": (("mm/s", 1e-3),),
+    "m/s²": (("mm/s²", 1e-3),),
+    "H": (("mH", 1e-3), ("µH", 1e-6)),
+    "ohm": (("mohm", 1e-3),),
+    "F": (("µF", 1e-6),),
+    "A": (("mA", 1e-3),),
+    "V": (("mV", 1e-3),),
+    "N·m": (("mN·m", 1e-3),),
+    "N·m/A": (("mN·m/A", 1e-3),),
+    "kg·m²": (("g·cm²", 1e-7), ("kg·cm²", 1e-4)),
+}
 
 KeyPath = tuple[str | int, ...]
 """The keys down to a value; items of lists are counted from 0."""
@@ -60,6 +79,32 @@ class SettingError(Exception):
         whole_path = (*path, *self.path)
         remedy = _header(whole_path) if self.remedy == _header(self.path) else self.remedy
         return SettingError(whole_path, self.message, remedy)
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Doubt:
+    """A value in a table that is permitted, but hardly meant.
+
+    Attributes:
+        path: the keys down to the value.
+        message: the value, with its unit.
+        remedy: the usual range, and the likely mistake.
+    """
+
+    path: KeyPath
+    message: str
+    remedy: str
+
+
+def slip(value: float, unit: str, low: float, high: float) -> str:
+    """Return the likely mistake in a value outside `low` to `high` [unit], or an empty text."""
+    for written, factor in _SLIPS.get(unit, ()):
+        meant = value * factor
+        if low <= abs(meant) <= high:
+            text = f"{meant:.0f}" if meant == round(meant) else f"{meant:.6g}"
+            return f"if it is in {written}, write {text}"
+    return ""
 
 
 class Kind(Protocol):
@@ -114,6 +159,8 @@ class Number:
         not_zero: 0 is refused.
         word: a text that is allowed, too.
         may_be_inf, or_none: infinity, or None in an object, is allowed, too.
+        plausible: the usual magnitudes; others, except 0, are permitted but doubtful (`doubts`).
+        plausible_m: those of a linear motor, if the unit depends on the kind of motor.
     """
 
     low: float = -math.inf
@@ -126,6 +173,22 @@ class Number:
     may_be_inf: bool = False
     or_none: bool = False
     shown: str = ""
+    plausible: tuple[float, float] | None = None
+    plausible_m: tuple[float, float] | None = None
+
+    def doubt(self, value: object, path: KeyPath, unit: str = "") -> "Doubt | None":
+        """Return the doubt about a number that is permitted but not plausible, or None."""
+        usual = self.plausible_m if unit == "m" and self.plausible_m else self.plausible
+        if usual is None or isinstance(value, bool) or not isinstance(value, int | float):
+            return None
+        low, high = usual
+        if value == 0 or low <= abs(value) <= high or not math.isfinite(value):
+            return None
+        own = self.unit.replace(_UNIT, unit or "rad")
+        text = f"{value:g}{f' {own}' if own else ''} is implausible"
+        remedy = f"usual: {_bound(low)} to {_bound(high)}{f' {own}' if own else ''}"
+        likely = slip(value, own, low, high)
+        return Doubt(path, text, f"{remedy}; {likely}" if likely else remedy)
 
     def read(self, value: object, path: KeyPath) -> float | str | None:
         """Return the number, or the word."""
@@ -543,6 +606,36 @@ def read(of: type[T], table: object, path: KeyPath = (), *, unit: str = "") -> T
         raise error.below(path) from None
 
 
+def doubts(
+    of: "type | Declaration", values: Mapping[str, object], path: KeyPath = (), *, unit: str = ""
+) -> list[Doubt]:
+    """Return the doubts about the values of a table that `read` accepts; unknown keys have none.
+
+    Args: as of `given`.
+    """
+    declared, found = declaration(of), []
+    for name, one in declared.names(unit).items():
+        if name in values:
+            found += _doubts(declared.keys[one].kind, values[name], (*path, name), unit)
+    return found
+
+
+def _doubts(kind: Kind, value: object, path: KeyPath, unit: str) -> list[Doubt]:
+    if isinstance(kind, Number):
+        doubt = kind.doubt(value, path, unit)
+        return [] if doubt is None else [doubt]
+    if isinstance(kind, TableOf) and isinstance(value, Mapping):
+        return doubts(kind.of, value, path, unit=unit)
+    items: Iterable[tuple[str | int, object]] = ()
+    if isinstance(kind, Items) and isinstance(value, list | tuple):
+        items = enumerate(value)
+    elif isinstance(kind, TablesByKey) and isinstance(value, Mapping):
+        items = value.items()
+    else:
+        return []
+    return [one for key, item in items for one in _doubts(kind.item, item, (*path, key), unit)]
+
+
 def check(settings: object) -> None:
     """Check the values of an object that was not made by `read`.
 
@@ -636,9 +729,11 @@ def whole(
     doc: str = "",
     *,
     example: str = "",
+    plausible: tuple[float, float] | None = None,
 ) -> Any:
     """Declare a whole number."""
-    return setting(default, Number(low, high, unit, is_whole=True, shown=example), doc)
+    kind = Number(low, high, unit, is_whole=True, shown=example, plausible=plausible)
+    return setting(default, kind, doc)
 
 
 def flag(default: bool, doc: str) -> Any:

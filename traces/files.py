@@ -15,6 +15,8 @@ from typing import BinaryIO, Final
 
 from motorhil.traces.errors import TraceError
 
+MEMORY_MAX: Final = 1 << 28
+"""The default for the bytes that are made of one compressed piece of a file (256 MiB)."""
 _KINDS: Final[tuple[tuple[Callable[[int], bool], str], ...]] = (
     (stat.S_ISFIFO, "a pipe"),
     (stat.S_ISSOCK, "a socket"),

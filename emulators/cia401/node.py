@@ -386,9 +386,6 @@ def build_node(settings: NodeSettings, memory: NonvolatileMemory | None = None) 
     events = [("warning", f"{path}:{line}: {text}") for path, line, text in description.warnings]
     if not settings.oscillator.is_ideal():
         events.append(("info", settings.oscillator.told()))
-    events += [
-        ("warning", line) for channel in settings.channels for line in channel.plant.doubts()
-    ]
     return IoNode(od, settings, events, memory)
 
 

@@ -12,8 +12,11 @@ from typing import Any, Final, final
 from motorhil.emulators.firmware.servo_tables import ServoGains
 from motorhil.emulators.plant.dc_motor import MotorPlant
 from motorhil.emulators.plant.oscillator import Oscillator
+from motorhil.emulators.settings.motor import SERVO_S
 from motorhil.emulators.settings.tables import (
     PLANT,
+    POSITION_RAD,
+    REPLY_S,
     CanopenTable,
     ObjectValue,
     OscillatorTable,
@@ -46,10 +49,19 @@ class AmplifierTable:
     """An amplifier in current mode, and the counter of the encoder."""
 
     current_per_volt_a_v: float | None = number(
-        None, 1e-6, 1e6, "A/V", "Current per input voltage; absent: 10 V for current_max_a."
+        None,
+        1e-6,
+        1e6,
+        "A/V",
+        "Current per input voltage; absent: 10 V for current_max_a.",
+        plausible=(1e-3, 1e3),
     )
-    enable_s: float = number(0.005, 0, 3600, "s", "From the enable input to ready.")
-    tick_s: float = number(0.000_25, 1e-6, 1.0, "s", "Sampling period of input and encoder.")
+    enable_s: float = number(
+        0.005, 0, 3600, "s", "From the enable input to ready.", plausible=REPLY_S
+    )
+    tick_s: float = number(
+        0.000_25, 1e-6, 1.0, "s", "Sampling period of input and encoder.", plausible=SERVO_S
+    )
     current_steps: int = whole(5, 1, 1000, "", "Current loop steps in each of these periods.")
     current_kp_v_a: float | None = number(None, 0, 1e12, "V/A", "Gain; absent: tuned.")
     current_ki_v_a_s: float | None = number(None, 0, 1e12, "V/(A·s)", "Gain; absent: tuned.")
@@ -89,7 +101,12 @@ class ChannelTable:
     plant: Mapping[str, Any] = table(PLANT, "The channel's plant.")
     amplifier: Mapping[str, Any] = table(_AMPLIFIER, "The channel's amplifier.")
     initial_position_rad: float | None = number(
-        None, -1e9, 1e9, "rad", "Position of the channel's output at power-on."
+        None,
+        -1e9,
+        1e9,
+        "rad",
+        "Position of the channel's output at power-on.",
+        plausible=POSITION_RAD,
     )
 
 
@@ -107,7 +124,7 @@ class NodeTable(CanopenTable):
     oscillator: OscillatorTable = table(OscillatorTable, "The clock of the node.")
     timing: TimingTable = table(TimingTable, "Delays of the node.")
     initial_position_rad: float = number(
-        0.0, -1e9, 1e9, "rad", "Position of the output at power-on."
+        0.0, -1e9, 1e9, "rad", "Position of the output at power-on.", plausible=POSITION_RAD
     )
 
     def channel_settings(self) -> tuple["ChannelSettings", ...]:

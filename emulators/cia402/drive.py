@@ -730,7 +730,6 @@ def build_drive(settings: DriveSettings, memory: NonvolatileMemory | None = None
         events.append(("info", settings.oscillator.told()))
     events += [("info", line) for line in told_of_quirk_catalogue(settings.quirks)]
     events += [("warning", line) for line in out_of_reach(settings.switches, settings.plant)]
-    events += [("warning", line) for line in settings.plant.doubts()]
     stated = od.integer(0x6502, 0, 0)
     _set_objects(od, settings)
     if settings.supported_modes is None:

@@ -42,6 +42,8 @@ from motorhil.emulators.settings.protection import (
 )
 from motorhil.emulators.settings.tables import (
     DEFAULT_PRESET,
+    POSITION_RAD,
+    REPLY_S,
     CanopenTable,
     ObjectValue,
     TimingTable,
@@ -79,7 +81,7 @@ _PATH: Final = ("switches",)
 
 
 def _position(doc: str) -> Any:
-    return number(None, -1e9, 1e9, "rad", doc)
+    return number(None, -1e9, 1e9, "rad", doc, plausible=POSITION_RAD)
 
 
 @final
@@ -367,7 +369,9 @@ SYNC_LOST_CODE: Final = 0xFF64
 class DriveTimingTable(TimingTable):
     """Delays of a drive."""
 
-    enable_s: float = number(0.02, 0, 3600, "s", "From switched on to operation enabled.")
+    enable_s: float = number(
+        0.02, 0, 3600, "s", "From switched on to operation enabled.", plausible=REPLY_S
+    )
 
 
 def _unit(per: str) -> Any:

@@ -20,7 +20,7 @@ from motorhil.emulators.modbus.server import Diagnostics, Identification, Modbus
 from motorhil.emulators.plant.dc_motor import PI, RANGES, MotorPlant
 from motorhil.emulators.plant.oscillator import IDEAL, Oscillator
 from motorhil.emulators.settings.motor import MotorTable, axis_of
-from motorhil.emulators.settings.tables import ns
+from motorhil.emulators.settings.tables import BOOT_UP_S, POSITION_RAD, REPLY_S, ns
 from motorhil.settings import (
     REQUIRED,
     Number,
@@ -41,12 +41,17 @@ _RAD_MAX: Final = 1e9
 class ModbusTimingTable:
     """Delays of the drive."""
 
-    boot_up_s: float = number(0.5, 0, 3600, "s", "From power-on until it responds.")
-    reply_s: float = number(0.002, 0, 3600, "s", "From the end of a request to its response.")
+    boot_up_s: float = number(
+        0.5, 0, 3600, "s", "From power-on until it responds.", plausible=BOOT_UP_S
+    )
+    reply_s: float = number(
+        0.002, 0, 3600, "s", "From the end of a request to its response.", plausible=REPLY_S
+    )
 
 
 def _switch(doc: str) -> Any:
-    return number(None, -_RAD_MAX, _RAD_MAX, "rad", f"{doc}: closed from this position on.")
+    doc = f"{doc}: closed from this position on."
+    return number(None, -_RAD_MAX, _RAD_MAX, "rad", doc, plausible=POSITION_RAD)
 
 
 @final
@@ -167,7 +172,7 @@ class ModbusDrive:
         self.is_powered = False
         self.now_ns = 0  # of the current call, for readers and writers of registers
         self._ready_ns = NEVER_NS
-        self._events: list[tuple[str, str]] = [("warning", line) for line in plant.doubts()]
+        self._events: list[tuple[str, str]] = []
         self._set_registers()
         if not settings.oscillator.is_ideal():
             self.tell("info", settings.oscillator.told())

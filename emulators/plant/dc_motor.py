@@ -39,11 +39,6 @@ RANGES: Final[dict[str, tuple[float, float]]] = {
 }
 """The permitted range of each parameter; no combination overflows a double."""
 
-# What data sheets of motors from 1 W to 10 kW have lies well within; beyond, a unit is suspected.
-_ELECTRICAL_S: Final = (1e-6, 0.05)
-_NO_LOAD_RPM: Final = (10.0, 200_000.0)
-_MECHANICAL_S: Final = (1e-5, 10.0)
-
 Matrix = list[list[float]]
 
 _TAYLOR_TERMS: Final = 18  # for a norm <= 1/2 the remainder is below 1e-21
@@ -122,38 +117,6 @@ class MotorPlant:
     def electrical_time_constant_s(self) -> float:
         """Return the electrical time constant L / R of the blocked motor [s]."""
         return self.inductance_h / self.resistance_ohm
-
-    def doubts(self) -> list[str]:
-        """Return what is permitted but no motor is known to have, one line each."""
-        k, r = self.torque_constant_n_m_a, self.resistance_ohm
-        rpm = self.no_load_speed_rad_s() * 30.0 / PI
-        rotor_s = self.rotor_inertia_kg_m2 * r / (k * k)
-        told: list[str] = []
-        for range_, value, text in (
-            (
-                _ELECTRICAL_S,
-                self.electrical_time_constant_s(),
-                f"inductance_h = {self.inductance_h:g} and resistance_ohm = {r:g} are an"
-                f" electrical time constant of {self.electrical_time_constant_s() * 1e3:.4g} ms,"
-                f" expected 0.001 to 50; data sheets give mH",
-            ),
-            (
-                _NO_LOAD_RPM,
-                rpm,
-                f"torque_constant_n_m_a = {k:g} and supply_v = {self.supply_v:g} are a no-load"
-                f" speed of {rpm:.4g} rpm, expected 10 to 200000; data sheets give mN m/A",
-            ),
-            (
-                _MECHANICAL_S,
-                rotor_s,
-                f"rotor_inertia_kg_m2 = {self.rotor_inertia_kg_m2:g} is a mechanical time constant"
-                f" of {rotor_s * 1e3:.4g} ms, expected 0.01 to 10000; data sheets give g cm2,"
-                " which is 1e-7 kg m2",
-            ),
-        ):
-            if not range_[0] <= value <= range_[1]:
-                told.append(f"plant: implausible: {text}")
-        return told
 
 
 def identity(size: int) -> Matrix:

@@ -20,6 +20,7 @@ from motorhil.emulators.plant.dc_motor import MotorPlant
 from motorhil.emulators.plant.oscillator import Oscillator
 from motorhil.emulators.settings.tables import (
     PLANT,
+    POSITION_RAD,
     OscillatorTable,
     check_position,
     ns,
@@ -27,6 +28,8 @@ from motorhil.emulators.settings.tables import (
 )
 from motorhil.settings import SettingError, number, table, whole
 
+SERVO_S: Final = (1e-5, 0.02)
+"""The plausible periods of a servo."""
 _GAIN_MAX: Final = 1e12
 
 
@@ -39,7 +42,7 @@ def _gain(unit: str, doc: str) -> Any:
 class ServoTable:
     """The servo: its periods, and gains in place of those tuned for the plant."""
 
-    tick_s: float = number(0.001, 1e-6, 1.0, "s", "Servo period.")
+    tick_s: float = number(0.001, 1e-6, 1.0, "s", "Servo period.", plausible=SERVO_S)
     current_steps: int = whole(10, 1, 1000, "", "Current loop steps in each servo period.")
     position_kp_1_s: float | None = _gain("1/s", "Velocity per following error.")
     velocity_kp_a_s_inc: float | None = _gain("A·s/inc", "Current per velocity error.")
@@ -115,7 +118,7 @@ class MotorTable:
     servo: ServoTable = table(ServoTable, "The servo of the drive.")
     oscillator: OscillatorTable = table(OscillatorTable, "The clock of the controller.")
     initial_position_rad: float = number(
-        0.0, -1e9, 1e9, "rad", "Position of the output at power-on."
+        0.0, -1e9, 1e9, "rad", "Position of the output at power-on.", plausible=POSITION_RAD
     )
 
     def motor(self, stream: str) -> MotorSettings:

@@ -40,7 +40,7 @@ DEFAULT_PROTECTION: Final = ProtectionSettings()
 
 
 def _celsius(default_c: float | None, doc: str) -> Any:
-    return number(default_c, *TEMPERATURE_RANGE_C, "C", doc)
+    return number(default_c, *TEMPERATURE_RANGE_C, "C", doc, plausible=(20.0, 250.0))
 
 
 @final
@@ -64,7 +64,12 @@ class ProtectionTable:
         None, "From here on it is a fault, 4310h; absent: 125 C."
     )
     over_voltage_v: float | None = number(
-        None, 0.0, 1e6, "V", "DC link voltage of fault 3210h; absent: 1.25 times supply_v."
+        None,
+        0.0,
+        1e6,
+        "V",
+        "DC link voltage of fault 3210h; absent: 1.25 times supply_v.",
+        plausible=(1.0, 1500.0),
     )
     under_voltage_v: float | None = number(
         None,
@@ -73,6 +78,7 @@ class ProtectionTable:
         "V",
         "DC link voltage below which, with motor current, it is fault 3220h; absent: 0.7 times"
         " supply_v.",
+        plausible=(0.5, 1000.0),
     )
     i2t_warning: float | None = number(
         None,

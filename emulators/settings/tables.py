@@ -38,6 +38,14 @@ from motorhil.settings import (
 
 DEFAULT_PRESET: Final = "wheel_60w"
 NODE_ID_MAX: Final = 127
+BOOT_UP_S: Final = (1e-3, 60.0)
+"""The plausible times from power-on to the first message."""
+REPLY_S: Final = (1e-6, 10.0)
+"""The plausible times from a request to its response."""
+PERIOD_S: Final = (1e-9, 0.1)
+"""The plausible periods of firmware, and lateness in them."""
+POSITION_RAD: Final = (1e-7, 1e6)
+"""The plausible positions of an output."""
 _NS_PER_S: Final = 1_000_000_000
 _OBJECT: Final = re.compile("([0-9A-Fa-f]{4})[hH]?(?::(?:([0-9]{1,3})|([0-9A-Fa-f]{1,2})[hH]))?")
 _OPTIONAL: Final[dict[str, float]] = {
@@ -64,6 +72,46 @@ _COMPANIONS: Final[dict[str, tuple[str, ...]]] = {
     "i2t_peak_s": ("i2t_peak_a",),
 }
 _WHOLE: Final = ("encoder_increments_rev", "cogging_periods_rev")
+_PLAUSIBLE: Final = {  # magnitudes of motors from 1 W to 100 kW with their gears and loads
+    "resistance_ohm": (1e-3, 1e3),
+    "inductance_h": (1e-6, 0.1),
+    "torque_constant_n_m_a": (1e-4, 10.0),
+    "rotor_inertia_kg_m2": (1e-10, 1.0),
+    "encoder_increments_rev": (4, 1 << 27),
+    "supply_v": (1.0, 1000.0),
+    "current_max_a": (0.01, 1000.0),
+    "coulomb_friction_n_m": (1e-7, 10.0),
+    "viscous_friction_n_m_s_rad": (1e-11, 1.0),
+    "gear_ratio": (0.01, 10_000.0),
+    "load_inertia_kg_m2": (1e-9, 1e4),
+    "load_torque_n_m": (1e-6, 1e5),
+    "backlash_rad": (1e-6, 0.2),
+    "coupling_stiffness_n_m_rad": (1e-3, 1e8),
+    "coupling_damping_n_m_s_rad": (1e-6, 1e5),
+    "output_coulomb_friction_n_m": (1e-6, 1e4),
+    "output_viscous_friction_n_m_s_rad": (1e-7, 1e4),
+    "stop_low_rad": (1e-4, 1e5),
+    "stop_high_rad": (1e-4, 1e5),
+    "static_friction_n_m": (1e-7, 10.0),
+    "stribeck_speed_rad_s": (1e-3, 1e3),
+    "cogging_torque_n_m": (1e-7, 10.0),
+    "gravity_torque_n_m": (1e-6, 1e5),
+    "gravity_zero_rad": (1e-4, 1e5),
+    "source_resistance_ohm": (1e-4, 100.0),
+    "dc_link_capacitance_f": (1e-6, 1.0),
+    "dc_link_bleed_ohm": (10.0, 1e7),
+    "chopper_threshold_v": (1.0, 1000.0),
+    "chopper_resistance_ohm": (0.1, 1e4),
+    "thermal_resistance_winding_housing_k_w": (1e-3, 200.0),
+    "thermal_resistance_housing_ambient_k_w": (1e-3, 500.0),
+    "thermal_time_constant_winding_s": (0.1, 3600.0),
+    "thermal_time_constant_motor_s": (10.0, 36_000.0),
+    "ambient_c": (0.0, 90.0),
+    "copper_coefficient_1_k": (1e-3, 0.01),
+    "i2t_continuous_a": (0.01, 1000.0),
+    "i2t_peak_a": (0.01, 1000.0),
+    "i2t_peak_s": (0.01, 600.0),
+}
 _PLANT_DOCS: Final = {  # key: unit, description; the limits are those of the physics
     "resistance_ohm": ("ohm", "Terminal resistance."),
     "inductance_h": ("H", "Terminal inductance."),
@@ -140,7 +188,9 @@ def _plant_keys() -> dict[str, Key]:
     keys = {"preset": Key(Text(tuple(PRESETS), "preset"), "A plant by name, to start from.")}
     for name, (low, high) in {**RANGES, **EXTRAS_RANGES}.items():
         unit, doc = _PLANT_DOCS[name]
-        keys[name] = Key(Number(low, high, unit, is_whole=name in _WHOLE), doc)
+        usual = _PLAUSIBLE.get(name)
+        number = Number(low, high, unit, is_whole=name in _WHOLE, plausible=usual)
+        keys[name] = Key(number, doc)
     return keys
 
 
@@ -164,9 +214,13 @@ class OscillatorTable:
 
     ppm: float = number(0.0, -100_000.0, 100_000.0, "ppm", "How much too fast the clock runs.")
     ppm_max: float = number(0.0, 0, 100_000.0, "ppm", "Random rate error, either way, at most.")
-    phase_s: float = number(0.0, 0, 1.0, "s", "Offset of the clock.")
-    phase_max_s: float = number(0.0, 0, 1.0, "s", "Random offset of the clock, at most.")
-    jitter_s: float = number(0.0, 0, 0.1, "s", "Random lateness of each timed action, at most.")
+    phase_s: float = number(0.0, 0, 1.0, "s", "Offset of the clock.", plausible=PERIOD_S)
+    phase_max_s: float = number(
+        0.0, 0, 1.0, "s", "Random offset of the clock, at most.", plausible=PERIOD_S
+    )
+    jitter_s: float = number(
+        0.0, 0, 0.1, "s", "Random lateness of each timed action, at most.", plausible=PERIOD_S
+    )
 
     RULES: ClassVar = (
         Rule(
@@ -237,8 +291,12 @@ class _Scalar:
 class TimingTable:
     """Delays of a CANopen controller."""
 
-    boot_up_s: float = number(0.3, 0, 3600, "s", "From power-on to the boot-up message.")
-    sdo_reply_s: float = number(0.001, 0, 3600, "s", "From an SDO request to its response.")
+    boot_up_s: float = number(
+        0.3, 0, 3600, "s", "From power-on to the boot-up message.", plausible=BOOT_UP_S
+    )
+    sdo_reply_s: float = number(
+        0.001, 0, 3600, "s", "From an SDO request to its response.", plausible=REPLY_S
+    )
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -6,16 +6,19 @@ recorded.
 """
 
 import argparse
+import json
 import os
 import sys
 import time
 from collections.abc import Callable, Sequence
+from contextlib import nullcontext, redirect_stdout
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from motorhil.harness.cli.main import FAILED, NOT_JUDGED, PASSED, WRONG_USAGE
-from motorhil.harness.cli.options import add_seed
+from motorhil.harness.cli.options import add_color, add_seed
+from motorhil.harness.cli.printable import coloured, has_colours
 from motorhil.harness.rig.config.toml import RigError, one_line
 from motorhil.settings import listed, nearest
 
@@ -28,6 +31,7 @@ _MORE: Final = """\
 Without --rig the adaptation is checked on the rig that comes with it. Exit status: 0 all claims
 are kept, 1 one is not, 2 wrong usage, 3 no clause was applicable.
 """
+_STDOUT: Final = Path("-")
 _RECORDS: Final = Path("out", "conform")
 
 
@@ -60,13 +64,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="DIR",
         help=f"folder for the records of failed clauses (default {_RECORDS})",
     )
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write the results as JSON")
+    parser.add_argument(
+        "--json",
+        type=Path,
+        nargs="?",
+        const=_STDOUT,
+        metavar="FILE",
+        help="print JSON, or write it to FILE",
+    )
     parser.add_argument("--junit", type=Path, metavar="FILE", help="write the results as JUnit XML")
     parser.add_argument("--html", type=Path, metavar="FILE", help="write the results as HTML")
     parser.add_argument(
         "--fail-fast", action="store_true", help="end after the first clause that is not fulfilled"
     )
     parser.add_argument("--list", action="store_true", help="print the clauses, and check none")
+    add_color(parser)
 
 
 def level_of(text: str) -> int:
@@ -97,14 +109,15 @@ def run(options: argparse.Namespace) -> int:
             file=sys.stderr,
         )
         return WRONG_USAGE
-    files = [one for one in (options.json, options.junit, options.html) if one is not None]
-    for file in files:
-        _require_writable(file)
+    for file in (options.json, options.junit, options.html):
+        if file is not None and file != _STDOUT:
+            _require_writable(file)
     if os.getcwd() not in sys.path:
         sys.path.insert(0, os.getcwd())  # finds modules that are not installed yet
     job = Job(options.adaptation or "", options.rig or "", options.seed, tuple(options.on or ()))
+    words = redirect_stdout(sys.stderr) if options.json == _STDOUT else nullcontext()
     try:
-        with ends_by_signal(), Supervisor(job) as supervisor:
+        with ends_by_signal(), Supervisor(job) as supervisor, words:
             outcome = _outcome(options, supervisor)
     except WrongJobError as error:
         print(error, file=sys.stderr)
@@ -113,7 +126,8 @@ def run(options: argparse.Namespace) -> int:
         print(f"motorhil conform: {error}", file=sys.stderr)
         return FAILED
     _write(options, outcome)
-    _print_summary(outcome)
+    if options.json != _STDOUT:
+        _print_summary(outcome)
     if outcome.is_empty:
         print("motorhil conform: no clause was applicable, so nothing was tested", file=sys.stderr)
         return NOT_JUDGED
@@ -162,7 +176,11 @@ def _list(options: argparse.Namespace) -> int:
 
     known = [Promise(one.id, one.level, one.promise, one.source) for one in all_clauses().values()]
     rows = [(one.id, f"L{one.level}", one.promise, one.source) for one in _chosen(options, known)]
-    print_table(("clause", "level", "promise", "source"), rows, words=(0, 1, 2, 3))
+    head = ("clause", "level", "promise", "source")
+    if options.json is not None:
+        print(json.dumps([dict(zip(head, row, strict=True)) for row in rows]))
+        return PASSED
+    print_table(head, rows, words=(0, 1, 2, 3))
     return PASSED
 
 
@@ -182,7 +200,7 @@ def _outcome(options: argparse.Namespace, supervisor: "Supervisor") -> "Outcome"
         finding = examiner.examine(promise)
         first_s = first_s or _running_s()
         _progress("")
-        _print_finding(finding, first_of)
+        _print_finding(finding, first_of, has_colours(options.color, sys.stdout))
         findings.append(finding)
         if options.fail_fast and not finding.verdict.result.is_good:
             break
@@ -221,29 +239,32 @@ def _progress(text: str) -> None:
         print(f"\r\033[K{text}", end="", file=sys.stderr, flush=True)
 
 
-def _print_finding(one: "Finding", first_of: dict[tuple[str, str, str], str]) -> None:
+def _print_finding(
+    one: "Finding", first_of: dict[tuple[str, str, str], str], in_colours: bool
+) -> None:
     """Print a finding; of one that was seen before, at the same place, only where.
 
     Args:
         one: the finding.
         first_of: the first clause of each bad finding so far, which this one is added to.
+        in_colours: the result has its colour.
     """
     from motorhil.harness.conformance.results import more_of
 
     verdict = one.verdict
     text = verdict.seen or one.promise.promise
     first = one.promise.id
+    result = f"{verdict.result.value:<15}"
+    if in_colours:
+        result = coloured(verdict.result.value, result)
     if not verdict.result.is_good:
         key = (verdict.result.value, verdict.seen, verdict.place)
         first = first_of.setdefault(key, first)
     if first != one.promise.id:
-        print(f"{one.promise.id:<10}{verdict.result.value:<15}{'':>10}  the same as {first}")
+        print(f"{one.promise.id:<10}{result}{'':>10}  the same as {first}")
         sys.stdout.flush()
         return
-    print(
-        f"{one.promise.id:<10}{verdict.result.value:<15}{verdict.time_ns / 1e9:8.3f} s"
-        f"  {one_line(text)}"
-    )
+    print(f"{one.promise.id:<10}{result}{verdict.time_ns / 1e9:8.3f} s  {one_line(text)}")
     for line in more_of(one):
         print(f"{'':<10}{one_line(line)}")
     sys.stdout.flush()
@@ -283,6 +304,9 @@ def _write(options: argparse.Namespace, outcome: "Outcome") -> None:
     )
     for file, text in texts:
         if file is None:
+            continue
+        if file == _STDOUT:
+            print(text(outcome).rstrip())
             continue
         try:
             file.write_text(text(outcome), encoding="utf-8")

@@ -6,6 +6,7 @@ import sys
 from typing import TYPE_CHECKING, Final
 
 from motorhil.harness.cli.main import FAILED, PASSED, WRONG_USAGE
+from motorhil.harness.cli.options import add_max_memory
 
 if TYPE_CHECKING:
     from motorhil.harness.recording.conversion import Conversion
@@ -28,6 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--all", action="store_true", help=f"print all problems, not only {_SHOWN}")
     parser.add_argument("--json", action="store_true", help="print JSON")
+    add_max_memory(parser)
 
 
 def run(options: argparse.Namespace) -> int:
@@ -45,7 +47,7 @@ def run(options: argparse.Namespace) -> int:
             file=sys.stderr,
         )
         return WRONG_USAGE
-    done = convert(options.source, options.output, name, options.force)
+    done = convert(options.source, options.output, name, options.force, options.max_memory)
     found = done.findings
     if options.json:
         facts = {

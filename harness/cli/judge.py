@@ -6,11 +6,14 @@ import sys
 import textwrap
 from collections.abc import Sequence
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Final
 
 from motorhil.harness.cli.main import FAILED, NOT_JUDGED, PASSED, WRONG_USAGE
-from motorhil.harness.cli.options import print_table, reading_progress, time_ns
+from motorhil.harness.cli.options import add_color, add_max_memory, print_table, reading_progress
+from motorhil.harness.cli.printable import has_colours
+from motorhil.harness.cli.times import add_span, span_in, span_of
 from motorhil.harness.oracles.base import Finding, Verdict
 from motorhil.harness.oracles.facts import Facts, read_limits, read_rig
 from motorhil.harness.oracles.judge import CATALOGUE, IDS, is_sound, judge
@@ -52,8 +55,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="the recording has every frame of its buses: missing frames count",
     )
-    parser.add_argument("--from", type=time_ns, dest="from_ns", metavar="S", help="from this time")
-    parser.add_argument("--to", type=time_ns, dest="to_ns", metavar="S", help="before this time")
+    add_span(parser)
+    add_max_memory(parser)
+    add_color(parser)
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 
 
@@ -65,7 +69,7 @@ def run(options: argparse.Namespace) -> int:
         TraceError: the recording cannot be read, or is damaged.
     """
     if options.list:
-        _list(options.only)
+        _list(options.only, options.json)
         return PASSED
     if options.file is None:
         print("motorhil judge: name a recording, or use --list", file=sys.stderr)
@@ -75,15 +79,19 @@ def run(options: argparse.Namespace) -> int:
         facts = facts.with_more(read_limits(options.limits))
     if options.rig is not None:
         facts = facts.with_more(read_rig(options.rig))
+    tell = partial(print, "motorhil judge:", file=sys.stderr)
+    from_ns, to_ns = span_of(
+        options, options.file, span_in(options.file, options, options.max_memory), tell
+    )
     seen = Seen()
     findings = judge(
-        options.file,
+        open_source(options.file, options.max_memory),
         facts,
         only=options.only,
-        from_ns=options.from_ns,
-        to_ns=options.to_ns,
+        from_ns=from_ns,
+        to_ns=to_ns,
         progress=reading_progress(),
-        note=lambda text: print(f"motorhil judge: {options.file}: {text}", file=sys.stderr),
+        note=lambda text: tell(f"{options.file}: {text}"),
         seen=seen,
     )
     _note_truncation(options.file)
@@ -97,7 +105,7 @@ def run(options: argparse.Namespace) -> int:
         told = {"file": options.file, "verdict": verdict, "seen": incidents, "findings": tables}
         print(json.dumps(told))
     else:
-        _print(findings)
+        _print(findings, has_colours(options.color, sys.stdout))
         for incident in seen.incidents[:_SHOWN]:
             print(f"seen: {incident}")
         if len(seen.incidents) > _SHOWN:
@@ -142,9 +150,9 @@ def _counts(findings: Sequence[Finding]) -> str:
     return ", ".join(f"{count} {word}" for count, word in counts if count)
 
 
-def _print(findings: Sequence[Finding]) -> None:
+def _print(findings: Sequence[Finding], in_colours: bool) -> None:
     rows = [(one.oracle, one.verdict.value, str(one.looked)) for one in findings]
-    print_table(("oracle", "verdict", "looked at"), rows, words=(0, 1))
+    print_table(("oracle", "verdict", "looked at"), rows, (0, 1), in_colours)
     for one in findings:
         if one.first is not None:
             more = f"; {one.further} more" if one.further else ""
@@ -154,12 +162,16 @@ def _print(findings: Sequence[Finding]) -> None:
             print(f"{one.oracle}: {one.reason}")
 
 
-def _list(only: Sequence[str]) -> None:
-    for name, promise, source, needs in CATALOGUE:
-        if not only or name in only:
-            print(name)
-            for text in (promise, f"source: {source}", f"cannot judge: {needs}"):
-                print(textwrap.indent(textwrap.fill(text, _WIDTH), "    "))
+def _list(only: Sequence[str], as_json: bool) -> None:
+    chosen = [one for one in CATALOGUE if not only or one[0] in only]
+    if as_json:
+        head = ("oracle", "promise", "source", "cannot_judge")
+        print(json.dumps([dict(zip(head, one, strict=True)) for one in chosen]))
+        return
+    for name, promise, source, needs in chosen:
+        print(name)
+        for text in (promise, f"source: {source}", f"cannot judge: {needs}"):
+            print(textwrap.indent(textwrap.fill(text, _WIDTH), "    "))
 
 
 def _note_truncation(path: str) -> None:

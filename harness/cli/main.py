@@ -106,6 +106,11 @@ _VERBS: Final = (
         "list controllers, adaptations, examples, motors",
         "motorhil.harness.cli.list",
     ),
+    _Verb(
+        "completion",
+        "print a script by which a shell completes this command",
+        "motorhil.harness.cli.completion",
+    ),
 )
 
 
@@ -185,17 +190,26 @@ def _refuse_unknown(words: list[str], verbs: list[str]) -> None:
             raise SystemExit(WRONG_USAGE)
 
 
-def _run_verb(verb: _Verb, words: list[str]) -> int:
-    from motorhil.harness.rig.config.toml import RigError
-    from motorhil.traces.errors import TraceError
+def parsers() -> dict[str, argparse.ArgumentParser]:
+    """Return the parser of each verb, by its name; this imports all of them."""
+    return {verb.name: _parser_of(verb) for verb in _VERBS if verb.exists()}
 
-    module = import_module(verb.module)
+
+def _parser_of(verb: _Verb) -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog=f"motorhil {verb.name}",
         description=verb.help[0].upper() + verb.help[1:] + ".",
         allow_abbrev=False,
     )
-    module.add_arguments(parser)
+    import_module(verb.module).add_arguments(parser)
+    return parser
+
+
+def _run_verb(verb: _Verb, words: list[str]) -> int:
+    from motorhil.harness.rig.config.toml import RigError
+    from motorhil.traces.errors import TraceError
+
+    module, parser = import_module(verb.module), _parser_of(verb)
     rest: list[str] | None = None
     if verb.takes_rest and "--" in words:
         cut = words.index("--")

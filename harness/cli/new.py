@@ -1,6 +1,8 @@
 """The verb `new`: creates a rig, its script, and CI jobs."""
 
 import argparse
+import json
+import shlex
 import sys
 from pathlib import Path
 
@@ -10,13 +12,22 @@ from motorhil.harness.rig.config.scaffold import CI_FILES, requirement, write_ne
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of `new`."""
-    parser.add_argument("folder", type=Path, metavar="DIR", help="the folder; created if missing")
+    parser.add_argument(
+        "folder", type=_folder, metavar="DIR", help="the folder; created if missing"
+    )
     parser.add_argument(
         "--ci",
         choices=list(CI_FILES),
         help=f"also write a CI job into the current folder: {' or '.join(CI_FILES.values())}; "
         "an existing rig in DIR is kept",
     )
+    parser.add_argument("--json", action="store_true", help="print JSON")
+
+
+def _folder(text: str) -> Path:
+    if not text:
+        raise argparse.ArgumentTypeError("an empty name; name a folder, or . for this one")
+    return Path(text)
 
 
 def run(options: argparse.Namespace) -> int:
@@ -26,14 +37,18 @@ def run(options: argparse.Namespace) -> int:
         RigError: the files exist already, or cannot be written.
     """
     has_requirements = Path("requirements.txt").exists()
-    for path in write_new_rig(options.folder, options.ci):
-        print(path)
+    files = [str(path) for path in write_new_rig(options.folder, options.ci)]
     rig, script = options.folder / "rig.toml", options.folder / "drive.py"
-    if script.exists():
-        print(f"next: motorhil run {rig} {script}", file=sys.stderr)
-    line, command = requirement()
+    command = ["motorhil", "run", str(rig), str(script)] if script.exists() else None
+    if options.json:
+        print(json.dumps({"files": files, "next": command}))
+    else:
+        print("\n".join(files))
+    if command is not None:
+        print(f"next: {shlex.join(command)}", file=sys.stderr)
+    line, wheel = requirement()
     if options.ci is not None and has_requirements:
         print(f"requirements.txt: was there; it must install {line} and pytest", file=sys.stderr)
-    if options.ci is not None and command:
-        print(f"before you push, commit what this makes: {command}", file=sys.stderr)
+    if options.ci is not None and wheel:
+        print(f"before you push, commit what this makes: {wheel}", file=sys.stderr)
     return PASSED

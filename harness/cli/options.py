@@ -9,7 +9,9 @@ import sys
 from collections.abc import Callable, Collection, Sequence
 from typing import Final
 
+from motorhil.harness.cli.printable import coloured, print_coloured, printable
 from motorhil.harness.rig.config.toml import SEED_MAX, one_line
+from motorhil.traces.files import MEMORY_MAX
 
 _NS: Final = 1_000_000_000
 _NS_MAX: Final = 2**64 - 1  # MCAP's log time
@@ -78,6 +80,32 @@ def _wrong(text: str, what: str, low: float, high: float, unit: str) -> argparse
     return argparse.ArgumentTypeError(words)
 
 
+def add_color(parser: argparse.ArgumentParser) -> None:
+    """Add `--color WHEN`."""
+    parser.add_argument(
+        "--color",
+        choices=("auto", "always", "never"),
+        default="auto",
+        help="colour verdicts; auto: on a terminal, unless NO_COLOR or FORCE_COLOR says otherwise",
+    )
+
+
+def add_max_memory(parser: argparse.ArgumentParser) -> None:
+    """Add `--max-memory MIB`; the value is in bytes."""
+    parser.add_argument(
+        "--max-memory",
+        type=_mebibytes,
+        default=MEMORY_MAX,
+        metavar="MIB",
+        help="most memory for one compressed piece of a file (default"
+        f" {MEMORY_MAX >> 20} MiB); a hostile file would take any",
+    )
+
+
+def _mebibytes(text: str) -> int:
+    return whole(1, 1 << 20, "MiB")(text) << 20
+
+
 def add_seed(parser: argparse.ArgumentParser) -> None:
     """Add `--seed N`, a seed that a rig may have; None by default."""
     parser.add_argument("--seed", type=seed, metavar="N", help="overrides the rig's own seed")
@@ -99,15 +127,25 @@ seed.__name__ = f"seed (0 to {SEED_MAX})"  # argparse uses it in the error for a
 
 
 def print_table(
-    head: Sequence[str], rows: Sequence[Sequence[str]], words: Collection[int] = (0,)
+    head: Sequence[str],
+    rows: Sequence[Sequence[str]],
+    words: Collection[int] = (0,),
+    has_colours: bool = False,
 ) -> None:
-    """Print the head and rows in columns: words left-aligned, numbers right-aligned."""
+    """Print the head and rows in columns: words left-aligned, numbers right-aligned.
+
+    With colours, cells that are a verdict have its colour.
+    """
     widths = [max(len(row[column]) for row in [head, *rows]) for column in range(len(head))]
     for row in [head, *rows]:
         cells = [
             cell.ljust(width) if column in words else cell.rjust(width)
             for column, (cell, width) in enumerate(zip(row, widths, strict=True))
         ]
+        if has_colours and row is not head:
+            tinted = [coloured(*pair) for pair in zip(row, map(printable, cells), strict=True)]
+            print_coloured("  ".join(tinted).rstrip())
+            continue
         text = "  ".join(cells).rstrip()
         print(text if text.isprintable() else one_line(text))
 

@@ -4,6 +4,7 @@ Names and texts in files, and in frames of a bus, may be anybody's. A control ch
 would move the cursor, colour or hide lines, or answer to the shell.
 """
 
+import os
 import re
 import sys
 from collections.abc import Iterator
@@ -12,6 +13,13 @@ from typing import Any, Final, TextIO, cast, final
 
 # C0 without tab and line feed, C1, and the marks that turn the direction of text round
 _CONTROL: Final = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069]")
+
+_GOOD, _BAD, _OPEN = "32", "31", "33"  # green, red, yellow: ECMA-48, 8.3.117 (SGR)
+_COLOURS: Final = {
+    **dict.fromkeys(("held", "passed"), _GOOD),
+    **dict.fromkeys(("broken", "failed", "crashed", "hung", "left behind"), _BAD),
+    **dict.fromkeys(("could not judge", "not applicable"), _OPEN),
+}
 
 
 def printable(text: str) -> str:
@@ -30,8 +38,42 @@ class _Printable:
         """Write the text, printable."""
         return self._stream.write(printable(text))
 
+    def write_coloured(self, text: str) -> int:
+        """Write a line of ours that contains colours; everything else in it is printable."""
+        return self._stream.write(text)
+
     def __getattr__(self, name: str) -> Any:  # Any: whatever the stream has
         return getattr(self._stream, name)
+
+
+def has_colours(choice: str, stream: TextIO) -> bool:
+    """Return True if verdicts on the stream get colours.
+
+    Args:
+        choice: of the option --color; "auto" follows NO_COLOR and FORCE_COLOR, then the terminal.
+        stream: standard output.
+
+    Source: no-color.org and force-color.org: the variables count if they are not empty.
+    """
+    if choice != "auto":
+        return choice == "always"
+    if os.environ.get("NO_COLOR"):
+        return False
+    if os.environ.get("FORCE_COLOR"):
+        return True
+    return stream.isatty() and os.environ.get("TERM") != "dumb"
+
+
+def coloured(word: str, shown: str) -> str:
+    """Return the text shown for a verdict, with the colour of the verdict if it has one."""
+    colour = _COLOURS.get(word)
+    return shown if colour is None else f"\x1b[{colour}m{printable(shown)}\x1b[0m"
+
+
+def print_coloured(line: str) -> None:
+    """Print a line of `coloured` and printable texts."""
+    write = getattr(sys.stdout, "write_coloured", sys.stdout.write)
+    write(f"{line}\n")
 
 
 @contextmanager

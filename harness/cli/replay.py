@@ -18,7 +18,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from motorhil.harness.cli.main import FAILED, INTERRUPTED, PASSED, WRONG_USAGE
-from motorhil.harness.cli.options import add_seed, identifier, print_table, real, time_ns, whole
+from motorhil.harness.cli.options import add_seed, identifier, print_table, real, whole
+from motorhil.harness.cli.times import add_span, span_in, span_of
 from motorhil.harness.rig.config.toml import RigError
 from motorhil.harness.virtual_time.interrupts import ends_by_signal
 from motorhil.motorapi.errors import MotorError
@@ -48,8 +49,9 @@ _OF_MODES: Final = {
     "--bus": ("bus", ("traffic",)),
     "--id": ("id", ("traffic",)),
     "--node": ("node", ("traffic",)),
-    "--from": ("from_ns", ("traffic",)),
-    "--to": ("to_ns", ("traffic",)),
+    "--from": ("from_at", ("traffic",)),
+    "--to": ("to_at", ("traffic",)),
+    "--last": ("last_ns", ("traffic",)),
     "--fd": ("fd", ("traffic",)),
 }
 """Options that apply only to some modes: their attribute and these modes."""
@@ -152,8 +154,7 @@ def _add_traffic(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         help="only this node",
     )
-    traffic.add_argument("--from", type=time_ns, dest="from_ns", metavar="S", help="from this time")
-    traffic.add_argument("--to", type=time_ns, dest="to_ns", metavar="S", help="before this time")
+    add_span(traffic)
     traffic.add_argument(
         "--bitrate", type=whole(1, 10**8, "bit/s"), metavar="N", help="bit rate, for python-can"
     )
@@ -464,12 +465,15 @@ def _choice(options: argparse.Namespace) -> "Choice":
     def chosen(values: "list[str] | list[int] | None") -> "tuple[object, ...] | None":
         return None if values is None else tuple(values)
 
+    tell = partial(print, "motorhil replay:", file=sys.stderr)
+    span = span_in(options.file, options)
+    from_ns, to_ns = span_of(options, options.named, span, tell)
     return Choice(
         buses=chosen(options.bus),  # type: ignore[arg-type]  # argparse has made them so
         identifiers=chosen(options.id),  # type: ignore[arg-type]
         nodes=chosen(options.node),  # type: ignore[arg-type]
-        from_ns=options.from_ns,
-        to_ns=options.to_ns,
+        from_ns=from_ns,
+        to_ns=to_ns,
     )
 
 

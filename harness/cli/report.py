@@ -1,6 +1,7 @@
 """The verb `report`: a recording as one self-contained HTML page."""
 
 import argparse
+import json
 import os
 import sys
 from contextlib import suppress
@@ -9,10 +10,9 @@ from pathlib import Path
 from typing import Final
 
 from motorhil.harness.cli.main import PASSED
-from motorhil.harness.cli.options import reading_progress
+from motorhil.harness.cli.options import add_max_memory, reading_progress
 from motorhil.traces.errors import TraceError
 from motorhil.traces.files import whole_file
-from motorhil.traces.mcap.reader import Trace
 
 _KILO: Final = {"k": 1_000, "M": 1_000_000}
 
@@ -35,6 +35,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="JSON",
         help="also write a layout for Foxglove with the motors and controllers of this recording",
     )
+    parser.add_argument("--json", action="store_true", help="print JSON")
+    add_max_memory(parser)
 
 
 def run(options: argparse.Namespace) -> int:
@@ -46,11 +48,12 @@ def run(options: argparse.Namespace) -> int:
     from motorhil.harness.recording.conversion import open_recording
     from motorhil.harness.report.collect import collect
     from motorhil.harness.report.document import document_of
+    from motorhil.harness.report.foxglove import layout_of
     from motorhil.harness.report.page import render
 
     target = options.output or Path(options.file).with_suffix(".html")
     tell = partial(print, "motorhil report:", file=sys.stderr)
-    with open_recording(options.file, tell) as trace:
+    with open_recording(options.file, tell, options.max_memory) as trace:
         _refuse_lost(options.file, target, options.foxglove_layout)
         rates, data_rates = dict(options.bitrate), dict(options.data_bitrate)
         found = collect(trace, rates, reading_progress(), data_rates)
@@ -59,21 +62,19 @@ def run(options: argparse.Namespace) -> int:
         page = render(document, packed)
         _write(target, page)
         messages = sum(found.messages.values())
+        layout = options.foxglove_layout
+        if layout is not None:
+            _write(layout, json.dumps(layout_of(trace), indent=2) + "\n")
+    facts = {"page": str(target), "messages": messages, "bytes": len(page.encode())}
+    if options.json:
+        print(json.dumps({**facts, "layout": None if layout is None else str(layout)}))
+    else:
         print(f"{target}: {messages} messages, {len(page.encode()) / 1e6:.1f} MB")
-        if options.foxglove_layout is not None:
-            _write_layout(trace, options.foxglove_layout)
+        if layout is not None:
+            print(f"{layout}: a layout for Foxglove")
     for name in sorted({*rates, *data_rates} - set(found.buses)):
         print(f"motorhil report: the recording has no CAN bus {name}", file=sys.stderr)
     return PASSED
-
-
-def _write_layout(trace: Trace, target: Path) -> None:
-    import json
-
-    from motorhil.harness.report.foxglove import layout_of
-
-    _write(target, json.dumps(layout_of(trace), indent=2) + "\n")
-    print(f"{target}: a layout for Foxglove")
 
 
 def _refuse_lost(source: str, page: Path, layout: Path | None) -> None:

@@ -246,17 +246,17 @@ def run_judged(
     """
     from motorhil.harness.replay.verdict import never_came, summary, unanswered
 
+    tell = partial(print, f"motorhil {verb}:", file=sys.stderr)
     try:
         with rig:
             if script is None:
                 status = run_prompt(rig)
             else:
-                tell = partial(print, f"motorhil {verb}:", file=sys.stderr)
                 watch = Standstill(rig.runtime, line_in(script.name), tell)
                 with watched(watch):
                     status = run_script(rig, script, words)
-            for line in summary(rig):
-                print(f"motorhil {verb}: {line}", file=sys.stderr)
+            for line in (*rig.take_forgotten(), *summary(rig)):
+                tell(line)
             status = status or int(bool(unanswered(rig) or (whole and never_came(rig))))
         if rig.recording is not None and rig.recording.error is not None:
             raise rig.recording.error  # the program may have handled it

@@ -93,6 +93,8 @@ def run(options: argparse.Namespace) -> int:
         return WRONG_USAGE
     with ExitStack() as cleanup:
         rig = cleanup.enter_context(Rig.open(options.rig, seed=options.seed, record=options.output))
+        for note in rig.notes:
+            print(note, file=sys.stderr)
         _require_endpoint(rig, options)
         loop = WallLoop(rig.world.queue)
         cleanup.callback(loop.close)

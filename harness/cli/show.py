@@ -10,7 +10,8 @@ from functools import partial
 from typing import Final, final
 
 from motorhil.harness.cli.main import PASSED
-from motorhil.harness.cli.options import identifier, time_ns, whole
+from motorhil.harness.cli.options import add_max_memory, identifier, whole
+from motorhil.harness.cli.times import add_span, span_of
 from motorhil.harness.recording.conversion import open_recording
 from motorhil.harness.rig.config.toml import one_line
 from motorhil.traces.decoding.events import PERIODIC, Fact, Kind
@@ -25,11 +26,8 @@ _POLL_S: Final = 0.2  # a recorder writes once a second
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of `show`."""
     parser.add_argument("file", metavar="FILE", help="a recording of any format")
-    parser.add_argument("--from", type=time_ns, dest="from_ns", metavar="S", help="from this time")
-    parser.add_argument("--to", type=time_ns, dest="to_ns", metavar="S", help="before this time")
-    parser.add_argument(
-        "--last", type=time_ns, dest="last_ns", metavar="S", help="only the last S seconds"
-    )
+    add_span(parser)
+    add_max_memory(parser)
     parser.add_argument(
         "--bus", action="append", metavar="NAME", help="only this bus or line; may be repeated"
     )
@@ -68,16 +66,14 @@ def run(options: argparse.Namespace) -> int:
         TraceError: the file cannot be read, or is damaged.
     """
     tell = partial(print, "motorhil show:", file=sys.stderr)
-    with open_recording(options.file, tell) as trace:
+    with open_recording(options.file, tell, options.max_memory) as trace:
         story = Story(trace)
         wanted = _Filter(options, story)
-        from_ns = options.from_ns
-        span = trace.span_ns()
-        if options.last_ns is not None and span is not None:
-            from_ns = max(from_ns or 0, span[1] - options.last_ns)
-        lines = story.lines(from_ns, options.to_ns)
+        outside: list[str] = []
+        from_ns, to_ns = span_of(options, trace.path, trace.span_ns(), outside.append)
+        lines = story.lines(from_ns, to_ns)
         if options.follow:
-            lines = followed(trace, story, from_ns, options.to_ns, _wait)
+            lines = followed(trace, story, from_ns, to_ns, _wait)
         shown = seen = 0
         with suppress(KeyboardInterrupt) if options.follow else nullcontext():
             for line in lines:
@@ -87,7 +83,7 @@ def run(options: argparse.Namespace) -> int:
                     print(json.dumps(facts_of(line)) if options.json else text_of(line))
         _warn(trace)
         if not shown:
-            print(f"motorhil show: {trace.path}: {_nothing(trace, seen)}", file=sys.stderr)
+            tell(outside[0] if outside else f"{trace.path}: {_nothing(trace, seen)}")
         for name in options.motor or ():
             if name not in wanted.met:
                 print(f"motorhil show: no events of motor {name}", file=sys.stderr)

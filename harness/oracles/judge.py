@@ -73,7 +73,7 @@ _Handler = Callable[[int, bytes], None]
 
 
 def judge(
-    recording: str | os.PathLike[str] | Trace,
+    recording: str | os.PathLike[str] | Source | Trace,
     facts: Facts | None = None,
     *,
     only: Collection[str] = (),
@@ -104,9 +104,9 @@ def judge(
     facts = Facts() if facts is None else facts
     if isinstance(recording, Trace):
         return _judge_trace(recording, facts, only, (from_ns, to_ns), progress, note, seen)
-    source = open_source(recording)
+    source = recording if isinstance(recording, Source) else open_source(recording)
     if source.format == "mcap":
-        with read_trace(recording) as trace:
+        with read_trace(source.path, source.memory_max) as trace:
             return _judge_trace(trace, facts, only, (from_ns, to_ns), progress, note, seen)
     context = RecordingContext(facts, RecordedNames(), from_ns, to_ns)
     pass_ = Pass(context, only, None if seen is None else Incidents(context))

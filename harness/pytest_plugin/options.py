@@ -10,6 +10,10 @@ OPENED: Final[pytest.StashKey[Any]] = pytest.StashKey()
 """Stash key of a test: the rig that was opened for it."""
 
 
+CURRENT: Final = pytest.StashKey[pytest.Item]()
+"""Stash key of the configuration: the test that runs."""
+
+
 OWN_NAMES: Final = pytest.StashKey[dict[str, str]]()
 """Stash key of the configuration: the name of each option."""
 

@@ -10,14 +10,22 @@ only its long name (`--motorhil-seed`).
 """
 
 from argparse import ArgumentTypeError
-from collections.abc import Generator, Iterator
+from collections.abc import Callable, Generator, Iterator
+from contextlib import AbstractContextManager
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import pytest
 
-from motorhil.harness.pytest_plugin.options import OPENED, OWN_NAMES, RECORDS, option, record_folder
+from motorhil.harness.pytest_plugin.options import (
+    CURRENT,
+    OPENED,
+    OWN_NAMES,
+    RECORDS,
+    option,
+    record_folder,
+)
 
 if TYPE_CHECKING:
     from motorhil.harness.pytest_plugin.rigs import RecordOfTest
@@ -149,6 +157,12 @@ def pytest_report_header(config: pytest.Config) -> list[str]:
     return lines
 
 
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_protocol(item: pytest.Item) -> None:
+    """Remember the test that runs, for fixtures of a whole session."""
+    item.config.stash[CURRENT] = item
+
+
 @pytest.hookimpl(wrapper=True, tryfirst=True)
 def pytest_runtest_makereport(
     item: pytest.Item, call: pytest.CallInfo[None]
@@ -185,6 +199,21 @@ def rig(request: pytest.FixtureRequest) -> "Iterator[Rig]":
 
     with opened_for(request) as opened:
         yield opened.rig
+
+
+@pytest.fixture(scope="session")
+def open_rig(request: pytest.FixtureRequest) -> "Callable[..., AbstractContextManager[Rig]]":
+    """Return a function that opens the test's rig afresh, for each example of Hypothesis.
+
+    `with open_rig() as rig:` opens the rig that the fixture `rig` would open; `open_rig(seed=N)`
+    replaces its seed, unless --seed does. The record of the last example that failed is kept.
+    """
+    from motorhil.harness.pytest_plugin.rigs import opened_for_example
+
+    def opened(seed: int | None = None) -> "AbstractContextManager[Rig]":
+        return opened_for_example(request.config.stash[CURRENT], seed)
+
+    return opened
 
 
 @pytest.fixture

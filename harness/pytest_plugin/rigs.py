@@ -58,6 +58,23 @@ def opened_for(request: pytest.FixtureRequest) -> Iterator["RigOfTest"]:
     opened.close()
 
 
+@contextmanager
+def opened_for_example(item: pytest.Item, seed: int | None) -> Iterator[Rig]:
+    """Open the rig of a test for one of its examples, and keep the record if it fails."""
+    try:
+        opened = RigOfTest(item, None, seed)
+    except RigError as error:
+        raise _failure(str(error), item.config) from None
+    try:
+        yield opened.rig
+        opened.close()
+    except BaseException:
+        opened.close_failed()
+        item.stash[OPENED] = opened
+        raise
+    opened.record.path.unlink(missing_ok=True)
+
+
 def _failure(text: str, config: pytest.Config) -> BaseException:
     """Return an exception that fails the test with this text and without a traceback."""
     return pytest.fail.Exception(shortened(text, config), pytrace=False)
@@ -102,13 +119,13 @@ class RigOfTest:
         RigError: no rig is given, or it cannot be used.
     """
 
-    def __init__(self, item: pytest.Item, parameter: object) -> None:
+    def __init__(self, item: pytest.Item, parameter: object, own_seed: int | None = None) -> None:
         self._item = item
         self._config = item.config
         self._marked = _marked(item)
         seed = option(item.config, "seed")
         if seed is None:
-            seed = self._marked.get("seed")
+            seed = self._marked.get("seed") if own_seed is None else own_seed
         name = re.sub(r"[^\w.-]+", "-", item.nodeid)[-_NAME_MAX:].strip("-")
         digest = hashlib.sha256(item.nodeid.encode()).hexdigest()[:6]
         folder = record_folder(item.config)
@@ -168,12 +185,25 @@ class RigOfTest:
         if self._is_closed:
             return
         self._is_closed = True
+        self.rig.take_forgotten()  # a test may end where it likes
         try:
             self._stack.close()
         except (RigError, TraceError) as error:
             raise _failure(str(error), self._config) from None
         if unanswered(self.rig):
             raise _failure("\n".join(summary(self.rig)), self._config)
+
+    def close_failed(self) -> None:
+        """Close the rig of a failed example; its record replaces that of the one before.
+
+        Hypothesis discards some examples by an exception. If the test passes, its end removes the
+        record.
+        """
+        with suppress(RigError, TraceError, pytest.fail.Exception):
+            self.close()  # the example's own error is told
+        with suppress(FileNotFoundError):
+            self.record.path.replace(self._kept)
+        self.record.path = self._kept
 
     # --- report --------------------------------------------------------------------------------
 
@@ -226,7 +256,7 @@ class RigOfTest:
             record = record.relative_to(here)
         now_s = self.rig.runtime.now_ns() / 1e9
         yield f"record: {shlex.quote(str(record))}, seed {self.rig.seed}, failed at {now_s:.6f} s"
-        yield from (f"note:   {note}" for note in self.rig.notes)
+        yield from (f"note:   {note}" for note in (*self.rig.notes, *self.rig.take_forgotten()))
         yield f"look:   motorhil show {shlex.quote(str(record))} --last 1"
         yield f"again:  {self._repeat_command()}"
 

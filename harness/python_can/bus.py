@@ -21,7 +21,8 @@ reports ACTIVE.
 Source: Linux include/uapi/linux/can/error.h; python-can 4.6.1, can/bus.py and interfaces.
 """
 
-from collections.abc import Callable, Sequence
+import warnings
+from collections.abc import Callable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any, Final, final
 
 import can
@@ -60,6 +61,7 @@ _STATE_AT: Final = 9  # data[1] of the message
 _PASSIVE: Final = RX_PASSIVE | TX_PASSIVE
 _ACTIVE: Final = RX_WARNING | TX_WARNING | ERROR_ACTIVE
 _BACKLOG_MAX: Final = 65_536
+_LONG_NS: Final = 600 * 10**9  # of an endless loop over messages
 _OPEN: dict[str, "tuple[World, VirtualRuntime]"] = {}
 
 
@@ -287,6 +289,22 @@ class EmulatedBus(can.BusABC):
             self.transmit(to_frame(msg))
         except ValueError as error:
             raise CanOperationError(str(error)) from error
+
+    def __iter__(self) -> Iterator[Message]:
+        """Yield messages for ever, as python-can does; warn once of a loop without an end."""
+        end_ns = None if self._hub is not None else self.runtime.now_ns() + _LONG_NS
+        while True:
+            message = self.recv(timeout=1.0)
+            if message is not None:
+                yield message
+            if end_ns is not None and self.runtime.now_ns() >= end_ns:
+                end_ns = None
+                warnings.warn(
+                    f"for message in {self.channel}: the loop has run through 10 min of virtual"
+                    " time, and never ends by itself; leave it with break, or receive with"
+                    " bus.recv(timeout) until a time of rig.runtime.now_ns()",
+                    stacklevel=2,
+                )
 
     def recv(self, timeout: float | None = None) -> Message | None:
         """Return the next message, or None after `timeout` [s] of the rig's time."""

@@ -10,7 +10,7 @@ from tempfile import TemporaryDirectory, TemporaryFile
 from typing import BinaryIO, Final, cast, final
 
 from motorhil.traces.errors import TraceError
-from motorhil.traces.files import refuse_others, whole_file
+from motorhil.traces.files import MEMORY_MAX, refuse_others, whole_file
 from motorhil.traces.formats.frames import Findings
 from motorhil.traces.formats.modbus import RecordedAdu, all_adus
 from motorhil.traces.formats.pcap_modbus import AduFeature, ModbusExport, captured_adus, record_adus
@@ -69,7 +69,13 @@ def format_of_ending(path: str) -> str | None:
     return endings.get(os.path.splitext(path)[1].lower())
 
 
-def convert(source_path: str, target: str, name: str, overwrite: bool = False) -> Conversion:
+def convert(
+    source_path: str,
+    target: str,
+    name: str,
+    overwrite: bool = False,
+    memory_max: int = MEMORY_MAX,
+) -> Conversion:
     """Write the source's frames to the target, as far as its format can hold them.
 
     If there are no frames, or the format is `MODBUS_PCAPNG`, write the ADUs of Modbus lines.
@@ -78,7 +84,7 @@ def convert(source_path: str, target: str, name: str, overwrite: bool = False) -
         TraceError: the source cannot be read or has no frames; or the target cannot be written, or
             exists and `overwrite` is False.
     """
-    source = open_source(source_path)
+    source = open_source(source_path, memory_max)
     with suppress(OSError):
         if os.path.samefile(source_path, target):
             raise TraceError(target, "is the source itself", remedy="name another file")
@@ -116,21 +122,24 @@ def convert(source_path: str, target: str, name: str, overwrite: bool = False) -
 
 
 def open_recording(
-    path: str | os.PathLike[str], note: Callable[[str], None] | None = None
+    path: str | os.PathLike[str],
+    note: Callable[[str], None] | None = None,
+    memory_max: int = MEMORY_MAX,
 ) -> Trace:
     """Open a recording of any format; one that is not MCAP is converted in an unnamed file.
 
     Args:
         path: the file.
         note: called with what was read as which format, if it was converted.
+        memory_max: the most bytes that are made of one compressed piece of it.
 
     Raises:
         TraceError: the file cannot be read, is damaged, or has no frames.
     """
     name = os.fspath(path)
     if _is_mcap_or_nothing(name):
-        return read_trace(path)
-    source = open_source(path)
+        return read_trace(path, memory_max)
+    source = open_source(path, memory_max)
     findings = Findings()
     file = TemporaryFile()  # noqa: SIM115 -- the Trace closes it
     try:
@@ -206,7 +215,7 @@ def _adus(source: Source, findings: Findings) -> Iterator[RecordedAdu]:
     if source.format == "pcap":
         yield from captured_adus(source.path, findings)
     elif source.format == "mcap":
-        with read_trace(source.path) as trace:
+        with read_trace(source.path, source.memory_max) as trace:
             for adu in all_adus(trace):
                 findings.frames += 1
                 yield adu

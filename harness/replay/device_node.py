@@ -417,9 +417,21 @@ class RecordedTable:
     recorded_bus: str | None = text(None, "Its bus in the recording, if there are several.")
     recorded_unit: int | None = whole(None, 0, 255, "", "Its address there; absent: unit.")
     set_points: str = word("exact", SET_POINTS, "comparison", "Comparison of set-points.")
-    bitrate_bit_s: int = whole(_RATE_MAX, 1000, _RATE_MAX, "bit/s", "Bit rate of its frames.")
+    bitrate_bit_s: int = whole(
+        _RATE_MAX,
+        1000,
+        _RATE_MAX,
+        "bit/s",
+        "Bit rate of its frames.",
+        plausible=(10_000, _RATE_MAX),
+    )
     data_bitrate_bit_s: int | None = whole(
-        None, 1000, _DATA_RATE_MAX, "bit/s", "Bit rate of the data of its CAN FD frames."
+        None,
+        1000,
+        _DATA_RATE_MAX,
+        "bit/s",
+        "Bit rate of the data of its CAN FD frames.",
+        plausible=(100_000, _DATA_RATE_MAX),
     )
 
     RULES: ClassVar = (

@@ -10,7 +10,9 @@ A program written for python-can joins the same buses while the rig is open:
 the rig file that uses them.
 """
 
+import os
 import traceback
+import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, replace
@@ -36,6 +38,7 @@ from motorhil.harness.plugins import ADAPTATIONS, CONTROLLERS, Plugin, installed
 from motorhil.harness.rig.bus_load import traffic_of
 from motorhil.harness.rig.config.buses import CAN, MODBUS_RTU, BusDescription, address_key
 from motorhil.harness.rig.config.derived import settings_with_model, with_timing
+from motorhil.harness.rig.config.plausibility import doubts_of
 from motorhil.harness.rig.config.rig_file import (
     ControllerDescription,
     Known,
@@ -69,6 +72,7 @@ if TYPE_CHECKING:
     from motorhil.motorapi.runtime.api import Runtime
 
 T = TypeVar("T")
+_IN_A_TEST: Final = "PYTEST_CURRENT_TEST"  # a test may end where it likes
 _OF_MOTORS: Final = ("close", "latest", "ownership")
 """Attributes by which a rig recognises a motor; wrappers of motors have them too."""
 
@@ -496,7 +500,7 @@ class Rig:
             self._add_controllers()
             schedule(description, self.world, self._build_controller)
             self.notes += [f"{name}: {level}: {text}" for _, level, name, text in started]
-            self.notes += [note for bus in description.buses.values() for note in bus.doubts()]
+            self._doubt(started)
             self.notes += [note for bus in description.buses for note in self._destroyers(bus)]
             if record is not None:
                 self._record(record, started, cleanup)
@@ -505,6 +509,7 @@ class Rig:
             self._open_door(cleanup)
             self._cleanup = cleanup.pop_all()
         self._in_use = ExitStack()  # resources of applications; closed before the rest
+        self._warns_at_end = False
         self.faults = RigFaults(self.world)
         self.controllers: Mapping[str, RigController] = Named(
             "controller", description.controllers, self._controller
@@ -512,6 +517,7 @@ class Rig:
         buses = description.buses.values()
         self._buses = Named("bus", [bus.name for bus in buses if not bus.is_line], self._bus)
         self._lines = Named("line", [bus.name for bus in buses if bus.is_line], self._line)
+        self._made: dict[str, Motor] = {}
         self.motors: Mapping[str, Motor] = Named("motor", description.motors, self._motor)
         self.groups: Mapping[str, MotorGroup] = Named("group", description.groups, self._group)
 
@@ -534,15 +540,17 @@ class Rig:
         Raises:
             RigError: the rig cannot be used as it is written; nothing is left open.
         """
+        from motorhil.harness.virtual_time.stdlib.clocks import sleep_watched
+
         description = describe(Path(path))
         if seed is not None and not 0 <= seed <= SEED_MAX:
             raise RigError(path, f"seed {seed} is not within 0 to {SEED_MAX}", "use another seed")
-        return cls(
-            description,
-            seed=seed,
-            realtime=realtime,
-            record=None if record is None else Path(record),
-        )
+        target = None if record is None else Path(record)
+        rig = cls(description, seed=seed, realtime=realtime, record=target)
+        rig._warns_at_end = True
+        if not realtime:
+            rig._in_use.enter_context(sleep_watched(rig.runtime))
+        return rig
 
     def bus(self, name: str) -> "EmulatedBus":
         """Return the application's own connection to a bus, a python-can bus.
@@ -584,6 +592,12 @@ class Rig:
         controller = self._controller_of(described)
         return compare_units(self.description, described, self._models[motor], controller)
 
+    def take_forgotten(self) -> list[str]:
+        """Return sentences about commands that were never started; the end then omits them."""
+        self._warns_at_end = False
+        logical = [getattr(motor, "logical", None) for motor in self._made.values()]
+        return [text for one in logical if one is not None and (text := one.forgotten())]
+
     def close(self) -> None:
         """End all parties, close motors and buses, and complete the record."""
         with self._cleanup, self._in_use:
@@ -598,7 +612,11 @@ class Rig:
         error: BaseException | None,
         traceback: TracebackType | None,
     ) -> None:
+        warns = error is None and self._warns_at_end and _IN_A_TEST not in os.environ
+        forgotten = self.take_forgotten() if warns else []
         self.close()
+        for text in forgotten:
+            warnings.warn(text, stacklevel=2)
 
     # --- construction --------------------------------------------------------------------------
 
@@ -650,6 +668,16 @@ class Rig:
             if not callable(getattr(core, "next_deadline_ns", None)):
                 raise TypeError(f"it built {a_kind_of(core)}, which is not a controller")
             return core
+
+    def _doubt(self, started: list[tuple[int, str, str, str]]) -> None:
+        """Note implausible values; recordings get those of controllers as events."""
+        names = self.description.controllers
+        cores = {name: self.world.controller(name) for name in names}
+        for one in doubts_of(self.description, self._models, cores):
+            self.notes.append(str(one))
+            path = one.doubt.path
+            if path[:1] == ("controller",):
+                started.append((0, str(path[1]), "warning", one.text))
 
     def _record(
         self, target: Path, started: list[tuple[int, str, str, str]], cleanup: ExitStack
@@ -710,6 +738,7 @@ class Rig:
             name, self._models[name], self.runtime, self._link, controller
         )
         self._in_use.callback(close)
+        self._made[name] = built
         if note:
             self.notes.append(note)
         self.compared_units(name)

@@ -22,7 +22,7 @@ from typing import BinaryIO, Final, final
 from motorhil.traces import can_frame
 from motorhil.traces.can_frame import Fields
 from motorhil.traces.errors import TraceError
-from motorhil.traces.files import unreadable
+from motorhil.traces.files import MEMORY_MAX, unreadable
 from motorhil.traces.formats import frames as traffic
 from motorhil.traces.formats.frames import Findings, Frame
 from motorhil.traces.schema import Direction
@@ -39,9 +39,8 @@ _FD_MESSAGE_64: Final = struct.Struct("<BBBBIIIIIIIHBBI")
 _ERROR: Final = struct.Struct("<HHIBBBxIIH2x8s")
 _CONTAINER_KIND: Final = 10
 _HEAD_MAX: Final = 1 << 16
-_OBJECT_MAX: Final = 1 << 28
 _INNER_MAX: Final = 1 << 22  # inside a container
-_CONTAINER_MAX: Final = 1 << 26  # uncompressed
+_CONTAINERS: Final = 4  # uncompressed, in the memory at once
 _EXTENDED: Final = 0x8000_0000
 _REMOTE: Final = 0x80
 _SENT: Final = 0x01
@@ -68,7 +67,7 @@ _MESSAGE_HEAD: Final = _OBJECT_OUT.pack(
 _REMEMBERED: Final = 1 << 16
 
 
-def blf_frames(path: str, findings: Findings) -> Iterator[Frame]:
+def blf_frames(path: str, findings: Findings, memory_max: int = MEMORY_MAX) -> Iterator[Frame]:
     """Yield the frames of a BLF file, in file order.
 
     Raises:
@@ -83,7 +82,7 @@ def blf_frames(path: str, findings: Findings) -> Iterator[Frame]:
     if len(data) < _START_AT + _START.size:
         findings.problem(0, f"ends at byte {len(data)}, within its head")
         return
-    yield from _Objects(_start_ns(data, findings), findings).frames(data)
+    yield from _Objects(_start_ns(data, findings), findings, memory_max).frames(data)
 
 
 def _start_ns(data: bytes, findings: Findings) -> int:
@@ -98,8 +97,9 @@ def _start_ns(data: bytes, findings: Findings) -> int:
 
 @final
 class _Objects:
-    def __init__(self, start_ns: int, findings: Findings) -> None:
+    def __init__(self, start_ns: int, findings: Findings, memory_max: int) -> None:
         self._start_ns = start_ns
+        self._memory_max = memory_max
         self._findings = findings
         self._number = 0
         self._others = 0
@@ -112,7 +112,7 @@ class _Objects:
             self._findings.problem(0, f"ends at byte {len(data)}, within its head")
         while at + _BASE.size <= len(data):
             signature, head, _, size, kind = _BASE.unpack_from(data, at)
-            if signature != _OBJECT or not _BASE.size <= size <= _OBJECT_MAX:
+            if signature != _OBJECT or not _BASE.size <= size <= self._memory_max:
                 found = data.find(_OBJECT, at + 1)
                 lost = (found if found >= 0 else len(data)) - at
                 self._findings.problem(self._number, f"{lost} bytes at byte {at} are not an object")
@@ -165,13 +165,15 @@ class _Objects:
         if method != 2:
             self._findings.problem(self._number, f"compression {method} at byte {at} is unknown")
             return b""
+        most = self._memory_max // _CONTAINERS
         unpacker = zlib.decompressobj()
         out = bytearray()
         try:
             for begin in range(0, len(stored), 512):
-                out += unpacker.decompress(stored[begin : begin + 512], _CONTAINER_MAX)
-                if len(out) > _CONTAINER_MAX:
-                    what = f"a container at byte {at} has more than {_CONTAINER_MAX} bytes"
+                out += unpacker.decompress(stored[begin : begin + 512], most)
+                if len(out) > most:
+                    what = f"a container at byte {at} has more than {most} bytes"
+                    what += f"; --max-memory allows more, {_CONTAINERS} times as many"
                     self._findings.problem(self._number, what)
                     break
         except zlib.error as error:

@@ -14,7 +14,7 @@ from typing import BinaryIO, Final, final
 
 from motorhil.traces.can_frame import ERR, RTR
 from motorhil.traces.errors import TraceError
-from motorhil.traces.files import refuse_pipe, unreadable
+from motorhil.traces.files import MEMORY_MAX, refuse_pipe, unreadable
 from motorhil.traces.formats import asc, blf, candump, csv, pcap_can, trc
 from motorhil.traces.formats.frames import (
     Findings,
@@ -259,10 +259,12 @@ class Source:
     Attributes:
         path: the file.
         format: the name of its format.
+        memory_max: the most bytes that are made of one compressed piece of it.
     """
 
     path: str
     format: str
+    memory_max: int = MEMORY_MAX
 
     def frames(self, findings: Findings) -> Iterator[Frame]:
         """Yield the frames in file order; unreadable parts are added to `findings`.
@@ -274,11 +276,11 @@ class Source:
 
     def _frames(self, findings: Findings) -> Iterator[Frame]:
         if self.format == "mcap":
-            with read_trace(self.path) as trace:
+            with read_trace(self.path, self.memory_max) as trace:
                 yield from recorded_frames(trace, findings)
             return
         if self.format == "blf":
-            yield from blf.blf_frames(self.path, findings)
+            yield from blf.blf_frames(self.path, findings, self.memory_max)
             return
         if self.format == "pcap":
             yield from pcap_can.captured_frames(self.path, findings)
@@ -307,8 +309,8 @@ _LOOKS: Final[tuple[tuple[str, Callable[[str], bool]], ...]] = (
 )
 
 
-def open_source(path: str | os.PathLike[str]) -> Source:
-    """Open a file, and detect its format by its content.
+def open_source(path: str | os.PathLike[str], memory_max: int = MEMORY_MAX) -> Source:
+    """Open a file, and detect its format by its content; `memory_max` as of `Source`.
 
     Raises:
         TraceError: the file cannot be read, or its format is unknown.
@@ -321,16 +323,16 @@ def open_source(path: str | os.PathLike[str]) -> Source:
     except OSError as error:
         raise unreadable(name, error) from error
     if head.startswith(MAGIC[:5]):
-        return Source(name, "mcap")
+        return Source(name, "mcap", memory_max)
     if head.startswith(blf.MAGIC):
-        return Source(name, "blf")
+        return Source(name, "blf", memory_max)
     if pcap_can.is_capture(head):
-        return Source(name, "pcap")
+        return Source(name, "pcap", memory_max)
     lines = head.decode("utf-8", errors="replace").splitlines()[:_HEAD_LINES]
     for line in lines:
         for format_name, looks in _LOOKS:
             if looks(line):
-                return Source(name, format_name)
+                return Source(name, format_name, memory_max)
     known = ", ".join(["mcap", "blf", "pcap", *_LINE_READERS])
     what = "is empty" if not head else "holds no CAN traffic in a format known here"
     raise TraceError(name, what, remedy=f"formats are {known}")

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from typing import BinaryIO, Final, NamedTuple, Self, final
 
 from motorhil.traces.errors import TraceError
-from motorhil.traces.files import refuse_pipe, unreadable
+from motorhil.traces.files import MEMORY_MAX, refuse_pipe, unreadable
 from motorhil.traces.mcap import records
 from motorhil.traces.mcap.records import (
     Attachment,
@@ -97,8 +97,8 @@ class Cut:
         return f"cut at byte {self.offset}: {self.reason}, {self.size} bytes are left of it{rest}"
 
 
-def read_trace(path: str | os.PathLike[str]) -> "Trace":
-    """Open a recording.
+def read_trace(path: str | os.PathLike[str], memory_max: int = MEMORY_MAX) -> "Trace":
+    """Open a recording; `memory_max` bounds the bytes of an uncompressed chunk.
 
     Raises:
         TraceError: the file cannot be read, is not an MCAP file, or is damaged before its first
@@ -111,7 +111,7 @@ def read_trace(path: str | os.PathLike[str]) -> "Trace":
     except OSError as error:
         raise unreadable(name, error) from error
     try:
-        return Trace(name, file)
+        return Trace(name, file, memory_max)
     except BaseException:
         file.close()
         raise
@@ -131,7 +131,7 @@ class Trace:
         salvaged: messages that `messages` found in the chunk that was cut.
     """
 
-    def __init__(self, path: str, file: BinaryIO) -> None:
+    def __init__(self, path: str, file: BinaryIO, memory_max: int = MEMORY_MAX) -> None:
         """Scan an open file; use `read_trace` instead."""
         self.path = path
         self.library = ""
@@ -141,6 +141,7 @@ class Trace:
         self.cut: Cut | None = None
         self.salvaged = 0
         self._file = file
+        self._memory_max = memory_max
         self._schemas: dict[int, Schema] = {}
         self._chunks: list[Chunk] = []
         self._told = 0  # chunks already returned by `more_messages`
@@ -395,7 +396,7 @@ class Trace:
         if not chunk.whole:
             return salvage(chunk.compression, data)
         try:
-            content = decompress(chunk.compression, data, chunk.size)
+            content = decompress(chunk.compression, data, chunk.size, self._memory_max)
         except CompressionError as error:
             raise TraceError(self.path, f"damaged chunk ({error})", offset=chunk.offset) from error
         crc = chunk.crc

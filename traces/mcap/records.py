@@ -17,6 +17,7 @@ from typing import Final, final
 
 import zstandard
 
+from motorhil.traces.files import MEMORY_MAX
 from motorhil.traces.schema import Schema
 
 MAGIC: Final = b"\x89MCAP0\r\n"
@@ -52,7 +53,6 @@ FOOTER_BODY: Final = struct.Struct("<QQI")
 UINT16: Final = struct.Struct("<H")
 UINT32: Final = struct.Struct("<I")
 UINT64: Final = struct.Struct("<Q")
-CHUNK_MAX: Final = 1 << 28  # bytes of an uncompressed chunk; writers make them of 1 to 64 MiB
 _PIECE: Final = 4096  # bytes of a cut chunk to decompress at once
 
 
@@ -274,17 +274,19 @@ class CompressionError(Exception):
     """Compressed data is damaged, or its compression is unknown."""
 
 
-def decompress(compression: str, data: bytes, size: int) -> bytes:
+def decompress(compression: str, data: bytes, size: int, memory_max: int = MEMORY_MAX) -> bytes:
     """Return the `size` uncompressed bytes of `data`.
 
     No more than `size` bytes are made, whatever the compressed data would become.
 
     Raises:
-        CompressionError: the data is damaged, larger than `size` or CHUNK_MAX, or the compression
-            unknown.
+        CompressionError: the data is damaged, larger than `size` or `memory_max`, or of an
+            unknown compression.
     """
-    if size > CHUNK_MAX:
-        raise CompressionError(f"{size} bytes; at most {CHUNK_MAX} bytes are read at once")
+    if size > memory_max:
+        raise CompressionError(
+            f"{size} bytes; at most {memory_max} bytes are read at once; --max-memory allows more"
+        )
     try:
         if compression == "zstd":
             declared = zstandard.get_frame_parameters(data).content_size
@@ -319,7 +321,7 @@ def salvage(compression: str, data: bytes) -> bytes:
         for start in range(0, len(data), _PIECE):
             out.append(stream.decompress(data[start : start + _PIECE]))
             size += len(out[-1])
-            if size > CHUNK_MAX:
+            if size > MEMORY_MAX:
                 break
     except zstandard.ZstdError:  # the end is not only missing but overwritten
         pass

@@ -20,6 +20,7 @@ from motorhil.settings import REQUIRED, Items, SettingError, TableOf, flag, numb
 _SFF_MAX: Final = 0x7FF
 _EFF_MAX: Final = 0x1FFF_FFFF
 _CLASSICAL_MAX: Final = 8
+_PERIOD_S: Final = (1e-5, 600.0)
 
 
 @final
@@ -30,12 +31,25 @@ class MessageTable:
     identifier: int = whole(REQUIRED, 0, _EFF_MAX, "", "11 bits, or 29.", example="0x181")
     length: int = whole(REQUIRED, 0, FD_LENGTHS[-1], "bytes", "Data length.", example="8")
     period_s: float = number(
-        REQUIRED, 1e-6, 1e6, "s", "Shortest time between two of them.", example="0.01"
+        REQUIRED,
+        1e-6,
+        1e6,
+        "s",
+        "Shortest time between two of them.",
+        example="0.01",
+        plausible=_PERIOD_S,
     )
-    jitter_s: float = number(0.0, 0.0, 1e6, "s", "Largest delay before one is queued.")
+    jitter_s: float = number(
+        0.0, 0.0, 1e6, "s", "Largest delay before one is queued.", plausible=_PERIOD_S
+    )
     extended: bool = flag(False, "The identifier has 29 bits.")
     deadline_s: float | None = number(
-        None, 1e-6, 1e6, "s", "Largest permitted response time; absent: the period."
+        None,
+        1e-6,
+        1e6,
+        "s",
+        "Largest permitted response time; absent: the period.",
+        plausible=_PERIOD_S,
     )
     sender: str | None = text(
         None, "Node in whose queue it waits; absent: a queue of its own.", example='"battery"'

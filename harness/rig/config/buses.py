@@ -41,7 +41,6 @@ LINES: Final = (MODBUS_RTU, MODBUS_TCP)
 PARITIES: Final = ("E", "O", "N")
 BY_COMMAND: Final = "command"
 
-CAN_BITRATE_BIT_S: Final = 10_000  # CiA 301, lowest bit rate
 NODE_MAX: Final = 127
 UNIT_MAX: Final = 247
 
@@ -72,6 +71,7 @@ class CanNodeTable:
         "Delay after bus-off before it counts the 128 x 11 recessive bits.",
         example="0.1",
         word=BY_COMMAND,
+        plausible=(1e-4, 60.0),
     )
     error_reporting: bool = flag(False, "It reports every error, not only changes of its state.")
     oscillator_ppm: float = number(
@@ -148,6 +148,7 @@ class BusTable:
         "bit/s",
         "Nominal bit rate; a bit lasts a whole number of nanoseconds.",
         example="1_000_000",
+        plausible=(10_000, 1_000_000),  # CiA 301, lowest and highest bit rate
     )
     data_bitrate_bit_s: int | None = whole(
         None,
@@ -155,6 +156,7 @@ class BusTable:
         20_000_000,
         "bit/s",
         "Bit rate of CAN FD data, likewise, not below bitrate_bit_s; absent: classical CAN.",
+        plausible=(100_000, 20_000_000),
     )
     message: tuple[MessageTable, ...] | None = setting(
         None,
@@ -167,16 +169,21 @@ class BusTable:
         TablesByKey(TableOf(CanNodeTable)),
         'CAN controllers with special settings, by controller name or "host".',
     )
-    baud_bit_s: int = whole(19_200, 300, 10_000_000, "bit/s", "Bit rate of the line.")
+    baud_bit_s: int = whole(
+        19_200, 300, 10_000_000, "bit/s", "Bit rate of the line.", plausible=(1200, 10_000_000)
+    )
     parity: str = word("E", PARITIES, "parity", "Even, odd or none.")
     stop_bits: int = whole(1, 1, 2, "", "Stop bits of a character.")
-    latency_s: float = number(50e-6, 0.0, 10.0, "s", "Delay from sending to arrival.")
+    latency_s: float = number(
+        50e-6, 0.0, 10.0, "s", "Delay from sending to arrival.", plausible=(1e-7, 2.0)
+    )
     timeout_s: float = number(
         1.0,
         0.01,
         3600.0,
         "s",
         "How long the gateway waits for a unit before it answers itself with exception 0Bh.",
+        plausible=(0.01, 60.0),
     )
 
     RULES: ClassVar = (
@@ -255,16 +262,6 @@ class BusDescription:
     def is_line(self) -> bool:
         """True for a Modbus line, whose controllers have units instead of node-IDs."""
         return self.kind in LINES
-
-    def doubts(self) -> list[str]:
-        """Return what is permitted but hardly meant, one line each."""
-        if self.is_line or self.bitrate_bit_s >= CAN_BITRATE_BIT_S:
-            return []
-        return [
-            f"{self.name}: warning: bitrate_bit_s = {self.bitrate_bit_s} is below"
-            f" {CAN_BITRATE_BIT_S} bit/s, the lowest of CiA 301; {self.bitrate_bit_s}_000 was"
-            " probably meant"
-        ]
 
     def destroyers(self, controllers: Sequence[str]) -> list[str]:
         """Return the nodes that destroy CAN FD frames of this bus; none on a classical bus.

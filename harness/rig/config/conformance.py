@@ -59,11 +59,13 @@ _TIME_MAX_S: Final = 3600.0
 
 
 def _length(name: str, doc: str) -> Any:
-    return number(None, 1e-12, _LENGTH_MAX, "{u}", doc, name=f"{name}_{{u}}", example="0.001")
+    usual = {"plausible": (1e-10, 1e3), "plausible_m": (1e-12, 10.0)}
+    name = f"{name}_{{u}}"
+    return number(None, 1e-12, _LENGTH_MAX, "{u}", doc, name=name, example="0.001", **usual)
 
 
 def _time(default_s: float | None, doc: str) -> Any:
-    return number(default_s, 1e-9, _TIME_MAX_S, "s", doc, example="0.1")
+    return number(default_s, 1e-9, _TIME_MAX_S, "s", doc, example="0.1", plausible=(1e-6, 60.0))
 
 
 def _stimulus(doc: str) -> Any:
@@ -86,7 +88,7 @@ class ConformanceTable:
     latency_s: tuple[float, ...] = setting(
         (0.0, 0.02),
         Items(
-            Number(-_TIME_MAX_S, 10.0, "s"),
+            Number(-_TIME_MAX_S, 10.0, "s", plausible=(1e-6, 5.0)),
             least=2,
             most=2,
             unique=False,

@@ -51,6 +51,7 @@ _SFF_MASK: Final = 0x7FF
 _DATA_MAX: Final = 8
 _ADU_MAX: Final = 260
 _COUNT_MAX: Final = 2**31
+_TIME_S: Final = (1e-6, 86_400.0)
 
 
 def _only(kinds: tuple[str, ...], *keys: str) -> Rule:
@@ -94,12 +95,16 @@ class FaultTable(FaultBusTable):
     nodes: tuple[str, ...] = setting(
         (), Items(Text(), least=1, shown='["left"]'), "Nodes that the fault concerns; absent: all."
     )
-    from_s: float = number(0.0, 0.0, 1e9, "s", "From this time of the rig on.")
-    until_s: float | None = number(None, 0.0, 1e9, "s", "Until this time; absent: for ever.")
+    from_s: float = number(0.0, 0.0, 1e9, "s", "From this time of the rig on.", plausible=_TIME_S)
+    until_s: float | None = number(
+        None, 0.0, 1e9, "s", "Until this time; absent: for ever.", plausible=_TIME_S
+    )
     probability: float = number(1.0, 0.0, 1.0, "", "Probability that it happens to a match.")
     skip: int = whole(0, 0, _COUNT_MAX, "", "Matches that it spares at first.")
     limit: int | None = whole(None, 1, _COUNT_MAX, "", "Times that it happens; absent: no limit.")
-    delay_s: float | None = number(None, 1e-9, 1e6, "s", "How much later.", example="0.01")
+    delay_s: float | None = number(
+        None, 1e-9, 1e6, "s", "How much later.", example="0.01", plausible=(1e-9, 60.0)
+    )
     flip: bytes | None = setting(
         None, HexBytes(_ADU_MAX, must_change=True), "Bits to invert in the data, in hex."
     )

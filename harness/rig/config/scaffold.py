@@ -61,6 +61,8 @@ def write_new_rig(folder: Path, ci: str | None = None) -> list[Path]:
     Raises:
         RigError: a file exists already, or cannot be written.
     """
+    if not str(folder).isprintable():
+        raise RigError(folder, "is not the name of a folder", "use printable characters only")
     is_there = ci is not None and (folder / "rig.toml").exists()
     rig = {} if is_there else _rig(folder)
     job = {} if ci is None else _job(ci, folder, is_new=not is_there)
@@ -144,7 +146,12 @@ def _job(kind: str, folder: Path, *, is_new: bool) -> dict[Path, str]:
 
 def _refuse_existing(paths: Iterable[Path], remedy: str) -> None:
     for path in paths:
-        if path.exists():
+        try:
+            exists = path.exists()
+        except (OSError, ValueError) as error:
+            reason = getattr(error, "strerror", None) or error
+            raise RigError(path.parent, f"cannot be written: {reason}", remedy) from None
+        if exists:
             raise RigError(path, "already exists", remedy)
 
 

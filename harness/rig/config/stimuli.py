@@ -21,7 +21,15 @@ class StimulusTable:
         REQUIRED, "The input; a wrong one is answered with the known ones.", example='"sto"'
     )
     value: float = number(REQUIRED, -1e12, 1e12, "", "Its value from then on.", example="1")
-    at_s: float = number(REQUIRED, 0.0, 1e9, "s", "When, in the rig's time.", example="1.5")
+    at_s: float = number(
+        REQUIRED,
+        0.0,
+        1e9,
+        "s",
+        "When, in the rig's time.",
+        example="1.5",
+        plausible=(1e-6, 86_400.0),
+    )
 
 
 @final

@@ -4,12 +4,16 @@ The clock of `datetime` and `date` cannot be replaced, so two other classes stan
 create the library's own objects, and accept them in isinstance().
 """
 
+import sys
 import time
-from collections.abc import Callable
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from datetime import UTC, date, datetime, tzinfo
 from time import struct_time
 from typing import Any, Final
 
+from motorhil.harness.virtual_time.runtime import VirtualRuntime
 from motorhil.harness.virtual_time.stdlib.threads import (
     Program,
     caller_is_outside,
@@ -51,6 +55,54 @@ def sleep(seconds: float, /) -> None:
     party = party_here()
     assert party is not None
     program.runtime.run_for(program.from_now_s(party, max(seconds, _SLEEP_NS_MIN / 1e9)))
+
+
+_watched: list[VirtualRuntime] = []  # of open rigs; the first sleep of each is the last told
+
+
+@contextmanager
+def sleep_watched(runtime: VirtualRuntime) -> Iterator[None]:
+    """Warn once of `time.sleep` in a party of this runtime: virtual time stands still in it."""
+    _watched.append(runtime)
+    _bind_sleep(_watched_sleep)
+    try:
+        yield
+    finally:
+        with suppress(ValueError):  # it was told, and is not watched any longer
+            _watched.remove(runtime)
+        if not _watched:
+            _bind_sleep(_sleep)
+
+
+@contextmanager
+def sleep_unwatched() -> Iterator[None]:
+    """Bind the original `time.sleep` within the block, whose user replaces it."""
+    _bind_sleep(_sleep)
+    try:
+        yield
+    finally:
+        if _watched:
+            _bind_sleep(_watched_sleep)
+
+
+def _bind_sleep(own: Callable[[float], None]) -> None:
+    for place in (time, sys.modules.get("__main__")):
+        if getattr(place, "sleep", None) in (_sleep, _watched_sleep):
+            setattr(place, "sleep", own)  # noqa: B010 -- `time` declares it as a function
+
+
+def _watched_sleep(seconds: float, /) -> None:
+    """As time.sleep; warn once of a party that expects virtual time to pass meanwhile."""
+    for runtime in list(_watched):
+        if runtime.party_of_thread() is not None and not caller_is_outside(2):
+            _watched.remove(runtime)
+            warnings.warn(
+                f"time.sleep({seconds:g}) lets no virtual time pass in the open rig; write"
+                f" rig.runtime.run_for({seconds:g}), or run the program with 'motorhil run RIG"
+                " SCRIPT', which replaces time.sleep (in pytest: the fixture virtual_time)",
+                stacklevel=2,
+            )
+    _sleep(seconds)
 
 
 def _clock(original: Callable[[], Any], base_ns: int, unit: float | None) -> Callable[[], Any]:
@@ -115,7 +167,7 @@ _localtime = time.localtime
 
 def stand_ins() -> list[tuple[object, object]]:
     """Return (original, stand-in) for the functions of module `time`."""
-    pairs: list[tuple[object, object]] = [(time.sleep, sleep)]
+    pairs: list[tuple[object, object]] = [(_sleep, sleep)]
     for name, base_ns in (
         ("time", 0),
         ("monotonic", UPTIME_NS),

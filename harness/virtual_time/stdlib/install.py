@@ -99,6 +99,11 @@ class SimpleQueue(_PySimpleQueue):  # type: ignore[misc]  # typeshed does not kn
 @contextmanager
 def standard_library_replaced() -> Iterator[None]:
     """Replace clocks, locks and threads of the standard library for parties."""
+    with clocks.sleep_unwatched():
+        yield from _replaced()
+
+
+def _replaced() -> Iterator[None]:
     pairs = _pairs()
     there: _Names = {id(original): (original, own) for original, own in pairs}
     back: _Names = {id(own): (own, original) for original, own in pairs}

@@ -30,8 +30,9 @@ _UNKNOWN_CLOCK_PPM: Final = 1000.0
 _SYNCHRONOUS_MAX: Final = 240
 
 
-def _known(high: float, unit: str, doc: str) -> Any:
-    return number(None, 0, high, unit, f"{doc}, for predicting skew; absent: not known.")
+def _known(high: float, unit: str, doc: str, usual: tuple[float, float] | None = None) -> Any:
+    doc = f"{doc}, for predicting skew; absent: not known."
+    return number(None, 0, high, unit, doc, plausible=usual)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -39,7 +40,12 @@ class HwOptions(NodeOptions):
     """Settings of a hardware object for its drive; the defaults suit most drives."""
 
     status_inhibit_ms: float = number(
-        2.0, 0, 6553.5, "ms", "Shortest time between two of these messages (1800h:03h)."
+        2.0,
+        0,
+        6553.5,
+        "ms",
+        "Shortest time between two of these messages (1800h:03h).",
+        plausible=(0.1, 1000.0),
     )
     velocity_period_ms: int = period_ms(
         0, "Period with which the drive sends velocity and torque; 0: they are polled."
@@ -54,9 +60,11 @@ class HwOptions(NodeOptions):
         is_whole=True,
         or_none=True,
     )
-    servo_period_ms: float | None = _known(1000.0, "ms", "Profile tick of the drive")
+    servo_period_ms: float | None = _known(1000.0, "ms", "Profile tick of the drive", (0.01, 20.0))
     oscillator_ppm: float | None = _known(100_000.0, "ppm", "Clock tolerance, either way")
-    sdo_reply_ms: float | None = _known(60_000.0, "ms", "Longest SDO response time of the drive")
+    sdo_reply_ms: float | None = _known(
+        60_000.0, "ms", "Longest SDO response time of the drive", (0.01, 10_000.0)
+    )
     set_point_period_ms: int = period_ms(
         5, "Period of streamed set-points (60C2h); the same for all drives of a bus.", 1, 255
     )

@@ -2,12 +2,15 @@
 
 from dataclasses import dataclass, fields, replace
 from math import isfinite
-from typing import Any, ClassVar, Self, final
+from typing import Any, ClassVar, Final, Self, final
 
 from motorhil.motorapi.adaptations.canopen.settings import NodeOptions
 from motorhil.motorapi.commands import as_number
 from motorhil.motorapi.errors import UsageError
 from motorhil.settings import REQUIRED, SettingError, TableOf, number, setting, text, whole
+
+_SERVO_MS: Final = (0.1, 20.0)
+_WINDOW: Final[dict[str, Any]] = {"plausible": (1e-7, 100.0), "plausible_m": (1e-9, 10.0)}
 
 
 @final
@@ -110,7 +113,9 @@ class IoOptions(NodeOptions):
     host_node_id: int = whole(
         126, 1, 127, "", "Node-ID of the host's heartbeat; not the one that drives watch."
     )
-    cycle_ms: float = number(1.0, 0.1, 1000.0, "ms", "Period of the servo, and of SYNC.")
+    cycle_ms: float = number(
+        1.0, 0.1, 1000.0, "ms", "Period of the servo, and of SYNC.", plausible=_SERVO_MS
+    )
     misses_max: int = whole(
         10, 1, 1_000_000, "", "Number of consecutive missed cycles that stops a motor."
     )
@@ -123,11 +128,12 @@ class IoOptions(NodeOptions):
         1000.0,
         "ms",
         "Sampling period of an amplifier, for predicting skew; absent: not known.",
+        plausible=_SERVO_MS,
     )
 
 
-def _gain(default: float | None, name: str, unit: str, doc: str) -> Any:
-    return number(default, 0, unit=unit, doc=doc, name=name)
+def _gain(default: float | None, name: str, unit: str, doc: str, **own: Any) -> Any:
+    return number(default, 0, unit=unit, doc=doc, name=name, **own)
 
 
 @final
@@ -139,6 +145,7 @@ class GainsTable:
         None,
         0,
         unit="rad/s",
+        plausible=(0.1, 1e4),
         doc="Gains that put all three poles here; needs the acceleration feed-forward. Other gains"
         " replace them.",
         above=True,
@@ -156,10 +163,18 @@ class GainsTable:
         "Current per demanded acceleration: of the motor and its load.",
     )
     friction_feedforward: float | None = _gain(
-        None, "friction_feedforward_a", "A", "Current against Coulomb friction."
+        None,
+        "friction_feedforward_a",
+        "A",
+        "Current against Coulomb friction.",
+        plausible=(1e-5, 100.0),
     )
     derivative_filter_s: float | None = _gain(
-        None, "", "s", "Time constant of a low-pass filter for the rate of the error."
+        None,
+        "",
+        "s",
+        "Time constant of a low-pass filter for the rate of the error.",
+        plausible=(1e-5, 1.0),
     )
 
     SCHEMA: ClassVar = {
@@ -213,6 +228,7 @@ class HostServoTable(IoOptions):
         doc="Current of the amplifier per volt; below 0: positive current turns to lower counts.",
         example="0.8",
         not_zero=True,
+        plausible=(1e-3, 1e3),
     )
     torque_constant: float | None = _positive(
         None,
@@ -227,19 +243,27 @@ class HostServoTable(IoOptions):
         "{u}",
         "Distance within which a target counts as reached; absent: ten increments.",
         name="position_window_{u}",
+        **_WINDOW,
     )
-    settle_s: float = _positive(0.02, "s", "Time for which it must be within that window.")
+    settle_s: float = _positive(
+        0.02, "s", "Time for which it must be within that window.", plausible=(1e-4, 10.0)
+    )
     following_error_window: float | None = _positive(
         None,
         "{u}",
         "Following error that stops a motion; inf: none; absent: ten times the start tolerance.",
         name="following_error_window_{u}",
         may_be_inf=True,
+        **_WINDOW,
     )
-    following_error_s: float = _positive(0.01, "s", "Time for which it must be exceeded.")
+    following_error_s: float = _positive(
+        0.01, "s", "Time for which it must be exceeded.", plausible=(1e-4, 10.0)
+    )
     quick_stop_deceleration: float | None = _positive(
         None,
         "{u}/s²",
         "Deceleration of a quick stop; absent: that of the model.",
         name="quick_stop_deceleration_{u}_s2",
+        plausible=(1e-3, 1e6),
+        plausible_m=(1e-4, 1e3),
     )

@@ -215,7 +215,12 @@ class IdealTable:
         None, "Motors of one axis are one physical motor; absent: the motor's name."
     )
     position: float | None = number(
-        None, unit="{u}", doc="Initial position; absent: 0.", name="position_{u}"
+        None,
+        unit="{u}",
+        doc="Initial position; absent: 0.",
+        name="position_{u}",
+        plausible=(1e-7, 1e6),
+        plausible_m=(1e-9, 1e4),
     )
     torque_constant: float | None = number(
         None,

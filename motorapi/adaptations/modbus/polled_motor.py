@@ -336,7 +336,7 @@ class PolledTable:
 
     unit: int = whole(REQUIRED, 1, 247, "", "Server address of the drive.", example="1")
     name: str | None = text(None, "Name of the motor; absent: the model's.")
-    timeout_s: float = number(0.2, 0.001, 60.0, "s", "Response timeout.")
+    timeout_s: float = number(0.2, 0.001, 60.0, "s", "Response timeout.", plausible=(0.005, 30.0))
 
 
 @final

@@ -1,5 +1,7 @@
 import json
+import re
 import resource
+import shlex
 import subprocess
 import sys
 from pathlib import Path
@@ -26,7 +28,7 @@ def test_help_imports_no_large_library():
 def test_help_lists_verbs_and_each_verb_has_help(say):
     status, out, _ = say("--help")
     assert status == 0
-    verbs = [line.split()[0] for line in out.splitlines() if line.startswith("    ")]
+    verbs = re.findall(r"^ {4}(\w+)", out, re.MULTILINE)
     assert {"new", "check", "run", "list"} <= set(verbs)
     for verb in verbs:
         status, out, _ = say(verb, "--help")
@@ -185,6 +187,34 @@ def test_new_overwrites_no_file(bench, say):
     status, _, err = say("new", "drive.py/below")
     assert (status, err.count("\n")) == (2, 1)
     assert err.startswith("drive.py/below: cannot be written: ")
+
+
+@pytest.mark.parametrize(
+    ("name", "told"),
+    [
+        ("", "an empty name; name a folder, or . for this one"),
+        ("a\nb", "is not the name of a folder; use printable characters only"),
+        ("a" * 300, "cannot be written: File name too long; name another folder"),
+        ("\0", "is not the name of a folder; use printable characters only"),
+        ("file", "file: cannot be written: File exists; name another folder"),
+        ("file/inner", "file/inner: cannot be written: Not a directory; name another folder"),
+        ("/proc/none", "/proc/none: cannot be written: No such file or directory; name another"),
+    ],
+)
+def test_new_refuses_a_bad_name_in_one_line(bench, say, name, told):
+    Path("file").write_text("")
+    status, out, err = say("new", name)
+    assert (status, out) == (2, "")
+    assert told in err.splitlines()[-1]
+    assert "Traceback" not in err
+
+
+def test_new_prints_a_next_step_that_runs(bench, say):
+    _, _, err = say("new", "my rig")
+    words = shlex.split(err.removeprefix("next: "))
+    assert words[0] == "motorhil"
+    status, out, _ = say(*words[1:])
+    assert (status, out.count("rad\n")) == (0, 3)
 
 
 def test_new_leaves_no_partial_files(bench, say, monkeypatch):

@@ -355,3 +355,35 @@ print(json.dumps([name for name in sys.modules]))
     parts = [f"{plugin}.options", f"{plugin}.plugin"]
     assert ours == ["motorhil", "motorhil.harness", plugin, *parts]
     assert not {"can", "numpy", "mcap", "hypothesis", "motorhil.traces"} & set(loaded)
+
+
+EXAMPLES = """
+from hypothesis import Phase, assume, given, settings, strategies as st
+
+SHORT = [Phase.generate, Phase.shrink]
+
+@settings(derandomize=True, max_examples=8, deadline=None, database=None, phases=SHORT)
+@given(tenths=st.integers(1, 10))
+def test_places(open_rig, tenths):
+    place_rad = tenths / 10
+    with open_rig({seed}) as rig:
+        assert rig.runtime.now_ns() == 0
+        assume(tenths < 9)
+        assert turn(rig.motors["right"], place_rad) < {limit}
+"""
+
+
+def test_failing_example_of_hypothesis_is_named_with_its_record(project, run):
+    failed = run(EXAMPLES.format(seed="seed=5", limit=0.4), "--rig=wheels/rig.toml")
+    failed.assert_outcomes(failed=1)
+    (record,) = records(project)
+    text = failed.stdout.str()
+    assert "tenths=5" in text
+    assert f"record: out/{record}, seed 5, failed at " in text
+    assert f"look:   motorhil show out/{record} --last 1" in text
+    assert main(["show", str(project.path / "out" / record), "--motor", "right"]) == 0
+
+
+def test_passing_examples_of_hypothesis_leave_no_record(project, run):
+    run(EXAMPLES.format(seed="", limit=1.1), "--rig=wheels/rig.toml").assert_outcomes(passed=1)
+    assert records(project) == []

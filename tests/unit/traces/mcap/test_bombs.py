@@ -6,7 +6,8 @@ import lz4.frame
 import pytest
 import zstandard
 
-from motorhil.traces.mcap.records import CHUNK_MAX, CompressionError, decompress
+from motorhil.traces.files import MEMORY_MAX
+from motorhil.traces.mcap.records import CompressionError, decompress
 
 ZEROS = bytes(1 << 25)
 SAID = 1000
@@ -38,7 +39,7 @@ def test_bomb_is_refused_without_its_memory(name):
 @pytest.mark.parametrize("compression", ["zstd", "lz4", ""])
 def test_declared_size_beyond_the_limit_is_refused_at_once(compression):
     with pytest.raises(CompressionError, match="at most 268435456 bytes are read at once"):
-        decompress(compression, b"", CHUNK_MAX + 1)
+        decompress(compression, b"", MEMORY_MAX + 1)
 
 
 @pytest.mark.parametrize("size", [0, 1, SAID, 1 << 20])

@@ -51,11 +51,6 @@ def built(text):
         return rig.compared_units("wheel")
 
 
-def notes(text):
-    with Rig(parse_rig(Source(Path("rig.toml"), text), installed_plugins())) as rig:
-        return rig.notes
-
-
 def test_factors_of_the_drive_agree_with_its_plant():
     found = built(CIA402.format(drive="", model=""))
     assert [one.quantity for one in found] == ["position", "velocity unit", "acceleration unit"]
@@ -97,12 +92,3 @@ def test_unknown_unit_is_told_by_the_key_of_a_model_file():
     hidden = 'objects = { "6097h:1" = 7 }'
     with pytest.raises(RigError, match="acceleration_unit_rad_s2 is not known"):
         built(CIA402.format(drive=hidden, model=""))
-
-
-def test_implausible_values_are_told_and_kept():
-    plausible = CIA402.format(drive="", model="")
-    assert notes(plausible) == []
-    henry = CIA402.format(drive="plant.inductance_h = 0.119", model="")
-    assert [note for note in notes(henry) if "inductance_h = 0.119" in note]
-    slow = plausible.replace("1_000_000", "1000")
-    assert [note for note in notes(slow) if "bitrate_bit_s = 1000 is below 10000" in note]
