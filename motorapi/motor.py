@@ -365,7 +365,7 @@ class Motor(MotorHooks):
 
     @final
     def halt(self) -> None:
-        """Stop according to the halt option of the drive, and end the motion."""
+        """Stop by the halt of the drive, at the deceleration of the motion, which ends."""
         self.__logical.bring_to_rest("halt", self.__hooks.halt)
 
     # ---- power, fault, reference ----

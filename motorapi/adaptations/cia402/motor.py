@@ -22,7 +22,7 @@ also follows SYNC, as a frame may be lost.
 """
 
 from collections.abc import Callable, Mapping
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, suppress
 from typing import TYPE_CHECKING, Final, final
 
 from motorhil.motorapi.adaptations.canopen.bus import CanopenBus
@@ -52,7 +52,13 @@ from motorhil.motorapi.adaptations.cia402.parameters import Cia402Parameters
 from motorhil.motorapi.adaptations.cia402.units import DriveUnits
 from motorhil.motorapi.adaptations.registration import Shared, read_settings
 from motorhil.motorapi.commands import ControlMode, ControlVariable, Setpoint
-from motorhil.motorapi.errors import MotionInterrupted, PeerError, UnsupportedError, UsageError
+from motorhil.motorapi.errors import (
+    MotionInterrupted,
+    MotorError,
+    PeerError,
+    UnsupportedError,
+    UsageError,
+)
 from motorhil.motorapi.model import MotorModel
 from motorhil.motorapi.motion import Motion
 from motorhil.motorapi.motor import Motor
@@ -336,11 +342,19 @@ class Cia402Motor(Motor):
         self._control.disable()
         self._hardware.quick_stopped = False
         self._hardware.follow(None)
+        self._restore_parameters()
+
+    def _restore_parameters(self) -> None:
+        """Give the drive its own parameters back, if it is heard; else the next start does so."""
+        if self._hardware.facts is not None and self._node.is_up:
+            with suppress(MotorError):
+                self._hardware.parameters.apply(self.name, {})
 
     def _reset_fault(self) -> None:
         self._control.reset_fault()
 
     def _home(self, method: int | None) -> None:
+        self._motions.before_homing(method)
         self._control.set_mode(Mode.HOMING)
         if method is not None:
             try:
@@ -424,6 +438,7 @@ class Cia402Motor(Motor):
             self._hardware.end_stream(QUICK_STOP)
 
     def _open_low_level(self) -> Cia402HwMotor:
+        self._restore_parameters()
         self._hardware.fall_silent()
         return self._hardware
 
