@@ -51,7 +51,7 @@ from motorhil.motorapi.runtime.api import Runtime
 from motorhil.motorapi.state import Fault, Measurement, MotorState
 from motorhil.motorapi.synchronization.offer import SyncOffer, Trigger
 from motorhil.motorapi.synchronization.quality import MotionTimes
-from motorhil.motorapi.trajectory import ComplexTrajectory, Trajectory
+from motorhil.motorapi.trajectory import ComplexTrajectory, Trajectory, has_moving_ends
 
 
 class ArmHook(Protocol):
@@ -168,6 +168,12 @@ class MotorHooks(Device, ABC):
                 motor=self.name,
                 feature=f"a complex trajectory of {variable.value}",
                 supported="simple trajectories",
+            )
+        if has_moving_ends(command):
+            raise UnsupportedError(
+                motor=self.name,
+                feature="a trajectory that does not begin and end at rest",
+                supported="trajectories from rest to rest",
             )
 
     @abstractmethod
@@ -348,7 +354,7 @@ class MotorHooks(Device, ABC):
         """Stop by the quick stop of the drive; state STOPPED until enabled again."""
 
     def _halt(self) -> None:
-        """Stop by the halt of the drive, then hold; the next start clears the halt."""
+        """Do as `_stop`, by the halt of the drive; the next start clears the halt."""
         self._stop()
 
     def _motion_times(self) -> MotionTimes | None:

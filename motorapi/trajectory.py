@@ -228,6 +228,13 @@ class ComplexTrajectory:
         return f"<ComplexTrajectory {self.function!r} from {low!r} to {high!r}{how}{tight}>"
 
 
+def has_moving_ends(trajectory: object) -> bool:
+    """Return True for a simple trajectory with derivatives other than 0 at an end."""
+    return isinstance(trajectory, TrapezoidalTrajectory) and any(
+        (*trajectory.initial_derivatives, *trajectory.final_derivatives)
+    )
+
+
 Trajectory: TypeAlias = TrapezoidalTrajectory | ComplexTrajectory
 """Any trajectory that `Motor.set_trajectory` accepts."""
 

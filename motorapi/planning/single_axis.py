@@ -22,7 +22,12 @@ from motorhil.motorapi.model import MotorModel
 from motorhil.motorapi.motion import Motion
 from motorhil.motorapi.planning import functions
 from motorhil.motorapi.planning.limits import ROUNDING, check_bounds, check_target
-from motorhil.motorapi.trajectory import ComplexTrajectory, Trajectory, TrapezoidalTrajectory
+from motorhil.motorapi.trajectory import (
+    ComplexTrajectory,
+    Trajectory,
+    TrapezoidalTrajectory,
+    has_moving_ends,
+)
 
 if TYPE_CHECKING:
     from motorhil.motorapi.trajectory import Argument
@@ -130,7 +135,8 @@ def check_trajectory(
             feature=f"a simple trajectory over the {argument.name}: it is a function of time",
             supported="ComplexTrajectory(function) over any argument",
         )
-    _require_rest_at_ends(motor, model, variable, trajectory)
+    if variable is not ControlVariable.POSITION:
+        _require_rest_at_ends(motor, model, variable, trajectory)
     check_bounds(motor, model, variable, trajectory.limits, smooth=True)
     reference = 0.0 if trajectory.initial is None else trajectory.initial
     plan_trajectory(motor, model, variable, trajectory, reference, only_shape=True)
@@ -139,7 +145,7 @@ def check_trajectory(
 def _require_rest_at_ends(
     motor: str, model: MotorModel, variable: ControlVariable, trajectory: TrapezoidalTrajectory
 ) -> None:
-    """Refuse derivatives at the ends, which neither drive profiles nor ramps support."""
+    """Refuse derivatives at the ends of a ramp: they are those of position trajectories."""
     unit = model.unit_of(variable)
     for what, derivatives in (
         ("begins", trajectory.initial_derivatives),
@@ -151,8 +157,7 @@ def _require_rest_at_ends(
                     motor=motor,
                     feature=f"a simple trajectory of {variable.value} that {what} with a {order}"
                     f" derivative of {value:g} {_per(unit, per)}",
-                    supported="those with derivatives of 0 at both ends; generate this one as a"
-                    " piece of a ComplexTrajectory",
+                    supported="those of position; of others, with derivatives of 0 at both ends",
                 )
 
 
@@ -171,6 +176,7 @@ def plan_trajectory(
     reference: float,
     *,
     argument: "Argument | None" = None,
+    velocity: float | None = None,
     only_shape: bool = False,
 ) -> Motion:
     """Return the motion of a trajectory, from `reference` [U].
@@ -182,6 +188,7 @@ def plan_trajectory(
         trajectory: simple or complex.
         reference: its start: the reference position, or the value of another variable.
         argument: of a complex one; None: time.
+        velocity: the present velocity of the motor [U/s], for one with an initial velocity.
         only_shape: do not check a relative one against limits of the value yet.
 
     Raises:
@@ -194,13 +201,25 @@ def plan_trajectory(
     target = reference + trajectory.final
     if trajectory.initial is not None:
         start, target = trajectory.initial, trajectory.final
-        functions.require_at_start(motor, model, variable, start, reference)
+        if trajectory.initial_velocity:
+            start = reference
+            functions.require_near_start(motor, model, trajectory, reference)
+        else:
+            functions.require_at_start(motor, model, variable, start, reference)
     if not (only_shape and trajectory.is_relative):
         for value in (start, target):
             check_target(motor, model, variable, value, trajectory.limits)
     distance = target - start if trajectory.initial is not None else trajectory.final
+    if velocity is not None and trajectory.initial_velocity:
+        functions.require_velocity(motor, model, trajectory.initial_velocity, velocity)
     if variable is not ControlVariable.POSITION:
         return _plan_ramp(motor, model, variable, trajectory, (start, target))
+    if has_moving_ends(trajectory):
+        shape_only = only_shape and trajectory.is_relative
+        try:
+            return functions.between_states(motor, model, trajectory, start, only_shape=shape_only)
+        except ArithmeticError as error:
+            raise _not_computed(motor, trajectory) from error
     limits = _bounds(model, trajectory.limits, distance)
     motion = Motion(
         mode=ControlMode.TRAJECTORY,
@@ -265,8 +284,12 @@ def _in_time(
     try:
         return _timed(motor, motion, trajectory, distance, unit)
     except ArithmeticError as error:
-        what = f"{motor}: {trajectory!r} cannot be computed"
-        raise UsageError(f"{what}: one of its numbers is too large or too small") from error
+        raise _not_computed(motor, trajectory) from error
+
+
+def _not_computed(motor: str, trajectory: TrapezoidalTrajectory) -> UsageError:
+    what = f"{motor}: {trajectory!r} cannot be computed"
+    return UsageError(f"{what}: one of its numbers is too large or too small")
 
 
 def _timed(

@@ -17,6 +17,7 @@ a quick stop within the model's limit, the ramp of a halt. The drive gets its ow
 afterwards. Motions of several drives begin together as `sync_start` describes.
 """
 
+from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
 from typing import TYPE_CHECKING, Final, final
@@ -56,6 +57,7 @@ from motorhil.motorapi.adaptations.cia402.sync_start import (
     ArmedGroup,
     ArmedSetPoint,
     ArmedStream,
+    HandOverTrigger,
     SyncTrigger,
     armed_group,
     offer_of,
@@ -63,6 +65,7 @@ from motorhil.motorapi.adaptations.cia402.sync_start import (
 from motorhil.motorapi.commands import ControlVariable
 from motorhil.motorapi.errors import DeadlineExceeded, StateError
 from motorhil.motorapi.motion import Motion
+from motorhil.motorapi.planning.functions import from_here
 from motorhil.motorapi.synchronization.offer import SyncOffer, Trigger
 from motorhil.motorapi.synchronization.quality import MotionTimes
 
@@ -268,12 +271,13 @@ class DriveMotions:
         stream = self._hardware.stream
         if stream is not None and stream.is_stopping:
             self._runtime.wait_until(lambda: stream.ended, _STOPPING_PERIODS * stream.period_s)
-        if stream is not None and not stream.ended:
+        is_streamed = stream is not None and not stream.ended
+        if is_streamed is not bool(motion.initial_velocity):
+            state = "set-points are being streamed to it"
+            if not is_streamed:
+                state = "it moves, but not by set-points of the host, and changes to csp at rest"
             raise StateError(
-                motor=self._motor,
-                operation="start",
-                state="set-points are being streamed to it",
-                remedy="stop() first",
+                motor=self._motor, operation="start", state=state, remedy="stop() first"
             )
         wanted = settings_of(motion, self.parameters, self._hardware, self._reader)
         if motion.function is not None:
@@ -429,7 +433,8 @@ class DriveMotions:
             return target
 
         hardware.connect()
-        stream = CspStream(
+        running = hardware.stream if motion.initial_velocity else None
+        stream = running or CspStream(
             self._control,
             period_s,
             next_target,
@@ -441,12 +446,35 @@ class DriveMotions:
         streamed = StreamedMotion(self._motor, motion, units, period_s, stream.target)
         self._armed = hardware.stream = stream
         self._follow(watch)
-        self._reader.held = (None, 0.0)
-        if not velocity:
-            self._reader.held = (units.position_inc(motion.target), motion.target)
+        self._reader.held = self._held_by(motion)
+        if running is not None:
+
+            def heir() -> Callable[[int], int | None]:
+                nonlocal streamed
+                held_inc = running.target
+                try:
+                    here = from_here(self._motor, self._model, motion, units.position(held_inc))
+                except Exception as error:
+                    watch.fail(error)
+                    raise
+                streamed = StreamedMotion(self._motor, here, units, period_s, held_inc)
+                return next_target
+
+            return HandOverTrigger(
+                running, partial(running.hand_over, heir, watch.begin, watch.fail)
+            )
         armed = self._group if self._together else ArmedGroup()
         armed.streams.append(ArmedStream(stream, streamed))
         return SyncTrigger(self._node.bus, armed)
+
+    def _held_by(self, motion: Motion) -> tuple[int | None, float]:
+        """Return `DriveReader.held` for the end of a stream, if it is known."""
+        trajectory = motion.trajectory
+        end = motion.rest_at if motion.final_velocity else motion.target
+        is_shifted = motion.initial_velocity and trajectory is not None and trajectory.is_relative
+        if motion.variable is ControlVariable.VELOCITY or end is None or is_shifted:
+            return None, 0.0
+        return self._reader.known()[0].position_inc(end), end
 
     def _check_ends(self, motion: Motion) -> None:
         """Check that the whole trajectory is within the drive's own software position limits."""
@@ -500,9 +528,9 @@ class DriveMotions:
     def disarm(self) -> None:
         """Cancel an armed motion; see `MotorHooks._disarm`."""
         watch, stream = self._watch, self._armed
-        if watch is not None and watch is self._node.watch and not _is_commanded(watch, stream):
+        if watch is not None and watch is self._node.watch and not _is_commanded(watch):
             self._hardware.follow(self._before)  # for example a stop that came while arming
-        if stream is not None and stream.started_ns is None:
+        if stream is not None and stream.started_ns is None and not stream.is_stopping:
             stream.cancel()
         point, self._point = self._point, None
         if point in self._group.set_points:
@@ -603,7 +631,7 @@ def _live_watch(expected_s: float, duration_s: float | None) -> SetpointWatch:
     )
 
 
-def _is_commanded(watch: SetpointWatch | StreamWatch, stream: CspStream | None) -> bool:
+def _is_commanded(watch: SetpointWatch | StreamWatch) -> bool:
     if isinstance(watch, StreamWatch):
-        return stream is not None and stream.started_ns is not None
+        return watch.started_ns is not None
     return watch.commanded_ns is not None

@@ -67,7 +67,7 @@ from motorhil.motorapi.runtime.api import Registration
 from motorhil.motorapi.state import Fault, Measurement, MotorState
 from motorhil.motorapi.synchronization.offer import SyncOffer, Trigger
 from motorhil.motorapi.synchronization.quality import MotionTimes
-from motorhil.motorapi.trajectory import ComplexTrajectory, Trajectory
+from motorhil.motorapi.trajectory import ComplexTrajectory, Trajectory, has_moving_ends
 
 if TYPE_CHECKING:
     import can
@@ -183,7 +183,9 @@ def is_function(variable: ControlVariable, command: Setpoint | Trajectory) -> bo
     """Return whether the command is a function, which no profile of a drive can follow."""
     if isinstance(command, Setpoint):
         return False
-    return isinstance(command, ComplexTrajectory) or asks_for_smoothness(variable, command)
+    if isinstance(command, ComplexTrajectory):
+        return True
+    return has_moving_ends(command) or asks_for_smoothness(variable, command)
 
 
 @final

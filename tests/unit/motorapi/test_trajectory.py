@@ -126,8 +126,6 @@ def test_function_with_a_kink_or_a_jump_raises():
 @pytest.mark.parametrize(
     ("variable", "derivatives", "told"),
     [
-        (P, (0.5,), r"with a first derivative of 0\.5 rad/s;"),
-        (P, (0.0, 0.5), r"with a second derivative of 0\.5 rad/s²;"),
         (V, (0.5,), r"with a first derivative of 0\.5 rad/s²;"),
         (V, (0.0, 0.5), r"with a second derivative of 0\.5 rad/s³;"),
         (T, (0.5,), r"with a first derivative of 0\.5 N·m/s;"),
