@@ -26,6 +26,7 @@ from motorhil.motorapi.ownership.claim import use_leases
 from motorhil.motorapi.ownership.physical_motor import ActiveMotion, RunStatus
 from motorhil.motorapi.ownership.queue import FifoQueue, trigger_turns
 from motorhil.motorapi.planning import single_axis as planning
+from motorhil.motorapi.planning.functions import model_of_profile
 from motorhil.motorapi.planning.groups import TIME, Common, synchronised
 from motorhil.motorapi.runtime.api import Awaited, Waiting, wait_until
 from motorhil.motorapi.state import MotorState
@@ -267,8 +268,9 @@ def _plan_one(motor: LogicalMotor) -> Motion:
     velocity: float | None = None
     if _begins_moving(motor, command):
         velocity = motor.hooks.read_velocity()
+    model = model_of_profile(motor.model, limits_jerk=motor.hooks.limits_jerk(variable))
     return planning.plan_trajectory(
-        *(motor.name, motor.model, variable, command, _reference(motor)),
+        *(motor.name, model, variable, command, _reference(motor)),
         argument=motor.argument,
         velocity=velocity,
     )

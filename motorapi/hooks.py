@@ -72,6 +72,7 @@ class Hooks:
     plugin: str
     supports: Callable[[ControlMode, ControlVariable], bool]
     check_command: Callable[[ControlVariable, Setpoint | Trajectory], None]
+    limits_jerk: Callable[[ControlVariable], bool]
     sync_offer: Callable[[], SyncOffer]
     quantise: Callable[[Motion], Motion]
     connect: Callable[[], None]
@@ -175,6 +176,13 @@ class MotorHooks(Device, ABC):
                 feature="a trajectory that does not begin and end at rest",
                 supported="trajectories from rest to rest",
             )
+
+    def _limits_jerk(self, variable: ControlVariable) -> bool:
+        """Return True if simple trajectories of `variable` get the model's jerk limit by default.
+
+        They are then motions with a `function`. Otherwise only a limit of the command is met.
+        """
+        return False
 
     @abstractmethod
     def _sync_offer(self) -> SyncOffer:

@@ -60,9 +60,9 @@ class Motion:
     `motorhil.motorapi.planning.functions.from_here` plans it again from where it begins.
     """
     final_velocity: float = 0.0
-    """The velocity at the end of a position trajectory, at which its demand goes on [U/s]."""
+    """The velocity at the end of a position trajectory, at which its demand continues [U/s]."""
     rest_at: float | None = None
-    """Where a demand that goes on has come to rest: a limit of position [U]; None: nowhere."""
+    """Where a demand that continues has come to rest: a limit of position [U]; None: nowhere."""
 
     def __repr__(self) -> str:
         text = f"<Motion {self.mode.value} of {self.variable.value}"

@@ -30,13 +30,17 @@ class TrapezoidalTrajectory:
     `TrapezoidalTrajectory(1.0, initial=0.25)` is absolute: from 0.25 to 1.0, and the motor must be
     at 0.25 at the start.
 
+    With an initial velocity the motor must already move at it, and with a final one it continues at
+    it: until the next command or stop, or to rest at a limit of position.
+
     Args:
         final: the final value [U]; without `initial`, relative to the present one.
         initial: the initial value [U].
         limits: of the value and its derivatives; those of the model by default.
         duration_s: duration [s]; None: as short as the limits allow.
         initial_derivatives: (first, second) at the beginning, [U/s], [U/s²]; missing ones are 0.
-        final_derivatives: (first, second) at the end; missing ones are 0.
+        final_derivatives: (first, second) at the end; missing ones are 0. Only trajectories of
+            position may have derivatives at their ends, and second ones need a limit of jerk.
         initial_argument: time of the beginning [s], for a part of a longer motion.
 
     Raises:

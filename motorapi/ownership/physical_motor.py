@@ -99,7 +99,7 @@ class ActiveMotion:
     def ends(self) -> bool:
         """True if it ends by itself, at rest.
 
-        A command of velocity, torque or current goes on, as does a trajectory with a final
+        A command of velocity, torque or current continues, as does a trajectory with a final
         velocity.
         """
         motion = self.motion

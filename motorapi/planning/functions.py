@@ -8,12 +8,13 @@ of the control variable.
 necessary, we can use the same representation to bound the third derivative and represent a smoother
 motion." This means position with limited jerk, velocity with limited jerk, and torque with a
 limited change of its slope. So every motor that can follow a complex trajectory can follow them.
-The jerk_max of the model limits such requests; it does not limit motions without a request.
+The jerk_max of the model limits such requests. It is also the limit of a trajectory without one, as
+for all other limits, on motors that generate their trajectories on the host (`limits_jerk`).
 
 *Simple trajectories with derivatives at their ends* become functions too. Such a trajectory of
 position begins in the state that its initial derivatives say, which the motor must have: it follows
 a motion that ended so, or replaces one that moves so now. Its profile is planned again from where
-it begins, as the motor has moved on since. After a final velocity the demand goes on at it, until
+it begins, as the motor has moved on since. After a final velocity the demand continues at it, until
 the next command or stop, and comes to rest at a limit of position, if there is one.
 
 Pure functions.
@@ -238,15 +239,40 @@ def asks_for_smoothness(variable: ControlVariable, trajectory: TrapezoidalTrajec
     return highest is not None
 
 
-def smoothed(motor: str, motion: Motion, trajectory: TrapezoidalTrajectory) -> Motion:
+def model_of_profile(model: MotorModel, *, limits_jerk: bool) -> MotorModel:
+    """Return the model for planning: its jerk limit applies only if the motor `limits_jerk`."""
+    if limits_jerk or model.jerk_max is None:
+        return model
+    return replace(model, jerk_max=None)
+
+
+def bend_of(
+    model: MotorModel, variable: ControlVariable, trajectory: TrapezoidalTrajectory
+) -> float | None:
+    """Return the limit of the derivative beyond those of a trapezoid or a ramp; None: no limit.
+
+    It is that of the trajectory, or else the jerk limit of the model.
+    """
+    limits = trajectory.limits
+    asked = None
+    if limits is not None:
+        asked = limits.third if variable is ControlVariable.POSITION else limits.second
+    if asked is not None:
+        return min(-asked[0], asked[1])
+    has_jerk = variable in (ControlVariable.POSITION, ControlVariable.VELOCITY)
+    return model.jerk_max if has_jerk else None
+
+
+def smoothed(motion: Motion, bend: float) -> Motion:
     """Return the same motion as a function, as fast as all limits allow.
 
-    Raises:
-        UsageError: the generating package is not installed; names the extra.
+    Args:
+        motion: the motion, with the limits of its other derivatives.
+        bend: the limit of the next derivative, jerk or the bend of a slope.
     """
     if motion.distance == 0.0:
         return replace(motion, duration_s=0.0)
-    function, duration_s = _generated(motor, motion, trajectory)
+    function, duration_s = _generated(motion, bend)
     return replace(motion, function=function, interval=function.domain, duration_s=duration_s)
 
 
@@ -321,9 +347,9 @@ def _generated_between(
     motor: str, model: MotorModel, trajectory: TrapezoidalTrajectory, start: float, target: float
 ) -> "Function":
     """Return the profile of a trajectory with derivatives at its ends, in absolute values."""
-    third = None if trajectory.limits is None else trajectory.limits.third
+    jerk = bend_of(model, ControlVariable.POSITION, trajectory)
     trajectory = replace(trajectory, initial_argument=0.0)
-    if third is None:
+    if jerk is None:
         if any((*trajectory.initial_derivatives[1:], *trajectory.final_derivatives[1:])):
             raise UnsupportedError(
                 motor=motor,
@@ -338,7 +364,7 @@ def _generated_between(
         function = jerk_limited(
             target,
             allowed.profile_limits(trajectory.initial_velocity, trajectory.final_velocity),
-            min(-third[0], third[1]),
+            jerk,
             initial=start,
             initial_derivatives=trajectory.initial_derivatives,
             final_derivatives=trajectory.final_derivatives,
@@ -389,26 +415,13 @@ def slowed(motion: Motion, duration_s: float) -> Motion:
     return replace(motion, function=scaled, interval=scaled.domain, duration_s=duration_s)
 
 
-def _generated(
-    motor: str, motion: Motion, trajectory: TrapezoidalTrajectory
-) -> "tuple[Function, float]":
-    limits = trajectory.limits
-    assert limits is not None
+def _generated(motion: Motion, bend: float) -> "tuple[Function, float]":
     if motion.variable is not ControlVariable.POSITION:
-        assert limits.second is not None
         rate = motion.acceleration if motion.variable is ControlVariable.VELOCITY else motion.slope
-        profile = trapezoid(motion.target, ProfileLimits(rate, limits.second), initial=motion.start)
+        profile = trapezoid(motion.target, ProfileLimits(rate, bend), initial=motion.start)
         return profile.as_function(), profile.duration_s
-    assert limits.third is not None
-    try:
-        curve = jerk_limited(
-            motion.target,
-            ProfileLimits(motion.velocity, motion.acceleration, motion.deceleration),
-            min(-limits.third[0], limits.third[1]),
-            initial=motion.start,
-        )
-    except UnsupportedError as error:
-        raise _without_package(motor, error) from error
+    limits = ProfileLimits(motion.velocity, motion.acceleration, motion.deceleration)
+    curve = jerk_limited(motion.target, limits, bend, initial=motion.start)
     return curve, curve.domain[1]
 
 

@@ -260,7 +260,7 @@ def _require_line(motor: LogicalMotor, motion: Motion) -> None:
         return
     what = f"a {motion.mode.value} of {motion.variable.value}"
     if simple:
-        what = "a trajectory that is a function, or has a limit on its third derivative"
+        what = "a trajectory that is a function, or has limited jerk (its own, or of the model)"
     raise UnsupportedError(
         motor=motor.name,
         feature=f"{what} in a phase-synchronised group",

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 class Demand(Protocol):
     """The absolute control variable over the argument; outside the interval, the nearer end.
 
-    After the end of a trajectory with a final velocity, the demand goes on at it.
+    After the end of a trajectory with a final velocity, the demand continues at it.
     """
 
     initial_argument: float

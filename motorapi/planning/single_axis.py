@@ -112,6 +112,8 @@ def check_trajectory(
     variable: ControlVariable,
     trajectory: Trajectory,
     argument: "Argument | None" = None,
+    *,
+    limits_jerk: bool = False,
 ) -> None:
     """Check a trajectory as far as possible without the position of the motor.
 
@@ -139,6 +141,7 @@ def check_trajectory(
         _require_rest_at_ends(motor, model, variable, trajectory)
     check_bounds(motor, model, variable, trajectory.limits, smooth=True)
     reference = 0.0 if trajectory.initial is None else trajectory.initial
+    model = functions.model_of_profile(model, limits_jerk=limits_jerk)
     plan_trajectory(motor, model, variable, trajectory, reference, only_shape=True)
 
 
@@ -183,7 +186,7 @@ def plan_trajectory(
 
     Args:
         motor: its name.
-        model: its model.
+        model: its model; without its jerk limit, if the motor does not apply it by default.
         variable: the control variable of the trajectory.
         trajectory: simple or complex.
         reference: its start: the reference position, or the value of another variable.
@@ -199,6 +202,7 @@ def plan_trajectory(
         return functions.plan(motor, model, variable, trajectory, argument, reference)
     start = reference
     target = reference + trajectory.final
+    bend = functions.bend_of(model, variable, trajectory)
     if trajectory.initial is not None:
         start, target = trajectory.initial, trajectory.final
         if trajectory.initial_velocity:
@@ -213,7 +217,7 @@ def plan_trajectory(
     if velocity is not None and trajectory.initial_velocity:
         functions.require_velocity(motor, model, trajectory.initial_velocity, velocity)
     if variable is not ControlVariable.POSITION:
-        return _plan_ramp(motor, model, variable, trajectory, (start, target))
+        return _plan_ramp(motor, model, variable, trajectory, (start, target), bend)
     if has_moving_ends(trajectory):
         shape_only = only_shape and trajectory.is_relative
         try:
@@ -231,7 +235,7 @@ def plan_trajectory(
         deceleration=limits.deceleration,
         trajectory=trajectory,
     )
-    return _in_time(motor, motion, trajectory, distance, model.unit)
+    return _in_time(motor, motion, trajectory, distance, model.unit, bend)
 
 
 def _plan_ramp(
@@ -240,6 +244,7 @@ def _plan_ramp(
     variable: ControlVariable,
     trajectory: TrapezoidalTrajectory,
     ends: Range,
+    bend: float | None,
 ) -> Motion:
     """Plan a ramp of velocity, torque or current: the steepest allowed, or of a given duration."""
     start, target = ends
@@ -266,7 +271,8 @@ def _plan_ramp(
             f"{model.unit_of(variable)} takes no time: its rate of change is unlimited; give "
             "duration_s, or limits=DerivativeLimits(first=...)"
         )
-    return _in_time(motor, motion, trajectory, target - start, model.unit_of(variable))
+    unit = model.unit_of(variable)
+    return _in_time(motor, motion, trajectory, target - start, unit, bend)
 
 
 def _velocity_rate(model: MotorModel, start: float, target: float) -> float:
@@ -278,11 +284,16 @@ def _velocity_rate(model: MotorModel, start: float, target: float) -> float:
 
 
 def _in_time(
-    motor: str, motion: Motion, trajectory: TrapezoidalTrajectory, distance: float, unit: str
+    motor: str,
+    motion: Motion,
+    trajectory: TrapezoidalTrajectory,
+    distance: float,
+    unit: str,
+    bend: float | None,
 ) -> Motion:
     """Return the motion with its duration: the shortest, or the requested one."""
     try:
-        return _timed(motor, motion, trajectory, distance, unit)
+        return _timed(motor, motion, trajectory, distance, unit, bend)
     except ArithmeticError as error:
         raise _not_computed(motor, trajectory) from error
 
@@ -293,11 +304,16 @@ def _not_computed(motor: str, trajectory: TrapezoidalTrajectory) -> UsageError:
 
 
 def _timed(
-    motor: str, motion: Motion, trajectory: TrapezoidalTrajectory, distance: float, unit: str
+    motor: str,
+    motion: Motion,
+    trajectory: TrapezoidalTrajectory,
+    distance: float,
+    unit: str,
+    bend: float | None,
 ) -> Motion:
     asked_s = trajectory.duration_s
-    if functions.asks_for_smoothness(motion.variable, trajectory):
-        motion = functions.smoothed(motor, motion, trajectory)
+    if bend is not None:
+        motion = functions.smoothed(motion, bend)
     fastest_s = duration_of(motion)
     if asked_s is None:
         return replace(motion, duration_s=fastest_s)

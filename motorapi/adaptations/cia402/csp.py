@@ -413,7 +413,7 @@ class StreamedMotion:
         lead_in: the cycles before cycle 0 for the move to the beginning of the trajectory.
         lead: `lead_in`, or more to wait for other motors; set by the trigger.
         over: whether the end of the trajectory has been demanded.
-        velocity: the present velocity of the set-points, of a motion that goes on at its end [U/s].
+        velocity: the velocity of the set-points, of a motion that continues at its end [U/s].
     """
 
     def __init__(

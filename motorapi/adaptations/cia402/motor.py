@@ -67,7 +67,12 @@ from motorhil.motorapi.runtime.api import Registration
 from motorhil.motorapi.state import Fault, Measurement, MotorState
 from motorhil.motorapi.synchronization.offer import SyncOffer, Trigger
 from motorhil.motorapi.synchronization.quality import MotionTimes
-from motorhil.motorapi.trajectory import ComplexTrajectory, Trajectory, has_moving_ends
+from motorhil.motorapi.trajectory import (
+    ComplexTrajectory,
+    Trajectory,
+    TrapezoidalTrajectory,
+    has_moving_ends,
+)
 
 if TYPE_CHECKING:
     import can
@@ -251,9 +256,18 @@ class Cia402Motor(Motor):
                 supported="such trajectories of position and velocity, where the drive has csp",
             )
 
+    def _limits_jerk(self, variable: ControlVariable) -> bool:
+        """Return True for positions, if the drive can be streamed to; ramps of pv stay its own."""
+        facts = self._control.facts
+        can_stream = facts is None or 0x607A in facts.latched_ids
+        is_position = variable is ControlVariable.POSITION
+        return is_position and can_stream and self._control.supports(Mode.CYCLIC_SYNC_POSITION)
+
     def _sync_offer(self) -> SyncOffer:
-        command = self.logical.command
-        streamed = command is not None and is_function(self.control_variable, command)
+        command, variable = self.logical.command, self.control_variable
+        streamed = command is not None and is_function(variable, command)
+        if isinstance(command, TrapezoidalTrajectory) and self._limits_jerk(variable):
+            streamed = streamed or self.model.jerk_max is not None
         return self._motions.offer(self.control_variable, streamed=streamed)
 
     def _quantise(self, motion: Motion) -> Motion:

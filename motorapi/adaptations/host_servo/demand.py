@@ -30,7 +30,7 @@ class Course:
         velocity, acceleration: the values for feed-forward [inc/s, inc/s²].
         is_step: whether it is a position set-point; its error is not a following error.
         is_stop: whether it is a stop: over when the motor stands still, at any position.
-        final_velocity: the velocity of a position demand that goes on at its end [inc/s].
+        final_velocity: the velocity of a position demand that continues at its end [inc/s].
         target: the final value; with an argument other than time, the present value.
         is_over: whether the demand has come to its end.
     """

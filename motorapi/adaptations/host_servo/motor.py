@@ -202,6 +202,9 @@ class SoftwareMotor(Motor):
                 supported=f"{_LIMITED}, and trajectories",
             )
 
+    def _limits_jerk(self, variable: ControlVariable) -> bool:
+        return True
+
     def _sync_offer(self) -> SyncOffer:
         period_s = self._hardware.io.cycle.period_s
         reason = f"one SYNC every {period_s * 1e3:g} ms: counts of it, outputs latched by the next"

@@ -337,7 +337,7 @@ class Servo:
             return
         if course.kind == VELOCITY:
             is_there = abs(self.velocity - course.target) <= limits.velocity_window
-        elif course.final_velocity:  # it goes on, at this velocity or to rest
+        elif course.final_velocity:  # it continues, at this velocity or to rest
             is_there = abs(self.velocity - course.velocity) <= limits.velocity_window
         else:
             is_there = abs(course.target - self.position) <= limits.window

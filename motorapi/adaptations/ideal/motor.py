@@ -90,6 +90,9 @@ class IdealMotor(Motor):
     def _check_command(self, variable: ControlVariable, command: "Setpoint | Trajectory") -> None:
         """Accept every command, as every plan can be executed."""
 
+    def _limits_jerk(self, variable: ControlVariable) -> bool:
+        return True
+
     def _sync_offer(self) -> SyncOffer:
         reason = "ideal motors of one runtime begin at the same nanosecond"
         trigger = self.hardware.shared_trigger

@@ -148,15 +148,8 @@ def test_limits_in_place_of_relative_raise():
         ComplexTrajectory(rest_to_rest(1.0, 2.0), relative=1)
 
 
-@pytest.mark.parametrize(
-    "trajectory",
-    [
-        TrapezoidalTrajectory(0.1, duration_s=1e300),
-        TrapezoidalTrajectory(0.1, limits=DerivativeLimits(third=1e-300)),
-        TrapezoidalTrajectory(0.1, limits=DerivativeLimits(third=1e300)),
-    ],
-)
-def test_trajectory_beyond_float_arithmetic_raises(trajectory):
+def test_trajectory_beyond_float_arithmetic_raises():
+    trajectory = TrapezoidalTrajectory(0.1, duration_s=1e300)
     with pytest.raises(
         UsageError, match=r"^wheel: <Trap.*> cannot be computed: one of its numbers is"
     ):

@@ -81,7 +81,7 @@ def moved(motor: Motor, *arguments: float, **keywords: object) -> None:
 
 
 @EVERY_KIND
-def test_motion_goes_on_at_its_final_velocity(kind):
+def test_motion_continues_at_its_final_velocity(kind):
     with opened(kind, Path("ends.toml")) as rig:
         motor = rig.motors["left"]
         moved(motor, 1.0, final_derivatives=(0.8,))
