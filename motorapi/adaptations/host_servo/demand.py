@@ -150,12 +150,8 @@ class Moving(Course):
         super().__init__(POSITION, motion.target * scale)
         self._planned = planned
         self._scale = scale
-        self._follow(motion)
-
-    def _follow(self, motion: Motion) -> None:
-        self._tracked = Tracked(POSITION, demand_of(motion), self._scale)
-        self.target = self._tracked.target
-        self.final_velocity = motion.final_velocity * self._scale
+        self._tracked = Tracked(POSITION, demand_of(motion), scale)
+        self.final_velocity = motion.final_velocity * scale
         self.is_over = False
 
     def begin(self, demand: float) -> None:
@@ -164,7 +160,9 @@ class Moving(Course):
         Raises:
             MotorError: there is no such motion from there.
         """
-        self._follow(self._planned(demand / self._scale))
+        motion = self._planned(demand / self._scale)
+        self._tracked = Tracked(POSITION, demand_of(motion), self._scale)
+        self.target = self._tracked.target
 
     def sample(self, elapsed_s: float, ahead_s: float) -> None:
         """Set the demand for `elapsed_s` after the start."""
