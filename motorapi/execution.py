@@ -27,12 +27,19 @@ from motorhil.motorapi.ownership.claim import use_leases
 from motorhil.motorapi.ownership.physical_motor import ActiveMotion, RunStatus
 from motorhil.motorapi.ownership.queue import FifoQueue, trigger_turns
 from motorhil.motorapi.planning import single_axis as planning
+from motorhil.motorapi.planning.functions import model_of_profile
 from motorhil.motorapi.planning.groups import TIME, Common, synchronised
 from motorhil.motorapi.runtime.api import Awaited, Waiting, wait_until
 from motorhil.motorapi.state import MotorState
 from motorhil.motorapi.synchronization.offer import Trigger
 from motorhil.motorapi.synchronization.quality import SyncLevel
-from motorhil.motorapi.trajectory import Argument, ComplexTrajectory, MotorPosition, Trajectory
+from motorhil.motorapi.trajectory import (
+    Argument,
+    ComplexTrajectory,
+    MotorPosition,
+    Trajectory,
+    TrapezoidalTrajectory,
+)
 
 Answer = Callable[[LogicalMotor, ActiveMotion | None, Exception], Exception]
 """The reaction to a failure: motor, its motion and the error; returns the error to be raised."""
@@ -264,9 +271,22 @@ def _plan_one(motor: LogicalMotor) -> Motion:
     if isinstance(command, Setpoint):
         reference = motor.hooks.read_reference()
         return planning.plan_setpoint(motor.name, motor.model, variable, command, reference)
+    velocity: float | None = None
+    if _begins_moving(motor, command):
+        velocity = motor.hooks.read_velocity()
+    model = model_of_profile(motor.model, limits_jerk=motor.hooks.limits_jerk(variable))
     return planning.plan_trajectory(
-        motor.name, motor.model, variable, command, _reference(motor), argument=motor.argument
+        *(motor.name, model, variable, command, _reference(motor)),
+        argument=motor.argument,
+        velocity=velocity,
     )
+
+
+def _begins_moving(motor: LogicalMotor, command: Setpoint | Trajectory) -> bool:
+    """Return True for a trajectory of position with an initial velocity."""
+    if motor.variable is not ControlVariable.POSITION:
+        return False
+    return isinstance(command, TrapezoidalTrajectory) and command.initial_velocity != 0.0
 
 
 def _reference(motor: LogicalMotor) -> float:
@@ -298,6 +318,8 @@ def _require_startable(motor: LogicalMotor) -> None:
     run = motor.physical.run
     before = None if run is None else run.motion
     replaceable = before is not None and before.variable is motor.variable
+    if before is not None and motor.command is not None and _begins_moving(motor, motor.command):
+        return  # the velocity is checked instead
     if replaceable and motor.variable is ControlVariable.POSITION:
         setpoints = (ControlMode.SETPOINT, ControlMode.SETPOINT)
         replaceable = before is not None and (before.mode, motor.mode) == setpoints

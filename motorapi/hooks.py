@@ -51,7 +51,7 @@ from motorhil.motorapi.runtime.api import Runtime
 from motorhil.motorapi.state import Fault, Measurement, MotorState
 from motorhil.motorapi.synchronization.offer import SyncOffer, Trigger
 from motorhil.motorapi.synchronization.quality import MotionTimes
-from motorhil.motorapi.trajectory import ComplexTrajectory, Trajectory
+from motorhil.motorapi.trajectory import ComplexTrajectory, Trajectory, has_moving_ends
 
 
 class ArmHook(Protocol):
@@ -72,6 +72,7 @@ class Hooks:
     plugin: str
     supports: Callable[[ControlMode, ControlVariable], bool]
     check_command: Callable[[ControlVariable, Setpoint | Trajectory], None]
+    limits_jerk: Callable[[ControlVariable], bool]
     sync_offer: Callable[[], SyncOffer]
     quantise: Callable[[Motion], Motion]
     connect: Callable[[], None]
@@ -169,6 +170,19 @@ class MotorHooks(Device, ABC):
                 feature=f"a complex trajectory of {variable.value}",
                 supported="simple trajectories",
             )
+        if has_moving_ends(command):
+            raise UnsupportedError(
+                motor=self.name,
+                feature="a trajectory that does not begin and end at rest",
+                supported="trajectories from rest to rest",
+            )
+
+    def _limits_jerk(self, variable: ControlVariable) -> bool:
+        """Return True if simple trajectories of `variable` get the model's jerk limit by default.
+
+        They are then motions with a `function`. Otherwise only a limit of the command is met.
+        """
+        return False
 
     @abstractmethod
     def _sync_offer(self) -> SyncOffer:
@@ -348,7 +362,7 @@ class MotorHooks(Device, ABC):
         """Stop by the quick stop of the drive; state STOPPED until enabled again."""
 
     def _halt(self) -> None:
-        """Stop by the halt of the drive, then hold; the next start clears the halt."""
+        """Do as `_stop`, by the halt of the drive; the next start clears the halt."""
         self._stop()
 
     def _motion_times(self) -> MotionTimes | None:

@@ -53,6 +53,16 @@ class Motion:
     """The argument of the function; None: time, from `interval[0]` at the start [s]."""
     stop_deceleration: float | None = None
     """The deceleration of a stop during the motion [U/s²]; None: `deceleration`."""
+    initial_velocity: float = 0.0
+    """The velocity at the beginning of a position trajectory [U/s].
+
+    Unless it is 0, the motor already moves, and `start` is only where it was when this was planned:
+    `motorhil.motorapi.planning.functions.from_here` plans it again from where it begins.
+    """
+    final_velocity: float = 0.0
+    """The velocity at the end of a position trajectory, at which its demand continues [U/s]."""
+    rest_at: float | None = None
+    """Where a demand that continues has come to rest: a limit of position [U]; None: nowhere."""
 
     def __repr__(self) -> str:
         text = f"<Motion {self.mode.value} of {self.variable.value}"

@@ -206,7 +206,8 @@ class Motor(MotorHooks):
         self.__require_mode(ControlMode.TRAJECTORY, "set_trajectory")
         require_argument(self.name, argument)
         planning.check_trajectory(
-            self.name, self.model, self.__logical.variable, trajectory, argument
+            *(self.name, self.model, self.__logical.variable, trajectory, argument),
+            limits_jerk=self.__hooks.limits_jerk(self.__logical.variable),
         )
         self.__hooks.check_command(self.__logical.variable, trajectory)
         self.__logical.command = trajectory
@@ -222,14 +223,16 @@ class Motor(MotorHooks):
         changed settings are transmitted; the motion is started and acknowledged. Otherwise an error
         is raised and nothing has moved. Another start repeats the command. During a motion a
         set-point replaces a set-point of its variable, and a command of velocity, torque or current
-        replaces one of the same variable. All other commands start from rest.
+        replaces one of the same variable. A trajectory with an initial velocity replaces a motion
+        that has this velocity. All other commands start from rest.
 
         Args:
             timeout_s: timeout, first come first served, while another logical motor, of any
                 process, holds it [s]; None: wait for a short operation only.
 
         Raises:
-            StateError: no command is set, a motion is active, or homing is required first.
+            StateError: no command is set, a motion is active, homing is required first, or the
+                motor does not have the initial velocity of a trajectory.
             LimitError: the path leaves the limits.
             MotorBusyError: another logical motor holds it; names holder, purpose and time.
             DeviceFault: the drive reports a fault: reset_fault() first.
@@ -367,7 +370,7 @@ class Motor(MotorHooks):
 
     @final
     def halt(self) -> None:
-        """Stop according to the halt option of the drive, and end the motion."""
+        """Stop by the halt of the drive, at the deceleration of the motion, which ends."""
         self.__logical.bring_to_rest("halt", self.__hooks.halt)
 
     # ---- power, fault, reference ----
@@ -413,8 +416,8 @@ class Motor(MotorHooks):
         """Find position 0 of the motor.
 
         Args:
-            method: homing method number of CiA 402 (37: present position); None: the default of the
-                hardware.
+            method: homing method number of CiA 402 (35, 37: the present position becomes 0); None:
+                the default of the hardware, with a home offset of the hardware.
             wait: False: only begin; wait_until_done() waits for the end.
             timeout_s: timeout [s]; after that it is stopped.
 

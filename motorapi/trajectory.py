@@ -30,13 +30,17 @@ class TrapezoidalTrajectory:
     `TrapezoidalTrajectory(1.0, initial=0.25)` is absolute: from 0.25 to 1.0, and the motor must be
     at 0.25 at the start.
 
+    With an initial velocity the motor must already move at it, and with a final one it continues at
+    it: until the next command or stop, or to rest at a limit of position.
+
     Args:
         final: the final value [U]; without `initial`, relative to the present one.
         initial: the initial value [U].
         limits: of the value and its derivatives; those of the model by default.
         duration_s: duration [s]; None: as short as the limits allow.
         initial_derivatives: (first, second) at the beginning, [U/s], [U/s²]; missing ones are 0.
-        final_derivatives: (first, second) at the end; missing ones are 0.
+        final_derivatives: (first, second) at the end; missing ones are 0. Only trajectories of
+            position may have derivatives at their ends, and second ones need a limit of jerk.
         initial_argument: time of the beginning [s], for a part of a longer motion.
 
     Raises:
@@ -226,6 +230,13 @@ class ComplexTrajectory:
         how = ", relative" if self.relative else ""
         tight = "" if self.limits is None else f", {self.limits!r}"
         return f"<ComplexTrajectory {self.function!r} from {low!r} to {high!r}{how}{tight}>"
+
+
+def has_moving_ends(trajectory: object) -> bool:
+    """Return True for a simple trajectory with derivatives other than 0 at an end."""
+    return isinstance(trajectory, TrapezoidalTrajectory) and any(
+        (*trajectory.initial_derivatives, *trajectory.final_derivatives)
+    )
 
 
 Trajectory: TypeAlias = TrapezoidalTrajectory | ComplexTrajectory

@@ -3,7 +3,8 @@
     generate             the profile of a simple trajectory for a motor with this model
     trapezoid            the same in plain numbers: shortest, or of a given duration
     possible_durations   the durations that are possible
-    jerk_limited         shortest with a limit of the third derivative (extra `ruckig`)
+    jerk_limited         shortest with a limit of the third derivative; with the extra `ruckig` also
+                         between states other than rest
     through_waypoints    a smooth function through given values
     feasible             check of limits; lists each violation with time and amount
     shortest, stretched  trapezoids from rest to rest, in the fewest numbers

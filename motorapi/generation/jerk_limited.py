@@ -1,15 +1,23 @@
-"""Time-optimal jerk-limited motions by the package ruckig (optional extra).
+"""Time-optimal jerk-limited motions: from rest to rest in closed form, others by a package.
 
-Source: L. Berscheid, T. Kröger, Jerk-limited Real-time Trajectory Generation with Arbitrary Target
-States (2021). The tolerances of the package are absolute. Therefore problems are scaled to units in
-which the jerk and the longest of the relevant lengths are 1; the results are scaled back.
+From rest to rest, a ramp to the peak p takes p/a + a/j, or 2 sqrt(p/j) if it does not reach its
+acceleration a, and covers p/2 times that. The peak is the velocity limit, or the p for which both
+ramps cover the distance. It is found by bisection, which needs no root but the square root.
+
+All other motions need the package ruckig (optional extra). Its tolerances are absolute. Therefore
+problems are scaled to units in which the jerk and the longest of the relevant lengths are 1; the
+results are scaled back.
+
+Source: Biagiotti & Melchiorri, Trajectory Planning for Automatic Machines and Robots (2008), 3.4;
+L. Berscheid, T. Kröger, Jerk-limited Real-time Trajectory Generation with Arbitrary Target States
+(2021).
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from itertools import pairwise
-from math import inf, isfinite
+from math import inf, isfinite, sqrt
 from typing import TYPE_CHECKING, Any, Final, TypeAlias, final
 
 from motorhil.motorapi.errors import PluginError, UnsupportedError, UsageError
@@ -102,7 +110,8 @@ def jerk_limited(
     Args:
         final: the final value [U]; the distance, if `initial` is 0.
         limits: of velocity and acceleration. If they differ between forward and backward motion,
-            the tighter one applies to both: the package has one range only.
+            the tighter one applies to both, except from rest to rest: the package has one range
+            only.
         jerk: maximum magnitude of the third derivative [U/s³].
         initial: the initial value [U].
         initial_derivatives: first and second at the beginning; missing ones are 0.
@@ -112,15 +121,69 @@ def jerk_limited(
 
     Raises:
         PluginError: the package finds no motion, or a wrong one; each result is verified.
-        UnsupportedError: the package is not installed; names the extra.
+        UnsupportedError: the package is needed and not installed; names the extra.
         UsageError: a number is not finite, a state lies outside the limits or must leave them, or
             no motion has that duration, or the motion takes no time.
     """
     task = _task_of(final, limits, jerk, initial, initial_derivatives, final_derivatives)
     if not isfinite(initial_argument):
         raise UsageError(f"the initial argument is {initial_argument}, not a finite number")
-    phases = _phases_of(task, duration_s)
+    if duration_s is None and not any((*task.begin[1:], *task.end[1:])):
+        phases = _from_rest_to_rest(final - initial, limits, jerk)
+    else:
+        phases = _phases_of(task, duration_s)
     return _function(task, phases, initial_argument)
+
+
+def _from_rest_to_rest(distance: float, limits: ProfileLimits, jerk: float) -> list[Phase]:
+    """Return the phases of the shortest motion over a distance."""
+    if distance >= 0.0:
+        high, (fall, rise), sign = limits.velocity[1], limits.forward, 1.0
+    else:
+        high, (fall, rise), sign = -limits.velocity[0], limits.backward, -1.0
+        fall, rise = -rise, -fall
+    way = abs(distance)
+
+    def covered(peak: float) -> float:
+        both_s = _lasts_s(_ramp(peak, rise, jerk)) + _lasts_s(_ramp(peak, -fall, jerk))
+        return 0.5 * peak * both_s
+
+    peak = _peak(way, high, covered)
+    if peak == 0.0:
+        return []
+    hold_s = max(0.0, (way - covered(peak)) / peak) if peak == high else 0.0
+    up = _ramp(peak, rise, jerk)
+    down = [(lasts_s, -change) for lasts_s, change in _ramp(peak, -fall, jerk)]
+    phases = [*up, (hold_s, 0.0), *down]
+    return [(lasts_s, sign * change) for lasts_s, change in phases if lasts_s > 0.0]
+
+
+def _peak(way: float, high: float, covered: Callable[[float], float]) -> float:
+    """Return the velocity, at most `high`, whose ramps cover the distance, by bisection."""
+    if way == 0.0 or (high < inf and covered(high) <= way):
+        return high if way else 0.0
+    low, above = 0.0, 1.0
+    while covered(above) < way:
+        low, above = above, 2.0 * above
+    while low < (middle := 0.5 * (low + above)) < above:
+        if covered(middle) <= way:
+            low = middle
+        else:
+            above = middle
+    return low
+
+
+def _ramp(peak: float, acceleration: float, jerk: float) -> list[Phase]:
+    """Return the phases of a ramp from 0 to a velocity."""
+    if peak * jerk < acceleration * acceleration:
+        bend_s = sqrt(peak / jerk)
+        return [(bend_s, jerk), (bend_s, -jerk)]
+    bend_s = acceleration / jerk
+    return [(bend_s, jerk), (max(0.0, peak / acceleration - bend_s), 0.0), (bend_s, -jerk)]
+
+
+def _lasts_s(phases: Sequence[Phase]) -> float:
+    return sum(lasts_s for lasts_s, _ in phases)
 
 
 def _task_of(

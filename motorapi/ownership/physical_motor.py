@@ -97,8 +97,15 @@ class ActiveMotion:
 
     @property
     def ends(self) -> bool:
-        """True if it ends by itself; a command of velocity, torque or current continues."""
-        return self.motion is None or self.motion.variable is ControlVariable.POSITION
+        """True if it ends by itself, at rest.
+
+        A command of velocity, torque or current continues, as does a trajectory with a final
+        velocity.
+        """
+        motion = self.motion
+        if motion is None:
+            return True
+        return motion.variable is ControlVariable.POSITION and not motion.final_velocity
 
     @property
     def is_over(self) -> bool:

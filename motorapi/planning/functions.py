@@ -8,18 +8,26 @@ of the control variable.
 necessary, we can use the same representation to bound the third derivative and represent a smoother
 motion." This means position with limited jerk, velocity with limited jerk, and torque with a
 limited change of its slope. So every motor that can follow a complex trajectory can follow them.
-The jerk_max of the model limits such requests; it does not limit motions without a request.
+The jerk_max of the model limits such requests. It is also the limit of a trajectory without one, as
+for all other limits, on motors that generate their trajectories on the host (`limits_jerk`).
+
+*Simple trajectories with derivatives at their ends* become functions too. Such a trajectory of
+position begins in the state that its initial derivatives say, which the motor must have: it follows
+a motion that ended so, or replaces one that moves so now. Its profile is planned again from where
+it begins, as the motor has moved on since. After a final velocity the demand continues at it, until
+the next command or stop, and comes to rest at a limit of position, if there is one.
 
 Pure functions.
 """
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from math import isinf, sqrt
+from typing import TYPE_CHECKING, Final
 
-from motorhil.motorapi.commands import ControlMode, ControlVariable
+from motorhil.motorapi.commands import ControlMode, ControlVariable, DerivativeLimits
 from motorhil.motorapi.errors import LimitError, StateError, UnsupportedError, UsageError
 from motorhil.motorapi.generation import ProfileLimits, jerk_limited, trapezoid
-from motorhil.motorapi.generation.feasibility import STEP_S, Allowed, feasible
+from motorhil.motorapi.generation.feasibility import STEP_S, Allowed, feasible, generate
 from motorhil.motorapi.model import MotorModel
 from motorhil.motorapi.motion import Motion
 from motorhil.motorapi.planning.limits import check_target, slack, value_range
@@ -28,6 +36,9 @@ from motorhil.motorapi.trajectory import ComplexTrajectory, TrapezoidalTrajector
 if TYPE_CHECKING:
     from motorhil.motorapi.functions.base import Function
     from motorhil.motorapi.trajectory import Argument
+
+_PASSING_S: Final = 0.1
+"""The time [s] for the start of a moving motor, in which it leaves its initial value behind."""
 
 
 def check(
@@ -122,6 +133,43 @@ def require_at_start(
         )
 
 
+def require_near_start(
+    motor: str, model: MotorModel, trajectory: TrapezoidalTrajectory, reference: float
+) -> None:
+    """Require that a moving motor is near the initial value of an absolute trajectory.
+
+    Raises:
+        StateError: it is not within the tolerance, and 0.1 s of its way.
+    """
+    tolerance = model.start_tolerance + abs(trajectory.initial_velocity) * _PASSING_S
+    start = trajectory.initial
+    if start is not None and abs(start - reference) > tolerance:
+        raise StateError(
+            motor=motor,
+            operation="start",
+            state=f"the trajectory begins at {start:g} {model.unit}, the motor passes"
+            f" {reference:g} {model.unit}",
+            remedy="start it when the motor is there, or make it relative (leave out initial=)",
+        )
+
+
+def require_velocity(motor: str, model: MotorModel, asked: float, velocity: float) -> None:
+    """Require that the motor has the initial velocity of a trajectory.
+
+    Raises:
+        StateError: it has not.
+    """
+    if abs(asked - velocity) > model.acceleration_max * STEP_S:
+        raise StateError(
+            motor=motor,
+            operation="start",
+            state=f"the trajectory begins at {asked:g} {model.unit}/s, the motor moves at"
+            f" {velocity:g} {model.unit}/s",
+            remedy="let the motion before it end with that velocity (final_derivatives=), or begin"
+            " at the present one",
+        )
+
+
 def _check_values(
     motor: str,
     model: MotorModel,
@@ -191,16 +239,171 @@ def asks_for_smoothness(variable: ControlVariable, trajectory: TrapezoidalTrajec
     return highest is not None
 
 
-def smoothed(motor: str, motion: Motion, trajectory: TrapezoidalTrajectory) -> Motion:
+def model_of_profile(model: MotorModel, *, limits_jerk: bool) -> MotorModel:
+    """Return the model for planning: its jerk limit applies only if the motor `limits_jerk`."""
+    if limits_jerk or model.jerk_max is None:
+        return model
+    return replace(model, jerk_max=None)
+
+
+def bend_of(
+    model: MotorModel, variable: ControlVariable, trajectory: TrapezoidalTrajectory
+) -> float | None:
+    """Return the limit of the derivative beyond those of a trapezoid or a ramp; None: no limit.
+
+    It is that of the trajectory, or else the jerk limit of the model.
+    """
+    limits = trajectory.limits
+    asked = None
+    if limits is not None:
+        asked = limits.third if variable is ControlVariable.POSITION else limits.second
+    if asked is not None:
+        return min(-asked[0], asked[1])
+    has_jerk = variable in (ControlVariable.POSITION, ControlVariable.VELOCITY)
+    return model.jerk_max if has_jerk else None
+
+
+def smoothed(motion: Motion, bend: float) -> Motion:
     """Return the same motion as a function, as fast as all limits allow.
 
-    Raises:
-        UsageError: the generating package is not installed; names the extra.
+    Args:
+        motion: the motion, with the limits of its other derivatives.
+        bend: the limit of the next derivative, jerk or the bend of a slope.
     """
     if motion.distance == 0.0:
         return replace(motion, duration_s=0.0)
-    function, duration_s = _generated(motor, motion, trajectory)
+    function, duration_s = _generated(motion, bend)
     return replace(motion, function=function, interval=function.domain, duration_s=duration_s)
+
+
+def between_states(
+    motor: str,
+    model: MotorModel,
+    trajectory: TrapezoidalTrajectory,
+    start: float,
+    *,
+    only_shape: bool = False,
+) -> Motion:
+    """Return the motion of a position trajectory with derivatives at its ends, from `start` [U].
+
+    With `only_shape`, limits of the value are not examined.
+
+    Raises:
+        LimitError: no such motion exists within the limits, or none comes to rest within them.
+        UnsupportedError: the generating package for limited jerk is not installed; or the jerk is
+            unlimited, and a second derivative not 0.
+        UsageError: the motion takes no time.
+    """
+    asked = trajectory
+    if only_shape:
+        model = replace(model, position_min=None, position_max=None)
+        trajectory = replace(trajectory, limits=_without_value(trajectory.limits))
+    if trajectory.is_relative:
+        target, trajectory = start + trajectory.final, replace(trajectory, initial=None)
+    else:
+        target = trajectory.final
+        trajectory = replace(trajectory, final=target - start, initial=None)
+    velocity = trajectory.final_velocity
+    function = _generated_between(motor, model, trajectory, start, target)
+    return Motion(
+        mode=ControlMode.TRAJECTORY,
+        variable=ControlVariable.POSITION,
+        start=start,
+        target=target,
+        velocity=model.velocity_max,
+        acceleration=model.acceleration_max,
+        deceleration=model.deceleration,
+        duration_s=function.domain[1],
+        trajectory=asked,
+        function=function,
+        interval=function.domain,
+        initial_velocity=trajectory.initial_velocity,
+        final_velocity=velocity,
+        rest_at=_rest_at(motor, model, trajectory, target),
+    )
+
+
+def from_here(motor: str, model: MotorModel, motion: Motion, position: float) -> Motion:
+    """Return a motion with an initial velocity, planned again from where it begins [U].
+
+    All other motions begin where they were planned.
+
+    Raises:
+        MotorError: as `between_states`.
+    """
+    trajectory = motion.trajectory
+    if not motion.initial_velocity or not isinstance(trajectory, TrapezoidalTrajectory):
+        return motion
+    return between_states(motor, model, trajectory, position)
+
+
+def _without_value(limits: DerivativeLimits | None) -> DerivativeLimits | None:
+    if limits is None:
+        return None
+    return DerivativeLimits(first=limits.first, second=limits.second, third=limits.third)
+
+
+def _generated_between(
+    motor: str, model: MotorModel, trajectory: TrapezoidalTrajectory, start: float, target: float
+) -> "Function":
+    """Return the profile of a trajectory with derivatives at its ends, in absolute values."""
+    jerk = bend_of(model, ControlVariable.POSITION, trajectory)
+    trajectory = replace(trajectory, initial_argument=0.0)
+    if jerk is None:
+        if any((*trajectory.initial_derivatives[1:], *trajectory.final_derivatives[1:])):
+            raise UnsupportedError(
+                motor=motor,
+                feature="a second derivative at an end of a trajectory with unlimited jerk",
+                supported="it with limits=DerivativeLimits(third=...)",
+            )
+        for violation in feasible(trajectory, model, start=start).violations:
+            raise violation.as_error(motor)
+        return generate(trajectory, model, start=start).as_function()
+    allowed = Allowed.by(model, ControlVariable.POSITION, trajectory.limits)
+    try:
+        function = jerk_limited(
+            target,
+            allowed.profile_limits(trajectory.initial_velocity, trajectory.final_velocity),
+            jerk,
+            initial=start,
+            initial_derivatives=trajectory.initial_derivatives,
+            final_derivatives=trajectory.final_derivatives,
+            duration_s=trajectory.duration_s,
+        )
+    except UnsupportedError as error:
+        raise _without_package(motor, error) from error
+    for violation in feasible(function, model).violations:
+        raise violation.as_error(motor)
+    return function
+
+
+def _rest_at(
+    motor: str, model: MotorModel, trajectory: TrapezoidalTrajectory, target: float
+) -> float | None:
+    """Return where the motor comes to rest after a final velocity; None: nowhere.
+
+    Raises:
+        LimitError: it cannot come to rest within the limits.
+    """
+    velocity = trajectory.final_velocity
+    if not velocity:
+        return None
+    allowed = Allowed.by(model, ControlVariable.POSITION, trajectory.limits).value
+    limit = allowed[1] if velocity > 0.0 else allowed[0]
+    if isinf(limit):
+        return None
+    way = 0.5 * velocity * velocity / model.deceleration
+    if abs(limit - target) < way - slack(way):
+        raise LimitError(
+            motor=motor,
+            quantity="final velocity of the trajectory",
+            value=velocity,
+            low=None,
+            high=sqrt(2.0 * model.deceleration * abs(limit - target)),
+            unit=f"{model.unit}/s",
+            reason=f"it ends {abs(limit - target):g} {model.unit} before the limit {limit:g}",
+        )
+    return limit
 
 
 def slowed(motion: Motion, duration_s: float) -> Motion:
@@ -212,26 +415,17 @@ def slowed(motion: Motion, duration_s: float) -> Motion:
     return replace(motion, function=scaled, interval=scaled.domain, duration_s=duration_s)
 
 
-def _generated(
-    motor: str, motion: Motion, trajectory: TrapezoidalTrajectory
-) -> "tuple[Function, float]":
-    limits = trajectory.limits
-    assert limits is not None
+def _generated(motion: Motion, bend: float) -> "tuple[Function, float]":
     if motion.variable is not ControlVariable.POSITION:
-        assert limits.second is not None
         rate = motion.acceleration if motion.variable is ControlVariable.VELOCITY else motion.slope
-        profile = trapezoid(motion.target, ProfileLimits(rate, limits.second), initial=motion.start)
+        profile = trapezoid(motion.target, ProfileLimits(rate, bend), initial=motion.start)
         return profile.as_function(), profile.duration_s
-    assert limits.third is not None
-    try:
-        curve = jerk_limited(
-            motion.target,
-            ProfileLimits(motion.velocity, motion.acceleration, motion.deceleration),
-            min(-limits.third[0], limits.third[1]),
-            initial=motion.start,
-        )
-    except UnsupportedError as error:  # without the package that generates it
-        raise UnsupportedError(
-            motor=motor, feature=f"a limit on the jerk of a position ({error})"
-        ) from error
+    limits = ProfileLimits(motion.velocity, motion.acceleration, motion.deceleration)
+    curve = jerk_limited(motion.target, limits, bend, initial=motion.start)
     return curve, curve.domain[1]
+
+
+def _without_package(motor: str, error: UnsupportedError) -> UnsupportedError:
+    """Return the error for a motion that an absent package would generate."""
+    feature = f"a limit on the jerk of a position ({error})"
+    return UnsupportedError(motor=motor, feature=feature)

@@ -29,7 +29,7 @@ from motorhil.motorapi.motion import Motion
 from motorhil.motorapi.planning import single_axis as planning
 from motorhil.motorapi.planning.limits import ROUNDING
 from motorhil.motorapi.synchronization.quality import FaultReaction, Synchronization
-from motorhil.motorapi.trajectory import ComplexTrajectory
+from motorhil.motorapi.trajectory import ComplexTrajectory, has_moving_ends
 
 _LEAST: Final = float_info.min
 
@@ -73,6 +73,13 @@ def synchronised(
     Raises:
         UsageError: they cannot have these properties.
     """
+    for motor, motion in zip(motors, motions, strict=True):
+        if has_moving_ends(motion.trajectory):
+            raise UnsupportedError(
+                motor=motor.name,
+                feature="a trajectory that does not begin and end at rest in a group",
+                supported="it for one motor",
+            )
     if common.synchronization is Synchronization.PHASE:
         return _in_phase(motors, motions, common)
     if common.synchronization is Synchronization.NONE:
@@ -253,7 +260,7 @@ def _require_line(motor: LogicalMotor, motion: Motion) -> None:
         return
     what = f"a {motion.mode.value} of {motion.variable.value}"
     if simple:
-        what = "a trajectory that is a function, or has a limit on its third derivative"
+        what = "a trajectory that is a function, or has limited jerk (its own, or of the model)"
     raise UnsupportedError(
         motor=motor.name,
         feature=f"{what} in a phase-synchronised group",

@@ -20,7 +20,10 @@ if TYPE_CHECKING:
 
 
 class Demand(Protocol):
-    """The absolute control variable over the argument; outside the interval, the nearer end."""
+    """The absolute control variable over the argument; outside the interval, the nearer end.
+
+    After the end of a trajectory with a final velocity, the demand continues at it.
+    """
 
     initial_argument: float
     final_argument: float
@@ -29,10 +32,10 @@ class Demand(Protocol):
         """Return the control variable [U]."""
 
     def first(self, argument: float) -> float:
-        """Return the first derivative by the argument; 0 outside the interval."""
+        """Return the first derivative by the argument; 0 where the value is constant."""
 
     def second(self, argument: float) -> float:
-        """Return the second derivative by the argument; 0 outside the interval."""
+        """Return the second derivative by the argument; 0 where the value is constant."""
 
 
 def demand_of(motion: Motion) -> Demand:
@@ -172,28 +175,85 @@ class _RampDemand:
 
 
 @final
-class _FunctionDemand:
-    """Any function, constant beyond its ends."""
+class _Onward:
+    """Position after the end of a trajectory with a final velocity.
 
-    __slots__ = ("_first", "_function", "_offset", "_second", "final_argument", "initial_argument")
+    The motor keeps this velocity. Towards a limit of position, it decelerates to rest there.
+    """
+
+    __slots__ = ("_deceleration", "_rest_at", "_stop_s", "_target", "_velocity", "_way_s")
+
+    def __init__(self, motion: Motion) -> None:
+        velocity = motion.final_velocity
+        self._target = motion.target
+        self._velocity = velocity
+        self._deceleration = motion.deceleration if velocity > 0.0 else -motion.deceleration
+        self._stop_s = velocity / self._deceleration
+        self._rest_at = motion.rest_at
+        self._way_s = inf
+        if motion.rest_at is not None:
+            way = motion.rest_at - motion.target - 0.5 * velocity * self._stop_s
+            self._way_s = max(0.0, way / velocity)
+
+    def value(self, since_s: float) -> float:
+        braked_s = since_s - self._way_s
+        if braked_s <= 0.0:
+            return self._target + self._velocity * since_s
+        left_s = self._stop_s - braked_s
+        assert self._rest_at is not None
+        if left_s <= 0.0:
+            return self._rest_at
+        return self._rest_at - 0.5 * self._deceleration * left_s * left_s
+
+    def first(self, since_s: float) -> float:
+        braked_s = since_s - self._way_s
+        if braked_s >= self._stop_s:
+            return 0.0
+        return self._velocity - self._deceleration * max(0.0, braked_s)
+
+    def second(self, since_s: float) -> float:
+        braked_s = since_s - self._way_s
+        return -self._deceleration if 0.0 <= braked_s < self._stop_s else 0.0
+
+
+@final
+class _FunctionDemand:
+    """Any function, constant before its beginning; beyond its end constant, or `_Onward`."""
+
+    __slots__ = (
+        "_first",
+        "_function",
+        "_offset",
+        "_onward",
+        "_second",
+        "final_argument",
+        "initial_argument",
+    )
 
     def __init__(self, motion: Motion, function: "Function") -> None:
         self._function = function
         self._first = function.derivative()
         self._second = function.derivative(2)
         self._offset = motion.offset
+        self._onward = _Onward(motion) if motion.final_velocity else None
         self.initial_argument, self.final_argument = motion.interval
 
     def value(self, argument: float) -> float:
+        if self._onward is not None and argument > self.final_argument:
+            return self._onward.value(argument - self.final_argument)
         inside = min(max(argument, self.initial_argument), self.final_argument)
         return self._function.value(inside) + self._offset
 
     def first(self, argument: float) -> float:
         if self.initial_argument <= argument < self.final_argument:
             return self._first.value(argument)
+        if self._onward is not None and argument >= self.final_argument:
+            return self._onward.first(argument - self.final_argument)
         return 0.0
 
     def second(self, argument: float) -> float:
         if self.initial_argument <= argument < self.final_argument:
             return self._second.value(argument)
+        if self._onward is not None and argument >= self.final_argument:
+            return self._onward.second(argument - self.final_argument)
         return 0.0

@@ -22,7 +22,12 @@ from motorhil.motorapi.model import MotorModel
 from motorhil.motorapi.motion import Motion
 from motorhil.motorapi.planning import functions
 from motorhil.motorapi.planning.limits import ROUNDING, check_bounds, check_target
-from motorhil.motorapi.trajectory import ComplexTrajectory, Trajectory, TrapezoidalTrajectory
+from motorhil.motorapi.trajectory import (
+    ComplexTrajectory,
+    Trajectory,
+    TrapezoidalTrajectory,
+    has_moving_ends,
+)
 
 if TYPE_CHECKING:
     from motorhil.motorapi.trajectory import Argument
@@ -107,6 +112,8 @@ def check_trajectory(
     variable: ControlVariable,
     trajectory: Trajectory,
     argument: "Argument | None" = None,
+    *,
+    limits_jerk: bool = False,
 ) -> None:
     """Check a trajectory as far as possible without the position of the motor.
 
@@ -130,16 +137,18 @@ def check_trajectory(
             feature=f"a simple trajectory over the {argument.name}: it is a function of time",
             supported="ComplexTrajectory(function) over any argument",
         )
-    _require_rest_at_ends(motor, model, variable, trajectory)
+    if variable is not ControlVariable.POSITION:
+        _require_rest_at_ends(motor, model, variable, trajectory)
     check_bounds(motor, model, variable, trajectory.limits, smooth=True)
     reference = 0.0 if trajectory.initial is None else trajectory.initial
+    model = functions.model_of_profile(model, limits_jerk=limits_jerk)
     plan_trajectory(motor, model, variable, trajectory, reference, only_shape=True)
 
 
 def _require_rest_at_ends(
     motor: str, model: MotorModel, variable: ControlVariable, trajectory: TrapezoidalTrajectory
 ) -> None:
-    """Refuse derivatives at the ends, which neither drive profiles nor ramps support."""
+    """Refuse derivatives at the ends of a ramp: they are those of position trajectories."""
     unit = model.unit_of(variable)
     for what, derivatives in (
         ("begins", trajectory.initial_derivatives),
@@ -151,8 +160,7 @@ def _require_rest_at_ends(
                     motor=motor,
                     feature=f"a simple trajectory of {variable.value} that {what} with a {order}"
                     f" derivative of {value:g} {_per(unit, per)}",
-                    supported="those with derivatives of 0 at both ends; generate this one as a"
-                    " piece of a ComplexTrajectory",
+                    supported="those of position; of others, with derivatives of 0 at both ends",
                 )
 
 
@@ -171,17 +179,19 @@ def plan_trajectory(
     reference: float,
     *,
     argument: "Argument | None" = None,
+    velocity: float | None = None,
     only_shape: bool = False,
 ) -> Motion:
     """Return the motion of a trajectory, from `reference` [U].
 
     Args:
         motor: its name.
-        model: its model.
+        model: its model; without its jerk limit, if the motor does not apply it by default.
         variable: the control variable of the trajectory.
         trajectory: simple or complex.
         reference: its start: the reference position, or the value of another variable.
         argument: of a complex one; None: time.
+        velocity: the present velocity of the motor [U/s], for one with an initial velocity.
         only_shape: do not check a relative one against limits of the value yet.
 
     Raises:
@@ -192,15 +202,28 @@ def plan_trajectory(
         return functions.plan(motor, model, variable, trajectory, argument, reference)
     start = reference
     target = reference + trajectory.final
+    bend = functions.bend_of(model, variable, trajectory)
     if trajectory.initial is not None:
         start, target = trajectory.initial, trajectory.final
-        functions.require_at_start(motor, model, variable, start, reference)
+        if trajectory.initial_velocity:
+            start = reference
+            functions.require_near_start(motor, model, trajectory, reference)
+        else:
+            functions.require_at_start(motor, model, variable, start, reference)
     if not (only_shape and trajectory.is_relative):
         for value in (start, target):
             check_target(motor, model, variable, value, trajectory.limits)
     distance = target - start if trajectory.initial is not None else trajectory.final
+    if velocity is not None and trajectory.initial_velocity:
+        functions.require_velocity(motor, model, trajectory.initial_velocity, velocity)
     if variable is not ControlVariable.POSITION:
-        return _plan_ramp(motor, model, variable, trajectory, (start, target))
+        return _plan_ramp(motor, model, variable, trajectory, (start, target), bend)
+    if has_moving_ends(trajectory):
+        shape_only = only_shape and trajectory.is_relative
+        try:
+            return functions.between_states(motor, model, trajectory, start, only_shape=shape_only)
+        except ArithmeticError as error:
+            raise _not_computed(motor, trajectory) from error
     limits = _bounds(model, trajectory.limits, distance)
     motion = Motion(
         mode=ControlMode.TRAJECTORY,
@@ -212,7 +235,7 @@ def plan_trajectory(
         deceleration=limits.deceleration,
         trajectory=trajectory,
     )
-    return _in_time(motor, motion, trajectory, distance, model.unit)
+    return _in_time(motor, motion, trajectory, distance, model.unit, bend)
 
 
 def _plan_ramp(
@@ -221,6 +244,7 @@ def _plan_ramp(
     variable: ControlVariable,
     trajectory: TrapezoidalTrajectory,
     ends: Range,
+    bend: float | None,
 ) -> Motion:
     """Plan a ramp of velocity, torque or current: the steepest allowed, or of a given duration."""
     start, target = ends
@@ -247,7 +271,8 @@ def _plan_ramp(
             f"{model.unit_of(variable)} takes no time: its rate of change is unlimited; give "
             "duration_s, or limits=DerivativeLimits(first=...)"
         )
-    return _in_time(motor, motion, trajectory, target - start, model.unit_of(variable))
+    unit = model.unit_of(variable)
+    return _in_time(motor, motion, trajectory, target - start, unit, bend)
 
 
 def _velocity_rate(model: MotorModel, start: float, target: float) -> float:
@@ -259,22 +284,36 @@ def _velocity_rate(model: MotorModel, start: float, target: float) -> float:
 
 
 def _in_time(
-    motor: str, motion: Motion, trajectory: TrapezoidalTrajectory, distance: float, unit: str
+    motor: str,
+    motion: Motion,
+    trajectory: TrapezoidalTrajectory,
+    distance: float,
+    unit: str,
+    bend: float | None,
 ) -> Motion:
     """Return the motion with its duration: the shortest, or the requested one."""
     try:
-        return _timed(motor, motion, trajectory, distance, unit)
+        return _timed(motor, motion, trajectory, distance, unit, bend)
     except ArithmeticError as error:
-        what = f"{motor}: {trajectory!r} cannot be computed"
-        raise UsageError(f"{what}: one of its numbers is too large or too small") from error
+        raise _not_computed(motor, trajectory) from error
+
+
+def _not_computed(motor: str, trajectory: TrapezoidalTrajectory) -> UsageError:
+    what = f"{motor}: {trajectory!r} cannot be computed"
+    return UsageError(f"{what}: one of its numbers is too large or too small")
 
 
 def _timed(
-    motor: str, motion: Motion, trajectory: TrapezoidalTrajectory, distance: float, unit: str
+    motor: str,
+    motion: Motion,
+    trajectory: TrapezoidalTrajectory,
+    distance: float,
+    unit: str,
+    bend: float | None,
 ) -> Motion:
     asked_s = trajectory.duration_s
-    if functions.asks_for_smoothness(motion.variable, trajectory):
-        motion = functions.smoothed(motor, motion, trajectory)
+    if bend is not None:
+        motion = functions.smoothed(motion, bend)
     fastest_s = duration_of(motion)
     if asked_s is None:
         return replace(motion, duration_s=fastest_s)

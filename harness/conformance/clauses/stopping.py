@@ -97,7 +97,7 @@ def _expect_next_move(bench: RigProtocol, found: float, name: str) -> None:
     "STOP-02",
     Level.L2,
     needs={Capability.POSITION_TRAJECTORY},
-    source="Motor.halt: stops as the drive's halt option says; CiA 402-2, 605Dh",
+    source="Motor.halt; CiA 402-2, controlword bit 8 (halt)",
 )
 def halt_ends_at_rest_until_next_start(bench: RigProtocol) -> None:
     """During a motion, a halt ends at rest, short of the target; the next start lifts it."""

@@ -7,6 +7,7 @@ from motorhil.harness.conformance.clause import Level, clause, expect
 from motorhil.harness.conformance.clauses.helpers import (
     expect_at,
     expect_raises,
+    expect_rest,
     expect_speed,
     expect_tracks,
     finish,
@@ -16,6 +17,7 @@ from motorhil.harness.conformance.clauses.helpers import (
     move,
     position_of,
     reached,
+    rest_for,
     sample_positions,
     shortest_s,
     torque_of,
@@ -25,13 +27,16 @@ from motorhil.harness.conformance.clauses.helpers import (
 from motorhil.harness.rig.config.conformance import Capability
 from motorhil.motorapi import (
     ComplexTrajectory,
+    ControlMode,
     ControlVariable,
     DerivativeLimits,
     StateError,
     TrapezoidalTrajectory,
+    UnsupportedError,
 )
 
 _AFTER_S = 0.2
+_SOON_S = 0.02
 
 
 def _expect_profile(
@@ -259,3 +264,39 @@ def complex_velocity_position_is_integral(bench: RigProtocol) -> None:
         f"complex velocity trajectory: {worst:.5g} {unit} off its integral;"
         f" limit {bound:.5g} {unit}",
     )
+
+
+@clause(
+    "TRAJ-08",
+    Level.L1,
+    needs={Capability.POSITION_TRAJECTORY},
+    bench={Ability.TRUTH},
+    source="paper 3.3.1, boundary conditions: initial and final values of derivatives",
+)
+def velocities_at_ends_are_met_or_refused(bench: RigProtocol) -> None:
+    """A velocity at an end of a trajectory is refused when it is set, or is the motor's there."""
+    motor, way = bench.motor, 0.3 * long_move(bench)
+    velocity = 0.4 * motor.model.velocity_max
+    motor.enable()
+    motor.set_control_mode(ControlMode.TRAJECTORY)
+    try:
+        motor.set_trajectory(TrapezoidalTrajectory(way, final_derivatives=(velocity,)))
+    except UnsupportedError:
+        expect_rest(bench, motor, "after a refused trajectory with a final velocity")
+        return
+    motor.start()
+    finish(bench, motor, shortest_s(motor, 2.0 * way))
+    expect_speed(bench, motor, velocity, _AFTER_S, "after a trajectory with a final velocity")
+    follow(motor, TrapezoidalTrajectory(way, initial_derivatives=(velocity,)))
+    before = position_of(bench, motor)
+    rest_for(bench, _SOON_S)
+    expect(
+        position_of(bench, motor) - before >= 0.5 * velocity * _SOON_S,
+        f"a trajectory that begins at {velocity:g} {motor.model.unit}/s begins at rest",
+    )
+    finish(bench, motor, shortest_s(motor, 2.0 * way))
+    expect_rest(bench, motor, "after a trajectory that ends at rest")
+    follow(motor, TrapezoidalTrajectory(way))
+    finish(bench, motor, shortest_s(motor, way))
+    motor.set_trajectory(TrapezoidalTrajectory(way, initial_derivatives=(velocity,)))
+    expect_raises(StateError, motor.start, "a motor at rest began with a velocity")

@@ -46,6 +46,7 @@ from motorhil.motorapi.synchronization.bus_load import PeriodicMessage, note_str
 from motorhil.motorapi.trajectory import value_of
 
 if TYPE_CHECKING:
+    from motorhil.motorapi.adaptations.canopen.link import CanLink
     from motorhil.motorapi.ownership.fencing import BoundFence, Fence
     from motorhil.motorapi.runtime.api import Registration
 
@@ -126,6 +127,8 @@ class CspStream:
         self._sync = control.node.bus.sync
         self._sync.check(period_s)
         self._next_target = next_target
+        self._heir: Callable[[], Callable[[int], int | None]] | None = None
+        self._zero = 0  # the cycle that is cycle 0 for `_next_target`
         self._tell_began = began
         self._tell_lost = lost
         self._can_id = can_id
@@ -189,6 +192,30 @@ class CspStream:
             self.period_s, self._after_sync, self._sync_lost, lambda: self._fence
         )
 
+    def hand_over(
+        self,
+        heir: Callable[[], Callable[[int], int | None]],
+        began: Callable[[int], None],
+        lost: Callable[[LinkError], None],
+    ) -> None:
+        """Go on with the set-points of another motion, from the next cycle on.
+
+        Args:
+            heir: called then, with the last target as `target`: cycle 0 of the other motion.
+                Returns its `next_target`.
+            began: called with the time [ns] when the SYNC of its first set-point was on the wire.
+            lost: called with the error when the cyclic SYNC is lost.
+        """
+        self.started_ns = self.latched_ns = None
+        self._heir, self._tell_began, self._tell_lost = heir, began, lost
+
+    def _inherit(self) -> None:
+        """Change to the set-points of the next motion, if one waits."""
+        heir, self._heir = self._heir, None
+        if heir is not None:
+            self._zero = self._cycle - 1
+            self._next_target = heir()
+
     def _send(self) -> Transmission:
         counter = (self._target + _HALF) % _SPAN - _HALF  # 607Ah wraps as the drive's counter
         frame = _SETPOINT.pack(self._can_id, 6, self._word, counter)
@@ -210,7 +237,7 @@ class CspStream:
         now_ns = self._link.runtime.now_ns()
         if self._cycle == 0:
             self._begun_ns = now_ns
-        elif self._cycle == 1:
+        elif self._cycle == self._zero + 1:
             self._sync.at_next(self._began)
         period_ns = self.period_s * 1e9
         if self._sync.is_producer:
@@ -233,7 +260,8 @@ class CspStream:
             if not self._is_followed(now_ns):
                 self._sync_lost(self._not_followed())
                 return
-            target = self._next_target(self._cycle)
+            self._inherit()
+            target = self._next_target(self._cycle - self._zero)
             if target is None:
                 self._sync.at_next(self._was_latched)
                 self.cancel()
@@ -342,6 +370,11 @@ class CspStream:
         self.latched_ns = time_ns
 
     @property
+    def link(self) -> "CanLink":
+        """The link of the drive."""
+        return self._link
+
+    @property
     def is_stopping(self) -> bool:
         """True if the stream is stopping; it then ends within three periods."""
         return self._word != ENABLE_OPERATION
@@ -383,7 +416,7 @@ class StreamedMotion:
         lead_in: the cycles before cycle 0 for the move to the beginning of the trajectory.
         lead: `lead_in`, or more to wait for other motors; set by the trigger.
         over: whether the end of the trajectory has been demanded.
-        velocity: the present velocity of the set-points [U/s].
+        velocity: the velocity of the set-points, of a motion that continues at its end [U/s].
     """
 
     def __init__(
@@ -499,6 +532,8 @@ class StreamedMotion:
             at = max(at, end)  # an argument may turn back, but the trajectory stays over
         if self._motion.variable is ControlVariable.VELOCITY:
             return self._travelled(at)
+        if self.over and self._motion.final_velocity:
+            self.velocity = demand.first(at)
         trajectory = self._motion.trajectory
         if place == 1 and self._argument is not None and trajectory and trajectory.is_relative:
             self._shift = self._from - demand.value(at)

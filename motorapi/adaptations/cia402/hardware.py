@@ -76,6 +76,7 @@ class Cia402HwMotor:
         stream: the last stream of set-points, made by `stream_positions`, or None.
         fence: the fence for frames that command the drive, or None if no other process can take the
             drive over.
+        home_changes: grows when home, or its offset 607Ch, has changed.
         quick_stopped: whether a quick stop was the last command to the power stage.
         users: the number of motors built on it from settings; the last one closes it.
 
@@ -126,6 +127,7 @@ class Cia402HwMotor:
         self.stream: CspStream | None = None
         self.parameters: Final = ParameterStore(self.node, self.objects)
         self._homed_at_boot: int | None = None
+        self.home_changes = 0
         self._is_doubted = False
         guard = guarding(runtime, self.physical, self.node, self.control, self.end_stream)
         self._close = weakref.finalize(self, _let_go, self.node, guard)
@@ -170,6 +172,7 @@ class Cia402HwMotor:
     def was_homed(self) -> None:
         """Record a successful homing."""
         self._homed_at_boot = self.node.boots
+        self.home_changes += 1
         self.node.count_anew()
 
     # --- bringing up ---------------------------------------------------------------------

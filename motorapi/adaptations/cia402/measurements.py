@@ -1,6 +1,7 @@
 """State, fault, measurements and limits of a drive, in SI units."""
 
 from copy import copy
+from dataclasses import replace
 from typing import TYPE_CHECKING, Final, final
 
 from motorhil.motorapi.adaptations.canopen.emcy import error_text
@@ -12,8 +13,10 @@ from motorhil.motorapi.adaptations.cia402.objects import (
     PdsState,
     decode_state,
 )
+from motorhil.motorapi.adaptations.cia402.parameters import HALT_OPTION, HOME_OFFSET
 from motorhil.motorapi.adaptations.cia402.profile import DriveLimits, TorqueUnit, torque_unit
-from motorhil.motorapi.adaptations.cia402.units import DriveUnits, drive_units
+from motorhil.motorapi.adaptations.cia402.units import DriveUnits, drive_units, velocity_direction
+from motorhil.motorapi.commands import ControlVariable
 from motorhil.motorapi.errors import DeadlineExceeded, UnsupportedError
 from motorhil.motorapi.state import Fault, Measurement, MotorState
 
@@ -51,6 +54,8 @@ class DriveReader:
         self._facts: DriveFacts | None = None
         self._units: DriveUnits | None = None
         self._limits: DriveLimits | None = None
+        self._home_changes = 0
+        self._is_directed = False
         self._torque: TorqueUnit | None = None
         self._no_torque: UnsupportedError | None = None
 
@@ -61,12 +66,36 @@ class DriveReader:
         without waiting for them.
         """
         facts = self._hardware.connect()
-        if self._units is None or self._limits is None or facts is not self._facts:
-            self._units = drive_units(self._motor, self._model, self._objects.read_optional)
-            self._limits = _read_limits(self._hardware)
+        units, limits = self._units, self._limits
+        if units is None or limits is None or facts is not self._facts:
+            units = drive_units(self._motor, self._model, self._objects.read_optional)
+            limits = _read_limits(self._hardware)
             self._torque = self._no_torque = None
-            self._facts = facts
-        return self._units, self._limits
+            self._is_directed = False
+        elif self._home_changes != self._hardware.home_changes and limits.position is not None:
+            limits = replace(limits, position=_read_position_limits(self._hardware))
+        self._facts, self._home_changes = facts, self._hardware.home_changes
+        self._units, self._limits = units, limits
+        if self._hardware.options.velocity_period_ms:
+            units = self._direct(units)
+        return units, limits
+
+    def known_of(self, variable: ControlVariable) -> tuple[DriveUnits, DriveLimits]:
+        """Return units and limits for a motion of `variable`."""
+        units, limits = self.known()
+        return self._direct(units) if variable is ControlVariable.VELOCITY else units, limits
+
+    def _direct(self, units: DriveUnits) -> DriveUnits:
+        """Return the units with the direction of velocities, read once after each bring-up.
+
+        Only motions and measurements of velocity need it.
+        """
+        if self._is_directed:
+            return units
+        direction = velocity_direction(self._objects.read_optional)
+        self._units = units = replace(units, velocity_direction=direction)
+        self._is_directed = True
+        return units
 
     def torque_unit(self) -> TorqueUnit:
         """Return the units of the drive's torque objects, read once per bring-up.
@@ -143,7 +172,8 @@ class DriveReader:
 
     def velocity(self) -> float:
         """Return the measured velocity [U/s]."""
-        return self.units.velocity(self._objects.read_int(0x606C))
+        units, _ = self.known_of(ControlVariable.VELOCITY)
+        return units.velocity(self._objects.read_int(0x606C))
 
     def reference(self) -> float:
         """Return the position demand, or the measured position if there is none [U].
@@ -198,7 +228,7 @@ class DriveReader:
         if units is not None and units.increments_per_unit is not None:
             position = units.position(node.position_inc)
             raw = node.values.get((0x606C, 0))
-            if raw is not None and units.velocity_unit is not None:
+            if raw is not None and units.velocity_unit is not None and self._is_directed:
                 velocity = units.velocity(raw)
         state = MotorState.OFFLINE if node.is_old else self.state()
         return Measurement(node.status_ns, state, position, velocity)
@@ -206,8 +236,7 @@ class DriveReader:
 
 def _read_limits(hardware: Cia402HwMotor) -> DriveLimits:
     read = hardware.objects.read_optional
-    low, high = read(0x607D, 1), read(0x607D, 2)
-    position = None if low is None or high is None or low == high == 0 else (low, high)
+    position = _read_position_limits(hardware)
     window = read(0x6067)
     return DriveLimits(
         position=position,
@@ -216,4 +245,15 @@ def _read_limits(hardware: Cia402HwMotor) -> DriveLimits:
         deceleration=read(0x60C6),
         window=None if window == _WINDOW_OFF else window,
         has_deceleration=read(0x6084) is not None,
+        halt_option=read(HALT_OPTION),
     )
+
+
+def _read_position_limits(hardware: Cia402HwMotor) -> tuple[int, int] | None:
+    """Return 607Dh, counted from zero; the object counts from home (CiA 402-2, 607Dh)."""
+    read = hardware.objects.read_optional
+    low, high = read(0x607D, 1), read(0x607D, 2)
+    if low is None or high is None or low == high == 0:
+        return None
+    offset = read(HOME_OFFSET) or 0
+    return low - offset, high - offset

@@ -17,6 +17,7 @@ a quick stop within the model's limit, the ramp of a halt. The drive gets its ow
 afterwards. Motions of several drives begin together as `sync_start` describes.
 """
 
+from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
 from typing import TYPE_CHECKING, Final, final
@@ -35,6 +36,7 @@ from motorhil.motorapi.adaptations.cia402.objects import FAULT_BIT, Mode
 from motorhil.motorapi.adaptations.cia402.parameters import (
     HALT_OPTION,
     POSITIONING_OPTION,
+    QUICK_STOP_DECELERATION,
     WINDOW_OFF,
     Cia402Parameters,
     Place,
@@ -55,6 +57,7 @@ from motorhil.motorapi.adaptations.cia402.sync_start import (
     ArmedGroup,
     ArmedSetPoint,
     ArmedStream,
+    HandOverTrigger,
     SyncTrigger,
     armed_group,
     offer_of,
@@ -62,6 +65,7 @@ from motorhil.motorapi.adaptations.cia402.sync_start import (
 from motorhil.motorapi.commands import ControlVariable
 from motorhil.motorapi.errors import DeadlineExceeded, StateError
 from motorhil.motorapi.motion import Motion
+from motorhil.motorapi.planning.functions import from_here
 from motorhil.motorapi.synchronization.offer import SyncOffer, Trigger
 from motorhil.motorapi.synchronization.quality import MotionTimes
 
@@ -74,6 +78,7 @@ _BEHIND: Final = 10.0  # start tolerances: no drive stands still that far behind
 _STOPPING_PERIODS: Final = 4
 POLL_S: Final = 0.01
 _PREVIOUS_TARGET, _DEMAND, _ACTUAL = range(3)  # 60F2h, bits 0 and 1: where a distance begins
+_HERE_IS_ZERO: Final = (35, 37)
 _LIVE: Final = {ControlVariable.VELOCITY: 0x60FF, ControlVariable.TORQUE: 0x6071}
 
 
@@ -126,25 +131,38 @@ def settings_of(
         slope = torque_profile_of(motion, reader.torque_unit()).slope
         if slope is not None and slope != STEEPEST:
             wanted[0x6087, 0] = slope
-    return wanted | _halt_settings(motion, hardware, reader)
+    return wanted | halt_settings(hardware, reader, motion)
 
 
-def _halt_settings(
-    motion: Motion, hardware: Cia402HwMotor, reader: DriveReader
+_SLOW_DOWN_RAMP, _QUICK_STOP_RAMP = 1, 2  # values of 605Dh
+
+
+def halt_settings(
+    hardware: Cia402HwMotor, reader: DriveReader, motion: Motion | None = None
 ) -> dict[Place, int]:
-    """Return the settings for a halt with the motion's own deceleration, if it has one.
+    """Return the settings with which a halt has the deceleration of the motion (None: homing).
 
-    605Dh = 1 selects the motion's own ramp, 6084h. 2 selects the quick stop ramp, 6085h, which is
-    set to the motion's deceleration meanwhile.
+    605Dh = 1 selects the ramp of the mode: 6084h, in hm 609Ah. 2 selects the quick stop ramp,
+    6085h, which is set to the deceleration meanwhile, if the motion has one for its stop, or if the
+    drive keeps 605Dh at 2.
     """
-    asked = motion.stop_deceleration
-    if asked is None or hardware.objects.read_optional(HALT_OPTION) is None:
+    units, limits = reader.known()
+    kept = hardware.parameters.own((HALT_OPTION, 0))
+    option = limits.halt_option if kept is None else kept
+    if option is None:
         return {}
-    units = reader.known()[0]
-    steepest = units.acceleration_raw(asked)
-    if steepest == units.acceleration_raw(motion.deceleration):
-        return {(HALT_OPTION, 0): 1}
-    return {(HALT_OPTION, 0): 2, (0x6085, 0): steepest}
+    wanted = _SLOW_DOWN_RAMP
+    ramp: int | None = None
+    if motion is not None:
+        ramp = units.acceleration_raw(motion.stop_deceleration or motion.deceleration)
+        if ramp != units.acceleration_raw(motion.deceleration):
+            wanted = _QUICK_STOP_RAMP
+    if hardware.parameters.keeps_halt_option:
+        wanted = option
+    settings = {} if wanted == option else {(HALT_OPTION, 0): wanted}
+    if wanted == _QUICK_STOP_RAMP and ramp is not None:
+        settings[QUICK_STOP_DECELERATION, 0] = ramp
+    return settings
 
 
 def window_of(
@@ -236,12 +254,12 @@ class DriveMotions:
 
     def quantise(self, motion: Motion) -> Motion:
         """Return the motion in the drive's resolution; see `MotorHooks._quantise`."""
-        units, limits = self._reader.known()
         if motion.function is not None:
             return motion  # its set-points are rounded to increments one by one
         if motion.variable is ControlVariable.TORQUE:
             unit = self._reader.torque_unit()
             return as_torque_motion(motion, torque_profile_of(motion, unit), unit)
+        units, limits = self._reader.known_of(motion.variable)
         return as_motion(motion, profile_of(motion, self._model, units, limits), units)
 
     # --- arming ----------------------------------------------------------------------------
@@ -253,30 +271,55 @@ class DriveMotions:
         stream = self._hardware.stream
         if stream is not None and stream.is_stopping:
             self._runtime.wait_until(lambda: stream.ended, _STOPPING_PERIODS * stream.period_s)
-        if stream is not None and not stream.ended:
+        is_streamed = stream is not None and not stream.ended
+        if is_streamed is not bool(motion.initial_velocity):
+            state = "set-points are being streamed to it"
+            if not is_streamed:
+                state = "it moves, but not by set-points of the host, and changes to csp at rest"
             raise StateError(
-                motor=self._motor,
-                operation="start",
-                state="set-points are being streamed to it",
-                remedy="stop() first",
+                motor=self._motor, operation="start", state=state, remedy="stop() first"
             )
         wanted = settings_of(motion, self.parameters, self._hardware, self._reader)
         if motion.function is not None:
-            self._hardware.parameters.apply(self._motor, wanted)
+            self._apply(motion, wanted)
             return self._arm_stream(motion)
         if motion.variable is ControlVariable.TORQUE:
-            self._hardware.parameters.apply(self._motor, wanted)
+            self._apply(motion, wanted)
             return self._arm_torque(motion)
-        units, limits = self._reader.known()
+        units, limits = self._reader.known_of(motion.variable)
         profile = profile_of(motion, self._model, units, limits)
         origin_inc = None
         if motion.variable is ControlVariable.POSITION:
             origin_inc = self._origin(profile.target, wanted)
-        self._hardware.parameters.apply(self._motor, wanted)
+        self._apply(motion, wanted)
         check_limits(self._motor, profile, units, limits)
         if motion.variable is ControlVariable.VELOCITY:
             return self._arm_velocity(motion, profile)
         return self._arm_position(motion, profile, origin_inc)
+
+    def _apply(self, motion: Motion | None, wanted: dict[Place, int]) -> None:
+        """Write settings to the drive, and others if it keeps its own halt option."""
+        store = self._hardware.parameters
+        kept = store.keeps_halt_option
+        store.apply(self._motor, wanted)
+        if store.keeps_halt_option and not kept:
+            wanted = wanted | halt_settings(self._hardware, self._reader, motion)
+            store.apply(self._motor, wanted)
+
+    def before_homing(self, method: int | None) -> None:
+        """Write the drive's settings for homing, and the deceleration of its stop.
+
+        Homing at the present position makes it 0, whatever the drive's home offset.
+        """
+        settings = halt_settings(self._hardware, self._reader)
+        self._apply(None, self.parameters.objects(self._reader.known()[0]) | settings)
+        store = self._hardware.parameters
+        if method in _HERE_IS_ZERO:
+            is_written = store.home_here(self._motor, method)
+        else:
+            is_written = store.home_by_own_offset()
+        if is_written:
+            self._hardware.home_changes += 1
 
     def _origin(self, target_inc: int, wanted: dict[Place, int]) -> int | None:
         """Return where a distance to the target begins; None: the target is absolute.
@@ -327,7 +370,7 @@ class DriveMotions:
         return SetPointTrigger(self._hardware, watch)
 
     def _arm_velocity(self, motion: Motion, profile: DriveProfile) -> Trigger:
-        units = self._reader.known()[0]
+        units, _ = self._reader.known_of(motion.variable)
         self._control.require(Mode.PROFILE_VELOCITY)
         if not self._control.is_in(Mode.PROFILE_VELOCITY):
             self._objects.write(0x60FF, 0)  # an old target would take effect at once
@@ -390,7 +433,8 @@ class DriveMotions:
             return target
 
         hardware.connect()
-        stream = CspStream(
+        running = hardware.stream if motion.initial_velocity else None
+        stream = running or CspStream(
             self._control,
             period_s,
             next_target,
@@ -402,12 +446,35 @@ class DriveMotions:
         streamed = StreamedMotion(self._motor, motion, units, period_s, stream.target)
         self._armed = hardware.stream = stream
         self._follow(watch)
-        self._reader.held = (None, 0.0)
-        if not velocity:
-            self._reader.held = (units.position_inc(motion.target), motion.target)
+        self._reader.held = self._held_by(motion)
+        if running is not None:
+
+            def heir() -> Callable[[int], int | None]:
+                nonlocal streamed
+                held_inc = running.target
+                try:
+                    here = from_here(self._motor, self._model, motion, units.position(held_inc))
+                except Exception as error:
+                    watch.fail(error)
+                    raise
+                streamed = StreamedMotion(self._motor, here, units, period_s, held_inc)
+                return next_target
+
+            return HandOverTrigger(
+                running, partial(running.hand_over, heir, watch.begin, watch.fail)
+            )
         armed = self._group if self._together else ArmedGroup()
         armed.streams.append(ArmedStream(stream, streamed))
         return SyncTrigger(self._node.bus, armed)
+
+    def _held_by(self, motion: Motion) -> tuple[int | None, float]:
+        """Return `DriveReader.held` for the end of a stream, if it is known."""
+        trajectory = motion.trajectory
+        end = motion.rest_at if motion.final_velocity else motion.target
+        is_shifted = motion.initial_velocity and trajectory is not None and trajectory.is_relative
+        if motion.variable is ControlVariable.VELOCITY or end is None or is_shifted:
+            return None, 0.0
+        return self._reader.known()[0].position_inc(end), end
 
     def _check_ends(self, motion: Motion) -> None:
         """Check that the whole trajectory is within the drive's own software position limits."""
@@ -461,9 +528,9 @@ class DriveMotions:
     def disarm(self) -> None:
         """Cancel an armed motion; see `MotorHooks._disarm`."""
         watch, stream = self._watch, self._armed
-        if watch is not None and watch is self._node.watch and not _is_commanded(watch, stream):
+        if watch is not None and watch is self._node.watch and not _is_commanded(watch):
             self._hardware.follow(self._before)  # for example a stop that came while arming
-        if stream is not None and stream.started_ns is None:
+        if stream is not None and stream.started_ns is None and not stream.is_stopping:
             stream.cancel()
         point, self._point = self._point, None
         if point in self._group.set_points:
@@ -528,7 +595,7 @@ class DriveMotions:
         if motion.variable is ControlVariable.TORQUE:
             target = torque_profile_of(motion, self._reader.torque_unit()).target
         else:
-            units, limits = self._reader.known()
+            units, limits = self._reader.known_of(motion.variable)
             target = profile_of(motion, self._model, units, limits).target
         found = self._objects.read_int(index)
         if found != target and not self._control.is_halted:
@@ -564,7 +631,7 @@ def _live_watch(expected_s: float, duration_s: float | None) -> SetpointWatch:
     )
 
 
-def _is_commanded(watch: SetpointWatch | StreamWatch, stream: CspStream | None) -> bool:
+def _is_commanded(watch: SetpointWatch | StreamWatch) -> bool:
     if isinstance(watch, StreamWatch):
-        return stream is not None and stream.started_ns is not None
+        return watch.started_ns is not None
     return watch.commanded_ns is not None

@@ -22,7 +22,7 @@ also follows SYNC, as a frame may be lost.
 """
 
 from collections.abc import Callable, Mapping
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, suppress
 from typing import TYPE_CHECKING, Final, final
 
 from motorhil.motorapi.adaptations.canopen.bus import CanopenBus
@@ -52,7 +52,13 @@ from motorhil.motorapi.adaptations.cia402.parameters import Cia402Parameters
 from motorhil.motorapi.adaptations.cia402.units import DriveUnits
 from motorhil.motorapi.adaptations.registration import Shared, read_settings
 from motorhil.motorapi.commands import ControlMode, ControlVariable, Setpoint
-from motorhil.motorapi.errors import MotionInterrupted, PeerError, UnsupportedError, UsageError
+from motorhil.motorapi.errors import (
+    MotionInterrupted,
+    MotorError,
+    PeerError,
+    UnsupportedError,
+    UsageError,
+)
 from motorhil.motorapi.model import MotorModel
 from motorhil.motorapi.motion import Motion
 from motorhil.motorapi.motor import Motor
@@ -61,7 +67,12 @@ from motorhil.motorapi.runtime.api import Registration
 from motorhil.motorapi.state import Fault, Measurement, MotorState
 from motorhil.motorapi.synchronization.offer import SyncOffer, Trigger
 from motorhil.motorapi.synchronization.quality import MotionTimes
-from motorhil.motorapi.trajectory import ComplexTrajectory, Trajectory
+from motorhil.motorapi.trajectory import (
+    ComplexTrajectory,
+    Trajectory,
+    TrapezoidalTrajectory,
+    has_moving_ends,
+)
 
 if TYPE_CHECKING:
     import can
@@ -177,7 +188,9 @@ def is_function(variable: ControlVariable, command: Setpoint | Trajectory) -> bo
     """Return whether the command is a function, which no profile of a drive can follow."""
     if isinstance(command, Setpoint):
         return False
-    return isinstance(command, ComplexTrajectory) or asks_for_smoothness(variable, command)
+    if isinstance(command, ComplexTrajectory):
+        return True
+    return has_moving_ends(command) or asks_for_smoothness(variable, command)
 
 
 @final
@@ -243,9 +256,18 @@ class Cia402Motor(Motor):
                 supported="such trajectories of position and velocity, where the drive has csp",
             )
 
+    def _limits_jerk(self, variable: ControlVariable) -> bool:
+        """Return True for positions, if the drive can be streamed to; ramps of pv stay its own."""
+        facts = self._control.facts
+        can_stream = facts is None or 0x607A in facts.latched_ids
+        is_position = variable is ControlVariable.POSITION
+        return is_position and can_stream and self._control.supports(Mode.CYCLIC_SYNC_POSITION)
+
     def _sync_offer(self) -> SyncOffer:
-        command = self.logical.command
-        streamed = command is not None and is_function(self.control_variable, command)
+        command, variable = self.logical.command, self.control_variable
+        streamed = command is not None and is_function(variable, command)
+        if isinstance(command, TrapezoidalTrajectory) and self._limits_jerk(variable):
+            streamed = streamed or self.model.jerk_max is not None
         return self._motions.offer(self.control_variable, streamed=streamed)
 
     def _quantise(self, motion: Motion) -> Motion:
@@ -336,11 +358,19 @@ class Cia402Motor(Motor):
         self._control.disable()
         self._hardware.quick_stopped = False
         self._hardware.follow(None)
+        self._restore_parameters()
+
+    def _restore_parameters(self) -> None:
+        """Give the drive its own parameters back, if it is heard; else the next start does so."""
+        if self._hardware.facts is not None and self._node.is_up:
+            with suppress(MotorError):
+                self._hardware.parameters.apply(self.name, {})
 
     def _reset_fault(self) -> None:
         self._control.reset_fault()
 
     def _home(self, method: int | None) -> None:
+        self._motions.before_homing(method)
         self._control.set_mode(Mode.HOMING)
         if method is not None:
             try:
@@ -424,6 +454,7 @@ class Cia402Motor(Motor):
             self._hardware.end_stream(QUICK_STOP)
 
     def _open_low_level(self) -> Cia402HwMotor:
+        self._restore_parameters()
         self._hardware.fall_silent()
         return self._hardware
 

@@ -26,7 +26,9 @@ Place = tuple[int, int]
 _GAINS: Final = {"current_gains": 0x60F6, "velocity_gains": 0x60F9, "position_gains": 0x60FB}
 WINDOW_OFF: Final = 0xFFFF_FFFF  # 6065h, 6067h
 POSITIONING_OPTION: Final = 0x60F2
+QUICK_STOP_DECELERATION: Final = 0x6085
 HALT_OPTION: Final = 0x605D  # a drive may support only one value
+HOME_OFFSET: Final = 0x607C
 _TIME_MAX_S: Final = 65.535  # in ms, 16 bits
 
 
@@ -154,6 +156,10 @@ class ParameterStore:
 
     There is one store per hardware object. The store trusts its own writes only while the motor
     does not change hands.
+
+    Attributes:
+        keeps_halt_option: whether the drive has refused a value of 605Dh, so that it is not asked
+            again.
     """
 
     def __init__(self, node: DriveNode, objects: ObjectAccess) -> None:
@@ -161,6 +167,8 @@ class ParameterStore:
         self._objects = objects
         self._own: dict[Place, bytes] = {}  # before the first write
         self._boots = -1
+        self.keeps_halt_option = False
+        self._home_offset: tuple[int, int] | None = None  # boot-ups, and the original value
 
     def apply(self, motor: str, wanted: dict[Place, int]) -> None:
         """Write `wanted` to the drive, and restore the original values of all others.
@@ -170,22 +178,59 @@ class ParameterStore:
         """
         if self._node.boots != self._boots:  # after a boot-up the drive has its original values
             self._boots = self._node.boots
-            self._own.clear()
+            self.forget()
         for place, value in wanted.items():
             own = self._own_value(motor, place)
-            self._push(motor, place, self._encoded(motor, place, value, len(own)))
+            if place != (HALT_OPTION, 0) or not self.keeps_halt_option:
+                self._push(motor, place, self._encoded(motor, place, value, len(own)))
         for place, data in self._own.items():
-            if place not in wanted:
+            if place not in wanted and (place != (HALT_OPTION, 0) or not self.keeps_halt_option):
                 self._push(motor, place, data)
 
     def forget(self) -> None:
         """Forget the original values, as other programs may have written to the drive."""
         self._own.clear()
+        self.keeps_halt_option = False
+
+    def home_here(self, motor: str, method: int) -> bool:
+        """Write a home offset of 0, with which the present position becomes 0.
+
+        The drive keeps it until `home_by_own_offset` or its boot-up, as its software position
+        limits count from home. Return whether it was written.
+
+        Raises:
+            UnsupportedError: the drive refuses it.
+        """
+        own = self._objects.read_optional(HOME_OFFSET)
+        if not own:
+            return False
+        try:
+            self._objects.write(HOME_OFFSET, 0)
+        except SdoAborted as error:
+            raise UnsupportedError(
+                motor=motor,
+                feature=f"homing by method {method} with a position of 0: the drive's home offset"
+                f" 607Ch is {own} ({error})",
+                supported="home() without a method, by the drive's own method and offset",
+            ) from error
+        self._home_offset = (self._node.boots, own)
+        return True
+
+    def home_by_own_offset(self) -> bool:
+        """Restore the original home offset; return whether it was written."""
+        kept, self._home_offset = self._home_offset, None
+        if kept is None or kept[0] != self._node.boots:
+            return False
+        if self._objects.read_optional(HOME_OFFSET) != 0:
+            return False  # written by the application since
+        self._objects.write(HOME_OFFSET, kept[1])
+        return True
 
     def own(self, place: Place) -> int | None:
         """Return the original value of an object written since, or None if it was not written."""
         data = self._own.get(place) if self._node.boots == self._boots else None
-        return None if data is None else int.from_bytes(data, "little")
+        is_signed = place == (HALT_OPTION, 0)
+        return None if data is None else int.from_bytes(data, "little", signed=is_signed)
 
     def _own_value(self, motor: str, place: Place) -> bytes:
         own = self._own.get(place)
@@ -202,7 +247,8 @@ class ParameterStore:
             self._objects.push_bytes(*place, data)
         except SdoAborted as error:
             if place == (HALT_OPTION, 0):
-                return  # the drive keeps its own halt option
+                self.keeps_halt_option = True
+                return
             value = int.from_bytes(data, "little")
             raise UnsupportedError(
                 motor=motor, feature=f"{_name(place)} = {value} ({error})"

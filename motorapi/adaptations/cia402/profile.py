@@ -37,11 +37,13 @@ class DriveLimits:
     """The drive's own limits, in its units; None if it does not report one.
 
     Attributes:
-        position: 607Dh, software position limits; also None if both are 0, which disables them.
+        position: 607Dh, software position limits, counted from zero; also None if both are 0, which
+            disables them.
         speed: 607Fh, maximum profile velocity.
         acceleration, deceleration: 60C5h, 60C6h.
         window: 6067h, position window; None if it is switched off or absent.
         has_deceleration: whether 6084h exists; without it, both ramps use 6083h.
+        halt_option: 605Dh.
     """
 
     position: tuple[int, int] | None
@@ -50,6 +52,7 @@ class DriveLimits:
     deceleration: int | None
     window: int | None
     has_deceleration: bool
+    halt_option: int | None = None
 
 
 @final

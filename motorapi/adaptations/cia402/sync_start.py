@@ -391,6 +391,27 @@ class SyncTrigger:
 
 
 @final
+class HandOverTrigger:
+    """The start of a motion in a stream that runs: its set-points follow those of the last one."""
+
+    def __init__(self, stream: CspStream, hand_over: Callable[[], None]) -> None:
+        self._stream = stream
+        self._hand_over = hand_over
+
+    def fire(self) -> None:
+        """Start the motion, and wait until the SYNC of its first set-point was on the wire.
+
+        Raises:
+            LinkError: SYNC was not transmitted in time.
+        """
+        stream = self._stream
+        self._hand_over()
+        link = stream.link
+        if not link.wait_until(partial(_has_begun, stream), _FIRST_SYNC_S + 3 * stream.period_s):
+            raise LinkError(link=link.name, reason="no SYNC was transmitted")
+
+
+@final
 @dataclass(frozen=True, slots=True)
 class ArmedStream:
     """A stream of set-points that is ready to be sent."""

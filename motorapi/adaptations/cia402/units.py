@@ -52,6 +52,8 @@ class DriveUnits:
         acceleration_unit: the unit of 6083h and 6084h [U/s²], > 0.
         sources: the source of each of them, in words.
         motor, unit: the motor's name and U, for messages.
+        velocity_direction: -1 if the drive's velocities have the opposite sign of its positions, as
+            607Eh inverts only one of them; else 1.
     """
 
     motor: str
@@ -60,6 +62,7 @@ class DriveUnits:
     velocity_unit: float | None
     acceleration_unit: float | None
     sources: tuple[str, str, str]
+    velocity_direction: int = 1
 
     def _position(self) -> float:
         if self.increments_per_unit is None:
@@ -137,13 +140,17 @@ class DriveUnits:
     def velocity(self, velocity_raw: int) -> float:
         """Return the drive's velocity integer as a velocity [U/s]."""
         size = velocity_raw * self._velocity()
-        return -size if self._position() < 0.0 else size
+        return -size if self._counts_backwards() else size
+
+    def _counts_backwards(self) -> bool:
+        """Return whether the drive's velocities have the opposite sign of ours."""
+        return (self._position() < 0.0) != (self.velocity_direction < 0)
 
     def velocity_raw(self, velocity: float) -> int:
         """Return a velocity [U/s] in the drive's units, rounded towards 0 but never to 0."""
         unit = self._velocity()
         raw = self._rounded_down("velocity", abs(velocity), unit, _INT32_MAX)
-        return -raw if (velocity < 0.0) != (self._position() < 0.0) else raw
+        return -raw if (velocity < 0.0) != self._counts_backwards() else raw
 
     def speed_raw(self, speed: float) -> int:
         """Return a speed [U/s], > 0, in the drive's units, rounded down but never to 0."""
@@ -161,6 +168,15 @@ class DriveUnits:
     def acceleration(self, acceleration_raw: int) -> float:
         """Return the size of an acceleration [U/s²] of an integer of the drive."""
         return acceleration_raw * self._acceleration()
+
+
+_POLARITIES: Final = 0xC0  # 607Eh: bit 7 inverts positions, bit 6 velocities
+
+
+def velocity_direction(read: ReadObject) -> int:
+    """Return `DriveUnits.velocity_direction` of a drive."""
+    polarity = (read(0x607E, 0) or 0) & _POLARITIES
+    return 1 if polarity in (0, _POLARITIES) else -1
 
 
 def _missing(motor: str, key: str, why: str) -> UsageError:

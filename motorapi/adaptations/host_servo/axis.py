@@ -231,7 +231,11 @@ class ServoAxis:
         self.failure = None
         self.started_ns = self.ended_ns = None
         self._moves = True
-        self.servo.begin(*armed, cycle)
+        try:
+            self.servo.begin(*armed, cycle)
+        except MotorError as error:  # no such motion from where the motor is now
+            self.failure = error
+            self.slow_down(self.servo.deceleration)
 
     def began(self, time_ns: int) -> None:
         """Record the time when the SYNC of the beginning was on the wire."""

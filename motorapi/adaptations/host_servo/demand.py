@@ -6,6 +6,7 @@ the command. Trajectories are sampled. All values are in increments of the count
 amperes.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from math import inf
 from typing import Final, final
@@ -29,6 +30,7 @@ class Course:
         velocity, acceleration: the values for feed-forward [inc/s, inc/s²].
         is_step: whether it is a position set-point; its error is not a following error.
         is_stop: whether it is a stop: over when the motor stands still, at any position.
+        final_velocity: the velocity of a position demand that continues at its end [inc/s].
         target: the final value; with an argument other than time, the present value.
         is_over: whether the demand has come to its end.
     """
@@ -40,6 +42,7 @@ class Course:
         self.acceleration = 0.0
         self.is_step = is_step
         self.is_stop = False
+        self.final_velocity = 0.0
         self.target = target
         self.is_over = True
 
@@ -134,6 +137,42 @@ class Tracked(Course):
 
 
 @final
+class Moving(Course):
+    """A trajectory that begins with a velocity, planned when it begins.
+
+    Args:
+        planned: returns the motion, for the position where it begins [U].
+        motion: the motion from the present position.
+        scale: increments per U.
+    """
+
+    def __init__(self, planned: Callable[[float], Motion], motion: Motion, scale: float) -> None:
+        super().__init__(POSITION, motion.target * scale)
+        self._planned = planned
+        self._scale = scale
+        self._tracked = Tracked(POSITION, demand_of(motion), scale)
+        self.final_velocity = motion.final_velocity * scale
+        self.is_over = False
+
+    def begin(self, demand: float) -> None:
+        """Plan the motion from this demand [inc].
+
+        Raises:
+            MotorError: there is no such motion from there.
+        """
+        motion = self._planned(demand / self._scale)
+        self._tracked = Tracked(POSITION, demand_of(motion), self._scale)
+        self.target = self._tracked.target
+
+    def sample(self, elapsed_s: float, ahead_s: float) -> None:
+        """Set the demand for `elapsed_s` after the start."""
+        tracked = self._tracked
+        tracked.sample(elapsed_s, ahead_s)
+        self.value, self.velocity = tracked.value, tracked.velocity
+        self.acceleration, self.is_over = tracked.acceleration, tracked.is_over
+
+
+@final
 class Led(Course):
     """A trajectory over an argument other than time, which is read once a cycle."""
 
@@ -192,7 +231,13 @@ class Scales:
 _KINDS: Final = {ControlVariable.POSITION: POSITION, ControlVariable.VELOCITY: VELOCITY}
 
 
-def course_of(motion: Motion, scales: Scales, velocity: float, current_a: float) -> Course:
+def course_of(
+    motion: Motion,
+    scales: Scales,
+    velocity: float,
+    current_a: float,
+    planned: Callable[[float], Motion] | None = None,
+) -> Course:
     """Return the course of a motion.
 
     Args:
@@ -200,6 +245,7 @@ def course_of(motion: Motion, scales: Scales, velocity: float, current_a: float)
         scales: the scales of these units.
         velocity: the present demand [inc/s].
         current_a: the present output [A].
+        planned: returns a motion with an initial velocity, for the position where it begins [U].
 
     Raises:
         MotorError: the argument of the trajectory is not known.
@@ -210,7 +256,11 @@ def course_of(motion: Motion, scales: Scales, velocity: float, current_a: float)
         demand = demand_of(motion)
         if motion.argument is not None:
             return Led(kind, demand, scale, motion.argument)
-        return Tracked(kind, demand, scale)
+        if motion.initial_velocity and planned is not None:
+            return Moving(planned, motion, scale)
+        course = Tracked(kind, demand, scale)
+        course.final_velocity = motion.final_velocity * scale
+        return course
     target = motion.target * scale
     if kind == POSITION:
         return Course(POSITION, target, is_step=True)

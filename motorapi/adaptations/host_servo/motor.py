@@ -22,6 +22,7 @@ with the same SYNC.
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
+from functools import partial
 from math import inf, isfinite
 from typing import TYPE_CHECKING, Final, final
 
@@ -36,6 +37,7 @@ from motorhil.motorapi.commands import ControlMode, ControlVariable, Setpoint, a
 from motorhil.motorapi.errors import DeviceFault, UnsupportedError, UsageError
 from motorhil.motorapi.motion import Motion
 from motorhil.motorapi.motor import Motor
+from motorhil.motorapi.planning.functions import from_here
 from motorhil.motorapi.state import Fault, Measurement, MotorState
 from motorhil.motorapi.synchronization.offer import Firing, SyncOffer, Trigger
 from motorhil.motorapi.synchronization.quality import MotionTimes, SyncLevel
@@ -200,6 +202,9 @@ class SoftwareMotor(Motor):
                 supported=f"{_LIMITED}, and trajectories",
             )
 
+    def _limits_jerk(self, variable: ControlVariable) -> bool:
+        return True
+
     def _sync_offer(self) -> SyncOffer:
         period_s = self._hardware.io.cycle.period_s
         reason = f"one SYNC every {period_s * 1e3:g} ms: counts of it, outputs latched by the next"
@@ -260,7 +265,8 @@ class SoftwareMotor(Motor):
             return self._read_position()
         if course.is_step and not hardware.axis.is_over:
             return self._read_position()  # a step has no profile: its demand is the target at once
-        demand = course.target if course.is_over else hardware.servo.demand
+        is_held = course.is_over and not course.final_velocity
+        demand = course.target if is_held else hardware.servo.demand
         # Return the target as commanded while the servo holds it: rounding must not accumulate.
         return self._held[1] if demand == self._held[0] else demand / self._scale
 
@@ -318,7 +324,8 @@ class SoftwareMotor(Motor):
 
     def _arm(self, motion: Motion, *, together: bool) -> Trigger:
         servo = self._hardware.servo
-        course = course_of(motion, self._scales, servo.demand_velocity, servo.current_a)
+        planned = partial(from_here, self.name, self.model, motion)
+        course = course_of(motion, self._scales, servo.demand_velocity, servo.current_a, planned)
         if motion.variable is ControlVariable.POSITION and motion.argument is None:
             self._held = (course.target, motion.target)
         gains = self._gains.per_increment(self._scale)

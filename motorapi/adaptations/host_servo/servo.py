@@ -25,6 +25,7 @@ from motorhil.motorapi.adaptations.host_servo.demand import (
     VELOCITY,
     Braking,
     Course,
+    Moving,
 )
 from motorhil.motorapi.adaptations.host_servo.settings import PidGains
 from motorhil.motorapi.errors import MotorError, PluginError
@@ -136,8 +137,14 @@ class Servo:
     # --- commands
 
     def begin(self, course: Course, gains: PidGains, limits: ServoLimits, cycle: int) -> None:
-        """Begin a course with the count of this cycle."""
+        """Begin a course with the count of this cycle.
+
+        Raises:
+            MotorError: the course cannot begin at the demand of that cycle.
+        """
         was = self.course
+        if isinstance(course, Moving):
+            course.begin(self._demand_at(cycle))
         if was is None or was.kind == CURRENT:
             self._integral = 0.0 if was is None else self.current_a
             self._rate = 0.0
@@ -151,6 +158,18 @@ class Servo:
         self._settled = self._behind = 0
         self._still = (self.position, 0)
         self.is_done = self.lags = False
+
+    def _demand_at(self, cycle: int) -> float:
+        """Return the demand of the present course in this cycle [inc], the next one."""
+        was = self.course
+        if was is None or was.kind == CURRENT or was.is_step:
+            return self.position
+        if was.kind == VELOCITY:
+            return self.demand + was.value * (cycle - self._cycle) * self._period_s
+        if was.is_over and not was.final_velocity:
+            return self.demand
+        was.sample((cycle - self._begun) * self._period_s, _AHEAD * self._period_s)
+        return was.value
 
     def brake(self, deceleration: float) -> None:
         """Bring the motor to rest at this rate [inc/s²], from the present demand, and hold it."""
@@ -318,6 +337,8 @@ class Servo:
             return
         if course.kind == VELOCITY:
             is_there = abs(self.velocity - course.target) <= limits.velocity_window
+        elif course.final_velocity:  # it continues, at this velocity or to rest
+            is_there = abs(self.velocity - course.velocity) <= limits.velocity_window
         else:
             is_there = abs(course.target - self.position) <= limits.window
         self._settled = self._settled + 1 if is_there else 0

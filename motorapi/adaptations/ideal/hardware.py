@@ -15,6 +15,8 @@ from motorhil.motorapi.runtime.api import ChangeCounter
 from motorhil.motorapi.state import Fault, MotorState
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from motorhil.motorapi.motion import Motion
     from motorhil.motorapi.runtime.api import Registration, Runtime
 
@@ -100,7 +102,7 @@ class IdealHwMotor:
         self._last: Course | None = None  # of the last motion started, not of a stop
         self._cut_short = False
         self._power = MotorState.DISABLED
-        self._armed: tuple[Motion, IdealTrigger] | None = None
+        self._armed: tuple[Callable[[float], Motion], IdealTrigger] | None = None
         self._motion: Motion | None = None
         self._course: Course = Held(runtime.now_ns(), position)
         self._looking: Registration | None = None
@@ -193,12 +195,17 @@ class IdealHwMotor:
 
     # --- motion ----------------------------------------------------------------------------
 
-    def arm(self, motion: "Motion", *, together: bool) -> IdealTrigger:
-        """Arm `motion`, and return the trigger that starts it."""
+    def arm(self, planned: "Callable[[float], Motion]", *, together: bool) -> IdealTrigger:
+        """Arm a motion, and return the trigger that starts it.
+
+        Args:
+            planned: returns the motion, for the position where it begins [U].
+            together: True if the trigger is shared.
+        """
         self._require_open()
         trigger = self.shared_trigger if together else IdealTrigger(self.runtime)
         trigger.arm(self)
-        self._armed = (motion, trigger)
+        self._armed = (planned, trigger)
         self._news.count += 1
         return trigger
 
@@ -214,8 +221,8 @@ class IdealHwMotor:
         armed, self._armed = self._armed, None
         if armed is None:
             return
-        motion = armed[0]
         now = self._course.at(max(now_ns, self._course.begun_ns))
+        motion = armed[0](now.position)
         course = course_of(motion, now, now_ns, self.torque_constant)
         self._take(course, motion)
         self._last, self._cut_short = course, False

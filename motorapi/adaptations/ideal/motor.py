@@ -31,6 +31,7 @@ from motorhil.motorapi.commands import ControlMode, ControlVariable, Setpoint
 from motorhil.motorapi.errors import DeviceFault, LinkError, UnsupportedError
 from motorhil.motorapi.motion import Motion
 from motorhil.motorapi.motor import Motor
+from motorhil.motorapi.planning.functions import from_here
 from motorhil.motorapi.state import Fault, Measurement, MotorState
 from motorhil.motorapi.synchronization.offer import Firing, SyncOffer, Trigger
 from motorhil.motorapi.synchronization.quality import MotionTimes, SyncLevel
@@ -88,6 +89,9 @@ class IdealMotor(Motor):
 
     def _check_command(self, variable: ControlVariable, command: "Setpoint | Trajectory") -> None:
         """Accept every command, as every plan can be executed."""
+
+    def _limits_jerk(self, variable: ControlVariable) -> bool:
+        return True
 
     def _sync_offer(self) -> SyncOffer:
         reason = "ideal motors of one runtime begin at the same nanosecond"
@@ -166,7 +170,10 @@ class IdealMotor(Motor):
     # --- motion ----------------------------------------------------------------------------
 
     def _arm(self, motion: Motion, *, together: bool) -> Trigger:
-        return self.hardware.arm(motion, together=together)
+        def planned(position: float) -> Motion:
+            return from_here(self.name, self.model, motion, position)
+
+        return self.hardware.arm(planned, together=together)
 
     def _disarm(self) -> None:
         self.hardware.disarm()

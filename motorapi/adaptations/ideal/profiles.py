@@ -165,12 +165,13 @@ class Followed(_Law):
         """Return the demand, and its derivative or integral, at `now_ns`."""
         demand = self._demand
         argument = demand.initial_argument + self._elapsed_s(now_ns)
-        if self._is_over(now_ns):
+        is_over = self._is_over(now_ns)
+        if is_over and not self._motion.final_velocity:
             argument = demand.final_argument
         value = demand.value(argument)
         if self._motion.variable is ControlVariable.POSITION:
-            velocity = 0.0 if self._is_over(now_ns) else demand.first(argument)
-            return Reading(value, velocity)
+            goes_on = not is_over or self._motion.final_velocity
+            return Reading(value, demand.first(argument) if goes_on else 0.0)
         if self._way is not None:
             beyond_s = 0.0
             if self.over_ns is not None and now_ns > self.over_ns:

@@ -268,6 +268,13 @@ def integrated_by_the_nominal_period():
         yield
 
 
+@mutant("ideal", "TRAJ-08")
+def final_velocity_is_forgotten():
+    """A trajectory with a final velocity ends at rest."""
+    with motions_changed(IdealMotor, lambda motor, motion: replace(motion, final_velocity=0.0)):
+        yield
+
+
 @mutant("ideal", "START-01")
 def an_equal_trajectory_is_not_sent_again():
     """A trajectory equal to the previous one is not sent."""

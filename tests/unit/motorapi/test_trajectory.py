@@ -126,8 +126,6 @@ def test_function_with_a_kink_or_a_jump_raises():
 @pytest.mark.parametrize(
     ("variable", "derivatives", "told"),
     [
-        (P, (0.5,), r"with a first derivative of 0\.5 rad/s;"),
-        (P, (0.0, 0.5), r"with a second derivative of 0\.5 rad/s²;"),
         (V, (0.5,), r"with a first derivative of 0\.5 rad/s²;"),
         (V, (0.0, 0.5), r"with a second derivative of 0\.5 rad/s³;"),
         (T, (0.5,), r"with a first derivative of 0\.5 N·m/s;"),
@@ -150,15 +148,8 @@ def test_limits_in_place_of_relative_raise():
         ComplexTrajectory(rest_to_rest(1.0, 2.0), relative=1)
 
 
-@pytest.mark.parametrize(
-    "trajectory",
-    [
-        TrapezoidalTrajectory(0.1, duration_s=1e300),
-        TrapezoidalTrajectory(0.1, limits=DerivativeLimits(third=1e-300)),
-        TrapezoidalTrajectory(0.1, limits=DerivativeLimits(third=1e300)),
-    ],
-)
-def test_trajectory_beyond_float_arithmetic_raises(trajectory):
+def test_trajectory_beyond_float_arithmetic_raises():
+    trajectory = TrapezoidalTrajectory(0.1, duration_s=1e300)
     with pytest.raises(
         UsageError, match=r"^wheel: <Trap.*> cannot be computed: one of its numbers is"
     ):

@@ -159,7 +159,28 @@ def test_given_duration_is_met_or_reported_as_impossible():
 
 def test_limits_by_direction_use_the_tighter_one():
     limits = ProfileLimits(10.0, 4.0, 2.0)
-    assert jerk_limited(1.0, limits, 1e6).derivative(2).extrema().maximum <= 2.0 + 1e-9
+    moving = jerk_limited(1.0, limits, 1e6, initial_derivatives=(0.1,))
+    assert moving.derivative(2).extrema().maximum <= 2.0 + 1e-9
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_limits_by_direction_are_used_from_rest_to_rest(sign):
+    limits = ProfileLimits(10.0, 4.0, 2.0)
+    found = jerk_limited(sign, limits, 1e6).derivative(2).extrema()
+    fastest, slowest = sorted((abs(found.minimum), found.maximum), reverse=True)
+    assert (fastest, slowest) == pytest.approx((4.0, 2.0), rel=1e-9)
+    trapezoid_s = trapezoid(sign, limits).duration_s
+    assert jerk_limited(sign, limits, 1e6).domain[1] == pytest.approx(trapezoid_s, rel=1e-4)
+
+
+def test_rest_to_rest_is_as_short_as_that_of_ruckig():
+    random = Random(1)
+    for _ in range(examples(300)):
+        final, velocity, acceleration, jerk = (magnitude(random, 2) for _ in range(4))
+        limits = ProfileLimits(velocity, acceleration)
+        own = jerk_limited(final, limits, jerk)
+        other = jerk_limited(final, limits, jerk, initial_derivatives=(1e-15,))
+        assert own.domain[1] == pytest.approx(other.domain[1], rel=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -200,4 +221,5 @@ def test_brake_phases_of_ruckig_are_included():
 def test_missing_package_error_names_the_extra(monkeypatch):
     monkeypatch.setitem(sys.modules, "ruckig", None)
     with pytest.raises(UnsupportedError, match=r"pip install 'motorhil\[ruckig\]'"):
-        jerk_limited(1.0, UNIT, 1.0)
+        jerk_limited(1.0, UNIT, 1.0, initial_derivatives=(0.5,))
+    assert jerk_limited(1.0, UNIT, 1.0).value(3.0) <= 1.0  # from rest to rest it is not needed

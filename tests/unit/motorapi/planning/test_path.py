@@ -136,6 +136,7 @@ def moved(kind, disturb):
         group.set_trajectory(*map(TrapezoidalTrajectory, WAYS))
         group.synchronization = Synchronization.PHASE
         predicted = [one.predicted for one in group.sync_capability().path]
+        rig.runtime.run_for(0.0003)  # no tick of a drive between the SYNCs of two buses
         group.start()
         truth = Truth(rig)
         rig.runtime.run_for(0.6)

@@ -101,6 +101,8 @@ def test_at_1_khz_no_set_point_is_lost_or_doubled_and_the_drive_follows_as_predi
     function = quintic(2.0, 1.5)
     set_function(motor, function)
     tap = Tap(rig)
+    motor.enable()
+    rig.runtime.run_for(0.0003)  # so that SYNC never waits for a heartbeat
     motor.start()
     times = motor._motion_times()
     assert times is not None
