@@ -75,6 +75,18 @@ def test_channels_share_common_settings_and_override_them():
             {"channel": {"1": {"initial_position_rad": 1e9}}},
             "channel.1.initial_position_rad: 21",
         ),
+        (
+            {"plant": {"preset": "wheel_60w", "coupling_stiffness_n_m_rad": 1e10}},
+            "plant.coupling_stiffness_n_m_rad: 1e+10 N m/rad: oscillates at 938729 rad/s",
+        ),
+        (
+            {
+                "channel": {
+                    "1": {"plant": {"preset": "mast_20w", "coupling_stiffness_n_m_rad": 1e10}}
+                }
+            },
+            "channel.1.plant.coupling_stiffness_n_m_rad: 1e+10 N m/rad: oscillates",
+        ),
         ({"timing": {"boot_s": 3}}, "timing.boot_s: unknown key"),
         ({"eds": "none.eds"}, "eds: file "),
         (
